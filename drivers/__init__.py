@@ -1,0 +1,1 @@
+"""Everything that talks to a device, each behind a protocol of ``drivers.api``."""

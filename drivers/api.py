@@ -1,0 +1,371 @@
+"""Owns the contract between devices and everything above them: protocols and values, no behaviour.
+
+Concrete drivers live beside this file; the rest of the product sees only these names. Units are in the
+names; ``None`` means missing. Every blocking call has a timeout. See ``docs/protocols``.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class DeviceError(Exception):
+    """A device failed. ``device`` names it as in the rig file (``camera.left``), ``remedy`` says what to do."""
+
+    def __init__(self, device: str, message: str, remedy: str) -> None:
+        super().__init__(f"{device}: {message}. {remedy}")
+        self.device = device
+        self.message = message
+        self.remedy = remedy
+
+
+class DeviceGone(DeviceError):
+    """The device was unplugged or no longer answers; reopening it may help."""
+
+
+class DeviceRefused(DeviceError):
+    """The device works but refused the request (wrong value, busy, wrong state)."""
+
+
+# --------------------------------------------------------------------------------------------- time
+
+
+class Clock(Protocol):
+    """Monotonic time and waiting; the only source of both above the drivers."""
+
+    def now_ns(self) -> int:
+        """Monotonic time in ns, the same clock as flip and arrival time stamps."""
+
+    def sleep_s(self, duration_s: float) -> None:
+        """Return after ``duration_s`` of this clock."""
+
+    def wait_for(
+        self, condition: threading.Condition, predicate: Callable[[], bool], timeout_s: float
+    ) -> bool:
+        """With ``condition`` held, wait until ``predicate()`` or the timeout; return the predicate's value."""
+
+
+# ------------------------------------------------------------------------------------------- camera
+
+
+class FrameStatus(Enum):
+    """What became of one frame on its way to the host."""
+
+    COMPLETE = "complete"
+    """Leader, full payload and trailer agree."""
+    TRUNCATED = "truncated"
+    """The payload or the trailer came short, or the trailer reports fewer valid bytes."""
+    CORRUPT = "corrupt"
+    """A leader or trailer without its magic, with a wrong size, pixel format or image size."""
+    WRONG_ID = "wrong id"
+    """The trailer's block id is not the leader's."""
+    DISCARDED = "discarded"
+    """The camera reports that it discarded data or overran (status A100, A101)."""
+    TIMEOUT = "timeout"
+    """No leader within the time allowed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """One frame as it arrived. The pixels are in the slot that was handed to ``next_frame``."""
+
+    status: FrameStatus
+    block_id: int | None
+    camera_time_ns: int | None
+    """Start of exposure in the camera's own clock."""
+    received_ns: int
+    """Arrival of the trailer (or of the failure) in host time."""
+    detail: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class CameraIdentity:
+    vendor: str
+    model: str
+    serial: str
+    firmware: str
+    link_speed_mbps: int | None
+    """Negotiated bus speed (5000 = SuperSpeed); ``None`` when the host does not know."""
+
+
+@dataclass(frozen=True, slots=True)
+class CameraSettings:
+    width_px: int
+    height_px: int
+    exposure_us: float
+    gain_db: float
+
+
+class Camera(Protocol):
+    """A hardware-triggered camera. One thread calls ``next_frame``; the core owns the memory."""
+
+    @property
+    def identity(self) -> CameraIdentity: ...
+
+    def configure(self, settings: CameraSettings) -> CameraSettings:
+        """Apply and return what the camera really set; trigger on, Mono8. Raises DeviceRefused, DeviceGone."""
+
+    def start(self) -> None:
+        """Flush stale buffers, start the stream, wait for triggers. Idempotent. Raises DeviceError."""
+
+    def next_frame(self, slot: NDArray[np.uint8], timeout_s: float) -> Frame:
+        """Fill ``slot`` (height, width) uint8 in place. A bad frame is a status; only a lost device raises DeviceGone."""
+
+    def stop(self) -> None:
+        """End acquisition. Idempotent. Raises DeviceGone."""
+
+    def temperature_c(self) -> float | None:
+        """Temperature of the camera, ``None`` where it has no sensor. Not while a frame is being read."""
+
+
+# -------------------------------------------------------------------------------------------- board
+
+
+@dataclass(frozen=True, slots=True)
+class Vsync:
+    """The latest vertical sync the board saw, and when, in board time; plus the host's bracket of the query."""
+
+    count: int
+    board_time_us: int
+    board_now_us: int
+    host_sent_ns: int
+    host_received_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Pulse:
+    """One trigger pulse, as the board reports it."""
+
+    index: int
+    vsync: int
+    board_time_us: int
+
+
+@dataclass(frozen=True, slots=True)
+class LaserState:
+    """Read back from the drivers' current sense."""
+
+    left_on: bool
+    right_on: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Telemetry:
+    """One heartbeat. A sensor that is not fitted or does not answer is ``None``."""
+
+    received_ns: int
+    board_time_us: int
+    vsync: int
+    lasers: LaserState
+    temperature_projector_c: float | None = None
+    temperature_case_c: float | None = None
+    temperature_board_c: float | None = None
+    leak: bool | None = None
+    humidity_percent: float | None = None
+    supply_v: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class BoardBooted:
+    """The board was reset: everything it was told is forgotten."""
+
+    firmware: str
+    serial: str
+    cause: str
+
+
+@dataclass(frozen=True, slots=True)
+class PulsesDone:
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
+class VsyncLost:
+    pass
+
+
+@dataclass(frozen=True, slots=True)
+class BoardLost:
+    """The port vanished or the board fell silent."""
+
+    reason: str
+
+
+BoardEvent = Pulse | PulsesDone | VsyncLost | Telemetry | BoardBooted | BoardLost
+
+
+class Board(Protocol):
+    """The trigger board. Commands may come from any thread, one at a time."""
+
+    def vsync(self) -> Vsync: ...
+
+    def arm(self, pulses: int, at_vsync: int, delay_us: int, width_us: int) -> None:
+        """Raises DeviceRefused (busy, past, out of range), DeviceGone."""
+
+    def live(self, every: int, delay_us: int, width_us: int) -> None: ...
+
+    def stop(self) -> None: ...
+
+    def set_lasers(self, left_on: bool, right_on: bool) -> LaserState:
+        """Switch and return the read-back, which may differ: the caller decides what that means."""
+
+    def next_event(self, timeout_s: float) -> BoardEvent | None:
+        """The oldest unread report, in order; ``None`` after the timeout."""
+
+
+# --------------------------------------------------------------------------------------------- keys
+
+
+class Key(Enum):
+    SCAN = "scan"
+    """Scan, and OK in menus."""
+    BACK = "back"
+    UP = "up"
+    DOWN = "down"
+
+
+@dataclass(frozen=True, slots=True)
+class KeyPress:
+    """A debounced press; ``time_ns`` is host time of the change."""
+
+    key: Key
+    time_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class KeyLongPress:
+    """The key has been held for 0.8 s; comes after its KeyPress, once."""
+
+    key: Key
+    time_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class KeyRelease:
+    key: Key
+    time_ns: int
+    held_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class KeyStuck:
+    """Held longer than 8 s or reported faulty by the pad; masked until it is seen released."""
+
+    key: Key
+
+
+@dataclass(frozen=True, slots=True)
+class KeysLost:
+    reason: str
+
+
+KeyEvent = KeyPress | KeyLongPress | KeyRelease | KeyStuck | KeysLost
+
+
+class Keys(Protocol):
+    def next_event(self, timeout_s: float) -> KeyEvent | None: ...
+
+
+# ------------------------------------------------------------------------------------------- output
+
+
+@dataclass(frozen=True, slots=True)
+class Flip:
+    """The kernel's word that a buffer is on the screen since ``time_ns``."""
+
+    index: int
+    """Which of the loaded frames (or -1 for a presented image)."""
+    sequence: int | None
+    """The display's vertical-blank counter; ``None`` where the hardware has none."""
+    time_ns: int
+
+
+class Projector(Protocol):
+    """An output that plays frames loaded beforehand, one per vertical blank."""
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """(width, height)."""
+
+    def load(self, frames: Sequence[NDArray[np.uint8]]) -> None:
+        """Copy frames, (height, width) uint8 of green light each, into scan-out buffers 0..n-1."""
+
+    def show(self, index: int) -> Flip:
+        """Flip to one frame and stay there."""
+
+    def play(
+        self,
+        indices: Sequence[int],
+        idle: int,
+        start: Callable[[Flip], int | None],
+        abort: Callable[[], bool],
+    ) -> list[Flip]:
+        """Flip through ``indices``, one per vertical blank, and end on ``idle``.
+
+        First flips ``idle`` at every blank; ``start`` is called once with such a flip and returns the sequence
+        number at which ``indices[0]`` must appear (at least two blanks ahead; ``None`` = as soon as possible).
+        Returns the flips of ``indices`` as they happened. A late flip is returned, not hidden, and ends the
+        play early, as does ``abort()`` (asked at every blank). Raises DeviceGone.
+        """
+
+
+class Display(Protocol):
+    """The diver's screen."""
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """(width, height)."""
+
+    def present(self, image: NDArray[np.uint8], timeout_s: float) -> Flip:
+        """Show ``image`` (height, width, 3) RGB uint8 at the next vertical blank and wait for it. Raises DeviceGone."""
+
+
+# -------------------------------------------------------------------------------------------- wires
+
+
+class CardNode(Protocol):
+    """An opened DRM node: exactly the system calls the scan-out code makes."""
+
+    def ioctl(self, request: int, buffer: bytearray) -> None:
+        """As ``fcntl.ioctl(fd, request, buffer, True)``; pointers inside are addresses of this process. Raises OSError."""
+
+    def map(self, length: int, offset: int) -> memoryview:
+        """As ``mmap`` of a dumb buffer: writable, shared."""
+
+    def read(self, size: int) -> bytes:
+        """As ``os.read`` on a non-blocking descriptor. Raises BlockingIOError when nothing is there."""
+
+    def wait_readable(self, timeout_s: float) -> bool:
+        """As ``select``: True when an event can be read."""
+
+    def close(self) -> None: ...
+
+
+class Wires(Protocol):
+    """See ``docs/protocols/wires.md``."""
+
+    usb_backend: Any
+    hidraw: Any
+    clock: Clock
+
+    def open_card(self, path: str) -> CardNode: ...
+
+
+WiresOptions = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Health:
+    """What a device says about itself in ``kingfisher check``."""
+
+    device: str
+    ok: bool
+    summary: str
+    details: Mapping[str, str] = field(default_factory=dict)
