@@ -46,9 +46,7 @@ class Clock(Protocol):
     def sleep_s(self, duration_s: float) -> None:
         """Return after ``duration_s`` of this clock."""
 
-    def wait_for(
-        self, condition: threading.Condition, predicate: Callable[[], bool], timeout_s: float
-    ) -> bool:
+    def wait_for(self, condition: threading.Condition, predicate: Callable[[], bool], timeout_s: float) -> bool:
         """With ``condition`` held, wait until ``predicate()`` or the timeout; return the predicate's value."""
 
 
@@ -116,7 +114,7 @@ class Camera(Protocol):
         """Flush stale buffers, start the stream, wait for triggers. Idempotent. Raises DeviceError."""
 
     def next_frame(self, slot: NDArray[np.uint8], timeout_s: float) -> Frame:
-        """Fill ``slot`` (height, width) uint8 in place. A bad frame is a status; only a lost device raises DeviceGone."""
+        """Fill ``slot`` (height, width) uint8 in place. A bad frame is a status; a lost device raises DeviceGone."""
 
     def stop(self) -> None:
         """End acquisition. Idempotent. Raises DeviceGone."""
@@ -334,7 +332,7 @@ class CardNode(Protocol):
     """An opened DRM node: exactly the system calls the scan-out code makes."""
 
     def ioctl(self, request: int, buffer: bytearray) -> None:
-        """As ``fcntl.ioctl(fd, request, buffer, True)``; pointers inside are addresses of this process. Raises OSError."""
+        """As ``fcntl.ioctl(fd, request, buffer, True)``; pointers are addresses of this process. Raises OSError."""
 
     def map(self, length: int, offset: int) -> memoryview:
         """As ``mmap`` of a dumb buffer: writable, shared."""
