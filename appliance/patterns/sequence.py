@@ -1,0 +1,138 @@
+"""Owns the list of frames of one scan: what each shows, in which order.
+
+Drawing, the ledger, the identity check and decoding all read this list; nothing else knows the order.
+Source: paper, section 4 (Gray code 7/6/5 images and 4 sine images per direction for periods 16/32/64 px, two
+orthogonal directions); the two images the paper leaves unnamed are a bright and a dark reference.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.patterns.gray import bit_count, gray_bit
+from appliance.patterns.sine import STEPS, sine_codes
+
+PERIODS_PX = (16, 32, 64)
+BRIGHT_CODE = 247
+DARK_CODE = 0
+
+
+class Direction(Enum):
+    """The pattern coordinate along which a pattern varies."""
+
+    X = "x"
+    """Varies from column to column: vertical stripes."""
+    Y = "y"
+    """Varies from row to row: horizontal stripes."""
+
+
+class Kind(Enum):
+    BRIGHT = "bright"
+    DARK = "dark"
+    GRAY = "gray"
+    SINE = "sine"
+
+
+@dataclass(frozen=True, slots=True)
+class Pattern:
+    """One frame of the sequence. ``index`` is the Gray bit (0 = most significant) or the sine step (0..3)."""
+
+    kind: Kind
+    direction: Direction
+    index: int
+    period_px: int
+    size_px: int
+    """Length of the varying axis."""
+
+    @property
+    def name(self) -> str:
+        """Short name for manifests, reports and pictures: ``bright``, ``gray-x-0``, ``sine-y-270``."""
+        match self.kind:
+            case Kind.BRIGHT | Kind.DARK:
+                return self.kind.value
+            case Kind.GRAY:
+                return f"gray-{self.direction.value}-{self.index}"
+            case Kind.SINE:
+                return f"sine-{self.direction.value}-{90 * self.index}"
+
+    def codes(self) -> NDArray[np.uint8]:
+        """The 8-bit codes along the varying axis: shape (size_px,) uint8. Gray stripes use the bright code."""
+        match self.kind:
+            case Kind.BRIGHT:
+                return np.full(self.size_px, BRIGHT_CODE, np.uint8)
+            case Kind.DARK:
+                return np.full(self.size_px, DARK_CODE, np.uint8)
+            case Kind.GRAY:
+                lit = gray_bit(self.size_px, self.period_px, self.index)
+                return np.where(lit, BRIGHT_CODE, DARK_CODE).astype(np.uint8)
+            case Kind.SINE:
+                return sine_codes(self.size_px, self.period_px, self.index)
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """Where one direction's frames stand in the sequence."""
+
+    direction: Direction
+    size_px: int
+    gray: tuple[int, ...]
+    """Frame numbers of the Gray-code images, most significant bit first."""
+    sine: tuple[int, int, int, int]
+    """Frame numbers of the steps 0°, 90°, 180°, 270°."""
+
+
+@dataclass(frozen=True, slots=True)
+class PatternSequence:
+    """All patterns of a scan in the order of projection."""
+
+    period_px: int
+    width_px: int
+    height_px: int
+    patterns: tuple[Pattern, ...]
+
+    def __len__(self) -> int:
+        return len(self.patterns)
+
+    @property
+    def bright(self) -> int:
+        """Frame number of the bright reference."""
+        return next(i for i, p in enumerate(self.patterns) if p.kind is Kind.BRIGHT)
+
+    @property
+    def dark(self) -> int:
+        """Frame number of the dark reference."""
+        return next(i for i, p in enumerate(self.patterns) if p.kind is Kind.DARK)
+
+    def axis(self, direction: Direction) -> Axis:
+        """The frames that encode ``direction``."""
+        mine = [(i, p) for i, p in enumerate(self.patterns) if p.direction is direction]
+        gray = tuple(i for i, p in mine if p.kind is Kind.GRAY)
+        s0, s1, s2, s3 = (i for i, p in mine if p.kind is Kind.SINE)
+        size = self.width_px if direction is Direction.X else self.height_px
+        return Axis(direction, size, gray, (s0, s1, s2, s3))
+
+
+def build_sequence(period_px: int, width_px: int = 1024, height_px: int = 768) -> PatternSequence:
+    """The sequence for a fringe period: 24, 22 or 20 frames for 16, 32 or 64 px on 1024 × 768.
+
+    Any period ≥ 4 px is accepted here (also no power of two); the rig file restricts what a diver may choose.
+    Raises ValueError for a period outside 4..size.
+    """
+    if not 4 <= period_px <= min(width_px, height_px):
+        raise ValueError(
+            f"fringe period {period_px} px; allowed are 4..{min(width_px, height_px)} px; choose one of {PERIODS_PX}"
+        )
+    patterns = [
+        Pattern(Kind.BRIGHT, Direction.X, 0, period_px, width_px),
+        Pattern(Kind.DARK, Direction.X, 0, period_px, width_px),
+    ]
+    for direction, size_px in ((Direction.X, width_px), (Direction.Y, height_px)):
+        patterns += [
+            Pattern(Kind.GRAY, direction, bit, period_px, size_px) for bit in range(bit_count(size_px, period_px))
+        ]
+        patterns += [Pattern(Kind.SINE, direction, step, period_px, size_px) for step in range(STEPS)]
+    return PatternSequence(period_px, width_px, height_px, tuple(patterns))

@@ -1,0 +1,23 @@
+"""Owns the sine fringes: the intensity of each 90° step, and the phase convention.
+
+Phase of pattern coordinate p (px, pixel centres at integers) is φ = 2π (p + ½) / period, so that a phase of zero
+lies on the edge between two pixels, where the Gray code changes. Step k shows A + B cos(φ + k·90°); therefore
+I0 − I2 = 2B cos φ and I3 − I1 = 2B sin φ. Even harmonics of the projector's response cancel in both differences.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+STEPS = 4
+MEAN_CODE = 127.5
+AMPLITUDE_CODE = 119.5
+"""Codes run from 8 to 247: clear of the ends of the scale, where projectors clip."""
+
+
+def sine_codes(size_px: int, period_px: int, step: int) -> NDArray[np.uint8]:
+    """Codes of step ``step`` (0..3) of a fringe pattern: shape (size_px,) uint8, rounded to nearest."""
+    phase = 2.0 * np.pi * (np.arange(size_px, dtype=np.float64) + 0.5) / period_px
+    value = MEAN_CODE + AMPLITUDE_CODE * np.cos(phase + step * (np.pi / 2.0))
+    return np.rint(value).astype(np.uint8)
