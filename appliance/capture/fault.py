@@ -1,0 +1,106 @@
+"""Owns the names of everything that can go wrong, and what is known about one case of it.
+
+Detectors (ledger, drivers' errors, storage, worker) make a ``Fault``; ``appliance.machine.alerts`` says what the
+diver reads. Numbers are evidence: they are stored in the manifest and filled into headlines.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+
+
+class FaultCode(Enum):
+    """One name per distinguishable fault. In brackets: the numbers its headline shows."""
+
+    # The recorded sequence
+    FRAME_MISSING = "FRAME_MISSING"
+    """A frame that was triggered never arrived (received, expected)."""
+    FRAME_REPEATED = "FRAME_REPEATED"
+    """The same block id arrived twice (frame)."""
+    FRAME_ORDER = "FRAME_ORDER"
+    """Block ids did not increase (frame)."""
+    FRAME_TRUNCATED = "FRAME_TRUNCATED"
+    """The payload of a frame came short (frame)."""
+    FRAME_CORRUPT = "FRAME_CORRUPT"
+    """Leader, trailer or id of a frame were damaged (frame)."""
+    CAMERA_STUCK = "CAMERA_STUCK"
+    """The images do not follow the patterns although their ids run."""
+    PATTERN_WRONG = "PATTERN_WRONG"
+    """A frame does not show the pattern it should, and no shift by a frame explains it (frame)."""
+    SYNC_LOST = "SYNC_LOST"
+    """Left and right exposures, or exposures and pulses, are too far apart (skew_ms)."""
+    LATE_FLIP = "LATE_FLIP"
+    """A pattern reached the screen a vertical blank late (frame)."""
+    PROJECTOR_TIMING = "PROJECTOR_TIMING"
+    """The images show every pattern shifted by a frame: the projector's latency changed (shift_frames)."""
+    PROJECTOR_DARK = "PROJECTOR_DARK"
+    """The bright frame is not brighter than the dark one."""
+    PULSE_MISSING = "PULSE_MISSING"
+    """The board fired fewer pulses than it was armed for (received, expected)."""
+    CAPTURE_TIMEOUT = "CAPTURE_TIMEOUT"
+    """The sequence did not end in its time."""
+    MOVED = "MOVED"
+    """Instrument and object moved against each other during the sequence (shift_px)."""
+    TOO_BRIGHT = "TOO_BRIGHT"
+    """Too many pixels are saturated (saturated_percent)."""
+    TOO_DARK = "TOO_DARK"
+    """Too few pixels are modulated by the fringes (coverage_percent)."""
+
+    # Devices
+    CAMERA_LOST = "CAMERA_LOST"
+    """A camera is not there or no longer answers."""
+    CAMERA_SLOW_LINK = "CAMERA_SLOW_LINK"
+    """A camera's link negotiated less than SuperSpeed (link_mbps)."""
+    CAMERA_REFUSED = "CAMERA_REFUSED"
+    """A camera is there but does not take its settings."""
+    PROJECTOR_LOST = "PROJECTOR_LOST"
+    """The projector's output cannot be opened or driven."""
+    DISPLAY_LOST = "DISPLAY_LOST"
+    """The diver's screen cannot be opened or driven."""
+    BOARD_LOST = "BOARD_LOST"
+    """The trigger board is not there or silent."""
+    BOARD_RESET = "BOARD_RESET"
+    """The trigger board restarted and forgot its settings."""
+    VSYNC_LOST = "VSYNC_LOST"
+    """The board sees no vertical sync from the projector's video."""
+    LASER_ON = "LASER_ON"
+    """A laser conducts although it is switched off."""
+    KEYS_LOST = "KEYS_LOST"
+    """The key pad is not there or silent."""
+    KEY_STUCK = "KEY_STUCK"
+    """A key was held for more than 8 s or its coil is faulty; it is masked."""
+
+    # The instrument
+    STORAGE_FULL = "STORAGE_FULL"
+    """No room for another scan."""
+    NOT_SAVED = "NOT_SAVED"
+    """The disk refused a scan; it is still in memory."""
+    UNCALIBRATED = "UNCALIBRATED"
+    """No valid calibration of this rig; the design's values are used."""
+    RECONSTRUCTION_FAILED = "RECONSTRUCTION_FAILED"
+    """The worker failed, died or took too long; the raw frames are kept."""
+    WARM = "WARM"
+    """The housing is warmer than it should be (temperature_c)."""
+    HOT = "HOT"
+    """Too hot to scan: cooling (temperature_c)."""
+    SUPPLY_LOW = "SUPPLY_LOW"
+    """The supply voltage is low (supply_v)."""
+    LEAK = "LEAK"
+    """Water in the housing."""
+    INTERNAL = "INTERNAL"
+    """The software contradicted itself; see the log."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One case of a fault: what, in the detector's words, with its numbers, and of which device if of one.
+
+    ``device`` is named as in the rig file (``camera.left``). Units of numbers are in their names.
+    """
+
+    code: FaultCode
+    detail: str = ""
+    numbers: Mapping[str, float] = field(default_factory=dict, hash=False)
+    device: str | None = None
