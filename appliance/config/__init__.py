@@ -1,0 +1,6 @@
+"""The rig file as frozen values: ``load_rig(path) -> Rig``, or one ``ConfigError`` that says what to change."""
+
+from appliance.config.load import ConfigError, default_rig_path, load_rig, parse_rig
+from appliance.config.rig import Rig
+
+__all__ = ["ConfigError", "Rig", "default_rig_path", "load_rig", "parse_rig"]

@@ -1,0 +1,99 @@
+"""Owns the rules between keys of the rig file: what each value may be in view of the others."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from appliance.config.rig import OutputRig, Rig
+
+
+@dataclass(frozen=True, slots=True)
+class Complaint:
+    """One broken rule: the key, its value, how it relates to what is allowed, and what to do."""
+
+    key: str
+    value: object
+    relation: str
+    """``> 16.16``, ``missing``, ``same as camera.left.serial``."""
+    allowed: str
+    remedy: str
+
+
+def complaints(rig: Rig) -> Iterator[Complaint]:
+    """Every broken rule, in the order of the file."""
+    yield from _exposures_fit(rig)
+    if rig.camera.left.serial == rig.camera.right.serial:
+        yield Complaint(
+            "camera.right.serial",
+            rig.camera.right.serial,
+            "same as camera.left.serial",
+            "two different serial numbers",
+            "read both from the cameras' type plates or with `kingfisher check`",
+        )
+    yield from _output_is_complete("projector", rig.projector)
+    yield from _output_is_complete("display", rig.display)
+    same_output = (rig.projector.card, rig.projector.connector) == (rig.display.card, rig.display.connector)
+    if rig.projector.kind == "kms" and rig.display.kind == "kms" and same_output:
+        yield Complaint(
+            "display.connector",
+            rig.display.connector,
+            "same as projector.connector",
+            "two different connectors",
+            "the projector and the diver's screen each need their own",
+        )
+    yield from _periods_fit(rig)
+    limits = rig.limits
+    for part, warm, hot in (
+        ("case", limits.case_warm_c, limits.case_hot_c),
+        ("projector", limits.projector_warm_c, limits.projector_hot_c),
+    ):
+        if warm >= hot:
+            yield Complaint(
+                f"limits.{part}_warm_c", warm, f">= {hot:g}", f"below {part}_hot_c", "warn before scans are blocked"
+            )
+
+
+def _exposures_fit(rig: Rig) -> Iterator[Complaint]:
+    period_ms = 1000.0 / rig.projector.refresh_hz
+    delay_ms = rig.board.trigger_delay_us / 1000.0
+    longest_ms = period_ms - delay_ms
+    for side, camera in (("left", rig.camera.left), ("right", rig.camera.right)):
+        if camera.exposure_ms > longest_ms:
+            yield Complaint(
+                f"camera.{side}.exposure_ms",
+                camera.exposure_ms,
+                f"> {_floor_2(longest_ms):g}",
+                f"0.05..{_floor_2(longest_ms):g} ms (period {period_ms:.2f} ms less trigger delay {delay_ms:g} ms)",
+                "shorten the exposure, or board.trigger_delay_us",
+            )
+
+
+def _output_is_complete(table: str, output: OutputRig) -> Iterator[Complaint]:
+    if output.kind == "window":
+        return
+    for key, value in (("card", output.card), ("connector", output.connector)):
+        if value is None:
+            yield Complaint(
+                f"{table}.{key}",
+                None,
+                "missing",
+                'a name, since kind = "kms"',
+                'add it, or set kind = "window"',
+            )
+
+
+def _periods_fit(rig: Rig) -> Iterator[Complaint]:
+    smallest_px = min(rig.projector.width_px, rig.projector.height_px)
+    if rig.scan.period_px > smallest_px:
+        yield Complaint(
+            "scan.period_px",
+            rig.scan.period_px,
+            f"> {smallest_px}",
+            "at most the projector's smaller side",
+            "choose a shorter period or correct projector.width_px, projector.height_px",
+        )
+
+
+def _floor_2(value: float) -> float:
+    return int(value * 100.0) / 100.0

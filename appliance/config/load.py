@@ -1,0 +1,182 @@
+"""Owns the way from a rig file's text to a ``Rig``, and the words in which a wrong file is refused."""
+
+from __future__ import annotations
+
+import difflib
+import json
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any, get_type_hints
+
+from pydantic import TypeAdapter, ValidationError
+from pydantic_core import ErrorDetails
+
+from appliance.config.checks import complaints
+from appliance.config.rig import Rig
+
+_MAX_BYTES = 1_000_000
+
+
+class ConfigError(Exception):
+    """The rig file cannot be used. ``headline`` fits a safe screen; ``str()`` adds allowed range and remedy."""
+
+    def __init__(self, headline: str, allowed: str, remedy: str, *, key: str | None = None, more: int = 0) -> None:
+        self.headline = headline
+        self.key = key
+        """Path of the key (``camera.left.exposure_ms``); ``None`` when the file as a whole is wrong."""
+        self.allowed = allowed
+        self.remedy = remedy
+        parts = [f"CONFIG: {headline}"]
+        if allowed:
+            parts.append(f"allowed: {allowed}")
+        parts.append(remedy)
+        if more:
+            parts.append(f"({more} more)")
+        super().__init__("; ".join(parts))
+
+
+def default_rig_path() -> Path:
+    """The rig file that is packaged with the product."""
+    return Path(str(resources.files("appliance").joinpath("rigs", "kingfisher.toml")))
+
+
+def load_rig(path: Path | str) -> Rig:
+    """Read and check a rig file. Raises ConfigError, never anything else, for whatever the file holds."""
+    path = Path(path)
+    try:
+        with path.open("rb") as file:
+            raw = file.read(_MAX_BYTES + 1)
+    except OSError as error:
+        raise ConfigError(
+            f"{path}: {error.strerror or error}", "a readable rig file", "give another one with --rig PATH"
+        ) from error
+    if len(raw) > _MAX_BYTES:
+        raise ConfigError(f"{path}: larger than {_MAX_BYTES} bytes", "a rig file", "give another one with --rig PATH")
+    try:
+        text = raw.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise ConfigError(
+            f"{path}: byte {error.start} is not UTF-8", "a text file in UTF-8", "restore the file from its copy"
+        ) from error
+    return parse_rig(text, str(path))
+
+
+def parse_rig(text: str, source: str = "rig file") -> Rig:
+    """As ``load_rig``, from text; ``source`` names it in messages."""
+    try:
+        content = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # TOMLDecodeError, and int() on thousands of digits
+        raise ConfigError(f"{source}: {error}", "TOML 1.0", "correct that line") from error
+    return rig_from_mapping(content, source)
+
+
+def rig_from_mapping(content: Mapping[str, Any], source: str = "rig") -> Rig:
+    """Check a parsed rig file. Raises ConfigError for the first wrong key, and counts the others."""
+    try:
+        # Through JSON: dates and other TOML oddities become text, and the value shares nothing with its source.
+        plain = json.loads(json.dumps(content, default=str))
+        rig = TypeAdapter(Rig).validate_python(plain)
+    except ValidationError as error:
+        details = sorted(error.errors(include_url=False), key=lambda d: not _is_unknown_key(d))
+        raise _explain(details[0], source, len(details) - 1) from None
+    broken = list(complaints(rig))
+    if broken:
+        first = broken[0]
+        value = "" if first.value is None else f" {_spell(first.value)}"
+        raise ConfigError(
+            f"{first.key}{value} {first.relation}",
+            first.allowed,
+            f"{first.remedy} ({source})",
+            key=first.key,
+            more=len(broken) - 1,
+        )
+    return rig
+
+
+def _is_unknown_key(detail: ErrorDetails) -> bool:
+    return detail["type"] in ("unexpected_keyword_argument", "extra_forbidden")
+
+
+def _explain(detail: ErrorDetails, source: str, more: int) -> ConfigError:
+    key = ".".join(str(part) for part in detail["loc"])
+    value = _spell(detail["input"])
+    context = detail.get("ctx", {})
+    lower, upper = _range_of(detail["loc"])
+    allowed = f"{lower:g}..{upper:g} {_unit(key)}".rstrip() if lower is not None and upper is not None else ""
+    remedy = f"correct it in {source}"
+    kind = detail["type"]
+    if _is_unknown_key(detail):
+        near = _nearest(detail["loc"])
+        hint = f"did you mean {near}?" if near else f"known here: {', '.join(_siblings(detail['loc']))}"
+        return ConfigError(f"{key} unknown key", "", f"{hint} ({source})", key=key, more=more)
+    if kind in ("missing", "missing_argument"):
+        return ConfigError(f"{key} missing", allowed, f"add it to {source}", key=key, more=more)
+    if kind in ("less_than_equal", "greater_than_equal"):
+        sign, limit = (">", context["le"]) if kind == "less_than_equal" else ("<", context["ge"])
+        return ConfigError(f"{key} {value} {sign} {limit:g}", allowed, remedy, key=key, more=more)
+    if kind == "literal_error":
+        return ConfigError(f"{key} {value}", str(context["expected"]), remedy, key=key, more=more)
+    if kind == "string_pattern_mismatch":
+        return ConfigError(f"{key} {value}", '"package.module:function"', remedy, key=key, more=more)
+    wanted = detail["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
+    return ConfigError(f"{key} {value} is not {wanted.removesuffix(' is needed')}", allowed, remedy, key=key, more=more)
+
+
+def _spell(value: object) -> str:
+    text = json.dumps(value, default=str) if not isinstance(value, float) else f"{value:g}"
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+_UNITS = {
+    "_mm": "mm", "_um": "µm", "_px": "px", "_ms": "ms", "_us": "µs", "_hz": "Hz", "_deg": "°", "_c": "°C",
+    "_nm": "nm", "_psu": "psu", "_db": "dB", "_v": "V", "_mb": "MB", "_vsyncs": "vsyncs",
+}  # fmt: skip
+
+
+def _unit(key: str) -> str:
+    return next((unit for ending, unit in _UNITS.items() if key.endswith(ending)), "")
+
+
+# ------------------------------------------------------------------------- what the dataclasses know
+
+
+def _tables(kind: Any = Rig, prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Every key of the vocabulary with its annotated type: ``camera.left.exposure_ms``."""
+    hints = get_type_hints(kind, include_extras=True)
+    for one in fields(kind):
+        path = f"{prefix}{one.name}"
+        yield path, hints[one.name]
+        if is_dataclass(hints[one.name]):
+            yield from _tables(hints[one.name], path + ".")
+
+
+def _siblings(loc: Sequence[int | str]) -> list[str]:
+    prefix = "".join(f"{part}." for part in loc[:-1])
+    return [path[len(prefix) :] for path, _ in _tables() if path.startswith(prefix) and "." not in path[len(prefix) :]]
+
+
+def _nearest(loc: Sequence[int | str]) -> str | None:
+    """The known key that was probably meant: of the same table, else of the same name elsewhere."""
+    prefix = "".join(f"{part}." for part in loc[:-1])
+    name = str(loc[-1])
+    near = difflib.get_close_matches(name, _siblings(loc), n=1, cutoff=0.6)
+    if near:
+        return prefix + near[0]
+    return next((path for path, _ in _tables() if path.rpartition(".")[2] == name), None)
+
+
+def _range_of(loc: Sequence[int | str]) -> tuple[float | None, float | None]:
+    wanted = ".".join(str(part) for part in loc)
+    annotation = next((hint for path, hint in _tables() if path == wanted), None)
+    lower: float | None = None
+    upper: float | None = None
+    # A range sits in Annotated[...], possibly inside "... | None".
+    for part in (annotation, *getattr(annotation, "__args__", ())):
+        for info in getattr(part, "__metadata__", ()):
+            for constraint in getattr(info, "metadata", ()):
+                lower = getattr(constraint, "ge", lower)
+                upper = getattr(constraint, "le", upper)
+    return lower, upper

@@ -1,0 +1,176 @@
+"""Owns the rig file's vocabulary: which tables and keys exist, their units and their allowed ranges.
+
+Ranges are written once, here, and quoted by the error messages. They are what the part in question can do
+(board: ``docs/protocols/board.md``) or what is physically sensible; nothing in here is a default of the optics.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, field
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, ConfigDict, Field, Strict
+from pydantic.dataclasses import dataclass
+
+_CONFIG = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+# A number with a fraction; whole numbers are accepted, text and booleans are not.
+_Real = Annotated[float, Strict()]
+_Whole = Annotated[int, Strict()]
+_Text = Annotated[str, Strict(), Field(min_length=1)]
+
+
+def _path(value: object) -> object:
+    if not isinstance(value, str) or not value:
+        raise ValueError("a path in quotes is needed")
+    return Path(value)
+
+
+@dataclass(frozen=True, slots=True, config=_CONFIG)
+class Identity:
+    """``[rig]``: who this instrument is and how it reaches its devices (``docs/protocols/wires.md``)."""
+
+    name: _Text
+    serial: _Text
+    wires: Annotated[str, Strict(), Field(pattern=r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$")]
+    wires_options: Mapping[str, Any] = field(default_factory=dict, hash=False)
+    """Free-form: only the function that ``wires`` names reads it."""
+
+
+@dataclass(frozen=True, slots=True, config=_CONFIG)
+class CameraRig:
+    """``[camera.left]`` and ``[camera.right]``."""
+
+    serial: _Text
+    width_px: Annotated[_Whole, Field(ge=64, le=8192)]
+    height_px: Annotated[_Whole, Field(ge=64, le=8192)]
+    exposure_ms: Annotated[_Real, Field(ge=0.05, le=16.6)]
+    """At most one period of the 60 Hz projector."""
+    gain_db: Annotated[_Real, Field(ge=0.0, le=48.0)]
+
+
+@dataclass(frozen=True, slots=True, config=_CONFIG)
+class Cameras:
+    left: CameraRig
+    right: CameraRig
+
+
+@dataclass(frozen=True, slots=True, config=_CONFIG)
+class BoardRig:
+    """``[board]``: the trigger board; ranges of the ARM and LIVE commands."""
+
+    url: _Text
+    """Anything pyserial opens: a device node or a URL."""
+    trigger_delay_us: Annotated[_Whole, Field(ge=0, le=15000)]
+    live_every_vsyncs: Annotated[_Whole, Field(ge=1, le=60)]
+
+
+@dataclass(frozen=True, slots=True, config=_CONFIG)
+class KeysRig:
+    vendor_id: Annotated[_Whole, Field(ge=0, le=0xFFFF)]
+    product_id: Annotated[_Whole, Field(ge=0, le=0xFFFF)]
+
+
+@dataclass(frozen=True, slots=True, config=_CONFIG)
+class OutputRig:
+    """``[projector]`` and ``[display]``: a connector of a graphics card, or a window on a desk."""
+
+    kind: Literal["kms", "window"]
+    width_px: Annotated[_Whole, Field(ge=64, le=8192)]
+    height_px: Annotated[_Whole, Field(ge=64, le=8192)]
+    refresh_hz: Annotated[_Real, Field(ge=20.0, le=240.0)]
+    card: _Text | None = None
+    connector: _Text | None = None
+
+
+@dataclass(frozen=True, slots=True, config=_CONFIG)
+class ScanRig:
+    period_px: Literal[16, 32, 64]
+
+
+@dataclass(frozen=True, slots=True, config=_CONFIG)
+class WaterRig:
+    """``[water]``: what the refractive index is computed from (Quan and Fry 1995, valid 400 to 700 nm)."""
+
+    salinity_psu: Annotated[_Real, Field(ge=0.0, le=45.0)]
+    temperature_c: Annotated[_Real, Field(ge=-2.0, le=40.0)]
+    wavelength_nm: Annotated[_Real, Field(ge=400.0, le=700.0)]
+
+
+@dataclass(frozen=True, slots=True, config=_CONFIG)
+class StorageRig:
+    root: Annotated[Path, BeforeValidator(_path)]
+    reserve_mb: Annotated[_Whole, Field(ge=0, le=1_000_000)] = 500
+    """Space that scans never use, so that logs, updates and the save in progress always fit."""
+
+
+@dataclass(frozen=True, slots=True, config=_CONFIG)
+class DesignRig:
+    """``[design]``: the drawing's values, for a first calibration before the instrument was measured."""
+
+    principal_distance_mm: Annotated[_Real, Field(ge=1.0, le=500.0)]
+    pixel_um: Annotated[_Real, Field(ge=0.5, le=100.0)]
+    baseline_mm: Annotated[_Real, Field(ge=10.0, le=2000.0)]
+    toe_in_deg: Annotated[_Real, Field(ge=-45.0, le=45.0)]
+    port_distance_mm: Annotated[_Real, Field(ge=0.0, le=500.0)]
+    port_thickness_mm: Annotated[_Real, Field(ge=0.0, le=50.0)]
+    port_index: Annotated[_Real, Field(ge=1.0, le=3.0)]
+    projector_principal_distance_mm: Annotated[_Real, Field(ge=1.0, le=500.0)]
+    projector_pixel_um: Annotated[_Real, Field(ge=0.5, le=100.0)]
+
+
+@dataclass(frozen=True, slots=True, config=_CONFIG)
+class LimitsRig:
+    """``[limits]`` (optional): when the instrument protects itself. Defaults are cautious, to be set per housing."""
+
+    case_warm_c: Annotated[_Real, Field(ge=0.0, le=100.0)] = 50.0
+    case_hot_c: Annotated[_Real, Field(ge=0.0, le=100.0)] = 60.0
+    projector_warm_c: Annotated[_Real, Field(ge=0.0, le=120.0)] = 65.0
+    projector_hot_c: Annotated[_Real, Field(ge=0.0, le=120.0)] = 75.0
+    supply_low_v: Annotated[_Real, Field(ge=0.0, le=60.0)] | None = None
+    """``None``: the supply is not judged."""
+
+
+@dataclass(frozen=True, slots=True, config=_CONFIG)
+class Rig:
+    """One instrument, as its rig file describes it. Checked when built: see ``appliance.config.checks``."""
+
+    rig: Identity
+    camera: Cameras
+    board: BoardRig
+    keys: KeysRig
+    projector: OutputRig
+    display: OutputRig
+    scan: ScanRig
+    water: WaterRig
+    storage: StorageRig
+    design: DesignRig
+    limits: LimitsRig = field(default_factory=LimitsRig)
+
+    @property
+    def rig_hash(self) -> str:
+        """sha256 (hex) of the whole content in canonical form: comments, order and spelling of numbers do not count."""
+        return _sha256(asdict(self))
+
+    @property
+    def optical_hash(self) -> str:
+        """sha256 (hex) of what a calibration belongs to: instrument, cameras and their sizes, projector's raster.
+
+        Unlike ``rig_hash`` it survives a changed exposure, salinity or folder.
+        """
+        return _sha256(
+            {
+                "rig": self.rig.serial,
+                "cameras": [[c.serial, c.width_px, c.height_px] for c in (self.camera.left, self.camera.right)],
+                "projector": [self.projector.width_px, self.projector.height_px],
+            }
+        )
+
+
+def _sha256(content: object) -> str:
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()

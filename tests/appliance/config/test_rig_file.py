@@ -1,0 +1,151 @@
+"""A wrong rig file is refused in one line that says which key, which value, what is allowed and what to do."""
+
+from __future__ import annotations
+
+import random
+from dataclasses import FrozenInstanceError
+from pathlib import Path
+
+import pytest
+
+from appliance.config import ConfigError, Rig, default_rig_path, load_rig, parse_rig
+
+PACKAGED = default_rig_path().read_text(encoding="utf-8")
+
+
+def changed(old: str, new: str) -> str:
+    assert old in PACKAGED, old
+    return PACKAGED.replace(old, new, 1)
+
+
+def refusal(text: str) -> ConfigError:
+    with pytest.raises(ConfigError) as caught:
+        parse_rig(text, "rig.toml")
+    return caught.value
+
+
+def test_the_packaged_rig_is_the_instrument_of_the_paper() -> None:
+    rig = load_rig(default_rig_path())
+    assert (rig.camera.left.width_px, rig.camera.left.height_px) == (1600, 1200)
+    assert (rig.projector.width_px, rig.projector.height_px) == (1024, 768)
+    assert rig.scan.period_px == 16
+    assert rig.storage.root == Path("/var/lib/kingfisher")
+
+
+def test_a_unit_slip_is_named_with_its_range() -> None:
+    error = refusal(changed("exposure_ms = 12.0", "exposure_ms = 25"))
+    assert error.headline == "camera.left.exposure_ms 25 > 16.6"
+    assert str(error).startswith("CONFIG: camera.left.exposure_ms 25 > 16.6")
+    assert "0.05..16.6 ms" in str(error)
+    assert "rig.toml" in str(error)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key", "words"),
+    [
+        ("exposure_ms = 12.0", "exposure_m = 12.0", "camera.left.exposure_m", "did you mean camera.left.exposure_ms?"),
+        ("[scan]", "[scam]", "scam", "did you mean scan?"),
+        ('name = "Kingfisher"', 'name = "K"\nexposure_ms = 3', "rig.exposure_ms", "camera.left.exposure_ms"),
+        ("gain_db = 0.0", "gain_db = true", "camera.left.gain_db", "0..48 dB"),
+        ("gain_db = 0.0", "gain_db = nan", "camera.left.gain_db", "finite"),
+        ("gain_db = 0.0", 'gain_db = "0.0"', "camera.left.gain_db", '"0.0"'),
+        ("gain_db = 0.0\n", "", "camera.left.gain_db", "missing"),
+        ("width_px = 1600", "width_px = 1600.5", "camera.left.width_px", "64..8192 px"),
+        ("period_px = 16 ", "period_px = 24 ", "scan.period_px", "16, 32 or 64"),
+        ("trigger_delay_us = 500", "trigger_delay_us = 15001", "board.trigger_delay_us", "0..15000 µs"),
+        ("live_every_vsyncs = 6", "live_every_vsyncs = 0", "board.live_every_vsyncs", "0 < 1"),
+        ("vendor_id = 0x1209", "vendor_id = 0x11209", "keys.vendor_id", "65535"),
+        ('"drivers.native:open"', '"drivers.native"', "rig.wires", "package.module:function"),
+        ("salinity_psu = 0.0", "salinity_psu = -1", "water.salinity_psu", "0..45 psu"),
+        ('root = "/var/lib/kingfisher"', 'root = ""', "storage.root", "path"),
+        ("port_index = 1.77", "port_index = inf", "design.port_index", "finite"),
+    ],
+)
+def test_each_wrong_value_names_its_key_and_what_is_allowed(old: str, new: str, key: str, words: str) -> None:
+    error = refusal(changed(old, new))
+    assert error.key == key
+    assert words in str(error)
+    assert "\n" not in str(error)
+
+
+def test_an_exposure_must_leave_room_for_the_trigger_delay() -> None:
+    error = refusal(changed("trigger_delay_us = 500", "trigger_delay_us = 6000"))
+    assert error.headline == "camera.left.exposure_ms 12 > 10.66"
+    parse_rig(changed("trigger_delay_us = 500", "trigger_delay_us = 4600"))
+
+
+def test_one_camera_cannot_be_both() -> None:
+    error = refusal(changed('"KF-CAM-R"', '"KF-CAM-L"'))
+    assert error.key == "camera.right.serial"
+    assert "same as camera.left.serial" in str(error)
+
+
+def test_projector_and_display_cannot_share_a_connector() -> None:
+    assert refusal(changed('"DP-1"', '"HDMI-A-1"')).key == "display.connector"
+
+
+def test_a_kms_output_needs_its_connector_and_a_window_does_not() -> None:
+    without = changed('connector = "HDMI-A-1"\n', "")
+    assert refusal(without).key == "projector.connector"
+    assert parse_rig(without.replace('kind = "kms" ', 'kind = "window" ', 1)).projector.connector is None
+
+
+def test_a_warning_must_come_before_the_block() -> None:
+    assert refusal(changed("case_warm_c = 50.0", "case_warm_c = 60.0")).key == "limits.case_warm_c"
+
+
+def test_options_of_the_wires_are_free() -> None:
+    rig = parse_rig(changed("[camera.left]", "[rig.wires_options]\nobject = 'pipe'\nwater = {blur = 1}\n[camera.left]"))
+    assert rig.rig.wires_options == {"object": "pipe", "water": {"blur": 1}}
+
+
+def test_comments_order_and_number_spelling_do_not_change_the_hash_but_every_value_does() -> None:
+    rig = parse_rig(PACKAGED)
+    respelled = changed("exposure_ms = 12.0", "exposure_ms = 12 # comment").replace("0x1209", "4617")
+    assert parse_rig(respelled).rig_hash == rig.rig_hash
+    assert len(rig.rig_hash) == 64
+    assert parse_rig(changed("exposure_ms = 12.0", "exposure_ms = 12.5")).rig_hash != rig.rig_hash
+
+
+def test_a_calibration_outlives_a_new_exposure_but_not_another_camera() -> None:
+    rig = parse_rig(PACKAGED)
+    assert parse_rig(changed("exposure_ms = 12.0", "exposure_ms = 12.5")).optical_hash == rig.optical_hash
+    assert parse_rig(changed('"KF-CAM-R"', '"KF-CAM-X"')).optical_hash != rig.optical_hash
+    assert parse_rig(changed("width_px = 1600", "width_px = 800")).optical_hash != rig.optical_hash
+
+
+def test_the_rig_cannot_be_changed() -> None:
+    rig = parse_rig(PACKAGED)
+    with pytest.raises(FrozenInstanceError):
+        rig.camera.left.exposure_ms = 1.0  # type: ignore[misc]
+
+
+def test_a_missing_file_names_the_path(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"nowhere\.toml.*--rig"):
+        load_rig(tmp_path / "nowhere.toml")
+
+
+@pytest.mark.parametrize("raw", [b"\xff\xfe", b"", b"x = " + b"[" * 3000, b"x = " + b"9" * 6000, b"\x00"])
+def test_whatever_the_file_holds_the_answer_is_one_config_error(tmp_path: Path, raw: bytes) -> None:
+    path = tmp_path / "rig.toml"
+    path.write_bytes(raw)
+    with pytest.raises(ConfigError):
+        load_rig(path)
+
+
+def test_damaged_bytes_give_a_rig_or_a_config_error(tmp_path: Path) -> None:
+    source = PACKAGED.encode()
+    chance = random.Random(7)
+    path = tmp_path / "rig.toml"
+    refusals: list[str] = []
+    for _ in range(150):
+        raw = bytearray(source)
+        for _ in range(chance.randint(1, 4)):
+            raw[chance.randrange(len(raw))] = chance.randrange(256)
+        path.write_bytes(raw)
+        try:
+            assert isinstance(load_rig(path), Rig)
+        except ConfigError as error:
+            refusals.append(str(error))
+    assert len(refusals) > 50
+    assert all(text.startswith("CONFIG: ") for text in refusals)
