@@ -1,0 +1,199 @@
+"""Owns one lit output: a connector, its mode, its CRTC, and what is being scanned out on it."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+from collections.abc import Iterator, Mapping
+
+from drivers.api import Clock, DeviceError, DeviceGone, DeviceRefused
+from drivers.output import drm
+from drivers.output.card import Buffer, Card, Connector
+from drivers.output.pacing import BlankCounter, Pacer
+from drivers.output.surface import Shown
+
+BUSY_TRIES = 20
+BUSY_PAUSE_S = 0.001
+CONNECTION_CHECK_EVERY_FLIPS = 60
+
+WANTED_PROPERTIES = {
+    "Broadcast RGB": "Full",
+    "Colorspace": "Default",
+    "dither": "off",
+    "dithering mode": "off",
+    "underscan": "off",
+}
+"""What must be so for a code to reach the screen as it was written, where a driver lets us choose."""
+
+_GONE = frozenset({errno.ENODEV, errno.ENXIO, errno.EIO, errno.EBADF})
+_NOT_MASTER = frozenset({errno.EACCES, errno.EPERM})
+
+
+class CardGone(DeviceGone):
+    """Not only the output but its whole card no longer answers: the node must be opened anew."""
+
+
+@contextlib.contextmanager
+def explained(device: str, doing: str) -> Iterator[None]:
+    """Turn the kernel's refusals into DeviceGone and DeviceRefused that say what was tried and what to do."""
+    try:
+        yield
+    except OSError as error:
+        message = f"{doing} failed ({error.strerror or error})"
+        if error.errno in _GONE:
+            raise CardGone(device, message, "The graphics card is gone; restart the instrument") from error
+        if error.errno in _NOT_MASTER:
+            raise DeviceRefused(
+                device, message, "Another program owns the screens: stop the desktop or the other instance"
+            ) from error
+        raise DeviceRefused(device, message, "Check the kernel log for the graphics driver's reason") from error
+    except ValueError as error:
+        raise DeviceRefused(device, f"{doing} failed ({error})", "The graphics driver is broken; restart") from error
+
+
+class Head:
+    """A connector with a mode set, showing black from the start. Used by one thread at a time.
+
+    Raises DeviceError when it cannot be lit; everything made until then is given back.
+    """
+
+    def __init__(self, device: str, card: Card, connector: Connector, crtc: int, mode: drm.Mode, clock: Clock) -> None:
+        self.device = device
+        self.size_px = (mode.width_px, mode.height_px)
+        self.refresh_hz = mode.refresh_hz
+        self.mode = mode
+        self.connector = connector
+        self._card = card
+        self._crtc = crtc
+        self._clock = clock
+        self._counter = BlankCounter()
+        self._pacer = Pacer(clock, mode.refresh_hz)
+        self._buffers: list[Buffer] = []
+        self._pending: int | None = None
+        self._flips = 0
+        self.details: dict[str, str] = {}
+        self._require_capabilities()
+        black = self.create_picture()
+        self._set_properties()
+        try:
+            with explained(device, f"setting {mode} on {connector.name}"):
+                card.light(crtc, connector.id, mode, black)
+        except DeviceError:
+            self.close()
+            raise
+        self._linearise()
+
+    @property
+    def crtc(self) -> int:
+        return self._crtc
+
+    def create_picture(self) -> Buffer:
+        """A black buffer of the mode's size; given back with the head. Raises DeviceError."""
+        with explained(self.device, f"allocating a scan-out buffer of {self.size_px[0]}×{self.size_px[1]} px"):
+            buffer = self._card.create_buffer(*self.size_px)
+        self._buffers.append(buffer)
+        return buffer
+
+    def flip(self, picture: Buffer, timeout_s: float) -> Shown:
+        """Show ``picture`` from the next vertical blank on and wait until it is visible.
+
+        Raises DeviceGone when the report does not come within ``timeout_s``, when nothing is plugged in any more,
+        or when the card is gone; DeviceRefused when the kernel stays busy.
+        """
+        self._flips += 1
+        if self._flips % CONNECTION_CHECK_EVERY_FLIPS == 0:
+            self.check_connection()
+        self._pacer.wait()
+        if self._pending is not None:  # a flip that timed out before: the kernel takes one at a time
+            self._finish(self._pending, timeout_s)
+        self._pending = self._submit(picture, timeout_s)
+        return self._finish(self._pending, timeout_s)
+
+    def check_connection(self) -> None:
+        """Raises DeviceGone when the driver noticed that the cable is out."""
+        with explained(self.device, f"asking {self.connector.name}"):
+            connected = self._card.is_connected(self.connector.id)
+        if not connected:
+            raise DeviceGone(self.device, f"{self.connector.name} was unplugged", "Check its cable and its power")
+
+    def describe(self) -> tuple[str, Mapping[str, str]]:
+        pacing = {"flips": "not throttled by the hardware"} if self._pacer.unthrottled else {}
+        return f"{self.connector.name} {self.mode}", {**self.details, **pacing}
+
+    def close(self) -> None:
+        """Darken the output and give its buffers back. A card that is gone has already done so."""
+        if self._pending is not None:
+            self._card.forget_flip(self._pending)
+            self._pending = None
+        with contextlib.suppress(OSError):
+            self._card.darken(self._crtc)
+        for buffer in self._buffers:
+            with contextlib.suppress(OSError):
+                self._card.destroy_buffer(buffer)
+        self._buffers.clear()
+
+    # --------------------------------------------------------------------------------- flipping
+
+    def _submit(self, picture: Buffer, timeout_s: float) -> int:
+        for tries_left in reversed(range(BUSY_TRIES)):
+            try:
+                return self._card.submit_flip(self._crtc, picture)
+            except OSError as error:
+                # Drivers report a flip a moment before they accept the next one: pause, do not spin.
+                if error.errno == errno.EBUSY and tries_left:
+                    self._clock.sleep_s(BUSY_PAUSE_S)
+                    continue
+                if error.errno == errno.EBUSY:
+                    raise DeviceRefused(
+                        self.device,
+                        f"still busy with an earlier flip after {BUSY_TRIES} tries",
+                        "Restart the service; check the kernel log if it repeats",
+                    ) from error
+                with explained(self.device, "page flip"):
+                    raise
+        raise AssertionError  # the last try returned or raised
+
+    def _finish(self, token: int, timeout_s: float) -> Shown:
+        with explained(self.device, "waiting for a vertical blank"):
+            done = self._card.wait_flip(token, timeout_s)
+        if done is None:
+            self.check_connection()
+            raise DeviceGone(
+                self.device, f"no vertical blank within {timeout_s:g} s on {self.connector.name}", "Check its power"
+            )
+        self._pending = None
+        self._pacer.shown(done.time_ns)
+        return Shown(self._counter.extend(done.raw_sequence), done.time_ns)
+
+    # ---------------------------------------------------------------------------------- opening
+
+    def _require_capabilities(self) -> None:
+        with explained(self.device, "asking the card's capabilities"):
+            dumb = self._card.capability(drm.CAP_DUMB_BUFFER)
+            monotonic = self._card.capability(drm.CAP_TIMESTAMP_MONOTONIC)
+        if not dumb:
+            raise DeviceRefused(self.device, "the card has no dumb buffers", "Use a card with a KMS driver")
+        if not monotonic:
+            raise DeviceRefused(
+                self.device, "flip times are not of the monotonic clock", "Boot without drm.timestamp_monotonic=0"
+            )
+
+    def _set_properties(self) -> None:
+        for property_id, value in self.connector.properties.items():
+            try:
+                described = self._card.property(property_id)
+                wanted = WANTED_PROPERTIES.get(described.name)
+                if wanted is None or wanted not in described.choices:
+                    continue
+                if value != described.choices[wanted]:
+                    self._card.set_property(self.connector.id, property_id, described.choices[wanted])
+                self.details[described.name] = wanted
+            except OSError as error:
+                # An output that cannot be tuned is still an output: say so, and leave the verdict to `check`.
+                self.details[f"property {property_id}"] = f"refused ({error.strerror})"
+
+    def _linearise(self) -> None:
+        try:
+            self.details["gamma"] = "linear" if self._card.linear_gamma(self._crtc) else "no table"
+        except OSError as error:
+            self.details["gamma"] = f"unknown ({error.strerror})"

@@ -1,0 +1,156 @@
+"""Owns the playing of patterns: resident frames, one per vertical blank, starting at a blank agreed beforehand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Generic
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.api import DeviceError, Flip, Health
+from drivers.output.surface import P, Shown, Surface
+
+FLIP_TIMEOUT_S = 1.0
+"""Sixty blanks: a projector that takes longer is not there."""
+COUNTER_TRIES = 3
+"""Flips after which a counter that still reads zero does not exist."""
+MAX_LEAD_BLANKS = 600
+"""A start farther ahead than ten seconds is a mistake in counting."""
+LATE_FRACTION = 1.5
+"""Without a counter, a flip that comes later than this many periods after its predecessor missed a blank."""
+GREEN = 1
+
+
+class PatternProjector(Generic[P]):
+    """``drivers.api.Projector`` on any surface. Frames lie in its memory, so that playing copies nothing."""
+
+    def __init__(self, surface: Surface[P]) -> None:
+        self._surface = surface
+        self._black = surface.create_picture()
+        self._frames: list[P] = []
+        self._loaded = 0
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        return self._surface.size_px
+
+    def load(self, frames: Sequence[NDArray[np.uint8]]) -> None:
+        """Copy frames, (height, width) uint8 of green light each, into scan-out buffers 0..n-1.
+
+        Shows black from then on, so that no frame changes while it lights the scene. Red and blue stay 0. Raises
+        ValueError on a frame of another shape or type, DeviceError.
+        """
+        width, height = self._surface.size_px
+        for index, frame in enumerate(frames):
+            if frame.shape != (height, width) or frame.dtype != np.uint8:
+                raise ValueError(
+                    f"projector frame {index} is {frame.shape} {frame.dtype}; it must be ({height}, {width}) uint8"
+                )
+        self._surface.flip(self._black, FLIP_TIMEOUT_S)
+        self._loaded = 0
+        while len(self._frames) < len(frames):
+            self._frames.append(self._surface.create_picture())
+        pixels = np.zeros((height, width, 4), np.uint8)
+        for picture, frame in zip(self._frames, frames, strict=False):
+            pixels[:, :, GREEN] = frame
+            picture.write(pixels)
+        self._loaded = len(frames)
+
+    def show(self, index: int) -> Flip:
+        """Flip to one frame and stay there. Raises IndexError, DeviceGone."""
+        picture = self._frame(index)
+        self._surface.check_connection()
+        return _flip(index, self._surface.flip(picture, FLIP_TIMEOUT_S))
+
+    def play(
+        self,
+        indices: Sequence[int],
+        idle: int,
+        start: Callable[[Flip], int | None],
+        abort: Callable[[], bool],
+    ) -> list[Flip]:
+        """See ``drivers.api.Projector.play``. However it ends, ``idle`` is what stays on.
+
+        Where nothing counts vertical blanks, ``start`` gets a flip without a sequence number and must return
+        ``None``; lateness is then judged by time stamps alone. Raises IndexError for a frame that was not loaded,
+        ValueError for a start that cannot be, DeviceGone.
+        """
+        frames = [(index, self._frame(index)) for index in indices]
+        idle_picture = self._frame(idle)
+        self._surface.check_connection()
+        shown = self._settle(idle_picture)
+        first = start(_flip(idle, shown))
+        if first is not None:
+            self._require_reachable(first, shown)
+            while shown.sequence is not None and shown.sequence + 1 < first:
+                if abort():
+                    return []
+                shown = self._surface.flip(idle_picture, FLIP_TIMEOUT_S)
+        flips: list[Flip] = []
+        try:
+            for index, picture in frames:
+                if abort():
+                    break
+                before, shown = shown, self._surface.flip(picture, FLIP_TIMEOUT_S)
+                if first is None:
+                    first = shown.sequence  # as soon as possible is now
+                late = self._is_late(len(flips), first, before, shown)
+                flips.append(_flip(index, shown))
+                if late:
+                    break
+        finally:
+            self._surface.flip(idle_picture, FLIP_TIMEOUT_S)
+        return flips
+
+    def health(self) -> Health:
+        """What is lit, for ``kingfisher check``."""
+        return surface_health(self._surface)
+
+    def close(self) -> None:
+        """Dark. Idempotent."""
+        self._surface.close()
+
+    def _settle(self, idle: P) -> Shown:
+        """Flip ``idle`` until its report tells whether blanks are counted."""
+        shown = self._surface.flip(idle, FLIP_TIMEOUT_S)
+        for _ in range(COUNTER_TRIES - 1):
+            if shown.sequence is not None:
+                break
+            shown = self._surface.flip(idle, FLIP_TIMEOUT_S)
+        return shown
+
+    def _require_reachable(self, first: int, shown: Shown) -> None:
+        if shown.sequence is None:
+            raise ValueError(
+                f"play was to start at blank {first}, but nothing counts the blanks of {self._surface.device}; "
+                "start must return None"
+            )
+        if first - shown.sequence > MAX_LEAD_BLANKS:
+            raise ValueError(
+                f"play was to start at blank {first}, {first - shown.sequence} ahead; allowed are 2..{MAX_LEAD_BLANKS}"
+            )
+
+    def _is_late(self, number: int, first: int | None, before: Shown, shown: Shown) -> bool:
+        if first is not None:
+            return shown.sequence != first + number
+        return number > 0 and (shown.time_ns - before.time_ns) * 1e-9 > LATE_FRACTION / self._surface.refresh_hz
+
+    def _frame(self, index: int) -> P:
+        if not 0 <= index < self._loaded:
+            raise IndexError(f"projector frame {index}; {self._loaded} are loaded, counted from 0")
+        return self._frames[index]
+
+
+def surface_health(surface: Surface[P]) -> Health:
+    """What a surface shows, and what could be made so on the way of a code to the screen."""
+    summary, details = surface.describe()
+    try:
+        surface.check_connection()
+    except DeviceError as error:
+        return Health(surface.device, False, f"{error.message}. {error.remedy}", details)
+    return Health(surface.device, True, summary, details)
+
+
+def _flip(index: int, shown: Shown) -> Flip:
+    return Flip(index, shown.sequence, shown.time_ns)

@@ -1,0 +1,61 @@
+"""What the projector gets is, code for code, what the decoder's arithmetic was made for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import moderngl
+import numpy as np
+import pytest
+
+from appliance.patterns.draw import draw_patterns, draw_sequence
+from appliance.patterns.sequence import Direction, build_sequence
+from drivers.output.gl import open_gl
+
+
+@pytest.fixture(scope="module")
+def context() -> Iterator[moderngl.Context]:
+    with open_gl() as gl:
+        yield gl
+
+
+@pytest.mark.parametrize("period_px", [16, 32, 64])
+def test_every_pixel_of_every_pattern_is_its_code(context: moderngl.Context, period_px: int) -> None:
+    sequence = build_sequence(period_px)
+    pictures = draw_sequence(context, sequence)
+    assert len(pictures) == len(sequence)
+    for pattern, picture in zip(sequence.patterns, pictures, strict=True):
+        line = pattern.codes()[np.newaxis, :] if pattern.direction is Direction.X else pattern.codes()[:, np.newaxis]
+        np.testing.assert_array_equal(picture, np.broadcast_to(line, (768, 1024)), err_msg=pattern.name)
+
+
+def test_all_256_codes_survive(context: moderngl.Context) -> None:
+    ramp = np.arange(256, dtype=np.uint8)
+    along_x, along_y = draw_patterns(context, [(Direction.X, ramp), (Direction.Y, ramp)], 256, 256)
+    np.testing.assert_array_equal(along_x, np.tile(ramp, (256, 1)))
+    np.testing.assert_array_equal(along_y, np.tile(ramp, (256, 1)).T)
+
+
+def test_row_zero_is_the_top(context: moderngl.Context) -> None:
+    only_first = np.zeros(48, np.uint8)
+    only_first[0] = 255
+    (picture,) = draw_patterns(context, [(Direction.Y, only_first)], 64, 48)
+    assert picture[0].min() == 255
+    assert picture[1:].max() == 0
+
+
+def test_a_width_that_is_no_multiple_of_four_is_not_sheared(context: moderngl.Context) -> None:
+    table = np.random.default_rng(1).integers(0, 256, 61, dtype=np.uint8)
+    (picture,) = draw_patterns(context, [(Direction.X, table)], 61, 5)
+    np.testing.assert_array_equal(picture, np.tile(table, (5, 1)))
+
+
+def test_pictures_do_not_share_memory(context: moderngl.Context) -> None:
+    black, white = np.zeros(8, np.uint8), np.full(8, 255, np.uint8)
+    first, second = draw_patterns(context, [(Direction.X, black), (Direction.X, white)], 8, 8)
+    assert (first.max(), second.min()) == (0, 255)
+
+
+def test_a_table_of_the_wrong_length_is_named(context: moderngl.Context) -> None:
+    with pytest.raises(ValueError, match=r"table 0 along y is \(1024,\) uint8; it must be \(768,\) uint8"):
+        draw_patterns(context, [(Direction.Y, np.zeros(1024, np.uint8))], 1024, 768)

@@ -1,0 +1,393 @@
+"""A card as the kernel presents it, written from the user-space headers with their C types.
+
+It decides nothing by itself: tests say what is plugged in, when flips are late, and when the card is pulled. Its
+time is its own and advances from vertical blank to vertical blank.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+u16, u32, u64 = ctypes.c_uint16, ctypes.c_uint32, ctypes.c_uint64
+
+
+class ModeInfo(ctypes.Structure):
+    _fields_ = [
+        ("clock", u32),
+        *[(name, u16) for name in ["hdisplay", "hsync_start", "hsync_end", "htotal", "hskew"]],
+        *[(name, u16) for name in ["vdisplay", "vsync_start", "vsync_end", "vtotal", "vscan"]],
+        *[(name, u32) for name in ["vrefresh", "flags", "type"]],
+        ("name", ctypes.c_char * 32),
+    ]
+
+
+class CardRes(ctypes.Structure):
+    _fields_ = [
+        *[(name, u64) for name in ["fb_ptr", "crtc_ptr", "connector_ptr", "encoder_ptr"]],
+        *[(name, u32) for name in ["fbs", "crtcs", "connectors", "encoders", "min_w", "max_w", "min_h", "max_h"]],
+    ]
+
+
+class Crtc(ctypes.Structure):
+    _fields_ = [
+        ("connectors_ptr", u64),
+        *[(name, u32) for name in ["connectors", "crtc_id", "fb_id", "x", "y", "gamma_size", "mode_valid"]],
+        ("mode", ModeInfo),
+    ]
+
+
+class GetEncoder(ctypes.Structure):
+    _fields_ = [(name, u32) for name in ["id", "type", "crtc_id", "possible_crtcs", "possible_clones"]]
+
+
+class GetConnector(ctypes.Structure):
+    _fields_ = [
+        *[(name, u64) for name in ["encoders_ptr", "modes_ptr", "props_ptr", "values_ptr"]],
+        *[(name, u32) for name in ["modes", "props", "encoders", "encoder_id", "id", "type", "type_id", "connection"]],
+        *[(name, u32) for name in ["mm_w", "mm_h", "subpixel", "pad"]],
+    ]
+
+
+class GetProperty(ctypes.Structure):
+    _fields_ = [
+        ("values_ptr", u64),
+        ("enum_ptr", u64),
+        ("id", u32),
+        ("flags", u32),
+        ("name", ctypes.c_char * 32),
+        ("values", u32),
+        ("enums", u32),
+    ]
+
+
+class PropertyEnum(ctypes.Structure):
+    _fields_ = [("value", u64), ("name", ctypes.c_char * 32)]
+
+
+class SetProperty(ctypes.Structure):
+    _fields_ = [("value", u64), ("id", u32), ("connector", u32)]
+
+
+class FbCmd(ctypes.Structure):
+    _fields_ = [(name, u32) for name in ["fb_id", "width", "height", "pitch", "bpp", "depth", "handle"]]
+
+
+class PageFlip(ctypes.Structure):
+    _fields_ = [*[(name, u32) for name in ["crtc_id", "fb_id", "flags", "reserved"]], ("user_data", u64)]
+
+
+class CreateDumb(ctypes.Structure):
+    _fields_ = [*[(name, u32) for name in ["height", "width", "bpp", "flags", "handle", "pitch"]], ("size", u64)]
+
+
+class MapDumb(ctypes.Structure):
+    _fields_ = [("handle", u32), ("pad", u32), ("offset", u64)]
+
+
+class GetCap(ctypes.Structure):
+    _fields_ = [("capability", u64), ("value", u64)]
+
+
+class CrtcLut(ctypes.Structure):
+    _fields_ = [("crtc_id", u32), ("size", u32), ("red", u64), ("green", u64), ("blue", u64)]
+
+
+class VblankEvent(ctypes.Structure):
+    _fields_ = [
+        ("type", u32),
+        ("length", u32),
+        ("user_data", u64),
+        *[(name, u32) for name in ["sec", "usec", "sequence", "crtc_id"]],
+    ]
+
+
+@dataclass
+class Plug:
+    """A connector: its number, name parts, what is plugged in, and which CRTCs its encoder reaches."""
+
+    id: int
+    type: int
+    type_id: int
+    modes: list[ModeInfo] = field(default_factory=list)
+    possible_crtcs: int = 0b11
+    connected: bool = True
+    properties: dict[int, int] = field(default_factory=dict)
+
+
+def mode(width: int, height: int, hz: float = 60.0, flags: int = 0, kind: int = 0) -> ModeInfo:
+    htotal, vtotal = width + 160, height + 30
+    return ModeInfo(
+        clock=round(htotal * vtotal * hz / 1000), hdisplay=width, htotal=htotal, vdisplay=height, vtotal=vtotal,
+        vrefresh=round(hz), flags=flags, type=kind, name=f"{width}x{height}".encode(),
+    )  # fmt: skip
+
+
+class Time:
+    """A clock that only moves when somebody waits."""
+
+    def __init__(self) -> None:
+        self.ns = 5_000_000_000
+
+    def now_ns(self) -> int:
+        return self.ns
+
+    def sleep_s(self, duration_s: float) -> None:
+        self.ns += round(duration_s * 1e9)
+
+    def wait_for(self, condition: threading.Condition, predicate: Callable[[], bool], timeout_s: float) -> bool:
+        return condition.wait_for(predicate, timeout_s)
+
+
+class Kernel:
+    """The card node; see the module."""
+
+    PERIOD_NS = 16_666_667
+    ENUM_FLAG = 8
+
+    def __init__(self, plugs: list[Plug], crtcs: int = 2, pitch_align: int = 256) -> None:
+        self.time = Time()
+        self.plugs = {plug.id: plug for plug in plugs}
+        self.crtc_ids = [40 + 10 * i for i in range(crtcs)]
+        self.pitch_align = pitch_align
+        self.counts_blanks = True
+        self.throttles = True
+        self.monotonic = 1
+        self.gamma_size = 256
+        self.properties: dict[int, tuple[str, int, dict[str, int]]] = {}
+        self.blank = 1000
+        self.late: dict[int, int] = {}
+        """Number of the flip (from 0) → blanks that it is late."""
+        self.busy = 0
+        """So many of the next flips are refused with EBUSY."""
+        self.pulled = False
+        self.mute = False
+        """Flips are taken but never reported."""
+        self.master = True
+        self.flips = 0
+        self.calls: list[int] = []
+        self.memory: dict[int, bytearray] = {}
+        self.dumb: dict[int, tuple[int, int, int]] = {}
+        self.fbs: dict[int, int] = {}
+        self.lit: dict[int, int] = {}
+        self.gamma: dict[int, list[int]] = {}
+        self.pending: dict[int, tuple[int, int, int]] = {}
+        self.events = b""
+        self.closed = False
+        self.on_blank: Callable[[Kernel], None] = lambda kernel: None
+        self._next = 100
+        self._lock = threading.RLock()
+
+    # -- what a test looks at
+
+    def picture(self, crtc: int) -> NDArray[np.uint8]:
+        """(height, width, 4) as it would light the screen of ``crtc``: blue, green, red, unused."""
+        handle = self.fbs[self.lit[crtc]]
+        width, height, pitch = self.dumb[handle]
+        rows = np.frombuffer(self.memory[handle], np.uint8)[: pitch * height].reshape(height, pitch)
+        return rows[:, : 4 * width].reshape(height, width, 4).copy()
+
+    # -- the five calls
+
+    def ioctl(self, request: int, buffer: bytearray) -> None:
+        with self._lock:
+            number = request & 0xFF
+            assert request >> 30 == 3
+            assert request >> 8 & 0xFF == ord("d")
+            assert request >> 16 & 0x3FFF == len(buffer)
+            self.calls.append(number)
+            if self.pulled:
+                raise OSError(errno.ENODEV, "No such device")
+            handler = {
+                0x0C: (self._get_cap, GetCap), 0xA0: (self._resources, CardRes), 0xA1: (self._get_crtc, Crtc),
+                0xA2: (self._set_crtc, Crtc), 0xA5: (self._set_gamma, CrtcLut), 0xA6: (self._encoder, GetEncoder),
+                0xA7: (self._connector, GetConnector), 0xAA: (self._get_property, GetProperty),
+                0xAB: (self._set_property, SetProperty), 0xAE: (self._add_fb, FbCmd), 0xAF: (self._rm_fb, u32),
+                0xB0: (self._flip, PageFlip), 0xB2: (self._create, CreateDumb), 0xB3: (self._map, MapDumb),
+                0xB4: (self._destroy, u32),
+            }.get(number)  # fmt: skip
+            if handler is None:
+                raise OSError(errno.EINVAL, "Invalid argument")
+            function, layout = handler
+            function(layout.from_buffer(buffer))  # type: ignore[operator]
+
+    def map(self, length: int, offset: int) -> memoryview:
+        handle = offset >> 12
+        assert len(self.memory[handle]) == length
+        return memoryview(self.memory[handle])
+
+    def read(self, size: int) -> bytes:
+        with self._lock:
+            if self.pulled:
+                raise OSError(errno.ENODEV, "No such device")
+            if not self.events:
+                raise BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable")
+            whole = size // ctypes.sizeof(VblankEvent) * ctypes.sizeof(VblankEvent)
+            data, self.events = self.events[:whole], self.events[whole:]
+            return data
+
+    def wait_readable(self, timeout_s: float) -> bool:
+        with self._lock:
+            deadline_ns = self.time.ns + round(timeout_s * 1e9)
+            while not self.events and not self.pulled:
+                next_ns = self.time.ns + self.PERIOD_NS if self.throttles else self.time.ns + 20_000
+                if next_ns > deadline_ns:
+                    self.time.ns = max(self.time.ns, deadline_ns)
+                    return False
+                self.time.ns = next_ns
+                self._vertical_blank()
+            return True
+
+    def close(self) -> None:
+        self.closed = True
+
+    # -- time
+
+    def _vertical_blank(self) -> None:
+        self.blank += 1
+        self.on_blank(self)
+        for crtc, (fb, user_data, due) in list(self.pending.items()):
+            if self.blank < due or self.mute:
+                continue
+            del self.pending[crtc]
+            self.lit[crtc] = fb
+            self.events += bytes(
+                VblankEvent(
+                    2,
+                    32,
+                    user_data,
+                    self.time.ns // 10**9,
+                    self.time.ns // 1000 % 10**6,
+                    self.blank % 2**32 if self.counts_blanks else 0,
+                    crtc,
+                )
+            )
+
+    # -- requests
+
+    def _get_cap(self, cap: GetCap) -> None:
+        cap.value = {1: 1, 6: self.monotonic, 0x12: 1}.get(cap.capability, 0)
+
+    def _resources(self, res: CardRes) -> None:
+        encoders = [plug + 1000 for plug in self.plugs]
+        self._fill(res, "fb_ptr", "fbs", [*self.fbs], u32)
+        self._fill(res, "crtc_ptr", "crtcs", self.crtc_ids, u32)
+        self._fill(res, "connector_ptr", "connectors", [*self.plugs], u32)
+        self._fill(res, "encoder_ptr", "encoders", encoders, u32)
+        res.max_w = res.max_h = 4096
+
+    def _encoder(self, enc: GetEncoder) -> None:
+        enc.possible_crtcs = self.plugs[enc.id - 1000].possible_crtcs
+
+    def _connector(self, con: GetConnector) -> None:
+        if con.id not in self.plugs:
+            raise OSError(errno.ENOENT, "No such file or directory")
+        plug = self.plugs[con.id]
+        con.type, con.type_id, con.connection = plug.type, plug.type_id, 1 if plug.connected else 2
+        self._fill(con, "modes_ptr", "modes", plug.modes if plug.connected else [], ModeInfo)
+        if con.props >= len(plug.properties) and con.values_ptr:
+            (u64 * len(plug.properties)).from_address(con.values_ptr)[:] = list(plug.properties.values())
+        self._fill(con, "props_ptr", "props", [*plug.properties], u32)
+        self._fill(con, "encoders_ptr", "encoders", [plug.id + 1000], u32)
+
+    def _get_property(self, prop: GetProperty) -> None:
+        name, flags, choices = self.properties[prop.id]
+        prop.name, prop.flags = name.encode(), flags
+        self._fill(prop, "values_ptr", "values", [*choices.values()], u64)
+        self._fill(prop, "enum_ptr", "enums", [PropertyEnum(v, n.encode()) for n, v in choices.items()], PropertyEnum)
+
+    def _set_property(self, prop: SetProperty) -> None:
+        self.plugs[prop.connector].properties[prop.id] = prop.value
+
+    def _create(self, dumb: CreateDumb) -> None:
+        assert (dumb.bpp, dumb.flags) == (32, 0)
+        pitch = -(-4 * dumb.width // self.pitch_align) * self.pitch_align
+        dumb.handle, dumb.pitch, dumb.size = self._number(), pitch, -(-pitch * dumb.height // 4096) * 4096
+        self.memory[dumb.handle] = bytearray(b"\x5a" * dumb.size)  # dirty: black must be written
+        self.dumb[dumb.handle] = (dumb.width, dumb.height, pitch)
+
+    def _map(self, request: MapDumb) -> None:
+        assert request.handle in self.dumb
+        request.offset = request.handle << 12
+
+    def _add_fb(self, fb: FbCmd) -> None:
+        assert self.dumb[fb.handle] == (fb.width, fb.height, fb.pitch)
+        assert (fb.bpp, fb.depth) == (32, 24)
+        fb.fb_id = self._number()
+        self.fbs[fb.fb_id] = fb.handle
+
+    def _rm_fb(self, fb: ctypes.c_uint32) -> None:
+        del self.fbs[fb.value]
+        self.lit = {crtc: shown for crtc, shown in self.lit.items() if shown != fb.value}
+
+    def _destroy(self, handle: ctypes.c_uint32) -> None:
+        del self.dumb[handle.value]
+
+    def _get_crtc(self, crtc: Crtc) -> None:
+        crtc.gamma_size = self.gamma_size
+
+    def _set_gamma(self, lut: CrtcLut) -> None:
+        assert lut.size == self.gamma_size
+        self.gamma[lut.crtc_id] = (u16 * lut.size).from_address(lut.green)[:]
+
+    def _set_crtc(self, crtc: Crtc) -> None:
+        if not self.master:
+            raise OSError(errno.EACCES, "Permission denied")
+        if not crtc.mode_valid:
+            assert (crtc.fb_id, crtc.connectors) == (0, 0)
+            self.lit.pop(crtc.crtc_id, None)
+            return
+        (connector,) = (u32 * crtc.connectors).from_address(crtc.connectors_ptr)
+        plug = self.plugs[connector]
+        assert plug.possible_crtcs >> self.crtc_ids.index(crtc.crtc_id) & 1
+        assert bytes(crtc.mode) in [bytes(m) for m in plug.modes]
+        width, height, _ = self.dumb[self.fbs[crtc.fb_id]]
+        assert (width, height) == (crtc.mode.hdisplay, crtc.mode.vdisplay)
+        self.lit[crtc.crtc_id] = crtc.fb_id
+
+    def _flip(self, flip: PageFlip) -> None:
+        assert (flip.flags, flip.reserved) == (1, 0)
+        assert flip.fb_id in self.fbs
+        if self.busy or flip.crtc_id in self.pending:
+            self.busy = max(0, self.busy - 1)
+            raise OSError(errno.EBUSY, "Device or resource busy")
+        late = self.late.get(self.flips, 0)
+        self.flips += 1
+        self.pending[flip.crtc_id] = (flip.fb_id, flip.user_data, self.blank + 1 + late)
+
+    @staticmethod
+    def _fill(owner: ctypes.Structure, pointer: str, number: str, values: list, kind: type) -> None:  # type: ignore[type-arg]
+        room, address = getattr(owner, number), getattr(owner, pointer)
+        if values and room >= len(values) and address:
+            (kind * len(values)).from_address(address)[:] = values  # type: ignore[operator]
+        setattr(owner, number, len(values))
+
+    def _number(self) -> int:
+        self._next += 1
+        return self._next
+
+
+@dataclass
+class KernelWires:
+    """``drivers.api.Wires`` with this kernel behind ``open_card``."""
+
+    kernels: dict[str, list[Kernel]]
+    opened: list[str] = field(default_factory=list)
+    usb_backend: object = None
+    hidraw: object = None
+
+    @property
+    def clock(self) -> Time:
+        return next(iter(self.kernels.values()))[0].time
+
+    def open_card(self, path: str) -> Kernel:
+        """The next kernel in the queue of that path; the last one again and again."""
+        self.opened.append(path)
+        queue = self.kernels[path]
+        return queue.pop(0) if len(queue) > 1 else queue[0]

@@ -1,0 +1,433 @@
+"""Projector and display on a card: what lights the scene, when, and what is said when it cannot."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+from drivers.api import DeviceGone, DeviceRefused, Flip
+from drivers.output.display import PictureDisplay
+from drivers.output.outputs import Outputs, open_outputs
+from drivers.output.projector import PatternProjector
+from drivers.output.spec import OutputKind, OutputSpec
+from tests.drivers.output.kernel import Kernel, KernelWires, Plug, mode
+
+CARD = "/dev/dri/card0"
+PROJECTOR = OutputSpec(OutputKind.KMS, CARD, "HDMI-A-1", 128, 96, 60.0)
+DISPLAY = OutputSpec(OutputKind.KMS, CARD, "DP-1", 80, 48, 60.0)
+PROJECTOR_CRTC, DISPLAY_CRTC = 40, 50
+
+
+def two_heads(**changes: object) -> Kernel:
+    hdmi = Plug(1, 11, 1, [mode(1920, 1080), mode(128, 96), mode(128, 96, 75.0)])
+    dp = Plug(2, 10, 1, [mode(80, 48)])
+    kernel = Kernel([hdmi, dp])
+    for name, value in changes.items():
+        setattr(kernel, name, value)
+    return kernel
+
+
+@contextmanager
+def opened(kernel: Kernel) -> Iterator[tuple[PatternProjector[object], PictureDisplay[object]]]:
+    with Outputs(PROJECTOR, DISPLAY, KernelWires({CARD: [kernel]})) as outputs:  # type: ignore[arg-type]
+        yield outputs.open_projector(), outputs.open_display()
+
+
+def frames(number: int) -> list[np.ndarray]:
+    """Frames whose code is their number + 1."""
+    return [np.full((96, 128), index + 1, np.uint8) for index in range(number)]
+
+
+def from_blank(ahead: int):
+    def start(flip: Flip) -> int | None:
+        assert flip.sequence is not None
+        return flip.sequence + ahead
+
+    return start
+
+
+def never() -> bool:
+    return False
+
+
+# ----------------------------------------------------------------------------------------- light
+
+
+def test_both_heads_light_up_black_on_different_crtcs() -> None:
+    kernel = two_heads()
+    with opened(kernel):
+        assert kernel.picture(PROJECTOR_CRTC).shape == (96, 128, 4)
+        assert kernel.picture(DISPLAY_CRTC).shape == (48, 80, 4)
+        assert not kernel.picture(PROJECTOR_CRTC)[:, :, :3].any()
+        assert not kernel.picture(DISPLAY_CRTC)[:, :, :3].any()
+
+
+def test_a_frame_is_green_light_only() -> None:
+    kernel = two_heads()
+    rng = np.random.default_rng(3)
+    pattern = rng.integers(0, 256, (96, 128), dtype=np.uint8)
+    with opened(kernel) as (projector, _):
+        projector.load([pattern])
+        flip = projector.show(0)
+        lit = kernel.picture(PROJECTOR_CRTC)
+    np.testing.assert_array_equal(lit[:, :, 1], pattern)
+    assert not lit[:, :, [0, 2]].any()
+    assert (flip.index, flip.sequence) == (0, kernel.blank)
+    assert abs(flip.time_ns - kernel.time.ns) < 2000  # the kernel reports µs
+
+
+def test_a_presented_picture_has_its_colours_in_place_whatever_the_pitch() -> None:
+    kernel = two_heads(pitch_align=1000)
+    picture = np.random.default_rng(4).integers(0, 256, (48, 80, 3), dtype=np.uint8)
+    with opened(kernel) as (_, display):
+        flip = display.present(picture, 0.5)
+        np.testing.assert_array_equal(kernel.picture(DISPLAY_CRTC)[:, :, 2::-1], picture)
+    assert flip.index == -1
+
+
+def test_the_picture_on_the_screen_is_not_touched_while_the_next_is_copied() -> None:
+    kernel = two_heads()
+    with opened(kernel) as (_, display):
+        display.present(np.full((48, 80, 3), 10, np.uint8), 0.5)
+        shown_before_flip: list[int] = []
+        kernel.on_blank = lambda k: shown_before_flip.append(int(k.picture(DISPLAY_CRTC)[0, 0, 0]))
+        display.present(np.full((48, 80, 3), 20, np.uint8), 0.5)
+        display.present(np.full((48, 80, 3), 30, np.uint8), 0.5)
+    assert shown_before_flip[:2] == [10, 20]
+
+
+def test_loading_shows_black_so_that_no_frame_changes_while_it_is_lit() -> None:
+    kernel = two_heads()
+    with opened(kernel) as (projector, _):
+        projector.load(frames(2))
+        projector.show(1)
+        projector.load(frames(1))
+        assert not kernel.picture(PROJECTOR_CRTC)[:, :, 1].any()
+        with pytest.raises(IndexError, match="projector frame 1; 1 are loaded"):
+            projector.show(1)
+
+
+@pytest.mark.parametrize("bad", [np.zeros((128, 96), np.uint8), np.zeros((96, 128), np.uint16)])
+def test_a_frame_that_does_not_fit_is_named(bad: np.ndarray) -> None:
+    with (
+        opened(two_heads()) as (projector, _),
+        pytest.raises(ValueError, match=r"projector frame 1 is .*; it must be \(96, 128\) uint8"),
+    ):
+        projector.load([frames(1)[0], bad])
+
+
+def test_closing_darkens_and_gives_everything_back() -> None:
+    kernel = two_heads()
+    with opened(kernel) as (projector, display):
+        projector.load(frames(5))
+        display.present(np.zeros((48, 80, 3), np.uint8), 0.5)
+    assert kernel.lit == {}
+    assert kernel.fbs == {}
+    assert kernel.dumb == {}
+    assert kernel.closed
+
+
+# ---------------------------------------------------------------------------------------- playing
+
+
+def test_every_frame_is_lit_for_exactly_one_blank_from_the_agreed_one_on() -> None:
+    kernel = two_heads()
+    with opened(kernel) as (projector, _):
+        projector.load(frames(6))
+        lit: dict[int, int] = {}
+        kernel.on_blank = lambda k: lit.update({k.blank - 1: int(k.picture(PROJECTOR_CRTC)[0, 0, 1])})
+        flips = projector.play([2, 3, 4], 0, from_blank(5), never)
+        first = flips[0].sequence
+        projector.show(0)
+    assert [flip.index for flip in flips] == [2, 3, 4]
+    assert [flip.sequence for flip in flips] == [first, first + 1, first + 2]
+    assert [lit[first + k] for k in range(-1, 4)] == [1, 3, 4, 5, 1]
+
+
+def test_start_is_asked_once_and_kept_to() -> None:
+    kernel = two_heads()
+    asked: list[Flip] = []
+
+    def start(flip: Flip) -> int:
+        asked.append(flip)
+        kernel.time.sleep_s(0.010)
+        return flip.sequence + 7
+
+    with opened(kernel) as (projector, _):
+        projector.load(frames(2))
+        flips = projector.play([1], 0, start, never)
+    assert len(asked) == 1
+    assert asked[0].index == 0
+    assert flips[0].sequence == asked[0].sequence + 7
+
+
+def test_without_an_agreed_blank_it_starts_at_the_next() -> None:
+    kernel = two_heads()
+    with opened(kernel) as (projector, _):
+        projector.load(frames(3))
+        asked: list[Flip] = []
+        flips = projector.play([1, 2], 0, asked.append, never)
+    assert [flip.sequence for flip in flips] == [asked[0].sequence + 1, asked[0].sequence + 2]
+
+
+def test_a_missed_blank_is_in_the_flips_and_ends_the_play() -> None:
+    kernel = two_heads()
+    with opened(kernel) as (projector, _):
+        projector.load(frames(6))
+        idle_flips = 1 + 3 - 1  # the flip that start sees, and those until the agreed blank
+        kernel.late[kernel.flips + idle_flips + 2] = 1
+        flips = projector.play([1, 2, 3, 4, 5], 0, from_blank(3), never)
+        assert int(kernel.picture(PROJECTOR_CRTC)[0, 0, 1]) == 1
+    steps = np.diff([flip.sequence for flip in flips])
+    assert [flip.index for flip in flips] == [1, 2, 3]
+    assert list(steps) == [1, 2]
+
+
+def test_a_start_that_is_already_past_is_one_late_flip() -> None:
+    kernel = two_heads()
+    with opened(kernel) as (projector, _):
+        projector.load(frames(3))
+        flips = projector.play([1, 2], 0, from_blank(0), never)
+    assert [flip.index for flip in flips] == [1]
+
+
+def test_a_late_idle_flip_shows_as_a_late_first_frame() -> None:
+    kernel = two_heads()
+    with opened(kernel) as (projector, _):
+        projector.load(frames(3))
+        kernel.late[kernel.flips + 1] = 6
+        agreed: list[int] = []
+
+        def start(flip: Flip) -> int:
+            agreed.append(flip.sequence + 3)
+            return agreed[0]
+
+        flips = projector.play([1, 2], 0, start, never)
+    assert len(flips) == 1
+    assert flips[0].sequence > agreed[0]
+
+
+def test_an_abort_ends_within_one_blank_on_idle() -> None:
+    kernel = two_heads()
+    with opened(kernel) as (projector, _):
+        projector.load(frames(6))
+        asked = iter([False] * 4 + [True] * 100)
+        flips = projector.play([1, 2, 3, 4, 5], 0, from_blank(3), lambda: next(asked))
+        assert [flip.index for flip in flips] == [1, 2]
+        assert int(kernel.picture(PROJECTOR_CRTC)[0, 0, 1]) == 1
+
+
+def test_a_start_that_fails_leaves_idle_on_the_screen() -> None:
+    kernel = two_heads()
+
+    def start(flip: Flip) -> int:
+        raise DeviceGone("board", "silent", "Check it")
+
+    with opened(kernel) as (projector, _):
+        projector.load(frames(3))
+        projector.show(2)
+        with pytest.raises(DeviceGone, match="board"):
+            projector.play([1], 0, start, never)
+        assert int(kernel.picture(PROJECTOR_CRTC)[0, 0, 1]) == 1
+
+
+def test_a_start_in_another_age_is_refused_instead_of_waited_for() -> None:
+    with opened(two_heads()) as (projector, _):
+        projector.load(frames(2))
+        with pytest.raises(ValueError, match=r"100000 ahead; allowed are 2\.\.600"):
+            projector.play([1], 0, from_blank(100_000), never)
+
+
+# -------------------------------------------------------------------------- hardware that is less
+
+
+def test_without_a_blank_counter_the_sequence_is_unknown_and_time_stamps_tell_lateness() -> None:
+    kernel = two_heads(counts_blanks=False)
+    with opened(kernel) as (projector, _):
+        projector.load(frames(6))
+        asked: list[Flip] = []
+        flips = projector.play([1, 2, 3], 0, asked.append, never)
+        assert asked[0].sequence is None
+        assert [flip.sequence for flip in flips] == [None, None, None]
+        steps = np.diff([flip.time_ns for flip in flips])
+        assert np.allclose(steps, kernel.PERIOD_NS, atol=2000)
+
+        kernel.late[kernel.flips + 3 + 1] = 1  # three flips to learn that nothing counts
+        assert [flip.index for flip in projector.play([1, 2, 3], 0, asked.append, never)] == [1, 2]
+        with pytest.raises(ValueError, match="nothing counts the blanks of projector"):
+            projector.play([1], 0, lambda flip: 5, never)
+
+
+def test_a_card_that_does_not_throttle_still_plays_one_frame_per_period() -> None:
+    kernel = two_heads(counts_blanks=False, throttles=False)
+    with opened(kernel) as (projector, _):
+        projector.load(frames(8))
+        flips = projector.play([1, 2, 3, 4, 5, 6, 7], 0, lambda flip: None, never)
+        assert projector.health().details["flips"] == "not throttled by the hardware"
+    steps_ms = np.diff([flip.time_ns for flip in flips]) / 1e6
+    assert len(flips) == 7
+    assert np.allclose(steps_ms, 16.7, atol=0.5)
+
+
+def test_busy_is_waited_out_but_not_for_ever() -> None:
+    kernel = two_heads()
+    with opened(kernel) as (projector, _):
+        projector.load(frames(1))
+        kernel.busy = 3
+        assert projector.show(0).index == 0
+        kernel.busy = 1000
+        with pytest.raises(DeviceRefused, match="busy with an earlier flip after 20 tries"):
+            projector.show(0)
+        kernel.busy = 0
+
+
+def test_a_flip_that_timed_out_is_awaited_before_the_next() -> None:
+    kernel = two_heads()
+    picture = np.full((48, 80, 3), 9, np.uint8)
+    with opened(kernel) as (_, display):
+        kernel.mute = True
+        with pytest.raises(DeviceGone, match=r"no vertical blank within 0.1 s on DP-1"):
+            display.present(picture, 0.1)
+        kernel.mute = False
+        before = kernel.calls.count(0xB0)
+        display.present(picture, 0.5)
+        assert kernel.calls.count(0xB0) == before + 1  # and was not refused as busy
+        assert kernel.picture(DISPLAY_CRTC)[0, 0, 0] == 9
+
+
+def test_a_pulled_cable_is_gone_and_says_which() -> None:
+    kernel = two_heads()
+    with opened(kernel) as (projector, display):
+        projector.load(frames(2))
+        kernel.plugs[1].connected = False
+        with pytest.raises(DeviceGone, match="projector: HDMI-A-1 was unplugged"):
+            projector.play([1], 0, from_blank(3), never)
+        display.present(np.zeros((48, 80, 3), np.uint8), 0.5)  # the other one goes on
+
+
+def test_a_pulled_cable_is_noticed_while_presenting() -> None:
+    kernel = two_heads()
+    with opened(kernel) as (_, display):
+        kernel.plugs[2].connected = False
+
+        def present_for_1500_ms() -> None:
+            for _ in range(90):
+                display.present(np.zeros((48, 80, 3), np.uint8), 0.5)
+
+        with pytest.raises(DeviceGone, match="display: DP-1 was unplugged"):
+            present_for_1500_ms()
+
+
+def test_a_pulled_card_is_gone_and_closing_does_not_fail() -> None:
+    kernel = two_heads()
+    with opened(kernel) as (_, display):
+        kernel.pulled = True
+        with pytest.raises(DeviceGone, match="No such device"):
+            display.present(np.zeros((48, 80, 3), np.uint8), 0.5)
+    assert kernel.closed
+
+
+# ---------------------------------------------------------------------------------------- opening
+
+
+def test_another_master_is_named_as_the_reason() -> None:
+    kernel = two_heads(master=False)
+    with pytest.raises(DeviceRefused, match="Another program owns the screens"), opened(kernel):
+        pass
+    assert kernel.dumb == {}
+
+
+def test_full_range_and_linear_gamma_are_set_where_the_driver_lets_us() -> None:
+    kernel = two_heads()
+    kernel.properties = {
+        7: ("Broadcast RGB", 8, {"Automatic": 0, "Full": 1, "Limited 16:235": 2}),
+        8: ("EDID", 16, {}),
+        9: ("dithering mode", 8, {"auto": 0, "off": 4}),
+    }
+    kernel.plugs[1].properties = {7: 0, 8: 55, 9: 4}
+    with opened(kernel) as (projector, _):
+        assert kernel.plugs[1].properties == {7: 1, 8: 55, 9: 4}
+        assert kernel.calls.count(0xAB) == 1  # what is right already is left alone
+        ramp = kernel.gamma[PROJECTOR_CRTC]
+        assert (ramp[0], ramp[128], ramp[255]) == (0, 128 * 257, 65535)
+        assert projector.health().details == {"Broadcast RGB": "Full", "dithering mode": "off", "gamma": "linear"}
+
+
+def test_a_clock_that_is_not_monotonic_is_refused() -> None:
+    with pytest.raises(DeviceRefused, match="monotonic"), opened(two_heads(monotonic=0)):
+        pass
+
+
+def test_the_display_opens_while_the_projector_is_unplugged_and_keeps_its_crtc_free() -> None:
+    kernel = two_heads()
+    kernel.plugs[1].connected = False
+    kernel.plugs[1].possible_crtcs = 0b01  # the projector can only use the first
+    with Outputs(PROJECTOR, DISPLAY, KernelWires({CARD: [kernel]})) as outputs:  # type: ignore[arg-type]
+        with pytest.raises(DeviceGone, match="projector: nothing is plugged into HDMI-A-1"):
+            outputs.open_projector()
+        display = outputs.open_display()
+        display.present(np.full((48, 80, 3), 7, np.uint8), 0.5)
+        kernel.plugs[1].connected = True
+        projector = outputs.open_projector()
+        projector.load(frames(1))
+        projector.show(0)
+        assert kernel.picture(PROJECTOR_CRTC)[0, 0, 1] == 1
+        assert kernel.picture(DISPLAY_CRTC)[0, 0, 1] == 7
+
+
+def test_two_heads_on_one_crtc_are_refused_with_the_reason() -> None:
+    kernel = two_heads()
+    kernel.plugs[1].possible_crtcs = kernel.plugs[2].possible_crtcs = 0b10
+    with pytest.raises(DeviceRefused, match="no CRTC of its own for every output"), opened(kernel):
+        pass
+
+
+def test_reopening_after_the_card_was_away_opens_its_node_anew() -> None:
+    before, after = two_heads(), two_heads()
+    wires = KernelWires({CARD: [before, after]})
+    with Outputs(PROJECTOR, DISPLAY, wires) as outputs:  # type: ignore[arg-type]
+        outputs.open_display()
+        before.pulled = True
+        display = outputs.open_display()
+        display.present(np.full((48, 80, 3), 7, np.uint8), 0.5)
+        assert after.picture(DISPLAY_CRTC)[0, 0, 0] == 7
+    assert wires.opened == [CARD, CARD]
+    assert before.closed
+
+
+def test_open_outputs_gives_both() -> None:
+    kernel = two_heads()
+    with open_outputs(PROJECTOR, DISPLAY, KernelWires({CARD: [kernel]})) as (projector, display):  # type: ignore[arg-type]
+        assert (projector.size_px, display.size_px) == ((128, 96), (80, 48))
+
+
+# ---------------------------------------------------------------------------------- two threads
+
+
+def test_two_threads_on_one_card_each_get_their_own_reports() -> None:
+    kernel = two_heads()
+    with opened(kernel) as (projector, display):
+        projector.load(frames(24))
+        picture = np.full((48, 80, 3), 5, np.uint8)
+        presented: list[Flip] = []
+        stop = threading.Event()
+
+        def present() -> None:
+            while not stop.is_set():
+                presented.append(display.present(picture, 5.0))
+
+        screen = threading.Thread(target=present)
+        screen.start()
+        flips = projector.play(list(range(24)), 0, lambda flip: None, never)
+        stop.set()
+        screen.join(10.0)
+        assert not screen.is_alive()
+    assert {flip.index for flip in presented} <= {-1}
+    assert flips
+    assert [flip.index for flip in flips] == list(range(len(flips)))
+    times = [flip.time_ns for flip in flips]
+    assert times == sorted(times)
