@@ -53,7 +53,7 @@ class Pattern:
         """Short name for manifests, reports and pictures: ``bright``, ``gray-x-0``, ``sine-y-270``."""
         match self.kind:
             case Kind.BRIGHT | Kind.DARK:
-                return self.kind.value
+                return "bright" if self.kind is Kind.BRIGHT else "dark"
             case Kind.GRAY:
                 return f"gray-{self.direction.value}-{self.index}"
             case Kind.SINE:

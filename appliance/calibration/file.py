@@ -1,0 +1,222 @@
+"""Owns the calibration file: versioned, checksummed, readable JSON, one per instrument, with what it was made from.
+
+The text is JSON with sorted keys; ``sha256`` is that of the compact form of everything else. Lengths are mm, image
+coordinates px, angles never appear (rotations are matrices).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from appliance.optics.model import HousedCamera, Matrix3, StereoRig
+from appliance.optics.pinhole import Lens
+from appliance.optics.port import Port
+from appliance.optics.water import Water
+
+SCHEMA = 1
+MAX_BYTES = 16 * 1024 * 1024
+
+
+class CalibrationError(Exception):
+    """A calibration file cannot be used; the text says which, why and what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """The instrument as measured. ``hash`` identifies it in every scan made with it."""
+
+    rig_serial: str
+    method: str
+    """How it was made: ``design`` (never measured), ``air``, ``bundle``, …"""
+    made_at: str
+    """ISO 8601 date and time, or ``unknown``."""
+    made_from: tuple[str, ...]
+    """Ids or descriptions of the recordings and values it was made from."""
+    water: Water
+    """The water during the calibration; other water only changes the index when rays are derived."""
+    rig: StereoRig
+    residual_px: float | None = None
+    """RMS residual of the adjustment, ``None`` where there was none."""
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 of the content, hexadecimal."""
+        return _digest(_content(self))
+
+
+def encode(calibration: Calibration) -> bytes:
+    """The file's bytes."""
+    content = _content(calibration)
+    return (json.dumps({**content, "sha256": _digest(content)}, indent=2, sort_keys=True) + "\n").encode()
+
+
+def decode(data: bytes, name: str = "calibration") -> Calibration:
+    """Parse and check a file's bytes. Raises CalibrationError naming ``name``, the key, the value and the remedy."""
+    remedy = "restore the previous calibration or calibrate again"
+    if len(data) > MAX_BYTES:
+        raise CalibrationError(f"{name}: {len(data)} bytes; at most {MAX_BYTES} are allowed; {remedy}")
+    try:
+        content = json.loads(data)
+    except (ValueError, RecursionError) as error:
+        raise CalibrationError(f"{name}: not readable as JSON ({type(error).__name__}: {error}); {remedy}") from error
+    if not isinstance(content, dict):
+        raise CalibrationError(f"{name}: a JSON object was expected, not {type(content).__name__}; {remedy}")
+    schema = content.get("schema")
+    if schema != SCHEMA:
+        raise CalibrationError(f"{name}: schema {schema!r}; this version reads schema {SCHEMA}; {remedy}")
+    stated = content.pop("sha256", None)
+    actual = _digest(content)
+    if stated != actual:
+        raise CalibrationError(
+            f"{name}: checksum {stated!r}, but the content has {actual}: it was changed or damaged; {remedy}"
+        )
+    reader = _Reader(name, remedy)
+    cameras = reader.table(content, "cameras")
+    residual = content.get("residual_px")
+    water = reader.table(content, "water")
+    return Calibration(
+        rig_serial=reader.text(content, "rig_serial"),
+        method=reader.text(content, "method"),
+        made_at=reader.text(content, "made_at"),
+        made_from=tuple(str(item) for item in reader.sequence(content, "made_from")),
+        water=Water(
+            reader.number(water, "temperature_c", -2.0, 40.0),
+            reader.number(water, "salinity_psu", 0.0, 45.0),
+            reader.number(water, "wavelength_nm", 380.0, 750.0),
+        ),
+        rig=StereoRig(reader.camera(cameras, "left"), reader.camera(cameras, "right")),
+        residual_px=None if residual is None else reader.number(content, "residual_px", 0.0, 1e6),
+    )
+
+
+def load(path: Path) -> Calibration:
+    """Read a calibration file. Raises CalibrationError also for a missing or unreadable file."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise CalibrationError(
+            f"calibration {path}: cannot be read ({error.strerror}); calibrate, or copy the instrument's file there"
+        ) from error
+    return decode(data, f"calibration {path}")
+
+
+def _digest(content: dict[str, Any]) -> str:
+    compact = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(compact.encode()).hexdigest()
+
+
+def _content(calibration: Calibration) -> dict[str, Any]:
+    return {
+        "schema": SCHEMA,
+        "rig_serial": calibration.rig_serial,
+        "method": calibration.method,
+        "made_at": calibration.made_at,
+        "made_from": list(calibration.made_from),
+        "residual_px": calibration.residual_px,
+        "water": {
+            "temperature_c": calibration.water.temperature_c,
+            "salinity_psu": calibration.water.salinity_psu,
+            "wavelength_nm": calibration.water.wavelength_nm,
+        },
+        "cameras": {"left": _camera(calibration.rig.left), "right": _camera(calibration.rig.right)},
+    }
+
+
+def _camera(camera: HousedCamera) -> dict[str, Any]:
+    return {
+        "width_px": camera.width_px,
+        "height_px": camera.height_px,
+        "f_px": list(camera.lens.f_px),
+        "c_px": list(camera.lens.c_px),
+        "distortion": list(camera.lens.distortion),
+        "rotation": [list(row) for row in camera.rotation],
+        "translation_mm": list(camera.translation_mm),
+        "port": {
+            "normal": list(camera.port.normal),
+            "distance_mm": camera.port.distance_mm,
+            "thickness_mm": camera.port.thickness_mm,
+            "glass_index": camera.port.glass_index,
+        },
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class _Reader:
+    """Checked access to the parsed JSON; every complaint names the file, the key, the value and the range."""
+
+    name: str
+    remedy: str
+
+    def fail(self, key: str, value: object, allowed: str) -> CalibrationError:
+        return CalibrationError(f"{self.name}: {key} is {value!r:.80}; allowed: {allowed}; {self.remedy}")
+
+    def table(self, parent: dict[str, Any], key: str) -> dict[str, Any]:
+        value = parent.get(key)
+        if not isinstance(value, dict):
+            raise self.fail(key, value, "a table")
+        return value
+
+    def text(self, parent: dict[str, Any], key: str) -> str:
+        value = parent.get(key)
+        if not isinstance(value, str):
+            raise self.fail(key, value, "a text")
+        return value
+
+    def sequence(self, parent: dict[str, Any], key: str, length: int | None = None) -> list[Any]:
+        value = parent.get(key)
+        if not isinstance(value, list) or (length is not None and len(value) != length):
+            raise self.fail(key, value, "a list" if length is None else f"a list of {length}")
+        return value
+
+    def number(self, parent: dict[str, Any], key: str, low: float, high: float) -> float:
+        return self._number(parent.get(key), key, low, high)
+
+    def _number(self, value: object, key: str, low: float, high: float) -> float:
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            raise self.fail(key, value, f"a number {low:g}..{high:g}")
+        if not low <= value <= high:
+            raise self.fail(key, value, f"{low:g}..{high:g}")
+        return float(value)
+
+    def numbers(self, parent: dict[str, Any], key: str, length: int, low: float, high: float) -> tuple[float, ...]:
+        items = self.sequence(parent, key, length)
+        return tuple(self._number(item, f"{key}[{i}]", low, high) for i, item in enumerate(items))
+
+    def camera(self, parent: dict[str, Any], side: str) -> HousedCamera:
+        table = self.table(parent, side)
+        port = self.table(table, "port")
+        rows = self.sequence(table, "rotation", 3)
+        rotation = tuple(self.numbers({f"{side}.rotation": row}, f"{side}.rotation", 3, -1.001, 1.001) for row in rows)
+        R = np.array(rotation)
+        if np.abs(R @ R.T - np.eye(3)).max() > 1e-6 or np.linalg.det(R) < 0.0:
+            raise self.fail(f"{side}.rotation", rows, "a rotation matrix")
+        normal = self.numbers(port, "normal", 3, -1.0, 1.0)
+        if abs(math.hypot(*normal) - 1.0) > 1e-6 or normal[2] < 0.5:
+            raise self.fail(f"{side}.port.normal", normal, "a unit vector towards the water")
+        distortion = self.numbers(table, "distortion", 5, -100.0, 100.0)
+        return HousedCamera(
+            width_px=int(self.number(table, "width_px", 16, 16384)),
+            height_px=int(self.number(table, "height_px", 16, 16384)),
+            lens=Lens(
+                cast(tuple[float, float], self.numbers(table, "f_px", 2, 1.0, 1e6)),
+                cast(tuple[float, float], self.numbers(table, "c_px", 2, -1e5, 1e5)),
+                cast(tuple[float, float, float, float, float], distortion),
+            ),
+            port=Port(
+                cast(tuple[float, float, float], normal),
+                self.number(port, "distance_mm", 0.0, 1000.0),
+                self.number(port, "thickness_mm", 0.0, 100.0),
+                self.number(port, "glass_index", 1.0, 3.0),
+            ),
+            rotation=cast(Matrix3, rotation),
+            translation_mm=cast(
+                tuple[float, float, float], self.numbers(table, "translation_mm", 3, -10000.0, 10000.0)
+            ),
+        )

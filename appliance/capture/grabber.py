@@ -1,0 +1,215 @@
+"""Owns the thread of one camera: what it is waiting for, and where its frames go.
+
+One thread per camera, named ``kf-camera-left`` and ``kf-camera-right``; it alone calls the camera. Others give orders
+(idle, live, record) and read results. A lost camera ends the thread; the service opens a new one.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.api import Camera, Clock, DeviceError, Frame, FrameStatus
+
+LIVE_TIMEOUT_S = 0.5
+FIRST_FRAME_TIMEOUT_S = 2.0
+NEXT_FRAME_TIMEOUT_S = 0.15
+"""Nine vertical blanks: a frame that has not come by then was lost."""
+JOIN_TIMEOUT_S = 5.0
+
+
+@dataclass(slots=True)
+class Recording:
+    """One side of a sequence being recorded. Filled by the camera's thread, read after ``done``."""
+
+    slots: NDArray[np.uint8]
+    """(n, h, w) uint8: where the frames go."""
+    on_frame: Callable[[int], None]
+    """Called in the camera's thread after each complete frame, with its index. Must not block."""
+    ready: bool = False
+    done: bool = False
+    cancelled: bool = False
+    frames: list[Frame] = field(default_factory=list)
+    """In order of arrival; ends with the first frame that is not complete."""
+    lost: str | None = None
+    """Why the camera was lost, if it was."""
+
+    @property
+    def complete(self) -> bool:
+        """All frames arrived whole (their ids are the ledger's business)."""
+        return self.done and len(self.frames) == len(self.slots) and self.frames[-1].status is FrameStatus.COMPLETE
+
+
+class Grabber:
+    """Runs one camera in its own thread. A context manager: leaving it stops the thread, not the camera's life."""
+
+    def __init__(self, side: str, camera: Camera, clock: Clock, height_px: int, width_px: int) -> None:
+        self.side = side
+        self._camera = camera
+        self._clock = clock
+        self._changed = threading.Condition()
+        self._order: Literal["idle", "live", "record", "end"] = "idle"
+        self._state: Literal["idle", "live", "record", "end"] = "idle"
+        self._recording: Recording | None = None
+        self._live = np.zeros((2, height_px, width_px), np.uint8)
+        self._live_count = 0
+        self._lost: str | None = None
+        self._temperature_c: float | None = None
+        self._thread = threading.Thread(target=self._run, name=f"kf-camera-{side}", daemon=True)
+
+    def __enter__(self) -> Grabber:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._set("end")
+        self._thread.join(JOIN_TIMEOUT_S)
+
+    @property
+    def lost(self) -> str | None:
+        """Why the camera was lost; ``None`` while it is there."""
+        with self._changed:
+            return self._lost
+
+    @property
+    def temperature_c(self) -> float | None:
+        """The camera's own temperature when it last was idle."""
+        with self._changed:
+            return self._temperature_c
+
+    def live(self) -> None:
+        """Show what the camera sees, at whatever rate the board triggers."""
+        self._set("live")
+
+    def idle(self, timeout_s: float = 2.0) -> bool:
+        """Stop the camera; True when it has stopped (or is lost)."""
+        self._set("idle")
+        with self._changed:
+            return self._clock.wait_for(
+                self._changed, lambda: self._state == "idle" or self._lost is not None, timeout_s
+            )
+
+    def latest(self, newer_than: int) -> tuple[int, NDArray[np.uint8]] | None:
+        """The newest live image (h, w) uint8 as a copy and its running number, if newer than ``newer_than``."""
+        with self._changed:
+            if self._live_count <= newer_than or self._live_count == 0:
+                return None
+            return self._live_count, self._live[self._live_count % 2].copy()
+
+    def record(self, slots: NDArray[np.uint8], on_frame: Callable[[int], None]) -> Recording:
+        """Start recording ``len(slots)`` frames; returns at once. Wait for ``ready`` before arming, then for ``done``."""
+        recording = Recording(slots, on_frame)
+        with self._changed:
+            if self._lost is not None:
+                recording.lost, recording.done = self._lost, True
+                return recording
+            self._recording = recording
+            self._order = "record"
+            self._changed.notify_all()
+        return recording
+
+    def wait(self, recording: Recording, what: Literal["ready", "done"], timeout_s: float) -> bool:
+        """Wait for a recording to be ready or done."""
+        with self._changed:
+            return self._clock.wait_for(
+                self._changed, lambda: recording.done or bool(getattr(recording, what)), timeout_s
+            )
+
+    def cancel(self, recording: Recording) -> None:
+        """End a recording at the next frame or timeout."""
+        with self._changed:
+            recording.cancelled = True
+            self._changed.notify_all()
+
+    def _set(self, order: Literal["idle", "live", "record", "end"]) -> None:
+        with self._changed:
+            self._order = order
+            self._changed.notify_all()
+
+    def _run(self) -> None:
+        try:
+            while True:
+                with self._changed:
+                    self._clock.wait_for(self._changed, lambda: self._order != "idle", 1.0)
+                    order = self._order
+                if order == "end":
+                    self._camera.stop()
+                    return
+                if order == "live":
+                    self._run_live()
+                elif order == "record":
+                    self._run_record()
+                else:
+                    self._rest()
+        except DeviceError as error:
+            self._fail(error.message)
+
+    def _rest(self) -> None:
+        temperature_c = self._camera.temperature_c()
+        with self._changed:
+            self._temperature_c = temperature_c
+
+    def _run_live(self) -> None:
+        self._camera.start()
+        with self._changed:
+            self._state = "live"
+            self._changed.notify_all()
+        while True:
+            with self._changed:
+                if self._order != "live":
+                    break
+                back = self._live[(self._live_count + 1) % 2]
+            frame = self._camera.next_frame(back, LIVE_TIMEOUT_S)
+            if frame.status is FrameStatus.COMPLETE:
+                with self._changed:
+                    self._live_count += 1
+                    self._changed.notify_all()
+        self._camera.stop()
+        with self._changed:
+            self._state = "idle"
+            self._changed.notify_all()
+
+    def _run_record(self) -> None:
+        recording = self._recording
+        assert recording is not None
+        self._camera.start()
+        with self._changed:
+            self._state = "record"
+            recording.ready = True
+            self._changed.notify_all()
+        timeout_s = FIRST_FRAME_TIMEOUT_S
+        for index, slot in enumerate(recording.slots):
+            frame = self._camera.next_frame(slot, timeout_s)
+            timeout_s = NEXT_FRAME_TIMEOUT_S
+            with self._changed:
+                recording.frames.append(frame)
+                stop = recording.cancelled or frame.status is not FrameStatus.COMPLETE
+            if stop:
+                break
+            recording.on_frame(index)
+        self._camera.stop()
+        with self._changed:
+            recording.done = True
+            self._recording = None
+            if self._order == "record":
+                self._order = "idle"
+            self._state = "idle"
+            self._changed.notify_all()
+
+    def _fail(self, reason: str) -> None:
+        with self._changed:
+            self._lost = reason
+            self._state = "idle"
+            if self._recording is not None:
+                self._recording.lost = reason
+                self._recording.done = True
+                self._recording = None
+            self._changed.notify_all()

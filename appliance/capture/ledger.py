@@ -1,0 +1,225 @@
+"""Owns the comparison of the four witnesses of a sequence: flips, pulses, left frames, right frames.
+
+Each witness alone can be fooled; together they cannot: a flip that came late, a pulse that was not fired, a frame that
+was dropped, doubled, swapped or cut all make two of them disagree. Any disagreement is a named fault. Nothing is
+interpolated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from appliance.capture.fault import Fault, FaultCode
+from appliance.capture.sync import SyncMap
+from drivers.api import Flip, Frame, FrameStatus, Pulse
+
+MAX_SKEW_NS = 200_000
+"""Exposure starts of left and right, and of frame and pulse, may wander by this much against each other."""
+MAX_FLIP_PHASE = 0.4
+"""Pulse minus flip minus trigger delay, in periods."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ledger:
+    """What the four witnesses said. ``flips`` … are in order of arrival; ``frames`` by side."""
+
+    expected: int
+    period_ns: float
+    start_sequence: int | None
+    """Vertical-blank number planned for the first pattern; ``None`` where the display has no counter."""
+    start_vsync: int | None
+    """The board's number of that blank; ``None`` when the board was never armed."""
+    delay_us: int
+    flips: tuple[Flip, ...]
+    pulses: tuple[Pulse, ...]
+    frames: Mapping[str, tuple[Frame, ...]]
+    sync: SyncMap | None
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON-ready, for the manifest."""
+        return {
+            "expected": self.expected,
+            "period_ns": self.period_ns,
+            "start_sequence": self.start_sequence,
+            "start_vsync": self.start_vsync,
+            "trigger_delay_us": self.delay_us,
+            "flips": [{"sequence": f.sequence, "time_ns": f.time_ns} for f in self.flips],
+            "pulses": [{"index": p.index, "vsync": p.vsync, "board_time_us": p.board_time_us} for p in self.pulses],
+            "frames": {
+                side: [
+                    {
+                        "status": f.status.value,
+                        "block_id": f.block_id,
+                        "camera_time_ns": f.camera_time_ns,
+                        "received_ns": f.received_ns,
+                    }
+                    for f in frames
+                ]
+                for side, frames in self.frames.items()
+            },
+        }
+
+
+def audit(ledger: Ledger) -> Fault | None:
+    """The first disagreement of the witnesses, most telling first; ``None`` when all agree."""
+    return (
+        _flips(ledger)
+        or _pulses(ledger)
+        or frame_fault(ledger, "left")
+        or frame_fault(ledger, "right")
+        or _flips_against_pulses(ledger)
+        or _times(ledger)
+    )
+
+
+def _flips(ledger: Ledger) -> Fault | None:
+    for k, flip in enumerate(ledger.flips):
+        if flip.sequence is not None and ledger.start_sequence is not None:
+            late = flip.sequence - (ledger.start_sequence + k)
+        elif k > 0:
+            late = round((flip.time_ns - ledger.flips[k - 1].time_ns) / ledger.period_ns) - 1
+        else:
+            late = 0
+        if late != 0:
+            return Fault(
+                FaultCode.LATE_FLIP,
+                f"pattern {k} reached the screen {late} vertical blanks late",
+                {"frame": k, "late_blanks": late},
+                "projector",
+            )
+    if len(ledger.flips) != ledger.expected:
+        return Fault(
+            FaultCode.LATE_FLIP,
+            f"{len(ledger.flips)} of {ledger.expected} patterns reached the screen",
+            {"frame": len(ledger.flips), "received": len(ledger.flips), "expected": ledger.expected},
+            "projector",
+        )
+    return None
+
+
+def _pulses(ledger: Ledger) -> Fault | None:
+    numbers = {"received": float(len(ledger.pulses)), "expected": float(ledger.expected)}
+    if [p.index for p in ledger.pulses] != list(range(ledger.expected)):
+        return Fault(
+            FaultCode.PULSE_MISSING,
+            f"the board reported pulses {_ranges([p.index for p in ledger.pulses])} of {ledger.expected}",
+            numbers,
+            "board",
+        )
+    for p in ledger.pulses:
+        if ledger.start_vsync is None or p.vsync != ledger.start_vsync + p.index:
+            return Fault(
+                FaultCode.PULSE_MISSING,
+                f"pulse {p.index} was fired on vertical sync {p.vsync}, not {(ledger.start_vsync or 0) + p.index}",
+                {**numbers, "frame": p.index},
+                "board",
+            )
+    return None
+
+
+def frame_fault(ledger: Ledger, side: str) -> Fault | None:
+    """What is wrong with one side's frames by themselves."""
+    device = f"camera.{side}"
+    frames = ledger.frames.get(side, ())
+    for k, frame in enumerate(frames):
+        code = _STATUS_FAULT[frame.status]
+        if code is not None and frame.status is not FrameStatus.TIMEOUT:
+            return Fault(
+                code,
+                f"{device}: frame {k} arrived {frame.status.value} ({frame.detail})",
+                {"frame": k, "received": k, "expected": ledger.expected},
+                device,
+            )
+    arrived = [f for f in frames if f.status is FrameStatus.COMPLETE]
+    ids = [f.block_id for f in arrived if f.block_id is not None]
+    for k in range(1, len(ids)):
+        if ids[k] in ids[:k]:
+            return Fault(
+                FaultCode.FRAME_REPEATED, f"{device}: block {ids[k]} arrived again as frame {k}", {"frame": k}, device
+            )
+    for k in range(1, len(ids)):
+        if ids[k] < ids[k - 1]:
+            return Fault(
+                FaultCode.FRAME_ORDER,
+                f"{device}: block {ids[k]} arrived after block {ids[k - 1]}",
+                {"frame": k},
+                device,
+            )
+    gap = next((k for k in range(1, len(ids)) if ids[k] != ids[k - 1] + 1), None)
+    if gap is not None or len(arrived) != ledger.expected or len(ids) != len(arrived):
+        where = gap if gap is not None else len(arrived)
+        return Fault(
+            FaultCode.FRAME_MISSING,
+            f"{device}: {len(arrived)} of {ledger.expected} frames arrived; the first gap is at frame {where}",
+            {"frame": where, "received": min(len(arrived), ledger.expected - 1), "expected": ledger.expected},
+            device,
+        )
+    return None
+
+
+def _flips_against_pulses(ledger: Ledger) -> Fault | None:
+    if ledger.sync is None:
+        return Fault(FaultCode.SYNC_LOST, "the board's vertical sync was never matched to the projector's", {}, "board")
+    for flip, pulse in zip(ledger.flips, ledger.pulses, strict=True):
+        after_ns = ledger.sync.host_ns(pulse.board_time_us) - flip.time_ns - ledger.delay_us * 1000
+        if abs(after_ns) > MAX_FLIP_PHASE * ledger.period_ns:
+            return Fault(
+                FaultCode.PROJECTOR_TIMING,
+                f"pulse {pulse.index} came {after_ns / 1e6:.1f} ms away from where its pattern's flip puts it",
+                {"frame": pulse.index, "shift_frames": round(after_ns / ledger.period_ns)},
+                "projector",
+            )
+    return None
+
+
+def _times(ledger: Ledger) -> Fault | None:
+    """Frames must follow the pulses in the cameras' own clocks, and each other; a clock's offset is free, its rate
+    to 100 ppm."""
+    first_us = ledger.pulses[0].board_time_us
+    relative: dict[str, list[int]] = {}
+    for side, frames in ledger.frames.items():
+        times = [f.camera_time_ns for f in frames]
+        if any(t is None for t in times):
+            continue  # a camera without time stamps; its ids have been checked
+        start = times[0] or 0
+        relative[side] = [(t or 0) - start for t in times]
+        for k, (dt, pulse) in enumerate(zip(relative[side], ledger.pulses, strict=True)):
+            skew_ns = dt - (pulse.board_time_us - first_us) * 1000
+            if abs(skew_ns) > MAX_SKEW_NS:
+                return _skew(
+                    f"camera.{side}: frame {k} was exposed {skew_ns / 1e6:.2f} ms off its pulse", k, skew_ns, side
+                )
+    if len(relative) == 2:
+        for k, (left, right) in enumerate(zip(relative["left"], relative["right"], strict=True)):
+            if abs(left - right) > MAX_SKEW_NS:
+                return _skew(
+                    f"frame {k}: left and right are {(left - right) / 1e6:.2f} ms apart", k, left - right, "left"
+                )
+    return None
+
+
+def _skew(detail: str, frame: int, skew_ns: int, side: str) -> Fault:
+    return Fault(FaultCode.SYNC_LOST, detail, {"frame": frame, "skew_ms": skew_ns / 1e6}, f"camera.{side}")
+
+
+def _ranges(numbers: Sequence[int]) -> str:
+    """``0-8, 10-23``."""
+    parts: list[list[int]] = []
+    for n in numbers:
+        if parts and n == parts[-1][1] + 1:
+            parts[-1][1] = n
+        else:
+            parts.append([n, n])
+    return ", ".join(str(a) if a == b else f"{a}-{b}" for a, b in parts) or "none"
+
+
+_STATUS_FAULT: dict[FrameStatus, FaultCode | None] = {
+    FrameStatus.COMPLETE: None,
+    FrameStatus.TRUNCATED: FaultCode.FRAME_TRUNCATED,
+    FrameStatus.CORRUPT: FaultCode.FRAME_CORRUPT,
+    FrameStatus.WRONG_ID: FaultCode.FRAME_CORRUPT,
+    FrameStatus.DISCARDED: FaultCode.FRAME_MISSING,
+    FrameStatus.TIMEOUT: FaultCode.FRAME_MISSING,
+}

@@ -1,0 +1,249 @@
+"""Owns the course of one scan: lasers off, cameras ready, board armed, patterns played, frames collected, audited.
+
+Called from the thread that owns the screens; the two camera threads fill the frame store meanwhile.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+
+from appliance.capture.fault import Fault, FaultCode
+from appliance.capture.grabber import Grabber, Recording
+from appliance.capture.ledger import Ledger, audit, frame_fault
+from appliance.capture.store import SIDES, FrameStore
+from appliance.capture.sync import SyncError, SyncMap, synchronise
+from appliance.patterns.sequence import PatternSequence
+from drivers.api import (
+    Board,
+    BoardBooted,
+    BoardEvent,
+    BoardLost,
+    Clock,
+    DeviceError,
+    Flip,
+    Projector,
+    Pulse,
+    PulsesDone,
+    VsyncLost,
+)
+
+LEAD_BLANKS = 3
+"""Vertical blanks between arming and the first pattern: time for the answer to travel."""
+READY_TIMEOUT_S = 2.0
+COLLECT_TIMEOUT_S = 2.5
+PULSE_TIMEOUT_S = 0.25
+MAX_BOARD_EVENTS = 400
+
+
+@dataclass(frozen=True, slots=True)
+class ScanSettings:
+    """How a sequence is triggered."""
+
+    refresh_hz: float
+    exposure_us: int
+    trigger_delay_us: int
+
+
+@dataclass(frozen=True, slots=True)
+class CaptureReport:
+    """What became of a scan. With a fault there is no cloud; the frames are evidence only."""
+
+    fault: Fault | None
+    ledger: Ledger
+    recording_s: float
+    board_events: tuple[BoardEvent, ...]
+    """Everything else the board said meanwhile (telemetry, resets), for whoever watches it."""
+
+
+class _Aborted(Exception):
+    def __init__(self, fault: Fault) -> None:
+        super().__init__(fault.detail)
+        self.fault = fault
+
+
+class ScanRecorder:
+    """Records sequences with devices that are open and patterns that are loaded (index = frame, ``idle`` = dark)."""
+
+    def __init__(
+        self,
+        grabbers: Mapping[str, Grabber],
+        board: Board,
+        projector: Projector,
+        clock: Clock,
+        settings: ScanSettings,
+    ) -> None:
+        self._grabbers = grabbers
+        self._board = board
+        self._projector = projector
+        self._clock = clock
+        self._settings = settings
+
+    def record(
+        self,
+        sequence: PatternSequence,
+        store: FrameStore,
+        on_frame: Callable[[str, int], None],
+        abort: Callable[[], Fault | None],
+    ) -> CaptureReport:
+        """Record one sequence into ``store``. Never raises for a device: every failure is the report's fault.
+
+        ``on_frame(side, index)`` is called in the camera threads as frames arrive; ``abort()`` is asked at every
+        vertical blank and ends the scan with the fault it returns. Ends within the sequence's length plus 5 s.
+        """
+        period_ns = 1e9 / self._settings.refresh_hz
+        begun_ns = self._clock.now_ns()
+        recordings: dict[str, Recording] = {}
+        flips: list[Flip] = []
+        sync: list[SyncMap] = []
+        start: list[int | None] = []
+        fault: Fault | None = None
+        events: list[BoardEvent] = []
+
+        def should_stop() -> bool:
+            nonlocal fault
+            fault = fault or abort()
+            return fault is not None or any(r.done and not r.complete for r in recordings.values())
+
+        def arm(flip: Flip) -> int | None:
+            found = synchronise(self._board, flip, period_ns)
+            lead = LEAD_BLANKS + round((self._clock.now_ns() - flip.time_ns) / period_ns)
+            self._board.arm(
+                len(sequence), found.count + lead, self._settings.trigger_delay_us, self._settings.exposure_us
+            )
+            sync.append(found)
+            planned = None if flip.sequence is None else flip.sequence + lead
+            start.append(planned)
+            start.append(found.count + lead)
+            return planned
+
+        try:
+            self._prepare(events)
+            for side in SIDES:
+                grabber = self._grabbers[side]
+                recordings[side] = grabber.record(store.frames(side), partial(on_frame, side))
+            for side in SIDES:
+                if not self._grabbers[side].wait(recordings[side], "ready", READY_TIMEOUT_S):
+                    raise _Aborted(
+                        Fault(
+                            FaultCode.CAMERA_REFUSED,
+                            f"camera.{side} did not start in {READY_TIMEOUT_S} s",
+                            {},
+                            f"camera.{side}",
+                        )
+                    )
+            begun_ns = self._clock.now_ns()
+            flips = self._projector.play(range(len(sequence)), len(sequence), arm, should_stop)
+            whole = len(flips) == len(sequence)
+            for side in SIDES:
+                if whole:
+                    self._grabbers[side].wait(recordings[side], "done", COLLECT_TIMEOUT_S)
+        except _Aborted as aborted:
+            fault = aborted.fault
+        except SyncError as error:
+            fault = Fault(FaultCode.SYNC_LOST, str(error), {}, "board")
+        except DeviceError as error:
+            fault = device_fault(error.device, error.message)
+        recording_s = (self._clock.now_ns() - begun_ns) / 1e9
+        for side, recording in recordings.items():
+            if not recording.done:
+                self._grabbers[side].cancel(recording)
+                self._grabbers[side].wait(recording, "done", COLLECT_TIMEOUT_S)
+        pulses = self._collect_pulses(len(sequence) if start and fault is None else 0, events)
+        if len(pulses) < len(sequence):
+            self._disarm()
+        ledger = Ledger(
+            expected=len(sequence),
+            period_ns=period_ns,
+            start_sequence=start[0] if start else None,
+            start_vsync=start[1] if start else None,
+            delay_us=self._settings.trigger_delay_us,
+            flips=tuple(flips),
+            pulses=tuple(pulses),
+            frames={side: tuple(r.frames) for side, r in recordings.items()},
+            sync=sync[0] if sync else None,
+        )
+        return CaptureReport(
+            fault=_first_fault(fault, recordings, events, ledger),
+            ledger=ledger,
+            recording_s=recording_s,
+            board_events=tuple(events),
+        )
+
+    def _prepare(self, events: list[BoardEvent]) -> None:
+        self._board.stop()
+        lasers = self._board.set_lasers(False, False)
+        if lasers.left_on or lasers.right_on:
+            which = " and ".join(n for n, on in (("left", lasers.left_on), ("right", lasers.right_on)) if on)
+            raise _Aborted(
+                Fault(FaultCode.LASER_ON, f"the {which} laser still conducts after switching off", {}, "board")
+            )
+        for side in SIDES:
+            if not self._grabbers[side].idle():
+                raise _Aborted(
+                    Fault(FaultCode.CAMERA_REFUSED, f"camera.{side} did not leave live view", {}, f"camera.{side}")
+                )
+        for _ in range(MAX_BOARD_EVENTS):
+            event = self._board.next_event(0.0)
+            if event is None:
+                return
+            if not isinstance(event, Pulse | PulsesDone):
+                events.append(event)
+
+    def _collect_pulses(self, expected: int, events: list[BoardEvent]) -> list[Pulse]:
+        pulses: list[Pulse] = []
+        for _ in range(MAX_BOARD_EVENTS):
+            event = self._board.next_event(PULSE_TIMEOUT_S if expected else 0.0)
+            match event:
+                case None | PulsesDone():
+                    break
+                case Pulse():
+                    pulses.append(event)
+                case _:
+                    events.append(event)
+        return pulses
+
+    def _disarm(self) -> None:
+        with suppress(DeviceError):  # its loss is reported by its own event
+            self._board.stop()
+
+
+def device_fault(device: str, detail: str) -> Fault:
+    """The fault that a lost device makes of a scan."""
+    codes = {"projector": FaultCode.PROJECTOR_LOST, "display": FaultCode.DISPLAY_LOST, "board": FaultCode.BOARD_LOST}
+    code = FaultCode.CAMERA_LOST if device.startswith("camera") else codes.get(device, FaultCode.INTERNAL)
+    return Fault(code, detail, {}, device)
+
+
+def _first_fault(
+    fault: Fault | None, recordings: Mapping[str, Recording], events: list[BoardEvent], ledger: Ledger
+) -> Fault | None:
+    """Lost devices explain everything else, so they come first; then what stopped the play; then the audit."""
+    for side, recording in recordings.items():
+        if recording.lost is not None:
+            return device_fault(f"camera.{side}", recording.lost)
+    for event in events:
+        match event:
+            case BoardBooted():
+                return Fault(FaultCode.BOARD_RESET, f"the board restarted ({event.cause})", {}, "board")
+            case BoardLost():
+                return Fault(FaultCode.BOARD_LOST, event.reason, {}, "board")
+            case VsyncLost():
+                return Fault(FaultCode.VSYNC_LOST, "no vertical sync from the projector's video", {}, "board")
+            case _:
+                pass
+    if fault is not None:
+        return fault
+    if _ended_by_a_frame(ledger):
+        return frame_fault(ledger, "left") or frame_fault(ledger, "right") or audit(ledger)
+    return audit(ledger)
+
+
+def _ended_by_a_frame(ledger: Ledger) -> bool:
+    """The flips were in time as far as they went, but not all were played: a bad frame is the cause."""
+    if len(ledger.flips) == ledger.expected or not ledger.flips:
+        return False
+    last = ledger.flips[-1].sequence
+    return last is None or ledger.start_sequence is None or last == ledger.start_sequence + len(ledger.flips) - 1

@@ -1,0 +1,66 @@
+"""Owns the model of the instrument's eyes: a lens behind its port at its place, and the two of them together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.optics.pinhole import Lens
+from appliance.optics.port import Port, air_directions, water_rays
+
+Array = NDArray[np.float64]
+Matrix3 = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
+
+IDENTITY: Matrix3 = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+
+@dataclass(frozen=True, slots=True)
+class HousedCamera:
+    """A camera in its housing. ``rotation`` and ``translation_mm`` map its frame into the left camera frame."""
+
+    width_px: int
+    height_px: int
+    lens: Lens
+    port: Port
+    rotation: Matrix3 = IDENTITY
+    translation_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def rays(self, uv_px: Array, water_index: float) -> tuple[Array, Array]:
+        """Water rays of pixels (..., 2): (origins on the outer glass face, unit directions), left camera frame, mm."""
+        origin, direction = water_rays(self.port, water_index, self.lens.to_directions(uv_px))
+        R = np.asarray(self.rotation)
+        return origin @ R.T + np.asarray(self.translation_mm), direction @ R.T
+
+    def project(self, points_mm: Array, water_index: float) -> Array:
+        """Pixels (..., 2) of water points (..., 3) in the left camera frame; NaN for points that are not in the water
+        before the camera. Not limited to the image."""
+        R = np.asarray(self.rotation)
+        local = (np.asarray(points_mm, np.float64) - np.asarray(self.translation_mm)) @ R
+        direction = air_directions(self.port, water_index, local)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            xy = direction[..., :2] / np.where(direction[..., 2:] > 0.0, direction[..., 2:], np.nan)
+        return self.lens.to_pixels(xy)
+
+
+@dataclass(frozen=True, slots=True)
+class StereoRig:
+    """Both cameras; the left one's frame is the frame of everything measured."""
+
+    left: HousedCamera
+    right: HousedCamera
+
+    def volume_centre_mm(self, water_index: float) -> Array:
+        """Where the two central rays come nearest, (3,), left camera frame: the middle of the measuring volume."""
+        centres = []
+        for camera in (self.left, self.right):
+            uv = np.array([(camera.width_px - 1) / 2.0, (camera.height_px - 1) / 2.0])
+            centres.append(camera.rays(uv, water_index))
+        (p1, d1), (p2, d2) = centres
+        w = p1 - p2
+        b, d, e = float(d1 @ d2), float(d1 @ w), float(d2 @ w)
+        det = 1.0 - b * b
+        if det < 1e-6:
+            raise ValueError("the axes of the two cameras are parallel; check the calibration's relative orientation")
+        return np.asarray(0.5 * (p1 + (b * e - d) / det * d1 + p2 + (e - b * d) / det * d2))

@@ -1,0 +1,87 @@
+"""Owns the lens in air: pixels to directions and back, with the five-parameter distortion of OpenCV."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+MAX_ITERATIONS = 30
+TOLERANCE = 1e-14
+
+
+@dataclass(frozen=True, slots=True)
+class Lens:
+    """A pinhole with distortion. Normalised coordinates are x = X/Z, y = Y/Z in the camera frame."""
+
+    f_px: tuple[float, float]
+    """Principal distance (f_u, f_v) in px."""
+    c_px: tuple[float, float]
+    """Principal point (c_u, c_v) in px; (0, 0) is the centre of the top left pixel."""
+    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    """k1, k2, p1, p2, k3 as OpenCV defines them."""
+
+    def to_pixels(self, xy: Array) -> Array:
+        """Pixels (..., 2) of ideal normalised coordinates (..., 2)."""
+        return np.asarray(distort(xy, self.distortion) * np.asarray(self.f_px) + np.asarray(self.c_px))
+
+    def to_normalised(self, uv: Array) -> Array:
+        """Ideal normalised coordinates (..., 2) of pixels (..., 2); inverts ``to_pixels`` to 1e-12."""
+        return undistort((np.asarray(uv, np.float64) - np.asarray(self.c_px)) / np.asarray(self.f_px), self.distortion)
+
+    def to_directions(self, uv: Array) -> Array:
+        """Unit directions in air (..., 3), camera frame, of pixels (..., 2)."""
+        xy = self.to_normalised(uv)
+        direction = np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1)
+        return np.asarray(direction / np.linalg.norm(direction, axis=-1, keepdims=True))
+
+
+def distort(xy: Array, distortion: tuple[float, float, float, float, float]) -> Array:
+    """Distorted normalised coordinates (..., 2) of ideal ones (..., 2)."""
+    k1, k2, p1, p2, k3 = distortion
+    x, y = np.asarray(xy, np.float64)[..., 0], np.asarray(xy, np.float64)[..., 1]
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    return np.stack(
+        [
+            x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+            y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
+        ],
+        axis=-1,
+    )
+
+
+def undistort(xy_distorted: Array, distortion: tuple[float, float, float, float, float]) -> Array:
+    """Inverse of ``distort`` by Newton's method; raises ValueError where the lens folds over within the image."""
+    target = np.asarray(xy_distorted, np.float64)
+    if not any(distortion):
+        return target.copy()
+    k1, k2, p1, p2, k3 = distortion
+    xy = target.copy()
+    for _ in range(MAX_ITERATIONS):
+        residual = distort(xy, distortion) - target
+        if float(np.max(np.abs(residual), initial=0.0)) < TOLERANCE:
+            return xy
+        x, y = xy[..., 0], xy[..., 1]
+        r2 = x * x + y * y
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        slope = 2.0 * (k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3))
+        xx = radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
+        xy_ = slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y
+        yy = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
+        det = xx * yy - xy_ * xy_
+        xy = xy - np.stack(
+            [
+                (yy * residual[..., 0] - xy_ * residual[..., 1]) / det,
+                (xx * residual[..., 1] - xy_ * residual[..., 0]) / det,
+            ],
+            axis=-1,
+        )
+    if float(np.max(np.abs(distort(xy, distortion) - target), initial=0.0)) > 1e-9:
+        raise ValueError(
+            f"lens distortion {distortion} cannot be inverted within the image; recalibrate the camera in air"
+        )
+    return xy

@@ -1,0 +1,44 @@
+"""Owns the refractive index of water."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Water:
+    """The water around the instrument, and the colour it is looked at in."""
+
+    temperature_c: float
+    salinity_psu: float
+    wavelength_nm: float
+
+    @property
+    def index(self) -> float:
+        """Refractive index relative to air (Quan & Fry 1995)."""
+        return quan_fry_index(self.temperature_c, self.salinity_psu, self.wavelength_nm)
+
+
+def quan_fry_index(temperature_c: float, salinity_psu: float, wavelength_nm: float) -> float:
+    """Refractive index of water relative to air, Quan & Fry, Applied Optics 34 (1995) 3477, Eq. 3.
+
+    Valid for 0..30 °C, 0..35 psu, 400..700 nm; raises ValueError well outside of it (-2..40, 0..45, 380..750).
+    """
+    for name, value, low, high, unit in (
+        ("water temperature", temperature_c, -2.0, 40.0, "°C"),
+        ("salinity", salinity_psu, 0.0, 45.0, "psu"),
+        ("wavelength", wavelength_nm, 380.0, 750.0, "nm"),
+    ):
+        if not low <= value <= high:
+            raise ValueError(
+                f"{name} {value:g} {unit}; allowed are {low:g}..{high:g} {unit}; correct the water settings"
+            )
+    t, s, w = temperature_c, salinity_psu, wavelength_nm
+    return (
+        1.31405
+        + (1.779e-4 - 1.05e-6 * t + 1.6e-8 * t * t) * s
+        - 2.02e-6 * t * t
+        + (15.868 + 0.01155 * s - 0.00423 * t) / w
+        - 4382.0 / w**2
+        + 1.1455e6 / w**3
+    )

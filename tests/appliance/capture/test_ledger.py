@@ -1,0 +1,141 @@
+"""Four witnesses: any one that disagrees makes a named fault; clean sequences of any clock offset pass."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from appliance.capture.fault import FaultCode
+from appliance.capture.ledger import Ledger, audit
+from appliance.capture.sync import map_vsync
+from drivers.api import Flip, Frame, FrameStatus, Pulse, Vsync
+
+N = 24
+PERIOD_NS = 1e9 / 60
+DELAY_US = 500
+BOARD_START_US = 5_000_000
+
+
+def clean() -> Ledger:
+    flips = tuple(Flip(k, 1000 + k, int(7e9 + k * PERIOD_NS)) for k in range(N))
+    vsync = Vsync(200, BOARD_START_US, BOARD_START_US + 1000, int(7e9 + 0.5e6), int(7e9 + 1.5e6))
+    sync = map_vsync(flips[0], vsync, PERIOD_NS)
+    assert sync is not None
+    pulses = tuple(Pulse(k, 200 + k, int(BOARD_START_US + DELAY_US + k * PERIOD_NS / 1000)) for k in range(N))
+
+    def frames(offset_ns: int, ppm: float) -> tuple[Frame, ...]:
+        return tuple(
+            Frame(
+                FrameStatus.COMPLETE, 5 + k, int(offset_ns + k * PERIOD_NS * (1 + ppm * 1e-6)), int(7e9 + k * PERIOD_NS)
+            )
+            for k in range(N)
+        )
+
+    return Ledger(
+        N, PERIOD_NS, 1000, 200, DELAY_US, flips, pulses, {"left": frames(10**12, 40), "right": frames(3, -40)}, sync
+    )
+
+
+def with_frames(ledger: Ledger, side: str, frames: list[Frame]) -> Ledger:
+    return replace(ledger, frames={**ledger.frames, side: tuple(frames)})
+
+
+def test_a_clean_sequence_passes_whatever_the_clocks_offsets_are() -> None:
+    assert audit(clean()) is None
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+@pytest.mark.parametrize("k", range(N))
+def test_a_dropped_frame(side: str, k: int) -> None:
+    frames = list(clean().frames[side])
+    del frames[k]
+    frames.append(Frame(FrameStatus.TIMEOUT, None, None, 0))
+    fault = audit(with_frames(clean(), side, frames))
+    assert fault is not None
+    assert fault.code is FaultCode.FRAME_MISSING
+    assert fault.numbers["received"] == N - 1
+    assert fault.device == f"camera.{side}"
+
+
+@pytest.mark.parametrize("k", range(N))
+def test_a_repeated_frame(k: int) -> None:
+    frames = list(clean().frames["left"])
+    frames.insert(k, frames[k])
+    fault = audit(with_frames(clean(), "left", frames[:N] if k < N - 1 else frames))
+    assert fault is not None
+    assert fault.code is FaultCode.FRAME_REPEATED
+
+
+@pytest.mark.parametrize("k", range(N - 1))
+def test_swapped_frames(k: int) -> None:
+    frames = list(clean().frames["right"])
+    frames[k], frames[k + 1] = frames[k + 1], frames[k]
+    fault = audit(with_frames(clean(), "right", frames))
+    assert fault is not None
+    assert fault.code is FaultCode.FRAME_ORDER
+
+
+@pytest.mark.parametrize(
+    ("status", "code"),
+    [
+        (FrameStatus.TRUNCATED, FaultCode.FRAME_TRUNCATED),
+        (FrameStatus.CORRUPT, FaultCode.FRAME_CORRUPT),
+        (FrameStatus.WRONG_ID, FaultCode.FRAME_CORRUPT),
+        (FrameStatus.DISCARDED, FaultCode.FRAME_MISSING),
+    ],
+)
+def test_a_damaged_frame(status: FrameStatus, code: FaultCode) -> None:
+    frames = [*clean().frames["left"][:9], Frame(status, 14, None, 0, "cut")]
+    fault = audit(with_frames(clean(), "left", frames))
+    assert fault is not None
+    assert (fault.code, fault.numbers["frame"]) == (code, 9)
+
+
+@pytest.mark.parametrize("k", range(N))
+def test_a_late_flip(k: int) -> None:
+    flips = [replace(f, sequence=(f.sequence or 0) + (1 if f.index >= k else 0)) for f in clean().flips]
+    fault = audit(replace(clean(), flips=tuple(flips)))
+    assert fault is not None
+    assert (fault.code, fault.numbers["frame"]) == (FaultCode.LATE_FLIP, k)
+
+
+@pytest.mark.parametrize("k", range(1, N))
+def test_a_late_flip_without_a_blank_counter(k: int) -> None:
+    flips = [
+        replace(f, sequence=None, time_ns=f.time_ns + (int(PERIOD_NS) if f.index >= k else 0)) for f in clean().flips
+    ]
+    fault = audit(replace(clean(), flips=tuple(flips), start_sequence=None))
+    assert fault is not None
+    assert fault.code is FaultCode.LATE_FLIP
+
+
+@pytest.mark.parametrize("k", range(N))
+def test_a_missing_pulse(k: int) -> None:
+    pulses = tuple(p for p in clean().pulses if p.index != k)
+    fault = audit(replace(clean(), pulses=pulses))
+    assert fault is not None
+    assert fault.code is FaultCode.PULSE_MISSING
+
+
+def test_pulses_a_blank_away_from_the_flips() -> None:
+    flips = tuple(replace(f, time_ns=f.time_ns + int(PERIOD_NS)) for f in clean().flips)
+    fault = audit(replace(clean(), flips=flips))
+    assert fault is not None
+    assert fault.code is FaultCode.PROJECTOR_TIMING
+
+
+def test_a_frame_exposed_off_its_pulse() -> None:
+    frames = list(clean().frames["right"])
+    frames[11] = replace(frames[11], camera_time_ns=(frames[11].camera_time_ns or 0) + 2_000_000)
+    fault = audit(with_frames(clean(), "right", frames))
+    assert fault is not None
+    assert fault.code is FaultCode.SYNC_LOST
+    assert fault.numbers["skew_ms"] == pytest.approx(2.0, abs=0.05)
+
+
+def test_a_slow_query_or_a_foreign_sync_supports_no_map() -> None:
+    flip = Flip(-1, 10, int(7e9))
+    assert map_vsync(flip, Vsync(9, 1000, 1000, int(7e9), int(7e9 + 9e6)), PERIOD_NS) is None, "took half a period"
+    half_a_period_off = Vsync(9, 1000, 1000 + 8333, int(7e9 + 16.5e6), int(7e9 + 16.8e6))
+    assert map_vsync(flip, half_a_period_off, PERIOD_NS) is None

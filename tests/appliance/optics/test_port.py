@@ -1,0 +1,121 @@
+"""Light obeys Snell's law, projecting and back-projecting agree, and the paper's corrected model is a special case."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from appliance.optics.model import HousedCamera
+from appliance.optics.pinhole import Lens
+from appliance.optics.port import Port, air_directions, refract, water_rays
+from appliance.optics.rays import ray_lattice
+from appliance.optics.water import quan_fry_index
+
+N_WATER = 1.3352
+TILTED = Port(
+    (math.sin(0.03), math.sin(-0.02), math.sqrt(1 - math.sin(0.03) ** 2 - math.sin(0.02) ** 2)), 30.0, 5.0, 1.77
+)
+LENS = Lens((2555.6, 2555.1), (803.0, 594.0), (-0.11, 0.05, 3e-4, -2e-4, 0.01))
+
+
+def directions(seed: int, n: int = 200) -> np.ndarray:
+    xy = np.random.default_rng(seed).uniform(-0.32, 0.32, (n, 2))
+    a = np.concatenate([xy, np.ones((n, 1))], 1)
+    return a / np.linalg.norm(a, axis=1, keepdims=True)
+
+
+def test_refraction_obeys_snell_and_stays_in_plane() -> None:
+    a, n = directions(1), np.array(TILTED.normal)
+    w = refract(a, n, 1 / N_WATER)
+    np.testing.assert_allclose(np.linalg.norm(w, axis=1), 1.0, atol=1e-14)
+    sin_air = np.linalg.norm(np.cross(a, n), axis=1)
+    sin_water = np.linalg.norm(np.cross(w, n), axis=1)
+    np.testing.assert_allclose(sin_air, N_WATER * sin_water, atol=1e-14)
+    np.testing.assert_allclose(np.sum(np.cross(a, n) * w, 1), 0.0, atol=1e-14)
+
+
+def test_the_path_through_the_port_takes_least_time() -> None:
+    a, n = directions(2, 20), np.array(TILTED.normal)
+    outer, w = water_rays(TILTED, N_WATER, a)
+    inner = a * (TILTED.distance_mm / (a @ n))[:, None]
+    target = outer + 400.0 * w
+
+    def optical_path(p: np.ndarray, q: np.ndarray) -> np.ndarray:
+        return (
+            np.linalg.norm(p, axis=1)
+            + TILTED.glass_index * np.linalg.norm(q - p, axis=1)
+            + N_WATER * np.linalg.norm(target - q, axis=1)
+        )
+
+    along = np.cross(n, [0.0, 1.0, 0.0])
+    along /= np.linalg.norm(along)
+    best = optical_path(inner, outer)
+    for axis in (along, np.cross(n, along)):
+        for shift_p, shift_q in ((1e-2, 0.0), (-1e-2, 0.0), (0.0, 1e-2), (0.0, -1e-2)):
+            assert (optical_path(inner + shift_p * axis, outer + shift_q * axis) > best).all()
+
+
+def test_projection_inverts_the_ray() -> None:
+    a = directions(3)
+    point, w = water_rays(TILTED, N_WATER, a)
+    for depth_mm in (1.0, 400.0, 700.0):
+        seen = air_directions(TILTED, N_WATER, point + depth_mm * w)
+        seen /= np.linalg.norm(seen, axis=1, keepdims=True)
+        np.testing.assert_allclose(seen, a, atol=1e-13)
+
+
+def test_pixels_survive_the_round_trip_through_lens_port_and_water() -> None:
+    camera = HousedCamera(
+        1600, 1200, LENS, TILTED, ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0)), (10.0, -5.0, 3.0)
+    )
+    v, u = np.mgrid[0:1200:97, 0:1600:113].astype(float)
+    uv = np.stack([u, v], -1)
+    origin, direction = camera.rays(uv, N_WATER)
+    np.testing.assert_allclose(camera.project(origin + 510.0 * direction, N_WATER), uv, atol=1e-9)
+
+
+def test_a_perpendicular_port_is_the_papers_ray_model() -> None:
+    c, d, th, n_g = 2555.6, 30.0, 5.0, 1.77
+    port = Port((0.0, 0.0, 1.0), d, th, n_g)
+    r = np.array([50.0, 400.0, 900.0])
+    tan_a = r / c
+    sin_a = np.sin(np.arctan(tan_a))
+    tan_g, tan_w = np.tan(np.arcsin(sin_a / n_g)), np.tan(np.arcsin(sin_a / N_WATER))
+    shift = d * (tan_a / tan_w - 1) - th * (1 - tan_g / tan_w)
+    a = np.stack([r / c, 0 * r, np.ones(3)], -1)
+    a /= np.linalg.norm(a, axis=1, keepdims=True)
+    point, w = water_rays(port, N_WATER, a)
+    on_axis = point[:, 2] - point[:, 0] * w[:, 2] / w[:, 0]
+    np.testing.assert_allclose(on_axis, -shift, atol=1e-10)
+    np.testing.assert_allclose(w[:, 0] / w[:, 2], tan_w, atol=1e-14)
+
+
+def test_points_inside_the_housing_are_not_seen() -> None:
+    assert np.isnan(air_directions(TILTED, N_WATER, np.array([[1.0, 2.0, 20.0]]))).all()
+
+
+@pytest.mark.parametrize(("t_c", "s_psu", "nm", "index"), [(20.0, 0.0, 589.3, 1.33300), (20.0, 35.0, 589.3, 1.33940)])
+def test_water_index_has_its_published_value(t_c: float, s_psu: float, nm: float, index: float) -> None:
+    assert quan_fry_index(t_c, s_psu, nm) == pytest.approx(index, abs=3e-4)
+
+
+def test_water_out_of_range_is_named() -> None:
+    with pytest.raises(ValueError, match=r"salinity 60 psu; allowed are 0\.\.45 psu"):
+        quan_fry_index(20.0, 60.0, 530.0)
+
+
+def test_lattice_interpolation_stays_below_a_micrometre() -> None:
+    camera = HousedCamera(1600, 1200, LENS, TILTED)
+    lattice = ray_lattice(camera, N_WATER, 535.0)
+    uv = np.random.default_rng(5).uniform(0, [1599, 1199], (2000, 2))
+    i, j = (uv // lattice.step_px).astype(int).T
+    fx, fy = (uv / lattice.step_px - np.stack([i, j], -1)).T[..., None]
+    n = lattice.nodes.astype(float)
+    ray = (n[j, i] * (1 - fx) + n[j, i + 1] * fx) * (1 - fy) + (n[j + 1, i] * (1 - fx) + n[j + 1, i + 1] * fx) * fy
+    origin, direction = camera.rays(uv, N_WATER)
+    for z_mm in (460.0, 535.0, 600.0):
+        exact = origin + direction * ((z_mm - origin[:, 2]) / direction[:, 2])[:, None]
+        near = ray[:, :2] + ray[:, 2:] * (z_mm - lattice.plane_z_mm)
+        assert np.abs(near - exact[:, :2]).max() < 0.0012

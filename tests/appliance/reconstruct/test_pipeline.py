@@ -1,0 +1,89 @@
+"""Frames of a tilted plane come back as that plane; noise grows as the theory says; shadows stay empty."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from appliance.patterns.sequence import build_sequence
+from appliance.reconstruct.decode import Mask
+from appliance.reconstruct.pipeline import Pipeline
+from tests.support import synthetic
+
+NORMAL = np.array([0.25, -0.1, 1.0]) / np.linalg.norm([0.25, -0.1, 1.0])
+
+
+def record(period_px: int, noise_dn: float, seed: int = 1) -> tuple[Pipeline, np.ndarray, float]:
+    cal = synthetic.calibration()
+    sequence = build_sequence(period_px)
+    index = synthetic.WATER.index
+    offset = float(NORMAL @ cal.rig.volume_centre_mm(index))
+    beamer = synthetic.projector(cal)
+    pipeline = Pipeline(cal, synthetic.WATER, sequence)
+    rng = np.random.default_rng(seed)
+    truth = np.empty(0)
+    for side, camera in (("left", cal.rig.left), ("right", cal.rig.right)):
+        pq = beamer.project(synthetic.plane_points(camera, NORMAL, offset), index)
+        image = synthetic.frames(sequence, pq)
+        image = image + noise_dn * rng.standard_normal(image.shape)
+        stack = np.clip(np.rint(image), 0, 255).astype(np.uint8)
+        for k in range(len(sequence)):
+            pipeline.push(side, stack, k)
+        if side == "left":
+            truth = pq
+    return pipeline, truth, offset
+
+
+@pytest.mark.parametrize("period_px", [16, 32, 64])
+def test_a_plane_is_measured_as_a_plane(period_px: int) -> None:
+    pipeline, truth, offset = record(period_px, 0.0)
+    coarse = pipeline.coarse()
+    full = pipeline.full()
+    lit = ((truth > 1) & (truth < [1022, 766])).all(-1)
+    assert len(full.points_mm) > 0.97 * np.count_nonzero(lit[2:-2, 2:-2])
+    residual = full.points_mm @ NORMAL - offset
+    assert np.abs(residual).max() < 0.12 * period_px / 16, "quantisation to 8 bit alone"
+    assert abs(residual.mean()) < 0.002 * period_px / 16
+    assert np.median(full.ray_gap_mm) < 0.02 * period_px / 16
+    assert set(coarse.pixel) <= set(full.pixel) or len(set(coarse.pixel) - set(full.pixel)) < 0.02 * len(coarse.pixel)
+
+
+@pytest.mark.parametrize("period_px", [16, 64])
+def test_decoded_coordinates_are_those_projected(period_px: int) -> None:
+    pipeline, truth, _ = record(period_px, 0.0)
+    pipeline.coarse()
+    left = pipeline.decoded("left")
+    valid = left.mask == Mask.VALID
+    error = np.stack([left.p_px, left.q_px], -1)[valid] - truth[valid]
+    assert np.abs(error).max() < 0.012 * period_px / 16 * 2
+
+
+@pytest.mark.parametrize("period_px", [16, 32])
+def test_sigma_predicts_the_scatter(period_px: int) -> None:
+    pipeline, _, offset = record(period_px, 1.6)
+    pipeline.coarse()
+    full = pipeline.full()
+    residual = full.points_mm @ NORMAL - offset
+    assert np.std(residual) == pytest.approx(np.median(full.sigma_mm) * NORMAL[2], rel=0.25)
+
+
+def test_without_projector_light_there_is_no_point() -> None:
+    cal = synthetic.calibration()
+    sequence = build_sequence(16)
+    pipeline = Pipeline(cal, synthetic.WATER, sequence)
+    dark = np.random.default_rng(3).integers(10, 14, (len(sequence), 300, 400)).astype(np.uint8)
+    for k in range(len(sequence)):
+        pipeline.push("left", dark, k)
+        pipeline.push("right", dark, k)
+    assert len(pipeline.coarse().points_mm) == 0
+    cloud = pipeline.full()
+    assert len(cloud.points_mm) == 0
+    assert cloud.summary.noise_mm is None
+
+
+def test_a_frame_out_of_order_is_refused() -> None:
+    pipeline = Pipeline(synthetic.calibration(), synthetic.WATER, build_sequence(16))
+    stack = np.zeros((24, 300, 400), np.uint8)
+    pipeline.push("left", stack, 0)
+    with pytest.raises(ValueError, match="frame 2 was pushed; frame 1 is next"):
+        pipeline.push("left", stack, 2)

@@ -1,0 +1,71 @@
+"""Frames of a known surface, made with plain float64 NumPy from the product's own optics: for exactness, not for truth.
+
+The simulated world is the judge of the instrument; this only makes frames whose coordinates are known to 1e-9, so that
+decoding, matching and triangulation can be held against closed forms.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.calibration.design import Design, design_calibration
+from appliance.calibration.file import Calibration
+from appliance.optics.model import HousedCamera
+from appliance.optics.pinhole import Lens
+from appliance.optics.port import Port
+from appliance.optics.water import Water
+from appliance.patterns.sequence import Direction, PatternSequence
+
+WATER = Water(20.0, 0.0, 530.0)
+
+
+def calibration(width_px: int = 400, height_px: int = 300) -> Calibration:
+    design = Design(11.5, 4.5 * 1600 / width_px, 230.0, 12.41, 30.0, 5.0, 1.77)
+    return design_calibration(design, "KF-TEST", width_px, height_px, WATER)
+
+
+def projector(cal: Calibration) -> HousedCamera:
+    """A projector in the middle of the baseline, as a camera in the left frame."""
+    toe = math.radians(12.41)
+    c, s = math.cos(toe), math.sin(toe)
+    rotation = ((c, 0.0, -s), (0.0, 1.0, 0.0), (s, 0.0, c))
+    f = 16.9 / 0.0108
+    middle = 0.5 * np.asarray(cal.rig.right.translation_mm)
+    return HousedCamera(
+        1024,
+        768,
+        Lens((f, f), (511.5, 383.5)),
+        Port((0.0, 0.0, 1.0), 30.0, 5.0, 1.77),
+        rotation,
+        (float(middle[0]), float(middle[1]), float(middle[2])),
+    )
+
+
+def plane_points(camera: HousedCamera, normal: NDArray[np.float64], offset_mm: float) -> NDArray[np.float64]:
+    """Where every pixel's ray meets the plane normal·X = offset: (h, w, 3) mm."""
+    v, u = np.mgrid[0 : camera.height_px, 0 : camera.width_px].astype(float)
+    origin, direction = camera.rays(np.stack([u, v], -1), WATER.index)
+    return np.asarray(origin + direction * ((offset_mm - origin @ normal) / (direction @ normal))[..., None])
+
+
+def frames(
+    sequence: PatternSequence, pq: NDArray[np.float64], mean: float = 110.0, amplitude: float = 80.0
+) -> NDArray[np.float64]:
+    """Ideal intensities (n, h, w) float64 of pattern coordinates (h, w, 2); NaN coordinates are dark."""
+    out = np.empty((len(sequence), *pq.shape[:2]))
+    for k, pattern in enumerate(sequence.patterns):
+        x = pq[..., 0 if pattern.direction is Direction.X else 1]
+        codes = pattern.codes().astype(float)
+        if pattern.kind.value == "sine":
+            phase = 2 * np.pi * (x + 0.5) / pattern.period_px + pattern.index * np.pi / 2
+            image = mean + amplitude * np.cos(phase)
+        else:
+            nearest = np.clip(np.rint(np.nan_to_num(x)), 0, pattern.size_px - 1).astype(int)
+            image = np.where(codes[nearest] > 128, mean + amplitude, mean - amplitude)
+        lit = np.isfinite(pq).all(-1) & (pq[..., 0] > -0.5) & (pq[..., 0] < sequence.width_px - 0.5)
+        lit &= (pq[..., 1] > -0.5) & (pq[..., 1] < sequence.height_px - 0.5)
+        out[k] = np.where(lit, image, 3.0)
+    return out
