@@ -149,6 +149,10 @@ class CameraDecoder:
         self._half = {d: inverse_gray(len(sequence.axis(d).gray)) for d in Direction}
         self._next = 0
 
+    def reset(self) -> None:
+        """Expect frame 0 next."""
+        self._next = 0
+
     def push(self, frames: NDArray[np.uint8], index: int) -> None:
         """Work on frame ``index`` of ``frames`` (n, h, w) uint8. Raises ValueError unless frames come as 0, 1, …"""
         if index != self._next:

@@ -79,6 +79,11 @@ class Pipeline:
         if side == "left" and index == self._sequence.bright:
             self._bright = frames[index]
 
+    def reset(self) -> None:
+        """Forget a scan that was begun; the next frame is frame 0."""
+        for decoder in self._decoders.values():
+            decoder.reset()
+
     def decoded(self, side: str) -> CameraDecoder:
         """The decoder of one side, for its maps."""
         return self._decoders[side]
