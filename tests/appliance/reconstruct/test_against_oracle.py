@@ -1,0 +1,85 @@
+"""The kernels agree with the plain float64 oracle on noisy frames of every period, also where sizes are odd."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from appliance.optics.rays import ray_lattice
+from appliance.patterns.sequence import build_sequence
+from appliance.reconstruct.decode import MAX_GRAY_DISAGREEMENT, MIN_CONTRAST_DN, MIN_MODULATION_DN, CameraDecoder, Mask
+from appliance.reconstruct.pipeline import Pipeline
+from tests.support import oracle, synthetic
+
+NORMAL = np.array([-0.2, 0.15, 1.0]) / np.linalg.norm([-0.2, 0.15, 1.0])
+
+
+def noisy_scan(period_px: int, width_px: int, height_px: int) -> dict[str, np.ndarray]:
+    cal = synthetic.calibration(width_px, height_px)
+    sequence = build_sequence(period_px)
+    index = synthetic.WATER.index
+    offset = float(NORMAL @ cal.rig.volume_centre_mm(index))
+    rng = np.random.default_rng(period_px)
+    out = {}
+    for side, camera in (("left", cal.rig.left), ("right", cal.rig.right)):
+        pq = synthetic.projector(cal).project(synthetic.plane_points(camera, NORMAL, offset), index)
+        image = synthetic.frames(sequence, pq)
+        out[side] = np.clip(np.rint(image + 1.6 * rng.standard_normal(image.shape)), 0, 255).astype(np.uint8)
+    return out
+
+
+@pytest.mark.parametrize("period_px", [16, 21, 32, 64])
+@pytest.mark.parametrize("size_px", [(400, 300), (333, 251)])
+def test_decoding(period_px: int, size_px: tuple[int, int]) -> None:
+    sequence = build_sequence(period_px)
+    stack = noisy_scan(period_px, *size_px)["left"]
+    decoder = CameraDecoder(sequence, *size_px)
+    for k in range(len(sequence)):
+        decoder.push(stack, k)
+    before_edges = decoder.mask.copy()
+    expected = oracle.decode(sequence, stack)
+    shadow = stack[sequence.bright].astype(int) - stack[sequence.dark] < MIN_CONTRAST_DN
+    np.testing.assert_array_equal(before_edges == Mask.SHADOW, shadow)
+    valid = before_edges == Mask.VALID
+    assert valid.mean() > 0.6
+    got = np.stack([decoder.p_px, decoder.q_px], -1)[valid]
+    assert np.abs(got - expected.pq[valid]).max() < 2e-4, "float32 against float64"
+    assert (expected.modulation[valid] >= MIN_MODULATION_DN - 1e-3).all()
+    assert (np.abs(expected.offset[valid]) <= MAX_GRAY_DISAGREEMENT + 1e-4).all()
+
+
+@pytest.mark.parametrize("period_px", [16, 32, 64])
+def test_points(period_px: int) -> None:
+    cal = synthetic.calibration()
+    sequence = build_sequence(period_px)
+    stacks = noisy_scan(period_px, 400, 300)
+    pipeline = Pipeline(cal, synthetic.WATER, sequence)
+    for side, stack in stacks.items():
+        for k in range(len(sequence)):
+            pipeline.push(side, stack, k)
+    pipeline.coarse()
+    cloud = pipeline.full()
+    left, right = oracle.decode(sequence, stacks["left"]), oracle.decode(sequence, stacks["right"])
+    v, u = np.divmod(cloud.pixel.astype(np.int64), 400)
+    right_valid = pipeline.decoded("right").mask == Mask.VALID
+    right_uv = oracle.match(left.pq[v, u], right.pq, right_valid)
+    found = np.isfinite(right_uv).all(-1)
+    assert found.mean() > 0.99
+    points, gap = oracle.triangulate(
+        cal, synthetic.WATER.index, np.stack([u, v], -1)[found].astype(float), right_uv[found]
+    )
+    difference = np.linalg.norm(cloud.points_mm[found] - points, axis=1)
+    assert np.median(difference) < 0.0015, "lattice interpolation and float32"
+    # Noise lets some points start from a neighbouring right pixel: another sample of the same noise.
+    assert np.quantile(difference, 0.85) < 0.004
+    assert np.quantile(difference, 0.999) < 8 * np.median(cloud.sigma_mm)
+    np.testing.assert_allclose(np.median(cloud.ray_gap_mm[found]), np.median(gap), rtol=0.02)
+
+
+def test_lattice_rays_pass_the_left_pixels() -> None:
+    cal = synthetic.calibration()
+    lattice = ray_lattice(cal.rig.right, synthetic.WATER.index, 535.0)
+    origin, direction = cal.rig.right.rays(np.array([40.0, 60.0]), synthetic.WATER.index)
+    node = lattice.nodes[60 // lattice.step_px, 40 // lattice.step_px]
+    at = origin + direction * (535.0 - origin[2]) / direction[2]
+    np.testing.assert_allclose(node[:2], at[:2], atol=1e-4)
