@@ -1,0 +1,296 @@
+"""Owns one USB3 Vision camera from opening to closing: what it is, how it is set, whether it streams."""
+
+from __future__ import annotations
+
+import threading
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.api import (
+    CameraIdentity,
+    CameraSettings,
+    Clock,
+    DeviceError,
+    DeviceGone,
+    DeviceRefused,
+    Frame,
+    Health,
+)
+from drivers.camera import u3v
+from drivers.camera.bootstrap import read_identification, read_stream_needs, read_technology
+from drivers.camera.control import ControlChannel, ControlCounters
+from drivers.camera.description import read_description
+from drivers.camera.features import Features
+from drivers.camera.spec import CameraSpec
+from drivers.camera.stream import StreamCounters, StreamGeometry, StreamReader
+from drivers.camera.usb import UsbCamera, default_backend, find_camera
+
+
+class UsbVisionCamera:
+    """A ``drivers.api.Camera`` behind USB3 Vision; open it with ``open`` and close it, or use it in ``with``.
+
+    Settings and start/stop may come from any thread; ``next_frame`` from one. ``start`` waits for a
+    ``next_frame`` that is under way.
+    """
+
+    def __init__(
+        self, spec: CameraSpec, usb: UsbCamera, control: ControlChannel, clock: Clock, host_speed_mbps: int | None
+    ) -> None:
+        """Read who the camera is and load its description; ``open`` is the usual way in."""
+        self._spec = spec
+        self._usb = usb
+        self._control = control
+        self._clock = clock
+        self._lock = threading.RLock()
+        self._reading = threading.Lock()
+        self._reader: StreamReader | None = None
+        self._settings: CameraSettings | None = None
+
+        who = read_identification(control)
+        technology = read_technology(control, who.sbrm_address)
+        if technology.stream_count < 1:
+            raise DeviceRefused(spec.name, "the camera has no image stream", "Use a USB3 Vision camera")
+        control.set_limits(technology.max_command_size, technology.max_answer_size, who.max_response_time_s)
+        self._sirm = technology.sirm_address
+        self._features = Features(spec.name, read_description(control, spec.name, who.manifest_address), control)
+        speed = host_speed_mbps if host_speed_mbps is not None else technology.link_speed_mbps
+        self._identity = CameraIdentity(who.vendor, who.model, who.serial, who.firmware, speed)
+
+    @classmethod
+    def open(cls, spec: CameraSpec, backend: Any, clock: Clock) -> Self:
+        """Find the camera by its serial number and open it; ``backend`` ``None`` means libusb-1.0.
+
+        A camera that was left streaming by a crashed program is stopped. Raises DeviceGone (not there),
+        DeviceRefused (no permission, in use, not a usable camera).
+        """
+        found = find_camera(default_backend() if backend is None else backend, spec.name, spec.serial)
+        usb = UsbCamera(spec.name, found)
+        try:
+            camera = cls(spec, usb, ControlChannel(spec.name, usb.control(), clock), clock, found.link_speed_mbps)
+            camera.stop()
+        except ValueError as error:
+            usb.close()
+            raise DeviceRefused(spec.name, f"its registers make no sense ({error})", "Update its firmware") from error
+        except BaseException:
+            usb.close()
+            raise
+        return camera
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Stop and release the camera; idempotent, silent when it is gone."""
+        with self._lock:
+            if self._reader is not None:
+                try:
+                    self._halt()
+                except DeviceError:
+                    self._reader = None
+            with self._reading:
+                self._usb.close()
+
+    @property
+    def identity(self) -> CameraIdentity:
+        return self._identity
+
+    @property
+    def link_is_fast(self) -> bool | None:
+        """True at SuperSpeed or better, False when the link fell back, ``None`` when nobody knows."""
+        speed = self._identity.link_speed_mbps
+        return None if speed is None else speed >= u3v.SUPERSPEED_MBPS
+
+    @property
+    def control_counters(self) -> ControlCounters:
+        """What the control channel had to repair."""
+        return self._control.counters
+
+    @property
+    def stream_counters(self) -> StreamCounters:
+        """What the stream met since ``start``; zeros when it does not run."""
+        reader = self._reader
+        return StreamCounters() if reader is None else reader.counters
+
+    def configure(self, settings: CameraSettings) -> CameraSettings:
+        """Apply ``settings`` and return what the camera really set; a running stream is started anew.
+
+        Hardware trigger on every rising edge, Mono8, automatic functions off. Raises DeviceRefused, DeviceGone.
+        """
+        with self._lock:
+            was_running = self._reader is not None
+            if was_running:
+                self._halt()
+            self._apply_format(settings)
+            self._apply_trigger()
+            self._settings = self._apply_light(settings)
+            if was_running:
+                self.start()
+            return self._settings
+
+    def start(self) -> None:
+        """Flush stale buffers, start the stream, wait for triggers.
+
+        May be called again at any time: what is queued by then is thrown away and block ids begin anew.
+        Raises DeviceRefused (not configured, stream refused), DeviceGone.
+        """
+        with self._lock, self._reading:
+            settings = self._settings
+            if settings is None:
+                raise DeviceRefused(self._spec.name, "started before it was configured", "Call configure first")
+            self._halt()
+            reader = self._prepare_stream(settings)
+            self._set_optional_number("TLParamsLocked", 1)
+            self._control.write_u32(self._sirm + u3v.SIRM_CONTROL, u3v.SIRM_ENABLE)
+            self._reader = reader
+            self._features.execute("AcquisitionStart")
+
+    def next_frame(self, slot: NDArray[np.uint8], timeout_s: float) -> Frame:
+        """Fill ``slot`` (height, width) uint8, C-contiguous, in place and without a copy.
+
+        A bad frame is a status. Raises DeviceRefused when the stream does not run, DeviceGone when the camera is
+        lost, ValueError for an unusable slot.
+        """
+        with self._reading:
+            reader = self._reader
+            if reader is None:
+                raise DeviceRefused(self._spec.name, "asked for a frame while stopped", "Call start first")
+            return reader.next_frame(slot, timeout_s)
+
+    def stop(self) -> None:
+        """End acquisition. Idempotent. Raises DeviceGone, DeviceRefused."""
+        with self._lock:
+            self._halt()
+
+    def temperature_c(self) -> float | None:
+        """Temperature of the camera, ``None`` where it has no sensor. Raises DeviceGone."""
+        with self._lock:
+            if not self._features.has("DeviceTemperature"):
+                return None
+            try:
+                return self._features.number("DeviceTemperature")
+            except DeviceRefused:
+                return None  # fitted, but not readable in this state: unknown, not zero
+
+    def health(self) -> Health:
+        """What ``kingfisher check`` shows. A lost camera is reported, not raised."""
+        identity = self._identity
+        details = {
+            "model": f"{identity.vendor} {identity.model}",
+            "serial": identity.serial,
+            "firmware": identity.firmware,
+            "link": "unknown" if identity.link_speed_mbps is None else f"{identity.link_speed_mbps} Mbit/s",
+        }
+        try:
+            temperature = self.temperature_c()
+        except DeviceGone as error:
+            return Health(self._spec.name, False, error.message, details)
+        details["temperature"] = "unknown" if temperature is None else f"{temperature:.1f} °C"
+        details["control retries"] = str(self._control.counters.retries)
+        if self.link_is_fast is False:
+            return Health(self._spec.name, False, f"link slow: {details['link']}, check the connector", details)
+        return Health(self._spec.name, True, f"{details['model']} {identity.serial}, {details['link']}", details)
+
+    # ----------------------------------------------------------------------------------------------- settings
+
+    def _apply_format(self, settings: CameraSettings) -> None:
+        features = self._features
+        self._choose_if_offered("AcquisitionMode", "Continuous")
+        features.choose("PixelFormat", "Mono8")
+        # Offsets first: they limit the size that is allowed.
+        self._set_optional_number("OffsetX", 0)
+        self._set_optional_number("OffsetY", 0)
+        for feature, wanted in (("Width", settings.width_px), ("Height", settings.height_px)):
+            got = features.set_number(feature, wanted)
+            if got != wanted:
+                raise DeviceRefused(
+                    self._spec.name, f"{feature}: asked for {wanted} px, got {got:g} px", "Correct the rig's size"
+                )
+
+    def _apply_trigger(self) -> None:
+        features = self._features
+        self._choose_if_offered("TriggerSelector", "FrameStart")
+        source = self._spec.trigger_source
+        if source is None:
+            lines = [symbol for symbol in features.choices("TriggerSource") if symbol.startswith("Line")]
+            if not lines:
+                raise DeviceRefused(self._spec.name, "offers no line as trigger source", "Use a triggerable camera")
+            source = lines[0]
+        features.choose("TriggerSource", source)
+        self._choose_if_offered("TriggerActivation", "RisingEdge")
+        features.choose("TriggerMode", "On")
+
+    def _apply_light(self, settings: CameraSettings) -> CameraSettings:
+        features = self._features
+        self._choose_if_offered("ExposureAuto", "Off")
+        self._choose_if_offered("GainAuto", "Off")
+        self._choose_if_offered("ExposureMode", "Timed")
+        exposure_us = features.set_number("ExposureTime", settings.exposure_us)
+        gain_db = 0.0
+        if features.has("Gain"):
+            self._choose_if_offered("GainSelector", "All")
+            gain_db = features.set_number("Gain", settings.gain_db)
+        elif settings.gain_db != 0.0:
+            raise DeviceRefused(self._spec.name, "has no gain to set", "Set gain_db = 0 in the rig file")
+        return CameraSettings(settings.width_px, settings.height_px, exposure_us, gain_db)
+
+    def _choose_if_offered(self, feature: str, symbol: str) -> None:
+        """Set an enumeration that not every camera has; one that has it must accept the symbol or lack it."""
+        features = self._features
+        if features.has(feature) and symbol in features.choices(feature) and features.writable(feature):
+            features.choose(feature, symbol)
+
+    def _set_optional_number(self, feature: str, value: float) -> None:
+        if self._features.has(feature) and self._features.writable(feature):
+            self._features.set_number(feature, value)
+
+    # ------------------------------------------------------------------------------------------------- stream
+
+    def _prepare_stream(self, settings: CameraSettings) -> StreamReader:
+        """Set the transfer sizes of a disabled stream: the image in ONE transfer, straight into the slot."""
+        needs = read_stream_needs(self._control, self._sirm)
+        pixels = settings.width_px * settings.height_px
+        if needs.payload_size != pixels:
+            raise DeviceRefused(
+                self._spec.name,
+                f"wants to send {needs.payload_size} bytes for an image of {pixels}",
+                "Switch off chunk data and padding in the camera",
+            )
+        transfer_size = -(-needs.payload_size // needs.alignment) * needs.alignment
+        largest = max(needs.leader_size, needs.trailer_size, u3v.LEADER_SIZE)
+        geometry = StreamGeometry(
+            width_px=settings.width_px,
+            height_px=settings.height_px,
+            payload_size=pixels,
+            transfer_size=transfer_size,
+            packet_buffer_size=-(-largest // u3v.SUPERSPEED_PACKET) * u3v.SUPERSPEED_PACKET,
+        )
+        pipe = self._usb.stream()
+        reader = StreamReader(self._spec.name, pipe, geometry, self._clock)
+        reader.flush()
+        for register, value in (
+            (u3v.SIRM_MAX_LEADER_SIZE, needs.leader_size),
+            (u3v.SIRM_MAX_TRAILER_SIZE, needs.trailer_size),
+            (u3v.SIRM_PAYLOAD_TRANSFER_SIZE, transfer_size),
+            (u3v.SIRM_PAYLOAD_TRANSFER_COUNT, 1),
+            (u3v.SIRM_FINAL_TRANSFER1_SIZE, 0),
+            (u3v.SIRM_FINAL_TRANSFER2_SIZE, 0),
+        ):
+            self._control.write_u32(self._sirm + register, value)
+        reader.clear_halt()
+        return reader
+
+    def _halt(self) -> None:
+        """Stop the acquisition and disable the stream, whatever state the camera is in."""
+        self._reader = None
+        if self._features.writable("AcquisitionStop"):
+            self._features.execute("AcquisitionStop")
+        self._control.write_u32(self._sirm + u3v.SIRM_CONTROL, 0)
+        self._set_optional_number("TLParamsLocked", 0)

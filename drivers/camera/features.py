@@ -1,0 +1,140 @@
+"""Owns access to a camera's features by their SFNC names, through the description that the camera carries.
+
+Source of the names: GenICam Standard Features Naming Convention 2.7.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from genicam import genapi
+
+from drivers.api import DeviceRefused
+from drivers.camera.control import ControlChannel
+
+_REMEDY = "Check the rig's camera settings against the camera's manual"
+
+
+class _Port(genapi.AbstractPort):  # type: ignore[misc]  # the package has no types
+    """GenApi's view of the register memory. Exceptions of the channel pass through GenApi unchanged."""
+
+    def __init__(self, control: ControlChannel) -> None:
+        super().__init__()
+        self._control = control
+
+    def get_access_mode(self) -> Any:
+        return genapi.EAccessMode.RW
+
+    def read(self, address: int, length: int) -> bytes:
+        return self._control.read(address, length)
+
+    def write(self, address: int, data: bytes) -> None:
+        self._control.write(address, bytes(data))
+
+
+class Features:
+    """The node map of one camera. Not safe for several threads at a time; its owner takes care of that.
+
+    Every method raises DeviceRefused, naming the feature, the value and what is allowed, when the camera lacks the
+    feature or refuses the value, and passes DeviceGone of the control channel on.
+    """
+
+    def __init__(self, device: str, xml: str, control: ControlChannel) -> None:
+        self._device = device
+        self._map = genapi.NodeMap()
+        try:
+            self._map.load_xml_from_string(xml)
+            # Held by the map: GenApi keeps only a bare pointer to the port.
+            self._map.connect(_Port(control), "Device")
+        except genapi.GenericException as error:
+            raise DeviceRefused(
+                device, f"its description cannot be loaded ({_short(error)})", "Update the camera's firmware"
+            ) from error
+
+    def has(self, feature: str) -> bool:
+        """True when the camera knows the feature and it is implemented."""
+        node = self._find(feature)
+        return node is not None and bool(genapi.is_implemented(node))
+
+    def writable(self, feature: str) -> bool:
+        """True when the feature exists and may be written in the present state."""
+        node = self._find(feature)
+        return node is not None and bool(genapi.is_writable(node))
+
+    def number(self, feature: str) -> float:
+        """Value of an integer or float feature."""
+        node = self._node(feature)
+        try:
+            return float(node.value)
+        except genapi.GenericException as error:
+            raise self._refused(feature, "cannot be read", error) from error
+
+    def set_number(self, feature: str, value: float) -> float:
+        """Write an integer or float feature; returns what the camera holds afterwards."""
+        node = self._node(feature)
+        whole = isinstance(node, genapi.IInteger)
+        try:
+            node.value = int(value) if whole else float(value)
+            return float(node.value)
+        except genapi.GenericException as error:
+            raise self._refused(feature, f"{value:g} refused, allowed {_range_of(node, whole)}", error) from error
+
+    def choice(self, feature: str) -> str:
+        """Symbol of an enumeration feature."""
+        node = self._node(feature)
+        try:
+            return str(node.value)
+        except genapi.GenericException as error:
+            raise self._refused(feature, "cannot be read", error) from error
+
+    def choices(self, feature: str) -> tuple[str, ...]:
+        """Symbols that the camera offers now, in the order of its description."""
+        node = self._node(feature)
+        try:
+            return tuple(str(entry.symbolic) for entry in node.entries if genapi.is_available(entry.node))
+        except genapi.GenericException as error:
+            raise self._refused(feature, "cannot be read", error) from error
+
+    def choose(self, feature: str, symbol: str) -> None:
+        """Set an enumeration feature."""
+        node = self._node(feature)
+        try:
+            node.value = symbol
+        except genapi.GenericException as error:
+            allowed = " ".join(self.choices(feature)) or "nothing"
+            raise self._refused(feature, f"{symbol} refused, allowed: {allowed}", error) from error
+
+    def execute(self, feature: str) -> None:
+        """Run a command feature."""
+        node = self._node(feature)
+        try:
+            node.execute()
+        except genapi.GenericException as error:
+            raise self._refused(feature, "cannot be executed", error) from error
+
+    def _find(self, feature: str) -> Any:
+        try:
+            return self._map.get_node(feature)
+        except genapi.GenericException:
+            return None
+
+    def _node(self, feature: str) -> Any:
+        node = self._find(feature)
+        if node is None:
+            raise DeviceRefused(self._device, f"has no feature {feature}", "Use a camera that follows the SFNC")
+        return node
+
+    def _refused(self, feature: str, what: str, error: Exception) -> DeviceRefused:
+        return DeviceRefused(self._device, f"{feature}: {what} ({_short(error)})", _REMEDY)
+
+
+def _short(error: Exception) -> str:
+    return str(error).split(" : ", maxsplit=1)[0].strip().rstrip(".")
+
+
+def _range_of(node: Any, whole: bool) -> str:
+    try:
+        step = f" in steps of {node.inc}" if whole and node.inc != 1 else ""
+        return f"{node.min:g}..{node.max:g}{step}"
+    except genapi.GenericException:
+        return "range unknown"

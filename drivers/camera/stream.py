@@ -1,0 +1,283 @@
+"""Owns the image stream: how transfers become frames, and how the reader finds its place again after damage."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.api import Clock, DeviceGone, Frame, FrameStatus
+from drivers.camera import gencp, u3v
+from drivers.camera.packets import (
+    Leader,
+    MalformedStreamPacket,
+    Trailer,
+    is_leader,
+    is_trailer,
+    parse_leader,
+    parse_trailer,
+)
+from drivers.camera.usb import (
+    StreamPipe,
+    TransferBuffer,
+    TransferError,
+    TransferOverflow,
+    TransferStalled,
+    TransferTimeout,
+    Unplugged,
+    transfer_buffer,
+)
+
+PAYLOAD_TIMEOUT_S = 0.25
+"""From leader to the end of the payload: 1.92 MB take 5 ms at SuperSpeed and 50 ms at 480 Mbit/s."""
+TRAILER_TIMEOUT_S = 0.1
+FLUSH_TIMEOUT_S = 0.02
+FLUSH_LIMIT = 256
+"""Transfers thrown away at most by one flush."""
+_RESYNC_LIMIT = 4096
+"""Transfers skipped at most in one search for a leader."""
+
+
+@dataclass(frozen=True, slots=True)
+class StreamGeometry:
+    """What every frame of a running stream must look like."""
+
+    width_px: int
+    height_px: int
+    payload_size: int
+    transfer_size: int
+    """Size of the one payload transfer: the payload, rounded up to the camera's alignment."""
+    packet_buffer_size: int
+    """Memory for a leader or trailer: what the camera may send, in whole packets."""
+
+
+@dataclass(slots=True)
+class StreamCounters:
+    """What the reader met since the stream was started."""
+
+    frames: int = 0
+    damaged_frames: int = 0
+    timeouts: int = 0
+    skipped_transfers: int = 0
+    """Transfers dropped on the way to the next leader."""
+
+
+class StreamReader:
+    """Reads frames of one running stream, for one thread.
+
+    A leader is only accepted at the start of a transfer. After any damage the reader drops transfers until the
+    next one that is a leader, so one bad frame costs one frame. A leader that arrives where a trailer or payload
+    was due is kept for the next call.
+    """
+
+    def __init__(self, name: str, pipe: StreamPipe, geometry: StreamGeometry, clock: Clock) -> None:
+        self._name = name
+        self._pipe = pipe
+        self._geometry = geometry
+        self._clock = clock
+        self._scratch = transfer_buffer(np.zeros(geometry.packet_buffer_size, np.uint8))
+        padded = geometry.transfer_size != geometry.width_px * geometry.height_px
+        # Only for image sizes that are no multiple of the camera's alignment.
+        self._bounce = transfer_buffer(np.zeros(geometry.transfer_size, np.uint8)) if padded else None
+        # One maximal packet more than a payload: whatever is left of a frame ends in it with a short packet.
+        self._waste: TransferBuffer | None = None
+        self._pending: bytes | None = None
+        self.counters = StreamCounters()
+
+    def flush(self) -> None:
+        """Drop what is queued in the pipe. Raises DeviceGone."""
+        self._pending = None
+        for _ in range(FLUSH_LIMIT):
+            try:
+                self._read(self._waste_buffer(), FLUSH_TIMEOUT_S)
+            except (TransferTimeout, TransferStalled):
+                return  # a halted endpoint holds nothing back
+            except TransferError:
+                continue  # an overflow only means that there was more
+
+    def next_frame(self, slot: NDArray[np.uint8], timeout_s: float) -> Frame:
+        """The next frame into ``slot``; see ``drivers.api.Camera``.
+
+        Raises ValueError for a slot of another shape or kind, DeviceGone when the camera is lost.
+        """
+        geometry = self._geometry
+        if slot.shape != (geometry.height_px, geometry.width_px):
+            raise ValueError(
+                f"slot of shape {slot.shape}, but the frames of {self._name} are {geometry.height_px} x "
+                f"{geometry.width_px}"
+            )
+        target = transfer_buffer(slot)
+        deadline_ns = self._clock.now_ns() + round(timeout_s * 1e9)
+        frame = self._next_frame(target, deadline_ns)
+        self.counters.frames += 1
+        if frame.status is FrameStatus.TIMEOUT:
+            self.counters.timeouts += 1
+        elif frame.status is not FrameStatus.COMPLETE:
+            self.counters.damaged_frames += 1
+        return frame
+
+    def _next_frame(self, target: TransferBuffer, deadline_ns: int) -> Frame:
+        try:
+            packet = self._find_leader(deadline_ns)
+        except TransferTimeout:
+            return self._frame(FrameStatus.TIMEOUT, None, "no leader")
+        except (TransferStalled, TransferOverflow) as error:
+            return self._frame(FrameStatus.CORRUPT, None, f"no leader ({error})")
+        try:
+            leader = parse_leader(packet)
+        except MalformedStreamPacket as error:
+            return self._frame(FrameStatus.CORRUPT, None, str(error))
+        problem = self._unexpected(leader)
+        if problem:
+            # Its payload has another size than the slot: left for the search of the next leader.
+            return self._frame(FrameStatus.CORRUPT, leader, problem)
+        count, problem = self._read_payload(target)
+        if self._pending is not None:
+            return self._frame(FrameStatus.TRUNCATED, leader, problem)
+        trailer, trailer_problem = self._read_trailer()
+        return self._judge(leader, count, problem, trailer, trailer_problem)
+
+    def _judge(self, leader: Leader, count: int, problem: str, trailer: Trailer | None, trailer_problem: str) -> Frame:
+        """One verdict per frame, the most telling first."""
+        expected = self._geometry.payload_size
+        if trailer is not None and trailer.status in (u3v.Status.DATA_DISCARDED, u3v.Status.DATA_OVERRUN):
+            return self._frame(FrameStatus.DISCARDED, leader, gencp.status_name(trailer.status))
+        if count != expected:
+            return self._frame(FrameStatus.TRUNCATED, leader, problem or f"payload of {count} of {expected} bytes")
+        if trailer is None:
+            status = FrameStatus.TRUNCATED if trailer_problem.startswith("no trailer") else FrameStatus.CORRUPT
+            return self._frame(status, leader, trailer_problem)
+        if trailer.block_id != leader.block_id:
+            return self._frame(FrameStatus.WRONG_ID, leader, f"leader {leader.block_id}, trailer {trailer.block_id}")
+        if trailer.status != u3v.Status.SUCCESS:
+            return self._frame(FrameStatus.CORRUPT, leader, gencp.status_name(trailer.status))
+        if trailer.valid_payload_size != expected or trailer.height_px != self._geometry.height_px:
+            return self._frame(
+                FrameStatus.TRUNCATED,
+                leader,
+                f"trailer reports {trailer.valid_payload_size} of {expected} bytes, "
+                f"{trailer.height_px} of {self._geometry.height_px} lines",
+            )
+        return self._frame(FrameStatus.COMPLETE, leader, "")
+
+    def _unexpected(self, leader: Leader) -> str:
+        geometry = self._geometry
+        if leader.pixel_format != u3v.PIXEL_FORMAT_MONO8:
+            return f"pixel format {leader.pixel_format:#010x}, expected Mono8"
+        if (leader.width_px, leader.height_px) != (geometry.width_px, geometry.height_px) or leader.x_padding:
+            return (
+                f"image of {leader.width_px} x {leader.height_px} with padding {leader.x_padding}, "
+                f"expected {geometry.width_px} x {geometry.height_px}"
+            )
+        return ""
+
+    def _find_leader(self, deadline_ns: int) -> bytes:
+        """The transfer that begins the next frame. Raises TransferError.
+
+        A short transfer of the size of a leader without its magic is a damaged leader when the stream was in step,
+        and is returned as it is; everything else before a leader is skipped.
+        """
+        if self._pending is not None:
+            packet, self._pending = self._pending, None
+            return packet
+        in_step = True
+        for _ in range(_RESYNC_LIMIT):
+            remaining_s = (deadline_ns - self._clock.now_ns()) * 1e-9
+            if remaining_s <= 0:
+                break
+            packet = self._read_packet(remaining_s)
+            if is_leader(packet):
+                return packet
+            self.counters.skipped_transfers += 1
+            if in_step and len(packet) == u3v.LEADER_SIZE:
+                return packet
+            in_step = False
+            if len(packet) == self._scratch.size:
+                # In the middle of a payload: take the rest at once, it ends with the trailer's short packet.
+                self._skip_rest(deadline_ns)
+        raise TransferTimeout("no leader")
+
+    def _skip_rest(self, deadline_ns: int) -> None:
+        remaining_s = max(0.0, (deadline_ns - self._clock.now_ns()) * 1e-9)
+        try:
+            self._read(self._waste_buffer(), min(PAYLOAD_TIMEOUT_S, remaining_s))
+        except TransferError:
+            return  # nothing more came: the next transfer is looked at on its own
+
+    def _read_payload(self, target: TransferBuffer) -> tuple[int, str]:
+        """Number of image bytes that came, and the problem if they are not all."""
+        buffer = target if self._bounce is None else self._bounce
+        try:
+            count = self._read(buffer, PAYLOAD_TIMEOUT_S)
+        except TransferTimeout:
+            return 0, "no payload"
+        except TransferOverflow:
+            return 0, "payload longer than the image"
+        except TransferError as error:
+            return 0, f"payload failed ({error})"
+        head = buffer[: u3v.LEADER_SIZE].tobytes() if count == u3v.LEADER_SIZE else b""
+        if is_leader(head):
+            self._pending = head
+            return 0, "the next leader came instead of the payload"
+        count = min(count, self._geometry.payload_size)
+        if self._bounce is not None:
+            target[:count] = self._bounce[:count]
+        return count, ""
+
+    def _read_trailer(self) -> tuple[Trailer | None, str]:
+        try:
+            packet = self._read_packet(TRAILER_TIMEOUT_S)
+        except TransferTimeout:
+            return None, "no trailer"
+        except TransferError as error:
+            return None, f"no trailer ({error})"
+        if is_leader(packet):
+            self._pending = packet
+            return None, "no trailer: the next leader came instead"
+        try:
+            return parse_trailer(packet), ""
+        except MalformedStreamPacket as error:
+            if is_trailer(packet):
+                return None, str(error)
+            return None, f"not a trailer ({error})"
+
+    def _read_packet(self, timeout_s: float) -> bytes:
+        count = self._read(self._scratch, timeout_s)
+        return self._scratch[:count].tobytes()
+
+    def _read(self, buffer: TransferBuffer, timeout_s: float) -> int:
+        """One transfer; a halt is cleared before it is reported. Raises TransferError, DeviceGone."""
+        try:
+            return self._pipe.read_into(buffer, timeout_s)
+        except TransferStalled:
+            self.clear_halt()
+            raise
+        except Unplugged as error:
+            raise self._gone() from error
+
+    def clear_halt(self) -> None:
+        """Make the stream endpoint usable again. Raises DeviceGone."""
+        try:
+            self._pipe.clear_halt()
+        except Unplugged as error:
+            raise self._gone() from error
+
+    def _gone(self) -> DeviceGone:
+        return DeviceGone(self._name, "unplugged while streaming", "Check the connector; it is opened again by itself")
+
+    def _waste_buffer(self) -> TransferBuffer:
+        if self._waste is None:
+            whole = -(-self._geometry.transfer_size // u3v.SUPERSPEED_PACKET) + 1
+            size = whole * u3v.SUPERSPEED_PACKET + self._geometry.packet_buffer_size
+            self._waste = transfer_buffer(np.zeros(size, np.uint8))
+        return self._waste
+
+    def _frame(self, status: FrameStatus, leader: Leader | None, detail: str) -> Frame:
+        return Frame(
+            status=status,
+            block_id=None if leader is None else leader.block_id,
+            camera_time_ns=None if leader is None else leader.timestamp_ns,
+            received_ns=self._clock.now_ns(),
+            detail=detail,
+        )

@@ -1,0 +1,70 @@
+"""Owns the step from names in a rig file to opened devices: the only place that picks classes.
+
+Every function returns a context manager; the device inside satisfies the protocol of ``drivers.api``.
+"""
+
+from __future__ import annotations
+
+import importlib
+from contextlib import AbstractContextManager
+
+from drivers.api import DeviceRefused, Wires, WiresOptions
+from drivers.board import BoardSpec, TriggerBoard
+from drivers.camera import CameraSpec, UsbVisionCamera
+from drivers.keys import HidKeypad, KeysSpec
+from drivers.output.outputs import Outputs
+from drivers.output.spec import OutputKind, OutputSpec
+
+__all__ = [
+    "BoardSpec",
+    "CameraSpec",
+    "KeysSpec",
+    "OutputKind",
+    "OutputSpec",
+    "open_board",
+    "open_camera",
+    "open_keys",
+    "open_outputs",
+    "open_wires",
+]
+
+_REMEDY = 'Correct wires of [rig]; on the instrument it is "drivers.native:open"'
+
+
+def open_wires(name: str, options: WiresOptions) -> AbstractContextManager[Wires]:
+    """The wires that ``module:function`` makes from ``options``. Raises DeviceRefused, naming what is wrong."""
+    module_name, colon, function_name = name.partition(":")
+    if not colon or not module_name or not function_name:
+        raise DeviceRefused("wires", f"{name!r} is not of the form module:function", _REMEDY)
+    try:
+        module = importlib.import_module(module_name)
+    except ImportError as error:
+        raise DeviceRefused("wires", f"{name!r}: {error}", _REMEDY) from error
+    function = getattr(module, function_name, None)
+    if not callable(function):
+        raise DeviceRefused("wires", f"{name!r}: the module has no function {function_name}", _REMEDY)
+    opened: AbstractContextManager[Wires] = function(options)
+    return opened
+
+
+def open_camera(spec: CameraSpec, wires: Wires) -> UsbVisionCamera:
+    """Find, open and identify one camera. Raises DeviceGone, DeviceRefused."""
+    return UsbVisionCamera.open(spec, wires.usb_backend, wires.clock)
+
+
+def open_board(spec: BoardSpec, wires: Wires) -> TriggerBoard:
+    """Open the board and start its reader thread. Raises DeviceGone, DeviceRefused."""
+    return TriggerBoard.open(spec, wires.clock)
+
+
+def open_keys(spec: KeysSpec, wires: Wires) -> HidKeypad:
+    """Open the key pad and wait for its first report. Raises DeviceGone, DeviceRefused."""
+    return HidKeypad.open(spec, wires.hidraw, wires.clock)
+
+
+def open_outputs(projector: OutputSpec, display: OutputSpec, wires: Wires) -> Outputs:
+    """Both outputs, unlit until ``open_projector()`` and ``open_display()`` of what ``with`` gives are called.
+
+    Two heads may share one card, so they are made together, but each can be opened again on its own.
+    """
+    return Outputs(projector, display, wires)
