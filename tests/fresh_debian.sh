@@ -53,12 +53,15 @@ fi
 
 inside() { env -i "${carried[@]}" chroot "$tree" "$@" </dev/null; }
 as_diver() { env -i "${carried[@]}" HOME=/home/diver chroot --userspec=diver:diver "$tree" "$@" </dev/null; }
+failed=()
 step() { printf '\n== %s\n' "$*"; }
 timed() {
     local start=${EPOCHREALTIME/[.,]/}
-    "$@"
+    local status=0
+    "$@" || status=$?
     took_ms=$(((${EPOCHREALTIME/[.,]/} - start) / 1000))
     printf '== took %d.%03d s\n' $((took_ms / 1000)) $((took_ms % 1000))
+    return $status
 }
 
 inside useradd --create-home diver
@@ -72,10 +75,10 @@ printf '%s\n' "$said"
 [[ $said == *"apt-get install"*libegl1* ]] || fail "no command to run in: $said"
 
 step "root, first call: ./dev check"
-timed inside "$dev" check
+timed inside "$dev" check || failed+=("./dev check")
 step "root: ./dev test ${TESTS:--q}"
 # shellcheck disable=SC2086 # several arguments
-timed inside "$dev" test ${TESTS:--q}
+timed inside "$dev" test ${TESTS:--q} || failed+=("./dev test")
 
 step "repeated call starts at once"
 timed inside "$dev" run true
@@ -90,4 +93,5 @@ print(moderngl.create_context(standalone=True, backend='egl', require=330).info[
 step "without root, packages there: sets itself up"
 timed as_diver "$diver_dev" run true
 
+((${#failed[@]} == 0)) || fail "${failed[*]}"
 step "passed"
