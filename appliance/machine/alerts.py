@@ -1,0 +1,164 @@
+"""Owns the diver's words for every fault: one row each, and the list to show at a moment.
+
+A headline has at most 16 characters, an action at most 32; both are read under water, in grey.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+from types import MappingProxyType
+
+from appliance.capture.fault import Fault, FaultCode
+from appliance.machine.states import Machine, NoticeKind
+
+
+class Severity(IntEnum):
+    """As dive computers show it: white, solid yellow, flashing red."""
+
+    INFO = 0
+    WARNING = 1
+    CRITICAL = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Alert:
+    """One message as it is shown. ``detail`` is for the log and for a technician."""
+
+    code: FaultCode
+    severity: Severity
+    headline: str
+    action: str
+    detail: str = ""
+    device: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """A row of the table. ``headline`` is used when all its numbers are known, else ``plain``."""
+
+    severity: Severity
+    headline: str
+    action: str
+    plain: str = ""
+    blocks_scan: bool = False
+    """While it lasts, SCAN is refused."""
+    stops_capture: bool = False
+    """When it comes during a capture, the capture ends."""
+    forbids_light: bool = False
+    """While it lasts, neither projector nor lasers may shine."""
+    spoils_scan: bool = False
+    """Found in a recorded scan, it makes the scan worthless."""
+
+
+_I, _W, _C = Severity.INFO, Severity.WARNING, Severity.CRITICAL
+_INCOMPLETE = "INCOMPLETE {received:.0f}/{expected:.0f}"
+
+RULES: Mapping[FaultCode, Rule] = MappingProxyType(
+    {
+        FaultCode.FRAME_MISSING: Rule(_W, _INCOMPLETE, "REPEAT", "INCOMPLETE", spoils_scan=True),
+        FaultCode.FRAME_REPEATED: Rule(_W, _INCOMPLETE, "REPEAT", "FRAME REPEATED", spoils_scan=True),
+        FaultCode.FRAME_ORDER: Rule(_W, _INCOMPLETE, "REPEAT", "FRAME ORDER", spoils_scan=True),
+        FaultCode.FRAME_TRUNCATED: Rule(_W, _INCOMPLETE, "REPEAT", "FRAME CUT SHORT", spoils_scan=True),
+        FaultCode.FRAME_CORRUPT: Rule(_W, _INCOMPLETE, "REPEAT", "FRAME DAMAGED", spoils_scan=True),
+        FaultCode.CAMERA_STUCK: Rule(_W, "{side}CAM STUCK", "REPEAT", "CAMERA STUCK", spoils_scan=True),
+        FaultCode.PATTERN_WRONG: Rule(_W, "WRONG PATTERN", "REPEAT", spoils_scan=True),
+        FaultCode.SYNC_LOST: Rule(_W, "SYNC LOST", "REPEAT; CHECK TRIGGER CABLES", spoils_scan=True),
+        FaultCode.LATE_FLIP: Rule(_W, "PROJECTOR LATE", "REPEAT", spoils_scan=True),
+        FaultCode.PROJECTOR_TIMING: Rule(_W, "PROJECTOR TIMING", "REPEAT; RESTART IF AGAIN", spoils_scan=True),
+        FaultCode.PROJECTOR_DARK: Rule(_W, "PROJECTOR DARK", "CHECK LAMP AND VIDEO CABLE", spoils_scan=True),
+        FaultCode.PULSE_MISSING: Rule(
+            _W, "PULSES {received:.0f}/{expected:.0f}", "REPEAT", "PULSE MISSING", spoils_scan=True
+        ),
+        FaultCode.CAPTURE_TIMEOUT: Rule(_W, "SCAN TIMED OUT", "REPEAT", spoils_scan=True),
+        FaultCode.MOVED: Rule(_W, "MOVED {shift_px:.1f} px", "REPEAT", "MOVED"),
+        FaultCode.TOO_BRIGHT: Rule(_W, "TOO BRIGHT", "SHORTEN EXPOSURE, REPEAT"),
+        FaultCode.TOO_DARK: Rule(_W, "TOO DARK", "GO CLOSER OR LENGTHEN EXPOSURE"),
+        FaultCode.CAMERA_LOST: Rule(
+            _W, "{side}CAM LOST", "CHECK CONNECTOR", "CAMERA LOST", blocks_scan=True, stops_capture=True
+        ),
+        FaultCode.CAMERA_SLOW_LINK: Rule(
+            _W, "CAMERA LINK SLOW", "CHECK CONNECTOR", blocks_scan=True, stops_capture=True
+        ),
+        FaultCode.CAMERA_REFUSED: Rule(
+            _W, "{side}CAM REFUSED", "CHECK RIG FILE", "CAMERA REFUSED", blocks_scan=True, stops_capture=True
+        ),
+        FaultCode.PROJECTOR_LOST: Rule(_W, "PROJECTOR LOST", "CHECK CONNECTOR", blocks_scan=True, stops_capture=True),
+        FaultCode.DISPLAY_LOST: Rule(_W, "DISPLAY LOST", "CHECK CONNECTOR"),
+        FaultCode.BOARD_LOST: Rule(_W, "BOARD LOST", "CHECK CONNECTOR", blocks_scan=True, stops_capture=True),
+        FaultCode.BOARD_RESET: Rule(_W, "BOARD RESET", "REPEAT IF A SCAN WAS RUNNING", spoils_scan=True),
+        FaultCode.VSYNC_LOST: Rule(_W, "NO VIDEO SIGNAL", "CHECK VIDEO CABLE", blocks_scan=True, stops_capture=True),
+        FaultCode.LASER_ON: Rule(_C, "LASER ON", "SCAN BLOCKED", blocks_scan=True, stops_capture=True),
+        FaultCode.KEYS_LOST: Rule(_W, "KEYS LOST", "CHECK CONNECTOR"),
+        FaultCode.KEY_STUCK: Rule(_W, "KEY STUCK", "USE THE KEY WITH ITS LABEL"),
+        FaultCode.STORAGE_FULL: Rule(_W, "STORAGE FULL", "COPY SCANS, MAKE ROOM", blocks_scan=True),
+        FaultCode.NOT_SAVED: Rule(_C, "NOT SAVED", "TRY AGAIN OR REPEAT"),
+        FaultCode.UNCALIBRATED: Rule(_W, "UNCALIBRATED", "LENGTHS NOT TRUSTED"),
+        FaultCode.RECONSTRUCTION_FAILED: Rule(_W, "PROCESS LATER", "KEEP RAW FRAMES OR REPEAT"),
+        FaultCode.WARM: Rule(_W, "WARM {temperature_c:.0f} °C", "LET IT COOL SOON", "WARM"),
+        FaultCode.HOT: Rule(
+            _C, "HOT {temperature_c:.0f} °C", "COOLING, SCAN BLOCKED", "HOT", blocks_scan=True, forbids_light=True
+        ),
+        FaultCode.SUPPLY_LOW: Rule(_W, "SUPPLY LOW {supply_v:.1f}V", "END DIVE", "SUPPLY LOW", blocks_scan=True),
+        FaultCode.LEAK: Rule(_C, "LEAK: ASCEND", "LIGHT IS OFF, SCANS ARE SAFE", blocks_scan=True, forbids_light=True),
+        FaultCode.INTERNAL: Rule(_W, "INTERNAL FAULT", "REPEAT; SEE LOG", spoils_scan=True),
+    }
+)
+
+_SIDES = {"camera.left": "LEFT ", "camera.right": "RIGHT "}
+
+
+def headline_of(fault: Fault) -> str:
+    """At most 16 characters, with the fault's numbers where all of them are known."""
+    rule = RULES[fault.code]
+    values: dict[str, float | str] = dict(fault.numbers)
+    if fault.device in _SIDES:
+        values["side"] = _SIDES[fault.device]
+    try:
+        text = rule.headline.format(**values)
+    except (KeyError, ValueError):
+        text = rule.plain or fault.code.value.replace("_", " ")
+    return text if len(text) <= 16 else (rule.plain or text)[:16]
+
+
+def alert_of(fault: Fault) -> Alert:
+    """The fault as a message of its own."""
+    rule = RULES[fault.code]
+    return Alert(fault.code, rule.severity, headline_of(fault), rule.action, fault.detail, fault.device)
+
+
+def _notice(machine: Machine) -> Alert | None:
+    if machine.notice is None:
+        return None
+    fault = machine.notice.fault
+    rule = RULES[fault.code]
+    plain = alert_of(fault)
+    match machine.notice.kind:
+        case NoticeKind.REFUSAL:
+            return Alert(fault.code, rule.severity, plain.headline, "SCAN REFUSED", fault.detail, fault.device)
+        case NoticeKind.FAILURE if rule.stops_capture or rule.forbids_light:
+            # What ended the scan is listed as a condition while it lasts; this says what became of the scan.
+            return Alert(
+                fault.code, rule.severity, "SCAN FAILED", f"{plain.headline}: REPEAT", fault.detail, fault.device
+            )
+        case NoticeKind.FAILURE | NoticeKind.NEWS:
+            return plain
+
+
+def alerts(machine: Machine) -> tuple[Alert, ...]:
+    """What to show now: the notice first, then what lasts, the most severe first; nothing twice."""
+    lasting = [alert_of(fault) for fault in (*machine.lost.values(), *machine.conditions)]
+    if machine.scan is not None:
+        lasting += [alert_of(fault) for fault in machine.scan.warnings]
+        if machine.scan.failed is not None:
+            lasting.append(alert_of(machine.scan.failed))
+    lasting.sort(key=lambda alert: -alert.severity)
+    shown: list[Alert] = []
+    notice = _notice(machine)
+    if notice is not None:
+        shown.append(notice)
+    for alert in lasting:
+        if not any((s.code, s.device, s.headline) == (alert.code, alert.device, alert.headline) for s in shown):
+            shown.append(alert)
+    return tuple(shown)

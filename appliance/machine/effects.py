@@ -1,0 +1,112 @@
+"""Owns what the machine asks for: every output of ``step`` as a frozen value. The service executes them in order."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from appliance.machine.states import Device
+
+
+@dataclass(frozen=True, slots=True)
+class GoLive:
+    """Cameras free-running for the live views. ``light``: the projector may shine. ``lasers``: they may be on.
+
+    What is False must be off. Sent again whenever a device came or went; idempotent.
+    """
+
+    light: bool
+    lasers: bool
+
+
+@dataclass(frozen=True, slots=True)
+class StopLive:
+    """End the live views; the projector dark, the lasers off."""
+
+
+@dataclass(frozen=True, slots=True)
+class LightsOff:
+    """Projector dark and lasers off now, in whatever state: light is no longer permitted."""
+
+
+@dataclass(frozen=True, slots=True)
+class Capture:
+    """Record one sequence; answer with CaptureFinished or CaptureFailed of this number. Includes its own light."""
+
+    number: int
+    period_px: int
+
+
+@dataclass(frozen=True, slots=True)
+class AbortCapture:
+    """End the sequence at the next vertical blank, dark. Its answer is no longer awaited."""
+
+    number: int
+
+
+@dataclass(frozen=True, slots=True)
+class StoreRaw:
+    """Make the raw frames durable in a hidden folder; answer RawStored or SaveFailed."""
+
+    number: int
+
+
+@dataclass(frozen=True, slots=True)
+class StartReconstruction:
+    """Answer CoarseReady (may be left out) and then FullReady, or ReconstructionFailed."""
+
+    number: int
+
+
+@dataclass(frozen=True, slots=True)
+class CancelReconstruction:
+    """The result is no longer wanted; a worker that hangs may be replaced."""
+
+    number: int
+
+
+@dataclass(frozen=True, slots=True)
+class Publish:
+    """Publish the scan with whatever cloud there is (its raw frames first, if that failed before); idempotent.
+
+    Answer Saved or SaveFailed.
+    """
+
+    number: int
+
+
+@dataclass(frozen=True, slots=True)
+class Reject:
+    """Move the scan to the rejected ones; answer Rejected or SaveFailed."""
+
+    number: int
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class ReopenDevice:
+    """Close and open one device: its images do not follow the patterns. ``None``: both cameras."""
+
+    device: Device | None
+
+
+@dataclass(frozen=True, slots=True)
+class Quit:
+    """Finish what is being written, close the devices, end the process. ``power_off``: and switch off."""
+
+    power_off: bool
+
+
+Effect = (
+    GoLive
+    | StopLive
+    | LightsOff
+    | Capture
+    | AbortCapture
+    | StoreRaw
+    | StartReconstruction
+    | CancelReconstruction
+    | Publish
+    | Reject
+    | ReopenDevice
+    | Quit
+)

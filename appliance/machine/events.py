@@ -1,0 +1,191 @@
+"""Owns what can happen to the instrument: every input of ``step`` as a frozen value.
+
+Events about a scan carry the ``number`` of the Capture effect that began it, so that an answer that comes too late
+is recognised and ignored.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from appliance.capture.fault import Fault, FaultCode
+from appliance.machine.states import CloudSummary, Device
+from drivers.api import Key, Telemetry
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """Time passed. Sent at least ten times a second; deadlines are judged here only."""
+
+    now_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class KeyPressed:
+    key: Key
+
+
+@dataclass(frozen=True, slots=True)
+class KeyHeld:
+    """The key of the latest KeyPressed has been held for 0.8 s."""
+
+    key: Key
+
+
+@dataclass(frozen=True, slots=True)
+class KeyJammed:
+    """The key does not come back; the driver masks it until it is seen released."""
+
+    key: Key
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceUp:
+    device: Device
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceDown:
+    """``code`` where the loss has a more precise name than LOST (a slow link, a refused setting)."""
+
+    device: Device
+    reason: str
+    code: FaultCode | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class BoardReset:
+    """The board's boot banner: everything it was told is forgotten."""
+
+    cause: str
+
+
+@dataclass(frozen=True, slots=True)
+class TelemetryArrived:
+    telemetry: Telemetry
+
+
+@dataclass(frozen=True, slots=True)
+class ConditionRaised:
+    """Something is wrong until cleared (uncalibrated, no vertical sync)."""
+
+    fault: Fault
+
+
+@dataclass(frozen=True, slots=True)
+class ConditionCleared:
+    code: FaultCode
+    device: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class StorageCounted:
+    """What the library holds and how many scans still fit; ``scans_left`` is None where the disk does not tell."""
+
+    scans: int
+    last_scan: str | None
+    scans_left: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class BootFinished:
+    """Everything that can be opened was tried once."""
+
+
+@dataclass(frozen=True, slots=True)
+class CaptureFinished:
+    """The sequence is complete and every witness agrees. ``warnings``: verdicts that only advise to repeat."""
+
+    number: int
+    warnings: tuple[Fault, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class CaptureFailed:
+    number: int
+    fault: Fault
+
+
+@dataclass(frozen=True, slots=True)
+class RawStored:
+    """The raw frames survive the loss of power from now on."""
+
+    number: int
+
+
+@dataclass(frozen=True, slots=True)
+class CoarseReady:
+    number: int
+    summary: CloudSummary
+
+
+@dataclass(frozen=True, slots=True)
+class FullReady:
+    number: int
+    summary: CloudSummary
+    warnings: tuple[Fault, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class ReconstructionFailed:
+    """A fault that spoils the scan (a wrong pattern) ends it; any other leaves the raw frames to be kept."""
+
+    number: int
+    fault: Fault
+
+
+@dataclass(frozen=True, slots=True)
+class Saved:
+    """Published: the scan survives the loss of power a millisecond later."""
+
+    number: int
+    scan_id: str
+
+
+@dataclass(frozen=True, slots=True)
+class SaveFailed:
+    """Raw frames or publication were refused by the disk; everything is still in memory."""
+
+    number: int
+    fault: Fault
+
+
+@dataclass(frozen=True, slots=True)
+class Rejected:
+    """The scan the diver did not want lies among the rejected ones."""
+
+    number: int
+    scan_id: str
+
+
+@dataclass(frozen=True, slots=True)
+class StopRequested:
+    """The operating system wants the service to end (SIGTERM)."""
+
+    reason: str
+
+
+Event = (
+    Tick
+    | KeyPressed
+    | KeyHeld
+    | KeyJammed
+    | DeviceUp
+    | DeviceDown
+    | BoardReset
+    | TelemetryArrived
+    | ConditionRaised
+    | ConditionCleared
+    | StorageCounted
+    | BootFinished
+    | CaptureFinished
+    | CaptureFailed
+    | RawStored
+    | CoarseReady
+    | FullReady
+    | ReconstructionFailed
+    | Saved
+    | SaveFailed
+    | Rejected
+    | StopRequested
+)

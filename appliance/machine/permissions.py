@@ -1,0 +1,56 @@
+"""Owns what the instrument may do at a moment: shine, scan, go on with a capture. Pure questions to a ``Machine``."""
+
+from __future__ import annotations
+
+from appliance.capture.fault import Fault, FaultCode
+from appliance.machine.alerts import RULES
+from appliance.machine.states import NEEDED_FOR_A_SCAN, Device, Machine
+
+LOST_CODES = {
+    Device.CAMERA_LEFT: FaultCode.CAMERA_LOST,
+    Device.CAMERA_RIGHT: FaultCode.CAMERA_LOST,
+    Device.BOARD: FaultCode.BOARD_LOST,
+    Device.KEYS: FaultCode.KEYS_LOST,
+    Device.PROJECTOR: FaultCode.PROJECTOR_LOST,
+    Device.DISPLAY: FaultCode.DISPLAY_LOST,
+}
+
+
+def may_light(machine: Machine) -> bool:
+    """Whether anything may shine at all: not with a leak, not when too hot."""
+    return not any(RULES[fault.code].forbids_light for fault in machine.conditions)
+
+
+def may_shine(machine: Machine) -> bool:
+    """Whether the projector may shine."""
+    return may_light(machine) and Device.PROJECTOR in machine.up
+
+
+def may_lase(machine: Machine) -> bool:
+    """Whether the lasers may be on. One that ignored its switch must stay off for good."""
+    misbehaved = any(fault.code is FaultCode.LASER_ON for fault in machine.conditions)
+    return may_light(machine) and Device.BOARD in machine.up and not misbehaved
+
+
+def refusal(machine: Machine) -> Fault | None:
+    """Why SCAN is refused now, the most severe reason; ``None`` when it is allowed."""
+    reasons = [fault for fault in machine.conditions if RULES[fault.code].blocks_scan]
+    reasons.sort(key=lambda fault: -RULES[fault.code].severity)
+    return next(iter(reasons), None) or missing_device(machine)
+
+
+def interruption(machine: Machine) -> Fault | None:
+    """Why a running capture must end now."""
+    for fault in machine.conditions:
+        if RULES[fault.code].stops_capture or RULES[fault.code].forbids_light:
+            return fault
+    return missing_device(machine)
+
+
+def missing_device(machine: Machine) -> Fault | None:
+    """The first device that a scan needs and does not have."""
+    for device in NEEDED_FOR_A_SCAN:
+        if device not in machine.up:
+            unheard = Fault(LOST_CODES[device], "not found yet", device=device.value)
+            return machine.lost.get(device, unheard)
+    return None

@@ -1,0 +1,299 @@
+"""What the diver sees and what the instrument does, event by event, for the faults of a dive."""
+
+from __future__ import annotations
+
+import pytest
+
+from appliance.capture.fault import Fault, FaultCode
+from appliance.machine import effects as do
+from appliance.machine import events as on
+from appliance.machine.alerts import RULES, alerts, headline_of
+from appliance.machine.states import Device, Machine, Settings, State, boot
+from appliance.machine.step import step
+from appliance.machine.texts import labels
+from drivers.api import Key
+from tests.appliance.machine.walks import (
+    MISSING,
+    SECOND_NS,
+    SUMMARY,
+    after,
+    aim,
+    capturing,
+    heartbeat,
+    reconstructing,
+    reviewing,
+    run,
+    saving,
+)
+
+
+def shown(machine: Machine) -> list[tuple[str, str]]:
+    return [(alert.headline, alert.action) for alert in alerts(machine)]
+
+
+def test_a_good_scan_from_key_to_saved() -> None:
+    machine, effects = after(aim(), on.KeyPressed(Key.SCAN))
+    assert effects == [do.StopLive(), do.Capture(1, 16)]
+    machine, effects = after(machine, on.CaptureFinished(1))
+    assert effects == [do.StoreRaw(1), do.StartReconstruction(1)]
+    machine = run(machine, on.RawStored(1), on.CoarseReady(1, SUMMARY))
+    assert machine.state is State.REVIEW
+    machine, effects = after(machine, on.FullReady(1, SUMMARY), on.KeyPressed(Key.SCAN))
+    assert effects == [do.Publish(1)]
+    assert machine.just_saved is None
+    machine, effects = after(machine, on.Saved(1, "000001"))
+    assert (machine.state, machine.just_saved, machine.last_scan) == (State.AIM, "000001", "000001")
+    assert effects == [do.GoLive(light=True, lasers=True)]
+
+
+def test_keep_before_the_full_cloud_waits_for_it() -> None:
+    machine = run(reconstructing(), on.CoarseReady(1, SUMMARY))
+    machine, effects = after(machine, on.KeyPressed(Key.SCAN))
+    assert machine.state is State.SAVING
+    assert effects == []
+    machine, effects = after(machine, on.FullReady(1, SUMMARY))
+    assert effects == [do.Publish(1)]
+
+
+def test_back_in_review_rejects_and_aims_again_without_switching_off() -> None:
+    machine, effects = after(reviewing(), on.KeyPressed(Key.BACK), on.KeyHeld(Key.BACK))
+    assert machine.state is State.AIM
+    assert do.Reject(1, "repeated by the diver") in effects
+    machine = run(machine, on.KeyPressed(Key.BACK), on.KeyHeld(Key.BACK))
+    assert machine.state is State.SHUTDOWN
+
+
+def test_holding_back_in_aim_switches_off_even_over_a_message() -> None:
+    machine = run(capturing(), on.CaptureFailed(1, MISSING))
+    machine, effects = after(machine, on.KeyPressed(Key.BACK), on.KeyHeld(Key.BACK))
+    assert effects == [do.StopLive(), do.Quit(power_off=True)]
+    assert machine.state is State.SHUTDOWN
+
+
+def test_a_missing_frame_is_named_over_aim_and_ok_repeats() -> None:
+    machine = run(capturing(), on.CaptureFailed(1, MISSING))
+    assert machine.state is State.AIM
+    assert shown(machine) == [("INCOMPLETE 23/24", "REPEAT")]
+    assert labels(machine)[Key.SCAN] == "REPEAT"
+    machine, effects = after(machine, on.KeyPressed(Key.SCAN))
+    assert do.Capture(2, 16) in effects
+    assert shown(machine) == []
+
+
+def test_scan_with_a_camera_unplugged_is_refused_with_that_reason_and_clears_itself() -> None:
+    machine, effects = after(aim(), on.DeviceDown(Device.CAMERA_RIGHT, "gone from the bus"))
+    assert shown(machine) == [("RIGHT CAM LOST", "CHECK CONNECTOR")]
+    assert effects == [do.GoLive(light=True, lasers=True)]
+    machine, effects = after(machine, on.KeyPressed(Key.SCAN))
+    assert (machine.state, effects) == (State.AIM, [])
+    assert shown(machine) == [("RIGHT CAM LOST", "SCAN REFUSED")]
+    machine = run(machine, on.DeviceUp(Device.CAMERA_RIGHT))
+    assert shown(machine) == []
+    assert run(machine, on.KeyPressed(Key.SCAN)).state is State.CAPTURE
+
+
+def test_a_camera_unplugged_mid_sequence_ends_the_scan_at_once() -> None:
+    machine, effects = after(capturing(), on.DeviceDown(Device.CAMERA_LEFT, "gone"))
+    assert machine.state is State.AIM
+    assert effects[0] == do.AbortCapture(1)
+    assert shown(machine) == [("SCAN FAILED", "LEFT CAM LOST: REPEAT"), ("LEFT CAM LOST", "CHECK CONNECTOR")]
+    # its own report, late, changes nothing
+    assert step(machine, on.CaptureFailed(1, MISSING)) == (machine, ())
+
+
+def test_a_camera_on_a_slow_link_is_refused_by_name() -> None:
+    machine = run(aim(), on.DeviceDown(Device.CAMERA_LEFT, "480 Mbit/s", FaultCode.CAMERA_SLOW_LINK))
+    assert shown(machine) == [("CAMERA LINK SLOW", "CHECK CONNECTOR")]
+    assert run(machine, on.KeyPressed(Key.SCAN)).state is State.AIM
+
+
+def test_losing_keys_or_display_does_not_forbid_a_scan() -> None:
+    machine = run(aim(), on.DeviceDown(Device.DISPLAY, "gone"), on.DeviceDown(Device.KEYS, "gone"))
+    assert run(machine, on.KeyPressed(Key.SCAN)).state is State.CAPTURE
+
+
+def test_a_late_flip_is_repeated_once_in_silence_then_named() -> None:
+    late = Fault(FaultCode.LATE_FLIP, "frame 9", {"frame": 9})
+    machine, effects = after(capturing(), on.CaptureFailed(1, late))
+    assert (machine.state, effects) == (State.CAPTURE, [do.Capture(2, 16)])
+    assert shown(machine) == []
+    machine = run(machine, on.CaptureFailed(2, late))
+    assert machine.state is State.AIM
+    assert shown(machine) == [("PROJECTOR LATE", "REPEAT")]
+    # the next press has its own silent repetition
+    machine = run(machine, on.KeyPressed(Key.SCAN), on.CaptureFailed(3, late))
+    assert machine.state is State.CAPTURE
+
+
+def test_other_faults_are_never_repeated_in_silence() -> None:
+    for code in FaultCode:
+        machine = run(capturing(), on.CaptureFailed(1, Fault(code)))
+        assert (machine.state is State.CAPTURE) == (code is FaultCode.LATE_FLIP)
+
+
+def test_a_frozen_camera_is_reopened_once() -> None:
+    stuck = Fault(FaultCode.CAMERA_STUCK, "same image", device="camera.left")
+    machine, effects = after(capturing(), on.CaptureFailed(1, stuck))
+    assert effects[0] == do.ReopenDevice(Device.CAMERA_LEFT)
+    assert shown(machine) == [("LEFT CAM STUCK", "REPEAT")]
+
+
+def test_a_laser_that_stays_on_blocks_scans_until_it_is_seen_off() -> None:
+    machine = run(capturing(), on.CaptureFailed(1, Fault(FaultCode.LASER_ON, "left")))
+    assert ("LASER ON", "SCAN BLOCKED") in shown(machine)
+    machine = run(machine, on.KeyPressed(Key.SCAN), on.Tick(5 * SECOND_NS), heartbeat(left_on=True))
+    assert machine.state is State.AIM
+    assert shown(machine)[0] == ("LASER ON", "SCAN REFUSED")
+    machine = run(machine, on.Tick(6 * SECOND_NS), heartbeat(left_on=False))
+    assert shown(machine) == []
+
+
+def test_a_laser_found_on_by_telemetry_ends_a_capture_but_a_fresh_switch_is_given_time() -> None:
+    machine = run(capturing(), heartbeat(right_on=True))
+    assert machine.state is State.CAPTURE
+    machine, effects = after(machine, on.Tick(SECOND_NS), heartbeat(right_on=True))
+    assert do.AbortCapture(1) in effects
+    assert effects[-1] == do.GoLive(light=True, lasers=False)
+
+
+def test_one_heartbeat_with_a_leak_is_debounced_two_are_latched() -> None:
+    machine = run(reviewing(), heartbeat(leak=True), heartbeat(leak=False), heartbeat(leak=True))
+    assert shown(machine) == []
+    machine, effects = after(machine, heartbeat(leak=True))
+    assert effects == [do.LightsOff()]
+    assert shown(machine)[0][0] == "LEAK: ASCEND"
+    machine = run(machine, heartbeat(leak=False), heartbeat(leak=False), on.ConditionCleared(FaultCode.LEAK))
+    assert shown(machine)[0][0] == "LEAK: ASCEND"
+    # the scan in hand can still be saved
+    machine, effects = after(machine, on.KeyPressed(Key.SCAN))
+    assert effects == [do.Publish(1)]
+    machine, effects = after(machine, on.Saved(1, "000001"))
+    assert effects == [do.GoLive(light=False, lasers=False)]
+
+
+def test_heat_warns_then_blocks_with_hysteresis_and_a_missing_sensor_changes_nothing() -> None:
+    machine = run(aim(), heartbeat(temperature_case_c=51.0))
+    assert shown(machine) == [("WARM 51 °C", "LET IT COOL SOON")]
+    machine, effects = after(machine, heartbeat(temperature_case_c=60.0))
+    assert effects == [do.LightsOff(), do.GoLive(light=False, lasers=False)]
+    assert shown(machine)[0][0] == "HOT 60 °C"
+    machine = run(machine, heartbeat(temperature_case_c=None), heartbeat(temperature_case_c=58.0))
+    assert shown(machine)[0][0] == "HOT 58 °C"
+    machine, effects = after(machine, heartbeat(temperature_case_c=56.5))
+    assert effects == [do.GoLive(light=True, lasers=True)]
+    assert run(aim(), heartbeat(temperature_case_c=None)) == aim()
+
+
+def test_a_low_supply_refuses_scans_where_its_limit_is_known() -> None:
+    machine = run(aim(), heartbeat(supply_v=3.0))
+    assert shown(machine) == []
+    strict = boot(0, Settings(supply_low_v=10.0))
+    machine = run(strict, *(on.DeviceUp(device) for device in Device), on.BootFinished(), heartbeat(supply_v=9.5))
+    assert shown(machine) == [("SUPPLY LOW 9.5V", "END DIVE")]
+    assert run(machine, on.KeyPressed(Key.SCAN)).state is State.AIM
+
+
+def test_a_full_disk_refuses_before_the_capture_and_does_not_end_a_running_one() -> None:
+    machine = run(aim(), on.StorageCounted(3, "000003", 0))
+    assert shown(machine) == [("STORAGE FULL", "COPY SCANS, MAKE ROOM")]
+    assert run(machine, on.KeyPressed(Key.SCAN)).state is State.AIM
+    assert run(capturing(), on.StorageCounted(3, "000003", 0)).state is State.CAPTURE
+
+
+def test_a_disk_that_refuses_brings_the_scan_back_and_ok_tries_again() -> None:
+    machine = run(saving(), on.SaveFailed(1, Fault(FaultCode.NOT_SAVED, "EIO")))
+    assert machine.state is State.REVIEW
+    assert shown(machine)[0][0] == "NOT SAVED"
+    machine, effects = after(machine, on.KeyPressed(Key.SCAN))
+    assert effects == [do.Publish(1)]
+    machine = run(machine, on.Saved(1, "000001"))
+    assert shown(machine) == []
+    assert machine.just_saved == "000001"
+
+
+def test_a_disk_that_never_answers_is_not_saved_and_a_late_answer_is_believed() -> None:
+    machine = run(saving(), on.Tick(61 * SECOND_NS))
+    assert machine.state is State.REVIEW
+    assert shown(machine)[0][0] == "NOT SAVED"
+    assert run(machine, on.Saved(1, "000001")).just_saved == "000001"
+
+
+def test_a_dead_worker_leaves_the_raw_frames_to_be_kept() -> None:
+    died = Fault(FaultCode.RECONSTRUCTION_FAILED, "worker exited with 9")
+    machine = run(reconstructing(), on.ReconstructionFailed(1, died))
+    assert machine.state is State.REVIEW
+    assert shown(machine) == [("PROCESS LATER", "KEEP RAW FRAMES OR REPEAT")]
+    _, effects = after(machine, on.KeyPressed(Key.SCAN))
+    assert effects == [do.Publish(1)]
+
+
+def test_a_hanging_worker_is_given_up_also_while_the_save_waits_for_it() -> None:
+    machine, effects = after(reconstructing(), on.Tick(61 * SECOND_NS))
+    assert machine.state is State.REVIEW
+    assert effects == [do.CancelReconstruction(1)]
+    waiting = run(reconstructing(), on.CoarseReady(1, SUMMARY), on.KeyPressed(Key.SCAN))
+    machine, effects = after(waiting, on.Tick(61 * SECOND_NS))
+    assert effects == [do.CancelReconstruction(1), do.Publish(1)]
+
+
+def test_a_wrong_pattern_found_by_the_worker_never_becomes_a_cloud() -> None:
+    shifted = Fault(FaultCode.PROJECTOR_TIMING, "one frame late", {"shift_frames": 1})
+    machine, effects = after(reconstructing(), on.ReconstructionFailed(1, shifted))
+    assert machine.state is State.AIM
+    assert do.Reject(1, "one frame late") in effects
+    assert shown(machine)[0][0] == "PROJECTOR TIMING"
+
+
+def test_a_moved_scan_says_so_in_the_review_and_can_be_kept() -> None:
+    moved = Fault(FaultCode.MOVED, "", {"shift_px": 1.84})
+    machine = run(capturing(), on.CaptureFinished(1, (moved,)), on.FullReady(1, SUMMARY))
+    assert shown(machine) == [("MOVED 1.8 px", "REPEAT")]
+    assert run(machine, on.KeyPressed(Key.SCAN)).state is State.SAVING
+
+
+def test_a_board_reset_sets_the_live_views_up_again() -> None:
+    machine, effects = after(aim(), on.BoardReset("BROWNOUT"))
+    assert effects == [do.GoLive(light=True, lasers=True)]
+    assert shown(machine)[0][0] == "BOARD RESET"
+    machine, effects = after(capturing(), on.BoardReset("BROWNOUT"))
+    assert effects == [do.AbortCapture(1), do.GoLive(light=True, lasers=True)]
+
+
+@pytest.mark.parametrize(("jammed", "stand_in"), [(Key.SCAN, Key.UP), (Key.BACK, Key.DOWN)])
+def test_another_key_takes_over_a_stuck_one_with_its_label(jammed: Key, stand_in: Key) -> None:
+    machine = run(reviewing(), on.KeyJammed(jammed))
+    assert shown(machine)[0][0] == "KEY STUCK"
+    assert labels(machine)[stand_in] == labels(reviewing())[jammed]
+    assert jammed not in labels(machine)
+    assert run(machine, on.KeyPressed(stand_in)).state is run(reviewing(), on.KeyPressed(jammed)).state
+    freed = run(machine, on.KeyPressed(jammed), on.KeyPressed(stand_in))
+    assert stand_in not in freed.stuck
+    assert jammed not in freed.stuck
+
+
+def test_stopping_waits_for_the_save_and_for_nothing_else() -> None:
+    machine, effects = after(saving(), on.StopRequested("SIGTERM"))
+    assert (machine.state, effects) == (State.SAVING, [])
+    _, effects = after(machine, on.Saved(1, "000001"))
+    assert effects == [do.Quit(power_off=False)]
+    _, effects = after(capturing(), on.StopRequested("SIGTERM"))
+    assert effects == [do.AbortCapture(1), do.Quit(power_off=False)]
+
+
+def test_devices_not_heard_of_refuse_a_scan() -> None:
+    machine = run(boot(0), on.BootFinished(), on.KeyPressed(Key.SCAN))
+    assert machine.state is State.AIM
+    assert shown(machine) == [("LEFT CAM LOST", "SCAN REFUSED")]
+
+
+def test_headlines_fit_sixteen_characters_with_any_numbers() -> None:
+    assert set(RULES) == set(FaultCode)
+    names = ("received", "expected", "frame", "skew_ms", "shift_px", "temperature_c", "supply_v", "link_mbps")
+    for code in FaultCode:
+        for value in (0.0, 23.4567, -40.0, 123456.789, float("nan")):
+            for device in (None, "camera.left", "camera.right"):
+                headline = headline_of(Fault(code, "", dict.fromkeys(names, value), device))
+                assert 0 < len(headline) <= 16, headline
+                assert "{" not in headline
+    for rule in RULES.values():
+        assert len(rule.action) <= 32

@@ -1,0 +1,192 @@
+"""What holds from every state, whatever happened before and whatever comes next."""
+
+from __future__ import annotations
+
+import typing
+
+import pytest
+from hypothesis import given, settings
+
+from appliance.capture.fault import Fault, FaultCode
+from appliance.machine import effects as do
+from appliance.machine import events as on
+from appliance.machine.alerts import alerts
+from appliance.machine.permissions import interruption, may_lase, may_light, may_shine, refusal
+from appliance.machine.states import NEEDED_FOR_A_SCAN, Device, Machine, State
+from appliance.machine.step import step
+from appliance.machine.texts import labels
+from drivers.api import Key
+from tests.appliance.machine.walks import (
+    EVENTS,
+    MISSING,
+    SECOND_NS,
+    START,
+    SUMMARY,
+    WALKS,
+    WAYS,
+    heartbeat,
+    run,
+    walk,
+)
+
+EVERY_EVENT: list[on.Event] = [
+    on.Tick(1),
+    on.Tick(10_000 * SECOND_NS),
+    *(on.KeyPressed(key) for key in Key),
+    *(on.KeyHeld(key) for key in Key),
+    *(on.KeyJammed(key) for key in Key),
+    *(on.DeviceUp(device) for device in Device),
+    *(on.DeviceDown(device, "unplugged") for device in Device),
+    on.DeviceDown(Device.CAMERA_LEFT, "480 Mbit/s", FaultCode.CAMERA_SLOW_LINK),
+    on.BoardReset("POWER"),
+    heartbeat(leak=True, left_on=True, temperature_case_c=99.0),
+    heartbeat(),
+    *(on.ConditionRaised(Fault(code)) for code in FaultCode),
+    *(on.ConditionCleared(code) for code in FaultCode),
+    on.StorageCounted(1, "000001", 0),
+    on.BootFinished(),
+    *(on.CaptureFinished(number) for number in (0, 1, 2)),
+    *(on.CaptureFailed(number, Fault(code)) for number in (0, 1) for code in FaultCode),
+    on.RawStored(1),
+    on.CoarseReady(1, SUMMARY),
+    on.FullReady(1, SUMMARY, (MISSING,)),
+    *(on.ReconstructionFailed(1, Fault(code)) for code in FaultCode),
+    on.Saved(1, "000001"),
+    on.SaveFailed(1, Fault(FaultCode.NOT_SAVED, "EIO")),
+    on.Rejected(1, "000001"),
+    on.StopRequested("SIGTERM"),
+]
+
+
+def test_the_list_of_every_event_is_complete() -> None:
+    assert {type(event) for event in EVERY_EVENT} == set(typing.get_args(on.Event))
+
+
+@pytest.mark.parametrize("state", list(State))
+def test_every_state_is_reached_by_events_and_answers_every_event(state: State) -> None:
+    start = WAYS[state]()
+    assert start.state is state
+    for event in EVERY_EVENT:
+        machine, effects = step(start, event)
+        assert isinstance(machine, Machine)
+        assert all(isinstance(effect, typing.get_args(do.Effect)) for effect in effects)
+        for alert in alerts(machine):
+            assert 0 < len(alert.headline) <= 16
+            assert 0 < len(alert.action) <= 32
+        labels(machine)
+
+
+@given(START, WALKS, EVENTS)
+def test_the_same_event_gives_the_same_answer_and_leaves_the_machine_as_it_was(
+    start: Machine, events: list[on.Event], event: on.Event
+) -> None:
+    machine = walk(start, events)
+    before = repr(machine)
+    assert step(machine, event) == step(machine, event)
+    assert repr(machine) == before
+
+
+@given(START, WALKS)
+@settings(max_examples=100)
+def test_back_repeated_reaches_aim(start: Machine, events: list[on.Event]) -> None:
+    machine = walk(start, events)
+    if machine.state is State.SHUTDOWN:
+        return
+    for _ in range(200):
+        machine = run(machine, on.KeyPressed(Key.BACK), on.Tick(machine.now_ns + SECOND_NS))
+        if machine.state is State.AIM:
+            break
+    assert machine.state is State.AIM or machine.stopping
+
+
+@given(START, WALKS)
+@settings(max_examples=100)
+def test_a_capture_always_ends_even_if_nothing_answers(start: Machine, events: list[on.Event]) -> None:
+    machine = walk(start, events)
+    if machine.state is not State.CAPTURE:
+        machine = run(WAYS[State.AIM](), on.KeyPressed(Key.SCAN))
+    limit_ns = machine.now_ns + int(machine.settings.capture_s * 1e9)
+    machine = run(machine, on.Tick(limit_ns))
+    assert machine.state is State.AIM
+
+
+@given(START, WALKS)
+@settings(max_examples=100)
+def test_without_the_diver_every_state_ends_in_aim_review_or_shutdown(start: Machine, events: list[on.Event]) -> None:
+    machine = walk(start, events)
+    for _ in range(4):  # boot, capture, reconstruct, save: each has one deadline
+        machine = run(machine, on.Tick(machine.now_ns + 100 * SECOND_NS))
+    assert machine.state in (State.AIM, State.REVIEW, State.SHUTDOWN)
+
+
+@given(START, WALKS, EVENTS)
+@settings(max_examples=150)
+def test_no_light_without_permission(start: Machine, events: list[on.Event], event: on.Event) -> None:
+    before = walk(start, events)
+    machine, effects = step(before, event)
+    for effect in effects:
+        match effect:
+            case do.GoLive(light, lasers):
+                assert not light or may_shine(machine)
+                assert not lasers or may_lase(machine)
+            case do.Capture():
+                assert may_light(machine)
+                assert interruption(machine) is None
+            case _:
+                pass
+    if not may_light(machine):
+        assert machine.state is not State.CAPTURE
+    if may_light(before) and not may_light(machine) and before.state is not State.SHUTDOWN:
+        assert do.LightsOff() in effects
+
+
+@given(START, WALKS, EVENTS)
+@settings(max_examples=150)
+def test_live_views_run_in_aim_and_nowhere_else(start: Machine, events: list[on.Event], event: on.Event) -> None:
+    before = walk(start, events)
+    machine, effects = step(before, event)
+    went_live = any(isinstance(effect, do.GoLive) for effect in effects)
+    if before.state is State.AIM and machine.state is not State.AIM:
+        assert effects[effects.index(do.StopLive()) :]
+        assert not went_live
+    if before.state is not State.AIM and machine.state is State.AIM:
+        assert went_live
+    if went_live:
+        assert machine.state is State.AIM
+    captures = [i for i, effect in enumerate(effects) if isinstance(effect, do.Capture)]
+    if captures and before.state is State.AIM:
+        assert effects.index(do.StopLive()) < captures[0]
+
+
+@given(START, WALKS, EVENTS)
+@settings(max_examples=150)
+def test_a_recorded_scan_is_published_or_rejected_but_never_forgotten(
+    start: Machine, events: list[on.Event], event: on.Event
+) -> None:
+    before = walk(start, events)
+    machine, effects = step(before, event)
+    if before.scan is None or machine.scan is not None or machine.state is State.SHUTDOWN:
+        return
+    saved = isinstance(event, on.Saved) and event.number == before.scan.number
+    rejected = any(isinstance(e, do.Reject) and e.number == before.scan.number for e in effects)
+    assert saved or rejected
+
+
+@given(START, WALKS, EVENTS)
+@settings(max_examples=150)
+def test_numbers_of_captures_are_never_used_twice(start: Machine, events: list[on.Event], event: on.Event) -> None:
+    before = walk(start, events)
+    machine, effects = step(before, event)
+    for effect in effects:
+        if isinstance(effect, do.Capture):
+            assert effect.number == machine.captures == before.captures + 1
+
+
+def test_what_stops_a_capture_also_refuses_one() -> None:
+    aim = WAYS[State.AIM]()
+    for code in FaultCode:
+        machine = run(aim, on.ConditionRaised(Fault(code)))
+        if interruption(machine) is not None:
+            assert refusal(machine) is not None
+    for device in NEEDED_FOR_A_SCAN:
+        assert refusal(run(aim, on.DeviceDown(device, "gone"))) is not None
