@@ -1,0 +1,52 @@
+"""Owns what a benchmark says: a number, its unit, and the limit it must keep."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """One number a benchmark found out. A bound that is ``None`` does not judge; the unit is in ``unit``.
+
+    Wall time on a machine somebody else uses judges nothing: put bounds on CPU time, on ratios measured in one run,
+    on memory and on errors.
+    """
+
+    name: str
+    value: float
+    unit: str
+    at_most: float | None = None
+    at_least: float | None = None
+
+    @property
+    def kept(self) -> bool:
+        """True when every bound holds. NaN keeps none."""
+        if math.isnan(self.value):
+            return self.at_most is None and self.at_least is None
+        below = self.at_most is None or self.value <= self.at_most
+        above = self.at_least is None or self.value >= self.at_least
+        return below and above
+
+    def line(self) -> str:
+        """One row for people: value, unit, bounds, and MISSED when one is broken."""
+        bounds = []
+        if self.at_least is not None:
+            bounds.append(f"at least {self.at_least:g}")
+        if self.at_most is not None:
+            bounds.append(f"at most {self.at_most:g}")
+        judged = f"{', '.join(bounds)}: {'kept' if self.kept else 'MISSED'}" if bounds else ""
+        return f"  {self.name:<48} {self.value:>12.5g} {self.unit:<8} {judged}".rstrip()
+
+    def as_dict(self) -> dict[str, Any]:
+        """Ready for JSON."""
+        return {
+            "name": self.name,
+            "value": None if math.isnan(self.value) else self.value,
+            "unit": self.unit,
+            "at_most": self.at_most,
+            "at_least": self.at_least,
+            "kept": self.kept,
+        }

@@ -1,0 +1,119 @@
+"""Owns how benchmarks are found, run and reported: a benchmark is a module of a package with ``measure()``."""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+import json
+import os
+import pkgutil
+import platform
+import sys
+import traceback
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from bench.result import Measured
+
+Measure = Callable[[], Iterable[Measured]]
+
+
+@dataclass(frozen=True, slots=True)
+class Benchmark:
+    """A module ``bench_<name>`` and what its docstring's first line says it measures."""
+
+    name: str
+    summary: str
+    measure: Measure
+
+
+class UnknownBenchmark(Exception):
+    """No benchmark has that name; the message names the nearest ones."""
+
+
+def find(package: str) -> dict[str, Benchmark]:
+    """All benchmarks of ``package``, by name, in order: its modules ``bench_<name>`` with a function ``measure``.
+
+    Raises TypeError for a module that has the name of a benchmark but no ``measure``: it would never run.
+    """
+    found = {}
+    for module_info in sorted(pkgutil.iter_modules(importlib.import_module(package).__path__), key=lambda m: m.name):
+        if not module_info.name.startswith("bench_"):
+            continue
+        module = importlib.import_module(f"{package}.{module_info.name}")
+        measure = getattr(module, "measure", None)
+        if not callable(measure):
+            raise TypeError(f"{module.__name__} has no function measure(): define it or rename the module")
+        name = module_info.name.removeprefix("bench_")
+        found[name] = Benchmark(name, (module.__doc__ or "").strip().partition("\n")[0], measure)
+    return found
+
+
+def choose(found: dict[str, Benchmark], names: Sequence[str]) -> list[Benchmark]:
+    """The benchmarks called ``names``, in that order; all of them when there are no names. Raises UnknownBenchmark."""
+    for name in names:
+        if name not in found:
+            near = difflib.get_close_matches(name, found) or sorted(found)
+            raise UnknownBenchmark(f"no benchmark is called {name!r}; there is: {', '.join(near) or 'none'}")
+    return [found[name] for name in names] if names else list(found.values())
+
+
+def run(benchmarks: Sequence[Benchmark], out: Path, write: Callable[[str], object]) -> bool:
+    """Run them one after the other, write a line per number and ``out/<name>.json``; True when every bound was kept.
+
+    A benchmark that raises counts as not kept; the others still run.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    kept = True
+    for benchmark in benchmarks:
+        write(f"{benchmark.name}: {benchmark.summary}\n")
+        measured: list[Measured] = []
+        error = None
+        try:
+            for number in benchmark.measure():
+                measured.append(number)
+                write(number.line() + "\n")
+        except Exception:
+            error = traceback.format_exc()
+            write(error)
+        kept = kept and error is None and all(number.kept for number in measured)
+        record = {
+            "benchmark": benchmark.name,
+            "machine": machine(),
+            "error": error,
+            "measured": [number.as_dict() for number in measured],
+        }
+        (out / f"{benchmark.name}.json").write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+    return kept
+
+
+def machine() -> dict[str, str | int | None]:
+    """What a reader must know to compare numbers: processor, how many, interpreter."""
+    model = None
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        model = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), None)
+    except OSError:
+        pass  # not Linux: the processor stays unknown
+    return {
+        "processor": model,
+        "processors": len(os.sched_getaffinity(0)),
+        "python": platform.python_version(),
+        "system": platform.platform(),
+    }
+
+
+def main(arguments: Sequence[str], package: str = "bench", out: Path = Path("bench/out")) -> int:
+    """The command line: ``--list``, or names, or nothing for all. 0 kept, 1 a bound missed, 2 a wrong name."""
+    found = find(package)
+    if "--list" in arguments:
+        for benchmark in found.values():
+            sys.stdout.write(f"{benchmark.name:<16} {benchmark.summary}\n")
+        return 0
+    try:
+        chosen = choose(found, arguments)
+    except UnknownBenchmark as unknown:
+        sys.stderr.write(f"{unknown}\n")
+        return 2
+    return 0 if run(chosen, out, sys.stdout.write) else 1
