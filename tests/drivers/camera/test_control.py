@@ -1,0 +1,218 @@
+"""The control channel against a scripted device: every answer below is spelled out in bytes."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+
+import pytest
+
+from drivers.api import DeviceGone, DeviceRefused
+from drivers.camera.control import ATTEMPTS, ControlChannel, ControlRefused
+from drivers.camera.usb import TransferStalled, TransferTimeout, Unplugged
+from tests.drivers.clock import SteppedClock
+
+SILENCE = TransferTimeout("nothing")
+
+
+def answer(request: bytes, payload: bytes, *, status: int = 0, command: int | None = None, id_offset: int = 0) -> bytes:
+    _, _, code, _, request_id = struct.unpack_from("<IHHHH", request)
+    return (
+        struct.pack(
+            "<4sHHHH", b"U3VC", status, code + 1 if command is None else command, len(payload), request_id + id_offset
+        )
+        + payload
+    )
+
+
+class Memory:
+    """A device that answers each command by a function; it keeps what it was asked."""
+
+    def __init__(self, clock: SteppedClock, respond: Callable[[bytes], list[bytes | Exception]]) -> None:
+        self._clock = clock
+        self._respond = respond
+        self._pending: list[bytes | Exception] = []
+        self.commands: list[bytes] = []
+        self.halts_cleared = 0
+
+    def write(self, data: bytes, timeout_s: float) -> None:
+        self.commands.append(data)
+        self._pending += self._respond(data)
+
+    def read(self, size: int, timeout_s: float) -> bytes:
+        if not self._pending:
+            self._clock.advance_s(timeout_s)
+            raise SILENCE
+        first = self._pending.pop(0)
+        if isinstance(first, Exception):
+            if isinstance(first, TransferTimeout):
+                self._clock.advance_s(timeout_s)
+            raise first
+        assert len(first) <= size, "the buffer is smaller than what the device may send"
+        return first
+
+    def clear_halt(self) -> None:
+        self.halts_cleared += 1
+
+
+def channel(respond: Callable[[bytes], list[bytes | Exception]]) -> tuple[ControlChannel, Memory, SteppedClock]:
+    clock = SteppedClock()
+    memory = Memory(clock, respond)
+    return ControlChannel("camera.left", memory, clock), memory, clock
+
+
+def reading(command: bytes) -> tuple[int, int]:
+    address, _, count = struct.unpack_from("<QHH", command, 12)
+    return address, count
+
+
+def image(address: int, count: int) -> bytes:
+    return bytes((address + i) % 251 for i in range(count))
+
+
+def good(command: bytes) -> list[bytes | Exception]:
+    if command[6:8] == b"\x02\x08":
+        return [answer(command, struct.pack("<HH", 0, len(command) - 20))]
+    return [answer(command, image(*reading(command)))]
+
+
+def test_a_long_read_is_cut_to_what_the_device_can_send() -> None:
+    control, memory, _ = channel(good)
+    control.set_limits(128, 100, 0.2)
+    assert control.read(0x1000, 300) == image(0x1000, 300)
+    assert [reading(c) for c in memory.commands] == [(0x1000, 88), (0x1058, 88), (0x10B0, 88), (0x1108, 36)]
+
+
+def test_a_long_write_is_cut_to_what_the_device_can_take() -> None:
+    control, memory, _ = channel(good)
+    control.set_limits(60, 100, 0.2)
+    control.write(0x2000, bytes(range(100)))
+    assert [len(c) for c in memory.commands] == [60, 60, 40]
+    assert b"".join(c[20:] for c in memory.commands) == bytes(range(100))
+    assert [struct.unpack_from("<Q", c, 12)[0] for c in memory.commands] == [0x2000, 0x2028, 0x2050]
+
+
+def test_a_stale_answer_is_dropped_and_the_right_one_taken() -> None:
+    control, _, _ = channel(lambda c: [answer(c, b"old!", id_offset=-1), *good(c)])
+    control.read_u32(0)
+    assert control.read(0x10, 4) == image(0x10, 4)
+    assert control.counters.stale_answers == 2
+    assert control.counters.retries == 0
+
+
+def test_an_answer_that_comes_after_the_retry_does_not_shift_all_later_ones() -> None:
+    late: list[bytes | Exception] = []
+
+    def respond(command: bytes) -> list[bytes | Exception]:
+        nonlocal late
+        if not late:
+            late = good(command)
+            return [SILENCE]
+        first, late[:] = list(late), [b""]
+        return [*(f for f in first if f), *good(command)]
+
+    control, _, _ = channel(respond)
+    for address in (0x20, 0x40, 0x60):
+        assert control.read(address, 8) == image(address, 8)
+    assert control.counters.retries == 1
+    assert control.counters.stale_answers == 1
+
+
+def test_a_pending_acknowledge_prolongs_the_wait() -> None:
+    clock: SteppedClock
+
+    def respond(command: bytes) -> list[bytes | Exception]:
+        clock.advance_s(0.15)
+        return [answer(command, struct.pack("<HH", 0, 2000), command=0x0805), *good(command)]
+
+    control, memory, clock = channel(respond)
+    control.set_limits(128, 128, 0.2)
+    assert control.read(0, 4) == image(0, 4)
+    assert len(memory.commands) == 1
+    assert control.counters.pending_acknowledges == 1
+
+
+def test_a_device_that_is_pending_for_ever_is_given_up() -> None:
+    control, memory, clock = channel(lambda c: [answer(c, struct.pack("<HH", 0, 65535), command=0x0805)] * 20)
+    begin_ns = clock.now_ns()
+    with pytest.raises(DeviceGone):
+        control.read(0, 4)
+    assert len(memory.commands) == ATTEMPTS
+    assert (clock.now_ns() - begin_ns) * 1e-9 < 10.5 * ATTEMPTS
+
+
+def test_silence_ends_after_the_stated_attempts() -> None:
+    control, memory, clock = channel(lambda c: [])
+    begin_ns = clock.now_ns()
+    with pytest.raises(DeviceGone, match=r"camera\.left: no answer at 3 attempts of a read of 4 bytes at 0x1f0"):
+        control.read(0x1F0, 4)
+    assert len(memory.commands) == ATTEMPTS
+    assert (clock.now_ns() - begin_ns) * 1e-9 == pytest.approx(ATTEMPTS * 0.5, abs=0.01)
+
+
+def test_each_attempt_has_its_own_request_id() -> None:
+    control, memory, _ = channel(lambda c: [])
+    with pytest.raises(DeviceGone):
+        control.read(0, 4)
+    assert [struct.unpack_from("<H", c, 10)[0] for c in memory.commands] == [1, 2, 3]
+
+
+def test_request_ids_wrap_to_one() -> None:
+    control, memory, _ = channel(good)
+    for _ in range(0x1_0001):
+        control.read_u32(0)
+    ids = [struct.unpack_from("<H", c, 10)[0] for c in memory.commands]
+    assert ids[0xFFFE:] == [0xFFFF, 1, 2]
+    assert 0 not in ids
+
+
+@pytest.mark.parametrize(
+    ("status", "name"), [(0x8003, "INVALID_ADDRESS"), (0x8006, "ACCESS_DENIED"), (0x8ABC, "0x8abc")]
+)
+def test_a_refusal_is_named_and_not_retried(status: int, name: str) -> None:
+    control, memory, _ = channel(lambda c: [answer(c, b"", status=status)])
+    with pytest.raises(ControlRefused, match=name) as caught:
+        control.read(0x10, 4)
+    assert caught.value.status == status
+    assert len(memory.commands) == 1
+
+
+def test_busy_is_tried_again_then_told() -> None:
+    control, memory, _ = channel(lambda c: [answer(c, b"", status=0x8007)] if len(memory.commands) < 3 else good(c))
+    assert control.read(0, 4) == image(0, 4)
+    control, memory, _ = channel(lambda c: [answer(c, b"", status=0x8007)])
+    with pytest.raises(ControlRefused, match="busy"):
+        control.read(0, 4)
+    assert len(memory.commands) == ATTEMPTS
+
+
+def test_garbage_before_the_answer_costs_nothing_but_a_count() -> None:
+    control, memory, _ = channel(lambda c: [b"\xff" * 40, *good(c)])
+    assert control.read(0, 4) == image(0, 4)
+    assert len(memory.commands) == 1
+    assert control.counters.malformed_answers == 1
+
+
+def test_an_answer_of_the_wrong_length_is_asked_for_again() -> None:
+    control, memory, _ = channel(lambda c: [answer(c, b"xy")] if len(memory.commands) == 1 else good(c))
+    assert control.read(0, 4) == image(0, 4)
+    assert len(memory.commands) == 2
+
+
+def test_a_stall_is_cleared_and_retried() -> None:
+    control, memory, _ = channel(lambda c: [TransferStalled("halt")] if len(memory.commands) == 1 else good(c))
+    assert control.read(0, 4) == image(0, 4)
+    assert memory.halts_cleared == 1
+
+
+def test_unplugging_is_told_at_once() -> None:
+    control, memory, _ = channel(lambda c: [Unplugged("no such device")])
+    with pytest.raises(DeviceGone, match="unplugged"):
+        control.read(0, 4)
+    assert len(memory.commands) == 1
+
+
+def test_limits_too_small_for_a_register_are_refused() -> None:
+    control, _, _ = channel(good)
+    with pytest.raises(DeviceRefused, match="16 / 1024"):
+        control.set_limits(16, 1024, 0.2)
