@@ -1,0 +1,361 @@
+"""The house rules of CONTRIBUTING.md that a machine can check; each rule is first shown to notice its own breach."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PRODUCT = ("appliance", "drivers")
+SHIPPED = (*PRODUCT, "hw_sim")
+MOST_LINES = 500
+
+WALL_CLOCK = {"time.time", "time.time_ns", "datetime.now", "datetime.utcnow", "datetime.today", "date.today"}
+ENDLESS = {"wait", "join", "result", "communicate"}
+"""Methods that wait for ever when they are called without arguments."""
+UNBOUNDED = {"Queue", "LifoQueue", "PriorityQueue", "JoinableQueue"}
+SEEDED = {"default_rng", "SeedSequence", "PCG64", "Philox", "Random"}
+QUANTITY = re.compile(
+    r"(^|_)(time|timeout|delay|duration|interval|latency|age|distance|thickness|exposure|temperature|angle"
+    r"|speed|frequency|voltage)$"
+)
+
+
+@dataclass(frozen=True)
+class Source:
+    """One Python file."""
+
+    path: str
+    text: str
+    tree: ast.Module
+
+    @classmethod
+    def parse(cls, path: str, text: str) -> Source:
+        return cls(path, text, ast.parse(text, path))
+
+    def calls(self) -> Iterator[tuple[ast.Call, str]]:
+        """Every call with the dotted name of what is called, as far as it is names and attributes."""
+        for node in ast.walk(self.tree):
+            if isinstance(node, ast.Call):
+                yield node, dotted(node.func)
+
+    def lines_matching(self, pattern: str) -> Iterator[int]:
+        for number, line in enumerate(self.text.splitlines(), 1):
+            if re.search(pattern, line):
+                yield number
+
+
+def dotted(node: ast.expr) -> str:
+    match node:
+        case ast.Name(id=name):
+            return name
+        case ast.Attribute(value=value, attr=name):
+            return f"{dotted(value)}.{name}"
+        case _:
+            return "?"
+
+
+Breach = tuple[int, str]
+
+
+def no_docstring(source: Source) -> Iterator[Breach]:
+    if not (ast.get_docstring(source.tree) or "").strip():
+        yield 1, "the module says in no sentence what it owns"
+
+
+def wall_clock(source: Source) -> Iterator[Breach]:
+    for call, name in source.calls():
+        if ".".join(name.split(".")[-2:]) in WALL_CLOCK:
+            yield call.lineno, f"{name}: wall time jumps; ask the clock that was handed in"
+    yield from imported_from("time", {"time", "time_ns"}, source)
+
+
+def sleep(source: Source) -> Iterator[Breach]:
+    for call, name in source.calls():
+        if name == "time.sleep":
+            yield call.lineno, "time.sleep: ask the clock that was handed in, it decides how time passes"
+    yield from imported_from("time", {"sleep"}, source)
+
+
+def imported_from(module: str, names: set[str], source: Source) -> Iterator[Breach]:
+    for node in ast.walk(source.tree):
+        if isinstance(node, ast.ImportFrom) and node.module == module:
+            for alias in node.names:
+                if alias.name in names:
+                    yield node.lineno, f"from {module} import {alias.name} hides what is called"
+
+
+def swallowed_error(source: Source) -> Iterator[Breach]:
+    for node in ast.walk(source.tree):
+        if not isinstance(node, ast.ExceptHandler):
+            continue
+        if node.type is None:
+            yield node.lineno, "a bare except catches even the request to stop"
+        elif dotted(node.type) in {"Exception", "BaseException"} and all(isinstance(s, ast.Pass) for s in node.body):
+            yield node.lineno, "every error is swallowed: name the one that is expected"
+
+
+def prints(source: Source) -> Iterator[Breach]:
+    for call, name in source.calls():
+        if name in {"print", "pprint", "pprint.pprint"}:
+            yield call.lineno, "print: log it, return it or draw it"
+
+
+def endless_wait(source: Source) -> Iterator[Breach]:
+    for call, name in source.calls():
+        receiver, _, method = name.rpartition(".")
+        if receiver and method in ENDLESS and not call.args and not call.keywords:
+            yield call.lineno, f"{name}() waits for ever: give it a timeout"
+
+
+def unbounded_queue(source: Source) -> Iterator[Breach]:
+    for call, name in source.calls():
+        last = name.rpartition(".")[2]
+        if last == "SimpleQueue" or (last in UNBOUNDED and not call.args and not call.keywords):
+            yield call.lineno, f"{name}() grows without bound: give it a size and say what happens when it is full"
+
+
+def unseeded_randomness(source: Source) -> Iterator[Breach]:
+    for call, name in source.calls():
+        parts = name.split(".")
+        if parts[-1] in SEEDED and (parts[:-1] in ([], ["np", "random"], ["random"])):
+            if not call.args and not call.keywords:
+                yield call.lineno, f"{name}() without a seed"
+        elif name in {"os.urandom", "uuid.uuid4"} or (
+            parts[:-1] in (["np", "random"], ["random"], ["secrets"]) and parts[-1] != "Generator"
+        ):
+            yield call.lineno, f"{name}: cannot be repeated; draw from a seeded generator that was handed in"
+
+
+def import_side_effect(source: Source) -> Iterator[Breach]:
+    allowed = (
+        *(ast.Import, ast.ImportFrom, ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef),
+        *(ast.Assign, ast.AnnAssign, ast.AugAssign, ast.Pass),
+    )
+    for node in source.tree.body:
+        match node:
+            case ast.Expr(value=ast.Constant()):
+                continue
+            case ast.If(test=test) if ast.unparse(test) in {"TYPE_CHECKING", "__name__ == '__main__'"}:
+                continue
+            case ast.Expr(value=ast.Call(func=function)) if dotted(function) == "sys.exit":
+                if source.path.endswith("__main__.py"):
+                    continue
+            case _ if isinstance(node, allowed):
+                continue
+        yield node.lineno, "something happens at import: put it into a function"
+
+
+def global_state(source: Source) -> Iterator[Breach]:
+    for node in ast.walk(source.tree):
+        if isinstance(node, ast.Global):
+            yield node.lineno, f"global {', '.join(node.names)}: hand the state in"
+
+
+def dataclass_without_slots(source: Source) -> Iterator[Breach]:
+    for node in ast.walk(source.tree):
+        if not isinstance(node, ast.ClassDef):
+            continue
+        for decorator in node.decorator_list:
+            call = decorator.func if isinstance(decorator, ast.Call) else decorator
+            if dotted(call) not in {"dataclass", "dataclasses.dataclass"}:
+                continue
+            keywords = decorator.keywords if isinstance(decorator, ast.Call) else []
+            given = {k.arg for k in keywords if isinstance(k.value, ast.Constant) and k.value.value is True}
+            if "slots" not in given:
+                yield node.lineno, f"{node.name}: a misspelt attribute goes unnoticed without slots=True"
+
+
+def field_without_unit(source: Source) -> Iterator[Breach]:
+    for node in ast.walk(source.tree):
+        if not isinstance(node, ast.ClassDef) or not any("dataclass" in ast.unparse(d) for d in node.decorator_list):
+            continue
+        for item in node.body:
+            match item:
+                case ast.AnnAssign(target=ast.Name(id=name), annotation=kind):
+                    if QUANTITY.search(name) and "str" not in ast.unparse(kind):
+                        yield item.lineno, f"{node.name}.{name} is a quantity: name its unit (_ms, _mm, _c)"
+
+
+def knows_the_simulator(source: Source) -> Iterator[Breach]:
+    for number in source.lines_matching(r"(?i)hw_?sim|\b(is_)?simulat|\b(is_)?(mock|fake)|\bis_real\b"):
+        yield number, "product code does not know whether the world around it is simulated"
+
+
+def postponed(source: Source) -> Iterator[Breach]:
+    for number in source.lines_matching(r"#.*\b(TODO|FIXME|XXX|HACK)\b"):
+        yield number, "do it, or write it down where plans are kept"
+
+
+def blanket_silence(source: Source) -> Iterator[Breach]:
+    for number in source.lines_matching(r"#\s*(type:\s*ignore(?!\[)|noqa(?!:))"):
+        yield number, "silences every message: name the one that is meant"
+
+
+def too_long(source: Source) -> Iterator[Breach]:
+    lines = source.text.count("\n")
+    if lines > MOST_LINES:
+        yield lines, f"{lines} lines hold more than one idea (at most {MOST_LINES})"
+
+
+def asserts_nothing(source: Source) -> Iterator[Breach]:
+    for node in ast.walk(source.tree):
+        if isinstance(node, ast.FunctionDef) and node.name.startswith("test_"):
+            asserts = any(isinstance(inner, ast.Assert) for inner in ast.walk(node))
+            called = {dotted(c.func).rpartition(".")[2] for c in ast.walk(node) if isinstance(c, ast.Call)}
+            if not asserts and not any(re.match(r"_?(assert|check|expect|raises|fail|warns)", name) for name in called):
+                yield node.lineno, f"{node.name} asserts nothing"
+
+
+@dataclass(frozen=True)
+class Rule:
+    """A check, where it holds, and an example that it must notice beside one that it must let pass.
+
+    ``except_in`` names the files (or folders, with a final slash) where it does not hold, ``except_calls`` the calls
+    that it may not judge; each with the reason.
+    """
+
+    check: Callable[[Source], Iterator[Breach]]
+    bad: tuple[str, ...]
+    good: tuple[str, ...]
+    packages: tuple[str, ...] = SHIPPED
+    except_in: dict[str, str] = field(default_factory=dict)
+    except_calls: dict[str, str] = field(default_factory=dict)
+
+    def breaches(self, source: Source) -> list[Breach]:
+        return [b for b in self.check(source) if not any(b[1].startswith(f"{name}(") for name in self.except_calls)]
+
+
+RULES = [
+    Rule(no_docstring, bad=("x = 1", '""" """'), good=('"""Owns x."""',)),
+    Rule(
+        wall_clock,
+        bad=("time.time()", "datetime.datetime.now(UTC)", "datetime.now()", "from time import time"),
+        good=("clock.now_ns()", "time.monotonic()"),
+    ),
+    Rule(
+        sleep,
+        bad=("time.sleep(1)", "from time import sleep"),
+        good=("clock.sleep_s(1)",),
+        except_in={"drivers/native.py": "the clock of the instrument"},
+    ),
+    Rule(
+        swallowed_error,
+        bad=("try: f()\nexcept: g()", "try: f()\nexcept Exception: pass"),
+        good=("try: f()\nexcept OSError: pass", "try: f()\nexcept Exception as e: log(e)"),
+    ),
+    Rule(prints, bad=("print(x)",), good=("sys.stdout.write(x)",)),
+    Rule(
+        endless_wait,
+        bad=("event.wait()", "self.thread.join()", "future.result()"),
+        good=("event.wait(1.0)", "thread.join(timeout=2)", "', '.join(names)", "pacer.wait(clock)"),
+        except_calls={
+            "self._pacer.wait": "a pacer computes its own deadline",
+            "pending.result": "asked only once it is done",
+        },
+    ),
+    Rule(
+        unbounded_queue,
+        bad=("queue.Queue()", "Queue()", "SimpleQueue()"),
+        good=("queue.Queue(8)", "Queue(maxsize=8)"),
+    ),
+    Rule(
+        unseeded_randomness,
+        bad=("np.random.default_rng()", "np.random.normal(0, 1)", "random.random()", "Random()", "os.urandom(4)"),
+        good=("np.random.default_rng(7)", "rng.normal(0, 1)", "default_rng(seed)", "np.random.Generator(bits)"),
+    ),
+    Rule(
+        import_side_effect,
+        bad=("open('x')", "for i in y: f(i)", "if DEBUG: f()", "with x: pass"),
+        good=('"""Doc."""\nimport os\nX = f()\nclass A: pass', "if TYPE_CHECKING:\n    import os"),
+    ),
+    Rule(global_state, bad=("def f():\n    global x\n    x = 1",), good=("def f():\n    nonlocal_x = 1",)),
+    Rule(
+        dataclass_without_slots,
+        bad=("@dataclass\nclass A: pass", "@dataclasses.dataclass(frozen=True)\nclass A: pass"),
+        good=("@dataclass(frozen=True, slots=True)\nclass A: pass", "class A: pass"),
+    ),
+    Rule(
+        field_without_unit,
+        bad=("@dataclass\nclass A:\n    exposure: float", "@dataclass\nclass A:\n    read_timeout: float | None"),
+        good=("@dataclass\nclass A:\n    exposure_us: float\n    age_s: float", "class A:\n    exposure: float"),
+    ),
+    Rule(
+        knows_the_simulator,
+        bad=("import hw_sim", "if self.simulated: pass", "is_fake = 1", "# only when simulating"),
+        good=("similar = 1", "dissimulate = 2"),
+        packages=PRODUCT,
+    ),
+    Rule(
+        postponed,
+        bad=("x = 1  # TODO later",),
+        good=("x = 'TODO'",),
+        packages=(*SHIPPED, "bench", "tests"),
+        except_in={"tests/test_house_rules.py": "the example above"},
+    ),
+    Rule(
+        blanket_silence,
+        bad=("x = y  # type: ignore", "x = y  # noqa"),
+        good=("x = y  # type: ignore[attr-defined]", "x = y  # noqa: N802"),
+        packages=(*SHIPPED, "bench"),
+    ),
+    Rule(too_long, bad=("x = 1\n" * (MOST_LINES + 1),), good=("x = 1\n" * MOST_LINES,)),
+    Rule(
+        asserts_nothing,
+        bad=("def test_x():\n    f()",),
+        good=("def test_x():\n    assert f()", "def test_x():\n    with pytest.raises(E): f()"),
+        packages=("tests",),
+    ),
+]
+
+
+@cache
+def sources(package: str) -> tuple[Source, ...]:
+    return tuple(
+        Source.parse(path.relative_to(ROOT).as_posix(), path.read_text(encoding="utf-8"))
+        for path in sorted((ROOT / package).rglob("*.py"))
+    )
+
+
+def name_of(rule: Rule) -> str:
+    return rule.check.__name__.replace("_", "-")
+
+
+@pytest.mark.parametrize("rule", RULES, ids=name_of)
+def test_the_rule_notices_its_breach_and_nothing_else(rule: Rule) -> None:
+    for example in rule.bad:
+        assert rule.breaches(Source.parse("example.py", example)), f"not noticed: {example}"
+    for example in rule.good:
+        assert not rule.breaches(Source.parse("example.py", example)), f"wrongly noticed: {example}"
+
+
+@pytest.mark.parametrize("rule", RULES, ids=name_of)
+def test_the_rule_is_kept(rule: Rule) -> None:
+    looked_at = [source for package in rule.packages for source in sources(package)]
+    assert looked_at
+    found = [
+        f"{source.path}:{line}: {message}"
+        for source in looked_at
+        if not source.path.startswith(tuple(rule.except_in))
+        for line, message in rule.breaches(source)
+    ]
+    assert not found, "\n" + "\n".join(found)
+
+
+@pytest.mark.parametrize("rule", [rule for rule in RULES if rule.except_in], ids=name_of)
+def test_no_exception_outlives_its_reason(rule: Rule) -> None:
+    for path in rule.except_in:
+        breaches = [
+            breach
+            for package in rule.packages
+            for source in sources(package)
+            if source.path.startswith(path)
+            for breach in rule.breaches(source)
+        ]
+        assert breaches, f"{path} no longer needs to be excepted from {name_of(rule)}"
