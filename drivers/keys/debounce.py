@@ -95,7 +95,7 @@ class Debouncer:
             if not state.masked:
                 events.append((since_ns, KeyPress(key, since_ns)))
         elif not state.masked:
-            events.append((since_ns, KeyRelease(key, since_ns, (since_ns - state.down_since_ns) * 1e-9)))
+            events.append((since_ns, KeyRelease(key, since_ns, (since_ns - state.down_since_ns) / 1e9)))
         elif not state.faulty:
             state.masked = state.stuck_told = False
 

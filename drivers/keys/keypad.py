@@ -152,7 +152,7 @@ class HidKeypad:
             self._events.extend(self._debouncer.advance(now_ns))
 
     def _read_one(self, timeout_s: float) -> bool:
-        """Read and digest at most one report; True when something came."""
+        """Read and digest at most one report; True when it was one. Garbage is like silence, or it could hide it."""
         # A timeout of 0 means "for ever" to some versions of hidapi.
         timeout_ms = max(1, -(-round(timeout_s * 1e6) // 1000))
         before_ns = self._clock.now_ns()
@@ -170,8 +170,8 @@ class HidKeypad:
             report = parse_report(data)
         except MalformedReport:
             self.counters.garbage_reports += 1
-        else:
-            self._digest(report, now_ns, waited_for=now_ns - before_ns > _WAITED_NS)
+            return False
+        self._digest(report, now_ns, waited_for=now_ns - before_ns > _WAITED_NS)
         return True
 
     def _digest(self, report: KeyReport, now_ns: int, waited_for: bool) -> None:

@@ -1,0 +1,246 @@
+"""The conversation with a board at the other end of a pseudo terminal: real bytes through the real pyserial."""
+
+from __future__ import annotations
+
+import binascii
+import os
+import select
+import threading
+import time
+import tty
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import pytest
+
+from drivers.api import BoardBooted, BoardEvent, BoardLost, DeviceGone, LaserState, Pulse, Telemetry
+from drivers.board import BoardSpec, TriggerBoard
+from drivers.board.board import BoardRefused
+from drivers.board.reports import Refusal
+from drivers.native import MonotonicClock
+
+Respond = Callable[[int, str, list[str]], list[bytes]]
+
+
+def line(*parts: object) -> bytes:
+    body = ",".join(str(part) for part in parts).encode()
+    return b"$" + body + b"*%04X\r\n" % binascii.crc_hqx(body, 0xFFFF)
+
+
+def polite(sequence: int, verb: str, fields: list[str]) -> list[bytes]:
+    answers = {
+        "INFO": ["1.4", "KF-B-1", "TPROJ+LEAK"],
+        "VSYNC": ["300", "5000000", "5001234"],
+        "LASER": fields,
+        "STOP": [],
+        "ARM": fields,
+        "LIVE": fields,
+    }
+    return [line("A", sequence, verb, *answers[verb])]
+
+
+class FarEnd:
+    """The board's end of the line: answers by a function, says what the test wants, keeps every command."""
+
+    def __init__(self, respond: Respond = polite) -> None:
+        self._master, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        self.url = os.ttyname(self._slave)
+        self.respond = respond
+        self.commands: list[tuple[int, str, list[str]]] = []
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+        self._thread.start()
+
+    def say(self, data: bytes) -> None:
+        os.write(self._master, data)
+
+    def unplug(self) -> None:
+        self._stop.set()
+        self._thread.join(2.0)
+        os.close(self._slave)
+        os.close(self._master)
+
+    def _serve(self) -> None:
+        pending = b""
+        while not self._stop.is_set():
+            if not select.select([self._master], [], [], 0.02)[0]:
+                continue
+            pending += os.read(self._master, 4096)
+            *lines, pending = pending.split(b"\r\n")
+            for raw in lines:
+                body, _, checksum = raw[1:].partition(b"*")
+                assert raw[:1] == b"$"
+                assert int(checksum, 16) == binascii.crc_hqx(body, 0xFFFF)
+                _, sequence, verb, *fields = body.decode().split(",")
+                self.commands.append((int(sequence), verb, fields))
+                for answer in self.respond(int(sequence), verb, fields):
+                    os.write(self._master, answer)
+
+
+@contextmanager
+def connected(respond: Respond = polite) -> Iterator[tuple[FarEnd, TriggerBoard]]:
+    far = FarEnd(respond)
+    try:
+        with TriggerBoard.open(BoardSpec(far.url), MonotonicClock()) as board:
+            far.commands.clear()
+            yield far, board
+    finally:
+        if not far._stop.is_set():
+            far.unplug()
+
+
+def wait_for(board: TriggerBoard, kind: type[BoardEvent], timeout_s: float) -> BoardEvent:
+    deadline = time.monotonic() + timeout_s
+    while time.monotonic() < deadline:
+        event = board.next_event(0.1)
+        if isinstance(event, kind):
+            return event
+    raise AssertionError(f"no {kind} within {timeout_s} s")
+
+
+def test_opening_asks_who_it_is() -> None:
+    with connected() as (_, board):
+        assert (board.info.firmware, board.info.serial) == ("1.4", "KF-B-1")
+        assert board.health().ok
+        assert any(thread.name == "kf-board" for thread in threading.enumerate())
+    assert not any(thread.name == "kf-board" for thread in threading.enumerate())
+
+
+def test_a_vertical_sync_is_bracketed_by_host_time() -> None:
+    with connected() as (_, board):
+        before = time.monotonic_ns()
+        got = board.vsync()
+        after = time.monotonic_ns()
+        assert (got.count, got.board_time_us, got.board_now_us) == (300, 5_000_000, 5_001_234)
+        assert before <= got.host_sent_ns < got.host_received_ns <= after
+
+
+def test_arming_sends_its_four_numbers() -> None:
+    with connected() as (far, board):
+        board.arm(24, 90124, 500, 12000)
+        assert far.commands[0][1:] == ("ARM", ["24", "90124", "500", "12000"])
+
+
+def test_the_lasers_read_back_is_told_not_what_was_asked() -> None:
+    def stuck(sequence: int, verb: str, fields: list[str]) -> list[bytes]:
+        return [line("A", sequence, "LASER", 1, 0)] if verb == "LASER" else polite(sequence, verb, fields)
+
+    with connected(stuck) as (_, board):
+        assert board.set_lasers(False, False) == LaserState(True, False)
+
+
+def test_a_refusal_says_why_and_what_to_do() -> None:
+    def busy(sequence: int, verb: str, fields: list[str]) -> list[bytes]:
+        if verb == "ARM":
+            return [line("N", sequence, "ARM", 3, "armed")]
+        return polite(sequence, verb, fields)
+
+    with connected(busy) as (_, board):
+        with pytest.raises(BoardRefused, match=r"refused ARM: armed \(code 3\)\. Send STOP first") as caught:
+            board.arm(24, 1, 500, 12000)
+        assert caught.value.code == Refusal.BUSY
+
+
+def test_a_lost_answer_is_asked_for_again_with_the_same_number() -> None:
+    asked = 0
+
+    def deaf_twice(sequence: int, verb: str, fields: list[str]) -> list[bytes]:
+        nonlocal asked
+        asked += verb == "STOP"
+        return [] if verb == "STOP" and asked < 3 else polite(sequence, verb, fields)
+
+    with connected(deaf_twice) as (far, board):
+        board.stop()
+        assert len(far.commands) == 3
+        assert len({sequence for sequence, _, _ in far.commands}) == 1
+        assert board.counters.retries == 2
+
+
+def test_a_board_that_never_answers_is_gone_in_bounded_time() -> None:
+    with connected() as (far, board):
+        far.respond = lambda *_: []
+        begin = time.monotonic()
+        with pytest.raises(DeviceGone, match="no answer to STOP in 3 attempts"):
+            board.stop()
+        assert time.monotonic() - begin < 0.6
+
+
+def test_a_late_answer_is_not_taken_for_the_next_ones() -> None:
+    with connected() as (far, board):
+        far.respond = lambda *_: []
+        with pytest.raises(DeviceGone):
+            board.vsync()
+        stale = far.commands[-1][0]
+
+        def late(sequence: int, verb: str, fields: list[str]) -> list[bytes]:
+            return [line("A", stale, "VSYNC", 1, 1, 1), *polite(sequence, verb, fields)]
+
+        far.respond = late
+        assert board.vsync().count == 300
+        assert board.counters.late_answers == 1
+
+
+def test_a_number_the_board_has_seen_before_is_not_used_twice() -> None:
+    """A restarted program may hit the number of its predecessor's last command; the board then repeats that answer."""
+    first: list[int] = []
+
+    def remembers(sequence: int, verb: str, fields: list[str]) -> list[bytes]:
+        first.append(sequence)
+        if sequence == first[0]:
+            return [line("A", sequence, "LASER", 0, 0)]
+        return polite(sequence, verb, fields)
+
+    with connected(remembers) as (_, board):
+        assert board.info.serial == "KF-B-1"
+        assert first[1] == (first[0] + 1) % 65536
+
+
+def test_garbage_between_lines_costs_no_report() -> None:
+    with connected() as (far, board):
+        far.say(b"\xff\x00$R,5,PUL" + line("R", 5, "PULSE", 0, 100, 1000) + b"noise\r\n" + b"$" * 7)
+        far.say(line("R", 6, "PULSE", 1, 101, 17667)[:-3] + b"!" + line("R", 7, "PULSE", 2, 102, 34334))
+        assert wait_for(board, Pulse, 1.0) == Pulse(0, 100, 1000)
+        assert wait_for(board, Pulse, 1.0) == Pulse(2, 102, 34334)
+        counters = board.counters
+        assert counters.lost_reports == 1
+        assert counters.damaged_lines >= 2
+
+
+def test_a_reset_is_told_and_starts_the_numbering_anew() -> None:
+    with connected() as (far, board):
+        far.say(line("R", 900, "HB", 1, 1, 0, 0) + line("R", 0, "BOOT", "1.4", "KF-B-1", "WATCHDOG"))
+        far.say(line("R", 1, "HB", 500000, 30, 0, 0, "TPROJ=40.5"))
+        assert wait_for(board, BoardBooted, 1.0) == BoardBooted("1.4", "KF-B-1", "WATCHDOG")
+        event = wait_for(board, Telemetry, 1.0)
+        assert isinstance(event, Telemetry)
+        assert event.temperature_projector_c == 40.5
+        assert board.counters.lost_reports == 0
+
+
+def test_silence_is_told_once_after_three_heartbeats_and_ends_by_itself() -> None:
+    with connected() as (far, board):
+        far.say(line("R", 1, "HB", 1, 1, 0, 0))
+        wait_for(board, Telemetry, 1.0)
+        begin = time.monotonic()
+        assert wait_for(board, BoardLost, 2.5) == BoardLost("no heartbeat for 1.5 s")
+        assert 1.4 < time.monotonic() - begin < 1.9
+        assert board.latest is None
+        assert board.next_event(0.3) is None
+        far.say(line("R", 2, "HB", 2_000_000, 1, 0, 0))
+        assert isinstance(wait_for(board, Telemetry, 1.0), Telemetry)
+
+
+def test_an_unplugged_board_is_told_and_refuses_commands() -> None:
+    with connected() as (far, board):
+        far.unplug()
+        event = wait_for(board, BoardLost, 1.0)
+        assert isinstance(event, BoardLost)
+        with pytest.raises(DeviceGone, match="board:"):
+            board.set_lasers(False, False)
+        assert not board.health().ok
+
+
+def test_a_path_without_a_board_is_one_clear_error() -> None:
+    with pytest.raises(DeviceGone, match="/dev/no-such-board cannot be opened"):
+        TriggerBoard.open(BoardSpec("/dev/no-such-board"), MonotonicClock())

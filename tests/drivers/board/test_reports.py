@@ -1,0 +1,77 @@
+"""What the board's reports mean, and that a sensor without a value is no zero."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.api import BoardBooted, LaserState, Pulse, PulsesDone, Telemetry, VsyncLost
+from drivers.board.line import Kind, MalformedLine, Sentence
+from drivers.board.reports import parse_info, parse_lasers, parse_refusal, parse_report
+
+
+def report(verb: str, *fields: str) -> Sentence:
+    return Sentence(Kind.REPORT, 1, verb, fields)
+
+
+def test_reports_become_events() -> None:
+    assert parse_report(report("PULSE", "3", "90127", "1502783412"), 5) == Pulse(3, 90127, 1502783412)
+    assert parse_report(report("DONE", "24"), 5) == PulsesDone(24)
+    assert parse_report(report("NOSYNC"), 5) == VsyncLost()
+    assert parse_report(report("BOOT", "1.4", "KF-B-1", "BROWNOUT"), 5) == BoardBooted("1.4", "KF-B-1", "BROWNOUT")
+
+
+def test_a_heartbeat_carries_what_is_fitted_and_answers() -> None:
+    got = parse_report(report("HB", "5000000", "300", "0", "1", "TPROJ=41.5", "LEAK=0", "SUPPLY=-"), 77)
+    assert got == Telemetry(77, 5_000_000, 300, LaserState(False, True), temperature_projector_c=41.5, leak=False)
+
+
+def test_a_silent_leak_sensor_is_unknown_not_dry() -> None:
+    got = parse_report(report("HB", "1", "2", "0", "0", "LEAK=-"), 0)
+    assert isinstance(got, Telemetry)
+    assert got.leak is None
+    assert got.temperature_case_c is None
+
+
+def test_a_later_boards_reports_do_not_disturb() -> None:
+    assert parse_report(report("DEPTH", "12.5"), 0) is None
+    got = parse_report(report("HB", "1", "2", "0", "0", "DEPTH=12.5", "HUM=44"), 0)
+    assert isinstance(got, Telemetry)
+    assert got.humidity_percent == 44.0
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        report("PULSE", "64", "1", "1"),
+        report("PULSE", "0", "4294967296", "1"),
+        report("PULSE", "0", "1"),
+        report("DONE", "many"),
+        report("HB", "1", "2", "0", "2"),
+        report("HB", "1", "2", "0", "0", "TPROJ=nan"),
+        report("HB", "1", "2", "0", "0", "TPROJ=hot"),
+        report("HB", "1", "2", "0", "0", "TPROJ"),
+    ],
+)
+def test_a_report_that_cannot_be_is_refused(bad: Sentence) -> None:
+    with pytest.raises(MalformedLine):
+        parse_report(bad, 0)
+
+
+def test_answers_are_taken_apart() -> None:
+    info = parse_info(Sentence(Kind.ACKNOWLEDGE, 1, "INFO", ("1.4", "KF-B-1", "TPROJ+LEAK")))
+    assert info.capabilities == {"TPROJ", "LEAK"}
+    assert parse_info(Sentence(Kind.ACKNOWLEDGE, 1, "INFO", ("1.4", "KF-B-1", ""))).capabilities == frozenset()
+    assert parse_lasers(Sentence(Kind.ACKNOWLEDGE, 1, "LASER", ("1", "0"))) == LaserState(True, False)
+    assert parse_refusal(Sentence(Kind.REFUSAL, 1, "ARM", ("3", "busy"))) == (3, "busy")
+
+
+@given(
+    st.sampled_from(["PULSE", "DONE", "HB", "BOOT", "NOSYNC", "X"]),
+    st.lists(st.one_of(st.text(max_size=12), st.sampled_from(["0", "1", "LEAK=1", "=", "9" * 5000])), max_size=8),
+)
+def test_arbitrary_fields_are_an_event_or_a_named_error(verb: str, fields: list[str]) -> None:
+    for parse in (lambda s: parse_report(s, 0), parse_info, parse_lasers, parse_refusal):
+        try:
+            parse(report(verb, *fields))
+        except MalformedLine:
+            continue

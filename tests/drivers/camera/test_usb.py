@@ -1,0 +1,207 @@
+"""Finding and opening a camera over a pyusb backend of this test's own, and what each failure tells the operator."""
+
+from __future__ import annotations
+
+import errno
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import usb.core
+
+from drivers.api import DeviceError, DeviceGone, DeviceRefused
+from drivers.camera.usb import (
+    TransferOverflow,
+    TransferStalled,
+    TransferTimeout,
+    Unplugged,
+    UsbCamera,
+    find_camera,
+    find_cameras,
+    transfer_buffer,
+)
+
+DEVICE_INFO = bytes.fromhex("14 24 01 0300 0100 0000 0100 04 05 02 06 07 08 03 09 08".replace(" ", ""))
+
+
+def usb_error(number: int) -> usb.core.USBError:
+    kind = usb.core.USBTimeoutError if number == errno.ETIMEDOUT else usb.core.USBError
+    return kind("failed", -1, number)
+
+
+@dataclass
+class Device:
+    serial: str = "KF-CAM-L"
+    vision: bool = True
+    speed: int | None = 4
+    open_error: int = 0
+    claim_error: int = 0
+    enumeration_error: int = 0
+    transfer: int | bytes = 0
+    """What a bulk transfer does: raise this errno, or give these bytes."""
+    claimed: list[int] = field(default_factory=list)
+    timeouts_ms: list[int] = field(default_factory=list)
+    is_open: bool = False
+    configuration: int = 0
+
+
+class Backend:
+    """The part of ``usb.backend.IBackend`` that a camera needs, without a bus."""
+
+    def __init__(self, *devices: Device) -> None:
+        self._devices = devices
+
+    def enumerate_devices(self) -> Iterator[Device]:
+        return iter(self._devices)
+
+    def get_device_descriptor(self, device: Device) -> Any:
+        if device.enumeration_error:
+            raise usb_error(device.enumeration_error)
+        return SimpleNamespace(iSerialNumber=1, speed=device.speed, bus=1, address=7)
+
+    def get_configuration_descriptor(self, device: Device, config: int) -> Any:
+        return SimpleNamespace(bNumInterfaces=3 if device.vision else 1, bConfigurationValue=1)
+
+    def get_interface_descriptor(self, device: Device, index: int, alt: int, config: int) -> Any:
+        kind = (0xEF, 0x05) if device.vision else (0x08, 0x06)
+        return SimpleNamespace(
+            bInterfaceNumber=index,
+            bNumEndpoints=2 if index == 0 else 1,
+            bInterfaceClass=kind[0],
+            bInterfaceSubClass=kind[1],
+            bInterfaceProtocol=index,
+            extra_descriptors=list(DEVICE_INFO) if index == 0 else [],
+        )
+
+    def get_endpoint_descriptor(self, device: Device, number: int, index: int, alt: int, config: int) -> Any:
+        return SimpleNamespace(bmAttributes=2, bEndpointAddress=(0x81 + index) if number == 0 else 0x01)
+
+    def open_device(self, device: Device) -> Device:
+        if device.open_error:
+            raise usb_error(device.open_error)
+        device.is_open = True
+        return device
+
+    def close_device(self, device: Device) -> None:
+        device.is_open = False
+
+    def get_configuration(self, device: Device) -> int:
+        return device.configuration
+
+    def set_configuration(self, device: Device, value: int) -> None:
+        device.configuration = value
+
+    def claim_interface(self, device: Device, interface: int) -> None:
+        if device.claim_error and interface == 2:
+            raise usb_error(device.claim_error)
+        device.claimed.append(interface)
+
+    def release_interface(self, device: Device, interface: int) -> None:
+        device.claimed.remove(interface)
+
+    def ctrl_transfer(
+        self, device: Device, kind: int, request: int, value: int, index: int, data: Any, timeout_ms: int
+    ) -> int:
+        assert (kind, request, value >> 8, index) == (0x80, 0x06, 0x03, 0x0409)
+        text = (device.serial if value & 0xFF == 3 else "not the U3V serial").encode("utf-16-le")
+        string = bytes([len(text) + 2, 3]) + text
+        data[: len(string)] = np.frombuffer(string, np.uint8)
+        return len(string)
+
+    def bulk_read(self, device: Device, endpoint: int, interface: int, buffer: Any, timeout_ms: int) -> int:
+        device.timeouts_ms.append(timeout_ms)
+        if isinstance(device.transfer, int):
+            raise usb_error(device.transfer)
+        memoryview(buffer)[: len(device.transfer)] = device.transfer
+        return len(device.transfer)
+
+
+def test_a_camera_is_found_by_the_serial_number_of_its_vision_descriptor() -> None:
+    backend = Backend(Device(vision=False), Device("KF-CAM-R"), Device("KF-CAM-L", speed=3))
+    found = find_camera(backend, "camera.left", "KF-CAM-L")
+    assert found.serial == "KF-CAM-L"
+    assert found.link_speed_mbps == 480
+    assert (found.layout.control_in, found.layout.control_out, found.layout.stream_in) == (0x81, 0x01, 0x83)
+
+
+def test_a_missing_camera_tells_which_others_are_there() -> None:
+    with pytest.raises(DeviceGone, match=r"camera\.left: serial number KF-CAM-L not found; the bus has KF-CAM-R"):
+        find_camera(Backend(Device("KF-CAM-R"), Device(vision=False)), "camera.left", "KF-CAM-L")
+    with pytest.raises(DeviceGone, match="no USB3 Vision camera"):
+        find_camera(Backend(), "camera.left", "KF-CAM-L")
+
+
+def test_a_camera_that_may_not_be_asked_is_a_matter_of_permission() -> None:
+    with pytest.raises(DeviceRefused, match="udev"):
+        find_camera(Backend(Device(open_error=errno.EACCES)), "camera.left", "KF-CAM-L")
+
+
+def test_a_device_that_leaves_during_enumeration_disturbs_nobody() -> None:
+    leaving = Device("KF-CAM-R", enumeration_error=errno.ENODEV)
+    assert [camera.serial for camera in find_cameras(Backend(leaving, Device()))] == ["KF-CAM-L"]
+
+
+def test_looking_leaves_no_device_open() -> None:
+    devices = (Device("A"), Device("B"))
+    list(find_cameras(Backend(*devices)))
+    assert not any(device.is_open for device in devices)
+
+
+def test_opening_claims_control_and_stream_and_closing_returns_them() -> None:
+    device = Device()
+    camera = UsbCamera("camera.left", find_camera(Backend(device), "camera.left", "KF-CAM-L"))
+    assert device.claimed == [0, 2]
+    assert device.configuration == 1
+    camera.close()
+    camera.close()
+    assert device.claimed == []
+    assert not device.is_open
+
+
+@pytest.mark.parametrize(
+    ("number", "kind", "remedy"),
+    [
+        (errno.EBUSY, DeviceRefused, "another program"),
+        (errno.EACCES, DeviceRefused, "udev"),
+        (errno.ENODEV, DeviceGone, "Re-plug"),
+    ],
+)
+def test_each_failure_to_open_has_its_remedy_and_leaks_nothing(
+    number: int, kind: type[DeviceError], remedy: str
+) -> None:
+    device = Device(claim_error=number)
+    found = find_camera(Backend(device), "camera.left", "KF-CAM-L")
+    with pytest.raises(kind, match=remedy):
+        UsbCamera("camera.left", found)
+    assert device.claimed == []
+    assert not device.is_open
+
+
+@pytest.mark.parametrize(
+    ("number", "kind"),
+    [
+        (errno.ETIMEDOUT, TransferTimeout),
+        (errno.EPIPE, TransferStalled),
+        (errno.EOVERFLOW, TransferOverflow),
+        (errno.ENODEV, Unplugged),
+        (errno.EIO, Unplugged),
+    ],
+)
+def test_each_failure_of_a_transfer_has_its_name(number: int, kind: type[Exception]) -> None:
+    device = Device()
+    camera = UsbCamera("camera.left", find_camera(Backend(device), "camera.left", "KF-CAM-L"))
+    device.transfer = number
+    with pytest.raises(kind):
+        camera.control().read(1024, 0.1)
+
+
+def test_a_transfer_fills_the_callers_memory_and_never_waits_for_ever() -> None:
+    device = Device(transfer=b"pixels")
+    camera = UsbCamera("camera.left", find_camera(Backend(device), "camera.left", "KF-CAM-L"))
+    slot = np.zeros((2, 4), np.uint8)
+    assert camera.stream().read_into(transfer_buffer(slot), 0.0) == 6
+    assert slot.tobytes() == b"pixels\0\0"
+    assert device.timeouts_ms == [1]  # libusb takes 0 for "no timeout"
