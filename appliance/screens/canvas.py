@@ -1,0 +1,318 @@
+"""Owns drawing on a picture: boxes, words and images in pixels of the design, top left first.
+
+Everything is one quad each. Row 0 of the frame buffer is the top row of the picture, so that reading it back turns
+nothing over.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+import cv2
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.screens.colours import colour_table
+from appliance.screens.theme import BODY, BOLD, DESIGN_SIZE_PX, REGULAR, WHITE, Colour
+from drivers.api import DeviceGone
+
+MAX_WORDS = 192
+"""Textures of words that are kept; the one unused for longest goes first."""
+
+_QUAD = """
+#version 330
+uniform vec2 size;
+uniform vec4 box;  // left, top, width, height in pixels
+out vec2 inside;   // pixels from the box's top left corner
+void main() {
+    vec2 corner = vec2(gl_VertexID & 1, gl_VertexID >> 1);
+    inside = corner * box.zw;
+    gl_Position = vec4((box.xy + inside) / size * 2.0 - 1.0, 0.0, 1.0);
+}
+"""
+_BOX = """
+#version 330
+uniform vec4 box;
+uniform vec4 fill;
+uniform vec4 edge;
+uniform float edge_width;
+uniform vec4 radii;  // top left, top right, bottom right, bottom left
+in vec2 inside;
+out vec4 colour;
+void main() {
+    vec2 half_size = 0.5 * box.zw;
+    vec2 p = inside - half_size;
+    float r = p.x < 0.0 ? (p.y < 0.0 ? radii.x : radii.w) : (p.y < 0.0 ? radii.y : radii.z);
+    vec2 q = abs(p) - half_size + r;
+    float distance = min(max(q.x, q.y), 0.0) + length(max(q, 0.0)) - r;  // negative inside
+    vec4 paint = mix(edge, fill, edge_width > 0.0 ? clamp(0.5 - (distance + edge_width), 0.0, 1.0) : 1.0);
+    colour = vec4(paint.rgb, paint.a * clamp(0.5 - distance, 0.0, 1.0));
+}
+"""
+_WORDS = """
+#version 330
+uniform sampler2D mask;
+uniform vec4 fill;
+in vec2 inside;
+out vec4 colour;
+void main() {
+    colour = vec4(fill.rgb, fill.a * texelFetch(mask, ivec2(inside), 0).r);
+}
+"""
+_IMAGE = """
+#version 330
+uniform sampler2D image;
+uniform vec4 box;
+uniform float radius;
+in vec2 inside;
+out vec4 colour;
+void main() {
+    float grey = texture(image, inside / box.zw).r;
+    // Stripes where the camera is saturated: visible in colour, in grey, and to who cannot tell yellow from white.
+    bool stripe = grey > 0.975 && mod(inside.x + inside.y, 10.0) < 4.0;
+    vec2 q = abs(inside - 0.5 * box.zw) - 0.5 * box.zw + radius;
+    float distance = min(max(q.x, q.y), 0.0) + length(max(q, 0.0)) - radius;
+    colour = vec4(stripe ? vec3(0.05) : vec3(grey), clamp(0.5 - distance, 0.0, 1.0));
+}
+"""
+_WATER = """
+#version 330
+uniform vec4 box;
+uniform float phase;
+uniform float centre;  // of the round thing, as a fraction of the width
+in vec2 inside;
+out vec4 colour;
+void main() {  // fringes bent by something round, fading out downwards
+    vec2 p = inside / box.zw;
+    vec2 from_centre = (inside - box.zw * vec2(centre, 1.05)) / box.w;
+    float height = sqrt(max(0.0, 0.64 - dot(from_centre, from_centre)));
+    float fringe = 0.5 + 0.5 * cos(0.26 * inside.x + 11.0 * height - phase);
+    float light = pow(fringe, 1.6) * (0.10 + 0.55 * smoothstep(0.0, 0.45, height));
+    vec3 tint = mix(vec3(0.02, 0.10, 0.14), vec3(0.25, 0.82, 0.91), light);
+    colour = vec4(tint * (0.35 + 0.65 * light), 1.0);
+}
+"""
+_BAR = """
+#version 330
+uniform sampler2D colours;
+uniform vec4 box;
+in vec2 inside;
+out vec4 colour;
+void main() {
+    vec2 q = abs(inside - 0.5 * box.zw) - 0.5 * box.zw + 0.5 * box.w;
+    float distance = length(max(q, 0.0)) - 0.5 * box.w;
+    colour = vec4(texture(colours, vec2(1.0 - inside.x / box.z, 0.5)).rgb, clamp(0.5 - distance, 0.0, 1.0));
+}
+"""
+
+
+class Align(Enum):
+    LEFT = 0.0
+    CENTRE = 0.5
+    RIGHT = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Words:
+    texture: moderngl.Texture
+    width_px: int
+    height_px: int
+    baseline_px: int
+
+
+class Canvas:
+    """A picture of ``size_px`` that is drawn on with the units of the design size and read back once."""
+
+    def __init__(self, context: moderngl.Context, size_px: tuple[int, int]) -> None:
+        self.context = context
+        self.size_px = size_px
+        self.scale = min(size_px[0] / DESIGN_SIZE_PX[0], size_px[1] / DESIGN_SIZE_PX[1])
+        self.width, self.height = size_px[0] / self.scale, size_px[1] / self.scale
+        self._made: list[Any] = []
+        target = self._keep(context.renderbuffer(size_px, 4))
+        self.framebuffer = self._keep(context.framebuffer([target]))
+        self._picture = np.empty((size_px[1], size_px[0], 3), np.uint8)
+        self._box, self._box_quad = self._program(_BOX)
+        self._letters, self._letters_quad = self._program(_WORDS)
+        self._image, self._image_quad = self._program(_IMAGE)
+        self._water, self._water_quad = self._program(_WATER)
+        self._bar, self._bar_quad = self._program(_BAR)
+        self._table = self._keep(context.texture((256, 1), 3, colour_table(), alignment=1))
+        self._font = cv2.FontFace("sans")
+        self._words: OrderedDict[tuple[str, int, int], _Words] = OrderedDict()
+        self._images: dict[str, moderngl.Texture] = {}
+
+    def begin(self, background: Colour) -> None:
+        # Whoever used the context before may have left an error behind, as by releasing what was still bound.
+        _ = self.context.error
+        self.framebuffer.use()
+        self.context.viewport = (0, 0, *self.size_px)
+        self.context.disable(moderngl.DEPTH_TEST)
+        self.context.enable(moderngl.BLEND)
+        self.context.blend_func = moderngl.SRC_ALPHA, moderngl.ONE_MINUS_SRC_ALPHA
+        self.framebuffer.clear(*background.as_tuple())
+
+    def finish(self) -> NDArray[np.uint8]:
+        """The picture (height, width, 3) uint8 RGB: the same memory each time. Raises DeviceGone without a context."""
+        self.framebuffer.read_into(self._picture, components=3, alignment=1)
+        error = self.context.error
+        if error != "GL_NO_ERROR":
+            raise DeviceGone("gl", f"drawing failed ({error})", "Restart the service")
+        return self._picture
+
+    def box(
+        self,
+        left: float,
+        top: float,
+        width: float,
+        height: float,
+        fill: Colour,
+        radius: float | Sequence[float] = 0.0,
+        edge: Colour | None = None,
+        edge_width: float = 0.0,
+    ) -> None:
+        """A box, rounded by ``radius`` (all corners, or top left, top right, bottom right, bottom left)."""
+        radii = [radius] * 4 if isinstance(radius, int | float) else list(radius)
+        program = self._box
+        program["fill"] = fill.as_tuple()
+        program["edge"] = (edge or fill).as_tuple()
+        program["edge_width"] = edge_width * self.scale
+        program["radii"] = tuple(r * self.scale for r in radii)
+        self._place(program, left, top, width, height)
+        self._box_quad.render(moderngl.TRIANGLE_STRIP, vertices=4)
+
+    def words(
+        self,
+        words: str,
+        x: float,
+        baseline: float,
+        size: int = BODY,
+        weight: int = BOLD,
+        colour: Colour = WHITE,
+        align: Align = Align.LEFT,
+        max_width: float | None = None,
+    ) -> float:
+        """One line of text on ``baseline``; smaller where it would be wider than ``max_width``. Returns its width."""
+        if not words:
+            return 0.0
+        if max_width is not None:
+            width = self.measure(words, size, weight)
+            if width > max_width:
+                size = max(8, int(size * max_width / width))
+        line = self._line(words, round(size * self.scale), weight)
+        # Whole pixels: the letters' anti-aliasing was made for them.
+        left = round(x * self.scale - align.value * line.width_px)
+        top = round(baseline * self.scale) - line.baseline_px
+        line.texture.use(0)
+        self._letters["fill"] = colour.as_tuple()
+        self._letters["size"] = self.size_px
+        self._letters["box"] = (left, top, line.width_px, line.height_px)
+        self._letters_quad.render(moderngl.TRIANGLE_STRIP, vertices=4)
+        return line.width_px / self.scale
+
+    def paragraph(
+        self, words: str, x: float, baseline: float, size: int, colour: Colour, max_width: float, max_lines: int
+    ) -> None:
+        """Text in up to ``max_lines`` lines of ``max_width``; what does not fit ends in an ellipsis."""
+        lines, rest = [""], words.split()
+        while rest:
+            longer = f"{lines[-1]} {rest[0]}".strip()
+            if self.measure(longer, size, REGULAR) <= max_width or not lines[-1]:
+                lines[-1] = longer
+                rest.pop(0)
+            elif len(lines) == max_lines:
+                lines[-1] += " …"
+                break
+            else:
+                lines.append("")
+        for number, line in enumerate(lines):
+            self.words(line, x, baseline + 1.3 * size * number, size, REGULAR, colour, max_width=max_width)
+
+    def measure(self, words: str, size: int = BODY, weight: int = BOLD) -> float:
+        """Width of a line of text."""
+        return self._line(words, round(size * self.scale), weight).width_px / self.scale
+
+    def image(self, slot: str, pixels: NDArray[np.uint8], left: float, top: float, width: float, height: float) -> None:
+        """A grey picture (h, w) uint8, reduced to the box. ``slot`` names its texture, which is used again."""
+        across, down = max(1, round(width * self.scale)), max(1, round(height * self.scale))
+        shrink = pixels.shape[0] > down or pixels.shape[1] > across
+        if shrink:
+            pixels = np.asarray(cv2.resize(pixels, (across, down), interpolation=cv2.INTER_AREA), np.uint8)
+        size = (pixels.shape[1], pixels.shape[0])
+        texture = self._images.get(slot)
+        if texture is None or texture.size != size:
+            if texture is not None:
+                texture.release()
+            texture = self._images[slot] = self.context.texture(size, 1, alignment=1)
+            texture.repeat_x = texture.repeat_y = False
+        texture.write(np.ascontiguousarray(pixels))
+        texture.use(0)
+        self._image["radius"] = 10.0 * self.scale
+        self._place(self._image, left, top, width, height)
+        self._image_quad.render(moderngl.TRIANGLE_STRIP, vertices=4)
+
+    def water(self, left: float, top: float, width: float, height: float, phase: float, centre: float = 0.5) -> None:
+        """Fringes on something round: what this instrument does, as a picture."""
+        self._water["phase"] = phase
+        self._water["centre"] = centre
+        self._place(self._water, left, top, width, height)
+        self._water_quad.render(moderngl.TRIANGLE_STRIP, vertices=4)
+
+    def colours(self, left: float, top: float, width: float, height: float) -> None:
+        """The colour table of clouds as a lying bar, its bright end on the left."""
+        self._table.use(0)
+        self._place(self._bar, left, top, width, height)
+        self._bar_quad.render(moderngl.TRIANGLE_STRIP, vertices=4)
+
+    def pixels(self, left: float, top: float, width: float, height: float) -> tuple[int, int, int, int]:
+        """A box of the design in pixels of the picture: left, top, width, height."""
+        s = self.scale
+        return round(left * s), round(top * s), round(width * s), round(height * s)
+
+    def close(self) -> None:
+        """Release every GL object."""
+        for words in self._words.values():
+            words.texture.release()
+        for texture in self._images.values():
+            texture.release()
+        for made in reversed(self._made):
+            made.release()
+        self._words.clear()
+        self._images.clear()
+        self._made.clear()
+
+    def _line(self, words: str, size_px: int, weight: int) -> _Words:
+        key = (words, size_px, weight)
+        if key in self._words:
+            self._words.move_to_end(key)
+            return self._words[key]
+        _, _, width, _ = cv2.getTextSize((0, 0), words, (0, 0), self._font, size_px, weight)
+        width_px, height_px, baseline_px = int(width) + 4, round(1.4 * size_px) + 2, size_px + 1
+        mask = np.zeros((height_px, width_px), np.uint8)
+        # The image is wider than the text, else the library would wrap its last letter.
+        wide = np.zeros((height_px, width_px + 2 * size_px), np.uint8)
+        cv2.putText(wide, words, (1, baseline_px), (255,), self._font, size_px, weight)
+        mask[:] = wide[:, :width_px]
+        texture = self.context.texture((width_px, height_px), 1, mask, alignment=1)
+        line = self._words[key] = _Words(texture, width_px, height_px, baseline_px)
+        if len(self._words) > MAX_WORDS:
+            _, oldest = self._words.popitem(last=False)
+            oldest.texture.release()
+        return line
+
+    def _place(self, program: moderngl.Program, left: float, top: float, width: float, height: float) -> None:
+        program["size"] = self.size_px
+        program["box"] = tuple(float(value) for value in self.pixels(left, top, width, height))
+
+    def _program(self, fragment_shader: str) -> tuple[moderngl.Program, moderngl.VertexArray]:
+        program = self._keep(self.context.program(vertex_shader=_QUAD, fragment_shader=fragment_shader))
+        return program, self._keep(self.context.vertex_array(program, []))
+
+    def _keep(self, made: Any) -> Any:
+        self._made.append(made)
+        return made

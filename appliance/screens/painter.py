@@ -1,0 +1,101 @@
+"""Owns the way from a view to a picture."""
+
+from __future__ import annotations
+
+from types import TracebackType
+from typing import Self, assert_never
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.screens import theme
+from appliance.screens.aim import draw_aim
+from appliance.screens.canvas import Canvas
+from appliance.screens.cloud import CloudPainter
+from appliance.screens.frame import draw_alerts, draw_key_labels
+from appliance.screens.progress import (
+    draw_boot,
+    draw_capture,
+    draw_fault,
+    draw_reconstruct,
+    draw_saving,
+    draw_shutdown,
+)
+from appliance.screens.review import CLOUD_BOX, draw_review
+from appliance.screens.texts import Language
+from appliance.screens.views import (
+    AimView,
+    AnyView,
+    BootView,
+    CaptureView,
+    FaultView,
+    ReconstructView,
+    ReviewView,
+    SavingView,
+    ShutdownView,
+)
+from drivers.api import Key
+
+_NONE: frozenset[Key] = frozenset()
+
+
+class Painter:
+    """Draws views at ``size_px`` (width, height) with a GL context that is current in the calling thread.
+
+    A context manager: its GL objects end with it. The context may be shared with others; it is made current for
+    each drawing.
+    """
+
+    def __init__(
+        self, context: moderngl.Context, size_px: tuple[int, int], language: Language = Language.ENGLISH
+    ) -> None:
+        self._context = context
+        self._language = language
+        with context:
+            self._canvas = Canvas(context, size_px)
+            self._cloud = CloudPainter(context, self._canvas.pixels(*CLOUD_BOX)[2:])
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with self._context:
+            self._cloud.close()
+            self._canvas.close()
+
+    def draw(self, view: AnyView, time_s: float) -> NDArray[np.uint8]:
+        """The picture of ``view`` at ``time_s`` (any steady clock: it moves what flashes or turns).
+
+        (height, width, 3) uint8 RGB, row 0 at the top, in the same memory each time. Raises DeviceGone when the GL
+        context failed.
+        """
+        with self._context:
+            canvas, language = self._canvas, self._language
+            canvas.begin(theme.INK)
+            dim = _NONE
+            match view:
+                case BootView():
+                    draw_boot(canvas, view, language, time_s)
+                case AimView():
+                    draw_aim(canvas, view, language)
+                    dim = _NONE if view.scan_allowed else frozenset({Key.SCAN})
+                case CaptureView():
+                    draw_capture(canvas, view, language)
+                case ReconstructView():
+                    draw_reconstruct(canvas, view, language, time_s)
+                case ReviewView():
+                    draw_review(canvas, self._cloud, view, language, time_s)
+                case SavingView():
+                    draw_saving(canvas, view, language, time_s)
+                case FaultView():
+                    draw_fault(canvas, view, time_s)
+                case ShutdownView():
+                    draw_shutdown(canvas, view, language, time_s)
+                case _:
+                    assert_never(view)
+            draw_alerts(canvas, view.alerts, language, time_s)
+            draw_key_labels(canvas, view.keys, language, dim)
+            return canvas.finish()

@@ -1,0 +1,90 @@
+"""Owns how the screens look: colours, type sizes, and where the keys are.
+
+Made for arm's length through a mask: on a display of 5 inches, 800 px wide, capitals of a headline are 5.1 mm high,
+those of body type 2.9 mm (at 650 mm, 16 arc minutes are 3.0 mm), and captions, which only name numbers that keep
+their place, 2.2 mm. Colours as dive computers use them: white is normal, solid yellow a warning, flashing red
+critical; brightness, shape and words alone tell them apart, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from types import MappingProxyType
+
+from drivers.api import Key
+
+DESIGN_SIZE_PX = (800, 480)
+"""All positions are laid out on this size and scaled to the display's."""
+
+
+@dataclass(frozen=True, slots=True)
+class Colour:
+    """Red, green, blue and opacity, 0..1."""
+
+    red: float
+    green: float
+    blue: float
+    alpha: float = 1.0
+
+    def faded(self, alpha: float) -> Colour:
+        return Colour(self.red, self.green, self.blue, self.alpha * alpha)
+
+    def as_tuple(self) -> tuple[float, float, float, float]:
+        return self.red, self.green, self.blue, self.alpha
+
+
+def hex_colour(code: int) -> Colour:
+    """``0x4FD1E0`` → that colour, opaque."""
+    return Colour((code >> 16 & 255) / 255, (code >> 8 & 255) / 255, (code & 255) / 255)
+
+
+INK = hex_colour(0x05080B)
+"""Background, and type on bright ground."""
+DEEP = hex_colour(0x0C141B)
+PANEL = hex_colour(0x16222C)
+LINE = hex_colour(0x2C3E4C)
+MUTED = hex_colour(0x9DB2C0)
+WHITE = hex_colour(0xF4F8FA)
+AQUA = hex_colour(0x3FD0E8)
+GREEN = hex_colour(0x5BE38A)
+YELLOW = hex_colour(0xFFD21F)
+RED = hex_colour(0xE2142A)
+
+CAPTION, BODY, TITLE, HEADLINE, HUGE = 24, 30, 40, 54, 84
+"""Type sizes in px of the design size."""
+REGULAR, BOLD, BLACK = 450, 650, 800
+"""Weights of the variable font."""
+
+FLASH_HZ = 1.5
+"""Below three per second, which is the limit for people with photosensitive epilepsy (WCAG 2.3.1)."""
+
+
+def flash_on(time_s: float) -> bool:
+    """Whether a flashing thing is in its bright half at ``time_s``; the first half period is bright."""
+    return time_s * FLASH_HZ % 1.0 < 0.5
+
+
+class Corner(Enum):
+    """(right?, bottom?)"""
+
+    TOP_LEFT = (False, False)
+    BOTTOM_LEFT = (False, True)
+    TOP_RIGHT = (True, False)
+    BOTTOM_RIGHT = (True, True)
+
+
+KEY_CORNERS: Mapping[Key, Corner] = MappingProxyType(
+    {
+        Key.UP: Corner.TOP_LEFT,
+        Key.DOWN: Corner.BOTTOM_LEFT,
+        Key.SCAN: Corner.TOP_RIGHT,
+        Key.BACK: Corner.BOTTOM_RIGHT,
+    }
+)
+"""The keys sit two on each side of the display; each label touches the edge at its key."""
+BAR_PX = 62
+"""Height of the upper and the lower bar, which hold the labels."""
+LABEL_MAX_PX = 200
+LABEL_MIN_PX = 112
