@@ -5,6 +5,7 @@ Pure: bytes in, sentences out. Source: ``docs/protocols/board.md``.
 
 from __future__ import annotations
 
+import binascii
 from dataclasses import dataclass
 from enum import Enum
 
@@ -42,13 +43,7 @@ class Sentence:
 
 def crc16(data: bytes) -> int:
     """CRC-16/CCITT-FALSE: polynomial 0x1021, initial 0xFFFF, not reflected, no final XOR; ``123456789`` → 0x29B1."""
-    crc = 0xFFFF
-    for byte in data:
-        crc ^= byte << 8
-        for _ in range(8):
-            crc = (crc << 1) ^ 0x1021 if crc & 0x8000 else crc << 1
-        crc &= 0xFFFF
-    return crc
+    return binascii.crc_hqx(data, 0xFFFF)
 
 
 def format_line(sentence: Sentence) -> bytes:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import usb.backend.libusb1
 import usb.core
 
 from drivers.api import DeviceError, DeviceGone, DeviceRefused
@@ -205,3 +206,20 @@ def test_a_transfer_fills_the_callers_memory_and_never_waits_for_ever() -> None:
     assert camera.stream().read_into(transfer_buffer(slot), 0.0) == 6
     assert slot.tobytes() == b"pixels\0\0"
     assert device.timeouts_ms == [1]  # libusb takes 0 for "no timeout"
+
+
+def test_pyusbs_libusb_backend_fills_the_same_memory() -> None:
+    """Pins how pyusb hands a buffer to libusb: by the address that ``buffer_info`` tells."""
+    backend = object.__new__(usb.backend.libusb1._LibUSB)  # without the library: only its transfer routine is used
+    slot = np.zeros((2, 4), np.uint8)
+
+    def libusb_bulk_transfer(handle: Any, endpoint: int, data: Any, length: int, done: Any, timeout_ms: int) -> int:
+        assert (endpoint, length, timeout_ms) == (0x83, 8, 250)
+        for i in range(length):
+            data[i] = i + 1
+        done._obj.value = length
+        return 0
+
+    read = backend._LibUSB__read
+    assert read(libusb_bulk_transfer, SimpleNamespace(handle=None), 0x83, 2, transfer_buffer(slot), 250) == 8
+    assert slot.tolist() == [[1, 2, 3, 4], [5, 6, 7, 8]]
