@@ -92,7 +92,9 @@ def triangulate_rows(
             iu = min(max(int(u + 0.5), 0), right_columns - 1)
             iv = min(max(int(v + 0.5), 0), right_rows - 1)
             noise = math.sqrt(READ_NOISE_DN**2 + SHOT_NOISE_DN * 0.5 * float(left_bright[y, x]))
-            b_left, b_right = float(left_modulation[y, x]), float(right_modulation[iv, iu])
+            # The nearest right pixel may be a masked neighbour of the matched ones.
+            b_left = max(float(left_modulation[y, x]), 1.0)
+            b_right = max(float(right_modulation[iv, iu]), 1.0)
             phase_px = phase_scale * noise * math.sqrt(1.0 / (b_left * b_left) + 1.0 / (b_right * b_right))
             slope = max(abs(float(right_slope[y, x])), 0.05)
             sigma[y, x] = phase_px / slope * shift / math.sqrt(det / (a * c)) * math.sqrt(c / a)

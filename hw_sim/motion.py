@@ -1,0 +1,57 @@
+"""Owns how the diver's hands move the instrument, and where an object therefore is at a moment."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+PIVOT_MM = np.array([0.0, 0.0, 522.5])
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Rigid motion of the rig in its own frame, from time 0 on; rotation is about the middle of the volume."""
+
+    velocity_mm_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    acceleration_mm_s2: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    tremor_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    tremor_hz: float = 6.0
+    rotation_deg_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def still(self) -> bool:
+        """Nothing moves."""
+        return not any((*self.velocity_mm_s, *self.acceleration_mm_s2, *self.tremor_mm, *self.rotation_deg_s))
+
+
+def pose_matrix(pose: tuple[float, ...]) -> tuple[Array, Array]:
+    """Rotation (Rz Ry Rx) and translation of a pose [x, y, z, rx_deg, ry_deg, rz_deg]: object frame → rig frame."""
+    x, y, z, *angles = pose
+    return _euler(tuple(math.radians(a) for a in angles)), np.array([x, y, z])
+
+
+def object_pose(pose: tuple[float, ...], motion: Motion, time_s: float) -> tuple[Array, Array]:
+    """Rotation and translation of the object in the moved rig's frame at ``time_s``."""
+    R0, t0 = pose_matrix(pose)
+    if motion.still or time_s == 0.0:
+        return R0, t0
+    v, a, tremor = (np.array(x) for x in (motion.velocity_mm_s, motion.acceleration_mm_s2, motion.tremor_mm))
+    phases = np.array([0.0, 2.1, 4.2])
+    omega = 2 * math.pi * motion.tremor_hz
+    shift = v * time_s + 0.5 * a * time_s**2 + tremor * (np.sin(omega * time_s + phases) - np.sin(phases))
+    turn = _euler(tuple(math.radians(w) * time_s for w in motion.rotation_deg_s))
+    # Rig point = turn · (moved rig's point − pivot) + pivot + shift, inverted for the object.
+    return turn.T @ R0, turn.T @ (t0 - shift - PIVOT_MM) + PIVOT_MM
+
+
+def _euler(angles_rad: tuple[float, ...]) -> Array:
+    (cx, cy, cz), (sx, sy, sz) = np.cos(angles_rad), np.sin(angles_rad)
+    Rx = np.array([[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]])
+    Ry = np.array([[cy, 0.0, sy], [0.0, 1.0, 0.0], [-sy, 0.0, cy]])
+    Rz = np.array([[cz, -sz, 0.0], [sz, cz, 0.0], [0.0, 0.0, 1.0]])
+    return np.asarray(Rz @ Ry @ Rx)

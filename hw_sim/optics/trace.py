@@ -1,0 +1,148 @@
+"""Owns the path of one light ray: pixel → lens → glass → water, and back by Newton's method on the exact path.
+
+An eye (camera or projector) is packed into one float64 array, so that compiled loops can carry it; ``EYE`` says where
+what lies. Rig frame, mm; pixel centres at integers.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# Layout of a packed eye.
+FOCAL, CENTRE, BROWN, ROTATION, POSITION, INNER, OUTER = 0, 2, 4, 9, 18, 21, 24
+DISTANCE, THICKNESS, GLASS, WATER, WIDTH, HEIGHT, HAS_FIELD, FIELD = 27, 28, 29, 30, 31, 32, 33, 34
+FIELD_ORDER = 4
+PACKED = FIELD + 2 * FIELD_ORDER * FIELD_ORDER
+
+UNDISTORT_STEPS = 20
+PROJECT_STEPS = 12
+
+
+@numba.njit(nogil=True, cache=True)
+def refract(x: float, y: float, z: float, nx: float, ny: float, nz: float, ratio: float) -> tuple[float, float, float]:
+    """Snell's law for a unit direction crossing a face whose unit normal points onwards."""
+    cosine = x * nx + y * ny + z * nz
+    onward = math.sqrt(1.0 - ratio * ratio * (1.0 - cosine * cosine))
+    k = onward - ratio * cosine
+    return ratio * x + k * nx, ratio * y + k * ny, ratio * z + k * nz
+
+
+@numba.njit(nogil=True, cache=True)
+def lens_field(eye: Array, u: float, v: float) -> tuple[float, float]:
+    """The part of the lens that no radial model has: low cosines over the image, in px at the pixel itself."""
+    du, dv = 0.0, 0.0
+    if eye[HAS_FIELD] == 0.0:
+        return du, dv
+    x, y = math.pi * (u + 0.5) / eye[WIDTH], math.pi * (v + 0.5) / eye[HEIGHT]
+    k = FIELD
+    for j in range(FIELD_ORDER):
+        cy = math.cos(j * y)
+        for i in range(FIELD_ORDER):
+            basis = math.cos(i * x) * cy
+            du += eye[k] * basis
+            dv += eye[k + FIELD_ORDER * FIELD_ORDER] * basis
+            k += 1
+    return du, dv
+
+
+@numba.njit(nogil=True, cache=True)
+def brown(eye: Array, x: float, y: float) -> tuple[float, float]:
+    """OpenCV's five-parameter distortion of normalised coordinates."""
+    k1, k2, p1, p2, k3 = eye[BROWN], eye[BROWN + 1], eye[BROWN + 2], eye[BROWN + 3], eye[BROWN + 4]
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    return (
+        x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+        y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
+    )
+
+
+@numba.njit(nogil=True, cache=True)
+def pixel_ray(eye: Array, u: float, v: float) -> tuple[float, float, float, float, float, float]:
+    """The ray in water that pixel (u, v) looks along: point on the outer glass face and unit direction, rig frame."""
+    du, dv = lens_field(eye, u, v)
+    xd = (u - du - eye[CENTRE]) / eye[FOCAL]
+    yd = (v - dv - eye[CENTRE + 1]) / eye[FOCAL + 1]
+    x, y = xd, yd
+    for _ in range(UNDISTORT_STEPS):
+        bx, by = brown(eye, x, y)
+        ex, ey = xd - bx, yd - by
+        x += ex
+        y += ey
+        if abs(ex) + abs(ey) < 1e-15:
+            break
+    norm = math.sqrt(x * x + y * y + 1.0)
+    ax, ay, az = x / norm, y / norm, 1.0 / norm
+    nx, ny, nz = eye[INNER], eye[INNER + 1], eye[INNER + 2]
+    mx, my, mz = eye[OUTER], eye[OUTER + 1], eye[OUTER + 2]
+    s = eye[DISTANCE] / (ax * nx + ay * ny + az * nz)
+    px, py, pz = ax * s, ay * s, az * s
+    gx, gy, gz = refract(ax, ay, az, nx, ny, nz, 1.0 / eye[GLASS])
+    depth = eye[DISTANCE] + eye[THICKNESS]
+    s = ((nx * depth - px) * mx + (ny * depth - py) * my + (nz * depth - pz) * mz) / (gx * mx + gy * my + gz * mz)
+    px, py, pz = px + gx * s, py + gy * s, pz + gz * s
+    wx, wy, wz = refract(gx, gy, gz, mx, my, mz, eye[GLASS] / eye[WATER])
+    r = ROTATION
+    return (
+        eye[r] * px + eye[r + 1] * py + eye[r + 2] * pz + eye[POSITION],
+        eye[r + 3] * px + eye[r + 4] * py + eye[r + 5] * pz + eye[POSITION + 1],
+        eye[r + 6] * px + eye[r + 7] * py + eye[r + 8] * pz + eye[POSITION + 2],
+        eye[r] * wx + eye[r + 1] * wy + eye[r + 2] * wz,
+        eye[r + 3] * wx + eye[r + 4] * wy + eye[r + 5] * wz,
+        eye[r + 6] * wx + eye[r + 7] * wy + eye[r + 8] * wz,
+    )
+
+
+@numba.njit(nogil=True, cache=True)
+def _miss(eye: Array, u: float, v: float, x: float, y: float, z: float) -> tuple[float, float]:
+    """Where the ray of (u, v) passes the point, in the eye's x and y, at the point's depth."""
+    ox, oy, oz, dx, dy, dz = pixel_ray(eye, u, v)
+    r = ROTATION
+    zx, zy, zz = eye[r + 2], eye[r + 5], eye[r + 8]
+    s = ((x - ox) * zx + (y - oy) * zy + (z - oz) * zz) / (dx * zx + dy * zy + dz * zz)
+    mx, my, mz = ox + s * dx - x, oy + s * dy - y, oz + s * dz - z
+    return mx * eye[r] + my * eye[r + 3] + mz * eye[r + 6], mx * eye[r + 1] + my * eye[r + 4] + mz * eye[r + 7]
+
+
+@numba.njit(nogil=True, cache=True)
+def project_point(eye: Array, x: float, y: float, z: float, u: float, v: float) -> tuple[float, float]:
+    """The pixel whose ray passes through a water point, by Newton from the guess (u, v); NaN if it runs away."""
+    h = 0.01
+    for _ in range(PROJECT_STEPS):
+        mx, my = _miss(eye, u, v, x, y, z)
+        ax, ay = _miss(eye, u + h, v, x, y, z)
+        bx, by = _miss(eye, u, v + h, x, y, z)
+        a, b, c, d = (ax - mx) / h, (bx - mx) / h, (ay - my) / h, (by - my) / h
+        det = a * d - b * c
+        if not abs(det) > 1e-12:
+            return math.nan, math.nan
+        du, dv = (d * mx - b * my) / det, (a * my - c * mx) / det
+        u -= du
+        v -= dv
+        if not (abs(u) < 1e5 and abs(v) < 1e5):
+            return math.nan, math.nan
+        if abs(du) + abs(dv) < 1e-10:
+            break
+    return u, v
+
+
+@numba.njit(nogil=True, cache=True)
+def rays_of(eye: Array, uv: Array, out: Array) -> None:
+    """Rays (n, 6) of pixels (n, 2)."""
+    for i in range(uv.shape[0]):
+        out[i, 0], out[i, 1], out[i, 2], out[i, 3], out[i, 4], out[i, 5] = pixel_ray(eye, uv[i, 0], uv[i, 1])
+
+
+@numba.njit(nogil=True, cache=True)
+def pixels_of(eye: Array, points: Array, out: Array) -> None:
+    """Pixels (n, 2) of water points (n, 3), rig frame."""
+    for i in range(points.shape[0]):
+        out[i, 0], out[i, 1] = project_point(
+            eye, points[i, 0], points[i, 1], points[i, 2], eye[CENTRE], eye[CENTRE + 1]
+        )

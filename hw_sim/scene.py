@@ -1,0 +1,34 @@
+"""Owns the values that describe what the instrument is put before."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from hw_sim.motion import Motion
+from hw_sim.objects.shapes import DEFAULT_POSE, NAMES
+from hw_sim.objects.texture import NAMES as TEXTURES
+from hw_sim.water import Water
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """Object, light, water and hands. Raises ValueError for unknown names."""
+
+    object: str = "pipe"
+    pose: tuple[float, float, float, float, float, float] | None = None
+    """[x, y, z, rx_deg, ry_deg, rz_deg] in the rig frame at time 0; ``None``: where both cameras see it well."""
+    texture: str = "slight"
+    water: Water = field(default_factory=Water)
+    ambient: float = 0.02
+    noise: bool = True
+    motion: Motion = field(default_factory=Motion)
+
+    def __post_init__(self) -> None:
+        for value, allowed, what in ((self.object, NAMES, "object"), (self.texture, TEXTURES, "texture")):
+            if value not in allowed:
+                raise ValueError(f"{what} '{value}'; allowed are {', '.join(allowed)}")
+
+    @property
+    def start_pose(self) -> tuple[float, float, float, float, float, float]:
+        """The pose at time 0."""
+        return self.pose or DEFAULT_POSE[self.object]

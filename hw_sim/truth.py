@@ -1,0 +1,294 @@
+"""Owns the true rig: what the simulated instrument really is, which nobody on the other side of the wires knows.
+
+Drawn from a seed in sets of increasing malice (see ``draw_truth``). Amounts are those of a carefully built housing.
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hw_sim.optics.trace import FIELD, FIELD_ORDER, HAS_FIELD, PACKED
+
+Array = NDArray[np.float64]
+
+CENTRE_MM = 522.5
+"""Where the two axes cross, in the rig frame."""
+TOE_IN_DEG = 12.41
+HALF_BASELINE_MM = 115.0
+SETS = ("nominal", "realistic", "hard", "paper", "modelled")
+
+
+@dataclass(frozen=True, slots=True)
+class TruePort:
+    """A window; the outer face is tilted against the inner one by the wedge, towards ``wedge_direction_deg``."""
+
+    normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    d_mm: float = 30.0
+    th_mm: float = 5.0
+    n_g: float = 1.77
+    wedge_deg: float = 0.0
+    wedge_direction_deg: float = 0.0
+
+    @property
+    def outer_normal(self) -> Array:
+        """Unit normal of the outer face."""
+        n = np.array(self.normal)
+        x = np.cross([0.0, 1.0, 0.0], n)
+        x /= np.linalg.norm(x)
+        angle, direction = math.radians(self.wedge_deg), math.radians(self.wedge_direction_deg)
+        tilted = n + math.tan(angle) * (math.cos(direction) * x + math.sin(direction) * np.cross(n, x))
+        return np.asarray(tilted / np.linalg.norm(tilted))
+
+
+@dataclass(frozen=True, slots=True)
+class TrueEye:
+    """A camera, or the projector used as one, in the rig frame."""
+
+    width_px: int
+    height_px: int
+    f_px: tuple[float, float]
+    c_px: tuple[float, float]
+    distortion: tuple[float, float, float, float, float]
+    R: tuple[tuple[float, float, float], ...]
+    t_mm: tuple[float, float, float]
+    port: TruePort
+    lens_field: tuple[float, ...] | None = None
+    """Cosine coefficients in px, FIELD_ORDER² for u, then for v."""
+
+    def packed(self, n_water: float) -> Array:
+        """The array that compiled tracing reads."""
+        eye = np.zeros(PACKED)
+        eye[:9] = (*self.f_px, *self.c_px, *self.distortion)
+        eye[9:18] = np.ravel(self.R)
+        eye[18:21] = self.t_mm
+        eye[21:24] = self.port.normal
+        eye[24:27] = self.port.outer_normal
+        eye[27:33] = (self.port.d_mm, self.port.th_mm, self.port.n_g, n_water, self.width_px, self.height_px)
+        if self.lens_field is not None:
+            eye[HAS_FIELD] = 1.0
+            eye[FIELD:] = self.lens_field
+        return eye
+
+
+@dataclass(frozen=True, slots=True)
+class Laser:
+    """A pointer behind a window of its own, perpendicular to it: the beam leaves straight."""
+
+    origin_mm: tuple[float, float, float]
+    direction: tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class TrueRig:
+    seed: int
+    set: str
+    n_water: float
+    left: TrueEye
+    right: TrueEye
+    projector: TrueEye
+    lasers: tuple[Laser, Laser]
+
+    def eye(self, name: str) -> TrueEye:
+        """``left``, ``right`` or ``projector``."""
+        return {"left": self.left, "right": self.right, "projector": self.projector}[name]
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON-ready, in the words of ``docs/protocols/world.md``."""
+        return {
+            "seed": self.seed,
+            "set": self.set,
+            "n_water": self.n_water,
+            "cameras": {name: _eye_dict(self.eye(name)) for name in ("left", "right", "projector")},
+            "lasers": [{"origin_mm": list(b.origin_mm), "direction": list(b.direction)} for b in self.lasers],
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class _Amounts:
+    """Standard deviations (or ranges) of what goes wrong when a rig is built."""
+
+    tilt_deg: tuple[float, float] = (0.0, 0.0)
+    d_mm: float = 0.0
+    th_mm: float = 0.0
+    n_g: float = 0.0
+    field_px: float = 0.0
+    wedge_deg: float = 0.0
+    mount_deg: float = 0.0
+    mount_mm: float = 0.0
+    focal: float = 0.0
+    centre_px: float = 0.0
+    distortion: float = 0.0
+
+
+_REALISTIC = _Amounts((0.2, 0.5), 1.5, 0.02, 0.003, 0.06, 1 / 60, 0.15, 0.4, 2e-3, 6.0, 1.0)
+_AMOUNTS = {
+    "nominal": _Amounts(),
+    "realistic": _REALISTIC,
+    "hard": _Amounts((0.5, 1.2), 3.5, 0.05, 0.008, 0.15, 3 / 60, 0.3, 0.9, 4e-3, 12.0, 2.0),
+    "paper": replace(_REALISTIC, tilt_deg=(1.0, 2.0), field_px=0.15),
+    "modelled": replace(_REALISTIC, field_px=0.0, wedge_deg=0.0),
+}
+
+
+def draw_truth(kind: str, seed: int, width_px: int, height_px: int, n_water: float) -> TrueRig:
+    """The true rig of a set (``SETS``) or of a ``truth.toml`` (a path); other image sizes bin the nominal pixel.
+
+    Raises ValueError for an unknown set, OSError for an unreadable file.
+    """
+    if kind.endswith(".toml"):
+        return load_truth(Path(kind), n_water)
+    amounts = _AMOUNTS.get(kind)
+    if amounts is None:
+        raise ValueError(f"truth '{kind}'; allowed are {', '.join(SETS)} or the path of a truth.toml")
+    rng = np.random.default_rng([seed, 20])
+    toe = math.radians(TOE_IN_DEG)
+    binning = 1600.0 / width_px
+    f_px = 11.5 / 0.0045 / binning
+    camera = TrueEye(
+        width_px,
+        height_px,
+        (f_px, f_px),
+        ((width_px - 1) / 2, (height_px - 1) / 2),
+        (0.0,) * 5,
+        (),
+        (0.0,) * 3,
+        TruePort(),
+    )
+    f_projector = 16.9 / 0.0108
+    projector = replace(camera, width_px=1024, height_px=768, f_px=(f_projector, f_projector), c_px=(511.5, 383.5))
+    left = _disturb(replace(camera, R=_turn_y(toe), t_mm=(-HALF_BASELINE_MM, 0.0, 0.0)), amounts, rng, binning)
+    right = _disturb(replace(camera, R=_turn_y(-toe), t_mm=(HALF_BASELINE_MM, 0.0, 0.0)), amounts, rng, binning)
+    beamer = _disturb(replace(projector, R=_turn_y(0.0), t_mm=(0.0, 0.0, 0.0)), amounts, rng, 1.0)
+    beams = []
+    for x_mm in (-40.0, 40.0):
+        lean = np.radians(rng.normal(0.0, 0.2 if amounts.mount_deg else 0.0, 2))
+        direction = np.array([lean[0], lean[1], 1.0])
+        direction /= np.linalg.norm(direction)
+        beams.append(Laser((x_mm, -60.0, 30.0), _triple(direction)))
+    return TrueRig(seed, kind, n_water, left, right, beamer, (beams[0], beams[1]))
+
+
+def load_truth(path: Path, n_water: float) -> TrueRig:
+    """Read a ``truth.toml`` as ``save_truth`` writes it."""
+    data = tomllib.loads(path.read_text())
+    eyes = {}
+    for name, table in data["cameras"].items():
+        port = table["port"]
+        eyes[name] = TrueEye(
+            table["width_px"],
+            table["height_px"],
+            tuple(table["f_px"]),
+            tuple(table["c_px"]),
+            tuple(table["distortion"]),
+            tuple(tuple(row) for row in table["R"]),
+            tuple(table["t_mm"]),
+            TruePort(**{**port, "normal": tuple(port["normal"])}),
+            tuple(table["lens_field"]) if "lens_field" in table else None,
+        )
+    beams = [Laser(tuple(b["origin_mm"]), tuple(b["direction"])) for b in data["lasers"]]
+    return TrueRig(
+        data["seed"], data["set"], n_water, eyes["left"], eyes["right"], eyes["projector"], (beams[0], beams[1])
+    )
+
+
+def save_truth(rig: TrueRig, path: Path) -> None:
+    """Write a ``truth.toml``."""
+    content = rig.as_dict()
+    lines = [f"seed = {rig.seed}", f'set = "{rig.set}"']
+    for name, table in content["cameras"].items():
+        port = table.pop("port")
+        lines += ["", f"[cameras.{name}]", *(f"{k} = {v}" for k, v in table.items() if v is not None)]
+        lines += ["", f"[cameras.{name}.port]", *(f"{k} = {v}" for k, v in port.items())]
+    for beam in content["lasers"]:
+        lines += ["", "[[lasers]]", *(f"{k} = {v}" for k, v in beam.items())]
+    path.write_text("\n".join(lines) + "\n")
+
+
+def _disturb(eye: TrueEye, a: _Amounts, rng: np.random.Generator, binning: float) -> TrueEye:
+    tilt = math.radians(rng.uniform(*a.tilt_deg))
+    towards = rng.uniform(0.0, 2 * math.pi)
+    lean = math.tan(tilt) * np.array([math.cos(towards), math.sin(towards)])
+    normal = np.array([lean[0], lean[1], 1.0])
+    normal /= np.linalg.norm(normal)
+    port = TruePort(
+        _triple(normal),
+        30.0 + rng.uniform(-a.d_mm, a.d_mm),
+        5.0 + rng.uniform(-a.th_mm, a.th_mm),
+        1.77 + rng.uniform(-a.n_g, a.n_g),
+        a.wedge_deg,
+        float(rng.uniform(0.0, 360.0)),
+    )
+    turn = _rodrigues(np.radians(rng.normal(0.0, a.mount_deg or 0.0, 3)))
+    shift = rng.normal(0.0, a.mount_mm, 3)
+    focal = 1.0 + rng.uniform(-a.focal, a.focal)
+    centre = rng.normal(0.0, a.centre_px / binning, 2)
+    brown = np.array([-0.06, 0.08, 2e-4, -1.5e-4, 0.0]) * a.distortion * rng.uniform(0.7, 1.3, 5)
+    field = None
+    if a.field_px:
+        field = rng.normal(size=(2, FIELD_ORDER, FIELD_ORDER))
+        field[:, :2, :1] = field[:, :1, :2] = 0.0  # shift and the lowest scale belong to the linear part
+        decay = 1.0 / (1.0 + np.add.outer(np.arange(FIELD_ORDER), np.arange(FIELD_ORDER)))
+        field *= decay
+        rms = math.sqrt(float(np.mean(np.sum((field * 0.6) ** 2, axis=(1, 2)))))
+        field *= a.field_px / binning / rms
+    return replace(
+        eye,
+        f_px=(eye.f_px[0] * focal, eye.f_px[1] * focal),
+        c_px=(eye.c_px[0] + float(centre[0]), eye.c_px[1] + float(centre[1])),
+        distortion=(float(brown[0]), float(brown[1]), float(brown[2]), float(brown[3]), float(brown[4])),
+        R=_rows(np.array(eye.R) @ turn),
+        t_mm=_triple(np.array(eye.t_mm) + shift),
+        port=port,
+        lens_field=None if field is None else tuple(float(x) for x in field.ravel()),
+    )
+
+
+def _eye_dict(eye: TrueEye) -> dict[str, Any]:
+    port = eye.port
+    return {
+        "width_px": eye.width_px,
+        "height_px": eye.height_px,
+        "f_px": list(eye.f_px),
+        "c_px": list(eye.c_px),
+        "distortion": list(eye.distortion),
+        "R": [list(row) for row in eye.R],
+        "t_mm": list(eye.t_mm),
+        "port": {
+            "normal": list(port.normal),
+            "d_mm": port.d_mm,
+            "th_mm": port.th_mm,
+            "n_g": port.n_g,
+            "wedge_deg": port.wedge_deg,
+            "wedge_direction_deg": port.wedge_direction_deg,
+        },
+        "lens_field": None if eye.lens_field is None else list(eye.lens_field),
+    }
+
+
+def _turn_y(angle_rad: float) -> tuple[tuple[float, float, float], ...]:
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    return ((c, 0.0, s), (0.0, 1.0, 0.0), (-s, 0.0, c))
+
+
+def _rodrigues(vector_rad: Array) -> Array:
+    angle = float(np.linalg.norm(vector_rad))
+    if angle == 0.0:
+        return np.eye(3)
+    x, y, z = vector_rad / angle
+    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.asarray(np.eye(3) + math.sin(angle) * K + (1 - math.cos(angle)) * K @ K)
+
+
+def _triple(v: Array) -> tuple[float, float, float]:
+    return float(v[0]), float(v[1]), float(v[2])
+
+
+def _rows(m: Array) -> tuple[tuple[float, float, float], ...]:
+    return tuple(_triple(row) for row in m)

@@ -1,0 +1,54 @@
+"""The true rig in the product's words: a calibration equal to the truth, for tests of everything but calibrating.
+
+Lens field and wedge have no place in the product's model; ``modelled`` rigs have neither.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.calibration.file import Calibration
+from appliance.optics.model import HousedCamera, StereoRig
+from appliance.optics.pinhole import Lens
+from appliance.optics.port import Port
+from appliance.optics.water import Water
+from hw_sim.truth import TrueEye, TrueRig
+
+WATER = Water(20.0, 0.0, 530.0)
+
+
+def true_calibration(truth: TrueRig, serial: str = "KF-SIM") -> Calibration:
+    """The calibration that states the truth about ``truth`` (as far as the product's model can)."""
+    return Calibration(
+        rig_serial=serial,
+        method="truth",
+        made_at="unknown",
+        made_from=(f"the true rig, set {truth.set}, seed {truth.seed}",),
+        water=WATER,
+        rig=StereoRig(_camera(truth.left, truth.left), _camera(truth.right, truth.left)),
+    )
+
+
+def rig_to_left(truth: TrueRig, points_rig_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points (n, 3) of the rig frame in the left camera frame."""
+    return np.asarray((points_rig_mm - np.array(truth.left.t_mm)) @ np.array(truth.left.R))
+
+
+def left_to_rig(truth: TrueRig, points_mm: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Points (n, 3) of the left camera frame in the rig frame."""
+    return np.asarray(np.asarray(points_mm, np.float64) @ np.array(truth.left.R).T + np.array(truth.left.t_mm))
+
+
+def _camera(eye: TrueEye, left: TrueEye) -> HousedCamera:
+    R = np.array(left.R).T @ np.array(eye.R)
+    t = np.array(left.R).T @ (np.array(eye.t_mm) - np.array(left.t_mm))
+    rotation = tuple((float(a), float(b), float(c)) for a, b, c in R)
+    return HousedCamera(
+        eye.width_px,
+        eye.height_px,
+        Lens(eye.f_px, eye.c_px, eye.distortion),
+        Port(eye.port.normal, eye.port.d_mm, eye.port.th_mm, eye.port.n_g),
+        (rotation[0], rotation[1], rotation[2]),
+        (float(t[0]), float(t[1]), float(t[2])),
+    )
