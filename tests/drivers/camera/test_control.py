@@ -6,10 +6,12 @@ import struct
 from collections.abc import Callable
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from drivers.api import DeviceGone, DeviceRefused
+from drivers.api import DeviceError, DeviceGone, DeviceRefused
 from drivers.camera.control import ATTEMPTS, ControlChannel, ControlRefused
-from drivers.camera.usb import TransferStalled, TransferTimeout, Unplugged
+from drivers.camera.usb import TransferOverflow, TransferStalled, TransferTimeout, Unplugged
 from tests.drivers.clock import SteppedClock
 
 SILENCE = TransferTimeout("nothing")
@@ -216,3 +218,33 @@ def test_limits_too_small_for_a_register_are_refused() -> None:
     control, _, _ = channel(good)
     with pytest.raises(DeviceRefused, match="16 / 1024"):
         control.set_limits(16, 1024, 0.2)
+
+
+babble = st.one_of(
+    st.binary(max_size=40),
+    st.builds(
+        lambda status, command, request, payload: (
+            struct.pack("<4sHHHH", b"U3VC", status, command, len(payload), request) + payload
+        ),
+        st.sampled_from([0, 0x8007, 0x8ABC]),
+        st.sampled_from([0x0801, 0x0803, 0x0805, 0x1234]),
+        st.integers(0, 4),
+        st.binary(max_size=8),
+    ),
+    st.sampled_from([SILENCE, TransferStalled("halt"), TransferOverflow("babble"), Unplugged("gone")]),
+)
+
+
+@given(st.lists(babble, max_size=60))
+def test_whatever_a_mad_device_says_ends_in_bounded_time_as_data_or_a_named_error(
+    said: list[bytes | Exception],
+) -> None:
+    script = iter([said[i : i + 7] for i in range(0, len(said), 7)])
+    control, memory, clock = channel(lambda command: next(script, []))
+    begin_ns = clock.now_ns()
+    try:
+        assert len(control.read(0x100, 4)) == 4
+    except DeviceError as error:
+        assert error.device == "camera.left"
+    assert len(memory.commands) <= ATTEMPTS
+    assert (clock.now_ns() - begin_ns) * 1e-9 < 10.6 * ATTEMPTS

@@ -211,6 +211,7 @@ def test_a_transfer_fills_the_callers_memory_and_never_waits_for_ever() -> None:
 def test_pyusbs_libusb_backend_fills_the_same_memory() -> None:
     """Pins how pyusb hands a buffer to libusb: by the address that ``buffer_info`` tells."""
     backend = object.__new__(usb.backend.libusb1._LibUSB)  # without the library: only its transfer routine is used
+    backend._finalizer = lambda: None
     slot = np.zeros((2, 4), np.uint8)
 
     def libusb_bulk_transfer(handle: Any, endpoint: int, data: Any, length: int, done: Any, timeout_ms: int) -> int:
