@@ -1,0 +1,124 @@
+"""Owns the order of system calls after which data survives the loss of power, and never less than all of it.
+
+A file: write, fsync, rename, fsync the folder. A folder: all its files so, fsync it, rename, fsync its parents. A
+failed fsync means that the kernel may have dropped the data: nothing is retried on the same file, it is written anew.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from appliance.storage.filesystem import Bytes, FileSystem, WritableFile
+
+_BLOCK = 4 * 1024 * 1024
+
+
+class StorageError(Exception):
+    """The disk refused. ``path`` and the reason are in the text, and what to do."""
+
+    def __init__(self, what: str, path: Path, reason: str, remedy: str = "free space or replace the disk") -> None:
+        super().__init__(f"{what} {path}: {reason}; {remedy}")
+        self.what = what
+        self.path = path
+        self.reason = reason
+
+
+@dataclass(frozen=True, slots=True)
+class Stamp:
+    """What a file must be: its length in bytes and its sha256 (hex)."""
+
+    length: int
+    sha256: str
+
+
+@contextmanager
+def refused(what: str, path: Path) -> Iterator[None]:
+    """Turns OSError into StorageError that names ``what`` was tried on ``path``."""
+    try:
+        yield
+    except OSError as error:
+        raise StorageError(what, path, error.strerror or str(error)) from error
+
+
+def write_new(fs: FileSystem, path: Path, parts: Iterable[Bytes]) -> Stamp:
+    """Write a file that does not exist yet; its content is durable on return, its name only with its folder.
+
+    Raises StorageError; the file may then exist in part and must not be used.
+    """
+    digest = hashlib.sha256()
+    length = 0
+    with refused("cannot write", path):
+        file = fs.create(path)
+        try:
+            for part in parts:
+                view = memoryview(part).cast("B")
+                length += len(view)
+                for start in range(0, len(view), _BLOCK):
+                    block = view[start : start + _BLOCK]
+                    file.write(block)
+                    digest.update(block)
+            file.sync()
+        except BaseException:
+            _close_after_failure(file)
+            raise
+        file.close()
+    return Stamp(length, digest.hexdigest())
+
+
+def _close_after_failure(file: WritableFile) -> None:
+    with suppress(OSError):
+        file.close()
+
+
+def replace_file(fs: FileSystem, path: Path, data: Bytes) -> Stamp:
+    """Replace (or make) a file: afterwards, and at any instant before, ``path`` is the old or the new one, whole.
+
+    Raises StorageError.
+    """
+    draft = draft_of(path)
+    discard(fs, draft)
+    stamp = write_new(fs, draft, [data])
+    with refused("cannot replace", path):
+        fs.rename(draft, path)
+        fs.sync_folder(path.parent)
+    return stamp
+
+
+def draft_of(path: Path) -> Path:
+    """Where the new content of ``path`` is written before it replaces the old."""
+    return path.with_name(f".{path.name}.draft")
+
+
+def discard(fs: FileSystem, path: Path) -> None:
+    """Remove what an earlier, failed attempt left. Raises StorageError."""
+    if path.exists():
+        with refused("cannot remove the unfinished", path):
+            fs.remove(path)
+
+
+def move_folder(fs: FileSystem, source: Path, target: Path) -> None:
+    """Rename a folder, whose files are durable, so that the new name is durable.
+
+    Raises StorageError; where only the last fsync failed, the folder already has its new name.
+    """
+    with refused("cannot publish", target):
+        fs.sync_folder(source)
+        fs.rename(source, target)
+        fs.sync_folder(target.parent)
+        if source.parent != target.parent:
+            fs.sync_folder(source.parent)
+
+
+def checked_stamp(path: Path) -> Stamp:
+    """Length and sha256 of a file as it lies on the disk. Raises OSError."""
+    digest = hashlib.sha256()
+    length = 0
+    with path.open("rb") as file:
+        while block := file.read(_BLOCK):
+            digest.update(block)
+            length += len(block)
+    return Stamp(length, digest.hexdigest())

@@ -1,0 +1,45 @@
+"""Owns the number of the next scan: it never repeats, not even when its file or the newest scans are gone.
+
+The file and the folders vote; the higher wins. The clock has no part in it.
+"""
+
+from __future__ import annotations
+
+import re
+import zlib
+from collections.abc import Iterable
+from pathlib import Path
+
+from appliance.storage.atomic import replace_file
+from appliance.storage.filesystem import FileSystem
+
+FILE_NAME = "next-id"
+_LINE = re.compile(rb"(\d{1,12}) ([0-9a-f]{8})\n")
+
+
+def spell_id(number: int) -> str:
+    """Six digits, more when they are needed."""
+    return f"{number:06d}"
+
+
+def take(fs: FileSystem, root: Path, used: Iterable[int]) -> int:
+    """A number that was never taken; durably gone on return. Raises StorageError."""
+    number = max(_stored(root / FILE_NAME), max(used, default=0) + 1)
+    replace_file(fs, root / FILE_NAME, _line(number + 1))
+    return number
+
+
+def _line(next_number: int) -> bytes:
+    digits = str(next_number).encode()
+    return b"%s %08x\n" % (digits, zlib.crc32(digits))
+
+
+def _stored(path: Path) -> int:
+    """The next number by the file; 1 when the file is missing or damaged."""
+    try:
+        found = _LINE.fullmatch(path.read_bytes())
+    except OSError:
+        return 1
+    if found is None or int(found[2], 16) != zlib.crc32(found[1]):
+        return 1
+    return int(found[1])

@@ -1,0 +1,96 @@
+"""Owns the few system calls that change the disk; everything durable goes through this port.
+
+It exists so that a test can make the n-th of these calls fail, for every n. Reading needs no port: a read that fails
+is a damaged file and is treated as one.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Protocol
+
+Bytes = bytes | bytearray | memoryview
+
+
+class WritableFile(Protocol):
+    """A file being written for the first time."""
+
+    def write(self, data: Bytes) -> None:
+        """Append all of ``data``. Raises OSError."""
+
+    def sync(self) -> None:
+        """Return when everything written would survive the loss of power. Raises OSError."""
+
+    def close(self) -> None:
+        """Raises OSError; the descriptor is gone in any case."""
+
+
+class FileSystem(Protocol):
+    """What storage asks of a file system. Every call raises OSError on failure."""
+
+    def make_folder(self, path: Path) -> None:
+        """Make one folder; it must not exist."""
+
+    def create(self, path: Path) -> WritableFile:
+        """Make one file; it must not exist."""
+
+    def rename(self, source: Path, target: Path) -> None:
+        """Atomically; an existing target file is replaced, an existing target folder is an error."""
+
+    def sync_folder(self, path: Path) -> None:
+        """Return when the folder's names would survive the loss of power."""
+
+    def remove(self, path: Path) -> None:
+        """Remove a file or an empty folder."""
+
+    def free_bytes(self, path: Path) -> int:
+        """Space left for an unprivileged process."""
+
+
+class _LocalFile:
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+
+    def write(self, data: Bytes) -> None:
+        rest = memoryview(data).cast("B")
+        while rest:
+            rest = rest[os.write(self._descriptor, rest) :]
+
+    def sync(self) -> None:
+        os.fsync(self._descriptor)
+
+    def close(self) -> None:
+        os.close(self._descriptor)
+
+
+class LocalFileSystem:
+    """The disk of this machine (POSIX)."""
+
+    def make_folder(self, path: Path) -> None:
+        path.mkdir(mode=0o755)
+
+    def create(self, path: Path) -> WritableFile:
+        return _LocalFile(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644))
+
+    def rename(self, source: Path, target: Path) -> None:
+        if source.is_dir() and target.exists():  # POSIX would replace an empty folder in silence
+            raise FileExistsError(f"{target} exists")
+        source.rename(target)
+
+    def sync_folder(self, path: Path) -> None:
+        descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+    def remove(self, path: Path) -> None:
+        if path.is_dir():
+            path.rmdir()
+        else:
+            path.unlink()
+
+    def free_bytes(self, path: Path) -> int:
+        answer = os.statvfs(path)
+        return answer.f_bavail * answer.f_frsize

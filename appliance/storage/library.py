@@ -1,0 +1,327 @@
+"""Owns all scans of an instrument: new ones, published and rejected ones, and what a loss of power left behind.
+
+    <root>/scans/000123       published
+    <root>/scans/.000123      being written, or waiting for the diver's decision
+    <root>/rejected/000123    not wanted, kept all the same
+    <root>/set-aside/000123   incomplete after a loss of power
+    <root>/next-id            see ``appliance.storage.counter``
+
+Nothing in here deletes a scan. One process writes (``appliance.storage.lock``), from one thread at a time; any number
+may read.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from enum import Enum
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.storage import counter, scan
+from appliance.storage import manifest as form
+from appliance.storage.atomic import StorageError, move_folder, refused, replace_file
+from appliance.storage.filesystem import FileSystem, LocalFileSystem
+from appliance.storage.manifest import Decision, Manifest, ManifestError
+from appliance.storage.ply import PointCloud
+from appliance.storage.record import ScanRecord
+
+_FOLDER = re.compile(r"\.?(\d{6,12})(-\d+)?")
+"""A scan's folder; the ending tells apart two of the same number that were set aside."""
+
+
+class Shelf(Enum):
+    """Where a finished scan lies; the values are folder names."""
+
+    SCANS = "scans"
+    REJECTED = "rejected"
+    SET_ASIDE = "set-aside"
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One scan in the list. A damaged one is listed like the others, with its problems."""
+
+    scan_id: str
+    shelf: Shelf
+    folder: Path
+    manifest: Manifest | None
+    problems: tuple[str, ...]
+    size_bytes: int
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing wrong was found."""
+        return not self.problems
+
+
+@dataclass(frozen=True, slots=True)
+class Recovery:
+    """What ``recover`` did: ids of scans published after all, put among the rejected, set aside, and what failed."""
+
+    recovered: tuple[str, ...] = ()
+    rejected: tuple[str, ...] = ()
+    set_aside: tuple[str, ...] = ()
+    failed: tuple[str, ...] = ()
+
+
+class UnknownScan(Exception):
+    """There is no scan of that number."""
+
+
+class Library:
+    """The scans under one root. Raises StorageError for whatever the disk refuses."""
+
+    def __init__(self, root: Path, fs: FileSystem | None = None) -> None:
+        """Nothing is touched until ``prepare`` or a reading method is called."""
+        self.root = root
+        self._fs: FileSystem = fs or LocalFileSystem()
+
+    # ------------------------------------------------------------------------------------- writing
+
+    def prepare(self) -> None:
+        """Make the folders that are missing, durably. Raises StorageError."""
+        for folder in (self.root, *(self.root / shelf.value for shelf in Shelf)):
+            if not folder.is_dir():
+                missing = [one for one in (folder, *folder.parents) if not one.exists()]
+                for one in reversed(missing):
+                    with refused("cannot make", one):
+                        self._fs.make_folder(one)
+                        self._fs.sync_folder(one.parent)
+
+    def begin(self, frames: Mapping[str, NDArray[np.uint8]], record: ScanRecord) -> PendingScan:
+        """Make a scan's raw frames durable, hidden from the list, before anything is decided.
+
+        ``frames``: by side, (n, h, w) uint8; not used after return. On failure nothing of this scan stays, the
+        frames are still the caller's, and ``begin`` may be called again. Raises StorageError, ValueError.
+        """
+        scan_id = counter.spell_id(counter.take(self._fs, self.root, self._numbers()))
+        folder = self._shelf(Shelf.SCANS) / f".{scan_id}"
+        try:
+            manifest = scan.write_raw(self._fs, folder, scan_id, frames, record)
+            with refused("cannot make durable", folder):
+                self._fs.sync_folder(folder.parent)
+        except (StorageError, ValueError):
+            with suppress(StorageError):
+                scan.discard_raw(self._fs, folder)
+            raise
+        return PendingScan(self._fs, self.root, folder, manifest)
+
+    def recover(self) -> Recovery:
+        """Look through what an earlier process left unfinished; call once at the start, before ``begin``.
+
+        A folder whose manifest and checksums are right becomes a scan, marked as recovered. Any other is set aside.
+        Nothing is deleted, and one folder that cannot be moved does not keep the others from it.
+        """
+        done: dict[str, list[str]] = {"recovered": [], "rejected": [], "set_aside": [], "failed": []}
+        for folder in sorted(self._folders(Shelf.SCANS, hidden=True)):
+            scan_id = folder.name.removeprefix(".")
+            try:
+                done[self._recover(folder, scan_id)].append(scan_id)
+            except StorageError as error:
+                done["failed"].append(str(error))
+        return Recovery(**{name: tuple(ids) for name, ids in done.items()})
+
+    def _recover(self, folder: Path, scan_id: str) -> str:
+        manifest = self._salvaged(folder)
+        if manifest is None:
+            move_folder(self._fs, folder, self._free_name(Shelf.SET_ASIDE, scan_id))
+            return "set_aside"
+        for path in sorted(folder.iterdir()):
+            if path.name not in manifest.files and path.name != form.FILE_NAME:
+                with refused("cannot rename", path):  # half of a cloud, or of a manifest: kept, but not trusted
+                    self._fs.rename(path, path.with_name(f"{path.name.removeprefix('.')}.partial"))
+        replace_file(self._fs, folder / form.FILE_NAME, form.encode(manifest))
+        rejected = manifest.decision is Decision.REJECTED
+        target = self._shelf(Shelf.REJECTED if rejected else Shelf.SCANS) / scan_id
+        if target.exists():
+            move_folder(self._fs, folder, self._free_name(Shelf.SET_ASIDE, scan_id))
+            return "set_aside"
+        move_folder(self._fs, folder, target)
+        return "rejected" if rejected else "recovered"
+
+    def _salvaged(self, folder: Path) -> Manifest | None:
+        """The folder's manifest, marked, with the files that are right; ``None`` without whole raw frames."""
+        try:
+            manifest = form.read(folder)
+        except ManifestError:
+            return None
+        wrong = scan.wrong_files(folder, manifest, checksums=True)
+        if manifest.scan_id != folder.name.removeprefix(".") or any(name in wrong for name in scan.RAW_FILES):
+            return None
+        files = {name: stamp for name, stamp in manifest.files.items() if name not in wrong}
+        return replace(manifest, files=files, recovered=True)
+
+    def add_cloud(self, scan_id: str, cloud: PointCloud, preview_png: bytes | None, record: ScanRecord) -> Manifest:
+        """Give a published scan that has no cloud one (reconstructed later). Raises StorageError, UnknownScan, ScanError.
+
+        A scan with a cloud keeps it: what was seen at the time of the dive is not rewritten.
+        """
+        entry = self.entry(scan_id)
+        if entry.manifest is None or entry.problems:
+            raise scan.ScanError(f"scan {scan_id}: {'; '.join(entry.problems)}")
+        if scan.CLOUD in entry.manifest.files:
+            raise scan.ScanError(f"scan {scan_id}: has a cloud already; write the new one elsewhere with --out FILE")
+        return scan.finish(self._fs, entry.folder, entry.manifest, entry.manifest.decision, record, cloud, preview_png)
+
+    # ------------------------------------------------------------------------------------- reading
+
+    def entries(self, shelf: Shelf = Shelf.SCANS) -> list[Entry]:
+        """All scans of a shelf by number; manifests and lengths are checked, checksums are not (``verify``)."""
+        return [self._entry(shelf, folder, checksums=False) for folder in self._sorted(shelf)]
+
+    def entry(self, scan_id: str) -> Entry:
+        """One scan by its number, wherever it lies. Raises UnknownScan."""
+        return self._entry(*self._find(scan_id), checksums=False)
+
+    def verify(self, scan_id: str) -> Entry:
+        """As ``entry``, and reads every byte. Raises UnknownScan."""
+        return self._entry(*self._find(scan_id), checksums=True)
+
+    def load(self, scan_id: str) -> scan.StoredScan:
+        """Open a scan. Raises UnknownScan, ScanError."""
+        return scan.load(self._find(scan_id)[1])
+
+    def count(self) -> int:
+        """Number of published scans."""
+        return sum(1 for _ in self._folders(Shelf.SCANS))
+
+    def last_id(self) -> str | None:
+        """The newest published scan."""
+        folders = self._sorted(Shelf.SCANS)
+        return folders[-1].name if folders else None
+
+    def scans_left(self, scan_bytes: int, reserve_bytes: int) -> int | None:
+        """How many more scans of that size fit above the reserve; ``None`` where the disk does not tell."""
+        try:
+            free = self._fs.free_bytes(self.root)
+        except OSError:
+            return None
+        return max(0, (free - reserve_bytes) // scan_bytes)
+
+    # ------------------------------------------------------------------------------------- folders
+
+    def _shelf(self, shelf: Shelf) -> Path:
+        return self.root / shelf.value
+
+    def _folders(self, shelf: Shelf, *, hidden: bool = False) -> Iterator[Path]:
+        with refused("cannot list", self._shelf(shelf)):
+            try:
+                children = list(self._shelf(shelf).iterdir())
+            except FileNotFoundError:
+                return
+        for child in children:
+            if _FOLDER.fullmatch(child.name) and child.name.startswith(".") == hidden and child.is_dir():
+                yield child
+
+    def _sorted(self, shelf: Shelf) -> list[Path]:
+        return sorted(self._folders(shelf), key=lambda folder: (_number(folder), folder.name))
+
+    def _numbers(self) -> Iterator[int]:
+        for shelf in Shelf:
+            for hidden in (False, True):
+                yield from (_number(folder) for folder in self._folders(shelf, hidden=hidden))
+
+    def _free_name(self, shelf: Shelf, scan_id: str) -> Path:
+        names = (scan_id, *(f"{scan_id}-{k}" for k in range(2, 1000)))
+        return next(path for name in names if not (path := self._shelf(shelf) / name).exists())
+
+    def _find(self, scan_id: str) -> tuple[Shelf, Path]:
+        for shelf in Shelf:
+            for folder in self._sorted(shelf):
+                plain_number = scan_id.isascii() and scan_id.isdigit() and int(scan_id) == _number(folder)
+                if folder.name == scan_id or plain_number:
+                    return shelf, folder
+        raise UnknownScan(f"no scan {scan_id!r} under {self.root}; `kingfisher scans list --all` shows what there is")
+
+    def _entry(self, shelf: Shelf, folder: Path, *, checksums: bool) -> Entry:
+        size_bytes = _size(folder)
+        try:
+            manifest = form.read(folder)
+        except ManifestError as error:
+            return Entry(folder.name, shelf, folder, None, (str(error),), size_bytes)
+        wrong = scan.wrong_files(folder, manifest, checksums=checksums)
+        found = [f"{name}: {what}" for name, what in wrong.items()]
+        if manifest.scan_id != folder.name.partition("-")[0]:
+            found.append(f"its manifest is of scan {manifest.scan_id}")
+        return Entry(folder.name, shelf, folder, manifest, tuple(found), size_bytes)
+
+
+def _number(folder: Path) -> int:
+    found = _FOLDER.fullmatch(folder.name)
+    if found is None:
+        raise ValueError(f"{folder} is no scan's folder")
+    return int(found[1])
+
+
+def _size(folder: Path) -> int:
+    try:
+        return sum(path.stat().st_size for path in folder.iterdir())
+    except OSError:
+        return 0  # the list goes on; what is wrong is among the entry's problems
+
+
+class PendingScan:
+    """A scan whose raw frames are durable and that waits for the diver's decision. One thread at a time."""
+
+    def __init__(self, fs: FileSystem, root: Path, folder: Path, manifest: Manifest) -> None:
+        self._fs = fs
+        self._root = root
+        self._folder = folder
+        self._manifest = manifest
+        self._done = False
+
+    @property
+    def scan_id(self) -> str:
+        """Its number, six digits; also the name of its folder once published."""
+        return self._manifest.scan_id
+
+    @property
+    def folder(self) -> Path:
+        """Where it lies now."""
+        return self._folder
+
+    def publish(self, record: ScanRecord, cloud: PointCloud | None = None, preview_png: bytes | None = None) -> Path:
+        """Add cloud and preview and put the scan on the shelf; it survives the loss of power from the return on.
+
+        May be called again after StorageError; once done it only returns the folder. Raises StorageError, ValueError.
+        """
+        return self._end(Shelf.SCANS, Decision.KEPT, record, cloud, preview_png, "")
+
+    def reject(self, reason: str, record: ScanRecord | None = None) -> Path:
+        """Put the scan among the rejected ones; nothing is deleted. Does nothing to one that is published.
+
+        Raises StorageError; may be called again then.
+        """
+        return self._end(Shelf.REJECTED, Decision.REJECTED, record or self._manifest.record, None, None, reason)
+
+    def _end(
+        self,
+        shelf: Shelf,
+        decision: Decision,
+        record: ScanRecord,
+        cloud: PointCloud | None,
+        preview_png: bytes | None,
+        reason: str,
+    ) -> Path:
+        if self._done:
+            return self._folder
+        # After a failure everything but the raw frames is written anew: a failed fsync may have dropped it.
+        final = scan.finish(self._fs, self._folder, self._manifest, decision, record, cloud, preview_png, reason)
+        target = self._root / shelf.value / self.scan_id
+        if self._folder != target:
+            try:
+                move_folder(self._fs, self._folder, target)
+            finally:
+                if target.exists() and not self._folder.exists():
+                    self._folder = target  # also when the disk failed after the rename
+        else:
+            with refused("cannot publish", target):
+                self._fs.sync_folder(target.parent)
+        self._manifest = final
+        self._done = True
+        return target

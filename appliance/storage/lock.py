@@ -1,0 +1,37 @@
+"""Owns the right to write under a storage root: one process at a time."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from appliance.storage.atomic import StorageError
+
+FILE_NAME = "lock"
+
+
+@contextmanager
+def hold_lock(root: Path) -> Iterator[None]:
+    """Hold the lock of ``root``; the kernel releases it however the process ends. Raises StorageError if it is taken."""
+    path = root / "run" / FILE_NAME
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    except OSError as error:
+        raise StorageError("cannot open", path, error.strerror or str(error), "check the folder's owner") from error
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            owner = os.read(descriptor, 32).decode("ascii", "replace").strip() or "unknown"
+            raise StorageError(
+                "cannot use", root, f"another instance (process {owner}) is using it", "stop that one first"
+            ) from error
+        os.ftruncate(descriptor, 0)
+        os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
+        yield
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,138 @@
+"""Owns ``manifest.json``: the file that makes a folder a scan, and says what every other file in it must be.
+
+JSON with sorted keys; ``sha256`` is that of the compact form of everything else, so that a changed number is noticed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass
+from enum import Enum
+from pathlib import Path
+from typing import Any, SupportsFloat, SupportsIndex
+
+import numpy as np
+from pydantic import TypeAdapter, ValidationError
+
+from appliance.storage.atomic import Stamp
+from appliance.storage.record import ScanRecord
+
+SCHEMA = 1
+FILE_NAME = "manifest.json"
+MAX_BYTES = 16 * 1024 * 1024
+
+
+class ManifestError(Exception):
+    """A manifest cannot be used; the text says which and why."""
+
+
+class Stage(Enum):
+    """How far the scan came."""
+
+    RAW = "raw"
+    """The frames are durable; nothing else was added."""
+    COMPLETE = "complete"
+    """Published or rejected by the diver's decision."""
+
+
+class Decision(Enum):
+    """What the diver said."""
+
+    UNDECIDED = "undecided"
+    KEPT = "kept"
+    REJECTED = "rejected"
+
+
+@dataclass(frozen=True, slots=True)
+class Manifest:
+    """The whole manifest. ``files`` maps the name of every file but the manifest to its length and checksum."""
+
+    scan_id: str
+    stage: Stage
+    decision: Decision
+    record: ScanRecord
+    files: Mapping[str, Stamp]
+    reason: str = ""
+    """Why it was rejected."""
+    recovered: bool = False
+    """Found unpublished at a start and published then."""
+
+
+_MANIFEST = TypeAdapter(Manifest)
+
+
+def encode(manifest: Manifest) -> bytes:
+    """The file's bytes. Raises TypeError for a value JSON cannot hold; NaN and infinity become null: not known."""
+    content = {"schema": SCHEMA, **_plain(manifest)}
+    return (json.dumps({**content, "sha256": _digest(content)}, indent=1, sort_keys=True) + "\n").encode()
+
+
+def decode(data: bytes, name: str) -> Manifest:
+    """Parse and check a manifest's bytes. Raises ManifestError naming ``name``."""
+    try:
+        content = json.loads(data)
+    except (ValueError, RecursionError) as error:
+        raise ManifestError(f"{name}: not readable as JSON ({error})") from error
+    if not isinstance(content, dict):
+        raise ManifestError(f"{name}: a JSON object was expected, not {type(content).__name__}")
+    stated = content.pop("sha256", None)
+    if stated != _digest(content):
+        raise ManifestError(f"{name}: its checksum does not fit its content")
+    schema = content.pop("schema", None)
+    if schema != SCHEMA:
+        raise ManifestError(f"{name}: schema {schema!r}; this version reads schema {SCHEMA}")
+    try:
+        manifest = _MANIFEST.validate_python(content)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        raise ManifestError(f"{name}: {'.'.join(str(p) for p in first['loc'])}: {first['msg']}") from None
+    for file_name in manifest.files:
+        if Path(file_name).name != file_name or file_name == FILE_NAME:
+            raise ManifestError(f"{name}: {file_name!r} is not the name of a file beside it")
+    return manifest
+
+
+def read(folder: Path) -> Manifest:
+    """The manifest of a scan's folder. Raises ManifestError."""
+    path = folder / FILE_NAME
+    try:
+        with path.open("rb") as file:
+            data = file.read(MAX_BYTES + 1)
+    except FileNotFoundError:
+        raise ManifestError(f"{path}: missing") from None
+    except OSError as error:
+        raise ManifestError(f"{path}: {error.strerror or error}") from error
+    if len(data) > MAX_BYTES:
+        raise ManifestError(f"{path}: larger than {MAX_BYTES} bytes")
+    return decode(data, str(path))
+
+
+def _digest(content: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+
+
+def _plain(value: Any) -> Any:
+    """As JSON holds it: plain numbers, None for what is not finite."""
+    match value:
+        case None | bool() | str():
+            return value
+        case Enum():
+            return value.value
+        case Mapping():
+            return {str(key): _plain(one) for key, one in value.items()}
+        case Sequence() if not isinstance(value, bytes | bytearray | memoryview):
+            return [_plain(one) for one in value]
+        case _ if is_dataclass(value):
+            return {one.name: _plain(getattr(value, one.name)) for one in fields(value)}
+        case np.bool_():
+            return bool(value)
+        case SupportsIndex():  # int and NumPy's integers
+            return int(value)
+        case SupportsFloat():  # float and NumPy's
+            number = float(value)
+            return number if math.isfinite(number) else None
+        case _:
+            raise TypeError(f"{type(value).__name__} cannot be written to a manifest: {value!r}")

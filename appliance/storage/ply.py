@@ -1,0 +1,138 @@
+"""Owns the cloud on disk: binary little-endian PLY, mm, left camera frame, 25 bytes a point.
+
+The header is the same for every cloud but for the number of points and the CRC-32 of the body, so that a reader
+recognises any damage. Source: G. Turk, "The PLY Polygon File Format" (1994).
+"""
+
+from __future__ import annotations
+
+import re
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.storage.filesystem import Bytes
+
+POINT = np.dtype(
+    [
+        ("x", "<f4"),
+        ("y", "<f4"),
+        ("z", "<f4"),
+        ("intensity", "u1"),
+        ("modulation", "<f4"),
+        ("ray_gap", "<f4"),
+        ("sigma", "<f4"),
+    ]
+)
+"""One vertex, packed."""
+
+_HEADER = """\
+ply
+format binary_little_endian 1.0
+comment Kingfisher cloud 1: mm, left camera frame (x right, y down, z forward)
+comment modulation in grey levels, ray_gap and sigma in mm
+comment body crc32 {crc:08x}
+element vertex {points}
+property float x
+property float y
+property float z
+property uchar intensity
+property float modulation
+property float ray_gap
+property float sigma
+end_header
+"""
+_NUMBERS = re.compile(rb"comment body crc32 ([0-9a-f]{8})\nelement vertex (\d{1,10})\n")
+
+
+class PlyError(Exception):
+    """The file is not a whole cloud of this instrument; the text says which file and why."""
+
+
+class PointCloud(Protocol):
+    """What can be written: arrays of the same length n (``appliance.reconstruct`` makes such clouds)."""
+
+    @property
+    def points_mm(self) -> NDArray[np.float32]: ...
+    @property
+    def intensity(self) -> NDArray[np.uint8]: ...
+    @property
+    def modulation_dn(self) -> NDArray[np.float32]: ...
+    @property
+    def ray_gap_mm(self) -> NDArray[np.float32]: ...
+    @property
+    def sigma_mm(self) -> NDArray[np.float32]: ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StoredCloud:
+    """A cloud read from disk; a PointCloud. ``points_mm`` is (n, 3) float32, the others (n,)."""
+
+    points_mm: NDArray[np.float32]
+    intensity: NDArray[np.uint8]
+    modulation_dn: NDArray[np.float32]
+    ray_gap_mm: NDArray[np.float32]
+    sigma_mm: NDArray[np.float32]
+
+
+def encode_ply(cloud: PointCloud) -> tuple[bytes, Bytes]:
+    """Header and body of the file. Raises ValueError where lengths differ or a coordinate is not finite."""
+    n = len(cloud.points_mm)
+    body = np.empty(n, POINT)
+    if cloud.points_mm.shape != (n, 3):
+        raise ValueError(f"points_mm has shape {cloud.points_mm.shape}; (n, 3) is needed")
+    if not np.isfinite(cloud.points_mm).all():
+        bad = int((~np.isfinite(cloud.points_mm)).any(axis=1).sum())
+        raise ValueError(f"points_mm: {bad} of {n} points are not finite; remove them before storing")
+    body["x"], body["y"], body["z"] = cloud.points_mm.T
+    for name, values in (
+        ("intensity", cloud.intensity),
+        ("modulation", cloud.modulation_dn),
+        ("ray_gap", cloud.ray_gap_mm),
+        ("sigma", cloud.sigma_mm),
+    ):
+        if values.shape != (n,):
+            raise ValueError(f"{name} has shape {values.shape}; ({n},) is needed, one value per point")
+        body[name] = values
+    raw = body.view(np.uint8).data if n else memoryview(b"")
+    return _HEADER.format(crc=zlib.crc32(raw), points=n).encode("ascii"), raw
+
+
+def write_ply(path: Path, cloud: PointCloud) -> None:
+    """Write a cloud for a desk; scans are written by ``Library``, durably. Raises OSError, ValueError."""
+    header, body = encode_ply(cloud)
+    with path.open("wb") as file:
+        file.write(header)
+        file.write(body)
+
+
+def read_ply(path: Path) -> StoredCloud:
+    """Read a cloud that ``encode_ply`` made. Raises PlyError for anything else, however little is wrong with it."""
+    try:
+        raw = path.read_bytes()
+    except OSError as error:
+        raise PlyError(f"{path}: {error.strerror or error}") from error
+    numbers = _NUMBERS.search(raw[:1024])
+    if numbers is None:
+        raise PlyError(f"{path}: not a cloud of this instrument (no checksum and point count in its header)")
+    crc, n = int(numbers[1], 16), int(numbers[2])
+    header = _HEADER.format(crc=crc, points=n).encode("ascii")
+    if not raw.startswith(header):
+        raise PlyError(f"{path}: damaged header")
+    body = memoryview(raw)[len(header) :]
+    if len(body) != n * POINT.itemsize:
+        raise PlyError(f"{path}: {len(body)} bytes after the header; {n} points need {n * POINT.itemsize}")
+    if zlib.crc32(body) != crc:
+        raise PlyError(f"{path}: damaged points (checksum {zlib.crc32(body):08x}, header says {crc:08x})")
+    points = np.frombuffer(body, POINT)
+    return StoredCloud(
+        np.stack([points["x"], points["y"], points["z"]], axis=1),
+        points["intensity"].copy(),
+        points["modulation"].copy(),
+        points["ray_gap"].copy(),
+        points["sigma"].copy(),
+    )

@@ -1,0 +1,72 @@
+"""Owns what is written down about a scan besides its pixels and points.
+
+Values only; ``appliance.storage.manifest`` gives them their form on disk. ``None`` means not known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from appliance.capture.fault import Fault
+from appliance.patterns.sequence import PatternSequence
+
+
+@dataclass(frozen=True, slots=True)
+class SequenceInfo:
+    """Which pattern each frame shows."""
+
+    period_px: int
+    width_px: int
+    height_px: int
+    patterns: tuple[str, ...]
+    """Names in order of projection: ``bright``, ``gray-x-0``, ``sine-y-270``."""
+
+    @classmethod
+    def of(cls, sequence: PatternSequence) -> SequenceInfo:
+        """Describe a sequence."""
+        names = tuple(pattern.name for pattern in sequence.patterns)
+        return cls(sequence.period_px, sequence.width_px, sequence.height_px, names)
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """One judgement with its numbers; ``passed`` is None where there was nothing to judge."""
+
+    name: str
+    """``ledger``, ``identity``, ``motion``, ``exposure`` …"""
+    passed: bool | None
+    numbers: Mapping[str, float | None] = field(default_factory=dict)
+    text: str = ""
+
+    @classmethod
+    def failed(cls, name: str, fault: Fault) -> Verdict:
+        """The verdict that a fault stands for."""
+        return cls(name, False, dict(fault.numbers), f"{fault.code.value}: {fault.detail}".rstrip(": "))
+
+
+@dataclass(frozen=True, slots=True)
+class ScanRecord:
+    """Everything known about a scan but its files. Complete it with ``dataclasses.replace`` as more is known."""
+
+    sequence: SequenceInfo
+    rig_hash: str
+    calibration_hash: str | None
+    """``None``: reconstructed with no calibration, or not at all."""
+    software_version: str
+    wall_time: str | None
+    """ISO 8601 with offset; ``None`` where the host has no clock."""
+    clock_trusted: bool
+    """Whether the wall time was set from outside since power-on. Order follows from the scan's id alone."""
+    recorded_ns: int
+    """Host's monotonic time at the first pattern."""
+    water: Mapping[str, float | None] = field(default_factory=dict)
+    """``salinity_psu``, ``temperature_c``, ``wavelength_nm``, ``index``: the water it was reconstructed in."""
+    temperatures_c: Mapping[str, float | None] = field(default_factory=dict)
+    ledger: Mapping[str, Any] = field(default_factory=dict)
+    """What the four witnesses said; JSON-ready."""
+    verdicts: tuple[Verdict, ...] = ()
+    cloud: Mapping[str, float | None] = field(default_factory=dict)
+    """Numbers of the cloud: points, coverage_percent, …; empty without one."""
+    stage_times_s: Mapping[str, float] = field(default_factory=dict)

@@ -1,0 +1,170 @@
+"""Owns the content of a scan's folder: which files it has, when each is written, and how it is read back.
+
+Two steps. ``write_raw``: frames and a first manifest, durable before the diver decides. ``finish``: cloud and
+preview, then the manifest that lists them. Each manifest replaces the one before atomically, so that at any instant the
+folder holds a manifest and every file it lists, or no manifest at all.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.storage import manifest as form
+from appliance.storage.atomic import checked_stamp, discard, draft_of, refused, replace_file, write_new
+from appliance.storage.filesystem import Bytes, FileSystem
+from appliance.storage.manifest import Decision, Manifest, ManifestError, Stage
+from appliance.storage.ply import PlyError, PointCloud, StoredCloud, encode_ply, read_ply
+from appliance.storage.record import ScanRecord
+
+SIDES = ("left", "right")
+CLOUD = "cloud.ply"
+PREVIEW = "preview.png"
+
+
+def frames_file(side: str) -> str:
+    """Name of the file with one camera's frames."""
+    return f"frames_{side}.npy"
+
+
+RAW_FILES = tuple(frames_file(side) for side in SIDES)
+
+
+class ScanError(Exception):
+    """A stored scan cannot be used; the text says which and why."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StoredScan:
+    """A scan as it lies on disk. ``frames`` by side: (n, h, w) uint8, mapped, read-only."""
+
+    folder: Path
+    manifest: Manifest
+    frames: Mapping[str, NDArray[np.uint8]]
+
+    def cloud(self) -> StoredCloud | None:
+        """The stored cloud; ``None`` where the scan has none. Raises ScanError."""
+        if CLOUD not in self.manifest.files:
+            return None
+        try:
+            return read_ply(self.folder / CLOUD)
+        except PlyError as error:
+            raise ScanError(str(error)) from error
+
+
+def write_raw(
+    fs: FileSystem, folder: Path, scan_id: str, frames: Mapping[str, NDArray[np.uint8]], record: ScanRecord
+) -> Manifest:
+    """Make ``folder`` with the frames and the first manifest. Durable on return but for the folder's own name.
+
+    ``frames``: by side, (n, h, w) uint8. Raises StorageError, ValueError.
+    """
+    expected = len(record.sequence.patterns)
+    for side in SIDES:
+        shape, dtype = frames[side].shape, frames[side].dtype
+        if len(shape) != 3 or shape[0] != expected or dtype != np.uint8:
+            raise ValueError(f"{side} frames are {dtype} {shape}; uint8 ({expected}, height, width) is needed")
+    with refused("cannot make", folder):
+        fs.make_folder(folder)
+    files = {frames_file(side): write_new(fs, folder / frames_file(side), _npy(frames[side])) for side in SIDES}
+    with refused("cannot make durable", folder):
+        fs.sync_folder(folder)
+    manifest = Manifest(scan_id, Stage.RAW, Decision.UNDECIDED, record, files)
+    replace_file(fs, folder / form.FILE_NAME, form.encode(manifest))
+    return manifest
+
+
+def finish(
+    fs: FileSystem,
+    folder: Path,
+    manifest: Manifest,
+    decision: Decision,
+    record: ScanRecord,
+    cloud: PointCloud | None = None,
+    preview_png: bytes | None = None,
+    reason: str = "",
+) -> Manifest:
+    """Add what there is to add and write the final manifest. May be repeated after a failure. Raises StorageError."""
+    files = {name: stamp for name, stamp in manifest.files.items() if name not in (CLOUD, PREVIEW)}
+    added: dict[str, tuple[Bytes, ...]] = {}
+    if cloud is not None:
+        added[CLOUD] = encode_ply(cloud)
+    if preview_png is not None:
+        added[PREVIEW] = (preview_png,)
+    for name, parts in added.items():
+        discard(fs, folder / name)
+        files[name] = write_new(fs, folder / name, parts)
+    with refused("cannot make durable", folder):
+        fs.sync_folder(folder)
+    final = replace(manifest, stage=Stage.COMPLETE, decision=decision, record=record, files=files, reason=reason)
+    replace_file(fs, folder / form.FILE_NAME, form.encode(final))
+    return final
+
+
+def discard_raw(fs: FileSystem, folder: Path) -> None:
+    """Take back a ``write_raw`` that failed, whose frames are still in memory. Raises StorageError."""
+    for name in (form.FILE_NAME, *RAW_FILES):  # the manifest first: it must never list what is gone
+        discard(fs, folder / name)
+        discard(fs, draft_of(folder / name))
+    discard(fs, folder)
+
+
+def wrong_files(folder: Path, manifest: Manifest, *, checksums: bool) -> dict[str, str]:
+    """What is wrong, by name, with the files a scan must have and those its manifest lists.
+
+    Lengths are compared, and with ``checksums`` every byte.
+    """
+    wrong = {name: "not in the manifest" for name in RAW_FILES if name not in manifest.files}
+    for name, stamp in sorted(manifest.files.items()):
+        try:
+            length = (folder / name).stat().st_size
+            if length != stamp.length:
+                wrong[name] = f"{length} bytes instead of {stamp.length}"
+            elif checksums and checked_stamp(folder / name) != stamp:
+                wrong[name] = "damaged (its checksum does not fit)"
+        except FileNotFoundError:
+            wrong[name] = "missing"
+        except OSError as error:
+            wrong[name] = error.strerror or str(error)
+    return wrong
+
+
+def load(folder: Path) -> StoredScan:
+    """Open a scan; its files' lengths are checked, checksums are not (``Library.verify``). Raises ScanError."""
+    try:
+        manifest = form.read(folder)
+    except ManifestError as error:
+        raise ScanError(str(error)) from error
+    wrong = wrong_files(folder, manifest, checksums=False)
+    if wrong:
+        raise ScanError(f"{folder}: {'; '.join(f'{name}: {what}' for name, what in wrong.items())}")
+    count = len(manifest.record.sequence.patterns)
+    return StoredScan(folder, manifest, {side: _mapped(folder / frames_file(side), count) for side in SIDES})
+
+
+def _mapped(path: Path, count: int) -> NDArray[np.uint8]:
+    try:
+        frames = np.load(path, mmap_mode="r", allow_pickle=False)
+    except (OSError, ValueError, EOFError, SyntaxError, TypeError, KeyError) as error:
+        raise ScanError(f"{path}: not readable as frames ({error})") from error
+    if not isinstance(frames, np.ndarray) or frames.dtype != np.uint8 or frames.ndim != 3 or len(frames) != count:
+        raise ScanError(f"{path}: not {count} frames of 8 bits")
+    return frames
+
+
+def _npy(frames: NDArray[np.uint8]) -> tuple[Bytes, Bytes]:
+    """Header and body of an .npy file (NumPy format 1.0), without a copy of the pixels."""
+    solid = np.ascontiguousarray(frames)
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, np.lib.format.header_data_from_array_1_0(solid))
+    return header.getvalue(), solid.reshape(-1).data
+
+
+def size_bytes(frames: int, width_px: int, height_px: int) -> int:
+    """Room one scan needs at most: both cameras' frames, a point for every left pixel, and a margin for the rest."""
+    return 2 * frames * width_px * height_px + 25 * width_px * height_px + 1_000_000

@@ -1,0 +1,141 @@
+"""A disk that refuses any one call, or all calls from one on: one clear error, nothing half visible, nothing lost."""
+
+from __future__ import annotations
+
+import errno
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from appliance.storage.atomic import StorageError, replace_file
+from appliance.storage.library import Library, PendingScan, Shelf
+from tests.appliance.storage.scenes import PREVIEW, BadDisk, cloud, frames, record
+
+
+def prepared(root: Path) -> Path:
+    Library(root).prepare()
+    return root
+
+
+def save(library: Library) -> str:
+    scan = library.begin(frames(), record())
+    scan.publish(record(), cloud(), PREVIEW)
+    return scan.scan_id
+
+
+def calls_of(root: Path, work: str) -> list[str]:
+    disk = BadDisk()
+    library = Library(prepared(root), disk)
+    if work == "save":
+        save(library)
+    else:
+        library.begin(frames(), record()).reject("moved")
+    return disk.calls
+
+
+def nothing_half_is_visible(root: Path) -> None:
+    for shelf in (Shelf.SCANS, Shelf.REJECTED):
+        for entry in Library(root).entries(shelf):
+            assert Library(root).verify(entry.scan_id).problems == ()
+
+
+@pytest.mark.parametrize("error", [errno.EIO, errno.ENOSPC])
+def test_each_call_of_a_save_fails_once_and_trying_again_succeeds(tmp_path: Path, error: int) -> None:
+    calls = calls_of(tmp_path / "count", "save")
+    assert sum(name.startswith("sync") for name in calls) >= 10
+    for bad in range(len(calls)):
+        root = prepared(tmp_path / f"{error}-{bad}")
+        library = Library(root, BadDisk(bad, error=error))
+        scan: PendingScan | None = None
+        failures = 0
+        for _ in range(2):
+            try:
+                scan = scan or library.begin(frames(), record())
+                scan.publish(record(), cloud(), PREVIEW)
+                break
+            except StorageError:
+                failures += 1
+                nothing_half_is_visible(root)
+        assert failures == 1, calls[bad]
+        assert scan is not None
+        fresh = Library(root)
+        assert fresh.recover().failed == ()
+        assert fresh.verify(scan.scan_id).ok
+        stored = fresh.load(scan.scan_id)
+        assert (stored.frames["left"] == frames()["left"]).all()
+        assert stored.cloud() is not None
+        assert [entry.scan_id for entry in fresh.entries()] == [scan.scan_id]
+
+
+def test_a_disk_that_dies_for_good_at_each_call_keeps_what_was_there_and_shows_nothing_half(tmp_path: Path) -> None:
+    calls = calls_of(tmp_path / "count", "save")
+    for bad in range(len(calls)):
+        root = prepared(tmp_path / f"dead-{bad}")
+        first = save(Library(root))
+        with pytest.raises(StorageError):
+            save(Library(root, BadDisk(bad, bad_for=10**6)))
+        nothing_half_is_visible(root)
+        fresh = Library(root)
+        assert fresh.recover().failed == ()
+        nothing_half_is_visible(root)
+        assert fresh.verify(first).ok
+        assert int(save(fresh)) > int(first)
+
+
+def test_each_call_of_a_rejection_fails_once_and_trying_again_succeeds(tmp_path: Path) -> None:
+    calls = calls_of(tmp_path / "count", "reject")
+    for bad in range(len(calls)):
+        root = prepared(tmp_path / f"reject-{bad}")
+        library = Library(root, BadDisk(bad))
+        scan: PendingScan | None = None
+        for _ in range(2):
+            try:
+                scan = scan or library.begin(frames(), record())
+                scan.reject("moved")
+                break
+            except StorageError:
+                nothing_half_is_visible(root)
+        assert scan is not None
+        Library(root).recover()
+        assert [entry.scan_id for entry in Library(root).entries(Shelf.REJECTED)] == [scan.scan_id]
+        assert Library(root).verify(scan.scan_id).ok
+        assert Library(root).entries() == []
+
+
+def test_each_call_of_a_recovery_fails_once_and_the_next_start_completes_it(tmp_path: Path) -> None:
+    def unfinished(root: Path) -> Path:
+        library = Library(prepared(root))
+        library.begin(frames(1), record())
+        (library.begin(frames(2), record()).folder / "frames_left.npy").write_bytes(b"half")
+        return root
+
+    disk = BadDisk()
+    Library(unfinished(tmp_path / "count"), disk).recover()
+    for bad in range(len(disk.calls)):
+        root = unfinished(tmp_path / f"recover-{bad}")
+        first = Library(root, BadDisk(bad)).recover()
+        assert len(first.failed) == 1, disk.calls[bad]
+        second = Library(root).recover()
+        assert second.failed == ()
+        assert [entry.scan_id for entry in Library(root).entries()] == ["000001"]
+        assert [entry.scan_id for entry in Library(root).entries(Shelf.SET_ASIDE)] == ["000002"]
+        assert Library(root).verify("000001").ok
+
+
+def test_replacing_a_file_leaves_the_old_or_the_new_one(tmp_path: Path) -> None:
+    path = tmp_path / "value"
+    for bad in range(6):
+        path.write_bytes(b"old")
+        with suppress(StorageError):
+            replace_file(BadDisk(bad), path, b"new")
+        assert path.read_bytes() in (b"old", b"new")
+    replace_file(BadDisk(), path, b"new")
+    assert path.read_bytes() == b"new"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_refusal_names_what_was_tried_where_and_why(tmp_path: Path) -> None:
+    root = prepared(tmp_path / "root")
+    with pytest.raises(StorageError, match=r"cannot make .*scans/\.000001: .*injected.*; free space"):
+        Library(root, BadDisk(6)).begin(frames(), record())
