@@ -174,7 +174,9 @@ def dataclass_without_slots(source: Source) -> Iterator[Breach]:
 
 def field_without_unit(source: Source) -> Iterator[Breach]:
     for node in ast.walk(source.tree):
-        if not isinstance(node, ast.ClassDef) or not any("dataclass" in ast.unparse(d) for d in node.decorator_list):
+        if not isinstance(node, ast.ClassDef) or node.name.startswith("_"):
+            continue
+        if not any("dataclass" in ast.unparse(d) for d in node.decorator_list):
             continue
         for item in node.body:
             match item:
@@ -207,6 +209,8 @@ def too_long(source: Source) -> Iterator[Breach]:
 def asserts_nothing(source: Source) -> Iterator[Breach]:
     for node in ast.walk(source.tree):
         if isinstance(node, ast.FunctionDef) and node.name.startswith("test_"):
+            if any(ast.unparse(d).startswith("given(") for d in node.decorator_list):
+                continue  # that no input raises anything unexpected is what it asserts
             asserts = any(isinstance(inner, ast.Assert) for inner in ast.walk(node))
             called = {dotted(c.func).rpartition(".")[2] for c in ast.walk(node) if isinstance(c, ast.Call)}
             if not asserts and not any(re.match(r"_?(assert|check|expect|raises|fail|warns)", name) for name in called):
@@ -309,7 +313,7 @@ RULES = [
     Rule(
         asserts_nothing,
         bad=("def test_x():\n    f()",),
-        good=("def test_x():\n    assert f()", "def test_x():\n    with pytest.raises(E): f()"),
+        good=("def test_x():\n    assert f()", "def test_x():\n    with pytest.raises(E): f()", "def f(): pass"),
         packages=("tests",),
     ),
 ]
