@@ -1,59 +1,140 @@
-"""Owns world time: one lock for everything that happens, and waiting that ends in world time.
+"""Owns world time: one lock for everything that happens, what happens next, and waiting that ends in world time.
 
-All device state is touched with ``condition`` held; whoever changes something that another may wait for calls
-``condition.notify_all()``. World time moves from vertical blank to vertical blank; between two blanks it follows
-real time and halts just before the next.
+All state of the devices is touched with ``condition`` held; whoever changes something that another may wait for
+calls ``condition.notify_all()``. World time moves from vertical blank to vertical blank. Between two blanks it
+follows real time, never passes anything that is still to happen, and halts just before the next blank.
 """
 
 from __future__ import annotations
 
+import heapq
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import dataclass, field
 
 BLANK_NS = 16_666_667
 """Both heads of the card run at 60 Hz."""
-HALT = 0.97
-"""Fraction of a period at which time halts until the next blank."""
-SLICE_S = 0.004
+START_NS = 3_000_000_000
+"""The world begins a little after its host booted."""
+LONGEST_WAIT_S = 0.25
+"""Bound of a wait that is expected to end by a notification."""
+FOREIGN_SLICE_S = 0.005
+"""How often a wait on somebody else's condition looks at world time."""
+_FOREVER_NS = 2**62
+_HALT_NS = BLANK_NS * 97 // 100
+
+
+@dataclass(order=True, slots=True)
+class Happening:
+    """Something that will happen at a moment of world time."""
+
+    time_ns: int
+    number: int
+    action: Callable[[int], None] = field(compare=False)
+    """Called with ``time_ns``, lock held."""
+    ready: Callable[[], bool] | None = field(compare=False, default=None)
+    """World time does not pass this happening before it is ready."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Mark:
+    """Replaced as a whole, so that reading the clock needs no lock."""
+
+    blank_ns: int
+    blank_real_ns: int
+    speed: float
+    floor_ns: int
+    limit_ns: int
+
+    def now_ns(self, real_ns: int) -> int:
+        followed_ns = self.blank_ns + int((real_ns - self.blank_real_ns) * self.speed)
+        return max(self.floor_ns, min(followed_ns, self.limit_ns))
 
 
 class WorldTime:
-    """The world's clock and lock."""
+    """The world's clock, agenda and lock. ``speed`` is world time per real time between blanks; 0 stands still."""
 
-    def __init__(self, start_ns: int = 3_000_000_000) -> None:
+    def __init__(self, speed: float = 1.0) -> None:
         self.condition = threading.Condition()
         self.closed = False
-        """The world has ended: waiting ends at once."""
-        self._blank_ns = start_ns
-        self._blank_real_ns = time.monotonic_ns()
-        self._speed = 1.0
+        """The world has ended; time follows real time from then on, so that no wait of a host hangs or spins."""
+        self._agenda: list[Happening] = []
+        self._numbers = 0
+        self._mark = _Mark(START_NS, time.monotonic_ns(), speed, START_NS, START_NS + _HALT_NS)
 
     @property
     def blank_ns(self) -> int:
         """World time of the latest vertical blank."""
-        return self._blank_ns
+        return self._mark.blank_ns
 
     def now_ns(self) -> int:
-        """World time."""
-        elapsed = (time.monotonic_ns() - self._blank_real_ns) * self._speed
-        return self._blank_ns + int(min(elapsed, HALT * BLANK_NS))
+        """World time; never goes back."""
+        return self._mark.now_ns(time.monotonic_ns())
 
-    def blank(self, speed: float = 1.0) -> int:
-        """The next vertical blank happens now; returns its time. Only the world calls this, with the lock held."""
-        self._blank_ns += BLANK_NS
-        self._blank_real_ns = time.monotonic_ns()
-        self._speed = speed
+    def at(self, time_ns: int, action: Callable[[int], None], ready: Callable[[], bool] | None = None) -> None:
+        """With the lock held: let ``action`` happen at ``time_ns``, or at once where that is past."""
+        self._numbers += 1
+        heapq.heappush(self._agenda, Happening(max(time_ns, self.now_ns()), self._numbers, action, ready))
+        self._set_mark(self._mark.floor_ns)
         self.condition.notify_all()
-        return self._blank_ns
 
-    def wait_for(self, predicate: Callable[[], bool], timeout_s: float) -> bool:
-        """With ``condition`` held: wait until ``predicate()`` or until the timeout in world time has passed."""
-        deadline_ns = self.now_ns() + int(timeout_s * 1e9)
+    def due(self, until_ns: int) -> Happening | None:
+        """With the lock held: what happens next, if not later than ``until_ns``."""
+        return self._agenda[0] if self._agenda and self._agenda[0].time_ns <= until_ns else None
+
+    def happen(self) -> None:
+        """With the lock held: the next happening happens now. Only who drives the world calls this."""
+        happening = heapq.heappop(self._agenda)
+        self._set_mark(happening.time_ns)
+        happening.action(happening.time_ns)
+        self.condition.notify_all()
+
+    def blank(self, speed: float, real_ns: int) -> int:
+        """With the lock held: the next vertical blank happens, at ``real_ns`` of real time; returns its world time."""
+        blank_ns = self._mark.blank_ns + BLANK_NS
+        self._mark = _Mark(blank_ns, real_ns, speed, blank_ns, blank_ns)
+        self._set_mark(blank_ns)
+        self.condition.notify_all()
+        return blank_ns
+
+    def _set_mark(self, floor_ns: int) -> None:
+        mark = self._mark
+        halt_ns = mark.blank_ns + _HALT_NS
+        limit_ns = min(self._agenda[0].time_ns, halt_ns) if self._agenda else halt_ns
+        # What was already seen stays seen: a lower limit must not turn the clock back.
+        floor_ns = max(floor_ns, mark.now_ns(time.monotonic_ns()))
+        self._mark = _Mark(mark.blank_ns, mark.blank_real_ns, mark.speed, floor_ns, limit_ns)
+
+    def close(self) -> None:
+        """With the lock held: the world ends."""
+        now_ns, real_ns = self.now_ns(), time.monotonic_ns()
+        self._agenda.clear()
+        self._mark = _Mark(now_ns, real_ns, 1.0, now_ns, _FOREVER_NS)
+        self.closed = True
+        self.condition.notify_all()
+
+    def real_until_s(self, time_ns: int) -> float:
+        """Real seconds until ``time_ns``, if nothing holds world time up; infinite where it stands still."""
+        mark = self._mark
+        if mark.speed <= 0:
+            return float("inf")
+        passed_ns = time.monotonic_ns() - mark.blank_real_ns
+        return ((time_ns - mark.blank_ns) / mark.speed - passed_ns) / 1e9
+
+    def wait_for(self, predicate: Callable[[], bool], timeout_s: float | None) -> bool:
+        """With the lock held: wait until ``predicate()``, or ``timeout_s`` of world time (``None``: no limit).
+
+        Returns the predicate's value. Who waits for a device also asks whether the world is ``closed``.
+        """
+        deadline_ns = None if timeout_s is None else self.now_ns() + int(timeout_s * 1e9)
         while not predicate():
-            if self.closed or self.now_ns() >= deadline_ns:
+            if deadline_ns is not None and self.now_ns() >= deadline_ns:
                 return predicate()
-            self.condition.wait(SLICE_S)
+            # Beyond the limit only the world's thread moves time, and it notifies.
+            within = deadline_ns is not None and deadline_ns <= self._mark.limit_ns
+            real_s = self.real_until_s(deadline_ns) if within and deadline_ns is not None else LONGEST_WAIT_S
+            self.condition.wait(min(max(real_s, 0.0002), LONGEST_WAIT_S))
         return True
 
     def sleep_s(self, duration_s: float) -> None:
@@ -63,21 +144,24 @@ class WorldTime:
 
 
 class WorldClock:
-    """World time in the shape of the product's clock (``drivers.api.Clock``), for conditions of the product's own."""
+    """World time in the shape of a product's clock, for conditions of the product's own."""
 
     def __init__(self, world_time: WorldTime) -> None:
         self._time = world_time
 
     def now_ns(self) -> int:
+        """World time, the clock of the flips' time stamps."""
         return self._time.now_ns()
 
     def sleep_s(self, duration_s: float) -> None:
+        """Return after ``duration_s`` of world time."""
         self._time.sleep_s(duration_s)
 
     def wait_for(self, condition: threading.Condition, predicate: Callable[[], bool], timeout_s: float) -> bool:
+        """With ``condition`` held, wait until ``predicate()`` or the timeout; return the predicate's value."""
         deadline_ns = self._time.now_ns() + int(timeout_s * 1e9)
         while not predicate():
-            if self._time.closed or self._time.now_ns() >= deadline_ns:
+            if self._time.now_ns() >= deadline_ns:
                 return predicate()
-            condition.wait(SLICE_S)
+            condition.wait(FOREIGN_SLICE_S)
         return True

@@ -1,0 +1,81 @@
+"""Owns the world's options: names, defaults and checks, as ``docs/protocols/world.md`` lists them."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+from hw_sim.motion import Motion
+from hw_sim.scene import Scene
+from hw_sim.water import Water
+
+Pose = tuple[float, float, float, float, float, float]
+
+
+class OptionError(ValueError):
+    """An option of the simulated world is unknown or out of range; the text names it and what is allowed."""
+
+
+@dataclass(frozen=True, slots=True)
+class WorldOptions:
+    """See ``docs/protocols/world.md``."""
+
+    world: str = "main"
+    truth: str = "realistic"
+    seed: int = 1
+    width_px: int = 1600
+    height_px: int = 1200
+    display_width_px: int = 800
+    display_height_px: int = 480
+    object: str = "pipe"
+    object_pose: Pose | None = None
+    texture: str = "slight"
+    water: Mapping[str, float] = field(default_factory=dict)
+    ambient: float = 0.02
+    noise: bool = True
+    motion: Mapping[str, Any] = field(default_factory=dict)
+    pace: str = "lockstep"
+    idle_speed: float = 1.0
+    faults: tuple[str, ...] = ()
+    script: str | None = None
+    status: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.pace not in ("lockstep", "realtime"):
+            raise OptionError(f"pace '{self.pace}'; allowed are lockstep, realtime")
+        if not 64 <= self.width_px <= 4096 or not 48 <= self.height_px <= 4096:
+            raise OptionError(f"camera size {self.width_px}x{self.height_px}; allowed are 64x48 to 4096x4096")
+        if not 0.1 <= self.idle_speed <= 100.0:
+            raise OptionError(f"idle_speed {self.idle_speed:g}; allowed are 0.1..100")
+
+    def scene(self) -> Scene:
+        """The scene these options describe. Raises OptionError."""
+        try:
+            return Scene(
+                self.object,
+                self.object_pose,
+                self.texture,
+                Water(**self.water),
+                self.ambient,
+                self.noise,
+                Motion(**{k: tuple(v) if isinstance(v, list) else v for k, v in self.motion.items()}),
+            )
+        except (TypeError, ValueError) as error:
+            raise OptionError(f"scene: {error}") from error
+
+
+def options_from(mapping: Mapping[str, Any]) -> WorldOptions:
+    """Options of a rig file's table. Raises OptionError for an unknown key, naming the nearest."""
+    known = {f.name for f in fields(WorldOptions)}
+    for key in mapping:
+        if key not in known:
+            near = difflib.get_close_matches(key, known, 1)
+            hint = f"; did you mean '{near[0]}'?" if near else f"; known are {', '.join(sorted(known))}"
+            raise OptionError(f"unknown option of the simulated world: '{key}'{hint}")
+    values = dict(mapping)
+    for key in ("object_pose", "faults"):
+        if isinstance(values.get(key), list):
+            values[key] = tuple(values[key])
+    return WorldOptions(**values)
