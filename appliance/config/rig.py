@@ -25,6 +25,8 @@ _Text = Annotated[str, Strict(), Field(min_length=1)]
 
 
 def _path(value: object) -> object:
+    if isinstance(value, Path):
+        return value
     if not isinstance(value, str) or not value:
         raise ValueError("a path in quotes is needed")
     return Path(value)

@@ -1,0 +1,8 @@
+"""``python -m appliance.cli`` is ``kingfisher``."""
+
+import sys
+
+from appliance.cli.main import main
+
+if __name__ == "__main__":
+    sys.exit(main())

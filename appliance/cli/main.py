@@ -1,0 +1,193 @@
+"""Owns the command line's grammar and its exit codes; everything that can be typed is declared here."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+from appliance import __version__
+from appliance.calibration.file import CalibrationError
+from appliance.cli import scans, verbs
+from appliance.cli.output import Exit, UsageError, complain
+from appliance.cli.simrig import OBJECTS, PACES, TEXTURES, TRUTHS, SimOptions, default_sim_rig
+from appliance.config import ConfigError, Rig, default_rig_path, load_rig
+from appliance.storage.atomic import StorageError
+from appliance.storage.library import UnknownScan
+from appliance.storage.scan import ScanError
+from drivers.api import DeviceError
+
+EXIT_CODES = "exit codes: " + ", ".join(
+    f"{code.value} {code.name.lower().replace('_', ' ')}" for code in Exit
+)  # fmt: skip
+
+Verb = Callable[[argparse.Namespace], Exit]
+
+
+class _Parser(argparse.ArgumentParser):
+    """Errors in one line, no abbreviations; ``--json`` is honoured even where the rest does not parse."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(allow_abbrev=False, **settings)
+
+    def error(self, message: str) -> NoReturn:
+        complain(f"{message}; see `{self.prog} --help`", as_json="--json" in sys.argv[1:])
+        raise SystemExit(Exit.USAGE)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Parse, call the verb's function, return the exit code. Errors end as one line on stderr."""
+    arguments = _grammar().parse_args(argv)
+    verb: Verb = arguments.verb
+    try:
+        return verb(arguments)
+    except (ConfigError, UsageError) as error:
+        complain(str(error), as_json=arguments.json)
+        return Exit.USAGE
+    except (StorageError, UnknownScan, ScanError, CalibrationError, DeviceError) as error:
+        complain(str(error), as_json=arguments.json)
+        return Exit.FAILED
+    except BrokenPipeError:
+        sys.stderr.close()  # the reader of stdout went away: not our failure, and nobody to tell
+        return Exit.OK
+    except KeyboardInterrupt:
+        return Exit.INTERRUPTED
+
+
+def _rig(arguments: argparse.Namespace) -> Rig:
+    return load_rig(arguments.rig or default_rig_path())
+
+
+def _root(arguments: argparse.Namespace) -> Path:
+    if arguments.root is not None:
+        root: Path = arguments.root
+        if not root.is_dir():
+            raise UsageError(f"--root {root}: no such folder; give the storage root that holds scans/")
+        return root
+    return _rig(arguments).storage.root
+
+
+def _sim(arguments: argparse.Namespace) -> Exit:
+    rig = load_rig(arguments.rig or default_sim_rig())
+    options = SimOptions(
+        root=arguments.root,
+        object_name=arguments.object,
+        texture=arguments.texture,
+        truth=arguments.truth,
+        seed=arguments.seed,
+        size=arguments.size,
+        pace=arguments.pace,
+        script=arguments.script,
+        faults=tuple(arguments.fault),
+        window=arguments.window,
+    )
+    return verbs.sim(rig, options)
+
+
+def _grammar() -> _Parser:
+    common = _Parser(add_help=False)
+    common.add_argument("--json", action="store_true", help="print one JSON document")
+    rig = _Parser(add_help=False)
+    rig.add_argument("--rig", type=Path, metavar="PATH", help="rig file (default: the packaged one)")
+    root = _Parser(add_help=False)
+    root.add_argument("--root", type=Path, metavar="PATH", help="storage root (default: the rig file's)")
+
+    top = _Parser(prog="kingfisher", description="Handheld underwater 3D scanner.", epilog=EXIT_CODES)
+    top.add_argument("--version", action="version", version=f"kingfisher {__version__}")
+    commands = top.add_subparsers(required=True, metavar="VERB", parser_class=_Parser)
+
+    def add(where: argparse._SubParsersAction[_Parser], name: str, text: str, verb: Verb, *parents: _Parser) -> _Parser:
+        parser = where.add_parser(name, help=text, description=text, epilog=EXIT_CODES, parents=[common, *parents])
+        parser.set_defaults(verb=verb)
+        return parser
+
+    add(commands, "run", "run the instrument", lambda a: verbs.run(_rig(a)), rig)
+
+    sim = add(commands, "sim", "run the instrument in a simulated world (docs/protocols/world.md)", _sim, rig, root)
+    sim.add_argument("--object", choices=OBJECTS, help="what lies before the scanner")
+    sim.add_argument("--texture", choices=TEXTURES, help="its albedo")
+    sim.add_argument("--truth", metavar="SET", help=f"the true rig: {', '.join(TRUTHS)}, or a truth.toml")
+    sim.add_argument("--seed", type=_seed, help="seeds the truth and all noise")
+    sim.add_argument("--size", metavar="WxH", help="camera size in px, for example 800x600")
+    sim.add_argument("--pace", choices=PACES, help="how world time passes")
+    sim.add_argument("--script", type=Path, metavar="FILE", help="a diver's script; exit code 3 if it fails")
+    sim.add_argument("--fault", action="append", default=[], metavar="SENTENCE", help="a fault; may be repeated")
+    sim.add_argument("--window", action="store_true", help="show the diver's screen in a window")
+
+    add(commands, "check", "open every device once and report", lambda a: verbs.check(_rig(a), json=a.json), rig)
+
+    reconstruct = add(
+        commands,
+        "reconstruct",
+        "reconstruct a stored scan from its raw frames",
+        lambda a: verbs.reconstruct(_rig(a), a.scan, a.calibration, a.out, json=a.json),
+        rig,
+    )
+    reconstruct.add_argument("scan", metavar="SCAN", help="its number or its folder")
+    reconstruct.add_argument("--calibration", type=Path, metavar="FILE", help="default: the instrument's")
+    reconstruct.add_argument("--out", type=Path, metavar="FILE", help="write the cloud there (PLY)")
+
+    _add_scans(add, commands, rig, root)
+    _add_calibration(add, commands, rig)
+    add(commands, "version", "print the version", lambda a: verbs.version(json=a.json))
+    return top
+
+
+_Add = Callable[..., _Parser]
+
+
+def _add_scans(
+    add: _Add,
+    commands: argparse._SubParsersAction[_Parser],
+    rig: _Parser,
+    root: _Parser,
+) -> None:
+    group = commands.add_parser("scans", help="look at stored scans", epilog=EXIT_CODES)
+    inner = group.add_subparsers(required=True, metavar="VERB", parser_class=_Parser)
+    every = "also those rejected or set aside"
+
+    listing = add(inner, "list", "all scans", lambda a: scans.list_scans(_root(a), every=a.all, json=a.json), rig, root)
+    listing.add_argument("--all", action="store_true", help=every)
+    show = add(
+        inner, "show", "one scan's manifest", lambda a: scans.show_scan(_root(a), a.scan, json=a.json), rig, root
+    )
+    show.add_argument("scan", metavar="SCAN", help="its number")
+    verify = add(
+        inner,
+        "verify",
+        "compare every byte with its checksum",
+        lambda a: scans.verify_scans(_root(a), a.scans, every=a.all, json=a.json),
+        rig,
+        root,
+    )
+    verify.add_argument("scans", metavar="SCAN", nargs="*", help="numbers (default: all)")
+    verify.add_argument("--all", action="store_true", help=every)
+
+
+def _add_calibration(add: _Add, commands: argparse._SubParsersAction[_Parser], rig: _Parser) -> None:
+    group = commands.add_parser("calibration", help="look at calibrations", epilog=EXIT_CODES)
+    inner = group.add_subparsers(required=True, metavar="VERB", parser_class=_Parser)
+    show = add(
+        inner,
+        "show",
+        "the calibration in use, or that of a file",
+        lambda a: verbs.calibration_show(_rig(a), a.file, json=a.json),
+        rig,
+    )
+    show.add_argument("file", metavar="FILE", nargs="?", type=Path)
+    nominal = add(
+        inner,
+        "nominal",
+        "write the calibration that follows from the rig file's design",
+        lambda a: verbs.calibration_nominal(_rig(a), a.out, json=a.json),
+        rig,
+    )
+    nominal.add_argument("--out", type=Path, metavar="FILE", help="default: beside the instrument's calibrations")
+
+
+def _seed(text: str) -> int:
+    if not text.isascii() or not text.isdigit() or len(text) > 9:
+        raise argparse.ArgumentTypeError(f"{text}: allowed are whole numbers 0..999999999")
+    return int(text)

@@ -1,0 +1,121 @@
+"""Owns the verbs ``scans list``, ``scans show`` and ``scans verify``: reading only, also beside a running service."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from appliance.cli.output import Exit, Progress, say, say_json, table
+from appliance.storage.library import Entry, Library, Shelf
+from appliance.storage.manifest import Stage, as_json
+
+
+def list_scans(root: Path, *, every: bool, json: bool) -> Exit:
+    """All scans, damaged ones marked. ``every``: also those rejected or set aside."""
+    entries = _entries(Library(root), every)
+    if json:
+        say_json([_brief(entry) for entry in entries])
+    elif not entries:
+        say(f"no scans under {root}")
+    else:
+        rows = [
+            (entry.scan_id, _state(entry), _when(entry), _points(entry), f"{entry.size_bytes / 1e6:.1f}", _note(entry))
+            for entry in entries
+        ]
+        say(table(("SCAN", "STATE", "TIME", "POINTS", "MB", "NOTE"), rows))
+    return Exit.OK
+
+
+def show_scan(root: Path, scan_id: str, *, json: bool) -> Exit:
+    """Everything the manifest says. Raises UnknownScan."""
+    entry = Library(root).entry(scan_id)
+    full = {**_brief(entry), "manifest": None if entry.manifest is None else as_json(entry.manifest)}
+    if json:
+        say_json(full)
+        return Exit.OK
+    for key, value in _flat(full):
+        say(f"{key:<34} {value}")
+    return Exit.OK
+
+
+def verify_scans(root: Path, scan_ids: Sequence[str], *, every: bool, json: bool) -> Exit:
+    """Read every byte and compare checksums; DAMAGED if any does not fit. No ids: all scans. Raises UnknownScan."""
+    library = Library(root)
+    chosen = [library.entry(scan_id) for scan_id in scan_ids] or _entries(library, every)
+    checked: list[Entry] = []
+    with Progress() as progress:
+        for k, entry in enumerate(chosen):
+            progress(f"verifying {entry.scan_id}", k / len(chosen))
+            checked.append(library.verify(entry.scan_id))
+    damaged = [entry for entry in checked if not entry.ok]
+    if json:
+        say_json({"checked": len(checked), "damaged": len(damaged), "scans": [_brief(entry) for entry in checked]})
+    else:
+        for entry in checked:
+            say(f"{entry.scan_id}  {'ok' if entry.ok else 'DAMAGED: ' + '; '.join(entry.problems)}")
+        say(f"{len(checked)} checked, {len(damaged)} damaged")
+    return Exit.DAMAGED if damaged else Exit.OK
+
+
+def _entries(library: Library, every: bool) -> list[Entry]:
+    shelves = tuple(Shelf) if every else (Shelf.SCANS,)
+    return [entry for shelf in shelves for entry in library.entries(shelf)]
+
+
+def _brief(entry: Entry) -> dict[str, Any]:
+    record = None if entry.manifest is None else entry.manifest.record
+    return {
+        "scan": entry.scan_id,
+        "shelf": entry.shelf.value,
+        "folder": str(entry.folder),
+        "ok": entry.ok,
+        "problems": list(entry.problems),
+        "recovered": None if entry.manifest is None else entry.manifest.recovered,
+        "wall_time": None if record is None else record.wall_time,
+        "clock_trusted": None if record is None else record.clock_trusted,
+        "points": None if record is None else record.cloud.get("points"),
+        "size_bytes": entry.size_bytes,
+    }
+
+
+def _state(entry: Entry) -> str:
+    if entry.problems:
+        return "DAMAGED"
+    if entry.shelf is not Shelf.SCANS or entry.manifest is None:
+        return entry.shelf.value
+    return "recovered" if entry.manifest.recovered else "saved"
+
+
+def _when(entry: Entry) -> str:
+    if entry.manifest is None or entry.manifest.record.wall_time is None:
+        return "?"
+    record = entry.manifest.record
+    return f"{record.wall_time}" if record.clock_trusted else f"{record.wall_time} ?"
+
+
+def _points(entry: Entry) -> str:
+    points = None if entry.manifest is None else entry.manifest.record.cloud.get("points")
+    return "-" if points is None else f"{points:.0f}"
+
+
+def _note(entry: Entry) -> str:
+    if entry.problems:
+        return entry.problems[0]
+    if entry.manifest is None:
+        return ""
+    if entry.manifest.stage is Stage.RAW:
+        return "raw frames only"
+    failed = [verdict.name for verdict in entry.manifest.record.verdicts if verdict.passed is False]
+    return entry.manifest.reason or (f"failed: {', '.join(failed)}" if failed else "")
+
+
+def _flat(value: Any, prefix: str = "") -> list[tuple[str, str]]:
+    """Nested values as lines ``a.b.c value``; long lists only by their length."""
+    if isinstance(value, dict):
+        return [line for key, one in value.items() for line in _flat(one, f"{prefix}.{key}" if prefix else str(key))]
+    if isinstance(value, list):
+        if len(value) > 6 or any(isinstance(one, dict | list) for one in value):
+            return [(prefix, f"{len(value)} items")]
+        return [(prefix, ", ".join(str(one) for one in value) or "-")]
+    return [(prefix, "-" if value in (None, "") else str(value))]

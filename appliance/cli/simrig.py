@@ -1,0 +1,101 @@
+"""Owns the rig of ``kingfisher sim``: a rig file whose wires lead to a simulated world, changed by the options.
+
+The simulator is found by name, as a folder with a rig file in it; nothing of it is imported here. The options are
+those of ``docs/protocols/world.md`` and go into ``[rig.wires_options]``, unread by the product.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from appliance.cli.output import UsageError
+from appliance.config import Rig
+
+SIMULATOR = "hw_sim"
+OBJECTS = ("plane", "ballbar", "frustum", "pipe", "shell", "stones")
+TEXTURES = ("none", "slight", "strong")
+TRUTHS = ("nominal", "realistic", "hard", "paper", "modelled")
+PACES = ("lockstep", "realtime")
+
+
+@dataclass(frozen=True, slots=True)
+class SimOptions:
+    """What the command line may change; ``None`` leaves what the rig file says."""
+
+    root: Path | None = None
+    object_name: str | None = None
+    texture: str | None = None
+    truth: str | None = None
+    seed: int | None = None
+    size: str | None = None
+    """``1600x1200``."""
+    pace: str | None = None
+    script: Path | None = None
+    faults: Sequence[str] = ()
+    window: bool = False
+
+
+def default_sim_rig() -> Path:
+    """The rig file that comes with the simulator. Raises UsageError where it is not installed."""
+    spec = importlib.util.find_spec(SIMULATOR)
+    if spec is None or spec.origin is None:
+        raise UsageError("the simulator is not installed; install it, or give a rig file with --rig PATH")
+    return Path(spec.origin).parent / "rigs" / "full.toml"
+
+
+def simulated(rig: Rig, options: SimOptions) -> Rig:
+    """``rig`` with the options. Raises UsageError for one that does not fit, before anything is started."""
+    wires = dict(rig.rig.wires_options)
+    if options.root is not None:
+        rig = replace(rig, storage=replace(rig.storage, root=options.root.absolute()))
+    if options.size is not None:
+        rig = _resized(rig, options.size)
+        wires |= {"width_px": rig.camera.left.width_px, "height_px": rig.camera.left.height_px}
+    if options.truth is not None and options.truth not in TRUTHS:
+        wires["truth"] = str(_existing("--truth", Path(options.truth), f"one of {', '.join(TRUTHS)}, or a truth.toml"))
+    elif options.truth is not None:
+        wires["truth"] = options.truth
+    if options.script is not None:
+        wires["script"] = str(_existing("--script", options.script, "the path of a diver's script"))
+    chosen: dict[str, Any] = {
+        "object": options.object_name,
+        "texture": options.texture,
+        "seed": options.seed,
+        "pace": options.pace,
+        "faults": [*wires.get("faults", []), *options.faults] if options.faults else None,
+    }
+    wires |= {name: value for name, value in chosen.items() if value is not None}
+    wires["status"] = str(rig.storage.root.absolute() / "run" / "status.json")
+    if options.window:
+        rig = replace(rig, display=replace(rig.display, kind="window"))
+    return replace(rig, rig=replace(rig.rig, wires_options=wires))
+
+
+def _existing(option: str, path: Path, allowed: str) -> Path:
+    if not path.is_file():
+        raise UsageError(f"{option} {path}: no such file; allowed: {allowed}")
+    return path.absolute()
+
+
+def _resized(rig: Rig, size: str) -> Rig:
+    """Cameras of another size with the same field of view: the pixel of the design grows as their number shrinks."""
+    old = rig.camera.left
+    found = re.fullmatch(r"(\d{2,4})x(\d{2,4})", size)
+    width_px, height_px = (int(found[1]), int(found[2])) if found else (0, 0)
+    if not (64 <= width_px <= 8192 and width_px * old.height_px == height_px * old.width_px):
+        raise UsageError(
+            f"--size {size}: allowed are WIDTHxHEIGHT from 64 to 8192 px in the ratio {old.width_px}:{old.height_px}; "
+            f"for example {old.width_px // 2}x{old.height_px // 2}"
+        )
+    cameras = replace(
+        rig.camera,
+        left=replace(rig.camera.left, width_px=width_px, height_px=height_px),
+        right=replace(rig.camera.right, width_px=width_px, height_px=height_px),
+    )
+    design = replace(rig.design, pixel_um=rig.design.pixel_um * old.width_px / width_px)
+    return replace(rig, camera=cameras, design=design)

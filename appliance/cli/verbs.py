@@ -1,0 +1,101 @@
+"""Owns the verbs that reach into the service: each calls one function of it and prints what it returns."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from appliance import __version__
+from appliance.cli.output import Exit, Progress, UsageError, say, say_json, table
+from appliance.cli.simrig import SimOptions, simulated
+from appliance.config import Rig
+
+# The service is imported inside the verbs: it brings drivers and compiled kernels, which `scans list` can do without.
+
+
+def run(rig: Rig) -> Exit:
+    """The instrument, until it is switched off."""
+    from appliance.service.app import run as run_service
+
+    return Exit(run_service(rig))
+
+
+def sim(rig: Rig, options: SimOptions) -> Exit:
+    """The same instrument in a simulated world."""
+    from appliance.service.app import simulate
+
+    return Exit(simulate(simulated(rig, options)))
+
+
+def check(rig: Rig, *, json: bool) -> Exit:
+    """Open every device once and say what it says about itself; FAILED if any does not work."""
+    from appliance.service.app import check as check_devices
+
+    with Progress() as progress:
+        progress("asking the devices")
+        found = check_devices(rig)
+    if json:
+        say_json([{"device": h.device, "ok": h.ok, "summary": h.summary, "details": dict(h.details)} for h in found])
+    else:
+        say(table(("DEVICE", "", "SUMMARY"), [(h.device, "ok" if h.ok else "FAILED", h.summary) for h in found]))
+    return Exit.OK if all(h.ok for h in found) else Exit.FAILED
+
+
+def reconstruct(rig: Rig, scan: str, calibration: Path | None, out: Path | None, *, json: bool) -> Exit:
+    """A stored scan's cloud from its raw frames. ``scan``: its number, or its folder."""
+    folder = _scan_folder(rig, scan)
+    from appliance.service.desk import reconstruct_scan
+
+    with Progress() as progress:
+        report = reconstruct_scan(rig, folder, calibration, out, progress)
+    if json:
+        say_json(report)
+    else:
+        for key, value in report.items():
+            say(f"{key:<24} {'-' if value is None else value}")
+    return Exit.OK
+
+
+def calibration_show(rig: Rig, path: Path | None, *, json: bool) -> Exit:
+    """The calibration in use, or that of a file."""
+    from appliance.service.desk import describe_calibration
+
+    content = describe_calibration(rig, path)
+    if json:
+        say_json(content)
+    else:
+        for key, value in content.items():
+            say(f"{key:<24} {'-' if value is None else value}")
+    return Exit.OK
+
+
+def calibration_nominal(rig: Rig, out: Path | None, *, json: bool) -> Exit:
+    """Write the calibration that follows from the rig file's design. Never replaces a file."""
+    from appliance.service.desk import write_nominal_calibration
+
+    if out is not None and out.exists():
+        raise UsageError(f"--out {out}: exists already; a calibration is never replaced; give a new name")
+    path = write_nominal_calibration(rig, out)
+    if json:
+        say_json({"file": str(path)})
+    else:
+        say(str(path))
+    return Exit.OK
+
+
+def version(*, json: bool) -> Exit:
+    if json:
+        say_json({"version": __version__})
+    else:
+        say(f"kingfisher {__version__}")
+    return Exit.OK
+
+
+def _scan_folder(rig: Rig, scan: str) -> Path:
+    from appliance.storage.library import Library
+
+    if "/" in scan or Path(scan).is_dir():
+        folder = Path(scan)
+        if not folder.is_dir():
+            raise UsageError(f"SCAN {scan}: no such folder; give a scan's number or its folder")
+        return folder
+    return Library(rig.storage.root).entry(scan).folder

@@ -1,0 +1,172 @@
+"""What is typed wrong is refused in one line that says what is right, before anything starts."""
+
+from __future__ import annotations
+
+import io
+import json
+from pathlib import Path
+
+import pytest
+
+from appliance.cli import main
+from appliance.cli.output import Progress, UsageError
+from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
+from appliance.config import default_rig_path, load_rig, parse_rig
+
+RIG = load_rig(default_rig_path())
+
+
+def code_of(argv: list[str]) -> int:
+    try:
+        return main(argv)
+    except SystemExit as end:
+        return int(end.code or 0)
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["version"]) == 0
+    assert capsys.readouterr().out == "kingfisher 0.1.0\n"
+    assert main(["version", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"version": "0.1.0"}
+
+
+@pytest.mark.parametrize(
+    ("argv", "words"),
+    [
+        (["scn"], "run"),
+        (["scans"], "VERB"),
+        (["scans", "list", "--al"], "--al"),
+        (["sim", "--object", "fish"], "pipe"),
+        (["sim", "--seed", "-1"], "--seed"),
+        (["sim", "--seed", "x"], "0..999999999"),
+        (["reconstruct"], "SCAN"),
+    ],
+)
+def test_wrong_words_are_one_line_and_exit_code_2(
+    argv: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if argv[-1] == "--al":
+        argv = [*argv, "--root", "/nowhere"]
+    assert code_of(argv) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert words in error
+
+
+def test_help_lists_the_exit_codes(capsys: pytest.CaptureFixture[str]) -> None:
+    assert code_of(["--help"]) == 0
+    text = capsys.readouterr().out
+    for verb in ("run", "sim", "scans", "reconstruct", "check", "calibration", "version"):
+        assert verb in text
+    assert "4 damaged" in " ".join(text.split())
+
+
+@pytest.mark.parametrize("verb", [["run"], ["check"], ["sim"], ["scans", "list"], ["calibration", "show"]])
+def test_a_wrong_rig_file_is_named_with_its_key(
+    verb: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "rig.toml"
+    text = default_rig_path().read_text(encoding="utf-8")
+    path.write_text(text.replace("exposure_ms = 12.0", "exposure_ms = 25", 1), encoding="utf-8")
+    assert code_of([*verb, "--rig", str(path)]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("kingfisher: CONFIG: camera.left.exposure_ms 25 > 16.6; allowed: 0.05..16.6 ms")
+    assert error.count("\n") == 1
+
+
+def test_a_scan_folder_that_is_not_there_is_wrong_usage(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert code_of(["reconstruct", str(tmp_path / "none")]) == 2
+    assert "SCAN" in capsys.readouterr().err
+
+
+# ------------------------------------------------------------------------------ the simulated rig
+
+
+def test_options_of_sim_become_options_of_the_world(tmp_path: Path) -> None:
+    script = tmp_path / "dive.txt"
+    script.write_text("end\n")
+    options = SimOptions(
+        root=tmp_path,
+        object_name="plane",
+        texture="none",
+        truth="hard",
+        seed=7,
+        pace="realtime",
+        script=script,
+        faults=("camera.left off frame=9", "board off"),
+    )
+    rig = simulated(RIG, options)
+    assert rig.rig.wires_options == {
+        "object": "plane",
+        "texture": "none",
+        "truth": "hard",
+        "seed": 7,
+        "pace": "realtime",
+        "script": str(script),
+        "faults": ["camera.left off frame=9", "board off"],
+        "status": str(tmp_path / "run" / "status.json"),
+    }
+    assert rig.storage.root == tmp_path
+    assert RIG.rig.wires_options == {}
+
+
+def test_what_is_not_given_leaves_what_the_rig_file_says() -> None:
+    text = default_rig_path().read_text(encoding="utf-8")
+    text = text.replace("[camera.left]", '[rig.wires_options]\nobject = "shell"\nfaults = ["board off"]\n[camera.left]')
+    rig = simulated(parse_rig(text), SimOptions(faults=("keypad off",)))
+    assert rig.rig.wires_options["object"] == "shell"
+    assert rig.rig.wires_options["faults"] == ["board off", "keypad off"]
+    assert "seed" not in rig.rig.wires_options
+
+
+def test_smaller_cameras_keep_the_field_of_view_in_world_and_design() -> None:
+    rig = simulated(RIG, SimOptions(size="800x600"))
+    assert (rig.camera.right.width_px, rig.camera.right.height_px) == (800, 600)
+    assert (rig.rig.wires_options["width_px"], rig.rig.wires_options["height_px"]) == (800, 600)
+    assert rig.design.pixel_um * 800 == pytest.approx(RIG.design.pixel_um * 1600)
+
+
+@pytest.mark.parametrize("size", ["800x800", "800", "40x30", "x", "-800x-600", "800x600x3", "99999x74999"])
+def test_a_size_of_another_shape_is_refused_with_an_example(size: str) -> None:
+    with pytest.raises(UsageError, match=r"1600:1200; for example 800x600"):
+        simulated(RIG, SimOptions(size=size))
+
+
+def test_a_script_or_truth_that_is_not_there_is_refused_at_once(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="--script"):
+        simulated(RIG, SimOptions(script=tmp_path / "none"))
+    with pytest.raises(UsageError, match="nominal, realistic, hard, paper, modelled"):
+        simulated(RIG, SimOptions(truth="nowhere"))
+
+
+def test_the_window_is_for_the_diver_only() -> None:
+    rig = simulated(RIG, SimOptions(window=True))
+    assert (rig.display.kind, rig.projector.kind) == ("window", "kms")
+
+
+def test_the_simulators_rig_file_is_found_as_a_path() -> None:
+    assert default_sim_rig().parts[-3:] == ("hw_sim", "rigs", "full.toml")
+
+
+# ---------------------------------------------------------------------------------------- progress
+
+
+class _Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_progress_is_silent_for_a_second_and_off_a_terminal_for_ever() -> None:
+    now = [0.0]
+    terminal, file = _Terminal(), io.StringIO()
+    with Progress(terminal, lambda: now[0]) as on_terminal, Progress(file, lambda: now[0]) as in_file:
+        on_terminal("verifying", 0.1)
+        now[0] = 0.9
+        on_terminal("verifying", 0.2)
+        assert terminal.getvalue() == ""
+        now[0] = 1.5
+        on_terminal("verifying", 0.5)
+        in_file("verifying", 0.5)
+        assert terminal.getvalue() == "\rverifying  50 %"
+    assert terminal.getvalue().endswith("\r" + " " * 15 + "\r")
+    assert file.getvalue() == ""
