@@ -66,8 +66,13 @@ _MANIFEST = TypeAdapter(Manifest)
 
 def encode(manifest: Manifest) -> bytes:
     """The file's bytes. Raises TypeError for a value JSON cannot hold; NaN and infinity become null: not known."""
-    content = {"schema": SCHEMA, **_plain(manifest)}
+    content = as_json(manifest)
     return (json.dumps({**content, "sha256": _digest(content)}, indent=1, sort_keys=True) + "\n").encode()
+
+
+def as_json(manifest: Manifest) -> dict[str, Any]:
+    """The content as JSON holds it. Raises TypeError as ``encode``."""
+    return {"schema": SCHEMA, **_plain(manifest)}
 
 
 def decode(data: bytes, name: str) -> Manifest:
