@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from appliance.cli import main
+
 UNIT = Path(__file__).parents[2] / "systemd" / "kingfisher.service"
 PROGRAM = "/opt/kingfisher/.venv/bin/kingfisher"
 
@@ -43,6 +45,15 @@ def test_it_starts_without_network_and_comes_back() -> None:
     assert unit["Service"]["Restart"] == "on-failure"
     assert unit["Install"]["WantedBy"] == "multi-user.target"
     assert unit["Service"]["ExecStart"].startswith(PROGRAM + " ")
+
+
+def test_the_program_understands_the_command_of_the_unit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = next(line for line in UNIT.read_text().splitlines() if line.startswith("ExecStart="))
+    missing = str(tmp_path / "rig.toml")
+    arguments = [missing if word.endswith(".toml") else word for word in command.split()[1:]]
+    assert missing in arguments
+    assert main(arguments) == 2
+    assert missing in capsys.readouterr().err
 
 
 def test_kernels_may_be_compiled_and_devices_opened() -> None:
