@@ -7,10 +7,14 @@ is recognised and ignored.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from appliance.capture.fault import Fault, FaultCode
-from appliance.machine.states import CloudSummary, Device
+from appliance.machine.states import Device
 from drivers.api import Key, Telemetry
+
+if TYPE_CHECKING:
+    from appliance.reconstruct.quality import CloudSummary
 
 
 @dataclass(frozen=True, slots=True)

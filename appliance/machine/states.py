@@ -9,9 +9,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import TYPE_CHECKING
 
 from appliance.capture.fault import Fault
 from drivers.api import Key
+
+if TYPE_CHECKING:  # carried from the worker to the screens, never read here: no kernels are needed to decide
+    from appliance.reconstruct.quality import CloudSummary
 
 
 class State(Enum):
@@ -61,19 +65,6 @@ class Settings:
     projector_warm_c: float = 65.0
     projector_hot_c: float = 75.0
     supply_low_v: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class CloudSummary:
-    """What the diver reads about a cloud. ``None`` where it was not measured."""
-
-    points: int
-    coverage_percent: float | None = None
-    """Measured share of the pixels that the projector lights."""
-    ray_gap_mm: float | None = None
-    """Median shortest distance between the two water rays."""
-    sigma_mm: float | None = None
-    """Median noise estimate per point."""
 
 
 @dataclass(frozen=True, slots=True)

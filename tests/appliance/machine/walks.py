@@ -9,12 +9,13 @@ from hypothesis import strategies as st
 from appliance.capture.fault import Fault, FaultCode
 from appliance.machine import effects as do
 from appliance.machine import events as on
-from appliance.machine.states import CloudSummary, Device, Machine, State, boot
+from appliance.machine.states import Device, Machine, State, boot
 from appliance.machine.step import step
+from appliance.reconstruct.quality import CloudSummary
 from drivers.api import Key, LaserState, Telemetry
 
 SECOND_NS = 1_000_000_000
-SUMMARY = CloudSummary(points=1000, coverage_percent=70.0, ray_gap_mm=0.02, sigma_mm=0.03)
+SUMMARY = CloudSummary(1000, coverage_percent=70.0, distance_mm=500.0, noise_mm=0.03, gap_mm=0.02)
 MISSING = Fault(FaultCode.FRAME_MISSING, "left frame 9", {"received": 23, "expected": 24})
 
 
@@ -85,7 +86,7 @@ _faults = st.builds(
     st.sampled_from([{}, {"received": 23.0, "expected": 24.0}, {"shift_px": 1.8}]),
     st.sampled_from([None, "camera.left", "board"]),
 )
-_summaries = st.sampled_from([SUMMARY, CloudSummary(0)])
+_summaries = st.sampled_from([SUMMARY, CloudSummary(0, None, None, None, None)])
 _warnings = st.lists(_faults, max_size=2).map(tuple)
 
 EVENTS: st.SearchStrategy[on.Event] = st.one_of(
