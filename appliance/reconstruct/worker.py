@@ -9,6 +9,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -94,6 +95,7 @@ class ReconstructionWorker:
         self._context = multiprocessing.get_context("spawn")
         self._process: multiprocessing.process.BaseProcess | None = None
         self._pipe: Connection | None = None
+        self._sending = threading.Lock()
         self._deadline_ns: int | None = None
         self._scan: int | None = None
         self.restarts = 0
@@ -191,10 +193,12 @@ class ReconstructionWorker:
         return cloud
 
     def _send(self, message: tuple[object, ...]) -> None:
-        if self._pipe is None:
+        pipe = self._pipe
+        if pipe is None:
             return
         try:
-            self._pipe.send(message)
+            with self._sending:  # both camera threads and the service's send
+                pipe.send(message)
         except (BrokenPipeError, OSError):
             return  # poll notices and restarts
 

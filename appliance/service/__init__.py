@@ -1,0 +1,1 @@
+"""The service: opens the devices, runs the heartbeat, executes what the machine asks for."""

@@ -1,0 +1,108 @@
+"""Owns what the metrologist does at the desk: reconstruct a stored scan again, look at and make calibration files."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from appliance.calibration import file as calibration_file
+from appliance.calibration.file import Calibration
+from appliance.config import Rig
+from appliance.optics.water import Water
+from appliance.patterns.sequence import build_sequence
+from appliance.reconstruct.pipeline import SIDES, Pipeline
+from appliance.service.app import CALIBRATION_FILE, calibration_of, design_of
+from appliance.storage import scan as stored
+from appliance.storage.atomic import replace_file
+from appliance.storage.filesystem import LocalFileSystem
+from appliance.storage.ply import write_ply
+
+
+def reconstruct_scan(
+    rig: Rig, folder: Path, calibration: Path | None, out: Path | None, progress: Callable[[str], None]
+) -> dict[str, Any]:
+    """The cloud of a stored scan from its raw frames, written as PLY to ``out`` (``None``: ``NAME.ply`` here).
+
+    The same frames, calibration and version give the same points as on the instrument. ``calibration`` ``None`` takes
+    the instrument's. Raises ScanError, CalibrationError, OSError.
+    """
+    scan = stored.load(folder)
+    made = scan.manifest.record.sequence
+    sequence = build_sequence(made.period_px, made.width_px, made.height_px)
+    chosen = calibration_file.load(calibration) if calibration is not None else calibration_of(rig)[0]
+    water = _water_of(scan, chosen)
+    progress("loading")
+    pipeline = Pipeline(chosen, water, sequence)
+    for index in range(len(sequence)):
+        progress(f"decoding frame {index + 1} of {len(sequence)}")
+        for side in SIDES:
+            pipeline.push(side, scan.frames[side], index)
+    progress("matching")
+    pipeline.coarse()
+    cloud = pipeline.full()
+    target = out if out is not None else Path(f"{folder.name}.ply")
+    progress("writing")
+    write_ply(target, cloud)
+    s = cloud.summary
+    return {
+        "scan": scan.manifest.scan_id,
+        "file": str(target),
+        "points": s.points,
+        "coverage_percent": s.coverage_percent,
+        "distance_mm": s.distance_mm,
+        "noise_mm": s.noise_mm,
+        "gap_mm": s.gap_mm,
+        "period_px": made.period_px,
+        "calibration": chosen.hash,
+        "calibration_method": chosen.method,
+        "same_calibration": chosen.hash == scan.manifest.record.calibration_hash,
+        "water_index": water.index,
+    }
+
+
+def describe_calibration(rig: Rig, path: Path | None) -> dict[str, Any]:
+    """What a calibration file says (``None``: the instrument's own). Raises CalibrationError."""
+    calibration = calibration_file.load(path) if path is not None else calibration_of(rig)[0]
+    left, right = calibration.rig.left, calibration.rig.right
+    return {
+        "rig_serial": calibration.rig_serial,
+        "method": calibration.method,
+        "made_at": calibration.made_at,
+        "made_from": "; ".join(calibration.made_from),
+        "residual_px": calibration.residual_px,
+        "water_index": calibration.water.index,
+        "size_px": f"{left.width_px}x{left.height_px}",
+        "principal_distance_px": f"{left.lens.f_px[0]:.2f} / {right.lens.f_px[0]:.2f}",
+        "interface_distance_mm": f"{left.port.distance_mm:.3f} / {right.port.distance_mm:.3f}",
+        "port_tilt_deg": f"{_tilt_deg(calibration, 'left'):.3f} / {_tilt_deg(calibration, 'right'):.3f}",
+        "baseline_mm": sum(x * x for x in right.translation_mm) ** 0.5,
+        "hash": calibration.hash,
+    }
+
+
+def write_nominal_calibration(rig: Rig, out: Path | None) -> Path:
+    """Write the design's calibration to ``out`` (``None``: ``calibration/nominal.json`` below the storage root).
+
+    Raises StorageError.
+    """
+    path = out if out is not None else rig.storage.root / CALIBRATION_FILE.with_name("nominal.json")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    replace_file(LocalFileSystem(), path, calibration_file.encode(design_of(rig)))
+    return path
+
+
+def _water_of(scan: stored.StoredScan, calibration: Calibration) -> Water:
+    """The water the scan was recorded in, as its manifest says; else that of the calibration."""
+    water = scan.manifest.record.water
+    t, s, w = water.get("temperature_c"), water.get("salinity_psu"), water.get("wavelength_nm")
+    if t is None or s is None or w is None:
+        return calibration.water
+    return Water(t, s, w)
+
+
+def _tilt_deg(calibration: Calibration, side: str) -> float:
+
+    port = calibration.rig.left.port if side == "left" else calibration.rig.right.port
+    return math.degrees(math.acos(min(1.0, port.normal[2])))

@@ -1,0 +1,134 @@
+"""Owns which devices a rig has and how each is opened: the composition root."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager, contextmanager
+from types import TracebackType
+from typing import Any, Self
+
+from appliance.capture.fault import FaultCode
+from appliance.capture.grabber import Grabber
+from appliance.config import Rig
+from appliance.config.rig import OutputRig
+from appliance.machine.events import DeviceDown, DeviceUp
+from appliance.machine.states import Device
+from appliance.service.keeper import DeviceRejected, Keeper
+from appliance.service.keys import KeyReader
+from drivers import rig as drivers_rig
+from drivers.api import Board, CameraSettings, Display, Projector, Wires
+
+SIDES = ("left", "right")
+
+
+class Devices:
+    """All devices, each kept open by its keeper. A context manager."""
+
+    def __init__(self, rig: Rig, wires: Wires, load_projector: Callable[[Projector], None]) -> None:
+        """``load_projector`` is called with each newly opened projector, to give it its patterns."""
+        self._rig = rig
+        self._wires = wires
+        self._load_projector = load_projector
+        self._executor = ThreadPoolExecutor(4, "kf-open")
+        self._outputs = drivers_rig.open_outputs(_output(rig.projector), _output(rig.display), wires)
+        clock = wires.clock
+        self.cameras: dict[str, Keeper[Grabber]] = {
+            "left": Keeper(Device.CAMERA_LEFT, lambda: self._camera("left"), clock, self._executor),
+            "right": Keeper(Device.CAMERA_RIGHT, lambda: self._camera("right"), clock, self._executor),
+        }
+        self.board: Keeper[Board] = Keeper(Device.BOARD, self._board, clock, self._executor)
+        self.keys: Keeper[KeyReader] = Keeper(Device.KEYS, self._keys, clock, self._executor)
+        self.display: Keeper[Display] = Keeper(Device.DISPLAY, self._display, clock, None)
+        self.projector: Keeper[Projector] = Keeper(Device.PROJECTOR, self._projector, clock, None)
+
+    def __enter__(self) -> Self:
+        self._outputs.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for keeper in self._keepers():
+            keeper.close()
+        self._executor.shutdown(wait=True, cancel_futures=True)
+        self._outputs.__exit__(kind, error, trace)
+
+    @property
+    def all_tried(self) -> bool:
+        """Every device was tried once."""
+        return all(keeper.tried for keeper in self._keepers())
+
+    def openers(self) -> dict[str, Callable[[], AbstractContextManager[object]]]:
+        """How to open each device once, by its name in the rig file, for whoever only wants to look at them."""
+        wires, rig = self._wires, self._rig
+        camera = drivers_rig.CameraSpec
+        left = camera("camera.left", rig.camera.left.serial)
+        right = camera("camera.right", rig.camera.right.serial)
+        keys = drivers_rig.KeysSpec(rig.keys.vendor_id, rig.keys.product_id)
+        return {
+            "camera.left": lambda: drivers_rig.open_camera(left, wires),
+            "camera.right": lambda: drivers_rig.open_camera(right, wires),
+            "board": lambda: drivers_rig.open_board(drivers_rig.BoardSpec(rig.board.url), wires),
+            "keys": lambda: drivers_rig.open_keys(keys, wires),
+            "projector": self._projector,
+            "display": self._display,
+        }
+
+    def _keepers(self) -> list[Keeper[Any]]:
+        """All of them, in the order of closing."""
+        return [*self.cameras.values(), self.keys, self.board, self.projector, self.display]
+
+    def poll(self) -> list[DeviceUp | DeviceDown]:
+        """What came and went."""
+        changes: list[DeviceUp | DeviceDown | None] = []
+        for camera in self.cameras.values():
+            reason = camera.value.lost if camera.value is not None else None
+            changes.append(camera.lose(reason) if reason is not None else camera.poll())
+        changes += [self.display.poll(), self.board.poll(), self.keys.poll(), self.projector.poll()]
+        return [change for change in changes if change is not None]
+
+    @contextmanager
+    def _camera(self, side: str) -> Iterator[Grabber]:
+        spec = self._rig.camera.left if side == "left" else self._rig.camera.right
+        name = f"camera.{side}"
+        with drivers_rig.open_camera(drivers_rig.CameraSpec(name, spec.serial), self._wires) as camera:
+            if camera.link_is_fast is False:
+                raise DeviceRejected(
+                    name,
+                    f"the link runs at {camera.identity.link_speed_mbps} Mbit/s; SuperSpeed (5000) is needed",
+                    "Check connector and cable",
+                    FaultCode.CAMERA_SLOW_LINK,
+                )
+            camera.configure(CameraSettings(spec.width_px, spec.height_px, 1000.0 * spec.exposure_ms, spec.gain_db))
+            with Grabber(side, camera, self._wires.clock, spec.height_px, spec.width_px) as grabber:
+                yield grabber
+
+    @contextmanager
+    def _board(self) -> Iterator[Board]:
+        with drivers_rig.open_board(drivers_rig.BoardSpec(self._rig.board.url), self._wires) as board:
+            board.stop()
+            board.set_lasers(False, False)
+            yield board
+
+    @contextmanager
+    def _keys(self) -> Iterator[KeyReader]:
+        spec = drivers_rig.KeysSpec(self._rig.keys.vendor_id, self._rig.keys.product_id)
+        with drivers_rig.open_keys(spec, self._wires) as pad, KeyReader(pad) as reader:
+            yield reader
+
+    @contextmanager
+    def _display(self) -> Iterator[Display]:
+        yield self._outputs.open_display()
+
+    @contextmanager
+    def _projector(self) -> Iterator[Projector]:
+        projector = self._outputs.open_projector()
+        self._load_projector(projector)
+        yield projector
+
+
+def _output(spec: OutputRig) -> drivers_rig.OutputSpec:
+    return drivers_rig.OutputSpec(
+        drivers_rig.OutputKind(spec.kind), spec.card, spec.connector, spec.width_px, spec.height_px, spec.refresh_hz
+    )

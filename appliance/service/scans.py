@@ -1,0 +1,273 @@
+"""Owns the scan in hand: its frames, its clouds, its times, and its way to the disk.
+
+Disk work runs in one thread, ``kf-storage``; points are computed in the worker process; both report through ``poll``.
+"""
+
+from __future__ import annotations
+
+import datetime
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from types import TracebackType
+from typing import Self
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+import appliance
+from appliance.calibration.file import Calibration
+from appliance.capture.fault import Fault, FaultCode
+from appliance.capture.scan import CaptureReport
+from appliance.capture.store import SIDES, FrameStore
+from appliance.config import Rig
+from appliance.machine import events as on
+from appliance.machine.states import CloudSummary
+from appliance.optics.water import Water
+from appliance.patterns.sequence import PatternSequence
+from appliance.reconstruct.pipeline import Cloud
+from appliance.reconstruct.worker import CloudReady, ReconstructionWorker, WorkerFailed, WorkerReady, WorkOrder
+from appliance.storage.atomic import StorageError
+from appliance.storage.library import Library, PendingScan
+from appliance.storage.record import ScanRecord, SequenceInfo, Verdict
+from appliance.storage.scan import size_bytes
+from drivers.api import Clock
+
+BEGIN_TIMEOUT_S = 30.0
+"""Longest wait for the previous scan's frames to be on the disk before they are overwritten."""
+
+
+@dataclass(slots=True)
+class ScanInWork:
+    """One scan from its first frame to its folder."""
+
+    number: int
+    begun_ns: int
+    record: ScanRecord | None = None
+    coarse: Cloud | None = None
+    full: Cloud | None = None
+    pending: PendingScan | None = None
+    raw: Future[PendingScan] | None = None
+    times_s: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def cloud(self) -> Cloud | None:
+        """The best cloud there is."""
+        return self.full or self.coarse
+
+
+class ScanDesk:
+    """Everything about recorded scans that is neither a device nor a decision. A context manager."""
+
+    def __init__(
+        self,
+        rig: Rig,
+        calibration: Calibration,
+        sequence: PatternSequence,
+        library: Library,
+        clock: Clock,
+    ) -> None:
+        left = rig.camera.left
+        self._rig = rig
+        self._calibration = calibration
+        self._library = library
+        self._clock = clock
+        self.sequence = sequence
+        self.water = Water(rig.water.temperature_c, rig.water.salinity_psu, rig.water.wavelength_nm)
+        self.store = FrameStore(len(sequence), left.height_px, left.width_px)
+        order = WorkOrder(calibration, self.water, sequence.period_px, sequence.width_px, sequence.height_px)
+        self.worker = ReconstructionWorker(order, self.store, clock)
+        self._disk = ThreadPoolExecutor(1, "kf-storage")
+        self._answers: list[Future[list[on.Event]]] = []
+        self._scan_bytes = size_bytes(len(sequence), left.width_px, left.height_px)
+        self.scan: ScanInWork | None = None
+        self.worker_ready = False
+
+    def __enter__(self) -> Self:
+        self.worker.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._disk.shutdown(wait=True)  # whatever is being written is finished first
+        self.worker.__exit__(kind, error, trace)
+        self.store.close()
+
+    # ------------------------------------------------------------------------------------- recording
+
+    def begin(self, number: int) -> Fault | None:
+        """Make room for a new scan's frames; a fault when the previous ones are still only in memory."""
+        scan = self.scan
+        if scan is not None and scan.raw is not None:
+            try:
+                scan.raw.result(BEGIN_TIMEOUT_S)
+            except (StorageError, ValueError, TimeoutError) as error:
+                return Fault(FaultCode.NOT_SAVED, f"the previous scan's frames are not on the disk: {error}")
+        self.scan = ScanInWork(number, self._clock.now_ns())
+        self.worker.begin(number)
+        return None
+
+    def recorded(self, report: CaptureReport, temperatures_c: dict[str, float | None]) -> None:
+        """The sequence ended and every witness agrees."""
+        scan = self.scan
+        if scan is None:
+            return
+        now = datetime.datetime.now(datetime.UTC)
+        scan.times_s["recording"] = report.recording_s
+        scan.record = ScanRecord(
+            sequence=SequenceInfo.of(self.sequence),
+            rig_hash=self._rig.rig_hash,
+            calibration_hash=self._calibration.hash,
+            software_version=appliance.__version__,
+            wall_time=now.isoformat(timespec="seconds"),
+            clock_trusted=False,  # no source of time is known to the instrument yet
+            recorded_ns=scan.begun_ns,
+            water={
+                "temperature_c": self.water.temperature_c,
+                "salinity_psu": self.water.salinity_psu,
+                "wavelength_nm": self.water.wavelength_nm,
+                "index": self.water.index,
+            },
+            temperatures_c=temperatures_c,
+            ledger=report.ledger.as_dict(),
+            verdicts=(Verdict("ledger", True, {"frames": float(len(self.sequence))}, "all four witnesses agree"),),
+        )
+
+    def drop(self) -> None:
+        """The scan failed; its frames may be overwritten."""
+        self.scan = None
+        self.worker.drop()
+
+    # ------------------------------------------------------------------------------------- disk
+
+    def store_raw(self, number: int) -> None:
+        """Answer RawStored or SaveFailed."""
+        scan = self._current(number)
+        if scan is None or scan.record is None:
+            return
+        record = scan.record
+        frames: dict[str, NDArray[np.uint8]] = {side: self.store.frames(side) for side in SIDES}
+        scan.raw = self._disk.submit(self._library.begin, frames, record)
+        self._ask(lambda: self._raw_stored(scan))
+
+    def publish(self, number: int, preview: NDArray[np.uint8] | None) -> None:
+        """Publish with whatever cloud there is; answer Saved or SaveFailed. ``preview`` (h, w, 3) RGB uint8."""
+        scan = self._current(number)
+        if scan is not None:
+            self._ask(lambda: self._publish(scan, preview))
+
+    def reject(self, number: int, reason: str) -> None:
+        """Answer Rejected or SaveFailed."""
+        scan = self._current(number)
+        if scan is not None:
+            self._ask(lambda: self._reject(scan, reason))
+
+    def count(self) -> None:
+        """Answer StorageCounted."""
+        self._ask(lambda: [self._counted()])
+
+    # ------------------------------------------------------------------------------------- answers
+
+    def poll(self) -> list[on.Event]:
+        """What the disk and the worker answered since the last call."""
+        events: list[on.Event] = []
+        done = [answer for answer in self._answers if answer.done()]
+        self._answers = [answer for answer in self._answers if not answer.done()]
+        for answer in done:
+            events += answer.result()
+        match self.worker.poll():
+            case WorkerReady():
+                self.worker_ready = True
+            case CloudReady() as ready:
+                events += self._cloud(ready)
+            case WorkerFailed() as failed:
+                self.worker_ready = False
+                if failed.scan is not None:
+                    events.append(on.ReconstructionFailed(failed.scan, failed.fault))
+            case None:
+                pass
+        return events
+
+    @property
+    def busy(self) -> bool:
+        """Something is on its way to the disk."""
+        return bool(self._answers)
+
+    def _cloud(self, ready: CloudReady) -> list[on.Event]:
+        scan = self._current(ready.scan)
+        if scan is None:
+            return []
+        stage = "full" if ready.full else "coarse"
+        scan.times_s[stage] = (self._clock.now_ns() - scan.begun_ns) / 1e9
+        scan.times_s[f"{stage}_cpu"] = ready.cpu_s
+        s = ready.cloud.summary
+        summary = CloudSummary(s.points, s.coverage_percent, s.gap_mm, s.noise_mm)
+        if ready.full:
+            scan.full = ready.cloud
+            return [on.FullReady(scan.number, summary)]
+        scan.coarse = ready.cloud
+        return [on.CoarseReady(scan.number, summary)]
+
+    def _current(self, number: int) -> ScanInWork | None:
+        return self.scan if self.scan is not None and self.scan.number == number else None
+
+    def _ask(self, work: object) -> None:
+        assert callable(work)
+        self._answers.append(self._disk.submit(work))
+
+    def _raw_stored(self, scan: ScanInWork) -> list[on.Event]:
+        assert scan.raw is not None
+        try:
+            scan.pending = scan.raw.result()
+        except (StorageError, ValueError) as error:
+            return [on.SaveFailed(scan.number, Fault(FaultCode.NOT_SAVED, str(error)))]
+        scan.times_s["raw_durable"] = (self._clock.now_ns() - scan.begun_ns) / 1e9
+        return [on.RawStored(scan.number)]
+
+    def _pending(self, scan: ScanInWork) -> PendingScan:
+        """The scan on the disk; begun again when that failed before."""
+        if scan.pending is None:
+            assert scan.record is not None
+            frames: dict[str, NDArray[np.uint8]] = {side: self.store.frames(side) for side in SIDES}
+            scan.pending = self._library.begin(frames, scan.record)
+        return scan.pending
+
+    def _publish(self, scan: ScanInWork, preview: NDArray[np.uint8] | None) -> list[on.Event]:
+        assert scan.record is not None
+        record = replace(scan.record, stage_times_s=dict(scan.times_s), cloud=_numbers(scan.full))
+        png = None
+        if preview is not None:
+            _, encoded = cv2.imencode(".png", cv2.cvtColor(preview, cv2.COLOR_RGB2BGR))
+            png = encoded.tobytes()
+        try:
+            pending = self._pending(scan)
+            pending.publish(record, scan.full, png)
+        except (StorageError, ValueError) as error:
+            return [on.SaveFailed(scan.number, Fault(FaultCode.NOT_SAVED, str(error)))]
+        return [on.Saved(scan.number, pending.scan_id), self._counted()]
+
+    def _reject(self, scan: ScanInWork, reason: str) -> list[on.Event]:
+        try:
+            pending = self._pending(scan)
+            pending.reject(reason)
+        except (StorageError, ValueError) as error:
+            return [on.SaveFailed(scan.number, Fault(FaultCode.NOT_SAVED, str(error)))]
+        return [on.Rejected(scan.number, pending.scan_id), self._counted()]
+
+    def _counted(self) -> on.StorageCounted:
+        left = self._library.scans_left(self._scan_bytes, self._rig.storage.reserve_mb * 1_000_000)
+        return on.StorageCounted(self._library.count(), self._library.last_id(), left)
+
+
+def _numbers(cloud: Cloud | None) -> dict[str, float | None]:
+    if cloud is None:
+        return {}
+    s = cloud.summary
+    return {
+        "points": s.points,
+        "coverage_percent": s.coverage_percent,
+        "distance_mm": s.distance_mm,
+        "noise_mm": s.noise_mm,
+        "gap_mm": s.gap_mm,
+    }
