@@ -297,3 +297,21 @@ def test_headlines_fit_sixteen_characters_with_any_numbers() -> None:
                 assert "{" not in headline
     for rule in RULES.values():
         assert len(rule.action) <= 32
+
+
+def test_answers_to_an_earlier_scan_change_nothing() -> None:
+    again = run(capturing(), on.KeyPressed(Key.BACK), on.KeyPressed(Key.SCAN))
+    assert again.captures == 2
+    assert step(again, on.CaptureFailed(1, MISSING)) == (again, ())
+    assert step(again, on.CaptureFinished(1)) == (again, ())
+    second = run(again, on.CaptureFinished(2))
+    for late in (on.CoarseReady(1, SUMMARY), on.FullReady(1, SUMMARY), on.ReconstructionFailed(1, MISSING)):
+        assert step(second, late) == (second, ())
+    assert run(second, on.Saved(1, "000001")).state is State.RECONSTRUCT
+    assert run(second, on.RawStored(1)).scan == second.scan
+
+
+def test_a_late_tick_does_not_push_a_deadline_away() -> None:
+    late = run(aim(), on.Tick(100 * SECOND_NS), on.Tick(SECOND_NS), on.KeyPressed(Key.SCAN))
+    assert run(late, on.Tick(104 * SECOND_NS)).state is State.CAPTURE
+    assert run(late, on.Tick(105 * SECOND_NS)).state is State.AIM
