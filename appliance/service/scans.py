@@ -22,7 +22,6 @@ from appliance.capture.scan import CaptureReport
 from appliance.capture.store import SIDES, FrameStore
 from appliance.config import Rig
 from appliance.machine import events as on
-from appliance.machine.states import CloudSummary
 from appliance.optics.water import Water
 from appliance.patterns.sequence import PatternSequence
 from appliance.reconstruct.pipeline import Cloud
@@ -201,8 +200,7 @@ class ScanDesk:
         stage = "full" if ready.full else "coarse"
         scan.times_s[stage] = (self._clock.now_ns() - scan.begun_ns) / 1e9
         scan.times_s[f"{stage}_cpu"] = ready.cpu_s
-        s = ready.cloud.summary
-        summary = CloudSummary(s.points, s.coverage_percent, s.gap_mm, s.noise_mm)
+        summary = ready.cloud.summary
         if ready.full:
             scan.full = ready.cloud
             return [on.FullReady(scan.number, summary)]
