@@ -148,7 +148,7 @@ class CloudPainter:
 
     def show(self, points_mm: NDArray[np.float32], values: NDArray[np.float32], bright_is_high: bool) -> None:
         """Take a cloud (n, 3), (n,). Nothing happens when it is the one that is shown already."""
-        if self._shown is not None and self._shown[0] is points_mm and self._shown[1] is values:
+        if self._shown is not None and _same(self._shown[0], points_mm) and _same(self._shown[1], values):
             return
         self._shown = points_mm, values
         chosen = thin(len(points_mm))
@@ -229,3 +229,9 @@ def _turn(time_s: float, steps: int) -> NDArray[np.float64]:
     about_x = np.array([[1.0, 0.0, 0.0], [0.0, cp, -sp], [0.0, sp, cp]])
     turned: NDArray[np.float64] = about_x @ about_y
     return turned
+
+
+def _same(held: NDArray[np.float32], given: NDArray[np.float32]) -> bool:
+    """Whether both look at the same memory. ``held`` keeps it alive, so an equal address is the same cloud."""
+    one, other = held.__array_interface__, given.__array_interface__
+    return one["data"] == other["data"] and held.shape == given.shape and held.strides == given.strides

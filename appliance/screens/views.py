@@ -116,7 +116,7 @@ class ReviewView(View):
     """A scan and its verdict. The coarse cloud comes first; the full one replaces it in a later view.
 
     ``points_mm`` is (n, 3) float32 in the left camera frame, ``values`` (n,) float32 in mm. The arrays must not
-    change while they are shown; the same arrays in the next view are not copied again. No points: (0, 3), (0,).
+    change while they are shown; the same memory in the next view is not copied again. No points: (0, 3), (0,).
     """
 
     points_mm: NDArray[np.float32]

@@ -130,6 +130,16 @@ def test_the_next_cloud_replaces_the_last(stage: Stage) -> None:
     assert lit(stage.picture(np.ascontiguousarray(tall))).sum() < 0.6 * coarse.sum()
 
 
+def test_a_new_view_of_the_same_cloud_costs_no_copy(stage: Stage) -> None:
+    points = plane()
+    stage.picture(points, points[:, 2])
+    taken = stage.cloud._shown
+    stage.picture(points[:], points[:, 2])
+    assert stage.cloud._shown is taken
+    stage.picture(points, points[:, 0])  # other values of the same points
+    assert stage.cloud._shown is not taken
+
+
 def test_no_cloud_is_empty_not_an_error(context: moderngl.Context, stage: Stage) -> None:
     stage.cloud.show(np.empty((0, 3), np.float32), np.empty(0, np.float32), bright_is_high=False)
     assert stage.cloud.empty
