@@ -1,0 +1,48 @@
+"""Documents point to things that exist: links, files named in code marks, commands of ./dev, the list of decisions."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "systemd").glob("*.md")])
+TRACKED = ("appliance", "drivers", "hw_sim", "bench", "docs", "systemd", "tests")
+
+
+def name_of(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=name_of)
+def test_links_lead_somewhere(document: Path) -> None:
+    links = re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", document.read_text(encoding="utf-8"))
+    broken = [link for link in links if "://" not in link and not (document.parent / link).exists()]
+    assert not broken
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=name_of)
+def test_files_that_are_named_exist(document: Path) -> None:
+    named = re.findall(rf"`((?:{'|'.join(TRACKED)})/[\w./-]+\.\w+)`", document.read_text(encoding="utf-8"))
+    missing = [path for path in named if not (ROOT / path).exists()]
+    assert not missing
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=name_of)
+def test_commands_that_are_named_exist(document: Path) -> None:
+    dispatch = (ROOT / "dev").read_text(encoding="utf-8").partition("\nmain() {")[2]
+    verbs = set(re.findall(r"\b[a-z]+\b", "".join(re.findall(r"^    ([a-z |-]+)\)", dispatch, re.MULTILINE))))
+    assert {"demo", "test", "check", "bench", "help"} <= verbs
+    named = set(re.findall(r"(?:^    |`)\./dev ([a-z]+)", document.read_text(encoding="utf-8"), re.MULTILINE))
+    assert named <= verbs
+
+
+def test_every_decision_is_listed_once_by_its_title() -> None:
+    folder = ROOT / "docs" / "adr"
+    index = (folder / "README.md").read_text(encoding="utf-8")
+    for record in sorted(folder.glob("0*.md")):
+        if record.name != "0000-template.md":
+            title = record.read_text(encoding="utf-8").partition("\n")[0].removeprefix("# ")
+            assert index.count(f"- [{title}]({record.name})") == 1, record.name
