@@ -33,7 +33,7 @@ def test_files_that_are_named_exist(document: Path) -> None:
 @pytest.mark.parametrize("document", DOCUMENTS, ids=name_of)
 def test_commands_that_are_named_exist(document: Path) -> None:
     dispatch = (ROOT / "dev").read_text(encoding="utf-8").partition("\nmain() {")[2]
-    verbs = set(re.findall(r"\b[a-z]+\b", "".join(re.findall(r"^    ([a-z |-]+)\)", dispatch, re.MULTILINE))))
+    verbs = set(re.findall(r"\b[a-z]+\b", " ".join(re.findall(r"^    ([a-z |-]+)\)", dispatch, re.MULTILINE))))
     assert {"demo", "test", "check", "bench", "help"} <= verbs
     named = set(re.findall(r"(?:^    |`)\./dev ([a-z]+)", document.read_text(encoding="utf-8"), re.MULTILINE))
     assert named <= verbs
