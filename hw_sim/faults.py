@@ -2,38 +2,53 @@
 
     <component> <verb> [how=<word>] [frame=<k>] [at_s=<t>] [for_s=<t>] [count=<n>] [amount=<x>]
 
-An unsupported combination raises and lists the supported ones.
+A fault either *lasts* (from now, from ``at_s`` or from frame ``k`` on, until repaired or ``for_s`` has passed) or
+*strikes* (a frame, ``count`` times, or every time). An unsupported combination raises and lists the supported ones.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import TypeVar
 
-SUPPORTED: dict[tuple[str, str], tuple[str | None, ...]] = {
-    ("camera", "intermittent"): (None,),
-    ("camera", "wrong"): ("repeat", "swap"),
-    ("camera", "garbage"): ("truncate", "leader", "trailer"),
-    ("camera", "off"): (None,),
-    ("camera", "stuck"): (None,),
-    ("camera", "slow"): (None,),
-    ("camera", "delayed"): (None,),
-    ("projector", "delayed"): (None,),
-    ("projector", "wrong"): (None,),
-    ("projector", "off"): (None,),
-    ("board", "off"): (None,),
-    ("board", "garbage"): (None,),
-    ("board", "slow"): (None,),
-    ("board", "wrong"): ("reset",),
-    ("board", "intermittent"): (None,),
-    ("laser", "stuck"): (None,),
-    ("laser", "off"): (None,),
-    ("keypad", "off"): (None,),
-    ("keypad", "garbage"): (None,),
-    ("key", "stuck"): (None,),
-    ("sensor", "off"): (None,),
-    ("sensor", "wrong"): (None,),
-    ("leak", "wrong"): (None,),
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """One row of the table of faults."""
+
+    hows: tuple[str, ...] = ()
+    strikes: bool = False
+    amount: float | None = None
+    """Default of ``amount``; NaN where it must be given; ``None`` where it means nothing."""
+
+
+Number = TypeVar("Number", int, float)
+NAN = float("nan")
+KINDS: dict[tuple[str, str], Kind] = {
+    ("camera", "intermittent"): Kind(strikes=True),
+    ("camera", "wrong"): Kind(("repeat", "swap"), strikes=True),
+    ("camera", "garbage"): Kind(("truncate", "leader", "trailer"), strikes=True),
+    ("camera", "off"): Kind(),
+    ("camera", "stuck"): Kind(),
+    ("camera", "slow"): Kind(),
+    ("camera", "delayed"): Kind(strikes=True, amount=2.0),
+    ("projector", "delayed"): Kind(strikes=True),
+    ("projector", "wrong"): Kind(),
+    ("projector", "off"): Kind(),
+    ("board", "off"): Kind(),
+    ("board", "garbage"): Kind(),
+    ("board", "slow"): Kind(),
+    ("board", "wrong"): Kind(("reset",), strikes=True),
+    ("board", "intermittent"): Kind(strikes=True),
+    ("laser", "stuck"): Kind(),
+    ("laser", "off"): Kind(),
+    ("keypad", "off"): Kind(),
+    ("keypad", "garbage"): Kind(),
+    ("key", "stuck"): Kind(),
+    ("sensor", "off"): Kind(),
+    ("sensor", "wrong"): Kind(amount=NAN),
+    ("leak", "wrong"): Kind(),
 }
 PARTS: dict[str, tuple[str, ...]] = {
     "camera": ("left", "right"),
@@ -53,113 +68,165 @@ class Fault:
 
     component: str
     verb: str
+    strikes: bool
     how: str | None = None
     frame: int | None = None
-    """Only at this frame of the armed sequence (0-based)."""
+    """Frame of an armed sequence (0-based) that it strikes, or from which it lasts."""
     begins_ns: int = 0
-    ends_ns: int | None = None
+    for_ns: int | None = None
     left: int | None = None
-    """How often it still happens; ``None`` without limit."""
-    amount: float | None = None
+    """How often it still strikes; ``None`` without limit."""
+    amount: float = NAN
     sentence: str = field(default="", compare=False)
+
+    @property
+    def waits_for_frame(self) -> bool:
+        """A lasting fault whose frame has not come yet."""
+        return self.frame is not None and not self.strikes
+
+    def in_force(self, now_ns: int) -> bool:
+        """Whether it is broken now (or, for one that strikes, whether it may strike now)."""
+        ended = self.for_ns is not None and now_ns >= self.begins_ns + self.for_ns
+        return not self.waits_for_frame and now_ns >= self.begins_ns and not ended and self.left != 0
 
 
 def parse(sentence: str, now_ns: int = 0) -> Fault:
     """Parse a sentence said at ``now_ns``. Raises FaultSyntaxError."""
-    words = sentence.split()
-    if len(words) < 2:
+    component, verb, *rest = [*sentence.split(), "", ""]
+    if not verb:
         raise FaultSyntaxError(f"fault '{sentence}': a component and a verb are needed; supported: {supported()}")
-    component, verb = words[0], words[1]
-    kind, _, part = component.partition(".")
-    hows = SUPPORTED.get((kind, verb))
-    parts = PARTS.get(kind, ("",))
-    if hows is None or part not in parts:
+    kind_name, _, part = component.partition(".")
+    kind = KINDS.get((kind_name, verb))
+    if kind is None or part not in PARTS.get(kind_name, ("",)):
         raise FaultSyntaxError(f"fault '{sentence}': '{component} {verb}' is not supported; supported: {supported()}")
-    fault = Fault(component, verb, begins_ns=now_ns, sentence=sentence)
-    for_s: float | None = None
-    for word in words[2:]:
+    fault = Fault(component, verb, kind.strikes, begins_ns=now_ns, sentence=sentence)
+    for word in filter(None, rest):
         key, equals, value = word.partition("=")
         try:
-            match key:
-                case "how":
-                    fault.how = value
-                case "frame":
-                    fault.frame = int(value)
-                case "at_s":
-                    fault.begins_ns = now_ns + int(float(value) * 1e9)
-                case "for_s":
-                    for_s = float(value)
-                case "count":
-                    fault.left = int(value)
-                case "amount":
-                    fault.amount = float(value)
-                case _:
-                    equals = ""
+            _set(fault, key if equals else "", value, word, now_ns)
         except ValueError as error:
-            raise FaultSyntaxError(f"fault '{sentence}': {key}={value} is not a number") from error
-        if not equals:
-            raise FaultSyntaxError(
-                f"fault '{sentence}': '{word}'; allowed: how frame at_s for_s count amount, each with ="
-            )
-    if fault.how not in hows:
-        wanted = " or ".join(f"how={h}" for h in hows if h) or "no how"
-        raise FaultSyntaxError(f"fault '{sentence}': how={fault.how}; supported: {wanted}")
-    if for_s is not None:
-        fault.ends_ns = fault.begins_ns + int(for_s * 1e9)
-    if fault.frame is not None and fault.left is None:
-        # A frame fault happens once, except those that last from there on.
-        fault.left = None if verb in ("off", "stuck") else 1
+            raise FaultSyntaxError(f"fault '{sentence}': {error}") from error
+    _check(fault, kind)
     return fault
+
+
+def _set(fault: Fault, key: str, value: str, word: str, now_ns: int) -> None:
+    match key:
+        case "how":
+            fault.how = value
+        case "frame":
+            fault.frame = _number(int, key, value)
+        case "at_s":
+            fault.begins_ns = now_ns + int(_number(float, key, value) * 1e9)
+        case "for_s":
+            fault.for_ns = int(_number(float, key, value) * 1e9)
+        case "count":
+            fault.left = _number(int, key, value)
+        case "amount":
+            fault.amount = _number(float, key, value)
+        case _:
+            raise ValueError(f"'{word}' is not understood; allowed are how= frame= at_s= for_s= count= amount=")
+
+
+def _number(kind: Callable[[str], Number], key: str, value: str) -> Number:
+    try:
+        number = kind(value)
+    except ValueError:
+        raise ValueError(f"{key}={value} is not a number") from None
+    if key != "amount" and not number >= 0:
+        raise ValueError(f"{key}={value} must not be negative")
+    return number
+
+
+def _check(fault: Fault, kind: Kind) -> None:
+    if fault.how not in (kind.hows or (None,)):
+        wanted = " or ".join(f"how={h}" for h in kind.hows) or "no how"
+        raise FaultSyntaxError(f"fault '{fault.sentence}': how={fault.how} is not supported; supported: {wanted}")
+    if fault.left is not None and not kind.strikes:
+        raise FaultSyntaxError(f"fault '{fault.sentence}': it lasts, so it has no count; for_s= limits it")
+    if fault.amount == fault.amount and kind.amount is None:
+        raise FaultSyntaxError(f"fault '{fault.sentence}': it takes no amount")
+    if fault.amount != fault.amount and kind.amount is not None:
+        if kind.amount != kind.amount:
+            raise FaultSyntaxError(f"fault '{fault.sentence}': amount= is needed")
+        fault.amount = kind.amount
+    if fault.left is None and kind.strikes and (fault.frame is not None or fault.component == "board"):
+        fault.left = 1
 
 
 def supported() -> str:
     """All supported sentences, one after the other."""
     sentences = []
-    for (kind, verb), hows in SUPPORTED.items():
-        parts = PARTS.get(kind)
-        name = f"{kind}.{'|'.join(parts)}" if parts else kind
-        sentences += [f"{name} {verb}" + (f" how={how}" if how else "") for how in hows]
+    for (name, verb), kind in KINDS.items():
+        parts = PARTS.get(name)
+        component = f"{name}.{'|'.join(parts)}" if parts else name
+        sentences += [f"{component} {verb}" + (f" how={how}" if how else "") for how in kind.hows or ("",)]
     return "; ".join(sentences)
 
 
 class FaultBook:
-    """The faults in force. Called with the world's lock held."""
+    """The faults in force. Called with the world's lock held.
 
-    def __init__(self, now_ns: Callable[[], int]) -> None:
+    ``when`` calls its second argument at a moment of world time; ``changed`` is called with the time whenever
+    something may have broken or been repaired.
+    """
+
+    def __init__(
+        self,
+        now_ns: Callable[[], int],
+        when: Callable[[int, Callable[[int], None]], None],
+        changed: Callable[[int], None],
+    ) -> None:
         self._now_ns = now_ns
+        self._when = when
+        self._changed = changed
         self._faults: list[Fault] = []
 
     def add(self, sentence: str) -> Fault:
         """Say a fault sentence. Raises FaultSyntaxError."""
-        fault = parse(sentence, self._now_ns())
+        now_ns = self._now_ns()
+        fault = parse(sentence, now_ns)
         self._faults.append(fault)
+        if fault.begins_ns <= now_ns:
+            self._changed(now_ns)
+        else:
+            self._when(fault.begins_ns, self._changed)
+        if fault.for_ns is not None and not fault.waits_for_frame:
+            self._when(fault.begins_ns + fault.for_ns, self._changed)
         return fault
 
     def clear(self) -> None:
         """Repair everything."""
         self._faults.clear()
+        self._changed(self._now_ns())
 
-    def active(self, component: str, verb: str, how: str | None = None, frame: int | None = None) -> Fault | None:
-        """The fault of that kind in force now, at that frame if it names one; not counted."""
+    def reach(self, frame: int, time_ns: int) -> None:
+        """Frame ``frame`` of an armed sequence begins: what lasts from there on begins."""
+        for fault in self._faults:
+            if fault.waits_for_frame and fault.frame == frame and time_ns >= fault.begins_ns:
+                fault.frame = None
+                fault.begins_ns = time_ns
+                if fault.for_ns is not None:
+                    self._when(time_ns + fault.for_ns, self._changed)
+                self._changed(time_ns)
+
+    def active(self, component: str, verb: str) -> Fault | None:
+        """The lasting fault of that kind in force now."""
         now_ns = self._now_ns()
         for fault in self._faults:
-            if (fault.component, fault.verb) != (component, verb) or (how is not None and fault.how != how):
-                continue
-            if now_ns < fault.begins_ns or (fault.ends_ns is not None and now_ns >= fault.ends_ns):
-                continue
-            if fault.left is not None and fault.left <= 0:
+            if (fault.component, fault.verb) == (component, verb) and not fault.strikes and fault.in_force(now_ns):
+                return fault
+        return None
+
+    def strike(self, component: str, verb: str, how: str | None = None, frame: int | None = None) -> Fault | None:
+        """The fault of that kind that strikes now, counted. ``frame`` is ``None`` outside an armed sequence."""
+        now_ns = self._now_ns()
+        for fault in self._faults:
+            if (fault.component, fault.verb, fault.how) != (component, verb, how) or not fault.in_force(now_ns):
                 continue
             if fault.frame is not None and fault.frame != frame:
                 continue
-            return fault
-        return None
-
-    def happens(self, component: str, verb: str, how: str | None = None, frame: int | None = None) -> Fault | None:
-        """As ``active``, and counted as having happened once. A lasting fault that began at a frame stays from now on."""
-        fault = self.active(component, verb, how, frame)
-        if fault is not None:
             if fault.left is not None:
                 fault.left -= 1
-            elif fault.frame is not None:
-                fault.frame = None
-        return fault
+            return fault
+        return None

@@ -1,0 +1,140 @@
+"""Owns a GenCP device's memory: registers at addresses, read and written as the bus does, with GenCP's errors."""
+
+from __future__ import annotations
+
+import bisect
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+
+
+class Status(IntEnum):
+    """GenCP and U3V status codes."""
+
+    SUCCESS = 0x0000
+    NOT_IMPLEMENTED = 0x8001
+    INVALID_PARAMETER = 0x8002
+    INVALID_ADDRESS = 0x8003
+    WRITE_PROTECT = 0x8004
+    BAD_ALIGNMENT = 0x8005
+    ACCESS_DENIED = 0x8006
+    BUSY = 0x8007
+    INVALID_HEADER = 0x800E
+    WRONG_CONFIGURATION = 0x800F
+    STREAM_ENDPOINT_HALTED = 0xA002
+    PAYLOAD_SIZE_NOT_ALIGNED = 0xA003
+    REGISTERS_INCONSISTENT = 0xA004
+
+
+class Refused(Exception):
+    """An access that the device refuses."""
+
+    def __init__(self, status: Status) -> None:
+        super().__init__(status.name)
+        self.status = status
+
+
+@dataclass(frozen=True, slots=True)
+class Register:
+    """A piece of memory. ``whole`` ones are numbers: aligned to 4 bytes, and written in one piece."""
+
+    address: int
+    length: int
+    read: Callable[[], bytes] | None
+    write: Callable[[bytes], None] | None = None
+    whole: bool = True
+
+
+class Memory:
+    """Registers without overlap."""
+
+    def __init__(self) -> None:
+        self._starts: list[int] = []
+        self._registers: list[Register] = []
+
+    def add(self, register: Register) -> None:
+        """Add a register. Raises ValueError where it overlaps another."""
+        at = bisect.bisect(self._starts, register.address)
+        before = self._registers[at - 1] if at else None
+        after = self._registers[at] if at < len(self._registers) else None
+        if (before and before.address + before.length > register.address) or (
+            after and register.address + register.length > after.address
+        ):
+            raise ValueError(f"register at {register.address:#x} overlaps another")
+        self._starts.insert(at, register.address)
+        self._registers.insert(at, register)
+
+    def u32(self, address: int, read: Callable[[], int] | None, write: Callable[[int], None] | None = None) -> None:
+        """Add a 32-bit number."""
+        self._number("<I", address, read, write)
+
+    def u64(self, address: int, read: Callable[[], int] | None, write: Callable[[int], None] | None = None) -> None:
+        """Add a 64-bit number."""
+        self._number("<Q", address, read, write)
+
+    def f32(self, address: int, read: Callable[[], float]) -> None:
+        """Add a read-only IEEE 754 number."""
+        self.add(Register(address, 4, lambda: struct.pack("<f", read())))
+
+    def text(self, address: int, length: int, text: str) -> None:
+        """Add a constant string, padded with NUL."""
+        self.blob(address, text.encode("ascii").ljust(length, b"\0")[:length])
+
+    def blob(self, address: int, data: bytes) -> None:
+        """Add constant bytes."""
+        self.add(Register(address, len(data), lambda: data, None, whole=False))
+
+    def _number(
+        self, form: str, address: int, read: Callable[[], int] | None, write: Callable[[int], None] | None
+    ) -> None:
+        def pack() -> bytes:
+            return struct.pack(form, read()) if read is not None else b""
+
+        def unpack(data: bytes) -> None:
+            if write is not None:
+                write(*struct.unpack(form, data))
+
+        size = struct.calcsize(form)
+        self.add(Register(address, size, pack if read is not None else None, unpack if write is not None else None))
+
+    def read(self, address: int, size: int) -> bytes:
+        """Raises Refused: a hole, a write-only register, bad alignment."""
+        data = b""
+        for register in self._touched(address, size):
+            if register.read is None:
+                raise Refused(Status.ACCESS_DENIED)
+            start = max(address - register.address, 0)
+            data += register.read()[start : address + size - register.address]
+        return data
+
+    def write(self, address: int, data: bytes) -> None:
+        """Raises Refused: a hole, a read-only register, half a number; nothing is written then."""
+        registers = self._touched(address, len(data))
+        for register in registers:
+            if register.write is None:
+                raise Refused(Status.WRITE_PROTECT)
+            inside = address <= register.address and register.address + register.length <= address + len(data)
+            if register.whole and not inside:
+                raise Refused(Status.INVALID_PARAMETER)
+        for register in registers:
+            start, end = register.address - address, register.address + register.length - address
+            if register.write is not None:
+                register.write(data[max(start, 0) : end])
+
+    def _touched(self, address: int, size: int) -> list[Register]:
+        if size <= 0:
+            raise Refused(Status.INVALID_PARAMETER)
+        at = bisect.bisect(self._starts, address) - 1
+        touched: list[Register] = []
+        reached = address
+        while reached < address + size:
+            register = self._registers[at] if 0 <= at < len(self._registers) else None
+            if register is None or not register.address <= reached < register.address + register.length:
+                raise Refused(Status.INVALID_ADDRESS)
+            touched.append(register)
+            reached = register.address + register.length
+            at += 1
+        if (address % 4 or size % 4) and any(register.whole for register in touched):
+            raise Refused(Status.BAD_ALIGNMENT)
+        return touched

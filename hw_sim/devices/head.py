@@ -1,0 +1,123 @@
+"""Owns one output of the card: its modes, what it scans out, and the flip that waits for the next vertical blank."""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hw_sim.devices import drm_abi as abi
+from hw_sim.devices.drm_abi import Modeinfo
+
+RGB_AUTOMATIC, RGB_FULL, RGB_LIMITED = 0, 1, 2
+FULL_RANGE = np.arange(256, dtype=np.uint8)
+LIMITED_RANGE = np.round(16 + np.arange(256) * 219 / 255).astype(np.uint8)
+
+
+@dataclass(slots=True)
+class Dumb:
+    """A dumb buffer, shared with user space."""
+
+    pitch: int
+    memory: bytearray
+
+
+@dataclass(frozen=True, slots=True)
+class Framebuffer:
+    """A dumb buffer seen as an image of 32-bit pixels, XRGB8888."""
+
+    fb_id: int
+    width: int
+    height: int
+    pitch: int
+    depth: int
+    dumb: Dumb
+
+    def pixels(self) -> NDArray[np.uint8]:
+        """(height, width, 4) view: blue, green, red, unused."""
+        rows = np.frombuffer(self.dumb.memory, np.uint8, self.pitch * self.height).reshape(self.height, self.pitch)
+        return rows[:, : 4 * self.width].reshape(self.height, self.width, 4)
+
+
+@dataclass(frozen=True, slots=True)
+class Flip:
+    """A page flip that was asked for."""
+
+    framebuffer: Framebuffer
+    user_data: int
+    owner: object | None
+    """The opened file that gets the event; ``None`` if none was asked for."""
+
+
+class Output(Enum):
+    """What is plugged in where."""
+
+    PROJECTOR = "HDMI-A-1"
+    DISPLAY = "DP-1"
+
+
+MODES: dict[Output, tuple[Modeinfo, ...]] = {
+    Output.PROJECTOR: (
+        abi.mode("1024x768", 65_000, (1024, 1048, 1184, 1344), (768, 771, 777, 806), abi.NHSYNC | abi.NVSYNC, True),
+        abi.mode("800x600", 40_000, (800, 840, 968, 1056), (600, 601, 605, 628), abi.PHSYNC | abi.PVSYNC, False),
+        abi.mode("640x480", 25_175, (640, 656, 752, 800), (480, 490, 492, 525), abi.NHSYNC | abi.NVSYNC, False),
+    ),
+    Output.DISPLAY: (
+        abi.mode("800x480", 29_760, (800, 824, 896, 992), (480, 483, 493, 500), abi.NHSYNC | abi.PVSYNC, True),
+        abi.mode("640x480", 25_175, (640, 656, 752, 800), (480, 490, 492, 525), abi.NHSYNC | abi.NVSYNC, False),
+    ),
+}
+
+
+@dataclass(slots=True)
+class Connector:
+    """A socket with a monitor in it."""
+
+    output: Output
+    connector_id: int
+    encoder_id: int
+    kind: int
+    kind_number: int
+    size_mm: tuple[int, int]
+    crtc: Crtc | None = None
+    dpms: int = abi.DPMS_ON
+    broadcast_rgb: int | None = None
+    """``None`` where the connector has no such property."""
+
+
+@dataclass(slots=True)
+class Crtc:
+    """A scan-out engine."""
+
+    crtc_id: int
+    sequence: int
+    """Vertical blanks since the machine was switched on."""
+    mode: Modeinfo | None = None
+    framebuffer: Framebuffer | None = None
+    """``None`` with a mode set: the console, black."""
+    offset: tuple[int, int] = (0, 0)
+    pending: Flip | None = None
+
+    def image(self) -> NDArray[np.uint8]:
+        """(height, width, 4) of what is scanned out; a view into shared memory, or black."""
+        if self.mode is None:
+            return np.zeros((1, 1, 4), np.uint8)
+        width, height = self.mode.hdisplay, self.mode.vdisplay
+        if self.framebuffer is None:
+            return np.zeros((height, width, 4), np.uint8)
+        x, y = self.offset
+        return self.framebuffer.pixels()[y : y + height, x : x + width]
+
+
+def same_timing(a: Modeinfo, b: Modeinfo) -> bool:
+    """Whether two modes drive the monitor alike; name and type do not matter."""
+    ignored = {"name", "type", "vrefresh"}
+    return all(getattr(a, name) == getattr(b, name) for name, *_ in Modeinfo._fields_ if name not in ignored)
+
+
+def copy_mode(mode: Modeinfo) -> Modeinfo:
+    """A mode of its own."""
+    return Modeinfo.from_buffer_copy(ctypes.string_at(ctypes.addressof(mode), ctypes.sizeof(mode)))

@@ -1,0 +1,150 @@
+"""Owns the camera's stream: blocks as leader, payload and trailer, and the bulk pipe that they leave through."""
+
+from __future__ import annotations
+
+import struct
+from collections import deque
+from dataclasses import dataclass
+
+from hw_sim.devices.gencp_memory import Refused, Status
+
+LEADER_BYTES, TRAILER_BYTES = 52, 32
+ALIGNMENT_LOG2 = 3
+LEADER_MAGIC, TRAILER_MAGIC = b"U3VL", b"U3VT"
+IMAGE = 0x0001
+MONO8 = 0x01080001
+OVERRUN = 0xA101
+
+
+class Overflow(Exception):
+    """A packet is longer than the rest of the host's buffer."""
+
+
+@dataclass(frozen=True, slots=True)
+class Region:
+    """The part of the sensor that is read out."""
+
+    width: int
+    height: int
+    offset_x: int
+    offset_y: int
+
+    @property
+    def payload_bytes(self) -> int:
+        return self.width * self.height
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """One image on its way to the host, or what is left of it."""
+
+    block_id: int
+    camera_time_ns: int
+    region: Region
+    payload: bytes | memoryview
+    status: int = 0
+    spoilt_leader: bytes | None = None
+    spoilt_trailer: bytes | None = None
+
+    def leader(self) -> bytes:
+        """52 bytes."""
+        if self.spoilt_leader is not None:
+            return self.spoilt_leader
+        r = self.region
+        head = struct.pack("<4sHHQHHQ", LEADER_MAGIC, 0, LEADER_BYTES, self.block_id, 0, IMAGE, self.camera_time_ns)
+        return head + struct.pack("<IIIIIHH", MONO8, r.width, r.height, r.offset_x, r.offset_y, 0, 0)
+
+    def trailer(self) -> bytes:
+        """32 bytes; says how much of the payload is valid."""
+        if self.spoilt_trailer is not None:
+            return self.spoilt_trailer
+        head = struct.pack("<4sHHQHH", TRAILER_MAGIC, 0, TRAILER_BYTES, self.block_id, self.status, 0)
+        rows = len(self.payload) // self.region.width
+        return head + struct.pack("<QI", len(self.payload), rows)
+
+
+@dataclass(slots=True)
+class Setup:
+    """What the host wrote into the stream interface registers (SIRM)."""
+
+    max_leader: int = 0
+    max_trailer: int = 0
+    size: int = 0
+    count: int = 0
+    final1: int = 0
+    final2: int = 0
+
+    def check(self, payload_bytes: int) -> None:
+        """Raises Refused if a block of that size does not fit into it."""
+        if any(length % (1 << ALIGNMENT_LOG2) for length in (self.size, self.final1, self.final2)):
+            raise Refused(Status.PAYLOAD_SIZE_NOT_ALIGNED)
+        room = self.size * self.count + self.final1 + self.final2
+        if room < payload_bytes or self.max_leader < LEADER_BYTES or self.max_trailer < TRAILER_BYTES:
+            raise Refused(Status.REGISTERS_INCONSISTENT)
+
+    def transfers(self) -> list[int]:
+        """Lengths of the transfers that make up a payload."""
+        return [n for n in [self.size] * self.count + [self.final1, self.final2] if n]
+
+
+@dataclass(slots=True)
+class _Transfer:
+    data: memoryview
+    terminated: bool
+    """An empty packet follows when the last one is full, since the host expects more."""
+    last: bool
+    """Of its block."""
+    done: int = 0
+
+
+class StreamPipe:
+    """The bulk IN pipe: packets in order; a transfer of the host ends when it is full or at a short packet."""
+
+    def __init__(self) -> None:
+        self._transfers: deque[_Transfer] = deque()
+        self.blocks = 0
+        """Blocks that the host has not read to their end."""
+
+    def send(self, block: Block, setup: Setup) -> None:
+        """Queue a block."""
+        self._put(block.leader(), True, False)
+        data, reached = memoryview(block.payload), 0
+        for length in setup.transfers():
+            part = data[reached : reached + length]
+            reached += len(part)
+            self._put(part, len(part) < length, False)
+        self._put(block.trailer(), True, True)
+        self.blocks += 1
+
+    def _put(self, data: bytes | memoryview, terminated: bool, last: bool) -> None:
+        self._transfers.append(_Transfer(memoryview(data), terminated, last))
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self._transfers.clear()
+        self.blocks = 0
+
+    def read(self, buffer: memoryview, packet: int) -> tuple[int, bool]:
+        """Fill ``buffer`` as far as there is data; returns the bytes and whether the host's transfer ends here."""
+        filled = 0
+        while self._transfers and filled < len(buffer):
+            transfer = self._transfers[0]
+            rest = len(transfer.data) - transfer.done
+            take = min(rest, len(buffer) - filled)
+            if take < rest and take % packet:
+                raise Overflow
+            buffer[filled : filled + take] = transfer.data[transfer.done : transfer.done + take]
+            filled += take
+            transfer.done += take
+            if take == rest:
+                short = len(transfer.data) % packet != 0
+                full = filled == len(buffer)
+                # A full last packet fills the buffer first; the empty packet behind it ends the host's next transfer.
+                if transfer.terminated and not short and full and take:
+                    transfer.data, transfer.done = memoryview(b""), 0
+                    return filled, True
+                self._transfers.popleft()
+                self.blocks -= transfer.last
+                if short or transfer.terminated:
+                    return filled, True
+        return filled, filled == len(buffer)

@@ -1,0 +1,115 @@
+"""Owns the thread that moves the world on, and when the next vertical blank may come."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import Protocol
+
+from hw_sim.pace import BLANK_NS, LONGEST_WAIT_S, WorldTime
+
+PATIENCE_S = 5.0
+"""Real time that a recording world waits for its host."""
+CATCH_UP_NS = 1_000_000_000
+"""A real-time world that is later than this gives the lost time up."""
+
+
+class Recording(Protocol):
+    """What decides whether the next blank waits for the host. Called with the lock held."""
+
+    @property
+    def armed(self) -> int | None:
+        """Number of the sequence that is being recorded, ``None`` when there is none."""
+
+    @property
+    def host_ready(self) -> bool:
+        """A flip of the projector is pending and both cameras have room."""
+
+
+class Drive:
+    """Calls ``on_blank(time_ns)`` at each vertical blank and lets happenings happen between them, in one thread."""
+
+    def __init__(
+        self,
+        world_time: WorldTime,
+        recording: Recording,
+        on_blank: Callable[[int], None],
+        lock_step: bool,
+        idle_speed: float,
+    ) -> None:
+        self._time = world_time
+        self._recording = recording
+        self._on_blank = on_blank
+        self._lock_step = lock_step
+        self._idle_speed = idle_speed if lock_step else 1.0
+        self._given_up: int | None = None
+        """The armed sequence whose host ran out of patience."""
+        self.failure: BaseException | None = None
+        """What ended the world before its time."""
+        self._thread = threading.Thread(target=self._run, name="world", daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def join(self) -> None:
+        """After the time is closed: wait until the thread has ended. Raises RuntimeError if it does not."""
+        if self._thread.ident is None:
+            return
+        self._thread.join(10.0)
+        if self._thread.is_alive():
+            raise RuntimeError("the world's thread does not end")
+
+    def _run(self) -> None:
+        with self._time.condition:
+            try:
+                while not self._time.closed:
+                    if self._lock_step:
+                        self._lock_step_once()
+                    else:
+                        self._real_time_once()
+            except Exception as failure:
+                self.failure = failure
+                self._time.close()
+
+    # -- lock-step: the host's readiness decides while a sequence is recorded, real time otherwise
+
+    def _lock_step_once(self) -> None:
+        sequence = self._recording.armed
+        recording = sequence is not None and sequence != self._given_up
+        hurry = recording and self._recording.host_ready
+        blank_ns = self._time.blank_ns + BLANK_NS
+        happening = self._time.due(blank_ns)
+        real_s = self._time.real_until_s(happening.time_ns if happening else blank_ns)
+        if not hurry and real_s > 0:
+            self._time.condition.wait(min(real_s, LONGEST_WAIT_S))
+        elif happening is not None:
+            if happening.ready is None or happening.ready():
+                self._time.happen()
+            else:
+                self._time.condition.wait(LONGEST_WAIT_S)
+        elif recording and not hurry:
+            if real_s < -PATIENCE_S:
+                self._given_up = sequence
+            else:
+                self._time.condition.wait(LONGEST_WAIT_S)
+        else:
+            self._blank(time.monotonic_ns())
+
+    # -- real time: blanks come whatever the host does
+
+    def _real_time_once(self) -> None:
+        blank_ns = self._time.blank_ns + BLANK_NS
+        happening = self._time.due(blank_ns)
+        real_s = self._time.real_until_s(happening.time_ns if happening else blank_ns)
+        if real_s > 0:
+            self._time.condition.wait(min(real_s, LONGEST_WAIT_S))
+        elif happening is not None:
+            self._time.happen()
+        else:
+            late_ns = int(-real_s * 1e9)
+            self._blank(time.monotonic_ns() - (late_ns if late_ns < CATCH_UP_NS else 0))
+
+    def _blank(self, real_ns: int) -> None:
+        self._on_blank(self._time.blank(self._idle_speed, real_ns))
+        self._time.condition.notify_all()
