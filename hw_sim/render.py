@@ -32,6 +32,8 @@ Array = NDArray[np.float64]
 CAMERAS = ("left", "right")
 WHITE_E_PER_S = FULL_WELL_E * 210.0 / 255.0 / 0.012 / 0.6
 """Electrons per second from white light on a surface of albedo 1, facing the rig in the middle of the volume."""
+REFERENCE_DIM = math.exp(-0.4e-3 * 975.0)
+"""How much of it clear lake water leaves on the way there and back, in which the exposure was chosen."""
 LENS_BLUR_PX = 0.55
 """Gaussian sigma of the lens in px of 1600."""
 LASER_E_PER_S = 3.0e6
@@ -318,14 +320,7 @@ def _trace_scene(
             cosine = cz / math.sqrt(cx * cx + cy * cy + cz * cz)
             falloff = (487.5 / length) ** 2
             lit[y, x] = (
-                WHITE_E_PER_S
-                * a
-                * facing
-                * falloff
-                * cosine**4
-                * dim
-                * math.exp(-attenuation * length)
-                / math.exp(-attenuation * 975.0)
+                WHITE_E_PER_S * a * facing * falloff * cosine**4 * dim * math.exp(-attenuation * length) / REFERENCE_DIM
             )
             p[y, x], q[y, x] = u, v
             away = (wz - FOCUS_MM) / FAR_MM
