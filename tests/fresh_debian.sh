@@ -86,7 +86,7 @@ timed inside "$dev" run true
 
 step "half-made environment: made anew"
 rm -f "$tree/root/kingfisher in a folder/.venv/"{kingfisher-stamp,bin/python}
-timed inside "$dev" run python -c "import appliance, cv2, genicam, glfw, hidraw, moderngl, numba, usb.backend.libusb1 as usb
+timed inside "$dev" run python -c "import appliance, cv2, genicam.genapi, glfw, hidraw, moderngl, numba, serial, usb.backend.libusb1 as usb
 assert usb.get_backend() is not None, 'libusb does not load'
 print(moderngl.create_context(standalone=True, backend='egl', require=330).info['GL_RENDERER'])"
 
