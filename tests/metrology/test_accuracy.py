@@ -1,0 +1,56 @@
+"""With the truth as calibration, points lie on the true surface: complete, without outliers, noise as the period tells."""
+
+from __future__ import annotations
+
+import pytest
+
+from hw_sim.objects.shapes import NAMES
+from hw_sim.scene import Scene
+from tests.support.rendered import judge, reconstruct, render_scan
+
+RMS_LIMIT_MM = {16: 0.05, 32: 0.10, 64: 0.20}
+
+
+@pytest.mark.parametrize("name", list(NAMES))
+def test_full_resolution(name: str) -> None:
+    scan = render_scan(Scene(object=name), "modelled", 3, 1600, 16)
+    _, cloud = reconstruct(scan)
+    result = judge(scan, cloud)
+    assert result.completeness_percent >= 95.0
+    assert result.outliers_ppm <= 100.0
+    assert result.rms_mm <= RMS_LIMIT_MM[16]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("period_px", [32, 64])
+@pytest.mark.parametrize("name", list(NAMES))
+def test_full_resolution_of_longer_periods(name: str, period_px: int) -> None:
+    scan = render_scan(Scene(object=name), "modelled", 3, 1600, period_px)
+    _, cloud = reconstruct(scan)
+    result = judge(scan, cloud)
+    assert result.completeness_percent >= 95.0
+    assert result.outliers_ppm <= 100.0
+    assert result.rms_mm <= RMS_LIMIT_MM[period_px]
+
+
+def test_noise_grows_with_the_period() -> None:
+    rms = []
+    for period_px in (16, 32, 64):
+        scan = render_scan(Scene(object="pipe"), "modelled", 5, 800, period_px)
+        _, cloud = reconstruct(scan)
+        result = judge(scan, cloud)
+        assert result.completeness_percent >= 95.0
+        assert result.rms_mm <= RMS_LIMIT_MM[period_px]
+        rms.append(result.rms_mm)
+    assert 1.6 < rms[1] / rms[0] < 2.4
+    assert 1.6 < rms[2] / rms[1] < 2.4
+
+
+@pytest.mark.parametrize("texture", ["none", "strong"])
+def test_texture_does_not_make_outliers(texture: str) -> None:
+    scan = render_scan(Scene(object="frustum", texture=texture), "modelled", 8, 800, 16)
+    _, cloud = reconstruct(scan)
+    result = judge(scan, cloud)
+    assert result.completeness_percent >= 95.0
+    assert result.outliers_ppm <= 100.0
+    assert result.rms_mm <= 0.06

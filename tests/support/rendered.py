@@ -1,0 +1,88 @@
+"""Scans straight from the simulated cameras, without devices and service: for judging reconstruction alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.calibration.file import Calibration
+from appliance.patterns.sequence import Direction, PatternSequence, build_sequence
+from appliance.reconstruct.pipeline import Cloud, Pipeline
+from hw_sim.render import LightSlice, Renderer
+from hw_sim.scene import Scene
+from hw_sim.truth import draw_truth
+from tests.support.truth import WATER, left_to_rig, true_calibration
+
+EXPOSURE_S = 0.012
+
+
+@dataclass(frozen=True)
+class RenderedScan:
+    renderer: Renderer
+    sequence: PatternSequence
+    frames: Mapping[str, NDArray[np.uint8]]
+
+
+def pictures(sequence: PatternSequence) -> list[NDArray[np.uint8]]:
+    """The patterns as the projector shows them."""
+    shape = (sequence.height_px, sequence.width_px)
+    return [
+        np.ascontiguousarray(
+            np.broadcast_to(p.codes()[None, :] if p.direction is Direction.X else p.codes()[:, None], shape)
+        )
+        for p in sequence.patterns
+    ]
+
+
+def render_scan(scene: Scene, truth_set: str, seed: int, width_px: int, period_px: int) -> RenderedScan:
+    """Both cameras' frames of a static scene."""
+    truth = draw_truth(truth_set, seed, width_px, width_px * 3 // 4, scene.water.index)
+    renderer = Renderer(truth, scene)
+    sequence = build_sequence(period_px)
+
+    def camera(side: str) -> NDArray[np.uint8]:
+        shots = [
+            renderer.expose(
+                side, [LightSlice(p, EXPOSURE_S)], 0.0, EXPOSURE_S, 0.0, (False, False), 2 * k + (side == "left")
+            )
+            for k, p in enumerate(pictures(sequence))
+        ]
+        return np.stack(shots)
+
+    with ThreadPoolExecutor(2) as pool:
+        left, right = pool.map(camera, ("left", "right"))
+    return RenderedScan(renderer, sequence, {"left": left, "right": right})
+
+
+def reconstruct(scan: RenderedScan, calibration: Calibration | None = None) -> tuple[Pipeline, Cloud]:
+    """Coarse and full; with the calibration that states the truth unless another is given."""
+    pipeline = Pipeline(calibration or true_calibration(scan.renderer.truth), WATER, scan.sequence)
+    for k in range(len(scan.sequence)):
+        for side, frames in scan.frames.items():
+            pipeline.push(side, frames, k)
+    pipeline.coarse()
+    return pipeline, pipeline.full()
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    completeness_percent: float
+    outliers_ppm: float
+    rms_mm: float
+
+
+def judge(scan: RenderedScan, cloud: Cloud) -> Accuracy:
+    """A cloud against the true surface, and against what all three eyes truly see of it."""
+    seen = scan.renderer.view("left", 0.0).seen_by_all.ravel()
+    found = np.zeros(seen.size, bool)
+    found[cloud.pixel] = True
+    distance = scan.renderer.surface(0.0).distance_mm(left_to_rig(scan.renderer.truth, cloud.points_mm))
+    return Accuracy(
+        100.0 * float((found & seen).sum()) / float(seen.sum()),
+        1e6 * float(np.mean(np.abs(distance) > 1.0)),
+        float(np.sqrt(np.mean(distance**2))),
+    )
