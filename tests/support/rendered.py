@@ -38,7 +38,9 @@ def pictures(sequence: PatternSequence) -> list[NDArray[np.uint8]]:
     ]
 
 
-def render_scan(scene: Scene, truth_set: str, seed: int, width_px: int, period_px: int) -> RenderedScan:
+def render_scan(
+    scene: Scene, truth_set: str, seed: int, width_px: int, period_px: int, exposure_s: float = EXPOSURE_S
+) -> RenderedScan:
     """Both cameras' frames of a static scene."""
     truth = draw_truth(truth_set, seed, width_px, width_px * 3 // 4, scene.water.index)
     renderer = Renderer(truth, scene)
@@ -47,7 +49,7 @@ def render_scan(scene: Scene, truth_set: str, seed: int, width_px: int, period_p
     def camera(side: str) -> NDArray[np.uint8]:
         shots = [
             renderer.expose(
-                side, [LightSlice(p, EXPOSURE_S)], 0.0, EXPOSURE_S, 0.0, (False, False), 2 * k + (side == "left")
+                side, [LightSlice(p, exposure_s)], 0.0, exposure_s, 0.0, (False, False), 2 * k + (side == "left")
             )
             for k, p in enumerate(pictures(sequence))
         ]
