@@ -1,0 +1,135 @@
+"""At the desk a stored scan gives the points it gave on the instrument, and calibrations are explained."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from appliance.calibration.file import CalibrationError, encode
+from appliance.config import Rig, load_rig
+from appliance.config.load import default_rig_path
+from appliance.patterns.sequence import build_sequence
+from appliance.reconstruct.pipeline import Pipeline
+from appliance.service.app import CALIBRATION_FILE, calibration_of, design_of
+from appliance.service.desk import describe_calibration, reconstruct_scan, write_nominal_calibration
+from appliance.storage.library import Library
+from appliance.storage.ply import read_ply
+from appliance.storage.record import ScanRecord, SequenceInfo
+from tests.support import synthetic
+
+NORMAL = np.array([0.0, 0.1, 1.0]) / np.hypot(0.1, 1.0)
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Rig:
+    """The packaged rig with small cameras and a storage of its own."""
+    rig = load_rig(default_rig_path())
+    cameras = replace(
+        rig.camera,
+        left=replace(rig.camera.left, width_px=400, height_px=300),
+        right=replace(rig.camera.right, width_px=400, height_px=300),
+    )
+    return replace(
+        rig,
+        camera=cameras,
+        design=replace(rig.design, pixel_um=18.0),
+        storage=replace(rig.storage, root=tmp_path / "storage"),
+    )
+
+
+def store_plane(rig: Rig) -> tuple[Path, np.ndarray]:
+    cal = design_of(rig)
+    sequence = build_sequence(16)
+    beamer = synthetic.projector(cal)
+    index = cal.water.index
+    offset = float(NORMAL @ cal.rig.volume_centre_mm(index))
+    frames = {}
+    for side, camera in (("left", cal.rig.left), ("right", cal.rig.right)):
+        pq = beamer.project(synthetic.plane_points(camera, NORMAL, offset), index)
+        frames[side] = np.rint(synthetic.frames(sequence, pq)).astype(np.uint8)
+    pipeline = Pipeline(cal, cal.water, sequence)
+    for k in range(len(sequence)):
+        for side, stack in frames.items():
+            pipeline.push(side, stack, k)
+    pipeline.coarse()
+    cloud = pipeline.full()
+    record = ScanRecord(
+        sequence=SequenceInfo.of(sequence),
+        rig_hash=rig.rig_hash,
+        calibration_hash=cal.hash,
+        software_version="0",
+        wall_time=None,
+        clock_trusted=False,
+        recorded_ns=0,
+        water={"temperature_c": 20.0, "salinity_psu": 0.0, "wavelength_nm": 530.0},
+    )
+    library = Library(rig.storage.root)
+    library.prepare()
+    return library.begin(frames, record).publish(record, cloud), cloud.points_mm
+
+
+def test_the_same_points_again(rig: Rig, tmp_path: Path) -> None:
+    folder, points = store_plane(rig)
+    seen: list[str] = []
+    report = reconstruct_scan(rig, folder, None, tmp_path / "again.ply", seen.append)
+    np.testing.assert_array_equal(read_ply(tmp_path / "again.ply").points_mm, points)
+    assert report["points"] == len(points)
+    assert report["same_calibration"] is True
+    assert any("frame 24 of 24" in text for text in seen)
+
+
+def test_another_calibration_gives_other_points_and_says_so(rig: Rig, tmp_path: Path) -> None:
+    folder, points = store_plane(rig)
+    other = replace(design_of(rig), method="air")
+    moved = replace(other.rig.left, port=replace(other.rig.left.port, distance_mm=33.0))
+    path = tmp_path / "other.json"
+    path.write_bytes(encode(replace(other, rig=replace(other.rig, left=moved))))
+    report = reconstruct_scan(rig, folder, path, tmp_path / "again.ply", lambda text: None)
+    assert report["same_calibration"] is False
+    again = read_ply(tmp_path / "again.ply").points_mm
+    assert abs(np.max(again[:, 2]) - np.max(points[:, 2])) > 0.2, "three millimetres of port bend the plane"
+
+
+def test_an_instrument_without_calibration_uses_its_design_and_says_so(rig: Rig) -> None:
+    calibration, conditions = calibration_of(rig)
+    assert calibration.method == "design"
+    assert [fault.code.value for fault in conditions] == ["UNCALIBRATED"]
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [("serial", "is of instrument OTHER"), ("size", "camera has 200x300 px"), ("bytes", "checksum")],
+)
+def test_a_calibration_that_does_not_fit_is_not_used(rig: Rig, change: str, complaint: str) -> None:
+    good = replace(design_of(rig), method="bundle")
+    if change == "serial":
+        good = replace(good, rig_serial="OTHER")
+    if change == "size":
+        good = replace(good, rig=replace(good.rig, left=replace(good.rig.left, width_px=200)))
+    data = encode(good)
+    path = rig.storage.root / CALIBRATION_FILE
+    path.parent.mkdir(parents=True)
+    path.write_bytes(data.replace(b"30.0", b"31.0", 1) if change == "bytes" else data)
+    calibration, conditions = calibration_of(rig)
+    assert calibration.method == "design"
+    assert complaint in conditions[0].detail
+
+
+def test_a_calibration_that_fits_is_used(rig: Rig) -> None:
+    good = replace(design_of(rig), method="bundle")
+    path = rig.storage.root / CALIBRATION_FILE
+    path.parent.mkdir(parents=True)
+    path.write_bytes(encode(good))
+    assert calibration_of(rig) == (good, ())
+
+
+def test_calibration_show_and_nominal(rig: Rig, tmp_path: Path) -> None:
+    path = write_nominal_calibration(rig, tmp_path / "nominal.json")
+    described = describe_calibration(rig, path)
+    assert described["method"] == "design"
+    assert described["baseline_mm"] == pytest.approx(230.0)
+    with pytest.raises(CalibrationError, match="cannot be read"):
+        describe_calibration(rig, tmp_path / "nothing.json")
