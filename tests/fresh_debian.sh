@@ -38,7 +38,10 @@ rm -rf --one-file-system -- "$tree"
 mkdir -p -- "$tree"
 tar -C "$tree" -xf "$base"
 mount -t proc proc "$tree/proc"
-mount -t tmpfs tmpfs "$tree/dev/shm" -o mode=1777
+mount -t sysfs -o ro sysfs "$tree/sys"
+mount -t tmpfs -o mode=1777 tmpfs "$tree/dev/shm"
+mount -t devpts -o newinstance,ptmxmode=0666,mode=0620,gid=5 devpts "$tree/dev/pts"
+ln -sf pts/ptmx "$tree/dev/ptmx"
 cp -L /etc/resolv.conf "$tree/etc/resolv.conf"
 cp -L /etc/hosts "$tree/etc/hosts"
 
