@@ -72,6 +72,8 @@ def _frustum(x: float, y: float, z: float) -> float:
 @numba.njit(nogil=True, cache=True)
 def _shell(x: float, y: float, z: float) -> float:
     # A ribbed, spiral-free dome like a fossil scallop lying on a slab: a height field over the (x, y) plane.
+    if z < -46.0:
+        return -41.0 - z  # in front of all of it: a bound is enough
     ry = (y + 60.0) / 125.0
     rx = x / 88.0
     inside = 1.0 - rx * rx - (2.0 * ry - 1.0) * (2.0 * ry - 1.0)
@@ -96,6 +98,9 @@ def _stones(x: float, y: float, z: float) -> float:
         radius = (38.0, 32.0, 28.0, 34.0, 22.0)[i]
         dx, dy, dz = x - cx, y - cy, z - cz
         r = math.sqrt(dx * dx + dy * dy + dz * dz) + 1e-9
+        if r > 1.35 * radius:
+            best = min(best, r - 1.18 * radius)  # no bump reaches that far: a bound is enough
+            continue
         ux, uy, uz = dx / r, dy / r, dz / r
         bump = (
             0.07 * math.sin(3.0 * ux + 1.7 * i)
