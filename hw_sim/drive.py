@@ -111,5 +111,4 @@ class Drive:
             self._blank(time.monotonic_ns() - (late_ns if late_ns < CATCH_UP_NS else 0))
 
     def _blank(self, real_ns: int) -> None:
-        self._on_blank(self._time.blank(self._idle_speed, real_ns))
-        self._time.condition.notify_all()
+        self._time.blank(self._idle_speed, real_ns, self._on_blank)

@@ -27,8 +27,6 @@ class WorldOptions:
     seed: int = 1
     width_px: int = 1600
     height_px: int = 1200
-    display_width_px: int = 800
-    display_height_px: int = 480
     object: str = "pipe"
     object_pose: Pose | None = None
     texture: str = "slight"
@@ -52,6 +50,7 @@ class WorldOptions:
 
     def scene(self) -> Scene:
         """The scene these options describe. Raises OptionError."""
+        motion: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in self.motion.items()}
         try:
             return Scene(
                 self.object,
@@ -60,7 +59,7 @@ class WorldOptions:
                 Water(**self.water),
                 self.ambient,
                 self.noise,
-                Motion(**{k: tuple(v) if isinstance(v, list) else v for k, v in self.motion.items()}),
+                Motion(**motion),
             )
         except (TypeError, ValueError) as error:
             raise OptionError(f"scene: {error}") from error

@@ -61,6 +61,7 @@ class WorldTime:
         """The world has ended; time follows real time from then on, so that no wait of a host hangs or spins."""
         self._agenda: list[Happening] = []
         self._numbers = 0
+        self._standing_ns: int | None = None
         self._mark = _Mark(START_NS, time.monotonic_ns(), speed, START_NS, START_NS + _HALT_NS)
 
     @property
@@ -86,22 +87,33 @@ class WorldTime:
     def happen(self) -> None:
         """With the lock held: the next happening happens now. Only who drives the world calls this."""
         happening = heapq.heappop(self._agenda)
-        self._set_mark(happening.time_ns)
-        happening.action(happening.time_ns)
-        self.condition.notify_all()
+        self._stand(happening.time_ns, happening.action)
 
-    def blank(self, speed: float, real_ns: int) -> int:
-        """With the lock held: the next vertical blank happens, at ``real_ns`` of real time; returns its world time."""
+    def blank(self, speed: float, real_ns: int, action: Callable[[int], None]) -> None:
+        """With the lock held: the next vertical blank happens, at ``real_ns`` of real time, and ``action`` with it."""
         blank_ns = self._mark.blank_ns + BLANK_NS
         self._mark = _Mark(blank_ns, real_ns, speed, blank_ns, blank_ns)
-        self._set_mark(blank_ns)
-        self.condition.notify_all()
-        return blank_ns
+        self._stand(blank_ns, action)
+
+    def _stand(self, time_ns: int, action: Callable[[int], None]) -> None:
+        """Time stands still while something happens, so that all of it happens at that moment."""
+        self._standing_ns = time_ns
+        self._set_mark(time_ns)
+        try:
+            action(time_ns)
+        finally:
+            self._standing_ns = None
+            if not self.closed:
+                self._set_mark(time_ns)
+            self.condition.notify_all()
 
     def _set_mark(self, floor_ns: int) -> None:
         mark = self._mark
-        halt_ns = mark.blank_ns + _HALT_NS
-        limit_ns = min(self._agenda[0].time_ns, halt_ns) if self._agenda else halt_ns
+        limit_ns = mark.blank_ns + _HALT_NS
+        if self._standing_ns is not None:
+            limit_ns = self._standing_ns
+        elif self._agenda:
+            limit_ns = min(self._agenda[0].time_ns, limit_ns)
         # What was already seen stays seen: a lower limit must not turn the clock back.
         floor_ns = max(floor_ns, mark.now_ns(time.monotonic_ns()))
         self._mark = _Mark(mark.blank_ns, mark.blank_real_ns, mark.speed, floor_ns, limit_ns)

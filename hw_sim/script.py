@@ -94,10 +94,17 @@ class Diver:
         self.error: ScriptError | None = None
         self._thread = threading.Thread(target=self._run, name="sim-diver", daemon=True)
 
+    @property
+    def running(self) -> bool:
+        """The script has not come to its end."""
+        return self._thread.is_alive()
+
     def start(self) -> None:
+        """Begin to play."""
         self._thread.start()
 
     def join(self, timeout_s: float) -> None:
+        """Wait for the end, in real time."""
         self._thread.join(timeout_s)
 
     def _run(self) -> None:
@@ -139,8 +146,12 @@ class Diver:
     def _switch_off(self) -> None:
         for _ in range(int(POWER_OFF_TIMEOUT_S / 2)):
             self._world.press("back", POWER_OFF_HOLD_S)
-            if self._until(lambda: self._shows("state", "SHUTDOWN"), 2.0) or self._world.time.closed:
+            if self._until(self._off, 2.0) or self._world.time.closed:
                 return
+
+    def _off(self) -> bool:
+        """Switched off: the service says so, or has taken its status away."""
+        return self._read().get("state") in (None, "SHUTDOWN")
 
     def _shows(self, kind: str, name: str) -> bool:
         status = self._read()

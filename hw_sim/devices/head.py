@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 from dataclasses import dataclass
 from enum import Enum
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,6 @@ from hw_sim.devices import drm_abi as abi
 from hw_sim.devices.drm_abi import Modeinfo
 
 RGB_AUTOMATIC, RGB_FULL, RGB_LIMITED = 0, 1, 2
-FULL_RANGE = np.arange(256, dtype=np.uint8)
 LIMITED_RANGE = np.round(16 + np.arange(256) * 219 / 255).astype(np.uint8)
 
 
@@ -42,13 +42,19 @@ class Framebuffer:
         return rows[:, : 4 * self.width].reshape(self.height, self.width, 4)
 
 
+class FlipOwner(Protocol):
+    """Who asked for a flip and waits for its event."""
+
+    def deliver(self, user_data: int, time_ns: int, crtc: Crtc) -> None: ...
+
+
 @dataclass(frozen=True, slots=True)
 class Flip:
     """A page flip that was asked for."""
 
     framebuffer: Framebuffer
     user_data: int
-    owner: object | None
+    owner: FlipOwner | None
     """The opened file that gets the event; ``None`` if none was asked for."""
 
 

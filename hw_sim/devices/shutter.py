@@ -1,0 +1,223 @@
+"""Owns a camera's sensor timing: which triggers become exposures, and when each image has left for the host.
+
+Everything after an exposure follows from it: readout, the camera's bounded memory, the link. Block ids count
+exposures, so what is lost on the way leaves a gap.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hw_sim.devices.shot import Shot
+from hw_sim.faults import FaultBook
+from hw_sim.pace import WorldTime
+
+READOUT_NS = 15_000_000
+"""The whole sensor; rows are read one after the other. 66 frames a second at most."""
+MEMORY_BLOCKS = 8
+ROOM_BLOCKS = 4
+"""With fewer unread blocks nothing that is exposed during the next blanks can overrun the memory."""
+CONTINUOUS, SINGLE_FRAME, MULTI_FRAME = 0, 1, 2
+LINE0, SOFTWARE = 0, 8
+RISING, FALLING = 0, 1
+TIMED, TRIGGER_WIDTH = 1, 2
+
+
+@dataclass(frozen=True, slots=True)
+class Exposure:
+    """Light was collected from ``start_ns`` on."""
+
+    start_ns: int
+    duration_ns: int
+    gain_db: float
+    shot: Shot
+
+
+class Latent(Protocol):
+    """An image that is being made."""
+
+    @property
+    def ready(self) -> bool: ...
+
+    @property
+    def image(self) -> NDArray[np.uint8]:
+        """(h, w) of the whole sensor; only when ``ready``."""
+
+    def when_ready(self, action: Callable[[], None]) -> None:
+        """Call ``action`` with the lock held: at once, or as soon as the image is there. In order of the calls."""
+
+
+@dataclass(slots=True)
+class Settings:
+    """What the host sets. Power-on values: a free-running camera that needs no trigger."""
+
+    acquisition_mode: int = CONTINUOUS
+    frame_count: int = 1
+    frame_rate_mhz: int = 30_000
+    trigger_on: int = 0
+    trigger_source: int = LINE0
+    trigger_activation: int = RISING
+    exposure_mode: int = TIMED
+    exposure_us: int = 5_000
+    gain_tenth_db: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Taken:
+    """A frame that left the sensor."""
+
+    block_id: int
+    exposure: Exposure
+    latent: Latent | None
+    """``None``: overrun, the image is lost."""
+
+
+class Shutter:
+    """``expose(exposure)`` begins an image; ``send(taken)`` is called when it is with the link.
+
+    ``unread()`` counts the blocks the host has not read, ``link_ns()`` is what the link needs for a payload,
+    ``rows()`` the fraction of the sensor's rows that is read.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        time: WorldTime,
+        faults: FaultBook,
+        expose: Callable[[Exposure], Latent],
+        send: Callable[[Taken], None],
+        unread: Callable[[], int],
+        link_ns: Callable[[], int],
+        rows: Callable[[], float],
+    ) -> None:
+        self._name, self._time, self._faults = name, time, faults
+        self._expose, self._send, self._unread, self._link_ns, self._rows = expose, send, unread, link_ns, rows
+        self.settings = Settings()
+        self.acquiring = False
+        self.ignored = 0
+        """Triggers that came while a frame was exposed or could not have been read out."""
+        self._life = 0
+        self._block_id = 0
+        self._left: int | None = None
+        self.exposing_until_ns = 0
+        self._readout_until_ns = 0
+        self._link_free_ns = 0
+        self._held = 0
+        """Frames in the camera's memory that are not yet with the link."""
+        self._frozen: Latent | None = None
+
+    def power_up(self) -> None:
+        """Settings and counters as after plugging in."""
+        self.stop()
+        self._life += 1
+        self._held = 0
+        self.settings = Settings()
+
+    def start(self) -> None:
+        """Begin an acquisition; block ids begin at 0."""
+        s = self.settings
+        if self.acquiring:
+            return
+        self._life += 1
+        self._held = 0
+        self.acquiring = True
+        self._block_id = 0
+        self._left = {SINGLE_FRAME: 1, MULTI_FRAME: s.frame_count}.get(s.acquisition_mode)
+        if not s.trigger_on:
+            self._free_run(self._life, self._time.now_ns())
+
+    def stop(self) -> None:
+        """End the acquisition; what is exposed or on its way still comes."""
+        self.acquiring = False
+
+    # ------------------------------------------------------------------------------------------ triggers
+
+    def line0(self, time_ns: int, width_ns: int, shot: Shot) -> None:
+        """A pulse of the trigger line, rising at ``time_ns``."""
+        s = self.settings
+        if not s.trigger_on or s.trigger_source != LINE0:
+            return
+        start_ns = time_ns + (width_ns if s.trigger_activation == FALLING else 0)
+        late = self._faults.strike(self._name, "delayed", frame=shot.frame)
+        if late is not None:
+            start_ns += int(late.amount * 1e6)
+        duration_ns = width_ns if s.exposure_mode == TRIGGER_WIDTH else s.exposure_us * 1000
+        self._at(start_ns, lambda t: self._trigger(Exposure(t, duration_ns, s.gain_tenth_db / 10, shot)))
+
+    def software(self) -> None:
+        """The host's trigger command."""
+        s = self.settings
+        if s.trigger_on and s.trigger_source == SOFTWARE:
+            self._trigger(self._own_exposure(self._time.now_ns()))
+
+    def trigger_mode_changed(self) -> None:
+        """Off during an acquisition: it runs freely from now on."""
+        if self.acquiring and not self.settings.trigger_on:
+            self._free_run(self._life, self._time.now_ns())
+
+    def _free_run(self, life: int, time_ns: int) -> None:
+        if life != self._life or not self.acquiring or self.settings.trigger_on:
+            return
+        self._trigger(self._own_exposure(time_ns))
+        period_ns = max(10**12 // self.settings.frame_rate_mhz, self.settings.exposure_us * 1000)
+        self._time.at(time_ns + period_ns, lambda t: self._free_run(life, t))
+
+    def _own_exposure(self, time_ns: int) -> Exposure:
+        s = self.settings
+        return Exposure(time_ns, s.exposure_us * 1000, s.gain_tenth_db / 10, Shot(0, self._block_id, None))
+
+    # ------------------------------------------------------------------------------------------ exposure to link
+
+    def _at(self, time_ns: int, action: Callable[[int], None], ready: Callable[[], bool] | None = None) -> None:
+        """As the world's agenda, for this acquisition."""
+        life = self._life
+
+        def alive(t: int) -> None:
+            if self._life == life:
+                action(t)
+
+        # Also what is no longer wanted waits for its image, so that images are made in order.
+        self._time.at(time_ns, alive, ready)
+
+    def _trigger(self, exposure: Exposure) -> None:
+        end_ns = exposure.start_ns + exposure.duration_ns
+        if not self.acquiring or self._left == 0:
+            return
+        if exposure.start_ns < self.exposing_until_ns or end_ns < self._readout_until_ns:
+            self.ignored += 1
+            return
+        block_id = self._block_id
+        self._block_id += 1
+        if self._left is not None:
+            self._left -= 1
+        self.exposing_until_ns = end_ns
+        self._readout_until_ns = end_ns + int(READOUT_NS * self._rows())
+        self._at(end_ns, lambda _: self._exposed(block_id, exposure))
+
+    def _exposed(self, block_id: int, exposure: Exposure) -> None:
+        if self._held + self._unread() >= MEMORY_BLOCKS:
+            self._send(Taken(block_id, exposure, None))
+            return
+        if self._faults.active(self._name, "stuck") is None or self._frozen is None:
+            self._frozen = self._expose(exposure)
+        latent = self._frozen
+        self._held += 1
+        due_ns = max(self._readout_until_ns, self._link_free_ns) + self._link_ns()
+        self._link_free_ns = due_ns
+
+        def due(_: int) -> None:
+            latent.when_ready(leave)
+
+        life = self._life
+
+        def leave() -> None:
+            if self._life == life:
+                self._held -= 1
+                self._send(Taken(block_id, exposure, latent))
+
+        self._at(due_ns, due, lambda: latent.ready)

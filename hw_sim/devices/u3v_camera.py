@@ -1,0 +1,315 @@
+"""Owns one USB3 Vision camera as the bus sees it: descriptors, control requests, four bulk endpoints, power.
+
+All calls with the world's lock held. What the host does wrong raises ``Stall`` or ``Overflow``, as the bus would.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from hw_sim.devices import u3v_descriptors as usb
+from hw_sim.devices import u3v_registers
+from hw_sim.devices.gencp_memory import Refused, Status
+from hw_sim.devices.shot import Shot
+from hw_sim.devices.shutter import ROOM_BLOCKS, Exposure, Latent, Settings, Shutter, Taken
+from hw_sim.devices.u3v_control import MAX_COMMAND, ControlChannel
+from hw_sim.devices.u3v_descriptors import Identity, Speed
+from hw_sim.devices.u3v_stream import OVERRUN, Block, Overflow, Region, Setup, StreamPipe
+from hw_sim.faults import FaultBook
+from hw_sim.pace import WorldTime
+
+ARMING_NS = 30_000_000
+"""The sensor needs this long to start: longer than the response time, so that the host sees a PENDING_ACK."""
+_GET_STATUS, _CLEAR_FEATURE, _SET_FEATURE, _GET_DESCRIPTOR = 0x00, 0x01, 0x03, 0x06
+_GET_CONFIGURATION, _SET_CONFIGURATION, _GET_INTERFACE, _SET_INTERFACE = 0x08, 0x09, 0x0A, 0x0B
+_ENDPOINT_HALT = 0
+
+
+class Stall(Exception):
+    """The endpoint is halted, or the device does not know the request."""
+
+
+class U3vCamera:
+    """A camera; ``name`` is its name in fault sentences, ``expose`` begins an image of its whole sensor."""
+
+    def __init__(
+        self,
+        name: str,
+        serial: str,
+        sensor: tuple[int, int],
+        time: WorldTime,
+        faults: FaultBook,
+        expose: Callable[[Exposure], Latent],
+        temperature_c: Callable[[], float],
+        seed: int,
+    ) -> None:
+        self.name, self.sensor = name, sensor
+        self._time, self._faults = time, faults
+        self.temperature_c = temperature_c
+        rng = np.random.default_rng([seed, *serial.encode()])
+        self._clock_offset_ns = int(rng.integers(10**9, 10**12))
+        self._clock_ppm = float(rng.uniform(-40.0, 40.0))
+        self._noise = rng
+        guid = f"{usb.VENDOR_ID:04X}{int(rng.integers(0, 2**32)):08X}"
+        self.identity = Identity(
+            *("Kingfisher", "KFC1920", "KFC", "1.0", f"{sensor[0]}x{sensor[1]} mono"), guid, serial, serial
+        )
+        self.speed = Speed.SUPER
+        self.plugged = True
+        self.enumeration = 0
+        """Counts how often it appeared on the bus; a handle is good for one of them."""
+        self.shutter = Shutter(
+            *(name, time, faults, expose, self._send),
+            unread=lambda: self._pipe.blocks,
+            link_ns=lambda: int(self.region.payload_bytes / self.speed.bytes_per_s * 1e9),
+            rows=lambda: self.region.height / sensor[1],
+        )
+        self._pipe = StreamPipe()
+        self._power_up()
+        self._memory = u3v_registers.build(self)
+        self._control = ControlChannel(time, self._memory, self._write_duration_ns)
+
+    def _power_up(self) -> None:
+        self.region = Region(*self.sensor, 0, 0)
+        self.setup = Setup()
+        self.streaming = False
+        self.user_name = self.identity.user_name.encode().ljust(64, b"\0")
+        self._configuration = 1
+        self._halted: set[int] = set()
+        self._swapped: deque[Block] = deque()
+        self._overrun_told = False
+        self._pipe.clear()
+        self.shutter.power_up()
+
+    def refresh(self, time_ns: int) -> None:
+        """A fault may have begun or ended: it may leave the bus, come back, or come back slower."""
+        plugged = self._faults.active(self.name, "off") is None
+        speed = Speed.HIGH if self._faults.active(self.name, "slow") else Speed.SUPER
+        if (plugged, speed) != (self.plugged, self.speed):
+            self.plugged, self.speed = plugged, speed
+            self.restart()
+
+    # ------------------------------------------------------------------------------------------ behind the registers
+
+    @property
+    def settings(self) -> Settings:
+        """What the host set."""
+        return self.shutter.settings
+
+    @property
+    def acquiring(self) -> bool:
+        """An acquisition runs."""
+        return self.shutter.acquiring
+
+    def clock_ns(self) -> int:
+        """The camera's own clock now."""
+        return self._camera_time_ns(self._time.now_ns())
+
+    def _camera_time_ns(self, time_ns: int) -> int:
+        tick_ns = u3v_registers.TIMESTAMP_INCREMENT_NS
+        return (self._clock_offset_ns + int(time_ns * (1.0 + self._clock_ppm * 1e-6))) // tick_ns * tick_ns
+
+    def start(self) -> None:
+        """AcquisitionStart. Raises Refused."""
+        if usb.STREAM_IN in self._halted:
+            raise Refused(Status.STREAM_ENDPOINT_HALTED)
+        self._overrun_told = False
+        self.shutter.start()
+
+    def stop(self) -> None:
+        """AcquisitionStop."""
+        self.shutter.stop()
+
+    def software_trigger(self) -> None:
+        """TriggerSoftware."""
+        self.shutter.software()
+
+    def trigger_mode_changed(self) -> None:
+        """TriggerMode was written."""
+        self.shutter.trigger_mode_changed()
+
+    def restart(self) -> None:
+        """DeviceReset, or the cable: everything is forgotten, and it is another device on the bus."""
+        self.enumeration += 1
+        self._control.reset()
+        self._power_up()
+        self._time.condition.notify_all()
+
+    def stream(self, on: bool) -> None:
+        """The stream interface's control bit. Raises Refused."""
+        if on and not self.streaming:
+            if usb.STREAM_IN in self._halted:
+                raise Refused(Status.STREAM_ENDPOINT_HALTED)
+            self.setup.check(self.region.payload_bytes)
+        if on != self.streaming:
+            self._pipe.clear()
+            self._swapped.clear()
+            self.streaming = on
+
+    def _write_duration_ns(self, address: int) -> int:
+        return ARMING_NS if address == u3v_registers.ACQUISITION_START else 0
+
+    # ------------------------------------------------------------------------------------------ frames
+
+    @property
+    def room(self) -> bool:
+        """The host reads fast enough."""
+        return self._pipe.blocks < ROOM_BLOCKS
+
+    def line0(self, time_ns: int, width_ns: int, shot: Shot) -> None:
+        """A pulse of the trigger line."""
+        if self.plugged:
+            self.shutter.line0(time_ns, width_ns, shot)
+
+    def _send(self, taken: Taken) -> None:
+        """A frame is ready for the link: as it is, or as a fault left it."""
+        if not self.streaming or not self.plugged:
+            return
+        time_ns = self._camera_time_ns(taken.exposure.start_ns)
+        if taken.latent is None:
+            # The first block that finds the memory full is still announced; those behind it leave only a gap.
+            if not self._overrun_told:
+                self._overrun_told = True
+                self._put(Block(taken.block_id, time_ns, self.region, b"", OVERRUN))
+            return
+        self._overrun_told = False
+        r = self.region
+        pixels = taken.latent.image[r.offset_y : r.offset_y + r.height, r.offset_x : r.offset_x + r.width]
+        block = Block(taken.block_id, time_ns, r, np.ascontiguousarray(pixels).reshape(-1).data)
+        frame, count = taken.exposure.shot.frame, taken.exposure.shot.count
+        if self._strikes("intermittent", None, frame):
+            return
+        if self._strikes("wrong", "swap", frame) or (
+            frame is not None and count is not None and frame == count - 2 and self._strikes("wrong", "swap", count - 1)
+        ):
+            self._swapped.append(block)
+            return
+        block = self._spoil(block, frame)
+        self._put(block)
+        if self._strikes("wrong", "repeat", frame):
+            self._put(block)
+        while self._swapped:
+            self._put(self._swapped.popleft())
+
+    def _spoil(self, block: Block, frame: int | None) -> Block:
+        if self._strikes("garbage", "truncate", frame):
+            packet = self.speed.bulk_packet
+            half = len(block.payload) // 2 // packet * packet + packet // 2
+            return replace(block, payload=block.payload[: min(half, len(block.payload) - 1)])
+        if self._strikes("garbage", "leader", frame):
+            return replace(block, spoilt_leader=self._noise.bytes(52))
+        if self._strikes("garbage", "trailer", frame):
+            return replace(block, spoilt_trailer=self._noise.bytes(32))
+        return block
+
+    def _strikes(self, verb: str, how: str | None, frame: int | None) -> bool:
+        return self._faults.strike(self.name, verb, how, frame) is not None
+
+    def _put(self, block: Block) -> None:
+        self._pipe.send(block, self.setup)
+        self._time.condition.notify_all()
+
+    # ------------------------------------------------------------------------------------------ the bus
+
+    def device_descriptor(self) -> bytes:
+        """18 bytes."""
+        return usb.device(self.speed)
+
+    def configuration_descriptor(self) -> bytes:
+        """The configuration with everything in it."""
+        return usb.configuration(self.speed)
+
+    def request(self, kind: int, request: int, value: int, index: int, length: int) -> bytes:
+        """A control transfer on endpoint 0; returns the data of an IN request. Raises Stall."""
+        answer = self._standard_in(kind, request, value, index) if kind & 0x80 else b""
+        if answer is None or (not kind & 0x80 and not self._standard_out(kind, request, value, index)):
+            raise Stall
+        return answer[:length]
+
+    def _standard_in(self, kind: int, request: int, value: int, index: int) -> bytes | None:
+        match kind, request:
+            case 0x80, 0x06:
+                return self._descriptor(value >> 8, value & 0xFF)
+            case 0x80, 0x08:
+                return bytes([self._configuration])
+            case 0x81, 0x0A:
+                return b"\0" if index < 3 else None
+            case ((0x80 | 0x81), 0x00):
+                return b"\0\0"
+            case 0x82, 0x00:
+                return struct.pack("<H", index in self._halted)
+            case _:
+                return None
+
+    def _descriptor(self, kind: int, index: int) -> bytes | None:
+        match kind:
+            case 1:
+                return usb.device(self.speed)
+            case 2:
+                return usb.configuration(self.speed) if index == 0 else None
+            case 3:
+                return usb.string(self.identity, index)
+            case 15:
+                return usb.bos(self.speed)
+            case _:
+                return None
+
+    def _standard_out(self, kind: int, request: int, value: int, index: int) -> bool:
+        match kind, request:
+            case 0x00, 0x09:
+                self._configuration = value
+                return value in (0, 1)
+            case 0x01, 0x0B:
+                return index < 3 and value == 0
+            case 0x02, 0x01 if value == _ENDPOINT_HALT:
+                self.clear_halt(index)
+                return True
+            case 0x02, 0x03 if value == _ENDPOINT_HALT:
+                self._halted.add(index)
+                if index == usb.STREAM_IN:
+                    self._pipe.clear()
+                return True
+            case _:
+                return False
+
+    def clear_halt(self, endpoint: int) -> None:
+        """CLEAR_FEATURE(ENDPOINT_HALT)."""
+        self._halted.discard(endpoint)
+
+    def write(self, endpoint: int, data: bytes) -> int:
+        """A bulk OUT transfer. Raises Stall."""
+        if endpoint != usb.CONTROL_OUT or endpoint in self._halted or len(data) > MAX_COMMAND:
+            raise Stall
+        self._control.receive(data)
+        return len(data)
+
+    def read(self, endpoint: int, buffer: memoryview) -> tuple[int, bool]:
+        """A bulk IN transfer as far as data is there: bytes put into ``buffer``, and whether the transfer ends.
+
+        Raises Stall, Overflow.
+        """
+        if endpoint in self._halted:
+            raise Stall
+        match endpoint:
+            case usb.CONTROL_IN:
+                ack = self._control.take()
+                if ack is None:
+                    return 0, False
+                if len(ack) > len(buffer):
+                    raise Overflow
+                buffer[: len(ack)] = ack
+                return len(ack), True
+            case usb.STREAM_IN:
+                filled, done = self._pipe.read(buffer, self.speed.bulk_packet)
+                if filled:
+                    self._time.condition.notify_all()
+                return filled, done
+            case usb.EVENT_IN:
+                return 0, False
+            case _:
+                raise Stall

@@ -1,0 +1,272 @@
+"""Owns the camera's register map: the tables that GenCP and USB3 Vision prescribe, and the camera's own features.
+
+The addresses of the features are known to nobody but this file and ``u3v_camera.xml``, which the camera hands out.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import struct
+import zipfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import resources
+from typing import Protocol
+
+from hw_sim.devices import u3v_control
+from hw_sim.devices.gencp_memory import Memory, Refused, Register, Status
+from hw_sim.devices.shutter import FALLING, LINE0, MULTI_FRAME, RISING, SOFTWARE, TIMED, TRIGGER_WIDTH, Settings
+from hw_sim.devices.u3v_descriptors import GENCP_VERSION, U3V_VERSION, Identity, Speed
+from hw_sim.devices.u3v_stream import ALIGNMENT_LOG2, LEADER_BYTES, MONO8, TRAILER_BYTES, Region, Setup
+
+MANIFEST, SBRM, SIRM, EIRM, FEATURES, XML = 0x8000, 0x1_0000, 0x1_1000, 0x1_2000, 0x20_0000, 0x80_0000
+FIRMWARE_VERSION = "1.2.0"
+ACQUISITION_START, ACQUISITION_STOP = FEATURES + 0x104, FEATURES + 0x108
+TIMESTAMP_INCREMENT_NS = 8
+_USER_NAME_BYTES = 64
+_BUS_SPEED = {Speed.HIGH: 4, Speed.SUPER: 8}
+_XML_VERSION = (1, 2, 0)
+_XML_TIME = (2024, 5, 14, 9, 0, 0)
+
+
+class CameraCore(Protocol):
+    """What the registers show and change."""
+
+    identity: Identity
+    speed: Speed
+    setup: Setup
+    region: Region
+    sensor: tuple[int, int]
+    user_name: bytes
+    streaming: bool
+
+    @property
+    def settings(self) -> Settings: ...
+
+    @property
+    def acquiring(self) -> bool: ...
+
+    def stream(self, on: bool) -> None: ...
+
+    def clock_ns(self) -> int: ...
+
+    def temperature_c(self) -> float: ...
+
+    def start(self) -> None: ...
+
+    def stop(self) -> None: ...
+
+    def software_trigger(self) -> None: ...
+
+    def trigger_mode_changed(self) -> None: ...
+
+    def restart(self) -> None: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Allowed values of a register."""
+
+    low: int
+    high: int
+    step: int = 1
+
+    def check(self, value: int) -> None:
+        """Raises Refused."""
+        if not self.low <= value <= self.high or (value - self.low) % self.step:
+            raise Refused(Status.INVALID_PARAMETER)
+
+
+def zipped_description() -> bytes:
+    """The GenICam description as the camera stores it: the same bytes every time."""
+    xml = resources.files(__package__).joinpath("u3v_camera.xml").read_bytes()
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr(zipfile.ZipInfo("Kingfisher_KFC1920.xml", _XML_TIME), xml, zipfile.ZIP_DEFLATED)
+    return packed.getvalue()
+
+
+def build(core: CameraCore) -> Memory:
+    """All memory of a camera."""
+    memory = Memory()
+    description = zipped_description()
+    _bootstrap(memory, core)
+    _manifest(memory, description)
+    _technology(memory, core)
+    _stream_interface(memory, core)
+    _event_interface(memory)
+    _features(memory, core)
+    memory.blob(XML, description + bytes(-len(description) % 4))
+    return memory
+
+
+def _version(version: tuple[int, int]) -> int:
+    major, minor = version
+    return major << 16 | minor
+
+
+def _bootstrap(memory: Memory, core: CameraCore) -> None:
+    """ABRM: user name, timestamp, family name, SBRM and the written length are supported."""
+    identity = core.identity
+    memory.u32(0x000, lambda: _version(GENCP_VERSION))
+    texts = (identity.vendor, identity.model, identity.family, identity.version, identity.info, identity.serial)
+    for index, text in enumerate(texts):
+        memory.text(0x004 + 64 * index, 64, text)
+
+    def rename(data: bytes) -> None:
+        core.user_name = data.ljust(_USER_NAME_BYTES, b"\0")
+
+    memory.add(Register(0x184, _USER_NAME_BYTES, lambda: core.user_name, rename, whole=False))
+    memory.u64(0x1C4, lambda: 1 << 0 | 1 << 3 | 1 << 8 | 1 << 9 | 1 << 11)
+    memory.u32(0x1CC, lambda: u3v_control.MAX_RESPONSE_MS)
+    memory.u64(0x1D0, lambda: MANIFEST)
+    memory.u64(0x1D8, lambda: SBRM)
+    memory.u64(0x1E0, lambda: 0)
+    latched = 0
+
+    def latch(value: int) -> None:
+        nonlocal latched
+        if value & 1:
+            latched = core.clock_ns()
+
+    memory.u64(0x1F0, lambda: latched)
+    memory.u32(0x1F8, None, latch)
+    memory.u64(0x1FC, lambda: TIMESTAMP_INCREMENT_NS)
+
+
+def _manifest(memory: Memory, description: bytes) -> None:
+    major, minor, sub = _XML_VERSION
+    entry = struct.pack("<IIQQ", major << 24 | minor << 16 | sub, 1 << 24 | 1 << 16 | 1 << 10, XML, len(description))
+    digest = hashlib.sha1(description, usedforsecurity=False).digest()
+    memory.blob(MANIFEST, struct.pack("<Q", 1) + entry + digest + bytes(20))
+
+
+def _technology(memory: Memory, core: CameraCore) -> None:
+    """SBRM: stream and event interfaces are there."""
+    memory.u32(SBRM + 0x00, lambda: _version(U3V_VERSION))
+    memory.u64(SBRM + 0x04, lambda: 1 << 0 | 1 << 1)
+    memory.u64(SBRM + 0x0C, lambda: 0)
+    memory.u32(SBRM + 0x14, lambda: u3v_control.MAX_COMMAND)
+    memory.u32(SBRM + 0x18, lambda: u3v_control.MAX_ACKNOWLEDGE)
+    memory.u32(SBRM + 0x1C, lambda: 1)
+    memory.u64(SBRM + 0x20, lambda: SIRM)
+    memory.u32(SBRM + 0x28, lambda: 0x30)
+    memory.u64(SBRM + 0x2C, lambda: EIRM)
+    memory.u32(SBRM + 0x34, lambda: 0x08)
+    memory.u64(SBRM + 0x38, lambda: 0)
+    memory.u32(SBRM + 0x40, lambda: _BUS_SPEED[core.speed])
+
+
+def _stream_interface(memory: Memory, core: CameraCore) -> None:
+    """SIRM: its set-up can only be written while the stream is off."""
+
+    def field(name: str) -> tuple[Callable[[], int], Callable[[int], None]]:
+        def write(value: int) -> None:
+            if core.streaming:
+                raise Refused(Status.ACCESS_DENIED)
+            setattr(core.setup, name, value)
+
+        return lambda: int(getattr(core.setup, name)), write
+
+    def control(value: int) -> None:
+        core.stream(bool(value & 1))
+
+    memory.u32(SIRM + 0x00, lambda: ALIGNMENT_LOG2 << 24)
+    memory.u32(SIRM + 0x04, lambda: int(core.streaming), control)
+    memory.u64(SIRM + 0x08, lambda: core.region.payload_bytes)
+    memory.u32(SIRM + 0x10, lambda: LEADER_BYTES)
+    memory.u32(SIRM + 0x14, lambda: TRAILER_BYTES)
+    for offset, name in (
+        (0x18, "max_leader"),
+        (0x1C, "size"),
+        (0x20, "count"),
+        (0x24, "final1"),
+        (0x28, "final2"),
+        (0x2C, "max_trailer"),
+    ):
+        memory.u32(SIRM + offset, *field(name))
+
+
+def _event_interface(memory: Memory) -> None:
+    """EIRM: may be enabled, but this camera has no events to send."""
+    enabled = 0
+
+    def control(value: int) -> None:
+        nonlocal enabled
+        enabled = value & 1
+
+    memory.u32(EIRM + 0x00, lambda: enabled, control)
+    memory.u32(EIRM + 0x04, lambda: 0)
+
+
+def _features(memory: Memory, core: CameraCore) -> None:
+    base = FEATURES
+    sensor_width, sensor_height = core.sensor
+
+    def shape(name: str, limits: Callable[[Region], Limits]) -> tuple[Callable[[], int], Callable[[int], None]]:
+        """A property of the region; locked while frames may be on their way."""
+
+        def write(value: int) -> None:
+            if core.acquiring or core.streaming:
+                raise Refused(Status.ACCESS_DENIED)
+            region = core.region
+            limits(region).check(value)
+            values = {key: getattr(region, key) for key in ("width", "height", "offset_x", "offset_y")}
+            core.region = Region(**(values | {name: value}))
+
+        return lambda: int(getattr(core.region, name)), write
+
+    def setting(
+        name: str, allowed: Limits | tuple[int, ...], locked: bool = False, then: Callable[[], None] | None = None
+    ) -> tuple[Callable[[], int], Callable[[int], None]]:
+        def write(value: int) -> None:
+            if locked and core.acquiring:
+                raise Refused(Status.ACCESS_DENIED)
+            if isinstance(allowed, Limits):
+                allowed.check(value)
+            elif value not in allowed:
+                raise Refused(Status.INVALID_PARAMETER)
+            setattr(core.settings, name, value)
+            if then is not None:
+                then()
+
+        return lambda: int(getattr(core.settings, name)), write
+
+    def only(value: int) -> Callable[[int], None]:
+        return Limits(value, value).check
+
+    def command(action: Callable[[], None]) -> Callable[[int], None]:
+        def write(value: int) -> None:
+            if value & 1:
+                action()
+
+        return write
+
+    memory.u32(base + 0x000, *shape("width", lambda r: Limits(16, sensor_width - r.offset_x, 8)))
+    memory.u32(base + 0x004, *shape("height", lambda r: Limits(2, sensor_height - r.offset_y, 2)))
+    memory.u32(base + 0x008, *shape("offset_x", lambda r: Limits(0, sensor_width - r.width, 8)))
+    memory.u32(base + 0x00C, *shape("offset_y", lambda r: Limits(0, sensor_height - r.height, 2)))
+    memory.u32(base + 0x010, lambda: MONO8, only(MONO8))
+    memory.u32(base + 0x014, lambda: sensor_width)
+    memory.u32(base + 0x018, lambda: sensor_height)
+    memory.u32(base + 0x01C, lambda: core.region.payload_bytes)
+    memory.u32(base + 0x020, lambda: sensor_width - core.region.offset_x)
+    memory.u32(base + 0x024, lambda: sensor_height - core.region.offset_y)
+    memory.u32(base + 0x100, *setting("acquisition_mode", Limits(0, MULTI_FRAME), locked=True))
+    memory.u32(ACQUISITION_START, None, command(core.start))
+    memory.u32(ACQUISITION_STOP, None, command(core.stop))
+    memory.u32(base + 0x10C, *setting("frame_count", Limits(1, 65_535), locked=True))
+    memory.u32(base + 0x110, *setting("frame_rate_mhz", Limits(1_000, 60_000)))
+    memory.u32(base + 0x114, lambda: int(core.acquiring))
+    memory.u32(base + 0x200, *setting("trigger_on", (0, 1), then=core.trigger_mode_changed))
+    memory.u32(base + 0x204, *setting("trigger_source", (LINE0, SOFTWARE)))
+    memory.u32(base + 0x208, *setting("trigger_activation", (RISING, FALLING)))
+    memory.u32(base + 0x20C, None, command(core.software_trigger))
+    memory.u32(base + 0x210, lambda: 0, only(0))
+    memory.u32(base + 0x300, *setting("exposure_mode", (TIMED, TRIGGER_WIDTH)))
+    memory.u32(base + 0x304, *setting("exposure_us", Limits(20, 1_000_000)))
+    memory.u32(base + 0x308, *setting("gain_tenth_db", Limits(0, 240)))
+    memory.f32(base + 0x400, core.temperature_c)
+    memory.text(base + 0x420, 32, FIRMWARE_VERSION)
+    memory.u32(base + 0x500, None, command(core.restart))

@@ -1,0 +1,82 @@
+"""Owns the reading of a device's descriptors into named fields, grouped as libusb groups them."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, field
+from typing import Any
+
+_FIELDS: dict[int, tuple[str, tuple[str, ...]]] = {
+    1: (
+        "<BBHBBBBHHHBBBB",
+        (
+            *("bLength", "bDescriptorType", "bcdUSB", "bDeviceClass", "bDeviceSubClass", "bDeviceProtocol"),
+            *("bMaxPacketSize0", "idVendor", "idProduct", "bcdDevice", "iManufacturer", "iProduct"),
+            *("iSerialNumber", "bNumConfigurations"),
+        ),
+    ),
+    2: (
+        "<BBHBBBBB",
+        (
+            *("bLength", "bDescriptorType", "wTotalLength", "bNumInterfaces", "bConfigurationValue"),
+            *("iConfiguration", "bmAttributes", "bMaxPower"),
+        ),
+    ),
+    4: (
+        "<BBBBBBBBB",
+        (
+            *("bLength", "bDescriptorType", "bInterfaceNumber", "bAlternateSetting", "bNumEndpoints"),
+            *("bInterfaceClass", "bInterfaceSubClass", "bInterfaceProtocol", "iInterface"),
+        ),
+    ),
+    5: (
+        "<BBBBHB",
+        ("bLength", "bDescriptorType", "bEndpointAddress", "bmAttributes", "wMaxPacketSize", "bInterval"),
+    ),
+}
+_CONFIGURATION, _INTERFACE, _ENDPOINT = 2, 4, 5
+
+
+@dataclass(slots=True)
+class Interface:
+    """An interface's fields, and those of its endpoints."""
+
+    fields: dict[str, Any]
+    endpoints: list[dict[str, Any]] = field(default_factory=list)
+
+
+def parse_device(raw: bytes) -> dict[str, Any]:
+    """Fields of a device descriptor."""
+    return _named(raw)
+
+
+def parse_configuration(raw: bytes) -> tuple[dict[str, Any], list[Interface]]:
+    """Fields of a configuration and its interfaces.
+
+    What is neither configuration, interface nor endpoint goes into ``extra_descriptors`` of the one before it.
+    """
+    configuration: dict[str, Any] = {}
+    interfaces: list[Interface] = []
+    latest: dict[str, Any] = {}
+    at = 0
+    while at < len(raw):
+        length, kind = raw[at], raw[at + 1]
+        piece = raw[at : at + length]
+        at += length
+        if kind not in (_CONFIGURATION, _INTERFACE, _ENDPOINT):
+            latest["extra_descriptors"] += list(piece)
+            continue
+        latest = {**_named(piece), "extra_descriptors": []}
+        if kind == _CONFIGURATION:
+            configuration = latest
+        elif kind == _INTERFACE:
+            interfaces.append(Interface(latest))
+        else:
+            interfaces[-1].endpoints.append({**latest, "bRefresh": 0, "bSynchAddress": 0})
+            latest = interfaces[-1].endpoints[-1]
+    return configuration, interfaces
+
+
+def _named(raw: bytes) -> dict[str, Any]:
+    form, names = _FIELDS[raw[1]]
+    return dict(zip(names, struct.unpack(form, raw[: struct.calcsize(form)]), strict=True))
