@@ -181,7 +181,7 @@ def field_without_unit(source: Source) -> Iterator[Breach]:
         for item in node.body:
             match item:
                 case ast.AnnAssign(target=ast.Name(id=name), annotation=kind):
-                    if QUANTITY.search(name) and "str" not in ast.unparse(kind):
+                    if QUANTITY.search(name) and re.search(r"\b(float|int)\b", ast.unparse(kind)):
                         yield item.lineno, f"{node.name}.{name} is a quantity: name its unit (_ms, _mm, _c)"
 
 
@@ -262,6 +262,7 @@ RULES = [
         good=("event.wait(1.0)", "thread.join(timeout=2)", "', '.join(names)", "pacer.wait(clock)"),
         except_calls={
             "self._pacer.wait": "a pacer computes its own deadline",
+            "self._drive.join": "the world's drive bounds its own end",
             "pending.result": "asked only once it is done",
             "answer.result": "asked only once it is done",
             "scan.raw.result": "asked behind it, in the same one thread",
