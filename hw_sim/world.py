@@ -35,6 +35,8 @@ from hw_sim.render import LightSlice, Renderer, Surface, TrueView
 from hw_sim.scene import Scene
 from hw_sim.truth import SETS, TrueRig, draw_truth, load_truth
 
+__all__ = ["World", "WorldOptions"]
+
 LOG = logging.getLogger(__name__)
 SIDES = ("left", "right")
 SERIALS = {"left": "KF-CAM-L", "right": "KF-CAM-R"}
@@ -78,6 +80,7 @@ class World:
             self.board = Board(self.time, self.faults, self._fire, self._sensor, o.seed)
             self.keypad = Keypad(self.time, self.faults, o.seed)
             self.cameras = {side: self._camera(side) for side in SIDES}
+            self.board.vsync(self.time.blank_ns)  # the console has been on the projector since boot
         self._intervals: deque[_Interval] = deque([_Interval(START_NS)], maxlen=KEPT_INTERVALS)
         self._shown_before: NDArray[np.uint8] | None = None
         self._first_pulse_ns: dict[int, int] = {}

@@ -81,7 +81,7 @@ class Board:
         self._beats = 0
         self._reader = CommandReader()
         self._answered: tuple[Command, bytes] | None = None
-        self._boot("POWER", time.now_ns())
+        self._boot("POWER", time.blank_ns)
 
     # ------------------------------------------------------------------------------------------ what others see
 
