@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from hw_sim.pace import WorldTime
 
 Image = NDArray[np.uint8]
-MOST_WAITING = 12
-"""Images that one camera may have under way; the cameras' memory keeps well below."""
+MOST_WAITING = 40
+"""Images that one camera may have under way, more than its memory holds."""
 
 
 class Print:
@@ -57,10 +57,10 @@ class Darkroom:
         self._threads = {name: ThreadPoolExecutor(1, f"darkroom-{name}") for name in cameras}
         self._pending = dict.fromkeys(cameras, 0)
 
-    def make(self, camera: str, render: Callable[[], Image]) -> Print:
-        """With the lock held: begin an image. Raises RuntimeError if far too many are under way."""
+    def make(self, camera: str, render: Callable[[], Image]) -> Print | None:
+        """With the lock held: begin an image; ``None`` if too many are under way."""
         if self._pending[camera] >= MOST_WAITING:
-            raise RuntimeError(f"{camera}: more than {MOST_WAITING} images are being made")
+            return None
         self._pending[camera] += 1
         latent = Print()
 

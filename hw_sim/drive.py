@@ -44,7 +44,9 @@ class Drive:
         self._lock_step = lock_step
         self._idle_speed = idle_speed if lock_step else 1.0
         self._given_up: int | None = None
-        """The armed sequence whose host ran out of patience."""
+        """The armed sequence whose host was waited for in vain."""
+        self._waiting_since_ns: int | None = None
+        """Real time since when nothing but the host keeps the next blank from coming."""
         self.failure: BaseException | None = None
         """What ended the world before its time."""
         self._thread = threading.Thread(target=self._run, name="world", daemon=True)
@@ -81,20 +83,28 @@ class Drive:
         blank_ns = self._time.blank_ns + BLANK_NS
         happening = self._time.due(blank_ns)
         real_s = self._time.real_until_s(happening.time_ns if happening else blank_ns)
+        if recording and not hurry and real_s <= 0 and happening is None:
+            self._wait_for_host(sequence)
+            return
+        self._waiting_since_ns = None
         if not hurry and real_s > 0:
             self._time.condition.wait(min(real_s, LONGEST_WAIT_S))
-        elif happening is not None:
-            if happening.ready is None or happening.ready():
-                self._time.happen()
-            else:
-                self._time.condition.wait(LONGEST_WAIT_S)
-        elif recording and not hurry:
-            if real_s < -PATIENCE_S:
-                self._given_up = sequence
-            else:
-                self._time.condition.wait(LONGEST_WAIT_S)
-        else:
+        elif happening is None:
             self._blank(time.monotonic_ns())
+        elif happening.ready is None or happening.ready():
+            self._time.happen()
+        else:
+            self._time.condition.wait(LONGEST_WAIT_S)
+
+    def _wait_for_host(self, sequence: int | None) -> None:
+        now_ns = time.monotonic_ns()
+        if self._waiting_since_ns is None:
+            self._waiting_since_ns = now_ns
+        left_s = PATIENCE_S - (now_ns - self._waiting_since_ns) / 1e9
+        if left_s > 0:
+            self._time.condition.wait(min(left_s, LONGEST_WAIT_S))
+        else:
+            self._given_up = sequence
 
     # -- real time: blanks come whatever the host does
 

@@ -18,8 +18,15 @@ if TYPE_CHECKING:
 
 POLL_S = 0.05
 KEYS = ("scan", "back", "up", "down")
+PRESS_S = 0.15
+"""How long a key is held unless the step says so; also the diver's pause behind each press."""
 POWER_OFF_HOLD_S = 1.2
-POWER_OFF_TIMEOUT_S = 30.0
+POWER_OFF_TRIES = 15
+POWER_OFF_TRY_S = 2.0
+GRAMMAR = (
+    "allowed are: wait state NAME S, wait alert CODE S, pause S, press KEY [S], fault SENTENCE, clear, "
+    "object NAME [X Y Z RX RY RZ], screenshot PATH, end"
+)
 
 
 class ScriptError(Exception):
@@ -48,7 +55,7 @@ def parse_script(text: str) -> tuple[Step, ...]:
         step = Step(number, words[0], tuple(words[1:]))
         try:
             _check(step)
-        except (ValueError, IndexError) as error:
+        except ValueError as error:
             raise ScriptError(f"{step}: {error}") from error
         steps.append(step)
     return tuple(steps)
@@ -56,80 +63,93 @@ def parse_script(text: str) -> tuple[Step, ...]:
 
 def _check(step: Step) -> None:
     match step.verb, step.words:
-        case "wait", ("state", _, seconds):
-            float(seconds)
-        case "wait", ("alert", _, seconds):
-            float(seconds)
-        case "pause", (seconds,):
-            float(seconds)
-        case "press", (key, *hold):
+        case ("wait", ("state" | "alert", _, seconds)) | ("pause", (seconds,)):
+            _seconds(seconds)
+        case "press", (key, *hold) if len(hold) <= 1:
             if key not in KEYS:
                 raise ValueError(f"key '{key}'; allowed are {', '.join(KEYS)}")
-            if hold:
-                float(hold[0])
+            for seconds in hold:
+                _seconds(seconds)
         case "fault", (_, *_):
             parse(" ".join(step.words))
-        case "object", (_, *pose):
-            if len(pose) not in (0, 6):
-                raise ValueError("a pose has six numbers: x y z rx ry rz")
+        case "object", (_, *pose) if len(pose) in (0, 6):
             [float(number) for number in pose]
-        case "screenshot", (_,):
-            pass
-        case (("clear" | "end"), ()):
+        case ("screenshot", (_,)) | ("clear" | "end", ()):
             pass
         case _:
-            raise ValueError(
-                "allowed are: wait state NAME S, wait alert CODE S, pause S, press KEY [S], fault SENTENCE, clear, "
-                "object NAME [POSE], screenshot PATH, end"
-            )
+            raise ValueError(GRAMMAR)
+
+
+def _seconds(word: str) -> float:
+    seconds = float(word)
+    if not 0 <= seconds < 1e6:
+        raise ValueError(f"'{word}' is no duration in s")
+    return seconds
 
 
 class Diver:
-    """Plays a script in a thread of its own, ``sim-diver``. ``error`` tells afterwards what did not happen."""
+    """Plays a script in a thread of its own. ``failure`` tells afterwards what did not happen."""
 
     def __init__(self, world: World, steps: tuple[Step, ...], status: Path) -> None:
         self._world = world
         self._steps = steps
         self._status = status
-        self.error: ScriptError | None = None
-        self._thread = threading.Thread(target=self._run, name="sim-diver", daemon=True)
-
-    @property
-    def running(self) -> bool:
-        """The script has not come to its end."""
-        return self._thread.is_alive()
+        self._stopped = False
+        self.failure: str | None = None
+        self.finished = False
+        """The last step was played."""
+        self._thread = threading.Thread(target=self._run, name="diver", daemon=True)
 
     def start(self) -> None:
         """Begin to play."""
         self._thread.start()
 
-    def join(self, timeout_s: float) -> None:
-        """Wait for the end, in real time."""
-        self._thread.join(timeout_s)
+    def stop(self, grace_s: float) -> None:
+        """Let the script come to its end for ``grace_s`` of real time, then end it. Raises RuntimeError if it hangs."""
+        self._thread.join(grace_s)
+        with self._world.time.condition:
+            self._stopped = True
+            self._world.time.condition.notify_all()
+        self._thread.join(10.0)
+        if self._thread.is_alive():
+            raise RuntimeError("the diver's thread does not end")
 
     def _run(self) -> None:
+        step = None
         try:
             for step in self._steps:
                 self._play(step)
+                if self._over:
+                    break
+            else:
+                self.finished = True
         except ScriptError as error:
-            self.error = error
-            if self._read().get("state") not in (None, "SHUTDOWN"):
-                self._switch_off()
+            self.failure = str(error)
+            # Who waits for the diver must not wait for ever.
+            self._switch_off()
+        except Exception as error:
+            self.failure = f"{step}: {error}"
+            self._switch_off()
+
+    @property
+    def _over(self) -> bool:
+        return self._stopped or self._world.time.closed
 
     def _play(self, step: Step) -> None:
         world, words = self._world, step.words
         match step.verb:
             case "wait":
                 kind, name, seconds = words
-                if not self._until(lambda: self._shows(kind, name), float(seconds)):
+                if not self._until(lambda: self._shows(kind, name), float(seconds)) and not self._over:
                     status = self._read()
                     codes = [alert.get("code") for alert in status.get("alerts", [])]
                     raise ScriptError(f"{step}: after {seconds} s the state is {status.get('state')}, alerts {codes}")
             case "pause":
-                world.time.sleep_s(float(words[0]))
+                self._sleep(float(words[0]))
             case "press":
-                world.press(words[0], float(words[1]) if len(words) > 1 else 0.15)
-                world.time.sleep_s(0.3)
+                hold_s = float(words[1]) if len(words) > 1 else PRESS_S
+                world.press(words[0], hold_s)
+                self._sleep(hold_s + PRESS_S)
             case "fault":
                 world.fault(" ".join(words))
             case "clear":
@@ -141,13 +161,18 @@ class Diver:
                 if not cv2.imwrite(words[0], cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)):
                     raise ScriptError(f"{step}: the picture cannot be written")
             case _:
-                self._switch_off()
+                if not self._switch_off() and not self._over:
+                    raise ScriptError(f"{step}: the state is still {self._read().get('state')}")
 
-    def _switch_off(self) -> None:
-        for _ in range(int(POWER_OFF_TIMEOUT_S / 2)):
+    def _switch_off(self) -> bool:
+        """The power-off gesture, again and again until the service shuts down."""
+        for _ in range(POWER_OFF_TRIES):
             self._world.press("back", POWER_OFF_HOLD_S)
-            if self._until(self._off, 2.0) or self._world.time.closed:
-                return
+            if self._until(self._off, POWER_OFF_TRY_S):
+                return True
+            if self._over:
+                break
+        return False
 
     def _off(self) -> bool:
         """Switched off: the service says so, or has taken its status away."""
@@ -161,15 +186,19 @@ class Diver:
 
     def _read(self) -> dict[str, Any]:
         try:
-            content = json.loads(self._status.read_text())
+            content = json.loads(self._status.read_text(encoding="utf-8"))
         except (OSError, ValueError):
             return {}
         return content if isinstance(content, dict) else {}
 
+    def _sleep(self, duration_s: float) -> None:
+        with self._world.time.condition:
+            self._world.time.wait_for(lambda: self._over, duration_s)
+
     def _until(self, predicate: Callable[[], bool], timeout_s: float) -> bool:
         end_ns = self._world.time_ns + int(timeout_s * 1e9)
         while not predicate():
-            if self._world.time.closed or self._world.time_ns > end_ns:
+            if self._over or self._world.time_ns > end_ns:
                 return predicate()
-            self._world.time.sleep_s(POLL_S)
+            self._sleep(POLL_S)
         return True

@@ -20,7 +20,7 @@ from hw_sim import registry
 from hw_sim.darkroom import Darkroom
 from hw_sim.devices.board import Board
 from hw_sim.devices.card import Card
-from hw_sim.devices.head import Output
+from hw_sim.devices.head import Flip, Output
 from hw_sim.devices.keypad import Keypad
 from hw_sim.devices.shot import Shot
 from hw_sim.devices.shutter import Exposure, Latent
@@ -83,6 +83,7 @@ class World:
             self.board.vsync(self.time.blank_ns)  # the console has been on the projector since boot
         self._intervals: deque[_Interval] = deque([_Interval(START_NS)], maxlen=KEPT_INTERVALS)
         self._shown_before: NDArray[np.uint8] | None = None
+        self._late_flip: Flip | None = None
         self._first_pulse_ns: dict[int, int] = {}
         self._drive = Drive(self.time, self, self._blank, o.pace == "lockstep", o.idle_speed)
 
@@ -190,14 +191,22 @@ class World:
         if frame is not None:
             self.faults.reach(frame, time_ns)
             wrong = self.faults.active("projector", "wrong") is not None
-        held = self.card.flip_pending(Output.PROJECTOR) and self.faults.strike("projector", "delayed", frame=frame)
         self._shown_before = self.card.projected() if wrong else None
-        self.card.vblank(time_ns, Output.PROJECTOR if held else None)
+        self.card.vblank(time_ns, Output.PROJECTOR if self._flip_is_late(frame) else None)
         self._intervals.append(_Interval(time_ns))
         if self.card.crtc(Output.PROJECTOR) is not None:
             self.board.vsync(time_ns)
         else:
             self.board.no_vsync(time_ns)
+
+    def _flip_is_late(self, frame: int | None) -> bool:
+        """The projector's pending flip misses this blank; each flip does so once at most."""
+        crtc = self.card.crtc(Output.PROJECTOR)
+        flip = crtc.pending if crtc is not None else None
+        if flip is None or flip is self._late_flip or not self.faults.strike("projector", "delayed", frame=frame):
+            return False
+        self._late_flip = flip
+        return True
 
     def _light(self, interval: _Interval) -> NDArray[np.uint8]:
         """(768, 1024) codes that light the scene during the present interval."""
@@ -222,7 +231,7 @@ class World:
             seed=o.seed,
         )
 
-    def _expose(self, side: str, exposure: Exposure) -> Latent:
+    def _expose(self, side: str, exposure: Exposure) -> Latent | None:
         """At the end of an exposure: everything that lit it is known."""
         end_ns = exposure.start_ns + exposure.duration_ns
         slices, until_ns = [], end_ns

@@ -120,10 +120,8 @@ class Board:
             return
         index = since // job.every
         frame = self._frame_at(self._count)
-        if frame is not None:
-            self._faults.reach(frame, time_ns)
-            if self._faults.strike("board", "wrong", "reset", frame):
-                self._boot("WATCHDOG", time_ns)
+        if frame is not None and self._faults.strike("board", "wrong", "reset", frame):
+            self._boot("WATCHDOG", time_ns)
         if self._job is job:  # the fault may have reset the board
             self._at(time_ns + job.delay_us * 1000, lambda t: self._pulse(job, index, t))
 

@@ -19,9 +19,9 @@ from hw_sim.pace import WorldTime
 
 READOUT_NS = 15_000_000
 """The whole sensor; rows are read one after the other. 66 frames a second at most."""
-MEMORY_BLOCKS = 8
+MEMORY_BLOCKS = 32
 ROOM_BLOCKS = 4
-"""With fewer unread blocks nothing that is exposed during the next blanks can overrun the memory."""
+"""A host with fewer unread blocks keeps up; far from what overruns the memory."""
 CONTINUOUS, SINGLE_FRAME, MULTI_FRAME = 0, 1, 2
 LINE0, SOFTWARE = 0, 8
 RISING, FALLING = 0, 1
@@ -78,7 +78,7 @@ class Taken:
 
 
 class Shutter:
-    """``expose(exposure)`` begins an image; ``send(taken)`` is called when it is with the link.
+    """``expose(exposure)`` begins an image (``None``: no room for another); ``send(taken)`` is called when it is with the link.
 
     ``unread()`` counts the blocks the host has not read, ``link_ns()`` is what the link needs for a payload,
     ``rows()`` the fraction of the sensor's rows that is read.
@@ -89,7 +89,7 @@ class Shutter:
         name: str,
         time: WorldTime,
         faults: FaultBook,
-        expose: Callable[[Exposure], Latent],
+        expose: Callable[[Exposure], Latent | None],
         send: Callable[[Taken], None],
         unread: Callable[[], int],
         link_ns: Callable[[], int],
@@ -200,12 +200,10 @@ class Shutter:
         self._at(end_ns, lambda _: self._exposed(block_id, exposure))
 
     def _exposed(self, block_id: int, exposure: Exposure) -> None:
-        if self._held + self._unread() >= MEMORY_BLOCKS:
+        latent = self._image(exposure) if self._held + self._unread() < MEMORY_BLOCKS else None
+        if latent is None:
             self._send(Taken(block_id, exposure, None))
             return
-        if self._faults.active(self._name, "stuck") is None or self._frozen is None:
-            self._frozen = self._expose(exposure)
-        latent = self._frozen
         self._held += 1
         due_ns = max(self._readout_until_ns, self._link_free_ns) + self._link_ns()
         self._link_free_ns = due_ns
@@ -221,3 +219,9 @@ class Shutter:
                 self._send(Taken(block_id, exposure, latent))
 
         self._at(due_ns, due, lambda: latent.ready)
+
+    def _image(self, exposure: Exposure) -> Latent | None:
+        """A new image, or once more the last one while the sensor is stuck."""
+        if self._frozen is None or self._faults.active(self._name, "stuck") is None:
+            self._frozen = self._expose(exposure)
+        return self._frozen

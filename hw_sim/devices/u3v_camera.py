@@ -44,7 +44,7 @@ class U3vCamera:
         sensor: tuple[int, int],
         time: WorldTime,
         faults: FaultBook,
-        expose: Callable[[Exposure], Latent],
+        expose: Callable[[Exposure], Latent | None],
         temperature_c: Callable[[], float],
         seed: int,
     ) -> None:

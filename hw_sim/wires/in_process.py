@@ -10,16 +10,18 @@ from typing import Any
 import serial
 
 from hw_sim import registry
-from hw_sim.options import OptionError, options_from
+from hw_sim.options import OptionError, WorldOptions, options_from
 from hw_sim.pace import WorldClock
-from hw_sim.script import Diver, parse_script
+from hw_sim.script import Diver, Step, parse_script
 from hw_sim.wires.card import SimCardNode
 from hw_sim.wires.hidraw import HidrawModule
 from hw_sim.wires.pyusb_backend import UsbBackend
 from hw_sim.world import World
 
 SERIAL_PROTOCOLS = "hw_sim.wires"
-SCRIPT_END_TIMEOUT_S = 5.0
+"""Package in which pyserial finds ``protocol_kfsim``."""
+CARD = "/dev/dri/card0"
+SCRIPT_GRACE_S = 5.0
 
 
 class ScriptFailedError(Exception):
@@ -36,7 +38,9 @@ class SimWires:
         self.clock = WorldClock(world.time)
 
     def open_card(self, path: str) -> SimCardNode:
-        """The simulated card is there under any path."""
+        """Open the one card there is. Raises FileNotFoundError for another path."""
+        if path != CARD:
+            raise FileNotFoundError(2, "No such file or directory", path)
         return SimCardNode(self._world.card, self._world.time)
 
 
@@ -44,27 +48,40 @@ class SimWires:
 def open(options: Mapping[str, Any]) -> Iterator[SimWires]:
     """Wires into the world that ``options`` name; it is made, and ends with them, unless it exists already.
 
-    Raises OptionError, ScriptError; at the end ScriptFailedError when a script was given and failed.
+    Raises OptionError, ScriptError; at the end ScriptFailedError when a script was given and did not succeed.
     """
     wanted = options_from(options)
-    steps = parse_script(Path(wanted.script).read_text(encoding="utf-8")) if wanted.script is not None else ()
-    if steps and wanted.status is None:
-        raise OptionError("a script needs the option status: the path of the service's status file")
+    steps = _steps(wanted)
     with ExitStack() as stack:
         world = registry.find(wanted.world)
         if world is None:
             world = stack.enter_context(World(wanted))
         stack.enter_context(_serial_protocol())
-        diver = Diver(world, steps, Path(wanted.status or "")) if steps else None
-        if diver is not None:
-            diver.start()
+        if steps:
+            stack.enter_context(_script(world, steps, Path(wanted.status or "")))
         yield SimWires(world)
-        if diver is not None:
-            diver.join(SCRIPT_END_TIMEOUT_S)
-            if diver.error is not None:
-                raise ScriptFailedError(str(diver.error)) from diver.error
-            if diver.running:
-                raise ScriptFailedError("the service ended before the script did")
+
+
+def _steps(wanted: WorldOptions) -> tuple[Step, ...]:
+    if wanted.script is None:
+        return ()
+    if wanted.status is None:
+        raise OptionError("a script needs the option status: the path of the service's status file")
+    return parse_script(Path(wanted.script).read_text(encoding="utf-8"))
+
+
+@contextmanager
+def _script(world: World, steps: tuple[Step, ...], status: Path) -> Iterator[None]:
+    diver = Diver(world, steps, status)
+    diver.start()
+    try:
+        yield
+    finally:
+        diver.stop(SCRIPT_GRACE_S)
+    if diver.failure is not None:
+        raise ScriptFailedError(diver.failure)
+    if not diver.finished:
+        raise ScriptFailedError("the service ended before the script did")
 
 
 @contextmanager
