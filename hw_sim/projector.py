@@ -1,28 +1,117 @@
-"""Owns what the projector makes of 8-bit codes: nonlinear light, black level, blur that grows away from the focus."""
+"""Owns what the projector makes of 8-bit codes: nonlinear light, black level, pixels, and blur away from the focus.
+
+A pixel is a square of light seen through a lens. Square and lens in focus together are, to a percent, the cubic B-spline
+(variance 1/3 px²: 1/12 of the square, 1/4 of a lens blur of half a pixel), which is how the light is sampled.
+Away from the focus the light spreads further, like heat: in proportion to the square of the distance.
+"""
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+
 import cv2
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
 FOCUS_MM = 522.5
-BLUR_FOCUS_PX, BLUR_FAR_PX = 0.45, 1.3
-"""Gaussian sigma in projector px in focus, and ``FAR_MM`` away from it."""
 FAR_MM = 120.0
+"""Distance from the focus at which the light is as soft as it gets here."""
+SPREAD_FAR_PX = 1.1
+"""Gaussian sigma in projector px that is added at ``FAR_MM``."""
 BLACK = 0.0025
-"""Light of code 0 against code 255."""
+"""Light of code 0 against code 255: contrast 400."""
+
+PAD = 4
+"""Dark pixels around the pattern in ``soften``'s result."""
+
+Light = NDArray[np.float32]
 
 
-def response() -> NDArray[np.float32]:
+def response() -> Light:
     """Light 0..1 of each code, (256,) float32: measured-like, monotone, with a toe and a shoulder; no pure gamma."""
     x = np.arange(256) / 255.0
     light = 0.75 * x**1.35 + 0.25 * (3.0 * x**2 - 2.0 * x**3)
     return (BLACK + (1.0 - BLACK) * light).astype(np.float32)
 
 
-def light_fields(image: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """The projected light (h, w) float32 blurred as in focus and as far from it."""
-    sharp = cv2.GaussianBlur(image, (0, 0), BLUR_FOCUS_PX, borderType=cv2.BORDER_REPLICATE)
-    soft = cv2.GaussianBlur(image, (0, 0), BLUR_FAR_PX, borderType=cv2.BORDER_REPLICATE)
-    return np.asarray(sharp, np.float32), np.asarray(soft, np.float32)
+@dataclass(frozen=True, slots=True)
+class LightSlice:
+    """What the projector showed for a part of an exposure."""
+
+    image: NDArray[np.uint8]
+    """(768, 1024) green codes as scanned out."""
+    duration_s: float
+
+
+def light_between(slices: tuple[LightSlice, ...], begin_s: float, end_s: float, table: Light) -> Light | None:
+    """Light times seconds per pixel, (768, 1024) float32, of successive ``slices`` from ``begin_s`` to ``end_s`` after
+    the first began; ``None`` when none of them overlaps."""
+    total: Light | None = None
+    at_s = 0.0
+    for part in slices:
+        seconds = min(end_s, at_s + part.duration_s) - max(begin_s, at_s)
+        at_s += part.duration_s
+        if seconds <= 0.0:
+            continue
+        light = cv2.LUT(np.ascontiguousarray(part.image), table * np.float32(seconds))
+        total = np.asarray(light if total is None else total + light, np.float32)
+    return total
+
+
+def soften(light: Light, water_blur_px: float) -> Light:
+    """The light (h, w) as spline coefficients in focus and ``FAR_MM`` from it, with ``PAD`` dark px around:
+    (h + 2 PAD, w + 2 PAD, 2) float32.
+
+    ``water_blur_px`` is the sigma by which the water spreads the light on its way, in projector px.
+    """
+    around = np.zeros((light.shape[0] + 2 * PAD, light.shape[1] + 2 * PAD), np.float32)
+    around[PAD:-PAD, PAD:-PAD] = light
+    near = _blur(around, water_blur_px) if water_blur_px > 0.15 else around
+    return np.dstack([near, _blur(around, math.hypot(water_blur_px, SPREAD_FAR_PX))])
+
+
+def _blur(light: Light, sigma_px: float) -> Light:
+    size = 2 * math.ceil(3.5 * sigma_px) + 1
+    return np.asarray(cv2.GaussianBlur(light, (size, size), sigma_px, borderType=cv2.BORDER_REPLICATE), np.float32)
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
+def collect(pixels: Light, light: Light, white: np.float32, ambient: np.float32, veil: Light, electrons: Light) -> None:
+    """Add to ``electrons`` (h, w): ``white`` × projected light, ``ambient`` × grey, and the veil (h, w).
+
+    ``pixels`` (h, w, 5) are (p, q, lit, softness, grey) as in ``geometry``; ``light`` is what ``soften`` gives, sampled
+    by the cubic B-spline; p and q lie within PAD − 2 px of the pattern wherever ``lit`` is not zero.
+    """
+    one, half, third, sixth = np.float32(1.0), np.float32(0.5), np.float32(2.0 / 3.0), np.float32(1.0 / 6.0)
+    for y in range(pixels.shape[0]):
+        for x in range(pixels.shape[1]):
+            value = ambient * pixels[y, x, 4] + veil[y, x]
+            lit = pixels[y, x, 2]
+            if lit > np.float32(0.0):
+                p, q = pixels[y, x, 0] + np.float32(PAD), pixels[y, x, 1] + np.float32(PAD)
+                i, j = int(p), int(q)
+                s, t = p - np.float32(i), q - np.float32(j)
+                r, e = one - s, one - t
+                a0, a3, a1 = r * r * r * sixth, s * s * s * sixth, third - s * s * (one - half * s)
+                b0, b3, b1 = e * e * e * sixth, t * t * t * sixth, third - t * t * (one - half * t)
+                a2, b2 = one - a0 - a1 - a3, one - b0 - b1 - b3
+                near, far = np.float32(0.0), np.float32(0.0)
+                for m in range(4):
+                    k = b0 if m == 0 else (b1 if m == 1 else (b2 if m == 2 else b3))
+                    n = j - 1 + m
+                    near += k * (
+                        light[n, i - 1, 0] * a0
+                        + light[n, i, 0] * a1
+                        + light[n, i + 1, 0] * a2
+                        + light[n, i + 2, 0] * a3
+                    )
+                    far += k * (
+                        light[n, i - 1, 1] * a0
+                        + light[n, i, 1] * a1
+                        + light[n, i + 1, 1] * a2
+                        + light[n, i + 2, 1] * a3
+                    )
+                value += white * lit * (near + pixels[y, x, 3] * (far - near))
+            electrons[y, x] += value

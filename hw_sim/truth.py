@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import math
 import tomllib
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hw_sim.objects.shapes import BALL_DISTANCE_MM, HALF_BALL_DISTANCE, PLANE_BOW, SIZES
 from hw_sim.optics.trace import FIELD, FIELD_ORDER, HAS_FIELD, PACKED
 
 Array = NDArray[np.float64]
@@ -60,7 +61,7 @@ class TrueEye:
     t_mm: tuple[float, float, float]
     port: TruePort
     lens_field: tuple[float, ...] | None = None
-    """Cosine coefficients in px, FIELD_ORDER² for u, then for v."""
+    """Cosine coefficients in px, FIELD_ORDER² (row = order in v) for u, then for v: see ``optics.trace.lens_field``."""
 
     def packed(self, n_water: float) -> Array:
         """The array that compiled tracing reads."""
@@ -86,6 +87,22 @@ class Laser:
 
 
 @dataclass(frozen=True, slots=True)
+class Artefacts:
+    """What the workshop really made of the objects whose certificates state the nominal dimensions."""
+
+    ball_distance_mm: float = BALL_DISTANCE_MM
+    """Between the centres of the ball bar."""
+    plane_bow_mm: float = 0.0
+    """How far the middle of the plane stands back from the middles of its short edges, half of it: z = bow (1 − 2 r²/a²)."""
+
+    def sizes(self) -> Array:
+        """The array that compiled shapes read."""
+        sizes = np.zeros(SIZES)
+        sizes[HALF_BALL_DISTANCE], sizes[PLANE_BOW] = 0.5 * self.ball_distance_mm, self.plane_bow_mm
+        return sizes
+
+
+@dataclass(frozen=True, slots=True)
 class TrueRig:
     seed: int
     set: str
@@ -94,6 +111,7 @@ class TrueRig:
     right: TrueEye
     projector: TrueEye
     lasers: tuple[Laser, Laser]
+    artefacts: Artefacts = Artefacts()
 
     def eye(self, name: str) -> TrueEye:
         """``left``, ``right`` or ``projector``."""
@@ -107,6 +125,7 @@ class TrueRig:
             "n_water": self.n_water,
             "cameras": {name: _eye_dict(self.eye(name)) for name in ("left", "right", "projector")},
             "lasers": [{"origin_mm": list(b.origin_mm), "direction": list(b.direction)} for b in self.lasers],
+            "artefacts": asdict(self.artefacts),
         }
 
 
@@ -125,13 +144,50 @@ class _Amounts:
     focal: float = 0.0
     centre_px: float = 0.0
     distortion: float = 0.0
+    artefact_mm: float = 0.0
+    moved_deg: float = 0.0
+    moved_mm: float = 0.0
+    refocus: float = 0.0
 
 
-_REALISTIC = _Amounts((0.2, 0.5), 1.5, 0.02, 0.003, 0.06, 1 / 60, 0.15, 0.4, 2e-3, 6.0, 1.0)
+_REALISTIC = _Amounts(
+    tilt_deg=(0.2, 0.5),
+    d_mm=1.5,
+    th_mm=0.02,
+    n_g=0.003,
+    field_px=0.06,
+    wedge_deg=1 / 60,
+    mount_deg=0.15,
+    mount_mm=0.4,
+    focal=2e-3,
+    centre_px=6.0,
+    distortion=1.0,
+    artefact_mm=0.003,
+    moved_deg=0.005,
+    moved_mm=0.01,
+    refocus=1e-4,
+)
+_HARD = _Amounts(
+    tilt_deg=(0.5, 1.2),
+    d_mm=3.5,
+    th_mm=0.05,
+    n_g=0.008,
+    field_px=0.15,
+    wedge_deg=3 / 60,
+    mount_deg=0.3,
+    mount_mm=0.9,
+    focal=4e-3,
+    centre_px=12.0,
+    distortion=2.0,
+    artefact_mm=0.006,
+    moved_deg=0.01,
+    moved_mm=0.02,
+    refocus=2e-4,
+)
 _AMOUNTS = {
     "nominal": _Amounts(),
     "realistic": _REALISTIC,
-    "hard": _Amounts((0.5, 1.2), 3.5, 0.05, 0.008, 0.15, 3 / 60, 0.3, 0.9, 4e-3, 12.0, 2.0),
+    "hard": _HARD,
     "paper": replace(_REALISTIC, tilt_deg=(1.0, 2.0), field_px=0.15),
     "modelled": replace(_REALISTIC, field_px=0.0, wedge_deg=0.0),
 }
@@ -172,7 +228,35 @@ def draw_truth(kind: str, seed: int, width_px: int, height_px: int, n_water: flo
         direction = np.array([lean[0], lean[1], 1.0])
         direction /= np.linalg.norm(direction)
         beams.append(Laser((x_mm, -60.0, 30.0), _triple(direction)))
-    return TrueRig(seed, kind, n_water, left, right, beamer, (beams[0], beams[1]))
+    made = np.random.default_rng([seed, 21]).normal(0.0, 1.0, 2) * amounts.artefact_mm
+    artefacts = Artefacts(BALL_DISTANCE_MM + float(made[0]), float(made[1]))
+    return TrueRig(seed, kind, n_water, left, right, beamer, (beams[0], beams[1]), artefacts)
+
+
+def in_air(rig: TrueRig) -> TrueRig:
+    """The same instrument on the day of its calibration in air, before it was closed and taken into the water.
+
+    No windows (their index and the water's are 1, so that light goes straight), and what moved since is undone: the
+    cameras' mounting by 0.005° and 0.01 mm and the principal distance by 1e-4 (standard deviations of the realistic
+    sets; the hard one doubles them, the nominal one has none). Follows from the rig's seed and set; a rig from a file whose set is
+    not one of ``SETS`` has changed by nothing.
+    """
+    a = _AMOUNTS.get(rig.set, _Amounts())
+    rng = np.random.default_rng([rig.seed, 22])
+    before = {}
+    for name in ("left", "right"):
+        eye = rig.eye(name)
+        turn, shift = _rodrigues(np.radians(rng.normal(0.0, a.moved_deg, 3))), rng.normal(0.0, a.moved_mm, 3)
+        focal = 1.0 + rng.normal(0.0, a.refocus)
+        before[name] = replace(
+            eye,
+            f_px=(eye.f_px[0] * focal, eye.f_px[1] * focal),
+            R=_rows(np.array(eye.R) @ turn),
+            t_mm=_triple(np.array(eye.t_mm) + shift),
+            port=TruePort(n_g=1.0),
+        )
+    projector = replace(rig.projector, port=TruePort(n_g=1.0))
+    return replace(rig, n_water=1.0, left=before["left"], right=before["right"], projector=projector)
 
 
 def load_truth(path: Path, n_water: float) -> TrueRig:
@@ -190,11 +274,18 @@ def load_truth(path: Path, n_water: float) -> TrueRig:
             tuple(tuple(row) for row in table["R"]),
             tuple(table["t_mm"]),
             TruePort(**{**port, "normal": tuple(port["normal"])}),
-            tuple(table["lens_field"]) if "lens_field" in table else None,
+            _flat_field(table.get("lens_field")),
         )
     beams = [Laser(tuple(b["origin_mm"]), tuple(b["direction"])) for b in data["lasers"]]
     return TrueRig(
-        data["seed"], data["set"], n_water, eyes["left"], eyes["right"], eyes["projector"], (beams[0], beams[1])
+        data["seed"],
+        data["set"],
+        n_water,
+        eyes["left"],
+        eyes["right"],
+        eyes["projector"],
+        (beams[0], beams[1]),
+        Artefacts(**data.get("artefacts", {})),
     )
 
 
@@ -203,9 +294,12 @@ def save_truth(rig: TrueRig, path: Path) -> None:
     content = rig.as_dict()
     lines = [f"seed = {rig.seed}", f'set = "{rig.set}"']
     for name, table in content["cameras"].items():
-        port = table.pop("port")
-        lines += ["", f"[cameras.{name}]", *(f"{k} = {v}" for k, v in table.items() if v is not None)]
-        lines += ["", f"[cameras.{name}.port]", *(f"{k} = {v}" for k, v in port.items())]
+        parts = {part: table.pop(part) for part in ("port", "lens_field")}
+        lines += ["", f"[cameras.{name}]", *(f"{k} = {v}" for k, v in table.items())]
+        for part, values in parts.items():
+            if values is not None:
+                lines += ["", f"[cameras.{name}.{part}]", *(f"{k} = {v}" for k, v in values.items())]
+    lines += ["", "[artefacts]", *(f"{k} = {v}" for k, v in content["artefacts"].items())]
     for beam in content["lasers"]:
         lines += ["", "[[lasers]]", *(f"{k} = {v}" for k, v in beam.items())]
     path.write_text("\n".join(lines) + "\n")
@@ -234,10 +328,10 @@ def _disturb(eye: TrueEye, a: _Amounts, rng: np.random.Generator, binning: float
     if a.field_px:
         field = rng.normal(size=(2, FIELD_ORDER, FIELD_ORDER))
         field[:, :2, :1] = field[:, :1, :2] = 0.0  # shift and the lowest scale belong to the linear part
-        decay = 1.0 / (1.0 + np.add.outer(np.arange(FIELD_ORDER), np.arange(FIELD_ORDER)))
-        field *= decay
-        rms = math.sqrt(float(np.mean(np.sum((field * 0.6) ** 2, axis=(1, 2)))))
-        field *= a.field_px / binning / rms
+        field *= 1.0 / (1.0 + np.add.outer(np.arange(FIELD_ORDER), np.arange(FIELD_ORDER)))
+        power = np.where(np.arange(FIELD_ORDER) == 0, 1.0, 0.5)  # mean square of a cosine over the image
+        rms = math.sqrt(float(np.mean(np.sum(field**2 * np.outer(power, power), axis=(1, 2)))))
+        field *= a.field_px / binning / rms  # rms of each component
     return replace(
         eye,
         f_px=(eye.f_px[0] * focal, eye.f_px[1] * focal),
@@ -268,8 +362,21 @@ def _eye_dict(eye: TrueEye) -> dict[str, Any]:
             "wedge_deg": port.wedge_deg,
             "wedge_direction_deg": port.wedge_direction_deg,
         },
-        "lens_field": None if eye.lens_field is None else list(eye.lens_field),
+        "lens_field": _field_dict(eye.lens_field),
     }
+
+
+def _field_dict(field: tuple[float, ...] | None) -> dict[str, Any] | None:
+    """A pixel (u, v) sees what an ideal five-parameter lens has at (u, v) − field; u_px[j][i] belongs to
+    cos(iπ(u+½)/width) cos(jπ(v+½)/height), likewise v_px."""
+    if field is None:
+        return None
+    u, v = np.reshape(field, (2, FIELD_ORDER, FIELD_ORDER)).tolist()
+    return {"u_px": u, "v_px": v}
+
+
+def _flat_field(table: dict[str, Any] | None) -> tuple[float, ...] | None:
+    return None if table is None else tuple(float(x) for x in np.ravel([table["u_px"], table["v_px"]]))
 
 
 def _turn_y(angle_rad: float) -> tuple[tuple[float, float, float], ...]:

@@ -1,7 +1,7 @@
 """Owns the shapes: for each object an implicit function, negative inside, whose zero set is the surface.
 
-Object frame, mm: the side that the instrument looks at faces −z. Away from the surface the function is a lower bound of
-the distance, so that rays can march along it. The seven shapes are what a metrologist and a diver put before the rig.
+Object frame, mm: the side that the instrument looks at faces −z. The function never exceeds the distance to the
+surface, so that rays can march along it without stepping through. ``docs/protocols/world.md`` lists the dimensions.
 """
 
 from __future__ import annotations
@@ -16,13 +16,17 @@ Array = NDArray[np.float64]
 
 PLANE, BALLBAR, FRUSTUM, PIPE, SHELL, STONES = range(6)
 NAMES = {"plane": PLANE, "ballbar": BALLBAR, "frustum": FRUSTUM, "pipe": PIPE, "shell": SHELL, "stones": STONES}
-BOUND_MM = 165.0
-"""Radius of a sphere around the origin that holds every object."""
 
-BALL_RADIUS_MM = 20.0
+BALL_RADIUS_MM = 15.0
 BALL_DISTANCE_MM = 150.0
-PIPE_RADIUS_MM, FLANGE_RADIUS_MM, WELD_RADIUS_MM = 45.0, 60.0, 4.0
+"""Centre to centre, nominal; the truth's artefacts say what was made of it."""
+BAR_RADIUS_MM = 5.0
+PLANE_HALF_X_MM, PLANE_HALF_Y_MM, PLANE_THICKNESS_MM = 125.0, 100.0, 10.0
 FRUSTUM_BASE_MM, FRUSTUM_TOP_MM, FRUSTUM_HEIGHT_MM = 150.0, 80.0, 45.0
+FRUSTUM_PLATE_X_MM, FRUSTUM_PLATE_Y_MM = 200.0, 170.0
+PIPE_RADIUS_MM, PIPE_HALF_LENGTH_MM = 45.0, 130.0
+FLANGE_RADIUS_MM, FLANGE_HALF_LENGTH_MM, FLANGE_X_MM = 60.0, 9.0, 55.0
+WELD_RADIUS_MM, WELD_X_MM = 4.0, -45.0
 
 DEFAULT_POSE: dict[str, tuple[float, float, float, float, float, float]] = {
     "plane": (0.0, 0.0, 522.5, 8.0, 12.0, 0.0),
@@ -33,73 +37,107 @@ DEFAULT_POSE: dict[str, tuple[float, float, float, float, float, float]] = {
     "stones": (0.0, 0.0, 535.0, 0.0, 0.0, 0.0),
 }
 
+HALF_BALL_DISTANCE, PLANE_BOW, SIZES = 0, 1, 2
+"""Layout of ``sizes``: what differs from one made artefact to the next."""
 
-@numba.njit(nogil=True, cache=True)
+BOX = np.array(
+    [
+        [-125.0, -100.0, -0.1, 125.0, 100.0, 10.1],
+        [-91.0, -15.0, -15.0, 91.0, 15.0, 15.0],
+        [-100.0, -85.0, -45.0, 100.0, 85.0, 8.0],
+        [-130.0, -60.0, -60.0, 130.0, 60.0, 60.0],
+        [-105.0, -80.0, -40.5, 105.0, 80.0, 12.0],
+        [-108.0, -76.0, -46.0, 106.0, 78.0, 54.0],
+    ]
+)
+"""A box (x0 y0 z0 x1 y1 z1) around each object."""
+STONES_AT = np.array(
+    [
+        [-62.0, -20.0, 8.0, 38.0],
+        [18.0, -38.0, 0.0, 32.0],
+        [70.0, 8.0, 12.0, 28.0],
+        [-20.0, 36.0, -4.0, 34.0],
+        [45.0, 50.0, 14.0, 22.0],
+    ]
+)
+"""Middle x y z and mean radius of each stone."""
+RADIUS = np.array([161.0, 92.5, 132.0, 144.0, 138.0, 120.0])
+"""Radius of a ball around the origin that holds each object."""
+
+HIT_MM = 1e-6
+"""A ray has arrived when the function is smaller than this; one more Newton step follows."""
+MARCH_STEPS = 300
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
 def _box(x: float, y: float, z: float, a: float, b: float, c: float) -> float:
     dx, dy, dz = abs(x) - a, abs(y) - b, abs(z) - c
     ox, oy, oz = max(dx, 0.0), max(dy, 0.0), max(dz, 0.0)
     return math.sqrt(ox * ox + oy * oy + oz * oz) + min(max(dx, max(dy, dz)), 0.0)
 
 
-@numba.njit(nogil=True, cache=True)
-def _cylinder_x(x: float, y: float, z: float, radius: float, half_length: float) -> float:
-    dr, dx = math.sqrt(y * y + z * z) - radius, abs(x) - half_length
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _disc_or_tube(x: float, r: float, radius: float, half_length: float) -> float:
+    """A cylinder along x, from the distance r to its axis."""
+    dr, dx = r - radius, abs(x) - half_length
     outer_r, outer_x = max(dr, 0.0), max(dx, 0.0)
     return math.sqrt(outer_r * outer_r + outer_x * outer_x) + min(max(dr, dx), 0.0)
 
 
-@numba.njit(nogil=True, cache=True)
+@numba.njit(nogil=True, cache=True, error_model="numpy")
 def _pipe(x: float, y: float, z: float) -> float:
-    pipe = _cylinder_x(x, y, z, 45.0, 130.0)
-    flange = _cylinder_x(x - 55.0, y, z, 60.0, 9.0)
-    ring = math.sqrt(y * y + z * z) - 45.0
-    weld = math.sqrt((x + 45.0) * (x + 45.0) + ring * ring) - 4.0
+    r = math.sqrt(y * y + z * z)
+    pipe = _disc_or_tube(x, r, PIPE_RADIUS_MM, PIPE_HALF_LENGTH_MM)
+    flange = _disc_or_tube(x - FLANGE_X_MM, r, FLANGE_RADIUS_MM, FLANGE_HALF_LENGTH_MM)
+    # The weld seam is a torus half sunk into the pipe.
+    along, ring = x - WELD_X_MM, r - PIPE_RADIUS_MM
+    weld = math.sqrt(along * along + ring * ring) - WELD_RADIUS_MM
     return min(pipe, min(flange, weld))
 
 
-@numba.njit(nogil=True, cache=True)
+@numba.njit(nogil=True, cache=True, error_model="numpy")
 def _frustum(x: float, y: float, z: float) -> float:
     # Top at z = -45 (towards the instrument), base at z = 0, on a plate.
-    slope = (150.0 - 80.0) / 2.0 / 45.0
+    slope = 0.5 * (FRUSTUM_BASE_MM - FRUSTUM_TOP_MM) / FRUSTUM_HEIGHT_MM
     k = 1.0 / math.sqrt(1.0 + slope * slope)
-    half = 75.0 + slope * z
+    half = 0.5 * FRUSTUM_BASE_MM + slope * z
     sides = max(abs(x) - half, abs(y) - half) * k
-    body = max(sides, max(z, -45.0 - z))
-    plate = _box(x, y, z - 4.0, 100.0, 85.0, 4.0)
+    body = max(sides, max(z, -FRUSTUM_HEIGHT_MM - z))
+    plate = _box(x, y, z - 4.0, 0.5 * FRUSTUM_PLATE_X_MM, 0.5 * FRUSTUM_PLATE_Y_MM, 4.0)
     return min(body, plate)
 
 
-@numba.njit(nogil=True, cache=True)
+@numba.njit(nogil=True, cache=True, error_model="numpy")
 def _shell(x: float, y: float, z: float) -> float:
-    # A ribbed, spiral-free dome like a fossil scallop lying on a slab: a height field over the (x, y) plane.
-    if z < -46.0:
-        return -41.0 - z  # in front of all of it: a bound is enough
-    ry = (y + 60.0) / 125.0
+    # A fossil scallop on a slab: a dome with ribs that fan out from the hinge, and rings of growth around it.
+    ry = (y - 2.5) / 62.5
     rx = x / 88.0
-    inside = 1.0 - rx * rx - (2.0 * ry - 1.0) * (2.0 * ry - 1.0)
+    inside = 1.0 - rx * rx - ry * ry
     height = 0.0
     if inside > 0.0:
-        angle = math.atan2(x, y + 85.0)
-        rib = math.cos(22.0 * angle)
-        growth = math.sin(0.16 * math.sqrt(x * x + (y + 85.0) * (y + 85.0)))
+        fan = y + 85.0
+        turn = x / fan
+        rib = math.cos(24.0 * turn / (1.0 + 0.3 * turn * turn))
+        growth = math.sin(0.16 * math.sqrt(x * x + fan * fan))
         smooth = inside * inside * (3.0 - 2.0 * inside)
-        height = smooth * (38.0 + 1.6 * rib + 0.5 * growth)
-    # Solid behind the height field, in front of the slab's back; 0.45 keeps it a bound of the distance on the ribs.
-    return max(max((-height - z) * 0.45, z - 12.0), max(abs(x) - 105.0, abs(y) - 80.0))
+        height = smooth * (36.0 + 2.6 * rib * (1.6 - 0.9 * inside) + 0.5 * growth)
+    # Solid behind the height field, in front of the slab's back; the factor makes it a bound of the distance.
+    return max(max((-height - z) * 0.43, z - 12.0), max(abs(x) - 105.0, abs(y) - 80.0))
 
 
-@numba.njit(nogil=True, cache=True)
+@numba.njit(nogil=True, cache=True, error_model="numpy")
 def _stones(x: float, y: float, z: float) -> float:
     best = 1e9
     for i in range(5):
-        cx = (-62.0, 18.0, 70.0, -20.0, 45.0)[i]
-        cy = (-20.0, -38.0, 8.0, 36.0, 50.0)[i]
-        cz = (8.0, 0.0, 12.0, -4.0, 14.0)[i]
-        radius = (38.0, 32.0, 28.0, 34.0, 22.0)[i]
-        dx, dy, dz = x - cx, y - cy, z - cz
+        dx, dy, dz = x - STONES_AT[i, 0], y - STONES_AT[i, 1], z - STONES_AT[i, 2]
+        radius = STONES_AT[i, 3]
         r = math.sqrt(dx * dx + dy * dy + dz * dz) + 1e-9
-        if r > 1.35 * radius:
-            best = min(best, r - 1.18 * radius)  # no bump reaches that far: a bound is enough
+        # No stone exceeds 1.172 of its radius: outside, that ball is a bound, and a stone further off cannot be nearer.
+        ball = r - 1.172 * radius
+        if ball > 4.0:
+            best = min(best, ball)
+            continue
+        if 0.75 * ball > best:
             continue
         ux, uy, uz = dx / r, dy / r, dz / r
         bump = (
@@ -108,19 +146,25 @@ def _stones(x: float, y: float, z: float) -> float:
             + 0.04 * math.sin(5.0 * uz + 3.0 * ux + i)
             + 0.012 * math.sin(11.0 * ux + 9.0 * uy + 2.0 * i)
         )
-        best = min(best, (r - radius * (1.0 + bump)) * 0.8)
+        best = min(best, (r - radius * (1.0 + bump)) * 0.75)
     return best
 
 
-@numba.njit(nogil=True, cache=True)
-def implicit(kind: int, x: float, y: float, z: float) -> float:
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def implicit(kind: int, sizes: Array, x: float, y: float, z: float) -> float:
     """The implicit function of an object at a point of its frame."""
     if kind == 0:
-        return _box(x, y, z - 5.0, 125.0, 95.0, 5.0)
+        bow = sizes[PLANE_BOW] * (1.0 - (x * x + y * y) * (2.0 / (PLANE_HALF_X_MM * PLANE_HALF_X_MM)))
+        return 0.999 * _box(
+            x, y, z - 0.5 * PLANE_THICKNESS_MM - bow, PLANE_HALF_X_MM, PLANE_HALF_Y_MM, 0.5 * PLANE_THICKNESS_MM
+        )
     if kind == 1:
-        a = math.sqrt((x - 75.0) ** 2 + y * y + z * z) - 20.0
-        b = math.sqrt((x + 75.0) ** 2 + y * y + z * z) - 20.0
-        return min(min(a, b), _cylinder_x(x, y, z, 6.0, 75.0))
+        half = sizes[HALF_BALL_DISTANCE]
+        along = abs(x) - half
+        off = y * y + z * z
+        return min(
+            math.sqrt(along * along + off) - BALL_RADIUS_MM, _disc_or_tube(x, math.sqrt(off), BAR_RADIUS_MM, half)
+        )
     if kind == 2:
         return _frustum(x, y, z)
     if kind == 3:
@@ -130,71 +174,123 @@ def implicit(kind: int, x: float, y: float, z: float) -> float:
     return _stones(x, y, z)
 
 
-@numba.njit(nogil=True, cache=True)
-def gradient(kind: int, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Central differences of ``implicit``; not normalised."""
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def gradient(kind: int, sizes: Array, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Direction in which ``implicit`` grows fastest, by differences over a small tetrahedron; not normalised."""
     h = 1e-4
-    k = 0.5 / h
-    return (
-        (implicit(kind, x + h, y, z) - implicit(kind, x - h, y, z)) * k,
-        (implicit(kind, x, y + h, z) - implicit(kind, x, y - h, z)) * k,
-        (implicit(kind, x, y, z + h) - implicit(kind, x, y, z - h)) * k,
-    )
+    a = implicit(kind, sizes, x + h, y - h, z - h)
+    b = implicit(kind, sizes, x - h, y - h, z + h)
+    c = implicit(kind, sizes, x - h, y + h, z - h)
+    d = implicit(kind, sizes, x + h, y + h, z + h)
+    k = 0.25 / h
+    return (a - b - c + d) * k, (c - a - b + d) * k, (b - a - c + d) * k
 
 
-@numba.njit(nogil=True, cache=True)
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def box_span(kind: int, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float) -> tuple[float, float]:
+    """Where a ray enters and leaves the object's box (with half a millimetre to spare); enter > leave: it misses."""
+    enter, leave = -1e30, 1e30
+    for axis in range(3):
+        o = (ox, oy, oz)[axis]
+        d = (dx, dy, dz)[axis]
+        if abs(d) < 1e-12:
+            d = 1e-12
+        a = (BOX[kind, axis] - 0.5 - o) / d
+        b = (BOX[kind, axis + 3] + 0.5 - o) / d
+        enter, leave = max(enter, min(a, b)), min(leave, max(a, b))
+    return enter, leave
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
 def march(
-    kind: int, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, start: float, stop: float
+    kind: int, sizes: Array, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, start: float, stop: float
 ) -> float:
-    """Distance along a ray (object frame, unit direction) to the first surface after ``start``; NaN when none before
-    ``stop``. Refined to 1e-9 mm."""
-    b = ox * dx + oy * dy + oz * dz
-    c = ox * ox + oy * oy + oz * oz - 165.0 * 165.0
-    disc = b * b - c
-    if disc <= 0.0:
+    """Distance along a ray (object frame, unit direction) to the first surface after ``start``; NaN when there is none
+    before ``stop``. Good to 1e-8 mm unless the ray grazes."""
+    enter, leave = box_span(kind, ox, oy, oz, dx, dy, dz)
+    t, end = max(start, enter), min(stop, leave)
+    if not t < end:
         return math.nan
-    root = math.sqrt(disc)
-    t = max(start, -b - root)
-    end = min(stop, -b + root)
-    f = implicit(kind, ox + t * dx, oy + t * dy, oz + t * dz)
-    for _ in range(400):
+    f = implicit(kind, sizes, ox + t * dx, oy + t * dy, oz + t * dz)
+    for _ in range(MARCH_STEPS):
+        if abs(f) < HIT_MM:
+            break
+        if f < 0.1:
+            # Near the surface Newton's step is longer than the safe one; it is taken only if it comes closer.
+            h = 1e-5
+            slope = (implicit(kind, sizes, ox + (t + h) * dx, oy + (t + h) * dy, oz + (t + h) * dz) - f) / h
+            if slope < -0.02:
+                at = t - f / slope
+                g = implicit(kind, sizes, ox + at * dx, oy + at * dy, oz + at * dz)
+                if abs(g) < 0.5 * abs(f):
+                    t, f = at, g
+                    continue
+            if f < 0.0:
+                break
+        t += f
         if t > end:
             return math.nan
-        if f < 1e-4:
-            break
-        t += f
-        f = implicit(kind, ox + t * dx, oy + t * dy, oz + t * dz)
-    for _ in range(6):
-        h = 1e-5
-        slope = (implicit(kind, ox + (t + h) * dx, oy + (t + h) * dy, oz + (t + h) * dz) - f) / h
-        if slope > -1e-3:
-            break  # grazing: the marched point is as good as it gets
-        step = -f / slope
-        t += min(max(step, -0.1), 0.1)
-        f = implicit(kind, ox + t * dx, oy + t * dy, oz + t * dz)
-        if abs(step) < 1e-10:
-            break
+        f = implicit(kind, sizes, ox + t * dx, oy + t * dy, oz + t * dz)
+    if not f < HIT_MM:
+        return math.nan
+    h = 1e-5
+    slope = (implicit(kind, sizes, ox + (t + h) * dx, oy + (t + h) * dy, oz + (t + h) * dz) - f) / h
+    if slope < -0.02:
+        at = t - f / slope
+        if abs(implicit(kind, sizes, ox + at * dx, oy + at * dy, oz + at * dz)) < abs(f):
+            return at
     return t
 
 
 @numba.njit(nogil=True, cache=True)
-def distances(kind: int, points: Array, out: Array) -> None:
-    """Signed distance (n,) of points (n, 3) in the object frame to the surface, outside positive: the foot point is
-    found by iterating along the gradient, so the value is exact near the surface whatever the function's slope."""
+def march_all(kind: int, sizes: Array, rays: Array, out: Array) -> None:
+    """``march`` for rays (n, 6) of the object frame: distances (n,)."""
+    for i in range(rays.shape[0]):
+        r = rays[i]
+        out[i] = march(kind, sizes, r[0], r[1], r[2], r[3], r[4], r[5], 0.0, 1e4)
+
+
+@numba.njit(nogil=True, cache=True)
+def values(kind: int, sizes: Array, points: Array, out: Array) -> None:
+    """``implicit`` for points (n, 3): (n,)."""
+    for i in range(points.shape[0]):
+        out[i] = implicit(kind, sizes, points[i, 0], points[i, 1], points[i, 2])
+
+
+@numba.njit(nogil=True, cache=True)
+def distances(kind: int, sizes: Array, points: Array, out: Array) -> None:
+    """Signed distance (n,) of points (n, 3) in the object frame to the surface, outside positive.
+
+    The foot point is dropped onto the surface along the gradient, then slid along the surface until the point stands
+    perpendicularly above it. Exact near the surface, whatever the function's slope; beside an edge the foot is on one
+    of the faces that meet there.
+    """
     for i in range(points.shape[0]):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         fx, fy, fz = x, y, z
-        f0 = implicit(kind, x, y, z)
-        for _ in range(8):
-            f = implicit(kind, fx, fy, fz)
-            gx, gy, gz = gradient(kind, fx, fy, fz)
-            g2 = gx * gx + gy * gy + gz * gz
-            if g2 < 1e-12:
+        best = 1e30
+        for _ in range(12):
+            gx, gy, gz = 0.0, 0.0, 1.0
+            for _ in range(6):
+                f = implicit(kind, sizes, fx, fy, fz)
+                gx, gy, gz = gradient(kind, sizes, fx, fy, fz)
+                g2 = gx * gx + gy * gy + gz * gz
+                if g2 < 1e-12:
+                    break
+                fx -= f * gx / g2
+                fy -= f * gy / g2
+                fz -= f * gz / g2
+                if f * f < 1e-16 * g2:
+                    break
+            rx, ry, rz = x - fx, y - fy, z - fz
+            away = math.sqrt(rx * rx + ry * ry + rz * rz)
+            if not away < best - 1e-9:
                 break
-            fx -= f * gx / g2
-            fy -= f * gy / g2
-            fz -= f * gz / g2
-            if f * f < 1e-18 * g2:
-                break
-        away = math.sqrt((x - fx) ** 2 + (y - fy) ** 2 + (z - fz) ** 2)
-        out[i] = away if f0 >= 0.0 else -away
+            best = away
+            # The part of the way back to the point that lies along the surface.
+            g2 = gx * gx + gy * gy + gz * gz + 1e-30
+            normal = (rx * gx + ry * gy + rz * gz) / g2
+            fx += rx - normal * gx
+            fy += ry - normal * gy
+            fz += rz - normal * gz
+        out[i] = best if implicit(kind, sizes, x, y, z) >= 0.0 else -best

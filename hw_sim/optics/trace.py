@@ -1,7 +1,9 @@
 """Owns the path of one light ray: pixel → lens → glass → water, and back by Newton's method on the exact path.
 
-An eye (camera or projector) is packed into one float64 array, so that compiled loops can carry it; ``EYE`` says where
-what lies. Rig frame, mm; pixel centres at integers.
+An eye (camera or projector) is packed into one float64 array, so that compiled loops can carry it; the constants below
+say where what lies. Rig frame, mm; pixel centres at integers. The path follows Snell's law as vectors (no angles, no
+small-angle terms) through an inner face with normal n at distance d along n, and an outer face with a normal m of its
+own (the wedge) through the point n (d + th).
 """
 
 from __future__ import annotations
@@ -20,13 +22,15 @@ DISTANCE, THICKNESS, GLASS, WATER, WIDTH, HEIGHT, HAS_FIELD, FIELD = 27, 28, 29,
 FIELD_ORDER = 4
 PACKED = FIELD + 2 * FIELD_ORDER * FIELD_ORDER
 
-UNDISTORT_STEPS = 20
+UNDISTORT_STEPS = 10
 PROJECT_STEPS = 12
+DIFFERENCE_PX = 0.01
+"""Step of the difference quotients in Newton's method; they only steer, they do not limit the accuracy."""
 
 
 @numba.njit(nogil=True, cache=True)
 def refract(x: float, y: float, z: float, nx: float, ny: float, nz: float, ratio: float) -> tuple[float, float, float]:
-    """Snell's law for a unit direction crossing a face whose unit normal points onwards."""
+    """Snell's law for a unit direction crossing a face whose unit normal points onwards; ``ratio`` = n before / after."""
     cosine = x * nx + y * ny + z * nz
     onward = math.sqrt(1.0 - ratio * ratio * (1.0 - cosine * cosine))
     k = onward - ratio * cosine
@@ -35,52 +39,57 @@ def refract(x: float, y: float, z: float, nx: float, ny: float, nz: float, ratio
 
 @numba.njit(nogil=True, cache=True)
 def lens_field(eye: Array, u: float, v: float) -> tuple[float, float]:
-    """The part of the lens that no radial model has: low cosines over the image, in px at the pixel itself."""
+    """The part of the lens that no radial model has: low cosines over the image, in px at the pixel itself.
+
+    A ray that an ideal five-parameter lens would put at (u, v) − field(u, v) arrives at (u, v).
+    """
     du, dv = 0.0, 0.0
     if eye[HAS_FIELD] == 0.0:
         return du, dv
-    # Cosines of multiples by recurrence: two cosines instead of twenty.
-    cx1, cy1 = math.cos(math.pi * (u + 0.5) / eye[WIDTH]), math.cos(math.pi * (v + 0.5) / eye[HEIGHT])
+    x, y = math.pi * (u + 0.5) / eye[WIDTH], math.pi * (v + 0.5) / eye[HEIGHT]
+    x1, y1 = math.cos(x), math.cos(y)
+    x2, y2 = 2.0 * x1 * x1 - 1.0, 2.0 * y1 * y1 - 1.0
+    x3, y3 = x1 * (2.0 * x2 - 1.0), y1 * (2.0 * y2 - 1.0)
     k = FIELD
-    cy_before, cy = cy1, 1.0
-    for _ in range(FIELD_ORDER):
-        cx_before, cx = cx1, 1.0
-        for _ in range(FIELD_ORDER):
-            basis = cx * cy
-            du += eye[k] * basis
-            dv += eye[k + FIELD_ORDER * FIELD_ORDER] * basis
-            k += 1
-            cx_before, cx = cx, 2.0 * cx1 * cx - cx_before
-        cy_before, cy = cy, 2.0 * cy1 * cy - cy_before
+    for j in range(FIELD_ORDER):
+        cy = (1.0, y1, y2, y3)[j]
+        n = k + FIELD_ORDER * FIELD_ORDER
+        du += cy * (eye[k] + eye[k + 1] * x1 + eye[k + 2] * x2 + eye[k + 3] * x3)
+        dv += cy * (eye[n] + eye[n + 1] * x1 + eye[n + 2] * x2 + eye[n + 3] * x3)
+        k += FIELD_ORDER
     return du, dv
 
 
 @numba.njit(nogil=True, cache=True)
-def brown(eye: Array, x: float, y: float) -> tuple[float, float]:
-    """OpenCV's five-parameter distortion of normalised coordinates."""
+def undistort(eye: Array, xd: float, yd: float) -> tuple[float, float]:
+    """Normalised coordinates whose distorted ones are (xd, yd): Newton on OpenCV's five-parameter model."""
     k1, k2, p1, p2, k3 = eye[BROWN], eye[BROWN + 1], eye[BROWN + 2], eye[BROWN + 3], eye[BROWN + 4]
-    r2 = x * x + y * y
-    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    return (
-        x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
-        y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
-    )
+    x, y = xd, yd
+    for _ in range(UNDISTORT_STEPS):
+        r2 = x * x + y * y
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        slope = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3))
+        ex = xd - (x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x))
+        ey = yd - (y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y)
+        xx = radial + x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x
+        xy = x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y
+        yy = radial + y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x
+        det = xx * yy - xy * xy
+        sx, sy = (yy * ex - xy * ey) / det, (xx * ey - xy * ex) / det
+        x += sx
+        y += sy
+        if abs(sx) + abs(sy) < 1e-15:
+            break
+    return x, y
 
 
 @numba.njit(nogil=True, cache=True)
 def pixel_ray(eye: Array, u: float, v: float) -> tuple[float, float, float, float, float, float]:
     """The ray in water that pixel (u, v) looks along: point on the outer glass face and unit direction, rig frame."""
     du, dv = lens_field(eye, u, v)
-    xd = (u - du - eye[CENTRE]) / eye[FOCAL]
-    yd = (v - dv - eye[CENTRE + 1]) / eye[FOCAL + 1]
-    x, y = xd, yd
-    for _ in range(UNDISTORT_STEPS):
-        bx, by = brown(eye, x, y)
-        ex, ey = xd - bx, yd - by
-        x += ex
-        y += ey
-        if abs(ex) + abs(ey) < 1e-15:
-            break
+    x, y = undistort(
+        eye, (u - du - eye[CENTRE]) / eye[FOCAL], (v - dv - eye[CENTRE + 1]) / eye[FOCAL + 1]
+    )  # fmt: skip
     norm = math.sqrt(x * x + y * y + 1.0)
     ax, ay, az = x / norm, y / norm, 1.0 / norm
     nx, ny, nz = eye[INNER], eye[INNER + 1], eye[INNER + 2]
@@ -115,9 +124,20 @@ def _miss(eye: Array, u: float, v: float, x: float, y: float, z: float) -> tuple
 
 
 @numba.njit(nogil=True, cache=True)
-def project_point(eye: Array, x: float, y: float, z: float, u: float, v: float) -> tuple[float, float]:
-    """The pixel whose ray passes through a water point, by Newton from the guess (u, v); NaN if it runs away."""
-    h = 0.01
+def project_point(eye: Array, x: float, y: float, z: float) -> tuple[float, float]:
+    """The pixel whose ray passes through a water point, by Newton on the exact ray; NaN if there is none."""
+    r = ROTATION
+    dx, dy, dz = x - eye[POSITION], y - eye[POSITION + 1], z - eye[POSITION + 2]
+    lx = dx * eye[r] + dy * eye[r + 3] + dz * eye[r + 6]
+    ly = dx * eye[r + 1] + dy * eye[r + 4] + dz * eye[r + 7]
+    lz = dx * eye[r + 2] + dy * eye[r + 5] + dz * eye[r + 8]
+    in_water = lz - eye[DISTANCE] - eye[THICKNESS]
+    if not in_water > 0.0:
+        return math.nan, math.nan
+    # Small angles give the start: slopes divide by the index, so each layer counts as thickness / index.
+    reach = eye[DISTANCE] + eye[THICKNESS] / eye[GLASS] + in_water / eye[WATER]
+    u, v = eye[CENTRE] + eye[FOCAL] * lx / reach, eye[CENTRE + 1] + eye[FOCAL + 1] * ly / reach
+    h = DIFFERENCE_PX
     for _ in range(PROJECT_STEPS):
         mx, my = _miss(eye, u, v, x, y, z)
         ax, ay = _miss(eye, u + h, v, x, y, z)
@@ -132,8 +152,8 @@ def project_point(eye: Array, x: float, y: float, z: float, u: float, v: float) 
         if not (abs(u) < 1e5 and abs(v) < 1e5):
             return math.nan, math.nan
         if abs(du) + abs(dv) < 1e-10:
-            break
-    return u, v
+            return u, v
+    return math.nan, math.nan
 
 
 @numba.njit(nogil=True, cache=True)
@@ -144,9 +164,16 @@ def rays_of(eye: Array, uv: Array, out: Array) -> None:
 
 
 @numba.njit(nogil=True, cache=True)
+def rays_of_image(eye: Array, out: Array) -> None:
+    """Rays (h, w, 6) of all pixels."""
+    for y in range(out.shape[0]):
+        for x in range(out.shape[1]):
+            o = out[y, x]
+            o[0], o[1], o[2], o[3], o[4], o[5] = pixel_ray(eye, float(x), float(y))
+
+
+@numba.njit(nogil=True, cache=True)
 def pixels_of(eye: Array, points: Array, out: Array) -> None:
     """Pixels (n, 2) of water points (n, 3), rig frame."""
     for i in range(points.shape[0]):
-        out[i, 0], out[i, 1] = project_point(
-            eye, points[i, 0], points[i, 1], points[i, 2], eye[CENTRE], eye[CENTRE + 1]
-        )
+        out[i, 0], out[i, 1] = project_point(eye, points[i, 0], points[i, 1], points[i, 2])

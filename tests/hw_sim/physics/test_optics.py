@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from hw_sim.optics.projection import fit_projection, project_fast
+from hw_sim.optics.points import project, ray
+from hw_sim.optics.table import fit_table, look_up_all
 from hw_sim.optics.trace import INNER, OUTER, PACKED, pixel_ray, pixels_of, rays_of, refract
 from hw_sim.truth import SETS, TrueEye, draw_truth
 from hw_sim.water import Water
@@ -51,17 +52,22 @@ def test_projecting_inverts_tracing(kind: str, name: str) -> None:
     np.testing.assert_allclose(found, uv, atol=1e-9)
 
 
-@pytest.mark.parametrize("kind", ["realistic", "paper"])
-def test_the_polynomial_projection_is_the_exact_one(kind: str) -> None:
+@pytest.mark.parametrize("name", ["left", "right", "projector"])
+@pytest.mark.parametrize("kind", ["hard", "paper"])
+def test_the_projection_table_is_the_exact_projection(kind: str, name: str) -> None:
     truth = draw_truth(kind, 11, 1600, 1200, N_WATER)
-    eye = truth.projector.packed(truth.n_water)
-    fit = fit_projection(eye)
-    uv = some_pixels(truth.projector, 1000)
-    rays = np.empty((1000, 6))
-    rays_of(eye, uv, rays)
-    points = rays[:, :3] + rays[:, 3:] * np.random.default_rng(2).uniform(360, 680, (1000, 1))
-    fast = np.array([project_fast(eye, fit.coefficients, *p) for p in points])
-    assert np.abs(fast - uv).max() < 1e-4
+    eye = truth.eye(name).packed(truth.n_water)
+    table = fit_table(eye)
+    uv = some_pixels(truth.eye(name), 4000)
+    uv[:4] = [[0, 0], [0, uv[:, 1].max()], [uv[:, 0].max(), 0], uv.max(axis=0)]
+    origin, direction = ray(truth, name, uv)
+    for near_mm, far_mm, limit_px in ((400.0, 660.0, 5e-5), (240.0, 1400.0, 5e-5)):
+        depth = np.random.default_rng(2).uniform(near_mm, far_mm, len(uv))
+        points = origin + direction * ((depth - origin[:, 2]) / direction[:, 2])[:, None]
+        found = np.empty_like(uv)
+        look_up_all(eye, table, points, found)
+        assert np.abs(found - uv).max() < limit_px
+        np.testing.assert_allclose(project(truth, name, points), uv, atol=1e-9)
 
 
 def test_light_takes_the_quickest_path_through_a_wedged_window() -> None:

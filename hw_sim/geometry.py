@@ -1,0 +1,149 @@
+"""Owns where light goes in a scene at one pose: every camera pixel's exact ray is followed to the object, and the point it
+meets is projected into the projector.
+
+What depends on the pose alone is computed once (``Geometry``); a frame of a scene at rest then only samples light.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from hw_sim.objects.shapes import gradient, march
+from hw_sim.objects.texture import albedo
+from hw_sim.optics.table import OUTSIDE, look_up
+from hw_sim.projector import FAR_MM, FOCUS_MM
+from hw_sim.shadow import BLOCK_PX, block_start, by_map, into, shaded, shadow_map
+
+Array = NDArray[np.float64]
+
+P, Q, LIT, SOFT, GREY, CHANNELS = 0, 1, 2, 3, 4, 5
+"""Channels of ``Geometry.pixels``: pattern coordinate; what reaches the camera of white projector light (albedo, angle,
+distance, window, water on both ways; 1 for a white surface facing the rig in the middle of a volume of perfectly clear
+water); softness 0..1 of the projected light; and what reaches it of ambient light (albedo, water on the way back)."""
+
+MIDDLE_MM = 487.5
+"""Path in water from a window to the middle of the volume."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """An object at a moment: p_rig = R p_object + t."""
+
+    kind: int
+    sizes: Array
+    R: Array
+    t: Array
+
+    @property
+    def key(self) -> bytes:
+        """Equal for equal geometry."""
+        return bytes([self.kind]) + self.sizes.tobytes() + self.R.tobytes() + self.t.tobytes()
+
+
+@dataclass(frozen=True, slots=True)
+class Lamp:
+    """The projector, ready for tracing."""
+
+    eye: Array
+    table: Array
+    """See ``optics.table``."""
+    window: NDArray[np.float32]
+    """(768, 1024, 4): where each pixel's ray leaves the window (rig frame, mm), and its brightness (vignetting)."""
+    map_rays: Array
+    """Rays (rows, columns, 6) of the shadow map."""
+    depth_mm: float
+    """How far behind the outer face of the window the light seems to start, seen from the water."""
+
+
+@dataclass(frozen=True, slots=True)
+class Geometry:
+    """One camera's view of one pose."""
+
+    distance_mm: Array
+    """(h, w) from the window along the ray to the surface; NaN where there is none."""
+    pixels: NDArray[np.float32]
+    """(h, w, CHANNELS)."""
+
+
+def shadows(pose: Pose, lamp: Lamp) -> NDArray[np.float32]:
+    """The map of what the projector's light meets first at this pose (see ``shadow``)."""
+    first = np.empty(lamp.map_rays.shape[:2], np.float32)
+    shadow_map(pose.kind, pose.sizes, pose.R, pose.t, lamp.map_rays, first)
+    return first
+
+
+def trace(
+    rays: Array,
+    pose: Pose,
+    first: NDArray[np.float32],
+    lamp: Lamp,
+    texture: int,
+    lattice: NDArray[np.float32],
+    attenuation_per_m: float,
+) -> Geometry:
+    """Follow the rays (h, w, 6) of a camera; ``first`` are the pose's shadows, ``lattice`` is the texture's."""
+    h, w = rays.shape[:2]
+    geometry = Geometry(np.empty((h, w)), np.empty((h, w, CHANNELS), np.float32))
+    _trace(
+        pose.kind, pose.sizes, pose.R, pose.t, first, texture, lattice, attenuation_per_m / 1000.0, rays,
+        lamp.eye, lamp.table, lamp.window, lamp.depth_mm, geometry.distance_mm, geometry.pixels,
+    )  # fmt: skip
+    return geometry
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _trace(
+    kind: int, sizes: Array, R: Array, t: Array, first: NDArray[np.float32], texture: int,
+    lattice: NDArray[np.float32], per_mm: float, rays: Array, lamp: Array, table: Array,
+    window: NDArray[np.float32], depth_mm: float, distance: Array, pixels: NDArray[np.float32],
+) -> None:  # fmt: skip
+    rows, columns = distance.shape
+    height, width = window.shape[0], window.shape[1]
+    for y0 in range(0, rows, BLOCK_PX):
+        y1 = min(y0 + BLOCK_PX, rows)
+        for x0 in range(0, columns, BLOCK_PX):
+            x1 = min(x0 + BLOCK_PX, columns)
+            start = block_start(kind, sizes, R, t, rays, y0, y1 - 1, x0, x1 - 1)
+            for y in range(y0, y1):
+                for x in range(x0, x1):
+                    ray, out = rays[y, x], pixels[y, x]
+                    distance[y, x] = math.nan
+                    out[P], out[Q], out[LIT], out[SOFT], out[GREY] = OUTSIDE, OUTSIDE, 0.0, 0.0, 0.0
+                    if math.isnan(start):
+                        continue
+                    ox, oy, oz = into(R, ray[0] - t[0], ray[1] - t[1], ray[2] - t[2])
+                    dx, dy, dz = into(R, ray[3], ray[4], ray[5])
+                    far = march(kind, sizes, ox, oy, oz, dx, dy, dz, start, 1e4)
+                    if math.isnan(far):
+                        continue
+                    distance[y, x] = far
+                    hx, hy, hz = ox + far * dx, oy + far * dy, oz + far * dz
+                    grey = albedo(texture, lattice, hx, hy, hz) * math.exp(-per_mm * far)
+                    out[GREY] = grey
+                    wx, wy, wz = ray[0] + far * ray[3], ray[1] + far * ray[4], ray[2] + far * ray[5]
+                    u, v = look_up(lamp, table, wx, wy, wz)
+                    if not (-2.0 < u < width + 1.0 and -2.0 < v < height + 1.0):
+                        continue
+                    out[P], out[Q] = u, v
+                    origin = window[min(max(int(v + 0.5), 0), height - 1), min(max(int(u + 0.5), 0), width - 1)]
+                    sx, sy, sz = into(R, origin[0] - t[0], origin[1] - t[1], origin[2] - t[2])
+                    vx, vy, vz = sx - hx, sy - hy, sz - hz
+                    length = math.sqrt(vx * vx + vy * vy + vz * vz)
+                    nx, ny, nz = gradient(kind, sizes, hx, hy, hz)
+                    norm = math.sqrt(nx * nx + ny * ny + nz * nz) + 1e-12
+                    nx, ny, nz = nx / norm, ny / norm, nz / norm
+                    facing = (vx * nx + vy * ny + vz * nz) / length
+                    if facing <= 0.0:
+                        continue
+                    sure = by_map(first, u, v, length)
+                    if sure < 0 or (sure == 0 and shaded(kind, sizes, hx, hy, hz, nx, ny, nz, sx, sy, sz)):
+                        continue
+                    spread = (MIDDLE_MM + depth_mm) / (length + depth_mm)
+                    out[LIT] = grey * facing * spread * spread * origin[3] * math.exp(-per_mm * length)
+                    away = (wz - FOCUS_MM) / FAR_MM
+                    out[SOFT] = min(away * away, 1.0)

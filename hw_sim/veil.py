@@ -1,0 +1,100 @@
+"""Owns backscatter: projected light that the water between throws straight into a camera.
+
+Single scattering. Along each camera ray, the water inside the projector's beam sends back light in proportion to what
+falls on it there; near the window the ray has not yet entered the beam, behind a surface there is no more water. The veil
+is smooth, so it is computed on a coarse lattice of rays.
+"""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from hw_sim.geometry import MIDDLE_MM, Lamp
+from hw_sim.optics.table import look_up
+
+Array = NDArray[np.float64]
+
+CELL_PX = 32
+"""Lattice of camera rays, in px of 1600."""
+DEPTHS = 24
+FIRST_MM, LAST_MM = 120.0, 1000.0
+SHRINK = 16
+"""The light is averaged over squares of so many projector px."""
+
+
+class Veil:
+    """Backscatter as one camera of a rig at rest or in motion sees it: the beam moves with the camera."""
+
+    def __init__(self, rays: Array, lamp: Lamp) -> None:
+        h, w = rays.shape[:2]
+        cell = max(1, round(CELL_PX * w / 1600.0))
+        self._rows = np.arange(cell // 2, h, cell)
+        self._columns = np.arange(cell // 2, w, cell)
+        self._shape = (h, w)
+        self._depths_mm = FIRST_MM + (LAST_MM - FIRST_MM) * (np.arange(DEPTHS) + 0.5) / DEPTHS
+        coarse = np.ascontiguousarray(rays[np.ix_(self._rows, self._columns)])
+        self._places = np.empty((*coarse.shape[:2], DEPTHS, 4), np.float32)
+        _places(coarse, self._depths_mm, lamp.eye, lamp.table, lamp.window, lamp.depth_mm, self._places)
+        middle = self._places[len(self._rows) // 2, len(self._columns) // 2, self._depths_mm < MIDDLE_MM]
+        self._unit = float(middle[:, 2].sum())
+        """What comes back of white light from perfectly clear water in front of the middle: the unit of the option."""
+
+    def seen(self, light: NDArray[np.float32], distance_mm: Array, attenuation_per_m: float) -> NDArray[np.float32]:
+        """The veil (h, w) float32 of the projected ``light`` (768, 1024), in units of the middle's veil of white light."""
+        small = cv2.resize(
+            light, (light.shape[1] // SHRINK, light.shape[0] // SHRINK), interpolation=cv2.INTER_AREA
+        )  # fmt: skip
+        ends = distance_mm[np.ix_(self._rows, self._columns)]
+        coarse = np.empty(ends.shape, np.float32)
+        _gather(self._places, self._depths_mm, ends, np.asarray(small, np.float32), attenuation_per_m / 1000.0, coarse)
+        h, w = self._shape
+        return np.asarray(cv2.resize(coarse / self._unit, (w, h), interpolation=cv2.INTER_LINEAR), np.float32)
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _places(
+    rays: Array, depths: Array, lamp: Array, table: Array, window: NDArray[np.float32], depth_mm: float,
+    out: NDArray[np.float32],
+) -> None:  # fmt: skip
+    """For each ray and depth: cell of the shrunk light (−1: outside of the beam), irradiance by white light, path."""
+    for y in range(rays.shape[0]):
+        for x in range(rays.shape[1]):
+            ray = rays[y, x]
+            for k in range(depths.size):
+                px, py, pz = ray[0] + depths[k] * ray[3], ray[1] + depths[k] * ray[4], ray[2] + depths[k] * ray[5]
+                u, v = look_up(lamp, table, px, py, pz)
+                place = out[y, x, k]
+                place[0], place[1], place[2], place[3] = -1.0, -1.0, 0.0, 0.0
+                if not (0.0 <= u < window.shape[1] - 0.5 and 0.0 <= v < window.shape[0] - 0.5):
+                    continue
+                from_ = window[int(v + 0.5), int(u + 0.5)]
+                path = math.sqrt((px - from_[0]) ** 2 + (py - from_[1]) ** 2 + (pz - from_[2]) ** 2)
+                spread = (MIDDLE_MM + depth_mm) / (path + depth_mm)
+                place[0], place[1] = np.floor(u / SHRINK), np.floor(v / SHRINK)
+                place[2], place[3] = spread * spread * from_[3], path + depths[k]
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _gather(
+    places: NDArray[np.float32], depths: Array, ends: Array, light: NDArray[np.float32], per_mm: float,
+    out: NDArray[np.float32],
+) -> None:  # fmt: skip
+    step = depths[1] - depths[0]
+    for y in range(ends.shape[0]):
+        for x in range(ends.shape[1]):
+            total = 0.0
+            for k in range(depths.size):
+                place = places[y, x, k]
+                share = 1.0
+                if ends[y, x] < depths[k] + 0.5 * step:  # not so where nothing is hit: NaN
+                    share = (ends[y, x] - depths[k]) / step + 0.5
+                    if share <= 0.0:
+                        break
+                if place[0] >= 0.0:
+                    total += share * place[2] * light[int(place[1]), int(place[0])] * math.exp(-per_mm * place[3])
+            out[y, x] = total
