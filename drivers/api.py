@@ -111,7 +111,8 @@ class Camera(Protocol):
         """Apply and return what the camera really set; trigger on, Mono8. Raises DeviceRefused, DeviceGone."""
 
     def start(self) -> None:
-        """Flush stale buffers, start the stream, wait for triggers. Idempotent. Raises DeviceError."""
+        """Flush stale buffers, start the stream, wait for triggers. A running stream is flushed and starts anew, with
+        block ids from their beginning. Raises DeviceError."""
 
     def next_frame(self, slot: NDArray[np.uint8], timeout_s: float) -> Frame:
         """Fill ``slot`` (height, width) uint8 in place. A bad frame is a status; a lost device raises DeviceGone."""
@@ -268,7 +269,9 @@ KeyEvent = KeyPress | KeyLongPress | KeyRelease | KeyStuck | KeysLost
 
 
 class Keys(Protocol):
-    def next_event(self, timeout_s: float) -> KeyEvent | None: ...
+    def next_event(self, timeout_s: float) -> KeyEvent | None:
+        """The next event, ``None`` after the timeout. KeysLost comes once; after an unplugged pad's every further call
+        raises DeviceGone, a pad that only fell silent may come back by itself."""
 
 
 # ------------------------------------------------------------------------------------------- output

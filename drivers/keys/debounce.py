@@ -77,7 +77,7 @@ class Debouncer:
         for state in self._keys.values():
             if state.contact != state.down:
                 times.append(state.contact_since_ns + DEBOUNCE_NS)
-            if state.down and not state.stuck_told:
+            elif state.down and not state.stuck_told:
                 if not state.long_told and not state.masked:
                     times.append(state.down_since_ns + LONG_PRESS_NS)
                 times.append(state.down_since_ns + STUCK_NS)
@@ -100,11 +100,11 @@ class Debouncer:
             state.masked = state.stuck_told = False
 
     def _hold(self, key: Key, state: _KeyState, now_ns: int, events: list[tuple[int, KeyEvent]]) -> None:
-        """A key that is held becomes a long press, later a stuck key; a release that is due ends it first."""
+        """A key that is held becomes a long press, later a stuck key."""
         if not state.down:
             return
-        released = not state.contact and now_ns - state.contact_since_ns >= DEBOUNCE_NS
-        held_ns = (state.contact_since_ns if released else now_ns) - state.down_since_ns
+        # An open contact may be bounce or the release: until that is known, the key was held up to its opening.
+        held_ns = (now_ns if state.contact else state.contact_since_ns) - state.down_since_ns
         if held_ns >= LONG_PRESS_NS and not state.long_told and not state.masked:
             state.long_told = True
             at_ns = state.down_since_ns + LONG_PRESS_NS

@@ -115,7 +115,7 @@ def test_the_buffer_of_a_transfer_is_the_slot_itself() -> None:
     slot = np.zeros((HEIGHT, WIDTH), np.uint8)
     buffer = transfer_buffer(slot)
     assert buffer.buffer_info() == (slot.ctypes.data, PIXELS)
-    memoryview(buffer)[5] = 77
+    memoryview(buffer)[5] = 77  # type: ignore[arg-type]  # mypy does not know that a subclass has the protocol
     assert slot[0, 5] == 77
 
 

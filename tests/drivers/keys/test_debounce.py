@@ -80,6 +80,24 @@ def test_a_press_of_790_ms_that_is_noticed_late_is_not_long() -> None:
     assert [type(event) for event in pad.said] == [KeyPress, KeyRelease]
 
 
+def test_a_release_just_before_800_ms_is_no_long_press_although_it_is_known_only_after() -> None:
+    pad = Pad()
+    pad.at(0, Key.BACK)
+    pad.at(780)
+    pad.until(805)
+    pad.until(900)
+    assert [type(event) for event in pad.said] == [KeyPress, KeyRelease]
+
+
+def test_bounce_at_800_ms_does_not_prevent_a_long_press() -> None:
+    pad = Pad()
+    pad.at(0, Key.BACK)
+    pad.at(790)
+    pad.at(805, Key.BACK)
+    pad.until(806)
+    assert pad.said == [KeyPress(Key.BACK, 0), KeyLongPress(Key.BACK, 800 * MS)]
+
+
 def test_a_key_held_longer_than_8_s_is_stuck_and_silent_until_released() -> None:
     pad = Pad()
     pad.at(0, Key.SCAN)
