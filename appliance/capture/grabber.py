@@ -21,6 +21,8 @@ LIVE_TIMEOUT_S = 0.5
 FIRST_FRAME_TIMEOUT_S = 2.0
 NEXT_FRAME_TIMEOUT_S = 0.15
 """Nine vertical blanks: a frame that has not come by then was lost."""
+SILENCE_S = 0.035
+"""Two vertical blanks in which no frame may follow the last."""
 JOIN_TIMEOUT_S = 5.0
 
 
@@ -195,6 +197,8 @@ class Grabber:
             if stop:
                 break
             recording.on_frame(index)
+        else:
+            self._expect_silence(recording)
         self._camera.stop()
         with self._changed:
             recording.done = True
@@ -203,6 +207,13 @@ class Grabber:
                 self._order = "idle"
             self._state = "idle"
             self._changed.notify_all()
+
+    def _expect_silence(self, recording: Recording) -> None:
+        """After the last frame nothing may follow: a frame too many is evidence like one too few."""
+        frame = self._camera.next_frame(self._live[0], SILENCE_S)
+        if frame.status is not FrameStatus.TIMEOUT:
+            with self._changed:
+                recording.frames.append(frame)
 
     def _fail(self, reason: str) -> None:
         with self._changed:

@@ -237,7 +237,10 @@ def _first_fault(
     if fault is not None:
         return fault
     if _ended_by_a_frame(ledger):
-        return frame_fault(ledger, "left") or frame_fault(ledger, "right") or audit(ledger)
+        found = [fault for fault in (frame_fault(ledger, side) for side in SIDES) if fault is not None]
+        # The other camera was cancelled and lacks frames too: damage is the cause, missing frames may be the effect.
+        found.sort(key=lambda one: one.code is FaultCode.FRAME_MISSING)
+        return found[0] if found else audit(ledger)
     return audit(ledger)
 
 

@@ -8,7 +8,7 @@ from drivers.api import Board, Flip, Vsync
 
 MAX_PHASE_ERROR = 0.3
 """Largest distance, in periods, between a vertical sync as the board dates it and as the kernel does."""
-MAX_QUERIES = 4
+MAX_QUERIES = 10
 
 
 class SyncError(Exception):
@@ -44,7 +44,7 @@ def map_vsync(flip: Flip, vsync: Vsync, period_ns: float) -> SyncMap | None:
 
 
 def synchronise(board: Board, flip: Flip, period_ns: float) -> SyncMap:
-    """Ask the board until two queries agree (at most four). Raises SyncError, and the board's DeviceError."""
+    """Ask the board until two queries agree (at most ten). Raises SyncError, and the board's DeviceError."""
     counts: list[int] = []
     for _ in range(MAX_QUERIES):
         found = map_vsync(flip, board.vsync(), period_ns)

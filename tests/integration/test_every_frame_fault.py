@@ -1,0 +1,151 @@
+"""Every dropped, repeated, swapped or cut frame, at every position, ends as its named fault; the next scan works.
+
+The shipped drivers over the simulated wires, small images, both sides in turn. No service: this is the capture's promise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from appliance.capture.fault import FaultCode
+from appliance.capture.grabber import Grabber
+from appliance.capture.scan import CaptureReport, ScanRecorder, ScanSettings
+from appliance.capture.store import FrameStore
+from appliance.patterns.sequence import build_sequence
+from drivers import rig as drivers_rig
+from drivers.api import CameraSettings
+from hw_sim.wires import open as open_wires
+from hw_sim.world import World, WorldOptions
+from tests.support.rendered import pictures
+
+N = 24
+WIDTH, HEIGHT = 400, 300
+CARD = "/dev/dri/card0"
+
+
+@dataclass
+class Bench:
+    world: World
+    recorder: ScanRecorder
+    store: FrameStore
+    arrived: list[tuple[str, int]]
+
+    def record(self) -> CaptureReport:
+        self.arrived.clear()
+        return self.recorder.record(
+            build_sequence(16), self.store, lambda side, k: self.arrived.append((side, k)), lambda: None
+        )
+
+
+@pytest.fixture(scope="module")
+def bench() -> Iterator[Bench]:
+    with ExitStack() as stack:
+        name = "every-frame-fault"
+        world = stack.enter_context(
+            World(WorldOptions(world=name, width_px=WIDTH, height_px=HEIGHT, object="plane", idle_speed=2.0))
+        )
+        wires = stack.enter_context(open_wires({"world": name}))
+        kms = drivers_rig.OutputKind("kms")
+        outputs = stack.enter_context(
+            drivers_rig.open_outputs(
+                drivers_rig.OutputSpec(kms, CARD, "HDMI-A-1", 1024, 768, 60.0),
+                drivers_rig.OutputSpec(kms, CARD, "DP-1", 800, 480, 60.0),
+                wires,
+            )
+        )
+        projector = outputs.open_projector()
+        projector.load([*pictures(build_sequence(16)), np.zeros((768, 1024), np.uint8)])
+        projector.show(N)
+        grabbers = {}
+        for side in ("left", "right"):
+            spec = drivers_rig.CameraSpec(f"camera.{side}", f"KF-CAM-{side[0].upper()}")
+            camera = stack.enter_context(drivers_rig.open_camera(spec, wires))
+            camera.configure(CameraSettings(WIDTH, HEIGHT, 12000.0, 0.0))
+            grabbers[side] = stack.enter_context(Grabber(side, camera, wires.clock, HEIGHT, WIDTH))
+        board = stack.enter_context(drivers_rig.open_board(drivers_rig.BoardSpec(f"kfsim://{name}/board"), wires))
+        store = stack.enter_context(FrameStore(N, HEIGHT, WIDTH))
+        recorder = ScanRecorder(grabbers, board, projector, wires.clock, ScanSettings(60.0, 12000, 500))
+        yield Bench(world, recorder, store, [])
+
+
+def test_a_clean_scan_has_every_frame_of_both_cameras_and_no_fault(bench: Bench) -> None:
+    report = bench.record()
+    assert report.fault is None
+    assert sorted(bench.arrived) == sorted((side, k) for side in ("left", "right") for k in range(N))
+    bright, dark = bench.store.frames("left")[:2]
+    assert np.median(bright) > 100 > 20 > np.median(dark)
+    assert len(report.ledger.pulses) == len(report.ledger.flips) == N
+
+
+@pytest.mark.parametrize(
+    ("sentence", "code"),
+    [
+        ("intermittent frame={k}", FaultCode.FRAME_MISSING),
+        ("wrong how=repeat frame={k}", FaultCode.FRAME_REPEATED),
+        ("wrong how=swap frame={k}", FaultCode.FRAME_ORDER),
+        ("garbage how=truncate frame={k}", FaultCode.FRAME_TRUNCATED),
+    ],
+)
+@pytest.mark.parametrize("k", range(N))
+def test_a_spoilt_frame_is_named_and_the_next_scan_works(bench: Bench, sentence: str, code: FaultCode, k: int) -> None:
+    side = ("left", "right")[k % 2]
+    bench.world.fault(f"camera.{side} {sentence.format(k=k)}")
+    report = bench.record()
+    bench.world.clear_faults()
+    assert report.fault is not None
+    assert (report.fault.code, report.fault.device) == (code, f"camera.{side}")
+    assert report.recording_s < 5.0
+    if k % 4 >= 2:  # the others are followed by a scan that works up to its own fault
+        assert bench.record().fault is None
+
+
+@pytest.mark.parametrize("how", ["leader", "trailer"])
+@pytest.mark.parametrize("k", [0, 11, 23])
+def test_noise_instead_of_a_leader_or_trailer(bench: Bench, how: str, k: int) -> None:
+    bench.world.fault(f"camera.left garbage how={how} frame={k}")
+    report = bench.record()
+    bench.world.clear_faults()
+    assert report.fault is not None
+    assert report.fault.code in (FaultCode.FRAME_CORRUPT, FaultCode.FRAME_MISSING)
+    assert bench.record().fault is None
+
+
+@pytest.mark.parametrize("k", range(N))
+def test_a_late_flip(bench: Bench, k: int) -> None:
+    bench.world.fault(f"projector delayed frame={k}")
+    report = bench.record()
+    bench.world.clear_faults()
+    assert report.fault is not None
+    assert (report.fault.code, report.fault.numbers["frame"]) == (FaultCode.LATE_FLIP, k)
+
+
+def test_a_pulse_that_was_not_fired(bench: Bench) -> None:
+    bench.world.fault("board intermittent frame=7")
+    report = bench.record()
+    bench.world.clear_faults()
+    assert report.fault is not None
+    assert report.fault.code in (FaultCode.PULSE_MISSING, FaultCode.FRAME_MISSING)
+    assert bench.record().fault is None
+
+
+def test_a_laser_that_stays_on_forbids_the_scan(bench: Bench) -> None:
+    bench.world.fault("laser.left stuck")
+    report = bench.record()
+    bench.world.clear_faults()
+    assert report.fault is not None
+    assert report.fault.code is FaultCode.LASER_ON
+    assert not bench.arrived
+    assert bench.record().fault is None
+
+
+def test_a_camera_unplugged_in_the_middle(bench: Bench) -> None:
+    bench.world.fault("camera.right off frame=9")
+    report = bench.record()
+    assert report.fault is not None
+    assert (report.fault.code, report.fault.device) == (FaultCode.CAMERA_LOST, "camera.right")
+    assert report.recording_s < 3.0
