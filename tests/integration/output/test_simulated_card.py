@@ -15,9 +15,11 @@ import hw_sim.wires
 from appliance.patterns.draw import draw_sequence
 from appliance.patterns.sequence import build_sequence
 from drivers.api import DeviceRefused, Display, Flip, Projector, Wires
+from drivers.board import BoardSpec
 from drivers.output.gl import open_gl
 from drivers.output.outputs import Outputs, open_outputs
 from drivers.output.spec import OutputKind, OutputSpec
+from drivers.rig import open_board
 from hw_sim.world import World, WorldOptions
 
 PROJECTOR = OutputSpec(OutputKind.KMS, "/dev/dri/card0", "HDMI-A-1", 1024, 768, 60.0)
@@ -28,6 +30,7 @@ _numbers = itertools.count()
 
 @dataclass
 class Rig:
+    name: str
     world: World
     wires: Wires
     projector: Projector
@@ -35,17 +38,21 @@ class Rig:
 
 
 @pytest.fixture
-def simulated() -> Iterator[tuple[World, Wires]]:
-    name = f"output-{next(_numbers)}"
+def name() -> str:
+    return f"output-{next(_numbers)}"
+
+
+@pytest.fixture
+def simulated(name: str) -> Iterator[tuple[World, Wires]]:
     with World(WorldOptions(world=name)) as world, hw_sim.wires.open({"world": name}) as wires:
         yield world, wires
 
 
 @pytest.fixture
-def rig(simulated: tuple[World, Wires]) -> Iterator[Rig]:
+def rig(name: str, simulated: tuple[World, Wires]) -> Iterator[Rig]:
     world, wires = simulated
     with open_outputs(PROJECTOR, DISPLAY, wires) as (projector, display):
-        yield Rig(world, wires, projector, display)
+        yield Rig(name, world, wires, projector, display)
 
 
 def codes(number: int) -> list[NDArray[np.uint8]]:
@@ -163,3 +170,22 @@ def test_closing_darkens_and_the_card_can_be_opened_again(simulated: tuple[World
             assert world.scanned_out("projector").min() == code
         wires.clock.sleep_s(0.05)  # the light goes out with the next blank
         assert not world.scanned_out("projector").any()
+
+
+def test_a_flip_that_the_card_completes_late_is_late_in_the_flips(rig: Rig) -> None:
+    """The board is armed, so that the world waits for the flips: what is late is the card, not this machine."""
+    rig.projector.load(codes(25))
+    rig.world.fault("projector delayed frame=9")
+    with open_board(BoardSpec(f"kfsim://{rig.name}/board"), rig.wires) as board:
+
+        def start(flip: Flip) -> int | None:
+            assert flip.sequence is not None
+            vsync = board.vsync()
+            board.arm(24, vsync.count + 8, 500, 12_000)
+            return flip.sequence + 8
+
+        flips = rig.projector.play(range(24), 24, start, never)
+        board.stop()
+    steps = np.diff([flip.sequence for flip in flips if flip.sequence is not None])
+    assert [flip.index for flip in flips] == list(range(10))
+    assert steps.tolist() == [1] * 8 + [2]
