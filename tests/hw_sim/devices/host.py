@@ -232,7 +232,7 @@ class CardHost:
         for prop in self.connector_info(self.connector)["properties"]:
             buffer = bytearray(struct.pack(form, 0, 0, prop, 0, b"", 0, 0))
             self.node.ioctl(iowr(0xAA, len(buffer)), buffer)
-            *_, got_name, values, enums = struct.unpack(form, buffer)
+            *_, got_name, _values, enums = struct.unpack(form, buffer)
             if got_name.rstrip(b"\0").decode() != name:
                 continue
             entries = ctypes.create_string_buffer(40 * enums)
