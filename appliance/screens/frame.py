@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from appliance.machine.alerts import Alert, Severity
 from appliance.screens import theme
 from appliance.screens.canvas import Align, Canvas
-from appliance.screens.texts import Language
+from appliance.screens.texts import Language, worded
 from appliance.screens.theme import BAR_PX, BLACK, BOLD, KEY_CORNERS
 from appliance.screens.views import KeyLabels
 from drivers.api import Key
@@ -22,7 +22,7 @@ def draw_key_labels(canvas: Canvas, keys: KeyLabels, language: Language, dim: fr
     """Each label touches the edge of the display at its key; the main key's is bright. ``dim`` ones do nothing now."""
     for key, text in keys.items():
         right, bottom = KEY_CORNERS[key].value
-        words = text.in_language(language)
+        words = worded(text, language)
         room = theme.LABEL_MAX_PX - 2 * _PAD_PX
         width = min(room, canvas.measure(words, theme.BODY, BLACK)) + 2 * _PAD_PX
         width = max(theme.LABEL_MIN_PX, width)

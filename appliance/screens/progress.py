@@ -17,7 +17,7 @@ from appliance.screens.views import (
     ShutdownView,
 )
 
-_LINE_PX = 37.0
+_LINE_PX = 36.0
 _FRINGE_SPEED = 1.6
 
 
@@ -27,7 +27,7 @@ def draw_boot(canvas: Canvas, view: BootView, language: Language, time_s: float)
     canvas.words(Text.STARTING.in_language(language), canvas.width - 40, 66, BODY, BOLD, align=Align.RIGHT)
     canvas.words(view.version, canvas.width - 40, 100, CAPTION, REGULAR, align=Align.RIGHT)
     for number, line in enumerate(view.devices):
-        baseline = 176 + number * _LINE_PX
+        baseline = 172 + number * _LINE_PX
         name = DEVICE_NAMES[line.device].in_language(language) if line.device in DEVICE_NAMES else line.device
         match line.result:
             case DeviceResult.WORKS:

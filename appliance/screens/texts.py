@@ -25,6 +25,8 @@ class Text(Enum):
     BRIGHTER = ("BRIGHTER", "HELLER")
     DARKER = ("DARKER", "DUNKLER")
     HOLD_OFF = ("HOLD: OFF", "LANG: AUS")
+    STOP = ("STOP", "STOPP")
+    TURN = ("TURN", "DREHEN")
     TURN_LEFT = ("‹ TURN", "‹ DREHEN")
     TURN_RIGHT = ("TURN ›", "DREHEN ›")
     DEPTH = ("DEPTH", "TIEFE")
@@ -104,3 +106,11 @@ DEVICE_NAMES: Mapping[str, Text] = {
     "worker": Text.WORKER,
 }
 """What a device of the rig file is called; a device not listed is shown by its own name."""
+
+_BY_ENGLISH = {text.english: text for text in Text}
+
+
+def worded(label: Text | str, language: Language) -> str:
+    """A label in a language; English words that the table holds are translated, others stay as they are."""
+    text = label if isinstance(label, Text) else _BY_ENGLISH.get(label)
+    return text.in_language(language) if text is not None else str(label)

@@ -18,8 +18,8 @@ from appliance.machine.alerts import Alert
 from appliance.screens.texts import Text
 from drivers.api import Key
 
-KeyLabels = Mapping[Key, Text]
-"""What each key does now. A key without a label does nothing and has none drawn."""
+KeyLabels = Mapping[Key, Text | str]
+"""What each key does now, as an entry of the table or in English. A key without a label has none drawn."""
 
 
 def labels(
@@ -55,10 +55,11 @@ class DeviceLine:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BootView(View):
-    """Start-up: each device with its result, as soon as it is known. Up to nine lines fit."""
+    """Start-up: each device with its result, as soon as it is known. Up to eight lines fit."""
 
     devices: tuple[DeviceLine, ...]
     version: str
+    keys: KeyLabels = field(default_factory=lambda: labels(back=Text.HOLD_OFF))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -85,6 +86,7 @@ class CaptureView(View):
 
     frames_done: int
     frames: int
+    keys: KeyLabels = field(default_factory=lambda: labels(back=Text.STOP))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -92,6 +94,7 @@ class ReconstructView(View):
     """Points are being computed; ``progress`` is 0..1, ``None`` where nobody knows."""
 
     progress: float | None
+    keys: KeyLabels = field(default_factory=lambda: labels(back=Text.REPEAT))
 
 
 class Grade(Enum):
@@ -133,7 +136,7 @@ class ReviewView(View):
     turn: int = 0
     """How far the diver turned the cloud: steps to the right, negative to the left."""
     keys: KeyLabels = field(
-        default_factory=lambda: labels(scan=Text.KEEP, back=Text.REPEAT, up=Text.TURN_LEFT, down=Text.TURN_RIGHT)
+        default_factory=lambda: labels(scan=Text.KEEP, back=Text.REPEAT, up=Text.TURN_RIGHT, down=Text.TURN_LEFT)
     )
 
 

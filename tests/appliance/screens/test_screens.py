@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 
 from appliance.capture.fault import FaultCode
 from appliance.machine.alerts import Alert, Severity
+from appliance.machine.states import State
+from appliance.machine.states import boot as machine_at_boot
+from appliance.machine.texts import labels as machine_labels
 from appliance.screens import theme
 from appliance.screens.canvas import MAX_WORDS, Canvas
 from appliance.screens.frame import alert_colours
@@ -128,11 +131,27 @@ def test_other_drawing_on_the_context_does_not_disturb(context: moderngl.Context
 
 @pytest.mark.parametrize("key", list(Key))
 def test_a_label_stands_at_its_own_key_only(painter: Painter, key: Key) -> None:
-    bare = drawn(painter, CaptureView(frames_done=0, frames=24))
+    bare = drawn(painter, CaptureView(frames_done=0, frames=24, keys={}))
     labelled = drawn(painter, CaptureView(frames_done=0, frames=24, keys=labels(**{key.value: Text.OK})))
     for other in Key:
         changed = not np.array_equal(corner(bare, other), corner(labelled, other))
         assert changed == (other is key)
+
+
+def test_labels_in_plain_english_are_translated_like_entries(context: moderngl.Context) -> None:
+    with Painter(context, (800, 480), Language.GERMAN) as painter:
+        by_word = drawn(painter, replace(REVIEW, keys={Key.SCAN: "KEEP", Key.BACK: "REPEAT"}))
+        by_entry = drawn(painter, replace(REVIEW, keys={Key.SCAN: Text.KEEP, Key.BACK: Text.REPEAT}))
+        unknown = drawn(painter, replace(REVIEW, keys={Key.SCAN: "HOVER", Key.BACK: "REPEAT"}))
+    np.testing.assert_array_equal(by_word, by_entry)
+    assert (unknown != by_word).any()
+
+
+def test_every_label_of_the_machine_can_be_translated() -> None:
+    state = machine_at_boot(0)
+    words = {word for s in State for word in machine_labels(replace(state, state=s)).values()}
+    assert words
+    assert {word for word in words if word not in {text.english for text in Text}} == set()
 
 
 def test_a_refused_scan_has_a_dim_label(painter: Painter) -> None:
