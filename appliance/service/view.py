@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import assert_never
 
 import numpy as np
@@ -12,6 +12,7 @@ import appliance
 from appliance.machine.alerts import alert_of, alerts
 from appliance.machine.permissions import refusal
 from appliance.machine.states import Device, Machine, State
+from appliance.machine.texts import labels
 from appliance.screens.views import (
     AimView,
     AnyView,
@@ -47,7 +48,11 @@ class Surroundings:
 
 
 def view_of(machine: Machine, around: Surroundings) -> AnyView:
-    """The screen for a machine."""
+    """The screen for a machine, with what its keys mean now."""
+    return replace(_view(machine, around), keys=labels(machine))
+
+
+def _view(machine: Machine, around: Surroundings) -> AnyView:
     shown = alerts(machine)
     match machine.state:
         case State.BOOT:
@@ -101,6 +106,7 @@ def _review(machine: Machine, around: Surroundings, full: bool) -> ReviewView:
         noise_mm=s.noise_mm,
         distance_mm=s.distance_mm,
         duration_s=duration_s,
+        turn=machine.scan.turn if machine.scan is not None else 0,
         alerts=alerts(machine),
     )
 
