@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from hw_sim.objects.shapes import gradient, march
 from hw_sim.objects.texture import albedo
 from hw_sim.optics.table import OUTSIDE, look_up
+from hw_sim.optics.trace import HEIGHT, WIDTH
 from hw_sim.projector import FAR_MM, FOCUS_MM
-from hw_sim.shadow import BLOCK_PX, block_start, by_map, into, shaded, shadow_map
+from hw_sim.shadow import BLOCK_PX, block_start, by_map, into, nearest, shaded, shadow_map
 
 Array = NDArray[np.float64]
 
@@ -52,10 +53,11 @@ class Lamp:
     eye: Array
     table: Array
     """See ``optics.table``."""
-    window: NDArray[np.float32]
-    """(768, 1024, 4): where each pixel's ray leaves the window (rig frame, mm), and its brightness (vignetting)."""
     map_rays: Array
     """Rays (rows, columns, 6) of the shadow map."""
+    window: NDArray[np.float32]
+    """(rows, columns, 4): where these rays leave the window (rig frame, mm; 0.02 mm apart per pixel), and how bright they
+    are (vignetting)."""
     depth_mm: float
     """How far behind the outer face of the window the light seems to start, seen from the water."""
 
@@ -103,7 +105,7 @@ def _trace(
     window: NDArray[np.float32], depth_mm: float, distance: Array, pixels: NDArray[np.float32],
 ) -> None:  # fmt: skip
     rows, columns = distance.shape
-    height, width = window.shape[0], window.shape[1]
+    width, height = lamp[WIDTH], lamp[HEIGHT]
     for y0 in range(0, rows, BLOCK_PX):
         y1 = min(y0 + BLOCK_PX, rows)
         for x0 in range(0, columns, BLOCK_PX):
@@ -130,7 +132,7 @@ def _trace(
                     if not (-2.0 < u < width + 1.0 and -2.0 < v < height + 1.0):
                         continue
                     out[P], out[Q] = u, v
-                    origin = window[min(max(int(v + 0.5), 0), height - 1), min(max(int(u + 0.5), 0), width - 1)]
+                    origin = window[nearest(v), nearest(u)]
                     sx, sy, sz = into(R, origin[0] - t[0], origin[1] - t[1], origin[2] - t[2])
                     vx, vy, vz = sx - hx, sy - hy, sz - hz
                     length = math.sqrt(vx * vx + vy * vy + vz * vz)

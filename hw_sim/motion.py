@@ -15,13 +15,24 @@ PIVOT_MM = np.array([0.0, 0.0, 522.5])
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """Rigid motion of the rig in its own frame, from time 0 on; rotation is about the middle of the volume."""
+    """Rigid motion of the rig in its own frame, from time 0 on; rotation is about the middle of the volume.
+
+    Raises ValueError for a vector that has not three finite numbers.
+    """
 
     velocity_mm_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
     acceleration_mm_s2: tuple[float, float, float] = (0.0, 0.0, 0.0)
     tremor_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     tremor_hz: float = 6.0
     rotation_deg_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        for name in ("velocity_mm_s", "acceleration_mm_s2", "tremor_mm", "rotation_deg_s"):
+            value = getattr(self, name)
+            if len(value) != 3 or not all(math.isfinite(part) for part in value):
+                raise ValueError(f"motion: {name} = {value}; give three finite numbers: x, y, z of the rig frame")
+        if not 0.0 < self.tremor_hz <= 30.0:
+            raise ValueError(f"motion: tremor_hz = {self.tremor_hz}; allowed are 0..30 (hands shake at 4 to 12)")
 
     @property
     def still(self) -> bool:

@@ -69,7 +69,7 @@ def soften(light: Light, water_blur_px: float) -> Light:
     around = np.zeros((light.shape[0] + 2 * PAD, light.shape[1] + 2 * PAD), np.float32)
     around[PAD:-PAD, PAD:-PAD] = light
     near = _blur(around, water_blur_px) if water_blur_px > 0.15 else around
-    return np.dstack([near, _blur(around, math.hypot(water_blur_px, SPREAD_FAR_PX))])
+    return np.asarray(cv2.merge([near, _blur(around, math.hypot(water_blur_px, SPREAD_FAR_PX))]), np.float32)
 
 
 def _blur(light: Light, sigma_px: float) -> Light:

@@ -22,7 +22,18 @@ from hw_sim.objects.shapes import NAMES, RADIUS
 from hw_sim.objects.texture import NAMES as TEXTURES
 from hw_sim.objects.texture import noise_lattice
 from hw_sim.optics.table import fit_table
-from hw_sim.optics.trace import DISTANCE, GLASS, INNER, ROTATION, THICKNESS, WATER, rays_of, rays_of_image
+from hw_sim.optics.trace import (
+    DISTANCE,
+    GLASS,
+    HEIGHT,
+    INNER,
+    ROTATION,
+    THICKNESS,
+    WATER,
+    WIDTH,
+    rays_of,
+    rays_of_image,
+)
 from hw_sim.projector import LightSlice, collect, light_between, response, soften
 from hw_sim.scene import Scene
 from hw_sim.sensor import FULL_WELL_E, Sensor
@@ -61,8 +72,7 @@ class Renderer:
     def __init__(self, truth: TrueRig, scene: Scene) -> None:
         self.truth = truth
         self._eyes = {name: truth.eye(name).packed(truth.n_water) for name in (*CAMERAS, "projector")}
-        self._tables = {name: fit_table(eye) for name, eye in self._eyes.items()}
-        self._lamp = _lamp(self._eyes["projector"], self._tables["projector"])
+        self._lamp = _lamp(self._eyes["projector"])
         self._sizes = truth.artefacts.sizes()
         self._response = response()
         self._lattice = noise_lattice()
@@ -125,7 +135,7 @@ class Renderer:
         pose = self._pose(scene, time_s)
         geometry = self._geometry(camera, scene, pose)
         return true_view(
-            self._camera_rays(camera), geometry, pose, self._lamp, self._eyes[other], self._tables[other]
+            self._camera_rays(camera), geometry, pose, self._lamp, self._eyes[other], fit_table(self._eyes[other])
         )  # fmt: skip
 
     def _add_instant(
@@ -225,18 +235,14 @@ class Renderer:
         return sensor
 
 
-def _lamp(eye: Array, table: Array) -> Lamp:
-    """The projector's window as seen from the water."""
-    rays = np.empty((768, 1024, 6))
-    rays_of_image(eye, rays)
-    axis = eye[ROTATION : ROTATION + 9].reshape(3, 3)[:, 2]
-    window = np.empty((768, 1024, 4), np.float32)
-    window[..., :3] = rays[..., :3]
-    window[..., 3] = (rays[..., 3:] @ axis) ** 4
-    at = map_pixels(1024, 768)
+def _lamp(eye: Array) -> Lamp:
+    """The projector, from its packed eye."""
+    at = map_pixels(int(eye[WIDTH]), int(eye[HEIGHT]))
     map_rays = np.empty((*at.shape[:2], 6))
     rays_of(eye, at.reshape(-1, 2), map_rays.reshape(-1, 6))
+    axis = eye[ROTATION : ROTATION + 9].reshape(3, 3)[:, 2]
+    window = np.concatenate([map_rays[..., :3], (map_rays[..., 3:] @ axis)[..., None] ** 4], -1).astype(np.float32)
     # Rays near the axis diverge from a point this far behind the outer face: depths count by the ratio of the indices.
     n_water, distance_mm, thickness_mm, glass = eye[WATER], eye[DISTANCE], eye[THICKNESS], eye[GLASS]
     depth_mm = n_water * (distance_mm + thickness_mm / glass) * float(eye[INNER + 2])
-    return Lamp(eye, table, window, map_rays, depth_mm)
+    return Lamp(eye, fit_table(eye), map_rays, window, depth_mm)

@@ -12,7 +12,7 @@ from hw_sim.water import Water
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """Object, light, water and hands. Raises ValueError for unknown names."""
+    """Object, light, water and hands. Raises ValueError for unknown names and impossible numbers."""
 
     object: str = "pipe"
     pose: tuple[float, float, float, float, float, float] | None = None
@@ -27,6 +27,11 @@ class Scene:
         for value, allowed, what in ((self.object, NAMES, "object"), (self.texture, TEXTURES, "texture")):
             if value not in allowed:
                 raise ValueError(f"{what} '{value}'; allowed are {', '.join(allowed)}")
+
+        if self.pose is not None and len(self.pose) != 6:
+            raise ValueError(f"object_pose {self.pose}; give six numbers: x, y, z in mm, rx, ry, rz in degrees")
+        if not 0.0 <= self.ambient <= 10.0:
+            raise ValueError(f"ambient {self.ambient}; allowed are 0..10 (1 is as bright as the projector's white)")
 
     @property
     def start_pose(self) -> tuple[float, float, float, float, float, float]:

@@ -35,6 +35,12 @@ def map_pixels(width_px: int, height_px: int) -> Array:
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
+def nearest(coordinate: float) -> int:
+    """Row or column of the map next to a pattern coordinate."""
+    return int((coordinate + MARGIN_PX) * (1.0 / STEP_PX) + 0.5)
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
 def into(R: Array, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Rᵀ v: a direction of the rig frame in the object frame."""
     return (

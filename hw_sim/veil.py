@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 
 from hw_sim.geometry import MIDDLE_MM, Lamp
 from hw_sim.optics.table import look_up
+from hw_sim.optics.trace import HEIGHT, WIDTH
+from hw_sim.shadow import nearest
 
 Array = NDArray[np.float64]
 
@@ -70,9 +72,9 @@ def _places(
                 u, v = look_up(lamp, table, px, py, pz)
                 place = out[y, x, k]
                 place[0], place[1], place[2], place[3] = -1.0, -1.0, 0.0, 0.0
-                if not (0.0 <= u < window.shape[1] - 0.5 and 0.0 <= v < window.shape[0] - 0.5):
+                if not (0.0 <= u <= lamp[WIDTH] - 1.0 and 0.0 <= v <= lamp[HEIGHT] - 1.0):
                     continue
-                from_ = window[int(v + 0.5), int(u + 0.5)]
+                from_ = window[nearest(v), nearest(u)]
                 path = math.sqrt((px - from_[0]) ** 2 + (py - from_[1]) ** 2 + (pz - from_[2]) ** 2)
                 spread = (MIDDLE_MM + depth_mm) / (path + depth_mm)
                 place[0], place[1] = np.floor(u / SHRINK), np.floor(v / SHRINK)

@@ -7,31 +7,51 @@ from dataclasses import dataclass
 import numpy as np
 
 GREEN_NM = 530.0
+"""The projector's light: the middle of its band-pass."""
+LIMITS = {
+    "temperature_c": (-2.0, 40.0),
+    "salinity_psu": (0.0, 45.0),
+    "attenuation_per_m": (0.0, 20.0),
+    "backscatter": (0.0, 1.0),
+    "blur_px_per_m": (0.0, 20.0),
+}
+
+
+def refractive_index(temperature_c: float, salinity_psu: float, wavelength_nm: float) -> float:
+    """Index of water relative to air: X. Quan, E. S. Fry, Appl. Opt. 34 (1995) 3477, equation 3."""
+    t, s = temperature_c, salinity_psu
+    terms = np.array(
+        [
+            1.31405 - 2.02e-6 * t**2 + s * (1.779e-4 - 1.05e-6 * t + 1.6e-8 * t**2),
+            15.868 + 0.01155 * s - 0.00423 * t,
+            -4382.0,
+            1.1455e6,
+        ]
+    )
+    return float(terms @ wavelength_nm ** -np.arange(4.0))
 
 
 @dataclass(frozen=True, slots=True)
 class Water:
-    """What surrounds the instrument."""
+    """What surrounds the instrument. Raises ValueError for values that no water has (``LIMITS``)."""
 
     temperature_c: float = 20.0
     salinity_psu: float = 0.0
     attenuation_per_m: float = 0.4
+    """Light that neither goes on nor comes from elsewhere: exp(−attenuation · path)."""
     backscatter: float = 0.01
-    """Veil as a fraction of the projector's mean light."""
+    """Veil of a white pattern before the middle of the volume in otherwise clear water, as a fraction of what a surface
+    of albedo 0.6 there sends back."""
     blur_px_per_m: float = 0.3
     """Forward scattering: Gaussian sigma per metre of path, in px of 1600."""
+
+    def __post_init__(self) -> None:
+        for name, (least, most) in LIMITS.items():
+            value = getattr(self, name)
+            if not least <= value <= most:
+                raise ValueError(f"water: {name} = {value}; allowed are {least:g}..{most:g}")
 
     @property
     def index(self) -> float:
         """Refractive index relative to air at the projector's green."""
-        powers_nm = GREEN_NM ** -np.arange(4.0)
-        t, s = self.temperature_c, self.salinity_psu
-        terms = np.array(
-            [
-                1.31405 - 2.02e-6 * t**2 + s * (1.779e-4 - 1.05e-6 * t + 1.6e-8 * t**2),
-                15.868 + 0.01155 * s - 0.00423 * t,
-                -4382.0,
-                1.1455e6,
-            ]
-        )
-        return float(terms @ powers_nm)
+        return refractive_index(self.temperature_c, self.salinity_psu, GREEN_NM)

@@ -29,7 +29,7 @@ _STEP_X, _STEP_Y = 2.0 * HALF_X / (NODES_X - 1), 2.0 * HALF_Y / (NODES_Y - 1)
 
 def fit_table(eye: Array) -> Array:
     """The table (NODES_Y, NODES_X, 2 TERMS) of an eye packed as in ``trace``; some 0.1 s."""
-    samples = TERMS + 3
+    samples = TERMS + 1
     c = np.cos(np.pi * (np.arange(samples) + 0.5) / samples)
     tangent_y, tangent_x, z = np.meshgrid(
         np.linspace(-HALF_Y, HALF_Y, NODES_Y),
