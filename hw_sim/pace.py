@@ -74,7 +74,12 @@ class WorldTime:
         return self._mark.now_ns(time.monotonic_ns())
 
     def at(self, time_ns: int, action: Callable[[int], None], ready: Callable[[], bool] | None = None) -> None:
-        """With the lock held: let ``action`` happen at ``time_ns``, or at once where that is past."""
+        """With the lock held: let ``action`` happen at ``time_ns``, or at once where that is past.
+
+        Nothing happens any more once the world has ended.
+        """
+        if self.closed:
+            return
         self._numbers += 1
         heapq.heappush(self._agenda, Happening(max(time_ns, self.now_ns()), self._numbers, action, ready))
         self._set_mark(self._mark.floor_ns)
@@ -103,11 +108,12 @@ class WorldTime:
             action(time_ns)
         finally:
             self._standing_ns = None
-            if not self.closed:
-                self._set_mark(time_ns)
+            self._set_mark(time_ns)
             self.condition.notify_all()
 
     def _set_mark(self, floor_ns: int) -> None:
+        if self.closed:
+            return
         mark = self._mark
         limit_ns = mark.blank_ns + _HALT_NS
         if self._standing_ns is not None:

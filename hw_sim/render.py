@@ -78,7 +78,7 @@ class Renderer:
         self._lattice = noise_lattice()
         self._lock = threading.Lock()
         self._rays: dict[str, Array] = {}
-        self._veils: dict[str, Veil] = {}
+        self._veils: dict[tuple[str, float], Veil] = {}
         self._sensors: dict[tuple[str, bool], Sensor] = {}
         self._cache: dict[str, tuple[bytes, Geometry]] = {}
         self._shadow_lock = threading.Lock()
@@ -159,7 +159,7 @@ class Renderer:
             electrons += ambient * geometry.pixels[..., GREY]
         else:
             blur_px = water.blur_px_per_m * MIDDLE_MM / 1000.0 * OBJECT_PX_MM / PROJECTOR_PX_MM
-            veil = self._veil(camera).seen(light, geometry.distance_mm, water.attenuation_per_m)
+            veil = self._veil(camera, water.attenuation_per_m).seen(light, geometry.distance_mm)
             veil *= np.float32(WHITE_E_PER_S * 0.6 * water.backscatter)
             collect(geometry.pixels, soften(light, blur_px), np.float32(WHITE_E_PER_S), ambient, veil, electrons)
         for on, laser in zip(lasers, self.truth.lasers, strict=True):
@@ -215,13 +215,13 @@ class Renderer:
                 self._rays[camera] = rays
         return rays
 
-    def _veil(self, camera: str) -> Veil:
+    def _veil(self, camera: str, attenuation_per_m: float) -> Veil:
         with self._lock:
-            veil = self._veils.get(camera)
+            veil = self._veils.get((camera, attenuation_per_m))
         if veil is None:
-            veil = Veil(self._camera_rays(camera), self._lamp)
+            veil = Veil(self._camera_rays(camera), self._lamp, attenuation_per_m)
             with self._lock:
-                self._veils[camera] = veil
+                self._veils[camera, attenuation_per_m] = veil
         return veil
 
     def _sensor(self, camera: str, noise: bool) -> Sensor:

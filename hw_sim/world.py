@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import logging
+import threading
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -70,7 +71,9 @@ class World:
             if o.truth in SETS
             else load_truth(Path(o.truth), n_water)
         )
-        self._renderer = Renderer(self.truth, scene)
+        self._scene = scene
+        self._renderer_lock = threading.Lock()
+        self._made_renderer: Renderer | None = None
         self.time = WorldTime(o.idle_speed)
         self.faults = FaultBook(self.time.now_ns, self.time.at, self._broken_or_repaired)
         self._darkroom = Darkroom(self.time, SIDES, self._failed)
@@ -117,7 +120,15 @@ class World:
     @property
     def scene(self) -> Scene:
         """What the instrument is put before."""
-        return self._renderer.scene
+        return self._scene
+
+    @property
+    def _renderer(self) -> Renderer:
+        """Made when the first image is wanted: it takes a while."""
+        with self._renderer_lock:
+            if self._made_renderer is None:
+                self._made_renderer = Renderer(self.truth, self._scene)
+            return self._made_renderer
 
     def press(self, key: str, hold_s: float = 0.15) -> None:
         """Press a key (``scan back up down``) now, for ``hold_s``; returns at once. Raises ValueError."""
@@ -135,8 +146,10 @@ class World:
 
     def set_scene(self, scene: Scene) -> None:
         """Change what is looked at, from the next image that is made. The refractive index stays that of the start."""
-        with self.time.condition:
-            self._renderer.scene = scene
+        with self._renderer_lock:
+            self._scene = scene
+            if self._made_renderer is not None:
+                self._made_renderer.scene = scene
 
     def fault(self, sentence: str) -> Fault:
         """Break something. Raises FaultSyntaxError."""

@@ -83,6 +83,10 @@ step "root: ./dev test ${TESTS:--q}"
 # shellcheck disable=SC2086 # several arguments
 timed inside "$dev" test ${TESTS:--q} || failed+=("./dev test")
 
+step "root: ./dev demo"
+timed inside "$dev" demo || failed+=("./dev demo")
+ls -l "$tree/root/kingfisher in a folder/demo"
+
 step "repeated call starts at once"
 timed inside "$dev" run true
 ((took_ms < 2000)) || fail "a repeated call took $took_ms ms to start"

@@ -61,7 +61,7 @@ def _parse(raw: bytes) -> Command | None:
     if not raw.endswith(b"\r\n") or len(raw) > LONGEST_LINE:
         return None
     body, star, crc = raw[1:-2].rpartition(b"*")
-    if not star or any(not 0x20 <= byte <= 0x7E for byte in raw[:-2]) or crc != b"%04X" % crc16(body):
+    if not star or b"*" in body or any(not 0x20 <= byte <= 0x7E for byte in raw[:-2]) or crc != b"%04X" % crc16(body):
         return None
     words = body.decode("ascii").split(",")
     if len(words) < 3 or words[0] != "C" or not words[1].isdecimal() or int(words[1]) > 0xFFFF:

@@ -68,7 +68,7 @@ class Card:
     def show_console(self) -> None:
         """What the kernel shows when nobody has the card: black, in the preferred modes."""
         for connector, crtc in zip(self.connectors.values(), self.crtcs.values(), strict=True):
-            self._complete(crtc)
+            self.complete(crtc)
             crtc.mode, crtc.framebuffer, crtc.offset = copy_mode(MODES[connector.output][0]), None, (0, 0)
             connector.crtc, connector.dpms = crtc, abi.DPMS_ON
 
@@ -79,24 +79,34 @@ class Card:
             if crtc.framebuffer is framebuffer:
                 self.switch_off(crtc)
             elif crtc.pending is not None and crtc.pending.framebuffer is framebuffer:
-                self._complete(crtc)
+                self.complete(crtc)
                 self.switch_off(crtc)
 
     def switch_off(self, crtc: Crtc) -> None:
         """No mode, no image, no vertical blank; a pending flip still gets its event."""
-        self._complete(crtc)
+        self.complete(crtc)
         crtc.mode, crtc.framebuffer = None, None
         for connector in self.connectors.values():
             if connector.crtc is crtc:
                 connector.crtc = None
+
+    def connect(self, connector: Connector, crtc: Crtc) -> None:
+        """Let an engine drive a connector, awake; an engine that loses its last one is switched off."""
+        before, connector.crtc, connector.dpms = connector.crtc, crtc, abi.DPMS_ON
+        if before is not None and not any(c.crtc is before for c in self.connectors.values()):
+            self.switch_off(before)
 
     # ------------------------------------------------------------------------------------------ what others see
 
     def crtc(self, output: Output) -> Crtc | None:
         """The engine that drives an output; ``None`` while the output is dark."""
         connector = next(c for c in self.connectors.values() if c.output is output)
-        lit = connector.crtc is not None and connector.crtc.mode is not None and connector.dpms == abi.DPMS_ON
-        return connector.crtc if lit else None
+        return connector.crtc if connector.crtc is not None and self.lit(connector.crtc) else None
+
+    def lit(self, crtc: Crtc) -> bool:
+        """Whether an engine has a mode and a monitor that is awake, and so vertical blanks."""
+        awake = any(c.crtc is crtc and c.dpms == abi.DPMS_ON for c in self.connectors.values())
+        return crtc.mode is not None and awake
 
     def flip_pending(self, output: Output) -> bool:
         """Whether the next vertical blank brings a new image."""
@@ -111,9 +121,9 @@ class Card:
             if crtc is not None:
                 crtc.sequence = (crtc.sequence + 1) & 0xFFFFFFFF
                 if output is not hold:
-                    self._complete(crtc)
+                    self.complete(crtc)
 
-    def _complete(self, crtc: Crtc) -> None:
+    def complete(self, crtc: Crtc) -> None:
         """Do the pending flip, if any, and say so."""
         flip = crtc.pending
         if flip is not None:
@@ -127,12 +137,12 @@ class Card:
         crtc = self.crtc(Output.PROJECTOR)
         if crtc is None:
             return np.zeros((height, width), np.uint8)
-        green = crtc.image()[:, :, 1]
+        green = crtc.colour(1)
         if green.shape != (height, width):
             rows, columns = (np.arange(n) * m // n for n, m in zip((height, width), green.shape, strict=True))
             green = green[rows[:, None], columns]
         full = self.connectors[95].broadcast_rgb == RGB_FULL
-        return green.copy() if full else LIMITED_RANGE[green]
+        return green if full else LIMITED_RANGE[green]
 
     def displayed(self) -> NDArray[np.uint8]:
         """(h, w, 3) uint8 RGB copy of the diver's display; black in its own size while it is dark."""
@@ -140,4 +150,4 @@ class Card:
         if crtc is None:
             native = MODES[Output.DISPLAY][0]
             return np.zeros((native.vdisplay, native.hdisplay, 3), np.uint8)
-        return crtc.image()[:, :, 2::-1].copy()
+        return np.stack([crtc.colour(channel) for channel in range(3)], axis=-1)

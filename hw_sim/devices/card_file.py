@@ -14,9 +14,22 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
+import numpy as np
+
 from hw_sim.devices import drm_abi as abi
 from hw_sim.devices.card import Card
-from hw_sim.devices.head import MODES, Connector, Crtc, Dumb, Flip, Framebuffer, Output, copy_mode, same_timing
+from hw_sim.devices.head import (
+    GAMMA_SIZE,
+    MODES,
+    Connector,
+    Crtc,
+    Dumb,
+    Flip,
+    Framebuffer,
+    Output,
+    copy_mode,
+    same_timing,
+)
 
 LARGEST = 4096
 PAGE = 4096
@@ -40,6 +53,7 @@ CAPS = {
     abi.CAP_ADDFB2_MODIFIERS: 0,
     abi.CAP_CRTC_IN_VBLANK_EVENT: 1,
 }
+MASTER_ONLY = (abi.SETCRTC, abi.SETGAMMA, abi.PAGE_FLIP, abi.SETPROPERTY, abi.OBJ_SETPROPERTY)
 DRIVER = (b"kfsim", b"20240101", b"simulated display card")
 
 Struct = TypeVar("Struct", bound=ctypes.Structure)
@@ -71,6 +85,8 @@ class CardFile:
             abi.GETRESOURCES: self._get_resources,
             abi.GETCRTC: self._get_crtc,
             abi.SETCRTC: self._set_crtc,
+            abi.GETGAMMA: self._get_gamma,
+            abi.SETGAMMA: self._set_gamma,
             abi.GETENCODER: self._get_encoder,
             abi.GETCONNECTOR: self._get_connector,
             abi.GETPROPERTY: self._get_property,
@@ -98,7 +114,7 @@ class CardFile:
             raise _fail(errno.EINVAL)
         if len(buffer) < size:
             raise _fail(errno.EFAULT)
-        if number in (abi.SETCRTC, abi.PAGE_FLIP, abi.SETPROPERTY, abi.OBJ_SETPROPERTY) and not self._is_master:
+        if number in MASTER_ONLY and not self._is_master:
             raise _fail(errno.EACCES)
         call(buffer)
 
@@ -236,7 +252,7 @@ class CardFile:
         arg = _from(buffer, abi.Crtc)
         crtc = self._crtc(arg.crtc_id)
         arg.x, arg.y = crtc.offset
-        arg.gamma_size = 256
+        arg.gamma_size = GAMMA_SIZE
         arg.fb_id = crtc.framebuffer.fb_id if crtc.framebuffer else 0
         arg.mode_valid = int(crtc.mode is not None)
         if crtc.mode is not None:
@@ -289,6 +305,8 @@ class CardFile:
             raise _fail(errno.EINVAL)
         if property_id == PROP_DPMS:
             connector.dpms = value
+            if value != abi.DPMS_ON and connector.crtc is not None:
+                self._card.complete(connector.crtc)
         else:
             connector.broadcast_rgb = value
 
@@ -376,7 +394,24 @@ class CardFile:
         crtc.mode, crtc.framebuffer, crtc.offset = copy_mode(arg.mode), framebuffer, (arg.x, arg.y)
         for connector in connectors:
             if connector is not None:
-                connector.crtc, connector.dpms = crtc, abi.DPMS_ON
+                self._card.connect(connector, crtc)
+
+    def _get_gamma(self, buffer: bytearray) -> None:
+        arg, crtc = self._gamma_of(buffer)
+        for address, table in zip((arg.red, arg.green, arg.blue), crtc.gamma, strict=True):
+            abi.copy_to_user(address, table.astype("<u2").tobytes())
+
+    def _set_gamma(self, buffer: bytearray) -> None:
+        arg, crtc = self._gamma_of(buffer)
+        tables = [abi.copy_from_user(address, 2 * GAMMA_SIZE) for address in (arg.red, arg.green, arg.blue)]
+        crtc.gamma = np.array([np.frombuffer(table, "<u2") for table in tables], np.uint16)
+
+    def _gamma_of(self, buffer: bytearray) -> tuple[abi.CrtcLut, Crtc]:
+        arg = _from(buffer, abi.CrtcLut)
+        crtc = self._crtc(arg.crtc_id)
+        if arg.gamma_size != GAMMA_SIZE:
+            raise _fail(errno.EINVAL)
+        return arg, crtc
 
     def _page_flip(self, buffer: bytearray) -> None:
         arg = _from(buffer, abi.PageFlip)
@@ -387,6 +422,8 @@ class CardFile:
             raise _fail(errno.EBUSY)
         framebuffer = self._framebuffer(arg.fb_id)
         _check_viewport(framebuffer, crtc.mode, crtc.offset)
+        if not self._card.lit(crtc):
+            raise _fail(errno.EINVAL)
         if crtc.pending is not None:
             raise _fail(errno.EBUSY)
         wants_event = bool(arg.flags & abi.FLIP_EVENT)

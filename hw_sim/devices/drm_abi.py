@@ -10,6 +10,7 @@ IOCTL_TYPE = ord("d")
 
 VERSION, GET_CAP, SET_CLIENT_CAP, SET_MASTER, DROP_MASTER = 0x00, 0x0C, 0x0D, 0x1E, 0x1F
 GETRESOURCES, GETCRTC, SETCRTC, GETENCODER, GETCONNECTOR = 0xA0, 0xA1, 0xA2, 0xA6, 0xA7
+GETGAMMA, SETGAMMA = 0xA4, 0xA5
 GETPROPERTY, SETPROPERTY, ADDFB, RMFB, PAGE_FLIP = 0xAA, 0xAB, 0xAE, 0xAF, 0xB0
 CREATE_DUMB, MAP_DUMB, DESTROY_DUMB, OBJ_GETPROPERTIES, OBJ_SETPROPERTY = 0xB2, 0xB3, 0xB4, 0xB9, 0xBA
 
@@ -96,6 +97,16 @@ class Crtc(ctypes.Structure):
         ("gamma_size", c_uint32),
         ("mode_valid", c_uint32),
         ("mode", Modeinfo),
+    )
+
+
+class CrtcLut(ctypes.Structure):
+    _fields_ = (
+        ("crtc_id", c_uint32),
+        ("gamma_size", c_uint32),
+        ("red", c_uint64),
+        ("green", c_uint64),
+        ("blue", c_uint64),
     )
 
 

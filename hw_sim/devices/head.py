@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import Protocol
 
@@ -14,6 +14,7 @@ from hw_sim.devices import drm_abi as abi
 from hw_sim.devices.drm_abi import Modeinfo
 
 RGB_AUTOMATIC, RGB_FULL, RGB_LIMITED = 0, 1, 2
+GAMMA_SIZE = 256
 LIMITED_RANGE = np.round(16 + np.arange(256) * 219 / 255).astype(np.uint8)
 
 
@@ -94,6 +95,11 @@ class Connector:
     """``None`` where the connector has no such property."""
 
 
+def linear_gamma() -> NDArray[np.uint16]:
+    """(3, 256) red, green and blue table as the kernel makes it: entry i is i << 8."""
+    return np.tile((np.arange(GAMMA_SIZE) << 8).astype(np.uint16), (3, 1))
+
+
 @dataclass(slots=True)
 class Crtc:
     """A scan-out engine."""
@@ -106,6 +112,14 @@ class Crtc:
     """``None`` with a mode set: the console, black."""
     offset: tuple[int, int] = (0, 0)
     pending: Flip | None = None
+    gamma: NDArray[np.uint16] = field(default_factory=linear_gamma)
+    """(3, 256) red, green and blue, 16 bit; the cable carries the upper 8."""
+
+    def colour(self, channel: int) -> NDArray[np.uint8]:
+        """(height, width) copy of one channel (0 red, 1 green, 2 blue) behind the gamma table."""
+        table = (self.gamma[channel] >> 8).astype(np.uint8)
+        shown: NDArray[np.uint8] = table[self.image()[:, :, 2 - channel]]
+        return shown
 
     def image(self) -> NDArray[np.uint8]:
         """(height, width, 4) of what is scanned out; a view into shared memory, or black."""

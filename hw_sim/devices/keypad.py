@@ -21,6 +21,7 @@ BITS = {"scan": 0x01, "back": 0x02, "up": 0x04, "down": 0x08}
 REPORT_NUMBER, FIRMWARE, CHECK = 0x01, 3, 0xA5
 PERIOD_NS = 250_000_000
 BOUNCE_NS = 18_000_000
+LONGEST_HOLD_S = 3600.0
 
 
 class Keypad:
@@ -39,17 +40,20 @@ class Keypad:
         self._time.at(time.now_ns() + PERIOD_NS, self._periodic)
 
     def press(self, key: str, hold_s: float) -> None:
-        """Press a key now for ``hold_s``; both edges bounce. Raises ValueError for an unknown key."""
+        """Press a key now for ``hold_s``; both edges bounce. Raises ValueError for an unknown key or no time."""
         if key not in BITS:
             raise ValueError(f"key '{key}'; allowed are {', '.join(BITS)}")
-        now_ns = self._time.now_ns()
-        self._edge(now_ns, BITS[key], True)
-        self._edge(now_ns + int(hold_s * 1e9), BITS[key], False)
+        if not 0 < hold_s <= LONGEST_HOLD_S:
+            raise ValueError(f"hold_s={hold_s}; allowed is more than 0, up to {LONGEST_HOLD_S:g} s")
+        now_ns, hold_ns = self._time.now_ns(), int(hold_s * 1e9)
+        # The finger is gone before a short press has settled: what bounces later is the release.
+        self._edge(now_ns, BITS[key], True, min(BOUNCE_NS, hold_ns))
+        self._edge(now_ns + hold_ns, BITS[key], False, BOUNCE_NS)
 
-    def _edge(self, time_ns: int, bit: int, down: bool) -> None:
+    def _edge(self, time_ns: int, bit: int, down: bool, within_ns: int) -> None:
         """A change at ``time_ns`` and up to three bounces behind it, the last of which settles."""
         bounces = 2 * int(self._rng.integers(0, 4))
-        after_ns = np.sort(self._rng.integers(500_000, BOUNCE_NS, bounces))
+        after_ns = np.sort(self._rng.integers(min(500_000, within_ns // 2), max(1, within_ns), bounces))
         for i, offset_ns in enumerate([0, *after_ns.tolist()]):
             closed = down if i % 2 == 0 else not down
             self._time.at(time_ns + offset_ns, lambda t, closed=closed: self._set(bit, closed, t))  # type: ignore[misc]

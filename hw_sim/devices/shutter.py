@@ -17,8 +17,8 @@ from hw_sim.devices.shot import Shot
 from hw_sim.faults import FaultBook
 from hw_sim.pace import WorldTime
 
-READOUT_NS = 15_000_000
-"""The whole sensor; rows are read one after the other. 66 frames a second at most."""
+READOUT_NS = 14_000_000
+"""The whole sensor; rows are read one after the other. 71 frames a second at most."""
 MEMORY_BLOCKS = 32
 ROOM_BLOCKS = 4
 """A host with fewer unread blocks keeps up; far from what overruns the memory."""
@@ -102,6 +102,8 @@ class Shutter:
         self.ignored = 0
         """Triggers that came while a frame was exposed or could not have been read out."""
         self._life = 0
+        self._free_run_number = 0
+        """Of the free run that goes on; those before it have ended."""
         self._block_id = 0
         self._left: int | None = None
         self.exposing_until_ns = 0
@@ -114,22 +116,26 @@ class Shutter:
     def power_up(self) -> None:
         """Settings and counters as after plugging in."""
         self.stop()
+        self._begin_life()
+        self.exposing_until_ns = self._readout_until_ns = 0
+        self.settings = Settings()
+
+    def _begin_life(self) -> None:
+        """What is still on its way never arrives, and keeps neither memory nor link busy."""
         self._life += 1
         self._held = 0
-        self.settings = Settings()
+        self._link_free_ns = 0
 
     def start(self) -> None:
         """Begin an acquisition; block ids begin at 0."""
         s = self.settings
         if self.acquiring:
             return
-        self._life += 1
-        self._held = 0
+        self._begin_life()
         self.acquiring = True
         self._block_id = 0
         self._left = {SINGLE_FRAME: 1, MULTI_FRAME: s.frame_count}.get(s.acquisition_mode)
-        if not s.trigger_on:
-            self._free_run(self._life, self._time.now_ns())
+        self.trigger_mode_changed()
 
     def stop(self) -> None:
         """End the acquisition; what is exposed or on its way still comes."""
@@ -156,16 +162,17 @@ class Shutter:
             self._trigger(self._own_exposure(self._time.now_ns()))
 
     def trigger_mode_changed(self) -> None:
-        """Off during an acquisition: it runs freely from now on."""
+        """Off during an acquisition: it runs freely from now on, and no two runs at once."""
+        self._free_run_number += 1
         if self.acquiring and not self.settings.trigger_on:
-            self._free_run(self._life, self._time.now_ns())
+            self._free_run(self._free_run_number, self._time.now_ns())
 
-    def _free_run(self, life: int, time_ns: int) -> None:
-        if life != self._life or not self.acquiring or self.settings.trigger_on:
+    def _free_run(self, number: int, time_ns: int) -> None:
+        if number != self._free_run_number or not self.acquiring or self.settings.trigger_on:
             return
         self._trigger(self._own_exposure(time_ns))
         period_ns = max(10**12 // self.settings.frame_rate_mhz, self.settings.exposure_us * 1000)
-        self._time.at(time_ns + period_ns, lambda t: self._free_run(life, t))
+        self._time.at(time_ns + period_ns, lambda t: self._free_run(number, t))
 
     def _own_exposure(self, time_ns: int) -> Exposure:
         s = self.settings
@@ -186,7 +193,7 @@ class Shutter:
 
     def _trigger(self, exposure: Exposure) -> None:
         end_ns = exposure.start_ns + exposure.duration_ns
-        if not self.acquiring or self._left == 0:
+        if not self.acquiring:
             return
         if exposure.start_ns < self.exposing_until_ns or end_ns < self._readout_until_ns:
             self.ignored += 1
@@ -195,18 +202,21 @@ class Shutter:
         self._block_id += 1
         if self._left is not None:
             self._left -= 1
+            # The last of its acquisition ends it; what is exposed still comes.
+            self.acquiring = self._left > 0
         self.exposing_until_ns = end_ns
         self._readout_until_ns = end_ns + int(READOUT_NS * self._rows())
         self._at(end_ns, lambda _: self._exposed(block_id, exposure))
 
     def _exposed(self, block_id: int, exposure: Exposure) -> None:
         latent = self._image(exposure) if self._held + self._unread() < MEMORY_BLOCKS else None
+        free_ns = max(self._readout_until_ns, self._link_free_ns)
         if latent is None:
-            self._send(Taken(block_id, exposure, None))
+            # Behind those that wait for the link: block ids leave in order.
+            self._at(free_ns, lambda _: self._send(Taken(block_id, exposure, None)))
             return
         self._held += 1
-        due_ns = max(self._readout_until_ns, self._link_free_ns) + self._link_ns()
-        self._link_free_ns = due_ns
+        due_ns = self._link_free_ns = free_ns + self._link_ns()
 
         def due(_: int) -> None:
             latent.when_ready(leave)

@@ -6,7 +6,6 @@ All calls with the world's lock held. What the host does wrong raises ``Stall`` 
 from __future__ import annotations
 
 import struct
-from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -81,7 +80,8 @@ class U3vCamera:
         self.user_name = self.identity.user_name.encode().ljust(64, b"\0")
         self._configuration = 1
         self._halted: set[int] = set()
-        self._swapped: deque[Block] = deque()
+        self._swapped: Block | None = None
+        """Lets the next one pass."""
         self._overrun_told = False
         self._pipe.clear()
         self.shutter.power_up()
@@ -119,6 +119,8 @@ class U3vCamera:
         if usb.STREAM_IN in self._halted:
             raise Refused(Status.STREAM_ENDPOINT_HALTED)
         self._overrun_told = False
+        if not self.acquiring:
+            self._swapped = None
         self.shutter.start()
 
     def stop(self) -> None:
@@ -148,7 +150,7 @@ class U3vCamera:
             self.setup.check(self.region.payload_bytes)
         if on != self.streaming:
             self._pipe.clear()
-            self._swapped.clear()
+            self._swapped = None
             self.streaming = on
 
     def _write_duration_ns(self, address: int) -> int:
@@ -184,17 +186,24 @@ class U3vCamera:
         frame, count = taken.exposure.shot.frame, taken.exposure.shot.count
         if self._strikes("intermittent", None, frame):
             return
-        if self._strikes("wrong", "swap", frame) or (
-            frame is not None and count is not None and frame == count - 2 and self._strikes("wrong", "swap", count - 1)
-        ):
-            self._swapped.append(block)
+        if self._swapped is None and self._changes_places(frame, count):
+            self._swapped = block
             return
         block = self._spoil(block, frame)
         self._put(block)
         if self._strikes("wrong", "repeat", frame):
             self._put(block)
-        while self._swapped:
-            self._put(self._swapped.popleft())
+        if self._swapped is not None:
+            self._put(self._swapped)
+            self._swapped = None
+
+    def _changes_places(self, frame: int | None, count: int | None) -> bool:
+        """With the next one; the last of a sequence has none, so that the one before it is asked in its stead."""
+        if self._strikes("wrong", "swap", frame):
+            return True
+        return (
+            frame is not None and count is not None and frame == count - 2 and self._strikes("wrong", "swap", count - 1)
+        )
 
     def _spoil(self, block: Block, frame: int | None) -> Block:
         if self._strikes("garbage", "truncate", frame):
@@ -262,8 +271,10 @@ class U3vCamera:
     def _standard_out(self, kind: int, request: int, value: int, index: int) -> bool:
         match kind, request:
             case 0x00, 0x09:
+                if value not in (0, 1):
+                    return False
                 self._configuration = value
-                return value in (0, 1)
+                return True
             case 0x01, 0x0B:
                 return index < 3 and value == 0
             case 0x02, 0x01 if value == _ENDPOINT_HALT:

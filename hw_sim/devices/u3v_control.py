@@ -44,15 +44,18 @@ class ControlChannel:
         if magic != _MAGIC:
             return
         payload = packet[_HEADER.size :]
-        answer = command | 1
+        wants_ack = bool(flags & _WANTS_ACK)
         if self._busy:
-            self._acknowledge(Status.BUSY, answer, request_id, b"")
+            refusal = Status.BUSY
         elif size != len(payload):
-            self._acknowledge(Status.INVALID_HEADER, answer, request_id, b"")
+            refusal = Status.INVALID_HEADER
         elif command not in (_READ, _WRITE):
-            self._acknowledge(Status.NOT_IMPLEMENTED, answer, request_id, b"")
+            refusal = Status.NOT_IMPLEMENTED
         else:
-            self._start(command, bool(flags & _WANTS_ACK), payload, request_id)
+            self._start(command, wants_ack, payload, request_id)
+            return
+        if wants_ack:
+            self._acknowledge(refusal, command | 1, request_id, b"")
 
     def _start(self, command: int, wants_ack: bool, payload: bytes, request_id: int) -> None:
         address = int.from_bytes(payload[:8], "little")
@@ -61,7 +64,8 @@ class ControlChannel:
             self._finish(command, wants_ack, payload, request_id)
             return
         self._busy = True
-        self._acknowledge(Status.SUCCESS, _PENDING, request_id, struct.pack("<HH", 0, PENDING_MS))
+        if wants_ack:
+            self._acknowledge(Status.SUCCESS, _PENDING, request_id, struct.pack("<HH", 0, PENDING_MS))
         life = self._life
 
         def finish(_: int) -> None:
@@ -72,11 +76,13 @@ class ControlChannel:
         self._time.at(self._time.now_ns() + duration_ns, finish)
 
     def _finish(self, command: int, wants_ack: bool, payload: bytes, request_id: int) -> None:
+        life = self._life
         try:
             status, answer = Status.SUCCESS, self._read(payload) if command == _READ else self._write(payload)
         except Refused as refused:
             status, answer = refused.status, b""
-        if wants_ack:
+        # A device that has just reset itself no longer answers.
+        if wants_ack and self._life == life:
             self._acknowledge(status, command | 1, request_id, answer)
 
     def _read(self, payload: bytes) -> bytes:

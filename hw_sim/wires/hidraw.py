@@ -9,8 +9,8 @@ from hw_sim.devices import keypad as pad
 from hw_sim.devices.keypad import Keypad
 from hw_sim.pace import WorldTime
 
-REPORTS_KEPT = 64
-"""As the kernel's hidraw: when nobody reads, the newest reports are lost."""
+REPORTS_KEPT = 63
+"""As the kernel's hidraw, a ring of 64 that is never quite full: when nobody reads, the newest reports are lost."""
 BUS_TYPE_USB = 1
 
 

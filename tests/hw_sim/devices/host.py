@@ -9,7 +9,8 @@ import array
 import binascii
 import ctypes
 import struct
-from collections.abc import Sequence
+import threading
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -232,7 +233,7 @@ class CardHost:
         for prop in self.connector_info(self.connector)["properties"]:
             buffer = bytearray(struct.pack(form, 0, 0, prop, 0, b"", 0, 0))
             self.node.ioctl(iowr(0xAA, len(buffer)), buffer)
-            *_, got_name, _values, enums = struct.unpack(form, buffer)
+            *_, got_name, _, enums = struct.unpack(form, buffer)
             if got_name.rstrip(b"\0").decode() != name:
                 continue
             entries = ctypes.create_string_buffer(40 * enums)
@@ -288,3 +289,58 @@ def stripes(period: int, phase: int = 0) -> NDArray[np.uint8]:
 
 def greys(values: Sequence[int]) -> list[NDArray[np.uint8]]:
     return [np.full((768, 1024), value, np.uint8) for value in values]
+
+
+@dataclass
+class Recorder:
+    """Records a sequence as an instrument does: arm the board, flip the projector, read both cameras."""
+
+    cameras: dict[str, U3vHost]
+    board: BoardHost
+    projector: CardHost
+    shades: list[int]
+    payload: int
+
+    def record(
+        self,
+        delay_us: int = 500,
+        width_us: int = 8000,
+        between: Callable[[int], None] = lambda k: None,
+        frames: int | None = None,
+        timeout_ms: int = 300,
+    ) -> dict[str, list[GotFrame | str]]:
+        """All frames of each side, in the order they came; what failed is there by the name of its error.
+
+        ``between(k)`` is called before each flip: a slow host waits there. ``frames``: how many are expected.
+        """
+        got: dict[str, list[GotFrame | str]] = {side: [] for side in self.cameras}
+        count = len(self.shades)
+
+        def read(side: str) -> None:
+            for _ in range(count if frames is None else frames):
+                try:
+                    got[side].append(self.cameras[side].frame(timeout_ms, self.payload))
+                except usb.core.USBError as error:
+                    got[side].append(type(error).__name__)
+                    if not isinstance(error, usb.core.USBTimeoutError):
+                        return
+
+        readers = [threading.Thread(target=read, args=(side,)) for side in self.cameras]
+        self.projector.show(0)
+        now = int(self.board.ask("VSYNC")[0])
+        assert self.board.ask("ARM", count, now + 3, delay_us, width_us)[0] == str(count)
+        for reader in readers:
+            reader.start()
+        self.flips = [self.projector.show(0) for _ in range(2)]
+        for k, shade in enumerate(self.shades):
+            between(k)
+            self.flips.append(self.projector.show(shade))
+        for reader in readers:
+            reader.join(20)
+            assert not reader.is_alive()
+        return got
+
+
+def good(frames: list[GotFrame | str]) -> list[GotFrame]:
+    """The frames that came whole."""
+    return [f for f in frames if isinstance(f, GotFrame) and f.leader[:4] == b"U3VL" and f.status == 0]

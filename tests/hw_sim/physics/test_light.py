@@ -161,6 +161,7 @@ def test_the_veil_is_the_light_between_and_grows_with_the_water_looked_through()
     r = renderer(Scene(object="ballbar", noise=False, ambient=0.0, water=thick, pose=(0.0, 0.0, 2000.0, 0, 0, 0)))
     empty = shot(r, white())
     assert empty[150, 200] > 20
+    assert np.abs(np.diff(empty[150])).max() <= 3, "rays slip into the beam, nothing steps"
     assert shot(r, LightSlice(BLACK, EXPOSURE_S)).max() <= 3
     # A plane cuts the path: behind it there is no water.
     near, far = (
