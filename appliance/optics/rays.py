@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from appliance.optics.model import HousedCamera
 
-LATTICE_NODES_ACROSS = 200
-"""Nodes across the image: every 8 px of 1600; the interpolation error grows with the square of the angle between."""
+LATTICE_NODES_ACROSS = 400
+"""Nodes across the image: every 4 px of 1600; the interpolation error grows with the square of the angle between."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,21 +1,20 @@
 """Owns decoding: 20 to 24 frames of one camera become pattern coordinates (p, q), modulation and a reason where not.
 
 Frames are worked on in the order of the sequence: the references give the Gray threshold, each Gray image adds one
-bit, and the fourth sine image of a direction closes it. So little is left to do after the last frame. Kernels are flat
-loops over C-contiguous arrays, float32, one idea each.
+bit, and the fourth sine image of a direction closes it. So little is left to do after the last frame.
 """
 
 from __future__ import annotations
 
-import math
 from enum import IntEnum
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.patterns.gray import inverse_gray
 from appliance.patterns.sequence import Direction, Kind, PatternSequence
+from appliance.reconstruct.edges import close_axis
+from appliance.reconstruct.graycode import add_bit, add_two_bits, threshold
+from appliance.reconstruct.phase import Axis
 
 MIN_CONTRAST_DN = 8
 """Bright minus dark below this is shadow: no projector light."""
@@ -23,7 +22,7 @@ MIN_MODULATION_DN = 5.0
 """Modulation below this is noise: at 1.6 DN camera noise the phase error would exceed 1/30 of a period."""
 MAX_GRAY_DISAGREEMENT = 0.36
 """Distance between phase and the middle of its Gray half period, in periods; ¼ is perfect, ½ is a wrong order."""
-SATURATED_DN = 255
+MAX_GRAY_BITS = 8
 
 
 class Mask(IntEnum):
@@ -40,114 +39,34 @@ class Mask(IntEnum):
     """At a jump of the coordinates: the pixel sees two surfaces."""
 
 
-@numba.njit(nogil=True, cache=True)
-def _threshold(
-    bright: NDArray[np.uint8], dark: NDArray[np.uint8], threshold: NDArray[np.uint8], mask: NDArray[np.uint8]
-) -> None:
-    for i in range(bright.size):
-        b = np.int32(bright[i])
-        d = np.int32(dark[i])
-        threshold[i] = (b + d + 1) >> 1
-        mask[i] = 1 if b - d < MIN_CONTRAST_DN else 0
-
-
-@numba.njit(nogil=True, cache=True)
-def _add_bit(frame: NDArray[np.uint8], threshold: NDArray[np.uint8], code: NDArray[np.uint8]) -> None:
-    for i in range(frame.size):
-        code[i] = (code[i] << 1) | (1 if frame[i] >= threshold[i] else 0)
-
-
-@numba.njit(nogil=True, cache=True)
-def _close_axis(
-    i0: NDArray[np.uint8],
-    i1: NDArray[np.uint8],
-    i2: NDArray[np.uint8],
-    i3: NDArray[np.uint8],
-    code: NDArray[np.uint8],
-    half_of_code: NDArray[np.int16],
-    period_px: np.float32,
-    size_px: np.float32,
-    coordinate: NDArray[np.float32],
-    modulation: NDArray[np.float32],
-    mask: NDArray[np.uint8],
-) -> None:
-    turn_per_rad = np.float32(1.0 / (2.0 * math.pi))
-    for i in range(i0.size):
-        a = np.float32(i0[i]) - np.float32(i2[i])
-        b = np.float32(i3[i]) - np.float32(i1[i])
-        m = np.float32(0.5) * math.sqrt(a * a + b * b)
-        modulation[i] = min(modulation[i], m)
-        # The middle of the Gray half period, in periods, tells the fringe order at any phase.
-        middle = np.float32(0.5) * np.float32(half_of_code[code[i]]) + np.float32(0.25)
-        turn = math.atan2(b, a) * turn_per_rad
-        offset = turn - middle
-        offset -= math.floor(offset + np.float32(0.5))
-        value = period_px * (middle + offset) - np.float32(0.5)
-        coordinate[i] = value
-        if mask[i] == 0:
-            if max(max(i0[i], i1[i]), max(i2[i], i3[i])) >= SATURATED_DN:
-                mask[i] = 2
-            elif m < MIN_MODULATION_DN:
-                mask[i] = 3
-            elif abs(offset) > MAX_GRAY_DISAGREEMENT or value < np.float32(-1.0) or value > size_px:
-                mask[i] = 4
-
-
-@numba.njit(nogil=True, cache=True)
-def _mark_edges(
-    p: NDArray[np.float32], q: NDArray[np.float32], jump_px: np.float32, bend_px: np.float32, mask: NDArray[np.uint8]
-) -> None:
-    """Mask pixels where a coordinate jumps or bends too much between neighbours (2-D arrays)."""
-    rows, columns = p.shape
-    for y in range(rows):
-        for x in range(columns):
-            if mask[y, x] != 0:
-                continue
-            bad = False
-            left = x > 0 and (mask[y, x - 1] == 0 or mask[y, x - 1] == 5)
-            right = x + 1 < columns and mask[y, x + 1] == 0
-            up = y > 0 and (mask[y - 1, x] == 0 or mask[y - 1, x] == 5)
-            down = y + 1 < rows and mask[y + 1, x] == 0
-            c, d = p[y, x], q[y, x]
-            if left and (abs(c - p[y, x - 1]) > jump_px or abs(d - q[y, x - 1]) > jump_px):
-                bad = True
-            if right and (abs(c - p[y, x + 1]) > jump_px or abs(d - q[y, x + 1]) > jump_px):
-                bad = True
-            if up and (abs(c - p[y - 1, x]) > jump_px or abs(d - q[y - 1, x]) > jump_px):
-                bad = True
-            if down and (abs(c - p[y + 1, x]) > jump_px or abs(d - q[y + 1, x]) > jump_px):
-                bad = True
-            if left and right:
-                bend_p = abs(p[y, x - 1] - c - c + p[y, x + 1])
-                bend_q = abs(q[y, x - 1] - d - d + q[y, x + 1])
-                bad = bad or bend_p > bend_px or bend_q > bend_px
-            if up and down:
-                bend_p = abs(p[y - 1, x] - c - c + p[y + 1, x])
-                bend_q = abs(q[y - 1, x] - d - d + q[y + 1, x])
-                bad = bad or bend_p > bend_px or bend_q > bend_px
-            if bad:
-                mask[y, x] = 5
-
-
 class CameraDecoder:
     """Decodes one camera's sequence as its frames arrive. Buffers are allocated once and reused scan after scan."""
 
     def __init__(self, sequence: PatternSequence, width_px: int, height_px: int) -> None:
+        most = max(len(sequence.axis(d).gray) for d in Direction)
+        if most > MAX_GRAY_BITS:
+            raise ValueError(
+                f"a sequence of period {sequence.period_px} px has {most} Gray images per direction; allowed are up to "
+                f"{MAX_GRAY_BITS}: choose a longer period"
+            )
         self._sequence = sequence
         self._shape = (height_px, width_px)
         n = width_px * height_px
-        self._threshold = np.empty(n, np.uint8)
-        self._code = np.empty(n, np.uint8)
+        self._middle = np.empty(n, np.uint8)
+        self._half_period = np.empty(n, np.uint8)
         self.mask = np.empty(self._shape, np.uint8)
         """(h, w) uint8, values of Mask."""
         self.p_px = np.empty(self._shape, np.float32)
-        """(h, w) float32: pattern column of each pixel; meaningful where mask is VALID."""
+        """(h, w) float32: pattern column of each pixel; NaN where the mask is not VALID."""
         self.q_px = np.empty(self._shape, np.float32)
         """(h, w) float32: pattern row."""
-        self.modulation_dn = np.empty(self._shape, np.float32)
-        """(h, w) float32: the smaller modulation of the two directions."""
-        self._half = {d: inverse_gray(len(sequence.axis(d).gray)) for d in Direction}
+        self.modulation_half_dn = np.empty(self._shape, np.uint8)
+        """(h, w) uint8: the smaller modulation of the two directions, in half grey values."""
+        self.lit_pixels = 0
+        """Pixels that are not in the shadow."""
         self._next = 0
+        self._closed = False
+        """One direction is done."""
 
     def reset(self) -> None:
         """Expect frame 0 next."""
@@ -159,46 +78,51 @@ class CameraDecoder:
             raise ValueError(f"frame {index} was pushed; frame {self._next} is next; start again with frame 0")
         pattern = self._sequence.patterns[index]
         self._next = index + 1
-        if index == 0:
-            self.modulation_dn.fill(np.float32(1e9))
         if index == max(self._sequence.bright, self._sequence.dark):
             bright = frames[self._sequence.bright].reshape(-1)
             dark = frames[self._sequence.dark].reshape(-1)
-            _threshold(bright, dark, self._threshold, self.mask.reshape(-1))
+            threshold(bright, dark, np.uint8(MIN_CONTRAST_DN), self._middle, self.mask.reshape(-1))
+            self._closed = False
+            self.lit_pixels = int(np.count_nonzero(self.mask == Mask.VALID))
         elif pattern.kind is Kind.GRAY:
-            if pattern.index == 0:
-                self._code.fill(0)
-            _add_bit(frames[index].reshape(-1), self._threshold, self._code)
+            self._add(frames, index, pattern.index, self._sequence.axis(pattern.direction).gray)
         elif pattern.kind is Kind.SINE and pattern.index == 3:
-            axis = self._sequence.axis(pattern.direction)
-            s0, s1, s2, s3 = (frames[k].reshape(-1) for k in axis.sine)
-            target = self.p_px if pattern.direction is Direction.X else self.q_px
-            _close_axis(
-                s0,
-                s1,
-                s2,
-                s3,
-                self._code,
-                self._half[pattern.direction],
-                np.float32(pattern.period_px),
-                np.float32(pattern.size_px),
-                target.reshape(-1),
-                self.modulation_dn.reshape(-1),
-                self.mask.reshape(-1),
-            )
+            self._close(frames, pattern.direction)
 
-    def finish(self) -> None:
-        """Close the scan: mask edges; coordinates are final then. Raises ValueError when frames are missing."""
-        if self._next != len(self._sequence):
-            raise ValueError(f"{self._next} of {len(self._sequence)} frames were pushed; push all before finishing")
+    def _add(self, frames: NDArray[np.uint8], index: int, bit: int, gray: tuple[int, ...]) -> None:
+        """Every second Gray image, or the last one, adds what has come."""
+        if bit == 0:
+            self._half_period.fill(0)
+        if bit % 2 == 1:
+            first, second = (frames[k].reshape(-1) for k in (gray[bit - 1], index))
+            add_two_bits(first, second, self._middle, self._half_period)
+        elif bit == len(gray) - 1:
+            add_bit(frames[index].reshape(-1), self._middle, self._half_period)
+
+    def _close(self, frames: NDArray[np.uint8], direction: Direction) -> None:
+        mine = self._sequence.axis(direction)
+        s0, s1, s2, s3 = (frames[k] for k in mine.sine)
+        half_period = self._half_period.reshape(self._shape)
+        axis = Axis(
+            np.float32(self._sequence.period_px),
+            np.float32(mine.size_px),
+            np.float32(MIN_MODULATION_DN),
+            np.float32(MAX_GRAY_DISAGREEMENT),
+            self._closed,
+        )
         # A pixel spans about 0.63 pattern px at full resolution, more on a small camera; steep surfaces double it.
         step_px = 1024.0 / self._shape[1]
         noise_px = self._sequence.period_px / 45.0
-        _mark_edges(
-            self.p_px,
-            self.q_px,
-            np.float32(4.0 * step_px + 4.0 * noise_px),
-            np.float32(0.9 * step_px + 2.5 * noise_px),
-            self.mask,
+        jump_px = np.float32(4.0 * step_px + 4.0 * noise_px)
+        bend_px = np.float32(0.9 * step_px + 2.5 * noise_px)
+        mine_px, other_px = (self.p_px, self.q_px) if direction is Direction.X else (self.q_px, self.p_px)
+        close_axis(
+            s0, s1, s2, s3, half_period, axis, jump_px, bend_px, other_px, mine_px, self.modulation_half_dn, self.mask
         )
+        self._closed = True
+
+    def finish(self) -> None:
+        """Close the scan: the maps are final. Raises ValueError when frames are missing."""
+        if self._next != len(self._sequence):
+            raise ValueError(f"{self._next} of {len(self._sequence)} frames were pushed; push all before finishing")
         self._next = 0

@@ -1,143 +1,314 @@
 """Owns correspondence: for a left pixel's pattern coordinates (p, q), the right image point that has the same.
 
-No epipolar line is assumed: refraction bends it. A coarse inverse map of the right camera (pattern node → pixel)
-gives the start, Newton steps on the right coordinate maps give the subpixel point.
+No epipolar line is assumed: refraction bends it. From one left row to the next the right point moves little: last row's
+point and derivatives predict the nearest pixel, and one Newton step on central differences gives the subpixel point.
+That holds for nearly all pixels and is written as short loops over a row. The others (at edges, behind steps, in the
+first row) start from an inverse map (pattern node → pixel) and go a slower way, one by one.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
-NO_PIXEL = -1
-MAX_STEPS = 8
-MAX_DERIVATIVE_SUM_PX = 40.0
-"""Sum of the absolute derivatives of (p, q): beyond, the neighbours lie on another surface."""
-MAX_FINAL_STEP_PX = 0.75
+from appliance.reconstruct.scratch import (
+    MODULATION_RIGHT,
+    P_ABOVE,
+    PB,
+    PC,
+    PL,
+    PR,
+    PT,
+    Q_ABOVE,
+    QB,
+    QC,
+    QL,
+    QR,
+    QT,
+    SLOPE,
+    U_START,
+    UP,
+    UQ,
+    V_START,
+    VP,
+    VQ,
+    P,
+    Q,
+    U,
+    V,
+)
+
+MAX_STEPS = 4
+MAX_FINAL_STEP_PX = np.float32(0.75)
+"""Noise can make two neighbours point at each other for ever; a little more than half a pixel is as good."""
+MAX_FIRST_STEP_PX = np.float32(4.0)
+"""From the pixel that the inverse map knows."""
+MIN_DETERMINANT = np.float32(1e-4)
+NODE_MARGIN = np.float32(1.5)
+"""Coordinates from −1 px on round to nodes from 0 on."""
+_ONE, _HALF, _NAN = np.float32(1.0), np.float32(0.5), np.float32(np.nan)
 
 
-def node_size_px(width_px: int) -> int:
-    """Pattern px between nodes of the inverse map: 2 for 1600 px, coarser for smaller images: all get filled."""
-    return max(2, -(-3200 // width_px))
+class RightMaps(NamedTuple):
+    """What a left pixel is looked up in. Maps are (h, w)."""
+
+    p_px: NDArray[np.float32]
+    """Pattern column; NaN where there is none."""
+    q_px: NDArray[np.float32]
+    modulation_half_dn: NDArray[np.uint8]
+    inverse: NDArray[np.uint32]
+    """(rows, columns) of nodes: row·65536 + column of a pixel near the node; 0 where there is none."""
+    nodes_per_px: np.float32
+    """1 / distance of nodes in pattern px."""
+    max_derivative_sum_px: np.float32
+    """Sum of the absolute derivatives of p and q; beyond, the neighbours lie on another surface."""
 
 
-@numba.njit(nogil=True, cache=True)
-def fill_inverse_map(
+def right_maps(
+    p_px: NDArray[np.float32],
+    q_px: NDArray[np.float32],
+    modulation_half_dn: NDArray[np.uint8],
+    projector_width_px: int,
+    projector_height_px: int,
+) -> RightMaps:
+    """The right camera's maps (h, w) with room for an inverse map.
+
+    Its nodes are 2 pattern px apart for 1600 px, farther for smaller images: so that all get filled.
+    """
+    width_px = p_px.shape[1]
+    node_px = max(2, -(-3200 // width_px))
+    shape = (projector_height_px // node_px + 4, projector_width_px // node_px + 4)
+    limit_px = 10.0 * max(1.0, 1600.0 / width_px)
+    return RightMaps(
+        p_px, q_px, modulation_half_dn, np.zeros(shape, np.uint32), np.float32(1.0 / node_px), np.float32(limit_px)
+    )
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def fill_inverse_map(right: RightMaps, stride: int) -> None:
+    """Enter every ``stride``-th right pixel at its node, then let each empty node ask its neighbours once."""
+    inverse = right.inverse
+    node_rows, node_columns = inverse.shape
+    inverse[:, :] = np.uint32(0)
+    rows, columns = right.p_px.shape
+    scale = right.nodes_per_px
+    for y in range(1, rows - 1, stride):
+        p, q = right.p_px[y], right.q_px[y]
+        for x in range(1, columns - 1, stride):
+            if p[x] == p[x]:
+                node_i = np.int32(p[x] * scale + NODE_MARGIN)
+                node_j = np.int32(q[x] * scale + NODE_MARGIN)
+                inverse[node_j, node_i] = np.uint32(y << 16 | x)
+    for j in range(1, node_rows - 1):
+        for i in range(1, node_columns - 1):
+            if inverse[j, i] == 0:
+                near = max(inverse[j, i - 1], inverse[j - 1, i])
+                inverse[j, i] = near if near != 0 else max(inverse[j, i + 1], inverse[j + 1, i])
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
+def _predict(s: NDArray[np.float32], n: int, width: np.int32, height: np.int32, at: NDArray[np.int32]) -> None:
+    """The pixel nearest to where the point above moves, by its own derivatives; some pixel where nothing is known."""
+    for x in range(n):
+        dp, dq = s[P + x] - s[P_ABOVE + x], s[Q + x] - s[Q_ABOVE + x]
+        u = s[U + x] + s[UP + x] * dp - s[UQ + x] * dq
+        v = s[V + x] + s[VQ + x] * dq - s[VP + x] * dp
+        s[U + x] = u
+        s[V + x] = v
+    _move_on(s, n, width, height, at)
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _look_up(right: RightMaps, s: NDArray[np.float32], n: int, at: NDArray[np.int32]) -> None:
+    """The pixel that the inverse map knows; some pixel where it knows none."""
+    inverse = right.inverse.reshape(-1)
+    columns, width = np.int32(right.inverse.shape[1]), np.int32(right.p_px.shape[1])
+    for x in range(n):
+        start = np.uint32(0)
+        if s[P + x] == s[P + x]:
+            i = np.int32(s[P + x] * right.nodes_per_px + NODE_MARGIN)
+            j = np.int32(s[Q + x] * right.nodes_per_px + NODE_MARGIN)
+            start = inverse[np.uint32(j * columns + i)]
+        start = start if start != np.uint32(0) else np.uint32(65537)
+        v, u = np.int32(start >> np.uint32(16)), np.int32(start & np.uint32(0xFFFF))
+        s[U_START + x], s[V_START + x] = np.float32(u), np.float32(v)
+        at[x] = v * width + u
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
+def _move_on(s: NDArray[np.float32], n: int, width: np.int32, height: np.int32, at: NDArray[np.int32]) -> None:
+    """To the pixel nearest to where the last step went."""
+    last_u, last_v = np.float32(width) - np.float32(2.0), np.float32(height) - np.float32(2.0)
+    for x in range(n):
+        u, v = s[U + x], s[V + x]
+        # In this form NaN becomes 1.
+        u = u if u > _ONE else _ONE
+        u = u if u < last_u else last_u
+        v = v if v > _ONE else _ONE
+        v = v if v < last_v else last_v
+        u, v = np.floor(u + _HALF), np.floor(v + _HALF)
+        s[U_START + x] = u
+        s[V_START + x] = v
+        at[x] = np.int32(v) * width + np.int32(u)
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _gather(
     p: NDArray[np.float32],
     q: NDArray[np.float32],
-    mask: NDArray[np.uint8],
-    stride: int,
-    node_px: int,
-    inverse: NDArray[np.int32],
+    modulation: NDArray[np.uint8],
+    width: np.uint32,
+    at: NDArray[np.int32],
+    n: int,
+    s: NDArray[np.float32],
 ) -> None:
-    """Write the flat index of some right pixel near each pattern node into ``inverse`` (rows, columns) int32."""
-    node_rows, node_columns = inverse.shape
-    for j in range(node_rows):
-        for i in range(node_columns):
-            inverse[j, i] = NO_PIXEL
-    rows, columns = p.shape
-    scale = np.float32(1.0) / np.float32(node_px)
-    for y in range(0, rows, stride):
-        for x in range(0, columns, stride):
-            if mask[y, x] == 0:
-                i = int(p[y, x] * scale + np.float32(0.5))
-                j = int(q[y, x] * scale + np.float32(0.5))
-                if 0 <= i < node_columns and 0 <= j < node_rows:
-                    inverse[j, i] = y * columns + x
+    one = np.uint32(1)
+    for x in range(n):
+        i = np.uint32(at[x])
+        left, right = np.uint32(i - one), np.uint32(i + one)
+        top, bottom = np.uint32(i - width), np.uint32(i + width)
+        s[PC + x] = p[i]
+        s[PL + x] = p[left]
+        s[PR + x] = p[right]
+        s[PT + x] = p[top]
+        s[PB + x] = p[bottom]
+        s[QC + x] = q[i]
+        s[QL + x] = q[left]
+        s[QR + x] = q[right]
+        s[QT + x] = q[top]
+        s[QB + x] = q[bottom]
+        s[MODULATION_RIGHT + x] = _HALF * np.float32(modulation[i])
 
 
-@numba.njit(nogil=True, cache=True, inline="always")
-def _derivative(m0: float, c: float, m1: float, valid0: bool, valid1: bool) -> float:
-    if valid0 and valid1:
-        return 0.5 * (m1 - m0)
-    if valid1:
-        return m1 - c
-    return c - m0
+@numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
+def _newton(s: NDArray[np.float32], n: int, max_step: np.float32, max_sum: np.float32) -> None:
+    """One step on central differences; NaN in U where it is not trusted."""
+    for x in range(n):
+        pu, qu = _HALF * (s[PR + x] - s[PL + x]), _HALF * (s[QR + x] - s[QL + x])
+        pv, qv = _HALF * (s[PB + x] - s[PT + x]), _HALF * (s[QB + x] - s[QT + x])
+        det = pu * qv - pv * qu
+        inverse = _ONE / det
+        up, uq, vq, vp = qv * inverse, pv * inverse, pu * inverse, qu * inverse
+        dp, dq = s[P + x] - s[PC + x], s[Q + x] - s[QC + x]
+        du, dv = up * dp - uq * dq, vq * dq - vp * dp
+        home = (abs(du) <= max_step) & (abs(dv) <= max_step)
+        smooth = (abs(pu) + abs(pv) + abs(qu) + abs(qv) <= max_sum) & (abs(det) > MIN_DETERMINANT)
+        s[U + x] = s[U_START + x] + du if home & smooth else _NAN
+        s[V + x] = s[V_START + x] + dv
+        s[UP + x] = up
+        s[UQ + x] = uq
+        s[VQ + x] = vq
+        s[VP + x] = vp
+        s[SLOPE + x] = pu
 
 
-@numba.njit(nogil=True, cache=True)
-def match_rows(
-    left_p: NDArray[np.float32],
-    left_q: NDArray[np.float32],
-    left_mask: NDArray[np.uint8],
-    right_p: NDArray[np.float32],
-    right_q: NDArray[np.float32],
-    right_mask: NDArray[np.uint8],
-    inverse: NDArray[np.int32],
-    node_px: int,
-    row_start: int,
-    row_stop: int,
-    stride: int,
-    right_u: NDArray[np.float32],
-    right_v: NDArray[np.float32],
-    right_slope: NDArray[np.float32],
+@numba.njit(nogil=True, cache=True, error_model="numpy", inline="always")
+def _derivative(m0: np.float32, c: np.float32, m1: np.float32) -> np.float32:
+    """Central, or one-sided where one neighbour is missing; NaN where both are."""
+    if m0 == m0 and m1 == m1:
+        return _HALF * (m1 - m0)
+    return m1 - c if m1 == m1 else c - m0
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _walk(
+    p_px: NDArray[np.float32],
+    q_px: NDArray[np.float32],
+    half_dn: NDArray[np.uint8],
+    max_sum: np.float32,
+    start: np.uint32,
+    x: int,
+    s: NDArray[np.float32],
+) -> bool:
+    """Newton steps from one right pixel to the next until home, one-sided where a neighbour is missing."""
+    rows, columns = p_px.shape
+    p, q = s[P + x], s[Q + x]
+    v, u = np.int64(start >> np.uint32(16)), np.int64(start & np.uint32(0xFFFF))
+    far = np.float32(3.0)
+    for step in range(MAX_STEPS):
+        c, d = p_px[v, u], q_px[v, u]
+        pu = _derivative(p_px[v, u - 1], c, p_px[v, u + 1])
+        qu = _derivative(q_px[v, u - 1], d, q_px[v, u + 1])
+        pv = _derivative(p_px[v - 1, u], c, p_px[v + 1, u])
+        qv = _derivative(q_px[v - 1, u], d, q_px[v + 1, u])
+        det = pu * qv - pv * qu
+        if not (abs(pu) + abs(pv) + abs(qu) + abs(qv) <= max_sum and abs(det) > MIN_DETERMINANT):
+            return False
+        inverse = _ONE / det
+        du = (qv * (p - c) - pv * (q - d)) * inverse
+        dv = (pu * (q - d) - qu * (p - c)) * inverse
+        nu = u + np.int64(np.rint(min(max(du, -far), far)))
+        nv = v + np.int64(np.rint(min(max(dv, -far), far)))
+        inside = 1 <= nu < columns - 1 and 1 <= nv < rows - 1
+        goes_on = inside and step < MAX_STEPS - 1 and p_px[nv, nu] == p_px[nv, nu]
+        limit = _HALF if goes_on else MAX_FINAL_STEP_PX
+        if abs(du) <= limit and abs(dv) <= limit:
+            s[U + x], s[V + x], s[SLOPE + x] = np.float32(u) + du, np.float32(v) + dv, pu
+            s[UP + x], s[UQ + x], s[VQ + x], s[VP + x] = qv * inverse, pv * inverse, pu * inverse, qu * inverse
+            s[MODULATION_RIGHT + x] = _HALF * np.float32(half_dn[v, u])
+            return True
+        if not goes_on:
+            return False
+        u, v = nu, nv
+    return False
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _search(
+    p_px: NDArray[np.float32],
+    q_px: NDArray[np.float32],
+    half_dn: NDArray[np.uint8],
+    inverse: NDArray[np.uint32],
+    nodes_per_px: np.float32,
+    max_sum: np.float32,
+    s: NDArray[np.float32],
+    n: int,
 ) -> None:
-    """Match left rows [row_start, row_stop) by ``stride``; NaN where there is no match.
+    """The slower way for what has no match yet: walk from the pixel's node, or once more from a neighbour of it.
 
-    Outputs (h, w) float32: matched right column and row in px, and the gradient of p across right columns (px/px).
+    Arrays come one by one: handing on a tuple of them would count references for each pixel.
     """
-    _rows, columns = left_p.shape
-    right_rows, right_columns = right_p.shape
-    node_rows, node_columns = inverse.shape
-    scale = np.float32(1.0) / np.float32(node_px)
-    for y in range(row_start, row_stop, stride):
-        for x in range(0, columns, stride):
-            right_u[y, x] = np.nan
-            right_v[y, x] = np.nan
-            right_slope[y, x] = np.nan
-            if left_mask[y, x] != 0:
+    for x in range(n):
+        if not (s[P + x] == s[P + x] and s[U + x] != s[U + x]):
+            continue
+        ni = np.int64(s[P + x] * nodes_per_px + NODE_MARGIN)
+        nj = np.int64(s[Q + x] * nodes_per_px + NODE_MARGIN)
+        tried = np.uint32(0)
+        for ring in range(5):
+            i = ni + (0, 1, -1, 0, 0)[ring]
+            j = nj + (0, 0, 0, 1, -1)[ring]
+            if i < 0 or j < 0 or i >= inverse.shape[1] or j >= inverse.shape[0]:
                 continue
-            p, q = left_p[y, x], left_q[y, x]
-            ni = int(p * scale + np.float32(0.5))
-            nj = int(q * scale + np.float32(0.5))
-            start = -1
-            for ring in range(9):
-                i = ni + (0, 1, -1, 0, 0, 1, -1, 1, -1)[ring]
-                j = nj + (0, 0, 0, 1, -1, 1, -1, -1, 1)[ring]
-                if 0 <= i < node_columns and 0 <= j < node_rows and inverse[j, i] >= 0:
-                    start = inverse[j, i]
-                    break
-            if start < 0:
+            start = inverse[j, i]
+            if start == 0 or start == tried:
                 continue
-            v = start // right_columns
-            u = start - v * right_columns
-            for step in range(MAX_STEPS):
-                c, d = right_p[v, u], right_q[v, u]
-                left_ok = u > 0 and right_mask[v, u - 1] == 0
-                right_ok = u + 1 < right_columns and right_mask[v, u + 1] == 0
-                up_ok = v > 0 and right_mask[v - 1, u] == 0
-                down_ok = v + 1 < right_rows and right_mask[v + 1, u] == 0
-                if not ((left_ok or right_ok) and (up_ok or down_ok)):
-                    break
-                u0, u1 = max(u - 1, 0), min(u + 1, right_columns - 1)
-                v0, v1 = max(v - 1, 0), min(v + 1, right_rows - 1)
-                pu = _derivative(right_p[v, u0], c, right_p[v, u1], left_ok, right_ok)
-                qu = _derivative(right_q[v, u0], d, right_q[v, u1], left_ok, right_ok)
-                pv = _derivative(right_p[v0, u], c, right_p[v1, u], up_ok, down_ok)
-                qv = _derivative(right_q[v0, u], d, right_q[v1, u], up_ok, down_ok)
-                if abs(pu) + abs(pv) + abs(qu) + abs(qv) > MAX_DERIVATIVE_SUM_PX:
-                    break
-                det = pu * qv - pv * qu
-                if abs(det) < 1e-4:
-                    break
-                rp, rq = p - c, q - d
-                du = (qv * rp - pv * rq) / det
-                dv = (pu * rq - qu * rp) / det
-                inside = abs(du) <= 0.5 and abs(dv) <= 0.5
-                last = step == MAX_STEPS - 1
-                if inside or (last and abs(du) <= MAX_FINAL_STEP_PX and abs(dv) <= MAX_FINAL_STEP_PX):
-                    right_u[y, x] = u + du
-                    right_v[y, x] = v + dv
-                    right_slope[y, x] = pu
-                    break
-                # Not home yet: go to the pixel the step points at, at most 3 px at a time.
-                nu = u + int(np.rint(min(max(du, -3.0), 3.0)))
-                nv = v + int(np.rint(min(max(dv, -3.0), 3.0)))
-                if nu < 0 or nv < 0 or nu >= right_columns or nv >= right_rows or right_mask[nv, nu] != 0:
-                    if abs(du) <= MAX_FINAL_STEP_PX and abs(dv) <= MAX_FINAL_STEP_PX:
-                        right_u[y, x] = u + du
-                        right_v[y, x] = v + dv
-                        right_slope[y, x] = pu
-                    break
-                u, v = nu, nv
+            if _walk(p_px, q_px, half_dn, max_sum, start, x, s) or tried != 0:
+                break
+            tried = start
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def match_row(right: RightMaps, s: NDArray[np.float32], n: int, coherent: bool, at: NDArray[np.int32]) -> None:
+    """Match ``n`` left pixels of a row whose coordinates are in P and Q (NaN: none).
+
+    Writes U, V: right column and row in px, U = NaN where there is no match; SLOPE, the gradient of p across right
+    columns in px/px; MODULATION_RIGHT. ``coherent``: the row above was matched before. ``at`` (n,) int32 is scratch.
+    """
+    height, width = right.p_px.shape
+    p, q, modulation = right.p_px.reshape(-1), right.q_px.reshape(-1), right.modulation_half_dn.reshape(-1)
+    if coherent:
+        _predict(s, n, np.int32(width), np.int32(height), at)
+    else:
+        _look_up(right, s, n, at)
+        _gather(p, q, modulation, np.uint32(width), at, n, s)
+        _newton(s, n, MAX_FIRST_STEP_PX, right.max_derivative_sum_px)
+        _move_on(s, n, np.int32(width), np.int32(height), at)
+    _gather(p, q, modulation, np.uint32(width), at, n, s)
+    _newton(s, n, MAX_FINAL_STEP_PX, right.max_derivative_sum_px)
+    _search(
+        right.p_px, right.q_px, right.modulation_half_dn, right.inverse, right.nodes_per_px,
+        right.max_derivative_sum_px, s, n,
+    )  # fmt: skip

@@ -6,7 +6,6 @@ All buffers are allocated when the pipeline is made, none during a scan.
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,63 +14,67 @@ from appliance.calibration.file import Calibration
 from appliance.optics.rays import ray_lattice
 from appliance.optics.water import Water
 from appliance.patterns.sequence import PatternSequence
-from appliance.reconstruct.decode import CameraDecoder, Mask
-from appliance.reconstruct.match import fill_inverse_map, match_rows, node_size_px
-from appliance.reconstruct.quality import CloudSummary, QualityLimits, select_points, summarise
-from appliance.reconstruct.triangulate import triangulate_rows
+from appliance.reconstruct.decode import CameraDecoder
+from appliance.reconstruct.match import fill_inverse_map, right_maps
+from appliance.reconstruct.quality import QualityLimits, summarise
+from appliance.reconstruct.rows import LeftMaps, reconstruct_rows
+from appliance.reconstruct.scratch import MAX_WIDTH_PX
+from appliance.reconstruct.select import Limits
+from appliance.reconstruct.table import Cloud, Found, PointTable
+from appliance.reconstruct.triangulate import phase_scale_px, rays_of
 
 SIDES = ("left", "right")
 COARSE_POINTS = 30_000
+"""Left pixels asked for the coarse cloud; 20,000 points remain when 70 % of them see the object."""
+MIN_COARSE_NEIGHBOURS = 2
+"""Of eight; they are farther apart, and one may lie beyond an edge."""
 THREADS = 2
-
-
-@dataclass(frozen=True, slots=True)
-class Cloud:
-    """Points in the left camera frame, with what is known about each. All arrays have the same length n."""
-
-    points_mm: NDArray[np.float32]
-    """(n, 3) float32."""
-    intensity: NDArray[np.uint8]
-    """(n,) uint8, the left camera's bright frame."""
-    modulation_dn: NDArray[np.float32]
-    ray_gap_mm: NDArray[np.float32]
-    sigma_mm: NDArray[np.float32]
-    pixel: NDArray[np.uint32]
-    """(n,) uint32: flat index of the left pixel."""
-    summary: CloudSummary
+__all__ = ["SIDES", "Cloud", "Pipeline"]
 
 
 class Pipeline:
-    """Reconstructs scans of one sequence with one calibration in one water; reusable, not thread-safe."""
+    """Reconstructs scans of one sequence with one calibration in one water; reusable, not thread-safe.
+
+    Points are left in ``table``, by default one of its own. Raises ValueError for cameras wider than 4096 px and for a
+    table that is too small.
+    """
 
     def __init__(
-        self, calibration: Calibration, water: Water, sequence: PatternSequence, limits: QualityLimits | None = None
+        self,
+        calibration: Calibration,
+        water: Water,
+        sequence: PatternSequence,
+        limits: QualityLimits | None = None,
+        table: PointTable | None = None,
     ) -> None:
         left, right = calibration.rig.left, calibration.rig.right
+        if max(left.width_px, right.width_px) > MAX_WIDTH_PX:
+            raise ValueError(
+                f"a camera is {max(left.width_px, right.width_px)} px wide; allowed are up to {MAX_WIDTH_PX} px"
+            )
+        self.table = table or PointTable(left.width_px * left.height_px)
+        if self.table.capacity < left.width_px * left.height_px:
+            raise ValueError(
+                f"the table has room for {self.table.capacity} points; needed is one per left pixel, "
+                f"{left.width_px * left.height_px}"
+            )
         self._sequence = sequence
-        self._limits = limits or QualityLimits()
         self._decoders = {
             "left": CameraDecoder(sequence, left.width_px, left.height_px),
             "right": CameraDecoder(sequence, right.width_px, right.height_px),
         }
         index = water.index
         plane_z_mm = float(calibration.rig.volume_centre_mm(index)[2])
-        self._left_rays = ray_lattice(left, index, plane_z_mm)
-        self._right_rays = ray_lattice(right, index, plane_z_mm)
-        shape = (left.height_px, left.width_px)
-        self._node_px = node_size_px(right.width_px)
+        self._rays = rays_of(ray_lattice(left, index, plane_z_mm), ray_lattice(right, index, plane_z_mm), left.width_px)
+        seen = self._decoders["right"]
+        self._right = right_maps(seen.p_px, seen.q_px, seen.modulation_half_dn, sequence.width_px, sequence.height_px)
         self._inverse_stride = 2 if right.width_px >= 800 else 1
-        self._inverse = np.empty(
-            (sequence.height_px // self._node_px + 2, sequence.width_px // self._node_px + 2), np.int32
-        )
-        self._right_u, self._right_v, self._slope, self._gap, self._sigma = (
-            np.full(shape, np.nan, np.float32) for _ in range(5)
-        )
-        self._points = np.full((*shape, 3), np.nan, np.float32)
-        self._chosen = np.empty(shape[0] * shape[1], np.uint32)
-        self._bright: NDArray[np.uint8] | None = None
+        self._scale_px = phase_scale_px(sequence.period_px)
+        self._limits = limits or QualityLimits()
         self._pixel_mm = 0.16 * 1600.0 / left.width_px
-        self.coarse_stride = max(1, int((shape[0] * shape[1] / COARSE_POINTS) ** 0.5))
+        self._bright: NDArray[np.uint8] | None = None
+        self._pool = ThreadPoolExecutor(THREADS, "kf-decode")
+        self.coarse_stride = max(1, int((left.width_px * left.height_px / COARSE_POINTS) ** 0.5))
 
     def push(self, side: str, frames: NDArray[np.uint8], index: int) -> None:
         """Work on frame ``index`` of one side's ``frames`` (n, h, w) uint8; in order. Sides may run in two threads."""
@@ -90,90 +93,54 @@ class Pipeline:
 
     def coarse(self) -> Cloud:
         """After the last frame: the coarse cloud. Call once per scan, before ``full``."""
-        with ThreadPoolExecutor(THREADS, "kf-decode") as pool:
-            list(pool.map(lambda side: self._decoders[side].finish(), SIDES))
-        right = self._decoders["right"]
-        fill_inverse_map(right.p_px, right.q_px, right.mask, self._inverse_stride, self._node_px, self._inverse)
-        return self._cloud(self.coarse_stride)
+        return self.table.cloud(self.find_coarse())
 
     def full(self) -> Cloud:
         """The full cloud: every left pixel that has a true correspondence. Call after ``coarse``."""
-        return self._cloud(1)
+        return self.table.cloud(self.find_full())
 
-    def _cloud(self, stride: int) -> Cloud:
-        left, right = self._decoders["left"], self._decoders["right"]
+    def find_coarse(self) -> Found:
+        """As ``coarse``, leaving the points in the table."""
+        for decoder in self._decoders.values():
+            decoder.finish()
+        fill_inverse_map(self._right, self._inverse_stride)
+        return self._find(self.coarse_stride)
+
+    def find_full(self) -> Found:
+        """As ``full``, leaving the points in the table."""
+        return self._find(1)
+
+    def _find(self, stride: int) -> Found:
         if self._bright is None:
             raise ValueError("no bright frame was pushed; push the whole sequence before asking for a cloud")
-        bright = self._bright
-        rows = bright.shape[0]
+        decoder = self._decoders["left"]
+        left = LeftMaps(decoder.p_px, decoder.q_px, decoder.modulation_half_dn, self._bright)
+        limits = self._kernel_limits(stride)
+        rows, columns = left.p_px.shape
         block = -(-rows // (THREADS * stride)) * stride
+        columns = -(-columns // stride)
 
-        def work(start: int) -> None:
+        def work(start: int) -> tuple[int, int]:
+            # Each thread has room for all of its pixels; what it does not need stays empty.
+            first = start // stride * columns
             stop = min(start + block, rows)
-            match_rows(
-                left.p_px,
-                left.q_px,
-                left.mask,
-                right.p_px,
-                right.q_px,
-                right.mask,
-                self._inverse,
-                self._node_px,
-                start,
-                stop,
-                stride,
-                self._right_u,
-                self._right_v,
-                self._slope,
+            count = reconstruct_rows(
+                left, self._right, self._rays, limits, self._scale_px, start, stop, stride, self.table.points, first
             )
-            triangulate_rows(
-                self._left_rays.nodes,
-                self._right_rays.nodes,
-                self._left_rays.step_px,
-                self._left_rays.plane_z_mm,
-                self._right_u,
-                self._right_v,
-                self._slope,
-                right.modulation_dn,
-                left.modulation_dn,
-                bright,
-                float(self._sequence.period_px),
-                start,
-                stop,
-                stride,
-                self._points,
-                self._gap,
-                self._sigma,
-            )
+            return first, first + int(count)
 
-        with ThreadPoolExecutor(THREADS, "kf-match") as pool:
-            list(pool.map(work, range(0, rows, block)))
+        pieces = tuple(self._pool.map(work, range(0, rows, block)))
+        lit = decoder.lit_pixels // stride**2
+        return Found(pieces, summarise(lit, self.table.points, pieces))
+
+    def _kernel_limits(self, stride: int) -> Limits:
         limits = self._limits
-        noise_steps = self._sequence.period_px / 16.0
-        count = select_points(
-            self._points,
-            self._gap,
-            self._sigma,
-            stride,
-            limits.max_gap_mm * max(1.0, noise_steps),
-            limits.max_sigma_mm * max(1.0, noise_steps),
-            limits.min_depth_mm,
-            limits.max_depth_mm,
-            limits.max_step_mm * self._pixel_mm / 0.16,
-            limits.min_neighbours,
-            self._chosen,
-        )
-        pixel = self._chosen[:count].copy()
-        points = self._points.reshape(-1, 3)[pixel]
-        gap = self._gap.reshape(-1)[pixel]
-        sigma = self._sigma.reshape(-1)[pixel]
-        lit = int(np.count_nonzero(left.mask[::stride, ::stride] != Mask.SHADOW))
-        return Cloud(
-            points_mm=points,
-            intensity=bright.reshape(-1)[pixel],
-            modulation_dn=left.modulation_dn.reshape(-1)[pixel],
-            ray_gap_mm=gap,
-            sigma_mm=sigma,
-            pixel=pixel,
-            summary=summarise(lit, points, sigma, gap),
+        noise = max(1.0, self._sequence.period_px / 16.0)
+        return Limits(
+            max_gap_mm=np.float32(limits.max_gap_mm * noise),
+            max_sigma_mm=np.float32(limits.max_sigma_mm * noise),
+            min_depth_mm=np.float32(limits.min_depth_mm),
+            max_depth_mm=np.float32(limits.max_depth_mm),
+            max_step_mm=np.float32(limits.max_step_mm * self._pixel_mm / 0.16 * stride),
+            min_neighbours=np.float32(limits.min_neighbours if stride == 1 else MIN_COARSE_NEIGHBOURS),
         )

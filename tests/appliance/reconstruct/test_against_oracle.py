@@ -36,15 +36,16 @@ def test_decoding(period_px: int, size_px: tuple[int, int]) -> None:
     decoder = CameraDecoder(sequence, *size_px)
     for k in range(len(sequence)):
         decoder.push(stack, k)
-    before_edges = decoder.mask.copy()
     expected = oracle.decode(sequence, stack)
     shadow = stack[sequence.bright].astype(int) - stack[sequence.dark] < MIN_CONTRAST_DN
-    np.testing.assert_array_equal(before_edges == Mask.SHADOW, shadow)
-    valid = before_edges == Mask.VALID
+    np.testing.assert_array_equal(decoder.mask == Mask.SHADOW, shadow)
+    valid = decoder.mask == Mask.VALID
     assert valid.mean() > 0.6
     got = np.stack([decoder.p_px, decoder.q_px], -1)[valid]
     assert np.abs(got - expected.pq[valid]).max() < 2e-4, "float32 against float64"
     assert (expected.modulation[valid] >= MIN_MODULATION_DN - 1e-3).all()
+    half_dn = decoder.modulation_half_dn[valid]
+    assert np.abs(half_dn / 2 - expected.modulation[valid]).max() < 0.2501, "half grey values"
     assert (np.abs(expected.offset[valid]) <= MAX_GRAY_DISAGREEMENT + 1e-4).all()
 
 
@@ -61,7 +62,7 @@ def test_points(period_px: int) -> None:
     cloud = pipeline.full()
     left, right = oracle.decode(sequence, stacks["left"]), oracle.decode(sequence, stacks["right"])
     v, u = np.divmod(cloud.pixel.astype(np.int64), 400)
-    right_valid = pipeline.decoded("right").mask == Mask.VALID
+    right_valid = np.isfinite(pipeline.decoded("right").p_px)
     right_uv = oracle.match(left.pq[v, u], right.pq, right_valid)
     found = np.isfinite(right_uv).all(-1)
     assert found.mean() > 0.99
