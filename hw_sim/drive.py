@@ -26,6 +26,10 @@ class Recording(Protocol):
     def host_ready(self) -> bool:
         """A flip of the projector is pending and both cameras have room."""
 
+    @property
+    def developing(self) -> bool:
+        """Images of a sequence are still being made, although all its pulses may have been fired."""
+
 
 class Drive:
     """Calls ``on_blank(time_ns)`` at each vertical blank and lets happenings happen between them, in one thread."""
@@ -35,14 +39,15 @@ class Drive:
         world_time: WorldTime,
         recording: Recording,
         on_blank: Callable[[int], None],
-        lock_step: bool,
+        pace: str,
         idle_speed: float,
     ) -> None:
+        """``pace``: one of ``hw_sim.options.PACES``; ``idle_speed`` counts in lock-step only."""
         self._time = world_time
         self._recording = recording
         self._on_blank = on_blank
-        self._lock_step = lock_step
-        self._idle_speed = idle_speed if lock_step else 1.0
+        self._pace = pace
+        self._idle_speed = idle_speed if pace == "lockstep" else 1.0
         self._given_up: int | None = None
         """The armed sequence whose host was waited for in vain."""
         self._waiting_since_ns: int | None = None
@@ -66,19 +71,30 @@ class Drive:
         with self._time.condition:
             try:
                 while not self._time.closed:
-                    if self._lock_step:
-                        self._lock_step_once()
-                    else:
+                    if self._waits_for_nobody:
                         self._real_time_once()
+                    else:
+                        self._lock_step_once()
             except Exception as failure:
                 self.failure = failure
                 self._time.close()
+
+    @property
+    def _waits_for_nobody(self) -> bool:
+        if self._pace == "attended":
+            return not self._records and not self._recording.developing
+        return self._pace == "realtime"
+
+    @property
+    def _records(self) -> bool:
+        sequence = self._recording.armed
+        return sequence is not None and sequence != self._given_up
 
     # -- lock-step: the host's readiness decides while a sequence is recorded, real time otherwise
 
     def _lock_step_once(self) -> None:
         sequence = self._recording.armed
-        recording = sequence is not None and sequence != self._given_up
+        recording = self._records
         hurry = recording and self._recording.host_ready
         blank_ns = self._time.blank_ns + BLANK_NS
         happening = self._time.due(blank_ns)

@@ -61,6 +61,8 @@ PARTS: dict[str, tuple[str, ...]] = {
 class FaultSyntaxError(ValueError):
     """The sentence is not understood, or the world cannot break that way."""
 
+    exit_code = 2
+
 
 @dataclass(slots=True)
 class Fault:

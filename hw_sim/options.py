@@ -12,10 +12,13 @@ from hw_sim.scene import Scene
 from hw_sim.water import Water
 
 Pose = tuple[float, float, float, float, float, float]
+PACES = ("lockstep", "realtime", "attended")
 
 
 class OptionError(ValueError):
     """An option of the simulated world is unknown or out of range; the text names it and what is allowed."""
+
+    exit_code = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,10 +42,11 @@ class WorldOptions:
     faults: tuple[str, ...] = ()
     script: str | None = None
     status: str | None = None
+    window: bool = False
 
     def __post_init__(self) -> None:
-        if self.pace not in ("lockstep", "realtime"):
-            raise OptionError(f"pace '{self.pace}'; allowed are lockstep, realtime")
+        if self.pace not in PACES:
+            raise OptionError(f"pace '{self.pace}'; allowed are {', '.join(PACES)}")
         if not 64 <= self.width_px <= 4096 or not 48 <= self.height_px <= 4096:
             raise OptionError(f"camera size {self.width_px}x{self.height_px}; allowed are 64x48 to 4096x4096")
         if not 0.1 <= self.idle_speed <= 100.0:

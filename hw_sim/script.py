@@ -32,6 +32,8 @@ GRAMMAR = (
 class ScriptError(Exception):
     """A step is not understood, or what it waited for did not come; the text names line and step."""
 
+    exit_code = 2
+
 
 @dataclass(frozen=True, slots=True)
 class Step:

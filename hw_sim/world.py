@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hw_sim import registry
-from hw_sim.darkroom import Darkroom
+from hw_sim.darkroom import Darkroom, Print
 from hw_sim.devices.board import Board
 from hw_sim.devices.card import Card
 from hw_sim.devices.head import Flip, Output
@@ -30,7 +30,7 @@ from hw_sim.drive import Drive
 from hw_sim.faults import Fault, FaultBook
 from hw_sim.heat import temperature_c
 from hw_sim.motion import Motion
-from hw_sim.options import WorldOptions
+from hw_sim.options import OptionError, WorldOptions
 from hw_sim.pace import START_NS, WorldTime
 from hw_sim.render import LightSlice, Renderer, Surface, TrueView
 from hw_sim.scene import Scene
@@ -69,7 +69,7 @@ class World:
         self.truth: TrueRig = (
             draw_truth(o.truth, o.seed, o.width_px, o.height_px, n_water)
             if o.truth in SETS
-            else load_truth(Path(o.truth), n_water)
+            else _stored_truth(Path(o.truth), n_water)
         )
         self._scene = scene
         self._renderer_lock = threading.Lock()
@@ -87,8 +87,12 @@ class World:
         self._intervals: deque[_Interval] = deque([_Interval(START_NS)], maxlen=KEPT_INTERVALS)
         self._shown_before: NDArray[np.uint8] | None = None
         self._late_flip: Flip | None = None
+        self._latest: dict[str, Print] = {}
+        self._recorded: dict[str, Print] = {}
+        """The last image of a sequence that each camera took."""
+        self._seen: dict[str, NDArray[np.uint8]] = {}
         self._first_pulse_ns: dict[int, int] = {}
-        self._drive = Drive(self.time, self, self._blank, o.pace == "lockstep", o.idle_speed)
+        self._drive = Drive(self.time, self, self._blank, o.pace, o.idle_speed)
 
     def __enter__(self) -> World:
         registry.register(self.options.world, self)
@@ -135,6 +139,16 @@ class World:
         with self.time.condition:
             self.keypad.press(key, hold_s)
 
+    def touch(self, key: str, at_ns: int = 0) -> None:
+        """Lay a finger on a key, until ``let_go``; at world time ``at_ns``, or now if that is past. Raises ValueError."""
+        with self.time.condition:
+            self.keypad.touch(key, at_ns)
+
+    def let_go(self, key: str, at_ns: int = 0) -> None:
+        """Take it off again, at ``at_ns`` or now. Raises ValueError."""
+        with self.time.condition:
+            self.keypad.let_go(key, at_ns)
+
     def set_object(self, name: str, pose: Sequence[float] | None = None) -> None:
         """Put another object before the instrument, at its usual pose or at [x, y, z, rx_deg, ry_deg, rz_deg]."""
         x, y, z, rx, ry, rz = pose or (0.0,) * 6
@@ -172,6 +186,11 @@ class World:
                 case _:
                     raise ValueError(f"head '{head}'; allowed are projector, display")
 
+    def seen(self, side: str) -> NDArray[np.uint8] | None:
+        """(h, w) uint8, not to be changed: the image that a camera (``left``, ``right``) took last; ``None`` before one."""
+        with self.time.condition:
+            return self._seen.get(side)
+
     @property
     def surface(self) -> Surface:
         """The true surface at rest, which is at a sequence's first pulse."""
@@ -192,6 +211,11 @@ class World:
     def host_ready(self) -> bool:
         """The host has its next pattern ready and reads its cameras."""
         return self.card.flip_pending(Output.PROJECTOR) and all(camera.room for camera in self.cameras.values())
+
+    @property
+    def developing(self) -> bool:
+        """Images of a sequence are still being made."""
+        return any(not image.ready for image in self._recorded.values())
 
     # ------------------------------------------------------------------------------------------ what happens
 
@@ -246,6 +270,10 @@ class World:
 
     def _expose(self, side: str, exposure: Exposure) -> Latent | None:
         """At the end of an exposure: everything that lit it is known."""
+        latest = self._latest.get(side)
+        live = exposure.shot.count is None
+        if live and self.options.pace == "attended" and latest is not None and not latest.ready:
+            return latest  # nobody looks at a live view that comes minutes late
         end_ns = exposure.start_ns + exposure.duration_ns
         slices, until_ns = [], end_ns
         self._light(self._intervals[-1])
@@ -255,15 +283,21 @@ class World:
                 slices.append(LightSlice(interval.light, (until_ns - begin_ns) / 1e9))
             until_ns = min(until_ns, interval.begin_ns)
         moment_s = 0.0
-        if exposure.shot.count is not None:
+        if not live:
             first_ns = self._first_pulse_ns.get(exposure.shot.series, exposure.start_ns)
             moment_s = (exposure.start_ns - first_ns + exposure.duration_ns / 2) / 1e9
         seed, lasers = self._noise_seed(side, exposure.shot), self.board.lasers_on
         exposure_s, gain_db = exposure.duration_ns / 1e9, exposure.gain_db
-        return self._darkroom.make(
+        made = self._darkroom.make(
             side,
             lambda: self._renderer.expose(side, slices[::-1], moment_s, exposure_s, gain_db, lasers, seed),
         )
+        if made is not None:
+            self._latest[side] = made
+            if not live:
+                self._recorded[side] = made
+            made.when_ready(lambda: self._seen.update({side: made.image}))
+        return made
 
     def _noise_seed(self, side: str, shot: Shot) -> int:
         """The same for the same frame of the same sequence, however long the host took to come there."""
@@ -303,3 +337,13 @@ class World:
                 return f"{SUPPLY_V:.2f}"
             case _:
                 return f"{self._temperature_c(name):.1f}"
+
+
+def _stored_truth(path: Path, n_water: float) -> TrueRig:
+    try:
+        return load_truth(path, n_water)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise OptionError(
+            f"truth {path}: cannot be read as a true rig ({type(error).__name__}: {error}); "
+            f"allowed are {', '.join(SETS)}, or a file as save_truth writes it"
+        ) from error

@@ -5,13 +5,14 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NoReturn
 
 from appliance import __version__
 from appliance.calibration.file import CalibrationError
 from appliance.cli import scans, verbs
-from appliance.cli.output import Exit, UsageError, complain
+from appliance.cli.output import Exit, UsageError, complain, log_lines
 from appliance.cli.simrig import OBJECTS, PACES, TEXTURES, TRUTHS, SimOptions, default_sim_rig
 from appliance.config import ConfigError, Rig, default_rig_path, load_rig
 from appliance.storage.atomic import StorageError
@@ -42,7 +43,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = _grammar().parse_args(argv)
     verb: Verb = arguments.verb
     try:
-        return verb(arguments)
+        with log_lines(as_json=arguments.json, service=arguments.service):
+            return verb(arguments)
     except (ConfigError, UsageError) as error:
         complain(str(error), as_json=arguments.json)
         return Exit.USAGE
@@ -54,6 +56,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         return Exit.OK
     except KeyboardInterrupt:
         return Exit.INTERRUPTED
+    except Exception as error:
+        code = getattr(error, "exit_code", None)  # of a simulated world, whose errors nothing here knows by name
+        if code is None:
+            raise
+        complain(str(error), as_json=arguments.json)
+        return Exit(code)
 
 
 def _rig(arguments: argparse.Namespace) -> Rig:
@@ -61,12 +69,21 @@ def _rig(arguments: argparse.Namespace) -> Rig:
 
 
 def _root(arguments: argparse.Namespace) -> Path:
-    if arguments.root is not None:
-        root: Path = arguments.root
-        if not root.is_dir():
-            raise UsageError(f"--root {root}: no such folder; give the storage root that holds scans/")
-        return root
-    return _rig(arguments).storage.root
+    """Where only stored scans are read, no rig file is needed, and none is read."""
+    return _rig(arguments).storage.root if arguments.root is None else _given_root(arguments.root)
+
+
+def _rooted(arguments: argparse.Namespace) -> Rig:
+    rig = _rig(arguments)
+    if arguments.root is None:
+        return rig
+    return replace(rig, storage=replace(rig.storage, root=_given_root(arguments.root)))
+
+
+def _given_root(root: Path) -> Path:
+    if not root.is_dir():
+        raise UsageError(f"--root {root}: no such folder; give the storage root that holds scans/")
+    return root
 
 
 def _sim(arguments: argparse.Namespace) -> Exit:
@@ -100,12 +117,14 @@ def _grammar() -> _Parser:
 
     def add(where: argparse._SubParsersAction[_Parser], name: str, text: str, verb: Verb, *parents: _Parser) -> _Parser:
         parser = where.add_parser(name, help=text, description=text, epilog=EXIT_CODES, parents=[common, *parents])
-        parser.set_defaults(verb=verb)
+        parser.set_defaults(verb=verb, service=False)
         return parser
 
-    add(commands, "run", "run the instrument", lambda a: verbs.run(_rig(a)), rig)
+    run = add(commands, "run", "run the instrument", lambda a: verbs.run(_rig(a)), rig)
+    run.set_defaults(service=True)
 
     sim = add(commands, "sim", "run the instrument in a simulated world (docs/protocols/world.md)", _sim, rig, root)
+    sim.set_defaults(service=True)
     sim.add_argument("--object", choices=OBJECTS, help="what lies before the scanner")
     sim.add_argument("--texture", choices=TEXTURES, help="its albedo")
     sim.add_argument("--truth", metavar="SET", help=f"the true rig: {', '.join(TRUTHS)}, or a truth.toml")
@@ -114,7 +133,7 @@ def _grammar() -> _Parser:
     sim.add_argument("--pace", choices=PACES, help="how world time passes")
     sim.add_argument("--script", type=Path, metavar="FILE", help="a diver's script; exit code 3 if it fails")
     sim.add_argument("--fault", action="append", default=[], metavar="SENTENCE", help="a fault; may be repeated")
-    sim.add_argument("--window", action="store_true", help="show the diver's screen in a window")
+    sim.add_argument("--window", action="store_true", help="show both screens in windows; the keyboard is the key pad")
 
     add(commands, "check", "open every device once and report", lambda a: verbs.check(_rig(a), json=a.json), rig)
 
@@ -122,15 +141,16 @@ def _grammar() -> _Parser:
         commands,
         "reconstruct",
         "reconstruct a stored scan from its raw frames",
-        lambda a: verbs.reconstruct(_rig(a), a.scan, a.calibration, a.out, json=a.json),
+        lambda a: verbs.reconstruct(_rooted(a), a.scan, a.calibration, a.out, json=a.json),
         rig,
+        root,
     )
     reconstruct.add_argument("scan", metavar="SCAN", help="its number or its folder")
     reconstruct.add_argument("--calibration", type=Path, metavar="FILE", help="default: the instrument's")
     reconstruct.add_argument("--out", type=Path, metavar="FILE", help="write the cloud there (PLY)")
 
     _add_scans(add, commands, rig, root)
-    _add_calibration(add, commands, rig)
+    _add_calibration(add, commands, rig, root)
     add(commands, "version", "print the version", lambda a: verbs.version(json=a.json))
     return top
 
@@ -166,23 +186,30 @@ def _add_scans(
     verify.add_argument("--all", action="store_true", help=every)
 
 
-def _add_calibration(add: _Add, commands: argparse._SubParsersAction[_Parser], rig: _Parser) -> None:
+def _add_calibration(
+    add: _Add,
+    commands: argparse._SubParsersAction[_Parser],
+    rig: _Parser,
+    root: _Parser,
+) -> None:
     group = commands.add_parser("calibration", help="look at calibrations", epilog=EXIT_CODES)
     inner = group.add_subparsers(required=True, metavar="VERB", parser_class=_Parser)
     show = add(
         inner,
         "show",
         "the calibration in use, or that of a file",
-        lambda a: verbs.calibration_show(_rig(a), a.file, json=a.json),
+        lambda a: verbs.calibration_show(_rooted(a), a.file, json=a.json),
         rig,
+        root,
     )
     show.add_argument("file", metavar="FILE", nargs="?", type=Path)
     nominal = add(
         inner,
         "nominal",
         "write the calibration that follows from the rig file's design",
-        lambda a: verbs.calibration_nominal(_rig(a), a.out, json=a.json),
+        lambda a: verbs.calibration_nominal(_rooted(a), a.out, json=a.json),
         rig,
+        root,
     )
     nominal.add_argument("--out", type=Path, metavar="FILE", help="default: beside the instrument's calibrations")
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import logging
 import sys
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from enum import IntEnum
 from typing import Any, TextIO
 
@@ -56,6 +58,27 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     return "\n".join(
         "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip() for line in lines
     )
+
+
+@contextmanager
+def log_lines(*, as_json: bool, service: bool) -> Iterator[None]:
+    """Inside, what the program logs goes to stderr, one line each: warnings, and of a service its news, too."""
+    log = logging.getLogger()
+    before = log.level
+    handler = logging.StreamHandler()
+    handler.setFormatter(_JsonLine() if as_json else logging.Formatter("kingfisher: %(message)s"))
+    log.addHandler(handler)
+    log.setLevel(logging.INFO if service else logging.WARNING)
+    try:
+        yield
+    finally:
+        log.setLevel(before)
+        log.removeHandler(handler)
+
+
+class _JsonLine(logging.Formatter):
+    def format(self, record: logging.LogRecord) -> str:
+        return json.dumps({record.levelname.lower(): record.getMessage()}, ensure_ascii=False)
 
 
 class Progress:

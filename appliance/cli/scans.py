@@ -34,8 +34,10 @@ def show_scan(root: Path, scan_id: str, *, json: bool) -> Exit:
     if json:
         say_json(full)
         return Exit.OK
-    for key, value in _flat(full):
-        say(f"{key:<34} {value}")
+    lines = _flat(full)
+    width = max(len(key) for key, _ in lines)
+    for key, value in lines:
+        say(f"{key:<{width}} {value}")
     return Exit.OK
 
 
@@ -74,7 +76,7 @@ def _brief(entry: Entry) -> dict[str, Any]:
         "recovered": None if entry.manifest is None else entry.manifest.recovered,
         "wall_time": None if record is None else record.wall_time,
         "clock_trusted": None if record is None else record.clock_trusted,
-        "points": None if record is None else record.cloud.get("points"),
+        "points": _point_count(entry),
         "size_bytes": entry.size_bytes,
     }
 
@@ -95,8 +97,13 @@ def _when(entry: Entry) -> str:
 
 
 def _points(entry: Entry) -> str:
+    points = _point_count(entry)
+    return "-" if points is None else str(points)
+
+
+def _point_count(entry: Entry) -> int | None:
     points = None if entry.manifest is None else entry.manifest.record.cloud.get("points")
-    return "-" if points is None else f"{points:.0f}"
+    return None if points is None else round(points)
 
 
 def _note(entry: Entry) -> str:

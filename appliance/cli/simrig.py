@@ -20,7 +20,7 @@ SIMULATOR = "hw_sim"
 OBJECTS = ("plane", "ballbar", "frustum", "pipe", "shell", "stones")
 TEXTURES = ("none", "slight", "strong")
 TRUTHS = ("nominal", "realistic", "hard", "paper", "modelled")
-PACES = ("lockstep", "realtime")
+PACES = ("lockstep", "realtime", "attended")
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +48,16 @@ def default_sim_rig() -> Path:
     return Path(spec.origin).parent / "rigs" / "full.toml"
 
 
+def with_simulated_wires(rig: Rig) -> Rig:
+    """``rig`` itself. Raises UsageError where its wires do not lead to the simulator: nothing real is started here."""
+    if rig.rig.wires.partition(".")[0] != SIMULATOR:
+        raise UsageError(
+            f"--rig: wires of [rig] is {rig.rig.wires}, which is no simulated world; allowed: {SIMULATOR}.wires:open; "
+            "use `kingfisher run` for an instrument"
+        )
+    return rig
+
+
 def simulated(rig: Rig, options: SimOptions) -> Rig:
     """``rig`` with the options. Raises UsageError for one that does not fit, before anything is started."""
     wires = dict(rig.rig.wires_options)
@@ -66,13 +76,12 @@ def simulated(rig: Rig, options: SimOptions) -> Rig:
         "object": options.object_name,
         "texture": options.texture,
         "seed": options.seed,
-        "pace": options.pace,
+        "pace": options.pace or ("attended" if options.window else None),
+        "window": options.window or None,
         "faults": [*wires.get("faults", []), *options.faults] if options.faults else None,
     }
     wires |= {name: value for name, value in chosen.items() if value is not None}
     wires["status"] = str(rig.storage.root.absolute() / "run" / "status.json")
-    if options.window:
-        rig = replace(rig, display=replace(rig.display, kind="window"))
     return replace(rig, rig=replace(rig.rig, wires_options=wires))
 
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from appliance import __version__
+from appliance.cli.desk import usable_scan, writable
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json, table
-from appliance.cli.simrig import SimOptions, simulated
+from appliance.cli.simrig import SimOptions, simulated, with_simulated_wires
 from appliance.config import Rig
 
 # The service is imported inside the verbs: it brings drivers and compiled kernels, which `scans list` can do without.
@@ -20,10 +21,8 @@ def run(rig: Rig) -> Exit:
 
 
 def sim(rig: Rig, options: SimOptions) -> Exit:
-    """The same instrument in a simulated world."""
-    from appliance.service.app import simulate
-
-    return Exit(simulate(simulated(rig, options)))
+    """The same instrument in a simulated world. What goes wrong there brings its own exit code (``main``)."""
+    return run(simulated(with_simulated_wires(rig), options))
 
 
 def check(rig: Rig, *, json: bool) -> Exit:
@@ -42,11 +41,17 @@ def check(rig: Rig, *, json: bool) -> Exit:
 
 def reconstruct(rig: Rig, scan: str, calibration: Path | None, out: Path | None, *, json: bool) -> Exit:
     """A stored scan's cloud from its raw frames. ``scan``: its number, or its folder."""
-    folder = _scan_folder(rig, scan)
-    from appliance.service.desk import reconstruct_scan
-
+    writable(out)
     with Progress() as progress:
-        report = reconstruct_scan(rig, folder, calibration, out, progress)
+        progress("comparing checksums")
+        folder = usable_scan(rig, scan, calibration)
+        from appliance.service.desk import reconstruct_scan
+
+        try:
+            report = reconstruct_scan(rig, folder, calibration, out, progress)
+        except OSError as error:
+            target = error.filename or out or folder
+            raise UsageError(f"{target}: {error.strerror}; give another file with --out FILE") from error
     if json:
         say_json(report)
     else:
@@ -88,14 +93,3 @@ def version(*, json: bool) -> Exit:
     else:
         say(f"kingfisher {__version__}")
     return Exit.OK
-
-
-def _scan_folder(rig: Rig, scan: str) -> Path:
-    from appliance.storage.library import Library
-
-    if "/" in scan or Path(scan).is_dir():
-        folder = Path(scan)
-        if not folder.is_dir():
-            raise UsageError(f"SCAN {scan}: no such folder; give a scan's number or its folder")
-        return folder
-    return Library(rig.storage.root).entry(scan).folder

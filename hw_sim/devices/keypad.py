@@ -6,6 +6,7 @@ Reports out through ``listen``; all calls with the world's lock held.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -31,6 +32,8 @@ class Keypad:
         self._time, self._faults = time, faults
         self._rng = np.random.default_rng([seed, 0x4E7])
         self._coils = 0
+        self._edges = 0
+        self._latest_edge = dict.fromkeys(BITS, 0)
         self._counter = 0
         self._listeners: list[Callable[[bytes], None]] = []
         self.plugged = True
@@ -47,16 +50,40 @@ class Keypad:
             raise ValueError(f"hold_s={hold_s}; allowed is more than 0, up to {LONGEST_HOLD_S:g} s")
         now_ns, hold_ns = self._time.now_ns(), int(hold_s * 1e9)
         # The finger is gone before a short press has settled: what bounces later is the release.
-        self._edge(now_ns, BITS[key], True, min(BOUNCE_NS, hold_ns))
-        self._edge(now_ns + hold_ns, BITS[key], False, BOUNCE_NS)
+        self._edge(now_ns, key, True, min(BOUNCE_NS, hold_ns))
+        self._edge(now_ns + hold_ns, key, False, BOUNCE_NS)
 
-    def _edge(self, time_ns: int, bit: int, down: bool, within_ns: int) -> None:
+    def touch(self, key: str, at_ns: int) -> None:
+        """A finger comes at ``at_ns``, or now if that is past, and stays. Raises ValueError for an unknown key."""
+        self._finger(key, True, at_ns)
+
+    def let_go(self, key: str, at_ns: int) -> None:
+        """It goes, at ``at_ns`` or now. Raises ValueError for an unknown key."""
+        self._finger(key, False, at_ns)
+
+    def _finger(self, key: str, down: bool, at_ns: int) -> None:
+        if key not in BITS:
+            raise ValueError(f"key '{key}'; allowed are {', '.join(BITS)}")
+        self._edge(max(at_ns, self._time.now_ns()), key, down, BOUNCE_NS)
+
+    def _edge(self, time_ns: int, key: str, down: bool, within_ns: int) -> None:
         """A change at ``time_ns`` and up to three bounces behind it, the last of which settles."""
+        self._edges += 1
+        number, bit = self._edges, BITS[key]
+
+        def begin(t: int) -> None:
+            self._latest_edge[key] = number
+            self._set(bit, down, t)
+
+        def bounce(closed: bool, t: int) -> None:
+            if self._latest_edge[key] == number:  # else the finger has moved on
+                self._set(bit, closed, t)
+
+        self._time.at(time_ns, begin)
         bounces = 2 * int(self._rng.integers(0, 4))
         after_ns = np.sort(self._rng.integers(min(500_000, within_ns // 2), max(1, within_ns), bounces))
-        for i, offset_ns in enumerate([0, *after_ns.tolist()]):
-            closed = down if i % 2 == 0 else not down
-            self._time.at(time_ns + offset_ns, lambda t, closed=closed: self._set(bit, closed, t))  # type: ignore[misc]
+        for i, offset_ns in enumerate(after_ns.tolist()):
+            self._time.at(time_ns + offset_ns, partial(bounce, not down if i % 2 == 0 else down))
 
     def _set(self, bit: int, closed: bool, time_ns: int) -> None:
         self._coils = self._coils | bit if closed else self._coils & ~bit

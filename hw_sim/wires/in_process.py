@@ -13,6 +13,7 @@ from hw_sim import registry
 from hw_sim.options import OptionError, WorldOptions, options_from
 from hw_sim.pace import WorldClock
 from hw_sim.script import Diver, Step, parse_script
+from hw_sim.window import open_windows
 from hw_sim.wires.card import SimCardNode
 from hw_sim.wires.hidraw import HidrawModule
 from hw_sim.wires.pyusb_backend import UsbBackend
@@ -26,6 +27,8 @@ SCRIPT_GRACE_S = 5.0
 
 class ScriptFailedError(Exception):
     """The diver's script did not come to its end; the text says at which step."""
+
+    exit_code = 3
 
 
 class SimWires:
@@ -48,7 +51,8 @@ class SimWires:
 def open(options: Mapping[str, Any]) -> Iterator[SimWires]:
     """Wires into the world that ``options`` name; it is made, and ends with them, unless it exists already.
 
-    Raises OptionError, ScriptError; at the end ScriptFailedError when a script was given and did not succeed.
+    Raises OptionError, ScriptError, WindowError; at the end ScriptFailedError when a script was given and did not
+    succeed, WindowError when the windows failed.
     """
     wanted = options_from(options)
     steps = _steps(wanted)
@@ -57,6 +61,8 @@ def open(options: Mapping[str, Any]) -> Iterator[SimWires]:
         if world is None:
             world = stack.enter_context(World(wanted))
         stack.enter_context(_serial_protocol())
+        if wanted.window:
+            stack.enter_context(open_windows(world))
         if steps:
             stack.enter_context(_script(world, steps, Path(wanted.status or "")))
         yield SimWires(world)

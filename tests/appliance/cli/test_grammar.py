@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import io
 import json
+import logging
 from pathlib import Path
 
 import pytest
 
 from appliance.cli import main
-from appliance.cli.output import Progress, UsageError
-from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
+from appliance.cli.output import Progress, UsageError, log_lines
+from appliance.cli.simrig import SimOptions, default_sim_rig, simulated, with_simulated_wires
 from appliance.config import default_rig_path, load_rig, parse_rig
 
 RIG = load_rig(default_rig_path())
@@ -139,9 +140,38 @@ def test_a_script_or_truth_that_is_not_there_is_refused_at_once(tmp_path: Path) 
         simulated(RIG, SimOptions(truth="nowhere"))
 
 
-def test_the_window_is_for_the_diver_only() -> None:
+def test_windows_are_the_worlds_and_the_instrument_stays_as_it_is() -> None:
     rig = simulated(RIG, SimOptions(window=True))
-    assert (rig.display.kind, rig.projector.kind) == ("window", "kms")
+    assert (rig.display, rig.projector) == (RIG.display, RIG.projector)
+    assert rig.rig.wires_options["window"] is True
+    assert "window" not in simulated(RIG, SimOptions()).rig.wires_options
+
+
+def test_with_windows_idle_time_is_a_persons_unless_something_else_is_asked_for() -> None:
+    assert simulated(RIG, SimOptions(window=True)).rig.wires_options["pace"] == "attended"
+    assert simulated(RIG, SimOptions(window=True, pace="lockstep")).rig.wires_options["pace"] == "lockstep"
+
+
+def test_sim_starts_no_real_instrument() -> None:
+    with pytest.raises(UsageError, match=r"drivers\.native:open.*kingfisher run"):
+        with_simulated_wires(RIG)
+    rig = load_rig(default_sim_rig())
+    assert with_simulated_wires(rig) is rig
+
+
+@pytest.mark.parametrize("service", [True, False])
+def test_a_service_tells_its_news_and_others_only_warn(service: bool, capsys: pytest.CaptureFixture[str]) -> None:
+    log = logging.getLogger("kingfisher")
+    with log_lines(as_json=False, service=service):
+        log.info("display works")
+        log.warning("uncalibrated: %s", "no file")
+    log.warning("nobody listens")
+    lines = capsys.readouterr().err.splitlines()
+    wanted = ["kingfisher: display works", "kingfisher: uncalibrated: no file"]
+    assert lines[:2] == wanted if service else lines[:1] == wanted[1:]
+    with log_lines(as_json=True, service=service):
+        log.warning("uncalibrated: %s", "no file")
+    assert json.loads(capsys.readouterr().err.splitlines()[-1]) == {"warning": "uncalibrated: no file"}
 
 
 def test_the_simulators_rig_file_is_found_as_a_path() -> None:

@@ -95,6 +95,41 @@ def test_a_press_shorter_than_its_bounce_ends_released(hold_s: float) -> None:
             assert pad.edges(1)[-1][0] <= pad.reports[0][0] + int(hold_s * 1e9) + 20_000_000
 
 
+def test_a_finger_holds_a_key_until_it_goes(pad: Pad) -> None:
+    begin_ns = pad.bench.time.now_ns()
+    pad.pad.touch("up", 0)
+    pad.bench.run_s(1.3)
+    assert pad.reports[-1][1][1] == BITS["up"]
+    pad.pad.let_go("up", 0)
+    pad.bench.run_s(0.3)
+    edges = pad.edges(BITS["up"])
+    assert edges[0] == (begin_ns, True)
+    assert (begin_ns + 1_300_000_000, False) in edges
+    assert not edges[-1][1]
+
+
+def test_a_finger_may_be_announced(pad: Pad) -> None:
+    begin_ns = pad.bench.time.now_ns() + 100_000_000
+    pad.pad.touch("down", begin_ns)
+    pad.pad.let_go("down", begin_ns + 400_000_000)
+    pad.bench.run_s(1.0)
+    changes = [time_ns for time_ns, _ in pad.edges(BITS["down"])]
+    assert changes[0] == begin_ns
+    assert 0 <= changes[-1] - begin_ns - 400_000_000 <= 20_000_000
+
+
+@pytest.mark.parametrize("gap_s", [0.0, 0.002, 0.012])
+def test_a_finger_that_goes_before_the_contact_has_settled_leaves_nothing_pressed(gap_s: float) -> None:
+    for seed in range(40):
+        with bench() as made:
+            pad = Pad(made, seed)
+            pad.pad.touch("scan", 0)
+            made.run_s(gap_s)
+            pad.pad.let_go("scan", 0)
+            made.run_s(0.3)
+            assert pad.reports[-1][1][1] == 0, f"seed {seed}: held for ever"
+
+
 def test_two_keys_at_once(pad: Pad) -> None:
     pad.pad.press("scan", 0.3)
     pad.bench.run_s(0.05)
@@ -109,6 +144,9 @@ def test_two_keys_at_once(pad: Pad) -> None:
 def test_a_press_that_cannot_be_is_refused(pad: Pad, key: str, hold_s: float) -> None:
     with pytest.raises(ValueError, match="allowed"):
         pad.pad.press(key, hold_s)
+    for change in (pad.pad.touch, pad.pad.let_go):
+        with pytest.raises(ValueError, match="key 'fire'; allowed are scan, back, up, down"):
+            change("fire", 0)
     pad.bench.run_s(0.3)
     assert pad.edges(0xF) == []
 

@@ -7,7 +7,9 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+import usb.core
 
+from hw_sim.render import Renderer
 from hw_sim.wires import open as open_wires
 from tests.hw_sim.devices.conftest import Bench
 from tests.hw_sim.devices.host import BoardHost, CardHost, Recorder, U3vHost, good, greys, stripes
@@ -171,6 +173,44 @@ def test_in_real_time_blanks_come_whatever_the_host_does(make_bench: Callable[..
     real_s, world_s = time.monotonic() - start_s, (bench.wires.clock.now_ns() - start_ns) / 1e9
     assert world_s == pytest.approx(real_s, abs=0.02)
     assert last["sequence"] - first["sequence"] >= 8, "it did not wait for flips"
+
+
+def test_an_attended_world_is_real_time_between_sequences_and_waits_within_them(
+    make_bench: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Images that take three times as long as they may: the live view skips some, a sequence none."""
+    expose = Renderer.expose
+
+    def slow(*arguments: object) -> object:
+        time.sleep(0.3)
+        return expose(*arguments)
+
+    monkeypatch.setattr(Renderer, "expose", slow)
+    bench = make_bench(pace="attended")
+    camera, projector = bench.camera(), bench.projector()
+    bench.board.ask("LIVE", 6, 500, 8000)
+    camera.frame(20_000, bench.size)  # the first one also traces the scene
+    start_s, start_ns = time.monotonic(), bench.wires.clock.now_ns()
+    live = [camera.frame(5000, bench.size) for _ in range(20)]
+    real_s, world_s = time.monotonic() - start_s, (bench.wires.clock.now_ns() - start_ns) / 1e9
+    assert world_s == pytest.approx(real_s, abs=0.1)
+    assert [f.block_id for f in live] == list(range(1, 21)), "none is lost"
+    # 20 pulses are 2 s: were every image made, it would be 6, and the view ever later.
+    assert world_s < 4.0
+    assert len({f.image.tobytes() for f in live}) < 15, "some are sent twice"
+
+    shades = [projector.buffer(g) for g in greys([60, 130, 200])]
+    recorder = Recorder({"left": camera}, bench.board, projector, shades, bench.size)
+    bench.board.ask("STOP")
+    while True:
+        try:
+            camera.frame(400, bench.size)
+        except usb.core.USBTimeoutError:
+            break
+    means = [float(f.image.mean()) for f in good(recorder.record()["left"])]
+    assert len(means) == 3
+    assert means == sorted(means)
+    assert means[2] > 2 * means[0], "each its own pattern"
 
 
 def test_wires_make_their_own_world_and_end_it() -> None:

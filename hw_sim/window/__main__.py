@@ -1,0 +1,136 @@
+"""The windows' own process: shows what it is handed, tells what the keyboard does, and ends with its parent.
+
+Its one argument is the descriptor of the pictures' memory; it talks over standard input and output (``talk.py``).
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import glfw
+
+from hw_sim.window.keyboard import MEANING, QUIT, Keyboard
+from hw_sim.window.panes import LAYOUTS, Pane, last_error
+from hw_sim.window.pictures import Pictures
+from hw_sim.window.talk import Lines, say, words_as_sizes
+
+TICK_S = 0.01
+WANT_EVERY_NS = 33_000_000
+REMEDY = (
+    "start it in a desktop session (DISPLAY or WAYLAND_DISPLAY tells which), over ssh with -X, "
+    "or under xvfb-run; without --window none is needed"
+)
+NAMED = {
+    glfw.KEY_ENTER: "enter",
+    glfw.KEY_KP_ENTER: "enter",
+    glfw.KEY_BACKSPACE: "backspace",
+    glfw.KEY_UP: "up",
+    glfw.KEY_DOWN: "down",
+    glfw.KEY_ESCAPE: "escape",
+}
+
+
+def main(descriptor: int) -> int:
+    """Until the parent closes standard input, or a window is closed; returns the exit code."""
+    try:
+        panes = open_panes()
+    except ValueError as error:
+        say(1, "failed", f"window: none can be opened ({error}); {REMEDY}")
+        return 1
+    try:
+        say(1, "open")
+        Desk(panes, Pictures(descriptor)).run()
+    finally:
+        glfw.terminate()
+    return 0
+
+
+def open_panes() -> list[Pane]:
+    """All windows. Raises ValueError with what the window system says."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the error says it better
+        if not glfw.init():
+            raise ValueError(last_error() or "no display server")
+        for hint, value in (
+            (glfw.CONTEXT_VERSION_MAJOR, 3),
+            (glfw.CONTEXT_VERSION_MINOR, 3),
+            (glfw.OPENGL_PROFILE, glfw.OPENGL_CORE_PROFILE),
+            (glfw.CONTEXT_CREATION_API, glfw.EGL_CONTEXT_API),
+        ):
+            glfw.window_hint(hint, value)
+        return [Pane(layout) for layout in LAYOUTS]
+
+
+class Desk:
+    """The loop of the process."""
+
+    def __init__(self, panes: list[Pane], pictures: Pictures) -> None:
+        self._panes, self._pictures = panes, pictures
+        self._keyboard = Keyboard()
+        self._input = Lines(0)
+        self._wanted = False
+        self._over = False
+        for pane in panes:
+            glfw.set_key_callback(pane.handle, self._key)
+            glfw.set_window_refresh_callback(pane.handle, self._spoiler(pane))
+
+    def run(self) -> None:
+        next_ns = time.monotonic_ns()
+        while not self._over:
+            glfw.wait_events_timeout(TICK_S)
+            for pane in self._panes:
+                if glfw.window_should_close(pane.handle):
+                    glfw.set_window_should_close(pane.handle, False)  # it stays until the instrument is off
+                    self._tell(QUIT, "a window was closed")
+            if not self._wanted and time.monotonic_ns() >= next_ns:
+                next_ns = time.monotonic_ns() + WANT_EVERY_NS
+                self._wanted = True
+                self._tell("want")
+            line = self._input.read(0.0)
+            self._over |= self._input.ended
+            if line is not None:
+                self._show(words_as_sizes(line.split()[1:]))
+            for pane in self._panes:
+                pane.draw()
+
+    def _show(self, sizes: dict[str, tuple[int, int]]) -> None:
+        self._wanted = False
+        for pane in self._panes:
+            for name in pane.layout.pictures:
+                if name in sizes:
+                    pane.show(name, self._pictures.view(name, *sizes[name]))
+
+    def _key(self, _window: Any, code: int, scancode: int, action: int, _modifiers: int) -> None:
+        real_ns = time.monotonic_ns()
+        if action == glfw.REPEAT:
+            return
+        name = name_of(code, scancode)
+        if MEANING.get(name) == QUIT and action == glfw.PRESS:
+            self._tell(QUIT, f"{name} was pressed")
+        change = self._keyboard.change(name, action == glfw.PRESS)
+        if change is not None:
+            self._tell("down" if change.down else "up", change.key, str(real_ns))
+
+    def _tell(self, *words: str) -> None:
+        self._over |= not say(1, *words)
+
+    def _spoiler(self, pane: Pane) -> Callable[[Any], None]:
+        return lambda _window: pane.spoil()
+
+
+def name_of(code: int, scancode: int) -> str:
+    """A letter as the layout has it (where that is no Latin one: as a US keyboard has it), or the key's name."""
+    if code in NAMED:
+        return NAMED[code]
+    letter = glfw.get_key_name(code, scancode) if code != glfw.KEY_UNKNOWN else None
+    if letter is not None and letter.isascii():
+        return str(letter).lower()
+    return chr(code).lower() if glfw.KEY_A <= code <= glfw.KEY_Z else ""
+
+
+if __name__ == "__main__":
+    sys.exit(main(int(sys.argv[1])))

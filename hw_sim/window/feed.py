@@ -1,0 +1,169 @@
+"""Owns the world's side of the windows: it starts their process, hands it pictures, and lays fingers on the keys."""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+import hw_sim
+from hw_sim.window.fingers import Fingers
+from hw_sim.window.pictures import ROOMS, Picture, Pictures, Writer
+from hw_sim.window.talk import Lines, say, sizes_as_words
+
+LOG = logging.getLogger(__name__)
+START_S = 30.0
+"""A loaded machine needs this long for Python and a software renderer."""
+LOOK_S = 0.1
+"""How often the feed looks whether it is to end."""
+END_S = 5.0
+
+
+class WindowError(Exception):
+    """No window can be shown, or they are gone; the text says why and what helps."""
+
+    exit_code = 1
+
+
+class Seen(Protocol):
+    """What of a world is shown, and what of it is touched."""
+
+    @property
+    def time_ns(self) -> int: ...
+
+    def scanned_out(self, head: str) -> NDArray[np.uint8]: ...
+
+    def seen(self, side: str) -> NDArray[np.uint8] | None: ...
+
+    def touch(self, key: str, at_ns: int = 0) -> None: ...
+
+    def let_go(self, key: str, at_ns: int = 0) -> None: ...
+
+
+def interrupt() -> None:
+    """What Ctrl-C in a terminal does to this process."""
+    os.kill(os.getpid(), signal.SIGINT)
+
+
+@contextmanager
+def open_windows(world: Seen, quit_wanted: Callable[[], None] = interrupt) -> Iterator[None]:
+    """Windows of ``world`` and its keyboard, as long as the context lasts.
+
+    ``quit_wanted`` is called, in another thread, when the person at the keyboard wants to end it, and when the windows
+    have failed. Raises WindowError at once where no window can be opened, and at the end where they have failed.
+    """
+    pictures = Pictures.create()
+    try:
+        feed = Feed(world, pictures, quit_wanted)
+        try:
+            feed.start()
+            yield
+        finally:
+            feed.close()
+    finally:
+        pictures.close()
+    if feed.failure is not None:
+        raise WindowError(feed.failure)
+
+
+class Feed:
+    """The process of the windows and the thread that talks to it."""
+
+    def __init__(self, world: Seen, pictures: Pictures, quit_wanted: Callable[[], None]) -> None:
+        self._world = world
+        self._writer = Writer(pictures)
+        self._quit_wanted = quit_wanted
+        self._fingers = Fingers()
+        self._closing = False
+        self.failure: str | None = None
+        package = str(Path(hw_sim.__file__).parents[1])
+        path = os.pathsep.join(filter(None, [package, os.environ.get("PYTHONPATH")]))
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "hw_sim.window", str(pictures.descriptor)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            pass_fds=(pictures.descriptor,),
+            env={**os.environ, "PYTHONPATH": path, "EGL_LOG_LEVEL": "fatal"},
+            process_group=0,  # a Ctrl-C is for the instrument; the windows end with it
+        )
+        assert self._process.stdin is not None and self._process.stdout is not None  # noqa: PT018
+        self._to, self._from = self._process.stdin, Lines(self._process.stdout.fileno())
+        self._thread = threading.Thread(target=self._run, name="windows", daemon=True)
+
+    def start(self) -> None:
+        """Wait until the windows are open. Raises WindowError."""
+        word, _, text = (self._from.read(START_S) or "").partition(" ")
+        if word == "failed":
+            raise WindowError(text)
+        if word != "open":
+            raise WindowError(self._ended() if self._from.ended else f"the windows did not open within {START_S:g} s")
+        self._thread.start()
+
+    def close(self) -> None:
+        """Close the windows and wait for the end of their process."""
+        self._closing = True
+        if self._thread.ident is not None:
+            self._thread.join(END_S)
+        self._to.close()
+        try:
+            self._process.wait(END_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait(END_S)
+        if self._process.stdout is not None:
+            self._process.stdout.close()
+
+    def _run(self) -> None:
+        try:
+            while not (self._closing or self._from.ended):
+                line = self._from.read(LOOK_S)
+                if line is not None:
+                    self._heard(line)
+        except Exception as error:
+            self.failure = f"the windows: {error}"
+        if self._from.ended and not self._closing:
+            self.failure = self._ended()
+        if self.failure is not None:
+            self._quit_wanted()
+
+    def _heard(self, line: str) -> None:
+        match line.split():
+            case ["want"]:
+                say(self._to.fileno(), "show", *sizes_as_words(self._writer.write(self._pictures())))
+            case [("down" | "up") as change, key, real_ns]:
+                down = change == "down"
+                at_ns = self._fingers.at(key, down, int(real_ns), self._world.time_ns)
+                (self._world.touch if down else self._world.let_go)(key, at_ns)
+            case ["quit", *why]:
+                LOG.info("%s", " ".join(why))
+                self._quit_wanted()
+            case _:
+                raise ValueError(f"'{line}' is not understood")
+
+    def _pictures(self) -> dict[str, Picture]:
+        shown = {"display": self._world.scanned_out("display"), "projector": self._world.scanned_out("projector")}
+        for side in ("left", "right"):
+            image = self._world.seen(side)
+            if image is not None:
+                room = ROOMS[side]
+                small = cv2.resize(image, (room.width_px, room.height_px), interpolation=cv2.INTER_AREA)
+                shown[side] = np.asarray(small, np.uint8)
+        return shown
+
+    def _ended(self) -> str:
+        try:
+            code = self._process.wait(END_S)
+        except subprocess.TimeoutExpired:
+            return "the windows' process has closed its connection"
+        return f"the windows' process has ended with {code}; run again without --window, or look at what it said above"

@@ -1,0 +1,32 @@
+"""Owns how a person's real time becomes world time: a key is held as long in the world as it was on the keyboard.
+
+A world may be slower than real time while images are made. What was pressed then happens now, but its end keeps its
+distance to its beginning, and quick changes keep theirs to each other: a long press stays one, a tap stays a tap.
+"""
+
+from __future__ import annotations
+
+GAP_NS = 100_000_000
+"""Real pauses longer than this need not be kept between two presses."""
+
+
+class Fingers:
+    """When each change of the keyboard happens in the world. Times in ns: real ones monotonic, world ones the world's."""
+
+    def __init__(self) -> None:
+        self._pressed: dict[str, tuple[int, int]] = {}
+        self._last: tuple[int, int] | None = None
+
+    def at(self, key: str, down: bool, real_ns: int, now_ns: int) -> int:
+        """World time of a change that came at ``real_ns``; ``now_ns`` is the world's time now, never later."""
+        world_ns = now_ns
+        if self._last is not None:
+            last_real_ns, last_world_ns = self._last
+            world_ns = max(world_ns, last_world_ns + min(real_ns - last_real_ns, GAP_NS))
+        if down:
+            self._pressed[key] = (real_ns, world_ns)
+        elif key in self._pressed:
+            pressed_real_ns, pressed_world_ns = self._pressed.pop(key)
+            world_ns = max(world_ns, pressed_world_ns + real_ns - pressed_real_ns)
+        self._last = (real_ns, world_ns)
+        return world_ns

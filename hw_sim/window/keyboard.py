@@ -1,0 +1,47 @@
+"""Owns which key of the keyboard stands for which key of the pad, and when a key of the pad is held."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+QUIT = "quit"
+MEANING = {
+    "s": "scan",
+    "enter": "scan",
+    "b": "back",
+    "backspace": "back",
+    "up": "up",
+    "down": "down",
+    "q": QUIT,
+    "escape": QUIT,
+}
+"""Name of a key (a letter as the layout has it) → key of the pad, or the end."""
+HELP = "S, Enter: scan/OK    B, Backspace: back    ↑ ↓    Q, Esc: quit"
+
+
+@dataclass(frozen=True, slots=True)
+class PadChange:
+    """A key of the pad is pressed or let go."""
+
+    key: str
+    down: bool
+
+
+class Keyboard:
+    """Two keys that mean the same hold one key of the pad together: it is let go with the last of them."""
+
+    def __init__(self) -> None:
+        self._held: dict[str, set[str]] = {}
+
+    def change(self, name: str, down: bool) -> PadChange | None:
+        """What a change of the keyboard's key ``name`` does to the pad; ``None`` for nothing, as for ``quit``."""
+        key = MEANING.get(name, QUIT)
+        if key == QUIT:
+            return None
+        held = self._held.setdefault(key, set())
+        before = bool(held)
+        if down:
+            held.add(name)
+        else:
+            held.discard(name)
+        return PadChange(key, down) if bool(held) != before else None

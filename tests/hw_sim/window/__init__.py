@@ -1,0 +1,1 @@
+"""The windows of the simulated world and the keyboard before them."""
