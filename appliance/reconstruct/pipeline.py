@@ -6,6 +6,7 @@ All buffers are allocated when the pipeline is made, none during a scan.
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from types import TracebackType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,6 +76,15 @@ class Pipeline:
         self._bright: NDArray[np.uint8] | None = None
         self._pool = ThreadPoolExecutor(THREADS, "kf-decode")
         self.coarse_stride = max(1, int((left.width_px * left.height_px / COARSE_POINTS) ** 0.5))
+
+    def __enter__(self) -> Pipeline:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """End its threads; without this, they end with the process."""
+        self._pool.shutdown()
 
     def push(self, side: str, frames: NDArray[np.uint8], index: int) -> None:
         """Work on frame ``index`` of one side's ``frames`` (n, h, w) uint8; in order. Sides may run in two threads."""

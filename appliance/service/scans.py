@@ -220,7 +220,7 @@ class ScanDesk:
             scan.pending = scan.raw.result()
         except (StorageError, ValueError) as error:
             return [on.SaveFailed(scan.number, Fault(FaultCode.NOT_SAVED, str(error)))]
-        scan.times_s["raw_durable"] = (self._clock.now_ns() - scan.begun_ns) / 1e9
+        scan.times_s["saved"] = (self._clock.now_ns() - scan.begun_ns) / 1e9
         return [on.RawStored(scan.number)]
 
     def _pending(self, scan: ScanInWork) -> PendingScan:

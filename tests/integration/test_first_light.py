@@ -61,4 +61,4 @@ def test_a_dive(tmp_path: Path) -> None:
     assert len(distance) > 40_000
     assert np.sqrt(np.mean(distance**2)) < 0.06
     assert scan.manifest.record.verdicts[0].passed is True
-    assert set(scan.manifest.record.stage_times_s) >= {"recording", "coarse", "full", "raw_durable"}
+    assert set(scan.manifest.record.stage_times_s) >= {"recording", "coarse", "full", "saved"}
