@@ -20,10 +20,10 @@ from hw_sim.window.talk import Lines, say, words_as_sizes
 
 TICK_S = 0.01
 WANT_EVERY_NS = 33_000_000
-REMEDY = (
-    "start it in a desktop session (DISPLAY or WAYLAND_DISPLAY tells which), over ssh with -X, "
-    "or under xvfb-run; without --window none is needed"
+NO_SERVER = (
+    "start it in a desktop session (DISPLAY or WAYLAND_DISPLAY tells which), over ssh with -X, or under xvfb-run"
 )
+NO_GL = "OpenGL 3.3 over EGL is needed, by a graphics card or Mesa's software: install libegl1, libgl1, libgl1-mesa-dri"
 NAMED = {
     glfw.KEY_ENTER: "enter",
     glfw.KEY_KP_ENTER: "enter",
@@ -39,7 +39,7 @@ def main(descriptor: int) -> int:
     try:
         panes = open_panes()
     except ValueError as error:
-        say(1, "failed", f"window: none can be opened ({error}); {REMEDY}")
+        say(1, "failed", f"window: none can be opened ({error}); without --window none is needed")
         return 1
     try:
         say(1, "open")
@@ -50,11 +50,11 @@ def main(descriptor: int) -> int:
 
 
 def open_panes() -> list[Pane]:
-    """All windows. Raises ValueError with what the window system says."""
+    """All windows. Raises ValueError with what the window system says, and with the remedy."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the error says it better
         if not glfw.init():
-            raise ValueError(last_error() or "no display server")
+            raise ValueError(f"{last_error() or 'no display server'}: {NO_SERVER}")
         for hint, value in (
             (glfw.CONTEXT_VERSION_MAJOR, 3),
             (glfw.CONTEXT_VERSION_MINOR, 3),
@@ -62,7 +62,10 @@ def open_panes() -> list[Pane]:
             (glfw.CONTEXT_CREATION_API, glfw.EGL_CONTEXT_API),
         ):
             glfw.window_hint(hint, value)
-        return [Pane(layout) for layout in LAYOUTS]
+        try:
+            return [Pane(layout) for layout in LAYOUTS]
+        except ValueError as error:
+            raise ValueError(f"{error}: {NO_GL}") from error
 
 
 class Desk:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 import hw_sim
 from hw_sim.window.fingers import Fingers
+from hw_sim.window.keyboard import HELP
 from hw_sim.window.pictures import ROOMS, Picture, Pictures, Writer
 from hw_sim.window.talk import Lines, say, sizes_as_words
 
@@ -108,6 +109,7 @@ class Feed:
             raise WindowError(text)
         if word != "open":
             raise WindowError(self._ended() if self._from.ended else f"the windows did not open within {START_S:g} s")
+        LOG.info("windows are open; %s", HELP)
         self._thread.start()
 
     def close(self) -> None:

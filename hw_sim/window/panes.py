@@ -59,7 +59,10 @@ class Pane:
         glfw.set_window_pos(self.handle, *layout.place_px)
         glfw.make_context_current(self.handle)
         glfw.swap_interval(0)  # three windows that each wait for a blank would show a third of them
-        self._context = moderngl.create_context(require=330, context=_FUNCTIONS_BY_GLFW)
+        try:
+            self._context = moderngl.create_context(require=330, context=_FUNCTIONS_BY_GLFW)
+        except Exception as error:  # the library raises nothing more particular
+            raise ValueError(str(error)) from error
         program = self._context.program(vertex_shader=VERTEX, fragment_shader=FRAGMENT)
         self._square = self._context.vertex_array(program, [])
         self._textures: dict[str, moderngl.Texture] = {}
@@ -108,7 +111,7 @@ def fit(picture_px: tuple[int, int], window_px: tuple[int, int], k: int, count: 
     column = window_px[0] / count
     scale = min(column / picture_px[0], window_px[1] / picture_px[1])
     width, height = (max(1, round(scale * size)) for size in picture_px)
-    return round(k * column + (column - width) / 2), (window_px[1] - height) // 2, width, height
+    return int(k * column + (column - width) / 2), (window_px[1] - height) // 2, width, height
 
 
 def last_error() -> str:

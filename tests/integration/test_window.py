@@ -163,7 +163,7 @@ def shown_stripes(shown: NDArray[np.uint8]) -> set[bool]:
     return {True, False} if (green > 180).mean() > 0.2 and (green < 60).mean() > 0.2 else set()
 
 
-@pytest.mark.parametrize("how", ["cross", "q", "Escape"])
+@pytest.mark.parametrize("how", ["cross", "q", "Ctrl-C in the terminal"])
 def test_each_way_to_quit_ends_the_service_cleanly(how: str, screen: Xvfb, tmp_path: Path) -> None:
     root = tmp_path / "quit"
     with instrument(root, screen.name) as it:
@@ -171,13 +171,23 @@ def test_each_way_to_quit_ends_the_service_cleanly(how: str, screen: Xvfb, tmp_p
         screen.point(window(screen, DISPLAY))
         if how == "cross":
             screen.close_window(window(screen, PROJECTOR))
+        elif how.startswith("Ctrl-C"):
+            it.process.send_signal(signal.SIGINT)
         else:
             tap(screen, how, 0.05)
         code, said = it.ends()
     assert code == 0, said
     assert "AIM → SHUTDOWN (StopRequested)" in said
+    assert "S, Enter: scan/OK" in said, "which keys there are"
     assert "Traceback" not in said
     until(lambda: not screen.windows, "no window stays")
+
+
+def test_without_opengl_the_packages_are_named(screen: Xvfb, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("__EGL_VENDOR_LIBRARY_FILENAMES", "/nonexistent.json")
+    wanted = pytest.raises(WindowError, match=r"window: none can be opened \(.*EGL.*install libegl1")
+    with wanted, desk(screen, monkeypatch, lambda: None):
+        pass
 
 
 def test_without_a_display_server_one_line_says_what_to_do(tmp_path: Path) -> None:
@@ -230,7 +240,7 @@ def test_the_windows_show_what_is_scanned_out(screen: Xvfb, monkeypatch: pytest.
         assert (shown[:, :, ~GREEN] == 0).all()
 
 
-@pytest.mark.parametrize("idle_speed", [1.0, 0.25])
+@pytest.mark.parametrize("idle_speed", [1.0, 0.4])
 def test_a_key_is_held_as_long_as_on_the_keyboard(
     screen: Xvfb, monkeypatch: pytest.MonkeyPatch, idle_speed: float
 ) -> None:
