@@ -1,13 +1,16 @@
-"""Owns what is asked of a stored scan before it is reconstructed at the desk: found, whole, of the calibration's size."""
+"""Owns what the desk asks for before it works: a scan that is whole and of the calibration's size, a file to write."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from appliance.calibration import file as calibration_file
 from appliance.cli.output import UsageError
 from appliance.config import Rig
 from appliance.storage import scan as stored
+from appliance.storage.atomic import StorageError
 from appliance.storage.library import Library
 from appliance.storage.scan import RAW_FILES, ScanError
 
@@ -35,6 +38,16 @@ def writable(out: Path | None) -> None:
         raise UsageError(f"--out {out}: is a folder; give the name of a file in it, for example {out / 'cloud.ply'}")
     if not out.absolute().parent.is_dir():
         raise UsageError(f"--out {out}: there is no folder {out.parent}; make it first, or give another one")
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Turns OSError into StorageError that names ``path`` and the option that leads elsewhere."""
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise StorageError("cannot write", path, reason, "free space there, or give another file with --out") from error
 
 
 def _folder(rig: Rig, scan: str) -> Path:

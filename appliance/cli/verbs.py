@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from appliance import __version__
-from appliance.cli.desk import usable_scan, writable
+from appliance.cli.desk import usable_scan, writable, writing
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json, table
 from appliance.cli.simrig import SimOptions, simulated, with_simulated_wires
 from appliance.config import Rig
@@ -47,11 +47,8 @@ def reconstruct(rig: Rig, scan: str, calibration: Path | None, out: Path | None,
         folder = usable_scan(rig, scan, calibration)
         from appliance.service.desk import reconstruct_scan
 
-        try:
+        with writing(out or Path(f"{folder.name}.ply")):
             report = reconstruct_scan(rig, folder, calibration, out, progress)
-        except OSError as error:
-            target = error.filename or out or folder
-            raise UsageError(f"{target}: {error.strerror}; give another file with --out FILE") from error
     if json:
         say_json(report)
     else:
@@ -75,11 +72,15 @@ def calibration_show(rig: Rig, path: Path | None, *, json: bool) -> Exit:
 
 def calibration_nominal(rig: Rig, out: Path | None, *, json: bool) -> Exit:
     """Write the calibration that follows from the rig file's design. Never replaces a file."""
+    from appliance.service.app import CALIBRATION_FILE
     from appliance.service.desk import write_nominal_calibration
 
-    if out is not None and out.exists():
-        raise UsageError(f"--out {out}: exists already; a calibration is never replaced; give a new name")
-    path = write_nominal_calibration(rig, out)
+    writable(out)
+    path = out or rig.storage.root / CALIBRATION_FILE.with_name("nominal.json")
+    if path.exists():
+        raise UsageError(f"--out {path}: exists already; a calibration is never replaced; give a new name")
+    with writing(path):
+        write_nominal_calibration(rig, path)
     if json:
         say_json({"file": str(path)})
     else:

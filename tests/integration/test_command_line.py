@@ -215,6 +215,27 @@ def test_frames_of_another_size_are_not_measured_with_this_calibration(root: Pat
     assert str(nominal) in said.error
 
 
+def test_a_disk_that_is_full_is_no_crash(root: Path) -> None:
+    said = kingfisher("reconstruct", 1, "--rig", SMALL_RIG, "--root", root, "--out", "/dev/full")
+    assert said.code == 1
+    assert said.error.startswith("kingfisher: cannot write /dev/full: No space left on device")
+    assert "--out" in said.error
+
+
+def test_a_calibration_is_never_replaced(tmp_path: Path) -> None:
+    for out in ((), ("--out", tmp_path / "x.json")):
+        first = kingfisher("calibration", "nominal", "--rig", SMALL_RIG, "--root", tmp_path, *out, "--json")
+        assert first.code == 0, first.err
+        path = Path(first.document["file"])
+        before = path.read_bytes()
+        again = kingfisher("calibration", "nominal", "--rig", SMALL_RIG, "--root", tmp_path, *out)
+        assert again.code == 2
+        assert str(path) in again.error
+        assert path.read_bytes() == before
+    said = kingfisher("calibration", "nominal", "--out", tmp_path / "no" / "x.json")
+    assert (said.code, "no folder" in said.error) == (2, True)
+
+
 def test_an_unusable_target_is_refused_before_the_work(root: Path, tmp_path: Path) -> None:
     for out, word in ((tmp_path / "no" / "x.ply", "no folder"), (tmp_path, "is a folder")):
         said = kingfisher("reconstruct", 1, "--rig", SMALL_RIG, "--root", root, "--out", out)
