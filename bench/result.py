@@ -20,6 +20,10 @@ class Measured:
     unit: str
     at_most: float | None = None
     at_least: float | None = None
+    key: str | None = None
+    """Name in ``latest.json``; ``None``: not listed there."""
+    why: str | None = None
+    """Why there is no value (NaN)."""
 
     @property
     def kept(self) -> bool:
@@ -37,6 +41,8 @@ class Measured:
             bounds.append(f"at least {self.at_least:g}")
         if self.at_most is not None:
             bounds.append(f"at most {self.at_most:g}")
+        if self.why is not None:
+            return f"  {self.name:<48} {'not measured':>12} {self.why}"
         judged = f"{', '.join(bounds)}: {'kept' if self.kept else 'MISSED'}" if bounds else ""
         return f"  {self.name:<48} {self.value:>12.5g} {self.unit:<8} {judged}".rstrip()
 
@@ -44,9 +50,10 @@ class Measured:
         """Ready for JSON."""
         return {
             "name": self.name,
-            "value": None if math.isnan(self.value) else self.value,
+            "value": None if math.isnan(self.value) else float(self.value),
             "unit": self.unit,
             "at_most": self.at_most,
             "at_least": self.at_least,
-            "kept": self.kept,
+            "kept": bool(self.kept),
+            "why": self.why,
         }

@@ -16,6 +16,7 @@ from pathlib import Path
 
 from bench.result import Measured
 
+LATEST = "latest.json"
 Measure = Callable[[], Iterable[Measured]]
 
 
@@ -85,7 +86,29 @@ def run(benchmarks: Sequence[Benchmark], out: Path, write: Callable[[str], objec
             "measured": [number.as_dict() for number in measured],
         }
         (out / f"{benchmark.name}.json").write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+        if any(number.key is not None for number in measured):
+            note_latest(measured, out / LATEST)
     return kept
+
+
+def note_latest(measured: Sequence[Measured], path: Path) -> None:
+    """Enter numbers that have a key into the one file that holds the latest of each; what else is there stays.
+
+    A number that could not be measured is null, with the reason under ``why``.
+    """
+    try:
+        latest = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        latest = {}
+    why = latest.setdefault("why", {})
+    for number in measured:
+        if number.key is not None:
+            latest[number.key] = number.as_dict()["value"]
+            why.pop(number.key, None)
+            if number.why is not None:
+                why[number.key] = number.why
+    latest["machine"] = machine()
+    path.write_text(json.dumps(latest, indent=2, sort_keys=True) + "\n", encoding="utf-8")
 
 
 def machine() -> dict[str, str | int | None]:

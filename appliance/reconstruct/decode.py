@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from appliance.patterns.sequence import Direction, Kind, PatternSequence
 from appliance.reconstruct.edges import close_axis
-from appliance.reconstruct.graycode import add_bit, add_two_bits, threshold
+from appliance.reconstruct.graycode import add_bit, add_four_bits, add_two_bits, threshold
 from appliance.reconstruct.phase import Axis
 
 MIN_CONTRAST_DN = 8
@@ -85,19 +85,26 @@ class CameraDecoder:
             self._closed = False
             self.lit_pixels = int(np.count_nonzero(self.mask == Mask.VALID))
         elif pattern.kind is Kind.GRAY:
-            self._add(frames, index, pattern.index, self._sequence.axis(pattern.direction).gray)
+            self._add(frames, pattern.index, self._sequence.axis(pattern.direction).gray)
         elif pattern.kind is Kind.SINE and pattern.index == 3:
             self._close(frames, pattern.direction)
 
-    def _add(self, frames: NDArray[np.uint8], index: int, bit: int, gray: tuple[int, ...]) -> None:
-        """Every second Gray image, or the last one, adds what has come."""
+    def _add(self, frames: NDArray[np.uint8], bit: int, gray: tuple[int, ...]) -> None:
+        """Every fourth Gray image, or the last one, adds what has come: the code is read and written less often."""
         if bit == 0:
             self._half_period.fill(0)
-        if bit % 2 == 1:
-            first, second = (frames[k].reshape(-1) for k in (gray[bit - 1], index))
-            add_two_bits(first, second, self._middle, self._half_period)
-        elif bit == len(gray) - 1:
-            add_bit(frames[index].reshape(-1), self._middle, self._half_period)
+        if bit % 4 != 3 and bit != len(gray) - 1:
+            return
+        waiting = [frames[k].reshape(-1) for k in gray[bit - bit % 4 : bit + 1]]
+        match waiting:
+            case [a, b, c, d]:
+                add_four_bits(a, b, c, d, self._middle, self._half_period)
+            case [a, b, *rest]:
+                add_two_bits(a, b, self._middle, self._half_period)
+                for last in rest:
+                    add_bit(last, self._middle, self._half_period)
+            case [a]:
+                add_bit(a, self._middle, self._half_period)
 
     def _close(self, frames: NDArray[np.uint8], direction: Direction) -> None:
         mine = self._sequence.axis(direction)

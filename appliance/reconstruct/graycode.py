@@ -46,3 +46,22 @@ def add_two_bits(
         bit = (half_period[i] & _ONE) ^ (_ONE if frame[i] >= middle[i] else _ZERO)
         last = bit ^ (_ONE if following[i] >= middle[i] else _ZERO)
         half_period[i] = np.uint8(half_period[i] << np.uint8(2)) | np.uint8(bit << _ONE) | last
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def add_four_bits(
+    first: NDArray[np.uint8],
+    second: NDArray[np.uint8],
+    third: NDArray[np.uint8],
+    fourth: NDArray[np.uint8],
+    middle: NDArray[np.uint8],
+    half_period: NDArray[np.uint8],
+) -> None:
+    """As ``add_bit`` for four frames at once."""
+    for i in range(half_period.size):
+        a = (half_period[i] & _ONE) ^ (_ONE if first[i] >= middle[i] else _ZERO)
+        b = a ^ (_ONE if second[i] >= middle[i] else _ZERO)
+        c = b ^ (_ONE if third[i] >= middle[i] else _ZERO)
+        d = c ^ (_ONE if fourth[i] >= middle[i] else _ZERO)
+        bits = np.uint8(a << np.uint8(3)) | np.uint8(b << np.uint8(2)) | np.uint8(c << _ONE) | d
+        half_period[i] = np.uint8(half_period[i] << np.uint8(4)) | bits

@@ -98,7 +98,7 @@ def reconstruct_rows(
         # What is in Z belongs to the row above.
         _copy(s[Z_MIDDLE : Z_MIDDLE + n], s[Z_ABOVE : Z_ABOVE + n])
         _copy(s[Z : Z + n], s[Z_MIDDLE : Z_MIDDLE + n])
-        for quantity in (X, Y, GAP, SIGMA, MODULATION):
+        for quantity in (X, Y, GAP, SIGMA):
             _copy(s[quantity : quantity + n], kept[quantity : quantity + n])
         s[Z : Z + n] = _NAN
         if y < rows:
@@ -115,5 +115,16 @@ def reconstruct_rows(
         if start <= done < stop:
             count_neighbours(s, n, limits.max_step_mm)
             judge(s, kept, n, limits, good)
-            count = append(kept, s, good, left.bright[done], n, stride, done * columns, points, count)
+            count = append(
+                kept,
+                s,
+                good,
+                left.bright[done],
+                left.modulation_half_dn[done],
+                n,
+                stride,
+                done * columns,
+                points,
+                count,
+            )
     return count - offset

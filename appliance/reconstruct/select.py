@@ -8,7 +8,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.reconstruct.scratch import GAP, MODULATION, SCORE, SIGMA, Z_ABOVE, Z_MIDDLE, X, Y, Z
+from appliance.reconstruct.scratch import GAP, SCORE, SIGMA, Z_ABOVE, Z_MIDDLE, X, Y, Z
 
 _ONE, _ZERO = np.float32(1.0), np.float32(0.0)
 
@@ -33,7 +33,8 @@ class Points(NamedTuple):
     """(n, 3)."""
     gap_mm: NDArray[np.float32]
     sigma_mm: NDArray[np.float32]
-    modulation_dn: NDArray[np.float32]
+    modulation_half_dn: NDArray[np.uint8]
+    """In half grey values, as ``intensity`` of the left camera."""
     pixel: NDArray[np.uint32]
     """Flat index of the left pixel."""
     intensity: NDArray[np.uint8]
@@ -116,6 +117,7 @@ def append(
     z: NDArray[np.float32],
     good: NDArray[np.uint8],
     bright: NDArray[np.uint8],
+    half_dn: NDArray[np.uint8],
     n: int,
     stride: int,
     pixel: int,
@@ -135,7 +137,7 @@ def append(
         _interleave(kept[X + begin :], kept[Y + begin :], z[Z_MIDDLE + begin :], xyz)
         _copy(kept[GAP + begin :], points.gap_mm[count:end])
         _copy(kept[SIGMA + begin :], points.sigma_mm[count:end])
-        _copy(kept[MODULATION + begin :], points.modulation_dn[count:end])
+        _sample(half_dn[begin * stride :], stride, points.modulation_half_dn[count:end])
         _number(points.pixel[count:end], np.uint32(pixel + begin * stride), np.uint32(stride))
         _sample(bright[begin * stride :], stride, points.intensity[count:end])
         count = end

@@ -13,7 +13,7 @@ from appliance.reconstruct.select import Points
 
 Column = TypeVar("Column", bound=np.generic)
 _XYZ_BYTES, _FLOAT_BYTES, _PIXEL_BYTES = 12, 4, 4
-POINT_BYTES = _XYZ_BYTES + 3 * _FLOAT_BYTES + _PIXEL_BYTES + 1
+POINT_BYTES = _XYZ_BYTES + 2 * _FLOAT_BYTES + _PIXEL_BYTES + 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,13 +47,14 @@ class PointTable:
     def __init__(self, capacity: int, memory: memoryview | None = None) -> None:
         self.capacity = capacity
         whole = np.frombuffer(memory if memory is not None else bytearray(capacity * POINT_BYTES), np.uint8)
-        ends = np.cumsum([_XYZ_BYTES, _FLOAT_BYTES, _FLOAT_BYTES, _FLOAT_BYTES, _PIXEL_BYTES, 1]) * capacity
-        xyz, gap, sigma, modulation, pixel, intensity = np.split(whole[: ends[-1]], ends[:-1])
+        # Bytes last, so that all else is aligned.
+        ends = np.cumsum([_XYZ_BYTES, _FLOAT_BYTES, _FLOAT_BYTES, _PIXEL_BYTES, 1, 1]) * capacity
+        xyz, gap, sigma, pixel, modulation, intensity = np.split(whole[: ends[-1]], ends[:-1])
         self.points = Points(
             xyz.view(np.float32).reshape(capacity, 3),
             gap.view(np.float32),
             sigma.view(np.float32),
-            modulation.view(np.float32),
+            modulation,
             pixel.view(np.uint32),
             intensity,
         )
@@ -68,7 +69,7 @@ class PointTable:
         return Cloud(
             points_mm=join(points.xyz_mm),
             intensity=join(points.intensity),
-            modulation_dn=join(points.modulation_dn),
+            modulation_dn=join(points.modulation_half_dn) * np.float32(0.5),
             ray_gap_mm=join(points.gap_mm),
             sigma_mm=join(points.sigma_mm),
             pixel=join(points.pixel),

@@ -36,7 +36,7 @@ def test_kept_bounds_end_with_zero_and_a_record(package: Path, tmp_path: Path) -
     assert main([], "measured_here", tmp_path / "out") == 0
     record = json.loads((tmp_path / "out" / "good.json").read_text())
     assert record["measured"] == [
-        {"name": "time", "value": 2.0, "unit": "ms", "at_most": 2.0, "at_least": None, "kept": True}
+        {"name": "time", "value": 2.0, "unit": "ms", "at_most": 2.0, "at_least": None, "kept": True, "why": None}
     ]
 
 

@@ -46,9 +46,9 @@ def cloud(points: int = 20, seed: int = 0) -> StoredCloud:
     return StoredCloud(
         chance.normal(0, 100, (points, 3)).astype(np.float32),
         chance.integers(0, 256, points, np.uint8),
-        chance.random(points, np.float32) * 100,
-        chance.random(points, np.float32) / 50,
-        chance.random(points, np.float32) / 30,
+        chance.random(points, np.float32) * np.float32(100),
+        chance.random(points, np.float32) / np.float32(50),
+        chance.random(points, np.float32) / np.float32(30),
     )
 
 
