@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from bench.document import write_figures
 from bench.result import Measured
 
 LATEST = "latest.json"
@@ -128,11 +129,14 @@ def machine() -> dict[str, str | int | None]:
 
 
 def main(arguments: Sequence[str], package: str = "bench", out: Path = Path("bench/out")) -> int:
-    """The command line: ``--list``, or names, or nothing for all. 0 kept, 1 a bound missed, 2 a wrong name."""
+    """The command line: ``--list``, ``--write-docs``, or names, or nothing for all. 0 kept, 1 a bound missed, 2 a wrong name."""
     found = find(package)
     if "--list" in arguments:
         for benchmark in found.values():
             sys.stdout.write(f"{benchmark.name:<16} {benchmark.summary}\n")
+        return 0
+    if "--write-docs" in arguments:
+        write_figures(out / LATEST, Path("docs/performance.md"))
         return 0
     try:
         chosen = choose(found, arguments)

@@ -51,9 +51,11 @@ def parse_script(text: str) -> tuple[Step, ...]:
     """Parse a script; every line is checked before the first is played. Raises ScriptError."""
     steps = []
     for number, raw in enumerate(text.splitlines(), 1):
-        words = raw.split("#", 1)[0].split()
-        if not words:
+        said = raw.split("#", 1)[0].strip()
+        if not said:
             continue
+        # A path is the rest of its line, blanks and all.
+        words = said.split(maxsplit=1) if said.startswith("screenshot ") else said.split()
         step = Step(number, words[0], tuple(words[1:]))
         try:
             _check(step)

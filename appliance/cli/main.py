@@ -151,6 +151,13 @@ def _grammar() -> _Parser:
 
     _add_scans(add, commands, rig, root)
     _add_calibration(add, commands, rig, root)
+    warm = add(
+        commands,
+        "warm",
+        "compile the kernels for this processor (an installation does)",
+        lambda a: verbs.warm(a.out, json=a.json),
+    )
+    warm.add_argument("--out", type=Path, metavar="DIR", help="default: within the installed environment")
     add(commands, "version", "print the version", lambda a: verbs.version(json=a.json))
     return top
 

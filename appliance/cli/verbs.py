@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 
-from appliance import __version__
+from appliance import __version__, kernel_cache
 from appliance.cli.desk import usable_scan, writable, writing
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json, table
 from appliance.cli.simrig import SimOptions, simulated, with_simulated_wires
@@ -15,6 +16,7 @@ from appliance.config import Rig
 
 def run(rig: Rig) -> Exit:
     """The instrument, until it is switched off."""
+    _use_kernels()
     from appliance.service.app import run as run_service
 
     return Exit(run_service(rig))
@@ -45,6 +47,7 @@ def reconstruct(rig: Rig, scan: str, calibration: Path | None, out: Path | None,
     with Progress() as progress:
         progress("comparing checksums")
         folder = usable_scan(rig, scan, calibration)
+        _use_kernels()
         from appliance.service.desk import reconstruct_scan
 
         with writing(out or Path(f"{folder.name}.ply")):
@@ -94,3 +97,26 @@ def version(*, json: bool) -> Exit:
     else:
         say(f"kingfisher {__version__}")
     return Exit.OK
+
+
+def warm(out: Path | None, *, json: bool) -> Exit:
+    """Compile the kernels for this processor, as an installation does. Raises OSError."""
+    target = out or kernel_cache.shipped_folder()
+    with Progress() as progress:
+        progress("compiling kernels (half a minute)")
+        try:
+            folder = kernel_cache.build(target)
+        except OSError as error:
+            raise UsageError(
+                f"{target}: {error.strerror or error}; give a folder that can be written: --out DIR"
+            ) from error
+    if json:
+        say_json({"folder": str(folder)})
+    else:
+        say(f"kernels are in {folder}")
+    return Exit.OK
+
+
+def _use_kernels() -> None:
+    cache = kernel_cache.use()
+    logging.getLogger(__name__).info("kernels: %s, in %s", cache.origin.value, cache.path)

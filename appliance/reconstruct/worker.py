@@ -28,6 +28,7 @@ from appliance.optics.water import Water
 from appliance.patterns.sequence import PatternSequence, build_sequence
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.table import POINT_BYTES, Cloud, Found, PointTable
+from appliance.reconstruct.warm import run_empty_scan
 from drivers.api import Clock
 
 STOP_TIMEOUT_S = 2.0
@@ -348,19 +349,10 @@ def _work(
     with Pipeline(
         calibration, water, sequence, table=PointTable(left.width_px * left.height_px, memory.buf)
     ) as pipeline:
-        _warm_up(pipeline, store, len(sequence))
+        # So that the first real scan is as fast as the others.
+        run_empty_scan(pipeline, np.zeros(store.shape, np.uint8))
         pipe.send(("ready",))
         _serve(pipe, pipeline, store)
-
-
-def _warm_up(pipeline: Pipeline, store: FrameStore, frames: int) -> None:
-    """Load every kernel on an empty scan, so that the first real one is as fast as the others."""
-    empty = np.zeros((frames, *store.shape[1:]), np.uint8)
-    for side in SIDES:
-        for index in range(frames):
-            pipeline.push(side, empty, index)
-    pipeline.find_coarse()
-    pipeline.find_full()
 
 
 def _serve(pipe: Connection, pipeline: Pipeline, store: FrameStore) -> None:

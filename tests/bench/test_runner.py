@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from bench.document import BEGIN, END, write_figures
 from bench.result import Measured
 from bench.runner import find, main
 
@@ -88,3 +89,22 @@ def test_not_a_number_keeps_no_bound() -> None:
 def test_every_benchmark_of_the_project_is_found_and_described() -> None:
     for name, found in find("bench").items():
         assert found.summary, f"bench_{name} has no docstring"
+
+
+def test_figures_in_the_document_are_those_measured(tmp_path: Path) -> None:
+    document, latest = tmp_path / "performance.md", tmp_path / "latest.json"
+    document.write_text(f"before\n{BEGIN}\nold 99 ms\n{END}\nafter\n")
+    latest.write_text(
+        json.dumps({"scan_cpu_ms": 61.25, "fringes_cpu_ms": None, "why": {"fringes_cpu_ms": "no network"}})
+    )
+    for _ in range(2):
+        write_figures(latest, document)
+    text = document.read_text()
+    assert "| whole scan | 61.2 | ms CPU |" in text
+    assert "— (no network)" in text
+    assert "old" not in text
+    assert text.startswith("before\n")
+    assert text.endswith("after\n")
+    document.write_text("no marks")
+    with pytest.raises(ValueError, match="no marks"):
+        write_figures(latest, document)

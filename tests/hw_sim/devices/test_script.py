@@ -132,7 +132,8 @@ def test_no_thread_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_a_screenshot_is_the_display(tmp_path: Path) -> None:
-    picture = tmp_path / "screen.png"
+    picture = tmp_path / "a folder  with blanks" / "screen.png"
+    picture.parent.mkdir()
     with playing(tmp_path, f"screenshot {picture}"):
         until(picture.exists)
     assert cv2.imread(str(picture)).shape == (480, 800, 3)

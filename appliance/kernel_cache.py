@@ -1,0 +1,162 @@
+"""Owns where compiled kernels are kept, so that they are never compiled before a diver's eyes and never out of date.
+
+numba looks only at the file of the kernel itself to see whether what it compiled before still holds: not at other files
+whose functions were built in, not at its own version's flags. So each state of the program has a folder of its own, named
+after everything that goes into a kernel. What an installation has compiled (``build``) may lie on a read-only disk, where
+numba refuses to read; it is copied to a place that can be written, once per start of the machine.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import shutil
+import sys
+import tempfile
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+VARIABLE = "NUMBA_CACHE_DIR"
+COMPLETE = "complete"
+"""A file that is written last: without it, a folder was left half made."""
+_PROGRAM = Path(__file__).parent
+
+
+class Origin(Enum):
+    """Where the kernels in use come from."""
+
+    GIVEN = "given"
+    """The environment names a place: whoever set it keeps it up to date."""
+    READY = "ready"
+    """Compiled before, in this place."""
+    SHIPPED = "shipped"
+    """Copied from the installation."""
+    EMPTY = "empty"
+    """Nothing fits: they are compiled when first needed, which takes some ten seconds."""
+
+
+@dataclass(frozen=True, slots=True)
+class KernelCache:
+    """The folder that numba uses from now on."""
+
+    path: Path
+    origin: Origin
+
+
+def fingerprint() -> str:
+    """16 hexadecimal digits that change with each kernel file, interpreter, compiler and processor."""
+    import llvmlite.binding
+    import numba
+    import numpy
+
+    digest = hashlib.sha256()
+    for path in sorted(_PROGRAM.rglob("*.py")):
+        text = path.read_bytes()
+        if b"numba" in text or path.parent.name == "reconstruct":
+            digest.update(str(path.relative_to(_PROGRAM)).encode() + b"\0" + text + b"\0")
+    parts = (
+        sys.version, platform.machine(), numba.__version__, numpy.__version__,
+        llvmlite.binding.get_host_cpu_name(), llvmlite.binding.get_host_cpu_features().flatten(),
+    )  # fmt: skip
+    digest.update("\0".join(parts).encode())
+    return digest.hexdigest()[:16]
+
+
+def shipped_folder() -> Path:
+    """Where an installation keeps what it compiled: within its own environment, so that it goes when that goes."""
+    return Path(sys.prefix) / "share" / "kingfisher" / "kernels"
+
+
+def writable_folder(environment: Mapping[str, str]) -> Path:
+    """The service's cache directory, else the user's, else one that lasts until the machine is switched off."""
+    for name, below in (("CACHE_DIRECTORY", "kernels"), ("XDG_CACHE_HOME", "kingfisher/kernels")):
+        if environment.get(name):
+            return Path(environment[name].split(":")[0]) / below
+    home = environment.get("HOME")
+    return Path(home) / ".cache/kingfisher/kernels" if home else _last_resort()
+
+
+def use(shipped: Path | None = None, writable: Path | None = None) -> KernelCache:
+    """Point numba at kernels of exactly this program. Call before any module with kernels is imported.
+
+    Never fails: without a place that can be written, the kernels go to a temporary one.
+    """
+    given = os.environ.get(VARIABLE)
+    if given:
+        return KernelCache(Path(given), Origin.GIVEN)
+    mark = fingerprint()
+    source = (shipped or shipped_folder()) / mark
+    for base in (writable or writable_folder(os.environ), _last_resort()):
+        folder = base / mark
+        try:
+            origin = _fill(folder, source)
+        except OSError:
+            continue  # read-only or full: the next one
+        _point_at(folder)
+        return KernelCache(folder, origin)
+    folder = Path(tempfile.mkdtemp(prefix="kingfisher-kernels-"))
+    _point_at(folder)
+    return KernelCache(folder, Origin.EMPTY)
+
+
+def build(target: Path) -> Path:
+    """Compile every kernel of the reconstruction for this processor into a folder of ``target``; return that folder.
+
+    In this process, which must not have imported a kernel yet. Raises OSError when ``target`` cannot be written.
+    """
+    folder = target / fingerprint()
+    if (folder / COMPLETE).exists():
+        return folder
+    target.mkdir(parents=True, exist_ok=True)
+    making = Path(tempfile.mkdtemp(prefix=".making-", dir=target))
+    try:
+        _point_at(making)
+        from appliance.reconstruct.warm import run_every_kernel
+
+        run_every_kernel()
+        (making / COMPLETE).touch()
+        making.chmod(0o755)
+        with suppress(FileExistsError):
+            shutil.rmtree(folder, ignore_errors=True)
+            making.rename(folder)
+    finally:
+        shutil.rmtree(making, ignore_errors=True)
+    return folder
+
+
+def _point_at(folder: Path) -> None:
+    """For this process, whose numba has read its settings already, and for those it starts."""
+    import numba
+
+    os.environ[VARIABLE] = str(folder)
+    config: Any = numba.config
+    config.CACHE_DIR = str(folder)
+
+
+def _fill(folder: Path, source: Path) -> Origin:
+    """Make ``folder`` usable; raises OSError when it cannot be."""
+    if (folder / COMPLETE).exists():
+        _try_writing(folder)
+        return Origin.READY
+    folder.mkdir(parents=True, exist_ok=True)
+    _try_writing(folder)
+    if not (source / COMPLETE).exists():
+        return Origin.EMPTY
+    # The mark comes last; numba's own files are renamed into place, so that two starts at once do no harm.
+    shutil.copytree(source, folder, dirs_exist_ok=True, ignore=shutil.ignore_patterns(COMPLETE))
+    (folder / COMPLETE).touch()
+    return Origin.SHIPPED
+
+
+def _try_writing(folder: Path) -> None:
+    with tempfile.TemporaryFile(dir=folder):
+        pass
+
+
+def _last_resort() -> Path:
+    return Path(tempfile.gettempdir()) / f"kingfisher-kernels-{os.getuid()}"

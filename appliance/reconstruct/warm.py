@@ -1,0 +1,36 @@
+"""Owns a scan of nothing, which runs every kernel once: at installation to compile them, at start to load them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.calibration.design import Design, design_calibration
+from appliance.optics.water import Water
+from appliance.patterns.sequence import build_sequence
+from appliance.reconstruct.pipeline import SIDES, Pipeline
+
+_DESIGN = Design(11.5, 112.5, 230.0, 12.41, 30.0, 5.0, 1.77)
+_SIZE_PX = (64, 48)
+
+
+def run_empty_scan(pipeline: Pipeline, frames: NDArray[np.uint8]) -> None:
+    """Push the same dark ``frames`` (n, h, w) for both sides, and ask for both clouds."""
+    for side in SIDES:
+        for index in range(len(frames)):
+            pipeline.push(side, frames, index)
+    pipeline.find_coarse()
+    pipeline.find_full()
+
+
+def run_every_kernel() -> None:
+    """With an instrument of its own; also for frames that cannot be written, as they come from the disk."""
+    width_px, height_px = _SIZE_PX
+    water = Water(20.0, 0.0, 530.0)
+    calibration = design_calibration(_DESIGN, "kernels", width_px, height_px, water)
+    sequence = build_sequence(16)
+    with Pipeline(calibration, water, sequence) as pipeline:
+        for writable in (True, False):
+            frames = np.zeros((len(sequence), height_px, width_px), np.uint8)
+            frames.flags.writeable = writable
+            run_empty_scan(pipeline, frames)

@@ -1,0 +1,101 @@
+"""Kernels compiled at installation are used from a read-only disk, and never when anything in them has changed."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from appliance import kernel_cache
+from appliance.kernel_cache import COMPLETE, VARIABLE, Origin
+
+USE = """
+import json, sys
+from pathlib import Path
+from appliance import kernel_cache
+cache = kernel_cache.use(Path(sys.argv[1]), Path(sys.argv[2]))
+from appliance.reconstruct.warm import run_every_kernel
+run_every_kernel()
+from appliance.reconstruct.rows import reconstruct_rows
+from appliance.reconstruct.edges import close_axis
+misses = sum(sum(kernel.stats.cache_misses.values()) for kernel in (reconstruct_rows, close_axis))
+print(json.dumps({"origin": cache.origin.value, "path": str(cache.path), "compiled": misses}))
+"""
+
+
+def started(shipped: Path, writable: Path, temporary: Path) -> dict[str, Any]:
+    """A new process that runs every kernel."""
+    environment = {name: value for name, value in os.environ.items() if name != VARIABLE}
+    environment["TMPDIR"] = str(temporary)
+    ran = subprocess.run(
+        [sys.executable, "-c", USE, str(shipped), str(writable)],
+        env=environment, capture_output=True, text=True, timeout=200, check=True,
+    )  # fmt: skip
+    said: dict[str, Any] = json.loads(ran.stdout)
+    return said
+
+
+@pytest.fixture(scope="module")
+def shipped(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("installation")
+    environment = {name: value for name, value in os.environ.items() if name != VARIABLE}
+    warm = [sys.executable, "-m", "appliance.cli", "warm", "--json", "--out", str(folder)]
+    ran = subprocess.run(warm, env=environment, capture_output=True, text=True, timeout=250, check=True)
+    assert (Path(json.loads(ran.stdout)["folder"]) / COMPLETE).exists()
+    return folder
+
+
+def test_what_the_installation_compiled_is_not_compiled_again(shipped: Path, tmp_path: Path) -> None:
+    first = started(shipped, tmp_path / "cache", tmp_path)
+    assert (first["origin"], first["compiled"]) == ("shipped", 0)
+    assert Path(first["path"]).parent == tmp_path / "cache"
+    again = started(tmp_path / "gone", tmp_path / "cache", tmp_path)
+    assert (again["origin"], again["compiled"]) == ("ready", 0)
+
+
+def test_without_a_place_to_write_there_is_a_temporary_one(shipped: Path, tmp_path: Path) -> None:
+    said = started(shipped, Path("/proc/read-only"), tmp_path)
+    assert (said["origin"], said["compiled"]) == ("shipped", 0)
+    assert tmp_path in Path(said["path"]).parents
+
+
+def test_a_copy_that_was_cut_off_is_not_trusted(shipped: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(VARIABLE, raising=False)
+    (folder,) = (f for f in shipped.iterdir() if f.is_dir())
+    half = tmp_path / "half" / folder.name
+    shutil.copytree(folder, half, ignore=shutil.ignore_patterns(COMPLETE))
+    assert kernel_cache.use(tmp_path / "half", tmp_path / "cache").origin is Origin.EMPTY
+
+
+def test_who_sets_the_place_keeps_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(VARIABLE, str(tmp_path))
+    assert kernel_cache.use(tmp_path / "a", tmp_path / "b") == kernel_cache.KernelCache(tmp_path, Origin.GIVEN)
+
+
+def test_a_changed_function_in_another_file_is_another_program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    copy = tmp_path / "appliance"
+    shutil.copytree(Path(kernel_cache.__file__).parent, copy, ignore=shutil.ignore_patterns("__pycache__"))
+    monkeypatch.setattr(kernel_cache, "_PROGRAM", copy)
+    before = kernel_cache.fingerprint()
+    assert before == kernel_cache.fingerprint()
+    called = copy / "reconstruct" / "scratch.py"
+    called.write_text(called.read_text().replace("+ 8", "+ 16"))
+    assert kernel_cache.fingerprint() != before
+
+
+@pytest.mark.parametrize(
+    ("environment", "expected"),
+    [
+        ({"CACHE_DIRECTORY": "/var/cache/kingfisher", "HOME": "/root"}, "/var/cache/kingfisher/kernels"),
+        ({"XDG_CACHE_HOME": "/x", "HOME": "/root"}, "/x/kingfisher/kernels"),
+        ({"HOME": "/home/diver"}, "/home/diver/.cache/kingfisher/kernels"),
+    ],
+)
+def test_the_service_and_its_user_have_a_place(environment: dict[str, str], expected: str) -> None:
+    assert kernel_cache.writable_folder(environment) == Path(expected)
