@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from appliance.optics.rays import ray_lattice
-from appliance.patterns.sequence import build_sequence
+from appliance.patterns.sequence import Direction, build_sequence
 from appliance.reconstruct.decode import MAX_GRAY_DISAGREEMENT, MIN_CONTRAST_DN, MIN_MODULATION_DN, CameraDecoder, Mask
 from appliance.reconstruct.pipeline import Pipeline
 from tests.support import oracle, synthetic
@@ -47,6 +47,40 @@ def test_decoding(period_px: int, size_px: tuple[int, int]) -> None:
     half_dn = decoder.modulation_half_dn[valid]
     assert np.abs(half_dn / 2 - expected.modulation[valid]).max() < 0.2501, "half grey values"
     assert (np.abs(expected.offset[valid]) <= MAX_GRAY_DISAGREEMENT + 1e-4).all()
+
+
+@pytest.mark.parametrize("period_px", [16, 21, 32, 64])
+@pytest.mark.parametrize("size_px", [(400, 300), (333, 251)])
+def test_every_reason_for_a_mask(period_px: int, size_px: tuple[int, int]) -> None:
+    """Two surfaces with a step between, a hot corner, a dim one, a dark hole, and a band where the code is wrong."""
+    width, height = size_px
+    sequence = build_sequence(period_px)
+    stack = noisy_scan(period_px, width, height)["left"].astype(float)
+    stack[:, :, width // 2 :] = np.roll(stack[:, :, width // 2 :], 7, axis=1)
+    stack[:, : height // 4, : width // 3] *= 1.6
+    mean = stack.mean(0)
+    stack[2:, 3 * height // 4 :, : width // 2] = 0.03 * stack[2:, 3 * height // 4 :, : width // 2] + 80.0
+    stack[:, 100:110, 150:170] = 5.0
+    for k in sequence.axis(Direction.Y).gray[-1:]:
+        stack[k, 60:64, 200:260] = 2 * mean[60:64, 200:260] - stack[k, 60:64, 200:260]
+    frames = np.clip(np.rint(stack), 0, 255).astype(np.uint8)
+    decoder = CameraDecoder(sequence, width, height)
+    for k in range(len(sequence)):
+        decoder.push(frames, k)
+    step_px, noise_px = 1024.0 / width, period_px / 45.0
+    limits = oracle.MaskLimits(
+        MIN_CONTRAST_DN,
+        MIN_MODULATION_DN,
+        MAX_GRAY_DISAGREEMENT,
+        4 * step_px + 4 * noise_px,
+        0.9 * step_px + 2.5 * noise_px,
+    )
+    expected = oracle.masks(sequence, frames, limits)
+    assert set(np.unique(expected)) == {reason.value for reason in Mask}, "the scene shows every reason"
+    # A float32 on a limit may fall on the other side of it.
+    assert np.count_nonzero(decoder.mask != expected) <= 2
+    assert (np.isfinite(decoder.p_px) == (decoder.mask == Mask.VALID)).all()
+    assert (np.isfinite(decoder.q_px) == (decoder.mask == Mask.VALID)).all()
 
 
 @pytest.mark.parametrize("period_px", [16, 32, 64])
