@@ -24,6 +24,8 @@ class Measured:
     """Name in ``latest.json``; ``None``: not listed there."""
     why: str | None = None
     """Why there is no value (NaN)."""
+    spread: tuple[float, float] | None = None
+    """First and ninth tenth of the values whose median this is."""
 
     @property
     def kept(self) -> bool:
@@ -37,13 +39,17 @@ class Measured:
     def line(self) -> str:
         """One row for people: value, unit, bounds, and MISSED when one is broken."""
         bounds = []
+        if self.spread is not None:
+            bounds.append("{:.4g} to {:.4g}".format(*self.spread))
         if self.at_least is not None:
             bounds.append(f"at least {self.at_least:g}")
         if self.at_most is not None:
             bounds.append(f"at most {self.at_most:g}")
         if self.why is not None:
             return f"  {self.name:<48} {'not measured':>12} {self.why}"
-        judged = f"{', '.join(bounds)}: {'kept' if self.kept else 'MISSED'}" if bounds else ""
+        judged = ", ".join(bounds)
+        if self.at_least is not None or self.at_most is not None:
+            judged += f": {'kept' if self.kept else 'MISSED'}"
         return f"  {self.name:<48} {self.value:>12.5g} {self.unit:<8} {judged}".rstrip()
 
     def as_dict(self) -> dict[str, Any]:
@@ -56,4 +62,5 @@ class Measured:
             "at_least": self.at_least,
             "kept": bool(self.kept),
             "why": self.why,
+            "spread": None if self.spread is None else [float(value) for value in self.spread],
         }

@@ -13,6 +13,7 @@ import traceback
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from bench.document import write_figures
 from bench.result import Measured
@@ -95,19 +96,23 @@ def run(benchmarks: Sequence[Benchmark], out: Path, write: Callable[[str], objec
 def note_latest(measured: Sequence[Measured], path: Path) -> None:
     """Enter numbers that have a key into the one file that holds the latest of each; what else is there stays.
 
-    A number that could not be measured is null, with the reason under ``why``.
+    A number that could not be measured is null, with the reason under ``why``; ``spread`` has what medians hide, and
+    ``bounds`` what was promised.
     """
     try:
         latest = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         latest = {}
-    why = latest.setdefault("why", {})
+    notes: dict[str, dict[str, Any]] = {name: latest.setdefault(name, {}) for name in ("why", "spread", "bounds")}
     for number in measured:
         if number.key is not None:
-            latest[number.key] = number.as_dict()["value"]
-            why.pop(number.key, None)
-            if number.why is not None:
-                why[number.key] = number.why
+            said = number.as_dict()
+            latest[number.key] = said["value"]
+            bounds = {name: said[name] for name in ("at_most", "at_least") if said[name] is not None}
+            for name, note in (("why", said["why"]), ("spread", said["spread"]), ("bounds", bounds or None)):
+                notes[name].pop(number.key, None)
+                if note is not None:
+                    notes[name][number.key] = note
     latest["machine"] = machine()
     path.write_text(json.dumps(latest, indent=2, sort_keys=True) + "\n", encoding="utf-8")
 

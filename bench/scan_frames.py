@@ -1,7 +1,7 @@
-"""Owns the scan that everything is measured on: 2 × 24 frames of 1600 × 1200 with noise, and its truth.
+"""Owns the scenes that everything is measured on: 2 × 24 frames of 1600 × 1200 with noise, and their truth.
 
-A tilted disc that fills three quarters of the left image, made from closed forms, so that each pixel's coordinates and
-correspondence are known. Noise is 1.6 grey values: 0.04 px in a coordinate.
+A tilted disc that fills three quarters of the left image, with or without a bar in front of it: made from closed forms,
+so that each pixel's coordinates and correspondence are known. Noise is 1.6 grey values: 0.04 px in a coordinate.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibration.file import Calibration
+from appliance.optics.model import HousedCamera
 from appliance.patterns.sequence import PatternSequence, build_sequence
 from tests.support import synthetic
 
@@ -20,9 +21,10 @@ RADIUS_MM = 112.0
 NORMAL = np.array([-0.2, 0.15, 1.0]) / np.linalg.norm([-0.2, 0.15, 1.0])
 SIDES = ("left", "right")
 Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class ScanFrames:
     """Frames and truth; arrays of the left camera unless said otherwise."""
 
@@ -30,33 +32,75 @@ class ScanFrames:
     sequence: PatternSequence
     frames: dict[str, NDArray[np.uint8]]
     """(24, h, w) of each side."""
-    pq_px: dict[str, Array]
-    """(h, w, 2) true pattern coordinates of each side; NaN off the disc."""
+    points_mm: Array
+    """(h, w, 3) what each pixel sees; NaN where that is nothing."""
     right_uv_px: Array
-    """(h, w, 2) true correspondence; NaN where the right camera does not see the point."""
+    """(h, w, 2) true correspondence; NaN where the pixel is dark or the right camera does not see the point lit."""
 
 
-def make_scan(width_px: int = 1600, height_px: int = 1200, period_px: int = 16, seed: int = 1) -> ScanFrames:
-    """Make the scan; some twenty seconds at full resolution."""
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """A disc, and in front of it a bar parallel to it; without height there is no bar."""
+
+    centre_mm: Array
+    bar_height_mm: float
+    bar_half_width_mm: float = 18.0
+
+    def hit(self, origin: Array, direction: Array) -> tuple[Array, Bools]:
+        """Where rays end, (…, 3), NaN for nowhere; and which of them end on the bar."""
+        disc = self._meet(origin, direction, 0.0)
+        disc[np.linalg.norm(disc - self.centre_mm, axis=-1) > RADIUS_MM] = np.nan
+        if self.bar_height_mm == 0.0:
+            return disc, np.zeros(disc.shape[:-1], bool)
+        bar = self._meet(origin, direction, self.bar_height_mm)
+        across, along = np.moveaxis((bar - self.centre_mm)[..., :2], -1, 0)
+        on_bar = (np.abs(across) <= self.bar_half_width_mm) & (np.abs(along) <= 0.6 * RADIUS_MM)
+        disc[on_bar] = bar[on_bar]
+        return disc, np.asarray(on_bar)
+
+    def _meet(self, origin: Array, direction: Array, height_mm: float) -> Array:
+        offset_mm = float(NORMAL @ self.centre_mm) - height_mm
+        return np.asarray(origin + direction * ((offset_mm - origin @ NORMAL) / (direction @ NORMAL))[..., None])
+
+
+def make_scan(
+    width_px: int = 1600, height_px: int = 1200, period_px: int = 16, seed: int = 1, bar_height_mm: float = 0.0
+) -> ScanFrames:
+    """Make the scan; some fifteen seconds at full resolution, a minute with a bar."""
     cal = synthetic.calibration(width_px, height_px)
     sequence = build_sequence(period_px)
     index = synthetic.WATER.index
-    centre = cal.rig.volume_centre_mm(index)
+    scene = Scene(cal.rig.volume_centre_mm(index), bar_height_mm)
+    projector = synthetic.projector(cal)
     rng = np.random.default_rng(seed)
-    frames, pq_px, points = {}, {}, {}
+    frames, points, lit = {}, {}, {}
     for side, camera in (("left", cal.rig.left), ("right", cal.rig.right)):
-        at = synthetic.plane_points(camera, NORMAL, float(NORMAL @ centre))
-        pq = synthetic.projector(cal).project(at, index)
-        pq[np.linalg.norm(at - centre, axis=-1) > RADIUS_MM] = np.nan
+        v, u = np.mgrid[0:height_px, 0:width_px].astype(float)
+        at, on_bar = scene.hit(*camera.rays(np.stack([u, v], -1), index))
+        pq = projector.project(at, index)
+        if bar_height_mm:
+            pq[hidden(scene, projector, pq, on_bar, index)] = np.nan
         stack = np.empty((len(sequence), height_px, width_px), np.uint8)
         for k, image in enumerate(synthetic.frames(sequence, pq)):
             noise = NOISE_DN * rng.standard_normal(image.shape, dtype=np.float32)
             stack[k] = np.clip(np.rint(image + noise), 0, 255)
-        inside = (pq > 0.0).all(-1) & (pq[..., 0] < 1023.0) & (pq[..., 1] < 767.0)
-        pq[~inside] = np.nan
-        frames[side], pq_px[side], points[side] = stack, pq, at
-    uv = cal.rig.right.project(points["left"], index)
-    seen = np.isfinite(pq_px["left"]).all(-1) & (uv > 2.0).all(-1)
-    seen &= (uv[..., 0] < width_px - 3) & (uv[..., 1] < height_px - 3)
+        inside = (pq > 0.0).all(-1) & (pq[..., 0] < sequence.width_px - 1) & (pq[..., 1] < sequence.height_px - 1)
+        frames[side], points[side], lit[side] = stack, at, np.asarray(inside)
+        if side == "left":
+            left_on_bar = on_bar
+    right = cal.rig.right
+    uv = right.project(points["left"], index)
+    seen = lit["left"] & (uv > 2.0).all(-1) & (uv[..., 0] < width_px - 3) & (uv[..., 1] < height_px - 3)
+    if bar_height_mm:
+        seen &= ~hidden(scene, right, np.where(seen[..., None], uv, np.nan), left_on_bar, index)
     uv[~seen] = np.nan
-    return ScanFrames(cal, sequence, frames, pq_px, uv)
+    return ScanFrames(cal, sequence, frames, points["left"], uv)
+
+
+def hidden(scene: Scene, eye: HousedCamera, uv_px: Array, on_bar: Bools, index: float) -> Bools:
+    """Which points, at ``uv_px`` of ``eye`` and not ``on_bar``, lie behind the bar for it."""
+    asked = np.isfinite(uv_px).all(-1) & ~on_bar
+    origin, direction = eye.rays(uv_px[asked], index)
+    behind = np.zeros(asked.shape, bool)
+    behind[asked] = scene.hit(origin, direction)[1]
+    return behind

@@ -38,8 +38,10 @@ def phase(
     i2: NDArray[np.uint8],
     i3: NDArray[np.uint8],
     turn: NDArray[np.float32],
+    modulation: NDArray[np.float32],
 ) -> None:
-    """Wrapped phase atan2(i3 − i1, i0 − i2)/2π in turns, −½ … ½, within 6e-8; 0 where there is no modulation."""
+    """Wrapped phase atan2(i3 − i1, i0 − i2)/2π in turns, −½ … ½, within 6e-8, and modulation: half the length of that
+    vector, in grey values. Without modulation the phase is 0."""
     for i in range(turn.size):
         cosine, sine = np.float32(i0[i]) - np.float32(i2[i]), np.float32(i3[i]) - np.float32(i1[i])
         a, b = abs(cosine), abs(sine)
@@ -49,20 +51,7 @@ def phase(
         r = _QUARTER - r if b > a else r
         r = _HALF - r if cosine < _ZERO else r
         turn[i] = -r if sine < _ZERO else r
-
-
-@numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
-def modulation(
-    i0: NDArray[np.uint8],
-    i1: NDArray[np.uint8],
-    i2: NDArray[np.uint8],
-    i3: NDArray[np.uint8],
-    amplitude: NDArray[np.float32],
-) -> None:
-    """Half the length of (i0 − i2, i3 − i1), in grey values."""
-    for i in range(amplitude.size):
-        cosine, sine = np.float32(i0[i]) - np.float32(i2[i]), np.float32(i3[i]) - np.float32(i1[i])
-        amplitude[i] = _HALF * np.sqrt(cosine * cosine + sine * sine)
+        modulation[i] = _HALF * np.sqrt(cosine * cosine + sine * sine)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
@@ -157,8 +146,7 @@ def close_row(
     """
     n = mask.size
     turn, offset, amplitude = scratch[0, :n], scratch[1, :n], scratch[2, :n]
-    phase(i0, i1, i2, i3, turn)
-    modulation(i0, i1, i2, i3, amplitude)
+    phase(i0, i1, i2, i3, turn, amplitude)
     unwrap(turn, half_period, axis.period_px, coordinate, offset)
     _judge(
         i0, i1, i2, i3, amplitude, offset, coordinate, axis.size_px, axis.min_modulation_dn, axis.max_offset, mask

@@ -1,7 +1,8 @@
-"""OpenCV's Gray-code decoder on both cameras' frames: ``python graycode.py FRAMES.npz``; prints JSON.
+"""OpenCV's Gray-code decoder on both cameras' frames: ``python graycode.py FRAMES.npz``.
 
 It wants each image and its inverse: the inverse of a Gray image is bright + dark − image. It numbers half periods, gives
-whole numbers, and decodes and matches in one call.
+whole numbers, and decodes and matches in one call. Says its version when it is ready, then decodes once for each line it
+reads and says what that took, as JSON.
 """
 
 import json
@@ -26,12 +27,12 @@ def main() -> None:
     decoder = cv2.structured_light.GrayCodePattern.create(1 << len(gray_x), 1 << len(gray_y))
     both = [images(stored[side], gray_x + gray_y) for side in ("left", "right")]
     bright, dark = ([stored[side][k] for side in ("left", "right")] for k in (0, 1))
-    cpu_ms = []
-    for _ in range(3):
+    decoder.decode(both, None, dark, bright)
+    print(json.dumps({"version": cv2.__version__}), flush=True)
+    for _ in sys.stdin:
         begun = time.process_time()
         decoder.decode(both, None, dark, bright)
-        cpu_ms.append((time.process_time() - begun) * 1e3)
-    print(json.dumps({"cpu_ms": float(np.median(cpu_ms)), "version": cv2.__version__}))
+        print(json.dumps({"cpu_ms": (time.process_time() - begun) * 1e3}), flush=True)
 
 
 main()

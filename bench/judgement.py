@@ -1,0 +1,80 @@
+"""Owns how a cloud is judged: each point against the surface its pixel truly sees, and what is missing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from appliance.patterns.sequence import Direction
+from appliance.reconstruct.phase import phase
+from appliance.reconstruct.pipeline import Pipeline
+from appliance.reconstruct.table import Cloud
+from bench.result import Measured
+from bench.scan_frames import ScanFrames
+from tests.support import oracle, synthetic
+
+FALSE_MM = 1.0
+"""Thirty times the noise: what is farther off was matched to something else."""
+
+
+def completeness_percent(scan: ScanFrames, cloud: Cloud) -> float:
+    """Of the pixels whose point both cameras and the projector see."""
+    expected = np.isfinite(scan.right_uv_px).all(-1).reshape(-1)
+    return 100.0 * float(np.count_nonzero(expected[cloud.pixel])) / float(np.count_nonzero(expected))
+
+
+def false_ppm(scan: ScanFrames, cloud: Cloud) -> float:
+    """Points more than a millimetre from what their pixel sees, or of pixels that see nothing."""
+    truth_mm = scan.points_mm.reshape(-1, 3)[cloud.pixel]
+    near = np.linalg.norm(cloud.points_mm - truth_mm, axis=1) <= FALSE_MM
+    return 1e6 * float(np.mean(~near))
+
+
+def judged(scan: ScanFrames, cloud: Cloud) -> Iterator[Measured]:
+    """On a smooth surface."""
+    complete = completeness_percent(scan, cloud)
+    yield Measured("completeness", complete, "%", at_least=99.5, key="completeness_percent")
+    false = false_ppm(scan, cloud)
+    yield Measured("false matches (> 1 mm)", false, "ppm", at_most=100.0, key="false_matches_ppm")
+    uv_px = scan.right_uv_px.reshape(-1, 2)[cloud.pixel]
+    known = np.isfinite(uv_px).all(-1)
+    found_px = scan.calibration.rig.right.project(cloud.points_mm[known].astype(float), synthetic.WATER.index)
+    bias = float(np.abs(np.mean(found_px - uv_px[known], 0)).max())
+    yield Measured("bias of the correspondence", bias, "px", at_most=0.001, key="bias_px")
+    off_mm = (cloud.points_mm - scan.points_mm.reshape(-1, 3)[cloud.pixel])[:, 2]
+    yield Measured("noise of the depth", float(np.nanstd(off_mm)), "mm", key="noise_mm")
+
+
+def judged_at_steps(scan: ScanFrames, cloud: Cloud) -> Iterator[Measured]:
+    """Where a bar stands before the surface: pixels at its edges are left out on purpose, wrong ones are not."""
+    complete = completeness_percent(scan, cloud)
+    yield Measured("completeness with a bar in front", complete, "%", key="step_completeness_percent")
+    false = false_ppm(scan, cloud)
+    yield Measured("false matches with a bar in front", false, "ppm", at_most=100.0, key="step_false_matches_ppm")
+
+
+def precision(scan: ScanFrames, pipeline: Pipeline) -> Iterator[Measured]:
+    """32-bit against 64-bit arithmetic, in pattern pixels, on the same frames."""
+    worst = phase_error_px(scan)
+    yield Measured("float32 against float64: wrapped phase", worst, "px", at_most=1e-5, key="float32_max_px")
+    exact = oracle.decode(scan.sequence, scan.frames["left"])
+    maps = pipeline.decoded("left")
+    valid = np.isfinite(maps.p_px)
+    stored = np.abs(np.stack([maps.p_px, maps.q_px], -1)[valid] - exact.pq[valid]).max()
+    yield Measured("the same, coordinate stored in 32 bits", float(stored), "px", key="float32_coordinate_max_px")
+
+
+def phase_error_px(scan: ScanFrames) -> float:
+    """Largest difference of our wrapped phase to float64's, in pattern px, over all pixels, dark ones included."""
+    worst = 0.0
+    for direction in (Direction.X, Direction.Y):
+        i0, i1, i2, i3 = (scan.frames["left"][k].reshape(-1) for k in scan.sequence.axis(direction).sine)
+        turn = np.empty(i0.size, np.float32)
+        phase(i0, i1, i2, i3, turn)
+        wide = [a.astype(float) for a in (i0, i1, i2, i3)]
+        exact = np.arctan2(wide[3] - wide[1], wide[0] - wide[2]) / (2.0 * np.pi)
+        difference = turn - exact
+        difference -= np.rint(difference)
+        worst = max(worst, float(np.abs(difference).max()) * scan.sequence.period_px)
+    return worst
