@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from hw_sim.objects.shapes import gradient, march
 from hw_sim.objects.texture import albedo
-from hw_sim.optics.table import OUTSIDE, look_up
-from hw_sim.optics.trace import HEIGHT, WIDTH
+from hw_sim.optics.table import OUTSIDE, fit_table, look_up
+from hw_sim.optics.trace import DISTANCE, GLASS, HEIGHT, INNER, ROTATION, THICKNESS, WATER, WIDTH, rays_of
 from hw_sim.projector import FAR_MM, FOCUS_MM
-from hw_sim.shadow import BLOCK_PX, block_start, by_map, into, nearest, shaded, shadow_map
+from hw_sim.shadow import BLOCK_PX, block_start, by_map, into, map_pixels, nearest, shaded, shadow_map
 
 Array = NDArray[np.float64]
 
@@ -70,6 +70,19 @@ class Geometry:
     """(h, w) from the window along the ray to the surface; NaN where there is none."""
     pixels: NDArray[np.float32]
     """(h, w, CHANNELS)."""
+
+
+def lamp_of(eye: Array) -> Lamp:
+    """The projector, from its eye packed as in ``optics.trace``."""
+    at = map_pixels(int(eye[WIDTH]), int(eye[HEIGHT]))
+    map_rays = np.empty((*at.shape[:2], 6))
+    rays_of(eye, at.reshape(-1, 2), map_rays.reshape(-1, 6))
+    axis = eye[ROTATION : ROTATION + 9].reshape(3, 3)[:, 2]
+    window = np.concatenate([map_rays[..., :3], (map_rays[..., 3:] @ axis)[..., None] ** 4], -1).astype(np.float32)
+    # Rays near the axis diverge from a point this far behind the outer face: depths count by the ratio of the indices.
+    n_water, distance_mm, thickness_mm, glass = eye[WATER], eye[DISTANCE], eye[THICKNESS], eye[GLASS]
+    depth_mm = n_water * (distance_mm + thickness_mm / glass) * float(eye[INNER + 2])
+    return Lamp(eye, fit_table(eye), map_rays, window, depth_mm)
 
 
 def shadows(pose: Pose, lamp: Lamp) -> NDArray[np.float32]:

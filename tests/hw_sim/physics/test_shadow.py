@@ -9,8 +9,8 @@ from hw_sim.geometry import LIT, P, Pose, Q
 from hw_sim.motion import pose_matrix
 from hw_sim.objects.shapes import NAMES, march_all
 from hw_sim.optics.points import project, ray
-from hw_sim.render import Renderer
 from hw_sim.scene import Scene
+from hw_sim.stage import Stage
 from hw_sim.truth import draw_truth
 
 POSES = {
@@ -28,10 +28,9 @@ POSES = {
 def test_every_pixel_sees_and_is_lit_as_its_own_rays_say(name: str) -> None:
     scene = Scene(object=name, pose=POSES[name])
     truth = draw_truth("realistic", 7, 200, 150, scene.water.index)
-    r = Renderer(truth, scene)
     R, t = pose_matrix(POSES[name])
     pose = Pose(NAMES[name], truth.artefacts.sizes(), R, t)
-    geometry = r._geometry("left", scene, pose)
+    geometry = Stage(truth).geometry("left", scene, pose)
 
     v, u = np.mgrid[0:150, 0:200]
     origin, direction = ray(truth, "left", np.stack([u, v], -1).reshape(-1, 2))

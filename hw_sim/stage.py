@@ -1,0 +1,76 @@
+"""Owns how a rig and its scene stand to each other at a moment: traced once for each camera and pose.
+
+The cameras' rays belong to the rig and never change; the object's pose relative to the rig does.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hw_sim.geometry import Geometry, Lamp, Pose, lamp_of, shadows, trace
+from hw_sim.latest import Latest
+from hw_sim.motion import object_pose
+from hw_sim.objects.shapes import NAMES
+from hw_sim.objects.texture import NAMES as TEXTURES
+from hw_sim.objects.texture import noise_lattice
+from hw_sim.optics.table import fit_table
+from hw_sim.optics.trace import rays_of_image
+from hw_sim.scene import Scene
+from hw_sim.smear import MOST_INSTANTS
+from hw_sim.truth import TrueRig
+from hw_sim.view import TrueView, true_view
+
+Array = NDArray[np.float64]
+
+CAMERAS = ("left", "right")
+
+
+class Stage:
+    """One rig before whatever scene is named. All methods may be called by several threads at once."""
+
+    def __init__(self, truth: TrueRig) -> None:
+        self.eyes = {name: truth.eye(name).packed(truth.n_water) for name in (*CAMERAS, "projector")}
+        """Packed as in ``optics.trace``."""
+        self.lamp: Lamp = lamp_of(self.eyes["projector"])
+        self._shapes_px = {name: (truth.eye(name).height_px, truth.eye(name).width_px) for name in CAMERAS}
+        self._sizes = truth.artefacts.sizes()
+        self._lattice = noise_lattice()
+        self._rays: Latest[str, Array] = Latest(keep=len(CAMERAS))
+        self._tables: Latest[str, Array] = Latest(keep=len(CAMERAS))
+        self._geometries: dict[str, Latest[tuple[object, ...], Geometry]] = {name: Latest() for name in CAMERAS}
+        # The cameras' threads need the same shadows, but not at the same time: one may be an exposure behind.
+        self._shadows: Latest[bytes, NDArray[np.float32]] = Latest(keep=MOST_INSTANTS)
+
+    def pose(self, scene: Scene, time_s: float) -> Pose:
+        """Where the object is in the rig's frame; before time 0 the hands are at rest."""
+        R, t = object_pose(scene.start_pose, scene.motion, max(time_s, 0.0))
+        return Pose(NAMES[scene.object], self._sizes, R, t)
+
+    def rays(self, camera: str) -> Array:
+        """Exact rays (h, w, 6) in water of all of a camera's pixels: point on the window and unit direction, rig frame."""
+
+        def compute() -> Array:
+            rays = np.empty((*self._shapes_px[camera], 6))
+            rays_of_image(self.eyes[camera], rays)
+            return rays
+
+        return self._rays.get(camera, compute)
+
+    def geometry(self, camera: str, scene: Scene, pose: Pose) -> Geometry:
+        """What ``camera`` meets of the scene's object at ``pose``. The latest of each camera is kept: 53 MB."""
+        texture, per_m = TEXTURES[scene.texture], scene.water.attenuation_per_m
+
+        def compute() -> Geometry:
+            first = self._shadows.get(pose.key, lambda: shadows(pose, self.lamp))
+            return trace(self.rays(camera), pose, first, self.lamp, texture, self._lattice, per_m)
+
+        return self._geometries[camera].get((texture, per_m, pose.key), compute)
+
+    def view(self, camera: str, scene: Scene, pose: Pose) -> TrueView:
+        """What ``camera`` truly sees."""
+        other = "right" if camera == "left" else "left"
+        table = self._tables.get(other, lambda: fit_table(self.eyes[other]))
+        return true_view(
+            self.rays(camera), self.geometry(camera, scene, pose), pose, self.lamp, self.eyes[other], table
+        )  # fmt: skip
