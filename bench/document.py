@@ -1,4 +1,4 @@
-"""Owns the table of figures in ``docs/performance.md``: it is written from what was measured, never by hand."""
+"""Owns the tables of figures in ``docs/performance.md``: they are written from what was measured, never by hand."""
 
 from __future__ import annotations
 
@@ -7,31 +7,62 @@ from pathlib import Path
 from typing import Any
 
 BEGIN, END = "<!-- figures: ./dev bench --write-docs -->", "<!-- end of figures -->"
-ROWS = (
-    ("coarse_cpu_ms", "last frame → coarse cloud", "ms CPU"),
-    ("full_cpu_ms", "last frame → full cloud", "ms CPU"),
-    ("scan_cpu_ms", "whole scan", "ms CPU"),
-    ("machine_factor", "this machine against the target's (OpenCV's vector operations)", "×"),
-    ("coarse_target_machine_ms", "coarse, on the target's machine (≤ 15)", "ms CPU"),
-    ("full_target_machine_ms", "full, on the target's machine (≤ 50)", "ms CPU"),
-    ("scan_target_machine_ms", "whole scan, on the target's machine (≤ 60)", "ms CPU"),
-    ("roofline_scan_ms", "whole scan, if memory alone counted", "ms"),
-    ("decode_cpu_ms", "decoding one camera", "ms CPU"),
-    ("opencv_decode_cpu_ms", "… OpenCV's vector operations", "ms CPU"),
-    ("numpy_decode_cpu_ms", "… NumPy float32", "ms CPU"),
-    ("fringes_cpu_ms", "… package `fringes`, its eight sine images only", "ms CPU"),
-    ("cv2_structured_light_cpu_ms", "OpenCV `GrayCodePattern`, both cameras, whole pixels", "ms CPU"),
-    ("numpy_kdtree_cpu_ms", "whole scan, float64 NumPy with a KD-tree", "ms CPU"),
-    ("ratio_numpy_kdtree", "… against ours (≥ 40)", "×"),
-    ("worker_peak_mb", "peak memory of the worker, shared frames included (≤ 400)", "MB"),
-    ("first_scan_s", "start of the worker → its first cloud (≤ 1.2)", "s"),
-    ("raw_durable_ms", "raw frames durable, beyond the disk's own time (≤ 100)", "ms"),
-    ("completeness_percent", "completeness (≥ 99.5)", "%"),
-    ("false_matches_ppm", "false matches (≤ 100)", "ppm"),
-    ("bias_px", "bias of the correspondence (≤ 0.001)", "px"),
-    ("float32_max_px", "wrapped phase, float32 against float64 (≤ 1e-5)", "px"),
-    ("float32_coordinate_max_px", "… the whole coordinate, stored in 32 bits", "px"),
-)
+TABLES: dict[str, tuple[tuple[str, str, str], ...]] = {
+    "A scan, here": (
+        ("recording_cpu_ms", "while recording: 23 pairs of frames", "ms CPU"),
+        ("pair_max_cpu_ms", "the dearest pair", "ms CPU"),
+        ("last_frame_cpu_ms", "last pair", "ms CPU"),
+        ("coarse_step_cpu_ms", "prepare and coarse cloud", "ms CPU"),
+        ("full_step_cpu_ms", "full cloud", "ms CPU"),
+        ("coarse_cpu_ms", "last frame to coarse cloud", "ms CPU"),
+        ("full_cpu_ms", "last frame to full cloud", "ms CPU"),
+        ("scan_cpu_ms", "whole scan", "ms CPU"),
+        ("roofline_scan_ms", "whole scan, if memory traffic alone counted", "ms"),
+        ("ratio_roofline", "ours against that", "×"),
+        ("memory_read_gb_s", "memory reads, one thread", "GB/s"),
+        ("memory_write_gb_s", "memory writes, one thread", "GB/s"),
+    ),
+    "The same on the machine of the targets": (
+        ("machine_factor", "this machine's times against that one's", "×"),
+        ("coarse_target_machine_ms", "last frame to coarse cloud", "ms CPU"),
+        ("full_target_machine_ms", "last frame to full cloud", "ms CPU"),
+        ("scan_target_machine_ms", "whole scan", "ms CPU"),
+    ),
+    "Other ways": (
+        ("decode_cpu_ms", "one camera decoded, Kingfisher", "ms CPU"),
+        ("opencv_decode_cpu_ms", "the same in OpenCV's vector operations", "ms CPU"),
+        ("ratio_opencv_decode", "against ours", "×"),
+        ("numpy_decode_cpu_ms", "the same in NumPy, float32", "ms CPU"),
+        ("ratio_numpy_decode", "against ours", "×"),
+        ("fringes_cpu_ms", "package `fringes`: eight sine images of one camera, no Gray code", "ms CPU"),
+        ("ratio_fringes", "against ours", "×"),
+        ("cv2_structured_light_cpu_ms", "`cv2.structured_light`: both cameras, whole pixels, no points", "ms CPU"),
+        ("ratio_cv2_structured_light", "against our whole scan", "×"),
+        ("numpy_kdtree_cpu_ms", "whole scan, float64 NumPy and KD-tree", "ms CPU"),
+        ("ratio_numpy_kdtree", "against our whole scan", "×"),
+    ),
+    "The worker process, and the disk": (
+        ("worker_scan_cpu_ms", "CPU time of the worker for a scan at 60 Hz", "ms CPU"),
+        ("worker_coarse_wall_ms", "last frame to coarse cloud, by the clock", "ms"),
+        ("worker_full_wall_ms", "last frame to full cloud, by the clock", "ms"),
+        ("worker_ready_s", "start until warm", "s"),
+        ("first_scan_s", "start until the first cloud, with compiled kernels", "s"),
+        ("worker_peak_mb", "peak memory, shared frames included", "MB"),
+        ("raw_durable_ms", "raw frames durable, beyond the disk's own time", "ms"),
+        ("disk_ms", "the disk's own time for these bytes", "ms"),
+        ("publish_ms", "cloud and manifest durable, scan published", "ms"),
+    ),
+    "Against the truth": (
+        ("completeness_percent", "completeness, smooth surface", "%"),
+        ("false_matches_ppm", "false matches, smooth surface", "ppm"),
+        ("step_completeness_percent", "completeness with a bar in front, its edges counted", "%"),
+        ("step_false_matches_ppm", "false matches with a bar in front", "ppm"),
+        ("bias_px", "bias of the correspondence", "px"),
+        ("noise_mm", "noise of the depth", "mm"),
+        ("float32_max_px", "wrapped phase, float32 against float64, worst pixel", "px"),
+        ("float32_coordinate_max_px", "coordinate as stored in 32 bits, worst pixel", "px"),
+    ),
+}
 
 
 def write_figures(latest: Path, document: Path) -> None:
@@ -41,15 +72,33 @@ def write_figures(latest: Path, document: Path) -> None:
     if BEGIN not in text or END not in text:
         raise ValueError(f"{document} has no marks {BEGIN} and {END}")
     machine = said.get("machine", {})
-    lines = [
-        f"On {machine.get('processor')}, {machine.get('processors')} processors.",
-        "",
-        "| what | value | |",
-        "|---|---|---|",
-    ]
-    for key, name, unit in ROWS:
-        value = said.get(key)
-        shown = f"{value:.3g}" if value is not None else f"— ({said.get('why', {}).get(key, 'not measured')})"
-        lines.append(f"| {name} | {shown} | {unit} |")
+    lines = [f"On {machine.get('processor')}, {machine.get('processors')} processors; medians of one run."]
+    for title, rows in TABLES.items():
+        lines += ["", f"| {title} | median | tenth to nine tenths | | target |", "|---|---:|---|---|---|"]
+        lines += [row(said, *entry) for entry in rows]
     before, after = text.split(BEGIN)[0], text.split(END)[1]
     document.write_text(before + BEGIN + "\n\n" + "\n".join(lines) + "\n\n" + END + after, encoding="utf-8")
+
+
+def row(said: dict[str, Any], key: str, name: str, unit: str) -> str:
+    """One line: value, spread, unit, target with its verdict, or why there is no value."""
+    value = said.get(key)
+    if value is None:
+        return f"| {name} | — | | | {said.get('why', {}).get(key, 'not measured')} |"
+    spread = said.get("spread", {}).get(key)
+    between = " " if spread is None else f" {short(spread[0])} … {short(spread[1])} "
+    bounds = said.get("bounds", {}).get(key, {})
+    kept = bounds.get("at_least", value) <= value <= bounds.get("at_most", value)
+    wanted = " ".join(f"{sign} {short(bounds[name])}" for name, sign in SIGNS.items() if name in bounds)
+    verdict = " " if not bounds else f" {wanted}{'' if kept else ' **missed**'} "
+    return f"| {name} | {short(value)} |{between}| {unit} |{verdict}|"
+
+
+SIGNS = {"at_most": "≤", "at_least": "≥"}
+
+
+def short(value: float) -> str:
+    """Three digits, four where they end at the point or close to hundred per cent."""
+    if abs(value) >= 1000.0:
+        return f"{value:.0f}"
+    return f"{value:.4g}" if 99.0 <= value <= 100.0 else f"{value:.3g}"

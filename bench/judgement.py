@@ -70,8 +70,8 @@ def phase_error_px(scan: ScanFrames) -> float:
     worst = 0.0
     for direction in (Direction.X, Direction.Y):
         i0, i1, i2, i3 = (scan.frames["left"][k].reshape(-1) for k in scan.sequence.axis(direction).sine)
-        turn = np.empty(i0.size, np.float32)
-        phase(i0, i1, i2, i3, turn)
+        turn, modulation_dn = np.empty((2, i0.size), np.float32)
+        phase(i0, i1, i2, i3, turn, modulation_dn)
         wide = [a.astype(float) for a in (i0, i1, i2, i3)]
         exact = np.arctan2(wide[3] - wide[1], wide[0] - wide[2]) / (2.0 * np.pi)
         difference = turn - exact

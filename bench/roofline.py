@@ -8,8 +8,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-BUFFER_BYTES = 128_000_000
-"""More than fits into the second-level cache; as much as a scan's frames."""
+BUFFER_BYTES = 640_000_000
+"""Beyond the last cache of any machine we know (260 MB)."""
 
 
 @numba.njit(nogil=True, cache=True)
@@ -26,20 +26,25 @@ def _write(memory: NDArray[np.int64], value: int) -> None:
         memory[i] = value
 
 
-def bandwidth_gb_s(repeats: int = 5) -> tuple[float, float]:
-    """Reading and writing, one thread, best of ``repeats``."""
-    memory = np.zeros(BUFFER_BYTES // 8, np.int64)
-    _read(memory[:8])
-    _write(memory[:8], 0)
-    read_s, write_s = [], []
-    for k in range(repeats):
+class Memory:
+    """Memory larger than all caches, to be read and written at full speed by one thread."""
+
+    def __init__(self, size_bytes: int = BUFFER_BYTES) -> None:
+        # Filled: a page that was never written is no memory at all, and reading it comes from the cache.
+        self._words = np.full(size_bytes // 8, 1, np.int64)
+        _read(self._words[:8])
+        _write(self._words[:8], 1)
+
+    def bandwidth_gb_s(self) -> tuple[float, float]:
+        """Reading and writing, once each, by CPU time."""
         begun_s = time.thread_time()
-        _read(memory)
+        total = _read(self._words)
         middle_s = time.thread_time()
-        _write(memory, k)
-        read_s.append(middle_s - begun_s)
-        write_s.append(time.thread_time() - middle_s)
-    return BUFFER_BYTES / min(read_s) / 1e9, BUFFER_BYTES / min(write_s) / 1e9
+        _write(self._words, 1)
+        ended_s = time.thread_time()
+        if total != self._words.size:
+            raise RuntimeError(f"{self._words.size} ones sum to {total}: this memory is not to be trusted")
+        return self._words.nbytes / (middle_s - begun_s) / 1e9, self._words.nbytes / (ended_s - middle_s) / 1e9
 
 
 def scan_ms(pixels: int, frames: int, points: int, read_gb_s: float, write_gb_s: float) -> float:

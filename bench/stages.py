@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from itertools import pairwise
 
 from appliance.reconstruct.pipeline import Pipeline
 from bench.scan_frames import SIDES, ScanFrames
@@ -52,7 +53,7 @@ def one_scan(pipeline: Pipeline, scan: ScanFrames) -> ScanCost:
     times_s.append(time.process_time())
     pipeline.find_full()
     times_s.append(time.process_time())
-    *pairs, coarse, full = ((after - before) * 1e3 for before, after in zip(times_s, times_s[1:], strict=False))
+    *pairs, coarse, full = ((after - before) * 1e3 for before, after in pairwise(times_s))
     return ScanCost(tuple(pairs), coarse, full)
 
 

@@ -17,13 +17,6 @@ def cpu_ms(action: Callable[[], object]) -> float:
     return (time.process_time() - begun_s) * 1e3
 
 
-def wall_ms(action: Callable[[], object]) -> float:
-    """How long ``action`` takes; of use only beside something else measured at the same time."""
-    begun_s = time.monotonic()
-    action()
-    return (time.monotonic() - begun_s) * 1e3
-
-
 def median_of(
     name: str,
     values: Sequence[float],

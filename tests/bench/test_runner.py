@@ -37,7 +37,16 @@ def test_kept_bounds_end_with_zero_and_a_record(package: Path, tmp_path: Path) -
     assert main([], "measured_here", tmp_path / "out") == 0
     record = json.loads((tmp_path / "out" / "good.json").read_text())
     assert record["measured"] == [
-        {"name": "time", "value": 2.0, "unit": "ms", "at_most": 2.0, "at_least": None, "kept": True, "why": None}
+        {
+            "name": "time",
+            "value": 2.0,
+            "unit": "ms",
+            "at_most": 2.0,
+            "at_least": None,
+            "kept": True,
+            "why": None,
+            "spread": None,
+        }
     ]
 
 
@@ -100,8 +109,8 @@ def test_figures_in_the_document_are_those_measured(tmp_path: Path) -> None:
     for _ in range(2):
         write_figures(latest, document)
     text = document.read_text()
-    assert "| whole scan | 61.2 | ms CPU |" in text
-    assert "— (no network)" in text
+    assert "| whole scan | 61.2 | | ms CPU | |" in text
+    assert "| — | | | no network |" in text
     assert "old" not in text
     assert text.startswith("before\n")
     assert text.endswith("after\n")

@@ -1,0 +1,196 @@
+"""A dive in real time: ``python -m bench.dive_at_rate --scans 100 --root DIR`` records scan after scan; prints JSON.
+
+The whole service on the simulated instrument, whose clock is the wall's and whose images of a resting scene are made once
+(``stills``). Scans before the first good one make those images and are not counted. What is judged afterwards comes from
+the scans' manifests: flips, pulses, frames, times.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+import os
+import shutil
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from dataclasses import replace as changed
+from pathlib import Path
+from typing import Any
+
+from appliance.calibration.file import encode
+from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
+from appliance.config import Rig, load_rig
+from appliance.reconstruct.worker import own_memory_mb
+from appliance.service.app import CALIBRATION_FILE, run
+from appliance.storage.library import Library
+from hw_sim import registry
+from hw_sim.options import options_from
+from hw_sim.truth import draw_truth
+from hw_sim.world import World
+from tests.support.truth import true_calibration
+
+MOST_WARM_UPS = 12
+KEPT_FOLDERS = 3
+"""Older ones are deleted by this program, not by the instrument: a hundred scans are nine gigabytes."""
+STEP_TIMEOUT_S = 40.0
+
+
+@dataclass
+class Log:
+    """What the dive was like."""
+
+    warm_ups: int = 0
+    scans: int = 0
+    refused: list[str] = field(default_factory=list)
+    late_us: list[float] = field(default_factory=list)
+    """Of each flip, against the blank it was meant for."""
+    lost_frames: int = 0
+    times_s: list[dict[str, float]] = field(default_factory=list)
+    service_mb: list[float] = field(default_factory=list)
+    worker_mb: list[float] = field(default_factory=list)
+    error: str | None = None
+
+
+class Diver(threading.Thread):
+    """Presses the keys, looks at the status file, and reads the manifests."""
+
+    def __init__(self, rig: Rig, scans: int) -> None:
+        super().__init__(name="diver", daemon=True)
+        self.log = Log()
+        self._rig, self._wanted = rig, scans
+        self._library = Library(rig.storage.root)
+
+    def run(self) -> None:
+        try:
+            self._dive()
+        except Exception as error:
+            self.log.error = f"{type(error).__name__}: {error}"
+        finally:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    def _dive(self) -> None:
+        self._until(lambda: self._world() is not None)
+        while self.log.scans < self._wanted:
+            counting = self.log.scans > 0 or self.log.warm_ups > 0
+            reason = self._scan()
+            if reason is None and counting:
+                self._look_at_the_last()
+            elif not self.log.scans:
+                self.log.warm_ups += 1
+                if self.log.warm_ups > MOST_WARM_UPS:
+                    raise RuntimeError(f"no scan was good after {MOST_WARM_UPS} attempts: {reason}")
+            else:
+                self.log.refused.append(reason or "?")
+                if len(self.log.refused) > self._wanted:
+                    raise RuntimeError(f"more scans refused than wanted, the last for {reason}")
+
+    def _scan(self) -> str | None:
+        """One scan, kept; or the code of the alert that refused it."""
+        self._until(lambda: self._state() == "AIM")
+        since_ns = self._status().get("since_ns")
+        self._press("scan")
+        # A capture may be over before anybody has seen it: what counts is that the state was entered anew.
+        self._until(lambda: self._status().get("since_ns") != since_ns and self._state() in ("AIM", "REVIEW"))
+        if self._state() == "AIM":
+            alerts = self._status().get("alerts", [])
+            return str(alerts[0]["code"]) if alerts else "no alert"
+        count = self._status().get("scans")
+        time.sleep(0.6)  # a diver looks before keeping
+        self._press("scan")
+        self._until(lambda: self._state() == "AIM" and self._status().get("scans") != count)
+        return None
+
+    def _look_at_the_last(self) -> None:
+        last = self._library.last_id()
+        assert last is not None
+        record = self._library.load(last).manifest.record
+        self.log.scans += 1
+        ledger: Any = record.ledger
+        first = ledger["flips"][0]
+        for k, flip in enumerate(ledger["flips"]):
+            self.log.late_us.append((flip["time_ns"] - first["time_ns"] - k * ledger["period_ns"]) / 1e3)
+        for frames in ledger["frames"].values():
+            good = [frame for frame in frames if frame["status"] == "complete"]
+            self.log.lost_frames += int(ledger["expected"]) - len(good)
+        times_s = {k: float(v) for k, v in record.stage_times_s.items()}
+        arrived_ns = max(frames[-1]["received_ns"] for frames in ledger["frames"].values())
+        times_s["last_frame"] = (arrived_ns - (record.recorded_ns or 0)) / 1e9
+        self.log.times_s.append(times_s)
+        self.log.service_mb.append(own_memory_mb(os.getpid()) or 0.0)
+        self.log.worker_mb.append(sum(own_memory_mb(pid) or 0.0 for pid in children()))
+        folders = sorted((self._rig.storage.root / "scans").glob("[0-9]*"))
+        for old in folders[:-KEPT_FOLDERS]:
+            shutil.rmtree(old)
+
+    def _world(self) -> World | None:
+        return registry.find(str(self._rig.rig.wires_options.get("world", "main")))
+
+    def _press(self, key: str) -> None:
+        world = self._world()
+        if world is None:
+            raise RuntimeError("the world has ended")
+        world.press(key)
+
+    def _status(self) -> dict[str, Any]:
+        try:
+            said = json.loads((self._rig.storage.root / "run" / "status.json").read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return {}
+        return said if isinstance(said, dict) else {}
+
+    def _state(self) -> str | None:
+        return self._status().get("state")
+
+    def _until(self, predicate: Callable[[], bool]) -> None:
+        end_s = time.monotonic() + STEP_TIMEOUT_S
+        while not predicate():
+            if time.monotonic() > end_s:
+                raise RuntimeError(f"nothing happened for {STEP_TIMEOUT_S:g} s in state {self._state()}")
+            time.sleep(0.02)
+
+
+def children() -> list[int]:
+    """Processes that this one started."""
+    listed = Path(f"/proc/{os.getpid()}/task").glob("*/children")
+    return [int(pid) for path in listed for pid in path.read_text(encoding="ascii").split()]
+
+
+def rig_of(root: Path, size: str) -> Rig:
+    """The simulated instrument in real time, calibrated."""
+    rig = simulated(
+        load_rig(default_sim_rig()),
+        SimOptions(root=root, object_name="pipe", truth="modelled", seed=7, size=size, pace="realtime"),
+    )
+    rig = changed(rig, rig=changed(rig.rig, wires_options={**rig.rig.wires_options, "stills": True}))
+    world = options_from(rig.rig.wires_options)
+    truth = draw_truth(world.truth, world.seed, world.width_px, world.height_px, world.scene().water.index)
+    calibration = rig.storage.root / CALIBRATION_FILE
+    calibration.parent.mkdir(parents=True, exist_ok=True)
+    calibration.write_bytes(encode(true_calibration(truth, rig.rig.serial)))
+    return rig
+
+
+def main() -> int:
+    """Dive, and print what the log says."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--scans", type=int, default=100)
+    parser.add_argument("--size", default="1600x1200")
+    parser.add_argument("--root", type=Path, required=True)
+    wanted = parser.parse_args()
+    logging.basicConfig(level=logging.WARNING, stream=sys.stderr)
+    rig = rig_of(wanted.root.absolute(), wanted.size)
+    diver = Diver(rig, wanted.scans)
+    diver.start()
+    code = run(rig)
+    diver.join(STEP_TIMEOUT_S)
+    print(json.dumps(diver.log.__dict__))
+    return code or (1 if diver.log.error else 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
