@@ -66,8 +66,8 @@ RADIUS = np.array([161.0, 92.5, 132.0, 144.0, 138.0, 120.0])
 
 HIT_MM = 1e-7
 """A ray has arrived when the function is smaller than this; what remains is the last secant's."""
-NEAR_MM, LEAST_FALL = 0.1, 0.05
-"""Secants are tried where the function is this small and fell this fast, in mm per mm: they reach 2 mm at most."""
+NEAR_MM, REACH_MM, LAST_MM = 0.1, 1.0, 1e-4
+"""Secants are tried where the function is this small, and if they reach no further than this; and the last of them."""
 STRETCH = 1.9
 """How much of a stretched step's longest length (2: the balls of its ends just touch if the guess is right) is tried."""
 MARCH_STEPS = 300
@@ -227,7 +227,7 @@ def march(
     for _ in range(MARCH_STEPS):
         if f < HIT_MM:
             break
-        if f < NEAR_MM and fall > LEAST_FALL:
+        if f < NEAR_MM and f < fall * REACH_MM:
             step = f / fall
             g = implicit(kind, sizes, ox + (t + step) * dx, oy + (t + step) * dy, oz + (t + step) * dz)
             if g < -HIT_MM:
@@ -247,7 +247,7 @@ def march(
             return math.nan
     if not f < HIT_MM:
         return math.nan
-    return t + f / fall if fall > LEAST_FALL and f > -HIT_MM else t
+    return t + f / fall if abs(f) < fall * LAST_MM else t
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")

@@ -68,6 +68,20 @@ def test_marching_finds_the_first_surface_that_small_steps_find(name: str) -> No
 
 
 @pytest.mark.parametrize("name", list(NAMES))
+def test_marching_stops_at_the_surface_to_a_hundredth_of_a_micrometre(name: str) -> None:
+    rays = rays_at(name, 20_000, 9)
+    found = np.empty(len(rays))
+    march_all(NAMES[name], SIZES, rays, found)
+    rays, found = rays[np.isfinite(found)], found[np.isfinite(found)]
+    near, here, past = (field(name, rays[:, :3] + (found + d)[:, None] * rays[:, 3:]) for d in (-1e-5, 0.0, 1e-5))
+    steep = (near - past) / 2e-5 > 0.1
+    assert steep.mean() > 0.9
+    assert (near > 0.0)[steep].all(), "no ray is inside before it has arrived"
+    assert np.abs(here / (near - past) * 2e-5)[steep].max() < 1e-5
+    assert np.quantile(np.abs(here / (near - past) * 2e-5)[steep], 0.999) < 1e-8
+
+
+@pytest.mark.parametrize("name", list(NAMES))
 def test_what_is_hit_lies_in_box_and_ball_and_on_the_surface(name: str) -> None:
     rays = rays_at(name, 20_000, 3)
     found = np.empty(len(rays))
