@@ -45,11 +45,11 @@ def _lines(image: np.ndarray, memory_mb: Mapping[str, Sequence[float]]) -> None:
         cv2.line(image, (LEFT_PX, y), (WIDTH_PX - LEFT_PX, y), FAINT, 1)
         _write(image, f"{share * top:.0f}", (20, y + 5))
     for (name, line), colour in zip(memory_mb.items(), COLOURS, strict=False):
-        x = LEFT_PX + np.linspace(0, WIDTH_PX - 2 * LEFT_PX, max(2, len(line)))[: len(line)]
-        y = TOP_PX + HEIGHT_PX * (1.0 - np.asarray(line) / top)
-        points = np.stack([x, y], -1).astype(np.int32).reshape(-1, 1, 2)
+        across = LEFT_PX + np.linspace(0, WIDTH_PX - 2 * LEFT_PX, max(2, len(line)))[: len(line)]
+        down = TOP_PX + HEIGHT_PX * (1.0 - np.asarray(line) / top)
+        points = np.stack([across, down], -1).astype(np.int32).reshape(-1, 1, 2)
         cv2.polylines(image, [points], False, colour, 2, cv2.LINE_AA)
-        _write(image, name, (int(x[-1]) - 200, int(y[-1]) - 10))
+        _write(image, name, (int(across[-1]) - 200, int(down[-1]) - 10))
     _write(image, "Own memory from scan to scan, MB", (LEFT_PX, 26), 0.6)
 
 

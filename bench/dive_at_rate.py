@@ -38,6 +38,8 @@ MOST_WARM_UPS = 12
 KEPT_FOLDERS = 3
 """Older ones are deleted by this program, not by the instrument: a hundred scans are nine gigabytes."""
 STEP_TIMEOUT_S = 40.0
+PRESS_TIMEOUT_S, MOST_PRESSES = 3.0, 8
+"""A press may be refused (something is not ready yet): a diver presses again."""
 
 
 @dataclass
@@ -93,8 +95,11 @@ class Diver(threading.Thread):
         """One scan, kept; or the code of the alert that refused it."""
         self._until(lambda: self._state() == "AIM")
         since_ns = self._status().get("since_ns")
-        self._press("scan")
-        # A capture may be over before anybody has seen it: what counts is that the state was entered anew.
+        for _ in range(MOST_PRESSES):
+            self._press("scan")
+            # A capture may be over before anybody has seen it: what counts is that the state was entered anew.
+            if self._soon(lambda: self._status().get("since_ns") not in (since_ns, None)):
+                break
         self._until(lambda: self._status().get("since_ns") != since_ns and self._state() in ("AIM", "REVIEW"))
         if self._state() == "AIM":
             alerts = self._status().get("alerts", [])
@@ -146,11 +151,17 @@ class Diver(threading.Thread):
     def _state(self) -> str | None:
         return self._status().get("state")
 
+    def _soon(self, predicate: Callable[[], bool]) -> bool:
+        end_s = time.monotonic() + PRESS_TIMEOUT_S
+        while not predicate() and time.monotonic() < end_s:
+            time.sleep(0.02)
+        return predicate()
+
     def _until(self, predicate: Callable[[], bool]) -> None:
         end_s = time.monotonic() + STEP_TIMEOUT_S
         while not predicate():
             if time.monotonic() > end_s:
-                raise RuntimeError(f"nothing happened for {STEP_TIMEOUT_S:g} s in state {self._state()}")
+                raise RuntimeError(f"nothing happened for {STEP_TIMEOUT_S:g} s: {json.dumps(self._status())[:400]}")
             time.sleep(0.02)
 
 

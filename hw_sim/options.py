@@ -43,6 +43,7 @@ class WorldOptions:
     script: str | None = None
     status: str | None = None
     window: bool = False
+    stills: bool = False
 
     def __post_init__(self) -> None:
         if self.pace not in PACES:

@@ -34,6 +34,7 @@ from hw_sim.options import OptionError, WorldOptions
 from hw_sim.pace import START_NS, WorldTime
 from hw_sim.render import LightSlice, Renderer, Surface, TrueView
 from hw_sim.scene import Scene
+from hw_sim.stills import Stills
 from hw_sim.truth import SETS, TrueRig, draw_truth, load_truth
 
 __all__ = ["World", "WorldOptions"]
@@ -74,6 +75,7 @@ class World:
         self._scene = scene
         self._renderer_lock = threading.Lock()
         self._made_renderer: Renderer | None = None
+        self._stills = Stills() if o.stills else None
         self.time = WorldTime(o.idle_speed)
         self.faults = FaultBook(self.time.now_ns, self.time.at, self._broken_or_repaired)
         self._darkroom = Darkroom(self.time, SIDES, self._failed)
@@ -290,7 +292,7 @@ class World:
         exposure_s, gain_db = exposure.duration_ns / 1e9, exposure.gain_db
         made = self._darkroom.make(
             side,
-            lambda: self._renderer.expose(side, slices[::-1], moment_s, exposure_s, gain_db, lasers, seed),
+            lambda: self._image(side, slices[::-1], moment_s, exposure_s, gain_db, lasers, seed),
         )
         if made is not None:
             self._latest[side] = made
@@ -298,6 +300,23 @@ class World:
                 self._recorded[side] = made
             made.when_ready(lambda: self._seen.update({side: made.image}))
         return made
+
+    def _image(
+        self,
+        side: str,
+        slices: Sequence[LightSlice],
+        moment_s: float,
+        exposure_s: float,
+        gain_db: float,
+        lasers: tuple[bool, bool],
+        seed: int,
+    ) -> NDArray[np.uint8]:
+        """Without the lock: one image, made or, where that is asked for, repeated."""
+        renderer = self._renderer
+        if self._stills is None or not self._scene.motion.still:
+            return renderer.expose(side, slices, moment_s, exposure_s, gain_db, lasers, seed)
+        key = self._stills.key(side, repr(self._scene), slices, exposure_s, gain_db, lasers)
+        return self._stills.get(key, lambda: renderer.expose(side, slices, moment_s, exposure_s, gain_db, lasers, seed))
 
     def _noise_seed(self, side: str, shot: Shot) -> int:
         """The same for the same frame of the same sequence, however long the host took to come there."""

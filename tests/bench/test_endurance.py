@@ -1,0 +1,33 @@
+"""Scan after scan in real time: whatever is saved is whole, and the run says what it was like."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from bench.bench_endurance import dive, judged
+from bench.curves import draw_run
+
+
+@pytest.mark.parametrize(("scans", "size"), [(2, "400x300"), pytest.param(20, "1600x1200", marks=pytest.mark.long)])
+def test_a_dive_in_real_time_loses_no_frame(tmp_path: Path, scans: int, size: str) -> None:
+    log = dive(tmp_path, scans, size)
+    said = {number.key: number for number in judged(log)}
+    assert said["endurance_scans"].value == scans
+    assert said["endurance_lost_frames"].value == 0
+    assert len(log["late_us"]) == 24 * scans
+    assert said["endurance_latest_flip_us"].value < 1000.0, "a later flip would have been refused"
+    assert 0.0 < said["coarse_latency_ms"].value < said["full_latency_ms"].value
+    assert said["worker_growth_mb"].kept
+
+
+def test_more_flips_make_a_taller_bar(tmp_path: Path) -> None:
+    draw_run(tmp_path / "run.png", [0.0] * 90 + [400.0] * 2, {"service": [100.0, 110.0], "worker": [50.0, 50.0]})
+    picture = cv2.imread(str(tmp_path / "run.png"))
+    assert picture is not None
+    inked = (picture[:350] == (170, 120, 40)).all(-1).sum(0)
+    columns = np.flatnonzero(inked)
+    assert inked.max() > 3 * inked[columns[-3]], "the bar of the two late ones is short"
