@@ -1,9 +1,11 @@
-"""What a frame of the simulated cameras costs, at rest and in motion, and how far its short cuts are from exact."""
+"""What images of the simulated cameras cost: 24 of both, at rest and in motion; and how exact their short cut is."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,28 +18,77 @@ from hw_sim.scene import Scene
 from hw_sim.truth import draw_truth
 
 EXPOSURE_S = 0.012
+FRAMES = 24
+CORES = 2
+FULL, SMALL = (1600, 1200), (400, 300)
+HAND = Motion(velocity_mm_s=(8.0, 0.0, 6.0), tremor_mm=(0.05, 0.05, 0.0))
+"""A hand that drifts at 10 mm/s and trembles."""
+FIRST = Scene(object="plane")
+AT_REST, MOVING = Scene(object="pipe"), Scene(object="pipe", motion=HAND)
+MOVING_STONES = Scene(object="stones", motion=HAND)
+"""The object whose surface is the dearest."""
+
+
+@dataclass(frozen=True, slots=True)
+class Spent:
+    """Time that something took."""
+
+    wall_s: float
+    cpu_s: float
+    """Of the whole process."""
+    longest_thread_s: float
+
+    @property
+    def two_cores_s(self) -> float:
+        """Wall time on two cores with nothing else to do."""
+        return max(self.cpu_s / CORES, self.longest_thread_s)
 
 
 def measure() -> Iterator[Measured]:
-    scene = Scene(object="pipe")
-    truth = draw_truth("realistic", 1, 1600, 1200, scene.water.index)
-    light = [LightSlice(np.full((768, 1024), 200, np.uint8), EXPOSURE_S)]
-    seeds = iter(range(1_000_000))
+    record(Renderer(draw_truth("realistic", 1, 64, 48, FIRST.water.index), MOVING), frames=1)  # loads the kernels
+    for size, size_px, at_most_s in (
+        ("1600 x 1200", FULL, {"at rest": 5.0, "moving": 30.0, "moving stones": 30.0}),
+        ("400 x 300", SMALL, {"at rest": 0.5, "moving": 2.0, "moving stones": 4.0}),
+    ):
+        truth = draw_truth("realistic", 1, *size_px, FIRST.water.index)
+        before_s, before_cpu_s = time.perf_counter(), time.process_time()
+        renderer = Renderer(truth, FIRST)
+        first = record(renderer, frames=1)
+        begun = Spent(time.perf_counter() - before_s, time.process_time() - before_cpu_s, 0.0)
+        yield Measured(f"{size}, rig and first frames", begun.cpu_s, "s CPU", at_most=8.0)
+        yield Measured(f"{size}, rig and first frames", begun.wall_s, "s")
+        yield Measured(f"{size}, of these the frames", first.cpu_s, "s CPU")
+        for name, scene in (("at rest", AT_REST), ("moving", MOVING), ("moving stones", MOVING_STONES)):
+            renderer.scene = scene
+            spent = record(renderer, FRAMES)
+            sequence = f"{size}, {name}, {FRAMES} of both"
+            yield Measured(sequence, spent.cpu_s, "s CPU")
+            yield Measured(sequence, spent.wall_s, "s")
+            yield Measured(f"{sequence}, idle cores", spent.two_cores_s, "s", at_most=at_most_s[name])
+    yield from projection()
 
-    def frame(r: Renderer, time_s: float = 0.0) -> None:
-        r.expose("left", light, time_s, EXPOSURE_S, 0.0, (False, False), next(seeds))
 
-    warm = Renderer(draw_truth("realistic", 1, 64, 48, scene.water.index), scene)
-    frame(warm)
-    yield Measured(
-        "renderer and first frame, 1600 x 1200", cpu_ms(lambda: frame(Renderer(truth, scene))), "ms CPU", 3500
-    )
-    r = Renderer(truth, scene)
-    frame(r)
-    yield Measured("frame at rest", cpu_ms(lambda: frame(r), 8), "ms CPU", at_most=150.0)
-    r.scene = Scene(object="pipe", motion=Motion(velocity_mm_s=(5.0, 0.0, 10.0)))
-    times_s = iter(np.arange(1, 100) / 60.0)
-    yield Measured("frame in motion", cpu_ms(lambda: frame(r, float(next(times_s))), 3), "ms CPU", at_most=1500.0)
+def record(renderer: Renderer, frames: int) -> Spent:
+    """Both cameras' frames, each with a pattern of its own, in two threads as in the world."""
+    rng = np.random.default_rng(1)
+    patterns = [np.kron(rng.integers(0, 255, (96, 128), np.uint8), np.ones((8, 8), np.uint8)) for _ in range(frames)]
+
+    def expose(camera: str, k: int) -> float:
+        begun_s = time.thread_time()
+        light = [LightSlice(patterns[k], EXPOSURE_S)]
+        renderer.expose(camera, light, (k + 1) / 60.0, EXPOSURE_S, 0.0, (False, False), k)
+        return time.thread_time() - begun_s
+
+    before_s, before_cpu_s = time.perf_counter(), time.process_time()
+    with ThreadPoolExecutor(1) as left, ThreadPoolExecutor(1) as right:
+        pending = [(left.submit(expose, "left", k), right.submit(expose, "right", k)) for k in range(frames)]
+        threads_s = np.array([(a.result(), b.result()) for a, b in pending]).sum(axis=0)
+    return Spent(time.perf_counter() - before_s, time.process_time() - before_cpu_s, float(threads_s.max()))
+
+
+def projection() -> Iterator[Measured]:
+    """Where points are seen: the table against exact tracing."""
+    truth = draw_truth("realistic", 1, *FULL, FIRST.water.index)
     eye = truth.projector.packed(truth.n_water)
     uv = np.random.default_rng(1).uniform(0, [1023, 767], (50_000, 2))
     origin, direction = ray(truth, "projector", uv)
@@ -46,13 +97,7 @@ def measure() -> Iterator[Measured]:
     table = fit_table(eye)
     look_up_all(eye, table, points, found)
     yield Measured("projection by table, largest error", float(np.abs(found - uv).max()), "px", at_most=1e-4)
-    spent = cpu_ms(lambda: look_up_all(eye, table, points, found), 5)
-    yield Measured("projection by table", spent * 1e6 / len(uv), "ns", at_most=300.0)
-
-
-def cpu_ms(action: Callable[[], object], repeats: int = 1) -> float:
-    """Mean CPU time of this thread, ms."""
-    begin = time.thread_time()
-    for _ in range(repeats):
-        action()
-    return (time.thread_time() - begin) * 1000.0 / repeats
+    begun_s = time.thread_time()
+    for _ in range(5):
+        look_up_all(eye, table, points, found)
+    yield Measured("projection by table", (time.thread_time() - begun_s) * 1e9 / (5 * len(uv)), "ns", at_most=300.0)

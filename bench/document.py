@@ -47,6 +47,7 @@ TABLES: dict[str, tuple[tuple[str, str, str], ...]] = {
         ("worker_full_wall_ms", "last frame to full cloud, by the clock", "ms"),
         ("worker_ready_s", "start until warm", "s"),
         ("first_scan_s", "start until the first cloud, with compiled kernels", "s"),
+        ("first_scan_cpu_s", "the worker's CPU time for that", "s CPU"),
         ("worker_peak_mb", "peak memory, shared frames included", "MB"),
         ("raw_durable_ms", "raw frames durable, beyond the disk's own time", "ms"),
         ("disk_ms", "the disk's own time for these bytes", "ms"),
