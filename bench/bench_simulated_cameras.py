@@ -48,7 +48,7 @@ def measure() -> Iterator[Measured]:
     record(Renderer(draw_truth("realistic", 1, 64, 48, FIRST.water.index), MOVING), frames=1)  # loads the kernels
     for size, size_px, at_most_s in (
         ("1600 x 1200", FULL, {"at rest": 5.0, "moving": 30.0, "moving stones": 30.0}),
-        ("400 x 300", SMALL, {"at rest": 0.5, "moving": 2.0, "moving stones": 4.0}),
+        ("400 x 300", SMALL, {"at rest": 0.5, "moving": 3.0, "moving stones": 5.0}),
     ):
         truth = draw_truth("realistic", 1, *size_px, FIRST.water.index)
         before_s, before_cpu_s = time.perf_counter(), time.process_time()
