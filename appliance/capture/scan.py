@@ -151,8 +151,11 @@ class ScanRecorder:
             if not recording.done:
                 self._grabbers[side].cancel(recording)
                 self._grabbers[side].wait(recording, "done", COLLECT_TIMEOUT_S)
-        pulses = self._collect_pulses(len(sequence) if start and fault is None else 0, events)
-        if len(pulses) < len(sequence):
+        played = len(flips) == len(sequence) and fault is None
+        if not played:
+            self._disarm()  # at once: what is left of the sequence would light and expose nothing but the dark
+        pulses = self._collect_pulses(len(sequence) if played else 0, events)
+        if played and len(pulses) < len(sequence):
             self._disarm()
         ledger = Ledger(
             expected=len(sequence),

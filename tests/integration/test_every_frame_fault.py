@@ -124,6 +124,18 @@ def test_a_late_flip(bench: Bench, k: int) -> None:
     assert (report.fault.code, report.fault.numbers["frame"]) == (FaultCode.LATE_FLIP, k)
 
 
+@pytest.mark.parametrize("sentence", ["projector delayed frame=5", "camera.left garbage how=truncate frame=5"])
+def test_a_scan_that_is_given_up_stops_the_pulses_at_once(bench: Bench, sentence: str) -> None:
+    bench.world.fault(sentence)
+    report = bench.record()
+    bench.world.clear_faults()
+    assert bench.world.armed is None
+    assert len(report.ledger.pulses) < N
+    # Neither does it wait for the pulses that no longer come.
+    assert (bench.world.time_ns - report.ledger.flips[-1].time_ns) / 1e9 < 0.2
+    assert bench.record().fault is None
+
+
 def test_a_pulse_that_was_not_fired(bench: Bench) -> None:
     bench.world.fault("board intermittent frame=7")
     report = bench.record()
