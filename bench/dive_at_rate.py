@@ -104,10 +104,10 @@ class Diver(threading.Thread):
         if self._state() == "AIM":
             alerts = self._status().get("alerts", [])
             return str(alerts[0]["code"]) if alerts else "no alert"
-        count = self._status().get("scans")
+        before = self._status().get("last_scan")
         time.sleep(0.6)  # a diver looks before keeping
         self._press("scan")
-        self._until(lambda: self._state() == "AIM" and self._status().get("scans") != count)
+        self._until(lambda: self._state() == "AIM" and self._status().get("last_scan") != before)
         return None
 
     def _look_at_the_last(self) -> None:

@@ -136,7 +136,7 @@ class Service:
                     break
                 events += self._board_event(report)
         events += self._desk.poll()
-        if not self._boot_told and self._devices.all_tried and self._desk.worker_ready:
+        if not self._boot_told and self._devices.all_tried and self._desk.worker_settled:
             self._boot_told = True
             events.append(on.BootFinished())
         reason = self._stop_reason()

@@ -25,7 +25,7 @@ from appliance.machine import events as on
 from appliance.optics.water import Water
 from appliance.patterns.sequence import PatternSequence
 from appliance.reconstruct.pipeline import Cloud
-from appliance.reconstruct.worker import CloudReady, ReconstructionWorker, WorkerFailed, WorkerReady, WorkOrder
+from appliance.reconstruct.worker import CloudReady, ReconstructionWorker, WorkerFailed, WorkerReady, WorkLimits, WorkOrder
 from appliance.storage.atomic import StorageError
 from appliance.storage.library import Library, PendingScan
 from appliance.storage.record import ScanRecord, SequenceInfo, Verdict
@@ -65,6 +65,7 @@ class ScanDesk:
         sequence: PatternSequence,
         library: Library,
         clock: Clock,
+        limits: WorkLimits | None = None,
     ) -> None:
         left = rig.camera.left
         self._rig = rig
@@ -75,12 +76,13 @@ class ScanDesk:
         self.water = Water(rig.water.temperature_c, rig.water.salinity_psu, rig.water.wavelength_nm)
         self.store = FrameStore(len(sequence), left.height_px, left.width_px)
         order = WorkOrder(calibration, self.water, sequence.period_px, sequence.width_px, sequence.height_px)
-        self.worker = ReconstructionWorker(order, self.store, clock)
+        self.worker = ReconstructionWorker(order, self.store, clock, limits)
         self._disk = ThreadPoolExecutor(1, "kf-storage")
         self._answers: list[Future[list[on.Event]]] = []
         self._scan_bytes = size_bytes(len(sequence), left.width_px, left.height_px)
         self.scan: ScanInWork | None = None
-        self.worker_ready = False
+        self.worker_settled = False
+        """It is warm, or it cannot be: nothing more is to be waited for at the start."""
 
     def __enter__(self) -> Self:
         self.worker.__enter__()
@@ -177,13 +179,17 @@ class ScanDesk:
             events += answer.result()
         match self.worker.poll():
             case WorkerReady():
-                self.worker_ready = True
+                self.worker_settled = True
+                events.append(on.ConditionCleared(FaultCode.RECONSTRUCTION_FAILED))
             case CloudReady() as ready:
                 events += self._cloud(ready)
             case WorkerFailed() as failed:
-                self.worker_ready = False
                 if failed.scan is not None:
                     events.append(on.ReconstructionFailed(failed.scan, failed.fault))
+                if self.worker.pid is None:
+                    # It has given up until the next scan begins: frames can still be recorded and saved.
+                    self.worker_settled = True
+                    events.append(on.ConditionRaised(failed.fault))
             case None:
                 pass
         return events

@@ -1,0 +1,43 @@
+"""Without a process that reconstructs, the instrument starts all the same, says so, and tries again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from appliance.calibration.design import Design, design_calibration
+from appliance.capture.fault import FaultCode
+from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
+from appliance.config import load_rig
+from appliance.machine import events as on
+from appliance.optics.water import Water
+from appliance.patterns.sequence import build_sequence
+from appliance.reconstruct.worker import WorkLimits
+from appliance.service.scans import ScanDesk
+from appliance.storage.library import Library
+from drivers.native import MonotonicClock
+
+
+def events_until_settled(desk: ScanDesk, timeout_s: float = 60.0) -> list[on.Event]:
+    clock, found = MonotonicClock(), []
+    end_ns = clock.now_ns() + int(timeout_s * 1e9)
+    while not desk.worker_settled and clock.now_ns() < end_ns:
+        found += desk.poll()
+        clock.sleep_s(0.01)
+    return found
+
+
+def test_a_worker_that_cannot_live_is_a_condition_and_no_endless_boot(tmp_path: Path) -> None:
+    rig = simulated(load_rig(default_sim_rig()), SimOptions(root=tmp_path, size="400x300"))
+    calibration = design_calibration(
+        Design(11.5, 18.0, 230.0, 12.41, 30.0, 5.0, 1.77), "KF-TEST", 400, 300, Water(20.0, 0.0, 530.0)
+    )
+    library = Library(tmp_path)
+    library.prepare()
+    for memory_mb, expected in ((20.0, on.ConditionRaised), (2000.0, on.ConditionCleared)):
+        limits = WorkLimits(memory_mb=memory_mb)
+        with ScanDesk(rig, calibration, build_sequence(16), library, MonotonicClock(), limits) as desk:
+            (event,) = events_until_settled(desk)
+            assert isinstance(event, expected)
+            fault = event.fault if isinstance(event, on.ConditionRaised) else event
+            assert fault.code is FaultCode.RECONSTRUCTION_FAILED
+            assert desk.worker_settled
