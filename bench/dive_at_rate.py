@@ -95,18 +95,15 @@ class Diver(threading.Thread):
         """One scan, kept; or the code of the alert that refused it."""
         self._until(lambda: self._state() == "AIM")
         since_ns = self._status().get("since_ns")
-        for _ in range(MOST_PRESSES):
-            self._press("scan")
-            # A capture may be over before anybody has seen it: what counts is that the state was entered anew.
-            if self._soon(lambda: self._status().get("since_ns") not in (since_ns, None)):
-                break
+        # A capture may be over before anybody has seen it: what counts is that the state was entered anew.
+        self._press_until(lambda: self._status().get("since_ns") not in (since_ns, None))
         self._until(lambda: self._status().get("since_ns") != since_ns and self._state() in ("AIM", "REVIEW"))
         if self._state() == "AIM":
             alerts = self._status().get("alerts", [])
             return str(alerts[0]["code"]) if alerts else "no alert"
         before = self._status().get("last_scan")
         time.sleep(0.6)  # a diver looks before keeping
-        self._press("scan")
+        self._press_until(lambda: self._state() in ("SAVING", "AIM"))
         self._until(lambda: self._state() == "AIM" and self._status().get("last_scan") != before)
         return None
 
@@ -151,11 +148,15 @@ class Diver(threading.Thread):
     def _state(self) -> str | None:
         return self._status().get("state")
 
-    def _soon(self, predicate: Callable[[], bool]) -> bool:
-        end_s = time.monotonic() + PRESS_TIMEOUT_S
-        while not predicate() and time.monotonic() < end_s:
-            time.sleep(0.02)
-        return predicate()
+    def _press_until(self, predicate: Callable[[], bool]) -> None:
+        """Press SCAN, and again when nothing follows; ``_until`` says later that nothing did."""
+        for _ in range(MOST_PRESSES):
+            self._press("scan")
+            end_s = time.monotonic() + PRESS_TIMEOUT_S
+            while time.monotonic() < end_s:
+                if predicate():
+                    return
+                time.sleep(0.02)
 
     def _until(self, predicate: Callable[[], bool]) -> None:
         end_s = time.monotonic() + STEP_TIMEOUT_S

@@ -25,7 +25,14 @@ from appliance.machine import events as on
 from appliance.optics.water import Water
 from appliance.patterns.sequence import PatternSequence
 from appliance.reconstruct.pipeline import Cloud
-from appliance.reconstruct.worker import CloudReady, ReconstructionWorker, WorkerFailed, WorkerReady, WorkLimits, WorkOrder
+from appliance.reconstruct.worker import (
+    CloudReady,
+    ReconstructionWorker,
+    WorkerFailed,
+    WorkerReady,
+    WorkLimits,
+    WorkOrder,
+)
 from appliance.storage.atomic import StorageError
 from appliance.storage.library import Library, PendingScan
 from appliance.storage.record import ScanRecord, SequenceInfo, Verdict
