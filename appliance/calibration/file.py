@@ -2,6 +2,9 @@
 
 The text is JSON with sorted keys; ``sha256`` is that of the compact form of everything else. Lengths are mm, image
 coordinates px, angles never appear (rotations are matrices).
+
+Schema 2 is schema 1 with an image correction in a camera. It is written only where there is one: a program that knows
+no corrections must refuse such a file, not read past what it does not know.
 """
 
 from __future__ import annotations
@@ -15,12 +18,16 @@ from typing import Any, cast
 
 import numpy as np
 
+from appliance.optics.correction import ImageCorrection, node_count
 from appliance.optics.model import HousedCamera, Matrix3, StereoRig
 from appliance.optics.pinhole import Lens
 from appliance.optics.port import Port
 from appliance.optics.water import Water
 
 SCHEMA = 1
+SCHEMA_WITH_CORRECTION = 2
+SCHEMAS = (SCHEMA, SCHEMA_WITH_CORRECTION)
+MAX_INTERVALS = 64
 MAX_BYTES = 16 * 1024 * 1024
 
 
@@ -69,8 +76,9 @@ def decode(data: bytes, name: str = "calibration") -> Calibration:
     if not isinstance(content, dict):
         raise CalibrationError(f"{name}: a JSON object was expected, not {type(content).__name__}; {remedy}")
     schema = content.get("schema")
-    if schema != SCHEMA:
-        raise CalibrationError(f"{name}: schema {schema!r}; this version reads schema {SCHEMA}; {remedy}")
+    if isinstance(schema, bool) or schema not in SCHEMAS:
+        known = " and ".join(str(number) for number in SCHEMAS)
+        raise CalibrationError(f"{name}: schema {schema!r}; this version reads schema {known}; {remedy}")
     stated = content.pop("sha256", None)
     actual = _digest(content)
     if stated != actual:
@@ -113,8 +121,9 @@ def _digest(content: dict[str, Any]) -> str:
 
 
 def _content(calibration: Calibration) -> dict[str, Any]:
+    corrected = any(camera.correction is not None for camera in (calibration.rig.left, calibration.rig.right))
     return {
-        "schema": SCHEMA,
+        "schema": SCHEMA_WITH_CORRECTION if corrected else SCHEMA,
         "rig_serial": calibration.rig_serial,
         "method": calibration.method,
         "made_at": calibration.made_at,
@@ -130,7 +139,7 @@ def _content(calibration: Calibration) -> dict[str, Any]:
 
 
 def _camera(camera: HousedCamera) -> dict[str, Any]:
-    return {
+    table: dict[str, Any] = {
         "width_px": camera.width_px,
         "height_px": camera.height_px,
         "f_px": list(camera.lens.f_px),
@@ -145,6 +154,12 @@ def _camera(camera: HousedCamera) -> dict[str, Any]:
             "glass_index": camera.port.glass_index,
         },
     }
+    if camera.correction is not None:
+        table["correction"] = {
+            "intervals": list(camera.correction.intervals),
+            "coefficients_px": list(camera.correction.coefficients_px),
+        }
+    return table
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,9 +216,10 @@ class _Reader:
         if abs(math.hypot(*normal) - 1.0) > 1e-6 or normal[2] < 0.5:
             raise self.fail(f"{side}.port.normal", normal, "a unit vector towards the water")
         distortion = self.numbers(table, "distortion", 5, -100.0, 100.0)
+        width_px, height_px = (int(self.number(table, key, 16, 16384)) for key in ("width_px", "height_px"))
         return HousedCamera(
-            width_px=int(self.number(table, "width_px", 16, 16384)),
-            height_px=int(self.number(table, "height_px", 16, 16384)),
+            width_px=width_px,
+            height_px=height_px,
             lens=Lens(
                 cast(tuple[float, float], self.numbers(table, "f_px", 2, 1.0, 1e6)),
                 cast(tuple[float, float], self.numbers(table, "c_px", 2, -1e5, 1e5)),
@@ -219,4 +235,14 @@ class _Reader:
             translation_mm=cast(
                 tuple[float, float, float], self.numbers(table, "translation_mm", 3, -10000.0, 10000.0)
             ),
+            correction=self.correction(table, width_px, height_px),
         )
+
+    def correction(self, camera: dict[str, Any], width_px: int, height_px: int) -> ImageCorrection | None:
+        if "correction" not in camera:
+            return None
+        table = self.table(camera, "correction")
+        across, down = (int(n) for n in self.numbers(table, "intervals", 2, 1, MAX_INTERVALS))
+        count = 2 * node_count((across, down))
+        coefficients = self.numbers(table, "coefficients_px", count, -100.0, 100.0)
+        return ImageCorrection(width_px, height_px, (across, down), coefficients)

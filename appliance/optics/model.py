@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.optics.correction import ImageCorrection
 from appliance.optics.pinhole import Lens
 from appliance.optics.port import Port, air_directions, water_rays
 
@@ -26,10 +27,13 @@ class HousedCamera:
     port: Port
     rotation: Matrix3 = IDENTITY
     translation_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    correction: ImageCorrection | None = None
+    """What lens and window do beyond their formulas, where the calibration could see it."""
 
     def rays(self, uv_px: Array, water_index: float) -> tuple[Array, Array]:
         """Water rays of pixels (..., 2): (origins on the outer glass face, unit directions), left camera frame, mm."""
-        origin, direction = water_rays(self.port, water_index, self.lens.to_directions(uv_px))
+        ideal = uv_px if self.correction is None else self.correction.to_ideal(uv_px)
+        origin, direction = water_rays(self.port, water_index, self.lens.to_directions(ideal))
         R = np.asarray(self.rotation)
         return origin @ R.T + np.asarray(self.translation_mm), direction @ R.T
 
@@ -41,7 +45,8 @@ class HousedCamera:
         direction = air_directions(self.port, water_index, local)
         with np.errstate(invalid="ignore", divide="ignore"):
             xy = direction[..., :2] / np.where(direction[..., 2:] > 0.0, direction[..., 2:], np.nan)
-        return self.lens.to_pixels(xy)
+        ideal = self.lens.to_pixels(xy)
+        return ideal if self.correction is None else self.correction.to_real(ideal)
 
 
 @dataclass(frozen=True, slots=True)

@@ -58,8 +58,8 @@ def test_a_value_out_of_range_is_named_although_the_checksum_fits(calibration: C
 
 def test_another_schema_is_refused(calibration: Calibration) -> None:
     content = json.loads(encode(calibration))
-    content["schema"] = 2
-    with pytest.raises(CalibrationError, match="schema 2; this version reads schema 1"):
+    content["schema"] = 3
+    with pytest.raises(CalibrationError, match="schema 3; this version reads schema 1 and 2"):
         decode(json.dumps(content).encode())
 
 

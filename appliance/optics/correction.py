@@ -1,0 +1,90 @@
+"""Owns the image correction: what a real lens and window do to a pixel beyond every formula, as a smooth surface.
+
+A uniform bicubic B-spline over the image. Pixel (u, v) looks where the ideal pixel (u, v) − s(u, v) would look. The
+surface is at most some tenths of a pixel and changes slowly, so that it is inverted by repeated substitution.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+INTERVALS = (6, 5)
+"""Intervals across and down the image: the coarsest that follow what lenses do beyond five coefficients."""
+SUBSTITUTIONS = 12
+TOLERANCE_PX = 1e-11
+
+
+@dataclass(frozen=True, slots=True)
+class ImageCorrection:
+    """A bicubic B-spline in px. ``coefficients_px`` holds (s_u, s_v) per node, row by row: (down+3)·(across+3)·2."""
+
+    width_px: int
+    height_px: int
+    intervals: tuple[int, int]
+    """Intervals across, down."""
+    coefficients_px: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        wanted = 2 * node_count(self.intervals)
+        if len(self.coefficients_px) != wanted:
+            raise ValueError(
+                f"image correction with {len(self.coefficients_px)} coefficients; {self.intervals[0]} × "
+                f"{self.intervals[1]} intervals need {wanted}; calibrate again"
+            )
+
+    def shift_px(self, uv_px: Array) -> Array:
+        """s at pixels (..., 2): px, same shape. Beyond the image's edge the edge's value goes on."""
+        uv = np.asarray(uv_px, np.float64)
+        columns, rows = self.intervals
+        iu, wu = basis(uv[..., 0], self.width_px, columns)
+        iv, wv = basis(uv[..., 1], self.height_px, rows)
+        nodes = np.reshape(self.coefficients_px, (rows + 3, columns + 3, 2))
+        shift = np.zeros_like(uv)
+        for j in range(4):
+            for i in range(4):
+                shift += (wv[..., j] * wu[..., i])[..., None] * nodes[iv + j, iu + i]
+        return shift
+
+    def to_ideal(self, uv_px: Array) -> Array:
+        """Ideal pixels (..., 2) of real ones (..., 2)."""
+        return np.asarray(np.asarray(uv_px, np.float64) - self.shift_px(uv_px))
+
+    def to_real(self, ideal_px: Array) -> Array:
+        """Real pixels (..., 2) of ideal ones (..., 2): inverts ``to_ideal``; NaN stays NaN."""
+        ideal = np.asarray(ideal_px, np.float64)
+        known = np.isfinite(ideal).all(axis=-1, keepdims=True)
+        start = np.where(known, ideal, 0.0)
+        real = start
+        for _ in range(SUBSTITUTIONS):
+            step = start + self.shift_px(real) - real
+            real = real + step
+            if float(np.max(np.abs(step), initial=0.0)) < TOLERANCE_PX:
+                break
+        return np.where(known, real, np.nan)
+
+
+def node_count(intervals: tuple[int, int]) -> int:
+    """Nodes of a bicubic B-spline."""
+    return (intervals[0] + 3) * (intervals[1] + 3)
+
+
+def basis(at_px: Array, size_px: int, intervals: int) -> tuple[NDArray[np.intp], Array]:
+    """First node (...,) and the four cubic B-spline weights (..., 4) at coordinates of one direction."""
+    t = np.clip((np.asarray(at_px, np.float64) + 0.5) / size_px, 0.0, 1.0) * intervals
+    first = np.minimum(t.astype(np.intp), intervals - 1)
+    f = t - first
+    weights = np.stack(
+        [
+            (1.0 - f) ** 3,
+            3.0 * f**3 - 6.0 * f**2 + 4.0,
+            -3.0 * f**3 + 3.0 * f**2 + 3.0 * f + 1.0,
+            f**3,
+        ],
+        axis=-1,
+    )
+    return first, weights / 6.0
