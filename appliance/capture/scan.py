@@ -147,13 +147,13 @@ class ScanRecorder:
         except DeviceError as error:
             fault = device_fault(error.device, error.message)
         recording_s = (self._clock.now_ns() - begun_ns) / 1e9
+        played = len(flips) == len(sequence) and fault is None
+        if not played:
+            self._disarm()  # at once: what is left of the sequence would expose nothing but the dark
         for side, recording in recordings.items():
             if not recording.done:
                 self._grabbers[side].cancel(recording)
                 self._grabbers[side].wait(recording, "done", COLLECT_TIMEOUT_S)
-        played = len(flips) == len(sequence) and fault is None
-        if not played:
-            self._disarm()  # at once: what is left of the sequence would light and expose nothing but the dark
         pulses = self._collect_pulses(len(sequence) if played else 0, events)
         if played and len(pulses) < len(sequence):
             self._disarm()

@@ -47,7 +47,9 @@ def bench() -> Iterator[Bench]:
     with ExitStack() as stack:
         name = "every-frame-fault"
         world = stack.enter_context(
-            World(WorldOptions(world=name, width_px=WIDTH, height_px=HEIGHT, object="plane", idle_speed=2.0))
+            World(
+                WorldOptions(world=name, width_px=WIDTH, height_px=HEIGHT, object="plane", idle_speed=2.0, stills=True)
+            )
         )
         wires = stack.enter_context(open_wires({"world": name}))
         kms = drivers_rig.OutputKind("kms")
