@@ -2,33 +2,25 @@
 
 The parent sends small messages; pixels stay in the shared frame store and points come back through shared memory.
 A worker that dies, does not answer in time or takes too much memory is killed and started again, and the scan it had is
-processed again from the raw frames, which are untouched by all of that.
+processed again from the raw frames, which are untouched by all of that. The child's side is ``serve``.
 """
 
 from __future__ import annotations
 
 import multiprocessing
-import os
-import signal
 import threading
-import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from multiprocessing.shared_memory import SharedMemory
 from pathlib import Path
 from types import TracebackType
 
-import numpy as np
-
-from appliance.calibration.file import Calibration, decode, encode
+from appliance.calibration.file import Calibration, encode
 from appliance.capture.fault import Fault, FaultCode
 from appliance.capture.store import SIDES, FrameStore
 from appliance.optics.water import Water
-from appliance.patterns.sequence import PatternSequence, build_sequence
-from appliance.reconstruct.pipeline import Pipeline
+from appliance.reconstruct.serve import work
 from appliance.reconstruct.table import POINT_BYTES, Cloud, Found, PointTable
-from appliance.reconstruct.warm import run_empty_scan
 from drivers.api import Clock
 
 STOP_TIMEOUT_S = 2.0
@@ -38,6 +30,8 @@ MOST_ATTEMPTS = 2
 MOST_FRUITLESS_STARTS = 4
 """In a row, without a cloud in between; then the worker stays down until the next scan begins."""
 POLL_S = 0.002
+PING_S = 1.0
+"""How often a worker with nothing to do is asked whether it is there."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +53,8 @@ class WorkLimits:
     """A cold start without compiled kernels takes several seconds."""
     cloud_s: float = 10.0
     """From the last frame to the full cloud; a hundred times what it takes."""
+    alive_s: float = 5.0
+    """From a question to its answer while it has nothing to do."""
     memory_mb: float = 600.0
     """Of its own; the shared frames do not count."""
 
@@ -98,7 +94,8 @@ class ReconstructionWorker:
         self._order = order
         self._store = store
         self._clock = clock
-        self._limits = limits or WorkLimits()
+        self.limits = limits or WorkLimits()
+        """May be replaced at any time; what it can still ask for is fixed when it starts."""
         left = order.calibration.rig.left
         self._capacity = left.width_px * left.height_px
         self._results = SharedMemory(create=True, size=self._capacity * POINT_BYTES)
@@ -106,26 +103,41 @@ class ReconstructionWorker:
         self._process: multiprocessing.process.BaseProcess | None = None
         self._pipe: Connection | None = None
         self._sending = threading.Lock()
+        self._starting = False
         self._deadline_ns: int | None = None
+        self._alive_ns = 0
+        """When it said something last, or was asked to."""
+        self._asked = False
         self._memory_check_ns = 0
         self._scan: int | None = None
+        self._ticket = 0
+        """Counts the scans begun; what the worker says of an earlier one is of no interest."""
         self._finishing = False
         """All frames of the scan are there, and the cloud is awaited."""
         self._missed = False
         """The worker was started again since the scan began: it must be told of all frames once more."""
         self._attempts = 0
         self._fruitless = 0
+        self._not_started: str | None = None
+        """Why there is no process although there should be one."""
         self.restarts = 0
         """How often the process had to be started again."""
 
     def __enter__(self) -> ReconstructionWorker:
-        self._start()
+        try:
+            self._start()
+        except BaseException:
+            self._release()
+            raise
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._stop()
+        self._stop(STOP_TIMEOUT_S)
+        self._release()
+
+    def _release(self) -> None:
         self._results.close()
         self._results.unlink()
 
@@ -137,10 +149,11 @@ class ReconstructionWorker:
     def begin(self, scan: int) -> None:
         """A new scan's frames will follow."""
         self._scan, self._finishing, self._missed, self._attempts = scan, False, False, 1
+        self._ticket += 1
         if self._process is None:
             self._fruitless = 0
-            self._start()
-        self._send(("begin", scan))
+            self._start_again()
+        self._send(("begin", self._ticket))
 
     def frame(self, side: str, index: int) -> None:
         """Frame ``index`` of ``side`` is in the store."""
@@ -148,16 +161,24 @@ class ReconstructionWorker:
             self._send(("frame", side, index))
 
     def finish(self) -> None:
-        """All frames are there and the ledger agrees: answer with the coarse, then the full cloud."""
+        """All frames are there and the ledger agrees: answer with the coarse, then the full cloud.
+
+        Nothing happens where the scan was given up before: that was said.
+        """
+        if self._scan is None:
+            return
         self._finishing = True
         if self._missed:
             self._tell_again()
-        self._await_cloud()
+        if not self._starting:  # else from the moment it is ready
+            self._await_cloud()
         self._send(("finish",))
 
     def drop(self) -> None:
         """Forget the scan that was begun."""
-        self._scan, self._finishing, self._deadline_ns = None, False, None
+        self._scan, self._finishing = None, False
+        if not self._starting:
+            self._deadline_ns = None
         self._send(("drop",))
 
     def reprocess(self, scan: int) -> None:
@@ -167,36 +188,39 @@ class ReconstructionWorker:
         self.finish()
 
     def poll(self) -> WorkerEvent | None:
-        """The next event, or ``None``. Restarts a worker that died or exceeded its limits, and reports that once."""
+        """The next event, or ``None``. Restarts a worker that died or exceeded its limits, and reports that once.
+
+        Never waits: the caller is the heartbeat.
+        """
         pipe, process = self._pipe, self._process
         if pipe is None or process is None:
-            return None
+            return self._restart(self._not_started) if self._not_started is not None else None
         try:
             message = pipe.recv() if pipe.poll(0.0) else None
         except (EOFError, OSError):
-            process.join(STOP_TIMEOUT_S)
+            process.join(STOP_TIMEOUT_S)  # it closed its end: it is ending
             return self._restart(f"the process ended with code {process.exitcode}")
+        now_ns = self._clock.now_ns()
         if message is None:
-            now_ns = self._clock.now_ns()
-            if self._deadline_ns is not None and now_ns > self._deadline_ns:
-                return self._restart("it did not answer in time")
-            return self._check_memory(now_ns)
+            return self._check_answer(now_ns) or self._check_memory(now_ns)
+        self._alive_ns, self._asked = now_ns, False
         match message:
             case ("ready",):
-                self._deadline_ns = None
+                self._deadline_ns, self._starting = None, False
                 if self._finishing:
                     self._await_cloud()
                 return WorkerReady()
-            case ("cloud", int(scan), bool(full), Found() as found, float(cpu_s)):
-                cloud = self._cloud(found)
-                if scan != self._scan:
+            case ("pong",):
+                return None
+            case ("cloud", int(ticket), bool(full), Found() as found, float(cpu_s)):
+                return self._taken(full, found, cpu_s) if ticket == self._ticket else None
+            case ("failed", int(ticket), str(text)):
+                if ticket != self._ticket:
                     return None
-                if full:
-                    self._finishing, self._deadline_ns, self._fruitless = False, None, 0
-                return CloudReady(scan, full, cloud, cpu_s)
-            case ("failed", str(text)):
                 current, self._scan, self._finishing, self._deadline_ns = self._scan, None, False, None
                 return WorkerFailed(current, Fault(FaultCode.RECONSTRUCTION_FAILED, text))
+            case ("crashed", str(text)):
+                return self._restart(f"it failed: {text}")
             case _:
                 return self._restart(f"it sent {message!r:.60}")
 
@@ -210,30 +234,46 @@ class ReconstructionWorker:
             self._clock.sleep_s(POLL_S)
 
     def _await_cloud(self) -> None:
-        self._deadline_ns = self._clock.now_ns() + int(self._limits.cloud_s * 1e9)
+        self._deadline_ns = self._clock.now_ns() + int(self.limits.cloud_s * 1e9)
 
     def _tell_again(self) -> None:
         """Of all frames of the scan, from the first on."""
         self._missed = False
-        self._send(("begin", self._scan))
+        self._send(("begin", self._ticket))
         for index in range(self._store.shape[0]):
             for side in SIDES:
                 self.frame(side, index)
+
+    def _check_answer(self, now_ns: int) -> WorkerFailed | None:
+        """Whether it is late with what was asked, or with a sign of life."""
+        if self._deadline_ns is not None:
+            return self._restart("it did not answer in time") if now_ns > self._deadline_ns else None
+        waited_s = (now_ns - self._alive_ns) / 1e9
+        if self._asked and waited_s > self.limits.alive_s:
+            return self._restart(f"it gave no sign of life for {self.limits.alive_s:g} s")
+        if not self._asked and waited_s > PING_S:
+            self._alive_ns, self._asked = now_ns, True
+            self._send(("ping",))
+        return None
 
     def _check_memory(self, now_ns: int) -> WorkerFailed | None:
         if self.pid is None or now_ns < self._memory_check_ns:
             return None
         self._memory_check_ns = now_ns + int(MEMORY_CHECK_S * 1e9)
-        used_mb, most_mb = own_memory_mb(self.pid), self._limits.memory_mb
+        used_mb, most_mb = own_memory_mb(self.pid), self.limits.memory_mb
         if used_mb is None or used_mb <= most_mb:
             return None
         return self._restart(f"it took {used_mb:.0f} MB of memory; allowed are {most_mb:.0f} MB")
 
-    def _cloud(self, found: Found) -> Cloud:
+    def _taken(self, full: bool, found: Found, cpu_s: float) -> CloudReady | None:
+        if self._scan is None:
+            return None  # dropped meanwhile
         # No reference to the memory may outlive this call: it could not be closed.
         cloud = PointTable(self._capacity, self._results.buf).cloud(found)
-        self._send(("taken",))
-        return cloud
+        self._send(("taken", self._ticket))
+        if full:
+            self._finishing, self._deadline_ns, self._fruitless = False, None, 0
+        return CloudReady(self._scan, full, cloud, cpu_s)
 
     def _send(self, message: tuple[object, ...]) -> None:
         pipe = self._pipe
@@ -258,34 +298,51 @@ class ReconstructionWorker:
                 (order.period_px, order.projector_width_px, order.projector_height_px),
                 (self._store.name, *self._store.shape),
                 self._results.name,
+                self.limits.memory_mb,
             ),
             daemon=True,
         )
-        process.start()
-        theirs.close()
-        self._pipe, self._process = ours, process
-        self._deadline_ns = self._clock.now_ns() + int(self._limits.start_s * 1e9)
+        try:
+            process.start()
+        except BaseException:
+            ours.close()
+            raise
+        finally:
+            theirs.close()
+        self._pipe, self._process, self._starting = ours, process, True
+        self._alive_ns, self._asked = self._clock.now_ns(), False
+        self._deadline_ns = self._alive_ns + int(self.limits.start_s * 1e9)
 
-    def _stop(self) -> None:
+    def _start_again(self) -> None:
+        """A machine that has no room for another process now is a failure of this start, not of the service."""
+        try:
+            self._start()
+            self._not_started = None
+        except OSError as error:
+            self._not_started = f"no process could be started: {error.strerror or error}"
+
+    def _stop(self, patience_s: float) -> None:
+        """Close the pipe, which ends a worker that listens; kill it when it is still there after ``patience_s``."""
         pipe, process = self._pipe, self._process
         self._pipe = self._process = None
         if pipe is not None:
             pipe.close()
         if process is not None:
-            process.join(STOP_TIMEOUT_S)
+            process.join(patience_s)
             if process.is_alive():
                 process.kill()
                 process.join(STOP_TIMEOUT_S)
 
     def _restart(self, why: str) -> WorkerFailed:
         """Start again, with the scan in work if it has an attempt left."""
-        self._stop()
+        self._stop(0.0)  # the heartbeat waits meanwhile
+        self._not_started = None
         self.restarts += 1
         self._fruitless += 1
         if self._fruitless >= MOST_FRUITLESS_STARTS:
             lost, self._scan, self._finishing, self._deadline_ns = self._scan, None, False, None
             return _failed(lost, f"the worker failed {self._fruitless} times in a row, the last time because {why}")
-        self._start()
+        self._start_again()
         lost = None
         if self._scan is not None:
             if self._attempts >= MOST_ATTEMPTS:
@@ -311,76 +368,3 @@ def own_memory_mb(pid: int) -> float | None:
         return None
     kb = {line.split(":")[0]: line.split()[1] for line in status.splitlines() if line.startswith("Rss")}
     return (int(kb.get("RssAnon", "0")) + int(kb.get("RssFile", "0"))) / 1000.0 if kb else None
-
-
-def work(
-    pipe: Connection,
-    calibration: bytes,
-    water: Water,
-    sequence: tuple[int, int, int],
-    store: tuple[str, int, int, int],
-    results: str,
-) -> None:
-    """The child's main function: serve messages until the pipe closes."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the service decides when to end
-    os.nice(5)
-    name, frames, height_px, width_px = store
-    memory = SharedMemory(name=results)
-    frame_store = FrameStore(frames, height_px, width_px, attach_to=name)
-    try:
-        # In a function of its own: with a view of it alive, shared memory cannot be closed.
-        _work(pipe, decode(calibration), water, build_sequence(*sequence), frame_store, memory)
-    except (EOFError, OSError):
-        pass  # the parent closed the pipe: the normal end
-    finally:
-        frame_store.close()
-        memory.close()
-
-
-def _work(
-    pipe: Connection,
-    calibration: Calibration,
-    water: Water,
-    sequence: PatternSequence,
-    store: FrameStore,
-    memory: SharedMemory,
-) -> None:
-    left = calibration.rig.left
-    with Pipeline(
-        calibration, water, sequence, table=PointTable(left.width_px * left.height_px, memory.buf)
-    ) as pipeline:
-        # So that the first real scan is as fast as the others.
-        run_empty_scan(pipeline, np.zeros(store.shape, np.uint8))
-        pipe.send(("ready",))
-        _serve(pipe, pipeline, store)
-
-
-def _serve(pipe: Connection, pipeline: Pipeline, store: FrameStore) -> None:
-    scan = 0
-    failed = False
-    while True:
-        message = pipe.recv()
-        try:
-            match message:
-                case ("begin", int(number)):
-                    scan, failed = number, False
-                    pipeline.reset()
-                case ("frame", str(side), int(index)) if not failed:
-                    pipeline.push(side, store.frames(side), index)
-                case ("finish",) if not failed:
-                    for full, make in ((False, pipeline.find_coarse), (True, pipeline.find_full)):
-                        _answer(pipe, scan, full, make)
-                case _:
-                    pass
-        except ValueError as error:
-            failed = True
-            pipe.send(("failed", str(error)))
-
-
-def _answer(pipe: Connection, scan: int, full: bool, find: Callable[[], Found]) -> None:
-    begun_s = time.process_time()
-    found = find()
-    pipe.send(("cloud", scan, full, found, time.process_time() - begun_s))
-    # The parent copies before the memory is used again.
-    while pipe.recv() != ("taken",):
-        pass

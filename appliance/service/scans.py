@@ -6,6 +6,7 @@ Disk work runs in one thread, ``kf-storage``; points are computed in the worker 
 from __future__ import annotations
 
 import datetime
+import logging
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from types import TracebackType
@@ -39,6 +40,8 @@ from appliance.storage.record import ScanRecord, SequenceInfo, Verdict
 from appliance.storage.scan import size_bytes
 from drivers.api import Clock
 
+log = logging.getLogger("kingfisher")
+
 BEGIN_TIMEOUT_S = 30.0
 """Longest wait for the previous scan's frames to be on the disk before they are overwritten."""
 
@@ -55,6 +58,11 @@ class ScanInWork:
     pending: PendingScan | None = None
     raw: Future[PendingScan] | None = None
     times_s: dict[str, float] = field(default_factory=dict)
+    """As ``ScanRecord.stage_times_s``."""
+
+    def since_begun_s(self, time_ns: int) -> float:
+        """Seconds from the key press to a moment of the same clock."""
+        return (time_ns - self.begun_ns) / 1e9
 
     @property
     def cloud(self) -> Cloud | None:
@@ -122,7 +130,10 @@ class ScanDesk:
         if scan is None:
             return
         now = datetime.datetime.now(datetime.UTC)
-        scan.times_s["recording"] = report.recording_s
+        ledger = report.ledger
+        scan.times_s["first_pattern"] = scan.since_begun_s(ledger.flips[0].time_ns)
+        arrived_ns = max(frames[-1].received_ns for frames in ledger.frames.values())
+        scan.times_s["recording"] = scan.since_begun_s(arrived_ns)
         scan.record = ScanRecord(
             sequence=SequenceInfo.of(self.sequence),
             rig_hash=self._rig.rig_hash,
@@ -138,7 +149,7 @@ class ScanDesk:
                 "index": self.water.index,
             },
             temperatures_c=temperatures_c,
-            ledger=report.ledger.as_dict(),
+            ledger=ledger.as_dict(),
             verdicts=(Verdict("ledger", True, {"frames": float(len(self.sequence))}, "all four witnesses agree"),),
         )
 
@@ -191,6 +202,7 @@ class ScanDesk:
             case CloudReady() as ready:
                 events += self._cloud(ready)
             case WorkerFailed() as failed:
+                log.warning("%s", failed.fault.detail)
                 if failed.scan is not None:
                     events.append(on.ReconstructionFailed(failed.scan, failed.fault))
                 if self.worker.pid is None:
@@ -211,7 +223,8 @@ class ScanDesk:
         if scan is None:
             return []
         stage = "full" if ready.full else "coarse"
-        scan.times_s[stage] = (self._clock.now_ns() - scan.begun_ns) / 1e9
+        # A scan that is processed again was seen when it was seen first.
+        scan.times_s.setdefault(stage, scan.since_begun_s(self._clock.now_ns()))
         scan.times_s[f"{stage}_cpu"] = ready.cpu_s
         summary = ready.cloud.summary
         if ready.full:
@@ -233,7 +246,7 @@ class ScanDesk:
             scan.pending = scan.raw.result()
         except (StorageError, ValueError) as error:
             return [on.SaveFailed(scan.number, Fault(FaultCode.NOT_SAVED, str(error)))]
-        scan.times_s["saved"] = (self._clock.now_ns() - scan.begun_ns) / 1e9
+        scan.times_s["saved"] = scan.since_begun_s(self._clock.now_ns())
         return [on.RawStored(scan.number)]
 
     def _pending(self, scan: ScanInWork) -> PendingScan:
@@ -242,6 +255,7 @@ class ScanDesk:
             assert scan.record is not None
             frames: dict[str, NDArray[np.uint8]] = {side: self.store.frames(side) for side in SIDES}
             scan.pending = self._library.begin(frames, scan.record)
+            scan.times_s["saved"] = scan.since_begun_s(self._clock.now_ns())
         return scan.pending
 
     def _publish(self, scan: ScanInWork, preview: NDArray[np.uint8] | None) -> list[on.Event]:

@@ -60,7 +60,7 @@ class ScanRecord:
     clock_trusted: bool
     """Whether the wall time was set from outside since power-on. Order follows from the scan's id alone."""
     recorded_ns: int
-    """Host's monotonic time at the first pattern."""
+    """Host's monotonic time when the capture began: the key press, as the heartbeat that acted on it saw it."""
     water: Mapping[str, float | None] = field(default_factory=dict)
     """``salinity_psu``, ``temperature_c``, ``wavelength_nm``, ``index``: the water it was reconstructed in."""
     temperatures_c: Mapping[str, float | None] = field(default_factory=dict)
@@ -70,3 +70,7 @@ class ScanRecord:
     cloud: Mapping[str, float | None] = field(default_factory=dict)
     """Numbers of the cloud: points, coverage_percent, …; empty without one."""
     stage_times_s: Mapping[str, float] = field(default_factory=dict)
+    """Monotonic, from ``recorded_ns``: ``first_pattern`` is on the scene, ``recording``: the last frame is in memory,
+    ``coarse`` and ``full``: that cloud is ready to be shown, ``saved``: raw frames and ledger survive a loss of power.
+    ``coarse_cpu`` and ``full_cpu`` are the worker's CPU time for that step alone. What did not happen is not there.
+    """

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -86,10 +91,13 @@ def test_frames_that_are_not_a_sequence_fail_and_the_next_scan_works(store: Fram
         assert isinstance(worker.wait(20), CloudReady)
 
 
+GOOD = WorkLimits(cloud_s=4.0, alive_s=3.0)
+
+
 @pytest.fixture
 def worker(store: FrameStore) -> Iterator[ReconstructionWorker]:
     order = WorkOrder(synthetic.calibration(), synthetic.WATER, 16, 1024, 768)
-    with ReconstructionWorker(order, store, RealClock(), WorkLimits(cloud_s=3.0)) as made:
+    with ReconstructionWorker(order, store, RealClock(), GOOD) as made:
         assert made.wait(60) == WorkerReady()
         yield made
 
@@ -99,9 +107,43 @@ def signal_worker(worker: ReconstructionWorker, number: signal.Signals) -> None:
     os.kill(worker.pid, number)
 
 
+def hold(worker: ReconstructionWorker) -> None:
+    """Stop the process where it is; return when it stands."""
+    signal_worker(worker, signal.SIGSTOP)
+    path = Path(f"/proc/{worker.pid}/stat")
+    end_s = time.monotonic() + 5.0
+    while path.read_text().rpartition(")")[2].split()[0] != "T":
+        assert time.monotonic() < end_s
+        time.sleep(0.001)
+
+
+def spoil(worker: ReconstructionWorker, how: str) -> None:
+    match how:
+        case "killed":
+            signal_worker(worker, signal.SIGKILL)
+        case "hung":
+            signal_worker(worker, signal.SIGSTOP)
+        case "grown":
+            hold(worker)  # it might be done before anybody measures
+            worker.limits = replace(GOOD, memory_mb=20.0)
+        case "raises":
+            worker.frame("middle", 0)
+        case _:
+            raise AssertionError(how)
+
+
+SAID = {
+    "killed": "ended with code -9",
+    "hung": "did not answer in time|no sign of life",
+    "grown": "allowed are 20 MB",
+    "raises": "KeyError",
+}
+
+
 def clouds(worker: ReconstructionWorker) -> tuple[list[CloudReady], list[WorkerFailed]]:
     """What comes until the full cloud, a loss or a silence."""
-    ready, failed = [], []
+    ready: list[CloudReady] = []
+    failed: list[WorkerFailed] = []
     while True:
         event = worker.wait(20)
         if isinstance(event, CloudReady):
@@ -109,6 +151,7 @@ def clouds(worker: ReconstructionWorker) -> tuple[list[CloudReady], list[WorkerF
             if event.full:
                 return ready, failed
         elif isinstance(event, WorkerFailed):
+            worker.limits = GOOD
             failed.append(event)
             if event.scan is not None:
                 return ready, failed
@@ -122,35 +165,108 @@ def tell(worker: ReconstructionWorker, first: int, stop: int) -> None:
             worker.frame(side, index)
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP], ids=["killed", "hung"])
-@pytest.mark.parametrize("when", ["idle", "recording", "finished"])
-def test_a_worker_that_dies_or_hangs_loses_no_scan(
-    worker: ReconstructionWorker, store: FrameStore, number: signal.Signals, when: str
+def hold_before_full(worker: ReconstructionWorker) -> CloudReady:
+    """The coarse cloud; the process stands still before the full one."""
+    end_s = time.monotonic() + 20.0
+    while True:
+        hold(worker)
+        event = worker.poll()
+        if isinstance(event, CloudReady):
+            assert not event.full
+            return event
+        assert event is None
+        assert time.monotonic() < end_s
+        signal_worker(worker, signal.SIGCONT)
+        time.sleep(0.01)
+
+
+@pytest.mark.parametrize(
+    ("how", "when"),
+    [
+        *((how, when) for how in ("killed", "hung", "grown") for when in ("idle", "recording", "coarse", "full")),
+        *(("raises", when) for when in ("idle", "recording")),
+    ],
+)
+def test_whatever_becomes_of_a_worker_no_scan_is_lost(
+    worker: ReconstructionWorker, store: FrameStore, how: str, when: str
 ) -> None:
-    before = store.frames("left").copy()
+    before = {side: store.frames(side).copy() for side in SIDES}
+    failed: list[WorkerFailed] = []
     if when == "idle":
-        signal_worker(worker, number)
-        if number == signal.SIGKILL:
-            assert isinstance(worker.wait(20), WorkerFailed)
+        spoil(worker, how)
+        noticed = worker.wait(20)
+        worker.limits = GOOD
+        assert isinstance(noticed, WorkerFailed), "noticed although nobody wanted anything of it"
+        failed.append(noticed)
     worker.begin(7)
     tell(worker, 0, 10)
-    if when == "recording":
-        signal_worker(worker, number)
-        if number == signal.SIGKILL:
-            assert isinstance(worker.wait(20), WorkerFailed)
+    if when == "recording":  # nobody polls while a sequence is recorded
+        spoil(worker, how)
     tell(worker, 10, store.shape[0])
-    if when == "finished":
-        signal_worker(worker, signal.SIGSTOP)
+    if when == "coarse":
+        hold(worker)
     worker.finish()
-    if when == "finished" and number == signal.SIGKILL:
-        signal_worker(worker, number)
-    ready, failed = clouds(worker)
+    if when == "coarse":
+        spoil(worker, how)
+    if when == "full":
+        assert hold_before_full(worker).scan == 7
+        spoil(worker, how)
+    ready, more = clouds(worker)
+    failed += more
     assert [(event.scan, event.full) for event in ready] == [(7, False), (7, True)]
-    assert all(event.scan is None for event in failed), "the scan was not given up"
+    assert [event.scan for event in failed] == [None], "said once, and the scan was not given up"
+    assert re.search(SAID[how], failed[0].fault.detail)
     assert worker.restarts == 1
-    np.testing.assert_array_equal(store.frames("left"), before)
+    for side in SIDES:
+        np.testing.assert_array_equal(store.frames(side), before[side])
     worker.reprocess(8)
     assert clouds(worker)[0][-1].scan == 8
+
+
+def test_the_heartbeat_does_not_wait_for_a_worker_that_hangs(worker: ReconstructionWorker) -> None:
+    hold(worker)
+    end_s = time.monotonic() + 20.0
+    longest_s, failed = 0.0, None
+    while failed is None and time.monotonic() < end_s:
+        begun_s = time.monotonic()
+        failed = worker.poll()
+        longest_s = max(longest_s, time.monotonic() - begun_s)
+        time.sleep(0.016)
+    assert isinstance(failed, WorkerFailed)
+    assert "no sign of life for 3 s" in failed.fault.detail
+    assert longest_s < 1.0, "the screen stood still"
+
+
+def test_a_worker_that_is_left_alone_is_not_started_again(worker: ReconstructionWorker) -> None:
+    worker.limits = replace(GOOD, alive_s=1.0)
+    assert worker.wait(4.0) is None
+    assert worker.restarts == 0
+
+
+def test_the_next_scan_does_not_wait_for_the_one_that_was_dropped(worker: ReconstructionWorker) -> None:
+    worker.reprocess(1)
+    hold_before_full(worker)
+    worker.drop()
+    worker.begin(2)
+    tell(worker, 0, 24)
+    signal_worker(worker, signal.SIGCONT)
+    time.sleep(0.5)  # as long as a sequence is recorded, nobody polls
+    worker.finish()
+    ready, failed = clouds(worker)
+    assert [(event.scan, event.full) for event in ready] == [(2, False), (2, True)]
+    assert not failed
+    assert ready[-1].cloud.summary.points > 1000
+
+
+def test_a_scan_that_was_given_up_while_it_was_recorded_is_not_waited_for(worker: ReconstructionWorker) -> None:
+    worker.begin(3)
+    worker.frame("left", 5)
+    lost = worker.wait(20)
+    assert isinstance(lost, WorkerFailed)
+    assert lost.scan == 3
+    worker.finish()
+    assert worker.wait(GOOD.cloud_s + 1.0) is None
+    assert worker.restarts == 0
 
 
 def test_a_scan_that_kills_its_worker_every_time_is_given_up(worker: ReconstructionWorker) -> None:
@@ -182,3 +298,25 @@ def test_too_much_memory_is_named_and_ends(store: FrameStore) -> None:
         assert "allowed are 20 MB" in told[-1].fault.detail
         assert [event.scan for event in told if event.scan is not None] == [3], "lost once, and said once"
         assert len(told) == 4
+
+
+HUNGRY = """
+import numpy as np
+from multiprocessing.shared_memory import SharedMemory
+from appliance.reconstruct.serve import limit_memory
+limit_memory(100.0)
+shared = SharedMemory(create=True, size=300_000_000)
+shared.buf[:10] = bytes(10)
+shared.close()
+shared.unlink()
+some = np.ones(50_000_000, np.uint8)
+try:
+    np.ones(200_000_000, np.uint8)
+except MemoryError:
+    print("refused")
+"""
+
+
+def test_the_kernel_refuses_what_is_out_of_proportion_but_not_what_is_shared() -> None:
+    ran = subprocess.run([sys.executable, "-c", HUNGRY], capture_output=True, text=True, timeout=100, check=True)
+    assert ran.stdout.strip() == "refused", ran.stderr

@@ -1,0 +1,150 @@
+"""Owns the child's side of the warm process: messages in, clouds out, until the pipe closes.
+
+Whatever goes wrong here ends the process with a last message that names it; the parent starts another.
+"""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import time
+from collections import deque
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+from multiprocessing.shared_memory import SharedMemory
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from appliance.calibration.file import Calibration, decode
+from appliance.capture.store import FrameStore
+from appliance.optics.water import Water
+from appliance.patterns.sequence import PatternSequence, build_sequence
+from appliance.reconstruct.pipeline import Pipeline
+from appliance.reconstruct.table import Found, PointTable
+from appliance.reconstruct.warm import run_empty_scan
+
+NICENESS = 5
+"""Behind the heartbeat and the cameras."""
+
+
+def work(
+    pipe: Connection,
+    calibration: bytes,
+    water: Water,
+    sequence: tuple[int, int, int],
+    store: tuple[str, int, int, int],
+    results: str,
+    headroom_mb: float,
+) -> None:
+    """The child's main function. ``headroom_mb``: memory it may still ask for once it is warm, beyond what it has then."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the service decides when to end
+    os.nice(NICENESS)
+    name, frames, height_px, width_px = store
+    memory = SharedMemory(name=results)
+    frame_store = FrameStore(frames, height_px, width_px, attach_to=name)
+    try:
+        # In a function of its own: with a view of it alive, shared memory cannot be closed.
+        _work(pipe, decode(calibration), water, build_sequence(*sequence), frame_store, memory, headroom_mb)
+    except (EOFError, OSError):
+        pass  # the parent closed the pipe: the normal end
+    finally:
+        frame_store.close()
+        memory.close()
+
+
+def _work(
+    pipe: Connection,
+    calibration: Calibration,
+    water: Water,
+    sequence: PatternSequence,
+    store: FrameStore,
+    memory: SharedMemory,
+    headroom_mb: float,
+) -> None:
+    left = calibration.rig.left
+    with Pipeline(
+        calibration, water, sequence, table=PointTable(left.width_px * left.height_px, memory.buf)
+    ) as pipeline:
+        # So that the first real scan is as fast as the others.
+        run_empty_scan(pipeline, np.zeros(store.shape, np.uint8))
+        limit_memory(headroom_mb)
+        pipe.send(("ready",))
+        try:
+            Server(pipe, pipeline, store).serve()
+        except (EOFError, OSError):
+            raise
+        except Exception as error:  # the one place where it can still be named
+            pipe.send(("crashed", f"{type(error).__name__}: {error}"))
+
+
+def limit_memory(headroom_mb: float) -> None:
+    """Let the kernel refuse private memory beyond what this process has now; what it shares with others does not count.
+
+    Faster than the parent's own measure: an allocation out of proportion fails here, before the machine runs out.
+    """
+    status = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
+    held = next((int(line.split()[1]) * 1024 for line in status.splitlines() if line.startswith("VmData:")), None)
+    if held is None:
+        return
+    _, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    wanted = held + int(headroom_mb * 1e6)
+    if hard == resource.RLIM_INFINITY or wanted < hard:
+        resource.setrlimit(resource.RLIMIT_DATA, (wanted, hard))
+
+
+class Server:
+    """Does what the messages say, in order. A scan that is dropped, or followed by another, is not finished."""
+
+    def __init__(self, pipe: Connection, pipeline: Pipeline, store: FrameStore) -> None:
+        self._pipe, self._pipeline, self._store = pipe, pipeline, store
+        self._ticket = 0
+        """Of the scan in work, as the parent numbers them."""
+        self._failed = False
+        self._put_back: deque[Any] = deque()
+
+    def serve(self) -> None:
+        """Until the pipe closes: then EOFError or OSError."""
+        while True:
+            message = self._put_back.popleft() if self._put_back else self._pipe.recv()
+            try:
+                self._do(message)
+            except ValueError as error:  # the frames are not what was agreed; the next scan may be
+                self._failed = True
+                self._pipe.send(("failed", self._ticket, str(error)))
+
+    def _do(self, message: Any) -> None:
+        match message:
+            case ("begin", int(ticket)):
+                self._ticket, self._failed = ticket, False
+                self._pipeline.reset()
+            case ("frame", str(side), int(index)) if not self._failed:
+                self._pipeline.push(side, self._store.frames(side), index)
+            case ("finish",) if not self._failed:
+                if self._answer(False, self._pipeline.find_coarse):
+                    self._answer(True, self._pipeline.find_full)
+            case ("drop",):
+                self._failed = True
+            case ("ping",):
+                self._pipe.send(("pong",))
+            case _:
+                pass
+
+    def _answer(self, full: bool, find: Callable[[], Found]) -> bool:
+        """Say where the points are, and wait until they were copied; False when nobody wants them any more."""
+        begun_s = time.process_time()
+        found = find()
+        self._pipe.send(("cloud", self._ticket, full, found, time.process_time() - begun_s))
+        while True:
+            match self._pipe.recv():
+                case ("taken", int(ticket)) if ticket == self._ticket:
+                    return True
+                case ("begin" | "drop", *_) as message:
+                    self._put_back.append(message)
+                    return False
+                case ("ping",):
+                    self._pipe.send(("pong",))
+                case _:
+                    pass
