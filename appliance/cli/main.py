@@ -11,7 +11,7 @@ from typing import Any, NoReturn
 
 from appliance import __version__
 from appliance.calibration.file import CalibrationError
-from appliance.cli import scans, verbs
+from appliance.cli import evaluate, scans, verbs
 from appliance.cli.output import Exit, UsageError, complain, log_lines
 from appliance.cli.simrig import OBJECTS, PACES, TEXTURES, TRUTHS, SimOptions, default_sim_rig
 from appliance.config import ConfigError, Rig, default_rig_path, load_rig
@@ -148,6 +148,18 @@ def _grammar() -> _Parser:
     reconstruct.add_argument("scan", metavar="SCAN", help="its number or its folder")
     reconstruct.add_argument("--calibration", type=Path, metavar="FILE", help="default: the instrument's")
     reconstruct.add_argument("--out", type=Path, metavar="FILE", help="write the cloud there (PLY)")
+
+    evaluation = add(
+        commands,
+        "evaluate",
+        "measure artefacts in stored scans, after VDI/VDE 2634 (docs/evaluation.md)",
+        lambda a: evaluate.evaluate(_rooted(a), a.list, a.calibration, a.out, json=a.json),
+        rig,
+        root,
+    )
+    evaluation.add_argument("list", metavar="LIST", type=Path, help="which artefact each scan shows (TOML or JSON)")
+    evaluation.add_argument("--calibration", type=Path, metavar="FILE", help="default: the instrument's")
+    evaluation.add_argument("--out", type=Path, metavar="FILE", help="the page, and beside it FILE with .json")
 
     _add_scans(add, commands, rig, root)
     _add_calibration(add, commands, rig, root)

@@ -12,7 +12,7 @@ from appliance.calibration.file import Calibration
 from appliance.config import Rig
 from appliance.optics.water import Water
 from appliance.patterns.sequence import build_sequence
-from appliance.reconstruct.pipeline import SIDES, Pipeline
+from appliance.reconstruct.pipeline import SIDES, Cloud, Pipeline
 from appliance.service.app import CALIBRATION_FILE, calibration_of, design_of
 from appliance.storage import scan as stored
 from appliance.storage.atomic import replace_file
@@ -29,19 +29,8 @@ def reconstruct_scan(
     the instrument's. Raises ScanError, CalibrationError, OSError.
     """
     scan = stored.load(folder)
-    made = scan.manifest.record.sequence
-    sequence = build_sequence(made.period_px, made.width_px, made.height_px)
     chosen = calibration_file.load(calibration) if calibration is not None else calibration_of(rig)[0]
-    water = _water_of(scan, chosen)
-    progress("loading")
-    pipeline = Pipeline(chosen, water, sequence)
-    for index in range(len(sequence)):
-        progress(f"decoding frame {index + 1} of {len(sequence)}")
-        for side in SIDES:
-            pipeline.push(side, scan.frames[side], index)
-    progress("matching")
-    pipeline.coarse()
-    cloud = pipeline.full()
+    cloud, water = cloud_of(scan, chosen, progress)
     target = out if out is not None else Path(f"{folder.name}.ply")
     progress("writing")
     write_ply(target, cloud)
@@ -54,12 +43,28 @@ def reconstruct_scan(
         "distance_mm": s.distance_mm,
         "noise_mm": s.noise_mm,
         "gap_mm": s.gap_mm,
-        "period_px": made.period_px,
+        "period_px": scan.manifest.record.sequence.period_px,
         "calibration": chosen.hash,
         "calibration_method": chosen.method,
         "same_calibration": chosen.hash == scan.manifest.record.calibration_hash,
         "water_index": water.index,
     }
+
+
+def cloud_of(scan: stored.StoredScan, calibration: Calibration, progress: Callable[[str], None]) -> tuple[Cloud, Water]:
+    """The full cloud of a stored scan with ``calibration``, and the water it was reconstructed in."""
+    made = scan.manifest.record.sequence
+    sequence = build_sequence(made.period_px, made.width_px, made.height_px)
+    water = _water_of(scan, calibration)
+    progress("loading")
+    with Pipeline(calibration, water, sequence) as pipeline:
+        for index in range(len(sequence)):
+            progress(f"decoding frame {index + 1} of {len(sequence)}")
+            for side in SIDES:
+                pipeline.push(side, scan.frames[side], index)
+        progress("matching")
+        pipeline.coarse()
+        return pipeline.full(), water
 
 
 def describe_calibration(rig: Rig, path: Path | None) -> dict[str, Any]:

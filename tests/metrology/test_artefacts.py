@@ -7,9 +7,11 @@ import pytest
 
 from appliance.evaluation.ball_bar import BallBar, find_ball_bar
 from appliance.evaluation.flatness import flatness
+from appliance.evaluation.frustum import Frustum, find_frustum
 from appliance.evaluation.plane import PlaneFit, fit_plane
+from appliance.evaluation.points import NotFound
 from hw_sim.motion import pose_matrix
-from hw_sim.objects.shapes import BALL_RADIUS_MM
+from hw_sim.objects.shapes import BALL_RADIUS_MM, FRUSTUM_BASE_MM, FRUSTUM_HEIGHT_MM, FRUSTUM_TOP_MM
 from hw_sim.scene import Scene
 from tests.support.rendered import reconstruct, render_scan
 from tests.support.truth import rig_to_left
@@ -62,3 +64,34 @@ def test_a_plane_in_any_pose(pose: Pose) -> None:
     result = flatness(fit)
     assert result.e_f_sys < 1e-4
     assert result.noise_mm == pytest.approx(float(np.median(cloud.sigma_mm)), rel=0.4)
+
+
+@pytest.mark.parametrize("pose", [(0.0, 0.0, 520.0, 10.0, 5.0, -20.0), (10.0, 10.0, 560.0, -5.0, 12.0, 45.0)])
+def test_a_frustum_in_any_pose(pose: Pose) -> None:
+    scan = render_scan(Scene(object="frustum", pose=pose), "modelled", 3, WIDTH_PX, 16)
+    _, cloud = reconstruct(scan)
+    frustum = find_frustum(cloud)
+    assert isinstance(frustum, Frustum)
+    true_mm = {
+        "top": FRUSTUM_TOP_MM,
+        "base": FRUSTUM_BASE_MM,
+        "height": FRUSTUM_HEIGHT_MM,
+        "slanted": np.hypot((FRUSTUM_BASE_MM - FRUSTUM_TOP_MM) / np.sqrt(2.0), FRUSTUM_HEIGHT_MM),
+    }
+    for name, measured in frustum.lengths_mm.items():
+        assert measured == pytest.approx([true_mm[name]] * len(measured), abs=0.02)
+    R, t = pose_matrix(pose)
+    half, base = FRUSTUM_TOP_MM / 2, FRUSTUM_BASE_MM / 2
+    for found, size, z in ((frustum.top_corners_mm, half, -FRUSTUM_HEIGHT_MM), (frustum.base_corners_mm, base, 0.0)):
+        corners = np.array([[a * size, b * size, z] for a in (-1, 1) for b in (-1, 1)]) @ R.T + t
+        true = rig_to_left(scan.renderer.truth, corners)
+        away = np.linalg.norm(true[:, None] - found[None], axis=2)
+        assert away.min(axis=0).max() < 0.015
+        assert len(set(away.argmin(axis=0))) == 4
+
+
+def test_a_plane_is_no_frustum() -> None:
+    scan = render_scan(Scene(object="plane"), "modelled", 3, WIDTH_PX, 16)
+    found = find_frustum(reconstruct(scan)[1])
+    assert isinstance(found, NotFound)
+    assert found.reason == "top and plate of the frustum were not both found; turn its top towards the instrument"

@@ -1,0 +1,72 @@
+"""Owns the verb ``evaluate``: artefacts in stored scans, measured and written down as a page and as JSON."""
+
+from __future__ import annotations
+
+import json as json_form
+from pathlib import Path
+from typing import Any
+
+from appliance import kernel_cache
+from appliance.cli.desk import usable_scan, writable, writing
+from appliance.cli.output import Exit, Progress, UsageError, say, say_json
+from appliance.config import Rig
+from appliance.storage.atomic import replace_file
+from appliance.storage.filesystem import LocalFileSystem
+
+DEFAULT_OUT = Path("evaluation.html")
+SCANS_CHECKED = 0.1
+"""The part of the progress that comparing checksums gets."""
+
+
+def evaluate(rig: Rig, listed: Path, calibration: Path | None, out: Path | None, *, json: bool) -> Exit:
+    """Measure every artefact of the list; FAILED if one was not found, after the report was written all the same."""
+    page = out or DEFAULT_OUT
+    data = page.with_suffix(".json")
+    if data == page:
+        raise UsageError(f"--out {page}: the JSON is written beside the page; give the page's name, for example x.html")
+    if data.absolute() == listed.absolute():
+        raise UsageError(f"--out {page}: {data} is the list itself; give another name")
+    for path in (page, data):
+        writable(path)
+    kernel_cache.use()  # before anything brings compiled kernels
+    from appliance.evaluation.report import as_html, as_json
+    from appliance.service.evaluation import ListError, read_list, run_evaluation
+
+    try:
+        scans = read_list(listed)
+    except ListError as error:
+        raise UsageError(str(error)) from error
+    with Progress() as progress:
+        folders = []
+        for k, entry in enumerate(scans.entries):
+            progress(f"comparing checksums of {entry.scan}", SCANS_CHECKED * k / len(scans.entries))
+            folders.append(usable_scan(rig, _place(listed, entry.scan), calibration))
+
+        def step(what: str, part: float) -> None:
+            progress(what, SCANS_CHECKED + (1.0 - SCANS_CHECKED) * part)
+
+        evaluation = run_evaluation(rig, scans, folders, calibration, step)
+    content = as_json(evaluation)
+    text = json_form.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    for path, written in ((page, as_html(evaluation)), (data, text)):
+        with writing(path):
+            replace_file(LocalFileSystem(), path, written.encode())
+    if json:
+        say_json(content)
+    else:
+        _tell(content, page)
+    return Exit.OK if evaluation.complete else Exit.FAILED
+
+
+def _place(listed: Path, scan: str) -> str:
+    """A folder in the list is meant relative to the list, a number is one of the storage root."""
+    return str(listed.parent / scan) if "/" in scan else scan
+
+
+def _tell(content: dict[str, Any], page: Path) -> None:
+    for scan in content["scans"]:
+        if scan["reason"] is not None:
+            say(f"{scan['scan']}  {scan['artefact']}: {scan['reason']}")
+    for key, value in content["summary"].items():
+        say(f"{key:<24} {'-' if value is None else f'{value:.4f}'}")
+    say(f"{'report':<24} {page}")

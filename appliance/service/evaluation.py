@@ -1,0 +1,171 @@
+"""Owns an evaluation from list to report: which scan shows what, each reconstructed, its artefact measured."""
+
+from __future__ import annotations
+
+import json
+import math
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from appliance import __version__
+from appliance.calibration import file as calibration_file
+from appliance.config import Rig
+from appliance.evaluation.flatness import REFERENCE_MM
+from appliance.evaluation.report import Evaluation, Item
+from appliance.evaluation.result import LENGTHS, Artefact, evaluate
+from appliance.service.app import calibration_of
+from appliance.service.desk import cloud_of
+from appliance.storage import scan as stored
+
+MOST_BYTES = 1_000_000
+LENGTH_MM, REFERENCE_RANGE_MM = (1.0, 2000.0), (10.0, 5000.0)
+_TOP_KEYS = {"operator", "reference_mm", "scan"}
+
+
+class ListError(Exception):
+    """The list of scans cannot be used; the text names the key, its value, what is allowed and the remedy."""
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One line of the list."""
+
+    scan: str
+    """The scan's number or its folder, as written."""
+    artefact: Artefact
+    calibrated_mm: Mapping[str, float]
+    serial: str | None
+    """Of the artefact; its certificate states the lengths."""
+
+
+@dataclass(frozen=True, slots=True)
+class ScanList:
+    """What the metrologist wrote down."""
+
+    entries: tuple[Entry, ...]
+    operator: str | None
+    reference_mm: float
+
+
+def read_list(path: Path) -> ScanList:
+    """Read a list, TOML or (by its name) JSON: ``docs/evaluation.md``. Raises ListError."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise ListError(f"LIST {path}: cannot be read ({error.strerror}); give the list of scans") from error
+    if len(data) > MOST_BYTES:
+        raise ListError(f"LIST {path}: {len(data)} bytes; allowed are {MOST_BYTES}; give the list of scans")
+    try:
+        content = json.loads(data) if path.suffix == ".json" else tomllib.loads(data.decode())
+    except (ValueError, RecursionError) as error:
+        raise ListError(f"LIST {path}: not readable ({error}); see docs/evaluation.md") from error
+    if not isinstance(content, dict):
+        raise ListError(f"LIST {path}: a table was expected, not {type(content).__name__}; see docs/evaluation.md")
+    _known(path, content, _TOP_KEYS)
+    tables = content.get("scan")
+    if not isinstance(tables, list) or not tables or not all(isinstance(table, dict) for table in tables):
+        raise ListError(f"LIST {path}: no scan in it; give at least one [[scan]]")
+    reference = content.get("reference_mm", REFERENCE_MM)
+    return ScanList(
+        tuple(_entry(path, k, table) for k, table in enumerate(tables)),
+        _text(path, content, "operator"),
+        _number(path, "reference_mm", reference, REFERENCE_RANGE_MM),
+    )
+
+
+def run_evaluation(
+    rig: Rig,
+    listed: ScanList,
+    folders: Sequence[Path],
+    calibration: Path | None,
+    progress: Callable[[str, float], None],
+) -> Evaluation:
+    """Reconstruct and measure every scan of the list; ``folders`` are theirs, in its order, with whole raw frames.
+
+    ``calibration`` ``None`` takes the instrument's. Raises ScanError, CalibrationError.
+    """
+    chosen = calibration_file.load(calibration) if calibration is not None else calibration_of(rig)[0]
+    items = []
+    for k, (entry, folder) in enumerate(zip(listed.entries, folders, strict=True)):
+        at = k / len(folders)
+        scan = stored.load(folder)
+
+        def step(what: str, at: float = at, name: str = folder.name) -> None:
+            progress(f"{name}: {what}", at)
+
+        cloud, water = cloud_of(scan, chosen, step)
+        step(f"looking for the {entry.artefact.value}")
+        result = evaluate(cloud, entry.artefact, entry.calibrated_mm, listed.reference_mm)
+        record = scan.manifest.record
+        provenance = {
+            "recorded": record.wall_time,
+            "clock_trusted": record.clock_trusted,
+            "artefact_serial": entry.serial,
+            "points": cloud.summary.points,
+            "water": {"temperature_c": water.temperature_c, "salinity_psu": water.salinity_psu, "index": water.index},
+            "temperatures_c": dict(record.temperatures_c),
+            "period_px": record.sequence.period_px,
+            "recorded_by_version": record.software_version,
+            "recorded_with_rig": record.rig_hash,
+            "recorded_with_calibration": record.calibration_hash,
+            "sha256": {name: scan.manifest.files[name].sha256 for name in stored.RAW_FILES},
+        }
+        items.append(Item(scan.manifest.scan_id, result, provenance))
+    about = {
+        "operator": listed.operator,
+        "rig_serial": chosen.rig_serial,
+        "calibration": chosen.hash,
+        "calibration_method": chosen.method,
+        "calibration_made_at": chosen.made_at,
+        "software_version": __version__,
+    }
+    return Evaluation(about, listed.reference_mm, chosen.rig.left.width_px, tuple(items))
+
+
+def _entry(path: Path, k: int, table: dict[str, Any]) -> Entry:
+    where = f"scan[{k}]"
+    names = ", ".join(a.value for a in Artefact)
+    try:
+        artefact = Artefact(table.get("artefact"))
+    except ValueError as error:
+        raise ListError(
+            f"LIST {path}: {where}.artefact is {table.get('artefact')!r}; allowed are {names}; correct it"
+        ) from error
+    lengths = {f"{name}_mm": name for name in LENGTHS[artefact]}
+    _known(path, table, {"scan", "artefact", "serial", *lengths}, f"{where}.")
+    scan = table.get("scan")
+    if not isinstance(scan, str) or not scan:
+        raise ListError(f"LIST {path}: {where}.scan is {scan!r}; allowed is a text: the scan's number or its folder")
+    given = {
+        name: _number(path, f"{where}.{key}", table[key], LENGTH_MM) for key, name in lengths.items() if key in table
+    }
+    if lengths and not given:
+        raise ListError(
+            f"LIST {path}: {where} has no calibrated length; give {' or '.join(lengths)} of its certificate"
+        )
+    return Entry(scan, artefact, given, _text(path, table, "serial"))
+
+
+def _known(path: Path, table: dict[str, Any], allowed: set[str], where: str = "") -> None:
+    for key in table:
+        if key not in allowed:
+            raise ListError(f"LIST {path}: {where}{key} is unknown; allowed are {', '.join(sorted(allowed))}")
+
+
+def _text(path: Path, table: dict[str, Any], key: str) -> str | None:
+    value = table.get(key)
+    if value is not None and not isinstance(value, str):
+        raise ListError(f"LIST {path}: {key} is {value!r}; allowed is a text; put it in quotes")
+    return value
+
+
+def _number(path: Path, key: str, value: object, allowed: tuple[float, float]) -> float:
+    low, high = allowed
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise ListError(f"LIST {path}: {key} is {value!r}; allowed are numbers {low:g}..{high:g}; correct it")
+    if not low <= value <= high:
+        raise ListError(f"LIST {path}: {key} is {value:g}; allowed are {low:g}..{high:g}; correct it")
+    return float(value)
