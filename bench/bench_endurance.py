@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -28,7 +29,7 @@ def measure() -> Iterator[Measured]:
         log = dive(Path(folder), SCANS, SIZE)
     (OUT / "endurance-log.json").write_text(json.dumps(log) + "\n", encoding="utf-8")
     memory = {"service and simulated world": log["service_mb"], "worker": log["worker_mb"]}
-    draw_run(OUT / "endurance.png", log["late_us"], memory)
+    draw_run(OUT / "endurance.png", log["answers_us"], memory)
     yield from judged(log)
 
 
@@ -50,7 +51,24 @@ def judged(log: dict[str, Any]) -> Iterator[Measured]:
     yield Measured("scans recorded in real time", log["scans"], "scans", key="endurance_scans")
     lost = log["lost_frames"]
     yield Measured("frames lost in them", lost, "frames", at_most=0.0, key="endurance_lost_frames")
-    yield Measured("scans refused (late flips of the host, ...)", len(log["refused"]), "scans", key="endurance_refused")
+    codes = ", ".join(f"{name} {count}" for name, count in Counter(log["refused"]).items()) or "none"
+    yield Measured(f"scans refused ({codes})", len(log["refused"]), "scans", key="endurance_refused")
+    answers_ms = np.array(log["answers_us"]) / 1e3
+    usual_ms = (float(np.quantile(answers_ms, 0.1)), float(np.quantile(answers_ms, 0.9)))
+    median_ms = float(np.median(answers_ms))
+    yield Measured("blank to the next flip, median", median_ms, "ms", key="endurance_answer_ms", spread=usual_ms)
+    yield Measured(
+        "blank to the next flip, 99 %", float(np.quantile(answers_ms, 0.99)), "ms", key="endurance_answer_p99_ms"
+    )
+    yield Measured(
+        f"blanks that found no flip, of {len(log['blanks_late_us'])}",
+        log["missed"],
+        "blanks",
+        key="endurance_late_flips",
+    )
+    own_ms = float(np.quantile(np.array(log["blanks_late_us"]) / 1e3, 0.99))
+    yield Measured("lateness of the simulated blanks, 99 %", own_ms, "ms", key="endurance_world_late_p99_ms")
+    yield Measured("new pictures between sequences", log["screen_hz"], "Hz", key="endurance_screen_hz")
     late = np.abs(log["late_us"])
     yield Measured("latest flip", float(late.max()), "us", key="endurance_latest_flip_us")
     times = {name: np.array([scan[name] for scan in log["times_s"] if name in scan]) for name in log["times_s"][0]}

@@ -1,4 +1,4 @@
-"""Owns the picture of an endurance run: how late flips were, and memory from scan to scan; drawn with OpenCV."""
+"""Owns the picture of an endurance run: how soon flips followed their blanks, and memory from scan to scan; drawn with OpenCV."""
 
 from __future__ import annotations
 
@@ -9,22 +9,23 @@ import cv2
 import numpy as np
 
 WIDTH_PX, HEIGHT_PX, LEFT_PX, TOP_PX = 1000, 300, 90, 50
+PERIOD_MS = 1000.0 / 60.0
 INK, FAINT = (40, 40, 40), (225, 225, 225)
 COLOURS = ((170, 120, 40), (60, 60, 200))
 FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 
-def draw_run(path: Path, late_us: Sequence[float], memory_mb: Mapping[str, Sequence[float]]) -> None:
-    """Write a PNG: a histogram of ``late_us`` (counts on a logarithmic axis), and a line for each of ``memory_mb``."""
+def draw_run(path: Path, answers_us: Sequence[float], memory_mb: Mapping[str, Sequence[float]]) -> None:
+    """Write a PNG: a histogram of ``answers_us`` (counts on a logarithmic axis, a mark at the next blank), and a line for each of ``memory_mb``."""
     image = np.full((2 * HEIGHT_PX + 3 * TOP_PX, WIDTH_PX, 3), 255, np.uint8)
-    _histogram(image[: HEIGHT_PX + TOP_PX + 30], late_us)
+    _histogram(image[: HEIGHT_PX + TOP_PX + 30], answers_us)
     _lines(image[HEIGHT_PX + TOP_PX + 30 :], memory_mb)
     cv2.imwrite(str(path), image)
 
 
-def _histogram(image: np.ndarray, late_us: Sequence[float]) -> None:
-    worst = max(50.0, *(abs(late) for late in late_us))
-    counts, edges = np.histogram(late_us, bins=41, range=(-worst, worst))
+def _histogram(image: np.ndarray, answers_us: Sequence[float]) -> None:
+    longest_ms = max(20.0, max(answers_us) / 1e3)
+    counts, edges = np.histogram(np.array(answers_us) / 1e3, bins=40, range=(0.0, longest_ms))
     tall = np.log10(1.0 + counts) / np.log10(1.0 + counts.max())
     step = (WIDTH_PX - 2 * LEFT_PX) / len(counts)
     for k, height in enumerate(tall):
@@ -33,9 +34,16 @@ def _histogram(image: np.ndarray, late_us: Sequence[float]) -> None:
         cv2.rectangle(image, corner, (int(x + step) - 2, TOP_PX + HEIGHT_PX), COLOURS[0], -1)
         if counts[k]:
             _write(image, str(counts[k]), (x, corner[1] - 5), 0.4)
-    for share in (0, 20, 41):
+    blank = int(LEFT_PX + len(counts) * step * PERIOD_MS / longest_ms)
+    cv2.line(image, (blank, TOP_PX), (blank, TOP_PX + HEIGHT_PX), INK, 2)
+    for share in (0, 20, 40):
         _write(image, f"{edges[share]:.0f}", (int(LEFT_PX + share * step) - 12, TOP_PX + HEIGHT_PX + 20))
-    _write(image, f"Flips against their blank, us ({len(late_us)} flips, counts logarithmic)", (LEFT_PX, 26), 0.6)
+    _write(
+        image,
+        f"From blank to the next flip, ms ({len(answers_us)} flips, counts logarithmic; the mark: too late)",
+        (LEFT_PX, 26),
+        0.6,
+    )
 
 
 def _lines(image: np.ndarray, memory_mb: Mapping[str, Sequence[float]]) -> None:

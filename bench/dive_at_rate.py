@@ -50,7 +50,15 @@ class Log:
     scans: int = 0
     refused: list[str] = field(default_factory=list)
     late_us: list[float] = field(default_factory=list)
-    """Of each flip, against the blank it was meant for."""
+    """Of each flip of a saved scan, against the blank it was meant for."""
+    answers_us: list[float] = field(default_factory=list)
+    """From each blank of all sequences, refused ones too, until the next flip was handed over."""
+    blanks_late_us: list[float] = field(default_factory=list)
+    """How late those blanks were: the simulated world's own lateness."""
+    missed: int = 0
+    """Those of them that found no flip; each of them ended its sequence, or repeated it."""
+    screen_hz: float = 0.0
+    """New pictures on the display between sequences."""
     lost_frames: int = 0
     times_s: list[dict[str, float]] = field(default_factory=list)
     service_mb: list[float] = field(default_factory=list)
@@ -73,10 +81,12 @@ class Diver(threading.Thread):
         except Exception as error:
             self.log.error = f"{type(error).__name__}: {error}"
         finally:
+            self._look_at_the_clock()
             os.kill(os.getpid(), signal.SIGTERM)
 
     def _dive(self) -> None:
         self._until(lambda: self._world() is not None)
+        self._until(lambda: self._state() == "AIM")
         while self.log.scans < self._wanted:
             counting = self.log.scans > 0 or self.log.warm_ups > 0
             reason = self._scan()
@@ -86,6 +96,7 @@ class Diver(threading.Thread):
                 self.log.warm_ups += 1
                 if self.log.warm_ups > MOST_WARM_UPS:
                     raise RuntimeError(f"no scan was good after {MOST_WARM_UPS} attempts: {reason}")
+                self._begin_to_count()
             else:
                 self.log.refused.append(reason or "?")
                 if len(self.log.refused) > self._wanted:
@@ -106,6 +117,24 @@ class Diver(threading.Thread):
         self._press_until(lambda: self._state() in ("SAVING", "AIM"))
         self._until(lambda: self._state() == "AIM" and self._status().get("last_scan") != before)
         return None
+
+    def _begin_to_count(self) -> None:
+        """From now on the world's images are there."""
+        world = self._world()
+        assert world is not None
+        seen = world.punctuality
+        seen.answers_us.clear()
+        seen.blanks_late_us.clear()
+        seen.missed = seen.other_blanks = seen.screen_updates = 0
+
+    def _look_at_the_clock(self) -> None:
+        world = self._world()
+        if world is None:
+            return
+        seen = world.punctuality
+        self.log.answers_us, self.log.blanks_late_us = list(seen.answers_us), list(seen.blanks_late_us)
+        self.log.missed = seen.missed
+        self.log.screen_hz = 60.0 * seen.screen_updates / max(seen.other_blanks, 1)
 
     def _look_at_the_last(self) -> None:
         last = self._library.last_id()

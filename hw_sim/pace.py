@@ -69,6 +69,11 @@ class WorldTime:
         """World time of the latest vertical blank."""
         return self._mark.blank_ns
 
+    @property
+    def blank_late_ns(self) -> int:
+        """Real time that has passed since the latest vertical blank was due."""
+        return time.monotonic_ns() - self._mark.blank_real_ns
+
     def now_ns(self) -> int:
         """World time; never goes back."""
         return self._mark.now_ns(time.monotonic_ns())

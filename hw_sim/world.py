@@ -32,6 +32,7 @@ from hw_sim.heat import temperature_c
 from hw_sim.motion import Motion
 from hw_sim.options import OptionError, WorldOptions
 from hw_sim.pace import START_NS, WorldTime
+from hw_sim.punctuality import Punctuality
 from hw_sim.render import LightSlice, Renderer, Surface, TrueView
 from hw_sim.scene import Scene
 from hw_sim.stills import Stills
@@ -89,6 +90,8 @@ class World:
         self._intervals: deque[_Interval] = deque([_Interval(START_NS)], maxlen=KEPT_INTERVALS)
         self._shown_before: NDArray[np.uint8] | None = None
         self._late_flip: Flip | None = None
+        self.punctuality = Punctuality()
+        """Of the host, and of the world."""
         self._latest: dict[str, Print] = {}
         self._recorded: dict[str, Print] = {}
         """The last image of a sequence that each camera took."""
@@ -231,6 +234,8 @@ class World:
             self.faults.reach(frame, time_ns)
             wrong = self.faults.active("projector", "wrong") is not None
         self._shown_before = self.card.projected() if wrong else None
+        waiting = (self.card.pending(Output.PROJECTOR), self.card.pending(Output.DISPLAY))
+        self.punctuality.blank(self.time.blank_late_ns, frame is not None, *waiting)
         self.card.vblank(time_ns, Output.PROJECTOR if self._flip_is_late(frame) else None)
         self._intervals.append(_Interval(time_ns))
         if self.card.crtc(Output.PROJECTOR) is not None:
@@ -240,8 +245,7 @@ class World:
 
     def _flip_is_late(self, frame: int | None) -> bool:
         """The projector's pending flip misses this blank; each flip does so once at most."""
-        crtc = self.card.crtc(Output.PROJECTOR)
-        flip = crtc.pending if crtc is not None else None
+        flip = self.card.pending(Output.PROJECTOR)
         if flip is None or flip is self._late_flip or not self.faults.strike("projector", "delayed", frame=frame):
             return False
         self._late_flip = flip

@@ -19,6 +19,7 @@ from hw_sim.devices.head import (
     RGB_FULL,
     Connector,
     Crtc,
+    Flip,
     FlipOwner,
     Framebuffer,
     Output,
@@ -110,8 +111,12 @@ class Card:
 
     def flip_pending(self, output: Output) -> bool:
         """Whether the next vertical blank brings a new image."""
+        return self.pending(output) is not None
+
+    def pending(self, output: Output) -> Flip | None:
+        """The flip that waits for the next vertical blank."""
         crtc = self.crtc(output)
-        return crtc is not None and crtc.pending is not None
+        return crtc.pending if crtc is not None else None
 
     def vblank(self, time_ns: int, hold: Output | None = None) -> None:
         """The vertical blank of both heads; the flip of the output ``hold`` stays pending once more."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import time
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Protocol
@@ -57,6 +58,8 @@ class Flip:
     user_data: int
     owner: FlipOwner | None
     """The opened file that gets the event; ``None`` if none was asked for."""
+    asked_ns: int = field(default_factory=time.monotonic_ns)
+    """Real time."""
 
 
 class Output(Enum):

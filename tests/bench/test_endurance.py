@@ -19,13 +19,16 @@ def test_a_dive_in_real_time_loses_no_frame(tmp_path: Path, scans: int, size: st
     assert said["endurance_scans"].value == scans
     assert said["endurance_lost_frames"].value == 0
     assert len(log["late_us"]) == 24 * scans
+    assert len(log["answers_us"]) >= 24 * scans
+    assert said["endurance_late_flips"].value >= log["refused"].count("LATE_FLIP")
+    assert 0.0 < log["screen_hz"] <= 60.0
     assert said["endurance_latest_flip_us"].value < 1000.0, "a later flip would have been refused"
     assert 0.0 < said["coarse_latency_ms"].value < said["full_latency_ms"].value
     assert said["worker_growth_mb"].kept
 
 
 def test_more_flips_make_a_taller_bar(tmp_path: Path) -> None:
-    draw_run(tmp_path / "run.png", [0.0] * 90 + [400.0] * 2, {"service": [100.0, 110.0], "worker": [50.0, 50.0]})
+    draw_run(tmp_path / "run.png", [800.0] * 90 + [12_000.0] * 2, {"service": [100.0, 110.0], "worker": [50.0, 50.0]})
     picture = cv2.imread(str(tmp_path / "run.png"))
     assert picture is not None
     inked = (picture[:350] == (170, 120, 40)).all(-1).sum(0)
