@@ -20,7 +20,7 @@ from appliance.calibration.artefact import Place, first_place
 from appliance.calibration.file import Calibration
 from appliance.calibration.judgement import Estimate, judged, warnings_about
 from appliance.calibration.recordings import ArtefactKind, Recording, RecordingError, thinned
-from appliance.optics.correction import INTERVALS, ImageCorrection, basis, node_count
+from appliance.optics.correction import INTERVALS, ImageCorrection, basis_matrix, node_count
 from appliance.optics.model import HousedCamera, StereoRig
 from appliance.optics.port import air_directions
 
@@ -316,16 +316,7 @@ def _project(camera: HousedCamera, points_mm: Array, water_index: float) -> Arra
 
 
 def _basis_matrix(camera: HousedCamera, uv_px: Array) -> Array:
-    """Weights (n, nodes) of the spline's nodes at pixels."""
-    columns, rows = INTERVALS
-    iu, wu = basis(uv_px[:, 0], camera.width_px, columns)
-    iv, wv = basis(uv_px[:, 1], camera.height_px, rows)
-    matrix = np.zeros((len(uv_px), node_count(INTERVALS)))
-    each = np.arange(len(uv_px))
-    for j in range(4):
-        for i in range(4):
-            matrix[each, (iv + j) * (columns + 3) + iu + i] = wv[:, j] * wu[:, i]
-    return matrix
+    return basis_matrix(uv_px, (camera.width_px, camera.height_px), INTERVALS)
 
 
 def _surface(matrix: Array, nodes: Array) -> Array:

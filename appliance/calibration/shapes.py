@@ -14,8 +14,11 @@ SPHERE_STEPS = 20
 
 def triangulate(rig: StereoRig, left_px: Array, right_px: Array, water_index: float) -> Array:
     """Points (n, 3), left camera frame, mm: the middles of the shortest lines between the rays of each pair."""
-    p, a = rig.left.rays(left_px, water_index)
-    q, b = rig.right.rays(right_px, water_index)
+    return nearest_points(*rig.left.rays(left_px, water_index), *rig.right.rays(right_px, water_index))
+
+
+def nearest_points(p: Array, a: Array, q: Array, b: Array) -> Array:
+    """Middles (n, 3) of the shortest lines between rays p + s·a and q + t·b, unit directions."""
     w = p - q
     cosine = np.sum(a * b, -1)
     da, db = np.sum(a * w, -1), np.sum(b * w, -1)

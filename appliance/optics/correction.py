@@ -88,3 +88,16 @@ def basis(at_px: Array, size_px: int, intervals: int) -> tuple[NDArray[np.intp],
         axis=-1,
     )
     return first, weights / 6.0
+
+
+def basis_matrix(uv_px: Array, size_px: tuple[int, int], intervals: tuple[int, int]) -> Array:
+    """Weights (n, nodes) of all nodes at pixels (n, 2), nodes row by row; ``size_px`` is width, height."""
+    columns, rows = intervals
+    iu, wu = basis(uv_px[:, 0], size_px[0], columns)
+    iv, wv = basis(uv_px[:, 1], size_px[1], rows)
+    matrix = np.zeros((len(uv_px), node_count(intervals)))
+    each = np.arange(len(uv_px))
+    for j in range(4):
+        for i in range(4):
+            matrix[each, (iv + j) * (columns + 3) + iu + i] = wv[:, j] * wu[:, i]
+    return matrix
