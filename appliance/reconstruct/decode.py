@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from appliance.patterns.sequence import Direction, Kind, PatternSequence
 from appliance.reconstruct.edges import close_axis
-from appliance.reconstruct.graycode import add_bit, add_four_bits, add_two_bits, threshold
+from appliance.reconstruct.graycode import add_bit, add_four_bits, add_two_bits, count_lit, threshold
 from appliance.reconstruct.phase import Axis
 
 MIN_CONTRAST_DN = 8
@@ -83,7 +83,7 @@ class CameraDecoder:
             dark = frames[self._sequence.dark].reshape(-1)
             threshold(bright, dark, np.uint8(MIN_CONTRAST_DN), self._middle, self.mask.reshape(-1))
             self._closed = False
-            self.lit_pixels = int(np.count_nonzero(self.mask == Mask.VALID))
+            self.lit_pixels = int(count_lit(self.mask.reshape(-1)))
         elif pattern.kind is Kind.GRAY:
             self._add(frames, pattern.index, self._sequence.axis(pattern.direction).gray)
         elif pattern.kind is Kind.SINE and pattern.index == 3:

@@ -26,6 +26,15 @@ def threshold(
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
+def count_lit(mask: NDArray[np.uint8]) -> int:
+    """How many pixels are not in the shadow, before anything else has masked them."""
+    dark = 0
+    for i in range(mask.size):
+        dark += mask[i]
+    return int(mask.size) - dark
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
 def add_bit(frame: NDArray[np.uint8], middle: NDArray[np.uint8], half_period: NDArray[np.uint8]) -> None:
     """Append one bit, most significant first; arrays (n,) uint8.
 
