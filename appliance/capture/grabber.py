@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from drivers.api import Camera, Clock, DeviceError, Frame, FrameStatus
 
-LIVE_TIMEOUT_S = 0.5
+LIVE_TIMEOUT_S = 0.15
+"""Longer than from one live image to the next. An order to stop waits for it: the board fires no more by then."""
 FIRST_FRAME_TIMEOUT_S = 2.0
 NEXT_FRAME_TIMEOUT_S = 0.15
 """Nine vertical blanks: a frame that has not come by then was lost."""
@@ -90,6 +91,10 @@ class Grabber:
     def live(self) -> None:
         """Show what the camera sees, at whatever rate the board triggers."""
         self._set("live")
+
+    def leave(self) -> None:
+        """Order the camera to stop; returns at once. ``idle`` waits for it."""
+        self._set("idle")
 
     def idle(self, timeout_s: float = 2.0) -> bool:
         """Stop the camera; True when it has stopped (or is lost)."""

@@ -184,6 +184,8 @@ class ScanRecorder:
                 Fault(FaultCode.LASER_ON, f"the {which} laser still conducts after switching off", {}, "board")
             )
         for side in SIDES:
+            self._grabbers[side].leave()  # both at once, so that one waiting time is enough
+        for side in SIDES:
             if not self._grabbers[side].idle():
                 raise _Aborted(
                     Fault(FaultCode.CAMERA_REFUSED, f"camera.{side} did not leave live view", {}, f"camera.{side}")
