@@ -81,7 +81,9 @@ def find_frustum(cloud: PointSource) -> Frustum | NotFound:
     """The frustum in a cloud that shows its top, the plate it stands on and all four sides. Deterministic."""
     rows = finite_rows(cloud.points_mm)
     if rows.size < 1000:
-        return NotFound(f"the cloud has only {rows.size} points; bring the frustum into the light, 500 mm away")
+        return NotFound(
+            f"the cloud has only {rows.size} points; bring the frustum into the light, 500 mm away, or see whether the calibration is of this instrument"
+        )
     points = cloud.points_mm[rows].astype(np.float64)
     planes = _planes(points[thinned(points, CELL_MM)])
     chosen = _arranged(planes)

@@ -13,6 +13,7 @@ from appliance.config import Rig
 from appliance.optics.water import Water
 from appliance.patterns.sequence import build_sequence
 from appliance.reconstruct.pipeline import SIDES, Cloud, Pipeline
+from appliance.reconstruct.quality import QualityLimits
 from appliance.service.app import CALIBRATION_FILE, calibration_of, design_of
 from appliance.storage import scan as stored
 from appliance.storage.atomic import replace_file
@@ -51,13 +52,21 @@ def reconstruct_scan(
     }
 
 
-def cloud_of(scan: stored.StoredScan, calibration: Calibration, progress: Callable[[str], None]) -> tuple[Cloud, Water]:
-    """The full cloud of a stored scan with ``calibration``, and the water it was reconstructed in."""
+def cloud_of(
+    scan: stored.StoredScan,
+    calibration: Calibration,
+    progress: Callable[[str], None],
+    limits: QualityLimits | None = None,
+) -> tuple[Cloud, Water]:
+    """The full cloud of a stored scan with ``calibration``, and the water it was reconstructed in.
+
+    ``limits`` ``None``: those of the instrument.
+    """
     made = scan.manifest.record.sequence
     sequence = build_sequence(made.period_px, made.width_px, made.height_px)
     water = _water_of(scan, calibration)
     progress("loading")
-    with Pipeline(calibration, water, sequence) as pipeline:
+    with Pipeline(calibration, water, sequence, limits) as pipeline:
         for index in range(len(sequence)):
             progress(f"decoding frame {index + 1} of {len(sequence)}")
             for side in SIDES:

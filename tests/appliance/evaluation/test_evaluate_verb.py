@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import base64
 import json
+import math
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -13,6 +15,7 @@ import pytest
 
 from appliance.calibration.file import encode
 from appliance.cli import main
+from appliance.optics.model import HousedCamera, StereoRig
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.record import ScanRecord, SequenceInfo
 from appliance.storage.scan import write_raw
@@ -50,11 +53,10 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, TrueRig]:
     return folder, truth
 
 
-def evaluate(folder: Path, text: str, name: str = "list.toml") -> int:
+def evaluate(folder: Path, text: str, name: str = "list.toml", calibration: str = "calibration.json") -> int:
     (folder / name).write_text(text)
-    calibration, out = folder / "calibration.json", folder / "report.html"
-    argv = ["evaluate", str(folder / name), "--root", str(folder), "--out", str(out), "--calibration", str(calibration)]
-    return main(argv)
+    argv = ["evaluate", str(folder / name), "--root", str(folder), "--out", str(folder / "report.html")]
+    return main([*argv, "--calibration", str(folder / calibration)])
 
 
 def listed(length_mm: float) -> str:
@@ -98,6 +100,31 @@ def test_errors_are_those_of_the_truth(bench: tuple[Path, TrueRig]) -> None:
     assert bar["provenance"]["temperatures_c"] == {"projector": 41.5, "case": None}
     assert bar["provenance"]["artefact_serial"] == "KB-7"
     assert said["about"]["operator"] == "Ada & Co"
+
+
+def test_a_wrong_calibration_cannot_hide_its_errors(bench: tuple[Path, TrueRig]) -> None:
+    """Ports tilted by 0.3° and moved by 3 mm: on the instrument no point would pass, here the errors are measured."""
+    folder, truth = bench
+    text = listed(truth.artefacts.ball_distance_mm)
+    assert evaluate(folder, text) == 0
+    right = json.loads((folder / "report.json").read_text())
+    true = true_calibration(truth)
+    tilt = math.tan(math.radians(0.3))
+
+    def moved(camera: HousedCamera, sign: float) -> HousedCamera:
+        normal = np.add(camera.port.normal, (0.0, sign * tilt, 0.0))
+        normal /= np.linalg.norm(normal)
+        n = (float(normal[0]), float(normal[1]), float(normal[2]))
+        return replace(camera, port=replace(camera.port, normal=n, distance_mm=camera.port.distance_mm + 3.0 * sign))
+
+    rig = StereoRig(moved(true.rig.left, 1.0), moved(true.rig.right, -1.0))
+    (folder / "wrong.json").write_bytes(encode(replace(true, rig=rig)))
+    assert evaluate(folder, text, calibration="wrong.json") == 0
+    wrong = json.loads((folder / "report.json").read_text())
+    for a, b in zip(right["scans"], wrong["scans"], strict=True):
+        assert b["provenance"]["points"] == pytest.approx(a["provenance"]["points"], rel=0.01)
+        assert a["provenance"]["ray_gap_mm"] < 0.1 < 1.0 < b["provenance"]["ray_gap_mm"]
+    assert wrong["summary"]["e_l_ball_bar_percent"] > 3.0 * right["summary"]["e_l_ball_bar_percent"]
 
 
 def test_the_page_stands_alone(bench: tuple[Path, TrueRig]) -> None:
