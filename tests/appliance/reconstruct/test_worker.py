@@ -223,6 +223,12 @@ def test_whatever_becomes_of_a_worker_no_scan_is_lost(
     assert clouds(worker)[0][-1].scan == 8
 
 
+def test_the_worker_loads_no_linear_algebra_that_it_does_not_need(worker: ReconstructionWorker) -> None:
+    maps = Path(f"/proc/{worker.pid}/maps").read_text()
+    assert "numba" in maps
+    assert "/scipy/linalg/" not in maps
+
+
 def test_the_heartbeat_does_not_wait_for_a_worker_that_hangs(worker: ReconstructionWorker) -> None:
     hold(worker)
     end_s = time.monotonic() + 20.0
