@@ -96,6 +96,7 @@ class Diver(threading.Thread):
                 self.log.warm_ups += 1
                 if self.log.warm_ups > MOST_WARM_UPS:
                     raise RuntimeError(f"no scan was good after {MOST_WARM_UPS} attempts: {reason}")
+                self._let_images_be_made()
                 self._begin_to_count()
             else:
                 self.log.refused.append(reason or "?")
@@ -117,6 +118,12 @@ class Diver(threading.Thread):
         self._press_until(lambda: self._state() in ("SAVING", "AIM"))
         self._until(lambda: self._state() == "AIM" and self._status().get("last_scan") != before)
         return None
+
+    def _let_images_be_made(self) -> None:
+        """Those of the sequence just shown, however slow the machine: the next one finds them ready."""
+        world = self._world()
+        assert world is not None
+        self._until(lambda: not world.developing)
 
     def _begin_to_count(self) -> None:
         """From now on the world's images are there."""

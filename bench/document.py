@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 BEGIN, END = "<!-- figures: ./dev bench --write-docs -->", "<!-- end of figures -->"
+ENDURANCE = "A hundred scans in real time, `./dev bench endurance`"
 TABLES: dict[str, tuple[tuple[str, str, str], ...]] = {
     "A scan, here": (
         ("recording_cpu_ms", "while recording: 23 pairs of frames", "ms CPU"),
@@ -53,7 +54,7 @@ TABLES: dict[str, tuple[tuple[str, str, str], ...]] = {
         ("disk_ms", "the disk's own time for these bytes", "ms"),
         ("publish_ms", "cloud and manifest durable, scan published", "ms"),
     ),
-    "A hundred scans in real time, `./dev bench endurance`": (
+    ENDURANCE: (
         ("endurance_scans", "scans saved: 24 pairs of 1600 × 1200 at 60 Hz each", "scans"),
         ("endurance_lost_frames", "frames lost in them", "frames"),
         ("endurance_refused", "scans refused meanwhile, none of them silently", "scans"),

@@ -118,5 +118,7 @@ def warm(out: Path | None, *, json: bool) -> Exit:
 
 
 def _use_kernels() -> None:
+    """Only what makes somebody wait is worth a line."""
     cache = kernel_cache.use()
-    logging.getLogger(__name__).info("kernels: %s, in %s", cache.origin.value, cache.path)
+    level = logging.INFO if cache.origin is kernel_cache.Origin.EMPTY else logging.DEBUG
+    logging.getLogger(__name__).log(level, "kernels: %s, in %s", cache.origin.value, cache.path)

@@ -10,6 +10,7 @@ import pytest
 
 from bench.bench_endurance import dive, judged
 from bench.curves import draw_run
+from bench.document import ENDURANCE, TABLES
 
 
 @pytest.mark.parametrize(("scans", "size"), [(2, "400x300"), pytest.param(20, "1600x1200", marks=pytest.mark.long)])
@@ -25,6 +26,7 @@ def test_a_dive_in_real_time_loses_no_frame(tmp_path: Path, scans: int, size: st
     assert said["endurance_latest_flip_us"].value < 1000.0, "a later flip would have been refused"
     assert 0.0 < said["coarse_latency_ms"].value < said["full_latency_ms"].value
     assert said["worker_growth_mb"].kept
+    assert {key for key, _, _ in TABLES[ENDURANCE]} <= set(said), "the document names nothing that is not measured"
 
 
 def test_more_flips_make_a_taller_bar(tmp_path: Path) -> None:
