@@ -13,7 +13,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from hw_sim.objects.shapes import gradient, march
+from hw_sim.objects.print import Ink, printed
+from hw_sim.objects.shapes import BOARD, gradient, march
 from hw_sim.objects.texture import albedo
 from hw_sim.optics.table import OUTSIDE, fit_table, look_up
 from hw_sim.optics.trace import DISTANCE, GLASS, HEIGHT, INNER, ROTATION, THICKNESS, WATER, WIDTH, rays_of
@@ -99,22 +100,35 @@ def trace(
     lamp: Lamp,
     texture: int,
     lattice: NDArray[np.float32],
+    ink: Ink,
     attenuation_per_m: float,
 ) -> Geometry:
-    """Follow the rays (h, w, 6) of a camera; ``first`` are the pose's shadows, ``lattice`` is the texture's."""
+    """Follow the rays (h, w, 6) of a camera; ``first`` are the pose's shadows, ``lattice`` is the texture's, ``ink`` the
+    print of the board, which has no other texture."""
     h, w = rays.shape[:2]
     geometry = Geometry(np.empty((h, w)), np.empty((h, w, CHANNELS), np.float32))
     _trace(
-        pose.kind, pose.sizes, pose.R, pose.t, first, texture, lattice, attenuation_per_m / 1000.0, rays,
+        pose.kind, pose.sizes, pose.R, pose.t, first, texture, lattice, ink, attenuation_per_m / 1000.0, rays,
         lamp.eye, lamp.table, lamp.window, lamp.depth_mm, geometry.distance_mm, geometry.pixels,
     )  # fmt: skip
     return geometry
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
+def _met(
+    R: Array, t: Array, ray: Array, x: float, y: float, z: float, nx: float, ny: float, nz: float
+) -> tuple[float, float]:
+    """x and y of the object frame where a ray meets the plane through a point with a normal."""
+    ox, oy, oz = into(R, ray[0] - t[0], ray[1] - t[1], ray[2] - t[2])
+    dx, dy, dz = into(R, ray[3], ray[4], ray[5])
+    s = ((x - ox) * nx + (y - oy) * ny + (z - oz) * nz) / (dx * nx + dy * ny + dz * nz)
+    return ox + s * dx, oy + s * dy
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
 def _trace(
     kind: int, sizes: Array, R: Array, t: Array, first: NDArray[np.float32], texture: int,
-    lattice: NDArray[np.float32], per_mm: float, rays: Array, lamp: Array, table: Array,
+    lattice: NDArray[np.float32], ink: Ink, per_mm: float, rays: Array, lamp: Array, table: Array,
     window: NDArray[np.float32], depth_mm: float, distance: Array, pixels: NDArray[np.float32],
 ) -> None:  # fmt: skip
     rows, columns = distance.shape
@@ -138,7 +152,20 @@ def _trace(
                         continue
                     distance[y, x] = far
                     hx, hy, hz = ox + far * dx, oy + far * dy, oz + far * dz
-                    grey = albedo(texture, lattice, hx, hy, hz) * math.exp(-per_mm * far)
+                    nx, ny, nz = gradient(kind, sizes, hx, hy, hz)
+                    norm = math.sqrt(nx * nx + ny * ny + nz * nz) + 1e-12
+                    nx, ny, nz = nx / norm, ny / norm, nz / norm
+                    if kind == BOARD and nz < -0.9:
+                        beside, below = (
+                            rays[y, x + 1 if x + 1 < columns else x - 1],
+                            rays[y + 1 if y + 1 < rows else y - 1, x],
+                        )
+                        ax, ay = _met(R, t, beside, hx, hy, hz, nx, ny, nz)
+                        bx, by = _met(R, t, below, hx, hy, hz, nx, ny, nz)
+                        grey = printed(ink, sizes, hx, hy, ax - hx, ay - hy, bx - hx, by - hy)
+                    else:
+                        grey = albedo(texture, lattice, hx, hy, hz)
+                    grey *= math.exp(-per_mm * far)
                     out[GREY] = grey
                     wx, wy, wz = ray[0] + far * ray[3], ray[1] + far * ray[4], ray[2] + far * ray[5]
                     u, v = look_up(lamp, table, wx, wy, wz)
@@ -149,9 +176,6 @@ def _trace(
                     sx, sy, sz = into(R, origin[0] - t[0], origin[1] - t[1], origin[2] - t[2])
                     vx, vy, vz = sx - hx, sy - hy, sz - hz
                     length = math.sqrt(vx * vx + vy * vy + vz * vz)
-                    nx, ny, nz = gradient(kind, sizes, hx, hy, hz)
-                    norm = math.sqrt(nx * nx + ny * ny + nz * nz) + 1e-12
-                    nx, ny, nz = nx / norm, ny / norm, nz / norm
                     facing = (vx * nx + vy * ny + vz * nz) / length
                     if facing <= 0.0:
                         continue

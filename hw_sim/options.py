@@ -9,9 +9,10 @@ from typing import Any
 
 from hw_sim.motion import Motion
 from hw_sim.scene import Scene
-from hw_sim.water import Water
+from hw_sim.water import AIR, Water
 
 Pose = tuple[float, float, float, float, float, float]
+MEDIA = ("water", "air")
 PACES = ("lockstep", "realtime", "attended")
 
 
@@ -33,6 +34,7 @@ class WorldOptions:
     object: str = "pipe"
     object_pose: Pose | None = None
     texture: str = "slight"
+    medium: str = "water"
     water: Mapping[str, float] = field(default_factory=dict)
     ambient: float = 0.02
     noise: bool = True
@@ -48,6 +50,10 @@ class WorldOptions:
     def __post_init__(self) -> None:
         if self.pace not in PACES:
             raise OptionError(f"pace '{self.pace}'; allowed are {', '.join(PACES)}")
+        if self.medium not in MEDIA:
+            raise OptionError(f"medium '{self.medium}'; allowed are {', '.join(MEDIA)}")
+        if self.medium == "air" and self.water:
+            raise OptionError(f"water {dict(self.water)} in air; leave it out, or choose medium 'water'")
         if not 64 <= self.width_px <= 4096 or not 48 <= self.height_px <= 4096:
             raise OptionError(f"camera size {self.width_px}x{self.height_px}; allowed are 64x48 to 4096x4096")
         if not 0.1 <= self.idle_speed <= 100.0:
@@ -61,7 +67,7 @@ class WorldOptions:
                 self.object,
                 self.object_pose,
                 self.texture,
-                Water(**self.water),
+                Water(**self.water) if self.medium == "water" else AIR,
                 self.ambient,
                 self.noise,
                 Motion(**motion),

@@ -18,6 +18,7 @@ class Scene:
     pose: tuple[float, float, float, float, float, float] | None = None
     """[x, y, z, rx_deg, ry_deg, rz_deg] in the rig frame at time 0; ``None``: where both cameras see it well."""
     texture: str = "slight"
+    """Of every object but the board, which has its print."""
     water: Water = field(default_factory=Water)
     ambient: float = 0.02
     noise: bool = True

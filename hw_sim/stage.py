@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from hw_sim.geometry import Geometry, Lamp, Pose, lamp_of, shadows, trace
 from hw_sim.latest import Latest
 from hw_sim.motion import object_pose
+from hw_sim.objects.print import board_print
 from hw_sim.objects.shapes import NAMES
 from hw_sim.objects.texture import NAMES as TEXTURES
 from hw_sim.objects.texture import noise_lattice
@@ -36,6 +37,7 @@ class Stage:
         self._shapes_px = {name: (truth.eye(name).height_px, truth.eye(name).width_px) for name in CAMERAS}
         self._sizes = truth.artefacts.sizes()
         self._lattice = noise_lattice()
+        self._ink = board_print()
         self._rays: Latest[str, Array] = Latest(keep=len(CAMERAS))
         self._tables: Latest[str, Array] = Latest(keep=len(CAMERAS))
         self._geometries: dict[str, Latest[tuple[object, ...], Geometry]] = {name: Latest() for name in CAMERAS}
@@ -63,7 +65,7 @@ class Stage:
 
         def compute() -> Geometry:
             first = self._shadows.get(pose.key, lambda: shadows(pose, self.lamp))
-            return trace(self.rays(camera), pose, first, self.lamp, texture, self._lattice, per_m)
+            return trace(self.rays(camera), pose, first, self.lamp, texture, self._lattice, self._ink, per_m)
 
         return self._geometries[camera].get((texture, per_m, pose.key), compute)
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hw_sim.objects.shapes import BALL_DISTANCE_MM, HALF_BALL_DISTANCE, PLANE_BOW, SIZES
+from hw_sim.objects.shapes import BALL_DISTANCE_MM, BOARD_BOW, BOARD_SCALE, HALF_BALL_DISTANCE, PLANE_BOW, SIZES
 from hw_sim.optics.trace import FIELD, FIELD_ORDER, HAS_FIELD, PACKED
 
 Array = NDArray[np.float64]
@@ -94,11 +94,16 @@ class Artefacts:
     """Between the centres of the ball bar."""
     plane_bow_mm: float = 0.0
     """How far the middle of the plane stands back from the middles of its short edges, half of it: z = bow (1 − 2 r²/a²)."""
+    board_bow_mm: float = 0.0
+    """The same of the ChArUco board's plate."""
+    board_scale: float = 1.0
+    """Of the board's print against its drawing."""
 
     def sizes(self) -> Array:
         """The array that compiled shapes read."""
         sizes = np.zeros(SIZES)
         sizes[HALF_BALL_DISTANCE], sizes[PLANE_BOW] = 0.5 * self.ball_distance_mm, self.plane_bow_mm
+        sizes[BOARD_BOW], sizes[BOARD_SCALE] = self.board_bow_mm, self.board_scale
         return sizes
 
 
@@ -145,6 +150,8 @@ class _Amounts:
     centre_px: float = 0.0
     distortion: float = 0.0
     artefact_mm: float = 0.0
+    board_mm: float = 0.0
+    board_scale: float = 0.0
     moved_deg: float = 0.0
     moved_mm: float = 0.0
     refocus: float = 0.0
@@ -163,6 +170,8 @@ _REALISTIC = _Amounts(
     centre_px=6.0,
     distortion=1.0,
     artefact_mm=0.003,
+    board_mm=0.01,
+    board_scale=1e-5,
     moved_deg=0.005,
     moved_mm=0.01,
     refocus=1e-4,
@@ -180,6 +189,8 @@ _HARD = _Amounts(
     centre_px=12.0,
     distortion=2.0,
     artefact_mm=0.006,
+    board_mm=0.02,
+    board_scale=2e-5,
     moved_deg=0.01,
     moved_mm=0.02,
     refocus=2e-4,
@@ -229,7 +240,8 @@ def draw_truth(kind: str, seed: int, width_px: int, height_px: int, n_water: flo
         direction /= np.linalg.norm(direction)
         beams.append(Laser((x_mm, -60.0, 30.0), _triple(direction)))
     made = np.random.default_rng([seed, 21]).normal(0.0, 1.0, 2) * amounts.artefact_mm
-    artefacts = Artefacts(BALL_DISTANCE_MM + float(made[0]), float(made[1]))
+    board = np.random.default_rng([seed, 23]).normal(0.0, 1.0, 2) * (amounts.board_mm, amounts.board_scale)
+    artefacts = Artefacts(BALL_DISTANCE_MM + float(made[0]), float(made[1]), float(board[0]), 1.0 + float(board[1]))
     return TrueRig(seed, kind, n_water, left, right, beamer, (beams[0], beams[1]), artefacts)
 
 

@@ -55,3 +55,7 @@ class Water:
     def index(self) -> float:
         """Refractive index relative to air at the projector's green."""
         return refractive_index(self.temperature_c, self.salinity_psu, GREEN_NM)
+
+
+AIR = Water(attenuation_per_m=0.0, backscatter=0.0, blur_px_per_m=0.0)
+"""What air does to light on its way. That it does not refract is the matter of ``truth.in_air``."""

@@ -36,7 +36,7 @@ from hw_sim.punctuality import Punctuality
 from hw_sim.render import LightSlice, Renderer, Surface, TrueView
 from hw_sim.scene import Scene
 from hw_sim.stills import Stills
-from hw_sim.truth import SETS, TrueRig, draw_truth, load_truth
+from hw_sim.truth import SETS, TrueRig, draw_truth, in_air, load_truth
 
 __all__ = ["World", "WorldOptions"]
 
@@ -68,11 +68,12 @@ class World:
         o = self.options
         scene = o.scene()
         n_water = scene.water.index
-        self.truth: TrueRig = (
+        wet = (
             draw_truth(o.truth, o.seed, o.width_px, o.height_px, n_water)
             if o.truth in SETS
             else _stored_truth(Path(o.truth), n_water)
         )
+        self.truth: TrueRig = in_air(wet) if o.medium == "air" else wet
         self._scene = scene
         self._renderer_lock = threading.Lock()
         self._made_renderer: Renderer | None = None

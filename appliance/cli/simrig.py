@@ -17,7 +17,7 @@ from appliance.cli.output import UsageError
 from appliance.config import Rig
 
 SIMULATOR = "hw_sim"
-OBJECTS = ("plane", "ballbar", "frustum", "pipe", "shell", "stones")
+OBJECTS = ("plane", "ballbar", "frustum", "pipe", "shell", "stones", "board")
 TEXTURES = ("none", "slight", "strong")
 TRUTHS = ("nominal", "realistic", "hard", "paper", "modelled")
 PACES = ("lockstep", "realtime", "attended")

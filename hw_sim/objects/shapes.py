@@ -14,8 +14,16 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-PLANE, BALLBAR, FRUSTUM, PIPE, SHELL, STONES = range(6)
-NAMES = {"plane": PLANE, "ballbar": BALLBAR, "frustum": FRUSTUM, "pipe": PIPE, "shell": SHELL, "stones": STONES}
+PLANE, BALLBAR, FRUSTUM, PIPE, SHELL, STONES, BOARD = range(7)
+NAMES = {
+    "plane": PLANE,
+    "ballbar": BALLBAR,
+    "frustum": FRUSTUM,
+    "pipe": PIPE,
+    "shell": SHELL,
+    "stones": STONES,
+    "board": BOARD,
+}
 
 BALL_RADIUS_MM = 15.0
 BALL_DISTANCE_MM = 150.0
@@ -27,6 +35,8 @@ FRUSTUM_PLATE_X_MM, FRUSTUM_PLATE_Y_MM = 200.0, 170.0
 PIPE_RADIUS_MM, PIPE_HALF_LENGTH_MM = 45.0, 130.0
 FLANGE_RADIUS_MM, FLANGE_HALF_LENGTH_MM, FLANGE_X_MM = 60.0, 9.0, 55.0
 WELD_RADIUS_MM, WELD_X_MM = 4.0, -45.0
+BOARD_HALF_X_MM, BOARD_HALF_Y_MM, BOARD_THICKNESS_MM = 145.0, 118.0, 8.0
+"""The plate of the ChArUco board; what is printed on it: ``objects.print``."""
 
 DEFAULT_POSE: dict[str, tuple[float, float, float, float, float, float]] = {
     "plane": (0.0, 0.0, 522.5, 8.0, 12.0, 0.0),
@@ -35,9 +45,10 @@ DEFAULT_POSE: dict[str, tuple[float, float, float, float, float, float]] = {
     "pipe": (0.0, 0.0, 560.0, 0.0, 6.0, 20.0),
     "shell": (0.0, 0.0, 545.0, 6.0, 0.0, 10.0),
     "stones": (0.0, 0.0, 535.0, 0.0, 0.0, 0.0),
+    "board": (0.0, 0.0, 560.0, 10.0, -12.0, 5.0),
 }
 
-HALF_BALL_DISTANCE, PLANE_BOW, SIZES = 0, 1, 2
+HALF_BALL_DISTANCE, PLANE_BOW, BOARD_BOW, BOARD_SCALE, SIZES = 0, 1, 2, 3, 4
 """Layout of ``sizes``: what differs from one made artefact to the next."""
 
 BOX = np.array(
@@ -48,6 +59,7 @@ BOX = np.array(
         [-130.0, -60.0, -60.0, 130.0, 60.0, 60.0],
         [-105.0, -80.0, -40.5, 105.0, 80.0, 12.0],
         [-108.0, -76.0, -46.0, 106.0, 78.0, 54.0],
+        [-145.0, -118.0, -0.3, 145.0, 118.0, 8.3],
     ]
 )
 """A box (x0 y0 z0 x1 y1 z1) around each object."""
@@ -61,7 +73,7 @@ STONES_AT = np.array(
     ]
 )
 """Middle x y z and mean radius of each stone."""
-RADIUS = np.array([161.0, 92.5, 132.0, 144.0, 138.0, 120.0])
+RADIUS = np.array([161.0, 92.5, 132.0, 144.0, 138.0, 120.0, 188.0])
 """Radius of a ball around the origin that holds each object."""
 
 HIT_MM = 1e-7
@@ -156,13 +168,17 @@ def _stones(x: float, y: float, z: float) -> float:
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
+def _plate(x: float, y: float, z: float, half_x: float, half_y: float, thickness: float, bow: float) -> float:
+    """A plate with its front at z = 0, which the workshop bent: z = bow (1 − 2 r²/half_x²)."""
+    bent = bow * (1.0 - (x * x + y * y) * (2.0 / (half_x * half_x)))
+    return 0.999 * _box(x, y, z - 0.5 * thickness - bent, half_x, half_y, 0.5 * thickness)
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
 def implicit(kind: int, sizes: Array, x: float, y: float, z: float) -> float:
     """The implicit function of an object at a point of its frame."""
     if kind == 0:
-        bow = sizes[PLANE_BOW] * (1.0 - (x * x + y * y) * (2.0 / (PLANE_HALF_X_MM * PLANE_HALF_X_MM)))
-        return 0.999 * _box(
-            x, y, z - 0.5 * PLANE_THICKNESS_MM - bow, PLANE_HALF_X_MM, PLANE_HALF_Y_MM, 0.5 * PLANE_THICKNESS_MM
-        )
+        return _plate(x, y, z, PLANE_HALF_X_MM, PLANE_HALF_Y_MM, PLANE_THICKNESS_MM, sizes[PLANE_BOW])
     if kind == 1:
         half = sizes[HALF_BALL_DISTANCE]
         along = abs(x) - half
@@ -176,6 +192,8 @@ def implicit(kind: int, sizes: Array, x: float, y: float, z: float) -> float:
         return _pipe(x, y, z)
     if kind == 4:
         return _shell(x, y, z)
+    if kind == 6:
+        return _plate(x, y, z, BOARD_HALF_X_MM, BOARD_HALF_Y_MM, BOARD_THICKNESS_MM, sizes[BOARD_BOW])
     return _stones(x, y, z)
 
 
