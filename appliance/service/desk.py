@@ -62,6 +62,17 @@ def cloud_of(
 
     ``limits`` ``None``: those of the instrument.
     """
+    _, cloud, water = decoded_cloud_of(scan, calibration, progress, limits)
+    return cloud, water
+
+
+def decoded_cloud_of(
+    scan: stored.StoredScan,
+    calibration: Calibration,
+    progress: Callable[[str], None],
+    limits: QualityLimits | None = None,
+) -> tuple[Pipeline, Cloud, Water]:
+    """As ``cloud_of``, with the pipeline before it, which is closed and keeps the decoded maps of both cameras."""
     made = scan.manifest.record.sequence
     sequence = build_sequence(made.period_px, made.width_px, made.height_px)
     water = _water_of(scan, calibration)
@@ -73,7 +84,7 @@ def cloud_of(
                 pipeline.push(side, scan.frames[side], index)
         progress("matching")
         pipeline.coarse()
-        return pipeline.full(), water
+        return pipeline, pipeline.full(), water
 
 
 def describe_calibration(rig: Rig, path: Path | None) -> dict[str, Any]:

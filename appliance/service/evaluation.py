@@ -26,6 +26,7 @@ LENGTH_MM, REFERENCE_RANGE_MM = (1.0, 2000.0), (10.0, 5000.0)
 MAX_GAP_MM = 20.0
 """The instrument masks points whose rays pass at more than 0.25 mm. A wrong calibration would so hide its own worst points,
 many more than the 0.3 % that may be removed; here every calibration is judged by the same points."""
+SD_MM, RADIUS_MM = (1e-5, 1.0), (1.0, 100.0)
 _TOP_KEYS = {"operator", "reference_mm", "scan"}
 
 
@@ -43,6 +44,10 @@ class Entry:
     calibrated_mm: Mapping[str, float]
     serial: str | None
     """Of the artefact; its certificate states the lengths."""
+    length_sd_mm: float | None = None
+    """Of a ball bar's length: its standard uncertainty by the certificate."""
+    radius_mm: float | None = None
+    """Of a ball bar's balls by the certificate."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,7 +146,8 @@ def _entry(path: Path, k: int, table: dict[str, Any]) -> Entry:
             f"LIST {path}: {where}.artefact is {table.get('artefact')!r}; allowed are {names}; correct it"
         ) from error
     lengths = {f"{name}_mm": name for name in LENGTHS[artefact]}
-    _known(path, table, {"scan", "artefact", "serial", *lengths}, f"{where}.")
+    of_balls = {"length_sd_mm": SD_MM, "radius_mm": RADIUS_MM} if artefact is Artefact.BALL_BAR else {}
+    _known(path, table, {"scan", "artefact", "serial", *lengths, *of_balls}, f"{where}.")
     scan = table.get("scan")
     if not isinstance(scan, str) or not scan:
         raise ListError(f"LIST {path}: {where}.scan is {scan!r}; allowed is a text: the scan's number or its folder")
@@ -152,7 +158,10 @@ def _entry(path: Path, k: int, table: dict[str, Any]) -> Entry:
         raise ListError(
             f"LIST {path}: {where} has no calibrated length; give {' or '.join(lengths)} of its certificate"
         )
-    return Entry(scan, artefact, given, _text(path, table, "serial"))
+    balls = {
+        key: _number(path, f"{where}.{key}", table[key], allowed) for key, allowed in of_balls.items() if key in table
+    }
+    return Entry(scan, artefact, given, _text(path, table, "serial"), **balls)
 
 
 def _known(path: Path, table: dict[str, Any], allowed: set[str], where: str = "") -> None:

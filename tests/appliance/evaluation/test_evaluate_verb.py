@@ -16,14 +16,12 @@ import pytest
 from appliance.calibration.file import encode
 from appliance.cli import main
 from appliance.optics.model import HousedCamera, StereoRig
-from appliance.storage.filesystem import LocalFileSystem
-from appliance.storage.record import ScanRecord, SequenceInfo
-from appliance.storage.scan import write_raw
 from hw_sim.objects.shapes import FRUSTUM_BASE_MM, FRUSTUM_TOP_MM
 from hw_sim.scene import Scene
 from hw_sim.truth import TrueRig
 from tests.support.rendered import render_scan
-from tests.support.truth import WATER, true_calibration
+from tests.support.stored import store
+from tests.support.truth import true_calibration
 
 ARTEFACTS = ("ballbar", "plane", "frustum")
 
@@ -36,18 +34,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, TrueRig]:
     for name in ARTEFACTS:
         scan = render_scan(Scene(object=name), "modelled", 3, 400, 16)
         truth = scan.renderer.truth
-        record = ScanRecord(
-            sequence=SequenceInfo.of(scan.sequence),
-            rig_hash="ab" * 32,
-            calibration_hash=None,
-            software_version="0.1.0",
-            wall_time="2031-05-06T07:08:09+00:00",
-            clock_trusted=True,
-            recorded_ns=1,
-            water={"temperature_c": WATER.temperature_c, "salinity_psu": 0.0, "wavelength_nm": WATER.wavelength_nm},
-            temperatures_c={"projector": 41.5, "case": None},
-        )
-        write_raw(LocalFileSystem(), folder / name, name, scan.frames, record)
+        store(scan, folder / name)
     assert truth is not None
     (folder / "calibration.json").write_bytes(encode(true_calibration(truth, "KF-<7>")))
     return folder, truth

@@ -1,0 +1,33 @@
+"""Rendered scans as folders on the disk, for everything that starts from stored scans."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from appliance.storage.filesystem import LocalFileSystem
+from appliance.storage.record import ScanRecord, SequenceInfo
+from appliance.storage.scan import write_raw
+from hw_sim.water import GREEN_NM
+from tests.support.rendered import RenderedScan
+
+
+def store(scan: RenderedScan, folder: Path) -> Path:
+    """The raw frames and the manifest of a scan, in a new folder, with the water of its scene."""
+    water = scan.renderer.scene.water
+    record = ScanRecord(
+        sequence=SequenceInfo.of(scan.sequence),
+        rig_hash="ab" * 32,
+        calibration_hash=None,
+        software_version="0.1.0",
+        wall_time="2031-05-06T07:08:09+00:00",
+        clock_trusted=True,
+        recorded_ns=1,
+        water={
+            "temperature_c": water.temperature_c,
+            "salinity_psu": water.salinity_psu,
+            "wavelength_nm": GREEN_NM,
+        },
+        temperatures_c={"projector": 41.5, "case": None},
+    )
+    write_raw(LocalFileSystem(), folder, folder.name, scan.frames, record)
+    return folder
