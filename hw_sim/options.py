@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
 
+from hw_sim.imaging import Imaging
 from hw_sim.motion import Motion
 from hw_sim.scene import Scene
 from hw_sim.water import AIR, Water
@@ -39,6 +40,7 @@ class WorldOptions:
     ambient: float = 0.02
     noise: bool = True
     motion: Mapping[str, Any] = field(default_factory=dict)
+    imaging: Mapping[str, Any] = field(default_factory=dict)
     pace: str = "lockstep"
     idle_speed: float = 1.0
     faults: tuple[str, ...] = ()
@@ -71,6 +73,7 @@ class WorldOptions:
                 self.ambient,
                 self.noise,
                 Motion(**motion),
+                Imaging(**self.imaging),
             )
         except (TypeError, ValueError) as error:
             raise OptionError(f"scene: {error}") from error

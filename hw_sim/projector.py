@@ -29,10 +29,17 @@ PAD = 4
 Light = NDArray[np.float32]
 
 
-def response() -> Light:
-    """Light 0..1 of each code, (256,) float32: measured-like, monotone, with a toe and a shoulder; no pure gamma."""
+def response(kind: str = "measured") -> Light:
+    """Light 0..1 of each code, (256,) float32, by the name of ``imaging.RESPONSES``.
+
+    The measured-like one is monotone, with a toe and a shoulder; no pure gamma.
+    """
     x = np.arange(256) / 255.0
-    light = 0.75 * x**1.35 + 0.25 * (3.0 * x**2 - 2.0 * x**3)
+    light = {
+        "measured": 0.75 * x**1.35 + 0.25 * (3.0 * x**2 - 2.0 * x**3),
+        "linear": x,
+        "gamma": x**2.2,
+    }[kind]
     return (BLACK + (1.0 - BLACK) * light).astype(np.float32)
 
 
@@ -60,16 +67,18 @@ def light_between(slices: tuple[LightSlice, ...], begin_s: float, end_s: float, 
     return total
 
 
-def soften(light: Light, water_blur_px: float) -> Light:
+def soften(light: Light, water_blur_px: float, spread_far_px: float = SPREAD_FAR_PX) -> Light:
     """The light (h, w) as spline coefficients in focus and ``FAR_MM`` from it, with ``PAD`` dark px around:
     (h + 2 PAD, w + 2 PAD, 2) float32.
 
-    ``water_blur_px`` is the sigma by which the water spreads the light on its way, in projector px.
+    ``water_blur_px`` is the sigma by which the water spreads the light on its way, in projector px; ``spread_far_px``
+    what the lens adds at ``FAR_MM`` (0: it has no focus to lose).
     """
     around = np.zeros((light.shape[0] + 2 * PAD, light.shape[1] + 2 * PAD), np.float32)
     around[PAD:-PAD, PAD:-PAD] = light
     near = _blur(around, water_blur_px) if water_blur_px > 0.15 else around
-    return np.asarray(cv2.merge([near, _blur(around, math.hypot(water_blur_px, SPREAD_FAR_PX))]), np.float32)
+    far = _blur(around, math.hypot(water_blur_px, spread_far_px)) if spread_far_px > 0.0 else near
+    return np.asarray(cv2.merge([near, far]), np.float32)
 
 
 def _blur(light: Light, sigma_px: float) -> Light:

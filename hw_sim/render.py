@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hw_sim.geometry import GREY, MIDDLE_MM
+from hw_sim.imaging import RESPONSES
 from hw_sim.lasers import add_laser
 from hw_sim.latest import Latest
-from hw_sim.projector import LightSlice, collect, light_between, response, soften
+from hw_sim.projector import FAR_MM, SPREAD_FAR_PX, LightSlice, collect, light_between, response, soften
 from hw_sim.scene import Scene
 from hw_sim.sensor import FULL_WELL_E, Sensor
 from hw_sim.smear import instants
@@ -42,6 +43,9 @@ LASER_E_PER_S = 3.0e6 * _CLEAR
 """The same in the middle of a laser's dot."""
 LENS_BLUR_PX, LEAST_BLUR_PX = 0.55, 0.4
 """Gaussian sigma of the lens in px of 1600; and what remains of it in binned images: the pixel itself."""
+DEFOCUS_FAR_PX = 0.46
+"""What a lens of 11.5 mm at f/8, focused on the middle of the volume, adds ``FAR_MM`` of water away from it: a disc of
+1.44 mm · 11.5 mm · 90 mm / (405 mm · 495 mm) = 7.4 µm (lengths in water divided by its index), a quarter of it as sigma."""
 CAMERA_PX_MM, PROJECTOR_PX_MM = 0.160, 0.255
 """Sizes of a camera px (of 1600) and of a projector px in the middle of the volume."""
 
@@ -56,7 +60,7 @@ class Renderer:
         self.truth = truth
         self._scene = scene
         self._stage = Stage(truth)
-        self._response = response()
+        self._responses = {kind: response(kind) for kind in RESPONSES}
         self._veils: dict[str, Latest[float, Veil]] = {camera: Latest() for camera in CAMERAS}
         self._sensors: dict[str, Latest[bool, Sensor]] = {camera: Latest() for camera in CAMERAS}
 
@@ -92,9 +96,12 @@ class Renderer:
         for k in range(count):
             begin_s, end_s = exposure_s * k / count, exposure_s * (k + 1) / count
             at_s = time_s if count == 1 else time_s + 0.5 * (begin_s + end_s - exposure_s)
-            light = light_between(tuple(slices), begin_s, end_s, self._response)
+            light = light_between(tuple(slices), begin_s, end_s, self._responses[scene.imaging.response])
             self._add_instant(camera, scene, at_s, light, end_s - begin_s, lasers, electrons)
-        return self._sensor(camera, scene).read_out(self._blurred(camera, scene, electrons), gain_db, noise_seed)
+        image = self._blurred(camera, scene, electrons)
+        if scene.imaging.camera_defocus:
+            image = self._defocused(camera, scene, image, time_s)
+        return self._sensor(camera, scene).read_out(image, gain_db, noise_seed)
 
     def surface(self, time_s: float) -> Surface:
         """The true surface at ``time_s``."""
@@ -131,7 +138,8 @@ class Renderer:
         else:
             veil = self._veil(camera, scene).seen(light, geometry.distance_mm)
             veil *= np.float32(WHITE_E_PER_S * 0.6 * scene.water.backscatter)
-            softened = soften(light, _water_blur_mm(scene.water) / PROJECTOR_PX_MM)
+            spread_px = SPREAD_FAR_PX if scene.imaging.projector_defocus else 0.0
+            softened = soften(light, _water_blur_mm(scene.water) / PROJECTOR_PX_MM, spread_px)
             collect(geometry.pixels, softened, np.float32(WHITE_E_PER_S), ambient, veil, electrons)
         for on, laser in zip(lasers, self.truth.lasers, strict=True):
             if on:
@@ -146,6 +154,14 @@ class Renderer:
         lens_px = max(LENS_BLUR_PX * scale, LEAST_BLUR_PX)
         sigma_px = math.hypot(lens_px, _water_blur_mm(scene.water) / CAMERA_PX_MM * scale)
         return np.asarray(cv2.GaussianBlur(electrons, (0, 0), sigma_px, borderType=cv2.BORDER_REPLICATE), np.float32)
+
+    def _defocused(self, camera: str, scene: Scene, image: Picture, time_s: float) -> Picture:
+        """Like heat, in proportion to the square of the distance from the focus; what is behind an edge blurs as its own."""
+        away = self._stage.geometry(camera, scene, self._stage.pose(scene, time_s)).distance_mm - MIDDLE_MM
+        share = np.nan_to_num(np.minimum((away / FAR_MM) ** 2, 1.0)).astype(np.float32)
+        sigma_px = DEFOCUS_FAR_PX * self._scale(camera)
+        soft = cv2.GaussianBlur(image, (0, 0), sigma_px, borderType=cv2.BORDER_REPLICATE)
+        return np.asarray(image + share * (soft - image), np.float32)
 
     def _scale(self, camera: str) -> float:
         return self.truth.eye(camera).width_px / 1600.0

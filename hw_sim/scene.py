@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from hw_sim.imaging import Imaging
 from hw_sim.motion import Motion
 from hw_sim.objects.shapes import DEFAULT_POSE, NAMES
 from hw_sim.objects.texture import NAMES as TEXTURES
@@ -23,6 +24,7 @@ class Scene:
     ambient: float = 0.02
     noise: bool = True
     motion: Motion = field(default_factory=Motion)
+    imaging: Imaging = field(default_factory=Imaging)
 
     def __post_init__(self) -> None:
         for value, allowed, what in ((self.object, NAMES, "object"), (self.texture, TEXTURES, "texture")):
