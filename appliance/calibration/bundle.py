@@ -22,7 +22,6 @@ from appliance.calibration.judgement import Estimate, judged, warnings_about
 from appliance.calibration.recordings import ArtefactKind, Recording, RecordingError, thinned
 from appliance.optics.correction import INTERVALS, ImageCorrection, basis_matrix, node_count
 from appliance.optics.model import HousedCamera, StereoRig
-from appliance.optics.port import air_directions
 
 Array = NDArray[np.float64]
 
@@ -311,8 +310,7 @@ class _Problem:
 def _project(camera: HousedCamera, points_mm: Array, water_index: float) -> Array:
     """Pixels of points, before any image correction."""
     local = (points_mm - np.asarray(camera.translation_mm)) @ np.asarray(camera.rotation)
-    direction = air_directions(camera.port, water_index, local)
-    return camera.lens.to_pixels(direction[:, :2] / direction[:, 2:])
+    return camera.ideal_pixels(local, water_index)
 
 
 def _basis_matrix(camera: HousedCamera, uv_px: Array) -> Array:

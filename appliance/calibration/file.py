@@ -3,8 +3,9 @@
 The text is JSON with sorted keys; ``sha256`` is that of the compact form of everything else. Lengths are mm, image
 coordinates px, angles never appear (rotations are matrices).
 
-Schema 2 is schema 1 with an image correction in a camera. It is written only where there is one: a program that knows
-no corrections must refuse such a file, not read past what it does not know.
+Schema 2 is schema 1 with an image correction in a camera, schema 3 has also a ray shift, or lenses calibrated in water.
+Each is written only where it is needed: a program that knows none of these must refuse such a file, not read past what
+it does not know.
 """
 
 from __future__ import annotations
@@ -22,11 +23,13 @@ from appliance.optics.correction import ImageCorrection, node_count
 from appliance.optics.model import HousedCamera, Matrix3, StereoRig
 from appliance.optics.pinhole import Lens
 from appliance.optics.port import Port
+from appliance.optics.ray_shift import RayShift
 from appliance.optics.water import Water
 
 SCHEMA = 1
 SCHEMA_WITH_CORRECTION = 2
-SCHEMAS = (SCHEMA, SCHEMA_WITH_CORRECTION)
+SCHEMA_WITH_RAYS = 3
+SCHEMAS = (SCHEMA, SCHEMA_WITH_CORRECTION, SCHEMA_WITH_RAYS)
 MAX_INTERVALS = 64
 MAX_BYTES = 16 * 1024 * 1024
 
@@ -59,7 +62,7 @@ class Calibration:
 
 
 def encode(calibration: Calibration) -> bytes:
-    """The file's bytes."""
+    """The file's bytes. Raises CalibrationError for a camera model that is for comparison only."""
     content = _content(calibration)
     return (json.dumps({**content, "sha256": _digest(content)}, indent=2, sort_keys=True) + "\n").encode()
 
@@ -77,8 +80,9 @@ def decode(data: bytes, name: str = "calibration") -> Calibration:
         raise CalibrationError(f"{name}: a JSON object was expected, not {type(content).__name__}; {remedy}")
     schema = content.get("schema")
     if isinstance(schema, bool) or schema not in SCHEMAS:
-        known = " and ".join(str(number) for number in SCHEMAS)
-        raise CalibrationError(f"{name}: schema {schema!r}; this version reads schema {known}; {remedy}")
+        raise CalibrationError(
+            f"{name}: schema {schema!r}; this version reads schema {SCHEMAS[0]} to {SCHEMAS[-1]}; {remedy}"
+        )
     stated = content.pop("sha256", None)
     actual = _digest(content)
     if stated != actual:
@@ -121,9 +125,18 @@ def _digest(content: dict[str, Any]) -> str:
 
 
 def _content(calibration: Calibration) -> dict[str, Any]:
-    corrected = any(camera.correction is not None for camera in (calibration.rig.left, calibration.rig.right))
+    cameras = (calibration.rig.left, calibration.rig.right)
+    if any(type(camera) is not HousedCamera for camera in cameras):
+        raise CalibrationError(
+            f"method {calibration.method}: this model is for comparison only and has no file; calibrate with another method"
+        )
+    schema = SCHEMA
+    if any(camera.correction is not None for camera in cameras):
+        schema = SCHEMA_WITH_CORRECTION
+    if any(camera.ray_shift is not None or camera.lens_in_water for camera in cameras):
+        schema = SCHEMA_WITH_RAYS
     return {
-        "schema": SCHEMA_WITH_CORRECTION if corrected else SCHEMA,
+        "schema": schema,
         "rig_serial": calibration.rig_serial,
         "method": calibration.method,
         "made_at": calibration.made_at,
@@ -159,6 +172,13 @@ def _camera(camera: HousedCamera) -> dict[str, Any]:
             "intervals": list(camera.correction.intervals),
             "coefficients_px": list(camera.correction.coefficients_px),
         }
+    if camera.ray_shift is not None:
+        table["ray_shift"] = {
+            "intervals": list(camera.ray_shift.intervals),
+            "coefficients_mm": list(camera.ray_shift.coefficients_mm),
+        }
+    if camera.lens_in_water:
+        table["lens_in_water"] = True
     return table
 
 
@@ -236,13 +256,28 @@ class _Reader:
                 tuple[float, float, float], self.numbers(table, "translation_mm", 3, -10000.0, 10000.0)
             ),
             correction=self.correction(table, width_px, height_px),
+            ray_shift=self.ray_shift(table, width_px, height_px),
+            lens_in_water=self.lens_in_water(table),
         )
 
     def correction(self, camera: dict[str, Any], width_px: int, height_px: int) -> ImageCorrection | None:
         if "correction" not in camera:
             return None
-        table = self.table(camera, "correction")
+        return ImageCorrection(width_px, height_px, *self.spline(camera, "correction", "coefficients_px"))
+
+    def ray_shift(self, camera: dict[str, Any], width_px: int, height_px: int) -> RayShift | None:
+        if "ray_shift" not in camera:
+            return None
+        return RayShift(width_px, height_px, *self.spline(camera, "ray_shift", "coefficients_mm"))
+
+    def spline(self, camera: dict[str, Any], key: str, values: str) -> tuple[tuple[int, int], tuple[float, ...]]:
+        table = self.table(camera, key)
         across, down = (int(n) for n in self.numbers(table, "intervals", 2, 1, MAX_INTERVALS))
         count = 2 * node_count((across, down))
-        coefficients = self.numbers(table, "coefficients_px", count, -100.0, 100.0)
-        return ImageCorrection(width_px, height_px, (across, down), coefficients)
+        return (across, down), self.numbers(table, values, count, -100.0, 100.0)
+
+    def lens_in_water(self, camera: dict[str, Any]) -> bool:
+        value = camera.get("lens_in_water", False)
+        if not isinstance(value, bool):
+            raise self.fail("lens_in_water", value, "true or false")
+        return value

@@ -39,16 +39,7 @@ class ImageCorrection:
 
     def shift_px(self, uv_px: Array) -> Array:
         """s at pixels (..., 2): px, same shape. Beyond the image's edge the edge's value goes on."""
-        uv = np.asarray(uv_px, np.float64)
-        columns, rows = self.intervals
-        iu, wu = basis(uv[..., 0], self.width_px, columns)
-        iv, wv = basis(uv[..., 1], self.height_px, rows)
-        nodes = np.reshape(self.coefficients_px, (rows + 3, columns + 3, 2))
-        shift = np.zeros_like(uv)
-        for j in range(4):
-            for i in range(4):
-                shift += (wv[..., j] * wu[..., i])[..., None] * nodes[iv + j, iu + i]
-        return shift
+        return surface(uv_px, (self.width_px, self.height_px), self.intervals, self.coefficients_px)
 
     def to_ideal(self, uv_px: Array) -> Array:
         """Ideal pixels (..., 2) of real ones (..., 2)."""
@@ -66,6 +57,22 @@ class ImageCorrection:
             if float(np.max(np.abs(step), initial=0.0)) < TOLERANCE_PX:
                 break
         return np.where(known, real, np.nan)
+
+
+def surface(
+    uv_px: Array, size_px: tuple[int, int], intervals: tuple[int, int], coefficients: tuple[float, ...]
+) -> Array:
+    """A two-component B-spline surface (..., 2) at pixels (..., 2); ``coefficients`` hold both per node, row by row."""
+    uv = np.asarray(uv_px, np.float64)
+    columns, rows = intervals
+    iu, wu = basis(uv[..., 0], size_px[0], columns)
+    iv, wv = basis(uv[..., 1], size_px[1], rows)
+    nodes = np.reshape(coefficients, (rows + 3, columns + 3, 2))
+    value = np.zeros_like(uv)
+    for j in range(4):
+        for i in range(4):
+            value += (wv[..., j] * wu[..., i])[..., None] * nodes[iv + j, iu + i]
+    return value
 
 
 def node_count(intervals: tuple[int, int]) -> int:

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.optics.correction import ImageCorrection
+from appliance.optics.correction import SUBSTITUTIONS, TOLERANCE_PX, ImageCorrection
 from appliance.optics.pinhole import Lens
 from appliance.optics.port import Port, air_directions, water_rays
+from appliance.optics.ray_shift import RayShift
 
 Array = NDArray[np.float64]
 Matrix3 = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
@@ -29,11 +30,22 @@ class HousedCamera:
     translation_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     correction: ImageCorrection | None = None
     """What lens and window do beyond their formulas, where the calibration could see it."""
+    ray_shift: RayShift | None = None
+    """What of that depends on the depth: how far each ray passes beside where port and correction put it."""
+    lens_in_water: bool = False
+    """The lens was calibrated in the water, as a pinhole: rays leave the projection centre straight, the port means
+    nothing, and in other water the calibration is wrong."""
 
     def rays(self, uv_px: Array, water_index: float) -> tuple[Array, Array]:
         """Water rays of pixels (..., 2): (origins on the outer glass face, unit directions), left camera frame, mm."""
         ideal = uv_px if self.correction is None else self.correction.to_ideal(uv_px)
-        origin, direction = water_rays(self.port, water_index, self.lens.to_directions(ideal))
+        direction = self.lens.to_directions(ideal)
+        if self.lens_in_water:
+            origin = np.zeros_like(direction)
+        else:
+            origin, direction = water_rays(self.port, water_index, direction)
+        if self.ray_shift is not None:
+            origin[..., :2] += self.ray_shift.at_mm(uv_px)
         R = np.asarray(self.rotation)
         return origin @ R.T + np.asarray(self.translation_mm), direction @ R.T
 
@@ -42,10 +54,29 @@ class HousedCamera:
         before the camera. Not limited to the image."""
         R = np.asarray(self.rotation)
         local = (np.asarray(points_mm, np.float64) - np.asarray(self.translation_mm)) @ R
-        direction = air_directions(self.port, water_index, local)
+        uv = self._seen_at(local, water_index)
+        if self.ray_shift is None:
+            return uv
+        for _ in range(SUBSTITUTIONS):
+            shift = np.zeros_like(local)
+            shift[..., :2] = self.ray_shift.at_mm(np.nan_to_num(uv))
+            before, uv = uv, self._seen_at(local - shift, water_index)
+            if not np.any(np.abs(uv - before) > TOLERANCE_PX):
+                break
+        return uv
+
+    def ideal_pixels(self, local_mm: Array, water_index: float) -> Array:
+        """Pixels (..., 2) of points (..., 3) in the camera's own frame, before correction and ray shift."""
+        if self.lens_in_water:
+            direction = np.where(local_mm[..., 2:] > 0.0, local_mm, np.nan)
+        else:
+            direction = air_directions(self.port, water_index, local_mm)
         with np.errstate(invalid="ignore", divide="ignore"):
             xy = direction[..., :2] / np.where(direction[..., 2:] > 0.0, direction[..., 2:], np.nan)
-        ideal = self.lens.to_pixels(xy)
+        return self.lens.to_pixels(xy)
+
+    def _seen_at(self, local_mm: Array, water_index: float) -> Array:
+        ideal = self.ideal_pixels(local_mm, water_index)
         return ideal if self.correction is None else self.correction.to_real(ideal)
 
 

@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 
 from appliance.calibration.design import Design, design_calibration
 from appliance.calibration.file import Calibration, CalibrationError, decode, encode, load
+from appliance.optics.printed import PrintedCamera
+from appliance.optics.ray_shift import RayShift
 from appliance.optics.water import Water
 
 DESIGN = Design(11.5, 4.5, 230.0, 12.41, 30.0, 5.0, 1.77)
@@ -58,9 +60,27 @@ def test_a_value_out_of_range_is_named_although_the_checksum_fits(calibration: C
 
 def test_another_schema_is_refused(calibration: Calibration) -> None:
     content = json.loads(encode(calibration))
-    content["schema"] = 3
-    with pytest.raises(CalibrationError, match="schema 3; this version reads schema 1 and 2"):
+    content["schema"] = 4
+    with pytest.raises(CalibrationError, match="schema 4; this version reads schema 1 to 3"):
         decode(json.dumps(content).encode())
+
+
+def test_a_field_of_rays_and_a_lens_in_water_are_carried_by_schema_3(calibration: Calibration) -> None:
+    rng = np.random.default_rng(1)
+    shift = RayShift(1600, 1200, (4, 3), tuple(rng.normal(0.0, 0.01, 84)))
+    left = replace(calibration.rig.left, ray_shift=shift)
+    for changed in (left, replace(calibration.rig.left, lens_in_water=True)):
+        rich = replace(calibration, rig=replace(calibration.rig, left=changed))
+        assert json.loads(encode(rich))["schema"] == 3
+        assert decode(encode(rich)) == rich
+    assert json.loads(encode(calibration))["schema"] == 1, "older programs can read what they understand"
+
+
+def test_the_misprinted_model_has_no_file(calibration: Calibration) -> None:
+    left = calibration.rig.left
+    printed = PrintedCamera(left.width_px, left.height_px, left.lens, left.port)
+    with pytest.raises(CalibrationError, match="comparison only"):
+        encode(replace(calibration, rig=replace(calibration.rig, left=printed)))
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:

@@ -1,0 +1,61 @@
+"""Owns the ray model exactly as it was printed in 2015, misprints and all: only to show what they cost.
+
+Bräuer-Burchardt et al. 2015, Eqs. 1–4. Eq. 1 writes arctan where Snell's law has arcsin, and r/c where the glass term needs
+c'/r; its d is the distance to the outer face. ``HousedCamera`` with a perpendicular port is the model that was meant.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.optics.model import HousedCamera
+
+Array = NDArray[np.float64]
+
+NEWTON_STEPS = 20
+SMALL = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class PrintedCamera(HousedCamera):
+    """A camera whose rays follow the printed equations. No calibration file carries it."""
+
+    def rays(self, uv_px: Array, water_index: float) -> tuple[Array, Array]:
+        """As ``HousedCamera.rays``; the port's normal is taken for the axis."""
+        xy = self.lens.to_normalised(uv_px if self.correction is None else self.correction.to_ideal(uv_px))
+        slope, shift = self._printed(np.linalg.norm(xy, axis=-1), water_index)
+        origin = np.concatenate([np.zeros_like(xy), -shift[..., None]], -1)
+        direction = np.concatenate([xy * slope[..., None], np.ones_like(xy[..., :1])], -1)
+        direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
+        R = np.asarray(self.rotation)
+        return origin @ R.T + np.asarray(self.translation_mm), direction @ R.T
+
+    def ideal_pixels(self, local_mm: Array, water_index: float) -> Array:
+        """As ``HousedCamera.ideal_pixels``, by Newton's method on the distance from the axis."""
+        z, h = local_mm[..., 2], np.linalg.norm(local_mm[..., :2], axis=-1)
+
+        def miss(r: Array) -> Array:
+            slope, shift = self._printed(r, water_index)
+            return np.asarray((z + shift) * slope * r - h)
+
+        r = water_index * h / z
+        for _ in range(NEWTON_STEPS):
+            now = miss(r)
+            r = r - now * SMALL / (miss(r + SMALL) - now)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            outward = np.where(h[..., None] > 0.0, local_mm[..., :2] / h[..., None], 0.0)
+        return self.lens.to_pixels(np.where(z[..., None] > 0.0, r[..., None] * outward, np.nan))
+
+    def _printed(self, r: Array, water_index: float) -> tuple[Array, Array]:
+        """1/c' and l for distances r from the axis, in units of c. Where r is 0, their limits."""
+        r = np.maximum(r, SMALL)
+        sine = np.sin(np.arctan(r))
+        outer_mm = self.port.distance_mm + self.port.thickness_mm
+        glass = np.tan(np.arcsin(sine / self.port.glass_index))
+        shift = (
+            outer_mm * r / np.tan(np.arctan(sine / water_index)) - outer_mm - self.port.thickness_mm * r * (r - glass)
+        )
+        return np.tan(np.arcsin(sine / water_index)) / r, shift
