@@ -53,6 +53,13 @@ class CameraRig:
     exposure_ms: Annotated[_Real, Field(ge=0.05, le=16.6)]
     """At most one period of the 60 Hz projector."""
     gain_db: Annotated[_Real, Field(ge=0.0, le=48.0)]
+    full_well_e: Annotated[_Real, Field(ge=500.0, le=1e6)] = 13_000.0
+    """Electrons at 255 grey values and 0 dB, from the data sheet (EMVA 1288: saturation capacity): makes each point's
+    expected error."""
+    read_noise_e: Annotated[_Real, Field(ge=0.0, le=1000.0)] = 20.0
+    """From the data sheet (EMVA 1288: temporal dark noise)."""
+    black_level_dn: Annotated[_Real, Field(ge=0.0, le=64.0)] = 2.0
+    """Grey value of no light."""
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)

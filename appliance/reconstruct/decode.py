@@ -52,7 +52,9 @@ class CameraDecoder:
         self._sequence = sequence
         self._shape = (height_px, width_px)
         n = width_px * height_px
-        self._middle = np.empty(n, np.uint8)
+        self.middle = np.empty(self._shape, np.uint8)
+        """(h, w) uint8: half way between bright and dark: the Gray threshold, and the mean of the sine images."""
+        self._middle = self.middle.reshape(-1)
         self._half_period = np.empty(n, np.uint8)
         self.mask = np.empty(self._shape, np.uint8)
         """(h, w) uint8, values of Mask."""

@@ -17,12 +17,13 @@ from appliance.optics.water import Water
 from appliance.patterns.sequence import PatternSequence
 from appliance.reconstruct.decode import CameraDecoder
 from appliance.reconstruct.match import fill_inverse_map, right_maps
+from appliance.reconstruct.noise import TYPICAL_PAIR, StereoNoise
 from appliance.reconstruct.quality import QualityLimits, summarise
 from appliance.reconstruct.rows import LeftMaps, reconstruct_rows
 from appliance.reconstruct.scratch import MAX_WIDTH_PX
 from appliance.reconstruct.select import Limits
 from appliance.reconstruct.table import Cloud, Found, PointTable
-from appliance.reconstruct.triangulate import phase_scale_px, rays_of
+from appliance.reconstruct.triangulate import rays_of, sigma_factors
 
 SIDES = ("left", "right")
 COARSE_POINTS = 30_000
@@ -36,7 +37,7 @@ __all__ = ["SIDES", "Cloud", "Pipeline"]
 class Pipeline:
     """Reconstructs scans of one sequence with one calibration in one water; reusable, not thread-safe.
 
-    Points are left in ``table``, by default one of its own. Raises ValueError for cameras wider than 4096 px and for a
+    Points are left in ``table``, by default one of its own. ``noise`` makes their expected errors. Raises ValueError for cameras wider than 4096 px and for a
     table that is too small.
     """
 
@@ -47,6 +48,7 @@ class Pipeline:
         sequence: PatternSequence,
         limits: QualityLimits | None = None,
         table: PointTable | None = None,
+        noise: StereoNoise = TYPICAL_PAIR,
     ) -> None:
         left, right = calibration.rig.left, calibration.rig.right
         if max(left.width_px, right.width_px) > MAX_WIDTH_PX:
@@ -70,7 +72,7 @@ class Pipeline:
         seen = self._decoders["right"]
         self._right = right_maps(seen.p_px, seen.q_px, seen.modulation_half_dn, sequence.width_px, sequence.height_px)
         self._inverse_stride = 2 if right.width_px >= 800 else 1
-        self._scale_px = phase_scale_px(sequence.period_px)
+        self._factors = sigma_factors(sequence.period_px, noise)
         self._limits = limits or QualityLimits()
         self._pixel_mm = 0.16 * 1600.0 / left.width_px
         self._bright: NDArray[np.uint8] | None = None
@@ -124,7 +126,7 @@ class Pipeline:
         if self._bright is None:
             raise ValueError("no bright frame was pushed; push the whole sequence before asking for a cloud")
         decoder = self._decoders["left"]
-        left = LeftMaps(decoder.p_px, decoder.q_px, decoder.modulation_half_dn, self._bright)
+        left = LeftMaps(decoder.p_px, decoder.q_px, decoder.modulation_half_dn, self._bright, decoder.middle)
         limits = self._kernel_limits(stride)
         rows, columns = left.p_px.shape
         block = -(-rows // (THREADS * stride)) * stride
@@ -135,7 +137,7 @@ class Pipeline:
             first = start // stride * columns
             stop = min(start + block, rows)
             count = reconstruct_rows(
-                left, self._right, self._rays, limits, self._scale_px, start, stop, stride, self.table.points, first
+                left, self._right, self._rays, limits, self._factors, start, stop, stride, self.table.points, first
             )
             return first, first + int(count)
 

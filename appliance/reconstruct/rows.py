@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from appliance.reconstruct.match import RightMaps, match_row
 from appliance.reconstruct.scratch import (
-    BRIGHT,
     GAP,
+    LIGHT,
     MODULATION,
     P_ABOVE,
     Q_ABOVE,
@@ -26,7 +26,7 @@ from appliance.reconstruct.scratch import (
     Z,
 )
 from appliance.reconstruct.select import Limits, Points, append, count_neighbours, judge
-from appliance.reconstruct.triangulate import Rays, triangulate_row
+from appliance.reconstruct.triangulate import Rays, SigmaFactors, triangulate_row
 
 _NAN = np.float32(np.nan)
 
@@ -39,6 +39,8 @@ class LeftMaps(NamedTuple):
     q_px: NDArray[np.float32]
     modulation_half_dn: NDArray[np.uint8]
     bright: NDArray[np.uint8]
+    light: NDArray[np.uint8]
+    """Mean of the sine images, which is the middle between bright and dark."""
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -74,7 +76,7 @@ def reconstruct_rows(
     right: RightMaps,
     rays: Rays,
     limits: Limits,
-    scale_px: np.float32,
+    factors: SigmaFactors,
     start: int,
     stop: int,
     stride: int,
@@ -107,10 +109,10 @@ def reconstruct_rows(
             _load(left.p_px[y], stride, np.float32(1.0), s[P : P + n])
             _load(left.q_px[y], stride, np.float32(1.0), s[Q : Q + n])
             _load(left.modulation_half_dn[y], stride, np.float32(0.5), s[MODULATION : MODULATION + n])
-            _load(left.bright[y], stride, np.float32(1.0), s[BRIGHT : BRIGHT + n])
+            _load(left.light[y], stride, np.float32(1.0), s[LIGHT : LIGHT + n])
             first, end = _ends(s[P : P + n])
             match_row(right, s[first:], end - first, stride == 1 and y > above, at)
-            triangulate_row(rays, y, first * stride, stride, scale_px, s[first:], end - first)
+            triangulate_row(rays, y, first * stride, stride, factors, s[first:], end - first)
         done = y - stride
         if start <= done < stop:
             count_neighbours(s, n, limits.max_step_mm)

@@ -24,6 +24,7 @@ from appliance.calibration.file import Calibration, decode
 from appliance.capture.store import FrameStore
 from appliance.optics.water import Water
 from appliance.patterns.sequence import PatternSequence, build_sequence
+from appliance.reconstruct.noise import StereoNoise
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.table import Found, PointTable
 from appliance.reconstruct.warm import run_empty_scan
@@ -37,6 +38,7 @@ def work(
     calibration: bytes,
     water: Water,
     sequence: tuple[int, int, int],
+    noise: StereoNoise,
     store: tuple[str, int, int, int],
     results: str,
     headroom_mb: float,
@@ -49,7 +51,7 @@ def work(
     frame_store = FrameStore(frames, height_px, width_px, attach_to=name)
     try:
         # In a function of its own: with a view of it alive, shared memory cannot be closed.
-        _work(pipe, decode(calibration), water, build_sequence(*sequence), frame_store, memory, headroom_mb)
+        _work(pipe, decode(calibration), water, build_sequence(*sequence), noise, frame_store, memory, headroom_mb)
     except (EOFError, OSError):
         pass  # the parent closed the pipe: the normal end
     finally:
@@ -62,13 +64,14 @@ def _work(
     calibration: Calibration,
     water: Water,
     sequence: PatternSequence,
+    noise: StereoNoise,
     store: FrameStore,
     memory: SharedMemory,
     headroom_mb: float,
 ) -> None:
     left = calibration.rig.left
     with Pipeline(
-        calibration, water, sequence, table=PointTable(left.width_px * left.height_px, memory.buf)
+        calibration, water, sequence, table=PointTable(left.width_px * left.height_px, memory.buf), noise=noise
     ) as pipeline:
         # So that the first real scan is as fast as the others.
         with _missing("scipy.linalg"):

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.optics.rays import RayLattice
+from appliance.reconstruct.noise import CameraNoise, StereoNoise
 from appliance.reconstruct.scratch import (
-    BRIGHT,
     GAP,
+    LIGHT,
     MODULATION,
     MODULATION_RIGHT,
     SHIFT,
@@ -34,10 +35,9 @@ from appliance.reconstruct.scratch import (
     Z,
 )
 
-READ_NOISE_DN = 1.0
-"""Camera noise that does not depend on light, in grey values."""
-SHOT_NOISE_DN = 0.014
-"""Variance per grey value: 255 DN correspond to about 18,000 electrons … 1.9 DN² at mid-scale."""
+RIGHT_SHARE = 13.0 / 12.0
+"""The right coordinate is read off between pixels: value of the nearest one and half the difference of its neighbours on
+either side, times the step, which is −½ … ½ px in each direction: variance 1 + 2 · ½ · 1/12."""
 MIN_MODULATION_DN = np.float32(1.0)
 MIN_SLOPE = np.float32(0.05)
 _ZERO, _ONE, _HALF = np.float32(0.0), np.float32(1.0), np.float32(0.5)
@@ -52,6 +52,30 @@ class Rays(NamedTuple):
     """(rows, columns, 12): the same four at nodes every ``step_px`` px, and their derivatives by column and by row."""
     step_px: int
     plane_z_mm: np.float32
+
+
+class SigmaFactors(NamedTuple):
+    """What makes a point's expected error of its modulations and its mean light."""
+
+    scale_px: np.float32
+    """Coordinate noise in px for camera noise equal to the modulation: P/(2π·√2)."""
+    dark_left: np.float32
+    """Variance at grey value 0, as a line through the variances at all others has it."""
+    shot_left: np.float32
+    """Variance per grey value."""
+    dark_right: np.float32
+    shot_right: np.float32
+
+
+def sigma_factors(period_px: int, noise: StereoNoise) -> SigmaFactors:
+    """For fringes of ``period_px`` and cameras of that noise."""
+
+    def of(camera: CameraNoise, share: float) -> tuple[np.float32, np.float32]:
+        dark_dn2 = camera.read_dn**2 - camera.dn_per_e * camera.black_dn
+        return np.float32(share * dark_dn2), np.float32(share * camera.dn_per_e)
+
+    scale_px = np.float32(period_px / (2.0 * math.pi * math.sqrt(2.0)))
+    return SigmaFactors(scale_px, *of(noise.left, 1.0), *of(noise.right, RIGHT_SHARE))
 
 
 def rays_of(left: RayLattice, right: RayLattice, left_width_px: int) -> Rays:
@@ -103,13 +127,12 @@ def _right_rays(nodes: NDArray[np.float32], step_px: int, n: int, s: NDArray[np.
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
-def _intersect(s: NDArray[np.float32], n: int, plane_z_mm: np.float32, scale_px: np.float32) -> None:
+def _intersect(s: NDArray[np.float32], n: int, plane_z_mm: np.float32, factors: SigmaFactors) -> None:
     """Sigma is the standard deviation along the left ray: four-step phase noise P·σ/(2π·√2·B) of both cameras, divided
-    by the pattern's gradient across the right image, times the shift of the right ray per px, over the sine of the
-    angle between the rays.
+    by the pattern's gradient across the right image, times the shift of the right ray per px across the baseline: so
+    much moves the intersection by shift · √(a / det), as h above has it for a shift of x. The right camera's light is the left one's in proportion to their modulations.
     """
-    shot = np.float32(SHOT_NOISE_DN * 0.5)
-    read = np.float32(READ_NOISE_DN**2)
+    scale_px, dark1, shot1, dark2, shot2 = factors
     for x in range(n):
         sx1, sy1, sx2, sy2 = s[SX1 + x], s[SY1 + x], s[SX2 + x], s[SY2 + x]
         wx, wy = s[X1 + x] - s[X2 + x], s[Y1 + x] - s[Y2 + x]
@@ -129,13 +152,9 @@ def _intersect(s: NDArray[np.float32], n: int, plane_z_mm: np.float32, scale_px:
         m1, m2 = max(s[MODULATION + x], MIN_MODULATION_DN), max(s[MODULATION_RIGHT + x], MIN_MODULATION_DN)
         slope = max(abs(s[SLOPE + x]), MIN_SLOPE)
         shift = abs(s[SHIFT + x] + t * s[SHIFT_SLOPE + x])
-        noise = (read + shot * s[BRIGHT + x]) * (m1 * m1 + m2 * m2) * inverse
-        s[SIGMA + x] = scale_px * shift * c * np.sqrt(noise) / (slope * m1 * m2)
-
-
-def phase_scale_px(period_px: int) -> np.float32:
-    """Coordinate noise in px for camera noise equal to the modulation: P/(2π·√2)."""
-    return np.float32(period_px / (2.0 * math.pi * math.sqrt(2.0)))
+        light = s[LIGHT + x]
+        noise = ((dark1 + shot1 * light) * (m2 * m2) + (dark2 * m1 + shot2 * light * m2) * m1) * a * inverse
+        s[SIGMA + x] = scale_px * shift * np.sqrt(noise) / (slope * m1 * m2)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
@@ -156,15 +175,15 @@ def _left_rays(
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def triangulate_row(
-    rays: Rays, y: int, first: int, stride: int, scale_px: np.float32, s: NDArray[np.float32], n: int
+    rays: Rays, y: int, first: int, stride: int, factors: SigmaFactors, s: NDArray[np.float32], n: int
 ) -> None:
     """Triangulate ``n`` matched left pixels of row ``y``; where U is NaN, so is everything.
 
-    Reads U, V, SLOPE, MODULATION, MODULATION_RIGHT, BRIGHT; writes X, Y, Z, GAP, SIGMA in mm. Place k is left column
+    Reads U, V, SLOPE, MODULATION, MODULATION_RIGHT, LIGHT; writes X, Y, Z, GAP, SIGMA in mm. Place k is left column
     first + k·stride.
     """
     j = y // rays.step_px
     share = np.float32((y - j * rays.step_px) / rays.step_px)
     _left_rays(rays.left, j, share, first, stride, n, s)
     _right_rays(rays.right, rays.step_px, n, s)
-    _intersect(s, n, rays.plane_z_mm, scale_px)
+    _intersect(s, n, rays.plane_z_mm, factors)

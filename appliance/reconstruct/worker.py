@@ -19,6 +19,7 @@ from appliance.calibration.file import Calibration, encode
 from appliance.capture.fault import Fault, FaultCode
 from appliance.capture.store import SIDES, FrameStore
 from appliance.optics.water import Water
+from appliance.reconstruct.noise import TYPICAL_PAIR, StereoNoise
 from appliance.reconstruct.serve import work
 from appliance.reconstruct.table import POINT_BYTES, Cloud, Found, PointTable
 from drivers.api import Clock
@@ -43,6 +44,8 @@ class WorkOrder:
     period_px: int
     projector_width_px: int
     projector_height_px: int
+    noise: StereoNoise = TYPICAL_PAIR
+    """Of the cameras as they are set."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -296,6 +299,7 @@ class ReconstructionWorker:
                 encode(order.calibration),
                 order.water,
                 (order.period_px, order.projector_width_px, order.projector_height_px),
+                order.noise,
                 (self._store.name, *self._store.shape),
                 self._results.name,
                 self.limits.memory_mb,

@@ -17,9 +17,11 @@ from appliance.calibration.design import Design, design_calibration
 from appliance.calibration.file import Calibration, CalibrationError, load
 from appliance.capture.fault import Fault, FaultCode
 from appliance.config import Rig
+from appliance.config.rig import CameraRig
 from appliance.optics.water import Water
 from appliance.patterns.draw import draw_patterns
 from appliance.patterns.sequence import PatternSequence, build_sequence
+from appliance.reconstruct.noise import CameraNoise, StereoNoise, camera_noise
 from appliance.screens.painter import Painter
 from appliance.service.devices import Devices
 from appliance.service.loop import Service
@@ -63,7 +65,7 @@ def run(rig: Rig) -> int:
             projector.load([*pictures, dark])
             projector.show(len(pictures))
 
-        desk = stack.enter_context(ScanDesk(rig, calibration, sequence, library, wires.clock))
+        desk = stack.enter_context(ScanDesk(rig, calibration, sequence, library, wires.clock, noise=noise_of(rig)))
         painter = stack.enter_context(Painter(gl, (rig.display.width_px, rig.display.height_px)))
         devices = stack.enter_context(Devices(rig, wires, load_projector))
         status = StatusFile(rig.storage.root, os.getpid(), appliance.__version__)
@@ -147,6 +149,15 @@ def design_of(rig: Rig) -> Calibration:
 def water_of(rig: Rig) -> Water:
     """The water the rig file states."""
     return Water(rig.water.temperature_c, rig.water.salinity_psu, rig.water.wavelength_nm)
+
+
+def noise_of(rig: Rig) -> StereoNoise:
+    """The noise of both cameras at the gain the rig file sets."""
+
+    def of(camera: CameraRig) -> CameraNoise:
+        return camera_noise(camera.full_well_e, camera.read_noise_e, camera.black_level_dn, camera.gain_db)
+
+    return StereoNoise(of(rig.camera.left), of(rig.camera.right))
 
 
 def sequence_of(rig: Rig) -> PatternSequence:

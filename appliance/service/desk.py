@@ -12,9 +12,10 @@ from appliance.calibration.file import Calibration
 from appliance.config import Rig
 from appliance.optics.water import Water
 from appliance.patterns.sequence import build_sequence
+from appliance.reconstruct.noise import TYPICAL_PAIR, StereoNoise
 from appliance.reconstruct.pipeline import SIDES, Cloud, Pipeline
 from appliance.reconstruct.quality import QualityLimits
-from appliance.service.app import CALIBRATION_FILE, calibration_of, design_of
+from appliance.service.app import CALIBRATION_FILE, calibration_of, design_of, noise_of
 from appliance.storage import scan as stored
 from appliance.storage.atomic import replace_file
 from appliance.storage.filesystem import LocalFileSystem
@@ -31,7 +32,7 @@ def reconstruct_scan(
     """
     scan = stored.load(folder)
     chosen = calibration_file.load(calibration) if calibration is not None else calibration_of(rig)[0]
-    cloud, water = cloud_of(scan, chosen, progress)
+    cloud, water = cloud_of(scan, chosen, progress, noise=noise_of(rig))
     target = out if out is not None else Path(f"{folder.name}.ply")
     progress("writing")
     write_ply(target, cloud)
@@ -57,12 +58,13 @@ def cloud_of(
     calibration: Calibration,
     progress: Callable[[str], None],
     limits: QualityLimits | None = None,
+    noise: StereoNoise = TYPICAL_PAIR,
 ) -> tuple[Cloud, Water]:
     """The full cloud of a stored scan with ``calibration``, and the water it was reconstructed in.
 
-    ``limits`` ``None``: those of the instrument.
+    ``limits`` ``None``: those of the instrument. ``noise``: of its cameras, for the points' expected errors.
     """
-    _, cloud, water = decoded_cloud_of(scan, calibration, progress, limits)
+    _, cloud, water = decoded_cloud_of(scan, calibration, progress, limits, noise)
     return cloud, water
 
 
@@ -71,13 +73,14 @@ def decoded_cloud_of(
     calibration: Calibration,
     progress: Callable[[str], None],
     limits: QualityLimits | None = None,
+    noise: StereoNoise = TYPICAL_PAIR,
 ) -> tuple[Pipeline, Cloud, Water]:
     """As ``cloud_of``, with the pipeline before it, which is closed and keeps the decoded maps of both cameras."""
     made = scan.manifest.record.sequence
     sequence = build_sequence(made.period_px, made.width_px, made.height_px)
     water = _water_of(scan, calibration)
     progress("loading")
-    with Pipeline(calibration, water, sequence, limits) as pipeline:
+    with Pipeline(calibration, water, sequence, limits, noise=noise) as pipeline:
         for index in range(len(sequence)):
             progress(f"decoding frame {index + 1} of {len(sequence)}")
             for side in SIDES:

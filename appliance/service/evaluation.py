@@ -17,7 +17,7 @@ from appliance.evaluation.flatness import REFERENCE_MM
 from appliance.evaluation.report import Evaluation, Item
 from appliance.evaluation.result import LENGTHS, Artefact, evaluate
 from appliance.reconstruct.quality import QualityLimits
-from appliance.service.app import calibration_of
+from appliance.service.app import calibration_of, noise_of
 from appliance.service.desk import cloud_of
 from appliance.storage import scan as stored
 
@@ -105,7 +105,7 @@ def run_evaluation(
         def step(what: str, at: float = at, name: str = folder.name) -> None:
             progress(f"{name}: {what}", at)
 
-        cloud, water = cloud_of(scan, chosen, step, QualityLimits(max_gap_mm=MAX_GAP_MM))
+        cloud, water = cloud_of(scan, chosen, step, QualityLimits(max_gap_mm=MAX_GAP_MM), noise_of(rig))
         step(f"looking for the {entry.artefact.value}")
         result = evaluate(cloud, entry.artefact, entry.calibrated_mm, listed.reference_mm)
         record = scan.manifest.record

@@ -25,6 +25,7 @@ from appliance.config import Rig
 from appliance.machine import events as on
 from appliance.optics.water import Water
 from appliance.patterns.sequence import PatternSequence
+from appliance.reconstruct.noise import TYPICAL_PAIR, StereoNoise
 from appliance.reconstruct.pipeline import Cloud
 from appliance.reconstruct.worker import (
     CloudReady,
@@ -81,6 +82,7 @@ class ScanDesk:
         library: Library,
         clock: Clock,
         limits: WorkLimits | None = None,
+        noise: StereoNoise = TYPICAL_PAIR,
     ) -> None:
         left = rig.camera.left
         self._rig = rig
@@ -90,7 +92,7 @@ class ScanDesk:
         self.sequence = sequence
         self.water = Water(rig.water.temperature_c, rig.water.salinity_psu, rig.water.wavelength_nm)
         self.store = FrameStore(len(sequence), left.height_px, left.width_px)
-        order = WorkOrder(calibration, self.water, sequence.period_px, sequence.width_px, sequence.height_px)
+        order = WorkOrder(calibration, self.water, sequence.period_px, sequence.width_px, sequence.height_px, noise)
         self.worker = ReconstructionWorker(order, self.store, clock, limits)
         self._disk = ThreadPoolExecutor(1, "kf-storage")
         self._answers: list[Future[list[on.Event]]] = []

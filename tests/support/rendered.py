@@ -39,10 +39,16 @@ def pictures(sequence: PatternSequence) -> list[NDArray[np.uint8]]:
 
 
 def render_scan(
-    scene: Scene, truth_set: str, seed: int, width_px: int, period_px: int, exposure_s: float = EXPOSURE_S
+    scene: Scene,
+    truth_set: str,
+    seed: int,
+    width_px: int,
+    period_px: int,
+    exposure_s: float = EXPOSURE_S,
+    height_px: int | None = None,
 ) -> RenderedScan:
-    """Both cameras' frames of a static scene."""
-    truth = draw_truth(truth_set, seed, width_px, width_px * 3 // 4, scene.water.index)
+    """Both cameras' frames of a static scene. A smaller ``height_px`` is a strip out of the middle."""
+    truth = draw_truth(truth_set, seed, width_px, height_px or width_px * 3 // 4, scene.water.index)
     renderer = Renderer(truth, scene)
     sequence = build_sequence(period_px)
 

@@ -7,19 +7,22 @@ import pytest
 
 from appliance.patterns.sequence import build_sequence
 from appliance.reconstruct.decode import Mask
+from appliance.reconstruct.noise import TYPICAL_PAIR, CameraNoise, StereoNoise
 from appliance.reconstruct.pipeline import Pipeline
 from tests.support import synthetic
 
 NORMAL = np.array([0.25, -0.1, 1.0]) / np.linalg.norm([0.25, -0.1, 1.0])
 
 
-def record(period_px: int, noise_dn: float, seed: int = 1) -> tuple[Pipeline, np.ndarray, float]:
+def record(
+    period_px: int, noise_dn: float, seed: int = 1, noise: StereoNoise = TYPICAL_PAIR
+) -> tuple[Pipeline, np.ndarray, float]:
     cal = synthetic.calibration()
     sequence = build_sequence(period_px)
     index = synthetic.WATER.index
     offset = float(NORMAL @ cal.rig.volume_centre_mm(index))
     beamer = synthetic.projector(cal)
-    pipeline = Pipeline(cal, synthetic.WATER, sequence)
+    pipeline = Pipeline(cal, synthetic.WATER, sequence, noise=noise)
     rng = np.random.default_rng(seed)
     truth = np.empty(0)
     for side, camera in (("left", cal.rig.left), ("right", cal.rig.right)):
@@ -60,11 +63,15 @@ def test_decoded_coordinates_are_those_projected(period_px: int) -> None:
 
 @pytest.mark.parametrize("period_px", [16, 32])
 def test_sigma_predicts_the_scatter(period_px: int) -> None:
-    pipeline, _, offset = record(period_px, 1.6)
+    camera = CameraNoise(read_dn=float(np.hypot(1.6, 0.29)), dn_per_e=0.0, black_dn=0.0)
+    pipeline, _, offset = record(period_px, 1.6, noise=StereoNoise(camera, camera))
     pipeline.coarse()
     full = pipeline.full()
-    residual = full.points_mm @ NORMAL - offset
-    assert np.std(residual) == pytest.approx(np.median(full.sigma_mm) * NORMAL[2], rel=0.25)
+    from_the_plane = full.points_mm @ NORMAL - offset
+    v, u = np.divmod(full.pixel.astype(int), 400)
+    _, ray = synthetic.calibration().rig.left.rays(np.stack([u, v], -1).astype(float), synthetic.WATER.index)
+    along_the_ray = from_the_plane / (ray @ NORMAL)
+    assert np.sqrt(np.mean((along_the_ray / full.sigma_mm) ** 2)) == pytest.approx(1.0, abs=0.05)
 
 
 def test_without_projector_light_there_is_no_point() -> None:

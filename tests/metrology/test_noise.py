@@ -1,0 +1,63 @@
+"""A point's expected error is its error: over distance, period, light and paint; and small enough."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from appliance.reconstruct.noise import camera_noise
+from bench.bias import depth_errors, rms
+from hw_sim.imaging import Imaging
+from hw_sim.scene import Scene
+from hw_sim.sensor import Sensor
+from tests.support.rendered import reconstruct, render_scan
+
+SIZE_PX = (1600, 240)
+"""Full resolution across; a strip is as good as an image and takes a fifth of the time."""
+TILTED = (0.0, 0.0, 522.5, 0.0, 35.0, 0.0)
+
+
+def residuals(scene: Scene, period_px: int = 16, exposure_s: float = 0.012) -> tuple[np.ndarray, np.ndarray]:
+    """Error along the ray in mm, and the same in expected errors; of points that lie on the object's face."""
+    scan = render_scan(scene, "modelled", 3, SIZE_PX[0], period_px, exposure_s, height_px=SIZE_PX[1])
+    _, cloud = reconstruct(scan)
+    errors = depth_errors(scan.renderer, cloud)
+    inner = errors.seen & (np.abs(errors.along_ray_mm) < 1.0)
+    assert np.mean(inner[errors.seen]) > 0.9999
+    along = errors.along_ray_mm[inner]
+    return along, along / cloud.sigma_mm[inner]
+
+
+@pytest.mark.parametrize(
+    ("scene", "period_px", "exposure_s"),
+    [
+        (Scene(object="plane", imaging=Imaging("linear")), 16, 0.012),
+        (Scene(object="plane", pose=TILTED, imaging=Imaging("linear")), 64, 0.012),
+        (Scene(object="plane", texture="checker", imaging=Imaging("linear")), 16, 0.010),
+        (Scene(object="plane", ambient=0.3, imaging=Imaging("linear")), 32, 0.008),
+        (Scene(object="ballbar"), 16, 0.012),
+    ],
+    ids=["plane", "tilted, longest period", "paint", "daylight", "balls"],
+)
+def test_the_expected_error_of_points_is_their_error(scene: Scene, period_px: int, exposure_s: float) -> None:
+    _, normalised = residuals(scene, period_px, exposure_s)
+    assert rms(normalised) == pytest.approx(1.0, abs=0.10)
+    assert np.median(np.abs(normalised)) == pytest.approx(0.6745, rel=0.10), "and is no mean of sure and unsure points"
+
+
+def test_at_the_working_distance_points_scatter_by_less_than_three_hundredths_of_a_millimetre() -> None:
+    along, normalised = residuals(Scene(object="plane"))
+    assert rms(along) < 0.030
+    assert rms(normalised) == pytest.approx(1.0, abs=0.10), "also with the projector's own response"
+
+
+def test_the_noise_of_a_camera_follows_from_its_data_sheet_and_gain() -> None:
+    """Judged by the simulated sensor, which has the same figures and its own arithmetic."""
+    sensor, light = Sensor(120, 120, 1, True), np.ones((120, 120), np.float32)
+    for gain_db in (0.0, 6.0):
+        noise = camera_noise(13_000.0, 20.0, 2.0, gain_db)
+        for electrons in (300.0, 2000.0, 5000.0):
+            seen = np.stack([sensor.read_out(light * np.float32(electrons), gain_db, k) for k in range(16)]).astype(
+                float
+            )
+            assert seen.var(axis=0, ddof=1).mean() == pytest.approx(noise.variance_dn2(seen.mean()), rel=0.05)
