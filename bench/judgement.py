@@ -9,6 +9,7 @@ import numpy as np
 from appliance.patterns.sequence import Direction
 from appliance.reconstruct.phase import phase
 from appliance.reconstruct.pipeline import Pipeline
+from appliance.reconstruct.scratch import COORDINATE, DECODING_SIZE
 from appliance.reconstruct.table import Cloud
 from bench.result import Measured
 from bench.scan_frames import ScanFrames
@@ -69,10 +70,13 @@ def phase_error_px(scan: ScanFrames) -> float:
     """Largest difference of our wrapped phase to float64's, in pattern px, over all pixels, dark ones included."""
     worst = 0.0
     for direction in (Direction.X, Direction.Y):
-        i0, i1, i2, i3 = (scan.frames["left"][k].reshape(-1) for k in scan.sequence.axis(direction).sine)
-        turn, modulation_dn = np.empty((2, i0.size), np.float32)
-        phase(i0, i1, i2, i3, turn, modulation_dn)
-        wide = [a.astype(float) for a in (i0, i1, i2, i3)]
+        i0, i1, i2, i3 = (scan.frames["left"][k] for k in scan.sequence.axis(direction).sine)
+        turn = np.empty(i0.shape, np.float32)
+        scratch = np.empty(DECODING_SIZE, np.float32)
+        for y, row in enumerate(turn):
+            phase(i0[y], i1[y], i2[y], i3[y], scratch)
+            row[:] = scratch[COORDINATE : COORDINATE + row.size]
+        wide = [image.astype(float) for image in (i0, i1, i2, i3)]
         exact = np.arctan2(wide[3] - wide[1], wide[0] - wide[2]) / (2.0 * np.pi)
         difference = turn - exact
         difference -= np.rint(difference)

@@ -1,7 +1,8 @@
 """Owns decoding: 20 to 24 frames of one camera become pattern coordinates (p, q), modulation and a reason where not.
 
-Frames are worked on in the order of the sequence: the references give the Gray threshold, each Gray image adds one
-bit, and the fourth sine image of a direction closes it. So little is left to do after the last frame.
+Frames are worked on in the order of the sequence: the references give the Gray threshold and the lit part of each row,
+the last Gray image of a direction its half periods, and the fourth sine image closes it. So little is left to do after
+the last frame.
 """
 
 from __future__ import annotations
@@ -13,7 +14,8 @@ from numpy.typing import NDArray
 
 from appliance.patterns.sequence import Direction, Kind, PatternSequence
 from appliance.reconstruct.edges import close_axis
-from appliance.reconstruct.graycode import add_bit, add_four_bits, add_two_bits, count_lit, threshold
+from appliance.reconstruct.graycode import BITS_AT_ONCE, add_bit, number_half_periods, threshold
+from appliance.reconstruct.lit import find_lit
 from appliance.reconstruct.phase import Axis
 
 MIN_CONTRAST_DN = 8
@@ -56,11 +58,13 @@ class CameraDecoder:
         """(h, w) uint8: half way between bright and dark: the Gray threshold, and the mean of the sine images."""
         self._middle = self.middle.reshape(-1)
         self._half_period = np.empty(n, np.uint8)
+        self.lit_columns = np.zeros((height_px, 2), np.int32)
+        """(h, 2) int32: first column of each row's lit part, and the one behind it; beyond, all is SHADOW."""
         self.mask = np.empty(self._shape, np.uint8)
         """(h, w) uint8, values of Mask."""
-        self.p_px = np.empty(self._shape, np.float32)
+        self.p_px = np.full(self._shape, np.nan, np.float32)
         """(h, w) float32: pattern column of each pixel; NaN where the mask is not VALID."""
-        self.q_px = np.empty(self._shape, np.float32)
+        self.q_px = np.full(self._shape, np.nan, np.float32)
         """(h, w) float32: pattern row."""
         self.modulation_half_dn = np.empty(self._shape, np.uint8)
         """(h, w) uint8: the smaller modulation of the two directions, in half grey values."""
@@ -85,28 +89,21 @@ class CameraDecoder:
             dark = frames[self._sequence.dark].reshape(-1)
             threshold(bright, dark, np.uint8(MIN_CONTRAST_DN), self._middle, self.mask.reshape(-1))
             self._closed = False
-            self.lit_pixels = int(count_lit(self.mask.reshape(-1)))
-        elif pattern.kind is Kind.GRAY:
-            self._add(frames, pattern.index, self._sequence.axis(pattern.direction).gray)
+            self.lit_pixels = int(find_lit(self.mask, self.lit_columns, self.p_px, self.q_px))
+        elif pattern.kind is Kind.GRAY and index == max(self._sequence.axis(pattern.direction).gray):
+            self._number(frames, self._sequence.axis(pattern.direction).gray)
         elif pattern.kind is Kind.SINE and pattern.index == 3:
             self._close(frames, pattern.direction)
 
-    def _add(self, frames: NDArray[np.uint8], bit: int, gray: tuple[int, ...]) -> None:
-        """Every fourth Gray image, or the last one, adds what has come: the code is read and written less often."""
-        if bit == 0:
-            self._half_period.fill(0)
-        if bit % 4 != 3 and bit != len(gray) - 1:
-            return
-        waiting = [frames[k].reshape(-1) for k in gray[bit - bit % 4 : bit + 1]]
-        match waiting:
-            case [a, b, c, d]:
-                add_four_bits(a, b, c, d, self._middle, self._half_period)
-            case [a, b, *rest]:
-                add_two_bits(a, b, self._middle, self._half_period)
-                for last in rest:
-                    add_bit(last, self._middle, self._half_period)
-            case [a]:
-                add_bit(a, self._middle, self._half_period)
+    def _number(self, frames: NDArray[np.uint8], gray: tuple[int, ...]) -> None:
+        """All images at once: each is read once, the half periods are written once."""
+        at_once = gray[:BITS_AT_ONCE]
+        padded = (self._sequence.dark,) * (BITS_AT_ONCE - len(at_once)) + at_once
+        a, b, c, d, e, f, g = (frames[k] for k in padded)
+        middle, half_period = self._middle.reshape(self._shape), self._half_period.reshape(self._shape)
+        number_half_periods(a, b, c, d, e, f, g, middle, self.lit_columns, half_period)
+        for k in gray[BITS_AT_ONCE:]:
+            add_bit(frames[k].reshape(-1), self._middle, self._half_period)
 
     def _close(self, frames: NDArray[np.uint8], direction: Direction) -> None:
         mine = self._sequence.axis(direction)
@@ -115,7 +112,7 @@ class CameraDecoder:
         axis = Axis(
             np.float32(self._sequence.period_px),
             np.float32(mine.size_px),
-            np.float32(MIN_MODULATION_DN),
+            np.float32(2.0 * MIN_MODULATION_DN),
             np.float32(MAX_GRAY_DISAGREEMENT),
             self._closed,
         )
@@ -126,8 +123,9 @@ class CameraDecoder:
         bend_px = np.float32(0.9 * step_px + 2.5 * noise_px)
         mine_px, other_px = (self.p_px, self.q_px) if direction is Direction.X else (self.q_px, self.p_px)
         close_axis(
-            s0, s1, s2, s3, half_period, axis, jump_px, bend_px, other_px, mine_px, self.modulation_half_dn, self.mask
-        )
+            s0, s1, s2, s3, half_period, self.lit_columns, axis, jump_px, bend_px, other_px, mine_px,
+            self.modulation_half_dn, self.mask,
+        )  # fmt: skip
         self._closed = True
 
     def finish(self) -> None:

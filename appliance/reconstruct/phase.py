@@ -1,7 +1,8 @@
 """Owns the phase of a pixel: four sine images and a Gray code become a pattern coordinate, a modulation and a mask.
 
-Written for the machine that has to do it: row by row, each row in short loops of one output and few inputs, which is
-what LLVM turns into vector instructions; what passes between the loops stays in the first-level cache.
+Written for the machine that has to do it: row by row, each row in short loops whose floats lie in one array at constant
+distances, which is what LLVM turns into vector instructions (see ``scratch``); what passes between the loops stays in the
+first-level cache. Numbers in a loop have 32 bits, also where eight would do: mixed widths cost more than they save.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ from typing import NamedTuple
 import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from appliance.reconstruct.scratch import COORDINATE, MODULATION_HALF_DN
 
 ATAN_TURNS = tuple(
     np.float32(c)
@@ -27,92 +30,47 @@ ATAN_TURNS = tuple(
 """Minimax polynomial of atan(t)/2π on 0 … 1, odd powers of t. In float32: 5.3e-8 turns, 8.5e-7 px of a 16-px period."""
 
 _HALF, _QUARTER, _TINY, _ZERO = np.float32(0.5), np.float32(0.25), np.float32(1e-30), np.float32(0.0)
-_PER_DN, _NAN = np.float32(2.0), np.float32(np.nan)
+_ONE, _MOST, _NAN = np.float32(1.0), np.float32(255.0), np.float32(np.nan)
+_SATURATED, _WEAK, _CONTRADICTION, _VALID = np.int32(2), np.int32(3), np.int32(4), np.int32(0)
 _C0, _C1, _C2, _C3, _C4, _C5, _C6 = ATAN_TURNS
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
 def phase(
-    i0: NDArray[np.uint8],
-    i1: NDArray[np.uint8],
-    i2: NDArray[np.uint8],
-    i3: NDArray[np.uint8],
-    turn: NDArray[np.float32],
-    modulation: NDArray[np.float32],
+    i0: NDArray[np.uint8], i1: NDArray[np.uint8], i2: NDArray[np.uint8], i3: NDArray[np.uint8], s: NDArray[np.float32]
 ) -> None:
-    """Wrapped phase atan2(i3 − i1, i0 − i2)/2π in turns, −½ … ½, within 6e-8, and modulation: half the length of that
-    vector, in grey values. Without modulation the phase is 0."""
-    for i in range(turn.size):
-        cosine, sine = np.float32(i0[i]) - np.float32(i2[i]), np.float32(i3[i]) - np.float32(i1[i])
+    """Into COORDINATE the wrapped phase atan2(i3 − i1, i0 − i2)/2π in turns, −½ … ½, within 6e-8; into
+    MODULATION_HALF_DN the length of that vector, which is the modulation in half grey values. Without modulation the
+    phase is 0."""
+    for x in range(i0.size):
+        cosine, sine = np.float32(i0[x]) - np.float32(i2[x]), np.float32(i3[x]) - np.float32(i1[x])
         a, b = abs(cosine), abs(sine)
         t = min(a, b) / max(max(a, b), _TINY)
-        s = t * t
-        r = t * (_C0 + s * (_C1 + s * (_C2 + s * (_C3 + s * (_C4 + s * (_C5 + s * _C6))))))
+        t2 = t * t
+        r = t * (_C0 + t2 * (_C1 + t2 * (_C2 + t2 * (_C3 + t2 * (_C4 + t2 * (_C5 + t2 * _C6))))))
         r = _QUARTER - r if b > a else r
         r = _HALF - r if cosine < _ZERO else r
-        turn[i] = -r if sine < _ZERO else r
-        modulation[i] = _HALF * np.sqrt(cosine * cosine + sine * sine)
+        s[COORDINATE + x] = -r if sine < _ZERO else r
+        s[MODULATION_HALF_DN + x] = np.sqrt(cosine * cosine + sine * sine)
 
 
-@numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
-def unwrap(
-    turn: NDArray[np.float32],
-    half_period: NDArray[np.uint8],
-    period_px: np.float32,
-    coordinate: NDArray[np.float32],
-    offset: NDArray[np.float32],
-) -> None:
-    """The middle of the Gray half period, in periods, tells the fringe order at any phase.
-
-    ``offset`` becomes the distance of the phase from that middle, in periods: 0 … ½.
-    """
-    for i in range(coordinate.size):
-        middle = _HALF * np.float32(half_period[i]) + _QUARTER
-        off = turn[i] - middle
-        off -= np.floor(off + _HALF)
-        offset[i] = abs(off)
-        coordinate[i] = period_px * middle + (period_px * off - _HALF)
-
-
-@numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
-def _judge(
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _mark_saturated(
     i0: NDArray[np.uint8],
     i1: NDArray[np.uint8],
     i2: NDArray[np.uint8],
     i3: NDArray[np.uint8],
-    amplitude: NDArray[np.float32],
-    offset: NDArray[np.float32],
-    coordinate: NDArray[np.float32],
-    size_px: np.float32,
-    min_modulation_dn: np.float32,
-    max_offset: np.float32,
     mask: NDArray[np.uint8],
-) -> None:
-    for i in range(mask.size):
-        top = max(max(i0[i], i1[i]), max(i2[i], i3[i]))
-        wrong = (offset[i] > max_offset) | (coordinate[i] < np.float32(-1.0)) | (coordinate[i] > size_px)
-        reason = np.uint8(4) if wrong else np.uint8(0)
-        reason = np.uint8(3) if amplitude[i] < min_modulation_dn else reason
-        reason = np.uint8(2) if top == np.uint8(255) else reason
-        mask[i] = mask[i] if mask[i] != np.uint8(0) else reason
-
-
-@numba.njit(nogil=True, cache=True, error_model="numpy")
-def _blank(mask: NDArray[np.uint8], coordinate: NDArray[np.float32]) -> None:
-    for i in range(mask.size):
-        coordinate[i] = coordinate[i] if mask[i] == np.uint8(0) else _NAN
-
-
-@numba.njit(nogil=True, cache=True, error_model="numpy")
-def _note(amplitude: NDArray[np.float32], kept: NDArray[np.uint8]) -> None:
-    for i in range(kept.size):
-        kept[i] = np.uint8(amplitude[i] * _PER_DN + _HALF)
-
-
-@numba.njit(nogil=True, cache=True, error_model="numpy")
-def _note_smaller(amplitude: NDArray[np.float32], kept: NDArray[np.uint8]) -> None:
-    for i in range(kept.size):
-        kept[i] = min(kept[i], np.uint8(amplitude[i] * _PER_DN + _HALF))
+) -> bool:
+    """Whether any pixel is masked that was not."""
+    found = np.uint8(0)
+    for x in range(mask.size):
+        top = max(max(i0[x], i1[x]), max(i2[x], i3[x]))
+        reason = np.uint8(_SATURATED) if top == np.uint8(255) else np.uint8(0)
+        reason = reason if mask[x] == np.uint8(0) else np.uint8(0)
+        found = np.uint8(found | reason)
+        mask[x] = np.uint8(mask[x] | reason)
+    return bool(found != np.uint8(0))
 
 
 class Axis(NamedTuple):
@@ -120,11 +78,42 @@ class Axis(NamedTuple):
 
     period_px: np.float32
     size_px: np.float32
-    min_modulation_dn: np.float32
+    min_modulation_half_dn: np.float32
     max_offset: np.float32
     """Distance of the phase from the middle of its half period, in periods; beyond, Gray code and phase disagree."""
     second: bool
     """The other direction has been closed: the smaller modulation counts."""
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
+def _place(
+    half_period: NDArray[np.uint8], axis: Axis, s: NDArray[np.float32], half_dn: NDArray[np.uint8],
+    mask: NDArray[np.uint8],
+) -> bool:  # fmt: skip
+    """The middle of the Gray half period, in periods, tells the fringe order at any phase: COORDINATE becomes px.
+
+    Whether any pixel is masked that was not.
+    """
+    found = _VALID
+    period_px, size_px, min_half_dn, max_offset = axis[:4]
+    any_before = np.int32(0) if axis.second else np.int32(255)
+    for x in range(mask.size):
+        middle = _HALF * np.float32(half_period[x]) + _QUARTER
+        off = s[COORDINATE + x] - middle
+        off -= np.floor(off + _HALF)
+        coordinate = period_px * middle + (period_px * off - _HALF)
+        modulation = s[MODULATION_HALF_DN + x]
+        wrong = (abs(off) > max_offset) | (coordinate < -_ONE) | (coordinate > size_px)
+        reason = _CONTRADICTION if wrong else _VALID
+        reason = _WEAK if modulation < min_half_dn else reason
+        masked = np.int32(mask[x])
+        reason = masked if masked != _VALID else reason
+        found = np.int32(found | np.int32(reason ^ masked))
+        mask[x] = np.uint8(reason)
+        s[COORDINATE + x] = coordinate if reason == _VALID else _NAN
+        before = np.int32(np.int32(half_dn[x]) | any_before)
+        half_dn[x] = np.uint8(min(before, np.int32(min(modulation + _HALF, _MOST))))
+    return bool(found != _VALID)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -135,24 +124,14 @@ def close_row(
     i3: NDArray[np.uint8],
     half_period: NDArray[np.uint8],
     axis: Axis,
-    scratch: NDArray[np.float32],
-    coordinate: NDArray[np.float32],
+    s: NDArray[np.float32],
     half_dn: NDArray[np.uint8],
     mask: NDArray[np.uint8],
-) -> None:
-    """Coordinate in px (NaN where the mask says why), modulation in half grey values, and mask; all arrays (w,).
+) -> bool:
+    """COORDINATE of ``s`` in px (NaN where the mask says why), modulation in half grey values, and mask; arrays (n,).
 
-    ``scratch`` is (3, w) or wider.
+    Returns whether any pixel is masked that was not.
     """
-    n = mask.size
-    turn, offset, amplitude = scratch[0, :n], scratch[1, :n], scratch[2, :n]
-    phase(i0, i1, i2, i3, turn, amplitude)
-    unwrap(turn, half_period, axis.period_px, coordinate, offset)
-    _judge(
-        i0, i1, i2, i3, amplitude, offset, coordinate, axis.size_px, axis.min_modulation_dn, axis.max_offset, mask
-    )  # fmt: skip
-    _blank(mask, coordinate)
-    if axis.second:
-        _note_smaller(amplitude, half_dn)
-    else:
-        _note(amplitude, half_dn)
+    phase(i0, i1, i2, i3, s)
+    saturated = _mark_saturated(i0, i1, i2, i3, mask)
+    return _place(half_period, axis, s, half_dn, mask) or saturated

@@ -26,3 +26,7 @@ _NAMES = 44
 """Eight places before the first column: the neighbours of a row's ends are inside the slot."""
 SIZE = _NAMES * _SLOT
 """Places in a scratch row."""
+
+COORDINATE, MODULATION_HALF_DN = (k * _SLOT + 8 for k in range(2))
+DECODING_SIZE = 2 * _SLOT
+"""Places in the scratch row of a row that is being decoded."""

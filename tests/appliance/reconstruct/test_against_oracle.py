@@ -118,3 +118,26 @@ def test_lattice_rays_pass_the_left_pixels() -> None:
     node = lattice.nodes[60 // lattice.step_px, 40 // lattice.step_px]
     at = origin + direction * (535.0 - origin[2]) / direction[2]
     np.testing.assert_allclose(node[:2], at[:2], atol=1e-4)
+
+
+def test_nothing_of_the_scan_before_remains() -> None:
+    """Light moves across the image from scan to scan, one of which is broken off; the maps are those of a new decoder."""
+    width, height = 333, 251
+    sequence = build_sequence(32)
+    whole = noisy_scan(32, width, height)["left"]
+    used = CameraDecoder(sequence, width, height)
+    every = len(sequence)
+    for first, stop, frames in ((0, 333, every), (30, 100, every), (150, 310, 15), (90, 200, every)):
+        stack = np.full_like(whole, 5)
+        stack[:, 20:200, first:stop] = whole[:, 20:200, first:stop]
+        used.reset()
+        for k in range(frames):
+            used.push(stack, k)
+    new = CameraDecoder(sequence, width, height)
+    for k in range(len(sequence)):
+        new.push(stack, k)
+    assert new.lit_pixels > 10_000
+    assert used.lit_pixels == new.lit_pixels == np.count_nonzero(new.mask != Mask.SHADOW)
+    np.testing.assert_array_equal(used.mask, new.mask)
+    np.testing.assert_array_equal(used.p_px, new.p_px)
+    np.testing.assert_array_equal(used.q_px, new.q_px)
