@@ -11,8 +11,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
+from itertools import pairwise
 
 import numpy as np
+import scipy.sparse
 from numpy.typing import NDArray
 
 from appliance.calibration import parameters
@@ -22,11 +24,13 @@ from appliance.calibration.judgement import Estimate, judged, warnings_about
 from appliance.calibration.recordings import ArtefactKind, Recording, RecordingError, thinned
 from appliance.optics.correction import INTERVALS, ImageCorrection, basis_matrix, node_count
 from appliance.optics.model import HousedCamera, StereoRig
+from appliance.optics.ray_shift import INTERVALS as SHIFT_INTERVALS
+from appliance.optics.ray_shift import RayShift
 
 Array = NDArray[np.float64]
 
 PIXEL_STEP = 1e-3
-BLOCK = 1024
+SHIFT_STEP_MM = 1e-3
 
 
 class Rung(Enum):
@@ -38,6 +42,8 @@ class Rung(Enum):
     """Also both lenses and the stereo pose, held by the covariance of the calibration in air."""
     SPLINE = "spline"
     """Also a smooth image correction per camera."""
+    FIELD = "field"
+    """A finer image correction, and a shift of each ray: a free field of rays about the model. Wants many recordings."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +62,13 @@ class BundleSettings:
     spline_px: float = 0.15
     spline_bend_px: float = 0.05
     """Of second differences between neighbouring spline nodes."""
+    field_intervals: tuple[int, int] = (10, 8)
+    """Of the field's image correction, across and down."""
+    field_bend_px: float = 0.03
+    """As ``spline_bend_px``, between its nearer nodes."""
+    shift_mm: float = 0.02
+    shift_bend_mm: float = 0.01
+    """Of the ray shift's nodes, and of their second differences."""
     points_per_recording: int = 1500
     far_residual: float = 4.0
     """Residuals beyond this many standard deviations lose weight in proportion (Huber)."""
@@ -84,7 +97,13 @@ class BundleResult:
     """RMS of what remains after averaging the noise away over patches of the image."""
     estimates: tuple[Estimate, ...]
     warnings: tuple[str, ...]
-    steps: int
+    costs: tuple[float, ...]
+    """The robust sum of squares, priors included: before the first step and after each."""
+
+    @property
+    def steps(self) -> int:
+        """Steps taken."""
+        return len(self.costs) - 1
 
     @property
     def unobserved(self) -> tuple[str, ...]:
@@ -101,18 +120,19 @@ def adjust(
 ) -> BundleResult:
     """Adjust ``start`` (air values with the design's ports) to recordings in water.
 
-    ``air_covariance`` (22, 22) as ``AirCalibration`` gives it; needed by the rungs ALL and SPLINE. A few thousand
+    ``air_covariance`` (22, 22) as ``AirCalibration`` gives it; needed by all rungs but PORTS. A few thousand
     points take seconds. Raises RecordingError for recordings that cannot be used or do not suffice, ValueError for a
     missing covariance.
     """
     chosen = settings or BundleSettings()
     if not any(r.kind is ArtefactKind.BALL_BAR for r in recordings):
         raise RecordingError("no recording of a ball bar; planes alone leave every length unknown; record a ball bar")
+    _check_start(start)
     problem = _Problem(recordings, start.rig, rung, air_covariance, chosen)
     x = np.zeros(problem.size)
-    steps = 0
     hessian, gradient, cost, residuals = problem.linearise(x)
-    for steps in range(1, chosen.steps_at_most + 1):  # noqa: B007 -- reported
+    costs = [cost]
+    for _ in range(chosen.steps_at_most):
         step = -np.linalg.solve(hessian, gradient)
         still_to_go = math.sqrt(max(float(-gradient @ step), 0.0))
         size = 1.0
@@ -123,6 +143,7 @@ def adjust(
             size *= 0.5
         x = x + size * step
         hessian, gradient, cost, residuals = tried
+        costs.append(cost)
         if still_to_go < chosen.small_step:
             break
     else:
@@ -147,7 +168,13 @@ def adjust(
     rms = float(np.sqrt(np.mean(pooled**2)))
     left = np.concatenate([r.left_px for r in problem.recordings])
     systematic, warnings = warnings_about(
-        left, pooled, chosen.noise_px, start.rig.left, estimates, problem.certificates(x), rung is not Rung.SPLINE
+        left,
+        pooled,
+        chosen.noise_px,
+        start.rig.left,
+        estimates,
+        problem.certificates(x),
+        rung in (Rung.PORTS, Rung.ALL),
     )
     calibration = replace(
         start,
@@ -156,8 +183,18 @@ def adjust(
         water=recordings[0].water,
         rig=rig,
         residual_px=rms,
+        air_covariance=None,
     )
-    return BundleResult(calibration, per_recording, systematic, estimates, warnings, steps)
+    return BundleResult(calibration, per_recording, systematic, estimates, warnings, tuple(costs))
+
+
+def _check_start(start: Calibration) -> None:
+    for side, camera in (("left", start.rig.left), ("right", start.rig.right)):
+        if camera.lens_in_water or camera.correction is not None or camera.ray_shift is not None:
+            raise ValueError(
+                f"the {side} camera of the start ({start.method}) is no lens from air behind a port; start from the "
+                f"calibration in air"
+            )
 
 
 class _Problem:
@@ -190,14 +227,19 @@ class _Problem:
                 widened[k, k] += (settings.refocus * camera.lens.f_px[0]) ** 2
             information[6:, 6:] = np.linalg.inv(widened)
         self.prior_sd = np.sqrt(np.diag(np.linalg.inv(information)))
-        self._splines = rung is Rung.SPLINE
-        nodes = 2 * node_count(INTERVALS) if self._splines else 0
-        self._left_nodes = slice(count, count + nodes)
-        self._right_nodes = slice(count + nodes, count + 2 * nodes)
+        self._splines = rung in (Rung.SPLINE, Rung.FIELD)
+        self._field = rung is Rung.FIELD
+        self._intervals = settings.field_intervals if self._field else INTERVALS
+        nodes = 2 * node_count(self._intervals) if self._splines else 0
+        shifts = 2 * node_count(SHIFT_INTERVALS) if self._field else 0
+        ends = np.cumsum([count, nodes, nodes, shifts, shifts])
+        self._left_nodes, self._right_nodes, self._left_shifts, self._right_shifts = (
+            slice(int(a), int(b)) for a, b in pairwise(ends)
+        )
         placed = [first_place(thinned(r, settings.points_per_recording), rig) for r in recordings]
         self.recordings = [recording for _, recording in placed]
         self._places: list[Place] = [place for place, _ in placed]
-        at = count + 2 * nodes
+        at = int(ends[-1])
         self._slices = []
         for place in self._places:
             self._slices.append(slice(at, at + len(place.steps)))
@@ -206,18 +248,29 @@ class _Problem:
         self._prior = np.zeros((at, at))
         self._prior[:count, :count] = information
         if self._splines:
-            smooth = _smoothness(settings)
+            bend_px = settings.field_bend_px if self._field else settings.spline_bend_px
+            smooth = _smoothness(self._intervals, settings.spline_px, bend_px)
             self._prior[self._left_nodes, self._left_nodes] = smooth
             self._prior[self._right_nodes, self._right_nodes] = smooth
+        if self._field:
+            smooth = _smoothness(SHIFT_INTERVALS, settings.shift_mm, settings.shift_bend_mm)
+            self._prior[self._left_shifts, self._left_shifts] = smooth
+            self._prior[self._right_shifts, self._right_shifts] = smooth
 
     def rig(self, x: Array) -> StereoRig:
         """The rig at ``x``, with its corrections."""
         rig = self._bare(x)
         if not self._splines:
             return rig
+        corrected = (
+            replace(rig.left, correction=self._correction(rig.left, x[self._left_nodes])),
+            replace(rig.right, correction=self._correction(rig.right, x[self._right_nodes])),
+        )
+        if not self._field:
+            return StereoRig(*corrected)
         return StereoRig(
-            replace(rig.left, correction=_correction(rig.left, x[self._left_nodes])),
-            replace(rig.right, correction=_correction(rig.right, x[self._right_nodes])),
+            replace(corrected[0], ray_shift=_ray_shift(rig.left, x[self._left_shifts])),
+            replace(corrected[1], ray_shift=_ray_shift(rig.right, x[self._right_shifts])),
         )
 
     def certificates(self, x: Array) -> list[tuple[str, float]]:
@@ -243,55 +296,13 @@ class _Problem:
             y[k] += step
             changed.append(self._bare(y))
         for recording, place, at in zip(self.recordings, self._places, self._slices, strict=True):
-            index = recording.water.index
-            left, right = recording.left_px, recording.right_px
-            if self._splines:
-                left_basis, right_basis = _basis_matrix(rig.left, left), _basis_matrix(rig.right, right)
-                left = left - _surface(left_basis, x[self._left_nodes])
-                right = right - _surface(right_basis, x[self._right_nodes])
-
-            def predicted(
-                rig: StereoRig,
-                uv: Array = left,
-                q: Array = x[at],
-                place: Place = place,
-                recording: Recording = recording,
-                index: float = index,
-            ) -> Array:
-                origin, direction = rig.left.rays(uv, index)
-                return _project(rig.right, place.meet(origin, direction, recording.sphere, q), index)
-
-            now = predicted(rig)
-            residual = now - right
-            rows = np.zeros((len(left), 2, len(steps)))
-            for k, (other, step) in enumerate(zip(changed, steps, strict=True)):
-                rows[..., k] = (predicted(other) - now) / step
-            own = np.zeros((len(left), 2, len(place.steps)))
-            for k, step in enumerate(place.steps):
-                q = x[at].copy()
-                q[k] += step
-                own[..., k] = (predicted(rig, q=q) - now) / step
-            columns = [np.arange(len(steps)), np.arange(at.start, at.stop)]
-            parts = [rows, own]
-            if self._splines:
-                by_u = (predicted(rig, uv=left + np.array([PIXEL_STEP, 0.0])) - now) / PIXEL_STEP
-                by_v = (predicted(rig, uv=left + np.array([0.0, PIXEL_STEP])) - now) / PIXEL_STEP
-                # The left correction is subtracted before the ray, the right one from the matched pixel.
-                parts.append(
-                    -np.concatenate([by_u[..., None] * left_basis[:, None], by_v[..., None] * left_basis[:, None]], -1)
-                )
-                zero = np.zeros_like(right_basis)
-                parts.append(
-                    np.stack([np.concatenate([right_basis, zero], -1), np.concatenate([zero, right_basis], -1)], 1)
-                )
-                columns += [np.arange(s.start, s.stop) for s in (self._left_nodes, self._right_nodes)]
-            J = np.concatenate(parts, -1).reshape(2 * len(left), -1) / noise
+            rows, columns, residual = self._rows(x, rig, changed, recording, place, at)
+            J = scipy.sparse.csr_matrix(rows.reshape(2 * len(residual), -1) / noise)
             far = np.linalg.norm(residual, axis=1) / noise / self._settings.far_residual
             weight = np.repeat(1.0 / np.maximum(far, 1.0), 2)
             e = residual.ravel() / noise
-            column = np.concatenate(columns)
-            hessian[np.ix_(column, column)] += J.T @ (J * weight[:, None])
-            gradient[column] += J.T @ (weight * e)
+            hessian[np.ix_(columns, columns)] += (J.T @ J.multiply(weight[:, None])).toarray()
+            gradient[columns] += J.T @ (weight * e)
             k2 = self._settings.far_residual**2
             cost += float(np.sum(np.where(far <= 1.0, far**2, 2.0 * far - 1.0)) * k2)
             extra, D = place.certificate(x[at])
@@ -301,36 +312,105 @@ class _Problem:
             residuals.append(residual)
         return hessian, gradient, cost, residuals
 
+    def _rows(
+        self,
+        x: Array,
+        rig: StereoRig,
+        changed: Sequence[StereoRig],
+        recording: Recording,
+        place: Place,
+        at: slice,
+    ) -> tuple[Array, NDArray[np.intp], Array]:
+        """Derivatives (n, 2, k) of one recording's residuals by the unknowns in columns (k,), and the residuals (n, 2)."""
+        index = recording.water.index
+        left, right = recording.left_px, recording.right_px
+        n = len(left)
+        left_shift, right_shift = np.zeros((n, 3)), np.zeros((n, 3))
+        if self._splines:
+            left_basis = _basis(rig.left, left, self._intervals)
+            right_basis = _basis(rig.right, right, self._intervals)
+        if self._field:
+            left_coarse, right_coarse = (
+                _basis(camera, uv, SHIFT_INTERVALS) for camera, uv in ((rig.left, left), (rig.right, right))
+            )
+            left_shift[:, :2] = _surface(left_coarse, x[self._left_shifts])
+            right_shift[:, :2] = _surface(right_coarse, x[self._right_shifts])
+        if self._splines:
+            left = left - _surface(left_basis, x[self._left_nodes])
+            right = right - _surface(right_basis, x[self._right_nodes])
+
+        def predicted(
+            rig: StereoRig,
+            uv: Array = left,
+            q: Array = x[at],
+            left_shift: Array = left_shift,
+            right_shift: Array = right_shift,
+        ) -> Array:
+            origin, direction = rig.left.rays(uv, index)
+            origin = origin + left_shift @ np.asarray(rig.left.rotation).T
+            return _project(rig.right, place.meet(origin, direction, recording.sphere, q), right_shift, index)
+
+        now = predicted(rig)
+        steps = parameters.STEPS[self.active]
+        parts = [np.stack([(predicted(r) - now) / s for r, s in zip(changed, steps, strict=True)], -1)]
+        parts.append(np.stack([(predicted(rig, q=x[at] + e) - now) / e.max() for e in np.diag(place.steps)], -1))
+        columns = [np.arange(len(steps)), np.arange(at.start, at.stop)]
+        if self._splines:
+            # The left correction is subtracted before the ray, the right one from the matched pixel.
+            by_left = [(predicted(rig, uv=left - e[:2]) - now) / PIXEL_STEP for e in PIXEL_STEP * np.eye(3)[:2]]
+            parts += [_times(by_left, left_basis), _times(list(np.eye(2)), right_basis)]
+            columns += [np.arange(s.start, s.stop) for s in (self._left_nodes, self._right_nodes)]
+        if self._field:
+            steps_mm = SHIFT_STEP_MM * np.eye(3)[:2]
+            by_left = [(predicted(rig, left_shift=left_shift + e) - now) / SHIFT_STEP_MM for e in steps_mm]
+            by_right = [(predicted(rig, right_shift=right_shift + e) - now) / SHIFT_STEP_MM for e in steps_mm]
+            parts += [_times(by_left, left_coarse), _times(by_right, right_coarse)]
+            columns += [np.arange(s.start, s.stop) for s in (self._left_shifts, self._right_shifts)]
+        return np.concatenate(parts, -1), np.concatenate(columns), now - right
+
+    def _correction(self, camera: HousedCamera, nodes: Array) -> ImageCorrection:
+        return ImageCorrection(camera.width_px, camera.height_px, self._intervals, _by_node(nodes))
+
     def _bare(self, x: Array) -> StereoRig:
         full = np.zeros(parameters.COUNT)
         full[self.active] = x[: len(self.active)]
         return parameters.rig_with(self._start, full)
 
 
-def _project(camera: HousedCamera, points_mm: Array, water_index: float) -> Array:
-    """Pixels of points, before any image correction."""
-    local = (points_mm - np.asarray(camera.translation_mm)) @ np.asarray(camera.rotation)
+def _project(camera: HousedCamera, points_mm: Array, shift_mm: Array, water_index: float) -> Array:
+    """Pixels of points, before any image correction; ``shift_mm`` is that of the rays they are seen along."""
+    local = (points_mm - np.asarray(camera.translation_mm)) @ np.asarray(camera.rotation) - shift_mm
     return camera.ideal_pixels(local, water_index)
 
 
-def _basis_matrix(camera: HousedCamera, uv_px: Array) -> Array:
-    return basis_matrix(uv_px, (camera.width_px, camera.height_px), INTERVALS)
+def _basis(camera: HousedCamera, uv_px: Array, intervals: tuple[int, int]) -> Array:
+    return basis_matrix(uv_px, (camera.width_px, camera.height_px), intervals)
+
+
+def _times(by_component: Sequence[Array], basis: Array) -> Array:
+    """Derivatives (n, 2, 2·nodes) by spline nodes, from those (n, 2) or (2,) by the two components of its surface."""
+    parts = [np.broadcast_to(d, (len(basis), 2))[..., None] * basis[:, None] for d in by_component]
+    return np.concatenate(parts, -1)
 
 
 def _surface(matrix: Array, nodes: Array) -> Array:
-    """Shifts (n, 2) px; ``nodes`` holds all of u, then all of v."""
+    """Values (n, 2); ``nodes`` holds all of the first component, then all of the second."""
     return np.asarray(matrix @ nodes.reshape(2, -1).T)
 
 
-def _correction(camera: HousedCamera, nodes: Array) -> ImageCorrection:
-    coefficients = tuple(float(c) for c in nodes.reshape(2, -1).T.ravel())
-    return ImageCorrection(camera.width_px, camera.height_px, INTERVALS, coefficients)
+def _by_node(nodes: Array) -> tuple[float, ...]:
+    """Both components node by node, as the models keep them."""
+    return tuple(float(c) for c in nodes.reshape(2, -1).T.ravel())
 
 
-def _smoothness(settings: BundleSettings) -> Array:
+def _ray_shift(camera: HousedCamera, nodes: Array) -> RayShift:
+    return RayShift(camera.width_px, camera.height_px, SHIFT_INTERVALS, _by_node(nodes))
+
+
+def _smoothness(intervals: tuple[int, int], value_sd: float, bend_sd: float) -> Array:
     """Information matrix of one camera's nodes: small values, small second differences along rows and columns."""
-    columns, rows = INTERVALS[0] + 3, INTERVALS[1] + 3
+    columns, rows = intervals[0] + 3, intervals[1] + 3
     across, down = np.diff(np.eye(columns), 2, axis=0), np.diff(np.eye(rows), 2, axis=0)
     bends = np.concatenate([np.kron(np.eye(rows), across), np.kron(down, np.eye(columns))])
-    one = np.eye(columns * rows) / settings.spline_px**2 + bends.T @ bends / settings.spline_bend_px**2
+    one = np.eye(columns * rows) / value_sd**2 + bends.T @ bends / bend_sd**2
     return np.asarray(np.kron(np.eye(2), one))

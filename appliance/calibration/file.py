@@ -26,11 +26,15 @@ from appliance.optics.port import Port
 from appliance.optics.ray_shift import RayShift
 from appliance.optics.water import Water
 
+Matrix22 = tuple[tuple[float, ...], ...]
+"""(22, 22), symmetric, positive definite."""
+
 SCHEMA = 1
 SCHEMA_WITH_CORRECTION = 2
 SCHEMA_WITH_RAYS = 3
 SCHEMAS = (SCHEMA, SCHEMA_WITH_CORRECTION, SCHEMA_WITH_RAYS)
 MAX_INTERVALS = 64
+AIR_VALUES = 22
 MAX_BYTES = 16 * 1024 * 1024
 
 
@@ -54,6 +58,8 @@ class Calibration:
     rig: StereoRig
     residual_px: float | None = None
     """RMS residual of the adjustment, ``None`` where there was none."""
+    air_covariance: Matrix22 | None = None
+    """Of the values from air (``parameters.NAMES[AIR]``): the prior of an adjustment in water that starts here."""
 
     @property
     def hash(self) -> str:
@@ -105,6 +111,7 @@ def decode(data: bytes, name: str = "calibration") -> Calibration:
         ),
         rig=StereoRig(reader.camera(cameras, "left"), reader.camera(cameras, "right")),
         residual_px=None if residual is None else reader.number(content, "residual_px", 0.0, 1e6),
+        air_covariance=reader.covariance(content),
     )
 
 
@@ -135,7 +142,7 @@ def _content(calibration: Calibration) -> dict[str, Any]:
         schema = SCHEMA_WITH_CORRECTION
     if any(camera.ray_shift is not None or camera.lens_in_water for camera in cameras):
         schema = SCHEMA_WITH_RAYS
-    return {
+    content: dict[str, Any] = {
         "schema": schema,
         "rig_serial": calibration.rig_serial,
         "method": calibration.method,
@@ -149,6 +156,9 @@ def _content(calibration: Calibration) -> dict[str, Any]:
         },
         "cameras": {"left": _camera(calibration.rig.left), "right": _camera(calibration.rig.right)},
     }
+    if calibration.air_covariance is not None:
+        content["air_covariance"] = [list(row) for row in calibration.air_covariance]
+    return content
 
 
 def _camera(camera: HousedCamera) -> dict[str, Any]:
@@ -275,6 +285,19 @@ class _Reader:
         across, down = (int(n) for n in self.numbers(table, "intervals", 2, 1, MAX_INTERVALS))
         count = 2 * node_count((across, down))
         return (across, down), self.numbers(table, values, count, -100.0, 100.0)
+
+    def covariance(self, content: dict[str, Any]) -> Matrix22 | None:
+        """Beside everything that makes points: a program that does not know it may pass over it."""
+        if "air_covariance" not in content:
+            return None
+        key = "air_covariance"
+        rows = self.sequence(content, key, AIR_VALUES)
+        matrix = tuple(self.numbers({key: row}, key, AIR_VALUES, -1e12, 1e12) for row in rows)
+        C = np.array(matrix)
+        sd = np.sqrt(np.maximum(np.diag(C), 1e-300))  # units differ by many powers of ten
+        if not np.array_equal(C, C.T) or np.linalg.eigvalsh(C / np.outer(sd, sd))[0] <= 0.0:
+            raise self.fail(key, rows, "a symmetric, positive definite matrix")
+        return matrix
 
     def lens_in_water(self, camera: dict[str, Any]) -> bool:
         value = camera.get("lens_in_water", False)

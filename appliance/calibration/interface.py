@@ -40,6 +40,18 @@ class SearchSettings:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Valley:
+    """T over the pairs of distances that the first, widest search tried."""
+
+    d1_mm: Array
+    """(m,) left interface distances, ascending."""
+    d2_mm: Array
+    """(n,) right ones."""
+    statistic: Array
+    """(m, n)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class SearchResult:
     """The distances found, what they leave, and whether the search ended inside its limits."""
 
@@ -51,6 +63,7 @@ class SearchResult:
     flatness_errors: tuple[float, ...]
     """E_F of each plane, as a fraction."""
     warnings: tuple[str, ...]
+    valley: Valley
 
 
 def search_distances(
@@ -69,6 +82,7 @@ def search_distances(
     limits = (np.maximum(middle - chosen.reach_mm, 0.0), middle + chosen.reach_mm)
     reach = chosen.reach_mm
     best, least = middle, np.inf
+    valley: Valley | None = None
     for step in chosen.steps_mm:
         count = int(np.ceil(reach / step))
         offsets = np.arange(-count, count + 1) * step
@@ -76,13 +90,19 @@ def search_distances(
         for side, camera in enumerate((rig.left, rig.right)):
             distances = np.unique(np.clip(best[side] + offsets, limits[0][side], limits[1][side]))
             axes.append([(d, _rays(_with_distance(camera, float(d)), used, side)) for d in distances])
-        for d1, left in axes[0]:
-            for d2, right in axes[1]:
+        tried = np.zeros((len(axes[0]), len(axes[1])))
+        for i, (d1, left) in enumerate(axes[0]):
+            for j, (d2, right) in enumerate(axes[1]):
                 lengths, ranges = _errors(used, left, right, chosen)
                 statistic = float(sum(e * e for e in (*lengths, *ranges)))
+                tried[i, j] = statistic
                 if statistic < least:
                     best, least = np.array([d1, d2]), statistic
+        if valley is None:
+            valley = Valley(np.array([d for d, _ in axes[0]]), np.array([d for d, _ in axes[1]]), tried)
         reach = 2.0 * step
+    if valley is None:
+        raise ValueError("search without a step width; give at least one in steps_mm")
     found = StereoRig(_with_distance(rig.left, float(best[0])), _with_distance(rig.right, float(best[1])))
     lengths, ranges = _errors(used, _rays(found.left, used, 0), _rays(found.right, used, 1), chosen)
     warnings = tuple(
@@ -91,8 +111,10 @@ def search_distances(
         if min(d - low, high - d) < 0.5 * chosen.steps_mm[-1]
     )
     made_from = (*start.made_from, *(f"recording {r.name}" for r in recordings))
-    calibration = replace(start, method="search of distances", made_from=made_from, water=used[0].water, rig=found)
-    return SearchResult(calibration, least, tuple(lengths), tuple(ranges), warnings)
+    calibration = replace(
+        start, method="search of distances", made_from=made_from, water=used[0].water, rig=found, air_covariance=None
+    )
+    return SearchResult(calibration, least, tuple(lengths), tuple(ranges), warnings, valley)
 
 
 def cubic(uv: Array) -> Array:

@@ -1,0 +1,73 @@
+"""Owns the pinhole that stands for a camera behind its port as drawn: the usual approximation, for comparison.
+
+Refracted rays have no common point. Within the measuring volume a pinhole with another principal distance, more
+distortion and a projection centre moved along the axis comes near; outside of it, and in other water, it does not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import scipy.optimize
+from numpy.typing import NDArray
+
+from appliance.calibration.file import Calibration
+from appliance.optics.model import IDENTITY, HousedCamera, StereoRig
+from appliance.optics.pinhole import Lens, distort
+from appliance.optics.water import Water
+
+Array = NDArray[np.float64]
+
+DEPTHS_MM = (430.0, 480.0, 530.0, 580.0)
+"""Along the rays, from the window: the measuring volume."""
+GRID = (25, 19)
+
+
+def mapped_through_ports(start: Calibration, water: Water) -> Calibration:
+    """Pinholes nearest to the refracted rays of ``start``, lens by lens; right in ``water`` only."""
+    rig = StereoRig(_mapped(start.rig.left, water), _mapped(start.rig.right, water))
+    return replace(
+        start,
+        method="pinhole, mapped through the ports as drawn",
+        water=water,
+        rig=rig,
+        residual_px=None,
+        air_covariance=None,
+    )
+
+
+def _mapped(camera: HousedCamera, water: Water) -> HousedCamera:
+    bare = replace(camera, rotation=IDENTITY, translation_mm=(0.0, 0.0, 0.0))
+    v, u = np.meshgrid(
+        np.linspace(0.0, camera.height_px - 1.0, GRID[1]),
+        np.linspace(0.0, camera.width_px - 1.0, GRID[0]),
+        indexing="ij",
+    )
+    uv = np.stack([u.ravel(), v.ravel()], -1)
+    origin, direction = bare.rays(uv, water.index)
+    points = np.concatenate([origin + s * direction for s in DEPTHS_MM])
+    wanted = np.tile(uv, (len(DEPTHS_MM), 1))
+    f_px, ratio = camera.lens.f_px[0], camera.lens.f_px[1] / camera.lens.f_px[0]
+
+    def lens_of(x: Array) -> tuple[Lens, float]:
+        k1, k2, p1, p2, k3 = (float(k) for k in x[3:8])
+        f = float(x[0]) * f_px
+        return Lens((f, f * ratio), (float(x[1]), float(x[2])), (k1, k2, p1, p2, k3)), float(x[8])
+
+    def miss(x: Array) -> Array:
+        lens, back_mm = lens_of(x)
+        xy = points[:, :2] / (points[:, 2:] + back_mm)
+        seen = distort(xy, lens.distortion) * np.asarray(lens.f_px) + np.asarray(lens.c_px)
+        return np.asarray((seen - wanted).ravel())
+
+    start = np.array([water.index, *camera.lens.c_px, *camera.lens.distortion, 0.3 * camera.port.distance_mm])
+    found = scipy.optimize.least_squares(miss, start, x_scale=[1e-3, 1.0, 1.0, 1e-2, 1e-2, 1e-4, 1e-4, 1e-2, 1.0])
+    lens, back_mm = lens_of(found.x)
+    centre = np.asarray(camera.translation_mm) - back_mm * np.asarray(camera.rotation)[:, 2]
+    return replace(
+        camera,
+        lens=lens,
+        translation_mm=(float(centre[0]), float(centre[1]), float(centre[2])),
+        lens_in_water=True,
+    )
