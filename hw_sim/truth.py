@@ -271,6 +271,11 @@ def in_air(rig: TrueRig) -> TrueRig:
     return replace(rig, n_water=1.0, left=before["left"], right=before["right"], projector=projector)
 
 
+def turned(eye: TrueEye, angles_deg: tuple[float, float, float]) -> TrueEye:
+    """The eye turned by a rotation vector in its own frame, together with its window."""
+    return replace(eye, R=_rows(np.array(eye.R) @ _rodrigues(np.radians(np.array(angles_deg)))))
+
+
 def load_truth(path: Path, n_water: float) -> TrueRig:
     """Read a ``truth.toml`` as ``save_truth`` writes it."""
     data = tomllib.loads(path.read_text())

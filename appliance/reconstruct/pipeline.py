@@ -6,16 +6,19 @@ All buffers are allocated when the pipeline is made, none during a scan.
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from types import TracebackType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibration.file import Calibration
+from appliance.calibration.gaps import GapModes
 from appliance.optics.rays import ray_lattice
 from appliance.optics.water import Water
 from appliance.patterns.sequence import PatternSequence
 from appliance.reconstruct.decode import CameraDecoder
+from appliance.reconstruct.gaps import GapSampler
 from appliance.reconstruct.match import fill_inverse_map, right_maps
 from appliance.reconstruct.noise import TYPICAL_PAIR, StereoNoise
 from appliance.reconstruct.quality import QualityLimits, summarise
@@ -71,6 +74,7 @@ class Pipeline:
         self._rays = rays_of(ray_lattice(left, index, plane_z_mm), ray_lattice(right, index, plane_z_mm), left.width_px)
         seen = self._decoders["right"]
         self._right = right_maps(seen.p_px, seen.q_px, seen.modulation_half_dn, sequence.width_px, sequence.height_px)
+        self._gaps = GapSampler(GapModes(calibration.rig, index))
         self._inverse_stride = 2 if right.width_px >= 800 else 1
         self._factors = sigma_factors(sequence.period_px, noise)
         self._limits = limits or QualityLimits()
@@ -120,7 +124,8 @@ class Pipeline:
 
     def find_full(self) -> Found:
         """As ``full``, leaving the points in the table."""
-        return self._find(1)
+        decoder = self._decoders["left"]
+        return replace(self._find(1), gaps=self._gaps.measure(decoder.p_px, decoder.q_px, self._right, self._rays))
 
     def _find(self, stride: int) -> Found:
         if self._bright is None:

@@ -8,6 +8,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.calibration.patches import PatchGaps
 from appliance.reconstruct.quality import CloudSummary
 from appliance.reconstruct.select import Points
 
@@ -30,6 +31,8 @@ class Cloud:
     pixel: NDArray[np.uint32]
     """(n,) uint32: flat index of the left pixel."""
     summary: CloudSummary
+    gaps: PatchGaps | None = None
+    """Signed gaps before any limit; of the full cloud only."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +42,8 @@ class Found:
     pieces: tuple[tuple[int, int], ...]
     """(first, stop) of each thread's share; what lies between them means nothing."""
     summary: CloudSummary
+    gaps: PatchGaps | None = None
+    """As ``Cloud.gaps``."""
 
 
 class PointTable:
@@ -74,4 +79,5 @@ class PointTable:
             sigma_mm=join(points.sigma_mm),
             pixel=join(points.pixel),
             summary=found.summary,
+            gaps=found.gaps,
         )

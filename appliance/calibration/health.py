@@ -1,0 +1,287 @@
+"""Owns the judgement whether a calibration still holds: each scan's ray gaps against those right after it, and their trend.
+
+Pure values and functions; ``docs/calibration-health.md`` derives the numbers. A scan gives four amplitudes
+(``gaps.MODES``). They are compared with a reference that the first scans of a calibration teach, patch by patch, and
+divided by what is normal: noise, and a share of the pattern that the calibration leaves over, since objects show
+different parts of it. The scores are summed up in their direction (Crosier's multivariate CUSUM): a big change alarms at
+once, a small one when it stays, scatter and a constant small offset never.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.calibration.gaps import MODES
+from appliance.calibration.judgement import PATCHES
+from appliance.calibration.patches import COUNT, PatchGaps
+
+Array = NDArray[np.float64]
+Four = tuple[float, float, float, float]
+
+UNMEASURED = ("design", "air")
+"""Methods of calibrations whose ports nobody measured: their rays miss each other anyway."""
+LEARNT_SCANS = 10
+"""Scans that teach a patch its reference."""
+FEWEST_PATCHES = 8
+SLACK = 2.0
+"""Scores up to here are forgiven in every scan: a constant offset of two standard deviations never adds up."""
+LIMIT = 6.0
+"""Of the sum: one score of 8, two of 5, three of 4."""
+TEACHES_UP_TO = 2.0
+"""A scan after which the sum is larger teaches nothing: a knock must not become the reference."""
+LEAST_UM = 0.3
+"""Scatter of an amplitude that remains with the best calibration."""
+PATCH_UM = 0.5
+"""The same of a patch."""
+SHARE_KNOWN = 0.5
+"""Of the pattern that the calibration leaves over, how much changes with the distance of the object: the reference takes
+the rest away. Where a patch has no reference yet, all of it is there."""
+SMOOTH_OVER = 0.25
+"""Over which share of the image's width that pattern is alike."""
+IMAGE_HEIGHT = 0.75
+"""Of the image's width."""
+HEIGHT_PER_INDEX_UM = 600.0
+"""How much an imperfect calibration lets the height change per unit of the water's index, stated rightly: 4 µm from fresh
+to salt."""
+MOST_POINTS = 200
+"""Scans kept for looking back."""
+MOST_ANSWERS = 20
+OFFSET_SHARE = 0.05
+"""Of an accepted change: turns and shifts of the same amplitude differ a little with the distance."""
+_WIDE_UM = 1e3
+"""Standard deviation of an amplitude that the seen patches say nothing about."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrendPoint:
+    """One judged scan."""
+
+    scan: str | None
+    """Its number, where it has one."""
+    amplitudes_um: Four
+    """Height, twist, scale, shear against the reference, RMS over the volume."""
+    sigma_um: Four
+    """Their standard deviations in normal operation."""
+    rest_um: float
+    """RMS of the pattern that the four leave over, without noise."""
+    score: float
+    """Length of the amplitudes in standard deviations; 2 is usual."""
+    total: float
+    """The sum after this scan; the alarm is at ``LIMIT``."""
+    alarm: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Reference:
+    """What each patch of the left image showed in the first normal scans; zeros where none has shown it yet."""
+
+    gap_um: tuple[float, ...] = (0.0,) * COUNT
+    variance_um2: tuple[float, ...] = (0.0,) * COUNT
+    scans: tuple[int, ...] = (0,) * COUNT
+    rests_um: tuple[float, ...] = ()
+    """Of the scans that taught."""
+    water_index: float | None = None
+    """Mean of the scans that taught."""
+    offset_um: Four = (0.0, 0.0, 0.0, 0.0)
+    """Amplitudes that a length check found harmless: they are normal, too."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trend:
+    """Everything remembered about one calibration."""
+
+    reference: Reference = Reference()
+    total: Four = (0.0, 0.0, 0.0, 0.0)
+    """The sum of scores, with its direction."""
+    judged: int = 0
+    points: tuple[TrendPoint, ...] = ()
+    """The latest scans, oldest first."""
+    alarm: str | None = None
+    """What was found, until somebody answered it."""
+    answers: tuple[str, ...] = ()
+    """Length checks after which an alarm was taken back."""
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """What one scan says about the calibration."""
+
+    point: TrendPoint | None
+    """``None``: not judged."""
+    alarm: bool
+    text: str
+    numbers: Mapping[str, float | None]
+
+
+def judge(trend: Trend, gaps: PatchGaps, scan: str | None) -> tuple[Trend, Judgement]:
+    """The trend after one more scan, and what is to be said about it."""
+    if len(gaps.patch) < FEWEST_PATCHES:
+        text = f"not judged: {len(gaps.patch)} of {COUNT} patches seen, {FEWEST_PATCHES} are needed"
+        return trend, Judgement(None, trend.alarm is not None, text, _counts(gaps))
+    rest_um = _rest(gaps)
+    usual_um = float(np.median([*trend.reference.rests_um, rest_um]))
+    amplitudes, covariance = _compared(trend.reference, gaps, usual_um)
+    z = _whitened(amplitudes, covariance)
+    total = _summed(np.array(trend.total), z)
+    size = float(np.linalg.norm(total))
+    found = trend.alarm is None and size > LIMIT
+    point = TrendPoint(
+        scan, _four(amplitudes), _four(np.sqrt(np.diag(covariance))), rest_um, float(np.linalg.norm(z)), size,
+        found or trend.alarm is not None,
+    )  # fmt: skip
+    reference = trend.reference
+    if not point.alarm and size <= TEACHES_UP_TO:
+        reference = _taught(reference, gaps, rest_um)
+    text = _said(point, reference)
+    after = Trend(
+        reference=reference,
+        total=_four(total),
+        judged=trend.judged + 1,
+        points=(*trend.points, point)[-MOST_POINTS:],
+        alarm=trend.alarm or (text if found else None),
+        answers=trend.answers,
+    )
+    return after, Judgement(point, point.alarm, text, _numbers(point, gaps))
+
+
+def answered(trend: Trend, answer: str) -> Trend:
+    """After an accepted length check: what the latest scan showed is normal from now on. ``answer`` says what was found."""
+    latest = trend.points[-1].amplitudes_um if trend.points else (0.0,) * len(MODES)
+    reference = replace(
+        trend.reference,
+        offset_um=_four(np.array(trend.reference.offset_um) + np.array(latest)),
+        scans=tuple(min(n, 1) for n in trend.reference.scans),
+    )
+    return replace(
+        trend,
+        reference=reference,
+        total=(0.0, 0.0, 0.0, 0.0),
+        alarm=None,
+        answers=(*trend.answers, answer)[-MOST_ANSWERS:],
+    )
+
+
+def likeliest(amplitudes_um: Four, answers: Mapping[str, tuple[Array, float]]) -> tuple[str, float, float]:
+    """The one change that explains amplitudes best: its name, its size, and the share (0..1) that it explains.
+
+    ``answers`` are those of ``GapModes.of_parameters`` for the changes in question.
+    """
+    a = np.array(amplitudes_um)
+    best = ("", 0.0, 0.0)
+    for name, (one, _) in answers.items():
+        size = float(one @ a / (one @ one))
+        share = 1.0 - float(np.sum((a - size * one) ** 2) / max(float(a @ a), 1e-12))
+        if share > best[2]:
+            best = (name, size, share)
+    return best
+
+
+def _rest(gaps: PatchGaps) -> float:
+    """RMS of what the four patterns leave over, less what noise alone leaves."""
+    amplitudes = _solver(gaps.modes, 1.0 / (gaps.noise_um**2 + PATCH_UM**2)) @ gaps.gap_um
+    left = gaps.gap_um - gaps.modes @ amplitudes
+    freedom = max(len(left) - len(MODES), 1)
+    return math.sqrt(max(float(np.sum(left**2)) / freedom - float(np.mean(gaps.noise_um**2)), 0.0))
+
+
+def _compared(reference: Reference, gaps: PatchGaps, usual_um: float) -> tuple[Array, Array]:
+    """Amplitudes (4,) against the reference and their covariance in normal operation."""
+    offset = np.array(reference.offset_um)
+    expected = np.array(reference.gap_um)[gaps.patch] + gaps.modes @ offset
+    known = np.array(reference.scans)[gaps.patch] > 0
+    left_over = usual_um * np.where(known, SHARE_KNOWN, 1.0)
+    white = gaps.noise_um**2 + PATCH_UM**2 + np.array(reference.variance_um2)[gaps.patch]
+    # Least squares as if patches were independent, its covariance as they are: what is left over is smooth, but how
+    # smooth is known too roughly to make use of it.
+    solve = _solver(gaps.modes, 1.0 / (white + left_over**2))
+    amplitudes = solve @ (gaps.gap_um - expected)
+    scatter = np.diag(white) + np.outer(left_over, left_over) * _alike(gaps.patch)
+    unseen = np.eye(len(MODES)) - solve @ gaps.modes
+    covariance = solve @ scatter @ solve.T + unseen @ unseen.T * _WIDE_UM**2
+    least = np.full(len(MODES), LEAST_UM**2) + (OFFSET_SHARE * offset) ** 2
+    if reference.water_index is not None:
+        least[0] += (HEIGHT_PER_INDEX_UM * (gaps.water_index - reference.water_index)) ** 2
+    return amplitudes, covariance + np.diag(least)
+
+
+def _alike(patch: NDArray[np.intp]) -> Array:
+    """How much what is left over in one patch says about another, (k, k): lenses are smooth."""
+    across, down = (patch % PATCHES[0]) / PATCHES[0], (patch // PATCHES[0]) / PATCHES[1] * IMAGE_HEIGHT
+    far2 = np.subtract.outer(across, across) ** 2 + np.subtract.outer(down, down) ** 2
+    return np.asarray(np.exp(-0.5 * far2 / SMOOTH_OVER**2))
+
+
+def _solver(modes: Array, weight: Array) -> Array:
+    """The matrix (4, k) that makes amplitudes of gaps; small where the patches say nothing."""
+    weighted = modes.T * weight
+    return np.asarray(np.linalg.solve(weighted @ modes + np.eye(len(MODES)) / _WIDE_UM**2, weighted))
+
+
+def _whitened(amplitudes: Array, covariance: Array) -> Array:
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray(vectors @ ((vectors.T @ amplitudes) / np.sqrt(values)))
+
+
+def _summed(total: Array, z: Array) -> Array:
+    """Crosier 1988: add, then shrink by the slack."""
+    together = total + z
+    length = float(np.linalg.norm(together))
+    return np.zeros_like(total) if length <= SLACK else np.asarray(together * (1.0 - SLACK / length))
+
+
+def _taught(reference: Reference, gaps: PatchGaps, rest_um: float) -> Reference:
+    mean, variance, scans = (
+        np.array(values, float) for values in (reference.gap_um, reference.variance_um2, reference.scans)
+    )
+    learning = gaps.patch[scans[gaps.patch] < LEARNT_SCANS]
+    if not len(learning):
+        return reference
+    at = np.isin(gaps.patch, learning)
+    n = scans[learning]
+    seen = gaps.gap_um[at] - gaps.modes[at] @ np.array(reference.offset_um)
+    mean[learning] = (n * mean[learning] + seen) / (n + 1.0)
+    variance[learning] = (n**2 * variance[learning] + gaps.noise_um[at] ** 2) / (n + 1.0) ** 2
+    scans[learning] += 1.0
+    rests, index = reference.rests_um, reference.water_index
+    if len(rests) < LEARNT_SCANS:
+        index = gaps.water_index if index is None else (len(rests) * index + gaps.water_index) / (len(rests) + 1)
+        rests = (*rests, rest_um)
+    return replace(
+        reference,
+        gap_um=tuple(float(v) for v in mean),
+        variance_um2=tuple(float(v) for v in variance),
+        scans=tuple(int(n) for n in scans),
+        rests_um=rests,
+        water_index=index,
+    )
+
+
+def _said(point: TrendPoint, reference: Reference) -> str:
+    parts = ", ".join(f"{name} {value:+.1f} µm" for name, value in zip(MODES, point.amplitudes_um, strict=True))
+    if point.alarm:
+        return f"the ray gaps have changed since the calibration: {parts}; {point.score:.1f} standard deviations"
+    taught = len(reference.rests_um)
+    learning = f"; {taught} of {LEARNT_SCANS} scans of the reference" if taught < LEARNT_SCANS else ""
+    return f"as since the calibration: {parts}{learning}"
+
+
+def _numbers(point: TrendPoint, gaps: PatchGaps) -> dict[str, float | None]:
+    numbers: dict[str, float | None] = {}
+    for name, value, sigma in zip(MODES, point.amplitudes_um, point.sigma_um, strict=True):
+        numbers |= {f"{name}_um": value, f"{name}_sigma_um": sigma}
+    numbers |= {"rest_um": point.rest_um, "score": point.score, "sum": point.total, "limit": LIMIT}
+    return numbers | _counts(gaps)
+
+
+def _counts(gaps: PatchGaps) -> dict[str, float | None]:
+    return {"patches": float(len(gaps.patch)), "samples": float(gaps.samples)}
+
+
+def _four(values: Array) -> Four:
+    a, b, c, d = (float(v) for v in values)
+    return a, b, c, d

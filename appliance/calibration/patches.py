@@ -1,0 +1,80 @@
+"""Owns the gaps of one scan as a table of patches of the left image: robust means with their standard errors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.calibration.gaps import MODES, GapModes
+from appliance.calibration.judgement import PATCHES
+
+Array = NDArray[np.float64]
+
+COUNT = PATCHES[0] * PATCHES[1]
+FEWEST_IN_PATCH = 20
+OUTLIER_SIGMAS = 3.0
+"""From the median, in robust standard deviations: a false match is no statement about the calibration."""
+MAD_TO_SIGMA = 1.4826
+
+
+@dataclass(frozen=True, slots=True)
+class PatchGaps:
+    """Mean signed ray gaps of one scan, before any limit of quality. Arrays have one row per patch that was seen."""
+
+    patch: NDArray[np.intp]
+    """(k,) row·8 + column of the patch in the left image."""
+    gap_um: Array
+    """(k,) robust mean."""
+    noise_um: Array
+    """(k,) its standard error, from the scatter inside the patch."""
+    modes: Array
+    """(k, 4) the patterns of ``GapModes`` there."""
+    samples: int
+    """Correspondences that were looked at."""
+    water_index: float
+    """Of the water in which the rays were traced."""
+
+
+def average(modes: GapModes, left_px: Array, right_px: Array, gap_um: Array) -> PatchGaps:
+    """Means over patches of the left image of gaps (n,) of matched pixels (n, 2)."""
+    patch = _patch_of(left_px, modes.size_px)
+    middle = _medians(patch, gap_um)
+    away = np.abs(gap_um - middle[patch])
+    sigma = MAD_TO_SIGMA * _medians(patch, away)
+    kept = away <= OUTLIER_SIGMAS * sigma[patch]
+    counts = np.bincount(patch[kept], minlength=COUNT)
+    good = np.flatnonzero(counts >= FEWEST_IN_PATCH)
+
+    def mean(values: Array) -> Array:
+        return np.asarray(np.bincount(patch[kept], values[kept], minlength=COUNT)[good] / counts[good])
+
+    seen_px = [np.stack([mean(px[:, k]) for k in (0, 1)], -1) for px in (left_px, right_px)]
+    return PatchGaps(
+        patch=good,
+        gap_um=mean(gap_um),
+        noise_um=sigma[good] / np.sqrt(counts[good]),
+        modes=modes.at(*seen_px) if len(good) else np.empty((0, len(MODES))),
+        samples=len(gap_um),
+        water_index=modes.water_index,
+    )
+
+
+def _patch_of(left_px: Array, size_px: tuple[int, int]) -> NDArray[np.intp]:
+    column = np.clip(left_px[:, 0] / size_px[0] * PATCHES[0], 0, PATCHES[0] - 1).astype(np.intp)
+    row = np.clip(left_px[:, 1] / size_px[1] * PATCHES[1], 0, PATCHES[1] - 1).astype(np.intp)
+    return np.asarray(row * PATCHES[0] + column)
+
+
+def _medians(patch: NDArray[np.intp], values: Array) -> Array:
+    """The median of each patch, (48,); zero where it is empty."""
+    order = np.lexsort((values, patch))
+    counts = np.bincount(patch, minlength=COUNT)
+    first = np.cumsum(counts) - counts
+    ordered = values[order]
+    medians = np.zeros(COUNT)
+    seen = counts > 0
+    low, high = first + (counts - 1) // 2, first + counts // 2
+    medians[seen] = 0.5 * (ordered[low[seen]] + ordered[high[seen]])
+    return medians

@@ -1,0 +1,72 @@
+"""Owns the sample of signed ray gaps of a scan: matched like all points, but before any limit could hide a knock."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.calibration.gaps import GapModes
+from appliance.calibration.patches import PatchGaps, average
+from appliance.reconstruct.match import RightMaps, match_row
+from appliance.reconstruct.scratch import SIZE, SX1, SX2, SY1, SY2, X1, X2, Y1, Y2, P, Q, U, V, Z
+from appliance.reconstruct.triangulate import Rays, triangulate_row
+
+SAMPLES = 5_000
+"""Left pixels that are asked: a hundred in each patch of a lit image, so that noise is a tenth of that of a point."""
+MAX_GAP_MM = np.float32(20.0)
+"""Beyond, it is a false match: no camera that still sees the fringes is knocked so far."""
+MIN_DEPTH_MM, MAX_DEPTH_MM = np.float32(300.0), np.float32(900.0)
+_NAN, _ONE = np.float32(np.nan), np.float32(1.0)
+_COLUMNS = 5
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _sample(
+    p_px: NDArray[np.float32],
+    q_px: NDArray[np.float32],
+    right: RightMaps,
+    rays: Rays,
+    stride: int,
+    found: NDArray[np.float32],
+) -> int:
+    """Write u, v, u', v' in px and the signed gap in mm of every ``stride``-th pixel that has a match; return how many."""
+    rows, columns = p_px.shape
+    n = (columns + stride - 1) // stride
+    s = np.full(SIZE, _NAN, np.float32)
+    at = np.zeros(columns, np.int32)
+    count = 0
+    for y in range(stride // 2, rows, stride):
+        for x in range(n):
+            s[P + x], s[Q + x] = p_px[y, x * stride], q_px[y, x * stride]
+        match_row(right, s, n, False, at)
+        triangulate_row(rays, y, 0, stride, _ONE, s, n)
+        for x in range(n):
+            if not (MIN_DEPTH_MM < s[Z + x] < MAX_DEPTH_MM):
+                continue
+            ax, ay, bx, by = s[SX1 + x], s[SY1 + x], s[SX2 + x], s[SY2 + x]
+            cx, cy, cz = ay - by, bx - ax, ax * by - ay * bx
+            gap = ((s[X1 + x] - s[X2 + x]) * cx + (s[Y1 + x] - s[Y2 + x]) * cy) / np.sqrt(cx * cx + cy * cy + cz * cz)
+            if abs(gap) < MAX_GAP_MM:
+                found[count, 0], found[count, 1] = np.float32(x * stride), np.float32(y)
+                found[count, 2], found[count, 3] = s[U + x], s[V + x]
+                found[count, 4] = gap if cy > np.float32(0.0) else -gap
+                count += 1
+    return count
+
+
+class GapSampler:
+    """Samples the gaps of one instrument's scans. Buffers are allocated once."""
+
+    def __init__(self, modes: GapModes) -> None:
+        self._modes = modes
+        width_px, height_px = modes.size_px
+        self._stride = max(1, round((width_px * height_px / SAMPLES) ** 0.5))
+        most = -(-width_px // self._stride) * -(-height_px // self._stride)
+        self._found = np.empty((most, _COLUMNS), np.float32)
+
+    def measure(self, p_px: NDArray[np.float32], q_px: NDArray[np.float32], right: RightMaps, rays: Rays) -> PatchGaps:
+        """The gaps of a decoded scan; ``right`` with its inverse map filled."""
+        count = int(_sample(p_px, q_px, right, rays, self._stride, self._found))
+        found = self._found[:count].astype(np.float64)
+        return average(self._modes, found[:, 0:2], found[:, 2:4], 1000.0 * found[:, 4])

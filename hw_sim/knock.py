@@ -1,0 +1,76 @@
+"""Owns what a knock does to the true rig: a camera turned and shifted in its mount, for good.
+
+    <left|right> [pitch_deg=<a>] [yaw_deg=<a>] [roll_deg=<a>] [x_mm=<s>] [y_mm=<s>] [z_mm=<s>]
+
+Turns are about the camera's own x (pitch), y (yaw) and z (roll) axes, shifts along them. Its window stays with it, as in
+the instrument, whose windows are tilted with the cameras.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hw_sim.truth import TrueRig, turned
+
+SIDES = ("left", "right")
+LIMITS = {"deg": 5.0, "mm": 20.0}
+
+
+class KnockError(ValueError):
+    """A knock is not understood; the text says what is allowed."""
+
+    exit_code = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Knock:
+    """One knock of one camera."""
+
+    camera: str
+    pitch_deg: float = 0.0
+    yaw_deg: float = 0.0
+    roll_deg: float = 0.0
+    x_mm: float = 0.0
+    y_mm: float = 0.0
+    z_mm: float = 0.0
+
+
+AMOUNTS = ("pitch_deg", "yaw_deg", "roll_deg", "x_mm", "y_mm", "z_mm")
+
+
+def parse(sentence: str) -> Knock:
+    """Read a knock. Raises KnockError."""
+    camera, *words = [*sentence.split(), ""]
+    if camera not in SIDES:
+        raise KnockError(f"knock '{sentence}': camera '{camera}'; allowed are {', '.join(SIDES)}")
+    amounts: dict[str, float] = {}
+    for word in filter(None, words):
+        name, _, value = word.partition("=")
+        try:
+            amount = float(value)
+        except ValueError:
+            amount = math.nan
+        limit = LIMITS.get(name.rpartition("_")[2], 0.0)
+        if name not in AMOUNTS or not abs(amount) <= limit:
+            raise KnockError(
+                f"knock '{sentence}': '{word}' is not understood; allowed are {', '.join(AMOUNTS)} = a number, "
+                f"up to {LIMITS['deg']:g} degrees or {LIMITS['mm']:g} mm"
+            )
+        amounts[name] = amount
+    if not amounts:
+        raise KnockError(f"knock '{sentence}': by how much? Give one of {', '.join(AMOUNTS)}")
+    return Knock(camera, **amounts)
+
+
+def knocked(rig: TrueRig, knock: Knock) -> TrueRig:
+    """The rig after the knock."""
+    eye = rig.eye(knock.camera)
+    R = np.array(eye.R)
+    t = np.array(eye.t_mm) + R @ np.array([knock.x_mm, knock.y_mm, knock.z_mm])
+    moved = replace(
+        turned(eye, (knock.pitch_deg, knock.yaw_deg, knock.roll_deg)), t_mm=(float(t[0]), float(t[1]), float(t[2]))
+    )
+    return replace(rig, left=moved) if knock.camera == "left" else replace(rig, right=moved)

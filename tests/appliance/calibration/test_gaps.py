@@ -1,0 +1,83 @@
+"""The signed ray gap: zero for true pairs, with the sign and the pattern that each change of the instrument gives it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from appliance.calibration.gaps import MODES, GapModes, pairs_in_volume, signed_gap_mm
+from appliance.calibration.health import likeliest
+from appliance.optics.model import StereoRig
+from hw_sim.knock import Knock, knocked
+from hw_sim.optics.points import project, ray
+from hw_sim.truth import TrueRig
+from tests.support.calibrating import hidden_rig, inside
+from tests.support.truth import WATER, true_calibration
+
+TRUTH = hidden_rig("modelled", 3)
+RIG = true_calibration(TRUTH).rig
+
+
+def pairs_of(truth: TrueRig) -> tuple[np.ndarray, np.ndarray]:
+    """True pairs, made by the simulator's own optics."""
+    uv, _ = pairs_in_volume(RIG, WATER.index)
+    origin, direction = ray(truth, "left", uv)
+    points = origin + direction * ((520.0 - origin[:, 2:]) / direction[:, 2:])
+    right = project(truth, "right", points)
+    keep = inside(right)
+    return uv[keep], right[keep]
+
+
+def test_rays_of_true_pairs_meet() -> None:
+    gap = signed_gap_mm(RIG, WATER.index, *pairs_of(TRUTH))
+    assert np.abs(gap).max() < 1e-6
+
+
+def test_the_gap_is_positive_where_the_left_ray_passes_below() -> None:
+    """The right camera sinks: the calibration believes it higher than it is, so its rays are reported too high."""
+    sunk = knocked(TRUTH, Knock("right", y_mm=0.05))
+    gap = signed_gap_mm(RIG, WATER.index, *pairs_of(sunk))
+    assert gap == pytest.approx(0.05, abs=0.003)
+
+
+@pytest.mark.parametrize(
+    ("knock", "parameter", "unit"),
+    [
+        (Knock("right", pitch_deg=0.02), "right camera's turn x (rad)", math.radians(0.02)),
+        (Knock("right", yaw_deg=-0.02), "right camera's turn y (rad)", math.radians(-0.02)),
+        (Knock("right", roll_deg=0.02), "right camera's turn z (rad)", math.radians(0.02)),
+        (Knock("right", y_mm=0.05), None, 0.0),
+    ],
+)
+def test_a_knock_has_the_pattern_that_the_model_derives(knock: Knock, parameter: str | None, unit: float) -> None:
+    modes = GapModes(RIG, WATER.index)
+    answers = modes.of_parameters()
+    left, right = pairs_of(knocked(TRUTH, knock))
+    gap_um = 1000.0 * signed_gap_mm(RIG, WATER.index, left, right)
+    amplitudes, *_ = np.linalg.lstsq(modes.at(left, right), gap_um, rcond=None)
+    if parameter is not None:
+        # The calibration has not made the turn, so the gap is what taking it back would do.
+        predicted, rest_um = answers[parameter]
+        assert amplitudes == pytest.approx(-unit * predicted, rel=0.03, abs=0.3)
+        assert rest_um * abs(unit) < 0.6, "four patterns hold all of a turn"
+    turns = {name: answer for name, answer in answers.items() if "right camera's" in name}
+    name, size, share = likeliest(tuple(amplitudes), turns)
+    assert share > 0.97
+    if parameter is not None:
+        assert name == parameter
+        assert size == pytest.approx(-unit, rel=0.1)
+
+
+def test_patterns_are_independent_and_of_unit_size() -> None:
+    modes = GapModes(RIG, WATER.index)
+    at = modes.at(*modes.field_px)
+    assert at.T @ at / len(at) == pytest.approx(np.eye(len(MODES)), abs=1e-6)
+
+
+def test_cameras_that_share_no_volume_are_refused() -> None:
+    away = replace(RIG.right, translation_mm=(5000.0, 0.0, 0.0))
+    with pytest.raises(ValueError, match="share too little"):
+        GapModes(StereoRig(RIG.left, away), WATER.index)

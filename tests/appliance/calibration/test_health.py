@@ -1,0 +1,136 @@
+"""A knock or wrong water is noticed at the first or second scan, what the gaps cannot see is not, normal scans never are.
+
+Realistic hidden rigs, calibrated with noise; planes at random poses that cover all or part of the image.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from appliance.calibration.bundle import Rung
+from appliance.calibration.health import LEARNT_SCANS, Trend, answered, judge
+from appliance.calibration.patches import PatchGaps
+from appliance.optics.water import Water
+from hw_sim.knock import Knock, knocked
+from tests.support.gap_scans import calibrated, follow, in_water, learnt, scan, scans_until_alarm
+from tests.support.truth import WATER
+
+SEED = 1
+KNOCKS = [
+    Knock(camera, **{f"{axis}_deg": sign * 0.02})
+    for camera in ("left", "right")
+    for axis in ("pitch", "yaw", "roll")
+    for sign in (-1.0, 1.0)
+]
+
+
+@pytest.mark.parametrize("knock", KNOCKS, ids=str)
+def test_a_turn_of_two_hundredths_of_a_degree_alarms_at_the_first_or_second_scan(knock: Knock) -> None:
+    made = calibrated(SEED)
+    needed = scans_until_alarm(made, learnt(made), knocked(made.truth, knock), most=2)
+    assert needed is not None
+
+
+@pytest.mark.parametrize("axis", ["y_mm", "z_mm"])
+def test_a_shift_across_the_base_line_of_a_tenth_alarms(axis: str) -> None:
+    made = calibrated(SEED)
+    needed = scans_until_alarm(made, learnt(made), knocked(made.truth, Knock("right", **{axis: 0.1})), most=2)
+    assert needed is not None
+
+
+def test_a_shift_along_the_base_line_is_what_only_a_length_check_finds() -> None:
+    """0.1 mm of 230 mm is 0.04 % of every length, and the rays meet as before."""
+    made = calibrated(SEED)
+    assert scans_until_alarm(made, learnt(made), knocked(made.truth, Knock("right", x_mm=0.05)), most=10) is None
+
+
+@pytest.mark.parametrize(("salinity_psu", "most"), [(35.0, 1), (10.0, 3)])
+def test_salt_water_taken_for_fresh_alarms(salinity_psu: float, most: int) -> None:
+    made = calibrated(SEED)
+    salt = in_water(made.truth, Water(20.0, salinity_psu, 530.0).index)
+    assert scans_until_alarm(made, learnt(made), salt, most) is not None
+
+
+def test_water_that_is_stated_rightly_never_alarms() -> None:
+    """The trend follows the instrument from the lake to the sea."""
+    made = calibrated(SEED)
+    sea = Water(12.0, 35.0, 530.0).index
+    assert scans_until_alarm(made, learnt(made), in_water(made.truth, sea), most=12, index=sea) is None
+
+
+@pytest.mark.parametrize("rung", [Rung.SPLINE, Rung.PORTS])
+def test_normal_scans_never_alarm(rung: Rung) -> None:
+    made = calibrated(SEED, rung)
+    rng = np.random.default_rng(5)
+    totals = [
+        said.point.total for _, said in follow(Trend(), (scan(made, made.truth, rng) for _ in range(40))) if said.point
+    ]
+    assert len(totals) == 40
+    assert max(totals) < 3.0, "half of the limit is never reached"
+
+
+def test_a_knock_between_calibration_and_first_scan_is_noticed() -> None:
+    made = calibrated(SEED)
+    for knock in (Knock("right", pitch_deg=0.02), Knock("left", roll_deg=0.02)):
+        assert scans_until_alarm(made, Trend(), knocked(made.truth, knock), most=2) is not None
+
+
+def test_a_slow_drift_alarms_before_it_is_learnt() -> None:
+    """0.004° of roll per scan, from the first scan on: no single step is remarkable."""
+    made = calibrated(SEED)
+    rng = np.random.default_rng(3)
+    drifting = (
+        scan(made, knocked(made.truth, Knock("right", roll_deg=0.004 * (k + 1))), rng) for k in range(LEARNT_SCANS)
+    )
+    alarms = [said.alarm for _, said in follow(Trend(), drifting)]
+    assert not alarms[0]
+    assert any(alarms)
+
+
+def test_an_alarm_stays_until_a_length_check_is_accepted_and_then_the_new_state_is_normal() -> None:
+    made = calibrated(SEED)
+    turned = knocked(made.truth, Knock("right", pitch_deg=0.01))
+    rng = np.random.default_rng(4)
+    scans = [scan(made, truth, rng) for truth in (turned, made.truth, made.truth, turned)]
+    followed = list(follow(learnt(made), scans))
+    assert [said.alarm for _, said in followed] == [True] * 4, "a camera that moves to and fro is no better"
+    accepted = answered(followed[-1][0], "ball bar, largest |E_L| 0.02 %")
+    assert accepted.alarm is None
+    assert accepted.answers == ("ball bar, largest |E_L| 0.02 %",)
+    assert scans_until_alarm(made, accepted, turned, most=12) is None
+    assert scans_until_alarm(made, accepted, knocked(turned, Knock("left", roll_deg=0.02)), most=2) is not None
+
+
+def only(gaps: PatchGaps, which: np.ndarray) -> PatchGaps:
+    arrays = (gaps.patch, gaps.gap_um, gaps.noise_um, gaps.modes)
+    return PatchGaps(*(values[which] for values in arrays), gaps.samples, gaps.water_index)
+
+
+def test_too_little_of_the_image_is_not_judged() -> None:
+    made = calibrated(SEED)
+    whole = scan(made, made.truth, np.random.default_rng(1))
+    few = only(whole, np.arange(5))
+    trend, said = judge(Trend(), few, "000001")
+    assert trend == Trend()
+    assert said.point is None
+    assert not said.alarm
+    assert said.text.startswith("not judged: 5 of 48 patches")
+
+
+def test_a_change_that_the_seen_corner_cannot_tell_is_no_alarm_and_no_certainty() -> None:
+    """A scan of one corner has wide standard deviations instead of a wrong verdict."""
+    made = calibrated(SEED)
+    whole = scan(made, made.truth, np.random.default_rng(1))
+    corner = np.isin(whole.patch, [0, 1, 2, 8, 9, 10, 16, 17, 18])
+    part = only(whole, corner)
+    _, said_whole = judge(Trend(), whole, None)
+    _, said_part = judge(Trend(), part, None)
+    assert said_part.point is not None
+    assert said_whole.point is not None
+    assert max(said_part.point.sigma_um) > 2.0 * max(said_whole.point.sigma_um)
+    assert not said_part.alarm
+
+
+def test_the_water_of_the_tests_is_that_of_the_calibration() -> None:
+    assert calibrated(SEED).truth.n_water == pytest.approx(WATER.index, abs=1e-9)

@@ -1,0 +1,91 @@
+"""The gaps of a scan are read from its images as they are, whatever the quality limits think of the points."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from appliance.calibration import parameters
+from appliance.calibration.file import Calibration
+from appliance.calibration.gaps import signed_gap_mm
+from appliance.calibration.patches import COUNT
+from appliance.patterns.sequence import build_sequence
+from appliance.reconstruct.pipeline import SIDES, Cloud, Pipeline
+from tests.support import synthetic
+
+SEQUENCE = build_sequence(16)
+CALIBRATION = synthetic.calibration()
+NORMAL = np.array([0.1, -0.15, 1.0]) / np.linalg.norm([0.1, -0.15, 1.0])
+
+
+def frames() -> dict[str, np.ndarray]:
+    """A plane, rendered exactly; quantisation is the only noise."""
+    index = CALIBRATION.water.index
+    offset = float(NORMAL @ CALIBRATION.rig.volume_centre_mm(index))
+    made = {}
+    for side, camera in (("left", CALIBRATION.rig.left), ("right", CALIBRATION.rig.right)):
+        pq = synthetic.projector(CALIBRATION).project(synthetic.plane_points(camera, NORMAL, offset), index)
+        made[side] = np.rint(synthetic.frames(SEQUENCE, pq)).astype(np.uint8)
+    return made
+
+
+@pytest.fixture(scope="module")
+def images() -> dict[str, np.ndarray]:
+    return frames()
+
+
+def turned(pitch_deg: float, roll_deg: float) -> Calibration:
+    """A calibration whose right camera is elsewhere than the one that took the images."""
+    x = np.zeros(parameters.COUNT)
+    x[22], x[24] = math.radians(pitch_deg), math.radians(roll_deg)
+    return replace(CALIBRATION, rig=parameters.rig_with(CALIBRATION.rig, x))
+
+
+def cloud(images: dict[str, np.ndarray], calibration: Calibration) -> Cloud:
+    with Pipeline(calibration, CALIBRATION.water, SEQUENCE) as pipeline:
+        for k in range(len(SEQUENCE)):
+            for side in SIDES:
+                pipeline.push(side, images[side], k)
+        assert pipeline.coarse().gaps is None
+        return pipeline.full()
+
+
+def test_every_patch_has_the_gap_of_the_exact_rays(images: dict[str, np.ndarray]) -> None:
+    other = turned(pitch_deg=0.02, roll_deg=0.03)
+    gaps = cloud(images, other).gaps
+    assert gaps is not None
+    assert len(gaps.patch) > 0.6 * COUNT
+    # The same pairs in closed form: a lattice of left pixels, its points on the plane, seen by the true right camera.
+    v, u = np.mgrid[2:300:5, 0:400:5].astype(float)
+    left = np.stack([u, v], -1).reshape(-1, 2)
+    index = CALIBRATION.water.index
+    offset = float(NORMAL @ CALIBRATION.rig.volume_centre_mm(index))
+    points = synthetic.plane_points(CALIBRATION.rig.left, NORMAL, offset)[2:300:5, 0:400:5].reshape(-1, 3)
+    exact_um = 1000.0 * signed_gap_mm(other.rig, index, left, CALIBRATION.rig.right.project(points, index))
+    patch = (left[:, 1] // 50).astype(int) * 8 + (left[:, 0] // 50).astype(int)
+    inner = [k for k, p in enumerate(gaps.patch) if 0 < p % 8 < 7 and 0 < p // 8 < 5]
+    assert len(inner) >= 20
+    for k in inner:
+        expected = exact_um[patch == gaps.patch[k]].mean()
+        assert gaps.gap_um[k] == pytest.approx(expected, abs=4.0 * gaps.noise_um[k] + 1.0)
+    assert np.ptp(gaps.gap_um) > 40.0, "the roll is a slope across the image"
+
+
+def test_a_knock_that_leaves_no_point_is_still_measured(images: dict[str, np.ndarray]) -> None:
+    """0.05° of pitch opens every ray gap beyond the limit of 0.25 mm: the cloud is empty, the evidence is not."""
+    found = cloud(images, turned(pitch_deg=0.05, roll_deg=0.0))
+    assert found.summary.points == 0
+    assert found.gaps is not None
+    assert len(found.gaps.patch) > 0.6 * COUNT
+    assert float(np.median(np.abs(found.gaps.gap_um))) == pytest.approx(460.0, rel=0.05)
+
+
+def test_nothing_seen_gives_no_patches(images: dict[str, np.ndarray]) -> None:
+    dark = {side: np.zeros_like(stack) for side, stack in images.items()}
+    gaps = cloud(dark, CALIBRATION).gaps
+    assert gaps is not None
+    assert gaps.samples == 0
+    assert len(gaps.patch) == 0
