@@ -20,6 +20,7 @@ from bench.result import Measured
 
 LATEST = "latest.json"
 Measure = Callable[[], Iterable[Measured]]
+Main = Callable[[Sequence[str]], int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +30,8 @@ class Benchmark:
     name: str
     summary: str
     measure: Measure
+    main: Main | None = None
+    """What it does with options of its own; ``None``: it has none."""
 
 
 class UnknownBenchmark(Exception):
@@ -49,7 +52,8 @@ def find(package: str) -> dict[str, Benchmark]:
         if not callable(measure):
             raise TypeError(f"{module.__name__} has no function measure(): define it or rename the module")
         name = module_info.name.removeprefix("bench_")
-        found[name] = Benchmark(name, (module.__doc__ or "").strip().partition("\n")[0], measure)
+        summary = (module.__doc__ or "").strip().partition("\n")[0]
+        found[name] = Benchmark(name, summary, measure, getattr(module, "main", None))
     return found
 
 
@@ -134,8 +138,14 @@ def machine() -> dict[str, str | int | None]:
 
 
 def main(arguments: Sequence[str], package: str = "bench", out: Path = Path("bench/out")) -> int:
-    """The command line: ``--list``, ``--write-docs``, or names, or nothing for all. 0 kept, 1 a bound missed, 2 a wrong name."""
+    """The command line: ``--list``, ``--write-docs``, or names, or nothing for all; or one name and options of its own.
+
+    0 kept, 1 a bound missed, 2 a wrong name.
+    """
     found = find(package)
+    own = found.get(arguments[0]) if len(arguments) > 1 and arguments[1].startswith("-") else None
+    if own is not None and own.main is not None:
+        return own.main(arguments[1:])
     if "--list" in arguments:
         for benchmark in found.values():
             sys.stdout.write(f"{benchmark.name:<16} {benchmark.summary}\n")

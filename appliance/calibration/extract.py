@@ -27,8 +27,9 @@ from appliance.optics.water import Water
 Flags = NDArray[np.bool_]
 Pixels = NDArray[np.intp]
 
-MAX_GAP_MM = 5.0
-"""Limit of the ray gap for scans that calibrate: with ports that nobody has measured, true rays miss by millimetres."""
+MAX_GAP_MM = 15.0
+"""Limit of the ray gap for scans that calibrate: with ports that nobody has measured, true rays miss by millimetres.
+Two ports tilted by 2° away from each other make 9 mm; 5 mm left an instrument like the paper's without a single point."""
 GUARD_PX = HALF_WINDOW_PX + 2
 """A pixel is used if all within this distance are measured: beside the window, what an edge's blur may reach."""
 MAX_CONTRAST = 0.08

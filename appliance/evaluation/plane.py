@@ -43,11 +43,13 @@ class Plane:
 
     def distance_mm(self, points: Array) -> Array:
         """(n,) signed distance of points (n, 3), positive behind the plane."""
-        return np.asarray((points - np.array(self.centre_mm)) @ np.array(self.normal))
+        normal = np.array(self.normal)
+        return np.asarray(points @ normal - np.array(self.centre_mm) @ normal)
 
     def coordinates_mm(self, points: Array) -> Array:
         """(n, 2) coordinates in the plane."""
-        return np.asarray((points - np.array(self.centre_mm)) @ np.array([self.axis_x, self.axis_y]).T)
+        axes = np.array([self.axis_x, self.axis_y]).T
+        return np.asarray(points @ axes - np.array(self.centre_mm) @ axes)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,16 +68,19 @@ def orthogonal_plane(points: Array) -> Plane:
     """The plane with the least sum of squared orthogonal distances to points (n >= 3, 3): closed form."""
     centre = points.mean(axis=0)
     p = points - centre
-    values, vectors = np.linalg.eigh(p.T @ p)  # ascending: the normal first
+    scatter = p.T @ p
+    values, vectors = np.linalg.eigh(scatter)  # ascending: the normal first
     normal = vectors[:, 0] if vectors[:, 0] @ centre > 0.0 else -vectors[:, 0]
     axis_x = np.cross([0.0, 1.0, 0.0], normal)  # as the instrument sees it: x to the right, y down
     if np.linalg.norm(axis_x) < 1e-3:
         axis_x = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
     axis_x /= np.linalg.norm(axis_x)
     axis_y = np.cross(normal, axis_x)
-    columns = np.column_stack([np.ones(len(p)), p @ axis_x, p @ axis_y])
+    axes = np.stack([axis_x, axis_y])
+    information = np.zeros((3, 3))  # about their middle, offset and slopes have nothing to do with each other
+    information[0, 0], information[1:, 1:] = len(p), axes @ scatter @ axes.T
     variance = max(float(values[0]), 0.0) / max(1, len(points) - 3)
-    covariance = variance * np.linalg.pinv(columns.T @ columns)
+    covariance = np.asarray(variance * np.linalg.pinv(information), np.float64)
     return Plane(_triple(centre), _triple(normal), _triple(axis_x), _triple(axis_y), covariance)
 
 

@@ -26,7 +26,7 @@ from appliance.reconstruct.rows import LeftMaps, reconstruct_rows
 from appliance.reconstruct.scratch import MAX_WIDTH_PX
 from appliance.reconstruct.select import Limits
 from appliance.reconstruct.table import Cloud, Found, PointTable
-from appliance.reconstruct.triangulate import rays_of, sigma_factors
+from appliance.reconstruct.triangulate import Rays, rays_of, sigma_factors
 
 SIDES = ("left", "right")
 COARSE_POINTS = 30_000
@@ -69,9 +69,7 @@ class Pipeline:
             "left": CameraDecoder(sequence, left.width_px, left.height_px),
             "right": CameraDecoder(sequence, right.width_px, right.height_px),
         }
-        index = water.index
-        plane_z_mm = float(calibration.rig.volume_centre_mm(index)[2])
-        self._rays = rays_of(ray_lattice(left, index, plane_z_mm), ray_lattice(right, index, plane_z_mm), left.width_px)
+        self._rays = _rays(calibration, water)
         seen = self._decoders["right"]
         self._right = right_maps(seen.p_px, seen.q_px, seen.modulation_half_dn, sequence.width_px, sequence.height_px)
         self._gaps = GapSampler(GapModes(calibration.rig, index))
@@ -106,6 +104,21 @@ class Pipeline:
     def decoded(self, side: str) -> CameraDecoder:
         """The decoder of one side, for its maps."""
         return self._decoders[side]
+
+    def recalibrate(self, calibration: Calibration, water: Water) -> None:
+        """From now on with another calibration of cameras of the same size, or in other water.
+
+        A scan whose ``coarse`` was called stays decoded: ``full`` gives its points anew. Raises ValueError for cameras
+        of another size.
+        """
+        for side, camera in (("left", calibration.rig.left), ("right", calibration.rig.right)):
+            height_px, width_px = self._decoders[side].p_px.shape
+            if (camera.width_px, camera.height_px) != (width_px, height_px):
+                raise ValueError(
+                    f"the calibration's {side} camera has {camera.width_px} x {camera.height_px} px, this pipeline's "
+                    f"{width_px} x {height_px} px; make another pipeline"
+                )
+        self._rays = _rays(calibration, water)
 
     def coarse(self) -> Cloud:
         """After the last frame: the coarse cloud. Call once per scan, before ``full``."""
@@ -161,3 +174,10 @@ class Pipeline:
             max_step_mm=np.float32(limits.max_step_mm * self._pixel_mm / 0.16 * stride),
             min_neighbours=np.float32(limits.min_neighbours if stride == 1 else MIN_COARSE_NEIGHBOURS),
         )
+
+
+def _rays(calibration: Calibration, water: Water) -> Rays:
+    left, right = calibration.rig.left, calibration.rig.right
+    plane_z_mm = float(calibration.rig.volume_centre_mm(water.index)[2])
+    index = water.index
+    return rays_of(ray_lattice(left, index, plane_z_mm), ray_lattice(right, index, plane_z_mm), left.width_px)

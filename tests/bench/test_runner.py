@@ -117,3 +117,12 @@ def test_figures_in_the_document_are_those_measured(tmp_path: Path) -> None:
     document.write_text("no marks")
     with pytest.raises(ValueError, match="no marks"):
         write_figures(latest, document)
+
+
+def test_a_benchmark_may_have_options_of_its_own(package: Path, tmp_path: Path) -> None:
+    benchmark(
+        package, "good", "yield Measured('time', 2.0, 'ms', at_most=2.0)\ndef main(arguments): return len(arguments)"
+    )
+    assert main(["good", "--size", "3"], "measured_here", tmp_path / "out") == 2
+    assert not (tmp_path / "out").exists()
+    assert main(["good"], "measured_here", tmp_path / "out") == 0

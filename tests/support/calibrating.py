@@ -114,9 +114,10 @@ def start_of(air: AirCalibration) -> Calibration:
     return start_from_air(air, design_calibration(DESIGN, "KF-0001", WIDTH_PX, HEIGHT_PX, WATER))
 
 
-def inside(uv: Array) -> NDArray[np.bool_]:
+def inside(uv: Array, width_px: int = WIDTH_PX) -> NDArray[np.bool_]:
+    """Which pixels (n, 2) lie in images of that width, 4 to 3."""
     with np.errstate(invalid="ignore"):
-        return np.asarray(np.all((uv >= 0) & (uv <= [WIDTH_PX - 1, HEIGHT_PX - 1]), axis=1))
+        return np.asarray(np.all((uv >= 0) & (uv <= [width_px - 1, 0.75 * width_px - 1]), axis=1))
 
 
 def record_bar(
@@ -129,7 +130,7 @@ def record_bar(
     for sphere, x in enumerate((-half, half)):
         centre = pose.rotation @ [x, 0.0, 0.0] + pose.at_mm
         middle = project(truth, "left", centre)[0]
-        size = 1.2 * BALL_RADIUS_MM / 0.16
+        size = 1.2 * BALL_RADIUS_MM / 0.16 * truth.left.width_px / WIDTH_PX
         uv = np.round(middle + rng.uniform(-size, size, (3 * points, 2)))
         origin, direction = ray(truth, "left", uv)
         w = origin - centre
@@ -142,7 +143,7 @@ def record_bar(
             sight = np.array(truth.eye(side).t_mm) - surface
             hit &= np.sum(outward * sight, 1) > 0.3 * np.linalg.norm(sight, axis=1)
         left, right = uv[hit], project(truth, "right", surface[hit])
-        keep = inside(left) & inside(right)
+        keep = inside(left, truth.left.width_px) & inside(right, truth.left.width_px)
         left, right = left[keep][:points], right[keep][:points]
         pairs.append((left, right, np.full(len(left), sphere)))
     left, right, label = (np.concatenate(parts) for parts in zip(*pairs, strict=True))
@@ -157,7 +158,7 @@ def record_plane(
 ) -> Recording:
     """The plane across the pose's z axis, bent as the truth says; about ``points`` points."""
     rng = np.random.default_rng([seed, truth.seed, 4])
-    uv = np.round(rng.uniform([0, 0], [WIDTH_PX - 1, HEIGHT_PX - 1], (2 * points, 2)))
+    uv = np.round(rng.uniform([0, 0], [truth.left.width_px - 1, truth.left.height_px - 1], (2 * points, 2)))
     origin, direction = ray(truth, "left", uv)
     o = (origin - pose.at_mm) @ pose.rotation
     d = direction @ pose.rotation
@@ -166,7 +167,11 @@ def record_plane(
         local = o + ((height - o[:, 2]) / d[:, 2])[:, None] * d
         height = truth.artefacts.plane_bow_mm * (1.0 - 2.0 * np.sum(local[:, :2] ** 2, 1) / PLANE_HALF_X_MM**2)
     right = project(truth, "right", local @ pose.rotation.T + pose.at_mm)
-    keep = inside(right) & (np.abs(local[:, 0]) < PLANE_HALF_X_MM) & (np.abs(local[:, 1]) < PLANE_HALF_Y_MM)
+    keep = (
+        inside(right, truth.left.width_px)
+        & (np.abs(local[:, 0]) < PLANE_HALF_X_MM)
+        & (np.abs(local[:, 1]) < PLANE_HALF_Y_MM)
+    )
     left, right = uv[keep][:points], right[keep][:points]
     right = right + rng.normal(0.0, 1.0, right.shape) * noise_px
     return Recording(name, ArtefactKind.PLANE, left, right, water, np.zeros(len(left), np.intp))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -94,3 +96,28 @@ def test_a_frame_out_of_order_is_refused() -> None:
     pipeline.push("left", stack, 0)
     with pytest.raises(ValueError, match="frame 2 was pushed; frame 1 is next"):
         pipeline.push("left", stack, 2)
+
+
+def test_a_decoded_scan_can_be_reconstructed_with_another_calibration() -> None:
+    pipeline, _, _ = record(16, 0.0)
+    pipeline.coarse()
+    before = pipeline.full()
+    cal = synthetic.calibration()
+    nearer = replace(cal.rig.right, port=replace(cal.rig.right.port, distance_mm=28.0))
+    other = replace(cal, rig=replace(cal.rig, right=nearer))
+    pipeline.recalibrate(other, synthetic.WATER)
+    changed = pipeline.full()
+    common, mine, theirs = np.intersect1d(before.pixel, changed.pixel, return_indices=True)
+    assert len(common) > 1000
+    points, index = changed.points_mm[theirs], synthetic.WATER.index
+    assert np.median(np.linalg.norm(points - before.points_mm[mine], axis=1)) > 0.05
+    v, u = np.divmod(common[::97].astype(int), cal.rig.left.width_px)
+    # Half way between the left pixel's ray and the other one: off by half the ray gap, as seen from the left camera.
+    seen = other.rig.left.project(points[::97].astype(float), index)
+    assert np.abs(seen - np.stack([u, v], -1)).max() < 0.5
+    pipeline.recalibrate(cal, synthetic.WATER)
+    assert np.array_equal(pipeline.full().points_mm, before.points_mm)
+    with pytest.raises(
+        ValueError, match="the calibration's left camera has 800 x 600 px, this pipeline's 400 x 300 px"
+    ):
+        pipeline.recalibrate(synthetic.calibration(800, 600), synthetic.WATER)

@@ -1,0 +1,1 @@
+"""How well a hidden rig measures after each rung of the calibration ladder, from images to numbers."""

@@ -1,0 +1,154 @@
+"""Owns the examination of one hidden rig: it is calibrated from scans, and judged by scans it has not seen.
+
+All scans go through drivers, capture and reconstruction as on the instrument. Frames are forgotten with the next scan.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from appliance.calibration.extract import MAX_GAP_MM as CALIBRATION_GAP_MM
+from appliance.calibration.extract import Certificate, extract
+from appliance.calibration.file import Calibration
+from appliance.calibration.recordings import Recording
+from appliance.evaluation.points import NotFound
+from appliance.optics.water import Water
+from appliance.reconstruct.pipeline import SIDES, Pipeline
+from appliance.reconstruct.quality import QualityLimits
+from appliance.service.evaluation import MAX_GAP_MM
+from bench.instrument import Instrument, open_instrument
+from bench.metrology.air import air_of, start_of
+from bench.metrology.judge import Errors, Seen, look_at, summed_up
+from bench.metrology.poses import Pose, unseen
+from bench.metrology.rungs import IN_SALT, LATER, PLACES, WAYS, Known, Made, climb, needed
+from hw_sim.objects.shapes import BALL_DISTANCE_MM, BALL_RADIUS_MM
+from hw_sim.options import WorldOptions
+from tests.support.truth import WATER
+
+SALINITY_PSU = 35.0
+SALT = Water(WATER.temperature_c, SALINITY_PSU, WATER.wavelength_nm)
+
+
+@dataclass(frozen=True, slots=True)
+class Effort:
+    """Which rungs are compared, and how many unseen scans judge a rig. Salt water needs the rung ``LATER``."""
+
+    rungs: tuple[str, ...] = tuple(WAYS)
+    bars: int = 4
+    planes: int = 3
+    frustums: int = 3
+    salt_bars: int = 3
+    salt_planes: int = 1
+    salt_frustums: int = 1
+
+    @property
+    def scans(self) -> int:
+        """Of one rig, those for calibrating included."""
+        fresh = len(needed(self.rungs)) + self.bars + self.planes + self.frustums
+        return fresh + self.salt
+
+    @property
+    def salt(self) -> int:
+        """Scans in salt water."""
+        return self.salt_bars + self.salt_planes + self.salt_frustums if LATER in self.rungs else 0
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One rung of one rig."""
+
+    rung: str
+    seed: int
+    errors: Errors
+    recordings: int
+    seconds: float
+
+
+class NotCalibratedError(Exception):
+    """A calibration scan did not become a recording; the text says why."""
+
+
+def examine(
+    truth_set: str, seed: int, width_px: int, height_px: int, effort: Effort, step: Callable[[str], None]
+) -> list[Row]:
+    """All rungs of the rig ``seed`` of a set. ``step(what)`` is called after each scan.
+
+    Raises ScanFailedError, NotCalibratedError and what the solvers raise.
+    """
+    options = WorldOptions(truth=truth_set, seed=seed, width_px=width_px, height_px=height_px)
+    name = f"{truth_set} {seed}"
+    with open_instrument(options) as instrument:
+        truth = instrument.world.truth
+        air = air_of(truth)
+        start = start_of(air)
+        recordings = _recorded(instrument, needed(effort.rungs), start, lambda what: step(f"{name}: {what}"))
+        made = climb(Known(air, start, recordings, truth), effort.rungs)
+        poses = unseen(truth, effort.bars, effort.planes, effort.frustums)
+        rows = _judged(instrument, poses, made, seed, lambda what: step(f"{name}: {what}"))
+    if not effort.salt:
+        return rows
+    fresh = next(one for one in made if one.rung == LATER)
+    later = [
+        Made(rung, fresh.calibration, water, fresh.recordings, fresh.seconds)
+        for rung, water in zip(IN_SALT, (SALT, WATER), strict=True)
+    ]
+    salty = WorldOptions(
+        truth=truth_set, seed=seed, width_px=width_px, height_px=height_px, water={"salinity_psu": SALINITY_PSU}
+    )
+    with open_instrument(salty) as instrument:
+        poses = unseen(instrument.world.truth, effort.salt_bars, effort.salt_planes, effort.salt_frustums)
+        return rows + _judged(instrument, poses, later, seed, lambda what: step(f"{name}, salt water: {what}"))
+
+
+def _recorded(
+    instrument: Instrument, names: Sequence[str], start: Calibration, step: Callable[[str], None]
+) -> dict[str, Recording]:
+    found = {}
+    certificate = Certificate(BALL_DISTANCE_MM, radius_mm=BALL_RADIUS_MM)
+    with Pipeline(start, WATER, instrument.sequence, QualityLimits(max_gap_mm=CALIBRATION_GAP_MM)) as pipeline:
+        for name in names:
+            thing, pose = PLACES[name]
+            _decoded(instrument, pipeline, thing, pose)
+            maps = pipeline.decoded("left"), pipeline.decoded("right")
+            stated = certificate if thing == "ballbar" else None
+            recording = extract(name, stated, pipeline.full(), *maps, start, WATER)
+            if isinstance(recording, NotFound):
+                raise NotCalibratedError(f"{name} at {pose}: {recording.reason}")
+            found[name] = recording
+            step(name)
+    return found
+
+
+def _judged(
+    instrument: Instrument,
+    poses: Sequence[tuple[str, Pose]],
+    made: Sequence[Made],
+    seed: int,
+    step: Callable[[str], None],
+) -> list[Row]:
+    seen: list[list[Seen]] = [[] for _ in made]
+    first = made[0]
+    with Pipeline(
+        first.calibration, first.water, instrument.sequence, QualityLimits(max_gap_mm=MAX_GAP_MM)
+    ) as pipeline:
+        for thing, pose in poses:
+            _decoded(instrument, pipeline, thing, pose)
+            for one, list_ in zip(made, seen, strict=True):
+                pipeline.recalibrate(one.calibration, one.water)
+                list_.append(look_at(pipeline.full(), thing, instrument.world.truth))
+            step(thing)
+    return [
+        Row(one.rung, seed, summed_up(what), one.recordings, one.seconds)
+        for one, what in zip(made, seen, strict=True)
+    ]  # fmt: skip
+
+
+def _decoded(instrument: Instrument, pipeline: Pipeline, thing: str, pose: Pose) -> None:
+    """Record and decode one scan."""
+    instrument.scan(thing, pose)
+    pipeline.reset()
+    for index in range(len(instrument.sequence)):
+        for side in SIDES:
+            pipeline.push(side, instrument.store.frames(side), index)
+    pipeline.coarse()

@@ -1,0 +1,34 @@
+"""Owns the bar that tells how far a long measurement has come, on a terminal; elsewhere nothing is drawn."""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import TextIO
+
+WIDTH = 30
+
+
+class Progress:
+    """A bar for ``total`` steps."""
+
+    def __init__(self, total: int, out: TextIO = sys.stderr) -> None:
+        self._total, self._done, self._out = max(total, 1), 0, out
+        self._begun = time.monotonic()
+
+    def step(self, what: str) -> None:
+        """One more step is done; ``what`` comes next."""
+        self._done = min(self._done + 1, self._total)
+        if not self._out.isatty():
+            return
+        share = self._done / self._total
+        left_s = (time.monotonic() - self._begun) * (1.0 - share) / share
+        bar = "#" * round(WIDTH * share)
+        self._out.write(f"\r\x1b[K[{bar:<{WIDTH}}] {100 * share:3.0f} %  {left_s / 60:4.1f} min left  {what}")
+        self._out.flush()
+
+    def close(self) -> None:
+        """Clear the line."""
+        if self._out.isatty():
+            self._out.write("\r\x1b[K")
+            self._out.flush()
