@@ -10,14 +10,14 @@ from appliance.calibration.gaps import GapModes
 from appliance.calibration.patches import PatchGaps, average
 from appliance.reconstruct.match import RightMaps, match_row
 from appliance.reconstruct.scratch import SIZE, SX1, SX2, SY1, SY2, X1, X2, Y1, Y2, P, Q, U, V, Z
-from appliance.reconstruct.triangulate import Rays, triangulate_row
+from appliance.reconstruct.triangulate import Rays, SigmaFactors, triangulate_row
 
 SAMPLES = 5_000
 """Left pixels that are asked: a hundred in each patch of a lit image, so that noise is a tenth of that of a point."""
 MAX_GAP_MM = np.float32(20.0)
 """Beyond, it is a false match: no camera that still sees the fringes is knocked so far."""
 MIN_DEPTH_MM, MAX_DEPTH_MM = np.float32(300.0), np.float32(900.0)
-_NAN, _ONE = np.float32(np.nan), np.float32(1.0)
+_NAN = np.float32(np.nan)
 _COLUMNS = 5
 
 
@@ -27,6 +27,7 @@ def _sample(
     q_px: NDArray[np.float32],
     right: RightMaps,
     rays: Rays,
+    factors: SigmaFactors,
     stride: int,
     found: NDArray[np.float32],
 ) -> int:
@@ -40,7 +41,7 @@ def _sample(
         for x in range(n):
             s[P + x], s[Q + x] = p_px[y, x * stride], q_px[y, x * stride]
         match_row(right, s, n, False, at)
-        triangulate_row(rays, y, 0, stride, _ONE, s, n)
+        triangulate_row(rays, y, 0, stride, factors, s, n)
         for x in range(n):
             if not (MIN_DEPTH_MM < s[Z + x] < MAX_DEPTH_MM):
                 continue
@@ -65,8 +66,15 @@ class GapSampler:
         most = -(-width_px // self._stride) * -(-height_px // self._stride)
         self._found = np.empty((most, _COLUMNS), np.float32)
 
-    def measure(self, p_px: NDArray[np.float32], q_px: NDArray[np.float32], right: RightMaps, rays: Rays) -> PatchGaps:
+    def measure(
+        self,
+        p_px: NDArray[np.float32],
+        q_px: NDArray[np.float32],
+        right: RightMaps,
+        rays: Rays,
+        factors: SigmaFactors,
+    ) -> PatchGaps:
         """The gaps of a decoded scan; ``right`` with its inverse map filled."""
-        count = int(_sample(p_px, q_px, right, rays, self._stride, self._found))
+        count = int(_sample(p_px, q_px, right, rays, factors, self._stride, self._found))
         found = self._found[:count].astype(np.float64)
         return average(self._modes, found[:, 0:2], found[:, 2:4], 1000.0 * found[:, 4])

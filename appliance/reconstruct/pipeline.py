@@ -138,7 +138,8 @@ class Pipeline:
     def find_full(self) -> Found:
         """As ``full``, leaving the points in the table."""
         decoder = self._decoders["left"]
-        return replace(self._find(1), gaps=self._gaps.measure(decoder.p_px, decoder.q_px, self._right, self._rays))
+        gaps = self._gaps.measure(decoder.p_px, decoder.q_px, self._right, self._rays, self._factors)
+        return replace(self._find(1), gaps=gaps)
 
     def _find(self, stride: int) -> Found:
         if self._bright is None:
