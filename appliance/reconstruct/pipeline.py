@@ -72,7 +72,7 @@ class Pipeline:
         self._rays = _rays(calibration, water)
         seen = self._decoders["right"]
         self._right = right_maps(seen.p_px, seen.q_px, seen.modulation_half_dn, sequence.width_px, sequence.height_px)
-        self._gaps = GapSampler(GapModes(calibration.rig, index))
+        self._gaps = GapSampler(GapModes(calibration.rig, water.index))
         self._inverse_stride = 2 if right.width_px >= 800 else 1
         self._factors = sigma_factors(sequence.period_px, noise)
         self._limits = limits or QualityLimits()
