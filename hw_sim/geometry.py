@@ -13,7 +13,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from hw_sim.objects.print import Ink, printed
+from hw_sim.objects.print import Ink, lean, on_front, printed
 from hw_sim.objects.shapes import BOARD, gradient, march
 from hw_sim.objects.texture import albedo
 from hw_sim.optics.table import OUTSIDE, fit_table, look_up
@@ -96,38 +96,40 @@ def shadows(pose: Pose, lamp: Lamp) -> NDArray[np.float32]:
 def trace(
     rays: Array,
     pose: Pose,
-    first: NDArray[np.float32],
+    first: NDArray[np.float32] | None,
     lamp: Lamp,
     texture: int,
     lattice: NDArray[np.float32],
     ink: Ink,
     attenuation_per_m: float,
 ) -> Geometry:
-    """Follow the rays (h, w, 6) of a camera; ``first`` are the pose's shadows, ``lattice`` is the texture's, ``ink`` the
-    print of the board, which has no other texture."""
+    """Follow the rays (h, w, 6) of a camera; ``first`` are the pose's shadows (``None``: the projector is dark, and only
+    distance and ambient light are wanted), ``lattice`` is the texture's, ``ink`` the print of the board, which has no
+    other texture."""
     h, w = rays.shape[:2]
+    lit = first is not None
+    shade = np.empty((0, 0), np.float32) if first is None else first
     geometry = Geometry(np.empty((h, w)), np.empty((h, w, CHANNELS), np.float32))
     _trace(
-        pose.kind, pose.sizes, pose.R, pose.t, first, texture, lattice, ink, attenuation_per_m / 1000.0, rays,
+        pose.kind, pose.sizes, pose.R, pose.t, lit, shade, texture, lattice, ink, attenuation_per_m / 1000.0, rays,
         lamp.eye, lamp.table, lamp.window, lamp.depth_mm, geometry.distance_mm, geometry.pixels,
     )  # fmt: skip
     return geometry
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def _met(
-    R: Array, t: Array, ray: Array, x: float, y: float, z: float, nx: float, ny: float, nz: float
-) -> tuple[float, float]:
-    """x and y of the object frame where a ray meets the plane through a point with a normal."""
+def _beside(R: Array, t: Array, sizes: Array, ray: Array, x: float, y: float, z: float) -> tuple[float, float]:
+    """How far along x and y of the board a ray meets the plane that touches its front at a point."""
+    rise_x, rise_y = lean(sizes, x, y)
     ox, oy, oz = into(R, ray[0] - t[0], ray[1] - t[1], ray[2] - t[2])
     dx, dy, dz = into(R, ray[3], ray[4], ray[5])
-    s = ((x - ox) * nx + (y - oy) * ny + (z - oz) * nz) / (dx * nx + dy * ny + dz * nz)
-    return ox + s * dx, oy + s * dy
+    s = (rise_x * (ox - x) + rise_y * (oy - y) - (oz - z)) / (dz - rise_x * dx - rise_y * dy)
+    return ox + s * dx - x, oy + s * dy - y
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _trace(
-    kind: int, sizes: Array, R: Array, t: Array, first: NDArray[np.float32], texture: int,
+    kind: int, sizes: Array, R: Array, t: Array, lit: bool, first: NDArray[np.float32], texture: int,
     lattice: NDArray[np.float32], ink: Ink, per_mm: float, rays: Array, lamp: Array, table: Array,
     window: NDArray[np.float32], depth_mm: float, distance: Array, pixels: NDArray[np.float32],
 ) -> None:  # fmt: skip
@@ -152,21 +154,18 @@ def _trace(
                         continue
                     distance[y, x] = far
                     hx, hy, hz = ox + far * dx, oy + far * dy, oz + far * dz
-                    nx, ny, nz = gradient(kind, sizes, hx, hy, hz)
-                    norm = math.sqrt(nx * nx + ny * ny + nz * nz) + 1e-12
-                    nx, ny, nz = nx / norm, ny / norm, nz / norm
-                    if kind == BOARD and nz < -0.9:
-                        beside, below = (
-                            rays[y, x + 1 if x + 1 < columns else x - 1],
-                            rays[y + 1 if y + 1 < rows else y - 1, x],
-                        )
-                        ax, ay = _met(R, t, beside, hx, hy, hz, nx, ny, nz)
-                        bx, by = _met(R, t, below, hx, hy, hz, nx, ny, nz)
-                        grey = printed(ink, sizes, hx, hy, ax - hx, ay - hy, bx - hx, by - hy)
+                    if kind == BOARD and on_front(hx, hy, hz):
+                        beside = rays[y, x + 1 if x + 1 < columns else x - 1]
+                        below = rays[y + 1 if y + 1 < rows else y - 1, x]
+                        ax, ay = _beside(R, t, sizes, beside, hx, hy, hz)
+                        bx, by = _beside(R, t, sizes, below, hx, hy, hz)
+                        grey = printed(ink, sizes, hx, hy, ax, ay, bx, by)
                     else:
                         grey = albedo(texture, lattice, hx, hy, hz)
                     grey *= math.exp(-per_mm * far)
                     out[GREY] = grey
+                    if not lit:
+                        continue
                     wx, wy, wz = ray[0] + far * ray[3], ray[1] + far * ray[4], ray[2] + far * ray[5]
                     u, v = look_up(lamp, table, wx, wy, wz)
                     if not (-2.0 < u < width + 1.0 and -2.0 < v < height + 1.0):
@@ -176,6 +175,9 @@ def _trace(
                     sx, sy, sz = into(R, origin[0] - t[0], origin[1] - t[1], origin[2] - t[2])
                     vx, vy, vz = sx - hx, sy - hy, sz - hz
                     length = math.sqrt(vx * vx + vy * vy + vz * vz)
+                    nx, ny, nz = gradient(kind, sizes, hx, hy, hz)
+                    norm = math.sqrt(nx * nx + ny * ny + nz * nz) + 1e-12
+                    nx, ny, nz = nx / norm, ny / norm, nz / norm
                     facing = (vx * nx + vy * ny + vz * nz) / length
                     if facing <= 0.0:
                         continue

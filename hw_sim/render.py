@@ -131,7 +131,7 @@ class Renderer:
         """Add what arrives in ``duration_s`` with everything as it stands at ``time_s``. ``light`` is what the projector
         emits meanwhile, in seconds of white; ``None``: it is off."""
         pose = self._stage.pose(scene, time_s)
-        geometry = self._stage.geometry(camera, scene, pose)
+        geometry = self._stage.geometry(camera, scene, pose, lit=light is not None)
         ambient = np.float32(WHITE_E_PER_S * scene.ambient * duration_s)
         if light is None:
             electrons += ambient * geometry.pixels[..., GREY]

@@ -41,6 +41,7 @@ class Stage:
         self._rays: Latest[str, Array] = Latest(keep=len(CAMERAS))
         self._tables: Latest[str, Array] = Latest(keep=len(CAMERAS))
         self._geometries: dict[str, Latest[tuple[object, ...], Geometry]] = {name: Latest() for name in CAMERAS}
+        self._unlit: dict[str, Latest[tuple[object, ...], Geometry]] = {name: Latest() for name in CAMERAS}
         # The cameras' threads need the same shadows, but not at the same time: one may be an exposure behind.
         self._shadows: Latest[bytes, NDArray[np.float32]] = Latest(keep=MOST_INSTANTS)
 
@@ -59,15 +60,17 @@ class Stage:
 
         return self._rays.get(camera, compute)
 
-    def geometry(self, camera: str, scene: Scene, pose: Pose) -> Geometry:
-        """What ``camera`` meets of the scene's object at ``pose``. The latest of each camera is kept: 53 MB."""
+    def geometry(self, camera: str, scene: Scene, pose: Pose, lit: bool = True) -> Geometry:
+        """What ``camera`` meets of the scene's object at ``pose``; without ``lit``, only what a dark projector leaves: half
+        the work. The latest of each camera is kept: 53 MB."""
         texture, per_m = TEXTURES[scene.texture], scene.water.attenuation_per_m
 
         def compute() -> Geometry:
-            first = self._shadows.get(pose.key, lambda: shadows(pose, self.lamp))
+            first = self._shadows.get(pose.key, lambda: shadows(pose, self.lamp)) if lit else None
             return trace(self.rays(camera), pose, first, self.lamp, texture, self._lattice, self._ink, per_m)
 
-        return self._geometries[camera].get((texture, per_m, pose.key), compute)
+        kept = self._geometries if lit else self._unlit
+        return kept[camera].get((texture, per_m, pose.key), compute)
 
     def view(self, camera: str, scene: Scene, pose: Pose) -> TrueView:
         """What ``camera`` truly sees."""

@@ -13,7 +13,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from hw_sim.objects.shapes import BOARD_SCALE
+from hw_sim.objects.shapes import BOARD_BOW, BOARD_HALF_X_MM, BOARD_HALF_Y_MM, BOARD_SCALE, BOARD_THICKNESS_MM
 
 Array = NDArray[np.float64]
 Ink = NDArray[np.uint8]
@@ -26,8 +26,9 @@ CELLS = 56
 CELL_MM = SQUARE_MM / CELLS
 PAPER, INK = 0.6, 0.04
 """Albedos."""
+EDGE_MM = 0.001
 SAMPLES, TURN = 233, 144
-"""A Fibonacci lattice: evenly spread over a pixel whatever the direction of an edge."""
+"""A Fibonacci lattice: evenly spread over a pixel. Only where more than one edge crosses a pixel."""
 
 
 def board_print() -> Ink:
@@ -45,12 +46,25 @@ def corners_mm(scale: float = 1.0) -> Array:
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def _paper(ink: Ink, column: float, row: float) -> float:
+def _paper(ink: Ink, i: int, j: int) -> float:
     """1 where there is paper; all around the print, too."""
-    i, j = math.floor(column), math.floor(row)
     if i < 0 or j < 0 or i >= ink.shape[1] or j >= ink.shape[0]:
         return 1.0
     return float(ink[j, i])
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _before(edge: float, a: float, b: float) -> float:
+    """Share of a pixel that lies before an edge at ``edge``, when its coordinate there is a u + b v, u and v in ±½."""
+    wide, narrow = 0.5 * max(abs(a), abs(b)), 0.5 * min(abs(a), abs(b))
+    end = wide + narrow - abs(edge)
+    if end <= 0.0:
+        beyond = 0.0
+    elif abs(edge) >= wide - narrow:
+        beyond = end * end / (8.0 * wide * narrow)
+    else:
+        beyond = 0.5 - 0.5 * abs(edge) / wide
+    return beyond if edge < 0.0 else 1.0 - beyond
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -63,17 +77,33 @@ def printed(
     column, row = x * per_mm + 0.5 * ink.shape[1], y * per_mm + 0.5 * ink.shape[0]
     ax, ay, bx, by = right_x * per_mm, right_y * per_mm, down_x * per_mm, down_y * per_mm
     reach_x, reach_y = 0.5 * (abs(ax) + abs(bx)), 0.5 * (abs(ay) + abs(by))
-    first = _paper(ink, column, row)
-    same = True
-    for j in range(math.floor(row - reach_y), math.floor(row + reach_y) + 1):
-        for i in range(math.floor(column - reach_x), math.floor(column + reach_x) + 1):
-            same = same and _paper(ink, float(i), float(j)) == first
-    share = first
-    if not same:
+    i0, i1 = math.floor(column - reach_x), math.floor(column + reach_x)
+    j0, j1 = math.floor(row - reach_y), math.floor(row + reach_y)
+    share = -1.0
+    if i1 <= i0 + 1 and j1 <= j0 + 1:
+        a, b, c, d = _paper(ink, i0, j0), _paper(ink, i1, j0), _paper(ink, i0, j1), _paper(ink, i1, j1)
+        if a == b and c == d:
+            share = a if a == c else c + (a - c) * _before(j1 - row, ay, by)
+        elif a == c and b == d:
+            share = b + (a - b) * _before(i1 - column, ax, bx)
+    if share < 0.0:
         share = 0.0
         for k in range(SAMPLES):
             u = (k + 0.5) / SAMPLES - 0.5
             v = ((k * TURN) % SAMPLES + 0.5) / SAMPLES - 0.5
-            share += _paper(ink, column + u * ax + v * bx, row + u * ay + v * by)
+            share += _paper(ink, math.floor(column + u * ax + v * bx), math.floor(row + u * ay + v * by))
         share /= SAMPLES
     return INK + (PAPER - INK) * share
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def on_front(x: float, y: float, z: float) -> bool:
+    """Whether a point of the plate's surface is on the side that is printed."""
+    return z < 0.5 * BOARD_THICKNESS_MM and abs(x) < BOARD_HALF_X_MM - EDGE_MM and abs(y) < BOARD_HALF_Y_MM - EDGE_MM
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def lean(sizes: Array, x: float, y: float) -> tuple[float, float]:
+    """By how much the bent front rises along x and y at a point: dz/dx, dz/dy."""
+    k = -4.0 * sizes[BOARD_BOW] / (BOARD_HALF_X_MM * BOARD_HALF_X_MM)
+    return k * x, k * y

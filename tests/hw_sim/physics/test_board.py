@@ -87,7 +87,7 @@ def test_a_pixel_sees_the_mean_of_the_print_before_it() -> None:
     errors = []
     for _ in range(300):
         # Beside the upright edge between the first two squares of the second row, clear of markers.
-        off, size, turn = rng.uniform(-0.1, 0.1), rng.uniform(0.1, 0.4), rng.uniform(-0.6, 0.6)
+        off, size, turn = rng.uniform(-0.1, 0.1), rng.uniform(0.1, 0.2), rng.uniform(-0.6, 0.6)
         c, s = size * np.cos(turn), size * np.sin(turn)
         edge_mm = (1 - ACROSS / 2) * SQUARE_MM
         seen = printed(ink, sizes, edge_mm + off, (1.06 - DOWN / 2) * SQUARE_MM, c, s, -s, c)
@@ -95,8 +95,8 @@ def test_a_pixel_sees_the_mean_of_the_print_before_it() -> None:
         right = float(np.mean(off + u * c - v * s > 0.0))
         left_is_paper = ink[CELLS + 3, CELLS - 3] == 1
         errors.append((seen - INK) / (PAPER - INK) - (1.0 - right if left_is_paper else right))
-    assert np.std(errors) < 0.01, "a tenth of the noise of photons"
-    assert abs(np.mean(errors)) < 0.002, "an edge is nowhere shifted"
+    assert np.abs(errors).max() < 0.004, "as far as 200 × 200 points can tell"
+    assert abs(np.mean(errors)) < 0.0005, "an edge is nowhere shifted"
 
 
 def test_in_air_nothing_bends_or_dims_light() -> None:
