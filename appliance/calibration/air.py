@@ -25,9 +25,16 @@ MIN_CORNERS = 12
 MIN_VIEWS = 6
 WORST_VIEW = 3.0
 """A view whose residual is this many times the median view's is left out."""
+FAR_CORNER, LEAST_FAR_PX = 6.0, 0.1
+"""A corner that is off by so many times the usual view's residual, and so many pixels, is left out alone."""
+FEW = 0.2
+"""More bad corners than this part of a view's, and the view is bad."""
+HALF = 0.55
+"""A view with less than this part of the corners that the fullest view has is remarked upon."""
 STEPS_AT_MOST = 30
 SMALL = 1e-4
 """The adjustment has converged when no parameter moves by more than this share of its standard deviation."""
+BOW_STEP_MM, SCALE_STEP = 1e-3, 1e-5
 NO_PORT = Port((0.0, 0.0, 1.0), 0.0, 0.0, 1.0)
 _BOARD_STEPS = np.array([1e-6] * 3 + [1e-3] * 3)
 
@@ -49,6 +56,39 @@ class BoardView:
     """(n, 2)."""
 
 
+@dataclass(frozen=True, slots=True)
+class BoardTolerance:
+    """How far a board may differ from its drawing (standard deviations)."""
+
+    scale: float = 1e-5
+    """Of the print; every length measured later has this error."""
+    bow_mm: float = 0.1
+    """How far its middle may stand back: z = bow (1 − 2 r²/a²), a half its width. It is adjusted: twenty views tell it to
+    a micrometre, and 0.01 mm left unnoticed would cost half a pixel of principal distance."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FittedView:
+    """A view that was used, and what the adjustment left of it."""
+
+    name: str
+    left_px: Array
+    """(n, 2): where corners were seen."""
+    right_px: Array
+    """(n, 2): the same corners."""
+    left_residual_px: Array
+    """(n, 2): seen less computed."""
+    right_residual_px: Array
+    """(n, 2)."""
+    remarks: tuple[str, ...] = ()
+    """What was odd about it, in words."""
+
+    @property
+    def residual_px(self) -> float:
+        """RMS per coordinate."""
+        return float(np.sqrt(np.mean(np.concatenate([self.left_residual_px, self.right_residual_px]) ** 2)))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class AirCalibration:
     """The pair in air: both lenses and the right camera's pose, with covariance."""
@@ -56,18 +96,26 @@ class AirCalibration:
     rig: StereoRig
     """Its ports have no thickness and no distance: air."""
     covariance: Array
-    """(22, 22), in the units and order of ``parameters.NAMES[AIR]``."""
+    """(22, 22), in the units and order of ``parameters.NAMES[AIR]``: noise of the corners, tolerance of the board. What a
+    lens does beyond the model is not in it."""
     residual_px: float
     """RMS per coordinate."""
+    board_bow_mm: float
+    """How the board was found to be bent: how far its middle stands back, z = bow (1 − 2 r²/a²)."""
     left_out: tuple[str, ...]
     """Views that were not used, each with the reason in words."""
+    views: tuple[FittedView, ...]
+    """Views that were used."""
 
 
-def calibrate_air(views: Sequence[BoardView], width_px: int, height_px: int) -> AirCalibration:
+def calibrate_air(
+    views: Sequence[BoardView], width_px: int, height_px: int, tolerance: BoardTolerance | None = None
+) -> AirCalibration:
     """Calibrate the pair in air from boards (twenty or so, tilted by up to 35°, filling the images).
 
-    Square pixels are assumed. Raises AirCalibrationError when too few views remain.
+    Square pixels are assumed. ``tolerance`` ``None``: that of a good board. Raises AirCalibrationError when too few views remain.
     """
+    allowed = tolerance or BoardTolerance()
     usable, left_out = [], []
     for view in views:
         if len(view.corners_mm) < MIN_CORNERS:
@@ -76,6 +124,8 @@ def calibrate_air(views: Sequence[BoardView], width_px: int, height_px: int) -> 
             )
         else:
             usable.append(view)
+    most = max((len(view.corners_mm) for view in usable), default=0)
+    remarks = {view.name: _thin(view, most) for view in usable}
     while True:
         if len(usable) < MIN_VIEWS:
             reasons = "; ".join(left_out) or "none was left out"
@@ -83,21 +133,61 @@ def calibrate_air(views: Sequence[BoardView], width_px: int, height_px: int) -> 
                 f"{len(usable)} usable views of the board; {MIN_VIEWS} are needed; record more ({reasons})"
             )
         rig, boards = _start(usable, width_px, height_px)
-        rig, boards, information, per_view = _adjust(rig, boards, usable)
+        adjusted = _adjust(rig, boards, usable, allowed)
+        residuals = adjusted.residuals
+        per_view = np.array([float(np.sqrt(np.mean(e**2))) for e in residuals])
         worst = int(np.argmax(per_view))
         usual = float(np.median(per_view))
-        if per_view[worst] <= WORST_VIEW * max(usual, 1e-6):
+        if per_view[worst] > WORST_VIEW * max(usual, 1e-6):
+            bad = _bad_corners(residuals[worst], usual)
+            if np.count_nonzero(bad) > FEW * len(bad) or len(bad) - np.count_nonzero(bad) < MIN_CORNERS:
+                left_out.append(
+                    f"{usable[worst].name}: residual {per_view[worst]:.2f} px, the usual view has {usual:.2f} px; "
+                    f"the board moved between the cameras' exposures, or corners were mistaken"
+                )
+                del usable[worst]
+                continue
+        wrong = [_bad_corners(e, usual) for e in residuals]
+        if not any(bad.any() for bad in wrong):
             break
-        left_out.append(
-            f"{usable[worst].name}: residual {per_view[worst]:.2f} px, the usual view has {usual:.2f} px; "
-            f"the board moved between the cameras' exposures, or corners were mistaken"
-        )
-        del usable[worst]
+        for k, bad in enumerate(wrong):
+            if bad.any():
+                far = float(np.abs(residuals[k][bad]).max())
+                text = f"{np.count_nonzero(bad)} corners left out, up to {far:.2f} px off: glare, dirt, or a finger"
+                remarks[usable[k].name] += (text,)
+                usable[k] = _without(usable[k], bad)
+        if any(len(view.corners_mm) < MIN_CORNERS for view in usable):
+            few = [view for view in usable if len(view.corners_mm) < MIN_CORNERS]
+            left_out += [f"{view.name}: only {len(view.corners_mm)} good corners are left" for view in few]
+            usable = [view for view in usable if len(view.corners_mm) >= MIN_CORNERS]
     corners = sum(len(view.corners_mm) for view in usable)
-    squares = float(sum(p**2 * len(v.corners_mm) * 4 for p, v in zip(per_view, usable, strict=True)))
+    squares = float(sum(np.sum(e**2) for e in residuals))
     variance = squares / (4 * corners - 22 - 6 * len(usable))
-    covariance = np.asarray(np.linalg.inv(information) * variance, np.float64)
-    return AirCalibration(rig, covariance, float(np.sqrt(squares / (4 * corners))), tuple(left_out))
+    covariance = np.asarray(np.linalg.inv(adjusted.information)[:22, :22] * variance, np.float64)
+    covariance += allowed.scale**2 * np.outer(adjusted.by_scale, adjusted.by_scale)
+    fitted = tuple(
+        FittedView(v.name, v.left_px, v.right_px, e[:, :2], e[:, 2:], remarks[v.name])
+        for v, e in zip(usable, residuals, strict=True)
+    )
+    residual_px = float(np.sqrt(squares / (4 * corners)))
+    return AirCalibration(adjusted.rig, covariance, residual_px, adjusted.bow_mm, tuple(left_out), fitted)
+
+
+def _thin(view: BoardView, most: int) -> tuple[str, ...]:
+    """A remark on a view that shows much less of the board than the others."""
+    count = len(view.corners_mm)
+    if count >= HALF * most:
+        return ()
+    return (f"{count} corners are seen by both cameras, other views have up to {most}: the board is half hidden",)
+
+
+def _bad_corners(residual: Array, usual_px: float) -> NDArray[np.bool_]:
+    """Which corners (n,) of a view, residuals (n, 4), are too far off to be noise."""
+    return np.asarray(np.abs(residual).max(axis=1) > max(FAR_CORNER * usual_px, LEAST_FAR_PX))
+
+
+def _without(view: BoardView, bad: NDArray[np.bool_]) -> BoardView:
+    return BoardView(view.name, view.corners_mm[~bad], view.left_px[~bad], view.right_px[~bad])
 
 
 def _start(views: Sequence[BoardView], width_px: int, height_px: int) -> tuple[StereoRig, list[tuple[Array, Array]]]:
@@ -147,45 +237,97 @@ def _moved(board: tuple[Array, Array], x: Array) -> tuple[Array, Array]:
     return board[0] @ rotation_of(x[:3]), board[1] + x[3:]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Bend:
+    """How the board's plate is bent: by one amount, the same in all views, in the shape that a plate takes."""
+
+    middle: Array
+    reach_mm: float
+
+    def of(self, view: BoardView) -> Array:
+        """What one mm of bow does to the corners (n, 3) of a view."""
+        out = view.corners_mm - self.middle
+        bent = np.zeros_like(out)
+        bent[:, 2] = 1.0 - 2.0 * np.sum(out[:, :2] ** 2, axis=1) / self.reach_mm**2
+        return bent
+
+
+def _bend(views: Sequence[BoardView]) -> _Bend:
+    every = np.concatenate([view.corners_mm for view in views])
+    return _Bend(0.5 * (every.min(axis=0) + every.max(axis=0)), float(np.ptp(every[:, 0])) / 2.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Adjusted:
+    rig: StereoRig
+    bow_mm: float
+    information: Array
+    """(23, 23) for unit noise: the 22 parameters of ``NAMES[AIR]``, then the bow."""
+    by_scale: Array
+    """(22,): what the parameters change by with the scale of the board, which no picture of it can tell."""
+    residuals: list[Array]
+    """(n, 4) per view: left u, v, right u, v."""
+
+
 def _adjust(
-    rig: StereoRig, boards: list[tuple[Array, Array]], views: Sequence[BoardView]
-) -> tuple[StereoRig, list[tuple[Array, Array]], Array, Array]:
-    """Gauss–Newton. Returns rig, boards, the information matrix (22, 22) for unit noise and residuals per view."""
+    rig: StereoRig, boards: list[tuple[Array, Array]], views: Sequence[BoardView], tolerance: BoardTolerance
+) -> _Adjusted:
+    """Gauss–Newton over the rig, the board's bow, and the boards' places."""
+    bend, bow = _bend(views), 0.0
+    noise_px = 0.0
     for _ in range(STEPS_AT_MOST):
-        information, gradient = np.zeros((22, 22)), np.zeros(22)
-        changed = []
-        for k in range(AIR.start, AIR.stop):
-            x = np.zeros(COUNT)
-            x[k] = STEPS[k]
-            changed.append(rig_with(rig, x))
-        blocks, per_view = [], []
+        information, gradient, by_scale = np.zeros((23, 23)), np.zeros(23), np.zeros(23)
+        information[22, 22] = (noise_px / tolerance.bow_mm) ** 2
+        gradient[22] = -information[22, 22] * bow
+        changed = _changed(rig)
+        blocks, residuals = [], []
         for view, board in zip(views, boards, strict=True):
-            now = _seen(rig, board, view.corners_mm)
+            shape = bend.of(view)
+            corners = view.corners_mm + bow * shape
+            now = _seen(rig, board, corners)
             residual = np.concatenate([view.left_px.ravel(), view.right_px.ravel()]) - now
             A = np.stack(
-                [(_seen(r, board, view.corners_mm) - now) / s for r, s in zip(changed, STEPS[AIR], strict=True)], 1
-            )
-            B = np.stack(
                 [
-                    (_seen(rig, _moved(board, np.eye(6)[i] * s), view.corners_mm) - now) / s
-                    for i, s in enumerate(_BOARD_STEPS)
+                    *((_seen(r, board, corners) - now) / s for r, s in zip(changed, STEPS[AIR], strict=True)),
+                    (_seen(rig, board, corners + BOW_STEP_MM * shape) - now) / BOW_STEP_MM,
                 ],
                 1,
             )
+            B = np.stack(
+                [
+                    (_seen(rig, _moved(board, step), corners) - now) / float(step.sum())
+                    for step in np.diag(_BOARD_STEPS)
+                ],
+                1,
+            )
+            larger = (_seen(rig, board, corners + SCALE_STEP * (corners - bend.middle)) - now) / SCALE_STEP
             BB, BA, Br = B.T @ B, B.T @ A, B.T @ residual
             information += A.T @ A - BA.T @ np.linalg.solve(BB, BA)
             gradient += A.T @ residual - BA.T @ np.linalg.solve(BB, Br)
+            by_scale -= A.T @ larger - BA.T @ np.linalg.solve(BB, B.T @ larger)
             blocks.append((BB, BA, Br))
-            per_view.append(float(np.sqrt(np.mean(residual**2))))
+            residuals.append(np.concatenate([part.reshape(-1, 2) for part in np.split(residual, 2)], 1))
         step = np.linalg.solve(information, gradient)
         full = np.zeros(COUNT)
-        full[AIR] = step
+        full[AIR] = step[:22]
         rig = rig_with(rig, full)
+        bow += float(step[22])
         boards = [
             _moved(board, np.linalg.solve(BB, Br - BA @ step))
             for board, (BB, BA, Br) in zip(boards, blocks, strict=True)
         ]
-        sd = np.sqrt(np.diag(np.linalg.inv(information))) * float(np.median(per_view))
+        noise_px = float(np.median([np.sqrt(np.mean(e**2)) for e in residuals]))
+        sd = np.sqrt(np.diag(np.linalg.inv(information))) * noise_px
         if float(np.max(np.abs(step) / sd)) < SMALL:
             break
-    return rig, boards, information, np.array(per_view)
+    return _Adjusted(rig, bow, information, np.asarray(np.linalg.solve(information, by_scale)[:22]), residuals)
+
+
+def _changed(rig: StereoRig) -> list[StereoRig]:
+    """The rig with each of the 22 parameters a step further."""
+    found = []
+    for k in range(AIR.start, AIR.stop):
+        x = np.zeros(COUNT)
+        x[k] = STEPS[k]
+        found.append(rig_with(rig, x))
+    return found
