@@ -24,8 +24,8 @@ POWER_OFF_HOLD_S = 1.2
 POWER_OFF_TRIES = 15
 POWER_OFF_TRY_S = 2.0
 GRAMMAR = (
-    "allowed are: wait state NAME S, wait alert CODE S, pause S, press KEY [S], fault SENTENCE, clear, "
-    "object NAME [X Y Z RX RY RZ], screenshot PATH, end"
+    "allowed are: wait state NAME S, wait alert CODE S, wait step NAME S, wait result NAME S, pause S, press KEY [S], "
+    "fault SENTENCE, clear, object NAME [X Y Z RX RY RZ], screenshot PATH, end"
 )
 
 
@@ -67,7 +67,7 @@ def parse_script(text: str) -> tuple[Step, ...]:
 
 def _check(step: Step) -> None:
     match step.verb, step.words:
-        case ("wait", ("state" | "alert", _, seconds)) | ("pause", (seconds,)):
+        case ("wait", ("state" | "alert" | "step" | "result", _, seconds)) | ("pause", (seconds,)):
             _seconds(seconds)
         case "press", (key, *hold) if len(hold) <= 1:
             if key not in KEYS:
@@ -147,7 +147,11 @@ class Diver:
                 if not self._until(lambda: self._shows(kind, name), float(seconds)) and not self._over:
                     status = self._read()
                     codes = [alert.get("code") for alert in status.get("alerts", [])]
-                    raise ScriptError(f"{step}: after {seconds} s the state is {status.get('state')}, alerts {codes}")
+                    calibration = status.get("calibration")
+                    raise ScriptError(
+                        f"{step}: after {seconds} s the state is {status.get('state')}, alerts {codes}, "
+                        f"calibration {calibration}"
+                    )
             case "pause":
                 self._sleep(float(words[0]))
             case "press":
@@ -186,6 +190,9 @@ class Diver:
         status = self._read()
         if kind == "state":
             return status.get("state") == name
+        if kind in ("step", "result"):  # of a calibration, when nothing is computed for it any more
+            at = status.get("calibration") or {}
+            return at.get(kind) == name and not at.get("busy")
         return any(alert.get("code") == name for alert in status.get("alerts", []))
 
     def _read(self) -> dict[str, Any]:

@@ -145,6 +145,21 @@ class LimitsRig:
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
+class BallBarRig:
+    """``[ball_bar]`` (optional): the bar that calibrates this instrument in water, as its certificate states it.
+
+    Standard deviations are standard uncertainties: half of the expanded ones (k = 2) that certificates give.
+    """
+
+    length_mm: Annotated[_Real, Field(ge=20.0, le=1000.0)]
+    """Between the centres of the balls."""
+    length_sd_mm: Annotated[_Real, Field(ge=0.0001, le=1.0)]
+    radius_mm: Annotated[_Real, Field(ge=5.0, le=40.0)]
+    """Of both balls."""
+    radius_sd_mm: Annotated[_Real, Field(ge=0.0001, le=1.0)]
+
+
+@dataclass(frozen=True, slots=True, config=_CONFIG)
 class Rig:
     """One instrument, as its rig file describes it. Checked when built: see ``appliance.config.checks``."""
 
@@ -159,6 +174,8 @@ class Rig:
     storage: StorageRig
     design: DesignRig
     limits: LimitsRig = field(default_factory=LimitsRig)
+    ball_bar: BallBarRig | None = None
+    """``None``: without a certificate the instrument cannot be calibrated in water."""
 
     @property
     def rig_hash(self) -> str:

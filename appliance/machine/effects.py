@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from appliance.calibration.guide import Step, Trial
 from appliance.machine.states import Device
 
 
@@ -83,6 +84,47 @@ class Reject:
 
 
 @dataclass(frozen=True, slots=True)
+class ExamineTrial:
+    """Look for the step's artefact in a scan whose raw frames are stored; answer TrialExamined or CalibrationFailed."""
+
+    number: int
+    step: Step
+
+
+@dataclass(frozen=True, slots=True)
+class AcceptTrial:
+    """Publish the scan, then enter it into the session; answer SessionChanged or SaveFailed of this number."""
+
+    number: int
+    trial: Trial
+
+
+@dataclass(frozen=True, slots=True)
+class SolveCalibration:
+    """Adjust to the session's recordings; answer CalibrationProgressed, then SessionChanged or CalibrationFailed."""
+
+
+@dataclass(frozen=True, slots=True)
+class UseSolved:
+    """Put what was solved in use and keep the file of before; answer SessionChanged or CalibrationFailed."""
+
+
+@dataclass(frozen=True, slots=True)
+class RestoreCalibration:
+    """Put the kept file in use again, byte for byte; answer SessionChanged or CalibrationFailed."""
+
+
+@dataclass(frozen=True, slots=True)
+class BeginSession:
+    """Put the session away and begin a new one; answer SessionChanged or CalibrationFailed."""
+
+
+@dataclass(frozen=True, slots=True)
+class CancelCalibration:
+    """End what is being examined or solved; its answer is no longer awaited."""
+
+
+@dataclass(frozen=True, slots=True)
 class ReopenDevice:
     """Close and open one device: its images do not follow the patterns. ``None``: both cameras."""
 
@@ -107,6 +149,13 @@ Effect = (
     | CancelReconstruction
     | Publish
     | Reject
+    | ExamineTrial
+    | AcceptTrial
+    | SolveCalibration
+    | UseSolved
+    | RestoreCalibration
+    | BeginSession
+    | CancelCalibration
     | ReopenDevice
     | Quit
 )

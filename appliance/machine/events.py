@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from appliance.calibration.guide import Session, Trial
 from appliance.capture.fault import Fault, FaultCode
 from appliance.machine.states import Device
 from drivers.api import Key, Telemetry
@@ -163,6 +164,35 @@ class Rejected:
 
 
 @dataclass(frozen=True, slots=True)
+class TrialExamined:
+    """A recording for a step of the calibration was judged."""
+
+    number: int
+    trial: Trial
+
+
+@dataclass(frozen=True, slots=True)
+class SessionChanged:
+    """The calibration's session as it lies on the disk now; also the answer to what changed it."""
+
+    session: Session
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationProgressed:
+    """How far the adjustment is, 0..1."""
+
+    progress: float
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationFailed:
+    """What was wanted for the calibration came to nothing; the session is as it was."""
+
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
 class StopRequested:
     """The operating system wants the service to end (SIGTERM)."""
 
@@ -191,5 +221,9 @@ Event = (
     | Saved
     | SaveFailed
     | Rejected
+    | TrialExamined
+    | SessionChanged
+    | CalibrationProgressed
+    | CalibrationFailed
     | StopRequested
 )

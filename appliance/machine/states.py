@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import TYPE_CHECKING
 
+from appliance.calibration.guide import Session, Step, Trial
 from appliance.capture.fault import Fault
 from drivers.api import Key
 
@@ -33,6 +34,8 @@ class State(Enum):
     """A cloud (or why there is none) is shown; the diver keeps or repeats."""
     SAVING = "SAVING"
     """The diver keeps the scan; it is being published."""
+    CALIBRATE = "CALIBRATE"
+    """The steps of the calibration in water; live views at those that record."""
     SHUTDOWN = "SHUTDOWN"
     """The end; no event leads out of it."""
 
@@ -60,6 +63,8 @@ class Settings:
     capture_s: float = 5.0
     reconstruct_s: float = 60.0
     saving_s: float = 60.0
+    examine_s: float = 60.0
+    solve_s: float = 300.0
     case_warm_c: float = 50.0
     case_hot_c: float = 60.0
     projector_warm_c: float = 65.0
@@ -109,6 +114,36 @@ class Notice:
     kind: NoticeKind
 
 
+class Task(Enum):
+    """What a step of the calibration waits for."""
+
+    STORE = "STORE"
+    """The frames are on their way to the disk."""
+    EXAMINE = "EXAMINE"
+    """The artefact is looked for."""
+    ACCEPT = "ACCEPT"
+    """The recording is entered into the session."""
+    SOLVE = "SOLVE"
+    SWITCH = "SWITCH"
+    """Another calibration is put in use, or a new session begun."""
+
+
+@dataclass(frozen=True, slots=True)
+class Calibrating:
+    """Where the diver is among the steps of the calibration. What was achieved is in the session."""
+
+    step: Step
+    task: Task | None = None
+    number: int | None = None
+    """Of the Capture effect whose recording is stored, examined or accepted."""
+    progress: float | None = None
+    """Of the task, 0..1; ``None`` where nobody knows."""
+    latest: Trial | None = None
+    """The latest recording, until the next key."""
+    failed: str | None = None
+    """Why the latest task came to nothing, until the next key."""
+
+
 @dataclass(frozen=True, slots=True)
 class Machine:
     """The whole of the instrument's state."""
@@ -146,6 +181,10 @@ class Machine:
     """Scan to confirm as SAVED on the screen, until the next key."""
     stopping: bool = False
     """Quit once the save is through."""
+    session: Session = field(default_factory=Session)
+    """The calibration under way, or the last one, as it lies on the disk."""
+    calibrating: Calibrating | None = None
+    """In CALIBRATE, and in a CAPTURE for one of its steps."""
 
 
 def boot(now_ns: int, settings: Settings | None = None) -> Machine:

@@ -10,10 +10,12 @@ from dataclasses import replace
 from typing import assert_never
 
 from appliance.capture.fault import Fault, FaultCode
+from appliance.machine import calibrate
 from appliance.machine import effects as do
 from appliance.machine import events as on
 from appliance.machine.alerts import RULES
 from appliance.machine.conditions import cleared, device_down, device_up, judge, raised
+from appliance.machine.moves import Result, enter, home
 from appliance.machine.permissions import interruption, may_lase, may_light, may_shine, refusal
 from appliance.machine.states import (
     Device,
@@ -22,12 +24,10 @@ from appliance.machine.states import (
     NoticeKind,
     ScanInHand,
     State,
-    seconds_ns,
 )
 from drivers.api import Key
 
-Result = tuple[Machine, tuple[do.Effect, ...]]
-
+ENDED_BY_BACK = (State.CAPTURE, State.RECONSTRUCT, State.REVIEW, State.CALIBRATE)
 SILENT_RETRIES = 1
 """Repetitions of a capture the diver does not hear of, for a late flip only."""
 
@@ -72,13 +72,13 @@ def _react(machine: Machine, event: on.Event) -> Result:
         case on.StorageCounted(scans, last_scan, scans_left):
             return _counted(machine, scans, last_scan, scans_left), ()
         case on.BootFinished():
-            return (_enter(machine, State.AIM), ()) if machine.state is State.BOOT else (machine, ())
+            return (enter(machine, State.AIM), ()) if machine.state is State.BOOT else (machine, ())
         case on.CaptureFinished(number, warnings):
             return _capture_finished(machine, number, warnings)
         case on.CaptureFailed(number, fault):
             return _capture_failed(machine, number, fault)
         case on.RawStored(number):
-            return _raw_stored(machine, number), ()
+            return calibrate.stored(_raw_stored(machine, number), number)
         case on.CoarseReady() | on.FullReady() | on.ReconstructionFailed():
             return _reconstruction(machine, event)
         case on.Saved(number, scan_id):
@@ -87,6 +87,14 @@ def _react(machine: Machine, event: on.Event) -> Result:
             return _save_failed(machine, number, fault)
         case on.Rejected():
             return cleared(machine, FaultCode.NOT_SAVED), ()
+        case on.TrialExamined(number, trial):
+            return calibrate.examined(machine, number, trial)
+        case on.SessionChanged(session):
+            return calibrate.session_changed(machine, session)
+        case on.CalibrationProgressed(progress):
+            return calibrate.progressed(machine, progress), ()
+        case on.CalibrationFailed(reason):
+            return calibrate.failed(machine, reason)
         case on.StopRequested():
             return _stop(machine)
         case _:
@@ -96,15 +104,9 @@ def _react(machine: Machine, event: on.Event) -> Result:
 # ---------------------------------------------------------------------------------- states and light
 
 
-def _enter(machine: Machine, state: State, timeout_s: float | None = None) -> Machine:
-    deadline_ns = None if timeout_s is None else machine.now_ns + seconds_ns(timeout_s)
-    scan = machine.scan if state in (State.RECONSTRUCT, State.REVIEW, State.SAVING) else None
-    return replace(machine, state=state, since_ns=machine.now_ns, deadline_ns=deadline_ns, scan=scan)
-
-
 def _live(machine: Machine) -> tuple[do.GoLive, object] | None:
     """The live views wanted now, with what makes it necessary to ask again."""
-    if machine.state is not State.AIM:
+    if machine.state is not State.AIM and not (machine.state is State.CALIBRATE and calibrate.records(machine)):
         return None
     cameras_and_lights = machine.up & {Device.CAMERA_LEFT, Device.CAMERA_RIGHT, Device.BOARD, Device.PROJECTOR}
     return do.GoLive(may_shine(machine), may_lase(machine)), (cameras_and_lights, machine.board_resets)
@@ -139,7 +141,7 @@ def _tick(machine: Machine, now_ns: int) -> Result:
         return machine, ()
     match machine.state:
         case State.BOOT:
-            return _enter(machine, State.AIM), ()
+            return enter(machine, State.AIM), ()
         case State.CAPTURE:
             late = Fault(FaultCode.CAPTURE_TIMEOUT, f"no end after {machine.settings.capture_s:g} s")
             return _abandon_capture(machine, Notice(late, NoticeKind.FAILURE))
@@ -147,6 +149,8 @@ def _tick(machine: Machine, now_ns: int) -> Result:
             return _no_cloud(machine, _worker_late(machine))
         case State.SAVING:
             return _saving_late(machine)
+        case State.CALIBRATE:
+            return calibrate.late(machine)
         case State.AIM | State.REVIEW | State.SHUTDOWN:
             return replace(machine, deadline_ns=None), ()
         case _:
@@ -181,7 +185,7 @@ def meaning(machine: Machine, key: Key) -> Key:
 def _pressed(machine: Machine, key: Key) -> Result:
     machine = replace(machine, notice=None, just_saved=None)
     if key is Key.BACK:
-        machine = replace(machine, back_used=machine.state in (State.CAPTURE, State.RECONSTRUCT, State.REVIEW))
+        machine = replace(machine, back_used=machine.state in ENDED_BY_BACK)
     match machine.state:
         case State.AIM:
             return _scan(machine) if key is Key.SCAN else (machine, ())
@@ -191,16 +195,32 @@ def _pressed(machine: Machine, key: Key) -> Result:
             return _drop(machine, "repeated before the cloud was ready") if key is Key.BACK else (machine, ())
         case State.REVIEW:
             return _review_key(machine, key)
+        case State.CALIBRATE:
+            return _calibrate_key(machine, key)
         case State.BOOT | State.SAVING | State.SHUTDOWN:
             return machine, ()
         case _:
             assert_never(machine.state)
 
 
+def _calibrate_key(machine: Machine, key: Key) -> Result:
+    at = machine.calibrating
+    if key is not Key.SCAN or at is None or at.task is not None or not calibrate.records(machine):
+        return calibrate.pressed(machine, key)
+    return _scan(replace(machine, calibrating=replace(at, latest=None, failed=None)))
+
+
 def _held(machine: Machine, key: Key) -> Result:
-    """Power off: BACK held in AIM (or while booting), unless that press already ended something."""
+    """Power off: BACK held in AIM (or while booting), unless that press already ended something.
+
+    UP held in AIM leads to the calibration, DOWN held at its result to a new one.
+    """
+    if key is Key.UP and machine.state is State.AIM:
+        return calibrate.begin(machine)
+    if key is Key.DOWN and calibrate.may_begin_session(machine):
+        return calibrate.begin_session(machine)
     if key is Key.BACK and machine.state in (State.AIM, State.BOOT) and not machine.back_used:
-        return _enter(machine, State.SHUTDOWN), (do.Quit(power_off=True),)
+        return enter(machine, State.SHUTDOWN), (do.Quit(power_off=True),)
     return machine, ()
 
 
@@ -214,7 +234,7 @@ def _scan(machine: Machine) -> Result:
 def _review_key(machine: Machine, key: Key) -> Result:
     scan = machine.scan
     if scan is None:  # REVIEW without a scan cannot be reached; if it were, the way out is AIM
-        return _enter(machine, State.AIM), ()
+        return enter(machine, State.AIM), ()
     match key:
         case Key.SCAN:
             return _keep(machine, scan)
@@ -232,19 +252,21 @@ def _review_key(machine: Machine, key: Key) -> Result:
 
 def _start_capture(machine: Machine) -> Result:
     machine = replace(machine, captures=machine.captures + 1)
-    machine = _enter(machine, State.CAPTURE, machine.settings.capture_s)
+    machine = enter(machine, State.CAPTURE, machine.settings.capture_s)
     return machine, (do.Capture(machine.captures, machine.settings.period_px),)
 
 
 def _abandon_capture(machine: Machine, notice: Notice | None) -> Result:
     number = machine.captures
-    return replace(_enter(machine, State.AIM), notice=notice), (do.AbortCapture(number),)
+    return replace(home(machine), notice=notice), (do.AbortCapture(number),)
 
 
 def _capture_finished(machine: Machine, number: int, warnings: tuple[Fault, ...]) -> Result:
     if machine.state is not State.CAPTURE or number != machine.captures:
         return machine, ()
-    machine = _enter(machine, State.RECONSTRUCT, machine.settings.reconstruct_s)
+    if machine.calibrating is not None:
+        return calibrate.captured(machine, number)
+    machine = enter(machine, State.RECONSTRUCT, machine.settings.reconstruct_s)
     machine = replace(machine, scan=ScanInHand(number, warnings))
     return machine, (do.StoreRaw(number), do.StartReconstruction(number))
 
@@ -254,7 +276,7 @@ def _capture_failed(machine: Machine, number: int, fault: Fault) -> Result:
         return machine, ()
     if fault.code is FaultCode.LATE_FLIP and machine.retries < SILENT_RETRIES:
         return _start_capture(replace(machine, retries=machine.retries + 1))
-    machine = replace(_enter(machine, State.AIM), notice=Notice(fault, NoticeKind.FAILURE))
+    machine = replace(home(machine), notice=Notice(fault, NoticeKind.FAILURE))
     match fault.code:
         case FaultCode.LASER_ON:
             return raised(machine, Fault(fault.code, fault.detail)), ()
@@ -291,7 +313,7 @@ def _show(machine: Machine) -> Result:
     """With news from the worker: to the review, or on with a save that waited for it."""
     scan = machine.scan
     if machine.state is State.RECONSTRUCT:
-        return _enter(machine, State.REVIEW), ()
+        return enter(machine, State.REVIEW), ()
     if machine.state is State.SAVING and scan is not None and scan.settled and not scan.publishing:
         return _publish(machine, scan)
     return machine, ()
@@ -301,7 +323,7 @@ def _no_cloud(machine: Machine, fault: Fault, *, cancel: bool = True) -> Result:
     """The worker failed: the raw frames can be kept without a cloud."""
     scan = machine.scan
     if scan is None:
-        return _enter(machine, State.AIM), ()
+        return enter(machine, State.AIM), ()
     machine, effects = _show(replace(machine, scan=replace(scan, failed=fault)))
     return machine, (do.CancelReconstruction(scan.number), *effects) if cancel else effects
 
@@ -309,17 +331,17 @@ def _no_cloud(machine: Machine, fault: Fault, *, cancel: bool = True) -> Result:
 def _keep(machine: Machine, scan: ScanInHand) -> Result:
     if scan.settled:
         return _publish(machine, scan)
-    return _enter(machine, State.SAVING, machine.settings.reconstruct_s), ()
+    return enter(machine, State.SAVING, machine.settings.reconstruct_s), ()
 
 
 def _publish(machine: Machine, scan: ScanInHand) -> Result:
-    machine = _enter(machine, State.SAVING, machine.settings.saving_s)
+    machine = enter(machine, State.SAVING, machine.settings.saving_s)
     return replace(machine, scan=replace(scan, publishing=True)), (do.Publish(scan.number),)
 
 
 def _drop(machine: Machine, reason: str) -> Result:
     scan = machine.scan
-    machine = _enter(machine, State.AIM)
+    machine = enter(machine, State.AIM)
     if scan is None:
         return machine, ()
     cancel = () if scan.settled else (do.CancelReconstruction(scan.number),)
@@ -341,23 +363,23 @@ def _saved(machine: Machine, number: int, scan_id: str) -> Result:
     if machine.scan is None or machine.scan.number != number:
         return machine, ()
     if machine.stopping:
-        return _enter(machine, State.SHUTDOWN), (do.Quit(power_off=False),)
-    return replace(_enter(machine, State.AIM), just_saved=scan_id, notice=None), ()
+        return enter(machine, State.SHUTDOWN), (do.Quit(power_off=False),)
+    return replace(enter(machine, State.AIM), just_saved=scan_id, notice=None), ()
 
 
 def _save_failed(machine: Machine, number: int, fault: Fault) -> Result:
     if machine.state is State.SAVING and machine.scan is not None and machine.scan.number == number:
         return _unsaved(machine, fault)
-    return raised(machine, Fault(FaultCode.NOT_SAVED, fault.detail)), ()
+    return calibrate.not_saved(raised(machine, Fault(FaultCode.NOT_SAVED, fault.detail)), number, fault.detail)
 
 
 def _unsaved(machine: Machine, fault: Fault) -> Result:
     """Back to the decision: OK tries again, BACK repeats the scan."""
     machine = raised(machine, Fault(FaultCode.NOT_SAVED, fault.detail))
     if machine.stopping:
-        return _enter(machine, State.SHUTDOWN), (do.Quit(power_off=False),)
+        return enter(machine, State.SHUTDOWN), (do.Quit(power_off=False),)
     scan = machine.scan
-    machine = _enter(machine, State.REVIEW)
+    machine = enter(machine, State.REVIEW)
     return replace(machine, scan=None if scan is None else replace(scan, publishing=False)), ()
 
 
@@ -389,6 +411,8 @@ def _stop(machine: Machine) -> Result:
             stop: tuple[do.Effect, ...] = (do.AbortCapture(machine.captures),)
         case State.RECONSTRUCT | State.REVIEW if machine.scan is not None and not machine.scan.settled:
             stop = (do.CancelReconstruction(machine.scan.number),)
+        case State.CALIBRATE:
+            stop = calibrate.cancelled(machine, "switched off")
         case _:
             stop = ()
-    return _enter(machine, State.SHUTDOWN), (*stop, do.Quit(power_off=False))
+    return enter(machine, State.SHUTDOWN), (*stop, do.Quit(power_off=False))

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import assert_never
 
+from appliance.machine import calibrate
+from appliance.machine import effects as do
 from appliance.machine.states import Machine, NoticeKind, State
 from drivers.api import Key
 
@@ -25,16 +27,44 @@ def _meant(machine: Machine) -> dict[Key, str]:
     match machine.state:
         case State.AIM:
             failed = machine.notice is not None and machine.notice.kind is NoticeKind.FAILURE
-            return {Key.SCAN: "REPEAT" if failed else "SCAN", Key.BACK: "HOLD: OFF"}
+            return {Key.SCAN: "REPEAT" if failed else "SCAN", Key.BACK: "HOLD: OFF", Key.UP: "HOLD: CALIB"}
         case State.CAPTURE:
             return {Key.BACK: "STOP"}
         case State.RECONSTRUCT:
             return {Key.BACK: "REPEAT"}
         case State.REVIEW:
             return {Key.SCAN: "KEEP", Key.BACK: "REPEAT", Key.UP: "TURN", Key.DOWN: "TURN"}
+        case State.CALIBRATE:
+            return _calibrate(machine)
         case State.BOOT:
             return {Key.BACK: "HOLD: OFF"}
         case State.SAVING | State.SHUTDOWN:
             return {}
         case _:
             assert_never(machine.state)
+
+
+def _calibrate(machine: Machine) -> dict[Key, str]:
+    """UP and DOWN are labelled with the step they lead to."""
+    meant = {Key.BACK: "BACK"}
+    at = machine.calibrating
+    if at is None or at.task is not None:
+        return meant
+    for key in (Key.UP, Key.DOWN):
+        step = calibrate.neighbour(machine, key)
+        if step is not None:
+            meant[key] = step.value
+    if calibrate.may_begin_session(machine):
+        meant[Key.DOWN] = "HOLD: NEW"
+    if calibrate.records(machine):
+        meant[Key.SCAN] = "REDO" if machine.session.done(at.step) else "SCAN"
+    match calibrate.decision(machine):
+        case do.SolveCalibration():
+            meant[Key.SCAN] = "SOLVE"
+        case do.UseSolved():
+            meant[Key.SCAN] = "KEEP"
+        case do.RestoreCalibration():
+            meant[Key.SCAN] = "RESTORE"
+        case None:
+            pass
+    return meant

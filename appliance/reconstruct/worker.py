@@ -94,7 +94,8 @@ class ReconstructionWorker:
     """The parent's end. A context manager; one thread calls ``poll``, camera threads may call ``frame``."""
 
     def __init__(self, order: WorkOrder, store: FrameStore, clock: Clock, limits: WorkLimits | None = None) -> None:
-        self._order = order
+        self.order = order
+        """What it was started for; ``change`` starts it for another."""
         self._store = store
         self._clock = clock
         self.limits = limits or WorkLimits()
@@ -148,6 +149,14 @@ class ReconstructionWorker:
     def pid(self) -> int | None:
         """Of the process; ``None`` while there is none."""
         return self._process.pid if self._process is not None else None
+
+    def change(self, order: WorkOrder) -> None:
+        """Start again with another calibration, for cameras of the same size; a scan in work is forgotten."""
+        self.drop()
+        self.order = order
+        self._fruitless = 0
+        self._stop(0.0)
+        self._start_again()
 
     def begin(self, scan: int) -> None:
         """A new scan's frames will follow."""
@@ -290,7 +299,7 @@ class ReconstructionWorker:
 
     def _start(self) -> None:
         ours, theirs = self._context.Pipe()
-        order = self._order
+        order = self.order
         process = self._context.Process(
             target=work,
             name="kf-reconstruct",

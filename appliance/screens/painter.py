@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from appliance.screens import theme
 from appliance.screens.aim import draw_aim
+from appliance.screens.calibrate import draw_calibrate
 from appliance.screens.canvas import Canvas
 from appliance.screens.cloud import CloudPainter
 from appliance.screens.frame import draw_alerts, draw_key_labels
@@ -28,6 +29,7 @@ from appliance.screens.views import (
     AimView,
     AnyView,
     BootView,
+    CalibrateView,
     CaptureView,
     FaultView,
     ReconstructView,
@@ -90,6 +92,9 @@ class Painter:
                     draw_review(canvas, self._cloud, view, language, time_s)
                 case SavingView():
                     draw_saving(canvas, view, language, time_s)
+                case CalibrateView():
+                    draw_calibrate(canvas, view, language, time_s)
+                    dim = _NONE if view.scan_allowed else frozenset({Key.SCAN})
                 case FaultView():
                     draw_fault(canvas, view, time_s)
                 case ShutdownView():

@@ -14,7 +14,9 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.calibration.guide import Session, Step
 from appliance.machine.alerts import Alert
+from appliance.machine.states import Calibrating
 from appliance.screens.texts import Text
 from drivers.api import Key
 
@@ -149,6 +151,23 @@ class SavingView(View):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CalibrateView(View):
+    """One step of the calibration: what to hold and how, the live pictures, and what became of the latest recording."""
+
+    at: Calibrating
+    session: Session
+    left: NDArray[np.uint8] | None
+    right: NDArray[np.uint8] | None
+    scan_allowed: bool = True
+    """As in ``AimView``; of meaning at the steps that record."""
+
+    @property
+    def step(self) -> Step:
+        """The step that is shown."""
+        return self.at.step
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FaultView(View):
     """Nothing else can be shown than what is wrong and what to do; ``alert`` fills the screen."""
 
@@ -166,4 +185,14 @@ class ShutdownView(View):
     """A save is still being finished."""
 
 
-AnyView = BootView | AimView | CaptureView | ReconstructView | ReviewView | SavingView | FaultView | ShutdownView
+AnyView = (
+    BootView
+    | AimView
+    | CaptureView
+    | ReconstructView
+    | ReviewView
+    | SavingView
+    | CalibrateView
+    | FaultView
+    | ShutdownView
+)

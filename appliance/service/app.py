@@ -7,23 +7,18 @@ import os
 import signal
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from pathlib import Path
 from types import FrameType
 
 import numpy as np
 
 import appliance
-from appliance.calibration.design import Design, design_calibration
-from appliance.calibration.file import Calibration, CalibrationError, load
-from appliance.capture.fault import Fault, FaultCode
 from appliance.config import Rig
-from appliance.config.rig import CameraRig
-from appliance.optics.water import Water
 from appliance.patterns.draw import draw_patterns
 from appliance.patterns.sequence import PatternSequence, build_sequence
-from appliance.reconstruct.noise import CameraNoise, StereoNoise, camera_noise
 from appliance.screens.painter import Painter
+from appliance.service.calibrating import CalibrationDesk
 from appliance.service.devices import Devices
+from appliance.service.instrument import CALIBRATION_FILE, calibration_of, design_of, noise_of, water_of
 from appliance.service.loop import Service
 from appliance.service.scans import ScanDesk
 from appliance.storage.library import Library
@@ -35,8 +30,17 @@ from drivers.output.gl import open_gl
 
 log = logging.getLogger("kingfisher")
 
-CALIBRATION_FILE = Path("calibration", "current.json")
-"""Below the storage root."""
+__all__ = [
+    "CALIBRATION_FILE",
+    "calibration_of",
+    "check",
+    "design_of",
+    "noise_of",
+    "run",
+    "sequence_of",
+    "simulate",
+    "water_of",
+]
 
 
 def run(rig: Rig) -> int:
@@ -66,10 +70,13 @@ def run(rig: Rig) -> int:
             projector.show(len(pictures))
 
         desk = stack.enter_context(ScanDesk(rig, calibration, sequence, library, wires.clock, noise=noise_of(rig)))
+        calibrating = stack.enter_context(CalibrationDesk(rig, desk))
         painter = stack.enter_context(Painter(gl, (rig.display.width_px, rig.display.height_px)))
         devices = stack.enter_context(Devices(rig, wires, load_projector))
         status = StatusFile(rig.storage.root, os.getpid(), appliance.__version__)
-        service = Service(rig, devices, desk, painter, status, wires.clock, conditions, lambda: stopping.reason)
+        service = Service(
+            rig, devices, desk, calibrating, painter, status, wires.clock, conditions, lambda: stopping.reason
+        )
         ended = service.run()
         log.info("switched off" if ended.power_off else "stopped")
     return 0
@@ -115,69 +122,9 @@ def _health(name: str, device: object) -> Health:
     return answer
 
 
-def calibration_of(rig: Rig) -> tuple[Calibration, tuple[Fault, ...]]:
-    """The instrument's calibration; the design's with the condition UNCALIBRATED where there is none that fits."""
-    path = rig.storage.root / CALIBRATION_FILE
-    try:
-        calibration = load(path)
-        problem = _misfit(calibration, rig)
-    except CalibrationError as error:
-        problem = str(error)
-    else:
-        if problem is None:
-            return calibration, ()
-    log.warning("uncalibrated: %s", problem)
-    return design_of(rig), (Fault(FaultCode.UNCALIBRATED, problem),)
-
-
-def design_of(rig: Rig) -> Calibration:
-    """The calibration that the drawing in the rig file stands for."""
-    d = rig.design
-    design = Design(
-        d.principal_distance_mm,
-        d.pixel_um,
-        d.baseline_mm,
-        d.toe_in_deg,
-        d.port_distance_mm,
-        d.port_thickness_mm,
-        d.port_index,
-    )
-    left = rig.camera.left
-    return design_calibration(design, rig.rig.serial, left.width_px, left.height_px, water_of(rig))
-
-
-def water_of(rig: Rig) -> Water:
-    """The water the rig file states."""
-    return Water(rig.water.temperature_c, rig.water.salinity_psu, rig.water.wavelength_nm)
-
-
-def noise_of(rig: Rig) -> StereoNoise:
-    """The noise of both cameras at the gain the rig file sets."""
-
-    def of(camera: CameraRig) -> CameraNoise:
-        return camera_noise(camera.full_well_e, camera.read_noise_e, camera.black_level_dn, camera.gain_db)
-
-    return StereoNoise(of(rig.camera.left), of(rig.camera.right))
-
-
 def sequence_of(rig: Rig) -> PatternSequence:
     """The sequence the rig file states."""
     return build_sequence(rig.scan.period_px, rig.projector.width_px, rig.projector.height_px)
-
-
-def _misfit(calibration: Calibration, rig: Rig) -> str | None:
-    if calibration.rig_serial != rig.rig.serial:
-        return f"the calibration is of instrument {calibration.rig_serial}; this one is {rig.rig.serial}"
-    for side, camera, spec in (
-        ("left", calibration.rig.left, rig.camera.left),
-        ("right", calibration.rig.right, rig.camera.right),
-    ):
-        if (camera.width_px, camera.height_px) != (spec.width_px, spec.height_px):
-            return (
-                f"the calibration's {side} camera has {camera.width_px}x{camera.height_px} px, "
-                f"the rig's {spec.width_px}x{spec.height_px}"
-            )
-    return None
 
 
 class _Stopping:

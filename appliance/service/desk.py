@@ -15,7 +15,7 @@ from appliance.patterns.sequence import build_sequence
 from appliance.reconstruct.noise import TYPICAL_PAIR, StereoNoise
 from appliance.reconstruct.pipeline import SIDES, Cloud, Pipeline
 from appliance.reconstruct.quality import QualityLimits
-from appliance.service.app import CALIBRATION_FILE, calibration_of, design_of, noise_of
+from appliance.service.instrument import CALIBRATION_FILE, calibration_of, design_of, noise_of
 from appliance.storage import scan as stored
 from appliance.storage.atomic import replace_file
 from appliance.storage.filesystem import LocalFileSystem

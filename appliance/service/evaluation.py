@@ -17,8 +17,8 @@ from appliance.evaluation.flatness import REFERENCE_MM
 from appliance.evaluation.report import Evaluation, Item
 from appliance.evaluation.result import LENGTHS, Artefact, evaluate
 from appliance.reconstruct.quality import QualityLimits
-from appliance.service.app import calibration_of, noise_of
 from appliance.service.desk import cloud_of
+from appliance.service.instrument import calibration_of, noise_of
 from appliance.storage import scan as stored
 
 MOST_BYTES = 1_000_000

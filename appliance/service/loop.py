@@ -19,9 +19,10 @@ from appliance.capture.scan import CaptureReport, ScanRecorder, ScanSettings
 from appliance.config import Rig
 from appliance.machine import effects as do
 from appliance.machine import events as on
-from appliance.machine.states import Machine, Settings, boot
+from appliance.machine.states import Machine, Settings, State, boot
 from appliance.machine.step import step
 from appliance.screens.painter import Painter
+from appliance.service.calibrating import CalibrationDesk
 from appliance.service.devices import SIDES, Devices
 from appliance.service.keeper import Keeper
 from appliance.service.scans import ScanDesk
@@ -76,6 +77,7 @@ class Service:
         rig: Rig,
         devices: Devices,
         desk: ScanDesk,
+        calibrating: CalibrationDesk,
         painter: Painter,
         status: StatusFile,
         clock: Clock,
@@ -86,6 +88,7 @@ class Service:
         self._rig = rig
         self._devices = devices
         self._desk = desk
+        self._calibrating = calibrating
         self._painter = painter
         self._status = status
         self._clock = clock
@@ -106,7 +109,7 @@ class Service:
         while self._quit is None:
             self.beat()
         end_ns = self._clock.now_ns() + int(QUIT_TIMEOUT_S * 1e9)
-        while self._desk.busy and self._clock.now_ns() < end_ns:
+        while (self._desk.busy or self._calibrating.busy) and self._clock.now_ns() < end_ns:
             self.beat()
         self._status.update(self.machine)
         return self._quit
@@ -136,6 +139,7 @@ class Service:
                     break
                 events += self._board_event(report)
         events += self._desk.poll()
+        events += self._calibrating.poll()
         if not self._boot_told and self._devices.all_tried and self._desk.worker_settled:
             self._boot_told = True
             events.append(on.BootFinished())
@@ -182,6 +186,10 @@ class Service:
         self.machine, wanted = step(before, event)
         if self.machine.state is not before.state:
             log.info("%s → %s (%s)", before.state.value, self.machine.state.value, type(event).__name__)
+            if self.machine.state is State.CALIBRATE:
+                self._calibrating.warm()
+            elif before.state is State.CALIBRATE and self.machine.state is State.AIM:
+                self._calibrating.cancel()  # its process takes memory
         if isinstance(event, on.DeviceUp):
             log.info("%s works", event.device.value)
         elif isinstance(event, on.DeviceDown | on.CaptureFailed | on.SaveFailed | on.ReconstructionFailed):
@@ -213,6 +221,20 @@ class Service:
                 self._desk.publish(effect.number, None if self._picture is None else self._picture.copy())
             case do.Reject():
                 self._desk.reject(effect.number, effect.reason)
+            case do.ExamineTrial():
+                self._calibrating.examine(effect.number, effect.step)
+            case do.AcceptTrial():
+                self._calibrating.accept(effect.number, effect.trial)
+            case do.SolveCalibration():
+                self._calibrating.solve()
+            case do.UseSolved():
+                self._calibrating.use_solved()
+            case do.RestoreCalibration():
+                self._calibrating.restore()
+            case do.BeginSession():
+                self._calibrating.begin()
+            case do.CancelCalibration():
+                self._calibrating.cancel()
             case do.ReopenDevice():
                 for side, keeper in self._devices.cameras.items():
                     if effect.device is None or effect.device.value == f"camera.{side}":

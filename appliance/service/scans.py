@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import datetime
 import logging
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Self, TypeVar
 
 import cv2
 import numpy as np
@@ -43,6 +45,7 @@ from drivers.api import Clock
 
 log = logging.getLogger("kingfisher")
 
+Answer = TypeVar("Answer")
 BEGIN_TIMEOUT_S = 30.0
 """Longest wait for the previous scan's frames to be on the disk before they are overwritten."""
 
@@ -184,6 +187,30 @@ class ScanDesk:
         if scan is not None:
             self._ask(lambda: self._reject(scan, reason))
 
+    def accept(self, number: int, verdict: Verdict, entered: Callable[[str], list[on.Event]]) -> None:
+        """Publish a scan that carries ``verdict``, then let it be ``entered`` by its id, in the disk's thread.
+
+        Answers Saved and what ``entered`` answers, or SaveFailed.
+        """
+        scan = self._current(number)
+        if scan is not None and scan.record is not None:
+            scan.record = replace(scan.record, verdicts=(*scan.record.verdicts, verdict))
+            self._ask(lambda: self._accept(scan, entered))
+
+    def folder(self, number: int) -> Path | None:
+        """Where the scan's raw frames lie, once they are stored."""
+        scan = self._current(number)
+        return scan.pending.folder if scan is not None and scan.pending is not None else None
+
+    def submit(self, work: Callable[[], Answer]) -> Future[Answer]:
+        """Other work for the disk's thread, behind what it has to do."""
+        return self._disk.submit(work)
+
+    def use(self, calibration: Calibration) -> None:
+        """Measure with another calibration of this instrument from now on."""
+        self._calibration = calibration
+        self.worker.change(replace(self.worker.order, calibration=calibration))
+
     def count(self) -> None:
         """Answer StorageCounted."""
         self._ask(lambda: [self._counted()])
@@ -273,6 +300,16 @@ class ScanDesk:
         except (StorageError, ValueError) as error:
             return [on.SaveFailed(scan.number, Fault(FaultCode.NOT_SAVED, str(error)))]
         return [on.Saved(scan.number, pending.scan_id), self._counted()]
+
+    def _accept(self, scan: ScanInWork, entered: Callable[[str], list[on.Event]]) -> list[on.Event]:
+        events = self._publish(scan, None)
+        saved = next((event for event in events if isinstance(event, on.Saved)), None)
+        if saved is None:
+            return events
+        try:
+            return events + entered(saved.scan_id)
+        except StorageError as error:
+            return [*events, on.SaveFailed(scan.number, Fault(FaultCode.NOT_SAVED, str(error)))]
 
     def _reject(self, scan: ScanInWork, reason: str) -> list[on.Event]:
         try:

@@ -9,14 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 import appliance
+from appliance.calibration.guide import HELD
 from appliance.machine.alerts import alert_of, alerts
 from appliance.machine.permissions import refusal
-from appliance.machine.states import Device, Machine, State
+from appliance.machine.states import Calibrating, Device, Machine, State
 from appliance.machine.texts import labels
 from appliance.screens.views import (
     AimView,
     AnyView,
     BootView,
+    CalibrateView,
     CaptureView,
     DeviceLine,
     DeviceResult,
@@ -77,6 +79,16 @@ def _view(machine: Machine, around: Surroundings) -> AnyView:
             return _review(machine, around, machine.scan is not None and machine.scan.full is not None)
         case State.SAVING:
             return SavingView(scan_id=_next_id(around), saved=False, alerts=shown)
+        case State.CALIBRATE:
+            at = machine.calibrating or Calibrating(machine.session.next_step)
+            return CalibrateView(
+                at=at,
+                session=machine.session,
+                left=around.left if Device.CAMERA_LEFT in machine.up else None,
+                right=around.right if Device.CAMERA_RIGHT in machine.up else None,
+                scan_allowed=at.step not in HELD or refusal(machine) is None,
+                alerts=shown,
+            )
         case State.SHUTDOWN:
             reason = next((alert_of(c) for c in machine.conditions), None)
             return ShutdownView(reason=reason, saving=machine.stopping)

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from appliance.calibration.guide import STEPS
 from appliance.machine.alerts import alerts
 from appliance.machine.states import Device, Machine
 
@@ -29,9 +30,38 @@ def describe(machine: Machine, pid: int, version: str) -> dict[str, Any]:
         "scans": machine.scans,
         "scans_left": machine.scans_left,
         "last_scan": machine.last_scan,
+        "calibration": _calibration(machine),
         "pid": pid,
         "version": version,
     }
+
+
+def _calibration(machine: Machine) -> dict[str, Any] | None:
+    """The step under way and what became of its latest recording; ``None`` while nobody calibrates."""
+    at, session = machine.calibrating, machine.session
+    if at is None:
+        return None
+    verified = session.verified
+    result = None
+    if at.failed is not None:
+        result = "FAILED"
+    elif at.latest is not None:
+        result = "FITS" if at.latest.refusal is None else at.latest.refusal.value
+    return {
+        "step": at.step.value,
+        "busy": at.task is not None,
+        "result": result,
+        "detail": at.failed or (at.latest.detail if at.latest is not None else ""),
+        "done": [step.value for step in STEPS if session.done(step)],
+        "e_l_before_percent": _percent(verified.before if verified is not None else None),
+        "e_l_new_percent": _percent(verified.after if verified is not None else None),
+        "in_use": session.in_use,
+        "kept": session.kept,
+    }
+
+
+def _percent(part: float | None) -> float | None:
+    return None if part is None else 100.0 * part
 
 
 def _device(machine: Machine, device: Device) -> str:

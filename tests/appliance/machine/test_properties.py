@@ -7,12 +7,13 @@ import typing
 import pytest
 from hypothesis import given, settings
 
+from appliance.calibration.guide import HELD
 from appliance.capture.fault import Fault, FaultCode
 from appliance.machine import effects as do
 from appliance.machine import events as on
 from appliance.machine.alerts import alerts
 from appliance.machine.permissions import interruption, may_lase, may_light, may_shine, refusal
-from appliance.machine.states import NEEDED_FOR_A_SCAN, Device, Machine, State
+from appliance.machine.states import NEEDED_FOR_A_SCAN, Device, Machine, State, Task
 from appliance.machine.step import step
 from appliance.machine.texts import labels
 from drivers.api import Key
@@ -20,10 +21,13 @@ from tests.appliance.machine.walks import (
     EVENTS,
     MISSING,
     SECOND_NS,
+    SESSIONS,
     START,
+    STARTS,
     SUMMARY,
     WALKS,
     WAYS,
+    good,
     heartbeat,
     run,
     walk,
@@ -54,6 +58,10 @@ EVERY_EVENT: list[on.Event] = [
     on.Saved(1, "000001"),
     on.SaveFailed(1, Fault(FaultCode.NOT_SAVED, "EIO")),
     on.Rejected(1, "000001"),
+    *(on.TrialExamined(1, good(step)) for step in HELD),
+    *(on.SessionChanged(session) for session in SESSIONS),
+    on.CalibrationProgressed(0.5),
+    on.CalibrationFailed("no bar"),
     on.StopRequested("SIGTERM"),
 ]
 
@@ -63,9 +71,12 @@ def test_the_list_of_every_event_is_complete() -> None:
 
 
 @pytest.mark.parametrize("state", list(State))
-def test_every_state_is_reached_by_events_and_answers_every_event(state: State) -> None:
-    start = WAYS[state]()
-    assert start.state is state
+def test_every_state_is_reached_by_events(state: State) -> None:
+    assert WAYS[state]().state is state
+
+
+@pytest.mark.parametrize("start", [way() for way in STARTS], ids=lambda m: m.state.value)
+def test_every_state_answers_every_event(start: Machine) -> None:
     for event in EVERY_EVENT:
         machine, effects = step(start, event)
         assert isinstance(machine, Machine)
@@ -107,16 +118,17 @@ def test_a_capture_always_ends_even_if_nothing_answers(start: Machine, events: l
         machine = run(WAYS[State.AIM](), on.KeyPressed(Key.SCAN))
     limit_ns = machine.now_ns + int(machine.settings.capture_s * 1e9)
     machine = run(machine, on.Tick(limit_ns))
-    assert machine.state is State.AIM
+    assert machine.state is (State.AIM if machine.calibrating is None else State.CALIBRATE)
 
 
 @given(START, WALKS)
 @settings(max_examples=100)
-def test_without_the_diver_every_state_ends_in_aim_review_or_shutdown(start: Machine, events: list[on.Event]) -> None:
+def test_without_the_diver_every_state_ends_where_the_diver_decides(start: Machine, events: list[on.Event]) -> None:
     machine = walk(start, events)
     for _ in range(4):  # boot, capture, reconstruct, save: each has one deadline
         machine = run(machine, on.Tick(machine.now_ns + 100 * SECOND_NS))
-    assert machine.state in (State.AIM, State.REVIEW, State.SHUTDOWN)
+    assert machine.state in (State.AIM, State.REVIEW, State.CALIBRATE, State.SHUTDOWN)
+    assert machine.calibrating is None or machine.calibrating.task is None
 
 
 @given(START, WALKS, EVENTS)
@@ -140,22 +152,62 @@ def test_no_light_without_permission(start: Machine, events: list[on.Event], eve
         assert do.LightsOff() in effects
 
 
+def has_live_views(machine: Machine) -> bool:
+    """In AIM, and at the steps of the calibration that record something."""
+    if machine.state is State.CALIBRATE:
+        return machine.calibrating is not None and machine.calibrating.step in HELD
+    return machine.state is State.AIM
+
+
 @given(START, WALKS, EVENTS)
 @settings(max_examples=150)
-def test_live_views_run_in_aim_and_nowhere_else(start: Machine, events: list[on.Event], event: on.Event) -> None:
+def test_live_views_run_where_the_diver_aims_and_nowhere_else(
+    start: Machine, events: list[on.Event], event: on.Event
+) -> None:
     before = walk(start, events)
     machine, effects = step(before, event)
     went_live = any(isinstance(effect, do.GoLive) for effect in effects)
-    if before.state is State.AIM and machine.state is not State.AIM:
+    if has_live_views(before) and not has_live_views(machine):
         assert effects[effects.index(do.StopLive()) :]
         assert not went_live
-    if before.state is not State.AIM and machine.state is State.AIM:
+    if not has_live_views(before) and has_live_views(machine):
         assert went_live
     if went_live:
-        assert machine.state is State.AIM
+        assert has_live_views(machine)
     captures = [i for i, effect in enumerate(effects) if isinstance(effect, do.Capture)]
-    if captures and before.state is State.AIM:
+    if captures and has_live_views(before):
         assert effects.index(do.StopLive()) < captures[0]
+
+
+@given(START, WALKS, EVENTS)
+@settings(max_examples=150)
+def test_a_recording_of_a_step_is_accepted_or_rejected_but_never_forgotten(
+    start: Machine, events: list[on.Event], event: on.Event
+) -> None:
+    before = walk(start, events)
+    machine, effects = step(before, event)
+    at, now = before.calibrating, machine.calibrating
+    if at is None or at.task not in (Task.STORE, Task.EXAMINE) or before.state is not State.CALIBRATE:
+        return
+    if now is not None and now.task in (Task.STORE, Task.EXAMINE) and now.number == at.number:
+        return
+    settled = any(isinstance(e, do.AcceptTrial | do.Reject) and e.number == at.number for e in effects)
+    assert (
+        settled or (isinstance(event, on.SaveFailed) and event.number == at.number) or machine.state is State.SHUTDOWN
+    )
+
+
+@given(START, WALKS, EVENTS)
+@settings(max_examples=150)
+def test_one_task_of_the_calibration_at_a_time(start: Machine, events: list[on.Event], event: on.Event) -> None:
+    before = walk(start, events)
+    _, effects = step(before, event)
+    at = before.calibrating
+    if at is not None and at.task not in (None, Task.STORE, Task.EXAMINE):
+        assert not any(
+            isinstance(e, do.Capture | do.SolveCalibration | do.UseSolved | do.RestoreCalibration | do.BeginSession)
+            for e in effects
+        )
 
 
 @given(START, WALKS, EVENTS)

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 
 from hypothesis import strategies as st
 
+from appliance.calibration.guide import USED, Refusal, Session, Solved, Step, Trial, Verified
 from appliance.capture.fault import Fault, FaultCode
 from appliance.machine import effects as do
 from appliance.machine import events as on
@@ -55,6 +56,30 @@ def saving() -> Machine:
     return run(reviewing(), on.KeyPressed(Key.SCAN))
 
 
+def calibrating() -> Machine:
+    return run(aim(), on.KeyPressed(Key.UP), on.KeyHeld(Key.UP))
+
+
+def trial_in_work() -> Machine:
+    """The frames of M1 are stored, and the bar is looked for."""
+    return run(calibrating(), on.KeyPressed(Key.SCAN), on.CaptureFinished(1), on.RawStored(1))
+
+
+def good(step: Step) -> Trial:
+    return Trial(step, None, 0.03, 4000, "bar 150.1 mm", "000001")
+
+
+RECORDED = Session(tuple(good(step) for step in USED))
+SOLVED = Session(RECORDED.trials, Solved("bundle", 0.03, (), "abc"))
+VERIFIED = Session((*RECORDED.trials, good(Step.VERIFY)), SOLVED.solved, Verified(0.004, 0.0002, 0.00003))
+IN_USE = Session(VERIFIED.trials, VERIFIED.solved, VERIFIED.verified, True, "0001.json")
+SESSIONS = (Session(), Session((good(Step.M1),)), RECORDED, SOLVED, VERIFIED, IN_USE)
+
+
+def calibrating_at(session: Session) -> Machine:
+    return run(aim(), on.SessionChanged(session), on.KeyPressed(Key.UP), on.KeyHeld(Key.UP))
+
+
 def ended() -> Machine:
     return run(aim(), on.KeyPressed(Key.BACK), on.KeyHeld(Key.BACK))
 
@@ -66,6 +91,7 @@ WAYS = {
     State.RECONSTRUCT: reconstructing,
     State.REVIEW: reviewing,
     State.SAVING: saving,
+    State.CALIBRATE: calibrating,
     State.SHUTDOWN: ended,
 }
 
@@ -87,6 +113,7 @@ _faults = st.builds(
     st.sampled_from([None, "camera.left", "board"]),
 )
 _summaries = st.sampled_from([SUMMARY, CloudSummary(0, None, None, None, None)])
+_trials = st.builds(Trial, st.sampled_from(list(Step)), st.sampled_from([None, *Refusal]), st.sampled_from([None, 0.1]))
 _warnings = st.lists(_faults, max_size=2).map(tuple)
 
 EVENTS: st.SearchStrategy[on.Event] = st.one_of(
@@ -117,10 +144,15 @@ EVENTS: st.SearchStrategy[on.Event] = st.one_of(
     st.builds(on.Saved, _numbers, st.just("000007")),
     st.builds(on.SaveFailed, _numbers, _faults),
     st.builds(on.Rejected, _numbers, st.just("000007")),
+    st.builds(on.TrialExamined, _numbers, _trials),
+    st.builds(on.SessionChanged, st.sampled_from(SESSIONS)),
+    st.builds(on.CalibrationProgressed, st.floats(0, 1)),
+    st.builds(on.CalibrationFailed, st.just("the adjustment did not converge")),
     st.builds(on.StopRequested, st.just("SIGTERM")),
 )
 
-START: st.SearchStrategy[Machine] = st.sampled_from(list(State)).map(lambda state: WAYS[state]())
+STARTS = (*WAYS.values(), trial_in_work, *(lambda s=session: calibrating_at(s) for session in SESSIONS))
+START: st.SearchStrategy[Machine] = st.sampled_from(STARTS).map(lambda way: way())
 WALKS = st.lists(EVENTS, max_size=25)
 
 

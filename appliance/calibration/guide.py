@@ -1,0 +1,170 @@
+"""Owns the steps of the calibration in water: what is held at each, and how one recording of it was judged."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from enum import Enum
+from types import MappingProxyType
+
+from appliance.calibration.recordings import ArtefactKind
+
+
+class Step(Enum):
+    """In their order. Four recordings, the adjustment, a fifth recording that it has not seen, the decision."""
+
+    M1 = "M1"
+    """Ball bar, lying, one end nearer."""
+    M2 = "M2"
+    """Ball bar, upright, one end nearer."""
+    M3 = "M3"
+    """Plane, near."""
+    M4 = "M4"
+    """Plane, far."""
+    SOLVE = "SOLVE"
+    VERIFY = "VERIFY"
+    """Ball bar, both ends equally far."""
+    RESULT = "RESULT"
+
+
+STEPS = tuple(Step)
+HELD: Mapping[Step, ArtefactKind] = MappingProxyType(
+    {
+        Step.M1: ArtefactKind.BALL_BAR,
+        Step.M2: ArtefactKind.BALL_BAR,
+        Step.M3: ArtefactKind.PLANE,
+        Step.M4: ArtefactKind.PLANE,
+        Step.VERIFY: ArtefactKind.BALL_BAR,
+    }
+)
+"""The steps with a recording, and what is held before the instrument."""
+USED = (Step.M1, Step.M2, Step.M3, Step.M4)
+"""The recordings that the adjustment uses."""
+
+
+class Refusal(Enum):
+    """Why a recording will not do."""
+
+    NOT_FOUND = "NOT_FOUND"
+    """No ball bar or plane in the cloud."""
+    BAD_FIT = "BAD_FIT"
+    """The points do not lie on balls or a plane: moved, damaged, or something else."""
+    WRONG_SIZE = "WRONG_SIZE"
+    """Found, but not of the certificate's size: another artefact, or a wrong certificate."""
+    LAY_DOWN = "LAY_DOWN"
+    STAND_UP = "STAND_UP"
+    TILT_MORE = "TILT_MORE"
+    TILT_LESS = "TILT_LESS"
+    TOO_NEAR = "TOO_NEAR"
+    TOO_FAR = "TOO_FAR"
+    NOT_FILLED = "NOT_FILLED"
+    """The plane covers too little of the picture."""
+
+
+UNITS: Mapping[Refusal, str] = MappingProxyType(
+    {
+        Refusal.NOT_FOUND: "",
+        Refusal.BAD_FIT: "mm",
+        Refusal.WRONG_SIZE: "mm",
+        Refusal.LAY_DOWN: "°",
+        Refusal.STAND_UP: "°",
+        Refusal.TILT_MORE: "°",
+        Refusal.TILT_LESS: "°",
+        Refusal.TOO_NEAR: "mm",
+        Refusal.TOO_FAR: "mm",
+        Refusal.NOT_FILLED: "%",
+    }
+)
+"""Of the number that is shown with a refusal."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """One recording of one step, judged. ``refusal`` ``None``: it will do."""
+
+    step: Step
+    refusal: Refusal | None
+    number: float | None
+    """What was measured, in the unit of the refusal (``UNITS``); of one that will do the RMS distance from its surfaces
+    in mm. ``None`` where nothing was measured."""
+    points: int = 0
+    detail: str = ""
+    """A sentence with the numbers, for the log and the manifest."""
+    scan_id: str | None = None
+    """The scan that holds its frames, once it is kept."""
+
+
+@dataclass(frozen=True, slots=True)
+class Solved:
+    """What the adjustment says about itself."""
+
+    method: str
+    residual_px: float
+    warnings: tuple[str, ...]
+    calibration_hash: str
+
+
+@dataclass(frozen=True, slots=True)
+class Verified:
+    """The length of a bar that the adjustment has not seen: relative error, (measured − calibrated)/calibrated."""
+
+    before: float | None
+    """With the calibration of before; ``None`` where it finds no bar at all."""
+    after: float
+    sigma: float
+    """Standard uncertainty of ``after`` from the noise of the points and from the certificate, relative as well."""
+
+
+@dataclass(frozen=True, slots=True)
+class Session:
+    """How far a calibration has come. Its recordings are stored scans; the whole of it survives the loss of power."""
+
+    trials: tuple[Trial, ...] = ()
+    """Those that will do, at most one for each step."""
+    solved: Solved | None = None
+    verified: Verified | None = None
+    in_use: bool = False
+    """The instrument measures with what was solved."""
+    kept: str | None = None
+    """Name of the file with the calibration that was in use before; ``None`` where there was none."""
+
+    def trial(self, step: Step) -> Trial | None:
+        """The recording of a step."""
+        return next((trial for trial in self.trials if trial.step is step), None)
+
+    def done(self, step: Step) -> bool:
+        """Whether a step need not be done again."""
+        match step:
+            case Step.SOLVE:
+                return self.solved is not None
+            case Step.VERIFY:
+                return self.verified is not None
+            case Step.RESULT:
+                return self.in_use
+            case _:
+                return self.trial(step) is not None
+
+    def open(self, step: Step) -> bool:
+        """Whether a step can be done now: recordings in any order, then one after the other."""
+        match step:
+            case Step.SOLVE:
+                return all(self.trial(used) is not None for used in USED)
+            case Step.VERIFY:
+                return self.solved is not None
+            case Step.RESULT:
+                return self.solved is not None and self.verified is not None
+            case _:
+                return True
+
+    @property
+    def next_step(self) -> Step:
+        """The first step that is not done; the result when all are."""
+        return next((step for step in STEPS if not self.done(step)), Step.RESULT)
+
+    def with_trial(self, trial: Trial) -> Session:
+        """With a recording in place of its step's older one. What was solved with that one does not hold any more."""
+        others = tuple(t for t in self.trials if t.step is not trial.step)
+        changed = replace(self, trials=(*others, trial))
+        if trial.step in USED:
+            return replace(changed, solved=None, verified=None, in_use=False)
+        return changed

@@ -1,0 +1,189 @@
+"""Owns the decisions of CALIBRATE: which step comes next, what its keys mean, and what becomes of a recording."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from appliance.calibration.guide import HELD, STEPS, Session, Step, Trial
+from appliance.machine import effects as do
+from appliance.machine.moves import Result, enter
+from appliance.machine.states import Calibrating, Machine, State, Task
+from drivers.api import Key
+
+
+def begin(machine: Machine) -> Result:
+    """From AIM to the first step that is not done."""
+    machine = enter(machine, State.CALIBRATE)
+    return replace(machine, calibrating=Calibrating(machine.session.next_step)), ()
+
+
+def records(machine: Machine) -> bool:
+    """Whether the step has live views, and SCAN records."""
+    return machine.calibrating is not None and machine.calibrating.step in HELD
+
+
+def neighbour(machine: Machine, key: Key) -> Step | None:
+    """Where UP or DOWN leads: to the step before or the next one that can be done."""
+    at = machine.calibrating
+    if at is None or at.task is not None or key not in (Key.UP, Key.DOWN):
+        return None
+    index = STEPS.index(at.step) + (-1 if key is Key.UP else 1)
+    if not 0 <= index < len(STEPS) or not machine.session.open(STEPS[index]):
+        return None
+    return STEPS[index]
+
+
+def decision(machine: Machine) -> do.SolveCalibration | do.UseSolved | do.RestoreCalibration | None:
+    """What SCAN means at a step that records nothing."""
+    at = machine.calibrating
+    if at is None or at.task is not None:
+        return None
+    if at.step is Step.SOLVE:
+        return do.SolveCalibration()
+    if at.step is Step.RESULT:
+        if not machine.session.in_use:
+            return do.UseSolved()
+        if machine.session.kept is not None:
+            return do.RestoreCalibration()
+    return None
+
+
+def may_begin_session(machine: Machine) -> bool:
+    """Whether DOWN held puts the session away: at its end."""
+    at = machine.calibrating
+    return machine.state is State.CALIBRATE and at is not None and at.task is None and at.step is Step.RESULT
+
+
+def pressed(machine: Machine, key: Key) -> Result:
+    """A key but SCAN at a step that records, which is a scan like any other."""
+    at = machine.calibrating
+    if at is None:  # cannot be reached; if it were, the way out is AIM
+        return enter(machine, State.AIM), ()
+    if key is Key.BACK:
+        effects = cancelled(machine, "left by the diver")
+        return enter(machine, State.AIM), effects
+    if at.task is not None:
+        return machine, ()
+    at = replace(at, latest=None, failed=None)
+    machine = replace(machine, calibrating=at)
+    step = neighbour(machine, key)
+    if step is not None:
+        return replace(machine, calibrating=replace(at, step=step)), ()
+    wanted = decision(machine) if key is Key.SCAN else None
+    match wanted:
+        case None:
+            return machine, ()
+        case do.SolveCalibration():
+            return _wait(machine, Task.SOLVE, machine.settings.solve_s), (wanted,)
+        case _:
+            return _wait(machine, Task.SWITCH, machine.settings.saving_s), (wanted,)
+
+
+def begin_session(machine: Machine) -> Result:
+    """DOWN held at the result."""
+    return _wait(machine, Task.SWITCH, machine.settings.saving_s), (do.BeginSession(),)
+
+
+def captured(machine: Machine, number: int) -> Result:
+    """A recording for the step is in memory."""
+    machine = _wait(machine, Task.STORE, machine.settings.saving_s, number)
+    return machine, (do.CancelReconstruction(number), do.StoreRaw(number))
+
+
+def stored(machine: Machine, number: int) -> Result:
+    """Its frames are on the disk."""
+    at = machine.calibrating
+    if not _waits(machine, Task.STORE, number) or at is None:
+        return machine, ()
+    return _wait(machine, Task.EXAMINE, machine.settings.examine_s, number), (do.ExamineTrial(number, at.step),)
+
+
+def examined(machine: Machine, number: int, trial: Trial) -> Result:
+    """The recording was judged: into the session, or to the rejected ones with the reason on the screen."""
+    at = machine.calibrating
+    if not _waits(machine, Task.EXAMINE, number) or at is None or trial.step is not at.step:
+        return machine, ()
+    if trial.refusal is None:
+        machine = _wait(machine, Task.ACCEPT, machine.settings.saving_s, number)
+        machine = replace(machine, calibrating=replace(at, task=Task.ACCEPT, number=number, latest=trial))
+        return machine, (do.AcceptTrial(number, trial),)
+    said = f"calibration {trial.step.value}: {trial.refusal.value}: {trial.detail}"
+    return _rest(machine, replace(at, latest=trial)), (do.Reject(number, said),)
+
+
+def not_saved(machine: Machine, number: int, reason: str) -> Result:
+    """The disk refused the frames, or the scan."""
+    at = machine.calibrating
+    if at is None or at.number != number or machine.state is not State.CALIBRATE:
+        return machine, ()
+    return _rest(machine, replace(at, latest=None, failed=reason)), ()
+
+
+def session_changed(machine: Machine, session: Session) -> Result:
+    """The disk holds another session: on to what is next in it."""
+    machine = replace(machine, session=session)
+    at = machine.calibrating
+    if machine.state is not State.CALIBRATE or at is None:
+        return machine, ()
+    if at.task in (Task.ACCEPT, Task.SOLVE, Task.SWITCH):
+        return _rest(machine, replace(at, step=session.next_step)), ()
+    if not session.open(at.step):
+        return _rest(machine, replace(at, step=session.next_step)), cancelled(machine, "the session changed")
+    return machine, ()
+
+
+def progressed(machine: Machine, progress: float) -> Machine:
+    """The adjustment says how far it is."""
+    at = machine.calibrating
+    if at is None or at.task is not Task.SOLVE:
+        return machine
+    return replace(machine, calibrating=replace(at, progress=progress))
+
+
+def failed(machine: Machine, reason: str) -> Result:
+    """The latest task came to nothing."""
+    at = machine.calibrating
+    if machine.state is not State.CALIBRATE or at is None or at.task is None:
+        return machine, ()
+    return _rest(machine, replace(at, latest=None, failed=reason)), _dropped(at, reason)
+
+
+def late(machine: Machine) -> Result:
+    """Nobody answered in time."""
+    at = machine.calibrating
+    if at is None or at.task is None:
+        return replace(machine, deadline_ns=None), ()
+    said = f"no answer in time ({at.task.value})"
+    return _rest(machine, replace(at, latest=None, failed=said)), cancelled(machine, said)
+
+
+def cancelled(machine: Machine, reason: str) -> tuple[do.Effect, ...]:
+    """What ends the step's task; what is being written to the disk is finished all the same."""
+    at = machine.calibrating
+    if at is None or at.task not in (Task.STORE, Task.EXAMINE, Task.SOLVE):
+        return ()
+    return do.CancelCalibration(), *_dropped(at, reason)
+
+
+def _dropped(at: Calibrating, reason: str) -> tuple[do.Effect, ...]:
+    if at.task in (Task.STORE, Task.EXAMINE) and at.number is not None:
+        return (do.Reject(at.number, f"calibration {at.step.value}: {reason}"),)
+    return ()
+
+
+def _waits(machine: Machine, task: Task, number: int) -> bool:
+    at = machine.calibrating
+    return machine.state is State.CALIBRATE and at is not None and (at.task, at.number) == (task, number)
+
+
+def _wait(machine: Machine, task: Task, timeout_s: float, number: int | None = None) -> Machine:
+    at = machine.calibrating
+    machine = enter(machine, State.CALIBRATE, timeout_s)
+    if at is None:
+        return machine
+    return replace(machine, calibrating=replace(at, task=task, number=number, progress=None, latest=None, failed=None))
+
+
+def _rest(machine: Machine, at: Calibrating) -> Machine:
+    machine = enter(machine, State.CALIBRATE)
+    return replace(machine, calibrating=replace(at, task=None, number=None, progress=None))

@@ -1,0 +1,253 @@
+"""Owns the screens of the calibration: a step that records, the adjustment, and what it gave."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.calibration.guide import HELD, STEPS, UNITS, USED, Refusal, Step, Trial
+from appliance.calibration.recordings import ArtefactKind
+from appliance.machine.states import Task
+from appliance.screens import theme
+from appliance.screens.canvas import Align, Canvas
+from appliance.screens.sketch import FROM_THE_SIDE, sketch_depth, sketch_front
+from appliance.screens.texts import Language, Text, worded
+from appliance.screens.theme import BLACK, BODY, BOLD, CAPTION, HUGE, REGULAR, TITLE
+from appliance.screens.views import CalibrateView
+
+_TOP_PX, _SKETCH_PX = 68.0, 180.0
+_LIVE_PX = (400.0, 300.0)
+_WORDS_PX = 392.0
+_BAND_PX, _BAND_HEIGHT_PX = 374.0, 52.0
+_TICKS_PX = 456.0
+
+_HOLD = {
+    Step.M1: (Text.LYING, Text.FROM_ABOVE),
+    Step.M2: (Text.UPRIGHT, Text.FROM_THE_SIDE),
+    Step.M3: (Text.PLANE_NEAR, Text.FROM_THE_SIDE),
+    Step.M4: (Text.PLANE_FAR, Text.FROM_THE_SIDE),
+    Step.VERIFY: (Text.LEVEL, Text.FROM_ABOVE),
+}
+_TASKS = {
+    Task.STORE: Text.STORING,
+    Task.EXAMINE: Text.LOOKING,
+    Task.ACCEPT: Text.ENTERING,
+    Task.SOLVE: Text.SOLVING,
+    Task.SWITCH: Text.SWITCHING,
+}
+
+
+def draw_calibrate(canvas: Canvas, view: CalibrateView, language: Language, time_s: float) -> None:
+    title = worded(view.step.value, language)
+    if view.step in HELD:
+        artefact = Text.BALL_BAR if HELD[view.step] is ArtefactKind.BALL_BAR else Text.PLANE
+        title = f"{title.strip()}  {artefact.in_language(language)}"
+    canvas.words(title, canvas.width / 2, 44, TITLE, BLACK, align=Align.CENTRE, max_width=390)
+    if view.step in HELD:
+        _how(canvas, view.step, language)
+        _live(canvas, view.left, language)
+        _latest(canvas, view, language, time_s)
+    elif view.step is Step.SOLVE:
+        _solve(canvas, view, language, time_s)
+    else:
+        _result(canvas, view, language, time_s)
+    _ticks(canvas, view)
+
+
+def refusal_words(trial: Trial) -> tuple[Text, Text]:
+    """What the diver reads about a recording that will not do: what, and what to do or what is right."""
+    bar = HELD[trial.step] is ArtefactKind.BALL_BAR
+    match trial.refusal:
+        case None:
+            return Text.ACCEPTED, Text.ACCEPTED
+        case Refusal.NOT_FOUND:
+            return (Text.NO_BAR, Text.BOTH_BALLS_LIT) if bar else (Text.NO_PLANE, Text.ONLY_THE_PLANE)
+        case Refusal.BAD_FIT:
+            return Text.BAD_FIT, Text.STILL_AND_CLEAN
+        case Refusal.WRONG_SIZE:
+            return Text.WRONG_SIZE, Text.SEE_CERTIFICATE
+        case Refusal.LAY_DOWN:
+            return Text.LAY_DOWN, Text.AGAINST_LEVEL
+        case Refusal.STAND_UP:
+            return Text.STAND_UP, Text.AGAINST_LEVEL
+        case Refusal.TILT_MORE:
+            return Text.TILT_MORE, Text.IN_DEPTH_20_50
+        case Refusal.TILT_LESS:
+            right = Text.IN_DEPTH_15 if trial.step is Step.VERIFY else Text.IN_DEPTH_20_50 if bar else Text.PLANE_35
+            return Text.TILT_LESS, right
+        case Refusal.TOO_NEAR | Refusal.TOO_FAR:
+            what = Text.TOO_NEAR if trial.refusal is Refusal.TOO_NEAR else Text.TOO_FAR
+            return what, Text.NEAR_RANGE if trial.step is Step.M3 else Text.FAR_RANGE
+        case Refusal.NOT_FILLED:
+            return Text.NOT_FILLED, Text.FILL_45
+
+
+def _how(canvas: Canvas, step: Step, language: Language) -> None:
+    """Two sketches side by side, and the same in words."""
+    words, depth = _HOLD[step]
+    for slot, picture, left, caption in (
+        ("sketch.front", sketch_front(step), 8.0, Text.FRONT),
+        ("sketch.depth", sketch_depth(step), 204.0, depth),
+    ):
+        canvas.image(slot, picture, left, _TOP_PX, _SKETCH_PX, _SKETCH_PX)
+        canvas.words(
+            caption.in_language(language), left + _SKETCH_PX / 2, _TOP_PX + _SKETCH_PX + 24, CAPTION - 4, REGULAR,
+            theme.MUTED, Align.CENTRE, _SKETCH_PX,
+        )  # fmt: skip
+    assert (depth is Text.FROM_THE_SIDE) == (step in FROM_THE_SIDE)
+    lines = words.in_language(language).split(", ")
+    for number, line in enumerate(lines):
+        canvas.words(line, _WORDS_PX / 2, 312 + 38 * number, BODY, BOLD, align=Align.CENTRE, max_width=_WORDS_PX - 16)
+
+
+def _live(canvas: Canvas, pixels: NDArray[np.uint8] | None, language: Language) -> None:
+    width, height = _LIVE_PX
+    if pixels is not None:
+        canvas.image("left", pixels, canvas.width - width, _TOP_PX, width, height)
+        return
+    canvas.box(canvas.width - width, _TOP_PX, width, height, theme.DEEP, 10, theme.YELLOW, 4)
+    canvas.words(
+        Text.NO_IMAGE.in_language(language), canvas.width - width / 2, _TOP_PX + height / 2, TITLE, BLACK,
+        theme.YELLOW, Align.CENTRE,
+    )  # fmt: skip
+
+
+def _latest(canvas: Canvas, view: CalibrateView, language: Language, time_s: float) -> None:
+    """The band between picture and labels: what is done now, or what became of the latest recording."""
+    at, top = view.at, _BAND_PX
+    if at.task is not None:
+        _working(canvas, view, language, time_s, top)
+        return
+    if at.failed is not None:
+        _band(canvas, theme.YELLOW, theme.INK, Text.FAILED_TASK.in_language(language), at.failed, "")
+        return
+    trial = at.latest
+    if trial is None:
+        done = view.session.trial(view.step)
+        if done is not None:
+            _accepted(canvas, done, language)
+        return
+    if trial.refusal is None:
+        _accepted(canvas, trial, language)
+        return
+    what, why = refusal_words(trial)
+    number = "" if trial.number is None else f"{trial.number:.3g} {UNITS[trial.refusal]}".replace(" °", "°")
+    _band(canvas, theme.YELLOW, theme.INK, what.in_language(language), why.in_language(language), number)
+
+
+def _accepted(canvas: Canvas, trial: Trial, language: Language) -> None:
+    number = "" if trial.number is None else f"{1000.0 * trial.number:.0f} µm"
+    name = worded(trial.step.value, language).strip()
+    _band(
+        canvas,
+        theme.GREEN,
+        theme.INK,
+        f"{name} {Text.ACCEPTED.in_language(language)}",
+        f"{trial.points} {Text.POINTS.in_language(language)}",
+        number,
+    )
+
+
+def _band(canvas: Canvas, fill: theme.Colour, ink: theme.Colour, what: str, why: str, number: str) -> None:
+    canvas.box(0, _BAND_PX, canvas.width, _BAND_HEIGHT_PX, fill)
+    x = 16 + canvas.words(what, 16, _BAND_PX + 38, BODY + 2, BLACK, ink, max_width=300) + 18
+    right = canvas.width - 16
+    if number:
+        right -= canvas.words(number, right, _BAND_PX + 38, BODY + 2, BLACK, ink, Align.RIGHT) + 18
+    canvas.words(why, x, _BAND_PX + 36, CAPTION, BOLD, ink, max_width=max(40.0, right - x))
+
+
+def _working(canvas: Canvas, view: CalibrateView, language: Language, time_s: float, top: float) -> None:
+    at = view.at
+    if at.task is None:
+        return
+    canvas.words(_TASKS[at.task].in_language(language), 16, top + 38, BODY, BLACK, max_width=300)
+    left, width = 330.0, canvas.width - 346.0
+    canvas.box(left, top + 12, width, 28, theme.PANEL, 14)
+    if at.progress is not None:
+        canvas.box(left, top + 12, max(28.0, width * min(1.0, at.progress)), 28, theme.AQUA, 14)
+    else:  # something that moves, without pretending to a length
+        swing = 1.0 - abs(2.0 * (0.4 * time_s % 1.0) - 1.0)
+        canvas.box(left + (width - 120.0) * swing, top + 12, 120, 28, theme.AQUA, 14)
+
+
+def _solve(canvas: Canvas, view: CalibrateView, language: Language, time_s: float) -> None:
+    middle = canvas.width / 2
+    canvas.words(Text.FOUR_READY.in_language(language), middle, 124, TITLE, BLACK, align=Align.CENTRE, max_width=760)
+    for row, step in enumerate(USED):
+        trial = view.session.trial(step)
+        if trial is None:
+            continue
+        baseline = 176 + 40 * row
+        artefact = Text.BALL_BAR if HELD[step] is ArtefactKind.BALL_BAR else Text.PLANE
+        canvas.words(f"{step.value}  {artefact.in_language(language)}", 120, baseline, BODY, BOLD)
+        canvas.words(
+            f"{trial.points} {Text.POINTS.in_language(language)}",
+            560,
+            baseline,
+            CAPTION,
+            REGULAR,
+            theme.MUTED,
+            Align.RIGHT,
+        )
+        if trial.number is not None:
+            canvas.words(f"{1000.0 * trial.number:.0f} µm", 690, baseline, BODY, BOLD, align=Align.RIGHT)
+    if view.at.task is None and view.at.failed is None:
+        canvas.words(
+            Text.SOME_SECONDS.in_language(language), middle, _BAND_PX + 36, CAPTION, REGULAR, theme.MUTED, Align.CENTRE
+        )
+    elif view.at.failed is not None:
+        canvas.box(0, 322, canvas.width, 104, theme.YELLOW)
+        canvas.paragraph(view.at.failed, 16, 352, CAPTION - 2, theme.INK, canvas.width - 32, 3)
+    else:
+        _working(canvas, view, language, time_s, _BAND_PX)
+
+
+def _result(canvas: Canvas, view: CalibrateView, language: Language, time_s: float) -> None:
+    session = view.session
+    canvas.words(Text.LENGTH_ERROR.in_language(language), canvas.width / 2, 104, BODY, BOLD, theme.MUTED, Align.CENTRE)
+    verified = session.verified
+    before = None if verified is None else verified.before
+    new = None if verified is None else verified.after
+    better = before is None or (new is not None and abs(new) < abs(before))
+    for left, name, value, used in (
+        (20.0, Text.BEFORE, before, not session.in_use),
+        (410.0, Text.NEW, new, session.in_use),
+    ):
+        canvas.box(left, 120, 370, 190, theme.DEEP, 20, theme.AQUA if used else theme.LINE, 6 if used else 3)
+        canvas.words(name.in_language(language).strip(), left + 24, 164, BODY, BLACK, theme.MUTED)
+        text = "—" if value is None else f"{100.0 * abs(value):.3f} %"
+        canvas.words(text, left + 185, 248, HUGE - 18, BLACK, align=Align.CENTRE, max_width=340)
+        if used:
+            canvas.words(Text.IN_USE.in_language(language), left + 346, 164, CAPTION, BOLD, theme.AQUA, Align.RIGHT)
+    verdict, colour = (Text.BETTER, theme.GREEN) if better else (Text.WORSE, theme.YELLOW)
+    canvas.words(verdict.in_language(language), 434, 296, BODY, BLACK, colour)
+    if verified is not None:
+        said = f"± {100.0 * verified.sigma:.3f} %"
+        canvas.words(said, 756, 296, CAPTION, BOLD, theme.MUTED, Align.RIGHT)
+    if session.solved is not None:
+        said = f"{Text.RESIDUAL.in_language(language)} {session.solved.residual_px:.3f} px"
+        canvas.words(said, 20, 350, CAPTION, BOLD, max_width=370)
+        if session.solved.warnings:
+            said = f"{Text.WARNINGS.in_language(language)}: {len(session.solved.warnings)}"
+            canvas.words(said, canvas.width - 20, 350, CAPTION, BOLD, theme.YELLOW, Align.RIGHT, 370)
+    if view.at.task is not None:
+        _working(canvas, view, language, time_s, _BAND_PX)
+    elif view.at.failed is not None:
+        _band(canvas, theme.YELLOW, theme.INK, Text.FAILED_TASK.in_language(language), view.at.failed, "")
+
+
+def _ticks(canvas: Canvas, view: CalibrateView) -> None:
+    """A mark per step between the lower labels: filled when done, ringed where the diver is."""
+    pitch, size = 52.0, 26.0
+    left = canvas.width / 2 - pitch * (len(STEPS) - 1) / 2
+    for number, step in enumerate(STEPS):
+        x = left + pitch * number
+        done, here = view.session.done(step), step is view.step
+        if here:
+            canvas.box(x - size, _TICKS_PX - size / 2 - 6, 2 * size, size + 12, theme.PANEL, 10, theme.WHITE, 3)
+        canvas.box(
+            x - size / 2, _TICKS_PX - size / 2, size, size, theme.GREEN if done else theme.LINE, size / 2 if not done else 5
+        )  # fmt: skip
+        if done:
+            canvas.words("✓", x, _TICKS_PX + 9, CAPTION, BLACK, theme.INK, Align.CENTRE)

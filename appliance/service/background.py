@@ -1,0 +1,147 @@
+"""Owns one process for long computations, so that neither keys nor screen wait for them. It does one job at a time.
+
+A job is a function of a module, its arguments, and a way to say how far it is; all of them travel between processes. The
+process stays warm for the next job. One that dies, or is no longer wanted, is killed; the next job starts another.
+"""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from typing import Any
+
+NICENESS = 10
+"""Behind the heartbeat, the cameras and the reconstruction."""
+STOP_TIMEOUT_S = 2.0
+
+Report = Callable[[float], None]
+Job = Callable[..., Any]
+"""Called with its arguments and a ``Report``, which takes 0..1."""
+
+
+@dataclass(frozen=True, slots=True)
+class Progressed:
+    """The job is so far."""
+
+    progress: float
+
+
+@dataclass(frozen=True, slots=True)
+class Done:
+    """The job's answer."""
+
+    answer: Any
+
+
+@dataclass(frozen=True, slots=True)
+class Failed:
+    """The job raised, or its process is gone; why, in words."""
+
+    reason: str
+
+
+class Background:
+    """The parent's end. ``poll`` and all else are called by one thread, and none of it waits for the job."""
+
+    def __init__(self) -> None:
+        self._context = multiprocessing.get_context("spawn")
+        self._process: multiprocessing.process.BaseProcess | None = None
+        self._pipe: Connection | None = None
+        self._ticket = 0
+        self.busy = False
+        """A job's answer is awaited."""
+
+    def start(self) -> None:
+        """Start the process where there is none, so that the first job finds it warm. Raises OSError."""
+        if self._process is not None:
+            return
+        ours, theirs = self._context.Pipe()
+        process = self._context.Process(target=_serve, name="kf-calibrate", args=(theirs,), daemon=True)
+        try:
+            process.start()
+        except BaseException:
+            ours.close()
+            raise
+        finally:
+            theirs.close()
+        self._pipe, self._process = ours, process
+
+    def ask(self, job: Job, *arguments: Any) -> None:
+        """Begin a job; its answer comes through ``poll``. A job that was still running is given up."""
+        if self.busy:
+            self.stop()
+        try:
+            self.start()
+        except OSError:
+            self.busy = True  # poll says why
+            return
+        self._ticket += 1
+        self.busy = True
+        assert self._pipe is not None
+        try:
+            self._pipe.send((self._ticket, job, arguments))
+        except OSError:
+            return  # poll notices that it is gone
+
+    def poll(self) -> Progressed | Done | Failed | None:
+        """The next thing it says about the job that was asked for last."""
+        pipe, process = self._pipe, self._process
+        if pipe is None or process is None:
+            if self.busy:
+                self.busy = False
+                return Failed("no process could be started; restart the instrument")
+            return None
+        try:
+            while pipe.poll(0.0):
+                ticket, said = pipe.recv()
+                if ticket == self._ticket and self.busy:
+                    self.busy = isinstance(said, Progressed)
+                    return said if isinstance(said, Progressed | Done | Failed) else Failed(f"it sent {said!r:.60}")
+        except (EOFError, OSError):
+            return self._gone()
+        return None if process.is_alive() else self._gone()
+
+    def _gone(self) -> Failed | None:
+        code = self._process.exitcode if self._process is not None else None
+        was_busy = self.busy
+        self.stop()
+        return Failed(f"the process ended with code {code}") if was_busy else None
+
+    def stop(self) -> None:
+        """Give up the job, if there is one, and end the process."""
+        pipe, process = self._pipe, self._process
+        self._pipe = self._process = None
+        self.busy = False
+        if pipe is not None:
+            pipe.close()
+        if process is not None:
+            process.kill()
+            process.join(STOP_TIMEOUT_S)
+
+
+def _serve(pipe: Connection) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the service decides when to end
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    os.nice(NICENESS)
+    logging.disable()  # a job answers or raises; it has nobody to tell on the way
+    try:
+        while True:
+            ticket, job, arguments = pipe.recv()
+
+            def report(progress: float, ticket: int = ticket) -> None:
+                pipe.send((ticket, Progressed(progress)))
+
+            try:
+                said: Done | Failed = Done(job(*arguments, report))
+            except (EOFError, BrokenPipeError):
+                raise
+            except Exception as error:  # the one place where it can still be named
+                said = Failed(str(error) or type(error).__name__)
+            pipe.send((ticket, said))
+    except (EOFError, OSError):
+        return  # the parent closed the pipe: the normal end

@@ -1,0 +1,183 @@
+"""Owns the calibration under way: its session on the disk, its long computations in the background, and what they answer."""
+
+from __future__ import annotations
+
+import datetime
+import logging
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import dataclass, replace
+from types import TracebackType
+from typing import Self
+
+from appliance.calibration.file import Calibration, CalibrationError
+from appliance.calibration.guide import Session, Step, Trial, Verified
+from appliance.capture.fault import Fault, FaultCode
+from appliance.config import Rig
+from appliance.machine import events as on
+from appliance.service import calibrator
+from appliance.service.background import Background, Done, Failed, Progressed
+from appliance.service.calibrator import Examined, Solution
+from appliance.service.instrument import calibration_of
+from appliance.service.scans import ScanDesk
+from appliance.storage.atomic import StorageError
+from appliance.storage.calibrations import Calibrations, SessionError
+from appliance.storage.record import Verdict
+
+log = logging.getLogger("kingfisher")
+
+
+@dataclass(frozen=True, slots=True)
+class _Changed:
+    """The session on the disk; with the calibration in use and what is wrong with it, where that may have changed."""
+
+    session: Session
+    in_use: tuple[Calibration, tuple[Fault, ...]] | None = None
+
+
+class CalibrationDesk:
+    """Everything about the calibration that is neither a device nor a decision. A context manager."""
+
+    def __init__(self, rig: Rig, desk: ScanDesk) -> None:
+        """Disk work goes through ``desk``'s thread."""
+        self._rig = rig
+        self._desk = desk
+        self._store = Calibrations(rig.storage.root, rig.rig.serial)
+        self._background = Background()
+        self._number = 0
+        """Of the recording that is examined."""
+        self._verified: Verified | None = None
+        """What the latest recording of VERIFY says."""
+        self._answers: list[Future[_Changed]] = []
+        self._told: list[on.Event] = []
+
+    def __enter__(self) -> Self:
+        self._ask(lambda: _Changed(self._store.session()))
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._background.stop()
+
+    # ------------------------------------------------------------------------------------- what is wanted
+
+    def warm(self) -> None:
+        """Somebody calibrates: let the first recording find the process ready."""
+        try:
+            self._background.start()
+        except OSError as error:
+            log.warning("no process for calibrating yet: %s", error)
+
+    def examine(self, number: int, step: Step) -> None:
+        """Answer TrialExamined or CalibrationFailed."""
+        folder = self._desk.folder(number)
+        if folder is None:
+            self._told.append(on.CalibrationFailed("the recording is not on the disk; record it again"))
+            return
+        self._number = number
+        self._background.ask(calibrator.examine, self._rig, step, folder)
+
+    def accept(self, number: int, trial: Trial) -> None:
+        """Publish the scan and enter it into the session; answer SessionChanged or SaveFailed."""
+        numbers = {"points": float(trial.points), "rms_mm": trial.number}
+        verdict = Verdict("calibration", True, numbers, f"{trial.step.value}: {trial.detail}")
+        verified = self._verified
+
+        def entered(scan_id: str) -> list[on.Event]:
+            session = self._store.session().with_trial(replace(trial, scan_id=scan_id))
+            if trial.step is Step.VERIFY:
+                session = replace(session, verified=verified)
+            return [on.SessionChanged(self._store.write(session))]
+
+        self._desk.accept(number, verdict, entered)
+
+    def solve(self) -> None:
+        """Answer CalibrationProgressed, then SessionChanged or CalibrationFailed."""
+        self._background.ask(calibrator.solve, self._rig, _now().isoformat(timespec="seconds"))
+
+    def use_solved(self) -> None:
+        """Answer SessionChanged or CalibrationFailed; the calibration in use is another from then on."""
+        date = _now().date().isoformat()
+        self._ask(lambda: _Changed(self._store.use_solved(date), calibration_of(self._rig)))
+
+    def restore(self) -> None:
+        """As ``use_solved``, back to the file of before."""
+        self._ask(lambda: _Changed(self._store.restore(), calibration_of(self._rig)))
+
+    def begin(self) -> None:
+        """A new session; answer SessionChanged or CalibrationFailed."""
+        self._ask(lambda: _Changed(self._store.begin()))
+
+    def cancel(self) -> None:
+        """What is computed is no longer wanted."""
+        self._background.stop()
+
+    # ------------------------------------------------------------------------------------- answers
+
+    def poll(self) -> list[on.Event]:
+        """What the disk and the background answered since the last call."""
+        events, self._told = self._told, []
+        done = [answer for answer in self._answers if answer.done()]
+        self._answers = [answer for answer in self._answers if not answer.done()]
+        for answer in done:
+            events += self._changed(answer)
+        match self._background.poll():
+            case Progressed(progress):
+                events.append(on.CalibrationProgressed(progress))
+            case Done(Examined(trial, verified)):
+                log.info("calibration %s: %s (%s)", trial.step.value, _outcome(trial), trial.detail)
+                self._verified = verified
+                events.append(on.TrialExamined(self._number, trial))
+            case Done(Solution() as solution):
+                self._solved(solution)
+            case Done(answer):
+                events.append(on.CalibrationFailed(f"it answered {answer!r:.60}"))
+            case Failed(reason):
+                log.warning("calibration: %s", reason)
+                events.append(on.CalibrationFailed(reason))
+            case None:
+                pass
+        return events
+
+    @property
+    def busy(self) -> bool:
+        """Something is on its way to the disk."""
+        return bool(self._answers)
+
+    def _solved(self, solution: Solution) -> None:
+        for warning in solution.solved.warnings:
+            log.warning("calibration: %s", warning)
+
+        def write() -> _Changed:
+            session = replace(self._store.session(), solved=solution.solved, verified=solution.verified)
+            return _Changed(self._store.write_solved(solution.calibration, session))
+
+        self._ask(write)
+
+    def _changed(self, answer: Future[_Changed]) -> list[on.Event]:
+        try:
+            changed = answer.result()
+        except (StorageError, SessionError, CalibrationError) as error:
+            log.warning("calibration: %s", error)
+            return [on.CalibrationFailed(str(error))]
+        events: list[on.Event] = [on.SessionChanged(changed.session)]
+        if changed.in_use is not None:
+            calibration, faults = changed.in_use
+            log.info("in use: %s of %s", calibration.method, calibration.made_at)
+            self._desk.use(calibration)
+            events.append(on.ConditionCleared(FaultCode.UNCALIBRATED))
+            events += [on.ConditionRaised(fault) for fault in faults]
+        return events
+
+    def _ask(self, work: Callable[[], _Changed]) -> None:
+        self._answers.append(self._desk.submit(work))
+
+
+def _outcome(trial: Trial) -> str:
+    return "will do" if trial.refusal is None else trial.refusal.value
+
+
+def _now() -> datetime.datetime:
+    """The date of a calibration; as wrong as the instrument's clock."""
+    return datetime.datetime.now(datetime.UTC)

@@ -1,0 +1,208 @@
+"""Owns the long computations of a calibration in water, as jobs for ``Background``: examine a recording, solve, verify."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.calibration import file as calibration_file
+from appliance.calibration.bundle import Rung, adjust
+from appliance.calibration.extract import MAX_GAP_MM, Certificate, extract
+from appliance.calibration.file import Calibration
+from appliance.calibration.guide import HELD, USED, Refusal, Solved, Step, Trial, Verified
+from appliance.calibration.poses import FoundBar, FoundPlane, judge_bar, judge_plane
+from appliance.calibration.recordings import ArtefactKind, Recording, RecordingError
+from appliance.config import Rig
+from appliance.evaluation.ball_bar import BallBar, find_ball_bar
+from appliance.evaluation.plane import PlaneFit, fit_plane
+from appliance.evaluation.points import NotFound
+from appliance.optics.water import Water
+from appliance.reconstruct.noise import StereoNoise
+from appliance.reconstruct.pipeline import Cloud, Pipeline
+from appliance.reconstruct.quality import QualityLimits
+from appliance.service.desk import cloud_of, decoded_cloud_of
+from appliance.service.instrument import calibration_of, noise_of
+from appliance.storage import scan as stored
+from appliance.storage.calibrations import Calibrations
+from appliance.storage.library import Library
+
+VERIFY_GAP_MM = 20.0
+"""As ``kingfisher evaluate``: the calibration of before must not hide its own worst points."""
+Report = Callable[[float], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Basis:
+    """What a calibration in water starts from and is compared with."""
+
+    start: Calibration
+    """Lenses and pose as best known, ports as drawn where nobody measured them."""
+    covariance: NDArray[np.float64] | None
+    """(22, 22) of the calibration in air; ``None``: only the ports are adjusted."""
+    before: Calibration
+    """What the instrument measured with until now."""
+    noise: StereoNoise
+    bar: Certificate
+    """Of the ball bar; its radius is stated."""
+
+
+@dataclass(frozen=True, slots=True)
+class Examined:
+    """A recording, judged; with what it says about lengths if it verifies."""
+
+    trial: Trial
+    verified: Verified | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution:
+    """The calibration that the recordings gave."""
+
+    calibration: Calibration
+    solved: Solved
+    verified: Verified | None
+    """Where there was a recording for it."""
+
+
+def basis_of(rig: Rig) -> Basis:
+    """What is known of this instrument now. Raises RecordingError without a certificate, CalibrationError."""
+    bar = rig.ball_bar
+    if bar is None:
+        raise RecordingError("no certificate of the ball bar; give [ball_bar] in the rig file")
+    calibrations = Calibrations(rig.storage.root, rig.rig.serial)
+    current, _ = calibration_of(rig)
+    session = calibrations.session()
+    before = calibrations.kept(session) if session.in_use else None
+    certificate = Certificate(bar.length_mm, bar.length_sd_mm, bar.radius_mm, bar.radius_sd_mm)
+    return Basis(current, None, before or current, noise_of(rig), certificate)
+
+
+def examine(rig: Rig, step: Step, folder: Path, report: Report) -> Examined:
+    """Judge a stored scan as a recording of ``step``.
+
+    Raises RecordingError, ScanError, CalibrationError; VERIFY also where nothing is solved.
+    """
+    basis = basis_of(rig)
+    scan = stored.load(folder)
+    if step is Step.VERIFY:
+        solved = calibration_file.load(Calibrations(rig.storage.root, rig.rig.serial).solved)
+        cloud = _fair(scan, solved, basis)
+        bar = find_ball_bar(cloud)
+        trial = _judged_bar(step, bar, cloud, solved, basis.bar)
+        if trial.refusal is not None or isinstance(bar, NotFound):
+            return Examined(trial)
+        return Examined(trial, _compared(scan, bar, basis))
+    pipeline, cloud, water = _wide(scan, basis)
+    if HELD[step] is ArtefactKind.BALL_BAR:
+        trial = _judged_bar(step, find_ball_bar(cloud), cloud, basis.start, basis.bar)
+    else:
+        trial = _judged_plane(step, fit_plane(cloud), cloud, basis.start)
+    if trial.refusal is not None:
+        return Examined(trial)
+    recording = _extracted(step, basis, pipeline, cloud, water)
+    if isinstance(recording, NotFound):
+        return Examined(replace(trial, refusal=Refusal.NOT_FOUND, number=None, detail=recording.reason))
+    return Examined(replace(trial, points=len(recording.left_px)))
+
+
+def solve(rig: Rig, date: str, report: Report) -> Solution:
+    """Adjust to the scans of the session; compare with the one of VERIFY where there is one.
+
+    ``date`` is ISO 8601. Raises RecordingError, ScanError, CalibrationError, UnknownScan.
+    """
+    basis = basis_of(rig)
+    library = Library(rig.storage.root)
+    trials = Calibrations(rig.storage.root, rig.rig.serial).session().trials
+    folders = {trial.step: library.entry(trial.scan_id).folder for trial in trials if trial.scan_id is not None}
+    missing = [step.value for step in USED if step not in folders]
+    if missing:
+        raise RecordingError(f"no recording of {', '.join(missing)}; record it")
+    recordings = []
+    for k, step in enumerate(USED):
+        report(0.15 * k)
+        recordings.append(_recording(step, folders[step], basis))
+    report(0.6)
+    rung = Rung.PORTS if basis.covariance is None else Rung.SPLINE
+    result = adjust(recordings, basis.start, rung, basis.covariance)
+    report(0.9)
+    names = tuple(f"{step.value}: scan {folders[step].name}" for step in USED)
+    calibration = replace(result.calibration, made_at=date, made_from=(*basis.start.made_from, *names))
+    warnings = result.warnings
+    solved = Solved(calibration.method, calibration.residual_px or 0.0, warnings, calibration.hash)
+    verified = None
+    if Step.VERIFY in folders:
+        scan = stored.load(folders[Step.VERIFY])
+        bar = find_ball_bar(_fair(scan, calibration, basis))
+        verified = None if isinstance(bar, NotFound) else _compared(scan, bar, basis)
+    return Solution(calibration, solved, verified)
+
+
+def _recording(step: Step, folder: Path, basis: Basis) -> Recording:
+    recording = _extracted(step, basis, *_wide(stored.load(folder), basis))
+    if isinstance(recording, NotFound):
+        raise RecordingError(f"{step.value}, scan {folder.name}: {recording.reason}; record {step.value} again")
+    return recording
+
+
+def _extracted(step: Step, basis: Basis, pipeline: Pipeline, cloud: Cloud, water: Water) -> Recording | NotFound:
+    certificate = basis.bar if HELD[step] is ArtefactKind.BALL_BAR else None
+    left, right = pipeline.decoded("left"), pipeline.decoded("right")
+    return extract(step.value, certificate, cloud, left, right, basis.start, water)
+
+
+def _compared(scan: stored.StoredScan, bar: BallBar, basis: Basis) -> Verified:
+    """The bar's length with the new calibration and with the one of before."""
+    length_mm = basis.bar.length_mm
+    old = find_ball_bar(_fair(scan, basis.before, basis))
+    before = None if isinstance(old, NotFound) else (old.length_mm - length_mm) / length_mm
+    sigma = float(np.hypot(bar.sigma_length_mm, basis.bar.length_sd_mm)) / length_mm
+    return Verified(before, (bar.length_mm - length_mm) / length_mm, sigma)
+
+
+def _judged_bar(
+    step: Step, bar: BallBar | NotFound, cloud: Cloud, calibration: Calibration, certificate: Certificate
+) -> Trial:
+    if isinstance(bar, NotFound):
+        return Trial(step, Refusal.NOT_FOUND, None, cloud.summary.points, bar.reason)
+    if certificate.radius_mm is None:
+        raise ValueError("the ball bar's radius is not stated; give ball_bar.radius_mm in the rig file")
+    balls = (bar.first, bar.second)
+    found = FoundBar(
+        np.array([ball.sphere.centre_mm for ball in balls]),
+        (bar.first.sphere.radius_mm, bar.second.sphere.radius_mm),
+        max(ball.used.rms_mm for ball in balls),
+        sum(ball.used.count for ball in balls),
+    )
+    return judge_bar(step, found, calibration.rig, certificate.length_mm, certificate.radius_mm)
+
+
+def _judged_plane(step: Step, plane: PlaneFit | NotFound, cloud: Cloud, calibration: Calibration) -> Trial:
+    if isinstance(plane, NotFound):
+        return Trial(step, Refusal.NOT_FOUND, None, cloud.summary.points, plane.reason)
+    camera = calibration.rig.left
+    found = FoundPlane(
+        np.array(plane.plane.centre_mm),
+        np.array(plane.plane.normal),
+        plane.used.rms_mm,
+        plane.used.count,
+        100.0 * plane.used.count / (camera.width_px * camera.height_px),
+    )
+    return judge_plane(step, found, calibration.rig)
+
+
+def _wide(scan: stored.StoredScan, basis: Basis) -> tuple[Pipeline, Cloud, Water]:
+    """With room for rays that miss each other because nobody knows the ports."""
+    return decoded_cloud_of(scan, basis.start, _silent, QualityLimits(max_gap_mm=MAX_GAP_MM), basis.noise)
+
+
+def _fair(scan: stored.StoredScan, calibration: Calibration, basis: Basis) -> Cloud:
+    """With room for the errors of any calibration, so that all are judged by the same points."""
+    return cloud_of(scan, calibration, _silent, QualityLimits(max_gap_mm=VERIFY_GAP_MM), basis.noise)[0]
+
+
+def _silent(what: str) -> None:
+    """Of a single scan nobody is told: it takes a second."""

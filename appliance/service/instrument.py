@@ -1,0 +1,80 @@
+"""Owns what is known of the instrument: its calibration or else the drawing's, its water, its cameras' noise."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+from appliance.calibration.design import Design, design_calibration
+from appliance.calibration.file import Calibration, CalibrationError, load
+from appliance.capture.fault import Fault, FaultCode
+from appliance.config import Rig
+from appliance.config.rig import CameraRig
+from appliance.optics.water import Water
+from appliance.reconstruct.noise import CameraNoise, StereoNoise, camera_noise
+
+log = logging.getLogger("kingfisher")
+
+CALIBRATION_FILE = Path("calibration", "current.json")
+"""Below the storage root."""
+
+
+def calibration_of(rig: Rig) -> tuple[Calibration, tuple[Fault, ...]]:
+    """The instrument's calibration; the design's with the condition UNCALIBRATED where there is none that fits."""
+    path = rig.storage.root / CALIBRATION_FILE
+    try:
+        calibration = load(path)
+        problem = misfit(calibration, rig)
+    except CalibrationError as error:
+        problem = str(error)
+    else:
+        if problem is None:
+            return calibration, ()
+    log.warning("uncalibrated: %s", problem)
+    return design_of(rig), (Fault(FaultCode.UNCALIBRATED, problem),)
+
+
+def design_of(rig: Rig) -> Calibration:
+    """The calibration that the drawing in the rig file stands for."""
+    d = rig.design
+    design = Design(
+        d.principal_distance_mm,
+        d.pixel_um,
+        d.baseline_mm,
+        d.toe_in_deg,
+        d.port_distance_mm,
+        d.port_thickness_mm,
+        d.port_index,
+    )
+    left = rig.camera.left
+    return design_calibration(design, rig.rig.serial, left.width_px, left.height_px, water_of(rig))
+
+
+def water_of(rig: Rig) -> Water:
+    """The water the rig file states."""
+    return Water(rig.water.temperature_c, rig.water.salinity_psu, rig.water.wavelength_nm)
+
+
+def noise_of(rig: Rig) -> StereoNoise:
+    """The noise of both cameras at the gain the rig file sets."""
+
+    def of(camera: CameraRig) -> CameraNoise:
+        return camera_noise(camera.full_well_e, camera.read_noise_e, camera.black_level_dn, camera.gain_db)
+
+    return StereoNoise(of(rig.camera.left), of(rig.camera.right))
+
+
+def misfit(calibration: Calibration, rig: Rig) -> str | None:
+    """Why a calibration is not of this instrument; ``None`` where it is."""
+    if calibration.rig_serial != rig.rig.serial:
+        return f"the calibration is of instrument {calibration.rig_serial}; this one is {rig.rig.serial}"
+    for side, camera, spec in (
+        ("left", calibration.rig.left, rig.camera.left),
+        ("right", calibration.rig.right, rig.camera.right),
+    ):
+        if (camera.width_px, camera.height_px) != (spec.width_px, spec.height_px):
+            return (
+                f"the calibration's {side} camera has {camera.width_px}x{camera.height_px} px, "
+                f"the rig's {spec.width_px}x{spec.height_px}"
+            )
+    return None

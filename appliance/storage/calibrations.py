@@ -1,0 +1,204 @@
+"""Owns ``<root>/calibration``: the file in use, those of before, and the session of the calibration under way.
+
+    current.json                in use
+    air.json                    of the calibration in air, with covariance, where there is one
+    kept/0001-2026-11-21.json   what was in use before, byte for byte; numbers only grow, the date may be wrong
+    session/session.json        which scans the steps recorded, and what came of them
+    session/solved.json         the calibration that was solved from them
+    sessions/0001/              sessions put away, the oldest first
+
+Whether the solved calibration is in use is not written down: the files say so, also after a loss of power between two of
+them. Nothing in here deletes anything. One process writes, from one thread at a time.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+from pydantic import TypeAdapter, ValidationError
+
+from appliance.calibration import file as calibration_file
+from appliance.calibration.file import Calibration, CalibrationError
+from appliance.calibration.guide import Session
+from appliance.storage.atomic import StorageError, move_folder, refused, replace_file
+from appliance.storage.filesystem import FileSystem, LocalFileSystem
+
+SCHEMA = 1
+FOLDER = "calibration"
+CURRENT, AIR, SOLVED, SESSION = "current.json", "air.json", "solved.json", "session.json"
+MAX_BYTES = 1024 * 1024
+_SESSION = TypeAdapter(Session)
+
+
+class SessionError(Exception):
+    """What is wanted does not go with the session as it is; the text says why and what to do."""
+
+
+class Calibrations:
+    """The calibrations of one instrument. Raises StorageError for whatever the disk refuses."""
+
+    def __init__(self, root: Path, rig_serial: str, fs: FileSystem | None = None) -> None:
+        """Nothing is touched until a method is called."""
+        self.folder = root / FOLDER
+        self._serial = rig_serial
+        self._fs: FileSystem = fs or LocalFileSystem()
+
+    @property
+    def current(self) -> Path:
+        """The file in use."""
+        return self.folder / CURRENT
+
+    @property
+    def solved(self) -> Path:
+        """The calibration that the session's recordings gave."""
+        return self.folder / "session" / SOLVED
+
+    # ------------------------------------------------------------------------------------- reading
+
+    def session(self) -> Session:
+        """The session as it lies on the disk; a new one where there is none of this instrument that can be read.
+
+        A damaged one stays where it is until the next is begun or written.
+        """
+        session = self._read()
+        solved = _hash_of(self.solved)
+        if session.solved is not None and session.solved.calibration_hash != solved:
+            session = replace(session, solved=None, verified=None)  # power was lost between the two files
+        in_use = session.solved is not None and _bytes(self.current) == _bytes(self.solved)
+        kept = session.kept if session.kept is not None and (self.folder / "kept" / session.kept).is_file() else None
+        return replace(session, in_use=in_use, kept=kept)
+
+    def _read(self) -> Session:
+        data = _bytes(self.folder / "session" / SESSION)
+        if data is None or len(data) > MAX_BYTES:
+            return Session()
+        try:
+            content = json.loads(data)
+            if not isinstance(content, dict) or content.pop("sha256", None) != _digest(content):
+                return Session()
+            if (content.pop("schema"), content.pop("rig_serial")) != (SCHEMA, self._serial):
+                return Session()
+            return _SESSION.validate_python(content)
+        except (ValueError, RecursionError, KeyError, ValidationError):
+            return Session()
+
+    def kept(self, session: Session) -> Calibration | None:
+        """The calibration that was in use before; ``None`` where none is kept that can be read."""
+        if session.kept is None:
+            return None
+        try:
+            return calibration_file.load(self.folder / "kept" / session.kept)
+        except CalibrationError:
+            return None
+
+    # ------------------------------------------------------------------------------------- writing
+
+    def write(self, session: Session) -> Session:
+        """Make the session durable; answers it as it lies on the disk now."""
+        self._make(self.folder / "session")
+        kept = replace(session, in_use=False)  # never written down
+        content = {"schema": SCHEMA, "rig_serial": self._serial, **_plain(asdict(kept))}
+        text = json.dumps({**content, "sha256": _digest(content)}, indent=1, sort_keys=True) + "\n"
+        replace_file(self._fs, self.folder / "session" / SESSION, text.encode())
+        return self.session()
+
+    def write_solved(self, calibration: Calibration, session: Session) -> Session:
+        """Make a solved calibration durable, then the session that speaks of it."""
+        self._make(self.folder / "session")
+        replace_file(self._fs, self.solved, calibration_file.encode(calibration))
+        return self.write(session)
+
+    def use_solved(self, date: str) -> Session:
+        """Put the solved calibration in use; the file of before is kept first, under ``date`` (ISO 8601, a day).
+
+        Raises SessionError.
+        """
+        session = self.session()
+        data = _bytes(self.solved)
+        if session.solved is None or data is None:
+            raise SessionError("nothing is solved; solve first")
+        if session.in_use:
+            return session
+        before = _bytes(self.current)
+        if before is not None:
+            session = self.write(replace(session, kept=self._keep(before, date)))
+        self._make(self.folder)
+        replace_file(self._fs, self.current, data)
+        return self.session()
+
+    def restore(self) -> Session:
+        """Put the kept file in use again, byte for byte. Raises SessionError, CalibrationError if it is damaged."""
+        session = self.session()
+        if session.kept is None:
+            raise SessionError("no calibration of before is kept; calibrate")
+        path = self.folder / "kept" / session.kept
+        calibration_file.load(path)
+        data = _bytes(path)
+        if data is None:
+            raise SessionError(f"{path} cannot be read; copy the instrument's calibration to {self.current}")
+        replace_file(self._fs, self.current, data)
+        return self.session()
+
+    def begin(self) -> Session:
+        """Put the session away and begin a new one."""
+        folder = self.folder / "session"
+        if folder.is_dir():
+            self._make(self.folder / "sessions")
+            move_folder(self._fs, folder, self.folder / "sessions" / f"{_next(self.folder / 'sessions'):04d}")
+        return self.session()
+
+    def _keep(self, data: bytes, date: str) -> str:
+        """Name of the kept file with these bytes, which is written where there is none."""
+        folder = self.folder / "kept"
+        self._make(folder)
+        for path in sorted(folder.glob("*.json")):
+            if _bytes(path) == data:
+                return path.name
+        path = folder / f"{_next(folder):04d}-{date}.json"
+        replace_file(self._fs, path, data)
+        return path.name
+
+    def _make(self, folder: Path) -> None:
+        missing = [one for one in (folder, *folder.parents) if not one.exists()]
+        for one in reversed(missing):
+            with refused("cannot make", one):
+                self._fs.make_folder(one)
+                self._fs.sync_folder(one.parent)
+
+
+def _next(folder: Path) -> int:
+    """The number after the largest in a folder."""
+    try:
+        found = [int(match[0]) for path in folder.iterdir() if (match := re.match(r"\d{1,9}", path.name))]
+    except OSError as error:
+        raise StorageError("cannot list", folder, error.strerror or str(error)) from error
+    return max(found, default=0) + 1
+
+
+def _bytes(path: Path) -> bytes | None:
+    try:
+        return path.read_bytes()
+    except OSError:
+        return None
+
+
+def _hash_of(path: Path) -> str | None:
+    try:
+        return calibration_file.load(path).hash
+    except CalibrationError:
+        return None
+
+
+def _plain(value: Mapping[str, Any]) -> dict[str, Any]:
+    plain: dict[str, Any] = json.loads(json.dumps(value, default=lambda one: one.value))
+    return plain
+
+
+def _digest(content: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()

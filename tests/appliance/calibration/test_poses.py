@@ -1,0 +1,137 @@
+"""The diver is told what is wrong with how the artefact is held, and never refused for what does not matter."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from appliance.calibration.design import design_calibration
+from appliance.calibration.guide import HELD, Refusal, Session, Solved, Step, Trial, Verified
+from appliance.calibration.poses import FoundBar, FoundPlane, judge_bar, judge_plane, rig_axes
+from appliance.calibration.recordings import ArtefactKind
+from tests.support.calibrating import DESIGN, Pose
+from tests.support.truth import WATER
+
+RIG = design_calibration(DESIGN, "KF-TEST", 1600, 1200, WATER).rig
+LENGTH_MM, RADIUS_MM = 150.0, 15.0
+
+
+def in_left(points_rig: np.ndarray) -> np.ndarray:
+    axes, origin = rig_axes(RIG)
+    return points_rig @ axes.T + origin
+
+
+def bar(
+    tilt_deg: float, roll_deg: float, length_mm: float = LENGTH_MM, radius_mm: float = RADIUS_MM, rms_mm: float = 0.03
+) -> FoundBar:
+    pose = Pose((5.0, -10.0, 515.0), (0.0, tilt_deg, roll_deg))
+    ends = np.array([[-0.5, 0, 0], [0.5, 0, 0]]) * length_mm @ pose.rotation.T + pose.at_mm
+    return FoundBar(in_left(ends), (radius_mm, RADIUS_MM), rms_mm, 4000)
+
+
+def plane(distance_mm: float, tilt_deg: float = 8.0, fill_percent: float = 85.0, rms_mm: float = 0.05) -> FoundPlane:
+    pose = Pose((0.0, 0.0, distance_mm), (tilt_deg, 0.0, 0.0))
+    axes, _ = rig_axes(RIG)
+    centre = in_left(np.array([pose.at_mm]))[0]
+    return FoundPlane(centre, axes @ pose.rotation[:, 2], rms_mm, 100_000, fill_percent)
+
+
+@pytest.mark.parametrize("end", [1.0, -1.0], ids=["right end nearer", "left end nearer"])
+@pytest.mark.parametrize(("step", "roll_deg"), [(Step.M1, 0.0), (Step.M1, -30.0), (Step.M2, 70.0), (Step.M2, 90.0)])
+def test_bars_as_they_should_be(step: Step, roll_deg: float, end: float) -> None:
+    trial = judge_bar(step, bar(end * 35.0, roll_deg), RIG, LENGTH_MM, RADIUS_MM)
+    assert trial.refusal is None
+    assert trial.number == pytest.approx(0.03)
+
+
+@pytest.mark.parametrize(
+    ("step", "found", "refusal", "number"),
+    [
+        (Step.M1, bar(12.0, 0.0), Refusal.TILT_MORE, 12.0),
+        (Step.M1, bar(57.0, 0.0), Refusal.TILT_LESS, 57.0),
+        (Step.M1, bar(0.0, 80.0), Refusal.LAY_DOWN, 80.0),
+        (Step.M2, bar(0.0, 20.0), Refusal.STAND_UP, 20.0),
+        (Step.VERIFY, bar(35.0, 20.0), Refusal.TILT_LESS, 35.0),
+        (Step.M1, bar(35.0, 0.0, length_mm=200.0), Refusal.WRONG_SIZE, 200.0),
+        (Step.M1, bar(35.0, 0.0, radius_mm=12.0), Refusal.WRONG_SIZE, 12.0),
+        (Step.M1, bar(35.0, 0.0, rms_mm=0.8), Refusal.BAD_FIT, 0.8),
+    ],
+)
+def test_a_bar_that_will_not_do_is_named_with_its_number(
+    step: Step, found: FoundBar, refusal: Refusal, number: float
+) -> None:
+    trial = judge_bar(step, found, RIG, LENGTH_MM, RADIUS_MM)
+    assert trial.refusal is refusal
+    assert trial.number == pytest.approx(number, abs=0.01)
+    assert "bar" in trial.detail
+
+
+@pytest.mark.parametrize("tilt_deg", [0.0, 15.0, -15.0])
+@pytest.mark.parametrize(("step", "distance_mm"), [(Step.M3, 470.0), (Step.M4, 570.0)])
+def test_planes_as_they_should_be(step: Step, distance_mm: float, tilt_deg: float) -> None:
+    assert judge_plane(step, plane(distance_mm, tilt_deg), RIG).refusal is None
+
+
+@pytest.mark.parametrize(
+    ("step", "found", "refusal", "number"),
+    [
+        (Step.M3, plane(545.0), Refusal.TOO_FAR, 545.0),
+        (Step.M3, plane(400.0), Refusal.TOO_NEAR, 400.0),
+        (Step.M4, plane(500.0), Refusal.TOO_NEAR, 500.0),
+        (Step.M4, plane(650.0), Refusal.TOO_FAR, 650.0),
+        (Step.M3, plane(470.0, 50.0), Refusal.TILT_LESS, 50.0),
+        (Step.M3, plane(470.0, fill_percent=20.0), Refusal.NOT_FILLED, 20.0),
+        (Step.M3, plane(470.0, rms_mm=2.0), Refusal.BAD_FIT, 2.0),
+    ],
+)
+def test_a_plane_that_will_not_do_is_named_with_its_number(
+    step: Step, found: FoundPlane, refusal: Refusal, number: float
+) -> None:
+    trial = judge_plane(step, found, RIG)
+    assert trial.refusal is refusal
+    assert trial.number == pytest.approx(number, abs=0.01)
+
+
+def test_no_pose_will_do_for_two_steps() -> None:
+    bars = [s for s, kind in HELD.items() if kind is ArtefactKind.BALL_BAR]
+    for tilt_deg in range(-60, 61, 5):
+        for roll_deg in range(-90, 91, 15):
+            found = bar(float(tilt_deg), float(roll_deg))
+            fits = [s for s in bars if judge_bar(s, found, RIG, LENGTH_MM, RADIUS_MM).refusal is None]
+            assert len(fits) <= 1
+    for distance_mm in range(400, 700, 5):
+        found_plane = plane(float(distance_mm))
+        assert [judge_plane(s, found_plane, RIG).refusal for s in (Step.M3, Step.M4)].count(None) <= 1
+
+
+# ------------------------------------------------------------------------------------------ session
+
+
+def done(*steps: Step) -> Session:
+    return Session(tuple(Trial(step, None, 0.03) for step in steps))
+
+
+def test_recordings_may_come_in_any_order_but_nothing_is_solved_before_the_fourth() -> None:
+    session = done(Step.M3)
+    assert session.next_step is Step.M1
+    assert all(session.open(step) for step in (Step.M1, Step.M2, Step.M3, Step.M4))
+    assert not session.open(Step.SOLVE)
+    assert done(Step.M4, Step.M1, Step.M3, Step.M2).next_step is Step.SOLVE
+
+
+def test_a_recording_made_anew_undoes_what_was_solved_from_the_old_one() -> None:
+    session = Session(
+        done(Step.M1, Step.M2, Step.M3, Step.M4, Step.VERIFY).trials,
+        Solved("bundle", 0.03, (), "abc"),
+        Verified(0.003, 0.0001, 0.00005),
+        in_use=True,
+        kept="0001.json",
+    )
+    again = session.with_trial(Trial(Step.M2, None, 0.02, scan_id="000009"))
+    assert again.next_step is Step.SOLVE
+    assert again.solved is None
+    assert again.verified is None
+    assert again.kept == "0001.json", "the way back stays"
+    assert [trial.scan_id for trial in again.trials if trial.step is Step.M2] == ["000009"]
+    verified_again = session.with_trial(Trial(Step.VERIFY, None, 0.02))
+    assert verified_again.solved == session.solved

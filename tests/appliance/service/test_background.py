@@ -1,0 +1,93 @@
+"""Long computations in a process of their own: answers, failures, deaths and changes of mind, none of which is waited for."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from appliance.service.background import Background, Done, Failed, Progressed
+from drivers.native import MonotonicClock
+
+
+def double(x: int, report: Callable[[float], None]) -> int:
+    report(0.5)
+    return 2 * x
+
+
+def refuse(report: Callable[[float], None]) -> None:
+    raise ValueError("the adjustment did not converge; check the certificates")
+
+
+def die(report: Callable[[float], None]) -> None:
+    os.abort()
+
+
+def hang(report: Callable[[float], None]) -> None:
+    while True:
+        time.sleep(0.05)
+
+
+@pytest.fixture
+def background() -> Iterator[Background]:
+    made = Background()
+    yield made
+    made.stop()
+
+
+def answers(background: Background, timeout_s: float = 30.0) -> list[object]:
+    """Everything up to the end of the job."""
+    clock, found = MonotonicClock(), []
+    end_ns = clock.now_ns() + int(timeout_s * 1e9)
+    while clock.now_ns() < end_ns:
+        said = background.poll()
+        if said is not None:
+            found.append(said)
+            if not isinstance(said, Progressed):
+                return found
+        clock.sleep_s(0.01)
+    raise AssertionError(f"no end of the job; so far {found}")
+
+
+def test_a_job_says_how_far_it_is_and_answers(background: Background) -> None:
+    background.ask(double, 21)
+    assert background.busy
+    assert answers(background) == [Progressed(0.5), Done(42)]
+    assert not background.busy
+    background.ask(double, 4)
+    assert answers(background)[-1] == Done(8)
+
+
+def test_what_a_job_raises_is_told_in_its_words(background: Background) -> None:
+    background.ask(refuse)
+    assert answers(background) == [Failed("the adjustment did not converge; check the certificates")]
+    background.ask(double, 1)
+    assert answers(background)[-1] == Done(2)
+
+
+def test_a_process_that_dies_is_told_once_and_replaced(background: Background) -> None:
+    background.ask(die)
+    (failed,) = answers(background)
+    assert isinstance(failed, Failed)
+    assert "ended with code" in failed.reason
+    assert background.poll() is None
+    background.ask(double, 3)
+    assert answers(background)[-1] == Done(6)
+
+
+def test_a_job_that_is_no_longer_wanted_is_gone_at_once_and_never_answers(background: Background) -> None:
+    background.ask(hang)
+    background.stop()
+    assert not background.busy
+    background.ask(double, 5)
+    assert answers(background) == [Progressed(0.5), Done(10)]
+
+
+def test_nobody_waits_for_a_job(background: Background) -> None:
+    background.ask(hang)
+    begun = time.process_time()
+    for _ in range(50):
+        assert background.poll() is None
+    assert time.process_time() - begun < 0.05
