@@ -11,7 +11,7 @@ from typing import Any, NoReturn
 
 from appliance import __version__
 from appliance.calibration.file import CalibrationError
-from appliance.cli import evaluate, scans, verbs
+from appliance.cli import evaluate, measure, scans, verbs
 from appliance.cli.output import Exit, UsageError, complain, log_lines
 from appliance.cli.simrig import OBJECTS, PACES, TEXTURES, TRUTHS, SimOptions, default_sim_rig
 from appliance.config import ConfigError, Rig, default_rig_path, load_rig
@@ -163,6 +163,7 @@ def _grammar() -> _Parser:
 
     _add_scans(add, commands, rig, root)
     _add_calibration(add, commands, rig, root)
+    _add_measure(add, commands, rig, root)
     warm = add(
         commands,
         "warm",
@@ -231,6 +232,26 @@ def _add_calibration(
         root,
     )
     nominal.add_argument("--out", type=Path, metavar="FILE", help="default: beside the instrument's calibrations")
+
+
+def _add_measure(
+    add: _Add,
+    commands: argparse._SubParsersAction[_Parser],
+    rig: _Parser,
+    root: _Parser,
+) -> None:
+    group = commands.add_parser("measure", help="measure the instrument itself in a stored scan", epilog=EXIT_CODES)
+    inner = group.add_subparsers(required=True, metavar="VERB", parser_class=_Parser)
+    response = add(
+        inner,
+        "response",
+        "the projector's light by code, from a scan of a plane (docs/phase-bias.md)",
+        lambda a: measure.response(_rooted(a), a.scan, a.out, json=a.json),
+        rig,
+        root,
+    )
+    response.add_argument("scan", metavar="SCAN", help="its number or its folder")
+    response.add_argument("--out", type=Path, metavar="FILE", help="default: where the instrument looks for it")
 
 
 def _seed(text: str) -> int:

@@ -9,6 +9,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.patterns.response import Response
 from appliance.patterns.sequence import Direction, PatternSequence
 
 _VERTEX = """
@@ -76,7 +77,9 @@ def draw_patterns(
     return pictures
 
 
-def draw_sequence(context: moderngl.Context, sequence: PatternSequence) -> list[NDArray[np.uint8]]:
-    """Every pattern of a sequence in the order of projection, (height, width) uint8 each."""
-    tables = [(pattern.direction, pattern.codes()) for pattern in sequence.patterns]
+def draw_sequence(
+    context: moderngl.Context, sequence: PatternSequence, response: Response | None = None
+) -> list[NDArray[np.uint8]]:
+    """Every pattern of a sequence in the order of projection, (height, width) uint8 each, for a projector's ``response``."""
+    tables = [(pattern.direction, pattern.codes(response)) for pattern in sequence.patterns]
     return draw_patterns(context, tables, sequence.width_px, sequence.height_px)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.patterns.gray import bit_count, gray_bit
+from appliance.patterns.response import Response
 from appliance.patterns.sine import STEPS, sine_codes
 
 PERIODS_PX = (16, 32, 64)
@@ -59,8 +60,11 @@ class Pattern:
             case Kind.SINE:
                 return f"sine-{self.direction.value}-{90 * self.index}"
 
-    def codes(self) -> NDArray[np.uint8]:
-        """The 8-bit codes along the varying axis: shape (size_px,) uint8. Gray stripes use the bright code."""
+    def codes(self, response: Response | None = None) -> NDArray[np.uint8]:
+        """The 8-bit codes along the varying axis: shape (size_px,) uint8. Gray stripes use the bright code.
+
+        ``response``: the projector's, if it was measured; the light of sine fringes is then a sine, else their codes are.
+        """
         match self.kind:
             case Kind.BRIGHT:
                 return np.full(self.size_px, BRIGHT_CODE, np.uint8)
@@ -70,7 +74,8 @@ class Pattern:
                 lit = gray_bit(self.size_px, self.period_px, self.index)
                 return np.where(lit, BRIGHT_CODE, DARK_CODE).astype(np.uint8)
             case Kind.SINE:
-                return sine_codes(self.size_px, self.period_px, self.index)
+                draw = sine_codes if response is None else response.sine_codes
+                return draw(self.size_px, self.period_px, self.index)
 
 
 @dataclass(frozen=True, slots=True)

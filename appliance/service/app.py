@@ -13,12 +13,12 @@ import numpy as np
 
 import appliance
 from appliance.config import Rig
-from appliance.patterns.draw import draw_patterns
+from appliance.patterns.draw import draw_sequence
 from appliance.patterns.sequence import PatternSequence, build_sequence
 from appliance.screens.painter import Painter
 from appliance.service.calibrating import CalibrationDesk
 from appliance.service.devices import Devices
-from appliance.service.instrument import CALIBRATION_FILE, calibration_of, design_of, noise_of, water_of
+from appliance.service.instrument import CALIBRATION_FILE, calibration_of, design_of, noise_of, response_of, water_of
 from appliance.service.loop import Service
 from appliance.service.scans import ScanDesk
 from appliance.storage.library import Library
@@ -61,15 +61,17 @@ def run(rig: Rig) -> int:
         stopping = stack.enter_context(_signals())
         wires = stack.enter_context(drivers_rig.open_wires(rig.rig.wires, rig.rig.wires_options))
         gl = stack.enter_context(open_gl())
-        tables = [(pattern.direction, pattern.codes()) for pattern in sequence.patterns]
-        pictures = draw_patterns(gl, tables, sequence.width_px, sequence.height_px)
+        response = response_of(rig)
+        pictures = draw_sequence(gl, sequence, response)
         dark = np.zeros((sequence.height_px, sequence.width_px), np.uint8)
 
         def load_projector(projector: Projector) -> None:
             projector.load([*pictures, dark])
             projector.show(len(pictures))
 
-        desk = stack.enter_context(ScanDesk(rig, calibration, sequence, library, wires.clock, noise=noise_of(rig)))
+        desk = stack.enter_context(
+            ScanDesk(rig, calibration, sequence, library, wires.clock, noise=noise_of(rig), response=response)
+        )
         calibrating = stack.enter_context(CalibrationDesk(rig, desk))
         painter = stack.enter_context(Painter(gl, (rig.display.width_px, rig.display.height_px)))
         devices = stack.enter_context(Devices(rig, wires, load_projector))

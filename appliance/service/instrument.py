@@ -1,4 +1,4 @@
-"""Owns what is known of the instrument: its calibration or else the drawing's, its water, its cameras' noise."""
+"""Owns what is known of the instrument: its calibration or the drawing's, its water, its cameras' noise, its projector."""
 
 from __future__ import annotations
 
@@ -7,15 +7,19 @@ from pathlib import Path
 
 from appliance.calibration.design import Design, design_calibration
 from appliance.calibration.file import Calibration, CalibrationError, load
+from appliance.calibration.response_file import ResponseFileError
+from appliance.calibration.response_file import load as load_response
 from appliance.capture.fault import Fault, FaultCode
 from appliance.config import Rig
 from appliance.config.rig import CameraRig
 from appliance.optics.water import Water
+from appliance.patterns.response import Response
 from appliance.reconstruct.noise import CameraNoise, StereoNoise, camera_noise
 
 log = logging.getLogger("kingfisher")
 
 CALIBRATION_FILE = Path("calibration", "current.json")
+RESPONSE_FILE = CALIBRATION_FILE.with_name("response.json")
 """Below the storage root."""
 
 
@@ -32,6 +36,27 @@ def calibration_of(rig: Rig) -> tuple[Calibration, tuple[Fault, ...]]:
             return calibration, ()
     log.warning("uncalibrated: %s", problem)
     return design_of(rig), (Fault(FaultCode.UNCALIBRATED, problem),)
+
+
+def response_of(rig: Rig) -> Response | None:
+    """The projector's response as it was measured; ``None`` where it was not, or cannot be used (which is logged)."""
+    path = rig.storage.root / RESPONSE_FILE
+    try:
+        stored = load_response(path)
+    except ResponseFileError as error:
+        log.warning("patterns are drawn without compensation: %s", error)
+        return None
+    if stored is None:
+        return None
+    if stored.rig_serial != rig.rig.serial:
+        log.warning(
+            "patterns are drawn without compensation: response %s is of instrument %s; this one is %s; "
+            "measure its own, or remove the file",
+            path, stored.rig_serial, rig.rig.serial,
+        )  # fmt: skip
+        return None
+    log.info("patterns are drawn for the projector's measured response")
+    return stored.response
 
 
 def design_of(rig: Rig) -> Calibration:

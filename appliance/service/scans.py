@@ -26,6 +26,7 @@ from appliance.capture.store import SIDES, FrameStore
 from appliance.config import Rig
 from appliance.machine import events as on
 from appliance.optics.water import Water
+from appliance.patterns.response import Response
 from appliance.patterns.sequence import PatternSequence
 from appliance.reconstruct.noise import TYPICAL_PAIR, StereoNoise
 from appliance.reconstruct.pipeline import Cloud
@@ -86,10 +87,13 @@ class ScanDesk:
         clock: Clock,
         limits: WorkLimits | None = None,
         noise: StereoNoise = TYPICAL_PAIR,
+        response: Response | None = None,
     ) -> None:
+        """``response``: the projector's, that the patterns are drawn for; it is written down."""
         left = rig.camera.left
         self._rig = rig
         self._calibration = calibration
+        self._response = response
         self._library = library
         self._clock = clock
         self.sequence = sequence
@@ -147,6 +151,7 @@ class ScanDesk:
             wall_time=now.isoformat(timespec="seconds"),
             clock_trusted=False,  # no source of time is known to the instrument yet
             recorded_ns=scan.begun_ns,
+            response_hash=None if self._response is None else self._response.hash,
             water={
                 "temperature_c": self.water.temperature_c,
                 "salinity_psu": self.water.salinity_psu,

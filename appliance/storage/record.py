@@ -61,6 +61,8 @@ class ScanRecord:
     """Whether the wall time was set from outside since power-on. Order follows from the scan's id alone."""
     recorded_ns: int
     """Host's monotonic time when the capture began: the key press, as the heartbeat that acted on it saw it."""
+    response_hash: str | None = None
+    """Of the projector's response that the patterns were drawn for; ``None``: codes, not light, were the sine."""
     water: Mapping[str, float | None] = field(default_factory=dict)
     """``salinity_psu``, ``temperature_c``, ``wavelength_nm``, ``index``: the water it was reconstructed in."""
     temperatures_c: Mapping[str, float | None] = field(default_factory=dict)

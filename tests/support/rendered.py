@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibration.file import Calibration
+from appliance.patterns.response import Response
 from appliance.patterns.sequence import Direction, PatternSequence, build_sequence
 from appliance.reconstruct.pipeline import Cloud, Pipeline
 from hw_sim.render import LightSlice, Renderer
@@ -27,14 +28,13 @@ class RenderedScan:
     frames: Mapping[str, NDArray[np.uint8]]
 
 
-def pictures(sequence: PatternSequence) -> list[NDArray[np.uint8]]:
+def pictures(sequence: PatternSequence, response: Response | None = None) -> list[NDArray[np.uint8]]:
     """The patterns as the projector shows them."""
     shape = (sequence.height_px, sequence.width_px)
+    tables = [(p.direction, p.codes(response)) for p in sequence.patterns]
     return [
-        np.ascontiguousarray(
-            np.broadcast_to(p.codes()[None, :] if p.direction is Direction.X else p.codes()[:, None], shape)
-        )
-        for p in sequence.patterns
+        np.ascontiguousarray(np.broadcast_to(codes[None, :] if d is Direction.X else codes[:, None], shape))
+        for d, codes in tables
     ]
 
 
@@ -46,8 +46,13 @@ def render_scan(
     period_px: int,
     exposure_s: float = EXPOSURE_S,
     height_px: int | None = None,
+    response: Response | None = None,
+    frame_s: float = 0.0,
 ) -> RenderedScan:
-    """Both cameras' frames of a static scene. A smaller ``height_px`` is a strip out of the middle."""
+    """Both cameras' frames of a scene, ``frame_s`` after one another (0: it is at rest).
+
+    A smaller ``height_px`` is a strip out of the middle; ``response``: the projector's, that the patterns are drawn for.
+    """
     truth = draw_truth(truth_set, seed, width_px, height_px or width_px * 3 // 4, scene.water.index)
     renderer = Renderer(truth, scene)
     sequence = build_sequence(period_px)
@@ -55,9 +60,15 @@ def render_scan(
     def camera(side: str) -> NDArray[np.uint8]:
         shots = [
             renderer.expose(
-                side, [LightSlice(p, exposure_s)], 0.0, exposure_s, 0.0, (False, False), 2 * k + (side == "left")
+                side,
+                [LightSlice(p, exposure_s)],
+                k * frame_s,
+                exposure_s,
+                0.0,
+                (False, False),
+                2 * k + (side == "left"),
             )
-            for k, p in enumerate(pictures(sequence))
+            for k, p in enumerate(pictures(sequence, response))
         ]
         return np.stack(shots)
 

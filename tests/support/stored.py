@@ -11,7 +11,7 @@ from hw_sim.water import GREEN_NM
 from tests.support.rendered import RenderedScan
 
 
-def store(scan: RenderedScan, folder: Path) -> Path:
+def store(scan: RenderedScan, folder: Path, response_hash: str | None = None) -> Path:
     """The raw frames and the manifest of a scan, in a new folder, with the water of its scene."""
     water = scan.renderer.scene.water
     record = ScanRecord(
@@ -22,6 +22,7 @@ def store(scan: RenderedScan, folder: Path) -> Path:
         wall_time="2031-05-06T07:08:09+00:00",
         clock_trusted=True,
         recorded_ns=1,
+        response_hash=response_hash,
         water={
             "temperature_c": water.temperature_c,
             "salinity_psu": water.salinity_psu,

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from appliance.patterns.draw import draw_patterns, draw_sequence
+from appliance.patterns.response import Response
 from appliance.patterns.sequence import Direction, build_sequence
 from drivers.output.gl import open_gl
 
@@ -19,13 +20,17 @@ def context() -> Iterator[moderngl.Context]:
         yield gl
 
 
+@pytest.mark.parametrize("response", [None, Response((0.45, 0.53, 0.05, -0.02))])
 @pytest.mark.parametrize("period_px", [16, 32, 64])
-def test_every_pixel_of_every_pattern_is_its_code(context: moderngl.Context, period_px: int) -> None:
+def test_every_pixel_of_every_pattern_is_its_code(
+    context: moderngl.Context, period_px: int, response: Response | None
+) -> None:
     sequence = build_sequence(period_px)
-    pictures = draw_sequence(context, sequence)
+    pictures = draw_sequence(context, sequence, response)
     assert len(pictures) == len(sequence)
     for pattern, picture in zip(sequence.patterns, pictures, strict=True):
-        line = pattern.codes()[np.newaxis, :] if pattern.direction is Direction.X else pattern.codes()[:, np.newaxis]
+        codes = pattern.codes(response)
+        line = codes[np.newaxis, :] if pattern.direction is Direction.X else codes[:, np.newaxis]
         np.testing.assert_array_equal(picture, np.broadcast_to(line, (768, 1024)), err_msg=pattern.name)
 
 

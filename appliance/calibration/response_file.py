@@ -1,0 +1,93 @@
+"""Owns the file of the projector's response: small, checksummed, readable JSON, beside the calibration."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeGuard
+
+from appliance.patterns.response import HIGHEST_ORDER, Response
+
+SCHEMA = 1
+MAX_BYTES = 64 * 1024
+_REMEDY = "measure the response again, or remove the file: patterns are then drawn without compensation"
+
+
+class ResponseFileError(Exception):
+    """A response file cannot be used; the text says which, why and what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class StoredResponse:
+    """A response and where it comes from."""
+
+    rig_serial: str
+    made_from: tuple[str, ...]
+    """Ids of the scans."""
+    residual: float
+    """RMS of what was seen against the response, as a fraction of the bright light."""
+    response: Response
+
+
+def encode(stored: StoredResponse) -> bytes:
+    """The file's bytes: JSON with sorted keys; ``sha256`` is that of the compact form of everything else."""
+    content = {
+        "schema": SCHEMA,
+        "rig_serial": stored.rig_serial,
+        "made_from": list(stored.made_from),
+        "residual": stored.residual,
+        "harmonics": list(stored.response.harmonics),
+    }
+    return (json.dumps({**content, "sha256": _digest(content)}, indent=2, sort_keys=True) + "\n").encode()
+
+
+def decode(data: bytes, name: str) -> StoredResponse:
+    """Parse and check a file's bytes. Raises ResponseFileError naming ``name``, what is wrong and the remedy."""
+
+    def wrong(what: str) -> ResponseFileError:
+        return ResponseFileError(f"{name}: {what}; {_REMEDY}")
+
+    if len(data) > MAX_BYTES:
+        raise wrong(f"{len(data)} bytes; at most {MAX_BYTES} are allowed")
+    try:
+        content = json.loads(data)
+    except (ValueError, RecursionError) as error:
+        raise wrong(f"not readable as JSON ({error})") from error
+    if not isinstance(content, dict):
+        raise wrong(f"a JSON object was expected, not {type(content).__name__}")
+    if content.get("schema") != SCHEMA:
+        raise wrong(f"schema {content.get('schema')!r}; this version reads schema {SCHEMA}")
+    if content.pop("sha256", None) != _digest(content):
+        raise wrong("its checksum does not fit its content")
+    serial, sources = content.get("rig_serial"), content.get("made_from")
+    if not isinstance(serial, str) or not isinstance(sources, list):
+        raise wrong("rig_serial or made_from is missing")
+    residual, harmonics = content.get("residual"), content.get("harmonics")
+    if not _is_number(residual) or not isinstance(harmonics, list) or not all(_is_number(b) for b in harmonics):
+        raise wrong(f"residual and harmonics must be numbers, of the latter at most {HIGHEST_ORDER + 1}")
+    try:
+        response = Response(tuple(float(b) for b in harmonics))
+    except ValueError as error:
+        raise ResponseFileError(f"{name}: {error}") from error
+    return StoredResponse(serial, tuple(str(source) for source in sources), float(residual), response)
+
+
+def load(path: Path) -> StoredResponse | None:
+    """Read a response file; ``None`` where there is none. Raises ResponseFileError."""
+    try:
+        return decode(path.read_bytes(), f"response {path}")
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise ResponseFileError(f"response {path}: cannot be read ({error.strerror}); {_REMEDY}") from error
+
+
+def _is_number(value: Any) -> TypeGuard[float]:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _digest(content: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()

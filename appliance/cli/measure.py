@@ -1,0 +1,59 @@
+"""Owns the verbs ``measure``: what a stored scan says about the instrument itself."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+from appliance import kernel_cache
+from appliance.cli.desk import usable_scan, writable, writing
+from appliance.cli.output import Exit, Progress, UsageError, say, say_json
+from appliance.config import Rig
+from appliance.storage.atomic import replace_file
+from appliance.storage.filesystem import LocalFileSystem
+from appliance.storage.scan import ScanError
+
+SHOWN_HARMONICS = 6
+
+
+def response(rig: Rig, scan: str, out: Path | None, *, json: bool) -> Exit:
+    """The projector's response from a scan of a plane, written to its file. Never replaces one."""
+    writable(out)
+    kernel_cache.use()  # before anything brings compiled kernels
+    from appliance.calibration.response import ResponseError
+    from appliance.calibration.response_file import encode
+    from appliance.service.instrument import RESPONSE_FILE
+    from appliance.service.measuring import response_of_scan
+
+    path = out or rig.storage.root / RESPONSE_FILE
+    if path.exists():
+        raise UsageError(
+            f"--out {path}: exists already; a response is never replaced; move it away, or give a new name"
+        )
+    with Progress() as progress:
+        progress("comparing checksums")
+        folder = usable_scan(rig, scan, None)
+        try:
+            found, measured = response_of_scan(rig, folder, progress)
+        except ResponseError as error:
+            raise ScanError(f"{folder}: {error}") from error
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        replace_file(LocalFileSystem(), path, encode(found))
+    fringes = measured.fringe_harmonics
+    report = {
+        "file": str(path),
+        "scan": found.made_from[0],
+        "pixels": measured.pixels,
+        "residual_percent": 100.0 * measured.residual,
+        "harmonics_percent": [100.0 * b / fringes[1] for b in fringes[2:SHOWN_HARMONICS]],
+        "phase_error_deg": math.degrees(measured.phase_error_rad),
+        "hash": found.response.hash,
+    }
+    if json:
+        say_json(report)
+    else:
+        for key, value in report.items():
+            shown = " ".join(f"{one:.2f}" for one in value) if isinstance(value, list) else value
+            say(f"{key:<24} {f'{shown:.3f}' if isinstance(shown, float) else shown}")
+    return Exit.OK

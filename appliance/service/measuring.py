@@ -1,0 +1,53 @@
+"""Owns what is measured about the instrument from a scan it stored, besides its calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from appliance.calibration.response import MeasuredResponse, ResponseError, Seen, measure_response
+from appliance.calibration.response_file import StoredResponse
+from appliance.config import Rig
+from appliance.patterns.response import Response
+from appliance.patterns.sequence import build_sequence
+from appliance.reconstruct.decode import CameraDecoder
+from appliance.service.instrument import RESPONSE_FILE, response_of
+from appliance.storage import scan as stored
+from appliance.storage.scan import SIDES
+
+
+def response_of_scan(
+    rig: Rig, folder: Path, progress: Callable[[str, float], None]
+) -> tuple[StoredResponse, MeasuredResponse]:
+    """The projector's response from the raw frames of a stored scan, ready for its file, and what else the scan says.
+
+    Raises ScanError, ResponseError.
+    """
+    scan = stored.load(folder)
+    record = scan.manifest.record
+    sequence = build_sequence(record.sequence.period_px, record.sequence.width_px, record.sequence.height_px)
+    drawn_for = _drawn_for(rig, scan.manifest.scan_id, record.response_hash)
+    seen = []
+    for k, side in enumerate(SIDES):
+        frames = scan.frames[side]
+        decoder = CameraDecoder(sequence, frames.shape[2], frames.shape[1])
+        for index in range(len(sequence)):
+            progress(f"decoding {side}", 0.5 * (k + index / len(sequence)))
+            decoder.push(frames, index)
+        decoder.finish()
+        seen.append(Seen(frames, decoder.p_px, decoder.q_px))
+    measured = measure_response(sequence, seen, drawn_for)
+    return StoredResponse(rig.rig.serial, (scan.manifest.scan_id,), measured.residual, measured.response), measured
+
+
+def _drawn_for(rig: Rig, scan_id: str, response_hash: str | None) -> Response | None:
+    """The response that a scan's patterns were drawn for."""
+    if response_hash is None:
+        return None
+    response = response_of(rig)
+    if response is None or response.hash != response_hash:
+        raise ResponseError(
+            f"scan {scan_id} was drawn for another response than that in {rig.storage.root / RESPONSE_FILE}; bring that file "
+            "back, or record a scan without one"
+        )
+    return response

@@ -1,0 +1,100 @@
+"""A simulated projector's response is found in a scan, and patterns drawn for it have no ripple left worth mentioning."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from appliance.calibration.response import MeasuredResponse, ResponseError, Seen, measure_response
+from appliance.patterns.response import Response, phase_error_rad
+from bench.bias import coordinate_errors, depth_errors, ripple
+from hw_sim.imaging import Imaging
+from hw_sim.motion import Motion
+from hw_sim.projector import response as true_response
+from hw_sim.scene import Scene
+from tests.support.rendered import RenderedScan, reconstruct, render_scan
+
+PERIOD_PX = 64
+
+
+@dataclass(frozen=True)
+class Bent:
+    """What a scan of a plane says, and how far its coordinates and depths are from the truth, as ripple of a period."""
+
+    said: MeasuredResponse
+    coordinate_px: float
+    depth_mm: float
+
+
+def record(kind: str, response: Response | None = None, noise: bool = True) -> Bent:
+    scene = Scene(object="plane", noise=noise, imaging=Imaging(kind))
+    scan = render_scan(scene, "modelled", 3, 400, PERIOD_PX, response=response)
+    pipeline, cloud = reconstruct(scan)
+    left = coordinate_errors(scan.renderer, pipeline, "left")
+    depth = depth_errors(scan.renderer, cloud)
+    inner = depth.seen & (np.abs(depth.along_ray_mm) < 1.0)
+    return Bent(
+        measure_response(scan.sequence, seen(scan), response),
+        ripple(left.error_px[:, 0], left.true_px[:, 0], PERIOD_PX),
+        ripple(depth.along_ray_mm[inner], depth.true_px[inner, 0], PERIOD_PX),
+    )
+
+
+def seen(scan: RenderedScan) -> list[Seen]:
+    pipeline, _ = reconstruct(scan)
+    maps = {side: pipeline.decoded(side) for side in scan.frames}
+    return [Seen(scan.frames[side], one.p_px, one.q_px) for side, one in maps.items()]
+
+
+def true_light(kind: str) -> np.ndarray:
+    light = true_response(kind).astype(float)[8:248]
+    return (light - light[0]) / (light[-1] - light[0])
+
+
+@pytest.fixture(scope="module")
+def bent() -> Bent:
+    return record("measured")
+
+
+def test_the_response_is_that_of_the_projector(bent: Bent) -> None:
+    found = bent.said.response.light(np.arange(8.0, 248.0))
+    assert np.abs(found - true_light("measured")).max() < 0.005
+    assert found[120] - 0.5 < -0.05, "it is no straight line"
+
+
+def test_fringes_drawn_for_it_have_a_third_of_the_harmonics_and_of_the_ripple_at_most(bent: Bent) -> None:
+    straight = record("measured", bent.said.response)
+    assert abs(bent.said.fringe_harmonics[3] / bent.said.fringe_harmonics[1]) > 0.03
+    assert abs(straight.said.fringe_harmonics[3]) < abs(bent.said.fringe_harmonics[3]) / 3.0
+    assert straight.said.phase_error_rad < bent.said.phase_error_rad / 3.0
+    assert bent.coordinate_px > 0.2
+    assert straight.coordinate_px < bent.coordinate_px / 3.0
+
+
+def test_the_response_found_in_a_compensated_scan_is_the_same(bent: Bent) -> None:
+    again = record("measured", bent.said.response).said.response
+    codes = np.arange(8.0, 248.0)
+    assert np.abs(again.light(codes) - bent.said.response.light(codes)).max() < 0.005
+
+
+def test_a_linear_projector_is_left_alone() -> None:
+    plain = record("linear", noise=False)
+    assert phase_error_rad(plain.said.response.harmonics) < 0.004, "what rounding to codes makes"
+    drawn = record("linear", plain.said.response, noise=False)
+    assert drawn.coordinate_px < plain.coordinate_px + 0.005
+    assert drawn.depth_mm < plain.depth_mm + 0.001
+
+
+def test_a_scan_that_cannot_tell_says_why() -> None:
+    short = render_scan(Scene(object="plane"), "modelled", 3, 400, 16)
+    with pytest.raises(ResponseError, match="fringe period is 16 px; allowed are 32 px and more"):
+        measure_response(short.sequence, seen(short))
+    dim = render_scan(Scene(object="plane"), "modelled", 3, 400, PERIOD_PX, exposure_s=0.001)
+    with pytest.raises(ResponseError, match=r"^0 pixels see a smooth surface .* fill the image with a plane"):
+        measure_response(dim.sequence, seen(dim))
+    moving = Motion(velocity_mm_s=(0.0, 0.0, 40.0))
+    plane = render_scan(Scene(object="plane", motion=moving), "modelled", 3, 400, PERIOD_PX, frame_s=1.0 / 60.0)
+    with pytest.raises(ResponseError, match="record a still plane"):
+        measure_response(plane.sequence, seen(plane))
