@@ -106,16 +106,7 @@ def find_frustum(cloud: PointSource) -> Frustum | NotFound:
 
 def _planes(points: Array) -> list[tuple[Plane, int]]:
     """The largest flat pieces of the thinned points, with how many patches each has; largest first."""
-    tree = cKDTree(points)
-    normals = np.zeros_like(points)
-    flat = np.zeros(len(points), bool)
-    for k, patch in enumerate(tree.query_ball_point(points, PATCH_MM)):
-        if len(patch) < 8:
-            continue
-        p = points[patch] - points[patch].mean(axis=0)
-        values, vectors = np.linalg.eigh(p.T @ p)
-        flat[k] = values[0] < len(patch) * 0.3**2  # over an edge it is a millimetre
-        normals[k] = vectors[:, 0] if vectors[:, 0] @ points[k] > 0.0 else -vectors[:, 0]
+    normals, flat = _patches(points)
     left = np.flatnonzero(flat)
     found: list[tuple[Plane, int]] = []
     while left.size >= LEAST_PATCHES and len(found) < MOST_PLANES:
@@ -130,6 +121,23 @@ def _planes(points: Array) -> list[tuple[Plane, int]]:
         found.append((orthogonal_plane(points[best]), int(best.size)))
         left = np.setdiff1d(left, best)
     return found
+
+
+def _patches(points: Array) -> tuple[Array, np.ndarray[tuple[int], np.dtype[np.bool_]]]:
+    """Unit normals (n, 3), away from the instrument, of the patches around points (n, 3), and which patches are flat."""
+    n = len(points)
+    pairs = cKDTree(points).query_pairs(PATCH_MM, output_type="ndarray")
+    middle = np.concatenate([pairs[:, 0], pairs[:, 1]])
+    to = points[np.concatenate([pairs[:, 1], pairs[:, 0]])] - points[middle]
+    count = 1 + np.bincount(middle, minlength=n)  # the point itself belongs to its patch
+    mean = np.column_stack([np.bincount(middle, part, n) for part in to.T]) / count[:, None]
+    scatter = np.empty((n, 3, 3))
+    for i in range(3):
+        for j in range(3):
+            scatter[:, i, j] = np.bincount(middle, to[:, i] * to[:, j], n) - count * mean[:, i] * mean[:, j]
+    values, vectors = np.linalg.eigh(scatter)
+    normals = vectors[:, :, 0] * np.where(np.sum(vectors[:, :, 0] * points, 1) > 0.0, 1.0, -1.0)[:, None]
+    return normals, (count >= 8) & (values[:, 0] < count * 0.3**2)  # over an edge it is a millimetre
 
 
 def _agreeing(points: Array, normals: Array, among: Indices, at: Array, normal: Array) -> Indices:

@@ -119,6 +119,7 @@ class Pipeline:
                     f"{width_px} x {height_px} px; make another pipeline"
                 )
         self._rays = _rays(calibration, water)
+        self._gaps = GapSampler(GapModes(calibration.rig, water.index))
 
     def coarse(self) -> Cloud:
         """After the last frame: the coarse cloud. Call once per scan, before ``full``."""
@@ -179,6 +180,6 @@ class Pipeline:
 
 def _rays(calibration: Calibration, water: Water) -> Rays:
     left, right = calibration.rig.left, calibration.rig.right
-    plane_z_mm = float(calibration.rig.volume_centre_mm(water.index)[2])
     index = water.index
+    plane_z_mm = float(calibration.rig.volume_centre_mm(index)[2])
     return rays_of(ray_lattice(left, index, plane_z_mm), ray_lattice(right, index, plane_z_mm), left.width_px)

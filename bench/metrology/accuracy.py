@@ -35,8 +35,9 @@ SAID = {
     "ba_spline_4": "**bundle, and spline**",
     "ba_spline_4_points": "… its recordings made point by point",
     "ba_spline_10": "**bundle, and spline**",
-    "salt_updated": "the same in salt water, index updated",
-    "salt_not_updated": "the same in salt water, index not updated",
+    "ray_field": "bundle, and field of rays",
+    "salt_updated": "bundle, and spline, in salt water, index updated",
+    "salt_not_updated": "… index not updated",
 }
 TITLES = {
     "E_Lb": "E_Lb %",

@@ -12,7 +12,7 @@ import numpy as np
 from appliance.calibration.air import AirCalibration, BoardView, calibrate_air
 from appliance.calibration.design import design_calibration
 from appliance.calibration.file import Calibration
-from appliance.optics.model import StereoRig
+from appliance.calibration.start import start_from_air
 from hw_sim.optics.points import project
 from hw_sim.truth import TrueRig, in_air
 from tests.support.calibrating import CORNER_NOISE_PX, DESIGN, WIDTH_PX, Pose, inside
@@ -31,12 +31,7 @@ def start_of(air: AirCalibration) -> Calibration:
     """Lenses and pose from air, ports from the drawing."""
     width_px, height_px = air.rig.left.width_px, air.rig.left.height_px
     drawing = replace(DESIGN, pixel_um=DESIGN.pixel_um * WIDTH_PX / width_px)
-    design = design_calibration(drawing, "KF-SIM", width_px, height_px, WATER)
-    left, right = (
-        replace(measured, port=drawn.port)
-        for measured, drawn in ((air.rig.left, design.rig.left), (air.rig.right, design.rig.right))
-    )
-    return replace(design, method="air", made_from=("boards in air",), rig=StereoRig(left, right))
+    return start_from_air(air, design_calibration(drawing, "KF-SIM", width_px, height_px, WATER))
 
 
 def boards_in_water(truth: TrueRig) -> list[BoardView]:
