@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import cv2
 
 from hw_sim.faults import parse
+from hw_sim.knock import parse as parse_knock
 
 if TYPE_CHECKING:
     from hw_sim.world import World
@@ -25,7 +26,7 @@ POWER_OFF_TRIES = 15
 POWER_OFF_TRY_S = 2.0
 GRAMMAR = (
     "allowed are: wait state NAME S, wait alert CODE S, wait step NAME S, wait result NAME S, pause S, press KEY [S], "
-    "fault SENTENCE, clear, object NAME [X Y Z RX RY RZ], screenshot PATH, end"
+    "fault SENTENCE, clear, object NAME [X Y Z RX RY RZ], knock CAMERA AMOUNTS, screenshot PATH, end"
 )
 
 
@@ -78,6 +79,8 @@ def _check(step: Step) -> None:
             parse(" ".join(step.words))
         case "object", (_, *pose) if len(pose) in (0, 6):
             [float(number) for number in pose]
+        case "knock", (_, *_):
+            parse_knock(" ".join(step.words))
         case ("screenshot", (_,)) | ("clear" | "end", ()):
             pass
         case _:
@@ -164,6 +167,8 @@ class Diver:
                 world.clear_faults()
             case "object":
                 world.set_object(words[0], [float(n) for n in words[1:]] or None)
+            case "knock":
+                world.knock(parse_knock(" ".join(words)))
             case "screenshot":
                 picture = world.scanned_out("display")
                 if not cv2.imwrite(words[0], cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)):

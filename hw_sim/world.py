@@ -29,6 +29,7 @@ from hw_sim.devices.u3v_camera import U3vCamera
 from hw_sim.drive import Drive
 from hw_sim.faults import Fault, FaultBook
 from hw_sim.heat import temperature_c
+from hw_sim.knock import Knock, knocked
 from hw_sim.motion import Motion
 from hw_sim.options import OptionError, WorldOptions
 from hw_sim.pace import START_NS, WorldTime
@@ -159,6 +160,14 @@ class World:
         """Put another object before the instrument, at its usual pose or at [x, y, z, rx_deg, ry_deg, rz_deg]."""
         x, y, z, rx, ry, rz = pose or (0.0,) * 6
         self.set_scene(replace(self.scene, object=name, pose=None if pose is None else (x, y, z, rx, ry, rz)))
+
+    def knock(self, knock: Knock) -> None:
+        """A camera moves in its mount, for good: what is seen from the next image on. Nothing repairs it."""
+        with self._renderer_lock:
+            self.truth = knocked(self.truth, knock)
+            if self._made_renderer is not None:
+                self._made_renderer = Renderer(self.truth, self._scene)
+                self._stills = Stills() if self._stills is not None else None
 
     def set_motion(self, motion: Motion) -> None:
         """How the hands move during sequences: time 0 is a sequence's first pulse, live views are at rest."""

@@ -16,6 +16,8 @@ the right camera, freed of the earlier ones:
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -31,6 +33,8 @@ _PRIMARIES = (
     "right principal distance (px)",
     "right camera's turn y (rad)",
 )
+WATER_INDEX = "water index"
+TURNS = tuple(f"right camera's turn {axis} (rad)" for axis in "xyz")
 FIELD_NODES = (12, 9)
 FIELD_DEPTHS_MM = (460.0, 525.0, 590.0)
 """Where amplitudes are normalised: a lattice over the image at three depths of the measuring volume."""
@@ -90,25 +94,33 @@ class GapModes:
         columns = [_gap(p, a, *rig.right.rays(right_px, self.water_index)) - base for rig in self._changed]
         return np.asarray(np.stack(columns, -1) @ self._mix)
 
-    def of_parameters(self) -> dict[str, tuple[Array, float]]:
-        """For each number of a calibration, and the water's index: amplitudes (4,) and the RMS of what the patterns do
-        not hold, in µm per unit of that number."""
+    def of_parameters(self, names: Sequence[str] = (*parameters.NAMES, WATER_INDEX)) -> dict[str, tuple[Array, float]]:
+        """For numbers of a calibration, and the water's index: amplitudes (4,) and the RMS of what the patterns do not
+        hold, in µm per unit of that number."""
         modes = self.at(*self.field_px)
         found = {}
         for k, name in enumerate(parameters.NAMES):
+            if name not in names:
+                continue
             step = float(parameters.STEPS[k])
             plus, minus = (signed_gap_mm(self._with(k, s), self.water_index, *self.field_px) for s in (step, -step))
             found[name] = _split(modes, 1000.0 * (plus - minus) / (2.0 * step))
-        plus, minus = (
-            signed_gap_mm(self._rig, self.water_index + s, *self.field_px) for s in (INDEX_STEP, -INDEX_STEP)
-        )
-        found["water index"] = _split(modes, 1000.0 * (plus - minus) / (2.0 * INDEX_STEP))
+        if WATER_INDEX in names:
+            plus, minus = (
+                signed_gap_mm(self._rig, self.water_index + s, *self.field_px) for s in (INDEX_STEP, -INDEX_STEP)
+            )
+            found[WATER_INDEX] = _split(modes, 1000.0 * (plus - minus) / (2.0 * INDEX_STEP))
         return found
 
     def _with(self, parameter: int, change: float) -> StereoRig:
         x = np.zeros(parameters.COUNT)
         x[parameter] = change
         return parameters.rig_with(self._rig, x)
+
+
+def in_words(parameter: str, change: float) -> str:
+    """A turn of the right camera in a technician's words."""
+    return f"the right camera turned by {np.degrees(change):+.3f}° about its {parameter.split()[3]} axis"
 
 
 def _gap(p: Array, a: Array, q: Array, b: Array) -> Array:

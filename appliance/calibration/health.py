@@ -106,6 +106,14 @@ class Trend:
     answers: tuple[str, ...] = ()
     """Length checks after which an alarm was taken back."""
 
+    def alarmed(self, text: str) -> Trend:
+        """With these words for what was found."""
+        return replace(self, alarm=text)
+
+    def named(self, scan: str) -> Trend:
+        """With the number of the latest scan, which it gets on the disk."""
+        return replace(self, points=(*self.points[:-1], replace(self.points[-1], scan=scan)))
+
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
@@ -118,8 +126,8 @@ class Judgement:
     numbers: Mapping[str, float | None]
 
 
-def judge(trend: Trend, gaps: PatchGaps, scan: str | None) -> tuple[Trend, Judgement]:
-    """The trend after one more scan, and what is to be said about it."""
+def judge(trend: Trend, gaps: PatchGaps, scan: str | None = None) -> tuple[Trend, Judgement]:
+    """The trend after one more scan (its number, where it has one already), and what is to be said about it."""
     if len(gaps.patch) < FEWEST_PATCHES:
         text = f"not judged: {len(gaps.patch)} of {COUNT} patches seen, {FEWEST_PATCHES} are needed"
         return trend, Judgement(None, trend.alarm is not None, text, _counts(gaps))

@@ -11,7 +11,7 @@ from typing import Any, NoReturn
 
 from appliance import __version__
 from appliance.calibration.file import CalibrationError
-from appliance.cli import evaluate, measure, scans, verbs
+from appliance.cli import evaluate, health, measure, scans, verbs
 from appliance.cli.output import Exit, UsageError, complain, log_lines
 from appliance.cli.simrig import OBJECTS, PACES, TEXTURES, TRUTHS, SimOptions, default_sim_rig
 from appliance.config import ConfigError, Rig, default_rig_path, load_rig
@@ -164,6 +164,7 @@ def _grammar() -> _Parser:
     _add_scans(add, commands, rig, root)
     _add_calibration(add, commands, rig, root)
     _add_measure(add, commands, rig, root)
+    _add_health(add, commands, rig, root)
     warm = add(
         commands,
         "warm",
@@ -252,6 +253,50 @@ def _add_measure(
     )
     response.add_argument("scan", metavar="SCAN", help="its number or its folder")
     response.add_argument("--out", type=Path, metavar="FILE", help="default: where the instrument looks for it")
+
+
+def _add_health(
+    add: _Add,
+    commands: argparse._SubParsersAction[_Parser],
+    rig: _Parser,
+    root: _Parser,
+) -> None:
+    group = commands.add_parser("health", help="whether the calibration still holds", epilog=EXIT_CODES)
+    inner = group.add_subparsers(required=True, metavar="VERB", parser_class=_Parser)
+    add(
+        inner,
+        "show",
+        "the trend of the ray gaps (docs/calibration-health.md)",
+        lambda a: health.show(_rooted(a), json=a.json),
+        rig,
+        root,
+    )
+    accept = add(
+        inner,
+        "accept",
+        "take an alarm back after a length check",
+        lambda a: health.accept(_rooted(a), a.report, a.at_most_percent, json=a.json),
+        rig,
+        root,
+    )
+    accept.add_argument("report", metavar="REPORT", type=Path, help="the .json that `kingfisher evaluate` wrote")
+    accept.add_argument(
+        "--at-most-percent",
+        type=_percent,
+        default=health.AT_MOST_PERCENT,
+        metavar="E_L",
+        help=f"largest length error that is accepted (default: {health.AT_MOST_PERCENT:g})",
+    )
+
+
+def _percent(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0.0 < value <= 10.0:
+        raise argparse.ArgumentTypeError(f"{text}: allowed are numbers above 0, up to 10")
+    return value
 
 
 def _seed(text: str) -> int:

@@ -34,6 +34,10 @@ def show_scan(root: Path, scan_id: str, *, json: bool) -> Exit:
     if json:
         say_json(full)
         return Exit.OK
+    if entry.manifest is not None:
+        # Verdicts by their names, so that their numbers are lines of their own.
+        record = full["manifest"]["record"]
+        record["verdicts"] = {verdict.pop("name"): verdict for verdict in record["verdicts"]}
     lines = _flat(full)
     width = max(len(key) for key, _ in lines)
     for key, value in lines:

@@ -95,6 +95,7 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
         FaultCode.STORAGE_FULL: Rule(_W, "STORAGE FULL", "COPY SCANS, MAKE ROOM", blocks_scan=True),
         FaultCode.NOT_SAVED: Rule(_C, "NOT SAVED", "TRY AGAIN OR REPEAT"),
         FaultCode.UNCALIBRATED: Rule(_W, "UNCALIBRATED", "LENGTHS NOT TRUSTED"),
+        FaultCode.VERIFY_CALIBRATION: Rule(_W, "VERIFY CALIBR.", "CHECK WATER AND BALL BAR"),
         FaultCode.RECONSTRUCTION_FAILED: Rule(_W, "PROCESS LATER", "KEEP RAW FRAMES OR REPEAT"),
         FaultCode.WARM: Rule(_W, "WARM {temperature_c:.0f} °C", "LET IT COOL SOON", "WARM"),
         FaultCode.HOT: Rule(

@@ -166,8 +166,9 @@ class CalibrationDesk:
             calibration, faults = changed.in_use
             log.info("in use: %s of %s", calibration.method, calibration.made_at)
             self._desk.use(calibration)
-            events.append(on.ConditionCleared(FaultCode.UNCALIBRATED))
-            events += [on.ConditionRaised(fault) for fault in faults]
+            events += [on.ConditionCleared(code) for code in (FaultCode.UNCALIBRATED, FaultCode.VERIFY_CALIBRATION)]
+            remembered = self._desk.watch.fault
+            events += [on.ConditionRaised(fault) for fault in (*faults, remembered) if fault is not None]
         return events
 
     def _ask(self, work: Callable[[], _Changed]) -> None:

@@ -94,7 +94,8 @@ class Service:
         self._clock = clock
         self._stop_reason = stop_reason
         self.machine: Machine = boot(clock.now_ns(), machine_settings(rig))
-        self._inbox: list[on.Event] = [on.ConditionRaised(fault) for fault in conditions]
+        remembered = (desk.watch.fault,) if desk.watch.fault is not None else ()
+        self._inbox: list[on.Event] = [on.ConditionRaised(fault) for fault in (*conditions, *remembered)]
         self._live: dict[str, NDArray[np.uint8]] = {}
         self._live_number = dict.fromkeys(SIDES, 0)
         self._telemetry: Telemetry | None = None

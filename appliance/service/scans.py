@@ -38,6 +38,7 @@ from appliance.reconstruct.worker import (
     WorkLimits,
     WorkOrder,
 )
+from appliance.service.health import CalibrationWatch
 from appliance.storage.atomic import StorageError
 from appliance.storage.library import Library, PendingScan
 from appliance.storage.record import ScanRecord, SequenceInfo, Verdict
@@ -101,6 +102,7 @@ class ScanDesk:
         self.store = FrameStore(len(sequence), left.height_px, left.width_px)
         order = WorkOrder(calibration, self.water, sequence.period_px, sequence.width_px, sequence.height_px, noise)
         self.worker = ReconstructionWorker(order, self.store, clock, limits)
+        self.watch = CalibrationWatch(rig.storage.root, calibration)
         self._disk = ThreadPoolExecutor(1, "kf-storage")
         self._answers: list[Future[list[on.Event]]] = []
         self._scan_bytes = size_bytes(len(sequence), left.width_px, left.height_px)
@@ -129,6 +131,7 @@ class ScanDesk:
                 scan.raw.result(BEGIN_TIMEOUT_S)
             except (StorageError, ValueError, TimeoutError) as error:
                 return Fault(FaultCode.NOT_SAVED, f"the previous scan's frames are not on the disk: {error}")
+            self._remember(scan)
         self.scan = ScanInWork(number, self._clock.now_ns())
         self.worker.begin(number)
         return None
@@ -214,6 +217,7 @@ class ScanDesk:
     def use(self, calibration: Calibration) -> None:
         """Measure with another calibration of this instrument from now on."""
         self._calibration = calibration
+        self.watch.use(calibration)
         self.worker.change(replace(self.worker.order, calibration=calibration))
 
     def count(self) -> None:
@@ -229,6 +233,8 @@ class ScanDesk:
         self._answers = [answer for answer in self._answers if not answer.done()]
         for answer in done:
             events += answer.result()
+        if done and self.scan is not None:
+            self._remember(self.scan)
         match self.worker.poll():
             case WorkerReady():
                 self.worker_settled = True
@@ -262,10 +268,30 @@ class ScanDesk:
         scan.times_s[f"{stage}_cpu"] = ready.cpu_s
         summary = ready.cloud.summary
         if ready.full:
+            again = scan.full is not None
             scan.full = ready.cloud
-            return [on.FullReady(scan.number, summary)]
+            return [on.FullReady(scan.number, summary), *([] if again else self._judge(scan, ready.cloud))]
         scan.coarse = ready.cloud
         return [on.CoarseReady(scan.number, summary)]
+
+    def _judge(self, scan: ScanInWork, cloud: Cloud) -> list[on.Event]:
+        """Whether the calibration still holds. The scan keeps the verdict, the disk the trend."""
+        if cloud.gaps is None or scan.record is None:
+            return []
+        scan.record = replace(scan.record, verdicts=(*scan.record.verdicts, self.watch.judge(cloud.gaps)))
+        self._remember(scan)
+        fault = self.watch.fault
+        return [] if fault is None else [on.ConditionRaised(fault)]
+
+    def _remember(self, scan: ScanInWork) -> None:
+        """The trend goes to the disk as soon as its latest scan has a number there."""
+        stored = scan.raw is not None and scan.raw.done() and scan.raw.exception() is None
+        pending = scan.raw.result() if stored and scan.raw is not None else scan.pending
+        if scan.full is None or pending is None:
+            return
+        write = self.watch.unwritten(pending.scan_id)
+        if write is not None:
+            self._ask(lambda: _remembered(write))
 
     def _current(self, number: int) -> ScanInWork | None:
         return self.scan if self.scan is not None and self.scan.number == number else None
@@ -327,6 +353,15 @@ class ScanDesk:
     def _counted(self) -> on.StorageCounted:
         left = self._library.scans_left(self._scan_bytes, self._rig.storage.reserve_mb * 1_000_000)
         return on.StorageCounted(self._library.count(), self._library.last_id(), left)
+
+
+def _remembered(write: Callable[[], None]) -> list[on.Event]:
+    """The scan itself is safe; without this, a restart would only know of its forerunners."""
+    try:
+        write()
+    except StorageError as error:
+        log.warning("the trend of the ray gaps: %s", error)
+    return []
 
 
 def _numbers(cloud: Cloud | None) -> dict[str, float | None]:

@@ -1,0 +1,150 @@
+"""Owns the verbs ``health show`` and ``health accept``: how the ray gaps have behaved, and the answer to an alarm."""
+
+from __future__ import annotations
+
+import json as json_form
+from pathlib import Path
+from typing import Any
+
+from appliance.calibration import file as calibration_file
+from appliance.calibration.file import Calibration
+from appliance.calibration.gaps import MODES
+from appliance.calibration.health import LEARNT_SCANS, UNMEASURED, Trend, answered
+from appliance.cli.output import Exit, UsageError, say, say_json, table
+from appliance.config import Rig
+from appliance.storage.health import HealthFile
+from appliance.storage.lock import hold_lock
+
+SHOWN = 20
+"""Latest scans in the table; ``--json`` has all that are remembered."""
+AT_MOST_PERCENT = 0.1
+"""Length error up to which a check is accepted, unless the option says otherwise."""
+MAX_BYTES = 64_000_000
+
+
+def show(rig: Rig, *, json: bool) -> Exit:
+    """The trend of the calibration in use. Raises CalibrationError where there is none."""
+    calibration = _in_use(rig)
+    trend = HealthFile(rig.storage.root, calibration.hash).read()
+    measured = calibration.method not in UNMEASURED
+    taught = len(trend.reference.rests_um)
+    if json:
+        say_json(
+            {
+                "calibration": calibration.hash,
+                "method": calibration.method,
+                "measured": measured,
+                "judged": trend.judged,
+                "alarm": trend.alarm,
+                "answers": list(trend.answers),
+                "reference_scans": taught,
+                "scans": [
+                    {
+                        "scan": point.scan,
+                        **{f"{name}_um": value for name, value in zip(MODES, point.amplitudes_um, strict=True)},
+                        **{f"{name}_sigma_um": value for name, value in zip(MODES, point.sigma_um, strict=True)},
+                        "rest_um": point.rest_um,
+                        "score": point.score,
+                        "sum": point.total,
+                        "alarm": point.alarm,
+                    }
+                    for point in trend.points
+                ],
+            }
+        )
+        return Exit.OK
+    if not measured:
+        say(f"uncalibrated: the calibration in use ({calibration.method}) was never measured in water; no trend")
+        return Exit.OK
+    say(f"calibration {calibration.hash[:16]}, {calibration.method}; {trend.judged} scans judged")
+    say(f"reference   {taught} of {LEARNT_SCANS} scans")
+    say(f"alarm       {trend.alarm or 'none'}")
+    for answer in trend.answers:
+        say(f"accepted    {answer}")
+    if trend.points:
+        say(_points(trend))
+    return Exit.OK
+
+
+def accept(rig: Rig, report: Path, at_most_percent: float, *, json: bool) -> Exit:
+    """Take an alarm back, as the length check in ``report`` (of ``kingfisher evaluate``) found the lengths right.
+
+    Raises UsageError for a report that does not show that, StorageError while the service runs.
+    """
+    root = rig.storage.root
+    calibration = _in_use(rig)
+    content = _content(report, calibration.hash)
+    worst = _worst_percent(report, content)
+    if worst > at_most_percent:
+        raise UsageError(
+            f"REPORT {report}: largest E_L of the ball bar is {worst:.3f} %; allowed are up to {at_most_percent:g} %: "
+            "calibrate again, or state another limit with --at-most-percent"
+        )
+    with hold_lock(root):
+        file = HealthFile(root, calibration.hash)
+        trend = file.read()
+        if trend.alarm is None:
+            raise UsageError(f"REPORT {report}: there is no alarm to be taken back; nothing was changed")
+        _recorded_since(report, content, trend)
+        said = f"{report.name}: largest E_L of the ball bar {worst:.3f} %, after: {trend.alarm}"
+        file.write(answered(trend, said))
+    if json:
+        say_json({"accepted": said})
+    else:
+        say(f"accepted: {said}")
+    return Exit.OK
+
+
+def _in_use(rig: Rig) -> Calibration:
+    # The service is imported here: it brings drivers and compiled kernels, which a wrong argument need not wait for.
+    from appliance.service.app import CALIBRATION_FILE
+
+    return calibration_file.load(rig.storage.root / CALIBRATION_FILE)
+
+
+def _content(report: Path, calibration_hash: str) -> dict[str, Any]:
+    wanted = "give the .json that `kingfisher evaluate` wrote"
+    try:
+        with report.open("rb") as file:
+            content: dict[str, Any] = json_form.loads(file.read(MAX_BYTES))
+        used = content["about"]["calibration"]
+        content["summary"]["e_l_ball_bar_percent"], [(one["scan"], one["artefact"]) for one in content["scans"]]
+    except OSError as error:
+        raise UsageError(f"REPORT {report}: cannot be read ({error.strerror}); {wanted}") from error
+    except (ValueError, KeyError, TypeError) as error:
+        raise UsageError(f"REPORT {report}: is no report of an evaluation; {wanted}") from error
+    if used != calibration_hash:
+        raise UsageError(f"REPORT {report}: it was made with calibration {used!s:.16}; evaluate with the one in use")
+    return content
+
+
+def _worst_percent(report: Path, content: dict[str, Any]) -> float:
+    worst = content["summary"]["e_l_ball_bar_percent"]
+    if isinstance(worst, bool) or not isinstance(worst, int | float) or content.get("complete") is not True:
+        raise UsageError(f"REPORT {report}: no ball bar was measured in it; scan the ball bar and evaluate again")
+    return float(worst)
+
+
+def _recorded_since(report: Path, content: dict[str, Any], trend: Trend) -> None:
+    """Lengths of before the alarm say nothing about the instrument of now."""
+    from appliance.evaluation.result import Artefact
+
+    first = next((point.scan for point in trend.points if point.alarm and point.scan is not None), None)
+    bars = [str(one["scan"]) for one in content["scans"] if one["artefact"] == Artefact.BALL_BAR.value]
+    old = [scan for scan in bars if first is not None and not (scan.isdigit() and int(scan) >= int(first))]
+    if old:
+        raise UsageError(
+            f"REPORT {report}: scan {', '.join(old)} was recorded before the alarm of scan {first}; scan the ball bar "
+            "again and evaluate that"
+        )
+
+
+def _points(trend: Trend) -> str:
+    rows = []
+    for point in trend.points[-SHOWN:]:
+        amplitudes = [
+            f"{value:+.1f} ± {sigma:.1f}" for value, sigma in zip(point.amplitudes_um, point.sigma_um, strict=True)
+        ]
+        last = f"{point.total:.1f}{'  ALARM' if point.alarm else ''}"
+        rows.append((point.scan or "?", *amplitudes, f"{point.rest_um:.1f}", f"{point.score:.1f}", last))
+    return table(("SCAN", *(f"{name} µm" for name in MODES), "rest µm", "score", "sum"), rows)

@@ -1,0 +1,72 @@
+"""Owns the watch over the calibration in use: its trend in memory, what the diver is told, and when it is written down."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from appliance.calibration.file import Calibration
+from appliance.calibration.gaps import TURNS, GapModes, in_words
+from appliance.calibration.health import UNMEASURED, Judgement, Trend, judge, likeliest
+from appliance.calibration.patches import PatchGaps
+from appliance.capture.fault import Fault, FaultCode
+from appliance.storage.filesystem import FileSystem
+from appliance.storage.health import HealthFile
+from appliance.storage.record import Verdict
+
+VERDICT = "ray-gaps"
+
+
+class CalibrationWatch:
+    """Judges every full cloud's gaps. One thread; what ``unwritten`` returns may be called by another."""
+
+    def __init__(self, root: Path, calibration: Calibration, fs: FileSystem | None = None) -> None:
+        self._root, self._fs = root, fs
+        self.use(calibration)
+
+    def use(self, calibration: Calibration) -> None:
+        """Watch another calibration from now on; what is remembered of it comes back."""
+        self._calibration = calibration
+        self._measured = calibration.method not in UNMEASURED
+        self._file = HealthFile(self._root, calibration.hash, self._fs)
+        self.trend = self._file.read() if self._measured else Trend()
+        self._written = self.trend
+
+    @property
+    def fault(self) -> Fault | None:
+        """The condition that holds now."""
+        if self.trend.alarm is None:
+            return None
+        return Fault(FaultCode.VERIFY_CALIBRATION, self.trend.alarm)
+
+    def judge(self, gaps: PatchGaps) -> Verdict:
+        """One more scan."""
+        if not self._measured:
+            text = "not judged: the calibration was never measured in water"
+            return Verdict(VERDICT, None, {}, text)
+        before = self.trend
+        self.trend, said = judge(before, gaps)
+        passed = None if said.point is None else not said.alarm
+        text = said.text + self._explained(said, gaps)
+        if before.alarm is None and self.trend.alarm is not None:
+            self.trend = self.trend.alarmed(text)
+        return Verdict(VERDICT, passed, said.numbers, text)
+
+    def unwritten(self, scan: str) -> Callable[[], None] | None:
+        """What writes down the latest scan, whose number is known now; ``None``: nothing is new.
+
+        It is durable when the call returns. The call raises StorageError.
+        """
+        if self.trend is self._written:
+            return None
+        self._written = self.trend = self.trend.named(scan)
+        file, trend = self._file, self.trend
+        return lambda: file.write(trend)
+
+    def _explained(self, said: Judgement, gaps: PatchGaps) -> str:
+        """Which single change would look most like it; only one of many, so only in words for a technician."""
+        if said.point is None or not said.alarm:
+            return ""
+        answers = GapModes(self._calibration.rig, gaps.water_index).of_parameters(TURNS)
+        name, size, share = likeliest(said.point.amplitudes_um, answers)
+        return f"; most like {in_words(name, -size)} ({100.0 * share:.0f} %)" if name else ""

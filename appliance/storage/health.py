@@ -1,0 +1,97 @@
+"""Owns what is remembered on the disk about how a calibration holds: one small checksummed file per calibration.
+
+    <root>/calibration/health/<first 16 digits of the calibration's hash>.json
+
+Replaced as a whole after each scan, so that a loss of power costs the latest scan's entry at most. A file that cannot be
+read is put aside under another name: the trend begins anew, and a person can look at what there was.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+from pathlib import Path
+from typing import Any
+
+from pydantic import TypeAdapter, ValidationError
+
+from appliance.calibration.health import Trend
+from appliance.storage.atomic import StorageError, refused, replace_file
+from appliance.storage.filesystem import FileSystem, LocalFileSystem
+
+log = logging.getLogger("kingfisher")
+
+FOLDER = Path("calibration", "health")
+SCHEMA = 1
+MAX_BYTES = 1_000_000
+_TREND = TypeAdapter(Trend)
+
+
+class HealthFile:
+    """The memory of one calibration. One process writes, any number may read."""
+
+    def __init__(self, root: Path, calibration_hash: str, fs: FileSystem | None = None) -> None:
+        self._fs: FileSystem = fs or LocalFileSystem()
+        self._hash = calibration_hash
+        self.path = root / FOLDER / f"{calibration_hash[:16]}.json"
+
+    def read(self) -> Trend:
+        """What is remembered; an empty trend where there is nothing, or nothing that can be read."""
+        try:
+            with self.path.open("rb") as file:
+                data = file.read(MAX_BYTES + 1)
+        except FileNotFoundError:
+            return Trend()
+        except OSError as error:
+            log.warning("%s: %s; the trend of the ray gaps begins anew", self.path, error.strerror or error)
+            return Trend()
+        try:
+            return self._decoded(data)
+        except ValueError as error:
+            log.warning("%s: %s; the trend of the ray gaps begins anew", self.path, error)
+            return Trend()
+
+    def write(self, trend: Trend) -> None:
+        """Durable on return. Raises StorageError."""
+        with refused("cannot make", self.path.parent):
+            for folder in (self.path.parent.parent, self.path.parent):
+                if not folder.is_dir():
+                    self._fs.make_folder(folder)
+                    self._fs.sync_folder(folder.parent)
+        self._set_aside()
+        content = {"schema": SCHEMA, "calibration": self._hash, "trend": _TREND.dump_python(trend, mode="json")}
+        text = json.dumps({**content, "sha256": _digest(content)}, sort_keys=True) + "\n"
+        replace_file(self._fs, self.path, text.encode())
+
+    def _set_aside(self) -> None:
+        """What cannot be read is not overwritten."""
+        if not self.path.exists():
+            return
+        try:
+            self._decoded(self.path.read_bytes())
+        except OSError as error:
+            raise StorageError("cannot read", self.path, error.strerror or str(error)) from error
+        except ValueError:
+            with refused("cannot rename", self.path):
+                self._fs.rename(self.path, self.path.with_suffix(".damaged"))
+
+    def _decoded(self, data: bytes) -> Trend:
+        """Raises ValueError."""
+        if len(data) > MAX_BYTES:
+            raise ValueError(f"larger than {MAX_BYTES} bytes")
+        content = json.loads(data)
+        if not isinstance(content, dict):
+            raise ValueError("not a JSON object")
+        if content.pop("sha256", None) != _digest(content):
+            raise ValueError("its checksum does not fit its content")
+        if content.get("schema") != SCHEMA or content.get("calibration") != self._hash:
+            raise ValueError("it is of another version or another calibration")
+        try:
+            return _TREND.validate_python(content.get("trend"))
+        except ValidationError as error:
+            raise ValueError(str(error.errors(include_url=False)[0]["msg"])) from error
+
+
+def _digest(content: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
