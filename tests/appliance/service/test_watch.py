@@ -1,0 +1,63 @@
+"""The watch over the calibration in use: alarms belong to a calibration, and one that nobody measured has no trend."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from appliance.calibration.file import Calibration
+from appliance.capture.fault import FaultCode
+from appliance.machine.alerts import alert_of
+from appliance.service.health import CalibrationWatch
+from hw_sim.knock import Knock, knocked
+from tests.support.gap_scans import calibrated, scan
+from tests.support.truth import WATER
+
+MADE = calibrated(1)
+CALIBRATION = Calibration("KF-0001", "bundle, spline", "2026-01-01", ("a test",), WATER, MADE.rig, 0.05)
+
+
+def watched(root: Path) -> CalibrationWatch:
+    """After two normal scans and one of a knocked instrument, all written down."""
+    watch = CalibrationWatch(root, CALIBRATION)
+    rng = np.random.default_rng(1)
+    turned = knocked(MADE.truth, Knock("right", pitch_deg=0.02))
+    for number, truth in enumerate((MADE.truth, MADE.truth, turned), 1):
+        verdict = watch.judge(scan(MADE, truth, rng))
+        assert verdict.passed is (number < 3)
+        write = watch.unwritten(f"{number:06d}")
+        assert write is not None
+        write()
+        assert watch.unwritten("again") is None
+    return watch
+
+
+def test_an_alarm_belongs_to_its_calibration(tmp_path: Path) -> None:
+    watch = watched(tmp_path)
+    assert watch.fault is not None
+    assert watch.fault.code is FaultCode.VERIFY_CALIBRATION
+    assert "right camera turned by +0.02" in watch.fault.detail
+    shown = alert_of(watch.fault)
+    assert (shown.headline, shown.action) == ("VERIFY CALIBR.", "CHECK WATER AND BALL BAR")
+
+    watch.use(replace(CALIBRATION, made_at="2026-02-01"))
+    assert watch.fault is None, "a new calibration begins with a clean slate"
+    watch.use(CALIBRATION)
+    assert watch.fault is not None, "the old one comes back with what was found"
+    again = CalibrationWatch(tmp_path, CALIBRATION)
+    assert again.fault == watch.fault
+    assert [point.scan for point in again.trend.points] == ["000001", "000002", "000003"]
+
+
+def test_a_calibration_that_was_never_measured_has_no_trend(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    turned = knocked(MADE.truth, Knock("right", pitch_deg=0.2))
+    for method in ("design", "air"):
+        watch = CalibrationWatch(tmp_path, replace(CALIBRATION, method=method))
+        verdict = watch.judge(scan(MADE, turned, rng))
+        assert verdict.passed is None
+        assert verdict.text == "not judged: the calibration was never measured in water"
+        assert watch.fault is None
+        assert watch.unwritten("000001") is None
