@@ -22,6 +22,7 @@ from appliance.calibration.artefact import Place, first_place
 from appliance.calibration.file import Calibration
 from appliance.calibration.judgement import Estimate, judged, warnings_about
 from appliance.calibration.recordings import ArtefactKind, Recording, RecordingError, thinned
+from appliance.calibration.start import check_start
 from appliance.optics.correction import INTERVALS, ImageCorrection, basis_matrix, node_count
 from appliance.optics.model import HousedCamera, StereoRig
 from appliance.optics.ray_shift import INTERVALS as SHIFT_INTERVALS
@@ -127,7 +128,7 @@ def adjust(
     chosen = settings or BundleSettings()
     if not any(r.kind is ArtefactKind.BALL_BAR for r in recordings):
         raise RecordingError("no recording of a ball bar; planes alone leave every length unknown; record a ball bar")
-    _check_start(start)
+    check_start(start)
     problem = _Problem(recordings, start.rig, rung, air_covariance, chosen)
     x = np.zeros(problem.size)
     hessian, gradient, cost, residuals = problem.linearise(x)
@@ -186,15 +187,6 @@ def adjust(
         air_covariance=None,
     )
     return BundleResult(calibration, per_recording, systematic, estimates, warnings, tuple(costs))
-
-
-def _check_start(start: Calibration) -> None:
-    for side, camera in (("left", start.rig.left), ("right", start.rig.right)):
-        if camera.lens_in_water or camera.correction is not None or camera.ray_shift is not None:
-            raise ValueError(
-                f"the {side} camera of the start ({start.method}) is no lens from air behind a port; start from the "
-                f"calibration in air"
-            )
 
 
 class _Problem:

@@ -8,48 +8,29 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibration.air import AirCalibration, BoardView, calibrate_air
+from appliance.calibration.air import AirCalibration, BoardView
 from appliance.calibration.bundle import BundleSettings, Rung, adjust
 from appliance.calibration.file import Calibration
 from appliance.calibration.interface import SearchResult, SearchSettings, Valley, search_distances
 from appliance.calibration.judgement import Estimate, systematic_px, warnings_about
+from appliance.calibration.method import Method
 from appliance.calibration.operator import search_with_operator
 from appliance.calibration.pinhole import mapped_through_ports
+from appliance.calibration.pinhole_in_water import calibrate_pinhole_in_water
 from appliance.calibration.recordings import ArtefactKind, Recording, RecordingError
 from appliance.calibration.residuals import Residuals, residuals_of
+from appliance.calibration.start import check_start
 from appliance.optics.model import HousedCamera, StereoRig
 from appliance.optics.printed import PrintedCamera
 
+__all__ = ["LadderResult", "LadderSettings", "Method", "calibrate"]
+
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]
-
-
-class Method(Enum):
-    """How a calibration in water is made."""
-
-    PM_MAPPED = "pm_mapped"
-    """The pinhole nearest to the refracted rays of the ports as drawn. Needs no recording."""
-    PM_WATER = "pm_water"
-    """A pinhole with distortion, calibrated from boards in this water."""
-    RM = "rm"
-    """Perpendicular ports, their distances searched (UIDD)."""
-    RMD = "rmd"
-    """RM, an operator from two planes, and the search once more."""
-    PAPER_RM_PRINTED = "paper_rm_printed"
-    """RM with Eq. 1 as it was printed. For comparison only: no file carries it."""
-    BA_PORTS = "ba_ports"
-    """Tilt and distance of both ports; the calibration in air is believed."""
-    BA_ALL = "ba_all"
-    """Also lenses and pose, held by the covariance of the calibration in air."""
-    BA_SPLINE = "ba_spline"
-    """Also a smooth image correction: the method to use."""
-    RAY_FIELD = "ray_field"
-    """Also a finer correction and a shift of every ray. Wants ten recordings and more."""
 
 
 RUNGS = {
@@ -119,6 +100,7 @@ def calibrate(
     """
     chosen = settings or LadderSettings()
     say = progress or _silent
+    check_start(start)
     say(f"calibrating: {method.value}")
     estimates: tuple[Estimate, ...] = ()
     warnings: tuple[str, ...] = ()
@@ -129,7 +111,9 @@ def calibrate(
             water = recordings[0].water if recordings else start.water
             calibration = mapped_through_ports(start, water)
         case Method.PM_WATER:
-            calibration = _pinhole_in_water(boards, recordings, start)
+            water = recordings[0].water if recordings else start.water
+            size = start.rig.left.width_px, start.rig.left.height_px
+            calibration = calibrate_pinhole_in_water(boards, start.rig_serial, water, *size)
         case Method.RM | Method.RMD | Method.PAPER_RM_PRINTED:
             searched = _searched(method, recordings, start, chosen.search)
             calibration, warnings, valley = searched.calibration, searched.warnings, searched.valley
@@ -188,25 +172,6 @@ def _printed(camera: HousedCamera) -> PrintedCamera:
         camera.rotation,
         camera.translation_mm,
         camera.correction,
-    )
-
-
-def _pinhole_in_water(boards: Sequence[BoardView], recordings: Sequence[Recording], start: Calibration) -> Calibration:
-    """The calibration in air's own adjustment, on boards in water; ports as drawn are kept and mean nothing."""
-    left, right = start.rig.left, start.rig.right
-    found = calibrate_air(boards, left.width_px, left.height_px)
-    rig = StereoRig(
-        replace(found.rig.left, port=left.port, lens_in_water=True),
-        replace(found.rig.right, port=right.port, lens_in_water=True),
-    )
-    return replace(
-        start,
-        method="pinhole, boards in water",
-        made_from=tuple(f"board {view.name}" for view in boards),
-        water=recordings[0].water if recordings else start.water,
-        rig=rig,
-        residual_px=found.residual_px,
-        air_covariance=None,
     )
 
 

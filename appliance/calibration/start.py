@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from appliance.calibration.air import AirCalibration
 from appliance.calibration.file import Calibration
+from appliance.calibration.recordings import RecordingError
 from appliance.optics.model import StereoRig
 
 METHOD = "air"
@@ -28,3 +29,13 @@ def start_from_air(
         residual_px=air.residual_px,
         air_covariance=tuple(tuple(float(v) for v in row) for row in symmetric),
     )
+
+
+def check_start(start: Calibration) -> None:
+    """Raises RecordingError unless ``start`` has plain lenses behind ports, as a calibration in air and a drawing have."""
+    for side, camera in (("left", start.rig.left), ("right", start.rig.right)):
+        if camera.lens_in_water or camera.correction is not None or camera.ray_shift is not None:
+            raise RecordingError(
+                f"the {side} camera of the start ({start.method}) is no plain lens behind a port; start from the "
+                f"calibration in air"
+            )

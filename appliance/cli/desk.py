@@ -30,6 +30,11 @@ def usable_scan(rig: Rig, scan: str, calibration: Path | None) -> Path:
     return folder
 
 
+def place_of(listed: Path, scan: str) -> str:
+    """What a list means by ``scan``: a folder is relative to the list, a number is one of the storage root."""
+    return str(listed.parent / scan) if "/" in scan else scan
+
+
 def writable(out: Path | None) -> None:
     """Raises UsageError for an ``--out`` that cannot become a file, before the work is done."""
     if out is None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from appliance import kernel_cache
-from appliance.cli.desk import usable_scan, writable, writing
+from appliance.cli.desk import place_of, usable_scan, writable, writing
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json
 from appliance.config import Rig
 from appliance.storage.atomic import replace_file
@@ -40,7 +40,7 @@ def evaluate(rig: Rig, listed: Path, calibration: Path | None, out: Path | None,
         folders = []
         for k, entry in enumerate(scans.entries):
             progress(f"comparing checksums of {entry.scan}", SCANS_CHECKED * k / len(scans.entries))
-            folders.append(usable_scan(rig, _place(listed, entry.scan), calibration))
+            folders.append(usable_scan(rig, place_of(listed, entry.scan), calibration))
 
         def step(what: str, part: float) -> None:
             progress(what, SCANS_CHECKED + (1.0 - SCANS_CHECKED) * part)
@@ -56,11 +56,6 @@ def evaluate(rig: Rig, listed: Path, calibration: Path | None, out: Path | None,
     else:
         _tell(content, page)
     return Exit.OK if evaluation.complete else Exit.FAILED
-
-
-def _place(listed: Path, scan: str) -> str:
-    """A folder in the list is meant relative to the list, a number is one of the storage root."""
-    return str(listed.parent / scan) if "/" in scan else scan
 
 
 def _tell(content: dict[str, Any], page: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -11,7 +12,9 @@ from typing import Any, NoReturn
 
 from appliance import __version__
 from appliance.calibration.file import CalibrationError
-from appliance.cli import evaluate, health, measure, scans, verbs
+from appliance.calibration.method import Method
+from appliance.calibration.recordings import RecordingError
+from appliance.cli import calibrate, evaluate, health, measure, scans, verbs
 from appliance.cli.output import Exit, UsageError, complain, log_lines
 from appliance.cli.simrig import OBJECTS, PACES, TEXTURES, TRUTHS, SimOptions, default_sim_rig
 from appliance.config import ConfigError, Rig, default_rig_path, load_rig
@@ -48,7 +51,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (ConfigError, UsageError) as error:
         complain(str(error), as_json=arguments.json)
         return Exit.USAGE
-    except (StorageError, UnknownScan, ScanError, CalibrationError, DeviceError) as error:
+    except (StorageError, UnknownScan, ScanError, CalibrationError, RecordingError, DeviceError) as error:
         complain(str(error), as_json=arguments.json)
         return Exit.FAILED
     except BrokenPipeError:
@@ -165,6 +168,7 @@ def _grammar() -> _Parser:
     _add_calibration(add, commands, rig, root)
     _add_measure(add, commands, rig, root)
     _add_health(add, commands, rig, root)
+    _add_calibrate(add, commands, rig, root)
     warm = add(
         commands,
         "warm",
@@ -297,6 +301,64 @@ def _percent(text: str) -> float:
     if not 0.0 < value <= 10.0:
         raise argparse.ArgumentTypeError(f"{text}: allowed are numbers above 0, up to 10")
     return value
+
+
+def _add_calibrate(
+    add: _Add,
+    commands: argparse._SubParsersAction[_Parser],
+    rig: _Parser,
+    root: _Parser,
+) -> None:
+    group = commands.add_parser("calibrate", help="make calibrations", epilog=EXIT_CODES)
+    inner = group.add_subparsers(required=True, metavar="VERB", parser_class=_Parser)
+    water = add(
+        inner,
+        "water",
+        "calibrate from scans of ball bars and planes in water (docs/calibration.md)",
+        lambda a: calibrate.water(_rooted(a), a.list, _water_options(a), json=a.json),
+        rig,
+        root,
+    )
+    usual = calibrate.WaterOptions()
+    water.add_argument("list", metavar="LIST", type=Path, help="which artefact each scan shows, as for evaluate")
+    water.add_argument("--method", choices=[m.value for m in Method], default=usual.method, help="default: %(default)s")
+    water.add_argument("--start", type=Path, metavar="FILE", help="default: the instrument's calibration in air")
+    water.add_argument("--out", type=Path, metavar="FILE", help="the calibration; beside it FILE-report.html and .json")
+    water.add_argument(
+        "--published-flatness", action="store_true", help="rm, rmd: flatness from the points, noise and all"
+    )
+    water.add_argument("--reach-mm", type=_positive, metavar="MM", help="rm, rmd: search so far around the drawing")
+    water.add_argument(
+        "--steps-mm",
+        type=_positives,
+        metavar="MM,MM",
+        help="rm, rmd: step widths, each around the best of the one before",
+    )
+
+
+def _water_options(arguments: argparse.Namespace) -> calibrate.WaterOptions:
+    return calibrate.WaterOptions(
+        method=arguments.method,
+        start=arguments.start,
+        out=arguments.out,
+        published_flatness=arguments.published_flatness,
+        reach_mm=arguments.reach_mm,
+        steps_mm=arguments.steps_mm,
+    )
+
+
+def _positive(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0.01 <= value <= 50.0:
+        raise argparse.ArgumentTypeError(f"{text}: allowed are numbers 0.01..50 (mm)")
+    return value
+
+
+def _positives(text: str) -> tuple[float, ...]:
+    return tuple(_positive(part) for part in text.split(","))
 
 
 def _seed(text: str) -> int:

@@ -2,24 +2,18 @@
 
 from __future__ import annotations
 
-import base64
 import html
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from appliance.evaluation.page import PAGE_END, figure, page_head, rows, table
 from appliance.evaluation.pictures import deviation_map, histogram, scale_mm
 from appliance.evaluation.points import OUTLIER_SHARE, NotFound, Used
 from appliance.evaluation.result import Artefact, Result
 
 SCHEMA = 1
 TITLE = "Evaluation after VDI/VDE 2634"
-_STYLE = (
-    "body{font:15px/1.45 sans-serif;max-width:60em;margin:2em auto;padding:0 1em;color:#222}"
-    "table{border-collapse:collapse;margin:.6em 0}td,th{border:1px solid #bbb;padding:.2em .6em;text-align:left}"
-    "img{max-width:100%;border:1px solid #bbb}figure{display:inline-block;margin:.4em}figcaption{font-size:.85em}"
-    ".no{color:#a00;font-weight:bold}"
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,11 +77,10 @@ def as_html(evaluation: Evaluation) -> str:
     """The page; pictures are in it as PNG, and nothing is loaded from elsewhere."""
     content = as_json(evaluation)
     parts = [
-        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{TITLE}</title><style>{_STYLE}</style>',
-        f"<h1>{TITLE}</h1>",
-        _table(content["about"]),
+        page_head(TITLE),
+        table(content["about"]),
         "<h2>Largest errors, mean noise</h2>",
-        _table(content["summary"]),
+        table(content["summary"]),
         (
             f"<p>E_L = (measured − calibrated)/calibrated. E_F = range of the distances to the best-fit plane / d_r, "
             f"d_r = {evaluation.reference_mm:g} mm; E_F,sys is that of a bivariate cubic through them. At most "
@@ -98,14 +91,14 @@ def as_html(evaluation: Evaluation) -> str:
         parts.append(f"<h2>Scan {html.escape(item.scan)}: {item.result.artefact.value}</h2>")
         if written["reason"] is not None:
             parts.append(f'<p class="no">Not evaluated: {html.escape(written["reason"])}.</p>')
-        parts.append(_table({key: written[key] for key in ("e_f_percent", "e_f_sys_percent", "noise_mm")}))
+        parts.append(table({key: written[key] for key in ("e_f_percent", "e_f_sys_percent", "noise_mm")}))
         if written["lengths"]:
-            parts.append(_rows(written["lengths"]))
+            parts.append(rows(written["lengths"]))
         if written["surfaces"]:
-            parts.append(_rows(written["surfaces"]))
+            parts.append(rows(written["surfaces"]))
         parts += [_pictures(n, u, evaluation.left_width_px) for n, u in item.result.surfaces.items()]
-        parts.append(_table(written["provenance"]))
-    return "\n".join([*parts, "</html>", ""])
+        parts.append(table(written["provenance"]))
+    return "\n".join([*parts, PAGE_END])
 
 
 def _item(item: Item) -> dict[str, Any]:
@@ -145,30 +138,5 @@ def _pictures(name: str, used: Used, width_px: int) -> str:
     limit_um = 1000.0 * scale_mm(used)
     figures = []
     for what, data in (("deviation", deviation_map(used, width_px)), ("histogram", histogram(used))):
-        text = html.escape(f"{name}: {what}, ±{limit_um:.0f} µm")
-        source = base64.b64encode(data).decode()
-        figures.append(
-            f'<figure><img alt="{text}" src="data:image/png;base64,{source}"><figcaption>{text}</figcaption></figure>'
-        )
+        figures.append(figure(f"{name}: {what}, ±{limit_um:.0f} µm", data))
     return "".join(figures)
-
-
-def _table(values: Mapping[str, Any]) -> str:
-    rows = "".join(f"<tr><th>{html.escape(str(k))}</th><td>{_cell(v)}</td></tr>" for k, v in values.items())
-    return f"<table>{rows}</table>"
-
-
-def _rows(rows: Sequence[Mapping[str, Any]]) -> str:
-    head = "".join(f"<th>{html.escape(key)}</th>" for key in rows[0])
-    body = "".join("<tr>" + "".join(f"<td>{_cell(v)}</td>" for v in row.values()) + "</tr>" for row in rows)
-    return f"<table><tr>{head}</tr>{body}</table>"
-
-
-def _cell(value: Any) -> str:
-    if value is None:
-        return "–"
-    if isinstance(value, float):
-        return f"{value:.4g}" if abs(value) < 10 else f"{value:.4f}"
-    if isinstance(value, Mapping):
-        return "; ".join(f"{html.escape(str(k))} {_cell(v)}" for k, v in value.items()) or "–"
-    return html.escape(str(value))

@@ -168,6 +168,12 @@ def test_without_a_covariance_only_ports_can_be_adjusted(case: Case) -> None:
     assert calibrate(Method.BA_PORTS, case.recordings, bare).unobserved == ()
 
 
+def test_nothing_starts_from_a_finished_calibration(case: Case) -> None:
+    for method in (Method.BA_SPLINE, Method.PM_WATER):
+        with pytest.raises(RecordingError, match="start from the calibration in air"):
+            calibrate(Method.RM, case.recordings, case.results[method].calibration)
+
+
 def test_progress_is_told(case: Case) -> None:
     told: list[str] = []
     calibrate(Method.PM_MAPPED, case.recordings, case.start, progress=told.append)

@@ -1,0 +1,118 @@
+"""Owns the verbs that calibrate from stored scans in water, and the one that brings the calibration of before back."""
+
+from __future__ import annotations
+
+import json as json_form
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from appliance import kernel_cache
+from appliance.calibration import file as calibration_file
+from appliance.calibration.method import Method
+from appliance.cli.desk import place_of, usable_scan, writable, writing
+from appliance.cli.output import Exit, Progress, UsageError, say, say_json
+from appliance.config import Rig
+from appliance.storage.atomic import replace_file
+from appliance.storage.filesystem import LocalFileSystem
+
+if TYPE_CHECKING:  # solvers are imported inside the verbs: `scans list` can do without
+    from appliance.calibration.ladder import LadderSettings
+
+DEFAULT_OUT = Path("calibration-water.json")
+SCANS_CHECKED = 0.1
+"""The part of the progress that comparing checksums gets."""
+
+
+@dataclass(frozen=True, slots=True)
+class WaterOptions:
+    """What was typed after ``calibrate water LIST``."""
+
+    method: str = Method.BA_SPLINE.value
+    start: Path | None = None
+    out: Path | None = None
+    published_flatness: bool = False
+    reach_mm: float | None = None
+    steps_mm: tuple[float, ...] | None = None
+
+    def settings(self) -> LadderSettings:
+        """Of the searches."""
+        from appliance.calibration.interface import SearchSettings
+        from appliance.calibration.ladder import LadderSettings
+
+        search = SearchSettings(noise_free=not self.published_flatness)
+        if self.reach_mm is not None:
+            search = replace(search, reach_mm=self.reach_mm)
+        if self.steps_mm is not None:
+            search = replace(search, steps_mm=self.steps_mm)
+        return LadderSettings(search=search)
+
+
+def water(rig: Rig, listed: Path, options: WaterOptions, *, json: bool) -> Exit:
+    """Calibrate from the list's scans; FAILED if an artefact was not found, after all else was done without it."""
+    method = Method(options.method)
+    target = options.out or DEFAULT_OUT
+    page, data = (target.with_name(f"{target.stem}-report{ending}") for ending in (".html", ".json"))
+    for path in (target, page, data):
+        writable(path)
+    if target.exists():
+        raise UsageError(f"--out {target}: exists already; a calibration is never replaced; give a new name")
+    if data.absolute() == listed.absolute():
+        raise UsageError(f"--out {target}: {data} is the list itself; give another name")
+    kernel_cache.use()  # before anything brings compiled kernels
+    from appliance.service.evaluation import ListError, read_list
+    from appliance.service.water_calibration import check_list, run_water_calibration, start_of
+
+    try:
+        scans = read_list(listed)
+        check_list(scans, method)
+    except ListError as error:
+        raise UsageError(str(error)) from error
+    start = start_of(rig, options.start)
+    with Progress() as progress:
+        folders = []
+        for k, entry in enumerate(scans.entries):
+            progress(f"comparing checksums of {entry.scan}", SCANS_CHECKED * k / len(scans.entries))
+            folders.append(usable_scan(rig, place_of(listed, entry.scan), options.start))
+
+        def step(what: str, part: float) -> None:
+            progress(what, SCANS_CHECKED + (1.0 - SCANS_CHECKED) * part)
+
+        made_at = datetime.now(UTC).isoformat(timespec="seconds")
+        made = run_water_calibration(rig, scans, folders, start, method, made_at, step, options.settings())
+    content = made.as_json()
+    text = json_form.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    files = {page: made.as_html().encode(), data: text.encode()}
+    if made.result.can_be_saved:
+        files[target] = calibration_file.encode(made.result.calibration)
+    for path, written in files.items():
+        with writing(path):
+            replace_file(LocalFileSystem(), path, written)
+    if json:
+        say_json(content)
+    else:
+        _tell(content, page, target if made.result.can_be_saved else None)
+    return Exit.FAILED if made.left_out else Exit.OK
+
+
+def _tell(content: dict[str, Any], page: Path, calibration: Path | None) -> None:
+    for scan, reason in content["left_out"].items():
+        say(f"{scan} not used: {reason}")
+    for warning in content["warnings"]:
+        say(f"warning: {warning}")
+    for recording in content["recordings"]:
+        say(f"{recording['name']:<24} {recording['points']} points, {recording['residual_px']:.4f} px")
+    for key in ("residual_px", "systematic_px"):
+        value = content[key]
+        say(f"{key:<24} {'-' if value is None else f'{value:.4f}'}")
+    for side, port in content["ports"].items():
+        after = port["after"]
+        say(
+            f"{side + ' port':<24} d {after['distance_mm']:.3f} mm, "
+            f"tilt {after['tilt_x_deg']:+.3f}° {after['tilt_y_deg']:+.3f}°"
+        )
+    if content["unobserved"]:
+        say(f"{'not seen':<24} {', '.join(content['unobserved'])}")
+    say(f"{'report':<24} {page}")
+    say(f"{'calibration':<24} {calibration or '- (this model is for comparison only)'}")

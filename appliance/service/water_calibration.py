@@ -1,0 +1,118 @@
+"""Owns a calibration in water from list to result: which scan shows what, each reconstructed, all of them adjusted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from appliance import __version__
+from appliance.calibration import file as calibration_file
+from appliance.calibration import report
+from appliance.calibration.extract import Certificate
+from appliance.calibration.file import Calibration
+from appliance.calibration.ladder import LadderResult, LadderSettings, Method, calibrate
+from appliance.config import Rig
+from appliance.evaluation.points import NotFound
+from appliance.evaluation.result import Artefact
+from appliance.service.app import CALIBRATION_FILE, design_of
+from appliance.service.evaluation import Entry, ListError, ScanList
+from appliance.service.recordings import recording_of_scan
+
+AIR_FILE = CALIBRATION_FILE.with_name("air.json")
+RECONSTRUCTED = 0.8
+"""The part of the progress that the scans get."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WaterCalibration:
+    """What came of a list of recordings."""
+
+    result: LadderResult
+    start: Calibration
+    about: Mapping[str, Any]
+    """Who, serials, version, dates: JSON-ready."""
+    left_out: Mapping[str, str]
+    """Scans whose artefact was not found, with the reason in words."""
+
+    def as_json(self) -> dict[str, Any]:
+        """The report for programs."""
+        return report.as_json(self.result, self.start, self.about, self.left_out)
+
+    def as_html(self) -> str:
+        """The report for people."""
+        return report.as_html(self.result, self.start, self.about, self.left_out)
+
+
+def start_of(rig: Rig, path: Path | None) -> Calibration:
+    """Where a calibration in water begins: ``path``; else the instrument's calibration in air; else the drawing.
+
+    Raises CalibrationError.
+    """
+    if path is not None:
+        return calibration_file.load(path)
+    in_air = rig.storage.root / AIR_FILE
+    return calibration_file.load(in_air) if in_air.exists() else design_of(rig)
+
+
+def check_list(listed: ScanList, method: Method) -> None:
+    """Raises ListError for what cannot calibrate, before the work is done."""
+    for entry in listed.entries:
+        if entry.artefact is Artefact.FRUSTUM:
+            raise ListError(
+                f"scan {entry.scan} shows a frustum; ball bars and planes calibrate, a frustum only evaluates; "
+                f"take it out of the list"
+            )
+    if method is Method.PM_WATER:
+        raise ListError(
+            "method pm_water needs boards recorded in water, not scans; see `kingfisher calibrate air --help`"
+        )
+
+
+def run_water_calibration(
+    rig: Rig,
+    listed: ScanList,
+    folders: Sequence[Path],
+    start: Calibration,
+    method: Method,
+    made_at: str,
+    progress: Callable[[str, float], None],
+    settings: LadderSettings | None = None,
+) -> WaterCalibration:
+    """Reconstruct every scan of the list and calibrate; ``folders`` are theirs, in its order, with whole raw frames.
+
+    ``made_at`` is the date for the file, ISO 8601. Raises ListError, ScanError, RecordingError.
+    """
+    check_list(listed, method)
+    recordings, left_out = [], {}
+    for k, (entry, folder) in enumerate(zip(listed.entries, folders, strict=True)):
+        at = RECONSTRUCTED * k / len(folders)
+
+        def step(what: str, at: float = at, name: str = folder.name) -> None:
+            progress(f"{name}: {what}", at)
+
+        found = recording_of_scan(folder, _certificate(entry), start, step)
+        if isinstance(found, NotFound):
+            left_out[folder.name] = found.reason
+        else:
+            recordings.append(found)
+    waters = {(r.water.temperature_c, r.water.salinity_psu) for r in recordings}
+    result = calibrate(method, recordings, start, None, settings, lambda what: progress(what, RECONSTRUCTED))
+    result = replace(result, calibration=replace(result.calibration, rig_serial=rig.rig.serial, made_at=made_at))
+    about = {
+        "operator": listed.operator,
+        "rig_serial": rig.rig.serial,
+        "made_at": made_at,
+        "software_version": __version__,
+        "waters": len(waters),
+        "artefact_serials": ", ".join(sorted({e.serial for e in listed.entries if e.serial is not None})) or None,
+    }
+    return WaterCalibration(result, start, about, left_out)
+
+
+def _certificate(entry: Entry) -> Certificate | None:
+    if entry.artefact is Artefact.PLANE:
+        return None
+    usual = Certificate(entry.calibrated_mm["length"], radius_mm=entry.radius_mm)
+    return usual if entry.length_sd_mm is None else replace(usual, length_sd_mm=entry.length_sd_mm)
