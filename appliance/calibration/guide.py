@@ -114,6 +114,14 @@ class Verified:
     sigma: float
     """Standard uncertainty of ``after`` from the noise of the points and from the certificate, relative as well."""
 
+    @property
+    def better(self) -> bool | None:
+        """Whether the length came out better than before; ``None`` where the difference may be chance (two sigma)."""
+        if self.before is None:
+            return True
+        gain = abs(self.before) - abs(self.after)
+        return None if abs(gain) <= 2.0 * self.sigma else gain > 0.0
+
 
 @dataclass(frozen=True, slots=True)
 class Session:

@@ -10,15 +10,17 @@ from appliance.calibration.recordings import ArtefactKind
 from appliance.machine.states import Task
 from appliance.screens import theme
 from appliance.screens.canvas import Align, Canvas
+from appliance.screens.frame import alerts_top
 from appliance.screens.sketch import FROM_THE_SIDE, sketch_depth, sketch_front
 from appliance.screens.texts import Language, Text, worded
-from appliance.screens.theme import BLACK, BODY, BOLD, CAPTION, HUGE, REGULAR, TITLE
+from appliance.screens.theme import BAR_PX, BLACK, BODY, BOLD, CAPTION, HUGE, REGULAR, TITLE
 from appliance.screens.views import CalibrateView
 
 _TOP_PX, _SKETCH_PX = 68.0, 180.0
 _LIVE_PX = (400.0, 300.0)
 _WORDS_PX = 392.0
-_BAND_PX, _BAND_HEIGHT_PX = 374.0, 52.0
+_BAND_PX, _FAILURE_PX = 52.0, 104.0
+"""Heights of one line, and of a reason in up to three."""
 _TICKS_PX = 456.0
 
 _HOLD = {
@@ -27,6 +29,11 @@ _HOLD = {
     Step.M3: (Text.PLANE_NEAR, Text.FROM_THE_SIDE),
     Step.M4: (Text.PLANE_FAR, Text.FROM_THE_SIDE),
     Step.VERIFY: (Text.LEVEL, Text.FROM_ABOVE),
+}
+_VERDICTS = {
+    True: (Text.BETTER, theme.GREEN),
+    None: (Text.NO_DIFFERENCE, theme.WHITE),
+    False: (Text.WORSE, theme.YELLOW),
 }
 _TASKS = {
     Task.STORE: Text.STORING,
@@ -41,16 +48,16 @@ def draw_calibrate(canvas: Canvas, view: CalibrateView, language: Language, time
     title = worded(view.step.value, language)
     if view.step in HELD:
         artefact = Text.BALL_BAR if HELD[view.step] is ArtefactKind.BALL_BAR else Text.PLANE
-        title = f"{title.strip()}  {artefact.in_language(language)}"
+        title = f"{title}  {artefact.in_language(language)}"
     canvas.words(title, canvas.width / 2, 44, TITLE, BLACK, align=Align.CENTRE, max_width=390)
     if view.step in HELD:
         _how(canvas, view.step, language)
         _live(canvas, view.left, language)
-        _latest(canvas, view, language, time_s)
     elif view.step is Step.SOLVE:
-        _solve(canvas, view, language, time_s)
+        _solve(canvas, view, language)
     else:
-        _result(canvas, view, language, time_s)
+        _result(canvas, view, language)
+    _latest(canvas, view, language, time_s)
     _ticks(canvas, view)
 
 
@@ -113,65 +120,54 @@ def _live(canvas: Canvas, pixels: NDArray[np.uint8] | None, language: Language) 
 
 
 def _latest(canvas: Canvas, view: CalibrateView, language: Language, time_s: float) -> None:
-    """The band between picture and labels: what is done now, or what became of the latest recording."""
-    at, top = view.at, _BAND_PX
+    """The band over the lower labels, or over an alert: what is done now, or what became of the latest recording."""
+    at = view.at
+    bottom = alerts_top(canvas, view.alerts) if view.alerts else canvas.height - BAR_PX + 8
+    trial = at.latest or view.session.trial(view.step)
     if at.task is not None:
-        _working(canvas, view, language, time_s, top)
-        return
-    if at.failed is not None:
-        _band(canvas, theme.YELLOW, theme.INK, Text.FAILED_TASK.in_language(language), at.failed, "")
-        return
-    trial = at.latest
-    if trial is None:
-        done = view.session.trial(view.step)
-        if done is not None:
-            _accepted(canvas, done, language)
-        return
-    if trial.refusal is None:
-        _accepted(canvas, trial, language)
-        return
-    what, why = refusal_words(trial)
-    number = "" if trial.number is None else f"{trial.number:.3g} {UNITS[trial.refusal]}".replace(" °", "°")
-    _band(canvas, theme.YELLOW, theme.INK, what.in_language(language), why.in_language(language), number)
+        _working(canvas, at.task, at.progress, language, time_s, bottom)
+    elif at.failed is not None:
+        canvas.box(0, bottom - _FAILURE_PX, canvas.width, _FAILURE_PX, theme.YELLOW)
+        canvas.paragraph(at.failed, 16, bottom - _FAILURE_PX + 32, CAPTION - 2, theme.INK, canvas.width - 32, 3)
+    elif trial is not None and trial.refusal is None:
+        number = "" if trial.number is None else f"{1000.0 * trial.number:.0f} µm"
+        what = f"{worded(trial.step.value, language)} {Text.ACCEPTED.in_language(language)}"
+        _band(canvas, theme.GREEN, what, f"{trial.points} {Text.POINTS.in_language(language)}", number, bottom)
+    elif trial is not None and trial.refusal is not None:
+        words, why = refusal_words(trial)
+        number = "" if trial.number is None else f"{trial.number:.3g} {UNITS[trial.refusal]}".replace(" °", "°")
+        _band(canvas, theme.YELLOW, words.in_language(language), why.in_language(language), number, bottom)
+    elif view.step is Step.SOLVE:
+        said = Text.SOME_SECONDS.in_language(language)
+        canvas.words(said, canvas.width / 2, bottom - 16, CAPTION, REGULAR, theme.MUTED, Align.CENTRE)
 
 
-def _accepted(canvas: Canvas, trial: Trial, language: Language) -> None:
-    number = "" if trial.number is None else f"{1000.0 * trial.number:.0f} µm"
-    name = worded(trial.step.value, language).strip()
-    _band(
-        canvas,
-        theme.GREEN,
-        theme.INK,
-        f"{name} {Text.ACCEPTED.in_language(language)}",
-        f"{trial.points} {Text.POINTS.in_language(language)}",
-        number,
-    )
-
-
-def _band(canvas: Canvas, fill: theme.Colour, ink: theme.Colour, what: str, why: str, number: str) -> None:
-    canvas.box(0, _BAND_PX, canvas.width, _BAND_HEIGHT_PX, fill)
-    x = 16 + canvas.words(what, 16, _BAND_PX + 38, BODY + 2, BLACK, ink, max_width=300) + 18
+def _band(canvas: Canvas, fill: theme.Colour, what: str, why: str, number: str, bottom: float) -> None:
+    top, ink = bottom - _BAND_PX, theme.INK
+    canvas.box(0, top, canvas.width, _BAND_PX, fill)
+    x = 16 + canvas.words(what, 16, top + 38, BODY + 2, BLACK, ink, max_width=300) + 18
     right = canvas.width - 16
     if number:
-        right -= canvas.words(number, right, _BAND_PX + 38, BODY + 2, BLACK, ink, Align.RIGHT) + 18
-    canvas.words(why, x, _BAND_PX + 36, CAPTION, BOLD, ink, max_width=max(40.0, right - x))
+        right -= canvas.words(number, right, top + 38, BODY + 2, BLACK, ink, Align.RIGHT) + 18
+    canvas.words(why, x, top + 36, CAPTION, BOLD, ink, max_width=max(40.0, right - x))
 
 
-def _working(canvas: Canvas, view: CalibrateView, language: Language, time_s: float, top: float) -> None:
-    at = view.at
-    if at.task is None:
-        return
-    canvas.words(_TASKS[at.task].in_language(language), 16, top + 38, BODY, BLACK, max_width=300)
+def _working(
+    canvas: Canvas, task: Task, progress: float | None, language: Language, time_s: float, bottom: float
+) -> None:
+    top = bottom - _BAND_PX
+    canvas.box(0, top, canvas.width, _BAND_PX, theme.INK)
+    canvas.words(_TASKS[task].in_language(language), 16, top + 38, BODY, BLACK, max_width=300)
     left, width = 330.0, canvas.width - 346.0
     canvas.box(left, top + 12, width, 28, theme.PANEL, 14)
-    if at.progress is not None:
-        canvas.box(left, top + 12, max(28.0, width * min(1.0, at.progress)), 28, theme.AQUA, 14)
+    if progress is not None:
+        canvas.box(left, top + 12, max(28.0, width * min(1.0, progress)), 28, theme.AQUA, 14)
     else:  # something that moves, without pretending to a length
         swing = 1.0 - abs(2.0 * (0.4 * time_s % 1.0) - 1.0)
         canvas.box(left + (width - 120.0) * swing, top + 12, 120, 28, theme.AQUA, 14)
 
 
-def _solve(canvas: Canvas, view: CalibrateView, language: Language, time_s: float) -> None:
+def _solve(canvas: Canvas, view: CalibrateView, language: Language) -> None:
     middle = canvas.width / 2
     canvas.words(Text.FOUR_READY.in_language(language), middle, 124, TITLE, BLACK, align=Align.CENTRE, max_width=760)
     for row, step in enumerate(USED):
@@ -192,37 +188,27 @@ def _solve(canvas: Canvas, view: CalibrateView, language: Language, time_s: floa
         )
         if trial.number is not None:
             canvas.words(f"{1000.0 * trial.number:.0f} µm", 690, baseline, BODY, BOLD, align=Align.RIGHT)
-    if view.at.task is None and view.at.failed is None:
-        canvas.words(
-            Text.SOME_SECONDS.in_language(language), middle, _BAND_PX + 36, CAPTION, REGULAR, theme.MUTED, Align.CENTRE
-        )
-    elif view.at.failed is not None:
-        canvas.box(0, 322, canvas.width, 104, theme.YELLOW)
-        canvas.paragraph(view.at.failed, 16, 352, CAPTION - 2, theme.INK, canvas.width - 32, 3)
-    else:
-        _working(canvas, view, language, time_s, _BAND_PX)
 
 
-def _result(canvas: Canvas, view: CalibrateView, language: Language, time_s: float) -> None:
+def _result(canvas: Canvas, view: CalibrateView, language: Language) -> None:
     session = view.session
     canvas.words(Text.LENGTH_ERROR.in_language(language), canvas.width / 2, 104, BODY, BOLD, theme.MUTED, Align.CENTRE)
     verified = session.verified
     before = None if verified is None else verified.before
     new = None if verified is None else verified.after
-    better = before is None or (new is not None and abs(new) < abs(before))
     for left, name, value, used in (
         (20.0, Text.BEFORE, before, not session.in_use),
         (410.0, Text.NEW, new, session.in_use),
     ):
         canvas.box(left, 120, 370, 190, theme.DEEP, 20, theme.AQUA if used else theme.LINE, 6 if used else 3)
-        canvas.words(name.in_language(language).strip(), left + 24, 164, BODY, BLACK, theme.MUTED)
+        canvas.words(name.in_language(language), left + 24, 164, BODY, BLACK, theme.MUTED)
         text = "—" if value is None else f"{100.0 * abs(value):.3f} %"
         canvas.words(text, left + 185, 248, HUGE - 18, BLACK, align=Align.CENTRE, max_width=340)
         if used:
             canvas.words(Text.IN_USE.in_language(language), left + 346, 164, CAPTION, BOLD, theme.AQUA, Align.RIGHT)
-    verdict, colour = (Text.BETTER, theme.GREEN) if better else (Text.WORSE, theme.YELLOW)
-    canvas.words(verdict.in_language(language), 434, 296, BODY, BLACK, colour)
     if verified is not None:
+        verdict, colour = _VERDICTS[verified.better]
+        canvas.words(verdict.in_language(language), 434, 296, BODY, BLACK, colour)
         said = f"± {100.0 * verified.sigma:.3f} %"
         canvas.words(said, 756, 296, CAPTION, BOLD, theme.MUTED, Align.RIGHT)
     if session.solved is not None:
@@ -231,10 +217,6 @@ def _result(canvas: Canvas, view: CalibrateView, language: Language, time_s: flo
         if session.solved.warnings:
             said = f"{Text.WARNINGS.in_language(language)}: {len(session.solved.warnings)}"
             canvas.words(said, canvas.width - 20, 350, CAPTION, BOLD, theme.YELLOW, Align.RIGHT, 370)
-    if view.at.task is not None:
-        _working(canvas, view, language, time_s, _BAND_PX)
-    elif view.at.failed is not None:
-        _band(canvas, theme.YELLOW, theme.INK, Text.FAILED_TASK.in_language(language), view.at.failed, "")
 
 
 def _ticks(canvas: Canvas, view: CalibrateView) -> None:

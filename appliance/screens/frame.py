@@ -48,7 +48,7 @@ def draw_alerts(canvas: Canvas, alerts: Sequence[Alert], language: Language, tim
     gravest = max(alerts, key=lambda alert: alert.severity)
     critical = gravest.severity is Severity.CRITICAL
     height = CRITICAL_PX if critical else ALERT_PX
-    top = canvas.height - BAR_PX - height
+    top = alerts_top(canvas, alerts)
     fill, ink, edge = alert_colours(gravest.severity, time_s)
     canvas.box(0, top, canvas.width, height, fill, edge=edge, edge_width=7)
     badge = height - 40
@@ -63,6 +63,12 @@ def draw_alerts(canvas: Canvas, alerts: Sequence[Alert], language: Language, tim
     if more:
         canvas.box(canvas.width - 96, top + height / 2 - 28, 72, 56, ink, 28)
         canvas.words(f"+{more}", canvas.width - 60, top + height / 2 + 11, theme.BODY + 2, BLACK, fill, Align.CENTRE)
+
+
+def alerts_top(canvas: Canvas, alerts: Sequence[Alert]) -> float:
+    """Where the band of these alerts (at least one) begins."""
+    critical = max(alert.severity for alert in alerts) is Severity.CRITICAL
+    return canvas.height - BAR_PX - (CRITICAL_PX if critical else ALERT_PX)
 
 
 def alert_colours(severity: Severity, time_s: float) -> tuple[theme.Colour, theme.Colour, theme.Colour]:

@@ -7,13 +7,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from appliance.calibration import file as calibration_file
-from appliance.calibration.bundle import Rung, adjust
 from appliance.calibration.extract import MAX_GAP_MM, Certificate, extract
-from appliance.calibration.file import Calibration
+from appliance.calibration.file import Calibration, CalibrationError
 from appliance.calibration.guide import HELD, USED, Refusal, Solved, Step, Trial, Verified
+from appliance.calibration.ladder import Method, calibrate
 from appliance.calibration.poses import FoundBar, FoundPlane, judge_bar, judge_plane
 from appliance.calibration.recordings import ArtefactKind, Recording, RecordingError
 from appliance.config import Rig
@@ -25,7 +24,7 @@ from appliance.reconstruct.noise import StereoNoise
 from appliance.reconstruct.pipeline import Cloud, Pipeline
 from appliance.reconstruct.quality import QualityLimits
 from appliance.service.desk import cloud_of, decoded_cloud_of
-from appliance.service.instrument import calibration_of, noise_of
+from appliance.service.instrument import calibration_of, misfit, noise_of
 from appliance.storage import scan as stored
 from appliance.storage.calibrations import Calibrations
 from appliance.storage.library import Library
@@ -40,9 +39,7 @@ class Basis:
     """What a calibration in water starts from and is compared with."""
 
     start: Calibration
-    """Lenses and pose as best known, ports as drawn where nobody measured them."""
-    covariance: NDArray[np.float64] | None
-    """(22, 22) of the calibration in air; ``None``: only the ports are adjusted."""
+    """Lenses and pose from air, ports as drawn; else the calibration in use."""
     before: Calibration
     """What the instrument measured with until now."""
     noise: StereoNoise
@@ -69,7 +66,11 @@ class Solution:
 
 
 def basis_of(rig: Rig) -> Basis:
-    """What is known of this instrument now. Raises RecordingError without a certificate, CalibrationError."""
+    """What is known of this instrument now.
+
+    Raises RecordingError without a certificate or without anything to start from, CalibrationError for a file in air that
+    cannot be used.
+    """
     bar = rig.ball_bar
     if bar is None:
         raise RecordingError("no certificate of the ball bar; give [ball_bar] in the rig file")
@@ -78,7 +79,23 @@ def basis_of(rig: Rig) -> Basis:
     session = calibrations.session()
     before = calibrations.kept(session) if session.in_use else None
     certificate = Certificate(bar.length_mm, bar.length_sd_mm, bar.radius_mm, bar.radius_sd_mm)
-    return Basis(current, None, before or current, noise_of(rig), certificate)
+    return Basis(_start(rig, calibrations.air, current), before or current, noise_of(rig), certificate)
+
+
+def _start(rig: Rig, air: Path, current: Calibration) -> Calibration:
+    if air.exists():
+        start = calibration_file.load(air)
+        problem = misfit(start, rig)
+        if problem is not None:
+            raise CalibrationError(f"{air}: {problem}; calibrate in air, or move the file away")
+        return start
+    for camera in (current.rig.left, current.rig.right):
+        if camera.lens_in_water or camera.correction is not None or camera.ray_shift is not None:
+            raise RecordingError(
+                f"no calibration in air to start from, and the one in use ({current.method}) is no start; "
+                f"put the one in air at {air}"
+            )
+    return current
 
 
 def examine(rig: Rig, step: Step, folder: Path, report: Report) -> Examined:
@@ -126,13 +143,14 @@ def solve(rig: Rig, date: str, report: Report) -> Solution:
         report(0.15 * k)
         recordings.append(_recording(step, folders[step], basis))
     report(0.6)
-    rung = Rung.PORTS if basis.covariance is None else Rung.SPLINE
-    result = adjust(recordings, basis.start, rung, basis.covariance)
+    method = Method.BA_PORTS if basis.start.air_covariance is None else Method.BA_SPLINE
+    result = calibrate(method, recordings, basis.start)
     report(0.9)
     names = tuple(f"{step.value}: scan {folders[step].name}" for step in USED)
     calibration = replace(result.calibration, made_at=date, made_from=(*basis.start.made_from, *names))
-    warnings = result.warnings
-    solved = Solved(calibration.method, calibration.residual_px or 0.0, warnings, calibration.hash)
+    if calibration.residual_px is None:
+        raise RecordingError(f"{method.value} says nothing about what is left; use another method")
+    solved = Solved(calibration.method, calibration.residual_px, result.warnings, calibration.hash)
     verified = None
     if Step.VERIFY in folders:
         scan = stored.load(folders[Step.VERIFY])

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 import appliance
 from appliance.calibration.guide import HELD
+from appliance.capture.fault import FaultCode
 from appliance.machine.alerts import alert_of, alerts
 from appliance.machine.permissions import refusal
 from appliance.machine.states import Calibrating, Device, Machine, State
@@ -87,7 +88,8 @@ def _view(machine: Machine, around: Surroundings) -> AnyView:
                 left=around.left if Device.CAMERA_LEFT in machine.up else None,
                 right=around.right if Device.CAMERA_RIGHT in machine.up else None,
                 scan_allowed=at.step not in HELD or refusal(machine) is None,
-                alerts=shown,
+                # What calibrating is the remedy for need not be said while it is done.
+                alerts=tuple(alert for alert in shown if alert.code is not FaultCode.UNCALIBRATED),
             )
         case State.SHUTDOWN:
             reason = next((alert_of(c) for c in machine.conditions), None)

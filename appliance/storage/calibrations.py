@@ -55,6 +55,11 @@ class Calibrations:
         return self.folder / CURRENT
 
     @property
+    def air(self) -> Path:
+        """The calibration in air, from which every adjustment in water starts; there may be none."""
+        return self.folder / AIR
+
+    @property
     def solved(self) -> Path:
         """The calibration that the session's recordings gave."""
         return self.folder / "session" / SOLVED

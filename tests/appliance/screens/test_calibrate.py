@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from appliance.calibration.guide import HELD, USED, Refusal, Session, Solved, Step, Trial, Verified
 from appliance.calibration.recordings import ArtefactKind
+from appliance.capture.fault import FaultCode
+from appliance.machine.alerts import Alert, Severity
 from appliance.machine.states import Calibrating, Task
 from appliance.screens import theme
 from appliance.screens.calibrate import refusal_words
@@ -143,3 +145,30 @@ def test_the_near_plane_is_drawn_nearer_to_the_instrument() -> None:
 
     assert distance(Step.M4) - distance(Step.M3) > 30.0
     assert (sketch_front(Step.M3) > 100).sum() > 1.2 * (sketch_front(Step.M4) > 100).sum()
+
+
+def test_a_difference_that_may_be_chance_is_called_neither_better_nor_worse(painter: Painter) -> None:
+    assert Verified(0.0031, -0.0002, 0.00004).better is True
+    assert Verified(0.0002, 0.0031, 0.00004).better is False
+    assert Verified(0.0002, -0.00015, 0.00004).better is None
+    assert Verified(None, 0.0031, 0.00004).better is True, "nothing could be measured before"
+    new = (slice(120, 310), slice(410, 780))
+    picture = drawn(painter, Calibrating(Step.RESULT), Session(GOOD, SOLVED, Verified(0.0002, -0.00015, 0.00004)))
+    assert share(picture[new], GREEN) == share(picture[new], YELLOW) == 0.0
+
+
+def test_an_alert_does_not_hide_what_became_of_a_recording(painter: Painter) -> None:
+    at = Calibrating(Step.M2, latest=GOOD[0])
+    alone = drawn(painter, at)
+    for severity in (Severity.WARNING, Severity.CRITICAL):
+        alert = Alert(FaultCode.WARM, severity, "WARM 52 °C", "LET IT COOL SOON")
+        view = CalibrateView(at=at, session=Session(), left=LIVE, right=LIVE, alerts=(alert,))
+        assert share(painter.draw(view, 0.0), GREEN) == pytest.approx(share(alone, GREEN), rel=0.02)
+
+
+def test_a_long_reason_is_readable(painter: Painter) -> None:
+    reason = "M1, scan 000012: of 556 points on the second ball only 5 are fit to calibrate with, 30 are needed"
+    picture = drawn(painter, Calibrating(Step.SOLVE, failed=reason), Session(GOOD))
+    yellow = np.abs(picture.astype(int) - YELLOW).max(axis=2) < 12
+    rows = np.flatnonzero(yellow.mean(axis=1) > 0.5)
+    assert np.ptp(rows) > 90, "lines of it, not one line of tiny letters"

@@ -1,0 +1,197 @@
+"""A whole calibration in water on a hidden rig: from the calibration in air to the result, over a loss of power, and back."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from appliance.calibration.air import AirCalibration
+from appliance.calibration.file import Calibration, encode, load
+from appliance.calibration.guide import Step
+from appliance.calibration.start import start_from_air
+from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
+from appliance.config import Rig, load_rig
+from appliance.evaluation.ball_bar import BallBar, find_ball_bar
+from appliance.optics.model import HousedCamera, StereoRig
+from appliance.reconstruct.pipeline import Pipeline
+from appliance.reconstruct.quality import QualityLimits
+from appliance.service.instrument import design_of
+from appliance.storage.calibrations import Calibrations
+from hw_sim.objects.shapes import BALL_DISTANCE_MM
+from hw_sim.scene import Scene
+from tests.support.calibrating import WIDTH_PX, air_of, hidden_rig
+from tests.support.rendered import RenderedScan, render_scan
+
+SEED, SIZE = 2, "800x600"
+UNTIL_THE_POWER_FAILS = """
+wait state AIM 90
+press up 1.2
+wait step M1 10
+object pipe
+press scan
+wait result NOT_FOUND 90
+object ballbar -15 -20 505 0 35 20
+press scan
+wait step M2 90
+object ballbar 15 20 540 0 -35 70
+press scan
+wait step M3 90
+object plane 0 0 478 8 -10 0
+press scan
+pause 600
+"""
+AFTERWARDS = """
+wait state AIM 90
+press up 1.2
+wait step M3 10
+object plane 0 0 478 8 -10 0
+press scan
+wait step M4 90
+object plane 0 0 570 -10 8 0
+press scan
+wait step SOLVE 90
+press scan
+wait step VERIFY 300
+object ballbar 0 0 520 0 5 -40
+press scan
+wait step RESULT 90
+press scan                  # KEEP
+wait step RESULT 90
+pause 2
+press scan                  # RESTORE
+wait step RESULT 90
+pause 1
+press back
+wait state AIM 10
+pause 0.5
+end
+"""
+UNSEEN = ((0.0, 5.0, 500.0, 0.0, 20.0, 0.0), (-10.0, 0.0, 545.0, 0.0, -15.0, 85.0))
+
+
+def binned(camera: HousedCamera, factor: float) -> HousedCamera:
+    """The same camera with larger pixels."""
+    lens = camera.lens
+    f, c = (tuple(x / factor for x in lens.f_px), tuple((x + 0.5) / factor - 0.5 for x in lens.c_px))
+    size = int(camera.width_px / factor), int(camera.height_px / factor)
+    return replace(camera, width_px=size[0], height_px=size[1], lens=replace(lens, f_px=f, c_px=c))
+
+
+def calibration_in_air(rig: Rig) -> Calibration:
+    """As from twenty boards before the whole cameras, for the rig's larger pixels."""
+    factor = WIDTH_PX / rig.camera.left.width_px
+    air = air_of(hidden_rig("realistic", SEED))
+    scale = np.ones(22)
+    scale[[0, 1, 2, 8, 9, 10]] = 1.0 / factor
+    smaller = replace(
+        air,
+        rig=StereoRig(binned(air.rig.left, factor), binned(air.rig.right, factor)),
+        covariance=air.covariance * np.outer(scale, scale),
+    )
+    assert isinstance(smaller, AirCalibration)
+    return start_from_air(smaller, design_of(rig))
+
+
+def length_mm(scan: RenderedScan, calibration: Calibration) -> float:
+    """Of the ball bar in a scan."""
+    with Pipeline(calibration, calibration.water, scan.sequence, QualityLimits(max_gap_mm=20.0)) as pipeline:
+        for k in range(len(scan.sequence)):
+            for side, frames in scan.frames.items():
+                pipeline.push(side, frames, k)
+        pipeline.coarse()
+        bar = find_ball_bar(pipeline.full())
+    assert isinstance(bar, BallBar)
+    return bar.length_mm
+
+
+class Instrument:
+    """The service in a process of its own, whose status is read as anybody may."""
+
+    def __init__(self, rig: Rig, root: Path, script: str) -> None:
+        self._status = rig.storage.root / "run" / "status.json"
+        path = root / "dive.script"
+        path.write_text(script)
+        command = [sys.executable, "-m", "appliance.cli", "sim", "--root", str(rig.storage.root), "--size", SIZE]
+        command += ["--object", "ballbar", "--texture", "none", "--truth", "realistic", "--seed", str(SEED)]
+        self._status.unlink(missing_ok=True)
+        self.process = subprocess.Popen([*command, "--script", str(path)])
+
+    def calibration(self) -> dict[str, Any] | None:
+        try:
+            content: dict[str, Any] = json.loads(self._status.read_text())
+        except (OSError, ValueError):
+            return None
+        found: dict[str, Any] | None = content.get("calibration")
+        return found
+
+
+@pytest.mark.long
+@pytest.mark.timeout(1500)
+def test_a_hidden_rig_is_calibrated_over_a_loss_of_power_and_the_old_file_comes_back(tmp_path: Path) -> None:
+    options = SimOptions(
+        root=tmp_path / "dive", object_name="ballbar", texture="none", truth="realistic", seed=SEED, size=SIZE
+    )
+    rig = simulated(load_rig(default_sim_rig()), options)
+    store = Calibrations(rig.storage.root, rig.rig.serial)
+    in_air = calibration_in_air(rig)
+    store.folder.mkdir(parents=True)
+    store.air.write_bytes(encode(in_air))
+    old = encode(replace(in_air, method="bundle, an older one", air_covariance=None)) + b"\n"
+    store.current.write_bytes(old)
+
+    first = Instrument(rig, tmp_path, UNTIL_THE_POWER_FAILS)
+    deadline = time.monotonic() + 600.0
+    while True:  # the power fails while the third recording, whose frames are stored, is being examined
+        at = first.calibration()
+        assert first.process.poll() is None, "the service ended by itself"
+        assert time.monotonic() < deadline
+        if at is not None and at["step"] == "M3" and at["busy"] and list((rig.storage.root / "scans").glob(".0*/m*")):
+            break
+        time.sleep(0.02)
+    os.kill(first.process.pid, signal.SIGKILL)
+    first.process.wait(10.0)
+    assert [trial.step for trial in store.session().trials] == [Step.M1, Step.M2]
+
+    second = Instrument(rig, tmp_path, AFTERWARDS)
+    in_use = []
+    while second.process.poll() is None:
+        at = second.calibration()
+        if at is not None and at["in_use"] not in in_use[-1:]:
+            in_use.append(at["in_use"])
+        assert time.monotonic() < deadline + 600.0
+        time.sleep(0.02)
+    assert second.process.returncode == 0
+    assert in_use == [False, True, False]
+
+    session = store.session()
+    assert session.solved is not None
+    assert session.solved.method == "bundle, spline"
+    assert session.verified is not None
+    assert session.verified.before is not None
+    assert abs(session.verified.after) < 0.0005
+    assert abs(session.verified.after) < abs(session.verified.before) / 3.0
+    assert store.current.read_bytes() == old
+    assert session.kept is not None
+    assert (store.folder / "kept" / session.kept).read_bytes() == old
+
+    # Against the truth, which no certificate states, at poses that nobody recorded.
+    truth_mm = hidden_rig("realistic", SEED).artefacts.ball_distance_mm
+    assert truth_mm != BALL_DISTANCE_MM
+    errors: dict[str, list[float]] = {"old": [], "new": []}
+    for pose in UNSEEN:
+        scan = render_scan(Scene(object="ballbar", pose=pose, texture="none"), "realistic", SEED, 800, 16)
+        for name, calibration in (("old", load(store.current)), ("new", load(store.solved))):
+            errors[name].append(length_mm(scan, calibration) / truth_mm - 1.0)
+    print(f"{session.verified}, residual {session.solved.residual_px:.3f} px, E_L at unseen poses {errors}")
+    assert max(map(abs, errors["new"])) < 0.0006
+    assert max(map(abs, errors["new"])) < max(map(abs, errors["old"])) / 3.0
