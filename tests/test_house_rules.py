@@ -246,6 +246,7 @@ RULES = [
             "appliance/service/scans.py": "the date in a scan's manifest, which says that it may be wrong",
             "appliance/service/calibrating.py": "the date of a calibration, by which nothing is decided",
             "appliance/cli/calibrate.py": "the date in a calibration file",
+            "appliance/cli/calibrate_air.py": "the same",
         },
     ),
     Rule(

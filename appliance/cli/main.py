@@ -14,7 +14,7 @@ from appliance import __version__
 from appliance.calibration.file import CalibrationError
 from appliance.calibration.method import Method
 from appliance.calibration.recordings import RecordingError
-from appliance.cli import calibrate, evaluate, health, measure, scans, verbs
+from appliance.cli import calibrate, calibrate_air, evaluate, health, measure, scans, verbs
 from appliance.cli.output import Exit, UsageError, complain, log_lines
 from appliance.cli.simrig import OBJECTS, PACES, TEXTURES, TRUTHS, SimOptions, default_sim_rig
 from appliance.config import ConfigError, Rig, default_rig_path, load_rig
@@ -311,6 +311,22 @@ def _add_calibrate(
 ) -> None:
     group = commands.add_parser("calibrate", help="make calibrations", epilog=EXIT_CODES)
     inner = group.add_subparsers(required=True, metavar="VERB", parser_class=_Parser)
+    air = add(
+        inner,
+        "air",
+        "lenses and stereo pose, from pictures of a board in air",
+        lambda a: calibrate_air.air(_rooted(a), a.folder, a.board, a.out, install=a.install, json=a.json),
+        rig,
+        root,
+    )
+    air.add_argument(
+        "folder", metavar="FOLDER", type=Path, help="pairs NAME_left.png, NAME_right.png, or scans' folders"
+    )
+    air.add_argument(
+        "--board", metavar="15x12x18x13.5", help="squares across and down, their size and the markers' in mm"
+    )
+    air.add_argument("--out", type=Path, metavar="FILE", help="default: air.json in FOLDER; pictures go beside it")
+    air.add_argument("--install", action="store_true", help="make it the start of this instrument's calibrations")
     water = add(
         inner,
         "water",

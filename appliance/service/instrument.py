@@ -9,6 +9,7 @@ from appliance.calibration.design import Design, design_calibration
 from appliance.calibration.file import Calibration, CalibrationError, load
 from appliance.calibration.response_file import ResponseFileError
 from appliance.calibration.response_file import load as load_response
+from appliance.calibration.start import METHOD as IN_AIR
 from appliance.capture.fault import Fault, FaultCode
 from appliance.config import Rig
 from appliance.config.rig import CameraRig
@@ -90,7 +91,9 @@ def noise_of(rig: Rig) -> StereoNoise:
 
 
 def misfit(calibration: Calibration, rig: Rig) -> str | None:
-    """Why a calibration is not of this instrument; ``None`` where it is."""
+    """Why a calibration is not one that this instrument measures with; ``None`` where it is."""
+    if calibration.method == IN_AIR:
+        return "the calibration is one in air, a start for calibrating in water; windows and water are not in it"
     if calibration.rig_serial != rig.rig.serial:
         return f"the calibration is of instrument {calibration.rig_serial}; this one is {rig.rig.serial}"
     for side, camera, spec in (
