@@ -15,7 +15,9 @@ from appliance.cli.desk import place_of, usable_scan, writable, writing
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json
 from appliance.config import Rig
 from appliance.storage.atomic import replace_file
+from appliance.storage.calibrations import Calibrations, SessionError
 from appliance.storage.filesystem import LocalFileSystem
+from appliance.storage.lock import hold_lock
 
 if TYPE_CHECKING:  # solvers are imported inside the verbs: `scans list` can do without
     from appliance.calibration.ladder import LadderSettings
@@ -35,6 +37,7 @@ class WaterOptions:
     published_flatness: bool = False
     reach_mm: float | None = None
     steps_mm: tuple[float, ...] | None = None
+    install: bool = False
 
     def settings(self) -> LadderSettings:
         """Of the searches."""
@@ -56,6 +59,8 @@ def water(rig: Rig, listed: Path, options: WaterOptions, *, json: bool) -> Exit:
     page, data = (target.with_name(f"{target.stem}-report{ending}") for ending in (".html", ".json"))
     for path in (target, page, data):
         writable(path)
+    if options.install and method is Method.PAPER_RM_PRINTED:
+        raise UsageError(f"--install: {method.value} is for comparison only and has no file; choose another --method")
     if target.exists():
         raise UsageError(f"--out {target}: exists already; a calibration is never replaced; give a new name")
     if data.absolute() == listed.absolute():
@@ -70,6 +75,7 @@ def water(rig: Rig, listed: Path, options: WaterOptions, *, json: bool) -> Exit:
     except ListError as error:
         raise UsageError(str(error)) from error
     start = start_of(rig, options.start)
+    made_at = datetime.now(UTC).isoformat(timespec="seconds")
     with Progress() as progress:
         folders = []
         for k, entry in enumerate(scans.entries):
@@ -79,7 +85,6 @@ def water(rig: Rig, listed: Path, options: WaterOptions, *, json: bool) -> Exit:
         def step(what: str, part: float) -> None:
             progress(what, SCANS_CHECKED + (1.0 - SCANS_CHECKED) * part)
 
-        made_at = datetime.now(UTC).isoformat(timespec="seconds")
         made = run_water_calibration(rig, scans, folders, start, method, made_at, step, options.settings())
     content = made.as_json()
     text = json_form.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
@@ -89,11 +94,41 @@ def water(rig: Rig, listed: Path, options: WaterOptions, *, json: bool) -> Exit:
     for path, written in files.items():
         with writing(path):
             replace_file(LocalFileSystem(), path, written)
+    installed = options.install and not made.left_out
+    if installed:
+        with hold_lock(rig.storage.root):
+            Calibrations(rig.storage.root, rig.rig.serial).install(made.result.calibration, _day(made_at))
     if json:
-        say_json(content)
+        say_json({**content, "installed": installed})
     else:
         _tell(content, page, target if made.result.can_be_saved else None)
+        if options.install:
+            say(
+                "installed; `kingfisher calibrate restore` undoes it"
+                if installed
+                else "not installed: scans are missing"
+            )
     return Exit.FAILED if made.left_out else Exit.OK
+
+
+def restore(rig: Rig, name: str | None, *, json: bool) -> Exit:
+    """Put a calibration of before in use again; what was in use is kept, so that the same verb undoes it."""
+    now = datetime.now(UTC).isoformat(timespec="seconds")
+    with hold_lock(rig.storage.root):
+        try:
+            path = Calibrations(rig.storage.root, rig.rig.serial).bring_back(name, _day(now))
+        except SessionError as error:
+            raise UsageError(f"calibrate restore: {error}") from error
+    found = calibration_file.load(path)
+    if json:
+        say_json({"file": str(path), "calibration": found.hash, "method": found.method, "made_at": found.made_at})
+    else:
+        say(f"in use again: {path}, {found.method}, made {found.made_at}")
+    return Exit.OK
+
+
+def _day(moment: str) -> str:
+    return moment[:10]
 
 
 def _tell(content: dict[str, Any], page: Path, calibration: Path | None) -> None:

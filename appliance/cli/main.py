@@ -340,6 +340,7 @@ def _add_calibrate(
     water.add_argument("--method", choices=[m.value for m in Method], default=usual.method, help="default: %(default)s")
     water.add_argument("--start", type=Path, metavar="FILE", help="default: the instrument's calibration in air")
     water.add_argument("--out", type=Path, metavar="FILE", help="the calibration; beside it FILE-report.html and .json")
+    water.add_argument("--install", action="store_true", help="use it from now on; the one of before is kept")
     water.add_argument(
         "--published-flatness", action="store_true", help="rm, rmd: flatness from the points, noise and all"
     )
@@ -350,6 +351,15 @@ def _add_calibrate(
         metavar="MM,MM",
         help="rm, rmd: step widths, each around the best of the one before",
     )
+    back = add(
+        inner,
+        "restore",
+        "use the calibration of before again; a second time undoes it",
+        lambda a: calibrate.restore(_rooted(a), a.name, json=a.json),
+        rig,
+        root,
+    )
+    back.add_argument("name", metavar="NAME", nargs="?", help="a file of calibration/kept (default: the last one)")
 
 
 def _water_options(arguments: argparse.Namespace) -> calibrate.WaterOptions:
@@ -360,6 +370,7 @@ def _water_options(arguments: argparse.Namespace) -> calibrate.WaterOptions:
         published_flatness=arguments.published_flatness,
         reach_mm=arguments.reach_mm,
         steps_mm=arguments.steps_mm,
+        install=arguments.install,
     )
 
 

@@ -11,7 +11,7 @@ from appliance import __version__
 from appliance.calibration import file as calibration_file
 from appliance.calibration import report
 from appliance.calibration.extract import Certificate
-from appliance.calibration.file import Calibration
+from appliance.calibration.file import Calibration, CalibrationError
 from appliance.calibration.ladder import LadderResult, LadderSettings, Method, calibrate
 from appliance.config import Rig
 from appliance.evaluation.points import NotFound
@@ -50,10 +50,17 @@ def start_of(rig: Rig, path: Path | None) -> Calibration:
 
     Raises CalibrationError.
     """
-    if path is not None:
-        return calibration_file.load(path)
     in_air = rig.storage.root / AIR_FILE
-    return calibration_file.load(in_air) if in_air.exists() else design_of(rig)
+    chosen = path if path is not None else in_air
+    if path is None and not in_air.exists():
+        return design_of(rig)
+    start = calibration_file.load(chosen)
+    if start.rig_serial != rig.rig.serial:
+        raise CalibrationError(
+            f"{chosen}: is of instrument {start.rig_serial}; this one is {rig.rig.serial}; give --rig or --start of one "
+            f"instrument"
+        )
+    return start
 
 
 def check_list(listed: ScanList, method: Method) -> None:
@@ -99,7 +106,7 @@ def run_water_calibration(
             recordings.append(found)
     waters = {(r.water.temperature_c, r.water.salinity_psu) for r in recordings}
     result = calibrate(method, recordings, start, None, settings, lambda what: progress(what, RECONSTRUCTED))
-    result = replace(result, calibration=replace(result.calibration, rig_serial=rig.rig.serial, made_at=made_at))
+    result = replace(result, calibration=replace(result.calibration, made_at=made_at))
     about = {
         "operator": listed.operator,
         "rig_serial": rig.rig.serial,

@@ -150,6 +150,35 @@ class Calibrations:
         replace_file(self._fs, self.current, data)
         return self.session()
 
+    def install(self, calibration: Calibration, date: str) -> Path | None:
+        """Put a calibration in use that no session made; answers where the file of before is kept, if there was one."""
+        before = _bytes(self.current)
+        kept = None if before is None else self._keep(before, date)
+        self._make(self.folder)
+        replace_file(self._fs, self.current, calibration_file.encode(calibration))
+        return None if kept is None else self.folder / "kept" / kept
+
+    def bring_back(self, name: str | None, date: str) -> Path:
+        """Put a kept file in use again, byte for byte: ``name``, or the last one kept that is not in use.
+
+        What was in use is kept, so that doing it twice changes nothing. Raises SessionError, CalibrationError for a file
+        that is damaged.
+        """
+        now = _bytes(self.current)
+        files = sorted((self.folder / "kept").glob("*.json"))
+        others = [path for path in files if (path.name == name if name is not None else _bytes(path) != now)]
+        if not others:
+            there = ", ".join(path.name for path in files) or "none"
+            what = "no other calibration is kept" if name is None else f"no calibration {name} is kept"
+            raise SessionError(f"{what} in {self.folder / 'kept'} (there: {there}); calibrate, or give one of these")
+        path = others[-1]
+        calibration_file.load(path)
+        data = path.read_bytes()
+        if now is not None:
+            self._keep(now, date)
+        replace_file(self._fs, self.current, data)
+        return path
+
     def begin(self) -> Session:
         """Put the session away and begin a new one."""
         folder = self.folder / "session"

@@ -42,7 +42,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, TrueRig]:
     assert truth is not None
     rig = true_calibration(truth).rig
     start = replace(
-        true_calibration(truth),
+        true_calibration(truth, "KF-0001"),
         method="air",
         rig=StereoRig(replace(rig.left, port=DRAWN), replace(rig.right, port=DRAWN)),
         air_covariance=tuple(tuple(float(v) for v in row) for row in np.diag(np.square(SD))),
@@ -125,8 +125,12 @@ def test_a_scan_without_its_artefact_is_left_out_and_said(
 ) -> None:
     folder, truth = bench
     (folder / "wrong.toml").write_text(listed(truth, ("plane-0", "plane-1", "bar-0")))
-    assert calibrate(folder, "--out", str(folder / "rest.json"), "--method", "ba_ports", name="wrong.toml") == 1
-    assert "bar-0 not used: " in capsys.readouterr().out
+    more = ["--out", str(folder / "rest.json"), "--method", "ba_ports", "--install"]
+    assert calibrate(folder, *more, name="wrong.toml") == 1
+    said = capsys.readouterr().out
+    assert "bar-0 not used: " in said
+    assert "not installed" in said
+    assert not (folder / "calibration" / "current.json").exists()
     assert (folder / "rest.json").exists()
 
 
@@ -143,6 +147,29 @@ def test_what_cannot_be_done_is_said_before_the_work(
     assert calibrate(folder, "--out", str(folder / "none.json"), name="frustum.toml") == 2
     assert "take it out of the list" in capsys.readouterr().err
     assert not (folder / "none.json").exists()
+
+
+def test_installed_and_taken_back(bench: tuple[Path, TrueRig], capsys: pytest.CaptureFixture[str]) -> None:
+    folder, _ = bench
+    current = folder / "calibration" / "current.json"
+    root = ["--root", str(folder)]
+    assert main(["calibrate", "restore", *root]) == 2
+    assert calibrate(folder, "--out", str(folder / "a.json"), "--method", "ba_ports", "--install") == 0
+    assert load(current) == load(folder / "a.json")
+    assert calibrate(folder, "--out", str(folder / "b.json"), "--method", "ba_all", "--install") == 0
+    assert load(current) == load(folder / "b.json")
+    assert main(["calibrate", "restore", *root]) == 0
+    assert load(current) == load(folder / "a.json")
+    assert main(["calibrate", "restore", *root]) == 0
+    assert load(current) == load(folder / "b.json")
+    capsys.readouterr()
+
+
+def test_another_instruments_start_is_refused(bench: tuple[Path, TrueRig], capsys: pytest.CaptureFixture[str]) -> None:
+    folder, _ = bench
+    (folder / "other.json").write_bytes(encode(replace(load(folder / "air.json"), rig_serial="KF-0002")))
+    assert calibrate(folder, "--start", str(folder / "other.json"), start=False) == 1
+    assert "is of instrument KF-0002; this one is KF-0001" in capsys.readouterr().err
 
 
 def test_planes_alone_calibrate_nothing(bench: tuple[Path, TrueRig], capsys: pytest.CaptureFixture[str]) -> None:

@@ -67,6 +67,42 @@ def test_the_old_file_comes_back_byte_for_byte(store: Calibrations) -> None:
     assert len(list((store.folder / "kept").iterdir())) == 1, "the same file is kept once"
 
 
+def test_an_installed_calibration_goes_and_comes_back(store: Calibrations) -> None:
+    before = store.current.read_bytes()
+    kept = store.install(NEW, DAY)
+    assert kept is not None
+    assert kept.read_bytes() == before
+    assert load(store.current).hash == NEW.hash
+    assert store.bring_back(None, DAY) == kept
+    assert store.current.read_bytes() == before
+    store.bring_back(None, DAY)
+    assert load(store.current).hash == NEW.hash, "twice changes nothing"
+    assert len(list((store.folder / "kept").iterdir())) == 2
+
+
+def test_the_first_calibration_has_nothing_to_keep(tmp_path: Path) -> None:
+    store = Calibrations(tmp_path, "KF-TEST")
+    assert store.install(NEW, DAY) is None
+    assert load(store.current).hash == NEW.hash
+    with pytest.raises(SessionError, match="no other calibration is kept"):
+        store.bring_back(None, DAY)
+
+
+def test_a_kept_calibration_is_brought_back_by_name(store: Calibrations) -> None:
+    kept = store.install(NEW, DAY)
+    assert kept is not None
+    newest = replace(NEW, made_at="2026-11-22T10:00:00+00:00")
+    store.install(newest, "2026-11-22")
+    store.bring_back(kept.name, "2026-11-22")
+    assert load(store.current).hash == OLD.hash
+    with pytest.raises(SessionError, match=r"no calibration 0009\.json is kept .*there: 0001-"):
+        store.bring_back("0009.json", DAY)
+    (store.folder / "kept" / "0003-bad.json").write_text("{")
+    with pytest.raises(CalibrationError):
+        store.bring_back(None, DAY)
+    assert load(store.current).hash == OLD.hash, "a damaged file replaces nothing"
+
+
 def test_two_calibrations_of_before_are_both_kept(store: Calibrations) -> None:
     with_solution(store)
     store.use_solved(DAY)
