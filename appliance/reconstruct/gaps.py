@@ -40,7 +40,7 @@ def _sample(
     for y in range(stride // 2, rows, stride):
         for x in range(n):
             s[P + x], s[Q + x] = p_px[y, x * stride], q_px[y, x * stride]
-        match_row(right, s, n, False, at)
+        match_row(right, s, s, n, False, at)
         triangulate_row(rays, y, 0, stride, factors, s, n)
         for x in range(n):
             if not (MIN_DEPTH_MM < s[Z + x] < MAX_DEPTH_MM):

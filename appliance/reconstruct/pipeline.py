@@ -22,7 +22,7 @@ from appliance.reconstruct.gaps import GapSampler
 from appliance.reconstruct.match import fill_inverse_map, right_maps
 from appliance.reconstruct.noise import TYPICAL_PAIR, StereoNoise
 from appliance.reconstruct.quality import QualityLimits, summarise
-from appliance.reconstruct.rows import LeftMaps, reconstruct_rows
+from appliance.reconstruct.rows import LeftMaps, reconstruct_rows, scratch_rows
 from appliance.reconstruct.scratch import MAX_WIDTH_PX
 from appliance.reconstruct.select import Limits
 from appliance.reconstruct.table import Cloud, Found, PointTable
@@ -78,6 +78,7 @@ class Pipeline:
         self._limits = limits or QualityLimits()
         self._pixel_mm = 0.16 * 1600.0 / left.width_px
         self._bright: NDArray[np.uint8] | None = None
+        self._scratch = [scratch_rows() for _ in range(THREADS)]
         self._pool = ThreadPoolExecutor(THREADS, "kf-decode")
         self.coarse_stride = max(1, int((left.width_px * left.height_px / COARSE_POINTS) ** 0.5))
 
@@ -146,7 +147,9 @@ class Pipeline:
         if self._bright is None:
             raise ValueError("no bright frame was pushed; push the whole sequence before asking for a cloud")
         decoder = self._decoders["left"]
-        left = LeftMaps(decoder.p_px, decoder.q_px, decoder.modulation_half_dn, self._bright, decoder.middle)
+        left = LeftMaps(
+            decoder.p_px, decoder.q_px, decoder.modulation_half_dn, self._bright, decoder.middle, decoder.lit_columns
+        )
         limits = self._kernel_limits(stride)
         rows, columns = left.p_px.shape
         block = -(-rows // (THREADS * stride)) * stride
@@ -157,8 +160,9 @@ class Pipeline:
             first = start // stride * columns
             stop = min(start + block, rows)
             count = reconstruct_rows(
-                left, self._right, self._rays, limits, self._factors, start, stop, stride, self.table.points, first
-            )
+                left, self._right, self._rays, limits, self._factors, start, stop, stride, self._scratch[start // block],
+                self.table.points, first,
+            )  # fmt: skip
             return first, first + int(count)
 
         pieces = tuple(self._pool.map(work, range(0, rows, block)))

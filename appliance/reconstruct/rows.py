@@ -9,30 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.reconstruct.match import RightMaps, match_row
-from appliance.reconstruct.scratch import (
-    GAP,
-    LIGHT,
-    MODULATION,
-    P_ABOVE,
-    Q_ABOVE,
-    SIGMA,
-    SIZE,
-    Z_ABOVE,
-    Z_MIDDLE,
-    P,
-    Q,
-    X,
-    Y,
-    Z,
-)
-from appliance.reconstruct.select import Limits, Points, append, count_neighbours, judge
+from appliance.reconstruct.scratch import LIGHT, MODULATION, SIZE, P, Q, Z
+from appliance.reconstruct.select import Limits, Points, append, judge
 from appliance.reconstruct.triangulate import Rays, SigmaFactors, triangulate_row
 
+CHUNK = 256
+"""Columns that pass through all stages together: their quantities fit into the first-level cache."""
 _NAN = np.float32(np.nan)
 
 
 class LeftMaps(NamedTuple):
-    """What is reconstructed, all (h, w)."""
+    """What is reconstructed, (h, w) but for ``lit_columns``."""
 
     p_px: NDArray[np.float32]
     """NaN where there is no coordinate."""
@@ -41,6 +28,13 @@ class LeftMaps(NamedTuple):
     bright: NDArray[np.uint8]
     light: NDArray[np.uint8]
     """Mean of the sine images, which is the middle between bright and dark."""
+    lit_columns: NDArray[np.int32]
+    """(h, 2): first column of each row that may have a coordinate, and the one behind the last."""
+
+
+def scratch_rows() -> NDArray[np.float32]:
+    """What one thread needs for ``reconstruct_rows``: (3, SIZE), for a row and the two above it in turns."""
+    return np.full((3, SIZE), _NAN, np.float32)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -54,20 +48,13 @@ def _load(row: NDArray[Any], stride: int, factor: np.float32, target: NDArray[np
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def _copy(source: NDArray[np.float32], target: NDArray[np.float32]) -> None:
-    for x in range(target.size):
-        target[x] = source[x]
-
-
-@numba.njit(nogil=True, cache=True, error_model="numpy")
-def _ends(row: NDArray[np.float32]) -> tuple[int, int]:
-    """First column with a coordinate, and the one behind the last."""
-    first, stop = 0, row.size
-    while first < stop and row[first] != row[first]:
-        first += 1
-    while stop > first and row[stop - 1] != row[stop - 1]:
-        stop -= 1
-    return first, stop
+def _load_row(left: LeftMaps, y: int, first: int, end: int, stride: int, s: NDArray[np.float32]) -> None:
+    """Places ``first`` … ``end`` − 1 of a row: left columns first·stride and on."""
+    column = first * stride
+    _load(left.p_px[y, column:], stride, np.float32(1.0), s[P + first : P + end])
+    _load(left.q_px[y, column:], stride, np.float32(1.0), s[Q + first : Q + end])
+    _load(left.modulation_half_dn[y, column:], stride, np.float32(0.5), s[MODULATION + first : MODULATION + end])
+    _load(left.light[y, column:], stride, np.float32(1.0), s[LIGHT + first : LIGHT + end])
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -80,6 +67,7 @@ def reconstruct_rows(
     start: int,
     stop: int,
     stride: int,
+    scratch: NDArray[np.float32],
     points: Points,
     offset: int,
 ) -> int:
@@ -87,45 +75,43 @@ def reconstruct_rows(
 
     Returns how many. ``start`` is a multiple of ``stride``. One row beyond either end is computed as well: a point is
     chosen by its eight neighbours. Every ``stride``-th row and column is a grid of its own, so that neighbours of a
-    coarse cloud are ``stride`` px apart.
+    coarse cloud are ``stride`` px apart. ``scratch`` is from ``scratch_rows``.
     """
     rows, columns = left.p_px.shape
     n = (columns + stride - 1) // stride
-    s, kept = np.full(SIZE, _NAN, np.float32), np.full(SIZE, _NAN, np.float32)
-    at = np.zeros(columns, np.int32)
-    good = np.zeros(n, np.uint8)
+    at, good = np.empty(CHUNK, np.int32), np.empty(n, np.uint8)
+    scratch[:, Z : Z + n] = _NAN
     count = offset
-    above = max(start - stride, 0)
-    for y in range(above, min(stop, rows) + stride, stride):
-        # What is in Z belongs to the row above.
-        _copy(s[Z_MIDDLE : Z_MIDDLE + n], s[Z_ABOVE : Z_ABOVE + n])
-        _copy(s[Z : Z + n], s[Z_MIDDLE : Z_MIDDLE + n])
-        for quantity in (X, Y, GAP, SIGMA):
-            _copy(s[quantity : quantity + n], kept[quantity : quantity + n])
-        s[Z : Z + n] = _NAN
+    begin = max(start - stride, 0)
+    first, end = 0, 0
+    for y in range(begin, min(stop, rows) + stride, stride):
+        turn = y // stride
+        s, row, above = scratch[turn % 3], scratch[(turn - 1) % 3], scratch[(turn - 2) % 3]
+        row_first, row_end = first, end
+        first, end = 0, 0
         if y < rows:
-            _copy(s[P : P + n], s[P_ABOVE : P_ABOVE + n])
-            _copy(s[Q : Q + n], s[Q_ABOVE : Q_ABOVE + n])
-            _load(left.p_px[y], stride, np.float32(1.0), s[P : P + n])
-            _load(left.q_px[y], stride, np.float32(1.0), s[Q : Q + n])
-            _load(left.modulation_half_dn[y], stride, np.float32(0.5), s[MODULATION : MODULATION + n])
-            _load(left.light[y], stride, np.float32(1.0), s[LIGHT : LIGHT + n])
-            first, end = _ends(s[P : P + n])
-            match_row(right, s[first:], end - first, stride == 1 and y > above, at)
-            triangulate_row(rays, y, first * stride, stride, factors, s[first:], end - first)
+            first = (left.lit_columns[y, 0] + stride - 1) // stride
+            end = max(first, (left.lit_columns[y, 1] + stride - 1) // stride)
+        s[Z : Z + first] = _NAN
+        s[Z + end : Z + n] = _NAN
+        if first < end:
+            _load_row(left, y, first, end, stride, s)
+        for chunk in range(first, end, CHUNK):
+            size = min(CHUNK, end - chunk)
+            match_row(right, row[chunk:], s[chunk:], size, stride == 1 and y > begin, at)
+            triangulate_row(rays, y, chunk * stride, stride, factors, s[chunk:], size)
         done = y - stride
         if start <= done < stop:
-            count_neighbours(s, n, limits.max_step_mm)
-            judge(s, kept, n, limits, good)
+            column = row_first * stride
+            judge(above[row_first:], row[row_first:], s[row_first:], row_end - row_first, limits, good)
             count = append(
-                kept,
-                s,
+                row[row_first:],
                 good,
-                left.bright[done],
-                left.modulation_half_dn[done],
-                n,
+                left.bright[done, column:],
+                left.modulation_half_dn[done, column:],
+                row_end - row_first,
                 stride,
-                done * columns,
+                done * columns + column,
                 points,
                 count,
             )

@@ -4,24 +4,25 @@ LLVM turns a loop into vector instructions only when it knows that what is writt
 arrays need a test at run time for each pair, and beyond eight pairs it gives up. Within one array, at distances that are
 constants, it needs none, so that a loop may have as many inputs and outputs as the formula has.
 
-``s[GAP + x]`` is then what ``gap[x]`` would be.
+``s[GAP + x]`` is then what ``gap[x]`` would be. A row that needs those above it has a scratch row of its own: they take
+turns, and nothing is copied from one to the next.
 """
 
 from __future__ import annotations
 
 MAX_WIDTH_PX = 4096
-_SLOT = MAX_WIDTH_PX + 16
-"""Not a multiple of 4096 bytes: equal places in different slots must not compete for the same cache lines."""
-_NAMES = 44
+_SLOT = MAX_WIDTH_PX + 272
+"""17 cache lines more than a multiple of 4096 bytes: equal places in different slots must not compete for the same lines,
+nor may a load look, by its last 12 bits, like a store that has just been made."""
+_NAMES = 39
 (
-    P, Q, P_ABOVE, Q_ABOVE,  # left coordinates of this row and the one above
+    P, Q,  # left coordinates
     U, V, U_START, V_START,  # right image point, and the pixel at which its Newton step begins
     UP, UQ, VQ, VP,  # inverse derivatives: px of the right image per px of the pattern
     PC, PL, PR, PT, PB, QC, QL, QR, QT, QB,  # right coordinates: centre, left, right, top, bottom
     SLOPE, MODULATION, MODULATION_RIGHT, LIGHT,
     X1, Y1, SX1, SY1, X2, Y2, SX2, SY2, SHIFT, SHIFT_SLOPE,  # rays
     X, Y, Z, GAP, SIGMA,
-    Z_MIDDLE, Z_ABOVE, SCORE,
 ) = (k * _SLOT + 8 for k in range(_NAMES))  # fmt: skip
 """Eight places before the first column: the neighbours of a row's ends are inside the slot."""
 SIZE = _NAMES * _SLOT

@@ -8,9 +8,10 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.reconstruct.scratch import GAP, SCORE, SIGMA, Z_ABOVE, Z_MIDDLE, X, Y, Z
+from appliance.reconstruct.scratch import GAP, SIGMA, X, Y, Z
 
 _ONE, _ZERO = np.float32(1.0), np.float32(0.0)
+_X, _Y, _Z, _GAP, _SIGMA = (np.uint64(place) for place in (X, Y, Z, GAP, SIGMA))
 
 
 class Limits(NamedTuple):
@@ -42,79 +43,34 @@ class Points(NamedTuple):
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def _compare(
-    left: NDArray[np.float32],
-    centre: NDArray[np.float32],
-    right: NDArray[np.float32],
-    middle: NDArray[np.float32],
-    max_step_mm: np.float32,
-    score: NDArray[np.float32],
+def judge(
+    above: NDArray[np.float32],
+    row: NDArray[np.float32],
+    below: NDArray[np.float32],
+    n: int,
+    limits: Limits,
+    good: NDArray[np.uint8],
 ) -> None:
-    """Add 1 for each of three points in a row that is near the middle one; NaN is near to nothing."""
-    for x in range(score.size):
-        z = middle[x]
-        near = (_ONE if abs(left[x] - z) <= max_step_mm else _ZERO) + (
-            _ONE if abs(centre[x] - z) <= max_step_mm else _ZERO
-        )
-        score[x] += near + (_ONE if abs(right[x] - z) <= max_step_mm else _ZERO)
-
-
-@numba.njit(nogil=True, cache=True, error_model="numpy")
-def count_neighbours(s: NDArray[np.float32], n: int, max_step_mm: np.float32) -> None:
-    """SCORE: how many of the eight neighbours of a point in Z_MIDDLE, between Z_ABOVE and Z, are near."""
-    score, middle = s[SCORE : SCORE + n], s[Z_MIDDLE : Z_MIDDLE + n]
-    score[:] = -_ONE  # the point itself is counted with its own row
-    for row in (Z_ABOVE, Z_MIDDLE, Z):
-        _compare(s[row - 1 : row - 1 + n], s[row : row + n], s[row + 1 : row + 1 + n], middle, max_step_mm, score)
-
-
-@numba.njit(nogil=True, cache=True, error_model="numpy")
-def judge(s: NDArray[np.float32], kept: NDArray[np.float32], n: int, limits: Limits, good: NDArray[np.uint8]) -> None:
-    """1 in ``good`` for points that keep all limits."""
+    """1 in ``good`` for the points of scratch row ``row`` that keep all limits. NaN is near to nothing."""
+    max_gap_mm, max_sigma_mm, min_depth_mm, max_depth_mm, max_step_mm, min_neighbours = limits
     for x in range(n):
-        z = s[Z_MIDDLE + x]
-        inside = (z >= limits.min_depth_mm) & (z <= limits.max_depth_mm)
-        company = s[SCORE + x] >= limits.min_neighbours
-        fine = (kept[GAP + x] <= limits.max_gap_mm) & (kept[SIGMA + x] <= limits.max_sigma_mm)
-        good[x] = np.uint8(1) if inside & company & fine else np.uint8(0)
-
-
-@numba.njit(nogil=True, cache=True, error_model="numpy")
-def _interleave(
-    x: NDArray[np.float32], y: NDArray[np.float32], z: NDArray[np.float32], xyz: NDArray[np.float32]
-) -> None:
-    for k in range(xyz.size // 3):
-        xyz[3 * k] = x[k]
-        xyz[3 * k + 1] = y[k]
-        xyz[3 * k + 2] = z[k]
-
-
-@numba.njit(nogil=True, cache=True, error_model="numpy")
-def _copy(source: NDArray[np.float32], target: NDArray[np.float32]) -> None:
-    for k in range(target.size):
-        target[k] = source[k]
-
-
-@numba.njit(nogil=True, cache=True, error_model="numpy")
-def _sample(source: NDArray[np.uint8], stride: int, target: NDArray[np.uint8]) -> None:
-    if stride == 1:
-        for k in range(target.size):
-            target[k] = source[k]
-    else:
-        for k in range(target.size):
-            target[k] = source[k * stride]
-
-
-@numba.njit(nogil=True, cache=True, error_model="numpy")
-def _number(pixel: NDArray[np.uint32], first: np.uint32, stride: np.uint32) -> None:
-    for k in range(pixel.size):
-        pixel[k] = first + np.uint32(k) * stride
+        z = row[Z + x]
+        near = _ONE if abs(above[Z + x - 1] - z) <= max_step_mm else _ZERO
+        near += _ONE if abs(above[Z + x] - z) <= max_step_mm else _ZERO
+        near += _ONE if abs(above[Z + x + 1] - z) <= max_step_mm else _ZERO
+        near += _ONE if abs(row[Z + x - 1] - z) <= max_step_mm else _ZERO
+        near += _ONE if abs(row[Z + x + 1] - z) <= max_step_mm else _ZERO
+        near += _ONE if abs(below[Z + x - 1] - z) <= max_step_mm else _ZERO
+        near += _ONE if abs(below[Z + x] - z) <= max_step_mm else _ZERO
+        near += _ONE if abs(below[Z + x + 1] - z) <= max_step_mm else _ZERO
+        inside = (z >= min_depth_mm) & (z <= max_depth_mm) & (near >= min_neighbours)
+        fine = (row[GAP + x] <= max_gap_mm) & (row[SIGMA + x] <= max_sigma_mm)
+        good[x] = np.uint8(1) if inside & fine else np.uint8(0)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def append(
-    kept: NDArray[np.float32],
-    z: NDArray[np.float32],
+    row: NDArray[np.float32],
     good: NDArray[np.uint8],
     bright: NDArray[np.uint8],
     half_dn: NDArray[np.uint8],
@@ -124,7 +80,14 @@ def append(
     points: Points,
     count: int,
 ) -> int:
-    """Append the good points of a row, run by run; return the new count. ``pixel``: the row's first flat index."""
+    """Append the good points of scratch row ``row``, run by run; return the new count. ``pixel``: the first flat index.
+
+    A run is short, ten to a row: slices of the columns would count references, which takes longer than copying.
+    Unsigned places need no check for negative ones.
+    """
+    columns_xyz, gap_mm, sigma_mm, modulation_half_dn, pixels, intensity = points
+    xyz_mm = columns_xyz.reshape(-1)
+    step = np.uint64(stride)
     x = 0
     while x < n:
         while x < n and good[x] == 0:
@@ -132,13 +95,28 @@ def append(
         begin = x
         while x < n and good[x] != 0:
             x += 1
-        end = count + x - begin
-        xyz = points.xyz_mm[count:end].reshape(-1)
-        _interleave(kept[X + begin :], kept[Y + begin :], z[Z_MIDDLE + begin :], xyz)
-        _copy(kept[GAP + begin :], points.gap_mm[count:end])
-        _copy(kept[SIGMA + begin :], points.sigma_mm[count:end])
-        _sample(half_dn[begin * stride :], stride, points.modulation_half_dn[count:end])
-        _number(points.pixel[count:end], np.uint32(pixel + begin * stride), np.uint32(stride))
-        _sample(bright[begin * stride :], stride, points.intensity[count:end])
-        count = end
+        size, source, target = np.uint64(x - begin), np.uint64(begin), np.uint64(count)
+        first_xyz = np.uint64(3 * count)
+        for k in range(size):
+            place = first_xyz + k + k + k
+            xyz_mm[place] = row[_X + source + k]
+            xyz_mm[place + np.uint64(1)] = row[_Y + source + k]
+            xyz_mm[place + np.uint64(2)] = row[_Z + source + k]
+        for k in range(size):
+            gap_mm[target + k] = row[_GAP + source + k]
+        for k in range(size):
+            sigma_mm[target + k] = row[_SIGMA + source + k]
+        first_pixel = np.uint32(pixel + begin * stride)
+        for k in range(size):
+            pixels[target + k] = first_pixel + np.uint32(k) * np.uint32(stride)
+        if stride == 1:
+            for k in range(size):
+                modulation_half_dn[target + k] = half_dn[source + k]
+            for k in range(size):
+                intensity[target + k] = bright[source + k]
+        else:
+            for k in range(size):
+                modulation_half_dn[target + k] = half_dn[(source + k) * step]
+                intensity[target + k] = bright[(source + k) * step]
+        count += x - begin
     return count

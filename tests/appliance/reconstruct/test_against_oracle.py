@@ -8,7 +8,10 @@ import pytest
 from appliance.optics.rays import ray_lattice
 from appliance.patterns.sequence import Direction, build_sequence
 from appliance.reconstruct.decode import MAX_GRAY_DISAGREEMENT, MIN_CONTRAST_DN, MIN_MODULATION_DN, CameraDecoder, Mask
+from appliance.reconstruct.noise import TYPICAL_PAIR
 from appliance.reconstruct.pipeline import Pipeline
+from appliance.reconstruct.scratch import SIZE, SX2, SY2, X2, Y2, U, V, Z
+from appliance.reconstruct.triangulate import rays_of, sigma_factors, triangulate_row
 from tests.support import oracle, synthetic
 
 NORMAL = np.array([-0.2, 0.15, 1.0]) / np.linalg.norm([-0.2, 0.15, 1.0])
@@ -141,3 +144,29 @@ def test_nothing_of_the_scan_before_remains() -> None:
     np.testing.assert_array_equal(used.mask, new.mask)
     np.testing.assert_array_equal(used.p_px, new.p_px)
     np.testing.assert_array_equal(used.q_px, new.q_px)
+
+
+def test_rays_asked_block_by_block_are_those_of_each_pixel() -> None:
+    """Also where neighbours see different surfaces, where some have no match, and beyond the image."""
+    cal = synthetic.calibration(1600, 1200)
+    right, index = cal.rig.right, synthetic.WATER.index
+    rays = rays_of(ray_lattice(cal.rig.left, index, 522.5), ray_lattice(right, index, 522.5), 1600)
+    n = 1200
+    rng = np.random.default_rng(5)
+    uv = np.stack([200.0 + 1.15 * np.arange(n), 300.0 + 0.5 * np.arange(n)], -1) + rng.normal(0.0, 0.3, (n, 2))
+    uv[500:520] += 60.0
+    uv = np.clip(uv, 0.0, [1599.0, 1199.0])
+    scratch = np.full(SIZE, np.nan, np.float32)
+    scratch[U : U + n], scratch[V : V + n] = uv.astype(np.float32).T
+    scratch[U + 700 : U + 740] = np.nan
+    triangulate_row(rays, 600, 0, 1, sigma_factors(16, TYPICAL_PAIR), scratch, n)
+    origin, direction = right.rays(uv.astype(np.float32).astype(float), index)
+    slope = direction[:, :2] / direction[:, 2:]
+    at_plane = origin[:, :2] + slope * (522.5 - origin[:, 2:])
+    known = np.arange(n)[np.isfinite(scratch[U : U + n])]
+    got = np.stack([scratch[place + known] for place in (X2, Y2, SX2, SY2)], -1)
+    difference_mm = np.abs(got[:, :2] - at_plane[known])
+    assert difference_mm.max() < 0.0006
+    assert np.median(difference_mm) < 0.00005
+    np.testing.assert_allclose(got[:, 2:], slope[known], atol=3e-6)
+    assert np.isnan(scratch[Z + 700 : Z + 740]).all()
