@@ -17,6 +17,9 @@ HALF_WINDOW_PX = 2
 MAX_ROUGHNESS = 0.5
 """RMS of a window's phases about their quadratic, in projector px; more is an edge."""
 ROUNDS = 3
+APPROACHES = 3
+FARTHEST_PX = 40.0
+"""Ports that nobody has measured yet put the start some twenty pixels beside the match."""
 BLOCK = 4096
 
 
@@ -26,7 +29,7 @@ def matched_right_px(
     """Right pixels (n, 2) that show what left pixels (n, 2) show, and which of them were found.
 
     ``left_pq`` and ``right_pq`` are the pattern coordinates (p, q) of every pixel, NaN where unknown;
-    ``right_start_px`` says within a few pixels where to look. Points whose windows are not complete or not smooth are
+    ``right_start_px`` says within some twenty pixels where to look. Points whose windows are not complete or not smooth are
     not found.
     """
     found_px = np.full((len(left_px), 2), np.nan)
@@ -48,6 +51,7 @@ def _match(
     wanted = np.einsum("t,ntk->nk", fit[0], mine)
     good &= _smooth(terms, fit, mine)
     at = np.where(np.isfinite(start_px).all(axis=1, keepdims=True), start_px, -1e6)
+    at = _approached(right_pq, wanted, at, u, v)
     middle = np.rint(at).astype(np.intp)
     for _ in range(ROUNDS):
         # Where the surface through the window around the nearest pixel has the wanted coordinates: Newton.
@@ -59,24 +63,34 @@ def _match(
             slope = _slopes(x)
             miss = wanted - np.einsum("ns,nsk->nk", _terms(x[:, 0], x[:, 1]), surface)
             J = np.einsum("nsd,nsk->nkd", slope, surface)
-            det = J[:, 0, 0] * J[:, 1, 1] - J[:, 0, 1] * J[:, 1, 0]
-            solvable = complete & (np.abs(det) > 1e-6)
-            det = np.where(solvable, det, 1.0)
-            step = (
-                np.stack(
-                    [
-                        J[:, 1, 1] * miss[:, 0] - J[:, 0, 1] * miss[:, 1],
-                        J[:, 0, 0] * miss[:, 1] - J[:, 1, 0] * miss[:, 0],
-                    ],
-                    -1,
-                )
-                / det[:, None]
-            )
-            x = np.clip(x + np.where(solvable[:, None], step, 0.0), -5.0, 5.0)
+            step, solvable = _solved(J, miss, complete)
+            x = np.clip(x + step, -5.0, 5.0)
         at = np.where(solvable[:, None], middle + x * HALF_WINDOW_PX, at)
         smooth = _smooth(terms, fit, other)
     good &= solvable & smooth & (np.abs(at - middle).max(axis=1) <= 1.0)
     return np.where(good[:, None], at, np.nan), good
+
+
+def _approached(right_pq: tuple[Map, Map], wanted: Array, at: Array, u: NDArray[np.intp], v: NDArray[np.intp]) -> Array:
+    """Starts moved near to where the wanted coordinates are. Far away a window's bend means nothing: its slope does."""
+    flat = np.asarray(np.linalg.pinv(np.stack([np.ones(len(u)), u, v], -1)), np.float64)
+    for _ in range(APPROACHES):
+        middle = np.rint(at).astype(np.intp)
+        other, complete = _window(right_pq, middle, u, v)
+        surface = np.einsum("st,ntk->nsk", flat, other)
+        step, solvable = _solved(np.swapaxes(surface[:, 1:], 1, 2), wanted - surface[:, 0], complete)
+        at = np.where(solvable[:, None], middle + np.clip(step, -FARTHEST_PX, FARTHEST_PX), at)
+    return at
+
+
+def _solved(J: Array, miss: Array, complete: NDArray[np.bool_]) -> tuple[Array, NDArray[np.bool_]]:
+    """Steps (n, 2) that J (n, 2, 2: coordinate, axis) maps to ``miss`` (n, 2), and where there is one; elsewhere zero."""
+    det = J[:, 0, 0] * J[:, 1, 1] - J[:, 0, 1] * J[:, 1, 0]
+    solvable = complete & (np.abs(det) > 1e-6)
+    across = J[:, 1, 1] * miss[:, 0] - J[:, 0, 1] * miss[:, 1]
+    down = J[:, 0, 0] * miss[:, 1] - J[:, 1, 0] * miss[:, 0]
+    step = np.stack([across, down], -1) / np.where(solvable, det, 1.0)[:, None]
+    return np.where(solvable[:, None], step, 0.0), solvable
 
 
 def _window(

@@ -41,6 +41,20 @@ def test_exact_maps_give_exact_pixels(left_px: np.ndarray) -> None:
     assert np.abs(right[good] - true_right(left_px)[good]).max() < 2e-3
 
 
+@pytest.mark.parametrize("away", [(0.0, 18.0), (-15.0, -12.0)])
+def test_a_start_far_beside_the_match_leads_to_the_same_pixel(left_px: np.ndarray, away: tuple[float, float]) -> None:
+    left, right = maps_of(0.0, NOISE_PX, 1), maps_of(7.0, NOISE_PX, 2)
+    near, found_near = matched_right_px(left, right, left_px, true_right(left_px))
+    start = true_right(left_px) + away
+    inside = np.all((start > 5.0) & (start < [WIDTH - 6.0, HEIGHT - 6.0]), axis=1)
+    far, found_far = matched_right_px(left, right, left_px, start)
+    assert inside.mean() > 0.7
+    assert found_far[inside & found_near].mean() > 0.99
+    both = found_near & found_far
+    # Windows around neighbouring pixels may be taken; they share nearly all of their pixels.
+    assert np.abs(far[both] - near[both]).max() < NOISE_PX
+
+
 def test_windows_average_the_noise(left_px: np.ndarray) -> None:
     right, good = matched_right_px(maps_of(0.0, NOISE_PX, 1), maps_of(7.0, NOISE_PX, 2), left_px, true_right(left_px))
     sd = float((right[good] - true_right(left_px)[good]).std())
