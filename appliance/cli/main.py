@@ -257,6 +257,15 @@ def _add_measure(
     )
     response.add_argument("scan", metavar="SCAN", help="its number or its folder")
     response.add_argument("--out", type=Path, metavar="FILE", help="default: where the instrument looks for it")
+    noise = add(
+        inner,
+        "noise",
+        "both cameras' noise, beside what their data sheets make expect",
+        lambda a: measure.noise(_rooted(a), a.scan, json=a.json),
+        rig,
+        root,
+    )
+    noise.add_argument("scan", metavar="SCAN", help="its number or its folder")
 
 
 def _add_health(

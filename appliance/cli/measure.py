@@ -7,13 +7,14 @@ from pathlib import Path
 
 from appliance import kernel_cache
 from appliance.cli.desk import usable_scan, writable, writing
-from appliance.cli.output import Exit, Progress, UsageError, say, say_json
+from appliance.cli.output import Exit, Progress, UsageError, say, say_json, table
 from appliance.config import Rig
 from appliance.storage.atomic import replace_file
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.scan import ScanError
 
 SHOWN_HARMONICS = 6
+LEVELS = 255.0
 
 
 def response(rig: Rig, scan: str, out: Path | None, *, json: bool) -> Exit:
@@ -56,4 +57,37 @@ def response(rig: Rig, scan: str, out: Path | None, *, json: bool) -> Exit:
         for key, value in report.items():
             shown = " ".join(f"{one:.2f}" for one in value) if isinstance(value, list) else value
             say(f"{key:<24} {f'{shown:.3f}' if isinstance(shown, float) else shown}")
+    return Exit.OK
+
+
+def noise(rig: Rig, scan: str, *, json: bool) -> Exit:
+    """Each camera's noise in a scan, beside what the rig file's data sheet makes expect."""
+    kernel_cache.use()  # before anything brings compiled kernels
+    from appliance.calibration.photon_transfer import NoiseError
+    from appliance.service.measuring import noise_of_scan
+
+    with Progress() as progress:
+        progress("comparing checksums")
+        folder = usable_scan(rig, scan, None)
+        progress("comparing sine images")
+        try:
+            found = noise_of_scan(rig, folder)
+        except NoiseError as error:
+            raise ScanError(f"{folder}: {error}") from error
+    report = {}
+    for side, (measured, expected) in found.items():
+        light_dn, variance_dn2 = measured.variance_at_dn2
+        report[side] = {
+            "light_dn": light_dn,
+            "noise_dn": math.sqrt(variance_dn2),
+            "expected_dn": math.sqrt(expected.variance_dn2(light_dn)),
+            "electrons_at_255": measured.full_well_e,
+            "expected_electrons_at_255": LEVELS / expected.dn_per_e,
+            "pixels": measured.pixels,
+        }
+    if json:
+        say_json(report)
+    else:
+        names = list(report["left"])
+        say(table(("CAMERA", *names), [(side, *(f"{said[n]:.5g}" for n in names)) for side, said in report.items()]))
     return Exit.OK

@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from appliance.calibration.photon_transfer import MeasuredNoise, measure_noise
 from appliance.calibration.response import MeasuredResponse, ResponseError, Seen, measure_response
 from appliance.calibration.response_file import StoredResponse
 from appliance.config import Rig
 from appliance.patterns.response import Response
 from appliance.patterns.sequence import build_sequence
 from appliance.reconstruct.decode import CameraDecoder
-from appliance.service.instrument import RESPONSE_FILE, response_of
+from appliance.reconstruct.noise import CameraNoise
+from appliance.service.instrument import RESPONSE_FILE, noise_of, response_of
 from appliance.storage import scan as stored
 from appliance.storage.scan import SIDES
 
@@ -38,6 +40,21 @@ def response_of_scan(
         seen.append(Seen(frames, decoder.p_px, decoder.q_px))
     measured = measure_response(sequence, seen, drawn_for)
     return StoredResponse(rig.rig.serial, (scan.manifest.scan_id,), measured.residual, measured.response), measured
+
+
+def noise_of_scan(rig: Rig, folder: Path) -> dict[str, tuple[MeasuredNoise, CameraNoise]]:
+    """By side: the camera's noise in a stored scan, and what the rig file makes expect.
+
+    Raises ScanError, NoiseError.
+    """
+    scan = stored.load(folder)
+    made = scan.manifest.record.sequence
+    sequence = build_sequence(made.period_px, made.width_px, made.height_px)
+    expected = noise_of(rig)
+    return {
+        "left": (measure_noise(sequence, scan.frames["left"]), expected.left),
+        "right": (measure_noise(sequence, scan.frames["right"]), expected.right),
+    }
 
 
 def _drawn_for(rig: Rig, scan_id: str, response_hash: str | None) -> Response | None:

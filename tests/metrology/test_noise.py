@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from appliance.calibration.photon_transfer import NoiseError, measure_noise
+from appliance.patterns.sequence import build_sequence
 from appliance.reconstruct.noise import camera_noise
 from bench.bias import depth_errors, rms
 from hw_sim.imaging import Imaging
 from hw_sim.scene import Scene
-from hw_sim.sensor import Sensor
+from hw_sim.sensor import E_PER_DN, FULL_WELL_E, OFFSET_DN, READ_NOISE_E, Sensor
 from tests.support.rendered import reconstruct, render_scan
 
 SIZE_PX = (1600, 240)
@@ -61,3 +63,24 @@ def test_the_noise_of_a_camera_follows_from_its_data_sheet_and_gain() -> None:
                 float
             )
             assert seen.var(axis=0, ddof=1).mean() == pytest.approx(noise.variance_dn2(seen.mean()), rel=0.05)
+
+
+def test_the_noise_of_a_camera_is_found_in_a_scan() -> None:
+    """Judged by the figures of the simulated sensor."""
+    scan = render_scan(Scene(object="pipe"), "modelled", 3, 1600, 16, 0.010, height_px=200)
+    for frames in scan.frames.values():
+        found = measure_noise(scan.sequence, frames)
+        light_dn, variance_dn2 = found.variance_at_dn2
+        electrons = (light_dn - OFFSET_DN) * E_PER_DN
+        assert variance_dn2 == pytest.approx((electrons + READ_NOISE_E**2) / E_PER_DN**2 + 1 / 12, rel=0.05)
+        assert found.full_well_e == pytest.approx(FULL_WELL_E, rel=0.08)
+
+
+def test_images_too_coarse_to_tell_noise_from_fringes_say_so() -> None:
+    with pytest.raises(NoiseError, match="fringes of about 6 px in images 400 px wide; needed are 20 px"):
+        measure_noise(build_sequence(16), np.zeros((24, 300, 400), np.uint8))
+    even = np.random.default_rng(1).normal(92.0, 1.5, (20, 300, 400)).astype(np.uint8)
+    with pytest.raises(NoiseError, match="light of 1 levels"):
+        measure_noise(build_sequence(64), even)
+    with pytest.raises(NoiseError, match="no noise at all"):
+        measure_noise(build_sequence(64), np.full((20, 300, 400), 90, np.uint8))

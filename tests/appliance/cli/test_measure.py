@@ -1,4 +1,4 @@
-"""`kingfisher measure response`: from a stored scan to the file that the instrument draws its patterns for."""
+"""`kingfisher measure`: from a stored scan to the response the patterns are drawn for, and to the cameras' noise."""
 
 from __future__ import annotations
 
@@ -50,3 +50,14 @@ def test_a_scan_drawn_for_a_response_that_is_gone_is_refused(
     assert measure(tmp_path, scan) == 1
     assert "drawn for another response" in capsys.readouterr().err
     assert not (tmp_path / "calibration").exists()
+
+
+def test_the_noise_in_a_scan_is_shown_beside_the_data_sheets(
+    plane: RenderedScan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scan = store(plane, tmp_path / "plane")
+    assert main(["measure", "noise", str(scan), "--rig", str(RIG), "--root", str(tmp_path), "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    for side in ("left", "right"):
+        assert said[side]["noise_dn"] == pytest.approx(said[side]["expected_dn"], rel=0.05)
+        assert said[side]["expected_electrons_at_255"] == pytest.approx(13_000)

@@ -1,0 +1,98 @@
+"""Owns how a camera's noise is found in a recorded scan: photon transfer, from the four sine images.
+
+I0 + I2 − I1 − I3 of a pixel is zero but for noise and the response's even harmonics, whatever is painted there. The
+harmonics are smooth across the image and noise is not: fourth differences along rows keep the noise. Its variance
+against the mean of the four images is a straight line; the slope is grey values per electron.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.patterns.sequence import Direction, PatternSequence
+
+Array = NDArray[np.float64]
+
+DIFFERENCE = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
+BRIGHTEST_DN = 235.0
+"""No image of a pixel may come near the end of the scale."""
+BIN_DN = 8.0
+FEWEST_IN_BIN = 2_000
+FEWEST_BINS = 3
+MAD_TO_SIGMA = 1.4826
+LEVELS = 255.0
+
+
+SHORTEST_FRINGE_PX = 20.0
+"""In camera px; of shorter ones, fourth differences keep harmonics, too."""
+
+
+class NoiseError(Exception):
+    """A scan does not tell the noise; the text says why and what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredNoise:
+    """One camera's noise as a scan shows it."""
+
+    dn_per_e: float
+    """At the gain of the scan."""
+    variance_at_dn2: tuple[float, float]
+    """Mean light of the scan in grey values, and the variance of one grey value there."""
+    pixels: int
+
+    @property
+    def full_well_e(self) -> float:
+        """Electrons at 255 grey values, at the gain of the scan."""
+        return LEVELS / self.dn_per_e
+
+
+def measure_noise(sequence: PatternSequence, frames: NDArray[np.uint8]) -> MeasuredNoise:
+    """The noise of the camera that recorded ``frames`` (n, h, w) uint8, hands at rest. Raises NoiseError."""
+    fringe_px = sequence.period_px * frames.shape[2] / sequence.width_px
+    if fringe_px < SHORTEST_FRINGE_PX:
+        raise NoiseError(
+            f"fringes of about {fringe_px:.0f} px in images {frames.shape[2]} px wide; needed are {SHORTEST_FRINGE_PX:.0f} px; "
+            "record with a longer scan.period_px"
+        )
+    light, noise = [], []
+    for direction in Direction:
+        sines = frames[list(sequence.axis(direction).sine)].astype(np.float64)
+        alternating = sines[0] + sines[2] - sines[1] - sines[3]
+        along = np.apply_along_axis(np.convolve, 1, alternating, DIFFERENCE, "valid")
+        mean, top = (np.asarray(f(sines, axis=0))[:, 2:-2] for f in (np.mean, np.max))
+        level = mean[:, :: len(DIFFERENCE)]  # each pixel is used once
+        good = top[:, :: len(DIFFERENCE)] <= BRIGHTEST_DN
+        light.append(level[good])
+        noise.append(along[:, :: len(DIFFERENCE)][good])
+    return _line(np.concatenate(light), np.concatenate(noise))
+
+
+def _line(light: Array, noise: Array) -> MeasuredNoise:
+    """A line through robust variances in bins of light. Raises NoiseError."""
+    centres, variances, weights = [], [], []
+    which = np.floor(light / BIN_DN).astype(np.intp)
+    for k in np.unique(which):
+        inside = noise[which == k]
+        if len(inside) < FEWEST_IN_BIN:
+            continue
+        sigma = MAD_TO_SIGMA * float(np.median(np.abs(inside)))
+        if sigma == 0.0:
+            raise NoiseError("no noise at all, which no camera has; give a recorded scan")
+        centres.append(float(light[which == k].mean()))
+        variances.append(sigma**2 / (4.0 * float(DIFFERENCE @ DIFFERENCE)))
+        weights.append(math.sqrt(len(inside)) / variances[-1])  # one over the variance's standard error
+    if len(centres) < FEWEST_BINS:
+        raise NoiseError(
+            f"light of {len(centres)} levels, {BIN_DN:g} grey values apart; needed are {FEWEST_BINS}; scan something that is "
+            "light and dark in large parts, without glare"
+        )
+    slope, offset = np.polyfit(centres, variances, 1, w=weights)
+    if not slope > 0.0:
+        raise NoiseError(f"noise that does not grow with light (by {slope:.4f} per grey value); scan with still hands")
+    middle = float(np.average(centres, weights=weights))
+    return MeasuredNoise(float(slope), (middle, float(offset + slope * middle)), int(light.size))

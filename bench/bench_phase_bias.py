@@ -1,0 +1,126 @@
+"""What bends the phase besides noise (response, defocus, paint), and what drawing patterns for the response removes."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+from appliance.patterns.response import Response
+from bench.phase_bias.page import write_page
+from bench.phase_bias.tables import (
+    Row,
+    after_compensation,
+    artefacts,
+    causes,
+    distances,
+    measured_response,
+    paint,
+    periods,
+)
+from bench.picture import Bar, Panel, draw
+from bench.result import Measured
+
+OUT = Path("bench/out")
+TABLES: dict[str, Callable[[Response], Iterator[Row]]] = {
+    "causes": causes,
+    "periods": periods,
+    "distances": distances,
+    "paint": paint,
+    "artefacts": artefacts,
+}
+ROWS, PICTURE = "phase_bias-rows.json", "phase_bias.png"
+
+
+def measure() -> Iterator[Measured]:
+    """All tables; bounds for what is promised."""
+    yield from measured(tuple(TABLES))
+
+
+def measured(tables: Sequence[str]) -> Iterator[Measured]:
+    """Some of ``TABLES``; the rows of the others stay as they were in ``ROWS``."""
+    OUT.mkdir(parents=True, exist_ok=True)
+    rows = [row for row in earlier() if row.table not in (*tables, "response")]
+    response, recorded = measured_response()
+    drawn = after_compensation(response)
+    rows += [recorded, drawn]
+    ratio = abs(recorded.values["phase error, °"] / drawn.values["phase error, °"])
+    yield Measured("phase error of fringes, before over after", ratio, "×", at_least=3.0)
+    for table in tables:
+        for row in TABLES[table](response):
+            rows.append(row)
+            (OUT / ROWS).write_text(
+                json.dumps({"rows": [asdict(one) for one in rows]}, indent=1) + "\n", encoding="utf-8"
+            )
+            for name, value in row.values.items():
+                at_most, at_least = bounds(row, name)
+                yield Measured(f"{row.table}: {row.name}: {name}", value, name.rpartition(" ")[2], at_most, at_least)
+    draw(OUT / PICTURE, panels(rows))
+
+
+def earlier() -> list[Row]:
+    """Rows of the last run; none where there was none."""
+    try:
+        return [Row(**row) for row in json.loads((OUT / ROWS).read_text(encoding="utf-8"))["rows"]]
+    except (OSError, ValueError, KeyError, TypeError):
+        return []
+
+
+def bounds(row: Row, name: str) -> tuple[float | None, float | None]:
+    """(at most, at least) of a figure; none for most."""
+    if row.name.startswith("16 px: light") and name == "ripple of a coordinate, px":
+        return 0.067 / 3.0, None  # a third of what it is without
+    if row.table in ("periods", "distances") and name == "rms in sigmas":
+        return 1.1, 0.9
+    if row.table == "periods" and row.name.startswith("16 px") and name == "rms, µm":
+        return 30.0, None
+    return None, None
+
+
+def panels(rows: Sequence[Row]) -> list[Panel]:
+    """Depth: ripple by cause, then all errors by cause and noise."""
+    least = 0.01
+    causes_um = [row for row in rows if row.table == "causes"]
+    return [
+        Panel("Ripple of depth by cause, um, no noise", [_bar(row, "ripple of depth, µm", least) for row in causes_um]),
+        Panel(
+            "Errors of points, rms, um, as the instrument is",
+            [_bar(row, "rms, µm", least) for row in rows if row.table in ("periods", "distances")],
+        ),
+        Panel(
+            "Points on borders of paint, rms, um",
+            [_bar(r, "rms on borders, µm", least) for r in rows if r.table == "paint"],
+        ),
+    ]
+
+
+def _bar(row: Row, name: str, least: float) -> Bar:
+    """The font of the picture has no degree sign."""
+    return Bar(
+        row.name.replace("°", " deg").replace("patterns drawn for it", "compensated"), max(row.values[name], least)
+    )
+
+
+def main(arguments: Sequence[str]) -> int:
+    """The command line: ``./dev bench phase_bias --help``."""
+    parser = argparse.ArgumentParser(prog="./dev bench phase_bias", description=__doc__)
+    parser.add_argument("--tables", default=",".join(TABLES), help="names with commas between; default: %(default)s")
+    parser.add_argument(
+        "--write-docs", action="store_true", help="measure nothing; write docs/phase-bias.md from bench/out"
+    )
+    wanted = parser.parse_args(arguments)
+    if wanted.write_docs:
+        write_page(OUT / ROWS, Path("docs/phase-bias.md"))
+        return 0
+    tables = wanted.tables.split(",")
+    for table in tables:
+        if table not in TABLES:
+            parser.error(f"--tables: {table!r} is unknown; allowed are {', '.join(TABLES)}")
+    kept = True
+    for number in measured(tables):
+        sys.stdout.write(number.line() + "\n")
+        kept = kept and number.kept
+    return 0 if kept else 1

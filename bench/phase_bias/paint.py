@@ -1,0 +1,59 @@
+"""Owns what borders of paint do to points, and what a flag or a correction would change.
+
+A pixel returns the mean of what it sees, weighted by how light it is. Beside a border the weighted mean lies off the
+pixel's middle by σ² ∇ln(albedo) (σ: the blur's), and so does its phase. Both cameras see the same paint, so that most of
+it cancels in the correspondence; what foreshortening makes different remains.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.bias import rms
+from bench.phase_bias.conditions import UM, Taken
+
+BLUR_VAR_PX2 = 0.55**2 + (0.3 * 0.4875) ** 2
+"""Of the simulated lens and water, px² of 1600: what a correction would have to know."""
+BORDER_CONTRAST = 0.10
+"""Relative change of light per px from which on a pixel is called a border."""
+
+
+class Maps(Protocol):
+    """Decoded coordinates of one camera, (h, w)."""
+
+    p_px: NDArray[np.float32]
+    q_px: NDArray[np.float32]
+
+
+def borders(taken: Taken) -> dict[str, float]:
+    """Errors in µm on borders and off them, and what leaving the borders out would change."""
+    at = contrast(taken)[taken.cloud.pixel] > BORDER_CONTRAST
+    keep, along = taken.judged, UM * taken.errors.along_ray_mm
+    return {
+        "border points, %": 100.0 * float(np.mean(at[keep])),
+        "rms off borders, µm": rms(along[keep & ~at]),
+        "rms on borders, µm": rms(along[keep & at]),
+        "all, µm": rms(along[keep]),
+        "worst 0.1 %, µm": float(np.quantile(np.abs(along[keep]), 0.999)),
+        "worst 0.1 % off borders, µm": float(np.quantile(np.abs(along[keep & ~at]), 0.999)),
+    }
+
+
+def contrast(taken: Taken) -> NDArray[np.float64]:
+    """Relative gradient of the left image's light per px, flat: what a flag would go by."""
+    frames, sequence = taken.scan.frames["left"], taken.scan.sequence
+    light = frames[sequence.bright].astype(np.float64) - frames[sequence.dark]
+    by_v, by_u = np.gradient(light)
+    return np.asarray(np.hypot(by_u, by_v) / np.maximum(light, 1.0)).reshape(-1)
+
+
+def correct(decoded: Maps, bright: NDArray[np.uint8], dark: NDArray[np.uint8]) -> None:
+    """Take σ² ∇ln(light) · ∇coordinate off decoded coordinates, in place: the first-order correction."""
+    by_v, by_u = np.gradient(np.log(np.maximum(bright.astype(np.float64) - dark, 1.0)))
+    for m in (decoded.p_px, decoded.q_px):
+        m_v, m_u = np.gradient(m.astype(np.float64))
+        shift = BLUR_VAR_PX2 * (m_u * by_u + m_v * by_v)
+        m -= np.where(np.isfinite(shift), shift, 0.0).astype(np.float32)
