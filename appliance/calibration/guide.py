@@ -47,6 +47,8 @@ class Refusal(Enum):
 
     NOT_FOUND = "NOT_FOUND"
     """No ball bar or plane in the cloud."""
+    FEW_POINTS = "FEW_POINTS"
+    """Found, but too little of it is fit to calibrate with: edges, glare, dirt."""
     BAD_FIT = "BAD_FIT"
     """The points do not lie on balls or a plane: moved, damaged, or something else."""
     WRONG_SIZE = "WRONG_SIZE"
@@ -64,6 +66,7 @@ class Refusal(Enum):
 UNITS: Mapping[Refusal, str] = MappingProxyType(
     {
         Refusal.NOT_FOUND: "",
+        Refusal.FEW_POINTS: "",
         Refusal.BAD_FIT: "mm",
         Refusal.WRONG_SIZE: "mm",
         Refusal.LAY_DOWN: "°",

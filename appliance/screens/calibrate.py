@@ -69,6 +69,8 @@ def refusal_words(trial: Trial) -> tuple[Text, Text]:
             return Text.ACCEPTED, Text.ACCEPTED
         case Refusal.NOT_FOUND:
             return (Text.NO_BAR, Text.BOTH_BALLS_LIT) if bar else (Text.NO_PLANE, Text.ONLY_THE_PLANE)
+        case Refusal.FEW_POINTS:
+            return Text.FEW_POINTS, Text.WIPE_AND_SHOW
         case Refusal.BAD_FIT:
             return Text.BAD_FIT, Text.STILL_AND_CLEAN
         case Refusal.WRONG_SIZE:

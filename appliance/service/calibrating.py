@@ -151,7 +151,7 @@ class CalibrationDesk:
 
         def write() -> _Changed:
             session = replace(self._store.session(), solved=solution.solved, verified=solution.verified)
-            return _Changed(self._store.write_solved(solution.calibration, session))
+            return _Changed(self._store.write_solved(solution.calibration, session, solution.report))
 
         self._ask(write)
 

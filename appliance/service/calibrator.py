@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import json
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from appliance import __version__
 from appliance.calibration import file as calibration_file
+from appliance.calibration import report as report_of
 from appliance.calibration.extract import MAX_GAP_MM, Certificate, extract
 from appliance.calibration.file import Calibration, CalibrationError
 from appliance.calibration.guide import HELD, USED, Refusal, Solved, Step, Trial, Verified
@@ -25,6 +28,7 @@ from appliance.reconstruct.pipeline import Cloud, Pipeline
 from appliance.reconstruct.quality import QualityLimits
 from appliance.service.desk import cloud_of, decoded_cloud_of
 from appliance.service.instrument import calibration_of, misfit, noise_of
+from appliance.service.recordings import recording_of_scan
 from appliance.storage import scan as stored
 from appliance.storage.calibrations import Calibrations
 from appliance.storage.library import Library
@@ -63,6 +67,8 @@ class Solution:
     solved: Solved
     verified: Verified | None
     """Where there was a recording for it."""
+    report: Mapping[str, bytes]
+    """Files for the desk, by name: what was adjusted, what is left, what the recordings could see."""
 
 
 def basis_of(rig: Rig) -> Basis:
@@ -120,9 +126,11 @@ def examine(rig: Rig, step: Step, folder: Path, report: Report) -> Examined:
         trial = _judged_plane(step, fit_plane(cloud), cloud, basis.start)
     if trial.refusal is not None:
         return Examined(trial)
-    recording = _extracted(step, basis, pipeline, cloud, water)
+    certificate = basis.bar if HELD[step] is ArtefactKind.BALL_BAR else None
+    left, right = pipeline.decoded("left"), pipeline.decoded("right")
+    recording = extract(step.value, certificate, cloud, left, right, basis.start, water)
     if isinstance(recording, NotFound):
-        return Examined(replace(trial, refusal=Refusal.NOT_FOUND, number=None, detail=recording.reason))
+        return Examined(replace(trial, refusal=Refusal.FEW_POINTS, number=None, detail=recording.reason))
     return Examined(replace(trial, points=len(recording.left_px)))
 
 
@@ -146,8 +154,8 @@ def solve(rig: Rig, date: str, report: Report) -> Solution:
     method = Method.BA_PORTS if basis.start.air_covariance is None else Method.BA_SPLINE
     result = calibrate(method, recordings, basis.start)
     report(0.9)
-    names = tuple(f"{step.value}: scan {folders[step].name}" for step in USED)
-    calibration = replace(result.calibration, made_at=date, made_from=(*basis.start.made_from, *names))
+    calibration = replace(result.calibration, made_at=date)
+    result = replace(result, calibration=calibration)
     if calibration.residual_px is None:
         raise RecordingError(f"{method.value} says nothing about what is left; use another method")
     solved = Solved(calibration.method, calibration.residual_px, result.warnings, calibration.hash)
@@ -156,20 +164,20 @@ def solve(rig: Rig, date: str, report: Report) -> Solution:
         scan = stored.load(folders[Step.VERIFY])
         bar = find_ball_bar(_fair(scan, calibration, basis))
         verified = None if isinstance(bar, NotFound) else _compared(scan, bar, basis)
-    return Solution(calibration, solved, verified)
+    about = {"rig_serial": rig.rig.serial, "made_at": date, "software_version": __version__}
+    files = {
+        "report.html": report_of.as_html(result, basis.start, about, {}).encode(),
+        "report.json": json.dumps(report_of.as_json(result, basis.start, about, {}), indent=1).encode(),
+    }
+    return Solution(calibration, solved, verified, files)
 
 
 def _recording(step: Step, folder: Path, basis: Basis) -> Recording:
-    recording = _extracted(step, basis, *_wide(stored.load(folder), basis))
+    certificate = basis.bar if HELD[step] is ArtefactKind.BALL_BAR else None
+    recording = recording_of_scan(folder, certificate, basis.start, _silent)
     if isinstance(recording, NotFound):
         raise RecordingError(f"{step.value}, scan {folder.name}: {recording.reason}; record {step.value} again")
-    return recording
-
-
-def _extracted(step: Step, basis: Basis, pipeline: Pipeline, cloud: Cloud, water: Water) -> Recording | NotFound:
-    certificate = basis.bar if HELD[step] is ArtefactKind.BALL_BAR else None
-    left, right = pipeline.decoded("left"), pipeline.decoded("right")
-    return extract(step.value, certificate, cloud, left, right, basis.start, water)
+    return replace(recording, name=f"{step.value}, scan {folder.name}")
 
 
 def _compared(scan: stored.StoredScan, bar: BallBar, basis: Basis) -> Verified:

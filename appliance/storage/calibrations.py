@@ -4,7 +4,7 @@
     air.json                    of the calibration in air, with covariance, where there is one
     kept/0001-2026-11-21.json   what was in use before, byte for byte; numbers only grow, the date may be wrong
     session/session.json        which scans the steps recorded, and what came of them
-    session/solved.json         the calibration that was solved from them
+    session/solved.json         the calibration that was solved from them, and report.html and .json about it
     sessions/0001/              sessions put away, the oldest first
 
 Whether the solved calibration is in use is not written down: the files say so, also after a loss of power between two of
@@ -19,6 +19,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
@@ -113,9 +114,13 @@ class Calibrations:
         replace_file(self._fs, self.folder / "session" / SESSION, text.encode())
         return self.session()
 
-    def write_solved(self, calibration: Calibration, session: Session) -> Session:
-        """Make a solved calibration durable, then the session that speaks of it."""
+    def write_solved(
+        self, calibration: Calibration, session: Session, report: Mapping[str, bytes] = MappingProxyType({})
+    ) -> Session:
+        """Make a solved calibration durable with its ``report``'s files (by name), then the session that speaks of it."""
         self._make(self.folder / "session")
+        for name, data in report.items():
+            replace_file(self._fs, self.folder / "session" / name, data)
         replace_file(self._fs, self.solved, calibration_file.encode(calibration))
         return self.write(session)
 
