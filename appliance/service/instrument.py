@@ -22,6 +22,7 @@ log = logging.getLogger("kingfisher")
 CALIBRATION_FILE = Path("calibration", "current.json")
 RESPONSE_FILE = CALIBRATION_FILE.with_name("response.json")
 """Below the storage root."""
+ONLY_IN_AIR = "the calibration is one in air, a start for calibrating in water; windows and water are not in it"
 
 
 def calibration_of(rig: Rig) -> tuple[Calibration, tuple[Fault, ...]]:
@@ -29,7 +30,7 @@ def calibration_of(rig: Rig) -> tuple[Calibration, tuple[Fault, ...]]:
     path = rig.storage.root / CALIBRATION_FILE
     try:
         calibration = load(path)
-        problem = misfit(calibration, rig)
+        problem = ONLY_IN_AIR if calibration.method == IN_AIR else misfit(calibration, rig)
     except CalibrationError as error:
         problem = str(error)
     else:
@@ -91,9 +92,7 @@ def noise_of(rig: Rig) -> StereoNoise:
 
 
 def misfit(calibration: Calibration, rig: Rig) -> str | None:
-    """Why a calibration is not one that this instrument measures with; ``None`` where it is."""
-    if calibration.method == IN_AIR:
-        return "the calibration is one in air, a start for calibrating in water; windows and water are not in it"
+    """Why a calibration, in air or in water, is not of this instrument; ``None`` where it is."""
     if calibration.rig_serial != rig.rig.serial:
         return f"the calibration is of instrument {calibration.rig_serial}; this one is {rig.rig.serial}"
     for side, camera, spec in (
