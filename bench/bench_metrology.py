@@ -68,7 +68,7 @@ def main(arguments: Sequence[str]) -> int:
     for rung in rungs:
         if rung not in WAYS:
             parser.error(f"--rungs: {rung!r} is unknown; allowed are {', '.join(WAYS)}")
-    effort = Effort(rungs, wanted.bars, wanted.planes, wanted.frustums)
+    effort = Effort(rungs, bars=wanted.bars, planes=wanted.planes, frustums=wanted.frustums)
     path = wanted.json or OUT / f"metrology-{wanted.set}.json"
     rows = run(wanted.set, range(wanted.seed, wanted.seed + wanted.rigs), width_px, height_px, effort, path)
     sys.stdout.write(text({"set": wanted.set}, rows))

@@ -25,7 +25,7 @@ TARGETS: Mapping[tuple[str, str, str], float] = {
 """What the median over the rigs of a set should keep, by set, rung and quantity."""
 SAID = {
     "pm_mapped": "pinhole, mapped through the drawn port",
-    "pm_water": "pinhole, recalibrated in water (boards, point by point)",
+    "pm_water": "pinhole, recalibrated in water (boards)",
     "paper_rm_printed": "search of distances, Eq. 1 as printed",
     "rm": "search of distances, Eq. 1 corrected",
     "rm_noise_free": "… with noise-free flatness",

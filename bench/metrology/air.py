@@ -1,29 +1,32 @@
-"""Owns what is known of a hidden rig before it was in the water: its calibration in air, and the drawing of its ports.
+"""Owns what is known of a hidden rig before anything was scanned: its calibration in air, and the drawing of its ports.
 
-Boards are seen point by point: exact optics, and the noise of finding corners.
+Boards are found in pictures that the simulated cameras take of them, as ``kingfisher calibrate air`` finds them.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from appliance.calibration.air import AirCalibration, BoardView, calibrate_air
+from appliance.calibration.board import find_board
 from appliance.calibration.design import design_calibration
 from appliance.calibration.file import Calibration
 from appliance.calibration.start import start_from_air
-from hw_sim.optics.points import project
+from hw_sim.render import Renderer
+from hw_sim.scene import Scene
 from hw_sim.truth import TrueRig, in_air
-from tests.support.calibrating import CORNER_NOISE_PX, DESIGN, WIDTH_PX, Pose, inside
+from hw_sim.water import AIR, Water
+from tests.support.board_pictures import BOARD, Pose, picture, poses_in_air, poses_in_water
+from tests.support.calibrating import DESIGN, WIDTH_PX
 from tests.support.truth import WATER
 
-BOARDS_IN_AIR, BOARDS_IN_WATER = 20, 15
+BOARDS_IN_WATER = 15
 
 
-def air_of(truth: TrueRig) -> AirCalibration:
-    """From twenty boards, on the day before the housing was closed."""
-    views = _boards(in_air(truth), BOARDS_IN_AIR, (470.0, 640.0), 1)
+def air_of(truth: TrueRig, boards: int) -> AirCalibration:
+    """From that many boards, on the day before the housing was closed. Raises AirCalibrationError."""
+    views = _views(in_air(truth), poses_in_air(boards, truth.seed), AIR)
     return calibrate_air(views, truth.left.width_px, truth.left.height_px)
 
 
@@ -36,23 +39,16 @@ def start_of(air: AirCalibration) -> Calibration:
 
 def boards_in_water(truth: TrueRig) -> list[BoardView]:
     """Fifteen boards in the measuring volume."""
-    return _boards(truth, BOARDS_IN_WATER, (470.0, 580.0), 2)
+    return _views(truth, poses_in_water(BOARDS_IN_WATER, truth.seed), Water())
 
 
-def _boards(truth: TrueRig, count: int, distance_mm: tuple[float, float], seed: int) -> list[BoardView]:
-    """A board of 14 × 11 corners, 18 mm apart."""
-    rng = np.random.default_rng([seed, truth.seed])
-    x, y = np.meshgrid((np.arange(14) - 6.5) * 18.0, (np.arange(11) - 5.0) * 18.0)
-    corners = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], -1)
-    views = []
-    for k in range(count):
-        pose = Pose(
-            (float(rng.uniform(-40, 40)), float(rng.uniform(-30, 30)), float(rng.uniform(*distance_mm))),
-            (float(rng.uniform(-30, 30)), float(rng.uniform(-30, 30)), float(rng.uniform(-180, 180))),
-        )
-        points = corners @ pose.rotation.T + pose.at_mm
-        seen = {side: project(truth, side, points) for side in ("left", "right")}
-        keep = inside(seen["left"], truth.left.width_px) & inside(seen["right"], truth.right.width_px)
-        noisy = {side: uv[keep] + rng.normal(0, CORNER_NOISE_PX, (keep.sum(), 2)) for side, uv in seen.items()}
-        views.append(BoardView(f"board {k}", corners[keep], noisy["left"], noisy["right"]))
-    return views
+def _views(rig: TrueRig, poses: Sequence[Pose], water: Water) -> list[BoardView]:
+    """The boards that were found; a picture that shows too little of one is not used, as with a real board."""
+    renderer = Renderer(rig, Scene(object="board"))
+    found = []
+    for k, pose in enumerate(poses):
+        pictures = picture(renderer, pose, water, 1000 * rig.seed + k)
+        view = find_board(f"board {k}", pictures.left, pictures.right, BOARD)
+        if isinstance(view, BoardView):
+            found.append(view)
+    return found

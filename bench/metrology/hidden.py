@@ -35,6 +35,8 @@ class Effort:
     """Which rungs are compared, and how many unseen scans judge a rig. Salt water needs the rung ``LATER``."""
 
     rungs: tuple[str, ...] = tuple(WAYS)
+    boards: int = 20
+    """Pictures of a board in air."""
     bars: int = 4
     planes: int = 3
     frustums: int = 3
@@ -80,7 +82,7 @@ def examine(
     name = f"{truth_set} {seed}"
     with open_instrument(options) as instrument:
         truth = instrument.world.truth
-        air = air_of(truth)
+        air = air_of(truth, effort.boards)
         start = start_of(air)
         recordings = _recorded(instrument, needed(effort.rungs), start, lambda what: step(f"{name}: {what}"))
         made = climb(Known(air, start, recordings, truth), effort.rungs)

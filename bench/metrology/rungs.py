@@ -39,7 +39,7 @@ class Known:
     recordings: Mapping[str, Recording]
     """From images, by name."""
     truth: TrueRig
-    """Only for boards and recordings that are made point by point; no rung reads it."""
+    """Only for pictures of boards in water and for recordings made point by point; no rung reads it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,7 +61,7 @@ class _Way:
     """Names of recordings."""
     settings: LadderSettings = field(default_factory=LadderSettings)
     others: int = 0
-    """Recordings that are made point by point."""
+    """Boards, and recordings that are made point by point."""
 
 
 AS_PUBLISHED = LadderSettings(search=SearchSettings(noise_free=False))

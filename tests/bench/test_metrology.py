@@ -16,7 +16,7 @@ from bench.metrology.rungs import needed
 from bench.metrology.table import JsonRow, as_json, summary, text
 from tests.support.calibrating import hidden_rig
 
-SMALL = Effort(rungs=("pm_mapped", "ba_spline_4"), bars=1, planes=1, frustums=1)
+SMALL = Effort(rungs=("pm_mapped", "ba_spline_4"), boards=8, bars=1, planes=1, frustums=1)
 
 
 def row(rung: str, seed: int, e_lb: float | None, missing: tuple[str, ...] = ()) -> JsonRow:
