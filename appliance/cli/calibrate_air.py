@@ -1,38 +1,67 @@
-"""Owns the verb ``calibrate air``: the pair of cameras in air, from pictures of a board."""
+"""Owns the verb ``calibrate air``: the pair of cameras in air, from pictures of a board, or with a board before it."""
 
 from __future__ import annotations
 
+import logging
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from appliance import kernel_cache
 from appliance.cli.desk import writable, writing
 from appliance.cli.output import Exit, Progress, UsageError, complain, say, say_json, table
 from appliance.config import Rig
+
+if TYPE_CHECKING:  # imported inside the verb: `scans list` can do without
+    from appliance.calibration.board import BoardDesign
+
+log = logging.getLogger(__name__)
 
 DEFAULT_NAME = "air.json"
 """In the folder of pictures."""
 
 
-def air(rig: Rig, folder: Path, board: str | None, out: Path | None, *, install: bool, json: bool) -> Exit:
+@dataclass(frozen=True, slots=True)
+class AirOptions:
+    """What was typed after ``calibrate air FOLDER``."""
+
+    board: str | None = None
+    """``None``: that of the folder, else the usual one."""
+    out: Path | None = None
+    install: bool = False
+    live: bool = False
+    views: int = 20
+    room_light: bool = False
+    exposure_ms: float | None = None
+    patience_s: float = 300.0
+
+
+def air(rig: Rig, folder: Path, options: AirOptions, *, json: bool) -> Exit:
     """Calibrate from a folder of pictures; FAILED where they do not suffice, with the reason for each."""
+    kernel_cache.use()
     from appliance.calibration.air import AirCalibrationError
     from appliance.calibration.board import BoardDesign, BoardError, parse_board
     from appliance.service.air import PicturesError, calibrate_folder
     from appliance.service.air import install as install_air
+    from appliance.service.air_views import FolderError, read_session
 
-    writable(out)
-    target = out or folder / DEFAULT_NAME
+    writable(options.out)
+    target = options.out or folder / DEFAULT_NAME
     try:
-        design = BoardDesign() if board is None else parse_board(board)
+        design = None if options.board is None else parse_board(options.board)
+        if options.live:
+            _record(rig, folder, design, options)
+        begun = read_session(folder)
+        design = design or (begun[1] if begun is not None else BoardDesign())
         with Progress() as progress, writing(target):
             report = calibrate_folder(rig, folder, design, target, datetime.now(UTC), progress)
-    except (BoardError, PicturesError) as error:
+    except (BoardError, PicturesError, FolderError) as error:
         raise UsageError(str(error)) from error
-    except AirCalibrationError as error:
+    except (AirCalibrationError, LiveFailed) as error:
         complain(str(error), as_json=json)
         return Exit.FAILED
-    if install:
+    if options.install:
         installed, before = install_air(rig, target)
         report |= {"installed": str(installed), "before": None if before is None else str(before)}
     if json:
@@ -40,6 +69,21 @@ def air(rig: Rig, folder: Path, board: str | None, out: Path | None, *, install:
     else:
         _tell(report)
     return Exit.OK
+
+
+class LiveFailed(Exception):
+    """Recording ended before there were enough views; the text says why."""
+
+
+def _record(rig: Rig, folder: Path, design: BoardDesign | None, options: AirOptions) -> None:
+    from appliance.service.air_live import LiveError, LiveOptions, record_views
+    from appliance.service.air_views import ViewFolder
+
+    wanted = LiveOptions(options.views, not options.room_light, options.exposure_ms, options.patience_s)
+    try:
+        record_views(rig, ViewFolder(folder, rig.rig.serial, design), wanted, log.info)
+    except LiveError as error:
+        raise LiveFailed(str(error)) from error
 
 
 def _tell(report: dict[str, Any]) -> None:

@@ -46,7 +46,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = _grammar().parse_args(argv)
     verb: Verb = arguments.verb
     try:
-        with log_lines(as_json=arguments.json, service=arguments.service):
+        with log_lines(as_json=arguments.json, service=arguments.service or getattr(arguments, "live", False)):
             return verb(arguments)
     except (ConfigError, UsageError) as error:
         complain(str(error), as_json=arguments.json)
@@ -324,7 +324,7 @@ def _add_calibrate(
         inner,
         "air",
         "lenses and stereo pose, from pictures of a board in air",
-        lambda a: calibrate_air.air(_rooted(a), a.folder, a.board, a.out, install=a.install, json=a.json),
+        lambda a: calibrate_air.air(_rooted(a), a.folder, _air_options(a), json=a.json),
         rig,
         root,
     )
@@ -336,6 +336,18 @@ def _add_calibrate(
     )
     air.add_argument("--out", type=Path, metavar="FILE", help="default: air.json in FOLDER; pictures go beside it")
     air.add_argument("--install", action="store_true", help="make it the start of this instrument's calibrations")
+    live = calibrate_air.AirOptions()
+    air.add_argument("--live", action="store_true", help="record the views first, with this instrument, into FOLDER")
+    air.add_argument("--views", type=_views, default=live.views, metavar="N", help="default: %(default)s")
+    air.add_argument("--room-light", action="store_true", help="the projector stays dark")
+    air.add_argument("--exposure-ms", type=_positive_ms, metavar="MS", help="default: the rig file's")
+    air.add_argument(
+        "--patience-s",
+        type=_positive_s,
+        default=live.patience_s,
+        metavar="S",
+        help="without a new view, default: %(default)g",
+    )
     water = add(
         inner,
         "water",
@@ -369,6 +381,43 @@ def _add_calibrate(
         root,
     )
     back.add_argument("name", metavar="NAME", nargs="?", help="a file of calibration/kept (default: the last one)")
+
+
+def _air_options(arguments: argparse.Namespace) -> calibrate_air.AirOptions:
+    return calibrate_air.AirOptions(
+        board=arguments.board,
+        out=arguments.out,
+        install=arguments.install,
+        live=arguments.live,
+        views=arguments.views,
+        room_light=arguments.room_light,
+        exposure_ms=arguments.exposure_ms,
+        patience_s=arguments.patience_s,
+    )
+
+
+def _views(text: str) -> int:
+    if not text.isascii() or not text.isdigit() or not 6 <= int(text[:6]) <= 200:
+        raise argparse.ArgumentTypeError(f"{text}: allowed are whole numbers 6..200")
+    return int(text)
+
+
+def _positive_ms(text: str) -> float:
+    return _between(text, 0.05, 16.0)
+
+
+def _positive_s(text: str) -> float:
+    return _between(text, 1.0, 86400.0)
+
+
+def _between(text: str, low: float, high: float) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not low <= value <= high:
+        raise argparse.ArgumentTypeError(f"{text}: allowed are {low:g}..{high:g}")
+    return value
 
 
 def _water_options(arguments: argparse.Namespace) -> calibrate.WaterOptions:

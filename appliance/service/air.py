@@ -1,7 +1,7 @@
 """Owns the calibration in air from a folder of pictures: reading them, judging them, writing what came out.
 
-The folder holds pairs ``NAME_left.png`` and ``NAME_right.png`` (8 bit, grey; also tif, bmp, pgm), or folders of scans,
-whose bright frames are taken. ``docs/calibration.md`` says how to record them.
+The folder holds pairs ``NAME_left.png`` and ``NAME_right.png`` (8 bit, grey; also tif, bmp, pgm), or folders: of scans,
+whose bright frames are taken, or ``NAME/left.png`` and ``NAME/right.png`` (``air_views``). ``docs/calibration.md`` says how to record them.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from appliance.calibration.parameters import AIR, NAMES
 from appliance.calibration.start import METHOD, start_from_air
 from appliance.config import Rig
 from appliance.patterns.sequence import build_sequence
+from appliance.service.air_views import LEFT, RIGHT
 from appliance.service.instrument import design_of
 from appliance.storage import calibrations
 from appliance.storage import scan as stored
@@ -78,6 +79,8 @@ def pairs_of(folder: Path) -> list[Pair]:
         stem, _, side = path.stem.rpartition("_")
         if path.is_dir() and (path / FILE_NAME).is_file():
             found.append(Pair(path.name, path, path))
+        elif (path / LEFT).is_file() and (path / RIGHT).is_file() and not path.name.startswith("."):
+            found.append(Pair(path.name, path / LEFT, path / RIGHT))
         elif path.suffix.lower() in KINDS and stem and side in SIDES and not path.name.startswith("."):
             if side in sides.setdefault(stem, {}):
                 raise PicturesError(f"FOLDER {folder}: {path.name} is there twice, with two endings; remove one")

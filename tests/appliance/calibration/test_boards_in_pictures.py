@@ -171,6 +171,7 @@ def test_a_corner_beside_glare_is_left_out_alone(views: list[BoardView]) -> None
     assert len(air.views[2].left_px) == len(spoilt) - 1
 
 
+@pytest.mark.long
 def test_a_pinhole_in_water_measures_there_and_fails_in_salt_water() -> None:
     truth = hidden_rig("realistic", 3)
     found = views_of_boards_in_water(truth, 15)
