@@ -13,7 +13,7 @@ TITLES = {
     "periods": "As the instrument is, 500 mm",
     "distances": "As the instrument is, 16 px",
     "paint": "Paint; a straight response, 16 px",
-    "artefacts": "Full images of a ball bar and a plane, the true calibration, 16 px",
+    "artefacts": "Full images of a ball bar, a plane and a frustum, the true calibration, 16 px",
 }
 
 
