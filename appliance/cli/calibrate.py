@@ -67,7 +67,8 @@ def water(rig: Rig, listed: Path, options: WaterOptions, *, json: bool) -> Exit:
         raise UsageError(f"--out {target}: {data} is the list itself; give another name")
     kernel_cache.use()  # before anything brings compiled kernels
     from appliance.service.evaluation import ListError, read_list
-    from appliance.service.water_calibration import check_list, run_water_calibration, start_of
+    from appliance.service.instrument import start_of
+    from appliance.service.water_calibration import check_list, run_water_calibration
 
     try:
         scans = read_list(listed)

@@ -13,7 +13,7 @@ from appliance import __version__
 from appliance.calibration import file as calibration_file
 from appliance.calibration import report as report_of
 from appliance.calibration.extract import MAX_GAP_MM, Certificate, extract
-from appliance.calibration.file import Calibration, CalibrationError
+from appliance.calibration.file import Calibration
 from appliance.calibration.guide import HELD, USED, Refusal, Solved, Step, Trial, Verified
 from appliance.calibration.ladder import Method, calibrate
 from appliance.calibration.poses import FoundBar, FoundPlane, judge_bar, judge_plane
@@ -27,7 +27,7 @@ from appliance.reconstruct.noise import StereoNoise
 from appliance.reconstruct.pipeline import Cloud, Pipeline
 from appliance.reconstruct.quality import QualityLimits
 from appliance.service.desk import cloud_of, decoded_cloud_of
-from appliance.service.instrument import calibration_of, misfit, noise_of
+from appliance.service.instrument import calibration_of, noise_of, start_of
 from appliance.service.recordings import recording_of_scan
 from appliance.storage import scan as stored
 from appliance.storage.calibrations import Calibrations
@@ -85,23 +85,7 @@ def basis_of(rig: Rig) -> Basis:
     session = calibrations.session()
     before = calibrations.kept(session) if session.in_use else None
     certificate = Certificate(bar.length_mm, bar.length_sd_mm, bar.radius_mm, bar.radius_sd_mm)
-    return Basis(_start(rig, calibrations.air, current), before or current, noise_of(rig), certificate)
-
-
-def _start(rig: Rig, air: Path, current: Calibration) -> Calibration:
-    if air.exists():
-        start = calibration_file.load(air)
-        problem = misfit(start, rig)
-        if problem is not None:
-            raise CalibrationError(f"{air}: {problem}; calibrate in air, or move the file away")
-        return start
-    for camera in (current.rig.left, current.rig.right):
-        if camera.lens_in_water or camera.correction is not None or camera.ray_shift is not None:
-            raise RecordingError(
-                f"no calibration in air to start from, and the one in use ({current.method}) is no start; "
-                f"put the one in air at {air}"
-            )
-    return current
+    return Basis(start_of(rig), before or current, noise_of(rig), certificate)
 
 
 def examine(rig: Rig, step: Step, folder: Path, report: Report) -> Examined:

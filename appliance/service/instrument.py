@@ -10,6 +10,7 @@ from appliance.calibration.file import Calibration, CalibrationError, load
 from appliance.calibration.response_file import ResponseFileError
 from appliance.calibration.response_file import load as load_response
 from appliance.calibration.start import METHOD as IN_AIR
+from appliance.calibration.start import check_start
 from appliance.capture.fault import Fault, FaultCode
 from appliance.config import Rig
 from appliance.config.rig import CameraRig
@@ -21,6 +22,7 @@ log = logging.getLogger("kingfisher")
 
 CALIBRATION_FILE = Path("calibration", "current.json")
 RESPONSE_FILE = CALIBRATION_FILE.with_name("response.json")
+AIR_FILE = CALIBRATION_FILE.with_name("air.json")
 """Below the storage root."""
 ONLY_IN_AIR = "the calibration is one in air, a start for calibrating in water; windows and water are not in it"
 
@@ -38,6 +40,26 @@ def calibration_of(rig: Rig) -> tuple[Calibration, tuple[Fault, ...]]:
             return calibration, ()
     log.warning("uncalibrated: %s", problem)
     return design_of(rig), (Fault(FaultCode.UNCALIBRATED, problem),)
+
+
+def start_of(rig: Rig, path: Path | None = None) -> Calibration:
+    """What a calibration in water begins with: ``path``; else the instrument's calibration in air; else what it uses.
+
+    Raises CalibrationError for a file that cannot be used, RecordingError for one in use that is no start.
+    """
+    in_air = rig.storage.root / AIR_FILE
+    if path is not None:
+        start = load(path)
+        problem = _of_another(start, rig)  # the size is compared with that of the scans
+    elif in_air.exists():
+        start = load(in_air)
+        problem = misfit(start, rig)
+    else:
+        start, problem = calibration_of(rig)[0], None
+    if problem is not None:
+        raise CalibrationError(f"{path or in_air}: {problem}; calibrate in air, or take another file")
+    check_start(start)
+    return start
 
 
 def response_of(rig: Rig) -> Response | None:
@@ -93,8 +115,8 @@ def noise_of(rig: Rig) -> StereoNoise:
 
 def misfit(calibration: Calibration, rig: Rig) -> str | None:
     """Why a calibration, in air or in water, is not of this instrument; ``None`` where it is."""
-    if calibration.rig_serial != rig.rig.serial:
-        return f"the calibration is of instrument {calibration.rig_serial}; this one is {rig.rig.serial}"
+    if (other := _of_another(calibration, rig)) is not None:
+        return other
     for side, camera, spec in (
         ("left", calibration.rig.left, rig.camera.left),
         ("right", calibration.rig.right, rig.camera.right),
@@ -105,3 +127,9 @@ def misfit(calibration: Calibration, rig: Rig) -> str | None:
                 f"the rig's {spec.width_px}x{spec.height_px}"
             )
     return None
+
+
+def _of_another(calibration: Calibration, rig: Rig) -> str | None:
+    if calibration.rig_serial == rig.rig.serial:
+        return None
+    return f"the calibration is of instrument {calibration.rig_serial}; this one is {rig.rig.serial}"

@@ -8,19 +8,16 @@ from pathlib import Path
 from typing import Any
 
 from appliance import __version__
-from appliance.calibration import file as calibration_file
 from appliance.calibration import report
 from appliance.calibration.extract import Certificate
-from appliance.calibration.file import Calibration, CalibrationError
+from appliance.calibration.file import Calibration
 from appliance.calibration.ladder import LadderResult, LadderSettings, Method, calibrate
 from appliance.config import Rig
 from appliance.evaluation.points import NotFound
 from appliance.evaluation.result import Artefact
-from appliance.service.app import CALIBRATION_FILE, design_of
 from appliance.service.evaluation import Entry, ListError, ScanList
 from appliance.service.recordings import recording_of_scan
 
-AIR_FILE = CALIBRATION_FILE.with_name("air.json")
 RECONSTRUCTED = 0.8
 """The part of the progress that the scans get."""
 
@@ -43,24 +40,6 @@ class WaterCalibration:
     def as_html(self) -> str:
         """The report for people."""
         return report.as_html(self.result, self.start, self.about, self.left_out)
-
-
-def start_of(rig: Rig, path: Path | None) -> Calibration:
-    """Where a calibration in water begins: ``path``; else the instrument's calibration in air; else the drawing.
-
-    Raises CalibrationError.
-    """
-    in_air = rig.storage.root / AIR_FILE
-    chosen = path if path is not None else in_air
-    if path is None and not in_air.exists():
-        return design_of(rig)
-    start = calibration_file.load(chosen)
-    if start.rig_serial != rig.rig.serial:
-        raise CalibrationError(
-            f"{chosen}: is of instrument {start.rig_serial}; this one is {rig.rig.serial}; give --rig or --start of one "
-            f"instrument"
-        )
-    return start
 
 
 def check_list(listed: ScanList, method: Method) -> None:
