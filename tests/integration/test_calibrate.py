@@ -27,6 +27,7 @@ from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.quality import QualityLimits
 from appliance.service.instrument import design_of
 from appliance.storage.calibrations import Calibrations
+from appliance.storage.library import Library
 from hw_sim.objects.shapes import BALL_DISTANCE_MM
 from hw_sim.scene import Scene
 from tests.support.calibrating import WIDTH_PX, air_of, hidden_rig
@@ -67,7 +68,17 @@ press scan
 wait step RESULT 90
 press scan                  # KEEP
 wait step RESULT 90
+press back
+wait state AIM 10
 pause 2
+press scan                  # an ordinary scan, with the new calibration
+wait state REVIEW 90
+pause 2
+press scan
+wait state AIM 90
+pause 3
+press up 1.2                # the result is still there
+wait step RESULT 10
 press scan                  # RESTORE
 wait step RESULT 90
 pause 1
@@ -142,7 +153,7 @@ def test_a_hidden_rig_is_calibrated_over_a_loss_of_power_and_the_old_file_comes_
         root=tmp_path / "dive", object_name="ballbar", texture="none", truth="realistic", seed=SEED, size=SIZE
     )
     rig = simulated(load_rig(default_sim_rig()), options)
-    store = Calibrations(rig.storage.root, rig.rig.serial)
+    store, library = Calibrations(rig.storage.root, rig.rig.serial), Library(rig.storage.root)
     in_air = calibration_in_air(rig)
     store.folder.mkdir(parents=True)
     store.air.write_bytes(encode(in_air))
@@ -183,6 +194,12 @@ def test_a_hidden_rig_is_calibrated_over_a_loss_of_power_and_the_old_file_comes_
     assert store.current.read_bytes() == old
     assert session.kept is not None
     assert (store.folder / "kept" / session.kept).read_bytes() == old
+
+    ordinary = library.entries()[-1].manifest
+    assert ordinary is not None
+    assert ordinary.record.calibration_hash == session.solved.calibration_hash
+    assert ordinary.record.cloud["points"] > 2000
+    assert ordinary.record.cloud["gap_mm"] < 0.03, "rays meet"
 
     # Against the truth, which no certificate states, at poses that nobody recorded.
     truth_mm = hidden_rig("realistic", SEED).artefacts.ball_distance_mm

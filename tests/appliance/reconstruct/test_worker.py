@@ -78,6 +78,35 @@ def test_same_points_in_the_worker(store: FrameStore) -> None:
         assert full.cloud.summary == expected.summary
 
 
+def test_after_a_change_points_are_those_of_the_new_calibration(store: FrameStore) -> None:
+    old, sequence = synthetic.calibration(), build_sequence(16)
+    left = old.rig.left
+    farther = replace(left.port, distance_mm=left.port.distance_mm + 0.05)
+    new = replace(old, rig=replace(old.rig, left=replace(left, port=farther)))
+    with Pipeline(new, synthetic.WATER, sequence) as pipeline:
+        for side in SIDES:
+            for k in range(len(sequence)):
+                pipeline.push(side, store.frames(side), k)
+        pipeline.coarse()
+        expected = pipeline.full()
+    order = WorkOrder(old, synthetic.WATER, 16, 1024, 768)
+    with ReconstructionWorker(order, store, RealClock()) as worker:
+        assert worker.wait(60) == WorkerReady()
+        before = worker.pid
+        worker.reprocess(1)  # in work when the calibration changes: its cloud would be of the old one
+        worker.change(replace(order, calibration=new))
+        assert worker.pid not in (before, None)
+        assert worker.wait(60) == WorkerReady()
+        assert worker.poll() is None
+        worker.reprocess(2)
+        coarse, full = worker.wait(20), worker.wait(20)
+        assert isinstance(coarse, CloudReady)
+        assert isinstance(full, CloudReady)
+        assert (coarse.scan, full.scan) == (2, 2)
+        np.testing.assert_array_equal(full.cloud.points_mm, expected.points_mm)
+        assert worker.restarts == 0, "a change is no failure"
+
+
 def test_frames_that_are_not_a_sequence_fail_and_the_next_scan_works(store: FrameStore) -> None:
     order = WorkOrder(synthetic.calibration(), synthetic.WATER, 16, 1024, 768)
     with ReconstructionWorker(order, store, RealClock()) as worker:
