@@ -84,6 +84,28 @@ TABLES: dict[str, tuple[tuple[str, str, str], ...]] = {
 }
 
 
+HEALTH_BEGIN, HEALTH_END = "<!-- table: ./dev bench health, ./dev bench --write-docs -->", "<!-- end of table -->"
+
+
+def write_health(out: Path, docs: Path) -> None:
+    """Put the table and the picture of ``./dev bench health`` into the documents; nothing where it was not run.
+
+    Raises OSError, and ValueError for a document without marks.
+    """
+    table, picture = out / "health.md", out / "health.png"
+    if not table.exists():
+        return
+    document = docs / "calibration-health.md"
+    text = document.read_text(encoding="utf-8")
+    if HEALTH_BEGIN not in text or HEALTH_END not in text:
+        raise ValueError(f"{document} has no marks {HEALTH_BEGIN} and {HEALTH_END}")
+    before, after = text.split(HEALTH_BEGIN)[0], text.split(HEALTH_END)[1]
+    said = table.read_text(encoding="utf-8")
+    document.write_text(f"{before}{HEALTH_BEGIN}\n\n{said}\n{HEALTH_END}{after}", encoding="utf-8")
+    (docs / "pictures").mkdir(exist_ok=True)
+    (docs / "pictures" / "calibration-health.png").write_bytes(picture.read_bytes())
+
+
 def write_figures(latest: Path, document: Path) -> None:
     """Replace what lies between the marks. Raises OSError, and ValueError for a document without marks."""
     said: dict[str, Any] = json.loads(latest.read_text(encoding="utf-8"))

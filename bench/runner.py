@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bench.document import write_figures
+from bench.document import write_figures, write_health
 from bench.result import Measured
 
 LATEST = "latest.json"
@@ -152,6 +152,7 @@ def main(arguments: Sequence[str], package: str = "bench", out: Path = Path("ben
         return 0
     if "--write-docs" in arguments:
         write_figures(out / LATEST, Path("docs/performance.md"))
+        write_health(out, Path("docs"))
         return 0
     try:
         chosen = choose(found, arguments)

@@ -4,7 +4,7 @@ Pure values and functions; ``docs/calibration-health.md`` derives the numbers. A
 (``gaps.MODES``). They are compared with a reference that the first scans of a calibration teach, patch by patch, and
 divided by what is normal: noise, and a share of the pattern that the calibration leaves over, since objects show
 different parts of it. The scores are summed up in their direction (Crosier's multivariate CUSUM): a big change alarms at
-once, a small one when it stays, scatter and a constant small offset never.
+once, a small one when it stays; scatter does not, and an offset of one standard deviation hardly ever.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ LEARNT_SCANS = 10
 """Scans that teach a patch its reference."""
 FEWEST_PATCHES = 8
 SLACK = 2.0
-"""Scores up to here are forgiven in every scan: a constant offset of two standard deviations never adds up."""
+"""What every scan is forgiven: scatter alone never adds up to the limit."""
 LIMIT = 6.0
 """Of the sum: one score of 8, two of 5, three of 4."""
 TEACHES_UP_TO = 2.0

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.document import BEGIN, END, write_figures
+from bench.document import BEGIN, END, HEALTH_BEGIN, HEALTH_END, write_figures, write_health
 from bench.result import Measured
 from bench.runner import find, main
 
@@ -126,3 +126,19 @@ def test_a_benchmark_may_have_options_of_its_own(package: Path, tmp_path: Path) 
     assert main(["good", "--size", "3"], "measured_here", tmp_path / "out") == 2
     assert not (tmp_path / "out").exists()
     assert main(["good"], "measured_here", tmp_path / "out") == 0
+
+
+def test_the_table_of_the_health_is_replaced_as_a_whole(tmp_path: Path) -> None:
+    out, docs = tmp_path / "out", tmp_path / "docs"
+    out.mkdir()
+    docs.mkdir()
+    document = docs / "calibration-health.md"
+    document.write_text(f"before\n{HEALTH_BEGIN}\nold\n{HEALTH_END}\nafter\n")
+    write_health(out, docs)
+    assert "old" in document.read_text(), "nothing was measured, nothing is written"
+    (out / "health.md").write_text("| new |\n")
+    (out / "health.png").write_bytes(b"picture")
+    for _ in range(2):
+        write_health(out, docs)
+    assert document.read_text() == f"before\n{HEALTH_BEGIN}\n\n| new |\n\n{HEALTH_END}\nafter\n"
+    assert (docs / "pictures" / "calibration-health.png").read_bytes() == b"picture"

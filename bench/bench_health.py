@@ -1,0 +1,208 @@
+"""Which changes of the instrument the ray gaps see from which size on, what that is in length, and how often they err."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.calibration.bundle import Rung
+from appliance.calibration.health import LIMIT, SLACK, Trend, judge
+from appliance.calibration.patches import PatchGaps
+from bench.health_changes import Change, changes, length_error_percent
+from bench.health_picture import draw_health
+from bench.result import Measured
+from hw_sim.knock import Knock, knocked
+from tests.support.gap_scans import Calibrated, calibrated, follow, learnt, scan
+
+RIGS = (1, 2, 5)
+TRIALS = 10
+"""Of two scans each, per rig; a size counts as seen when 19 of 20 alarm."""
+SEEN = 0.95
+NORMAL_SCANS = 100
+"""Per rig."""
+IN_PORTS = ("right camera turned", "water saltier")
+"""Changes that are asked for with the coarser calibration, too."""
+CHAINS, LINKS = 1000, 1000
+OUT = Path("bench/out")
+LENGTH_THAT_MATTERS_PERCENT = 0.05
+"""Half of what a length check may find: a change that costs more before the gaps see it needs the check."""
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What was found about one change, median over the rigs; ``None``: not within the sizes asked for."""
+
+    change: Change
+    first: float | None
+    """Size that the first scan sees."""
+    second: float | None
+    """Size that the second scan sees at the latest."""
+    tenth: float | None
+    """Size that ten scans see."""
+    length_percent: float
+    """Length error per unit of size."""
+
+
+def measure() -> Iterator[Measured]:
+    made = [calibrated(seed) for seed in RIGS]
+    found = [_seen(change, made) for change in changes()]
+    for one in found:
+        yield Measured(
+            f"seen at the second scan: {one.change.name}",
+            float("nan") if one.second is None else one.second,
+            one.change.unit,
+            why=None if one.second is not None else f"not up to {one.change.most:g} {one.change.unit}",
+        )
+    largest = []
+    for rung in (Rung.SPLINE, Rung.PORTS):
+        totals = [total for seed in RIGS for total in _normal(calibrated(seed, rung))]
+        largest.append(max(totals))
+        yield Measured(
+            f"largest sum of {len(totals)} normal scans, {rung.value}",
+            largest[-1],
+            f"of {LIMIT:g}",
+            at_most=LIMIT,
+            key=f"health_largest_sum_{rung.value}",
+        )
+    alarms = {bias: _false_alarms(bias) for bias in (0.0, 1.0, 2.0)}
+    for bias, count in alarms.items():
+        yield Measured(
+            f"false alarms of {CHAINS * LINKS:.0e} scans, offset of {bias:g} standard deviations", count, "alarms"
+        )
+    OUT.mkdir(parents=True, exist_ok=True)
+    coarser = [calibrated(seed, Rung.PORTS) for seed in RIGS]
+    ports = [_seen(change, coarser) for change in changes() if change.name.startswith(IN_PORTS)]
+    (OUT / "health.md").write_text(_table(found, largest, alarms, ports), encoding="utf-8")
+    draw_health(OUT / "health.png", made[0].modes, _story(made[0]))
+
+
+def _seen(change: Change, made: list[Calibrated]) -> Seen:
+    smallest: dict[int, list[float | None]] = {1: [], 2: [], 10: []}
+    lengths = []
+    for one in made:
+        changed = change.make(one.truth, change.size)
+        lengths.append(length_error_percent(one.truth, changed, one.rig) / change.size)
+        trend = learnt(one)
+        pairs = []
+        for trial in range(2 * TRIALS):
+            normal, other = (scan(one, t, np.random.default_rng([9, trial])) for t in (one.truth, changed))
+            pairs.append(_common(normal, other))
+        for scans, sizes in smallest.items():
+            sizes.append(_smallest(trend, pairs, change, scans))
+    first, second, tenth = (_median(sizes) for sizes in smallest.values())
+    return Seen(change, first, second, tenth, float(np.median(lengths)))
+
+
+def _smallest(trend: Trend, pairs: list[tuple[PatchGaps, PatchGaps]], change: Change, scans: int) -> float | None:
+    """By bisection: what alarms in 95 of 100 trials within so many scans."""
+
+    def seen(size: float) -> bool:
+        hits = 0
+        blocks = range(0, len(pairs), max(scans, 2))
+        for k in blocks:
+            at = trend
+            for normal, other in pairs[k : k + scans]:
+                gap = normal.gap_um + size / change.size * (other.gap_um - normal.gap_um)
+                at, said = judge(at, replace(normal, gap_um=gap))
+                if said.alarm:
+                    hits += 1
+                    break
+        return hits >= SEEN * len(blocks)
+
+    low, high = 0.0, change.most
+    if not seen(high):
+        return None
+    for _ in range(14):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if seen(middle) else (middle, high)
+    return high
+
+
+def _common(a: PatchGaps, b: PatchGaps) -> tuple[PatchGaps, PatchGaps]:
+    """Both with the patches that both have."""
+    shared = np.intersect1d(a.patch, b.patch)
+    return _only(a, np.isin(a.patch, shared)), _only(b, np.isin(b.patch, shared))
+
+
+def _only(gaps: PatchGaps, which: NDArray[np.bool_]) -> PatchGaps:
+    return replace(
+        gaps,
+        patch=gaps.patch[which],
+        gap_um=gaps.gap_um[which],
+        noise_um=gaps.noise_um[which],
+        modes=gaps.modes[which],
+    )
+
+
+def _median(values: list[float | None]) -> float | None:
+    known = [v for v in values if v is not None]
+    return float(np.median(known)) if len(known) == len(values) else None
+
+
+def _normal(made: Calibrated) -> list[float]:
+    rng = np.random.default_rng([77, made.truth.seed])
+    scans = (scan(made, made.truth, rng) for _ in range(NORMAL_SCANS))
+    return [said.point.total for _, said in follow(Trend(), scans) if said.point is not None]
+
+
+def _false_alarms(bias: float) -> int:
+    """Alarms of the sum when scores are normal, with a constant offset in one direction; each ends its chain."""
+    rng = np.random.default_rng(5)
+    total = np.zeros((CHAINS, 4))
+    alarms = 0
+    for _ in range(LINKS):
+        total += rng.normal(0.0, 1.0, total.shape)
+        total[:, 0] += bias
+        length = np.linalg.norm(total, axis=1, keepdims=True)
+        total *= np.maximum(1.0 - SLACK / np.maximum(length, 1e-9), 0.0)
+        over = np.linalg.norm(total, axis=1) > LIMIT
+        alarms += int(over.sum())
+        total[over] = 0.0
+    return alarms
+
+
+def _story(made: Calibrated) -> Trend:
+    """Thirty normal scans, then the right camera turned by 0.02° about y."""
+    rng = np.random.default_rng(3)
+    turned = knocked(made.truth, Knock("right", yaw_deg=0.02))
+    scans = [scan(made, made.truth if k < 30 else turned, rng) for k in range(36)]
+    return [trend for trend, _ in follow(Trend(), scans)][-1]
+
+
+def _table(found: list[Seen], largest: list[float], alarms: dict[float, int], ports: list[Seen]) -> str:
+    lines = [
+        "| change | seen at the first scan from | at the second from | within ten from | E_L of the second | |",
+        "|---|---:|---:|---:|---:|---|",
+    ]
+    for one in found:
+        unit, change = one.change.unit, one.change
+        cells = [f"{size:.2g} {unit}" if size is not None else "—" for size in (one.first, one.second, one.tenth)]
+        size = one.second if one.second is not None else change.most
+        percent = one.length_percent * size
+        length = f"{percent:.2g} %" if one.second is not None else f"more than {percent:.2g} %"
+        check = "" if percent <= LENGTH_THAT_MATTERS_PERCENT else "**only a length check finds less**"
+        lines.append(f"| {change.name} | {' | '.join(cells)} | {length} | {check} |")
+    coarser = "; ".join(
+        f"{one.change.name} from {one.second:.2g} {one.change.unit}"
+        if one.second is not None
+        else f"{one.change.name} not up to {one.change.most:g} {one.change.unit}"
+        for one in ports
+    )
+    lines += [
+        "",
+        (
+            "With a calibration of the rung `PORTS`, whose pattern left over is ten times larger, the second scan sees: "
+            f"{coarser}."
+        ),
+        "",
+        f"Normal scans: the largest sum of {NORMAL_SCANS * len(RIGS)} was {largest[0]:.1f} with a calibration of the rung "
+        f"`SPLINE`, {largest[1]:.1f} with `PORTS`; the limit is {LIMIT:g}. Of {CHAINS * LINKS:,} scans whose scores are "
+        "normally distributed "
+        + ", ".join(f"{count} alarm with a constant offset of {bias:g} σ" for bias, count in alarms.items())
+        + ".",
+    ]
+    return "\n".join(lines) + "\n"

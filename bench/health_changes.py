@@ -1,0 +1,130 @@
+"""Owns the list of what may change on an instrument between two calibrations, and what each costs in length."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.calibration.shapes import triangulate
+from appliance.optics.model import StereoRig
+from appliance.optics.water import Water
+from hw_sim.knock import Knock, knocked
+from hw_sim.optics.points import project
+from hw_sim.truth import TrueEye, TrueRig
+from tests.support.calibrating import Pose
+from tests.support.truth import WATER
+
+BAR_MM = 150.0
+POSES = (
+    Pose((0.0, 0.0, 500.0), (0.0, 0.0, 0.0)),
+    Pose((0.0, 0.0, 500.0), (0.0, 0.0, 90.0)),
+    Pose((0.0, 0.0, 500.0), (0.0, 0.0, 40.0)),
+    Pose((0.0, 0.0, 520.0), (0.0, 40.0, 0.0)),
+    Pose((0.0, 0.0, 520.0), (0.0, -40.0, 0.0)),
+    Pose((20.0, 10.0, 470.0), (0.0, 20.0, 60.0)),
+    Pose((-20.0, -10.0, 560.0), (0.0, -20.0, -60.0)),
+)
+"""Of a ball bar: along, across, oblique, in depth, near and far."""
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """One thing that may change; ``make`` gives the instrument of which ``size`` of it has changed."""
+
+    name: str
+    unit: str
+    size: float
+    """A small one, from which others follow in proportion."""
+    most: float
+    """Larger ones are not asked for."""
+    make: Callable[[TrueRig, float], TrueRig]
+
+
+def changes() -> list[Change]:
+    """All of them, in the order of the table."""
+    found = []
+    for camera in ("right", "left"):
+        for axis, about in (("pitch", "x"), ("yaw", "y"), ("roll", "z")):
+            found.append(
+                Change(f"{camera} camera turned about {about} ({axis})", "°", 0.02, 2.0, _knock(camera, f"{axis}_deg"))
+            )
+    found.append(Change("cameras turned about y against each other (toe-in)", "°", 0.02, 2.0, _toe_in))
+    found += [
+        Change(f"right camera shifted along {axis}", "mm", 0.05, 10.0, _knock("right", f"{axis}_mm")) for axis in "xyz"
+    ]
+    for sides, name in ((("right",), "right"), (("left", "right"), "both")):
+        found.append(Change(f"principal distance, {name}", "1e-4", 1.0, 100.0, _eyes(sides, _longer)))
+        found.append(Change(f"interface distance, {name}", "mm", 0.1, 10.0, _eyes(sides, _deeper)))
+    found.append(Change("right port tilted about y", "°", 0.05, 5.0, _eyes(("right",), _tilted(0))))
+    found.append(Change("right port tilted about x", "°", 0.05, 5.0, _eyes(("right",), _tilted(1))))
+    found.append(Change("water saltier than stated", "psu", 2.0, 45.0, _salt))
+    found.append(Change("water warmer than stated", "K", 5.0, 20.0, _warm))
+    found.append(Change("water colder than stated", "K", 5.0, 20.0, _cold))
+    return found
+
+
+def length_error_percent(truth: TrueRig, changed: TrueRig, rig: StereoRig) -> float:
+    """The largest change of a ball bar's measured length, percent, over ``POSES``; without noise."""
+    worst = 0.0
+    for pose in POSES:
+        ends = pose.rotation @ np.array([[-0.5, 0.0, 0.0], [0.5, 0.0, 0.0]]).T * BAR_MM
+        points = ends.T + pose.at_mm
+        before, after = (_length(of, points, rig) for of in (truth, changed))
+        worst = max(worst, abs(after - before) / BAR_MM)
+    return 100.0 * worst
+
+
+def _length(truth: TrueRig, points_mm: NDArray[np.float64], rig: StereoRig) -> float:
+    seen = [project(truth, side, points_mm) for side in ("left", "right")]
+    a, b = triangulate(rig, seen[0], seen[1], WATER.index)
+    return float(np.linalg.norm(b - a))
+
+
+def _knock(camera: str, amount: str) -> Callable[[TrueRig, float], TrueRig]:
+    return lambda truth, size: knocked(truth, Knock(camera, **{amount: size}))
+
+
+def _toe_in(truth: TrueRig, size: float) -> TrueRig:
+    return knocked(knocked(truth, Knock("left", yaw_deg=size)), Knock("right", yaw_deg=-size))
+
+
+def _eyes(sides: tuple[str, ...], make: Callable[[TrueEye, float], TrueEye]) -> Callable[[TrueRig, float], TrueRig]:
+    def changed(truth: TrueRig, size: float) -> TrueRig:
+        left, right = (make(truth.eye(s), size) if s in sides else truth.eye(s) for s in ("left", "right"))
+        return replace(truth, left=left, right=right)
+
+    return changed
+
+
+def _longer(eye: TrueEye, size: float) -> TrueEye:
+    factor = 1.0 + 1e-4 * size
+    return replace(eye, f_px=(eye.f_px[0] * factor, eye.f_px[1] * factor))
+
+
+def _deeper(eye: TrueEye, size: float) -> TrueEye:
+    return replace(eye, port=replace(eye.port, d_mm=eye.port.d_mm + size))
+
+
+def _tilted(axis: int) -> Callable[[TrueEye, float], TrueEye]:
+    def tilt(eye: TrueEye, size: float) -> TrueEye:
+        normal = np.array(eye.port.normal)
+        normal[axis] += np.tan(np.radians(size))
+        normal /= np.linalg.norm(normal)
+        return replace(eye, port=replace(eye.port, normal=(float(normal[0]), float(normal[1]), float(normal[2]))))
+
+    return tilt
+
+
+def _salt(truth: TrueRig, size: float) -> TrueRig:
+    return replace(truth, n_water=Water(20.0, size, 530.0).index)
+
+
+def _warm(truth: TrueRig, size: float) -> TrueRig:
+    return replace(truth, n_water=Water(20.0 + size, 0.0, 530.0).index)
+
+
+def _cold(truth: TrueRig, size: float) -> TrueRig:
+    return replace(truth, n_water=Water(20.0 - size, 0.0, 530.0).index)

@@ -1,0 +1,141 @@
+"""From images: whatever is scanned, in whatever water, no alarm; a knocked camera or salt taken for fresh, an alarm."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import islice
+
+import numpy as np
+import pytest
+
+from appliance.calibration.health import Judgement, Trend, judge
+from appliance.calibration.patches import PatchGaps
+from appliance.patterns.sequence import build_sequence
+from appliance.reconstruct.pipeline import SIDES, Pipeline
+from hw_sim.knock import Knock, knocked
+from hw_sim.render import LightSlice, Renderer
+from hw_sim.scene import Scene
+from hw_sim.truth import TrueRig, draw_truth
+from hw_sim.water import Water
+from tests.support.rendered import EXPOSURE_S, pictures
+from tests.support.truth import WATER, true_calibration
+
+SEQUENCE = build_sequence(16)
+PICTURES = pictures(SEQUENCE)
+OBJECTS = ("pipe", "shell", "plane", "stones", "frustum", "ballbar")
+WATERS = (Water(), Water(attenuation_per_m=1.2, backscatter=0.08, blur_px_per_m=1.0), Water(attenuation_per_m=0.1))
+
+
+def scenes(seed: int) -> Iterator[Scene]:
+    """What a diver may put before the instrument: near and far, aside and turned, dull and blotched, clear and turbid."""
+    rng = np.random.default_rng(seed)
+    for number in range(1000):
+        name = OBJECTS[number % len(OBJECTS)]
+        pose = (
+            *(float(v) for v in rng.uniform((-40.0, -30.0, 470.0), (40.0, 30.0, 570.0))),
+            *(float(v) for v in rng.uniform((-20.0, -20.0, -60.0), (20.0, 20.0, 60.0))),
+        )
+        again = number // len(OBJECTS)
+        texture = ("slight", "none", "strong")[(again + number // 2) % 3]
+        yield Scene(
+            object=name,
+            pose=pose,  # type: ignore[arg-type]
+            texture=texture,
+            water=WATERS[(again + number) % len(WATERS)],
+            ambient=float(rng.uniform(0.0, 0.08)),
+        )
+
+
+class Instrument:
+    """A true rig, and the pipeline of the calibration it had before anything happened to it."""
+
+    def __init__(self, truth: TrueRig, width_px: int) -> None:
+        self.truth = truth
+        self._pipeline = Pipeline(true_calibration(truth), WATER, SEQUENCE)
+        self._shots = 0
+
+    def scan(self, scene: Scene, truth: TrueRig | None = None) -> PatchGaps:
+        """Rendered, decoded and matched as on the instrument; ``truth`` where it has changed."""
+        renderer = Renderer(truth or self.truth, scene)
+        self._pipeline.reset()
+        for side in SIDES:
+            self._shots += 100
+            frames = np.stack(
+                [
+                    renderer.expose(
+                        side, [LightSlice(p, EXPOSURE_S)], 0.0, EXPOSURE_S, 0.0, (False, False), self._shots + k
+                    )
+                    for k, p in enumerate(PICTURES)
+                ]
+            )
+            for k in range(len(SEQUENCE)):
+                self._pipeline.push(side, frames, k)
+        self._pipeline.find_coarse()
+        gaps = self._pipeline.find_full().gaps
+        assert gaps is not None
+        return gaps
+
+
+def normal(truth_set: str, count: int, width_px: int = 400) -> tuple[Instrument, Trend, list[Judgement]]:
+    truth = draw_truth(truth_set, 7, width_px, width_px * 3 // 4, WATER.index)
+    instrument = Instrument(truth, width_px)
+    trend, said = Trend(), []
+    for scene in islice(scenes(3), count):
+        trend, judgement = judge(trend, instrument.scan(scene))
+        said.append(judgement)
+    return instrument, trend, said
+
+
+def assert_quiet(said: list[Judgement], judged: int) -> None:
+    points = [judgement.point for judgement in said if judgement.point is not None]
+    assert len(points) >= judged, "most scans see enough of the image"
+    assert not any(judgement.alarm for judgement in said)
+    assert max(point.total for point in points) < 4.0, [(round(p.score, 1), round(p.total, 1)) for p in points]
+
+
+def test_ten_normal_scans_and_then_a_knock() -> None:
+    """Two of the twelve are of a ball bar, which shows too little of the image to be judged."""
+    instrument, trend, said = normal("modelled", 12)
+    assert_quiet(said, judged=10)
+    turned = knocked(instrument.truth, Knock("left", roll_deg=-0.02))
+    _, judgement = judge(trend, instrument.scan(Scene(object="shell"), turned))
+    assert judgement.alarm
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("truth_set", ["modelled", "realistic"])
+def test_sixty_normal_scans(truth_set: str) -> None:
+    """With lens errors that the calibration does not describe, too."""
+    _, _, said = normal(truth_set, 72)
+    assert_quiet(said, judged=60)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("width_px", "count"), [(800, 8), (1600, 3)])
+def test_larger_images(width_px: int, count: int) -> None:
+    """Each turn of either camera by 0.02°, and fresh water's index in the sea, at the first or second scan."""
+    instrument, trend, said = normal("modelled", count, width_px)
+    assert_quiet(said, judged=count - count // 6)
+    changed = [
+        knocked(instrument.truth, Knock(camera, **{f"{axis}_deg": 0.02}))
+        for camera, axis in (("right", "pitch"), ("right", "yaw"), ("left", "yaw"), ("right", "roll"))
+    ]
+    changed.append(replace(instrument.truth, n_water=Water(salinity_psu=35.0).index))
+    for truth in changed:
+        after, alarms = trend, []
+        for scene in (Scene(object="plane"), Scene(object="shell")):
+            after, judgement = judge(after, instrument.scan(scene, truth))
+            alarms.append(judgement.alarm)
+        assert any(alarms), f"{truth.right} {[p.score for p in after.points[-2:]]}"
+
+
+def test_the_amplitude_of_a_turn_is_that_turn() -> None:
+    """From images, in the words that the technician reads: within a twentieth of what was done."""
+    instrument, trend, _ = normal("modelled", 1)
+    turned = knocked(instrument.truth, Knock("right", pitch_deg=0.015))
+    after, judgement = judge(trend, instrument.scan(Scene(object="plane"), turned))
+    assert judgement.alarm
+    height_um = after.points[-1].amplitudes_um[0]
+    assert abs(height_um) == pytest.approx(math.radians(0.015) * 530_000.0, rel=0.05)
