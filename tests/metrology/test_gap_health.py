@@ -105,30 +105,36 @@ def test_ten_normal_scans_and_then_a_knock() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("truth_set", ["modelled", "realistic"])
-def test_sixty_normal_scans(truth_set: str) -> None:
-    """With lens errors that the calibration does not describe, too."""
-    _, _, said = normal(truth_set, 72)
-    assert_quiet(said, judged=60)
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize(("truth_set", "count"), [("modelled", 72), ("realistic", 36)])
+def test_many_normal_scans(truth_set: str, count: int) -> None:
+    """With lens errors that the calibration does not describe, too. One in six is of a ball bar."""
+    _, _, said = normal(truth_set, count)
+    assert_quiet(said, judged=count * 5 // 6)
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("width_px", "count"), [(800, 8), (1600, 3)])
-def test_larger_images(width_px: int, count: int) -> None:
-    """Each turn of either camera by 0.02°, and fresh water's index in the sea, at the first or second scan."""
-    instrument, trend, said = normal("modelled", count, width_px)
-    assert_quiet(said, judged=count - count // 6)
-    changed = [
-        knocked(instrument.truth, Knock(camera, **{f"{axis}_deg": 0.02}))
-        for camera, axis in (("right", "pitch"), ("right", "yaw"), ("left", "yaw"), ("right", "roll"))
-    ]
-    changed.append(replace(instrument.truth, n_water=Water(salinity_psu=35.0).index))
-    for truth in changed:
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("width_px", [800, 1600])
+def test_larger_images(width_px: int) -> None:
+    """A turn of 0.02° about each axis, and fresh water's index in the sea, at the first or second scan."""
+    truth = draw_truth("modelled", 7, width_px, width_px * 3 // 4, WATER.index)
+    instrument, trend, said = Instrument(truth, width_px), Trend(), []
+    pair = (Scene(object="plane"), Scene(object="shell"))
+    for scene in pair * 2:
+        trend, judgement = judge(trend, instrument.scan(scene))
+        said.append(judgement)
+    assert_quiet(said, judged=4)
+    turns = [Knock("right", pitch_deg=0.02), Knock("right", yaw_deg=0.02), Knock("left", roll_deg=0.02)]
+    changed = [*(knocked(truth, turn) for turn in turns), replace(truth, n_water=Water(salinity_psu=35.0).index)]
+    for other in changed:
         after, alarms = trend, []
-        for scene in (Scene(object="plane"), Scene(object="shell")):
-            after, judgement = judge(after, instrument.scan(scene, truth))
+        for scene in pair:
+            after, judgement = judge(after, instrument.scan(scene, other))
             alarms.append(judgement.alarm)
-        assert any(alarms), f"{truth.right} {[p.score for p in after.points[-2:]]}"
+            if alarms[-1]:
+                break
+        assert any(alarms), [point.score for point in after.points[-2:]]
 
 
 def test_the_amplitude_of_a_turn_is_that_turn() -> None:
