@@ -26,3 +26,7 @@ class Method(Enum):
     """Also a smooth image correction: the method to use."""
     RAY_FIELD = "ray_field"
     """Also a finer correction and a shift of every ray. Wants ten recordings and more."""
+
+
+BY_SCANS = tuple(method for method in Method if method is not Method.PM_WATER)
+"""Those that scans of bars and planes are enough for."""

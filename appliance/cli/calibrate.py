@@ -72,7 +72,7 @@ def water(rig: Rig, listed: Path, options: WaterOptions, *, json: bool) -> Exit:
 
     try:
         scans = read_list(listed)
-        check_list(scans, method)
+        check_list(scans)
     except ListError as error:
         raise UsageError(str(error)) from error
     start = start_of(rig, options.start)

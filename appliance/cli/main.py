@@ -12,7 +12,7 @@ from typing import Any, NoReturn
 
 from appliance import __version__
 from appliance.calibration.file import CalibrationError
-from appliance.calibration.method import Method
+from appliance.calibration.method import BY_SCANS
 from appliance.calibration.recordings import RecordingError
 from appliance.cli import calibrate, calibrate_air, evaluate, health, measure, scans, verbs
 from appliance.cli.output import Exit, UsageError, complain, log_lines
@@ -358,7 +358,9 @@ def _add_calibrate(
     )
     usual = calibrate.WaterOptions()
     water.add_argument("list", metavar="LIST", type=Path, help="which artefact each scan shows, as for evaluate")
-    water.add_argument("--method", choices=[m.value for m in Method], default=usual.method, help="default: %(default)s")
+    water.add_argument(
+        "--method", choices=[m.value for m in BY_SCANS], default=usual.method, help="default: %(default)s"
+    )
     water.add_argument("--start", type=Path, metavar="FILE", help="default: the instrument's calibration in air")
     water.add_argument("--out", type=Path, metavar="FILE", help="the calibration; beside it FILE-report.html and .json")
     water.add_argument("--install", action="store_true", help="use it from now on; the one of before is kept")

@@ -42,7 +42,7 @@ class WaterCalibration:
         return report.as_html(self.result, self.start, self.about, self.left_out)
 
 
-def check_list(listed: ScanList, method: Method) -> None:
+def check_list(listed: ScanList) -> None:
     """Raises ListError for what cannot calibrate, before the work is done."""
     for entry in listed.entries:
         if entry.artefact is Artefact.FRUSTUM:
@@ -50,10 +50,6 @@ def check_list(listed: ScanList, method: Method) -> None:
                 f"scan {entry.scan} shows a frustum; ball bars and planes calibrate, a frustum only evaluates; "
                 f"take it out of the list"
             )
-    if method is Method.PM_WATER:
-        raise ListError(
-            "method pm_water needs boards recorded in water, not scans; see `kingfisher calibrate air --help`"
-        )
 
 
 def run_water_calibration(
@@ -68,9 +64,9 @@ def run_water_calibration(
 ) -> WaterCalibration:
     """Reconstruct every scan of the list and calibrate; ``folders`` are theirs, in its order, with whole raw frames.
 
-    ``made_at`` is the date for the file, ISO 8601. Raises ListError, ScanError, RecordingError.
+    ``made_at`` is the date for the file, ISO 8601; ``method`` one of ``BY_SCANS``. Raises ListError, ScanError, RecordingError.
     """
-    check_list(listed, method)
+    check_list(listed)
     recordings, left_out = [], {}
     for k, (entry, folder) in enumerate(zip(listed.entries, folders, strict=True)):
         at = RECONSTRUCTED * k / len(folders)

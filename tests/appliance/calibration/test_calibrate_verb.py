@@ -141,7 +141,6 @@ def test_what_cannot_be_done_is_said_before_the_work(
     (folder / "taken.json").write_text("precious")
     assert calibrate(folder, "--out", str(folder / "taken.json")) == 2
     assert (folder / "taken.json").read_text() == "precious"
-    assert calibrate(folder, "--method", "pm_water", "--out", str(folder / "none.json")) == 2
     frustum = listed(truth) + '[[scan]]\nscan = "./plane-0"\nartefact = "frustum"\ntop_mm = 80.0\n'
     (folder / "frustum.toml").write_text(frustum)
     assert calibrate(folder, "--out", str(folder / "none.json"), name="frustum.toml") == 2
