@@ -10,6 +10,7 @@ from appliance.evaluation.flatness import flatness
 from appliance.evaluation.frustum import Frustum, find_frustum
 from appliance.evaluation.plane import PlaneFit, fit_plane
 from appliance.evaluation.points import NotFound
+from hw_sim.imaging import Imaging
 from hw_sim.motion import pose_matrix
 from hw_sim.objects.shapes import BALL_RADIUS_MM, FRUSTUM_BASE_MM, FRUSTUM_HEIGHT_MM, FRUSTUM_TOP_MM
 from hw_sim.scene import Scene
@@ -52,7 +53,8 @@ def test_a_ball_bar_in_any_pose(pose: Pose) -> None:
 
 @pytest.mark.parametrize("pose", [(0.0, 0.0, 480.0, -10.0, 5.0, 5.0), (10.0, 5.0, 570.0, 0.0, -20.0, 0.0)])
 def test_a_plane_in_any_pose(pose: Pose) -> None:
-    scan = render_scan(Scene(object="plane", pose=pose), "modelled", 3, WIDTH_PX, 16)
+    # Of the projector's own response, images as small as these show more than noise: see test_response.
+    scan = render_scan(Scene(object="plane", pose=pose, imaging=Imaging("linear")), "modelled", 3, WIDTH_PX, 16)
     _, cloud = reconstruct(scan)
     fit = fit_plane(cloud)
     assert isinstance(fit, PlaneFit)
@@ -63,7 +65,7 @@ def test_a_plane_in_any_pose(pose: Pose) -> None:
     assert np.linalg.norm(np.cross(fit.plane.normal, true_normal)) < 3e-5
     result = flatness(fit)
     assert result.e_f_sys < 1e-4
-    assert result.noise_mm == pytest.approx(float(np.median(cloud.sigma_mm)), rel=0.4)
+    assert result.noise_mm == pytest.approx(float(np.median(cloud.sigma_mm)), rel=0.2)
 
 
 @pytest.mark.parametrize("pose", [(0.0, 0.0, 520.0, 10.0, 5.0, -20.0), (10.0, 10.0, 560.0, -5.0, 12.0, 45.0)])

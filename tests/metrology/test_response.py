@@ -9,7 +9,7 @@ import pytest
 
 from appliance.calibration.response import MeasuredResponse, ResponseError, Seen, measure_response
 from appliance.patterns.response import Response, phase_error_rad
-from bench.bias import coordinate_errors, depth_errors, ripple
+from bench.bias import coordinate_errors, depth_errors, ripple, rms
 from hw_sim.imaging import Imaging
 from hw_sim.motion import Motion
 from hw_sim.projector import response as true_response
@@ -71,6 +71,21 @@ def test_fringes_drawn_for_it_have_a_third_of_the_harmonics_and_of_the_ripple_at
     assert straight.said.phase_error_rad < bent.said.phase_error_rad / 3.0
     assert bent.coordinate_px > 0.2
     assert straight.coordinate_px < bent.coordinate_px / 3.0
+
+
+def test_small_images_see_the_ripple_as_noise_unless_it_is_compensated(bent: Bent) -> None:
+    """Of 400 px, a period of 16 has six, and a ripple of a quarter period falls between two of them."""
+
+    def in_sigmas(response: Response | None) -> float:
+        scene = Scene(object="plane", pose=(0.0, 0.0, 480.0, -10.0, 5.0, 5.0))
+        scan = render_scan(scene, "modelled", 3, 400, 16, response=response)
+        _, cloud = reconstruct(scan)
+        errors = depth_errors(scan.renderer, cloud)
+        inner = errors.seen & (np.abs(errors.along_ray_mm) < 0.4)
+        return rms(errors.along_ray_mm[inner] / cloud.sigma_mm[inner])
+
+    assert in_sigmas(None) > 1.4
+    assert in_sigmas(bent.said.response) == pytest.approx(1.0, abs=0.1)
 
 
 def test_the_response_found_in_a_compensated_scan_is_the_same(bent: Bent) -> None:
