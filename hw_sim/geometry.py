@@ -13,7 +13,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from hw_sim.objects.print import Ink, lean, on_front, printed
+from hw_sim.objects.print import Ink, front_met, lean, printed
 from hw_sim.objects.shapes import BOARD, gradient, march
 from hw_sim.objects.texture import albedo
 from hw_sim.optics.table import OUTSIDE, fit_table, look_up
@@ -149,12 +149,15 @@ def _trace(
                         continue
                     ox, oy, oz = into(R, ray[0] - t[0], ray[1] - t[1], ray[2] - t[2])
                     dx, dy, dz = into(R, ray[3], ray[4], ray[5])
-                    far = march(kind, sizes, ox, oy, oz, dx, dy, dz, start, 1e4)
+                    far = front_met(sizes, ox, oy, oz, dx, dy, dz) if kind == BOARD else math.nan
+                    print_seen = not math.isnan(far)
+                    if not print_seen:
+                        far = march(kind, sizes, ox, oy, oz, dx, dy, dz, start, 1e4)
                     if math.isnan(far):
                         continue
                     distance[y, x] = far
                     hx, hy, hz = ox + far * dx, oy + far * dy, oz + far * dz
-                    if kind == BOARD and on_front(hx, hy, hz):
+                    if print_seen:
                         beside = rays[y, x + 1 if x + 1 < columns else x - 1]
                         below = rays[y + 1 if y + 1 < rows else y - 1, x]
                         ax, ay = _beside(R, t, sizes, beside, hx, hy, hz)

@@ -19,6 +19,10 @@ REGIONS = (
     ("at the bottom left", "at the bottom", "at the bottom right"),
 )
 """Thirds of an image, rows from the top."""
+EDGES = {"left": (0, False), "right": (0, True), "top": (1, False), "bottom": (1, True)}
+"""Coordinate, and whether it counts from the far end."""
+EDGE_SHARE = 1 / 8
+"""Beyond the outermost corners a lens is only guessed: this part of the image along each edge must be seen, too."""
 ENOUGH_CORNERS = 6
 """In a region, over all views."""
 LEAST_LEAN_DEG = 12.0
@@ -54,6 +58,12 @@ def coverage(views: Sequence[BoardView], width_px: int, height_px: int) -> Cover
             np.add.at(counts, (row, column), 1)
         corners[side] = counts
         places = [REGIONS[r][c] for r in range(3) for c in range(3) if counts[r, c] < ENOUGH_CORNERS]
+        every = np.concatenate([np.empty((0, 2)), *seen])
+        for edge, (axis, far_end) in EDGES.items():
+            size = (width_px, height_px)[axis]
+            off = (size - 1 - every[:, axis]) if far_end else every[:, axis]
+            if np.count_nonzero(off < EDGE_SHARE * size) < ENOUGH_CORNERS:
+                places.append(f"near the {edge} edge")
         if places:
             missing.append(f"no corners yet {', '.join(places)} of the {side} image")
     slopes = [slope for slope in (_slope(view, width_px, height_px) for view in views) if slope is not None]

@@ -35,6 +35,17 @@ def place_of(listed: Path, scan: str) -> str:
     return str(listed.parent / scan) if "/" in scan else scan
 
 
+def measuring(calibration: Path | None) -> None:
+    """Raises UsageError for a ``--calibration`` in air: what the windows do is not in it. Raises CalibrationError."""
+    from appliance.calibration.start import METHOD as IN_AIR  # brings OpenCV, which `scans list` can do without
+
+    if calibration is not None and calibration_file.load(calibration).method == IN_AIR:
+        raise UsageError(
+            f"--calibration {calibration}: is one in air, which only calibrating in water begins with; "
+            "give one made in water (`kingfisher calibrate water`)"
+        )
+
+
 def writable(out: Path | None) -> None:
     """Raises UsageError for an ``--out`` that cannot become a file, before the work is done."""
     if out is None:

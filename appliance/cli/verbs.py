@@ -6,7 +6,7 @@ import logging
 from pathlib import Path
 
 from appliance import __version__, kernel_cache
-from appliance.cli.desk import usable_scan, writable, writing
+from appliance.cli.desk import measuring, usable_scan, writable, writing
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json, table
 from appliance.cli.simrig import SimOptions, simulated, with_simulated_wires
 from appliance.config import Rig
@@ -44,6 +44,7 @@ def check(rig: Rig, *, json: bool) -> Exit:
 def reconstruct(rig: Rig, scan: str, calibration: Path | None, out: Path | None, *, json: bool) -> Exit:
     """A stored scan's cloud from its raw frames. ``scan``: its number, or its folder."""
     writable(out)
+    measuring(calibration)
     with Progress() as progress:
         progress("comparing checksums")
         folder = usable_scan(rig, scan, calibration)

@@ -13,7 +13,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from hw_sim.objects.shapes import BOARD_BOW, BOARD_HALF_X_MM, BOARD_HALF_Y_MM, BOARD_SCALE, BOARD_THICKNESS_MM
+from hw_sim.objects.shapes import BOARD_BOW, BOARD_HALF_X_MM, BOARD_HALF_Y_MM, BOARD_SCALE
 
 Array = NDArray[np.float64]
 Ink = NDArray[np.uint8]
@@ -26,7 +26,8 @@ CELLS = 56
 CELL_MM = SQUARE_MM / CELLS
 PAPER, INK = 0.6, 0.04
 """Albedos."""
-EDGE_MM = 0.001
+EDGE_MM, LEAST_SLOPE = 0.01, 0.2
+"""So near the plate's edge, and so obliquely, other means than ``front_met`` decide what is seen."""
 SAMPLES, TURN = 233, 144
 """A Fibonacci lattice: evenly spread over a pixel. Only where more than one edge crosses a pixel."""
 
@@ -97,9 +98,23 @@ def printed(
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def on_front(x: float, y: float, z: float) -> bool:
-    """Whether a point of the plate's surface is on the side that is printed."""
-    return z < 0.5 * BOARD_THICKNESS_MM and abs(x) < BOARD_HALF_X_MM - EDGE_MM and abs(y) < BOARD_HALF_Y_MM - EDGE_MM
+def front_met(sizes: Array, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float) -> float:
+    """How far along a ray from before the board its printed front is; NaN for a ray that does not meet it, or hardly.
+
+    What ``shapes.march`` finds, in a fifth of the time: the front is nearly a plane, and each round makes the rest of
+    what it is not a thousand times smaller.
+    """
+    if dz < LEAST_SLOPE:
+        return math.nan
+    far = -oz / dz
+    for _ in range(3):
+        x, y = ox + far * dx, oy + far * dy
+        bent = sizes[BOARD_BOW] * (1.0 - (x * x + y * y) * (2.0 / (BOARD_HALF_X_MM * BOARD_HALF_X_MM)))
+        far = (bent - oz) / dz
+    x, y = ox + far * dx, oy + far * dy
+    if abs(x) > BOARD_HALF_X_MM - EDGE_MM or abs(y) > BOARD_HALF_Y_MM - EDGE_MM:
+        return math.nan
+    return far
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")

@@ -54,7 +54,7 @@ def test_the_same_place_again_is_no_view(renderer: Renderer) -> None:
 
 def test_what_is_missing_is_said_until_it_was_seen() -> None:
     """Points at will: nine regions, both images, four leans."""
-    grid = np.stack([a.ravel() for a in np.meshgrid(np.linspace(-120, 120, 9), np.linspace(-90, 90, 7))], -1)
+    grid = np.stack([a.ravel() for a in np.meshgrid(np.linspace(-150, 150, 31), np.linspace(-115, 115, 24))], -1)
     corners = np.concatenate([grid, np.zeros((len(grid), 1))], 1)
 
     def leant(about_x_deg: float, about_y_deg: float, shift_px: float) -> BoardView:
@@ -71,6 +71,8 @@ def test_what_is_missing_is_said_until_it_was_seen() -> None:
     assert flat[0].startswith("no corners yet at the top left, ")
     assert flat[0].endswith("of the left image")
     assert "at the right" not in flat[0]
+    assert "near the left edge" in flat[0]
+    assert "near the right edge" not in flat[0]
     lean = (
         "no board yet with its left edge away or with its right edge away or with its top edge away or with its bottom "
         "edge away: lean it by 20° to 35°"

@@ -105,7 +105,9 @@ def test_installing_keeps_the_one_before(recorded: Path, rig: Path, tmp_path: Pa
     assert before.read_bytes() == first
 
 
-def test_nothing_measures_in_water_with_a_calibration_in_air(recorded: Path, rig: Path, tmp_path: Path) -> None:
+def test_nothing_measures_in_water_with_a_calibration_in_air(
+    recorded: Path, rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     current = tmp_path / "root" / "calibration" / "current.json"
     current.parent.mkdir()
     assert main(["calibrate", "air", str(recorded), "--rig", str(rig), "--out", str(current)]) == 0
@@ -113,6 +115,8 @@ def test_nothing_measures_in_water_with_a_calibration_in_air(recorded: Path, rig
     assert used.method == "design"
     (condition,) = conditions
     assert "in air" in condition.detail
+    assert main(["reconstruct", "1", "--rig", str(rig), "--calibration", str(current)]) == 2
+    assert "is one in air" in capsys.readouterr().err
 
 
 def without(folder: Path, tmp_path: Path, *names: str) -> Path:
