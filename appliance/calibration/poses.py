@@ -2,7 +2,7 @@
 
 The limits are wide enough for hands, and narrow enough that no two steps accept the same pose. Bars tilted in depth are
 what the published search of distances needs; which end is nearer, and how the planes lean, changes no result and is not
-judged (``docs/calibration.md``). Angles are in the rig frame, which follows from the calibration.
+judged (``docs/calibrate-under-water.md``). Angles are in the rig frame, which follows from the calibration.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from appliance.optics.model import StereoRig
 Array = NDArray[np.float64]
 
 BAR_TILT_DEG = (20.0, 50.0)
-"""In depth, of the bars that are adjusted to; 35° is best."""
+"""In depth, of the bars that are adjusted to; the method wants 35°."""
 LEVEL_DEG = 15.0
 """The bar of the verification is tilted in depth by no more."""
 HALF_UP_DEG = 45.0

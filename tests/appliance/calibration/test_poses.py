@@ -7,9 +7,19 @@ import pytest
 
 from appliance.calibration.design import design_calibration
 from appliance.calibration.guide import HELD, Refusal, Session, Solved, Step, Trial, Verified
+from appliance.calibration.ladder import Method, calibrate
 from appliance.calibration.poses import FoundBar, FoundPlane, judge_bar, judge_plane, rig_axes
 from appliance.calibration.recordings import ArtefactKind
-from tests.support.calibrating import DESIGN, Pose
+from appliance.calibration.start import start_from_air
+from tests.support.calibrating import (
+    CALIBRATION_PLANES,
+    DESIGN,
+    Pose,
+    air_of,
+    calibration_recordings,
+    evaluate,
+    hidden_rig,
+)
 from tests.support.truth import WATER
 
 RIG = design_calibration(DESIGN, "KF-TEST", 1600, 1200, WATER).rig
@@ -135,3 +145,34 @@ def test_a_recording_made_anew_undoes_what_was_solved_from_the_old_one() -> None
     assert [trial.scan_id for trial in again.trials if trial.step is Step.M2] == ["000009"]
     verified_again = session.with_trial(Trial(Step.VERIFY, None, 0.02))
     assert verified_again.solved == session.solved
+
+
+# --------------------------------------------------------------------- what matters and what does not
+
+LYING, UPRIGHT = (-15.0, -20.0, 505.0), (15.0, 20.0, 540.0)
+PLANES = {"as usual": CALIBRATION_PLANES, "level": (Pose((0.0, 0.0, 478.0), (0.0, 0.0, 0.0)), Pose((0.0, 0.0, 570.0), (0.0, 0.0, 0.0)))}  # fmt: skip
+BARS = {
+    "35° both ways": ((LYING, (0.0, 35.0, 20.0)), (UPRIGHT, (0.0, -35.0, 70.0))),
+    "35° the same way": ((LYING, (0.0, 35.0, 20.0)), (UPRIGHT, (0.0, 35.0, 70.0))),
+    "20°": ((LYING, (0.0, 20.0, 20.0)), (UPRIGHT, (0.0, -20.0, 70.0))),
+    "level": ((LYING, (0.0, 0.0, 20.0)), (UPRIGHT, (0.0, 0.0, 70.0))),
+    "both lying": ((LYING, (0.0, 35.0, 20.0)), (UPRIGHT, (0.0, -35.0, 20.0))),
+}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [1, 2])
+def test_how_bars_and_planes_lean_changes_no_result(seed: int) -> None:
+    truth = hidden_rig("realistic", seed)
+    air = air_of(truth)
+    start = start_from_air(air, design_calibration(DESIGN, "KF-TEST", 1600, 1200, WATER))
+    errors = {}
+    for bars, (first, second) in BARS.items():
+        for planes, placed in PLANES.items():
+            recordings = calibration_recordings(truth, [Pose(*first), Pose(*second)], placed)
+            found = calibrate(Method.BA_SPLINE, recordings, start)
+            errors[bars, planes] = evaluate(truth, found.calibration.rig).length
+    print(f"\nrig {seed}, E_L in percent: " + "; ".join(f"{b}, planes {p}: {e:.3f}" for (b, p), e in errors.items()))
+    assert max(errors.values()) < 0.05
+    before = evaluate(truth, start.rig).length
+    assert max(errors.values()) < before / 3.0
