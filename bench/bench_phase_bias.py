@@ -97,11 +97,21 @@ def panels(rows: Sequence[Row]) -> list[Panel]:
     ]
 
 
+SHORTER = {
+    "500 mm, turned by 35°": "turned 35 deg",
+    "500 mm, facing": "500 mm",
+    "patterns drawn for it": "compensated",
+    " of the projector": "",
+    "°": " deg",
+}
+"""For the picture, whose font knows no degree sign and whose labels are short."""
+
+
 def _bar(row: Row, name: str, least: float) -> Bar:
-    """The font of the picture has no degree sign."""
-    return Bar(
-        row.name.replace("°", " deg").replace("patterns drawn for it", "compensated"), max(row.values[name], least)
-    )
+    label = row.name
+    for long, short in SHORTER.items():
+        label = label.replace(long, short)
+    return Bar(label, max(row.values[name], least))
 
 
 def main(arguments: Sequence[str]) -> int:
