@@ -83,7 +83,7 @@ class GapModes:
         raw = self.at(*self.field_px)
         r = np.linalg.qr(raw / np.sqrt(len(raw)), mode="r")
         signs = np.sign(np.diag(r))
-        if np.abs(np.diag(r)).min() < 1e-9:
+        if not np.abs(np.diag(r)).min() >= 1e-9:  # NaN neither
             raise ValueError("two gap patterns of this calibration are the same; check the relative orientation")
         self._mix = np.linalg.inv(r) * signs
 

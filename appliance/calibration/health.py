@@ -131,6 +131,8 @@ def judge(trend: Trend, gaps: PatchGaps, scan: str | None = None) -> tuple[Trend
     if len(gaps.patch) < FEWEST_PATCHES:
         text = f"not judged: {len(gaps.patch)} of {COUNT} patches seen, {FEWEST_PATCHES} are needed"
         return trend, Judgement(None, trend.alarm is not None, text, _counts(gaps))
+    if not all(np.isfinite(values).all() for values in (gaps.gap_um, gaps.noise_um, gaps.modes)):
+        return trend, Judgement(None, trend.alarm is not None, "not judged: a gap is not a number", _counts(gaps))
     rest_um = _rest(gaps)
     usual_um = float(np.median([*trend.reference.rests_um, rest_um]))
     amplitudes, covariance = _compared(trend.reference, gaps, usual_um)

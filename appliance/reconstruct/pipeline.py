@@ -72,7 +72,7 @@ class Pipeline:
         self._rays = _rays(calibration, water)
         seen = self._decoders["right"]
         self._right = right_maps(seen.p_px, seen.q_px, seen.modulation_half_dn, sequence.width_px, sequence.height_px)
-        self._gaps = GapSampler(GapModes(calibration.rig, water.index))
+        self._gaps = _sampler(calibration, water)
         self._inverse_stride = 2 if right.width_px >= 800 else 1
         self._factors = sigma_factors(sequence.period_px, noise)
         self._limits = limits or QualityLimits()
@@ -140,8 +140,11 @@ class Pipeline:
     def find_full(self) -> Found:
         """As ``full``, leaving the points in the table."""
         decoder = self._decoders["left"]
+        found = self._find(1)
+        if self._gaps is None:
+            return found
         gaps = self._gaps.measure(decoder.p_px, decoder.q_px, self._right, self._rays, self._factors)
-        return replace(self._find(1), gaps=gaps)
+        return replace(found, gaps=gaps)
 
     def _find(self, stride: int) -> Found:
         if self._bright is None:
@@ -187,3 +190,11 @@ def _rays(calibration: Calibration, water: Water) -> Rays:
     index = water.index
     plane_z_mm = float(calibration.rig.volume_centre_mm(index)[2])
     return rays_of(ray_lattice(left, index, plane_z_mm), ray_lattice(right, index, plane_z_mm), left.width_px)
+
+
+def _sampler(calibration: Calibration, water: Water) -> GapSampler | None:
+    """None for a calibration so strange that its gaps mean nothing; points are found with it all the same."""
+    try:
+        return GapSampler(GapModes(calibration.rig, water.index))
+    except ValueError:
+        return None

@@ -17,6 +17,7 @@ from typing import Any
 from pydantic import TypeAdapter, ValidationError
 
 from appliance.calibration.health import Trend
+from appliance.calibration.patches import COUNT
 from appliance.storage.atomic import StorageError, refused, replace_file
 from appliance.storage.filesystem import FileSystem, LocalFileSystem
 
@@ -88,9 +89,13 @@ class HealthFile:
         if content.get("schema") != SCHEMA or content.get("calibration") != self._hash:
             raise ValueError("it is of another version or another calibration")
         try:
-            return _TREND.validate_python(content.get("trend"))
+            trend = _TREND.validate_python(content.get("trend"))
         except ValidationError as error:
             raise ValueError(str(error.errors(include_url=False)[0]["msg"])) from error
+        reference = trend.reference
+        if any(len(of) != COUNT for of in (reference.gap_um, reference.variance_um2, reference.scans)):
+            raise ValueError(f"its reference has not {COUNT} patches")
+        return trend
 
 
 def _digest(content: dict[str, Any]) -> str:

@@ -118,6 +118,17 @@ def test_too_little_of_the_image_is_not_judged() -> None:
     assert said.text.startswith("not judged: 5 of 48 patches")
 
 
+def test_what_is_no_number_is_not_judged() -> None:
+    """An alarm, or an exception in the heartbeat, would be no better."""
+    made = calibrated(SEED)
+    whole = scan(made, made.truth, np.random.default_rng(1))
+    whole.gap_um[3] = np.nan
+    trend, said = judge(Trend(), whole)
+    assert trend == Trend()
+    assert said.point is None
+    assert said.text == "not judged: a gap is not a number"
+
+
 def test_a_change_that_the_seen_corner_cannot_tell_is_no_alarm_and_no_certainty() -> None:
     """A scan of one corner has wide standard deviations instead of a wrong verdict."""
     made = calibrated(SEED)

@@ -89,3 +89,11 @@ def test_nothing_seen_gives_no_patches(images: dict[str, np.ndarray]) -> None:
     assert gaps is not None
     assert gaps.samples == 0
     assert len(gaps.patch) == 0
+
+
+def test_a_calibration_without_a_common_volume_still_gives_what_it_can(images: dict[str, np.ndarray]) -> None:
+    away = replace(CALIBRATION.rig.right, translation_mm=(5000.0, 0.0, 1000.0))
+    strange = replace(CALIBRATION, rig=replace(CALIBRATION.rig, right=away))
+    found = cloud(images, strange)
+    assert found.gaps is None
+    assert found.summary.points == 0

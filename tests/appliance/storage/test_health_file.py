@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from appliance.calibration.health import MOST_POINTS, Trend, TrendPoint
+from appliance.calibration.health import MOST_POINTS, Reference, Trend, TrendPoint
 from appliance.storage.atomic import StorageError
 from appliance.storage.health import MAX_BYTES, HealthFile
 from tests.appliance.storage.scenes import PowerCut, VolatileDisk
@@ -81,6 +81,12 @@ def test_a_changed_number_is_noticed(tmp_path: Path) -> None:
     file = HealthFile(tmp_path, HASH)
     file.write(trend(3))
     file.path.write_text(file.path.read_text().replace('"judged": 3', '"judged": 4'))
+    assert file.read() == Trend()
+
+
+def test_a_reference_of_another_version_is_not_used(tmp_path: Path) -> None:
+    file = HealthFile(tmp_path, HASH)
+    file.write(Trend(reference=Reference(gap_um=(1.0,) * 12)))
     assert file.read() == Trend()
 
 
