@@ -329,7 +329,10 @@ def _add_calibrate(
         root,
     )
     air.add_argument(
-        "folder", metavar="FOLDER", type=Path, help="pairs NAME_left.png, NAME_right.png, or scans' folders"
+        "folder",
+        metavar="FOLDER",
+        type=Path,
+        help="pairs NAME_left.png, NAME_right.png, or folders of --live or of scans",
     )
     air.add_argument(
         "--board", metavar="15x12x18x13.5", help="squares across and down, their size and the markers' in mm"

@@ -50,6 +50,7 @@ def board_at(pose: tuple[float, ...]) -> str:
 
 
 @pytest.mark.long
+@pytest.mark.timeout(900)
 def test_views_are_recorded_kept_and_gone_on_with(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     poses, folder = poses_in_air(VIEWS, 3), tmp_path / "views"
     far = (0.0, 0.0, 1500.0, 0.0, 0.0, 0.0)

@@ -98,6 +98,7 @@ def test_the_covariance_says_how_wrong_the_parameters_are(truth: TrueRig, air: A
 
 
 @pytest.mark.long
+@pytest.mark.timeout(900)
 @pytest.mark.parametrize("seed", [3, 5])
 def test_lengths_in_air_of_real_lenses_are_right_to_three_hundredths_of_a_percent(seed: int) -> None:
     """What a lens does beyond the five-parameter model is the limit."""
@@ -172,6 +173,7 @@ def test_a_corner_beside_glare_is_left_out_alone(views: list[BoardView]) -> None
 
 
 @pytest.mark.long
+@pytest.mark.timeout(900)
 def test_a_pinhole_in_water_measures_there_and_fails_in_salt_water() -> None:
     truth = hidden_rig("realistic", 3)
     found = views_of_boards_in_water(truth, 15)
