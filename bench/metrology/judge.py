@@ -16,8 +16,8 @@ from hw_sim.truth import TrueRig
 
 ARTEFACTS = {"ballbar": Artefact.BALL_BAR, "plane": Artefact.PLANE, "frustum": Artefact.FRUSTUM}
 FLAT_STEP_PX = 3
-"""Of flat faces every third pixel in either direction is judged: hundreds of thousands of points remain, and the largest
-deviations stay within a few hundredths of those of all points."""
+"""Of flat faces every third pixel in either direction is judged: two hundred thousand points of a plane. On the plane that
+was tried with all of its points, E_F changed by 0.1 % of itself and E_F,sys by 1 %."""
 
 
 @dataclass(frozen=True, slots=True)
