@@ -96,7 +96,8 @@ def table(run: Mapping[str, Any]) -> str:
     seeds = sorted({row["seed"] for row in rows})
     lines = [
         (
-            f"**Set {run['set']}**: {len(seeds)} rigs (seeds {seeds[0]}–{seeds[-1]}), "
+            f"**Set {run['set']}**: {len(seeds)} {'rigs' if len(seeds) > 1 else 'rig'} "
+            f"(seed {', '.join(str(seed) for seed in seeds)}), "
             f"{run['resolution'].replace('x', ' × ')}; per rig {unseen['bars']} unseen bars, {unseen['planes']} planes, "
             f"{unseen['frustums']} frustums. Median over the rigs (worst rig)."
         ),

@@ -116,7 +116,7 @@ def test_the_document_says_what_the_files_say(tmp_path: Path) -> None:
     assert written.startswith("before\n")
     assert written.endswith("\nafter\n")
     assert "old" not in written
-    assert "2 rigs (seeds 1–2)" in written
+    assert "2 rigs (seed 1, 2)" in written
     assert "0.055 (0.090) ≤ 0.05 **missed**" in written
     assert "0.200 (0.300)" in written
     assert picture.stat().st_size > 1000
