@@ -47,6 +47,8 @@ MAX_FIRST_STEP_PX = np.float32(4.0)
 MIN_DETERMINANT = np.float32(1e-4)
 NODE_MARGIN = np.float32(1.5)
 """Coordinates from −1 px on round to nodes from 0 on."""
+_HOME, _LOST, _OUTSIDE = 1, 0, -1
+"""How a walk ends."""
 _BLOCK = 64
 """So many pixels are passed over at once where all have a match."""
 _ONE, _HALF, _NAN = np.float32(1.0), np.float32(0.5), np.float32(np.nan)
@@ -242,8 +244,11 @@ def _walk(
     start: np.uint32,
     x: int,
     s: NDArray[np.float32],
-) -> bool:
-    """Newton steps from one right pixel to the next until home, one-sided where a neighbour is missing."""
+) -> int:
+    """Newton steps from one right pixel to the next until home, one-sided where a neighbour is missing.
+
+    Returns _HOME, _LOST, or _OUTSIDE when a step leaves the image.
+    """
     rows, columns = p_px.shape
     p, q = s[P + x], s[Q + x]
     v, u = np.int64(start >> np.uint32(16)), np.int64(start & np.uint32(0xFFFF))
@@ -256,7 +261,7 @@ def _walk(
         qv = _derivative(q_px[v - 1, u], d, q_px[v + 1, u])
         det = pu * qv - pv * qu
         if not (abs(pu) + abs(pv) + abs(qu) + abs(qv) <= max_sum and abs(det) > MIN_DETERMINANT):
-            return False
+            return _LOST
         inverse = _ONE / det
         du = (qv * (p - c) - pv * (q - d)) * inverse
         dv = (pu * (q - d) - qu * (p - c)) * inverse
@@ -269,11 +274,11 @@ def _walk(
             s[U + x], s[V + x], s[SLOPE + x] = np.float32(u) + du, np.float32(v) + dv, pu
             s[UP + x], s[UQ + x], s[VQ + x], s[VP + x] = qv * inverse, pv * inverse, pu * inverse, qu * inverse
             s[MODULATION_RIGHT + x] = _HALF * np.float32(half_dn[v, u])
-            return True
+            return _HOME
         if not goes_on:
-            return False
+            return _LOST if inside else _OUTSIDE
         u, v = nu, nv
-    return False
+    return _LOST
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -296,7 +301,8 @@ def _search(
     s: NDArray[np.float32],
     n: int,
 ) -> None:
-    """The slower way for what has no match yet: walk from the pixel's node, or once more from a neighbour of it.
+    """The slower way for what has no match yet: walk from the pixel's node, or, when lost, once more from a neighbour of
+    it.
 
     Arrays come one by one: handing on a tuple of them would count references for each pixel.
     """
@@ -314,7 +320,7 @@ def _search(
             start = inverse[j, i]
             if start == 0 or start == tried:
                 continue
-            if _walk(p_px, q_px, half_dn, max_sum, start, x, s) or tried != 0:
+            if _walk(p_px, q_px, half_dn, max_sum, start, x, s) != _LOST or tried != 0:
                 break
             tried = start
 

@@ -79,7 +79,7 @@ def reconstruct_rows(
     """
     rows, columns = left.p_px.shape
     n = (columns + stride - 1) // stride
-    at, good = np.empty(CHUNK, np.int32), np.empty(n, np.uint8)
+    at, good = np.empty(CHUNK, np.int32), np.empty((n + 7) // 8 * 8, np.uint8)
     scratch[:, Z : Z + n] = _NAN
     count = offset
     begin = max(start - stride, 0)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from appliance.reconstruct.scratch import GAP, SIGMA, X, Y, Z
 
 _ONE, _ZERO = np.float32(1.0), np.float32(0.0)
+_EIGHT_GOOD = np.uint64(0x0101010101010101)
 _X, _Y, _Z, _GAP, _SIGMA = (np.uint64(place) for place in (X, Y, Z, GAP, SIGMA))
 
 
@@ -82,19 +83,22 @@ def append(
 ) -> int:
     """Append the good points of scratch row ``row``, run by run; return the new count. ``pixel``: the first flat index.
 
+    ``good`` has a multiple of eight places.
+
     A run is short, ten to a row: slices of the columns would count references, which takes longer than copying.
     Unsigned places need no check for negative ones.
     """
     columns_xyz, gap_mm, sigma_mm, modulation_half_dn, pixels, intensity = points
     xyz_mm = columns_xyz.reshape(-1)
     step = np.uint64(stride)
+    eights = good.view(np.uint64)
     x = 0
     while x < n:
         while x < n and good[x] == 0:
             x += 1
         begin = x
         while x < n and good[x] != 0:
-            x += 1
+            x += 8 if x % 8 == 0 and x + 8 <= n and eights[x // 8] == _EIGHT_GOOD else 1
         size, source, target = np.uint64(x - begin), np.uint64(begin), np.uint64(count)
         first_xyz = np.uint64(3 * count)
         for k in range(size):

@@ -211,19 +211,24 @@ def _intersect(s: NDArray[np.float32], n: int, plane_z_mm: np.float32, factors: 
         d = sx1 * wx + sy1 * wy
         e = sx2 * wx + sy2 * wy
         det = a * c - b * b
-        inverse = _ONE / det
+        m1, m2 = s[MODULATION + x], s[MODULATION_RIGHT + x]
+        # One division for two: dividing and square roots take most of this loop's time. In this form an unknown
+        # modulation (NaN) becomes the least, so that it never makes a point unknown.
+        m1 = m1 if m1 > MIN_MODULATION_DN else MIN_MODULATION_DN
+        m2 = m2 if m2 > MIN_MODULATION_DN else MIN_MODULATION_DN
+        signal = max(abs(s[SLOPE + x]), MIN_SLOPE) * m1 * m2
+        both = _ONE / (det * signal)
+        inverse, per_signal = both * signal, both * det
         h, t = (b * e - c * d) * inverse, (a * e - b * d) * inverse
         gx, gy, gz = wx + h * sx1 - t * sx2, wy + h * sy1 - t * sy2, h - t
         s[X + x] = s[X1 + x] + h * sx1 - _HALF * gx
         s[Y + x] = s[Y1 + x] + h * sy1 - _HALF * gy
         s[Z + x] = plane_z_mm + _HALF * (h + t)
         s[GAP + x] = np.sqrt(gx * gx + gy * gy + gz * gz)
-        m1, m2 = max(s[MODULATION + x], MIN_MODULATION_DN), max(s[MODULATION_RIGHT + x], MIN_MODULATION_DN)
-        slope = max(abs(s[SLOPE + x]), MIN_SLOPE)
         shift = abs(s[SHIFT + x] + t * s[SHIFT_SLOPE + x])
         light = s[LIGHT + x]
         noise = ((dark1 + shot1 * light) * (m2 * m2) + (dark2 * m1 + shot2 * light * m2) * m1) * a * inverse
-        s[SIGMA + x] = scale_px * shift * np.sqrt(noise) / (slope * m1 * m2)
+        s[SIGMA + x] = scale_px * shift * np.sqrt(noise) * per_signal
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
