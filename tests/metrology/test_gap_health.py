@@ -106,11 +106,11 @@ def test_ten_normal_scans_and_then_a_knock() -> None:
 
 @pytest.mark.long
 @pytest.mark.timeout(1800)
-@pytest.mark.parametrize(("truth_set", "count"), [("modelled", 72), ("realistic", 36)])
+@pytest.mark.parametrize(("truth_set", "count"), [("modelled", 84), ("realistic", 36)])
 def test_many_normal_scans(truth_set: str, count: int) -> None:
-    """With lens errors that the calibration does not describe, too. One in six is of a ball bar."""
+    """With lens errors that the calibration does not describe, too. Ball bars, one in six, are rarely judged."""
     _, _, said = normal(truth_set, count)
-    assert_quiet(said, judged=count * 5 // 6)
+    assert_quiet(said, judged=count * 3 // 4)
 
 
 @pytest.mark.long
