@@ -106,11 +106,10 @@ def test_ten_normal_scans_and_then_a_knock() -> None:
 
 @pytest.mark.long
 @pytest.mark.timeout(1800)
-@pytest.mark.parametrize(("truth_set", "count"), [("modelled", 84), ("realistic", 36)])
-def test_many_normal_scans(truth_set: str, count: int) -> None:
-    """With lens errors that the calibration does not describe, too. Ball bars, one in six, are rarely judged."""
-    _, _, said = normal(truth_set, count)
-    assert_quiet(said, judged=count * 3 // 4)
+def test_sixty_normal_scans() -> None:
+    """Ball bars, one in six, are rarely judged; lens errors that a calibration leaves over are in ``test_health``."""
+    _, _, said = normal("modelled", 84)
+    assert_quiet(said, judged=60)
 
 
 @pytest.mark.long
