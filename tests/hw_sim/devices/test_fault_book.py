@@ -15,7 +15,8 @@ MANUAL = Path(__file__).parents[3] / "docs" / "protocols" / "world.md"
 
 def sentences_of_the_manual() -> list[str]:
     """The first column of the table, every alternative of a row spelt out."""
-    rows = re.findall(r"^\| (`.*?) \|", MANUAL.read_text(), re.MULTILINE)
+    chapter = MANUAL.read_text().split("## Fault sentences")[1].split("\n## ")[0]
+    rows = re.findall(r"^\| (`.*?) \|", chapter, re.MULTILINE)
     found = []
     for row in rows:
         whole = re.findall(r"`([^`]+)`", row)
