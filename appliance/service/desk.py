@@ -94,6 +94,7 @@ def describe_calibration(rig: Rig, path: Path | None) -> dict[str, Any]:
     """What a calibration file says (``None``: the instrument's own). Raises CalibrationError."""
     calibration = calibration_file.load(path) if path is not None else calibration_of(rig)[0]
     left, right = calibration.rig.left, calibration.rig.right
+    has_ports = not (left.lens_in_water or right.lens_in_water)
     return {
         "rig_serial": calibration.rig_serial,
         "method": calibration.method,
@@ -103,8 +104,10 @@ def describe_calibration(rig: Rig, path: Path | None) -> dict[str, Any]:
         "water_index": calibration.water.index,
         "size_px": f"{left.width_px}x{left.height_px}",
         "principal_distance_px": f"{left.lens.f_px[0]:.2f} / {right.lens.f_px[0]:.2f}",
-        "interface_distance_mm": f"{left.port.distance_mm:.3f} / {right.port.distance_mm:.3f}",
-        "port_tilt_deg": f"{_tilt_deg(calibration, 'left'):.3f} / {_tilt_deg(calibration, 'right'):.3f}",
+        "interface_distance_mm": f"{left.port.distance_mm:.3f} / {right.port.distance_mm:.3f}" if has_ports else None,
+        "port_tilt_deg": (
+            f"{_tilt_deg(calibration, 'left'):.3f} / {_tilt_deg(calibration, 'right'):.3f}" if has_ports else None
+        ),
         "baseline_mm": sum(x * x for x in right.translation_mm) ** 0.5,
         "hash": calibration.hash,
     }
@@ -131,6 +134,5 @@ def _water_of(scan: stored.StoredScan, calibration: Calibration) -> Water:
 
 
 def _tilt_deg(calibration: Calibration, side: str) -> float:
-
     port = calibration.rig.left.port if side == "left" else calibration.rig.right.port
     return math.degrees(math.acos(min(1.0, port.normal[2])))

@@ -11,6 +11,7 @@ import pytest
 from appliance.calibration.file import CalibrationError, encode
 from appliance.config import Rig, load_rig
 from appliance.config.load import default_rig_path
+from appliance.optics.model import StereoRig
 from appliance.patterns.sequence import build_sequence
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.service.app import CALIBRATION_FILE, calibration_of, design_of
@@ -133,3 +134,15 @@ def test_calibration_show_and_nominal(rig: Rig, tmp_path: Path) -> None:
     assert described["baseline_mm"] == pytest.approx(230.0)
     with pytest.raises(CalibrationError, match="cannot be read"):
         describe_calibration(rig, tmp_path / "nothing.json")
+
+
+def test_a_lens_calibrated_in_water_has_no_port_to_show(rig: Rig, tmp_path: Path) -> None:
+    drawn = design_of(rig)
+    assert describe_calibration(rig, write_nominal_calibration(rig, None))["interface_distance_mm"] is not None
+    wet = StereoRig(*(replace(camera, lens_in_water=True) for camera in (drawn.rig.left, drawn.rig.right)))
+    path = tmp_path / "wet.json"
+    path.write_bytes(encode(replace(drawn, method="pinhole, in water", rig=wet)))
+    described = describe_calibration(rig, path)
+    assert described["interface_distance_mm"] is None
+    assert described["port_tilt_deg"] is None
+    assert described["baseline_mm"] == pytest.approx(230.0)
