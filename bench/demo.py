@@ -24,12 +24,13 @@ from numpy.typing import NDArray
 from appliance.calibration.file import encode
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.config import load_rig
-from appliance.service.app import CALIBRATION_FILE, simulate
+from appliance.service.app import CALIBRATION_FILE, run
 from appliance.storage.library import Library
 from appliance.storage.scan import StoredScan
 from hw_sim.options import options_from
 from hw_sim.render import Renderer
 from hw_sim.truth import draw_truth
+from hw_sim.wires.in_process import ScriptFailedError
 from tests.support.truth import left_to_rig, true_calibration
 
 SCRIPT = """
@@ -78,7 +79,11 @@ def main() -> int:
     calibration.write_bytes(encode(true_calibration(truth, rig.rig.serial)))
 
     begun = time.perf_counter()
-    code = simulate(rig)
+    try:
+        code = run(rig)
+    except ScriptFailedError as error:
+        print(error, file=sys.stderr)
+        return error.exit_code
     if code != 0:
         return code
     dive_s = time.perf_counter() - begun

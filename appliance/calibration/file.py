@@ -10,8 +10,6 @@ it does not know.
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +23,7 @@ from appliance.optics.pinhole import Lens
 from appliance.optics.port import Port
 from appliance.optics.ray_shift import RayShift
 from appliance.optics.water import Water
+from appliance.sealed import SealError, digest, seal, unseal
 
 Matrix22 = tuple[tuple[float, ...], ...]
 """(22, 22), symmetric, positive definite."""
@@ -64,36 +63,25 @@ class Calibration:
     @property
     def hash(self) -> str:
         """SHA-256 of the content, hexadecimal."""
-        return _digest(_content(self))
+        return digest(_content(self))
 
 
 def encode(calibration: Calibration) -> bytes:
     """The file's bytes. Raises CalibrationError for a camera model that is for comparison only."""
-    content = _content(calibration)
-    return (json.dumps({**content, "sha256": _digest(content)}, indent=2, sort_keys=True) + "\n").encode()
+    return seal(_content(calibration))
 
 
 def decode(data: bytes, name: str = "calibration") -> Calibration:
     """Parse and check a file's bytes. Raises CalibrationError naming ``name``, the key, the value and the remedy."""
     remedy = "restore the previous calibration or calibrate again"
-    if len(data) > MAX_BYTES:
-        raise CalibrationError(f"{name}: {len(data)} bytes; at most {MAX_BYTES} are allowed; {remedy}")
     try:
-        content = json.loads(data)
-    except (ValueError, RecursionError) as error:
-        raise CalibrationError(f"{name}: not readable as JSON ({type(error).__name__}: {error}); {remedy}") from error
-    if not isinstance(content, dict):
-        raise CalibrationError(f"{name}: a JSON object was expected, not {type(content).__name__}; {remedy}")
+        content = unseal(data, MAX_BYTES)
+    except SealError as error:
+        raise CalibrationError(f"{name}: {error}; {remedy}") from error
     schema = content.get("schema")
     if isinstance(schema, bool) or schema not in SCHEMAS:
         raise CalibrationError(
             f"{name}: schema {schema!r}; this version reads schema {SCHEMAS[0]} to {SCHEMAS[-1]}; {remedy}"
-        )
-    stated = content.pop("sha256", None)
-    actual = _digest(content)
-    if stated != actual:
-        raise CalibrationError(
-            f"{name}: checksum {stated!r}, but the content has {actual}: it was changed or damaged; {remedy}"
         )
     reader = _Reader(name, remedy)
     cameras = reader.table(content, "cameras")
@@ -124,11 +112,6 @@ def load(path: Path) -> Calibration:
             f"calibration {path}: cannot be read ({error.strerror}); calibrate, or copy the instrument's file there"
         ) from error
     return decode(data, f"calibration {path}")
-
-
-def _digest(content: dict[str, Any]) -> str:
-    compact = json.dumps(content, sort_keys=True, separators=(",", ":"))
-    return hashlib.sha256(compact.encode()).hexdigest()
 
 
 def _content(calibration: Calibration) -> dict[str, Any]:

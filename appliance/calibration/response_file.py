@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeGuard
 
 from appliance.patterns.response import HIGHEST_ORDER, Response
+from appliance.sealed import SealError, seal, unseal
 
 SCHEMA = 1
 MAX_BYTES = 64 * 1024
@@ -41,7 +40,7 @@ def encode(stored: StoredResponse) -> bytes:
         "residual": stored.residual,
         "harmonics": list(stored.response.harmonics),
     }
-    return (json.dumps({**content, "sha256": _digest(content)}, indent=2, sort_keys=True) + "\n").encode()
+    return seal(content)
 
 
 def decode(data: bytes, name: str) -> StoredResponse:
@@ -50,18 +49,12 @@ def decode(data: bytes, name: str) -> StoredResponse:
     def wrong(what: str) -> ResponseFileError:
         return ResponseFileError(f"{name}: {what}; {_REMEDY}")
 
-    if len(data) > MAX_BYTES:
-        raise wrong(f"{len(data)} bytes; at most {MAX_BYTES} are allowed")
     try:
-        content = json.loads(data)
-    except (ValueError, RecursionError) as error:
-        raise wrong(f"not readable as JSON ({error})") from error
-    if not isinstance(content, dict):
-        raise wrong(f"a JSON object was expected, not {type(content).__name__}")
+        content = unseal(data, MAX_BYTES)
+    except SealError as error:
+        raise wrong(str(error)) from error
     if content.get("schema") != SCHEMA:
         raise wrong(f"schema {content.get('schema')!r}; this version reads schema {SCHEMA}")
-    if content.pop("sha256", None) != _digest(content):
-        raise wrong("its checksum does not fit its content")
     serial, sources = content.get("rig_serial"), content.get("made_from")
     if not isinstance(serial, str) or not isinstance(sources, list):
         raise wrong("rig_serial or made_from is missing")
@@ -87,7 +80,3 @@ def load(path: Path) -> StoredResponse | None:
 
 def _is_number(value: Any) -> TypeGuard[float]:
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-
-
-def _digest(content: dict[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()

@@ -38,7 +38,6 @@ __all__ = [
     "noise_of",
     "run",
     "sequence_of",
-    "simulate",
     "water_of",
 ]
 
@@ -82,20 +81,6 @@ def run(rig: Rig) -> int:
         ended = service.run()
         log.info("switched off" if ended.power_off else "stopped")
     return 0
-
-
-SCRIPT_FAILED = 3
-
-
-def simulate(rig: Rig) -> int:
-    """``run`` with a rig whose wires lead to a simulated world. What goes wrong there ends the process with code 3."""
-    try:
-        return run(rig)
-    except Exception as error:
-        if type(error).__module__.partition(".")[0] != rig.rig.wires.partition(".")[0]:
-            raise
-        log.error("%s", error)
-        return SCRIPT_FAILED
 
 
 def check(rig: Rig) -> list[Health]:

@@ -13,7 +13,6 @@ them. Nothing in here deletes anything. One process writes, from one thread at a
 
 from __future__ import annotations
 
-import hashlib
 import json
 import re
 from collections.abc import Mapping
@@ -27,6 +26,7 @@ from pydantic import TypeAdapter, ValidationError
 from appliance.calibration import file as calibration_file
 from appliance.calibration.file import Calibration, CalibrationError
 from appliance.calibration.guide import Session
+from appliance.sealed import seal, unseal
 from appliance.storage.atomic import StorageError, move_folder, refused, replace_file
 from appliance.storage.filesystem import FileSystem, LocalFileSystem
 
@@ -82,16 +82,14 @@ class Calibrations:
 
     def _read(self) -> Session:
         data = _bytes(self.folder / "session" / SESSION)
-        if data is None or len(data) > MAX_BYTES:
+        if data is None:
             return Session()
         try:
-            content = json.loads(data)
-            if not isinstance(content, dict) or content.pop("sha256", None) != _digest(content):
-                return Session()
+            content = unseal(data, MAX_BYTES)
             if (content.pop("schema"), content.pop("rig_serial")) != (SCHEMA, self._serial):
                 return Session()
             return _SESSION.validate_python(content)
-        except (ValueError, RecursionError, KeyError, ValidationError):
+        except (ValueError, KeyError, ValidationError):
             return Session()
 
     def kept(self, session: Session) -> Calibration | None:
@@ -110,8 +108,7 @@ class Calibrations:
         self._make(self.folder / "session")
         kept = replace(session, in_use=False)  # never written down
         content = {"schema": SCHEMA, "rig_serial": self._serial, **_plain(asdict(kept))}
-        text = json.dumps({**content, "sha256": _digest(content)}, indent=1, sort_keys=True) + "\n"
-        replace_file(self._fs, self.folder / "session" / SESSION, text.encode())
+        replace_file(self._fs, self.folder / "session" / SESSION, seal(content))
         return self.session()
 
     def write_solved(
@@ -237,7 +234,3 @@ def _hash_of(path: Path) -> str | None:
 def _plain(value: Mapping[str, Any]) -> dict[str, Any]:
     plain: dict[str, Any] = json.loads(json.dumps(value, default=lambda one: one.value))
     return plain
-
-
-def _digest(content: Mapping[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()

@@ -8,16 +8,14 @@ read is put aside under another name: the trend begins anew, and a person can lo
 
 from __future__ import annotations
 
-import hashlib
-import json
 import logging
 from pathlib import Path
-from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
 from appliance.calibration.health import Trend
 from appliance.calibration.patches import COUNT
+from appliance.sealed import seal, unseal
 from appliance.storage.atomic import StorageError, refused, replace_file
 from appliance.storage.filesystem import FileSystem, LocalFileSystem
 
@@ -62,8 +60,7 @@ class HealthFile:
                     self._fs.sync_folder(folder.parent)
         self._set_aside()
         content = {"schema": SCHEMA, "calibration": self._hash, "trend": _TREND.dump_python(trend, mode="json")}
-        text = json.dumps({**content, "sha256": _digest(content)}, sort_keys=True) + "\n"
-        replace_file(self._fs, self.path, text.encode())
+        replace_file(self._fs, self.path, seal(content, indent=None))
 
     def _set_aside(self) -> None:
         """What cannot be read is not overwritten."""
@@ -79,13 +76,7 @@ class HealthFile:
 
     def _decoded(self, data: bytes) -> Trend:
         """Raises ValueError."""
-        if len(data) > MAX_BYTES:
-            raise ValueError(f"larger than {MAX_BYTES} bytes")
-        content = json.loads(data)
-        if not isinstance(content, dict):
-            raise ValueError("not a JSON object")
-        if content.pop("sha256", None) != _digest(content):
-            raise ValueError("its checksum does not fit its content")
+        content = unseal(data, MAX_BYTES)
         if content.get("schema") != SCHEMA or content.get("calibration") != self._hash:
             raise ValueError("it is of another version or another calibration")
         try:
@@ -96,7 +87,3 @@ class HealthFile:
         if any(len(of) != COUNT for of in (reference.gap_um, reference.variance_um2, reference.scans)):
             raise ValueError(f"its reference has not {COUNT} patches")
         return trend
-
-
-def _digest(content: dict[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()

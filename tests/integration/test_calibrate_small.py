@@ -8,7 +8,7 @@ from pathlib import Path
 from appliance.calibration.guide import Refusal, Step
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.config import load_rig
-from appliance.service.app import simulate
+from appliance.service.app import run
 from appliance.storage.calibrations import Calibrations
 from appliance.storage.library import Library, Shelf
 
@@ -48,7 +48,7 @@ def test_recordings_are_refused_and_accepted_with_words(tmp_path: Path) -> None:
     pose = (0.0, 0.0, 478.0, 8.0, -10.0, 0.0)
     rig = replace(rig, rig=replace(rig.rig, wires_options={**rig.rig.wires_options, "object_pose": list(pose)}))
 
-    assert simulate(rig) == 0
+    assert run(rig) == 0
 
     session = Calibrations(rig.storage.root, rig.rig.serial).session()
     assert [trial.step for trial in session.trials] == [Step.M3]

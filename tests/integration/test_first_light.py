@@ -9,7 +9,7 @@ import numpy as np
 from appliance.calibration.file import encode
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.config import load_rig
-from appliance.service.app import CALIBRATION_FILE, simulate
+from appliance.service.app import CALIBRATION_FILE, run
 from appliance.storage.library import Library
 from hw_sim.options import options_from
 from hw_sim.render import Renderer
@@ -46,7 +46,7 @@ def test_a_dive(tmp_path: Path) -> None:
     calibration.parent.mkdir(parents=True)
     calibration.write_bytes(encode(true_calibration(truth, rig.rig.serial)))
 
-    assert simulate(rig) == 0
+    assert run(rig) == 0
 
     library = Library(rig.storage.root)
     assert [entry.ok for entry in library.entries()] == [True]

@@ -11,7 +11,7 @@ from appliance.calibration.file import encode, load
 from appliance.cli.main import main
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.config import Rig, load_rig
-from appliance.service.app import CALIBRATION_FILE, simulate
+from appliance.service.app import CALIBRATION_FILE, run
 from appliance.storage.library import Library
 from hw_sim.options import options_from
 from hw_sim.truth import draw_truth
@@ -61,7 +61,7 @@ def dive(root: Path, script: str) -> Rig:
 
 def test_a_knock_between_scans(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     root = tmp_path / "dive"
-    assert simulate(dive(root, DIVE)) == 0
+    assert run(dive(root, DIVE)) == 0
     library = Library(root)
     verdicts = []
     for entry in library.entries():
@@ -79,7 +79,7 @@ def test_a_knock_between_scans(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert "verdicts.ray-gaps.passed" in shown
     assert "verdicts.ray-gaps.numbers.height_sigma_um" in shown
 
-    assert simulate(dive(root, NEXT_DAY)) == 0, "the script waits for the alert"
+    assert run(dive(root, NEXT_DAY)) == 0, "the script waits for the alert"
     status = json.loads((root / "run" / "status.json").read_text())
     assert [alert["headline"] for alert in status["alerts"]] == ["VERIFY CALIBR."]
 

@@ -9,7 +9,7 @@ from appliance.calibration.response_file import encode
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.config import Rig, load_rig
 from appliance.config.rig import ScanRig
-from appliance.service.app import simulate
+from appliance.service.app import run
 from appliance.service.instrument import RESPONSE_FILE
 from appliance.service.measuring import response_of_scan
 from appliance.storage.atomic import replace_file
@@ -29,7 +29,7 @@ end
 
 def dive(rig: Rig) -> Path:
     """One scan, kept; its folder."""
-    assert simulate(rig) == 0
+    assert run(rig) == 0
     library = Library(rig.storage.root)
     last = library.last_id()
     assert last is not None
