@@ -9,7 +9,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from appliance.capture.store import FrameStore
-from appliance.reconstruct.worker import CloudReady, ReconstructionWorker, WorkerReady, WorkOrder
+from appliance.worker.process import CloudReady, ReconstructionWorker, WorkerReady, WorkOrder
 from bench.result import Measured
 from bench.scan_frames import SIDES, ScanFrames
 from bench.timing import median_of

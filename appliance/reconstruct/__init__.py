@@ -1,1 +1,1 @@
-"""From frames to points: phases, correspondence, refracted rays, quality; and the process in which that happens."""
+"""From frames to points: phases, correspondence, refracted rays, quality."""

@@ -13,6 +13,7 @@ from typing import Self
 from appliance.calibration.file import Calibration, CalibrationError
 from appliance.calibration.guide import Session, Step, Trial, Verified
 from appliance.capture.fault import Fault, FaultCode
+from appliance.capture.verdict import Verdict
 from appliance.config import Rig
 from appliance.machine import events as on
 from appliance.service import calibrator
@@ -22,7 +23,6 @@ from appliance.service.instrument import calibration_of
 from appliance.service.scans import ScanDesk
 from appliance.storage.atomic import StorageError
 from appliance.storage.calibrations import Calibrations, SessionError
-from appliance.storage.record import Verdict
 
 log = logging.getLogger("kingfisher")
 

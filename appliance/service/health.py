@@ -10,9 +10,9 @@ from appliance.calibration.gaps import TURNS, GapModes, in_words
 from appliance.calibration.health import UNMEASURED, Judgement, Trend, judge, likeliest
 from appliance.calibration.patches import PatchGaps
 from appliance.capture.fault import Fault, FaultCode
+from appliance.capture.verdict import Verdict
 from appliance.storage.filesystem import FileSystem
 from appliance.storage.health import HealthFile
-from appliance.storage.record import Verdict
 
 VERDICT = "ray-gaps"
 

@@ -23,6 +23,7 @@ from appliance.calibration.file import Calibration
 from appliance.capture.fault import Fault, FaultCode
 from appliance.capture.scan import CaptureReport
 from appliance.capture.store import SIDES, FrameStore
+from appliance.capture.verdict import Verdict
 from appliance.config import Rig
 from appliance.machine import events as on
 from appliance.optics.water import Water
@@ -30,7 +31,12 @@ from appliance.patterns.response import Response
 from appliance.patterns.sequence import PatternSequence
 from appliance.reconstruct.noise import TYPICAL_PAIR, StereoNoise
 from appliance.reconstruct.pipeline import Cloud
-from appliance.reconstruct.worker import (
+from appliance.service.health import CalibrationWatch
+from appliance.storage.atomic import StorageError
+from appliance.storage.library import Library, PendingScan
+from appliance.storage.record import ScanRecord, SequenceInfo
+from appliance.storage.scan import size_bytes
+from appliance.worker.process import (
     CloudReady,
     ReconstructionWorker,
     WorkerFailed,
@@ -38,11 +44,6 @@ from appliance.reconstruct.worker import (
     WorkLimits,
     WorkOrder,
 )
-from appliance.service.health import CalibrationWatch
-from appliance.storage.atomic import StorageError
-from appliance.storage.library import Library, PendingScan
-from appliance.storage.record import ScanRecord, SequenceInfo, Verdict
-from appliance.storage.scan import size_bytes
 from drivers.api import Clock
 
 log = logging.getLogger("kingfisher")

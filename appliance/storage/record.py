@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from appliance.capture.fault import Fault
+from appliance.capture.verdict import Verdict
 from appliance.patterns.sequence import PatternSequence
 
 
@@ -28,22 +28,6 @@ class SequenceInfo:
         """Describe a sequence."""
         names = tuple(pattern.name for pattern in sequence.patterns)
         return cls(sequence.period_px, sequence.width_px, sequence.height_px, names)
-
-
-@dataclass(frozen=True, slots=True)
-class Verdict:
-    """One judgement with its numbers; ``passed`` is None where there was nothing to judge."""
-
-    name: str
-    """``ledger``, ``identity``, ``motion``, ``exposure`` …"""
-    passed: bool | None
-    numbers: Mapping[str, float | None] = field(default_factory=dict)
-    text: str = ""
-
-    @classmethod
-    def failed(cls, name: str, fault: Fault) -> Verdict:
-        """The verdict that a fault stands for."""
-        return cls(name, False, dict(fault.numbers), f"{fault.code.value}: {fault.detail}".rstrip(": "))
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,9 +11,9 @@ from appliance.config import load_rig
 from appliance.machine import events as on
 from appliance.optics.water import Water
 from appliance.patterns.sequence import build_sequence
-from appliance.reconstruct.worker import WorkLimits
 from appliance.service.scans import ScanDesk
 from appliance.storage.library import Library
+from appliance.worker.process import WorkLimits
 from drivers.native import MonotonicClock
 
 

@@ -11,9 +11,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.capture.verdict import Verdict
 from appliance.storage.filesystem import Bytes, LocalFileSystem, WritableFile
 from appliance.storage.ply import StoredCloud
-from appliance.storage.record import ScanRecord, SequenceInfo, Verdict
+from appliance.storage.record import ScanRecord, SequenceInfo
 
 FRAMES = 3
 

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from appliance.capture.fault import Fault, FaultCode
+from appliance.capture.verdict import Verdict
 from appliance.patterns.sequence import build_sequence
 from appliance.storage.atomic import StorageError
 from appliance.storage.library import Library, Shelf, UnknownScan
 from appliance.storage.lock import hold_lock
-from appliance.storage.record import SequenceInfo, Verdict
+from appliance.storage.record import SequenceInfo
 from appliance.storage.scan import ScanError, load, size_bytes
 from tests.appliance.storage.scenes import PREVIEW, cloud, frames, record
 

@@ -19,7 +19,7 @@ import pytest
 from appliance.capture.store import SIDES, FrameStore
 from appliance.patterns.sequence import build_sequence
 from appliance.reconstruct.pipeline import Pipeline
-from appliance.reconstruct.worker import (
+from appliance.worker.process import (
     CloudReady,
     ReconstructionWorker,
     WorkerFailed,
@@ -338,7 +338,7 @@ def test_too_much_memory_is_named_and_ends(store: FrameStore) -> None:
 HUNGRY = """
 import numpy as np
 from multiprocessing.shared_memory import SharedMemory
-from appliance.reconstruct.serve import limit_memory
+from appliance.worker.serve import limit_memory
 limit_memory(100.0)
 shared = SharedMemory(create=True, size=300_000_000)
 shared.buf[:10] = bytes(10)

@@ -20,8 +20,8 @@ from appliance.capture.fault import Fault, FaultCode
 from appliance.capture.store import SIDES, FrameStore
 from appliance.optics.water import Water
 from appliance.reconstruct.noise import TYPICAL_PAIR, StereoNoise
-from appliance.reconstruct.serve import work
 from appliance.reconstruct.table import POINT_BYTES, Cloud, Found, PointTable
+from appliance.worker.serve import work
 from drivers.api import Clock
 
 STOP_TIMEOUT_S = 2.0

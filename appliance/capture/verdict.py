@@ -1,0 +1,32 @@
+"""Owns what a judgement of a recorded scan says: a name, a yes or no, and the numbers behind it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from appliance.capture.fault import Fault
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """One judgement with its numbers; ``passed`` is None where there was nothing to judge."""
+
+    name: str
+    """``ledger``, ``identity``, ``motion``, ``exposure`` …"""
+    passed: bool | None
+    numbers: Mapping[str, float | None] = field(default_factory=dict)
+    text: str = ""
+
+    @classmethod
+    def failed(cls, name: str, fault: Fault) -> Verdict:
+        """The verdict that a fault stands for."""
+        return cls(name, False, dict(fault.numbers), f"{fault.code.value}: {fault.detail}".rstrip(": "))
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """A verdict, and the fault to tell the diver of; ``None``: nothing to tell. The alerts' table says what it spoils."""
+
+    verdict: Verdict
+    fault: Fault | None = None
