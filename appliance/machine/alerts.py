@@ -50,6 +50,8 @@ class Rule:
     """While it lasts, neither projector nor lasers may shine."""
     spoils_scan: bool = False
     """Found in a recorded scan, it makes the scan worthless."""
+    spoils_points: bool = False
+    """Found in a recorded scan, it makes points wrong: the diver may keep the scan, but is never told it is good."""
 
 
 _I, _W, _C = Severity.INFO, Severity.WARNING, Severity.CRITICAL
@@ -72,7 +74,7 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
             _W, "PULSES {received:.0f}/{expected:.0f}", "REPEAT", "PULSE MISSING", spoils_scan=True
         ),
         FaultCode.CAPTURE_TIMEOUT: Rule(_W, "SCAN TIMED OUT", "REPEAT", spoils_scan=True),
-        FaultCode.MOVED: Rule(_W, "MOVED {shift_px:.1f} px", "REPEAT", "MOVED"),
+        FaultCode.MOVED: Rule(_W, "MOVED {shift_px:.1f} px", "REPEAT", "MOVED", spoils_points=True),
         FaultCode.TOO_BRIGHT: Rule(_W, "TOO BRIGHT", "SHORTEN EXPOSURE, REPEAT"),
         FaultCode.TOO_DARK: Rule(_W, "TOO DARK", "GO CLOSER OR LENGTHEN EXPOSURE"),
         FaultCode.CAMERA_LOST: Rule(

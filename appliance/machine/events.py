@@ -99,10 +99,9 @@ class BootFinished:
 
 @dataclass(frozen=True, slots=True)
 class CaptureFinished:
-    """The sequence is complete and every witness agrees. ``warnings``: verdicts that only advise to repeat."""
+    """The sequence is complete and every witness agrees."""
 
     number: int
-    warnings: tuple[Fault, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,6 +127,13 @@ class CoarseReady:
 class FullReady:
     number: int
     summary: CloudSummary
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """What the judges hold against the scan now, in place of what they said before; nothing: it is good."""
+
+    number: int
     warnings: tuple[Fault, ...] = ()
 
 
@@ -217,6 +223,7 @@ Event = (
     | RawStored
     | CoarseReady
     | FullReady
+    | Judged
     | ReconstructionFailed
     | Saved
     | SaveFailed

@@ -73,14 +73,16 @@ def _react(machine: Machine, event: on.Event) -> Result:
             return _counted(machine, scans, last_scan, scans_left), ()
         case on.BootFinished():
             return (enter(machine, State.AIM), ()) if machine.state is State.BOOT else (machine, ())
-        case on.CaptureFinished(number, warnings):
-            return _capture_finished(machine, number, warnings)
+        case on.CaptureFinished(number):
+            return _capture_finished(machine, number)
         case on.CaptureFailed(number, fault):
             return _capture_failed(machine, number, fault)
         case on.RawStored(number):
             return calibrate.stored(_raw_stored(machine, number), number)
         case on.CoarseReady() | on.FullReady() | on.ReconstructionFailed():
             return _reconstruction(machine, event)
+        case on.Judged(number, warnings):
+            return _judged(machine, number, warnings), ()
         case on.Saved(number, scan_id):
             return _saved(machine, number, scan_id)
         case on.SaveFailed(number, fault):
@@ -261,13 +263,13 @@ def _abandon_capture(machine: Machine, notice: Notice | None) -> Result:
     return replace(home(machine), notice=notice), (do.AbortCapture(number),)
 
 
-def _capture_finished(machine: Machine, number: int, warnings: tuple[Fault, ...]) -> Result:
+def _capture_finished(machine: Machine, number: int) -> Result:
     if machine.state is not State.CAPTURE or number != machine.captures:
         return machine, ()
     if machine.calibrating is not None:
         return calibrate.captured(machine, number)
     machine = enter(machine, State.RECONSTRUCT, machine.settings.reconstruct_s)
-    machine = replace(machine, scan=ScanInHand(number, warnings))
+    machine = replace(machine, scan=ScanInHand(number))
     return machine, (do.StoreRaw(number), do.StartReconstruction(number))
 
 
@@ -298,8 +300,7 @@ def _reconstruction(machine: Machine, event: on.CoarseReady | on.FullReady | on.
         case on.CoarseReady():
             return _show(replace(machine, scan=replace(scan, coarse=event.summary)))
         case on.FullReady():
-            warnings = scan.warnings + tuple(w for w in event.warnings if w not in scan.warnings)
-            return _show(replace(machine, scan=replace(scan, full=event.summary, failed=None, warnings=warnings)))
+            return _show(replace(machine, scan=replace(scan, full=event.summary, failed=None)))
         case on.ReconstructionFailed():
             if RULES[event.fault.code].spoils_scan:
                 dropped, effects = _drop(machine, event.fault.detail or event.fault.code.value)
@@ -307,6 +308,12 @@ def _reconstruction(machine: Machine, event: on.CoarseReady | on.FullReady | on.
             return _no_cloud(machine, event.fault, cancel=False)
         case _:
             assert_never(event)
+
+
+def _judged(machine: Machine, number: int, warnings: tuple[Fault, ...]) -> Machine:
+    if machine.scan is None or machine.scan.number != number:
+        return machine
+    return replace(machine, scan=replace(machine.scan, warnings=warnings))
 
 
 def _show(machine: Machine) -> Result:

@@ -23,7 +23,7 @@ from appliance.calibration.file import Calibration
 from appliance.capture.fault import Fault, FaultCode
 from appliance.capture.scan import CaptureReport
 from appliance.capture.store import SIDES, FrameStore
-from appliance.capture.verdict import Verdict
+from appliance.capture.verdict import Judgement, Verdict
 from appliance.config import Rig
 from appliance.machine import events as on
 from appliance.optics.water import Water
@@ -39,6 +39,8 @@ from appliance.storage.scan import size_bytes
 from appliance.worker.process import (
     CloudReady,
     ReconstructionWorker,
+    ScanJudged,
+    ScanSpoiled,
     WorkerFailed,
     WorkerReady,
     WorkLimits,
@@ -66,6 +68,12 @@ class ScanInWork:
     raw: Future[PendingScan] | None = None
     times_s: dict[str, float] = field(default_factory=dict)
     """As ``ScanRecord.stage_times_s``."""
+
+    def enter(self, verdict: Verdict) -> None:
+        """Write a verdict down, in place of an earlier one of its name."""
+        if self.record is not None:
+            others = tuple(one for one in self.record.verdicts if one.name != verdict.name)
+            self.record = replace(self.record, verdicts=(*others, verdict))
 
     def since_begun_s(self, time_ns: int) -> float:
         """Seconds from the key press to a moment of the same clock."""
@@ -203,7 +211,7 @@ class ScanDesk:
         """
         scan = self._current(number)
         if scan is not None and scan.record is not None:
-            scan.record = replace(scan.record, verdicts=(*scan.record.verdicts, verdict))
+            scan.enter(verdict)
             self._ask(lambda: self._accept(scan, entered))
 
     def folder(self, number: int) -> Path | None:
@@ -242,6 +250,10 @@ class ScanDesk:
                 events.append(on.ConditionCleared(FaultCode.RECONSTRUCTION_FAILED))
             case CloudReady() as ready:
                 events += self._cloud(ready)
+            case ScanJudged() as judged:
+                events += self._judged(judged)
+            case ScanSpoiled(number, judgement):
+                events += self._spoiled(number, judgement)
             case WorkerFailed() as failed:
                 log.warning("%s", failed.fault.detail)
                 if failed.scan is not None:
@@ -275,11 +287,28 @@ class ScanDesk:
         scan.coarse = ready.cloud
         return [on.CoarseReady(scan.number, summary)]
 
+    def _judged(self, judged: ScanJudged) -> list[on.Event]:
+        scan = self._current(judged.scan)
+        if scan is None:
+            return []
+        scan.times_s["judged_cpu"] = scan.times_s.get("judged_cpu", 0.0) + judged.cpu_s
+        for judgement in judged.judgements:
+            scan.enter(judgement.verdict)
+        faults = tuple(judgement.fault for judgement in judged.judgements if judgement.fault is not None)
+        return [on.Judged(scan.number, faults)]
+
+    def _spoiled(self, number: int, judgement: Judgement) -> list[on.Event]:
+        scan = self._current(number)
+        if scan is None or judgement.fault is None:
+            return []
+        scan.enter(judgement.verdict)
+        return [on.ReconstructionFailed(number, judgement.fault)]
+
     def _judge(self, scan: ScanInWork, cloud: Cloud) -> list[on.Event]:
         """Whether the calibration still holds. The scan keeps the verdict, the disk the trend."""
         if cloud.gaps is None or scan.record is None:
             return []
-        scan.record = replace(scan.record, verdicts=(*scan.record.verdicts, self.watch.judge(cloud.gaps)))
+        scan.enter(self.watch.judge(cloud.gaps))
         self._remember(scan)
         fault = self.watch.fault
         return [] if fault is None else [on.ConditionRaised(fault)]
@@ -346,7 +375,7 @@ class ScanDesk:
     def _reject(self, scan: ScanInWork, reason: str) -> list[on.Event]:
         try:
             pending = self._pending(scan)
-            pending.reject(reason)
+            pending.reject(reason, scan.record)
         except (StorageError, ValueError) as error:
             return [on.SaveFailed(scan.number, Fault(FaultCode.NOT_SAVED, str(error)))]
         return [on.Rejected(scan.number, pending.scan_id), self._counted()]

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 import appliance
 from appliance.calibration.guide import HELD
-from appliance.capture.fault import FaultCode
-from appliance.machine.alerts import alert_of, alerts
+from appliance.capture.fault import Fault, FaultCode
+from appliance.machine.alerts import RULES, alert_of, alerts
 from appliance.machine.permissions import refusal
 from appliance.machine.states import Calibrating, Device, Machine, State
 from appliance.machine.texts import labels
@@ -114,7 +114,7 @@ def _review(machine: Machine, around: Surroundings, full: bool) -> ReviewView:
         values=shown.points_mm[:, 2],
         value=PointValue.DEPTH,
         coarse=not full,
-        grade=_grade(s.coverage_percent, s.noise_mm),
+        grade=_grade(s.coverage_percent, s.noise_mm, machine.scan.warnings if machine.scan is not None else ()),
         points=s.points,
         coverage_percent=s.coverage_percent,
         noise_mm=s.noise_mm,
@@ -125,8 +125,8 @@ def _review(machine: Machine, around: Surroundings, full: bool) -> ReviewView:
     )
 
 
-def _grade(coverage_percent: float | None, noise_mm: float | None) -> Grade:
-    if coverage_percent is None or noise_mm is None:
+def _grade(coverage_percent: float | None, noise_mm: float | None, warnings: tuple[Fault, ...]) -> Grade:
+    if coverage_percent is None or noise_mm is None or any(RULES[w.code].spoils_points for w in warnings):
         return Grade.BAD
     if coverage_percent >= GOOD_COVERAGE_PERCENT and noise_mm <= GOOD_NOISE_MM:
         return Grade.GOOD

@@ -58,5 +58,5 @@ class ScanRecord:
     stage_times_s: Mapping[str, float] = field(default_factory=dict)
     """Monotonic, from ``recorded_ns``: ``first_pattern`` is on the scene, ``recording``: the last frame is in memory,
     ``coarse`` and ``full``: that cloud is ready to be shown, ``saved``: raw frames and ledger survive a loss of power.
-    ``coarse_cpu`` and ``full_cpu`` are the worker's CPU time for that step alone. What did not happen is not there.
+    ``coarse_cpu``, ``full_cpu`` and ``judged_cpu`` are the worker's CPU time for that step alone. What did not happen is not there.
     """

@@ -18,6 +18,7 @@ from types import TracebackType
 from appliance.calibration.file import Calibration, encode
 from appliance.capture.fault import Fault, FaultCode
 from appliance.capture.store import SIDES, FrameStore
+from appliance.capture.verdict import Judgement
 from appliance.optics.water import Water
 from appliance.reconstruct.noise import TYPICAL_PAIR, StereoNoise
 from appliance.reconstruct.table import POINT_BYTES, Cloud, Found, PointTable
@@ -79,6 +80,25 @@ class CloudReady:
 
 
 @dataclass(frozen=True, slots=True)
+class ScanJudged:
+    """What the judges say of a scan, in place of what they said of it before."""
+
+    scan: int
+    judgements: tuple[Judgement, ...]
+    cpu_s: float
+    """CPU time the worker spent on judging."""
+
+
+@dataclass(frozen=True, slots=True)
+class ScanSpoiled:
+    """The scan gets no cloud: its frames are not what they should be."""
+
+    scan: int
+    judgement: Judgement
+    """Its fault is never ``None``."""
+
+
+@dataclass(frozen=True, slots=True)
 class WorkerFailed:
     """The worker is being started again, or has given up."""
 
@@ -87,7 +107,7 @@ class WorkerFailed:
     fault: Fault
 
 
-WorkerEvent = WorkerReady | CloudReady | WorkerFailed
+WorkerEvent = WorkerReady | CloudReady | ScanJudged | ScanSpoiled | WorkerFailed
 
 
 class ReconstructionWorker:
@@ -226,11 +246,17 @@ class ReconstructionWorker:
                 return None
             case ("cloud", int(ticket), bool(full), Found() as found, float(cpu_s)):
                 return self._taken(full, found, cpu_s) if ticket == self._ticket else None
+            case ("judged", int(ticket), tuple() as judgements, float(cpu_s)):
+                if ticket != self._ticket or self._scan is None:
+                    return None
+                return ScanJudged(self._scan, judgements, cpu_s)
+            case ("spoiled", int(ticket), Judgement() as judgement):
+                spoiled = self._end_of(ticket)
+                return None if spoiled is None else ScanSpoiled(spoiled, judgement)
             case ("failed", int(ticket), str(text)):
                 if ticket != self._ticket:
                     return None
-                current, self._scan, self._finishing, self._deadline_ns = self._scan, None, False, None
-                return WorkerFailed(current, Fault(FaultCode.RECONSTRUCTION_FAILED, text))
+                return WorkerFailed(self._end_of(ticket), Fault(FaultCode.RECONSTRUCTION_FAILED, text))
             case ("crashed", str(text)):
                 return self._restart(f"it failed: {text}")
             case _:
@@ -276,6 +302,13 @@ class ReconstructionWorker:
         if used_mb is None or used_mb <= most_mb:
             return None
         return self._restart(f"it took {used_mb:.0f} MB of memory; allowed are {most_mb:.0f} MB")
+
+    def _end_of(self, ticket: int) -> int | None:
+        """The scan of this ticket, for which nothing more is awaited; ``None`` where it is no longer wanted."""
+        if ticket != self._ticket:
+            return None
+        ended, self._scan, self._finishing, self._deadline_ns = self._scan, None, False, None
+        return ended
 
     def _taken(self, full: bool, found: Found, cpu_s: float) -> CloudReady | None:
         if self._scan is None:

@@ -246,9 +246,16 @@ def test_a_wrong_pattern_found_by_the_worker_never_becomes_a_cloud() -> None:
 
 def test_a_moved_scan_says_so_in_the_review_and_can_be_kept() -> None:
     moved = Fault(FaultCode.MOVED, "", {"shift_px": 1.84})
-    machine = run(capturing(), on.CaptureFinished(1, (moved,)), on.FullReady(1, SUMMARY))
+    machine = run(reconstructing(), on.CoarseReady(1, SUMMARY), on.Judged(1, (moved,)), on.FullReady(1, SUMMARY))
     assert shown(machine) == [("MOVED 1.8 px", "REPEAT")]
     assert run(machine, on.KeyPressed(Key.SCAN)).state is State.SAVING
+
+
+def test_what_the_judges_said_last_counts() -> None:
+    moved = Fault(FaultCode.MOVED, "", {"shift_px": 1.84})
+    machine = run(reconstructing(), on.CoarseReady(1, SUMMARY), on.Judged(1, (moved,)), on.Judged(1))
+    assert shown(machine) == []
+    assert shown(run(machine, on.Judged(2, (moved,)))) == [], "it is of another scan"
 
 
 def test_a_board_reset_sets_the_live_views_up_again() -> None:
