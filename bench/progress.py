@@ -19,9 +19,13 @@ class Progress:
     def step(self, what: str) -> None:
         """One more step is done; ``what`` comes next."""
         self._done = min(self._done + 1, self._total)
+        self.show(what, self._done / self._total)
+
+    def show(self, what: str, share: float) -> None:
+        """``share`` 0..1 of all is done, ``what`` is being done."""
         if not self._out.isatty():
             return
-        share = self._done / self._total
+        share = min(max(share, 1e-3), 1.0)
         left_s = (time.monotonic() - self._begun) * (1.0 - share) / share
         bar = "#" * round(WIDTH * share)
         self._out.write(f"\r\x1b[K[{bar:<{WIDTH}}] {100 * share:3.0f} %  {left_s / 60:4.1f} min left  {what}")

@@ -1,0 +1,74 @@
+"""What the verdict on a scan is worth: identity, motion, compensation, light, water, uncertainty, against the truth."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from bench.progress import Progress
+from bench.result import Measured
+from bench.runner import machine
+from bench.verdict.parts import PARTS, part
+
+OUT = Path("bench/out/verdict.json")
+FEW_SCANS = 20
+
+
+def measure() -> Iterator[Measured]:
+    """Every part with a few scans: whether the verdict still does what it is for."""
+    for name in PARTS:
+        found, _ = part(name).measure(FEW_SCANS, 1, lambda what, share: None)
+        yield from found
+
+
+def main(arguments: Sequence[str]) -> int:
+    """The command line: ``./dev bench verdict --help``."""
+    parser = argparse.ArgumentParser(prog="./dev bench verdict", description=__doc__)
+    parser.add_argument(
+        "--scans", type=int, default=FEW_SCANS, help="drawn at random for each part; default: %(default)s"
+    )
+    parser.add_argument(
+        "--seed", type=int, default=1, help="of the draws; any gives scans nothing was tuned on below 10000"
+    )
+    parser.add_argument("--json", type=Path, default=OUT, help="default: %(default)s")
+    parser.add_argument("--parts", default=",".join(PARTS), help="names with commas between; default: all, %(default)s")
+    wanted = parser.parse_args(arguments)
+    if not 1 <= wanted.scans <= 100_000:
+        parser.error(f"--scans {wanted.scans}: allowed are 1 to 100000")
+    if wanted.seed < 0:
+        parser.error(f"--seed {wanted.seed}: allowed are 0 and more")
+    names = wanted.parts.split(",")
+    for name in names:
+        if name not in PARTS:
+            parser.error(f"--parts: {name!r} is unknown; allowed are {', '.join(PARTS)}")
+    return 0 if run(names, wanted.scans, wanted.seed, wanted.json) else 1
+
+
+def run(names: Sequence[str], scans: int, seed: int, path: Path) -> bool:
+    """Part by part; the file is written after each, so that what is done is kept. True when every bound was kept."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    content: dict[str, Any] = {"machine": machine(), "scans": scans, "seed": seed, "parts": {}}
+    kept = True
+    for done, name in enumerate(names):
+        progress = Progress(1)
+        say = partial(_show, progress, done, len(names))
+        try:
+            found, data = part(name).measure(scans, seed, say)
+        finally:
+            progress.close()
+        sys.stdout.write(f"{name}: {PARTS[name]}\n")
+        sys.stdout.writelines(number.line() + "\n" for number in found)
+        sys.stdout.flush()
+        kept = kept and all(number.kept for number in found)
+        content["parts"][name] = {"measured": [number.as_dict() for number in found], "data": data}
+        path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    return kept
+
+
+def _show(progress: Progress, done: int, parts: int, what: str, share: float) -> None:
+    progress.show(what, (done + share) / parts)

@@ -1,0 +1,39 @@
+"""Owns the list of what is measured of the verdict, and how a part of it is asked for."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from types import MappingProxyType
+from typing import Any, Protocol, cast
+
+from bench.result import Measured
+
+Say = Callable[[str, float], None]
+"""What is being done, and the share 0..1 of the part that is done."""
+
+
+class Part(Protocol):
+    """A module of this package that judges scans drawn at random by ``seed``; ``scans`` scales the work."""
+
+    def measure(self, scans: int, seed: int, say: Say) -> tuple[list[Measured], dict[str, Any]]:
+        """Figures with their bounds, and what is needed to draw their curves again, ready for JSON."""
+
+
+PARTS = MappingProxyType(
+    {
+        "identity": "each frame is the pattern it should be",
+        "motion": "what moved is rejected, what did no harm is not",
+        "compensation": "rigid motion taken out of the points",
+        "light": "exposure, flicker, two exposures in one",
+        "turbidity": "what is said of the water, and points that specks would invent",
+        "uncertainty": "each point's expected error against its true one",
+    }
+)
+
+
+def part(name: str) -> Part:
+    """The module of that name. Raises KeyError for a name not in ``PARTS``."""
+    if name not in PARTS:
+        raise KeyError(name)
+    return cast(Part, importlib.import_module(f"bench.verdict.{name}"))
