@@ -52,17 +52,19 @@ def writable(out: Path | None) -> None:
         return
     if out.is_dir():
         raise UsageError(f"--out {out}: is a folder; give the name of a file in it, for example {out / 'cloud.ply'}")
+    if out.exists() and not out.is_file():
+        raise UsageError(f"--out {out}: is no ordinary file and would be replaced by one; give the name of a file")
     if not out.absolute().parent.is_dir():
         raise UsageError(f"--out {out}: there is no folder {out.parent}; make it first, or give another one")
 
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Turns OSError into StorageError that names ``path`` and the option that leads elsewhere."""
+    """Turns what the disk refuses into a StorageError that names ``path`` and the option that leads elsewhere."""
     try:
         yield
-    except OSError as error:
-        reason = error.strerror or str(error)
+    except (StorageError, OSError) as error:
+        reason = error.reason if isinstance(error, StorageError) else error.strerror or str(error)
         raise StorageError("cannot write", path, reason, "free space there, or give another file with --out") from error
 
 

@@ -74,14 +74,16 @@ def _close_after_failure(file: WritableFile) -> None:
         file.close()
 
 
-def replace_file(fs: FileSystem, path: Path, data: Bytes) -> Stamp:
+def replace_file(fs: FileSystem, path: Path, *parts: Bytes) -> Stamp:
     """Replace (or make) a file: afterwards, and at any instant before, ``path`` is the old or the new one, whole.
+
+    ``parts`` follow each other in it.
 
     Raises StorageError.
     """
     draft = draft_of(path)
     discard(fs, draft)
-    stamp = write_new(fs, draft, [data])
+    stamp = write_new(fs, draft, parts)
     with refused("cannot replace", path):
         fs.rename(draft, path)
         fs.sync_folder(path.parent)

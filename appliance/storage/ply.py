@@ -15,7 +15,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.storage.filesystem import Bytes
+from appliance.storage.atomic import replace_file
+from appliance.storage.filesystem import Bytes, LocalFileSystem
 
 POINT = np.dtype(
     [
@@ -112,11 +113,8 @@ def encode_ply(cloud: PointCloud) -> tuple[bytes, Bytes]:
 
 
 def write_ply(path: Path, cloud: PointCloud) -> None:
-    """Write a cloud for a desk; scans are written by ``Library``, durably. Raises OSError, ValueError."""
-    header, body = encode_ply(cloud)
-    with path.open("wb") as file:
-        file.write(header)
-        file.write(body)
+    """Write a cloud for a desk, whole or not at all; scans are written by ``Library``. Raises StorageError, ValueError."""
+    replace_file(LocalFileSystem(), path, *encode_ply(cloud))
 
 
 def read_ply(path: Path) -> StoredCloud:

@@ -2,15 +2,40 @@
 
 from __future__ import annotations
 
+import resource
+import signal
 import struct
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from appliance.storage.atomic import StorageError
 from appliance.storage.ply import PlyError, StoredCloud, encode_ply, read_ply, write_ply
 from tests.appliance.storage.scenes import cloud
+
+
+@pytest.fixture
+def small_files_only() -> Iterator[None]:
+    """No file can grow beyond a page."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, ignored)
+
+
+def test_a_cloud_that_cannot_be_written_leaves_the_old_one_whole(tmp_path: Path, small_files_only: None) -> None:
+    path = tmp_path / "c.ply"
+    write_ply(path, cloud(4))
+    with pytest.raises(StorageError, match="File too large"):
+        write_ply(path, cloud(4000))
+    assert len(read_ply(path).points_mm) == 4
 
 
 def test_round_trip_is_exact(tmp_path: Path) -> None:
