@@ -47,6 +47,8 @@ class FaultCode(Enum):
     """Too many pixels are saturated (saturated_percent)."""
     TOO_DARK = "TOO_DARK"
     """Too few pixels are modulated by the fringes (coverage_percent)."""
+    WATER_DIRTY = "WATER_DIRTY"
+    """Specks or the water's veil cost much of the object (coverage_percent)."""
 
     # Devices
     CAMERA_LOST = "CAMERA_LOST"

@@ -77,6 +77,9 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
         FaultCode.MOVED: Rule(_W, "MOVED {shift_px:.1f} px", "REPEAT", "MOVED", spoils_points=True),
         FaultCode.TOO_BRIGHT: Rule(_W, "TOO BRIGHT", "SHORTEN EXPOSURE, REPEAT"),
         FaultCode.TOO_DARK: Rule(_W, "TOO DARK", "GO CLOSER OR LENGTHEN EXPOSURE"),
+        FaultCode.WATER_DIRTY: Rule(
+            _W, "WATER DIRTY {coverage_percent:.0f}%", "LET IT SETTLE OR GO CLOSER", "WATER DIRTY"
+        ),
         FaultCode.CAMERA_LOST: Rule(
             _W, "{side}CAM LOST", "CHECK CONNECTOR", "CAMERA LOST", blocks_scan=True, stops_capture=True
         ),
