@@ -49,6 +49,10 @@ class FaultCode(Enum):
     """Too few pixels are modulated by the fringes (coverage_percent)."""
     WATER_DIRTY = "WATER_DIRTY"
     """Specks or the water's veil cost much of the object (coverage_percent)."""
+    LIGHT_FLICKERS = "LIGHT_FLICKERS"
+    """Light that is not the projector's changed from frame to frame, enough to bias phases (harmed_percent)."""
+    AMBIENT = "AMBIENT"
+    """Daylight or a torch is brighter than the projector: no exposure helps (ambient_percent)."""
 
     # Devices
     CAMERA_LOST = "CAMERA_LOST"

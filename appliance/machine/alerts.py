@@ -80,6 +80,8 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
         FaultCode.WATER_DIRTY: Rule(
             _W, "WATER DIRTY {coverage_percent:.0f}%", "LET IT SETTLE OR GO CLOSER", "WATER DIRTY"
         ),
+        FaultCode.LIGHT_FLICKERS: Rule(_W, "LIGHT FLICKERS", "SHADE OR MOVE AWAY, REPEAT", spoils_points=True),
+        FaultCode.AMBIENT: Rule(_W, "TOO MUCH LIGHT", "SHADE IT, TURN TORCHES AWAY"),
         FaultCode.CAMERA_LOST: Rule(
             _W, "{side}CAM LOST", "CHECK CONNECTOR", "CAMERA LOST", blocks_scan=True, stops_capture=True
         ),

@@ -1,0 +1,48 @@
+"""Owns how bright scans are taken: exposure and gain of both cameras, and the steps a diver may choose from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+STEPS_MS = (2.0, 2.5, 3.2, 4.0, 5.0, 6.3, 8.0, 10.0, 12.0, 14.0, 16.0)
+"""About a quarter more light each. 10 ms is a whole period of lamps on 50 Hz mains, which flicker 100 times a second."""
+GAIN_STEP_DB, GAIN_STEPS = 2.0, 6
+"""Above the rig's own gain, once no longer exposure is left: a quarter more each."""
+MARGIN_MS = 0.1
+"""Between the end of the longest exposure and the next vertical sync."""
+
+
+@dataclass(frozen=True, slots=True)
+class Exposure:
+    """Of both cameras, which share one trigger pulse."""
+
+    time_us: int
+    gain_db: float = 0.0
+
+    @property
+    def light(self) -> float:
+        """Grey values per light are proportional to this: µs at 0 dB."""
+        return float(self.time_us * 10.0 ** (self.gain_db / 20.0))
+
+    @property
+    def label(self) -> str:
+        """For a key: ``8 ms``, ``6.3 ms``, ``16 ms +4 dB``."""
+        gain = f" +{self.gain_db:g} dB" if self.gain_db else ""
+        return f"{self.time_us / 1000.0:g} ms{gain}"
+
+
+def ladder(refresh_hz: float, trigger_delay_us: int, gain_db: float = 0.0) -> tuple[Exposure, ...]:
+    """All steps from dark to bright for a projector's vertical period: first longer exposures at the rig's own gain, and
+    more gain only on the longest.
+
+    Raises ValueError where not even the shortest exposure fits between trigger and next vertical sync.
+    """
+    longest_ms = 1000.0 / refresh_hz - trigger_delay_us / 1000.0 - MARGIN_MS
+    times = [round(1000.0 * step) for step in STEPS_MS if step <= longest_ms]
+    if not times:
+        raise ValueError(
+            f"{longest_ms:.2f} ms are left for an exposure at {refresh_hz:g} Hz and a trigger delay of "
+            f"{trigger_delay_us} us; at least {STEPS_MS[0]:g} ms are needed: shorten the delay"
+        )
+    gains = [gain_db + GAIN_STEP_DB * k for k in range(1, GAIN_STEPS + 1)]
+    return (*(Exposure(time, gain_db) for time in times), *(Exposure(times[-1], gain) for gain in gains))

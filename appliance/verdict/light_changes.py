@@ -1,0 +1,242 @@
+"""Owns whether light that is not the projector's changed during a sequence, where, how often, and what that does to phases.
+
+Of four sine images I0..I3, (I0 − I2, I3 − I1) is 2B (cos φ, sin φ): a circle about the origin whose radius is known from
+bright and dark. Extra light δ that differs between the images shifts the circle by (δ0 − δ2, δ3 − δ1), and by just that it
+biases the phase. So the shift is fitted in blocks of the image, from the length of the vector over its direction; the
+fringes themselves, motion along them and the projector's harmonics have no such term. What is left of I0 − I1 + I2 − I3
+gives the third difference of a direction; a level common to all four of its images is neither seen nor harmful.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.patterns.sequence import Direction, PatternSequence
+from appliance.reconstruct.decode import MIN_MODULATION_DN
+from appliance.reconstruct.noise import CameraNoise
+from appliance.verdict.light_levels import Sample
+
+BLOCK_ROWS, BLOCK_COLUMNS = 6, 8
+MIN_PIXELS = 100
+"""Of a block, for its light to be judged."""
+CLEAR_DN = 248.0
+"""No image of the pixel may be brighter."""
+SURE = 0.5
+"""A block is judged when its shift is known better than this, times what would harm."""
+CLIP = 3.0
+"""Residuals beyond so many of their usual size are edges of the texture."""
+HARMFUL_RIPPLE = 0.5
+"""Of the noise: from here on the bias of the phase is seen in the surface."""
+EXPLAINED = 0.8
+"""Share of the changes that one frequency must explain to be named."""
+MIN_LEVELS = 12
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Level:
+    """Light in one frame, as a share of the projector's, less the mean of the frames of its group."""
+
+    frame: int
+    group: str
+    """``gray x``, ``sine x`` …: what patterns add is the same only within a group."""
+    share: float
+
+
+@dataclass(frozen=True, slots=True)
+class Changes:
+    """Of one camera; ``None``: too little is lit to tell."""
+
+    harmed: float | None
+    """Share of judged pixels, 0..1, whose phase is biased by more than ``HARMFUL_RIPPLE`` of its noise."""
+    ripple: float | None
+    """The bias over the noise, rms over the fringe, median over the image."""
+    ripple_px: float | None
+    """The same in pattern px."""
+    common: float | None
+    """Amplitude of what all blocks have in common, as a share of the projector's light."""
+    local: float | None
+    """Amplitude of what they have not: rms over the blocks, the fit's own noise taken off."""
+    levels: tuple[Level, ...]
+    """What all blocks have in common, frame by frame."""
+    ambient_flicker: float | None
+    """``common`` over ambient light; unknown where there is next to none."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Fit:
+    """One direction: differences of the four levels in each block, over the projector's light, and their sigma."""
+
+    cosine: Floats
+    sine: Floats
+    third: Floats
+    sigma: Floats
+
+
+def measure_changes(s: Sample, sequence: PatternSequence, noise: CameraNoise) -> Changes:
+    """What the sine and Gray images tell of one camera."""
+    # Where noise alone decides what is saturated, only pixels with favourable phases would be left.
+    good = s.lit & (s.top_dn <= CLEAR_DN) & (s.modulation_dn >= MIN_MODULATION_DN)
+    rows, columns = np.nonzero(good)
+    members = _blocks(rows, columns, good.shape)
+    contrast = s.contrast_dn[good].astype(np.float64)
+    places = (rows.astype(np.float64), columns.astype(np.float64))
+    fits = {d: _fit(s.grey_dn[list(sequence.axis(d).sine)][:, good], contrast, members, places) for d in Direction}
+    # Noise of a block's pixels against their contrast, as the phase has it: rms of sigma over contrast.
+    mean = s.grey_dn[list(sequence.axis(Direction.X).sine)][:, good].mean(axis=0)
+    variance = (noise.read_dn**2 + noise.dn_per_e * np.maximum(mean - noise.black_dn, 0.0)) / contrast**2
+    relative = np.sqrt(np.array([variance[block].mean() for block in members]))
+    counts = np.array([block.size for block in members], np.float64)
+    sigma = np.maximum(*(fit.sigma for fit in fits.values()))
+    judged = sigma < SURE * HARMFUL_RIPPLE * relative
+    if not judged.any():
+        return Changes(None, None, None, None, None, (), None)
+    weight, relative = counts[judged] / counts[judged].sum(), relative[judged]
+    squares = [np.maximum(f.cosine**2 + f.sine**2 - 2.0 * f.sigma**2, 0.0)[judged] for f in fits.values()]
+    square = (squares[0] + squares[1]) / 2.0
+    ripple = np.sqrt(square) / (2.0 * relative)
+    # A fringe's amplitude is half of the contrast: phase = difference / (2 √2 B).
+    ripple_px = sequence.period_px / (2.0 * np.pi) * np.sqrt(square) / np.sqrt(2.0)
+    common, local, sines = _apart(fits, judged, weight, sequence)
+    levels = (*_gray_levels(s, sequence, good, contrast), *sines)
+    ambient = float(np.median((s.dark_dn[good] - noise.black_dn) / contrast))
+    return Changes(
+        harmed=float(weight[ripple > HARMFUL_RIPPLE].sum()),
+        ripple=_median(ripple, weight),
+        ripple_px=_median(ripple_px, weight),
+        common=common,
+        local=local,
+        levels=levels,
+        ambient_flicker=common / ambient if ambient > 0.02 else None,
+    )
+
+
+def find_frequency_hz(levels: tuple[Level, ...], frame_s: float) -> tuple[float, float] | None:
+    """The frequency, up to half the frame rate, that explains most of the levels' changes, and the share it explains.
+
+    Lamps that flicker faster appear at another one: 100 Hz at 20 Hz, 120 Hz not at all, at 60 frames per second.
+    ``None`` where no frequency stands out, or for fewer than twelve frames.
+    """
+    if len(levels) < MIN_LEVELS:
+        return None
+    frame = np.array([level.frame for level in levels], np.float64)
+    share = np.array([level.share for level in levels])
+    _, group = np.unique([level.group for level in levels], return_inverse=True)
+    value = _centred(share, group)
+    total = float(np.sum(value**2))
+    if total == 0.0:
+        return None
+    explained, hz = 0.0, 0.0
+    for candidate in np.arange(2.0, 0.5 / frame_s + 0.01, 0.25):
+        angle = 2.0 * np.pi * candidate * frame_s * frame
+        basis = np.stack([_centred(np.cos(angle), group), _centred(np.sin(angle), group)], axis=1)
+        coefficients, *_ = np.linalg.lstsq(basis, value, rcond=None)
+        share_here = 1.0 - float(np.sum((value - basis @ coefficients) ** 2)) / total
+        if share_here > explained:
+            explained, hz = share_here, float(candidate)
+    return (hz, explained) if explained >= EXPLAINED else None
+
+
+def _blocks(rows: NDArray[np.intp], columns: NDArray[np.intp], shape: tuple[int, ...]) -> list[NDArray[np.intp]]:
+    """Which of the pixels at ``rows`` and ``columns`` belong to each block that has enough of them."""
+    block = rows * BLOCK_ROWS // shape[0] * BLOCK_COLUMNS + columns * BLOCK_COLUMNS // shape[1]
+    order = np.argsort(block, kind="stable")
+    ends = np.cumsum(np.bincount(block, minlength=BLOCK_ROWS * BLOCK_COLUMNS))
+    return [one for one in np.split(order, ends[:-1]) if one.size >= MIN_PIXELS]
+
+
+def _fit(
+    images: NDArray[np.float32], contrast: Floats, members: Sequence[NDArray[np.intp]], places: tuple[Floats, Floats]
+) -> _Fit:
+    """``members``: the pixels of each judged block; ``places``: row and column of every pixel, of any unit."""
+    i0, i1, i2, i3 = images.astype(np.float64)
+    cosine, sine = i0 - i2, i3 - i1
+    length = np.hypot(cosine, sine)
+    c, s = cosine / length, sine / length
+    relative = length / contrast
+    third = (i0 - i1 + i2 - i3) / contrast
+    twice = np.stack([np.ones_like(c), c * c - s * s, 2.0 * c * s], axis=1)
+    found = np.zeros((4, len(members)))
+    for k, block in enumerate(members):
+        y, x = (_unit(place[block]) for place in places)
+        smooth = (np.ones_like(x), x, y, x * x, x * y, y * y)
+        shift, sigma = _regress(relative[block], np.stack([c[block], s[block], *smooth], axis=1), contrast[block])
+        left, _ = _regress(third[block], twice[block], contrast[block])
+        found[:, k] = shift[0], shift[1], left[0], sigma
+    return _Fit(*found)
+
+
+def _unit(place: Floats) -> Floats:
+    """From −1 to 1."""
+    low, high = place.min(), place.max()
+    return np.asarray((2.0 * place - low - high) / max(high - low, 1.0), np.float64)
+
+
+def _regress(value: Floats, columns: Floats, contrast: Floats) -> tuple[Floats, float]:
+    """Coefficients of a weighted robust fit of ``columns`` (n, k), and the larger sigma of the first two."""
+    weight = np.minimum(contrast, np.quantile(contrast, 0.9)) ** 2
+    coefficients, sigma = np.zeros(columns.shape[1]), np.inf
+    for _ in range(2):
+        weighted = columns * weight[:, None]
+        normal = weighted.T @ columns
+        normal += 1e-9 * np.trace(normal) * np.eye(normal.shape[0])
+        inverse = np.linalg.inv(normal)
+        coefficients = inverse @ (weighted.T @ value)
+        residual = value - columns @ coefficients
+        freedom = max(int(np.count_nonzero(weight)) - columns.shape[1], 1)
+        sigma = float(np.sqrt(np.sum(weight * residual**2) / freedom * max(inverse[0, 0], inverse[1, 1])))
+        size = max(1.4826 * float(np.median(np.abs(residual) * contrast)), 1e-3)
+        weight = np.where(np.abs(residual) * contrast > CLIP * size, 0.0, weight)
+    return coefficients, sigma
+
+
+def _apart(
+    fits: dict[Direction, _Fit], judged: NDArray[np.bool_], weight: Floats, sequence: PatternSequence
+) -> tuple[float, float, list[Level]]:
+    """Amplitude of what blocks have in common, of what they have not, and the common levels of the sine images."""
+    levels: list[Level] = []
+    common2, local2 = 0.0, 0.0
+    for direction, fit in fits.items():
+        parts = np.stack([fit.cosine, fit.sine, fit.third])[:, judged]
+        middle = [_median(part, weight) for part in parts]
+        apart2 = np.sum((parts[:2].T - middle[:2]) ** 2, axis=1) - 2.0 * fit.sigma[judged] ** 2
+        local2 += float(np.sum(weight * np.maximum(apart2, 0.0)))
+        c, s, third = middle
+        own = (third / 4.0 + c / 2.0, -third / 4.0 - s / 2.0, third / 4.0 - c / 2.0, -third / 4.0 + s / 2.0)
+        group = f"sine {direction.value}"
+        levels += [Level(k, group, level) for k, level in zip(sequence.axis(direction).sine, own, strict=True)]
+        common2 += sum(level * level for level in own)
+    # A sine of amplitude a has a mean square of a²/2; a difference of two images has twice the square of one.
+    return float(np.sqrt(2.0 * common2 / 8.0)), float(np.sqrt(local2 / 4.0)), levels
+
+
+def _gray_levels(s: Sample, sequence: PatternSequence, good: NDArray[np.bool_], contrast: Floats) -> list[Level]:
+    """Common levels of the fine Gray images: what scatters from lit stripes into dark ones cancels."""
+    dark = s.dark_dn[good].astype(np.float64)
+    found: list[Level] = []
+    for direction in Direction:
+        own: dict[int, float] = {}
+        for number in sequence.axis(direction).gray[-4:]:
+            value = (s.grey_dn[number][good] - dark) / contrast
+            low, high = value[value < 0.3], value[value > 0.7]
+            if min(low.size, high.size) >= MIN_PIXELS:
+                own[number] = 0.5 * float(np.median(low) + np.median(high))
+        mean = sum(own.values()) / max(len(own), 1)
+        found += [Level(number, f"gray {direction.value}", level - mean) for number, level in own.items()]
+    return found
+
+
+def _centred(value: Floats, group: NDArray[np.intp]) -> Floats:
+    mean = np.bincount(group, value) / np.bincount(group)
+    return np.asarray(value - mean[group], np.float64)
+
+
+def _median(value: Floats, weight: Floats) -> float:
+    order = np.argsort(value)
+    at = np.searchsorted(np.cumsum(weight[order]), 0.5 * weight.sum())
+    return float(value[order][min(int(at), value.size - 1)])

@@ -1,0 +1,169 @@
+"""Owns how bright a recorded sequence is: saturation, modulation and ambient light of one camera, on a grid of pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.patterns.sequence import Direction, PatternSequence
+from appliance.patterns.sine import AMPLITUDE_CODE, MEAN_CODE
+from appliance.reconstruct.decode import MIN_CONTRAST_DN, MIN_MODULATION_DN
+from appliance.reconstruct.noise import CameraNoise
+
+SAMPLES = 25_000
+"""Lit pixels that are asked, about; shares of a hundredth are then known to a twentieth of themselves."""
+COARSE_PX = 8
+"""Distance of the pixels by which the lit ones are counted first."""
+FULL_DN = 255.0
+SEEN_DN = 3.0
+"""Bright minus dark above this is light of the projector, though perhaps too little to measure by: three sigma."""
+DIM_MODULATION_DN = 2.5
+"""Fringes above this are there; below ``MIN_MODULATION_DN`` they are too weak to measure by."""
+TOP_SHARE = 0.003
+"""Of all pixels, so many may be brighter than the level an exposure is chosen by: glints."""
+CENSORED_FACTOR = 8.0
+"""A pixel that is saturated even at the fringe's darkest counts as so many times the full scale."""
+
+Floats = NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """A grid of one camera's pixels, (n, rows, columns) float32 grey values, and what is read off it directly."""
+
+    grey_dn: Floats
+    bright_dn: Floats
+    dark_dn: Floats
+    contrast_dn: Floats
+    """Bright minus dark."""
+    modulation_dn: Floats
+    """The smaller one of the two directions, whether or not it means anything."""
+    top_dn: Floats
+    """Of the bright image and all sines."""
+    lit: NDArray[np.bool_]
+    """By the projector, as decoding has it; or saturated."""
+    saturated: NDArray[np.bool_]
+    """In any sine image or in the bright one."""
+
+
+def sample(frames: NDArray[np.uint8], sequence: PatternSequence) -> Sample:
+    """About ``SAMPLES`` lit pixels of ``frames`` (n, h, w) uint8, or all of them where there are fewer."""
+    coarse = frames[[sequence.bright, sequence.dark], ::COARSE_PX, ::COARSE_PX].astype(np.int16)
+    lit_pixels = COARSE_PX**2 * int(np.count_nonzero(_lit(coarse[0], coarse[1])))
+    stride = max(1, round((lit_pixels / SAMPLES) ** 0.5))
+    grey = frames[:, ::stride, ::stride].astype(np.float32)
+    bright, dark = grey[sequence.bright], grey[sequence.dark]
+    sines = [grey[list(sequence.axis(d).sine)] for d in Direction]
+    modulation = np.minimum(*(0.5 * np.hypot(s[0] - s[2], s[3] - s[1]) for s in sines))
+    top = np.maximum(bright, np.maximum(*(s.max(axis=0) for s in sines)))
+    saturated = top >= FULL_DN
+    lit = _lit(bright, dark)
+    return Sample(grey, bright, dark, bright - dark, modulation, top, lit, saturated & lit)
+
+
+def _lit(bright: NDArray[Any], dark: NDArray[Any]) -> NDArray[np.bool_]:
+    return np.asarray((bright - dark >= MIN_CONTRAST_DN) | (bright >= FULL_DN), np.bool_)
+
+
+@dataclass(frozen=True, slots=True)
+class Levels:
+    """One camera's light in numbers. Shares are of lit pixels, 0..1; ``None``: nothing is lit."""
+
+    lit_share: float
+    """Of all pixels."""
+    saturated: float | None
+    where: str
+    """Where in the image most of the saturation is."""
+    weak: float | None
+    """Fringes are there, but too weak to measure by."""
+    modulation_dn: float | None
+    """Median of lit pixels that are not saturated."""
+    modulation_tenth_dn: float | None
+    """Nine of ten have more."""
+    ambient_dn: float
+    """Median of the dark frame over the black level where lit; of all pixels where nothing is."""
+    ambient_ratio: float | None
+    """Median of ambient light over the projector's."""
+    ambient_beyond: float | None
+    """Share with more light from elsewhere than from the projector."""
+    ambient_peak: float | None
+    """The ratio in the tenth with the most: a torch shows as a peak far above the median."""
+    top_dn: float
+    """Over the black level; ``TOP_SHARE`` of all pixels are brighter in the bright frame, or would be."""
+
+
+def measure_levels(s: Sample, sequence: PatternSequence, noise: CameraNoise) -> Levels:
+    """The numbers of one camera."""
+    lit, saturated = s.lit, s.saturated
+    count = int(lit.sum())
+    ambient = s.dark_dn - np.float32(noise.black_dn)
+    top_dn = _top_dn(s, sequence, noise.black_dn)
+    if count == 0:
+        return Levels(0.0, None, "", None, None, None, float(np.median(ambient)), None, None, None, top_dn)
+    clear = lit & ~saturated
+    dim = clear & (s.modulation_dn < MIN_MODULATION_DN)
+    weak = int((dim & (s.modulation_dn >= DIM_MODULATION_DN)).sum())
+    ratio = ambient[lit] / np.maximum(s.contrast_dn[lit], 1.0)
+    modulation = s.modulation_dn[clear & ~dim]
+    known = modulation.size > 0
+    return Levels(
+        lit_share=count / lit.size,
+        saturated=float(saturated.sum()) / count,
+        where=_where(saturated),
+        weak=weak / count,
+        modulation_dn=float(np.median(modulation)) if known else None,
+        modulation_tenth_dn=float(np.quantile(s.modulation_dn[clear], 0.1)) if known else None,
+        ambient_dn=float(np.median(ambient[lit])),
+        ambient_ratio=float(np.median(ratio)),
+        ambient_beyond=float(np.mean(ratio > 1.0)),
+        ambient_peak=float(np.quantile(ratio, 0.9)),
+        top_dn=top_dn,
+    )
+
+
+def _top_dn(s: Sample, sequence: PatternSequence, black_dn: float) -> float:
+    """The share is of all pixels, not of the lit ones: how many are lit depends on the exposure, which this decides."""
+    level = np.where((s.contrast_dn >= SEEN_DN) | (s.bright_dn >= FULL_DN), s.bright_dn - np.float32(black_dn), 0.0)
+    clipped = s.bright_dn >= FULL_DN
+    if clipped.any():
+        level[clipped] = _true_bright_dn(s, sequence, clipped, black_dn)
+    return float(np.quantile(level, 1.0 - TOP_SHARE))
+
+
+def _true_bright_dn(s: Sample, sequence: PatternSequence, clipped: NDArray[np.bool_], black_dn: float) -> Floats:
+    """How bright saturated pixels would be, over the black level: told by the two darkest of four sine images.
+
+    At the least value the sine is A − mA cos t, and a quarter period beside A − mA sin t with 0 ≤ t ≤ 45°; two equations
+    for A and t. Where the second one is saturated as well, A is at least what t = 45° makes it.
+    """
+    m = AMPLITUDE_CODE / MEAN_CODE
+    dark = s.dark_dn[clipped]
+    found = np.zeros(dark.shape, np.float32)
+    for direction in Direction:
+        values = np.stack([s.grey_dn[k][clipped] for k in sequence.axis(direction).sine])
+        least = values.argmin(axis=0)
+        columns = np.arange(dark.size)
+        beside = np.minimum(values[(least + 1) % 4, columns], values[(least - 1) % 4, columns])
+        u = np.maximum(values[least, columns] - dark, 0.5)
+        w = np.maximum(beside - dark, 1.0)
+        squares = u * u + w * w
+        root = np.sqrt(np.maximum((u + w) ** 2 - (2.0 - m * m) * squares, 0.0))
+        solved = np.maximum(squares / np.maximum(u + w - root, 1e-3), w)
+        at_least = np.maximum(u / (1.0 - m / np.sqrt(2.0)), w)
+        mean = np.where(beside < FULL_DN, solved, at_least)
+        mean = np.where(values[least, columns] < FULL_DN, mean, CENSORED_FACTOR * FULL_DN / 2.0)
+        # Both directions see the same light: one that is known beats one that is at least something.
+        found = np.where(beside < FULL_DN, mean, np.maximum(found, mean)).astype(np.float32)
+    return np.asarray(np.maximum(2.0 * found + dark, FULL_DN) - black_dn, np.float32)
+
+
+def _where(saturated: NDArray[np.bool_]) -> str:
+    if not saturated.any():
+        return ""
+    rows, columns = np.nonzero(saturated)
+    down = ("upper", "middle", "lower")[min(2, int(3 * np.median(rows) / saturated.shape[0]))]
+    across = ("left", "centre", "right")[min(2, int(3 * np.median(columns) / saturated.shape[1]))]
+    return f"{down} {across}"
