@@ -33,6 +33,8 @@ COARSE_POINTS = 30_000
 """Left pixels asked for the coarse cloud; 20,000 points remain when 70 % of them see the object."""
 MIN_COARSE_NEIGHBOURS = 2
 """Of eight; they are farther apart, and one may lie beyond an edge."""
+LOOSE_GAP_MM = np.float32(5.0)
+"""Rays of the same point, seen while it moved."""
 THREADS = 2
 __all__ = ["SIDES", "Cloud", "Pipeline"]
 
@@ -146,14 +148,25 @@ class Pipeline:
         gaps = self._gaps.measure(decoder.p_px, decoder.q_px, self._right, self._rays, self._factors)
         return replace(found, gaps=gaps)
 
-    def _find(self, stride: int) -> Found:
+    def sample(self, stride: int) -> Cloud:
+        """After ``coarse``: every ``stride``-th left pixel's point, also where its rays miss each other by far.
+
+        For what asks why they do. The table is left as it is.
+        """
+        height_px, width_px = self._decoders["left"].p_px.shape
+        table = PointTable(-(-width_px // stride) * -(-height_px // stride))
+        limits = self._kernel_limits(stride)._replace(max_gap_mm=LOOSE_GAP_MM, max_sigma_mm=np.float32(np.inf))
+        return table.cloud(self._find(stride, limits, table))
+
+    def _find(self, stride: int, limits: Limits | None = None, table: PointTable | None = None) -> Found:
         if self._bright is None:
             raise ValueError("no bright frame was pushed; push the whole sequence before asking for a cloud")
         decoder = self._decoders["left"]
         left = LeftMaps(
             decoder.p_px, decoder.q_px, decoder.modulation_half_dn, self._bright, decoder.middle, decoder.lit_columns
         )
-        limits = self._kernel_limits(stride)
+        limits = limits or self._kernel_limits(stride)
+        points = (table or self.table).points
         rows, columns = left.p_px.shape
         block = -(-rows // (THREADS * stride)) * stride
         columns = -(-columns // stride)
@@ -164,13 +177,13 @@ class Pipeline:
             stop = min(start + block, rows)
             count = reconstruct_rows(
                 left, self._right, self._rays, limits, self._factors, start, stop, stride, self._scratch[start // block],
-                self.table.points, first,
+                points, first,
             )  # fmt: skip
             return first, first + int(count)
 
         pieces = tuple(self._pool.map(work, range(0, rows, block)))
         lit = decoder.lit_pixels // stride**2
-        return Found(pieces, summarise(lit, self.table.points, pieces))
+        return Found(pieces, summarise(lit, points, pieces))
 
     def _kernel_limits(self, stride: int) -> Limits:
         limits = self._limits

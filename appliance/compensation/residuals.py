@@ -1,0 +1,218 @@
+"""Owns what the frames say against a motion: each sample's disagreements, and the normal equations of all of them.
+
+Per sample and camera there are three. The four x-sines, looked up where the motion takes the point and with the phase
+steps that it makes, leave one of four degrees of freedom: what contradicts every offset, modulation and phase. So do the
+four y-sines. And the two offsets are the same texture, but for a smooth gain.
+
+Parameters: for each of the 8 sine frames 3 mm of shift and 3 mm of turn (at the lever), a gain for each, and six
+coefficients of the smooth gain per camera.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+FRAMES = 8
+"""The x-sines, then the y-sines."""
+MOTIONS = 6 * FRAMES
+GAINS = MOTIONS
+SMOOTH = MOTIONS + FRAMES
+SMOOTH_TERMS = 6
+PARAMETERS = SMOOTH + 2 * SMOOTH_TERMS
+X_STEPS, Y_STEPS, TEXTURE = 0, 1, 2
+_ROW = MOTIONS + FRAMES + SMOOTH_TERMS
+
+
+class Samples(NamedTuple):
+    """n points as one camera and the projector see them; all float64."""
+
+    uv_px: Array
+    """(n, 2) px of the pictures that are looked at."""
+    jacobian: Array
+    """(n, 2, 3) of them."""
+    nearing: Array
+    """(n, 3)."""
+    phase_per_mm: Array
+    """(n, 2, 3) rad/mm of the two directions."""
+    projector_nearing: Array
+    """(n, 3)."""
+    lever: Array
+    """(n, 3): the point from the middle of the volume, in levers."""
+    smooth: Array
+    """(n, SMOOTH_TERMS): what the gain of the texture is made of."""
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy", inline="always")
+def _weights(t: float) -> tuple[float, float, float, float, float, float, float, float]:
+    """Cubic convolution (Keys) at −1, 0, 1, 2 from t in 0 … 1, and its derivative."""
+    t2, t3 = t * t, t * t * t
+    return (
+        -0.5 * t + t2 - 0.5 * t3, 1.0 - 2.5 * t2 + 1.5 * t3, 0.5 * t + 2.0 * t2 - 1.5 * t3, -0.5 * t2 + 0.5 * t3,
+        -0.5 + 2.0 * t - 1.5 * t2, -5.0 * t + 4.5 * t2, 0.5 + 4.0 * t - 4.5 * t2, -t + 1.5 * t2,
+    )  # fmt: skip
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _look(picture: NDArray[np.float32], u: float, v: float) -> tuple[float, float, float]:
+    """Grey value at (u, v) and its gradient; (u, v) at least 1 px inside."""
+    i, j = int(np.floor(u)), int(np.floor(v))
+    a0, a1, a2, a3, da0, da1, da2, da3 = _weights(u - i)
+    b0, b1, b2, b3, db0, db1, db2, db3 = _weights(v - j)
+    value, by_u, by_v = 0.0, 0.0, 0.0
+    for m in range(4):
+        b = b0 if m == 0 else (b1 if m == 1 else (b2 if m == 2 else b3))
+        db = db0 if m == 0 else (db1 if m == 1 else (db2 if m == 2 else db3))
+        p0, p1 = picture[j - 1 + m, i - 1], picture[j - 1 + m, i]
+        p2, p3 = picture[j - 1 + m, i + 1], picture[j - 1 + m, i + 2]
+        row = a0 * p0 + a1 * p1 + a2 * p2 + a3 * p3
+        value += b * row
+        by_v += db * row
+        by_u += b * (da0 * p0 + da1 * p1 + da2 * p2 + da3 * p3)
+    return value, by_u, by_v
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _solve_steps(y: Array, cosine: Array, sine: Array, out: Array, offset_of: Array, contradiction_of: Array) -> float:
+    """Least squares of y_k = a + c cos ψ_k − s sin ψ_k over four steps: a, c, s into ``out``; how a follows from y into
+    ``offset_of``; the unit vector that contradicts into ``contradiction_of``. Returns y along that."""
+    size = 0.0
+    for k in range(4):
+        i, j, l = (1, 2, 3) if k == 0 else ((0, 2, 3) if k == 1 else ((0, 1, 3) if k == 2 else (0, 1, 2)))
+        # Twice the area of the triangle of the three other steps on the unit circle.
+        area = (
+            sine[j] * cosine[i] - cosine[j] * sine[i]
+            + sine[l] * cosine[j] - cosine[l] * sine[j]
+            + sine[i] * cosine[l] - cosine[i] * sine[l]
+        )  # fmt: skip
+        contradiction_of[k] = area if k % 2 == 0 else -area
+        size += area * area
+    size = np.sqrt(size)
+    along = 0.0
+    for k in range(4):
+        contradiction_of[k] /= size
+        along += contradiction_of[k] * y[k]
+    # Normal matrix of (1, cos, −sin).
+    n01, n02, n11, n12, n22 = 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(4):
+        n01 += cosine[k]
+        n02 -= sine[k]
+        n11 += cosine[k] * cosine[k]
+        n12 -= cosine[k] * sine[k]
+        n22 += sine[k] * sine[k]
+    i00, i01, i02 = n11 * n22 - n12 * n12, n02 * n12 - n01 * n22, n01 * n12 - n02 * n11
+    i11, i12, i22 = 4.0 * n22 - n02 * n02, n01 * n02 - 4.0 * n12, 4.0 * n11 - n01 * n01
+    det = 4.0 * i00 + n01 * i01 + n02 * i02
+    a, c, s = 0.0, 0.0, 0.0
+    for k in range(4):
+        offset_of[k] = (i00 + i01 * cosine[k] - i02 * sine[k]) / det
+        a += offset_of[k] * y[k]
+        c += (i01 + i11 * cosine[k] - i12 * sine[k]) / det * y[k]
+        s += (i02 + i12 * cosine[k] - i22 * sine[k]) / det * y[k]
+    out[0], out[1], out[2] = a, c, s
+    return along
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def accumulate(
+    samples: Samples,
+    pictures: NDArray[np.float32],
+    values: Array,
+    side: int,
+    scale_dn: Array,
+    kinds: int,
+    matrix: Array,
+    vector: Array,
+    residual_dn: Array,
+    modulation_dn: Array,
+) -> None:
+    """Add one camera's samples to the normal equations ``matrix`` (P, P), ``vector`` (P,) at the parameters ``values`` (P,).
+
+    ``pictures`` (8, h, w) float32; Only the first ``kinds`` kinds of residuals count. ``scale_dn`` (3,): their robust scales, Cauchy beyond.
+    ``residual_dn`` (n, 3) gets the residuals, NaN where a point leaves the picture; ``modulation_dn`` (n, 2).
+    """
+    uv, J, e, G, eg, lever, smooth = samples
+    height, width = pictures.shape[1], pictures.shape[2]
+    y, h = np.empty(4), np.empty(4)
+    cosine, sine = np.empty(4), np.empty(4)
+    D = np.empty((FRAMES, 3))
+    grey = np.empty(FRAMES)
+    solved = np.empty((2, 3))
+    offset_of, contradiction_of = np.empty((2, 4)), np.empty((2, 4))
+    along = np.empty(2)
+    row, place = np.empty(_ROW), np.empty(_ROW, np.int64)
+    for i in range(uv.shape[0]):
+        inside = True
+        for block in range(2):
+            for m in range(4):
+                k = 4 * block + m
+                d0 = values[6 * k] + values[6 * k + 4] * lever[i, 2] - values[6 * k + 5] * lever[i, 1]
+                d1 = values[6 * k + 1] + values[6 * k + 5] * lever[i, 0] - values[6 * k + 3] * lever[i, 2]
+                d2 = values[6 * k + 2] + values[6 * k + 3] * lever[i, 1] - values[6 * k + 4] * lever[i, 0]
+                near = 1.0 / (1.0 + e[i, 0] * d0 + e[i, 1] * d1 + e[i, 2] * d2)
+                u = uv[i, 0] + near * (J[i, 0, 0] * d0 + J[i, 0, 1] * d1 + J[i, 0, 2] * d2)
+                v = uv[i, 1] + near * (J[i, 1, 0] * d0 + J[i, 1, 1] * d1 + J[i, 1, 2] * d2)
+                if not (u >= 1.0 and v >= 1.0 and u < width - 2.0 and v < height - 2.0):
+                    inside = False
+                    break
+                value, by_u, by_v = _look(pictures[k], u, v)
+                gain = 1.0 / (1.0 + values[GAINS + k])
+                y[m] = grey[k] = value * gain
+                near_p = 1.0 / (1.0 + eg[i, 0] * d0 + eg[i, 1] * d1 + eg[i, 2] * d2)
+                psi = near_p * (G[i, block, 0] * d0 + G[i, block, 1] * d1 + G[i, block, 2] * d2) + 0.5 * np.pi * m
+                cosine[m], sine[m] = np.cos(psi), np.sin(psi)
+                for a in range(3):
+                    D[k, a] = gain * near * (by_u * J[i, 0, a] + by_v * J[i, 1, a])
+            if not inside:
+                break
+            along[block] = _solve_steps(y, cosine, sine, solved[block], offset_of[block], contradiction_of[block])
+            for m in range(4):
+                h[m] = -solved[block, 1] * sine[m] - solved[block, 2] * cosine[m]
+                for a in range(3):
+                    D[4 * block + m, a] -= h[m] * G[i, block, a]
+            modulation_dn[i, block] = np.sqrt(solved[block, 1] ** 2 + solved[block, 2] ** 2)
+        if not inside:
+            residual_dn[i, :] = np.nan
+            continue
+        mean = 0.0
+        for t in range(SMOOTH_TERMS):
+            mean += smooth[i, t] * values[SMOOTH + SMOOTH_TERMS * side + t]
+        residual_dn[i, 0], residual_dn[i, 1] = along[0], along[1]
+        residual_dn[i, 2] = solved[1, 0] - (1.0 + mean) * solved[0, 0]
+        for kind in range(3):
+            if kind >= kinds:
+                continue
+            first, stop = (0, 4) if kind == X_STEPS else ((4, 8) if kind == Y_STEPS else (0, 8))
+            count = 0
+            for k in range(first, stop):
+                block, m = k // 4, k % 4
+                if kind == TEXTURE:
+                    part = offset_of[block, m] if block == 1 else -(1.0 + mean) * offset_of[block, m]
+                else:
+                    part = contradiction_of[block, m]
+                g0, g1, g2 = part * D[k, 0], part * D[k, 1], part * D[k, 2]
+                row[count], row[count + 1], row[count + 2] = g0, g1, g2
+                row[count + 3] = lever[i, 1] * g2 - lever[i, 2] * g1
+                row[count + 4] = lever[i, 2] * g0 - lever[i, 0] * g2
+                row[count + 5] = lever[i, 0] * g1 - lever[i, 1] * g0
+                row[count + 6] = -part * grey[k]
+                for a in range(6):
+                    place[count + a] = 6 * k + a
+                place[count + 6] = GAINS + k
+                count += 7
+            if kind == TEXTURE:
+                for t in range(SMOOTH_TERMS):
+                    row[count], place[count] = -smooth[i, t] * solved[0, 0], SMOOTH + SMOOTH_TERMS * side + t
+                    count += 1
+            r = residual_dn[i, kind]
+            weight = 1.0 / (scale_dn[kind] ** 2 + 0.16 * r * r)
+            for a in range(count):
+                wa = weight * row[a]
+                vector[place[a]] += wa * r
+                for b in range(a + 1):
+                    matrix[place[a], place[b]] += wa * row[b]

@@ -1,0 +1,53 @@
+"""What truly moved in a rendered scan, and clouds judged against the surface at their own time."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.compensation.hand import LEVER_MM
+from appliance.reconstruct.noise import TYPICAL_PAIR
+from appliance.reconstruct.pipeline import Cloud, Pipeline
+from appliance.verdict.recorded import Recorded
+from hw_sim.motion import object_pose
+from tests.support.rendered import Accuracy, RenderedScan
+from tests.support.truth import left_to_rig
+
+FRAME_S = 1.0 / 60.0
+
+
+def recorded(scan: RenderedScan, pipeline: Pipeline) -> Recorded:
+    """A scan as judges are given it."""
+    return Recorded(
+        scan.sequence, scan.frames, {side: pipeline.decoded(side) for side in ("left", "right")}, TYPICAL_PAIR, FRAME_S
+    )
+
+
+def true_motion_mm(
+    scan: RenderedScan, times_s: NDArray[np.float64], reference_s: float, centre_mm: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """(n, 6): shift of ``centre_mm`` and turn at the lever, from the reference time on; left camera frame."""
+    scene, left = scan.renderer.scene, scan.renderer.truth.left
+    R0, t0 = object_pose(scene.start_pose, scene.motion, reference_s)
+    centre = left_to_rig(scan.renderer.truth, centre_mm[None])[0]
+    found = []
+    for time_s in times_s:
+        R, t = object_pose(scene.start_pose, scene.motion, float(time_s))
+        turn = R @ R0.T
+        vector = 0.5 * np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+        shift = turn @ (centre - t0) + t - centre
+        found.append(np.concatenate([np.array(left.R).T @ shift, np.array(left.R).T @ vector * LEVER_MM]))
+    return np.asarray(found)
+
+
+def judge_at(scan: RenderedScan, cloud: Cloud, time_s: float) -> Accuracy:
+    """A cloud against the true surface at ``time_s``, and against what all three eyes truly see of it then."""
+    seen = scan.renderer.view("left", time_s).seen_by_all.ravel()
+    found = np.zeros(seen.size, bool)
+    found[cloud.pixel] = True
+    distance = scan.renderer.surface(time_s).distance_mm(left_to_rig(scan.renderer.truth, cloud.points_mm))
+    return Accuracy(
+        100.0 * float((found & seen).sum()) / float(seen.sum()),
+        1e6 * float(np.mean(np.abs(distance) > 1.0)),
+        float(np.sqrt(np.mean(distance**2))),
+    )
