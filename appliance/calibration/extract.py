@@ -27,7 +27,7 @@ from appliance.optics.water import Water
 Flags = NDArray[np.bool_]
 Pixels = NDArray[np.intp]
 
-MAX_GAP_MM = 15.0
+CALIBRATING_GAP_MM = 15.0
 """Limit of the ray gap for scans that calibrate: with ports that nobody has measured, true rays miss by millimetres.
 Two ports tilted by 2° away from each other make 9 mm; 5 mm left an instrument like the paper's without a single point."""
 GUARD_PX = HALF_WINDOW_PX + 2
@@ -75,7 +75,7 @@ def extract(
 ) -> Recording | NotFound:
     """The recording that a scan makes: of a ball bar with its certificate, of a plane with ``None``.
 
-    ``cloud`` was reconstructed from the same maps with ``start`` and the wide gap limit ``MAX_GAP_MM``. The answer is
+    ``cloud`` was reconstructed from the same maps with ``start`` and the wide gap limit ``CALIBRATING_GAP_MM``. The answer is
     ``NotFound`` with the reason in words where the artefact is not seen well enough. Deterministic.
     """
     bar: BallBar | None = None

@@ -12,7 +12,7 @@ import numpy as np
 from appliance import __version__
 from appliance.calibration import file as calibration_file
 from appliance.calibration import report as report_of
-from appliance.calibration.extract import MAX_GAP_MM, Certificate, extract
+from appliance.calibration.extract import CALIBRATING_GAP_MM, Certificate, extract
 from appliance.calibration.file import Calibration
 from appliance.calibration.guide import HELD, USED, Refusal, Solved, Step, Trial, Verified
 from appliance.calibration.ladder import Method, calibrate
@@ -206,7 +206,7 @@ def _judged_plane(step: Step, plane: PlaneFit | NotFound, cloud: Cloud, calibrat
 
 def _wide(scan: stored.StoredScan, basis: Basis) -> tuple[Pipeline, Cloud, Water]:
     """With room for rays that miss each other because nobody knows the ports."""
-    return decoded_cloud_of(scan, basis.start, _silent, QualityLimits(max_gap_mm=MAX_GAP_MM), basis.noise)
+    return decoded_cloud_of(scan, basis.start, _silent, QualityLimits(max_gap_mm=CALIBRATING_GAP_MM), basis.noise)
 
 
 def _fair(scan: stored.StoredScan, calibration: Calibration, basis: Basis) -> Cloud:

@@ -23,7 +23,7 @@ from appliance.storage import scan as stored
 
 MOST_BYTES = 1_000_000
 LENGTH_MM, REFERENCE_RANGE_MM = (1.0, 2000.0), (10.0, 5000.0)
-MAX_GAP_MM = 20.0
+JUDGING_GAP_MM = 20.0
 """The instrument masks points whose rays pass at more than 0.25 mm. A wrong calibration would so hide its own worst points,
 many more than the 0.3 % that may be removed; here every calibration is judged by the same points."""
 SD_MM, RADIUS_MM = (1e-5, 1.0), (1.0, 100.0)
@@ -105,7 +105,7 @@ def run_evaluation(
         def step(what: str, at: float = at, name: str = folder.name) -> None:
             progress(f"{name}: {what}", at)
 
-        cloud, water = cloud_of(scan, chosen, step, QualityLimits(max_gap_mm=MAX_GAP_MM), noise_of(rig))
+        cloud, water = cloud_of(scan, chosen, step, QualityLimits(max_gap_mm=JUDGING_GAP_MM), noise_of(rig))
         step(f"looking for the {entry.artefact.value}")
         result = evaluate(cloud, entry.artefact, entry.calibrated_mm, listed.reference_mm)
         record = scan.manifest.record

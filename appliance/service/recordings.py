@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from appliance.calibration.extract import MAX_GAP_MM, Certificate, extract
+from appliance.calibration.extract import CALIBRATING_GAP_MM, Certificate, extract
 from appliance.calibration.file import Calibration
 from appliance.calibration.recordings import Recording
 from appliance.evaluation.points import NotFound
@@ -23,7 +23,7 @@ def recording_of_scan(
     answer is ``NotFound`` with the reason in words where the artefact is not seen well enough. Raises ScanError.
     """
     scan = stored.load(folder)
-    pipeline, cloud, water = decoded_cloud_of(scan, start, progress, QualityLimits(max_gap_mm=MAX_GAP_MM))
+    pipeline, cloud, water = decoded_cloud_of(scan, start, progress, QualityLimits(max_gap_mm=CALIBRATING_GAP_MM))
     progress("looking for the artefact")
     left, right = pipeline.decoded("left"), pipeline.decoded("right")
     return extract(scan.manifest.scan_id, certificate, cloud, left, right, start, water)

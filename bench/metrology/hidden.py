@@ -8,15 +8,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from appliance.calibration.extract import MAX_GAP_MM as CALIBRATION_GAP_MM
-from appliance.calibration.extract import Certificate, extract
+from appliance.calibration.extract import CALIBRATING_GAP_MM, Certificate, extract
 from appliance.calibration.file import Calibration
 from appliance.calibration.recordings import Recording
 from appliance.evaluation.points import NotFound
 from appliance.optics.water import Water
 from appliance.reconstruct.pipeline import SIDES, Pipeline
 from appliance.reconstruct.quality import QualityLimits
-from appliance.service.evaluation import MAX_GAP_MM
+from appliance.service.evaluation import JUDGING_GAP_MM
 from bench.instrument import Instrument, open_instrument
 from bench.metrology.air import air_of, start_of
 from bench.metrology.judge import Errors, Seen, look_at, summed_up
@@ -108,7 +107,7 @@ def _recorded(
 ) -> dict[str, Recording]:
     found = {}
     certificate = Certificate(BALL_DISTANCE_MM, radius_mm=BALL_RADIUS_MM)
-    with Pipeline(start, WATER, instrument.sequence, QualityLimits(max_gap_mm=CALIBRATION_GAP_MM)) as pipeline:
+    with Pipeline(start, WATER, instrument.sequence, QualityLimits(max_gap_mm=CALIBRATING_GAP_MM)) as pipeline:
         for name in names:
             thing, pose = PLACES[name]
             _decoded(instrument, pipeline, thing, pose)
@@ -132,7 +131,7 @@ def _judged(
     seen: list[list[Seen]] = [[] for _ in made]
     first = made[0]
     with Pipeline(
-        first.calibration, first.water, instrument.sequence, QualityLimits(max_gap_mm=MAX_GAP_MM)
+        first.calibration, first.water, instrument.sequence, QualityLimits(max_gap_mm=JUDGING_GAP_MM)
     ) as pipeline:
         for thing, pose in poses:
             _decoded(instrument, pipeline, thing, pose)

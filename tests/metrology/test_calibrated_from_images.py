@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from appliance.calibration.extract import MAX_GAP_MM, Certificate, extract
+from appliance.calibration.extract import CALIBRATING_GAP_MM, Certificate, extract
 from appliance.calibration.file import Calibration
 from appliance.calibration.ladder import Method, calibrate
 from appliance.calibration.recordings import Recording
 from appliance.evaluation.result import LENGTHS, Artefact, Result, evaluate
 from appliance.reconstruct.pipeline import Cloud, Pipeline
 from appliance.reconstruct.quality import QualityLimits
-from appliance.service.evaluation import MAX_GAP_MM as JUDGING_GAP_MM
+from appliance.service.evaluation import JUDGING_GAP_MM
 from hw_sim.objects.shapes import BALL_RADIUS_MM, FRUSTUM_BASE_MM, FRUSTUM_HEIGHT_MM, FRUSTUM_TOP_MM
 from hw_sim.scene import Scene
 from hw_sim.truth import TrueRig
@@ -51,7 +51,7 @@ def reconstructed(scan: RenderedScan, calibration: Calibration, max_gap_mm: floa
 
 
 def recording_of(artefact: Artefact, pose: Pose, start: Calibration, name: str) -> Recording:
-    pipeline, cloud = reconstructed(scan_of(artefact, pose), start, MAX_GAP_MM)
+    pipeline, cloud = reconstructed(scan_of(artefact, pose), start, CALIBRATING_GAP_MM)
     certificate = Certificate(150.0, radius_mm=BALL_RADIUS_MM) if artefact is Artefact.BALL_BAR else None
     found = extract(name, certificate, cloud, pipeline.decoded("left"), pipeline.decoded("right"), start, WATER)
     assert isinstance(found, Recording), found

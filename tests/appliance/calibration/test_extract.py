@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.calibration.extract import MAX_GAP_MM, Certificate, extract
+from appliance.calibration.extract import CALIBRATING_GAP_MM, Certificate, extract
 from appliance.calibration.file import Calibration
 from appliance.calibration.recordings import ArtefactKind, Recording
 from appliance.evaluation.points import NotFound
@@ -54,7 +54,7 @@ def with_drawn_ports(calibration: Calibration) -> Calibration:
 
 
 def extracted(scan: RenderedScan, start: Calibration, certificate: Certificate | None) -> Recording | NotFound:
-    with Pipeline(start, WATER, scan.sequence, QualityLimits(max_gap_mm=MAX_GAP_MM)) as pipeline:
+    with Pipeline(start, WATER, scan.sequence, QualityLimits(max_gap_mm=CALIBRATING_GAP_MM)) as pipeline:
         for k in range(len(scan.sequence)):
             for side, frames in scan.frames.items():
                 pipeline.push(side, frames, k)
