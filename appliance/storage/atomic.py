@@ -83,7 +83,14 @@ def replace_file(fs: FileSystem, path: Path, *parts: Bytes) -> Stamp:
     """
     draft = draft_of(path)
     discard(fs, draft)
-    stamp = write_new(fs, draft, parts)
+    try:
+        stamp = write_new(fs, draft, parts)
+    except StorageError:
+        with suppress(
+            StorageError
+        ):  # half a file on a full disk helps nobody; if it stays, the next attempt removes it
+            discard(fs, draft)
+        raise
     with refused("cannot replace", path):
         fs.rename(draft, path)
         fs.sync_folder(path.parent)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import resource
 import shutil
 import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +55,8 @@ class Said:
         return errors[0]
 
 
-def kingfisher(*words: object, cwd: Path = ROOT) -> Said:
+def kingfisher(*words: object, cwd: Path = ROOT, most_bytes: int | None = None) -> Said:
+    """What the program said; it can make no file larger than ``most_bytes``."""
     done = subprocess.run(
         [sys.executable, "-m", "appliance.cli", *map(str, words)],
         cwd=cwd,
@@ -61,6 +64,9 @@ def kingfisher(*words: object, cwd: Path = ROOT) -> Said:
         text=True,
         timeout=240,
         check=False,
+        preexec_fn=None
+        if most_bytes is None
+        else partial(resource.setrlimit, resource.RLIMIT_FSIZE, (most_bytes,) * 2),
     )
     assert "Traceback" not in done.stderr, done.stderr
     return Said(done.returncode, done.stdout, done.stderr)
@@ -215,11 +221,16 @@ def test_frames_of_another_size_are_not_measured_with_this_calibration(root: Pat
     assert str(nominal) in said.error
 
 
-def test_a_disk_that_is_full_is_no_crash(root: Path) -> None:
-    said = kingfisher("reconstruct", 1, "--rig", SMALL_RIG, "--root", root, "--out", "/dev/full")
+def test_a_disk_that_refuses_is_no_crash_and_half_a_cloud_does_not_stay(root: Path, tmp_path: Path) -> None:
+    out = tmp_path / "cloud.ply"
+    words = ("reconstruct", 1, "--rig", SMALL_RIG, "--root", root, "--out")
+    said = kingfisher(*words, out, most_bytes=100_000)
     assert said.code == 1
-    assert said.error.startswith("kingfisher: cannot write /dev/full: No space left on device")
+    assert said.error.startswith(f"kingfisher: cannot write {out}: File too large")
     assert "--out" in said.error
+    assert list(tmp_path.iterdir()) == []
+    said = kingfisher(*words, "/dev/null")
+    assert (said.code, "no ordinary file" in said.error) == (2, True)
 
 
 def test_a_calibration_is_never_replaced(tmp_path: Path) -> None:

@@ -40,7 +40,8 @@ def test_sigkill_at_random_moments(tmp_path: Path) -> None:
     raw: list[str] = []
     writer = tmp_path / "writer.py"
     writer.write_text(WRITER)
-    for _ in range(KILLS):
+    saving_s = 0.0
+    for kill in range(KILLS):
         with subprocess.Popen(
             [sys.executable, str(writer), str(root)],
             stdout=subprocess.PIPE,
@@ -50,7 +51,12 @@ def test_sigkill_at_random_moments(tmp_path: Path) -> None:
         ) as child:
             assert child.stdout is not None
             assert child.stdout.readline() == "READY\n"
-            time.sleep(chance.uniform(0.0, 0.06))
+            if kill % 5 == 0:  # how long a scan takes now, on this disk, beside whatever else runs
+                begun = time.monotonic()
+                raw.append(child.stdout.readline().split()[1])
+                saved.add(child.stdout.readline().split()[1])
+                saving_s = time.monotonic() - begun
+            time.sleep(chance.uniform(0.0, 5.0 * saving_s))
             child.send_signal(signal.SIGKILL)
             for line in child.stdout.read().splitlines():
                 word, _, scan_id = line.partition(" ")
