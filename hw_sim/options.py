@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
 
+from hw_sim.daylight import Daylight
 from hw_sim.imaging import Imaging
 from hw_sim.motion import Motion
 from hw_sim.scene import Scene
@@ -41,6 +42,7 @@ class WorldOptions:
     noise: bool = True
     motion: Mapping[str, Any] = field(default_factory=dict)
     imaging: Mapping[str, Any] = field(default_factory=dict)
+    daylight: Mapping[str, Any] = field(default_factory=dict)
     pace: str = "lockstep"
     idle_speed: float = 1.0
     faults: tuple[str, ...] = ()
@@ -63,7 +65,6 @@ class WorldOptions:
 
     def scene(self) -> Scene:
         """The scene these options describe. Raises OptionError."""
-        motion: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in self.motion.items()}
         try:
             return Scene(
                 self.object,
@@ -72,11 +73,16 @@ class WorldOptions:
                 Water(**self.water) if self.medium == "water" else AIR,
                 self.ambient,
                 self.noise,
-                Motion(**motion),
+                Motion(**_with_vectors(self.motion)),
                 Imaging(**self.imaging),
+                Daylight(**_with_vectors(self.daylight)),
             )
         except (TypeError, ValueError) as error:
             raise OptionError(f"scene: {error}") from error
+
+
+def _with_vectors(table: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: tuple(value) if isinstance(value, list) else value for key, value in table.items()}
 
 
 def options_from(mapping: Mapping[str, Any]) -> WorldOptions:

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from hw_sim.foreign import Foreign
 from hw_sim.geometry import GREY, MIDDLE_MM
 from hw_sim.imaging import RESPONSES
 from hw_sim.lasers import add_laser
@@ -62,6 +63,7 @@ class Renderer:
         self._stage = Stage(truth)
         self._responses = {kind: response(kind) for kind in RESPONSES}
         self._veils: dict[str, Latest[float, Veil]] = {camera: Latest() for camera in CAMERAS}
+        self._foreign = Foreign()
         self._sensors: dict[str, Latest[bool, Sensor]] = {camera: Latest() for camera in CAMERAS}
 
     @property
@@ -82,13 +84,16 @@ class Renderer:
         gain_db: float,
         lasers: tuple[bool, bool],
         noise_seed: int,
+        clock_s: float | None = None,
     ) -> NDArray[np.uint8]:
         """One frame (h, w) uint8 of ``left`` or ``right``.
 
         ``time_s`` is the middle of the exposure; the hands move from time 0 on, and are at rest for all of an exposure
         with ``time_s`` ≤ 0. ``slices`` follow each other from the exposure's start; what they do not cover is dark.
-        ``noise_seed`` makes the noise of each frame its own.
+        ``noise_seed`` makes the noise of each frame its own. ``clock_s`` is the middle of the exposure by the clock that
+        daylight goes by, whether the hands move or not; ``None``: as ``time_s``.
         """
+        clock_s = time_s if clock_s is None else clock_s
         scene = self._scene
         eye = self.truth.eye(camera)
         count = self._instants(camera, scene, time_s, exposure_s)
@@ -97,7 +102,8 @@ class Renderer:
             begin_s, end_s = exposure_s * k / count, exposure_s * (k + 1) / count
             at_s = time_s if count == 1 else time_s + 0.5 * (begin_s + end_s - exposure_s)
             light = light_between(tuple(slices), begin_s, end_s, self._responses[scene.imaging.response])
-            self._add_instant(camera, scene, at_s, light, end_s - begin_s, lasers, electrons)
+            by_clock_s = clock_s + 0.5 * (begin_s + end_s - exposure_s)
+            self._add_instant(camera, scene, at_s, by_clock_s, light, end_s - begin_s, lasers, electrons)
         image = self._blurred(camera, scene, electrons)
         if scene.imaging.camera_defocus:
             image = self._defocused(camera, scene, image, time_s)
@@ -123,16 +129,18 @@ class Renderer:
         camera: str,
         scene: Scene,
         time_s: float,
+        clock_s: float,
         light: Picture | None,
         duration_s: float,
         lasers: tuple[bool, bool],
         electrons: Picture,
     ) -> None:
-        """Add what arrives in ``duration_s`` with everything as it stands at ``time_s``. ``light`` is what the projector
-        emits meanwhile, in seconds of white; ``None``: it is off."""
+        """Add what arrives in ``duration_s`` with everything as it stands at ``time_s`` of the hands. ``light`` is
+        what the projector emits meanwhile, in seconds of white; ``None``: it is off."""
         pose = self._stage.pose(scene, time_s)
         geometry = self._stage.geometry(camera, scene, pose, lit=light is not None)
-        ambient = np.float32(WHITE_E_PER_S * scene.ambient * duration_s)
+        daylight, white_e = scene.daylight, WHITE_E_PER_S * duration_s
+        ambient = np.float32(white_e * scene.ambient * daylight.flicker(clock_s, duration_s))
         if light is None:
             electrons += ambient * geometry.pixels[..., GREY]
         else:
@@ -141,6 +149,11 @@ class Renderer:
             spread_px = SPREAD_FAR_PX if scene.imaging.projector_defocus else 0.0
             softened = soften(light, _water_blur_mm(scene.water) / PROJECTOR_PX_MM, spread_px)
             collect(geometry.pixels, softened, np.float32(WHITE_E_PER_S), ambient, veil, electrons)
+        if not daylight.even:
+            self._foreign.add(
+                daylight, clock_s, duration_s, float(ambient), white_e,
+                self._stage.rays(camera), geometry, pose, self._stage.pose(scene, 0.0), electrons,
+            )  # fmt: skip
         for on, laser in zip(lasers, self.truth.lasers, strict=True):
             if on:
                 add_laser(

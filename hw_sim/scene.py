@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from hw_sim.daylight import Daylight
 from hw_sim.imaging import Imaging
 from hw_sim.motion import Motion
 from hw_sim.objects.shapes import DEFAULT_POSE, NAMES
@@ -25,6 +26,8 @@ class Scene:
     noise: bool = True
     motion: Motion = field(default_factory=Motion)
     imaging: Imaging = field(default_factory=Imaging)
+    daylight: Daylight = field(default_factory=Daylight)
+    """What is special about the ambient light, and other lamps."""
 
     def __post_init__(self) -> None:
         for value, allowed, what in ((self.object, NAMES, "object"), (self.texture, TEXTURES, "texture")):
@@ -40,3 +43,8 @@ class Scene:
     def start_pose(self) -> tuple[float, float, float, float, float, float]:
         """The pose at time 0."""
         return self.pose or DEFAULT_POSE[self.object]
+
+    @property
+    def still(self) -> bool:
+        """The same light makes the same picture at any time."""
+        return self.motion.still and self.daylight.steady

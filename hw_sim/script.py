@@ -5,19 +5,25 @@ from __future__ import annotations
 import json
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import cv2
 
+from hw_sim.amounts import changed
+from hw_sim.daylight import Daylight
 from hw_sim.faults import parse
 from hw_sim.knock import parse as parse_knock
+from hw_sim.motion import Motion
+from hw_sim.water import Water
 
 if TYPE_CHECKING:
     from hw_sim.world import World
 
 POLL_S = 0.05
+SURROUNDINGS = {"motion": Motion(), "water": Water(), "daylight": Daylight()}
+"""What a step changes by its field of the scene."""
 KEYS = ("scan", "back", "up", "down")
 PRESS_S = 0.15
 """How long a key is held unless the step says so; also the diver's pause behind each press."""
@@ -26,7 +32,8 @@ POWER_OFF_TRIES = 15
 POWER_OFF_TRY_S = 2.0
 GRAMMAR = (
     "allowed are: wait state NAME S, wait alert CODE S, wait step NAME S, wait result NAME S, pause S, press KEY [S], "
-    "fault SENTENCE, clear, object NAME [X Y Z RX RY RZ], knock CAMERA AMOUNTS, screenshot PATH, end"
+    "fault SENTENCE, clear, object NAME [X Y Z RX RY RZ], knock CAMERA AMOUNTS, motion|water|daylight AMOUNTS, "
+    "screenshot PATH, end"
 )
 
 
@@ -81,6 +88,8 @@ def _check(step: Step) -> None:
             [float(number) for number in pose]
         case "knock", (_, *_):
             parse_knock(" ".join(step.words))
+        case verb, words if verb in SURROUNDINGS:
+            changed(SURROUNDINGS[verb], verb, words)
         case ("screenshot", (_,)) | ("clear" | "end", ()):
             pass
         case _:
@@ -169,6 +178,8 @@ class Diver:
                 world.set_object(words[0], [float(n) for n in words[1:]] or None)
             case "knock":
                 world.knock(parse_knock(" ".join(words)))
+            case verb if verb in SURROUNDINGS:
+                world.set_scene(replace(world.scene, **{verb: changed(getattr(world.scene, verb), verb, words)}))
             case "screenshot":
                 picture = world.scanned_out("display")
                 if not cv2.imwrite(words[0], cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)):

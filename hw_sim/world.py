@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from hw_sim import registry
 from hw_sim.darkroom import Darkroom, Print
+from hw_sim.daylight import Daylight
 from hw_sim.devices.board import Board
 from hw_sim.devices.card import Card
 from hw_sim.devices.head import Flip, Output
@@ -38,6 +39,7 @@ from hw_sim.render import LightSlice, Renderer, Surface, TrueView
 from hw_sim.scene import Scene
 from hw_sim.stills import Stills
 from hw_sim.truth import SETS, TrueRig, draw_truth, in_air, load_truth
+from hw_sim.water import Water
 
 __all__ = ["World", "WorldOptions"]
 
@@ -45,6 +47,8 @@ LOG = logging.getLogger(__name__)
 SIDES = ("left", "right")
 SERIALS = {"left": "KF-CAM-L", "right": "KF-CAM-R"}
 HUMIDITY_PERCENT, SUPPLY_V = 38.0, 12.1
+SERIES_APART_S = 101.0037
+"""Between sequences by the clock of daylight: each is lit anew, and the same one the same however long the host took."""
 KEPT_INTERVALS = 12
 """Longest exposure in vertical blanks that sees the projector change."""
 
@@ -173,6 +177,14 @@ class World:
         """How the hands move during sequences: time 0 is a sequence's first pulse, live views are at rest."""
         self.set_scene(replace(self.scene, motion=motion))
 
+    def set_daylight(self, daylight: Daylight) -> None:
+        """Other light than the projector's, from the next image on."""
+        self.set_scene(replace(self.scene, daylight=daylight))
+
+    def set_water(self, water: Water) -> None:
+        """How the water dims, veils and blurs, from the next image on. Its index stays that of the start."""
+        self.set_scene(replace(self.scene, water=water))
+
     def set_scene(self, scene: Scene) -> None:
         """Change what is looked at, from the next image that is made. The refractive index stays that of the start."""
         with self._renderer_lock:
@@ -298,15 +310,16 @@ class World:
             if until_ns > begin_ns and interval.light is not None:
                 slices.append(LightSlice(interval.light, (until_ns - begin_ns) / 1e9))
             until_ns = min(until_ns, interval.begin_ns)
-        moment_s = 0.0
+        moment_s, clock_s = 0.0, (exposure.start_ns - START_NS + exposure.duration_ns / 2) / 1e9
         if not live:
             first_ns = self._first_pulse_ns.get(exposure.shot.series, exposure.start_ns)
             moment_s = (exposure.start_ns - first_ns + exposure.duration_ns / 2) / 1e9
+            clock_s = moment_s + SERIES_APART_S * exposure.shot.series
         seed, lasers = self._noise_seed(side, exposure.shot), self.board.lasers_on
         exposure_s, gain_db = exposure.duration_ns / 1e9, exposure.gain_db
         made = self._darkroom.make(
             side,
-            lambda: self._image(side, slices[::-1], moment_s, exposure_s, gain_db, lasers, seed),
+            lambda: self._image(side, slices[::-1], moment_s, exposure_s, gain_db, lasers, seed, clock_s),
         )
         if made is not None:
             self._latest[side] = made
@@ -324,13 +337,18 @@ class World:
         gain_db: float,
         lasers: tuple[bool, bool],
         seed: int,
+        clock_s: float,
     ) -> NDArray[np.uint8]:
         """Without the lock: one image, made or, where that is asked for, repeated."""
         renderer = self._renderer
-        if self._stills is None or not self._scene.motion.still:
-            return renderer.expose(side, slices, moment_s, exposure_s, gain_db, lasers, seed)
+
+        def made() -> NDArray[np.uint8]:
+            return renderer.expose(side, slices, moment_s, exposure_s, gain_db, lasers, seed, clock_s)
+
+        if self._stills is None or not self._scene.still:
+            return made()
         key = self._stills.key(side, repr(self._scene), slices, exposure_s, gain_db, lasers)
-        return self._stills.get(key, lambda: renderer.expose(side, slices, moment_s, exposure_s, gain_db, lasers, seed))
+        return self._stills.get(key, made)
 
     def _noise_seed(self, side: str, shot: Shot) -> int:
         """The same for the same frame of the same sequence, however long the host took to come there."""

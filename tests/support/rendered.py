@@ -19,6 +19,8 @@ from hw_sim.truth import draw_truth
 from tests.support.truth import WATER, left_to_rig, true_calibration
 
 EXPOSURE_S = 0.012
+FRAME_S = 1.0 / 60.0
+"""Between frames by the clock of daylight, where the hands are at rest."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,8 @@ def render_scan(
     response: Response | None = None,
     frame_s: float = 0.0,
 ) -> RenderedScan:
-    """Both cameras' frames of a scene, ``frame_s`` after one another (0: it is at rest).
+    """Both cameras' frames of a scene, ``frame_s`` after one another (0: the hands are at rest, and the frames
+    ``FRAME_S`` apart by the clock of daylight).
 
     A smaller ``height_px`` is a strip out of the middle; ``response``: the projector's, that the patterns are drawn for.
     """
@@ -67,6 +70,7 @@ def render_scan(
                 0.0,
                 (False, False),
                 2 * k + (side == "left"),
+                k * (frame_s or FRAME_S),
             )
             for k, p in enumerate(pictures(sequence, response))
         ]

@@ -159,6 +159,11 @@ def test_a_screenshot_that_cannot_be_written_fails_the_script(tmp_path: Path) ->
         ("fault camera.left explode", "not supported; supported: "),
         ("object plane 1 2", "allowed are"),
         ("end now", "allowed are"),
+        ("water attenuation_per_m=50", "attenuation_per_m = 50.0; allowed are 0..20"),
+        ("motion velocity_mm_s=3", "velocity_mm_s = (3.0,); give three finite numbers"),
+        ("daylight flicker=1", "'flicker=1' is not understood; allowed are off, or any of flicker_depth"),
+        ("daylight torch=bright", "daylight torch = 'bright'; give a number"),
+        ("daylight", "what of it?"),
     ],
 )
 def test_a_script_is_checked_before_it_is_played(line: str, said: str) -> None:

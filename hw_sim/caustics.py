@@ -1,0 +1,68 @@
+"""Owns the net of bright lines that waves throw: sunlight refracted by a random surface, counted where it arrives.
+
+Each ray of an even beam is displaced by the slope of the waves above it; where neighbours are displaced towards each
+other, light gathers. No light is lost: the net's mean is 1. The waves are band-limited around one length, run in all
+directions, and disperse as in deep water (frequency ∝ root of the wave number). Everything repeats after a tile.
+"""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+CELLS = 256
+MESHES = 6
+"""Side of the tile in units of the net's mesh."""
+GATHERING = 1.0
+"""Rms of how much the waves change the area between neighbouring rays: where it reaches −1 they cross."""
+SUN_CELLS = 1.2
+"""The sun is no point: blur of the net (Gaussian sigma)."""
+
+
+class Net:
+    """The waves of one seed."""
+
+    def __init__(self, scale_mm: float, speed_mm_s: float, seed: int) -> None:
+        self.tile_mm = MESHES * scale_mm
+        rng = np.random.default_rng([seed, 200])
+        cycles = np.fft.fftfreq(CELLS, 1.0 / CELLS)
+        kx, ky = cycles[None, :], cycles[:, None]
+        k = np.hypot(kx, ky)
+        band = np.where(np.abs(k / MESHES - 1.25) < 1.0, np.exp(-(((k / MESHES - 1.25) / 0.5) ** 2)), 0.0)
+        height = band / np.maximum(k, 1.0) ** 2 * np.exp(2j * math.pi * rng.uniform(size=k.shape))
+        radians = 2.0 * math.pi / CELLS
+        gathering = math.sqrt(0.5 * float(np.sum(np.abs(height) ** 2 * (radians * k) ** 4)))
+        height *= GATHERING / gathering * CELLS**2
+        self._slopes = (1j * radians * kx * height, 1j * radians * ky * height)
+        self._omega = 2.0 * math.pi * speed_mm_s / self.tile_mm * np.sqrt(k * MESHES)
+
+    def light(self, clock_s: float) -> NDArray[np.float32]:
+        """The net at a time: (CELLS, CELLS) float32 with mean 1; row and column repeat after ``tile_mm``."""
+        turned = np.exp(-1j * self._omega * clock_s)
+        dx, dy = (np.fft.ifft2(slope * turned).real.astype(np.float32) for slope in self._slopes)
+        net = np.zeros((CELLS, CELLS), np.float32)
+        _gather(dx, dy, net)
+        edge = math.ceil(4.0 * SUN_CELLS)
+        soft = cv2.GaussianBlur(np.pad(net, edge, mode="wrap"), (0, 0), SUN_CELLS)
+        return np.ascontiguousarray(soft[edge:-edge, edge:-edge], np.float32)
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _gather(dx: NDArray[np.float32], dy: NDArray[np.float32], net: NDArray[np.float32]) -> None:
+    """Put the light of each cell where it is displaced to, shared by the four cells around."""
+    rows, columns = net.shape
+    for y in range(rows):
+        for x in range(columns):
+            a, b = x + dx[y, x], y + dy[y, x]
+            i, j = math.floor(a), math.floor(b)
+            s, t = a - i, b - j
+            i0, j0 = i % columns, j % rows
+            i1, j1 = (i0 + 1) % columns, (j0 + 1) % rows
+            net[j0, i0] += (1.0 - s) * (1.0 - t)
+            net[j0, i1] += s * (1.0 - t)
+            net[j1, i0] += (1.0 - s) * t
+            net[j1, i1] += s * t

@@ -1,0 +1,98 @@
+"""Owns the foreign light: lamps that flicker, another diver's torch, and the bright net that waves throw.
+
+Foreign light falls on a surface from everywhere (it is weighted with albedo alone, like ambient light, and casts no
+shadows) and is dimmed by the water on its way back to the camera. It goes by the world's clock, not by that of the hands:
+it flickers and moves while the hands are still.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+SWING_MM = 120.0
+"""How far a moving torch strays from its place."""
+LIMITS = {
+    "flicker_depth": (0.0, 1.0),
+    "flicker_hz": (1.0, 100_000.0),
+    "caustics": (0.0, 1.0),
+    "caustics_scale_mm": (5.0, 1000.0),
+    "caustics_speed_mm_s": (0.0, 5000.0),
+    "torch": (0.0, 10.0),
+    "torch_diameter_mm": (5.0, 1000.0),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Daylight:
+    """Light that is not the projector's. Off by default. Raises ValueError for what no light does (``LIMITS``).
+
+    Places and directions are in the rig frame at time 0, and stay there while the hands move.
+    """
+
+    flicker_depth: float = 0.0
+    """The scene's ambient light is multiplied by 1 + depth · cos(2π hz t + phase)."""
+    flicker_hz: float = 100.0
+    """100 and 120 are lamps on mains of 50 and 60 Hz."""
+    caustics: float = 0.0
+    """Share of the ambient light that comes through waves and is gathered into a net; its mean stays what it was."""
+    caustics_scale_mm: float = 60.0
+    """Mesh of the net."""
+    caustics_speed_mm_s: float = 400.0
+    """Speed of the waves that make the net."""
+    sun_direction: tuple[float, float, float] = (0.1, 0.6, 0.8)
+    """Where the net's light travels to."""
+    torch: float = 0.0
+    """In the middle of the spot, in units of the projector's white at 500 mm."""
+    torch_at_mm: tuple[float, float, float] = (30.0, -20.0, 520.0)
+    """Where the spot's middle is, before the clock counts; only its distance from the beam's axis matters."""
+    torch_direction: tuple[float, float, float] = (-0.5, 0.3, 1.0)
+    torch_diameter_mm: float = 80.0
+    """Where the spot is half as bright as in its middle."""
+    torch_velocity_mm_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """With which the spot swings through its place; it turns back ``SWING_MM`` from it."""
+    seed: int = 1
+    """Of the flicker's phase and of the waves."""
+
+    def __post_init__(self) -> None:
+        for name, (least, most) in LIMITS.items():
+            value = getattr(self, name)
+            if not least <= value <= most:
+                raise ValueError(f"daylight: {name} = {value}; allowed are {least:g}..{most:g}")
+        for name in ("sun_direction", "torch_at_mm", "torch_direction", "torch_velocity_mm_s"):
+            value = getattr(self, name)
+            if len(value) != 3 or not all(math.isfinite(part) for part in value):
+                raise ValueError(f"daylight: {name} = {value}; give three finite numbers: x, y, z of the rig frame")
+        for name in ("sun_direction", "torch_direction"):
+            if not any(getattr(self, name)):
+                raise ValueError(f"daylight: {name} = {getattr(self, name)}; light must travel somewhere: not all zero")
+
+    @property
+    def steady(self) -> bool:
+        """Nothing of it changes with time."""
+        moving = self.torch > 0.0 and any(self.torch_velocity_mm_s)
+        return self.flicker_depth == 0.0 and self.caustics == 0.0 and not moving
+
+    @property
+    def even(self) -> bool:
+        """It is the same everywhere."""
+        return self.caustics == 0.0 and self.torch == 0.0
+
+    def flicker(self, clock_s: float, duration_s: float) -> float:
+        """Mean factor of the ambient light over ``duration_s`` around ``clock_s``."""
+        if self.flicker_depth == 0.0:
+            return 1.0
+        phase = np.random.default_rng([self.seed, 100]).uniform(0.0, 2.0 * math.pi)
+        averaged = float(np.sinc(self.flicker_hz * duration_s))
+        return 1.0 + self.flicker_depth * averaged * math.cos(2.0 * math.pi * self.flicker_hz * clock_s + phase)
+
+    def torch_mm(self, clock_s: float) -> NDArray[np.float64]:
+        """Where the spot's middle is at ``clock_s``."""
+        velocity = np.array(self.torch_velocity_mm_s)
+        speed = float(np.linalg.norm(velocity))
+        if speed == 0.0:
+            return np.array(self.torch_at_mm)
+        return np.asarray(self.torch_at_mm + velocity / speed * SWING_MM * math.sin(speed * clock_s / SWING_MM))
