@@ -77,11 +77,12 @@ def open_instrument(options: WorldOptions, period_px: int = 16) -> Iterator[Inst
         for side in SIDES:
             spec = drivers_rig.CameraSpec(f"camera.{side}", f"KF-CAM-{side[0].upper()}")
             camera = stack.enter_context(drivers_rig.open_camera(spec, wires))
-            camera.configure(CameraSettings(width, height, float(EXPOSURE_US), 0.0))
-            grabbers[side] = stack.enter_context(Grabber(side, camera, wires.clock, height, width))
+            settings = CameraSettings(width, height, float(EXPOSURE_US), 0.0)
+            camera.configure(settings)
+            grabbers[side] = stack.enter_context(Grabber(side, camera, wires.clock, settings))
         board = stack.enter_context(
             drivers_rig.open_board(drivers_rig.BoardSpec(f"kfsim://{options.world}/board"), wires)
         )
         store = stack.enter_context(FrameStore(len(sequence), height, width))
-        settings = ScanSettings(REFRESH_HZ, EXPOSURE_US, TRIGGER_DELAY_US)
-        yield Instrument(world, sequence, store, ScanRecorder(grabbers, board, projector, wires.clock, settings))
+        course = ScanSettings(REFRESH_HZ, EXPOSURE_US, TRIGGER_DELAY_US)
+        yield Instrument(world, sequence, store, ScanRecorder(grabbers, board, projector, wires.clock, course))

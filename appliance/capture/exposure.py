@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 STEPS_MS = (2.0, 2.5, 3.2, 4.0, 5.0, 6.3, 8.0, 10.0, 12.0, 14.0, 16.0)
 """About a quarter more light each. 10 ms is a whole period of lamps on 50 Hz mains, which flicker 100 times a second."""
-GAIN_STEP_DB, GAIN_STEPS = 2.0, 6
+GAIN_STEP_DB = 2.0
 """Above the rig's own gain, once no longer exposure is left: a quarter more each."""
 MARGIN_MS = 0.1
 """Between the end of the longest exposure and the next vertical sync."""
@@ -26,23 +26,40 @@ class Exposure:
 
     @property
     def label(self) -> str:
-        """For a key: ``8 ms``, ``6.3 ms``, ``16 ms +4 dB``."""
+        """``8 ms``, ``6.3 ms``, ``16 ms +4 dB``."""
         gain = f" +{self.gain_db:g} dB" if self.gain_db else ""
         return f"{self.time_us / 1000.0:g} ms{gain}"
 
 
-def ladder(refresh_hz: float, trigger_delay_us: int, gain_db: float = 0.0) -> tuple[Exposure, ...]:
+NOMINAL = Exposure(12_000)
+"""Of an instrument whose rig file nobody has read."""
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """What may be proposed, whatever the projector's period allows."""
+
+    shortest_ms: float = 2.0
+    longest_ms: float = 16.0
+    most_gain_db: float = 12.0
+    """Absolute."""
+
+
+def ladder(refresh_hz: float, trigger_delay_us: int, gain_db: float, span: Span) -> tuple[Exposure, ...]:
     """All steps from dark to bright for a projector's vertical period: first longer exposures at the rig's own gain, and
     more gain only on the longest.
 
-    Raises ValueError where not even the shortest exposure fits between trigger and next vertical sync.
+    Raises ValueError where no step fits between trigger and next vertical sync.
     """
-    longest_ms = 1000.0 / refresh_hz - trigger_delay_us / 1000.0 - MARGIN_MS
-    times = [round(1000.0 * step) for step in STEPS_MS if step <= longest_ms]
+    room_ms = 1000.0 / refresh_hz - trigger_delay_us / 1000.0 - MARGIN_MS
+    longest_ms = min(room_ms, span.longest_ms)
+    times = [round(1000.0 * step) for step in STEPS_MS if span.shortest_ms <= step <= longest_ms]
     if not times:
         raise ValueError(
-            f"{longest_ms:.2f} ms are left for an exposure at {refresh_hz:g} Hz and a trigger delay of "
-            f"{trigger_delay_us} us; at least {STEPS_MS[0]:g} ms are needed: shorten the delay"
+            f"no exposure step lies within {span.shortest_ms:g}..{longest_ms:.2f} ms ({refresh_hz:g} Hz less trigger "
+            f"delay {trigger_delay_us} us); steps are {', '.join(f'{step:g}' for step in STEPS_MS)} ms: "
+            "shorten the delay, or scan.shortest_exposure_ms"
         )
-    gains = [gain_db + GAIN_STEP_DB * k for k in range(1, GAIN_STEPS + 1)]
+    count = int((span.most_gain_db - gain_db) / GAIN_STEP_DB + 1e-9)
+    gains = [gain_db + GAIN_STEP_DB * k for k in range(1, count + 1)]
     return (*(Exposure(time, gain_db) for time in times), *(Exposure(times[-1], gain) for gain in gains))

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import TracebackType
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.api import Camera, Clock, DeviceError, Frame, FrameStatus
+from drivers.api import Camera, CameraSettings, Clock, DeviceError, Frame, FrameStatus
 
 LIVE_TIMEOUT_S = 0.15
 """Longer than from one live image to the next. An order to stop waits for it: the board fires no more by then."""
@@ -52,7 +52,8 @@ class Recording:
 class Grabber:
     """Runs one camera in its own thread. A context manager: leaving it stops the thread, not the camera's life."""
 
-    def __init__(self, side: str, camera: Camera, clock: Clock, height_px: int, width_px: int) -> None:
+    def __init__(self, side: str, camera: Camera, clock: Clock, settings: CameraSettings) -> None:
+        """``settings``: those the camera has."""
         self.side = side
         self._camera = camera
         self._clock = clock
@@ -60,7 +61,8 @@ class Grabber:
         self._order: Literal["idle", "live", "record", "end"] = "idle"
         self._state: Literal["idle", "live", "record", "end"] = "idle"
         self._recording: Recording | None = None
-        self._live = np.zeros((2, height_px, width_px), np.uint8)
+        self._settings = self._wanted = settings
+        self._live = np.zeros((2, settings.height_px, settings.width_px), np.uint8)
         self._live_count = 0
         self._lost: str | None = None
         self._temperature_c: float | None = None
@@ -87,6 +89,11 @@ class Grabber:
         """The camera's own temperature when it last was idle."""
         with self._changed:
             return self._temperature_c
+
+    def expose(self, exposure_us: float, gain_db: float) -> None:
+        """From the next start of the camera on, which ``live`` and ``record`` are."""
+        with self._changed:
+            self._wanted = replace(self._settings, exposure_us=exposure_us, gain_db=gain_db)
 
     def live(self) -> None:
         """Show what the camera sees, at whatever rate the board triggers."""
@@ -164,8 +171,16 @@ class Grabber:
         with self._changed:
             self._temperature_c = temperature_c
 
-    def _run_live(self) -> None:
+    def _start(self) -> None:
+        with self._changed:
+            wanted = self._wanted
+        if wanted != self._settings:
+            self._camera.configure(wanted)
+            self._settings = wanted
         self._camera.start()
+
+    def _run_live(self) -> None:
+        self._start()
         with self._changed:
             self._state = "live"
             self._changed.notify_all()
@@ -187,7 +202,7 @@ class Grabber:
     def _run_record(self) -> None:
         recording = self._recording
         assert recording is not None
-        self._camera.start()
+        self._start()
         with self._changed:
             self._state = "record"
             recording.ready = True

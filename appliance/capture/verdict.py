@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from appliance.capture.exposure import Exposure
 from appliance.capture.fault import Fault
 
 
@@ -30,3 +31,5 @@ class Judgement:
 
     verdict: Verdict
     fault: Fault | None = None
+    proposal: Exposure | None = None
+    """What to expose the next scan with; ``None``: as this one."""

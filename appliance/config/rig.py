@@ -99,6 +99,12 @@ class OutputRig:
 @dataclass(frozen=True, slots=True, config=_CONFIG)
 class ScanRig:
     period_px: Literal[16, 32, 64]
+    shortest_exposure_ms: Annotated[_Real, Field(ge=0.05, le=10.0)] = 2.0
+    """What the instrument may propose to the diver goes from here …"""
+    longest_exposure_ms: Annotated[_Real, Field(ge=2.0, le=16.6)] = 16.0
+    """… to here, and not beyond the projector's period."""
+    most_gain_db: Annotated[_Real, Field(ge=0.0, le=48.0)] = 12.0
+    """Proposed only where the longest exposure is not enough."""
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from appliance.calibration.guide import Step, Trial
+from appliance.capture.exposure import Exposure
 from appliance.machine.states import Device
 
 
@@ -17,6 +18,7 @@ class GoLive:
 
     light: bool
     lasers: bool
+    exposure: Exposure
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +37,7 @@ class Capture:
 
     number: int
     period_px: int
+    exposure: Exposure
 
 
 @dataclass(frozen=True, slots=True)

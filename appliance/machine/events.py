@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from appliance.calibration.guide import Session, Trial
+from appliance.capture.exposure import Exposure
 from appliance.capture.fault import Fault, FaultCode
 from appliance.machine.states import Device
 from drivers.api import Key, Telemetry
@@ -135,6 +136,8 @@ class Judged:
 
     number: int
     warnings: tuple[Fault, ...] = ()
+    proposal: Exposure | None = None
+    """What to expose the next scan with, if not as this one."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from appliance.capture.exposure import Exposure
 from appliance.capture.fault import Fault, FaultCode
 from appliance.machine.alerts import RULES
-from appliance.machine.states import NEEDED_FOR_A_SCAN, Device, Machine
+from appliance.machine.states import NEEDED_FOR_A_SCAN, Device, Machine, State
 
 LOST_CODES = {
     Device.CAMERA_LEFT: FaultCode.CAMERA_LOST,
@@ -54,3 +55,12 @@ def missing_device(machine: Machine) -> Fault | None:
             unheard = Fault(LOST_CODES[device], "not found yet", device=device.value)
             return machine.lost.get(device, unheard)
     return None
+
+
+def other_exposure(machine: Machine) -> Exposure | None:
+    """What one key changes the exposure to while a scan is reviewed: to what was proposed, and back. ``None``: nothing was
+    proposed."""
+    scan = machine.scan
+    if machine.state is not State.REVIEW or scan is None or scan.proposal is None:
+        return None
+    return scan.exposure if machine.exposure == scan.proposal else scan.proposal

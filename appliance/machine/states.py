@@ -12,6 +12,7 @@ from enum import Enum
 from typing import TYPE_CHECKING
 
 from appliance.calibration.guide import Session, Step, Trial
+from appliance.capture.exposure import NOMINAL, Exposure
 from appliance.capture.fault import Fault
 from drivers.api import Key
 
@@ -59,6 +60,8 @@ class Settings:
     """What the machine is told once. Deadlines are generous: they end a hang, they do not pace the work."""
 
     period_px: int = 16
+    exposure: Exposure = NOMINAL
+    """At power-on."""
     boot_s: float = 60.0
     capture_s: float = 5.0
     reconstruct_s: float = 60.0
@@ -78,6 +81,10 @@ class ScanInHand:
 
     number: int
     """Of its Capture effect; events about it carry the same."""
+    exposure: Exposure
+    """It was recorded with."""
+    proposal: Exposure | None = None
+    """What its judge of light would expose the next one with."""
     warnings: tuple[Fault, ...] = ()
     """Verdicts that do not forbid keeping it (moved, too bright)."""
     coarse: CloudSummary | None = None
@@ -165,6 +172,8 @@ class Machine:
     """Number of the latest Capture effect."""
     retries: int = 0
     """Silent repetitions of the current capture."""
+    exposure: Exposure = NOMINAL
+    """Of the next scan and of the live views, until the diver changes it."""
     scan: ScanInHand | None = None
     stuck: frozenset[Key] = frozenset()
     back_used: bool = False
@@ -193,6 +202,7 @@ def boot(now_ns: int, settings: Settings | None = None) -> Machine:
     return Machine(
         settings=settings,
         state=State.BOOT,
+        exposure=settings.exposure,
         since_ns=now_ns,
         now_ns=now_ns,
         deadline_ns=now_ns + seconds_ns(settings.boot_s),

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import assert_never
 
+from appliance.capture.exposure import Exposure
 from appliance.capture.fault import Fault, FaultCode
 from appliance.machine import calibrate
 from appliance.machine import effects as do
@@ -16,7 +17,7 @@ from appliance.machine import events as on
 from appliance.machine.alerts import RULES
 from appliance.machine.conditions import cleared, device_down, device_up, judge, raised
 from appliance.machine.moves import Result, enter, home
-from appliance.machine.permissions import interruption, may_lase, may_light, may_shine, refusal
+from appliance.machine.permissions import interruption, may_lase, may_light, may_shine, other_exposure, refusal
 from appliance.machine.states import (
     Device,
     Machine,
@@ -81,8 +82,8 @@ def _react(machine: Machine, event: on.Event) -> Result:
             return calibrate.stored(_raw_stored(machine, number), number)
         case on.CoarseReady() | on.FullReady() | on.ReconstructionFailed():
             return _reconstruction(machine, event)
-        case on.Judged(number, warnings):
-            return _judged(machine, number, warnings), ()
+        case on.Judged(number, warnings, proposal):
+            return _judged(machine, number, warnings, proposal), ()
         case on.Saved(number, scan_id):
             return _saved(machine, number, scan_id)
         case on.SaveFailed(number, fault):
@@ -111,7 +112,10 @@ def _live(machine: Machine) -> tuple[do.GoLive, object] | None:
     if machine.state is not State.AIM and not (machine.state is State.CALIBRATE and calibrate.records(machine)):
         return None
     cameras_and_lights = machine.up & {Device.CAMERA_LEFT, Device.CAMERA_RIGHT, Device.BOARD, Device.PROJECTOR}
-    return do.GoLive(may_shine(machine), may_lase(machine)), (cameras_and_lights, machine.board_resets)
+    return do.GoLive(may_shine(machine), may_lase(machine), machine.exposure), (
+        cameras_and_lights,
+        machine.board_resets,
+    )
 
 
 def _settle(before: Machine, after: Machine, wanted: tuple[do.Effect, ...]) -> Result:
@@ -242,6 +246,8 @@ def _review_key(machine: Machine, key: Key) -> Result:
             return _keep(machine, scan)
         case Key.BACK:
             return _drop(machine, "repeated by the diver")
+        case Key.DOWN if (wanted := other_exposure(machine)) is not None:
+            return replace(machine, exposure=wanted), ()
         case Key.UP | Key.DOWN:
             turn = scan.turn + (1 if key is Key.UP else -1)
             return replace(machine, scan=replace(scan, turn=turn)), ()
@@ -255,7 +261,7 @@ def _review_key(machine: Machine, key: Key) -> Result:
 def _start_capture(machine: Machine) -> Result:
     machine = replace(machine, captures=machine.captures + 1)
     machine = enter(machine, State.CAPTURE, machine.settings.capture_s)
-    return machine, (do.Capture(machine.captures, machine.settings.period_px),)
+    return machine, (do.Capture(machine.captures, machine.settings.period_px, machine.exposure),)
 
 
 def _abandon_capture(machine: Machine, notice: Notice | None) -> Result:
@@ -269,7 +275,7 @@ def _capture_finished(machine: Machine, number: int) -> Result:
     if machine.calibrating is not None:
         return calibrate.captured(machine, number)
     machine = enter(machine, State.RECONSTRUCT, machine.settings.reconstruct_s)
-    machine = replace(machine, scan=ScanInHand(number))
+    machine = replace(machine, scan=ScanInHand(number, machine.exposure))
     return machine, (do.StoreRaw(number), do.StartReconstruction(number))
 
 
@@ -310,10 +316,10 @@ def _reconstruction(machine: Machine, event: on.CoarseReady | on.FullReady | on.
             assert_never(event)
 
 
-def _judged(machine: Machine, number: int, warnings: tuple[Fault, ...]) -> Machine:
+def _judged(machine: Machine, number: int, warnings: tuple[Fault, ...], proposal: Exposure | None) -> Machine:
     if machine.scan is None or machine.scan.number != number:
         return machine
-    return replace(machine, scan=replace(machine.scan, warnings=warnings))
+    return replace(machine, scan=replace(machine.scan, warnings=warnings, proposal=proposal))
 
 
 def _show(machine: Machine) -> Result:

@@ -7,6 +7,7 @@ from typing import assert_never
 
 from appliance.machine import calibrate
 from appliance.machine import effects as do
+from appliance.machine.permissions import other_exposure
 from appliance.machine.states import Machine, NoticeKind, State
 from drivers.api import Key
 
@@ -33,7 +34,7 @@ def _meant(machine: Machine) -> dict[Key, str]:
         case State.RECONSTRUCT:
             return {Key.BACK: "REPEAT"}
         case State.REVIEW:
-            return {Key.SCAN: "KEEP", Key.BACK: "REPEAT", Key.UP: "TURN", Key.DOWN: "TURN"}
+            return {Key.SCAN: "KEEP", Key.BACK: "REPEAT", Key.UP: "TURN", Key.DOWN: _expose(machine) or "TURN"}
         case State.CALIBRATE:
             return _calibrate(machine)
         case State.BOOT:
@@ -42,6 +43,16 @@ def _meant(machine: Machine) -> dict[Key, str]:
             return {}
         case _:
             assert_never(machine.state)
+
+
+def _expose(machine: Machine) -> str | None:
+    """Gain is only proposed where the exposure stays as long as it can be."""
+    wanted = other_exposure(machine)
+    if wanted is None:
+        return None
+    if wanted.time_us == machine.exposure.time_us:
+        return f"GAIN {wanted.gain_db:g} dB"
+    return f"EXPOSE {wanted.label}"
 
 
 def _calibrate(machine: Machine) -> dict[Key, str]:

@@ -29,6 +29,8 @@ def draw_aim(canvas: Canvas, view: AimView, language: Language) -> None:
     _live(canvas, "left", view.left, 0, language)
     _live(canvas, "right", view.right, canvas.width - width, language)
     canvas.box((canvas.width - 6) / 2, _TOP_PX, 6, height, theme.INK)
+    if view.exposure is not None:
+        _exposure(canvas, view.exposure)
     _gauge(canvas, view.distance_mm, _TOP_PX + height + 30, language)
     _numbers(canvas, view, language)
     if view.just_saved is not None:
@@ -52,6 +54,13 @@ def _live(canvas: Canvas, side: str, pixels: NDArray[np.uint8] | None, left: flo
     middle = left + width / 2
     canvas.words(name.in_language(language), middle, _TOP_PX + 138, TITLE - 6, BOLD, theme.WHITE, Align.CENTRE)
     canvas.words(Text.NO_IMAGE.in_language(language), middle, _TOP_PX + 186, TITLE, BLACK, theme.YELLOW, Align.CENTRE)
+
+
+def _exposure(canvas: Canvas, exposure: str) -> None:
+    """In the corner of the pictures that are taken with it."""
+    width = canvas.measure(exposure, CAPTION, BOLD) + 24
+    canvas.box(58, _TOP_PX + 10, width, 38, theme.INK.faded(0.65), 10)
+    canvas.words(exposure, 58 + width / 2, _TOP_PX + 37, CAPTION, BOLD, theme.WHITE, Align.CENTRE)
 
 
 def _gauge(canvas: Canvas, distance_mm: float | None, middle: float, language: Language) -> None:

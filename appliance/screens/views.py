@@ -73,6 +73,8 @@ class AimView(View):
     scans_taken: int
     scans_left: int | None
     temperature_c: float | None
+    exposure: str | None = None
+    """Of the next scan, with its unit; ``None``: nothing to say of it."""
     distance_mm: float | None = None
     """From the laser dots; ``None`` while they are off or not seen."""
     scan_allowed: bool = True

@@ -15,7 +15,7 @@ from appliance.patterns.sequence import build_sequence
 from appliance.reconstruct.noise import TYPICAL_PAIR, StereoNoise
 from appliance.reconstruct.pipeline import SIDES, Cloud, Pipeline
 from appliance.reconstruct.quality import QualityLimits
-from appliance.service.instrument import CALIBRATION_FILE, calibration_of, design_of, noise_of
+from appliance.service.instrument import CALIBRATION_FILE, calibration_of, design_of, noise_of_scan
 from appliance.storage import scan as stored
 from appliance.storage.atomic import replace_file
 from appliance.storage.filesystem import LocalFileSystem
@@ -32,7 +32,7 @@ def reconstruct_scan(
     """
     scan = stored.load(folder)
     chosen = calibration_file.load(calibration) if calibration is not None else calibration_of(rig)[0]
-    cloud, water = cloud_of(scan, chosen, progress, noise=noise_of(rig))
+    cloud, water = cloud_of(scan, chosen, progress, noise=noise_of_scan(scan.manifest.record, rig))
     target = out if out is not None else Path(f"{folder.name}.ply")
     progress("writing")
     write_ply(target, cloud)

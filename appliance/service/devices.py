@@ -8,6 +8,7 @@ from contextlib import AbstractContextManager, contextmanager
 from types import TracebackType
 from typing import Any, Self
 
+from appliance.capture.exposure import Exposure
 from appliance.capture.fault import FaultCode
 from appliance.capture.grabber import Grabber
 from appliance.config import Rig
@@ -100,9 +101,22 @@ class Devices:
                     "Check connector and cable",
                     FaultCode.CAMERA_SLOW_LINK,
                 )
-            camera.configure(CameraSettings(spec.width_px, spec.height_px, 1000.0 * spec.exposure_ms, spec.gain_db))
-            with Grabber(side, camera, self._wires.clock, spec.height_px, spec.width_px) as grabber:
+            settings = CameraSettings(spec.width_px, spec.height_px, 1000.0 * spec.exposure_ms, spec.gain_db)
+            camera.configure(settings)
+            with Grabber(side, camera, self._wires.clock, settings) as grabber:
                 yield grabber
+
+    def expose(self, exposure: Exposure) -> None:
+        """Both cameras from their next image on; one that comes later is told then.
+
+        Where the rig file sets the right camera otherwise than the left one, it keeps the difference.
+        """
+        left, right = self._rig.camera.left, self._rig.camera.right
+        for side, spec in (("left", left), ("right", right)):
+            grabber = self.cameras[side].value
+            if grabber is not None:
+                time_us = exposure.time_us * spec.exposure_ms / left.exposure_ms
+                grabber.expose(time_us, exposure.gain_db + spec.gain_db - left.gain_db)
 
     @contextmanager
     def _board(self) -> Iterator[Board]:

@@ -18,7 +18,7 @@ from appliance.evaluation.report import Evaluation, Item
 from appliance.evaluation.result import LENGTHS, Artefact, evaluate
 from appliance.reconstruct.quality import QualityLimits
 from appliance.service.desk import cloud_of
-from appliance.service.instrument import calibration_of, noise_of
+from appliance.service.instrument import calibration_of, noise_of_scan
 from appliance.storage import scan as stored
 
 MOST_BYTES = 1_000_000
@@ -105,7 +105,9 @@ def run_evaluation(
         def step(what: str, at: float = at, name: str = folder.name) -> None:
             progress(f"{name}: {what}", at)
 
-        cloud, water = cloud_of(scan, chosen, step, QualityLimits(max_gap_mm=JUDGING_GAP_MM), noise_of(rig))
+        cloud, water = cloud_of(
+            scan, chosen, step, QualityLimits(max_gap_mm=JUDGING_GAP_MM), noise_of_scan(scan.manifest.record, rig)
+        )
         step(f"looking for the {entry.artefact.value}")
         result = evaluate(cloud, entry.artefact, entry.calibrated_mm, listed.reference_mm)
         record = scan.manifest.record

@@ -11,12 +11,14 @@ from appliance.calibration.response_file import ResponseFileError
 from appliance.calibration.response_file import load as load_response
 from appliance.calibration.start import METHOD as IN_AIR
 from appliance.calibration.start import check_start
+from appliance.capture.exposure import Exposure, Span, ladder
 from appliance.capture.fault import Fault, FaultCode
 from appliance.config import Rig
 from appliance.config.rig import CameraRig
 from appliance.optics.water import Water
 from appliance.patterns.response import Response
 from appliance.reconstruct.noise import CameraNoise, StereoNoise, camera_noise
+from appliance.storage.record import ScanRecord
 
 log = logging.getLogger("kingfisher")
 
@@ -104,13 +106,41 @@ def water_of(rig: Rig) -> Water:
     return Water(rig.water.temperature_c, rig.water.salinity_psu, rig.water.wavelength_nm)
 
 
-def noise_of(rig: Rig) -> StereoNoise:
-    """The noise of both cameras at the gain the rig file sets."""
+def noise_of(rig: Rig, exposure: Exposure | None = None) -> StereoNoise:
+    """The noise of both cameras, by default at the gain the rig file sets, else at ``exposure``'s."""
+    more_db = 0.0 if exposure is None else exposure.gain_db - rig.camera.left.gain_db
 
     def of(camera: CameraRig) -> CameraNoise:
-        return camera_noise(camera.full_well_e, camera.read_noise_e, camera.black_level_dn, camera.gain_db)
+        return camera_noise(camera.full_well_e, camera.read_noise_e, camera.black_level_dn, camera.gain_db + more_db)
 
     return StereoNoise(of(rig.camera.left), of(rig.camera.right))
+
+
+def exposure_of(rig: Rig) -> Exposure:
+    """Of both cameras, as the rig file sets the left one."""
+    left = rig.camera.left
+    return Exposure(round(1000.0 * left.exposure_ms), left.gain_db)
+
+
+def exposure_of_scan(record: ScanRecord, rig: Rig) -> Exposure:
+    """What a stored scan was recorded with."""
+    as_set = exposure_of(rig)
+    time_ms, gain_db = record.exposure.get("time_ms"), record.exposure.get("gain_db")
+    return Exposure(
+        as_set.time_us if time_ms is None else round(1000.0 * time_ms), as_set.gain_db if gain_db is None else gain_db
+    )
+
+
+def noise_of_scan(record: ScanRecord, rig: Rig) -> StereoNoise:
+    """The noise of both cameras at the gain a stored scan was recorded with."""
+    return noise_of(rig, exposure_of_scan(record, rig))
+
+
+def exposures_of(rig: Rig) -> tuple[Exposure, ...]:
+    """What may be proposed to the diver, from dark to bright."""
+    scan = rig.scan
+    span = Span(scan.shortest_exposure_ms, scan.longest_exposure_ms, scan.most_gain_db)
+    return ladder(rig.projector.refresh_hz, rig.board.trigger_delay_us, rig.camera.left.gain_db, span)
 
 
 def misfit(calibration: Calibration, rig: Rig) -> str | None:

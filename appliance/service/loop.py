@@ -13,6 +13,7 @@ from typing import Any, assert_never
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.capture.exposure import Exposure
 from appliance.capture.fault import Fault, FaultCode
 from appliance.capture.grabber import Grabber
 from appliance.capture.scan import CaptureReport, ScanRecorder, ScanSettings
@@ -24,6 +25,7 @@ from appliance.machine.step import step
 from appliance.screens.painter import Painter
 from appliance.service.calibrating import CalibrationDesk
 from appliance.service.devices import SIDES, Devices
+from appliance.service.instrument import exposure_of
 from appliance.service.keeper import Keeper
 from appliance.service.scans import ScanDesk
 from appliance.service.view import Surroundings, view_of
@@ -61,6 +63,7 @@ def machine_settings(rig: Rig) -> Settings:
     limits = rig.limits
     return Settings(
         period_px=rig.scan.period_px,
+        exposure=exposure_of(rig),
         case_warm_c=limits.case_warm_c,
         case_hot_c=limits.case_hot_c,
         projector_warm_c=limits.projector_warm_c,
@@ -209,7 +212,7 @@ class Service:
             case do.LightsOff():
                 self._dark()
             case do.Capture():
-                self._capture(effect.number)
+                self._capture(effect)
             case do.AbortCapture():
                 self._desk.drop()  # recording happens within one heartbeat; nothing runs any more
             case do.StoreRaw():
@@ -248,6 +251,7 @@ class Service:
 
     def _go_live(self, wanted: do.GoLive) -> None:
         bright = self._desk.sequence.bright if wanted.light else len(self._desk.sequence)
+        self._devices.expose(wanted.exposure)
         for keeper in self._devices.cameras.values():
             if keeper.value is not None:
                 keeper.value.live()
@@ -255,13 +259,12 @@ class Service:
         if projector.value is not None:
             with self._watching(projector):
                 projector.value.show(bright)
-        exposure_us = int(1000.0 * self._rig.camera.left.exposure_ms)
         with self._watching(self._devices.board):
             board = self._devices.board.value
             if board is not None:
                 board.stop()
                 board.set_lasers(wanted.lasers, wanted.lasers)
-                board.live(self._rig.board.live_every_vsyncs, self._rig.board.trigger_delay_us, exposure_us)
+                board.live(self._rig.board.live_every_vsyncs, self._rig.board.trigger_delay_us, wanted.exposure.time_us)
 
     def _dark(self) -> None:
         with self._watching(self._devices.projector):
@@ -272,8 +275,10 @@ class Service:
                 self._devices.board.value.set_lasers(False, False)
                 self._devices.board.value.stop()
 
-    def _capture(self, number: int) -> None:
-        fault = self._desk.begin(number)
+    def _capture(self, wanted: do.Capture) -> None:
+        number = wanted.number
+        self._devices.expose(wanted.exposure)
+        fault = self._desk.begin(number, wanted.exposure)
         grabbers = {side: keeper.value for side, keeper in self._devices.cameras.items()}
         board, projector = self._devices.board.value, self._devices.projector.value
         ready = {side: grabber for side, grabber in grabbers.items() if grabber is not None}
@@ -284,7 +289,7 @@ class Service:
             self._inbox.append(on.CaptureFailed(number, fault or Fault(FaultCode.INTERNAL, "no device")))
             return
         self._draw()
-        report = self._record(ready, board, projector)
+        report = self._record(ready, board, projector, wanted.exposure)
         for event in report.board_events:
             self._inbox += self._board_event(event)
         if report.fault is not None:
@@ -294,10 +299,12 @@ class Service:
         self._desk.recorded(report, self._temperatures_c())
         self._inbox.append(on.CaptureFinished(number))
 
-    def _record(self, grabbers: dict[str, Grabber], board: Board, projector: Projector) -> CaptureReport:
+    def _record(
+        self, grabbers: dict[str, Grabber], board: Board, projector: Projector, exposure: Exposure
+    ) -> CaptureReport:
         settings = ScanSettings(
             refresh_hz=self._rig.projector.refresh_hz,
-            exposure_us=int(1000.0 * self._rig.camera.left.exposure_ms),
+            exposure_us=exposure.time_us,
             trigger_delay_us=self._rig.board.trigger_delay_us,
         )
         recorder = ScanRecorder(grabbers, board, projector, self._clock, settings)

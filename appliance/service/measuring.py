@@ -13,7 +13,7 @@ from appliance.patterns.response import Response
 from appliance.patterns.sequence import build_sequence
 from appliance.reconstruct.decode import CameraDecoder
 from appliance.reconstruct.noise import CameraNoise
-from appliance.service.instrument import RESPONSE_FILE, noise_of, response_of
+from appliance.service.instrument import RESPONSE_FILE, exposure_of_scan, noise_of, response_of
 from appliance.storage import scan as stored
 from appliance.storage.scan import SIDES
 
@@ -50,7 +50,7 @@ def noise_of_scan(rig: Rig, folder: Path) -> dict[str, tuple[MeasuredNoise, Came
     scan = stored.load(folder)
     made = scan.manifest.record.sequence
     sequence = build_sequence(made.period_px, made.width_px, made.height_px)
-    expected = noise_of(rig)
+    expected = noise_of(rig, exposure_of_scan(scan.manifest.record, rig))
     return {
         "left": (measure_noise(sequence, scan.frames["left"]), expected.left),
         "right": (measure_noise(sequence, scan.frames["right"]), expected.right),

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 import appliance
 from appliance.calibration.file import Calibration
+from appliance.capture.exposure import Exposure
 from appliance.capture.fault import Fault, FaultCode
 from appliance.capture.scan import CaptureReport
 from appliance.capture.store import SIDES, FrameStore
@@ -61,6 +62,7 @@ class ScanInWork:
 
     number: int
     begun_ns: int
+    exposure: Exposure
     record: ScanRecord | None = None
     coarse: Cloud | None = None
     full: Cloud | None = None
@@ -132,7 +134,7 @@ class ScanDesk:
 
     # ------------------------------------------------------------------------------------- recording
 
-    def begin(self, number: int) -> Fault | None:
+    def begin(self, number: int, exposure: Exposure) -> Fault | None:
         """Make room for a new scan's frames; a fault when the previous ones are still only in memory."""
         scan = self.scan
         if scan is not None and scan.raw is not None:
@@ -141,7 +143,7 @@ class ScanDesk:
             except (StorageError, ValueError, TimeoutError) as error:
                 return Fault(FaultCode.NOT_SAVED, f"the previous scan's frames are not on the disk: {error}")
             self._remember(scan)
-        self.scan = ScanInWork(number, self._clock.now_ns())
+        self.scan = ScanInWork(number, self._clock.now_ns(), exposure)
         self.worker.begin(number)
         return None
 
@@ -164,6 +166,7 @@ class ScanDesk:
             clock_trusted=False,  # no source of time is known to the instrument yet
             recorded_ns=scan.begun_ns,
             response_hash=None if self._response is None else self._response.hash,
+            exposure={"time_ms": scan.exposure.time_us / 1000.0, "gain_db": scan.exposure.gain_db},
             water={
                 "temperature_c": self.water.temperature_c,
                 "salinity_psu": self.water.salinity_psu,
@@ -295,7 +298,8 @@ class ScanDesk:
         for judgement in judged.judgements:
             scan.enter(judgement.verdict)
         faults = tuple(judgement.fault for judgement in judged.judgements if judgement.fault is not None)
-        return [on.Judged(scan.number, faults)]
+        proposal = next((judgement.proposal for judgement in judged.judgements if judgement.proposal is not None), None)
+        return [on.Judged(scan.number, faults, proposal)]
 
     def _spoiled(self, number: int, judgement: Judgement) -> list[on.Event]:
         scan = self._current(number)

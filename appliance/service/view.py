@@ -69,6 +69,7 @@ def _view(machine: Machine, around: Surroundings) -> AnyView:
                 scans_taken=machine.scans,
                 scans_left=machine.scans_left,
                 temperature_c=around.temperature_c,
+                exposure=machine.exposure.label,
                 scan_allowed=refusal(machine) is None,
                 alerts=shown,
             )

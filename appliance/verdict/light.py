@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from appliance.capture.exposure import Exposure
 from appliance.capture.fault import Fault, FaultCode
@@ -26,22 +25,12 @@ FLICKER_ALIAS_HZ = (18.5, 21.5)
 """Where lamps on 50 Hz mains show up at 60 frames per second."""
 
 
-@dataclass(frozen=True, slots=True)
-class LightJudgement:
-    """The verdict ``light`` with its numbers and at most one fault; and what to expose the next scan with."""
+def judge_light(recorded: Recorded, present: Exposure, steps: Sequence[Exposure]) -> Judgement:
+    """The verdict ``light`` with its numbers, at most one fault, and what to expose the next scan with.
 
-    judgement: Judgement
-    proposal: Exposure | None
-    """``None``: the present exposure is right, or no other is better."""
-
-    @property
-    def fault(self) -> Fault | None:
-        return self.judgement.fault
-
-
-def judge_light(recorded: Recorded, present: Exposure, steps: Sequence[Exposure]) -> LightJudgement:
-    """From the frames alone. ``present``: what they were exposed with; ``steps``: what may be proposed, from dark to
-    bright (``capture.exposure.ladder``)."""
+    From the frames alone. ``present``: what they were exposed with; ``steps``: what may be proposed, from dark to bright
+    (``capture.exposure.ladder``).
+    """
     noise = {"left": recorded.noise.left, "right": recorded.noise.right}
     samples = {side: sample(recorded.frames[side], recorded.sequence) for side in SIDES}
     levels = {side: measure_levels(samples[side], recorded.sequence, noise[side]) for side in SIDES}
@@ -64,7 +53,7 @@ def judge_light(recorded: Recorded, present: Exposure, steps: Sequence[Exposure]
     passed = fault is None if judged else None
     text = "enough light, not too much, and steady" if fault is None else f"{fault.code.value}: {fault.detail}"
     verdict = Verdict("light", passed, numbers, text if judged else "nothing is lit by the projector")
-    return LightJudgement(Judgement(verdict, fault), proposal)
+    return Judgement(verdict, fault, proposal)
 
 
 def _top(recorded: Recorded, levels: dict[str, Levels]) -> tuple[float, float]:

@@ -69,8 +69,9 @@ def bench() -> Iterator[Bench]:
         for side in ("left", "right"):
             spec = drivers_rig.CameraSpec(f"camera.{side}", f"KF-CAM-{side[0].upper()}")
             camera = stack.enter_context(drivers_rig.open_camera(spec, wires))
-            camera.configure(CameraSettings(WIDTH, HEIGHT, 12000.0, 0.0))
-            grabbers[side] = stack.enter_context(Grabber(side, camera, wires.clock, HEIGHT, WIDTH))
+            settings = CameraSettings(WIDTH, HEIGHT, 12000.0, 0.0)
+            camera.configure(settings)
+            grabbers[side] = stack.enter_context(Grabber(side, camera, wires.clock, settings))
         board = stack.enter_context(drivers_rig.open_board(drivers_rig.BoardSpec(f"kfsim://{name}/board"), wires))
         store = stack.enter_context(FrameStore(N, HEIGHT, WIDTH))
         recorder = ScanRecorder(grabbers, board, projector, wires.clock, ScanSettings(60.0, 12000, 500))
@@ -84,6 +85,19 @@ def test_a_clean_scan_has_every_frame_of_both_cameras_and_no_fault(bench: Bench)
     bright, dark = bench.store.frames("left")[:2]
     assert np.median(bright) > 100 > 20 > np.median(dark)
     assert len(report.ledger.pulses) == len(report.ledger.flips) == N
+
+
+def test_an_exposure_holds_from_the_next_scan_on_in_both_cameras(bench: Bench) -> None:
+    def seen(exposure_us: float, gain_db: float) -> list[float]:
+        for grabber in bench.grabbers.values():
+            grabber.expose(exposure_us, gain_db)
+        assert bench.record().fault is None
+        return [float(np.median(bench.store.frames(side)[0])) - 2.0 for side in ("left", "right")]
+
+    nominal, half = seen(12_000.0, 0.0), seen(6_000.0, 0.0)
+    assert half == pytest.approx([0.5 * dn for dn in nominal], rel=0.03)
+    assert seen(6_000.0, 6.0) == pytest.approx([10.0**0.3 * dn for dn in half], rel=0.03)
+    assert seen(12_000.0, 0.0) == pytest.approx(nominal, rel=0.01)
 
 
 @pytest.mark.parametrize(

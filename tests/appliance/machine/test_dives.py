@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from appliance.capture.exposure import NOMINAL, Exposure
 from appliance.capture.fault import Fault, FaultCode
 from appliance.machine import effects as do
 from appliance.machine import events as on
@@ -33,7 +34,7 @@ def shown(machine: Machine) -> list[tuple[str, str]]:
 
 def test_a_good_scan_from_key_to_saved() -> None:
     machine, effects = after(aim(), on.KeyPressed(Key.SCAN))
-    assert effects == [do.StopLive(), do.Capture(1, 16)]
+    assert effects == [do.StopLive(), do.Capture(1, 16, NOMINAL)]
     machine, effects = after(machine, on.CaptureFinished(1))
     assert effects == [do.StoreRaw(1), do.StartReconstruction(1)]
     machine = run(machine, on.RawStored(1), on.CoarseReady(1, SUMMARY))
@@ -43,7 +44,7 @@ def test_a_good_scan_from_key_to_saved() -> None:
     assert machine.just_saved is None
     machine, effects = after(machine, on.Saved(1, "000001"))
     assert (machine.state, machine.just_saved, machine.last_scan) == (State.AIM, "000001", "000001")
-    assert effects == [do.GoLive(light=True, lasers=True)]
+    assert effects == [do.GoLive(light=True, lasers=True, exposure=NOMINAL)]
 
 
 def test_keep_before_the_full_cloud_waits_for_it() -> None:
@@ -76,14 +77,14 @@ def test_a_missing_frame_is_named_over_aim_and_ok_repeats() -> None:
     assert shown(machine) == [("INCOMPLETE 23/24", "REPEAT")]
     assert labels(machine)[Key.SCAN] == "REPEAT"
     machine, effects = after(machine, on.KeyPressed(Key.SCAN))
-    assert do.Capture(2, 16) in effects
+    assert do.Capture(2, 16, NOMINAL) in effects
     assert shown(machine) == []
 
 
 def test_scan_with_a_camera_unplugged_is_refused_with_that_reason_and_clears_itself() -> None:
     machine, effects = after(aim(), on.DeviceDown(Device.CAMERA_RIGHT, "gone from the bus"))
     assert shown(machine) == [("RIGHT CAM LOST", "CHECK CONNECTOR")]
-    assert effects == [do.GoLive(light=True, lasers=True)]
+    assert effects == [do.GoLive(light=True, lasers=True, exposure=NOMINAL)]
     machine, effects = after(machine, on.KeyPressed(Key.SCAN))
     assert (machine.state, effects) == (State.AIM, [])
     assert shown(machine) == [("RIGHT CAM LOST", "SCAN REFUSED")]
@@ -115,7 +116,7 @@ def test_losing_keys_or_display_does_not_forbid_a_scan() -> None:
 def test_a_late_flip_is_repeated_once_in_silence_then_named() -> None:
     late = Fault(FaultCode.LATE_FLIP, "frame 9", {"frame": 9})
     machine, effects = after(capturing(), on.CaptureFailed(1, late))
-    assert (machine.state, effects) == (State.CAPTURE, [do.Capture(2, 16)])
+    assert (machine.state, effects) == (State.CAPTURE, [do.Capture(2, 16, NOMINAL)])
     assert shown(machine) == []
     machine = run(machine, on.CaptureFailed(2, late))
     assert machine.state is State.AIM
@@ -153,7 +154,7 @@ def test_a_laser_found_on_by_telemetry_ends_a_capture_but_a_fresh_switch_is_give
     assert machine.state is State.CAPTURE
     machine, effects = after(machine, on.Tick(SECOND_NS), heartbeat(right_on=True))
     assert do.AbortCapture(1) in effects
-    assert effects[-1] == do.GoLive(light=True, lasers=False)
+    assert effects[-1] == do.GoLive(light=True, lasers=False, exposure=NOMINAL)
 
 
 def test_one_heartbeat_with_a_leak_is_debounced_two_are_latched() -> None:
@@ -168,19 +169,19 @@ def test_one_heartbeat_with_a_leak_is_debounced_two_are_latched() -> None:
     machine, effects = after(machine, on.KeyPressed(Key.SCAN))
     assert effects == [do.Publish(1)]
     machine, effects = after(machine, on.Saved(1, "000001"))
-    assert effects == [do.GoLive(light=False, lasers=False)]
+    assert effects == [do.GoLive(light=False, lasers=False, exposure=NOMINAL)]
 
 
 def test_heat_warns_then_blocks_with_hysteresis_and_a_missing_sensor_changes_nothing() -> None:
     machine = run(aim(), heartbeat(temperature_case_c=51.0))
     assert shown(machine) == [("WARM 51 °C", "LET IT COOL SOON")]
     machine, effects = after(machine, heartbeat(temperature_case_c=60.0))
-    assert effects == [do.LightsOff(), do.GoLive(light=False, lasers=False)]
+    assert effects == [do.LightsOff(), do.GoLive(light=False, lasers=False, exposure=NOMINAL)]
     assert shown(machine)[0][0] == "HOT 60 °C"
     machine = run(machine, heartbeat(temperature_case_c=None), heartbeat(temperature_case_c=58.0))
     assert shown(machine)[0][0] == "HOT 58 °C"
     machine, effects = after(machine, heartbeat(temperature_case_c=56.5))
-    assert effects == [do.GoLive(light=True, lasers=True)]
+    assert effects == [do.GoLive(light=True, lasers=True, exposure=NOMINAL)]
     assert run(aim(), heartbeat(temperature_case_c=None)) == aim()
 
 
@@ -260,10 +261,10 @@ def test_what_the_judges_said_last_counts() -> None:
 
 def test_a_board_reset_sets_the_live_views_up_again() -> None:
     machine, effects = after(aim(), on.BoardReset("BROWNOUT"))
-    assert effects == [do.GoLive(light=True, lasers=True)]
+    assert effects == [do.GoLive(light=True, lasers=True, exposure=NOMINAL)]
     assert shown(machine)[0][0] == "BOARD RESET"
     machine, effects = after(capturing(), on.BoardReset("BROWNOUT"))
-    assert effects == [do.AbortCapture(1), do.GoLive(light=True, lasers=True)]
+    assert effects == [do.AbortCapture(1), do.GoLive(light=True, lasers=True, exposure=NOMINAL)]
 
 
 @pytest.mark.parametrize(("jammed", "stand_in"), [(Key.SCAN, Key.UP), (Key.BACK, Key.DOWN)])
@@ -322,3 +323,54 @@ def test_a_late_tick_does_not_push_a_deadline_away() -> None:
     late = run(aim(), on.Tick(100 * SECOND_NS), on.Tick(SECOND_NS), on.KeyPressed(Key.SCAN))
     assert run(late, on.Tick(104 * SECOND_NS)).state is State.CAPTURE
     assert run(late, on.Tick(105 * SECOND_NS)).state is State.AIM
+
+
+# ---------------------------------------------------------------------------------------- exposure
+
+SHORTER = Exposure(8_000)
+
+
+def proposed(*events: on.Event) -> Machine:
+    return run(reviewing(), on.Judged(1, (Fault(FaultCode.TOO_BRIGHT),), SHORTER), *events)
+
+
+def test_one_key_takes_the_proposed_exposure_and_the_next_scan_has_it() -> None:
+    machine = proposed()
+    assert labels(machine)[Key.DOWN] == "EXPOSE 8 ms"
+    machine, effects = after(machine, on.KeyPressed(Key.DOWN), on.KeyPressed(Key.BACK))
+    assert do.GoLive(light=True, lasers=True, exposure=SHORTER) in effects, "the live views show it before the scan"
+    _, effects = after(machine, on.KeyPressed(Key.SCAN))
+    assert do.Capture(2, 16, SHORTER) in effects
+
+
+def test_the_same_key_takes_it_back_and_the_scan_is_kept_either_way() -> None:
+    machine = proposed(on.KeyPressed(Key.DOWN))
+    assert labels(machine)[Key.DOWN] == "EXPOSE 12 ms"
+    machine = run(machine, on.KeyPressed(Key.DOWN))
+    assert machine.exposure == NOMINAL
+    assert labels(machine)[Key.DOWN] == "EXPOSE 8 ms"
+    for decided in (machine, run(machine, on.KeyPressed(Key.DOWN))):
+        assert run(decided, on.KeyPressed(Key.SCAN)).state is State.SAVING
+
+
+def test_an_exposure_stays_until_the_diver_changes_it() -> None:
+    machine = proposed(on.KeyPressed(Key.DOWN), on.KeyPressed(Key.BACK), on.KeyPressed(Key.SCAN))
+    machine = run(machine, on.CaptureFinished(2), on.FullReady(2, SUMMARY), on.Judged(2))
+    assert labels(machine)[Key.DOWN] == "TURN", "nothing is proposed for a scan whose light was right"
+    machine = run(machine, on.KeyPressed(Key.DOWN), on.KeyPressed(Key.BACK))
+    assert machine.exposure == SHORTER
+    calibrate = run(machine, on.KeyPressed(Key.UP), on.KeyHeld(Key.UP))
+    assert do.Capture(3, 16, SHORTER) in after(calibrate, on.KeyPressed(Key.SCAN))[1]
+
+
+def test_without_a_proposal_and_while_back_is_stuck_no_key_changes_the_exposure() -> None:
+    for machine in (
+        run(reviewing(), on.KeyPressed(Key.DOWN)),
+        proposed(on.KeyJammed(Key.BACK), on.KeyPressed(Key.DOWN)),
+    ):
+        assert machine.exposure == NOMINAL
+
+
+def test_more_gain_is_named_as_such() -> None:
+    machine = run(proposed(), on.Judged(1, (), Exposure(12_000, 4.0)))
+    assert labels(machine)[Key.DOWN] == "GAIN 4 dB"

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 
 from appliance.calibration.guide import HELD
+from appliance.capture.exposure import Exposure
 from appliance.capture.fault import Fault, FaultCode
 from appliance.machine import effects as do
 from appliance.machine import events as on
@@ -55,6 +56,7 @@ EVERY_EVENT: list[on.Event] = [
     on.CoarseReady(1, SUMMARY),
     on.FullReady(1, SUMMARY),
     on.Judged(1, (MISSING,)),
+    on.Judged(1, (), Exposure(8_000)),
     *(on.ReconstructionFailed(1, Fault(code)) for code in FaultCode),
     on.Saved(1, "000001"),
     on.SaveFailed(1, Fault(FaultCode.NOT_SAVED, "EIO")),
@@ -243,3 +245,16 @@ def test_what_stops_a_capture_also_refuses_one() -> None:
             assert refusal(machine) is not None
     for device in NEEDED_FOR_A_SCAN:
         assert refusal(run(aim, on.DeviceDown(device, "gone"))) is not None
+
+
+@given(START, WALKS, EVENTS)
+@settings(max_examples=150)
+def test_only_the_key_that_says_so_changes_the_exposure(
+    start: Machine, events: list[on.Event], event: on.Event
+) -> None:
+    before = walk(start, events)
+    machine, _ = step(before, event)
+    if machine.exposure != before.exposure:
+        assert before.state is State.REVIEW
+        assert event == on.KeyPressed(Key.DOWN)
+        assert labels(before)[Key.DOWN].startswith(("EXPOSE ", "GAIN "))

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from hypothesis import strategies as st
 
 from appliance.calibration.guide import USED, Refusal, Session, Solved, Step, Trial, Verified
+from appliance.capture.exposure import Exposure
 from appliance.capture.fault import Fault, FaultCode
 from appliance.machine import effects as do
 from appliance.machine import events as on
@@ -140,7 +141,7 @@ EVENTS: st.SearchStrategy[on.Event] = st.one_of(
     st.builds(on.RawStored, _numbers),
     st.builds(on.CoarseReady, _numbers, _summaries),
     st.builds(on.FullReady, _numbers, _summaries),
-    st.builds(on.Judged, _numbers, _warnings),
+    st.builds(on.Judged, _numbers, _warnings, st.sampled_from([None, Exposure(8_000), Exposure(16_000, 4.0)])),
     st.builds(on.ReconstructionFailed, _numbers, _faults),
     st.builds(on.Saved, _numbers, st.just("000007")),
     st.builds(on.SaveFailed, _numbers, _faults),

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from appliance.capture.exposure import Exposure
 from appliance.capture.fault import FaultCode
 from appliance.capture.ledger import Ledger
 from appliance.capture.scan import CaptureReport
@@ -33,6 +34,7 @@ NORMAL = np.array([0.0, 0.1, 1.0]) / np.hypot(0.1, 1.0)
 PERIOD_NS = 16_666_667
 SEQUENCE = build_sequence(16)
 CLOCK = MonotonicClock()
+EXPOSURE = Exposure(12_000)
 
 
 @pytest.fixture
@@ -95,7 +97,7 @@ def report_of(sequence: PatternSequence, first_ns: int) -> CaptureReport:
 
 def record(desk: ScanDesk, number: int, halfway: Callable[[], None]) -> None:
     """A sequence whose frames are in the store already."""
-    assert desk.begin(number) is None
+    assert desk.begin(number, EXPOSURE) is None
     first_ns = CLOCK.now_ns() + PERIOD_NS
     for k in range(len(SEQUENCE)):
         CLOCK.sleep_s(PERIOD_NS / 1e9)

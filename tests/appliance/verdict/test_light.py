@@ -8,13 +8,14 @@ import math
 import numpy as np
 import pytest
 
-from appliance.capture.exposure import Exposure, ladder
+from appliance.capture.exposure import Exposure, Span, ladder
 from appliance.capture.fault import FaultCode
+from appliance.capture.verdict import Judgement
 from appliance.machine.alerts import alert_of
 from appliance.patterns.sequence import Direction, build_sequence
 from appliance.reconstruct.decode import CameraDecoder, Mask
 from appliance.reconstruct.noise import TYPICAL
-from appliance.verdict.light import LightJudgement, judge_light
+from appliance.verdict.light import judge_light
 from tests.support.photographed import (
     HEIGHT_PX,
     WHITE_DN_PER_US,
@@ -26,11 +27,11 @@ from tests.support.photographed import (
     wall,
 )
 
-STEPS = ladder(60.0, 500)
+STEPS = ladder(60.0, 500, 0.0, Span())
 NOMINAL = Exposure(12_000)
 
 
-def judge(scene: Wall, exposure: Exposure = NOMINAL, seed: int = 1) -> LightJudgement:
+def judge(scene: Wall, exposure: Exposure = NOMINAL, seed: int = 1) -> Judgement:
     return judge_light(photograph(scene, exposure, seed), exposure, STEPS)
 
 
@@ -69,26 +70,26 @@ def test_what_is_right_is_left_alone() -> None:
     good = judge(Wall(wall(4, 0.1, 0.55), ambient=0.05))
     assert good.proposal is None
     assert good.fault is None
-    assert good.judgement.verdict.passed
-    assert good.judgement.verdict.numbers["left_saturated_percent"] == 0.0
-    assert good.judgement.verdict.numbers["left_ambient_percent"] == pytest.approx(5.0, abs=0.5)
+    assert good.verdict.passed
+    assert good.verdict.numbers["left_saturated_percent"] == 0.0
+    assert good.verdict.numbers["left_ambient_percent"] == pytest.approx(5.0, abs=0.5)
 
 
 def test_without_any_light_of_the_projector_nothing_is_judged() -> None:
     dark = judge(Wall(np.zeros((HEIGHT_PX, WIDTH_PX)), ambient=0.1))
-    assert dark.judgement.verdict.passed is None
+    assert dark.verdict.passed is None
     assert dark.proposal is None
     assert dark.fault is None
 
 
 def test_steps_end_before_the_next_blank_and_each_is_brighter_than_the_one_before() -> None:
     for refresh_hz, delay_us in ((60.0, 500), (60.0, 4000), (50.0, 0), (120.0, 500)):
-        steps = ladder(refresh_hz, delay_us, 3.0)
+        steps = ladder(refresh_hz, delay_us, 3.0, Span())
         assert all(step.time_us + delay_us < 1e6 / refresh_hz for step in steps)
         assert all(1.0 < b.light / a.light < 1.3 for a, b in itertools.pairwise(steps))
         assert steps[0].gain_db == 3.0
     with pytest.raises(ValueError, match="shorten the delay"):
-        ladder(60.0, 15_000)
+        ladder(60.0, 15_000, 0.0, Span())
 
 
 # ------------------------------------------------------------------------------------ changing light
@@ -101,7 +102,7 @@ def test_flicker_is_a_fault_exactly_where_it_does_harm(ambient: float, depth: fl
     scene = Wall(wall(5, 0.15, 0.5), ambient=ambient, flicker=mains(depth))
     over_noise = true_ripple_over_noise(scene)
     verdict = judge(scene)
-    numbers = verdict.judgement.verdict.numbers
+    numbers = verdict.verdict.numbers
     assert numbers["left_flicker_over_noise"] == pytest.approx(over_noise, rel=0.15, abs=0.06)
     if over_noise > 0.65:
         assert verdict.fault is not None
@@ -129,7 +130,7 @@ def true_ripple_over_noise(scene: Wall) -> float:
 
 def test_the_amplitude_of_a_flicker_is_told_in_percent() -> None:
     flicker = tuple(1.0 + 0.2 * math.cos(2.0 * math.pi * k / 3.0) for k in range(24))
-    numbers = judge(Wall(wall(6, 0.15, 0.5), 0.2, flicker)).judgement.verdict.numbers
+    numbers = judge(Wall(wall(6, 0.15, 0.5), 0.2, flicker)).verdict.numbers
     assert numbers["left_ambient_flicker_percent"] == pytest.approx(20.0, rel=0.15)
     assert numbers["left_flicker_percent"] == pytest.approx(4.0, rel=0.15)
 
@@ -168,7 +169,7 @@ def test_a_torch_that_sweeps_over_a_part_is_a_change_of_light_and_one_that_rests
     assert fault.code is FaultCode.LIGHT_FLICKERS
     resting = judge(Wall(albedo, 0.02, patches=dict.fromkeys(range(24), sweeping[12])))
     assert resting.fault is None
-    numbers = resting.judgement.verdict.numbers
+    numbers = resting.verdict.numbers
     assert numbers["left_torch_percent"] == pytest.approx(100.0 * np.quantile(0.02 + sweeping[12], 0.9), rel=0.1)
     assert numbers["left_ambient_percent"] == pytest.approx(100.0 * np.median(0.02 + sweeping[12]), rel=0.1)
 
