@@ -50,6 +50,11 @@ class Veil:
         self._unit = float(clear[0, 0, self._depths_mm < MIDDLE_MM, 2].sum())
         """What comes back of white light from perfectly clear water before the middle: the unit of the option."""
 
+    @property
+    def lit_water_mm(self) -> float:
+        """Length of clear lit water before the middle on the middle ray, weighted with how much brighter it is lit."""
+        return self._unit * float(self._depths_mm[1] - self._depths_mm[0])
+
     def seen(self, light: NDArray[np.float32], distance_mm: Array) -> NDArray[np.float32]:
         """The veil (h, w) float32 of the projected ``light`` (768, 1024), in units of the middle's veil of white light."""
         size = (light.shape[1] // SHRINK, light.shape[0] // SHRINK)

@@ -6,8 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hw_sim.scattering import WAY_MM, seen_in_fringes, veil
+
 GREEN_NM = 530.0
 """The projector's light: the middle of its band-pass."""
+PX_MM = 0.160
+"""A px of 1600 in the middle of the volume."""
 LIMITS = {
     "temperature_c": (-2.0, 40.0),
     "salinity_psu": (0.0, 45.0),
@@ -59,3 +63,28 @@ class Water:
 
 AIR = Water(attenuation_per_m=0.0, backscatter=0.0, blur_px_per_m=0.0)
 """What air does to light on its way. That it does not refract is the matter of ``truth.in_air``."""
+
+
+def turbid(
+    attenuation_per_m: float, scattering_share: float = 0.8, temperature_c: float = 20.0, salinity_psu: float = 0.0
+) -> Water:
+    """Natural water of a beam attenuation c (1/m, what a transmissometer says) of which the share b/c is scattering.
+
+    Attenuation, veil and blur then belong together (``scattering``): some of the scattered light is turned so little that
+    it still carries the fringes, a little softer; what is turned further is gone, and some comes straight back. Clear
+    ocean has c = 0.1, coast 0.4 (share 0.55), a harbour 2 (share 0.8). Raises ValueError.
+    """
+    if not 0.0 <= scattering_share <= 1.0:
+        raise ValueError(f"water: scattering_share = {scattering_share}; allowed are 0..1 (single-scattering albedo)")
+    if not 0.0 <= attenuation_per_m <= LIMITS["attenuation_per_m"][1]:
+        least, most = LIMITS["attenuation_per_m"]
+        raise ValueError(f"water: attenuation_per_m = {attenuation_per_m}; allowed are {least:g}..{most:g}")
+    scattering_per_m = attenuation_per_m * scattering_share
+    given_back_per_m, sigma_mm = seen_in_fringes(scattering_per_m)
+    return Water(
+        temperature_c,
+        salinity_psu,
+        attenuation_per_m - given_back_per_m,
+        veil(scattering_per_m),
+        sigma_mm / PX_MM / (WAY_MM / 1000.0),
+    )

@@ -1,0 +1,75 @@
+"""Owns how particles of natural water scatter, and what that does to fringes, to the picture's sharpness, and as veil.
+
+The phase function is the mean of T. J. Petzold's measurements in San Diego harbour (Volume Scattering Functions for
+Selected Ocean Waters, SIO Ref. 72-78, 1972) as tabulated by C. D. Mobley, Light and Water (1994), table 3.10; below 0.1°
+it goes on with its power there. What it does to a pattern of a given fineness is the small-angle theory of W. H. Wells
+(J. Opt. Soc. Am. 59 (1969) 686): light turned by θ somewhere on its way of length s arrives displaced by θ u s, u evenly
+in 0..1, so of a fringe with wave number κ the mean of J0(κ θ u s) survives.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import j0
+
+Array = NDArray[np.float64]
+
+WAY_MM = 487.5
+"""From a window to the middle of the volume."""
+FRINGE_MM = 4.08
+"""A fringe of 16 projector px there. What is fitted is true of it and of one half as long."""
+VEIL_MM, VEIL_DEG, VEIL_ALBEDO = 576.0, 159.4, 0.6
+"""Of the water before the middle that a camera sees inside the projector's beam: its length, weighted with how much
+brighter it is lit than the middle; the weighted angle by which its light is turned; and what the veil is compared to."""
+_POWER = -1.346
+_DEG = (*(0.1, 0.126, 0.158, 0.200, 0.251, 0.316, 0.398, 0.501, 0.631, 0.794, 1.000, 1.259, 1.585, 1.995, 2.512, 3.162,
+          3.981, 5.012, 6.310, 7.943), *range(10, 181, 5))  # fmt: skip
+_PER_SR = (
+    1.767e3, 1.296e3, 9.502e2, 6.991e2, 5.140e2, 3.764e2, 2.763e2, 2.012e2, 1.444e2, 1.022e2, 7.161e1, 4.958e1, 3.395e1,
+    2.281e1, 1.516e1, 1.002e1, 6.580, 4.295, 2.807, 1.819, 1.153, 4.893e-1, 2.444e-1, 1.472e-1, 8.609e-2, 5.931e-2,
+    4.210e-2, 3.067e-2, 2.275e-2, 1.699e-2, 1.313e-2, 1.046e-2, 8.488e-3, 6.976e-3, 5.842e-3, 4.953e-3, 4.292e-3,
+    3.782e-3, 3.404e-3, 3.116e-3, 2.912e-3, 2.797e-3, 2.686e-3, 2.571e-3, 2.476e-3, 2.377e-3, 2.329e-3, 2.313e-3,
+    2.365e-3, 2.506e-3, 2.662e-3, 2.835e-3, 3.031e-3, 3.092e-3, 3.154e-3,
+)  # fmt: skip
+
+
+def phase_function(angle_rad: Array) -> Array:
+    """Share of the scattered light per steradian at scattering angles 0..π (0 excluded)."""
+    known = np.log(np.radians(_DEG))
+    inside = np.exp(np.interp(np.log(angle_rad), known, np.log(_PER_SR)))
+    first = math.radians(_DEG[0])
+    return np.where(angle_rad < first, _PER_SR[0] * (angle_rad / first) ** _POWER, inside)
+
+
+def survival(period_mm: float, way_mm: float = WAY_MM) -> float:
+    """Share of once scattered light that still carries fringes of ``period_mm`` after a way of ``way_mm``."""
+    angles = np.geomspace(1e-7, math.pi, 4000)
+    weight = 2.0 * math.pi * phase_function(angles) * np.sin(angles)
+    places = (np.arange(64) + 0.5) / 64.0
+    carried = j0(2.0 * math.pi / period_mm * way_mm * angles[:, None] * places).mean(axis=1)
+    return float(np.trapezoid(weight * carried, angles) / np.trapezoid(weight, angles))
+
+
+def seen_in_fringes(scattering_per_m: float) -> tuple[float, float]:
+    """What scattering gives back of the light it takes, and how it blurs: the rate per metre by which fringes are dimmed
+    less than by beam attenuation, and the Gaussian sigma in mm after ``WAY_MM``.
+
+    Together they dim fringes of ``FRINGE_MM`` and of half of it as ``survival`` says.
+    """
+    coarse, fine = survival(FRINGE_MM), survival(0.5 * FRINGE_MM)
+    depth = scattering_per_m * WAY_MM / 1000.0
+    wave = 2.0 * math.pi / FRINGE_MM
+    variance_mm2 = 2.0 * depth * (coarse - fine) / (3.0 * wave**2)
+    given_back = depth * coarse + 0.5 * wave**2 * variance_mm2
+    return given_back / (WAY_MM / 1000.0), math.sqrt(variance_mm2)
+
+
+def veil(scattering_per_m: float) -> float:
+    """Veil of white light before the middle, single scattering, as a fraction of what ``VEIL_ALBEDO`` there sends back."""
+    angles = np.geomspace(1e-7, math.pi, 4000)
+    whole = float(np.trapezoid(2.0 * math.pi * phase_function(angles) * np.sin(angles), angles))
+    per_sr = float(phase_function(np.array([math.radians(VEIL_DEG)]))[0]) / whole
+    return scattering_per_m * VEIL_MM / 1000.0 * per_sr * math.pi / VEIL_ALBEDO
