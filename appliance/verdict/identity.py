@@ -1,0 +1,167 @@
+"""Owns the fifth witness of a sequence: is each recorded frame the pattern that it should be, from the image alone?"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.capture.fault import Fault, FaultCode
+from appliance.capture.verdict import Judgement, Verdict
+from appliance.patterns.sequence import Direction, PatternSequence
+from appliance.reconstruct.noise import TYPICAL_PAIR, CameraNoise, StereoNoise
+from appliance.verdict.identity_evidence import MIN_FRINGE, Evidence, Witness
+from appliance.verdict.identity_explain import Explanation, What, explain, still
+from appliance.verdict.identity_lines import can_follow, take_lines
+
+NAME = "identity"
+LEAST_LIGHT_DN = 0.05
+"""Mean of the bright frame above that of the dark one, where even the water's veil is gone."""
+LIGHT_SIGMA = 4.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Camera:
+    """What one camera's frames say by themselves."""
+
+    device: str
+    evidence: Evidence
+    explanation: Explanation | None
+    """``None``: nothing speaks against them."""
+    light_dn: float
+    """How much the projector's white adds to the mean of the image."""
+    sees_light: bool
+    ends_dark: bool
+    """The last frame is about as dark as the darkest."""
+    identical: bool
+    """All frames are one image to the last bit, and it is not black."""
+
+
+def judge_identity(
+    frames: Mapping[str, NDArray[np.uint8]], sequence: PatternSequence, noise: StereoNoise = TYPICAL_PAIR
+) -> Judgement:
+    """Verdict ``identity`` on the frames (n, h, w) uint8 of ``left`` and ``right``, in the order of ``sequence``.
+
+    Passed: every frame is its pattern. None: too little of the projector's light is seen to say so. Failed, with a fault:
+    ``CAMERA_STUCK`` (device), ``PROJECTOR_TIMING`` (shift_frames), ``PATTERN_WRONG`` (frame; device projector if both cameras
+    say it), ``PROJECTOR_DARK``. Numbers: ``doubt``, the largest of all doubts, which alarm from 1 on; of each camera the
+    same, the samples with fringes, and the projector's light. Raises ValueError for a number of frames that is not the
+    sequence's.
+    """
+    for side, mine in frames.items():
+        if len(mine) != len(sequence):
+            raise ValueError(
+                f"{len(mine)} frames of camera {side} for a sequence of {len(sequence)}; judge whole sequences"
+            )
+    of = {"left": noise.left, "right": noise.right}
+    cameras = [_look(side, mine, sequence, of[side]) for side, mine in frames.items()]
+    fault = _fault(cameras)
+    judged = [camera for camera in cameras if camera.evidence.judged]
+    numbers: dict[str, float | None] = {
+        "doubt": max((camera.evidence.worst for camera in judged), default=None),
+        "frame": None if fault is None else fault.numbers.get("frame"),
+    }
+    for camera in cameras:
+        side = camera.device.removeprefix("camera.")
+        numbers[f"{side}_doubt"] = camera.evidence.worst if camera.evidence.judged else None
+        numbers[f"{side}_samples"] = float(camera.evidence.fringe)
+        numbers[f"{side}_light_dn"] = camera.light_dn
+    if fault is not None:
+        text = f"{fault.code.value}: {fault.detail}"
+        return Judgement(Verdict(NAME, False, numbers, text), fault)
+    if not judged:
+        return Judgement(Verdict(NAME, None, numbers, "too little is seen of the patterns"))
+    seen = " and ".join(camera.device for camera in judged)
+    return Judgement(Verdict(NAME, True, numbers, f"each frame of {seen} is its pattern"))
+
+
+def _look(side: str, frames: NDArray[np.uint8], sequence: PatternSequence, noise: CameraNoise) -> _Camera:
+    witness = Witness(take_lines(frames, sequence, noise), sequence, noise)
+    evidence = witness.evidence(np.arange(len(sequence), dtype=np.int64))
+    if not can_follow(sequence, frames.shape[2]):
+        evidence = Evidence({}, {}, evidence.lit, 0, 0)
+    means = np.mean([mine.values.reshape(len(sequence), -1).mean(axis=1) for mine in witness.lines.values()], axis=0)
+    sines = [k for direction in Direction for k in sequence.axis(direction).sine]
+    light_dn = float(means[sequence.bright] - means[sequence.dark])
+    sees_light = abs(light_dn) > max(LEAST_LIGHT_DN, LIGHT_SIGMA * float(np.std(means[sines])))
+    explanation = None
+    if evidence.judged:
+        if evidence.contradicted:
+            explanation = explain(witness, sequence, noise, evidence)
+    elif evidence.lit >= MIN_FRINGE:
+        explanation = still(witness, sequence, noise)
+    ends_dark = bool(means[-1] - means.min() < 0.1 * (means.max() - means.min()))
+    identical = all(np.array_equal(mine.low, mine.high) and mine.high.any() for mine in witness.lines.values())
+    return _Camera(f"camera.{side}", evidence, explanation, light_dn, sees_light, ends_dark, identical)
+
+
+def _fault(cameras: list[_Camera]) -> Fault | None:
+    """One cause for what the cameras say: what both say alike is the projector's doing."""
+    wrong = [camera for camera in cameras if camera.explanation is not None]
+    if not wrong:
+        return _without_patterns(cameras)
+    for camera in wrong:
+        explanation = camera.explanation
+        if explanation is not None and explanation.what is What.STILL:
+            alone = len(wrong) < len(cameras) or not _alike(wrong)
+            if alone or explanation.identical:
+                return _stuck(camera, explanation.frame)
+    explained = [c for c in wrong if c.explanation is not None and c.explanation.what is not What.UNEXPLAINED]
+    told = (explained or wrong)[0]
+    explanation = told.explanation
+    assert explanation is not None
+    device = "projector" if len(wrong) == len(cameras) > 1 else told.device
+    return _named(explanation, told, device)
+
+
+def _alike(wrong: list[_Camera]) -> bool:
+    explanations = [(c.explanation.what, c.explanation.frame) for c in wrong if c.explanation is not None]
+    return len(set(explanations)) == 1
+
+
+def _stuck(camera: _Camera, frame: int) -> Fault:
+    detail = f"{camera.device} shows the same image from frame {frame} on"
+    return Fault(FaultCode.CAMERA_STUCK, detail, {"frame": frame}, camera.device)
+
+
+def _without_patterns(cameras: list[_Camera]) -> Fault | None:
+    """Nothing contradicts the patterns; but has anybody seen them?"""
+    for camera in cameras:
+        others = [c for c in cameras if c is not camera]
+        blind = camera.evidence.lit < MIN_FRINGE and not camera.sees_light
+        if camera.identical or (blind and any(c.evidence.judged for c in others)):
+            return _stuck(camera, 0)
+    if any(camera.sees_light or camera.evidence.judged for camera in cameras):
+        return None
+    light_dn = max(camera.light_dn for camera in cameras)
+    return Fault(
+        FaultCode.PROJECTOR_DARK,
+        f"the bright frame is {light_dn:.2f} DN brighter than the dark one: not even the water's veil is lit",
+        {"light_dn": light_dn},
+        "projector",
+    )
+
+
+def _named(explanation: Explanation, camera: _Camera, device: str) -> Fault:
+    frame, other = explanation.frame, explanation.other
+    numbers: dict[str, float] = {"frame": frame, "doubt": camera.evidence.worst}
+    match explanation.what:
+        case What.LATE | What.EARLY:
+            shift = 1 if explanation.what is What.LATE else -1
+            numbers["shift_frames"] = shift
+            detail = f"from frame {frame} on, {device} shows each pattern one frame {explanation.what.value}"
+            if frame == 0 and device == "projector":
+                return Fault(FaultCode.PROJECTOR_TIMING, detail, numbers, device)
+        case What.STILL:
+            if camera.ends_dark:
+                return Fault(FaultCode.PROJECTOR_DARK, f"from frame {frame} on, all is dark", numbers, device)
+            detail = f"from frame {frame} on, {device} shows one and the same pattern"
+        case What.SWAPPED:
+            detail = f"{device} shows the patterns of frames {frame} and {other} in each other's place"
+        case What.REPEATED:
+            detail = f"frame {frame} of {device} repeats frame {other}"
+        case What.UNEXPLAINED:
+            detail = f"{device} does not show the sequence; the first doubt is about frame {frame}"
+    return Fault(FaultCode.PATTERN_WRONG, detail, numbers, device)

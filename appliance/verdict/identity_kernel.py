@@ -1,0 +1,178 @@
+"""Owns what is counted along the lines of an image: whether fringes and stripes follow each other as they were drawn."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Count(IntEnum):
+    """Places in the table of sums."""
+
+    LIT = 0
+    """Samples that see the projector."""
+    FRINGE = 1
+    """… with enough modulation in both directions."""
+    NOT_BRIGHT = 2
+    """Lit samples that are not bright in the bright frame."""
+    NOT_DARK = 3
+    """Lit samples that are not dark in the dark frame."""
+    STEPS = 4
+    """From one sample to the next on the same surface."""
+    FORWARD = 5
+    """… with the phase growing, as it must wherever camera and projector are the same way up."""
+    EDGES = 6
+    """Steps in which one Gray image changes."""
+    IN_ORDER = 7
+    """… to the next half period."""
+    IN_PHASE = 8
+    """Sum of cosines: +1 for each edge at the phase where it must be, −1 half a period away."""
+    SINES = 9
+    """Samples with fringes and both references, of which the following are sums."""
+    SINE_0 = 10
+    """The first step's share of the swing; the following rows: the others'."""
+    SQUARE_0 = 14
+    """Their squares."""
+    PRODUCT_02 = 18
+    PRODUCT_13 = 19
+
+
+COUNTS = 20
+OFF_REFERENCE = np.float32(0.3)
+"""Bright and dark are the ends of each sample's swing, to this share of it."""
+_MIN_SWING_SHARE = np.float32(0.15)
+"""Of a fringe's difference against all frames': less is veil, in which only broad stripes are seen."""
+_MAX_STEP_COS = np.float32(-0.74)
+"""A phase that grows by more than 138° from sample to sample might as well have shrunk."""
+_MAX_OTHER_COS = np.float32(0.5)
+"""Along a row, the phase across it changes by less than 60° a sample, or the surface ends here."""
+_LEAST_RATIO, _MOST_RATIO = np.float32(0.6), np.float32(1.67)
+"""Of neighbours' swings, and of the modulations of the two directions."""
+_AT_AN_EDGE = np.float32(0.7)
+"""Outlines meet the fringes at any phase, a Gray image's edges within 45° of 0° or 180°, wrong place or not."""
+_BEND = np.float32(0.25)
+"""A step may differ from its neighbours by this much (rad), and by a third of itself."""
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def follow(
+    values: NDArray[np.uint8],
+    low: NDArray[np.uint8],
+    high: NDArray[np.uint8],
+    lit: NDArray[np.bool_],
+    least_dn: NDArray[np.float32],
+    order: NDArray[np.int64],
+    references: tuple[int, int],
+    gray: NDArray[np.int64],
+    sine: NDArray[np.int64],
+    other_sine: NDArray[np.int64],
+    sums: NDArray[np.float64],
+    edges: NDArray[np.float64],
+) -> None:
+    """Add what lines (n, lines, samples) show to ``sums`` (COUNTS,) and ``edges`` (len(gray), 2).
+
+    ``order[k]`` is the row of ``values`` that is taken for pattern k; ``references``: bright and dark; ``gray`` and
+    ``sine``: the patterns along the lines; ``least_dn`` (256,): a fringe's least difference at a grey value.
+    ``edges``: of each Gray image, its edges (where it changes, or another changes in its place), and how many of them are
+    out of order although an edge of some pattern is there.
+    """
+    samples = values.shape[2]
+    bits = gray.size
+    re, im = np.empty(samples, np.float32), np.empty(samples, np.float32)
+    other_re, other_im = np.empty(samples, np.float32), np.empty(samples, np.float32)
+    good = np.empty(samples, np.bool_)
+    code, number = np.empty(samples, np.int64), np.empty(samples, np.int64)
+    smooth, step = np.empty(samples, np.bool_), np.empty(samples, np.float32)
+    share = np.empty(4, np.float32)
+    a0, a1, a2, a3 = order[sine[0]], order[sine[1]], order[sine[2]], order[sine[3]]
+    b0, b1, b2, b3 = order[other_sine[0]], order[other_sine[1]], order[other_sine[2]], order[other_sine[3]]
+    bright, dark = order[references[0]], order[references[1]]
+    for line in range(values.shape[1]):
+        for x in range(samples):
+            good[x] = False
+            if not lit[line, x]:
+                continue
+            least, most = np.float32(low[line, x]), np.float32(high[line, x])
+            swing = most - least
+            sums[0] += 1.0
+            not_bright = np.float32(values[bright, line, x]) < most - OFF_REFERENCE * swing
+            not_dark = np.float32(values[dark, line, x]) > least + OFF_REFERENCE * swing
+            sums[2] += 1.0 if not_bright else 0.0
+            sums[3] += 1.0 if not_dark else 0.0
+            re[x] = np.float32(values[a0, line, x]) - np.float32(values[a2, line, x])
+            im[x] = np.float32(values[a3, line, x]) - np.float32(values[a1, line, x])
+            other_re[x] = np.float32(values[b0, line, x]) - np.float32(values[b2, line, x])
+            other_im[x] = np.float32(values[b3, line, x]) - np.float32(values[b1, line, x])
+            mine = np.sqrt(re[x] * re[x] + im[x] * im[x])
+            others = np.sqrt(other_re[x] * other_re[x] + other_im[x] * other_im[x])
+            needed = max(_MIN_SWING_SHARE * swing, least_dn[high[line, x]])
+            if mine < needed or others < needed:
+                continue
+            sums[1] += 1.0
+            if not_bright or not_dark:  # at the outline of what moves, another surface is seen before than after
+                continue
+            middle = np.float32(0.5) * (least + most)
+            g, h, bit = 0, 0, 0
+            for k in gray:
+                now = 1 if np.float32(values[order[k], line, x]) > middle else 0
+                g = 2 * g + now
+                bit ^= now
+                h = 2 * h + bit
+            code[x], number[x] = g, h
+            sums[9] += 1.0
+            share[0] = (np.float32(values[a0, line, x]) - middle) / swing
+            share[1] = (np.float32(values[a1, line, x]) - middle) / swing
+            share[2] = (np.float32(values[a2, line, x]) - middle) / swing
+            share[3] = (np.float32(values[a3, line, x]) - middle) / swing
+            for s in range(4):
+                sums[10 + s] += share[s]
+                sums[14 + s] += share[s] * share[s]
+            sums[18] += share[0] * share[2]
+            sums[19] += share[1] * share[3]
+            good[x] = _LEAST_RATIO * others < mine < _MOST_RATIO * others
+            re[x], im[x] = re[x] / mine, im[x] / mine
+            other_re[x], other_im[x] = other_re[x] / others, other_im[x] / others
+        for x in range(samples - 1):
+            smooth[x] = False
+            if not (good[x] and good[x + 1]):
+                continue
+            mine = np.float32(high[line, x]) - np.float32(low[line, x])
+            next_ = np.float32(high[line, x + 1]) - np.float32(low[line, x + 1])
+            if not _LEAST_RATIO * mine < next_ < _MOST_RATIO * mine:
+                continue
+            cosine = re[x] * re[x + 1] + im[x] * im[x + 1]
+            across = other_re[x] * other_re[x + 1] + other_im[x] * other_im[x + 1]
+            if cosine < _MAX_STEP_COS or across < _MAX_OTHER_COS:
+                continue
+            smooth[x] = True
+            step[x] = np.arctan2(re[x] * im[x + 1] - im[x] * re[x + 1], cosine)
+        for x in range(1, samples - 2):
+            if not (smooth[x - 1] and smooth[x] and smooth[x + 1]):
+                continue
+            before = abs(step[x] - step[x - 1]) - np.float32(0.35) * max(abs(step[x]), abs(step[x - 1]))
+            after = abs(step[x] - step[x + 1]) - np.float32(0.35) * max(abs(step[x]), abs(step[x + 1]))
+            if before > _BEND or after > _BEND:
+                continue
+            sums[4] += 1.0
+            sums[5] += 1.0 if step[x] > 0.0 else 0.0
+            changed = code[x] ^ code[x + 1]
+            if changed == 0 or changed & (changed - 1) != 0:
+                continue
+            in_order = number[x + 1] == number[x] + 1
+            # The phase in the middle of the step; odd half periods begin at 180°.
+            x_, y_ = re[x] + re[x + 1], im[x] + im[x + 1]
+            cosine = x_ / np.sqrt(x_ * x_ + y_ * y_)
+            if number[x + 1] & 1:
+                cosine = -cosine
+            sums[6] += 1.0
+            sums[7] += 1.0 if in_order else 0.0
+            sums[8] += cosine
+            expected = (number[x] ^ (number[x] >> 1)) ^ ((number[x] + 1) ^ ((number[x] + 1) >> 1))
+            for k in range(bits):
+                mask = 1 << (bits - 1 - k)
+                if changed == mask or expected == mask:
+                    edges[k, 0] += 1.0
+                    edges[k, 1] += 0.0 if in_order or abs(cosine) < _AT_AN_EDGE else 1.0
