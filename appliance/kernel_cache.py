@@ -116,7 +116,7 @@ def build(target: Path) -> Path:
     making = Path(tempfile.mkdtemp(prefix=".making-", dir=target))
     try:
         _point_at(making)
-        from appliance.reconstruct.warm import run_every_kernel
+        from appliance.worker.warm import run_every_kernel
 
         run_every_kernel()
         (making / COMPLETE).touch()

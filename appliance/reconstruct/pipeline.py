@@ -99,6 +99,11 @@ class Pipeline:
         if side == "left" and index == self._sequence.bright:
             self._bright = frames[index]
 
+    @property
+    def sequence(self) -> PatternSequence:
+        """The patterns of the scans it reconstructs."""
+        return self._sequence
+
     def reset(self) -> None:
         """Forget a scan that was begun; the next frame is frame 0."""
         for decoder in self._decoders.values():

@@ -22,6 +22,7 @@ from appliance.capture.verdict import Judgement
 from appliance.optics.water import Water
 from appliance.reconstruct.noise import TYPICAL_PAIR, StereoNoise
 from appliance.reconstruct.table import POINT_BYTES, Cloud, Found, PointTable
+from appliance.worker.scan_work import Taking
 from appliance.worker.serve import work
 from drivers.api import Clock
 
@@ -134,6 +135,7 @@ class ReconstructionWorker:
         self._asked = False
         self._memory_check_ns = 0
         self._scan: int | None = None
+        self._taking = Taking(noise=order.noise)
         self._ticket = 0
         """Counts the scans begun; what the worker says of an earlier one is of no interest."""
         self._finishing = False
@@ -178,14 +180,15 @@ class ReconstructionWorker:
         self._stop(0.0)
         self._start_again()
 
-    def begin(self, scan: int) -> None:
-        """A new scan's frames will follow."""
+    def begin(self, scan: int, taking: Taking | None = None) -> None:
+        """A new scan's frames will follow, taken so (``None``: as always)."""
+        self._taking = taking or Taking(noise=self.order.noise)
         self._scan, self._finishing, self._missed, self._attempts = scan, False, False, 1
         self._ticket += 1
         if self._process is None:
             self._fruitless = 0
             self._start_again()
-        self._send(("begin", self._ticket))
+        self._send(("begin", self._ticket, self._taking))
 
     def frame(self, side: str, index: int) -> None:
         """Frame ``index`` of ``side`` is in the store."""
@@ -213,9 +216,9 @@ class ReconstructionWorker:
             self._deadline_ns = None
         self._send(("drop",))
 
-    def reprocess(self, scan: int) -> None:
+    def reprocess(self, scan: int, taking: Taking | None = None) -> None:
         """Reconstruct the frames in the store from the first on."""
-        self.begin(scan)
+        self.begin(scan, taking)
         self._tell_again()
         self.finish()
 
@@ -277,7 +280,7 @@ class ReconstructionWorker:
     def _tell_again(self) -> None:
         """Of all frames of the scan, from the first on."""
         self._missed = False
-        self._send(("begin", self._ticket))
+        self._send(("begin", self._ticket, self._taking))
         for index in range(self._store.shape[0]):
             for side in SIDES:
                 self.frame(side, index)

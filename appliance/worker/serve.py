@@ -27,7 +27,8 @@ from appliance.patterns.sequence import PatternSequence, build_sequence
 from appliance.reconstruct.noise import StereoNoise
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.table import Found, PointTable
-from appliance.reconstruct.warm import run_empty_scan
+from appliance.worker.scan_work import ScanWork, Taking
+from appliance.worker.warm import run_empty_scan
 
 NICENESS = 5
 """Behind the heartbeat and the cameras."""
@@ -73,13 +74,14 @@ def _work(
     with Pipeline(
         calibration, water, sequence, table=PointTable(left.width_px * left.height_px, memory.buf), noise=noise
     ) as pipeline:
+        scan_work = ScanWork(pipeline, calibration, water)
         # So that the first real scan is as fast as the others.
         with _missing("scipy.linalg"):
-            run_empty_scan(pipeline, np.zeros(store.shape, np.uint8))
+            run_empty_scan(scan_work, np.zeros(store.shape, np.uint8))
         limit_memory(headroom_mb)
         pipe.send(("ready",))
         try:
-            Server(pipe, pipeline, store).serve()
+            Server(pipe, scan_work, store).serve()
         except (EOFError, OSError):
             raise
         except Exception as error:  # the one place where it can still be named
@@ -121,8 +123,8 @@ def limit_memory(headroom_mb: float) -> None:
 class Server:
     """Does what the messages say, in order. A scan that is dropped, or followed by another, is not finished."""
 
-    def __init__(self, pipe: Connection, pipeline: Pipeline, store: FrameStore) -> None:
-        self._pipe, self._pipeline, self._store = pipe, pipeline, store
+    def __init__(self, pipe: Connection, scan_work: ScanWork, store: FrameStore) -> None:
+        self._pipe, self._work, self._store = pipe, scan_work, store
         self._ticket = 0
         """Of the scan in work, as the parent numbers them."""
         self._failed = False
@@ -140,20 +142,27 @@ class Server:
 
     def _do(self, message: Any) -> None:
         match message:
-            case ("begin", int(ticket)):
+            case ("begin", int(ticket), Taking() as taking):
                 self._ticket, self._failed = ticket, False
-                self._pipeline.reset()
+                self._work.begin(taking)
             case ("frame", str(side), int(index)) if not self._failed:
-                self._pipeline.push(side, self._store.frames(side), index)
+                self._work.push(side, self._store.frames(side), index)
             case ("finish",) if not self._failed:
-                if self._answer(False, self._pipeline.find_coarse):
-                    self._answer(True, self._pipeline.find_full)
+                self._finish()
             case ("drop",):
                 self._failed = True
             case ("ping",):
                 self._pipe.send(("pong",))
             case _:
                 pass
+
+    def _finish(self) -> None:
+        """Everything that is to be said of the scan, as soon as it is known, until nobody wants to hear it any more."""
+        if self._answer(False, self._work.find_coarse):
+            begun_s = time.process_time()
+            judgements = self._work.judge()
+            self._pipe.send(("judged", self._ticket, judgements, time.process_time() - begun_s))
+            self._answer(True, self._work.find_full)
 
     def _answer(self, full: bool, find: Callable[[], Found]) -> bool:
         """Say where the points are, and wait until they were copied; False when nobody wants them any more."""

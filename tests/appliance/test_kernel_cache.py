@@ -20,7 +20,7 @@ import json, sys
 from pathlib import Path
 from appliance import kernel_cache
 cache = kernel_cache.use(Path(sys.argv[1]), Path(sys.argv[2]))
-from appliance.reconstruct.warm import run_every_kernel
+from appliance.worker.warm import run_every_kernel
 run_every_kernel()
 from appliance.reconstruct.rows import reconstruct_rows
 from appliance.reconstruct.edges import close_axis

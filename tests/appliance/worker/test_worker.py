@@ -22,6 +22,7 @@ from appliance.reconstruct.pipeline import Pipeline
 from appliance.worker.process import (
     CloudReady,
     ReconstructionWorker,
+    ScanJudged,
     WorkerFailed,
     WorkerReady,
     WorkLimits,
@@ -69,7 +70,8 @@ def test_same_points_in_the_worker(store: FrameStore) -> None:
     with ReconstructionWorker(order, store, RealClock()) as worker:
         assert worker.wait(60) == WorkerReady()
         worker.reprocess(1)
-        coarse, full = worker.wait(20), worker.wait(20)
+        coarse, judged, full = worker.wait(20), worker.wait(20), worker.wait(20)
+        assert isinstance(judged, ScanJudged)
         assert isinstance(coarse, CloudReady)
         assert not coarse.full
         assert isinstance(full, CloudReady)
@@ -99,7 +101,8 @@ def test_after_a_change_points_are_those_of_the_new_calibration(store: FrameStor
         assert worker.wait(60) == WorkerReady()
         assert worker.poll() is None
         worker.reprocess(2)
-        coarse, full = worker.wait(20), worker.wait(20)
+        coarse, judged, full = worker.wait(20), worker.wait(20), worker.wait(20)
+        assert isinstance(judged, ScanJudged)
         assert isinstance(coarse, CloudReady)
         assert isinstance(full, CloudReady)
         assert (coarse.scan, full.scan) == (2, 2)

@@ -9,18 +9,21 @@ from appliance.calibration.design import Design, design_calibration
 from appliance.optics.water import Water
 from appliance.patterns.sequence import build_sequence
 from appliance.reconstruct.pipeline import SIDES, Pipeline
+from appliance.worker.scan_work import ScanWork, Taking
 
 _DESIGN = Design(11.5, 112.5, 230.0, 12.41, 30.0, 5.0, 1.77)
 _SIZE_PX = (64, 48)
 
 
-def run_empty_scan(pipeline: Pipeline, frames: NDArray[np.uint8]) -> None:
-    """Push the same dark ``frames`` (n, h, w) for both sides, and ask for both clouds."""
+def run_empty_scan(work: ScanWork, frames: NDArray[np.uint8]) -> None:
+    """Push the same dark ``frames`` (n, h, w) for both sides, and ask for everything."""
+    work.begin(Taking())
     for side in SIDES:
         for index in range(len(frames)):
-            pipeline.push(side, frames, index)
-    pipeline.find_coarse()
-    pipeline.find_full()
+            work.push(side, frames, index)
+    work.find_coarse()
+    work.judge()
+    work.find_full()
 
 
 def run_every_kernel() -> None:
@@ -33,4 +36,4 @@ def run_every_kernel() -> None:
         for writable in (True, False):
             frames = np.zeros((len(sequence), height_px, width_px), np.uint8)
             frames.flags.writeable = writable
-            run_empty_scan(pipeline, frames)
+            run_empty_scan(ScanWork(pipeline, calibration, water), frames)

@@ -1,0 +1,79 @@
+"""Owns the order of work on a scan: the right patterns? the coarse cloud; what the judges say; the full cloud.
+
+The instrument's worker and the desk go through it alike, so that the same frames get the same points and verdicts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.calibration.file import Calibration
+from appliance.capture.verdict import Judgement
+from appliance.optics.water import Water
+from appliance.reconstruct.noise import TYPICAL_PAIR, StereoNoise
+from appliance.reconstruct.pipeline import SIDES, Pipeline
+from appliance.reconstruct.table import Found
+from appliance.verdict.recorded import Recorded
+from appliance.verdict.turbidity import judge_water
+
+
+@dataclass(frozen=True, slots=True)
+class Taking:
+    """How a sequence is taken."""
+
+    frame_s: float = 1.0 / 60.0
+    """From one frame to the next."""
+    exposure_s: float = 0.012
+    noise: StereoNoise = TYPICAL_PAIR
+    """Of the cameras as they are set."""
+
+
+class ScanWork:
+    """One scan after the other through ``pipeline`` and past the judges: ``begin``, ``push`` … ``push``,
+    ``find_coarse``, ``judge``, ``find_full``."""
+
+    def __init__(self, pipeline: Pipeline, calibration: Calibration, water: Water) -> None:
+        self._pipeline = pipeline
+        self._calibration, self._water = calibration, water
+        self._taking = Taking()
+        self._frames: dict[str, NDArray[np.uint8]] = {}
+        self._coarse: Found | None = None
+
+    def begin(self, taking: Taking) -> None:
+        """The next frame is frame 0 of a scan that was taken so."""
+        self._taking, self._coarse = taking, None
+        self._frames.clear()
+        self._pipeline.reset()
+
+    def push(self, side: str, frames: NDArray[np.uint8], index: int) -> None:
+        """Frame ``index`` of one side's ``frames`` (n, h, w) uint8, which must not change until the full cloud is found.
+
+        Raises ValueError unless frames come as 0, 1, …
+        """
+        self._frames[side] = frames
+        self._pipeline.push(side, frames, index)
+
+    def find_coarse(self) -> Found:
+        """The coarse cloud; after the last frame."""
+        self._coarse = self._pipeline.find_coarse()
+        return self._coarse
+
+    def judge(self) -> tuple[Judgement, ...]:
+        """What is to be said of the scan. Raises ValueError unless called after ``find_coarse``."""
+        if self._coarse is None:
+            raise ValueError("nothing was found to be judged; ask for the coarse cloud first")
+        recorded, rig, index = self._recorded(), self._calibration.rig, self._water.index
+        cloud = self._pipeline.table.cloud(self._coarse)
+        return (judge_water(recorded, cloud, rig, index).judgement,)
+
+    def find_full(self) -> Found:
+        """The full cloud; after ``judge``."""
+        return self._pipeline.find_full()
+
+    def _recorded(self) -> Recorded:
+        decoded = {side: self._pipeline.decoded(side) for side in SIDES}
+        taking = self._taking
+        return Recorded(self._pipeline.sequence, self._frames, decoded, taking.noise, taking.frame_s, taking.exposure_s)
