@@ -214,6 +214,7 @@ def _depths(
 def _only(cells: Cells, chosen: NDArray[np.bool_]) -> Cells:
     return Cells(
         cells.number[chosen],
+        cells.pixels[chosen],
         cells.uv_px[chosen],
         cells.veil_dn[chosen],
         cells.sigma_dn[chosen],

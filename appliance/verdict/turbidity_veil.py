@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,7 @@ Floats = NDArray[np.float32]
 
 CELLS = (16, 12)
 """Columns and rows of cells over the image: within one, veil and distance hardly change."""
-SAMPLES = 80_000
+SAMPLES = 60_000
 """Pixels asked, at most; on an even grid."""
 STRIPES_PX = (32.0, 64.0)
 """Widths of the stripes that are asked, pattern px: fine for the water, wide for what blurs their borders."""
@@ -44,6 +45,8 @@ class Cells:
 
     number: NDArray[np.intp]
     """(n,): row · CELLS[0] + column."""
+    pixels: Array
+    """(n,): how many."""
     uv_px: Array
     """(n, 2): mean image point of the pixels asked."""
     veil_dn: Array
@@ -85,42 +88,45 @@ def look_at_veil(sequence: PatternSequence, frames: NDArray[np.uint8], decoded: 
     def seen(frame: int) -> Floats:
         return np.asarray(frames[frame][at], np.float32)
 
-    bright, dark = seen(sequence.bright), seen(sequence.dark)
-    mask, p_px = decoded.mask[at], decoded.p_px[at]
-    lit_dn = bright - dark
-    unsaturated = bright < SATURATED_DN
+    bright, dark, mask = seen(sequence.bright), seen(sequence.dark), decoded.mask[at]
+    shape = bright.shape
     across = sequence.axis(Direction.X)
-    total, count = np.zeros(p_px.shape, np.float32), np.zeros(p_px.shape, np.uint8)
-    swing = np.zeros(p_px.shape, np.float32)
     asked = _asked(sequence.period_px, len(across.gray))
-    known = np.nan_to_num(p_px, nan=-1e6) + np.float32(0.5)
-    for bit, width_px in asked:
-        gray = seen(across.gray[bit])
-        place = np.mod(known - np.float32(0.5 * width_px), np.float32(2.0 * width_px))
-        lit = place < width_px
-        inside = np.mod(place, np.float32(width_px)) / np.float32(width_px)
-        good = (np.abs(inside - np.float32(0.5)) < 0.5 - FROM_EDGE) & (known > 0.0) & unsaturated
-        half = np.where(lit, bright - gray, gray - dark)
-        total += np.where(good, half, np.float32(0.0))
-        count += good
-        swing += np.abs(2.0 * gray - bright - dark)
-    seen_object = (swing > MIN_OBJECT_DN * len(asked)) & unsaturated & (mask != Mask.SATURATED)
+    gray = [seen(across.gray[bit]) for bit, _ in asked]
+    sums = bright + dark
+    swing = sum((np.abs(2.0 * one - sums) for one in gray), np.zeros(shape, np.float32))
+    seen_object = (swing > MIN_OBJECT_DN * len(asked)) & (bright < SATURATED_DN) & (mask != Mask.SATURATED)
     objects = int(np.count_nonzero(seen_object))
     valid = mask == Mask.VALID
-    chosen = np.flatnonzero((count > 0) & valid)
-    veil_dn: Floats = np.divide(total.ravel()[chosen], 0.5 * count.ravel()[chosen], dtype=np.float32)
-    j, i = np.divmod(chosen, p_px.shape[1])
+    pixels = np.flatnonzero(valid & seen_object)
+    j, i = np.divmod(pixels, shape[1])
+    cell = cell_of(i, j, shape)
+    p_px = decoded.p_px[at].ravel()[pixels]
+    light, black = bright.ravel()[pixels], dark.ravel()[pixels]
+    total, count = np.zeros(len(pixels), np.float32), np.zeros(len(pixels), np.float32)
+    for (_, width_px), image in zip(asked, gray, strict=True):
+        place = (p_px + np.float32(0.5)) / np.float32(width_px) - np.float32(0.5)
+        stripe = np.floor(place)
+        here = image.ravel()[pixels]
+        half = np.where(stripe % 2.0 == 0.0, light - here, here - black)
+        good = np.abs(place - stripe - np.float32(0.5)) < np.float32(0.5 - FROM_EDGE)
+        total += good * half
+        count += good
+    judged = np.flatnonzero(count)
     u, v = i * across_px + across_px // 2, j * down_px + down_px // 2
-    cells = _by_cell(u, v, (rows, columns), veil_dn, lit_dn.ravel()[chosen], dark.ravel()[chosen])
-    of_light = float(np.sum(cells.signal_dn + cells.veil_dn))
-    sines = [seen(frame) for frame in across.sine]
-    flicker_dn, speck_share = _passing(valid, [sines, [seen(frame) for frame in sequence.axis(Direction.Y).sine]])
+    cells = _by_cell(
+        cell[judged], np.stack([u, v], -1)[judged], 2.0 * total[judged] / count[judged],
+        (light - black)[judged], black[judged],
+    )  # fmt: skip
+    of_light = float(cells.pixels @ (cells.signal_dn + cells.veil_dn))
+    steps = [[seen(k).ravel()[pixels] for k in sequence.axis(direction).sine] for direction in Direction]
+    flicker_dn, speck_share = _passing(cell, steps)
     return Looked(
         cells,
-        float(np.clip(np.sum(cells.veil_dn) / of_light, 0.0, 1.0)) if of_light > 0.0 else None,
+        float(np.clip(cells.pixels @ cells.veil_dn / of_light, 0.0, 1.0)) if of_light > 0.0 else None,
         objects,
-        1.0 - float(np.count_nonzero(seen_object & valid)) / objects if objects else None,
-        _contrast(sines, cells, chosen),
+        1.0 - len(pixels) / objects if objects else None,
+        _contrast(steps[0], cells),
         flicker_dn,
         speck_share,
     )
@@ -138,30 +144,25 @@ def cell_of(u: NDArray[np.intp], v: NDArray[np.intp], shape: tuple[int, int]) ->
     return v * CELLS[1] // shape[0] * CELLS[0] + u * CELLS[0] // shape[1]
 
 
-def _by_cell(
-    u: NDArray[np.intp], v: NDArray[np.intp], shape: tuple[int, int], veil: Floats, lit: Floats, dark: Floats
-) -> Cells:
-    cell = cell_of(u, v, shape)
+def _by_cell(cell: NDArray[np.intp], uv: NDArray[np.intp], veil: Floats, lit: Floats, dark: Floats) -> Cells:
     size = CELLS[0] * CELLS[1]
 
-    def mean(values: NDArray[np.floating] | NDArray[np.intp], among: NDArray[np.intp], count: Array) -> Array:
+    def mean(values: NDArray[Any], among: NDArray[np.intp], count: Array) -> Array:
         return np.asarray(np.bincount(among, values, size) / np.maximum(count, 1.0))
 
     count = np.bincount(cell, minlength=size).astype(np.float64)
-    centre = mean(veil, cell, count)
-    off = veil - centre[cell]
+    off = veil - mean(veil, cell, count).astype(np.float32)[cell]
     spread = np.sqrt(mean(off * off, cell, count))
-    keep = np.abs(off) <= OUTLIER_SIGMAS * spread[cell]
-    among = cell[keep]
+    keep = np.abs(off) <= (OUTLIER_SIGMAS * spread).astype(np.float32)[cell]
+    among, veil = cell[keep], veil[keep]
     count = np.bincount(among, minlength=size).astype(np.float64)
-    centre = mean(veil[keep], among, count)
-    off = veil[keep] - centre[among]
-    spread = np.sqrt(mean(off * off, among, count))
+    centre = mean(veil, among, count)
+    spread = np.sqrt(np.maximum(mean(veil * veil, among, count) - centre**2, 0.0))
     enough = np.flatnonzero(count >= MIN_PER_CELL)
-    uv = np.stack([mean(u[keep], among, count), mean(v[keep], among, count)], -1)
     return Cells(
         enough,
-        uv[enough],
+        count[enough],
+        np.stack([mean(uv[keep, k], among, count)[enough] for k in (0, 1)], -1),
         centre[enough],
         spread[enough] / np.sqrt(count[enough]),
         (mean(lit[keep], among, count) - centre)[enough],
@@ -169,34 +170,32 @@ def _by_cell(
     )
 
 
-def _contrast(sines: list[Floats], cells: Cells, chosen: NDArray[np.intp]) -> float | None:
-    if not len(cells.number) or not len(chosen):
+def _contrast(steps: list[Floats], cells: Cells) -> float | None:
+    if not len(cells.number):
         return None
-    i0, i1, i2, i3 = (sine.ravel()[chosen] for sine in sines)
+    i0, i1, i2, i3 = steps
     modulation = 0.5 * float(np.mean(np.hypot(i0 - i2, i3 - i1)))
-    signal = float(np.mean(cells.signal_dn))
+    signal = float(cells.pixels @ cells.signal_dn / cells.pixels.sum())
     return 2.0 * modulation / signal if signal > 0.0 else None
 
 
-def _passing(valid: NDArray[np.bool_], directions: list[list[Floats]]) -> tuple[float, float | None]:
+def _passing(cell: NDArray[np.intp], directions: list[list[Floats]]) -> tuple[float, float | None]:
     """Flicker and share of specks, by how far opposite steps have different sums: a pure fringe has none.
 
     What all pixels share is flicker. The second harmonic of the projector's response, softer here and there, is fitted cell
     by cell. The scale of what remains is its own, so that what is alike everywhere (motion) is no speck.
     """
-    if not valid.any():
+    if not len(cell):
         return 0.0, None
-    v, u = np.nonzero(valid)
-    cell = cell_of(u, v, valid.shape)
     size = CELLS[0] * CELLS[1]
     struck = np.zeros(len(cell), np.bool_)
     common = []
     for i0, i1, i2, i3 in directions:
-        even, odd = (i0 + i2)[valid], (i1 + i3)[valid]
+        even, odd = i0 + i2, i1 + i3
         off = even - odd
         common.append(float(np.median(off)))
         off -= np.float32(common[-1])
-        cosine, sine = (i0 - i2)[valid], (i3 - i1)[valid]
+        cosine, sine = i0 - i2, i3 - i1
         second = (cosine - sine) * (cosine + sine) / np.hypot(cosine, sine)
         of_cell = np.bincount(cell, off * second, size) / np.maximum(np.bincount(cell, second * second, size), 1.0)
         off -= of_cell.astype(np.float32)[cell] * second

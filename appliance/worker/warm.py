@@ -8,7 +8,9 @@ from numpy.typing import NDArray
 from appliance.calibration.design import Design, design_calibration
 from appliance.optics.water import Water
 from appliance.patterns.sequence import build_sequence
+from appliance.reconstruct.noise import TYPICAL
 from appliance.reconstruct.pipeline import SIDES, Pipeline
+from appliance.reconstruct.specks import mask_specks
 from appliance.worker.scan_work import ScanWork, Taking
 
 _DESIGN = Design(11.5, 112.5, 230.0, 12.41, 30.0, 5.0, 1.77)
@@ -37,3 +39,6 @@ def run_every_kernel() -> None:
             frames = np.zeros((len(sequence), height_px, width_px), np.uint8)
             frames.flags.writeable = writable
             run_empty_scan(ScanWork(pipeline, calibration, water), frames)
+            decoded = pipeline.decoded("left")
+            decoded.mask.fill(0)
+            mask_specks(sequence, frames, decoded, TYPICAL)

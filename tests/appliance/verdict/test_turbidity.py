@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from appliance.capture.fault import FaultCode
 from appliance.machine.alerts import headline_of
@@ -19,6 +18,7 @@ from hw_sim.imaging import Imaging
 from hw_sim.scene import Scene
 from hw_sim.water import Water
 from tests.support.rendered import RenderedScan, render_scan
+from tests.support.specks import add_specks
 from tests.support.truth import WATER, true_calibration
 
 WIDTH_PX = 400
@@ -127,25 +127,16 @@ def test_water_that_hides_the_object_is_called_dirty_with_what_is_left() -> None
     assert not said.judgement.verdict.passed
 
 
-def with_specks(frames: NDArray[np.uint8], count: int) -> NDArray[np.uint8]:
-    """Out-of-focus bright specks that drift a pixel per frame."""
-    rng = np.random.default_rng(9)
-    out = frames.astype(np.float32)
-    v, u = np.mgrid[0 : frames.shape[1], 0 : frames.shape[2]]
-    for x, y in rng.uniform((60, 40), (340, 260), (count, 2)):
-        for k in range(len(frames)):
-            out[k] += 60.0 * np.exp(-((u - x - k) ** 2 + (v - y) ** 2) / (2.0 * 2.5**2))
-    return np.clip(out, 0, 255).astype(np.uint8)
-
-
 def test_specks_that_pass_are_noticed_and_counted(without_scattering: RenderedScan) -> None:
+    sequence, rng = without_scattering.sequence, np.random.default_rng(9)
     few, many = (
         judged(
             replace(
-                without_scattering, frames={side: with_specks(f, n) for side, f in without_scattering.frames.items()}
+                without_scattering,
+                frames={side: add_specks(f, sequence, n, rng) for side, f in without_scattering.frames.items()},
             )
         ).said
-        for n in (5, 80)
+        for n in (20, 300)
     )
     assert found(few.speck_percent) > 0.05
     assert few.judgement.fault is None

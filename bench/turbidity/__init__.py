@@ -1,0 +1,1 @@
+"""How accuracy, noise and completeness depend on the water, in simulation."""
