@@ -104,6 +104,10 @@ class Pipeline:
         """The patterns of the scans it reconstructs."""
         return self._sequence
 
+    def expect(self, noise: StereoNoise) -> None:
+        """From now on, points' expected errors are those of cameras with this noise."""
+        self._factors = sigma_factors(self._sequence.period_px, noise)
+
     def reset(self) -> None:
         """Forget a scan that was begun; the next frame is frame 0."""
         for decoder in self._decoders.values():

@@ -11,12 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibration.file import Calibration
+from appliance.capture.exposure import NOMINAL, Exposure
 from appliance.capture.verdict import Judgement
 from appliance.optics.water import Water
 from appliance.reconstruct.noise import TYPICAL_PAIR, StereoNoise
 from appliance.reconstruct.pipeline import SIDES, Pipeline
 from appliance.reconstruct.specks import mask_specks
 from appliance.reconstruct.table import Found
+from appliance.verdict.identity import judge_identity
+from appliance.verdict.light import judge_light
 from appliance.verdict.recorded import Recorded
 from appliance.verdict.turbidity import judge_water
 
@@ -28,16 +31,20 @@ WORTH_MASKING_PERCENT = 0.02
 class Taking:
     """How a sequence is taken."""
 
+    exposure: Exposure = NOMINAL
     frame_s: float = 1.0 / 60.0
     """From one frame to the next."""
-    exposure_s: float = 0.012
     noise: StereoNoise = TYPICAL_PAIR
     """Of the cameras as they are set."""
+    steps: tuple[Exposure, ...] = (NOMINAL,)
+    """What may be proposed for the next scan, from dark to bright."""
 
 
 class ScanWork:
-    """One scan after the other through ``pipeline`` and past the judges: ``begin``, ``push`` … ``push``,
-    ``find_coarse``, ``judge``, ``find_full``."""
+    """One scan after the other through ``pipeline`` and past the judges.
+
+    The order is ``begin``, ``push`` for every frame, ``identify``, ``find_coarse``, ``judge``, ``find_full``.
+    """
 
     def __init__(self, pipeline: Pipeline, calibration: Calibration, water: Water) -> None:
         self._pipeline = pipeline
@@ -51,6 +58,7 @@ class ScanWork:
         """The next frame is frame 0 of a scan that was taken so."""
         self._taking, self._coarse, self._specks = taking, None, False
         self._frames.clear()
+        self._pipeline.expect(taking.noise)
         self._pipeline.reset()
 
     def push(self, side: str, frames: NDArray[np.uint8], index: int) -> None:
@@ -60,6 +68,10 @@ class ScanWork:
         """
         self._frames[side] = frames
         self._pipeline.push(side, frames, index)
+
+    def identify(self) -> Judgement:
+        """Whether each frame shows the pattern it should; after the last one. With a fault, points would mean nothing."""
+        return judge_identity(self._frames, self._pipeline.sequence, self._taking.noise)
 
     def find_coarse(self) -> Found:
         """The coarse cloud; after the last frame."""
@@ -74,7 +86,7 @@ class ScanWork:
         cloud = self._pipeline.table.cloud(self._coarse)
         water = judge_water(recorded, cloud, rig, index)
         self._specks = (water.speck_percent or 0.0) > WORTH_MASKING_PERCENT
-        return (water.judgement,)
+        return (judge_light(recorded, self._taking.exposure, self._taking.steps), water.judgement)
 
     def find_full(self) -> Found:
         """The full cloud; after ``judge``. What passed by makes no points."""
@@ -86,4 +98,5 @@ class ScanWork:
     def _recorded(self) -> Recorded:
         decoded = {side: self._pipeline.decoded(side) for side in SIDES}
         taking = self._taking
-        return Recorded(self._pipeline.sequence, self._frames, decoded, taking.noise, taking.frame_s, taking.exposure_s)
+        exposure_s = 1e-6 * taking.exposure.time_us
+        return Recorded(self._pipeline.sequence, self._frames, decoded, taking.noise, taking.frame_s, exposure_s)

@@ -158,9 +158,12 @@ class Server:
 
     def _finish(self) -> None:
         """Everything that is to be said of the scan, as soon as it is known, until nobody wants to hear it any more."""
-        if self._answer(False, self._work.find_coarse):
+        identity = self._work.identify()
+        if identity.fault is not None:
+            self._pipe.send(("spoiled", self._ticket, identity))
+        elif self._answer(False, self._work.find_coarse):
             begun_s = time.process_time()
-            judgements = self._work.judge()
+            judgements = (identity, *self._work.judge())
             self._pipe.send(("judged", self._ticket, judgements, time.process_time() - begun_s))
             self._answer(True, self._work.find_full)
 

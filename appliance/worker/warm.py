@@ -23,6 +23,7 @@ def run_empty_scan(work: ScanWork, frames: NDArray[np.uint8]) -> None:
     for side in SIDES:
         for index in range(len(frames)):
             work.push(side, frames, index)
+    work.identify()
     work.find_coarse()
     work.judge()
     work.find_full()

@@ -1,0 +1,72 @@
+"""A dive on which images lie although every device says that all is well: what is wrong is named, and the next scan works."""
+
+from __future__ import annotations
+
+import pytest
+
+from appliance.capture.verdict import Verdict
+from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
+from appliance.config import load_rig
+from appliance.service.app import run
+from appliance.storage.library import Library, Shelf
+
+DIVE = """
+wait state AIM 90
+fault camera.right stuck frame=7
+press scan
+wait alert CAMERA_STUCK 90
+wait state AIM 30
+clear
+pause 2
+fault projector wrong
+press scan
+wait alert PROJECTOR_TIMING 90
+wait state AIM 30
+clear
+pause 1
+press scan
+wait state REVIEW 90
+pause 2
+press scan
+wait state AIM 60
+end
+"""
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Library:
+    """After the dive."""
+    folder = tmp_path_factory.mktemp("dive")
+    script = folder / "dive.script"
+    script.write_text(DIVE)
+    options = SimOptions(
+        root=folder / "root", object_name="pipe", truth="nominal", seed=4, size="400x300", script=script
+    )
+    rig = simulated(load_rig(default_sim_rig()), options)
+    assert run(rig) == 0
+    return Library(rig.storage.root)
+
+
+def verdicts(library: Library, shelf: Shelf) -> list[dict[str, Verdict]]:
+    manifests = [entry.manifest for entry in library.entries(shelf)]
+    return [{one.name: one for one in manifest.record.verdicts} for manifest in manifests if manifest is not None]
+
+
+def test_images_that_lie_become_no_cloud_and_say_why(library: Library) -> None:
+    stuck, late = verdicts(library, Shelf.REJECTED)
+    assert (stuck["ledger"].passed, stuck["identity"].passed) == (True, False), "only the images can tell"
+    assert stuck["identity"].text.startswith("CAMERA_STUCK")
+    assert "camera.right" in stuck["identity"].text or stuck["identity"].numbers["right_doubt"] is not None
+    assert (late["ledger"].passed, late["identity"].passed) == (True, False)
+    assert late["identity"].text.startswith("PROJECTOR_TIMING")
+
+
+def test_a_good_scan_carries_every_judgement_with_its_numbers(library: Library) -> None:
+    (kept,) = verdicts(library, Shelf.SCANS)
+    assert {"ledger", "identity", "light", "water"} <= set(kept)
+    assert all(verdict.passed is not False for verdict in kept.values()), kept
+    assert kept["identity"].numbers["doubt"] is not None
+    assert kept["identity"].numbers["doubt"] < 1.0
+    veil = kept["water"].numbers["veil_percent"]
+    assert veil is not None
+    assert 0.0 <= veil < 10.0
