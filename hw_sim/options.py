@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from hw_sim.daylight import Daylight
+from hw_sim.drift import Drift
 from hw_sim.imaging import Imaging
 from hw_sim.motion import Motion
 from hw_sim.scene import Scene
@@ -43,6 +44,7 @@ class WorldOptions:
     motion: Mapping[str, Any] = field(default_factory=dict)
     imaging: Mapping[str, Any] = field(default_factory=dict)
     daylight: Mapping[str, Any] = field(default_factory=dict)
+    drift: Mapping[str, Any] = field(default_factory=dict)
     pace: str = "lockstep"
     idle_speed: float = 1.0
     faults: tuple[str, ...] = ()
@@ -76,6 +78,7 @@ class WorldOptions:
                 Motion(**_with_vectors(self.motion)),
                 Imaging(**self.imaging),
                 Daylight(**_with_vectors(self.daylight)),
+                Drift(**_with_vectors(self.drift)),
             )
         except (TypeError, ValueError) as error:
             raise OptionError(f"scene: {error}") from error

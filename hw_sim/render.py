@@ -14,15 +14,18 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from hw_sim.drift import Drift, Swarm
+from hw_sim.fish import before
 from hw_sim.foreign import Foreign
-from hw_sim.geometry import GREY, MIDDLE_MM
+from hw_sim.geometry import GREY, LIT, MIDDLE_MM, Geometry, Pose
 from hw_sim.imaging import RESPONSES
 from hw_sim.lasers import add_laser
 from hw_sim.latest import Latest
 from hw_sim.projector import FAR_MM, SPREAD_FAR_PX, LightSlice, collect, light_between, response, soften
 from hw_sim.scene import Scene
 from hw_sim.sensor import FULL_WELL_E, Sensor
-from hw_sim.smear import instants
+from hw_sim.smear import MOST_INSTANTS, instants
+from hw_sim.specks import scatter
 from hw_sim.stage import CAMERAS, Stage
 from hw_sim.surface import Surface
 from hw_sim.truth import TrueRig
@@ -47,6 +50,8 @@ LENS_BLUR_PX, LEAST_BLUR_PX = 0.55, 0.4
 DEFOCUS_FAR_PX = 0.46
 """What a lens of 11.5 mm at f/8, focused on the middle of the volume, adds ``FAR_MM`` of water away from it: a disc of
 1.44 mm · 11.5 mm · 90 mm / (405 mm · 495 mm) = 7.4 µm (lengths in water divided by its index), a quarter of it as sigma."""
+HIDDEN = 0.25
+"""Share of a pixel that must be covered for it to count as hidden."""
 CAMERA_PX_MM, PROJECTOR_PX_MM = 0.160, 0.255
 """Sizes of a camera px (of 1600) and of a projector px in the middle of the volume."""
 
@@ -64,6 +69,7 @@ class Renderer:
         self._responses = {kind: response(kind) for kind in RESPONSES}
         self._veils: dict[str, Latest[float, Veil]] = {camera: Latest() for camera in CAMERAS}
         self._foreign = Foreign()
+        self._swarms: Latest[Drift, Swarm] = Latest()
         self._sensors: dict[str, Latest[bool, Sensor]] = {camera: Latest() for camera in CAMERAS}
 
     @property
@@ -97,10 +103,11 @@ class Renderer:
         scene = self._scene
         eye = self.truth.eye(camera)
         count = self._instants(camera, scene, time_s, exposure_s)
+        at_rest = scene.motion.still or time_s <= 0.0
         electrons = np.zeros((eye.height_px, eye.width_px), np.float32)
         for k in range(count):
             begin_s, end_s = exposure_s * k / count, exposure_s * (k + 1) / count
-            at_s = time_s if count == 1 else time_s + 0.5 * (begin_s + end_s - exposure_s)
+            at_s = time_s if at_rest or count == 1 else time_s + 0.5 * (begin_s + end_s - exposure_s)
             light = light_between(tuple(slices), begin_s, end_s, self._responses[scene.imaging.response])
             by_clock_s = clock_s + 0.5 * (begin_s + end_s - exposure_s)
             self._add_instant(camera, scene, at_s, by_clock_s, light, end_s - begin_s, lasers, electrons)
@@ -118,7 +125,29 @@ class Renderer:
         scene = self._scene
         return self._stage.view(camera, scene, self._stage.pose(scene, time_s))
 
+    def hidden_by_drift(
+        self, camera: str, time_s: float, clock_s: float | None = None, exposure_s: float = 0.0
+    ) -> NDArray[np.bool_]:
+        """(h, w): where something in the water hides the object from ``camera``, or a fish its light, in an exposure whose
+        middle is ``time_s`` of the hands and ``clock_s`` of the water (``None``: the same)."""
+        scene, clock_s = self._scene, time_s if clock_s is None else clock_s
+        pose = self._stage.pose(scene, time_s)
+        free, met = (
+            self._stage.geometry(camera, scene, pose),
+            self._geometry(camera, scene, pose, clock_s, lit=True),
+        )
+        nearer = np.nan_to_num(met.distance_mm, nan=np.inf) < np.nan_to_num(free.distance_mm, nan=np.inf)
+        hidden = nearer | ((free.pixels[..., LIT] > 0.0) & (met.pixels[..., LIT] <= 0.0))
+        if scene.drift.specks:
+            covered = np.zeros(hidden.shape, np.float32)
+            nothing = np.zeros_like(covered)
+            self._scatter(camera, scene, pose, clock_s, exposure_s, met, None, 0.0, nothing, covered)
+            hidden |= covered > HIDDEN
+        return np.asarray(hidden)
+
     def _instants(self, camera: str, scene: Scene, time_s: float, exposure_s: float) -> int:
+        if scene.drift.fish:
+            return MOST_INSTANTS
         if scene.motion.still or time_s <= 0.0:
             return 1
         begin, end = (self._stage.pose(scene, time_s + part * exposure_s) for part in (-0.5, 0.5))
@@ -138,9 +167,11 @@ class Renderer:
         """Add what arrives in ``duration_s`` with everything as it stands at ``time_s`` of the hands. ``light`` is
         what the projector emits meanwhile, in seconds of white; ``None``: it is off."""
         pose = self._stage.pose(scene, time_s)
-        geometry = self._stage.geometry(camera, scene, pose, lit=light is not None)
+        geometry = self._geometry(camera, scene, pose, clock_s, lit=light is not None)
+        whole, electrons = electrons, np.zeros_like(electrons) if scene.drift.specks else electrons
         daylight, white_e = scene.daylight, WHITE_E_PER_S * duration_s
         ambient = np.float32(white_e * scene.ambient * daylight.flicker(clock_s, duration_s))
+        softened = None
         if light is None:
             electrons += ambient * geometry.pixels[..., GREY]
         else:
@@ -160,6 +191,44 @@ class Renderer:
                     electrons, LASER_E_PER_S * duration_s, laser, self._stage.eyes[camera], self._stage.rays(camera),
                     pose, geometry, scene.water.attenuation_per_m,
                 )  # fmt: skip
+        if scene.drift.specks:
+            self._scatter(camera, scene, pose, clock_s, duration_s, geometry, softened, float(ambient), electrons, None)
+            whole += electrons
+
+    def _geometry(self, camera: str, scene: Scene, pose: Pose, clock_s: float, lit: bool) -> Geometry:
+        """What the camera meets, fish included."""
+        geometry = self._stage.geometry(camera, scene, pose, lit)
+        if not scene.drift.fish:
+            return geometry
+        school = self._swarm(scene).school(clock_s, pose, self._stage.pose(scene, 0.0))
+        return before(
+            self._stage.rays(camera), geometry, school, self._stage.lamp, scene.water.attenuation_per_m, lit
+        )  # fmt: skip
+
+    def _scatter(
+        self,
+        camera: str,
+        scene: Scene,
+        pose: Pose,
+        clock_s: float,
+        duration_s: float,
+        geometry: Geometry,
+        softened: Picture | None,
+        ambient_e: float,
+        electrons: Picture,
+        covered: Picture | None,
+    ) -> None:
+        """Put snow and bubbles before ``electrons``."""
+        stage = self._stage
+        specks = self._swarm(scene).specks(clock_s, pose, stage.pose(scene, 0.0))
+        scatter(
+            electrons, covered, specks, duration_s, stage.eyes[camera], stage.table(camera), stage.rays(camera),
+            geometry, stage.lamp, None if softened is None else stage.shadows(pose), softened,
+            WHITE_E_PER_S, ambient_e, scene.water.attenuation_per_m,
+        )  # fmt: skip
+
+    def _swarm(self, scene: Scene) -> Swarm:
+        return self._swarms.get(scene.drift, lambda: Swarm(scene.drift))
 
     def _blurred(self, camera: str, scene: Scene, electrons: Picture) -> Picture:
         """By the lens, and by the water on the way to it."""

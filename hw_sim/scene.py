@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from hw_sim.daylight import Daylight
+from hw_sim.drift import Drift
 from hw_sim.imaging import Imaging
 from hw_sim.motion import Motion
 from hw_sim.objects.shapes import DEFAULT_POSE, NAMES
@@ -28,6 +29,8 @@ class Scene:
     imaging: Imaging = field(default_factory=Imaging)
     daylight: Daylight = field(default_factory=Daylight)
     """What is special about the ambient light, and other lamps."""
+    drift: Drift = field(default_factory=Drift)
+    """What is in the water between."""
 
     def __post_init__(self) -> None:
         for value, allowed, what in ((self.object, NAMES, "object"), (self.texture, TEXTURES, "texture")):
@@ -47,4 +50,4 @@ class Scene:
     @property
     def still(self) -> bool:
         """The same light makes the same picture at any time."""
-        return self.motion.still and self.daylight.steady
+        return self.motion.still and self.daylight.steady and self.drift.nothing

@@ -13,6 +13,7 @@ import cv2
 
 from hw_sim.amounts import changed
 from hw_sim.daylight import Daylight
+from hw_sim.drift import Drift
 from hw_sim.faults import parse
 from hw_sim.knock import parse as parse_knock
 from hw_sim.motion import Motion
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from hw_sim.world import World
 
 POLL_S = 0.05
-SURROUNDINGS = {"motion": Motion(), "water": Water(), "daylight": Daylight()}
+SURROUNDINGS = {"motion": Motion(), "water": Water(), "daylight": Daylight(), "drift": Drift()}
 """What a step changes by its field of the scene."""
 KEYS = ("scan", "back", "up", "down")
 PRESS_S = 0.15
@@ -32,7 +33,7 @@ POWER_OFF_TRIES = 15
 POWER_OFF_TRY_S = 2.0
 GRAMMAR = (
     "allowed are: wait state NAME S, wait alert CODE S, wait step NAME S, wait result NAME S, pause S, press KEY [S], "
-    "fault SENTENCE, clear, object NAME [X Y Z RX RY RZ], knock CAMERA AMOUNTS, motion|water|daylight AMOUNTS, "
+    "fault SENTENCE, clear, object NAME [X Y Z RX RY RZ], knock CAMERA AMOUNTS, motion|water|daylight|drift AMOUNTS, "
     "screenshot PATH, end"
 )
 

@@ -66,7 +66,7 @@ class Stage:
         texture, per_m = TEXTURES[scene.texture], scene.water.attenuation_per_m
 
         def compute() -> Geometry:
-            first = self._shadows.get(pose.key, lambda: shadows(pose, self.lamp)) if lit else None
+            first = self.shadows(pose) if lit else None
             return trace(self.rays(camera), pose, first, self.lamp, texture, self._lattice, self._ink, per_m)
 
         kept = self._geometries if lit else self._unlit
@@ -75,7 +75,14 @@ class Stage:
     def view(self, camera: str, scene: Scene, pose: Pose) -> TrueView:
         """What ``camera`` truly sees."""
         other = "right" if camera == "left" else "left"
-        table = self._tables.get(other, lambda: fit_table(self.eyes[other]))
         return true_view(
-            self.rays(camera), self.geometry(camera, scene, pose), pose, self.lamp, self.eyes[other], table
+            self.rays(camera), self.geometry(camera, scene, pose), pose, self.lamp, self.eyes[other], self.table(other)
         )  # fmt: skip
+
+    def table(self, camera: str) -> Array:
+        """Fast projection into a camera: see ``optics.table``."""
+        return self._tables.get(camera, lambda: fit_table(self.eyes[camera]))
+
+    def shadows(self, pose: Pose) -> NDArray[np.float32]:
+        """What the projector's light meets first at ``pose``: see ``geometry.shadows``."""
+        return self._shadows.get(pose.key, lambda: shadows(pose, self.lamp))

@@ -27,6 +27,7 @@ from hw_sim.devices.keypad import Keypad
 from hw_sim.devices.shot import Shot
 from hw_sim.devices.shutter import Exposure, Latent
 from hw_sim.devices.u3v_camera import U3vCamera
+from hw_sim.drift import Drift
 from hw_sim.drive import Drive
 from hw_sim.faults import Fault, FaultBook
 from hw_sim.heat import temperature_c
@@ -180,6 +181,10 @@ class World:
     def set_daylight(self, daylight: Daylight) -> None:
         """Other light than the projector's, from the next image on."""
         self.set_scene(replace(self.scene, daylight=daylight))
+
+    def set_drift(self, drift: Drift) -> None:
+        """What floats and swims in the water, from the next image on."""
+        self.set_scene(replace(self.scene, drift=drift))
 
     def set_water(self, water: Water) -> None:
         """How the water dims, veils and blurs, from the next image on. Its index stays that of the start."""

@@ -20,7 +20,7 @@ from tests.support.truth import WATER, left_to_rig, true_calibration
 
 EXPOSURE_S = 0.012
 FRAME_S = 1.0 / 60.0
-"""Between frames by the clock of daylight, where the hands are at rest."""
+"""Between frames by the clock of daylight and drift, where the hands are at rest."""
 
 
 @dataclass(frozen=True)
@@ -28,6 +28,17 @@ class RenderedScan:
     renderer: Renderer
     sequence: PatternSequence
     frames: Mapping[str, NDArray[np.uint8]]
+    exposure_s: float = EXPOSURE_S
+    frame_s: float = 0.0
+
+    def hidden(self, camera: str) -> NDArray[np.bool_]:
+        """(frames, h, w): where drift hides the object from ``camera``."""
+        return np.stack(
+            [
+                self.renderer.hidden_by_drift(camera, k * self.frame_s, k * (self.frame_s or FRAME_S), self.exposure_s)
+                for k in range(len(self.sequence))
+            ]
+        )
 
 
 def pictures(sequence: PatternSequence, response: Response | None = None) -> list[NDArray[np.uint8]]:
@@ -52,7 +63,7 @@ def render_scan(
     frame_s: float = 0.0,
 ) -> RenderedScan:
     """Both cameras' frames of a scene, ``frame_s`` after one another (0: the hands are at rest, and the frames
-    ``FRAME_S`` apart by the clock of daylight).
+    ``FRAME_S`` apart by the clock of daylight and drift).
 
     A smaller ``height_px`` is a strip out of the middle; ``response``: the projector's, that the patterns are drawn for.
     """
@@ -78,7 +89,7 @@ def render_scan(
 
     with ThreadPoolExecutor(2) as pool:
         left, right = pool.map(camera, ("left", "right"))
-    return RenderedScan(renderer, sequence, {"left": left, "right": right})
+    return RenderedScan(renderer, sequence, {"left": left, "right": right}, exposure_s, frame_s)
 
 
 def reconstruct(scan: RenderedScan, calibration: Calibration | None = None) -> tuple[Pipeline, Cloud]:

@@ -164,6 +164,7 @@ def test_a_screenshot_that_cannot_be_written_fails_the_script(tmp_path: Path) ->
         ("daylight flicker=1", "'flicker=1' is not understood; allowed are off, or any of flicker_depth"),
         ("daylight torch=bright", "daylight torch = 'bright'; give a number"),
         ("daylight", "what of it?"),
+        ("drift bubbles=1.5", "drift bubbles = '1.5'; give a whole number"),
     ],
 )
 def test_a_script_is_checked_before_it_is_played(line: str, said: str) -> None:
