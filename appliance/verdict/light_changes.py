@@ -23,6 +23,9 @@ from appliance.verdict.light_levels import Sample
 BLOCK_ROWS, BLOCK_COLUMNS = 6, 8
 MIN_PIXELS = 100
 """Of a block, for its light to be judged."""
+FINE_FACTOR = 1.5
+"""Squares of both differences that bias phases, over that of the third: 1 for light that changes at random from image to
+image, 2 for light that drifts."""
 CLEAR_DN = 248.0
 """No image of the pixel may be brighter."""
 SURE = 0.5
@@ -68,6 +71,9 @@ class Changes:
     """``common`` over ambient light; unknown where there is next to none."""
 
 
+UNKNOWN = Changes(None, None, None, None, None, (), None)
+
+
 @dataclass(frozen=True, slots=True)
 class _Fit:
     """One direction: differences of the four levels in each block, over the projector's light, and their sigma."""
@@ -76,6 +82,10 @@ class _Fit:
     sine: Floats
     third: Floats
     sigma: Floats
+    expected: Floats
+    """What the sigma would be with a noise of one grey value in each difference: how well the phases are spread."""
+    fine: Floats
+    """Mean square of the third difference within the block, less its mean: light of finer grain than a block."""
 
 
 def measure_changes(s: Sample, sequence: PatternSequence, noise: CameraNoise) -> Changes:
@@ -84,20 +94,25 @@ def measure_changes(s: Sample, sequence: PatternSequence, noise: CameraNoise) ->
     good = s.lit & (s.top_dn <= CLEAR_DN) & (s.modulation_dn >= MIN_MODULATION_DN)
     rows, columns = np.nonzero(good)
     members = _blocks(rows, columns, good.shape)
+    if not members:
+        return UNKNOWN
     contrast = s.contrast_dn[good].astype(np.float64)
     places = (rows.astype(np.float64), columns.astype(np.float64))
-    fits = {d: _fit(s.grey_dn[list(sequence.axis(d).sine)][:, good], contrast, members, places) for d in Direction}
+    fits = {d: _fit(s.grey_dn[list(sequence.axis(d).sine)], good, contrast, members, places) for d in Direction}
     # Noise of a block's pixels against their contrast, as the phase has it: rms of sigma over contrast.
     mean = s.grey_dn[list(sequence.axis(Direction.X).sine)][:, good].mean(axis=0)
     variance = (noise.read_dn**2 + noise.dn_per_e * np.maximum(mean - noise.black_dn, 0.0)) / contrast**2
-    relative = np.sqrt(np.array([variance[block].mean() for block in members]))
+    relative = np.sqrt(np.array([np.median(variance[block]) for block in members]))
     counts = np.array([block.size for block in members], np.float64)
-    sigma = np.maximum(*(fit.sigma for fit in fits.values()))
-    judged = sigma < SURE * HARMFUL_RIPPLE * relative
+    expected = np.maximum(*(fit.expected for fit in fits.values())) * np.sqrt(2.0 * np.median(variance * contrast**2))
+    judged = expected < SURE * HARMFUL_RIPPLE * relative
     if not judged.any():
-        return Changes(None, None, None, None, None, (), None)
+        return UNKNOWN
     weight, relative = counts[judged] / counts[judged].sum(), relative[judged]
-    squares = [np.maximum(f.cosine**2 + f.sine**2 - 2.0 * f.sigma**2, 0.0)[judged] for f in fits.values()]
+    squares = [
+        (np.maximum(f.cosine**2 + f.sine**2 - 2.0 * f.sigma**2, 0.0) + FINE_FACTOR * np.maximum(f.fine, 0.0))[judged]
+        for f in fits.values()
+    ]
     square = (squares[0] + squares[1]) / 2.0
     ripple = np.sqrt(square) / (2.0 * relative)
     # A fringe's amplitude is half of the contrast: phase = difference / (2 √2 B).
@@ -151,24 +166,52 @@ def _blocks(rows: NDArray[np.intp], columns: NDArray[np.intp], shape: tuple[int,
 
 
 def _fit(
-    images: NDArray[np.float32], contrast: Floats, members: Sequence[NDArray[np.intp]], places: tuple[Floats, Floats]
+    images: NDArray[np.float32],
+    good: NDArray[np.bool_],
+    contrast: Floats,
+    members: Sequence[NDArray[np.intp]],
+    places: tuple[Floats, Floats],
 ) -> _Fit:
-    """``members``: the pixels of each judged block; ``places``: row and column of every pixel, of any unit."""
-    i0, i1, i2, i3 = images.astype(np.float64)
+    """``images`` (4, rows, columns); of their ``good`` pixels, ``members`` are those of each block, and ``places`` row and
+    column, of any unit."""
+    i0, i1, i2, i3 = (image[good] for image in images.astype(np.float64))
     cosine, sine = i0 - i2, i3 - i1
     length = np.hypot(cosine, sine)
     c, s = cosine / length, sine / length
     relative = length / contrast
     third = (i0 - i1 + i2 - i3) / contrast
-    twice = np.stack([np.ones_like(c), c * c - s * s, 2.0 * c * s], axis=1)
-    found = np.zeros((4, len(members)))
+    c2, s2 = c * c - s * s, 2.0 * c * s
+    c4, s4 = c2 * c2 - s2 * s2, 2.0 * c2 * s2
+    found = np.zeros((5, len(members)))
+    rest = np.full(good.shape, np.nan)
     for k, block in enumerate(members):
         y, x = (_unit(place[block]) for place in places)
         smooth = (np.ones_like(x), x, y, x * x, x * y, y * y)
-        shift, sigma = _regress(relative[block], np.stack([c[block], s[block], *smooth], axis=1), contrast[block])
-        left, _ = _regress(third[block], twice[block], contrast[block])
-        found[:, k] = shift[0], shift[1], left[0], sigma
-    return _Fit(*found)
+        shift, sigma_k, expected_k = _regress(
+            relative[block], np.stack([c[block], s[block], c4[block], s4[block], *smooth], axis=1), contrast[block]
+        )
+        twice = np.stack([np.ones_like(x), c2[block], s2[block]], axis=1)
+        left, _, _ = _regress(third[block], twice, contrast[block])
+        found[:, k] = shift[0], shift[1], left[0], sigma_k, expected_k
+        third[block] -= twice @ left
+    rest[good] = third
+    cosine, sine, level, sigma, expected = found
+    return _Fit(cosine, sine, level, sigma, expected, _common_of_neighbours(rest, good, members))
+
+
+def _common_of_neighbours(rest: Floats, good: NDArray[np.bool_], members: Sequence[NDArray[np.intp]]) -> Floats:
+    """Mean product of what is left at a pixel and at those next to it, in each block: what noise has not, and light has."""
+    size = 1.4826 * np.nanmedian(np.abs(rest))
+    value = np.clip(rest, -CLIP * size, CLIP * size)
+    sums, counts = np.zeros(rest.shape), np.zeros(rest.shape)
+    for axis in (0, 1):
+        product = value * np.roll(value, -1, axis)
+        product[(-1,) if axis == 0 else (slice(None), -1)] = np.nan
+        known = ~np.isnan(product)
+        sums[known] += product[known]
+        counts += known
+    sums, counts = sums[good], counts[good]
+    return np.array([sums[block].sum() / max(counts[block].sum(), 1.0) for block in members])
 
 
 def _unit(place: Floats) -> Floats:
@@ -177,10 +220,11 @@ def _unit(place: Floats) -> Floats:
     return np.asarray((2.0 * place - low - high) / max(high - low, 1.0), np.float64)
 
 
-def _regress(value: Floats, columns: Floats, contrast: Floats) -> tuple[Floats, float]:
-    """Coefficients of a weighted robust fit of ``columns`` (n, k), and the larger sigma of the first two."""
+def _regress(value: Floats, columns: Floats, contrast: Floats) -> tuple[Floats, float, float]:
+    """Coefficients of a weighted robust fit of ``columns`` (n, k), the larger sigma of the first two, and what that would
+    be for ``value`` · ``contrast`` with a noise of 1."""
     weight = np.minimum(contrast, np.quantile(contrast, 0.9)) ** 2
-    coefficients, sigma = np.zeros(columns.shape[1]), np.inf
+    coefficients, sigma, expected = np.zeros(columns.shape[1]), np.inf, np.inf
     for _ in range(2):
         weighted = columns * weight[:, None]
         normal = weighted.T @ columns
@@ -189,10 +233,11 @@ def _regress(value: Floats, columns: Floats, contrast: Floats) -> tuple[Floats, 
         coefficients = inverse @ (weighted.T @ value)
         residual = value - columns @ coefficients
         freedom = max(int(np.count_nonzero(weight)) - columns.shape[1], 1)
-        sigma = float(np.sqrt(np.sum(weight * residual**2) / freedom * max(inverse[0, 0], inverse[1, 1])))
+        expected = float(np.sqrt(max(inverse[0, 0], inverse[1, 1])))
+        sigma = expected * float(np.sqrt(np.sum(weight * residual**2) / freedom))
         size = max(1.4826 * float(np.median(np.abs(residual) * contrast)), 1e-3)
         weight = np.where(np.abs(residual) * contrast > CLIP * size, 0.0, weight)
-    return coefficients, sigma
+    return coefficients, sigma, expected
 
 
 def _apart(

@@ -15,6 +15,7 @@ from appliance.reconstruct.noise import CameraNoise
 
 SAMPLES = 25_000
 """Lit pixels that are asked, about; shares of a hundredth are then known to a twentieth of themselves."""
+GOLDEN = 0.6180339887
 COARSE_PX = 8
 """Distance of the pixels by which the lit ones are counted first."""
 FULL_DN = 255.0
@@ -54,7 +55,7 @@ def sample(frames: NDArray[np.uint8], sequence: PatternSequence) -> Sample:
     coarse = frames[[sequence.bright, sequence.dark], ::COARSE_PX, ::COARSE_PX].astype(np.int16)
     lit_pixels = COARSE_PX**2 * int(np.count_nonzero(_lit(coarse[0], coarse[1])))
     stride = max(1, round((lit_pixels / SAMPLES) ** 0.5))
-    grey = frames[:, ::stride, ::stride].astype(np.float32)
+    grey = frames[:, _places(frames.shape[1], stride)[:, None], _places(frames.shape[2], stride)].astype(np.float32)
     bright, dark = grey[sequence.bright], grey[sequence.dark]
     sines = [grey[list(sequence.axis(d).sine)] for d in Direction]
     modulation = np.minimum(*(0.5 * np.hypot(s[0] - s[2], s[3] - s[1]) for s in sines))
@@ -62,6 +63,12 @@ def sample(frames: NDArray[np.uint8], sequence: PatternSequence) -> Sample:
     saturated = top >= FULL_DN
     lit = _lit(bright, dark)
     return Sample(grey, bright, dark, bright - dark, modulation, top, lit, saturated & lit)
+
+
+def _places(size_px: int, stride: int) -> NDArray[np.intp]:
+    """One of each ``stride`` pixels, not at equal distances: those would meet the fringes at a few phases only."""
+    number = np.arange(-(-size_px // stride))
+    return np.minimum((stride * (number + GOLDEN * number % 1.0)).astype(np.intp), size_px - 1)
 
 
 def _lit(bright: NDArray[Any], dark: NDArray[Any]) -> NDArray[np.bool_]:

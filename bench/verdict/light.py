@@ -1,0 +1,181 @@
+"""Owns the figures of the judge of light: exposures proposed, flicker told from steady light by its harm.
+
+The truth of a flicker is its harm: the same scene is photographed without noise, with and without what changes in its
+light; the phases' difference, against the noise they would have, is what the judge should have seen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.capture.exposure import Exposure
+from appliance.capture.fault import FaultCode
+from appliance.patterns.sequence import Direction
+from appliance.verdict.light import MAX_HARMED, judge_light
+from appliance.verdict.light_changes import HARMFUL_RIPPLE
+from bench.result import Measured
+from bench.verdict.light_scenes import (
+    SEQUENCE,
+    STEPS,
+    Case,
+    draw_case,
+    draw_daylight,
+    noise_at,
+    photograph,
+    recorded,
+    renderer_of,
+    without,
+)
+from bench.verdict.parts import Say
+
+MOST_PROPOSALS = 4
+ROUNDING_DN2 = 1.0 / 12.0
+CLEARLY_HARMED, CLEARLY_NOT = (1.3, 0.20), (0.8, 0.05)
+"""Harm that must be told, and harm that must not: ripple in multiples of what is harmful, and the share of lit pixels with
+more. What lies between may go either way, and is counted."""
+
+
+def measure(scans: int, seed: int, say: Say) -> tuple[list[Measured], dict[str, Any]]:
+    """``scans`` random scenes for exposure and steady light, as many for light that changes."""
+    exposures = []
+    for k in range(scans):
+        say("exposure", k / (2 * scans))
+        exposures.append(_expose(np.random.default_rng([seed, 31, k])))
+    changes = []
+    for k in range(scans):
+        say("changing light", (scans + k) / (2 * scans))
+        changes.append(_change(np.random.default_rng([seed, 32, k])))
+    seen = [one for one in exposures if one["top"] is not None]
+    wrong = [one for one in changes if one["verdict"] != "either" and one["told"] != (one["verdict"] == "harm")]
+    harm = [one for one in changes if one["verdict"] == "harm"]
+    free = [one for one in changes if one["verdict"] == "none"]
+    ripples = [one["ripple_told"] / one["ripple"] for one in changes if one["ripple"] > 0.5 and one["ripple_told"]]
+    right = 100.0 * float(np.mean([one["right"] for one in seen])) if seen else float("nan")
+    missed = 100.0 * float(np.mean([not one["told"] for one in harm])) if harm else float("nan")
+    false = 100.0 * float(np.mean([one["told"] for one in free])) if free else float("nan")
+    return [
+        Measured("exposures right after at most one proposal", right, "%", at_least=95.0, key="exposure_right_percent"),
+        Measured(
+            "scenes where a proposal led to another", float(sum(one["proposals"] > 1 for one in exposures)), "scenes",
+            at_most=0.0, key="exposure_oscillations",
+        ),
+        Measured(
+            "flicker told of steady light", float(sum(one["flickers"] for one in exposures)), "scans", at_most=0.0,
+            key="flicker_false_steady",
+        ),
+        Measured("flicker told where it does no harm", false, "%", at_most=2.0, key="flicker_false_percent")
+        if free else Measured("flicker told where it does no harm", float("nan"), "%", why="none was drawn"),
+        Measured("harmful flicker missed", missed, "%", at_most=2.0, key="flicker_missed_percent")
+        if harm else Measured("harmful flicker missed", float("nan"), "%", why="none was drawn"),
+        Measured("ripple as told over the true one (median)", float(np.median(ripples)), "", 1.25, 0.8)
+        if ripples else Measured("ripple as told over the true one (median)", float("nan"), "", why="none was drawn"),
+    ], {"exposures": exposures, "changes": changes, "wrong": wrong}  # fmt: skip
+
+
+def _expose(rng: np.random.Generator) -> dict[str, Any]:
+    """From an exposure at random, proposal by proposal; right: the brightest surfaces use the scale and keep it."""
+    case = draw_case(rng)
+    renderer = renderer_of(case)
+    # More gain is set only where an object was too dark for any exposure; from there, a bright one may take two.
+    usual = [step for step in STEPS if step.gain_db == 0.0]
+    exposure = usual[rng.integers(0, len(usual))]
+    way, flickers = [exposure.label], 0
+    while True:
+        frames = photograph(renderer, exposure, int(rng.integers(1 << 30)))
+        judged = judge_light(recorded(frames, exposure), exposure, STEPS)
+        flickers += judged.fault is not None and judged.fault.code is FaultCode.LIGHT_FLICKERS
+        if judged.proposal is None or len(way) > MOST_PROPOSALS:
+            break
+        exposure = judged.proposal
+        way.append(exposure.label)
+    top, saturated = _level(frames)
+    enough = top >= 0.5 or exposure == STEPS[-1]
+    kept = saturated <= 0.02 or exposure == STEPS[0]
+    return {
+        "case": case.name, "way": way, "proposals": len(way) - 1, "flickers": int(flickers), "top": top,
+        "saturated": saturated, "right": bool(enough and kept and len(way) <= 2),
+        "fault": None if judged.fault is None else judged.fault.code.value,
+    }  # fmt: skip
+
+
+def _level(frames: dict[str, NDArray[np.uint8]]) -> tuple[float, float]:
+    """Of the brighter camera: how much of the scale the brightest 0.3 % use, and the share of lit pixels at its end."""
+    tops, shares = [], []
+    for stack in frames.values():
+        bright, dark = stack[SEQUENCE.bright], stack[SEQUENCE.dark]
+        lit = (bright.astype(int) - dark >= 8) | (bright == 255)
+        tops.append(float(np.quantile(np.where(lit, bright, 0), 0.997)) / 255.0)
+        shares.append(float(np.mean(bright[lit] == 255)) if lit.any() else 0.0)
+    return max(tops), max(shares)
+
+
+def _change(rng: np.random.Generator) -> dict[str, Any]:
+    """One scene in changing light, judged, and what the change really does."""
+    case = draw_case(rng)
+    daylight, ambient, name = draw_daylight(rng)
+    scene = replace(case.scene, ambient=ambient, daylight=daylight)
+    renderer = renderer_of(Case(scene, case.rig_seed, case.name))
+    exposure = Exposure(8_000)
+    judged = judge_light(
+        recorded(photograph(renderer, exposure, int(rng.integers(1 << 30))), exposure), exposure, STEPS
+    )
+    renderer.scene = without(scene, noise=False)
+    changing = photograph(renderer, exposure, 0, ("left",))["left"]
+    renderer.scene = _still(scene)
+    steady = photograph(renderer, exposure, 0, ("left",))["left"]
+    over_noise, lit = _ripple(changing, steady, exposure)
+    harmed = {factor: float(np.mean(over_noise[lit] > factor * HARMFUL_RIPPLE)) for factor in (0.8, 1.0, 1.3)}
+    verdict = "either"
+    if harmed[CLEARLY_HARMED[0]] > CLEARLY_HARMED[1]:
+        verdict = "harm"
+    elif harmed[CLEARLY_NOT[0]] < CLEARLY_NOT[1]:
+        verdict = "none"
+    numbers = judged.verdict.numbers
+    return {
+        "case": case.name, "light": name, "verdict": verdict, "harmed": harmed[1.0], "limit": MAX_HARMED,
+        "told": judged.fault is not None and judged.fault.code is FaultCode.LIGHT_FLICKERS,
+        "fault": None if judged.fault is None else judged.fault.code.value,
+        "harmed_told": [numbers["left_flicker_harmed_percent"], numbers["right_flicker_harmed_percent"]],
+        "ripple": float(np.sqrt(np.median(over_noise[lit] ** 2))), "ripple_told": numbers["left_flicker_over_noise"],
+        "alias_hz": numbers["flicker_alias_hz"],
+    }  # fmt: skip
+
+
+def _still(scene: Any) -> Any:
+    """The same light, all of it at rest, and without noise."""
+    daylight = replace(scene.daylight, flicker_depth=0.0, caustics=0.0, torch_velocity_mm_s=(0.0, 0.0, 0.0))
+    return replace(scene, noise=False, daylight=daylight)
+
+
+def _ripple(
+    changing: NDArray[np.uint8], steady: NDArray[np.uint8], exposure: Exposure
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Local rms bias of the phase over its noise (h, w), of both directions, and where it means something."""
+    noise = noise_at(exposure).left
+    bright, dark = steady[SEQUENCE.bright].astype(float), steady[SEQUENCE.dark].astype(float)
+    lit = bright - dark >= 12.0
+    lit &= (changing < 248).all(axis=0) & (steady < 248).all(axis=0)
+    total = np.zeros(lit.shape)
+    weight = np.full(lit.shape, 1e-9)
+    for direction in Direction:
+        numbers = list(SEQUENCE.axis(direction).sine)
+        i, j = changing[numbers].astype(float), steady[numbers].astype(float)
+        a, b = i[0] - i[2] + 1j * (i[3] - i[1]), j[0] - j[2] + 1j * (j[3] - j[1])
+        amplitude = 0.5 * np.abs(b)
+        bias2 = np.angle(a * np.conj(b)) ** 2 - ROUNDING_DN2 / np.maximum(amplitude, 1.0) ** 2
+        sigma2 = (noise.read_dn**2 + noise.dn_per_e * np.maximum(j.mean(axis=0) - noise.black_dn, 0.0)) / 2.0
+        good = lit & (amplitude >= 5.0)
+        total += _around(np.where(good, bias2 * amplitude**2 / sigma2, 0.0))
+        weight += _around(good.astype(float))
+        lit &= good
+    return np.sqrt(np.maximum(total / weight, 0.0)), lit
+
+
+def _around(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Mean over a few fringes."""
+    return np.asarray(cv2.blur(values, (31, 31)), np.float64)
