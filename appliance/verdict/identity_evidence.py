@@ -6,7 +6,8 @@ neighbours follow each other as they were drawn, which a surface, its colour and
 - from sample to sample the fringes' phase grows;
 - at a stripe's edge the Gray code goes on by one, and at the fringes' phase 0° or 180°;
 - the sines of 0° and 180°, and of 90° and 270°, are each other's opposite;
-- nothing is brighter than the bright frame, nothing darker than the dark one.
+- nothing is brighter than the bright frame, nothing darker than the dark one;
+- the middle of what is seen lies about where the design puts it: nothing else tells Gray images apart of which no edge is seen.
 """
 
 from __future__ import annotations
@@ -26,19 +27,24 @@ DECIDED = 1.0
 """A doubt of this size is an alarm. The limits below are half way, in its own measure, between what good scans of moving,
 dark and turbid scenes show at most and what a wrong frame shows (docs/identity.md has both)."""
 LEAST_FORWARD = 0.7
+MOST_DISPLACED = {Direction.X: 0.2, Direction.Y: 0.15}
+"""Of the field: where the stripes are in the image, on average, against where the design puts them. Along the base line they
+wander with distance: by 0.08 in the measuring volume, 0.15 well before it."""
 LEAST_IN_PHASE = 0.6
 """Mean cosine; a fifth of the edges half a period off, where only a part of the surface shows a frame to be wrong."""
 MOST_OUT_OF_ORDER = 0.3
 MOST_OF_ONE_OUT_OF_ORDER = 0.6
 """Of the edges of one Gray image: the coarsest have few, and an outline may cross them."""
 LEAST_EDGES_OF_ONE = 5
-MOST_CORRELATION = -0.35
+MOST_CORRELATION = -0.4
 """Of sines of opposite steps; −1 where nothing but the pattern changes."""
 MOST_BEHIND_BEST = 0.5
 """By which a pair's correlation may be worse than that of the best pair: colour that moves spoils all of them."""
 MOST_OFF_REFERENCE = 0.8
 MOST_BESIDE_REFERENCE = 0.08
-"""Share of samples by which another frame may be the better bright (or dark) one."""
+MOST_OF_OFF = 0.5
+"""Share of samples, or of those off the reference, by which another frame may be the better bright (or dark) one: over what
+moves, a frame from the middle of the sequence halves them."""
 MIN_FRINGE = 60
 """Samples with fringes in both directions, or there is nothing to judge by."""
 MIN_EDGES = 12
@@ -111,6 +117,7 @@ class Witness:
         self._sine_doubts(all_sums, doubts, suspects)
         total = np.asarray(sum(all_sums.values()))
         self._reference_doubts(order, total, doubts, suspects)
+        doubts = {name: float(doubt) for name, doubt in doubts.items()}
         return Evidence(
             doubts, suspects, int(total[Count.LIT]), int(total[Count.FRINGE]), int(total[Count.EDGES])
         )  # fmt: skip
@@ -126,6 +133,10 @@ class Witness:
         name, axis = along.value, self._axes[along]
         if sums[Count.STEPS] >= MIN_FRINGE:
             doubts[f"forward {name}"] = (1.0 - sums[Count.FORWARD] / sums[Count.STEPS]) / (1.0 - LEAST_FORWARD)
+        placed = sums[Count.PLACED]
+        if placed >= MIN_FRINGE:
+            coded = (sums[Count.NUMBER] / placed + 0.5) * 0.5 * self._sequence.period_px / axis.size_px
+            doubts[f"place {name}"] = abs(coded - sums[Count.PLACE] / placed) / MOST_DISPLACED[along]
         count = sums[Count.EDGES]
         if count >= MIN_EDGES:
             doubts[f"phase {name}"] = (1.0 - sums[Count.IN_PHASE] / count) / (1.0 - LEAST_IN_PHASE)
@@ -173,7 +184,7 @@ class Witness:
             excess = 0.0
             if off > MOST_BESIDE_REFERENCE:
                 least = float(self._off_reference()[int(name == "bright")][order].min())
-                excess = (off - least) / MOST_BESIDE_REFERENCE if least < 0.25 * off else 0.0
+                excess = (off - least) / max(MOST_BESIDE_REFERENCE, MOST_OF_OFF * off)
             doubts[name] = max(off / MOST_OFF_REFERENCE, excess)
             suspects[name] = self._sequence.bright if name == "bright" else self._sequence.dark
 

@@ -161,8 +161,9 @@ def _ordered(
 
 
 def _thinned(lines: Lines, every: int) -> Lines:
-    low, high, lit = lines.low[::every], lines.high[::every], lines.lit[::every]
-    return Lines(lines.along, np.ascontiguousarray(lines.values[:, ::every]), low, high, lit)
+    low, high = (np.ascontiguousarray(part[::every]) for part in (lines.low, lines.high))
+    values, lit = np.ascontiguousarray(lines.values[:, ::every]), np.ascontiguousarray(lines.lit[::every])
+    return Lines(lines.along, values, low, high, lit)
 
 
 def _with(lines: Lines, frame: NDArray[np.uint8]) -> Lines:

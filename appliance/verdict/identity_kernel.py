@@ -38,9 +38,15 @@ class Count(IntEnum):
     """Their squares."""
     PRODUCT_02 = 18
     PRODUCT_13 = 19
+    PLACED = 20
+    """Samples of which the following are sums."""
+    NUMBER = 21
+    """The half period's number, by the Gray code alone."""
+    PLACE = 22
+    """The place along the line, 0 … 1."""
 
 
-COUNTS = 20
+COUNTS = 23
 OFF_REFERENCE = np.float32(0.3)
 """Bright and dark are the ends of each sample's swing, to this share of it."""
 _MIN_SWING_SHARE = np.float32(0.15)
@@ -109,10 +115,23 @@ def follow(
             mine = np.sqrt(re[x] * re[x] + im[x] * im[x])
             others = np.sqrt(other_re[x] * other_re[x] + other_im[x] * other_im[x])
             needed = max(_MIN_SWING_SHARE * swing, least_dn[high[line, x]])
+            judged = not (not_bright or not_dark)  # at the outline of what moves, it is another surface than before
+            for k in range(4):
+                share[k] = (np.float32(values[order[sine[k]], line, x]) - least) / swing
+            # Not the fringe's difference, which depends on the order of the sines, but their spread, which does not.
+            spread = max(max(share[0], share[1]), max(share[2], share[3]))
+            spread -= min(min(share[0], share[1]), min(share[2], share[3]))
+            if judged and spread * swing >= needed and others >= needed:
+                sums[9] += 1.0
+                for k in range(4):
+                    sums[10 + k] += share[k]
+                    sums[14 + k] += share[k] * share[k]
+                sums[18] += share[0] * share[2]
+                sums[19] += share[1] * share[3]
             if mine < needed or others < needed:
                 continue
             sums[1] += 1.0
-            if not_bright or not_dark:  # at the outline of what moves, another surface is seen before than after
+            if not judged:
                 continue
             middle = np.float32(0.5) * (least + most)
             g, h, bit = 0, 0, 0
@@ -122,16 +141,9 @@ def follow(
                 bit ^= now
                 h = 2 * h + bit
             code[x], number[x] = g, h
-            sums[9] += 1.0
-            share[0] = (np.float32(values[a0, line, x]) - middle) / swing
-            share[1] = (np.float32(values[a1, line, x]) - middle) / swing
-            share[2] = (np.float32(values[a2, line, x]) - middle) / swing
-            share[3] = (np.float32(values[a3, line, x]) - middle) / swing
-            for s in range(4):
-                sums[10 + s] += share[s]
-                sums[14 + s] += share[s] * share[s]
-            sums[18] += share[0] * share[2]
-            sums[19] += share[1] * share[3]
+            sums[20] += 1.0
+            sums[21] += h
+            sums[22] += (x + 0.5) / samples
             good[x] = _LEAST_RATIO * others < mine < _MOST_RATIO * others
             re[x], im[x] = re[x] / mine, im[x] / mine
             other_re[x], other_im[x] = other_re[x] / others, other_im[x] / others

@@ -15,6 +15,10 @@ LINES = 32
 """Rows, and columns: each crosses each stripe's edge once."""
 SAMPLES = 400
 """Along a line, about: what is seen at full resolution and on a small camera is then the same."""
+COARSE = 80
+"""Pixels across the image that are asked where to look closer."""
+THIRD = 3
+"""Of the frames this is asked of every third: fringes of both directions are among them."""
 MIN_SWING_DN = 8.0
 """A sample that changes by less over the sequence sees nothing of the projector."""
 MIN_SWING_SIGMA = 8.0
@@ -44,21 +48,43 @@ def can_follow(sequence: PatternSequence, width_px: int) -> bool:
 
 
 def take_lines(frames: NDArray[np.uint8], sequence: PatternSequence, noise: CameraNoise) -> Mapping[Direction, Lines]:
-    """Rows and columns of ``frames`` (n, h, w) uint8, evenly spread; an eighth of a fringe or less between samples."""
-    _, height_px, width_px = frames.shape
+    """Rows and columns of ``frames`` (n, h, w) uint8, over what is lit; an eighth of a fringe or less between samples."""
+    width_px = frames.shape[2]
     eighth_px = sequence.period_px * width_px / sequence.width_px / 8.0
     step = max(1, min(int(eighth_px), width_px // SAMPLES))
-    rows, columns = (
-        np.unique(((np.arange(LINES) + 0.5) * size / LINES).astype(np.intp)) for size in (height_px, width_px)
-    )
+    rows, columns = _where_lit(frames, noise)
     across = np.ascontiguousarray(frames[:, rows, ::step])
     down = np.ascontiguousarray(frames[:, ::step, columns].transpose(0, 2, 1))
     return {Direction.X: _lines(Direction.X, across, noise), Direction.Y: _lines(Direction.Y, down, noise)}
 
 
-def _lines(along: Direction, values: NDArray[np.uint8], noise: CameraNoise) -> Lines:
-    low, high = values.min(axis=0), values.max(axis=0)
+def _where_lit(frames: NDArray[np.uint8], noise: CameraNoise) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows and columns over what is lit: a small thing gets as many as a large one."""
+    _, height_px, width_px = frames.shape
+    coarse = max(1, width_px // COARSE)
+    few = np.ascontiguousarray(frames[::THIRD, coarse // 2 :: coarse, coarse // 2 :: coarse])
+    low, high = few.min(axis=0), few.max(axis=0)
+    lit = high - low >= _least_swing(noise)[high]
+    return _spread(lit.sum(axis=1), height_px, coarse), _spread(lit.sum(axis=0), width_px, coarse)
+
+
+def _spread(lit: NDArray[np.int64], size_px: int, coarse_px: int) -> NDArray[np.intp]:
+    """``LINES`` places from the first to the last lit one, but for a fiftieth at either end that may be specks."""
+    first, stop = 0.0, float(size_px)
+    if lit.any():
+        share = np.cumsum(lit) / lit.sum()
+        first = float(np.searchsorted(share, 0.02) * coarse_px)
+        stop = min(float((np.searchsorted(share, 0.98) + 1) * coarse_px), stop)
+    return np.unique((first + (np.arange(LINES) + 0.5) * (stop - first) / LINES).astype(np.intp))
+
+
+def _least_swing(noise: CameraNoise) -> NDArray[np.uint8]:
+    """(256,): the least swing at each brightest value."""
     levels = np.arange(256.0)
     sigma = np.sqrt(noise.read_dn**2 + noise.dn_per_e * np.maximum(levels - noise.black_dn, 0.0))
-    least = np.minimum(np.maximum(MIN_SWING_DN, MIN_SWING_SIGMA * sigma), 255.0).astype(np.uint8)
-    return Lines(along, values, low, high, high - low >= least[high])
+    return np.minimum(np.maximum(MIN_SWING_DN, MIN_SWING_SIGMA * sigma), 255.0).astype(np.uint8)
+
+
+def _lines(along: Direction, values: NDArray[np.uint8], noise: CameraNoise) -> Lines:
+    low, high = values.min(axis=0), values.max(axis=0)
+    return Lines(along, values, low, high, high - low >= _least_swing(noise)[high])

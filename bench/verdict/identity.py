@@ -1,0 +1,332 @@
+"""What the check of frame identity is worth: good scans at random, and every wrong order of their frames.
+
+A wrong order is *visible* to a camera where the true patterns of a frame's place and of what it shows differ on at least
+``VISIBLE`` of what the camera sees of the projector's light; by how much is known from the truth, not from the judge. The
+witnesses that the ledger compares are not asked.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations, pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.capture.fault import FaultCode
+from appliance.capture.verdict import Judgement
+from appliance.patterns.sequence import Kind, PatternSequence
+from appliance.reconstruct.noise import TYPICAL_PAIR
+from appliance.verdict.identity import judge_identity
+from appliance.verdict.identity_evidence import Witness
+from appliance.verdict.identity_lines import take_lines
+from bench.result import Measured
+from hw_sim.daylight import Daylight
+from hw_sim.motion import Motion
+from hw_sim.objects.shapes import DEFAULT_POSE
+from hw_sim.scene import Scene
+from hw_sim.sensor import E_PER_DN, READ_NOISE_E
+from hw_sim.water import Water
+from tests.support.rendered import pictures, render_scan
+
+Say = Callable[[str, float], None]
+Frames = Mapping[str, NDArray[np.uint8]]
+Order = Sequence[int]
+
+VISIBLE = 0.05
+SHARES = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.001)
+"""Bins of the curve."""
+NAMED_OF_EACH = 4
+"""Wrong orders of each kind and scan whose name is asked for too; found is asked of all."""
+WIDTH_PX = 400
+FASTEST_MM_S = 30.0
+SIDES = ("left", "right")
+
+
+@dataclass(frozen=True, slots=True)
+class Wrong:
+    """One way in which frames are wrong: frame k shows the pattern ``order[k]``."""
+
+    kind: str
+    frame: int
+    order: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """A scan at random, and what its classes are."""
+
+    scene: Scene
+    period_px: int
+    exposure_s: float
+    classes: tuple[str, ...]
+
+
+def measure(scans: int, seed: int, say: Say) -> tuple[list[Measured], dict[str, Any]]:
+    """False alarms on ``scans`` good scans, and which wrong orders of their frames are found and rightly named."""
+    rows: list[dict[str, Any]] = []
+    for number in range(scans):
+        drawn = draw(1000 * seed + number)
+        say(f"scan {number + 1} of {scans}: {drawn.scene.object}", number / scans)
+        rows.append(_of_scan(drawn, 1000 * seed + number))
+    return _figures(rows), {"visible_share": VISIBLE, "shares": list(SHARES), "scans": rows}
+
+
+def draw(seed: int) -> Drawn:
+    """Object, pose, colour, water, light and hands by ``seed``; half of the scans move."""
+    rng = np.random.default_rng([seed, 20])
+    name = str(rng.choice(["plane", "ballbar", "frustum", "pipe", "shell", "stones"]))
+    pose = np.array(DEFAULT_POSE[name]) + np.concatenate(
+        [rng.uniform(-40, 40, 2), rng.uniform(-50, 50, 1), rng.uniform(-25, 25, 2), rng.uniform(-40, 40, 1)]
+    )
+    texture = str(rng.choice(["none", "slight", "strong", "checker"]))
+    water = Water(
+        attenuation_per_m=float(rng.uniform(0.1, 1.5)),
+        backscatter=float(10 ** rng.uniform(-2.5, -0.8)),
+        blur_px_per_m=float(10 ** rng.uniform(-1.0, 0.8)),
+    )
+    moves, flickers = rng.random() < 0.5, rng.random() < 0.3
+    motion = Motion()
+    if moves:
+        velocity = rng.normal(size=3)
+        velocity *= rng.uniform(2.0, FASTEST_MM_S) / float(np.linalg.norm(velocity))
+        motion = Motion(
+            _three(velocity), tremor_mm=_three(rng.uniform(0, 0.3, 3)), rotation_deg_s=_three(rng.normal(size=3))
+        )
+    daylight = (
+        Daylight(flicker_depth=float(rng.uniform(0.1, 0.6)), caustics=0.3 * float(rng.random()))
+        if flickers
+        else Daylight()
+    )
+    exposure_s = float(10 ** rng.uniform(-3.2, -1.92))
+    ambient = float(rng.choice([0.0, 0.02, 0.2]))
+    classes = [
+        "moving" if moves else "still",
+        f"texture {texture}",
+        *(["dark"] if exposure_s < 0.003 else []),
+        *(["turbid"] if water.blur_px_per_m > 2.0 or water.backscatter > 0.08 else []),
+        *(["flicker"] if flickers else []),
+        *(["small"] if name == "ballbar" else []),
+    ]
+    scene = Scene(name, _six(pose), texture, water, ambient, motion=motion, daylight=daylight)
+    return Drawn(scene, int(rng.choice([16, 32, 64])), exposure_s, tuple(classes))
+
+
+def wrong_orders(n: int) -> Iterator[Wrong]:
+    """All swaps of two frames, all repeats with and without everything after them late, both shifts by one."""
+    straight = list(range(n))
+    for i, j in combinations(straight, 2):
+        order = straight.copy()
+        order[i], order[j] = j, i
+        yield Wrong("swap next" if j == i + 1 else "swap", i, tuple(order))
+    for k in range(1, n):
+        yield Wrong("repeat", k, (*range(k), k - 1, *range(k + 1, n)))
+        yield Wrong("repeat and late", k, (*range(k), *range(k - 1, n - 1)))
+    yield Wrong("one late", 0, (1, *range(n - 1)))
+    yield Wrong("one early", 0, (*range(1, n), 1))
+
+
+def _of_scan(drawn: Drawn, seed: int) -> dict[str, Any]:
+    rng = np.random.default_rng([seed, 21])
+    scene = drawn.scene
+    scan = render_scan(
+        scene, "realistic", seed, WIDTH_PX, drawn.period_px, drawn.exposure_s,
+        frame_s=0.0 if scene.motion.still and scene.daylight == Daylight() else 1.0 / 60.0,
+    )  # fmt: skip
+    start = time.process_time()
+    judgement = judge_identity(scan.frames, scan.sequence)
+    row: dict[str, Any] = {
+        "seed": seed,
+        "classes": [*drawn.classes, f"period {drawn.period_px}"],
+        "good_passed": judgement.verdict.passed,
+        "good_doubt": judgement.verdict.numbers["doubt"],
+        "good_text": judgement.verdict.text,
+        "cpu_s": time.process_time() - start,
+    }
+    apart, seen = {}, {}
+    for side in SIDES:
+        view = scan.renderer.view(side, 0.0)
+        apart[side], seen[side] = _apart(scan.sequence, scan.frames[side], view.projector_px, view.seen_by_all)
+    row["seen_percent"] = [100.0 * seen[side] for side in SIDES]
+    judged = [side for side in SIDES if judgement.verdict.numbers[f"{side}_doubt"] is not None]
+    row["judged"] = judged
+    row["found"] = [
+        [side, wrong.kind, round(share, 4), found, _relabels(scan.sequence, wrong)]
+        for side in judged
+        for wrong, share, found in _search(scan.sequence, scan.frames[side], side, apart[side])
+    ]
+    row["named"] = list(_names(scan.sequence, scan.frames, apart, judged, rng))
+    return row
+
+
+def _search(
+    sequence: PatternSequence, frames: NDArray[np.uint8], side: str, apart: NDArray[np.float64]
+) -> Iterator[tuple[Wrong, float, bool]]:
+    """Every wrong order, on how much of what is seen it shows, and whether the frames alone tell."""
+    noise = TYPICAL_PAIR.left if side == "left" else TYPICAL_PAIR.right
+    straight = Witness(take_lines(frames, sequence, noise), sequence, noise)
+    every = np.arange(len(sequence), dtype=np.int64)
+    for wrong in wrong_orders(len(sequence)):
+        order = np.array(wrong.order, np.int64)
+        if wrong.kind.startswith("swap"):  # the same frames: their lines need not be taken again
+            evidence = straight.evidence(order)
+        else:
+            evidence = Witness(take_lines(frames[order], sequence, noise), sequence, noise).evidence(every)
+        yield wrong, float(apart[every, order].max()), evidence.judged and evidence.contradicted
+
+
+def _names(
+    sequence: PatternSequence,
+    frames: Frames,
+    apart: Mapping[str, NDArray[np.float64]],
+    judged: Sequence[str],
+    rng: np.random.Generator,
+) -> Iterator[list[Any]]:
+    """Of some wrong orders on one or both cameras, and of images that stay: kind, found, rightly named, frame named."""
+    if not judged:
+        return
+    n = len(sequence)
+    kinds: dict[str, list[Wrong]] = {}
+    for wrong in wrong_orders(n):
+        kinds.setdefault(wrong.kind, []).append(wrong)
+    kinds["still"] = [Wrong("still", k, (*range(k), *[k] * (n - k))) for k in range(n - 2)]
+    for kind, all_of_kind in kinds.items():
+        for number in rng.permutation(len(all_of_kind))[:NAMED_OF_EACH]:
+            wrong = all_of_kind[int(number)]
+            both = len(judged) == 2 and bool(rng.random() < 0.5)
+            sides = list(SIDES) if both else [str(rng.choice(judged))]
+            order = np.array(wrong.order)
+            share = min(float(apart[side][np.arange(n), order].max()) for side in sides)
+            if share < VISIBLE or _relabels(sequence, wrong):
+                continue
+            wronged = {side: _again(mine, order, rng) if side in sides else mine for side, mine in frames.items()}
+            judgement = judge_identity(wronged, sequence)
+            numbers = {} if judgement.fault is None else judgement.fault.numbers
+            named = judgement.verdict.passed is False and _rightly(judgement, wrong, both)
+            yield [kind, both, judgement.verdict.passed is False, named, numbers.get("frame") == wrong.frame]
+
+
+def _rightly(judgement: Judgement, wrong: Wrong, both: bool) -> bool:
+    code = None if judgement.fault is None else judgement.fault.code
+    if wrong.kind == "still":
+        # Both cameras at once: the projector stays on a pattern, or dark; noise is each frame's own.
+        on_both = (FaultCode.PATTERN_WRONG, FaultCode.PROJECTOR_DARK)
+        return code in on_both if both else code is FaultCode.CAMERA_STUCK
+    if wrong.kind in ("one late", "one early") and both:
+        shift = None if judgement.fault is None else judgement.fault.numbers.get("shift_frames")
+        return code is FaultCode.PROJECTOR_TIMING and shift == (1 if wrong.kind == "one late" else -1)
+    return code is FaultCode.PATTERN_WRONG
+
+
+def _again(frames: NDArray[np.uint8], order: NDArray[np.int64], rng: np.random.Generator) -> NDArray[np.uint8]:
+    """Frames in that order; an image that is shown again gets noise of its own, on top of that which it has."""
+    out = frames[order]
+    for k in range(len(order)):
+        if order[k] in order[:k]:
+            image = out[k].astype(np.float64)
+            sigma = np.sqrt((READ_NOISE_E / E_PER_DN) ** 2 + image / E_PER_DN)
+            out[k] = np.clip(np.rint(image + 0.5 * sigma * rng.standard_normal(image.shape)), 0, 255)
+    return out
+
+
+def _apart(
+    sequence: PatternSequence, frames: NDArray[np.uint8], projector_px: NDArray[np.float64], by_all: NDArray[np.bool_]
+) -> tuple[NDArray[np.float64], float]:
+    """(n, n): share of the pixels that see the projector's light on which two patterns truly differ by a third of white;
+    and the share of the image that they are."""
+    swing = frames.max(axis=0).astype(np.int64) - frames.min(axis=0)
+    inside = by_all & np.isfinite(projector_px).all(axis=-1) & (swing >= 8)
+    p, q = (np.rint(projector_px[inside][:, axis]).astype(int) for axis in (0, 1))
+    inside_field = (p >= 0) & (p < sequence.width_px) & (q >= 0) & (q < sequence.height_px)
+    p, q = p[inside_field], q[inside_field]
+    shown = np.stack([picture[q, p] for picture in pictures(sequence)]).astype(np.int16)
+    n = len(sequence)
+    apart = np.zeros((n, n))
+    for i, j in combinations(range(n), 2):
+        apart[i, j] = apart[j, i] = float(np.mean(abs(shown[i] - shown[j]) > 85)) if p.size else 0.0
+    return apart, p.size / swing.size
+
+
+def _relabels(sequence: PatternSequence, wrong: Wrong) -> bool:
+    """Does this only give stripes another number? Two Gray images of one direction keep the parity of the code."""
+    changed = [sequence.patterns[k] for k in range(len(wrong.order)) if wrong.order[k] != k]
+    gray = all(pattern.kind is Kind.GRAY for pattern in changed)
+    return wrong.kind.startswith("swap") and gray and len({pattern.direction for pattern in changed}) == 1
+
+
+def _figures(rows: Sequence[Mapping[str, Any]]) -> list[Measured]:
+    good = [row for row in rows if row["good_passed"] is not None]
+    alarms = [row for row in good if row["good_passed"] is False]
+    found = [one for row in rows for one in row["found"]]
+    visible = [one for one in found if one[2] >= VISIBLE]
+    named = [one for row in rows for one in row["named"]]
+    out = [
+        Measured(
+            "identity: false alarms on good scans", len(alarms), "scans", at_most=0.0, key="identity_false_alarms"
+        ),
+        Measured("identity: good scans with enough to judge", _percent(good, rows), "%"),
+        Measured(
+            "identity: CPU of a good scan, 2 x 400x300",
+            1e3 * _median([row["cpu_s"] for row in rows]),
+            "ms",
+            at_most=20.0,
+        ),
+        *(
+            Measured(
+                f"identity: found where visible, {name}",
+                _percent([one for one in mine if one[3]], mine),
+                "%",
+                at_least=100.0,
+                key=f"identity_found_{name}_percent",
+            )
+            for name in ("still", "moving")
+            if (mine := _visible(rows, name))
+        ),
+        Measured(
+            "identity: found, Gray images of one direction swapped",
+            _percent([one for one in visible if one[3] and one[4]], [one for one in visible if one[4]]),
+            "%",
+        ),
+        Measured(
+            "identity: seen and rightly named", _percent([one for one in named if one[3]], named), "%", at_least=95.0
+        ),
+    ]
+    for name in sorted({name for row in rows for name in row["classes"]} - {"still", "moving"}):
+        mine = _visible(rows, name)
+        out.append(
+            Measured(f"identity: found where visible, {name}", _percent([one for one in mine if one[3]], mine), "%")
+        )
+    for kind in sorted({one[0] for one in named}):
+        mine = [one for one in named if one[0] == kind]
+        out.append(Measured(f"identity: rightly named, {kind}", _percent([one for one in mine if one[3]], mine), "%"))
+    for low, high in pairwise(SHARES):
+        mine = [one for one in found if low <= one[2] < high]
+        label = f"identity: found, shown on {100 * low:g} to {100 * min(high, 1.0):g} %"
+        out.append(Measured(label, _percent([one for one in mine if one[3]], mine), "%"))
+    return out
+
+
+def _visible(rows: Sequence[Mapping[str, Any]], name: str) -> list[Any]:
+    """What was visible in scans of a class."""
+    return [one for row in rows if name in row["classes"] for one in row["found"] if one[2] >= VISIBLE]
+
+
+def _percent(part: Sequence[Any], of: Sequence[Any]) -> float:
+    return 100.0 * len(part) / len(of) if of else float("nan")
+
+
+def _median(values: Sequence[float]) -> float:
+    return float(np.median(values)) if values else float("nan")
+
+
+def _three(values: NDArray[np.float64]) -> tuple[float, float, float]:
+    x, y, z = (float(value) for value in values)
+    return x, y, z
+
+
+def _six(values: NDArray[np.float64]) -> tuple[float, float, float, float, float, float]:
+    x, y, z, rx, ry, rz = (float(value) for value in values)
+    return x, y, z, rx, ry, rz
