@@ -22,7 +22,9 @@ from appliance.compensation.residuals import (
     PARAMETERS,
     SMOOTH,
     SMOOTH_TERMS,
+    TEXTURE,
     X_STEPS,
+    Y_STEPS,
     Samples,
     accumulate,
 )
@@ -45,6 +47,9 @@ LEAST_SCALE_DN = 0.15
 START_SCALE_DN = 5.0
 CONVERGED_MM = 2e-4
 NEARLY_CONVERGED_MM = 0.05
+MAX_VARIANCE = 25.0
+GOOD_ERROR = 1.25
+"""Against a scan at rest; beyond, the scan is better repeated."""
 RIPPLE_OF_CONTRADICTION = 0.5
 """Steps that are wrong by ε each make a phase ripple of ε/2 · cos 2φ and a contradiction of ε (sin φ − cos φ) of the
 modulation; noise of σ makes a phase noise of σ/√2 of it. So the ripple in units of noise is half the contradiction in
@@ -53,16 +58,23 @@ units of σ, both as root mean squares."""
 
 @dataclass(frozen=True, slots=True)
 class Level:
-    """One stage from coarse to fine."""
+    """One stage from coarse to fine. Blurs are sigmas in px of pictures of ``WORKING_WIDTH_PX``, whose fringes are about
+    13 px long."""
 
-    blur_px: float
-    """Sigma in px of pictures of ``WORKING_WIDTH_PX``, whose fringes are about 13 px long; less in smaller ones."""
-    kinds: int
-    """1: only the x-sines count, and what they say is extrapolated; 2: the y-sines as well; 3: their textures too."""
+    steps_blur_px: float
+    """Of the pictures in which phase steps are compared: less than the fringes, more than their second harmonic."""
+    texture_blur_px: float
+    """Of those in which textures are: as much as they may be apart."""
+    kinds: tuple[int, ...]
     iterations: int
 
 
-LEVELS = (Level(5.0, 1, 5), Level(5.0, 2, 5), Level(8.0, 3, 7), Level(3.0, 3, 8))
+LEVELS = (
+    Level(5.0, 8.0, (X_STEPS,), 5),
+    Level(5.0, 8.0, (X_STEPS, TEXTURE), 4),
+    Level(5.0, 5.0, (X_STEPS, Y_STEPS, TEXTURE), 4),
+    Level(3.0, 3.0, (X_STEPS, Y_STEPS, TEXTURE), 8),
+)
 
 
 class Scanned(Protocol):
@@ -101,7 +113,25 @@ class MotionEstimate:
     """Ripple of the points that motion makes when nothing is done, in units of their noise; from the frames alone."""
     ripple_after: float
     """What remains of it with this motion."""
+    noise_factor: float
+    """Noise of the new phases against that of steps of 90°. Large where the hand moved along with the fringes: a point
+    then saw nearly the same phase in all steps."""
     converged: bool
+
+    @property
+    def error_before(self) -> float:
+        """Expected error of the points against that of a scan at rest, when nothing is done."""
+        return math.hypot(1.0, self.ripple_before)
+
+    @property
+    def error_after(self) -> float:
+        """The same of the compensated points."""
+        return math.hypot(self.noise_factor, self.ripple_after)
+
+    @property
+    def helps(self) -> bool:
+        """The compensated scan is good, and better than the plain one: worth its time, and to be shown."""
+        return self.converged and self.error_after <= min(GOOD_ERROR, self.error_before)
 
 
 def estimate(
@@ -129,33 +159,38 @@ def estimate(
     times_s = scanned.frame_s * np.asarray(sines)
     reference_s = float(np.mean(times_s[:4]))
     working = {side: _working(scanned.frames[side], sines, binning) for side in samples}
-    width_px = rig.left.width_px // binning
+    scale = math.sqrt(rig.left.width_px / binning / WORKING_WIDTH_PX)
     solver = _Solver(samples, _prior(times_s, reference_s))
-    step_mm, blur_px = math.inf, 1.0
+    step_mm = math.inf
     for level in LEVELS:
-        blur_px = level.blur_px * math.sqrt(width_px / WORKING_WIDTH_PX)
-        solver.look_at(working, blur_px)
+        solver.look_at(working, level.steps_blur_px * scale, level.texture_blur_px * scale)
         for _ in range(level.iterations):
             step_mm = solver.step(level.kinds)
             if step_mm < CONVERGED_MM:
                 break
-    noise_dn = float(np.mean([_noise_dn(scanned, side) for side in SIDES]))
-    averaged_px = 2.0 * math.sqrt(math.pi) * blur_px * binning
-    after = solver.contradiction(solver.values, noise_dn / averaged_px)
-    before = solver.contradiction(np.zeros(PARAMETERS), noise_dn / averaged_px)
-    noise = noise_dn / float(np.mean([_modulation_dn(scanned, side) for side in SIDES]))
+    grey_dn = float(np.mean([noise_dn(scanned, side) for side in SIDES]))
+    averaged_px = 2.0 * math.sqrt(math.pi) * LEVELS[-1].steps_blur_px * scale * binning
+    after = solver.contradiction(solver.values, grey_dn / averaged_px)
+    noise_factor, covariance = solver.noise_factor(), solver.covariance()
+    before = solver.contradiction(np.zeros(PARAMETERS), grey_dn / averaged_px)
+    noise = grey_dn / float(np.mean([_modulation_dn(scanned, side) for side in SIDES]))
     return MotionEstimate(
         frames=sines,
         motion_mm=solver.values[:MOTIONS].reshape(FRAMES, 6).copy(),
-        covariance_mm2=solver.covariance(),
+        covariance_mm2=covariance,
         gains=solver.values[GAINS : GAINS + FRAMES].copy(),
         centre_mm=centre,
         reference_s=reference_s,
         projector=projector,
         ripple_before=RIPPLE_OF_CONTRADICTION * before / noise,
         ripple_after=RIPPLE_OF_CONTRADICTION * after / noise,
+        noise_factor=noise_factor,
         converged=step_mm < NEARLY_CONVERGED_MM,
     )
+
+
+def _blurred(pictures: list[NDArray[np.float32]], blur_px: float) -> NDArray[np.float32]:
+    return np.asarray(np.stack([cv2.GaussianBlur(picture, (0, 0), blur_px) for picture in pictures]), np.float32)
 
 
 class _Solver:
@@ -164,19 +199,26 @@ class _Solver:
     def __init__(self, samples: Mapping[str, Samples], prior: Array) -> None:
         self.values = np.zeros(PARAMETERS)
         self._samples, self._prior = samples, prior
-        self._pictures: dict[str, NDArray[np.float32]] = {}
+        self._pictures: tuple[dict[str, NDArray[np.float32]], ...] = ()
+        self._blurs_px = (0.0, 0.0)
         self._scale_dn = np.full(3, START_SCALE_DN)
         self._matrix = prior
         self._vector = np.zeros(PARAMETERS)
+        self._variance = np.ones((1, 2))
 
-    def look_at(self, working: Mapping[str, list[NDArray[np.float32]]], blur_px: float) -> None:
-        """From now on at pictures of that blur."""
-        for side in self._samples:
-            blurred = [cv2.GaussianBlur(picture, (0, 0), blur_px) for picture in working[side]]
-            self._pictures[side] = np.asarray(np.stack(blurred), np.float32)
+    def look_at(
+        self, working: Mapping[str, list[NDArray[np.float32]]], steps_blur_px: float, texture_blur_px: float
+    ) -> None:
+        """From now on at pictures of these blurs."""
+        known = dict(zip(self._blurs_px, self._pictures, strict=False))
+        self._blurs_px = (steps_blur_px, texture_blur_px)
+        for blur_px in self._blurs_px:
+            if blur_px not in known:
+                known[blur_px] = {side: _blurred(pictures, blur_px) for side, pictures in working.items()}
+        self._pictures = (known[steps_blur_px], known[texture_blur_px])
 
-    def step(self, kinds: int) -> float:
-        """One step on the first ``kinds`` kinds of residuals; its largest part in mm."""
+    def step(self, kinds: tuple[int, ...]) -> float:
+        """One step on residuals of these kinds; its largest part in mm."""
         residual_dn, _ = self._accumulate(self.values, kinds)
         self._scale_dn = np.maximum(1.4826 * np.nanmedian(np.abs(residual_dn), axis=0), LEAST_SCALE_DN)
         step = -np.linalg.solve(self._matrix, self._vector + self._prior @ self.values)
@@ -186,38 +228,52 @@ class _Solver:
     def contradiction(self, values: Array, noise_dn: float) -> float:
         """Robust standard deviation of what contradicts in the x-sines beyond the noise of the pictures that are looked
         at, as a share of the modulation."""
-        residual_dn, modulation_dn = self._accumulate(values, X_STEPS + 1)
+        residual_dn, modulation_dn = self._accumulate(values, (X_STEPS,))
         modulation_dn = np.maximum(modulation_dn[:, 0], noise_dn)
         share = 1.4826 * float(np.nanmedian(np.abs(residual_dn[:, X_STEPS]) / modulation_dn))
         floor = noise_dn * float(np.nanmedian(1.0 / modulation_dn))
         return math.sqrt(max(share**2 - floor**2, 0.0))
 
+    def noise_factor(self) -> float:
+        """Root mean square noise of the x-sines' phases, as last looked at, against steps of 90°."""
+        known = self._variance[np.isfinite(self._variance[:, 0]), 0]
+        return math.sqrt(float(np.mean(np.minimum(known, MAX_VARIANCE)))) if known.size else math.inf
+
     def covariance(self) -> Array:
         """Of the motion."""
         return np.asarray(np.linalg.inv(self._matrix)[:MOTIONS, :MOTIONS])
 
-    def _accumulate(self, values: Array, kinds: int) -> tuple[Array, Array]:
+    def _accumulate(self, values: Array, kinds: tuple[int, ...]) -> tuple[Array, Array]:
         matrix, vector = np.zeros((PARAMETERS, PARAMETERS)), np.zeros(PARAMETERS)
-        residuals, modulations = [], []
+        residuals, modulations, variances = [], [], []
         for number, side in enumerate(SIDES):
             n = len(self._samples[side].uv_px)
             residual_dn, modulation_dn = np.full((n, 3), np.nan), np.full((n, 2), np.nan)
-            accumulate(
-                self._samples[side], self._pictures[side], values, number, self._scale_dn, kinds, matrix, vector,
-                residual_dn, modulation_dn,
-            )  # fmt: skip
+            other_dn, variance, unused = np.full((n, 3), np.nan), np.full((n, 2), np.nan), np.full((n, 2), np.nan)
+            for pictures, mine, written, doubt in (
+                (self._pictures[0], (X_STEPS, Y_STEPS), residual_dn, variance),
+                (self._pictures[1], (TEXTURE,), other_dn, unused),
+            ):
+                wanted = sum(1 << kind for kind in kinds if kind in mine)
+                accumulate(
+ self._samples[side], pictures[side], values, number, self._scale_dn, wanted, matrix, vector, written,
+ modulation_dn, doubt,
+)  # fmt: skip
+            residual_dn[:, TEXTURE] = other_dn[:, TEXTURE]
             residuals.append(residual_dn)
             modulations.append(modulation_dn)
+            variances.append(variance)
         # The kernel fills each pair once, in either order.
         self._matrix = matrix + matrix.T - np.diag(np.diag(matrix)) + self._prior
         self._vector = vector
+        self._variance = np.concatenate(variances)
         both = np.concatenate(residuals)
         if not np.isfinite(both).any():
             raise ValueError("no sample stays in the pictures; the instrument moved too far")
         return both, np.concatenate(modulations)
 
 
-def _noise_dn(scanned: Scanned, side: str) -> float:
+def noise_dn(scanned: Scanned, side: str) -> float:
     """Of the grey values of one camera, at the object's mean light."""
     decoder, camera = scanned.decoded[side], scanned.noise.left if side == "left" else scanned.noise.right
     lit = decoder.middle[::4, ::4][decoder.mask[::4, ::4] == Mask.VALID]

@@ -26,6 +26,7 @@ SMOOTH = MOTIONS + FRAMES
 SMOOTH_TERMS = 6
 PARAMETERS = SMOOTH + 2 * SMOOTH_TERMS
 X_STEPS, Y_STEPS, TEXTURE = 0, 1, 2
+"""Kinds of residuals."""
 _ROW = MOTIONS + FRAMES + SMOOTH_TERMS
 
 
@@ -48,7 +49,7 @@ class Samples(NamedTuple):
     """(n, SMOOTH_TERMS): what the gain of the texture is made of."""
 
 
-@numba.njit(nogil=True, cache=True, error_model="numpy", inline="always")
+@numba.njit(nogil=True, cache=True, error_model="numpy")
 def _weights(t: float) -> tuple[float, float, float, float, float, float, float, float]:
     """Cubic convolution (Keys) at −1, 0, 1, 2 from t in 0 … 1, and its derivative."""
     t2, t3 = t * t, t * t * t
@@ -79,8 +80,8 @@ def _look(picture: NDArray[np.float32], u: float, v: float) -> tuple[float, floa
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _solve_steps(y: Array, cosine: Array, sine: Array, out: Array, offset_of: Array, contradiction_of: Array) -> float:
-    """Least squares of y_k = a + c cos ψ_k − s sin ψ_k over four steps: a, c, s into ``out``; how a follows from y into
-    ``offset_of``; the unit vector that contradicts into ``contradiction_of``. Returns y along that."""
+    """Least squares of y_k = a + c cos ψ_k − s sin ψ_k over four steps: into ``out`` a, c, s and the variance of the phase
+    against that of steps of 90°; how a follows from y into ``offset_of``; the unit vector that contradicts into ``contradiction_of``. Returns y along that."""
     size = 0.0
     for k in range(4):
         i, j, l = (1, 2, 3) if k == 0 else ((0, 2, 3) if k == 1 else ((0, 1, 3) if k == 2 else (0, 1, 2)))
@@ -115,6 +116,7 @@ def _solve_steps(y: Array, cosine: Array, sine: Array, out: Array, offset_of: Ar
         c += (i01 + i11 * cosine[k] - i12 * sine[k]) / det * y[k]
         s += (i02 + i12 * cosine[k] - i22 * sine[k]) / det * y[k]
     out[0], out[1], out[2] = a, c, s
+    out[3] = 2.0 * (s * s * i11 - 2.0 * s * c * i12 + c * c * i22) / (det * max(s * s + c * c, 1e-9))
     return along
 
 
@@ -130,11 +132,13 @@ def accumulate(
     vector: Array,
     residual_dn: Array,
     modulation_dn: Array,
+    variance: Array,
 ) -> None:
     """Add one camera's samples to the normal equations ``matrix`` (P, P), ``vector`` (P,) at the parameters ``values`` (P,).
 
-    ``pictures`` (8, h, w) float32; Only the first ``kinds`` kinds of residuals count. ``scale_dn`` (3,): their robust scales, Cauchy beyond.
-    ``residual_dn`` (n, 3) gets the residuals, NaN where a point leaves the picture; ``modulation_dn`` (n, 2).
+    ``pictures`` (8, h, w) float32; ``kinds``: bit k lets residuals of kind k count. ``scale_dn`` (3,): their robust scales, Cauchy beyond.
+    ``residual_dn`` (n, 3) gets the residuals, NaN where a point leaves the picture; ``modulation_dn`` (n, 2); ``variance`` (n, 2) that of the
+    phases against steps of 90°.
     """
     uv, J, e, G, eg, lever, smooth = samples
     height, width = pictures.shape[1], pictures.shape[2]
@@ -142,7 +146,7 @@ def accumulate(
     cosine, sine = np.empty(4), np.empty(4)
     D = np.empty((FRAMES, 3))
     grey = np.empty(FRAMES)
-    solved = np.empty((2, 3))
+    solved = np.empty((2, 4))
     offset_of, contradiction_of = np.empty((2, 4)), np.empty((2, 4))
     along = np.empty(2)
     row, place = np.empty(_ROW), np.empty(_ROW, np.int64)
@@ -176,6 +180,7 @@ def accumulate(
                 for a in range(3):
                     D[4 * block + m, a] -= h[m] * G[i, block, a]
             modulation_dn[i, block] = np.sqrt(solved[block, 1] ** 2 + solved[block, 2] ** 2)
+            variance[i, block] = solved[block, 3]
         if not inside:
             residual_dn[i, :] = np.nan
             continue
@@ -183,16 +188,21 @@ def accumulate(
         for t in range(SMOOTH_TERMS):
             mean += smooth[i, t] * values[SMOOTH + SMOOTH_TERMS * side + t]
         residual_dn[i, 0], residual_dn[i, 1] = along[0], along[1]
-        residual_dn[i, 2] = solved[1, 0] - (1.0 + mean) * solved[0, 0]
+        # Moving sideways, a point may see nearly equal phases in all steps: its offset is then hardly known.
+        doubt = 0.0
+        for m in range(4):
+            doubt += 2.0 * (offset_of[0, m] ** 2 + offset_of[1, m] ** 2)
+        doubt = np.sqrt(doubt)
+        residual_dn[i, 2] = (solved[1, 0] - (1.0 + mean) * solved[0, 0]) / doubt
         for kind in range(3):
-            if kind >= kinds:
+            if not kinds >> kind & 1:
                 continue
             first, stop = (0, 4) if kind == X_STEPS else ((4, 8) if kind == Y_STEPS else (0, 8))
             count = 0
             for k in range(first, stop):
                 block, m = k // 4, k % 4
                 if kind == TEXTURE:
-                    part = offset_of[block, m] if block == 1 else -(1.0 + mean) * offset_of[block, m]
+                    part = (offset_of[block, m] if block == 1 else -(1.0 + mean) * offset_of[block, m]) / doubt
                 else:
                     part = contradiction_of[block, m]
                 g0, g1, g2 = part * D[k, 0], part * D[k, 1], part * D[k, 2]
@@ -207,7 +217,7 @@ def accumulate(
                 count += 7
             if kind == TEXTURE:
                 for t in range(SMOOTH_TERMS):
-                    row[count], place[count] = -smooth[i, t] * solved[0, 0], SMOOTH + SMOOTH_TERMS * side + t
+                    row[count], place[count] = -smooth[i, t] * solved[0, 0] / doubt, SMOOTH + SMOOTH_TERMS * side + t
                     count += 1
             r = residual_dn[i, kind]
             weight = 1.0 / (scale_dn[kind] ** 2 + 0.16 * r * r)

@@ -41,6 +41,14 @@ class Mask(IntEnum):
     """At a jump of the coordinates: the pixel sees two surfaces."""
 
 
+def edge_limits_px(period_px: int, width_px: int) -> tuple[np.float32, np.float32]:
+    """How much a coordinate may jump to the next pixel, and bend there, for a camera of ``width_px``."""
+    # A pixel spans about 0.63 pattern px at full resolution, more on a small camera; steep surfaces double it.
+    step_px = 1024.0 / width_px
+    noise_px = period_px / 45.0
+    return np.float32(4.0 * step_px + 4.0 * noise_px), np.float32(0.9 * step_px + 2.5 * noise_px)
+
+
 class CameraDecoder:
     """Decodes one camera's sequence as its frames arrive. Buffers are allocated once and reused scan after scan."""
 
@@ -116,11 +124,7 @@ class CameraDecoder:
             np.float32(MAX_GRAY_DISAGREEMENT),
             self._closed,
         )
-        # A pixel spans about 0.63 pattern px at full resolution, more on a small camera; steep surfaces double it.
-        step_px = 1024.0 / self._shape[1]
-        noise_px = self._sequence.period_px / 45.0
-        jump_px = np.float32(4.0 * step_px + 4.0 * noise_px)
-        bend_px = np.float32(0.9 * step_px + 2.5 * noise_px)
+        jump_px, bend_px = edge_limits_px(self._sequence.period_px, self._shape[1])
         mine_px, other_px = (self.p_px, self.q_px) if direction is Direction.X else (self.q_px, self.p_px)
         close_axis(
             s0, s1, s2, s3, half_period, self.lit_columns, axis, jump_px, bend_px, other_px, mine_px,

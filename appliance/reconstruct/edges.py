@@ -17,7 +17,7 @@ _NAN, _ZERO = np.float32(np.nan), np.float32(0.0)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def _keep_smooth(
+def keep_smooth(
     above: NDArray[np.float32],
     around: NDArray[np.float32],
     below: NDArray[np.float32],
@@ -104,7 +104,7 @@ def close_axis(
         if y > 0:
             above, around = scratch[(y - 2) % 3, COORDINATE:], scratch[(y - 1) % 3, COORDINATE - 1 :]
             done, judged = slice(begin, end), edge[: end - begin]
-            if _keep_smooth(
+            if keep_smooth(
                 above[begin:end], around[begin:], s[COORDINATE + begin : COORDINATE + end], jump_px, bend_px,
                 coordinate[y - 1, done], judged,
             ):  # fmt: skip

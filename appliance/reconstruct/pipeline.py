@@ -19,14 +19,14 @@ from appliance.optics.water import Water
 from appliance.patterns.sequence import PatternSequence
 from appliance.reconstruct.decode import CameraDecoder
 from appliance.reconstruct.gaps import GapSampler
-from appliance.reconstruct.match import fill_inverse_map, right_maps
+from appliance.reconstruct.match import RightMaps, fill_inverse_map, right_maps
 from appliance.reconstruct.noise import TYPICAL_PAIR, StereoNoise
 from appliance.reconstruct.quality import QualityLimits, summarise
 from appliance.reconstruct.rows import LeftMaps, reconstruct_rows, scratch_rows
 from appliance.reconstruct.scratch import MAX_WIDTH_PX
 from appliance.reconstruct.select import Limits
 from appliance.reconstruct.table import Cloud, Found, PointTable
-from appliance.reconstruct.triangulate import Rays, rays_of, sigma_factors
+from appliance.reconstruct.triangulate import Rays, SigmaFactors, rays_of, sigma_factors
 
 SIDES = ("left", "right")
 COARSE_POINTS = 30_000
@@ -167,6 +167,18 @@ class Pipeline:
         limits = self._kernel_limits(stride)._replace(max_gap_mm=LOOSE_GAP_MM, max_sigma_mm=np.float32(np.inf))
         return table.cloud(self._find(stride, limits, table))
 
+    def find_replaced(self, left: LeftMaps, right: LeftMaps, sigma_factor: float = 1.0) -> Found:
+        """The full cloud of other maps than the decoded ones, which stay as they are, leaving the points in the table.
+
+        ``sigma_factor``: their noise against that of four steps of 90°. Gaps are not sampled: they would not be those of
+        a scan at rest.
+        """
+        shown = self._sequence
+        maps = right_maps(right.p_px, right.q_px, right.modulation_half_dn, shown.width_px, shown.height_px)
+        fill_inverse_map(maps, self._inverse_stride)
+        factors = self._factors._replace(scale_px=np.float32(self._factors.scale_px * sigma_factor))
+        return self._find_in(left, maps, factors, 1, self._kernel_limits(1), self.table)
+
     def _find(self, stride: int, limits: Limits | None = None, table: PointTable | None = None) -> Found:
         if self._bright is None:
             raise ValueError("no bright frame was pushed; push the whole sequence before asking for a cloud")
@@ -175,7 +187,12 @@ class Pipeline:
             decoder.p_px, decoder.q_px, decoder.modulation_half_dn, self._bright, decoder.middle, decoder.lit_columns
         )
         limits = limits or self._kernel_limits(stride)
-        points = (table or self.table).points
+        return self._find_in(left, self._right, self._factors, stride, limits, table or self.table)
+
+    def _find_in(
+        self, left: LeftMaps, right: RightMaps, factors: SigmaFactors, stride: int, limits: Limits, table: PointTable
+    ) -> Found:
+        points = table.points
         rows, columns = left.p_px.shape
         block = -(-rows // (THREADS * stride)) * stride
         columns = -(-columns // stride)
@@ -185,13 +202,13 @@ class Pipeline:
             first = start // stride * columns
             stop = min(start + block, rows)
             count = reconstruct_rows(
-                left, self._right, self._rays, limits, self._factors, start, stop, stride, self._scratch[start // block],
+                left, right, self._rays, limits, factors, start, stop, stride, self._scratch[start // block],
                 points, first,
             )  # fmt: skip
             return first, first + int(count)
 
         pieces = tuple(self._pool.map(work, range(0, rows, block)))
-        lit = decoder.lit_pixels // stride**2
+        lit = self._decoders["left"].lit_pixels // stride**2
         return Found(pieces, summarise(lit, points, pieces))
 
     def _kernel_limits(self, stride: int) -> Limits:

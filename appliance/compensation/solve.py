@@ -1,0 +1,320 @@
+"""Owns the pixels' new coordinates: the sine frames followed to where each point went, and solved with their true steps."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.compensation.residuals import _solve_steps
+from appliance.compensation.ways import FIRST_WAY, P_OF_T, PER_FRAME, Q_OF_T, Ways
+
+BRIGHT, FIRST_GRAY = 8, 9
+"""Places of what is followed beside the 8 sine frames: the bright frame, then the Gray images of x, then of y."""
+MAX_ROUNDS = 3
+SETTLED_T = np.float32(0.002)
+"""0.2 mm of depth: moves no way by more than 0.02 px."""
+MAX_CONTRARY = np.float32(0.5)
+"""Of a Gray image's full swing: what bits may say against an order altogether."""
+MAX_ASIDE_PX = np.float32(4.0)
+"""Between a pattern row and where the fitted projector has it for this pixel and column."""
+MAX_T = np.float32(2.5)
+_NAN, _HALF, _ONE = np.float32(np.nan), np.float32(0.5), np.float32(1.0)
+
+
+class Sources(NamedTuple):
+    """What is looked up. Pictures are (h, w)."""
+
+    frames: NDArray[np.uint8]
+    """(n, h, w)."""
+    followed: NDArray[np.int64]
+    """Their numbers: 8 sines, bright, Gray images."""
+    p_px: NDArray[np.float32]
+    """As decoded without motion: where a pixel's depth comes from."""
+
+
+class Terms(NamedTuple):
+    """Numbers of one scan and camera."""
+
+    period_px: np.float32
+    width_px: np.float32
+    height_px: np.float32
+    min_modulation_dn: np.float32
+    noise_dn: np.float32
+    harmonic_x: np.float32
+    """Second harmonic of the fringes, as a share of the first."""
+    harmonic_y: np.float32
+    gray_x: int
+    """How many Gray images of the first direction."""
+    gray_y: int
+    fill_px: int
+    """So far is a depth carried over pixels that have none."""
+
+
+class Solved(NamedTuple):
+    """The maps (h, w) at the reference time."""
+
+    p_px: NDArray[np.float32]
+    q_px: NDArray[np.float32]
+    modulation_half_dn: NDArray[np.uint8]
+    bright: NDArray[np.uint8]
+    light: NDArray[np.uint8]
+    lit_columns: NDArray[np.int32]
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _cubic(picture: NDArray[np.uint8], u: np.float32, v: np.float32) -> np.float32:
+    """Cubic convolution at (u, v), at least 1 px inside; NaN where it is saturated."""
+    i, j = int(np.floor(u)), int(np.floor(v))
+    s, t = u - np.float32(i), v - np.float32(j)
+    s2, t2 = s * s, t * t
+    s3, t3 = s2 * s, t2 * t
+    three, five = np.float32(1.5), np.float32(2.5)
+    a0, a1 = -_HALF * s + s2 - _HALF * s3, _ONE - five * s2 + three * s3
+    a3 = -_HALF * s2 + _HALF * s3
+    a2 = _ONE - a0 - a1 - a3
+    b0, b1 = -_HALF * t + t2 - _HALF * t3, _ONE - five * t2 + three * t3
+    b3 = -_HALF * t2 + _HALF * t3
+    b2 = _ONE - b0 - b1 - b3
+    value = np.float32(0.0)
+    for m in range(4):
+        b = b0 if m == 0 else (b1 if m == 1 else (b2 if m == 2 else b3))
+        n = j - 1 + m
+        value += b * (
+            a0 * np.float32(picture[n, i - 1])
+            + a1 * np.float32(picture[n, i])
+            + a2 * np.float32(picture[n, i + 1])
+            + a3 * np.float32(picture[n, i + 2])
+        )
+    return value if picture[j + int(t > _HALF), i + int(s > _HALF)] != np.uint8(255) else _NAN
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _depths(row: NDArray[np.float32], p_px: NDArray[np.float32], fill_px: int, t: NDArray[np.float32]) -> None:
+    """t of each pixel of a row; where it has no column, that of the nearest one, NaN beyond ``fill_px``.
+
+    ``row`` (w, 3): parabolas of p.
+    """
+    width = p_px.size
+    last, at = _NAN, -1
+    for x in range(width):
+        t[x] = _NAN
+        if p_px[x] == p_px[x]:
+            first = (p_px[x] - row[x, 0]) / row[x, 1]
+            last = first - row[x, 2] * first * first / row[x, 1]
+            at = x
+            t[x] = last
+        elif at >= 0 and x - at <= fill_px:
+            t[x] = last
+    last, at = _NAN, -1
+    for x in range(width - 1, -1, -1):
+        if p_px[x] == p_px[x]:
+            last, at = t[x], x
+        elif at >= 0 and at - x <= fill_px:
+            before = t[x]
+            # Of the two ends of a gap the nearer one.
+            if before != before or _nearer(p_px, x, at - x):
+                t[x] = last
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _nearer(p_px: NDArray[np.float32], x: int, distance: int) -> bool:
+    """Whether no pixel with a column lies closer before ``x`` than ``distance``."""
+    for k in range(1, distance):
+        if x - k < 0:
+            return True
+        if p_px[x - k] == p_px[x - k]:
+            return False
+    return True
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _at(c: NDArray[np.float32], k: int, t: np.float32) -> np.float32:
+    return np.float32(c[k] + t * (c[k + 1] + t * c[k + 2]))
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def solve_rows(
+    sources: Sources,
+    ways: Ways,
+    gains: NDArray[np.float32],
+    terms: Terms,
+    start: int,
+    stop: int,
+    stride: int,
+    solved: Solved,
+    harmonics: NDArray[np.float64],
+) -> None:
+    """Solve every ``stride``-th row from ``start`` to ``stop`` − 1 into ``solved``.
+
+    ``harmonics`` (2, 2) gathers Σ contradiction · response and Σ response² of the second harmonic, per direction.
+    """
+    nodes, step = ways.nodes, ways.step_px
+    bright = sources.frames[sources.followed[BRIGHT]]
+    height, width = sources.p_px.shape
+    count = nodes.shape[2]
+    upper = np.empty((nodes.shape[1], count), np.float32)
+    parabola = np.empty((width, 3), np.float32)
+    t_row = np.empty(width, np.float32)
+    c = np.empty(count, np.float32)
+    y, cosine, sine = np.empty(4), np.empty(4), np.empty(4)
+    steps, offset_of, contradiction_of = np.empty(4), np.empty(4), np.empty(4)
+    turns, modulation, light = np.empty(2), np.empty(2), np.empty(2)
+    limit_u, limit_v = np.float32(width - 2), np.float32(height - 2)
+    quarter_turn = 2.0 * np.pi
+    for row in range(start, stop, stride):
+        j = row // step
+        share = np.float32((row - j * step) / step)
+        for i in range(nodes.shape[1]):
+            for k in range(count):
+                upper[i, k] = nodes[j, i, k] + share * (nodes[j + 1, i, k] - nodes[j, i, k])
+        for x in range(width):
+            i = x // step
+            part = np.float32((x - i * step) / step)
+            for k in range(3):
+                parabola[x, k] = upper[i, P_OF_T + k] + part * (upper[i + 1, P_OF_T + k] - upper[i, P_OF_T + k])
+        _depths(parabola, sources.p_px[row], terms.fill_px, t_row)
+        first, last = width, 0
+        for x in range(width):
+            solved.p_px[row, x] = _NAN
+            solved.q_px[row, x] = _NAN
+            solved.modulation_half_dn[row, x] = 0
+            solved.bright[row, x] = bright[row, x]
+            solved.light[row, x] = 0
+            t = t_row[x]
+            if not (abs(t) < MAX_T):
+                continue
+            i = x // step
+            part = np.float32((x - i * step) / step)
+            for k in range(count):
+                c[k] = upper[i, k] + part * (upper[i + 1, k] - upper[i, k])
+            good = False
+            for _ in range(MAX_ROUNDS):
+                good = True
+                for block in range(2):
+                    for m in range(4):
+                        k = 4 * block + m
+                        way = FIRST_WAY + PER_FRAME * k
+                        u, v = np.float32(x) + _at(c, way, t), np.float32(row) + _at(c, way + 3, t)
+                        if not (u >= _ONE and v >= _ONE and u < limit_u and v < limit_v):
+                            good = False
+                            break
+                        y[m] = _cubic(sources.frames[sources.followed[k]], u, v) * gains[k]
+                        psi = quarter_turn * (_at(c, way + 6, t) + 0.25 * m)
+                        cosine[m], sine[m] = np.cos(psi), np.sin(psi)
+                    if not good:
+                        break
+                    rest = _solve_steps(y, cosine, sine, steps, offset_of, contradiction_of)
+                    size = np.sqrt(steps[1] * steps[1] + steps[2] * steps[2])
+                    harmonic = terms.harmonic_x if block == 0 else terms.harmonic_y
+                    # cos 2(φ + ψ) of the four steps, times the modulation.
+                    co, si = (
+                        (steps[1] * steps[1] - steps[2] * steps[2]) / (size + 1e-9),
+                        2.0 * steps[1] * steps[2] / (size + 1e-9),
+                    )
+                    seen = 0.0
+                    for m in range(4):
+                        c2, s2 = cosine[m] * cosine[m] - sine[m] * sine[m], 2.0 * sine[m] * cosine[m]
+                        second = co * c2 - si * s2
+                        seen += contradiction_of[m] * second
+                        y[m] -= harmonic * second
+                    if stride > 1 and abs(rest) < 20.0:
+                        harmonics[block, 0] += rest * seen
+                        harmonics[block, 1] += seen * seen
+                    rest = _solve_steps(y, cosine, sine, steps, offset_of, contradiction_of)
+                    size = np.sqrt(steps[1] * steps[1] + steps[2] * steps[2])
+                    if not (size >= terms.min_modulation_dn and abs(rest) <= max(6.0 * terms.noise_dn, 0.25 * size)):
+                        good = False
+                        break
+                    turns[block] = np.arctan2(steps[2], steps[1]) / (2.0 * np.pi)
+                    modulation[block] = size
+                    light[block] = steps[0]
+                if not good:
+                    break
+                expected = _at(c, P_OF_T, t)
+                p = _place(sources, c, FIRST_GRAY, terms.gray_x, t, x, row, turns[0], light[0], expected, terms)
+                expected = _at(c, Q_OF_T, t)
+                q = _place(
+                    sources, c, FIRST_GRAY + terms.gray_x, terms.gray_y, t, x, row, turns[1], light[1], expected, terms
+                )
+                good = bool(-_ONE <= p <= terms.width_px) and bool(-_ONE <= q <= terms.height_px)
+                if not good:
+                    break
+                nearer = (p - c[P_OF_T]) / c[P_OF_T + 1]
+                nearer -= c[P_OF_T + 2] * nearer * nearer / c[P_OF_T + 1]
+                solved.p_px[row, x], solved.q_px[row, x] = p, q
+                settled = abs(nearer - t) < SETTLED_T
+                t = np.float32(nearer)
+                if settled or not (abs(t) < MAX_T):
+                    break
+            if not good or not (abs(solved.q_px[row, x] - _at(c, Q_OF_T, t)) <= MAX_ASIDE_PX):
+                solved.p_px[row, x] = _NAN
+                solved.q_px[row, x] = _NAN
+                continue
+            solved.modulation_half_dn[row, x] = np.uint8(min(2.0 * min(modulation[0], modulation[1]) + 0.5, 255.0))
+            solved.light[row, x] = np.uint8(min(max(light[0] + 0.5, 0.0), 255.0))
+            way = FIRST_WAY + PER_FRAME * BRIGHT
+            column, line = int(x + _at(c, way, t) + _HALF), int(row + _at(c, way + 3, t) + _HALF)
+            if 0 <= column < width and 0 <= line < height:
+                solved.bright[row, x] = bright[line, column]
+            first, last = min(first, x), max(last, x + 1)
+        solved.lit_columns[row, 0] = min(first, last)
+        solved.lit_columns[row, 1] = last
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _place(
+    sources: Sources,
+    c: NDArray[np.float32],
+    first: int,
+    count: int,
+    t: np.float32,
+    x: int,
+    row: int,
+    turns: float,
+    light: float,
+    expected_px: np.float32,
+    terms: Terms,
+) -> np.float32:
+    """Pattern coordinate of a phase by the order that its Gray images bear out, each where the point was then; NaN where
+    none of those near to the decoded and to the expected one is borne out.
+
+    All images but the last change at whole periods only: they number periods. Moving, a point may have been in the next
+    period already when one of them was shown: that is known from its phase then.
+    """
+    phase = turns - np.floor(turns)
+    height, width = sources.frames.shape[1], sources.frames.shape[2]
+    number, bit = 0, 0
+    seen = np.empty(8, np.float32)
+    carry = np.empty(8, np.int64)
+    for k in range(count):
+        way = FIRST_WAY + PER_FRAME * (first + k)
+        u = int(np.floor(np.float32(x) + _at(c, way, t) + _HALF))
+        v = int(np.floor(np.float32(row) + _at(c, way + 3, t) + _HALF))
+        if not (0 <= u < width and 0 <= v < height):
+            return _NAN
+        grey = np.float32(sources.frames[sources.followed[first + k], v, u])
+        seen[k] = np.float32(min(max((float(grey) - light) / max(light, 1.0), -1.0), 1.0))
+        bit ^= int(seen[k] > 0)
+        number = 2 * number + bit
+        then = phase + _at(c, way + 6, t)
+        # In half periods for the last image, whole ones for the others.
+        carry[k] = int(np.floor(then)) if k < count - 1 else int(np.floor(2.0 * then))
+    decoded = number // 2
+    wanted = int(np.floor((expected_px + _HALF) / terms.period_px - phase + 0.5))
+    best, least = -1000, np.float32(10.0)
+    for near in range(6):
+        period = decoded + near - 1 if near < 3 else wanted + near - 4
+        contrary = np.float32(0.0)
+        for k in range(count):
+            half = 2 * (period + carry[k]) if k < count - 1 else 2 * period + carry[k]
+            shown = ((half ^ (half >> 1)) >> (count - 1 - k)) & 1
+            against = -seen[k] if shown == 1 else seen[k]
+            contrary += max(against, np.float32(0.0))
+        if contrary < least:
+            best, least = period, contrary
+    if least > MAX_CONTRARY:
+        return _NAN
+    return np.float32(terms.period_px * (best + phase) - _HALF)
