@@ -61,6 +61,10 @@ class Refusal(Enum):
     TOO_FAR = "TOO_FAR"
     NOT_FILLED = "NOT_FILLED"
     """The plane covers too little of the picture."""
+    MOVED = "MOVED"
+    """Instrument and artefact moved against each other while it was recorded."""
+    WRONG_PATTERN = "WRONG_PATTERN"
+    """A frame does not show its pattern."""
 
 
 UNITS: Mapping[Refusal, str] = MappingProxyType(
@@ -76,6 +80,8 @@ UNITS: Mapping[Refusal, str] = MappingProxyType(
         Refusal.TOO_NEAR: "mm",
         Refusal.TOO_FAR: "mm",
         Refusal.NOT_FILLED: "%",
+        Refusal.MOVED: "px",
+        Refusal.WRONG_PATTERN: "",
     }
 )
 """Of the number that is shown with a refusal."""

@@ -89,6 +89,10 @@ def refusal_words(trial: Trial) -> tuple[Text, Text]:
             return what, Text.NEAR_RANGE if trial.step is Step.M3 else Text.FAR_RANGE
         case Refusal.NOT_FILLED:
             return Text.NOT_FILLED, Text.FILL_45
+        case Refusal.MOVED:
+            return Text.MOVED, Text.STILL_AND_AGAIN
+        case Refusal.WRONG_PATTERN:
+            return Text.WRONG_PATTERN, Text.RECORD_AGAIN
 
 
 def _how(canvas: Canvas, step: Step, language: Language) -> None:

@@ -18,16 +18,16 @@ from appliance.calibration.guide import HELD, USED, Refusal, Solved, Step, Trial
 from appliance.calibration.ladder import Method, calibrate
 from appliance.calibration.poses import FoundBar, FoundPlane, judge_bar, judge_plane
 from appliance.calibration.recordings import ArtefactKind, Recording, RecordingError
+from appliance.capture.fault import FaultCode
 from appliance.config import Rig
 from appliance.evaluation.ball_bar import BallBar, find_ball_bar
 from appliance.evaluation.plane import PlaneFit, fit_plane
 from appliance.evaluation.points import NotFound
-from appliance.optics.water import Water
-from appliance.reconstruct.noise import StereoNoise
-from appliance.reconstruct.pipeline import Cloud, Pipeline
+from appliance.machine.alerts import RULES
+from appliance.reconstruct.pipeline import Cloud
 from appliance.reconstruct.quality import QualityLimits
-from appliance.service.desk import cloud_of, decoded_cloud_of
-from appliance.service.instrument import calibration_of, noise_of, start_of
+from appliance.service.desk import Reworked, rework
+from appliance.service.instrument import calibration_of, start_of, taking_of_scan
 from appliance.service.recordings import recording_of_scan
 from appliance.storage import scan as stored
 from appliance.storage.calibrations import Calibrations
@@ -46,7 +46,7 @@ class Basis:
     """Lenses and pose from air, ports as drawn; else the calibration in use."""
     before: Calibration
     """What the instrument measured with until now."""
-    noise: StereoNoise
+    rig: Rig
     bar: Certificate
     """Of the ball bar; its radius is stated."""
 
@@ -85,7 +85,7 @@ def basis_of(rig: Rig) -> Basis:
     session = calibrations.session()
     before = calibrations.kept(session) if session.in_use else None
     certificate = Certificate(bar.length_mm, bar.length_sd_mm, bar.radius_mm, bar.radius_sd_mm)
-    return Basis(start_of(rig), before or current, noise_of(rig), certificate)
+    return Basis(start_of(rig), before or current, rig, certificate)
 
 
 def examine(rig: Rig, step: Step, folder: Path, report: Report) -> Examined:
@@ -97,13 +97,20 @@ def examine(rig: Rig, step: Step, folder: Path, report: Report) -> Examined:
     scan = stored.load(folder)
     if step is Step.VERIFY:
         solved = calibration_file.load(Calibrations(rig.storage.root, rig.rig.serial).solved)
-        cloud = _fair(scan, solved, basis)
-        bar = find_ball_bar(cloud)
-        trial = _judged_bar(step, bar, cloud, solved, basis.bar)
+        fairly = _fairly(scan, solved, basis)
+        spoilt = _spoilt(step, fairly)
+        if spoilt is not None:
+            return Examined(spoilt)
+        bar = find_ball_bar(fairly.cloud)
+        trial = _judged_bar(step, bar, fairly.cloud, solved, basis.bar)
         if trial.refusal is not None or isinstance(bar, NotFound):
             return Examined(trial)
         return Examined(trial, _compared(scan, bar, basis))
-    pipeline, cloud, water = _wide(scan, basis)
+    widely = _wide(scan, basis)
+    spoilt = _spoilt(step, widely)
+    if spoilt is not None:
+        return Examined(spoilt)
+    pipeline, cloud, water = widely.pipeline, widely.cloud, widely.water
     if HELD[step] is ArtefactKind.BALL_BAR:
         trial = _judged_bar(step, find_ball_bar(cloud), cloud, basis.start, basis.bar)
     else:
@@ -116,6 +123,16 @@ def examine(rig: Rig, step: Step, folder: Path, report: Report) -> Examined:
     if isinstance(recording, NotFound):
         return Examined(replace(trial, refusal=Refusal.FEW_POINTS, number=None, detail=recording.reason))
     return Examined(replace(trial, points=len(recording.left_px)))
+
+
+def _spoilt(step: Step, seen: Reworked) -> Trial | None:
+    """The refusal of a recording whose points would be wrong, whatever it shows."""
+    for fault in seen.faults:
+        if fault.code is FaultCode.MOVED:
+            return Trial(step, Refusal.MOVED, fault.numbers.get("shift_px"), detail=fault.detail)
+        if RULES[fault.code].spoils_points:
+            return Trial(step, Refusal.WRONG_PATTERN, None, detail=f"{fault.code.value}: {fault.detail}")
+    return None
 
 
 def solve(rig: Rig, date: str, report: Report) -> Solution:
@@ -158,7 +175,7 @@ def solve(rig: Rig, date: str, report: Report) -> Solution:
 
 def _recording(step: Step, folder: Path, basis: Basis) -> Recording:
     certificate = basis.bar if HELD[step] is ArtefactKind.BALL_BAR else None
-    recording = recording_of_scan(folder, certificate, basis.start, _silent)
+    recording = recording_of_scan(folder, certificate, basis.start, basis.rig, _silent)
     if isinstance(recording, NotFound):
         raise RecordingError(f"{step.value}, scan {folder.name}: {recording.reason}; record {step.value} again")
     return replace(recording, name=f"{step.value}, scan {folder.name}")
@@ -204,14 +221,20 @@ def _judged_plane(step: Step, plane: PlaneFit | NotFound, cloud: Cloud, calibrat
     return judge_plane(step, found, calibration.rig)
 
 
-def _wide(scan: stored.StoredScan, basis: Basis) -> tuple[Pipeline, Cloud, Water]:
+def _wide(scan: stored.StoredScan, basis: Basis) -> Reworked:
     """With room for rays that miss each other because nobody knows the ports."""
-    return decoded_cloud_of(scan, basis.start, _silent, QualityLimits(max_gap_mm=CALIBRATING_GAP_MM), basis.noise)
+    taking = taking_of_scan(scan.manifest.record, basis.rig)
+    return rework(scan, basis.start, taking, _silent, QualityLimits(max_gap_mm=CALIBRATING_GAP_MM))
+
+
+def _fairly(scan: stored.StoredScan, calibration: Calibration, basis: Basis) -> Reworked:
+    taking = taking_of_scan(scan.manifest.record, basis.rig)
+    return rework(scan, calibration, taking, _silent, QualityLimits(max_gap_mm=VERIFY_GAP_MM))
 
 
 def _fair(scan: stored.StoredScan, calibration: Calibration, basis: Basis) -> Cloud:
     """With room for the errors of any calibration, so that all are judged by the same points."""
-    return cloud_of(scan, calibration, _silent, QualityLimits(max_gap_mm=VERIFY_GAP_MM), basis.noise)[0]
+    return _fairly(scan, calibration, basis).cloud
 
 
 def _silent(what: str) -> None:

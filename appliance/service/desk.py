@@ -4,22 +4,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from appliance.calibration import file as calibration_file
 from appliance.calibration.file import Calibration
+from appliance.capture.fault import Fault
+from appliance.capture.verdict import Judgement
 from appliance.config import Rig
 from appliance.optics.water import Water
 from appliance.patterns.sequence import build_sequence
-from appliance.reconstruct.noise import TYPICAL_PAIR, StereoNoise
 from appliance.reconstruct.pipeline import SIDES, Cloud, Pipeline
 from appliance.reconstruct.quality import QualityLimits
-from appliance.service.instrument import CALIBRATION_FILE, calibration_of, design_of, noise_of_scan
+from appliance.service.instrument import CALIBRATION_FILE, calibration_of, design_of, taking_of_scan
 from appliance.storage import scan as stored
 from appliance.storage.atomic import replace_file
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.ply import write_ply
+from appliance.worker.scan_work import ScanWork, Taking
 
 
 def reconstruct_scan(
@@ -32,7 +35,8 @@ def reconstruct_scan(
     """
     scan = stored.load(folder)
     chosen = calibration_file.load(calibration) if calibration is not None else calibration_of(rig)[0]
-    cloud, water = cloud_of(scan, chosen, progress, noise=noise_of_scan(scan.manifest.record, rig))
+    reworked = rework(scan, chosen, taking_of_scan(scan.manifest.record, rig), progress)
+    cloud, water = reworked.cloud, reworked.water
     target = out if out is not None else Path(f"{folder.name}.ply")
     progress("writing")
     write_ply(target, cloud)
@@ -50,44 +54,56 @@ def reconstruct_scan(
         "calibration_method": chosen.method,
         "same_calibration": chosen.hash == scan.manifest.record.calibration_hash,
         "water_index": water.index,
+        "warnings": [f"{fault.code.value}: {fault.detail}" for fault in reworked.faults],
     }
 
 
-def cloud_of(
+@dataclass(frozen=True, slots=True, eq=False)
+class Reworked:
+    """A stored scan after everything the instrument does with one."""
+
+    pipeline: Pipeline
+    """Closed; it keeps the decoded maps of both cameras."""
+    cloud: Cloud
+    water: Water
+    """In which it was reconstructed."""
+    judgements: tuple[Judgement, ...]
+
+    @property
+    def faults(self) -> tuple[Fault, ...]:
+        """What is held against the scan."""
+        return tuple(judgement.fault for judgement in self.judgements if judgement.fault is not None)
+
+
+def rework(
     scan: stored.StoredScan,
     calibration: Calibration,
+    taking: Taking,
     progress: Callable[[str], None],
     limits: QualityLimits | None = None,
-    noise: StereoNoise = TYPICAL_PAIR,
-) -> tuple[Cloud, Water]:
-    """The full cloud of a stored scan with ``calibration``, and the water it was reconstructed in.
+) -> Reworked:
+    """Reconstruct and judge a stored scan with ``calibration``, as the instrument does.
 
-    ``limits`` ``None``: those of the instrument. ``noise``: of its cameras, for the points' expected errors.
+    ``taking``: how it was taken (``taking_of_scan``). ``limits`` ``None``: those of the instrument. Frames that are not
+    what they should be give their points all the same: the judgements say so.
     """
-    _, cloud, water = decoded_cloud_of(scan, calibration, progress, limits, noise)
-    return cloud, water
-
-
-def decoded_cloud_of(
-    scan: stored.StoredScan,
-    calibration: Calibration,
-    progress: Callable[[str], None],
-    limits: QualityLimits | None = None,
-    noise: StereoNoise = TYPICAL_PAIR,
-) -> tuple[Pipeline, Cloud, Water]:
-    """As ``cloud_of``, with the pipeline before it, which is closed and keeps the decoded maps of both cameras."""
     made = scan.manifest.record.sequence
     sequence = build_sequence(made.period_px, made.width_px, made.height_px)
     water = _water_of(scan, calibration)
     progress("loading")
-    with Pipeline(calibration, water, sequence, limits, noise=noise) as pipeline:
+    with Pipeline(calibration, water, sequence, limits, noise=taking.noise) as pipeline:
+        work = ScanWork(pipeline, calibration, water)
+        work.begin(taking)
         for index in range(len(sequence)):
             progress(f"decoding frame {index + 1} of {len(sequence)}")
             for side in SIDES:
-                pipeline.push(side, scan.frames[side], index)
+                work.push(side, scan.frames[side], index)
+        progress("judging")
+        identity = work.identify()
+        work.find_coarse()
+        judgements = (identity, *work.judge())
         progress("matching")
-        pipeline.coarse()
-        return pipeline, pipeline.full(), water
+        return Reworked(pipeline, pipeline.table.cloud(work.find_full()), water, judgements)
 
 
 def describe_calibration(rig: Rig, path: Path | None) -> dict[str, Any]:

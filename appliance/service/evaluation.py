@@ -17,8 +17,8 @@ from appliance.evaluation.flatness import REFERENCE_MM
 from appliance.evaluation.report import Evaluation, Item
 from appliance.evaluation.result import LENGTHS, Artefact, evaluate
 from appliance.reconstruct.quality import QualityLimits
-from appliance.service.desk import cloud_of
-from appliance.service.instrument import calibration_of, noise_of_scan
+from appliance.service.desk import rework
+from appliance.service.instrument import calibration_of, taking_of_scan
 from appliance.storage import scan as stored
 
 MOST_BYTES = 1_000_000
@@ -105,9 +105,9 @@ def run_evaluation(
         def step(what: str, at: float = at, name: str = folder.name) -> None:
             progress(f"{name}: {what}", at)
 
-        cloud, water = cloud_of(
-            scan, chosen, step, QualityLimits(max_gap_mm=JUDGING_GAP_MM), noise_of_scan(scan.manifest.record, rig)
-        )
+        taking = taking_of_scan(scan.manifest.record, rig)
+        reworked = rework(scan, chosen, taking, step, QualityLimits(max_gap_mm=JUDGING_GAP_MM))
+        cloud, water = reworked.cloud, reworked.water
         step(f"looking for the {entry.artefact.value}")
         result = evaluate(cloud, entry.artefact, entry.calibrated_mm, listed.reference_mm)
         record = scan.manifest.record
@@ -121,6 +121,7 @@ def run_evaluation(
             "water": {"temperature_c": water.temperature_c, "salinity_psu": water.salinity_psu, "index": water.index},
             "temperatures_c": dict(record.temperatures_c),
             "period_px": record.sequence.period_px,
+            "warnings": [f"{fault.code.value}: {fault.detail}" for fault in reworked.faults],
             "recorded_by_version": record.software_version,
             "recorded_with_rig": record.rig_hash,
             "recorded_with_calibration": record.calibration_hash,

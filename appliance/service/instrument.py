@@ -19,6 +19,7 @@ from appliance.optics.water import Water
 from appliance.patterns.response import Response
 from appliance.reconstruct.noise import CameraNoise, StereoNoise, camera_noise
 from appliance.storage.record import ScanRecord
+from appliance.worker.scan_work import Taking
 
 log = logging.getLogger("kingfisher")
 
@@ -131,9 +132,14 @@ def exposure_of_scan(record: ScanRecord, rig: Rig) -> Exposure:
     )
 
 
-def noise_of_scan(record: ScanRecord, rig: Rig) -> StereoNoise:
-    """The noise of both cameras at the gain a stored scan was recorded with."""
-    return noise_of(rig, exposure_of_scan(record, rig))
+def taking_of(rig: Rig, exposure: Exposure) -> Taking:
+    """How a sequence is taken with ``exposure``. Raises ValueError for a rig that has no time for any exposure."""
+    return Taking(exposure, 1.0 / rig.projector.refresh_hz, noise_of(rig, exposure), exposures_of(rig))
+
+
+def taking_of_scan(record: ScanRecord, rig: Rig) -> Taking:
+    """How a stored scan was taken."""
+    return taking_of(rig, exposure_of_scan(record, rig))
 
 
 def exposures_of(rig: Rig) -> tuple[Exposure, ...]:

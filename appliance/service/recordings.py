@@ -8,14 +8,17 @@ from pathlib import Path
 from appliance.calibration.extract import CALIBRATING_GAP_MM, Certificate, extract
 from appliance.calibration.file import Calibration
 from appliance.calibration.recordings import Recording
+from appliance.config import Rig
 from appliance.evaluation.points import NotFound
+from appliance.machine.alerts import RULES
 from appliance.reconstruct.quality import QualityLimits
-from appliance.service.desk import decoded_cloud_of
+from appliance.service.desk import rework
+from appliance.service.instrument import taking_of_scan
 from appliance.storage import scan as stored
 
 
 def recording_of_scan(
-    folder: Path, certificate: Certificate | None, start: Calibration, progress: Callable[[str], None]
+    folder: Path, certificate: Certificate | None, start: Calibration, rig: Rig, progress: Callable[[str], None]
 ) -> Recording | NotFound:
     """The recording of a stored scan: of a ball bar with its certificate, of a plane with ``None``.
 
@@ -23,7 +26,11 @@ def recording_of_scan(
     answer is ``NotFound`` with the reason in words where the artefact is not seen well enough. Raises ScanError.
     """
     scan = stored.load(folder)
-    pipeline, cloud, water = decoded_cloud_of(scan, start, progress, QualityLimits(max_gap_mm=CALIBRATING_GAP_MM))
+    taking = taking_of_scan(scan.manifest.record, rig)
+    reworked = rework(scan, start, taking, progress, QualityLimits(max_gap_mm=CALIBRATING_GAP_MM))
+    spoilt = next((fault for fault in reworked.faults if RULES[fault.code].spoils_points), None)
+    if spoilt is not None:
+        return NotFound(f"{spoilt.code.value}: {spoilt.detail}; record it again")
     progress("looking for the artefact")
-    left, right = pipeline.decoded("left"), pipeline.decoded("right")
-    return extract(scan.manifest.scan_id, certificate, cloud, left, right, start, water)
+    left, right = reworked.pipeline.decoded("left"), reworked.pipeline.decoded("right")
+    return extract(scan.manifest.scan_id, certificate, reworked.cloud, left, right, start, reworked.water)

@@ -33,7 +33,7 @@ from appliance.patterns.sequence import PatternSequence
 from appliance.reconstruct.noise import TYPICAL_PAIR, StereoNoise
 from appliance.reconstruct.pipeline import Cloud
 from appliance.service.health import CalibrationWatch
-from appliance.service.instrument import exposures_of, noise_of
+from appliance.service.instrument import exposure_of, noise_of, taking_of
 from appliance.storage.atomic import StorageError
 from appliance.storage.library import Library, PendingScan
 from appliance.storage.record import ScanRecord, SequenceInfo
@@ -48,7 +48,6 @@ from appliance.worker.process import (
     WorkLimits,
     WorkOrder,
 )
-from appliance.worker.scan_work import Taking
 from drivers.api import Clock
 
 log = logging.getLogger("kingfisher")
@@ -108,7 +107,7 @@ class ScanDesk:
         self._rig = rig
         self._calibration = calibration
         self._response = response
-        self._steps = exposures_of(rig)
+        self._taking = taking_of(rig, exposure_of(rig))
         self._library = library
         self._clock = clock
         self.sequence = sequence
@@ -147,11 +146,8 @@ class ScanDesk:
                 return Fault(FaultCode.NOT_SAVED, f"the previous scan's frames are not on the disk: {error}")
             self._remember(scan)
         self.scan = ScanInWork(number, self._clock.now_ns(), exposure)
-        self.worker.begin(number, self._taking(exposure))
+        self.worker.begin(number, replace(self._taking, exposure=exposure, noise=noise_of(self._rig, exposure)))
         return None
-
-    def _taking(self, exposure: Exposure) -> Taking:
-        return Taking(exposure, 1.0 / self._rig.projector.refresh_hz, noise_of(self._rig, exposure), self._steps)
 
     def recorded(self, report: CaptureReport, temperatures_c: dict[str, float | None]) -> None:
         """The sequence ended and every witness agrees."""

@@ -74,7 +74,7 @@ def run_water_calibration(
         def step(what: str, at: float = at, name: str = folder.name) -> None:
             progress(f"{name}: {what}", at)
 
-        found = recording_of_scan(folder, _certificate(entry), start, step)
+        found = recording_of_scan(folder, _certificate(entry), start, rig, step)
         if isinstance(found, NotFound):
             left_out[folder.name] = found.reason
         else:

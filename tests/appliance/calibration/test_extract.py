@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from appliance.calibration.extract import CALIBRATING_GAP_MM, Certificate, extract
 from appliance.calibration.file import Calibration
 from appliance.calibration.recordings import ArtefactKind, Recording
+from appliance.cli.simrig import default_sim_rig
+from appliance.config import load_rig
 from appliance.evaluation.points import NotFound
 from appliance.optics.model import StereoRig
 from appliance.optics.port import Port
@@ -143,7 +145,7 @@ def test_what_is_not_there_is_said_in_words(plane: Case, bar: Case) -> None:
 def test_a_stored_scan_gives_the_same_recording_and_its_own_water(tmp_path: Path, bar: Case) -> None:
     folder = store(bar.scan, tmp_path / "000012")
     seen: list[str] = []
-    found = recording_of_scan(folder, BAR, bar.start, seen.append)
+    found = recording_of_scan(folder, BAR, bar.start, load_rig(default_sim_rig()), seen.append)
     assert isinstance(found, Recording)
     assert found.name == "000012"
     scene = bar.scan.renderer.scene.water
