@@ -25,6 +25,7 @@ from appliance.verdict.identity_evidence import Witness
 from appliance.verdict.identity_lines import take_lines
 from bench.result import Measured
 from hw_sim.daylight import Daylight
+from hw_sim.drift import Drift
 from hw_sim.motion import Motion
 from hw_sim.objects.shapes import DEFAULT_POSE
 from hw_sim.scene import Scene
@@ -69,15 +70,15 @@ def measure(scans: int, seed: int, say: Say) -> tuple[list[Measured], dict[str, 
     """False alarms on ``scans`` good scans, and which wrong orders of their frames are found and rightly named."""
     rows: list[dict[str, Any]] = []
     for number in range(scans):
-        drawn = draw(1000 * seed + number)
+        drawn = draw(seed, number)
         say(f"scan {number + 1} of {scans}: {drawn.scene.object}", number / scans)
         rows.append(_of_scan(drawn, 1000 * seed + number))
     return _figures(rows), {"visible_share": VISIBLE, "shares": list(SHARES), "scans": rows}
 
 
-def draw(seed: int) -> Drawn:
-    """Object, pose, colour, water, light and hands by ``seed``; half of the scans move."""
-    rng = np.random.default_rng([seed, 20])
+def draw(seed: int, number: int) -> Drawn:
+    """Object, pose, colour, water, light and hands of scan ``number``; half of the scans move."""
+    rng = np.random.default_rng([seed, number, 22])
     name = str(rng.choice(["plane", "ballbar", "frustum", "pipe", "shell", "stones"]))
     pose = np.array(DEFAULT_POSE[name]) + np.concatenate(
         [rng.uniform(-40, 40, 2), rng.uniform(-50, 50, 1), rng.uniform(-25, 25, 2), rng.uniform(-40, 40, 1)]
@@ -101,6 +102,12 @@ def draw(seed: int) -> Drawn:
         if flickers
         else Daylight()
     )
+    drifts = rng.random() < 0.3
+    drift = (
+        Drift(float(rng.uniform(5, 200)), int(rng.integers(0, 40)), int(rng.integers(0, 3)), seed=number)
+        if drifts
+        else Drift()
+    )
     exposure_s = float(10 ** rng.uniform(-3.2, -1.92))
     ambient = float(rng.choice([0.0, 0.02, 0.2]))
     classes = [
@@ -109,9 +116,10 @@ def draw(seed: int) -> Drawn:
         *(["dark"] if exposure_s < 0.003 else []),
         *(["turbid"] if water.blur_px_per_m > 2.0 or water.backscatter > 0.08 else []),
         *(["flicker"] if flickers else []),
+        *(["specks and fish"] if drifts else []),
         *(["small"] if name == "ballbar" else []),
     ]
-    scene = Scene(name, _six(pose), texture, water, ambient, motion=motion, daylight=daylight)
+    scene = Scene(name, _six(pose), texture, water, ambient, motion=motion, daylight=daylight, drift=drift)
     return Drawn(scene, int(rng.choice([16, 32, 64])), exposure_s, tuple(classes))
 
 
@@ -134,7 +142,7 @@ def _of_scan(drawn: Drawn, seed: int) -> dict[str, Any]:
     scene = drawn.scene
     scan = render_scan(
         scene, "realistic", seed, WIDTH_PX, drawn.period_px, drawn.exposure_s,
-        frame_s=0.0 if scene.motion.still and scene.daylight == Daylight() else 1.0 / 60.0,
+        frame_s=1.0 / 60.0 if _changes(scene) else 0.0,
     )  # fmt: skip
     start = time.process_time()
     judgement = judge_identity(scan.frames, scan.sequence)
@@ -160,6 +168,10 @@ def _of_scan(drawn: Drawn, seed: int) -> dict[str, Any]:
     ]
     row["named"] = list(_names(scan.sequence, scan.frames, apart, judged, rng))
     return row
+
+
+def _changes(scene: Scene) -> bool:
+    return not scene.motion.still or scene.daylight != Daylight() or scene.drift != Drift()
 
 
 def _search(
