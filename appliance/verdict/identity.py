@@ -13,13 +13,16 @@ from appliance.capture.verdict import Judgement, Verdict
 from appliance.patterns.sequence import Direction, PatternSequence
 from appliance.reconstruct.noise import TYPICAL_PAIR, CameraNoise, StereoNoise
 from appliance.verdict.identity_evidence import MIN_FRINGE, Evidence, Witness
-from appliance.verdict.identity_explain import Explanation, What, explain, still
+from appliance.verdict.identity_explain import Explanation, What, explain, moved_share, still
 from appliance.verdict.identity_lines import can_follow, take_lines
 
 NAME = "identity"
 LEAST_LIGHT_DN = 0.05
 """Mean of the bright frame above that of the dark one, where even the water's veil is gone."""
 LIGHT_SIGMA = 4.0
+MOST_MOVED = 0.25
+"""Share of samples that are not the same from one direction's fringes to the other's. At rest it is below 0.01; beyond this,
+doubts that no order of the frames explains are the motion's, which has a judge of its own."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +47,7 @@ def judge_identity(
 ) -> Judgement:
     """Verdict ``identity`` on the frames (n, h, w) uint8 of ``left`` and ``right``, in the order of ``sequence``.
 
-    Passed: every frame is its pattern. None: too little of the projector's light is seen to say so. Failed, with a fault:
+    Passed: every frame is its pattern. None: too little of the projector's light is seen to say so, or too much moves. Failed, with a fault:
     ``CAMERA_STUCK`` (device), ``PROJECTOR_TIMING`` (shift_frames), ``PATTERN_WRONG`` (frame; device projector if both cameras
     say it), ``PROJECTOR_DARK``. Numbers: ``doubt``, the largest of all doubts, which alarm from 1 on; of each camera the
     same, the samples with fringes, and the projector's light. Raises ValueError for a number of frames that is not the
@@ -72,7 +75,8 @@ def judge_identity(
         text = f"{fault.code.value}: {fault.detail}"
         return Judgement(Verdict(NAME, False, numbers, text), fault)
     if not judged:
-        return Judgement(Verdict(NAME, None, numbers, "too little is seen of the patterns"))
+        text = "too little is seen of the patterns, or too much moves before them"
+        return Judgement(Verdict(NAME, None, numbers, text))
     seen = " and ".join(camera.device for camera in judged)
     return Judgement(Verdict(NAME, True, numbers, f"each frame of {seen} is its pattern"))
 
@@ -90,6 +94,8 @@ def _look(side: str, frames: NDArray[np.uint8], sequence: PatternSequence, noise
     if evidence.judged:
         if evidence.contradicted:
             explanation = explain(witness, sequence, noise, evidence)
+            if explanation.what is What.UNEXPLAINED and moved_share(witness, sequence) > MOST_MOVED:
+                explanation, evidence = None, Evidence({}, {}, evidence.lit, 0, 0)
     elif evidence.lit >= MIN_FRINGE:
         explanation = still(witness, sequence, noise)
     ends_dark = bool(means[-1] - means.min() < 0.1 * (means.max() - means.min()))

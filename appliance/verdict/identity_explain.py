@@ -22,6 +22,7 @@ from appliance.verdict.identity_lines import Lines
 SAME = 2.0
 """Two frames whose squared difference is less, in units of noise, are one image: noise alone gives 1, a step of the
 faintest fringes that count 4 or more."""
+SAME_MEAN = 0.15
 SHORTEST_STILL = 3
 """Frames that show the same image to the end of the sequence; two are a repeat."""
 ENOUGH_FRINGE = 2000
@@ -96,6 +97,20 @@ def differences(witness: Witness, sequence: PatternSequence, noise: CameraNoise)
     result = np.asarray(np.maximum(apart, 0.0) / max(values.shape[1], 1))
     result[result < 1e-9] = 0.0
     return result
+
+
+def moved_share(witness: Witness, sequence: PatternSequence) -> float:
+    """Share of lit samples whose mean over the sines of one direction is not that over the other's.
+
+    A single sine in a wrong place moves its mean by an eighth of the swing at most.
+    """
+    moved = lit = 0
+    for lines in witness.lines.values():
+        means = [lines.values[list(sequence.axis(d).sine)][:, lines.lit].mean(axis=0) for d in Direction]
+        swing = (lines.high - lines.low)[lines.lit].astype(np.float64)
+        moved += int(np.count_nonzero(abs(means[0] - means[1]) > SAME_MEAN * swing))
+        lit += swing.size
+    return moved / max(lit, 1)
 
 
 def _fringed(lines: Lines, sequence: PatternSequence, noise: CameraNoise) -> NDArray[np.uint8]:

@@ -273,3 +273,12 @@ def test_simulated_open_water_is_nothing_to_judge() -> None:
     seen = render_scan(far, "realistic", 10_502, 320, 64)
     judgement = judge_identity(seen.frames, seen.sequence)
     assert (judgement.verdict.passed, judgement.fault) == (None, None)
+
+
+def test_what_rushes_by_is_left_to_the_judge_of_motion() -> None:
+    scene = Scene("pipe", texture="strong", motion=Motion(velocity_mm_s=(80.0, -40.0, 30.0)))
+    seen = render_scan(scene, "realistic", 10_901, 200, 32, 0.006, frame_s=1.0 / 60.0)
+    judgement = judge_identity(seen.frames, seen.sequence)
+    assert (judgement.verdict.passed, judgement.fault) == (None, None)
+    late = {side: frames[[1, *range(len(frames) - 1)]] for side, frames in seen.frames.items()}
+    assert judge_identity(late, seen.sequence).verdict.passed is not True
