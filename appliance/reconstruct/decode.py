@@ -25,6 +25,8 @@ MIN_MODULATION_DN = 5.0
 MAX_GRAY_DISAGREEMENT = 0.36
 """Distance between phase and the middle of its Gray half period, in periods; ¼ is perfect, ½ is a wrong order."""
 MAX_GRAY_BITS = 8
+LIGHT_SAMPLES = 1_500
+"""Pixels of which the mean of the sine images is compared with the middle between bright and dark."""
 
 
 class Mask(IntEnum):
@@ -63,7 +65,7 @@ class CameraDecoder:
         self._shape = (height_px, width_px)
         n = width_px * height_px
         self.middle = np.empty(self._shape, np.uint8)
-        """(h, w) uint8: half way between bright and dark: the Gray threshold, and the mean of the sine images."""
+        """(h, w) uint8: half way between bright and dark: the Gray threshold."""
         self._middle = self.middle.reshape(-1)
         self._half_period = np.empty(n, np.uint8)
         self.lit_columns = np.zeros((height_px, 2), np.int32)
@@ -78,6 +80,8 @@ class CameraDecoder:
         """(h, w) uint8: the smaller modulation of the two directions, in half grey values."""
         self.lit_pixels = 0
         """Pixels that are not in the shadow."""
+        self.sine_light = 1.0
+        """Mean of the sine images, of ``middle``: what the projector's response makes of the middle of its codes."""
         self._next = 0
         self._closed = False
         """One direction is done."""
@@ -130,7 +134,17 @@ class CameraDecoder:
             s0, s1, s2, s3, half_period, self.lit_columns, axis, jump_px, bend_px, other_px, mine_px,
             self.modulation_half_dn, self.mask,
         )  # fmt: skip
+        if not self._closed:
+            self.sine_light = self._sine_light(frames, mine.sine)
         self._closed = True
+
+    def _sine_light(self, frames: NDArray[np.uint8], sine: tuple[int, ...]) -> float:
+        """From a thousand pixels; 1 where none is valid."""
+        step = max(1, int((self.mask.size / LIGHT_SAMPLES) ** 0.5))
+        valid = self.mask[::step, ::step] == Mask.VALID
+        middle = int(self.middle[::step, ::step][valid].sum(dtype=np.int64))
+        mean = sum(int(frames[k][::step, ::step][valid].sum(dtype=np.int64)) for k in sine) / len(sine)
+        return mean / middle if middle else 1.0
 
     def finish(self) -> None:
         """Close the scan: the maps are final. Raises ValueError when frames are missing."""

@@ -10,7 +10,7 @@ from appliance.calibration.gaps import GapModes
 from appliance.calibration.patches import PatchGaps, average
 from appliance.reconstruct.match import RightMaps, match_row
 from appliance.reconstruct.scratch import SIZE, SX1, SX2, SY1, SY2, X1, X2, Y1, Y2, P, Q, U, V, Z
-from appliance.reconstruct.triangulate import Rays, SigmaFactors, triangulate_row
+from appliance.reconstruct.triangulate import Rays, triangulate_row
 
 SAMPLES = 5_000
 """Left pixels that are asked: a hundred in each patch of a lit image, so that noise is a tenth of that of a point."""
@@ -27,7 +27,6 @@ def _sample(
     q_px: NDArray[np.float32],
     right: RightMaps,
     rays: Rays,
-    factors: SigmaFactors,
     stride: int,
     found: NDArray[np.float32],
 ) -> int:
@@ -41,7 +40,7 @@ def _sample(
         for x in range(n):
             s[P + x], s[Q + x] = p_px[y, x * stride], q_px[y, x * stride]
         match_row(right, s, s, n, False, at)
-        triangulate_row(rays, y, 0, stride, factors, s, n)
+        triangulate_row(rays, y, 0, stride, s, n)
         for x in range(n):
             if not (MIN_DEPTH_MM < s[Z + x] < MAX_DEPTH_MM):
                 continue
@@ -72,9 +71,8 @@ class GapSampler:
         q_px: NDArray[np.float32],
         right: RightMaps,
         rays: Rays,
-        factors: SigmaFactors,
     ) -> PatchGaps:
         """The gaps of a decoded scan; ``right`` with its inverse map filled."""
-        count = int(_sample(p_px, q_px, right, rays, factors, self._stride, self._found))
+        count = int(_sample(p_px, q_px, right, rays, self._stride, self._found))
         found = self._found[:count].astype(np.float64)
         return average(self._modes, found[:, 0:2], found[:, 2:4], 1000.0 * found[:, 4])

@@ -22,11 +22,13 @@ from appliance.reconstruct.gaps import GapSampler
 from appliance.reconstruct.match import RightMaps, fill_inverse_map, right_maps
 from appliance.reconstruct.noise import TYPICAL_PAIR, StereoNoise
 from appliance.reconstruct.quality import QualityLimits, summarise
+from appliance.reconstruct.ripple import STILL, measure_ripple
 from appliance.reconstruct.rows import LeftMaps, reconstruct_rows, scratch_rows
 from appliance.reconstruct.scratch import MAX_WIDTH_PX
 from appliance.reconstruct.select import Limits
+from appliance.reconstruct.sigma import SigmaFactors, sigma_factors
 from appliance.reconstruct.table import Cloud, Found, PointTable
-from appliance.reconstruct.triangulate import Rays, SigmaFactors, rays_of, sigma_factors
+from appliance.reconstruct.triangulate import Rays, rays_of
 
 SIDES = ("left", "right")
 COARSE_POINTS = 30_000
@@ -76,6 +78,7 @@ class Pipeline:
         self._right = right_maps(seen.p_px, seen.q_px, seen.modulation_half_dn, sequence.width_px, sequence.height_px)
         self._gaps = _sampler(calibration, water)
         self._inverse_stride = 2 if right.width_px >= 800 else 1
+        self._noise, self._ripple = noise, STILL
         self._factors = sigma_factors(sequence.period_px, noise)
         self._limits = limits or QualityLimits()
         self._pixel_mm = 0.16 * 1600.0 / left.width_px
@@ -106,7 +109,8 @@ class Pipeline:
 
     def expect(self, noise: StereoNoise) -> None:
         """From now on, points' expected errors are those of cameras with this noise."""
-        self._factors = sigma_factors(self._sequence.period_px, noise)
+        self._noise = noise
+        self._factors = sigma_factors(self._sequence.period_px, noise, self._ripple)
 
     def reset(self) -> None:
         """Forget a scan that was begun; the next frame is frame 0."""
@@ -146,6 +150,9 @@ class Pipeline:
         for decoder in self._decoders.values():
             decoder.finish()
         fill_inverse_map(self._right, self._inverse_stride)
+        left, period_px = self._decoders["left"], self._sequence.period_px
+        self._ripple = measure_ripple(left.p_px, left.lit_columns, period_px)
+        self._factors = sigma_factors(period_px, self._noise, self._ripple)
         return self._find(self.coarse_stride)
 
     def find_full(self) -> Found:
@@ -154,7 +161,7 @@ class Pipeline:
         found = self._find(1)
         if self._gaps is None:
             return found
-        gaps = self._gaps.measure(decoder.p_px, decoder.q_px, self._right, self._rays, self._factors)
+        gaps = self._gaps.measure(decoder.p_px, decoder.q_px, self._right, self._rays)
         return replace(found, gaps=gaps)
 
     def sample(self, stride: int) -> Cloud:
@@ -176,7 +183,7 @@ class Pipeline:
         shown = self._sequence
         maps = right_maps(right.p_px, right.q_px, right.modulation_half_dn, shown.width_px, shown.height_px)
         fill_inverse_map(maps, self._inverse_stride)
-        factors = self._factors._replace(scale_px=np.float32(self._factors.scale_px * sigma_factor))
+        factors = self._factors._replace(scale2_px2=np.float32(self._factors.scale2_px2 * sigma_factor**2))
         return self._find_in(left, maps, factors, 1, self._kernel_limits(1), self.table)
 
     def _find(self, stride: int, limits: Limits | None = None, table: PointTable | None = None) -> Found:
@@ -184,8 +191,9 @@ class Pipeline:
             raise ValueError("no bright frame was pushed; push the whole sequence before asking for a cloud")
         decoder = self._decoders["left"]
         left = LeftMaps(
-            decoder.p_px, decoder.q_px, decoder.modulation_half_dn, self._bright, decoder.middle, decoder.lit_columns
-        )
+            decoder.p_px, decoder.q_px, decoder.modulation_half_dn, self._bright, decoder.middle, decoder.lit_columns,
+            np.float32(decoder.sine_light),
+        )  # fmt: skip
         limits = limits or self._kernel_limits(stride)
         return self._find_in(left, self._right, self._factors, stride, limits, table or self.table)
 

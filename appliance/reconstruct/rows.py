@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from appliance.reconstruct.match import RightMaps, match_row
 from appliance.reconstruct.scratch import LIGHT, MODULATION, SIZE, P, Q, Z
 from appliance.reconstruct.select import Limits, Points, append, judge
-from appliance.reconstruct.triangulate import Rays, SigmaFactors, triangulate_row
+from appliance.reconstruct.sigma import SigmaFactors, expect_row
+from appliance.reconstruct.triangulate import Rays, triangulate_row
 
 CHUNK = 256
 """Columns that pass through all stages together: their quantities fit into the first-level cache."""
@@ -27,9 +28,11 @@ class LeftMaps(NamedTuple):
     modulation_half_dn: NDArray[np.uint8]
     bright: NDArray[np.uint8]
     light: NDArray[np.uint8]
-    """Mean of the sine images, which is the middle between bright and dark."""
+    """Half way between bright and dark."""
     lit_columns: NDArray[np.int32]
     """(h, 2): first column of each row that may have a coordinate, and the one behind the last."""
+    sine_light: np.float32 = np.float32(1.0)
+    """Mean of the sine images, of ``light``: less than 1 where the projector's response sags."""
 
 
 def scratch_rows() -> NDArray[np.float32]:
@@ -54,7 +57,8 @@ def _load_row(left: LeftMaps, y: int, first: int, end: int, stride: int, s: NDAr
     _load(left.p_px[y, column:], stride, np.float32(1.0), s[P + first : P + end])
     _load(left.q_px[y, column:], stride, np.float32(1.0), s[Q + first : Q + end])
     _load(left.modulation_half_dn[y, column:], stride, np.float32(0.5), s[MODULATION + first : MODULATION + end])
-    _load(left.light[y, column:], stride, np.float32(1.0), s[LIGHT + first : LIGHT + end])
+    _load(left.light[y, column:], stride, left.sine_light, s[LIGHT + first : LIGHT + end])
+    s[P + first - 1], s[P + end] = _NAN, _NAN
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -99,7 +103,8 @@ def reconstruct_rows(
         for chunk in range(first, end, CHUNK):
             size = min(CHUNK, end - chunk)
             match_row(right, row[chunk:], s[chunk:], size, stride == 1 and y > begin, at)
-            triangulate_row(rays, y, chunk * stride, stride, factors, s[chunk:], size)
+            expect_row(factors, stride == 1, s[chunk:], size)
+            triangulate_row(rays, y, chunk * stride, stride, s[chunk:], size)
         done = y - stride
         if start <= done < stop:
             column = row_first * stride

@@ -14,13 +14,14 @@ MAX_WIDTH_PX = 4096
 _SLOT = MAX_WIDTH_PX + 272
 """17 cache lines more than a multiple of 4096 bytes: equal places in different slots must not compete for the same lines,
 nor may a load look, by its last 12 bits, like a store that has just been made."""
-_NAMES = 39
+_NAMES = 42
 (
     P, Q,  # left coordinates
     U, V, U_START, V_START,  # right image point, and the pixel at which its Newton step begins
     UP, UQ, VQ, VP,  # inverse derivatives: px of the right image per px of the pattern
     PC, PL, PR, PT, PB, QC, QL, QR, QT, QB,  # right coordinates: centre, left, right, top, bottom
     SLOPE, MODULATION, MODULATION_RIGHT, LIGHT,
+    BEND_RIGHT, RIGHT_SHARE, POINT_VARIANCE,  # towards sigma
     X1, Y1, SX1, SY1, X2, Y2, SX2, SY2, SHIFT, SHIFT_SLOPE,  # rays
     X, Y, Z, GAP, SIGMA,
 ) = (k * _SLOT + 8 for k in range(_NAMES))  # fmt: skip

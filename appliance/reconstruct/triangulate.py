@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numba
@@ -10,16 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.optics.rays import RayLattice
-from appliance.reconstruct.noise import CameraNoise, StereoNoise
 from appliance.reconstruct.scratch import (
     GAP,
-    LIGHT,
-    MODULATION,
-    MODULATION_RIGHT,
+    POINT_VARIANCE,
     SHIFT,
     SHIFT_SLOPE,
     SIGMA,
-    SLOPE,
     SX1,
     SX2,
     SY1,
@@ -35,15 +30,10 @@ from appliance.reconstruct.scratch import (
     Z,
 )
 
-RIGHT_SHARE = 13.0 / 12.0
-"""The right coordinate is read off between pixels: value of the nearest one and half the difference of its neighbours on
-either side, times the step, which is −½ … ½ px in each direction: variance 1 + 2 · ½ · 1/12."""
 RAY_BLOCK = 16
 """Left pixels of a row that ask one node of the right lattice."""
 MAX_DU_PX, MAX_DV_PX = np.float32(16.0), np.float32(8.0)
 """So far from its node, for nodes 4 px apart, the series is within 0.1 µm of the exact ray."""
-MIN_MODULATION_DN = np.float32(1.0)
-MIN_SLOPE = np.float32(0.05)
 _ZERO, _ONE, _HALF = np.float32(0.0), np.float32(1.0), np.float32(0.5)
 _U, _V, _X2, _Y2, _SX2, _SY2, _SHIFT, _SHIFT_SLOPE = (
     np.uint64(place) for place in (U, V, X2, Y2, SX2, SY2, SHIFT, SHIFT_SLOPE)
@@ -60,30 +50,6 @@ class Rays(NamedTuple):
     second ones: twice by column, by both, twice by row, each as the series has it."""
     step_px: int
     plane_z_mm: np.float32
-
-
-class SigmaFactors(NamedTuple):
-    """What makes a point's expected error of its modulations and its mean light."""
-
-    scale_px: np.float32
-    """Coordinate noise in px for camera noise equal to the modulation: P/(2π·√2)."""
-    dark_left: np.float32
-    """Variance at grey value 0, as a line through the variances at all others has it."""
-    shot_left: np.float32
-    """Variance per grey value."""
-    dark_right: np.float32
-    shot_right: np.float32
-
-
-def sigma_factors(period_px: int, noise: StereoNoise) -> SigmaFactors:
-    """For fringes of ``period_px`` and cameras of that noise."""
-
-    def of(camera: CameraNoise, share: float) -> tuple[np.float32, np.float32]:
-        dark_dn2 = camera.read_dn**2 - camera.dn_per_e * camera.black_dn
-        return np.float32(share * dark_dn2), np.float32(share * camera.dn_per_e)
-
-    scale_px = np.float32(period_px / (2.0 * math.pi * math.sqrt(2.0)))
-    return SigmaFactors(scale_px, *of(noise.left, 1.0), *of(noise.right, RIGHT_SHARE))
 
 
 def rays_of(left: RayLattice, right: RayLattice, left_width_px: int) -> Rays:
@@ -196,12 +162,10 @@ def _rays_by_blocks(nodes: NDArray[np.float32], step_px: int, n: int, s: NDArray
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
-def _intersect(s: NDArray[np.float32], n: int, plane_z_mm: np.float32, factors: SigmaFactors) -> None:
-    """Sigma is the standard deviation along the left ray: four-step phase noise P·σ/(2π·√2·B) of both cameras, divided
-    by the pattern's gradient across the right image, times the shift of the right ray per px across the baseline: so
-    much moves the intersection by shift · √(a / det), as h above has it for a shift of x. The right camera's light is the left one's in proportion to their modulations.
+def _intersect(s: NDArray[np.float32], n: int, plane_z_mm: np.float32) -> None:
+    """Sigma is the standard error along the left ray: that of the right image point across the baseline, times the shift
+    of the right ray per px: so much moves the intersection by shift · √(a / det), as h below has it for a shift of x.
     """
-    scale_px, dark1, shot1, dark2, shot2 = factors
     for x in range(n):
         sx1, sy1, sx2, sy2 = s[SX1 + x], s[SY1 + x], s[SX2 + x], s[SY2 + x]
         wx, wy = s[X1 + x] - s[X2 + x], s[Y1 + x] - s[Y2 + x]
@@ -210,15 +174,7 @@ def _intersect(s: NDArray[np.float32], n: int, plane_z_mm: np.float32, factors: 
         c = sx2 * sx2 + sy2 * sy2 + _ONE
         d = sx1 * wx + sy1 * wy
         e = sx2 * wx + sy2 * wy
-        det = a * c - b * b
-        m1, m2 = s[MODULATION + x], s[MODULATION_RIGHT + x]
-        # One division for two: dividing and square roots take most of this loop's time. In this form an unknown
-        # modulation (NaN) becomes the least, so that it never makes a point unknown.
-        m1 = m1 if m1 > MIN_MODULATION_DN else MIN_MODULATION_DN
-        m2 = m2 if m2 > MIN_MODULATION_DN else MIN_MODULATION_DN
-        signal = max(abs(s[SLOPE + x]), MIN_SLOPE) * m1 * m2
-        both = _ONE / (det * signal)
-        inverse, per_signal = both * signal, both * det
+        inverse = _ONE / (a * c - b * b)
         h, t = (b * e - c * d) * inverse, (a * e - b * d) * inverse
         gx, gy, gz = wx + h * sx1 - t * sx2, wy + h * sy1 - t * sy2, h - t
         s[X + x] = s[X1 + x] + h * sx1 - _HALF * gx
@@ -226,9 +182,7 @@ def _intersect(s: NDArray[np.float32], n: int, plane_z_mm: np.float32, factors: 
         s[Z + x] = plane_z_mm + _HALF * (h + t)
         s[GAP + x] = np.sqrt(gx * gx + gy * gy + gz * gz)
         shift = abs(s[SHIFT + x] + t * s[SHIFT_SLOPE + x])
-        light = s[LIGHT + x]
-        noise = ((dark1 + shot1 * light) * (m2 * m2) + (dark2 * m1 + shot2 * light * m2) * m1) * a * inverse
-        s[SIGMA + x] = scale_px * shift * np.sqrt(noise) * per_signal
+        s[SIGMA + x] = shift * np.sqrt(s[POINT_VARIANCE + x] * a * inverse)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
@@ -248,12 +202,10 @@ def _left_rays(
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def triangulate_row(
-    rays: Rays, y: int, first: int, stride: int, factors: SigmaFactors, s: NDArray[np.float32], n: int
-) -> None:
+def triangulate_row(rays: Rays, y: int, first: int, stride: int, s: NDArray[np.float32], n: int) -> None:
     """Triangulate ``n`` matched left pixels of row ``y``; where U is NaN, so is everything.
 
-    Reads U, V, SLOPE, MODULATION, MODULATION_RIGHT, LIGHT; writes X, Y, Z, GAP, SIGMA in mm. Place k is left column
+    Reads U, V, POINT_VARIANCE; writes X, Y, Z, GAP, SIGMA in mm. Place k is left column
     first + k·stride.
     """
     j = y // rays.step_px
@@ -263,4 +215,4 @@ def triangulate_row(
         _rays_by_blocks(rays.right, rays.step_px, n, s)
     else:
         _rays_one_by_one(rays.right, rays.step_px, n, s)
-    _intersect(s, n, rays.plane_z_mm, factors)
+    _intersect(s, n, rays.plane_z_mm)

@@ -53,6 +53,35 @@ def test_at_the_working_distance_points_scatter_by_less_than_three_hundredths_of
     assert rms(normalised) == pytest.approx(1.0, abs=0.10), "also with the projector's own response"
 
 
+@pytest.mark.parametrize(
+    ("scene", "period_px"),
+    [
+        (Scene(object="pipe"), 16),
+        (Scene(object="frustum", texture="strong", imaging=Imaging("linear")), 16),
+        (Scene(object="stones", texture="checker", ambient=0.2), 32),
+    ],
+    ids=["pipe", "painted frustum", "checked stones"],
+)
+def test_every_point_of_a_bent_steep_and_broken_surface_expects_its_error(scene: Scene, period_px: int) -> None:
+    """All points of a small image, where fringes are six pixels wide and a pixel sees two thirds of a millimetre: limbs,
+    edges and borders of paint, with the projector's own response."""
+    scan = render_scan(scene, "modelled", 3, 400, period_px, 0.010)
+    _, cloud = reconstruct(scan)
+    errors = depth_errors(scan.renderer, cloud)
+    known = np.isfinite(errors.along_ray_mm)
+    assert np.mean(known) > 0.999, "the others' pixels look past the object"
+    normalised = (errors.along_ray_mm / cloud.sigma_mm)[known]
+    kept = np.sort(np.abs(normalised))[: int(0.997 * len(normalised))]
+    assert rms(normalised) == pytest.approx(1.0, abs=0.15)
+    assert rms(kept) == pytest.approx(1.0, abs=0.10)
+    assert np.mean(kept < 1.0) == pytest.approx(0.683, abs=0.05)
+    assert np.mean(kept < 2.0) == pytest.approx(0.954, abs=0.02)
+    sure = cloud.sigma_mm[known] < np.quantile(cloud.sigma_mm, 0.2)
+    unsure = cloud.sigma_mm[known] > np.quantile(cloud.sigma_mm, 0.95)
+    assert rms(normalised[sure]) == pytest.approx(1.0, abs=0.15), "the best points"
+    assert 0.55 < rms(normalised[unsure]) < 1.2, "those at limbs and edges rather too little than too much"
+
+
 def test_the_noise_of_a_camera_follows_from_its_data_sheet_and_gain() -> None:
     """Judged by the simulated sensor, which has the same figures and its own arithmetic."""
     sensor, light = Sensor(120, 120, 1, True), np.ones((120, 120), np.float32)

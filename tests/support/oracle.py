@@ -1,7 +1,7 @@
 """The oracle: the same reconstruction in plain float64 NumPy with a KD-tree, slow and obvious, written from the formulas.
 
 It shares the product's pattern list and calibration values, but no kernel: phases by ``arctan2``, fringe order by
-Gray decoding through a lookup, correspondence by nearest neighbour in (p, q) and Newton on a local bilinear patch, rays
+Gray decoding through a lookup, correspondence by nearest neighbour in (p, q) and two substitutions on a local patch of second order, rays
 traced exactly per pixel, intersection by a linear solve.
 """
 
@@ -110,7 +110,12 @@ def match(left_pq: Array, right_pq: Array, right_valid: NDArray[np.bool_]) -> Ar
         jacobian = np.stack([du, dv], -1)
         good = inside & around & (np.abs(np.linalg.det(jacobian)) > 1e-4)
         step = np.zeros_like(left_pq)
-        step[good] = np.linalg.solve(jacobian[good], (left_pq - right_pq[y, x])[good][..., None])[..., 0]
+        away = left_pq - right_pq[y, x]
+        step[good] = np.linalg.solve(jacobian[good], away[good][..., None])[..., 0]
+        bend_u = right_pq[y, x + 1] + right_pq[y, x - 1] - 2 * right_pq[y, x]
+        bend_v = right_pq[y + 1, x] + right_pq[y - 1, x] - 2 * right_pq[y, x]
+        away -= 0.5 * (step[:, :1] ** 2 * bend_u + step[:, 1:] ** 2 * bend_v)
+        step[good] = np.linalg.solve(jacobian[good], away[good][..., None])[..., 0]
         # Noise can make two neighbours point at each other for ever: the last look accepts a little more.
         home = good & (np.abs(step) <= (0.75 if iteration == 7 else 0.5)).all(-1)
         result[home] = (at + step)[home]

@@ -61,6 +61,7 @@ def render_scan(
     height_px: int | None = None,
     response: Response | None = None,
     frame_s: float = 0.0,
+    gain_db: float = 0.0,
 ) -> RenderedScan:
     """Both cameras' frames of a scene, ``frame_s`` after one another (0: the hands are at rest, and the frames
     ``FRAME_S`` apart by the clock of daylight and drift).
@@ -78,7 +79,7 @@ def render_scan(
                 [LightSlice(p, exposure_s)],
                 k * frame_s,
                 exposure_s,
-                0.0,
+                gain_db,
                 (False, False),
                 2 * k + (side == "left"),
                 k * (frame_s or FRAME_S),

@@ -8,10 +8,9 @@ import pytest
 from appliance.optics.rays import ray_lattice
 from appliance.patterns.sequence import Direction, build_sequence
 from appliance.reconstruct.decode import MAX_GRAY_DISAGREEMENT, MIN_CONTRAST_DN, MIN_MODULATION_DN, CameraDecoder, Mask
-from appliance.reconstruct.noise import TYPICAL_PAIR
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.scratch import SIZE, SX2, SY2, X2, Y2, U, V, Z
-from appliance.reconstruct.triangulate import rays_of, sigma_factors, triangulate_row
+from appliance.reconstruct.triangulate import rays_of, triangulate_row
 from tests.support import oracle, synthetic
 
 NORMAL = np.array([-0.2, 0.15, 1.0]) / np.linalg.norm([-0.2, 0.15, 1.0])
@@ -159,7 +158,7 @@ def test_rays_asked_block_by_block_are_those_of_each_pixel() -> None:
     scratch = np.full(SIZE, np.nan, np.float32)
     scratch[U : U + n], scratch[V : V + n] = uv.astype(np.float32).T
     scratch[U + 700 : U + 740] = np.nan
-    triangulate_row(rays, 600, 0, 1, sigma_factors(16, TYPICAL_PAIR), scratch, n)
+    triangulate_row(rays, 600, 0, 1, scratch, n)
     origin, direction = right.rays(uv.astype(np.float32).astype(float), index)
     slope = direction[:, :2] / direction[:, 2:]
     at_plane = origin[:, :2] + slope * (522.5 - origin[:, 2:])

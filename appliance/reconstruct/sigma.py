@@ -1,0 +1,151 @@
+"""Owns the expected error of a correspondence: what noise, footprints, ripple and missing neighbours do to it.
+
+Of the right image point across the baseline, in px; ``triangulate.py`` makes millimetres along the ray of it. The parts
+add as variances (``docs/uncertainty.md``):
+
+- *noise*: the four-step phase noise P·σ/(2π·√2·B) of both cameras at their own light, the right one's in the share that
+  reading off between pixels leaves;
+- *footprint*: a blur of variance β moves a coordinate by β (½ ∇²p + ∇p · ∇ln B): by its bend, and by its slope where the
+  light is steeper on one side. The bend of both cameras counts. The light of both is the same paint and shade, seen at
+  other slopes: only the difference counts, and the right one's is the left one's in proportion to p_u²;
+- *ripple*: of what the projector's response does to both coordinates alike, that which is lost between right pixels;
+- *border*: a neighbour has no coordinate, so that nobody knows how the surface bends.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.reconstruct.noise import CameraNoise, StereoNoise
+from appliance.reconstruct.ripple import KNEE, STILL, Ripple
+from appliance.reconstruct.scratch import (
+    BEND_RIGHT,
+    LIGHT,
+    MODULATION,
+    MODULATION_RIGHT,
+    POINT_VARIANCE,
+    RIGHT_SHARE,
+    SLOPE,
+    UP,
+    UQ,
+    P,
+)
+
+BLUR_PX2 = 0.2
+"""Variance of what one pixel sees, in px²: its own area and the lens."""
+BORDER_PX = 0.07
+"""Expected error, in px, where a neighbour has no coordinate."""
+SURE = np.float32(20.0)
+"""A bend counts by what it has beyond so many times the variance of a coordinate: noise alone makes 5 in the mean."""
+RIPPLE_KNEE = np.float32(KNEE)
+MIN_SLOPE2 = np.float32(0.0025)
+_ZERO, _ONE, _HALF, _QUARTER = np.float32(0.0), np.float32(1.0), np.float32(0.5), np.float32(0.25)
+
+
+class SigmaFactors(NamedTuple):
+    """What makes a point's expected error of what is measured at it."""
+
+    scale2_px2: np.float32
+    """Coordinate noise squared for camera noise equal to the modulation: P²/8π²."""
+    dark_left: np.float32
+    """Variance at grey value 0, as a line through the variances at all others has it."""
+    shot_left: np.float32
+    """Variance per grey value."""
+    dark_right: np.float32
+    shot_right: np.float32
+    ripple_px2: np.float32
+    """Squared amplitude of what the projector's response does to a coordinate, four times a period; 0 where that does not
+    count."""
+    ripple_rad: np.float32
+    """Its phase per px of the pattern."""
+    blur2_px4: np.float32
+    """``BLUR_PX2`` squared."""
+    border_px2: np.float32
+    """``BORDER_PX`` squared."""
+
+
+def sigma_factors(period_px: int, noise: StereoNoise, ripple: Ripple = STILL) -> SigmaFactors:
+    """For fringes of ``period_px``, cameras of that noise, and a coordinate that ripples like that."""
+
+    def of(camera: CameraNoise) -> tuple[np.float32, np.float32]:
+        dark_dn2 = camera.read_dn**2 - camera.dn_per_e * camera.black_dn
+        return np.float32(dark_dn2), np.float32(camera.dn_per_e)
+
+    return SigmaFactors(
+        np.float32(period_px**2 / (8.0 * math.pi**2)),
+        *of(noise.left),
+        *of(noise.right),
+        np.float32(ripple.amplitude_px**2 if ripple.counts else 0.0),
+        np.float32(8.0 * math.pi / period_px),
+        np.float32(BLUR_PX2**2),
+        np.float32(BORDER_PX**2),
+    )
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
+def _expect(factors: SigmaFactors, s: NDArray[np.float32], n: int) -> None:
+    """Noise, footprint and border."""
+    scale2, dark1, shot1, dark2, shot2, _ripple, _rad, blur2, border2 = factors
+    for x in range(n):
+        m1, m2, light, slope = s[MODULATION + x], s[MODULATION_RIGHT + x], s[LIGHT + x], s[SLOPE + x]
+        before, after = s[P + x - 1], s[P + x + 1]
+        left_slope, slope2 = _HALF * (after - before), slope * slope
+        left2 = left_slope * left_slope
+        left2 = left2 if left2 > MIN_SLOPE2 else MIN_SLOPE2
+        # One division for two.
+        m12 = m1 * m2
+        m12 = m12 * m12
+        inverse = _ONE / (m12 * left2)
+        per_m12, per_left2 = inverse * left2, inverse * m12
+        m22 = m2 * m2
+        left, right = (dark1 + shot1 * light) * m22, (dark2 * m1 + shot2 * light * m2) * m1
+        noise = scale2 * (left + s[RIGHT_SHARE + x] * right) * per_m12
+        uneven = (s[MODULATION + x + 1] - s[MODULATION + x - 1]) * left_slope * (left2 - slope2) * per_left2
+        bend1, bend2 = _HALF * (before + after) - s[P + x], s[BEND_RIGHT + x]
+        bend = bend1 * bend1 + bend2 * bend2 - SURE * noise
+        known = bend == bend
+        bend = bend if bend > _ZERO else _ZERO
+        footprint = blur2 * (bend + _QUARTER * uneven * uneven * m22 * per_m12)
+        up, uq = s[UP + x], s[UQ + x]
+        s[POINT_VARIANCE + x] = (up * up + uq * uq) * (noise + (footprint if known else border2 * slope2))
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
+def _add_ripple(ripple_px2: np.float32, rad: np.float32, s: NDArray[np.float32], n: int) -> None:
+    """Of the squared amplitude, t³/(t³ + KNEE) is lost, t the square of the ripple's phase per right px: within a fifth
+    of the mean over all places between pixels, wherever that is more than a tenth."""
+    for x in range(n):
+        t = rad * s[SLOPE + x]
+        t = t * t
+        t = t * t * t
+        up, uq = s[UP + x], s[UQ + x]
+        s[POINT_VARIANCE + x] += (up * up + uq * uq) * ripple_px2 * t / (t + RIPPLE_KNEE)
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def expect_row(factors: SigmaFactors, next_to: bool, s: NDArray[np.float32], n: int) -> None:
+    """POINT_VARIANCE in px² of ``n`` matched left pixels; ``next_to``: places of ``s`` are neighbours in the image, whose
+    footprints can be told. Where there is no match it means nothing.
+
+    Reads P, UP, UQ, SLOPE, MODULATION, MODULATION_RIGHT, LIGHT, RIGHT_SHARE, BEND_RIGHT. The right camera's light is the
+    left one's in proportion to their modulations.
+    """
+    if next_to:
+        _expect(factors, s, n)
+    else:
+        _expect(without_neighbours(factors), s, n)
+    if factors.ripple_px2 > _ZERO:
+        _add_ripple(factors.ripple_px2, factors.ripple_rad, s, n)
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def without_neighbours(f: SigmaFactors) -> SigmaFactors:
+    """Of noise and ripple alone."""
+    return SigmaFactors(
+        f.scale2_px2, f.dark_left, f.shot_left, f.dark_right, f.shot_right, f.ripple_px2, f.ripple_rad, _ZERO, _ZERO
+    )  # fmt: skip
