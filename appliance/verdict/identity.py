@@ -23,6 +23,8 @@ LIGHT_SIGMA = 4.0
 MOST_MOVED = 0.25
 """Share of samples that are not the same from one direction's fringes to the other's. At rest it is below 0.01; beyond this,
 doubts that no order of the frames explains are the motion's, which has a judge of its own."""
+LEAST_MOVED, LARGE_DOUBT = 0.03, 1.5
+"""So are lesser doubts, where anything moves at all: a fish before what the first frames saw."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,13 +96,21 @@ def _look(side: str, frames: NDArray[np.uint8], sequence: PatternSequence, noise
     if evidence.judged:
         if evidence.contradicted:
             explanation = explain(witness, sequence, noise, evidence)
-            if explanation.what is What.UNEXPLAINED and moved_share(witness, sequence) > MOST_MOVED:
+            if _may_be_motion(explanation, evidence, moved_share(witness, sequence)):
                 explanation, evidence = None, Evidence({}, {}, evidence.lit, 0, 0)
     elif evidence.lit >= MIN_FRINGE:
         explanation = still(witness, sequence, noise)
     ends_dark = bool(means[-1] - means.min() < 0.1 * (means.max() - means.min()))
     identical = all(np.array_equal(mine.low, mine.high) and mine.high.any() for mine in witness.lines.values())
     return _Camera(f"camera.{side}", evidence, explanation, light_dn, sees_light, ends_dark, identical)
+
+
+def _may_be_motion(explanation: Explanation, evidence: Evidence, moved: float) -> bool:
+    """Frames that look alike prove a repeat only where nothing else can have raised the doubt."""
+    if explanation.what is What.UNEXPLAINED and moved > MOST_MOVED:
+        return True
+    unproven = explanation.what in (What.UNEXPLAINED, What.REPEATED)
+    return unproven and moved > LEAST_MOVED and evidence.worst < LARGE_DOUBT
 
 
 def _fault(cameras: list[_Camera]) -> Fault | None:

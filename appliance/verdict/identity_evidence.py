@@ -131,12 +131,11 @@ class Witness:
         suspects: dict[str, int],
     ) -> None:
         name, axis = along.value, self._axes[along]
-        if sums[Count.STEPS] >= MIN_FRINGE:
-            doubts[f"forward {name}"] = (1.0 - sums[Count.FORWARD] / sums[Count.STEPS]) / (1.0 - LEAST_FORWARD)
-        placed = sums[Count.PLACED]
-        if placed >= MIN_FRINGE:
-            coded = (sums[Count.NUMBER] / placed + 0.5) * 0.5 * self._sequence.period_px / axis.size_px
-            doubts[f"place {name}"] = abs(coded - sums[Count.PLACE] / placed) / MOST_DISPLACED[along]
+        steps = sums[Count.STEPS]
+        if steps >= MIN_FRINGE:
+            coded = (sums[Count.NUMBER] / steps + 0.5) * 0.5 * self._sequence.period_px / axis.size_px
+            doubts[f"place {name}"] = abs(coded - sums[Count.PLACE] / steps) / MOST_DISPLACED[along]
+            doubts[f"forward {name}"] = (1.0 - sums[Count.FORWARD] / steps) / (1.0 - LEAST_FORWARD)
         count = sums[Count.EDGES]
         if count >= MIN_EDGES:
             doubts[f"phase {name}"] = (1.0 - sums[Count.IN_PHASE] / count) / (1.0 - LEAST_IN_PHASE)

@@ -28,6 +28,8 @@ SHORTEST_STILL = 3
 ENOUGH_FRINGE = 2000
 """Samples with fringes that are asked while explanations compete; the best of them then face all lines."""
 FINALISTS = 6
+CLEARLY_LESS = 0.7
+"""Of all doubts together. What moves leaves some of its own in any order."""
 
 
 class What(Enum):
@@ -62,7 +64,7 @@ def explain(witness: Witness, sequence: PatternSequence, noise: CameraNoise, dou
     first = still_from(same)
     if first is not None and len(sequence) - first >= SHORTEST_STILL:
         return Explanation(What.STILL, first, identical=not same[first:, first:].any())
-    reordered = _reordered(witness, sequence, noise, max(1, min(doubts.fringe // ENOUGH_FRINGE, 8)))
+    reordered = _reordered(witness, sequence, noise, doubts)
     if reordered is not None:
         return _at_the_second(reordered, same)
     return _repeated(same, doubts) or Explanation(What.UNEXPLAINED, _suspect(doubts))
@@ -129,8 +131,9 @@ def still_from(same: NDArray[np.float64]) -> int | None:
     return None if first == len(same) - 1 else first
 
 
-def _reordered(witness: Witness, sequence: PatternSequence, noise: CameraNoise, every: int) -> Explanation | None:
-    """The order under which the least doubt is left, and none is decided; ``every`` so many lines choose the finalists."""
+def _reordered(witness: Witness, sequence: PatternSequence, noise: CameraNoise, doubts: Evidence) -> Explanation | None:
+    """The order under which the least doubt is left, none is decided, and clearly less than of the frames as planned."""
+    every = max(1, min(doubts.fringe // ENOUGH_FRINGE, 8))
     thin = {along: _thinned(lines, every) for along, lines in witness.lines.items()}
     scores = [
         (found.total, number)
@@ -143,7 +146,8 @@ def _reordered(witness: Witness, sequence: PatternSequence, noise: CameraNoise, 
         if number not in chosen:
             continue
         found = asked.evidence(order)
-        if found.judged and not found.contradicted and (best is None or found.total < best[0]):
+        clearly = found.total <= doubts.total - CLEARLY_LESS
+        if found.judged and clearly and not found.contradicted and (best is None or found.total < best[0]):
             best = found.total, explanation
     return None if best is None else best[1]
 

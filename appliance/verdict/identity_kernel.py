@@ -38,15 +38,13 @@ class Count(IntEnum):
     """Their squares."""
     PRODUCT_02 = 18
     PRODUCT_13 = 19
-    PLACED = 20
-    """Samples of which the following are sums."""
-    NUMBER = 21
-    """The half period's number, by the Gray code alone."""
-    PLACE = 22
-    """The place along the line, 0 … 1."""
+    NUMBER = 20
+    """Sum over the steps of the half period's number, by the Gray code alone."""
+    PLACE = 21
+    """Sum over the steps of the place along the line, 0 … 1."""
 
 
-COUNTS = 23
+COUNTS = 22
 OFF_REFERENCE = np.float32(0.3)
 """Bright and dark are the ends of each sample's swing, to this share of it."""
 _MIN_SWING_SHARE = np.float32(0.15)
@@ -141,9 +139,6 @@ def follow(
                 bit ^= now
                 h = 2 * h + bit
             code[x], number[x] = g, h
-            sums[20] += 1.0
-            sums[21] += h
-            sums[22] += (x + 0.5) / samples
             good[x] = _LEAST_RATIO * others < mine < _MOST_RATIO * others
             re[x], im[x] = re[x] / mine, im[x] / mine
             other_re[x], other_im[x] = other_re[x] / others, other_im[x] / others
@@ -168,6 +163,8 @@ def follow(
             after = abs(step[x] - step[x + 1]) - np.float32(0.35) * max(abs(step[x]), abs(step[x + 1]))
             if before > _BEND or after > _BEND:
                 continue
+            sums[20] += number[x]
+            sums[21] += (x + 0.5) / samples
             sums[4] += 1.0
             sums[5] += 1.0 if step[x] > 0.0 else 0.0
             changed = code[x] ^ code[x + 1]

@@ -48,13 +48,13 @@ def can_follow(sequence: PatternSequence, width_px: int) -> bool:
 
 
 def take_lines(frames: NDArray[np.uint8], sequence: PatternSequence, noise: CameraNoise) -> Mapping[Direction, Lines]:
-    """Rows and columns of ``frames`` (n, h, w) uint8, over what is lit; an eighth of a fringe or less between samples."""
+    """Rows and columns of ``frames`` (n, h, w) uint8, over what is lit; a sixth of a fringe or less between samples."""
     width_px = frames.shape[2]
-    eighth_px = sequence.period_px * width_px / sequence.width_px / 8.0
-    step = max(1, min(int(eighth_px), width_px // SAMPLES))
+    sixth_px = sequence.period_px * width_px / sequence.width_px / 6.0
+    step = max(1, min(int(sixth_px), width_px // SAMPLES))
     rows, columns = _where_lit(frames, noise)
     across = np.ascontiguousarray(frames[:, rows, ::step])
-    down = np.ascontiguousarray(frames[:, ::step, columns].transpose(0, 2, 1))
+    down = np.stack([np.take(frame[::step], columns, axis=1).T for frame in frames])
     return {Direction.X: _lines(Direction.X, across, noise), Direction.Y: _lines(Direction.Y, down, noise)}
 
 
