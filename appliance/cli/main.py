@@ -209,6 +209,18 @@ def _add_scans(
     )
     verify.add_argument("scans", metavar="SCAN", nargs="*", help="numbers (default: all)")
     verify.add_argument("--all", action="store_true", help=every)
+    merge = add(
+        inner,
+        "merge",
+        "one cloud of two scans that were taken with different exposures from the same place (docs/exposure.md)",
+        lambda a: verbs.merge(_rooted(a), (a.first, a.second), a.calibration, a.out, json=a.json),
+        rig,
+        root,
+    )
+    merge.add_argument("first", metavar="SCAN", help="its number or its folder")
+    merge.add_argument("second", metavar="SCAN", help="the other one; their order does not matter")
+    merge.add_argument("--calibration", type=Path, metavar="FILE", help="default: the instrument's")
+    merge.add_argument("--out", type=Path, metavar="FILE", help="default: NUMBER+NUMBER.ply here")
 
 
 def _add_calibration(

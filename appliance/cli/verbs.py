@@ -61,6 +61,26 @@ def reconstruct(rig: Rig, scan: str, calibration: Path | None, out: Path | None,
     return Exit.OK
 
 
+def merge(rig: Rig, scans: tuple[str, str], calibration: Path | None, out: Path | None, *, json: bool) -> Exit:
+    """One cloud of two stored scans with different exposures. ``scans``: their numbers, or their folders."""
+    writable(out)
+    measuring(calibration)
+    with Progress() as progress:
+        progress("comparing checksums")
+        first, second = (usable_scan(rig, scan, calibration) for scan in scans)
+        _use_kernels()
+        from appliance.service.merging import merge_scans
+
+        with writing(out or Path(f"{first.name}+{second.name}.ply")):
+            report = merge_scans(rig, (first, second), calibration, out, progress)
+    if json:
+        say_json(report)
+    else:
+        for key, value in report.items():
+            say(f"{key:<26} {'-' if value is None else value}")
+    return Exit.OK
+
+
 def calibration_show(rig: Rig, path: Path | None, *, json: bool) -> Exit:
     """The calibration in use, or that of a file."""
     from appliance.service.desk import describe_calibration

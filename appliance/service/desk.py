@@ -89,7 +89,7 @@ def rework(
     """
     made = scan.manifest.record.sequence
     sequence = build_sequence(made.period_px, made.width_px, made.height_px)
-    water = _water_of(scan, calibration)
+    water = water_of_scan(scan, calibration)
     progress("loading")
     with Pipeline(calibration, water, sequence, limits, noise=taking.noise) as pipeline:
         work = ScanWork(pipeline, calibration, water)
@@ -140,7 +140,7 @@ def write_nominal_calibration(rig: Rig, out: Path | None) -> Path:
     return path
 
 
-def _water_of(scan: stored.StoredScan, calibration: Calibration) -> Water:
+def water_of_scan(scan: stored.StoredScan, calibration: Calibration) -> Water:
     """The water the scan was recorded in, as its manifest says; else that of the calibration."""
     water = scan.manifest.record.water
     t, s, w = water.get("temperature_c"), water.get("salinity_psu"), water.get("wavelength_nm")

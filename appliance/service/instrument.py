@@ -125,11 +125,7 @@ def exposure_of(rig: Rig) -> Exposure:
 
 def exposure_of_scan(record: ScanRecord, rig: Rig) -> Exposure:
     """What a stored scan was recorded with."""
-    as_set = exposure_of(rig)
-    time_ms, gain_db = record.exposure.get("time_ms"), record.exposure.get("gain_db")
-    return Exposure(
-        as_set.time_us if time_ms is None else round(1000.0 * time_ms), as_set.gain_db if gain_db is None else gain_db
-    )
+    return record.exposure or exposure_of(rig)
 
 
 def taking_of(rig: Rig, exposure: Exposure) -> Taking:

@@ -168,7 +168,7 @@ class ScanDesk:
             clock_trusted=False,  # no source of time is known to the instrument yet
             recorded_ns=scan.begun_ns,
             response_hash=None if self._response is None else self._response.hash,
-            exposure={"time_ms": scan.exposure.time_us / 1000.0, "gain_db": scan.exposure.gain_db},
+            exposure=scan.exposure,
             water={
                 "temperature_c": self.water.temperature_c,
                 "salinity_psu": self.water.salinity_psu,

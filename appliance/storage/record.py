@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from appliance.capture.exposure import Exposure
 from appliance.capture.verdict import Verdict
 from appliance.patterns.sequence import PatternSequence
 
@@ -47,9 +48,8 @@ class ScanRecord:
     """Host's monotonic time when the capture began: the key press, as the heartbeat that acted on it saw it."""
     response_hash: str | None = None
     """Of the projector's response that the patterns were drawn for; ``None``: codes, not light, were the sine."""
-    exposure: Mapping[str, float] = field(default_factory=dict)
-    """``time_ms`` and ``gain_db`` of the left camera; the right one's differ as the rig file says. Empty: as the rig file
-    has them."""
+    exposure: Exposure | None = None
+    """Of the left camera; the right one's differs as the rig file says. ``None``: as the rig file has it."""
     water: Mapping[str, float | None] = field(default_factory=dict)
     """``salinity_psu``, ``temperature_c``, ``wavelength_nm``, ``index``: the water it was reconstructed in."""
     temperatures_c: Mapping[str, float | None] = field(default_factory=dict)

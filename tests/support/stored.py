@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from appliance.capture.exposure import Exposure
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.record import ScanRecord, SequenceInfo
 from appliance.storage.scan import write_raw
@@ -11,7 +12,7 @@ from hw_sim.water import GREEN_NM
 from tests.support.rendered import RenderedScan
 
 
-def store(scan: RenderedScan, folder: Path, response_hash: str | None = None) -> Path:
+def store(scan: RenderedScan, folder: Path, response_hash: str | None = None, exposure_ms: float | None = None) -> Path:
     """The raw frames and the manifest of a scan, in a new folder, with the water of its scene."""
     water = scan.renderer.scene.water
     record = ScanRecord(
@@ -23,6 +24,7 @@ def store(scan: RenderedScan, folder: Path, response_hash: str | None = None) ->
         clock_trusted=True,
         recorded_ns=1,
         response_hash=response_hash,
+        exposure=None if exposure_ms is None else Exposure(round(1000.0 * exposure_ms)),
         water={
             "temperature_c": water.temperature_c,
             "salinity_psu": water.salinity_psu,

@@ -1,0 +1,158 @@
+"""Owns two exposures of one scene as one: the maps of two decoded sequences, merged pixel by pixel.
+
+Each coordinate has a variance that follows from modulation, light and camera noise; where both sequences have one, they are
+weighted by it, and must agree within it. Where only one has one, because the other is saturated or too dark there, that
+one is taken. What disagrees is masked: something moved in between.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.reconstruct.decode import CameraDecoder, Mask
+from appliance.reconstruct.noise import CameraNoise
+
+MAX_SIGMA = 5.0
+"""Two coordinates of one surface point differ by more in one pixel of a million."""
+ROWS = 64
+"""Merged at once: the whole stays small."""
+BLOCK_ROWS, BLOCK_COLUMNS, LEAST_SHARED = 6, 8, 100
+"""Parts of the image of which each is asked whether it has moved, and pixels that both sequences must have in it."""
+MAX_SHIFT = 0.5
+"""Of the noise of a difference: from here on what has moved is seen in the surface."""
+
+
+@dataclass(frozen=True, slots=True)
+class Agreement:
+    """Of one camera. Shares are of all pixels, 0..1."""
+
+    first: float
+    """Pixels that only the first sequence has."""
+    second: float
+    both: float
+    """Pixels that both had, those masked included."""
+    masked: float
+    """Of those, pixels in which they disagreed."""
+    shift: float | None
+    """By how much all moved from the first sequence to the second: median over the image of what the coordinates of
+    neighbours have in common, over their noise; ``None`` where too few pixels are shared to tell."""
+
+    @property
+    def agrees(self) -> bool | None:
+        """Whether both saw the same; ``None``: it cannot be told."""
+        return None if self.shift is None else self.shift <= MAX_SHIFT
+
+
+def merge(
+    first: CameraDecoder, second: CameraDecoder, noise: tuple[CameraNoise, CameraNoise], period_px: int
+) -> Agreement:
+    """Write the merged maps into those of ``first``, after the last frame of both and before any point is found.
+
+    ``noise``: of the camera in either sequence. Modulation and light become those that would, with the first one's noise,
+    give each pixel its merged variance. Raises ValueError for maps of different size.
+    """
+    if first.mask.shape != second.mask.shape:
+        raise ValueError(
+            f"images of {_size(first)} and {_size(second)} px cannot be merged; both sequences must be of one camera"
+        )
+    scale_px = period_px / (2.0 * math.pi * math.sqrt(2.0))
+    counts = np.zeros(4, np.int64)
+    differences = np.full((2, *first.mask.shape), np.nan, np.float32)
+    for top in range(0, first.mask.shape[0], ROWS):
+        rows = slice(top, top + ROWS)
+        counts += _merge_rows(first, second, noise, scale_px, rows, differences)
+    first.lit_columns[:, 0] = np.minimum(first.lit_columns[:, 0], second.lit_columns[:, 0])
+    first.lit_columns[:, 1] = np.maximum(first.lit_columns[:, 1], second.lit_columns[:, 1])
+    first.lit_pixels = max(first.lit_pixels, second.lit_pixels)
+    share = counts / first.mask.size
+    return Agreement(float(share[0]), float(share[1]), float(share[2]), float(share[3]), _shift(differences))
+
+
+def _shift(differences: NDArray[np.float32]) -> float | None:
+    """Of the differences (2, h, w) of both coordinates over their sigmas, NaN where only one sequence has a coordinate."""
+    shifts = []
+    for strip in np.array_split(differences, BLOCK_ROWS, axis=1):
+        for block in np.array_split(strip, BLOCK_COLUMNS, axis=2):
+            known = block[:, ~np.isnan(block[0])]
+            if known.shape[1] >= LEAST_SHARED:
+                shifts.append(float(np.max(np.abs(np.median(known, axis=1)))))
+    return float(np.median(shifts)) if shifts else None
+
+
+def _merge_rows(
+    first: CameraDecoder,
+    second: CameraDecoder,
+    noise: tuple[CameraNoise, CameraNoise],
+    scale_px: float,
+    rows: slice,
+    differences: NDArray[np.float32],
+) -> NDArray[np.int64]:
+    mask, other = first.mask[rows], second.mask[rows]
+    variance = [_variance_px2(d, n, scale_px, rows) for d, n in ((first, noise[0]), (second, noise[1]))]
+    a, b = mask == Mask.VALID, other == Mask.VALID
+    # What the clearer sequence shows as an edge is one, whatever the other shows.
+    doubtful = (Mask.CONTRADICTION, Mask.EDGE)
+    a &= ~(np.isin(other, doubtful) & (variance[1] < variance[0]))
+    b &= ~(np.isin(mask, doubtful) & (variance[0] < variance[1]))
+    both = a & b
+    expected = np.sqrt(variance[0] + variance[1])
+    apart = np.zeros(mask.shape, np.float32)
+    for k, (mine, theirs) in enumerate(((first.p_px[rows], second.p_px[rows]), (first.q_px[rows], second.q_px[rows]))):
+        z = (mine - theirs) / expected
+        differences[k, rows][both] = z[both]
+        apart[both] = np.maximum(apart, np.abs(z))[both]
+    differs = both & (apart > MAX_SIGMA)
+    merged = both & ~differs
+    taken = b & ~a
+    weight = variance[1] / (variance[0] + variance[1])
+    for mine, theirs in ((first.p_px[rows], second.p_px[rows]), (first.q_px[rows], second.q_px[rows])):
+        mine[merged] = (weight * mine + (1.0 - weight) * theirs)[merged]
+        mine[taken] = theirs[taken]
+        mine[~(a | b) | differs] = np.nan
+    mask[~a & (mask == Mask.VALID)] = Mask.EDGE
+    mask[differs] = Mask.CONTRADICTION
+    mask[taken] = Mask.VALID
+    least = np.where(merged, 1.0 / (1.0 / variance[0] + 1.0 / variance[1]), variance[1])
+    _restate(first, second, noise[0], scale_px, rows, merged | taken, least, variance[1] < variance[0])
+    return np.array([(a & ~b).sum(), taken.sum(), both.sum(), differs.sum()], np.int64)
+
+
+def _variance_px2(decoder: CameraDecoder, noise: CameraNoise, scale_px: float, rows: slice) -> NDArray[np.float32]:
+    """Of either coordinate; in the shadow, where nothing else means anything, that of the least modulation."""
+    lit = decoder.mask[rows] != Mask.SHADOW
+    light = np.maximum(decoder.middle[rows].astype(np.float32) - np.float32(noise.black_dn), 0.0)
+    modulation = np.where(lit, np.maximum(0.5 * decoder.modulation_half_dn[rows].astype(np.float32), 1.0), 1.0)
+    return np.asarray(scale_px**2 * (noise.read_dn**2 + noise.dn_per_e * light) / modulation**2, np.float32)
+
+
+def _restate(
+    first: CameraDecoder,
+    second: CameraDecoder,
+    noise: CameraNoise,
+    scale_px: float,
+    rows: slice,
+    where: NDArray[np.bool_],
+    variance_px2: NDArray[np.float32],
+    second_is_clearer: NDArray[np.bool_],
+) -> None:
+    """Modulation and light that make ``variance_px2``: the clearer sequence's light, and the modulation it takes; where
+    that would leave the scale, less light."""
+    light = np.where(second_is_clearer, second.middle[rows], first.middle[rows]).astype(np.float32)
+    black = np.float32(noise.black_dn)
+    at_light = noise.read_dn**2 + noise.dn_per_e * np.maximum(light - black, 0.0)
+    modulation = scale_px * np.sqrt(at_light / variance_px2)
+    beyond = modulation > 127.5
+    needed = (variance_px2 * (127.5 / scale_px) ** 2 - noise.read_dn**2) / noise.dn_per_e + black
+    light = np.where(beyond, np.clip(needed, black, light), light)
+    half_dn = np.rint(np.clip(2.0 * modulation, 0.0, 255.0)).astype(np.uint8)
+    first.modulation_half_dn[rows][where] = half_dn[where]
+    first.middle[rows][where] = np.rint(light).astype(np.uint8)[where]
+
+
+def _size(decoder: CameraDecoder) -> str:
+    height, width = decoder.mask.shape
+    return f"{width}x{height}"
