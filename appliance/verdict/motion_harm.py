@@ -1,0 +1,133 @@
+"""Owns what a movement adds to the noise of the points, as it follows from the drift maps of both cameras.
+
+Lateral movement of a surface that faces the instrument changes only what paint a pixel sees, for both cameras alike: their
+coordinates are wrong together, and points stay right. Depth moves the fringes in both cameras *against each other*. With
+E = ε left − ε right, in pattern px per frame, four steps of 90° make a ripple of E/2 · cos 2φ in the difference of both
+coordinates, and paint with a gradient g (in modulations per px) one of E g P/2π (cos φ + sin φ). Noise of the same
+difference follows from modulation and camera. So harm is a ratio of two known things, whatever the surface.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.optics.model import StereoRig
+from appliance.verdict.motion_map import DriftMap
+
+UNSURE = 4.0
+"""Cells whose drift is this many times less certain than the median cell's are left out."""
+COMMON_LEFT = 0.3
+"""Of the phase error that paint makes in both cameras alike, so much does not cancel: their views of an edge differ."""
+LOST_AT_REST, PER_LOST = 0.05, 5.0
+"""Pixels whose frames contradict each other are left out, and some of their neighbours should have been: beyond the share
+that edges of the thing itself make, each adds so many times the noise's variance. From training scans of printed squares."""
+NOISE_UNCERTAINTY = 0.1
+"""So much of its variance the noise may be other than stated, before what is over counts as moving paint."""
+MIN_CELLS = 4
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Harm:
+    """Maps are (rows, columns) float64 of the pattern's cells, NaN where nothing is known."""
+
+    drift_px: Array
+    """E: of the fringes, left less right, pattern px per frame."""
+    sd_px: Array
+    depth_rate_mm_s: Array
+    """How fast the surface recedes along the left camera's rays, during the x-sines."""
+    ripple_mm: Array
+    """RMS of what the movement adds to the points along those rays; NaN also where it is lost in uncertainty."""
+    noise_mm: Array
+    """RMS of what the cameras' noise makes."""
+    weight: Array
+    """Pixels of a cell; 0: left out."""
+    u_px: Array
+    """Mean place in the left image."""
+    v_px: Array
+    ripple: float | None
+    """All cells: RMS of the ripple over that of the noise; ``None``: fewer than ``MIN_CELLS``."""
+    ripple_rms_mm: float | None
+    noise_rms_mm: float | None
+
+    @property
+    def added(self) -> float | None:
+        """What the movement adds to the points' noise, as a fraction of it."""
+        return None if self.ripple is None else float(np.sqrt(1.0 + self.ripple**2) - 1.0)
+
+
+def predict(
+    left: DriftMap,
+    right: DriftMap,
+    lost_share: float,
+    rig: StereoRig,
+    water_index: float,
+    period_px: int,
+    frame_s: float,
+) -> Harm:
+    """From the drift across the x-fringes that both cameras saw; ``lost_share`` of the lit pixels contradict themselves."""
+    px_per_rad = period_px / (2.0 * np.pi)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        drift = left.drift_px - right.drift_px
+        variance = left.sd_px**2 + right.sd_px**2
+        depth = depth_per_px(left, right, rig, water_index)
+        texture = 0.5 * (np.nan_to_num(left.texture_per_px2) + np.nan_to_num(right.texture_per_px2))
+        common = 0.5 * (left.common_rad2 + right.common_rad2) * px_per_rad**2
+        noise2 = (left.noise_rad2 + right.noise_rad2) * px_per_rad**2
+        common = np.maximum(common - NOISE_UNCERTAINTY * noise2, 0.0)
+        ripple2 = (drift**2 - variance) * (0.125 + px_per_rad**2 * texture) + COMMON_LEFT**2 * common
+        known = np.isfinite(drift) & np.isfinite(depth) & np.isfinite(noise2) & np.isfinite(ripple2)
+        if known.any():
+            known &= variance < UNSURE**2 * np.median(variance[known])
+    weight = np.where(known, left.pixels, 0.0)
+    enough = int(np.count_nonzero(known)) >= MIN_CELLS
+    ripple = ripple_mm = noise_mm = None
+    rim = PER_LOST * max(lost_share - LOST_AT_REST, 0.0)
+    if enough:
+        share = weight[known] / weight[known].sum()
+        squared = np.array([share @ (x * depth**2)[known] for x in (ripple2 + rim * noise2, noise2)])
+        ripple_mm, noise_mm = (float(np.sqrt(max(x, 0.0))) for x in squared)
+        ripple = ripple_mm / noise_mm
+    with np.errstate(invalid="ignore"):
+        return Harm(
+            drift,
+            np.sqrt(variance),
+            depth * drift / frame_s,
+            np.abs(depth) * np.sqrt(np.where(known & (ripple2 > 0.0), ripple2, np.nan)),
+            np.abs(depth) * np.sqrt(noise2),
+            weight,
+            left.u_px,
+            left.v_px,
+            ripple,
+            ripple_mm,
+            noise_mm,
+        )
+
+
+def depth_per_px(left: DriftMap, right: DriftMap, rig: StereoRig, water_index: float) -> Array:
+    """How many mm farther along the left ray a surface lies whose fringes moved by one px of E; (rows, columns)."""
+    left_px = np.stack([left.u_px, left.v_px], -1)
+    right_px = np.stack([right.u_px, right.v_px], -1)
+    known = np.isfinite(left_px).all(-1) & np.isfinite(right_px).all(-1)
+    out = np.full(known.shape, np.nan)
+    if not known.any():
+        return out
+    origin, along = rig.left.rays(left_px[known], water_index)
+    here, beside = (
+        _reach(origin, along, *rig.right.rays(right_px[known] + np.array([step, 0.0]), water_index))
+        for step in (-0.5, 0.5)
+    )
+    with np.errstate(invalid="ignore", divide="ignore"):
+        out[known] = (beside - here) / right.slope_per_px[known]
+    return out
+
+
+def _reach(origin: Array, along: Array, other: Array, other_along: Array) -> Array:
+    """How far along the first rays (n, 3) the second ones pass nearest."""
+    apart = origin - other
+    b = np.sum(along * other_along, -1)
+    return np.asarray((b * np.sum(other_along * apart, -1) - np.sum(along * apart, -1)) / (1.0 - b * b))

@@ -1,0 +1,236 @@
+"""Owns the map of phase drift: how far the fringes move from one sine image to the next, place by place.
+
+Four steps of 90° leave one combination that holds no phase, C = I₀ − I₁ + I₂ − I₃. On a thing at rest it is noise, but for
+what daylight adds between images (in proportion to the modulation) and for the second harmonic of the projector's light
+(cos 2φ). A fringe that drifts by ε from image to image makes C = 2 ε B (sin φ − cos φ). Least squares over a cell of the
+pattern therefore tell ε, signed. Cells are squares of the *pattern*, so that both cameras' cells are the same place on the
+thing, whatever its shape.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.patterns.sequence import Direction, PatternSequence
+from appliance.reconstruct.decode import CameraDecoder
+
+CELL_PX = 64
+"""Side of a cell in pattern px: 16 mm; one fringe of the longest period."""
+SAMPLES = 120_000
+"""Pixels of a camera that are looked at, about."""
+_TERMS = 6
+_PRODUCTS = _TERMS * (_TERMS + 1) // 2
+_RIGHT = _PRODUCTS
+_SQUARE = _RIGHT + _TERMS
+_COUNT, _U, _V, _P, _Q, _INVERSE, _LIGHT, _SLOPE, _SLOPES, _TEXTURE, _TEXTURES = (_SQUARE + 1 + k for k in range(11))
+_COLUMNS = _TEXTURES + 1
+MIN_PIXELS = 40
+"""Fewer in a cell tell nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class DriftMap:
+    """One camera's cells; arrays (rows, columns) float64 of the pattern's cells, NaN where there are too few pixels."""
+
+    drift_px: NDArray[np.float64]
+    """Of the fringes, pattern px per frame; positive: a pixel's coordinate grows."""
+    sd_px: NDArray[np.float64]
+    """Standard deviation of it from what the fit leaves."""
+    excess: NDArray[np.float64]
+    """Variance of what the fit leaves over that of the cameras' noise: 1 at rest."""
+    pixels: NDArray[np.float64]
+    u_px: NDArray[np.float64]
+    """Mean place in the image."""
+    v_px: NDArray[np.float64]
+    slope_per_px: NDArray[np.float64]
+    """Pattern px per image px to the right."""
+    noise_rad2: NDArray[np.float64]
+    """Variance of the phase from the cameras' noise."""
+    texture_per_px2: NDArray[np.float64]
+    """Mean square of how much the light changes per pattern px across the fringes, in modulations."""
+    common_rad2: NDArray[np.float64]
+    """Mean square phase error that moving texture makes, alike in both cameras."""
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _accumulate(
+    i0: NDArray[np.uint8],
+    i1: NDArray[np.uint8],
+    i2: NDArray[np.uint8],
+    i3: NDArray[np.uint8],
+    p_px: NDArray[np.float32],
+    q_px: NDArray[np.float32],
+    slope_of: NDArray[np.float32],
+    stride: int,
+    cell_px: float,
+    dark_dn2: float,
+    per_dn: float,
+    sums: NDArray[np.float64],
+) -> None:
+    """Add every ``stride``-th row and column of images and maps (h, w) to ``sums`` (rows, columns, _COLUMNS)."""
+    height, width = p_px.shape
+    for v in range(stride // 2, height, stride):
+        for u in range(stride // 2 + 1, width - 1, stride):
+            p, q = p_px[v, u], q_px[v, u]
+            if not (p >= 0.0 and q >= 0.0):
+                continue
+            row, column = int(q / cell_px), int(p / cell_px)
+            if row >= sums.shape[0] or column >= sums.shape[1]:
+                continue
+            a, b, c, d = np.float64(i0[v, u]), np.float64(i1[v, u]), np.float64(i2[v, u]), np.float64(i3[v, u])
+            cosine, sine = 0.5 * (a - c), 0.5 * (d - b)
+            modulation = np.sqrt(cosine * cosine + sine * sine)
+            if modulation < 2.0:
+                continue
+            left_over = a - b + c - d
+            x = (
+                modulation,
+                cosine,
+                sine,
+                (cosine * cosine - sine * sine) / modulation,
+                2.0 * cosine * sine / modulation,
+                0.25 * (a + b + c + d),
+            )
+            s = sums[row, column]
+            k = 0
+            for i in range(_TERMS):
+                for j in range(i, _TERMS):
+                    s[k] += x[i] * x[j]
+                    k += 1
+                s[_RIGHT + i] += x[i] * left_over
+            s[_SQUARE] += left_over * left_over
+            s[_COUNT] += 1.0
+            s[_U] += u
+            s[_V] += v
+            s[_P] += p
+            s[_Q] += q
+            s[_INVERSE] += 1.0 / (modulation * modulation)
+            s[_LIGHT] += 0.25 * (a + b + c + d)
+            before, after = slope_of[v, u - 1], slope_of[v, u + 1]
+            if before == before and after == after:
+                slope = np.float64(0.5) * (after - before)
+                s[_SLOPE] += slope
+                s[_SLOPES] += 1.0
+                light_before = np.float64(i0[v, u - 1]) + i1[v, u - 1] + i2[v, u - 1] + i3[v, u - 1]
+                light_after = np.float64(i0[v, u + 1]) + i1[v, u + 1] + i2[v, u + 1] + i3[v, u + 1]
+                if abs(slope) > 0.1:
+                    gradient = 0.125 * (light_after - light_before) / (slope * modulation)
+                    # Noise has a gradient, too: of eight grey values.
+                    own = 0.125 * (dark_dn2 + per_dn * 0.25 * (a + b + c + d)) / (slope * modulation) ** 2
+                    s[_TEXTURE] += gradient * gradient - own
+                    s[_TEXTURES] += 1.0
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _left_over(
+    i0: NDArray[np.uint8],
+    i1: NDArray[np.uint8],
+    i2: NDArray[np.uint8],
+    i3: NDArray[np.uint8],
+    p_px: NDArray[np.float32],
+    q_px: NDArray[np.float32],
+    stride: int,
+    cell_px: float,
+    dark_dn2: float,
+    per_dn: float,
+    fit: NDArray[np.float64],
+    sums: NDArray[np.float64],
+) -> None:
+    """Into ``sums`` (rows, columns) what C leaves beside ``fit`` (rows, columns, _TERMS) and the cameras' noise, as
+    mean square in units of twice the modulation."""
+    height, width = p_px.shape
+    count = np.zeros(sums.shape)
+    for v in range(stride // 2, height, stride):
+        for u in range(stride // 2 + 1, width - 1, stride):
+            p, q = p_px[v, u], q_px[v, u]
+            if not (p >= 0.0 and q >= 0.0):
+                continue
+            row, column = int(q / cell_px), int(p / cell_px)
+            if row >= sums.shape[0] or column >= sums.shape[1]:
+                continue
+            a, b, c, d = np.float64(i0[v, u]), np.float64(i1[v, u]), np.float64(i2[v, u]), np.float64(i3[v, u])
+            cosine, sine = 0.5 * (a - c), 0.5 * (d - b)
+            squared = cosine * cosine + sine * sine
+            if squared < 4.0:
+                continue
+            modulation = np.sqrt(squared)
+            f = fit[row, column]
+            expected = (
+                f[0] * modulation
+                + f[1] * cosine
+                + f[2] * sine
+                + (f[3] * (cosine * cosine - sine * sine) + f[4] * 2.0 * cosine * sine) / modulation
+                + f[5] * 0.25 * (a + b + c + d)
+            )
+            rest = a - b + c - d - expected
+            noise = 4.0 * (dark_dn2 + per_dn * 0.25 * (a + b + c + d))
+            sums[row, column] += (rest * rest - noise) / (4.0 * squared)
+            count[row, column] += 1.0
+    for row in range(sums.shape[0]):
+        for column in range(sums.shape[1]):
+            sums[row, column] = sums[row, column] / count[row, column] if count[row, column] > 0.0 else np.nan
+
+
+def drift_map(
+    frames: NDArray[np.uint8],
+    decoded: CameraDecoder,
+    sequence: PatternSequence,
+    direction: Direction,
+    variance_dn2: tuple[float, float],
+) -> DriftMap:
+    """Of one camera's frames (n, h, w) uint8 and the sine images of one direction.
+
+    ``variance_dn2``: of the cameras' noise as (dark, per grey value), see ``CameraNoise``.
+    """
+    axis = sequence.axis(direction)
+    i0, i1, i2, i3 = (frames[k] for k in axis.sine)
+    height_px, width_px = decoded.p_px.shape
+    stride = max(1, round((height_px * width_px / SAMPLES) ** 0.5))
+    shape = (-(-sequence.height_px // CELL_PX), -(-sequence.width_px // CELL_PX))
+    sums = np.zeros((*shape, _COLUMNS))
+    _accumulate(i0, i1, i2, i3, decoded.p_px, decoded.q_px, decoded.p_px, stride, float(CELL_PX), *variance_dn2, sums)
+    fit, solved = _solve(sums, sequence.period_px / (2.0 * np.pi), variance_dn2)
+    common = np.zeros(shape)
+    _left_over(i0, i1, i2, i3, decoded.p_px, decoded.q_px, stride, float(CELL_PX), *variance_dn2, fit, common)
+    return replace(solved, common_rad2=np.where(np.isfinite(solved.drift_px), common, np.nan))
+
+
+def _solve(
+    sums: NDArray[np.float64], px_per_rad: float, variance_dn2: tuple[float, float]
+) -> tuple[NDArray[np.float64], DriftMap]:
+    count = sums[..., _COUNT]
+    enough = count >= MIN_PIXELS
+    normal = np.empty((*count.shape, _TERMS, _TERMS))
+    upper = np.triu_indices(_TERMS)
+    normal[..., upper[0], upper[1]] = sums[..., :_PRODUCTS]
+    normal[..., upper[1], upper[0]] = sums[..., :_PRODUCTS]
+    # A little of the trace keeps cells with few fringes solvable; it is far below what any cell can tell.
+    trace = np.trace(normal, axis1=-2, axis2=-1)
+    normal += (1e-6 * np.maximum(trace, 1.0))[..., None, None] * np.eye(_TERMS)
+    inverse = np.linalg.inv(normal)
+    right = sums[..., _RIGHT : _RIGHT + _TERMS]
+    fit = np.einsum("...ij,...j->...i", inverse, right)
+    rest = np.maximum(sums[..., _SQUARE] - np.sum(fit * right, -1), 0.0) / np.maximum(count - _TERMS, 1.0)
+    tells = np.array([0.0, -0.25, 0.25, 0.0, 0.0, 0.0])
+    variance = rest * np.einsum("i,...ij,j->...", tells, inverse, tells)
+
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = np.where(enough[..., None], sums / count[..., None], np.nan)
+        dark, per_dn = variance_dn2
+        noise = dark + per_dn * mean[..., _LIGHT]
+        return fit, DriftMap(
+            np.where(enough, px_per_rad * (fit @ tells), np.nan),
+            np.where(enough, px_per_rad * np.sqrt(variance), np.nan),
+            rest / (4.0 * noise),
+            count,
+            mean[..., _U],
+            mean[..., _V],
+            np.where(enough, sums[..., _SLOPE] / sums[..., _SLOPES], np.nan),
+            0.5 * noise * mean[..., _INVERSE],
+            np.where(enough, np.maximum(sums[..., _TEXTURE] / sums[..., _TEXTURES], 0.0), np.nan),
+            np.full(count.shape, np.nan),
+        )

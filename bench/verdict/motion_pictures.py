@@ -1,0 +1,175 @@
+"""Owns the pictures of the verdict on movement: predicted against true harm, ROC curves, and maps of drift; drawn with OpenCV."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.verdict.motion import MOST_ADDED, MotionJudgement
+from bench.picture import write
+from bench.verdict.motion_cases import KINDS
+
+Image = NDArray[np.uint8]
+Scan = Mapping[str, Any]
+INK, FAINT, GRID = (40, 40, 40), (225, 225, 225), (240, 240, 240)
+COLOURS = {
+    "lateral": (170, 120, 40),
+    "axial": (40, 110, 220),
+    "rotation": (60, 140, 60),
+    "tremor": (150, 60, 150),
+    "acceleration": (120, 120, 120),
+}
+GROUPS = {"untextured": ("none",), "slight": ("slight",), "textured": ("strong", "checker")}
+HARMFUL_PERCENT, HARMLESS_PERCENT, LOST_PERCENT = 10.0, 5.0, 10.0
+LEAST_PERCENT, MOST_PERCENT = 0.03, 400.0
+
+
+def draw_scatter(path: Path, scans: Sequence[Scan]) -> None:
+    """Write a PNG: what each movement adds to the noise, true across and predicted up, both logarithmic."""
+    size, left, top = 640, 90, 50
+    image: Image = np.full((size + top + 70, size + left + 190, 3), 255, np.uint8)
+
+    def at(percent: float) -> float:
+        share = np.log(np.clip(percent, LEAST_PERCENT, MOST_PERCENT) / LEAST_PERCENT)
+        return float(share / np.log(MOST_PERCENT / LEAST_PERCENT) * size)
+
+    def x_of(percent: float) -> int:
+        return left + round(at(percent))
+
+    def y_of(percent: float) -> int:
+        return top + size - round(at(percent))
+
+    band = (x_of(HARMLESS_PERCENT), x_of(HARMFUL_PERCENT))
+    image[top : top + size, band[0] : band[1]] = GRID
+    for percent in (0.1, 1.0, 10.0, 100.0):
+        cv2.line(image, (left, y_of(percent)), (left + size, y_of(percent)), FAINT, 1)
+        cv2.line(image, (x_of(percent), top), (x_of(percent), top + size), FAINT, 1)
+        write(image, f"{percent:g} %", (left - 62, y_of(percent) + 5))
+        write(image, f"{percent:g} %", (x_of(percent) - 18, top + size + 22))
+    cv2.line(image, (left, top + size), (left + size, top), FAINT, 1)
+    limit = 100.0 * MOST_ADDED
+    cv2.line(image, (left, y_of(limit)), (left + size, y_of(limit)), INK, 1)
+    write(image, f"refused above {limit:.0f} %", (left + size + 6, y_of(limit) + 5), 0.45)
+    for scan in scans:
+        predicted = scan["moving"]["added_percent"]
+        if predicted is not None:
+            place = (x_of(scan["added_percent"]), y_of(predicted))
+            lost = scan["lost_percent"] > LOST_PERCENT
+            cv2.circle(image, place, 4, COLOURS[scan["kind"]], -1 if lost else 1, cv2.LINE_AA)
+    for row, kind in enumerate(KINDS):
+        cv2.circle(image, (left + 20, top + 20 + 22 * row), 4, COLOURS[kind], 2, cv2.LINE_AA)
+        write(image, kind, (left + 32, top + 25 + 22 * row))
+    write(
+        image,
+        "Noise that movement adds: predicted from the fringes' drift (up) against the truth (across)",
+        (20, 28),
+        0.55,
+    )
+    write(image, "grey: 5 to 10 %, either is right; filled: over 10 % of the points lost", (left, top + size + 50))
+    cv2.imwrite(str(path), image)
+
+
+def roc(positive: Sequence[float], negative: Sequence[float]) -> tuple[list[float], list[float], float]:
+    """Shares of negatives and of positives above every threshold, and the area under that curve."""
+    if not positive or not negative:
+        return [], [], float("nan")
+    p, n = np.asarray(positive), np.asarray(negative)
+    limits = np.unique(np.concatenate([p, n, [np.inf, -np.inf]]))[::-1]
+    false = [float(np.mean(n >= limit)) for limit in limits]
+    true = [float(np.mean(p >= limit)) for limit in limits]
+    return false, true, float(np.trapezoid(true, false))
+
+
+def roc_table(scans: Sequence[Scan]) -> dict[str, dict[str, Any]]:
+    """For each group of textures and kind of movement, ready for JSON: ``harm`` (over 10 % against at rest and below 5 %,
+    by the predicted addition) and ``seen`` (moving against at rest, by the largest score)."""
+    table = {}
+    rest = [s["at_rest"]["added_percent"] or 0.0 for s in scans]
+    rest_scores = [s["at_rest"]["score"] or 0.0 for s in scans]
+    for group, textures in GROUPS.items():
+        for kind in KINDS:
+            mine = [s for s in scans if s["texture"] in textures and s["kind"] == kind]
+            harmful = [s["moving"]["added_percent"] or 0.0 for s in mine if s["added_percent"] > HARMFUL_PERCENT]
+            kept = [s for s in mine if s["added_percent"] < HARMLESS_PERCENT and s["lost_percent"] < LOST_PERCENT]
+            harmless = [s["moving"]["added_percent"] or 0.0 for s in kept]
+            curves = {
+                "harm": (*roc(harmful, harmless + rest), len(harmful)),
+                "seen": (*roc([s["moving"]["score"] or 0.0 for s in mine], rest_scores), len(mine)),
+            }
+            table[f"{group} {kind}"] = {
+                name: {"false": f, "true": t, "area": None if np.isnan(a) else a, "positives": n}
+                for name, (f, t, a, n) in curves.items()
+            }
+    return table
+
+
+def draw_roc(path: Path, scans: Sequence[Scan]) -> None:
+    """Write a PNG: a panel for each group of textures (down) and kind of movement (across)."""
+    side, gap, left, top = 170, 44, 110, 70
+    table = roc_table(scans)
+    width = left + len(KINDS) * (side + gap)
+    image: Image = np.full((top + len(GROUPS) * (side + gap) + 20, width, 3), 255, np.uint8)
+    write(image, "ROC: share of negatives (across), share of positives (up), 0 to 1", (20, 26), 0.55)
+    for name, colour, x in (
+        ("harmful told from harmless", COLOURS["axial"], 560),
+        ("moving told from still", COLOURS["lateral"], 830),
+    ):
+        cv2.line(image, (x, 21), (x + 24, 21), colour, 2)
+        write(image, name, (x + 30, 26))
+    for row, group in enumerate(GROUPS):
+        write(image, group, (10, top + row * (side + gap) + side // 2))
+        for column, kind in enumerate(KINDS):
+            x0, y0 = left + column * (side + gap), top + row * (side + gap)
+            if row == 0:
+                write(image, kind, (x0, y0 - 10))
+            cv2.rectangle(image, (x0, y0), (x0 + side, y0 + side), FAINT, 1)
+            cv2.line(image, (x0, y0 + side), (x0 + side, y0), GRID, 1)
+            for k, (name, colour) in enumerate((("harm", COLOURS["axial"]), ("seen", COLOURS["lateral"]))):
+                curve = table[f"{group} {kind}"][name]
+                points = [
+                    (x0 + round(f * side), y0 + side - round(t * side))
+                    for f, t in zip(curve["false"], curve["true"], strict=True)
+                ]
+                if points:
+                    cv2.polylines(image, [np.array(points, np.int32)], False, colour, 2, cv2.LINE_AA)
+                area = "none" if curve["area"] is None else f"{curve['area']:.3f}"
+                write(image, f"{area} of {curve['positives']}", (x0 + 62, y0 + side - 30 + 18 * k), 0.4)
+    cv2.imwrite(str(path), image)
+
+
+def draw_maps(path: Path, rows: Sequence[tuple[str, Image, MotionJudgement]]) -> None:
+    """Write a PNG: for each scan the left bright image, the drift E over the pattern, and the ripple predicted over noise."""
+    width, height, gap, top = 320, 240, 16, 34
+    image: Image = np.full((40 + len(rows) * (height + top + gap), 3 * (width + gap) + gap, 3), 255, np.uint8)
+    titles = ("left image", "drift E: red away, blue nearer", "ripple over noise: white 0, red 1")
+    for column, title in enumerate(titles):
+        write(image, title, (gap + column * (width + gap), 26))
+    for row, (name, bright, said) in enumerate(rows):
+        y = 40 + row * (height + top + gap)
+        write(image, f"{name}: {said.judgement.verdict.text}", (gap, y + 22))
+        drift = said.harm.drift_px
+        scale = float(np.nanpercentile(np.abs(drift), 95)) or 1.0
+        with np.errstate(invalid="ignore"):
+            ripple = np.nan_to_num(said.harm.ripple_mm / said.harm.noise_mm)
+        pictures = (
+            cv2.cvtColor(cv2.resize(bright, (width, height), interpolation=cv2.INTER_AREA), cv2.COLOR_GRAY2BGR),
+            _coloured(drift / scale, said.harm.weight > 0.0, width, height),
+            _coloured(ripple, said.harm.weight > 0.0, width, height),
+        )
+        for column, picture in enumerate(pictures):
+            x = gap + column * (width + gap)
+            image[y + top : y + top + height, x : x + width] = picture
+    cv2.imwrite(str(path), image)
+
+
+def _coloured(values: NDArray[np.float64], known: NDArray[np.bool_], width: int, height: int) -> Image:
+    """−1 blue, 0 white, 1 red; grey where nothing is known."""
+    strength = np.clip(np.nan_to_num(np.abs(values)), 0.0, 1.0)[..., None]
+    end = np.where(values[..., None] > 0.0, np.array([60.0, 60.0, 210.0]), np.array([200.0, 110.0, 40.0]))
+    colour = np.where(known[..., None], 255.0 + strength * (end - 255.0), 190.0)
+    return np.asarray(cv2.resize(colour.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST), np.uint8)

@@ -1,0 +1,178 @@
+"""A movement is refused when it harms the points, named when it does not, and never found where nothing moves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from appliance.capture.fault import FaultCode
+from appliance.patterns.sequence import build_sequence
+from appliance.verdict.motion import MotionJudgement, MotionKind, judge_motion
+from appliance.verdict.motion_scores import MOVED
+from bench.verdict.motion import as_recorded
+from bench.verdict.motion_cases import FRAME_S, Case, draw_case, record
+from hw_sim.imaging import Imaging
+from hw_sim.motion import Motion
+from hw_sim.scene import Scene
+from hw_sim.truth import draw_truth
+from hw_sim.water import Water
+from tests.support.rendered import render_scan
+from tests.support.truth import WATER, true_calibration
+
+STILL = Motion()
+TILTED = (0.0, 0.0, 522.5, 8.0, 12.0, 0.0)
+FACING = (0.0, 0.0, 522.5, 0.0, 0.0, 0.0)
+CALM = draw_case(1)
+
+
+@cache
+def clean(motion: Motion, texture: str, pose: tuple[float, ...], thing: str, response: str) -> dict[str, np.ndarray]:
+    scene = Scene(
+        object=thing, pose=pose, texture=texture, noise=False, motion=motion, imaging=Imaging(response), ambient=0.1
+    )
+    return dict(render_scan(scene, "modelled", 3, 400, 16, frame_s=FRAME_S).frames)
+
+
+def case(**light: float) -> Case:
+    quiet = {"gain_db": 0.0, "flicker_depth": 0.0, "flicker_hz": 100.2, "drift": 0.0, "exposure_s": 0.012}
+    return replace(CALM, seed=3, **(quiet | light))
+
+
+def judge(
+    motion: Motion = STILL,
+    texture: str = "slight",
+    pose: tuple[float, ...] = TILTED,
+    thing: str = "plane",
+    response: str = "measured",
+    frames: dict[str, np.ndarray] | None = None,
+    **light: float,
+) -> MotionJudgement:
+    sequence = build_sequence(16)
+    one = case(**light)
+    frames = frames or clean(motion, texture, pose, thing, response)
+    recorded = as_recorded(record(one, frames, sequence.dark, 5), sequence, one.gain_db, one.exposure_s)
+    truth = draw_truth("modelled", 3, 400, 300, Water().index)
+    return judge_motion(recorded, true_calibration(truth).rig, WATER.index)
+
+
+@pytest.mark.parametrize(
+    ("thing", "texture", "response", "light"),
+    [
+        ("plane", "slight", "measured", {}),
+        ("plane", "checker", "gamma", {"gain_db": 12.0}),
+        ("plane", "slight", "measured", {"flicker_depth": 0.9, "drift": 0.2}),
+        ("plane", "slight", "measured", {"flicker_depth": 0.9, "flicker_hz": 119.9, "gain_db": 6.0}),
+        pytest.param("stones", "strong", "gamma", {"drift": -0.2}, marks=pytest.mark.long),
+    ],
+)
+def test_what_stands_still_passes_in_any_light(
+    thing: str, texture: str, response: str, light: dict[str, float]
+) -> None:
+    said = judge(STILL, texture, TILTED if thing == "plane" else (0, 0, 535, 0, 0, 0), thing, response, **light)
+    assert said.judgement.verdict.passed
+    assert said.judgement.fault is None
+    assert said.kind is MotionKind.STILL
+    assert said.scores.largest is not None
+    assert said.scores.largest < MOVED
+    assert said.added is not None
+    assert said.added < 0.02
+
+
+def test_moving_away_is_refused_with_its_speed() -> None:
+    said = judge(Motion(velocity_mm_s=(0.0, 0.0, -8.0)))
+    assert said.judgement.verdict.passed is False
+    fault = said.judgement.fault
+    assert fault is not None
+    assert fault.code is FaultCode.MOVED
+    # The rig goes back, so that the surface recedes, along slanted rays of a tilted surface.
+    assert said.axial_mm_s == pytest.approx(8.0, rel=0.12)
+    assert fault.numbers["speed_mm_s"] == pytest.approx(8.0, rel=0.25)
+    assert said.kind is MotionKind.AXIAL
+    assert said.place is not None
+    assert said.place.word == "everywhere"
+    # The fringes move over the image by as much as the depth tells: 0.0144 pattern px per frame and mm/s.
+    half = np.nanmedian(np.abs(said.drift["left"].drift_px))
+    assert half == pytest.approx(0.0144 * 8.0, rel=0.15)
+
+
+def test_harmless_movement_is_seen_and_kept() -> None:
+    said = judge(Motion(velocity_mm_s=(0.0, 0.0, 0.8)))
+    assert said.judgement.verdict.passed
+    assert said.axial_mm_s == pytest.approx(-0.8, rel=0.2)
+    assert said.kind is not MotionKind.STILL
+    assert said.scores.drift is not None
+    assert said.scores.drift > MOVED
+
+
+def test_the_same_movement_harms_a_dark_scan_less() -> None:
+    """Harm is measured against noise: with four times of it, what spoils a good scan no longer matters."""
+    motion = Motion(velocity_mm_s=(0.0, 0.0, 2.6))
+    bright, noisy = judge(motion), judge(motion, gain_db=14.0)
+    assert bright.judgement.verdict.passed is False
+    assert noisy.judgement.verdict.passed is True
+
+
+def test_sliding_along_a_facing_plane_is_named_and_kept() -> None:
+    said = judge(Motion(velocity_mm_s=(6.0, 0.0, 0.0)), "slight", FACING)
+    assert said.kind is MotionKind.LATERAL
+    assert said.lateral_mm_s is not None
+    assert np.hypot(*said.lateral_mm_s) == pytest.approx(6.0, rel=0.15)
+    assert said.judgement.verdict.passed
+
+
+def test_sliding_along_a_bare_facing_plane_cannot_be_seen_and_does_no_harm() -> None:
+    said = judge(Motion(velocity_mm_s=(15.0, 0.0, 0.0)), "none", FACING)
+    assert said.lateral_mm_s is None
+    assert said.judgement.verdict.passed
+    assert said.added is not None
+    assert said.added < 0.05
+
+
+@pytest.mark.long
+def test_sliding_along_a_tilted_plane_moves_its_depth() -> None:
+    """The same speed over the same paint: what differs is the slope, 0.21 of it becomes depth."""
+    said = judge(Motion(velocity_mm_s=(20.0, 0.0, 0.0)), "none")
+    assert said.judgement.verdict.passed is False
+
+
+def test_a_turn_is_a_slope_of_the_drift() -> None:
+    said = judge(Motion(rotation_deg_s=(0.0, 5.0, 0.0)))
+    assert said.judgement.verdict.passed is False
+    assert said.kind is MotionKind.ROTATION
+    rate = said.harm.depth_rate_mm_s
+    known = np.isfinite(rate) & (said.harm.weight > 0)
+    x_mm = (said.harm.u_px[known] - 199.5) * 0.64
+    slope = np.polyfit(x_mm, rate[known], 1)[0]
+    assert abs(slope) == pytest.approx(np.radians(5.0), rel=0.2)
+
+
+@pytest.mark.long
+def test_shaking_is_told_from_steady_movement() -> None:
+    said = judge(Motion(tremor_mm=(0.0, 0.0, 0.35), tremor_hz=6.0))
+    assert said.kind is MotionKind.TREMOR
+
+
+def test_something_else_that_moves_is_named_with_its_place() -> None:
+    """In the upper right quarter stands what moves; all else is at rest."""
+    still = clean(STILL, "slight", TILTED, "plane", "measured")
+    moving = clean(Motion(velocity_mm_s=(0.0, 0.0, -8.0)), "slight", TILTED, "plane", "measured")
+    mixed = {side: frames.copy() for side, frames in still.items()}
+    for side in mixed:
+        mixed[side][:, 60:130, 230:320] = moving[side][:, 60:130, 230:320]
+    said = judge(frames=mixed)
+    assert said.kind is MotionKind.LOCAL
+    assert said.place is not None
+    assert said.place.word == "upper right"
+    assert said.place.u_px == pytest.approx(275.0, abs=45.0)
+    assert said.place.v_px == pytest.approx(95.0, abs=35.0)
+
+
+def test_where_nothing_is_lit_nothing_is_judged() -> None:
+    dark = {side: np.full((24, 300, 400), 3, np.uint8) for side in ("left", "right")}
+    said = judge(frames=dark)
+    assert said.judgement.verdict.passed is None
+    assert said.judgement.fault is None
+    assert said.added is None
