@@ -76,7 +76,10 @@ def _solve(
 ) -> LeftMaps:  # fmt: skip
     sequence, decoder = scanned.sequence, scanned.decoded[side]
     height, width = decoder.p_px.shape
-    sources = Sources(scanned.frames[side], np.asarray(followed, np.int64), decoder.p_px)
+    # One kind of array, whether it may be written or not: each kind would be compiled for itself.
+    frames = scanned.frames[side].view()
+    frames.flags.writeable = False
+    sources = Sources(frames, np.asarray(followed, np.int64), decoder.p_px)
     solved = Solved(
         np.empty((height, width), np.float32), np.empty((height, width), np.float32),
         np.empty((height, width), np.uint8), np.empty((height, width), np.uint8), np.empty((height, width), np.uint8),

@@ -50,6 +50,9 @@ NEARLY_CONVERGED_MM = 0.05
 MAX_VARIANCE = 25.0
 GOOD_ERROR = 1.25
 """Against a scan at rest; beyond, the scan is better repeated."""
+NEARLY_EQUAL = 1.05
+"""Where only albedo edges suffer, the ripple of most points says nothing."""
+NEGLIGIBLE_RIPPLE, NEGLIGIBLE_PX = 0.3, 0.7
 RIPPLE_OF_CONTRADICTION = 0.5
 """Steps that are wrong by ε each make a phase ripple of ε/2 · cos 2φ and a contradiction of ε (sin φ − cos φ) of the
 modulation; noise of σ makes a phase noise of σ/√2 of it. So the ripple in units of noise is half the contradiction in
@@ -113,10 +116,17 @@ class MotionEstimate:
     """Ripple of the points that motion makes when nothing is done, in units of their noise; from the frames alone."""
     ripple_after: float
     """What remains of it with this motion."""
+    texture_px: float
+    """Median way of the picture from the first to the last x-sine, in px of the left camera."""
     noise_factor: float
     """Noise of the new phases against that of steps of 90°. Large where the hand moved along with the fringes: a point
     then saw nearly the same phase in all steps."""
     converged: bool
+
+    @property
+    def moved(self) -> bool:
+        """By enough to show in the points."""
+        return self.ripple_before > NEGLIGIBLE_RIPPLE or self.texture_px > NEGLIGIBLE_PX
 
     @property
     def error_before(self) -> float:
@@ -130,8 +140,9 @@ class MotionEstimate:
 
     @property
     def helps(self) -> bool:
-        """The compensated scan is good, and better than the plain one: worth its time, and to be shown."""
-        return self.converged and self.error_after <= min(GOOD_ERROR, self.error_before)
+        """What moved, and the compensated scan is as good as one at rest: worth its time, and to be shown."""
+        good = self.error_after <= min(GOOD_ERROR, NEARLY_EQUAL * self.error_before)
+        return self.moved and self.converged and good
 
 
 def estimate(
@@ -184,6 +195,7 @@ def estimate(
         projector=projector,
         ripple_before=RIPPLE_OF_CONTRADICTION * before / noise,
         ripple_after=RIPPLE_OF_CONTRADICTION * after / noise,
+        texture_px=binning * _way_px(samples["left"], solver.values),
         noise_factor=noise_factor,
         converged=step_mm < NEARLY_CONVERGED_MM,
     )
@@ -271,6 +283,14 @@ class _Solver:
         if not np.isfinite(both).any():
             raise ValueError("no sample stays in the pictures; the instrument moved too far")
         return both, np.concatenate(modulations)
+
+
+def _way_px(samples: Samples, values: Array) -> float:
+    """Median way between the first and the last x-sine, in px of the pictures that are looked at."""
+    moved = values[18:24] - values[0:6]
+    d = moved[:3] + np.cross(moved[3:], samples.lever)
+    way = np.einsum("nij,nj->ni", samples.jacobian, d)
+    return float(np.nanmedian(np.linalg.norm(way, axis=1)))
 
 
 def noise_dn(scanned: Scanned, side: str) -> float:
