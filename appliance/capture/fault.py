@@ -43,6 +43,8 @@ class FaultCode(Enum):
     """The sequence did not end in its time."""
     MOVED = "MOVED"
     """Instrument and object moved against each other during the sequence (shift_px)."""
+    COMPENSATED = "COMPENSATED"
+    """They moved, but the motion was found and taken out of the points; no fault of the cloud."""
     TOO_BRIGHT = "TOO_BRIGHT"
     """Too many pixels are saturated (saturated_percent)."""
     TOO_DARK = "TOO_DARK"

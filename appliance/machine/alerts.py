@@ -79,6 +79,7 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
         ),
         FaultCode.CAPTURE_TIMEOUT: Rule(_W, "SCAN TIMED OUT", "REPEAT", spoils_scan=True),
         FaultCode.MOVED: Rule(_W, "MOVED {shift_px:.1f} px", "REPEAT", "MOVED", spoils_points=True),
+        FaultCode.COMPENSATED: Rule(_I, "MOTION CORRECTED", "KEEP, OR REPEAT HELD STILL"),
         FaultCode.TOO_BRIGHT: Rule(_W, "TOO BRIGHT", "SHORTEN EXPOSURE, REPEAT"),
         FaultCode.TOO_DARK: Rule(_W, "TOO DARK", "GO CLOSER OR LENGTHEN EXPOSURE"),
         FaultCode.WATER_DIRTY: Rule(

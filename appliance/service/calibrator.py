@@ -128,7 +128,7 @@ def examine(rig: Rig, step: Step, folder: Path, report: Report) -> Examined:
 def _spoilt(step: Step, seen: Reworked) -> Trial | None:
     """The refusal of a recording whose points would be wrong, whatever it shows."""
     for fault in seen.faults:
-        if fault.code is FaultCode.MOVED:
+        if fault.code in (FaultCode.MOVED, FaultCode.COMPENSATED):
             return Trial(step, Refusal.MOVED, fault.numbers.get("shift_px"), detail=fault.detail)
         if RULES[fault.code].spoils_points:
             return Trial(step, Refusal.WRONG_PATTERN, None, detail=f"{fault.code.value}: {fault.detail}")

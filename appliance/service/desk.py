@@ -102,6 +102,9 @@ def rework(
         identity = work.identify()
         work.find_coarse()
         judgements = (identity, *work.judge())
+        if work.moved:
+            progress("taking the motion out")
+            judgements = (identity, *work.compensate())
         progress("matching")
         return Reworked(pipeline, pipeline.table.cloud(work.find_full()), water, judgements)
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from appliance.calibration.extract import CALIBRATING_GAP_MM, Certificate, extract
 from appliance.calibration.file import Calibration
 from appliance.calibration.recordings import Recording
+from appliance.capture.fault import FaultCode
 from appliance.config import Rig
 from appliance.evaluation.points import NotFound
 from appliance.machine.alerts import RULES
@@ -28,7 +29,8 @@ def recording_of_scan(
     scan = stored.load(folder)
     taking = taking_of_scan(scan.manifest.record, rig)
     reworked = rework(scan, start, taking, progress, QualityLimits(max_gap_mm=CALIBRATING_GAP_MM))
-    spoilt = next((fault for fault in reworked.faults if RULES[fault.code].spoils_points), None)
+    # The decoded maps, of which matches are extracted, are those of before any compensation.
+    spoilt = next((f for f in reworked.faults if RULES[f.code].spoils_points or f.code is FaultCode.COMPENSATED), None)
     if spoilt is not None:
         return NotFound(f"{spoilt.code.value}: {spoilt.detail}; record it again")
     progress("looking for the artefact")

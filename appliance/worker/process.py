@@ -252,6 +252,8 @@ class ReconstructionWorker:
             case ("judged", int(ticket), tuple() as judgements, float(cpu_s)):
                 if ticket != self._ticket or self._scan is None:
                     return None
+                if self._finishing:
+                    self._await_cloud()  # it got so far; what follows may be more than on other scans
                 return ScanJudged(self._scan, judgements, cpu_s)
             case ("spoiled", int(ticket), Judgement() as judgement):
                 spoiled = self._end_of(ticket)

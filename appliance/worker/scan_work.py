@@ -5,14 +5,16 @@ The instrument's worker and the desk go through it alike, so that the same frame
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibration.file import Calibration
 from appliance.capture.exposure import NOMINAL, Exposure
-from appliance.capture.verdict import Judgement
+from appliance.capture.fault import Fault, FaultCode
+from appliance.capture.verdict import Judgement, Verdict
+from appliance.compensation.attempt import Attempt, attempt
 from appliance.optics.water import Water
 from appliance.reconstruct.noise import TYPICAL_PAIR, StereoNoise
 from appliance.reconstruct.pipeline import SIDES, Pipeline
@@ -20,6 +22,7 @@ from appliance.reconstruct.specks import mask_specks
 from appliance.reconstruct.table import Found
 from appliance.verdict.identity import judge_identity
 from appliance.verdict.light import judge_light
+from appliance.verdict.motion import MotionJudgement, judge_motion
 from appliance.verdict.recorded import Recorded
 from appliance.verdict.turbidity import judge_water
 
@@ -43,7 +46,8 @@ class Taking:
 class ScanWork:
     """One scan after the other through ``pipeline`` and past the judges.
 
-    The order is ``begin``, ``push`` for every frame, ``identify``, ``find_coarse``, ``judge``, ``find_full``.
+    The order is ``begin``, ``push`` for every frame, ``identify``, ``find_coarse``, ``judge``, ``compensate`` where ``moved``,
+    ``find_full``.
     """
 
     def __init__(self, pipeline: Pipeline, calibration: Calibration, water: Water) -> None:
@@ -53,10 +57,14 @@ class ScanWork:
         self._frames: dict[str, NDArray[np.uint8]] = {}
         self._coarse: Found | None = None
         self._specks = False
+        self._motion: MotionJudgement | None = None
+        self._others: tuple[Judgement, ...] = ()
+        self._found: Found | None = None
 
     def begin(self, taking: Taking) -> None:
         """The next frame is frame 0 of a scan that was taken so."""
         self._taking, self._coarse, self._specks = taking, None, False
+        self._motion = self._found = None
         self._frames.clear()
         self._pipeline.expect(taking.noise)
         self._pipeline.reset()
@@ -86,10 +94,38 @@ class ScanWork:
         cloud = self._pipeline.table.cloud(self._coarse)
         water = judge_water(recorded, cloud, rig, index)
         self._specks = (water.speck_percent or 0.0) > WORTH_MASKING_PERCENT
-        return (judge_light(recorded, self._taking.exposure, self._taking.steps), water.judgement)
+        light = judge_light(recorded, self._taking.exposure, self._taking.steps)
+        self._motion = judge_motion(recorded, rig, index)
+        if self.moved and light.fault is not None and light.fault.code is FaultCode.LIGHT_FLICKERS:
+            # Grey values change from image to image: what moves explains that, and both cannot be told apart.
+            light = Judgement(replace(light.verdict, passed=None, text="not judged: something moved"))
+        self._others = (light, water.judgement)
+        return (*self._others, self._motion.judgement)
+
+    @property
+    def moved(self) -> bool:
+        """After ``judge``: instrument and scene moved against each other, and it can be tried to take that out."""
+        return self._motion is not None and self._motion.judgement.fault is not None
+
+    def compensate(self) -> tuple[Judgement, ...]:
+        """Try to take the motion out of the points; what is to be said of the scan then, in place of what ``judge`` said.
+
+        The full cloud will be that of one moment of the scan where that makes it good, else the plain one.
+        """
+        if self._motion is None or self._coarse is None:
+            raise ValueError("nothing was judged that could be compensated; ask for the judgements first")
+        motion, recorded = self._motion.judgement, self._recorded()
+        plain = self._pipeline.find_full()
+        tried = attempt(self._pipeline, plain, recorded, self._calibration, self._water)
+        self._found = tried.found or plain
+        if tried.found is not None:
+            motion = replace(motion, fault=Fault(FaultCode.COMPENSATED, motion.verdict.text))
+        return (*self._others, motion, Judgement(_compensation(tried, recorded.frame_s)))
 
     def find_full(self) -> Found:
         """The full cloud; after ``judge``. What passed by makes no points."""
+        if self._found is not None:
+            return self._found
         if self._specks:
             for side, noise in (("left", self._taking.noise.left), ("right", self._taking.noise.right)):
                 mask_specks(self._pipeline.sequence, self._frames[side], self._pipeline.decoded(side), noise)
@@ -100,3 +136,23 @@ class ScanWork:
         taking = self._taking
         exposure_s = 1e-6 * taking.exposure.time_us
         return Recorded(self._pipeline.sequence, self._frames, decoded, taking.noise, taking.frame_s, exposure_s)
+
+
+def _compensation(tried: Attempt, frame_s: float) -> Verdict:
+    """Errors are in units of those of a scan at rest."""
+    if tried.motion is None:
+        return Verdict("compensation", False, {}, tried.why)
+    motion = tried.motion
+    # Displacement from the first sine image to the last, over the time between.
+    lasted_s = frame_s * (motion.frames[-1] - motion.frames[0])
+    x, y, z = (motion.motion_mm[-1, :3] - motion.motion_mm[0, :3]) / lasted_s
+    numbers: dict[str, float | None] = {
+        "error_before": motion.error_before,
+        "error_after": motion.error_after,
+        "noise_factor": motion.noise_factor,
+        "speed_x_mm_s": float(x),
+        "speed_y_mm_s": float(y),
+        "speed_z_mm_s": float(z),
+        "reference_s": motion.reference_s,
+    }
+    return Verdict("compensation", tried.found is not None, numbers, tried.why)

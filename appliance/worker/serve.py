@@ -5,6 +5,7 @@ Whatever goes wrong here ends the process with a last message that names it; the
 
 from __future__ import annotations
 
+import gc
 import os
 import resource
 import signal
@@ -22,6 +23,7 @@ import numpy as np
 
 from appliance.calibration.file import Calibration, decode
 from appliance.capture.store import FrameStore
+from appliance.compensation.warm import run_every_kernel as run_compensation
 from appliance.optics.water import Water
 from appliance.patterns.sequence import PatternSequence, build_sequence
 from appliance.reconstruct.noise import StereoNoise
@@ -56,6 +58,7 @@ def work(
     except (EOFError, OSError):
         pass  # the parent closed the pipe: the normal end
     finally:
+        gc.collect()  # what points at itself keeps its views until then
         frame_store.close()
         memory.close()
 
@@ -78,6 +81,7 @@ def _work(
         # So that the first real scan is as fast as the others.
         with _missing("scipy.linalg"):
             run_empty_scan(scan_work, np.zeros(store.shape, np.uint8))
+            run_compensation()
         limit_memory(headroom_mb)
         pipe.send(("ready",))
         try:
@@ -165,6 +169,10 @@ class Server:
             begun_s = time.process_time()
             judgements = (identity, *self._work.judge())
             self._pipe.send(("judged", self._ticket, judgements, time.process_time() - begun_s))
+            if self._work.moved:
+                begun_s = time.process_time()
+                judgements = (identity, *self._work.compensate())
+                self._pipe.send(("judged", self._ticket, judgements, time.process_time() - begun_s))
             self._answer(True, self._work.find_full)
 
     def _answer(self, full: bool, find: Callable[[], Found]) -> bool:

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibration.design import Design, design_calibration
+from appliance.compensation.warm import run_every_kernel as run_compensation
 from appliance.optics.water import Water
 from appliance.patterns.sequence import build_sequence
 from appliance.reconstruct.noise import TYPICAL
@@ -35,6 +36,7 @@ def run_every_kernel() -> None:
     water = Water(20.0, 0.0, 530.0)
     calibration = design_calibration(_DESIGN, "kernels", width_px, height_px, water)
     sequence = build_sequence(16)
+    run_compensation()
     with Pipeline(calibration, water, sequence) as pipeline:
         for writable in (True, False):
             frames = np.zeros((len(sequence), height_px, width_px), np.uint8)

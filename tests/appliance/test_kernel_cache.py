@@ -24,7 +24,9 @@ from appliance.worker.warm import run_every_kernel
 run_every_kernel()
 from appliance.reconstruct.rows import reconstruct_rows
 from appliance.reconstruct.edges import close_axis
-misses = sum(sum(kernel.stats.cache_misses.values()) for kernel in (reconstruct_rows, close_axis))
+from appliance.compensation.solve import solve_rows
+kernels = (reconstruct_rows, close_axis, solve_rows)
+misses = sum(sum(kernel.stats.cache_misses.values()) for kernel in kernels)
 print(json.dumps({"origin": cache.origin.value, "path": str(cache.path), "compiled": misses}))
 """
 

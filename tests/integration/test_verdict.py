@@ -26,7 +26,17 @@ clear
 pause 1
 press scan
 wait state REVIEW 90
-pause 2
+pause 3
+press scan
+wait state AIM 60
+motion velocity_mm_s=2,0,10 tremor_mm=0.1,0.1,0.1
+press scan
+wait alert COMPENSATED 90
+press scan
+wait state AIM 60
+motion velocity_mm_s=40,0,0
+press scan
+wait alert MOVED 90
 press scan
 wait state AIM 60
 end
@@ -62,11 +72,23 @@ def test_images_that_lie_become_no_cloud_and_say_why(library: Library) -> None:
 
 
 def test_a_good_scan_carries_every_judgement_with_its_numbers(library: Library) -> None:
-    (kept,) = verdicts(library, Shelf.SCANS)
-    assert {"ledger", "identity", "light", "water"} <= set(kept)
+    kept, *_ = verdicts(library, Shelf.SCANS)
+    assert {"ledger", "identity", "light", "water", "motion"} <= set(kept)
     assert all(verdict.passed is not False for verdict in kept.values()), kept
     assert kept["identity"].numbers["doubt"] is not None
     assert kept["identity"].numbers["doubt"] < 1.0
     veil = kept["water"].numbers["veil_percent"]
     assert veil is not None
     assert 0.0 <= veil < 10.0
+
+
+def test_a_moved_scan_is_put_right_or_said_to_be_wrong_and_the_manifest_says_which(library: Library) -> None:
+    _, corrected, wrong = verdicts(library, Shelf.SCANS)
+    assert (corrected["motion"].passed, corrected["compensation"].passed) == (False, True)
+    speeds = [corrected["compensation"].numbers[f"speed_{axis}_mm_s"] for axis in "xyz"]
+    assert speeds[2] == pytest.approx(-10.0, abs=3.0), "the scene comes nearer as the instrument goes on"
+    assert (wrong["motion"].passed, wrong["compensation"].passed) == (False, False)
+    added = wrong["motion"].numbers["added_noise_percent"]
+    assert added is not None
+    assert added > 50.0
+    assert wrong["compensation"].text, "and why it stays as it is"
