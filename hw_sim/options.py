@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping
+import inspect
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any
+from typing import Any, TypeVar
 
 from hw_sim.daylight import Daylight
 from hw_sim.drift import Drift
@@ -14,6 +15,7 @@ from hw_sim.motion import Motion
 from hw_sim.scene import Scene
 from hw_sim.water import AIR, Water
 
+Value = TypeVar("Value")
 Pose = tuple[float, float, float, float, float, float]
 MEDIA = ("water", "air")
 PACES = ("lockstep", "realtime", "attended")
@@ -72,20 +74,30 @@ class WorldOptions:
                 self.object,
                 self.object_pose,
                 self.texture,
-                Water(**self.water) if self.medium == "water" else AIR,
+                _made(Water, "water", self.water) if self.medium == "water" else AIR,
                 self.ambient,
                 self.noise,
-                Motion(**_with_vectors(self.motion)),
-                Imaging(**self.imaging),
-                Daylight(**_with_vectors(self.daylight)),
-                Drift(**_with_vectors(self.drift)),
+                _made(Motion, "motion", self.motion),
+                _made(Imaging, "imaging", self.imaging),
+                _made(Daylight, "daylight", self.daylight),
+                _made(Drift, "drift", self.drift),
             )
         except (TypeError, ValueError) as error:
             raise OptionError(f"scene: {error}") from error
 
 
-def _with_vectors(table: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: tuple(value) if isinstance(value, list) else value for key, value in table.items()}
+def _made(kind: Callable[..., Value], what: str, table: Mapping[str, Any]) -> Value:
+    """A frozen dataclass from a rig file's table; its vectors are lists there. Raises OptionError and ValueError."""
+    known = inspect.signature(kind).parameters
+    for key in table:
+        if key not in known:
+            raise OptionError(f"{what}: unknown '{key}'{_nearest(key, set(known))}")
+    return kind(**{key: tuple(value) if isinstance(value, list) else value for key, value in table.items()})
+
+
+def _nearest(key: str, known: set[str]) -> str:
+    near = difflib.get_close_matches(key, known, 1)
+    return f"; did you mean '{near[0]}'?" if near else f"; known are {', '.join(sorted(known))}"
 
 
 def options_from(mapping: Mapping[str, Any]) -> WorldOptions:
@@ -93,9 +105,7 @@ def options_from(mapping: Mapping[str, Any]) -> WorldOptions:
     known = {f.name for f in fields(WorldOptions)}
     for key in mapping:
         if key not in known:
-            near = difflib.get_close_matches(key, known, 1)
-            hint = f"; did you mean '{near[0]}'?" if near else f"; known are {', '.join(sorted(known))}"
-            raise OptionError(f"unknown option of the simulated world: '{key}'{hint}")
+            raise OptionError(f"unknown option of the simulated world: '{key}'{_nearest(key, known)}")
     values = dict(mapping)
     for key in ("object_pose", "faults"):
         if isinstance(values.get(key), list):
