@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +16,8 @@ from appliance.reconstruct.noise import CameraNoise
 
 SAMPLES = 25_000
 """Lit pixels that are asked, about; shares of a hundredth are then known to a twentieth of themselves."""
+MOST_PIXELS = 500_000
+"""Of the grid, however little of it is lit: it has 32 bits for each image."""
 GOLDEN = 0.6180339887
 COARSE_PX = 8
 """Distance of the pixels by which the lit ones are counted first."""
@@ -51,10 +54,11 @@ class Sample:
 
 
 def sample(frames: NDArray[np.uint8], sequence: PatternSequence) -> Sample:
-    """About ``SAMPLES`` lit pixels of ``frames`` (n, h, w) uint8, or all of them where there are fewer."""
+    """About ``SAMPLES`` lit pixels of ``frames`` (n, h, w) uint8; fewer where they are rare among ``MOST_PIXELS``."""
     coarse = frames[[sequence.bright, sequence.dark], ::COARSE_PX, ::COARSE_PX].astype(np.int16)
     lit_pixels = COARSE_PX**2 * int(np.count_nonzero(_lit(coarse[0], coarse[1])))
-    stride = max(1, round((lit_pixels / SAMPLES) ** 0.5))
+    least = math.ceil((frames[0].size / MOST_PIXELS) ** 0.5)
+    stride = max(least, round((lit_pixels / SAMPLES) ** 0.5))
     grey = frames[:, _places(frames.shape[1], stride)[:, None], _places(frames.shape[2], stride)].astype(np.float32)
     bright, dark = grey[sequence.bright], grey[sequence.dark]
     sines = [grey[list(sequence.axis(d).sine)] for d in Direction]

@@ -54,14 +54,16 @@ class WorkOrder:
 class WorkLimits:
     """What a worker may take; beyond, it is started again."""
 
-    start_s: float = 60.0
-    """A cold start without compiled kernels takes several seconds."""
+    start_s: float = 240.0
+    """A cold start without compiled kernels takes most of a minute, and more on a busy machine."""
     cloud_s: float = 10.0
     """From the last frame to the full cloud; a hundred times what it takes."""
     alive_s: float = 5.0
     """From a question to its answer while it has nothing to do."""
     memory_mb: float = 600.0
     """Of its own; the shared frames do not count."""
+    start_memory_mb: float = 1500.0
+    """The same until it is ready: without compiled kernels, the compiler is in it, too."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -303,7 +305,8 @@ class ReconstructionWorker:
         if self.pid is None or now_ns < self._memory_check_ns:
             return None
         self._memory_check_ns = now_ns + int(MEMORY_CHECK_S * 1e9)
-        used_mb, most_mb = own_memory_mb(self.pid), self.limits.memory_mb
+        most_mb = self.limits.start_memory_mb if self._starting else self.limits.memory_mb
+        used_mb = own_memory_mb(self.pid)
         if used_mb is None or used_mb <= most_mb:
             return None
         return self._restart(f"it took {used_mb:.0f} MB of memory; allowed are {most_mb:.0f} MB")
