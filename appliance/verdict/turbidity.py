@@ -47,6 +47,9 @@ MIN_POINTS = 3
 DIRTY_MASKED, DIRTY_VEIL, DIRTY_SPECKS = 0.25, 0.25, 0.02
 """A scan is poor because of the water when so much of the object has no coordinates and so much of the light is veil, or when
 specks disturb so much of it."""
+VEILED = 0.30
+"""From this share of veil on, the scan is poor however much of it has coordinates: here and there the veil outshines the
+object, coarse Gray bits take it for stripes, and make surfaces of it (``docs/turbidity.md``)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,7 +166,7 @@ def _fault(looked: Looked) -> Fault | None:
     masked, veil, specks = looked.masked_share, looked.veil_share, looked.speck_share
     if masked is None:
         return None
-    by_veil = veil is not None and veil > DIRTY_VEIL and masked > DIRTY_MASKED
+    by_veil = veil is not None and (veil > VEILED or (veil > DIRTY_VEIL and masked > DIRTY_MASKED))
     by_specks = specks is not None and specks > DIRTY_SPECKS
     if not by_veil and not by_specks:
         return None

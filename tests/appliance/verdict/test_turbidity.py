@@ -127,6 +127,15 @@ def test_water_that_hides_the_object_is_called_dirty_with_what_is_left() -> None
     assert not said.judgement.verdict.passed
 
 
+def test_a_veil_as_bright_as_a_third_of_the_light_is_told_although_most_points_are_there() -> None:
+    milky = Scene(object="plane", texture="none", water=Water(attenuation_per_m=2.0, backscatter=0.3))
+    said = judged(render(milky, 0.0165)).said
+    assert found(said.veil_percent) > 30.0
+    fault = said.judgement.fault
+    assert fault is not None
+    assert fault.code is FaultCode.WATER_DIRTY
+
+
 def test_specks_that_pass_are_noticed_and_counted(without_scattering: RenderedScan) -> None:
     sequence, rng = without_scattering.sequence, np.random.default_rng(9)
     few, many = (
