@@ -15,16 +15,15 @@ from appliance.compensation.estimate import MotionEstimate, Scanned, noise_dn
 from appliance.compensation.hand import SHIFT, TURN, between_mm
 from appliance.compensation.solve import Solved, Sources, Terms, solve_rows
 from appliance.compensation.ways import Ways, ways
-from appliance.optics.model import HousedCamera
 from appliance.optics.water import Water
 from appliance.patterns.sequence import Direction
 from appliance.reconstruct.decode import MIN_MODULATION_DN, edge_limits_px
 from appliance.reconstruct.edges import keep_smooth
+from appliance.reconstruct.pipeline import SIDES
 from appliance.reconstruct.rows import LeftMaps
 
 Array = NDArray[np.float64]
 
-THREADS = 2
 FILL_SHARE = 0.03
 """Of the image's width: so far is a depth carried over pixels that motion left without coordinates."""
 PROBE_ROWS = 16
@@ -51,14 +50,16 @@ def compensate(scanned: Scanned, calibration: Calibration, water: Water, motion:
     axes = (0,) * 4 + (1,) * 4 + (0,) + (0,) * len(x.gray) + (1,) * len(y.gray)
     moved_mm = _motion_at(motion, scanned.frame_s, followed)
     rig = calibration.rig
-    maps = {}
-    with ThreadPoolExecutor(THREADS, "kf-compensate") as pool:
-        for side, camera in (("left", rig.left), ("right", rig.right)):
-            way = ways(
-                camera, motion.projector.eye, water.index, moved_mm, motion.centre_mm, axes, float(sequence.period_px)
-            )
-            maps[side] = _solve(scanned, side, camera, motion, followed, way, pool)
-    return Compensated(maps, motion.error_after)
+
+    def solve(side: str) -> LeftMaps:
+        camera = rig.left if side == "left" else rig.right
+        way = ways(
+            camera, motion.projector.eye, water.index, moved_mm, motion.centre_mm, axes, float(sequence.period_px)
+        )
+        return _solve(scanned, side, motion, followed, way)
+
+    with ThreadPoolExecutor(len(SIDES), "kf-compensate") as pool:
+        return Compensated(dict(zip(SIDES, pool.map(solve, SIDES), strict=True)), motion.error_after)
 
 
 def _motion_at(motion: MotionEstimate, frame_s: float, followed: tuple[int, ...]) -> Array:
@@ -70,10 +71,7 @@ def _motion_at(motion: MotionEstimate, frame_s: float, followed: tuple[int, ...]
     return np.concatenate([motion.motion_mm, np.concatenate(others, -1)])
 
 
-def _solve(
-    scanned: Scanned, side: str, camera: HousedCamera, motion: MotionEstimate, followed: tuple[int, ...], way: Ways,
-    pool: ThreadPoolExecutor,
-) -> LeftMaps:  # fmt: skip
+def _solve(scanned: Scanned, side: str, motion: MotionEstimate, followed: tuple[int, ...], way: Ways) -> LeftMaps:
     sequence, decoder = scanned.sequence, scanned.decoded[side]
     height, width = decoder.p_px.shape
     # One kind of array, whether it may be written or not: each kind would be compiled for itself.
@@ -95,12 +93,7 @@ def _solve(
     solve_rows(sources, way, gains, terms, PROBE_ROWS // 2, height, PROBE_ROWS, solved, harmonics)
     share = np.clip(harmonics[:, 0] / np.maximum(harmonics[:, 1], 1e-9), -MAX_HARMONIC, MAX_HARMONIC)
     terms = terms._replace(harmonic_x=np.float32(share[0]), harmonic_y=np.float32(share[1]))
-    block = -(-height // THREADS)
-
-    def work(start: int) -> None:
-        solve_rows(sources, way, gains, terms, start, min(start + block, height), 1, solved, np.zeros((2, 2)))
-
-    list(pool.map(work, range(0, height, block)))
+    solve_rows(sources, way, gains, terms, 0, height, 1, solved, harmonics)
     jump_px, bend_px = edge_limits_px(sequence.period_px, width)
     drop_edges(solved.p_px, solved.q_px, jump_px, bend_px)
     return LeftMaps(

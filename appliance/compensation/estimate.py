@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import cv2
 import numpy as np
@@ -46,6 +47,8 @@ SMOOTH_SD = 0.1
 LEAST_SCALE_DN = 0.15
 START_SCALE_DN = 5.0
 CONVERGED_MM = 2e-4
+ENOUGH_MM = 0.02
+"""Of a step, before the last level."""
 NEARLY_CONVERGED_MM = 0.05
 MAX_VARIANCE = 25.0
 GOOD_ERROR = 1.25
@@ -70,13 +73,17 @@ class Level:
     """Of those in which textures are: as much as they may be apart."""
     kinds: tuple[int, ...]
     iterations: int
+    shrunk: int
+    """The pictures are looked at this many times smaller: what is blurred needs no more pixels."""
+    every: int
+    """Of the samples."""
 
 
 LEVELS = (
-    Level(5.0, 8.0, (X_STEPS,), 5),
-    Level(5.0, 8.0, (X_STEPS, TEXTURE), 4),
-    Level(5.0, 5.0, (X_STEPS, Y_STEPS, TEXTURE), 4),
-    Level(3.0, 3.0, (X_STEPS, Y_STEPS, TEXTURE), 8),
+    Level(5.0, 8.0, (X_STEPS,), 5, 2, 4),
+    Level(5.0, 8.0, (X_STEPS, TEXTURE), 4, 2, 4),
+    Level(5.0, 5.0, (X_STEPS, Y_STEPS, TEXTURE), 4, 2, 2),
+    Level(3.0, 3.0, (X_STEPS, Y_STEPS, TEXTURE), 8, 1, 1),
 )
 
 
@@ -171,19 +178,20 @@ def estimate(
     reference_s = float(np.mean(times_s[:4]))
     working = {side: _working(scanned.frames[side], sines, binning) for side in samples}
     scale = math.sqrt(rig.left.width_px / binning / WORKING_WIDTH_PX)
-    solver = _Solver(samples, _prior(times_s, reference_s))
-    step_mm = math.inf
-    for level in LEVELS:
-        solver.look_at(working, level.steps_blur_px * scale, level.texture_blur_px * scale)
-        for _ in range(level.iterations):
-            step_mm = solver.step(level.kinds)
-            if step_mm < CONVERGED_MM:
-                break
-    grey_dn = float(np.mean([noise_dn(scanned, side) for side in SIDES]))
-    averaged_px = 2.0 * math.sqrt(math.pi) * LEVELS[-1].steps_blur_px * scale * binning
-    after = solver.contradiction(solver.values, grey_dn / averaged_px)
-    noise_factor, covariance = solver.noise_factor(), solver.covariance()
-    before = solver.contradiction(np.zeros(PARAMETERS), grey_dn / averaged_px)
+    with ThreadPoolExecutor(len(SIDES), "kf-motion") as pool:
+        solver = _Solver(samples, _prior(times_s, reference_s), pool)
+        step_mm = math.inf
+        for level in LEVELS:
+            solver.look_at(working, level, scale)
+            for _ in range(level.iterations):
+                step_mm = solver.step(level.kinds)
+                if step_mm < (CONVERGED_MM if level is LEVELS[-1] else ENOUGH_MM):
+                    break
+        grey_dn = float(np.mean([noise_dn(scanned, side) for side in SIDES]))
+        averaged_px = 2.0 * math.sqrt(math.pi) * LEVELS[-1].steps_blur_px * scale * binning
+        after = solver.contradiction(solver.values, grey_dn / averaged_px)
+        noise_factor, covariance = solver.noise_factor(), solver.covariance()
+        before = solver.contradiction(np.zeros(PARAMETERS), grey_dn / averaged_px)
     noise = grey_dn / float(np.mean([_modulation_dn(scanned, side) for side in SIDES]))
     return MotionEstimate(
         frames=sines,
@@ -201,38 +209,59 @@ def estimate(
     )
 
 
-def _blurred(pictures: list[NDArray[np.float32]], blur_px: float) -> NDArray[np.float32]:
-    return np.asarray(np.stack([cv2.GaussianBlur(picture, (0, 0), blur_px) for picture in pictures]), np.float32)
+def _blurred(pictures: list[NDArray[np.float32]], blur_px: float, shrunk: int) -> NDArray[np.float32]:
+    return np.stack([cv2.GaussianBlur(_shrunk(picture, shrunk), (0, 0), blur_px / shrunk) for picture in pictures])
+
+
+def _shrunk(picture: NDArray[np.float32], times: int) -> NDArray[np.float32]:
+    height, width = picture.shape
+    size = (width // times, height // times)
+    return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA) if times > 1 else picture, np.float32)
+
+
+class _Asked(NamedTuple):
+    """What one camera's samples say."""
+
+    matrix: Array
+    vector: Array
+    residual_dn: Array
+    modulation_dn: Array
+    variance: Array
 
 
 class _Solver:
-    """Gauss-Newton with robust weights on the samples of both cameras."""
+    """Gauss-Newton with robust weights on the samples of both cameras, each in its own thread of ``pool``."""
 
-    def __init__(self, samples: Mapping[str, Samples], prior: Array) -> None:
+    def __init__(self, samples: Mapping[str, Samples], prior: Array, pool: ThreadPoolExecutor) -> None:
+        self._pool = pool
         self.values = np.zeros(PARAMETERS)
-        self._samples, self._prior = samples, prior
-        self._pictures: tuple[dict[str, NDArray[np.float32]], ...] = ()
-        self._blurs_px = (0.0, 0.0)
+        self._all, self._samples, self._prior = samples, samples, prior
+        self._known: dict[float, Mapping[str, NDArray[np.float32]]] = {}
+        self._steps_blur_px = self._texture_blur_px = 0.0
         self._scale_dn = np.full(3, START_SCALE_DN)
         self._matrix = prior
         self._vector = np.zeros(PARAMETERS)
         self._variance = np.ones((1, 2))
 
-    def look_at(
-        self, working: Mapping[str, list[NDArray[np.float32]]], steps_blur_px: float, texture_blur_px: float
-    ) -> None:
-        """From now on at pictures of these blurs."""
-        known = dict(zip(self._blurs_px, self._pictures, strict=False))
-        self._blurs_px = (steps_blur_px, texture_blur_px)
-        for blur_px in self._blurs_px:
+    def look_at(self, working: Mapping[str, list[NDArray[np.float32]]], level: Level, scale: float) -> None:
+        """From now on at a level's pictures, its blurs times ``scale``."""
+        self._steps_blur_px, self._texture_blur_px = level.steps_blur_px * scale, level.texture_blur_px * scale
+        self._samples = {side: _some(samples, level) for side, samples in self._all.items()}
+        blurs_px = (self._steps_blur_px, self._texture_blur_px)
+        known = {blur_px: pictures for blur_px, pictures in self._known.items() if blur_px in blurs_px}
+        for blur_px in blurs_px:
             if blur_px not in known:
-                known[blur_px] = {side: _blurred(pictures, blur_px) for side, pictures in working.items()}
-        self._pictures = (known[steps_blur_px], known[texture_blur_px])
+                blurred = self._pool.map(lambda side: _blurred(working[side], blur_px, level.shrunk), SIDES)  # noqa: B023
+                known[blur_px] = dict(zip(SIDES, blurred, strict=True))
+        self._known = known
 
     def step(self, kinds: tuple[int, ...]) -> float:
         """One step on residuals of these kinds; its largest part in mm."""
         residual_dn, _ = self._accumulate(self.values, kinds)
-        self._scale_dn = np.maximum(1.4826 * np.nanmedian(np.abs(residual_dn), axis=0), LEAST_SCALE_DN)
+        for kind in range(3):
+            known = residual_dn[np.isfinite(residual_dn[:, kind]), kind]
+            if known.size:
+                self._scale_dn[kind] = max(1.4826 * float(np.median(np.abs(known))), LEAST_SCALE_DN)
         step = -np.linalg.solve(self._matrix, self._vector + self._prior @ self.values)
         self.values += step
         return float(np.abs(step[:MOTIONS]).max())
@@ -255,34 +284,38 @@ class _Solver:
         """Of the motion."""
         return np.asarray(np.linalg.inv(self._matrix)[:MOTIONS, :MOTIONS])
 
+    def _looks(self, kinds: tuple[int, ...]) -> list[tuple[float, tuple[int, ...]]]:
+        """Which pictures are looked at for what; phase steps last, for what they say of modulation stays."""
+        if self._steps_blur_px == self._texture_blur_px or TEXTURE not in kinds:
+            return [(self._steps_blur_px, kinds)]
+        steps = tuple(kind for kind in kinds if kind != TEXTURE)
+        return [(self._texture_blur_px, (TEXTURE,)), (self._steps_blur_px, steps)]
+
     def _accumulate(self, values: Array, kinds: tuple[int, ...]) -> tuple[Array, Array]:
-        matrix, vector = np.zeros((PARAMETERS, PARAMETERS)), np.zeros(PARAMETERS)
-        residuals, modulations, variances = [], [], []
-        for number, side in enumerate(SIDES):
-            n = len(self._samples[side].uv_px)
-            residual_dn, modulation_dn = np.full((n, 3), np.nan), np.full((n, 2), np.nan)
-            other_dn, variance, unused = np.full((n, 3), np.nan), np.full((n, 2), np.nan), np.full((n, 2), np.nan)
-            for pictures, mine, written, doubt in (
-                (self._pictures[0], (X_STEPS, Y_STEPS), residual_dn, variance),
-                (self._pictures[1], (TEXTURE,), other_dn, unused),
-            ):
-                wanted = sum(1 << kind for kind in kinds if kind in mine)
-                accumulate(
- self._samples[side], pictures[side], values, number, self._scale_dn, wanted, matrix, vector, written,
- modulation_dn, doubt,
-)  # fmt: skip
-            residual_dn[:, TEXTURE] = other_dn[:, TEXTURE]
-            residuals.append(residual_dn)
-            modulations.append(modulation_dn)
-            variances.append(variance)
+        asked = list(self._pool.map(lambda side: self._ask(side, values, kinds), SIDES))
+        matrix = np.sum([one.matrix for one in asked], axis=0)
+        self._vector = np.sum([one.vector for one in asked], axis=0)
         # The kernel fills each pair once, in either order.
         self._matrix = matrix + matrix.T - np.diag(np.diag(matrix)) + self._prior
-        self._vector = vector
-        self._variance = np.concatenate(variances)
-        both = np.concatenate(residuals)
+        self._variance = np.concatenate([one.variance for one in asked])
+        both = np.concatenate([one.residual_dn for one in asked])
         if not np.isfinite(both).any():
             raise ValueError("no sample stays in the pictures; the instrument moved too far")
-        return both, np.concatenate(modulations)
+        return both, np.concatenate([one.modulation_dn for one in asked])
+
+    def _ask(self, side: str, values: Array, kinds: tuple[int, ...]) -> _Asked:
+        samples = self._samples[side]
+        n = len(samples.uv_px)
+        asked = _Asked(
+            np.zeros((PARAMETERS, PARAMETERS)), np.zeros(PARAMETERS), np.full((n, 3), np.nan), np.full((n, 2), np.nan),
+            np.full((n, 2), np.nan),
+        )  # fmt: skip
+        for blur_px, looked_for in self._looks(kinds):
+            accumulate(
+                samples, self._known[blur_px][side], values, SIDES.index(side), self._scale_dn,
+                sum(1 << kind for kind in looked_for), *asked,
+            )  # fmt: skip
+        return asked
 
 
 def _way_px(samples: Samples, values: Array) -> float:
@@ -346,6 +379,13 @@ def _prior(times_s: Array, reference_s: float) -> Array:
 
 
 def _working(frames: NDArray[np.uint8], sines: tuple[int, ...], binning: int) -> list[NDArray[np.float32]]:
-    size = (frames.shape[2] // binning, frames.shape[1] // binning)
-    pictures = (frames[k].astype(np.float32) for k in sines)
-    return [np.asarray(cv2.resize(p, size, interpolation=cv2.INTER_AREA) if binning > 1 else p) for p in pictures]
+    return [_shrunk(frames[k].astype(np.float32), binning) for k in sines]
+
+
+def _some(samples: Samples, level: Level) -> Samples:
+    """Those that a level looks at, in its pictures' pixels."""
+    if level.every == level.shrunk == 1:
+        return samples
+    few = Samples(*(np.ascontiguousarray(values[:: level.every]) for values in samples))
+    uv_px = (few.uv_px + 0.5) / level.shrunk - 0.5
+    return few._replace(uv_px=uv_px, jacobian=few.jacobian / level.shrunk)

@@ -27,7 +27,9 @@ SMOOTH_TERMS = 6
 PARAMETERS = SMOOTH + 2 * SMOOTH_TERMS
 X_STEPS, Y_STEPS, TEXTURE = 0, 1, 2
 """Kinds of residuals."""
-_ROW = MOTIONS + FRAMES + SMOOTH_TERMS
+_PER_FRAME = 7
+_ROW = _PER_FRAME * FRAMES + SMOOTH_TERMS
+"""What one camera's sample depends on: per frame six of motion and a gain, then the smooth gain."""
 
 
 class Samples(NamedTuple):
@@ -79,9 +81,9 @@ def _look(picture: NDArray[np.float32], u: float, v: float) -> tuple[float, floa
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def _solve_steps(y: Array, cosine: Array, sine: Array, out: Array, offset_of: Array, contradiction_of: Array) -> float:
-    """Least squares of y_k = a + c cos ψ_k − s sin ψ_k over four steps: into ``out`` a, c, s and the variance of the phase
-    against that of steps of 90°; how a follows from y into ``offset_of``; the unit vector that contradicts into ``contradiction_of``. Returns y along that."""
+def invert_steps(cosine: Array, sine: Array, weights: Array) -> None:
+    """Least squares of y_k = a + c cos ψ_k − s sin ψ_k over four steps: how a, c and s follow from y, and the unit vector
+    that contradicts them all, into ``weights`` (4, 4)."""
     size = 0.0
     for k in range(4):
         i, j, l = (1, 2, 3) if k == 0 else ((0, 2, 3) if k == 1 else ((0, 1, 3) if k == 2 else (0, 1, 2)))
@@ -91,16 +93,13 @@ def _solve_steps(y: Array, cosine: Array, sine: Array, out: Array, offset_of: Ar
             + sine[l] * cosine[j] - cosine[l] * sine[j]
             + sine[i] * cosine[l] - cosine[i] * sine[l]
         )  # fmt: skip
-        contradiction_of[k] = area if k % 2 == 0 else -area
+        weights[3, k] = area if k % 2 == 0 else -area
         size += area * area
-    size = np.sqrt(size)
-    along = 0.0
-    for k in range(4):
-        contradiction_of[k] /= size
-        along += contradiction_of[k] * y[k]
+    scale = 1.0 / np.sqrt(size)
     # Normal matrix of (1, cos, −sin).
     n01, n02, n11, n12, n22 = 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(4):
+        weights[3, k] *= scale
         n01 += cosine[k]
         n02 -= sine[k]
         n11 += cosine[k] * cosine[k]
@@ -108,16 +107,33 @@ def _solve_steps(y: Array, cosine: Array, sine: Array, out: Array, offset_of: Ar
         n22 += sine[k] * sine[k]
     i00, i01, i02 = n11 * n22 - n12 * n12, n02 * n12 - n01 * n22, n01 * n12 - n02 * n11
     i11, i12, i22 = 4.0 * n22 - n02 * n02, n01 * n02 - 4.0 * n12, 4.0 * n11 - n01 * n01
-    det = 4.0 * i00 + n01 * i01 + n02 * i02
-    a, c, s = 0.0, 0.0, 0.0
+    scale = 1.0 / (4.0 * i00 + n01 * i01 + n02 * i02)
     for k in range(4):
-        offset_of[k] = (i00 + i01 * cosine[k] - i02 * sine[k]) / det
-        a += offset_of[k] * y[k]
-        c += (i01 + i11 * cosine[k] - i12 * sine[k]) / det * y[k]
-        s += (i02 + i12 * cosine[k] - i22 * sine[k]) / det * y[k]
-    out[0], out[1], out[2] = a, c, s
-    out[3] = 2.0 * (s * s * i11 - 2.0 * s * c * i12 + c * c * i22) / (det * max(s * s + c * c, 1e-9))
-    return along
+        weights[0, k] = scale * (i00 + i01 * cosine[k] - i02 * sine[k])
+        weights[1, k] = scale * (i01 + i11 * cosine[k] - i12 * sine[k])
+        weights[2, k] = scale * (i02 + i12 * cosine[k] - i22 * sine[k])
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def apply_steps(weights: Array, y: Array) -> tuple[float, float, float, float]:
+    """a, c, s and what contradicts of the values y (4,)."""
+    a, c, s, along = 0.0, 0.0, 0.0, 0.0
+    for k in range(4):
+        a += weights[0, k] * y[k]
+        c += weights[1, k] * y[k]
+        s += weights[2, k] * y[k]
+        along += weights[3, k] * y[k]
+    return a, c, s, along
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _phase_variance(weights: Array, c: float, s: float) -> float:
+    """Against that of steps of 90°."""
+    total = 0.0
+    for k in range(4):
+        part = s * weights[1, k] - c * weights[2, k]
+        total += part * part
+    return 2.0 * total / max(s * s + c * c, 1e-9)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -136,9 +152,10 @@ def accumulate(
 ) -> None:
     """Add one camera's samples to the normal equations ``matrix`` (P, P), ``vector`` (P,) at the parameters ``values`` (P,).
 
-    ``pictures`` (8, h, w) float32; ``kinds``: bit k lets residuals of kind k count. ``scale_dn`` (3,): their robust scales, Cauchy beyond.
-    ``residual_dn`` (n, 3) gets the residuals, NaN where a point leaves the picture; ``modulation_dn`` (n, 2); ``variance`` (n, 2) that of the
-    phases against steps of 90°.
+    ``pictures`` (8, h, w) float32; ``kinds``: bit k lets residuals of kind k count. ``scale_dn`` (3,): their robust
+    scales, Cauchy beyond. ``residual_dn`` (n, 3) gets the residuals, NaN where a point leaves the picture;
+    ``modulation_dn`` (n, 2); ``variance`` (n, 2) that of the phases against steps of 90°. Where only x-sines count, the
+    other frames are not looked at and what they say stays as it was.
     """
     uv, J, e, G, eg, lever, smooth = samples
     height, width = pictures.shape[1], pictures.shape[2]
@@ -146,13 +163,16 @@ def accumulate(
     cosine, sine = np.empty(4), np.empty(4)
     D = np.empty((FRAMES, 3))
     grey = np.empty(FRAMES)
-    solved = np.empty((2, 4))
-    offset_of, contradiction_of = np.empty((2, 4)), np.empty((2, 4))
+    solved = np.empty((2, 3))
+    weights = np.empty((2, 4, 4))
     along = np.empty(2)
-    row, place = np.empty(_ROW), np.empty(_ROW, np.int64)
+    row = np.empty(_ROW)
+    # In the order of ``row``: what is added up then lies side by side.
+    products, sums = np.zeros((_ROW, _ROW)), np.zeros(_ROW)
+    blocks = 1 if kinds == 1 << X_STEPS else 2
     for i in range(uv.shape[0]):
         inside = True
-        for block in range(2):
+        for block in range(blocks):
             for m in range(4):
                 k = 4 * block + m
                 d0 = values[6 * k] + values[6 * k + 4] * lever[i, 2] - values[6 * k + 5] * lever[i, 1]
@@ -174,55 +194,67 @@ def accumulate(
                     D[k, a] = gain * near * (by_u * J[i, 0, a] + by_v * J[i, 1, a])
             if not inside:
                 break
-            along[block] = _solve_steps(y, cosine, sine, solved[block], offset_of[block], contradiction_of[block])
+            invert_steps(cosine, sine, weights[block])
+            solved[block, 0], solved[block, 1], solved[block, 2], along[block] = apply_steps(weights[block], y)
             for m in range(4):
                 h[m] = -solved[block, 1] * sine[m] - solved[block, 2] * cosine[m]
                 for a in range(3):
                     D[4 * block + m, a] -= h[m] * G[i, block, a]
             modulation_dn[i, block] = np.sqrt(solved[block, 1] ** 2 + solved[block, 2] ** 2)
-            variance[i, block] = solved[block, 3]
+            variance[i, block] = _phase_variance(weights[block], solved[block, 1], solved[block, 2])
         if not inside:
             residual_dn[i, :] = np.nan
             continue
-        mean = 0.0
-        for t in range(SMOOTH_TERMS):
-            mean += smooth[i, t] * values[SMOOTH + SMOOTH_TERMS * side + t]
-        residual_dn[i, 0], residual_dn[i, 1] = along[0], along[1]
-        # Moving sideways, a point may see nearly equal phases in all steps: its offset is then hardly known.
-        doubt = 0.0
-        for m in range(4):
-            doubt += 2.0 * (offset_of[0, m] ** 2 + offset_of[1, m] ** 2)
-        doubt = np.sqrt(doubt)
-        residual_dn[i, 2] = (solved[1, 0] - (1.0 + mean) * solved[0, 0]) / doubt
+        residual_dn[i, X_STEPS] = along[0]
+        mean, doubt = 0.0, 0.0
+        if blocks == 2:
+            residual_dn[i, Y_STEPS] = along[1]
+            for t in range(SMOOTH_TERMS):
+                mean += smooth[i, t] * values[SMOOTH + SMOOTH_TERMS * side + t]
+            # Moving sideways, a point may see nearly equal phases in all steps: its offset is then hardly known.
+            for m in range(4):
+                doubt += 2.0 * (weights[0, 0, m] ** 2 + weights[1, 0, m] ** 2)
+            doubt = np.sqrt(doubt)
+            residual_dn[i, TEXTURE] = (solved[1, 0] - (1.0 + mean) * solved[0, 0]) / doubt
         for kind in range(3):
             if not kinds >> kind & 1:
                 continue
-            first, stop = (0, 4) if kind == X_STEPS else ((4, 8) if kind == Y_STEPS else (0, 8))
-            count = 0
-            for k in range(first, stop):
+            begin, stop = (0, 4) if kind == X_STEPS else ((4, 8) if kind == Y_STEPS else (0, 8))
+            for k in range(begin, stop):
                 block, m = k // 4, k % 4
                 if kind == TEXTURE:
-                    part = (offset_of[block, m] if block == 1 else -(1.0 + mean) * offset_of[block, m]) / doubt
+                    part = (weights[block, 0, m] if block == 1 else -(1.0 + mean) * weights[block, 0, m]) / doubt
                 else:
-                    part = contradiction_of[block, m]
+                    part = weights[block, 3, m]
                 g0, g1, g2 = part * D[k, 0], part * D[k, 1], part * D[k, 2]
-                row[count], row[count + 1], row[count + 2] = g0, g1, g2
-                row[count + 3] = lever[i, 1] * g2 - lever[i, 2] * g1
-                row[count + 4] = lever[i, 2] * g0 - lever[i, 0] * g2
-                row[count + 5] = lever[i, 0] * g1 - lever[i, 1] * g0
-                row[count + 6] = -part * grey[k]
-                for a in range(6):
-                    place[count + a] = 6 * k + a
-                place[count + 6] = GAINS + k
-                count += 7
+                at = _PER_FRAME * k
+                row[at], row[at + 1], row[at + 2] = g0, g1, g2
+                row[at + 3] = lever[i, 1] * g2 - lever[i, 2] * g1
+                row[at + 4] = lever[i, 2] * g0 - lever[i, 0] * g2
+                row[at + 5] = lever[i, 0] * g1 - lever[i, 1] * g0
+                row[at + 6] = -part * grey[k]
+            first, last = _PER_FRAME * begin, _PER_FRAME * stop
             if kind == TEXTURE:
                 for t in range(SMOOTH_TERMS):
-                    row[count], place[count] = -smooth[i, t] * solved[0, 0] / doubt, SMOOTH + SMOOTH_TERMS * side + t
-                    count += 1
+                    row[last + t] = -smooth[i, t] * solved[0, 0] / doubt
+                last += SMOOTH_TERMS
             r = residual_dn[i, kind]
             weight = 1.0 / (scale_dn[kind] ** 2 + 0.16 * r * r)
-            for a in range(count):
+            for a in range(first, last):
                 wa = weight * row[a]
-                vector[place[a]] += wa * r
-                for b in range(a + 1):
-                    matrix[place[a], place[b]] += wa * row[b]
+                sums[a] += wa * r
+                for b in range(first, a + 1):
+                    products[a, b] += wa * row[b]
+    for a in range(_ROW):
+        vector[_parameter(a, side)] += sums[a]
+        for b in range(a + 1):
+            matrix[_parameter(a, side), _parameter(b, side)] += products[a, b]
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _parameter(place: int, side: int) -> int:
+    """Which parameter is at a place of a sample's row."""
+    frame, part = place // _PER_FRAME, place % _PER_FRAME
+    if frame >= FRAMES:
+        return SMOOTH + SMOOTH_TERMS * side + place - _PER_FRAME * FRAMES
+    return 6 * frame + part if part < 6 else GAINS + frame

@@ -8,7 +8,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.compensation.residuals import _solve_steps
+from appliance.compensation.residuals import apply_steps, invert_steps
 from appliance.compensation.ways import FIRST_WAY, P_OF_T, PER_FRAME, Q_OF_T, Ways
 
 BRIGHT, FIRST_GRAY = 8, 9
@@ -21,6 +21,8 @@ MAX_CONTRARY = np.float32(0.5)
 MAX_ASIDE_PX = np.float32(4.0)
 """Between a pattern row and where the fitted projector has it for this pixel and column."""
 MAX_T = np.float32(2.5)
+NEAR_RAD = 0.03
+"""Within it cosine and sine are carried on to the second order: right to 5e-6."""
 _NAN, _HALF, _ONE = np.float32(np.nan), np.float32(0.5), np.float32(1.0)
 
 
@@ -65,9 +67,9 @@ class Solved(NamedTuple):
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def _cubic(picture: NDArray[np.uint8], u: np.float32, v: np.float32) -> np.float32:
-    """Cubic convolution at (u, v), at least 1 px inside; NaN where it is saturated."""
-    i, j = int(np.floor(u)), int(np.floor(v))
+def _cubic(pixels: NDArray[np.uint8], start: int, width: int, u: np.float32, v: np.float32) -> np.float32:
+    """Cubic convolution at (u, v), at least 1 px inside, of the picture from ``start`` on; NaN where it is saturated."""
+    i, j = int(u), int(v)
     s, t = u - np.float32(i), v - np.float32(j)
     s2, t2 = s * s, t * t
     s3, t3 = s2 * s, t2 * t
@@ -79,16 +81,30 @@ def _cubic(picture: NDArray[np.uint8], u: np.float32, v: np.float32) -> np.float
     b3 = -_HALF * t2 + _HALF * t3
     b2 = _ONE - b0 - b1 - b3
     value = np.float32(0.0)
+    # Unsigned, for what may be negative is asked each time.
+    at, stride = np.uint64(start + (j - 1) * width + i - 1), np.uint64(width)
     for m in range(4):
         b = b0 if m == 0 else (b1 if m == 1 else (b2 if m == 2 else b3))
-        n = j - 1 + m
         value += b * (
-            a0 * np.float32(picture[n, i - 1])
-            + a1 * np.float32(picture[n, i])
-            + a2 * np.float32(picture[n, i + 1])
-            + a3 * np.float32(picture[n, i + 2])
+            a0 * np.float32(pixels[at])
+            + a1 * np.float32(pixels[at + np.uint64(1)])
+            + a2 * np.float32(pixels[at + np.uint64(2)])
+            + a3 * np.float32(pixels[at + np.uint64(3)])
         )
-    return value if picture[j + int(t > _HALF), i + int(s > _HALF)] != np.uint8(255) else _NAN
+        at += stride
+    nearest = np.uint64(start + (j + int(t > _HALF)) * width + i + int(s > _HALF))
+    return value if pixels[nearest] != np.uint8(255) else _NAN
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _turn(known: NDArray[np.float64], psi: float) -> tuple[float, float]:
+    """Cosine and sine of ``psi``, carried on from those ``known`` (3,): angle, cosine, sine."""
+    apart = psi - known[0]
+    if not abs(apart) < NEAR_RAD:
+        known[0], known[1], known[2] = psi, np.cos(psi), np.sin(psi)
+        return known[1], known[2]
+    less = 1.0 - 0.5 * apart * apart
+    return less * known[1] - apart * known[2], less * known[2] + apart * known[1]
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -152,18 +168,23 @@ def solve_rows(
     ``harmonics`` (2, 2) gathers Σ contradiction · response and Σ response² of the second harmonic, per direction.
     """
     nodes, step = ways.nodes, ways.step_px
-    bright = sources.frames[sources.followed[BRIGHT]]
     height, width = sources.p_px.shape
+    pixels = sources.frames.reshape(sources.frames.size)
+    starts = sources.followed * (height * width)
+    bright = sources.frames[sources.followed[BRIGHT]]
     count = nodes.shape[2]
     upper = np.empty((nodes.shape[1], count), np.float32)
     parabola = np.empty((width, 3), np.float32)
     t_row = np.empty(width, np.float32)
     c = np.empty(count, np.float32)
     y, cosine, sine = np.empty(4), np.empty(4), np.empty(4)
-    steps, offset_of, contradiction_of = np.empty(4), np.empty(4), np.empty(4)
+    weights, known = np.empty((4, 4)), np.full((8, 3), np.inf)
+    seen_gray, carry = np.empty(8, np.float32), np.empty(8, np.int64)
+    # By how much the row above lies farther than its undecoded ripple said: the next one hardly differs.
+    farther = np.zeros(width, np.float32)
     turns, modulation, light = np.empty(2), np.empty(2), np.empty(2)
     limit_u, limit_v = np.float32(width - 2), np.float32(height - 2)
-    quarter_turn = 2.0 * np.pi
+    turn = 2.0 * np.pi
     for row in range(start, stop, stride):
         j = row // step
         share = np.float32((row - j * step) / step)
@@ -191,7 +212,10 @@ def solve_rows(
             for k in range(count):
                 c[k] = upper[i, k] + part * (upper[i + 1, k] - upper[i, k])
             good = False
-            for _ in range(MAX_ROUNDS):
+            from_above = farther[x] != 0.0
+            if from_above:
+                t += farther[x]
+            for _ in range(MAX_ROUNDS + 1):
                 good = True
                 for block in range(2):
                     for m in range(4):
@@ -201,46 +225,48 @@ def solve_rows(
                         if not (u >= _ONE and v >= _ONE and u < limit_u and v < limit_v):
                             good = False
                             break
-                        y[m] = _cubic(sources.frames[sources.followed[k]], u, v) * gains[k]
-                        psi = quarter_turn * (_at(c, way + 6, t) + 0.25 * m)
-                        cosine[m], sine[m] = np.cos(psi), np.sin(psi)
+                        y[m] = _cubic(pixels, starts[k], width, u, v) * gains[k]
+                        cosine[m], sine[m] = _turn(known[k], turn * (float(_at(c, way + 6, t)) + 0.25 * m))
                     if not good:
                         break
-                    rest = _solve_steps(y, cosine, sine, steps, offset_of, contradiction_of)
-                    size = np.sqrt(steps[1] * steps[1] + steps[2] * steps[2])
+                    invert_steps(cosine, sine, weights)
+                    _, along_c, along_s, rest = apply_steps(weights, y)
+                    size = np.sqrt(along_c * along_c + along_s * along_s)
                     harmonic = terms.harmonic_x if block == 0 else terms.harmonic_y
                     # cos 2(φ + ψ) of the four steps, times the modulation.
-                    co, si = (
-                        (steps[1] * steps[1] - steps[2] * steps[2]) / (size + 1e-9),
-                        2.0 * steps[1] * steps[2] / (size + 1e-9),
-                    )
+                    per_size = 1.0 / (size + 1e-9)
+                    co, si = (along_c * along_c - along_s * along_s) * per_size, 2.0 * along_c * along_s * per_size
                     seen = 0.0
                     for m in range(4):
                         c2, s2 = cosine[m] * cosine[m] - sine[m] * sine[m], 2.0 * sine[m] * cosine[m]
                         second = co * c2 - si * s2
-                        seen += contradiction_of[m] * second
+                        seen += weights[3, m] * second
                         y[m] -= harmonic * second
                     if stride > 1 and abs(rest) < 20.0:
                         harmonics[block, 0] += rest * seen
                         harmonics[block, 1] += seen * seen
-                    rest = _solve_steps(y, cosine, sine, steps, offset_of, contradiction_of)
-                    size = np.sqrt(steps[1] * steps[1] + steps[2] * steps[2])
+                    light[block], along_c, along_s, rest = apply_steps(weights, y)
+                    size = np.sqrt(along_c * along_c + along_s * along_s)
                     if not (size >= terms.min_modulation_dn and abs(rest) <= max(6.0 * terms.noise_dn, 0.25 * size)):
                         good = False
                         break
-                    turns[block] = np.arctan2(steps[2], steps[1]) / (2.0 * np.pi)
+                    turns[block] = np.arctan2(along_s, along_c) / turn
                     modulation[block] = size
-                    light[block] = steps[0]
+                p = q = _NAN
+                if good:
+                    p = _place(
+                        pixels, starts, height, width, c, FIRST_GRAY, terms.gray_x, t, x, row, turns[0], light[0],
+                        _at(c, P_OF_T, t), terms.period_px, seen_gray, carry,
+                    )  # fmt: skip
+                    q = _place(
+                        pixels, starts, height, width, c, FIRST_GRAY + terms.gray_x, terms.gray_y, t, x, row, turns[1],
+                        light[1], _at(c, Q_OF_T, t), terms.period_px, seen_gray, carry,
+                    )  # fmt: skip
+                    good = bool(-_ONE <= p <= terms.width_px) and bool(-_ONE <= q <= terms.height_px)
                 if not good:
-                    break
-                expected = _at(c, P_OF_T, t)
-                p = _place(sources, c, FIRST_GRAY, terms.gray_x, t, x, row, turns[0], light[0], expected, terms)
-                expected = _at(c, Q_OF_T, t)
-                q = _place(
-                    sources, c, FIRST_GRAY + terms.gray_x, terms.gray_y, t, x, row, turns[1], light[1], expected, terms
-                )
-                good = bool(-_ONE <= p <= terms.width_px) and bool(-_ONE <= q <= terms.height_px)
-                if not good:
+                    if from_above:
+                        from_above, t = False, t_row[x]
+                        continue
                     break
                 nearer = (p - c[P_OF_T]) / c[P_OF_T + 1]
                 nearer -= c[P_OF_T + 2] * nearer * nearer / c[P_OF_T + 1]
@@ -252,7 +278,10 @@ def solve_rows(
             if not good or not (abs(solved.q_px[row, x] - _at(c, Q_OF_T, t)) <= MAX_ASIDE_PX):
                 solved.p_px[row, x] = _NAN
                 solved.q_px[row, x] = _NAN
+                farther[x] = 0.0
                 continue
+            fresh = t - t_row[x]
+            farther[x] = _HALF * (farther[x] + fresh) if from_above else fresh
             solved.modulation_half_dn[row, x] = np.uint8(min(2.0 * min(modulation[0], modulation[1]) + 0.5, 255.0))
             solved.light[row, x] = np.uint8(min(max(light[0] + 0.5, 0.0), 255.0))
             way = FIRST_WAY + PER_FRAME * BRIGHT
@@ -266,7 +295,10 @@ def solve_rows(
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _place(
-    sources: Sources,
+    pixels: NDArray[np.uint8],
+    starts: NDArray[np.int64],
+    height: int,
+    width: int,
     c: NDArray[np.float32],
     first: int,
     count: int,
@@ -276,34 +308,41 @@ def _place(
     turns: float,
     light: float,
     expected_px: np.float32,
-    terms: Terms,
+    period_px: np.float32,
+    seen: NDArray[np.float32],
+    carry: NDArray[np.int64],
 ) -> np.float32:
     """Pattern coordinate of a phase by the order that its Gray images bear out, each where the point was then; NaN where
-    none of those near to the decoded and to the expected one is borne out.
+    none of those near to the decoded and to the expected one is borne out. ``seen`` and ``carry`` (8,) are scratch.
 
     All images but the last change at whole periods only: they number periods. Moving, a point may have been in the next
     period already when one of them was shown: that is known from its phase then.
     """
     phase = turns - np.floor(turns)
-    height, width = sources.frames.shape[1], sources.frames.shape[2]
+    wanted = int(np.floor((expected_px + _HALF) / period_px - phase + 0.5))
     number, bit = 0, 0
-    seen = np.empty(8, np.float32)
-    carry = np.empty(8, np.int64)
+    per_light = np.float32(1.0 / max(light, 1.0))
+    agreed = True
     for k in range(count):
         way = FIRST_WAY + PER_FRAME * (first + k)
         u = int(np.floor(np.float32(x) + _at(c, way, t) + _HALF))
         v = int(np.floor(np.float32(row) + _at(c, way + 3, t) + _HALF))
         if not (0 <= u < width and 0 <= v < height):
             return _NAN
-        grey = np.float32(sources.frames[sources.followed[first + k], v, u])
-        seen[k] = np.float32(min(max((float(grey) - light) / max(light, 1.0), -1.0), 1.0))
-        bit ^= int(seen[k] > 0)
+        grey = np.float32(pixels[np.uint64(starts[first + k] + v * width + u)])
+        seen[k] = min(max((grey - np.float32(light)) * per_light, -_ONE), _ONE)
+        lit = int(seen[k] > 0)
+        bit ^= lit
         number = 2 * number + bit
         then = phase + _at(c, way + 6, t)
         # In half periods for the last image, whole ones for the others.
         carry[k] = int(np.floor(then)) if k < count - 1 else int(np.floor(2.0 * then))
+        half = 2 * (wanted + carry[k]) if k < count - 1 else 2 * wanted + carry[k]
+        agreed = agreed and ((half ^ (half >> 1)) >> (count - 1 - k)) & 1 == lit
+    if agreed:
+        # No other order is contradicted less.
+        return np.float32(period_px * (wanted + phase) - _HALF)
     decoded = number // 2
-    wanted = int(np.floor((expected_px + _HALF) / terms.period_px - phase + 0.5))
     best, least = -1000, np.float32(10.0)
     for near in range(6):
         period = decoded + near - 1 if near < 3 else wanted + near - 4
@@ -317,4 +356,4 @@ def _place(
             best, least = period, contrary
     if least > MAX_CONTRARY:
         return _NAN
-    return np.float32(terms.period_px * (best + phase) - _HALF)
+    return np.float32(period_px * (best + phase) - _HALF)
