@@ -64,15 +64,11 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
         FaultCode.FRAME_ORDER: Rule(_W, _INCOMPLETE, "REPEAT", "FRAME ORDER", spoils_scan=True),
         FaultCode.FRAME_TRUNCATED: Rule(_W, _INCOMPLETE, "REPEAT", "FRAME CUT SHORT", spoils_scan=True),
         FaultCode.FRAME_CORRUPT: Rule(_W, _INCOMPLETE, "REPEAT", "FRAME DAMAGED", spoils_scan=True),
-        FaultCode.CAMERA_STUCK: Rule(
-            _W, "{side}CAM STUCK", "REPEAT", "CAMERA STUCK", spoils_scan=True, spoils_points=True
-        ),
-        FaultCode.PATTERN_WRONG: Rule(_W, "WRONG PATTERN", "REPEAT", spoils_scan=True, spoils_points=True),
+        FaultCode.CAMERA_STUCK: Rule(_W, "{side}CAM STUCK", "REPEAT", "CAMERA STUCK", spoils_scan=True),
+        FaultCode.PATTERN_WRONG: Rule(_W, "WRONG PATTERN", "REPEAT", spoils_scan=True),
         FaultCode.SYNC_LOST: Rule(_W, "SYNC LOST", "REPEAT; CHECK TRIGGER CABLES", spoils_scan=True),
         FaultCode.LATE_FLIP: Rule(_W, "PROJECTOR LATE", "REPEAT", spoils_scan=True),
-        FaultCode.PROJECTOR_TIMING: Rule(
-            _W, "PROJECTOR TIMING", "REPEAT; RESTART IF AGAIN", spoils_scan=True, spoils_points=True
-        ),
+        FaultCode.PROJECTOR_TIMING: Rule(_W, "PROJECTOR TIMING", "REPEAT; RESTART IF AGAIN", spoils_scan=True),
         FaultCode.PROJECTOR_DARK: Rule(_W, "PROJECTOR DARK", "CHECK LAMP AND VIDEO CABLE", spoils_scan=True),
         FaultCode.PULSE_MISSING: Rule(
             _W, "PULSES {received:.0f}/{expected:.0f}", "REPEAT", "PULSE MISSING", spoils_scan=True

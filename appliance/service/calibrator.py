@@ -23,7 +23,6 @@ from appliance.config import Rig
 from appliance.evaluation.ball_bar import BallBar, find_ball_bar
 from appliance.evaluation.plane import PlaneFit, fit_plane
 from appliance.evaluation.points import NotFound
-from appliance.machine.alerts import RULES
 from appliance.reconstruct.pipeline import Cloud
 from appliance.reconstruct.quality import QualityLimits
 from appliance.service.desk import Reworked, rework
@@ -127,12 +126,12 @@ def examine(rig: Rig, step: Step, folder: Path, report: Report) -> Examined:
 
 def _spoilt(step: Step, seen: Reworked) -> Trial | None:
     """The refusal of a recording whose points would be wrong, whatever it shows."""
-    for fault in seen.faults:
-        if fault.code in (FaultCode.MOVED, FaultCode.COMPENSATED):
-            return Trial(step, Refusal.MOVED, fault.numbers.get("shift_px"), detail=fault.detail)
-        if RULES[fault.code].spoils_points:
-            return Trial(step, Refusal.WRONG_PATTERN, None, detail=f"{fault.code.value}: {fault.detail}")
-    return None
+    fault = seen.unfit
+    if fault is None:
+        return None
+    if fault.code in (FaultCode.MOVED, FaultCode.COMPENSATED):
+        return Trial(step, Refusal.MOVED, fault.numbers.get("shift_px"), detail=fault.detail)
+    return Trial(step, Refusal.WRONG_PATTERN, None, detail=f"{fault.code.value}: {fault.detail}")
 
 
 def solve(rig: Rig, date: str, report: Report) -> Solution:

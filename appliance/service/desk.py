@@ -10,9 +10,10 @@ from typing import Any
 
 from appliance.calibration import file as calibration_file
 from appliance.calibration.file import Calibration
-from appliance.capture.fault import Fault
+from appliance.capture.fault import Fault, FaultCode
 from appliance.capture.verdict import Judgement
 from appliance.config import Rig
+from appliance.machine.alerts import RULES
 from appliance.optics.water import Water
 from appliance.patterns.sequence import build_sequence
 from appliance.reconstruct.pipeline import SIDES, Cloud, Pipeline
@@ -73,6 +74,16 @@ class Reworked:
     def faults(self) -> tuple[Fault, ...]:
         """What is held against the scan."""
         return tuple(judgement.fault for judgement in self.judgements if judgement.fault is not None)
+
+    @property
+    def unfit(self) -> Fault | None:
+        """Why its decoded maps must not calibrate; ``None`` where they may. They are those of before any compensation."""
+        return next((fault for fault in self.faults if _spoils_maps(fault)), None)
+
+
+def _spoils_maps(fault: Fault) -> bool:
+    rule = RULES[fault.code]
+    return rule.spoils_scan or rule.spoils_points or fault.code is FaultCode.COMPENSATED
 
 
 def rework(

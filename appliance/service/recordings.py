@@ -8,10 +8,8 @@ from pathlib import Path
 from appliance.calibration.extract import CALIBRATING_GAP_MM, Certificate, extract
 from appliance.calibration.file import Calibration
 from appliance.calibration.recordings import Recording
-from appliance.capture.fault import FaultCode
 from appliance.config import Rig
 from appliance.evaluation.points import NotFound
-from appliance.machine.alerts import RULES
 from appliance.reconstruct.quality import QualityLimits
 from appliance.service.desk import rework
 from appliance.service.instrument import taking_of_scan
@@ -29,10 +27,8 @@ def recording_of_scan(
     scan = stored.load(folder)
     taking = taking_of_scan(scan.manifest.record, rig)
     reworked = rework(scan, start, taking, progress, QualityLimits(max_gap_mm=CALIBRATING_GAP_MM))
-    # The decoded maps, of which matches are extracted, are those of before any compensation.
-    spoilt = next((f for f in reworked.faults if RULES[f.code].spoils_points or f.code is FaultCode.COMPENSATED), None)
-    if spoilt is not None:
-        return NotFound(f"{spoilt.code.value}: {spoilt.detail}; record it again")
+    if reworked.unfit is not None:
+        return NotFound(f"{reworked.unfit.code.value}: {reworked.unfit.detail}; record it again")
     progress("looking for the artefact")
     left, right = reworked.pipeline.decoded("left"), reworked.pipeline.decoded("right")
     return extract(scan.manifest.scan_id, certificate, reworked.cloud, left, right, start, reworked.water)

@@ -288,8 +288,7 @@ def _judgement(
     passed = added <= MOST_ADDED
     fault = None
     if not passed:
-        evidence = {"shift_px": shift_px or 0.0, "added_noise_percent": 100.0 * added}
-        if speed is not None:
-            evidence["speed_mm_s"] = speed
+        known = {"shift_px": shift_px, "added_noise_percent": 100.0 * added, "speed_mm_s": speed}
+        evidence = {name: value for name, value in known.items() if value is not None}
         fault = Fault(FaultCode.MOVED, text, evidence)
     return Judgement(Verdict(NAME, passed, numbers, text), fault)
