@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from appliance.calibration.guide import Session, Trial
 from appliance.capture.exposure import Exposure
 from appliance.capture.fault import Fault, FaultCode
+from appliance.capture.ranging import Range
 from appliance.machine.states import Device
 from drivers.api import Key, Telemetry
 
@@ -202,6 +203,13 @@ class CalibrationFailed:
 
 
 @dataclass(frozen=True, slots=True)
+class Ranged:
+    """Where the object is now, from the laser dots in the live images; ``None``: nothing can be said for sure."""
+
+    range: Range | None
+
+
+@dataclass(frozen=True, slots=True)
 class StopRequested:
     """The operating system wants the service to end (SIGTERM)."""
 
@@ -235,5 +243,6 @@ Event = (
     | SessionChanged
     | CalibrationProgressed
     | CalibrationFailed
+    | Ranged
     | StopRequested
 )

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from appliance.calibration.guide import Session, Step, Trial
 from appliance.capture.exposure import NOMINAL, Exposure
 from appliance.capture.fault import Fault
+from appliance.capture.ranging import Range
 from drivers.api import Key
 
 if TYPE_CHECKING:  # carried from the worker to the screens, never read here: no kernels are needed to decide
@@ -183,6 +184,8 @@ class Machine:
     """Consecutive heartbeats that reported a leak."""
     lasers_off_since_ns: int | None = None
     """Since when the lasers should be off; ``None`` while they may be on."""
+    range: Range | None = None
+    """Where the object is, as long as the lasers are on; ``None``: unknown."""
     scans: int = 0
     last_scan: str | None = None
     scans_left: int | None = None

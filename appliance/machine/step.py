@@ -98,6 +98,8 @@ def _react(machine: Machine, event: on.Event) -> Result:
             return calibrate.progressed(machine, progress), ()
         case on.CalibrationFailed(reason):
             return calibrate.failed(machine, reason)
+        case on.Ranged(measured):
+            return replace(machine, range=measured), ()
         case on.StopRequested():
             return _stop(machine)
         case _:
@@ -132,8 +134,9 @@ def _settle(before: Machine, after: Machine, wanted: tuple[do.Effect, ...]) -> R
     lasers = live_after is not None and live_after[0].lasers
     if lasers:
         after = replace(after, lasers_off_since_ns=None)
-    elif after.lasers_off_since_ns is None:
-        after = replace(after, lasers_off_since_ns=after.now_ns)
+    else:
+        since_ns = after.now_ns if after.lasers_off_since_ns is None else after.lasers_off_since_ns
+        after = replace(after, lasers_off_since_ns=since_ns, range=None)  # what was measured ends with the light
     return after, (*first, *wanted, *last)
 
 

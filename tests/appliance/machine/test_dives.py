@@ -6,6 +6,7 @@ import pytest
 
 from appliance.capture.exposure import NOMINAL, Exposure
 from appliance.capture.fault import Fault, FaultCode
+from appliance.capture.ranging import Range
 from appliance.machine import effects as do
 from appliance.machine import events as on
 from appliance.machine.alerts import RULES, alerts, headline_of
@@ -374,3 +375,13 @@ def test_without_a_proposal_and_while_back_is_stuck_no_key_changes_the_exposure(
 def test_more_gain_is_named_as_such() -> None:
     machine = run(proposed(), on.Judged(1, (), Exposure(12_000, 4.0)))
     assert labels(machine)[Key.DOWN] == "GAIN 4 dB"
+
+
+def test_a_distance_is_forgotten_when_the_lasers_go_off() -> None:
+    machine, _ = after(aim(), on.Ranged(Range(500.0, 1.0, 0.3, 2)))
+    assert machine.range == Range(500.0, 1.0, 0.3, 2)
+    machine, _ = after(machine, on.KeyPressed(Key.SCAN))
+    assert machine.state is State.CAPTURE
+    assert machine.range is None
+    machine, _ = after(machine, on.Ranged(Range(480.0, 1.0, 0.3, 2)))
+    assert machine.range is None, "measured before the lasers went off, told after"

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from appliance.calibration.guide import HELD
 from appliance.capture.exposure import Exposure
 from appliance.capture.fault import Fault, FaultCode
+from appliance.capture.ranging import Range
 from appliance.machine import effects as do
 from appliance.machine import events as on
 from appliance.machine.alerts import alerts
@@ -65,6 +66,7 @@ EVERY_EVENT: list[on.Event] = [
     *(on.SessionChanged(session) for session in SESSIONS),
     on.CalibrationProgressed(0.5),
     on.CalibrationFailed("no bar"),
+    on.Ranged(Range(500.0, 2.0, 0.3, 2)),
     on.StopRequested("SIGTERM"),
 ]
 

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from appliance.calibration.guide import USED, Refusal, Session, Solved, Step, Trial, Verified
 from appliance.capture.exposure import Exposure
 from appliance.capture.fault import Fault, FaultCode
+from appliance.capture.ranging import Range
 from appliance.machine import effects as do
 from appliance.machine import events as on
 from appliance.machine.states import Device, Machine, State, boot
@@ -150,6 +151,7 @@ EVENTS: st.SearchStrategy[on.Event] = st.one_of(
     st.builds(on.SessionChanged, st.sampled_from(SESSIONS)),
     st.builds(on.CalibrationProgressed, st.floats(0, 1)),
     st.builds(on.CalibrationFailed, st.just("the adjustment did not converge")),
+    st.builds(on.Ranged, st.sampled_from([None, Range(500.0, 2.0, 0.3, 2), Range(800.0, None, 1.0, 1)])),
     st.builds(on.StopRequested, st.just("SIGTERM")),
 )
 
