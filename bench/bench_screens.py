@@ -8,10 +8,11 @@ from collections.abc import Callable, Iterator, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.capture.ranging import Reach
 from appliance.patterns.draw import draw_sequence
 from appliance.patterns.sequence import Direction, PatternSequence, build_sequence
 from appliance.screens.painter import Painter
-from appliance.screens.views import AimView, Grade, PointValue, ReviewView
+from appliance.screens.views import AimView, Gauge, Grade, PointValue, ReviewView
 from bench.result import Measured
 from drivers.output.display import PictureDisplay
 from drivers.output.gl import open_gl
@@ -25,7 +26,9 @@ def measure() -> Iterator[Measured]:
     rng = np.random.default_rng(1)
     live = rng.integers(0, 256, (1200, 1600), dtype=np.uint8)
     points = rng.uniform((-120, -90, 460), (120, 90, 540), (1_300_000, 3)).astype(np.float32)
-    aim = AimView(left=live, right=live, scans_taken=3, scans_left=40, temperature_c=31.0, distance_mm=505.0)
+    aim = AimView(
+        left=live, right=live, scans_taken=3, scans_left=40, temperature_c=31.0, gauge=Gauge(505.0, 4.0, Reach.OK)
+    )
     review = ReviewView(
         points_mm=points, values=points[:, 2].copy(), value=PointValue.DEPTH, coarse=False, grade=Grade.GOOD,
         points=len(points), coverage_percent=90.0, noise_mm=0.03, distance_mm=500.0, duration_s=1.0,

@@ -5,14 +5,19 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.capture.ranging import FARTHEST_MM, NEAREST_MM, Reach
 from appliance.screens import theme
 from appliance.screens.canvas import Align, Canvas
 from appliance.screens.texts import Language, Text
 from appliance.screens.theme import BLACK, BOLD, CAPTION, REGULAR, TITLE
-from appliance.screens.views import AimView
+from appliance.screens.views import AimView, Gauge
 
-NEAR_MM, FAR_MM = 440.0, 560.0
-"""The measuring volume is 120 mm deep at a working distance of 500 mm (paper, Table 1)."""
+ADVICE = {
+    Reach.CLOSER: Text.CLOSER,
+    Reach.OK: Text.OK,
+    Reach.BACK: Text.BACK,
+    Reach.UNKNOWN: Text.NO_DOTS,
+}
 GAUGE_MM = (380.0, 620.0)
 _GAUGE_PX = (196.0, 604.0)
 _TOP_PX, _IMAGE_PX = 64.0, (400.0, 300.0)
@@ -31,7 +36,7 @@ def draw_aim(canvas: Canvas, view: AimView, language: Language) -> None:
     canvas.box((canvas.width - 6) / 2, _TOP_PX, 6, height, theme.INK)
     if view.exposure is not None:
         _exposure(canvas, view.exposure)
-    _gauge(canvas, view.distance_mm, _TOP_PX + height + 30, language)
+    _gauge(canvas, view.gauge, _TOP_PX + height + 30, language)
     _numbers(canvas, view, language)
     if view.just_saved is not None:
         _saved(canvas, view.just_saved, language)
@@ -63,28 +68,28 @@ def _exposure(canvas: Canvas, exposure: str) -> None:
     canvas.words(exposure, 58 + width / 2, _TOP_PX + 37, CAPTION, BOLD, theme.WHITE, Align.CENTRE)
 
 
-def _gauge(canvas: Canvas, distance_mm: float | None, middle: float, language: Language) -> None:
+def _gauge(canvas: Canvas, gauge: Gauge | None, middle: float, language: Language) -> None:
     """Where the object is, on a scale whose bright part is the measuring volume; and which way to go."""
     low, high = GAUGE_MM
     left, right = _GAUGE_PX
+    distance_mm = None if gauge is None else gauge.distance_mm
 
     def at(mm: float) -> float:
         return left + (min(max(mm, low), high) - low) / (high - low) * (right - left)
 
     canvas.box(left, middle - 5, right - left, 10, theme.LINE, 5)
-    good = distance_mm is not None and NEAR_MM <= distance_mm <= FAR_MM
-    canvas.box(at(NEAR_MM), middle - 9, at(FAR_MM) - at(NEAR_MM), 18, theme.GREEN if good else theme.MUTED, 9)
+    good = gauge is not None and gauge.word is Reach.OK
+    canvas.box(
+        at(NEAREST_MM), middle - 9, at(FARTHEST_MM) - at(NEAREST_MM), 18, theme.GREEN if good else theme.MUTED, 9
+    )
     canvas.box(at(500.0) - 2, middle - 9, 4, 18, theme.INK)
-    colour = theme.WHITE
+    colour = theme.WHITE if gauge is None or good else theme.YELLOW
     if distance_mm is not None:
-        colour = theme.WHITE if good else theme.YELLOW
         canvas.box(at(distance_mm) - 10, middle - 22, 20, 44, theme.INK, 10)
         canvas.box(at(distance_mm) - 7, middle - 19, 14, 38, colour, 7)
-        if not good:
-            advice = Text.CLOSER if distance_mm > FAR_MM else Text.FARTHER
-            canvas.words(
-                advice.in_language(language), left - 16, middle + 12, theme.BODY + 2, BLACK, colour, Align.RIGHT, 172
-            )
+    if gauge is not None:
+        word = ADVICE[gauge.word].in_language(language)
+        canvas.words(word, left - 16, middle + 12, theme.BODY + 2, BLACK, colour, Align.RIGHT, 172)
     canvas.words(
         dash_or(distance_mm, "{:.0f}") + " mm", canvas.width - 16, middle + 13, TITLE - 4, BOLD, colour, Align.RIGHT
     )

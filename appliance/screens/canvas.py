@@ -69,15 +69,17 @@ _IMAGE = """
 uniform sampler2D image;
 uniform vec4 box;
 uniform float radius;
+uniform bool grey_only;
 in vec2 inside;
 out vec4 colour;
 void main() {
-    float grey = texture(image, inside / box.zw).r;
+    vec4 texel = texture(image, inside / box.zw);
+    vec3 paint = grey_only ? texel.rrr : texel.rgb;
     // Stripes where the camera is saturated: visible in colour, in grey, and to who cannot tell yellow from white.
-    bool stripe = grey > 0.975 && mod(inside.x + inside.y, 10.0) < 4.0;
+    bool stripe = grey_only && texel.r > 0.975 && mod(inside.x + inside.y, 10.0) < 4.0;
     vec2 q = abs(inside - 0.5 * box.zw) - 0.5 * box.zw + radius;
     float distance = min(max(q.x, q.y), 0.0) + length(max(q, 0.0)) - radius;
-    colour = vec4(stripe ? vec3(0.05) : vec3(grey), clamp(0.5 - distance, 0.0, 1.0));
+    colour = vec4(stripe ? vec3(0.05) : paint, clamp(0.5 - distance, 0.0, 1.0));
 }
 """
 _WATER = """
@@ -238,21 +240,25 @@ class Canvas:
         return self._line(words, round(size * self.scale), weight).width_px / self.scale
 
     def image(self, slot: str, pixels: NDArray[np.uint8], left: float, top: float, width: float, height: float) -> None:
-        """A grey picture (h, w) uint8, reduced to the box. ``slot`` names its texture, which is used again."""
+        """A picture reduced to the box: (h, w) uint8 of a camera, saturation striped, or (h, w, 3) uint8 RGB.
+
+        ``slot`` names its texture, which is used again.
+        """
         across, down = max(1, round(width * self.scale)), max(1, round(height * self.scale))
         shrink = pixels.shape[0] > down or pixels.shape[1] > across
         if shrink:
             pixels = np.asarray(cv2.resize(pixels, (across, down), interpolation=cv2.INTER_AREA), np.uint8)
-        size = (pixels.shape[1], pixels.shape[0])
+        size, components = (pixels.shape[1], pixels.shape[0]), 1 if pixels.ndim == 2 else 3
         texture = self._images.get(slot)
-        if texture is None or texture.size != size:
+        if texture is None or texture.size != size or texture.components != components:
             if texture is not None:
                 texture.release()
-            texture = self._images[slot] = self.context.texture(size, 1, alignment=1)
+            texture = self._images[slot] = self.context.texture(size, components, alignment=1)
             texture.repeat_x = texture.repeat_y = False
         texture.write(np.ascontiguousarray(pixels))
         texture.use(0)
         self._image["radius"] = 10.0 * self.scale
+        self._image["grey_only"] = components == 1
         self._place(self._image, left, top, width, height)
         self._image_quad.render(moderngl.TRIANGLE_STRIP, vertices=4)
 

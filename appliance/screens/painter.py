@@ -15,26 +15,39 @@ from appliance.screens.calibrate import draw_calibrate
 from appliance.screens.canvas import Canvas
 from appliance.screens.cloud import CloudPainter
 from appliance.screens.frame import draw_alerts, draw_key_labels
+from appliance.screens.gallery import draw_gallery
+from appliance.screens.menu import draw_menu
 from appliance.screens.progress import (
+    draw_armed,
     draw_boot,
     draw_capture,
+    draw_check,
     draw_fault,
     draw_reconstruct,
     draw_saving,
+    draw_self_test,
     draw_shutdown,
 )
 from appliance.screens.review import CLOUD_BOX, draw_review
+from appliance.screens.stops import draw_cooling, draw_safe
 from appliance.screens.texts import Language
 from appliance.screens.views import (
     AimView,
     AnyView,
+    ArmedView,
     BootView,
     CalibrateView,
     CaptureView,
+    CheckView,
+    CoolingView,
     FaultView,
+    GalleryView,
+    MenuView,
     ReconstructView,
     ReviewView,
+    SafeView,
     SavingView,
+    SelfTestView,
     ShutdownView,
 )
 from drivers.api import Key
@@ -81,20 +94,34 @@ class Painter:
             match view:
                 case BootView():
                     draw_boot(canvas, view, language, time_s)
+                case SelfTestView():
+                    draw_self_test(canvas, view, language, time_s)
                 case AimView():
                     draw_aim(canvas, view, language)
                     dim = _NONE if view.scan_allowed else frozenset({Key.SCAN})
+                case ArmedView():
+                    draw_armed(canvas, view, language)
                 case CaptureView():
                     draw_capture(canvas, view, language)
+                case CheckView():
+                    draw_check(canvas, view, language, time_s)
                 case ReconstructView():
                     draw_reconstruct(canvas, view, language, time_s)
                 case ReviewView():
                     draw_review(canvas, self._cloud, view, language, time_s)
                 case SavingView():
                     draw_saving(canvas, view, language, time_s)
+                case MenuView():
+                    draw_menu(canvas, view, language)
+                case GalleryView():
+                    draw_gallery(canvas, view, language)
                 case CalibrateView():
                     draw_calibrate(canvas, view, language, time_s)
                     dim = _NONE if view.scan_allowed else frozenset({Key.SCAN})
+                case CoolingView():
+                    draw_cooling(canvas, view, language)
+                case SafeView():
+                    draw_safe(canvas, view, language, time_s)
                 case FaultView():
                     draw_fault(canvas, view, time_s)
                 case ShutdownView():

@@ -2,32 +2,54 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from appliance.screens import theme
 from appliance.screens.canvas import Align, Canvas
 from appliance.screens.frame import alert_colours
 from appliance.screens.texts import DEVICE_NAMES, Language, Text
 from appliance.screens.theme import BLACK, BODY, BOLD, CAPTION, HEADLINE, HUGE, REGULAR, TITLE
 from appliance.screens.views import (
+    ArmedView,
     BootView,
     CaptureView,
+    CheckView,
+    DeviceLine,
     DeviceResult,
     FaultView,
     ReconstructView,
     SavingView,
+    SelfTestView,
     ShutdownView,
 )
 
-_LINE_PX = 36.0
+_LINE_PX = 34.0
 _FRINGE_SPEED = 1.6
 
 
 def draw_boot(canvas: Canvas, view: BootView, language: Language, time_s: float) -> None:
     canvas.water(0, 0, canvas.width, 132, _FRINGE_SPEED * time_s, 0.63)
     canvas.words("KINGFISHER", 40, 86, HEADLINE, BLACK)
-    canvas.words(Text.STARTING.in_language(language), canvas.width - 40, 66, BODY, BOLD, align=Align.RIGHT)
-    canvas.words(view.version, canvas.width - 40, 100, CAPTION, REGULAR, align=Align.RIGHT)
-    for number, line in enumerate(view.devices):
-        baseline = 172 + number * _LINE_PX
+    _title(canvas, Text.STARTING, view.version, language)
+    _devices(canvas, view.devices, language)
+
+
+def draw_self_test(canvas: Canvas, view: SelfTestView, language: Language, time_s: float) -> None:
+    canvas.water(0, 0, canvas.width, 132, _FRINGE_SPEED * time_s, 0.63)
+    canvas.words("KINGFISHER", 40, 86, HEADLINE, BLACK)
+    word = Text.SELF_TEST if not view.finished else Text.ALL_READY if view.passed else Text.SEE_BELOW
+    _title(canvas, word, view.version, language)
+    _devices(canvas, view.devices, language)
+
+
+def _title(canvas: Canvas, word: Text, version: str, language: Language) -> None:
+    canvas.words(word.in_language(language), canvas.width - 40, 66, BODY, BOLD, align=Align.RIGHT)
+    canvas.words(version, canvas.width - 40, 100, CAPTION, REGULAR, align=Align.RIGHT)
+
+
+def _devices(canvas: Canvas, devices: Sequence[DeviceLine], language: Language) -> None:
+    for number, line in enumerate(devices):
+        baseline = 168 + number * _LINE_PX
         name = DEVICE_NAMES[line.device].in_language(language) if line.device in DEVICE_NAMES else line.device
         match line.result:
             case DeviceResult.WORKS:
@@ -47,6 +69,19 @@ def draw_boot(canvas: Canvas, view: BootView, language: Language, time_s: float)
         canvas.words(word.in_language(language), canvas.width - 40, baseline, BODY, BLACK, colour, Align.RIGHT)
 
 
+def draw_armed(canvas: Canvas, view: ArmedView, language: Language) -> None:
+    middle = canvas.width / 2
+    canvas.words(Text.GET_READY.in_language(language), middle, 218, HUGE, BLACK, align=Align.CENTRE, max_width=740)
+    canvas.words(Text.LASERS_OFF.in_language(language), middle, 290, BODY, BOLD, theme.MUTED, Align.CENTRE, 740)
+
+
+def draw_check(canvas: Canvas, view: CheckView, language: Language, time_s: float) -> None:
+    middle = canvas.width / 2
+    canvas.words(Text.CHECKING.in_language(language), middle, 218, HUGE, BLACK, align=Align.CENTRE, max_width=740)
+    canvas.words(Text.MAY_MOVE.in_language(language), middle, 290, BODY, BOLD, theme.MUTED, Align.CENTRE, 740)
+    _progress(canvas, view.progress, time_s)
+
+
 def draw_capture(canvas: Canvas, view: CaptureView, language: Language) -> None:
     middle = canvas.width / 2
     canvas.words(
@@ -64,9 +99,14 @@ def draw_reconstruct(canvas: Canvas, view: ReconstructView, language: Language, 
     canvas.water(0, 0, canvas.width, 170, 4.0 * _FRINGE_SPEED * time_s)
     middle = canvas.width / 2
     canvas.words(Text.COMPUTING.in_language(language), middle, 268, HUGE - 12, BLACK, align=Align.CENTRE, max_width=700)
+    _progress(canvas, view.progress, time_s)
+
+
+def _progress(canvas: Canvas, progress: float | None, time_s: float) -> None:
+    middle = canvas.width / 2
     canvas.box(60, 310, canvas.width - 120, 34, theme.PANEL, 17)
-    if view.progress is not None:
-        part = min(1.0, max(0.0, view.progress))
+    if progress is not None:
+        part = min(1.0, max(0.0, progress))
         canvas.box(60, 310, max(34.0, (canvas.width - 120) * part), 34, theme.AQUA, 17)
         canvas.words(f"{100 * part:.0f} %", middle, 398, TITLE, BOLD, align=Align.CENTRE)
     else:  # nobody knows how long: something that moves, without pretending to a length

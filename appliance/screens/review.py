@@ -14,7 +14,7 @@ CLOUD_BOX = (0.0, 0.0, 536.0, 480.0)
 """Left, top, width, height of the cloud on the screen."""
 _COLUMN_PX = 542.0
 _LEGEND_LEFT_PX, _LEGEND_PX = 210.0, 458.0
-_GRADES = {
+GRADES = {
     Grade.GOOD: (Text.GOOD, theme.GREEN),
     Grade.USABLE: (Text.USABLE, theme.YELLOW),
     Grade.BAD: (Text.BAD, theme.YELLOW),
@@ -42,13 +42,14 @@ def draw_review(canvas: Canvas, cloud: CloudPainter, view: ReviewView, language:
 
 def _verdict(canvas: Canvas, view: ReviewView, language: Language) -> None:
     left, right = _COLUMN_PX, canvas.width - 18
-    word, colour = _GRADES[view.grade]
+    word, colour = GRADES[view.grade]
+    word = view.word or word
     bad = view.grade is Grade.BAD
     canvas.box(left, 72, right - left if bad else 10, 66, colour, 5)
     ink = theme.INK if bad else theme.WHITE
     canvas.words(word.in_language(language), left + 26, 124, HEADLINE, BLACK, ink, max_width=right - left - 40)
     rows = (
-        (Text.POINTS, _many(view.points), ""),
+        (Text.POINTS, many(view.points), ""),
         (Text.COVERAGE, dash_or(view.coverage_percent, "{:.0f}"), "%"),
         (Text.NOISE, dash_or(None if view.noise_mm is None else 1000.0 * view.noise_mm, "{:.0f}"), "µm"),
         (Text.DISTANCE, dash_or(view.distance_mm, "{:.0f}"), "mm"),
@@ -78,7 +79,7 @@ def _legend(canvas: Canvas, span: tuple[float, float], value: PointValue) -> Non
     canvas.words(unit, x, _LEGEND_PX, CAPTION, REGULAR, theme.MUTED)
 
 
-def _many(number: int) -> str:
+def many(number: int) -> str:
     """A count in at most four figures: 950, 18.3 k, 1.31 M."""
     if number < 1000:
         return str(number)

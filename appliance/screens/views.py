@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibration.guide import Session, Step
+from appliance.capture.ranging import Reach
 from appliance.machine.alerts import Alert
 from appliance.machine.states import Calibrating
 from appliance.screens.texts import Text
@@ -57,11 +58,33 @@ class DeviceLine:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BootView(View):
-    """Start-up: each device with its result, as soon as it is known. Up to eight lines fit."""
+    """Start-up: each device with its result, as soon as it is known. Up to nine lines fit."""
 
     devices: tuple[DeviceLine, ...]
     version: str
     keys: KeyLabels = field(default_factory=lambda: labels(back=Text.HOLD_OFF))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SelfTestView(View):
+    """Each device, and storage, calibration and worker, with its result. Up to nine lines fit."""
+
+    devices: tuple[DeviceLine, ...]
+    version: str
+    finished: bool
+    passed: bool
+    """Of meaning once it is finished: nothing forbids a scan."""
+    keys: KeyLabels = field(default_factory=lambda: labels(back=Text.HOLD_OFF))
+
+
+@dataclass(frozen=True, slots=True)
+class Gauge:
+    """Where the object is, from the laser dots, and what to do about it."""
+
+    distance_mm: float | None
+    tilt_deg: float | None
+    """Positive where the right side of the surface is farther away."""
+    word: Reach
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -75,13 +98,24 @@ class AimView(View):
     temperature_c: float | None
     exposure: str | None = None
     """Of the next scan, with its unit; ``None``: nothing to say of it."""
-    distance_mm: float | None = None
-    """From the laser dots; ``None`` while they are off or not seen."""
+    gauge: Gauge | None = None
+    """``None`` while the lasers are off."""
+    water: Text | str | None = None
+    """What the refractive index is computed for, in a word."""
+    insist: bool = False
+    """SCAN was pressed outside the measuring volume; pressed once more it records."""
     scan_allowed: bool = True
     """Without it the label of SCAN is drawn dim; the reason is an alert."""
     just_saved: str | None = None
     """Number of a scan whose saving is to be confirmed."""
     keys: KeyLabels = field(default_factory=lambda: labels(scan=Text.SCAN, back=Text.HOLD_OFF))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ArmedView(View):
+    """SCAN was pressed; lasers are proven off and cameras made ready. Nothing shines yet."""
+
+    keys: KeyLabels = field(default_factory=lambda: labels(back=Text.STOP))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -91,6 +125,15 @@ class CaptureView(View):
     frames_done: int
     frames: int
     keys: KeyLabels = field(default_factory=lambda: labels(back=Text.STOP))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CheckView(View):
+    """The sequence is recorded; whether its frames show what they should is being checked. The diver may move."""
+
+    progress: float | None = None
+    """0..1, ``None`` where nobody knows."""
+    keys: KeyLabels = field(default_factory=lambda: labels(back=Text.REPEAT))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -137,6 +180,8 @@ class ReviewView(View):
     distance_mm: float | None
     duration_s: float | None
     """From the key press to this picture."""
+    word: Text | None = None
+    """The verdict in a word; ``None``: the word of its grade."""
     turn: int = 0
     """How far the diver turned the cloud: steps to the right, negative to the left."""
     keys: KeyLabels = field(
@@ -150,6 +195,49 @@ class SavingView(View):
 
     scan_id: str
     saved: bool
+
+
+@dataclass(frozen=True, slots=True)
+class MenuRow:
+    """One line of a menu. ``value`` is what is chosen now; a row that is not ``allowed`` is drawn dim."""
+
+    text: Text
+    value: Text | str = ""
+    allowed: bool = True
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MenuView(View):
+    """A page of the menu. Any number of rows: those around the selected one are shown."""
+
+    title: Text
+    rows: tuple[MenuRow, ...]
+    selected: int
+    keys: KeyLabels = field(
+        default_factory=lambda: labels(scan=Text.OK, back=Text.BACK, up=Text.GO_UP, down=Text.GO_DOWN)
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class GalleryView(View):
+    """One scan on the disk, ``index`` (from 0, the newest first) of ``count``; ``count`` 0 is an empty gallery.
+
+    ``preview`` is (h, w, 3) uint8 RGB as it was stored, and must not change while it is shown. ``taken`` is the wall
+    time as text, ``None`` where the clock was not to be trusted. Of a ``damaged`` scan the rest may be unknown.
+    """
+
+    scan_id: str = ""
+    index: int = 0
+    count: int = 0
+    preview: NDArray[np.uint8] | None = None
+    grade: Grade | None = None
+    points: int | None = None
+    coverage_percent: float | None = None
+    noise_mm: float | None = None
+    distance_mm: float | None = None
+    taken: str | None = None
+    damaged: bool = False
+    keys: KeyLabels = field(default_factory=lambda: labels(back=Text.BACK, up=Text.NEWER, down=Text.OLDER))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -167,6 +255,25 @@ class CalibrateView(View):
     def step(self) -> Step:
         """The step that is shown."""
         return self.at.step
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CoolingView(View):
+    """Too hot to shine: dark until ``temperature_c`` has fallen to ``limit_c``."""
+
+    temperature_c: float | None
+    limit_c: float
+    remaining_s: float | None
+    """Until then, as far as can be told."""
+    keys: KeyLabels = field(default_factory=lambda: labels(back=Text.BACK))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SafeView(View):
+    """No light any more: ``alert`` says why, and what to do. ``saved``: every scan is durable on the disk."""
+
+    alert: Alert
+    saved: bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -189,12 +296,19 @@ class ShutdownView(View):
 
 AnyView = (
     BootView
+    | SelfTestView
     | AimView
+    | ArmedView
     | CaptureView
+    | CheckView
     | ReconstructView
     | ReviewView
     | SavingView
+    | MenuView
+    | GalleryView
     | CalibrateView
+    | CoolingView
+    | SafeView
     | FaultView
     | ShutdownView
 )

@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from appliance.capture.fault import FaultCode
+from appliance.capture.ranging import Range, reach_of
 from appliance.machine.alerts import Alert, Severity
 from appliance.machine.states import State
 from appliance.machine.states import boot as machine_at_boot
@@ -24,16 +25,25 @@ from appliance.screens.texts import Language, Text
 from appliance.screens.views import (
     AimView,
     AnyView,
+    ArmedView,
     BootView,
     CaptureView,
+    CheckView,
+    CoolingView,
     DeviceLine,
     DeviceResult,
     FaultView,
+    GalleryView,
+    Gauge,
     Grade,
+    MenuRow,
+    MenuView,
     PointValue,
     ReconstructView,
     ReviewView,
+    SafeView,
     SavingView,
+    SelfTestView,
     ShutdownView,
     labels,
 )
@@ -56,10 +66,37 @@ EVERY: list[AnyView] = [
         devices=(DeviceLine("camera.left", DeviceResult.WORKS), DeviceLine("odd", DeviceResult.FAILED)), version="1"
     ),
     AIM,
+    SelfTestView(
+        devices=tuple(
+            DeviceLine(name, DeviceResult.WORKS)
+            for name in ("camera.left", "camera.right", "board", "keys", "projector", "display", "storage", "worker")
+        ),
+        version="1",
+        finished=True,
+        passed=True,
+    ),
+    ArmedView(),
     CaptureView(frames_done=3, frames=24),
+    CheckView(progress=0.4),
     ReconstructView(progress=0.4),
     ReconstructView(progress=None),
     REVIEW,
+    MenuView(title=Text.MENU, rows=(MenuRow(Text.EXPOSURE, "10 ms"), MenuRow(Text.ABOUT)), selected=0),
+    GalleryView(
+        scan_id="000007",
+        index=2,
+        count=9,
+        preview=np.full((480, 800, 3), (30, 90, 60), np.uint8),
+        grade=Grade.USABLE,
+        points=812_345,
+        coverage_percent=71.0,
+        noise_mm=0.041,
+        distance_mm=488.0,
+        taken=None,
+    ),
+    GalleryView(),
+    CoolingView(temperature_c=61.0, limit_c=55.0, remaining_s=130.0),
+    SafeView(alert=LEAK, saved=True),
     SavingView(scan_id="000007", saved=False),
     SavingView(scan_id="000007", saved=True),
     FaultView(alert=LOST, detail="a long story " * 20),
@@ -274,16 +311,21 @@ def test_unknown_is_not_zero(painter: Painter) -> None:
     assert (unknown != zero).any(axis=2).sum() > 100
 
 
+def gauge(distance_mm: float | None, tilt_deg: float | None = None) -> Gauge:
+    measured = None if distance_mm is None else Range(distance_mm, tilt_deg, 0.5, 2)
+    return Gauge(distance_mm, tilt_deg, reach_of(measured))
+
+
 @pytest.mark.parametrize(("distance_mm", "yellow"), [(500.0, False), (445.0, False), (430.0, True), (700.0, True)])
 def test_the_gauge_warns_outside_the_volume(painter: Painter, distance_mm: float, yellow: bool) -> None:
-    band = drawn(painter, replace(AIM, distance_mm=distance_mm))[370:420]
+    band = drawn(painter, replace(AIM, gauge=gauge(distance_mm)))[370:420]
     is_yellow = (np.abs(band.astype(int) - (255, 210, 31)).max(axis=2) < 20).sum() > 150
     assert is_yellow == yellow
 
 
 def test_the_marker_goes_right_with_distance(painter: Painter) -> None:
     def marker(distance_mm: float) -> float:
-        line = drawn(painter, replace(AIM, distance_mm=distance_mm))[378, 190:610].min(axis=1)
+        line = drawn(painter, replace(AIM, gauge=gauge(distance_mm)))[378, 190:610].min(axis=1)
         return float(np.argwhere(line > 200).mean())
 
     near, middle, far = (marker(mm) for mm in (460.0, 500.0, 540.0))
@@ -299,7 +341,7 @@ def test_saved_is_confirmed_while_aiming(painter: Painter) -> None:
 
 
 def test_aiming_is_drawn_at_twenty_pictures_a_second_at_least(painter: Painter) -> None:
-    view = replace(AIM, distance_mm=512.0, alerts=(LOST,))
+    view = replace(AIM, gauge=gauge(512.0, 3.0), alerts=(LOST,))
     drawn(painter, view)
     took_s = []
     for number in range(10):
