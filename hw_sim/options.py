@@ -51,6 +51,7 @@ class WorldOptions:
     idle_speed: float = 1.0
     faults: tuple[str, ...] = ()
     script: str | None = None
+    chaos: Mapping[str, Any] = field(default_factory=dict)
     status: str | None = None
     window: bool = False
     stills: bool = False
@@ -62,6 +63,10 @@ class WorldOptions:
             raise OptionError(f"medium '{self.medium}'; allowed are {', '.join(MEDIA)}")
         if self.medium == "air" and self.water:
             raise OptionError(f"water {dict(self.water)} in air; leave it out, or choose medium 'water'")
+        if self.chaos and set(self.chaos) != {"seed", "scans", "report"}:
+            raise OptionError(f"chaos has {', '.join(sorted(self.chaos))}; it needs seed, scans and report")
+        if self.chaos and self.script is not None:
+            raise OptionError("script and chaos: only one diver can hold the instrument; leave one out")
         if not 64 <= self.width_px <= 4096 or not 48 <= self.height_px <= 4096:
             raise OptionError(f"camera size {self.width_px}x{self.height_px}; allowed are 64x48 to 4096x4096")
         if not 0.1 <= self.idle_speed <= 100.0:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import json
-import threading
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import cv2
 
+from hw_sim import computer, sight
+from hw_sim.actor import PRESS_S, Actor
 from hw_sim.amounts import changed
 from hw_sim.daylight import Daylight
 from hw_sim.drift import Drift
@@ -22,18 +21,12 @@ from hw_sim.water import Water
 if TYPE_CHECKING:
     from hw_sim.world import World
 
-POLL_S = 0.05
 SURROUNDINGS = {"motion": Motion(), "water": Water(), "daylight": Daylight(), "drift": Drift()}
 """What a step changes by its field of the scene."""
 KEYS = ("scan", "back", "up", "down")
-PRESS_S = 0.15
-"""How long a key is held unless the step says so; also the diver's pause behind each press."""
-POWER_OFF_HOLD_S = 1.2
-POWER_OFF_TRIES = 15
-POWER_OFF_TRY_S = 2.0
 GRAMMAR = (
-    "allowed are: wait state NAME S, wait alert CODE S, wait step NAME S, wait result NAME S, pause S, press KEY [S], "
-    "fault SENTENCE, clear, object NAME [X Y Z RX RY RZ], knock CAMERA AMOUNTS, motion|water|daylight|drift AMOUNTS, "
+    f"allowed are: wait|never {'|'.join(sight.SIGHTS)} WORDS S, pause S, press KEY [S], fault SENTENCE, clear, "
+    "worker kill|hang, disk off|on, object NAME [X Y Z RX RY RZ], knock CAMERA AMOUNTS, motion|water|daylight|drift AMOUNTS, "
     "screenshot PATH, end"
 )
 
@@ -76,8 +69,13 @@ def parse_script(text: str) -> tuple[Step, ...]:
 
 def _check(step: Step) -> None:
     match step.verb, step.words:
-        case ("wait", ("state" | "alert" | "step" | "result", _, seconds)) | ("pause", (seconds,)):
+        case (("wait" | "never"), (kind, first, *more, seconds)):
             _seconds(seconds)
+            sight.check(kind, [first, *more])
+        case "pause", (seconds,):
+            _seconds(seconds)
+        case (("worker" | "disk"), words):
+            computer.check((step.verb, *words))
         case "press", (key, *hold) if len(hold) <= 1:
             if key not in KEYS:
                 raise ValueError(f"key '{key}'; allowed are {', '.join(KEYS)}")
@@ -104,77 +102,44 @@ def _seconds(word: str) -> float:
     return seconds
 
 
-class Diver:
-    """Plays a script in a thread of its own. ``failure`` tells afterwards what did not happen."""
+class Diver(Actor):
+    """Plays a script."""
 
     def __init__(self, world: World, steps: tuple[Step, ...], status: Path) -> None:
-        self._world = world
+        super().__init__(world, status)
         self._steps = steps
-        self._status = status
-        self._stopped = False
-        self.failure: str | None = None
-        self.finished = False
-        """The last step was played."""
-        self._thread = threading.Thread(target=self._run, name="diver", daemon=True)
 
-    def start(self) -> None:
-        """Begin to play."""
-        self._thread.start()
-
-    def stop(self, grace_s: float) -> None:
-        """Let the script come to its end for ``grace_s`` of real time, then end it. Raises RuntimeError if it hangs."""
-        self._thread.join(grace_s)
-        with self._world.time.condition:
-            self._stopped = True
-            self._world.time.condition.notify_all()
-        self._thread.join(10.0)
-        if self._thread.is_alive():
-            raise RuntimeError("the diver's thread does not end")
-
-    def _run(self) -> None:
-        step = None
-        try:
-            for step in self._steps:
+    def act(self) -> None:
+        """Step by step. Raises ScriptError."""
+        for step in self._steps:
+            try:
                 self._play(step)
-                if self._over:
-                    break
-            else:
-                self.finished = True
-        except ScriptError as error:
-            self.failure = str(error)
-            # Who waits for the diver must not wait for ever.
-            self._switch_off()
-        except Exception as error:
-            self.failure = f"{step}: {error}"
-            self._switch_off()
-
-    @property
-    def _over(self) -> bool:
-        return self._stopped or self._world.time.closed
+            except ScriptError:
+                raise
+            except Exception as error:
+                raise ScriptError(f"{step}: {error}") from error
+            if self.over:
+                return
 
     def _play(self, step: Step) -> None:
-        world, words = self._world, step.words
+        world, words = self.world, step.words
         match step.verb:
             case "wait":
-                kind, name, seconds = words
-                if not self._until(lambda: self._shows(kind, name), float(seconds)) and not self._over:
-                    status = self._read()
-                    codes = [alert.get("code") for alert in status.get("alerts", [])]
-                    calibration = status.get("calibration")
-                    raise ScriptError(
-                        f"{step}: after {seconds} s the state is {status.get('state')}, alerts {codes}, "
-                        f"calibration {calibration}"
-                    )
+                if not self._sees(words) and not self.over:
+                    raise ScriptError(f"{step}: after {words[-1]} s {sight.summary(self.status())}")
+            case "never":
+                if self._sees(words):
+                    raise ScriptError(f"{step}: {sight.summary(self.status())}")
             case "pause":
-                self._sleep(float(words[0]))
+                self.sleep(float(words[0]))
             case "press":
-                hold_s = float(words[1]) if len(words) > 1 else PRESS_S
-                world.press(words[0], hold_s)
-                self._sleep(hold_s + PRESS_S)
+                self.press(words[0], float(words[1]) if len(words) > 1 else PRESS_S)
             case "fault":
                 world.fault(" ".join(words))
             case "clear":
                 world.clear_faults()
+            case "worker" | "disk":
+                computer.happen((step.verb, *words), self.status_path)
             case "object":
                 world.set_object(words[0], [float(n) for n in words[1:]] or None)
             case "knock":
@@ -186,47 +151,10 @@ class Diver:
                 if not cv2.imwrite(words[0], cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)):
                     raise ScriptError(f"{step}: the picture cannot be written")
             case _:
-                if not self._switch_off() and not self._over:
-                    raise ScriptError(f"{step}: the state is still {self._read().get('state')}")
+                if not self.switch_off() and not self.over:
+                    raise ScriptError(f"{step}: the state is still {self.status().get('state')}")
 
-    def _switch_off(self) -> bool:
-        """The power-off gesture, again and again until the service shuts down."""
-        for _ in range(POWER_OFF_TRIES):
-            self._world.press("back", POWER_OFF_HOLD_S)
-            if self._until(self._off, POWER_OFF_TRY_S):
-                return True
-            if self._over:
-                break
-        return False
-
-    def _off(self) -> bool:
-        """Switched off: the service says so, or has taken its status away."""
-        return self._read().get("state") in (None, "SHUTDOWN")
-
-    def _shows(self, kind: str, name: str) -> bool:
-        status = self._read()
-        if kind == "state":
-            return status.get("state") == name
-        if kind in ("step", "result"):  # of a calibration, when nothing is computed for it any more
-            at = status.get("calibration") or {}
-            return at.get(kind) == name and not at.get("busy")
-        return any(alert.get("code") == name for alert in status.get("alerts", []))
-
-    def _read(self) -> dict[str, Any]:
-        try:
-            content = json.loads(self._status.read_text(encoding="utf-8"))
-        except (OSError, ValueError):
-            return {}
-        return content if isinstance(content, dict) else {}
-
-    def _sleep(self, duration_s: float) -> None:
-        with self._world.time.condition:
-            self._world.time.wait_for(lambda: self._over, duration_s)
-
-    def _until(self, predicate: Callable[[], bool], timeout_s: float) -> bool:
-        end_ns = self._world.time_ns + int(timeout_s * 1e9)
-        while not predicate():
-            if self._over or self._world.time_ns > end_ns:
-                return predicate()
-            self._sleep(POLL_S)
-        return True
+    def _sees(self, words: tuple[str, ...]) -> bool:
+        """Whether what the words say, or what they end with, comes to be seen in its time."""
+        kind, *what, seconds = words
+        return self.until(lambda: sight.sees(self.status(), kind, what), float(seconds))

@@ -1,7 +1,7 @@
 """Owns images of a scene at rest that are made once and shown again, so that two full-size cameras run in real time.
 
-An image is known by all that lights and exposes it: the same pattern in the same scene gives the same image, to its
-noise. Where each frame's own noise matters, this is not used.
+An image is known by all that lights and exposes it, and by its place in a sequence: the same frame of the same scene gives
+the same image, to its noise. Where the noise of one sequence and the next matters, this is not used.
 """
 
 from __future__ import annotations
@@ -36,10 +36,11 @@ class Stills:
         exposure_s: float,
         gain_db: float,
         lasers: tuple[bool, bool],
+        frame: int | None,
     ) -> Hashable:
-        """Equal for equal images."""
+        """Equal for equal images. ``frame``: of the sequence; no camera gives two frames the same noise."""
         light = tuple((zlib.crc32(part.image.tobytes()), round(part.duration_s, 6)) for part in slices)
-        return camera, scene, light, round(exposure_s, 6), gain_db, lasers
+        return camera, scene, light, round(exposure_s, 6), gain_db, lasers, frame
 
     def get(self, key: Hashable, make: Callable[[], Image]) -> Image:
         """The image of that key, read-only; made if there is none yet."""

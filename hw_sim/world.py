@@ -322,9 +322,10 @@ class World:
             clock_s = moment_s + SERIES_APART_S * exposure.shot.series
         seed, lasers = self._noise_seed(side, exposure.shot), self.board.lasers_on
         exposure_s, gain_db = exposure.duration_ns / 1e9, exposure.gain_db
+        frame = exposure.shot.frame
         made = self._darkroom.make(
             side,
-            lambda: self._image(side, slices[::-1], moment_s, exposure_s, gain_db, lasers, seed, clock_s),
+            lambda: self._image(side, slices[::-1], moment_s, exposure_s, gain_db, lasers, seed, clock_s, frame),
         )
         if made is not None:
             self._latest[side] = made
@@ -343,6 +344,7 @@ class World:
         lasers: tuple[bool, bool],
         seed: int,
         clock_s: float,
+        frame: int | None,
     ) -> NDArray[np.uint8]:
         """Without the lock: one image, made or, where that is asked for, repeated."""
         renderer = self._renderer
@@ -352,7 +354,7 @@ class World:
 
         if self._stills is None or not self._scene.still:
             return made()
-        key = self._stills.key(side, repr(self._scene), slices, exposure_s, gain_db, lasers)
+        key = self._stills.key(side, repr(self._scene), slices, exposure_s, gain_db, lasers, frame)
         return self._stills.get(key, made)
 
     def _noise_seed(self, side: str, shot: Shot) -> int:

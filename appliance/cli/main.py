@@ -15,6 +15,7 @@ from appliance.calibration.file import CalibrationError
 from appliance.calibration.method import BY_SCANS
 from appliance.calibration.recordings import RecordingError
 from appliance.cli import calibrate, calibrate_air, evaluate, health, measure, scans, verbs
+from appliance.cli.chaos import Chaos, chaos
 from appliance.cli.output import Exit, UsageError, complain, log_lines
 from appliance.cli.simrig import OBJECTS, PACES, TEXTURES, TRUTHS, SimOptions, default_sim_rig
 from appliance.config import ConfigError, Rig, default_rig_path, load_rig
@@ -103,7 +104,9 @@ def _sim(arguments: argparse.Namespace) -> Exit:
         faults=tuple(arguments.fault),
         window=arguments.window,
     )
-    return verbs.sim(rig, options)
+    if arguments.chaos is None:
+        return verbs.sim(rig, options)
+    return chaos(rig, options, Chaos(arguments.chaos, arguments.scans), json=arguments.json)
 
 
 def _grammar() -> _Parser:
@@ -136,6 +139,8 @@ def _grammar() -> _Parser:
     sim.add_argument("--pace", choices=PACES, help="how world time passes")
     sim.add_argument("--script", type=Path, metavar="FILE", help="a diver's script; exit code 3 if it fails")
     sim.add_argument("--fault", action="append", default=[], metavar="SENTENCE", help="a fault; may be repeated")
+    sim.add_argument("--chaos", type=_seed, metavar="SEED", help="a dive on which devices come and go, seeded")
+    sim.add_argument("--scans", type=_count, default=200, help="of --chaos: how often SCAN is pressed (default 200)")
     sim.add_argument("--window", action="store_true", help="show both screens in windows; the keyboard is the key pad")
 
     add(commands, "check", "open every device once and report", lambda a: verbs.check(_rig(a), json=a.json), rig)
@@ -466,4 +471,10 @@ def _positives(text: str) -> tuple[float, ...]:
 def _seed(text: str) -> int:
     if not text.isascii() or not text.isdigit() or len(text) > 9:
         raise argparse.ArgumentTypeError(f"{text}: allowed are whole numbers 0..999999999")
+    return int(text)
+
+
+def _count(text: str) -> int:
+    if not text.isascii() or not text.isdigit() or not 1 <= int(text) <= 100_000:
+        raise argparse.ArgumentTypeError(f"{text}: allowed are whole numbers 1..100000")
     return int(text)

@@ -115,7 +115,7 @@ class Service:
         end_ns = self._clock.now_ns() + int(QUIT_TIMEOUT_S * 1e9)
         while (self._desk.busy or self._calibrating.busy) and self._clock.now_ns() < end_ns:
             self.beat()
-        self._status.update(self.machine)
+        self._status.update(self.machine, self._desk.worker.pid)
         return self._quit
 
     def beat(self) -> None:
@@ -123,7 +123,7 @@ class Service:
         for event in self._gather():
             self._handle(event)
         self._handle(on.Tick(self._clock.now_ns()))
-        self._status.update(self.machine)
+        self._status.update(self.machine, self._desk.worker.pid)
         self._draw()
 
     # --------------------------------------------------------------------------------- what happened

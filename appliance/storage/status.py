@@ -9,9 +9,10 @@ from typing import Any
 from appliance.calibration.guide import STEPS
 from appliance.machine.alerts import alerts
 from appliance.machine.states import Device, Machine
+from appliance.machine.texts import labels
 
 
-def describe(machine: Machine, pid: int, version: str) -> dict[str, Any]:
+def describe(machine: Machine, pid: int, version: str, worker_pid: int | None = None) -> dict[str, Any]:
     """The file's content. A device is ``ok``, ``lost`` or, before it was tried, ``unknown``."""
     return {
         "state": machine.state.value,
@@ -26,12 +27,14 @@ def describe(machine: Machine, pid: int, version: str) -> dict[str, Any]:
             }
             for alert in alerts(machine)
         ],
+        "keys": {key.name.lower(): str(label) for key, label in labels(machine).items()},
         "devices": {device.value: _device(machine, device) for device in Device},
         "scans": machine.scans,
         "scans_left": machine.scans_left,
         "last_scan": machine.last_scan,
         "calibration": _calibration(machine),
         "pid": pid,
+        "worker_pid": worker_pid,
         "version": version,
     }
 
@@ -79,9 +82,9 @@ class StatusFile:
         self._version = version
         self._written: dict[str, Any] | None = None
 
-    def update(self, machine: Machine) -> bool:
+    def update(self, machine: Machine, worker_pid: int | None = None) -> bool:
         """Write if anything changed; whether it did. A disk that refuses is not an error here: False, and tried again."""
-        content = describe(machine, self._pid, self._version)
+        content = describe(machine, self._pid, self._version, worker_pid)
         if content == self._written:
             return False
         draft = self.path.with_name(f".{self.path.name}.draft")

@@ -10,9 +10,11 @@ from typing import Any
 import serial
 
 from hw_sim import registry
+from hw_sim.actor import Actor
+from hw_sim.chaos import ChaosDiver
 from hw_sim.options import OptionError, WorldOptions, options_from
 from hw_sim.pace import WorldClock
-from hw_sim.script import Diver, Step, parse_script
+from hw_sim.script import Diver, parse_script
 from hw_sim.window import open_windows
 from hw_sim.wires.card import SimCardNode
 from hw_sim.wires.hidraw import HidrawModule
@@ -55,7 +57,6 @@ def open(options: Mapping[str, Any]) -> Iterator[SimWires]:
     succeed, WindowError when the windows failed.
     """
     wanted = options_from(options)
-    steps = _steps(wanted)
     with ExitStack() as stack:
         world = registry.find(wanted.world)
         if world is None:
@@ -63,22 +64,27 @@ def open(options: Mapping[str, Any]) -> Iterator[SimWires]:
         stack.enter_context(_serial_protocol())
         if wanted.window:
             stack.enter_context(open_windows(world))
-        if steps:
-            stack.enter_context(_script(world, steps, Path(wanted.status or "")))
+        diver = _diver(wanted, world)
+        if diver is not None:
+            stack.enter_context(_acting(diver))
         yield SimWires(world)
 
 
-def _steps(wanted: WorldOptions) -> tuple[Step, ...]:
-    if wanted.script is None:
-        return ()
+def _diver(wanted: WorldOptions, world: World) -> Actor | None:
+    """Who holds the instrument, if somebody does."""
+    if wanted.script is None and not wanted.chaos:
+        return None
     if wanted.status is None:
-        raise OptionError("a script needs the option status: the path of the service's status file")
-    return parse_script(Path(wanted.script).read_text(encoding="utf-8"))
+        raise OptionError("script and chaos need the option status: the path of the service's status file")
+    status = Path(wanted.status)
+    if wanted.script is not None:
+        return Diver(world, parse_script(Path(wanted.script).read_text(encoding="utf-8")), status)
+    chaos = wanted.chaos
+    return ChaosDiver(world, status, int(chaos["seed"]), int(chaos["scans"]), Path(chaos["report"]))
 
 
 @contextmanager
-def _script(world: World, steps: tuple[Step, ...], status: Path) -> Iterator[None]:
-    diver = Diver(world, steps, status)
+def _acting(diver: Actor) -> Iterator[None]:
     diver.start()
     try:
         yield

@@ -19,6 +19,7 @@ ASKED = {
     "exposure_s": 0.012,
     "gain_db": 0.0,
     "lasers": (False, False),
+    "frame": 3,
 }
 
 
@@ -48,6 +49,7 @@ def test_the_same_light_is_the_same_image_and_nobody_may_change_it() -> None:
         {"exposure_s": 0.006},
         {"gain_db": 6.0},
         {"lasers": (True, False)},
+        {"frame": 4},
     ],
     ids=lambda change: next(iter(change)),
 )

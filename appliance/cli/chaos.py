@@ -1,0 +1,74 @@
+"""Owns ``kingfisher sim --chaos``: what an unlucky dive was told is compared with what lies on the disk."""
+
+from __future__ import annotations
+
+import json as json_format
+import tempfile
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from appliance.cli import verbs
+from appliance.cli.output import Exit, Progress, UsageError, say, say_json
+from appliance.cli.simrig import SimOptions, simulated
+from appliance.config import Rig
+from appliance.storage.library import Library, UnknownScan
+
+OPTION = "chaos"
+"""Of the simulated world (docs/protocols/world.md)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Chaos:
+    """How unlucky: the seed of everything that happens, and how often SCAN is pressed."""
+
+    seed: int
+    scans: int
+
+
+def chaos(rig: Rig, options: SimOptions, wanted: Chaos, *, json: bool) -> Exit:
+    """Dive while devices come and go; FAILED if an accepted scan is lost or damaged or a refusal had no reason."""
+    if options.script is not None or options.window:
+        raise UsageError("--chaos: its diver holds the instrument; leave --script and --window out")
+    root = options.root or rig.storage.root
+    if (root / "scans").exists():
+        raise UsageError(f"--root {root}: holds scans already; chaos counts what it left, so give a new folder")
+    with tempfile.TemporaryDirectory(prefix="kingfisher-chaos-") as folder:
+        report = Path(folder) / "report.json"
+        chosen = {OPTION: {"seed": wanted.seed, "scans": wanted.scans, "report": str(report)}, "stills": True}
+        world = replace(rig.rig, wires_options={**rig.rig.wires_options, **chosen})
+        ended = verbs.sim(replace(rig, rig=world), options)
+        told: dict[str, Any] = json_format.loads(report.read_text(encoding="utf-8"))
+    result = told | _compared(simulated(replace(rig, rig=world), options), told["accepted"])
+    if json:
+        say_json(result)
+    else:
+        for key, value in result.items():
+            say(f"{key:<12} {_short(value)}")
+    whole = not (result["lost"] or result["damaged"] or result["unexplained"])
+    return ended if ended is not Exit.OK else Exit.OK if whole else Exit.FAILED
+
+
+def _compared(rig: Rig, accepted: list[str]) -> dict[str, Any]:
+    """What became of the scans that the screen called saved."""
+    library = Library(rig.storage.root)
+    lost, damaged = [], []
+    with Progress() as progress:
+        for k, scan_id in enumerate(accepted):
+            progress(f"verifying {scan_id}", k / len(accepted))
+            try:
+                if not library.verify(scan_id).ok:
+                    damaged.append(scan_id)
+            except UnknownScan:
+                lost.append(scan_id)
+    return {"lost": lost, "damaged": damaged, "saved": library.count()}
+
+
+def _short(value: object) -> str:
+    match value:
+        case dict():
+            return ", ".join(f"{key} {number}" for key, number in sorted(value.items())) or "-"
+        case list():
+            return f"{len(value)}" + (f": {value[0]}" if value and isinstance(value[0], str) and len(value) < 3 else "")
+        case _:
+            return str(value)

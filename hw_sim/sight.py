@@ -1,0 +1,73 @@
+"""Owns what a diver can wait to see: questions to the product's status file, and to nothing else of it."""
+
+from __future__ import annotations
+
+import fnmatch
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+Status = Mapping[str, Any]
+
+
+def _alerts(status: Status, field: str) -> list[str]:
+    return [str(alert.get(field)) for alert in status.get("alerts") or []]
+
+
+def _calibration(status: Status, field: str, name: str) -> bool:
+    """Of a calibration, when nothing is computed for it any more."""
+    at = status.get("calibration") or {}
+    return at.get(field) == name and not at.get("busy")
+
+
+def _like(texts: list[str], pattern: str) -> bool:
+    """``*`` stands for anything: numbers that a scene does not fix."""
+    return any(fnmatch.fnmatchcase(text, pattern) for text in texts)
+
+
+SIGHTS: Mapping[str, tuple[int, Callable[[Status, list[str]], bool]]] = {
+    "state": (1, lambda status, words: status.get("state") == words[0]),
+    "alert": (1, lambda status, words: words[0] in _alerts(status, "code")),
+    "gone": (1, lambda status, words: bool(status) and words[0] not in _alerts(status, "code")),
+    "headline": (1, lambda status, words: _like(_alerts(status, "headline"), " ".join(words))),
+    "action": (1, lambda status, words: _like(_alerts(status, "action"), " ".join(words))),
+    "label": (2, lambda status, words: _like([str((status.get("keys") or {}).get(words[0]))], " ".join(words[1:]))),
+    "device": (2, lambda status, words: (status.get("devices") or {}).get(words[0]) == words[1]),
+    "scans": (1, lambda status, words: str(status.get("scans")) == words[0]),
+    "step": (1, lambda status, words: _calibration(status, "step", words[0])),
+    "result": (1, lambda status, words: _calibration(status, "result", words[0])),
+}
+"""What can be waited for: how many words it takes at least, and whether it is to be seen now."""
+
+
+def sees(status: Status, kind: str, words: list[str]) -> bool:
+    """Whether that is to be seen."""
+    return SIGHTS[kind][1](status, words)
+
+
+def check(kind: str, words: list[str]) -> None:
+    """Raises ValueError for what nobody could ever see."""
+    if kind not in SIGHTS:
+        raise ValueError(f"'{kind}' cannot be waited for; allowed are {', '.join(SIGHTS)}")
+    if len(words) < SIGHTS[kind][0]:
+        raise ValueError(f"'{kind}' takes {SIGHTS[kind][0]} words or more, then the seconds")
+
+
+def read(path: Path) -> dict[str, Any]:
+    """The status now; empty where there is none."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return content if isinstance(content, dict) else {}
+
+
+def summary(status: Status) -> str:
+    """What is to be seen instead, in one line."""
+    alerts, calibration = _alerts(status, "code"), status.get("calibration")
+    read = [f"{head}: {act}" for head, act in zip(_alerts(status, "headline"), _alerts(status, "action"), strict=True)]
+    return (
+        f"the state is {status.get('state')}, alerts {alerts}, which read {read}, keys {status.get('keys')}, "
+        f"scans {status.get('scans')}" + (f", calibration {calibration}" if calibration else "")
+    )

@@ -1,0 +1,130 @@
+"""A whole dive as a text that an operator can read: a world, what breaks, key presses, what is to be seen, what is left.
+
+    # comment
+    world object=plane texture=checker           before: options of the simulated world (docs/protocols/world.md)
+    rig limits.case_warm_c=25                    before: a value of the rig file
+    given nonsense in calibration/current.json   before: a file below the storage root
+    given fault camera.left slow                 before: what is broken when the power comes on
+    ...                                          the dive: a diver's script (docs/protocols/world.md)
+    after saved 1                                afterwards: how many scans lie there; each must be whole
+    after rejected 1
+    after verdict motion failed in 000002        or: passed
+
+Every scan that the screen called SAVED must be there and whole, whether the text says so or not.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from appliance.cli.simrig import default_sim_rig
+from appliance.config import load_rig
+from appliance.service.app import run
+from appliance.storage.library import Library, Shelf
+
+SMALL = {"width_px": "400", "height_px": "300", "truth": "nominal", "object": "plane", "stills": "true"}
+SHELVES = {"saved": Shelf.SCANS, "rejected": Shelf.REJECTED, "set-aside": Shelf.SET_ASIDE}
+PATTERNS = {
+    "world": r"world( \w+=\S+)+",
+    "rig": r"rig( [\w.]+=\S+)+",
+    "given": r"given (nonsense in \S+|fault .+)",
+    "after": r"after ((saved|rejected|set-aside) \d+|verdict \w+ (passed|failed) in \d{6})",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """A text, taken apart."""
+
+    world: Mapping[str, str]
+    rig: Mapping[str, str]
+    nonsense: tuple[str, ...]
+    faults: tuple[str, ...]
+    script: str
+    """The diver's part; every line where it stands in the file."""
+    after: tuple[tuple[str, ...], ...]
+
+
+def parse(text: str) -> Scenario:
+    """Raises ValueError for a line before or after the dive that is not understood."""
+    found: dict[str, list[str]] = {verb: [] for verb in PATTERNS}
+    script: list[str] = []
+    for number, line in enumerate(text.splitlines(), 1):
+        said = " ".join(line.split("#", 1)[0].split())
+        verb = said.partition(" ")[0]
+        if verb not in PATTERNS:
+            script.append(line)
+            continue
+        if not re.fullmatch(PATTERNS[verb], said):
+            raise ValueError(f"line {number}: '{said}' is not understood; allowed: {PATTERNS[verb]}")
+        found[verb].append(said.partition(" ")[2])
+        script.append("")
+    settings = {
+        verb: dict(pair.split("=", 1) for said in found[verb] for pair in said.split()) for verb in ("world", "rig")
+    }
+    return Scenario(
+        settings["world"],
+        settings["rig"],
+        tuple(said.split()[-1] for said in found["given"] if said.startswith("nonsense")),
+        tuple(said.partition(" ")[2] for said in found["given"] if said.startswith("fault")),
+        "\n".join(script),
+        tuple(tuple(said.split()) for said in found["after"]),
+    )
+
+
+def play(scenario: Scenario, folder: Path) -> Library:
+    """Dive, from power on to power off, and look at what is left. Raises what the script or the service raises."""
+    root = folder / "root"
+    for name in scenario.nonsense:
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        (root / name).write_bytes(b'{"nonsense": \x00')
+    script = folder / "dive.script"
+    script.write_text(scenario.script, encoding="utf-8")
+    rig_file = folder / "rig.toml"
+    rig_file.write_text(_rig_text(scenario), encoding="utf-8")
+    rig = load_rig(rig_file)
+    options = {**rig.rig.wires_options, "script": str(script), "status": str(root / "run" / "status.json")}
+    rig = replace(rig, rig=replace(rig.rig, wires_options=options), storage=replace(rig.storage, root=root))
+    assert run(rig) == 0
+    return Library(root)
+
+
+def judge(scenario: Scenario, library: Library) -> list[str]:
+    """What the disk holds otherwise than the text says, and which scans that were kept are not whole."""
+    wrong = [f"{e.scan_id} is not whole" for e in library.entries() if not library.verify(e.scan_id).ok]
+    for words in scenario.after:
+        match words:
+            case ("verdict", name, wanted, "in", scan_id):
+                verdicts = {verdict.name: verdict for verdict in library.entry(scan_id).manifest.record.verdicts}
+                if name not in verdicts or verdicts[name].passed is not (wanted == "passed"):
+                    wrong.append(f"{' '.join(words)}: {verdicts.get(name, sorted(verdicts))}")
+            case (shelf, number):
+                found = [entry.scan_id for entry in library.entries(SHELVES[shelf])]
+                if len(found) != int(number):
+                    wrong.append(f"{' '.join(words)}: there are {found}")
+    return wrong
+
+
+def _rig_text(scenario: Scenario) -> str:
+    """The simulator's small rig with the changes, section by section."""
+    text = default_sim_rig().with_name("small.toml").read_text(encoding="utf-8")
+    for key, value in scenario.rig.items():
+        section, _, name = key.rpartition(".")
+        text = _set(text, section, name, value)
+    faults = {"faults": repr(list(scenario.faults))}
+    for name, value in {**SMALL, **faults, **scenario.world}.items():
+        text = _set(text, "rig.wires_options", name, value)
+    return text
+
+
+def _set(text: str, section: str, name: str, value: str) -> str:
+    head = f"[{section}]"
+    assert re.search(rf"^{re.escape(head)}", text, re.M), f"the rig file has no {head}"
+    written = value if re.fullmatch(r"[-+\d.e]+|true|false|\[.*\]|\{.*\}", value) else f'"{value}"'
+    before, after = text.split(head, 1)
+    body, bracket, rest = after.partition("\n[")
+    body = re.sub(rf"^{re.escape(name)}\s*=.*\n?", "", body, flags=re.M).rstrip("\n")
+    return f"{before}{head}{body}\n{name} = {written}\n{bracket}{rest}"
