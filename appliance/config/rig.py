@@ -86,7 +86,7 @@ class KeysRig:
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
 class OutputRig:
-    """``[projector]`` and ``[display]``: a connector of a graphics card, or a window on a desk."""
+    """``[projector]``, and most of ``[display]``: a connector of a graphics card, or a window on a desk."""
 
     kind: Literal["kms", "window"]
     width_px: Annotated[_Whole, Field(ge=64, le=8192)]
@@ -94,6 +94,12 @@ class OutputRig:
     refresh_hz: Annotated[_Real, Field(ge=20.0, le=240.0)]
     card: _Text | None = None
     connector: _Text | None = None
+
+
+@dataclass(frozen=True, slots=True, config=_CONFIG)
+class DisplayRig(OutputRig):
+    language: Literal["en", "de"] = "en"
+    """Of everything the diver reads."""
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
@@ -174,7 +180,7 @@ class Rig:
     board: BoardRig
     keys: KeysRig
     projector: OutputRig
-    display: OutputRig
+    display: DisplayRig
     scan: ScanRig
     water: WaterRig
     storage: StorageRig

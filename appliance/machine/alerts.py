@@ -6,11 +6,12 @@ A headline has at most 16 characters, an action at most 32; both are read under 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from types import MappingProxyType
 
 from appliance.capture.fault import Fault, FaultCode
+from appliance.machine import german
 from appliance.machine.states import Machine, NoticeKind
 
 
@@ -32,6 +33,8 @@ class Alert:
     action: str
     detail: str = ""
     device: str | None = None
+    german: tuple[str, str] | None = None
+    """Headline and action in German; ``None``: only English is known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,20 +124,33 @@ _SIDES = {"camera.left": "LEFT ", "camera.right": "RIGHT "}
 def headline_of(fault: Fault) -> str:
     """At most 16 characters, with the fault's numbers where all of them are known."""
     rule = RULES[fault.code]
+    return _filled(rule.headline, rule.plain or fault.code.value.replace("_", " "), fault, {"side": _SIDES})
+
+
+def german_headline_of(fault: Fault) -> str:
+    """The same in German."""
+    words = german.GERMAN[fault.code]
+    sides = {"side": german.SIDES, "short_side": german.SHORT_SIDES}
+    return _filled(words.headline, words.plain or words.headline, fault, sides)
+
+
+def _filled(template: str, plain: str, fault: Fault, sides: Mapping[str, Mapping[str, str]]) -> str:
     values: dict[str, float | str] = dict(fault.numbers)
-    if fault.device in _SIDES:
-        values["side"] = _SIDES[fault.device]
+    for name, words in sides.items():
+        if fault.device is not None and fault.device in words:
+            values[name] = words[fault.device]
     try:
-        text = rule.headline.format(**values)
+        text = template.format(**values)
     except (KeyError, ValueError):
-        text = rule.plain or fault.code.value.replace("_", " ")
-    return text if len(text) <= 16 else (rule.plain or text)[:16]
+        text = plain
+    return text if len(text) <= 16 else plain[:16]
 
 
 def alert_of(fault: Fault) -> Alert:
     """The fault as a message of its own."""
     rule = RULES[fault.code]
-    return Alert(fault.code, rule.severity, headline_of(fault), rule.action, fault.detail, fault.device)
+    in_german = german_headline_of(fault), german.GERMAN[fault.code].action
+    return Alert(fault.code, rule.severity, headline_of(fault), rule.action, fault.detail, fault.device, in_german)
 
 
 def _notice(machine: Machine) -> Alert | None:
@@ -143,14 +159,16 @@ def _notice(machine: Machine) -> Alert | None:
     fault = machine.notice.fault
     rule = RULES[fault.code]
     plain = alert_of(fault)
+    in_german = german_headline_of(fault)
     match machine.notice.kind:
         case NoticeKind.REFUSAL:
-            return Alert(fault.code, rule.severity, plain.headline, "SCAN REFUSED", fault.detail, fault.device)
+            return replace(plain, action="SCAN REFUSED", german=(in_german, german.REFUSED))
         case NoticeKind.FAILURE if rule.stops_capture or rule.forbids_light:
             # What ended the scan is listed as a condition while it lasts; this says what became of the scan.
-            return Alert(
-                fault.code, rule.severity, "SCAN FAILED", f"{plain.headline}: REPEAT", fault.detail, fault.device
-            )
+            return replace(
+                plain, headline="SCAN FAILED", action=f"{plain.headline}: REPEAT",
+                german=(german.FAILED, f"{in_german}: {german.AGAIN}"),
+            )  # fmt: skip
         case NoticeKind.FAILURE | NoticeKind.NEWS:
             return plain
 

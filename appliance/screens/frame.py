@@ -58,11 +58,19 @@ def draw_alerts(canvas: Canvas, alerts: Sequence[Alert], language: Language, tim
     more = len(alerts) - 1
     room = canvas.width - left - (112 if more else 24)
     headline = theme.HUGE - 6 if critical else theme.HEADLINE
-    canvas.words(gravest.headline, left, top + (88 if critical else 58), headline, BLACK, ink, max_width=room)
-    canvas.words(gravest.action, left, top + height - 18, theme.BODY + 2, BOLD, ink, max_width=room)
+    said, to_do = words_of(gravest, language)
+    canvas.words(said, left, top + (88 if critical else 58), headline, BLACK, ink, max_width=room)
+    canvas.words(to_do, left, top + height - 18, theme.BODY + 2, BOLD, ink, max_width=room)
     if more:
         canvas.box(canvas.width - 96, top + height / 2 - 28, 72, 56, ink, 28)
         canvas.words(f"+{more}", canvas.width - 60, top + height / 2 + 11, theme.BODY + 2, BLACK, fill, Align.CENTRE)
+
+
+def words_of(alert: Alert, language: Language) -> tuple[str, str]:
+    """Headline and action."""
+    if language is Language.GERMAN and alert.german is not None:
+        return alert.german
+    return alert.headline, alert.action
 
 
 def alerts_top(canvas: Canvas, alerts: Sequence[Alert]) -> float:

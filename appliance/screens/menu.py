@@ -8,8 +8,8 @@ from appliance.screens.texts import Language, worded
 from appliance.screens.theme import BAR_PX, BLACK, BODY, BOLD, TITLE
 from appliance.screens.views import MenuView
 
-ROWS_SHOWN = 6
-_ROW_PX, _LEFT_PX, _PAD_PX = 58.0, 40.0, 24.0
+ROWS_SHOWN = 7
+_ROW_PX, _LEFT_PX, _PAD_PX = 50.0, 40.0, 24.0
 
 
 def draw_menu(canvas: Canvas, view: MenuView, language: Language) -> None:
@@ -24,12 +24,14 @@ def draw_menu(canvas: Canvas, view: MenuView, language: Language) -> None:
         selected = first + place == view.selected
         y = top + place * _ROW_PX
         if selected:
-            canvas.box(_LEFT_PX, y, right - _LEFT_PX, _ROW_PX - 6, theme.WHITE, 14)
+            canvas.box(_LEFT_PX, y, right - _LEFT_PX, _ROW_PX - 4, theme.WHITE, 12)
         ink = theme.INK if selected else theme.WHITE if row.allowed else theme.MUTED
         value = worded(row.value, language)
-        value_px = canvas.words(value, right - _PAD_PX, y + 38, BODY, BOLD, ink, Align.RIGHT, 320)
+        if selected and view.changing:
+            value = f"‹ {value} ›"
+        value_px = canvas.words(value, right - _PAD_PX, y + 35, BODY, BOLD, ink, Align.RIGHT, 320)
         room = right - 2 * _PAD_PX - _LEFT_PX - value_px
-        canvas.words(row.text.in_language(language), _LEFT_PX + _PAD_PX, y + 38, BODY + 2, BLACK, ink, max_width=room)
+        canvas.words(row.text.in_language(language), _LEFT_PX + _PAD_PX, y + 35, BODY + 2, BLACK, ink, max_width=room)
 
 
 def first_shown(rows: int, selected: int) -> int:

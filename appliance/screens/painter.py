@@ -66,7 +66,8 @@ class Painter:
         self, context: moderngl.Context, size_px: tuple[int, int], language: Language = Language.ENGLISH
     ) -> None:
         self._context = context
-        self._language = language
+        self.language = language
+        """May be changed between two drawings."""
         with context:
             self._canvas = Canvas(context, size_px)
             self._cloud = CloudPainter(context, self._canvas.pixels(*CLOUD_BOX)[2:])
@@ -88,7 +89,7 @@ class Painter:
         context failed.
         """
         with self._context:
-            canvas, language = self._canvas, self._language
+            canvas, language = self._canvas, self.language
             canvas.begin(theme.INK)
             dim = _NONE
             match view:
@@ -123,7 +124,7 @@ class Painter:
                 case SafeView():
                     draw_safe(canvas, view, language, time_s)
                 case FaultView():
-                    draw_fault(canvas, view, time_s)
+                    draw_fault(canvas, view, language, time_s)
                 case ShutdownView():
                     draw_shutdown(canvas, view, language, time_s)
                 case _:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from appliance.screens import theme
 from appliance.screens.canvas import Align, Canvas
-from appliance.screens.frame import alert_colours
+from appliance.screens.frame import alert_colours, words_of
 from appliance.screens.texts import DEVICE_NAMES, Language, Text
 from appliance.screens.theme import BLACK, BODY, BOLD, CAPTION, HEADLINE, HUGE, REGULAR, TITLE
 from appliance.screens.views import (
@@ -129,13 +129,14 @@ def draw_saving(canvas: Canvas, view: SavingView, language: Language, time_s: fl
     canvas.box(at, 310, 160, 24, theme.AQUA, 12)
 
 
-def draw_fault(canvas: Canvas, view: FaultView, time_s: float) -> None:
+def draw_fault(canvas: Canvas, view: FaultView, language: Language, time_s: float) -> None:
     ground, ink, edge = alert_colours(view.alert.severity, time_s)
     canvas.box(0, 70, canvas.width, 330, ground, edge=edge, edge_width=10)
     canvas.box(40, 110, 120, 120, ink, 60)
     canvas.words("!", 100, 212, 110, BLACK, ground, Align.CENTRE)
-    canvas.words(view.alert.headline, 190, 200, HUGE, BLACK, ink, max_width=canvas.width - 230)
-    canvas.words(view.alert.action, 190, 262, TITLE, BOLD, ink, max_width=canvas.width - 230)
+    said, to_do = words_of(view.alert, language)
+    canvas.words(said, 190, 200, HUGE, BLACK, ink, max_width=canvas.width - 230)
+    canvas.words(to_do, 190, 262, TITLE, BOLD, ink, max_width=canvas.width - 230)
     canvas.paragraph(view.detail, 40, 318, CAPTION, ink, canvas.width - 80, 3)
 
 
@@ -152,4 +153,5 @@ def draw_shutdown(canvas: Canvas, view: ShutdownView, language: Language, time_s
     if view.reason is not None:
         ground, ink, edge = alert_colours(view.reason.severity, time_s)
         canvas.box(60, 350, canvas.width - 120, 90, ground, 24, edge, 7)
-        canvas.words(view.reason.headline, middle, 412, HEADLINE - 4, BLACK, ink, Align.CENTRE, canvas.width - 180)
+        said, _ = words_of(view.reason, language)
+        canvas.words(said, middle, 412, HEADLINE - 4, BLACK, ink, Align.CENTRE, canvas.width - 180)

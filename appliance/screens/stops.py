@@ -5,7 +5,7 @@ from __future__ import annotations
 from appliance.screens import theme
 from appliance.screens.aim import dash_or
 from appliance.screens.canvas import Align, Canvas
-from appliance.screens.frame import alert_colours
+from appliance.screens.frame import alert_colours, words_of
 from appliance.screens.texts import Language, Text
 from appliance.screens.theme import BLACK, BODY, BOLD, HEADLINE, HUGE, TITLE
 from appliance.screens.views import CoolingView, SafeView
@@ -37,7 +37,8 @@ def draw_safe(canvas: Canvas, view: SafeView, language: Language, time_s: float)
     ground, ink, edge = alert_colours(view.alert.severity, time_s)
     middle = canvas.width / 2
     canvas.box(0, 70, canvas.width, 250, ground, edge=edge, edge_width=10)
-    canvas.words(view.alert.headline, middle, 190, HUGE, BLACK, ink, Align.CENTRE, canvas.width - 60)
-    canvas.words(view.alert.action, middle, 262, TITLE, BOLD, ink, Align.CENTRE, canvas.width - 60)
+    headline, to_do = words_of(view.alert, language)
+    canvas.words(headline, middle, 190, HUGE, BLACK, ink, Align.CENTRE, canvas.width - 60)
+    canvas.words(to_do, middle, 262, TITLE, BOLD, ink, Align.CENTRE, canvas.width - 60)
     said = Text.ALL_SAVED if view.saved else Text.SAVING
     canvas.words(said.in_language(language), middle, 384, HEADLINE - 8, BLACK, theme.WHITE, Align.CENTRE, 760)

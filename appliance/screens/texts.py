@@ -37,13 +37,15 @@ class Text(Enum):
     MENU = ("MENU", "MENÜ")
     GALLERY = ("GALLERY", "GALERIE")
     ANYWAY = ("ANYWAY", "TROTZDEM")
-    GO_UP = ("▲", "▲")
-    GO_DOWN = ("▼", "▼")
+    UP = ("UP", "HOCH")
+    DOWN = ("DOWN", "RUNTER")
+    HIGHER = ("HIGHER", "MEHR")
+    LOWER = ("LOWER", "WENIGER")
+    GO_ON = ("GO ON", "WEITER")
+    EXPOSE = ("EXPOSE", "ZEIT")
+    GAIN = ("GAIN", "VERST.")
     NEWER = ("NEWER", "NEUER")
     OLDER = ("OLDER", "ÄLTER")
-    CHANGE = ("CHANGE", "ÄNDERN")
-    OPEN = ("OPEN", "ÖFFNEN")
-    SKIP = ("SKIP", "WEITER")
     HOLD_CALIBRATE = ("HOLD: CALIB", "LANG: KALIB")
     HOLD_NEW = ("HOLD: NEW", "LANG: NEU")
     REDO = ("REDO", "ERSETZEN")
@@ -82,9 +84,16 @@ class Text(Enum):
     ENGLISH = ("ENGLISH", "ENGLISCH")
     GERMAN = ("GERMAN", "DEUTSCH")
     ABOUT = ("ABOUT", "GERÄT")
-    POWER_OFF = ("POWER OFF", "AUSSCHALTEN")
+    POWER_OFF = ("POWER OFF", "GERÄT AUS")
     VERSION = ("VERSION", "VERSION")
-    SERIAL = ("SERIAL", "SERIENNUMMER")
+    INSTRUMENT = ("INSTRUMENT", "INSTRUMENT")
+    CALIBRATED = ("CALIBRATED", "KALIBRIERT")
+    CALIBRATION_HASH = ("CALIBRATION ID", "KALIBRIERUNG-ID")
+    DISK = ("DISK", "SPEICHER")
+    STAY_ON = ("STAY ON", "ANBLEIBEN")
+    SWITCH_OFF = ("SWITCH OFF", "AUSSCHALTEN")
+    WATER_KIND = ("KIND OF WATER", "WASSERART")
+    WATER_TEMPERATURE = ("WATER TEMPERATURE", "WASSERTEMPERATUR")
     FRESH = ("FRESH", "SÜSSWASSER")
     SALT = ("SALT", "SALZWASSER")
     AUTOMATIC = ("AUTOMATIC", "AUTOMATISCH")
@@ -232,6 +241,14 @@ _BY_ENGLISH = {text.english: text for text in Text}
 
 
 def worded(label: Text | str, language: Language) -> str:
-    """A label in a language; English words that the table holds are translated, others stay as they are."""
-    text = label if isinstance(label, Text) else _BY_ENGLISH.get(label)
-    return text.in_language(language) if text is not None else str(label)
+    """A label in a language; English words that the table holds are translated, others stay as they are.
+
+    Of words that the table does not hold as a whole, the first is translated: EXPOSE 8 ms → ZEIT 8 ms.
+    """
+    if isinstance(label, Text):
+        return label.in_language(language)
+    if label in _BY_ENGLISH:
+        return _BY_ENGLISH[label].in_language(language)
+    first, space, rest = label.partition(" ")
+    text = _BY_ENGLISH.get(first) if space else None
+    return label if text is None else f"{text.in_language(language)} {rest}"

@@ -213,9 +213,9 @@ class MenuView(View):
     title: Text
     rows: tuple[MenuRow, ...]
     selected: int
-    keys: KeyLabels = field(
-        default_factory=lambda: labels(scan=Text.OK, back=Text.BACK, up=Text.GO_UP, down=Text.GO_DOWN)
-    )
+    changing: bool = False
+    """The value of the selected row is being changed, and not yet taken."""
+    keys: KeyLabels = field(default_factory=lambda: labels(scan=Text.OK, back=Text.BACK, up=Text.UP, down=Text.DOWN))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

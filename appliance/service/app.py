@@ -16,6 +16,7 @@ from appliance.config import Rig
 from appliance.patterns.draw import draw_sequence
 from appliance.patterns.sequence import PatternSequence, build_sequence
 from appliance.screens.painter import Painter
+from appliance.screens.texts import Language
 from appliance.service.calibrating import CalibrationDesk
 from appliance.service.devices import Devices
 from appliance.service.instrument import CALIBRATION_FILE, calibration_of, design_of, noise_of, response_of, water_of
@@ -72,7 +73,9 @@ def run(rig: Rig) -> int:
             ScanDesk(rig, calibration, sequence, library, wires.clock, noise=noise_of(rig), response=response)
         )
         calibrating = stack.enter_context(CalibrationDesk(rig, desk))
-        painter = stack.enter_context(Painter(gl, (rig.display.width_px, rig.display.height_px)))
+        painter = stack.enter_context(
+            Painter(gl, (rig.display.width_px, rig.display.height_px), Language(rig.display.language))
+        )
         devices = stack.enter_context(Devices(rig, wires, load_projector))
         status = StatusFile(rig.storage.root, os.getpid(), appliance.__version__)
         service = Service(

@@ -54,6 +54,7 @@ def test_a_unit_slip_is_named_with_its_range() -> None:
         ("period_px = 16 ", "period_px = 24 ", "scan.period_px", "16, 32 or 64"),
         ("trigger_delay_us = 500", "trigger_delay_us = 15001", "board.trigger_delay_us", "0..15000 µs"),
         ("live_every_vsyncs = 6", "live_every_vsyncs = 0", "board.live_every_vsyncs", "0 < 1"),
+        ('language = "en"', 'language = "fr"', "display.language", "'en' or 'de'"),
         ("vendor_id = 0x1209", "vendor_id = 0x11209", "keys.vendor_id", "65535"),
         ('"drivers.native:open"', '"drivers.native"', "rig.wires", "package.module:function"),
         ("salinity_psu = 0.0", "salinity_psu = -1", "water.salinity_psu", "0..45 psu"),
@@ -78,6 +79,12 @@ def test_one_camera_cannot_be_both() -> None:
     error = refusal(changed('"KF-CAM-R"', '"KF-CAM-L"'))
     assert error.key == "camera.right.serial"
     assert "same as camera.left.serial" in str(error)
+
+
+def test_the_diver_reads_the_language_of_the_rig_file_and_english_without_one() -> None:
+    assert parse_rig(changed('language = "en"', 'language = "de"')).display.language == "de"
+    line = next(line for line in PACKAGED.splitlines(keepends=True) if line.startswith("language"))
+    assert parse_rig(changed(line, "")).display.language == "en"
 
 
 def test_projector_and_display_cannot_share_a_connector() -> None:

@@ -1,0 +1,79 @@
+"""Owns the German words of every alert: one row beside each row of ``appliance.machine.alerts.RULES``.
+
+The same limits hold: a headline has at most 16 characters, an action at most 32.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+from appliance.capture.fault import FaultCode
+
+
+@dataclass(frozen=True, slots=True)
+class German:
+    """``headline`` is used when all its numbers are known, else ``plain``, as in a rule."""
+
+    headline: str
+    action: str
+    plain: str = ""
+
+
+REFUSED = "SCAN ABGELEHNT"
+"""The action of any fault that SCAN was refused for."""
+FAILED = "SCAN MISSLUNGEN"
+"""The headline over any fault that ended a scan; its own goes into the action."""
+AGAIN = "NOCHMAL"
+SIDES = {"camera.left": "LINKS ", "camera.right": "RECHTS "}
+SHORT_SIDES = {"camera.left": "LI. ", "camera.right": "RE. "}
+
+_INCOMPLETE = "UNVOLLST. {received:.0f}/{expected:.0f}"
+_CONNECTOR = "STECKER PRÜFEN"
+
+GERMAN: Mapping[FaultCode, German] = MappingProxyType(
+    {
+        FaultCode.FRAME_MISSING: German(_INCOMPLETE, AGAIN, "UNVOLLSTÄNDIG"),
+        FaultCode.FRAME_REPEATED: German(_INCOMPLETE, AGAIN, "BILD DOPPELT"),
+        FaultCode.FRAME_ORDER: German(_INCOMPLETE, AGAIN, "BILDFOLGE FALSCH"),
+        FaultCode.FRAME_TRUNCATED: German(_INCOMPLETE, AGAIN, "BILD ABGESCHN."),
+        FaultCode.FRAME_CORRUPT: German(_INCOMPLETE, AGAIN, "BILD BESCHÄDIGT"),
+        FaultCode.CAMERA_STUCK: German("KAM {side}HÄNGT", AGAIN, "KAMERA HÄNGT"),
+        FaultCode.PATTERN_WRONG: German("FALSCHES MUSTER", AGAIN),
+        FaultCode.SYNC_LOST: German("KEIN GLEICHTAKT", "NOCHMAL; TRIGGERKABEL PRÜFEN"),
+        FaultCode.LATE_FLIP: German("PROJEKTOR SPÄT", AGAIN),
+        FaultCode.PROJECTOR_TIMING: German("PROJEKTORTAKT", "NOCHMAL; SONST NEU STARTEN"),
+        FaultCode.PROJECTOR_DARK: German("PROJEKTOR DUNKEL", "LAMPE UND VIDEOKABEL PRÜFEN"),
+        FaultCode.PULSE_MISSING: German("PULSE {received:.0f}/{expected:.0f}", AGAIN, "PULS FEHLT"),
+        FaultCode.CAPTURE_TIMEOUT: German("SCAN ZU LANGSAM", AGAIN),
+        FaultCode.MOVED: German("BEWEGT {shift_px:.1f} px", AGAIN, "BEWEGT"),
+        FaultCode.COMPENSATED: German("BEWEGUNG BEHOBEN", "BEHALTEN, ODER NOCHMAL RUHIGER"),
+        FaultCode.TOO_BRIGHT: German("ZU HELL", "KÜRZER BELICHTEN, NOCHMAL"),
+        FaultCode.TOO_DARK: German("ZU DUNKEL", "NÄHER HERAN, LÄNGER BELICHTEN"),
+        FaultCode.WATER_DIRTY: German("WASSER TRÜB {coverage_percent:.0f}%", "WARTEN ODER NÄHER HERAN", "WASSER TRÜB"),
+        FaultCode.LIGHT_FLICKERS: German("LICHT FLACKERT", "ABSCHATTEN, WEG DAVON, NOCHMAL"),
+        FaultCode.AMBIENT: German("ZU VIEL LICHT", "ABSCHATTEN, LAMPEN WEGDREHEN"),
+        FaultCode.CAMERA_LOST: German("KAM {side}FEHLT", _CONNECTOR, "KAMERA FEHLT"),
+        FaultCode.CAMERA_SLOW_LINK: German("KAMERA LANGSAM", _CONNECTOR),
+        FaultCode.CAMERA_REFUSED: German("KAM. {short_side}GESTÖRT", "RIG-DATEI PRÜFEN", "KAMERA GESTÖRT"),
+        FaultCode.PROJECTOR_LOST: German("PROJEKTOR FEHLT", _CONNECTOR),
+        FaultCode.DISPLAY_LOST: German("ANZEIGE FEHLT", _CONNECTOR),
+        FaultCode.BOARD_LOST: German("PLATINE FEHLT", _CONNECTOR),
+        FaultCode.BOARD_RESET: German("PLATINE NEU DA", "LIEF EIN SCAN: NOCHMAL"),
+        FaultCode.VSYNC_LOST: German("KEIN VIDEOSIGNAL", "VIDEOKABEL PRÜFEN"),
+        FaultCode.LASER_ON: German("LASER AN", "SCAN GESPERRT"),
+        FaultCode.KEYS_LOST: German("TASTEN FEHLEN", _CONNECTOR),
+        FaultCode.KEY_STUCK: German("TASTE KLEMMT", "BESCHRIFTETE TASTE NEHMEN"),
+        FaultCode.STORAGE_FULL: German("SPEICHER VOLL", "SCANS KOPIEREN, PLATZ SCHAFFEN"),
+        FaultCode.NOT_SAVED: German("NICHT GESICHERT", "ERNEUT SICHERN ODER NOCHMAL"),
+        FaultCode.UNCALIBRATED: German("UNKALIBRIERT", "MASSE SIND NICHT VERLÄSSLICH"),
+        FaultCode.VERIFY_CALIBRATION: German("KALIBR. PRÜFEN", "WASSER UND KUGELSTAB PRÜFEN"),
+        FaultCode.RECONSTRUCTION_FAILED: German("SPÄTER RECHNEN", "ROHBILDER BEHALTEN ODER NOCHMAL"),
+        FaultCode.WARM: German("WARM {temperature_c:.0f} °C", "BALD ABKÜHLEN LASSEN", "WARM"),
+        FaultCode.HOT: German("HEISS {temperature_c:.0f} °C", "KÜHLT AB, SCAN GESPERRT", "HEISS"),
+        FaultCode.SUPPLY_LOW: German("SPANNUNG {supply_v:.1f}V", "TAUCHGANG BEENDEN", "SPANNUNG TIEF"),
+        FaultCode.LEAK: German("LECK: AUFTAUCHEN", "LICHT IST AUS, SCANS SIND SICHER"),
+        FaultCode.INTERNAL: German("INTERNER FEHLER", "NOCHMAL; SIEHE PROTOKOLL"),
+    }
+)

@@ -1,0 +1,68 @@
+"""Every alert can be read in German as well as in English, within the same room."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from string import Formatter
+
+import pytest
+
+from appliance.capture.fault import Fault, FaultCode
+from appliance.machine.alerts import RULES, alert_of, alerts
+from appliance.machine.german import GERMAN
+from appliance.machine.states import Notice, NoticeKind, boot
+
+NUMBERS = {
+    "received": 23.0, "expected": 24.0, "shift_px": 12.3, "coverage_percent": 100.0, "temperature_c": 61.4,
+    "supply_v": 10.4, "distance_mm": 1437.0,
+}  # fmt: skip
+DEVICES = (None, "camera.left", "camera.right")
+
+
+def test_every_row_of_the_table_has_both_languages() -> None:
+    assert set(GERMAN) == set(RULES) == set(FaultCode)
+
+
+@pytest.mark.parametrize("code", list(FaultCode))
+def test_both_languages_keep_to_the_room_with_and_without_numbers(code: FaultCode) -> None:
+    for device in DEVICES:
+        for numbers in ({}, NUMBERS):
+            alert = alert_of(Fault(code, "detail", numbers, device))
+            assert alert.german is not None
+            for headline, action in ((alert.headline, alert.action), alert.german):
+                assert 0 < len(headline) <= 16, headline
+                assert 0 < len(action) <= 32, action
+                assert "{" not in headline
+
+
+@pytest.mark.parametrize("code", list(FaultCode))
+def test_both_languages_tell_the_same_numbers(code: FaultCode) -> None:
+    def numbers_of(template: str) -> set[str]:
+        return {name for _, name, _, _ in Formatter().parse(template) if name} - {"side", "short_side"}
+
+    assert numbers_of(GERMAN[code].headline) == numbers_of(RULES[code].headline)
+
+
+@pytest.mark.parametrize("code", list(FaultCode))
+def test_nothing_is_cut_to_fit(code: FaultCode) -> None:
+    """A template that is too long with real numbers would silently lose them."""
+    for device in DEVICES[1:]:
+        alert = alert_of(Fault(code, "detail", {**NUMBERS, "distance_mm": 437.0}, device))
+        assert alert.german is not None
+        said = {name for _, name, _, _ in Formatter().parse(RULES[code].headline) if name}
+        if said - {"side"}:
+            assert any(letter.isdigit() for letter in alert.headline)
+            assert any(letter.isdigit() for letter in alert.german[0])
+        if "side" in said:
+            assert ("LI" in alert.german[0]) == (device == "camera.left")
+
+
+@pytest.mark.parametrize("kind", list(NoticeKind))
+@pytest.mark.parametrize("code", list(FaultCode))
+def test_a_notice_is_in_both_languages(code: FaultCode, kind: NoticeKind) -> None:
+    fault = Fault(code, "detail", NUMBERS, "camera.right")
+    said = alerts(replace(boot(0), notice=Notice(fault, kind)))[0]
+    assert said.german is not None
+    assert len(said.german[0]) <= 16
+    assert len(said.german[1]) <= 32
+    assert said.german != (said.headline, said.action)
