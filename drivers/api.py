@@ -101,6 +101,25 @@ class CameraSettings:
     gain_db: float
 
 
+@dataclass(frozen=True, slots=True)
+class ClockReading:
+    """A camera's own clock, read at some moment between two of the host's."""
+
+    camera_time_ns: int
+    host_sent_ns: int
+    host_received_ns: int
+
+    @property
+    def offset_ns(self) -> int:
+        """Host minus camera; half of the bracket may be wrong with it."""
+        return (self.host_sent_ns + self.host_received_ns) // 2 - self.camera_time_ns
+
+    @property
+    def bracket_ns(self) -> int:
+        """How long the question took."""
+        return self.host_received_ns - self.host_sent_ns
+
+
 class Camera(Protocol):
     """A hardware-triggered camera. One thread calls ``next_frame``; the core owns the memory."""
 
@@ -122,6 +141,9 @@ class Camera(Protocol):
 
     def temperature_c(self) -> float | None:
         """Temperature of the camera, ``None`` where it has no sensor. Not while a frame is being read."""
+
+    def read_clock(self) -> ClockReading | None:
+        """The clock of the frames' time stamps, ``None`` where it cannot be asked for. Raises DeviceGone."""
 
 
 # -------------------------------------------------------------------------------------------- board

@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.api import Camera, CameraSettings, Clock, DeviceError, Frame, FrameStatus
+from drivers.api import Camera, CameraSettings, Clock, ClockReading, DeviceError, Frame, FrameStatus
 
 LIVE_TIMEOUT_S = 0.15
 """Longer than from one live image to the next. An order to stop waits for it: the board fires no more by then."""
@@ -40,6 +40,8 @@ class Recording:
     cancelled: bool = False
     frames: list[Frame] = field(default_factory=list)
     """In order of arrival; ends with the first frame that is not complete."""
+    clock: ClockReading | None = None
+    """The camera's clock just before the sequence."""
     lost: str | None = None
     """Why the camera was lost, if it was."""
 
@@ -203,7 +205,9 @@ class Grabber:
         recording = self._recording
         assert recording is not None
         self._start()
+        clock = self._camera.read_clock()
         with self._changed:
+            recording.clock = clock
             self._state = "record"
             recording.ready = True
             self._changed.notify_all()

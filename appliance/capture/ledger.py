@@ -8,15 +8,17 @@ interpolated.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from appliance.capture.fault import Fault, FaultCode
 from appliance.capture.sync import SyncMap
-from drivers.api import Flip, Frame, FrameStatus, Pulse
+from drivers.api import ClockReading, Flip, Frame, FrameStatus, Pulse
 
 MAX_SKEW_NS = 200_000
 """Exposure starts of left and right, and of frame and pulse, may wander by this much against each other."""
+MAX_APART_NS = 500_000
+"""First exposures of left and right, by the host's clock, beyond what reading the cameras' clocks leaves open."""
 MAX_FLIP_PHASE = 0.4
 """Pulse minus flip minus trigger delay, in periods."""
 
@@ -36,6 +38,8 @@ class Ledger:
     pulses: tuple[Pulse, ...]
     frames: Mapping[str, tuple[Frame, ...]]
     sync: SyncMap | None
+    clocks: Mapping[str, ClockReading] = field(default_factory=dict, hash=False)
+    """The cameras' clocks as read before the sequence; a camera that cannot be asked is missing."""
 
     def as_dict(self) -> dict[str, Any]:
         """JSON-ready, for the manifest."""
@@ -59,6 +63,14 @@ class Ledger:
                 ]
                 for side, frames in self.frames.items()
             },
+            "clocks": {
+                side: {
+                    "camera_time_ns": clock.camera_time_ns,
+                    "host_sent_ns": clock.host_sent_ns,
+                    "host_received_ns": clock.host_received_ns,
+                }
+                for side, clock in self.clocks.items()
+            },
         }
 
 
@@ -71,6 +83,7 @@ def audit(ledger: Ledger) -> Fault | None:
         or frame_fault(ledger, "right")
         or _flips_against_pulses(ledger)
         or _times(ledger)
+        or _apart(ledger)
     )
 
 
@@ -198,6 +211,26 @@ def _times(ledger: Ledger) -> Fault | None:
                     f"frame {k}: left and right are {(left - right) / 1e6:.2f} ms apart", k, left - right, "left"
                 )
     return None
+
+
+def _apart(ledger: Ledger) -> Fault | None:
+    """A camera that is late by the same time in every frame is seen by nothing but the host's clock beside the cameras'.
+
+    Only the two are compared: which moment of an exposure a time stamp means is the maker's choice, and they are alike.
+    """
+    if set(ledger.clocks) != {"left", "right"}:
+        return None
+    first_ns: dict[str, int] = {}
+    for side, clock in ledger.clocks.items():
+        stamp_ns = ledger.frames[side][0].camera_time_ns
+        if stamp_ns is None:
+            return None
+        first_ns[side] = stamp_ns + clock.offset_ns
+    apart_ns = first_ns["right"] - first_ns["left"]
+    if abs(apart_ns) <= MAX_APART_NS + sum(clock.bracket_ns for clock in ledger.clocks.values()) // 2:
+        return None
+    late = "right" if apart_ns > 0 else "left"
+    return _skew(f"all frames of camera.{late} are exposed {abs(apart_ns) / 1e6:.2f} ms late", 0, abs(apart_ns), late)
 
 
 def _skew(detail: str, frame: int, skew_ns: int, side: str) -> Fault:

@@ -167,6 +167,7 @@ class ScanRecorder:
             pulses=tuple(pulses),
             frames={side: tuple(r.frames) for side, r in recordings.items()},
             sync=sync[0] if sync else None,
+            clocks={side: r.clock for side, r in recordings.items() if r.clock is not None},
         )
         return CaptureReport(
             fault=_first_fault(fault, recordings, events, ledger),

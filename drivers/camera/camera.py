@@ -13,6 +13,7 @@ from drivers.api import (
     CameraIdentity,
     CameraSettings,
     Clock,
+    ClockReading,
     DeviceError,
     DeviceGone,
     DeviceRefused,
@@ -21,12 +22,15 @@ from drivers.api import (
 )
 from drivers.camera import u3v
 from drivers.camera.bootstrap import read_identification, read_stream_needs, read_technology
-from drivers.camera.control import ControlChannel, ControlCounters
+from drivers.camera.control import ControlChannel, ControlCounters, ControlRefused
 from drivers.camera.description import read_description
 from drivers.camera.features import Features
 from drivers.camera.spec import CameraSpec
 from drivers.camera.stream import StreamCounters, StreamGeometry, StreamReader
 from drivers.camera.usb import UsbCamera, default_backend, find_camera
+
+CLOCK_READINGS = 4
+"""A host that is interrupted in one question is not in all of them."""
 
 
 class UsbVisionCamera:
@@ -178,6 +182,23 @@ class UsbVisionCamera:
                 return self._features.number("DeviceTemperature")
             except DeviceRefused:
                 return None  # fitted, but not readable in this state: unknown, not zero
+
+    def read_clock(self) -> ClockReading | None:
+        """The clock of the frames' time stamps: the reading of several that took the host least time.
+
+        ``None`` where the camera has no time stamp to latch, which GenCP allows. Raises DeviceGone.
+        """
+        with self._lock:
+            try:
+                return min((self._read_clock_once() for _ in range(CLOCK_READINGS)), key=lambda one: one.bracket_ns)
+            except ControlRefused:
+                return None
+
+    def _read_clock_once(self) -> ClockReading:
+        sent_ns = self._clock.now_ns()
+        self._control.write_u32(u3v.ABRM_TIMESTAMP_LATCH, 1)
+        received_ns = self._clock.now_ns()
+        return ClockReading(self._control.read_u64(u3v.ABRM_TIMESTAMP), sent_ns, received_ns)
 
     def health(self) -> Health:
         """What ``kingfisher check`` shows. A lost camera is reported, not raised."""

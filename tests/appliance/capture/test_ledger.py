@@ -9,7 +9,7 @@ import pytest
 from appliance.capture.fault import FaultCode
 from appliance.capture.ledger import Ledger, audit
 from appliance.capture.sync import map_vsync
-from drivers.api import Flip, Frame, FrameStatus, Pulse, Vsync
+from drivers.api import ClockReading, Flip, Frame, FrameStatus, Pulse, Vsync
 
 N = 24
 PERIOD_NS = 1e9 / 60
@@ -32,9 +32,13 @@ def clean() -> Ledger:
             for k in range(N)
         )
 
-    return Ledger(
-        N, PERIOD_NS, 1000, 200, DELAY_US, flips, pulses, {"left": frames(10**12, 40), "right": frames(3, -40)}, sync
-    )
+    # Both cameras begin their first exposure at 7.0005 s of the host.
+    clocks = {
+        "left": ClockReading(10**12 - int(0.3e9), int(6.7005e9) - 100_000, int(6.7005e9) + 100_000),
+        "right": ClockReading(3 - int(0.2e9), int(6.8005e9) - 300_000, int(6.8005e9) + 300_000),
+    }
+    cameras = {"left": frames(10**12, 40), "right": frames(3, -40)}
+    return Ledger(N, PERIOD_NS, 1000, 200, DELAY_US, flips, pulses, cameras, sync, clocks)
 
 
 def with_frames(ledger: Ledger, side: str, frames: list[Frame]) -> Ledger:
@@ -43,6 +47,19 @@ def with_frames(ledger: Ledger, side: str, frames: list[Frame]) -> Ledger:
 
 def test_a_clean_sequence_passes_whatever_the_clocks_offsets_are() -> None:
     assert audit(clean()) is None
+
+
+@pytest.mark.parametrize(("late_ms", "device"), [(2.0, "camera.right"), (-2.0, "camera.left")])
+def test_a_camera_that_is_late_by_the_same_time_in_every_frame(late_ms: float, device: str) -> None:
+    ledger = clean()
+    late = [replace(f, camera_time_ns=(f.camera_time_ns or 0) + int(late_ms * 1e6)) for f in ledger.frames["right"]]
+    fault = audit(with_frames(ledger, "right", late))
+    assert fault is not None
+    assert (fault.code, fault.device) == (FaultCode.SYNC_LOST, device)
+    assert fault.numbers["skew_ms"] == pytest.approx(2.0, abs=0.01)
+    vague = {side: replace(c, host_received_ns=c.host_received_ns + 4_000_000) for side, c in ledger.clocks.items()}
+    assert audit(with_frames(replace(ledger, clocks=vague), "right", late)) is None, "a slow host must not accuse"
+    assert audit(with_frames(replace(ledger, clocks={}), "right", late)) is None, "not every camera has a clock to ask"
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
