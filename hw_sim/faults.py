@@ -197,6 +197,14 @@ class FaultBook:
             self._when(fault.begins_ns + fault.for_ns, self._changed)
         return fault
 
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """As they were said; without those that have done what they could."""
+        now_ns = self._now_ns()
+        return tuple(
+            f.sentence for f in self._faults if f.begins_ns > now_ns or f.waits_for_frame or f.in_force(now_ns)
+        )
+
     def clear(self) -> None:
         """Repair everything."""
         self._faults.clear()

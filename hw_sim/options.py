@@ -54,6 +54,7 @@ class WorldOptions:
     chaos: Mapping[str, Any] = field(default_factory=dict)
     status: str | None = None
     window: bool = False
+    console: bool = False
     stills: bool = False
 
     def __post_init__(self) -> None:

@@ -2,32 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import cv2
-
-from hw_sim import computer, sight
+from hw_sim import deeds, sight
 from hw_sim.actor import PRESS_S, Actor
-from hw_sim.amounts import changed
-from hw_sim.daylight import Daylight
-from hw_sim.drift import Drift
-from hw_sim.faults import parse
-from hw_sim.knock import parse as parse_knock
-from hw_sim.motion import Motion
-from hw_sim.water import Water
 
 if TYPE_CHECKING:
     from hw_sim.world import World
 
-SURROUNDINGS = {"motion": Motion(), "water": Water(), "daylight": Daylight(), "drift": Drift()}
-"""What a step changes by its field of the scene."""
 KEYS = ("scan", "back", "up", "down")
-GRAMMAR = (
-    f"allowed are: wait|never {'|'.join(sight.SIGHTS)} WORDS S, pause S, press KEY [S], fault SENTENCE, clear, "
-    "worker kill|hang, disk off|on, object NAME [X Y Z RX RY RZ], knock CAMERA AMOUNTS, motion|water|daylight|drift AMOUNTS, "
-    "screenshot PATH, end"
+GRAMMAR = f"allowed are: wait|never {'|'.join(sight.SIGHTS)} WORDS S, pause S, press KEY [S], end, " + ", ".join(
+    " ".join(filter(None, (verb, words))) for verb, (words, _) in deeds.HELP.items()
 )
 
 
@@ -74,25 +61,16 @@ def _check(step: Step) -> None:
             sight.check(kind, [first, *more])
         case "pause", (seconds,):
             _seconds(seconds)
-        case (("worker" | "disk"), words):
-            computer.check((step.verb, *words))
         case "press", (key, *hold) if len(hold) <= 1:
             if key not in KEYS:
                 raise ValueError(f"key '{key}'; allowed are {', '.join(KEYS)}")
             for seconds in hold:
                 _seconds(seconds)
-        case "fault", (_, *_):
-            parse(" ".join(step.words))
-        case "object", (_, *pose) if len(pose) in (0, 6):
-            [float(number) for number in pose]
-        case "knock", (_, *_):
-            parse_knock(" ".join(step.words))
-        case verb, words if verb in SURROUNDINGS:
-            changed(SURROUNDINGS[verb], verb, words)
-        case ("screenshot", (_,)) | ("clear" | "end", ()):
+        case "end", ():
             pass
         case _:
-            raise ValueError(GRAMMAR)
+            if not deeds.check(step.verb, step.words):
+                raise ValueError(GRAMMAR)
 
 
 def _seconds(word: str) -> float:
@@ -122,7 +100,7 @@ class Diver(Actor):
                 return
 
     def _play(self, step: Step) -> None:
-        world, words = self.world, step.words
+        words = step.words
         match step.verb:
             case "wait":
                 if not self._sees(words) and not self.over:
@@ -134,25 +112,11 @@ class Diver(Actor):
                 self.sleep(float(words[0]))
             case "press":
                 self.press(words[0], float(words[1]) if len(words) > 1 else PRESS_S)
-            case "fault":
-                world.fault(" ".join(words))
-            case "clear":
-                world.clear_faults()
-            case "worker" | "disk":
-                computer.happen((step.verb, *words), self.status_path)
-            case "object":
-                world.set_object(words[0], [float(n) for n in words[1:]] or None)
-            case "knock":
-                world.knock(parse_knock(" ".join(words)))
-            case verb if verb in SURROUNDINGS:
-                world.set_scene(replace(world.scene, **{verb: changed(getattr(world.scene, verb), verb, words)}))
-            case "screenshot":
-                picture = world.scanned_out("display")
-                if not cv2.imwrite(words[0], cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)):
-                    raise ScriptError(f"{step}: the picture cannot be written")
-            case _:
+            case "end":
                 if not self.switch_off() and not self.over:
                     raise ScriptError(f"{step}: the state is still {self.status().get('state')}")
+            case _:
+                deeds.do(self.world, step.verb, words, self.status_path)
 
     def _sees(self, words: tuple[str, ...]) -> bool:
         """Whether what the words say, or what they end with, comes to be seen in its time."""

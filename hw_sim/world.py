@@ -202,6 +202,18 @@ class World:
         with self.time.condition:
             return self.faults.add(sentence)
 
+    @property
+    def broken(self) -> tuple[str, ...]:
+        """The sentences of everything that is broken, or will be."""
+        with self.time.condition:
+            return self.faults.sentences
+
+    @property
+    def recording(self) -> bool:
+        """A sequence is armed, or its images are still being made."""
+        with self.time.condition:
+            return self.armed is not None or self.developing
+
     def clear_faults(self) -> None:
         """Repair everything."""
         with self.time.condition:

@@ -103,6 +103,7 @@ def _sim(arguments: argparse.Namespace) -> Exit:
         script=arguments.script,
         faults=tuple(arguments.fault),
         window=arguments.window,
+        console=arguments.console or (arguments.window and sys.stdin.isatty()),
     )
     if arguments.chaos is None:
         return verbs.sim(rig, options)
@@ -141,6 +142,9 @@ def _grammar() -> _Parser:
     sim.add_argument("--fault", action="append", default=[], metavar="SENTENCE", help="a fault; may be repeated")
     sim.add_argument("--chaos", type=_seed, metavar="SEED", help="a dive on which devices come and go, seeded")
     sim.add_argument("--scans", type=_count, default=200, help="of --chaos: how often SCAN is pressed (default 200)")
+    sim.add_argument(
+        "--console", action="store_true", help="commands on standard input; as --window on a terminal has it"
+    )
     sim.add_argument("--window", action="store_true", help="show both screens in windows; the keyboard is the key pad")
 
     add(commands, "check", "open every device once and report", lambda a: verbs.check(_rig(a), json=a.json), rig)

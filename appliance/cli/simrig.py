@@ -38,6 +38,7 @@ class SimOptions:
     script: Path | None = None
     faults: Sequence[str] = ()
     window: bool = False
+    console: bool = False
 
 
 def default_sim_rig() -> Path:
@@ -78,6 +79,7 @@ def simulated(rig: Rig, options: SimOptions) -> Rig:
         "seed": options.seed,
         "pace": options.pace or ("attended" if options.window else None),
         "window": options.window or None,
+        "console": options.console or None,
         "faults": [*wires.get("faults", []), *options.faults] if options.faults else None,
     }
     wires |= {name: value for name, value in chosen.items() if value is not None}

@@ -18,6 +18,7 @@ from hw_sim.window.panes import LAYOUTS, Pane, last_error
 from hw_sim.window.pictures import Pictures
 from hw_sim.window.talk import Lines, say, words_as_sizes
 
+CAMERAS = ("left", "right")
 TICK_S = 0.01
 WANT_EVERY_NS = 33_000_000
 NO_SERVER = (
@@ -68,18 +69,44 @@ def open_panes() -> list[Pane]:
             raise ValueError(f"{error}: {NO_GL}") from error
 
 
+class Mouse:
+    """What it does in the cameras' window: one button held shifts the instrument, the other turns it."""
+
+    def __init__(self, tell: Callable[..., None]) -> None:
+        self._tell = tell
+        self._held: str | None = None
+        self._at: tuple[float, float] | None = None
+
+    def button(self, _window: Any, button: int, action: int, _modifiers: int) -> None:
+        held = {glfw.MOUSE_BUTTON_LEFT: "shift", glfw.MOUSE_BUTTON_RIGHT: "turn"}.get(button)
+        self._held = held if action == glfw.PRESS else None
+
+    def moved(self, _window: Any, x: float, y: float) -> None:
+        before, self._at = self._at, (x, y)
+        if self._held is not None and before is not None:
+            self._tell(self._held, f"{x - before[0]:.2f}", f"{y - before[1]:.2f}", str(time.monotonic_ns()))
+
+    def scrolled(self, _window: Any, _dx: float, dy: float) -> None:
+        self._tell("wheel", f"{dy:.2f}", str(time.monotonic_ns()))
+
+
 class Desk:
     """The loop of the process."""
 
     def __init__(self, panes: list[Pane], pictures: Pictures) -> None:
         self._panes, self._pictures = panes, pictures
         self._keyboard = Keyboard()
+        self._mouse = Mouse(self._tell)
         self._input = Lines(0)
         self._wanted = False
         self._over = False
         for pane in panes:
             glfw.set_key_callback(pane.handle, self._key)
             glfw.set_window_refresh_callback(pane.handle, self._spoiler(pane))
+            if set(CAMERAS) & set(pane.layout.pictures):
+                glfw.set_cursor_pos_callback(pane.handle, self._mouse.moved)
+                glfw.set_mouse_button_callback(pane.handle, self._mouse.button)
+                glfw.set_scroll_callback(pane.handle, self._mouse.scrolled)
 
     def run(self) -> None:
         next_ns = time.monotonic_ns()

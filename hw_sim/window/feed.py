@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,6 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import hw_sim
+from hw_sim.hands import Hands
+from hw_sim.scene import Scene
 from hw_sim.window.fingers import Fingers
 from hw_sim.window.keyboard import HELP
 from hw_sim.window.pictures import ROOMS, Picture, Pictures, Writer
@@ -50,6 +53,14 @@ class Seen(Protocol):
     def touch(self, key: str, at_ns: int = 0) -> None: ...
 
     def let_go(self, key: str, at_ns: int = 0) -> None: ...
+
+    @property
+    def scene(self) -> Scene: ...
+
+    @property
+    def recording(self) -> bool: ...
+
+    def set_scene(self, scene: Scene) -> None: ...
 
 
 def interrupt() -> None:
@@ -86,6 +97,7 @@ class Feed:
         self._writer = Writer(pictures)
         self._quit_wanted = quit_wanted
         self._fingers = Fingers()
+        self._hands = Hands(world)
         self._closing = False
         self.failure: str | None = None
         package = str(Path(hw_sim.__file__).parents[1])
@@ -132,6 +144,7 @@ class Feed:
                 line = self._from.read(LOOK_S)
                 if line is not None:
                     self._heard(line)
+                self._hands.settle(time.monotonic_ns())
         except Exception as error:
             self.failure = f"the windows: {error}"
         if self._from.ended and not self._closing:
@@ -147,6 +160,12 @@ class Feed:
                 down = change == "down"
                 at_ns = self._fingers.at(key, down, int(real_ns), self._world.time_ns)
                 (self._world.touch if down else self._world.let_go)(key, at_ns)
+            case ["shift", dx, dy, real_ns]:
+                self._hands.shift(float(dx), float(dy), int(real_ns))
+            case ["turn", dx, dy, real_ns]:
+                self._hands.turn(float(dx), float(dy), int(real_ns))
+            case ["wheel", notches, real_ns]:
+                self._hands.wheel(float(notches), int(real_ns))
             case ["quit", *why]:
                 LOG.info("%s", " ".join(why))
                 self._quit_wanted()

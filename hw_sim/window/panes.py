@@ -44,7 +44,13 @@ class Layout:
 LAYOUTS = (
     Layout(f"Kingfisher: diver's display    {HELP}", ("display",), "RGB1", (800, 480), (20, 40)),
     Layout("Kingfisher: projector", ("projector",), "0R01", (512, 384), (840, 40)),  # its light is green
-    Layout("Kingfisher: left and right camera", ("left", "right"), "RRR1", (800, 300), (20, 570)),
+    Layout(
+        "Kingfisher: left and right camera    hold and drag: move, right button: turn, wheel: nearer",
+        ("left", "right"),
+        "RRR1",
+        (800, 300),
+        (20, 570),
+    ),
 )
 
 

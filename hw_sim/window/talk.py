@@ -1,6 +1,7 @@
 """Owns the lines that the windows' process and the world's exchange over its standard input and output.
 
     windows → world   open · failed TEXT · want · down KEY NS · up KEY NS · quit TEXT
+                      shift X Y NS · turn X Y NS · wheel N NS: the mouse, in px of a camera's picture
     world → windows   show [NAME=WIDTHxHEIGHT …]: the answer to each want, with the pictures that have changed
 
 The memory of the pictures belongs to the world's process from ``want`` to ``show``, otherwise to the windows'.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -12,6 +13,7 @@ import serial
 from hw_sim import registry
 from hw_sim.actor import Actor
 from hw_sim.chaos import ChaosDiver
+from hw_sim.console import reading
 from hw_sim.options import OptionError, WorldOptions, options_from
 from hw_sim.pace import WorldClock
 from hw_sim.script import Diver, parse_script
@@ -64,6 +66,8 @@ def open(options: Mapping[str, Any]) -> Iterator[SimWires]:
         stack.enter_context(_serial_protocol())
         if wanted.window:
             stack.enter_context(open_windows(world))
+        if wanted.console:
+            stack.enter_context(reading(world, _status(wanted, "a console"), sys.stdin.fileno()))
         diver = _diver(wanted, world)
         if diver is not None:
             stack.enter_context(_acting(diver))
@@ -74,13 +78,17 @@ def _diver(wanted: WorldOptions, world: World) -> Actor | None:
     """Who holds the instrument, if somebody does."""
     if wanted.script is None and not wanted.chaos:
         return None
-    if wanted.status is None:
-        raise OptionError("script and chaos need the option status: the path of the service's status file")
-    status = Path(wanted.status)
+    status = _status(wanted, "a diver")
     if wanted.script is not None:
         return Diver(world, parse_script(Path(wanted.script).read_text(encoding="utf-8")), status)
     chaos = wanted.chaos
     return ChaosDiver(world, status, int(chaos["seed"]), int(chaos["scans"]), Path(chaos["report"]))
+
+
+def _status(wanted: WorldOptions, who: str) -> Path:
+    if wanted.status is None:
+        raise OptionError(f"{who} needs the option status: the path of the service's status file")
+    return Path(wanted.status)
 
 
 @contextmanager

@@ -159,6 +159,25 @@ def test_a_dive_by_keyboard(screen: Xvfb, tmp_path: Path) -> None:
     assert min(near(one[60:300, :520], cloud) for one in shown) < 3
 
 
+def test_the_mouse_holds_and_moves_the_instrument(screen: Xvfb, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DISPLAY", screen.name)
+    options = WorldOptions(world="mouse", width_px=400, height_px=300, object="plane", object_pose=(0, 0, 500, 0, 0, 0))
+    with World(options) as world, open_windows(world, lambda: None):
+        cameras = window(screen, CAMERAS)
+        screen.point(cameras)
+        screen.button(1, True)
+        for right in range(0, 41, 4):
+            screen.point(cameras, right=right)
+        until(lambda: world.scene.start_pose[0] == pytest.approx(-20.0, abs=0.6), "40 px to the right")
+        screen.button(1, False)
+        screen.point(cameras, right=-40)
+        screen.button(4, True)
+        screen.button(4, False)
+        until(lambda: world.scene.start_pose[2] == pytest.approx(495.0), "one notch nearer")
+        until(lambda: world.scene.motion.still, "the hands rest")
+        assert world.scene.start_pose[0] == pytest.approx(-20.0, abs=0.6), "let go, the mouse moves nothing"
+
+
 def shown_stripes(shown: NDArray[np.uint8]) -> set[bool]:
     """Whether dark and bright are both there: a pattern, and neither the white nor the black one."""
     green = shown[:, :, 1]

@@ -86,10 +86,15 @@ class Xvfb:
         part = pixels[window.y : window.y + window.height, window.x : window.x + window.width, 2::-1]
         return np.ascontiguousarray(part)
 
-    def point(self, window: XWindow) -> None:
-        """Move the pointer into a window, which so gets the keyboard."""
+    def point(self, window: XWindow, right: int = 0, down: int = 0) -> None:
+        """Move the pointer into a window, which so gets the keyboard: so many px from the window's middle."""
         motion = struct.pack("<BBxxIII", 6, 0, 0, self._root, 0)
-        self._fake(motion + struct.pack("<xxxxhh8x", window.x + window.width // 2, window.y + window.height // 2))
+        x, y = window.x + window.width // 2 + right, window.y + window.height // 2 + down
+        self._fake(motion + struct.pack("<xxxxhh8x", x, y))
+
+    def button(self, number: int, down: bool) -> None:
+        """Press or release a button of the mouse: 1 is the left one, 3 the right one, 4 the wheel upwards."""
+        self._fake(struct.pack("<BBxxII", 4 if down else 5, number, 0, 0) + bytes(20))
 
     def key(self, name: str, down: bool) -> None:
         """Press or release a key of the keyboard."""

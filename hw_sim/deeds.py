@@ -1,0 +1,90 @@
+"""Owns what can be done to a world with one line of text: break, repair, and change what is before the instrument."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import cv2
+
+from hw_sim import computer
+from hw_sim.amounts import changed
+from hw_sim.daylight import Daylight
+from hw_sim.drift import Drift
+from hw_sim.faults import parse
+from hw_sim.knock import parse as parse_knock
+from hw_sim.motion import Motion
+from hw_sim.water import Water
+
+if TYPE_CHECKING:
+    from hw_sim.world import World
+
+SURROUNDINGS = {"motion": Motion(), "water": Water(), "daylight": Daylight(), "drift": Drift()}
+"""What a line changes by its field of the scene."""
+HELP: Mapping[str, tuple[str, str]] = {
+    "fault": ("SENTENCE", "break something: fault camera.left off, fault board wrong how=reset"),
+    "clear": ("", "repair everything that is broken"),
+    "worker": ("kill|hang", "the process that computes points dies, or hangs"),
+    "disk": ("off|on", "every write to the scans' folder fails, until it is on again"),
+    "object": (
+        "NAME [X Y Z RX RY RZ]",
+        "plane ballbar frustum pipe shell stones board; mm and degrees in the rig frame",
+    ),
+    "texture": ("NAME", "none slight strong checker"),
+    "water": ("AMOUNTS | off", "water attenuation_per_m=2 backscatter=0.1"),
+    "motion": ("AMOUNTS | off", "of the hands during a scan: motion velocity_mm_s=10,0,0 tremor_mm=0.1,0.1,0.1"),
+    "daylight": ("AMOUNTS | off", "daylight flicker_depth=0.5 caustics=0.3 torch=0.5"),
+    "drift": ("AMOUNTS | off", "drift particles_per_l=20 bubbles=5 fish=1"),
+    "knock": ("CAMERA AMOUNTS", "a camera moves in its mount, for good: knock right pitch_deg=0.03"),
+    "screenshot": ("PATH", "the display as a PNG"),
+}
+"""Verb → (what follows, what it does)."""
+
+
+class DeedError(Exception):
+    """It could not be done; the text says why."""
+
+
+def check(verb: str, words: tuple[str, ...]) -> bool:
+    """Whether that is one of the deeds. Raises ValueError for one that cannot be done."""
+    match verb, words:
+        case "fault", (_, *_):
+            parse(" ".join(words))
+        case (("worker" | "disk"), _):
+            computer.check((verb, *words))
+        case "object", (_, *pose) if len(pose) in (0, 6):
+            [float(number) for number in pose]
+        case "knock", (_, *_):
+            parse_knock(" ".join(words))
+        case _ if verb in SURROUNDINGS:
+            changed(SURROUNDINGS[verb], verb, words)
+        case (("screenshot" | "texture"), (_,)) | ("clear", ()):
+            pass
+        case _:
+            return False
+    return True
+
+
+def do(world: World, verb: str, words: tuple[str, ...], status: Path) -> None:
+    """Do what ``check`` has found to be a deed. Raises DeedError, ValueError, OSError where it cannot be done now."""
+    match verb:
+        case "fault":
+            world.fault(" ".join(words))
+        case "clear":
+            world.clear_faults()
+        case "worker" | "disk":
+            computer.happen((verb, *words), status)
+        case "object":
+            world.set_object(words[0], [float(n) for n in words[1:]] or None)
+        case "texture":
+            world.set_scene(replace(world.scene, texture=words[0]))
+        case "knock":
+            world.knock(parse_knock(" ".join(words)))
+        case "screenshot":
+            picture = world.scanned_out("display")
+            if not cv2.imwrite(words[0], cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)):
+                raise DeedError("the picture cannot be written")
+        case _:
+            world.set_scene(replace(world.scene, **{verb: changed(getattr(world.scene, verb), verb, words)}))
