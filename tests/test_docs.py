@@ -46,3 +46,10 @@ def test_every_decision_is_listed_once_by_its_title() -> None:
         if record.name != "0000-template.md":
             title = record.read_text(encoding="utf-8").partition("\n")[0].removeprefix("# ")
             assert index.count(f"- [{title}]({record.name})") == 1, record.name
+
+
+def test_every_scenario_is_in_the_list_of_faults() -> None:
+    listed = (ROOT / "docs" / "faults.md").read_text(encoding="utf-8")
+    scenarios = sorted(path.name for path in (ROOT / "tests" / "scenarios").glob("*.scn"))
+    assert scenarios
+    assert [name for name in scenarios if listed.count(f"scenarios/{name})") != 1] == []
