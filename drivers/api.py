@@ -283,11 +283,18 @@ class KeyStuck:
 
 
 @dataclass(frozen=True, slots=True)
+class KeyFreed:
+    """A stuck key was seen released; from now on it counts again."""
+
+    key: Key
+
+
+@dataclass(frozen=True, slots=True)
 class KeysLost:
     reason: str
 
 
-KeyEvent = KeyPress | KeyLongPress | KeyRelease | KeyStuck | KeysLost
+KeyEvent = KeyPress | KeyLongPress | KeyRelease | KeyStuck | KeyFreed | KeysLost
 
 
 class Keys(Protocol):

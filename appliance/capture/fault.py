@@ -80,11 +80,19 @@ class FaultCode(Enum):
     KEY_STUCK = "KEY_STUCK"
     """A key was held for more than 8 s or its coil is faulty; it is masked."""
 
+    # The place
+    TOO_NEAR = "TOO_NEAR"
+    """The object is nearer than the measuring volume (distance_mm)."""
+    TOO_FAR = "TOO_FAR"
+    """The object is farther than the measuring volume (distance_mm)."""
+
     # The instrument
     STORAGE_FULL = "STORAGE_FULL"
     """No room for another scan."""
     NOT_SAVED = "NOT_SAVED"
     """The disk refused a scan; it is still in memory."""
+    SETTINGS_LOST = "SETTINGS_LOST"
+    """What the diver chose could not be read; the rig file's values hold."""
     UNCALIBRATED = "UNCALIBRATED"
     """No valid calibration of this rig; the design's values are used."""
     VERIFY_CALIBRATION = "VERIFY_CALIBRATION"
@@ -95,6 +103,10 @@ class FaultCode(Enum):
     """The housing is warmer than it should be (temperature_c)."""
     HOT = "HOT"
     """Too hot to scan: cooling (temperature_c)."""
+    TOO_HOT = "TOO_HOT"
+    """So hot that it switches itself off (temperature_c)."""
+    TEMPERATURE_UNKNOWN = "TEMPERATURE_UNKNOWN"
+    """A temperature sensor says nothing: light is rationed."""
     SUPPLY_LOW = "SUPPLY_LOW"
     """The supply voltage is low (supply_v)."""
     LEAK = "LEAK"

@@ -10,6 +10,9 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 
+import numpy as np
+from numpy.typing import NDArray
+
 from appliance.capture.fault import Fault, FaultCode
 from appliance.capture.grabber import Grabber, Recording
 from appliance.capture.ledger import Ledger, audit, frame_fault
@@ -33,6 +36,7 @@ from drivers.api import (
 LEAD_BLANKS = 3
 """Vertical blanks between arming and the first pattern: time for the answer to travel."""
 READY_TIMEOUT_S = 2.0
+ARM_POLL_S = 0.002
 COLLECT_TIMEOUT_S = 2.5
 PULSE_TIMEOUT_S = 0.25
 MAX_BOARD_EVENTS = 400
@@ -58,10 +62,88 @@ class CaptureReport:
     """Everything else the board said meanwhile (telemetry, resets), for whoever watches it."""
 
 
-class _Aborted(Exception):
-    def __init__(self, fault: Fault) -> None:
-        super().__init__(fault.detail)
-        self.fault = fault
+class Arming:
+    """One sequence that is being made ready: lasers off and proven off, then both cameras waiting for the first pulse.
+
+    Nothing in it waits, so that a heartbeat can go on meanwhile. Not ready in time is a fault like any other.
+    """
+
+    def __init__(
+        self,
+        grabbers: Mapping[str, Grabber],
+        board: Board,
+        clock: Clock,
+        slots: Mapping[str, NDArray[np.uint8]],
+        on_frame: Callable[[str, int], None],
+    ) -> None:
+        self._grabbers, self._board, self._clock = grabbers, board, clock
+        self._slots, self._on_frame = slots, on_frame
+        self.recordings: dict[str, Recording] = {}
+        self.events: list[BoardEvent] = []
+        """What the board said meanwhile, for whoever watches it."""
+        self.fault: Fault | None = None
+        try:
+            self._lights_off()
+        except DeviceError as error:
+            self.fault = device_fault(error.device, error.message)
+        for grabber in self._grabbers.values():
+            grabber.leave()  # both at once, so that one waiting time is enough
+        self._patience(READY_TIMEOUT_S)
+
+    def poll(self) -> bool:
+        """Go on; True when everything is ready, or there is a fault."""
+        if self.fault is not None:
+            return True
+        if not self.recordings:
+            if not all(grabber.idle(0.0) for grabber in self._grabbers.values()):
+                return self._late("did not leave live view", lambda side: self._grabbers[side].idle(0.0))
+            try:
+                self._read_away()
+            except DeviceError as error:
+                self.fault = device_fault(error.device, error.message)
+                return True
+            for side, slots in self._slots.items():
+                self.recordings[side] = self._grabbers[side].record(slots, partial(self._on_frame, side))
+            self._patience(READY_TIMEOUT_S)
+        if all(self._ready(side) for side in self.recordings):
+            return True
+        return self._late("did not start", self._ready)
+
+    def let_go(self) -> None:
+        """No sequence follows: the cameras need not wait for it."""
+        for side, recording in self.recordings.items():
+            self._grabbers[side].cancel(recording)
+            self._grabbers[side].leave()
+
+    def _lights_off(self) -> None:
+        self._board.stop()
+        lasers = self._board.set_lasers(False, False)
+        if lasers.left_on or lasers.right_on:
+            which = " and ".join(n for n, on in (("left", lasers.left_on), ("right", lasers.right_on)) if on)
+            self.fault = Fault(FaultCode.LASER_ON, f"the {which} laser still conducts after switching off", {}, "board")
+
+    def _read_away(self) -> None:
+        """Reports of before: pulses of the live views among them."""
+        for _ in range(MAX_BOARD_EVENTS):
+            event = self._board.next_event(0.0)
+            if event is None:
+                return
+            if not isinstance(event, Pulse | PulsesDone):
+                self.events.append(event)
+
+    def _ready(self, side: str) -> bool:
+        return self._grabbers[side].wait(self.recordings[side], "ready", 0.0)
+
+    def _patience(self, seconds: float) -> None:
+        self._until_ns = self._clock.now_ns() + int(seconds * 1e9)
+
+    def _late(self, what: str, done: Callable[[str], bool]) -> bool:
+        if self._clock.now_ns() < self._until_ns:
+            return False
+        side = next((side for side in self._grabbers if not done(side)), SIDES[0])
+        said = f"camera.{side} {what} in {READY_TIMEOUT_S:g} s"
+        self.fault = Fault(FaultCode.CAMERA_REFUSED, said, {}, f"camera.{side}")
+        return True
 
 
 class ScanRecorder:
@@ -81,6 +163,14 @@ class ScanRecorder:
         self._clock = clock
         self._settings = settings
 
+    def arm(self, sequence: PatternSequence, store: FrameStore, on_frame: Callable[[str, int], None]) -> Arming:
+        """Begin to make ready for one sequence into ``store``; ``poll`` the answer until it is done, then ``play``.
+
+        ``on_frame(side, index)`` is called in the camera threads as frames arrive.
+        """
+        slots = {side: store.frames(side)[: len(sequence)] for side in SIDES}
+        return Arming(self._grabbers, self._board, self._clock, slots, on_frame)
+
     def record(
         self,
         sequence: PatternSequence,
@@ -88,19 +178,25 @@ class ScanRecorder:
         on_frame: Callable[[str, int], None],
         abort: Callable[[], Fault | None],
     ) -> CaptureReport:
-        """Record one sequence into ``store``. Never raises for a device: every failure is the report's fault.
+        """Arm, wait and play; for who has nothing else to do meanwhile."""
+        arming = self.arm(sequence, store, on_frame)
+        while not arming.poll():
+            self._clock.sleep_s(ARM_POLL_S)
+        return self.play(sequence, arming, abort)
 
-        ``on_frame(side, index)`` is called in the camera threads as frames arrive; ``abort()`` is asked at every
-        vertical blank and ends the scan with the fault it returns. Ends within the sequence's length plus 5 s.
+    def play(self, sequence: PatternSequence, arming: Arming, abort: Callable[[], Fault | None]) -> CaptureReport:
+        """Record what was armed. Never raises for a device: every failure is the report's fault.
+
+        ``abort()`` is asked at every vertical blank and ends the scan with the fault it returns. Ends within the
+        sequence's length plus 5 s.
         """
         period_ns = 1e9 / self._settings.refresh_hz
         begun_ns = self._clock.now_ns()
-        recordings: dict[str, Recording] = {}
+        recordings, events = arming.recordings, arming.events
         flips: list[Flip] = []
         sync: list[SyncMap] = []
         start: list[int | None] = []
-        fault: Fault | None = None
-        events: list[BoardEvent] = []
+        fault = arming.fault
 
         def should_stop() -> bool:
             nonlocal fault
@@ -120,28 +216,12 @@ class ScanRecorder:
             return planned
 
         try:
-            self._prepare(events)
-            for side in SIDES:
-                grabber = self._grabbers[side]
-                recordings[side] = grabber.record(store.frames(side), partial(on_frame, side))
-            for side in SIDES:
-                if not self._grabbers[side].wait(recordings[side], "ready", READY_TIMEOUT_S):
-                    raise _Aborted(
-                        Fault(
-                            FaultCode.CAMERA_REFUSED,
-                            f"camera.{side} did not start in {READY_TIMEOUT_S} s",
-                            {},
-                            f"camera.{side}",
-                        )
-                    )
-            begun_ns = self._clock.now_ns()
-            flips = self._projector.play(range(len(sequence)), len(sequence), arm, should_stop)
+            if fault is None:
+                flips = self._projector.play(range(len(sequence)), len(sequence), arm, should_stop)
             whole = len(flips) == len(sequence)
             for side in SIDES:
                 if whole:
                     self._grabbers[side].wait(recordings[side], "done", COLLECT_TIMEOUT_S)
-        except _Aborted as aborted:
-            fault = aborted.fault
         except SyncError as error:
             fault = Fault(FaultCode.SYNC_LOST, str(error), {}, "board")
         except DeviceError as error:
@@ -175,28 +255,6 @@ class ScanRecorder:
             recording_s=recording_s,
             board_events=tuple(events),
         )
-
-    def _prepare(self, events: list[BoardEvent]) -> None:
-        self._board.stop()
-        lasers = self._board.set_lasers(False, False)
-        if lasers.left_on or lasers.right_on:
-            which = " and ".join(n for n, on in (("left", lasers.left_on), ("right", lasers.right_on)) if on)
-            raise _Aborted(
-                Fault(FaultCode.LASER_ON, f"the {which} laser still conducts after switching off", {}, "board")
-            )
-        for side in SIDES:
-            self._grabbers[side].leave()  # both at once, so that one waiting time is enough
-        for side in SIDES:
-            if not self._grabbers[side].idle():
-                raise _Aborted(
-                    Fault(FaultCode.CAMERA_REFUSED, f"camera.{side} did not leave live view", {}, f"camera.{side}")
-                )
-        for _ in range(MAX_BOARD_EVENTS):
-            event = self._board.next_event(0.0)
-            if event is None:
-                return
-            if not isinstance(event, Pulse | PulsesDone):
-                events.append(event)
 
     def _collect_pulses(self, expected: int, events: list[BoardEvent]) -> list[Pulse]:
         pulses: list[Pulse] = []

@@ -13,6 +13,7 @@ from types import MappingProxyType
 from appliance.capture.fault import Fault, FaultCode
 from appliance.machine import german
 from appliance.machine.states import Machine, NoticeKind
+from drivers.api import Key
 
 
 class Severity(IntEnum):
@@ -103,8 +104,11 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
         FaultCode.LASER_ON: Rule(_C, "LASER ON", "SCAN BLOCKED", blocks_scan=True, stops_capture=True),
         FaultCode.KEYS_LOST: Rule(_W, "KEYS LOST", "CHECK CONNECTOR"),
         FaultCode.KEY_STUCK: Rule(_W, "KEY STUCK", "USE THE KEY WITH ITS LABEL"),
+        FaultCode.TOO_NEAR: Rule(_W, "NEAR {distance_mm:.0f} mm", "BACK, OR SCAN AGAIN TO RECORD", "TOO NEAR"),
+        FaultCode.TOO_FAR: Rule(_W, "FAR {distance_mm:.0f} mm", "CLOSER, OR SCAN AGAIN TO RECORD", "TOO FAR"),
         FaultCode.STORAGE_FULL: Rule(_W, "STORAGE FULL", "COPY SCANS, MAKE ROOM", blocks_scan=True),
         FaultCode.NOT_SAVED: Rule(_C, "NOT SAVED", "TRY AGAIN OR REPEAT"),
+        FaultCode.SETTINGS_LOST: Rule(_W, "SETTINGS LOST", "CHECK THEM IN THE MENU"),
         FaultCode.UNCALIBRATED: Rule(_W, "UNCALIBRATED", "LENGTHS NOT TRUSTED"),
         FaultCode.VERIFY_CALIBRATION: Rule(_W, "VERIFY CALIBR.", "CHECK WATER AND BALL BAR"),
         FaultCode.RECONSTRUCTION_FAILED: Rule(_W, "PROCESS LATER", "KEEP RAW FRAMES OR REPEAT"),
@@ -112,6 +116,10 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
         FaultCode.HOT: Rule(
             _C, "HOT {temperature_c:.0f} °C", "COOLING, SCAN BLOCKED", "HOT", blocks_scan=True, forbids_light=True
         ),
+        FaultCode.TOO_HOT: Rule(
+            _C, "TOO HOT {temperature_c:.0f}°C", "SWITCHING OFF", "TOO HOT", blocks_scan=True, forbids_light=True
+        ),
+        FaultCode.TEMPERATURE_UNKNOWN: Rule(_W, "TEMP ?", "LIGHT IS RATIONED"),
         FaultCode.SUPPLY_LOW: Rule(_W, "SUPPLY LOW {supply_v:.1f}V", "END DIVE", "SUPPLY LOW", blocks_scan=True),
         FaultCode.LEAK: Rule(_C, "LEAK: ASCEND", "LIGHT IS OFF, SCANS ARE SAFE", blocks_scan=True, forbids_light=True),
         FaultCode.INTERNAL: Rule(_W, "INTERNAL FAULT", "REPEAT; SEE LOG", spoils_scan=True),
@@ -175,7 +183,8 @@ def _notice(machine: Machine) -> Alert | None:
 
 def alerts(machine: Machine) -> tuple[Alert, ...]:
     """What to show now: the notice first, then what lasts, the most severe first; nothing twice."""
-    lasting = [alert_of(fault) for fault in (*machine.lost.values(), *machine.conditions)]
+    stuck = [Fault(FaultCode.KEY_STUCK, f"{k.value} key", device=f"key.{k.value}") for k in Key if k in machine.stuck]
+    lasting = [alert_of(fault) for fault in (*machine.lost.values(), *machine.conditions, *stuck)]
     if machine.scan is not None:
         lasting += [alert_of(fault) for fault in machine.scan.warnings]
         if machine.scan.failed is not None:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from appliance.calibration.guide import Step, Trial
 from appliance.capture.exposure import Exposure
+from appliance.machine.choices import Choices
 from appliance.machine.states import Device
 
 
@@ -32,8 +33,8 @@ class LightsOff:
 
 
 @dataclass(frozen=True, slots=True)
-class Capture:
-    """Record one sequence; answer with CaptureFinished or CaptureFailed of this number. Includes its own light."""
+class Arm:
+    """Make ready for one sequence: lasers off and proven off, cameras flushed and waiting. Answer Armed or CaptureFailed."""
 
     number: int
     period_px: int
@@ -41,8 +42,15 @@ class Capture:
 
 
 @dataclass(frozen=True, slots=True)
+class Capture:
+    """Record what was armed; answer CaptureFinished or CaptureFailed of this number. Includes its own light."""
+
+    number: int
+
+
+@dataclass(frozen=True, slots=True)
 class AbortCapture:
-    """End the sequence at the next vertical blank, dark. Its answer is no longer awaited."""
+    """What was armed is let go, a sequence ends at the next vertical blank, dark. Its answer is no longer awaited."""
 
     number: int
 
@@ -128,6 +136,40 @@ class CancelCalibration:
 
 
 @dataclass(frozen=True, slots=True)
+class RememberChoices:
+    """Write the choices down, for the next start."""
+
+    choices: Choices
+
+
+@dataclass(frozen=True, slots=True)
+class UsePeriod:
+    """Patterns, frame memory and worker for another fringe period; a scan armed meanwhile waits for it."""
+
+    period_px: int
+
+
+@dataclass(frozen=True, slots=True)
+class UseWater:
+    """The next scan is measured in this water."""
+
+    salinity_psu: float
+    temperature_c: float
+
+
+@dataclass(frozen=True, slots=True)
+class ListScans:
+    """Answer ScansListed."""
+
+
+@dataclass(frozen=True, slots=True)
+class ShowScan:
+    """Load what the gallery shows of a scan; the latest wish counts."""
+
+    scan_id: str
+
+
+@dataclass(frozen=True, slots=True)
 class ReopenDevice:
     """Close and open one device: its images do not follow the patterns. ``None``: both cameras."""
 
@@ -145,6 +187,7 @@ Effect = (
     GoLive
     | StopLive
     | LightsOff
+    | Arm
     | Capture
     | AbortCapture
     | StoreRaw
@@ -159,6 +202,11 @@ Effect = (
     | RestoreCalibration
     | BeginSession
     | CancelCalibration
+    | RememberChoices
+    | UsePeriod
+    | UseWater
+    | ListScans
+    | ShowScan
     | ReopenDevice
     | Quit
 )

@@ -13,7 +13,7 @@ from appliance.calibration.guide import Session, Trial
 from appliance.capture.exposure import Exposure
 from appliance.capture.fault import Fault, FaultCode
 from appliance.capture.ranging import Range
-from appliance.machine.states import Device
+from appliance.machine.states import Device, Part
 from drivers.api import Key, Telemetry
 
 if TYPE_CHECKING:
@@ -42,6 +42,13 @@ class KeyHeld:
 @dataclass(frozen=True, slots=True)
 class KeyJammed:
     """The key does not come back; the driver masks it until it is seen released."""
+
+    key: Key
+
+
+@dataclass(frozen=True, slots=True)
+class KeyFreed:
+    """A key that was jammed is up again, and works."""
 
     key: Key
 
@@ -100,6 +107,22 @@ class BootFinished:
 
 
 @dataclass(frozen=True, slots=True)
+class PartTested:
+    """The self-test's result of a part that is no device."""
+
+    part: Part
+    passed: bool
+    detail: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Armed:
+    """Lasers are proven off, and both cameras wait for the first pulse."""
+
+    number: int
+
+
+@dataclass(frozen=True, slots=True)
 class CaptureFinished:
     """The sequence is complete and every witness agrees."""
 
@@ -115,6 +138,13 @@ class CaptureFailed:
 @dataclass(frozen=True, slots=True)
 class RawStored:
     """The raw frames survive the loss of power from now on."""
+
+    number: int
+
+
+@dataclass(frozen=True, slots=True)
+class PatternsRight:
+    """Every frame shows the pattern it should."""
 
     number: int
 
@@ -210,6 +240,13 @@ class Ranged:
 
 
 @dataclass(frozen=True, slots=True)
+class ScansListed:
+    """The numbers of all scans on the disk, the newest first."""
+
+    scans: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class StopRequested:
     """The operating system wants the service to end (SIGTERM)."""
 
@@ -221,6 +258,7 @@ Event = (
     | KeyPressed
     | KeyHeld
     | KeyJammed
+    | KeyFreed
     | DeviceUp
     | DeviceDown
     | BoardReset
@@ -229,9 +267,12 @@ Event = (
     | ConditionCleared
     | StorageCounted
     | BootFinished
+    | PartTested
+    | Armed
     | CaptureFinished
     | CaptureFailed
     | RawStored
+    | PatternsRight
     | CoarseReady
     | FullReady
     | Judged
@@ -244,5 +285,6 @@ Event = (
     | CalibrationProgressed
     | CalibrationFailed
     | Ranged
+    | ScansListed
     | StopRequested
 )

@@ -9,13 +9,25 @@ from appliance.machine.states import Machine, State, seconds_ns
 
 Result = tuple[Machine, tuple[do.Effect, ...]]
 
+WITH_A_SCAN = (State.CHECK, State.RECONSTRUCT, State.REVIEW, State.SAVING, State.SAFE)
+"""States in which a recorded scan may be in hand."""
+RECORDING = (State.ARMED, State.CAPTURE)
+
 
 def enter(machine: Machine, state: State, timeout_s: float | None = None) -> Machine:
     """The machine in ``state``, which ends after ``timeout_s`` at the latest."""
     deadline_ns = None if timeout_s is None else machine.now_ns + seconds_ns(timeout_s)
-    scan = machine.scan if state in (State.RECONSTRUCT, State.REVIEW, State.SAVING) else None
-    at = machine.calibrating if state in (State.CALIBRATE, State.CAPTURE) else None
-    return replace(machine, state=state, since_ns=machine.now_ns, deadline_ns=deadline_ns, scan=scan, calibrating=at)
+    return replace(
+        machine,
+        state=state,
+        since_ns=machine.now_ns,
+        deadline_ns=deadline_ns,
+        scan=machine.scan if state in WITH_A_SCAN else None,
+        calibrating=machine.calibrating if state in (State.CALIBRATE, *RECORDING) else None,
+        menu=machine.menu if state in (State.MENU, State.GALLERY) else None,
+        gallery=machine.gallery if state is State.GALLERY else None,
+        insists_until_ns=None,
+    )
 
 
 def home(machine: Machine) -> Machine:

@@ -22,6 +22,11 @@ def may_light(machine: Machine) -> bool:
     return not any(RULES[fault.code].forbids_light for fault in machine.conditions)
 
 
+def too_hot_to_shine(machine: Machine) -> bool:
+    """Whether it must cool down before anything may shine."""
+    return any(fault.code in (FaultCode.HOT, FaultCode.TOO_HOT) for fault in machine.conditions)
+
+
 def may_shine(machine: Machine) -> bool:
     """Whether the projector may shine."""
     return may_light(machine) and Device.PROJECTOR in machine.up

@@ -12,9 +12,10 @@ from enum import Enum
 from typing import TYPE_CHECKING
 
 from appliance.calibration.guide import Session, Step, Trial
-from appliance.capture.exposure import NOMINAL, Exposure
+from appliance.capture.exposure import Exposure
 from appliance.capture.fault import Fault
 from appliance.capture.ranging import Range
+from appliance.machine.choices import Choices, Offers
 from drivers.api import Key
 
 if TYPE_CHECKING:  # carried from the worker to the screens, never read here: no kernels are needed to decide
@@ -25,19 +26,33 @@ class State(Enum):
     """What the instrument is doing. The names are those of ``docs/protocols/status.md``."""
 
     BOOT = "BOOT"
-    """Opening devices, drawing patterns, sweeping the disk."""
+    """Opening devices: each is tried once."""
+    SELF_TEST = "SELF_TEST"
+    """Each device and part with its result; ends by itself unless something forbids scans."""
     AIM = "AIM"
-    """Live views; the only state with light outside a capture."""
+    """Live views; with CALIBRATE the only state with light outside a capture."""
+    MENU = "MENU"
+    """What can be chosen, page by page."""
+    GALLERY = "GALLERY"
+    """The scans on the disk, the newest first."""
+    ARMED = "ARMED"
+    """Lasers are proven off and cameras made ready for a sequence; nothing shines."""
     CAPTURE = "CAPTURE"
     """A sequence is being recorded; ends by itself, by a fault or by its deadline."""
+    CHECK = "CHECK"
+    """Every witness of the ledger agrees; whether the images show the right patterns is being looked at."""
     RECONSTRUCT = "RECONSTRUCT"
-    """Frames are on their way to the disk and to the worker; no cloud yet."""
+    """The patterns are right; no cloud yet."""
     REVIEW = "REVIEW"
     """A cloud (or why there is none) is shown; the diver keeps or repeats."""
     SAVING = "SAVING"
     """The diver keeps the scan; it is being published."""
     CALIBRATE = "CALIBRATE"
     """The steps of the calibration in water; live views at those that record."""
+    COOLING = "COOLING"
+    """Too hot to shine; left by itself when it has cooled down, or by the diver for a dark AIM."""
+    SAFE = "SAFE"
+    """A leak, or another fault that forbids light: dark, what was recorded is saved, and what to do is shown."""
     SHUTDOWN = "SHUTDOWN"
     """The end; no event leads out of it."""
 
@@ -53,6 +68,22 @@ class Device(Enum):
     DISPLAY = "display"
 
 
+class Part(Enum):
+    """What the self-test looks at besides devices; named as on the screen."""
+
+    STORAGE = "storage"
+    CALIBRATION = "calibration"
+    WORKER = "worker"
+
+
+@dataclass(frozen=True, slots=True)
+class Tested:
+    """What the self-test found about a part."""
+
+    passed: bool
+    detail: str = ""
+
+
 NEEDED_FOR_A_SCAN = (Device.CAMERA_LEFT, Device.CAMERA_RIGHT, Device.BOARD, Device.PROJECTOR)
 
 
@@ -60,11 +91,25 @@ NEEDED_FOR_A_SCAN = (Device.CAMERA_LEFT, Device.CAMERA_RIGHT, Device.BOARD, Devi
 class Settings:
     """What the machine is told once. Deadlines are generous: they end a hang, they do not pace the work."""
 
-    period_px: int = 16
-    exposure: Exposure = NOMINAL
+    choices: Choices = field(default_factory=Choices)
     """At power-on."""
+    offers: Offers = field(default_factory=Offers)
     boot_s: float = 60.0
-    capture_s: float = 5.0
+    self_test_s: float = 60.0
+    """What has no result by then counts as failed."""
+    passed_s: float = 1.0
+    """How long a self-test is shown that found nothing wrong …"""
+    limited_s: float = 3.0
+    """… one that found what limits but does not forbid scans …"""
+    keyless_s: float = 10.0
+    """… and one that forbids them, where no key works to go on."""
+    arm_s: float = 45.0
+    """Longer than what may still be on its way to the disk, and patterns that are drawn anew."""
+    capture_margin_s: float = 5.0
+    """Beyond the length of the sequence: to find the vertical blank, to wait for frames that do not come."""
+    refresh_hz: float = 60.0
+    frames: Mapping[int, int] = field(default_factory=lambda: {16: 24, 32: 22, 64: 20}, hash=False)
+    """Of a sequence, by its period in px."""
     reconstruct_s: float = 60.0
     saving_s: float = 60.0
     examine_s: float = 60.0
@@ -74,6 +119,16 @@ class Settings:
     projector_warm_c: float = 65.0
     projector_hot_c: float = 75.0
     supply_low_v: float | None = None
+    supply_off_s: float = 30.0
+    """How long a low supply is borne before the instrument switches off in good order."""
+    insist_s: float = 10.0
+    """How long SCAN outside the measuring volume waits to be pressed again."""
+
+    def capture_s(self, period_px: int) -> float:
+        """Within what a capture ends, whatever happens: its frames and a margin."""
+        return (
+            self.frames.get(period_px, max(self.frames.values(), default=0)) / self.refresh_hz + self.capture_margin_s
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +148,13 @@ class ScanInHand:
     failed: Fault | None = None
     """Why there will be no cloud now; the raw frames can be kept all the same."""
     raw_durable: bool = False
+    kept: bool = False
+    """The diver wants it, or it is saved unasked because the instrument must end."""
     publishing: bool = False
+    failures: int = 0
+    """How often the disk refused it since the last key."""
+    retry_ns: int | None = None
+    """When to try again without being asked."""
     turn: int = 0
     """How the diver turned the view: steps to the right, negative to the left."""
 
@@ -152,6 +213,47 @@ class Calibrating:
     """Why the latest task came to nothing, until the next key."""
 
 
+class Page(Enum):
+    """One page of the menu."""
+
+    MAIN = "MAIN"
+    WATER = "WATER"
+    ABOUT = "ABOUT"
+    POWER_OFF = "POWER_OFF"
+
+
+@dataclass(frozen=True, slots=True)
+class Menu:
+    """Where the diver is in the menu."""
+
+    page: Page = Page.MAIN
+    row: int = 0
+    draft: Choices | None = None
+    """While a value is being changed: what it would be. Taken by SCAN, forgotten by BACK."""
+
+
+@dataclass(frozen=True, slots=True)
+class Gallery:
+    """Which scan is looked at."""
+
+    scans: tuple[str, ...] | None = None
+    """Their numbers, the newest first; ``None`` until the disk has told."""
+    index: int = 0
+
+    @property
+    def scan_id(self) -> str | None:
+        """The one that is shown."""
+        return self.scans[self.index] if self.scans else None
+
+
+class Ending(Enum):
+    """What follows once the save in progress is through."""
+
+    STOP = "stop"
+    """The service ends."""
+    POWER_OFF = "power off"
+
+
 @dataclass(frozen=True, slots=True)
 class Machine:
     """The whole of the instrument's state."""
@@ -173,12 +275,23 @@ class Machine:
     """Number of the latest Capture effect."""
     retries: int = 0
     """Silent repetitions of the current capture."""
-    exposure: Exposure = NOMINAL
-    """Of the next scan and of the live views, until the diver changes it."""
+    choices: Choices = field(default_factory=Choices)
+    """Of the next scan and of the live views, until the diver changes them."""
+    parts: Mapping[Part, Tested] = field(default_factory=dict, hash=False)
+    """What the self-test found; a part that is missing has not been heard of."""
+    menu: Menu | None = None
+    """In MENU, and in a GALLERY that was entered from there."""
+    gallery: Gallery | None = None
+    insists_until_ns: int | None = None
+    """SCAN was pressed outside the measuring volume; pressed again before then, it records."""
+    cooling_left: bool = False
+    """The diver left COOLING although it is still hot."""
     scan: ScanInHand | None = None
     stuck: frozenset[Key] = frozenset()
     back_used: bool = False
     """The latest press of BACK ended something; holding it on must not switch off as well."""
+    last_key_ns: int | None = None
+    """When a key was pressed last."""
     board_resets: int = 0
     leak_votes: int = 0
     """Consecutive heartbeats that reported a leak."""
@@ -191,12 +304,21 @@ class Machine:
     scans_left: int | None = None
     just_saved: str | None = None
     """Scan to confirm as SAVED on the screen, until the next key."""
-    stopping: bool = False
+    stopping: Ending | None = None
     """Quit once the save is through."""
+    off_ns: int | None = None
+    """When the instrument switches off by itself, unless what forces it ends before."""
+    ended_by: Fault | None = None
+    """What forced it to switch off; ``None``: the diver wanted it."""
     session: Session = field(default_factory=Session)
     """The calibration under way, or the last one, as it lies on the disk."""
     calibrating: Calibrating | None = None
-    """In CALIBRATE, and in a CAPTURE for one of its steps."""
+    """In CALIBRATE, and in ARMED and CAPTURE for one of its steps."""
+
+    @property
+    def exposure(self) -> Exposure:
+        """Of the next scan and of the live views."""
+        return self.choices.exposure
 
 
 def boot(now_ns: int, settings: Settings | None = None) -> Machine:
@@ -205,7 +327,7 @@ def boot(now_ns: int, settings: Settings | None = None) -> Machine:
     return Machine(
         settings=settings,
         state=State.BOOT,
-        exposure=settings.exposure,
+        choices=settings.choices,
         since_ns=now_ns,
         now_ns=now_ns,
         deadline_ns=now_ns + seconds_ns(settings.boot_s),

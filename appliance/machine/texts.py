@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import assert_never
 
-from appliance.machine import calibrate
+from appliance.machine import calibrate, gallery, menu, start
 from appliance.machine import effects as do
 from appliance.machine.permissions import other_exposure
 from appliance.machine.states import Machine, NoticeKind, State
@@ -28,10 +28,19 @@ def _meant(machine: Machine) -> dict[Key, str]:
     match machine.state:
         case State.AIM:
             failed = machine.notice is not None and machine.notice.kind is NoticeKind.FAILURE
-            return {Key.SCAN: "REPEAT" if failed else "SCAN", Key.BACK: "HOLD: OFF", Key.UP: "HOLD: CALIB"}
-        case State.CAPTURE:
+            scan = "ANYWAY" if machine.insists_until_ns is not None else "REPEAT" if failed else "SCAN"
+            return {Key.SCAN: scan, Key.BACK: "HOLD: OFF", Key.UP: "MENU", Key.DOWN: "GALLERY"}
+        case State.SELF_TEST:
+            waits = start.waits_for_ok(machine)
+            return {Key.SCAN: "SKIP", Key.BACK: "HOLD: OFF"} if waits else {Key.BACK: "HOLD: OFF"}
+        case State.MENU:
+            return _menu(machine)
+        case State.GALLERY:
+            moves = {Key.UP: "NEWER", Key.DOWN: "OLDER"}
+            return {Key.BACK: "BACK", **{key: word for key, word in moves.items() if gallery.may_move(machine, key)}}
+        case State.ARMED | State.CAPTURE:
             return {Key.BACK: "STOP"}
-        case State.RECONSTRUCT:
+        case State.CHECK | State.RECONSTRUCT:
             return {Key.BACK: "REPEAT"}
         case State.REVIEW:
             return {Key.SCAN: "KEEP", Key.BACK: "REPEAT", Key.UP: "TURN", Key.DOWN: _expose(machine) or "TURN"}
@@ -39,6 +48,11 @@ def _meant(machine: Machine) -> dict[Key, str]:
             return _calibrate(machine)
         case State.BOOT:
             return {Key.BACK: "HOLD: OFF"}
+        case State.COOLING:
+            return {Key.BACK: "BACK"}
+        case State.SAFE:
+            refused = machine.scan is not None and machine.scan.settled and not machine.scan.publishing
+            return {Key.SCAN: "RETRY", Key.BACK: "HOLD: OFF"} if refused else {Key.BACK: "HOLD: OFF"}
         case State.SAVING | State.SHUTDOWN:
             return {}
         case _:
@@ -53,6 +67,15 @@ def _expose(machine: Machine) -> str | None:
     if wanted.time_us == machine.exposure.time_us:
         return f"GAIN {wanted.gain_db:g} dB"
     return f"EXPOSE {wanted.label}"
+
+
+def _menu(machine: Machine) -> dict[Key, str]:
+    changing = machine.menu is not None and machine.menu.draft is not None
+    meant = {key: word for key, word in ((Key.UP, "▲"), (Key.DOWN, "▼")) if menu.may_move(machine, key)}
+    meant[Key.BACK] = "CANCEL" if changing else "BACK"
+    if menu.may_choose(machine):
+        meant[Key.SCAN] = "OK" if changing else menu.verb(machine)
+    return meant
 
 
 def _calibrate(machine: Machine) -> dict[Key, str]:

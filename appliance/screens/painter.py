@@ -82,6 +82,11 @@ class Painter:
             self._cloud.close()
             self._canvas.close()
 
+    def cloud_in(self, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Where a drawn ``ReviewView`` shows its cloud, as a copy."""
+        left, top, width, height = self._canvas.pixels(*CLOUD_BOX)
+        return picture[top : top + height, left : left + width].copy()
+
     def draw(self, view: AnyView, time_s: float) -> NDArray[np.uint8]:
         """The picture of ``view`` at ``time_s`` (any steady clock: it moves what flashes or turns).
 

@@ -13,15 +13,18 @@ import numpy as np
 
 import appliance
 from appliance.config import Rig
-from appliance.patterns.draw import draw_sequence
+from appliance.optics.water import Water
 from appliance.patterns.sequence import PatternSequence, build_sequence
 from appliance.screens.painter import Painter
 from appliance.screens.texts import Language
 from appliance.service.calibrating import CalibrationDesk
 from appliance.service.devices import Devices
+from appliance.service.gallery import GalleryDesk
 from appliance.service.instrument import CALIBRATION_FILE, calibration_of, design_of, noise_of, response_of, water_of
-from appliance.service.loop import Service
+from appliance.service.loop import Service, standard_choices
+from appliance.service.patterns import Patterns
 from appliance.service.scans import ScanDesk
+from appliance.storage.choices import ChoicesFile
 from appliance.storage.library import Library
 from appliance.storage.lock import hold_lock
 from appliance.storage.status import StatusFile
@@ -49,7 +52,6 @@ def run(rig: Rig) -> int:
     Raises DeviceError when there is no GL or no wires, StorageError when the disk refuses the library, LockError when
     another service runs on the same storage. Devices that are missing do not end it.
     """
-    sequence = sequence_of(rig)
     with ExitStack() as stack:
         stack.enter_context(hold_lock(rig.storage.root))
         library = Library(rig.storage.root)
@@ -62,25 +64,32 @@ def run(rig: Rig) -> int:
         wires = stack.enter_context(drivers_rig.open_wires(rig.rig.wires, rig.rig.wires_options))
         gl = stack.enter_context(open_gl())
         response = response_of(rig)
-        pictures = draw_sequence(gl, sequence, response)
-        dark = np.zeros((sequence.height_px, sequence.width_px), np.uint8)
-
-        def load_projector(projector: Projector) -> None:
-            projector.load([*pictures, dark])
-            projector.show(len(pictures))
-
+        choices = ChoicesFile(rig.storage.root, standard_choices(rig))
+        chosen, _ = choices.read()
+        patterns = Patterns(gl, rig, chosen.period_px, response)
+        water = Water(chosen.water_c, chosen.salinity_psu, rig.water.wavelength_nm)
         desk = stack.enter_context(
-            ScanDesk(rig, calibration, sequence, library, wires.clock, noise=noise_of(rig), response=response)
+            ScanDesk(
+                rig,
+                calibration,
+                patterns.sequence,
+                library,
+                wires.clock,
+                noise=noise_of(rig),
+                response=response,
+                water=water,
+            )
         )
         calibrating = stack.enter_context(CalibrationDesk(rig, desk))
         painter = stack.enter_context(
             Painter(gl, (rig.display.width_px, rig.display.height_px), Language(rig.display.language))
         )
-        devices = stack.enter_context(Devices(rig, wires, load_projector))
+        devices = stack.enter_context(Devices(rig, wires, patterns.load))
         status = StatusFile(rig.storage.root, os.getpid(), appliance.__version__)
         service = Service(
-            rig, devices, desk, calibrating, painter, status, wires.clock, conditions, lambda: stopping.reason
-        )
+            rig, devices, desk, calibrating, GalleryDesk(library, desk.submit), patterns, painter, status, wires.clock,
+            choices, conditions, lambda: stopping.reason,
+        )  # fmt: skip
         ended = service.run()
         log.info("switched off" if ended.power_off else "stopped")
     return 0

@@ -8,6 +8,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from typing import Any, assert_never
 
 import numpy as np
@@ -15,35 +16,45 @@ from numpy.typing import NDArray
 
 from appliance.capture.exposure import Exposure
 from appliance.capture.fault import Fault, FaultCode
-from appliance.capture.grabber import Grabber
-from appliance.capture.scan import CaptureReport, ScanRecorder, ScanSettings
+from appliance.capture.scan import Arming, ScanRecorder, ScanSettings
+from appliance.capture.verdict import Verdict
 from appliance.config import Rig
 from appliance.machine import effects as do
 from appliance.machine import events as on
-from appliance.machine.states import Machine, Settings, State, boot
+from appliance.machine.choices import PERIODS_PX, Choices, offers_of
+from appliance.machine.keys import meaning
+from appliance.machine.states import Machine, Part, Settings, State, boot
 from appliance.machine.step import step
+from appliance.patterns.sequence import build_sequence
 from appliance.screens.painter import Painter
+from appliance.screens.texts import Language
+from appliance.screens.views import Grade
 from appliance.service.calibrating import CalibrationDesk
 from appliance.service.devices import SIDES, Devices
-from appliance.service.instrument import exposure_of
+from appliance.service.gallery import GRADE, GalleryDesk
+from appliance.service.instrument import exposure_of, exposures_of
 from appliance.service.keeper import Keeper
+from appliance.service.menu_view import Facts
+from appliance.service.patterns import Patterns
 from appliance.service.scans import ScanDesk
-from appliance.service.view import Surroundings, view_of
+from appliance.service.view import Surroundings, grade, view_of
+from appliance.storage.atomic import StorageError
+from appliance.storage.choices import ChoicesFile
 from appliance.storage.status import StatusFile
 from drivers.api import (
-    Board,
     BoardBooted,
     BoardEvent,
     BoardLost,
     Clock,
     DeviceError,
+    Key,
     KeyEvent,
+    KeyFreed,
     KeyLongPress,
     KeyPress,
     KeyRelease,
     KeysLost,
     KeyStuck,
-    Projector,
     Pulse,
     PulsesDone,
     Telemetry,
@@ -58,12 +69,24 @@ MAX_BOARD_EVENTS = 200
 QUIT_TIMEOUT_S = 30.0
 
 
-def machine_settings(rig: Rig) -> Settings:
-    """What the rig file says to the machine."""
+def standard_choices(rig: Rig) -> Choices:
+    """What the rig file states of what the diver may choose."""
+    water = rig.water
+    return Choices(exposure_of(rig), rig.scan.period_px, water.salinity_psu, water.temperature_c, rig.display.language)
+
+
+def machine_settings(rig: Rig, choices: Choices | None = None) -> Settings:
+    """What the rig file says to the machine. ``choices``: what the diver chose before the start, if it is remembered."""
     limits = rig.limits
+    choices = choices or standard_choices(rig)
+    width_px, height_px = rig.projector.width_px, rig.projector.height_px
+    offered = [period_px for period_px in PERIODS_PX if period_px <= min(width_px, height_px)]
+    sequences = {period_px: len(build_sequence(period_px, width_px, height_px)) for period_px in offered}
     return Settings(
-        period_px=rig.scan.period_px,
-        exposure=exposure_of(rig),
+        choices=choices,
+        offers=offers_of(standard_choices(rig), exposures_of(rig), tuple(sequences)),
+        frames=sequences,
+        refresh_hz=rig.projector.refresh_hz,
         case_warm_c=limits.case_warm_c,
         case_hot_c=limits.case_hot_c,
         projector_warm_c=limits.projector_warm_c,
@@ -81,35 +104,51 @@ class Service:
         devices: Devices,
         desk: ScanDesk,
         calibrating: CalibrationDesk,
+        gallery: GalleryDesk,
+        patterns: Patterns,
         painter: Painter,
         status: StatusFile,
         clock: Clock,
+        choices: ChoicesFile,
         conditions: tuple[Fault, ...],
         stop_reason: Callable[[], str | None],
     ) -> None:
         """``conditions`` hold from the start (uncalibrated …); ``stop_reason`` says why the process should end."""
+        chosen, lost = choices.read()
         self._rig = rig
         self._devices = devices
         self._desk = desk
         self._calibrating = calibrating
+        self._gallery = gallery
+        self._patterns = patterns
+        self._choices = choices
         self._painter = painter
         self._status = status
         self._clock = clock
         self._stop_reason = stop_reason
-        self.machine: Machine = boot(clock.now_ns(), machine_settings(rig))
-        remembered = (desk.watch.fault,) if desk.watch.fault is not None else ()
-        self._inbox: list[on.Event] = [on.ConditionRaised(fault) for fault in (*conditions, *remembered)]
+        self.machine: Machine = boot(clock.now_ns(), machine_settings(rig, chosen))
+        raised = [fault for fault in (*conditions, desk.watch.fault, lost) if fault is not None]
+        self._inbox: list[on.Event] = [on.ConditionRaised(fault) for fault in raised]
+        uncalibrated = next((fault for fault in conditions if fault.code is FaultCode.UNCALIBRATED), None)
+        self._inbox.append(
+            on.PartTested(Part.CALIBRATION, uncalibrated is None, "" if uncalibrated is None else "NONE")
+        )
+        self._arm_wanted: do.Arm | None = None
+        self._arming: Arming | None = None
+        self._period_wanted: int | None = None
         self._live: dict[str, NDArray[np.uint8]] = {}
         self._live_number = dict.fromkeys(SIDES, 0)
         self._telemetry: Telemetry | None = None
         self._picture: NDArray[np.uint8] | None = None
+        self._preview: NDArray[np.uint8] | None = None
+        """The cloud as it was last reviewed."""
         self._boot_told = False
         self._stop_told = False
         self._quit: do.Quit | None = None
 
     def run(self) -> do.Quit:
         """Beat until the machine wants to quit, then finish what is being written."""
-        self._desk.count()
+        self._desk.test_storage()
         while self._quit is None:
             self.beat()
         end_ns = self._clock.now_ns() + int(QUIT_TIMEOUT_S * 1e9)
@@ -119,10 +158,12 @@ class Service:
         return self._quit
 
     def beat(self) -> None:
-        """One heartbeat."""
+        """One heartbeat. It waits for the display and, while patterns are played, for the projector; for nothing else."""
         for event in self._gather():
             self._handle(event)
         self._handle(on.Tick(self._clock.now_ns()))
+        for event in self._make_ready():
+            self._handle(event)
         self._status.update(self.machine, self._desk.worker.pid)
         self._draw()
 
@@ -144,7 +185,8 @@ class Service:
                 events += self._board_event(report)
         events += self._desk.poll()
         events += self._calibrating.poll()
-        if not self._boot_told and self._devices.all_tried and self._desk.worker_settled:
+        events += self._gallery.poll()
+        if not self._boot_told and self._devices.all_tried:
             self._boot_told = True
             events.append(on.BootFinished())
         reason = self._stop_reason()
@@ -161,6 +203,8 @@ class Service:
                 return [on.KeyHeld(event.key)]
             case KeyStuck():
                 return [on.KeyJammed(event.key)]
+            case KeyFreed():
+                return [on.KeyFreed(event.key)]
             case KeyRelease():
                 return []
             case KeysLost():
@@ -192,8 +236,10 @@ class Service:
             log.info("%s → %s (%s)", before.state.value, self.machine.state.value, type(event).__name__)
             if self.machine.state is State.CALIBRATE:
                 self._calibrating.warm()
-            elif before.state is State.CALIBRATE and self.machine.state is State.AIM:
+            elif before.state is State.CALIBRATE and self.machine.calibrating is None:
                 self._calibrating.cancel()  # its process takes memory
+            if before.state is State.REVIEW and self._picture is not None:
+                self._preview = self._painter.cloud_in(self._picture)
         if isinstance(event, on.DeviceUp):
             log.info("%s works", event.device.value)
         elif isinstance(event, on.DeviceDown | on.CaptureFailed | on.SaveFailed | on.ReconstructionFailed):
@@ -211,10 +257,12 @@ class Service:
                 self._dark()
             case do.LightsOff():
                 self._dark()
+            case do.Arm():
+                self._arm_wanted = effect
             case do.Capture():
                 self._capture(effect)
             case do.AbortCapture():
-                self._desk.drop()  # recording happens within one heartbeat; nothing runs any more
+                self._let_go()
             case do.StoreRaw():
                 self._desk.store_raw(effect.number)
             case do.StartReconstruction():
@@ -222,7 +270,7 @@ class Service:
             case do.CancelReconstruction():
                 self._desk.worker.drop()
             case do.Publish():
-                self._desk.publish(effect.number, None if self._picture is None else self._picture.copy())
+                self._publish(effect.number)
             case do.Reject():
                 self._desk.reject(effect.number, effect.reason)
             case do.ExamineTrial():
@@ -239,6 +287,16 @@ class Service:
                 self._calibrating.begin()
             case do.CancelCalibration():
                 self._calibrating.cancel()
+            case do.RememberChoices():
+                self._desk.submit(partial(self._remember, effect.choices))
+            case do.UsePeriod():
+                self._period_wanted = effect.period_px
+            case do.UseWater():
+                self._desk.use_water(effect.salinity_psu, effect.temperature_c)
+            case do.ListScans():
+                self._gallery.list_scans()
+            case do.ShowScan():
+                self._gallery.show(effect.scan_id)
             case do.ReopenDevice():
                 for side, keeper in self._devices.cameras.items():
                     if effect.device is None or effect.device.value == f"camera.{side}":
@@ -275,44 +333,120 @@ class Service:
                 self._devices.board.value.set_lasers(False, False)
                 self._devices.board.value.stop()
 
-    def _capture(self, wanted: do.Capture) -> None:
-        number = wanted.number
+    def _make_ready(self) -> list[on.Event]:
+        """Go on with what a scan needs before its first pattern, without waiting."""
+        self._change_period()
+        wanted = self._arm_wanted
+        if wanted is None or (self._arming is None and not self._begin_arming(wanted)):
+            return []
+        arming = self._arming
+        if arming is None or not arming.poll():
+            return []
+        self._arm_wanted = None
+        for event in arming.events:
+            self._inbox += self._board_event(event)
+        arming.events.clear()
+        if arming.fault is None:
+            return [on.Armed(wanted.number)]
+        self._let_go()
+        return [on.CaptureFailed(wanted.number, arming.fault)]
+
+    def _begin_arming(self, wanted: do.Arm) -> bool:
+        if self._period_wanted is not None or not self._desk.settled:
+            return False  # the machine gives up when this takes too long
         self._devices.expose(wanted.exposure)
-        fault = self._desk.begin(number, wanted.exposure)
-        grabbers = {side: keeper.value for side, keeper in self._devices.cameras.items()}
-        board, projector = self._devices.board.value, self._devices.projector.value
-        ready = {side: grabber for side, grabber in grabbers.items() if grabber is not None}
-        if fault is None and (board is None or projector is None or len(ready) < len(SIDES)):
+        fault = self._desk.begin(wanted.number, wanted.exposure)
+        recorder = self._recorder(wanted.exposure)
+        if fault is None and recorder is None:
             fault = Fault(FaultCode.INTERNAL, "a capture was wanted without all devices")
-        if fault is not None or board is None or projector is None:
-            self._desk.drop()
-            self._inbox.append(on.CaptureFailed(number, fault or Fault(FaultCode.INTERNAL, "no device")))
+        if fault is not None or recorder is None:
+            self._let_go()
+            self._inbox.append(on.CaptureFailed(wanted.number, fault or Fault(FaultCode.INTERNAL, "no device")))
+            return False
+        self._arming = recorder.arm(self._desk.sequence, self._desk.store, self._desk.worker.frame)
+        return True
+
+    def _let_go(self) -> None:
+        """No scan follows from what was made ready. What is recorded is recorded within one heartbeat: nothing runs."""
+        arming, self._arming, self._arm_wanted = self._arming, None, None
+        if arming is not None:
+            arming.let_go()
+        self._desk.drop()
+
+    def _capture(self, wanted: do.Capture) -> None:
+        arming, self._arming = self._arming, None
+        scan = self._desk.scan
+        recorder = self._recorder(scan.exposure) if scan is not None else None
+        if arming is None or recorder is None:
+            self._let_go()
+            self._inbox.append(on.CaptureFailed(wanted.number, Fault(FaultCode.INTERNAL, "nothing was armed")))
             return
         self._draw()
-        report = self._record(ready, board, projector, wanted.exposure)
+        report = recorder.play(self._desk.sequence, arming, self._abort)
         for event in report.board_events:
             self._inbox += self._board_event(event)
         if report.fault is not None:
             self._desk.drop()
-            self._inbox.append(on.CaptureFailed(number, report.fault))
+            self._inbox.append(on.CaptureFailed(wanted.number, report.fault))
             return
         self._desk.recorded(report, self._temperatures_c())
-        self._inbox.append(on.CaptureFinished(number))
+        self._inbox.append(on.CaptureFinished(wanted.number))
 
-    def _record(
-        self, grabbers: dict[str, Grabber], board: Board, projector: Projector, exposure: Exposure
-    ) -> CaptureReport:
+    def _recorder(self, exposure: Exposure) -> ScanRecorder | None:
+        """With the devices as they are; ``None`` without all of them."""
+        grabbers = {side: keeper.value for side, keeper in self._devices.cameras.items()}
+        ready = {side: grabber for side, grabber in grabbers.items() if grabber is not None}
+        board, projector = self._devices.board.value, self._devices.projector.value
+        if board is None or projector is None or len(ready) < len(SIDES):
+            return None
         settings = ScanSettings(
             refresh_hz=self._rig.projector.refresh_hz,
             exposure_us=exposure.time_us,
             trigger_delay_us=self._rig.board.trigger_delay_us,
         )
-        recorder = ScanRecorder(grabbers, board, projector, self._clock, settings)
-        return recorder.record(self._desk.sequence, self._desk.store, self._desk.worker.frame, self._abort)
+        return ScanRecorder(ready, board, projector, self._clock, settings)
 
     def _abort(self) -> Fault | None:
+        """Asked at every vertical blank of a sequence: whether the diver or the system wants its end."""
         reason = self._stop_reason()
-        return None if reason is None else Fault(FaultCode.CAPTURE_TIMEOUT, f"stopped: {reason}")
+        if reason is not None:
+            return Fault(FaultCode.CAPTURE_TIMEOUT, f"stopped: {reason}")
+        reader = self._devices.keys.value
+        pressed = [event for key in reader.take() for event in self._key(key)] if reader is not None else []
+        self._inbox += pressed
+        if any(isinstance(e, on.KeyPressed) and meaning(self.machine, e.key) is Key.BACK for e in pressed):
+            return Fault(FaultCode.CAPTURE_TIMEOUT, "stopped by the diver")
+        return None
+
+    def _change_period(self) -> None:
+        """Patterns, frame memory and worker of another period, once nothing of the last scan is on its way any more."""
+        if self._period_wanted is None or self._desk.busy or self._arming is not None:
+            return
+        period_px, self._period_wanted = self._period_wanted, None
+        if period_px == self._desk.sequence.period_px:
+            return
+        self._desk.use_sequence(self._patterns.use(period_px))
+        with self._watching(self._devices.projector):
+            if self._devices.projector.value is not None:
+                self._patterns.load(self._devices.projector.value)
+
+    def _remember(self, choices: Choices) -> None:
+        try:
+            self._choices.write(choices)
+        except StorageError as error:
+            log.warning("the choices hold until the next start only: %s", error)
+
+    def _publish(self, number: int) -> None:
+        scan = self._desk.scan
+        summary = scan.full.summary if scan is not None and scan.full is not None else None
+        warnings = self.machine.scan.warnings if self.machine.scan is not None else ()
+        word = (
+            grade(None, None, warnings)
+            if summary is None
+            else grade(summary.coverage_percent, summary.noise_mm, warnings)
+        )
+        verdict = None if summary is None else Verdict(GRADE, word is not Grade.BAD, {}, word.value)
+        self._desk.publish(number, self._preview, verdict)
 
     def _temperatures_c(self) -> dict[str, float | None]:
         t = self._telemetry
@@ -324,6 +458,14 @@ class Service:
         for side, keeper in self._devices.cameras.items():
             values[f"camera_{side}"] = keeper.value.temperature_c if keeper.value is not None else None
         return values
+
+    def _facts(self) -> Facts:
+        calibration = self._desk.calibration
+        return Facts(
+            serial=self._rig.rig.serial,
+            calibrated=f"{calibration.method} {calibration.made_at[:10]}",
+            calibration_hash=calibration.hash[:12],
+        )
 
     @contextmanager
     def _watching(self, keeper: Keeper[Any]) -> Iterator[None]:
@@ -354,7 +496,10 @@ class Service:
             scan=self._desk.scan,
             frames=len(self._desk.sequence),
             frames_done=0,
+            shown=self._gallery.shown,
+            facts=self._facts(),
         )
+        self._painter.language = Language(self.machine.choices.language)
         self._picture = self._painter.draw(view_of(self.machine, around), self._clock.now_ns() / 1e9)
         try:
             display.value.present(self._picture, PRESENT_TIMEOUT_S)

@@ -27,19 +27,22 @@ from appliance.capture.store import SIDES, FrameStore
 from appliance.capture.verdict import Judgement, Verdict
 from appliance.config import Rig
 from appliance.machine import events as on
+from appliance.machine.states import Part
 from appliance.optics.water import Water
 from appliance.patterns.response import Response
 from appliance.patterns.sequence import PatternSequence
 from appliance.reconstruct.noise import TYPICAL_PAIR, StereoNoise
 from appliance.reconstruct.pipeline import Cloud
 from appliance.service.health import CalibrationWatch
-from appliance.service.instrument import exposure_of, noise_of, taking_of
-from appliance.storage.atomic import StorageError
+from appliance.service.instrument import exposure_of, noise_of, taking_of, water_of
+from appliance.storage.atomic import StorageError, replace_file
+from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.library import Library, PendingScan
 from appliance.storage.record import ScanRecord, SequenceInfo
 from appliance.storage.scan import size_bytes
 from appliance.worker.process import (
     CloudReady,
+    PatternsRight,
     ReconstructionWorker,
     ScanJudged,
     ScanSpoiled,
@@ -53,8 +56,8 @@ from drivers.api import Clock
 log = logging.getLogger("kingfisher")
 
 Answer = TypeVar("Answer")
-BEGIN_TIMEOUT_S = 30.0
-"""Longest wait for the previous scan's frames to be on the disk before they are overwritten."""
+PROBE = "self-test"
+PROBE_CONTENT = b"written and read back at every start\n"
 
 
 @dataclass(slots=True)
@@ -101,17 +104,20 @@ class ScanDesk:
         limits: WorkLimits | None = None,
         noise: StereoNoise = TYPICAL_PAIR,
         response: Response | None = None,
+        water: Water | None = None,
     ) -> None:
-        """``response``: the projector's, that the patterns are drawn for; it is written down."""
+        """``response``: the projector's, that the patterns are drawn for; it is written down. ``water``: if it is not what
+        the rig file states."""
         left = rig.camera.left
         self._rig = rig
         self._calibration = calibration
         self._response = response
         self._taking = taking_of(rig, exposure_of(rig))
         self._library = library
+        self._fs = LocalFileSystem()
         self._clock = clock
         self.sequence = sequence
-        self.water = Water(rig.water.temperature_c, rig.water.salinity_psu, rig.water.wavelength_nm)
+        self.water = water or water_of(rig)
         self.store = FrameStore(len(sequence), left.height_px, left.width_px)
         order = WorkOrder(calibration, self.water, sequence.period_px, sequence.width_px, sequence.height_px, noise)
         self.worker = ReconstructionWorker(order, self.store, clock, limits)
@@ -136,12 +142,24 @@ class ScanDesk:
 
     # ------------------------------------------------------------------------------------- recording
 
+    @property
+    def calibration(self) -> Calibration:
+        """In use."""
+        return self._calibration
+
+    @property
+    def settled(self) -> bool:
+        """The frames in memory may be overwritten: they are on the disk, or nobody wants them."""
+        scan = self.scan
+        return scan is None or scan.raw is None or scan.raw.done()
+
     def begin(self, number: int, exposure: Exposure) -> Fault | None:
-        """Make room for a new scan's frames; a fault when the previous ones are still only in memory."""
+        """Make room for a new scan's frames; a fault when the previous ones are still only in memory. Call when
+        ``settled``."""
         scan = self.scan
         if scan is not None and scan.raw is not None:
             try:
-                scan.raw.result(BEGIN_TIMEOUT_S)
+                scan.raw.result(0.0)
             except (StorageError, ValueError, TimeoutError) as error:
                 return Fault(FaultCode.NOT_SAVED, f"the previous scan's frames are not on the disk: {error}")
             self._remember(scan)
@@ -197,10 +215,13 @@ class ScanDesk:
         scan.raw = self._disk.submit(self._library.begin, frames, record)
         self._ask(lambda: self._raw_stored(scan))
 
-    def publish(self, number: int, preview: NDArray[np.uint8] | None) -> None:
-        """Publish with whatever cloud there is; answer Saved or SaveFailed. ``preview`` (h, w, 3) RGB uint8."""
+    def publish(self, number: int, preview: NDArray[np.uint8] | None, verdict: Verdict | None = None) -> None:
+        """Publish with whatever cloud there is; answer Saved or SaveFailed. ``preview`` (h, w, 3) RGB uint8. ``verdict``:
+        what the diver was told of it."""
         scan = self._current(number)
         if scan is not None:
+            if verdict is not None:
+                scan.enter(verdict)
             self._ask(lambda: self._publish(scan, preview))
 
     def reject(self, number: int, reason: str) -> None:
@@ -234,9 +255,28 @@ class ScanDesk:
         self.watch.use(calibration)
         self.worker.change(replace(self.worker.order, calibration=calibration))
 
+    def use_water(self, salinity_psu: float, temperature_c: float) -> None:
+        """Measure in other water from the next scan on."""
+        self.water = replace(self.water, salinity_psu=salinity_psu, temperature_c=temperature_c)
+        self.worker.change(replace(self.worker.order, water=self.water))
+
+    def use_sequence(self, sequence: PatternSequence) -> None:
+        """Record another sequence from the next scan on. Call when nothing is ``busy``: the frames in memory are given up."""
+        left = self._rig.camera.left
+        old, self.store = self.store, FrameStore(len(sequence), left.height_px, left.width_px)
+        self.sequence, self.scan = sequence, None
+        self._scan_bytes = size_bytes(len(sequence), left.width_px, left.height_px)
+        self.worker.change(replace(self.worker.order, period_px=sequence.period_px), self.store)
+        old.close()
+        self.count()
+
+    def test_storage(self) -> None:
+        """Answer PartTested: whether the disk takes a file and gives it back."""
+        self._ask(self._storage_tested)
+
     def count(self) -> None:
         """Answer StorageCounted."""
-        self._ask(lambda: [self._counted()])
+        self._ask(self._counted_if_told)
 
     # ------------------------------------------------------------------------------------- answers
 
@@ -253,6 +293,9 @@ class ScanDesk:
             case WorkerReady():
                 self.worker_settled = True
                 events.append(on.ConditionCleared(FaultCode.RECONSTRUCTION_FAILED))
+                events.append(on.PartTested(Part.WORKER, True))
+            case PatternsRight(number):
+                events.append(on.PatternsRight(number))
             case CloudReady() as ready:
                 events += self._cloud(ready)
             case ScanJudged() as judged:
@@ -267,6 +310,7 @@ class ScanDesk:
                     # It has given up until the next scan begins: frames can still be recorded and saved.
                     self.worker_settled = True
                     events.append(on.ConditionRaised(failed.fault))
+                    events.append(on.PartTested(Part.WORKER, False, failed.fault.detail))
             case None:
                 pass
         return events
@@ -366,7 +410,7 @@ class ScanDesk:
             pending.publish(record, scan.full, png)
         except (StorageError, ValueError) as error:
             return [on.SaveFailed(scan.number, Fault(FaultCode.NOT_SAVED, str(error)))]
-        return [on.Saved(scan.number, pending.scan_id), self._counted()]
+        return [on.Saved(scan.number, pending.scan_id), *self._counted_if_told()]
 
     def _accept(self, scan: ScanInWork, entered: Callable[[str], list[on.Event]]) -> list[on.Event]:
         events = self._publish(scan, None)
@@ -384,7 +428,26 @@ class ScanDesk:
             pending.reject(reason, scan.record)
         except (StorageError, ValueError) as error:
             return [on.SaveFailed(scan.number, Fault(FaultCode.NOT_SAVED, str(error)))]
-        return [on.Rejected(scan.number, pending.scan_id), self._counted()]
+        return [on.Rejected(scan.number, pending.scan_id), *self._counted_if_told()]
+
+    def _storage_tested(self) -> list[on.Event]:
+        probe = self._library.root / PROBE
+        said = f"{self._scan_bytes / 1e6:.0f} MB each"
+        try:
+            replace_file(self._fs, probe, PROBE_CONTENT)
+            if probe.read_bytes() != PROBE_CONTENT:
+                return [on.PartTested(Part.STORAGE, False, f"{probe} does not hold what was written")]
+            counted = self._counted()
+        except (StorageError, OSError) as error:
+            return [on.PartTested(Part.STORAGE, False, str(error))]
+        return [counted, on.PartTested(Part.STORAGE, True, said)]
+
+    def _counted_if_told(self) -> list[on.Event]:
+        try:
+            return [self._counted()]
+        except StorageError as error:
+            log.warning("scans are not counted: %s", error)
+            return []
 
     def _counted(self) -> on.StorageCounted:
         left = self._library.scans_left(self._scan_bytes, self._rig.storage.reserve_mb * 1_000_000)

@@ -11,25 +11,37 @@ from numpy.typing import NDArray
 import appliance
 from appliance.calibration.guide import HELD
 from appliance.capture.fault import Fault, FaultCode
+from appliance.capture.ranging import Reach, reach_of
+from appliance.machine import safety, start
 from appliance.machine.alerts import RULES, alert_of, alerts
 from appliance.machine.permissions import refusal
-from appliance.machine.states import Calibrating, Device, Machine, State
+from appliance.machine.states import Calibrating, Device, Machine, Part, State
 from appliance.machine.texts import labels
+from appliance.screens.texts import Text
 from appliance.screens.views import (
     AimView,
     AnyView,
+    ArmedView,
     BootView,
     CalibrateView,
     CaptureView,
+    CheckView,
+    CoolingView,
     DeviceLine,
     DeviceResult,
+    GalleryView,
+    Gauge,
     Grade,
     PointValue,
     ReconstructView,
     ReviewView,
+    SafeView,
     SavingView,
+    SelfTestView,
     ShutdownView,
 )
+from appliance.service.gallery import Shown
+from appliance.service.menu_view import Facts, menu_view
 from appliance.service.scans import ScanInWork
 
 NO_POINTS = np.empty((0, 3), np.float32)
@@ -48,6 +60,9 @@ class Surroundings:
     scan: ScanInWork | None
     frames: int
     frames_done: int
+    shown: Shown | None = None
+    """The scan that the gallery has loaded."""
+    facts: Facts | None = None
 
 
 def view_of(machine: Machine, around: Surroundings) -> AnyView:
@@ -60,6 +75,14 @@ def _view(machine: Machine, around: Surroundings) -> AnyView:
     match machine.state:
         case State.BOOT:
             return BootView(devices=_lines(machine), version=appliance.__version__, alerts=shown)
+        case State.SELF_TEST:
+            return SelfTestView(
+                devices=(*_lines(machine), *_parts(machine)),
+                version=appliance.__version__,
+                finished=start.finished(machine),
+                passed=not start.stops(machine),
+                alerts=shown,
+            )
         case State.AIM:
             if machine.just_saved is not None and machine.now_ns - machine.since_ns < 2_000_000_000:
                 return SavingView(scan_id=machine.just_saved, saved=True, alerts=shown)
@@ -70,11 +93,22 @@ def _view(machine: Machine, around: Surroundings) -> AnyView:
                 scans_left=machine.scans_left,
                 temperature_c=around.temperature_c,
                 exposure=machine.exposure.label,
+                gauge=_gauge(machine),
+                water=Text.SALT if machine.choices.salt else Text.FRESH,
+                insist=machine.insists_until_ns is not None,
                 scan_allowed=refusal(machine) is None,
                 alerts=shown,
             )
+        case State.MENU:
+            return menu_view(machine, around.facts)
+        case State.GALLERY:
+            return _gallery(machine, around.shown)
+        case State.ARMED:
+            return ArmedView(alerts=shown)
         case State.CAPTURE:
             return CaptureView(frames_done=around.frames_done, frames=around.frames, alerts=shown)
+        case State.CHECK:
+            return CheckView(alerts=shown)
         case State.RECONSTRUCT:
             return ReconstructView(progress=None, alerts=shown)
         case State.REVIEW:
@@ -92,9 +126,14 @@ def _view(machine: Machine, around: Surroundings) -> AnyView:
                 # What calibrating is the remedy for need not be said while it is done.
                 alerts=tuple(alert for alert in shown if alert.code is not FaultCode.UNCALIBRATED),
             )
+        case State.COOLING:
+            return _cooling(machine)
+        case State.SAFE:
+            cause = safety.unsafe(machine) or Fault(FaultCode.INTERNAL, "SAFE without a cause")
+            return SafeView(alert=alert_of(cause), saved=machine.scan is None, alerts=shown)
         case State.SHUTDOWN:
-            reason = next((alert_of(c) for c in machine.conditions), None)
-            return ShutdownView(reason=reason, saving=machine.stopping)
+            reason = None if machine.ended_by is None else alert_of(machine.ended_by)
+            return ShutdownView(reason=reason, saving=machine.stopping is not None)
         case _:
             assert_never(machine.state)
 
@@ -115,7 +154,7 @@ def _review(machine: Machine, around: Surroundings, full: bool) -> ReviewView:
         values=shown.points_mm[:, 2],
         value=PointValue.DEPTH,
         coarse=not full,
-        grade=_grade(s.coverage_percent, s.noise_mm, machine.scan.warnings if machine.scan is not None else ()),
+        grade=grade(s.coverage_percent, s.noise_mm, machine.scan.warnings if machine.scan is not None else ()),
         points=s.points,
         coverage_percent=s.coverage_percent,
         noise_mm=s.noise_mm,
@@ -126,7 +165,8 @@ def _review(machine: Machine, around: Surroundings, full: bool) -> ReviewView:
     )
 
 
-def _grade(coverage_percent: float | None, noise_mm: float | None, warnings: tuple[Fault, ...]) -> Grade:
+def grade(coverage_percent: float | None, noise_mm: float | None, warnings: tuple[Fault, ...]) -> Grade:
+    """The verdict on a scan in a word. What makes its points wrong makes it bad, whatever its numbers."""
     if coverage_percent is None or noise_mm is None or any(RULES[w.code].spoils_points for w in warnings):
         return Grade.BAD
     if coverage_percent >= GOOD_COVERAGE_PERCENT and noise_mm <= GOOD_NOISE_MM:
@@ -134,6 +174,58 @@ def _grade(coverage_percent: float | None, noise_mm: float | None, warnings: tup
     if coverage_percent >= USABLE_COVERAGE_PERCENT and noise_mm <= USABLE_NOISE_MM:
         return Grade.USABLE
     return Grade.BAD
+
+
+def _gauge(machine: Machine) -> Gauge | None:
+    """``None`` while the lasers are not on."""
+    if machine.lasers_off_since_ns is not None:
+        return None
+    measured = machine.range
+    if measured is None:
+        return Gauge(None, None, Reach.UNKNOWN)
+    return Gauge(measured.distance_mm, measured.tilt_deg, reach_of(measured))
+
+
+def _cooling(machine: Machine) -> CoolingView:
+    """Of what is farthest above what it must fall to."""
+    hot = [c for c in machine.conditions if c.code in safety.COOLS_DOWN and "temperature_c" in c.numbers]
+    worst = max(hot, key=lambda c: c.numbers["temperature_c"] - c.numbers.get("below_c", 0.0), default=None)
+    return CoolingView(
+        temperature_c=None if worst is None else worst.numbers["temperature_c"],
+        limit_c=machine.settings.case_hot_c if worst is None else worst.numbers.get("below_c", 0.0),
+        remaining_s=None,
+        alerts=alerts(machine),
+    )
+
+
+def _gallery(machine: Machine, shown: Shown | None) -> GalleryView:
+    at = machine.gallery
+    if at is None or not at.scans or at.scan_id is None:
+        return GalleryView(alerts=alerts(machine))
+    scan = shown if shown is not None and shown.scan_id == at.scan_id else Shown(at.scan_id, damaged=False)
+    return GalleryView(
+        scan_id=scan.scan_id,
+        index=at.index,
+        count=len(at.scans),
+        preview=scan.preview,
+        grade=scan.grade,
+        points=scan.points,
+        coverage_percent=scan.coverage_percent,
+        noise_mm=scan.noise_mm,
+        distance_mm=scan.distance_mm,
+        taken=scan.taken,
+        damaged=scan.damaged,
+        alerts=alerts(machine),
+    )
+
+
+def _parts(machine: Machine) -> tuple[DeviceLine, ...]:
+    lines = []
+    for part in Part:
+        test = machine.parts.get(part)
+        result = DeviceResult.WAITING if test is None else DeviceResult.WORKS if test.passed else DeviceResult.FAILED
+        lines.append(DeviceLine(part.value, result, "" if test is None else test.detail))
+    return tuple(lines)
 
 
 def _lines(machine: Machine) -> tuple[DeviceLine, ...]:

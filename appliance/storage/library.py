@@ -190,6 +190,10 @@ class Library:
         """Number of published scans."""
         return sum(1 for _ in self._folders(Shelf.SCANS))
 
+    def ids(self) -> list[str]:
+        """Numbers of all published scans, the oldest first."""
+        return [folder.name for folder in self._sorted(Shelf.SCANS)]
+
     def last_id(self) -> str | None:
         """The newest published scan."""
         folders = self._sorted(Shelf.SCANS)

@@ -72,6 +72,13 @@ class WorkerReady:
 
 
 @dataclass(frozen=True, slots=True)
+class PatternsRight:
+    """Every frame shows the pattern it should; points follow."""
+
+    scan: int
+
+
+@dataclass(frozen=True, slots=True)
 class CloudReady:
     scan: int
     """The number given to ``begin``."""
@@ -110,7 +117,7 @@ class WorkerFailed:
     fault: Fault
 
 
-WorkerEvent = WorkerReady | CloudReady | ScanJudged | ScanSpoiled | WorkerFailed
+WorkerEvent = WorkerReady | PatternsRight | CloudReady | ScanJudged | ScanSpoiled | WorkerFailed
 
 
 class ReconstructionWorker:
@@ -174,10 +181,12 @@ class ReconstructionWorker:
         """Of the process; ``None`` while there is none."""
         return self._process.pid if self._process is not None else None
 
-    def change(self, order: WorkOrder) -> None:
-        """Start again with another calibration, for cameras of the same size; a scan in work is forgotten."""
+    def change(self, order: WorkOrder, store: FrameStore | None = None) -> None:
+        """Start again with another calibration, water or sequence, for cameras of the same size; a scan in work is
+        forgotten. ``store``: where the frames of another sequence will be; the old one is not used any more."""
         self.drop()
         self.order = order
+        self._store = store or self._store
         self._fruitless = 0
         self._stop(0.0)
         self._start_again()
@@ -257,6 +266,8 @@ class ReconstructionWorker:
                 if self._finishing:
                     self._await_cloud()  # it got so far; what follows may be more than on other scans
                 return ScanJudged(self._scan, judgements, cpu_s)
+            case ("identified", int(ticket)):
+                return PatternsRight(self._scan) if ticket == self._ticket and self._scan is not None else None
             case ("spoiled", int(ticket), Judgement() as judgement):
                 spoiled = self._end_of(ticket)
                 return None if spoiled is None else ScanSpoiled(spoiled, judgement)

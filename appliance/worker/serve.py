@@ -165,7 +165,9 @@ class Server:
         identity = self._work.identify()
         if identity.fault is not None:
             self._pipe.send(("spoiled", self._ticket, identity))
-        elif self._answer(False, self._work.find_coarse):
+            return
+        self._pipe.send(("identified", self._ticket))
+        if self._answer(False, self._work.find_coarse):
             begun_s = time.process_time()
             judgements = (identity, *self._work.judge())
             self._pipe.send(("judged", self._ticket, judgements, time.process_time() - begun_s))

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from drivers.api import Key, KeyEvent, KeyLongPress, KeyPress, KeyRelease, KeyStuck
+from drivers.api import Key, KeyEvent, KeyFreed, KeyLongPress, KeyPress, KeyRelease, KeyStuck
 
 DEBOUNCE_NS = 30_000_000
 LONG_PRESS_NS = 800_000_000
@@ -57,7 +57,9 @@ class Debouncer:
                 if state.faulty and not state.stuck_told:
                     events.append(self._stick(key, state))
                 elif not state.faulty and not state.down and not contact:
-                    state.masked = state.stuck_told = False
+                    told: list[tuple[int, KeyEvent]] = []
+                    self._free(key, state, told)
+                    events += [event for _, event in told]
         self._listening = True
         return events
 
@@ -97,7 +99,7 @@ class Debouncer:
         elif not state.masked:
             events.append((since_ns, KeyRelease(key, since_ns, (since_ns - state.down_since_ns) / 1e9)))
         elif not state.faulty:
-            state.masked = state.stuck_told = False
+            self._free(key, state, events)
 
     def _hold(self, key: Key, state: _KeyState, now_ns: int, events: list[tuple[int, KeyEvent]]) -> None:
         """A key that is held becomes a long press, later a stuck key."""
@@ -111,6 +113,12 @@ class Debouncer:
             events.append((at_ns, KeyLongPress(key, at_ns)))
         if held_ns >= STUCK_NS and not state.stuck_told:
             events.append((state.down_since_ns + STUCK_NS, self._stick(key, state)))
+
+    def _free(self, key: Key, state: _KeyState, events: list[tuple[int, KeyEvent]]) -> None:
+        """It works again; who was told that it is stuck hears of it."""
+        if state.stuck_told:
+            events.append((state.contact_since_ns, KeyFreed(key)))
+        state.masked = state.stuck_told = False
 
     def _stick(self, key: Key, state: _KeyState) -> KeyStuck:
         state.masked = state.stuck_told = True

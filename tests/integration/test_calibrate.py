@@ -36,7 +36,11 @@ from tests.support.rendered import RenderedScan, render_scan
 SEED, SIZE = 2, "800x600"
 UNTIL_THE_POWER_FAILS = """
 wait state AIM 90
-press up 1.2
+press up                    # the menu
+press down
+press down
+press down
+press scan
 wait step M1 10
 object pipe
 press scan
@@ -53,7 +57,11 @@ pause 600
 """
 AFTERWARDS = """
 wait state AIM 90
-press up 1.2
+press up                    # the menu
+press down
+press down
+press down
+press scan
 wait step M3 10
 object plane 0 0 478 8 -10 0
 press scan
@@ -77,7 +85,11 @@ pause 2
 press scan
 wait state AIM 90
 pause 3
-press up 1.2                # the result is still there
+press up                    # the result is still there
+press down
+press down
+press down
+press scan
 wait step RESULT 10
 press scan                  # RESTORE
 wait step RESULT 90

@@ -14,7 +14,11 @@ from appliance.storage.library import Library, Shelf
 
 DIVE = """
 wait state AIM 90
-press up 1.2
+press up                    # the menu
+press down
+press down
+press down
+press scan
 wait step M1 10
 press scan                  # a plane: no ball bar
 wait result NOT_FOUND 60

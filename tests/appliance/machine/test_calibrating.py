@@ -20,7 +20,6 @@ from tests.appliance.machine.walks import (
     SOLVED,
     VERIFIED,
     after,
-    aim,
     calibrating,
     calibrating_at,
     good,
@@ -35,9 +34,7 @@ def at(machine: Machine) -> tuple[Step, Task | None]:
     return machine.calibrating.step, machine.calibrating.task
 
 
-def test_up_held_while_aiming_leads_to_the_first_step_that_is_not_done() -> None:
-    assert labels(aim())[Key.UP] == "HOLD: CALIB"
-    assert run(aim(), on.KeyPressed(Key.UP)).state is State.AIM, "a short press does nothing"
+def test_the_menu_leads_to_the_first_step_that_is_not_done() -> None:
     machine = calibrating_at(Session((good(Step.M1), good(Step.M2))))
     assert machine.state is State.CALIBRATE
     assert at(machine) == (Step.M3, None)
@@ -45,7 +42,8 @@ def test_up_held_while_aiming_leads_to_the_first_step_that_is_not_done() -> None
 
 def test_a_recording_that_will_do_is_stored_examined_entered_and_the_next_step_follows() -> None:
     machine, effects = after(calibrating(), on.KeyPressed(Key.SCAN))
-    assert any(isinstance(e, do.Capture) for e in effects)
+    assert any(isinstance(e, do.Arm) for e in effects)
+    machine = run(machine, on.Armed(1))
     assert machine.state is State.CAPTURE
     machine, effects = after(machine, on.CaptureFinished(1))
     assert do.StoreRaw(1) in effects
@@ -69,7 +67,7 @@ def test_a_recording_that_will_not_do_is_rejected_with_its_reason_and_the_step_s
     assert machine.calibrating is not None
     assert machine.calibrating.latest == refused
     machine, effects = after(machine, on.KeyPressed(Key.SCAN))
-    assert machine.state is State.CAPTURE
+    assert machine.state is State.ARMED
     assert machine.calibrating is not None
     assert machine.calibrating.latest is None, "the message goes with the next key"
 
@@ -94,7 +92,7 @@ def test_a_scan_is_refused_at_a_step_for_the_same_reasons_as_while_aiming() -> N
     machine, effects = after(calibrating(), on.DeviceDown(Device.BOARD, "silent"), on.KeyPressed(Key.SCAN))
     assert machine.state is State.CALIBRATE
     assert alerts(machine)[0].action == "SCAN REFUSED"
-    assert not any(isinstance(e, do.Capture) for e in effects)
+    assert not any(isinstance(e, do.Arm) for e in effects)
 
 
 def test_up_and_down_lead_where_their_labels_say_and_no_farther_than_what_is_done() -> None:
@@ -164,8 +162,8 @@ def test_a_new_session_needs_a_long_press() -> None:
 @pytest.mark.parametrize(
     ("events", "task_s"),
     [
-        ((on.KeyPressed(Key.SCAN), on.CaptureFinished(1)), "saving_s"),
-        ((on.KeyPressed(Key.SCAN), on.CaptureFinished(1), on.RawStored(1)), "examine_s"),
+        ((on.KeyPressed(Key.SCAN), on.Armed(1), on.CaptureFinished(1)), "saving_s"),
+        ((on.KeyPressed(Key.SCAN), on.Armed(1), on.CaptureFinished(1), on.RawStored(1)), "examine_s"),
     ],
 )
 def test_who_does_not_answer_is_not_awaited_for_ever(events: tuple[on.Event, ...], task_s: str) -> None:
@@ -190,15 +188,15 @@ def test_water_in_the_housing_puts_the_light_out_at_every_step() -> None:
         assert not may_light(machine)
         assert do.LightsOff() in effects
         assert alerts(machine)[0].code is FaultCode.LEAK
+        assert machine.state is State.SAFE
         machine, effects = after(machine, on.KeyPressed(Key.BACK))
-        assert machine.state is State.AIM
         assert not any(isinstance(e, do.GoLive) and (e.light or e.lasers) for e in effects)
 
 
 def test_a_disk_that_refuses_the_frames_costs_the_recording_and_not_the_session() -> None:
-    machine = run(calibrating(), on.KeyPressed(Key.SCAN), on.CaptureFinished(1))
+    machine = run(calibrating(), on.KeyPressed(Key.SCAN), on.Armed(1), on.CaptureFinished(1))
     machine = run(machine, on.SaveFailed(1, Fault(FaultCode.NOT_SAVED, "EIO")))
     assert at(machine) == (Step.M1, None)
     assert any(alert.code is FaultCode.NOT_SAVED for alert in alerts(machine))
     machine, effects = after(machine, on.KeyPressed(Key.SCAN))
-    assert any(isinstance(e, do.Capture) for e in effects)
+    assert any(isinstance(e, do.Arm) for e in effects)

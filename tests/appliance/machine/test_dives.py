@@ -16,8 +16,11 @@ from appliance.machine.texts import labels
 from drivers.api import Key
 from tests.appliance.machine.walks import (
     MISSING,
+    PARTS,
     SECOND_NS,
     SUMMARY,
+    TO_CALIBRATION,
+    UPS,
     after,
     aim,
     capturing,
@@ -35,10 +38,14 @@ def shown(machine: Machine) -> list[tuple[str, str]]:
 
 def test_a_good_scan_from_key_to_saved() -> None:
     machine, effects = after(aim(), on.KeyPressed(Key.SCAN))
-    assert effects == [do.StopLive(), do.Capture(1, 16, NOMINAL)]
+    assert (machine.state, effects) == (State.ARMED, [do.StopLive(), do.Arm(1, 16, NOMINAL)])
+    machine, effects = after(machine, on.Armed(1))
+    assert (machine.state, effects) == (State.CAPTURE, [do.Capture(1)])
     machine, effects = after(machine, on.CaptureFinished(1))
-    assert effects == [do.StoreRaw(1), do.StartReconstruction(1)]
-    machine = run(machine, on.RawStored(1), on.CoarseReady(1, SUMMARY))
+    assert (machine.state, effects) == (State.CHECK, [do.StoreRaw(1), do.StartReconstruction(1)])
+    machine = run(machine, on.RawStored(1), on.PatternsRight(1))
+    assert machine.state is State.RECONSTRUCT
+    machine = run(machine, on.CoarseReady(1, SUMMARY))
     assert machine.state is State.REVIEW
     machine, effects = after(machine, on.FullReady(1, SUMMARY), on.KeyPressed(Key.SCAN))
     assert effects == [do.Publish(1)]
@@ -78,7 +85,7 @@ def test_a_missing_frame_is_named_over_aim_and_ok_repeats() -> None:
     assert shown(machine) == [("INCOMPLETE 23/24", "REPEAT")]
     assert labels(machine)[Key.SCAN] == "REPEAT"
     machine, effects = after(machine, on.KeyPressed(Key.SCAN))
-    assert do.Capture(2, 16, NOMINAL) in effects
+    assert do.Arm(2, 16, NOMINAL) in effects
     assert shown(machine) == []
 
 
@@ -91,7 +98,7 @@ def test_scan_with_a_camera_unplugged_is_refused_with_that_reason_and_clears_its
     assert shown(machine) == [("RIGHT CAM LOST", "SCAN REFUSED")]
     machine = run(machine, on.DeviceUp(Device.CAMERA_RIGHT))
     assert shown(machine) == []
-    assert run(machine, on.KeyPressed(Key.SCAN)).state is State.CAPTURE
+    assert run(machine, on.KeyPressed(Key.SCAN)).state is State.ARMED
 
 
 def test_a_camera_unplugged_mid_sequence_ends_the_scan_at_once() -> None:
@@ -111,26 +118,26 @@ def test_a_camera_on_a_slow_link_is_refused_by_name() -> None:
 
 def test_losing_keys_or_display_does_not_forbid_a_scan() -> None:
     machine = run(aim(), on.DeviceDown(Device.DISPLAY, "gone"), on.DeviceDown(Device.KEYS, "gone"))
-    assert run(machine, on.KeyPressed(Key.SCAN)).state is State.CAPTURE
+    assert run(machine, on.KeyPressed(Key.SCAN)).state is State.ARMED
 
 
 def test_a_late_flip_is_repeated_once_in_silence_then_named() -> None:
     late = Fault(FaultCode.LATE_FLIP, "frame 9", {"frame": 9})
     machine, effects = after(capturing(), on.CaptureFailed(1, late))
-    assert (machine.state, effects) == (State.CAPTURE, [do.Capture(2, 16, NOMINAL)])
+    assert (machine.state, effects) == (State.ARMED, [do.Arm(2, 16, NOMINAL)])
     assert shown(machine) == []
-    machine = run(machine, on.CaptureFailed(2, late))
+    machine = run(machine, on.Armed(2), on.CaptureFailed(2, late))
     assert machine.state is State.AIM
     assert shown(machine) == [("PROJECTOR LATE", "REPEAT")]
     # the next press has its own silent repetition
-    machine = run(machine, on.KeyPressed(Key.SCAN), on.CaptureFailed(3, late))
-    assert machine.state is State.CAPTURE
+    machine = run(machine, on.KeyPressed(Key.SCAN), on.Armed(3), on.CaptureFailed(3, late))
+    assert machine.state is State.ARMED
 
 
 def test_other_faults_are_never_repeated_in_silence() -> None:
     for code in FaultCode:
         machine = run(capturing(), on.CaptureFailed(1, Fault(code)))
-        assert (machine.state is State.CAPTURE) == (code is FaultCode.LATE_FLIP)
+        assert (machine.state is State.ARMED) == (code is FaultCode.LATE_FLIP)
 
 
 def test_a_frozen_camera_is_reopened_once() -> None:
@@ -153,7 +160,7 @@ def test_a_laser_that_stays_on_blocks_scans_until_it_is_seen_off() -> None:
 def test_a_laser_found_on_by_telemetry_ends_a_capture_but_a_fresh_switch_is_given_time() -> None:
     machine = run(capturing(), heartbeat(right_on=True))
     assert machine.state is State.CAPTURE
-    machine, effects = after(machine, on.Tick(SECOND_NS), heartbeat(right_on=True))
+    machine, effects = after(machine, on.Tick(2 * SECOND_NS), heartbeat(right_on=True))
     assert do.AbortCapture(1) in effects
     assert effects[-1] == do.GoLive(light=True, lasers=False, exposure=NOMINAL)
 
@@ -162,35 +169,34 @@ def test_one_heartbeat_with_a_leak_is_debounced_two_are_latched() -> None:
     machine = run(reviewing(), heartbeat(leak=True), heartbeat(leak=False), heartbeat(leak=True))
     assert shown(machine) == []
     machine, effects = after(machine, heartbeat(leak=True))
-    assert effects == [do.LightsOff()]
+    assert effects == [do.LightsOff(), do.Publish(1)], "nobody will be asked whether to keep it"
+    assert machine.state is State.SAFE
     assert shown(machine)[0][0] == "LEAK: ASCEND"
     machine = run(machine, heartbeat(leak=False), heartbeat(leak=False), on.ConditionCleared(FaultCode.LEAK))
     assert shown(machine)[0][0] == "LEAK: ASCEND"
-    # the scan in hand can still be saved
-    machine, effects = after(machine, on.KeyPressed(Key.SCAN))
-    assert effects == [do.Publish(1)]
-    machine, effects = after(machine, on.Saved(1, "000001"))
-    assert effects == [do.GoLive(light=False, lasers=False, exposure=NOMINAL)]
+    machine, effects = after(machine, on.KeyPressed(Key.BACK), on.Saved(1, "000001"))
+    assert (machine.state, machine.just_saved, effects) == (State.SAFE, "000001", [])
+    _, effects = after(machine, on.KeyPressed(Key.BACK), on.KeyHeld(Key.BACK))
+    assert effects == [do.Quit(power_off=True)], "it can still be switched off"
 
 
 def test_heat_warns_then_blocks_with_hysteresis_and_a_missing_sensor_changes_nothing() -> None:
     machine = run(aim(), heartbeat(temperature_case_c=51.0))
     assert shown(machine) == [("WARM 51 °C", "LET IT COOL SOON")]
     machine, effects = after(machine, heartbeat(temperature_case_c=60.0))
-    assert effects == [do.LightsOff(), do.GoLive(light=False, lasers=False, exposure=NOMINAL)]
+    assert (machine.state, effects) == (State.COOLING, [do.LightsOff(), do.StopLive()])
     assert shown(machine)[0][0] == "HOT 60 °C"
     machine = run(machine, heartbeat(temperature_case_c=None), heartbeat(temperature_case_c=58.0))
     assert shown(machine)[0][0] == "HOT 58 °C"
     machine, effects = after(machine, heartbeat(temperature_case_c=56.5))
     assert effects == [do.GoLive(light=True, lasers=True, exposure=NOMINAL)]
-    assert run(aim(), heartbeat(temperature_case_c=None)) == aim()
 
 
 def test_a_low_supply_refuses_scans_where_its_limit_is_known() -> None:
     machine = run(aim(), heartbeat(supply_v=3.0))
     assert shown(machine) == []
     strict = boot(0, Settings(supply_low_v=10.0))
-    machine = run(strict, *(on.DeviceUp(device) for device in Device), on.BootFinished(), heartbeat(supply_v=9.5))
+    machine = run(strict, *UPS, on.BootFinished(), *PARTS, on.Tick(SECOND_NS), heartbeat(supply_v=9.5))
     assert shown(machine) == [("SUPPLY LOW 9.5V", "END DIVE")]
     assert run(machine, on.KeyPressed(Key.SCAN)).state is State.AIM
 
@@ -266,6 +272,7 @@ def test_a_board_reset_sets_the_live_views_up_again() -> None:
     assert shown(machine)[0][0] == "BOARD RESET"
     machine, effects = after(capturing(), on.BoardReset("BROWNOUT"))
     assert effects == [do.AbortCapture(1), do.GoLive(light=True, lasers=True, exposure=NOMINAL)]
+    assert run(machine, on.KeyPressed(Key.SCAN)).state is State.ARMED, "it can be repeated at once"
 
 
 @pytest.mark.parametrize(("jammed", "stand_in"), [(Key.SCAN, Key.UP), (Key.BACK, Key.DOWN)])
@@ -290,9 +297,11 @@ def test_stopping_waits_for_the_save_and_for_nothing_else() -> None:
 
 
 def test_devices_not_heard_of_refuse_a_scan() -> None:
-    machine = run(boot(0), on.BootFinished(), on.KeyPressed(Key.SCAN))
+    machine = run(boot(0), on.DeviceUp(Device.KEYS), *(on.Tick(minute * 60 * SECOND_NS) for minute in (1, 2, 9)))
+    assert machine.state is State.SELF_TEST, "what failed stays on the screen until the diver has seen it"
+    machine = run(machine, on.KeyPressed(Key.SCAN), on.KeyPressed(Key.SCAN))
     assert machine.state is State.AIM
-    assert shown(machine) == [("LEFT CAM LOST", "SCAN REFUSED")]
+    assert shown(machine)[0] == ("LEFT CAM LOST", "SCAN REFUSED")
 
 
 def test_headlines_fit_sixteen_characters_with_any_numbers() -> None:
@@ -310,20 +319,28 @@ def test_headlines_fit_sixteen_characters_with_any_numbers() -> None:
 
 def test_answers_to_an_earlier_scan_change_nothing() -> None:
     again = run(capturing(), on.KeyPressed(Key.BACK), on.KeyPressed(Key.SCAN))
+    assert step(again, on.Armed(1)) == (again, ())
+    again = run(again, on.Armed(2))
     assert again.captures == 2
     assert step(again, on.CaptureFailed(1, MISSING)) == (again, ())
     assert step(again, on.CaptureFinished(1)) == (again, ())
     second = run(again, on.CaptureFinished(2))
-    for late in (on.CoarseReady(1, SUMMARY), on.FullReady(1, SUMMARY), on.ReconstructionFailed(1, MISSING)):
+    for late in (
+        on.CoarseReady(1, SUMMARY),
+        on.FullReady(1, SUMMARY),
+        on.ReconstructionFailed(1, MISSING),
+        on.PatternsRight(1),
+    ):
         assert step(second, late) == (second, ())
-    assert run(second, on.Saved(1, "000001")).state is State.RECONSTRUCT
+    assert run(second, on.Saved(1, "000001")).state is State.CHECK
     assert run(second, on.RawStored(1)).scan == second.scan
 
 
 def test_a_late_tick_does_not_push_a_deadline_away() -> None:
-    late = run(aim(), on.Tick(100 * SECOND_NS), on.Tick(SECOND_NS), on.KeyPressed(Key.SCAN))
-    assert run(late, on.Tick(104 * SECOND_NS)).state is State.CAPTURE
-    assert run(late, on.Tick(105 * SECOND_NS)).state is State.AIM
+    late = run(aim(), on.Tick(100 * SECOND_NS), on.Tick(SECOND_NS), on.KeyPressed(Key.SCAN), on.Armed(1))
+    limit_ns = 100 * SECOND_NS + int(late.settings.capture_s(16) * SECOND_NS)
+    assert run(late, on.Tick(limit_ns - 1)).state is State.CAPTURE
+    assert run(late, on.Tick(limit_ns)).state is State.AIM
 
 
 # ---------------------------------------------------------------------------------------- exposure
@@ -341,7 +358,7 @@ def test_one_key_takes_the_proposed_exposure_and_the_next_scan_has_it() -> None:
     machine, effects = after(machine, on.KeyPressed(Key.DOWN), on.KeyPressed(Key.BACK))
     assert do.GoLive(light=True, lasers=True, exposure=SHORTER) in effects, "the live views show it before the scan"
     _, effects = after(machine, on.KeyPressed(Key.SCAN))
-    assert do.Capture(2, 16, SHORTER) in effects
+    assert do.Arm(2, 16, SHORTER) in effects
 
 
 def test_the_same_key_takes_it_back_and_the_scan_is_kept_either_way() -> None:
@@ -356,12 +373,12 @@ def test_the_same_key_takes_it_back_and_the_scan_is_kept_either_way() -> None:
 
 def test_an_exposure_stays_until_the_diver_changes_it() -> None:
     machine = proposed(on.KeyPressed(Key.DOWN), on.KeyPressed(Key.BACK), on.KeyPressed(Key.SCAN))
-    machine = run(machine, on.CaptureFinished(2), on.FullReady(2, SUMMARY), on.Judged(2))
+    machine = run(machine, on.Armed(2), on.CaptureFinished(2), on.FullReady(2, SUMMARY), on.Judged(2))
     assert labels(machine)[Key.DOWN] == "TURN", "nothing is proposed for a scan whose light was right"
     machine = run(machine, on.KeyPressed(Key.DOWN), on.KeyPressed(Key.BACK))
     assert machine.exposure == SHORTER
-    calibrate = run(machine, on.KeyPressed(Key.UP), on.KeyHeld(Key.UP))
-    assert do.Capture(3, 16, SHORTER) in after(calibrate, on.KeyPressed(Key.SCAN))[1]
+    calibrate = run(machine, *(on.KeyPressed(key) for key in (Key.UP, *TO_CALIBRATION)))
+    assert do.Arm(3, 16, SHORTER) in after(calibrate, on.KeyPressed(Key.SCAN))[1]
 
 
 def test_without_a_proposal_and_while_back_is_stuck_no_key_changes_the_exposure() -> None:
@@ -381,7 +398,7 @@ def test_a_distance_is_forgotten_when_the_lasers_go_off() -> None:
     machine, _ = after(aim(), on.Ranged(Range(500.0, 1.0, 0.3, 2)))
     assert machine.range == Range(500.0, 1.0, 0.3, 2)
     machine, _ = after(machine, on.KeyPressed(Key.SCAN))
-    assert machine.state is State.CAPTURE
+    assert machine.state is State.ARMED
     assert machine.range is None
     machine, _ = after(machine, on.Ranged(Range(480.0, 1.0, 0.3, 2)))
     assert machine.range is None, "measured before the lasers went off, told after"

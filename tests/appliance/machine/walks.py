@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from functools import partial
 
 from hypothesis import strategies as st
 
-from appliance.calibration.guide import USED, Refusal, Session, Solved, Step, Trial, Verified
+from appliance.calibration.guide import HELD, USED, Refusal, Session, Solved, Step, Trial, Verified
 from appliance.capture.exposure import Exposure
 from appliance.capture.fault import Fault, FaultCode
 from appliance.capture.ranging import Range
 from appliance.machine import effects as do
 from appliance.machine import events as on
-from appliance.machine.states import Device, Machine, State, boot
+from appliance.machine.states import Device, Machine, Part, State, boot
 from appliance.machine.step import step
 from appliance.reconstruct.quality import CloudSummary
 from drivers.api import Key, LaserState, Telemetry
 
 SECOND_NS = 1_000_000_000
 SUMMARY = CloudSummary(1000, coverage_percent=70.0, distance_mm=500.0, noise_mm=0.03, gap_mm=0.02)
+HOT = Fault(FaultCode.HOT, "case 61 °C, limit 60 °C", {"temperature_c": 61.0}, "case")
 MISSING = Fault(FaultCode.FRAME_MISSING, "left frame 9", {"received": 23, "expected": 24})
 
 
@@ -37,17 +39,42 @@ def after(machine: Machine, *events: on.Event) -> tuple[Machine, list[do.Effect]
     return machine, effects
 
 
+UPS = tuple(on.DeviceUp(device) for device in Device)
+PARTS = tuple(on.PartTested(part, True) for part in Part)
+
+
+def testing() -> Machine:
+    """The self-test found nothing wrong, and still shows it."""
+    return run(boot(0), *UPS, on.BootFinished(), *PARTS, on.StorageCounted(0, None, 100))
+
+
 def aim() -> Machine:
-    ups = [on.DeviceUp(device) for device in Device]
-    return run(boot(0), *ups, on.StorageCounted(0, None, 100), on.BootFinished())
+    return run(testing(), on.Tick(SECOND_NS))
 
 
-def capturing() -> Machine:
+def in_menu(*keys: Key) -> Machine:
+    """The menu after more keys."""
+    return run(aim(), on.KeyPressed(Key.UP), *(on.KeyPressed(key) for key in keys))
+
+
+def in_gallery() -> Machine:
+    return run(aim(), on.KeyPressed(Key.DOWN), on.ScansListed(("000003", "000002", "000001")))
+
+
+def armed() -> Machine:
     return run(aim(), on.KeyPressed(Key.SCAN))
 
 
-def reconstructing() -> Machine:
+def capturing() -> Machine:
+    return run(armed(), on.Armed(1))
+
+
+def checking() -> Machine:
     return run(capturing(), on.CaptureFinished(1))
+
+
+def reconstructing() -> Machine:
+    return run(checking(), on.PatternsRight(1))
 
 
 def reviewing() -> Machine:
@@ -58,13 +85,16 @@ def saving() -> Machine:
     return run(reviewing(), on.KeyPressed(Key.SCAN))
 
 
+TO_CALIBRATION = (Key.DOWN, Key.DOWN, Key.DOWN, Key.SCAN)
+
+
 def calibrating() -> Machine:
-    return run(aim(), on.KeyPressed(Key.UP), on.KeyHeld(Key.UP))
+    return in_menu(*TO_CALIBRATION)
 
 
 def trial_in_work() -> Machine:
     """The frames of M1 are stored, and the bar is looked for."""
-    return run(calibrating(), on.KeyPressed(Key.SCAN), on.CaptureFinished(1), on.RawStored(1))
+    return run(calibrating(), on.KeyPressed(Key.SCAN), on.Armed(1), on.CaptureFinished(1), on.RawStored(1))
 
 
 def good(step: Step) -> Trial:
@@ -79,21 +109,69 @@ SESSIONS = (Session(), Session((good(Step.M1),)), RECORDED, SOLVED, VERIFIED, IN
 
 
 def calibrating_at(session: Session) -> Machine:
-    return run(aim(), on.SessionChanged(session), on.KeyPressed(Key.UP), on.KeyHeld(Key.UP))
+    presses = [on.KeyPressed(key) for key in (Key.UP, *TO_CALIBRATION)]
+    return run(aim(), on.SessionChanged(session), *presses)
 
 
 def ended() -> Machine:
     return run(aim(), on.KeyPressed(Key.BACK), on.KeyHeld(Key.BACK))
 
 
-WAYS = {
+def cooling() -> Machine:
+    return run(aim(), on.ConditionRaised(HOT))
+
+
+def safe() -> Machine:
+    return run(aim(), heartbeat(leak=True), heartbeat(leak=True))
+
+
+def safe_with_a_scan() -> Machine:
+    """The leak came while the cloud was awaited."""
+    return run(reconstructing(), heartbeat(leak=True), heartbeat(leak=True))
+
+
+def refused_by_the_disk() -> Machine:
+    return run(saving(), on.SaveFailed(1, Fault(FaultCode.NOT_SAVED, "EIO")))
+
+
+def testing_without_a_camera() -> Machine:
+    lost = on.DeviceDown(Device.CAMERA_LEFT, "not found")
+    return run(boot(0), *UPS, lost, on.BootFinished(), *PARTS, on.StorageCounted(0, None, 100))
+
+
+def kept_before_the_cloud() -> Machine:
+    return run(reconstructing(), on.CoarseReady(1, SUMMARY), on.KeyPressed(Key.SCAN))
+
+
+def hot_while_aiming() -> Machine:
+    """The diver has left COOLING."""
+    return run(cooling(), on.KeyPressed(Key.BACK))
+
+
+def gallery_from_the_menu() -> Machine:
+    return run(in_menu(*(Key.DOWN,) * 4, Key.SCAN), on.ScansListed(("000002", "000001")))
+
+
+def outside_the_volume() -> Machine:
+    """SCAN was pressed 700 mm away; pressed again it records."""
+    return run(aim(), on.Ranged(Range(700.0, 0.0, 0.5, 2)), on.KeyPressed(Key.SCAN))
+
+
+WAYS: dict[State, Callable[[], Machine]] = {
     State.BOOT: lambda: boot(0),
+    State.SELF_TEST: testing,
     State.AIM: aim,
+    State.MENU: in_menu,
+    State.GALLERY: in_gallery,
+    State.ARMED: armed,
     State.CAPTURE: capturing,
+    State.CHECK: checking,
     State.RECONSTRUCT: reconstructing,
     State.REVIEW: reviewing,
     State.SAVING: saving,
     State.CALIBRATE: calibrating,
+    State.COOLING: cooling,
+    State.SAFE: safe,
     State.SHUTDOWN: ended,
 }
 
@@ -123,6 +201,7 @@ EVENTS: st.SearchStrategy[on.Event] = st.one_of(
     st.builds(on.KeyPressed, _keys),
     st.builds(on.KeyHeld, _keys),
     st.builds(on.KeyJammed, _keys),
+    st.builds(on.KeyFreed, _keys),
     st.builds(on.DeviceUp, _devices),
     st.builds(on.DeviceDown, _devices, st.just("gone")),
     st.builds(on.BoardReset, st.just("BROWNOUT")),
@@ -137,9 +216,12 @@ EVENTS: st.SearchStrategy[on.Event] = st.one_of(
     st.builds(on.ConditionCleared, st.sampled_from(list(FaultCode))),
     st.builds(on.StorageCounted, _numbers, st.none(), st.sampled_from([None, 0, 5])),
     st.builds(on.BootFinished),
+    st.builds(on.PartTested, st.sampled_from(list(Part)), st.booleans()),
+    st.builds(on.Armed, _numbers),
     st.builds(on.CaptureFinished, _numbers),
     st.builds(on.CaptureFailed, _numbers, _faults),
     st.builds(on.RawStored, _numbers),
+    st.builds(on.PatternsRight, _numbers),
     st.builds(on.CoarseReady, _numbers, _summaries),
     st.builds(on.FullReady, _numbers, _summaries),
     st.builds(on.Judged, _numbers, _warnings, st.sampled_from([None, Exposure(8_000), Exposure(16_000, 4.0)])),
@@ -152,10 +234,68 @@ EVENTS: st.SearchStrategy[on.Event] = st.one_of(
     st.builds(on.CalibrationProgressed, st.floats(0, 1)),
     st.builds(on.CalibrationFailed, st.just("the adjustment did not converge")),
     st.builds(on.Ranged, st.sampled_from([None, Range(500.0, 2.0, 0.3, 2), Range(800.0, None, 1.0, 1)])),
+    st.builds(on.ScansListed, st.sampled_from([(), ("000001",), ("000003", "000002", "000001")])),
     st.builds(on.StopRequested, st.just("SIGTERM")),
 )
 
-STARTS = (*WAYS.values(), trial_in_work, *(lambda s=session: calibrating_at(s) for session in SESSIONS))
+EVERY_EVENT: list[on.Event] = [
+    on.Tick(1),
+    on.Tick(10_000 * SECOND_NS),
+    *(on.KeyPressed(key) for key in Key),
+    *(on.KeyHeld(key) for key in Key),
+    *(on.KeyJammed(key) for key in Key),
+    *(on.KeyFreed(key) for key in Key),
+    *(on.DeviceUp(device) for device in Device),
+    *(on.DeviceDown(device, "unplugged") for device in Device),
+    on.DeviceDown(Device.CAMERA_LEFT, "480 Mbit/s", FaultCode.CAMERA_SLOW_LINK),
+    on.BoardReset("POWER"),
+    heartbeat(leak=True, left_on=True, temperature_case_c=99.0),
+    heartbeat(),
+    *(on.ConditionRaised(Fault(code)) for code in FaultCode),
+    *(on.ConditionCleared(code) for code in FaultCode),
+    on.StorageCounted(1, "000001", 0),
+    on.BootFinished(),
+    *(on.PartTested(part, passed) for part in Part for passed in (True, False)),
+    *(on.Armed(number) for number in (0, 1, 2)),
+    *(on.CaptureFinished(number) for number in (0, 1, 2)),
+    *(on.CaptureFailed(number, Fault(code)) for number in (0, 1) for code in FaultCode),
+    on.RawStored(1),
+    on.PatternsRight(1),
+    on.CoarseReady(1, SUMMARY),
+    on.FullReady(1, SUMMARY),
+    on.Judged(1, (MISSING,)),
+    on.Judged(1, (), Exposure(8_000)),
+    *(on.ReconstructionFailed(1, Fault(code)) for code in FaultCode),
+    on.Saved(1, "000001"),
+    on.SaveFailed(1, Fault(FaultCode.NOT_SAVED, "EIO")),
+    on.Rejected(1, "000001"),
+    *(on.TrialExamined(1, good(step)) for step in HELD),
+    *(on.SessionChanged(session) for session in SESSIONS),
+    on.CalibrationProgressed(0.5),
+    on.CalibrationFailed("no bar"),
+    on.Ranged(Range(500.0, 2.0, 0.3, 2)),
+    on.ScansListed(()),
+    on.ScansListed(("000002", "000001")),
+    on.StopRequested("SIGTERM"),
+]
+
+STARTS: tuple[Callable[[], Machine], ...] = (
+    *WAYS.values(),
+    trial_in_work,
+    safe_with_a_scan,
+    refused_by_the_disk,
+    testing_without_a_camera,
+    kept_before_the_cloud,
+    hot_while_aiming,
+    gallery_from_the_menu,
+    outside_the_volume,
+    lambda: in_menu(Key.SCAN),
+    lambda: in_menu(Key.DOWN, Key.DOWN, Key.DOWN),
+    lambda: in_menu(*(Key.DOWN,) * 4),
+    lambda: in_menu(*(Key.DOWN,) * 7, Key.SCAN, Key.DOWN),
+    lambda: in_menu(Key.DOWN, Key.DOWN, Key.SCAN, Key.DOWN, Key.SCAN),
+    *(partial(calibrating_at, session) for session in SESSIONS),
+)
 START: st.SearchStrategy[Machine] = st.sampled_from(STARTS).map(lambda way: way())
 WALKS = st.lists(EVENTS, max_size=25)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.api import Key, KeyEvent, KeyLongPress, KeyPress, KeyRelease, KeyStuck
+from drivers.api import Key, KeyEvent, KeyFreed, KeyLongPress, KeyPress, KeyRelease, KeyStuck
 from drivers.keys.debounce import Debouncer
 
 MS = 1_000_000
@@ -105,12 +105,13 @@ def test_a_key_held_longer_than_8_s_is_stuck_and_silent_until_released() -> None
     assert pad.said[-1] == KeyStuck(Key.SCAN)
     count = len(pad.said)
     pad.until(60_000)
+    assert len(pad.said) == count
     pad.at(60_000)
     pad.until(60_100)
-    assert len(pad.said) == count
+    assert pad.said[count:] == [KeyFreed(Key.SCAN)]
     pad.at(61_000, Key.SCAN)
     pad.until(61_050)
-    assert pad.said[count:] == [KeyPress(Key.SCAN, 61_000 * MS)]
+    assert pad.said[count:] == [KeyFreed(Key.SCAN), KeyPress(Key.SCAN, 61_000 * MS)]
 
 
 def test_a_stuck_key_leaves_the_others_alone() -> None:
@@ -133,7 +134,7 @@ def test_a_coil_that_reports_a_fault_is_stuck_until_it_recovers() -> None:
     pad.at(400)
     pad.at(500, Key.DOWN)
     pad.until(600)
-    assert pad.said[1:] == [KeyPress(Key.DOWN, 500 * MS)]
+    assert pad.said[1:] == [KeyFreed(Key.DOWN), KeyPress(Key.DOWN, 500 * MS)]
 
 
 def test_a_key_that_was_down_before_we_listened_presses_nothing() -> None:

@@ -1,0 +1,85 @@
+"""Owns what the diver may choose: exposure, fringe period and water, the steps of each, and what one key changes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+from appliance.capture.exposure import NOMINAL, Exposure
+
+T = TypeVar("T")
+
+PERIODS_PX = (16, 32, 64)
+COLDEST_C, WARMEST_C = -2.0, 40.0
+"""As the rig file allows: where the formula of the refractive index holds."""
+FRESH_PSU, SALT_PSU = 0.0, 35.0
+LANGUAGES = ("en", "de")
+FRESHEST_SALT_PSU = 2.0
+"""Water below is fresh to the diver."""
+
+
+@dataclass(frozen=True, slots=True)
+class Choices:
+    """What the next scan is taken and measured with. Remembered over a restart."""
+
+    exposure: Exposure = NOMINAL
+    period_px: int = 16
+    salinity_psu: float = FRESH_PSU
+    water_c: float = 20.0
+    """The water's temperature, stated by the diver: the instrument has no sensor for it."""
+    language: str = "en"
+    """Of the screens; one of ``LANGUAGES``."""
+
+    @property
+    def salt(self) -> bool:
+        """Whether the water is salt water to the diver."""
+        return self.salinity_psu >= FRESHEST_SALT_PSU
+
+
+@dataclass(frozen=True, slots=True)
+class Offers:
+    """What there is to choose from."""
+
+    exposures: tuple[Exposure, ...] = (NOMINAL,)
+    """From dark to bright."""
+    periods_px: tuple[int, ...] = PERIODS_PX
+    fresh_psu: float = FRESH_PSU
+    salt_psu: float = SALT_PSU
+    """The salinity of the rig file's water stands for whichever of the two it is."""
+
+
+def offers_of(chosen: Choices, exposures: tuple[Exposure, ...], periods_px: tuple[int, ...] = PERIODS_PX) -> Offers:
+    """What to offer on an instrument whose rig file states ``chosen``."""
+    if chosen.salt:
+        return Offers(exposures, periods_px, salt_psu=chosen.salinity_psu)
+    return Offers(exposures, periods_px, fresh_psu=chosen.salinity_psu)
+
+
+def another_exposure(chosen: Choices, offers: Offers, by: int) -> Choices:
+    """``by`` steps brighter; from a value that is no step, the next one in that direction. Stays at the ends."""
+    steps = sorted({*offers.exposures, chosen.exposure}, key=lambda step: step.light)
+    return replace(chosen, exposure=_moved(steps, chosen.exposure, by))
+
+
+def another_period(chosen: Choices, offers: Offers, by: int) -> Choices:
+    """``by`` steps to longer periods; stays at the ends."""
+    return replace(chosen, period_px=_moved(sorted({*offers.periods_px, chosen.period_px}), chosen.period_px, by))
+
+
+def other_water(chosen: Choices, offers: Offers) -> Choices:
+    """Salt instead of fresh water, or fresh instead of salt."""
+    return replace(chosen, salinity_psu=offers.fresh_psu if chosen.salt else offers.salt_psu)
+
+
+def warmer(chosen: Choices, by: int) -> Choices:
+    """``by`` whole degrees, within what the index is known for."""
+    return replace(chosen, water_c=min(max(float(round(chosen.water_c)) + by, COLDEST_C), WARMEST_C))
+
+
+def another_language(chosen: Choices, by: int) -> Choices:
+    """The next one; stays at the ends."""
+    return replace(chosen, language=_moved(sorted({*LANGUAGES, chosen.language}), chosen.language, by))
+
+
+def _moved(steps: list[T], at: T, by: int) -> T:
+    return steps[min(max(steps.index(at) + by, 0), len(steps) - 1)]

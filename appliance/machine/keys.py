@@ -1,0 +1,87 @@
+"""Owns what the four keys mean: in each state one press has one meaning, and holding is for power-off and putting away."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import assert_never
+
+from appliance.machine import calibrate, gallery, menu, safety, scanning, start
+from appliance.machine.moves import Result
+from appliance.machine.states import Ending, Machine, State
+from drivers.api import Key
+
+HELD_TO_SWITCH_OFF = (State.BOOT, State.SELF_TEST, State.AIM, State.SAFE)
+"""Where BACK held switches off; elsewhere BACK ends something, and holding it on must not switch off as well."""
+
+
+def meaning(machine: Machine, key: Key) -> Key:
+    """The key a press stands for: while SCAN is stuck UP takes over, while BACK is stuck DOWN does."""
+    if key is Key.UP and Key.SCAN in machine.stuck:
+        return Key.SCAN
+    if key is Key.DOWN and Key.BACK in machine.stuck:
+        return Key.BACK
+    return key
+
+
+def pressed(machine: Machine, key: Key) -> Result:
+    """A key went down. ``key`` is what it stands for."""
+    machine = replace(machine, notice=None, just_saved=None, last_key_ns=machine.now_ns)
+    if key is Key.BACK:
+        machine = replace(machine, back_used=machine.state not in HELD_TO_SWITCH_OFF)
+    if key is not Key.SCAN:
+        machine = replace(machine, insists_until_ns=None)
+    match machine.state:
+        case State.SELF_TEST:
+            return start.pressed(machine, key)
+        case State.AIM:
+            return _aim_key(machine, key)
+        case State.MENU:
+            return menu.pressed(machine, key)
+        case State.GALLERY:
+            return gallery.pressed(machine, key)
+        case State.ARMED | State.CAPTURE:
+            return scanning.abandon(machine, None) if key is Key.BACK else (machine, ())
+        case State.CHECK | State.RECONSTRUCT:
+            return scanning.drop(machine, "repeated before the cloud was ready") if key is Key.BACK else (machine, ())
+        case State.REVIEW:
+            return scanning.review_key(machine, key)
+        case State.CALIBRATE:
+            return _calibrate_key(machine, key)
+        case State.COOLING:
+            return safety.cooling_key(machine, key)
+        case State.SAFE:
+            return safety.safe_key(machine, key)
+        case State.BOOT | State.SAVING | State.SHUTDOWN:
+            return machine, ()
+        case _:
+            assert_never(machine.state)
+
+
+def held(machine: Machine, key: Key) -> Result:
+    """BACK held switches off; DOWN held at the calibration's result puts that away for a new one."""
+    if key is Key.DOWN and calibrate.may_begin_session(machine):
+        return calibrate.begin_session(machine)
+    if key is Key.BACK and machine.state in HELD_TO_SWITCH_OFF and not machine.back_used:
+        return safety.stop(machine, Ending.POWER_OFF)
+    return machine, ()
+
+
+def _aim_key(machine: Machine, key: Key) -> Result:
+    match key:
+        case Key.SCAN:
+            return scanning.wanted(machine)
+        case Key.UP:
+            return menu.open_menu(machine)
+        case Key.DOWN:
+            return gallery.open_gallery(machine)
+        case Key.BACK:
+            return machine, ()
+        case _:
+            assert_never(key)
+
+
+def _calibrate_key(machine: Machine, key: Key) -> Result:
+    at = machine.calibrating
+    if key is not Key.SCAN or at is None or at.task is not None or not calibrate.records(machine):
+        return calibrate.pressed(machine, key)
+    return scanning.wanted(replace(machine, calibrating=replace(at, latest=None, failed=None)))

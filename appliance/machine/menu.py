@@ -1,0 +1,175 @@
+"""Owns the menu: its pages, their rows in order, and what each key does on them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from enum import Enum
+from types import MappingProxyType
+
+from appliance.machine import calibrate, choices, gallery
+from appliance.machine import effects as do
+from appliance.machine.choices import Choices
+from appliance.machine.moves import Result, enter
+from appliance.machine.states import Machine, Menu, Page, State
+from drivers.api import Key
+
+
+class Row(Enum):
+    """What a row is about."""
+
+    EXPOSURE = "EXPOSURE"
+    PERIOD = "PERIOD"
+    WATER = "WATER"
+    CALIBRATION = "CALIBRATION"
+    GALLERY = "GALLERY"
+    LANGUAGE = "LANGUAGE"
+    ABOUT = "ABOUT"
+    POWER_OFF = "POWER OFF"
+
+    WATER_KIND = "WATER KIND"
+    WATER_TEMPERATURE = "WATER TEMPERATURE"
+
+    VERSION = "VERSION"
+    INSTRUMENT = "INSTRUMENT"
+    CALIBRATED = "CALIBRATED"
+    CALIBRATION_HASH = "CALIBRATION HASH"
+    DISK = "DISK"
+
+    SWITCH_OFF = "SWITCH OFF"
+    STAY_ON = "STAY ON"
+
+
+ROWS: Mapping[Page, tuple[Row, ...]] = MappingProxyType(
+    {
+        Page.MAIN: (
+            *(
+                Row.EXPOSURE,
+                Row.PERIOD,
+                Row.WATER,
+                Row.CALIBRATION,
+                Row.GALLERY,
+                Row.LANGUAGE,
+                Row.ABOUT,
+                Row.POWER_OFF,
+            ),
+        ),
+        Page.WATER: (Row.WATER_KIND, Row.WATER_TEMPERATURE),
+        Page.ABOUT: (Row.VERSION, Row.INSTRUMENT, Row.CALIBRATED, Row.CALIBRATION_HASH, Row.DISK),
+        Page.POWER_OFF: (Row.STAY_ON, Row.SWITCH_OFF),
+    }
+)
+"""The one that does no harm comes first."""
+PAGES = {Row.WATER: Page.WATER, Row.ABOUT: Page.ABOUT, Row.POWER_OFF: Page.POWER_OFF}
+"""Rows of the main page that lead to another page."""
+VALUES = (Row.EXPOSURE, Row.PERIOD, Row.WATER_KIND, Row.WATER_TEMPERATURE, Row.LANGUAGE)
+"""Rows whose value is changed with UP and DOWN after SCAN."""
+
+
+def open_menu(machine: Machine) -> Result:
+    """From AIM."""
+    return replace(enter(machine, State.MENU), menu=Menu()), ()
+
+
+def row_of(menu: Menu) -> Row:
+    """The row that is selected."""
+    return ROWS[menu.page][menu.row]
+
+
+def shown(machine: Machine) -> Choices:
+    """The choices as the menu shows them: with the value that is being changed."""
+    draft = machine.menu.draft if machine.menu is not None else None
+    return draft or machine.choices
+
+
+def pressed(machine: Machine, key: Key) -> Result:
+    """UP and DOWN select or change, SCAN opens or takes, BACK leaves or forgets."""
+    menu = machine.menu
+    if menu is None:  # cannot be reached; if it were, the way out is AIM
+        return enter(machine, State.AIM), ()
+    match key:
+        case Key.BACK if menu.draft is not None:
+            return _at(machine, replace(menu, draft=None)), ()
+        case Key.BACK if menu.page is not Page.MAIN:
+            back = next(row for row, page in PAGES.items() if page is menu.page)
+            return _at(machine, Menu(row=ROWS[Page.MAIN].index(back))), ()
+        case Key.BACK:
+            return enter(machine, State.AIM), ()
+        case Key.SCAN if menu.draft is not None:
+            return _at(replace(machine, choices=menu.draft), replace(menu, draft=None)), ()
+        case Key.SCAN:
+            return _chosen(machine, menu)
+        case _ if menu.draft is not None:
+            return _at(machine, replace(menu, draft=_changed(machine, menu, menu.draft, key))), ()
+        case _:
+            return _at(machine, replace(menu, row=_next(menu, key))), ()
+
+
+def may_move(machine: Machine, key: Key) -> bool:
+    """Whether UP or DOWN would change anything."""
+    menu = machine.menu
+    if menu is None:
+        return False
+    if menu.draft is not None:
+        return _changed(machine, menu, menu.draft, key) != menu.draft
+    return _next(menu, key) != menu.row
+
+
+def may_choose(machine: Machine) -> bool:
+    """Whether SCAN does anything on the selected row."""
+    return machine.menu is not None and (machine.menu.draft is not None or machine.menu.page is not Page.ABOUT)
+
+
+def verb(machine: Machine) -> str:
+    """What SCAN does on the selected row."""
+    row = row_of(machine.menu) if machine.menu is not None else None
+    if row in (Row.SWITCH_OFF, Row.STAY_ON):
+        return "OK"
+    return "CHANGE" if row in VALUES else "OPEN"
+
+
+def _at(machine: Machine, menu: Menu) -> Machine:
+    return replace(machine, menu=menu)
+
+
+def _next(menu: Menu, key: Key) -> int:
+    """Stays at the ends: with cold hands the first and the last row are found without looking."""
+    return min(max(menu.row + (1 if key is Key.DOWN else -1), 0), len(ROWS[menu.page]) - 1)
+
+
+def _chosen(machine: Machine, menu: Menu) -> Result:
+    row = row_of(menu)
+    if row in VALUES:
+        return _at(machine, replace(menu, draft=machine.choices)), ()
+    if row in PAGES:
+        return _at(machine, Menu(PAGES[row])), ()
+    match row:
+        case Row.CALIBRATION:
+            return calibrate.begin(machine)
+        case Row.GALLERY:
+            return gallery.open_gallery(machine)
+        case Row.SWITCH_OFF:
+            return enter(machine, State.SHUTDOWN), (do.Quit(power_off=True),)
+        case Row.STAY_ON:
+            return _at(machine, Menu(row=ROWS[Page.MAIN].index(Row.POWER_OFF))), ()
+        case _:
+            return machine, ()
+
+
+def _changed(machine: Machine, menu: Menu, draft: Choices, key: Key) -> Choices:
+    """UP is more."""
+    by = 1 if key is Key.UP else -1
+    offers = machine.settings.offers
+    match row_of(menu):
+        case Row.EXPOSURE:
+            return choices.another_exposure(draft, offers, by)
+        case Row.PERIOD:
+            return choices.another_period(draft, offers, by)
+        case Row.WATER_KIND:
+            return choices.other_water(draft, offers)
+        case Row.WATER_TEMPERATURE:
+            return choices.warmer(draft, by)
+        case Row.LANGUAGE:
+            return choices.another_language(draft, by)
+        case _:
+            return draft

@@ -1,0 +1,109 @@
+"""Owns the way of a scan to the disk as the machine sees it: kept, refused by the disk, tried again, published."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from appliance.capture.fault import Fault, FaultCode
+from appliance.machine import calibrate
+from appliance.machine import effects as do
+from appliance.machine.conditions import cleared, raised
+from appliance.machine.moves import Result, enter
+from appliance.machine.states import Ending, Machine, ScanInHand, State, seconds_ns
+
+RETRIES = 3
+"""Unasked, after the disk refused; then the diver decides."""
+RETRY_S = 5.0
+
+
+def keep(machine: Machine, scan: ScanInHand) -> Result:
+    """The scan is wanted: publish it as soon as nothing more will come from the worker."""
+    scan = replace(scan, kept=True, failures=0, retry_ns=None)
+    if scan.settled:
+        return publish(machine, scan)
+    machine = enter(machine, _where(machine), machine.settings.reconstruct_s)
+    return replace(machine, scan=scan), ()
+
+
+def publish(machine: Machine, scan: ScanInHand) -> Result:
+    """Onto the disk with what there is."""
+    machine = enter(machine, _where(machine), machine.settings.saving_s)
+    return replace(machine, scan=replace(scan, publishing=True, retry_ns=None)), (do.Publish(scan.number),)
+
+
+def raw_stored(machine: Machine, number: int) -> Machine:
+    """The raw frames are durable."""
+    machine = cleared(machine, FaultCode.NOT_SAVED)
+    if machine.scan is None or machine.scan.number != number:
+        return machine
+    return replace(machine, scan=replace(machine.scan, raw_durable=True, retry_ns=None))
+
+
+def saved(machine: Machine, number: int, scan_id: str) -> Result:
+    """The scan is published."""
+    machine = replace(cleared(machine, FaultCode.NOT_SAVED), last_scan=scan_id)
+    if machine.scan is None or machine.scan.number != number:
+        return machine, ()
+    if machine.stopping is not None:
+        return end(machine)
+    if machine.state is State.SAFE:
+        return replace(machine, scan=None, just_saved=scan_id, deadline_ns=None), ()
+    return replace(enter(machine, State.AIM), just_saved=scan_id, notice=None), ()
+
+
+def failed(machine: Machine, number: int, fault: Fault) -> Result:
+    """The disk refused something of the scan."""
+    scan = machine.scan
+    if scan is not None and scan.number == number and scan.publishing:
+        return unsaved(machine, fault)
+    machine = raised(machine, Fault(FaultCode.NOT_SAVED, fault.detail))
+    if scan is not None and scan.number == number and not scan.raw_durable:
+        return replace(machine, scan=_again(machine, scan)), ()
+    return calibrate.not_saved(machine, number, fault.detail)
+
+
+def unsaved(machine: Machine, fault: Fault) -> Result:
+    """Not published. Back to the decision: it is tried again unasked, OK tries at once, BACK repeats the scan."""
+    machine = raised(machine, Fault(FaultCode.NOT_SAVED, fault.detail))
+    scan = machine.scan
+    if scan is None:
+        return enter(machine, State.AIM), ()
+    scan = replace(_again(machine, scan), publishing=False)
+    if machine.stopping is not None and scan.retry_ns is None:
+        return end(machine)
+    if machine.state is not State.SAFE:
+        machine = enter(machine, State.REVIEW if machine.stopping is None else State.SAVING)
+    return replace(machine, scan=scan, deadline_ns=None), ()
+
+
+def retry(machine: Machine) -> Result:
+    """With the time: once more, if it is due."""
+    scan = machine.scan
+    if scan is None or scan.retry_ns is None or machine.now_ns < scan.retry_ns:
+        return machine, ()
+    if scan.kept and not scan.publishing and scan.settled:
+        return publish(machine, scan)
+    again = replace(machine, scan=replace(scan, retry_ns=None))
+    return again, () if scan.raw_durable or scan.publishing else (do.StoreRaw(scan.number),)
+
+
+def late(machine: Machine) -> Result:
+    """The disk said nothing for too long."""
+    return unsaved(machine, Fault(FaultCode.NOT_SAVED, f"no answer of the disk for {machine.settings.saving_s:g} s"))
+
+
+def _where(machine: Machine) -> State:
+    """What is saved in SAFE, is saved there."""
+    return State.SAFE if machine.state is State.SAFE else State.SAVING
+
+
+def _again(machine: Machine, scan: ScanInHand) -> ScanInHand:
+    """One more failure; planned again as long as tries are left."""
+    retry_ns = machine.now_ns + seconds_ns(RETRY_S) if scan.failures < RETRIES else None
+    return replace(scan, failures=scan.failures + 1, retry_ns=retry_ns)
+
+
+def end(machine: Machine) -> Result:
+    """What was wanted before the save was through."""
+    power_off = machine.stopping is Ending.POWER_OFF
+    return enter(machine, State.SHUTDOWN), (do.Quit(power_off),)

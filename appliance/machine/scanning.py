@@ -1,0 +1,219 @@
+"""Owns the course of a scan as the machine sees it: refused or armed, recorded, checked, and decided on by the diver."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import assert_never
+
+from appliance.capture.exposure import Exposure
+from appliance.capture.fault import Fault, FaultCode
+from appliance.capture.ranging import Reach, reach_of
+from appliance.machine import calibrate, saving
+from appliance.machine import effects as do
+from appliance.machine import events as on
+from appliance.machine.alerts import RULES
+from appliance.machine.conditions import raised
+from appliance.machine.moves import RECORDING, Result, enter, home
+from appliance.machine.permissions import other_exposure, refusal
+from appliance.machine.states import Device, Machine, Notice, NoticeKind, ScanInHand, State, seconds_ns
+from drivers.api import Key
+
+SILENT_RETRIES = 1
+"""Repetitions of a capture the diver does not hear of, for a late flip only."""
+
+
+# ------------------------------------------------------------------------------------- asked for
+
+
+def wanted(machine: Machine) -> Result:
+    """SCAN: refused with a reason, asked back outside the measuring volume, or begun."""
+    reason = refusal(machine)
+    if reason is not None:
+        if reason.code is FaultCode.HOT and machine.state is State.AIM:
+            return enter(machine, State.COOLING), ()
+        return replace(machine, notice=Notice(reason, NoticeKind.REFUSAL)), ()
+    outside = out_of_reach(machine)
+    if outside is not None and machine.insists_until_ns is None:
+        until_ns = machine.now_ns + seconds_ns(machine.settings.insist_s)
+        return replace(machine, insists_until_ns=until_ns, notice=Notice(outside, NoticeKind.NEWS)), ()
+    return arm(replace(machine, retries=0))
+
+
+def out_of_reach(machine: Machine) -> Fault | None:
+    """Why a scan would not be of the object: it is known to be outside the measuring volume. Steps of the calibration say
+    themselves where their artefact belongs."""
+    measured = machine.range
+    if machine.state is not State.AIM or measured is None:
+        return None
+    numbers = {"distance_mm": measured.distance_mm}
+    match reach_of(measured):
+        case Reach.CLOSER:
+            return Fault(FaultCode.TOO_FAR, f"{measured.distance_mm:.0f} mm away", numbers)
+        case Reach.BACK:
+            return Fault(FaultCode.TOO_NEAR, f"{measured.distance_mm:.0f} mm away", numbers)
+        case Reach.OK | Reach.UNKNOWN:
+            return None
+        case unknown:
+            assert_never(unknown)
+
+
+def arm(machine: Machine) -> Result:
+    """Make ready for the next sequence."""
+    machine = replace(machine, captures=machine.captures + 1)
+    machine = enter(machine, State.ARMED, machine.settings.arm_s)
+    return machine, (do.Arm(machine.captures, machine.choices.period_px, machine.exposure),)
+
+
+# ------------------------------------------------------------------------------------- recorded
+
+
+def armed(machine: Machine, number: int) -> Result:
+    """Everything waits for the first pulse."""
+    if machine.state is not State.ARMED or number != machine.captures:
+        return machine, ()
+    limit_s = machine.settings.capture_s(machine.choices.period_px)
+    return enter(machine, State.CAPTURE, limit_s), (do.Capture(number),)
+
+
+def abandon(machine: Machine, notice: Notice | None) -> Result:
+    """No more of what is being recorded."""
+    number = machine.captures
+    return replace(home(machine), notice=notice), (do.AbortCapture(number),)
+
+
+def late(machine: Machine) -> Result:
+    """Neither an end nor a fault was heard of in time."""
+    begun = "ready" if machine.state is State.ARMED else "end"
+    waited_s = (machine.now_ns - machine.since_ns) / 1e9
+    fault = Fault(FaultCode.CAPTURE_TIMEOUT, f"no {begun} after {waited_s:.1f} s")
+    return abandon(machine, Notice(fault, NoticeKind.FAILURE))
+
+
+def finished(machine: Machine, number: int) -> Result:
+    """Every witness agrees: secure the frames, and look at what they show."""
+    if machine.state is not State.CAPTURE or number != machine.captures:
+        return machine, ()
+    if machine.calibrating is not None:
+        return calibrate.captured(machine, number)
+    machine = enter(machine, State.CHECK, machine.settings.reconstruct_s)
+    machine = replace(machine, scan=ScanInHand(number, machine.exposure))
+    return machine, (do.StoreRaw(number), do.StartReconstruction(number))
+
+
+def failed(machine: Machine, number: int, fault: Fault) -> Result:
+    """No scan came of it; a late flip is repeated once in silence."""
+    if machine.state not in RECORDING or number != machine.captures:
+        return machine, ()
+    if fault.code is FaultCode.LATE_FLIP and machine.retries < SILENT_RETRIES:
+        return arm(replace(machine, retries=machine.retries + 1))
+    machine = replace(home(machine), notice=Notice(fault, NoticeKind.FAILURE))
+    match fault.code:
+        case FaultCode.LASER_ON:
+            return raised(machine, Fault(fault.code, fault.detail)), ()
+        case FaultCode.CAMERA_STUCK:
+            stuck = next((device for device in Device if device.value == fault.device), None)
+            return machine, (do.ReopenDevice(stuck),)
+        case _:
+            return machine, ()
+
+
+# ------------------------------------------------------------------------------------- checked
+
+
+def patterns_right(machine: Machine, number: int) -> Result:
+    """Each frame shows the pattern it should."""
+    if machine.state is not State.CHECK or machine.scan is None or machine.scan.number != number:
+        return machine, ()
+    return enter(machine, State.RECONSTRUCT, machine.settings.reconstruct_s), ()
+
+
+def reconstruction(machine: Machine, event: on.CoarseReady | on.FullReady | on.ReconstructionFailed) -> Result:
+    """News of the cloud."""
+    scan = machine.scan
+    if scan is None or scan.number != event.number:
+        return machine, ()
+    match event:
+        case on.CoarseReady():
+            return _show(replace(machine, scan=replace(scan, coarse=event.summary)))
+        case on.FullReady():
+            return _show(replace(machine, scan=replace(scan, full=event.summary, failed=None)))
+        case on.ReconstructionFailed():
+            if scan.publishing:
+                return machine, ()  # it was accepted with what there was
+            if RULES[event.fault.code].spoils_scan:
+                dropped, effects = drop(machine, event.fault.detail or event.fault.code.value)
+                return replace(dropped, notice=Notice(event.fault, NoticeKind.FAILURE)), effects
+            return no_cloud(machine, event.fault, cancel=False)
+        case _:
+            assert_never(event)
+
+
+def judged(machine: Machine, number: int, warnings: tuple[Fault, ...], proposal: Exposure | None) -> Machine:
+    """What is held against the scan now."""
+    if machine.scan is None or machine.scan.number != number:
+        return machine
+    return replace(machine, scan=replace(machine.scan, warnings=warnings, proposal=proposal))
+
+
+def no_cloud_in_time(machine: Machine) -> Result:
+    """The worker said nothing for too long."""
+    limit_s = machine.settings.reconstruct_s
+    return no_cloud(machine, Fault(FaultCode.RECONSTRUCTION_FAILED, f"no cloud after {limit_s:g} s"))
+
+
+def no_cloud(machine: Machine, fault: Fault, *, cancel: bool = True) -> Result:
+    """The worker failed: the raw frames can be kept without a cloud."""
+    scan = machine.scan
+    if scan is None:
+        return enter(machine, State.AIM), ()
+    machine, effects = _show(replace(machine, scan=replace(scan, failed=fault)))
+    return machine, (do.CancelReconstruction(scan.number), *effects) if cancel else effects
+
+
+def _show(machine: Machine) -> Result:
+    """With news from the worker: to the review, or on with a save that waited for it."""
+    scan = machine.scan
+    if machine.state in (State.CHECK, State.RECONSTRUCT):
+        return enter(machine, State.REVIEW), ()
+    waited = machine.state in (State.SAVING, State.SAFE)
+    if waited and scan is not None and scan.settled and scan.kept and not scan.publishing and scan.retry_ns is None:
+        return saving.publish(machine, scan)
+    return machine, ()
+
+
+# ------------------------------------------------------------------------------------- decided on
+
+
+def review_key(machine: Machine, key: Key) -> Result:
+    """Keep or repeat; or the proposed exposure, or another view of the cloud."""
+    scan = machine.scan
+    if scan is None:  # REVIEW without a scan cannot be reached; if it were, the way out is AIM
+        return enter(machine, State.AIM), ()
+    match key:
+        case Key.SCAN:
+            return saving.keep(machine, scan)
+        case Key.BACK:
+            return drop(machine, "repeated by the diver")
+        case Key.DOWN if (other := other_exposure(machine)) is not None:
+            return replace(machine, choices=replace(machine.choices, exposure=other)), ()
+        case Key.UP | Key.DOWN:
+            turn = scan.turn + (1 if key is Key.UP else -1)
+            return replace(machine, scan=replace(scan, turn=turn)), ()
+        case _:
+            assert_never(key)
+
+
+def drop(machine: Machine, reason: str) -> Result:
+    """Not wanted, or worthless: among the rejected ones. From SAFE there is no way but SAFE."""
+    scan = machine.scan
+    after: tuple[do.Effect, ...] = ()
+    if machine.stopping is not None:
+        machine, after = saving.end(machine)
+    elif machine.state is State.SAFE:
+        machine = replace(machine, scan=None, deadline_ns=None)
+    else:
+        machine = enter(machine, State.AIM)
+    if scan is None:
+        return machine, after
+    cancel = () if scan.settled else (do.CancelReconstruction(scan.number),)
+    return machine, (*cancel, do.Reject(scan.number, reason), *after)

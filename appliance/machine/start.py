@@ -1,0 +1,81 @@
+"""Owns the way from power-on to AIM: what the self-test waits for, what it lets pass, and what it stops at."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from appliance.machine import events as on
+from appliance.machine.conditions import device_down
+from appliance.machine.moves import Result, enter
+from appliance.machine.permissions import refusal
+from appliance.machine.states import Device, Machine, Part, State, Tested, seconds_ns
+from drivers.api import Key
+
+NO_ANSWER = "no answer"
+
+
+def booted(machine: Machine) -> Result:
+    """Every device was tried once."""
+    if machine.state is not State.BOOT:
+        return machine, ()
+    return enter(machine, State.SELF_TEST, machine.settings.self_test_s), ()
+
+
+def tested(machine: Machine, event: on.PartTested) -> Machine:
+    """With a part's result, which may come again and be another."""
+    return replace(machine, parts={**machine.parts, event.part: Tested(event.passed, event.detail)})
+
+
+def finished(machine: Machine) -> bool:
+    """Whether every device and part has a result."""
+    heard = all(device in machine.up or device in machine.lost for device in Device)
+    return heard and all(part in machine.parts for part in Part)
+
+
+def stops(machine: Machine) -> bool:
+    """Whether something failed that a scan needs: the diver must have seen it."""
+    storage = machine.parts.get(Part.STORAGE)
+    return refusal(machine) is not None or (storage is not None and not storage.passed)
+
+
+def passed(machine: Machine) -> bool:
+    """Whether everything works."""
+    return finished(machine) and not machine.lost and all(test.passed for test in machine.parts.values())
+
+
+def waits_for_ok(machine: Machine) -> bool:
+    """Whether the diver is asked to go on in spite of what failed."""
+    return machine.state is State.SELF_TEST and finished(machine) and stops(machine)
+
+
+def pressed(machine: Machine, key: Key) -> Result:
+    """SCAN (OK) goes on in spite of what failed, and so does BACK."""
+    if waits_for_ok(machine) and key in (Key.SCAN, Key.BACK):
+        return enter(machine, State.AIM), ()
+    return machine, ()
+
+
+def passed_by(machine: Machine) -> Machine:
+    """Into AIM, once everything has a result that was shown long enough."""
+    if machine.state is not State.SELF_TEST or not finished(machine):
+        return machine
+    settings = machine.settings
+    if stops(machine):
+        if Device.KEYS in machine.up:
+            return replace(machine, deadline_ns=None)
+        shown_s = settings.keyless_s
+    else:
+        shown_s = settings.passed_s if passed(machine) else settings.limited_s
+    return enter(machine, State.AIM) if machine.now_ns - machine.since_ns >= seconds_ns(shown_s) else machine
+
+
+def late(machine: Machine) -> Result:
+    """What has not answered by now has failed."""
+    if machine.state is State.BOOT:
+        return enter(machine, State.SELF_TEST, machine.settings.self_test_s), ()
+    for device in Device:
+        if device not in machine.up and device not in machine.lost:
+            machine = device_down(machine, device, NO_ANSWER, None)
+    silent = {part: Tested(False, NO_ANSWER) for part in Part if part not in machine.parts}
+    # Shown from now on, for as long as any other result.
+    return enter(replace(machine, parts={**machine.parts, **silent}), State.SELF_TEST), ()

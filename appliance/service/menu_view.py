@@ -1,0 +1,85 @@
+"""Owns the words and values of the menu's rows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import appliance
+from appliance.machine import menu
+from appliance.machine.alerts import alerts
+from appliance.machine.menu import Row
+from appliance.machine.states import Machine, Menu, Page
+from appliance.screens.texts import Text
+from appliance.screens.views import MenuRow, MenuView
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """What the menu tells about the instrument."""
+
+    serial: str
+    calibrated: str
+    """Method and date."""
+    calibration_hash: str
+
+
+TITLES = {Page.MAIN: Text.MENU, Page.WATER: Text.WATER, Page.ABOUT: Text.ABOUT, Page.POWER_OFF: Text.POWER_OFF}
+WORDS = {
+    Row.EXPOSURE: Text.EXPOSURE,
+    Row.PERIOD: Text.FRINGES,
+    Row.WATER: Text.WATER,
+    Row.CALIBRATION: Text.CALIBRATE,
+    Row.GALLERY: Text.GALLERY,
+    Row.LANGUAGE: Text.LANGUAGE,
+    Row.ABOUT: Text.ABOUT,
+    Row.POWER_OFF: Text.POWER_OFF,
+    Row.WATER_KIND: Text.WATER_KIND,
+    Row.WATER_TEMPERATURE: Text.WATER_TEMPERATURE,
+    Row.VERSION: Text.VERSION,
+    Row.INSTRUMENT: Text.INSTRUMENT,
+    Row.CALIBRATED: Text.CALIBRATED,
+    Row.CALIBRATION_HASH: Text.CALIBRATION_HASH,
+    Row.DISK: Text.DISK,
+    Row.STAY_ON: Text.STAY_ON,
+    Row.SWITCH_OFF: Text.SWITCH_OFF,
+}
+LANGUAGES = {"en": Text.ENGLISH, "de": Text.GERMAN}
+
+
+def menu_view(machine: Machine, facts: Facts | None) -> MenuView:
+    """The page the diver is on, with what is being changed as it would be."""
+    at = machine.menu or Menu()
+    rows = tuple(MenuRow(WORDS[row], value_of(row, machine, facts)) for row in menu.ROWS[at.page])
+    return MenuView(title=TITLES[at.page], rows=rows, selected=at.row, alerts=alerts(machine))
+
+
+def value_of(row: Row, machine: Machine, facts: Facts | None) -> Text | str:
+    """What is chosen, or so. While it is being changed, it is between the signs of the two keys that change it."""
+    chosen = menu.shown(machine)
+    changing = machine.menu is not None and machine.menu.draft is not None and menu.row_of(machine.menu) is row
+    match row:
+        case Row.EXPOSURE:
+            value: Text | str = chosen.exposure.label
+        case Row.PERIOD:
+            value = f"{chosen.period_px} px"
+        case Row.WATER:
+            value = f"{chosen.water_c:g} °C, {chosen.salinity_psu:g} psu"
+        case Row.WATER_KIND:
+            value = Text.SALT if chosen.salt else Text.FRESH
+        case Row.WATER_TEMPERATURE:
+            value = f"{chosen.water_c:g} °C"
+        case Row.LANGUAGE:
+            value = LANGUAGES.get(chosen.language, Text.ENGLISH)
+        case Row.VERSION:
+            value = appliance.__version__
+        case Row.DISK:
+            value = f"{machine.scans} + {'?' if machine.scans_left is None else machine.scans_left}"
+        case Row.INSTRUMENT if facts is not None:
+            value = facts.serial
+        case Row.CALIBRATED if facts is not None:
+            value = facts.calibrated
+        case Row.CALIBRATION_HASH if facts is not None:
+            value = facts.calibration_hash
+        case _:
+            value = ""
+    return f"▲ {value} ▼" if changing and isinstance(value, str) else value
