@@ -16,7 +16,9 @@ from appliance.patterns.sequence import Direction, Kind, PatternSequence
 from appliance.reconstruct.edges import close_axis
 from appliance.reconstruct.graycode import BITS_AT_ONCE, add_bit, number_half_periods, threshold
 from appliance.reconstruct.lit import find_lit
+from appliance.reconstruct.noise import CameraNoise
 from appliance.reconstruct.phase import Axis
+from appliance.reconstruct.veiled import read_through_veil
 
 MIN_CONTRAST_DN = 8
 """Bright minus dark below this is shadow: no projector light."""
@@ -38,7 +40,7 @@ class Mask(IntEnum):
     WEAK = 3
     """Too little modulation."""
     CONTRADICTION = 4
-    """Gray code and phase disagree: a mixed pixel or something that moved."""
+    """Gray code and phase disagree, or the water hides what the Gray code is: a mixed pixel, or something that moved."""
     EDGE = 5
     """At a jump of the coordinates: the pixel sees two surfaces."""
 
@@ -97,15 +99,18 @@ class CameraDecoder:
         pattern = self._sequence.patterns[index]
         self._next = index + 1
         if index == max(self._sequence.bright, self._sequence.dark):
-            bright = frames[self._sequence.bright].reshape(-1)
-            dark = frames[self._sequence.dark].reshape(-1)
-            threshold(bright, dark, np.uint8(MIN_CONTRAST_DN), self._middle, self.mask.reshape(-1))
-            self._closed = False
-            self.lit_pixels = int(find_lit(self.mask, self.lit_columns, self.p_px, self.q_px))
+            self._begin(frames)
         elif pattern.kind is Kind.GRAY and index == max(self._sequence.axis(pattern.direction).gray):
             self._number(frames, self._sequence.axis(pattern.direction).gray)
         elif pattern.kind is Kind.SINE and pattern.index == 3:
             self._close(frames, pattern.direction)
+
+    def _begin(self, frames: NDArray[np.uint8]) -> None:
+        bright = frames[self._sequence.bright].reshape(-1)
+        dark = frames[self._sequence.dark].reshape(-1)
+        threshold(bright, dark, np.uint8(MIN_CONTRAST_DN), self._middle, self.mask.reshape(-1))
+        self._closed = False
+        self.lit_pixels = int(find_lit(self.mask, self.lit_columns, self.p_px, self.q_px))
 
     def _number(self, frames: NDArray[np.uint8], gray: tuple[int, ...]) -> None:
         """All images at once: each is read once, the half periods are written once."""
@@ -145,6 +150,24 @@ class CameraDecoder:
         middle = int(self.middle[::step, ::step][valid].sum(dtype=np.int64))
         mean = sum(int(frames[k][::step, ::step][valid].sum(dtype=np.int64)) for k in sine) / len(sine)
         return mean / middle if middle else 1.0
+
+    def read_again_through_veil(self, frames: NDArray[np.uint8], noise: CameraNoise) -> bool:
+        """After the last of ``frames`` (n, h, w) uint8: where the water outshines the object, decode them anew, bit by bit.
+
+        False, with the maps as they were, where it does so nowhere; this takes a millisecond. See ``veiled``.
+        """
+        columns, doubtful = np.empty((2, *self._shape), np.uint8)
+        if not read_through_veil(self._sequence, frames, self.mask, noise, columns, doubtful):
+            return False
+        self._begin(frames)
+        self.mask[(doubtful != 0) & (self.mask == Mask.VALID)] = Mask.CONTRADICTION
+        for direction in Direction:
+            if direction is Direction.X:
+                self._half_period[:] = columns.reshape(-1)
+            else:
+                self._number(frames, self._sequence.axis(direction).gray)
+            self._close(frames, direction)
+        return True
 
     def finish(self) -> None:
         """Close the scan: the maps are final. Raises ValueError when frames are missing."""

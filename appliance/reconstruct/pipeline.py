@@ -82,6 +82,7 @@ class Pipeline:
         self._factors = sigma_factors(sequence.period_px, noise)
         self._limits = limits or QualityLimits()
         self._pixel_mm = 0.16 * 1600.0 / left.width_px
+        self._frames: dict[str, NDArray[np.uint8]] = {}
         self._bright: NDArray[np.uint8] | None = None
         self._scratch = [scratch_rows() for _ in range(THREADS)]
         self._pool = ThreadPoolExecutor(THREADS, "kf-decode")
@@ -99,6 +100,7 @@ class Pipeline:
     def push(self, side: str, frames: NDArray[np.uint8], index: int) -> None:
         """Work on frame ``index`` of one side's ``frames`` (n, h, w) uint8; in order. Sides may run in two threads."""
         self._decoders[side].push(frames, index)
+        self._frames[side] = frames
         if side == "left" and index == self._sequence.bright:
             self._bright = frames[index]
 
@@ -149,11 +151,21 @@ class Pipeline:
         """As ``coarse``, leaving the points in the table."""
         for decoder in self._decoders.values():
             decoder.finish()
+        self._read_through_veil()
         fill_inverse_map(self._right, self._inverse_stride)
         left, period_px = self._decoders["left"], self._sequence.period_px
         self._ripple = measure_ripple(left.p_px, left.lit_columns, period_px)
         self._factors = sigma_factors(period_px, self._noise, self._ripple)
         return self._find(self.coarse_stride)
+
+    def _read_through_veil(self) -> None:
+        noises = {"left": self._noise.left, "right": self._noise.right}
+
+        def work(side: str) -> None:
+            self._decoders[side].read_again_through_veil(self._frames[side], noises[side])
+
+        for _ in self._pool.map(work, self._frames):
+            pass
 
     def find_full(self) -> Found:
         """As ``full``, leaving the points in the table."""

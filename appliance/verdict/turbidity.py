@@ -49,7 +49,9 @@ DIRTY_MASKED, DIRTY_VEIL, DIRTY_SPECKS = 0.25, 0.25, 0.02
 specks disturb so much of it."""
 VEILED = 0.30
 """From this share of veil on, the scan is poor however much of it has coordinates: here and there the veil outshines the
-object, coarse Gray bits take it for stripes, and make surfaces of it (``docs/turbidity.md``)."""
+object, and the Gray code has to be read through it (``reconstruct.veiled``)."""
+HIDDEN = 0.25
+"""So much of the object may be lost where the veil outshines it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +71,8 @@ class WaterJudgement:
     """Median of the points' expected errors."""
     masked_percent: float | None
     """Of the object's pixels, those without coordinates."""
+    hidden_percent: float | None
+    """Of the object's pixels, those without coordinates because the veil outshines them."""
     speck_percent: float | None
     """Of the pixels with coordinates, those that something passing by disturbed."""
     fringe_contrast_percent: float | None
@@ -96,6 +100,7 @@ def judge_water(recorded: Recorded, cloud: Cloud, rig: StereoRig, water_index: f
         "backscatter_percent": None,
         "expected_noise_mm": cloud.summary.noise_mm,
         "masked_percent": _percent(looked.masked_share),
+        "hidden_percent": _percent(looked.hidden_share),
         "speck_percent": _percent(looked.speck_share),
         "fringe_contrast_percent": _percent(looked.fringe_contrast),
     }
@@ -167,6 +172,7 @@ def _fault(looked: Looked) -> Fault | None:
     if masked is None:
         return None
     by_veil = veil is not None and (veil > VEILED or (veil > DIRTY_VEIL and masked > DIRTY_MASKED))
+    by_veil |= (looked.hidden_share or 0.0) > HIDDEN
     by_specks = specks is not None and specks > DIRTY_SPECKS
     if not by_veil and not by_specks:
         return None

@@ -35,6 +35,8 @@ OUTLIER_SIGMAS = 4.0
 MIN_OBJECT_DN = 6.0
 """Stripes that change a pixel by less light no object that could be measured."""
 SATURATED_DN = 255.0
+USUAL_CONTRAST = 0.8
+"""Of fringes, in turbid water, where no pixel tells."""
 SPECK_SIGMAS = 6.0
 """Of the four steps' disagreement: one in 500 million by noise alone."""
 
@@ -70,6 +72,8 @@ class Looked:
     """Sampled pixels that show an object and are not saturated."""
     masked_share: float | None
     """Of them, those without coordinates."""
+    hidden_share: float | None
+    """Of them, those that have no coordinates and show, as their weak fringes tell, more veil than object."""
     fringe_contrast: float | None
     """Modulation of the fringes in halves of the object's light: what blur and the projector's response leave of it."""
     flicker_dn: float
@@ -119,14 +123,20 @@ def look_at_veil(sequence: PatternSequence, frames: NDArray[np.uint8], decoded: 
         (light - black)[judged], black[judged],
     )  # fmt: skip
     of_light = float(cells.pixels @ (cells.signal_dn + cells.veil_dn))
-    steps = [[seen(k).ravel()[pixels] for k in sequence.axis(direction).sine] for direction in Direction]
+    sines = [[seen(k) for k in sequence.axis(direction).sine] for direction in Direction]
+    steps = [[one.ravel()[pixels] for one in axis] for axis in sines]
     flicker_dn, speck_share = _passing(cell, steps)
+    contrast = _contrast(steps[0], cells)
+    i0, i1, i2, i3 = sines[0]
+    told = np.hypot(i0 - i2, i3 - i1) / np.float32(contrast or USUAL_CONTRAST)
+    hidden = int(np.count_nonzero(seen_object & ~valid & (2.0 * told < bright - dark)))
     return Looked(
         cells,
         float(np.clip(cells.pixels @ cells.veil_dn / of_light, 0.0, 1.0)) if of_light > 0.0 else None,
         objects,
         1.0 - len(pixels) / objects if objects else None,
-        _contrast(steps[0], cells),
+        hidden / objects if objects else None,
+        contrast,
         flicker_dn,
         speck_share,
     )

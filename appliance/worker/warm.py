@@ -12,6 +12,7 @@ from appliance.patterns.sequence import build_sequence
 from appliance.reconstruct.noise import TYPICAL
 from appliance.reconstruct.pipeline import SIDES, Pipeline
 from appliance.reconstruct.specks import mask_specks
+from appliance.reconstruct.veiled import warm_up
 from appliance.worker.scan_work import ScanWork, Taking
 
 _DESIGN = Design(11.5, 112.5, 230.0, 12.41, 30.0, 5.0, 1.77)
@@ -45,3 +46,4 @@ def run_every_kernel() -> None:
             decoded = pipeline.decoded("left")
             decoded.mask.fill(0)
             mask_specks(sequence, frames, decoded, TYPICAL)
+            warm_up(sequence, frames, TYPICAL)

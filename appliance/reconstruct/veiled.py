@@ -1,0 +1,337 @@
+"""Owns the Gray code of pixels before which the lit water outshines the object: threshold by threshold, pixel by pixel.
+
+In a Gray image a pixel shows G = b O + f V over the dark frame: the object's light O where its bit b is set, and the share f
+of the veil V that lit stripes make on the ray's way to it. The middle between bright and dark decides rightly as long as V
+is less than O. Beyond, coarse stripes may light most of that way (f near 1) before a dark pixel, or next to none of it
+before a lit one: bits then follow the water, and whole patches would become smooth surfaces that are nowhere.
+
+O is told by the fringes, which the water cannot have: a ray crosses many of them. So V is known for each pixel, and f is
+smooth over the image: it is read off pixels whose bit is beyond doubt (G < O: not set; G > V: set), and carried from there to
+their neighbours, whose bits it tells in turn. A pixel whose bit remains in doubt is masked, unless it lies on the border of
+that bit's stripes, where the phase tells the half period anyway.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import cv2
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.patterns.sequence import Direction, PatternSequence
+from appliance.reconstruct.noise import CameraNoise
+
+Floats = NDArray[np.float32]
+
+BLOCKS = 100
+"""Of the image's width, in which f is one number."""
+SAMPLES_PER_BLOCK = 4
+"""Across a block, and down it, where f is read off."""
+LOOK_SAMPLES = 15_000
+"""Pixels that are asked whether there is any veil to speak of."""
+SPREAD_BLOCKS = 1.5
+"""Standard deviation of the neighbourhood from which f comes."""
+LEAST_KNOWN = 0.03
+"""Share of that neighbourhood that must be known."""
+ROUNDS = 16
+SURE = 0.75
+"""Of what the fringes tell of O, so much is there at least: blur and the projector's response differ from place to place."""
+NOISE_SIGMAS = 3.0
+MARGIN = 0.25
+"""A bit is in doubt where G is nearer to the threshold than this, in O; or than ``NOISE_SIGMAS``."""
+BEYOND = 0.6
+"""As far beyond what either value of the bit makes, in O, f is not known here."""
+FINE_IMAGES = 3
+"""Of the finest stripes, one has a border nowhere near; they light half of the water, whatever the pixel."""
+CLEAR_MODULATION_DN = 8.0
+"""From here on, fringes are asked how much of the object's light they are."""
+MIN_LIGHT_DN, MIN_MODULATION_DN = 8.0, 5.0
+"""What decoding asks of a pixel."""
+MIN_CLEAR = 20
+"""Of so few pixels nothing is asked."""
+HALF_VEIL, FEW = 0.5, 0.005
+"""Where so few of the decoded pixels show a veil of half the object's light, no bit is in danger."""
+_ZERO_BIT, _ONE_BIT, _OPEN, _NONE = np.uint8(0), np.uint8(1), np.uint8(2), np.uint8(3)
+_FULL, _SHADOW, _SATURATED = np.uint8(255), np.uint8(1), np.uint8(2)
+
+
+class Seen(NamedTuple):
+    """Some pixels of a camera, (h, w) float32 each."""
+
+    light_dn: Floats
+    """Bright minus dark."""
+    object_dn: Floats
+    """O, told by the fringes."""
+    noise_dn: Floats
+    """Standard deviation of the bright frame."""
+    usable: NDArray[np.bool_]
+    """Lit, and nowhere saturated."""
+
+
+class Scale(NamedTuple):
+    """What makes O and its noise of grey values."""
+
+    per_half_dn: np.float32
+    """O per half grey value of modulation."""
+    dark_dn2: np.float32
+    """Variance at no light."""
+    shot_dn: np.float32
+    """The same, per grey value."""
+
+
+def read_through_veil(
+    sequence: PatternSequence,
+    frames: NDArray[np.uint8],
+    mask: NDArray[np.uint8],
+    noise: CameraNoise,
+    half_period: NDArray[np.uint8],
+    doubtful: NDArray[np.uint8],
+) -> bool:
+    """Half periods of the pattern columns (h, w) uint8, and 1 in ``doubtful`` (h, w) uint8 where a bit cannot be told.
+
+    ``frames`` (n, h, w) uint8 of one camera; ``mask`` (h, w) as decoding them left it. False, with nothing written, where
+    the veil is too weak to have turned a bit.
+    """
+    scale = _scale(sequence, frames, mask, noise)
+    if scale is None or not _any_veil(sequence, frames, mask, scale):
+        return False
+    _read(sequence, frames, scale, half_period, doubtful)
+    return True
+
+
+def warm_up(sequence: PatternSequence, frames: NDArray[np.uint8], noise: CameraNoise) -> None:
+    """Run every kernel on frames (n, h, w) of whatever shows."""
+    number, doubtful = np.zeros((2, *frames.shape[1:]), np.uint8)
+    _read(sequence, frames, _scale_of(1.0, noise), number, doubtful)
+
+
+def _read(
+    sequence: PatternSequence,
+    frames: NDArray[np.uint8],
+    scale: Scale,
+    half_period: NDArray[np.uint8],
+    doubtful: NDArray[np.uint8],
+) -> None:
+    across = sequence.axis(Direction.X)
+    stride = max(1, -(-frames.shape[2] // BLOCKS) // SAMPLES_PER_BLOCK)
+    at = (slice(stride // 2, None, stride), slice(stride // 2, None, stride))
+    seen = _seen(sequence, frames, at, scale)
+    dark = frames[sequence.dark][at].astype(np.float32)
+    shares = np.stack([_lit_share(frames[k][at].astype(np.float32) - dark, seen) for k in across.gray])
+    _number(
+        frames, np.array(across.gray, np.int64), np.array(across.sine, np.int64), sequence.bright, sequence.dark, shares,
+        SAMPLES_PER_BLOCK * stride, scale, half_period, doubtful,
+    )  # fmt: skip
+
+
+def _scale(
+    sequence: PatternSequence, frames: NDArray[np.uint8], mask: NDArray[np.uint8], noise: CameraNoise
+) -> Scale | None:
+    """``None`` where nothing is seen."""
+    at = _few(mask.shape)
+    across = sequence.axis(Direction.X)
+    i0, i1, i2, i3 = (frames[k][at].astype(np.float32) for k in across.sine)
+    bright, dark = (frames[k][at].astype(np.float32) for k in (sequence.bright, sequence.dark))
+    double = np.hypot(i0 - i2, i3 - i1)
+    clear = (double > 2.0 * CLEAR_MODULATION_DN) & (mask[at] != _SHADOW) & (mask[at] != _SATURATED) & (bright < 255.0)
+    if np.count_nonzero(clear) < MIN_CLEAR:
+        return None
+    swing = np.max([np.abs(2.0 * frames[k][at] - bright - dark) for k in across.gray[-FINE_IMAGES:]], axis=0)
+    contrast = float(np.median(double[clear] / np.maximum(swing[clear], 1.0)))
+    return _scale_of(contrast, noise)
+
+
+def _scale_of(contrast: float, noise: CameraNoise) -> Scale:
+    """``contrast``: modulation in halves of the object's light."""
+    dark_dn2 = noise.read_dn**2 - noise.dn_per_e * noise.black_dn
+    return Scale(np.float32(1.0 / contrast), np.float32(dark_dn2), np.float32(noise.dn_per_e))
+
+
+def _any_veil(sequence: PatternSequence, frames: NDArray[np.uint8], mask: NDArray[np.uint8], scale: Scale) -> bool:
+    at = _few(mask.shape)
+    seen = _seen(sequence, frames, at, scale)
+    valid = mask[at] == 0
+    veiled = valid & (seen.light_dn > (1.0 + HALF_VEIL) * seen.object_dn + NOISE_SIGMAS * seen.noise_dn)
+    return bool(np.count_nonzero(veiled) > FEW * max(int(np.count_nonzero(valid)), 1))
+
+
+def _few(shape: tuple[int, ...]) -> tuple[slice, slice]:
+    stride = max(1, int((shape[0] * shape[1] / LOOK_SAMPLES) ** 0.5))
+    return slice(stride // 2, None, stride), slice(stride // 2, None, stride)
+
+
+def _seen(sequence: PatternSequence, frames: NDArray[np.uint8], at: tuple[slice, slice], scale: Scale) -> Seen:
+    i0, i1, i2, i3 = (frames[k][at].astype(np.float32) for k in sequence.axis(Direction.X).sine)
+    bright, dark = (frames[k][at].astype(np.float32) for k in (sequence.bright, sequence.dark))
+    top = np.maximum(np.maximum(i0, i1), np.maximum(i2, i3))
+    double: Floats = np.hypot(i0 - i2, i3 - i1)
+    variance = np.maximum(scale.dark_dn2 + scale.shot_dn * bright, np.float32(0.0))
+    usable = (bright - dark >= MIN_LIGHT_DN) & (top < 255.0) & (bright < 255.0) & (double > 2.0 * MIN_MODULATION_DN)
+    return Seen(bright - dark, double * scale.per_half_dn, np.asarray(np.sqrt(variance), np.float32), usable)
+
+
+def _lit_share(gray_dn: Floats, seen: Seen) -> Floats:
+    """f of one Gray image in each block; NaN where it is not known."""
+    block = SAMPLES_PER_BLOCK
+    state = np.empty(gray_dn.shape, np.uint8)
+    _seed(gray_dn, seen.light_dn, seen.object_dn, seen.noise_dn, seen.usable, state)
+    rows, columns = (-(-size // block) for size in gray_dn.shape)
+    sums, share = np.empty((rows, columns, 3), np.float32), np.empty((rows, columns), np.float32)
+    for _ in range(ROUNDS):
+        _gather(gray_dn, seen.light_dn, seen.object_dn, state, block, sums)
+        spread = cv2.GaussianBlur(sums, (0, 0), SPREAD_BLOCKS)
+        known = spread[..., 0] > LEAST_KNOWN * block * block
+        share[:] = np.clip(spread[..., 1] / np.maximum(spread[..., 2], np.float32(1e-3)), 0.0, 1.0)
+        share[~known] = np.nan
+        if not _decide(gray_dn, seen.light_dn, seen.object_dn, seen.noise_dn, share, block, state):
+            break
+    return share
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _seed(
+    gray_dn: Floats,
+    light_dn: Floats,
+    object_dn: Floats,
+    noise_dn: Floats,
+    usable: NDArray[np.bool_],
+    state: NDArray[np.uint8],
+) -> None:
+    """What is beyond doubt, however much of the veil is lit."""
+    for y in range(state.shape[0]):
+        for x in range(state.shape[1]):
+            state[y, x] = _NONE
+            if usable[y, x]:
+                sure = np.float32(SURE) * object_dn[y, x] - np.float32(NOISE_SIGMAS) * noise_dn[y, x]
+                light, gray = light_dn[y, x], gray_dn[y, x]
+                if light < np.float32(2.0) * sure:
+                    state[y, x] = _ONE_BIT if gray >= np.float32(0.5) * light else _ZERO_BIT
+                elif gray > light - sure:
+                    state[y, x] = _ONE_BIT
+                else:
+                    state[y, x] = _ZERO_BIT if gray < sure else _OPEN
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _gather(
+    gray_dn: Floats, light_dn: Floats, object_dn: Floats, state: NDArray[np.uint8], block: int, sums: Floats
+) -> None:
+    """Of each block, how many pixels are known, their veil in this image, and their veil in the bright one."""
+    sums[:] = np.float32(0.0)
+    for y in range(state.shape[0]):
+        row = sums[y // block]
+        for x in range(state.shape[1]):
+            if state[y, x] <= _ONE_BIT:
+                cell = row[x // block]
+                veil = light_dn[y, x] - object_dn[y, x]
+                cell[0] += np.float32(1.0)
+                cell[1] += gray_dn[y, x] - (object_dn[y, x] if state[y, x] == _ONE_BIT else np.float32(0.0))
+                cell[2] += veil if veil > np.float32(0.0) else np.float32(0.0)
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _decide(
+    gray_dn: Floats,
+    light_dn: Floats,
+    object_dn: Floats,
+    noise_dn: Floats,
+    share: Floats,
+    block: int,
+    state: NDArray[np.uint8],
+) -> int:
+    """Bits of open pixels that f tells beyond doubt; how many."""
+    found = 0
+    for y in range(state.shape[0]):
+        row = share[y // block]
+        for x in range(state.shape[1]):
+            if state[y, x] == _OPEN:
+                lit = row[x // block]
+                own = object_dn[y, x]
+                rest = gray_dn[y, x] - lit * max(light_dn[y, x] - own, np.float32(0.0))
+                off = rest - np.float32(0.5) * own
+                doubt = max(np.float32(MARGIN) * own, np.float32(NOISE_SIGMAS) * noise_dn[y, x])
+                if (abs(off) > doubt) & (abs(off) < own):
+                    state[y, x] = _ONE_BIT if off > np.float32(0.0) else _ZERO_BIT
+                    found += 1
+    return found
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _plain_number(gray: int) -> int:
+    """Of a reflected Gray code of up to eight bits."""
+    number = gray ^ (gray >> 1)
+    number ^= number >> 2
+    return number ^ (number >> 4)
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _periods(number: int, turns: float) -> int:
+    """Whole periods of the coordinate that phase and half period make together."""
+    middle = np.float32(0.5) * np.float32(number) + np.float32(0.25)
+    return int(np.floor(middle - turns + np.float32(0.5)))
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _number(
+    frames: NDArray[np.uint8],
+    gray: NDArray[np.int64],
+    sine: NDArray[np.int64],
+    bright: int,
+    dark: int,
+    shares: Floats,
+    block_px: int,
+    scale: Scale,
+    half_period: NDArray[np.uint8],
+    doubtful: NDArray[np.uint8],
+) -> None:
+    rows, columns = half_period.shape
+    last_y, last_x = shares.shape[1] - 1, shares.shape[2] - 1
+    own = np.empty(columns, np.float32)
+    doubt = np.empty(columns, np.float32)
+    sure = np.empty(columns, np.float32)
+    code = np.empty(columns, np.int64)
+    soft = np.empty(columns, np.int64)
+    lost = np.empty(columns, np.bool_)
+    for y in range(rows):
+        i0, i1, i2, i3 = frames[sine[0], y], frames[sine[1], y], frames[sine[2], y], frames[sine[3], y]
+        for x in range(columns):
+            cosine, quadrature = np.float32(i0[x]) - np.float32(i2[x]), np.float32(i3[x]) - np.float32(i1[x])
+            light = np.float32(frames[bright, y, x]) - np.float32(frames[dark, y, x])
+            variance = max(scale.dark_dn2 + scale.shot_dn * np.float32(frames[bright, y, x]), np.float32(0.0))
+            noise = np.float32(NOISE_SIGMAS) * np.sqrt(variance)
+            told = scale.per_half_dn * np.sqrt(cosine * cosine + quadrature * quadrature)
+            plain = light < np.float32(2.0) * (np.float32(SURE) * told - noise)
+            # Without a veil to speak of, the middle decides as ever: all of the light counts as the object's.
+            own[x] = light if plain else told
+            sure[x] = light if plain else np.float32(SURE) * told - noise
+            doubt[x] = np.float32(0.0) if plain else max(np.float32(MARGIN) * told, noise)
+            code[x], soft[x] = 0, 0
+            lost[x] = (not plain) & (frames[bright, y, x] == _FULL)
+        for k in range(gray.size):
+            image, share = frames[gray[k], y], shares[k, min(y // block_px, last_y)]
+            for x in range(columns):
+                light = np.float32(frames[bright, y, x]) - np.float32(frames[dark, y, x])
+                lit = share[min(x // block_px, last_x)]
+                veil = max(light - own[x], np.float32(0.0))
+                rest = np.float32(image[x]) - np.float32(frames[dark, y, x])
+                if lit == lit:
+                    off = rest - lit * veil - np.float32(0.5) * own[x]
+                    unsure = abs(off) < doubt[x]
+                    lost[x] = lost[x] | ((abs(off) > np.float32(0.5 + BEYOND) * own[x]) & (doubt[x] > np.float32(0.0)))
+                else:
+                    off = rest - np.float32(0.5) * light
+                    unsure = abs(off) < np.float32(0.5) * light - sure[x]
+                code[x] = (code[x] << 1) | (1 if off >= np.float32(0.0) else 0)
+                soft[x] = (soft[x] << 1) | (1 if unsure else 0)
+        for x in range(columns):
+            number = _plain_number(code[x])
+            half_period[y, x] = np.uint8(number)
+            if soft[x] != 0:
+                # On the border of its own stripes a bit turned over is the half period beside, and the phase tells.
+                turned = _plain_number(code[x] ^ soft[x])
+                wrapped = np.arctan2(np.float32(i3[x]) - np.float32(i1[x]), np.float32(i0[x]) - np.float32(i2[x]))
+                wrapped *= np.float32(0.5 / np.pi)
+                lost[x] = lost[x] | (_periods(number, wrapped) != _periods(turned, wrapped))
+            doubtful[y, x] = np.uint8(1) if lost[x] else np.uint8(0)

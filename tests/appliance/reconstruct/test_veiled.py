@@ -1,0 +1,89 @@
+"""Water that outshines the object makes no surfaces, and hides no more of the object than it must."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from appliance.reconstruct.decode import CameraDecoder
+from appliance.reconstruct.noise import StereoNoise, camera_noise
+from appliance.reconstruct.pipeline import Pipeline
+from bench.bias import depth_errors
+from hw_sim.imaging import Imaging
+from hw_sim.scene import Scene
+from hw_sim.sensor import FULL_WELL_E, OFFSET_DN, READ_NOISE_E
+from hw_sim.water import Water
+from tests.support.rendered import RenderedScan, render_scan
+from tests.support.truth import WATER, true_calibration
+
+GAIN_DB = 13.0
+NOISE = camera_noise(FULL_WELL_E, READ_NOISE_E, OFFSET_DN, GAIN_DB)
+MILK = Water(attenuation_per_m=3.0, backscatter=0.3, blur_px_per_m=2.25)
+"""Before the far half of the plane, the veil is more than twice the object's light."""
+PLANE = (0.0, 0.0, 522.5, 10.0, -12.0, 0.0)
+FAR_OFF_PX = 4.0
+
+
+@dataclass(frozen=True)
+class Read:
+    decoder: CameraDecoder
+    p_px: NDArray[np.float32]
+    again: bool
+
+
+@pytest.fixture(scope="module")
+def milky() -> RenderedScan:
+    scene = Scene(object="plane", pose=PLANE, texture="none", water=MILK, imaging=Imaging(response="linear"))
+    return render_scan(scene, "modelled", 1, 400, 16, 0.0162, gain_db=GAIN_DB)
+
+
+@pytest.fixture(scope="module")
+def clear() -> RenderedScan:
+    return render_scan(Scene(object="stones", texture="strong"), "realistic", 1, 400, 16, 0.010)
+
+
+def read(scan: RenderedScan, frames: NDArray[np.uint8]) -> Read:
+    decoder = CameraDecoder(scan.sequence, frames.shape[2], frames.shape[1])
+    for k in range(len(scan.sequence)):
+        decoder.push(frames, k)
+    before = decoder.p_px.copy()
+    return Read(decoder, before, decoder.read_again_through_veil(frames, NOISE))
+
+
+def off_px(scan: RenderedScan, p_px: NDArray[np.float32]) -> NDArray[np.float64]:
+    return np.abs(p_px - scan.renderer.view("left", 0.0).projector_px[..., 0])
+
+
+def test_milk_makes_no_surfaces_and_leaves_nearly_all_of_the_plane(milky: RenderedScan) -> None:
+    calibration = true_calibration(milky.renderer.truth)
+    with Pipeline(calibration, WATER, milky.sequence, noise=StereoNoise(NOISE, NOISE)) as pipeline:
+        for side, frames in milky.frames.items():
+            for k in range(len(milky.sequence)):
+                pipeline.push(side, frames, k)
+        pipeline.coarse()
+        cloud = pipeline.full()
+    errors = depth_errors(milky.renderer, cloud)
+    off = np.abs(np.nan_to_num(errors.along_ray_mm, nan=1e3))
+    assert np.mean((off > 1.0) & (off > 5.0 * cloud.sigma_mm)) < 100e-6
+    seen = milky.renderer.view("left", 0.0).seen_by_all
+    assert np.count_nonzero(errors.seen) > 0.85 * np.count_nonzero(seen)
+
+
+def test_the_middle_between_bright_and_dark_would_have_made_them(milky: RenderedScan) -> None:
+    """What this is for: many coordinates are wrong before, next to none after."""
+    left = read(milky, milky.frames["left"])
+    assert left.again
+    wrong_before = np.count_nonzero(off_px(milky, left.p_px) > FAR_OFF_PX)
+    wrong_after = np.count_nonzero(off_px(milky, left.decoder.p_px) > FAR_OFF_PX)
+    assert wrong_before > 5_000
+    assert wrong_after < 0.002 * wrong_before
+    assert np.isfinite(left.decoder.p_px).sum() > 1.1 * np.isfinite(left.p_px).sum()
+
+
+def test_clear_water_is_read_once(clear: RenderedScan) -> None:
+    left = read(clear, clear.frames["left"])
+    assert not left.again
+    assert np.array_equal(left.p_px, left.decoder.p_px, equal_nan=True)
