@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from appliance.patterns.sequence import Direction, PatternSequence
 from appliance.reconstruct.decode import MIN_MODULATION_DN
 from appliance.reconstruct.noise import CameraNoise
+from appliance.verdict.light_fit import CLIP, COSINE, EXPECTED, SIGMA, SINE, THIRD, fit_blocks
 from appliance.verdict.light_levels import Sample
 
 BLOCK_ROWS, BLOCK_COLUMNS = 6, 8
@@ -30,13 +31,13 @@ CLEAR_DN = 248.0
 """No image of the pixel may be brighter."""
 SURE = 0.5
 """A block is judged when its shift is known better than this, times what would harm."""
-CLIP = 3.0
-"""Residuals beyond so many of their usual size are edges of the texture."""
 HARMFUL_RIPPLE = 0.5
 """Of the noise: from here on the bias of the phase is seen in the surface."""
 EXPLAINED = 0.8
 """Share of the changes that one frequency must explain to be named."""
 MIN_LEVELS = 12
+RANK = 1e-10
+"""Of a cosine and a sine: at half the frame rate there is only one of them."""
 
 Floats = NDArray[np.float64]
 
@@ -146,14 +147,13 @@ def find_frequency_hz(levels: tuple[Level, ...], frame_s: float) -> tuple[float,
     total = float(np.sum(value**2))
     if total == 0.0:
         return None
-    explained, hz = 0.0, 0.0
-    for candidate in np.arange(2.0, 0.5 / frame_s + 0.01, 0.25):
-        angle = 2.0 * np.pi * candidate * frame_s * frame
-        basis = np.stack([_centred(np.cos(angle), group), _centred(np.sin(angle), group)], axis=1)
-        coefficients, *_ = np.linalg.lstsq(basis, value, rcond=None)
-        share_here = 1.0 - float(np.sum((value - basis @ coefficients) ** 2)) / total
-        if share_here > explained:
-            explained, hz = share_here, float(candidate)
+    candidates = np.arange(2.0, 0.5 / frame_s + 0.01, 0.25)
+    angle = 2.0 * np.pi * frame_s * np.outer(candidates, frame)
+    basis = np.stack([_centred(np.cos(angle), group), _centred(np.sin(angle), group)], axis=-1)
+    fitted = np.einsum("cnk,ck->cn", basis, np.linalg.pinv(basis, rcond=RANK) @ value)
+    shares = 1.0 - np.sum((value - fitted) ** 2, axis=1) / total
+    best = int(np.argmax(shares))
+    hz, explained = float(candidates[best]), float(shares[best])
     return (hz, explained) if explained >= EXPLAINED else None
 
 
@@ -174,29 +174,13 @@ def _fit(
 ) -> _Fit:
     """``images`` (4, rows, columns); of their ``good`` pixels, ``members`` are those of each block, and ``places`` row and
     column, of any unit."""
-    i0, i1, i2, i3 = (image[good] for image in images.astype(np.float64))
-    cosine, sine = i0 - i2, i3 - i1
-    length = np.hypot(cosine, sine)
-    c, s = cosine / length, sine / length
-    relative = length / contrast
-    third = (i0 - i1 + i2 - i3) / contrast
-    c2, s2 = c * c - s * s, 2.0 * c * s
-    c4, s4 = c2 * c2 - s2 * s2, 2.0 * c2 * s2
-    found = np.zeros((5, len(members)))
+    four = np.ascontiguousarray(images[:, good], np.float64)
+    ends = np.cumsum([block.size for block in members])
+    found, third = fit_blocks(four, contrast, *places, np.concatenate(members), ends)
     rest = np.full(good.shape, np.nan)
-    for k, block in enumerate(members):
-        y, x = (_unit(place[block]) for place in places)
-        smooth = (np.ones_like(x), x, y, x * x, x * y, y * y)
-        shift, sigma_k, expected_k = _regress(
-            relative[block], np.stack([c[block], s[block], c4[block], s4[block], *smooth], axis=1), contrast[block]
-        )
-        twice = np.stack([np.ones_like(x), c2[block], s2[block]], axis=1)
-        left, _, _ = _regress(third[block], twice, contrast[block])
-        found[:, k] = shift[0], shift[1], left[0], sigma_k, expected_k
-        third[block] -= twice @ left
     rest[good] = third
-    cosine, sine, level, sigma, expected = found
-    return _Fit(cosine, sine, level, sigma, expected, _common_of_neighbours(rest, good, members))
+    fine = _common_of_neighbours(rest, good, members)
+    return _Fit(found[COSINE], found[SINE], found[THIRD], found[SIGMA], found[EXPECTED], fine)
 
 
 def _common_of_neighbours(rest: Floats, good: NDArray[np.bool_], members: Sequence[NDArray[np.intp]]) -> Floats:
@@ -212,32 +196,6 @@ def _common_of_neighbours(rest: Floats, good: NDArray[np.bool_], members: Sequen
         counts += known
     sums, counts = sums[good], counts[good]
     return np.array([sums[block].sum() / max(counts[block].sum(), 1.0) for block in members])
-
-
-def _unit(place: Floats) -> Floats:
-    """From −1 to 1."""
-    low, high = place.min(), place.max()
-    return np.asarray((2.0 * place - low - high) / max(high - low, 1.0), np.float64)
-
-
-def _regress(value: Floats, columns: Floats, contrast: Floats) -> tuple[Floats, float, float]:
-    """Coefficients of a weighted robust fit of ``columns`` (n, k), the larger sigma of the first two, and what that would
-    be for ``value`` · ``contrast`` with a noise of 1."""
-    weight = np.minimum(contrast, np.quantile(contrast, 0.9)) ** 2
-    coefficients, sigma, expected = np.zeros(columns.shape[1]), np.inf, np.inf
-    for _ in range(2):
-        weighted = columns * weight[:, None]
-        normal = weighted.T @ columns
-        normal += 1e-9 * np.trace(normal) * np.eye(normal.shape[0])
-        inverse = np.linalg.inv(normal)
-        coefficients = inverse @ (weighted.T @ value)
-        residual = value - columns @ coefficients
-        freedom = max(int(np.count_nonzero(weight)) - columns.shape[1], 1)
-        expected = float(np.sqrt(max(inverse[0, 0], inverse[1, 1])))
-        sigma = expected * float(np.sqrt(np.sum(weight * residual**2) / freedom))
-        size = max(1.4826 * float(np.median(np.abs(residual) * contrast)), 1e-3)
-        weight = np.where(np.abs(residual) * contrast > CLIP * size, 0.0, weight)
-    return coefficients, sigma, expected
 
 
 def _apart(
@@ -277,8 +235,9 @@ def _gray_levels(s: Sample, sequence: PatternSequence, good: NDArray[np.bool_], 
 
 
 def _centred(value: Floats, group: NDArray[np.intp]) -> Floats:
-    mean = np.bincount(group, value) / np.bincount(group)
-    return np.asarray(value - mean[group], np.float64)
+    """``value`` (..., n) less the mean of each group."""
+    member = (group[:, None] == np.arange(group.max() + 1)).astype(np.float64)
+    return np.asarray(value - value @ member / member.sum(axis=0) @ member.T, np.float64)
 
 
 def _median(value: Floats, weight: Floats) -> float:
