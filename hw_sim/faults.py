@@ -25,6 +25,8 @@ class Kind:
 
 Number = TypeVar("Number", int, float)
 NAN = float("nan")
+MOST = 1e9
+"""Of frames, counts and seconds: 30 years."""
 KINDS: dict[tuple[str, str], Kind] = {
     ("camera", "intermittent"): Kind(strikes=True),
     ("camera", "wrong"): Kind(("repeat", "swap"), strikes=True),
@@ -135,8 +137,8 @@ def _number(kind: Callable[[str], Number], key: str, value: str) -> Number:
         number = kind(value)
     except ValueError:
         raise ValueError(f"{key}={value} is not a number") from None
-    if key != "amount" and not number >= 0:
-        raise ValueError(f"{key}={value} must not be negative")
+    if key != "amount" and not 0 <= number < MOST:
+        raise ValueError(f"{key}={value}; allowed are 0 and more, below {MOST:g}")
     return number
 
 

@@ -12,12 +12,18 @@ Status = Mapping[str, Any]
 
 
 def _alerts(status: Status, field: str) -> list[str]:
-    return [str(alert.get(field)) for alert in status.get("alerts") or []]
+    alerts = status.get("alerts")
+    return [str(_table(alert).get(field)) for alert in alerts] if isinstance(alerts, list) else []
+
+
+def _table(value: object) -> Mapping[str, Any]:
+    """A table of the file; empty where it has something else in that place."""
+    return value if isinstance(value, Mapping) else {}
 
 
 def _calibration(status: Status, field: str, name: str) -> bool:
     """Of a calibration, when nothing is computed for it any more."""
-    at = status.get("calibration") or {}
+    at = _table(status.get("calibration"))
     return at.get(field) == name and not at.get("busy")
 
 
@@ -32,8 +38,8 @@ SIGHTS: Mapping[str, tuple[int, Callable[[Status, list[str]], bool]]] = {
     "gone": (1, lambda status, words: bool(status) and words[0] not in _alerts(status, "code")),
     "headline": (1, lambda status, words: _like(_alerts(status, "headline"), " ".join(words))),
     "action": (1, lambda status, words: _like(_alerts(status, "action"), " ".join(words))),
-    "label": (2, lambda status, words: _like([str((status.get("keys") or {}).get(words[0]))], " ".join(words[1:]))),
-    "device": (2, lambda status, words: (status.get("devices") or {}).get(words[0]) == words[1]),
+    "label": (2, lambda status, words: _like([str(_table(status.get("keys")).get(words[0]))], " ".join(words[1:]))),
+    "device": (2, lambda status, words: _table(status.get("devices")).get(words[0]) == words[1]),
     "scans": (1, lambda status, words: str(status.get("scans")) == words[0]),
     "step": (1, lambda status, words: _calibration(status, "step", words[0])),
     "result": (1, lambda status, words: _calibration(status, "result", words[0])),

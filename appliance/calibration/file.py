@@ -81,7 +81,7 @@ def decode(data: bytes, name: str = "calibration") -> Calibration:
     schema = content.get("schema")
     if isinstance(schema, bool) or schema not in SCHEMAS:
         raise CalibrationError(
-            f"{name}: schema {schema!r}; this version reads schema {SCHEMAS[0]} to {SCHEMAS[-1]}; {remedy}"
+            f"{name}: schema {schema!r:.40}; this version reads schema {SCHEMAS[0]} to {SCHEMAS[-1]}; {remedy}"
         )
     reader = _Reader(name, remedy)
     cameras = reader.table(content, "cameras")
@@ -207,7 +207,7 @@ class _Reader:
         return self._number(parent.get(key), key, low, high)
 
     def _number(self, value: object, key: str, low: float, high: float) -> float:
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        if isinstance(value, bool) or not isinstance(value, int | float):
             raise self.fail(key, value, f"a number {low:g}..{high:g}")
         if not low <= value <= high:
             raise self.fail(key, value, f"{low:g}..{high:g}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeGuard
@@ -54,13 +54,15 @@ def decode(data: bytes, name: str) -> StoredResponse:
     except SealError as error:
         raise wrong(str(error)) from error
     if content.get("schema") != SCHEMA:
-        raise wrong(f"schema {content.get('schema')!r}; this version reads schema {SCHEMA}")
+        raise wrong(f"schema {content.get('schema')!r:.40}; this version reads schema {SCHEMA}")
     serial, sources = content.get("rig_serial"), content.get("made_from")
     if not isinstance(serial, str) or not isinstance(sources, list):
         raise wrong("rig_serial or made_from is missing")
     residual, harmonics = content.get("residual"), content.get("harmonics")
     if not _is_number(residual) or not isinstance(harmonics, list) or not all(_is_number(b) for b in harmonics):
         raise wrong(f"residual and harmonics must be numbers, of the latter at most {HIGHEST_ORDER + 1}")
+    if len(harmonics) > HIGHEST_ORDER + 1:
+        raise wrong(f"{len(harmonics)} harmonics; at most {HIGHEST_ORDER + 1} are allowed")
     try:
         response = Response(tuple(float(b) for b in harmonics))
     except ValueError as error:
@@ -79,4 +81,5 @@ def load(path: Path) -> StoredResponse | None:
 
 
 def _is_number(value: Any) -> TypeGuard[float]:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    # Compared, not converted: a whole number of JSON may be larger than any float.
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max

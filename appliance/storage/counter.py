@@ -10,11 +10,13 @@ import zlib
 from collections.abc import Iterable
 from pathlib import Path
 
-from appliance.storage.atomic import replace_file
+from appliance.storage.atomic import StorageError, replace_file
 from appliance.storage.filesystem import FileSystem
 
 FILE_NAME = "next-id"
-_LINE = re.compile(rb"(\d{1,12}) ([0-9a-f]{8})\n")
+LARGEST = 999_999_999_999
+"""Folder names have room for it; a scan every second for 30,000 years."""
+_LINE = re.compile(rb"(\d{1,13}) ([0-9a-f]{8})\n")
 
 
 def spell_id(number: int) -> str:
@@ -24,7 +26,9 @@ def spell_id(number: int) -> str:
 
 def take(fs: FileSystem, root: Path, used: Iterable[int]) -> int:
     """A number that was never taken; durably gone on return. Raises StorageError."""
-    number = max(_stored(root / FILE_NAME), max(used, default=0) + 1)
+    number = max(1, _stored(root / FILE_NAME), max(used, default=0) + 1)
+    if number > LARGEST:
+        raise StorageError("cannot count on in", root, f"{LARGEST} is the last number", "start a new storage folder")
     replace_file(fs, root / FILE_NAME, _line(number + 1))
     return number
 

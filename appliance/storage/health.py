@@ -9,6 +9,7 @@ read is put aside under another name: the trend begins anew, and a person can lo
 from __future__ import annotations
 
 import logging
+import math
 from pathlib import Path
 
 from pydantic import TypeAdapter, ValidationError
@@ -83,7 +84,22 @@ class HealthFile:
             trend = _TREND.validate_python(content.get("trend"))
         except ValidationError as error:
             raise ValueError(str(error.errors(include_url=False)[0]["msg"])) from error
+        if trend.judged < 0 or not _is_finite(_TREND.dump_python(trend)):
+            raise ValueError("it has a number that cannot be")
         reference = trend.reference
         if any(len(of) != COUNT for of in (reference.gap_um, reference.variance_um2, reference.scans)):
             raise ValueError(f"its reference has not {COUNT} patches")
         return trend
+
+
+def _is_finite(value: object) -> bool:
+    """Whether every number in a tree of values is one."""
+    match value:
+        case dict():
+            return all(map(_is_finite, value.values()))
+        case list() | tuple():
+            return all(map(_is_finite, value))
+        case float():
+            return math.isfinite(value)
+        case _:
+            return True

@@ -9,7 +9,7 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from enum import Enum
 from pathlib import Path
 from typing import Any, SupportsFloat, SupportsIndex
@@ -72,13 +72,14 @@ def encode(manifest: Manifest) -> bytes:
 
 def as_json(manifest: Manifest) -> dict[str, Any]:
     """The content as JSON holds it. Raises TypeError as ``encode``."""
-    return {"schema": SCHEMA, **_plain(manifest)}
+    times_s = {name: s for name, s in manifest.record.stage_times_s.items() if math.isfinite(s)}
+    return {"schema": SCHEMA, **_plain(replace(manifest, record=replace(manifest.record, stage_times_s=times_s)))}
 
 
 def decode(data: bytes, name: str) -> Manifest:
     """Parse and check a manifest's bytes. Raises ManifestError naming ``name``."""
     try:
-        content = json.loads(data)
+        content = json.loads(data, parse_constant=_not_finite, parse_float=_finite)
     except (ValueError, RecursionError) as error:
         raise ManifestError(f"{name}: not readable as JSON ({error})") from error
     if not isinstance(content, dict):
@@ -88,7 +89,7 @@ def decode(data: bytes, name: str) -> Manifest:
         raise ManifestError(f"{name}: its checksum does not fit its content")
     schema = content.pop("schema", None)
     if schema != SCHEMA:
-        raise ManifestError(f"{name}: schema {schema!r}; this version reads schema {SCHEMA}")
+        raise ManifestError(f"{name}: schema {schema!r:.40}; this version reads schema {SCHEMA}")
     try:
         manifest = _MANIFEST.validate_python(content)
     except ValidationError as error:
@@ -113,6 +114,15 @@ def read(folder: Path) -> Manifest:
     if len(data) > MAX_BYTES:
         raise ManifestError(f"{path}: larger than {MAX_BYTES} bytes")
     return decode(data, str(path))
+
+
+def _finite(text: str) -> float:
+    number = float(text)
+    return number if math.isfinite(number) else _not_finite(text)
+
+
+def _not_finite(text: str) -> float:
+    raise ValueError(f"{text[:20]} is no number that can be stored")
 
 
 def _digest(content: Mapping[str, Any]) -> str:

@@ -136,6 +136,8 @@ def read_ply(path: Path) -> StoredCloud:
     if zlib.crc32(body) != crc:
         raise PlyError(f"{path}: damaged points (checksum {zlib.crc32(body):08x}, header says {crc:08x})")
     points = np.frombuffer(body, POINT)
+    if not all(np.isfinite(points[axis]).all() for axis in "xyz"):
+        raise PlyError(f"{path}: it has points that are not finite; no cloud of this instrument has")
     return StoredCloud(
         np.stack([points["x"], points["y"], points["z"]], axis=1),
         points["intensity"].copy(),

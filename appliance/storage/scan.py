@@ -8,6 +8,7 @@ folder holds a manifest and every file it lists, or no manifest at all.
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,6 +24,12 @@ from appliance.storage.ply import PlyError, PointCloud, StoredCloud, encode_ply,
 from appliance.storage.record import ScanRecord
 
 SIDES = ("left", "right")
+_HEADER_BYTES = 256
+_HEADER = re.compile(
+    rb"\x93NUMPY\x01\x00(..)\{'descr': '\|u1', 'fortran_order': False, 'shape': \((\d{1,9}), (\d{1,9}), (\d{1,9})\), \} *\n",
+    re.DOTALL,
+)
+"""Of NumPy's format 1.0."""
 CLOUD = "cloud.ply"
 PREVIEW = "preview.png"
 
@@ -148,13 +155,18 @@ def load(folder: Path) -> StoredScan:
 
 
 def _mapped(path: Path, count: int) -> NDArray[np.uint8]:
+    """The frames of a file; its header is compared with the one that ``_npy`` writes, nothing in it is executed."""
     try:
-        frames = np.load(path, mmap_mode="r", allow_pickle=False)
-    except (OSError, ValueError, EOFError, SyntaxError, TypeError, KeyError) as error:
+        with path.open("rb") as file:
+            found = _HEADER.match(file.read(_HEADER_BYTES))
+        if found is None or int(found[2]) != count:
+            raise ScanError(f"{path}: not {count} frames of 8 bits")
+        header_bytes, shape = 10 + int.from_bytes(found[1], "little"), (count, int(found[3]), int(found[4]))
+        if not 0 < shape[0] * shape[1] * shape[2] == path.stat().st_size - header_bytes:
+            raise ScanError(f"{path}: {path.stat().st_size} bytes are not {count} frames of {shape[2]} x {shape[1]} px")
+        return np.memmap(path, np.uint8, "r", header_bytes, shape)
+    except (OSError, ValueError) as error:
         raise ScanError(f"{path}: not readable as frames ({error})") from error
-    if not isinstance(frames, np.ndarray) or frames.dtype != np.uint8 or frames.ndim != 3 or len(frames) != count:
-        raise ScanError(f"{path}: not {count} frames of 8 bits")
-    return frames
 
 
 def _npy(frames: NDArray[np.uint8]) -> tuple[Bytes, Bytes]:

@@ -90,6 +90,7 @@ class ControlChannel:
 
     def read(self, address: int, count: int) -> bytes:
         """``count`` bytes from ``address``, in as many commands as needed."""
+        self._check_range(address, count)
         chunk = self._max_answer - u3v.CONTROL_HEADER_SIZE
         pieces: list[bytes] = []
         done = 0
@@ -101,6 +102,7 @@ class ControlChannel:
 
     def write(self, address: int, data: bytes) -> None:
         """Write ``data`` at ``address``, in as many commands as needed."""
+        self._check_range(address, len(data))
         chunk = self._max_command - u3v.CONTROL_HEADER_SIZE - u3v.WRITE_ADDRESS_SIZE
         for offset in range(0, len(data), chunk):
             self._write_once(address + offset, data[offset : offset + chunk])
@@ -116,6 +118,15 @@ class ControlChannel:
     def write_u32(self, address: int, value: int) -> None:
         """Write one 32-bit register."""
         self.write(address, value.to_bytes(4, "little"))
+
+    def _check_range(self, address: int, count: int) -> None:
+        """A description may compute any address; the command has room for 64 bits."""
+        if address < 0 or count < 0 or address + count > 1 << 64:
+            raise DeviceRefused(
+                self._name,
+                f"its description puts {count} bytes at {address:#x}, outside 64 bits",
+                "Update the camera's firmware",
+            )
 
     def _read_once(self, address: int, count: int) -> bytes:
         what = f"read of {count} bytes at {address:#x}"

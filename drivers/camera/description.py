@@ -44,10 +44,12 @@ def unpack(data: bytes, file_format: int) -> str:
 def _unzip(data: bytes) -> bytes:
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            members = [m for m in archive.infolist() if not m.is_dir()]
+            members = [m for m in archive.infolist() if m.filename and not m.is_dir()]
             xml = [m for m in members if m.filename.lower().endswith(".xml")] or members
             if not xml:
                 raise BadDescription("the zipped description is empty")
+            if xml[0].compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):  # others ask for memory at will
+                raise BadDescription(f"the description is packed by method {xml[0].compress_type}; known are 0 and 8")
             with archive.open(xml[0]) as member:
                 # The stated size may lie: read one byte more than allowed, never the whole of a zip bomb.
                 text = member.read(MAX_FILE_SIZE + 1)

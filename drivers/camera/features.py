@@ -11,7 +11,9 @@ from genicam import genapi
 
 from drivers.api import DeviceRefused
 from drivers.camera.control import ControlChannel
+from drivers.camera.references import WrongReference, check_references
 
+_NUMBERS, _CHOICE, _COMMAND = (genapi.IInteger, genapi.IFloat), (genapi.IEnumeration,), (genapi.ICommand,)
 _REMEDY = "Check the rig's camera settings against the camera's manual"
 
 
@@ -43,10 +45,11 @@ class Features:
         self._device = device
         self._map = genapi.NodeMap()
         try:
+            check_references(xml)
             self._map.load_xml_from_string(xml)
             # Held by the map: GenApi keeps only a bare pointer to the port.
             self._map.connect(_Port(control), "Device")
-        except genapi.GenericException as error:
+        except (genapi.GenericException, WrongReference) as error:
             raise DeviceRefused(
                 device, f"its description cannot be loaded ({_short(error)})", "Update the camera's firmware"
             ) from error
@@ -63,7 +66,7 @@ class Features:
 
     def number(self, feature: str) -> float:
         """Value of an integer or float feature."""
-        node = self._node(feature)
+        node = self._node(feature, _NUMBERS)
         try:
             return float(node.value)
         except genapi.GenericException as error:
@@ -71,7 +74,7 @@ class Features:
 
     def set_number(self, feature: str, value: float) -> float:
         """Write an integer or float feature; returns what the camera holds afterwards."""
-        node = self._node(feature)
+        node = self._node(feature, _NUMBERS)
         whole = isinstance(node, genapi.IInteger)
         try:
             node.value = int(value) if whole else float(value)
@@ -81,7 +84,7 @@ class Features:
 
     def choice(self, feature: str) -> str:
         """Symbol of an enumeration feature."""
-        node = self._node(feature)
+        node = self._node(feature, _CHOICE)
         try:
             return str(node.value)
         except genapi.GenericException as error:
@@ -89,7 +92,7 @@ class Features:
 
     def choices(self, feature: str) -> tuple[str, ...]:
         """Symbols that the camera offers now, in the order of its description."""
-        node = self._node(feature)
+        node = self._node(feature, _CHOICE)
         try:
             return tuple(str(entry.symbolic) for entry in node.entries if genapi.is_available(entry.node))
         except genapi.GenericException as error:
@@ -97,7 +100,7 @@ class Features:
 
     def choose(self, feature: str, symbol: str) -> None:
         """Set an enumeration feature."""
-        node = self._node(feature)
+        node = self._node(feature, _CHOICE)
         try:
             node.value = symbol
         except genapi.GenericException as error:
@@ -106,7 +109,7 @@ class Features:
 
     def execute(self, feature: str) -> None:
         """Run a command feature."""
-        node = self._node(feature)
+        node = self._node(feature, _COMMAND)
         try:
             node.execute()
         except genapi.GenericException as error:
@@ -118,10 +121,17 @@ class Features:
         except genapi.GenericException:
             return None
 
-    def _node(self, feature: str) -> Any:
+    def _node(self, feature: str, kinds: tuple[Any, ...]) -> Any:
+        """The feature, which must be of one of these kinds: a description may call anything by a standard name."""
         node = self._find(feature)
         if node is None:
             raise DeviceRefused(self._device, f"has no feature {feature}", "Use a camera that follows the SFNC")
+        if not isinstance(node, kinds):
+            raise DeviceRefused(
+                self._device,
+                f"{feature} is an {type(node).__name__}, not {' or '.join(kind.__name__ for kind in kinds)}",
+                "Use a camera that follows the SFNC",
+            )
         return node
 
     def _refused(self, feature: str, what: str, error: Exception) -> DeviceRefused:

@@ -122,7 +122,7 @@ class StreamReader:
             packet = self._find_leader(deadline_ns)
         except TransferTimeout:
             return self._frame(FrameStatus.TIMEOUT, None, "no leader")
-        except (TransferStalled, TransferOverflow) as error:
+        except TransferError as error:
             return self._frame(FrameStatus.CORRUPT, None, f"no leader ({error})")
         try:
             leader = parse_leader(packet)

@@ -1,0 +1,119 @@
+"""What is typed or scripted for the simulated world, and the status file that it reads."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from random import Random
+
+from hw_sim import sight
+from hw_sim.faults import KINDS, PARTS, FaultSyntaxError
+from hw_sim.faults import parse as parse_fault
+from hw_sim.knock import AMOUNTS, KnockError
+from hw_sim.knock import parse as parse_knock
+from hw_sim.script import SURROUNDINGS, ScriptError, parse_script
+from tests.fuzz.damage import changed, damaged, reworded
+from tests.fuzz.target import Target
+
+FAULTS = (
+    "camera.left off at_s=3 for_s=2", "camera.right garbage how=truncate frame=9 count=2", "projector delayed frame=3",
+    "sensor.TPROJ wrong amount=81.5", "camera.left delayed amount=2", "board wrong how=reset", "key.scan stuck for_s=9", "leak wrong",
+)  # fmt: skip
+FAULT_WORDS = (
+    *(name for name, _ in KINDS), *(verb for _, verb in KINDS), *(f"{name}.{part}" for name, parts in PARTS.items() for part in parts),
+    "how=truncate", "how=repeat", "frame=3", "at_s=0", "for_s=1", "count=2", "amount=4",
+)  # fmt: skip
+KNOCKS = ("left yaw_deg=0.5 x_mm=0.3", "right pitch_deg=-0.1 z_mm=2", "left roll_deg=1")
+KNOCK_WORDS = ("left", "right", *(f"{name}=1" for name in AMOUNTS))
+SCRIPT = """\
+# a dive
+wait state AIM 60
+press scan
+press back 1.2
+wait label SCAN KEEP 10
+never state CAPTURE 1
+pause 0.5
+fault camera.left off for_s=2
+knock left yaw_deg=0.2
+water attenuation_per_m=1.5
+motion off
+object plane 0 0 500 0 0 0
+disk off
+worker kill
+screenshot /tmp/a b.png
+clear
+end
+"""
+SCRIPT_WORDS = (
+    "wait",
+    "never",
+    "press",
+    "pause",
+    "fault",
+    "knock",
+    "object",
+    "scan",
+    "state",
+    "end",
+    "clear",
+    "off",
+    *SURROUNDINGS,
+)
+
+
+def _script(chance: Random) -> str:
+    lines = SCRIPT.splitlines()
+    for _ in range(chance.randrange(1, 4)):
+        at = chance.randrange(len(lines))
+        lines[at] = reworded(chance, lines[at], (*SCRIPT_WORDS, *FAULT_WORDS))
+    chosen = [line for line in lines if chance.random() < 0.4] or lines
+    text = "\n".join(chosen)
+    return (
+        damaged(chance, text.encode("utf-8", "surrogatepass")).decode("utf-8", "replace")
+        if chance.random() < 0.2
+        else text
+    )
+
+
+def _play(text: str, _: Path) -> None:
+    for step in parse_script(text):
+        assert str(step).startswith("line ")
+
+
+def _fault(text: str, _: Path) -> None:
+    fault = parse_fault(text, 10**9)
+    assert fault.begins_ns >= 0
+    assert fault.in_force(10**12) in (True, False)
+
+
+STATUS = {
+    "state": "AIM", "since_ns": 1, "alerts": [{"code": "LEAK", "headline": "LEAK", "action": "ASCEND", "severity": "CRITICAL"}],
+    "keys": {"scan": "SCAN"}, "devices": {"board": "ok"}, "scans": 3, "scans_left": None, "last_scan": "000003",
+    "calibration": {"step": "M1", "busy": False, "result": "FITS", "done": ["M1"]}, "pid": 7, "worker_pid": None,
+}  # fmt: skip
+ASKED = tuple((kind, ["LEAK", "ok", "x"][: max(1, least)]) for kind, (least, _) in sight.SIGHTS.items())
+
+
+def _status(chance: Random) -> bytes:
+    if chance.random() < 0.3:
+        return damaged(chance, json.dumps(STATUS).encode())
+    return json.dumps(changed(chance, STATUS)).encode("utf-8", "surrogatepass")
+
+
+def _look(data: bytes, scratch: Path) -> None:
+    path = scratch / "status.json"
+    path.write_bytes(data)
+    status = sight.read(path)
+    for kind, words in ASKED:
+        assert sight.sees(status, kind, list(words)) in (True, False)
+    assert sight.summary(status)
+
+
+TARGETS = (
+    Target("fault", "a fault sentence of the simulated world", lambda c: reworded(c, c.choice(FAULTS), FAULT_WORDS), _fault,
+           (FaultSyntaxError,)),
+    Target("knock", "a knock's sentence", lambda c: reworded(c, c.choice(KNOCKS), KNOCK_WORDS), lambda text, _: parse_knock(text),
+           (KnockError,)),
+    Target("script", "a diver's script", _script, _play, (ScriptError,), "line ", cost=2.0),
+    Target("status", "the instrument's status file, as the simulated diver reads it", _status, _look, cost=3.0),
+)  # fmt: skip

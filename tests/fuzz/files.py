@@ -1,0 +1,317 @@
+"""What may lie on the disk: the rig file, what was learnt, and scans, after damage or in another's hand."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import json
+import logging
+import re
+import shutil
+import tomllib
+import zlib
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import numpy as np
+
+from appliance.calibration import file as calibration_file
+from appliance.calibration import response_file
+from appliance.calibration.design import Design, design_calibration
+from appliance.calibration.file import CalibrationError
+from appliance.calibration.guide import USED, Session, Solved, Step, Trial, Verified
+from appliance.calibration.health import Trend, TrendPoint
+from appliance.calibration.response_file import ResponseFileError, StoredResponse
+from appliance.config import ConfigError, default_rig_path, load_rig
+from appliance.optics.correction import ImageCorrection, node_count
+from appliance.optics.ray_shift import RayShift
+from appliance.optics.water import Water
+from appliance.patterns.response import Response
+from appliance.storage import counter
+from appliance.storage import manifest as form
+from appliance.storage.atomic import Stamp, StorageError
+from appliance.storage.calibrations import Calibrations
+from appliance.storage.filesystem import LocalFileSystem
+from appliance.storage.health import HealthFile
+from appliance.storage.library import Library, Shelf
+from appliance.storage.manifest import Decision, Manifest, ManifestError, Stage
+from appliance.storage.ply import PlyError, encode_ply, read_ply
+from appliance.storage.scan import ScanError
+from tests.appliance.storage.scenes import cloud, frames, record
+from tests.fuzz.damage import changed, damaged
+from tests.fuzz.target import Target
+from tests.fuzz.toml import toml_of
+
+logging.getLogger("kingfisher").addHandler(
+    logging.NullHandler()
+)  # what is put aside is logged: here, ten thousand times
+
+# ---------------------------------------------------------------------------------------------------- rig file
+
+RIG_TEXT = default_rig_path().read_text(encoding="utf-8")
+RIG = tomllib.loads(RIG_TEXT)
+RIG_WORDS = tuple(sorted({key for table in RIG.values() for key in table} | set(RIG)))
+_SPACES = re.compile(r"[^\S\n]+")
+
+
+def _rig(chance: Random) -> bytes:
+    if chance.random() < 0.65:
+        return toml_of(changed(chance, RIG, RIG_WORDS)).encode("utf-8", "surrogatepass")
+    lines = RIG_TEXT.splitlines(keepends=True)
+    for _ in range(chance.randrange(1, 4)):
+        at = chance.randrange(len(lines))
+        other = lines[chance.randrange(len(lines))]
+        lines[at] = chance.choice(
+            ("", lines[at] * 2, other, lines[at].replace("=", ""), lines[at].replace('"', ""), lines[at].upper())
+        )
+    data = "".join(lines).encode()
+    return data if chance.random() < 0.5 else damaged(chance, data, (data,))
+
+
+def _read_rig(data: bytes, scratch: Path) -> None:
+    path = scratch / "rig.toml"
+    path.write_bytes(data)
+    rig = load_rig(path)
+    assert len(rig.rig_hash) == len(rig.optical_hash) == 64
+    assert load_rig(path) == rig
+
+
+# ------------------------------------------------------------------------------------------------ sealed JSON
+
+
+def _sealed(chance: Random, data: bytes, words: tuple[str, ...] = ()) -> bytes:
+    """A sealed file with changed content; mostly with the checksum that fits it again."""
+    if chance.random() < 0.15:
+        return damaged(chance, data, (data,))
+    content = json.loads(data)
+    content.pop("sha256")
+    content = changed(chance, content, words)
+    return _resealed(content) if isinstance(content, dict) else json.dumps(content).encode()
+
+
+def _resealed(content: Mapping[str, Any]) -> bytes:
+    digest = hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+    return json.dumps({**content, "sha256": digest}, sort_keys=True).encode()
+
+
+def _calibrations() -> tuple[bytes, ...]:
+    plain = design_calibration(
+        Design(11.5, 4.5, 230.0, 12.41, 30.0, 5.0, 1.77), "KF-0001", 1600, 1200, Water(20.0, 0.0, 530.0)
+    )
+    intervals = (2, 1)
+    values = tuple(0.01 * k for k in range(2 * node_count(intervals)))
+    left = replace(plain.rig.left, correction=ImageCorrection(1600, 1200, intervals, values))
+    right = replace(plain.rig.right, ray_shift=RayShift(1600, 1200, intervals, values))
+    rich = replace(
+        plain,
+        method="bundle",
+        residual_px=0.03,
+        rig=replace(plain.rig, left=left, right=right),
+        air_covariance=tuple(tuple(float(i == j) for j in range(22)) for i in range(22)),
+    )
+    return calibration_file.encode(plain), calibration_file.encode(rich)
+
+
+CALIBRATIONS = _calibrations()
+
+
+def _read_calibration(data: bytes, _: Path) -> None:
+    calibration = calibration_file.decode(data, "calibration current.json")
+    again = calibration_file.decode(calibration_file.encode(calibration))
+    assert again == calibration
+    assert again.hash == calibration.hash
+
+
+RESPONSE = response_file.encode(StoredResponse("KF-1", ("000007",), 0.0107, Response((0.45, 0.53, 0.05, -0.02))))
+
+
+def _read_response(data: bytes, _: Path) -> None:
+    stored = response_file.decode(data, "response response.json")
+    assert response_file.decode(response_file.encode(stored), "again") == stored
+
+
+HASH = "0123456789abcdef" * 4
+
+
+def _trend() -> bytes:
+    points = (TrendPoint("000001", (1.25, -2.0, 3.0, 0.5), (0.5,) * 4, 1.25, 2.125, 0.0625, False),)
+    return _written(
+        lambda root: HealthFile(root, HASH).write(Trend(judged=1, points=points, total=(0.1, 0.2, 0.3, 0.4)))
+    )
+
+
+def _session() -> bytes:
+    trials = tuple(Trial(step, None, 0.03, 900, "bar", f"{k:06d}") for k, step in enumerate(USED, 1))
+    session = Session(trials, Solved("bundle", 0.031, ("0.026 px remain",), HASH), Verified(0.003, -0.0001, 0.00004))
+    return _written(lambda root: Calibrations(root, "KF-TEST").write(session))
+
+
+def _written(write: Callable[[Path], object]) -> bytes:
+    """The bytes that the writer itself leaves."""
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        write(Path(folder))
+        return next(path for path in sorted(Path(folder).rglob("*.json"))).read_bytes()
+
+
+HEALTH, SESSION = _trend(), _session()
+
+
+def _read_health(data: bytes, scratch: Path) -> None:
+    file = HealthFile(scratch, HASH)
+    file.path.parent.mkdir(parents=True, exist_ok=True)
+    file.path.write_bytes(data)
+    trend = file.read()
+    assert trend == Trend() or trend.judged >= 0
+    file.write(trend)
+    assert file.read() == trend
+
+
+def _read_session(data: bytes, scratch: Path) -> None:
+    store = Calibrations(scratch, "KF-TEST")
+    folder = store.folder / "session"
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "session.json").write_bytes(data)
+    session = store.session()
+    assert isinstance(session.next_step, Step)
+    assert store.write(session) == session
+
+
+def _count(chance: Random) -> bytes:
+    number = chance.choice((b"1", b"42", b"999999999999", b"0", b"000007", "٣".encode(), b"1" * 40))
+    line = number + b" %08x\n" % zlib.crc32(number)
+    return line if chance.random() < 0.3 else damaged(chance, line)
+
+
+def _read_count(data: bytes, scratch: Path) -> None:
+    (scratch / counter.FILE_NAME).write_bytes(data)
+    number = counter.take(LocalFileSystem(), scratch, [7])
+    assert number >= 8, "a number that a scan on the disk has"
+    assert len(counter.spell_id(number)) <= 12
+    assert counter.take(LocalFileSystem(), scratch, [7]) == number + 1
+
+
+# ------------------------------------------------------------------------------------------------------- scans
+
+MANIFEST = form.encode(
+    Manifest(
+        "000042",
+        Stage.COMPLETE,
+        Decision.KEPT,
+        record(),
+        {"frames_left.npy": Stamp(10, HASH), "cloud.ply": Stamp(7, HASH)},
+    )
+)
+
+
+def _read_manifest(data: bytes, _: Path) -> None:
+    manifest = form.decode(data, "manifest.json")
+    assert all("/" not in name for name in manifest.files)
+    again = form.decode(form.encode(manifest), "manifest.json, written again")
+    assert again.scan_id == manifest.scan_id
+    assert again.files == manifest.files
+
+
+def _cloud(points: int) -> bytes:
+    return b"".join(bytes(part) for part in encode_ply(cloud(points)))
+
+
+CLOUDS = (_cloud(0), _cloud(1), _cloud(20))
+_BODY = re.compile(rb"crc32 [0-9a-f]{8}")
+
+
+def _ply(chance: Random) -> bytes:
+    data = damaged(chance, chance.choice(CLOUDS), CLOUDS)
+    head, end, body = data.partition(b"end_header\n")
+    return _BODY.sub(b"crc32 %08x" % zlib.crc32(body), head, count=1) + end + body if chance.random() < 0.6 else data
+
+
+def _read_cloud(data: bytes, scratch: Path) -> None:
+    path = scratch / "cloud.ply"
+    path.write_bytes(data)
+    stored = read_ply(path)
+    n = len(stored.points_mm)
+    assert stored.points_mm.shape == (n, 3)
+    assert len(stored.intensity) == len(stored.sigma_mm) == len(stored.ray_gap_mm) == len(stored.modulation_dn) == n
+    assert np.isfinite(stored.points_mm).all(), "no point lies nowhere"
+
+
+def _scan_files() -> dict[str, bytes]:
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        library = Library(Path(folder))
+        library.prepare()
+        there = library.begin(frames(), record()).publish(record(), cloud(), b"\x89PNG")
+        return {path.name: path.read_bytes() for path in sorted(there.iterdir())}
+
+
+SCAN = _scan_files()
+NPY = (SCAN["frames_left.npy"], SCAN["frames_right.npy"])
+
+
+def _folder(chance: Random) -> dict[str, bytes]:
+    """A scan's folder with one file damaged; its manifest mostly believes in what is there."""
+    files = dict(SCAN)
+    name = chance.choice(list(files))
+    if chance.random() < 0.1:
+        del files[name]
+    elif name == form.FILE_NAME:
+        files[name] = _sealed(chance, files[name], tuple(SCAN))
+        return files
+    else:
+        files[name] = damaged(chance, files[name], NPY) if chance.random() < 0.9 else _header(chance, files[name])
+    if chance.random() < 0.7:
+        content = copy.deepcopy(json.loads(files[form.FILE_NAME])) if form.FILE_NAME in files else None
+        if content is not None and name in files:
+            del content["sha256"]
+            content["files"][name] = {"length": len(files[name]), "sha256": hashlib.sha256(files[name]).hexdigest()}
+            files[form.FILE_NAME] = _resealed(content)
+    return files
+
+
+def _header(chance: Random, data: bytes) -> bytes:
+    old, new = chance.choice(
+        ((b"'|u1'", b"'|O' "), (b"(3, 8", b"(9, 8"), (b"(3, 8", b"(-3,8"), (b"False", b"True "), (b"'shape'", b"'shame'"), (b"{", b"("),
+         (b"10)", b"10L)"), (b"(3, 8, 10)", b"__import__"), (b"(3, 8, 10)", b"(2**70,)  "), (b"(3, 8, 10)", b"(3,0,80)  "))
+    )  # fmt: skip
+    return data.replace(old, new, 1)
+
+
+def _open(files: dict[str, bytes], scratch: Path) -> None:
+    folder = scratch / "scans" / "000001"
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    for name, data in files.items():
+        (folder / name).write_bytes(data)
+    library = Library(scratch)
+    (entry,) = library.entries(Shelf.SCANS)
+    checked = library.verify("000001")
+    assert set(entry.problems) <= set(checked.problems) or entry.problems
+    assert all(len(problem) > 3 for problem in checked.problems)
+    stored = library.load("000001")
+    for one in stored.frames.values():
+        assert one.dtype == np.uint8
+        assert len(one) == len(stored.manifest.record.sequence.patterns)
+        one.sum()
+    stored.cloud()
+
+
+TARGETS = (
+    Target("rig", "the rig file", _rig, _read_rig, (ConfigError,), "CONFIG: ", cost=20.0),
+    Target("calibration", "a calibration file", lambda c: _sealed(c, c.choice(CALIBRATIONS)), _read_calibration,
+           (CalibrationError,), "calibration current.json", cost=5.0),
+    Target("response", "the projector's response", lambda c: _sealed(c, RESPONSE), _read_response, (ResponseFileError,),
+           "response response.json"),
+    Target("health", "how a calibration holds", lambda c: _sealed(c, HEALTH), _read_health, cost=10.0),
+    Target("session", "a calibration under way", lambda c: _sealed(c, SESSION), _read_session, cost=10.0),
+    Target("counter", "the number of the next scan", _count, _read_count, (StorageError,), cost=5.0),
+    Target("manifest", "a scan's manifest", lambda c: _sealed(c, MANIFEST, ("files", "record", "../x")), _read_manifest,
+           (ManifestError,), "manifest.json", cost=3.0),
+    Target("cloud", "a scan's cloud", _ply, _read_cloud, (PlyError,), "cloud.ply", cost=2.0),
+    Target("scan", "a scan's whole folder", _folder, _open, (ScanError,), "000001", cost=10.0),
+)  # fmt: skip
