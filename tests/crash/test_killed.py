@@ -145,13 +145,13 @@ def _deaths(tmp_path: Path, by_call: int, by_time: int, per_root: int) -> tuple[
 
 
 def test_sigkill_at_some_moments(tmp_path: Path) -> None:
-    died, saved = _deaths(tmp_path, by_call=24, by_time=8, per_root=8)
-    assert died >= 24, "the lives ended before they were killed"
-    assert saved > 16
+    died, saved = _deaths(tmp_path, by_call=18, by_time=6, per_root=24)
+    assert died >= 18, "the lives ended before they were killed"
+    assert saved > 12
 
 
 @pytest.mark.dive
 def test_sigkill_at_hundreds_of_moments_spread_over_all_of_a_dive(tmp_path: Path) -> None:
-    died, saved = _deaths(tmp_path, by_call=300, by_time=100, per_root=10)
+    died, saved = _deaths(tmp_path, by_call=300, by_time=100, per_root=20)
     assert died >= 300
     assert saved > 200
