@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import json
+import math
+from dataclasses import fields
 from pathlib import Path
 from random import Random
 
-from hw_sim import sight
+from hw_sim import deeds, sight
+from hw_sim.amounts import changed as with_amounts
+from hw_sim.deeds import SURROUNDINGS
 from hw_sim.faults import KINDS, PARTS, FaultSyntaxError
 from hw_sim.faults import parse as parse_fault
 from hw_sim.knock import AMOUNTS, KnockError
 from hw_sim.knock import parse as parse_knock
-from hw_sim.script import SURROUNDINGS, ScriptError, parse_script
+from hw_sim.script import ScriptError, parse_script
 from tests.fuzz.damage import changed, damaged, reworded
 from tests.fuzz.target import Target
 
@@ -75,6 +79,21 @@ def _script(chance: Random) -> str:
     )
 
 
+LINES = tuple(line for line in SCRIPT.splitlines() if line.split()[0] in deeds.HELP)
+
+
+def _deed(line: str, _: Path) -> None:
+    verb, *words = line.split("#", 1)[0].split() or [""]
+    if deeds.check(verb, tuple(words)) and verb in SURROUNDINGS:
+        before = SURROUNDINGS[verb]
+        for one in fields(before):
+            old, new = getattr(before, one.name), getattr(with_amounts(before, verb, words), one.name)
+            if isinstance(old, tuple):
+                assert len(old) == len(new)
+            for number in new if isinstance(new, tuple) else (new,):
+                assert not isinstance(number, float) or math.isfinite(number), "the world would be nowhere"
+
+
 def _play(text: str, _: Path) -> None:
     for step in parse_script(text):
         assert str(step).startswith("line ")
@@ -114,6 +133,7 @@ TARGETS = (
            (FaultSyntaxError,)),
     Target("knock", "a knock's sentence", lambda c: reworded(c, c.choice(KNOCKS), KNOCK_WORDS), lambda text, _: parse_knock(text),
            (KnockError,)),
+    Target("console", "a line of the trainer's console", lambda c: reworded(c, c.choice(LINES), (*SCRIPT_WORDS, *FAULT_WORDS)), _deed, (ValueError,)),
     Target("script", "a diver's script", _script, _play, (ScriptError,), "line ", cost=2.0),
     Target("status", "the instrument's status file, as the simulated diver reads it", _status, _look, cost=3.0),
 )  # fmt: skip

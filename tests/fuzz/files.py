@@ -25,7 +25,9 @@ from appliance.calibration.file import CalibrationError
 from appliance.calibration.guide import USED, Session, Solved, Step, Trial, Verified
 from appliance.calibration.health import Trend, TrendPoint
 from appliance.calibration.response_file import ResponseFileError, StoredResponse
+from appliance.capture.exposure import Exposure
 from appliance.config import ConfigError, default_rig_path, load_rig
+from appliance.machine.choices import Choices
 from appliance.optics.correction import ImageCorrection, node_count
 from appliance.optics.ray_shift import RayShift
 from appliance.optics.water import Water
@@ -34,6 +36,7 @@ from appliance.storage import counter
 from appliance.storage import manifest as form
 from appliance.storage.atomic import Stamp, StorageError
 from appliance.storage.calibrations import Calibrations
+from appliance.storage.choices import ChoicesFile
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.health import HealthFile
 from appliance.storage.library import Library, Shelf
@@ -158,7 +161,10 @@ def _written(write: Callable[[Path], object]) -> bytes:
         return next(path for path in sorted(Path(folder).rglob("*.json"))).read_bytes()
 
 
+STANDARD = Choices()
+CHOSEN = Choices(Exposure(8000, 6.0), 32, 35.0, 12.5, "de")
 HEALTH, SESSION = _trend(), _session()
+CHOICES = _written(lambda root: ChoicesFile(root, STANDARD).write(CHOSEN))
 
 
 def _read_health(data: bytes, scratch: Path) -> None:
@@ -169,6 +175,15 @@ def _read_health(data: bytes, scratch: Path) -> None:
     assert trend == Trend() or trend.judged >= 0
     file.write(trend)
     assert file.read() == trend
+
+
+def _read_choices(data: bytes, scratch: Path) -> None:
+    file = ChoicesFile(scratch, STANDARD)
+    file.path.write_bytes(data)
+    chosen, fault = file.read()
+    assert fault is None or (chosen == STANDARD and fault.detail)
+    file.write(chosen)
+    assert file.read() == (chosen, None)
 
 
 def _read_session(data: bytes, scratch: Path) -> None:
@@ -308,6 +323,7 @@ TARGETS = (
     Target("response", "the projector's response", lambda c: _sealed(c, RESPONSE), _read_response, (ResponseFileError,),
            "response response.json"),
     Target("health", "how a calibration holds", lambda c: _sealed(c, HEALTH), _read_health, cost=10.0),
+    Target("choices", "what the diver chose", lambda c: _sealed(c, CHOICES, ("language", "period_px")), _read_choices, cost=5.0),
     Target("session", "a calibration under way", lambda c: _sealed(c, SESSION), _read_session, cost=10.0),
     Target("counter", "the number of the next scan", _count, _read_count, (StorageError,), cost=5.0),
     Target("manifest", "a scan's manifest", lambda c: _sealed(c, MANIFEST, ("files", "record", "../x")), _read_manifest,
