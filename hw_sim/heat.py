@@ -1,14 +1,104 @@
-"""Owns the temperatures inside the housing: everything warms up from the water's temperature with its own lag."""
+"""Owns the temperatures inside the housing: what is on makes heat, masses take it up, and the water carries it off.
+
+Lumped masses with conductances between them, which is how housings are dimensioned (e.g. Incropera, Fundamentals of
+Heat and Mass Transfer, ch. 5). The numbers are of an aluminium cylinder of 180 mm diameter and 450 mm length with some
+0.3 m² of wetted surface: 100 W/(m² K) of free convection there (water, some degrees of difference) make 30 W/K; inside,
+air and brackets carry heat from the parts to the shell.
+"""
 
 from __future__ import annotations
 
-import math
+from dataclasses import dataclass
 
-FINAL_RISE_C = {"TCASE": 6.0, "TBOARD": 11.0, "TPROJ": 24.0, "camera": 19.0}
-"""Above the water, after hours."""
-LAG_S = {"TCASE": 900.0, "TBOARD": 300.0, "TPROJ": 240.0, "camera": 400.0}
+import numpy as np
+from numpy.typing import NDArray
+
+CAPACITY_J_PER_K = {
+    "shell": 5400.0,  # 6 kg of aluminium
+    "TCASE": 900.0,  # air, brackets and what sits on them: where the sensor is
+    "computer": 1100.0,
+    "TBOARD": 120.0,
+    "TPROJ": 700.0,
+    "camera": 260.0,  # both
+}
+CONDUCTANCE_W_PER_K = {
+    ("TCASE", "shell"): 5.0,
+    ("computer", "shell"): 2.5,
+    ("computer", "TCASE"): 0.8,
+    ("TBOARD", "TCASE"): 0.35,
+    ("TPROJ", "shell"): 0.9,
+    ("TPROJ", "TCASE"): 0.7,
+    ("camera", "shell"): 0.45,
+    ("camera", "TCASE"): 0.10,
+}
+OUTSIDE_W_PER_K = {"water": 30.0, "air": 2.4}
+"""From the shell: 0.3 m² times 100 W/(m² K) in water at rest, times 8 in air with what it radiates."""
+STEP_S = 1.0
+"""Of the integration; the quickest part follows in five minutes."""
+PLACES = tuple(CAPACITY_J_PER_K)
 
 
-def temperature_c(place: str, water_c: float, running_s: float) -> float:
-    """Temperature of ``place`` after the instrument has run for ``running_s``; a first-order rise."""
-    return water_c + FINAL_RISE_C[place] * -math.expm1(-running_s / LAG_S[place])
+@dataclass(frozen=True, slots=True)
+class Powers:
+    """What is on."""
+
+    projector_lit: bool = False
+    """Its lamp shines: an LED of the projector's engine, driven by what is scanned out."""
+    streaming: bool = False
+    """Both cameras send images."""
+    lasers: bool = False
+
+    def watts(self) -> dict[str, float]:
+        """Heat in each part, W."""
+        return {
+            "computer": 28.0,
+            "TBOARD": 1.5 + (0.6 if self.lasers else 0.0),
+            "TPROJ": 34.0 if self.projector_lit else 9.0,
+            "camera": 8.4 if self.streaming else 4.8,
+        }
+
+
+class Housing:
+    """All temperatures at one moment; everything begins as warm as the water."""
+
+    def __init__(self, outside_c: float, medium: str = "water") -> None:
+        """``medium``: water or air, around the housing."""
+        self.outside_c = outside_c
+        """May be changed, as ``medium`` may."""
+        self.medium = medium
+        self._now_c: NDArray[np.float64] = np.full(len(PLACES), float(outside_c))
+        conductance = np.zeros((len(PLACES), len(PLACES)))
+        for (one, other), watts_per_k in CONDUCTANCE_W_PER_K.items():
+            i, j = PLACES.index(one), PLACES.index(other)
+            conductance[i, j] += watts_per_k
+            conductance[j, i] += watts_per_k
+        self._conductance = conductance
+        self._capacity = np.array([CAPACITY_J_PER_K[place] for place in PLACES])
+
+    @property
+    def _outwards(self) -> NDArray[np.float64]:
+        return np.array([OUTSIDE_W_PER_K[self.medium] if place == "shell" else 0.0 for place in PLACES])
+
+    def temperature_c(self, place: str) -> float:
+        """Of a place of ``PLACES``."""
+        return float(self._now_c[PLACES.index(place)])
+
+    def advance(self, duration_s: float, powers: Powers) -> None:
+        """Let ``duration_s`` pass with that on."""
+        watts = powers.watts()
+        made = np.array([watts.get(place, 0.0) for place in PLACES])
+        left_s = duration_s
+        while left_s > 0.0:
+            step_s = min(STEP_S, left_s)
+            t = self._now_c
+            inside = self._conductance @ t - self._conductance.sum(axis=1) * t
+            self._now_c = t + step_s * (made + inside + self._outwards * (self.outside_c - t)) / self._capacity
+            left_s -= step_s
+
+    def settled(self, powers: Powers) -> dict[str, float]:
+        """Temperatures after hours with that on, °C."""
+        watts = powers.watts()
+        made = np.array([watts.get(place, 0.0) for place in PLACES])
+        system = np.diag(self._conductance.sum(axis=1) + self._outwards) - self._conductance
+        settled_c = np.linalg.solve(system, made + self._outwards * self.outside_c)
+        return dict(zip(PLACES, settled_c.tolist(), strict=True))

@@ -30,7 +30,7 @@ from hw_sim.devices.u3v_camera import U3vCamera
 from hw_sim.drift import Drift
 from hw_sim.drive import Drive
 from hw_sim.faults import Fault, FaultBook
-from hw_sim.heat import temperature_c
+from hw_sim.heat import Housing, Powers
 from hw_sim.knock import Knock, knocked
 from hw_sim.motion import Motion
 from hw_sim.options import OptionError, WorldOptions
@@ -50,6 +50,9 @@ SERIALS = {"left": "KF-CAM-L", "right": "KF-CAM-R"}
 HUMIDITY_PERCENT, SUPPLY_V = 38.0, 12.1
 SERIES_APART_S = 101.0037
 """Between sequences by the clock of daylight: each is lit anew, and the same one the same however long the host took."""
+WARM_UP_EVERY_S = 0.5
+LIT_DN = 8.0
+"""Mean code that is scanned out, above which the projector's lamp is driven."""
 KEPT_INTERVALS = 12
 """Longest exposure in vertical blanks that sees the projector change."""
 
@@ -88,6 +91,8 @@ class World:
         self.faults = FaultBook(self.time.now_ns, self.time.at, self._broken_or_repaired)
         self._darkroom = Darkroom(self.time, SIDES, self._failed)
         self._failure: BaseException | None = None
+        self._housing = Housing(scene.water.temperature_c, o.medium)
+        self._warmed_ns = START_NS
         with self.time.condition:
             self.card = Card(self.time.condition.notify_all)
             self.board = Board(self.time, self.faults, self._fire, self._sensor, o.seed)
@@ -277,6 +282,7 @@ class World:
         self.punctuality.blank(self.time.blank_late_ns, frame is not None, *waiting)
         self.card.vblank(time_ns, Output.PROJECTOR if self._flip_is_late(frame) else None)
         self._intervals.append(_Interval(time_ns))
+        self._warm_up(time_ns)
         if self.card.crtc(Output.PROJECTOR) is not None:
             self.board.vsync(time_ns)
         else:
@@ -309,7 +315,7 @@ class World:
         return U3vCamera(
             *(f"camera.{side}", SERIALS[side], (o.width_px, o.height_px), self.time, self.faults),
             expose=lambda exposure: self._expose(side, exposure),
-            temperature_c=lambda: self._temperature_c("camera"),
+            temperature_c=lambda: self._housing.temperature_c("camera"),
             seed=o.seed,
         )
 
@@ -388,8 +394,16 @@ class World:
 
     # ------------------------------------------------------------------------------------------ sensors
 
-    def _temperature_c(self, place: str) -> float:
-        return temperature_c(place, self.scene.water.temperature_c, (self.time.now_ns() - START_NS) / 1e9)
+    def _warm_up(self, time_ns: int) -> None:
+        """What was on since the last time has warmed the housing."""
+        passed_s = (time_ns - self._warmed_ns) / 1e9
+        if passed_s < WARM_UP_EVERY_S:
+            return
+        self._warmed_ns = time_ns
+        shines = self.board.armed is not None or bool(self._light(self._intervals[-1])[::64, ::64].mean() > LIT_DN)
+        streaming = any(camera.acquiring for camera in self.cameras.values())
+        self._housing.outside_c = self._scene.water.temperature_c
+        self._housing.advance(passed_s, Powers(shines, streaming, any(self.board.lasers_on)))
 
     def _sensor(self, name: str) -> str:
         """A sensor's value as the board prints it; ``-`` when it does not answer."""
@@ -406,7 +420,7 @@ class World:
             case "SUPPLY":
                 return f"{SUPPLY_V:.2f}"
             case _:
-                return f"{self._temperature_c(name):.1f}"
+                return f"{self._housing.temperature_c(name):.1f}"
 
 
 def _stored_truth(path: Path, n_water: float) -> TrueRig:

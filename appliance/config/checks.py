@@ -44,10 +44,14 @@ def complaints(rig: Rig) -> Iterator[Complaint]:
         )
     yield from _periods_fit(rig)
     limits = rig.limits
-    for part, warm, hot in (
-        ("case", limits.case_warm_c, limits.case_hot_c),
-        ("projector", limits.projector_warm_c, limits.projector_hot_c),
+    for part, warm, hot, off in (
+        ("case", limits.case_warm_c, limits.case_hot_c, limits.case_off_c),
+        ("projector", limits.projector_warm_c, limits.projector_hot_c, limits.projector_off_c),
     ):
+        if hot >= off:
+            yield Complaint(
+                f"limits.{part}_off_c", off, f"<= {hot:g}", f"above {part}_hot_c", "cool down before switching off"
+            )
         if warm >= hot:
             yield Complaint(
                 f"limits.{part}_warm_c", warm, f">= {hot:g}", f"below {part}_hot_c", "warn before scans are blocked"

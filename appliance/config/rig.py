@@ -150,8 +150,11 @@ class LimitsRig:
 
     case_warm_c: Annotated[_Real, Field(ge=0.0, le=100.0)] = 50.0
     case_hot_c: Annotated[_Real, Field(ge=0.0, le=100.0)] = 60.0
+    case_off_c: Annotated[_Real, Field(ge=0.0, le=110.0)] = 68.0
+    """From here on the instrument switches itself off."""
     projector_warm_c: Annotated[_Real, Field(ge=0.0, le=120.0)] = 65.0
     projector_hot_c: Annotated[_Real, Field(ge=0.0, le=120.0)] = 75.0
+    projector_off_c: Annotated[_Real, Field(ge=0.0, le=130.0)] = 85.0
     supply_low_v: Annotated[_Real, Field(ge=0.0, le=60.0)] | None = None
     """``None``: the supply is not judged."""
 

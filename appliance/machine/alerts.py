@@ -195,6 +195,6 @@ def alerts(machine: Machine) -> tuple[Alert, ...]:
     if notice is not None:
         shown.append(notice)
     for alert in lasting:
-        if not any((s.code, s.device, s.headline) == (alert.code, alert.device, alert.headline) for s in shown):
+        if not any((s.code, s.headline) == (alert.code, alert.headline) for s in shown):
             shown.append(alert)
     return tuple(shown)

@@ -13,7 +13,6 @@ LEAK_HEARTBEATS = 2
 """Consecutive heartbeats with a leak before it is believed; from then on it is latched."""
 LASER_SETTLE_S = 1.0
 """Two heartbeats: older ones may show the lasers as they were before they were switched off."""
-HYSTERESIS_C = 3.0
 HYSTERESIS_V = 0.3
 
 
@@ -44,9 +43,9 @@ def device_down(machine: Machine, device: Device, reason: str, code: FaultCode |
 
 
 def judge(machine: Machine, telemetry: Telemetry) -> Machine:
-    """Conditions after one heartbeat. A value that is missing changes nothing: missing is not zero."""
+    """Conditions after one heartbeat, but for those of warmth (``thermal``). A value that is missing changes nothing:
+    missing is not zero."""
     machine = _leak(machine, telemetry.leak)
-    machine = _heat(machine, telemetry)
     machine = _supply(machine, telemetry.supply_v)
     return _lasers(machine, telemetry)
 
@@ -54,34 +53,16 @@ def judge(machine: Machine, telemetry: Telemetry) -> Machine:
 def _leak(machine: Machine, leak: bool | None) -> Machine:
     votes = min(machine.leak_votes + 1, LEAK_HEARTBEATS) if leak else 0
     machine = replace(machine, leak_votes=votes)
-    if votes < LEAK_HEARTBEATS or _has(machine, FaultCode.LEAK):
+    if votes < LEAK_HEARTBEATS or has(machine, FaultCode.LEAK):
         return machine
     return raised(machine, Fault(FaultCode.LEAK, f"{votes} heartbeats in a row report water"))
-
-
-def _heat(machine: Machine, telemetry: Telemetry) -> Machine:
-    limits = machine.settings
-    for device, value_c, warm_c, hot_c in (
-        ("case", telemetry.temperature_case_c, limits.case_warm_c, limits.case_hot_c),
-        ("projector", telemetry.temperature_projector_c, limits.projector_warm_c, limits.projector_hot_c),
-    ):
-        if value_c is None:
-            continue
-        for code, limit_c in ((FaultCode.HOT, hot_c), (FaultCode.WARM, warm_c)):
-            held = _has(machine, code, device)
-            if value_c >= limit_c or (held and value_c > limit_c - HYSTERESIS_C):
-                detail = f"{device} {value_c:g} °C, limit {limit_c:g} °C"
-                machine = raised(machine, Fault(code, detail, {"temperature_c": value_c}, device))
-            else:
-                machine = cleared(machine, code, device)
-    return machine
 
 
 def _supply(machine: Machine, supply_v: float | None) -> Machine:
     low_v = machine.settings.supply_low_v
     if supply_v is None or low_v is None:
         return machine
-    if supply_v < low_v or (_has(machine, FaultCode.SUPPLY_LOW) and supply_v < low_v + HYSTERESIS_V):
+    if supply_v < low_v or (has(machine, FaultCode.SUPPLY_LOW) and supply_v < low_v + HYSTERESIS_V):
         return raised(
             machine, Fault(FaultCode.SUPPLY_LOW, f"{supply_v:g} V, limit {low_v:g} V", {"supply_v": supply_v})
         )
@@ -99,5 +80,6 @@ def _lasers(machine: Machine, telemetry: Telemetry) -> Machine:
     return cleared(machine, FaultCode.LASER_ON)
 
 
-def _has(machine: Machine, code: FaultCode, device: str | None = None) -> bool:
+def has(machine: Machine, code: FaultCode, device: str | None = None) -> bool:
+    """Whether that condition lasts."""
     return any((fault.code, fault.device) == (code, device) for fault in machine.conditions)

@@ -42,7 +42,18 @@ def refusal(machine: Machine) -> Fault | None:
     """Why SCAN is refused now, the most severe reason; ``None`` when it is allowed."""
     reasons = [fault for fault in machine.conditions if RULES[fault.code].blocks_scan]
     reasons.sort(key=lambda fault: -RULES[fault.code].severity)
-    return next(iter(reasons), None) or missing_device(machine)
+    return next(iter(reasons), None) or missing_device(machine) or _out_of_light(machine)
+
+
+def rationed(machine: Machine) -> Fault | None:
+    """Why light is rationed: a temperature is not known."""
+    return next((fault for fault in machine.conditions if fault.code is FaultCode.TEMPERATURE_UNKNOWN), None)
+
+
+def _out_of_light(machine: Machine) -> Fault | None:
+    """Why a scan must wait where light is rationed: none is left."""
+    left = machine.thermal.ration_s >= machine.settings.light_s(machine.choices.period_px)
+    return None if left else rationed(machine)
 
 
 def interruption(machine: Machine) -> Fault | None:

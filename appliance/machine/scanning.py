@@ -8,7 +8,7 @@ from typing import assert_never
 from appliance.capture.exposure import Exposure
 from appliance.capture.fault import Fault, FaultCode
 from appliance.capture.ranging import Reach, reach_of
-from appliance.machine import calibrate, saving
+from appliance.machine import calibrate, saving, thermal
 from appliance.machine import effects as do
 from appliance.machine import events as on
 from appliance.machine.alerts import RULES
@@ -71,7 +71,9 @@ def armed(machine: Machine, number: int) -> Result:
     """Everything waits for the first pulse."""
     if machine.state is not State.ARMED or number != machine.captures:
         return machine, ()
-    limit_s = machine.settings.capture_s(machine.choices.period_px)
+    period_px = machine.choices.period_px
+    limit_s = machine.settings.capture_s(period_px)
+    machine = thermal.spend(machine, machine.settings.light_s(period_px))
     return enter(machine, State.CAPTURE, limit_s), (do.Capture(number),)
 
 

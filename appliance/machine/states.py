@@ -88,6 +88,18 @@ NEEDED_FOR_A_SCAN = (Device.CAMERA_LEFT, Device.CAMERA_RIGHT, Device.BOARD, Devi
 
 
 @dataclass(frozen=True, slots=True)
+class Limits:
+    """Of the temperature of one place, °C."""
+
+    warm_c: float
+    """From here on it is told, and light rests sooner."""
+    hot_c: float
+    """From here on nothing shines."""
+    off_c: float
+    """From here on the instrument switches itself off."""
+
+
+@dataclass(frozen=True, slots=True)
 class Settings:
     """What the machine is told once. Deadlines are generous: they end a hang, they do not pace the work."""
 
@@ -114,15 +126,22 @@ class Settings:
     saving_s: float = 60.0
     examine_s: float = 60.0
     solve_s: float = 300.0
-    case_warm_c: float = 50.0
-    case_hot_c: float = 60.0
-    projector_warm_c: float = 65.0
-    projector_hot_c: float = 75.0
+    temperatures: Mapping[str, Limits] = field(
+        default_factory=lambda: {"case": Limits(50.0, 60.0, 68.0), "projector": Limits(65.0, 75.0, 85.0)}, hash=False
+    )
+    dark_s: float = 180.0
+    """Without a key for so long, live views go on without the projector's light …"""
+    dark_warm_s: float = 30.0
+    """… and sooner where it is warm."""
     supply_low_v: float | None = None
     supply_off_s: float = 30.0
     """How long a low supply is borne before the instrument switches off in good order."""
     insist_s: float = 10.0
     """How long SCAN outside the measuring volume waits to be pressed again."""
+
+    def light_s(self, period_px: int) -> float:
+        """How long a sequence shines."""
+        return self.frames.get(period_px, max(self.frames.values(), default=0)) / self.refresh_hz
 
     def capture_s(self, period_px: int) -> float:
         """Within what a capture ends, whatever happens: its frames and a margin."""
@@ -246,6 +265,22 @@ class Gallery:
         return self.scans[self.index] if self.scans else None
 
 
+@dataclass(frozen=True, slots=True)
+class Thermal:
+    """What is remembered of temperatures and light; ``appliance.machine.thermal`` reads and writes it."""
+
+    heard_ns: Mapping[str, int] = field(default_factory=dict, hash=False)
+    """When each sensor spoke last; from the first heartbeat on for one that never did."""
+    trend: Mapping[str, tuple[tuple[int, float], ...]] = field(default_factory=dict, hash=False)
+    """(ns, °C) of the last minute, by place."""
+    lit: bool = False
+    """The live views are lit."""
+    ration_s: float = 20.0
+    """Light that is left where it is rationed."""
+    spent: bool = False
+    """Too little is left for aiming."""
+
+
 class Ending(Enum):
     """What follows once the save in progress is through."""
 
@@ -293,6 +328,7 @@ class Machine:
     last_key_ns: int | None = None
     """When a key was pressed last."""
     board_resets: int = 0
+    thermal: Thermal = field(default_factory=Thermal)
     leak_votes: int = 0
     """Consecutive heartbeats that reported a leak."""
     lasers_off_since_ns: int | None = None

@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import assert_never
 
 from appliance.capture.fault import Fault, FaultCode
-from appliance.machine import calibrate, gallery, keys, safety, saving, scanning, start
+from appliance.machine import calibrate, gallery, keys, safety, saving, scanning, start, thermal
 from appliance.machine import effects as do
 from appliance.machine import events as on
 from appliance.machine.conditions import cleared, device_down, device_up, judge, raised
@@ -52,7 +52,7 @@ def _react(machine: Machine, event: on.Event) -> Result:
         case on.BoardReset(cause):
             return safety.board_reset(machine, cause)
         case on.TelemetryArrived(telemetry):
-            return judge(machine, telemetry), ()
+            return thermal.felt(judge(machine, telemetry), telemetry), ()
         case on.ConditionRaised(fault):
             return raised(machine, fault), ()
         case on.ConditionCleared(code, name):
@@ -109,7 +109,8 @@ def _live(machine: Machine) -> tuple[do.GoLive, object] | None:
     if machine.state is not State.AIM and not (machine.state is State.CALIBRATE and calibrate.records(machine)):
         return None
     cameras_and_lights = machine.up & {Device.CAMERA_LEFT, Device.CAMERA_RIGHT, Device.BOARD, Device.PROJECTOR}
-    return do.GoLive(may_shine(machine), may_lase(machine), machine.exposure), (
+    light = may_shine(machine) and thermal.may_aim_lit(machine)
+    return do.GoLive(light, may_lase(machine), machine.exposure), (
         cameras_and_lights,
         machine.board_resets,
     )
@@ -132,6 +133,9 @@ def _settle(before: Machine, after: Machine, wanted: tuple[do.Effect, ...]) -> R
     else:
         since_ns = after.now_ns if after.lasers_off_since_ns is None else after.lasers_off_since_ns
         after = replace(after, lasers_off_since_ns=since_ns, range=None)  # what was measured ends with the light
+    lit = live_after is not None and live_after[0].light
+    if lit is not after.thermal.lit:
+        after = replace(after, thermal=replace(after.thermal, lit=lit))
     return after, (*first, *_taken(before, after), *wanted, *last)
 
 
@@ -153,7 +157,8 @@ def _taken(before: Machine, after: Machine) -> tuple[do.Effect, ...]:
 
 def _tick(machine: Machine, now_ns: int) -> Result:
     # A clock never runs backwards; a late message must not push a deadline away.
-    machine = start.passed_by(replace(machine, now_ns=max(now_ns, machine.now_ns)))
+    machine = thermal.passed(replace(machine, now_ns=max(now_ns, machine.now_ns)), machine.now_ns)
+    machine = start.passed_by(machine)
     if machine.deadline_ns is None or machine.now_ns < machine.deadline_ns:
         return saving.retry(machine)
     match machine.state:

@@ -23,7 +23,7 @@ from appliance.machine import effects as do
 from appliance.machine import events as on
 from appliance.machine.choices import PERIODS_PX, Choices, offers_of
 from appliance.machine.keys import meaning
-from appliance.machine.states import Machine, Part, Settings, State, boot
+from appliance.machine.states import Limits, Machine, Part, Settings, State, boot
 from appliance.machine.step import step
 from appliance.patterns.sequence import build_sequence
 from appliance.screens.painter import Painter
@@ -87,10 +87,10 @@ def machine_settings(rig: Rig, choices: Choices | None = None) -> Settings:
         offers=offers_of(standard_choices(rig), exposures_of(rig), tuple(sequences)),
         frames=sequences,
         refresh_hz=rig.projector.refresh_hz,
-        case_warm_c=limits.case_warm_c,
-        case_hot_c=limits.case_hot_c,
-        projector_warm_c=limits.projector_warm_c,
-        projector_hot_c=limits.projector_hot_c,
+        temperatures={
+            "case": Limits(limits.case_warm_c, limits.case_hot_c, limits.case_off_c),
+            "projector": Limits(limits.projector_warm_c, limits.projector_hot_c, limits.projector_off_c),
+        },
         supply_low_v=limits.supply_low_v,
     )
 

@@ -12,7 +12,7 @@ import appliance
 from appliance.calibration.guide import HELD
 from appliance.capture.fault import Fault, FaultCode
 from appliance.capture.ranging import Reach, reach_of
-from appliance.machine import safety, start
+from appliance.machine import safety, start, thermal
 from appliance.machine.alerts import RULES, alert_of, alerts
 from appliance.machine.permissions import refusal
 from appliance.machine.states import Calibrating, Device, Machine, Part, State
@@ -192,8 +192,8 @@ def _cooling(machine: Machine) -> CoolingView:
     worst = max(hot, key=lambda c: c.numbers["temperature_c"] - c.numbers.get("below_c", 0.0), default=None)
     return CoolingView(
         temperature_c=None if worst is None else worst.numbers["temperature_c"],
-        limit_c=machine.settings.case_hot_c if worst is None else worst.numbers.get("below_c", 0.0),
-        remaining_s=None,
+        limit_c=worst.numbers.get("below_c", 0.0) if worst is not None else machine.settings.temperatures["case"].hot_c,
+        remaining_s=thermal.remaining_s(machine),
         alerts=alerts(machine),
     )
 

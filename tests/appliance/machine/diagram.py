@@ -66,14 +66,14 @@ def page() -> str:
         '    state "from every state" as ANY',
     ]
     for target in State:
-        names = sorted(name for name, state in common if state is target)
-        if names:
-            lines.append(f"    ANY --> {target.value} : {', '.join(names)}")
+        everywhere = sorted(name for name, state in common if state is target)
+        if everywhere:
+            lines.append(f"    ANY --> {target.value} : {', '.join(everywhere)}")
     for source in State:
         for target in State:
-            names = sorted(name for name in found.get((source, target), ()) if (name, target) not in common)
-            if names:
-                lines.append(f"    {source.value} --> {target.value} : {_short(names)}")
+            own = sorted(name for name in found.get((source, target), ()) if (name, target) not in common)
+            if own:
+                lines.append(f"    {source.value} --> {target.value} : {_short(own)}")
     lines += [
         f"    {State.SHUTDOWN.value} --> [*]",
         "```",
@@ -85,8 +85,8 @@ def page() -> str:
     ]
     for source in State:
         for target in State:
-            if names := sorted(found.get((source, target), ())):
-                lines.append(f"| {source.value} | {target.value} | {', '.join(names)} |")
+            if every := sorted(found.get((source, target), ())):
+                lines.append(f"| {source.value} | {target.value} | {', '.join(every)} |")
     return "\n".join(lines) + "\n"
 
 

@@ -1,0 +1,123 @@
+"""Does a dive of 100 scans stay inside its temperatures? In cold and warm water, after an hour on deck, and without sensors."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+
+from appliance.machine.states import Settings
+from bench.result import Measured
+from bench.thermal.dive import Dive, boat_then_dive, dive_of
+from bench.turbidity.plot import Line, Panel, draw
+
+SCANS = 100
+DECK_MINUTES = 60.0
+PAGE, PICTURE = Path("docs", "thermal.md"), Path("docs", "pictures", "thermal.png")
+
+
+def dives(scans: int = SCANS) -> Iterator[tuple[str, Dive]]:
+    """Each case with what it is called on the page."""
+    for water_c in (4.0, 20.0, 30.0):
+        yield f"{scans} scans in water of {water_c:g} °C", dive_of(scans, water_c)
+    yield f"{scans} scans in water of 20 °C, no sensor answers", dive_of(scans, 20.0, sensors=False)
+    yield "an hour on deck in 42 °C, then in water of 30 °C", boat_then_dive(scans // 2, 42.0, 30.0, DECK_MINUTES)
+    lit = boat_then_dive(scans // 2, 42.0, 30.0, DECK_MINUTES, policy=False)
+    yield "the same, were its light never to rest", lit
+
+
+def measure() -> Iterable[Measured]:
+    """Highest temperatures of each dive, against the limits where scans would be blocked."""
+    limits = Settings().temperatures
+    for name, dive in dives():
+        within = "never to rest" not in name
+        for place, values in (
+            ("case", [sample.case_c for sample in dive.samples]),
+            ("projector", [sample.projector_c for sample in dive.samples]),
+        ):
+            bound = limits[place].hot_c if within else None
+            yield Measured(f"{name}: warmest {place}", max(values), "°C", at_most=bound)
+
+
+def main(arguments: Sequence[str]) -> int:
+    """The command line: ``./dev bench thermal --help``."""
+    parser = argparse.ArgumentParser(prog="./dev bench thermal", description=__doc__)
+    parser.add_argument("--scans", type=int, default=SCANS, help="of a dive")
+    parser.add_argument("--write-docs", action="store_true", help=f"write {PAGE} and its picture")
+    wanted = parser.parse_args(arguments)
+    if not 2 <= wanted.scans <= 1000:
+        parser.error(f"--scans {wanted.scans}: allowed are 2 to 1000")
+    done = list(dives(wanted.scans))
+    table = rows(done)
+    sys.stdout.write("\n".join(table) + "\n")
+    if wanted.write_docs:
+        PAGE.write_text(page(table), encoding="utf-8")
+        draw(PICTURE, [panel(name, dive) for name, dive in done])
+    return 0
+
+
+def rows(done: Sequence[tuple[str, Dive]]) -> list[str]:
+    """The table, a line for each dive."""
+    lines = [
+        "| dive | lasts | scans | refused | light | warmest case | warmest projector | warmest camera |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for name, dive in done:
+        worst = [
+            max(values) for values in zip(*((s.case_c, s.projector_c, s.camera_c) for s in dive.samples), strict=True)
+        ]
+        share = 100.0 * dive.light_s / (60.0 * dive.samples[-1].minute)
+        warmest = " | ".join(f"{value:.1f} °C" for value in worst)
+        lines.append(
+            f"| {name} | {dive.samples[-1].minute:.0f} min | {dive.scans} | {sum(dive.refused.values())} | {share:.0f} % | "
+            f"{warmest} |"
+        )
+    return lines
+
+
+def panel(name: str, dive: Dive) -> Panel:
+    """Temperatures over time, with the limits as lines of their own."""
+    minutes = [sample.minute for sample in dive.samples]
+    last = max(10.0, -(-minutes[-1] // 20) * 20)
+    limits = Settings().temperatures
+    ends = [0.0, last]
+    lines = [
+        Line("projector", minutes, [sample.projector_c for sample in dive.samples]),
+        Line("camera", minutes, [sample.camera_c for sample in dive.samples]),
+        Line("case", minutes, [sample.case_c for sample in dive.samples]),
+        Line("projector hot", ends, [limits["projector"].hot_c] * 2),
+        Line("case hot", ends, [limits["case"].hot_c] * 2),
+    ]
+    marks = [round(last * k / 4) for k in range(5)]
+    return Panel(f"{name} (°C over minutes)", lines, marks, [0, 20, 40, 60, 80, 100])
+
+
+def page(table: Sequence[str]) -> str:
+    """The whole of docs/thermal.md."""
+    return f"""# Warmth
+
+Heat is what limits an instrument in a closed housing. What it does about it is decided in `appliance/machine/thermal.py`, from
+two temperatures (case, projector), with limits of the rig file (`[limits]`), each left only 3 °C below where it began:
+
+| band | what happens | the diver sees |
+|---|---|---|
+| normal | light rests after 180 s without a key | – |
+| warm | light rests after 30 s | WARM 51 °C |
+| hot | no light, no scans, until it has cooled down: state COOLING | HOT 61 °C, and about how long it will take |
+| too hot | what is in hand is saved, then it switches itself off | TOO HOT |
+| unknown: a sensor says nothing for 5 s | 20 s of light in a minute, of which aiming leaves 5 s for scans | TEMP ? |
+
+Light that rests comes back with the next key. How long cooling takes is the straight line through the last minute.
+
+## A dive of {SCANS} scans
+
+`./dev bench thermal --write-docs` makes this table and the picture: the instrument's own decisions, and the simulated housing
+(`hw_sim/heat.py`) that warms up by what is on. The diver aims for 25 s, looks at each cloud for 6 s, and keeps it. Light is the
+share of the time that the projector shines. The housing is a model: masses and conductances of an aluminium cylinder, not
+measured on one.
+
+{chr(10).join(table)}
+
+![Temperatures](pictures/{PICTURE.name})
+"""
