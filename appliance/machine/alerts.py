@@ -189,7 +189,8 @@ def alerts(machine: Machine) -> tuple[Alert, ...]:
         lasting += [alert_of(fault) for fault in machine.scan.warnings]
         if machine.scan.failed is not None:
             lasting.append(alert_of(machine.scan.failed))
-    lasting.sort(key=lambda alert: -alert.severity)
+    # Among equally grave ones, what keeps it dark comes first: a leak before a disk.
+    lasting.sort(key=lambda alert: (-alert.severity, not RULES[alert.code].forbids_light))
     shown: list[Alert] = []
     notice = _notice(machine)
     if notice is not None:

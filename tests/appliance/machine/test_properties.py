@@ -52,6 +52,7 @@ def test_every_state_answers_every_event(start: Machine) -> None:
 
 
 @given(START, WALKS, EVENTS)
+@settings(deadline=None)
 def test_the_same_event_gives_the_same_answer_and_leaves_the_machine_as_it_was(
     start: Machine, events: list[on.Event], event: on.Event
 ) -> None:
@@ -62,7 +63,7 @@ def test_the_same_event_gives_the_same_answer_and_leaves_the_machine_as_it_was(
 
 
 @given(START, WALKS)
-@settings(max_examples=100)
+@settings(max_examples=60, deadline=None)
 def test_back_repeated_reaches_aim_unless_what_keeps_it_dark_lasts(start: Machine, events: list[on.Event]) -> None:
     machine = walk(start, events)
     for _ in range(200):
@@ -74,7 +75,7 @@ def test_back_repeated_reaches_aim_unless_what_keeps_it_dark_lasts(start: Machin
 
 
 @given(START, WALKS)
-@settings(max_examples=100)
+@settings(max_examples=60, deadline=None)
 def test_a_capture_always_ends_even_if_nothing_answers(start: Machine, events: list[on.Event]) -> None:
     machine = walk(start, events)
     if machine.state is not State.CAPTURE:
@@ -88,7 +89,7 @@ PASSING = (State.BOOT, State.ARMED, State.CAPTURE, State.CHECK, State.RECONSTRUC
 
 
 @given(START, WALKS)
-@settings(max_examples=100)
+@settings(max_examples=60, deadline=None)
 def test_without_the_diver_every_state_ends_where_the_diver_decides(start: Machine, events: list[on.Event]) -> None:
     machine = walk(start, events)
     for _ in range(12):  # each state has one deadline; a save is tried again three times
@@ -99,7 +100,7 @@ def test_without_the_diver_every_state_ends_where_the_diver_decides(start: Machi
 
 
 @given(START, WALKS, EVENTS)
-@settings(max_examples=150)
+@settings(max_examples=70, deadline=None)
 def test_no_light_without_permission(start: Machine, events: list[on.Event], event: on.Event) -> None:
     before = walk(start, events)
     machine, effects = step(before, event)
@@ -127,7 +128,7 @@ def has_live_views(machine: Machine) -> bool:
 
 
 @given(START, WALKS, EVENTS)
-@settings(max_examples=150)
+@settings(max_examples=70, deadline=None)
 def test_live_views_run_where_the_diver_aims_and_nowhere_else(
     start: Machine, events: list[on.Event], event: on.Event
 ) -> None:
@@ -147,7 +148,7 @@ def test_live_views_run_where_the_diver_aims_and_nowhere_else(
 
 
 @given(START, WALKS, EVENTS)
-@settings(max_examples=150)
+@settings(max_examples=70, deadline=None)
 def test_a_recording_of_a_step_is_accepted_or_rejected_but_never_forgotten(
     start: Machine, events: list[on.Event], event: on.Event
 ) -> None:
@@ -165,7 +166,7 @@ def test_a_recording_of_a_step_is_accepted_or_rejected_but_never_forgotten(
 
 
 @given(START, WALKS, EVENTS)
-@settings(max_examples=150)
+@settings(max_examples=70, deadline=None)
 def test_one_task_of_the_calibration_at_a_time(start: Machine, events: list[on.Event], event: on.Event) -> None:
     before = walk(start, events)
     _, effects = step(before, event)
@@ -178,7 +179,7 @@ def test_one_task_of_the_calibration_at_a_time(start: Machine, events: list[on.E
 
 
 @given(START, WALKS, EVENTS)
-@settings(max_examples=150)
+@settings(max_examples=70, deadline=None)
 def test_a_recorded_scan_is_published_or_rejected_but_never_forgotten(
     start: Machine, events: list[on.Event], event: on.Event
 ) -> None:
@@ -192,7 +193,7 @@ def test_a_recorded_scan_is_published_or_rejected_but_never_forgotten(
 
 
 @given(START, WALKS, EVENTS)
-@settings(max_examples=150)
+@settings(max_examples=70, deadline=None)
 def test_numbers_of_captures_are_never_used_twice(start: Machine, events: list[on.Event], event: on.Event) -> None:
     before = walk(start, events)
     machine, effects = step(before, event)
@@ -212,7 +213,7 @@ def test_what_stops_a_capture_also_refuses_one() -> None:
 
 
 @given(START, WALKS, EVENTS)
-@settings(max_examples=150)
+@settings(max_examples=70, deadline=None)
 def test_only_the_key_that_says_so_changes_the_exposure(
     start: Machine, events: list[on.Event], event: on.Event
 ) -> None:
@@ -222,3 +223,69 @@ def test_only_the_key_that_says_so_changes_the_exposure(
         assert before.state in (State.REVIEW, State.MENU)
         label = labels(before)[event.key] if isinstance(event, on.KeyPressed) else ""
         assert label == "OK" if before.state is State.MENU else label.startswith(("EXPOSE ", "GAIN "))
+
+
+@given(START, WALKS)
+@settings(max_examples=70, deadline=None)
+def test_water_in_the_housing_leads_to_safe_in_one_step(start: Machine, events: list[on.Event]) -> None:
+    before = walk(start, events)
+    if before.state is State.SHUTDOWN or not may_light(before):
+        return
+    machine, effects = step(before, on.ConditionRaised(Fault(FaultCode.LEAK)))
+    assert machine.state is State.SAFE
+    assert effects[0] == do.LightsOff()
+    assert alerts(machine)[0].code is FaultCode.LEAK
+    if before.state in (State.ARMED, State.CAPTURE):
+        assert do.AbortCapture(before.captures) in effects
+
+
+@given(START, WALKS, EVENTS)
+@settings(max_examples=70, deadline=None)
+def test_a_scan_the_diver_kept_is_saved_or_still_in_hand(
+    start: Machine, events: list[on.Event], event: on.Event
+) -> None:
+    before = walk(start, events)
+    machine, effects = step(before, event)
+    kept = before.scan
+    if kept is None or not kept.kept or machine.scan is not None:
+        return
+    if isinstance(event, on.Saved):
+        return
+    if any(isinstance(effect, do.Quit) for effect in effects):
+        assert kept.failures >= 1 or isinstance(event, on.ReconstructionFailed), "the disk refused it again and again"
+        return
+    asked = isinstance(event, on.KeyPressed) and before.state is State.REVIEW
+    spoilt = isinstance(event, on.ReconstructionFailed) and not kept.publishing
+    assert asked or spoilt, "only the diver gives it up, after the disk refused it, or it was worthless"
+    assert any(isinstance(effect, do.Reject) for effect in effects)
+
+
+@given(START, WALKS)
+@settings(max_examples=70, deadline=None)
+def test_a_press_of_scan_that_begins_nothing_says_why(start: Machine, events: list[on.Event]) -> None:
+    before = walk(start, events)
+    if before.state is not State.AIM or Key.SCAN in before.stuck:
+        return
+    machine, effects = step(before, on.KeyPressed(Key.SCAN))
+    if any(isinstance(effect, do.Arm) for effect in effects):
+        return
+    assert alerts(machine), "a reason is on the screen"
+    assert (
+        machine.state is State.COOLING
+        or machine.insists_until_ns is not None
+        or (alerts(machine)[0].action == "SCAN REFUSED")
+    )
+
+
+@given(START, WALKS, EVENTS)
+@settings(max_examples=70, deadline=None)
+def test_what_is_chosen_takes_effect_and_is_remembered(start: Machine, events: list[on.Event], event: on.Event) -> None:
+    before = walk(start, events)
+    machine, effects = step(before, event)
+    was, now = before.choices, machine.choices
+    assert (do.RememberChoices(now) in effects) == (was != now)
+    assert (do.UsePeriod(now.period_px) in effects) == (was.period_px != now.period_px)
+    other_water = (was.salinity_psu, was.water_c) != (now.salinity_psu, now.water_c)
+    assert (do.UseWater(now.salinity_psu, now.water_c) in effects) == other_water
+    if was != now:
+        assert before.state in (State.MENU, State.REVIEW)

@@ -43,13 +43,13 @@ UPS = tuple(on.DeviceUp(device) for device in Device)
 PARTS = tuple(on.PartTested(part, True) for part in Part)
 
 
-def testing() -> Machine:
+def self_testing() -> Machine:
     """The self-test found nothing wrong, and still shows it."""
     return run(boot(0), *UPS, on.BootFinished(), *PARTS, on.StorageCounted(0, None, 100))
 
 
 def aim() -> Machine:
-    return run(testing(), on.Tick(SECOND_NS))
+    return run(self_testing(), on.Tick(SECOND_NS))
 
 
 def in_menu(*keys: Key) -> Machine:
@@ -134,7 +134,7 @@ def refused_by_the_disk() -> Machine:
     return run(saving(), on.SaveFailed(1, Fault(FaultCode.NOT_SAVED, "EIO")))
 
 
-def testing_without_a_camera() -> Machine:
+def self_test_without_a_camera() -> Machine:
     lost = on.DeviceDown(Device.CAMERA_LEFT, "not found")
     return run(boot(0), *UPS, lost, on.BootFinished(), *PARTS, on.StorageCounted(0, None, 100))
 
@@ -159,7 +159,7 @@ def outside_the_volume() -> Machine:
 
 WAYS: dict[State, Callable[[], Machine]] = {
     State.BOOT: lambda: boot(0),
-    State.SELF_TEST: testing,
+    State.SELF_TEST: self_testing,
     State.AIM: aim,
     State.MENU: in_menu,
     State.GALLERY: in_gallery,
@@ -284,7 +284,7 @@ STARTS: tuple[Callable[[], Machine], ...] = (
     trial_in_work,
     safe_with_a_scan,
     refused_by_the_disk,
-    testing_without_a_camera,
+    self_test_without_a_camera,
     kept_before_the_cloud,
     hot_while_aiming,
     gallery_from_the_menu,

@@ -1,0 +1,134 @@
+"""The menu and the gallery with four keys and cold hands."""
+
+from __future__ import annotations
+
+import pytest
+
+from appliance.capture.exposure import Exposure
+from appliance.machine import effects as do
+from appliance.machine import events as on
+from appliance.machine.choices import Choices, offers_of
+from appliance.machine.menu import Row, row_of, shown
+from appliance.machine.states import Machine, Page, Settings, State, boot
+from appliance.machine.texts import labels
+from drivers.api import Key
+from tests.appliance.machine.walks import PARTS, SECOND_NS, UPS, after, aim, in_gallery, in_menu, run
+
+STEPS = (Exposure(5_000), Exposure(8_000), Exposure(12_000), Exposure(16_000))
+BALTIC = Choices(Exposure(12_000), 16, 7.0, 11.6)
+
+
+def offered() -> Machine:
+    """An instrument for brackish water, in the menu."""
+    settings = Settings(choices=BALTIC, offers=offers_of(BALTIC, STEPS))
+    machine = run(boot(0, settings), *UPS, on.BootFinished(), *PARTS, on.Tick(SECOND_NS))
+    return press(machine, Key.UP)
+
+
+def press(machine: Machine, *keys: Key) -> Machine:
+    return run(machine, *(on.KeyPressed(key) for key in keys))
+
+
+def at(machine: Machine, row: Row) -> Machine:
+    """With that row of the main page selected."""
+    for _ in range(20):
+        if machine.menu is not None and row_of(machine.menu) is row:
+            return machine
+        machine = press(machine, Key.DOWN)
+    raise AssertionError(f"no way to {row}")
+
+
+def test_a_value_changes_only_when_it_is_taken() -> None:
+    machine = press(at(offered(), Row.EXPOSURE), Key.SCAN, Key.UP)
+    assert shown(machine).exposure == Exposure(16_000)
+    assert machine.exposure == Exposure(12_000), "not yet"
+    assert press(machine, Key.BACK).exposure == Exposure(12_000), "never, if the diver goes back"
+    taken, effects = after(machine, on.KeyPressed(Key.SCAN))
+    assert taken.exposure == Exposure(16_000)
+    assert effects == [do.RememberChoices(taken.choices)]
+    assert taken.state is State.MENU
+    assert press(taken, Key.BACK).state is State.AIM
+
+
+def test_a_period_is_drawn_anew_and_the_next_scan_has_it() -> None:
+    machine = press(at(offered(), Row.PERIOD), Key.SCAN, Key.UP)
+    machine, effects = after(machine, on.KeyPressed(Key.SCAN))
+    assert do.UsePeriod(32) in effects
+    machine, effects = after(press(machine, Key.BACK), on.KeyPressed(Key.SCAN))
+    assert do.Arm(1, 32, Exposure(12_000)) in effects
+    assert run(machine, on.Armed(1)).deadline_ns == machine.now_ns + round((22 / 60 + 5) * SECOND_NS)
+
+
+def test_values_stop_at_their_ends() -> None:
+    machine = press(at(offered(), Row.PERIOD), Key.SCAN, Key.DOWN, Key.DOWN)
+    assert shown(machine).period_px == 16
+    assert Key.DOWN not in labels(machine), "a key that does nothing has no label"
+    machine = press(machine, *(Key.UP,) * 5)
+    assert shown(machine).period_px == 64
+
+
+def test_brackish_water_of_the_rig_file_is_the_salt_water_to_choose() -> None:
+    machine = press(at(offered(), Row.WATER), Key.SCAN)
+    assert machine.menu is not None
+    assert machine.menu.page is Page.WATER
+    fresh, effects = after(machine, *(on.KeyPressed(key) for key in (Key.SCAN, Key.UP, Key.SCAN)))
+    assert do.UseWater(0.0, 11.6) in effects
+    assert press(fresh, Key.SCAN, Key.UP, Key.SCAN).choices.salinity_psu == 7.0
+
+
+def test_a_stated_temperature_goes_by_whole_degrees() -> None:
+    machine = press(at(offered(), Row.WATER), Key.SCAN, Key.DOWN, Key.SCAN, Key.DOWN, Key.DOWN)
+    _, effects = after(machine, on.KeyPressed(Key.SCAN))
+    assert do.UseWater(7.0, 10.0) in effects
+
+
+def test_power_off_is_asked_back_and_the_first_row_does_no_harm() -> None:
+    asked = press(at(offered(), Row.POWER_OFF), Key.SCAN)
+    assert press(asked, Key.SCAN).state is State.MENU
+    machine, effects = after(asked, on.KeyPressed(Key.DOWN), on.KeyPressed(Key.SCAN))
+    assert machine.state is State.SHUTDOWN
+    assert effects[-1] == do.Quit(power_off=True)
+
+
+def test_back_leads_one_page_up_and_then_out_and_holding_it_on_does_not_switch_off() -> None:
+    machine = press(at(offered(), Row.ABOUT), Key.SCAN, Key.BACK)
+    assert machine.menu is not None
+    assert (machine.menu.page, row_of(machine.menu)) == (Page.MAIN, Row.ABOUT), "where it came from"
+    machine = run(machine, on.KeyPressed(Key.BACK), on.KeyHeld(Key.BACK))
+    assert machine.state is State.AIM
+
+
+@pytest.mark.parametrize("way", [in_menu, in_gallery])
+def test_nothing_shines_while_nobody_aims(way: object) -> None:
+    assert callable(way)
+    key = Key.UP if way is in_menu else Key.DOWN
+    machine, effects = after(aim(), on.KeyPressed(key))
+    assert do.StopLive() in effects
+    _, effects = after(machine, on.KeyPressed(Key.BACK))
+    assert any(isinstance(effect, do.GoLive) for effect in effects)
+
+
+def test_the_gallery_begins_with_the_newest_and_stops_at_the_oldest() -> None:
+    machine, effects = after(aim(), on.KeyPressed(Key.DOWN))
+    assert do.ListScans() in effects
+    machine, effects = after(machine, on.ScansListed(("000003", "000002", "000001")))
+    assert effects == [do.ShowScan("000003")]
+    assert labels(machine) == {Key.BACK: "BACK", Key.DOWN: "OLDER"}
+    machine, effects = after(machine, *(on.KeyPressed(Key.DOWN),) * 5)
+    assert effects == [do.ShowScan("000002"), do.ShowScan("000001")]
+    assert labels(machine) == {Key.BACK: "BACK", Key.UP: "NEWER"}
+    for key in (Key.SCAN, Key.DOWN):
+        assert after(machine, on.KeyPressed(key), on.KeyHeld(key)) == (press(machine, key), []), "nothing is deleted"
+
+
+def test_an_empty_gallery_can_be_left() -> None:
+    machine = run(aim(), on.KeyPressed(Key.DOWN), on.ScansListed(()))
+    assert labels(machine) == {Key.BACK: "BACK"}
+    assert press(machine, Key.BACK).state is State.AIM
+
+
+def test_a_gallery_entered_from_the_menu_leads_back_there() -> None:
+    machine = press(at(in_menu(), Row.GALLERY), Key.SCAN)
+    assert machine.state is State.GALLERY
+    assert press(machine, Key.BACK).state is State.MENU
+    assert press(machine, Key.BACK, Key.BACK).state is State.AIM
