@@ -1,0 +1,171 @@
+"""A disk that refuses any one call of anything that is remembered: one clear error, the old or the new, and a retry works."""
+
+from __future__ import annotations
+
+import errno
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import pytest
+
+from appliance.calibration import file as calibration_file
+from appliance.calibration.guide import USED, Session, Solved, Trial
+from appliance.calibration.health import Trend
+from appliance.capture.exposure import Exposure
+from appliance.machine.choices import Choices
+from appliance.storage import counter
+from appliance.storage.atomic import StorageError
+from appliance.storage.calibrations import Calibrations
+from appliance.storage.choices import ChoicesFile
+from appliance.storage.filesystem import FileSystem, LocalFileSystem
+from appliance.storage.health import HealthFile
+from appliance.storage.library import Library
+from tests.appliance.storage.scenes import BadDisk, cloud, frames, record
+from tests.crash.life import HASH, NEW, OLD, SERIAL
+
+STANDARD = Choices()
+CHOSEN = Choices(Exposure(8000, 6.0), 32, 35.0, 12.5)
+SESSION = Session((Trial(USED[0], None, 0.03, 900, "bar", "000001"),))
+
+
+@dataclass(frozen=True)
+class Deed:
+    """Something that is written: what goes before it, the deed, and what is read afterwards."""
+
+    prepare: Callable[[Path], object]
+    do: Callable[[FileSystem, Path], object]
+    read: Callable[[Path], object]
+
+
+def with_solution(root: Path) -> None:
+    store = Calibrations(root, SERIAL)
+    store.install(OLD, "2026-11-20")
+    session = store.write(SESSION)
+    store.write_solved(NEW, replace(session, solved=Solved(NEW.method, 0.03, (), NEW.hash)))
+
+
+def in_use(root: Path) -> str:
+    return calibration_file.load(Calibrations(root, SERIAL).current).hash
+
+
+def accept(fs: FileSystem, root: Path) -> None:
+    """A recording of a calibration: published, and only then entered into the session."""
+    library = Library(root, fs)
+    scan = library.begin(frames(), record())
+    scan.publish(record(), cloud())
+    Calibrations(root, SERIAL, fs).write(replace(SESSION, trials=(replace(SESSION.trials[0], scan_id=scan.scan_id),)))
+
+
+def accepted(root: Path) -> bool:
+    """Whether the session speaks of a scan; one that it speaks of must be there and whole."""
+    trials = Calibrations(root, SERIAL).session().trials
+    for trial in trials:
+        assert trial.scan_id is not None
+        assert Library(root).verify(trial.scan_id).ok
+    return bool(trials)
+
+
+DEEDS = {
+    "choices": Deed(
+        lambda root: ChoicesFile(root, STANDARD).write(STANDARD),
+        lambda fs, root: ChoicesFile(root, STANDARD, fs).write(CHOSEN),
+        lambda root: ChoicesFile(root, STANDARD).read(),
+    ),
+    "health": Deed(
+        lambda root: HealthFile(root, HASH).write(Trend(judged=1)),
+        lambda fs, root: HealthFile(root, HASH, fs).write(Trend(judged=2)),
+        lambda root: HealthFile(root, HASH).read().judged,
+    ),
+    "install": Deed(
+        lambda root: Calibrations(root, SERIAL).install(OLD, "2026-11-20"),
+        lambda fs, root: Calibrations(root, SERIAL, fs).install(NEW, "2026-11-21"),
+        in_use,
+    ),
+    "use": Deed(with_solution, lambda fs, root: Calibrations(root, SERIAL, fs).use_solved("2026-11-21"), in_use),
+    "session": Deed(
+        lambda root: None,
+        lambda fs, root: Calibrations(root, SERIAL, fs).write(SESSION),
+        lambda root: Calibrations(root, SERIAL).session(),
+    ),
+    "accept": Deed(lambda root: Library(root).prepare(), accept, accepted),
+}
+
+
+def root_of(folder: Path, deed: Deed) -> Path:
+    folder.mkdir()
+    deed.prepare(folder)
+    return folder
+
+
+@pytest.mark.parametrize("error", [errno.EIO, errno.ENOSPC, errno.EROFS], ids=errno.errorcode.get)
+@pytest.mark.parametrize("name", DEEDS)
+def test_each_call_refused_leaves_the_old_or_the_new_and_a_retry_works(tmp_path: Path, name: str, error: int) -> None:
+    deed = DEEDS[name]
+    root = root_of(tmp_path / "whole", deed)
+    before = deed.read(root)
+    disk = BadDisk()
+    deed.do(disk, root)
+    after = deed.read(root)
+    assert after != before
+    assert len(disk.calls) >= 4
+    for bad in range(len(disk.calls)):
+        root = root_of(tmp_path / f"{bad}", deed)
+        with pytest.raises(StorageError) as caught:
+            deed.do(BadDisk(bad, error=error), root)
+        assert str(root) in str(caught.value), "which file"
+        assert caught.value.reason.startswith("injected"), "and why"
+        assert deed.read(root) in (before, after), disk.calls[bad]
+        deed.do(LocalFileSystem(), root)
+        assert deed.read(root) == after, disk.calls[bad]
+
+
+def test_each_call_refused_while_counting_gives_no_number_twice(tmp_path: Path) -> None:
+    disk = BadDisk()
+    counter.take(disk, tmp_path, [])
+    given = [1]
+    for bad in range(len(disk.calls) + 1):  # one more: what a failed attempt left is removed first
+        with pytest.raises(StorageError):
+            given.append(counter.take(BadDisk(bad), tmp_path, []))
+            raise StorageError("not reached", tmp_path, "fewer calls than there are")
+        given.append(counter.take(LocalFileSystem(), tmp_path, []))
+    assert len(given) == len(set(given))
+    assert given == sorted(given)
+
+
+def test_a_write_that_takes_only_a_part_goes_on_with_the_rest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As the kernel does when a signal comes, or the disk is nearly full."""
+    import os
+
+    whole = os.write
+    monkeypatch.setattr(os, "write", lambda fd, data: whole(fd, memoryview(data)[: max(1, len(data) // 3)]))
+    library = Library(tmp_path)
+    library.prepare()
+    scan = library.begin(frames(), record())
+    scan.publish(record(), cloud())
+    monkeypatch.undo()
+    assert library.verify(scan.scan_id).ok
+
+
+def test_a_scan_damaged_in_any_stretch_of_any_file_is_listed_so_and_the_others_are_fine(tmp_path: Path) -> None:
+    library = Library(tmp_path)
+    library.prepare()
+    for k in range(3):
+        library.begin(frames(k), record()).publish(record(), cloud(seed=k), b"\x89PNG" * 10)
+    folder = tmp_path / "scans" / "000002"
+    tried = 0
+    for path in sorted(folder.iterdir()):
+        data = path.read_bytes()
+        for start in range(0, len(data), 16):
+            stretch = bytes(byte ^ 0x5A for byte in data[start : start + 16])
+            for wrong in (data[:start] + stretch + data[start + 16 :], data[:start], data[:start] + data[start + 16 :]):
+                path.write_bytes(wrong)
+                tried += 1
+                entry = library.verify("000002")
+                assert not entry.ok, f"{path.name} from byte {start} on"
+        path.write_bytes(data[:-1])
+        listed = {entry.scan_id: entry.ok for entry in library.entries()}
+        assert listed == {"000001": True, "000002": False, "000003": True}
+        path.write_bytes(data)
+        assert library.verify("000002").ok
+    assert tried > 500
