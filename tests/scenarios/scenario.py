@@ -9,6 +9,7 @@
     after saved 1                                afterwards: how many scans lie there; each must be whole
     after rejected 1
     after verdict motion failed in 000002        or: passed
+    after damaged 000007                         and no other
 
 Every scan that the screen called SAVED must be there and whole, whether the text says so or not.
 """
@@ -31,7 +32,7 @@ PATTERNS = {
     "world": r"world( \w+=\S+)+",
     "rig": r"rig( [\w.]+=\S+)+",
     "given": r"given (nonsense in \S+|fault .+)",
-    "after": r"after ((saved|rejected|set-aside) \d+|verdict \w+ (passed|failed) in \d{6})",
+    "after": r"after ((saved|rejected|set-aside) \d+|verdict \w+ (passed|failed) in \d{6}|damaged \d{6})",
 }
 
 
@@ -94,9 +95,14 @@ def play(scenario: Scenario, folder: Path) -> Library:
 
 def judge(scenario: Scenario, library: Library) -> list[str]:
     """What the disk holds otherwise than the text says, and which scans that were kept are not whole."""
-    wrong = [f"{e.scan_id} is not whole" for e in library.entries() if not library.verify(e.scan_id).ok]
+    damaged = {entry.scan_id for entry in library.entries() if not library.verify(entry.scan_id).ok}
+    expected = {words[1] for words in scenario.after if words[0] == "damaged"}
+    wrong = [f"{scan_id} is not whole" for scan_id in damaged - expected]
+    wrong += [f"{scan_id} is not damaged" for scan_id in expected - damaged]
     for words in scenario.after:
         match words:
+            case ("damaged", _):
+                pass
             case ("verdict", name, wanted, "in", scan_id):
                 verdicts = {verdict.name: verdict for verdict in library.entry(scan_id).manifest.record.verdicts}
                 if name not in verdicts or verdicts[name].passed is not (wanted == "passed"):
