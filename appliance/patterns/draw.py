@@ -67,13 +67,14 @@ def draw_patterns(
             made.callback(texture.release)
         dither = 0x0BD0
         context.disable_direct(dither)  # on by default in GL; it would change codes
-        canvas.use()
-        for (direction, table), picture in zip(tables, pictures, strict=True):
-            codes[direction].write(np.ascontiguousarray(table))
-            codes[direction].use(0)
-            program["along_rows"] = direction is Direction.Y
-            triangle.render(moderngl.TRIANGLES, vertices=3)
-            canvas.read_into(picture, components=1, alignment=1)
+        # Screens share the context: what they blend must not touch a code.
+        with context.scope(canvas, enable_only=moderngl.NOTHING):
+            for (direction, table), picture in zip(tables, pictures, strict=True):
+                codes[direction].write(np.ascontiguousarray(table))
+                codes[direction].use(0)
+                program["along_rows"] = direction is Direction.Y
+                triangle.render(moderngl.TRIANGLES, vertices=3)
+                canvas.read_into(picture, components=1, alignment=1)
     return pictures
 
 

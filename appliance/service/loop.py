@@ -140,8 +140,10 @@ class Service:
         self._live_number = dict.fromkeys(SIDES, 0)
         self._telemetry: Telemetry | None = None
         self._picture: NDArray[np.uint8] | None = None
+        self._drawn: State | None = None
+        """What ``_picture`` shows."""
         self._preview: NDArray[np.uint8] | None = None
-        """The cloud as it was last reviewed."""
+        """The scan's cloud as it was reviewed; ``None`` before."""
         self._boot_told = False
         self._stop_told = False
         self._quit: do.Quit | None = None
@@ -238,7 +240,7 @@ class Service:
                 self._calibrating.warm()
             elif before.state is State.CALIBRATE and self.machine.calibrating is None:
                 self._calibrating.cancel()  # its process takes memory
-            if before.state is State.REVIEW and self._picture is not None:
+            if before.state is State.REVIEW and self._drawn is State.REVIEW and self._picture is not None:
                 self._preview = self._painter.cloud_in(self._picture)
         if isinstance(event, on.DeviceUp):
             log.info("%s works", event.device.value)
@@ -354,6 +356,7 @@ class Service:
     def _begin_arming(self, wanted: do.Arm) -> bool:
         if self._period_wanted is not None or not self._desk.settled:
             return False  # the machine gives up when this takes too long
+        self._preview = None
         self._devices.expose(wanted.exposure)
         fault = self._desk.begin(wanted.number, wanted.exposure)
         recorder = self._recorder(wanted.exposure)
@@ -501,6 +504,7 @@ class Service:
         )
         self._painter.language = Language(self.machine.choices.language)
         self._picture = self._painter.draw(view_of(self.machine, around), self._clock.now_ns() / 1e9)
+        self._drawn = self.machine.state
         try:
             display.value.present(self._picture, PRESENT_TIMEOUT_S)
         except DeviceError as error:

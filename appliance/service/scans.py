@@ -35,6 +35,7 @@ from appliance.reconstruct.noise import TYPICAL_PAIR, StereoNoise
 from appliance.reconstruct.pipeline import Cloud
 from appliance.service.health import CalibrationWatch
 from appliance.service.instrument import exposure_of, noise_of, taking_of, water_of
+from appliance.service.wall_clock import set_from_outside
 from appliance.storage.atomic import StorageError, replace_file
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.library import Library, PendingScan
@@ -183,7 +184,7 @@ class ScanDesk:
             calibration_hash=self._calibration.hash,
             software_version=appliance.__version__,
             wall_time=now.isoformat(timespec="seconds"),
-            clock_trusted=False,  # no source of time is known to the instrument yet
+            clock_trusted=set_from_outside(),
             recorded_ns=scan.begun_ns,
             response_hash=None if self._response is None else self._response.hash,
             exposure=scan.exposure,

@@ -55,6 +55,28 @@ def test_a_width_that_is_no_multiple_of_four_is_not_sheared(context: moderngl.Co
     np.testing.assert_array_equal(picture, np.tile(table, (5, 1)))
 
 
+def test_what_screens_have_set_in_the_shared_context_changes_no_code_and_stays_set(context: moderngl.Context) -> None:
+    ramp = np.arange(256, dtype=np.uint8)
+    with context:
+        context.enable(moderngl.BLEND | moderngl.DEPTH_TEST)
+        context.blend_func = moderngl.SRC_ALPHA, moderngl.ONE_MINUS_SRC_ALPHA
+        target = context.simple_framebuffer((16, 16))
+        target.use()
+    (picture,) = draw_patterns(context, [(Direction.X, ramp)], 256, 4)
+    np.testing.assert_array_equal(picture, np.tile(ramp, (4, 1)))
+    with context:
+        # Half of white over black is grey only while blending is on.
+        program = context.program(
+            vertex_shader="#version 330\nvoid main(){gl_Position=vec4((gl_VertexID%2)*4-1,(gl_VertexID/2)*4-1,0,1);}",
+            fragment_shader="#version 330\nout vec4 c;void main(){c=vec4(1,1,1,0.5);}",
+        )
+        target.clear(0.0, 0.0, 0.0, 1.0)
+        target.use()
+        context.vertex_array(program, []).render(moderngl.TRIANGLES, vertices=3)
+        assert abs(int(np.frombuffer(target.read(components=3), np.uint8)[0]) - 128) <= 1
+        context.disable(moderngl.BLEND | moderngl.DEPTH_TEST)
+
+
 def test_pictures_do_not_share_memory(context: moderngl.Context) -> None:
     black, white = np.zeros(8, np.uint8), np.full(8, 255, np.uint8)
     first, second = draw_patterns(context, [(Direction.X, black), (Direction.X, white)], 8, 8)

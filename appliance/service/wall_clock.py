@@ -1,0 +1,32 @@
+"""Owns whether the date can be believed: the kernel knows if anything from outside has set its clock since power-on."""
+
+from __future__ import annotations
+
+import ctypes
+import logging
+import struct
+
+log = logging.getLogger("kingfisher")
+
+STATUS_OFFSET, TIMEX_BYTES = 40, 208
+"""Of ``struct timex`` on 64-bit Linux (adjtimex(2)): modes, then offset, freq, maxerror, esterror (8 bytes each), status."""
+STA_UNSYNC = 0x0040
+TIME_ERROR = 5
+"""What adjtimex returns while nothing keeps the clock."""
+
+
+def set_from_outside() -> bool:
+    """Whether a time server or the like keeps the clock. Under water there is none: a date of the battery's clock alone, or
+    of 1970, is written down and marked. Numbers of scans do not depend on it."""
+    timex = ctypes.create_string_buffer(TIMEX_BYTES)  # modes 0: only asks
+    try:
+        state = ctypes.CDLL(None, use_errno=True).adjtimex(timex)
+    except (OSError, AttributeError) as error:
+        log.warning("nobody tells whether the clock is right: %s", error)
+        return False
+    return believed(state, struct.unpack_from("=i", timex.raw, STATUS_OFFSET)[0])
+
+
+def believed(state: int, status: int) -> bool:
+    """What adjtimex's answer means."""
+    return 0 <= state != TIME_ERROR and not status & STA_UNSYNC
