@@ -45,6 +45,7 @@ KINDS: dict[tuple[str, str], Kind] = {
     ("board", "intermittent"): Kind(strikes=True),
     ("laser", "stuck"): Kind(),
     ("laser", "off"): Kind(),
+    ("laser", "wrong"): Kind(),
     ("keypad", "off"): Kind(),
     ("keypad", "garbage"): Kind(),
     ("key", "stuck"): Kind(),

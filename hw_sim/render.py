@@ -185,11 +185,12 @@ class Renderer:
                 daylight, clock_s, duration_s, float(ambient), white_e,
                 self._stage.rays(camera), geometry, pose, self._stage.pose(scene, 0.0), electrons,
             )  # fmt: skip
-        for on, laser in zip(lasers, self.truth.lasers, strict=True):
+        for number, (on, laser) in enumerate(zip(lasers, self.truth.lasers, strict=True)):
             if on:
+                grain = 4 * self.truth.seed + 2 * number + CAMERAS.index(camera) if scene.noise else None
                 add_laser(
                     electrons, LASER_E_PER_S * duration_s, laser, self._stage.eyes[camera], self._stage.rays(camera),
-                    pose, geometry, scene.water.attenuation_per_m,
+                    pose, geometry, scene.water, grain,
                 )  # fmt: skip
         if scene.drift.specks:
             self._scatter(camera, scene, pose, clock_s, duration_s, geometry, softened, float(ambient), electrons, None)

@@ -27,6 +27,12 @@ def _calibration(status: Status, field: str, name: str) -> bool:
     return at.get(field) == name and not at.get("busy")
 
 
+def _distance(status: Status, mm: float, within_mm: float) -> bool:
+    """What the laser dots say, within so much of ``mm``."""
+    found = _table(status.get("range")).get("distance_mm")
+    return isinstance(found, int | float) and abs(found - mm) <= within_mm
+
+
 def _like(texts: list[str], pattern: str) -> bool:
     """``*`` stands for anything: numbers that a scene does not fix."""
     return any(fnmatch.fnmatchcase(text, pattern) for text in texts)
@@ -40,6 +46,8 @@ SIGHTS: Mapping[str, tuple[int, Callable[[Status, list[str]], bool]]] = {
     "action": (1, lambda status, words: _like(_alerts(status, "action"), " ".join(words))),
     "label": (2, lambda status, words: _like([str(_table(status.get("keys")).get(words[0]))], " ".join(words[1:]))),
     "device": (2, lambda status, words: _table(status.get("devices")).get(words[0]) == words[1]),
+    "distance": (2, lambda status, words: _distance(status, float(words[0]), float(words[1]))),
+    "reach": (1, lambda status, words: _table(status.get("range")).get("word") == words[0]),
     "scans": (1, lambda status, words: str(status.get("scans")) == words[0]),
     "step": (1, lambda status, words: _calibration(status, "step", words[0])),
     "result": (1, lambda status, words: _calibration(status, "result", words[0])),
@@ -75,5 +83,6 @@ def summary(status: Status) -> str:
     read = [f"{head}: {act}" for head, act in zip(_alerts(status, "headline"), _alerts(status, "action"), strict=True)]
     return (
         f"the state is {status.get('state')}, alerts {alerts}, which read {read}, keys {status.get('keys')}, "
-        f"scans {status.get('scans')}" + (f", calibration {calibration}" if calibration else "")
+        f"scans {status.get('scans')}, range {status.get('range')}"
+        + (f", calibration {calibration}" if calibration else "")
     )

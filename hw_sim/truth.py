@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hw_sim.objects.shapes import BALL_DISTANCE_MM, BOARD_BOW, BOARD_SCALE, HALF_BALL_DISTANCE, PLANE_BOW, SIZES
-from hw_sim.optics.trace import FIELD, FIELD_ORDER, HAS_FIELD, PACKED
+from hw_sim.optics.trace import FIELD, FIELD_ORDER, HAS_FIELD, PACKED, refract
 
 Array = NDArray[np.float64]
 
@@ -23,6 +23,10 @@ CENTRE_MM = 522.5
 """Where the two axes cross, in the rig frame."""
 TOE_IN_DEG = 12.41
 HALF_BASELINE_MM = 115.0
+LASER_X_MM, LASER_Y_MM, LASER_Z_MM = 40.0, -60.0, 30.0
+"""Where the right pointer's beam leaves its window, rig frame; the left one's mirrors it."""
+LASER_AIM_X_MM = 25.0
+"""So far from the axis the beams meet the plane in the middle of the volume, both at the height of the axis."""
 SETS = ("nominal", "realistic", "hard", "paper", "modelled")
 
 
@@ -80,9 +84,10 @@ class TrueEye:
 
 @dataclass(frozen=True, slots=True)
 class Laser:
-    """A pointer behind a window of its own, perpendicular to it: the beam leaves straight."""
+    """A pointer behind a window of its own: the beam as it is in the water."""
 
     origin_mm: tuple[float, float, float]
+    """Where it leaves the window's outer face."""
     direction: tuple[float, float, float]
 
 
@@ -234,15 +239,30 @@ def draw_truth(kind: str, seed: int, width_px: int, height_px: int, n_water: flo
     right = _disturb(replace(camera, R=_turn_y(-toe), t_mm=(HALF_BASELINE_MM, 0.0, 0.0)), amounts, rng, binning)
     beamer = _disturb(replace(projector, R=_turn_y(0.0), t_mm=(0.0, 0.0, 0.0)), amounts, rng, 1.0)
     beams = []
-    for x_mm in (-40.0, 40.0):
+    for side in (-1.0, 1.0):
         lean = np.radians(rng.normal(0.0, 0.2 if amounts.mount_deg else 0.0, 2))
-        direction = np.array([lean[0], lean[1], 1.0])
-        direction /= np.linalg.norm(direction)
-        beams.append(Laser((x_mm, -60.0, 30.0), _triple(direction)))
+        beams.append(_pointer(side, lean, n_water))
     made = np.random.default_rng([seed, 21]).normal(0.0, 1.0, 2) * amounts.artefact_mm
     board = np.random.default_rng([seed, 23]).normal(0.0, 1.0, 2) * (amounts.board_mm, amounts.board_scale)
     artefacts = Artefacts(BALL_DISTANCE_MM + float(made[0]), float(made[1]), float(board[0]), 1.0 + float(board[1]))
     return TrueRig(seed, kind, n_water, left, right, beamer, (beams[0], beams[1]), artefacts)
+
+
+def _pointer(side: float, lean_rad: Array, n_water: float) -> Laser:
+    """The pointer left (−1) or right (+1) of the projector, turned in its mount by ``lean_rad`` (x, y) against its window,
+    which is perpendicular to the beam as drawn: the window bends what leans (air, then water: its plane faces drop out).
+    """
+    origin = np.array([side * LASER_X_MM, LASER_Y_MM, LASER_Z_MM])
+    drawn = np.array([side * LASER_AIM_X_MM, 0.0, CENTRE_MM]) - origin
+    drawn /= np.linalg.norm(drawn)
+    right = np.cross([0.0, 1.0, 0.0], drawn)
+    right /= np.linalg.norm(right)
+    beam = drawn + math.tan(float(lean_rad[0])) * right + math.tan(float(lean_rad[1])) * np.cross(drawn, right)
+    beam /= np.linalg.norm(beam)
+    bent = refract(
+        float(beam[0]), float(beam[1]), float(beam[2]), float(drawn[0]), float(drawn[1]), float(drawn[2]), 1.0 / n_water
+    )
+    return Laser(_triple(origin), _triple(np.array(bent)))
 
 
 def in_air(rig: TrueRig) -> TrueRig:

@@ -145,6 +145,25 @@ class DesignRig:
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
+class LasersRig:
+    """``[lasers]`` (optional): the two pointers as drawn, in the rig frame; the left one mirrors the right one.
+
+    Their beams are learned from the dots; until then they are searched within the tolerance.
+    """
+
+    x_mm: Annotated[_Real, Field(ge=0.0, le=500.0)]
+    y_mm: Annotated[_Real, Field(ge=-500.0, le=500.0)]
+    z_mm: Annotated[_Real, Field(ge=-200.0, le=300.0)]
+    """Where the right beam leaves its window."""
+    aim_x_mm: Annotated[_Real, Field(ge=0.0, le=200.0)]
+    aim_y_mm: Annotated[_Real, Field(ge=-200.0, le=200.0)]
+    aim_z_mm: Annotated[_Real, Field(ge=300.0, le=1000.0)]
+    """A point of the right beam in the middle of the volume."""
+    tolerance_deg: Annotated[_Real, Field(ge=0.01, le=1.0)] = 0.3
+    """Standard deviation of how a beam leans against the drawing, to each side."""
+
+
+@dataclass(frozen=True, slots=True, config=_CONFIG)
 class LimitsRig:
     """``[limits]`` (optional): when the instrument protects itself. Defaults are cautious, to be set per housing."""
 
@@ -189,6 +208,8 @@ class Rig:
     storage: StorageRig
     design: DesignRig
     limits: LimitsRig = field(default_factory=LimitsRig)
+    lasers: LasersRig | None = None
+    """``None``: no pointers are fitted, and no distance is shown."""
     ball_bar: BallBarRig | None = None
     """``None``: without a certificate the instrument cannot be calibrated in water."""
 

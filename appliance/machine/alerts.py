@@ -102,6 +102,7 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
         FaultCode.BOARD_RESET: Rule(_W, "BOARD RESET", "REPEAT IF A SCAN WAS RUNNING", spoils_scan=True),
         FaultCode.VSYNC_LOST: Rule(_W, "NO VIDEO SIGNAL", "CHECK VIDEO CABLE", blocks_scan=True, stops_capture=True),
         FaultCode.LASER_ON: Rule(_C, "LASER ON", "SCAN BLOCKED", blocks_scan=True, stops_capture=True),
+        FaultCode.LASER_FAILED: Rule(_W, "LASER OUT", "DISTANCE FROM ONE DOT"),
         FaultCode.KEYS_LOST: Rule(_W, "KEYS LOST", "CHECK CONNECTOR"),
         FaultCode.KEY_STUCK: Rule(_W, "KEY STUCK", "USE THE KEY WITH ITS LABEL"),
         FaultCode.TOO_NEAR: Rule(_W, "NEAR {distance_mm:.0f} mm", "BACK, OR SCAN AGAIN TO RECORD", "TOO NEAR"),

@@ -63,6 +63,7 @@ GERMAN: Mapping[FaultCode, German] = MappingProxyType(
         FaultCode.BOARD_RESET: German("PLATINE NEU DA", "LIEF EIN SCAN: NOCHMAL"),
         FaultCode.VSYNC_LOST: German("KEIN VIDEOSIGNAL", "VIDEOKABEL PRÜFEN"),
         FaultCode.LASER_ON: German("LASER AN", "SCAN GESPERRT"),
+        FaultCode.LASER_FAILED: German("LASER FEHLT", "ABSTAND AUS EINEM PUNKT"),
         FaultCode.KEYS_LOST: German("TASTEN FEHLEN", _CONNECTOR),
         FaultCode.KEY_STUCK: German("TASTE KLEMMT", "BESCHRIFTETE TASTE NEHMEN"),
         FaultCode.STORAGE_FULL: German("SPEICHER VOLL", "SCANS KOPIEREN, PLATZ SCHAFFEN"),

@@ -111,7 +111,9 @@ def failed(machine: Machine, number: int, fault: Fault) -> Result:
     machine = replace(home(machine), notice=Notice(fault, NoticeKind.FAILURE))
     match fault.code:
         case FaultCode.LASER_ON:
-            return raised(machine, Fault(fault.code, fault.detail)), ()
+            # What the board read back is the condition that telemetry clears; what images showed has its own witness.
+            witness = None if fault.device == Device.BOARD.value else fault.device
+            return raised(machine, Fault(fault.code, fault.detail, device=witness)), ()
         case FaultCode.CAMERA_STUCK:
             stuck = next((device for device in Device if device.value == fault.device), None)
             return machine, (do.ReopenDevice(stuck),)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from appliance.calibration.guide import Session, Step, Trial
 from appliance.capture.exposure import Exposure
 from appliance.capture.fault import Fault
-from appliance.capture.ranging import Range
+from appliance.capture.ranging import Range, Reach
 from appliance.machine.choices import Choices, Offers
 from drivers.api import Key
 
@@ -335,6 +335,8 @@ class Machine:
     """Since when the lasers should be off; ``None`` while they may be on."""
     range: Range | None = None
     """Where the object is, as long as the lasers are on; ``None``: unknown."""
+    reach: Reach = Reach.UNKNOWN
+    """The word for it, which does not flicker."""
     scans: int = 0
     last_scan: str | None = None
     scans_left: int | None = None

@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import assert_never
 
 from appliance.capture.fault import Fault, FaultCode
+from appliance.capture.ranging import Reach, reach_of
 from appliance.machine import calibrate, gallery, keys, safety, saving, scanning, start, thermal
 from appliance.machine import effects as do
 from appliance.machine import events as on
@@ -92,7 +93,7 @@ def _react(machine: Machine, event: on.Event) -> Result:
         case on.CalibrationFailed(reason):
             return calibrate.failed(machine, reason)
         case on.Ranged(measured):
-            return replace(machine, range=measured), ()
+            return replace(machine, range=measured, reach=reach_of(measured, machine.reach)), ()
         case on.ScansListed(scans):
             return gallery.listed(machine, scans)
         case on.StopRequested():
@@ -132,7 +133,8 @@ def _settle(before: Machine, after: Machine, wanted: tuple[do.Effect, ...]) -> R
         after = replace(after, lasers_off_since_ns=None)
     else:
         since_ns = after.now_ns if after.lasers_off_since_ns is None else after.lasers_off_since_ns
-        after = replace(after, lasers_off_since_ns=since_ns, range=None)  # what was measured ends with the light
+        # What was measured ends with the light.
+        after = replace(after, lasers_off_since_ns=since_ns, range=None, reach=Reach.UNKNOWN)
     lit = live_after is not None and live_after[0].light
     if lit is not after.thermal.lit:
         after = replace(after, thermal=replace(after.thermal, lit=lit))

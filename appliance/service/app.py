@@ -20,9 +20,18 @@ from appliance.screens.texts import Language
 from appliance.service.calibrating import CalibrationDesk
 from appliance.service.devices import Devices
 from appliance.service.gallery import GalleryDesk
-from appliance.service.instrument import CALIBRATION_FILE, calibration_of, design_of, noise_of, response_of, water_of
+from appliance.service.instrument import (
+    CALIBRATION_FILE,
+    calibration_of,
+    design_of,
+    noise_of,
+    pointers_of,
+    response_of,
+    water_of,
+)
 from appliance.service.loop import Service, standard_choices
 from appliance.service.patterns import Patterns
+from appliance.service.ranging import RangingDesk
 from appliance.service.scans import ScanDesk
 from appliance.storage.choices import ChoicesFile
 from appliance.storage.library import Library
@@ -81,13 +90,14 @@ def run(rig: Rig) -> int:
             )
         )
         calibrating = stack.enter_context(CalibrationDesk(rig, desk))
+        ranging = stack.enter_context(RangingDesk(pointers_of(rig), calibration, water.index, wires.clock))
         painter = stack.enter_context(
             Painter(gl, (rig.display.width_px, rig.display.height_px), Language(rig.display.language))
         )
         devices = stack.enter_context(Devices(rig, wires, patterns.load))
         status = StatusFile(rig.storage.root, os.getpid(), appliance.__version__)
         service = Service(
-            rig, devices, desk, calibrating, GalleryDesk(library, desk.submit), patterns, painter, status, wires.clock,
+            rig, devices, desk, calibrating, GalleryDesk(library, desk.submit), ranging, patterns, painter, status, wires.clock,
             choices, conditions, lambda: stopping.reason,
         )  # fmt: skip
         ended = service.run()

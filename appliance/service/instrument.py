@@ -5,6 +5,9 @@ from __future__ import annotations
 import logging
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from appliance.calibration.design import Design, design_calibration
 from appliance.calibration.file import Calibration, CalibrationError, load
 from appliance.calibration.response_file import ResponseFileError
@@ -13,8 +16,13 @@ from appliance.calibration.start import METHOD as IN_AIR
 from appliance.calibration.start import check_start
 from appliance.capture.exposure import Exposure, Span, ladder
 from appliance.capture.fault import Fault, FaultCode
+from appliance.capture.ranging_beams import Pointers
+from appliance.capture.ranging_light import live_light
 from appliance.config import Rig
 from appliance.config.rig import CameraRig
+from appliance.optics.model import HousedCamera
+from appliance.optics.pinhole import Lens
+from appliance.optics.port import Port
 from appliance.optics.water import Water
 from appliance.patterns.response import Response
 from appliance.reconstruct.noise import CameraNoise, StereoNoise, camera_noise
@@ -100,6 +108,25 @@ def design_of(rig: Rig) -> Calibration:
     )
     left = rig.camera.left
     return design_calibration(design, rig.rig.serial, left.width_px, left.height_px, water_of(rig))
+
+
+def pointers_of(rig: Rig) -> Pointers | None:
+    """The laser pointers as drawn; ``None``: there are none."""
+    lasers = rig.lasers
+    if lasers is None:
+        return None
+    window_mm = lasers.x_mm, lasers.y_mm, lasers.z_mm
+    return Pointers(window_mm, (lasers.aim_x_mm, lasers.aim_y_mm, lasers.aim_z_mm), lasers.tolerance_deg)
+
+
+def live_light_of(rig: Rig) -> NDArray[np.uint8]:
+    """What the projector shows in the live views, (h, w) uint8."""
+    d, out = rig.design, rig.projector
+    f_px = 1000.0 * d.projector_principal_distance_mm / d.projector_pixel_um
+    lens = Lens((f_px, f_px), ((out.width_px - 1) / 2.0, (out.height_px - 1) / 2.0))
+    port = Port((0.0, 0.0, 1.0), d.port_distance_mm, d.port_thickness_mm, d.port_index)
+    projector = HousedCamera(out.width_px, out.height_px, lens, port)
+    return live_light(projector, pointers_of(rig), water_of(rig).index)
 
 
 def water_of(rig: Rig) -> Water:

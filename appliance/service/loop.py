@@ -36,6 +36,7 @@ from appliance.service.instrument import exposure_of, exposures_of
 from appliance.service.keeper import Keeper
 from appliance.service.menu_view import Facts
 from appliance.service.patterns import Patterns
+from appliance.service.ranging import RangingDesk
 from appliance.service.scans import ScanDesk
 from appliance.service.view import Surroundings, grade, view_of
 from appliance.storage.atomic import StorageError
@@ -105,6 +106,7 @@ class Service:
         desk: ScanDesk,
         calibrating: CalibrationDesk,
         gallery: GalleryDesk,
+        ranging: RangingDesk,
         patterns: Patterns,
         painter: Painter,
         status: StatusFile,
@@ -120,6 +122,7 @@ class Service:
         self._desk = desk
         self._calibrating = calibrating
         self._gallery = gallery
+        self._ranging = ranging
         self._patterns = patterns
         self._choices = choices
         self._painter = painter
@@ -188,6 +191,8 @@ class Service:
         events += self._desk.poll()
         events += self._calibrating.poll()
         events += self._gallery.poll()
+        events += self._ranging.poll()
+        events += self._lasers_on()
         if not self._boot_told and self._devices.all_tried:
             self._boot_told = True
             events.append(on.BootFinished())
@@ -218,7 +223,7 @@ class Service:
         match event:
             case Telemetry():
                 self._telemetry = event
-                return [on.TelemetryArrived(event)]
+                return [on.TelemetryArrived(event), *self._ranging.heard(event.lasers)]
             case BoardBooted():
                 return [on.BoardReset(event.cause)]
             case BoardLost():
@@ -310,7 +315,7 @@ class Service:
                 assert_never(effect)
 
     def _go_live(self, wanted: do.GoLive) -> None:
-        bright = self._desk.sequence.bright if wanted.light else len(self._desk.sequence)
+        shown = len(self._desk.sequence) + (1 if wanted.light else 0)  # behind the patterns: dark, live light
         self._devices.expose(wanted.exposure)
         for keeper in self._devices.cameras.values():
             if keeper.value is not None:
@@ -318,15 +323,28 @@ class Service:
         projector = self._devices.projector
         if projector.value is not None:
             with self._watching(projector):
-                projector.value.show(bright)
+                projector.value.show(shown)
         with self._watching(self._devices.board):
             board = self._devices.board.value
             if board is not None:
                 board.stop()
-                board.set_lasers(wanted.lasers, wanted.lasers)
+                board.set_lasers(False, False)
                 board.live(self._rig.board.live_every_vsyncs, self._rig.board.trigger_delay_us, wanted.exposure.time_us)
 
+        self._ranging.live(wanted.lasers, self._desk.calibration, self._desk.water.index)
+
+    def _lasers_on(self) -> list[on.Event]:
+        """Switch the lasers on as soon as the live images were seen without them."""
+        board = self._devices.board.value
+        if board is None or not self._ranging.wants_lasers:
+            return []
+        events: list[on.Event] = []
+        with self._watching(self._devices.board):
+            events += self._ranging.switched_on(board.set_lasers(True, True))
+        return events
+
     def _dark(self) -> None:
+        self._ranging.stop()
         with self._watching(self._devices.projector):
             if self._devices.projector.value is not None:
                 self._devices.projector.value.show(len(self._desk.sequence))
@@ -388,9 +406,10 @@ class Service:
         report = recorder.play(self._desk.sequence, arming, self._abort)
         for event in report.board_events:
             self._inbox += self._board_event(event)
-        if report.fault is not None:
+        fault = report.fault or self._lasers_seen()
+        if fault is not None:
             self._desk.drop()
-            self._inbox.append(on.CaptureFailed(wanted.number, report.fault))
+            self._inbox.append(on.CaptureFailed(wanted.number, fault))
             return
         self._desk.recorded(report, self._temperatures_c())
         self._inbox.append(on.CaptureFinished(wanted.number))
@@ -408,6 +427,12 @@ class Service:
             trigger_delay_us=self._rig.board.trigger_delay_us,
         )
         return ScanRecorder(ready, board, projector, self._clock, settings)
+
+    def _lasers_seen(self) -> Fault | None:
+        """The images' own proof that the lasers were off, besides the board's."""
+        sequence, store = self._desk.sequence, self._desk.store
+        bright, dark = ({side: store.frames(side)[k] for side in SIDES} for k in (sequence.bright, sequence.dark))
+        return self._ranging.shining(bright, dark)
 
     def _abort(self) -> Fault | None:
         """Asked at every vertical blank of a sequence: whether the diver or the system wants its end."""
@@ -489,6 +514,7 @@ class Service:
             latest = keeper.value.latest(self._live_number[side]) if keeper.value is not None else None
             if latest is not None:
                 self._live_number[side], self._live[side] = latest
+                self._ranging.see(side, latest[1])
             elif keeper.value is None:
                 self._live.pop(side, None)
                 self._live_number[side] = 0

@@ -10,6 +10,7 @@ from appliance.config import Rig
 from appliance.patterns.draw import draw_sequence
 from appliance.patterns.response import Response
 from appliance.patterns.sequence import PatternSequence, build_sequence
+from appliance.service.instrument import live_light_of
 from drivers.api import Projector
 
 
@@ -28,7 +29,8 @@ class Patterns:
         return self.sequence
 
     def load(self, projector: Projector) -> None:
-        """Into its scan-out memory, with a dark picture behind the last pattern, which is shown. Raises DeviceError."""
+        """Into its scan-out memory, with a dark picture behind the last pattern, which is shown, and the live views' light
+        behind that. Raises DeviceError."""
         dark = np.zeros((self.sequence.height_px, self.sequence.width_px), np.uint8)
-        projector.load([*self._pictures, dark])
+        projector.load([*self._pictures, dark, live_light_of(self._rig)])
         projector.show(len(self._pictures))

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 import appliance
 from appliance.calibration.guide import HELD
 from appliance.capture.fault import Fault, FaultCode
-from appliance.capture.ranging import Reach, reach_of
 from appliance.machine import safety, start, thermal
 from appliance.machine.alerts import RULES, alert_of, alerts
 from appliance.machine.permissions import refusal
@@ -182,8 +181,8 @@ def _gauge(machine: Machine) -> Gauge | None:
         return None
     measured = machine.range
     if measured is None:
-        return Gauge(None, None, Reach.UNKNOWN)
-    return Gauge(measured.distance_mm, measured.tilt_deg, reach_of(measured))
+        return Gauge(None, None, machine.reach)
+    return Gauge(measured.distance_mm, measured.tilt_deg, machine.reach)
 
 
 def _cooling(machine: Machine) -> CoolingView:

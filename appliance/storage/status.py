@@ -32,6 +32,7 @@ def describe(machine: Machine, pid: int, version: str, worker_pid: int | None = 
         "scans": machine.scans,
         "scans_left": machine.scans_left,
         "last_scan": machine.last_scan,
+        "range": _range(machine),
         "calibration": _calibration(machine),
         "pid": pid,
         "worker_pid": worker_pid,
@@ -60,6 +61,19 @@ def _calibration(machine: Machine) -> dict[str, Any] | None:
         "e_l_new_percent": _percent(verified.after if verified is not None else None),
         "in_use": session.in_use,
         "kept": session.kept,
+    }
+
+
+def _range(machine: Machine) -> dict[str, Any] | None:
+    measured = machine.range
+    if measured is None:
+        return None
+    return {
+        "distance_mm": round(measured.distance_mm),
+        "tilt_deg": None if measured.tilt_deg is None else round(measured.tilt_deg),
+        "sigma_mm": round(measured.sigma_mm, 1),
+        "dots": measured.dots,
+        "word": machine.reach.value,
     }
 
 

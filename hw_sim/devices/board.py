@@ -94,6 +94,15 @@ class Board:
     def lasers_on(self) -> tuple[bool, bool]:
         """What really shines."""
         left, right = (
+            conducts or self._faults.active(f"laser.{side}", "wrong") is not None
+            for side, conducts in zip(("left", "right"), self._conducting, strict=True)
+        )
+        return left, right
+
+    @property
+    def _conducting(self) -> tuple[bool, bool]:
+        """What the drivers' current sense reads back."""
+        left, right = (
             self._faults.active(f"laser.{side}", "stuck") is not None
             or (wanted and self._powered and self._faults.active(f"laser.{side}", "off") is None)
             for side, wanted in zip(("left", "right"), self._lasers, strict=True)
@@ -200,7 +209,7 @@ class Board:
         self._at(self._reset_ns + int(self._beats * HEARTBEAT_US * 1000 / (1.0 + self._ppm * 1e-6)), self._heartbeat)
 
     def _heartbeat(self, time_ns: int) -> None:
-        left, right = self.lasers_on
+        left, right = self._conducting
         self._report("HB", self._us(time_ns), self._count, int(left), int(right), *self._sensors())
         self._schedule_heartbeat()
 
@@ -260,7 +269,7 @@ class Board:
             case "LASER":
                 left, right = _numbers(arguments, (0, 1), (0, 1))
                 self._lasers = (bool(left), bool(right))
-                return [int(on) for on in self.lasers_on]
+                return [int(on) for on in self._conducting]
             case "SENSE":
                 _numbers(arguments)
                 return list(self._sensors())

@@ -1,0 +1,259 @@
+"""Owns the measurement of the distance from a pair of live images: two pointers, two cameras, refracted rays.
+
+A dot counts when both cameras see it and agree: their rays meet, and they meet on the pointer's beam. Where only one
+sees it, its ray meets the beam, which is good enough as soon as the beam was learned. What is ambiguous is left out.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.capture.ranging import Range
+from appliance.capture.ranging_beams import DOT_SD_MM, FLOOR_SD_MM, Beam
+from appliance.capture.ranging_dots import FARTHEST_MM, NEAREST_MM, Candidate, Lane
+from appliance.capture.ranging_frame import RigFrame
+from appliance.optics.model import StereoRig
+
+Array = NDArray[np.float64]
+Images = tuple[NDArray[np.uint8], NDArray[np.uint8]]
+"""Left and right (h, w) uint8, exposed at the same time."""
+
+CENTRE_SD_PX = 0.12
+"""Of a dot's centre, in px of an image 400 px wide: grain, noise and texture."""
+MOST_SIGMAS = 3.5
+GAP_MM = 0.6
+"""Rays of one dot pass each other so near with a measured calibration: texture moves its centre differently."""
+DRAWN_GAP_MM, DRAWN_SD_MM = 8.0, 4.0
+"""With a calibration that was never measured: how far rays may pass, and what distances are uncertain by."""
+LIKE_THE_OTHER, MOST_SLOPE_DEG = 0.4, 45.0
+"""A dot that only one camera sees has so much of the contrast of the other pointer's, and is so near it in depth."""
+LONE_DN = 15.0
+"""Contrast of a dot that is believed without the other: two faint ones on one surface bear each other out."""
+DRAWN_LEAST_DN = 20.0
+"""Contrast of a dot with a calibration that was never measured: rays meet nearly everywhere then."""
+MOST_SIGMA_MM = 5.0
+"""A distance that is less certain is not told."""
+AMBIGUOUS = 0.5
+"""Another place on the beam with so much of the best one's contrast makes both doubtful …"""
+SAME_MM = 4.0
+"""… unless it is as near as this."""
+MOST_STEP_DEG = 60.0
+"""Two dots that would make a surface more oblique than this lie on two surfaces."""
+REBUILD_MM = 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class Dot:
+    """One pointer's dot on the object."""
+
+    place_mm: tuple[float, float, float]
+    """Rig frame."""
+    sigma_mm: float
+    """Of its depth."""
+    contrast_dn: float
+    cameras: int
+    """How many saw it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Dots:
+    """What was found of both pointers."""
+
+    left: Dot | None
+    right: Dot | None
+
+    @property
+    def found(self) -> tuple[Dot, ...]:
+        return tuple(dot for dot in (self.left, self.right) if dot is not None)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sighted:
+    """A candidate's ray in the rig frame."""
+
+    start_mm: Array
+    ahead: Array
+    contrast_dn: float
+
+
+class Ranger:
+    """Measures with one calibration in one water. Not for two threads at once; images may have any content."""
+
+    def __init__(self, rig: StereoRig, water_index: float, beams: tuple[Beam, Beam], measured: bool = True) -> None:
+        """``measured``: the calibration is one, not the drawing."""
+        self._rig, self._index = rig, water_index
+        self.frame = RigFrame.of(rig)
+        self._measured = measured
+        self._gap_mm = GAP_MM if measured else DRAWN_GAP_MM
+        self._step = max(1.0, rig.left.width_px / 400.0)
+        self._beams = list(beams)
+        self._lanes = [self._lanes_of(beam) for beam in beams]
+        self._seen_by = list(beams)
+        """The beams that the lanes were made for."""
+
+    @property
+    def beams(self) -> tuple[Beam, Beam]:
+        """As known now."""
+        return self._beams[0], self._beams[1]
+
+    def measure(self, images: Images) -> Range | None:
+        """The distance, from whichever dots are sure; what both cameras saw teaches the beams."""
+        dots = self.find(images)
+        self.learn(dots)
+        return self.range_of(dots)
+
+    def find(self, images: Images, lit: tuple[bool, bool] = (True, True)) -> Dots:
+        """Both dots, as far as they are there beyond doubt; only of the pointers that are ``lit``."""
+        seen = [self._find(number, images) if lit[number] else ([], []) for number in (0, 1)]
+        met = [_unambiguous(dots) for dots, _ in seen]
+        dots = [
+            dot if any_met else _alone(one, met[1 - number])
+            for number, (dot, (any_met, one)) in enumerate(zip(met, seen, strict=True))
+        ]
+        return Dots(dots[0], dots[1])
+
+    def pixel_of(self, side: int, dot: Dot) -> tuple[float, float]:
+        """Where the left (0) or right (1) camera sees a dot, px."""
+        camera = (self._rig.left, self._rig.right)[side]
+        u, v = camera.project(self.frame.to_left(np.array([dot.place_mm])), self._index)[0]
+        return float(u), float(v)
+
+    def learn(self, dots: Dots) -> None:
+        """Let what both cameras saw teach the beams; only rays of a measured calibration meet where the light is."""
+        for number, dot in enumerate((dots.left, dots.right)):
+            if dot is None or dot.cameras < 2 or not self._measured:
+                continue
+            beam = self._beams[number] = self._beams[number].taught(np.array(dot.place_mm))
+            before, z = self._seen_by[number], np.array([NEAREST_MM, FARTHEST_MM])
+            moved = np.abs(beam.at(z) - before.at(z)).max() > REBUILD_MM
+            if moved or (beam.sd_mm(z) < before.sd_mm(z) - REBUILD_MM).any():
+                self._seen_by[number], self._lanes[number] = beam, self._lanes_of(beam)
+
+    def range_of(self, dots: Dots) -> Range | None:
+        """What dots say of distance and tilt."""
+        sigma_mm = 0.0 if self._measured else DRAWN_SD_MM
+        if not dots.found:
+            return None
+        if dots.left is None or dots.right is None:
+            dot = dots.found[0]
+            if dot.contrast_dn < LONE_DN:
+                return None
+            return _sure(Range(dot.place_mm[2], None, math.hypot(dot.sigma_mm, sigma_mm), 1))
+        a, b = dots.left, dots.right
+        across_mm, behind_mm = b.place_mm[0] - a.place_mm[0], b.place_mm[2] - a.place_mm[2]
+        if across_mm <= 0.0 or abs(behind_mm) > math.tan(math.radians(MOST_STEP_DEG)) * across_mm:
+            near, _ = sorted((a, b), key=lambda dot: dot.place_mm[2])
+            if min(a.contrast_dn, b.contrast_dn) < LIKE_THE_OTHER * max(a.contrast_dn, b.contrast_dn):
+                return None  # one of them is no dot, and nobody knows which
+            return _sure(Range(near.place_mm[2], None, math.hypot(near.sigma_mm, sigma_mm), 2))
+        share = -a.place_mm[0] / across_mm
+        z = a.place_mm[2] + share * behind_mm
+        own_mm = math.hypot((1.0 - share) * a.sigma_mm, share * b.sigma_mm)
+        tilt_deg = math.degrees(math.atan2(behind_mm, across_mm))
+        return _sure(Range(z, tilt_deg, math.hypot(own_mm, sigma_mm), 2))
+
+    # ------------------------------------------------------------------------------------------ one beam
+
+    def _lanes_of(self, beam: Beam) -> tuple[Lane, Lane]:
+        rig, frame, index = self._rig, self.frame, self._index
+        return Lane(rig.left, frame, index, beam), Lane(rig.right, frame, index, beam)
+
+    def _find(self, number: int, images: Images) -> tuple[list[Dot], list[Dot]]:
+        """What both cameras agree on, and what one sees alone."""
+        beam = self._beams[number]
+        seen = [
+            self._sighted(side, lane.candidates(image))
+            for side, (lane, image) in enumerate(zip(self._lanes[number], images, strict=True))
+        ]
+        met = [dot for a in seen[0] for b in seen[1] if (dot := self._met(beam, a, b)) is not None]
+        alone = [dot for found in seen for one in found if (dot := self._single(beam, one)) is not None]
+        return met, alone
+
+    def _sighted(self, side: int, found: list[Candidate]) -> list[_Sighted]:
+        """With the rays, in the rig frame, that candidates of one camera lie on."""
+        if not found:
+            return []
+        camera = (self._rig.left, self._rig.right)[side]
+        at = np.array([[one.u_px, one.v_px] for one in found])
+        origins, directions = camera.rays(at, self._index)
+        start, ahead = self.frame.from_left(origins), self.frame.turn_from_left(directions)
+        return [_Sighted(start[k], ahead[k], one.contrast_dn) for k, one in enumerate(found)]
+
+    def _met(self, beam: Beam, a: _Sighted, b: _Sighted) -> Dot | None:
+        """Where the rays of both cameras meet, if they do, and on the beam."""
+        place, gap_mm, sine = _nearest(a.start_mm, a.ahead, b.start_mm, b.ahead)
+        z = float(place[2])
+        if not self._measured and min(a.contrast_dn, b.contrast_dn) < DRAWN_LEAST_DN:
+            return None
+        if gap_mm > self._gap_mm or not NEAREST_MM <= z <= FARTHEST_MM:
+            return None
+        off_mm = float(np.linalg.norm((beam.at(np.array(z)) - place)[:2]))
+        own_mm = DOT_SD_MM if self._measured else DRAWN_SD_MM
+        if off_mm > MOST_SIGMAS * math.hypot(float(beam.sd_mm(np.array(z))), own_mm):
+            return None
+        lateral_mm = self._centre_sd_mm(place - a.start_mm)
+        sigma_mm = math.hypot(math.sqrt(2.0) * lateral_mm / sine, 0.5 * FLOOR_SD_MM)
+        return Dot((float(place[0]), float(place[1]), z), sigma_mm, min(a.contrast_dn, b.contrast_dn), 2)
+
+    def _single(self, beam: Beam, one: _Sighted) -> Dot | None:
+        """Where the ray of one camera meets the beam."""
+        ends = beam.at(np.array([NEAREST_MM, FARTHEST_MM]))
+        along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+        place, gap_mm, sine = _nearest(ends[0], along, one.start_mm, one.ahead)
+        z = float(place[2])
+        if not NEAREST_MM <= z <= FARTHEST_MM:
+            return None
+        sd_mm = float(beam.sd_mm(np.array(z)))
+        if gap_mm > MOST_SIGMAS * math.hypot(sd_mm, DOT_SD_MM):
+            return None
+        sigma_mm = math.hypot(sd_mm, DOT_SD_MM, self._centre_sd_mm(place - one.start_mm)) / sine
+        if sigma_mm > MOST_SIGMA_MM:
+            return None
+        return Dot((float(place[0]), float(place[1]), z), sigma_mm, one.contrast_dn, 1)
+
+    def _centre_sd_mm(self, way: Array) -> float:
+        """What the centre's uncertainty is at the end of ``way``."""
+        f_px = self._rig.left.lens.f_px[0] * self._index
+        return CENTRE_SD_PX * self._step * float(np.linalg.norm(way)) / f_px
+
+
+def _alone(dots: list[Dot], other: Dot | None) -> Dot | None:
+    """A dot that one camera sees: about as bright as the other pointer's, and on the same surface as it. Without that
+    other, it may be anything bright that the camera sees beside the dark of the live light."""
+    best = _unambiguous(dots)
+    if best is None or other is None:
+        return None
+    across_mm = abs(best.place_mm[0] - other.place_mm[0])
+    near = abs(best.place_mm[2] - other.place_mm[2]) < math.tan(math.radians(MOST_SLOPE_DEG)) * across_mm
+    return best if near and best.contrast_dn > LIKE_THE_OTHER * other.contrast_dn else None
+
+
+def _unambiguous(dots: list[Dot]) -> Dot | None:
+    """The clearest, unless another is nearly as clear elsewhere."""
+    if not dots:
+        return None
+    dots = sorted(dots, key=lambda dot: -dot.contrast_dn)
+    best = dots[0]
+    for other in dots[1:]:
+        if abs(other.place_mm[2] - best.place_mm[2]) > SAME_MM and other.contrast_dn > AMBIGUOUS * best.contrast_dn:
+            return None
+    return best
+
+
+def _sure(measured: Range) -> Range | None:
+    return measured if measured.sigma_mm <= MOST_SIGMA_MM else None
+
+
+def _nearest(p: Array, d: Array, q: Array, e: Array) -> tuple[Array, float, float]:
+    """The point half way between two lines, their gap, and the sine of the angle between them."""
+    cosine = float(d @ e)
+    sine2 = max(1.0 - cosine * cosine, 1e-12)
+    between = q - p
+    s = (float(d @ between) - cosine * float(e @ between)) / sine2
+    t = (cosine * float(d @ between) - float(e @ between)) / sine2
+    a, b = p + s * d, q + t * e
+    return 0.5 * (a + b), float(np.linalg.norm(a - b)), math.sqrt(sine2)

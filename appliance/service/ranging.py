@@ -1,0 +1,263 @@
+"""Owns the measuring of the distance on live images: which pairs are measured, when the lasers may go on, who is told.
+
+The work is done in a thread of its own, ``kf-ranging``, on one pair at a time; a pair that comes while it works is left
+out, since the next one comes a tenth of a second later. Every live view begins with the lasers off: what looks like a dot
+then is remembered, and is a laser that ignores its switch if it looks no brighter with the lasers on.
+"""
+
+from __future__ import annotations
+
+import logging
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.calibration.design import METHOD as DRAWN
+from appliance.calibration.file import Calibration
+from appliance.capture.fault import Fault, FaultCode
+from appliance.capture.ranging import Range
+from appliance.capture.ranging_beams import Pointers
+from appliance.capture.ranging_measure import Dot, Dots, Ranger
+from appliance.capture.ranging_witness import SURELY_A_DOT_DN, shines_in_the_dark
+from appliance.machine import events as on
+from drivers.api import Clock, LaserState
+
+log = logging.getLogger("kingfisher")
+
+SETTLE_NS = 200_000_000
+"""After the lasers or the light were switched, images may still be from before: two of ten a second."""
+PAIR_NS = 50_000_000
+"""Both images of a pair arrive within this; the next pair comes twice as late."""
+DARK_PAIRS = 2
+"""Pairs looked at before the lasers go on, and then again with them on."""
+NO_BRIGHTER = 1.5
+"""A dot of a laser that was just switched on is so much brighter than print or pebble were there before."""
+CLEAR_PAIRS = 10
+"""Without a dot in so many pairs, a laser that ignored its switch has gone off."""
+HEARTBEATS_NS = 1_000_000_000
+"""Two heartbeats of the board."""
+SHINING_TIMEOUT_S = 10.0
+"""For one pair of images, behind another one; and the first time for making what measures."""
+STALE_NS = 1_000_000_000
+IMAGES = "images"
+"""The witness named in the fault, besides the board's read-back, which clears only its own."""
+SIDES = ("left", "right")
+
+
+@dataclass(frozen=True, slots=True)
+class _Measured:
+    live: int
+    """Of which live view."""
+    lit: bool
+    dots: Dots
+    range: Range | None
+
+
+class RangingDesk:
+    """Everything about the laser dots in live images that is neither a device nor a decision. A context manager.
+
+    Called by the heartbeat only.
+    """
+
+    def __init__(self, pointers: Pointers | None, calibration: Calibration, water_index: float, clock: Clock) -> None:
+        """Without ``pointers`` nothing is measured."""
+        self._pointers, self._clock = pointers, clock
+        self._calibration, self._water_index = calibration, water_index
+        self._executor = ThreadPoolExecutor(1, "kf-ranging")
+        self._ranger: Ranger | None = None
+        """Made and used in ``kf-ranging`` alone."""
+        self._work: Future[_Measured] | None = None
+        self._images: dict[str, tuple[int, NDArray[np.uint8]]] = {}
+        self._live = 0
+        self._wanted = self._lit = False
+        self._ready_ns = 0
+        """From when on images show the lasers as they are."""
+        self._dark: list[Dots] = []
+        self._lit_first: list[Dots] = []
+        self._clear = 0
+        self._lit_ns = 0
+        self._failed: set[str] = set()
+        self._told: Range | None = None
+        self._told_ns = 0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._executor.shutdown(wait=True, cancel_futures=True)
+
+    @property
+    def ranger(self) -> Ranger | None:
+        """What measures, once a pair was measured."""
+        return self._ranger
+
+    def live(self, lasers: bool, calibration: Calibration, water_index: float) -> None:
+        """Live views begin, with the lasers off; ``lasers``: they may go on when they were seen to be off."""
+        self._end()
+        if calibration is not self._calibration or water_index != self._water_index:
+            self._calibration, self._water_index, self._ranger = calibration, water_index, None
+        self._wanted = lasers and self._pointers is not None
+        self._ready_ns = self._clock.now_ns() + SETTLE_NS
+
+    def stop(self) -> None:
+        """Live views end; the lasers go off."""
+        self._end()
+
+    def see(self, side: str, image: NDArray[np.uint8]) -> None:
+        """A new live image of one camera, (h, w) uint8; it must not change any more."""
+        now_ns = self._clock.now_ns()
+        if self._pointers is None or now_ns < self._ready_ns:
+            return
+        self._images[side] = now_ns, image
+        if any(one not in self._images for one in SIDES):
+            return
+        (left_ns, left), (right_ns, right) = (self._images[one] for one in SIDES)
+        if abs(left_ns - right_ns) > PAIR_NS or self._work is not None or self.wants_lasers:
+            return
+        self._images.clear()
+        live, lit = self._live, self._lit
+        shining = ("laser.left" not in self._failed, "laser.right" not in self._failed)
+        self._work = self._executor.submit(self._measure, live, lit, shining, left, right)
+
+    @property
+    def wants_lasers(self) -> bool:
+        """The dark was looked at: the lasers may go on now."""
+        return self._wanted and not self._lit and len(self._dark) >= DARK_PAIRS and self._work is None
+
+    def switched_on(self, state: LaserState) -> list[on.Event]:
+        """The lasers were switched on, and this was read back."""
+        self._lit = True
+        self._images.clear()
+        self._lit_ns = self._clock.now_ns()
+        self._ready_ns = self._lit_ns + SETTLE_NS
+        return self._read_back(state)
+
+    def heard(self, state: LaserState) -> list[on.Event]:
+        """What a heartbeat of the board read back."""
+        old = self._clock.now_ns() < self._lit_ns + HEARTBEATS_NS  # it may be from before they were switched on
+        return self._read_back(state) if self._lit and not old else []
+
+    def _read_back(self, state: LaserState) -> list[on.Event]:
+        events: list[on.Event] = []
+        for side, conducts in (("left", state.left_on), ("right", state.right_on)):
+            device = f"laser.{side}"
+            if conducts and device in self._failed:
+                self._failed.remove(device)
+                events.append(on.ConditionCleared(FaultCode.LASER_FAILED, device))
+            elif not conducts and device not in self._failed:
+                self._failed.add(device)
+                detail = f"the {side} laser does not conduct although switched on"
+                events.append(on.ConditionRaised(Fault(FaultCode.LASER_FAILED, detail, device=device)))
+        return events
+
+    def poll(self) -> list[on.Event]:
+        """What was measured since."""
+        if self._work is not None and self._work.done():
+            work, self._work = self._work, None
+            error = work.exception(0.0)
+            if error is not None:
+                log.error("no distance from the live images: %s", error, exc_info=error)
+                return []
+            measured = work.result(0.0)
+            if measured.live == self._live and measured.lit == self._lit:
+                return self._judge(measured)
+        if self._told is not None and self._clock.now_ns() - self._told_ns > STALE_NS:
+            self._told = None
+            return [on.Ranged(None)]
+        return []
+
+    def shining(self, bright: dict[str, NDArray[np.uint8]], dark: dict[str, NDArray[np.uint8]]) -> Fault | None:
+        """Whether a laser shone in a sequence although it was switched off: from its bright and its dark frames."""
+        if self._pointers is None:
+            return None
+        return self._executor.submit(self._shining, bright, dark).result(SHINING_TIMEOUT_S)
+
+    # ------------------------------------------------------------------------------------------ kf-ranging
+
+    def _measure(
+        self, live: int, lit: bool, shining: tuple[bool, bool], left: NDArray[np.uint8], right: NDArray[np.uint8]
+    ) -> _Measured:
+        ranger = self._made()
+        dots = ranger.find((left, right), shining if lit else (True, True))
+        if lit:
+            ranger.learn(dots)
+        return _Measured(live, lit, dots, ranger.range_of(dots) if lit else None)
+
+    def _shining(self, bright: dict[str, NDArray[np.uint8]], dark: dict[str, NDArray[np.uint8]]) -> Fault | None:
+        found = shines_in_the_dark(
+            self._made(), (bright["left"], bright["right"]), (dark["left"], dark["right"])
+        )  # fmt: skip
+        if not found:
+            return None
+        return Fault(FaultCode.LASER_ON, f"dot of the {' and '.join(found)} laser in the dark frame", device=IMAGES)
+
+    def _made(self) -> Ranger:
+        if self._ranger is None:
+            assert self._pointers is not None
+            measured = self._calibration.method != DRAWN
+            self._ranger = Ranger(self._calibration.rig, self._water_index, self._pointers.beams(), measured)
+        return self._ranger
+
+    # ------------------------------------------------------------------------------------------ what it means
+
+    def _end(self) -> None:
+        self._live += 1
+        if self._work is not None and self._work.cancel():
+            self._work = None
+        self._wanted = self._lit = False
+        self._images.clear()
+        self._dark.clear()
+        self._lit_first.clear()
+        self._clear = 0
+        self._told = None
+
+    def _judge(self, measured: _Measured) -> list[on.Event]:
+        if not measured.lit:
+            self._dark.append(measured.dots)
+            del self._dark[:-DARK_PAIRS]
+            return self._cleared(measured.dots)
+        events: list[on.Event] = [on.Ranged(measured.range)]
+        self._told, self._told_ns = measured.range, self._clock.now_ns()
+        if len(self._lit_first) < DARK_PAIRS:
+            self._lit_first.append(measured.dots)
+            if len(self._lit_first) == DARK_PAIRS:
+                events += self._compared()
+        return events
+
+    def _compared(self) -> list[on.Event]:
+        """Dots that were there with the lasers off, and are no brighter with them on."""
+        ignored = [
+            side
+            for side in SIDES
+            if all(_same_dot(before, after) for before, after in _of(side, self._dark, self._lit_first))
+        ]
+        if not ignored:
+            return []
+        sides = " and ".join(ignored)
+        return [
+            on.ConditionRaised(Fault(FaultCode.LASER_ON, f"dot of the {sides} laser seen while off", device=IMAGES))
+        ]
+
+    def _cleared(self, dots: Dots) -> list[on.Event]:
+        shines = any(dot.cameras == 2 and dot.contrast_dn >= SURELY_A_DOT_DN for dot in dots.found)
+        self._clear = 0 if shines else self._clear + 1
+        if self._clear != CLEAR_PAIRS or self._wanted:
+            return []
+        return [on.ConditionCleared(FaultCode.LASER_ON, IMAGES)]
+
+
+def _of(side: str, dark: list[Dots], lit: list[Dots]) -> list[tuple[Dot | None, Dot | None]]:
+    return [(getattr(before, side), getattr(after, side)) for before, after in zip(dark, lit, strict=True)]
+
+
+def _same_dot(before: Dot | None, after: Dot | None) -> bool:
+    """Seen by both cameras before as after, and no brighter after."""
+    if before is None or after is None or before.cameras < 2 or after.cameras < 2:
+        return False
+    return before.contrast_dn >= SURELY_A_DOT_DN and after.contrast_dn <= NO_BRIGHTER * before.contrast_dn

@@ -1,0 +1,139 @@
+"""Owns the study of distances: instruments and scenes at random, each distance against where the beams truly end."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.capture.ranging_measure import Dots, Ranger
+from appliance.config import load_rig
+from appliance.service.instrument import live_light_of, pointers_of
+from bench.ranging.scenes import Case, drawn, hide, live_pair, seen, true_dots
+from hw_sim.render import Renderer
+from hw_sim.scene import Scene
+from hw_sim.truth import TrueRig, draw_truth
+from tests.support.truth import WATER, complete_calibration, rig_to_left
+
+RIG_FILE = Path("hw_sim/rigs/full.toml")
+TEACHING = tuple(
+    Scene(object="plane", pose=(0.0, 0.0, z, 5.0, -8.0, 0.0), texture="slight") for z in (420.0, 470.0, 520.0, 570.0)
+)
+"""What an instrument has seen before: its beams are learned from it."""
+SCENES_PER_RIG = 10
+MOVED_AT_S = 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class Instrument:
+    """A rig with its calibration, as it starts and as it has learned."""
+
+    truth: TrueRig
+    ranger: Ranger
+
+
+def instrument(seed: int, width_px: int, taught: bool = True) -> Instrument:
+    """A realistic rig with a perfect calibration; ``taught``: after some planes, else as drawn."""
+    rig = load_rig(RIG_FILE)
+    pointers = pointers_of(rig)
+    assert pointers is not None
+    truth = draw_truth("realistic", seed, width_px, width_px * 3 // 4, TEACHING[0].water.index)
+    ranger = Ranger(complete_calibration(truth).rig, WATER.index, pointers.beams())
+    if taught:
+        light = live_light_of(rig)
+        for k, scene in enumerate(TEACHING):
+            ranger.measure(live_pair(Renderer(truth, scene), (True, True), seed * 100 + k, light))
+    return Instrument(truth, ranger)
+
+
+def truth_of(one: Instrument, dots: list[NDArray[np.float64] | None]) -> tuple[float | None, float | None]:
+    """True distance and tilt in the frame of the calibration, from those dots that are seen."""
+    frame = one.ranger.frame
+    places = [frame.from_left(rig_to_left(one.truth, dot[None])[0]) if dot is not None else None for dot in dots]
+    here = [place for place in places if place is not None]
+    if not here:
+        return None, None
+    if len(here) == 1:
+        return float(here[0][2]), None
+    a, b = here
+    across, behind = float(b[0] - a[0]), float(b[2] - a[2])
+    share = -float(a[0]) / across
+    return float(a[2]) + share * behind, math.degrees(math.atan2(behind, across))
+
+
+def row(one: Instrument, case: Case, seed: int, light: NDArray[np.uint8]) -> dict[str, Any]:
+    """One live pair, measured."""
+    renderer = Renderer(one.truth, case.scene)
+    time_s = 0.0 if case.scene.motion.still else MOVED_AT_S
+    dots = true_dots(renderer, one.truth, time_s)
+    left, right = live_pair(renderer, (True, True), seed, light, time_s)
+    views = {
+        (side, k): dot is not None and seen(renderer, one.truth, side, dot, time_s)
+        for side in ("left", "right")
+        for k, dot in enumerate(dots)
+    }
+    if case.hidden is not None:
+        side, k = case.hidden
+        hidden = dots[k]
+        if hidden is not None:
+            left = hide(left, one.truth, "left", hidden) if side == "left" else left
+            right = hide(right, one.truth, "right", hidden) if side == "right" else right
+            views[case.hidden] = False
+    begun = time.process_time()
+    found: Dots = one.ranger.find((left, right))
+    measured = one.ranger.range_of(found)
+    cpu_ms = 1e3 * (time.process_time() - begun)
+    one.ranger.learn(found)
+    told = [dot if got is not None else None for dot, got in zip(dots, (found.left, found.right), strict=True)]
+    true_mm, true_deg = truth_of(one, told)
+    places = [None if dot is None else one.ranger.frame.from_left(rig_to_left(one.truth, dot[None])[0]) for dot in dots]
+    dot_errors = [
+        None if got is None or place is None else float(got.place_mm[2] - place[2])
+        for got, place in zip((found.left, found.right), places, strict=True)
+    ]
+    here = [float(place[2]) for place in places if place is not None]
+    return {
+        "object": case.scene.object,
+        "texture": case.scene.texture,
+        "water": case.water,
+        "ambient": case.scene.ambient,
+        "moving": not case.scene.motion.still,
+        "hidden": case.hidden is not None,
+        "true_mm": float(np.mean(here)) if here else None,
+        "both_see": sum(views["left", k] and views["right", k] for k in range(2)),
+        "one_sees": sum(views["left", k] != views["right", k] for k in range(2)),
+        "distance_mm": None if measured is None else measured.distance_mm,
+        "sigma_mm": None if measured is None else measured.sigma_mm,
+        "dots": len(found.found),
+        "cameras": [None if got is None else got.cameras for got in (found.left, found.right)],
+        "contrast_dn": [None if got is None else got.contrast_dn for got in (found.left, found.right)],
+        "error_mm": None if measured is None or true_mm is None else measured.distance_mm - true_mm,
+        "dot_errors_mm": dot_errors,
+        "invented": sum(
+            got is not None and place is None for got, place in zip((found.left, found.right), places, strict=True)
+        ),
+        "tilt_error_deg": (
+            None if measured is None or measured.tilt_deg is None or true_deg is None else measured.tilt_deg - true_deg
+        ),
+        "tilt_deg": true_deg,
+        "cpu_ms": cpu_ms,
+    }
+
+
+def rows_of(scenes: int, seed: int, width_px: int, say: Callable[[str, float], None]) -> list[dict[str, Any]]:
+    """``scenes`` at random, ``SCENES_PER_RIG`` with each instrument."""
+    light = live_light_of(load_rig(RIG_FILE))
+    found = []
+    one = instrument(seed * 1000, width_px)
+    for k in range(scenes):
+        say("distance", k / scenes)
+        if k and k % SCENES_PER_RIG == 0:
+            one = instrument(seed * 1000 + k // SCENES_PER_RIG, width_px)
+        found.append(row(one, drawn(np.random.default_rng([seed, k, 31])), seed * 10_000 + k, light))
+    return found
