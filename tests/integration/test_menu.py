@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from appliance.service.keys import KeyReader
 from appliance.service.loop import standard_choices
 from appliance.storage.choices import ChoicesFile
 from appliance.storage.library import Library
+from appliance.worker import process
 from drivers.api import KeyEvent, KeyPress
 
 MOST_PICTURES = 2
@@ -61,6 +63,8 @@ def test_a_period_is_chosen_scanned_with_and_remembered(tmp_path: Path, monkeypa
         told.extend(event for event in events if isinstance(event, KeyPress))
         return events
 
+    # The machine that runs tests may be busy with others.
+    monkeypatch.setattr(process, "WorkLimits", partial(process.WorkLimits, cloud_s=55.0))
     monkeypatch.setattr(Painter, "draw", drawn)
     monkeypatch.setattr(KeyReader, "take", taken)
     script = tmp_path / "dive.script"

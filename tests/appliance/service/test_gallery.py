@@ -1,0 +1,91 @@
+"""The gallery shows what lies on the disk, marks what is damaged, and never keeps the screen waiting."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from appliance.capture.verdict import Verdict
+from appliance.machine import events as on
+from appliance.screens.views import Grade
+from appliance.service.gallery import GRADE, GalleryDesk, read
+from appliance.storage.library import Library
+from tests.appliance.storage.scenes import cloud, frames, record
+
+PICTURE = np.arange(40 * 60 * 3, dtype=np.uint8).reshape(40, 60, 3)
+NUMBERS = {"points": 20, "coverage_percent": 81.5, "noise_mm": 0.03, "distance_mm": 512.0}
+
+
+def saved(library: Library, grade: str = "usable", clock_trusted: bool = True) -> str:
+    """A kept scan with a preview."""
+    _, png = cv2.imencode(".png", cv2.cvtColor(PICTURE, cv2.COLOR_RGB2BGR))
+    said = replace(record(cloud=NUMBERS), clock_trusted=clock_trusted, verdicts=(Verdict(GRADE, True, {}, grade),))
+    pending = library.begin(frames(), said)
+    pending.publish(said, cloud(), png.tobytes())
+    return pending.scan_id
+
+
+@pytest.fixture
+def library(tmp_path: Path) -> Library:
+    library = Library(tmp_path / "storage")
+    library.prepare()
+    return library
+
+
+def test_a_scan_is_shown_as_it_was_judged_when_it_was_taken(library: Library) -> None:
+    shown = read(library, saved(library))
+    assert (shown.grade, shown.damaged) == (Grade.USABLE, False)
+    assert (shown.points, shown.coverage_percent, shown.distance_mm) == (20, 81.5, 512.0)
+    np.testing.assert_array_equal(shown.preview, PICTURE)
+
+
+def test_a_date_that_cannot_be_believed_is_not_shown(library: Library) -> None:
+    assert read(library, saved(library)).taken is not None
+    assert read(library, saved(library, clock_trusted=False)).taken is None
+
+
+@pytest.mark.parametrize("name", ["preview.png", "frames_left.npy", "manifest.json", "cloud.ply"])
+def test_whatever_is_cut_short_is_marked_and_the_others_are_fine(library: Library, name: str) -> None:
+    damaged, fine = saved(library), saved(library)
+    path = library.entry(damaged).folder / name
+    path.write_bytes(path.read_bytes()[:-7])
+    assert read(library, damaged).damaged
+    assert not read(library, fine).damaged
+    assert read(library, "000099").damaged, "one that has gone"
+
+
+class _Disk:
+    """A disk's thread that a test can hold up."""
+
+    def __init__(self) -> None:
+        self.pool = ThreadPoolExecutor(1)
+        self.free = threading.Event()
+
+    def submit(self, work: Callable[[], None]) -> Future[None]:
+        return self.pool.submit(self._do, work)
+
+    def _do(self, work: Callable[[], None]) -> None:
+        self.free.wait(10.0)
+        work()
+
+
+def test_the_newest_comes_first_and_the_latest_wish_counts_however_slow_the_disk_is(library: Library) -> None:
+    ids = [saved(library) for _ in range(3)]
+    disk = _Disk()
+    desk = GalleryDesk(library, disk.submit)
+    desk.list_scans()
+    for scan_id in ids:
+        desk.show(scan_id)
+    assert desk.poll() == [], "nothing is waited for"
+    disk.free.set()
+    disk.pool.shutdown(wait=True)
+    assert desk.poll() == [on.ScansListed(tuple(reversed(ids)))]
+    assert desk.shown is not None
+    assert desk.shown.scan_id == ids[-1]
