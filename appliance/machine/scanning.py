@@ -7,7 +7,7 @@ from typing import assert_never
 
 from appliance.capture.exposure import Exposure
 from appliance.capture.fault import Fault, FaultCode
-from appliance.capture.ranging import Reach, reach_of
+from appliance.capture.ranging import Reach
 from appliance.machine import calibrate, saving, thermal
 from appliance.machine import effects as do
 from appliance.machine import events as on
@@ -46,7 +46,7 @@ def out_of_reach(machine: Machine) -> Fault | None:
     if machine.state is not State.AIM or measured is None:
         return None
     numbers = {"distance_mm": measured.distance_mm}
-    match reach_of(measured):
+    match machine.reach:
         case Reach.CLOSER:
             return Fault(FaultCode.TOO_FAR, f"{measured.distance_mm:.0f} mm away", numbers)
         case Reach.BACK:

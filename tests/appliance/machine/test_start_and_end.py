@@ -96,6 +96,13 @@ def test_outside_the_volume_scan_asks_once_more(distance_mm: float, headline: st
     assert run(forgotten, on.KeyPressed(Key.SCAN)).state is State.AIM, "asked anew"
 
 
+def test_hands_that_tremble_at_the_limit_are_not_asked() -> None:
+    machine = run(aim(), *(on.Ranged(Range(d, 0.0, 0.3, 2)) for d in (558.0, 562.0)))
+    assert run(machine, on.KeyPressed(Key.SCAN)).state is State.ARMED
+    machine = run(machine, *(on.Ranged(Range(d, 0.0, 0.3, 2)) for d in (566.0, 558.0)))
+    assert run(machine, on.KeyPressed(Key.SCAN)).state is State.AIM, "once outside, a little inside is not enough"
+
+
 def test_a_distance_that_is_not_known_is_not_outside() -> None:
     assert run(aim(), on.Ranged(None), on.KeyPressed(Key.SCAN)).state is State.ARMED
     assert run(aim(), on.Ranged(Range(500.0, None, 1.0, 1)), on.KeyPressed(Key.SCAN)).state is State.ARMED
