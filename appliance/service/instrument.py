@@ -34,23 +34,37 @@ log = logging.getLogger("kingfisher")
 CALIBRATION_FILE = Path("calibration", "current.json")
 RESPONSE_FILE = CALIBRATION_FILE.with_name("response.json")
 AIR_FILE = CALIBRATION_FILE.with_name("air.json")
+KEPT = CALIBRATION_FILE.with_name("kept")
 """Below the storage root."""
 ONLY_IN_AIR = "the calibration is one in air, a start for calibrating in water; windows and water are not in it"
 
 
 def calibration_of(rig: Rig) -> tuple[Calibration, tuple[Fault, ...]]:
-    """The instrument's calibration; the design's with the condition UNCALIBRATED where there is none that fits."""
-    path = rig.storage.root / CALIBRATION_FILE
+    """The instrument's calibration.
+
+    Where the file in use is damaged, missing or of another instrument: the one before that is kept and fits, else the
+    design's; either with the condition UNCALIBRATED, whose detail says which.
+    """
+    calibration, problem = _usable(rig, rig.storage.root / CALIBRATION_FILE)
+    if calibration is not None:
+        return calibration, ()
+    for kept in sorted((rig.storage.root / KEPT).glob("*.json"), reverse=True):
+        calibration, _ = _usable(rig, kept)
+        if calibration is not None:
+            problem = f"{problem}; {kept.name}, which was in use before, is used"
+            break
+    log.warning("uncalibrated: %s", problem)
+    return calibration or design_of(rig), (Fault(FaultCode.UNCALIBRATED, problem),)
+
+
+def _usable(rig: Rig, path: Path) -> tuple[Calibration | None, str]:
+    """A file's calibration if this instrument can measure with it, else why not."""
     try:
         calibration = load(path)
-        problem = ONLY_IN_AIR if calibration.method == IN_AIR else misfit(calibration, rig)
     except CalibrationError as error:
-        problem = str(error)
-    else:
-        if problem is None:
-            return calibration, ()
-    log.warning("uncalibrated: %s", problem)
-    return design_of(rig), (Fault(FaultCode.UNCALIBRATED, problem),)
+        return None, str(error)
+    problem = ONLY_IN_AIR if calibration.method == IN_AIR else misfit(calibration, rig)
+    return (calibration, "") if problem is None else (None, problem)
 
 
 def start_of(rig: Rig, path: Path | None = None) -> Calibration:

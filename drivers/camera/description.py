@@ -15,6 +15,8 @@ from drivers.camera.control import ControlChannel
 MAX_ENTRIES = 64
 MAX_FILE_SIZE = 16 * 1024 * 1024
 """The largest published descriptions have about 2 MB; beyond this the manifest is taken for damaged."""
+MOST_SAID = 300
+"""Of an unpacker's message, which may quote what is in the archive."""
 _ATTEMPTS = 2
 _REMEDY = "Update the camera's firmware"
 
@@ -56,7 +58,7 @@ def _unzip(data: bytes) -> bytes:
     except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, OSError, ValueError) as error:
         if isinstance(error, BadDescription):
             raise
-        raise BadDescription(f"the zipped description cannot be read ({error})") from error
+        raise BadDescription(f"the zipped description cannot be read ({str(error)[:MOST_SAID]})") from error
     if len(text) > MAX_FILE_SIZE:
         raise BadDescription(f"the description unpacks to more than {MAX_FILE_SIZE} bytes")
     return text

@@ -33,7 +33,7 @@ class Unclear(AssertionError):
 
 
 def check_refusal(target: Target, case: Any, error: Exception) -> None:
-    """Raises Unclear for a message that is empty, endless, breaks out of its line, or does not name the thing."""
+    """Raises Unclear for a message that is empty, endless, or does not name the thing."""
     message = str(error)
     if not any(character.isalpha() for character in message):
         raise Unclear(f"{type(error).__name__} says nothing: {message!r}") from error

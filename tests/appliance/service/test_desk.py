@@ -16,6 +16,7 @@ from appliance.patterns.sequence import build_sequence
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.service.app import CALIBRATION_FILE, calibration_of, design_of
 from appliance.service.desk import describe_calibration, reconstruct_scan, write_nominal_calibration
+from appliance.storage.calibrations import Calibrations
 from appliance.storage.library import Library
 from appliance.storage.ply import read_ply
 from appliance.storage.record import ScanRecord, SequenceInfo
@@ -98,6 +99,20 @@ def test_an_instrument_without_calibration_uses_its_design_and_says_so(rig: Rig)
     calibration, conditions = calibration_of(rig)
     assert calibration.method == "design"
     assert [fault.code.value for fault in conditions] == ["UNCALIBRATED"]
+
+
+def test_when_the_calibration_is_damaged_the_one_before_is_used_and_that_is_said(rig: Rig) -> None:
+    first, second = (replace(design_of(rig), method=method) for method in ("bundle", "operator"))
+    calibrations = Calibrations(rig.storage.root, rig.rig.serial)
+    calibrations.install(first, "2026-01-01")
+    calibrations.install(second, "2026-02-01")
+    path = rig.storage.root / CALIBRATION_FILE
+    assert calibration_of(rig) == (second, ())
+    path.write_bytes(path.read_bytes()[:-40])
+    used, (condition,) = calibration_of(rig)
+    assert used == first
+    assert condition.code.value == "UNCALIBRATED"
+    assert "0001-2026-02-01.json, which was in use before, is used" in condition.detail
 
 
 @pytest.mark.parametrize(
