@@ -10,17 +10,17 @@ from appliance.calibration.recordings import ArtefactKind
 from appliance.machine.states import Task
 from appliance.screens import theme
 from appliance.screens.canvas import Align, Canvas
-from appliance.screens.frame import alerts_top
+from appliance.screens.frame import alerts_top, draw_title
 from appliance.screens.sketch import FROM_THE_SIDE, sketch_depth, sketch_front
 from appliance.screens.texts import Language, Text, worded
-from appliance.screens.theme import BAR_PX, BLACK, BODY, BOLD, CAPTION, HUGE, REGULAR, TITLE
+from appliance.screens.theme import BLACK, BODY, BOLD, CAPTION, HUGE, REGULAR, TITLE
 from appliance.screens.views import CalibrateView
 
 _TOP_PX, _SKETCH_PX = 68.0, 180.0
-_LIVE_PX = (400.0, 300.0)
+_LIVE_PX = (364.0, 273.0)
 _WORDS_PX = 392.0
-_BAND_PX, _FAILURE_PX = 52.0, 104.0
-"""Heights of one line, and of a reason in up to three."""
+_BAND_PX, _WORKING_PX, _FAILURE_PX = 84.0, 52.0, 104.0
+"""Heights of what was found and what is right, of one line, and of a reason in up to three."""
 _TICKS_PX = 456.0
 
 _HOLD = {
@@ -49,7 +49,7 @@ def draw_calibrate(canvas: Canvas, view: CalibrateView, language: Language, time
     if view.step in HELD:
         artefact = Text.BALL_BAR if HELD[view.step] is ArtefactKind.BALL_BAR else Text.PLANE
         title = f"{title}  {artefact.in_language(language)}"
-    canvas.words(title, canvas.width / 2, 44, TITLE, BLACK, align=Align.CENTRE, max_width=390)
+    draw_title(canvas, title, view.keys, language)
     if view.step in HELD:
         _how(canvas, view.step, language)
         _live(canvas, view.left, language)
@@ -104,13 +104,13 @@ def _how(canvas: Canvas, step: Step, language: Language) -> None:
     ):
         canvas.image(slot, picture, left, _TOP_PX, _SKETCH_PX, _SKETCH_PX)
         canvas.words(
-            caption.in_language(language), left + _SKETCH_PX / 2, _TOP_PX + _SKETCH_PX + 24, CAPTION - 4, REGULAR,
+            caption.in_language(language), left + _SKETCH_PX / 2, _TOP_PX + _SKETCH_PX + 23, CAPTION, REGULAR,
             theme.MUTED, Align.CENTRE, _SKETCH_PX,
         )  # fmt: skip
     assert (depth is Text.FROM_THE_SIDE) == (step in FROM_THE_SIDE)
     lines = words.in_language(language).split(", ")
     for number, line in enumerate(lines):
-        canvas.words(line, _WORDS_PX / 2, 312 + 38 * number, BODY, BOLD, align=Align.CENTRE, max_width=_WORDS_PX - 16)
+        canvas.words(line, _WORDS_PX / 2, 304 + 34 * number, BODY, BOLD, align=Align.CENTRE, max_width=_WORDS_PX - 16)
 
 
 def _live(canvas: Canvas, pixels: NDArray[np.uint8] | None, language: Language) -> None:
@@ -128,13 +128,14 @@ def _live(canvas: Canvas, pixels: NDArray[np.uint8] | None, language: Language) 
 def _latest(canvas: Canvas, view: CalibrateView, language: Language, time_s: float) -> None:
     """The band over the lower labels, or over an alert: what is done now, or what became of the latest recording."""
     at = view.at
-    bottom = alerts_top(canvas, view.alerts) if view.alerts else canvas.height - BAR_PX + 8
+    bottom = alerts_top(canvas, view.alerts) + (0 if view.alerts else 8)
     trial = at.latest or view.session.trial(view.step)
     if at.task is not None:
         _working(canvas, at.task, at.progress, language, time_s, bottom)
     elif at.failed is not None:
+        canvas.hide(bottom - _FAILURE_PX, bottom)
         canvas.box(0, bottom - _FAILURE_PX, canvas.width, _FAILURE_PX, theme.YELLOW)
-        canvas.paragraph(at.failed, 16, bottom - _FAILURE_PX + 32, CAPTION - 2, theme.INK, canvas.width - 32, 3)
+        canvas.paragraph(at.failed, 16, bottom - _FAILURE_PX + 32, CAPTION, theme.INK, canvas.width - 32, 3)
     elif trial is not None and trial.refusal is None:
         number = "" if trial.number is None else f"{1000.0 * trial.number:.0f} µm"
         what = f"{worded(trial.step.value, language)} {Text.ACCEPTED.in_language(language)}"
@@ -150,19 +151,21 @@ def _latest(canvas: Canvas, view: CalibrateView, language: Language, time_s: flo
 
 def _band(canvas: Canvas, fill: theme.Colour, what: str, why: str, number: str, bottom: float) -> None:
     top, ink = bottom - _BAND_PX, theme.INK
+    canvas.hide(top, bottom)
     canvas.box(0, top, canvas.width, _BAND_PX, fill)
-    x = 16 + canvas.words(what, 16, top + 38, BODY + 2, BLACK, ink, max_width=300) + 18
     right = canvas.width - 16
     if number:
-        right -= canvas.words(number, right, top + 38, BODY + 2, BLACK, ink, Align.RIGHT) + 18
-    canvas.words(why, x, top + 36, CAPTION, BOLD, ink, max_width=max(40.0, right - x))
+        right -= canvas.words(number, right, top + 39, TITLE - 4, BLACK, ink, Align.RIGHT) + 18
+    canvas.words(what, 16, top + 39, TITLE - 4, BLACK, ink, max_width=right - 16)
+    canvas.words(why, 16, top + 72, CAPTION + 2, BOLD, ink, max_width=canvas.width - 32)
 
 
 def _working(
     canvas: Canvas, task: Task, progress: float | None, language: Language, time_s: float, bottom: float
 ) -> None:
-    top = bottom - _BAND_PX
-    canvas.box(0, top, canvas.width, _BAND_PX, theme.INK)
+    top = bottom - _WORKING_PX
+    canvas.hide(top, bottom)
+    canvas.box(0, top, canvas.width, _WORKING_PX, theme.INK)
     canvas.words(_TASKS[task].in_language(language), 16, top + 38, BODY, BLACK, max_width=300)
     left, width = 330.0, canvas.width - 346.0
     canvas.box(left, top + 12, width, 28, theme.PANEL, 14)

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.screens.colours import colour_table
-from appliance.screens.theme import BODY, BOLD, DESIGN_SIZE_PX, REGULAR, WHITE, Colour
+from appliance.screens.theme import BODY, BOLD, CAPTION, DESIGN_SIZE_PX, REGULAR, WHITE, Colour
 from drivers.api import DeviceGone
 
 MAX_WORDS = 192
@@ -113,6 +113,22 @@ void main() {
 """
 
 
+@dataclass(frozen=True, slots=True)
+class Written:
+    """One line of text as it stands on the picture; lengths in units of the design, of its ink alone."""
+
+    words: str
+    left: float
+    top: float
+    right: float
+    bottom: float
+    size: int
+    """Of the type, after it was made smaller to fit."""
+    colour: Colour
+    cut: bool
+    """It did not fit even at the smallest size, and ends in an ellipsis."""
+
+
 class Align(Enum):
     LEFT = 0.0
     CENTRE = 0.5
@@ -125,6 +141,8 @@ class _Words:
     width_px: int
     height_px: int
     baseline_px: int
+    ink_px: tuple[int, int, int, int]
+    """Left, top, right, bottom of the letters within the texture."""
 
 
 class Canvas:
@@ -148,8 +166,11 @@ class Canvas:
         self._font = cv2.FontFace("sans")
         self._words: OrderedDict[tuple[str, int, int], _Words] = OrderedDict()
         self._images: dict[str, moderngl.Texture] = {}
+        self.written: list[Written] = []
+        """Every line of text since ``begin``: what an eye would check for size, contrast and room."""
 
     def begin(self, background: Colour) -> None:
+        self.written.clear()
         # Whoever used the context before may have left an error behind, as by releasing what was still bound.
         _ = self.context.error
         self.framebuffer.use()
@@ -199,23 +220,44 @@ class Canvas:
         align: Align = Align.LEFT,
         max_width: float | None = None,
     ) -> float:
-        """One line of text on ``baseline``; smaller where it would be wider than ``max_width``. Returns its width."""
+        """One line of text on ``baseline``; smaller where it would be wider than ``max_width``. Returns its width.
+
+        It is never smaller than a caption, which is the least that can be read: what does not fit then is cut.
+        """
         if not words:
             return 0.0
+        cut = False
         if max_width is not None:
             width = self.measure(words, size, weight)
             if width > max_width:
-                size = max(8, int(size * max_width / width))
+                size = max(CAPTION, int(size * max_width / width))
+                while size > CAPTION and self.measure(words, size, weight) > max_width:
+                    size -= 1
+            whole = words
+            while self.measure(words, size, weight) > max_width and len(words) > 1:
+                words = words.removesuffix("…")[:-1].rstrip() + "…"
+            cut = words != whole
         line = self._line(words, round(size * self.scale), weight)
         # Whole pixels: the letters' anti-aliasing was made for them.
         left = round(x * self.scale - align.value * line.width_px)
         top = round(baseline * self.scale) - line.baseline_px
+        from_left, from_top, to_right, to_bottom = (edge / self.scale for edge in line.ink_px)
+        x, y = left / self.scale, top / self.scale
+        ends = Written(words, x + from_left, y + from_top, x + to_right, y + to_bottom, size, colour, cut)
+        self.written.append(ends)
+        self._stamp(line, left, top, colour)
+        return line.width_px / self.scale
+
+    def _stamp(self, line: _Words, left_px: int, top_px: int, colour: Colour) -> None:
         line.texture.use(0)
         self._letters["fill"] = colour.as_tuple()
         self._letters["size"] = self.size_px
-        self._letters["box"] = (left, top, line.width_px, line.height_px)
+        self._letters["box"] = (left_px, top_px, line.width_px, line.height_px)
         self._letters_quad.render(moderngl.TRIANGLE_STRIP, vertices=4)
-        return line.width_px / self.scale
+
+    def hide(self, top: float, bottom: float) -> None:
+        """Lines of text wholly between these heights are about to be drawn over: they are written no more."""
+        self.written = [line for line in self.written if line.top < top or line.bottom > bottom]
 
     def paragraph(
         self, words: str, x: float, baseline: float, size: int, colour: Colour, max_width: float, max_lines: int
@@ -240,10 +282,15 @@ class Canvas:
         return self._line(words, round(size * self.scale), weight).width_px / self.scale
 
     def image(self, slot: str, pixels: NDArray[np.uint8], left: float, top: float, width: float, height: float) -> None:
-        """A picture reduced to the box: (h, w) uint8 of a camera, saturation striped, or (h, w, 3) uint8 RGB.
+        """A picture in the middle of the box, as large as fits: (h, w) uint8 of a camera, saturation striped, or (h, w, 3) uint8 RGB.
 
         ``slot`` names its texture, which is used again.
         """
+        shape = pixels.shape[1] / pixels.shape[0]
+        if width / height > shape:  # the picture keeps its shape
+            left, width = left + (width - height * shape) / 2, height * shape
+        else:
+            top, height = top + (height - width / shape) / 2, width / shape
         across, down = max(1, round(width * self.scale)), max(1, round(height * self.scale))
         shrink = pixels.shape[0] > down or pixels.shape[1] > across
         if shrink:
@@ -305,7 +352,9 @@ class Canvas:
         cv2.putText(wide, words, (1, baseline_px), (255,), self._font, size_px, weight)
         mask[:] = wide[:, :width_px]
         texture = self.context.texture((width_px, height_px), 1, mask, alignment=1)
-        line = self._words[key] = _Words(texture, width_px, height_px, baseline_px)
+        columns, rows = np.flatnonzero(mask.any(axis=0)), np.flatnonzero(mask.any(axis=1))
+        ink_px = (int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1) if columns.size else (0,) * 4
+        line = self._words[key] = _Words(texture, width_px, height_px, baseline_px, ink_px)
         if len(self._words) > MAX_WORDS:
             _, oldest = self._words.popitem(last=False)
             oldest.texture.release()

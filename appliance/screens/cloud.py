@@ -36,6 +36,7 @@ uniform mat3 turn;
 uniform vec3 middle;
 uniform float eye;     // mm from the middle
 uniform vec2 focal;    // of clip space
+uniform float lower;   // how far below the middle of the picture the cloud sits, in clip space
 uniform float splat;   // pixels × mm
 uniform sampler2D colours;
 in vec3 point;
@@ -48,7 +49,7 @@ void main() {
     vec3 normal = turn * normalize(vec3(slope, -1.0));
     float z = p.z + eye;
     float depth = (z - 0.2 * eye) / (2.0 * eye);  // 0..1 from a fifth of the way to beyond the cloud
-    gl_Position = vec4(focal * p.xy, z * (2.0 * depth - 1.0), z);  // y downwards: row 0 is the top
+    gl_Position = vec4(focal * p.xy + vec2(0.0, lower * z), z * (2.0 * depth - 1.0), z);  // y downwards: row 0 is the top
     gl_PointSize = clamp(splat / z, 1.5, 14.0);
     float light = 0.34 + 0.78 * max(dot(normal, LIGHT), 0.0);
     float gleam = pow(max(dot(reflect(-LIGHT, normal), vec3(0.0, 0.0, -1.0)), 0.0), 24.0);
@@ -173,11 +174,15 @@ class CloudPainter:
         packed[:, 5] = level if bright_is_high else 1.0 - level
         self._vertices.write(packed)
 
-    def draw(self, target: moderngl.Framebuffer, place: tuple[int, int], time_s: float, turn: int = 0) -> None:
-        """Draw over ``target`` with the top left corner at ``place`` px. Blending is on afterwards."""
+    def draw(self, target: moderngl.Framebuffer, room: tuple[int, int, int, int], time_s: float, turn: int = 0) -> None:
+        """Draw over ``target``, in the middle of ``room`` (left, top, width, height in px). Blending is on afterwards.
+
+        ``room`` starts at the left edge; points may stray out of it, but not beyond the painter's size.
+        """
         width, height = self._size_px
+        place = (room[0], 0)
         eye = EYE_RADII * self._radius_mm
-        fit = self._focal_px(eye)
+        fit = self._focal_px(eye, room[2:])
         context = self._context
         self._buffer.use()
         self._buffer.clear(0.0, 0.0, 0.0, 0.0)
@@ -187,6 +192,7 @@ class CloudPainter:
         self._points["middle"] = tuple(self._middle)
         self._points["eye"] = eye
         self._points["focal"] = (2.0 * fit / width, 2.0 * fit / height)
+        self._points["lower"] = (2.0 * room[1] + room[3]) / height - 1.0
         self._points["splat"] = 1.9 * self._spacing_mm * fit
         self._colours.use(0)
         self._splats.render(moderngl.POINTS, vertices=self._number)
@@ -200,12 +206,12 @@ class CloudPainter:
         context.viewport = (0, 0, *target.size)
         context.enable(moderngl.BLEND)
 
-    def _focal_px(self, eye_mm: float) -> float:
+    def _focal_px(self, eye_mm: float, room_px: tuple[int, ...]) -> float:
         """Focal length at which the cloud fills its part of the picture, also at the ends of its turn."""
         half_x, half_y, half_z = self._half_mm
         across = math.hypot(half_x, half_z * math.sin(math.radians(TURN_DEG)) * 1.5)
         down = math.hypot(half_y, half_z * math.sin(math.radians(NOD_DEG)) * 1.5)
-        width, height = self._size_px
+        width, height = room_px
         return 0.5 * FILL * min(width / across, height / down) * (eye_mm - half_z)
 
     def close(self) -> None:

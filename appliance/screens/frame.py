@@ -1,4 +1,4 @@
-"""Owns what surrounds the content of every screen: key labels at the edge, and the alert above all else."""
+"""Owns what surrounds the content of every screen: title, key labels at the edge, and the alert above all else."""
 
 from __future__ import annotations
 
@@ -8,62 +8,122 @@ from appliance.machine.alerts import Alert, Severity
 from appliance.screens import theme
 from appliance.screens.canvas import Align, Canvas
 from appliance.screens.texts import Language, worded
-from appliance.screens.theme import BAR_PX, BLACK, BOLD, KEY_CORNERS
+from appliance.screens.theme import BAR_PX, BLACK, BODY, BOLD, CAPTION, HEADLINE, HUGE, KEY_CORNERS, TITLE, Corner
 from appliance.screens.views import KeyLabels
 from drivers.api import Key
 
-_PAD_PX = 24
+LABEL_PX = 54
+_PAD_PX = 22
 _RADIUS_PX = 20
-_LABEL_PX = 54
-ALERT_PX, CRITICAL_PX = 110, 146
+ALERT_PX, CRITICAL_PX, OTHERS_PX = 110, 144, 40
 
 
-def draw_key_labels(canvas: Canvas, keys: KeyLabels, language: Language, dim: frozenset[Key] = frozenset()) -> None:
-    """Each label touches the edge of the display at its key; the main key's is bright. ``dim`` ones do nothing now."""
+def draw_title(
+    canvas: Canvas, words: str, keys: KeyLabels, language: Language, colour: theme.Colour = theme.WHITE
+) -> None:
+    """The name of the screen in the middle of the room between the upper labels."""
+    left, right = room_between(canvas, keys, language, bottom=False)
+    size = TITLE
+    width = canvas.measure(words, size, BLACK)
+    middle = canvas.width / 2
+    if not left + width / 2 <= middle <= right - width / 2:
+        middle = (left + right) / 2
+    canvas.words(words, middle, 42, size, BLACK, colour, Align.CENTRE, right - left)
+
+
+def room_between(canvas: Canvas, keys: KeyLabels, language: Language, bottom: bool) -> tuple[float, float]:
+    """Left and right end of what the labels of the upper or the lower bar leave, with a margin."""
+    left, right = 16.0, canvas.width - 16.0
+    for key, text in keys.items():
+        corner = KEY_CORNERS[key]
+        if corner.value[1] is not bottom:
+            continue
+        width = _label_width(canvas, worded(text, language)) + 16.0
+        if corner in (Corner.TOP_RIGHT, Corner.BOTTOM_RIGHT):
+            right = canvas.width - width
+        else:
+            left = width
+    return left, right
+
+
+def draw_key_labels(
+    canvas: Canvas,
+    keys: KeyLabels,
+    language: Language,
+    dim: frozenset[Key] = frozenset(),
+    urgent: frozenset[Key] = frozenset(),
+) -> None:
+    """Each label touches the edge of the display at its key; the main key's is bright.
+
+    ``dim`` ones do nothing now and are hollow; ``urgent`` ones are yellow: think twice.
+    """
     for key, text in keys.items():
         right, bottom = KEY_CORNERS[key].value
         words = worded(text, language)
-        room = theme.LABEL_MAX_PX - 2 * _PAD_PX
-        width = min(room, canvas.measure(words, theme.BODY, BLACK)) + 2 * _PAD_PX
-        width = max(theme.LABEL_MIN_PX, width)
+        width = _label_width(canvas, words)
         left = canvas.width - width if right else 0.0
-        top = canvas.height - _LABEL_PX if bottom else 0.0
-        main = key is Key.SCAN and key not in dim
-        fill, ink = (theme.WHITE, theme.INK) if main else (theme.PANEL, theme.WHITE)
-        if key in dim:
-            ink = theme.MUTED.faded(0.6)
+        top = canvas.height - LABEL_PX if bottom else 0.0
         inner = [0.0, 0.0, 0.0, 0.0]  # only the corner that points into the picture is round
         inner[(0 if bottom else 3) if right else (1 if bottom else 2)] = _RADIUS_PX
-        canvas.box(left, top, width, _LABEL_PX, fill, inner)
+        if key in dim:
+            canvas.box(left, top, width, LABEL_PX, theme.INK, inner, theme.LINE, 3)
+            ink, mark = theme.MUTED, theme.LINE
+        else:
+            main = key is Key.SCAN or key in urgent
+            fill = theme.YELLOW if key in urgent else theme.WHITE if main else theme.PANEL
+            canvas.box(left, top, width, LABEL_PX, fill, inner)
+            ink, mark = theme.INK if main else theme.WHITE, theme.AQUA
         # A stroke on the edge itself says: the key is here.
-        canvas.box(canvas.width - 7 if right else 0.0, top, 7, _LABEL_PX, theme.AQUA if key not in dim else theme.LINE)
-        middle = left + width / 2 + (-2 if right else 2)
-        canvas.words(words, middle, top + 38, theme.BODY, BLACK, ink, Align.CENTRE, room)
+        canvas.box(canvas.width - 7 if right else 0.0, top, 7, LABEL_PX, mark)
+        middle = left + width / 2 + (-3 if right else 3)
+        canvas.words(words, middle, top + 38, BODY, BLACK, ink, Align.CENTRE, width - 2 * _PAD_PX + 8)
+
+
+def _label_width(canvas: Canvas, words: str) -> float:
+    width = canvas.measure(words, BODY, BLACK) + 2 * _PAD_PX
+    return max(theme.LABEL_MIN_PX, min(theme.LABEL_MAX_PX, width))
 
 
 def draw_alerts(canvas: Canvas, alerts: Sequence[Alert], language: Language, time_s: float) -> None:
-    """The gravest alert as a band across the picture, above the lower bar; the others as a number."""
+    """The gravest alert as a band across the picture, above the lower bar; over it the names of the others."""
     if not alerts:
         return
     gravest = max(alerts, key=lambda alert: alert.severity)
     critical = gravest.severity is Severity.CRITICAL
     height = CRITICAL_PX if critical else ALERT_PX
-    top = alerts_top(canvas, alerts)
+    top = canvas.height - BAR_PX - height
     fill, ink, edge = alert_colours(gravest.severity, time_s)
+    canvas.hide(alerts_top(canvas, alerts), canvas.height - BAR_PX)
+    _others(canvas, [alert for alert in alerts if alert is not gravest], language, top)
     canvas.box(0, top, canvas.width, height, fill, edge=edge, edge_width=7)
     badge = height - 40
-    canvas.box(26, top + 20, badge, badge, ink, badge / 2)
-    canvas.words("!", 26 + badge / 2, top + 20 + badge * 0.86, round(badge), BLACK, fill, Align.CENTRE)
-    left = 26 + badge + 26
-    more = len(alerts) - 1
-    room = canvas.width - left - (112 if more else 24)
-    headline = theme.HUGE - 6 if critical else theme.HEADLINE
-    said, to_do = words_of(gravest, language)
-    canvas.words(said, left, top + (88 if critical else 58), headline, BLACK, ink, max_width=room)
-    canvas.words(to_do, left, top + height - 18, theme.BODY + 2, BOLD, ink, max_width=room)
-    if more:
-        canvas.box(canvas.width - 96, top + height / 2 - 28, 72, 56, ink, 28)
-        canvas.words(f"+{more}", canvas.width - 60, top + height / 2 + 11, theme.BODY + 2, BLACK, fill, Align.CENTRE)
+    canvas.box(22, top + 20, badge, badge, ink, badge / 2)
+    canvas.words("!", 22 + badge / 2, top + 20 + badge * 0.86, round(badge), BLACK, fill, Align.CENTRE)
+    left = 22 + badge + 22
+    room = canvas.width - left - 20
+    headline, action = words_of(gravest, language)
+    canvas.words(
+        headline, left, top + (84 if critical else 56), HUGE - 10 if critical else HEADLINE, BLACK, ink, max_width=room
+    )
+    canvas.words(action, left, top + height - (18 if critical else 16), BODY + 2, BOLD, ink, max_width=room)
+
+
+def _others(canvas: Canvas, others: Sequence[Alert], language: Language, bottom: float) -> None:
+    """The headlines of the other alerts, the gravest first, and how many there was no room for."""
+    if not others:
+        return
+    canvas.box(0, bottom - OTHERS_PX, canvas.width, OTHERS_PX, theme.INK)
+    ranked = sorted(others, key=lambda alert: -alert.severity)
+    x, middle, count_px = 14.0, bottom - OTHERS_PX / 2, 60.0
+    for place, alert in enumerate(ranked):
+        headline = words_of(alert, language)[0]
+        colour = theme.WHITE if alert.severity is Severity.INFO else theme.YELLOW
+        more = len(ranked) - place
+        if x + 26 + canvas.measure(headline, CAPTION, BLACK) > canvas.width - (16 if more == 1 else count_px):
+            canvas.words(f"+{more}", x, bottom - 11, CAPTION, BLACK, colour)
+            return
+        canvas.box(x, middle - 8, 16, 16, theme.RED if alert.severity is Severity.CRITICAL else colour, 3)
+        x += 26 + canvas.words(headline, x + 26, bottom - 11, CAPTION, BLACK, colour) + 24
 
 
 def words_of(alert: Alert, language: Language) -> tuple[str, str]:
@@ -74,16 +134,18 @@ def words_of(alert: Alert, language: Language) -> tuple[str, str]:
 
 
 def alerts_top(canvas: Canvas, alerts: Sequence[Alert]) -> float:
-    """Where the band of these alerts (at least one) begins."""
+    """Where the band of these alerts begins; the lower bar where there are none. What is above is free."""
+    if not alerts:
+        return canvas.height - BAR_PX
     critical = max(alert.severity for alert in alerts) is Severity.CRITICAL
-    return canvas.height - BAR_PX - (CRITICAL_PX if critical else ALERT_PX)
+    return canvas.height - BAR_PX - (CRITICAL_PX if critical else ALERT_PX) - (OTHERS_PX if len(alerts) > 1 else 0)
 
 
 def alert_colours(severity: Severity, time_s: float) -> tuple[theme.Colour, theme.Colour, theme.Colour]:
     """(ground, ink, edge) of an alert at a moment: white, solid yellow, or flashing red that stays readable."""
     match severity:
         case Severity.CRITICAL:
-            return (theme.RED if theme.flash_on(time_s) else theme.INK), theme.WHITE, theme.RED
+            return (theme.BLOOD if theme.flash_on(time_s) else theme.INK), theme.WHITE, theme.RED
         case Severity.WARNING:
             return theme.YELLOW, theme.INK, theme.YELLOW
         case Severity.INFO:

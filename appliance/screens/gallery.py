@@ -3,61 +3,52 @@
 from __future__ import annotations
 
 from appliance.screens import theme
-from appliance.screens.aim import dash_or
 from appliance.screens.canvas import Align, Canvas
-from appliance.screens.review import GRADES, many
+from appliance.screens.column import GRADES, LEFT_PX, RIGHT_MARGIN_PX, VERDICT_PX, draw_figures, draw_verdict, figures
+from appliance.screens.frame import alerts_top, draw_title, room_between
 from appliance.screens.texts import Language, Text
-from appliance.screens.theme import BLACK, BODY, BOLD, CAPTION, HEADLINE, REGULAR, TITLE
+from appliance.screens.theme import BAR_PX, BLACK, BODY, BOLD, CAPTION, HEADLINE, REGULAR, TITLE
 from appliance.screens.views import GalleryView
 
-PREVIEW_BOX = (16.0, 70.0, 516.0, 340.0)
-"""Left, top, width, height of the stored picture."""
-_COLUMN_PX = 548.0
+_TOP_PX = 70.0
+_ID_PX = 44.0
 
 
 def draw_gallery(canvas: Canvas, view: GalleryView, language: Language) -> None:
-    middle = canvas.width / 2
+    bottom = alerts_top(canvas, view.alerts)
     if view.count == 0:
-        canvas.words(Text.GALLERY.in_language(language), middle, 44, TITLE, BLACK, align=Align.CENTRE)
-        canvas.words(
-            Text.NO_SCANS.in_language(language), middle, canvas.height / 2 + 18, HEADLINE, BLACK, theme.MUTED,
-            Align.CENTRE, canvas.width - 80,
-        )  # fmt: skip
+        draw_title(canvas, Text.GALLERY.in_language(language), view.keys, language)
+        said = Text.NO_SCANS.in_language(language)
+        middle = (BAR_PX + bottom) / 2 + 18
+        canvas.words(said, canvas.width / 2, middle, HEADLINE, BLACK, theme.MUTED, Align.CENTRE, canvas.width - 80)
         return
-    canvas.words(f"{view.index + 1}/{view.count}", middle, 44, TITLE, BLACK, align=Align.CENTRE)
-    left, top, width, height = PREVIEW_BOX
-    canvas.box(left, top, width, height, theme.DEEP, 10)
+    draw_title(canvas, f"{view.index + 1}/{view.count}", view.keys, language)
+    width, height = LEFT_PX - 32, bottom - _TOP_PX - 6
     if view.preview is not None:
-        canvas.image("gallery", view.preview, left, top, width, height)
+        canvas.image("gallery", view.preview, 16, _TOP_PX, width, height)
     else:
+        canvas.box(16, _TOP_PX, width, height, theme.DEEP, 10)
+        said = Text.NO_PICTURE.in_language(language)
+        middle = _TOP_PX + height / 2 + 14
+        canvas.words(said, 16 + width / 2, middle, TITLE, BOLD, theme.MUTED, Align.CENTRE, width - 40)
+    _column(canvas, view, bottom, language)
+    if not view.alerts:
+        left, right = room_between(canvas, view.keys, language, bottom=True)
+        said = view.taken or f"{Text.DATE.in_language(language)} ?"
         canvas.words(
-            Text.NO_PICTURE.in_language(language), left + width / 2, top + height / 2, TITLE, BOLD, theme.MUTED,
-            Align.CENTRE, width,
-        )  # fmt: skip
-    _column(canvas, view, language)
+            said, (left + right) / 2, canvas.height - 20, CAPTION, REGULAR, theme.MUTED, Align.CENTRE, right - left
+        )
 
 
-def _column(canvas: Canvas, view: GalleryView, language: Language) -> None:
-    left, right = _COLUMN_PX, canvas.width - 18
-    canvas.words(view.scan_id, left, 104, BODY + 2, BOLD, max_width=right - left)
+def _column(canvas: Canvas, view: GalleryView, bottom: float, language: Language) -> None:
+    left, right = LEFT_PX, canvas.width - RIGHT_MARGIN_PX
+    canvas.words(view.scan_id, left, _TOP_PX + 28, BODY + 2, BOLD, theme.MUTED, max_width=right - left)
+    top = _TOP_PX + _ID_PX
     if view.damaged:
-        canvas.box(left, 118, right - left, 52, theme.YELLOW, 8)
-        canvas.words(Text.DAMAGED.in_language(language), left + 12, 156, BODY + 2, BLACK, theme.INK)
+        canvas.box(left, top, right - left, VERDICT_PX, theme.YELLOW, 5)
+        said = Text.DAMAGED.in_language(language)
+        canvas.words(said, left + 16, top + 45, TITLE - 2, BLACK, theme.INK, max_width=right - left - 24)
     elif view.grade is not None:
-        word, colour = GRADES[view.grade]
-        canvas.box(left, 120, 10, 50, colour, 5)
-        canvas.words(word.in_language(language), left + 24, 160, TITLE, BLACK, max_width=right - left - 24)
-    rows = (
-        (Text.POINTS, "—" if view.points is None else many(view.points), ""),
-        (Text.COVERAGE, dash_or(view.coverage_percent, "{:.0f}"), "%"),
-        (Text.NOISE, dash_or(None if view.noise_mm is None else 1000.0 * view.noise_mm, "{:.0f}"), "µm"),
-        (Text.DISTANCE, dash_or(view.distance_mm, "{:.0f}"), "mm"),
-    )
-    for number, (name, value, unit) in enumerate(rows):
-        baseline = 214 + 46 * number
-        unit_px = canvas.words(unit, right, baseline, CAPTION, REGULAR, theme.MUTED, Align.RIGHT)
-        value_right = right - unit_px - (6 if unit else 0)
-        value_px = canvas.words(value, value_right, baseline, BODY + 2, BOLD, theme.WHITE, Align.RIGHT)
-        room = value_right - value_px - left - 6
-        canvas.words(name.in_language(language), left, baseline, CAPTION, REGULAR, theme.MUTED, max_width=room)
-    canvas.words(view.taken or "—", left, 400, CAPTION, REGULAR, theme.MUTED, max_width=right - left)
+        draw_verdict(canvas, GRADES[view.grade][0], view.grade, top, language)
+    rows = figures(view.points, view.coverage_percent, view.noise_mm, view.distance_mm)
+    draw_figures(canvas, rows, top + VERDICT_PX + 6, bottom, language)

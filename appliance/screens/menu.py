@@ -4,36 +4,55 @@ from __future__ import annotations
 
 from appliance.screens import theme
 from appliance.screens.canvas import Align, Canvas
+from appliance.screens.frame import alerts_top, draw_title
 from appliance.screens.texts import Language, worded
 from appliance.screens.theme import BAR_PX, BLACK, BODY, BOLD, TITLE
-from appliance.screens.views import MenuView
+from appliance.screens.views import MenuRow, MenuView
 
-ROWS_SHOWN = 7
-_ROW_PX, _LEFT_PX, _PAD_PX = 50.0, 40.0, 24.0
+_ROW_PX, _LEFT_PX, _PAD_PX = 43.0, 24.0, 20.0
+_TALL_ROW_PX = 62.0
+_VALUE_PX = 300.0
 
 
 def draw_menu(canvas: Canvas, view: MenuView, language: Language) -> None:
-    canvas.words(
-        view.title.in_language(language), canvas.width / 2, 44, TITLE, BLACK, align=Align.CENTRE, max_width=400
-    )
-    first = first_shown(len(view.rows), view.selected)
-    shown = view.rows[first : first + ROWS_SHOWN]
-    top = BAR_PX + (canvas.height - 2 * BAR_PX - ROWS_SHOWN * _ROW_PX) / 2
-    right = canvas.width - _LEFT_PX
-    for place, row in enumerate(shown):
+    draw_title(canvas, view.title.in_language(language), view.keys, language)
+    top, bottom = BAR_PX + 4, alerts_top(canvas, view.alerts) - 2
+    fit = int((bottom - top) / _ROW_PX)
+    pitch = min(_TALL_ROW_PX, (bottom - top) / max(1, min(fit, len(view.rows))))
+    first = first_shown(len(view.rows), view.selected, fit)
+    for place, row in enumerate(view.rows[first : first + fit]):
         selected = first + place == view.selected
-        y = top + place * _ROW_PX
-        if selected:
-            canvas.box(_LEFT_PX, y, right - _LEFT_PX, _ROW_PX - 4, theme.WHITE, 12)
-        ink = theme.INK if selected else theme.WHITE if row.allowed else theme.MUTED
-        value = worded(row.value, language)
-        if selected and view.changing:
-            value = f"‹ {value} ›"
-        value_px = canvas.words(value, right - _PAD_PX, y + 35, BODY, BOLD, ink, Align.RIGHT, 320)
-        room = right - 2 * _PAD_PX - _LEFT_PX - value_px
-        canvas.words(row.text.in_language(language), _LEFT_PX + _PAD_PX, y + 35, BODY + 2, BLACK, ink, max_width=room)
+        _row(canvas, row, top + place * pitch, pitch, selected, selected and view.changing, language)
+    # What is above or below shows as a stroke at the edge of the list.
+    middle = canvas.width / 2
+    for hidden, y in ((first > 0, top - 4), (first + fit < len(view.rows), bottom - 2)):
+        if hidden:
+            canvas.box(middle - 60, y, 120, 5, theme.AQUA, 2)
 
 
-def first_shown(rows: int, selected: int) -> int:
-    """The first row on the screen, such that the selected one is on it, in the middle where there are more."""
-    return max(0, min(selected - ROWS_SHOWN // 2, rows - ROWS_SHOWN))
+def _row(
+    canvas: Canvas, row: MenuRow, top: float, height: float, selected: bool, changing: bool, language: Language
+) -> None:
+    left, right = _LEFT_PX, canvas.width - _LEFT_PX
+    baseline = top + height / 2 + 8
+    if selected:
+        canvas.box(left, top, right - left, height - 5, theme.WHITE if row.allowed else theme.PANEL, 12)
+    ink = theme.MUTED if not row.allowed else theme.INK if selected else theme.WHITE
+    value = worded(row.value, language)
+    room = min(_VALUE_PX, right - left - 2 * _PAD_PX)
+    if changing:
+        width = min(room, canvas.measure(value, TITLE - 6, BLACK)) + 88
+        canvas.box(right - width, top, width, height - 5, theme.AQUA, 12)
+        canvas.words("‹", right - width + 18, baseline, TITLE - 4, BLACK, theme.INK)
+        canvas.words("›", right - 18, baseline, TITLE - 4, BLACK, theme.INK, Align.RIGHT)
+        canvas.words(value, right - width / 2, baseline, TITLE - 6, BLACK, theme.INK, Align.CENTRE, width - 80)
+        value_px = width
+    else:
+        value_px = canvas.words(value, right - _PAD_PX, baseline, BODY, BOLD, ink, Align.RIGHT, room) + _PAD_PX
+    name_px = right - value_px - 16 - left - _PAD_PX
+    canvas.words(row.text.in_language(language), left + _PAD_PX, baseline, BODY + 2, BLACK, ink, max_width=name_px)
+
+
+def first_shown(rows: int, selected: int, fit: int) -> int:
+    """The first row on a screen of ``fit`` rows, such that the selected one is on it, in the middle where it can be."""
+    return max(0, min(selected - fit // 2, rows - fit))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import TracebackType
 from typing import Self, assert_never
 
@@ -9,6 +10,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.capture.fault import FaultCode
 from appliance.screens import theme
 from appliance.screens.aim import draw_aim
 from appliance.screens.calibrate import draw_calibrate
@@ -19,18 +21,18 @@ from appliance.screens.gallery import draw_gallery
 from appliance.screens.menu import draw_menu
 from appliance.screens.progress import (
     draw_armed,
-    draw_boot,
     draw_capture,
     draw_check,
     draw_fault,
     draw_reconstruct,
     draw_saving,
-    draw_self_test,
     draw_shutdown,
 )
-from appliance.screens.review import CLOUD_BOX, draw_review
+from appliance.screens.review import CLOUD_PX, draw_review
+from appliance.screens.selftest import draw_boot, draw_self_test
 from appliance.screens.stops import draw_cooling, draw_safe
 from appliance.screens.texts import Language
+from appliance.screens.theme import BAR_PX
 from appliance.screens.views import (
     AimView,
     AnyView,
@@ -70,7 +72,7 @@ class Painter:
         """May be changed between two drawings."""
         with context:
             self._canvas = Canvas(context, size_px)
-            self._cloud = CloudPainter(context, self._canvas.pixels(*CLOUD_BOX)[2:])
+            self._cloud = CloudPainter(context, self._canvas.pixels(0, 0, CLOUD_PX, self._canvas.height)[2:])
 
     def __enter__(self) -> Self:
         return self
@@ -82,10 +84,23 @@ class Painter:
             self._cloud.close()
             self._canvas.close()
 
-    def cloud_in(self, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Where a drawn ``ReviewView`` shows its cloud, as a copy."""
-        left, top, width, height = self._canvas.pixels(*CLOUD_BOX)
-        return picture[top : top + height, left : left + width].copy()
+    def preview(self) -> NDArray[np.uint8] | None:
+        """The cloud of the latest ``ReviewView`` alone, as the camera saw it: (h, w, 3) uint8 RGB; None without points.
+
+        The picture that ``draw`` returned is drawn over.
+        """
+        if self._cloud.empty:
+            return None
+        with self._context:
+            self._canvas.begin(theme.INK)
+            left, top, width, height = self._canvas.pixels(0, BAR_PX, CLOUD_PX, self._canvas.height - 2 * BAR_PX)
+            self._cloud.draw(self._canvas.framebuffer, (left, top, width, height), 0.0)
+            return self._canvas.finish()[top : top + height, left : left + width].copy()
+
+    @property
+    def canvas(self) -> Canvas:
+        """What the latest view was drawn on; it knows what is written where."""
+        return self._canvas
 
     def draw(self, view: AnyView, time_s: float) -> NDArray[np.uint8]:
         """The picture of ``view`` at ``time_s`` (any steady clock: it moves what flashes or turns).
@@ -93,10 +108,11 @@ class Painter:
         (height, width, 3) uint8 RGB, row 0 at the top, in the same memory each time. Raises DeviceGone when the GL
         context failed.
         """
+        view = said_once(view)
         with self._context:
             canvas, language = self._canvas, self.language
             canvas.begin(theme.INK)
-            dim = _NONE
+            dim = urgent = _NONE
             match view:
                 case BootView():
                     draw_boot(canvas, view, language, time_s)
@@ -104,6 +120,7 @@ class Painter:
                     draw_self_test(canvas, view, language, time_s)
                 case AimView():
                     draw_aim(canvas, view, language)
+                    urgent = frozenset({Key.SCAN}) if view.insist else _NONE
                     dim = _NONE if view.scan_allowed else frozenset({Key.SCAN})
                 case ArmedView():
                     draw_armed(canvas, view, language)
@@ -135,5 +152,19 @@ class Painter:
                 case _:
                     assert_never(view)
             draw_alerts(canvas, view.alerts, language, time_s)
-            draw_key_labels(canvas, view.keys, language, dim)
+            draw_key_labels(canvas, view.keys, language, dim, urgent)
             return canvas.finish()
+
+
+def said_once(view: AnyView) -> AnyView:
+    """The view without the alerts that its screen is made of: nothing is said twice."""
+    match view:
+        case SafeView() | FaultView():
+            said = {view.alert.code}
+        case ShutdownView():
+            said = set() if view.reason is None else {view.reason.code}
+        case CoolingView():
+            said = {FaultCode.HOT}
+        case _:
+            return view
+    return replace(view, alerts=tuple(alert for alert in view.alerts if alert.code not in said))

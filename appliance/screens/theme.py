@@ -21,7 +21,7 @@ DESIGN_SIZE_PX = (800, 480)
 
 @dataclass(frozen=True, slots=True)
 class Colour:
-    """Red, green, blue and opacity, 0..1."""
+    """Red, green, blue (sRGB) and opacity, 0..1."""
 
     red: float
     green: float
@@ -30,6 +30,14 @@ class Colour:
 
     def faded(self, alpha: float) -> Colour:
         return Colour(self.red, self.green, self.blue, self.alpha * alpha)
+
+    @property
+    def luminance(self) -> float:
+        """Relative luminance 0..1 (WCAG 2.2): what is left in grey."""
+        linear = [
+            c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in (self.red, self.green, self.blue)
+        ]
+        return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
 
     def as_tuple(self) -> tuple[float, float, float, float]:
         return self.red, self.green, self.blue, self.alpha
@@ -50,10 +58,15 @@ WHITE = hex_colour(0xF4F8FA)
 AQUA = hex_colour(0x3FD0E8)
 GREEN = hex_colour(0x5BE38A)
 YELLOW = hex_colour(0xFFD21F)
-RED = hex_colour(0xE2142A)
+RED = hex_colour(0xFF3B3B)
+BLOOD = hex_colour(0xA00A1A)
+"""The ground of critical words: dark enough for white letters to stand out in grey, too."""
+
+LEAST_CONTRAST = 7.0
+"""Between letters and their ground, by luminance alone (WCAG 2.2, 1.4.6)."""
 
 CAPTION, BODY, TITLE, HEADLINE, HUGE = 24, 30, 40, 54, 84
-"""Type sizes in px of the design size."""
+"""Type sizes in px of the design size. Nothing is written smaller than a caption."""
 REGULAR, BOLD, BLACK = 450, 650, 800
 """Weights of the variable font."""
 
@@ -86,5 +99,5 @@ KEY_CORNERS: Mapping[Key, Corner] = MappingProxyType(
 """The keys sit two on each side of the display; each label touches the edge at its key."""
 BAR_PX = 62
 """Height of the upper and the lower bar, which hold the labels."""
-LABEL_MAX_PX = 200
+LABEL_MAX_PX = 250
 LABEL_MIN_PX = 112

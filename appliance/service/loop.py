@@ -245,8 +245,8 @@ class Service:
                 self._calibrating.warm()
             elif before.state is State.CALIBRATE and self.machine.calibrating is None:
                 self._calibrating.cancel()  # its process takes memory
-            if before.state is State.REVIEW and self._drawn is State.REVIEW and self._picture is not None:
-                self._preview = self._painter.cloud_in(self._picture)
+            if before.state is State.REVIEW and self._drawn is State.REVIEW:
+                self._preview = self._painter.preview()
         if isinstance(event, on.DeviceUp):
             log.info("%s works", event.device.value)
         elif isinstance(event, on.DeviceDown | on.CaptureFailed | on.SaveFailed | on.ReconstructionFailed):

@@ -50,13 +50,13 @@ def menu_view(machine: Machine, facts: Facts | None) -> MenuView:
     """The page the diver is on, with what is being changed as it would be."""
     at = machine.menu or Menu()
     rows = tuple(MenuRow(WORDS[row], value_of(row, machine, facts)) for row in menu.ROWS[at.page])
-    return MenuView(title=TITLES[at.page], rows=rows, selected=at.row, alerts=alerts(machine))
+    changing = at.draft is not None
+    return MenuView(title=TITLES[at.page], rows=rows, selected=at.row, changing=changing, alerts=alerts(machine))
 
 
 def value_of(row: Row, machine: Machine, facts: Facts | None) -> Text | str:
-    """What is chosen, or so. While it is being changed, it is between the signs of the two keys that change it."""
+    """What is chosen, or so; while it is being changed, what it would be."""
     chosen = menu.shown(machine)
-    changing = machine.menu is not None and machine.menu.draft is not None and menu.row_of(machine.menu) is row
     match row:
         case Row.EXPOSURE:
             value: Text | str = chosen.exposure.label
@@ -82,4 +82,4 @@ def value_of(row: Row, machine: Machine, facts: Facts | None) -> Text | str:
             value = facts.calibration_hash
         case _:
             value = ""
-    return f"▲ {value} ▼" if changing and isinstance(value, str) else value
+    return value

@@ -53,7 +53,7 @@ def test_every_step_has_something_to_read_and_no_two_look_alike(
 
 @pytest.mark.parametrize("step", list(HELD))
 def test_the_live_picture_is_shown_where_something_is_held(painter: Painter, step: Step) -> None:
-    assert drawn(painter, Calibrating(step))[80:350, 420:780].mean() == pytest.approx(90, abs=2)
+    assert drawn(painter, Calibrating(step))[80:335, 445:780].mean() == pytest.approx(90, abs=2)
 
 
 def test_a_refusal_is_yellow_an_acceptance_green_and_nothing_is_neither(painter: Painter) -> None:

@@ -28,7 +28,7 @@ class Stage:
         self.cloud.show(points, points[:, 2].copy() if values is None else values, bright_is_high=False)
         self.target.use()
         self.target.clear()
-        self.cloud.draw(self.target, (0, 0), time_s, turn)
+        self.cloud.draw(self.target, (0, 0, 300, 200), time_s, turn)
         return np.frombuffer(self.target.read(components=3, alignment=1), np.uint8).reshape(200, 300, 3)
 
 

@@ -19,7 +19,7 @@ from appliance.machine.states import boot as machine_at_boot
 from appliance.machine.texts import labels as machine_labels
 from appliance.screens import theme
 from appliance.screens.canvas import MAX_WORDS, Canvas
-from appliance.screens.frame import alert_colours
+from appliance.screens.frame import ALERT_PX, OTHERS_PX, alert_colours
 from appliance.screens.painter import Painter
 from appliance.screens.texts import Language, Text
 from appliance.screens.views import (
@@ -53,7 +53,8 @@ Picture = NDArray[np.uint8]
 LEAK = Alert(FaultCode.LEAK, Severity.CRITICAL, "LEAK", "ASCEND")
 LOST = Alert(FaultCode.CAMERA_LOST, Severity.WARNING, "RIGHT CAM LOST", "CHECK CONNECTOR")
 NEWS = Alert(FaultCode.BOARD_RESET, Severity.INFO, "BOARD RESET", "NOTHING TO DO")
-RED = (0xE2, 0x14, 0x2A)
+RED = (0xFF, 0x3B, 0x3B)
+"""Of the edge of a critical alert, in both halves of its flashing."""
 GREY = np.full((1200, 1600), 90, np.uint8)
 AIM = AimView(left=GREY, right=GREY, scans_taken=12, scans_left=41, temperature_c=34.0)
 POINTS = np.random.default_rng(2).uniform((-100, -80, 480), (100, 80, 520), (4000, 3)).astype(np.float32)
@@ -220,9 +221,9 @@ def test_a_warning_is_solid_yellow(painter: Painter) -> None:
 
 def test_a_critical_alert_flashes_and_is_readable_in_both_halves(painter: Painter) -> None:
     bright, dark = (drawn(painter, replace(AIM, alerts=(LEAK,)), t) for t in (0.0, 0.6 / theme.FLASH_HZ))
-    red_bright, red_dark = (((p[:, :, 0] > 200) & (p[:, :, 1] < 60)).mean() for p in (bright, dark))
+    red_bright, red_dark = (((p[:, :, 0] > 140) & (p[:, :, 1] < 70)).mean() for p in (bright, dark))
     assert red_bright > 0.15
-    assert red_dark < 0.05
+    assert red_dark < 0.06
     white = [(p[280:418, 100:].min(axis=2) > 230) for p in (bright, dark)]
     assert white[0].sum() > 2000
     assert (white[0] == white[1]).mean() > 0.99  # the same words in the same place
@@ -237,34 +238,28 @@ def test_flashing_stays_below_three_per_second() -> None:
 @pytest.mark.parametrize("alerts", [(LOST, LEAK), (LEAK, LOST), (NEWS, LOST, LEAK)])
 def test_the_gravest_alert_wins_whatever_the_order(painter: Painter, alerts: tuple[Alert, ...]) -> None:
     picture = drawn(painter, replace(AIM, alerts=alerts))
-    assert tuple(picture[300, 790]) == RED
+    assert tuple(picture[300, 797]) == RED
 
 
-def test_further_alerts_are_counted(painter: Painter) -> None:
+def test_further_alerts_are_named_above_the_gravest(painter: Painter) -> None:
     one, two = (drawn(painter, replace(AIM, alerts=alerts)) for alerts in ((LOST,), (LOST, NEWS)))
-    changed = np.argwhere((one != two).any(axis=2))
-    assert changed.min(axis=0)[1] > 690  # only a badge at the right end of the band
+    changed = np.flatnonzero((one != two).any(axis=(1, 2)))
+    band = 480 - theme.BAR_PX - ALERT_PX
+    assert (changed.min(), changed.max()) == (band - OTHERS_PX, band - 1)  # the band itself is as it was
 
 
 @pytest.mark.parametrize("severity", list(Severity))
 @pytest.mark.parametrize("time_s", [0.0, 0.6 / theme.FLASH_HZ])
 def test_alert_words_have_contrast_in_grey(severity: Severity, time_s: float) -> None:
     ground, ink, _ = alert_colours(severity, time_s)
-
-    def luminance(colour: theme.Colour) -> float:
-        linear = [
-            c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in (colour.red, colour.green, colour.blue)
-        ]
-        return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
-
-    high, low = sorted((luminance(ground), luminance(ink)), reverse=True)
-    assert (high + 0.05) / (low + 0.05) >= 4.0
+    high, low = sorted((ground.luminance, ink.luminance), reverse=True)
+    assert (high + 0.05) / (low + 0.05) >= theme.LEAST_CONTRAST
 
 
 @pytest.mark.parametrize("view", EVERY, ids=lambda view: type(view).__name__)
 def test_an_alert_is_on_top_on_every_screen(painter: Painter, view: AnyView) -> None:
     picture = drawn(painter, replace(view, alerts=(LEAK,)))
-    assert tuple(picture[300, 790]) == RED
+    assert tuple(picture[300, 797]) == RED
 
 
 # ------------------------------------------------------------------------------------------- aim
@@ -275,32 +270,32 @@ def test_live_pictures_are_upright_and_on_their_own_side(painter: Painter) -> No
     left[600:, :800] = 200  # lower left quarter
     right[:600, 800:] = 150  # upper right quarter
     picture = drawn(painter, replace(AIM, left=left, right=right))[:, :, 0].astype(int)
-    assert picture[300, 100] == pytest.approx(200, abs=2)
-    assert picture[150, 300] == pytest.approx(20, abs=2)
-    assert picture[150, 700] == pytest.approx(150, abs=2)
-    assert picture[300, 500] == pytest.approx(20, abs=2)
+    assert picture[350, 100] == pytest.approx(200, abs=2)
+    assert picture[200, 300] == pytest.approx(20, abs=2)
+    assert picture[200, 700] == pytest.approx(150, abs=2)
+    assert picture[350, 500] == pytest.approx(20, abs=2)
 
 
 def test_a_lost_camera_leaves_no_old_picture_behind(painter: Painter) -> None:
     bright = np.full((1200, 1600), 240, np.uint8)
     drawn(painter, replace(AIM, right=bright))
     picture = drawn(painter, replace(AIM, right=None))
-    assert picture[100:340, 420:780].mean() < 40
-    assert picture[100:340, 60:380].mean() == pytest.approx(90, abs=3)
+    assert picture[170:410, 420:780].mean() < 40
+    assert picture[170:410, 60:380].mean() == pytest.approx(90, abs=3)
 
 
 def test_a_picture_that_changed_in_place_is_shown_anew(painter: Painter) -> None:
     live = np.full((1200, 1600), 50, np.uint8)
     drawn(painter, replace(AIM, left=live))
     live[:] = 160
-    assert drawn(painter, replace(AIM, left=live))[200, 200, 0] == pytest.approx(160, abs=2)
+    assert drawn(painter, replace(AIM, left=live))[300, 200, 0] == pytest.approx(160, abs=2)
 
 
 def test_saturation_is_striped(painter: Painter) -> None:
     live = np.full((1200, 1600), 255, np.uint8)
-    area = drawn(painter, replace(AIM, left=live))[120:340, 60:380, 0]
+    area = drawn(painter, replace(AIM, left=live))[170:410, 60:380, 0]
     assert 0.2 < (area < 30).mean() < 0.6
-    almost = drawn(painter, replace(AIM, left=np.full_like(live, 245)))[120:340, 60:380, 0]
+    almost = drawn(painter, replace(AIM, left=np.full_like(live, 245)))[170:410, 60:380, 0]
     assert almost.min() > 240
 
 
@@ -318,14 +313,14 @@ def gauge(distance_mm: float | None, tilt_deg: float | None = None) -> Gauge:
 
 @pytest.mark.parametrize(("distance_mm", "yellow"), [(500.0, False), (445.0, False), (430.0, True), (700.0, True)])
 def test_the_gauge_warns_outside_the_volume(painter: Painter, distance_mm: float, yellow: bool) -> None:
-    band = drawn(painter, replace(AIM, gauge=gauge(distance_mm)))[370:420]
+    band = drawn(painter, replace(AIM, gauge=gauge(distance_mm)))[64:118]
     is_yellow = (np.abs(band.astype(int) - (255, 210, 31)).max(axis=2) < 20).sum() > 150
     assert is_yellow == yellow
 
 
 def test_the_marker_goes_right_with_distance(painter: Painter) -> None:
     def marker(distance_mm: float) -> float:
-        line = drawn(painter, replace(AIM, gauge=gauge(distance_mm)))[378, 190:610].min(axis=1)
+        line = drawn(painter, replace(AIM, gauge=gauge(distance_mm)))[70, 200:500].min(axis=1)
         return float(np.argwhere(line > 200).mean())
 
     near, middle, far = (marker(mm) for mm in (460.0, 500.0, 540.0))
@@ -337,7 +332,8 @@ def test_saved_is_confirmed_while_aiming(painter: Painter) -> None:
     confirmed = drawn(painter, replace(AIM, just_saved="000012"))
     changed = np.argwhere((confirmed != drawn(painter, AIM)).any(axis=2))
     assert len(changed) > 5000
-    assert changed[:, 0].max() < 365  # over the pictures, not over gauge and keys
+    assert changed[:, 0].min() > 120  # over the pictures, not over the gauge …
+    assert changed[:, 0].max() < 420  # … and not over the keys
 
 
 def test_aiming_is_drawn_at_twenty_pictures_a_second_at_least(painter: Painter) -> None:
@@ -345,9 +341,9 @@ def test_aiming_is_drawn_at_twenty_pictures_a_second_at_least(painter: Painter) 
     drawn(painter, view)
     took_s = []
     for number in range(10):
-        begun = time.perf_counter()
+        begun = time.process_time()  # of all threads: what else the machine does is not asked
         painter.draw(view, 0.05 * number)
-        took_s.append(time.perf_counter() - begun)
+        took_s.append(time.process_time() - begun)
     assert min(took_s) < 0.05
 
 
@@ -377,3 +373,27 @@ def test_saved_looks_unlike_saving(painter: Painter) -> None:
 def test_a_bad_scan_does_not_look_like_a_good_one(painter: Painter) -> None:
     good, bad = (drawn(painter, replace(REVIEW, grade=grade))[72:138, 542:] for grade in (Grade.GOOD, Grade.BAD))
     assert bad.mean() > 1.5 * good.mean()  # seen in grey, at a glance
+
+
+def test_a_preview_is_the_cloud_alone_whatever_lies_over_it(painter: Painter) -> None:
+    drawn(painter, REVIEW, 0.0)
+    alone = painter.preview()
+    drawn(painter, replace(REVIEW, alerts=(LEAK,), turn=2, grade=Grade.BAD), 3.0)
+    again = painter.preview()
+    assert alone is not None
+    assert again is not None
+    np.testing.assert_array_equal(alone, again)
+    assert alone.shape == (356, 512, 3)
+    assert (alone.max(axis=2) > 40).mean() > 0.1
+    assert (alone.min(axis=2) > 220).sum() == 0, "no letters, no labels"
+
+
+def test_without_points_there_is_no_preview(painter: Painter) -> None:
+    drawn(painter, replace(REVIEW, points_mm=POINTS[:0], values=POINTS[:0, 2].copy()))
+    assert painter.preview() is None
+
+
+def test_what_a_screen_is_about_is_not_said_twice(painter: Painter) -> None:
+    plain = drawn(painter, SafeView(alert=LEAK, saved=True))
+    np.testing.assert_array_equal(drawn(painter, SafeView(alert=LEAK, saved=True, alerts=(LEAK,))), plain)
+    assert (drawn(painter, SafeView(alert=LEAK, saved=True, alerts=(LEAK, LOST))) != plain).any()

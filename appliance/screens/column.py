@@ -1,0 +1,83 @@
+"""Owns the numbers that a scan is judged by, as a column: name, value, unit, and which are left out where room is short."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from appliance.screens import theme
+from appliance.screens.canvas import Align, Canvas
+from appliance.screens.texts import Language, Text
+from appliance.screens.theme import BLACK, BODY, BOLD, CAPTION, HEADLINE, REGULAR
+from appliance.screens.views import Grade
+
+GRADES = {
+    Grade.GOOD: (Text.GOOD, theme.GREEN),
+    Grade.USABLE: (Text.USABLE, theme.YELLOW),
+    Grade.BAD: (Text.BAD, theme.YELLOW),
+}
+LEFT_PX, RIGHT_MARGIN_PX = 520.0, 14.0
+VERDICT_PX = 64.0
+_LEAST_PITCH_PX, _MOST_PITCH_PX = 36.0, 52.0
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """One line of the column."""
+
+    name: Text
+    value: str
+    unit: str = ""
+
+
+def figures(
+    points: int | None, coverage_percent: float | None, noise_mm: float | None, distance_mm: float | None
+) -> tuple[Figure, ...]:
+    """What there is to say of any scan, the most telling first."""
+    return (
+        Figure(Text.COVERAGE, known(coverage_percent, "{:.0f}"), "%"),
+        Figure(Text.NOISE, known(None if noise_mm is None else 1000.0 * noise_mm, "{:.0f}"), "µm"),
+        Figure(Text.DISTANCE, known(distance_mm, "{:.0f}"), "mm"),
+        Figure(Text.POINTS, "—" if points is None else many(points)),
+    )
+
+
+def known(value: float | None, pattern: str) -> str:
+    """A number, or a dash where it is not known."""
+    return "—" if value is None else pattern.format(value)
+
+
+def many(number: int) -> str:
+    """A count in at most four figures: 950, 18.3 k, 1.31 M."""
+    if number < 1000:
+        return str(number)
+    if number < 999_500:
+        return f"{number / 1e3:.3g} k"
+    return f"{number / 1e6:.3g} M"
+
+
+def draw_verdict(canvas: Canvas, word: Text, grade: Grade, top: float, language: Language) -> None:
+    """In a word, beside the colour of its grade; a bad one on a ground of that colour, seen in grey at a glance."""
+    left, right = LEFT_PX, canvas.width - RIGHT_MARGIN_PX
+    _, colour = GRADES[grade]
+    bad = grade is Grade.BAD
+    canvas.box(left, top, right - left if bad else 10, VERDICT_PX, colour, 5)
+    ink = theme.INK if bad else theme.WHITE
+    canvas.words(word.in_language(language), left + 24, top + 49, HEADLINE - 6, BLACK, ink, max_width=right - left - 32)
+
+
+def draw_figures(canvas: Canvas, rows: Sequence[Figure], top: float, bottom: float, language: Language) -> None:
+    """As many of the rows, from the first, as fit between ``top`` and ``bottom``."""
+    fit = min(len(rows), int((bottom - top) / _LEAST_PITCH_PX))
+    if fit < 1:
+        return
+    pitch = min(_MOST_PITCH_PX, (bottom - top) / fit)
+    left, right = LEFT_PX, canvas.width - RIGHT_MARGIN_PX
+    size = BODY + 2 if pitch > 44 else BODY
+    for number, row in enumerate(rows[:fit]):
+        baseline = top + pitch * (number + 1) - 0.26 * pitch
+        unit_px = canvas.words(row.unit, right, baseline, CAPTION, REGULAR, theme.MUTED, Align.RIGHT)
+        value_right = right - unit_px - (6 if row.unit else 0)
+        value_px = canvas.words(row.value, value_right, baseline, size, BOLD, theme.WHITE, Align.RIGHT)
+        room = value_right - value_px - left - 6
+        canvas.words(row.name.in_language(language), left, baseline, CAPTION, REGULAR, theme.MUTED, max_width=room)

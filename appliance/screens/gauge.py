@@ -1,0 +1,91 @@
+"""Owns the picture of a distance: how far the object is, how it is turned, and in a word what to do about it."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.capture.ranging import FARTHEST_MM, NEAREST_MM, Reach
+from appliance.screens import theme
+from appliance.screens.canvas import Align, Canvas
+from appliance.screens.texts import Language, Text
+from appliance.screens.theme import BLACK, BODY, BOLD, CAPTION, TITLE
+from appliance.screens.views import Gauge
+
+GAUGE_MM = (380.0, 620.0)
+SCALE_PX = (208.0, 492.0)
+"""Left and right end of the scale."""
+MIDDLE_MM = 500.0
+ADVICE = {
+    Reach.CLOSER: (Text.CLOSER, theme.YELLOW),
+    Reach.OK: (Text.OK, theme.GREEN),
+    Reach.BACK: (Text.BACK, theme.YELLOW),
+    Reach.UNKNOWN: (Text.NO_DOTS, theme.YELLOW),
+}
+_ICON_PX = 46
+_ICON_DETAIL = 4
+
+
+def draw_gauge(canvas: Canvas, gauge: Gauge | None, middle: float, language: Language) -> None:
+    """A row of 54 px around ``middle``: word, scale, mm, and the surface as seen from above with its tilt."""
+    left, right = SCALE_PX
+    word = None if gauge is None else gauge.word
+    colour = theme.MUTED if word is None else ADVICE[word][1]
+    _scale(canvas, word, middle)
+    distance_mm = None if gauge is None else gauge.distance_mm
+    if word is not None:
+        said = ADVICE[word][0].in_language(language)
+        canvas.words(said, 16, middle + 13, TITLE - 4, BLACK, colour, max_width=left - 32)
+    if distance_mm is not None:
+        low, high = GAUGE_MM
+        at = left + (min(max(distance_mm, low), high) - low) / (high - low) * (right - left)
+        canvas.box(at - 11, middle - 25, 22, 50, theme.INK, 11)
+        canvas.box(at - 7, middle - 21, 14, 42, theme.WHITE if word is Reach.OK else theme.YELLOW, 7)
+    ink = theme.WHITE if word in (None, Reach.OK) else theme.YELLOW
+    number = "—" if distance_mm is None else f"{distance_mm:.0f}"
+    unit_px = canvas.words("mm", 660, middle + 12, CAPTION, BOLD, theme.MUTED, Align.RIGHT)
+    canvas.words(number, 654 - unit_px, middle + 12, TITLE, BLACK, ink, Align.RIGHT)
+    tilt_deg = None if gauge is None else gauge.tilt_deg
+    tilt = None if tilt_deg is None else round(tilt_deg)
+    canvas.image("tilt", tilt_icon(tilt), 676, middle - _ICON_PX / 2, _ICON_PX, _ICON_PX)
+    said = "—" if tilt is None else f"{abs(tilt)}°"
+    canvas.words(said, canvas.width - 14, middle + 12, BODY, BOLD, theme.WHITE, Align.RIGHT)
+
+
+def _scale(canvas: Canvas, word: Reach | None, middle: float) -> None:
+    """The bright part is the measuring volume: hollow while the object is not in it."""
+    left, right = SCALE_PX
+    low, high = GAUGE_MM
+    per_mm = (right - left) / (high - low)
+    canvas.box(left, middle - 4, right - left, 8, theme.LINE, 4)
+    inside = word is Reach.OK
+    x, width = left + (NEAREST_MM - low) * per_mm, (FARTHEST_MM - NEAREST_MM) * per_mm
+    canvas.box(
+        x, middle - 13, width, 26, theme.GREEN if inside else theme.INK, 8, theme.GREEN if inside else theme.MUTED, 3
+    )
+    canvas.box(left + (MIDDLE_MM - low) * per_mm - 2, middle - 13, 4, 26, theme.INK if inside else theme.MUTED)
+
+
+@lru_cache(maxsize=8)
+def tilt_icon(tilt_deg: int | None) -> NDArray[np.uint8]:
+    """(h, w) uint8: the instrument below, the surface above, seen from above; turned as it is in the water."""
+    size = _ICON_PX * _ICON_DETAIL
+    picture = np.full((size, size), round(255 * theme.INK.green), np.uint8)
+    middle, soft, bright = size // 2, 110, 240
+    cv2.line(picture, (middle, size - 1), (middle, middle), (soft,), 2 * _ICON_DETAIL)
+    if tilt_deg is not None:
+        angle = math.radians(tilt_deg)
+        reach = 0.46 * size
+        # Farther is upwards: a positive tilt lifts the right end.
+        ends = [
+            (round(middle + side * reach * math.cos(angle)), round(0.36 * size - side * reach * math.sin(angle)))
+            for side in (-1, 1)
+        ]
+        cv2.line(picture, ends[0], ends[1], (bright,), 5 * _ICON_DETAIL, cv2.LINE_AA)
+    foot = np.array([[middle - 40, size - 1], [middle + 40, size - 1], [middle, size - 46]], np.int32)
+    cv2.fillConvexPoly(picture, foot, (soft,), cv2.LINE_AA)
+    return picture

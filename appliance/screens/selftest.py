@@ -1,0 +1,69 @@
+"""Owns the screens of the start: each device and part with its result, as soon as it is known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from appliance.screens import theme
+from appliance.screens.canvas import Align, Canvas
+from appliance.screens.frame import alerts_top
+from appliance.screens.texts import DEVICE_NAMES, Language, Text
+from appliance.screens.theme import BLACK, BODY, BOLD, CAPTION, HEADLINE, REGULAR
+from appliance.screens.views import BootView, DeviceLine, DeviceResult, SelfTestView
+
+_BANNER_PX, _FRINGE_SPEED = 104.0, 1.6
+_ROWS = 5
+_LEAST_DETAIL_PX = 54.0
+_RESULTS = {
+    DeviceResult.WORKS: (Text.OK, theme.WHITE, theme.GREEN, theme.WHITE),
+    DeviceResult.FAILED: (Text.FAILED, theme.YELLOW, theme.YELLOW, theme.YELLOW),
+    DeviceResult.WAITING: (Text.WAITING, theme.MUTED, theme.LINE, theme.MUTED),
+}
+"""Word, and colours of name, mark and word."""
+
+
+def draw_boot(canvas: Canvas, view: BootView, language: Language, time_s: float) -> None:
+    _banner(canvas, Text.STARTING, theme.WHITE, view.version, language, time_s)
+    _devices(canvas, view.devices, alerts_top(canvas, view.alerts), language)
+
+
+def draw_self_test(canvas: Canvas, view: SelfTestView, language: Language, time_s: float) -> None:
+    word, colour = Text.SELF_TEST, theme.WHITE
+    if view.finished:
+        word, colour = (Text.ALL_READY, theme.GREEN) if view.passed else (Text.SEE_BELOW, theme.YELLOW)
+    _banner(canvas, word, colour, view.version, language, time_s)
+    _devices(canvas, view.devices, alerts_top(canvas, view.alerts), language)
+
+
+def _banner(canvas: Canvas, word: Text, colour: theme.Colour, version: str, language: Language, time_s: float) -> None:
+    """Below the upper key labels there is none on this screen but GO ON, on the right."""
+    canvas.water(0, 0, canvas.width, _BANNER_PX, _FRINGE_SPEED * time_s, 0.5)
+    canvas.box(0, 0, 450, _BANNER_PX, theme.INK, (0, 0, 40, 0))
+    canvas.words("KINGFISHER", 24, 52, HEADLINE - 8, BLACK)
+    name_px = canvas.measure("KINGFISHER", HEADLINE - 8, BLACK)
+    canvas.words(version, 24 + name_px + 14, 52, CAPTION, REGULAR, theme.MUTED, max_width=412 - name_px)
+    canvas.words(word.in_language(language), 24, 91, BODY + 2, BLACK, colour, max_width=410)
+
+
+def _devices(canvas: Canvas, devices: Sequence[DeviceLine], bottom: float, language: Language) -> None:
+    """In two columns; why one failed stands below its name where there is room."""
+    top = _BANNER_PX + 10
+    pitch = min(64.0, (bottom - top) / _ROWS)
+    column_px = canvas.width / 2
+    for number, line in enumerate(devices[: 2 * _ROWS]):
+        left = column_px * (number // _ROWS)
+        _line(canvas, line, left + 18, left + column_px - 18, top + pitch * (number % _ROWS), pitch, language)
+
+
+def _line(
+    canvas: Canvas, line: DeviceLine, left: float, right: float, top: float, pitch: float, language: Language
+) -> None:
+    word, ink, mark, result_ink = _RESULTS[line.result]
+    name = DEVICE_NAMES[line.device].in_language(language) if line.device in DEVICE_NAMES else line.device
+    detail = line.detail if pitch >= _LEAST_DETAIL_PX else ""
+    baseline = top + (26 if detail else 0.5 * pitch + 10)
+    # A square, not a dot, where it failed: the shape says it without colour.
+    canvas.box(left, baseline - 20, 20, 20, mark, 3 if line.result is DeviceResult.FAILED else 10)
+    word_px = canvas.words(word.in_language(language), right, baseline, BODY, BLACK, result_ink, Align.RIGHT)
+    canvas.words(name, left + 32, baseline, BODY - 2, BOLD, ink, max_width=right - word_px - left - 44)
+    canvas.words(detail, left + 32, baseline + 28, CAPTION, REGULAR, theme.MUTED, max_width=right - left - 32)

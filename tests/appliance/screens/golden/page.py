@@ -1,0 +1,42 @@
+"""Owns the page ``docs/screens.md``: every picture with what it shows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from appliance.machine.alerts import RULES
+from appliance.screens.texts import Language
+from tests.appliance.screens.golden.draw import Golden
+from tests.appliance.screens.golden.scenes import ALERTS, SCENES
+
+PAGE = Path(__file__).parents[4] / "docs" / "screens.md"
+COMMAND = "./dev run python -m tests.appliance.screens.golden"
+_HEAD = f"""# Screens
+
+What the diver sees, at the display's own 800 × 480. Each picture is the one that the tests compare with
+(`tests/appliance/screens/test_golden.py`); page and pictures are made by `{COMMAND}`, never by hand.
+
+A display of 5 inches at arm's length, through a mask: the smallest capitals are 2.3 mm high, body type 2.9 mm, a headline
+5.1 mm. Every letter has a contrast of 7:1 or more against what is really behind it, by luminance alone, so that it is read
+in grey as well; words neither overlap nor are cut, in both languages, at 800 × 480, 1024 × 600 and 640 × 480
+(`tests/appliance/screens/test_legible.py`). White is normal, solid yellow a warning, flashing red critical (1.5 Hz, below
+the limit for photosensitive eyes). What each key does is written beside it: UP and DOWN on the left, SCAN and BACK on the
+right. The language is chosen in the rig file (`[display] language`).
+"""
+
+
+def page() -> str:
+    """The whole text."""
+    lines = [_HEAD, "| English | German | |", "|---|---|---|"]
+    lines += [f"| {_picture(name, False, 0)} | {_picture(name, False, 1)} | {s.says} |" for name, s in SCENES.items()]
+    lines += ["", "## Alerts", ""]
+    lines += [f"All {len(ALERTS)} of them, as the band that they take on any screen.", ""]
+    lines += ["| code | English | German |", "|---|---|---|"]
+    ranked = sorted(ALERTS, key=lambda code: -next(r.severity for c, r in RULES.items() if c.value == code))
+    lines += [f"| {code} | {_picture(code, True, 0)} | {_picture(code, True, 1)} |" for code in ranked]
+    return "\n".join(lines) + "\n"
+
+
+def _picture(name: str, alert: bool, language: int) -> str:
+    golden = Golden(name, tuple(Language)[language], alert)
+    return f"![{name}](../tests/appliance/screens/golden/{golden.path.name})"

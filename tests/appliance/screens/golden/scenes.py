@@ -1,0 +1,296 @@
+"""Owns the list of scenes: every screen in the states that a diver meets, and how it looks at its fullest."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+import numpy as np
+
+from appliance.calibration.guide import USED, Refusal, Session, Solved, Step, Trial, Verified
+from appliance.capture.fault import Fault, FaultCode
+from appliance.capture.ranging import Reach
+from appliance.machine.alerts import RULES, Alert, alert_of
+from appliance.machine.states import Calibrating, Task
+from appliance.screens.texts import Text
+from appliance.screens.views import (
+    AimView,
+    AnyView,
+    ArmedView,
+    BootView,
+    CalibrateView,
+    CaptureView,
+    CheckView,
+    CoolingView,
+    DeviceLine,
+    DeviceResult,
+    FaultView,
+    GalleryView,
+    Gauge,
+    Grade,
+    KeyLabels,
+    MenuRow,
+    MenuView,
+    PointValue,
+    ReconstructView,
+    ReviewView,
+    SafeView,
+    SavingView,
+    SelfTestView,
+    ShutdownView,
+)
+from drivers.api import Key
+from tests.appliance.screens.golden import seabed
+
+NUMBERS = {
+    "received": 23.0, "expected": 24.0, "shift_px": 1.8, "coverage_percent": 38.0, "temperature_c": 61.0,
+    "supply_v": 10.4, "distance_mm": 421.0,
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """A view, when it is drawn, and what the gallery page says of it."""
+
+    view: AnyView
+    says: str
+    time_s: float = 0.0
+
+
+def alert(code: FaultCode, device: str | None = None) -> Alert:
+    """As the machine would show it, with typical numbers."""
+    return alert_of(Fault(code, "said for the log", NUMBERS, device))
+
+
+def keys(**words: str) -> KeyLabels:
+    return MappingProxyType({Key(name): word for name, word in words.items()})
+
+
+WARM = replace(alert(FaultCode.WARM), headline="WARM 52 °C", german=("WARM 52 °C", "BALD ABKÜHLEN LASSEN"))
+LOST = alert(FaultCode.CAMERA_LOST, "camera.right")
+LEAK = alert(FaultCode.LEAK)
+MOVED = alert(FaultCode.MOVED)
+_NAMES = ("camera.left", "camera.right", "board", "keys", "projector", "display", "storage", "calibration", "worker")
+_AIM_KEYS = keys(scan="SCAN", back="HOLD: OFF", up="MENU", down="GALLERY")
+_REVIEW_KEYS = keys(scan="KEEP", back="REPEAT", up="TURN", down="TURN")
+AIM = AimView(
+    left=seabed.live(False), right=seabed.live(True), scans_taken=12, scans_left=41, temperature_c=34.0,
+    exposure="12 ms", water=Text.SALT, gauge=Gauge(503.0, -4.0, Reach.OK), keys=_AIM_KEYS,
+)  # fmt: skip
+_POINTS = seabed.cloud()
+_NOISE = (0.018 + 0.05 * np.hypot(_POINTS[:, 0] / 122.0, _POINTS[:, 1] / 96.0) ** 2).astype(np.float32)
+REVIEW = ReviewView(
+    points_mm=_POINTS, values=_POINTS[:, 2], value=PointValue.DEPTH, coarse=False, grade=Grade.GOOD, points=1_312_409,
+    coverage_percent=87.0, noise_mm=0.028, distance_mm=503.0, duration_s=2.8, keys=_REVIEW_KEYS,
+)  # fmt: skip
+NO_POINTS = replace(
+    REVIEW, points_mm=_POINTS[:0], values=_POINTS[:0, 2], points=0, coverage_percent=None, noise_mm=None,
+    distance_mm=None, duration_s=None, grade=Grade.BAD,
+)  # fmt: skip
+GALLERY = GalleryView(
+    scan_id="000012", index=0, count=12, preview=seabed.preview(), grade=Grade.GOOD, points=1_312_409, coverage_percent=87.0,
+    noise_mm=0.028, distance_mm=503.0, taken="2026-11-21 14:07", keys=keys(back="BACK", down="OLDER"),
+)  # fmt: skip
+MAIN_ROWS = (
+    MenuRow(Text.EXPOSURE, "12 ms"),
+    MenuRow(Text.FRINGES, "16 px"),
+    MenuRow(Text.WATER, "12.5 °C, 34.5 psu"),
+    MenuRow(Text.CALIBRATE),
+    MenuRow(Text.GALLERY),
+    MenuRow(Text.LANGUAGE, Text.ENGLISH),
+    MenuRow(Text.ABOUT),
+    MenuRow(Text.POWER_OFF),
+)
+_MENU_KEYS = keys(scan="OK", back="BACK", up="UP", down="DOWN")
+_TRIALS = tuple(Trial(step, None, 0.031, 2140) for step in USED)
+_SOLVED = Solved("bundle, spline", 0.034, (), "abc")
+_BETTER = Session(_TRIALS, _SOLVED, Verified(0.0031, -0.0002, 0.00004))
+
+
+def _tested(failed: Mapping[str, str], waiting: int = 0) -> tuple[DeviceLine, ...]:
+    known = [
+        DeviceLine(name, DeviceResult.FAILED if name in failed else DeviceResult.WORKS, failed.get(name, ""))
+        for name in _NAMES[: len(_NAMES) - waiting]
+    ]
+    return (*known, *(DeviceLine(name, DeviceResult.WAITING) for name in _NAMES[len(_NAMES) - waiting :]))
+
+
+def _calibrate(at: Calibrating, session: Session | None = None, **words: str) -> CalibrateView:
+    given = keys(**(words or {"scan": "SCAN", "back": "BACK", "down": "M2"}))
+    live = seabed.live(False)
+    return CalibrateView(at=at, session=session or Session(), left=live, right=live, keys=given)
+
+
+SCENES: Mapping[str, Scene] = MappingProxyType(
+    {
+        "boot": Scene(
+            BootView(devices=_tested({}, 5), version="0.1.0", keys=keys(back="HOLD: OFF")),
+            "Start: devices answer one after the other.", 0.7,
+        ),
+        "self-test": Scene(
+            SelfTestView(
+                devices=_tested({}), version="0.1.0", finished=True, passed=True, keys=keys(back="HOLD: OFF")
+            ),
+            "Everything works; the aim screen follows by itself.", 0.7,
+        ),
+        "self-test-failed": Scene(
+            SelfTestView(
+                devices=_tested({"camera.right": "not on the bus", "calibration": "none for this rig"}), version="0.1.0",
+                finished=True, passed=False, keys=keys(scan="GO ON", back="HOLD: OFF"),
+            ),
+            "What failed is named, and waits to be read.", 0.7,
+        ),
+        "aim": Scene(AIM, "Both live pictures; the laser dots give distance and tilt."),
+        "aim-closer": Scene(
+            replace(AIM, gauge=Gauge(588.0, 17.0, Reach.CLOSER), exposure="8 ms", water=Text.FRESH),
+            "Too far away, and slanted.",
+        ),
+        "aim-insist": Scene(
+            replace(AIM, gauge=Gauge(421.0, None, Reach.BACK), insist=True),
+            "SCAN was pressed outside the volume: once more records all the same.",
+        ),
+        "aim-no-dots": Scene(
+            replace(AIM, gauge=Gauge(None, None, Reach.UNKNOWN), temperature_c=None, scans_left=None, exposure=None),
+            "No dot is seen, no sensor answers: unknown is a dash, never a zero.",
+        ),
+        "aim-saved": Scene(replace(AIM, just_saved="000012"), "A scan is safe on the disk."),
+        "aim-warning": Scene(
+            replace(AIM, right=None, scan_allowed=False, alerts=(LOST, WARM)),
+            "A camera is lost: its picture is gone, SCAN is dim, the band says what to do.",
+        ),
+        "aim-many-alerts": Scene(
+            replace(
+                AIM, scan_allowed=False,
+                alerts=(
+                    alert(FaultCode.HOT), LOST, alert(FaultCode.BOARD_LOST), alert(FaultCode.UNCALIBRATED),
+                    alert(FaultCode.STORAGE_FULL),
+                ),
+            ),
+            "The gravest flashes in red; the others are named above it.",
+        ),
+        "armed": Scene(ArmedView(), "Lasers are proven off before any pattern is shown."),
+        "capture": Scene(CaptureView(frames_done=14, frames=24), "The sequence is recorded."),
+        "check": Scene(CheckView(progress=0.6), "Whether every frame shows its pattern; the diver may move."),
+        "reconstruct": Scene(ReconstructView(progress=0.4), "Points are computed."),
+        "reconstruct-unknown": Scene(ReconstructView(progress=None), "The same where nobody knows for how long.", 0.9),
+        "review": Scene(REVIEW, "The cloud by depth, gently turning; the verdict and its numbers.", 1.2),
+        "review-coarse": Scene(
+            replace(REVIEW, coarse=True, grade=Grade.USABLE, points=20_412, noise_mm=0.071), "A coarse cloud comes first.", 0.4
+        ),
+        "review-noise": Scene(
+            replace(REVIEW, values=_NOISE, value=PointValue.NOISE, turn=1), "By noise, turned by the diver.", 0.0
+        ),
+        "review-moved": Scene(
+            replace(
+                REVIEW, grade=Grade.BAD, alerts=(MOVED,), keys=keys(scan="KEEP", back="REPEAT", up="TURN", down="EXPOSE 8 ms")
+            ),
+            "A scan that moved is never called good.", 0.4,
+        ),
+        "review-no-points": Scene(
+            replace(NO_POINTS, alerts=(alert(FaultCode.RECONSTRUCTION_FAILED), alert(FaultCode.TOO_DARK))),
+            "No cloud: the raw frames can be kept.",
+        ),
+        "saving": Scene(SavingView(scan_id="000012", saved=False), "On its way to the disk.", 0.6),
+        "saved": Scene(SavingView(scan_id="000012", saved=True), "Shown after the last byte is durable, not before."),
+        "menu": Scene(
+            MenuView(title=Text.MENU, rows=MAIN_ROWS, selected=2, keys=_MENU_KEYS), "What can be chosen."
+        ),
+        "menu-changing": Scene(
+            MenuView(
+                title=Text.MENU, rows=MAIN_ROWS, selected=0, changing=True,
+                keys=keys(scan="OK", back="CANCEL", up="HIGHER", down="LOWER"),
+            ),
+            "A value is being changed; it holds once it is taken.",
+        ),
+        "menu-alert": Scene(
+            MenuView(
+                title=Text.MENU,
+                rows=(*MAIN_ROWS[:3], replace(MAIN_ROWS[3], allowed=False), *MAIN_ROWS[4:]),
+                selected=3, alerts=(LOST, WARM), keys=_MENU_KEYS,
+            ),
+            "With an alert the rows around the chosen one stay; what is not allowed is dim.",
+        ),
+        "menu-about": Scene(
+            MenuView(
+                title=Text.ABOUT, selected=0, keys=keys(back="BACK", down="DOWN"),
+                rows=(
+                    MenuRow(Text.VERSION, "0.1.0"), MenuRow(Text.INSTRUMENT, "KF-0001"),
+                    MenuRow(Text.CALIBRATED, "2026-11-02"), MenuRow(Text.CALIBRATION_HASH, "3f9a01c27be4"),
+                    MenuRow(Text.DISK, "12 + 41"),
+                ),
+            ),
+            "What this instrument is.",
+        ),
+        "menu-power-off": Scene(
+            MenuView(
+                title=Text.POWER_OFF, selected=0, rows=(MenuRow(Text.STAY_ON), MenuRow(Text.SWITCH_OFF)), keys=_MENU_KEYS
+            ),
+            "The one that does no harm comes first.",
+        ),
+        "gallery": Scene(GALLERY, "A scan on the disk, with its stored picture."),
+        "gallery-damaged": Scene(
+            replace(
+                GALLERY, scan_id="000009", index=3, preview=None, grade=None, points=None, coverage_percent=None, noise_mm=None,
+                distance_mm=None, taken=None, damaged=True, keys=keys(back="BACK", up="NEWER", down="OLDER"),
+            ),
+            "A damaged scan is marked, the others are fine.",
+        ),
+        "gallery-empty": Scene(GalleryView(keys=keys(back="BACK")), "No scan yet."),
+        "calibrate-bar": Scene(
+            _calibrate(Calibrating(Step.M1, latest=Trial(Step.M1, Refusal.TILT_MORE, 12.0))),
+            "How to hold the ball bar, and what was wrong with the last recording.",
+        ),
+        "calibrate-plane": Scene(
+            _calibrate(
+                Calibrating(Step.M3, latest=_TRIALS[2]), Session(_TRIALS[:3]),
+                scan="REDO", back="BACK", up="M2", down="M4",
+            ),
+            "A recording that fits.",
+        ),
+        "calibrate-solve": Scene(
+            _calibrate(
+                Calibrating(Step.SOLVE, Task.SOLVE, progress=0.55), Session(_TRIALS), back="BACK"
+            ),
+            "The adjustment.",
+        ),
+        "calibrate-result": Scene(
+            _calibrate(Calibrating(Step.RESULT), _BETTER, scan="KEEP", back="BACK", up="VERIFY", down="HOLD: NEW"),
+            "What it gave, against the calibration in use.",
+        ),
+        "cooling": Scene(
+            CoolingView(temperature_c=61.0, limit_c=55.0, remaining_s=118.0, keys=keys(back="BACK")),
+            "Too hot to shine.",
+        ),
+        "cooling-alert": Scene(
+            CoolingView(
+                temperature_c=61.0, limit_c=55.0, remaining_s=None, alerts=(alert(FaultCode.HOT), LOST), keys=keys(back="BACK")
+            ),
+            "How long is not known; what else is wrong is said as well.",
+        ),
+        "safe": Scene(SafeView(alert=LEAK, saved=True, keys=keys(back="HOLD: OFF")), "Water came in: no light, ascend."),
+        "safe-saving": Scene(
+            SafeView(alert=LEAK, saved=False, keys=keys(back="HOLD: OFF")), "The last scan is still being saved.", 0.4
+        ),
+        "safe-alert": Scene(
+            SafeView(alert=LEAK, saved=True, alerts=(LEAK, LOST, WARM), keys=keys(back="HOLD: OFF")),
+            "What else is wrong comes second.",
+        ),
+        "fault": Scene(
+            FaultView(
+                alert=alert(FaultCode.PROJECTOR_LOST),
+                detail="card0 HDMI-A-1: the connector reports no display; the cable or the projector's supply is off",
+            ),
+            "Nothing else can be shown than what is wrong and what to do.",
+        ),
+        "shutdown": Scene(ShutdownView(), "After the diver's wish."),
+        "shutdown-forced": Scene(
+            ShutdownView(reason=alert(FaultCode.SUPPLY_LOW), saving=True), "Forced by the supply; the save is finished first."
+        ),
+    }
+)  # fmt: skip
+
+ALERTS: Mapping[str, Alert] = MappingProxyType(
+    {code.value: alert(code, "camera.left" if "{side}" in RULES[code].headline else None) for code in RULES}
+)
+"""Every alert there is, with typical numbers."""
