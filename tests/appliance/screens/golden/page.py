@@ -30,7 +30,8 @@ def page() -> str:
     lines = [_HEAD, "| English | German | |", "|---|---|---|"]
     lines += [f"| {_picture(name, False, 0)} | {_picture(name, False, 1)} | {s.says} |" for name, s in SCENES.items()]
     lines += ["", "## Alerts", ""]
-    lines += [f"All {len(ALERTS)} of them, as the band that they take on any screen.", ""]
+    lines += [f"All {len(ALERTS)} of them, as the band that they take on any screen. What they mean and what to do:"]
+    lines += ["[alarm list](operator/alarms.en.md), [Alarmliste](operator/alarms.de.md).", ""]
     lines += ["| code | English | German |", "|---|---|---|"]
     ranked = sorted(ALERTS, key=lambda code: -next(r.severity for c, r in RULES.items() if c.value == code))
     lines += [f"| {code} | {_picture(code, True, 0)} | {_picture(code, True, 1)} |" for code in ranked]

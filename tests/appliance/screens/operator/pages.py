@@ -1,0 +1,113 @@
+"""Owns the texts of the operator's pages: alarm list and key map, in each language."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+
+from appliance.machine.alerts import RULES, Rule, Severity
+from appliance.machine.states import State
+from appliance.machine.texts import labels
+from appliance.screens.frame import words_of
+from appliance.screens.texts import Language, worded
+from drivers.api import Key
+from tests.appliance.machine.walks import STARTS
+from tests.appliance.screens.golden.scenes import ALERTS
+from tests.appliance.screens.operator.meanings import MEANINGS
+
+COMMAND = "./dev run python -m tests.appliance.screens.operator"
+_SEVERITIES = {
+    Severity.CRITICAL: ("Critical: flashing red", "Kritisch: rot blinkend"),
+    Severity.WARNING: ("Warning: solid yellow", "Warnung: gelb"),
+    Severity.INFO: ("For your information: white", "Zur Kenntnis: weiß"),
+}
+_ORDER = (Key.SCAN, Key.BACK, Key.UP, Key.DOWN)
+
+
+def pick(language: Language, english: str, german: str) -> str:
+    return german if language is Language.GERMAN else english
+
+
+def alarms(language: Language) -> str:
+    """The alarm list, the gravest first."""
+    lines = [
+        pick(language, "# Alarms", "# Alarme"),
+        "",
+        pick(
+            language,
+            f"Headline as on the screen (numbers are examples), what it means, what to do. Made by `{COMMAND}`.",
+            f"Überschrift wie auf der Anzeige (Zahlen sind Beispiele), Bedeutung, was zu tun ist. Erzeugt mit `{COMMAND}`.",
+        ),
+    ]
+    for severity in sorted(Severity, reverse=True):
+        rows = [code for code, rule in RULES.items() if rule.severity is severity]
+        head = pick(language, "| headline | meaning | do | effect |", "| Überschrift | Bedeutung | tun | Wirkung |")
+        lines += ["", f"## {pick(language, *_SEVERITIES[severity])}", "", head, "|---|---|---|---|"]
+        for code in rows:
+            headline, action = words_of(ALERTS[code.value], language)
+            effect = _effect(RULES[code], language)
+            lines.append(f"| **{headline}** | {pick(language, *MEANINGS[code])} | {action} | {effect} |")
+    return "\n".join(lines) + "\n"
+
+
+def _effect(rule: Rule, language: Language) -> str:
+    said = (
+        (rule.forbids_light, "no light", "kein Licht"),
+        (rule.blocks_scan, "no scan while it lasts", "kein Scan, solange es dauert"),
+        (rule.spoils_scan, "this scan is not used", "dieser Scan wird nicht verwendet"),
+        (rule.spoils_points, "this scan is not called good", "dieser Scan gilt nicht als gut"),
+    )
+    return ", ".join(pick(language, english, german) for holds, english, german in said if holds)
+
+
+def meant() -> dict[State, dict[Key, list[str]]]:
+    """Every label that each key can have in each state, as the machine gives them."""
+    found: dict[State, dict[Key, list[str]]] = defaultdict(lambda: defaultdict(list))
+    for start in STARTS:
+        machine = start()
+        for key, word in labels(machine).items():
+            if word not in found[machine.state][key]:
+                found[machine.state][key].append(word)
+    return found
+
+
+def keys(language: Language) -> str:
+    """The key map: a row per screen."""
+    found = meant()
+    lines = [
+        pick(language, "# Keys", "# Tasten"),
+        "",
+        pick(
+            language,
+            "One press has one meaning; its word stands on the display beside the key. HOLD means 0.8 s. "
+            f"A key without a word does nothing. Made by `{COMMAND}`.",
+            "Ein Druck hat eine Bedeutung; ihr Wort steht auf der Anzeige neben der Taste. LANG heißt 0,8 s. "
+            f"Eine Taste ohne Wort tut nichts. Erzeugt mit `{COMMAND}`.",
+        ),
+        "",
+        pick(language, "| upper left | lower left | upper right | lower right |", "| oben links | unten links | oben rechts | unten rechts |"),
+        "|---|---|---|---|",
+        "| UP | DOWN | SCAN / OK | BACK |",
+        "",
+        f"| {pick(language, 'screen', 'Bild')} | {' | '.join(key.name for key in _ORDER)} |",
+        "|---|---|---|---|---|",
+    ]  # fmt: skip
+    for state in State:
+        words = (", ".join(worded(word, language) for word in found.get(state, {}).get(key, [])) for key in _ORDER)
+        lines.append(f"| {state.value} | {' | '.join(words)} |")
+    return "\n".join(lines) + "\n"
+
+
+def index() -> str:
+    """The folder's first page."""
+    return f"""# For the operator
+
+| | English | Deutsch |
+|---|---|---|
+| dive card, A5, to print and laminate | [picture](dive-card.en.png) | [Bild](dive-card.de.png) |
+| key map | [keys](keys.en.md) | [Tasten](keys.de.md) |
+| alarm list | [alarms](alarms.en.md) | [Alarme](alarms.de.md) |
+| all screens | [screens](../screens.md) | |
+
+All of it is made from the instrument's own tables by `{COMMAND}`; a test notices when it no longer says what the
+instrument does. The card is 148 × 210 mm at 300 px per inch.
+"""
