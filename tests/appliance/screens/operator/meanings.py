@@ -42,6 +42,7 @@ MEANINGS: Mapping[F, tuple[str, str]] = MappingProxyType(
         F.BOARD_RESET: ("The trigger board started anew; all is set again.", "Die Triggerplatine ist neu gestartet; alles ist wieder gesetzt."),
         F.VSYNC_LOST: ("The board sees no video for the projector.", "Die Platine sieht kein Videosignal zum Projektor."),
         F.LASER_ON: ("A laser shines although it is switched off.", "Ein Laser leuchtet, obwohl er aus sein soll."),
+        F.LASER_FAILED: ("A laser stays dark; the other dot gives the distance.", "Ein Laser bleibt dunkel; der andere Punkt gibt den Abstand."),
         F.KEYS_LOST: ("The key pad is silent.", "Das Tastenfeld schweigt."),
         F.KEY_STUCK: ("A key hangs and is ignored; another takes over.", "Eine Taste klemmt und zählt nicht; eine andere übernimmt."),
         F.TOO_NEAR: ("The object is nearer than can be measured well.", "Das Objekt ist näher, als gut zu messen ist."),
