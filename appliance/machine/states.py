@@ -107,7 +107,7 @@ class Settings:
     """At power-on."""
     offers: Offers = field(default_factory=Offers)
     boot_s: float = 60.0
-    self_test_s: float = 60.0
+    self_test_s: float = 45.0
     """What has no result by then counts as failed."""
     passed_s: float = 1.0
     """How long a self-test is shown that found nothing wrong …"""

@@ -50,9 +50,9 @@ def test_a_self_test_that_finds_nothing_wrong_passes_by_itself() -> None:
 
 
 def test_it_waits_for_every_result_and_counts_silence_as_failed() -> None:
-    machine = run(boot(0), *UPS, on.BootFinished(), *PARTS[:-1], on.Tick(59 * SECOND_NS))
+    machine = run(boot(0), *UPS, on.BootFinished(), *PARTS[:-1], on.Tick(44 * SECOND_NS))
     assert machine.state is State.SELF_TEST
-    machine = run(machine, on.Tick(60 * SECOND_NS), on.Tick(64 * SECOND_NS))
+    machine = run(machine, on.Tick(45 * SECOND_NS), on.Tick(49 * SECOND_NS))
     assert machine.state is State.AIM, "without a worker scans can still be recorded"
     assert not machine.parts[Part.WORKER].passed
 
