@@ -30,7 +30,7 @@ from appliance.reconstruct.noise import StereoNoise
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.table import Found, PointTable
 from appliance.worker.scan_work import ScanWork, Taking
-from appliance.worker.warm import run_empty_scan
+from appliance.worker.warm import run_empty_scan, run_light_fit
 
 NICENESS = 5
 """Behind the heartbeat and the cameras."""
@@ -82,6 +82,7 @@ def _work(
         with _missing("scipy.linalg"):
             run_empty_scan(scan_work, np.zeros(store.shape, np.uint8))
             run_compensation()
+            run_light_fit()
         limit_memory(headroom_mb)
         pipe.send(("ready",))
         try:

@@ -32,6 +32,12 @@ def run_empty_scan(work: ScanWork, frames: NDArray[np.uint8]) -> None:
     work.find_full()
 
 
+def run_light_fit() -> None:
+    """The kernels of changing light, which an empty scan does not reach; else the first scan would wait for their compiler."""
+    some = np.ones(4)
+    fit_blocks(np.eye(4), some, some, some, np.arange(4), np.array([4]))
+
+
 def run_every_kernel() -> None:
     """With an instrument of its own; also for frames that cannot be written, as they come from the disk."""
     width_px, height_px = _SIZE_PX
@@ -39,8 +45,7 @@ def run_every_kernel() -> None:
     calibration = design_calibration(_DESIGN, "kernels", width_px, height_px, water)
     sequence = build_sequence(16)
     run_compensation()
-    some = np.ones(4)
-    fit_blocks(np.eye(4), some, some, some, np.arange(4), np.array([4]))
+    run_light_fit()
     with Pipeline(calibration, water, sequence) as pipeline:
         for writable in (True, False):
             frames = np.zeros((len(sequence), height_px, width_px), np.uint8)
