@@ -23,14 +23,13 @@ import numpy as np
 
 from appliance.calibration.file import Calibration, decode
 from appliance.capture.store import FrameStore
-from appliance.compensation.warm import run_every_kernel as run_compensation
 from appliance.optics.water import Water
 from appliance.patterns.sequence import PatternSequence, build_sequence
 from appliance.reconstruct.noise import StereoNoise
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.table import Found, PointTable
 from appliance.worker.scan_work import ScanWork, Taking
-from appliance.worker.warm import run_empty_scan, run_light_fit
+from appliance.worker.warm import run_empty_scan, run_what_an_empty_scan_does_not
 
 NICENESS = 5
 """Behind the heartbeat and the cameras."""
@@ -80,9 +79,9 @@ def _work(
         scan_work = ScanWork(pipeline, calibration, water)
         # So that the first real scan is as fast as the others.
         with _missing("scipy.linalg"):
-            run_empty_scan(scan_work, np.zeros(store.shape, np.uint8))
-            run_compensation()
-            run_light_fit()
+            nothing = np.zeros(store.shape, np.uint8)
+            run_empty_scan(scan_work, nothing)
+            run_what_an_empty_scan_does_not(sequence, nothing)
         limit_memory(headroom_mb)
         pipe.send(("ready",))
         try:

@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 from appliance.calibration.design import Design, design_calibration
 from appliance.compensation.warm import run_every_kernel as run_compensation
 from appliance.optics.water import Water
-from appliance.patterns.sequence import build_sequence
+from appliance.patterns.sequence import PatternSequence, build_sequence
 from appliance.reconstruct.noise import TYPICAL
 from appliance.reconstruct.pipeline import SIDES, Pipeline
 from appliance.reconstruct.specks import mask_specks
-from appliance.reconstruct.veiled import warm_up
+from appliance.reconstruct.veiled import warm_up as read_veiled
 from appliance.verdict.light_fit import fit_blocks
 from appliance.worker.scan_work import ScanWork, Taking
 
@@ -32,10 +32,12 @@ def run_empty_scan(work: ScanWork, frames: NDArray[np.uint8]) -> None:
     work.find_full()
 
 
-def run_light_fit() -> None:
-    """The kernels of changing light, which an empty scan does not reach; else the first scan would wait for their compiler."""
+def run_what_an_empty_scan_does_not(sequence: PatternSequence, frames: NDArray[np.uint8]) -> None:
+    """Kernels for motion, changing light and veil; else the first scan that has some would wait for a compiler."""
     some = np.ones(4)
+    run_compensation()
     fit_blocks(np.eye(4), some, some, some, np.arange(4), np.array([4]))
+    read_veiled(sequence, frames, TYPICAL)
 
 
 def run_every_kernel() -> None:
@@ -44,8 +46,6 @@ def run_every_kernel() -> None:
     water = Water(20.0, 0.0, 530.0)
     calibration = design_calibration(_DESIGN, "kernels", width_px, height_px, water)
     sequence = build_sequence(16)
-    run_compensation()
-    run_light_fit()
     with Pipeline(calibration, water, sequence) as pipeline:
         for writable in (True, False):
             frames = np.zeros((len(sequence), height_px, width_px), np.uint8)
@@ -54,4 +54,4 @@ def run_every_kernel() -> None:
             decoded = pipeline.decoded("left")
             decoded.mask.fill(0)
             mask_specks(sequence, frames, decoded, TYPICAL)
-            warm_up(sequence, frames, TYPICAL)
+            run_what_an_empty_scan_does_not(sequence, frames)

@@ -1,0 +1,75 @@
+"""What the worker runs at its start has loaded every kernel that a scan can need: nobody under water waits for a compiler."""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from numba.core.registry import CPUDispatcher
+
+from appliance.patterns.sequence import build_sequence
+from appliance.reconstruct.pipeline import Pipeline
+from appliance.worker.scan_work import ScanWork, Taking
+from appliance.worker.warm import run_empty_scan, run_what_an_empty_scan_does_not
+from hw_sim.daylight import Daylight
+from hw_sim.drift import Drift
+from hw_sim.motion import Motion
+from hw_sim.scene import Scene
+from hw_sim.water import Water, turbid
+from tests.support.rendered import WATER, render_scan
+from tests.support.truth import true_calibration
+
+SCENES = {
+    "at rest": Scene("pipe"),
+    "moving": Scene("plane", texture="slight", motion=Motion(velocity_mm_s=(2.0, 0.0, 10.0))),
+    "in milk": Scene("plane", water=Water(attenuation_per_m=2.5, backscatter=0.6)),
+    "in turbid water": Scene("pipe", water=turbid(1.5)),
+    "in flickering light": Scene("plane", ambient=0.3, daylight=Daylight(flicker_depth=1.0)),
+    "with snow": Scene("pipe", drift=Drift(particles_per_l=100.0)),
+}
+
+
+def signatures() -> dict[str, int]:
+    """Of the product's kernels: how many each has been compiled or loaded for."""
+    kernels = (one for one in gc.get_objects() if isinstance(one, CPUDispatcher))
+    mine = (kernel for kernel in kernels if kernel.py_func.__module__.startswith("appliance."))
+    return {f"{kernel.py_func.__module__}.{kernel.py_func.__name__}": len(kernel.signatures) for kernel in mine}
+
+
+@pytest.fixture(scope="module")
+def warm() -> Iterator[None]:
+    """As the worker is when it says that it is ready."""
+    sequence = build_sequence(16)
+    scan = render_scan(SCENES["at rest"], "nominal", 1, 200, 16)
+    calibration = true_calibration(scan.renderer.truth)
+    nothing = np.zeros((len(sequence), 150, 200), np.uint8)
+    with Pipeline(calibration, WATER, sequence) as pipeline:
+        run_empty_scan(ScanWork(pipeline, calibration, WATER), nothing)
+        run_what_an_empty_scan_does_not(sequence, nothing)
+        yield
+
+
+@pytest.mark.usefixtures("warm")
+@pytest.mark.parametrize("name", SCENES)
+def test_no_scan_needs_a_kernel_that_is_not_there(name: str) -> None:
+    before = signatures()
+    scene = SCENES[name]
+    scan = render_scan(scene, "nominal", 1, 200, 16, frame_s=0.0 if scene.still else 1 / 60)
+    calibration = true_calibration(scan.renderer.truth)
+    with Pipeline(calibration, WATER, scan.sequence) as pipeline:
+        work = ScanWork(pipeline, calibration, WATER)
+        work.begin(Taking())
+        for k in range(len(scan.sequence)):
+            for side, frames in scan.frames.items():
+                work.push(side, frames, k)
+        work.identify()
+        work.find_coarse()
+        work.judge()
+        if work.moved:
+            work.compensate()
+        work.find_full()
+    after = signatures()
+    assert before
+    assert {kernel: count for kernel, count in after.items() if count != before.get(kernel, 0)} == {}
