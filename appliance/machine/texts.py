@@ -32,7 +32,7 @@ def _meant(machine: Machine) -> dict[Key, str]:
             return {Key.SCAN: scan, Key.BACK: "HOLD: OFF", Key.UP: "MENU", Key.DOWN: "GALLERY"}
         case State.SELF_TEST:
             waits = start.waits_for_ok(machine)
-            return {Key.SCAN: "SKIP", Key.BACK: "HOLD: OFF"} if waits else {Key.BACK: "HOLD: OFF"}
+            return {Key.SCAN: "GO ON", Key.BACK: "HOLD: OFF"} if waits else {Key.BACK: "HOLD: OFF"}
         case State.MENU:
             return _menu(machine)
         case State.GALLERY:

@@ -40,7 +40,6 @@ class Text(Enum):
     HIGHER = ("HIGHER", "MEHR")
     LOWER = ("LOWER", "WENIGER")
     GO_ON = ("GO ON", "WEITER")
-    SKIP = ("SKIP", "ÜBERGEHEN")
     ANYWAY = ("ANYWAY", "TROTZDEM")
     CHANGE = ("CHANGE", "ÄNDERN")
     OPEN = ("OPEN", "ÖFFNEN")

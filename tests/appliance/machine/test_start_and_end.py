@@ -60,7 +60,7 @@ def test_it_waits_for_every_result_and_counts_silence_as_failed() -> None:
 def test_what_forbids_scans_stays_on_the_screen_until_ok_or_until_it_works() -> None:
     machine = run(self_test_without_a_camera(), on.Tick(500 * SECOND_NS))
     assert machine.state is State.SELF_TEST
-    assert labels(machine)[Key.SCAN] == "SKIP"
+    assert labels(machine)[Key.SCAN] == "GO ON"
     assert run(machine, on.KeyPressed(Key.SCAN)).state is State.AIM
     assert run(machine, on.DeviceUp(Device.CAMERA_LEFT), later(machine, 1.0)).state is State.AIM
 
