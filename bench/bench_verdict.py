@@ -13,7 +13,7 @@ from typing import Any
 from bench.progress import Progress
 from bench.result import Measured
 from bench.runner import machine
-from bench.verdict.parts import PARTS, part
+from bench.verdict.parts import KEEPING, PARTS, measure_part, part
 
 OUT = Path("bench/out/verdict.json")
 FEW_SCANS = 20
@@ -36,6 +36,9 @@ def main(arguments: Sequence[str]) -> int:
         "--seed", type=int, default=1, help="of the draws; any gives scans nothing was tuned on below 10000"
     )
     parser.add_argument("--json", type=Path, default=OUT, help="default: %(default)s")
+    parser.add_argument(
+        "--keep", type=Path, help=f"folder of rendered scans, used and added to ({', '.join(KEEPING)}): 6 MB each"
+    )
     parser.add_argument("--parts", default=",".join(PARTS), help="names with commas between; default: all, %(default)s")
     wanted = parser.parse_args(arguments)
     if not 1 <= wanted.scans <= 100_000:
@@ -46,10 +49,10 @@ def main(arguments: Sequence[str]) -> int:
     for name in names:
         if name not in PARTS:
             parser.error(f"--parts: {name!r} is unknown; allowed are {', '.join(PARTS)}")
-    return 0 if run(names, wanted.scans, wanted.seed, wanted.json) else 1
+    return 0 if run(names, wanted.scans, wanted.seed, wanted.json, wanted.keep) else 1
 
 
-def run(names: Sequence[str], scans: int, seed: int, path: Path) -> bool:
+def run(names: Sequence[str], scans: int, seed: int, path: Path, keep: Path | None = None) -> bool:
     """Part by part; the file is written after each, so that what is done is kept. True when every bound was kept."""
     path.parent.mkdir(parents=True, exist_ok=True)
     content: dict[str, Any] = {"machine": machine(), "scans": scans, "seed": seed, "parts": {}}
@@ -58,7 +61,7 @@ def run(names: Sequence[str], scans: int, seed: int, path: Path) -> bool:
         progress = Progress(1)
         say = partial(_show, progress, done, len(names))
         try:
-            found, data = part(name).measure(scans, seed, say)
+            found, data = measure_part(name, scans, seed, say, keep)
         finally:
             progress.close()
         sys.stdout.write(f"{name}: {PARTS[name]}\n")

@@ -19,9 +19,11 @@ from appliance.optics.model import StereoRig
 from appliance.patterns.sequence import Direction
 from appliance.reconstruct.decode import CameraDecoder, Mask
 from appliance.reconstruct.noise import CameraNoise
+from appliance.reconstruct.table import Cloud
 from appliance.verdict.motion_edges import EdgeShifts, edge_shifts
 from appliance.verdict.motion_harm import Harm, predict
 from appliance.verdict.motion_map import DriftMap, drift_map
+from appliance.verdict.motion_paint import PaintCourse, paint_course
 from appliance.verdict.motion_place import Place, place_of
 from appliance.verdict.motion_scores import (
     EDGE_FLOOR_PX,
@@ -34,6 +36,7 @@ from appliance.verdict.motion_scores import (
     flow_score,
     texture_score,
 )
+from appliance.verdict.motion_surface import surface_map
 from appliance.verdict.motion_texture import TextureShift, texture_shift
 from appliance.verdict.recorded import Recorded
 
@@ -41,6 +44,9 @@ NAME = "motion"
 MOST_ADDED = 0.06
 """Of the noise, as a fraction: between what nobody notices (0.05) and what must not be kept (0.10), nearer to the former
 since predictions on bent surfaces are rather too small."""
+MOST_LOST = 0.12
+"""Share of the lit pixels whose frames contradict each other, where something moved: outlines of what stands still are a
+twentieth, and what is that much torn is to be repeated, however good its rest."""
 SIDES = ("left", "right")
 
 Array = NDArray[np.float64]
@@ -87,20 +93,27 @@ class MotionJudgement:
     """(frames,): shift of the Gray edges, left less right, with the sign of the drift; NaN where there are none."""
     edge_course_sd_px: Array
     textures: Mapping[str, TextureShift]
+    paint: Mapping[str, PaintCourse]
 
 
-def judge_motion(recorded: Recorded, rig: StereoRig, water_index: float) -> MotionJudgement:
-    """Judge a whole sequence; ``rig`` and ``water_index`` turn px into mm. About 50 ms of CPU at full size."""
+def judge_motion(recorded: Recorded, cloud: Cloud, rig: StereoRig, water_index: float) -> MotionJudgement:
+    """Judge a whole sequence with its coarse ``cloud``; ``rig`` and ``water_index`` turn px into mm. About 50 ms of CPU at
+    full size."""
     sequence = recorded.sequence
     noise = {"left": recorded.noise.left, "right": recorded.noise.right}
-    drift, edges, textures = {}, {}, {}
+    drift, edges, textures, paint = {}, {}, {}, {}
     for side in SIDES:
         frames, decoded, variance = recorded.frames[side], recorded.decoded[side], _variance(noise[side])
         drift[side] = drift_map(frames, decoded, sequence, Direction.X, variance)
         edges[side] = edge_shifts(frames, decoded, sequence)
         textures[side] = texture_shift(frames, decoded, sequence, variance)
+        paint[side] = paint_course(frames, decoded, sequence, variance)
     lost = float(np.mean([_lost_share(recorded.decoded[side]) for side in SIDES]))
-    harm = predict(drift["left"], drift["right"], lost, rig, water_index, sequence.period_px, recorded.frame_s)
+    left = recorded.decoded["left"]
+    surface = surface_map(cloud, left.p_px, left.q_px, drift["left"].drift_px.shape)
+    harm = predict(
+        drift["left"], drift["right"], surface, _double_step2(paint), rig, water_index, sequence.period_px, recorded.frame_s
+    )  # fmt: skip
     trend = drift_trend(harm)
     course = edge_course(edges, harm)
     scores = Scores(
@@ -116,8 +129,28 @@ def judge_motion(recorded: Recorded, rig: StereoRig, water_index: float) -> Moti
     shift = _shift(drift["left"], harm, textures["left"], len(sequence))
     judgement = _judgement(kind, harm, axial, lateral, shift, place, scores, lost)
     return MotionJudgement(
-        judgement, kind, harm.added, axial, lateral, shift, place, scores, trend, harm, drift, edges, *course, textures
+        judgement,
+        kind,
+        harm.added,
+        axial,
+        lateral,
+        shift,
+        place,
+        scores,
+        trend,
+        harm,
+        drift,
+        edges,
+        *course,
+        textures,
+        paint,
     )
+
+
+def _double_step2(paint: Mapping[str, PaintCourse]) -> float | None:
+    """Mean over the cameras that see any paint."""
+    known = [step2 for one in paint.values() if (step2 := one.double_step2) is not None]
+    return float(np.mean(known)) if known else None
 
 
 def _variance(noise: CameraNoise) -> tuple[float, float]:
@@ -285,7 +318,10 @@ def _judgement(
     if moved:
         where = "" if place is None else f", {place.word}"
         text = f"{kind.value}{'' if speed is None else f' {speed:.1f} mm/s'}{where}; adds {100.0 * added:.0f} % noise"
-    passed = added <= MOST_ADDED
+    torn = moved and lost > MOST_LOST
+    passed = added <= MOST_ADDED and not torn
+    if torn:
+        text += f", tears {100.0 * lost:.0f} %"
     fault = None
     if not passed:
         known = {"shift_px": shift_px, "added_noise_percent": 100.0 * added, "speed_mm_s": speed}

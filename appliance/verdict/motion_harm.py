@@ -16,14 +16,13 @@ from numpy.typing import NDArray
 
 from appliance.optics.model import StereoRig
 from appliance.verdict.motion_map import DriftMap
+from appliance.verdict.motion_surface import SurfaceMap
 
 UNSURE = 4.0
 """Cells whose drift is this many times less certain than the median cell's are left out."""
-COMMON_LEFT = 0.3
-"""Of the phase error that paint makes in both cameras alike, so much does not cancel: their views of an edge differ."""
-LOST_AT_REST, PER_LOST = 0.05, 5.0
-"""Pixels whose frames contradict each other are left out, and some of their neighbours should have been: beyond the share
-that edges of the thing itself make, each adds so many times the noise's variance. From training scans of printed squares."""
+UNEVEN_LEFT = 0.3
+"""Phase errors that paint makes in both cameras alike cancel, but for what differs from one pixel to the next: so much of
+that is left. From training scans."""
 NOISE_UNCERTAINTY = 0.1
 """So much of its variance the noise may be other than stated, before what is over counts as moving paint."""
 MIN_CELLS = 4
@@ -41,14 +40,16 @@ class Harm:
     depth_rate_mm_s: Array
     """How fast the surface recedes along the left camera's rays, during the x-sines."""
     ripple_mm: Array
-    """RMS of what the movement adds to the points along those rays; NaN also where it is lost in uncertainty."""
+    """RMS of what the movement adds to the points across the surface; NaN also where it is lost in uncertainty."""
     noise_mm: Array
-    """RMS of what the cameras' noise makes."""
+    """RMS of what the cameras' noise makes of them."""
     weight: Array
-    """Pixels of a cell; 0: left out."""
+    """Points of a cell; 0: left out."""
     u_px: Array
     """Mean place in the left image."""
     v_px: Array
+    across_mm: Array
+    """Across the surface, for one px of E."""
     ripple: float | None
     """All cells: RMS of the ripple over that of the noise; ``None``: fewer than ``MIN_CELLS``."""
     ripple_rms_mm: float | None
@@ -63,33 +64,44 @@ class Harm:
 def predict(
     left: DriftMap,
     right: DriftMap,
-    lost_share: float,
+    surface: SurfaceMap,
+    double_step2: float | None,
     rig: StereoRig,
     water_index: float,
     period_px: int,
     frame_s: float,
 ) -> Harm:
-    """From the drift across the x-fringes that both cameras saw; ``lost_share`` of the lit pixels contradict themselves."""
+    """From the drift across the x-fringes that both cameras saw, how the surface stands, and ``double_step2``: the mean square
+    way of paint over the left image in two frames, px² (``None``: there is none to see)."""
     px_per_rad = period_px / (2.0 * np.pi)
     with np.errstate(invalid="ignore", divide="ignore"):
         drift = left.drift_px - right.drift_px
         variance = left.sd_px**2 + right.sd_px**2
         depth = depth_per_px(left, right, rig, water_index)
+        across = np.abs(depth) * surface.across
+        # Each half of the fringe is drawn by two images: it matters how far the pattern goes between the two.
+        steps2 = 0.5 * ((left.early_px - right.early_px) ** 2 + (left.late_px - right.late_px) ** 2)
         texture = 0.5 * (np.nan_to_num(left.texture_per_px2) + np.nan_to_num(right.texture_per_px2))
-        common = 0.5 * (left.common_rad2 + right.common_rad2) * px_per_rad**2
-        noise2 = (left.noise_rad2 + right.noise_rad2) * px_per_rad**2
-        common = np.maximum(common - NOISE_UNCERTAINTY * noise2, 0.0)
-        ripple2 = (drift**2 - variance) * (0.125 + px_per_rad**2 * texture) + COMMON_LEFT**2 * common
-        known = np.isfinite(drift) & np.isfinite(depth) & np.isfinite(noise2) & np.isfinite(ripple2)
+        noise2 = left.noise_rad2 + right.noise_rad2
+        uneven = 0.5 * (left.uneven_rad2 + right.uneven_rad2) - 2.0 * NOISE_UNCERTAINTY * noise2
+        paint = UNEVEN_LEFT**2 * np.maximum(uneven, 0.0)
+        if double_step2 is not None:
+            # C has one sum of four ways, which may well be none while the ways are long: to and fro.
+            slope2 = 0.5 * (left.slope_per_px**2 + right.slope_per_px**2)
+            paint = paint + texture * slope2 * 0.25 * double_step2
+        second2 = 0.5 * (left.second2 + right.second2)
+        ripple2 = (drift**2 - variance) * (0.125 + 2.0 * second2)
+        ripple2 += px_per_rad**2 * ((steps2 - 2.0 * variance) * texture + paint)
+        known = np.isfinite(drift) & np.isfinite(across) & np.isfinite(surface.noise_mm) & np.isfinite(ripple2)
         if known.any():
             known &= variance < UNSURE**2 * np.median(variance[known])
-    weight = np.where(known, left.pixels, 0.0)
+    weight = np.where(known, surface.points, 0.0)
     enough = int(np.count_nonzero(known)) >= MIN_CELLS
     ripple = ripple_mm = noise_mm = None
-    rim = PER_LOST * max(lost_share - LOST_AT_REST, 0.0)
     if enough:
         share = weight[known] / weight[known].sum()
-        squared = np.array([share @ (x * depth**2)[known] for x in (ripple2 + rim * noise2, noise2)])
+        noise_mm2 = surface.noise_mm**2
+        squared = np.array([share @ x[known] for x in (ripple2 * across**2, noise_mm2)])
         ripple_mm, noise_mm = (float(np.sqrt(max(x, 0.0))) for x in squared)
         ripple = ripple_mm / noise_mm
     with np.errstate(invalid="ignore"):
@@ -97,11 +109,12 @@ def predict(
             drift,
             np.sqrt(variance),
             depth * drift / frame_s,
-            np.abs(depth) * np.sqrt(np.where(known & (ripple2 > 0.0), ripple2, np.nan)),
-            np.abs(depth) * np.sqrt(noise2),
+            across * np.sqrt(np.where(known & (ripple2 > 0.0), ripple2, np.nan)),
+            surface.noise_mm,
             weight,
             left.u_px,
             left.v_px,
+            across,
             ripple,
             ripple_mm,
             noise_mm,

@@ -28,6 +28,8 @@ _RIGHT = _PRODUCTS
 _SQUARE = _RIGHT + _TERMS
 _COUNT, _U, _V, _P, _Q, _INVERSE, _LIGHT, _SLOPE, _SLOPES, _TEXTURE, _TEXTURES = (_SQUARE + 1 + k for k in range(11))
 _COLUMNS = _TEXTURES + 1
+LEAST_LEFT = 0.3
+"""Of the drift's terms in C, whatever the second harmonic takes of them."""
 MIN_PIXELS = 40
 """Fewer in a cell tell nothing."""
 
@@ -38,6 +40,10 @@ class DriftMap:
 
     drift_px: NDArray[np.float64]
     """Of the fringes, pattern px per frame; positive: a pixel's coordinate grows."""
+    early_px: NDArray[np.float64]
+    """The same from the first sine image to the third."""
+    late_px: NDArray[np.float64]
+    """The same from the second to the fourth: of a steady movement, no other."""
     sd_px: NDArray[np.float64]
     """Standard deviation of it from what the fit leaves."""
     excess: NDArray[np.float64]
@@ -52,8 +58,10 @@ class DriftMap:
     """Variance of the phase from the cameras' noise."""
     texture_per_px2: NDArray[np.float64]
     """Mean square of how much the light changes per pattern px across the fringes, in modulations."""
-    common_rad2: NDArray[np.float64]
-    """Mean square phase error that moving texture makes, alike in both cameras."""
+    uneven_rad2: NDArray[np.float64]
+    """Mean square difference, from one pixel to the next, of the phase error that moving paint makes."""
+    second2: NDArray[np.float64]
+    """Square of the second harmonic's share of the first, of the projector's light as it was recorded."""
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -118,11 +126,28 @@ def _accumulate(
                 light_before = np.float64(i0[v, u - 1]) + i1[v, u - 1] + i2[v, u - 1] + i3[v, u - 1]
                 light_after = np.float64(i0[v, u + 1]) + i1[v, u + 1] + i2[v, u + 1] + i3[v, u + 1]
                 if abs(slope) > 0.1:
-                    gradient = 0.125 * (light_after - light_before) / (slope * modulation)
+                    gradient = 0.125 * (light_after - light_before) / slope
                     # Noise has a gradient, too: of eight grey values.
-                    own = 0.125 * (dark_dn2 + per_dn * 0.25 * (a + b + c + d)) / (slope * modulation) ** 2
+                    own = 0.125 * (dark_dn2 + per_dn * 0.25 * (a + b + c + d)) / (slope * slope)
+                    # Not the mean of ratios: where next to nothing is lit, they are large and mean little.
                     s[_TEXTURE] += gradient * gradient - own
-                    s[_TEXTURES] += 1.0
+                    s[_TEXTURES] += modulation * modulation
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _left_over_at(a: float, b: float, c: float, d: float, fit: NDArray[np.float64]) -> tuple[float, float]:
+    """What C leaves beside ``fit`` (_TERMS,) at a pixel with these four values, and its modulation squared."""
+    cosine, sine = 0.5 * (a - c), 0.5 * (d - b)
+    squared = cosine * cosine + sine * sine
+    modulation = np.sqrt(max(squared, 1.0))
+    expected = (
+        fit[0] * modulation
+        + fit[1] * cosine
+        + fit[2] * sine
+        + (fit[3] * (cosine * cosine - sine * sine) + fit[4] * 2.0 * cosine * sine) / modulation
+        + fit[5] * 0.25 * (a + b + c + d)
+    )
+    return a - b + c - d - expected, squared
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -140,36 +165,30 @@ def _left_over(
     fit: NDArray[np.float64],
     sums: NDArray[np.float64],
 ) -> None:
-    """Into ``sums`` (rows, columns) what C leaves beside ``fit`` (rows, columns, _TERMS) and the cameras' noise, as
-    mean square in units of twice the modulation."""
+    """Into ``sums`` (rows, columns) how much what C leaves beside ``fit`` (rows, columns, _TERMS) differs from one pixel to
+    the next, without the cameras' noise, as mean square over that of twice the modulation."""
     height, width = p_px.shape
     count = np.zeros(sums.shape)
     for v in range(stride // 2, height, stride):
         for u in range(stride // 2 + 1, width - 1, stride):
             p, q = p_px[v, u], q_px[v, u]
-            if not (p >= 0.0 and q >= 0.0):
+            if not (p >= 0.0 and q >= 0.0 and p_px[v, u + 1] >= 0.0):
                 continue
             row, column = int(q / cell_px), int(p / cell_px)
             if row >= sums.shape[0] or column >= sums.shape[1]:
                 continue
-            a, b, c, d = np.float64(i0[v, u]), np.float64(i1[v, u]), np.float64(i2[v, u]), np.float64(i3[v, u])
-            cosine, sine = 0.5 * (a - c), 0.5 * (d - b)
-            squared = cosine * cosine + sine * sine
-            if squared < 4.0:
-                continue
-            modulation = np.sqrt(squared)
             f = fit[row, column]
-            expected = (
-                f[0] * modulation
-                + f[1] * cosine
-                + f[2] * sine
-                + (f[3] * (cosine * cosine - sine * sine) + f[4] * 2.0 * cosine * sine) / modulation
-                + f[5] * 0.25 * (a + b + c + d)
-            )
-            rest = a - b + c - d - expected
-            noise = 4.0 * (dark_dn2 + per_dn * 0.25 * (a + b + c + d))
-            sums[row, column] += (rest * rest - noise) / (4.0 * squared)
-            count[row, column] += 1.0
+            a, b, c, d = np.float64(i0[v, u]), np.float64(i1[v, u]), np.float64(i2[v, u]), np.float64(i3[v, u])
+            here, squared = _left_over_at(a, b, c, d, f)
+            light = 0.25 * (a + b + c + d)
+            a, b, c, d = (
+                np.float64(i0[v, u + 1]), np.float64(i1[v, u + 1]), np.float64(i2[v, u + 1]), np.float64(i3[v, u + 1])
+            )  # fmt: skip
+            beside, _ = _left_over_at(a, b, c, d, f)
+            light += 0.25 * (a + b + c + d)
+            apart = beside - here
+            sums[row, column] += apart * apart - 4.0 * (2.0 * dark_dn2 + per_dn * light)
+            count[row, column] += 4.0 * squared
     for row in range(sums.shape[0]):
         for column in range(sums.shape[1]):
             sums[row, column] = sums[row, column] / count[row, column] if count[row, column] > 0.0 else np.nan
@@ -194,13 +213,13 @@ def drift_map(
     sums = np.zeros((*shape, _COLUMNS))
     _accumulate(i0, i1, i2, i3, decoded.p_px, decoded.q_px, decoded.p_px, stride, float(CELL_PX), *variance_dn2, sums)
     fit, solved = _solve(sums, sequence.period_px / (2.0 * np.pi), variance_dn2)
-    common = np.zeros(shape)
-    _left_over(i0, i1, i2, i3, decoded.p_px, decoded.q_px, stride, float(CELL_PX), *variance_dn2, fit, common)
-    return replace(solved, common_rad2=np.where(np.isfinite(solved.drift_px), common, np.nan))
+    uneven = np.zeros(shape)
+    _left_over(i0, i1, i2, i3, decoded.p_px, decoded.q_px, stride, float(CELL_PX), *variance_dn2, fit, uneven)
+    return replace(solved, uneven_rad2=np.where(np.isfinite(solved.drift_px), uneven, np.nan))
 
 
 def _solve(
-    sums: NDArray[np.float64], px_per_rad: float, variance_dn2: tuple[float, float]
+    sums: NDArray[np.float64], px_per_rad: float | NDArray[np.float64], variance_dn2: tuple[float, float]
 ) -> tuple[NDArray[np.float64], DriftMap]:
     count = sums[..., _COUNT]
     enough = count >= MIN_PIXELS
@@ -216,6 +235,10 @@ def _solve(
     fit = np.einsum("...ij,...j->...i", inverse, right)
     rest = np.maximum(sums[..., _SQUARE] - np.sum(fit * right, -1), 0.0) / np.maximum(count - _TERMS, 1.0)
     tells = np.array([0.0, -0.25, 0.25, 0.0, 0.0, 0.0])
+    # A second harmonic κ puts 4 κ cos 2φ into C, and a drift bends φ itself, by 2 ε κ sin 2φ (cos φ − sin φ): of the
+    # drift's own terms, 4 κ² are then missing from C.
+    second2 = (fit[..., 3] ** 2 + fit[..., 4] ** 2) / 16.0
+    px_per_rad = px_per_rad / np.maximum(1.0 - 4.0 * second2, LEAST_LEFT)
     variance = rest * np.einsum("i,...ij,j->...", tells, inverse, tells)
 
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -224,6 +247,8 @@ def _solve(
         noise = dark + per_dn * mean[..., _LIGHT]
         return fit, DriftMap(
             np.where(enough, px_per_rad * (fit @ tells), np.nan),
+            np.where(enough, px_per_rad * 0.5 * fit[..., 2], np.nan),
+            np.where(enough, px_per_rad * -0.5 * fit[..., 1], np.nan),
             np.where(enough, px_per_rad * np.sqrt(variance), np.nan),
             rest / (4.0 * noise),
             count,
@@ -233,4 +258,5 @@ def _solve(
             0.5 * noise * mean[..., _INVERSE],
             np.where(enough, np.maximum(sums[..., _TEXTURE] / sums[..., _TEXTURES], 0.0), np.nan),
             np.full(count.shape, np.nan),
+            np.where(enough, second2, np.nan),
         )

@@ -95,7 +95,7 @@ class ScanWork:
         water = judge_water(recorded, cloud, rig, index)
         self._specks = (water.speck_percent or 0.0) > WORTH_MASKING_PERCENT
         light = judge_light(recorded, self._taking.exposure, self._taking.steps)
-        self._motion = judge_motion(recorded, rig, index)
+        self._motion = judge_motion(recorded, cloud, rig, index)
         if self.moved and light.fault is not None and light.fault.code is FaultCode.LIGHT_FLICKERS:
             # Grey values change from image to image: what moves explains that, and both cannot be told apart.
             light = Judgement(replace(light.verdict, passed=None, text="not judged: something moved"))

@@ -1,7 +1,8 @@
-"""Owns the scans that the motion verdict is measured with: what lies before the instrument, how it is held, what it records.
+"""Owns the scans that the verdicts on movement and identity are measured with: what lies before the instrument, in which
+water and light, how it is held, what it records.
 
-A case follows from its seed. It is rendered without noise, at rest and moving, so that what motion adds to a cloud can be
-separated from noise; noise and flickering daylight are then put onto the same frames.
+A case follows from its seed. It is rendered without noise, at rest and moving, so that what a movement adds to a cloud can
+be separated from noise, which is put onto the same frames afterwards.
 """
 
 from __future__ import annotations
@@ -12,18 +13,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from hw_sim.daylight import Daylight
+from hw_sim.drift import Drift
 from hw_sim.imaging import Imaging
 from hw_sim.motion import Motion
 from hw_sim.scene import Scene
 from hw_sim.sensor import E_PER_DN, OFFSET_DN, Sensor
-from hw_sim.water import Water
-from tests.support.rendered import RenderedScan, render_scan
+from hw_sim.water import Water, turbid
 
 FRAME_S = 1.0 / 60.0
-TRUTH_SET = "modelled"
-KINDS = ("lateral", "axial", "rotation", "tremor", "acceleration")
+TRUTH_SET = "realistic"
+KINDS = ("lateral", "axial", "rotation", "tremor", "acceleration", "fish")
+TURNS = (*KINDS[:5], *KINDS[:4], "fish")
+"""Kinds take turns; half as many are plainly faster and faster, or no hands at all but fish before hands at rest."""
 TEXTURES = ("none", "slight", "strong", "checker")
-OBJECTS = ("plane", "frustum", "pipe", "shell", "stones")
+OBJECTS = ("plane", "frustum", "pipe", "shell", "stones", "ballbar")
+PERIODS_PX = (16, 32, 64)
+DARK_S = 0.004
+"""Exposures below this, at 0 dB, count as dark."""
+TURBID_PER_M = 1.0
 Frames = Mapping[str, NDArray[np.uint8]]
 
 
@@ -33,7 +41,7 @@ class Case:
 
     seed: int
     scene: Scene
-    """At rest, without noise."""
+    """At rest, without noise, with all that is in the water and light."""
     motion: Motion
     kind: str
     speed_mm_s: float
@@ -41,44 +49,88 @@ class Case:
     period_px: int
     exposure_s: float
     gain_db: float
-    flicker_depth: float
-    """Of the daylight, which is ``scene.ambient`` on average."""
-    flicker_hz: float
-    drift: float
-    """How much brighter the daylight is after the sequence, as a fraction."""
+
+    @property
+    def classes(self) -> tuple[str, ...]:
+        """Words for what is special about it."""
+        scene = self.scene
+        return (
+            f"texture {scene.texture}",
+            f"period {self.period_px}",
+            *(("dark",) if self.exposure_s * 10.0 ** (self.gain_db / 20.0) < DARK_S else ()),
+            *(("turbid",) if scene.water.attenuation_per_m > TURBID_PER_M else ()),
+            *(("flicker",) if scene.daylight.flicker_depth else ()),
+            *(("waves",) if scene.daylight.caustics else ()),
+            *(("fish",) if scene.drift.fish else ()),
+            *(("specks",) if scene.drift.specks else ()),
+            *(("small",) if scene.object == "ballbar" else ()),
+        )
 
 
-def draw_case(seed: int, kind: str | None = None, texture: str | None = None, period_px: int = 16) -> Case:
-    """Everything at random, or the kind of movement and the texture given."""
-    rng = np.random.default_rng([seed, 2024])
-    which = str(rng.choice(OBJECTS))
+def draw_case(seed: int, kind: str | None = None, texture: str | None = None, period_px: int | None = None) -> Case:
+    """Everything at random, or the kind of movement, the texture, the period given."""
+    rng = np.random.default_rng([seed, 2025])
+    which = str(rng.choice(OBJECTS, p=[0.2, 0.18, 0.18, 0.18, 0.18, 0.08]))
     turn = rng.uniform(-22.0, 22.0, 3)
     middle = np.array([rng.uniform(-25, 25), rng.uniform(-18, 18), rng.uniform(490, 570)])
-    drawn_texture, drawn_kind = str(rng.choice(TEXTURES)), str(rng.choice(KINDS))
+    drawn_texture, drawn_kind = str(rng.choice(TEXTURES)), str(rng.choice(TURNS))
     texture, kind = texture or drawn_texture, kind or drawn_kind
+    drawn_period = int(rng.choice(PERIODS_PX, p=[0.7, 0.15, 0.15]))
     gain_db = float(rng.choice([0.0, 0.0, 6.0, 10.0]))
-    exposure_s = float(0.012 * 10.0 ** (-gain_db / 20.0) * rng.uniform(0.6, 1.25))
-    water = Water(
-        attenuation_per_m=float(rng.uniform(0.2, 1.2)),
-        backscatter=float(10.0 ** rng.uniform(-3.0, -1.3)),
-        blur_px_per_m=float(rng.uniform(0.1, 0.6)),
-    )
+    bright = rng.uniform(0.6, 1.25) if rng.random() < 0.85 else 10.0 ** rng.uniform(-1.0, -0.4)
     scene = Scene(
         object=which,
         pose=(*_triple(middle), *_triple(turn)),
         texture=texture,
-        water=water,
+        water=_draw_water(rng),
         ambient=float(10.0 ** rng.uniform(-3.0, -0.8)),
         noise=False,
         imaging=Imaging(response=str(rng.choice(["measured", "linear", "gamma"], p=[0.5, 0.3, 0.2]))),
+        daylight=_draw_daylight(rng, seed),
+        drift=_draw_drift(rng, kind, seed),
     )
     motion, speed = _draw_motion(rng, kind)
     return Case(
-        seed, scene, motion, kind, speed, period_px, exposure_s, gain_db,
-        flicker_depth=float(rng.choice([0.0, rng.uniform(0.1, 0.9)])),
-        flicker_hz=float(rng.choice([100.0, 120.0]) * rng.uniform(0.998, 1.002)),
-        drift=float(rng.uniform(-0.2, 0.2)),
+        seed, scene, motion, kind, speed, period_px or drawn_period,
+        exposure_s=float(0.012 * 10.0 ** (-gain_db / 20.0) * bright),
+        gain_db=gain_db,
     )  # fmt: skip
+
+
+def _draw_water(rng: np.random.Generator) -> Water:
+    clear = Water(
+        attenuation_per_m=float(rng.uniform(0.2, TURBID_PER_M)),
+        backscatter=float(10.0 ** rng.uniform(-3.0, -1.3)),
+        blur_px_per_m=float(rng.uniform(0.1, 0.6)),
+    )
+    dirty = turbid(float(rng.uniform(1.5, 4.0)))
+    return dirty if rng.random() < 0.2 else clear
+
+
+def _draw_daylight(rng: np.random.Generator, seed: int) -> Daylight:
+    """Half of all scenes have steady light; of the rest most a lamp on mains, some clouds, some waves above."""
+    what = str(rng.choice(["steady", "lamp", "clouds", "waves"], p=[0.5, 0.35, 0.09, 0.06]))
+    depth, lamp_hz = float(rng.uniform(0.1, 0.9)), float(rng.choice([100.0, 120.0]) * rng.uniform(0.998, 1.002))
+    clouds_hz, net = float(rng.uniform(1.0, 3.0)), float(rng.uniform(0.1, 0.4))
+    match what:
+        case "lamp":
+            return Daylight(flicker_depth=depth, flicker_hz=lamp_hz, seed=seed)
+        case "clouds":
+            return Daylight(flicker_depth=0.3 * depth, flicker_hz=clouds_hz, seed=seed)
+        case "waves":
+            return Daylight(caustics=net, seed=seed)
+    return Daylight(seed=seed)
+
+
+def _draw_drift(rng: np.random.Generator, kind: str, seed: int) -> Drift:
+    """An eighth of all scenes has snow, some of these bubbles; fish are a kind of movement of their own."""
+    snow = float(10.0 ** rng.uniform(0.5, 2.3))
+    bubbles = int(rng.integers(0, 20)) if rng.random() < 0.3 else 0
+    current = _triple(rng.normal(0.0, 20.0, 3))
+    fish = int(rng.integers(1, 4))
+    if kind == "fish":
+        return Drift(fish=fish, seed=seed)
+    return Drift(snow, bubbles, current_mm_s=current, seed=seed) if rng.random() < 0.12 else Drift(seed=seed)
 
 
 def _draw_motion(rng: np.random.Generator, kind: str) -> tuple[Motion, float]:
@@ -92,25 +144,27 @@ def _draw_motion(rng: np.random.Generator, kind: str) -> tuple[Motion, float]:
     hz = float(rng.uniform(4.0, 12.0))
     match kind:
         case "lateral":
-            speed = 10.0 ** (-0.5 + 2.4 * share)
+            speed = 10.0 ** (-0.2 + 2.1 * share)
             return Motion(velocity_mm_s=_triple(speed * across)), speed
         case "axial":
-            speed = 10.0 ** (-1.0 + 2.4 * share)
+            speed = 10.0 ** (-0.6 + 1.9 * share)
             return Motion(velocity_mm_s=(0.0, 0.0, float(sign * speed))), speed
         case "rotation":
-            speed = 10.0 ** (-0.7 + 2.4 * share)
+            speed = 10.0 ** (-0.4 + 2.0 * share)
             return Motion(rotation_deg_s=_triple(np.degrees(speed / 100.0) * any_way)), speed
         case "tremor":
-            speed = 10.0 ** (-0.7 + 2.4 * share)
+            speed = 10.0 ** (-0.4 + 2.1 * share)
             return Motion(tremor_mm=_triple(speed / (2.0 * np.pi * hz) * any_way), tremor_hz=hz), speed
         case "acceleration":
-            speed = 10.0 ** (-0.7 + 2.4 * share)
+            speed = 10.0 ** (-0.4 + 2.0 * share)
             begin = rng.uniform(-0.6, 0.6) * speed
             # The greatest speed is reached at the end of the 0.4 s.
             acceleration = (speed - begin) / 0.4
             return Motion(
                 velocity_mm_s=_triple(begin * any_way), acceleration_mm_s2=_triple(acceleration * any_way)
             ), speed
+        case "fish":
+            return Motion(), 0.0
     raise ValueError(f"kind of motion '{kind}'; allowed are {', '.join(KINDS)}")
 
 
@@ -118,26 +172,16 @@ def _triple(v: NDArray[np.floating]) -> tuple[float, float, float]:
     return float(v[0]), float(v[1]), float(v[2])
 
 
-def render(case: Case, moving: bool, width_px: int = 400) -> RenderedScan:
-    """Both cameras' frames without noise and flicker, at rest or moving."""
-    scene = replace(case.scene, motion=case.motion) if moving else case.scene
-    return render_scan(
-        scene, TRUTH_SET, case.seed, width_px, case.period_px, case.exposure_s, frame_s=FRAME_S, gain_db=case.gain_db
-    )
-
-
-def record(case: Case, clean: Frames, dark: int, noise_seed: int) -> dict[str, NDArray[np.uint8]]:
-    """Frames (n, h, w) uint8 with the daylight's flicker and with the cameras' noise."""
+def record(case: Case, clean: Frames, noise_seed: int) -> dict[str, NDArray[np.uint8]]:
+    """Frames (n, h, w) uint8 with the cameras' noise on those without."""
     per_dn = E_PER_DN * 10.0 ** (-case.gain_db / 20.0)
     recorded = {}
     for number, (side, frames) in enumerate(clean.items()):
         count, height, width = frames.shape
         sensor = Sensor(width, height, 2 * case.seed + number, True)
-        daylight = np.maximum(frames[dark].astype(np.float32) - OFFSET_DN, 0.0)
         out = np.empty_like(frames)
         for k in range(count):
-            extra = np.float32(brightness(case, k) - 1.0)
-            electrons = (frames[k].astype(np.float32) - OFFSET_DN + extra * daylight) * np.float32(per_dn)
+            electrons = (frames[k].astype(np.float32) - OFFSET_DN) * np.float32(per_dn)
             # What is saturated stays so: how far beyond, the frame does not say.
             electrons[frames[k] == 255] *= np.float32(1.2)
             out[k] = sensor.read_out(electrons, case.gain_db, 1_000_000 * noise_seed + 2 * k + number)
@@ -145,10 +189,6 @@ def record(case: Case, clean: Frames, dark: int, noise_seed: int) -> dict[str, N
     return recorded
 
 
-def brightness(case: Case, frame: int) -> float:
-    """Mean of the daylight over an exposure, relative to its average."""
-    rate = 2.0 * np.pi * case.flicker_hz
-    half = 0.5 * rate * case.exposure_s
-    phase = rate * frame * FRAME_S + 0.1 * (case.seed % 60)
-    flicker = case.flicker_depth * np.sin(half) / half * np.sin(phase)
-    return float((1.0 + flicker) * (1.0 + case.drift * frame / 24.0))
+def without_fish(scene: Scene) -> Scene:
+    """The same scene, whose fish are elsewhere."""
+    return replace(scene, drift=replace(scene.drift, fish=0))

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from appliance.verdict.motion import MOST_ADDED, MotionJudgement
 from bench.picture import write
 from bench.verdict.motion_cases import KINDS
+from bench.verdict.motion_figures import DISTURBANCES, GROUPS, HARMFUL, HARMLESS, LOST, roc_table
 
 Image = NDArray[np.uint8]
 Scan = Mapping[str, Any]
@@ -23,10 +24,10 @@ COLOURS = {
     "rotation": (60, 140, 60),
     "tremor": (150, 60, 150),
     "acceleration": (120, 120, 120),
+    "fish": (160, 160, 40),
 }
-GROUPS = {"untextured": ("none",), "slight": ("slight",), "textured": ("strong", "checker")}
-HARMFUL_PERCENT, HARMLESS_PERCENT, LOST_PERCENT = 10.0, 5.0, 10.0
-LEAST_PERCENT, MOST_PERCENT = 0.03, 400.0
+LEAST_PERCENT, MOST_PERCENT = 0.03, 500.0
+_SIDE, _GAP, _LEFT, _TOP = 170, 44, 110, 70
 
 
 def draw_scatter(path: Path, scans: Sequence[Scan]) -> None:
@@ -44,7 +45,7 @@ def draw_scatter(path: Path, scans: Sequence[Scan]) -> None:
     def y_of(percent: float) -> int:
         return top + size - round(at(percent))
 
-    band = (x_of(HARMLESS_PERCENT), x_of(HARMFUL_PERCENT))
+    band = (x_of(100.0 * HARMLESS), x_of(100.0 * HARMFUL))
     image[top : top + size, band[0] : band[1]] = GRID
     for percent in (0.1, 1.0, 10.0, 100.0):
         cv2.line(image, (left, y_of(percent)), (left + size, y_of(percent)), FAINT, 1)
@@ -57,9 +58,9 @@ def draw_scatter(path: Path, scans: Sequence[Scan]) -> None:
     write(image, f"refused above {limit:.0f} %", (left + size + 6, y_of(limit) + 5), 0.45)
     for scan in scans:
         predicted = scan["moving"]["added_percent"]
-        if predicted is not None:
+        if predicted is not None and scan["added_percent"] is not None:
             place = (x_of(scan["added_percent"]), y_of(predicted))
-            lost = scan["lost_percent"] > LOST_PERCENT
+            lost = scan["lost_percent"] > 100.0 * LOST
             cv2.circle(image, place, 4, COLOURS[scan["kind"]], -1 if lost else 1, cv2.LINE_AA)
     for row, kind in enumerate(KINDS):
         cv2.circle(image, (left + 20, top + 20 + 22 * row), 4, COLOURS[kind], 2, cv2.LINE_AA)
@@ -74,46 +75,15 @@ def draw_scatter(path: Path, scans: Sequence[Scan]) -> None:
     cv2.imwrite(str(path), image)
 
 
-def roc(positive: Sequence[float], negative: Sequence[float]) -> tuple[list[float], list[float], float]:
-    """Shares of negatives and of positives above every threshold, and the area under that curve."""
-    if not positive or not negative:
-        return [], [], float("nan")
-    p, n = np.asarray(positive), np.asarray(negative)
-    limits = np.unique(np.concatenate([p, n, [np.inf, -np.inf]]))[::-1]
-    false = [float(np.mean(n >= limit)) for limit in limits]
-    true = [float(np.mean(p >= limit)) for limit in limits]
-    return false, true, float(np.trapezoid(true, false))
-
-
-def roc_table(scans: Sequence[Scan]) -> dict[str, dict[str, Any]]:
-    """For each group of textures and kind of movement, ready for JSON: ``harm`` (over 10 % against at rest and below 5 %,
-    by the predicted addition) and ``seen`` (moving against at rest, by the largest score)."""
-    table = {}
-    rest = [s["at_rest"]["added_percent"] or 0.0 for s in scans]
-    rest_scores = [s["at_rest"]["score"] or 0.0 for s in scans]
-    for group, textures in GROUPS.items():
-        for kind in KINDS:
-            mine = [s for s in scans if s["texture"] in textures and s["kind"] == kind]
-            harmful = [s["moving"]["added_percent"] or 0.0 for s in mine if s["added_percent"] > HARMFUL_PERCENT]
-            kept = [s for s in mine if s["added_percent"] < HARMLESS_PERCENT and s["lost_percent"] < LOST_PERCENT]
-            harmless = [s["moving"]["added_percent"] or 0.0 for s in kept]
-            curves = {
-                "harm": (*roc(harmful, harmless + rest), len(harmful)),
-                "seen": (*roc([s["moving"]["score"] or 0.0 for s in mine], rest_scores), len(mine)),
-            }
-            table[f"{group} {kind}"] = {
-                name: {"false": f, "true": t, "area": None if np.isnan(a) else a, "positives": n}
-                for name, (f, t, a, n) in curves.items()
-            }
-    return table
-
-
 def draw_roc(path: Path, scans: Sequence[Scan]) -> None:
-    """Write a PNG: a panel for each group of textures (down) and kind of movement (across)."""
-    side, gap, left, top = 170, 44, 110, 70
+    """Write a PNG: a panel for each group of textures (down) and kind of movement (across), then one for each disturbance."""
     table = roc_table(scans)
-    width = left + len(KINDS) * (side + gap)
-    image: Image = np.full((top + len(GROUPS) * (side + gap) + 20, width, 3), 255, np.uint8)
+    rows = [(group, [(kind, f"{group} {kind}") for kind in KINDS]) for group in GROUPS]
+    for first in range(0, len(DISTURBANCES), len(KINDS)):
+        rows.append(("", [(name, name) for name in DISTURBANCES[first : first + len(KINDS)]]))
+    image: Image = np.full(
+        (_TOP + len(rows) * (_SIDE + _GAP) + 10, _LEFT + len(KINDS) * (_SIDE + _GAP), 3), 255, np.uint8
+    )
     write(image, "ROC: share of negatives (across), share of positives (up), 0 to 1", (20, 26), 0.55)
     for name, colour, x in (
         ("harmful told from harmless", COLOURS["axial"], 560),
@@ -121,25 +91,29 @@ def draw_roc(path: Path, scans: Sequence[Scan]) -> None:
     ):
         cv2.line(image, (x, 21), (x + 24, 21), colour, 2)
         write(image, name, (x + 30, 26))
-    for row, group in enumerate(GROUPS):
-        write(image, group, (10, top + row * (side + gap) + side // 2))
-        for column, kind in enumerate(KINDS):
-            x0, y0 = left + column * (side + gap), top + row * (side + gap)
-            if row == 0:
-                write(image, kind, (x0, y0 - 10))
-            cv2.rectangle(image, (x0, y0), (x0 + side, y0 + side), FAINT, 1)
-            cv2.line(image, (x0, y0 + side), (x0 + side, y0), GRID, 1)
-            for k, (name, colour) in enumerate((("harm", COLOURS["axial"]), ("seen", COLOURS["lateral"]))):
-                curve = table[f"{group} {kind}"][name]
-                points = [
-                    (x0 + round(f * side), y0 + side - round(t * side))
-                    for f, t in zip(curve["false"], curve["true"], strict=True)
-                ]
-                if points:
-                    cv2.polylines(image, [np.array(points, np.int32)], False, colour, 2, cv2.LINE_AA)
-                area = "none" if curve["area"] is None else f"{curve['area']:.3f}"
-                write(image, f"{area} of {curve['positives']}", (x0 + 62, y0 + side - 30 + 18 * k), 0.4)
+    for row, (group, panels) in enumerate(rows):
+        y0 = _TOP + row * (_SIDE + _GAP)
+        write(image, group, (10, y0 + _SIDE // 2))
+        for column, (title, key) in enumerate(panels):
+            x0 = _LEFT + column * (_SIDE + _GAP)
+            write(image, title, (x0, y0 - 10))
+            _panel(image, x0, y0, table[key])
     cv2.imwrite(str(path), image)
+
+
+def _panel(image: Image, x0: int, y0: int, curves: Mapping[str, Any]) -> None:
+    cv2.rectangle(image, (x0, y0), (x0 + _SIDE, y0 + _SIDE), FAINT, 1)
+    cv2.line(image, (x0, y0 + _SIDE), (x0 + _SIDE, y0), GRID, 1)
+    for k, (name, colour) in enumerate((("harm", COLOURS["axial"]), ("seen", COLOURS["lateral"]))):
+        curve = curves[name]
+        points = [
+            (x0 + round(f * _SIDE), y0 + _SIDE - round(t * _SIDE))
+            for f, t in zip(curve["false"], curve["true"], strict=True)
+        ]
+        if points:
+            cv2.polylines(image, [np.array(points, np.int32)], False, colour, 2, cv2.LINE_AA)
+        area = "none" if curve["area"] is None else f"{curve['area']:.3f}"
+        write(image, f"{area} of {curve['positives']}", (x0 + 62, y0 + _SIDE - 30 + 18 * k), 0.4)
 
 
 def draw_maps(path: Path, rows: Sequence[tuple[str, Image, MotionJudgement]]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Protocol, cast
 
@@ -20,6 +21,17 @@ class Part(Protocol):
         """Figures with their bounds, and what is needed to draw their curves again, ready for JSON."""
 
 
+class KeepingPart(Protocol):
+    """A part that draws a scan once and judges it often."""
+
+    def measure(
+        self, scans: int, seed: int, say: Say, keep: Path | None = None
+    ) -> tuple[list[Measured], dict[str, Any]]:
+        """As ``Part.measure``, with the rendered scans in the folder ``keep``; what is missing there is added."""
+
+
+KEEPING = ("motion",)
+"""The names of those."""
 PARTS = MappingProxyType(
     {
         "identity": "each frame is the pattern it should be",
@@ -37,3 +49,12 @@ def part(name: str) -> Part:
     if name not in PARTS:
         raise KeyError(name)
     return cast(Part, importlib.import_module(f"bench.verdict.{name}"))
+
+
+def measure_part(
+    name: str, scans: int, seed: int, say: Say, keep: Path | None
+) -> tuple[list[Measured], dict[str, Any]]:
+    """What the part of that name finds out; only those of ``KEEPING`` care for ``keep``. Raises KeyError."""
+    if name in KEEPING:
+        return cast(KeepingPart, part(name)).measure(scans, seed, say, keep)
+    return part(name).measure(scans, seed, say)

@@ -9,36 +9,34 @@ import numpy as np
 import pytest
 
 from appliance.capture.fault import FaultCode
-from appliance.patterns.sequence import build_sequence
-from appliance.verdict.motion import MotionJudgement, MotionKind, judge_motion
+from appliance.verdict.motion import MotionJudgement, MotionKind
 from appliance.verdict.motion_scores import MOVED
-from bench.verdict.motion import as_recorded
-from bench.verdict.motion_cases import FRAME_S, Case, draw_case, record
+from bench.verdict.motion import judge_frames
+from bench.verdict.motion_cases import FRAME_S, draw_case, record
+from hw_sim.daylight import Daylight
 from hw_sim.imaging import Imaging
 from hw_sim.motion import Motion
 from hw_sim.scene import Scene
 from hw_sim.truth import draw_truth
 from hw_sim.water import Water
 from tests.support.rendered import render_scan
-from tests.support.truth import WATER, true_calibration
+from tests.support.truth import true_calibration
 
 STILL = Motion()
 TILTED = (0.0, 0.0, 522.5, 8.0, 12.0, 0.0)
 FACING = (0.0, 0.0, 522.5, 0.0, 0.0, 0.0)
-CALM = draw_case(1)
+STEADY = Daylight()
 
 
 @cache
-def clean(motion: Motion, texture: str, pose: tuple[float, ...], thing: str, response: str) -> dict[str, np.ndarray]:
+def clean(
+    motion: Motion, texture: str, pose: tuple[float, ...], thing: str, response: str, light: Daylight
+) -> dict[str, np.ndarray]:
     scene = Scene(
-        object=thing, pose=pose, texture=texture, noise=False, motion=motion, imaging=Imaging(response), ambient=0.1
-    )
+        object=thing, pose=pose, texture=texture, noise=False, motion=motion, imaging=Imaging(response), ambient=0.1,
+        daylight=light,
+    )  # fmt: skip
     return dict(render_scan(scene, "modelled", 3, 400, 16, frame_s=FRAME_S).frames)
-
-
-def case(**light: float) -> Case:
-    quiet = {"gain_db": 0.0, "flicker_depth": 0.0, "flicker_hz": 100.2, "drift": 0.0, "exposure_s": 0.012}
-    return replace(CALM, seed=3, **(quiet | light))
 
 
 def judge(
@@ -48,30 +46,32 @@ def judge(
     thing: str = "plane",
     response: str = "measured",
     frames: dict[str, np.ndarray] | None = None,
-    **light: float,
+    gain_db: float = 0.0,
+    light: Daylight = STEADY,
 ) -> MotionJudgement:
-    sequence = build_sequence(16)
-    one = case(**light)
-    frames = frames or clean(motion, texture, pose, thing, response)
-    recorded = as_recorded(record(one, frames, sequence.dark, 5), sequence, one.gain_db, one.exposure_s)
-    truth = draw_truth("modelled", 3, 400, 300, Water().index)
-    return judge_motion(recorded, true_calibration(truth).rig, WATER.index)
+    case = replace(draw_case(1), seed=3, gain_db=gain_db, exposure_s=0.012)
+    frames = frames or clean(motion, texture, pose, thing, response, light)
+    calibration = true_calibration(draw_truth("modelled", 3, 400, 300, Water().index))
+    return judge_frames(record(case, frames, 5), calibration, 16, gain_db, 0.012)
 
 
 @pytest.mark.parametrize(
-    ("thing", "texture", "response", "light"),
+    ("thing", "texture", "response", "gain_db", "light"),
     [
-        ("plane", "slight", "measured", {}),
-        ("plane", "checker", "gamma", {"gain_db": 12.0}),
-        ("plane", "slight", "measured", {"flicker_depth": 0.9, "drift": 0.2}),
-        ("plane", "slight", "measured", {"flicker_depth": 0.9, "flicker_hz": 119.9, "gain_db": 6.0}),
-        pytest.param("stones", "strong", "gamma", {"drift": -0.2}, marks=pytest.mark.long),
+        ("plane", "slight", "measured", 0.0, STEADY),
+        ("plane", "checker", "gamma", 12.0, STEADY),
+        ("plane", "slight", "measured", 0.0, Daylight(flicker_depth=0.9, flicker_hz=2.0)),
+        ("plane", "slight", "measured", 6.0, Daylight(flicker_depth=0.9, flicker_hz=119.9)),
+        pytest.param(
+            "stones", "strong", "gamma", 0.0, Daylight(flicker_depth=0.5, flicker_hz=1.0), marks=pytest.mark.long
+        ),
     ],
 )
 def test_what_stands_still_passes_in_any_light(
-    thing: str, texture: str, response: str, light: dict[str, float]
+    thing: str, texture: str, response: str, gain_db: float, light: Daylight
 ) -> None:
-    said = judge(STILL, texture, TILTED if thing == "plane" else (0, 0, 535, 0, 0, 0), thing, response, **light)
+    pose = TILTED if thing == "plane" else (0, 0, 535, 0, 0, 0)
+    said = judge(STILL, texture, pose, thing, response, gain_db=gain_db, light=light)
     assert said.judgement.verdict.passed
     assert said.judgement.fault is None
     assert said.kind is MotionKind.STILL
@@ -96,6 +96,30 @@ def test_moving_away_is_refused_with_its_speed() -> None:
     # The fringes move over the image by as much as the depth tells: 0.0144 pattern px per frame and mm/s.
     half = np.nanmedian(np.abs(said.drift["left"].drift_px))
     assert half == pytest.approx(0.0144 * 8.0, rel=0.15)
+
+
+def test_a_projector_that_is_no_straight_line_hides_no_movement() -> None:
+    """The second harmonic of its light takes a fifth of the drift's signs, and makes the ripple larger."""
+    motion = Motion(velocity_mm_s=(0.0, 0.0, -8.0))
+    bent, straight = judge(motion, "none", response="gamma"), judge(motion, "none", response="linear")
+    assert bent.axial_mm_s == pytest.approx(straight.axial_mm_s, rel=0.08)
+    assert bent.harm.ripple_rms_mm is not None
+    assert straight.harm.ripple_rms_mm is not None
+    assert bent.harm.ripple_rms_mm > 1.15 * straight.harm.ripple_rms_mm
+
+
+def test_shaking_paint_is_followed_frame_by_frame() -> None:
+    """Six millimetres per second to and fro at 11 Hz: no mean of several images would show it."""
+    hz, tremor_mm = 11.0, 0.09
+    said = judge(Motion(tremor_mm=(tremor_mm, 0.0, 0.0), tremor_hz=hz), "strong", FACING)
+    seen = said.paint["left"].shift_px[:, 0]
+    known = np.isfinite(seen)
+    assert np.count_nonzero(known) >= 12
+    time_s = np.flatnonzero(known) * FRAME_S
+    # A rig that goes right sees everything go left: 0.64 mm per px here.
+    expected = -tremor_mm * np.sin(2.0 * np.pi * hz * time_s) / 0.64
+    assert np.corrcoef(seen[known], expected)[0, 1] > 0.97
+    assert np.std(seen[known]) == pytest.approx(np.std(expected), rel=0.25)
 
 
 def test_harmless_movement_is_seen_and_kept() -> None:
@@ -157,8 +181,8 @@ def test_shaking_is_told_from_steady_movement() -> None:
 
 def test_something_else_that_moves_is_named_with_its_place() -> None:
     """In the upper right quarter stands what moves; all else is at rest."""
-    still = clean(STILL, "slight", TILTED, "plane", "measured")
-    moving = clean(Motion(velocity_mm_s=(0.0, 0.0, -8.0)), "slight", TILTED, "plane", "measured")
+    still = clean(STILL, "slight", TILTED, "plane", "measured", STEADY)
+    moving = clean(Motion(velocity_mm_s=(0.0, 0.0, -8.0)), "slight", TILTED, "plane", "measured", STEADY)
     mixed = {side: frames.copy() for side, frames in still.items()}
     for side in mixed:
         mixed[side][:, 60:130, 230:320] = moving[side][:, 60:130, 230:320]

@@ -1,0 +1,158 @@
+"""Owns how far the paint had moved in each Gray image, as a whole, against the bright one.
+
+Where a Gray image is lit, it shows what the bright frame shows, some frames later: least squares of their difference on the
+bright frame's gradients tell the way between. One vector for the whole image is little, but there is one for each frame, so
+that shaking hands are seen to shake.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.patterns.sequence import Direction, PatternSequence
+from appliance.reconstruct.decode import CameraDecoder
+
+BESIDE_PX = 8.0
+"""Pattern px from an edge of the stripes: nearer, the image is neither bright nor dark."""
+SAMPLES = 25_000
+"""Pixels of a camera that are looked at, about."""
+WIDTH_PX = 400
+"""Gradients are taken over two px of an image of this width."""
+_TERMS = 4
+MIN_PIXELS = 300
+MIN_CONTRAST = 2.0
+"""Of the gradients over their noise, in squares, in the direction that has less of it."""
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class PaintCourse:
+    """Of one camera; its own px."""
+
+    shift_px: Array
+    """(frames of the sequence, 2): right and down, against the bright frame; NaN: not known."""
+    sd_px: Array
+    """(frames,): of either."""
+
+    @property
+    def double_step2(self) -> float | None:
+        """Mean square way of the paint, px², from a frame to the next but one, less what noise makes of it."""
+        apart = self.shift_px[2:] - self.shift_px[:-2]
+        known = np.isfinite(apart).all(-1)
+        if not known.any():
+            return None
+        noise = 2.0 * (self.sd_px[2:] ** 2 + self.sd_px[:-2] ** 2)
+        return max(float(np.mean((np.sum(apart**2, -1) - noise)[known])), 0.0)
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _accumulate(
+    image: NDArray[np.uint8],
+    bright: NDArray[np.uint8],
+    dark: NDArray[np.uint8],
+    coordinate_px: NDArray[np.float32],
+    lit: NDArray[np.bool_],
+    reach: int,
+    stride: int,
+    noise_dn2: tuple[float, float],
+    sums: Array,
+) -> None:
+    """Add every ``stride``-th row and column to ``sums``: the upper triangle of the normal matrix of light, 1 and both
+    gradients, their products with the image, its square, and the count; ``lit`` (pattern px,)."""
+    height, width = bright.shape
+    x = np.empty(_TERMS)
+    for v in range(reach + stride // 2, height - reach, stride):
+        for u in range(reach + stride // 2, width - reach, stride):
+            place = coordinate_px[v, u]
+            if not (place >= 0.0 and place < lit.size - 1) or not lit[int(place)]:
+                continue
+            white = np.float64(bright[v, u])
+            light = white - np.float64(dark[v, u])
+            if light < 16.0 or bright[v, u] == 255:
+                continue
+            # A silhouette within reach is no paint.
+            if not (
+                coordinate_px[v, u - reach] >= 0.0
+                and coordinate_px[v, u + reach] >= 0.0
+                and coordinate_px[v - reach, u] >= 0.0
+                and coordinate_px[v + reach, u] >= 0.0
+            ):
+                continue
+            x[0], x[1] = light, 1.0
+            x[2] = (np.float64(bright[v, u + reach]) - np.float64(bright[v, u - reach])) / (2.0 * reach)
+            x[3] = (np.float64(bright[v + reach, u]) - np.float64(bright[v - reach, u])) / (2.0 * reach)
+            y = np.float64(image[v, u]) - np.float64(dark[v, u])
+            k = 0
+            for i in range(_TERMS):
+                for j in range(i, _TERMS):
+                    sums[k] += x[i] * x[j]
+                    k += 1
+            for i in range(_TERMS):
+                sums[k + i] += x[i] * y
+            sums[k + _TERMS] += y * y
+            sums[k + _TERMS + 1] += 1.0
+            sums[k + _TERMS + 2] += (noise_dn2[0] + noise_dn2[1] * white) / (2.0 * reach * reach)
+
+
+def paint_course(
+    frames: NDArray[np.uint8], decoded: CameraDecoder, sequence: PatternSequence, variance_dn2: tuple[float, float]
+) -> PaintCourse:
+    """Of one camera's frames (n, h, w) uint8; ``variance_dn2``: of its noise, at grey value 0 and per grey value."""
+    shift, sd = np.full((len(sequence), 2), np.nan), np.full(len(sequence), np.nan)
+    height_px, width_px = decoded.p_px.shape
+    reach = max(1, round(width_px / WIDTH_PX))
+    stride = max(1, round((height_px * width_px / SAMPLES) ** 0.5))
+    for direction, coordinate_px in ((Direction.X, decoded.p_px), (Direction.Y, decoded.q_px)):
+        for k in sequence.axis(direction).gray:
+            sums = np.zeros(_TERMS * (_TERMS + 1) // 2 + _TERMS + 3)
+            _accumulate(
+                frames[k], frames[sequence.bright], frames[sequence.dark], coordinate_px,
+                _well_lit(sequence.patterns[k].codes()), reach, stride, variance_dn2, sums,
+            )  # fmt: skip
+            solved = _solve(sums)
+            if solved is not None:
+                shift[k], sd[k] = solved
+    return PaintCourse(shift, sd)
+
+
+def _well_lit(codes: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """(pattern px,): light, and far enough from all edges of the stripes."""
+    lit = np.asarray(codes > codes.max() // 2)
+    edges = np.flatnonzero(np.diff(lit.astype(np.int8))) + 0.5
+    if not edges.size:
+        return lit
+    columns = np.arange(codes.size, dtype=np.float64)
+    after = np.searchsorted(edges, columns)
+    beside = np.minimum(
+        np.abs(columns - edges[np.maximum(after - 1, 0)]), np.abs(columns - edges[np.minimum(after, edges.size - 1)])
+    )
+    return np.asarray(lit & (beside > BESIDE_PX))
+
+
+def _solve(sums: Array) -> tuple[Array, float] | None:
+    products = _TERMS * (_TERMS + 1) // 2
+    count = sums[products + _TERMS + 1]
+    if count < MIN_PIXELS:
+        return None
+    normal = np.zeros((_TERMS, _TERMS))
+    upper = np.triu_indices(_TERMS)
+    normal[upper] = sums[:products]
+    normal = normal + np.triu(normal, 1).T
+    # Noise has gradients, too.
+    own = sums[products + _TERMS + 2]
+    gradients = np.linalg.eigvalsh(normal[2:, 2:])
+    if gradients[0] < MIN_CONTRAST * own:
+        return None
+    normal[2, 2] -= own
+    normal[3, 3] -= own
+    right = sums[products : products + _TERMS]
+    inverse = np.linalg.inv(normal)
+    fit = inverse @ right
+    rest = max(float(sums[products + _TERMS] - fit @ right), 0.0) / (count - _TERMS)
+    # What moves right by one px is darker by its gradient.
+    return -fit[2:], float(np.sqrt(0.5 * rest * max(float(inverse[2, 2] + inverse[3, 3]), 0.0)))

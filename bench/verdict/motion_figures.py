@@ -1,0 +1,148 @@
+"""Owns the figures of the verdict on movement: counts with their limits, ROC curves, from one row for each scene."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from bench.result import Measured
+from bench.verdict.binomial import counted
+from bench.verdict.motion_cases import KINDS
+
+HARMFUL, HARMLESS, LOST = 0.10, 0.05, 0.10
+"""Noise added, as a fraction; and a share of the points whose loss is harm, too."""
+GROUPS = {"untextured": ("none",), "slight": ("slight",), "textured": ("strong", "checker")}
+DISTURBANCES = ("flicker", "waves", "specks", "turbid", "dark", "period 16", "period 32", "period 64", "small")
+Row = Mapping[str, Any]
+Rows = Sequence[Row]
+
+
+def harmful(row: Row) -> bool:
+    """The movement adds over 10 % to the noise."""
+    return row["added_percent"] is not None and row["added_percent"] > 100.0 * HARMFUL
+
+
+def harmless(row: Row) -> bool:
+    """It adds less than half of that."""
+    return row["added_percent"] is not None and row["added_percent"] < 100.0 * HARMLESS
+
+
+def keeps_points(row: Row) -> bool:
+    """Nine tenths of them, at least."""
+    return bool(row["lost_percent"] < 100.0 * LOST)
+
+
+def refused(row: Row, take: str = "moving") -> bool:
+    """By the verdict."""
+    return row[take]["passed"] is False
+
+
+def figures(rows: Rows, cpu_ms: float) -> list[Measured]:
+    """What the targets ask for, each with exact limits in its name."""
+    judged = [row for row in rows if row["at_rest"]["passed"] is not None]
+    alarms = sum(refused(row, "at_rest") for row in judged)
+    found = [
+        Measured(f"motion: at rest and refused: {counted(alarms, len(judged))}", alarms, "scans", at_most=0,
+                 key="motion_false_alarms")
+    ]  # fmt: skip
+    hands = [row for row in rows if row["kind"] != "fish"]
+    asked: list[tuple[str, Rows, float | None, float | None]] = [
+        ("adding over 10 %", [row for row in hands if harmful(row)], 99.0, None),
+        ("adding over 20 %", [row for row in hands if harmful(row) and row["added_percent"] > 20.0], None, None),
+        ("adding under 5 %", [row for row in hands if harmless(row)], None, 0.0),
+        (
+            "adding under 5 %, nine tenths kept",
+            [row for row in hands if harmless(row) and keeps_points(row)],
+            None,
+            0.0,
+        ),
+        ("fish adding over 10 %", [row for row in rows if row["kind"] == "fish" and harmful(row)], None, None),
+        ("fish adding under 5 %", [row for row in rows if row["kind"] == "fish" and harmless(row)], None, None),
+    ]
+    for what, mine, at_least, at_most in asked:
+        mine = [row for row in mine if row["moving"]["passed"] is not None]
+        share = 100.0 * sum(map(refused, mine)) / len(mine) if mine else math.nan
+        words = counted(sum(map(refused, mine)), len(mine))
+        bounds = (at_least, at_most) if mine else (None, None)
+        why = None if mine else "there was none"
+        found.append(Measured(f"motion: refused, of those {what}: {words}", share, "%", bounds[1], bounds[0], why=why))
+    ratio = ratios(hands)
+    found.append(
+        Measured(
+            f"motion: predicted over true addition near the limit ({len(ratio)})",
+            float(np.median(ratio)) if ratio else math.nan,
+            "",
+            why=None if ratio else "none between 3 and 30 %",
+            spread=_tenths(ratio),
+        )
+    )
+    found.append(
+        Measured("motion: CPU of a verdict on 2 x 24 frames of 1600 x 1200", cpu_ms, "ms", at_most=60.0)
+    )  # fmt: skip
+    return found
+
+
+def ratios(rows: Rows) -> list[float]:
+    """Predicted over true addition, where it is 3 to 30 %."""
+    return [
+        (0.1 + (row["moving"]["added_percent"] or 0.0)) / (0.1 + row["added_percent"])
+        for row in rows
+        if row["added_percent"] is not None and 3.0 < row["added_percent"] < 30.0
+    ]
+
+
+def _tenths(values: Sequence[float]) -> tuple[float, float] | None:
+    if not values:
+        return None
+    low, high = np.percentile(values, (10.0, 90.0))
+    return float(low), float(high)
+
+
+def roc(positive: Sequence[float], negative: Sequence[float]) -> tuple[list[float], list[float], float]:
+    """Shares of negatives and of positives above every threshold, and the area under that curve."""
+    if not positive or not negative:
+        return [], [], float("nan")
+    p, n = np.asarray(positive), np.asarray(negative)
+    limits = np.unique(np.concatenate([p, n, [np.inf, -np.inf]]))[::-1]
+    false = [float(np.mean(n >= limit)) for limit in limits]
+    true = [float(np.mean(p >= limit)) for limit in limits]
+    return false, true, float(np.trapezoid(true, false))
+
+
+def roc_table(rows: Rows) -> dict[str, dict[str, Any]]:
+    """For each group of textures with each kind of movement, and for each disturbance, ready for JSON: ``harm`` (over 10 %
+    against at rest and below 5 %, by the predicted addition) and ``seen`` (moving against at rest, by the largest score)."""
+    table = {
+        f"{group} {kind}": _curves([row for row in rows if row["texture"] in textures and row["kind"] == kind], rows)
+        for group, textures in GROUPS.items()
+        for kind in KINDS
+    }
+    for name in DISTURBANCES:
+        mine = [row for row in rows if name in row["classes"]]
+        table[name] = _curves(mine, mine)
+    return table
+
+
+def _curves(mine: Rows, at_rest: Rows) -> dict[str, Any]:
+    rest = [row["at_rest"]["added_percent"] or 0.0 for row in at_rest]
+    bad = [row["moving"]["added_percent"] or 0.0 for row in mine if harmful(row)]
+    good = [row["moving"]["added_percent"] or 0.0 for row in mine if harmless(row) and keeps_points(row)]
+    curves = {
+        "harm": (*roc(bad, good + rest), len(bad)),
+        "seen": (
+            *roc([row["moving"]["score"] or 0.0 for row in mine], [row["at_rest"]["score"] or 0.0 for row in at_rest]),
+            len(mine),
+        ),
+    }
+    return {
+        name: {
+            "false": [round(x, 4) for x in f],
+            "true": [round(x, 4) for x in t],
+            "area": None if np.isnan(a) else round(a, 4),
+            "positives": n,
+        }
+        for name, (f, t, a, n) in curves.items()
+    }
