@@ -18,7 +18,7 @@ from appliance.reconstruct.decode import CameraDecoder
 
 BESIDE_PX = 8.0
 """Pattern px from an edge of the stripes: nearer, the image is neither bright nor dark."""
-SAMPLES = 25_000
+SAMPLES = 12_000
 """Pixels of a camera that are looked at, about."""
 WIDTH_PX = 400
 """Gradients are taken over two px of an image of this width."""
