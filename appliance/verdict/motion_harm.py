@@ -2,9 +2,14 @@
 
 Lateral movement of a surface that faces the instrument changes only what paint a pixel sees, for both cameras alike: their
 coordinates are wrong together, and points stay right. Depth moves the fringes in both cameras *against each other*. With
-E = ε left − ε right, in pattern px per frame, four steps of 90° make a ripple of E/2 · cos 2φ in the difference of both
-coordinates, and paint with a gradient g (in modulations per px) one of E g P/2π (cos φ + sin φ). Noise of the same
-difference follows from modulation and camera. So harm is a ratio of two known things, whatever the surface.
+E = ε left − ε right, in pattern px per frame, the ripple of the difference of both coordinates has a mean square of
+
+- E² (1/8 + 2 κ²): four steps of 90°, and what the projector's second harmonic (κ of the first) adds to their error;
+- E² (P/2π)² g²: paint with a gradient g, in modulations per px, that both cameras see at two places;
+- what is uneven in the phase error that moving paint makes in both cameras alike: they sample it at different places.
+
+Where the way from image to image is not steady, each counts with the way between the two images that matter to it. Noise is
+the points' own. Both are taken across the surface (``motion_surface``), so harm is a ratio of two known things.
 """
 
 from __future__ import annotations
