@@ -13,6 +13,7 @@ from typing import Any
 from bench.progress import Progress
 from bench.result import Measured
 from bench.runner import machine
+from bench.verdict.motion_page import write_page
 from bench.verdict.parts import KEEPING, PARTS, measure_part, part
 
 OUT = Path("bench/out/verdict.json")
@@ -40,7 +41,13 @@ def main(arguments: Sequence[str]) -> int:
         "--keep", type=Path, help=f"folder of rendered scans, used and added to ({', '.join(KEEPING)}): 6 MB each"
     )
     parser.add_argument("--parts", default=",".join(PARTS), help="names with commas between; default: all, %(default)s")
+    parser.add_argument(
+        "--write-docs", action="store_true", help="measure nothing; write docs/motion.md's figures from --json"
+    )
     wanted = parser.parse_args(arguments)
+    if wanted.write_docs:
+        write_page(json.loads(wanted.json.read_text(encoding="utf-8")), Path("docs"))
+        return 0
     if not 1 <= wanted.scans <= 100_000:
         parser.error(f"--scans {wanted.scans}: allowed are 1 to 100000")
     if wanted.seed < 0:
