@@ -42,14 +42,14 @@ def table(rows: Rows, cpu_ms: float) -> list[str]:
 
     bad, good = [row for row in judged if harmful(row)], [row for row in judged if harmless(row)]
     ratio = ratios(judged)
+    alarms = counted(sum(refused(row, "at_rest") for row in rest), len(rest))
     near = "none" if not ratio else "{:.2f}, {:.2f} to {:.2f}".format(*np.percentile(ratio, (50, 10, 90)))
     lines = [
         f"{len(rows)} scenes, each at rest and moving; {len(rows) - len(rest)} too dark or milky to be judged. In brackets 95 % limits.",
         "",
         "| | measured | target |",
         "|---|---|---|",
-        f"| at rest and refused | {counted(sum(refused(row, 'at_rest') for row in rest), len(rest))}; "
-        f"largest predicted addition {largest:.1f} % | 0 |",
+        f"| at rest and refused | {alarms}; largest predicted addition {largest:.1f} % | 0 |",
         f"| refused, of those whose hands add over 10 % | {share(bad)} | 99 % |",
         f"| refused, of those that add under 5 % | {share(good)} | 0 |",
         f"| the same, that keep 90 % of the points | {share([row for row in good if keeps_points(row)])} | 0 |",
