@@ -163,12 +163,20 @@ class ScanRecorder:
         self._clock = clock
         self._settings = settings
 
-    def arm(self, sequence: PatternSequence, store: FrameStore, on_frame: Callable[[str, int], None]) -> Arming:
-        """Begin to make ready for one sequence into ``store``; ``poll`` the answer until it is done, then ``play``.
+    def arm(
+        self,
+        sequence: PatternSequence,
+        store: FrameStore,
+        on_frame: Callable[[str, int], None],
+        *,
+        second: bool = False,
+    ) -> Arming:
+        """Begin to make ready for one sequence into ``store``, the ``second`` one in the place for it; ``poll`` the answer
+        until it is done, then ``play``.
 
         ``on_frame(side, index)`` is called in the camera threads as frames arrive.
         """
-        slots = {side: store.frames(side)[: len(sequence)] for side in SIDES}
+        slots = {side: store.frames(side, second=second)[: len(sequence)] for side in SIDES}
         return Arming(self._grabbers, self._board, self._clock, slots, on_frame)
 
     def record(

@@ -1,4 +1,9 @@
-"""Owns the memory of a scan's raw frames: one shared block that camera threads fill and the worker process reads."""
+"""Owns the memory of a scan's raw frames: one shared block that camera threads fill and the worker process reads.
+
+Where it has room for two sequences, the second one is for another exposure of the same scene: 2 · 2 · 24 frames of
+1600 × 1200 are 184 MB, the whole of a scan's memory. The first one's frames stay while the second one is recorded, so that
+nothing of the first is lost with it.
+"""
 
 from __future__ import annotations
 
@@ -13,30 +18,39 @@ SIDES = ("left", "right")
 
 
 class FrameStore:
-    """Slots for one sequence of both cameras, allocated once. A context manager; the creator frees the memory.
+    """Slots for one or more sequences of both cameras, allocated once. A context manager; the creator frees the memory.
 
     Frames go straight from the USB transfer into these slots; nothing copies them afterwards.
     """
 
-    def __init__(self, frames: int, height_px: int, width_px: int, attach_to: str | None = None) -> None:
-        """Allocate, or with ``attach_to`` open another process's store of the same shape. Raises OSError."""
+    def __init__(
+        self, frames: int, height_px: int, width_px: int, attach_to: str | None = None, sequences: int = 1
+    ) -> None:
+        """Allocate room for ``sequences``, or with ``attach_to`` open another process's store of the same frames.
+
+        Raises OSError.
+        """
         self.shape = (frames, height_px, width_px)
-        size = 2 * frames * height_px * width_px
+        one = 2 * frames * height_px * width_px
         self._owner = attach_to is None
-        self._memory = SharedMemory(create=self._owner, size=size, name=attach_to)
-        block = np.ndarray((2, *self.shape), np.uint8, buffer=self._memory.buf)
+        self._memory = SharedMemory(create=self._owner, size=sequences * one, name=attach_to)
+        self.sequences = sequences if self._owner else self._memory.size // one
+        """How many there is room for."""
+        block = np.ndarray((self.sequences, 2, *self.shape), np.uint8, buffer=self._memory.buf)
         if self._owner:
             block.fill(0)  # touch every page now, not during the first scan
-        self._views: dict[str, NDArray[np.uint8]] = {"left": block[0], "right": block[1]}
+        self._views: dict[tuple[str, int], NDArray[np.uint8]] = {
+            (side, k): block[k, number] for k in range(self.sequences) for number, side in enumerate(SIDES)
+        }
 
     @property
     def name(self) -> str:
         """Name for ``attach_to``."""
         return self._memory.name
 
-    def frames(self, side: str) -> NDArray[np.uint8]:
-        """All slots of one side: (frames, height, width) uint8, a view."""
-        return self._views[side]
+    def frames(self, side: str, *, second: bool = False) -> NDArray[np.uint8]:
+        """All slots of one side in the first or the ``second`` sequence: (frames, height, width) uint8, a view."""
+        return self._views[side, int(second)]
 
     def close(self) -> None:
         """Give the memory back. Views taken before must not be used any more. Idempotent."""

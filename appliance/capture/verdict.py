@@ -33,3 +33,5 @@ class Judgement:
     fault: Fault | None = None
     proposal: Exposure | None = None
     """What to expose the next scan with; ``None``: as this one."""
+    second: Exposure | None = None
+    """What a second sequence of the same scene should be exposed with, to show what this one cannot; ``None``: one serves."""

@@ -18,7 +18,7 @@ from appliance.config import Rig
 
 SIMULATOR = "hw_sim"
 OBJECTS = ("plane", "ballbar", "frustum", "pipe", "shell", "stones", "board")
-TEXTURES = ("none", "slight", "strong", "checker")
+TEXTURES = ("none", "slight", "strong", "checker", "labels")
 TRUTHS = ("nominal", "realistic", "hard", "paper", "modelled")
 PACES = ("lockstep", "realtime", "attended")
 

@@ -172,6 +172,11 @@ def _notice(machine: Machine) -> Alert | None:
     match machine.notice.kind:
         case NoticeKind.REFUSAL:
             return replace(plain, action="SCAN REFUSED", german=(in_german, german.REFUSED))
+        case NoticeKind.NOT_ADDED:
+            return replace(
+                plain, headline="NOT ADDED", action=f"{plain.headline}: FIRST KEPT",
+                german=(german.NOT_ADDED, f"{in_german}: {german.FIRST_KEPT}"),
+            )  # fmt: skip
         case NoticeKind.FAILURE if rule.stops_capture or rule.forbids_light:
             # What ended the scan is listed as a condition while it lasts; this says what became of the scan.
             return replace(

@@ -39,6 +39,8 @@ class Arm:
     number: int
     period_px: int
     exposure: Exposure
+    second: bool = False
+    """Of the scan in hand, whose first sequence stays where it is."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,14 +59,15 @@ class AbortCapture:
 
 @dataclass(frozen=True, slots=True)
 class StoreRaw:
-    """Make the raw frames durable in a hidden folder; answer RawStored or SaveFailed."""
+    """Make the raw frames durable in a hidden folder, those of a second sequence beside the first one's; answer RawStored
+    or SaveFailed."""
 
     number: int
 
 
 @dataclass(frozen=True, slots=True)
 class StartReconstruction:
-    """Answer CoarseReady (may be left out) and then FullReady, or ReconstructionFailed."""
+    """Of a second sequence: answer PairMerged or PairFailed. Else answer CoarseReady (may be left out) and then FullReady, or ReconstructionFailed."""
 
     number: int
 

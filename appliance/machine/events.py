@@ -169,6 +169,27 @@ class Judged:
     warnings: tuple[Fault, ...] = ()
     proposal: Exposure | None = None
     """What to expose the next scan with, if not as this one."""
+    second: Exposure | None = None
+    """What a second sequence of the same scene would add by; ``None``: one exposure serves."""
+
+
+@dataclass(frozen=True, slots=True)
+class PairMerged:
+    """The second sequence shows the same as the first: the scan's cloud is that of both."""
+
+    number: int
+    """Of the scan, which is the first sequence's."""
+    summary: CloudSummary
+    warnings: tuple[Fault, ...] = ()
+    """Held against both, in place of what was held against the first."""
+
+
+@dataclass(frozen=True, slots=True)
+class PairFailed:
+    """No pair came of the second sequence; the scan is what it was before."""
+
+    number: int
+    fault: Fault
 
 
 @dataclass(frozen=True, slots=True)
@@ -276,6 +297,8 @@ Event = (
     | CoarseReady
     | FullReady
     | Judged
+    | PairMerged
+    | PairFailed
     | ReconstructionFailed
     | Saved
     | SaveFailed

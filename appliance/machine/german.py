@@ -25,6 +25,8 @@ REFUSED = "SCAN ABGELEHNT"
 """The action of any fault that SCAN was refused for."""
 FAILED = "SCAN MISSLUNGEN"
 """The headline over any fault that ended a scan; its own goes into the action."""
+NOT_ADDED, FIRST_KEPT = "NICHT ERGÄNZT", "ERSTER BLEIBT"
+"""The same, of a second exposure."""
 AGAIN = "NOCHMAL"
 SIDES = {"camera.left": "LINKS ", "camera.right": "RECHTS "}
 SHORT_SIDES = {"camera.left": "LI. ", "camera.right": "RE. "}

@@ -42,7 +42,7 @@ def pressed(machine: Machine, key: Key) -> Result:
         case State.ARMED | State.CAPTURE:
             return scanning.abandon(machine, None) if key is Key.BACK else (machine, ())
         case State.CHECK | State.RECONSTRUCT:
-            return scanning.drop(machine, "repeated before the cloud was ready") if key is Key.BACK else (machine, ())
+            return scanning.given_up(machine) if key is Key.BACK else (machine, ())
         case State.REVIEW:
             return scanning.review_key(machine, key)
         case State.CALIBRATE:

@@ -16,13 +16,14 @@ RECORDING = (State.ARMED, State.CAPTURE)
 
 def enter(machine: Machine, state: State, timeout_s: float | None = None) -> Machine:
     """The machine in ``state``, which ends after ``timeout_s`` at the latest."""
+    adds = machine.scan is not None and machine.scan.adding is not None
     deadline_ns = None if timeout_s is None else machine.now_ns + seconds_ns(timeout_s)
     return replace(
         machine,
         state=state,
         since_ns=machine.now_ns,
         deadline_ns=deadline_ns,
-        scan=machine.scan if state in WITH_A_SCAN else None,
+        scan=machine.scan if state in WITH_A_SCAN or (adds and state in RECORDING) else None,
         calibrating=machine.calibrating if state in (State.CALIBRATE, *RECORDING) else None,
         menu=machine.menu if state in (State.MENU, State.GALLERY) else None,
         gallery=machine.gallery if state is State.GALLERY else None,
@@ -31,5 +32,8 @@ def enter(machine: Machine, state: State, timeout_s: float | None = None) -> Mac
 
 
 def home(machine: Machine) -> Machine:
-    """Where a capture came from: AIM, or the step of the calibration it was for."""
+    """Where a capture came from: AIM, the step of the calibration it was for, or the review of the scan it would add to."""
+    scan = machine.scan
+    if scan is not None and scan.adding is not None:
+        return replace(enter(machine, State.REVIEW), scan=replace(scan, adding=None))
     return enter(machine, State.AIM if machine.calibrating is None else State.CALIBRATE)

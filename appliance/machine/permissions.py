@@ -73,6 +73,15 @@ def missing_device(machine: Machine) -> Fault | None:
     return None
 
 
+def second_exposure(machine: Machine) -> Exposure | None:
+    """What one key records a second sequence with while a scan is reviewed; ``None``: nothing to be gained, or not by
+    points that are wrong."""
+    scan = machine.scan
+    if machine.state is not State.REVIEW or scan is None or scan.full is None or scan.added is not None:
+        return None
+    return None if any(RULES[w.code].spoils_points for w in scan.warnings) else scan.second
+
+
 def other_exposure(machine: Machine) -> Exposure | None:
     """What one key changes the exposure to while a scan is reviewed: to what was proposed, and back. ``None``: nothing was
     proposed."""

@@ -18,7 +18,7 @@ RETRY_S = 5.0
 
 def keep(machine: Machine, scan: ScanInHand) -> Result:
     """The scan is wanted: publish it as soon as nothing more will come from the worker."""
-    scan = replace(scan, kept=True, failures=0, retry_ns=None)
+    scan = replace(scan, kept=True, adding=None, failures=0, retry_ns=None)
     if scan.settled:
         return publish(machine, scan)
     machine = enter(machine, _where(machine), machine.settings.reconstruct_s)

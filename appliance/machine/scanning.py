@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import assert_never
 
-from appliance.capture.exposure import Exposure
 from appliance.capture.fault import Fault, FaultCode
 from appliance.capture.ranging import Reach
 from appliance.machine import calibrate, saving, thermal
@@ -14,7 +13,7 @@ from appliance.machine import events as on
 from appliance.machine.alerts import RULES
 from appliance.machine.conditions import raised
 from appliance.machine.moves import RECORDING, Result, enter, home
-from appliance.machine.permissions import other_exposure, refusal
+from appliance.machine.permissions import other_exposure, refusal, second_exposure
 from appliance.machine.states import Device, Machine, Notice, NoticeKind, ScanInHand, State, seconds_ns
 from drivers.api import Key
 
@@ -58,10 +57,21 @@ def out_of_reach(machine: Machine) -> Fault | None:
 
 
 def arm(machine: Machine) -> Result:
-    """Make ready for the next sequence."""
-    machine = replace(machine, captures=machine.captures + 1)
-    machine = enter(machine, State.ARMED, machine.settings.arm_s)
-    return machine, (do.Arm(machine.captures, machine.choices.period_px, machine.exposure),)
+    """Make ready for the next sequence, or for the second one of the scan in hand."""
+    number, scan = machine.captures + 1, machine.scan
+    second = scan.second if scan is not None and scan.adding is not None else None
+    if scan is not None and second is not None:
+        machine = replace(machine, scan=replace(scan, adding=number))
+    machine = enter(replace(machine, captures=number), State.ARMED, machine.settings.arm_s)
+    return machine, (do.Arm(number, machine.choices.period_px, second or machine.exposure, second is not None),)
+
+
+def add(machine: Machine, scan: ScanInHand) -> Result:
+    """A second sequence with the exposure that was proposed; whatever comes of it, ``scan`` is not lost."""
+    reason = refusal(machine)
+    if reason is not None:
+        return replace(machine, notice=Notice(reason, NoticeKind.REFUSAL)), ()
+    return arm(replace(machine, retries=0, scan=replace(scan, adding=machine.captures + 1)))
 
 
 # ------------------------------------------------------------------------------------- recorded
@@ -80,7 +90,15 @@ def armed(machine: Machine, number: int) -> Result:
 def abandon(machine: Machine, notice: Notice | None) -> Result:
     """No more of what is being recorded."""
     number = machine.captures
+    if notice is not None and notice.kind is NoticeKind.FAILURE:
+        notice = _failure(machine, notice.fault)
     return replace(home(machine), notice=notice), (do.AbortCapture(number),)
+
+
+def _failure(machine: Machine, fault: Fault) -> Notice:
+    """What is said when nothing came of a recording: of a second exposure, the first one is there as it was."""
+    adding = machine.scan is not None and machine.scan.adding is not None
+    return Notice(fault, NoticeKind.NOT_ADDED if adding else NoticeKind.FAILURE)
 
 
 def late(machine: Machine) -> Result:
@@ -97,6 +115,9 @@ def finished(machine: Machine, number: int) -> Result:
         return machine, ()
     if machine.calibrating is not None:
         return calibrate.captured(machine, number)
+    if machine.scan is not None and machine.scan.adding == number:
+        machine = enter(machine, State.RECONSTRUCT, machine.settings.reconstruct_s)
+        return machine, (do.StartReconstruction(number),)
     machine = enter(machine, State.CHECK, machine.settings.reconstruct_s)
     machine = replace(machine, scan=ScanInHand(number, machine.exposure))
     return machine, (do.StoreRaw(number), do.StartReconstruction(number))
@@ -108,7 +129,7 @@ def failed(machine: Machine, number: int, fault: Fault) -> Result:
         return machine, ()
     if fault.code is FaultCode.LATE_FLIP and machine.retries < SILENT_RETRIES:
         return arm(replace(machine, retries=machine.retries + 1))
-    machine = replace(home(machine), notice=Notice(fault, NoticeKind.FAILURE))
+    machine = replace(home(machine), notice=_failure(machine, fault))
     match fault.code:
         case FaultCode.LASER_ON:
             # What the board read back is the condition that telemetry clears; what images showed has its own witness.
@@ -152,17 +173,48 @@ def reconstruction(machine: Machine, event: on.CoarseReady | on.FullReady | on.R
             assert_never(event)
 
 
-def judged(machine: Machine, number: int, warnings: tuple[Fault, ...], proposal: Exposure | None) -> Machine:
+def judged(machine: Machine, said: on.Judged) -> Machine:
     """What is held against the scan now."""
-    if machine.scan is None or machine.scan.number != number:
+    scan = machine.scan
+    if scan is None or scan.number != said.number:
         return machine
-    return replace(machine, scan=replace(machine.scan, warnings=warnings, proposal=proposal))
+    return replace(machine, scan=replace(scan, warnings=said.warnings, proposal=said.proposal, second=said.second))
+
+
+def merged(machine: Machine, said: on.PairMerged) -> Result:
+    """The scan is one of two exposures."""
+    scan = machine.scan
+    if machine.state is not State.RECONSTRUCT or scan is None or scan.number != said.number or scan.adding is None:
+        return machine, ()
+    scan = replace(
+        scan, full=said.summary, coarse=said.summary, warnings=said.warnings, added=scan.second, second=None,
+        adding=None, proposal=None, raw_durable=False,
+    )  # fmt: skip
+    return replace(enter(machine, State.REVIEW), scan=scan), (do.StoreRaw(scan.number),)
+
+
+def not_merged(machine: Machine, number: int, fault: Fault) -> Result:
+    """The review of the first sequence, as it was."""
+    scan = machine.scan
+    if machine.state is not State.RECONSTRUCT or scan is None or scan.number != number or scan.adding is None:
+        return machine, ()
+    return replace(home(machine), notice=_failure(machine, fault)), ()
+
+
+def given_up(machine: Machine) -> Result:
+    """BACK while points are found: of a second sequence only that one is given up."""
+    if machine.scan is not None and machine.scan.adding is not None:
+        return abandon(machine, None)
+    return drop(machine, "repeated before the cloud was ready")
 
 
 def no_cloud_in_time(machine: Machine) -> Result:
     """The worker said nothing for too long."""
     limit_s = machine.settings.reconstruct_s
-    return no_cloud(machine, Fault(FaultCode.RECONSTRUCTION_FAILED, f"no cloud after {limit_s:g} s"))
+    late = Fault(FaultCode.RECONSTRUCTION_FAILED, f"no cloud after {limit_s:g} s")
+    if machine.scan is not None and machine.scan.adding is not None:
+        return abandon(machine, Notice(late, NoticeKind.FAILURE))
+    return no_cloud(machine, late)
 
 
 def no_cloud(machine: Machine, fault: Fault, *, cancel: bool = True) -> Result:
@@ -189,7 +241,7 @@ def _show(machine: Machine) -> Result:
 
 
 def review_key(machine: Machine, key: Key) -> Result:
-    """Keep or repeat; or the proposed exposure, or another view of the cloud."""
+    """Keep or repeat; or the proposed exposure, for a second sequence or the next scan, or another view of the cloud."""
     scan = machine.scan
     if scan is None:  # REVIEW without a scan cannot be reached; if it were, the way out is AIM
         return enter(machine, State.AIM), ()
@@ -198,6 +250,8 @@ def review_key(machine: Machine, key: Key) -> Result:
             return saving.keep(machine, scan)
         case Key.BACK:
             return drop(machine, "repeated by the diver")
+        case Key.DOWN if second_exposure(machine) is not None:
+            return add(machine, scan)
         case Key.DOWN if (other := other_exposure(machine)) is not None:
             return replace(machine, choices=replace(machine.choices, exposure=other)), ()
         case Key.UP | Key.DOWN:

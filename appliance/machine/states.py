@@ -160,6 +160,12 @@ class ScanInHand:
     """It was recorded with."""
     proposal: Exposure | None = None
     """What its judge of light would expose the next one with."""
+    second: Exposure | None = None
+    """What a second sequence would be exposed with to show what this one cannot: too bright in parts, and too dark."""
+    adding: int | None = None
+    """Of the Arm effect of that second sequence, while it is recorded and merged; whatever fails, this scan stays."""
+    added: Exposure | None = None
+    """The second sequence's, once the scan is of both."""
     warnings: tuple[Fault, ...] = ()
     """Verdicts that do not forbid keeping it (moved, too bright)."""
     coarse: CloudSummary | None = None
@@ -188,6 +194,8 @@ class NoticeKind(Enum):
 
     FAILURE = "failure"
     """The capture or the scan failed."""
+    NOT_ADDED = "not added"
+    """Nothing came of the second exposure; the scan in hand is as it was."""
     REFUSAL = "refusal"
     """SCAN was pressed and refused."""
     NEWS = "news"

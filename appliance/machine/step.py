@@ -76,8 +76,12 @@ def _react(machine: Machine, event: on.Event) -> Result:
             return scanning.patterns_right(machine, number)
         case on.CoarseReady() | on.FullReady() | on.ReconstructionFailed():
             return scanning.reconstruction(machine, event)
-        case on.Judged(number, warnings, proposal):
-            return scanning.judged(machine, number, warnings, proposal), ()
+        case on.Judged():
+            return scanning.judged(machine, event), ()
+        case on.PairMerged():
+            return scanning.merged(machine, event)
+        case on.PairFailed(number, fault):
+            return scanning.not_merged(machine, number, fault)
         case on.Saved(number, scan_id):
             return saving.saved(machine, number, scan_id)
         case on.SaveFailed(number, fault):

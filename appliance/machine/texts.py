@@ -7,7 +7,7 @@ from typing import assert_never
 
 from appliance.machine import calibrate, gallery, menu, start
 from appliance.machine import effects as do
-from appliance.machine.permissions import other_exposure
+from appliance.machine.permissions import other_exposure, second_exposure
 from appliance.machine.states import Machine, NoticeKind, State
 from drivers.api import Key
 
@@ -41,9 +41,15 @@ def _meant(machine: Machine) -> dict[Key, str]:
         case State.ARMED | State.CAPTURE:
             return {Key.BACK: "STOP"}
         case State.CHECK | State.RECONSTRUCT:
-            return {Key.BACK: "REPEAT"}
+            # Of a second exposure only that one is given up.
+            return {Key.BACK: "STOP" if machine.scan is not None and machine.scan.adding is not None else "REPEAT"}
         case State.REVIEW:
-            return {Key.SCAN: "KEEP", Key.BACK: "REPEAT", Key.UP: "TURN", Key.DOWN: _expose(machine) or "TURN"}
+            return {
+                Key.SCAN: "KEEP",
+                Key.BACK: "REPEAT",
+                Key.UP: "TURN",
+                Key.DOWN: _add(machine) or _expose(machine) or "TURN",
+            }
         case State.CALIBRATE:
             return _calibrate(machine)
         case State.BOOT:
@@ -57,6 +63,12 @@ def _meant(machine: Machine) -> dict[Key, str]:
             return {}
         case _:
             assert_never(machine.state)
+
+
+def _add(machine: Machine) -> str | None:
+    """A second exposure of the scene that is being reviewed."""
+    wanted = second_exposure(machine)
+    return None if wanted is None else f"ADD {wanted.label}"
 
 
 def _expose(machine: Machine) -> str | None:

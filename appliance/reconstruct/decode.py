@@ -7,6 +7,7 @@ the last frame.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
@@ -53,6 +54,19 @@ def edge_limits_px(period_px: int, width_px: int) -> tuple[np.float32, np.float3
     return np.float32(4.0 * step_px + 4.0 * noise_px), np.float32(0.9 * step_px + 2.5 * noise_px)
 
 
+@dataclass(slots=True, eq=False)
+class DecodedMaps:
+    """What one camera's sequence was decoded to; arrays as those of ``CameraDecoder``."""
+
+    mask: NDArray[np.uint8]
+    p_px: NDArray[np.float32]
+    q_px: NDArray[np.float32]
+    modulation_half_dn: NDArray[np.uint8]
+    middle: NDArray[np.uint8]
+    lit_columns: NDArray[np.int32]
+    lit_pixels: int
+
+
 class CameraDecoder:
     """Decodes one camera's sequence as its frames arrive. Buffers are allocated once and reused scan after scan."""
 
@@ -82,6 +96,8 @@ class CameraDecoder:
         """(h, w) uint8: the smaller modulation of the two directions, in half grey values."""
         self.lit_pixels = 0
         """Pixels that are not in the shadow."""
+        self.veiled_pixels = 0
+        """Pixels that have no coordinates since the water hides what their Gray code is; their mask is CONTRADICTION."""
         self.sine_light = 1.0
         """Mean of the sine images, of ``middle``: what the projector's response makes of the middle of its codes."""
         self._next = 0
@@ -110,6 +126,7 @@ class CameraDecoder:
         dark = frames[self._sequence.dark].reshape(-1)
         threshold(bright, dark, np.uint8(MIN_CONTRAST_DN), self._middle, self.mask.reshape(-1))
         self._closed = False
+        self.veiled_pixels = 0
         self.lit_pixels = int(find_lit(self.mask, self.lit_columns, self.p_px, self.q_px))
 
     def _number(self, frames: NDArray[np.uint8], gray: tuple[int, ...]) -> None:
@@ -160,7 +177,9 @@ class CameraDecoder:
         if not read_through_veil(self._sequence, frames, self.mask, noise, columns, doubtful):
             return False
         self._begin(frames)
-        self.mask[(doubtful != 0) & (self.mask == Mask.VALID)] = Mask.CONTRADICTION
+        veiled = (doubtful != 0) & (self.mask == Mask.VALID)
+        self.mask[veiled] = Mask.CONTRADICTION
+        self.veiled_pixels = int(np.count_nonzero(veiled))
         for direction in Direction:
             if direction is Direction.X:
                 self._half_period[:] = columns.reshape(-1)
@@ -174,3 +193,10 @@ class CameraDecoder:
         if self._next != len(self._sequence):
             raise ValueError(f"{self._next} of {len(self._sequence)} frames were pushed; push all before finishing")
         self._next = 0
+
+    def copied(self) -> DecodedMaps:
+        """The maps as they are now, in memory of their own: 11 bytes per pixel."""
+        return DecodedMaps(
+            self.mask.copy(), self.p_px.copy(), self.q_px.copy(), self.modulation_half_dn.copy(), self.middle.copy(),
+            self.lit_columns.copy(), self.lit_pixels,
+        )  # fmt: skip

@@ -13,9 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.reconstruct.decode import CameraDecoder, Mask
+from appliance.reconstruct.decode import CameraDecoder, DecodedMaps, Mask
 from appliance.reconstruct.noise import CameraNoise
 
+Maps = CameraDecoder | DecodedMaps
 MAX_SIGMA = 5.0
 """Two coordinates of one surface point differ by more in one pixel of a million."""
 ROWS = 64
@@ -47,9 +48,7 @@ class Agreement:
         return None if self.shift is None else self.shift <= MAX_SHIFT
 
 
-def merge(
-    first: CameraDecoder, second: CameraDecoder, noise: tuple[CameraNoise, CameraNoise], period_px: int
-) -> Agreement:
+def merge(first: Maps, second: Maps, noise: tuple[CameraNoise, CameraNoise], period_px: int) -> Agreement:
     """Write the merged maps into those of ``first``, after the last frame of both and before any point is found.
 
     ``noise``: of the camera in either sequence. Modulation and light become those that would, with the first one's noise,
@@ -84,8 +83,8 @@ def _shift(differences: NDArray[np.float32]) -> float | None:
 
 
 def _merge_rows(
-    first: CameraDecoder,
-    second: CameraDecoder,
+    first: Maps,
+    second: Maps,
     noise: tuple[CameraNoise, CameraNoise],
     scale_px: float,
     rows: slice,
@@ -121,7 +120,7 @@ def _merge_rows(
     return np.array([(a & ~b).sum(), taken.sum(), both.sum(), differs.sum()], np.int64)
 
 
-def _variance_px2(decoder: CameraDecoder, noise: CameraNoise, scale_px: float, rows: slice) -> NDArray[np.float32]:
+def _variance_px2(decoder: Maps, noise: CameraNoise, scale_px: float, rows: slice) -> NDArray[np.float32]:
     """Of either coordinate; in the shadow, where nothing else means anything, that of the least modulation."""
     lit = decoder.mask[rows] != Mask.SHADOW
     light = np.maximum(decoder.middle[rows].astype(np.float32) - np.float32(noise.black_dn), 0.0)
@@ -130,8 +129,8 @@ def _variance_px2(decoder: CameraDecoder, noise: CameraNoise, scale_px: float, r
 
 
 def _restate(
-    first: CameraDecoder,
-    second: CameraDecoder,
+    first: Maps,
+    second: Maps,
     noise: CameraNoise,
     scale_px: float,
     rows: slice,
@@ -153,6 +152,6 @@ def _restate(
     first.middle[rows][where] = np.rint(light).astype(np.uint8)[where]
 
 
-def _size(decoder: CameraDecoder) -> str:
+def _size(decoder: Maps) -> str:
     height, width = decoder.mask.shape
     return f"{width}x{height}"

@@ -152,11 +152,23 @@ class Pipeline:
         for decoder in self._decoders.values():
             decoder.finish()
         self._read_through_veil()
+        self._prepare()
+        return self._find(self.coarse_stride)
+
+    def find_changed(self, bright: NDArray[np.uint8] | None = None) -> Found:
+        """As ``find_full``, after ``coarse`` and after the maps of the decoders were changed.
+
+        ``bright``: (h, w) uint8, the left image whose grey values the points get, in place of the sequence's own.
+        """
+        self._bright = self._bright if bright is None else bright
+        self._prepare()
+        return self.find_full()
+
+    def _prepare(self) -> None:
         fill_inverse_map(self._right, self._inverse_stride)
         left, period_px = self._decoders["left"], self._sequence.period_px
         self._ripple = measure_ripple(left.p_px, left.lit_columns, period_px)
         self._factors = sigma_factors(period_px, self._noise, self._ripple)
-        return self._find(self.coarse_stride)
 
     def _read_through_veil(self) -> None:
         noises = {"left": self._noise.left, "right": self._noise.right}

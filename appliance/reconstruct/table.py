@@ -34,6 +34,14 @@ class Cloud:
     gaps: PatchGaps | None = None
     """Signed gaps before any limit; of the full cloud only."""
 
+    def thinned(self, most: int) -> Cloud:
+        """At most about ``most`` of its points, evenly over the image; numbers are those of all."""
+        k = slice(None, None, max(1, -(-len(self.pixel) // most)))
+        return Cloud(
+            self.points_mm[k], self.intensity[k], self.modulation_dn[k], self.ray_gap_mm[k], self.sigma_mm[k],
+            self.pixel[k], self.summary,
+        )  # fmt: skip
+
 
 @dataclass(frozen=True, slots=True)
 class Found:
@@ -63,6 +71,15 @@ class PointTable:
             pixel.view(np.uint32),
             intensity,
         )
+
+    def put(self, cloud: Cloud) -> Found:
+        """Copy a cloud of at most ``capacity`` points in, in place of whatever was there."""
+        n = len(cloud.pixel)
+        points = self.points
+        points.xyz_mm[:n], points.gap_mm[:n], points.sigma_mm[:n] = cloud.points_mm, cloud.ray_gap_mm, cloud.sigma_mm
+        points.modulation_half_dn[:n] = np.rint(2.0 * cloud.modulation_dn).astype(np.uint8)
+        points.pixel[:n], points.intensity[:n] = cloud.pixel, cloud.intensity
+        return Found(((0, n),), cloud.summary, cloud.gaps)
 
     def cloud(self, found: Found) -> Cloud:
         """Copy the points out, in one piece."""

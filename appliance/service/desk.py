@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from appliance.calibration import file as calibration_file
 from appliance.calibration.file import Calibration
@@ -15,14 +18,23 @@ from appliance.capture.verdict import Judgement
 from appliance.config import Rig
 from appliance.machine.alerts import RULES
 from appliance.optics.water import Water
-from appliance.patterns.sequence import build_sequence
+from appliance.patterns.sequence import PatternSequence, build_sequence
 from appliance.reconstruct.pipeline import SIDES, Cloud, Pipeline
 from appliance.reconstruct.quality import QualityLimits
-from appliance.service.instrument import CALIBRATION_FILE, calibration_of, design_of, taking_of_scan
+from appliance.reconstruct.table import Found
+from appliance.service.instrument import (
+    CALIBRATION_FILE,
+    calibration_of,
+    design_of,
+    exposures_label,
+    taking_of,
+    taking_of_scan,
+)
 from appliance.storage import scan as stored
 from appliance.storage.atomic import replace_file
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.ply import write_ply
+from appliance.worker.pair import Sequence, faults_of
 from appliance.worker.scan_work import ScanWork, Taking
 
 
@@ -36,8 +48,8 @@ def reconstruct_scan(
     """
     scan = stored.load(folder)
     chosen = calibration_file.load(calibration) if calibration is not None else calibration_of(rig)[0]
-    reworked = rework(scan, chosen, taking_of_scan(scan.manifest.record, rig), progress)
-    cloud, water = reworked.cloud, reworked.water
+    record = scan.manifest.record
+    cloud, water, faults = _points_of(scan, rig, chosen, progress)
     target = out if out is not None else Path(f"{folder.name}.ply")
     progress("writing")
     write_ply(target, cloud)
@@ -50,13 +62,30 @@ def reconstruct_scan(
         "distance_mm": s.distance_mm,
         "noise_mm": s.noise_mm,
         "gap_mm": s.gap_mm,
-        "period_px": scan.manifest.record.sequence.period_px,
+        "exposure": exposures_label(record, rig),
+        "period_px": record.sequence.period_px,
         "calibration": chosen.hash,
         "calibration_method": chosen.method,
-        "same_calibration": chosen.hash == scan.manifest.record.calibration_hash,
+        "same_calibration": chosen.hash == record.calibration_hash,
         "water_index": water.index,
-        "warnings": [f"{fault.code.value}: {fault.detail}" for fault in reworked.faults],
+        "warnings": [f"{fault.code.value}: {fault.detail}" for fault in faults],
     }
+
+
+def _points_of(
+    scan: stored.StoredScan, rig: Rig, calibration: Calibration, progress: Callable[[str], None]
+) -> tuple[Cloud, Water, tuple[Fault, ...]]:
+    """Of one sequence, or of both that the scan has."""
+    record = scan.manifest.record
+    taking = taking_of_scan(record, rig)
+    if scan.second is None or record.second is None:
+        reworked = rework(scan, calibration, taking, progress)
+        return reworked.cloud, reworked.water, reworked.faults
+    takings = (taking, taking_of(rig, record.second.exposure))
+    pair = rework_pair(scan, scan.second, takings, calibration, progress)
+    if pair.cloud is None:
+        raise stored.ScanError(f"{scan.folder}: {pair.pair.verdict.text}")
+    return pair.cloud, pair.water, pair.faults
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,7 +93,7 @@ class Reworked:
     """A stored scan after everything the instrument does with one."""
 
     pipeline: Pipeline
-    """Closed; it keeps the decoded maps of both cameras."""
+    """Closed; it keeps the decoded maps of both cameras, but for a pair."""
     cloud: Cloud
     water: Water
     """In which it was reconstructed."""
@@ -93,31 +122,95 @@ def rework(
     progress: Callable[[str], None],
     limits: QualityLimits | None = None,
 ) -> Reworked:
-    """Reconstruct and judge a stored scan with ``calibration``, as the instrument does.
+    """Reconstruct and judge a stored scan with ``calibration``, as the instrument does; of a pair, its first sequence.
 
     ``taking``: how it was taken (``taking_of_scan``). ``limits`` ``None``: those of the instrument. Frames that are not
     what they should be give their points all the same: the judgements say so.
     """
-    made = scan.manifest.record.sequence
-    sequence = build_sequence(made.period_px, made.width_px, made.height_px)
     water = water_of_scan(scan, calibration)
-    progress("loading")
-    with Pipeline(calibration, water, sequence, limits, noise=taking.noise) as pipeline:
+    with Pipeline(calibration, water, sequence_of_scan(scan), limits, noise=taking.noise) as pipeline:
         work = ScanWork(pipeline, calibration, water)
-        work.begin(taking)
-        for index in range(len(sequence)):
-            progress(f"decoding frame {index + 1} of {len(sequence)}")
-            for side in SIDES:
-                work.push(side, scan.frames[side], index)
-        progress("judging")
-        identity = work.identify()
-        work.find_coarse()
-        judgements = (identity, *work.judge())
-        if work.moved:
-            progress("taking the motion out")
-            judgements = (identity, *work.compensate())
-        progress("matching")
-        return Reworked(pipeline, pipeline.table.cloud(work.find_full()), water, judgements)
+        judgements, found = _work_through(work, scan.frames, taking, pipeline, progress)
+        return Reworked(pipeline, pipeline.table.cloud(found), water, judgements)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReworkedPair:
+    """Two sequences after everything the instrument does with a pair."""
+
+    cloud: Cloud | None
+    """Of both; ``None``: ``pair`` says why not."""
+    water: Water
+    first: tuple[Judgement, ...]
+    second: tuple[Judgement, ...]
+    pair: Judgement
+
+    @property
+    def faults(self) -> tuple[Fault, ...]:
+        """What is held against the pair."""
+        return faults_of(self.first, self.second, self.pair)
+
+
+def rework_pair(
+    first: stored.StoredScan,
+    second: Mapping[str, NDArray[np.uint8]],
+    takings: tuple[Taking, Taking],
+    calibration: Calibration,
+    progress: Callable[[str], None],
+) -> ReworkedPair:
+    """Reconstruct and judge ``first`` and the frames of a ``second`` sequence as one, as the instrument does.
+
+    ``takings``: how either was taken. Raises ScanError where frames are not what they should be.
+    """
+    water = water_of_scan(first, calibration)
+    with Pipeline(calibration, water, sequence_of_scan(first), noise=takings[0].noise) as pipeline:
+        work = ScanWork(pipeline, calibration, water)
+        judged = []
+        held: list[Sequence] = []
+        for name, frames, taking in (("first", first.frames, takings[0]), ("second", second, takings[1])):
+            judgements, _ = _work_through(work, frames, taking, pipeline, progress)
+            spoiled = judgements[0].fault
+            if spoiled is not None:
+                raise stored.ScanError(f"{name} sequence: {spoiled.code.value}: {spoiled.detail}")
+            judged.append(judgements)
+            if not held:
+                held.append(work.hold())
+        progress("merging")
+        merged = work.merge_with(held[0])
+        cloud = None if merged.found is None else pipeline.table.cloud(merged.found)
+        return ReworkedPair(cloud, water, judged[0], judged[1], merged.judgement)
+
+
+def _work_through(
+    work: ScanWork,
+    frames: Mapping[str, NDArray[np.uint8]],
+    taking: Taking,
+    pipeline: Pipeline,
+    progress: Callable[[str], None],
+) -> tuple[tuple[Judgement, ...], Found]:
+    """What is said of one sequence, identity first, and its full cloud."""
+    progress("loading")
+    work.begin(taking)
+    count = len(pipeline.sequence)
+    for index in range(count):
+        progress(f"decoding frame {index + 1} of {count}")
+        for side in SIDES:
+            work.push(side, frames[side], index)
+    progress("judging")
+    identity = work.identify()
+    work.find_coarse()
+    judgements = (identity, *work.judge())
+    if work.moved:
+        progress("taking the motion out")
+        judgements = (identity, *work.compensate())
+    progress("matching")
+    return judgements, work.find_full()
+
+
+def sequence_of_scan(scan: stored.StoredScan) -> PatternSequence:
+    """The patterns it was recorded with."""
+    made = scan.manifest.record.sequence
+    return build_sequence(made.period_px, made.width_px, made.height_px)
 
 
 def describe_calibration(rig: Rig, path: Path | None) -> dict[str, Any]:

@@ -169,6 +169,12 @@ def exposure_of_scan(record: ScanRecord, rig: Rig) -> Exposure:
     return record.exposure or exposure_of(rig)
 
 
+def exposures_label(record: ScanRecord, rig: Rig) -> str:
+    """``8 ms``; of a pair ``3.2 ms, then 14 ms``."""
+    first = exposure_of_scan(record, rig).label
+    return first if record.second is None else f"{first}, then {record.second.exposure.label}"
+
+
 def taking_of(rig: Rig, exposure: Exposure) -> Taking:
     """How a sequence is taken with ``exposure``. Raises ValueError for a rig that has no time for any exposure."""
     return Taking(exposure, 1.0 / rig.projector.refresh_hz, noise_of(rig, exposure), exposures_of(rig))

@@ -376,7 +376,8 @@ class Service:
             return False  # the machine gives up when this takes too long
         self._preview = None
         self._devices.expose(wanted.exposure)
-        fault = self._desk.begin(wanted.number, wanted.exposure)
+        begin = self._desk.begin_second if wanted.second else self._desk.begin
+        fault = begin(wanted.number, wanted.exposure)
         recorder = self._recorder(wanted.exposure)
         if fault is None and recorder is None:
             fault = Fault(FaultCode.INTERNAL, "a capture was wanted without all devices")
@@ -384,7 +385,9 @@ class Service:
             self._let_go()
             self._inbox.append(on.CaptureFailed(wanted.number, fault or Fault(FaultCode.INTERNAL, "no device")))
             return False
-        self._arming = recorder.arm(self._desk.sequence, self._desk.store, self._desk.worker.frame)
+        self._arming = recorder.arm(
+            self._desk.sequence, self._desk.store, self._desk.worker.frame, second=wanted.second
+        )
         return True
 
     def _let_go(self) -> None:
@@ -397,7 +400,7 @@ class Service:
     def _capture(self, wanted: do.Capture) -> None:
         arming, self._arming = self._arming, None
         scan = self._desk.scan
-        recorder = self._recorder(scan.exposure) if scan is not None else None
+        recorder = self._recorder((scan.second or scan).exposure) if scan is not None else None
         if arming is None or recorder is None:
             self._let_go()
             self._inbox.append(on.CaptureFailed(wanted.number, Fault(FaultCode.INTERNAL, "nothing was armed")))

@@ -32,17 +32,19 @@ from appliance.optics.water import Water
 from appliance.patterns.response import Response
 from appliance.patterns.sequence import PatternSequence
 from appliance.reconstruct.noise import TYPICAL_PAIR, StereoNoise
-from appliance.reconstruct.pipeline import Cloud
+from appliance.reconstruct.pipeline import COARSE_POINTS, Cloud
 from appliance.service.health import CalibrationWatch
 from appliance.service.instrument import exposure_of, noise_of, taking_of, water_of
 from appliance.service.wall_clock import set_from_outside
 from appliance.storage.atomic import StorageError, replace_file
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.library import Library, PendingScan
-from appliance.storage.record import ScanRecord, SequenceInfo
+from appliance.storage.record import ScanRecord, SecondSequence, SequenceInfo
 from appliance.storage.scan import size_bytes
+from appliance.worker.pair import faults_of
 from appliance.worker.process import (
     CloudReady,
+    PairJudged,
     PatternsRight,
     ReconstructionWorker,
     ScanJudged,
@@ -52,6 +54,7 @@ from appliance.worker.process import (
     WorkLimits,
     WorkOrder,
 )
+from appliance.worker.scan_work import Taking
 from drivers.api import Clock
 
 log = logging.getLogger("kingfisher")
@@ -59,6 +62,19 @@ log = logging.getLogger("kingfisher")
 Answer = TypeVar("Answer")
 PROBE = "self-test"
 PROBE_CONTENT = b"written and read back at every start\n"
+
+
+@dataclass(slots=True)
+class SecondInWork:
+    """A second sequence of the scan in work, from its first frame until the points of both are one cloud."""
+
+    number: int
+    begun_ns: int
+    exposure: Exposure
+    record: SecondSequence | None = None
+    merged: bool = False
+    stored: bool = False
+    """Its frames are durable."""
 
 
 @dataclass(slots=True)
@@ -73,6 +89,9 @@ class ScanInWork:
     full: Cloud | None = None
     pending: PendingScan | None = None
     raw: Future[PendingScan] | None = None
+    judgements: tuple[Judgement, ...] = ()
+    """Of the first sequence."""
+    second: SecondInWork | None = None
     times_s: dict[str, float] = field(default_factory=dict)
     """As ``ScanRecord.stage_times_s``."""
 
@@ -81,6 +100,14 @@ class ScanInWork:
         if self.record is not None:
             others = tuple(one for one in self.record.verdicts if one.name != verdict.name)
             self.record = replace(self.record, verdicts=(*others, verdict))
+
+    @property
+    def whole(self) -> ScanRecord:
+        """The record as it is to be written down: with the second sequence, once the scan is of both."""
+        if self.record is None:
+            raise ValueError("nothing was recorded")
+        second = self.second
+        return self.record if second is None or not second.merged else replace(self.record, second=second.record)
 
     def since_begun_s(self, time_ns: int) -> float:
         """Seconds from the key press to a moment of the same clock."""
@@ -119,7 +146,7 @@ class ScanDesk:
         self._clock = clock
         self.sequence = sequence
         self.water = water or water_of(rig)
-        self.store = FrameStore(len(sequence), left.height_px, left.width_px)
+        self.store = FrameStore(len(sequence), left.height_px, left.width_px, sequences=2)
         order = WorkOrder(calibration, self.water, sequence.period_px, sequence.width_px, sequence.height_px, noise)
         self.worker = ReconstructionWorker(order, self.store, clock, limits)
         self.watch = CalibrationWatch(rig.storage.root, calibration)
@@ -165,13 +192,31 @@ class ScanDesk:
                 return Fault(FaultCode.NOT_SAVED, f"the previous scan's frames are not on the disk: {error}")
             self._remember(scan)
         self.scan = ScanInWork(number, self._clock.now_ns(), exposure)
-        self.worker.begin(number, replace(self._taking, exposure=exposure, noise=noise_of(self._rig, exposure)))
+        self.worker.begin(number, self._taken(exposure))
         return None
+
+    def begin_second(self, number: int, exposure: Exposure) -> Fault | None:
+        """Its frames go to a place of their own: nothing of the scan in hand is touched."""
+        scan = self.scan
+        if scan is None:
+            return Fault(FaultCode.INTERNAL, "a second exposure was wanted without a scan")
+        scan.second = SecondInWork(number, self._clock.now_ns(), exposure)
+        self.worker.begin_second(scan.number, self._taken(exposure))
+        return None
+
+    def _taken(self, exposure: Exposure) -> Taking:
+        return replace(self._taking, exposure=exposure, noise=noise_of(self._rig, exposure))
 
     def recorded(self, report: CaptureReport, temperatures_c: dict[str, float | None]) -> None:
         """The sequence ended and every witness agrees."""
         scan = self.scan
         if scan is None:
+            return
+        second = scan.second
+        if second is not None:
+            second.record = SecondSequence(
+                second.exposure, second.begun_ns, temperatures_c, report.ledger.as_dict(), (self._ledger_verdict(),)
+            )
             return
         now = datetime.datetime.now(datetime.UTC)
         ledger = report.ledger
@@ -196,12 +241,19 @@ class ScanDesk:
             },
             temperatures_c=temperatures_c,
             ledger=ledger.as_dict(),
-            verdicts=(Verdict("ledger", True, {"frames": float(len(self.sequence))}, "all four witnesses agree"),),
+            verdicts=(self._ledger_verdict(),),
         )
 
+    def _ledger_verdict(self) -> Verdict:
+        return Verdict("ledger", True, {"frames": float(len(self.sequence))}, "all four witnesses agree")
+
     def drop(self) -> None:
-        """The scan failed; its frames may be overwritten."""
-        self.scan = None
+        """What is being recorded failed, or is not wanted; its frames may be overwritten. A scan stays whose second sequence
+        it is."""
+        if self.scan is not None and self.scan.second is not None and not self.scan.second.merged:
+            self.scan.second = None
+        else:
+            self.scan = None
         self.worker.drop()
 
     # ------------------------------------------------------------------------------------- disk
@@ -210,6 +262,9 @@ class ScanDesk:
         """Answer RawStored or SaveFailed."""
         scan = self._current(number)
         if scan is None or scan.record is None:
+            return
+        if scan.second is not None and scan.second.merged:
+            self._ask(lambda: self._second_stored(scan))
             return
         record = scan.record
         frames: dict[str, NDArray[np.uint8]] = {side: self.store.frames(side) for side in SIDES}
@@ -223,6 +278,8 @@ class ScanDesk:
         if scan is not None:
             if verdict is not None:
                 scan.enter(verdict)
+            if scan.second is not None and not scan.second.merged:
+                self.drop()
             self._ask(lambda: self._publish(scan, preview))
 
     def reject(self, number: int, reason: str) -> None:
@@ -264,7 +321,7 @@ class ScanDesk:
     def use_sequence(self, sequence: PatternSequence) -> None:
         """Record another sequence from the next scan on. Call when nothing is ``busy``: the frames in memory are given up."""
         left = self._rig.camera.left
-        old, self.store = self.store, FrameStore(len(sequence), left.height_px, left.width_px)
+        old, self.store = self.store, FrameStore(len(sequence), left.height_px, left.width_px, sequences=2)
         self.sequence, self.scan = sequence, None
         self._scan_bytes = size_bytes(len(sequence), left.width_px, left.height_px)
         self.worker.change(replace(self.worker.order, period_px=sequence.period_px), self.store)
@@ -301,12 +358,14 @@ class ScanDesk:
                 events += self._cloud(ready)
             case ScanJudged() as judged:
                 events += self._judged(judged)
+            case PairJudged() as pair:
+                events += self._paired(pair)
             case ScanSpoiled(number, judgement):
                 events += self._spoiled(number, judgement)
             case WorkerFailed() as failed:
                 log.warning("%s", failed.fault.detail)
                 if failed.scan is not None:
-                    events.append(on.ReconstructionFailed(failed.scan, failed.fault))
+                    events.append(self._lost(failed.scan, failed.fault))
                 if self.worker.pid is None:
                     # It has given up until the next scan begins: frames can still be recorded and saved.
                     self.worker_settled = True
@@ -342,11 +401,41 @@ class ScanDesk:
         if scan is None:
             return []
         scan.times_s["judged_cpu"] = scan.times_s.get("judged_cpu", 0.0) + judged.cpu_s
+        scan.judgements = judged.judgements
         for judgement in judged.judgements:
             scan.enter(judgement.verdict)
         faults = tuple(judgement.fault for judgement in judged.judgements if judgement.fault is not None)
         proposal = next((judgement.proposal for judgement in judged.judgements if judgement.proposal is not None), None)
-        return [on.Judged(scan.number, faults, proposal)]
+        second = next((judgement.second for judgement in judged.judgements if judgement.second is not None), None)
+        return [on.Judged(scan.number, faults, proposal, second)]
+
+    def _paired(self, judged: PairJudged) -> list[on.Event]:
+        """The scan's cloud is that of both sequences, or nothing has changed."""
+        scan = self._current(judged.scan)
+        second = None if scan is None else scan.second
+        if scan is None or second is None or second.record is None:
+            return []
+        if judged.cloud is None:
+            self.drop()
+            fault = judged.pair.fault or Fault(FaultCode.RECONSTRUCTION_FAILED, judged.pair.verdict.text)
+            log.warning("second exposure of %s not added: %s", second.exposure.label, judged.pair.verdict.text)
+            return [on.PairFailed(scan.number, fault)]
+        verdicts = (*second.record.verdicts, *(judgement.verdict for judgement in judged.second))
+        second.record, second.merged = replace(second.record, verdicts=verdicts), True
+        scan.enter(judged.pair.verdict)
+        scan.full, scan.coarse = judged.cloud, judged.cloud.thinned(COARSE_POINTS)
+        scan.times_s["pair"], scan.times_s["pair_cpu"] = scan.since_begun_s(self._clock.now_ns()), judged.cpu_s
+        faults = faults_of(scan.judgements, judged.second, judged.pair)
+        return [on.PairMerged(scan.number, judged.cloud.summary, faults)]
+
+    def _lost(self, number: int, fault: Fault) -> on.Event:
+        """The worker found no points: of the scan, or of its second sequence."""
+        scan = self._current(number)
+        if scan is None or scan.second is None or scan.second.merged:
+            return on.ReconstructionFailed(number, fault)
+        log.warning("second exposure of %s not added: %s", scan.second.exposure.label, fault.detail)
+        self.drop()
+        return on.PairFailed(number, fault)
 
     def _spoiled(self, number: int, judgement: Judgement) -> list[on.Event]:
         scan = self._current(number)
@@ -390,18 +479,30 @@ class ScanDesk:
         scan.times_s["saved"] = scan.since_begun_s(self._clock.now_ns())
         return [on.RawStored(scan.number)]
 
+    def _second_stored(self, scan: ScanInWork) -> list[on.Event]:
+        try:
+            self._pending(scan)
+        except (StorageError, ValueError) as error:
+            return [on.SaveFailed(scan.number, Fault(FaultCode.NOT_SAVED, str(error)))]
+        return [on.RawStored(scan.number)]
+
     def _pending(self, scan: ScanInWork) -> PendingScan:
-        """The scan on the disk; begun again when that failed before."""
+        """The scan on the disk, with every sequence it has; what failed before is done again."""
         if scan.pending is None:
             assert scan.record is not None
             frames: dict[str, NDArray[np.uint8]] = {side: self.store.frames(side) for side in SIDES}
             scan.pending = self._library.begin(frames, scan.record)
             scan.times_s["saved"] = scan.since_begun_s(self._clock.now_ns())
+        second = scan.second
+        if second is not None and second.merged and not second.stored:
+            frames = {side: self.store.frames(side, second=True) for side in SIDES}
+            scan.pending.add_second(frames, scan.whole)
+            second.stored = True
         return scan.pending
 
     def _publish(self, scan: ScanInWork, preview: NDArray[np.uint8] | None) -> list[on.Event]:
         assert scan.record is not None
-        record = replace(scan.record, stage_times_s=dict(scan.times_s), cloud=_numbers(scan.full))
+        record = replace(scan.whole, stage_times_s=dict(scan.times_s), cloud=_numbers(scan.full))
         png = None
         if preview is not None:
             _, encoded = cv2.imencode(".png", cv2.cvtColor(preview, cv2.COLOR_RGB2BGR))
@@ -426,7 +527,7 @@ class ScanDesk:
     def _reject(self, scan: ScanInWork, reason: str) -> list[on.Event]:
         try:
             pending = self._pending(scan)
-            pending.reject(reason, scan.record)
+            pending.reject(reason, None if scan.record is None else scan.whole)
         except (StorageError, ValueError) as error:
             return [on.SaveFailed(scan.number, Fault(FaultCode.NOT_SAVED, str(error)))]
         return [on.Rejected(scan.number, pending.scan_id), *self._counted_if_told()]

@@ -153,6 +153,10 @@ class Library:
         wrong = scan.wrong_files(folder, manifest, checksums=True)
         if manifest.scan_id != folder.name.removeprefix(".") or any(name in wrong for name in scan.RAW_FILES):
             return None
+        if any(name in wrong for name in scan.SECOND_FILES):
+            # One exposure is a scan, half of a second one is nothing.
+            manifest = replace(manifest, record=replace(manifest.record, second=None))
+            wrong |= dict.fromkeys(scan.SECOND_FILES, "of no use alone")
         files = {name: stamp for name, stamp in manifest.files.items() if name not in wrong}
         return replace(manifest, files=files, recovered=True)
 
@@ -288,6 +292,14 @@ class PendingScan:
     def folder(self) -> Path:
         """Where it lies now."""
         return self._folder
+
+    def add_second(self, frames: Mapping[str, NDArray[np.uint8]], record: ScanRecord) -> None:
+        """Make a second exposure's frames durable beside the first one's; ``record`` tells of both.
+
+        After a failure it is the scan it was; may be called again. Raises StorageError, ValueError.
+        """
+        if not self._done:
+            self._manifest = scan.add_second(self._fs, self._folder, self._manifest, frames, record)
 
     def publish(self, record: ScanRecord, cloud: PointCloud | None = None, preview_png: bytes | None = None) -> Path:
         """Add cloud and preview and put the scan on the shelf; it survives the loss of power from the return on.

@@ -32,6 +32,20 @@ class SequenceInfo:
 
 
 @dataclass(frozen=True, slots=True)
+class SecondSequence:
+    """A second sequence of the same scene with another exposure, whose points were merged with the first one's."""
+
+    exposure: Exposure
+    recorded_ns: int
+    """As ``ScanRecord.recorded_ns``; of the key press that asked for it."""
+    temperatures_c: Mapping[str, float | None] = field(default_factory=dict)
+    ledger: Mapping[str, Any] = field(default_factory=dict)
+    """As ``ScanRecord.ledger``."""
+    verdicts: tuple[Verdict, ...] = ()
+    """On this sequence alone. What is said of both together is ``ScanRecord``'s verdict ``pair``."""
+
+
+@dataclass(frozen=True, slots=True)
 class ScanRecord:
     """Everything known about a scan but its files. Complete it with ``dataclasses.replace`` as more is known."""
 
@@ -56,10 +70,13 @@ class ScanRecord:
     ledger: Mapping[str, Any] = field(default_factory=dict)
     """What the four witnesses said; JSON-ready."""
     verdicts: tuple[Verdict, ...] = ()
+    second: SecondSequence | None = None
+    """``None``: one sequence, as most scans."""
     cloud: Mapping[str, float | None] = field(default_factory=dict)
     """Numbers of the cloud: points, coverage_percent, …; empty without one."""
     stage_times_s: Mapping[str, float] = field(default_factory=dict)
     """Monotonic, from ``recorded_ns``: ``first_pattern`` is on the scene, ``recording``: the last frame is in memory,
     ``coarse`` and ``full``: that cloud is ready to be shown, ``saved``: raw frames and ledger survive a loss of power.
+    ``pair``: the cloud of two exposures is ready; it includes the time the diver took to ask for it.
     ``coarse_cpu``, ``full_cpu`` and ``judged_cpu`` are the worker's CPU time for that step alone. What did not happen is not there.
     """

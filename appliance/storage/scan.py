@@ -1,7 +1,7 @@
 """Owns the content of a scan's folder: which files it has, when each is written, and how it is read back.
 
 Two steps. ``write_raw``: frames and a first manifest, durable before the diver decides. ``finish``: cloud and
-preview, then the manifest that lists them. Each manifest replaces the one before atomically, so that at any instant the
+preview, then the manifest that lists them. In between, ``add_second`` may add the frames of a second exposure. Each manifest replaces the one before atomically, so that at any instant the
 folder holds a manifest and every file it lists, or no manifest at all.
 """
 
@@ -39,7 +39,13 @@ def frames_file(side: str) -> str:
     return f"frames_{side}.npy"
 
 
+def second_frames_file(side: str) -> str:
+    """Name of the file with one camera's frames of the second exposure, where a scan has one."""
+    return f"frames_{side}_second.npy"
+
+
 RAW_FILES = tuple(frames_file(side) for side in SIDES)
+SECOND_FILES = tuple(second_frames_file(side) for side in SIDES)
 
 
 class ScanError(Exception):
@@ -53,6 +59,8 @@ class StoredScan:
     folder: Path
     manifest: Manifest
     frames: Mapping[str, NDArray[np.uint8]]
+    second: Mapping[str, NDArray[np.uint8]] | None = None
+    """As ``frames``, of the second exposure; ``None``: there is none."""
 
     def cloud(self) -> StoredCloud | None:
         """The stored cloud; ``None`` where the scan has none. Raises ScanError."""
@@ -71,11 +79,7 @@ def write_raw(
 
     ``frames``: by side, (n, h, w) uint8. Raises StorageError, ValueError.
     """
-    expected = len(record.sequence.patterns)
-    for side in SIDES:
-        shape, dtype = frames[side].shape, frames[side].dtype
-        if len(shape) != 3 or shape[0] != expected or dtype != np.uint8:
-            raise ValueError(f"{side} frames are {dtype} {shape}; uint8 ({expected}, height, width) is needed")
+    _check(frames, record)
     with refused("cannot make", folder):
         fs.make_folder(folder)
     files = {frames_file(side): write_new(fs, folder / frames_file(side), _npy(frames[side])) for side in SIDES}
@@ -84,6 +88,40 @@ def write_raw(
     manifest = Manifest(scan_id, Stage.RAW, Decision.UNDECIDED, record, files)
     replace_file(fs, folder / form.FILE_NAME, form.encode(manifest))
     return manifest
+
+
+def add_second(
+    fs: FileSystem,
+    folder: Path,
+    manifest: Manifest,
+    frames: Mapping[str, NDArray[np.uint8]],
+    record: ScanRecord,
+) -> Manifest:
+    """Add the second exposure's ``frames``, as in ``write_raw``, and the manifest whose ``record`` tells of it.
+
+    Durable on return. On failure the folder is the scan it was, but for files that its manifest does not list; may be
+    called again. Raises StorageError, ValueError.
+    """
+    _check(frames, record)
+    if record.second is None:
+        raise ValueError("the record tells of no second sequence; give it before its frames")
+    files = {name: stamp for name, stamp in manifest.files.items() if name not in SECOND_FILES}
+    for side in SIDES:
+        discard(fs, folder / second_frames_file(side))
+        files[second_frames_file(side)] = write_new(fs, folder / second_frames_file(side), _npy(frames[side]))
+    with refused("cannot make durable", folder):
+        fs.sync_folder(folder)
+    added = replace(manifest, record=record, files=files)
+    replace_file(fs, folder / form.FILE_NAME, form.encode(added))
+    return added
+
+
+def _check(frames: Mapping[str, NDArray[np.uint8]], record: ScanRecord) -> None:
+    expected = len(record.sequence.patterns)
+    for side in SIDES:
+        shape, dtype = frames[side].shape, frames[side].dtype
+        if len(shape) != 3 or shape[0] != expected or dtype != np.uint8:
+            raise ValueError(f"{side} frames are {dtype} {shape}; uint8 ({expected}, height, width) is needed")
 
 
 def finish(
@@ -126,7 +164,8 @@ def wrong_files(folder: Path, manifest: Manifest, *, checksums: bool) -> dict[st
 
     Lengths are compared, and with ``checksums`` every byte.
     """
-    wrong = {name: "not in the manifest" for name in RAW_FILES if name not in manifest.files}
+    needed = RAW_FILES if manifest.record.second is None else (*RAW_FILES, *SECOND_FILES)
+    wrong = {name: "not in the manifest" for name in needed if name not in manifest.files}
     for name, stamp in sorted(manifest.files.items()):
         try:
             length = (folder / name).stat().st_size
@@ -151,7 +190,11 @@ def load(folder: Path) -> StoredScan:
     if wrong:
         raise ScanError(f"{folder}: {'; '.join(f'{name}: {what}' for name, what in wrong.items())}")
     count = len(manifest.record.sequence.patterns)
-    return StoredScan(folder, manifest, {side: _mapped(folder / frames_file(side), count) for side in SIDES})
+    frames = {side: _mapped(folder / frames_file(side), count) for side in SIDES}
+    second = None
+    if manifest.record.second is not None:
+        second = {side: _mapped(folder / second_frames_file(side), count) for side in SIDES}
+    return StoredScan(folder, manifest, frames, second)
 
 
 def _mapped(path: Path, count: int) -> NDArray[np.uint8]:
@@ -178,5 +221,6 @@ def _npy(frames: NDArray[np.uint8]) -> tuple[Bytes, Bytes]:
 
 
 def size_bytes(frames: int, width_px: int, height_px: int) -> int:
-    """Room one scan needs at most: both cameras' frames, a point for every left pixel, and a margin for the rest."""
+    """Room one scan with one exposure needs at most: both cameras' frames, a point for every left pixel, and a margin for
+    the rest. A second exposure takes its frames once more."""
     return 2 * frames * width_px * height_px + 25 * width_px * height_px + 1_000_000

@@ -8,7 +8,8 @@ from appliance.capture.exposure import Exposure
 from appliance.capture.fault import Fault, FaultCode
 from appliance.capture.verdict import Judgement, Verdict
 from appliance.verdict.light_changes import Changes, find_frequency_hz, measure_changes
-from appliance.verdict.light_levels import FULL_DN, Levels, measure_levels, sample
+from appliance.verdict.light_levels import FULL_DN, Levels, light_of, measure_levels, sample
+from appliance.verdict.light_pair import propose_second
 from appliance.verdict.light_proposal import propose, without_flicker
 from appliance.verdict.recorded import Recorded
 
@@ -18,6 +19,9 @@ MAX_SATURATED = 0.05
 MAX_WEAK = 0.25
 MAX_HARMED = 0.10
 """Of lit pixels: so many may have phases that changing light has biased by more than half of their noise."""
+MAX_HARMED_CENSORED = 0.30
+"""The same where more than ``MAX_SATURATED`` is saturated: which pixels are left then depends on their fringes' phases, and
+that alone has looked like changing light in up to 0.18 of them (white labels on black rubber at rest)."""
 MAX_AMBIENT_BEYOND = 0.25
 """Of lit pixels: so many may get more light from elsewhere than from the projector. It takes half of the scale, and with
 it half of the fringes' amplitude, at any exposure."""
@@ -36,7 +40,7 @@ def judge_light(recorded: Recorded, present: Exposure, steps: Sequence[Exposure]
     levels = {side: measure_levels(samples[side], recorded.sequence, noise[side]) for side in SIDES}
     changes = {side: measure_changes(samples[side], recorded.sequence, noise[side]) for side in SIDES}
     frequency = find_frequency_hz((*changes["left"].levels, *changes["right"].levels), recorded.frame_s)
-    fault = _flickers(changes, frequency) or _worst_level(levels)
+    fault = _flickers(changes, levels, frequency) or _worst_level(levels)
     numbers: dict[str, float | None] = {}
     for side in SIDES:
         numbers |= _numbers(side, levels[side], changes[side])
@@ -47,13 +51,21 @@ def judge_light(recorded: Recorded, present: Exposure, steps: Sequence[Exposure]
     if proposal is None and mains and fault is not None and fault.code is FaultCode.LIGHT_FLICKERS:
         top_dn, scale_dn = _top(recorded, levels)
         proposal = without_flicker(top_dn, scale_dn, present, steps)
+    second = propose_second(
+        [light_of(samples[side], recorded.sequence, noise[side]) for side in SIDES],
+        [FULL_DN - noise[side].black_dn for side in SIDES],
+        present,
+        steps,
+    )
+    if second is not None:
+        numbers["second_ms"], numbers["second_gain_db"] = second.time_us / 1000.0, second.gain_db
     if proposal is not None:
         numbers["proposed_ms"], numbers["proposed_gain_db"] = proposal.time_us / 1000.0, proposal.gain_db
     judged = any(levels[side].lit_share > 0.0 for side in SIDES)
     passed = fault is None if judged else None
     text = "enough light, not too much, and steady" if fault is None else f"{fault.code.value}: {fault.detail}"
     verdict = Verdict("light", passed, numbers, text if judged else "nothing is lit by the projector")
-    return Judgement(verdict, fault, proposal)
+    return Judgement(verdict, fault, proposal, second)
 
 
 def _top(recorded: Recorded, levels: dict[str, Levels]) -> tuple[float, float]:
@@ -69,11 +81,15 @@ def _propose(
     return propose(top_dn, scale_dn, present, steps)
 
 
-def _flickers(changes: dict[str, Changes], frequency: tuple[float, float] | None) -> Fault | None:
+def _flickers(
+    changes: dict[str, Changes], levels: dict[str, Levels], frequency: tuple[float, float] | None
+) -> Fault | None:
     """Both cameras see the same light at the same time: what only one of them has is no change of light."""
     known = [c for c in changes.values() if c.harmed is not None and c.ripple is not None]
     least = min(known, key=lambda c: c.harmed or 0.0, default=None)
-    if least is None or least.harmed is None or least.harmed <= MAX_HARMED:
+    censored = max(at.saturated or 0.0 for at in levels.values()) > MAX_SATURATED
+    most = MAX_HARMED_CENSORED if censored else MAX_HARMED
+    if least is None or least.harmed is None or least.harmed <= most:
         return None
     harmed = 100.0 * least.harmed
     what = f"light that is not the projector's changed during the scan and biases {harmed:.0f} % of the points"

@@ -26,6 +26,8 @@ SEEN_DN = 3.0
 """Bright minus dark above this is light of the projector, though perhaps too little to measure by: three sigma."""
 DIM_MODULATION_DN = 2.5
 """Fringes above this are there; below ``MIN_MODULATION_DN`` they are too weak to measure by."""
+FAINT_DN = 5.0
+"""Bright minus dark above this is light of the projector beyond doubt, though too little to measure by."""
 TOP_SHARE = 0.003
 """Of all pixels, so many may be brighter than the level an exposure is chosen by: glints."""
 CENSORED_FACTOR = 8.0
@@ -178,3 +180,18 @@ def _where(saturated: NDArray[np.bool_]) -> str:
     down = ("upper", "middle", "lower")[min(2, int(3 * np.median(rows) / saturated.shape[0]))]
     across = ("left", "centre", "right")[min(2, int(3 * np.median(columns) / saturated.shape[1]))]
     return f"{down} {across}"
+
+
+def light_of(s: Sample, sequence: PatternSequence, noise: CameraNoise) -> tuple[Floats, Floats]:
+    """Of the pixels with light of the projector, their brightest level over black and their modulation; grey values, above
+    the scale where that was saturated."""
+    # Light without fringes is scattered by the water, whatever the exposure.
+    seen = ((s.lit | (s.contrast_dn >= FAINT_DN)) & (s.modulation_dn >= DIM_MODULATION_DN)) | s.saturated
+    top, modulation = s.top_dn - np.float32(noise.black_dn), s.modulation_dn.copy()
+    clear = s.lit & ~s.saturated & (s.contrast_dn > 0.0)
+    depth = float(np.median(s.modulation_dn[clear] / s.contrast_dn[clear])) if clear.any() else 0.5
+    clipped = s.bright_dn >= FULL_DN
+    if clipped.any():
+        top[clipped] = np.maximum(_true_bright_dn(s, sequence, clipped, noise.black_dn), FULL_DN - noise.black_dn)
+    modulation[s.saturated] = np.float32(depth) * top[s.saturated]
+    return np.asarray(top[seen], np.float32), np.asarray(modulation[seen], np.float32)

@@ -156,11 +156,11 @@ def _variance(noise: CameraNoise) -> tuple[float, float]:
 
 
 def _lost_share(decoded: CameraDecoder) -> float:
-    """Of the lit pixels, those whose frames contradict each other or that look like an edge."""
-    mask = decoded.mask[::2, ::2]
-    lit = np.count_nonzero(mask != Mask.SHADOW)
-    lost = np.count_nonzero(mask >= Mask.CONTRADICTION)
-    return lost / lit if lit else 0.0
+    """Of the lit pixels, those whose frames contradict each other or that look like an edge. What is saturated has no phase
+    that could, and what the water hides does so at rest, too."""
+    lit = np.count_nonzero((decoded.mask != Mask.SHADOW) & (decoded.mask != Mask.SATURATED)) - decoded.veiled_pixels
+    lost = np.count_nonzero(decoded.mask >= Mask.CONTRADICTION) - decoded.veiled_pixels
+    return lost / lit if lit > 0 else 0.0
 
 
 def _axial(harm: Harm) -> float | None:

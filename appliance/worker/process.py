@@ -109,6 +109,21 @@ class ScanSpoiled:
 
 
 @dataclass(frozen=True, slots=True)
+class PairJudged:
+    """What became of a second sequence."""
+
+    scan: int
+    """The number given to ``begin``."""
+    second: tuple[Judgement, ...]
+    """On the second sequence alone."""
+    pair: Judgement
+    """On both; with a fault there is no cloud."""
+    cloud: Cloud | None
+    """Of both sequences."""
+    cpu_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class WorkerFailed:
     """The worker is being started again, or has given up."""
 
@@ -117,7 +132,7 @@ class WorkerFailed:
     fault: Fault
 
 
-WorkerEvent = WorkerReady | PatternsRight | CloudReady | ScanJudged | ScanSpoiled | WorkerFailed
+WorkerEvent = WorkerReady | PatternsRight | CloudReady | ScanJudged | ScanSpoiled | PairJudged | WorkerFailed
 
 
 class ReconstructionWorker:
@@ -145,6 +160,10 @@ class ReconstructionWorker:
         self._memory_check_ns = 0
         self._scan: int | None = None
         self._taking = Taking(noise=order.noise)
+        self._second: Taking | None = None
+        """How the scan's second sequence is taken; ``None``: there is none, or not yet."""
+        self._knows_first = False
+        """This process found the scan's full cloud: a second sequence can follow without the frames of the first."""
         self._ticket = 0
         """Counts the scans begun; what the worker says of an earlier one is of no interest."""
         self._finishing = False
@@ -195,14 +214,30 @@ class ReconstructionWorker:
         """A new scan's frames will follow, taken so (``None``: as always)."""
         self._taking = taking or Taking(noise=self.order.noise)
         self._scan, self._finishing, self._missed, self._attempts = scan, False, False, 1
+        self._second, self._knows_first = None, False
         self._ticket += 1
         if self._process is None:
             self._fruitless = 0
             self._start_again()
         self._send(("begin", self._ticket, self._taking))
 
+    def begin_second(self, scan: int, taking: Taking) -> None:
+        """A second sequence's frames will follow, of the ``scan`` begun last, whose first ones are still in the store.
+
+        After ``finish``, one event PairJudged answers.
+        """
+        self._scan, self._finishing, self._missed, self._attempts = scan, False, False, 1
+        self._second = taking
+        self._ticket += 1
+        if self._process is None:
+            self._fruitless = 0
+            self._start_again()
+        if not self._knows_first:
+            self._tell_first()
+        self._send(("begin second", self._ticket, taking))
+
     def frame(self, side: str, index: int) -> None:
-        """Frame ``index`` of ``side`` is in the store."""
+        """Frame ``index`` of ``side`` is in the store, in the place of the sequence begun last."""
         if not self._missed:
             self._send(("frame", side, index))
 
@@ -268,6 +303,10 @@ class ReconstructionWorker:
                 return ScanJudged(self._scan, judgements, cpu_s)
             case ("identified", int(ticket)):
                 return PatternsRight(self._scan) if ticket == self._ticket and self._scan is not None else None
+            case (
+                "merged", int(ticket), Found() | None as found, tuple() as second, Judgement() as pair, float(cpu_s)
+            ):  # fmt: skip
+                return self._merged(found, second, pair, cpu_s) if ticket == self._ticket else None
             case ("spoiled", int(ticket), Judgement() as judgement):
                 spoiled = self._end_of(ticket)
                 return None if spoiled is None else ScanSpoiled(spoiled, judgement)
@@ -295,10 +334,19 @@ class ReconstructionWorker:
     def _tell_again(self) -> None:
         """Of all frames of the scan, from the first on."""
         self._missed = False
+        self._tell_first()
+        if self._second is not None:
+            self._send(("begin second", self._ticket, self._second))
+            self._tell_frames()
+
+    def _tell_first(self) -> None:
         self._send(("begin", self._ticket, self._taking))
+        self._tell_frames()
+
+    def _tell_frames(self) -> None:
         for index in range(self._store.shape[0]):
             for side in SIDES:
-                self.frame(side, index)
+                self._send(("frame", side, index))
 
     def _check_answer(self, now_ns: int) -> WorkerFailed | None:
         """Whether it is late with what was asked, or with a sign of life."""
@@ -337,7 +385,18 @@ class ReconstructionWorker:
         self._send(("taken", self._ticket))
         if full:
             self._finishing, self._deadline_ns, self._fruitless = False, None, 0
+            self._knows_first = True
         return CloudReady(self._scan, full, cloud, cpu_s)
+
+    def _merged(
+        self, found: Found | None, second: tuple[Judgement, ...], pair: Judgement, cpu_s: float
+    ) -> PairJudged | None:
+        if self._scan is None:
+            return None  # dropped meanwhile
+        cloud = None if found is None else PointTable(self._capacity, self._results.buf).cloud(found)
+        self._send(("taken", self._ticket))
+        self._finishing, self._deadline_ns, self._fruitless, self._knows_first = False, None, 0, True
+        return PairJudged(self._scan, second, pair, cloud, cpu_s)
 
     def _send(self, message: tuple[object, ...]) -> None:
         pipe = self._pipe
@@ -374,7 +433,7 @@ class ReconstructionWorker:
             raise
         finally:
             theirs.close()
-        self._pipe, self._process, self._starting = ours, process, True
+        self._pipe, self._process, self._starting, self._knows_first = ours, process, True, False
         self._alive_ns, self._asked = self._clock.now_ns(), False
         self._deadline_ns = self._alive_ns + int(self.limits.start_s * 1e9)
 

@@ -16,6 +16,7 @@ from appliance.capture.fault import Fault, FaultCode
 from appliance.capture.verdict import Judgement, Verdict
 from appliance.compensation.attempt import Attempt, attempt
 from appliance.optics.water import Water
+from appliance.reconstruct.decode import DecodedMaps
 from appliance.reconstruct.noise import TYPICAL_PAIR, StereoNoise
 from appliance.reconstruct.pipeline import SIDES, Pipeline
 from appliance.reconstruct.specks import mask_specks
@@ -25,6 +26,7 @@ from appliance.verdict.light import judge_light
 from appliance.verdict.motion import MotionJudgement, judge_motion
 from appliance.verdict.recorded import Recorded
 from appliance.verdict.turbidity import judge_water
+from appliance.worker.pair import Merged, Sequence, merge_pair
 
 WORTH_MASKING_PERCENT = 0.02
 """Of the pixels with coordinates; where specks disturb fewer, they are not looked for one by one: 20 ms of a scan."""
@@ -47,7 +49,7 @@ class ScanWork:
     """One scan after the other through ``pipeline`` and past the judges.
 
     The order is ``begin``, ``push`` for every frame, ``identify``, ``find_coarse``, ``judge``, ``compensate`` where ``moved``,
-    ``find_full``.
+    ``find_full``. A second sequence with another exposure follows in the same order, between ``hold`` and ``merge_with``.
     """
 
     def __init__(self, pipeline: Pipeline, calibration: Calibration, water: Water) -> None:
@@ -60,11 +62,13 @@ class ScanWork:
         self._motion: MotionJudgement | None = None
         self._others: tuple[Judgement, ...] = ()
         self._found: Found | None = None
+        self._compensated: Found | None = None
+        self._full: Found | None = None
 
     def begin(self, taking: Taking) -> None:
         """The next frame is frame 0 of a scan that was taken so."""
         self._taking, self._coarse, self._specks = taking, None, False
-        self._motion = self._found = None
+        self._motion = self._found = self._compensated = self._full = None
         self._frames.clear()
         self._pipeline.expect(taking.noise)
         self._pipeline.reset()
@@ -117,6 +121,7 @@ class ScanWork:
         motion, recorded = self._motion.judgement, self._recorded()
         plain = self._pipeline.find_full()
         tried = attempt(self._pipeline, plain, recorded, self._calibration, self._water)
+        self._compensated = tried.found
         self._found = tried.found or plain
         if tried.found is not None:
             motion = replace(motion, fault=Fault(FaultCode.COMPENSATED, motion.verdict.text))
@@ -124,12 +129,34 @@ class ScanWork:
 
     def find_full(self) -> Found:
         """The full cloud; after ``judge``. What passed by makes no points."""
-        if self._found is not None:
-            return self._found
-        if self._specks:
+        if self._found is None and self._specks:
             for side, noise in (("left", self._taking.noise.left), ("right", self._taking.noise.right)):
                 mask_specks(self._pipeline.sequence, self._frames[side], self._pipeline.decoded(side), noise)
-        return self._pipeline.find_full()
+        self._full = self._found or self._pipeline.find_full()
+        return self._full
+
+    @property
+    def finished(self) -> bool:
+        """``find_full`` was called, and nothing begun since."""
+        return self._full is not None
+
+    def hold(self) -> Sequence:
+        """This sequence, for a second one to be merged with; a copy. Raises ValueError unless ``finished``."""
+        return self._sequence({side: self._pipeline.decoded(side).copied() for side in SIDES})
+
+    def merge_with(self, first: Sequence) -> Merged:
+        """This sequence, the second of its scan, and the ``first`` as one; raises ValueError unless ``finished``."""
+        return merge_pair(self._pipeline, first, self._sequence({}))
+
+    def _sequence(self, maps: dict[str, DecodedMaps]) -> Sequence:
+        if self._full is None:
+            raise ValueError("the sequence has no full cloud yet; ask for it before another one is begun")
+        bright = self._frames["left"][self._pipeline.sequence.bright]
+        spoilt = self.moved and self._compensated is None
+        return Sequence(
+            self._pipeline.table.cloud(self._full), maps, bright, self._taking.exposure, self._taking.noise,
+            moved=self.moved, spoilt=spoilt,
+        )  # fmt: skip
 
     def _recorded(self) -> Recorded:
         decoded = {side: self._pipeline.decoded(side) for side in SIDES}

@@ -23,11 +23,13 @@ import numpy as np
 
 from appliance.calibration.file import Calibration, decode
 from appliance.capture.store import FrameStore
+from appliance.capture.verdict import Judgement, Verdict
 from appliance.optics.water import Water
 from appliance.patterns.sequence import PatternSequence, build_sequence
 from appliance.reconstruct.noise import StereoNoise
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.table import Found, PointTable
+from appliance.worker.pair import Sequence
 from appliance.worker.scan_work import ScanWork, Taking
 from appliance.worker.warm import run_empty_scan, run_what_an_empty_scan_does_not
 
@@ -132,6 +134,10 @@ class Server:
         self._ticket = 0
         """Of the scan in work, as the parent numbers them."""
         self._failed = False
+        self._first: Sequence | None = None
+        """Of the scan in work, once a second sequence was begun."""
+        self._second = False
+        """The frames that come are the second sequence's."""
         self._put_back: deque[Any] = deque()
 
     def serve(self) -> None:
@@ -147,10 +153,15 @@ class Server:
     def _do(self, message: Any) -> None:
         match message:
             case ("begin", int(ticket), Taking() as taking):
-                self._ticket, self._failed = ticket, False
+                self._ticket, self._failed, self._second, self._first = ticket, False, False, None
+                self._work.begin(taking)
+            case ("begin second", int(ticket), Taking() as taking):
+                self._ticket, self._failed, self._second = ticket, False, True
+                if self._first is None:
+                    self._first = self._work_through_first()
                 self._work.begin(taking)
             case ("frame", str(side), int(index)) if not self._failed:
-                self._work.push(side, self._store.frames(side), index)
+                self._work.push(side, self._store.frames(side, second=self._second), index)
             case ("finish",) if not self._failed:
                 self._finish()
             case ("drop",):
@@ -160,8 +171,41 @@ class Server:
             case _:
                 pass
 
+    def _work_through_first(self) -> Sequence:
+        """The first sequence as it was left; without a word where this process was started since. Raises ValueError."""
+        if not self._work.finished:
+            self._work.find_coarse()
+            self._work.judge()
+            if self._work.moved:
+                self._work.compensate()
+            self._work.find_full()
+        return self._work.hold()
+
+    def _finish_pair(self, first: Sequence) -> None:
+        """One answer for the second sequence: what its judges say, and the cloud of both."""
+        begun_s = time.process_time()
+        judgements: tuple[Judgement, ...] = (self._work.identify(),)
+        found: Found | None = None
+        if (spoiled := judgements[0].fault) is not None:
+            pair = Judgement(
+                Verdict("pair", False, {}, "the second exposure's frames are not what they should be"), spoiled
+            )
+        else:
+            self._work.find_coarse()
+            judgements += self._work.judge()
+            if self._work.moved:
+                judgements = (judgements[0], *self._work.compensate())
+            self._work.find_full()
+            merged = self._work.merge_with(first)
+            pair, found = merged.judgement, merged.found
+        self._pipe.send(("merged", self._ticket, found, judgements, pair, time.process_time() - begun_s))
+        self._await_taken()
+
     def _finish(self) -> None:
         """Everything that is to be said of the scan, as soon as it is known, until nobody wants to hear it any more."""
+        if self._second and self._first is not None:
+            self._finish_pair(self._first)
+            return
         identity = self._work.identify()
         if identity.fault is not None:
             self._pipe.send(("spoiled", self._ticket, identity))
@@ -182,11 +226,15 @@ class Server:
         begun_s = time.process_time()
         found = find()
         self._pipe.send(("cloud", self._ticket, full, found, time.process_time() - begun_s))
+        return self._await_taken()
+
+    def _await_taken(self) -> bool:
+        """Until what was found was copied; False when nobody wants it any more."""
         while True:
             match self._pipe.recv():
                 case ("taken", int(ticket)) if ticket == self._ticket:
                     return True
-                case ("begin" | "drop", *_) as message:
+                case ("begin" | "begin second" | "drop", *_) as message:
                     self._put_back.append(message)
                     return False
                 case ("ping",):

@@ -9,9 +9,14 @@ from appliance.calibration.design import Design, design_calibration
 from appliance.compensation.warm import run_every_kernel as run_compensation
 from appliance.optics.water import Water
 from appliance.patterns.sequence import PatternSequence, build_sequence
+from appliance.reconstruct.fuse import fuse
 from appliance.reconstruct.noise import TYPICAL
 from appliance.reconstruct.pipeline import SIDES, Pipeline
+from appliance.reconstruct.quality import CloudSummary
+from appliance.reconstruct.register import register
 from appliance.reconstruct.specks import mask_specks
+from appliance.reconstruct.surface import surface_of
+from appliance.reconstruct.table import Cloud
 from appliance.reconstruct.veiled import warm_up as read_veiled
 from appliance.verdict.light_fit import fit_blocks
 from appliance.worker.scan_work import ScanWork, Taking
@@ -33,11 +38,27 @@ def run_empty_scan(work: ScanWork, frames: NDArray[np.uint8]) -> None:
 
 
 def run_what_an_empty_scan_does_not(sequence: PatternSequence, frames: NDArray[np.uint8]) -> None:
-    """Kernels for motion, changing light and veil; else the first scan that has some would wait for a compiler."""
+    """Kernels for motion, changing light, veil and a second exposure; else the first scan that has some would wait for a compiler."""
     some = np.ones(4)
     run_compensation()
     fit_blocks(np.eye(4), some, some, some, np.arange(4), np.array([4]))
     read_veiled(sequence, frames, TYPICAL)
+    _run_pair()
+
+
+def _run_pair() -> None:
+    """A small wall, merged with itself."""
+    shape = (48, 64)
+    row, column = np.mgrid[0 : shape[0], 0 : shape[1]].reshape(2, -1)
+    points = np.stack([0.5 * (column - 32.0), 0.5 * (row - 24.0), np.full(row.size, 500.0)], 1).astype(np.float32)
+    ones = np.ones(row.size, np.float32)
+    summary = CloudSummary(row.size, 100.0, 500.0, 1.0, 1.0)
+    pixel = np.arange(row.size, dtype=np.uint32)
+    wall = Cloud(points, np.ones(row.size, np.uint8), ones, ones, ones, pixel, summary)
+    surface = surface_of(wall, wall, shape)
+    found = register(surface, wall)
+    if found is not None:
+        fuse(surface, wall, wall, found, (1.0, 1.0))
 
 
 def run_every_kernel() -> None:

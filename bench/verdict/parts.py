@@ -38,6 +38,7 @@ PARTS = MappingProxyType(
         "motion": "what moved is rejected, what did no harm is not",
         "compensation": "rigid motion taken out of the points",
         "light": "exposure, flicker, two exposures in one",
+        "pair": "the second exposure that is proposed: what both show, at rest and moved, against any single one",
         "turbidity": "what is said of the water, and points that specks would invent",
         "uncertainty": "each point's expected error against its true one",
     }

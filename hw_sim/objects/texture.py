@@ -8,12 +8,14 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-NONE, SLIGHT, STRONG, CHECKER = range(4)
-NAMES = {"none": NONE, "slight": SLIGHT, "strong": STRONG, "checker": CHECKER}
+NONE, SLIGHT, STRONG, CHECKER, LABELS = range(5)
+NAMES = {"none": NONE, "slight": SLIGHT, "strong": STRONG, "checker": CHECKER, "labels": LABELS}
 MEAN_ALBEDO = 0.6
 CHECKER_MM, CHECKER_BORDER_MM = 10.0, 0.15
 """Side of a printed square, and how wide its border is: one pixel of 1600, which is what samples can still carry."""
 CHECKER_ALBEDOS = (0.15, 0.70)
+LABELS_ALBEDOS = (0.03, 0.85)
+"""White labels on black rubber, of the checker's size: more than one exposure holds."""
 LATTICE = 64
 """The noise repeats after so many cells."""
 
@@ -53,9 +55,9 @@ def albedo(texture: int, lattice: NDArray[np.float32], x: float, y: float, z: fl
     """Diffuse albedo 0..1 at a point of the object's frame, mm."""
     if texture == NONE:
         return MEAN_ALBEDO
-    if texture == CHECKER:
-        light = 0.5 + 0.5 * _stripe(x) * _stripe(y)
-        return CHECKER_ALBEDOS[0] + (CHECKER_ALBEDOS[1] - CHECKER_ALBEDOS[0]) * light
+    if texture in (CHECKER, LABELS):
+        dark, bright = CHECKER_ALBEDOS if texture == CHECKER else LABELS_ALBEDOS
+        return dark + (bright - dark) * (0.5 + 0.5 * _stripe(x) * _stripe(y))
     # Clouds of 23 mm, stains of 7 mm, grain of 2 mm; the axes are turned so that no face shows the lattice.
     u, v, w = 0.80 * x + 0.36 * y + 0.48 * z, -0.60 * x + 0.48 * y + 0.64 * z, -0.80 * y + 0.60 * z
     clouds = _noise(lattice, u / 23.0, v / 23.0, w / 23.0)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from appliance.capture.exposure import NOMINAL, Exposure
@@ -392,6 +394,75 @@ def test_without_a_proposal_and_while_back_is_stuck_no_key_changes_the_exposure(
 def test_more_gain_is_named_as_such() -> None:
     machine = run(proposed(), on.Judged(1, (), Exposure(12_000, 4.0)))
     assert labels(machine)[Key.DOWN] == "GAIN 4 dB"
+
+
+# ------------------------------------------------------------------------------------ two exposures
+
+
+def offered(*events: on.Event) -> Machine:
+    return run(reviewing(), on.FullReady(1, SUMMARY), on.Judged(1, (), None, Exposure(3_200)), *events)
+
+
+def added() -> Machine:
+    return offered(on.KeyPressed(Key.DOWN), on.Armed(2), on.CaptureFinished(2))
+
+
+def test_one_key_records_a_second_exposure_and_the_scan_becomes_one_of_both() -> None:
+    machine = offered()
+    assert labels(machine)[Key.DOWN] == "ADD 3.2 ms"
+    machine, effects = after(machine, on.KeyPressed(Key.DOWN))
+    assert do.Arm(2, 16, Exposure(3_200), second=True) in effects
+    machine, effects = after(machine, on.Armed(2), on.CaptureFinished(2))
+    assert effects[-1] == do.StartReconstruction(2)
+    assert not any(isinstance(effect, do.StoreRaw | do.Reject) for effect in effects)
+    more = replace(SUMMARY, points=1500)
+    machine, effects = after(machine, on.PairMerged(1, more))
+    assert machine.state is State.REVIEW
+    assert effects == [do.StoreRaw(1)], "its frames are made durable, too"
+    assert machine.scan is not None
+    assert machine.scan.full == more
+    assert labels(machine)[Key.DOWN] == "TURN", "two are enough"
+    assert machine.exposure == NOMINAL, "the next scan is taken as before"
+    assert do.Publish(1) in after(machine, on.KeyPressed(Key.SCAN))[1]
+
+
+@pytest.mark.parametrize(
+    "lost",
+    [
+        (on.KeyPressed(Key.DOWN), on.KeyPressed(Key.BACK)),
+        (on.KeyPressed(Key.DOWN), on.Armed(2), on.KeyPressed(Key.BACK)),
+        (on.KeyPressed(Key.DOWN), on.CaptureFailed(2, MISSING)),
+        (on.KeyPressed(Key.DOWN), on.Armed(2), on.DeviceDown(Device.BOARD, "unplugged")),
+        (on.KeyPressed(Key.DOWN), on.Armed(2), on.BoardReset("WATCHDOG")),
+        (on.KeyPressed(Key.DOWN), on.Armed(2), on.Tick(10_000 * SECOND_NS)),
+        (on.KeyPressed(Key.DOWN), on.Armed(2), on.CaptureFinished(2), on.KeyPressed(Key.BACK)),
+        (on.KeyPressed(Key.DOWN), on.Armed(2), on.CaptureFinished(2), on.PairFailed(1, Fault(FaultCode.MOVED))),
+        (on.KeyPressed(Key.DOWN), on.Armed(2), on.CaptureFinished(2), on.Tick(10_000 * SECOND_NS)),
+    ],
+)
+def test_whatever_ends_the_second_exposure_the_first_scan_is_reviewed_as_before(lost: tuple[on.Event, ...]) -> None:
+    machine, effects = after(offered(), *lost)
+    assert machine.state is State.REVIEW
+    assert machine.scan == offered().scan
+    assert not any(isinstance(effect, do.Reject | do.CancelReconstruction) for effect in effects)
+    for alert in alerts(machine)[:1]:  # who pressed BACK is told nothing
+        assert alert.headline == "NOT ADDED"
+        assert alert.action.endswith("FIRST KEPT")
+        assert not isinstance(lost[-1], on.KeyPressed)
+    assert do.Publish(1) in after(machine, on.KeyPressed(Key.SCAN))[1]
+
+
+def test_a_leak_during_the_second_exposure_saves_the_first() -> None:
+    for machine in (offered(on.KeyPressed(Key.DOWN), on.Armed(2)), added()):
+        machine, effects = after(machine, heartbeat(leak=True), heartbeat(leak=True), heartbeat(leak=True))
+        assert machine.state is State.SAFE
+        assert do.Publish(1) in effects
+        assert run(machine, on.PairMerged(1, SUMMARY)).scan == machine.scan, "too late"
+
+
+def test_points_that_are_wrong_are_not_added_to() -> None:
+    machine = offered(on.Judged(1, (Fault(FaultCode.MOVED),), None, Exposure(3_200)))
+    assert labels(machine)[Key.DOWN] == "TURN"
 
 
 def test_a_distance_is_forgotten_when_the_lasers_go_off() -> None:

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.reconstruct.decode import CameraDecoder
+from appliance.capture.exposure import Exposure
+from appliance.reconstruct.decode import CameraDecoder, Mask
 from appliance.reconstruct.noise import StereoNoise, camera_noise
 from appliance.reconstruct.pipeline import Pipeline
+from appliance.worker.scan_work import ScanWork, Taking
 from bench.bias import depth_errors
 from hw_sim.imaging import Imaging
 from hw_sim.scene import Scene
@@ -81,6 +83,25 @@ def test_the_middle_between_bright_and_dark_would_have_made_them(milky: Rendered
     assert wrong_before > 5_000
     assert wrong_after < 0.002 * wrong_before
     assert np.isfinite(left.decoder.p_px).sum() > 1.1 * np.isfinite(left.p_px).sum()
+
+
+def test_what_the_water_hides_is_no_movement(milky: RenderedScan) -> None:
+    calibration = true_calibration(milky.renderer.truth)
+    noise = StereoNoise(NOISE, NOISE)
+    with Pipeline(calibration, WATER, milky.sequence, noise=noise) as pipeline:
+        work = ScanWork(pipeline, calibration, WATER)
+        work.begin(Taking(Exposure(16_200, GAIN_DB), noise=noise))
+        for side, frames in milky.frames.items():
+            for k in range(len(milky.sequence)):
+                work.push(side, frames, k)
+        work.find_coarse()
+        hidden = max(100.0 * np.mean(pipeline.decoded(side).mask == Mask.CONTRADICTION) for side in milky.frames)
+        judged = {judgement.verdict.name: judgement for judgement in work.judge()}["motion"]
+    assert hidden > 5.0
+    assert judged.fault is None, judged.verdict.text
+    lost_percent = judged.verdict.numbers["lost_percent"]
+    assert lost_percent is not None
+    assert lost_percent < 2.0
 
 
 def test_clear_water_is_read_once(clear: RenderedScan) -> None:

@@ -9,6 +9,7 @@ from appliance.capture.fault import FaultCode
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.config import load_rig
 from appliance.machine import events as on
+from appliance.machine.states import Part
 from appliance.optics.water import Water
 from appliance.patterns.sequence import build_sequence
 from appliance.service.scans import ScanDesk
@@ -36,8 +37,12 @@ def test_a_worker_that_cannot_live_is_a_condition_and_no_endless_boot(tmp_path: 
     for memory_mb, expected in ((20.0, on.ConditionRaised), (2000.0, on.ConditionCleared)):
         limits = WorkLimits(memory_mb=memory_mb, start_memory_mb=memory_mb)
         with ScanDesk(rig, calibration, build_sequence(16), library, MonotonicClock(), limits) as desk:
-            (event,) = events_until_settled(desk)
+            event, told = events_until_settled(desk)
             assert isinstance(event, expected)
+            assert isinstance(told, on.PartTested)
+            assert (told.part, told.passed) == (Part.WORKER, expected is on.ConditionCleared), (
+                "the self-test hears of it"
+            )
             fault = event.fault if isinstance(event, on.ConditionRaised) else event
             assert fault.code is FaultCode.RECONSTRUCTION_FAILED
             assert desk.worker_settled

@@ -21,6 +21,7 @@ from appliance.patterns.sequence import build_sequence
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.worker.process import (
     CloudReady,
+    PatternsRight,
     ReconstructionWorker,
     ScanJudged,
     WorkerFailed,
@@ -70,6 +71,7 @@ def test_same_points_in_the_worker(store: FrameStore) -> None:
     with ReconstructionWorker(order, store, RealClock()) as worker:
         assert worker.wait(60) == WorkerReady()
         worker.reprocess(1)
+        assert worker.wait(20) == PatternsRight(1)
         coarse, judged, full = worker.wait(20), worker.wait(20), worker.wait(20)
         assert isinstance(judged, ScanJudged)
         assert isinstance(coarse, CloudReady)
@@ -101,6 +103,7 @@ def test_after_a_change_points_are_those_of_the_new_calibration(store: FrameStor
         assert worker.wait(60) == WorkerReady()
         assert worker.poll() is None
         worker.reprocess(2)
+        assert worker.wait(20) == PatternsRight(2)
         coarse, judged, full = worker.wait(20), worker.wait(20), worker.wait(20)
         assert isinstance(judged, ScanJudged)
         assert isinstance(coarse, CloudReady)
@@ -120,6 +123,7 @@ def test_frames_that_are_not_a_sequence_fail_and_the_next_scan_works(store: Fram
         assert isinstance(failed, WorkerFailed)
         assert "frame 3 was pushed; frame 0 is next" in failed.fault.detail
         worker.reprocess(2)
+        assert worker.wait(20) == PatternsRight(2)
         assert isinstance(worker.wait(20), CloudReady)
 
 
@@ -206,7 +210,7 @@ def hold_before_full(worker: ReconstructionWorker) -> CloudReady:
         if isinstance(event, CloudReady):
             assert not event.full
             return event
-        assert event is None
+        assert event is None or isinstance(event, PatternsRight)
         assert time.monotonic() < end_s
         signal_worker(worker, signal.SIGCONT)
         time.sleep(0.01)

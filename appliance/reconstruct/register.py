@@ -1,0 +1,119 @@
+"""Owns where one cloud lies against another of the same surface: the rigid motion between two sequences of one scene.
+
+Point to plane on the lattice of the left pixels, robust, from rest; what the surface does not show (a plane that slides in
+itself) is left at rest, where it does no harm.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.reconstruct.surface import Surface, below, pixels_of, thinned
+from appliance.reconstruct.table import Cloud
+
+Array = NDArray[np.float64]
+SAMPLES = 10_000
+"""Points of the second cloud that are asked."""
+LEAST_SHARED = 400
+"""Of the samples must lie on the first surface."""
+ROUNDS = 14
+REACH_MM = 6.0
+"""Distances from the surface that count in the first round; halved with each, down to what noise explains."""
+MANY_SIGMA = 4.0
+SETTLED = 0.1
+"""Of the expected distance of two points: by less the last step moved the surfaces towards each other."""
+WEAKEST = 1e-4
+"""A motion that is seen by so little of what the best seen one is seen by, as squares, is not asked for: a plane that
+slides in itself."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Registration:
+    """``rotation`` @ p + ``translation_mm`` is where a point p of the second cloud lies in the first one's frame."""
+
+    rotation: Array
+    """(3, 3)."""
+    translation_mm: Array
+    """(3,)."""
+    moved_mm: float
+    """Median way of the second cloud's points."""
+    moved_px: float
+    """The same, in pixels of the left image."""
+    turned_deg: float
+    residual: float
+    """Robust rms distance of the two surfaces, over what is expected of their points: 1 for the same rigid thing."""
+    residual_mm: float
+    shared: float
+    """Share 0..1 of the second cloud's samples with a surface below that lie on it within the noise."""
+
+    def apply(self, points_mm: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Points (n, 3) float32 of the second cloud, in the first one's frame."""
+        return np.asarray(points_mm @ self.rotation.T + self.translation_mm, np.float32)
+
+
+def register(surface: Surface, second: Cloud) -> Registration | None:
+    """Where ``second`` lies against ``surface``; ``None``: too little in common, or it does not settle."""
+    chosen = thinned(len(second.pixel), SAMPLES)
+    if len(chosen) < LEAST_SHARED:
+        return None
+    points, errors = second.points_mm[chosen].astype(np.float64), second.sigma_mm[chosen].astype(np.float64)
+    middle = points.mean(axis=0)
+    lever_mm = math.sqrt(float(np.mean(np.sum((points - middle) ** 2, axis=1)))) + 1e-9
+    rotation, translation = np.eye(3), np.zeros(3)
+    reach_mm, last_mm = REACH_MM, math.inf
+    for _ in range(ROUNDS):
+        moved = points @ rotation.T + translation
+        found = below(surface, moved)
+        near = found.known & (np.abs(found.apart_mm) < reach_mm)
+        if int(near.sum()) < LEAST_SHARED:
+            return None
+        apart_mm, sigma_mm = found.apart_mm[near], np.hypot(found.sigma_mm, errors)[near]
+        z = apart_mm / sigma_mm
+        spread = max(1.0, 1.4826 * float(np.median(np.abs(z))))
+        weight = np.clip(1.0 - (z / (MANY_SIGMA * spread)) ** 2, 0.0, None) ** 2 / sigma_mm**2
+        normal = found.normal[near]
+        jacobian = np.concatenate([normal, np.cross((moved[near] - middle) / lever_mm, normal)], 1)
+        weighted = (jacobian * weight[:, None]).T
+        step = _solve(weighted @ jacobian, -weighted @ apart_mm)
+        turn = _rotation(step[3:] / lever_mm)
+        rotation, translation = turn @ rotation, turn @ (translation - middle) + middle + step[:3]
+        last_mm = float(np.sqrt(np.mean((jacobian @ step) ** 2)))
+        # As near as the surfaces are found to be; what is farther belongs to another one.
+        reach_mm = max(0.5 * reach_mm, 5.0 * spread * float(np.median(sigma_mm)))
+        reach_mm = min(reach_mm, REACH_MM)
+    moved = points @ rotation.T + translation
+    found = below(surface, moved)
+    near = found.known & (np.abs(found.apart_mm) < reach_mm)
+    sigma_mm = np.hypot(found.sigma_mm, errors)
+    if int(near.sum()) < LEAST_SHARED or last_mm > SETTLED * float(np.median(sigma_mm[near])):
+        return None
+    way_px = pixels_of(surface, moved) - pixels_of(surface, points)
+    return Registration(
+        rotation=rotation,
+        translation_mm=translation,
+        moved_mm=float(np.median(np.linalg.norm(moved - points, axis=1))),
+        moved_px=float(np.median(np.linalg.norm(way_px, axis=1))),
+        turned_deg=math.degrees(math.acos(float(np.clip(0.5 * (np.trace(rotation) - 1.0), -1.0, 1.0)))),
+        residual=1.4826 * float(np.median(np.abs(found.apart_mm[near] / sigma_mm[near]))),
+        residual_mm=1.4826 * float(np.median(np.abs(found.apart_mm[near]))),
+        shared=float(near.sum() / found.known.sum()),
+    )
+
+
+def _solve(normal: Array, right: Array) -> Array:
+    """Least squares without the motions that the surface does not show."""
+    values, vectors = np.linalg.eigh(normal)
+    seen = values > WEAKEST * values[-1]
+    return np.asarray(vectors[:, seen] @ ((vectors[:, seen].T @ right) / values[seen]), np.float64)
+
+
+def _rotation(vector_rad: Array) -> Array:
+    """Rodrigues' formula."""
+    angle = float(np.linalg.norm(vector_rad))
+    x, y, z = vector_rad / max(angle, 1e-15)
+    k = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.asarray(np.eye(3) + math.sin(angle) * k + (1.0 - math.cos(angle)) * (k @ k), np.float64)

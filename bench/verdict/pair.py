@@ -1,0 +1,110 @@
+"""Owns the figures of a second exposure: what the pair the judge of light proposes shows, against each single exposure.
+
+Each scene goes the diver's way: a scan at the rig's exposure, then the second one that was proposed, at rest and after a hand's
+movement; and, in its place, the one other exposure that EXPOSE would have set.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from appliance.capture.exposure import NOMINAL, Exposure
+from appliance.reconstruct.pipeline import SIDES, Pipeline
+from appliance.reconstruct.table import Cloud
+from appliance.worker.scan_work import ScanWork, Taking
+from bench.result import Measured
+from bench.verdict.light_scenes import STEPS, noise_at
+from bench.verdict.parts import Say
+from hw_sim.scene import Scene
+from tests.support.rendered import RenderedScan, judge, render_scan
+from tests.support.truth import WATER, true_calibration
+
+OBJECTS = ("frustum", "stones", "plane")
+MOVED_BY = (1.5, -1.0, 2.0, 0.3, -0.4, 0.5)
+"""What a hand moves between two sequences: mm and degrees."""
+WIDTH_PX, PERIOD_PX = 400, 16
+SCANS_PER_CASE = 4
+
+Figures = tuple[float, float, float]
+"""Completeness in percent, rms error in mm, outliers in ppm."""
+
+
+def measure(scans: int, seed: int, say: Say) -> tuple[list[Measured], dict[str, Any]]:
+    """White labels on black rubber; every fourth scan of ``scans`` is a case, with an object, a place and a rig of its own."""
+    rng = np.random.default_rng([seed, 61])
+    count = max(1, scans // SCANS_PER_CASE)
+    cases: list[dict[str, Any]] = []
+    for k in range(count):
+        name = OBJECTS[k % len(OBJECTS)]
+        say(f"two exposures: {name}", k / count)
+        cases.append(_case(name, int(rng.integers(1 << 30)), rng))
+    offered = [one for one in cases if one["second"] is not None]
+    merged = [(one, one[way]) for one in offered for way in ("at rest", "moved") if one[way] is not None]
+    gained = [both[0] - max(single[0] for single in one["alone"].values()) for one, both in merged]
+    error = [both[1] / max(single[1] for single in one["alone"].values()) for one, both in merged]
+    nothing = float("nan")
+    share = 100.0 * len(merged) / (2 * len(offered)) if offered else nothing
+    return [
+        Measured("scenes offered a second exposure", 100.0 * len(offered) / count, "%", at_least=100.0),
+        Measured("pairs merged", share, "%", at_least=100.0, key="pair_merged_percent"),
+        Measured(
+            "surface gained over the best single exposure (least)", min(gained, default=nothing), "%", at_least=3.0
+        ),
+        Measured("error over that of the worst single exposure (most)", max(error, default=nothing), "", at_most=1.05),
+    ], {"pairs": cases}
+
+
+def _case(name: str, seed: int, rng: np.random.Generator) -> dict[str, Any]:
+    scene = Scene(object=name, texture="labels")
+    start = tuple(float(x) for x in np.array(scene.start_pose) + rng.uniform(-1.0, 1.0, 6) * (8, 8, 15, 4, 4, 10))
+    scene = replace(scene, pose=start)  # type: ignore[arg-type]
+    gone = replace(scene, pose=tuple(float(x) for x in np.add(start, MOVED_BY)))  # type: ignore[arg-type]
+    first = _render(scene, NOMINAL, seed)
+    calibration = true_calibration(first.renderer.truth)
+    case: dict[str, Any] = {"object": name, "pose": start, "second": None, "alone": {}}
+    with Pipeline(calibration, WATER, first.sequence) as pipeline:
+        work = ScanWork(pipeline, calibration, WATER)
+        cloud = _scan(work, pipeline, first, NOMINAL)
+        light = work.judge()[0]
+        case["alone"][NOMINAL.label] = _figures(first, cloud)
+        if light.second is None:
+            return case
+        case["second"] = light.second.label
+        held = work.hold()
+        for way, where in (("at rest", scene), ("moved", gone)):
+            second = _render(where, light.second, seed)
+            cloud = _scan(work, pipeline, second, light.second)
+            if way == "at rest":
+                case["alone"][light.second.label] = _figures(second, cloud)
+            merged = work.merge_with(held)
+            verdict = merged.judgement.verdict
+            case[f"{way}: verdict"] = {"text": verdict.text, **verdict.numbers}
+            case[way] = None if merged.found is None else _figures(first, pipeline.table.cloud(merged.found))
+        if light.proposal is not None:
+            other = _render(scene, light.proposal, seed)
+            case["alone"][light.proposal.label] = _figures(other, _scan(work, pipeline, other, light.proposal))
+    return case
+
+
+def _render(scene: Scene, exposure: Exposure, seed: int) -> RenderedScan:
+    return render_scan(
+        scene, "realistic", seed, WIDTH_PX, PERIOD_PX, exposure_s=exposure.time_us / 1e6, gain_db=exposure.gain_db
+    )
+
+
+def _scan(work: ScanWork, pipeline: Pipeline, scan: RenderedScan, exposure: Exposure) -> Cloud:
+    work.begin(Taking(exposure, noise=noise_at(exposure), steps=STEPS))
+    for k in range(len(scan.sequence)):
+        for side in SIDES:
+            work.push(side, scan.frames[side], k)
+    work.find_coarse()
+    work.judge()
+    return pipeline.table.cloud(work.find_full())
+
+
+def _figures(scan: RenderedScan, cloud: Cloud) -> Figures:
+    found = judge(scan, cloud)
+    return found.completeness_percent, found.rms_mm, found.outliers_ppm
