@@ -1,11 +1,14 @@
-"""Owns the try: a scan's motion is estimated, and undone where that makes it as good as one at rest."""
+"""Owns the try: a scan's motion is estimated, and undone where that makes it clearly better, and useful."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
+import numpy as np
+
 from appliance.calibration.file import Calibration
-from appliance.compensation.compensate import compensate
+from appliance.compensation.compensate import Compensated, compensate
 from appliance.compensation.estimate import MotionEstimate, Scanned, estimate
 from appliance.optics.water import Water
 from appliance.reconstruct.pipeline import Pipeline
@@ -13,6 +16,14 @@ from appliance.reconstruct.table import Found
 
 LEAST_KEPT = 0.8
 """Of the plain cloud's points; a compensated cloud with fewer is not shown in its place."""
+GOOD_ERROR = 1.25
+"""Against a scan at rest: as good as one."""
+NEARLY_EQUAL = 1.05
+"""Such a scan is taken also where most points were good before: where only albedo edges suffer, ripple says nothing."""
+USEFUL_ERROR = 3.0
+"""Beyond, the scan is better repeated, whatever it was before."""
+CLEAR_GAIN = 0.75
+"""Of the error before, at most, where it does not become as good as at rest."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +36,8 @@ class Attempt:
     """The compensated cloud, in the pipeline's table; ``None``: the plain one is there, and stays what it is."""
     why: str
     """One sentence for the manifest."""
+    error_after: float | None = None
+    """Expected error of the median compensated point, by its own sigma, against a scan at rest; ``None``: none were made."""
 
 
 def attempt(pipeline: Pipeline, plain: Found, scanned: Scanned, calibration: Calibration, water: Water) -> Attempt:
@@ -36,14 +49,45 @@ def attempt(pipeline: Pipeline, plain: Found, scanned: Scanned, calibration: Cal
         return Attempt(None, None, f"Motion was not estimated: {error}.")
     if not motion.moved:
         return Attempt(motion, None, "Nothing moved that would show.")
-    if not motion.helps:
-        if not motion.converged:
-            return Attempt(motion, None, "The motion could not be told from the frames.")
-        return Attempt(motion, None, f"Compensated, points would err {motion.error_after:.1f} times as at rest.")
+    if not motion.converged:
+        return Attempt(motion, None, "The motion could not be told from the frames.")
     made = compensate(scanned, calibration, water, motion)
-    found = pipeline.find_replaced(made.maps["left"], made.maps["right"], made.sigma_factor)
-    if found.summary.points < LEAST_KEPT * plain.summary.points:
-        lost = 1.0 - found.summary.points / plain.summary.points
-        pipeline.find_full()
-        return Attempt(motion, None, f"Compensation would lose {100.0 * lost:.0f} % of the points.")
-    return Attempt(motion, found, f"Motion of {motion.texture_px:.1f} px during the x fringes was undone.")
+    found = pipeline.find_replaced(made.maps["left"], made.maps["right"])
+    error_after = _error(pipeline, found, made)
+    kept = found.summary.points / max(plain.summary.points, 1)
+    if worth_it(motion.error_before, error_after) and kept >= LEAST_KEPT:
+        _tell_modulation(pipeline, found, made)
+        why = f"Motion of {motion.texture_px:.1f} px during the x fringes was undone; points err {error_after:.1f} times as at rest."
+        return Attempt(motion, found, why, error_after)
+    pipeline.find_full()
+    if kept < LEAST_KEPT:
+        why = f"Compensation would lose {100.0 * (1.0 - kept):.0f} % of the points."
+    else:
+        why = f"Compensated, points would err {error_after:.1f} times as at rest."
+    return Attempt(motion, None, why, error_after)
+
+
+def worth_it(error_before: float, error_after: float) -> bool:
+    """Whether points with ``error_after`` are to be shown in place of those with ``error_before``; both against a scan at
+    rest. Such a scan is graded by its own noise."""
+    if error_after <= GOOD_ERROR and error_after <= NEARLY_EQUAL * error_before:
+        return True
+    return error_after <= USEFUL_ERROR and error_after <= CLEAR_GAIN * error_before
+
+
+def _error(pipeline: Pipeline, found: Found, made: Compensated) -> float:
+    """Of the median point, point by point against four steps of 90° of the same light; infinite where there is none."""
+    points, modulation = pipeline.table.points, made.modulation_half_dn.ravel()
+    factors = [
+        modulation[points.pixel[first:stop]] / np.maximum(points.modulation_half_dn[first:stop], 1)
+        for first, stop in found.pieces
+    ]
+    known = np.concatenate(factors)
+    return float(np.median(known)) if known.size else math.inf
+
+
+def _tell_modulation(pipeline: Pipeline, found: Found, made: Compensated) -> None:
+    """Sigmas were made of what the modulation is worth; the table tells what it was."""
+    points, modulation = pipeline.table.points, made.modulation_half_dn.ravel()
+    for first, stop in found.pieces:
+        points.modulation_half_dn[first:stop] = modulation[points.pixel[first:stop]]

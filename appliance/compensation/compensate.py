@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibration.file import Calibration
+from appliance.compensation.beside import choose_shares, with_depth, with_paint
 from appliance.compensation.estimate import MotionEstimate, Scanned, noise_dn
-from appliance.compensation.hand import SHIFT, TURN, between_mm
+from appliance.compensation.paint import known_smooth
 from appliance.compensation.solve import Solved, Sources, Terms, solve_rows
 from appliance.compensation.ways import Ways, ways
 from appliance.optics.water import Water
@@ -22,13 +23,18 @@ from appliance.reconstruct.edges import keep_smooth
 from appliance.reconstruct.pipeline import SIDES
 from appliance.reconstruct.rows import LeftMaps
 
-Array = NDArray[np.float64]
-
 FILL_SHARE = 0.03
 """Of the image's width: so far is a depth carried over pixels that motion left without coordinates."""
 PROBE_ROWS = 16
 """Every so many rows are asked for the fringes' second harmonic."""
 MAX_HARMONIC = 0.3
+PASSES = (3, 3, 1)
+"""Every so many rows are solved, each time with the depth that the time before found, where points are followed in part."""
+MISFIT_PX = 9
+"""Window, in px of pictures 800 px wide, over which what contradicts is averaged."""
+MOST_MISFIT = 100.0
+MISFIT_SHARE = 0.5
+"""Of what contradicts beyond noise, that is in the phase: wrong steps make half of their contradiction, wrong paint as much."""
 _NAN = np.float32(np.nan)
 
 
@@ -37,9 +43,15 @@ class Compensated:
     """What ``Pipeline.find_replaced`` needs."""
 
     maps: Mapping[str, LeftMaps]
-    """By side."""
-    sigma_factor: float
-    """Noise of the new phases against that of four steps of 90°, the motion's own uncertainty included."""
+    """By side. Modulation is that which four steps of 90° would need for as much noise: sigma is then made of it as ever."""
+    modulation_half_dn: NDArray[np.uint8]
+    """(h, w): what the left camera truly saw."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Side:
+    maps: LeftMaps
+    modulation_half_dn: NDArray[np.uint8]
 
 
 def compensate(scanned: Scanned, calibration: Calibration, water: Water, motion: MotionEstimate) -> Compensated:
@@ -48,10 +60,10 @@ def compensate(scanned: Scanned, calibration: Calibration, water: Water, motion:
     x, y = sequence.axis(Direction.X), sequence.axis(Direction.Y)
     followed = (*motion.frames, sequence.bright, *x.gray, *y.gray)
     axes = (0,) * 4 + (1,) * 4 + (0,) + (0,) * len(x.gray) + (1,) * len(y.gray)
-    moved_mm = _motion_at(motion, scanned.frame_s, followed)
+    moved_mm = motion.course_mm[list(followed)]
     rig = calibration.rig
 
-    def solve(side: str) -> LeftMaps:
+    def solve(side: str) -> _Side:
         camera = rig.left if side == "left" else rig.right
         way = ways(
             camera, motion.projector.eye, water.index, moved_mm, motion.centre_mm, axes, float(sequence.period_px)
@@ -59,46 +71,68 @@ def compensate(scanned: Scanned, calibration: Calibration, water: Water, motion:
         return _solve(scanned, side, motion, followed, way)
 
     with ThreadPoolExecutor(len(SIDES), "kf-compensate") as pool:
-        return Compensated(dict(zip(SIDES, pool.map(solve, SIDES), strict=True)), motion.error_after)
+        both = dict(zip(SIDES, pool.map(solve, SIDES), strict=True))
+    return Compensated({side: one.maps for side, one in both.items()}, both["left"].modulation_half_dn)
 
 
-def _motion_at(motion: MotionEstimate, frame_s: float, followed: tuple[int, ...]) -> Array:
-    known_s, wanted_s = frame_s * np.asarray(motion.frames), frame_s * np.asarray(followed[len(motion.frames) :])
-    others = [
-        between_mm(hand, known_s, motion.motion_mm[:, part], wanted_s, motion.reference_s)
-        for hand, part in ((SHIFT, slice(0, 3)), (TURN, slice(3, 6)))
-    ]
-    return np.concatenate([motion.motion_mm, np.concatenate(others, -1)])
-
-
-def _solve(scanned: Scanned, side: str, motion: MotionEstimate, followed: tuple[int, ...], way: Ways) -> LeftMaps:
+def _solve(scanned: Scanned, side: str, motion: MotionEstimate, followed: tuple[int, ...], way: Ways) -> _Side:
     sequence, decoder = scanned.sequence, scanned.decoded[side]
+    noise = scanned.noise.left if side == "left" else scanned.noise.right
     height, width = decoder.p_px.shape
     # One kind of array, whether it may be written or not: each kind would be compiled for itself.
     frames = scanned.frames[side].view()
     frames.flags.writeable = False
-    sources = Sources(frames, np.asarray(followed, np.int64), decoder.p_px)
+    sources = Sources(
+        frames, np.asarray(followed, np.int64), decoder.p_px, *(np.zeros((0, 0), np.float32) for _ in range(6))
+    )
     solved = Solved(
-        np.empty((height, width), np.float32), np.empty((height, width), np.float32),
-        np.empty((height, width), np.uint8), np.empty((height, width), np.uint8), np.empty((height, width), np.uint8),
-        np.zeros((height, 2), np.int32),
+        np.full((height, width), np.nan, np.float32), np.full((height, width), np.nan, np.float32),
+        np.empty((height, width), np.uint8), np.empty((height, width), np.uint8), np.empty((height, width), np.float32),
+        np.empty((height, width), np.uint8), np.empty((height, width), np.uint8), np.zeros((height, 2), np.int32),
     )  # fmt: skip
+    follow_x, follow_y = choose_shares(way)
     terms = Terms(
         np.float32(sequence.period_px), np.float32(sequence.width_px), np.float32(sequence.height_px),
-        np.float32(MIN_MODULATION_DN), np.float32(noise_dn(scanned, side)), np.float32(0.0), np.float32(0.0),
-        len(sequence.axis(Direction.X).gray), len(sequence.axis(Direction.Y).gray), round(FILL_SHARE * width),
+        np.float32(MIN_MODULATION_DN), np.float32(noise_dn(scanned, side)),
+        np.float32(noise.read_dn**2 - noise.dn_per_e * noise.black_dn), np.float32(noise.dn_per_e),
+        np.float32(0.0), np.float32(0.0), len(sequence.axis(Direction.X).gray), len(sequence.axis(Direction.Y).gray),
+        round(FILL_SHARE * width), np.float32(follow_x), np.float32(follow_y),
     )  # fmt: skip
     gains = (1.0 / (1.0 + motion.gains)).astype(np.float32)
-    harmonics = np.zeros((2, 2))
-    solve_rows(sources, way, gains, terms, PROBE_ROWS // 2, height, PROBE_ROWS, solved, harmonics)
-    share = np.clip(harmonics[:, 0] / np.maximum(harmonics[:, 1], 1e-9), -MAX_HARMONIC, MAX_HARMONIC)
-    terms = terms._replace(harmonic_x=np.float32(share[0]), harmonic_y=np.float32(share[1]))
-    solve_rows(sources, way, gains, terms, 0, height, 1, solved, harmonics)
+    partly = min(follow_x, follow_y) < 1.0
+    if partly:
+        sources = with_paint(sequence, sources, terms, way)
+    for stride in PASSES if partly else PASSES[-1:]:
+        if partly:
+            sources = with_depth(sources, terms, way)
+        harmonics = np.zeros((2, 2))
+        straight = terms._replace(harmonic_x=np.float32(0.0), harmonic_y=np.float32(0.0))
+        solve_rows(sources, way, gains, straight, PROBE_ROWS // 2, height, PROBE_ROWS, solved, harmonics)
+        share = np.clip(harmonics[:, 0] / np.maximum(harmonics[:, 1], 1e-9), -MAX_HARMONIC, MAX_HARMONIC)
+        terms = terms._replace(harmonic_x=np.float32(share[0]), harmonic_y=np.float32(share[1]))
+        solve_rows(sources, way, gains, terms, 0, height, stride, solved, harmonics)
+        sources = sources._replace(p_px=solved.p_px.copy())
     jump_px, bend_px = edge_limits_px(sequence.period_px, width)
     drop_edges(solved.p_px, solved.q_px, jump_px, bend_px)
-    return LeftMaps(
-        solved.p_px, solved.q_px, solved.modulation_half_dn, solved.bright, solved.light, solved.lit_columns
-    )
+    worth = _less_misfit(solved.worth_half_dn, solved.misfit, motion.ripple_after, width)
+    maps = LeftMaps(solved.p_px, solved.q_px, worth, solved.bright, solved.light, solved.lit_columns)
+    return _Side(maps, solved.modulation_half_dn)
+
+
+def _less_misfit(
+    worth_half_dn: NDArray[np.uint8], misfit: NDArray[np.float32], ripple: float, width: int
+) -> NDArray[np.uint8]:
+    """The modulation that noise of 90° steps would need to scatter as this does: also by what the frames contradict.
+
+    The median of that is the fringes' harmonics, which depth does not see, and ``ripple``, which is known of its own.
+    """
+    window = 2 * round(0.5 * MISFIT_PX * width / 800.0) + 1
+    around = known_smooth(np.minimum(misfit, np.float32(MOST_MISFIT)), window)
+    known = around[np.isfinite(around)]
+    usual = float(np.median(known)) if known.size else 1.0
+    beyond = np.maximum(np.nan_to_num(around, nan=usual) - max(usual, 1.0), 0.0)
+    worse = np.sqrt(1.0 + ripple**2 + MISFIT_SHARE * beyond)
+    return np.asarray(worth_half_dn / worse + 0.5, np.uint8)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")

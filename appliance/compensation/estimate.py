@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibration.file import Calibration
+from appliance.compensation.course import Course, follow_stripes, hands_course
 from appliance.compensation.eyes import see
-from appliance.compensation.hand import LEVER_MM, SHIFT, TURN, displacement_covariance_mm2
+from appliance.compensation.hand import LEVER_MM
 from appliance.compensation.projector import FittedProjector, fit_projector
 from appliance.compensation.residuals import (
     FRAMES,
@@ -51,10 +52,6 @@ ENOUGH_MM = 0.02
 """Of a step, before the last level."""
 NEARLY_CONVERGED_MM = 0.05
 MAX_VARIANCE = 25.0
-GOOD_ERROR = 1.25
-"""Against a scan at rest; beyond, the scan is better repeated."""
-NEARLY_EQUAL = 1.05
-"""Where only albedo edges suffer, the ripple of most points says nothing."""
 NEGLIGIBLE_RIPPLE, NEGLIGIBLE_PX = 0.3, 0.7
 RIPPLE_OF_CONTRADICTION = 0.5
 """Steps that are wrong by ε each make a phase ripple of ε/2 · cos 2φ and a contradiction of ε (sin φ − cos φ) of the
@@ -108,6 +105,8 @@ class MotionEstimate:
 
     frames: tuple[int, ...]
     """The 8 sine frames: x, then y."""
+    course_mm: Array
+    """(n, 6) mm of all frames."""
     motion_mm: Array
     """(8, 6) mm: shift of the middle of the volume, and turn as mm at ``LEVER_MM`` from it."""
     covariance_mm2: Array
@@ -126,8 +125,8 @@ class MotionEstimate:
     texture_px: float
     """Median way of the picture from the first to the last x-sine, in px of the left camera."""
     noise_factor: float
-    """Noise of the new phases against that of steps of 90°. Large where the hand moved along with the fringes: a point
-    then saw nearly the same phase in all steps."""
+    """Noise of phases against that of steps of 90° where points are followed all the way. Large where the hand moved along
+    with the fringes: a point then saw nearly the same phase in all steps."""
     converged: bool
 
     @property
@@ -139,17 +138,6 @@ class MotionEstimate:
     def error_before(self) -> float:
         """Expected error of the points against that of a scan at rest, when nothing is done."""
         return math.hypot(1.0, self.ripple_before)
-
-    @property
-    def error_after(self) -> float:
-        """The same of the compensated points."""
-        return math.hypot(self.noise_factor, self.ripple_after)
-
-    @property
-    def helps(self) -> bool:
-        """What moved, and the compensated scan is as good as one at rest: worth its time, and to be shown."""
-        good = self.error_after <= min(GOOD_ERROR, NEARLY_EQUAL * self.error_before)
-        return self.moved and self.converged and good
 
 
 def estimate(
@@ -169,6 +157,7 @@ def estimate(
     chosen = _spread(len(points), SAMPLES)
     centre = rig.volume_centre_mm(index)
     binning = max(1, rig.left.width_px // WORKING_WIDTH_PX)
+    pattern_of = see(projector.eye, index, points[chosen]).px
     samples = {
         side: _samples(camera, projector.eye, index, points[chosen], centre, sequence.period_px, binning)
         for side, camera in (("left", rig.left), ("right", rig.right))
@@ -180,8 +169,15 @@ def estimate(
     scale = math.sqrt(rig.left.width_px / binning / WORKING_WIDTH_PX)
     with ThreadPoolExecutor(len(SIDES), "kf-motion") as pool:
         solver = _Solver(samples, _prior(times_s, reference_s), pool)
+        hands = hands_course(scanned.frame_s * np.arange(len(sequence), dtype=np.float64), reference_s)
+        course = Course(np.zeros(len(hands)), np.asarray(np.linalg.inv(hands), np.float64))
         step_mm = math.inf
         for level in LEVELS:
+            if level is LEVELS[1]:
+                course = follow_stripes(
+                    sequence, scanned.frames, samples, pattern_of, hands, (sines, *solver.information()), pool
+                )
+                solver.expect(*course.at(sines))
             solver.look_at(working, level, scale)
             for _ in range(level.iterations):
                 step_mm = solver.step(level.kinds)
@@ -195,6 +191,7 @@ def estimate(
     noise = grey_dn / float(np.mean([_modulation_dn(scanned, side) for side in SIDES]))
     return MotionEstimate(
         frames=sines,
+        course_mm=course.given(sines, solver.values[:MOTIONS].reshape(FRAMES, 6)),
         motion_mm=solver.values[:MOTIONS].reshape(FRAMES, 6).copy(),
         covariance_mm2=covariance,
         gains=solver.values[GAINS : GAINS + FRAMES].copy(),
@@ -242,6 +239,24 @@ class _Solver:
         self._matrix = prior
         self._vector = np.zeros(PARAMETERS)
         self._variance = np.ones((1, 2))
+        self._mean = np.zeros(PARAMETERS)
+
+    def information(self) -> tuple[Array, Array]:
+        """Of the motion, from what was last asked alone: matrix (48, 48) and vector of its normal equations."""
+        own = self._matrix - self._prior
+        vector = own @ self._asked_at - self._vector
+        m, g = slice(0, MOTIONS), slice(MOTIONS, PARAMETERS)
+        cross = own[m, g] @ np.linalg.inv(own[g, g] + self._prior[g, g])
+        return own[m, m] - cross @ own[g, m], vector[m] - cross @ vector[g]
+
+    def expect(self, mean_mm: Array, covariance_mm2: Array) -> None:
+        """From now on the motion is expected so, and looked for from where what is known of it says."""
+        told, vector = self.information()
+        precision = np.linalg.inv(covariance_mm2)
+        self._prior = self._prior.copy()
+        self._prior[:MOTIONS, :MOTIONS] = precision
+        self._mean[:MOTIONS] = mean_mm
+        self.values[:MOTIONS] = np.linalg.solve(precision + told, precision @ mean_mm + vector)
 
     def look_at(self, working: Mapping[str, list[NDArray[np.float32]]], level: Level, scale: float) -> None:
         """From now on at a level's pictures, its blurs times ``scale``."""
@@ -256,15 +271,15 @@ class _Solver:
         self._known = known
 
     def step(self, kinds: tuple[int, ...]) -> float:
-        """One step on residuals of these kinds; its largest part in mm."""
+        """One step on residuals of these kinds; in mm the largest part of it among the x-sines, which make the depth."""
         residual_dn, _ = self._accumulate(self.values, kinds)
         for kind in range(3):
             known = residual_dn[np.isfinite(residual_dn[:, kind]), kind]
             if known.size:
                 self._scale_dn[kind] = max(1.4826 * float(np.median(np.abs(known))), LEAST_SCALE_DN)
-        step = -np.linalg.solve(self._matrix, self._vector + self._prior @ self.values)
+        step = -np.linalg.solve(self._matrix, self._vector + self._prior @ (self.values - self._mean))
         self.values += step
-        return float(np.abs(step[:MOTIONS]).max())
+        return float(np.abs(step[: MOTIONS // 2]).max())
 
     def contradiction(self, values: Array, noise_dn: float) -> float:
         """Robust standard deviation of what contradicts in the x-sines beyond the noise of the pictures that are looked
@@ -293,6 +308,7 @@ class _Solver:
 
     def _accumulate(self, values: Array, kinds: tuple[int, ...]) -> tuple[Array, Array]:
         asked = list(self._pool.map(lambda side: self._ask(side, values, kinds), SIDES))
+        self._asked_at = values.copy()
         matrix = np.sum([one.matrix for one in asked], axis=0)
         self._vector = np.sum([one.vector for one in asked], axis=0)
         # The kernel fills each pair once, in either order.
@@ -364,11 +380,7 @@ def _samples(
 def _prior(times_s: Array, reference_s: float) -> Array:
     """Precision of all parameters before anything was seen."""
     prior = np.zeros((PARAMETERS, PARAMETERS))
-    for hand, parts in ((SHIFT, (0, 1, 2)), (TURN, (3, 4, 5))):
-        precision = np.linalg.inv(displacement_covariance_mm2(hand, times_s, reference_s))
-        for part in parts:
-            at = part + 6 * np.arange(FRAMES)
-            prior[np.ix_(at, at)] = precision
+    prior[:MOTIONS, :MOTIONS] = hands_course(times_s, reference_s)
     for block in (np.arange(GAINS, GAINS + 4), np.arange(GAINS + 4, GAINS + FRAMES)):
         prior[block, block] = 1.0 / GAIN_SD**2
         # Only their differences mean anything: brighter pictures would have louder disagreements, no others.

@@ -47,10 +47,3 @@ def displacement_covariance_mm2(hand: Hand, times_s: Array, reference_s: float) 
     )
     against = K[:-1, :-1] - K[:-1, -1:] - K[-1:, :-1] + K[-1, -1]
     return np.asarray(against + UNSMOOTH_MM**2 * np.eye(len(t) - 1))
-
-
-def between_mm(hand: Hand, times_s: Array, known_mm: Array, wanted_s: Array, reference_s: float) -> Array:
-    """The most likely displacements (m, ...) at ``wanted_s`` (m,) when those at ``times_s`` (n,) are ``known_mm`` (n, ...)."""
-    n = len(times_s)
-    K = displacement_covariance_mm2(hand, np.concatenate([times_s, wanted_s]), reference_s)
-    return np.asarray(K[n:, :n] @ np.linalg.solve(K[:n, :n], known_mm))

@@ -62,7 +62,7 @@ def _weights(t: float) -> tuple[float, float, float, float, float, float, float,
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def _look(picture: NDArray[np.float32], u: float, v: float) -> tuple[float, float, float]:
+def look(picture: NDArray[np.float32], u: float, v: float) -> tuple[float, float, float]:
     """Grey value at (u, v) and its gradient; (u, v) at least 1 px inside."""
     i, j = int(np.floor(u)), int(np.floor(v))
     a0, a1, a2, a3, da0, da1, da2, da3 = _weights(u - i)
@@ -184,7 +184,7 @@ def accumulate(
                 if not (u >= 1.0 and v >= 1.0 and u < width - 2.0 and v < height - 2.0):
                     inside = False
                     break
-                value, by_u, by_v = _look(pictures[k], u, v)
+                value, by_u, by_v = look(pictures[k], u, v)
                 gain = 1.0 / (1.0 + values[GAINS + k])
                 y[m] = grey[k] = value * gain
                 near_p = 1.0 / (1.0 + eg[i, 0] * d0 + eg[i, 1] * d1 + eg[i, 2] * d2)

@@ -8,6 +8,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.compensation.lookup import at, between, cubic, left_of_noise, linear, spread
 from appliance.compensation.residuals import apply_steps, invert_steps
 from appliance.compensation.ways import FIRST_WAY, P_OF_T, PER_FRAME, Q_OF_T, Ways
 
@@ -23,7 +24,12 @@ MAX_ASIDE_PX = np.float32(4.0)
 MAX_T = np.float32(2.5)
 NEAR_RAD = 0.03
 """Within it cosine and sine are carried on to the second order: right to 5e-6."""
-_NAN, _HALF, _ONE = np.float32(np.nan), np.float32(0.5), np.float32(1.0)
+_NAN, _ZERO, _HALF, _ONE = np.float32(np.nan), np.float32(0.0), np.float32(0.5), np.float32(1.0)
+MIN_RATIO = np.float32(0.1)
+MAX_ROUGH_T = np.float32(0.02)
+"""2 mm of depth; beyond, the surface around a pixel is no smooth one."""
+MIN_SLOPE2 = np.float32(0.01)
+"""Of a pattern coordinate, in (px/px)²: on steeper limbs nothing is read beside the way."""
 
 
 class Sources(NamedTuple):
@@ -35,6 +41,17 @@ class Sources(NamedTuple):
     """Their numbers: 8 sines, bright, Gray images."""
     p_px: NDArray[np.float32]
     """As decoded without motion: where a pixel's depth comes from."""
+    depth: NDArray[np.float32]
+    """t, smooth, NaN where it is not known; (0, 0) where every point is followed all the way."""
+    by_column: NDArray[np.float32]
+    """Change of ``depth`` per column."""
+    by_row: NDArray[np.float32]
+    paint: NDArray[np.float32]
+    """Grey values under full light."""
+    veil: NDArray[np.float32]
+    """Grey values without light."""
+    doubt: NDArray[np.float32]
+    """Variance of the paint, as a share of its square."""
 
 
 class Terms(NamedTuple):
@@ -45,6 +62,11 @@ class Terms(NamedTuple):
     height_px: np.float32
     min_modulation_dn: np.float32
     noise_dn: np.float32
+    """Of grey values, at the object's mean light."""
+    dark_dn2: np.float32
+    """Variance at grey value 0."""
+    shot_dn: np.float32
+    """Variance per grey value."""
     harmonic_x: np.float32
     """Second harmonic of the fringes, as a share of the first."""
     harmonic_y: np.float32
@@ -53,6 +75,9 @@ class Terms(NamedTuple):
     gray_y: int
     fill_px: int
     """So far is a depth carried over pixels that have none."""
+    follow_x: np.float32
+    """Share of a point's way within the x-sines that is followed; what remains is read beside it, paint divided out."""
+    follow_y: np.float32
 
 
 class Solved(NamedTuple):
@@ -61,39 +86,13 @@ class Solved(NamedTuple):
     p_px: NDArray[np.float32]
     q_px: NDArray[np.float32]
     modulation_half_dn: NDArray[np.uint8]
+    worth_half_dn: NDArray[np.uint8]
+    """The modulation that four steps of 90° would need for the same noise."""
+    misfit: NDArray[np.float32]
+    """What contradicts in the x-sines, squared, of what noise makes it: 1 in the mean; NaN where there is no column."""
     bright: NDArray[np.uint8]
     light: NDArray[np.uint8]
     lit_columns: NDArray[np.int32]
-
-
-@numba.njit(nogil=True, cache=True, error_model="numpy")
-def _cubic(pixels: NDArray[np.uint8], start: int, width: int, u: np.float32, v: np.float32) -> np.float32:
-    """Cubic convolution at (u, v), at least 1 px inside, of the picture from ``start`` on; NaN where it is saturated."""
-    i, j = int(u), int(v)
-    s, t = u - np.float32(i), v - np.float32(j)
-    s2, t2 = s * s, t * t
-    s3, t3 = s2 * s, t2 * t
-    three, five = np.float32(1.5), np.float32(2.5)
-    a0, a1 = -_HALF * s + s2 - _HALF * s3, _ONE - five * s2 + three * s3
-    a3 = -_HALF * s2 + _HALF * s3
-    a2 = _ONE - a0 - a1 - a3
-    b0, b1 = -_HALF * t + t2 - _HALF * t3, _ONE - five * t2 + three * t3
-    b3 = -_HALF * t2 + _HALF * t3
-    b2 = _ONE - b0 - b1 - b3
-    value = np.float32(0.0)
-    # Unsigned, for what may be negative is asked each time.
-    at, stride = np.uint64(start + (j - 1) * width + i - 1), np.uint64(width)
-    for m in range(4):
-        b = b0 if m == 0 else (b1 if m == 1 else (b2 if m == 2 else b3))
-        value += b * (
-            a0 * np.float32(pixels[at])
-            + a1 * np.float32(pixels[at + np.uint64(1)])
-            + a2 * np.float32(pixels[at + np.uint64(2)])
-            + a3 * np.float32(pixels[at + np.uint64(3)])
-        )
-        at += stride
-    nearest = np.uint64(start + (j + int(t > _HALF)) * width + i + int(s > _HALF))
-    return value if pixels[nearest] != np.uint8(255) else _NAN
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -147,11 +146,6 @@ def _nearer(p_px: NDArray[np.float32], x: int, distance: int) -> bool:
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def _at(c: NDArray[np.float32], k: int, t: np.float32) -> np.float32:
-    return np.float32(c[k] + t * (c[k + 1] + t * c[k + 2]))
-
-
-@numba.njit(nogil=True, cache=True, error_model="numpy")
 def solve_rows(
     sources: Sources,
     ways: Ways,
@@ -183,25 +177,32 @@ def solve_rows(
     # By how much the row above lies farther than its undecoded ripple said: the next one hardly differs.
     farther = np.zeros(width, np.float32)
     turns, modulation, light = np.empty(2), np.empty(2), np.empty(2)
+    noise, worth, misfit = np.empty(4), 0.0, 0.0
+    g_u, g_v = np.empty(6, np.float32), np.empty(6, np.float32)
+    own_paint, own_depth, per_step = _ONE, _ZERO, np.float32(1.0 / step)
+    per_variance = _ONE / (terms.noise_dn * terms.noise_dn)
+    partly = min(terms.follow_x, terms.follow_y) < _ONE
     limit_u, limit_v = np.float32(width - 2), np.float32(height - 2)
     turn = 2.0 * np.pi
     for row in range(start, stop, stride):
-        j = row // step
-        share = np.float32((row - j * step) / step)
-        for i in range(nodes.shape[1]):
-            for k in range(count):
-                upper[i, k] = nodes[j, i, k] + share * (nodes[j + 1, i, k] - nodes[j, i, k])
+        spread(nodes, step, row, upper)
         for x in range(width):
             i = x // step
             part = np.float32((x - i * step) / step)
             for k in range(3):
                 parabola[x, k] = upper[i, P_OF_T + k] + part * (upper[i + 1, P_OF_T + k] - upper[i, P_OF_T + k])
         _depths(parabola, sources.p_px[row], terms.fill_px, t_row)
+        if partly:
+            for x in range(width):
+                if t_row[x] != t_row[x]:
+                    t_row[x] = sources.depth[row, x]
         first, last = width, 0
         for x in range(width):
             solved.p_px[row, x] = _NAN
             solved.q_px[row, x] = _NAN
             solved.modulation_half_dn[row, x] = 0
+            solved.worth_half_dn[row, x] = 0
+            solved.misfit[row, x] = _NAN
             solved.bright[row, x] = bright[row, x]
             solved.light[row, x] = 0
             t = t_row[x]
@@ -211,6 +212,15 @@ def solve_rows(
             part = np.float32((x - i * step) / step)
             for k in range(count):
                 c[k] = upper[i, k] + part * (upper[i + 1, k] - upper[i, k])
+            aside_here = partly and abs(sources.depth[row, x] - t) < MAX_ROUGH_T and sources.paint[row, x] > _ZERO
+            if aside_here:
+                own_paint, own_depth = sources.paint[row, x], sources.depth[row, x]
+                j = row // step
+                for k in range(6):
+                    g_u[k] = (upper[i + 1, k] - upper[i, k]) * per_step
+                    low = nodes[j, i, k] + part * (nodes[j, i + 1, k] - nodes[j, i, k])
+                    high = nodes[j + 1, i, k] + part * (nodes[j + 1, i + 1, k] - nodes[j + 1, i, k])
+                    g_v[k] = (high - low) * per_step
             good = False
             from_above = farther[x] != 0.0
             if from_above:
@@ -218,15 +228,48 @@ def solve_rows(
             for _ in range(MAX_ROUNDS + 1):
                 good = True
                 for block in range(2):
+                    share = terms.follow_x if block == 0 else terms.follow_y
+                    aside = aside_here and share < _ONE
+                    shown = P_OF_T if block == 0 else Q_OF_T
+                    middle, per_u, per_v = _ZERO, _ZERO, _ZERO
+                    if aside:
+                        for m in range(4):
+                            middle += np.float32(0.25) * at(c, FIRST_WAY + PER_FRAME * (4 * block + m) + 6, t)
+                        by_t = c[shown + 1] + np.float32(2.0) * t * c[shown + 2]
+                        per_u = at(g_u, shown, t) + by_t * sources.by_column[row, x]
+                        per_v = at(g_v, shown, t) + by_t * sources.by_row[row, x]
+                        size2 = per_u * per_u + per_v * per_v
+                        per_u, per_v = terms.period_px * per_u / size2, terms.period_px * per_v / size2
+                        aside = size2 > MIN_SLOPE2
                     for m in range(4):
                         k = 4 * block + m
                         way = FIRST_WAY + PER_FRAME * k
-                        u, v = np.float32(x) + _at(c, way, t), np.float32(row) + _at(c, way + 3, t)
+                        way_u, way_v = at(c, way, t), at(c, way + 3, t)
+                        t_there, carried, ratio, offset = t, _ZERO, _ONE, _ZERO
+                        own_doubt = _ZERO
+                        if aside:
+                            back = (share - _ONE) * (at(c, way + 6, t) - middle)
+                            du, dv = back * per_u, back * per_v
+                            t_there = t + linear(sources.depth, np.float32(x) + du, np.float32(row) + dv) - own_depth
+                            carried = at(c, shown, t_there) - at(c, shown, t)
+                            carried += du * at(g_u, shown, t) + dv * at(g_v, shown, t)
+                            carried /= terms.period_px
+                            ratio = own_paint / between(sources.paint, np.float32(x) + du, np.float32(row) + dv)
+                            if not (ratio > MIN_RATIO and ratio < _ONE / MIN_RATIO and t_there == t_there):
+                                good = False
+                                break
+                            offset = sources.veil[row, x]
+                            own_doubt = sources.doubt[int(row + dv + _HALF), int(x + du + _HALF)]
+                            way_u += du
+                            way_v += dv
+                        u, v = np.float32(x) + way_u, np.float32(row) + way_v
                         if not (u >= _ONE and v >= _ONE and u < limit_u and v < limit_v):
                             good = False
                             break
-                        y[m] = _cubic(pixels, starts[k], width, u, v) * gains[k]
-                        cosine[m], sine[m] = _turn(known[k], turn * (float(_at(c, way + 6, t)) + 0.25 * m))
+                        y[m] = (cubic(pixels, starts[k], width, u, v) * gains[k] - offset) * ratio + offset
+                        noise[m] = float(left_of_noise(u, v)) * ratio * ratio + own_doubt * y[m] * y[m] * per_variance
+                        phase = float(at(c, way + 6, t_there)) + float(carried) + 0.25 * m
+                        cosine[m], sine[m] = _turn(known[k], turn * phase)
                     if not good:
                         break
                     invert_steps(cosine, sine, weights)
@@ -252,15 +295,24 @@ def solve_rows(
                         break
                     turns[block] = np.arctan2(along_s, along_c) / turn
                     modulation[block] = size
+                    spread_of, against = 0.0, 0.0
+                    for m in range(4):
+                        by = along_s * weights[1, m] - along_c * weights[2, m]
+                        spread_of += by * by * noise[m]
+                        against += weights[3, m] * weights[3, m] * noise[m]
+                    if block == 0:
+                        variance_dn2 = terms.dark_dn2 + terms.shot_dn * light[0]
+                        misfit = rest * rest / (against * variance_dn2)
+                        worth = size * size / np.sqrt(2.0 * spread_of + 1e-9)
                 p = q = _NAN
                 if good:
                     p = _place(
                         pixels, starts, height, width, c, FIRST_GRAY, terms.gray_x, t, x, row, turns[0], light[0],
-                        _at(c, P_OF_T, t), terms.period_px, seen_gray, carry,
+                        at(c, P_OF_T, t), terms.period_px, seen_gray, carry,
                     )  # fmt: skip
                     q = _place(
                         pixels, starts, height, width, c, FIRST_GRAY + terms.gray_x, terms.gray_y, t, x, row, turns[1],
-                        light[1], _at(c, Q_OF_T, t), terms.period_px, seen_gray, carry,
+                        light[1], at(c, Q_OF_T, t), terms.period_px, seen_gray, carry,
                     )  # fmt: skip
                     good = bool(-_ONE <= p <= terms.width_px) and bool(-_ONE <= q <= terms.height_px)
                 if not good:
@@ -275,7 +327,7 @@ def solve_rows(
                 t = np.float32(nearer)
                 if settled or not (abs(t) < MAX_T):
                     break
-            if not good or not (abs(solved.q_px[row, x] - _at(c, Q_OF_T, t)) <= MAX_ASIDE_PX):
+            if not good or not (abs(solved.q_px[row, x] - at(c, Q_OF_T, t)) <= MAX_ASIDE_PX):
                 solved.p_px[row, x] = _NAN
                 solved.q_px[row, x] = _NAN
                 farther[x] = 0.0
@@ -283,14 +335,36 @@ def solve_rows(
             fresh = t - t_row[x]
             farther[x] = _HALF * (farther[x] + fresh) if from_above else fresh
             solved.modulation_half_dn[row, x] = np.uint8(min(2.0 * min(modulation[0], modulation[1]) + 0.5, 255.0))
+            solved.misfit[row, x] = misfit
+            solved.worth_half_dn[row, x] = np.uint8(
+                min(2.0 * min(1.0, modulation[1] / modulation[0]) * worth + 0.5, 255.0)
+            )
             solved.light[row, x] = np.uint8(min(max(light[0] + 0.5, 0.0), 255.0))
             way = FIRST_WAY + PER_FRAME * BRIGHT
-            column, line = int(x + _at(c, way, t) + _HALF), int(row + _at(c, way + 3, t) + _HALF)
+            column, line = int(x + at(c, way, t) + _HALF), int(row + at(c, way + 3, t) + _HALF)
             if 0 <= column < width and 0 <= line < height:
                 solved.bright[row, x] = bright[line, column]
             first, last = min(first, x), max(last, x + 1)
         solved.lit_columns[row, 0] = min(first, last)
         solved.lit_columns[row, 1] = last
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def depth_rows(
+    p_px: NDArray[np.float32], ways: Ways, fill_px: int, start: int, stop: int, depth: NDArray[np.float32]
+) -> None:
+    """t of the pixels of rows ``start`` to ``stop`` − 1, by their columns; where one has none, that of the nearest."""
+    nodes, step = ways.nodes, ways.step_px
+    upper = np.empty((nodes.shape[1], nodes.shape[2]), np.float32)
+    parabola = np.empty((p_px.shape[1], 3), np.float32)
+    for row in range(start, stop):
+        spread(nodes, step, row, upper)
+        for x in range(p_px.shape[1]):
+            i = x // step
+            part = np.float32((x - i * step) / step)
+            for k in range(3):
+                parabola[x, k] = upper[i, P_OF_T + k] + part * (upper[i + 1, P_OF_T + k] - upper[i, P_OF_T + k])
+        _depths(parabola, p_px[row], fill_px, depth[row])
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -325,8 +399,8 @@ def _place(
     agreed = True
     for k in range(count):
         way = FIRST_WAY + PER_FRAME * (first + k)
-        u = int(np.floor(np.float32(x) + _at(c, way, t) + _HALF))
-        v = int(np.floor(np.float32(row) + _at(c, way + 3, t) + _HALF))
+        u = int(np.floor(np.float32(x) + at(c, way, t) + _HALF))
+        v = int(np.floor(np.float32(row) + at(c, way + 3, t) + _HALF))
         if not (0 <= u < width and 0 <= v < height):
             return _NAN
         grey = np.float32(pixels[np.uint64(starts[first + k] + v * width + u)])
@@ -334,7 +408,7 @@ def _place(
         lit = int(seen[k] > 0)
         bit ^= lit
         number = 2 * number + bit
-        then = phase + _at(c, way + 6, t)
+        then = phase + at(c, way + 6, t)
         # In half periods for the last image, whole ones for the others.
         carry[k] = int(np.floor(then)) if k < count - 1 else int(np.floor(2.0 * then))
         half = 2 * (wanted + carry[k]) if k < count - 1 else 2 * wanted + carry[k]

@@ -198,17 +198,15 @@ class Pipeline:
         limits = self._kernel_limits(stride)._replace(max_gap_mm=LOOSE_GAP_MM, max_sigma_mm=np.float32(np.inf))
         return table.cloud(self._find(stride, limits, table))
 
-    def find_replaced(self, left: LeftMaps, right: LeftMaps, sigma_factor: float = 1.0) -> Found:
+    def find_replaced(self, left: LeftMaps, right: LeftMaps) -> Found:
         """The full cloud of other maps than the decoded ones, which stay as they are, leaving the points in the table.
 
-        ``sigma_factor``: their noise against that of four steps of 90°. Gaps are not sampled: they would not be those of
-        a scan at rest.
+        Gaps are not sampled: they would not be those of a scan at rest.
         """
         shown = self._sequence
         maps = right_maps(right.p_px, right.q_px, right.modulation_half_dn, shown.width_px, shown.height_px)
         fill_inverse_map(maps, self._inverse_stride)
-        factors = self._factors._replace(scale2_px2=np.float32(self._factors.scale2_px2 * sigma_factor**2))
-        return self._find_in(left, maps, factors, 1, self._kernel_limits(1), self.table)
+        return self._find_in(left, maps, self._factors, 1, self._kernel_limits(1), self.table)
 
     def _find(self, stride: int, limits: Limits | None = None, table: PointTable | None = None) -> Found:
         if self._bright is None:

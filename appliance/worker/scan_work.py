@@ -175,7 +175,7 @@ def _compensation(tried: Attempt, frame_s: float) -> Verdict:
     x, y, z = (motion.motion_mm[-1, :3] - motion.motion_mm[0, :3]) / lasted_s
     numbers: dict[str, float | None] = {
         "error_before": motion.error_before,
-        "error_after": motion.error_after,
+        "error_after": tried.error_after,
         "noise_factor": motion.noise_factor,
         "speed_x_mm_s": float(x),
         "speed_y_mm_s": float(y),

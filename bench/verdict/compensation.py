@@ -17,6 +17,7 @@ from appliance.compensation.attempt import attempt
 from appliance.reconstruct.pipeline import Cloud, Pipeline
 from bench.result import Measured
 from bench.verdict.parts import Say
+from bench.verdict.uncertainty import along_the_ray, spread
 from hw_sim.motion import Motion
 from hw_sim.scene import Scene
 from tests.support.moved import FRAME_S, judge_at, recorded
@@ -81,6 +82,7 @@ def measure(scans: int, seed: int, say: Say) -> tuple[list[Measured], dict[str, 
         Measured("drawn scans compensated", float(len(used)), "scans"),
         Measured("drawn scans to be repeated", float(len(refused)), "scans"),
         Measured("scans made worse", float(len(worse)), "scans", at_most=0.0, key="compensation_worse"),
+        Measured("named, compensated: error in own sigmas (or its inverse), worst", _farthest(named), "", at_most=1.1),
         Measured("CPU time of an attempt, median", _median(rows, "cpu_s"), "s"),
     ]  # fmt: skip
     return found, {"width_px": WIDTH_PX, "named": named, "drawn": drawn}
@@ -122,7 +124,11 @@ def _judge(case: Case) -> dict[str, Any]:
         motion = tried.motion
         time_s = motion.reference_s if motion is not None else 10.5 * FRAME_S
         before = judge_at(scan, plain, time_s)
-        after = judge_at(scan, pipeline.table.cloud(tried.found), time_s) if tried.found is not None else before
+        after, in_sigmas = before, None
+        if tried.found is not None:
+            cloud = pipeline.table.cloud(tried.found)
+            after = judge_at(scan, cloud, time_s)
+            in_sigmas = spread(along_the_ray(scan, cloud, time_s) / cloud.sigma_mm)["rms_trimmed"]
     return {
         "name": case.name, "texture": case.scene.texture, "moved": not case.scene.motion.still,
         "used": tried.found is not None, "why": tried.why, "cpu_s": cpu_s,
@@ -130,7 +136,7 @@ def _judge(case: Case) -> dict[str, Any]:
         "completeness_at_rest": at_rest.completeness_percent, "completeness_before": before.completeness_percent,
         "completeness_after": after.completeness_percent,
         "expected_before": None if motion is None else motion.error_before,
-        "expected_after": None if motion is None else motion.error_after,
+        "expected_after": tried.error_after, "in_sigmas": in_sigmas,
     }  # fmt: skip
 
 
@@ -149,6 +155,11 @@ def _plain(scan: Any, calibration: Any) -> tuple[Pipeline, Cloud]:
 
 def _worst(rows: list[dict[str, Any]], hand: str, what: str) -> float:
     return max(float(row[what]) for row in rows if row["name"].startswith(f"{hand}-"))
+
+
+def _farthest(rows: list[dict[str, Any]]) -> float:
+    known = [float(row["in_sigmas"]) for row in rows if row["in_sigmas"] is not None]
+    return max((max(one, 1.0 / one) for one in known), default=math.nan)
 
 
 def _median(rows: list[dict[str, Any]], what: str) -> float:

@@ -171,16 +171,16 @@ def cloud_of(scan: RenderedScan, draw: Draw) -> Cloud:
         return pipeline.full()
 
 
-def along_the_ray(scan: RenderedScan, cloud: Cloud) -> Array:
-    """How much too far each point is, (n,), in mm; where its pixel meets nothing, how far from the surface."""
+def along_the_ray(scan: RenderedScan, cloud: Cloud, time_s: float = 0.0) -> Array:
+    """At ``time_s``, how much too far each point is, (n,), in mm; where its pixel meets nothing, how far from the surface."""
     truth = scan.renderer.truth
     v, u = np.divmod(cloud.pixel.astype(np.int64), truth.left.width_px)
     points = left_to_rig(truth, cloud.points_mm)
-    true = scan.renderer.view("left", 0.0).points_rig_mm[v, u]
+    true = scan.renderer.view("left", time_s).points_rig_mm[v, u]
     _, direction = ray(truth, "left", np.stack([u, v], -1))
     along = np.sum((points - true) * direction, -1)
     nothing = ~np.isfinite(along)
-    along[nothing] = scan.renderer.surface(0.0).distance_mm(points[nothing])
+    along[nothing] = scan.renderer.surface(time_s).distance_mm(points[nothing])
     return np.asarray(along)
 
 

@@ -34,7 +34,7 @@ press scan
 wait alert COMPENSATED 90
 press scan
 wait state AIM 60
-motion velocity_mm_s=40,0,0
+motion velocity_mm_s=30,0,0 tremor_mm=1,1,1 tremor_hz=15
 press scan
 wait alert MOVED 90
 press scan

@@ -15,8 +15,10 @@ from hw_sim.motion import Motion
 from hw_sim.scene import Scene
 from tests.support.moved import FRAME_S, judge_at, recorded, true_motion_mm
 from tests.support.rendered import RenderedScan, render_scan
-from tests.support.truth import WATER, true_calibration
+from tests.support.truth import WATER, left_to_rig, true_calibration
 
+ALONG = Motion((18.0, 15.0, 18.6), (120.0, 100.0, 124.0), rotation_deg_s=(2.0, -2.0, 1.5))
+"""Nearly with the fringes: a point sees steps of 30° in place of 90°."""
 HAND = Motion((6.0, 5.0, 6.2), tremor_mm=(0.2, 0.2, 0.2), rotation_deg_s=(1.0, -1.5, 1.0))
 
 
@@ -44,7 +46,7 @@ def corrected(motion: Motion) -> Corrected:
         said = attempt(pipeline, found, taken, calibration, WATER)
         assert said.motion is not None
         made = compensate(taken, calibration, WATER, said.motion)
-        again = pipeline.find_replaced(made.maps["left"], made.maps["right"], made.sigma_factor)
+        again = pipeline.find_replaced(made.maps["left"], made.maps["right"])
         return Corrected(scan, plain, said.motion, said, pipeline.table.cloud(again))
 
 
@@ -66,7 +68,7 @@ def test_the_hand_is_found(moved: Corrected) -> None:
     assert np.abs(found.motion_mm - truth)[4:].max() < 0.3
     assert found.converged
     assert found.ripple_before > 2.0
-    assert found.ripple_after < 0.5
+    assert found.ripple_after < 0.6
 
 
 def test_its_cloud_is_nearly_that_of_a_scan_at_rest(moved: Corrected, still: Corrected) -> None:
@@ -79,6 +81,30 @@ def test_its_cloud_is_nearly_that_of_a_scan_at_rest(moved: Corrected, still: Cor
     # is 1.2 (the benchmark measures that).
     assert after.rms_mm < 1.6 * at_rest.rms_mm
     assert after.completeness_percent > 0.9 * plain.completeness_percent
+
+
+def in_sigmas(one: Corrected) -> float:
+    """Root mean square error in units of the points' own sigmas, without the worst three in a thousand."""
+    surface = one.scan.renderer.surface(one.motion.reference_s)
+    error = surface.distance_mm(left_to_rig(one.scan.renderer.truth, one.cloud.points_mm)) / one.cloud.sigma_mm
+    return float(np.sqrt(np.mean(np.sort(error**2)[: int(0.997 * len(error))])))
+
+
+def test_points_know_how_good_they_are_after_compensation(moved: Corrected) -> None:
+    # Never better than they are; at this size looking up borders of paint makes them rather too cautious.
+    assert 0.45 < in_sigmas(moved) < 1.25
+
+
+def test_a_hand_along_the_fringes_leaves_far_less_noise_than_points_followed_all_the_way(still: Corrected) -> None:
+    along = corrected(ALONG)
+    at_rest = judge_at(still.scan, still.plain, 0.0)
+    before = judge_at(along.scan, along.plain, along.motion.reference_s)
+    after = judge_at(along.scan, along.cloud, along.motion.reference_s)
+    assert along.motion.noise_factor > 3.0, "what following all the way would make of it"
+    assert after.rms_mm < 2.5 * at_rest.rms_mm
+    assert after.rms_mm < 0.4 * before.rms_mm
+    assert along.said.found is not None, along.said.why
+    assert in_sigmas(along) < 1.5, "whatever it is, sigma tells"
 
 
 def test_a_scan_at_rest_is_not_made_worse(still: Corrected) -> None:
