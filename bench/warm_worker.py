@@ -9,7 +9,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from appliance.capture.store import FrameStore
-from appliance.worker.process import CloudReady, ReconstructionWorker, ScanJudged, WorkerReady, WorkOrder
+from appliance.worker.process import CloudReady, PatternsRight, ReconstructionWorker, ScanJudged, WorkerReady, WorkOrder
 from bench.result import Measured
 from bench.scan_frames import SIDES, ScanFrames
 from bench.timing import median_of
@@ -83,7 +83,7 @@ def clouds_after_s(process: ReconstructionWorker, since_s: float) -> tuple[float
         match process.wait(CLOUD_TIMEOUT_S):
             case CloudReady(full=full) if full == bool(took_s):
                 took_s.append(time.monotonic() - since_s)
-            case ScanJudged():
+            case PatternsRight() | ScanJudged():
                 pass
             case other:
                 raise RuntimeError(f"the worker answered {other!r:.200}")

@@ -66,6 +66,8 @@ def check(kind: str, words: list[str]) -> None:
         raise ValueError(f"'{kind}' cannot be waited for; allowed are {', '.join(SIGHTS)}")
     if len(words) < SIGHTS[kind][0]:
         raise ValueError(f"'{kind}' takes {SIGHTS[kind][0]} words or more, then the seconds")
+    if kind == "distance":
+        [float(number) for number in words]
 
 
 def read(path: Path) -> dict[str, Any]:

@@ -110,7 +110,10 @@ STATUS = {
     "keys": {"scan": "SCAN"}, "devices": {"board": "ok"}, "scans": 3, "scans_left": None, "last_scan": "000003",
     "calibration": {"step": "M1", "busy": False, "result": "FITS", "done": ["M1"]}, "pid": 7, "worker_pid": None,
 }  # fmt: skip
-ASKED = tuple((kind, ["LEAK", "ok", "x"][: max(1, least)]) for kind, (least, _) in sight.SIGHTS.items())
+ASKED = tuple(
+    (kind, (["500", "5"] if kind == "distance" else ["LEAK", "ok", "x"][: max(1, least)]))
+    for kind, (least, _) in sight.SIGHTS.items()
+)
 
 
 def _status(chance: Random) -> bytes:

@@ -83,7 +83,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert said.code == 0, said.err
     assert said.out == "", "results only, and there are none"
     news = [line.removeprefix("kingfisher: ") for line in said.err.splitlines()]
-    assert "AIM → CAPTURE (KeyPressed)" in news
+    assert "AIM → ARMED (KeyPressed)" in news
     assert news[-1] == "switched off"
     return folder / "root"
 

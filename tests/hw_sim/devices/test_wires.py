@@ -102,7 +102,7 @@ def test_worlds_live_side_by_side(make_bench: Callable[..., Bench]) -> None:
         ({"width_px": 10}, "camera size 10x1200; allowed are"),
         ({"idle_speed": 0.0}, "idle_speed 0; allowed are"),
         ({"object": "whale"}, "object 'whale'; allowed are"),
-        ({"script": "dive.txt"}, "a script needs the option status"),
+        ({"script": "dive.txt"}, "a diver needs the option status"),
     ],
 )
 def test_wrong_options_are_refused_with_what_is_allowed(options: dict[str, object], said: str) -> None:
