@@ -39,7 +39,7 @@ AIM_S, ANSWER_S, END_S, SAVE_S = 60.0, 3.0, 200.0, 60.0
 """Longest waits of world time: for AIM, for anything to happen on a key, for the end of a scan, for a save."""
 READY_S = 45.0
 """After everything is repaired: until SCAN is answered with a scan."""
-BREAK, GIVE_BACK, KEEP, BREAK_COMPUTER = 0.75, 0.6, 0.8, 0.06
+BREAK, GIVE_BACK, KEEP, BREAK_COMPUTER = 0.5, 0.75, 0.8, 0.06
 """Chances before each scan: that something breaks, that all is repaired; that a scan is kept; that it is the computer."""
 
 
@@ -147,17 +147,22 @@ class ChaosDiver(Actor):
         """One press of SCAN, and what comes of it."""
         was = self._seen()
         self.report.scans += 1
-        self.press("scan")
-        if not self.until(lambda: not self._aims() or self._seen() != was, ANSWER_S) or (
-            self._aims() and self._reason(refused=True)
-        ):
-            self._not_recorded()
+        told: list[str] = []
+        """Reasons of a refusal, as soon as they are to be seen: they go when what they name comes back."""
+
+        def answered() -> bool:
+            told.extend(filter(None, [self._reason(refused=True)]))
+            return bool(told) or not self._aims() or self._seen() != was
+
+        self.world.press("scan")
+        if not self.until(answered, ANSWER_S) or told:
+            self._not_recorded(told)
             return
         if not self.until(lambda: self._state() in ("REVIEW", "AIM", None), END_S):
             raise ActError(f"no end of a scan after {END_S:g} s: {self._line()}")
         self._count_alerts()
         if self._state() != "REVIEW":
-            self._not_recorded()
+            self._not_recorded(told)
             return
         if self._random.random() < KEEP:
             self._keep()
@@ -165,10 +170,10 @@ class ChaosDiver(Actor):
             self.report.rejected += 1
             self.press("back")
 
-    def _not_recorded(self) -> None:
-        """No scan: somebody must say why."""
+    def _not_recorded(self, told: list[str]) -> None:
+        """No scan: somebody must say why, or have said it."""
         self._count_alerts()
-        reason = self._reason(refused=False)
+        reason = next(iter(told), None) or self._reason(refused=False)
         if reason is None:
             self.report.unexplained.append(self._line())
         else:
