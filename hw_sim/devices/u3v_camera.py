@@ -19,6 +19,7 @@ from hw_sim.devices.shutter import ROOM_BLOCKS, Exposure, Latent, Settings, Shut
 from hw_sim.devices.u3v_control import MAX_COMMAND, ControlChannel
 from hw_sim.devices.u3v_descriptors import Identity, Speed
 from hw_sim.devices.u3v_stream import OVERRUN, Block, Overflow, Region, Setup, StreamPipe
+from hw_sim.devices.usb_standard import Stall as Stall
 from hw_sim.faults import FaultBook
 from hw_sim.pace import WorldTime
 
@@ -27,10 +28,6 @@ ARMING_NS = 30_000_000
 _GET_STATUS, _CLEAR_FEATURE, _SET_FEATURE, _GET_DESCRIPTOR = 0x00, 0x01, 0x03, 0x06
 _GET_CONFIGURATION, _SET_CONFIGURATION, _GET_INTERFACE, _SET_INTERFACE = 0x08, 0x09, 0x0A, 0x0B
 _ENDPOINT_HALT = 0
-
-
-class Stall(Exception):
-    """The endpoint is halted, or the device does not know the request."""
 
 
 class U3vCamera:

@@ -1,0 +1,100 @@
+"""Owns what is exported: each device of a world under its bus id, in the one shape that a session needs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from hw_sim.devices.u3v_camera import U3vCamera
+from hw_sim.devices.u3v_descriptors import Speed
+from hw_sim.devices.usb_board import UsbBoard
+from hw_sim.devices.usb_keypad import UsbKeypad
+from hw_sim.world import World
+
+BUS = 1
+
+
+class Function(Protocol):
+    """A device behind its endpoints. All calls with the world's lock held."""
+
+    @property
+    def speed(self) -> int:
+        """As Linux numbers it: 2 full, 3 high, 5 SuperSpeed."""
+
+    @property
+    def plugged(self) -> bool: ...
+
+    @property
+    def enumeration(self) -> int:
+        """Counts how often it appeared on the bus; another number is another device."""
+
+    def attach(self) -> None:
+        """A host has it from now on."""
+
+    def detach(self) -> None:
+        """No host has it."""
+
+    def device_descriptor(self) -> bytes: ...
+
+    def configuration_descriptor(self) -> bytes: ...
+
+    def control(self, kind: int, request: int, value: int, index: int, length: int, data: bytes) -> bytes:
+        """A control transfer; returns the data of an IN request. Raises Stall."""
+
+    def write(self, endpoint: int, data: bytes) -> int:
+        """A transfer to the device. Raises Stall."""
+
+    def read(self, endpoint: int, buffer: memoryview) -> tuple[int, bool]:
+        """As far as data is there: bytes put into ``buffer``, and whether the transfer ends. Raises Stall, Overflow."""
+
+
+class CameraFunction:
+    """A camera in that shape."""
+
+    def __init__(self, camera: U3vCamera) -> None:
+        self._camera = camera
+        self.device_descriptor = camera.device_descriptor
+        self.configuration_descriptor = camera.configuration_descriptor
+        self.write = camera.write
+        self.read = camera.read
+
+    @property
+    def speed(self) -> int:
+        """SuperSpeed, or what it fell back to."""
+        return 5 if self._camera.speed is Speed.SUPER else 3
+
+    @property
+    def plugged(self) -> bool:
+        """It is on the bus."""
+        return self._camera.plugged
+
+    @property
+    def enumeration(self) -> int:
+        """Counts how often it appeared there."""
+        return self._camera.enumeration
+
+    def attach(self) -> None:
+        """Its registers are as they were: it has had power all the time."""
+
+    def detach(self) -> None:
+        """It keeps running, as a camera whose host has died."""
+
+    def control(self, kind: int, request: int, value: int, index: int, length: int, data: bytes) -> bytes:
+        """A control transfer; returns the data of an IN request. Raises Stall."""
+        return self._camera.request(kind, request, value, index, length)
+
+
+@dataclass(frozen=True, slots=True)
+class Port:
+    """Where a device is plugged in."""
+
+    bus_id: str
+    number: int
+    function: Function
+
+
+def ports_of(world: World) -> tuple[Port, ...]:
+    """Bus ids 1-1 left camera, 1-2 right camera, 1-3 key pad, 1-4 board. With the world's lock held."""
+    functions: list[Function] = [CameraFunction(world.cameras["left"]), CameraFunction(world.cameras["right"])]
+    functions += [UsbKeypad(world.keypad), UsbBoard(world.board, world.faults)]
+    return tuple(Port(f"{BUS}-{i}", i + 1, function) for i, function in enumerate(functions, 1))
