@@ -29,6 +29,7 @@ def sim(rig: Rig, options: SimOptions) -> Exit:
 
 def check(rig: Rig, *, json: bool) -> Exit:
     """Open every device once and say what it says about itself; FAILED if any does not work."""
+    _use_kernels()
     from appliance.service.app import check as check_devices
 
     with Progress() as progress:

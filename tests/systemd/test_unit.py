@@ -12,7 +12,7 @@ import pytest
 from appliance.cli import main
 
 UNIT = Path(__file__).parents[2] / "systemd" / "kingfisher.service"
-PROGRAM = "/opt/kingfisher/.venv/bin/kingfisher"
+PROGRAM = "/opt/kingfisher/current/bin/kingfisher"
 
 needs_systemd = pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed")
 

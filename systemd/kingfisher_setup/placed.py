@@ -1,0 +1,72 @@
+"""Owns the files that belong to the operating system: units, users, rules, limits; which there are, and that they fit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from kingfisher_setup import durable
+from kingfisher_setup.layout import PROGRAM, Layout
+
+UNITS = Path("/etc/systemd/system")
+ENABLED = ("kingfisher.service", "kingfisher-trial.service")
+
+
+@dataclass(frozen=True, slots=True)
+class Placed:
+    """One file of a version's ``systemd`` folder and where the instrument wants it."""
+
+    source: str
+    target: Path
+    only_beside: Path | None = None
+    """A folder without which the file is of no use."""
+
+
+FILES = (
+    Placed("kingfisher.service", UNITS / "kingfisher.service"),
+    Placed("kingfisher-safe.service", UNITS / "kingfisher-safe.service"),
+    Placed("kingfisher-trial.service", UNITS / "kingfisher-trial.service"),
+    Placed("kingfisher.sysusers", Path("/etc/sysusers.d/kingfisher.conf")),
+    Placed("kingfisher.tmpfiles", Path("/etc/tmpfiles.d/kingfisher.conf")),
+    Placed("kingfisher.journald", Path("/etc/systemd/journald.conf.d/kingfisher.conf")),
+    Placed("70-kingfisher.rules", Path("/etc/udev/rules.d/70-kingfisher.rules")),
+    Placed("kingfisher.grub", Path("/etc/default/grub.d/kingfisher.cfg"), Path("/etc/default/grub.d")),
+)
+
+LINKS = {
+    **{UNITS / "multi-user.target.wants" / unit: str(UNITS / unit) for unit in ENABLED},
+    Path("/usr/local/bin/kingfisher"): str(PROGRAM / "current" / "bin" / "kingfisher"),
+    Path("/usr/local/sbin/kingfisher-setup"): str(PROGRAM / "rescue" / "install"),
+}
+
+
+def place(layout: Layout, version: str) -> bool:
+    """Make them those of ``version``, one after the other, each at once; whether any was another before.
+
+    Called again after an interruption it goes on. What a version does not have is taken away.
+    """
+    before = _state(layout)
+    folder = layout.version(version) / "systemd"
+    for file in FILES:
+        source, target = folder / file.source, layout.at(file.target)
+        if not source.exists() or (file.only_beside is not None and not layout.at(file.only_beside).is_dir()):
+            durable.remove(target)
+        else:
+            durable.write(target, source.read_bytes())
+    for link, to in LINKS.items():
+        if link.parent.name.endswith(".wants") and not layout.at(to).exists():
+            durable.remove(layout.at(link))
+        else:
+            durable.point(layout.at(link), to)
+    return _state(layout) != before
+
+
+def take_away(layout: Layout) -> None:
+    """All of them."""
+    for target in (*LINKS, *(file.target for file in FILES)):
+        durable.remove(layout.at(target))
+
+
+def _state(layout: Layout) -> dict[Path, bytes | None]:
+    targets = [layout.at(file.target) for file in FILES]
+    return {target: target.read_bytes() if target.is_file() else None for target in targets}

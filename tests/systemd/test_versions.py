@@ -1,0 +1,138 @@
+"""A new version is used, kept or taken back whole, wherever in between the power fails."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from kingfisher_setup import versions
+from kingfisher_setup.errors import SetupError
+from kingfisher_setup.layout import Layout
+from tests.systemd.installation import Installation, make
+
+MOST_CHANGES = 60
+"""No change of versions takes more steps."""
+
+
+@pytest.fixture
+def there(tmp_path: Path) -> Installation:
+    return make(tmp_path)
+
+
+def deaths(there: Installation, change: Callable[[Layout], object]) -> Iterator[int]:
+    """The installation after each place where the power can fail in ``change``, and after none."""
+    kept = there.layout.root.with_name(f"{there.layout.root.name}-kept")
+    shutil.copytree(there.layout.root, kept, symlinks=True)
+    for changes in range(MOST_CHANGES):
+        shutil.rmtree(there.layout.root)
+        shutil.copytree(kept, there.layout.root, symlinks=True)
+        ended = there.dying(change, changes)
+        yield changes
+        if ended:
+            assert changes > 5, "the death was never in between"
+            return
+    pytest.fail(f"more than {MOST_CHANGES} changes")
+
+
+def test_a_version_that_proves_itself_stays(there: Installation) -> None:
+    versions.try_out(there.layout, "new")
+    at = versions.settle(there.layout)
+    assert at is not None
+    assert there.unit() == "new"
+    assert there.layout.rescue.readlink() == Path("versions/old/systemd")  # a new one is not its own judge
+    versions.accept(there.layout, at)
+    assert versions.current(there.layout) == "new"
+    assert versions.previous(there.layout) == "old"
+    assert there.layout.rescue.readlink() == Path("versions/new/systemd")
+    assert versions.trial(there.layout) is None
+
+
+def test_a_version_that_fails_goes_with_its_units_and_the_reason_is_kept(there: Installation) -> None:
+    versions.try_out(there.layout, "new")
+    at = versions.settle(there.layout)
+    assert at is not None
+    versions.revert(there.layout, at, "it ended 2 times by itself")
+    assert versions.current(there.layout) == "old"
+    assert there.unit() == "old"
+    assert versions.outcome(there.layout) == versions.Outcome("new", False, "it ended 2 times by itself", "old")
+
+
+def test_power_fails_while_a_version_is_put_on_trial(there: Installation) -> None:
+    seen = set()
+    for _ in deaths(there, lambda layout: versions.try_out(layout, "new")):
+        assert versions.current(there.layout) in ("old", "new")  # the link is never broken
+        at = versions.settle(there.layout)
+        assert versions.current(there.layout) == (at.version if at is not None else "old")
+        assert there.unit() == versions.current(there.layout)
+        seen.add(at is not None)
+        if at is None:  # the second call goes through
+            versions.try_out(there.layout, "new")
+        assert versions.current(there.layout) == "new"
+    assert seen == {False, True}
+
+
+def test_power_fails_on_the_way_back(there: Installation) -> None:
+    versions.try_out(there.layout, "new")
+    at = versions.settle(there.layout)
+    assert at is not None
+    decided = at
+    finished = 0
+    for _ in deaths(there, lambda layout: versions.revert(layout, decided, "too slow")):
+        at = versions.settle(there.layout)
+        if at is not None:  # before it was decided
+            assert there.unit() == "new"
+            continue
+        finished += 1
+        assert versions.current(there.layout) == "old"
+        assert there.unit() == "old"
+        assert versions.outcome(there.layout) == versions.Outcome("new", False, "too slow", "old")
+    assert finished > 3
+
+
+def test_power_fails_while_a_version_is_accepted(there: Installation) -> None:
+    there.add("older", "older")
+    versions.try_out(there.layout, "new")
+    at = versions.settle(there.layout)
+    assert at is not None
+    proved = at
+    for _ in deaths(there, lambda layout: versions.accept(layout, proved)):
+        assert versions.current(there.layout) == "new"
+        at = versions.settle(there.layout)
+        if at is not None:  # it is asked again at the next start
+            versions.accept(there.layout, at)
+        assert versions.previous(there.layout) == "old"
+        assert there.unit() == "new"
+        assert there.layout.rescue.resolve().is_dir()
+        versions.prune(there.layout)
+        assert versions.installed(there.layout) == ("new", "old")
+
+
+def test_a_half_made_version_is_never_used(there: Installation) -> None:
+    (there.layout.version("new") / versions.COMPLETE).unlink()
+    with pytest.raises(SetupError, match="not a whole version"):
+        versions.try_out(there.layout, "new")
+    assert versions.settle(there.layout) is None
+    assert versions.current(there.layout) == "old"
+    assert there.unit() == "old"
+
+
+def test_a_damaged_trial_file_does_not_stop_the_instrument(there: Installation) -> None:
+    versions.try_out(there.layout, "new")
+    there.layout.trial.write_text('{"version": [')
+    assert versions.settle(there.layout) is None
+    assert versions.current(there.layout) == "new"
+    assert not there.layout.trial.exists()
+
+
+def test_two_setups_do_not_work_at_once(there: Installation) -> None:
+    with (
+        versions.locked(there.layout),
+        pytest.raises(SetupError, match="another setup"),
+        versions.locked(there.layout),
+    ):
+        pass
+    with versions.locked(there.layout):
+        assert versions.current(there.layout) == "old"
