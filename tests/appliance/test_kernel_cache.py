@@ -48,7 +48,7 @@ def shipped(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("installation")
     environment = {name: value for name, value in os.environ.items() if name != VARIABLE}
     warm = [sys.executable, "-m", "appliance.cli", "warm", "--json", "--out", str(folder)]
-    ran = subprocess.run(warm, env=environment, capture_output=True, text=True, timeout=250, check=True)
+    ran = subprocess.run(warm, env=environment, capture_output=True, text=True, timeout=900, check=True)
     assert (Path(json.loads(ran.stdout)["folder"]) / COMPLETE).exists()
     return folder
 
