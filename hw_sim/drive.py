@@ -59,6 +59,11 @@ class Drive:
     def start(self) -> None:
         self._thread.start()
 
+    def set_pace(self, pace: str) -> None:
+        """With the lock held: go on at another pace, one of ``hw_sim.options.PACES``."""
+        self._pace = pace
+        self._waiting_since_ns = None
+
     def join(self) -> None:
         """After the time is closed: wait until the thread has ended. Raises RuntimeError if it does not."""
         if self._thread.ident is None:
@@ -133,8 +138,9 @@ class Drive:
         elif happening is not None:
             self._time.happen()
         else:
-            late_ns = int(-real_s * 1e9)
-            self._blank(time.monotonic_ns() - (late_ns if late_ns < CATCH_UP_NS else 0))
+            # As it was due, not as it came: else each blank would take a little of the next one's time.
+            due_ns, now_ns = self._time.real_ns(blank_ns), time.monotonic_ns()
+            self._blank(due_ns if now_ns - due_ns < CATCH_UP_NS else now_ns)
 
     def _blank(self, real_ns: int) -> None:
         self._time.blank(self._idle_speed, real_ns, self._on_blank)

@@ -145,6 +145,11 @@ class WorldTime:
         passed_ns = time.monotonic_ns() - mark.blank_real_ns
         return ((time_ns - mark.blank_ns) / mark.speed - passed_ns) / 1e9
 
+    def real_ns(self, time_ns: int) -> int:
+        """A moment of world time by CLOCK_MONOTONIC, as if world time had kept its present pace then."""
+        mark = self._mark
+        return mark.blank_real_ns + round((time_ns - mark.blank_ns) / (mark.speed or 1.0))
+
     def wait_for(self, predicate: Callable[[], bool], timeout_s: float | None) -> bool:
         """With the lock held: wait until ``predicate()``, or ``timeout_s`` of world time (``None``: no limit).
 

@@ -195,6 +195,12 @@ class World:
         """How the water dims, veils and blurs, from the next image on. Its index stays that of the start."""
         self.set_scene(replace(self.scene, water=water))
 
+    def set_pace(self, pace: str) -> None:
+        """How world time passes from now on: ``realtime``, ``attended`` or ``lockstep``. Raises OptionError."""
+        replace(self.options, pace=pace)
+        with self.time.condition:
+            self._drive.set_pace(pace)
+
     def set_scene(self, scene: Scene) -> None:
         """Change what is looked at, from the next image that is made. The refractive index stays that of the start."""
         with self._renderer_lock:

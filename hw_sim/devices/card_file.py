@@ -12,7 +12,7 @@ import os
 import struct
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 import numpy as np
 
@@ -56,6 +56,46 @@ CAPS = {
 MASTER_ONLY = (abi.SETCRTC, abi.SETGAMMA, abi.PAGE_FLIP, abi.SETPROPERTY, abi.OBJ_SETPROPERTY)
 DRIVER = (b"kfsim", b"20240101", b"simulated display card")
 
+
+class UserMemory(Protocol):
+    """Memory of the process that makes a call, by its addresses; raises OSError(EFAULT) for none."""
+
+    def copy_to_user(self, address: int, data: bytes) -> None: ...
+
+    def copy_from_user(self, address: int, size: int) -> bytes: ...
+
+
+class Host(Protocol):
+    """What the card shares with the machine that it is built into."""
+
+    @property
+    def memory(self) -> UserMemory:
+        """Of the process that opened the node, where a call names no other."""
+
+    def time_ns(self, world_ns: int) -> int:
+        """A moment of world time by the host's monotonic clock."""
+
+    def scan_out_memory(self, size: int) -> tuple[bytearray | memoryview, int]:
+        """Memory for a dumb buffer, zero, and the offset of the node at which it can be mapped."""
+
+
+class ThisProcess:
+    """The host is this process, and its clock is the world's."""
+
+    def __init__(self) -> None:
+        self._offsets = itertools.count(0x1_0000_0000, 1 << 28)
+
+    @property
+    def memory(self) -> UserMemory:
+        return abi.OwnMemory()
+
+    def time_ns(self, world_ns: int) -> int:
+        return world_ns
+
+    def scan_out_memory(self, size: int) -> tuple[bytearray | memoryview, int]:
+        return bytearray(size), next(self._offsets)
+
+
 Struct = TypeVar("Struct", bound=ctypes.Structure)
 
 
@@ -66,8 +106,9 @@ def _fail(number: int) -> OSError:
 class CardFile:
     """One opened node. ``ioctl`` raises OSError as the system call does."""
 
-    def __init__(self, card: Card) -> None:
-        self._card, self._notify = card, card.notify
+    def __init__(self, card: Card, host: Host | None = None) -> None:
+        self._card, self._notify, self._host = card, card.notify, host or ThisProcess()
+        self._user: UserMemory = self._host.memory
         self._dumbs: dict[int, Dumb] = {}
         self._offsets: dict[int, Dumb] = {}
         self._handles = itertools.count(1)
@@ -103,9 +144,10 @@ class CardFile:
 
     # ------------------------------------------------------------------------------------------ system calls
 
-    def ioctl(self, request: int, buffer: bytearray) -> None:
-        """As ``fcntl.ioctl(fd, request, buffer, True)``."""
+    def ioctl(self, request: int, buffer: bytearray, user: UserMemory | None = None) -> None:
+        """As ``fcntl.ioctl(fd, request, buffer, True)``; pointers lead into ``user``, by default the host's memory."""
         self._check_open()
+        self._user = user or self._host.memory
         if request >> 8 & 0xFF != abi.IOCTL_TYPE:
             raise _fail(errno.ENOTTY)
         number, size = request & 0xFF, request >> 16 & 0x3FFF
@@ -156,7 +198,7 @@ class CardFile:
 
     def deliver(self, user_data: int, time_ns: int, crtc: Crtc) -> None:
         """A flip that was asked for with an event has completed."""
-        seconds, microseconds = divmod(time_ns // 1000, 1_000_000)
+        seconds, microseconds = divmod(self._host.time_ns(time_ns) // 1000, 1_000_000)
         event = (abi.EVENT_FLIP_COMPLETE, abi.FLIP_COMPLETE.size, user_data, seconds, microseconds)
         self._promised -= 1
         if not self._closed:
@@ -179,7 +221,7 @@ class CardFile:
         for name, text in zip(("name", "date", "desc"), DRIVER, strict=True):
             room = getattr(arg, f"{name}_len")
             if getattr(arg, name):
-                abi.copy_to_user(getattr(arg, name), text[:room])
+                self._user.copy_to_user(getattr(arg, name), text[:room])
             setattr(arg, f"{name}_len", len(text))
         _into(buffer, arg)
 
@@ -209,10 +251,10 @@ class CardFile:
     def _get_resources(self, buffer: bytearray) -> None:
         arg = _from(buffer, abi.Resources)
         fbs = [i for i, (owner, _) in self._card.framebuffers.items() if owner is self]
-        arg.count_fbs = _fill(arg.fb_id_ptr, arg.count_fbs, fbs)
-        arg.count_crtcs = _fill(arg.crtc_id_ptr, arg.count_crtcs, list(self._card.crtcs))
-        arg.count_connectors = _fill(arg.connector_id_ptr, arg.count_connectors, list(self._card.connectors))
-        arg.count_encoders = _fill(arg.encoder_id_ptr, arg.count_encoders, list(ENCODERS.values()))
+        arg.count_fbs = self._fill(arg.fb_id_ptr, arg.count_fbs, fbs)
+        arg.count_crtcs = self._fill(arg.crtc_id_ptr, arg.count_crtcs, list(self._card.crtcs))
+        arg.count_connectors = self._fill(arg.connector_id_ptr, arg.count_connectors, list(self._card.connectors))
+        arg.count_encoders = self._fill(arg.encoder_id_ptr, arg.count_encoders, list(ENCODERS.values()))
         arg.min_width, arg.max_width, arg.min_height, arg.max_height = 0, LARGEST, 0, LARGEST
         _into(buffer, arg)
 
@@ -235,12 +277,12 @@ class CardFile:
         modes = MODES[connector.output]
         # As in the kernel: modes and encoders are copied all or not at all, properties as far as there is room.
         if arg.count_modes >= len(modes):
-            abi.copy_to_user(arg.modes_ptr, b"".join(bytes(mode) for mode in modes))
+            self._user.copy_to_user(arg.modes_ptr, b"".join(bytes(mode) for mode in modes))
         if arg.count_encoders >= 1:
-            abi.copy_to_user(arg.encoders_ptr, struct.pack("<I", connector.encoder_id))
+            self._user.copy_to_user(arg.encoders_ptr, struct.pack("<I", connector.encoder_id))
         properties = _properties(connector)
-        _fill(arg.props_ptr, arg.count_props, list(properties))
-        arg.count_props = _fill(arg.prop_values_ptr, arg.count_props, list(properties.values()), "Q")
+        self._fill(arg.props_ptr, arg.count_props, list(properties))
+        arg.count_props = self._fill(arg.prop_values_ptr, arg.count_props, list(properties.values()), "Q")
         arg.count_modes, arg.count_encoders = len(modes), 1
         arg.encoder_id = connector.encoder_id if connector.crtc else 0
         arg.connector_type, arg.connector_type_id = connector.kind, connector.kind_number
@@ -267,18 +309,18 @@ class CardFile:
             raise _fail(errno.ENOENT)
         name, choices = PROPERTIES[arg.prop_id]
         arg.name, arg.flags = name.encode(), abi.PROP_ENUM
-        arg.count_values = _fill(arg.values_ptr, arg.count_values, list(range(len(choices))), "Q")
+        arg.count_values = self._fill(arg.values_ptr, arg.count_values, list(range(len(choices))), "Q")
         entries = [abi.PropertyEnum(value, choice.encode()) for value, choice in enumerate(choices)]
         if arg.count_enum_blobs >= len(entries):
-            abi.copy_to_user(arg.enum_blob_ptr, b"".join(bytes(entry) for entry in entries))
+            self._user.copy_to_user(arg.enum_blob_ptr, b"".join(bytes(entry) for entry in entries))
         arg.count_enum_blobs = len(entries)
         _into(buffer, arg)
 
     def _get_object_properties(self, buffer: bytearray) -> None:
         arg = _from(buffer, abi.ObjectProperties)
         properties = _properties(self._connector(arg.obj_id, arg.obj_type, arg.obj_id in self._card.crtcs))
-        _fill(arg.props_ptr, arg.count_props, list(properties))
-        arg.count_props = _fill(arg.prop_values_ptr, arg.count_props, list(properties.values()), "Q")
+        self._fill(arg.props_ptr, arg.count_props, list(properties))
+        arg.count_props = self._fill(arg.prop_values_ptr, arg.count_props, list(properties.values()), "Q")
         _into(buffer, arg)
 
     def _set_connector_property(self, buffer: bytearray) -> None:
@@ -319,13 +361,14 @@ class CardFile:
         arg.pitch = (arg.width * ((arg.bpp + 7) // 8) + 63) // 64 * 64
         arg.size = (arg.pitch * arg.height + PAGE - 1) // PAGE * PAGE
         arg.handle = next(self._handles)
-        self._dumbs[arg.handle] = Dumb(arg.pitch, bytearray(arg.size))
+        self._dumbs[arg.handle] = Dumb(arg.pitch, *self._host.scan_out_memory(arg.size))
         _into(buffer, arg)
 
     def _map_dumb(self, buffer: bytearray) -> None:
         arg = _from(buffer, abi.MapDumb)
-        arg.offset = 0x1_0000_0000 + (arg.handle << 28)
-        self._offsets[arg.offset] = self._dumb(arg.handle)
+        dumb = self._dumb(arg.handle)
+        arg.offset = dumb.offset
+        self._offsets[arg.offset] = dumb
         _into(buffer, arg)
 
     def _destroy_dumb(self, buffer: bytearray) -> None:
@@ -385,7 +428,7 @@ class CardFile:
             raise _fail(errno.EINVAL)
         _check_viewport(framebuffer, arg.mode, (arg.x, arg.y))
         size = 4 * arg.count_connectors
-        ids = struct.unpack(f"<{arg.count_connectors}I", abi.copy_from_user(arg.set_connectors_ptr, size))
+        ids = struct.unpack(f"<{arg.count_connectors}I", self._user.copy_from_user(arg.set_connectors_ptr, size))
         connectors = [self._connector(i, abi.OBJECT_CONNECTOR) for i in ids]
         for connector in connectors:
             if connector is None or not any(same_timing(arg.mode, mode) for mode in MODES[connector.output]):
@@ -399,11 +442,11 @@ class CardFile:
     def _get_gamma(self, buffer: bytearray) -> None:
         arg, crtc = self._gamma_of(buffer)
         for address, table in zip((arg.red, arg.green, arg.blue), crtc.gamma, strict=True):
-            abi.copy_to_user(address, table.astype("<u2").tobytes())
+            self._user.copy_to_user(address, table.astype("<u2").tobytes())
 
     def _set_gamma(self, buffer: bytearray) -> None:
         arg, crtc = self._gamma_of(buffer)
-        tables = [abi.copy_from_user(address, 2 * GAMMA_SIZE) for address in (arg.red, arg.green, arg.blue)]
+        tables = [self._user.copy_from_user(address, 2 * GAMMA_SIZE) for address in (arg.red, arg.green, arg.blue)]
         crtc.gamma = np.array([np.frombuffer(table, "<u2") for table in tables], np.uint16)
 
     def _gamma_of(self, buffer: bytearray) -> tuple[abi.CrtcLut, Crtc]:
@@ -434,6 +477,12 @@ class CardFile:
         crtc.pending = Flip(framebuffer, arg.user_data, self if wants_event else None)
         self._notify()
 
+    def _fill(self, address: int, room: int, numbers: Sequence[int], kind: str = "I") -> int:
+        """Copy as many numbers as there is room for; returns how many there are."""
+        fitting = numbers[:room]
+        self._user.copy_to_user(address, struct.pack(f"<{len(fitting)}{kind}", *fitting))
+        return len(numbers)
+
 
 def _properties(connector: Connector | None) -> dict[int, int]:
     """Property number → value of a connector."""
@@ -460,10 +509,3 @@ def _from(buffer: bytearray, kind: type[Struct]) -> Struct:
 def _into(buffer: bytearray, arg: ctypes.Structure) -> None:
     size = min(len(buffer), ctypes.sizeof(arg))
     buffer[:size] = bytes(arg)[:size]
-
-
-def _fill(address: int, room: int, numbers: Sequence[int], kind: str = "I") -> int:
-    """Copy as many numbers as there is room for; returns how many there are."""
-    fitting = numbers[:room]
-    abi.copy_to_user(address, struct.pack(f"<{len(fitting)}{kind}", *fitting))
-    return len(numbers)

@@ -228,18 +228,20 @@ def mode(name: str, clock_khz: int, h: tuple[int, ...], v: tuple[int, ...], flag
     return Modeinfo(clock_khz, *h, 0, *v, 0, refresh_hz, flags, kind, name.encode())
 
 
-def copy_to_user(address: int, data: bytes) -> None:
-    """As the kernel's: raises OSError(EFAULT) where user space gave no address."""
-    if data:
+class OwnMemory:
+    """User space in this process. As the kernel's, its functions raise OSError(EFAULT) where user space gave no address."""
+
+    def copy_to_user(self, address: int, data: bytes) -> None:
+        """Put ``data`` there."""
+        if data:
+            if address == 0:
+                raise OSError(14, "Bad address")
+            ctypes.memmove(address, data, len(data))
+
+    def copy_from_user(self, address: int, size: int) -> bytes:
+        """``size`` bytes that are there."""
+        if size == 0:
+            return b""
         if address == 0:
             raise OSError(14, "Bad address")
-        ctypes.memmove(address, data, len(data))
-
-
-def copy_from_user(address: int, size: int) -> bytes:
-    """As the kernel's: raises OSError(EFAULT) where user space gave no address."""
-    if size == 0:
-        return b""
-    if address == 0:
-        raise OSError(14, "Bad address")
-    return ctypes.string_at(address, size)
+        return ctypes.string_at(address, size)

@@ -24,7 +24,9 @@ class Dumb:
     """A dumb buffer, shared with user space."""
 
     pitch: int
-    memory: bytearray
+    memory: bytearray | memoryview
+    offset: int = 0
+    """At which user space maps it."""
 
 
 @dataclass(frozen=True, slots=True)

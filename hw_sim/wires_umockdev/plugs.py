@@ -1,0 +1,104 @@
+"""Owns where each device of the instrument is plugged in, in the words of sysfs."""
+
+from __future__ import annotations
+
+from types import ModuleType
+
+from hw_sim.devices.u3v_camera import U3vCamera
+from hw_sim.devices.u3v_descriptors import PRODUCT_ID, VENDOR_ID, Speed
+from hw_sim.wires_umockdev.hidraw import PHYS
+from hw_sim.wires_umockdev.tree import SysDevice
+
+PCI = "devices/pci0000:00"
+SUPER_SPEED_BUS, HIGH_SPEED_BUS, PAD_BUS = 2, 1, 1
+USB_MAJOR, TTY_MAJOR, DRM_MAJOR, HIDRAW_MAJOR = 189, 166, 226, 240
+_MBIT = {Speed.HIGH: "480", Speed.SUPER: "5000"}
+
+FIXED = (
+    SysDevice(f"{PCI}/0000:00:14.0", "pci", attributes={"class": "0x0c0330"}),
+    SysDevice(f"{PCI}/0000:00:02.0", "pci", attributes={"class": "0x030000"}),
+)
+"""The host's own: a USB controller and a display controller."""
+BOARD = SysDevice(
+    f"{PCI}/0000:00:14.0/usb1/1-9/1-9:1.0/tty/ttyACM0", "tty", "ttyACM0", (TTY_MAJOR, 0), attributes={"dev": "166:0"}
+)
+BOARD_LINK = "kingfisher-board"
+"""As the instrument's udev rules name it."""
+CARD = SysDevice(
+    f"{PCI}/0000:00:02.0/drm/card0", "drm", "dri/card0", (DRM_MAJOR, 0), "drm_minor", attributes={"dev": "226:0"}
+)
+
+
+def camera(device: U3vCamera, port: int, address: int) -> SysDevice:
+    """A camera on its port of the bus that its speed belongs to; every appearance has another ``address``."""
+    bus = SUPER_SPEED_BUS if device.speed is Speed.SUPER else HIGH_SPEED_BUS
+    descriptors = device.device_descriptor() + device.configuration_descriptor()
+    minor = (bus - 1) * 128 + address - 1
+    return SysDevice(
+        f"{PCI}/0000:00:14.0/usb{bus}/{bus}-{port}",
+        "usb",
+        f"bus/usb/{bus:03d}/{address:03d}",
+        (USB_MAJOR, minor),
+        "usb_device",
+        {
+            "busnum": str(bus),
+            "devnum": str(address),
+            "devpath": str(port),
+            "speed": _MBIT[device.speed],
+            "bConfigurationValue": "1",
+            "idVendor": f"{VENDOR_ID:04x}",
+            "idProduct": f"{PRODUCT_ID:04x}",
+            "manufacturer": device.identity.vendor,
+            "product": device.identity.model,
+            "serial": device.identity.guid,
+            "dev": f"{USB_MAJOR}:{minor}",
+            "descriptors": descriptors,
+        },
+        properties={"BUSNUM": f"{bus:03d}", "DEVNUM": f"{address:03d}"},
+    )
+
+
+def keypad(pad: ModuleType, number: int, address: int) -> list[SysDevice]:
+    """The pad's chain from the bus to ``hidrawN``; parents first. Its USB device has no node: no library asks for one."""
+    root = f"{PCI}/0000:00:14.0/usb{PAD_BUS}/{PAD_BUS}-5"
+    interface = f"{root}/{PAD_BUS}-5:1.0"
+    name = f"0003:{pad.VENDOR:04X}:{pad.PRODUCT:04X}.{address:04X}"
+    hid = f"{interface}/{name}"
+    identity = {
+        "DRIVER": "hid-generic",
+        "HID_ID": f"0003:{pad.VENDOR:08X}:{pad.PRODUCT:08X}",
+        "HID_NAME": f"{pad.MANUFACTURER} {pad.NAME}",
+        "HID_PHYS": PHYS,
+        "HID_UNIQ": pad.SERIAL,
+    }
+    minor = number % 64
+    return [
+        SysDevice(
+            root,
+            "usb",
+            kind="usb_device",
+            attributes={
+                "busnum": str(PAD_BUS),
+                "devnum": str(address),
+                "speed": "12",
+                "idVendor": f"{pad.VENDOR:04x}",
+                "idProduct": f"{pad.PRODUCT:04x}",
+                "bcdDevice": f"{pad.RELEASE:04x}",
+                "manufacturer": pad.MANUFACTURER,
+                "product": pad.NAME,
+                "serial": pad.SERIAL,
+            },
+        ),
+        SysDevice(
+            interface, "usb", kind="usb_interface", attributes={"bInterfaceNumber": "00", "bInterfaceClass": "03"}
+        ),
+        SysDevice(hid, "hid", attributes={"report_descriptor": pad.REPORT_DESCRIPTOR}, properties=identity),
+        SysDevice(
+            f"{hid}/hidraw/hidraw{number}",
+            "hidraw",
+            f"hidraw{number}",
+            (HIDRAW_MAJOR, minor),
+            attributes={"dev": f"{HIDRAW_MAJOR}:{minor}"},
+            links={"device": f"../../../{name}"},
+        ),
+    ]

@@ -1,0 +1,36 @@
+"""Worlds on device nodes, for programs that know nothing of them."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+
+import pytest
+
+from hw_sim.wires_umockdev.testbed import Testbed
+from hw_sim.world import World, WorldOptions
+
+SMALL = (400, 300)
+
+
+@pytest.fixture(autouse=True)
+def _umockdev() -> None:
+    if shutil.which("umockdev-wrapper") is None:
+        pytest.skip("the package umockdev is not installed; ./dev test --stage=libraries installs it")
+
+
+@pytest.fixture
+def world() -> Iterator[World]:
+    """Small cameras, real time."""
+    width, height = SMALL
+    with World(
+        WorldOptions(world="bed", width_px=width, height_px=height, pace="realtime", stills=True, truth="modelled")
+    ) as made:
+        yield made
+
+
+@pytest.fixture
+def bed(world: World) -> Iterator[Testbed]:
+    """Its devices as nodes."""
+    with Testbed(world) as made:
+        yield made

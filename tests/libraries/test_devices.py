@@ -1,0 +1,113 @@
+"""Each device through the library that the instrument uses, with the shipped driver and nothing in between."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hw_sim.pace import BLANK_NS
+from hw_sim.wires_umockdev.testbed import Testbed
+from hw_sim.world import World
+from tests.libraries.client import Client
+from tests.libraries.clients.output import pattern
+
+pytestmark = pytest.mark.libraries
+
+
+def triggered(world: World) -> None:
+    """The board fires both cameras at every sixth blank, as it does while the diver aims."""
+    with world.time.condition:
+        world.board.receive(line("LIVE,6,500,1000"))
+
+
+def line(words: str) -> bytes:
+    """A command of the board's protocol, with its own arithmetic for the check."""
+    body = f"C,1,{words}".encode()
+    crc = 0xFFFF
+    for byte in body:
+        crc ^= byte << 8
+        for _ in range(8):
+            crc = (crc << 1 ^ (0x1021 if crc & 0x8000 else 0)) & 0xFFFF
+    return b"$%s*%04X\r\n" % (body, crc)
+
+
+def test_libusb_reads_both_cameras_at_once(world: World, bed: Testbed) -> None:
+    world.view("left")
+    triggered(world)
+    with Client(bed, "cameras", 400, 300, 20, "KF-CAM-L", "KF-CAM-R") as client:
+        for _ in range(2):
+            opened = client.expect("opened")
+            assert (opened["model"], opened["mbps"]) == ("KFC1920", 5000)
+        for _ in range(2):
+            read = client.expect("read", timeout_s=60)
+            assert read["met"]["complete"] == 20
+            assert read["brightest"] > 0, "pixels came, not only headers"
+        client.expect("cpu_s")
+
+
+def test_a_camera_that_is_unplugged_is_gone_and_comes_back(world: World, bed: Testbed) -> None:
+    triggered(world)
+    with Client(bed, "cameras", 400, 300, 40, "KF-CAM-L") as client:
+        client.expect("started")
+        world.fault("camera.left off")
+        assert "unplugged while streaming" in client.expect("gone")["why"]
+        failed = client.expect("failed")["failed"]
+        assert "KF-CAM-L not found; the bus has KF-CAM-R" in failed
+        world.clear_faults()
+        client.expect("opened")
+        assert client.expect("read", timeout_s=60)["met"]["complete"] == 40
+
+
+def test_a_camera_that_falls_back_to_high_speed_is_seen_as_slow(world: World, bed: Testbed) -> None:
+    world.fault("camera.right slow")
+    with Client(bed, "cameras", 400, 300, 0, "KF-CAM-R") as client:
+        assert client.expect("opened")["mbps"] == 480
+
+
+def test_hidapi_hears_each_press_and_survives_the_cable(world: World, bed: Testbed) -> None:
+    with Client(bed, "keys", 12) as client:
+        client.expect("opened", "firmware 3")
+        for key in ("scan", "back", "up", "down"):
+            world.press(key, 0.2)
+            client.expect("press", key)
+            assert client.expect("release", key)["held_s"] == pytest.approx(0.2, abs=0.05)
+        world.fault("keypad off")
+        assert "unplugged" in client.expect("gone")["gone"]
+        world.clear_faults()
+        client.expect("opened", "firmware 3")
+        world.press("up", 0.2)
+        client.expect("press", "up")
+
+
+def test_pyserial_talks_to_the_board(world: World, bed: Testbed) -> None:
+    with Client(bed, "board", "/dev/kingfisher-board") as client:
+        assert client.expect("serial") == {"serial": "KF-BRD-0001", "firmware": "1.4.2"}
+        assert client.expect("lasers")["lasers"] == [True, False]
+        assert world.board.lasers_on == (True, False)
+        client.go_on()
+        fired = client.expect("vsyncs")
+    assert fired["vsyncs"] == list(range(24)), "no pulse is missing, none reported twice"
+    assert fired["steps_us"] == pytest.approx([BLANK_NS / 1000] * 23, abs=5)
+    assert fired["damaged"] == 0
+
+
+def test_mode_setting_lights_both_heads_to_the_bit(world: World, bed: Testbed) -> None:
+    with Client(bed, "output", "/dev/dri/card0") as client:
+        heads = client.expect("projector")
+        assert heads == {"projector": "HDMI-A-1 1024×768 60.00 Hz", "display": "DP-1 800×480 60.00 Hz"}
+        for index in range(4):
+            client.expect("shown", index)
+            assert np.array_equal(world.scanned_out("projector"), pattern(index))
+            client.go_on()
+        client.expect("presented")
+        shown = world.scanned_out("display")
+        assert (shown[:, :, 0] == 200).all()
+        assert (shown[7, :, 1] == np.arange(800) % 256).all()
+        assert (shown[:, :, 2] == 7).all()
+        client.go_on()
+        flips = client.expect("sequences")
+    blanks = np.diff(flips["sequences"])
+    assert (blanks >= 1).all(), "the counter only counts up"
+    period_ns = np.diff(flips["times_ns"]) / blanks
+    assert period_ns == pytest.approx(BLANK_NS, abs=2000), "a blank is a blank, by the kernel's clock of microseconds"
+    assert 0 <= flips["now_ns"] - flips["times_ns"][-1] < 1e9, "and that clock is the host's monotonic one"
