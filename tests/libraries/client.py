@@ -11,7 +11,7 @@ import threading
 from types import TracebackType
 from typing import Any, Self
 
-from hw_sim.wires_umockdev.testbed import Testbed
+from hw_sim.wires.umockdev.testbed import Testbed
 
 END_TIMEOUT_S = 20.0
 

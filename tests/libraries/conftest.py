@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from hw_sim.wires_umockdev.testbed import Testbed
+from hw_sim.wires.umockdev.testbed import Testbed
 from hw_sim.world import World, WorldOptions
 
 SMALL = (400, 300)

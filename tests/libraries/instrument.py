@@ -17,7 +17,7 @@ from appliance.calibration.file import encode
 from appliance.config import default_rig_path, load_rig
 from appliance.service.app import CALIBRATION_FILE
 from hw_sim.truth import TrueRig
-from hw_sim.wires_umockdev.testbed import Testbed
+from hw_sim.wires.umockdev.testbed import Testbed
 from tests.support.truth import true_calibration
 
 LOOK_S = 0.05

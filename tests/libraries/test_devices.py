@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hw_sim.pace import BLANK_NS
-from hw_sim.wires_umockdev.testbed import Testbed
+from hw_sim.wires.umockdev.testbed import Testbed
 from hw_sim.world import World
 from tests.libraries.client import Client
 from tests.libraries.clients.output import pattern

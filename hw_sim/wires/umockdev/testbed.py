@@ -18,13 +18,13 @@ from typing import Self
 from hw_sim.devices import keypad as pad
 from hw_sim.devices.u3v_camera import U3vCamera
 from hw_sim.pace import LONGEST_WAIT_S
-from hw_sim.wires_umockdev import hidraw, plugs
-from hw_sim.wires_umockdev.dri import CardMemory, DrmFile, HostClock
-from hw_sim.wires_umockdev.preload import OTHER_NODES, NodeServer, Plain
-from hw_sim.wires_umockdev.readiness import Readiness
-from hw_sim.wires_umockdev.tree import SysDevice, Tree
-from hw_sim.wires_umockdev.tty import BoardLine
-from hw_sim.wires_umockdev.usbfs import Urb, UsbDevice, UsbFile
+from hw_sim.wires.umockdev import hidraw, plugs
+from hw_sim.wires.umockdev.dri import CardMemory, DrmFile, HostClock
+from hw_sim.wires.umockdev.preload import OTHER_NODES, NodeServer, Plain
+from hw_sim.wires.umockdev.readiness import Readiness
+from hw_sim.wires.umockdev.tree import SysDevice, Tree
+from hw_sim.wires.umockdev.tty import BoardLine
+from hw_sim.wires.umockdev.usbfs import Urb, UsbDevice, UsbFile
 from hw_sim.world import World
 
 PRELOAD = "libumockdev-preload.so.0"

@@ -6,8 +6,8 @@ from types import ModuleType
 
 from hw_sim.devices.u3v_camera import U3vCamera
 from hw_sim.devices.u3v_descriptors import PRODUCT_ID, VENDOR_ID, Speed
-from hw_sim.wires_umockdev.hidraw import PHYS
-from hw_sim.wires_umockdev.tree import SysDevice
+from hw_sim.wires.umockdev.hidraw import PHYS
+from hw_sim.wires.umockdev.tree import SysDevice
 
 PCI = "devices/pci0000:00"
 SUPER_SPEED_BUS, HIGH_SPEED_BUS, PAD_BUS = 2, 1, 1

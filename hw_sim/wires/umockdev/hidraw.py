@@ -13,8 +13,8 @@ from collections import deque
 from hw_sim.devices import keypad as pad
 from hw_sim.devices.keypad import Keypad
 from hw_sim.pace import LONGEST_WAIT_S, WorldTime
-from hw_sim.wires_umockdev.preload import HostMemory
-from hw_sim.wires_umockdev.readiness import Readiness
+from hw_sim.wires.umockdev.preload import HostMemory
+from hw_sim.wires.umockdev.readiness import Readiness
 
 REPORTS_KEPT = 63
 """A ring of 64 that is never quite full: when nobody reads, the newest reports are lost."""

@@ -16,7 +16,7 @@ from hw_sim.devices.card import Card
 from hw_sim.devices.card_file import CardFile, UserMemory
 from hw_sim.devices.drm_abi import OwnMemory
 from hw_sim.pace import WorldTime
-from hw_sim.wires_umockdev.preload import HostMemory
+from hw_sim.wires.umockdev.preload import HostMemory
 
 SLOT_BYTES = 1 << 26
 """Distance of two buffers in the node, more than the largest one."""

@@ -16,8 +16,8 @@ from dataclasses import dataclass, field
 from hw_sim.devices.u3v_camera import Stall, U3vCamera
 from hw_sim.devices.u3v_stream import Overflow
 from hw_sim.pace import LONGEST_WAIT_S, WorldTime
-from hw_sim.wires_umockdev.preload import HostMemory
-from hw_sim.wires_umockdev.readiness import Readiness
+from hw_sim.wires.umockdev.preload import HostMemory
+from hw_sim.wires.umockdev.readiness import Readiness
 
 URB = struct.Struct("<BBxxiIxxxxQiiiIiIQ")
 """Type, endpoint, status, flags, buffer, length, actual length, start frame, stream, errors, signal, context."""

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from hw_sim.wires_umockdev import uevent
+from hw_sim.wires.umockdev import uevent
 
 BUSES = ("usb", "hid", "pci")
 
