@@ -29,9 +29,14 @@ CARD = SysDevice(
 )
 
 
+def bus_of(device: U3vCamera) -> int:
+    """The bus that the camera's speed belongs to."""
+    return SUPER_SPEED_BUS if device.speed is Speed.SUPER else HIGH_SPEED_BUS
+
+
 def camera(device: U3vCamera, port: int, address: int) -> SysDevice:
-    """A camera on its port of the bus that its speed belongs to; every appearance has another ``address``."""
-    bus = SUPER_SPEED_BUS if device.speed is Speed.SUPER else HIGH_SPEED_BUS
+    """A camera on its port; every appearance has another ``address``."""
+    bus = bus_of(device)
     descriptors = device.device_descriptor() + device.configuration_descriptor()
     minor = (bus - 1) * 128 + address - 1
     return SysDevice(

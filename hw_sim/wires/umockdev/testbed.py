@@ -8,7 +8,6 @@ from __future__ import annotations
 import shutil
 import tempfile
 import threading
-from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,11 +23,10 @@ from hw_sim.wires.umockdev.preload import OTHER_NODES, NodeServer, Plain
 from hw_sim.wires.umockdev.readiness import Readiness
 from hw_sim.wires.umockdev.tree import SysDevice, Tree
 from hw_sim.wires.umockdev.tty import BoardLine
-from hw_sim.wires.umockdev.usbfs import Urb, UsbDevice, UsbFile
+from hw_sim.wires.umockdev.usbfs import Tap, UsbDevice, UsbFile
 from hw_sim.world import World
 
 PRELOAD = "libumockdev-preload.so.0"
-Tap = Callable[[str, Urb, int], None]
 
 
 @dataclass(slots=True)
@@ -140,8 +138,9 @@ class Testbed:
         device = plugs.camera(camera, port, self._addresses)
         node = device.node or ""
         ready = Readiness(self._tree.node(node), for_writing=True)
-        shared = UsbDevice(camera, self._world.time, ready, self._tap)
-        shared.enumeration, shared.number = enumeration, self._addresses
+        bus = plugs.bus_of(camera)
+        shared = UsbDevice(camera, self._world.time, ready, bus, self._addresses, self._tap)
+        shared.enumeration = enumeration
         server = NodeServer(self.root, node, lambda: UsbFile(shared))
         self._tree.add(device)
         return _Plugged(enumeration, [device], server, ready)

@@ -59,19 +59,28 @@ class Urb:
     """What came, or what goes."""
     done: int = 0
     status: int = 0
-    offset: int = 0
-    """Of the data in the host's buffer: behind the setup packet."""
+    setup: bytes = b""
+    """Of a control transfer; it lies in the host's buffer before the data."""
+
+    @property
+    def is_in(self) -> bool:
+        """Whether data come from the device."""
+        return bool((self.setup[0] if self.kind == URB_CONTROL else self.endpoint) & _IN)
+
+
+Tap = Callable[[str, "UsbDevice", Urb], None]
 
 
 class UsbDevice:
     """What all openings of one camera share, while it stays plugged in: who claimed which interface."""
 
     def __init__(
-        self, camera: U3vCamera, time: WorldTime, ready: Readiness, tap: Callable[[str, Urb, int], None] | None
+        self, camera: U3vCamera, time: WorldTime, ready: Readiness, bus: int, address: int, tap: Tap | None = None
     ) -> None:
+        """``tap`` hears of each URB that is submitted (``S``) or complete (``C``), with the lock held."""
         self.camera, self.time, self.ready, self.tap = camera, time, ready, tap
+        self.bus, self.address = bus, address
         self.enumeration = camera.enumeration
-        self.number = 0
         self.claims: dict[int, UsbFile] = {}
         self.files: list[UsbFile] = []
 
@@ -213,7 +222,7 @@ class UsbFile:
         return 0
 
     def _connect_info(self, argument: int, memory: HostMemory) -> int:
-        memory.copy_to_user(argument, _TWO.pack(self._device.number, 0))
+        memory.copy_to_user(argument, _TWO.pack(self._device.address, 0))
         return 0
 
     def _capabilities(self, argument: int, memory: HostMemory) -> int:
@@ -261,8 +270,8 @@ class UsbFile:
         if kind == URB_CONTROL:
             if not SETUP.size <= length <= LARGEST_CONTROL + SETUP.size:
                 raise _error(errno.EINVAL)
-            setup = memory.copy_from_user(buffer, SETUP.size)
-            self._submit_control(urb, setup)
+            urb.setup = memory.copy_from_user(buffer, SETUP.size)
+            self._submit_control(urb)
         elif endpoint & _IN:
             self._submit_in(urb)
         else:
@@ -270,14 +279,14 @@ class UsbFile:
             self._submit_out(urb)
         return 0
 
-    def _submit_control(self, urb: Urb, setup: bytes) -> None:
-        urb.offset = SETUP.size
+    def _submit_control(self, urb: Urb) -> None:
+        kind, request, value, index, length = SETUP.unpack(urb.setup)
         with self._time.condition:
             self._check()
-            self._tap("S", urb, setup)
+            self._tap("S", urb)
             try:
-                urb.data = bytearray(self._camera.request(*SETUP.unpack(setup)))
-                urb.done = len(urb.data) if setup[0] & _IN else SETUP.unpack(setup)[4]
+                urb.data = bytearray(self._camera.request(kind, request, value, index, length))
+                urb.done = len(urb.data) if urb.is_in else length
             except Stall:
                 urb.status = -errno.EPIPE
             self._finish(urb)
@@ -379,19 +388,18 @@ class UsbFile:
             urb = self.finished.popleft()
             self._device.completed()
         # The host waits for this answer, nobody else touches the URB: the world goes on meanwhile.
-        is_in = urb.kind == URB_CONTROL or urb.endpoint & _IN
-        if is_in:
-            memory.copy_to_user(urb.buffer + urb.offset, memoryview(urb.data)[: urb.done])
+        if urb.is_in:
+            memory.copy_to_user(urb.buffer + len(urb.setup), memoryview(urb.data)[: urb.done])
         memory.copy_to_user(urb.address + _STATUS_AT, struct.pack("<i", urb.status))
         memory.copy_to_user(urb.address + _ACTUAL_AT, struct.pack("<i", urb.done))
         memory.copy_to_user(argument, _POINTER.pack(urb.address))
-        if is_in and urb.kind == URB_BULK and len(self._spare) < 4:
+        if urb.is_in and urb.kind == URB_BULK and len(self._spare) < 4:
             self._spare.append(urb.data)
         return 0
 
-    def _tap(self, event: str, urb: Urb, setup: bytes = b"") -> None:
+    def _tap(self, event: str, urb: Urb) -> None:
         if self._device.tap is not None:
-            self._device.tap(event, urb, self._device.number)
+            self._device.tap(event, self._device, urb)
 
 
 def _u32(memory: HostMemory, address: int) -> int:
