@@ -4,6 +4,9 @@ numba looks only at the file of the kernel itself to see whether what it compile
 whose functions were built in, not at its own version's flags. So each state of the program has a folder of its own, named
 after everything that goes into a kernel. What an installation has compiled (``build``) may lie on a read-only disk, where
 numba refuses to read; it is copied to a place that can be written, once per start of the machine.
+
+Kernels are compiled for one processor. An image that is made here and started there brings them for a level of processors
+that is common enough (``COMMON``), and they are used where none were compiled for the processor itself.
 """
 
 from __future__ import annotations
@@ -22,9 +25,24 @@ from pathlib import Path
 from typing import Any
 
 VARIABLE = "NUMBA_CACHE_DIR"
+CPU_VARIABLES = ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES")
 COMPLETE = "complete"
 """A file that is written last: without it, a folder was left half made."""
 _PROGRAM = Path(__file__).parent
+
+
+@dataclass(frozen=True, slots=True)
+class Processor:
+    """Whom kernels are compiled for, in LLVM's words."""
+
+    name: str
+    features: str
+
+
+COMMON = Processor("x86-64-v3", "")
+"""Every x86 since 2013 to 2015; its features follow from the name."""
+COMMON_NEEDS = frozenset(("avx", "avx2", "bmi", "bmi2", "cx16", "f16c", "fma", "lzcnt", "movbe", "popcnt", "sse4.2"))
+"""The x86-64 psABI's level 3, by LLVM's names."""
 
 
 class Origin(Enum):
@@ -48,20 +66,33 @@ class KernelCache:
     origin: Origin
 
 
-def fingerprint() -> str:
-    """16 hexadecimal digits that change with each kernel file, interpreter, compiler and processor."""
+def this_processor() -> Processor:
+    """The one that this process runs on."""
     import llvmlite.binding
+
+    name: str = llvmlite.binding.get_host_cpu_name()
+    features: str = llvmlite.binding.get_host_cpu_features().flatten()
+    return Processor(name, features)
+
+
+def runs_common(processor: Processor) -> bool:
+    """Whether kernels for ``COMMON`` run on it."""
+    return {feature[1:] for feature in processor.features.split(",") if feature.startswith("+")} >= COMMON_NEEDS
+
+
+def fingerprint(processor: Processor | None = None) -> str:
+    """16 hexadecimal digits that change with each kernel file, interpreter, compiler and processor (default: this one)."""
     import numba
     import numpy
 
+    processor = processor or this_processor()
     digest = hashlib.sha256()
     for path in sorted(_PROGRAM.rglob("*.py")):
         text = path.read_bytes()
         if b"numba" in text or path.parent.name == "reconstruct":
             digest.update(str(path.relative_to(_PROGRAM)).encode() + b"\0" + text + b"\0")
     parts = (
-        sys.version, platform.machine(), numba.__version__, numpy.__version__,
-        llvmlite.binding.get_host_cpu_name(), llvmlite.binding.get_host_cpu_features().flatten(),
+        sys.version, platform.machine(), numba.__version__, numpy.__version__, processor.name, processor.features,
     )  # fmt: skip
     digest.update("\0".join(parts).encode())
     return digest.hexdigest()[:16]
@@ -89,33 +120,44 @@ def use(shipped: Path | None = None, writable: Path | None = None) -> KernelCach
     given = os.environ.get(VARIABLE)
     if given:
         return KernelCache(Path(given), Origin.GIVEN)
-    mark = fingerprint()
-    source = (shipped or shipped_folder()) / mark
+    source, compiled_for = _shipped(shipped or shipped_folder())
     for base in (writable or writable_folder(os.environ), _last_resort()):
-        folder = base / mark
+        folder = base / source.name
         try:
             origin = _fill(folder, source)
         except OSError:
             continue  # read-only or full: the next one
-        _point_at(folder)
+        _point_at(folder, compiled_for)
         return KernelCache(folder, origin)
     folder = Path(tempfile.mkdtemp(prefix="kingfisher-kernels-"))
     _point_at(folder)
     return KernelCache(folder, Origin.EMPTY)
 
 
-def build(target: Path) -> Path:
-    """Compile every kernel of the reconstruction for this processor into a folder of ``target``; return that folder.
-
-    In this process, which must not have imported a kernel yet. Raises OSError when ``target`` cannot be written.
+def _shipped(base: Path) -> tuple[Path, Processor | None]:
+    """The best that an installation has compiled: for this processor, else for the common level; where both miss, the
+    first. With it, whom numba must be told to compile for; ``None``: this processor, which it finds by itself.
     """
-    folder = target / fingerprint()
+    own = base / fingerprint()
+    if not (own / COMPLETE).exists() and platform.machine() == "x86_64" and runs_common(this_processor()):
+        common = base / fingerprint(COMMON)
+        if (common / COMPLETE).exists():
+            return common, COMMON
+    return own, None
+
+
+def build(target: Path, processor: Processor | None = None) -> Path:
+    """Compile every kernel of the reconstruction into a folder of ``target``; return that folder.
+
+    For ``processor`` (default: this one), and in this process, which must not have imported a kernel yet. Raises OSError when ``target`` cannot be written.
+    """
+    folder = target / fingerprint(processor)
     if (folder / COMPLETE).exists():
         return folder
     target.mkdir(parents=True, exist_ok=True)
     making = Path(tempfile.mkdtemp(prefix=".making-", dir=target))
     try:
-        _point_at(making)
+        _point_at(making, processor)
         from appliance.worker.warm import run_every_kernel
 
         run_every_kernel()
@@ -129,13 +171,16 @@ def build(target: Path) -> Path:
     return folder
 
 
-def _point_at(folder: Path) -> None:
+def _point_at(folder: Path, processor: Processor | None = None) -> None:
     """For this process, whose numba has read its settings already, and for those it starts."""
     import numba
 
     os.environ[VARIABLE] = str(folder)
     config: Any = numba.config
     config.CACHE_DIR = str(folder)
+    if processor is not None:
+        os.environ.update(zip(CPU_VARIABLES, (processor.name, processor.features), strict=True))
+        config.CPU_NAME, config.CPU_FEATURES = processor.name, processor.features
 
 
 def _fill(folder: Path, source: Path) -> Origin:

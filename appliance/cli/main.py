@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -16,6 +17,7 @@ from appliance.calibration.method import BY_SCANS
 from appliance.calibration.recordings import RecordingError
 from appliance.cli import calibrate, calibrate_air, evaluate, health, measure, scans, verbs
 from appliance.cli.chaos import Chaos, chaos
+from appliance.cli.last_words import last_words
 from appliance.cli.output import Exit, UsageError, complain, log_lines
 from appliance.cli.simrig import OBJECTS, PACES, TEXTURES, TRUTHS, SimOptions, default_sim_rig
 from appliance.config import ConfigError, Rig, default_rig_path, load_rig
@@ -47,7 +49,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = _grammar().parse_args(argv)
     verb: Verb = arguments.verb
     try:
-        with log_lines(as_json=arguments.json, service=arguments.service or getattr(arguments, "live", False)):
+        with (
+            log_lines(as_json=arguments.json, service=arguments.service or getattr(arguments, "live", False)),
+            last_words(os.environ if arguments.service else {}),
+        ):
             return verb(arguments)
     except (ConfigError, UsageError) as error:
         complain(str(error), as_json=arguments.json)
@@ -182,9 +187,12 @@ def _grammar() -> _Parser:
         commands,
         "warm",
         "compile the kernels for this processor (an installation does)",
-        lambda a: verbs.warm(a.out, json=a.json),
+        lambda a: verbs.warm(a.out, common=a.common, json=a.json),
     )
     warm.add_argument("--out", type=Path, metavar="DIR", help="default: within the installed environment")
+    warm.add_argument(
+        "--common", action="store_true", help="for every x86-64-v3 processor instead of this one: for images"
+    )
     add(commands, "version", "print the version", lambda a: verbs.version(json=a.json))
     return top
 

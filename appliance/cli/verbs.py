@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import faulthandler
 import logging
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from appliance.config import Rig
 
 def run(rig: Rig) -> Exit:
     """The instrument, until it is switched off."""
+    faulthandler.enable(all_threads=True)  # who kills it because it hangs, or it dies in a library: where was it?
     _use_kernels()
     from appliance.service.app import run as run_service
 
@@ -121,13 +123,13 @@ def version(*, json: bool) -> Exit:
     return Exit.OK
 
 
-def warm(out: Path | None, *, json: bool) -> Exit:
-    """Compile the kernels for this processor, as an installation does. Raises OSError."""
+def warm(out: Path | None, *, common: bool, json: bool) -> Exit:
+    """Compile the kernels for this processor, or for the common level, as an installation does. Raises OSError."""
     target = out or kernel_cache.shipped_folder()
     with Progress() as progress:
         progress("compiling kernels (half a minute)")
         try:
-            folder = kernel_cache.build(target)
+            folder = kernel_cache.build(target, kernel_cache.COMMON if common else None)
         except OSError as error:
             raise UsageError(
                 f"{target}: {error.strerror or error}; give a folder that can be written: --out DIR"

@@ -5,8 +5,10 @@ from __future__ import annotations
 import logging
 import os
 import signal
-from collections.abc import Iterator
+import sys
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from pathlib import Path
 from types import FrameType
 
 import numpy as np
@@ -30,9 +32,11 @@ from appliance.service.instrument import (
     water_of,
 )
 from appliance.service.loop import Service, standard_choices
+from appliance.service.notify import ServiceManager
 from appliance.service.patterns import Patterns
 from appliance.service.ranging import RangingDesk
 from appliance.service.scans import ScanDesk
+from appliance.service.supervision import Supervision
 from appliance.storage.choices import ChoicesFile
 from appliance.storage.library import Library
 from appliance.storage.lock import hold_lock
@@ -62,6 +66,8 @@ def run(rig: Rig) -> int:
     another service runs on the same storage. Devices that are missing do not end it.
     """
     with ExitStack() as stack:
+        take_back_power_off(os.environ)
+        manager = stack.enter_context(ServiceManager.of(os.environ))
         stack.enter_context(hold_lock(rig.storage.root))
         library = Library(rig.storage.root)
         library.prepare()
@@ -100,7 +106,9 @@ def run(rig: Rig) -> int:
             rig, devices, desk, calibrating, GalleryDesk(library, desk.submit), ranging, patterns, painter, status, wires.clock,
             choices, conditions, lambda: stopping.reason,
         )  # fmt: skip
-        ended = service.run()
+        ended = service.run(Supervision(manager, rig.storage.root, installation(Path(sys.prefix))))
+        if ended.power_off:
+            ask_power_off(os.environ)
         log.info("switched off" if ended.power_off else "stopped")
     return 0
 
@@ -134,6 +142,30 @@ def _health(name: str, device: object) -> Health:
 def sequence_of(rig: Rig) -> PatternSequence:
     """The sequence the rig file states."""
     return build_sequence(rig.scan.period_px, rig.projector.width_px, rig.projector.height_px)
+
+
+def installation(prefix: Path) -> str:
+    """The name of the installed version that runs from ``prefix``; of a source tree "source"."""
+    return prefix.name if prefix.parent.name == "versions" else "source"
+
+
+def ask_power_off(environment: Mapping[str, str]) -> None:
+    """Leave the note that makes the unit switch the machine off after the service has ended; nothing at a desk."""
+    note = _power_off_note(environment)
+    if note is not None:
+        note.touch()
+
+
+def take_back_power_off(environment: Mapping[str, str]) -> None:
+    """A note of an earlier run does not count."""
+    note = _power_off_note(environment)
+    if note is not None:
+        note.unlink(missing_ok=True)
+
+
+def _power_off_note(environment: Mapping[str, str]) -> Path | None:
+    folder = environment.get("RUNTIME_DIRECTORY")
+    return None if not folder else Path(folder.split(":")[0]) / "power-off"
 
 
 class _Stopping:

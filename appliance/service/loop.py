@@ -38,6 +38,7 @@ from appliance.service.menu_view import Facts
 from appliance.service.patterns import Patterns
 from appliance.service.ranging import RangingDesk
 from appliance.service.scans import ScanDesk
+from appliance.service.supervision import Supervision
 from appliance.service.view import Surroundings, grade, view_of
 from appliance.storage.atomic import StorageError
 from appliance.storage.choices import ChoicesFile
@@ -151,14 +152,20 @@ class Service:
         self._stop_told = False
         self._quit: do.Quit | None = None
 
-    def run(self) -> do.Quit:
+    def run(self, supervision: Supervision) -> do.Quit:
         """Beat until the machine wants to quit, then finish what is being written."""
+
+        def beat() -> None:
+            self.beat()
+            supervision.beaten(self.machine, worker_answers=self._desk.worker.answers)
+
         self._desk.test_storage()
         while self._quit is None:
-            self.beat()
+            beat()
+        supervision.stopping()
         end_ns = self._clock.now_ns() + int(QUIT_TIMEOUT_S * 1e9)
         while (self._desk.busy or self._calibrating.busy) and self._clock.now_ns() < end_ns:
-            self.beat()
+            beat()
         self._status.update(self.machine, self._desk.worker.pid)
         return self._quit
 

@@ -200,6 +200,16 @@ class ReconstructionWorker:
         """Of the process; ``None`` while there is none."""
         return self._process.pid if self._process is not None else None
 
+    @property
+    def answers(self) -> bool:
+        """It keeps its times, or it is known not to be there; false where ``poll`` should have seen that it does not."""
+        if self._process is None:
+            return True
+        now_ns, grace_ns = self._clock.now_ns(), int(self.limits.alive_s * 1e9)
+        if self._deadline_ns is not None:
+            return now_ns <= self._deadline_ns + grace_ns
+        return not self._asked or now_ns - self._alive_ns <= 2 * grace_ns
+
     def change(self, order: WorkOrder, store: FrameStore | None = None) -> None:
         """Start again with another calibration, water or sequence, for cameras of the same size; a scan in work is
         forgotten. ``store``: where the frames of another sequence will be; the old one is not used any more."""

@@ -19,6 +19,8 @@ from kingfisher_setup.pins import runtime_pins
 PACKAGES = ("appliance", "drivers", "hw_sim")
 PARTS = (*PACKAGES, "systemd", "pyproject.toml", "requirements.lock", "README.md")
 """What of a source tree goes onto an instrument."""
+SHARED = ("drivers/__init__.py", "drivers/output/__init__.py", "drivers/output/drm.py")
+"""What the safe screen has in common with the program."""
 CHECK = """
 import appliance.service.app, drivers.native, sys
 from appliance.config import load_rig
@@ -71,6 +73,10 @@ def build(layout: Layout, tree: Path, wheels: Path | None, say: Say) -> str:
     say("program")
     _copy(tree, folder / "source")
     target.run(layout, [*pip, *offline, "--no-build-isolation", f"{inside}/source"], 600)
+    for shared in SHARED:  # with the safe screen, which uses no environment
+        copy = folder / "source" / "systemd" / shared
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(folder / "source" / shared, copy)
     shutil.move(folder / "source" / "systemd", folder / "systemd")
     rig = layout.rig if layout.rig.exists() else folder / "source" / "appliance" / "rigs" / "kingfisher.toml"
     if rig != layout.rig:
@@ -78,8 +84,9 @@ def build(layout: Layout, tree: Path, wheels: Path | None, say: Say) -> str:
         durable.write(layout.rig, rig.read_bytes())
     for leftover in ("source", "wheels"):
         shutil.rmtree(folder / leftover)
-    say("kernels for this processor (a minute)")
-    target.run(layout, [f"{inside}/bin/kingfisher", "warm"], 1800)
+    say("kernels (a minute)")
+    # An image is started on another processor.
+    target.run(layout, [f"{inside}/bin/kingfisher", "warm", *([] if layout.live else ["--common"])], 1800)
     target.run(layout, [f"{inside}/bin/python", "-m", "compileall", "-q", f"{inside}/lib", f"{inside}/systemd"], 600)
     say("checks")
     target.run(layout, [f"{inside}/bin/python", "-c", CHECK, "/etc/kingfisher/rig.toml"], 300)

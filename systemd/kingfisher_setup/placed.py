@@ -9,7 +9,7 @@ from kingfisher_setup import durable
 from kingfisher_setup.layout import PROGRAM, Layout
 
 UNITS = Path("/etc/systemd/system")
-ENABLED = ("kingfisher.service", "kingfisher-trial.service")
+ENABLED = ("kingfisher.service",)
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +26,7 @@ FILES = (
     Placed("kingfisher.service", UNITS / "kingfisher.service"),
     Placed("kingfisher-safe.service", UNITS / "kingfisher-safe.service"),
     Placed("kingfisher-trial.service", UNITS / "kingfisher-trial.service"),
+    Placed("data-disk.conf", UNITS / "var-lib-kingfisher.mount.d" / "kingfisher.conf"),
     Placed("kingfisher.sysusers", Path("/etc/sysusers.d/kingfisher.conf")),
     Placed("kingfisher.tmpfiles", Path("/etc/tmpfiles.d/kingfisher.conf")),
     Placed("kingfisher.journald", Path("/etc/systemd/journald.conf.d/kingfisher.conf")),

@@ -43,14 +43,18 @@ def started(shipped: Path, writable: Path, temporary: Path) -> dict[str, Any]:
     return said
 
 
-@pytest.fixture(scope="module")
-def shipped(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("installation")
+def compiled(folder: Path, *more: str) -> Path:
+    """What an installation has compiled into ``folder``."""
     environment = {name: value for name, value in os.environ.items() if name != VARIABLE}
-    warm = [sys.executable, "-m", "appliance.cli", "warm", "--json", "--out", str(folder)]
+    warm = [sys.executable, "-m", "appliance.cli", "warm", "--json", "--out", str(folder), *more]
     ran = subprocess.run(warm, env=environment, capture_output=True, text=True, timeout=900, check=True)
     assert (Path(json.loads(ran.stdout)["folder"]) / COMPLETE).exists()
     return folder
+
+
+@pytest.fixture(scope="module")
+def shipped(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return compiled(tmp_path_factory.mktemp("installation"))
 
 
 def test_what_the_installation_compiled_is_not_compiled_again(shipped: Path, tmp_path: Path) -> None:
@@ -101,3 +105,24 @@ def test_a_changed_function_in_another_file_is_another_program(tmp_path: Path, m
 )
 def test_the_service_and_its_user_have_a_place(environment: dict[str, str], expected: str) -> None:
     assert kernel_cache.writable_folder(environment) == Path(expected)
+
+
+@pytest.mark.long
+def test_an_image_brings_kernels_for_processors_it_has_never_seen(tmp_path: Path) -> None:
+    if not kernel_cache.runs_common(kernel_cache.this_processor()):
+        pytest.skip("this processor is below x86-64-v3, which images are made for")
+    shipped = compiled(tmp_path / "image", "--common")
+    said = started(shipped, tmp_path / "cache", tmp_path)
+    assert (said["origin"], said["compiled"]) == ("shipped", 0)
+    assert Path(said["path"]).name == kernel_cache.fingerprint(kernel_cache.COMMON)
+
+
+def test_an_old_processor_does_not_run_the_kernels_of_an_image(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(VARIABLE, raising=False)
+    image = tmp_path / "image"
+    common = image / kernel_cache.fingerprint(kernel_cache.COMMON)
+    common.mkdir(parents=True)
+    (common / COMPLETE).touch()
+    old = kernel_cache.Processor("ivybridge", "+avx,+sse4.2,+popcnt,+cx16,+f16c,-avx2,-fma")
+    monkeypatch.setattr(kernel_cache, "this_processor", lambda: old)
+    assert kernel_cache.use(image, tmp_path / "cache").origin is Origin.EMPTY

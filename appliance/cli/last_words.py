@@ -1,0 +1,53 @@
+"""Owns what a service that ends with an error leaves behind for the safe screen, which has nothing else to go by."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from appliance.config import ConfigError
+from appliance.storage.atomic import StorageError
+from drivers.api import DeviceError
+
+FILE_NAME = "last-words.json"
+"""In the service's run-time folder, which is memory: a full disk is one of the errors."""
+MOST_CHARACTERS = 600
+
+
+@contextmanager
+def last_words(environment: Mapping[str, str]) -> Iterator[None]:
+    """Write down the error that ends the block, and let it go on. Nothing where ``environment`` is not a service's."""
+    folder, invocation = environment.get("RUNTIME_DIRECTORY"), environment.get("INVOCATION_ID")
+    if not folder or not invocation:
+        yield
+        return
+    path = Path(folder.split(":")[0]) / FILE_NAME
+    with suppress(OSError):
+        path.unlink(missing_ok=True)  # of an earlier start
+    try:
+        yield
+    except Exception as error:
+        said = {"invocation": invocation, "kind": _kind(error), "text": _text(error)}
+        with suppress(OSError):
+            path.write_text(json.dumps(said) + "\n", encoding="utf-8")
+        raise
+
+
+def _kind(error: Exception) -> str:
+    match error:
+        case ConfigError():
+            return "config"
+        case StorageError():
+            return "storage"
+        case DeviceError():
+            return "device"
+        case _:
+            return "program"
+
+
+def _text(error: Exception) -> str:
+    said = " ".join(str(error).split())
+    named = said if isinstance(error, ConfigError | StorageError | DeviceError) else f"{type(error).__name__}: {said}"
+    return named[:MOST_CHARACTERS]

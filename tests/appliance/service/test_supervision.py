@@ -1,0 +1,157 @@
+"""The service manager hears what is true: ready, alive only while the loop turns and the worker answers, the self-test."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from appliance.capture.fault import Fault, FaultCode
+from appliance.machine import states
+from appliance.machine.states import Device, Machine, Part, State, boot
+from appliance.service.notify import ServiceManager
+from appliance.service.supervision import SELF_TEST_FILE, Supervision
+
+
+class Listener:
+    """A service manager's end of a real datagram socket."""
+
+    def __init__(self, address: str) -> None:
+        self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self.socket.bind(address)
+        self.socket.setblocking(False)
+
+    def heard(self) -> list[str]:
+        """All datagrams since the last call, one text each."""
+        said = []
+        while True:
+            try:
+                said.append(self.socket.recv(4096).decode())
+            except BlockingIOError:
+                return said
+
+
+def machine(now_s: float, state: State = State.AIM) -> Machine:
+    return replace(boot(0), state=state, now_ns=int(now_s * 1e9))
+
+
+def answered(at: Machine, *lost: Device, **parts: bool) -> Machine:
+    """With a result for every device and part."""
+    results = {part: states.Tested(parts.get(part.name.lower(), True)) for part in Part}
+    up = frozenset(set(Device) - set(lost))
+    gone = {device: Fault(FaultCode.CAMERA_LOST, "unplugged") for device in lost}
+    return replace(at, up=up, lost=gone, parts=results)
+
+
+@pytest.mark.parametrize("abstract", [False, True])
+def test_it_says_ready_once_and_what_it_does(tmp_path: Path, abstract: bool) -> None:
+    path = str(tmp_path / "notify")
+    listener = Listener(f"\0{path}" if abstract else path)
+    with ServiceManager(f"@{path}" if abstract else path, None) as manager:
+        supervision = Supervision(manager, tmp_path, "1.2-abc")
+        assert listener.heard() == []  # nothing before a beat has ended
+        supervision.beaten(machine(0.0, State.BOOT), worker_answers=True)
+        assert listener.heard() == ["READY=1", "STATUS=BOOT"]
+        supervision.beaten(machine(0.1), worker_answers=True)
+        supervision.beaten(machine(0.2), worker_answers=True)
+        assert listener.heard() == ["STATUS=AIM"]
+        supervision.stopping()
+        assert listener.heard() == ["STOPPING=1"]
+
+
+class Signs:
+    """Counts the signs of life of a service that beats."""
+
+    def __init__(self, folder: Path, watchdog_s: float) -> None:
+        self.listener = Listener(str(folder / "notify"))
+        self.now_s = 0.0
+        manager = ServiceManager(str(folder / "notify"), watchdog_s)
+        self.supervision = Supervision(manager, folder, "", now_s=lambda: self.now_s)
+
+    def during(self, beats: int, *, turning: bool = True, answers: bool = True) -> int:
+        start_s, signs = self.now_s, 0
+        for _ in range(beats):
+            self.now_s += 0.05
+            self.supervision.beaten(machine(self.now_s if turning else start_s), worker_answers=answers)
+            signs += self.listener.heard().count("WATCHDOG=1")  # a socket holds ten
+        return signs
+
+
+def test_signs_of_life_come_four_times_in_the_managers_patience(tmp_path: Path) -> None:
+    assert Signs(tmp_path, 20.0).during(1200) == 12  # 60 s
+
+
+def test_a_loop_that_does_not_get_on_gives_no_sign(tmp_path: Path) -> None:
+    signs = Signs(tmp_path, 2.0)
+    assert signs.during(100) > 0
+    signs.during(1, turning=False)
+    assert signs.during(100, turning=False) == 0
+    assert signs.during(100) > 0
+
+
+def test_a_loop_whose_worker_was_lost_sight_of_gives_no_sign(tmp_path: Path) -> None:
+    signs = Signs(tmp_path, 2.0)
+    signs.during(1)
+    assert signs.during(100, answers=False) == 0
+    assert signs.during(100) > 0
+
+
+def test_without_a_watchdog_no_signs_are_sent(tmp_path: Path) -> None:
+    listener = Listener(str(tmp_path / "notify"))
+    supervision = Supervision(ServiceManager(str(tmp_path / "notify"), None), tmp_path, "")
+    for k in range(100):
+        supervision.beaten(machine(k), worker_answers=True)
+    assert "WATCHDOG=1" not in listener.heard()
+
+
+def test_the_environment_is_taken_and_no_child_inherits_it(tmp_path: Path) -> None:
+    listener = Listener(str(tmp_path / "notify"))
+    environment = {
+        "NOTIFY_SOCKET": str(tmp_path / "notify"),
+        "WATCHDOG_USEC": "20000000",
+        "WATCHDOG_PID": str(os.getpid()),
+        "PATH": "/bin",
+    }
+    with ServiceManager.of(environment) as manager:
+        assert environment == {"PATH": "/bin"}
+        assert manager.watchdog_s == 20.0
+        manager.ready()
+    assert listener.heard() == ["READY=1"]
+
+
+@pytest.mark.parametrize(
+    "environment",
+    [{}, {"WATCHDOG_USEC": "x"}, {"WATCHDOG_USEC": "0"}, {"WATCHDOG_USEC": "5000000", "WATCHDOG_PID": "1"}],
+)
+def test_a_watchdog_that_is_not_meant_is_none(environment: dict[str, str]) -> None:
+    with ServiceManager.of(dict(environment)) as manager:
+        assert manager.watchdog_s is None
+        manager.alive()  # nobody to hear it
+
+
+def test_a_manager_that_is_gone_or_does_not_listen_stops_nothing(tmp_path: Path) -> None:
+    with ServiceManager(str(tmp_path / "nobody"), 1.0) as manager:
+        manager.ready()
+    deaf = Listener(str(tmp_path / "deaf"))
+    with ServiceManager(str(tmp_path / "deaf"), 1.0) as manager:
+        for _ in range(5000):  # more than the socket holds
+            manager.alive()
+    assert deaf.heard()
+
+
+def test_the_self_test_is_written_down_with_the_version_it_was_of(tmp_path: Path) -> None:
+    supervision = Supervision(ServiceManager(None, None), tmp_path, "0.2.0-3f2a9c1b")
+    mark = tmp_path / SELF_TEST_FILE
+    supervision.beaten(machine(0.0, State.BOOT), worker_answers=True)
+    supervision.beaten(machine(0.1, State.SELF_TEST), worker_answers=True)
+    assert not mark.exists()  # not everything has answered
+    failing = answered(machine(0.2, State.SELF_TEST), Device.CAMERA_LEFT, calibration=False)
+    supervision.beaten(failing, worker_answers=True)
+    said = {"installation": "0.2.0-3f2a9c1b", "failed": ["calibration", "camera.left"]}
+    assert json.loads(mark.read_text()) == said
+    supervision.beaten(answered(machine(0.3)), worker_answers=True)  # the camera came, and so did the calibration
+    assert json.loads(mark.read_text())["failed"] == []

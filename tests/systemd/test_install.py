@@ -1,0 +1,131 @@
+"""The real setup in a real Debian: everything is there, the program runs as its user, upgrade and uninstall keep the data.
+
+Needs root, mmdebstrap and a network (or KINGFISHER_BASE, a tar of a Debian 12 with the packages, and KINGFISHER_WHEELS);
+many minutes.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).parents[2]
+PACKAGES = (
+    "python3", "python3-venv", "libpython3.11", "libegl1", "libgl1", "libgl1-mesa-dri", "libusb-1.0-0", "systemd", "udev"
+)  # fmt: skip
+
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.timeout(3600),
+    pytest.mark.skipif(os.geteuid() != 0, reason="a chroot needs root"),
+    pytest.mark.skipif(shutil.which("mmdebstrap") is None, reason="mmdebstrap is missing: apt-get install mmdebstrap"),
+]
+
+
+def run(*command: object, check: bool = True) -> subprocess.CompletedProcess[str]:
+    done = subprocess.run([str(word) for word in command], capture_output=True, text=True, timeout=3000, check=False)
+    assert not check or done.returncode == 0, done.stdout + done.stderr
+    return done
+
+
+def setup(root: Path, verb: str, *more: object, tree: Path = REPOSITORY, check: bool = True) -> str:
+    wheels = os.environ.get("KINGFISHER_WHEELS")
+    given = ["--wheels", wheels] if wheels and verb in ("install", "upgrade") else []
+    done = run(tree / "systemd" / "install", verb, "--root", root, *given, *more, check=check)
+    return done.stdout + done.stderr
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A Debian with Kingfisher on it."""
+    folder = tmp_path_factory.mktemp("debian")
+    base = os.environ.get("KINGFISHER_BASE")
+    if base:
+        folder.chmod(0o755)
+        run("tar", "-C", folder, "-xf", base)
+    else:
+        include = ",".join(PACKAGES)
+        run("mmdebstrap", "--quiet", "--variant=minbase", f"--include={include}", "bookworm", folder)
+    setup(folder, "install")
+    yield folder
+    shutil.rmtree(folder)
+
+
+def as_service(root: Path, *command: object, check: bool = True) -> subprocess.CompletedProcess[str]:
+    user = ("chroot", "--userspec=kingfisher:kingfisher", root, "env", "-i", "PATH=/usr/local/bin:/usr/bin:/bin")
+    return run(*user, "CACHE_DIRECTORY=/var/cache/kingfisher", *command, check=check)
+
+
+def test_everything_is_in_its_place(root: Path) -> None:
+    wants = root / "etc/systemd/system/multi-user.target.wants/kingfisher.service"
+    assert os.readlink(wants) == "/etc/systemd/system/kingfisher.service"  # noqa: PTH115
+    for name in ("kingfisher.service", "kingfisher-safe.service", "kingfisher-trial.service"):
+        assert (root / "etc/systemd/system" / name).read_text() == (REPOSITORY / "systemd" / name).read_text()
+    assert "kingfisher:" in (root / "etc/passwd").read_text()
+    assert (root / "etc/kingfisher/rig.toml").exists()
+    verified = run("chroot", root, "systemd-analyze", "verify", "--man=no", "kingfisher.service", check=False)
+    assert "kingfisher" not in verified.stderr  # now with the real programs
+
+
+def test_the_program_runs_as_its_user_and_compiles_nothing(root: Path) -> None:
+    assert as_service(root, "kingfisher", "version").stdout.startswith("kingfisher ")
+    cache = root / "var/cache/kingfisher"
+    cache.mkdir(exist_ok=True)
+    run("chroot", root, "chown", "kingfisher:", "/var/cache/kingfisher")
+    script = "from appliance import kernel_cache; print(kernel_cache.use().origin.value)"
+    assert as_service(root, "/opt/kingfisher/current/bin/python", "-c", script).stdout.strip() == "shipped"
+
+
+def test_the_safe_screen_runs_without_the_environment(root: Path) -> None:
+    code = "import sys; sys.argv = ['x']; sys.path[:0] = ['/opt/kingfisher/rescue']; import kingfisher_safe.main"
+    assert as_service(root, "/usr/bin/python3", "-I", "-S", "-c", code).returncode == 0
+
+
+def test_a_second_call_changes_nothing(root: Path) -> None:
+    before = {path: path.lstat().st_mtime_ns for path in (root / "opt/kingfisher").glob("versions/*/*")}
+    assert "is built already" in setup(root, "install")
+    assert {path: path.lstat().st_mtime_ns for path in (root / "opt/kingfisher").glob("versions/*/*")} == before
+
+
+def test_what_is_missing_is_named(tmp_path: Path) -> None:
+    said = setup(tmp_path, "install", check=False)
+    assert "lacks these Debian packages" in said
+    assert "python3-venv" in said
+    assert not (tmp_path / "opt/kingfisher/versions").exists()
+
+
+def test_an_upgrade_is_tried_at_the_next_start_and_uninstalling_keeps_the_data(root: Path, tmp_path: Path) -> None:
+    scans = root / "var/lib/kingfisher/scans/000001"
+    scans.mkdir(parents=True)
+    (scans / "manifest.json").write_text("{}")
+    rig = root / "etc/kingfisher/rig.toml"
+    rig.write_text(rig.read_text().replace('"KF-0001"', '"KF-0042"'))
+    tree = tmp_path / "tree"
+    shutil.copytree(
+        REPOSITORY, tree, ignore=shutil.ignore_patterns(".*", "__pycache__", "tests", "bench", "docs", "demo")
+    )
+    version = tree / "appliance" / "__init__.py"
+    version.write_text(version.read_text().replace('__version__ = "', '__version__ = "9.'))
+    old = os.readlink(root / "opt/kingfisher/current")  # noqa: PTH115
+    assert "on trial from the next start on" in setup(root, "upgrade", tree=tree)
+    on_trial = json.loads((root / "opt/kingfisher/trial.json").read_text())
+    assert on_trial["version"].startswith("9.")
+    assert f"versions/{on_trial['previous']}" == old
+    assert "on trial" in setup(root, "upgrade", tree=tree, check=False)  # not another one meanwhile
+    setup(root, "rollback")
+    assert os.readlink(root / "opt/kingfisher/current") == old  # noqa: PTH115
+    assert '"KF-0042"' in rig.read_text()
+    setup(root, "uninstall")
+    assert not (root / "opt/kingfisher").exists()
+    assert not list((root / "etc").rglob("*kingfisher*.service"))
+    assert (scans / "manifest.json").exists()
+    assert rig.exists()
+    setup(root, "uninstall", "--purge")
+    assert not (root / "var/lib/kingfisher").exists()
+    assert not rig.exists()

@@ -1,0 +1,116 @@
+"""A version on trial stays if the service says that its self-test passed, and goes in every other case."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from kingfisher_setup import trial, versions
+from kingfisher_setup.layout import Layout
+from tests.systemd.installation import Installation, make
+
+LIMIT_S = 1.5
+
+
+@pytest.fixture
+def there(tmp_path: Path) -> Installation:
+    made = make(tmp_path)
+    versions.try_out(made.layout, "new", may_fail=("calibration",))
+    return made
+
+
+def service_says(layout: Layout, installation: str, *failed: str) -> None:
+    """As the service itself writes it down (tests/appliance/service/test_supervision.py)."""
+    layout.self_test.parent.mkdir(parents=True, exist_ok=True)
+    layout.self_test.write_text(json.dumps({"installation": installation, "failed": list(failed)}))
+
+
+@contextmanager
+def watched(layout: Layout) -> Iterator[None]:
+    """Inside, the watch has let the service start; at the end it has decided."""
+    address = layout.root / "notify"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager, pytest.MonkeyPatch.context() as patch:
+        manager.bind(str(address))
+        manager.settimeout(30)
+        patch.setenv("NOTIFY_SOCKET", str(address))
+        watching = threading.Thread(target=trial.watch, args=(layout, LIMIT_S))
+        watching.start()
+        assert manager.recv(64) == b"READY=1"
+        yield
+        watching.join(30)
+        assert not watching.is_alive()
+        os.unlink(address)  # noqa: PTH108
+
+
+def test_it_stays_when_nothing_fails_that_did_not_fail_before(there: Installation) -> None:
+    with watched(there.layout):
+        service_says(there.layout, "new", "calibration")
+    assert versions.outcome(there.layout) == versions.Outcome("new", True, "self-test passed", "new")
+    assert versions.current(there.layout) == "new"
+
+
+def test_a_device_that_comes_late_is_waited_for(there: Installation) -> None:
+    with watched(there.layout):
+        service_says(there.layout, "new", "camera.left")
+        threading.Timer(0.7, service_says, (there.layout, "new")).start()
+    assert versions.current(there.layout) == "new"
+
+
+def test_it_goes_when_something_fails_that_worked_before(there: Installation) -> None:
+    with watched(there.layout):
+        service_says(there.layout, "new", "calibration", "worker")
+    ended = versions.outcome(there.layout)
+    assert ended == versions.Outcome("new", False, "its self-test failed: worker", "old")
+    assert versions.current(there.layout) == "old"
+    assert there.unit() == "old"
+
+
+def test_it_goes_when_the_service_says_nothing(there: Installation) -> None:
+    with watched(there.layout):
+        pass
+    assert versions.outcome(there.layout) == versions.Outcome("new", False, "no self-test within 1.5 s", "old")
+
+
+def test_what_another_version_or_an_earlier_start_said_does_not_count(there: Installation) -> None:
+    service_says(there.layout, "new")  # before this start
+    with watched(there.layout):
+        service_says(there.layout, "old")
+    assert versions.current(there.layout) == "old"
+
+
+def test_a_version_that_takes_the_machine_down_with_it_is_not_started_for_ever(there: Installation) -> None:
+    for _ in range(versions.STARTS):
+        at = versions.settle(there.layout)
+        assert at is not None
+        versions.started(there.layout, at)  # and then the power fails
+    with watched(there.layout):
+        assert versions.current(there.layout) == "old"  # before the service starts
+    ended = versions.outcome(there.layout)
+    assert ended is not None
+    assert ended.reason == "started 3 times without passing its self-test"
+
+
+def test_taken_back_by_hand_meanwhile_is_taken_back(there: Installation) -> None:
+    with watched(there.layout):
+        at = versions.settle(there.layout)
+        assert at is not None
+        versions.revert(there.layout, at, "taken back by hand")
+        service_says(there.layout, "new")
+    ended = versions.outcome(there.layout)
+    assert ended is not None
+    assert (ended.reason, versions.current(there.layout)) == ("taken back by hand", "old")
+
+
+def test_what_failed_before_the_change_is_known(there: Installation) -> None:
+    service_says(there.layout, "old", "calibration", "keys")
+    assert trial.failed_now(there.layout, "old") == ("calibration", "keys")
+    assert trial.failed_now(there.layout, "new") == ()
+    there.layout.self_test.write_bytes(os.urandom(4096))
+    assert trial.failed_now(there.layout, "old") == ()
