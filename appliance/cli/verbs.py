@@ -32,7 +32,7 @@ def sim(rig: Rig, options: SimOptions) -> Exit:
 def check(rig: Rig, *, json: bool) -> Exit:
     """Open every device once and say what it says about itself; FAILED if any does not work."""
     _use_kernels()
-    from appliance.service.app import check as check_devices
+    from appliance.service.checkup import check as check_devices
 
     with Progress() as progress:
         progress("asking the devices")
@@ -40,7 +40,12 @@ def check(rig: Rig, *, json: bool) -> Exit:
     if json:
         say_json([{"device": h.device, "ok": h.ok, "summary": h.summary, "details": dict(h.details)} for h in found])
     else:
-        say(table(("DEVICE", "", "SUMMARY"), [(h.device, "ok" if h.ok else "FAILED", h.summary) for h in found]))
+        facts = ("serial", "link", "firmware")
+        rows = [
+            (h.device, "ok" if h.ok else "FAILED", *(h.details.get(fact, "-") for fact in facts), h.summary)
+            for h in found
+        ]
+        say(table(("DEVICE", "", *(fact.upper() for fact in facts), "WHAT IT IS, OR WHAT IS WRONG"), rows))
     return Exit.OK if all(h.ok for h in found) else Exit.FAILED
 
 

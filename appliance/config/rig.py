@@ -60,6 +60,8 @@ class CameraRig:
     """From the data sheet (EMVA 1288: temporal dark noise)."""
     black_level_dn: Annotated[_Real, Field(ge=0.0, le=64.0)] = 2.0
     """Grey value of no light."""
+    firmware: _Text | None = None
+    """The version that this instrument was tested with; another one is named by ``kingfisher check``."""
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
@@ -76,12 +78,16 @@ class BoardRig:
     """Anything pyserial opens: a device node or a URL."""
     trigger_delay_us: Annotated[_Whole, Field(ge=0, le=15000)]
     live_every_vsyncs: Annotated[_Whole, Field(ge=1, le=60)]
+    firmware: _Text | None = None
+    """The version that this instrument was tested with; another one is named by ``kingfisher check``."""
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
 class KeysRig:
     vendor_id: Annotated[_Whole, Field(ge=0, le=0xFFFF)]
     product_id: Annotated[_Whole, Field(ge=0, le=0xFFFF)]
+    firmware: _Text | None = None
+    """The version that this instrument was tested with; another one is named by ``kingfisher check``."""
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)

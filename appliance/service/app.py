@@ -11,8 +11,6 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import FrameType
 
-import numpy as np
-
 import appliance
 from appliance.config import Rig
 from appliance.optics.water import Water
@@ -42,7 +40,6 @@ from appliance.storage.library import Library
 from appliance.storage.lock import hold_lock
 from appliance.storage.status import StatusFile
 from drivers import rig as drivers_rig
-from drivers.api import DeviceError, Health, Projector
 from drivers.output.gl import open_gl
 
 log = logging.getLogger("kingfisher")
@@ -50,7 +47,6 @@ log = logging.getLogger("kingfisher")
 __all__ = [
     "CALIBRATION_FILE",
     "calibration_of",
-    "check",
     "design_of",
     "noise_of",
     "run",
@@ -111,32 +107,6 @@ def run(rig: Rig) -> int:
             ask_power_off(os.environ)
         log.info("switched off" if ended.power_off else "stopped")
     return 0
-
-
-def check(rig: Rig) -> list[Health]:
-    """Open every device once, one after the other, and collect what each says about itself."""
-    found: list[Health] = []
-    with drivers_rig.open_wires(rig.rig.wires, rig.rig.wires_options) as wires:
-
-        def nothing_to_load(projector: Projector) -> None:
-            projector.load([np.zeros((rig.projector.height_px, rig.projector.width_px), np.uint8)])
-
-        with Devices(rig, wires, nothing_to_load) as devices:
-            for name, opened in devices.openers().items():
-                try:
-                    with opened() as device:
-                        found.append(_health(name, device))
-                except DeviceError as error:
-                    found.append(Health(name, False, f"{error.message}. {error.remedy}"))
-    return found
-
-
-def _health(name: str, device: object) -> Health:
-    ask = getattr(device, "health", None)
-    if ask is None:
-        return Health(name, True, "works")
-    answer: Health = ask()
-    return answer
 
 
 def sequence_of(rig: Rig) -> PatternSequence:

@@ -251,7 +251,7 @@ class TriggerBoard:
             return Health(self._name, False, error.message, details)
         else:
             details["vertical sync"] = str(vsync.count)
-        return Health(self._name, True, f"{info.serial}, firmware {info.firmware}", details)
+        return Health(self._name, True, "trigger board", details)
 
     def _command_echoed(self, verb: str, *values: int) -> None:
         fields = tuple(str(value) for value in values)

@@ -216,8 +216,13 @@ class UsbVisionCamera:
         details["temperature"] = "unknown" if temperature is None else f"{temperature:.1f} °C"
         details["control retries"] = str(self._control.counters.retries)
         if self.link_is_fast is False:
-            return Health(self._spec.name, False, f"link slow: {details['link']}, check the connector", details)
-        return Health(self._spec.name, True, f"{details['model']} {identity.serial}, {details['link']}", details)
+            return Health(
+                self._spec.name,
+                False,
+                f"link slow: {details['link']}; 5000 are needed. Check connector and cable",
+                details,
+            )
+        return Health(self._spec.name, True, details["model"], details)
 
     # ----------------------------------------------------------------------------------------------- settings
 

@@ -118,22 +118,47 @@ def test_the_scans_are_listed_shown_and_verified(root: Path) -> None:
     assert kingfisher("scans", "verify", "--root", root, "--json").document["checked"] == 1
 
 
-def test_the_simulated_devices_pass_the_check() -> None:
+def checked(folder: Path, *faults: str, change: Callable[[str], str] = str) -> dict[str, dict[str, Any]]:
+    """What ``kingfisher check`` says of each device of a rig in which something is wrong; exit code 1 if it says so."""
+    rig = folder / "rig.toml"
+    text = change(SMALL_RIG.read_text(encoding="utf-8"))
+    rig.write_text(text.replace("[rig.wires_options]", f"[rig.wires_options]\nfaults = {json.dumps(faults)}"))
+    said = kingfisher("check", "--rig", rig, "--json")
+    assert said.code == (0 if all(one["ok"] for one in said.document) else 1)
+    return {one["device"]: one for one in said.document}
+
+
+def test_the_simulated_devices_pass_the_check_and_identify_themselves() -> None:
     said = kingfisher("check", "--rig", SMALL_RIG)
     assert said.code == 0, said.out + said.err
-    rows = {line.split()[0]: line.split()[1] for line in said.out.splitlines()[1:]}
+    header, *lines = said.out.splitlines()
+    assert header.split()[:4] == ["DEVICE", "SERIAL", "LINK", "FIRMWARE"]
+    rows = {line.split()[0]: line.split()[1] for line in lines}
     assert rows == dict.fromkeys(["camera.left", "camera.right", "board", "keys", "projector", "display"], "ok")
+    assert lines[0].split()[:6] == ["camera.left", "ok", "KF-CAM-L", "5000", "Mbit/s", "1.0"]
+
+
+def test_the_check_names_what_is_wrong_with_each_device(tmp_path: Path) -> None:
+    def other(text: str) -> str:
+        """The rig wants another left camera than the one that is there, and another firmware of the board."""
+        return text.replace('serial = "KF-CAM-L"', 'serial = "KF-CAM-7"').replace(
+            "[board]", '[board]\nfirmware = "2.0"'
+        )
+
+    said = checked(tmp_path, "camera.right slow", "keypad off", change=other)
+    assert [name for name, one in said.items() if not one["ok"]] == ["camera.left", "camera.right", "board", "keys"]
+    assert "KF-CAM-7 not found" in said["camera.left"]["summary"]
+    assert "KF-CAM-L" in said["camera.left"]["summary"]  # which is there in its place
+    assert "480 Mbit/s" in said["camera.right"]["summary"]
+    assert said["camera.right"]["details"]["serial"] == "KF-CAM-R"
+    assert "firmware 1.4.2; the rig file wants 2.0" in said["board"]["summary"]
+    assert all(". " in said[name]["summary"] for name in ("camera.left", "camera.right", "board", "keys"))  # a remedy
 
 
 def test_a_device_that_does_not_answer_fails_the_check(tmp_path: Path) -> None:
-    rig = tmp_path / "rig.toml"
-    text = SMALL_RIG.read_text(encoding="utf-8")
-    rig.write_text(text.replace("[rig.wires_options]", '[rig.wires_options]\nfaults = ["camera.right off"]'))
-    said = kingfisher("check", "--rig", rig, "--json")
-    assert said.code == 1
-    assert [one["device"] for one in said.document if not one["ok"]] == ["camera.right"]
-    (failed,) = [one for one in said.document if not one["ok"]]
-    assert "KF-CAM-R" in failed["summary"]
+    said = checked(tmp_path, "camera.right off")
+    assert [name for name, one in said.items() if not one["ok"]] == ["camera.right"]
+    assert "KF-CAM-R" in said["camera.right"]["summary"]
 
 
 # ------------------------------------------------------------------------------- the same cloud again

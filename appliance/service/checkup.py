@@ -1,0 +1,62 @@
+"""Owns what ``kingfisher check`` finds: each device as it identifies itself, and what the rig file wants otherwise."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from appliance.config import Rig
+from appliance.service.devices import Devices
+from drivers import rig as drivers_rig
+from drivers.api import DeviceError, Health, Projector
+
+
+def check(rig: Rig) -> list[Health]:
+    """Open every device once, one after the other, through the shipped drivers, and collect what each says about itself.
+
+    A device that is missing, refused, or not what the rig file states is not ``ok``; its summary says why, and what to
+    do. Raises DeviceError where the wires themselves cannot be had.
+    """
+    found: list[Health] = []
+    wanted = _wanted_firmware(rig)
+    with drivers_rig.open_wires(rig.rig.wires, rig.rig.wires_options) as wires:
+
+        def nothing_to_load(projector: Projector) -> None:
+            projector.load([np.zeros((rig.projector.height_px, rig.projector.width_px), np.uint8)])
+
+        with Devices(rig, wires, nothing_to_load) as devices:
+            for name, opened in devices.openers().items():
+                try:
+                    with opened() as device:
+                        found.append(_compared(_health(name, device), wanted.get(name)))
+                except DeviceError as error:
+                    found.append(Health(name, False, f"{error.message}. {error.remedy}"))
+    return found
+
+
+def _wanted_firmware(rig: Rig) -> Mapping[str, str | None]:
+    return {
+        "camera.left": rig.camera.left.firmware,
+        "camera.right": rig.camera.right.firmware,
+        "board": rig.board.firmware,
+        "keys": rig.keys.firmware,
+    }
+
+
+def _compared(health: Health, firmware: str | None) -> Health:
+    """With another firmware than the rig file states, a device that works is still not the one that was tested."""
+    there = health.details.get("firmware")
+    if not health.ok or firmware is None or there == firmware:
+        return health
+    wrong = f"firmware {there}; the rig file wants {firmware}. Update the device, or correct firmware in the rig file"
+    return replace(health, ok=False, summary=wrong)
+
+
+def _health(name: str, device: object) -> Health:
+    ask = getattr(device, "health", None)
+    if ask is None:
+        return Health(name, True, "works")
+    answer: Health = ask()
+    return answer
