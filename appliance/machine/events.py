@@ -93,6 +93,13 @@ class ConditionCleared:
 
 
 @dataclass(frozen=True, slots=True)
+class Told:
+    """Something that happened by itself before the machine began; read once, gone with the next key."""
+
+    fault: Fault
+
+
+@dataclass(frozen=True, slots=True)
 class StorageCounted:
     """What the library holds and how many scans still fit; ``scans_left`` is None where the disk does not tell."""
 
@@ -286,6 +293,7 @@ Event = (
     | TelemetryArrived
     | ConditionRaised
     | ConditionCleared
+    | Told
     | StorageCounted
     | BootFinished
     | PartTested

@@ -72,6 +72,8 @@ GERMAN: Mapping[FaultCode, German] = MappingProxyType(
         FaultCode.NOT_SAVED: German("NICHT GESICHERT", "ERNEUT SICHERN ODER NOCHMAL"),
         FaultCode.TOO_NEAR: German("NAH {distance_mm:.0f} mm", "ZURÜCK, ODER NOCHMAL DRÜCKEN", "ZU NAH"),
         FaultCode.TOO_FAR: German("WEIT {distance_mm:.0f} mm", "NÄHER, ODER NOCHMAL DRÜCKEN", "ZU WEIT"),
+        FaultCode.RESTARTED: German("NEU GESTARTET", "WEITER; GESICHERTES IST DA"),
+        FaultCode.UPDATE_UNDONE: German("UPDATE ZURÜCK", "ALTE VERSION LÄUFT WEITER"),
         FaultCode.SETTINGS_LOST: German("WERTE VERLOREN", "IM MENÜ PRÜFEN"),
         FaultCode.UNCALIBRATED: German("UNKALIBRIERT", "MASSE SIND NICHT VERLÄSSLICH"),
         FaultCode.VERIFY_CALIBRATION: German("KALIBR. PRÜFEN", "WASSER UND KUGELSTAB PRÜFEN"),

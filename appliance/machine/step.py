@@ -18,7 +18,7 @@ from appliance.machine import events as on
 from appliance.machine.conditions import cleared, device_down, device_up, judge, raised
 from appliance.machine.moves import Result
 from appliance.machine.permissions import may_lase, may_light, may_shine, refusal
-from appliance.machine.states import Device, Ending, Machine, NoticeKind, State
+from appliance.machine.states import Device, Ending, Machine, Notice, NoticeKind, State
 
 
 def step(machine: Machine, event: on.Event) -> Result:
@@ -58,6 +58,8 @@ def _react(machine: Machine, event: on.Event) -> Result:
             return raised(machine, fault), ()
         case on.ConditionCleared(code, name):
             return cleared(machine, code, name), ()
+        case on.Told(fault):
+            return replace(machine, notice=Notice(fault, NoticeKind.NEWS)), ()
         case on.StorageCounted(scans, last_scan, scans_left):
             return _counted(machine, scans, last_scan, scans_left), ()
         case on.BootFinished():

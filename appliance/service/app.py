@@ -34,6 +34,7 @@ from appliance.service.notify import ServiceManager
 from appliance.service.patterns import Patterns
 from appliance.service.ranging import RangingDesk
 from appliance.service.scans import ScanDesk
+from appliance.service.starts import installation, this_run
 from appliance.service.supervision import Supervision
 from appliance.storage.choices import ChoicesFile
 from appliance.storage.library import Library
@@ -64,6 +65,7 @@ def run(rig: Rig) -> int:
     with ExitStack() as stack:
         take_back_power_off(os.environ)
         manager = stack.enter_context(ServiceManager.of(os.environ))
+        news = stack.enter_context(this_run(os.environ, Path(sys.prefix)))
         stack.enter_context(hold_lock(rig.storage.root))
         library = Library(rig.storage.root)
         library.prepare()
@@ -100,7 +102,7 @@ def run(rig: Rig) -> int:
         status = StatusFile(rig.storage.root, os.getpid(), appliance.__version__)
         service = Service(
             rig, devices, desk, calibrating, GalleryDesk(library, desk.submit), ranging, patterns, painter, status, wires.clock,
-            choices, conditions, lambda: stopping.reason,
+            choices, conditions, news, lambda: stopping.reason,
         )  # fmt: skip
         ended = service.run(Supervision(manager, rig.storage.root, installation(Path(sys.prefix))))
         if ended.power_off:
@@ -112,11 +114,6 @@ def run(rig: Rig) -> int:
 def sequence_of(rig: Rig) -> PatternSequence:
     """The sequence the rig file states."""
     return build_sequence(rig.scan.period_px, rig.projector.width_px, rig.projector.height_px)
-
-
-def installation(prefix: Path) -> str:
-    """The name of the installed version that runs from ``prefix``; of a source tree "source"."""
-    return prefix.name if prefix.parent.name == "versions" else "source"
 
 
 def ask_power_off(environment: Mapping[str, str]) -> None:

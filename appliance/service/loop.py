@@ -114,9 +114,11 @@ class Service:
         clock: Clock,
         choices: ChoicesFile,
         conditions: tuple[Fault, ...],
+        news: tuple[Fault, ...],
         stop_reason: Callable[[], str | None],
     ) -> None:
-        """``conditions`` hold from the start (uncalibrated …); ``stop_reason`` says why the process should end."""
+        """``conditions`` hold from the start (uncalibrated …), ``news`` is told once; ``stop_reason`` says why the process
+        should end."""
         chosen, lost = choices.read()
         self._rig = rig
         self._devices = devices
@@ -133,6 +135,7 @@ class Service:
         self.machine: Machine = boot(clock.now_ns(), machine_settings(rig, chosen))
         raised = [fault for fault in (*conditions, desk.watch.fault, lost) if fault is not None]
         self._inbox: list[on.Event] = [on.ConditionRaised(fault) for fault in raised]
+        self._inbox += [on.Told(fault) for fault in news]
         uncalibrated = next((fault for fault in conditions if fault.code is FaultCode.UNCALIBRATED), None)
         self._inbox.append(
             on.PartTested(Part.CALIBRATION, uncalibrated is None, "" if uncalibrated is None else "NONE")

@@ -69,6 +69,11 @@ class Layout:
         return self.at("/etc/kingfisher/rig.toml")
 
     @property
+    def changed(self) -> tuple[Path, ...]:
+        """Everything below which a change of versions writes; data are not among it."""
+        return self.program, self.at("/etc"), self.at("/usr/local")
+
+    @property
     def data(self) -> Path:
         return self.at("/var/lib/kingfisher")
 

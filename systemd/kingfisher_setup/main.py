@@ -11,9 +11,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from kingfisher_setup import build, placed, target, trial, versions
-from kingfisher_setup.durable import read_json, remove_tree
+from kingfisher_setup.durable import remove_tree
 from kingfisher_setup.errors import SetupError
 from kingfisher_setup.layout import Layout
+from kingfisher_setup.writable import writable
 
 TREE = Path(__file__).resolve().parents[2]
 """The source tree that this setup is part of; on an instrument, a version's folder, from which nothing can be built."""
@@ -38,20 +39,26 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise SetupError(f"--root {layout.root}: no such folder; mount the image there first")
         if os.geteuid() != 0 and arguments.verb != "status":
             raise SetupError("this changes the system: run it as root")
-        match arguments.verb:
-            case "install" | "upgrade":
-                install(layout, arguments.wheels)
-            case "rollback":
-                rollback(layout)
-            case "uninstall":
-                uninstall(layout, purge=arguments.purge)
-            case "watch":
-                return trial.watch(layout)
-            case _:
-                status(layout)
+        if arguments.verb == "status":
+            status(layout)
+            return 0
+        with writable(layout.changed):
+            return _change(layout, arguments)
     except SetupError as error:
         print(f"kingfisher-setup: {error}", file=sys.stderr)
         return 1
+
+
+def _change(layout: Layout, arguments: argparse.Namespace) -> int:
+    match arguments.verb:
+        case "watch":
+            return trial.watch(layout)
+        case "rollback":
+            rollback(layout)
+        case "uninstall":
+            uninstall(layout, purge=arguments.purge)
+        case _:
+            install(layout, arguments.wheels)
     return 0
 
 
@@ -153,8 +160,7 @@ def _no_trial(layout: Layout) -> None:
     at = versions.settle(layout)
     if at is not None:
         raise SetupError(f"{at.version} is on trial; wait until that has ended, or take it back with `rollback`")
-    if read_json(layout.outcome) is None and layout.versions.is_dir():
-        versions.prune(layout)
+    versions.prune(layout)
 
 
 def _system(layout: Layout) -> None:

@@ -29,6 +29,7 @@ FILES = (
     Placed("data-disk.conf", UNITS / "var-lib-kingfisher.mount.d" / "kingfisher.conf"),
     Placed("kingfisher.sysusers", Path("/etc/sysusers.d/kingfisher.conf")),
     Placed("kingfisher.tmpfiles", Path("/etc/tmpfiles.d/kingfisher.conf")),
+    Placed("kingfisher.modules", Path("/etc/modules-load.d/kingfisher.conf")),
     Placed("kingfisher.journald", Path("/etc/systemd/journald.conf.d/kingfisher.conf")),
     Placed("70-kingfisher.rules", Path("/etc/udev/rules.d/70-kingfisher.rules")),
     Placed("kingfisher.grub", Path("/etc/default/grub.d/kingfisher.cfg"), Path("/etc/default/grub.d")),

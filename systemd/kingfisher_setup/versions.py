@@ -162,11 +162,13 @@ def trust(layout: Layout, name: str) -> None:
 
 
 def prune(layout: Layout) -> None:
-    """Remove versions that nobody goes back to, and what was left half made."""
+    """Remove versions that nobody goes back to, and what was left half made; the last that failed stays to be looked at."""
     kept = {current(layout), previous(layout), _pointed(layout, "rescue")}
     if (at := trial(layout)) is not None:
         kept |= {at.version, at.previous}
-    for path in layout.versions.iterdir():
+    if (ended := outcome(layout)) is not None:
+        kept.add(ended.version)
+    for path in layout.versions.iterdir() if layout.versions.is_dir() else ():
         if path.name not in kept:
             durable.remove(path / COMPLETE)
             durable.remove_tree(path)

@@ -108,3 +108,24 @@ def test_the_program_understands_the_command_of_the_unit(tmp_path: Path, capsys:
 def test_what_must_stay_off_is_off_and_says_why(directive: str) -> None:
     assert directive not in settings("kingfisher.service")
     assert re.search(rf"^# {directive}= +- \S", SERVICE.read_text(), re.MULTILINE)
+
+
+def test_the_drivers_whose_devices_are_allowed_are_loaded_before_the_service() -> None:
+    """systemd looks such names up when the service starts: a board plugged in later would be shut out for good."""
+    modules = (SYSTEMD / "kingfisher.modules").read_text().split()
+    loaded = {"char-ttyACM": "cdc_acm", "char-hidraw": "usbhid", "char-drm": "drm", "char-usb_device": None}
+    for name in ("kingfisher.service", "kingfisher-safe.service"):
+        for allowed in settings(name)["DeviceAllow"]:
+            module = loaded.get(allowed.split()[0])
+            assert module is None or module in modules
+
+
+def test_nothing_sleeps_and_names_are_stable() -> None:
+    rules = (SYSTEMD / "70-kingfisher.rules").read_text()
+    usb = [line for line in rules.splitlines() if 'SUBSYSTEM=="usb"' in line]
+    assert len(usb) == 3
+    assert all('ATTR{power/control}="on"' in line for line in usb)
+    rig = (SYSTEMD.parent / "appliance" / "rigs" / "kingfisher.toml").read_text()
+    assert 'url = "/dev/kingfisher-board"' in rig
+    assert 'SYMLINK+="kingfisher-board"' in rules
+    assert "usbcore.usbfs_memory_mb=256" in (SYSTEMD / "kingfisher.grub").read_text()

@@ -58,6 +58,10 @@ def test_a_version_that_fails_goes_with_its_units_and_the_reason_is_kept(there: 
     assert versions.current(there.layout) == "old"
     assert there.unit() == "old"
     assert versions.outcome(there.layout) == versions.Outcome("new", False, "it ended 2 times by itself", "old")
+    there.add("newer", "newer")
+    versions.prune(there.layout)
+    assert versions.installed(there.layout) == ("new", "old")  # what failed is kept to be looked at
+    versions.try_out(there.layout, "new")
 
 
 def test_power_fails_while_a_version_is_put_on_trial(there: Installation) -> None:

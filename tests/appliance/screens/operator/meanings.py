@@ -49,6 +49,8 @@ MEANINGS: Mapping[F, tuple[str, str]] = MappingProxyType(
         F.TOO_FAR: ("The object is farther than can be measured well.", "Das Objekt ist ferner, als gut zu messen ist."),
         F.STORAGE_FULL: ("No room for another scan; none is deleted.", "Kein Platz für einen weiteren Scan; keiner wird gelöscht."),
         F.NOT_SAVED: ("The disk refused the scan; it is still in memory.", "Der Speicher nahm den Scan nicht; er ist noch im Gerät."),
+        F.RESTARTED: ("The program hung or ended by itself, and runs again.", "Das Programm hing oder endete und läuft wieder."),
+        F.UPDATE_UNDONE: ("A new version failed; the old one is back.", "Eine neue Version taugte nicht; die alte ist zurück."),
         F.SETTINGS_LOST: ("What was chosen in the menu could not be read.", "Was im Menü gewählt war, ließ sich nicht lesen."),
         F.UNCALIBRATED: ("No valid calibration: shapes yes, sizes no.", "Keine gültige Kalibrierung: Formen ja, Maße nein."),
         F.VERIFY_CALIBRATION: ("Knocked, or another water than was set.", "Angestoßen, oder anderes Wasser als eingestellt."),
