@@ -12,8 +12,8 @@ from kingfisher_setup.errors import SetupError
 from kingfisher_setup.layout import Layout
 
 PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
-LIBRARIES = ("libegl1", "libgl1", "libgl1-mesa-dri", "libusb-1.0-0")
-"""Debian packages behind the wheels: drawing without a window system, cameras."""
+LIBRARIES = ("libegl1", "libgl1", "libgl1-mesa-dri", "libusb-1.0-0", "systemd", "udev")
+"""Debian packages behind the wheels (drawing without a window system, cameras), and what starts and names things."""
 BOOTED = Path("/run/systemd/system")
 """sd_booted(3): the folder is there where systemd is the first process."""
 

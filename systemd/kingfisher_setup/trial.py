@@ -9,6 +9,7 @@ import os
 import socket
 import sys
 import time
+from contextlib import suppress
 
 from kingfisher_setup import target, versions
 from kingfisher_setup.durable import read_json, remove
@@ -57,7 +58,8 @@ def watch(layout: Layout, limit_s: float = LIMIT_S) -> int:
             _tell(f"{at.version} has passed its self-test and stays")
             return 0
         _revert(layout, at, reason)
-    target.systemctl(layout, "reset-failed", SERVICE, "kingfisher-safe.service")
+    with suppress(SetupError):  # nothing of it had failed
+        target.systemctl(layout, "reset-failed", SERVICE)
     target.systemctl(layout, "restart", "--no-block", SERVICE)
     return 0
 
@@ -71,11 +73,20 @@ def _wait(layout: Layout, at: versions.Trial, limit_s: float) -> str | None:
         worse = None if failed is None else sorted(set(failed) - set(at.may_fail))
         if worse == []:
             return None
-        restarts = target.systemctl(layout, "show", "-P", "NRestarts", SERVICE).strip()
-        if restarts.isdigit() and int(restarts) >= CRASHES:
-            return f"it ended {restarts} times by itself"
+        ended = ended_by_itself(target.systemctl(layout, "show", "-p", "NRestarts", "-p", "ActiveState", SERVICE))
+        if ended is not None:
+            return ended
         time.sleep(BEAT_S)
     return f"its self-test failed: {', '.join(worse)}" if worse else f"no self-test within {limit_s:g} s"
+
+
+def ended_by_itself(shown: str) -> str | None:
+    """Why the service cannot be waited for any longer, from what ``systemctl show`` says; ``None``: it can."""
+    facts = dict(line.partition("=")[::2] for line in shown.splitlines())
+    restarts = facts.get("NRestarts", "")
+    if restarts.isdigit() and int(restarts) >= CRASHES:
+        return f"it ended {restarts} times by itself"
+    return "it failed to start" if facts.get("ActiveState") == "failed" else None
 
 
 def _mark(layout: Layout, version: str) -> tuple[str, ...] | None:

@@ -108,6 +108,20 @@ def test_taken_back_by_hand_meanwhile_is_taken_back(there: Installation) -> None
     assert (ended.reason, versions.current(there.layout)) == ("taken back by hand", "old")
 
 
+@pytest.mark.parametrize(
+    ("shown", "reason"),
+    [
+        ("NRestarts=0\nActiveState=activating\n", None),
+        ("NRestarts=1\nActiveState=active\n", None),
+        ("ActiveState=activating\nNRestarts=2\n", "it ended 2 times by itself"),
+        ("NRestarts=0\nActiveState=failed\n", "it failed to start"),
+        ("", None),
+    ],
+)
+def test_a_service_that_ends_by_itself_is_not_waited_for(shown: str, reason: str | None) -> None:
+    assert trial.ended_by_itself(shown) == reason
+
+
 def test_what_failed_before_the_change_is_known(there: Installation) -> None:
     service_says(there.layout, "old", "calibration", "keys")
     assert trial.failed_now(there.layout, "old") == ("calibration", "keys")
