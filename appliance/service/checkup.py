@@ -9,16 +9,20 @@ import numpy as np
 
 from appliance.config import Rig
 from appliance.service.devices import Devices
+from appliance.storage.lock import holder
 from drivers import rig as drivers_rig
-from drivers.api import DeviceError, Health, Projector
+from drivers.api import DeviceError, DeviceRefused, Health, Projector
 
 
 def check(rig: Rig) -> list[Health]:
     """Open every device once, one after the other, through the shipped drivers, and collect what each says about itself.
 
     A device that is missing, refused, or not what the rig file states is not ``ok``; its summary says why, and what to
-    do. Raises DeviceError where the wires themselves cannot be had.
+    do. Raises DeviceError where the wires themselves cannot be had, or the running instrument has the devices.
     """
+    running = holder(rig.storage.root)
+    if running is not None:
+        raise DeviceRefused("instrument", f"is running (process {running})", "Stop it first: systemctl stop kingfisher")
     found: list[Health] = []
     wanted = _wanted_firmware(rig)
     with drivers_rig.open_wires(rig.rig.wires, rig.rig.wires_options) as wires:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import resource
 import shutil
 import subprocess
@@ -16,6 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from appliance.storage.lock import hold_lock
 from appliance.storage.ply import read_ply
 
 ROOT = Path(__file__).parents[2]
@@ -159,6 +161,16 @@ def test_a_device_that_does_not_answer_fails_the_check(tmp_path: Path) -> None:
     said = checked(tmp_path, "camera.right off")
     assert [name for name, one in said.items() if not one["ok"]] == ["camera.right"]
     assert "KF-CAM-R" in said["camera.right"]["summary"]
+
+
+def test_the_check_leaves_a_running_instrument_alone(tmp_path: Path) -> None:
+    rig = tmp_path / "rig.toml"
+    rig.write_text(SMALL_RIG.read_text().replace('root = "/var/tmp/kingfisher-sim"', f'root = "{tmp_path}"'))
+    with hold_lock(tmp_path):
+        said = kingfisher("check", "--rig", rig)
+    assert said.code == 1
+    assert f"is running (process {os.getpid()})" in said.error
+    assert "systemctl stop kingfisher" in said.error
 
 
 # ------------------------------------------------------------------------------- the same cloud again
