@@ -197,7 +197,7 @@ class World:
 
     def set_pace(self, pace: str) -> None:
         """How world time passes from now on: ``realtime``, ``attended`` or ``lockstep``. Raises OptionError."""
-        replace(self.options, pace=pace)
+        self.options = replace(self.options, pace=pace)
         with self.time.condition:
             self._drive.set_pace(pace)
 

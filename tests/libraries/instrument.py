@@ -72,6 +72,12 @@ class Instrument:
         self._rig_path.with_name("exit").write_text(str(self._process.returncode))
 
     @property
+    def pid(self) -> int:
+        """Of the service."""
+        assert self._process is not None
+        return self._process.pid
+
+    @property
     def log(self) -> str:
         """What the service printed."""
         return self._log_path.read_text(encoding="utf-8", errors="replace")

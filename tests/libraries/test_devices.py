@@ -10,6 +10,7 @@ from hw_sim.wires.umockdev.testbed import Testbed
 from hw_sim.world import World
 from tests.libraries.client import Client
 from tests.libraries.clients.output import pattern
+from tests.libraries.commands import line
 
 pytestmark = pytest.mark.libraries
 
@@ -18,17 +19,6 @@ def triggered(world: World) -> None:
     """The board fires both cameras at every sixth blank, as it does while the diver aims."""
     with world.time.condition:
         world.board.receive(line("LIVE,6,500,1000"))
-
-
-def line(words: str) -> bytes:
-    """A command of the board's protocol, with its own arithmetic for the check."""
-    body = f"C,1,{words}".encode()
-    crc = 0xFFFF
-    for byte in body:
-        crc ^= byte << 8
-        for _ in range(8):
-            crc = (crc << 1 ^ (0x1021 if crc & 0x8000 else 0)) & 0xFFFF
-    return b"$%s*%04X\r\n" % (body, crc)
 
 
 def test_libusb_reads_both_cameras_at_once(world: World, bed: Testbed) -> None:

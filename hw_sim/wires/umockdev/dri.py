@@ -21,7 +21,7 @@ from hw_sim.wires.umockdev.preload import HostMemory
 SLOT_BYTES = 1 << 26
 """Distance of two buffers in the node, more than the largest one."""
 SLOTS = 4096
-HELD_S = 0.003
+HELD_S = 0.005
 """A regular file is always ready for ``poll``, so that reads come when there is nothing: they are answered with EAGAIN
 this late, lest the host spins, and no later, since a descriptor's other calls wait behind."""
 

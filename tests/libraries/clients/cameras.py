@@ -31,15 +31,18 @@ def read(camera: UsbVisionCamera, serial: str, frames: int) -> None:
     met: Counter[str] = Counter()
     numbers: list[int] = []
     brightest = 0
+    times_ns: list[int] = []
     while met[FrameStatus.COMPLETE.value] < frames:
         frame = camera.next_frame(slot, 5.0)
         met[frame.status.value] += 1
         if frame.block_id is not None:
             numbers.append(frame.block_id)
+            times_ns.append(frame.received_ns)
         brightest = max(brightest, int(slot.max()))
     camera.stop()
     gaps = sum(b - a - 1 for a, b in itertools.pairwise(numbers))
-    say(read=serial, met=met, gaps=gaps, brightest=brightest)
+    rate = (len(times_ns) - 1) / (times_ns[-1] - times_ns[0]) * 1e9 if len(times_ns) > 1 else 0.0
+    say(read=serial, met=met, gaps=gaps, brightest=brightest, frames_per_s=rate)
 
 
 def serve(serial: str, frames: int) -> None:
