@@ -184,7 +184,7 @@ def _read_string(backend: Any, handle: Any, index: int) -> str | None:
 def find_cameras(backend: Any) -> Iterator[FoundCamera]:
     """Every USB3 Vision device that the backend enumerates, by class descriptors alone.
 
-    A device that vanishes while it is looked at, or may not be opened, is reported without a serial number.
+    A device that may not be opened is reported without a serial number; one that vanishes meanwhile is not there.
     """
     for device in backend.enumerate_devices():
         try:
@@ -208,6 +208,8 @@ def find_cameras(backend: Any) -> Iterator[FoundCamera]:
             finally:
                 backend.close_device(handle)
         except usb.core.USBError as error:
+            if error.errno == errno.ENODEV:
+                continue  # unplugged, and the library's list is a moment behind: no reason to look at permissions
             unreadable = str(error)
         speed = getattr(descriptor, "speed", None)
         yield FoundCamera(

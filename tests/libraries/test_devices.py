@@ -40,7 +40,8 @@ def test_a_camera_that_is_unplugged_is_gone_and_comes_back(world: World, bed: Te
     with Client(bed, "cameras", 400, 300, 40, "KF-CAM-L") as client:
         client.expect("started")
         world.fault("camera.left off")
-        assert "unplugged while streaming" in client.expect("gone")["why"]
+        why = client.expect("gone")["why"]
+        assert "unplugged while streaming" in why, why
         failed = client.expect("failed")["failed"]
         assert "KF-CAM-L not found; the bus has KF-CAM-R" in failed
         world.clear_faults()

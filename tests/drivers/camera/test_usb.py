@@ -145,6 +145,11 @@ def test_a_device_that_leaves_during_enumeration_disturbs_nobody() -> None:
     assert [camera.serial for camera in find_cameras(Backend(leaving, Device()))] == ["KF-CAM-L"]
 
 
+def test_a_camera_that_leaves_before_it_is_opened_is_gone_not_forbidden() -> None:
+    with pytest.raises(DeviceGone, match="KF-CAM-L not found; the bus has KF-CAM-R"):
+        find_camera(Backend(Device(open_error=errno.ENODEV), Device("KF-CAM-R")), "camera.left", "KF-CAM-L")
+
+
 def test_looking_leaves_no_device_open() -> None:
     devices = (Device("A"), Device("B"))
     list(find_cameras(Backend(*devices)))
