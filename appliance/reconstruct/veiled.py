@@ -94,8 +94,8 @@ def read_through_veil(
     ``frames`` (n, h, w) uint8 of one camera; ``mask`` (h, w) as decoding them left it. False, with nothing written, where
     the veil is too weak to have turned a bit.
     """
-    scale = _scale(sequence, frames, mask, noise)
-    if scale is None or not _any_veil(sequence, frames, mask, scale):
+    scale = fringe_scale(sequence, frames, mask, noise)
+    if scale is None or not any_veil(sequence, frames, mask, scale):
         return False
     _read(sequence, frames, scale, half_period, doubtful)
     return True
@@ -104,7 +104,7 @@ def read_through_veil(
 def warm_up(sequence: PatternSequence, frames: NDArray[np.uint8], noise: CameraNoise) -> None:
     """Run every kernel on frames (n, h, w) of whatever shows."""
     number, doubtful = np.zeros((2, *frames.shape[1:]), np.uint8)
-    _read(sequence, frames, _scale_of(1.0, noise), number, doubtful)
+    _read(sequence, frames, scale_of(1.0, noise), number, doubtful)
 
 
 def _read(
@@ -117,41 +117,45 @@ def _read(
     across = sequence.axis(Direction.X)
     stride = max(1, -(-frames.shape[2] // BLOCKS) // SAMPLES_PER_BLOCK)
     at = (slice(stride // 2, None, stride), slice(stride // 2, None, stride))
-    seen = _seen(sequence, frames, at, scale)
+    seen = seen_at(sequence, frames, at, scale)
     dark = frames[sequence.dark][at].astype(np.float32)
-    shares = np.stack([_lit_share(frames[k][at].astype(np.float32) - dark, seen) for k in across.gray])
+    shares = np.stack([lit_share(frames[k][at].astype(np.float32) - dark, seen) for k in across.gray])
     _number(
         frames, np.array(across.gray, np.int64), np.array(across.sine, np.int64), sequence.bright, sequence.dark, shares,
         SAMPLES_PER_BLOCK * stride, scale, half_period, doubtful,
     )  # fmt: skip
 
 
-def _scale(
-    sequence: PatternSequence, frames: NDArray[np.uint8], mask: NDArray[np.uint8], noise: CameraNoise
+def fringe_scale(
+    sequence: PatternSequence,
+    frames: NDArray[np.uint8],
+    mask: NDArray[np.uint8],
+    noise: CameraNoise,
+    clear_dn: float = CLEAR_MODULATION_DN,
 ) -> Scale | None:
-    """``None`` where nothing is seen."""
+    """From pixels whose modulation is above ``clear_dn``; ``None`` where nothing is seen."""
     at = _few(mask.shape)
     across = sequence.axis(Direction.X)
     i0, i1, i2, i3 = (frames[k][at].astype(np.float32) for k in across.sine)
     bright, dark = (frames[k][at].astype(np.float32) for k in (sequence.bright, sequence.dark))
     double = np.hypot(i0 - i2, i3 - i1)
-    clear = (double > 2.0 * CLEAR_MODULATION_DN) & (mask[at] != _SHADOW) & (mask[at] != _SATURATED) & (bright < 255.0)
+    clear = (double > 2.0 * clear_dn) & (mask[at] != _SHADOW) & (mask[at] != _SATURATED) & (bright < 255.0)
     if np.count_nonzero(clear) < MIN_CLEAR:
         return None
     swing = np.max([np.abs(2.0 * frames[k][at] - bright - dark) for k in across.gray[-FINE_IMAGES:]], axis=0)
     contrast = float(np.median(double[clear] / np.maximum(swing[clear], 1.0)))
-    return _scale_of(contrast, noise)
+    return scale_of(contrast, noise)
 
 
-def _scale_of(contrast: float, noise: CameraNoise) -> Scale:
+def scale_of(contrast: float, noise: CameraNoise) -> Scale:
     """``contrast``: modulation in halves of the object's light."""
     dark_dn2 = noise.read_dn**2 - noise.dn_per_e * noise.black_dn
     return Scale(np.float32(1.0 / contrast), np.float32(dark_dn2), np.float32(noise.dn_per_e))
 
 
-def _any_veil(sequence: PatternSequence, frames: NDArray[np.uint8], mask: NDArray[np.uint8], scale: Scale) -> bool:
+def any_veil(sequence: PatternSequence, frames: NDArray[np.uint8], mask: NDArray[np.uint8], scale: Scale) -> bool:
     at = _few(mask.shape)
-    seen = _seen(sequence, frames, at, scale)
+    seen = seen_at(sequence, frames, at, scale)
     valid = mask[at] == 0
     veiled = valid & (seen.light_dn > (1.0 + HALF_VEIL) * seen.object_dn + NOISE_SIGMAS * seen.noise_dn)
     return bool(np.count_nonzero(veiled) > FEW * max(int(np.count_nonzero(valid)), 1))
@@ -162,7 +166,7 @@ def _few(shape: tuple[int, ...]) -> tuple[slice, slice]:
     return slice(stride // 2, None, stride), slice(stride // 2, None, stride)
 
 
-def _seen(sequence: PatternSequence, frames: NDArray[np.uint8], at: tuple[slice, slice], scale: Scale) -> Seen:
+def seen_at(sequence: PatternSequence, frames: NDArray[np.uint8], at: tuple[slice, slice], scale: Scale) -> Seen:
     i0, i1, i2, i3 = (frames[k][at].astype(np.float32) for k in sequence.axis(Direction.X).sine)
     bright, dark = (frames[k][at].astype(np.float32) for k in (sequence.bright, sequence.dark))
     top = np.maximum(np.maximum(i0, i1), np.maximum(i2, i3))
@@ -172,7 +176,7 @@ def _seen(sequence: PatternSequence, frames: NDArray[np.uint8], at: tuple[slice,
     return Seen(bright - dark, double * scale.per_half_dn, np.asarray(np.sqrt(variance), np.float32), usable)
 
 
-def _lit_share(gray_dn: Floats, seen: Seen) -> Floats:
+def lit_share(gray_dn: Floats, seen: Seen) -> Floats:
     """f of one Gray image in each block; NaN where it is not known."""
     block = SAMPLES_PER_BLOCK
     state = np.empty(gray_dn.shape, np.uint8)
@@ -259,7 +263,7 @@ def _decide(
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def _plain_number(gray: int) -> int:
+def plain_number(gray: int) -> int:
     """Of a reflected Gray code of up to eight bits."""
     number = gray ^ (gray >> 1)
     number ^= number >> 2
@@ -267,7 +271,7 @@ def _plain_number(gray: int) -> int:
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def _periods(number: int, turns: float) -> int:
+def periods(number: int, turns: float) -> int:
     """Whole periods of the coordinate that phase and half period make together."""
     middle = np.float32(0.5) * np.float32(number) + np.float32(0.25)
     return int(np.floor(middle - turns + np.float32(0.5)))
@@ -326,12 +330,12 @@ def _number(
                 code[x] = (code[x] << 1) | (1 if off >= np.float32(0.0) else 0)
                 soft[x] = (soft[x] << 1) | (1 if unsure else 0)
         for x in range(columns):
-            number = _plain_number(code[x])
+            number = plain_number(code[x])
             half_period[y, x] = np.uint8(number)
             if soft[x] != 0:
                 # On the border of its own stripes a bit turned over is the half period beside, and the phase tells.
-                turned = _plain_number(code[x] ^ soft[x])
+                turned = plain_number(code[x] ^ soft[x])
                 wrapped = np.arctan2(np.float32(i3[x]) - np.float32(i1[x]), np.float32(i0[x]) - np.float32(i2[x]))
                 wrapped *= np.float32(0.5 / np.pi)
-                lost[x] = lost[x] | (_periods(number, wrapped) != _periods(turned, wrapped))
+                lost[x] = lost[x] | (periods(number, wrapped) != periods(turned, wrapped))
             doubtful[y, x] = np.uint8(1) if lost[x] else np.uint8(0)

@@ -13,7 +13,7 @@ from appliance.capture.verdict import Judgement, Verdict
 from appliance.patterns.sequence import Direction, PatternSequence
 from appliance.reconstruct.noise import TYPICAL_PAIR, CameraNoise, StereoNoise
 from appliance.verdict.identity_evidence import MIN_FRINGE, Evidence, Witness
-from appliance.verdict.identity_explain import Explanation, What, explain, moved_share, still
+from appliance.verdict.identity_explain import Explanation, What, explain, still
 from appliance.verdict.identity_lines import can_follow, take_lines
 
 NAME = "identity"
@@ -96,7 +96,7 @@ def _look(side: str, frames: NDArray[np.uint8], sequence: PatternSequence, noise
     if evidence.judged:
         if evidence.contradicted:
             explanation = explain(witness, sequence, noise, evidence)
-            if _may_be_motion(explanation, evidence, moved_share(witness, sequence)):
+            if _may_be_motion(explanation, evidence):
                 explanation, evidence = None, Evidence({}, {}, evidence.lit, 0, 0)
     elif evidence.lit >= MIN_FRINGE:
         explanation = still(witness, sequence, noise)
@@ -105,12 +105,14 @@ def _look(side: str, frames: NDArray[np.uint8], sequence: PatternSequence, noise
     return _Camera(f"camera.{side}", evidence, explanation, light_dn, sees_light, ends_dark, identical)
 
 
-def _may_be_motion(explanation: Explanation, evidence: Evidence, moved: float) -> bool:
-    """Frames that look alike prove a repeat only where nothing else can have raised the doubt."""
-    if explanation.what is What.UNEXPLAINED and moved > MOST_MOVED:
+def _may_be_motion(explanation: Explanation, evidence: Evidence) -> bool:
+    """A good order of the frames leaves nothing that moves much. Frames that look alike prove a repeat only where nothing else
+    can have raised the doubt; an image that stays proves itself.
+    """
+    if explanation.what not in (What.STILL, What.REPEATED) and explanation.moved > MOST_MOVED:
         return True
     unproven = explanation.what in (What.UNEXPLAINED, What.REPEATED)
-    return unproven and moved > LEAST_MOVED and evidence.worst < LARGE_DOUBT
+    return unproven and explanation.moved > LEAST_MOVED and evidence.worst < LARGE_DOUBT
 
 
 def _fault(cameras: list[_Camera]) -> Fault | None:

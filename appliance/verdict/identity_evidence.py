@@ -22,6 +22,7 @@ from appliance.patterns.sequence import Direction, PatternSequence
 from appliance.reconstruct.noise import CameraNoise
 from appliance.verdict.identity_kernel import COUNTS, OFF_REFERENCE, Count, follow
 from appliance.verdict.identity_lines import Lines
+from appliance.verdict.identity_veil import thresholds
 
 DECIDED = 1.0
 """A doubt of this size is an alarm. The limits below are half way, in its own measure, between what good scans of moving,
@@ -91,6 +92,7 @@ class Witness:
     def __init__(self, lines: Mapping[Direction, Lines], sequence: PatternSequence, noise: CameraNoise) -> None:
         self.lines = lines
         self._sequence = sequence
+        self._noise = noise
         self._off: NDArray[np.float64] | None = None
         levels = np.maximum(np.arange(256.0) - noise.black_dn, 0.0)
         sigma = np.sqrt(noise.read_dn**2 + noise.dn_per_e * levels)
@@ -108,8 +110,9 @@ class Witness:
         for along, mine in self.lines.items():
             across = Direction.Y if along is Direction.X else Direction.X
             sums, edges = np.zeros(COUNTS), np.zeros((len(self._gray[along]), 2))
+            middle, doubt_dn = thresholds(mine, self._sequence, self._noise, order)
             follow(
-                mine.values, mine.low, mine.high, mine.lit, self._least_dn, order, (bright, dark),
+                mine.values, mine.low, mine.high, mine.lit, middle, doubt_dn, self._least_dn, order, (bright, dark),
                 self._gray[along], self._sine[along], self._sine[across], sums, edges,
             )  # fmt: skip
             all_sums[along] = sums

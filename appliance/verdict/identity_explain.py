@@ -8,7 +8,7 @@ frames themselves.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -56,6 +56,8 @@ class Explanation:
     other: int | None = None
     identical: bool = False
     """To the last bit: only a camera's memory repeats an image with its noise."""
+    moved: float = 0.0
+    """Share of what is lit that moves by this explanation; see ``moved_share``."""
 
 
 def explain(witness: Witness, sequence: PatternSequence, noise: CameraNoise, doubts: Evidence) -> Explanation:
@@ -67,7 +69,8 @@ def explain(witness: Witness, sequence: PatternSequence, noise: CameraNoise, dou
     reordered = _reordered(witness, sequence, noise, doubts)
     if reordered is not None:
         return _at_the_second(reordered, same)
-    return _repeated(same, doubts) or Explanation(What.UNEXPLAINED, _suspect(doubts))
+    unordered = _repeated(same, doubts) or Explanation(What.UNEXPLAINED, _suspect(doubts))
+    return replace(unordered, moved=moved_share(witness, sequence, np.arange(len(sequence), dtype=np.int64)))
 
 
 def still(witness: Witness, sequence: PatternSequence, noise: CameraNoise) -> Explanation | None:
@@ -101,14 +104,15 @@ def differences(witness: Witness, sequence: PatternSequence, noise: CameraNoise)
     return result
 
 
-def moved_share(witness: Witness, sequence: PatternSequence) -> float:
+def moved_share(witness: Witness, sequence: PatternSequence, order: NDArray[np.int64]) -> float:
     """Share of lit samples whose mean over the sines of one direction is not that over the other's.
 
-    A single sine in a wrong place moves its mean by an eighth of the swing at most.
+    For frame ``order[k]`` taken as showing pattern k. A single sine in a wrong place moves its mean by an eighth of the swing
+    at most.
     """
     moved = lit = 0
     for lines in witness.lines.values():
-        means = [lines.values[list(sequence.axis(d).sine)][:, lines.lit].mean(axis=0) for d in Direction]
+        means = [lines.values[order[list(sequence.axis(d).sine)]][:, lines.lit].mean(axis=0) for d in Direction]
         swing = (lines.high - lines.low)[lines.lit].astype(np.float64)
         moved += int(np.count_nonzero(abs(means[0] - means[1]) > SAME_MEAN * swing))
         lit += swing.size
@@ -148,7 +152,7 @@ def _reordered(witness: Witness, sequence: PatternSequence, noise: CameraNoise, 
         found = asked.evidence(order)
         clearly = found.total <= doubts.total - CLEARLY_LESS
         if found.judged and clearly and not found.contradicted and (best is None or found.total < best[0]):
-            best = found.total, explanation
+            best = found.total, replace(explanation, moved=moved_share(asked, sequence, order))
     return None if best is None else best[1]
 
 
@@ -156,7 +160,7 @@ def _at_the_second(explanation: Explanation, same: NDArray[np.float64]) -> Expla
     """Of two frames of one image, at which all begins to be late, the second."""
     frame = explanation.frame
     if explanation.what is What.LATE and same[frame, frame + 1] < SAME:
-        return Explanation(What.LATE, frame + 1)
+        return replace(explanation, frame=frame + 1)
     return explanation
 
 

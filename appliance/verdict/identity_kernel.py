@@ -8,6 +8,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.reconstruct.veiled import periods, plain_number
+
 
 class Count(IntEnum):
     """Places in the table of sums."""
@@ -67,6 +69,8 @@ def follow(
     low: NDArray[np.uint8],
     high: NDArray[np.uint8],
     lit: NDArray[np.bool_],
+    middle: NDArray[np.float32],
+    doubt_dn: NDArray[np.float32],
     least_dn: NDArray[np.float32],
     order: NDArray[np.int64],
     references: tuple[int, int],
@@ -79,7 +83,8 @@ def follow(
     """Add what lines (n, lines, samples) show to ``sums`` (COUNTS,) and ``edges`` (len(gray), 2).
 
     ``order[k]`` is the row of ``values`` that is taken for pattern k; ``references``: bright and dark; ``gray`` and
-    ``sine``: the patterns along the lines; ``least_dn`` (256,): a fringe's least difference at a grey value.
+    ``sine``: the patterns along the lines; ``middle`` (1 or len(gray), lines, samples): thresholds of the Gray images, NaN
+    where there is none, and ``doubt_dn`` (lines, samples) how near to them a bit is in doubt; ``least_dn`` (256,): a fringe's least difference at a grey value.
     ``edges``: of each Gray image, its edges (where it changes, or another changes in its place), and how many of them are
     out of order although an edge of some pattern is there.
     """
@@ -131,15 +136,21 @@ def follow(
             sums[1] += 1.0
             if not judged:
                 continue
-            middle = np.float32(0.5) * (least + most)
-            g, h, bit = 0, 0, 0
-            for k in gray:
-                now = 1 if np.float32(values[order[k], line, x]) > middle else 0
+            g, h, bit, soft, told = 0, 0, 0, 0, True
+            for j in range(bits):
+                threshold = middle[min(j, middle.shape[0] - 1), line, x]
+                off = np.float32(values[order[gray[j]], line, x]) - threshold
+                now = 1 if off > np.float32(0.0) else 0
+                told = told & (off == off)
+                soft = 2 * soft + (1 if abs(off) < doubt_dn[line, x] else 0)
                 g = 2 * g + now
                 bit ^= now
                 h = 2 * h + bit
             code[x], number[x] = g, h
-            good[x] = _LEAST_RATIO * others < mine < _MOST_RATIO * others
+            if soft != 0:  # at a stripe's own edge, its phase tells; elsewhere, the bit says nothing
+                turns = np.float32(0.5 / np.pi) * np.arctan2(im[x], re[x])
+                told = told and periods(h, turns) == periods(plain_number(g ^ soft), turns)
+            good[x] = told and _LEAST_RATIO * others < mine < _MOST_RATIO * others
             re[x], im[x] = re[x] / mine, im[x] / mine
             other_re[x], other_im[x] = other_re[x] / others, other_im[x] / others
         for x in range(samples - 1):

@@ -243,6 +243,7 @@ HANDS = Motion(velocity_mm_s=(12.0, -9.0, 8.0), rotation_deg_s=(0.5, -1.0, 0.5))
 SCENES = {
     "dark": (Scene("pipe", texture="strong", ambient=0.2), 0.0012, 0.0),
     "turbid": (Scene("shell", water=Water(attenuation_per_m=1.2, backscatter=0.1, blur_px_per_m=3.0)), 0.008, 0.0),
+    "milk": (Scene("plane", water=Water(attenuation_per_m=2.5, backscatter=0.6)), 0.012, 0.0),
     "moving in flicker": (
         Scene("frustum", ambient=0.1, motion=HANDS, daylight=Daylight(flicker_depth=0.5, flicker_hz=100.0)),
         0.008,

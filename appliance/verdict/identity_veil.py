@@ -1,0 +1,67 @@
+"""Owns the Gray thresholds of samples before which the lit water outshines the object, and which of them have none.
+
+Half way between a sample's darkest and brightest value a Gray image's bit is told only as long as the water's veil is fainter
+than the object. Beyond, coarse stripes that light the water turn bits over, in good scans too. What decoding does about that
+(``reconstruct.veiled``) is done here along the lines: the fringes tell the object's light, and sure samples how much of the
+veil each image lights. Across the base line nothing need be done: there the water is lit by the same stripe as what it hides.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.patterns.sequence import Direction, PatternSequence
+from appliance.reconstruct.noise import CameraNoise
+from appliance.reconstruct.veiled import (
+    BEYOND,
+    MARGIN,
+    MIN_LIGHT_DN,
+    NOISE_SIGMAS,
+    SURE,
+    Floats,
+    any_veil,
+    fringe_scale,
+    lit_share,
+    seen_at,
+)
+from appliance.verdict.identity_lines import Lines
+
+ALL = (slice(None), slice(None))
+CLEAR_MODULATION_DN = 3.0
+"""From here on, fringes are asked how much of the object's light they are: less than decoding asks, since few samples serve."""
+
+
+def thresholds(
+    lines: Lines, sequence: PatternSequence, noise: CameraNoise, order: NDArray[np.int64]
+) -> tuple[Floats, Floats]:
+    """Of each Gray image along the lines, for frame ``order[k]`` taken as pattern k: (images, lines, samples), or (1, lines,
+    samples) where one serves all, NaN where there is none; and how near to it a bit is in doubt, (lines, samples).
+    """
+    plain = np.float32(0.5) * (lines.low.astype(np.float32) + lines.high.astype(np.float32))
+    none = np.zeros(plain.shape, np.float32)
+    if lines.along is not Direction.X:
+        return plain[None], none
+    frames = lines.values[order]
+    bright, dark = (frames[k].astype(np.float32) for k in (sequence.bright, sequence.dark))
+    mask = np.where(bright - dark < MIN_LIGHT_DN, np.uint8(1), np.uint8(0))
+    scale = fringe_scale(sequence, frames, mask, noise, CLEAR_MODULATION_DN)
+    if scale is None or not any_veil(sequence, frames, mask, scale):
+        return plain[None], none
+    seen = seen_at(sequence, frames, ALL, scale)
+    noise_dn = np.float32(NOISE_SIGMAS) * seen.noise_dn
+    clear = seen.light_dn < np.float32(2.0) * (np.float32(SURE) * seen.object_dn - noise_dn)
+    veil = np.maximum(seen.light_dn - seen.object_dn, np.float32(0.0))
+    told = []
+    for k in sequence.axis(Direction.X).gray:
+        gray = frames[k].astype(np.float32) - dark
+        middle = _of_samples(lit_share(gray, seen), gray.shape) * veil + np.float32(0.5) * seen.object_dn
+        middle[abs(gray - middle) > np.float32(0.5 + BEYOND) * seen.object_dn] = np.nan
+        told.append(np.where(clear, plain, dark + middle))
+    doubt_dn = np.maximum(np.float32(MARGIN) * seen.object_dn, noise_dn)
+    return np.stack(told), np.where(clear, np.float32(0.0), doubt_dn)
+
+
+def _of_samples(share: Floats, shape: tuple[int, ...]) -> Floats:
+    rows, columns = (np.arange(size) * cells // size for size, cells in zip(shape, share.shape, strict=True))
+    return np.asarray(share[rows][:, columns], np.float32)
