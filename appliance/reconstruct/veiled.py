@@ -40,7 +40,11 @@ SURE = 0.75
 """Of what the fringes tell of O, so much is there at least: blur and the projector's response differ from place to place."""
 NOISE_SIGMAS = 3.0
 MARGIN = 0.25
-"""A bit is in doubt where G is nearer to the threshold than this, in O; or than ``NOISE_SIGMAS``."""
+"""A pixel tells its neighbours where G is farther from the threshold than this, in O, and than ``NOISE_SIGMAS``."""
+MARGIN_OF_VEIL = 0.15
+"""How well f is known: a bit is in doubt where G is nearer to the threshold than this, in V, and at most ``MARGIN`` in O."""
+APART_SIGMAS = 5.0
+"""So far beyond the threshold noise does not carry what the other value of the bit makes; else the bit is in doubt."""
 BEYOND = 0.6
 """As far beyond what either value of the bit makes, in O, f is not known here."""
 FINE_IMAGES = 3
@@ -75,6 +79,8 @@ class Scale(NamedTuple):
 
     per_half_dn: np.float32
     """O per half grey value of modulation."""
+    light_per_sines: np.float32
+    """Bright minus dark, over the sum of the four sines less four times dark: what it is where the bright frame is saturated."""
     dark_dn2: np.float32
     """Variance at no light."""
     shot_dn: np.float32
@@ -104,7 +110,7 @@ def read_through_veil(
 def warm_up(sequence: PatternSequence, frames: NDArray[np.uint8], noise: CameraNoise) -> None:
     """Run every kernel on frames (n, h, w) of whatever shows."""
     number, doubtful = np.zeros((2, *frames.shape[1:]), np.uint8)
-    _read(sequence, frames, scale_of(1.0, noise), number, doubtful)
+    _read(sequence, frames, scale_of(1.0, 0.5, noise), number, doubtful)
 
 
 def _read(
@@ -144,13 +150,16 @@ def fringe_scale(
         return None
     swing = np.max([np.abs(2.0 * frames[k][at] - bright - dark) for k in across.gray[-FINE_IMAGES:]], axis=0)
     contrast = float(np.median(double[clear] / np.maximum(swing[clear], 1.0)))
-    return scale_of(contrast, noise)
+    sines = i0 + i1 + i2 + i3 - np.float32(4.0) * dark
+    return scale_of(contrast, float(np.median((bright - dark)[clear] / np.maximum(sines[clear], 1.0))), noise)
 
 
-def scale_of(contrast: float, noise: CameraNoise) -> Scale:
+def scale_of(contrast: float, light_per_sines: float, noise: CameraNoise) -> Scale:
     """``contrast``: modulation in halves of the object's light."""
     dark_dn2 = noise.read_dn**2 - noise.dn_per_e * noise.black_dn
-    return Scale(np.float32(1.0 / contrast), np.float32(dark_dn2), np.float32(noise.dn_per_e))
+    return Scale(
+        np.float32(1.0 / contrast), np.float32(light_per_sines), np.float32(dark_dn2), np.float32(noise.dn_per_e)
+    )
 
 
 def any_veil(sequence: PatternSequence, frames: NDArray[np.uint8], mask: NDArray[np.uint8], scale: Scale) -> bool:
@@ -293,6 +302,8 @@ def _number(
     rows, columns = half_period.shape
     last_y, last_x = shares.shape[1] - 1, shares.shape[2] - 1
     own = np.empty(columns, np.float32)
+    veil = np.empty(columns, np.float32)
+    room = np.empty(columns, np.float32)
     doubt = np.empty(columns, np.float32)
     sure = np.empty(columns, np.float32)
     code = np.empty(columns, np.int64)
@@ -302,31 +313,34 @@ def _number(
         i0, i1, i2, i3 = frames[sine[0], y], frames[sine[1], y], frames[sine[2], y], frames[sine[3], y]
         for x in range(columns):
             cosine, quadrature = np.float32(i0[x]) - np.float32(i2[x]), np.float32(i3[x]) - np.float32(i1[x])
-            light = np.float32(frames[bright, y, x]) - np.float32(frames[dark, y, x])
-            variance = max(scale.dark_dn2 + scale.shot_dn * np.float32(frames[bright, y, x]), np.float32(0.0))
-            noise = np.float32(NOISE_SIGMAS) * np.sqrt(variance)
+            black = np.float32(frames[dark, y, x])
+            light = np.float32(frames[bright, y, x]) - black
+            if frames[bright, y, x] == _FULL:
+                sines = np.float32(i0[x]) + np.float32(i1[x]) + np.float32(i2[x]) + np.float32(i3[x])
+                light = max(light, scale.light_per_sines * (sines - np.float32(4.0) * black))
+            sigma = np.sqrt(max(scale.dark_dn2 + scale.shot_dn * (light + black), np.float32(0.0)))
             told = scale.per_half_dn * np.sqrt(cosine * cosine + quadrature * quadrature)
-            plain = light < np.float32(2.0) * (np.float32(SURE) * told - noise)
-            # Without a veil to speak of, the middle decides as ever: all of the light counts as the object's.
-            own[x] = light if plain else told
-            sure[x] = light if plain else np.float32(SURE) * told - noise
-            doubt[x] = np.float32(0.0) if plain else max(np.float32(MARGIN) * told, noise)
-            code[x], soft[x] = 0, 0
-            lost[x] = (not plain) & (frames[bright, y, x] == _FULL)
+            own[x] = min(told, light)
+            veil[x] = light - own[x]
+            apart = np.float32(APART_SIGMAS) * sigma
+            doubt[x] = min(np.float32(MARGIN_OF_VEIL) * veil[x], np.float32(MARGIN) * own[x])
+            doubt[x] += max(apart - np.float32(0.5) * own[x], np.float32(0.0))
+            room[x] = np.float32(0.5) * own[x] + max(np.float32(BEYOND) * own[x], apart)
+            sure[x] = np.float32(SURE) * told - np.float32(NOISE_SIGMAS) * sigma
+            code[x], soft[x], lost[x] = 0, 0, False
         for k in range(gray.size):
             image, share = frames[gray[k], y], shares[k, min(y // block_px, last_y)]
             for x in range(columns):
-                light = np.float32(frames[bright, y, x]) - np.float32(frames[dark, y, x])
                 lit = share[min(x // block_px, last_x)]
-                veil = max(light - own[x], np.float32(0.0))
                 rest = np.float32(image[x]) - np.float32(frames[dark, y, x])
                 if lit == lit:
-                    off = rest - lit * veil - np.float32(0.5) * own[x]
+                    off = rest - lit * veil[x] - np.float32(0.5) * own[x]
                     unsure = abs(off) < doubt[x]
-                    lost[x] = lost[x] | ((abs(off) > np.float32(0.5 + BEYOND) * own[x]) & (doubt[x] > np.float32(0.0)))
+                    lost[x] = lost[x] | (abs(off) > room[x])
                 else:
-                    off = rest - np.float32(0.5) * light
-                    unsure = abs(off) < np.float32(0.5) * light - sure[x]
+                    middle = np.float32(0.5) * (own[x] + veil[x])
+                    off = rest - middle
+                    unsure = abs(off) < middle - sure[x]
                 code[x] = (code[x] << 1) | (1 if off >= np.float32(0.0) else 0)
                 soft[x] = (soft[x] << 1) | (1 if unsure else 0)
         for x in range(columns):

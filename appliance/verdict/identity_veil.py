@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 from appliance.patterns.sequence import Direction, PatternSequence
 from appliance.reconstruct.noise import CameraNoise
 from appliance.reconstruct.veiled import (
+    APART_SIGMAS,
     BEYOND,
     MARGIN,
+    MARGIN_OF_VEIL,
     MIN_LIGHT_DN,
     NOISE_SIGMAS,
     SURE,
@@ -49,17 +51,20 @@ def thresholds(
     if scale is None or not any_veil(sequence, frames, mask, scale):
         return plain[None], none
     seen = seen_at(sequence, frames, ALL, scale)
-    noise_dn = np.float32(NOISE_SIGMAS) * seen.noise_dn
-    clear = seen.light_dn < np.float32(2.0) * (np.float32(SURE) * seen.object_dn - noise_dn)
-    veil = np.maximum(seen.light_dn - seen.object_dn, np.float32(0.0))
+    own = np.minimum(seen.object_dn, seen.light_dn)
+    veil, apart_dn = seen.light_dn - own, np.float32(APART_SIGMAS) * seen.noise_dn
+    room_dn = np.float32(0.5) * own + np.maximum(np.float32(BEYOND) * own, apart_dn)
+    sure = np.float32(SURE) * seen.object_dn - np.float32(NOISE_SIGMAS) * seen.noise_dn
+    without_veil = np.where(seen.light_dn < np.float32(2.0) * sure, plain, np.float32(np.nan))
     told = []
     for k in sequence.axis(Direction.X).gray:
         gray = frames[k].astype(np.float32) - dark
-        middle = _of_samples(lit_share(gray, seen), gray.shape) * veil + np.float32(0.5) * seen.object_dn
-        middle[abs(gray - middle) > np.float32(0.5 + BEYOND) * seen.object_dn] = np.nan
-        told.append(np.where(clear, plain, dark + middle))
-    doubt_dn = np.maximum(np.float32(MARGIN) * seen.object_dn, noise_dn)
-    return np.stack(told), np.where(clear, np.float32(0.0), doubt_dn)
+        middle = _of_samples(lit_share(gray, seen), gray.shape) * veil + np.float32(0.5) * own
+        known = seen.usable & np.isfinite(middle)
+        middle[abs(gray - middle) > room_dn] = np.nan
+        told.append(np.where(known, dark + middle, without_veil))
+    doubt_dn = np.minimum(np.float32(MARGIN_OF_VEIL) * veil, np.float32(MARGIN) * own)
+    return np.stack(told), doubt_dn + np.maximum(apart_dn - np.float32(0.5) * own, np.float32(0.0))
 
 
 def _of_samples(share: Floats, shape: tuple[int, ...]) -> Floats:
