@@ -19,9 +19,6 @@ MAX_SATURATED = 0.05
 MAX_WEAK = 0.25
 MAX_HARMED = 0.10
 """Of lit pixels: so many may have phases that changing light has biased by more than half of their noise."""
-MAX_HARMED_CENSORED = 0.30
-"""The same where more than ``MAX_SATURATED`` is saturated: which pixels are left then depends on their fringes' phases, and
-that alone has looked like changing light in up to 0.18 of them (white labels on black rubber at rest)."""
 MAX_AMBIENT_BEYOND = 0.25
 """Of lit pixels: so many may get more light from elsewhere than from the projector. It takes half of the scale, and with
 it half of the fringes' amplitude, at any exposure."""
@@ -40,7 +37,7 @@ def judge_light(recorded: Recorded, present: Exposure, steps: Sequence[Exposure]
     levels = {side: measure_levels(samples[side], recorded.sequence, noise[side]) for side in SIDES}
     changes = {side: measure_changes(samples[side], recorded.sequence, noise[side]) for side in SIDES}
     frequency = find_frequency_hz((*changes["left"].levels, *changes["right"].levels), recorded.frame_s)
-    fault = _flickers(changes, levels, frequency) or _worst_level(levels)
+    fault = _flickers(changes, frequency) or _worst_level(levels)
     numbers: dict[str, float | None] = {}
     for side in SIDES:
         numbers |= _numbers(side, levels[side], changes[side])
@@ -81,15 +78,11 @@ def _propose(
     return propose(top_dn, scale_dn, present, steps)
 
 
-def _flickers(
-    changes: dict[str, Changes], levels: dict[str, Levels], frequency: tuple[float, float] | None
-) -> Fault | None:
+def _flickers(changes: dict[str, Changes], frequency: tuple[float, float] | None) -> Fault | None:
     """Both cameras see the same light at the same time: what only one of them has is no change of light."""
     known = [c for c in changes.values() if c.harmed is not None and c.ripple is not None]
     least = min(known, key=lambda c: c.harmed or 0.0, default=None)
-    censored = max(at.saturated or 0.0 for at in levels.values()) > MAX_SATURATED
-    most = MAX_HARMED_CENSORED if censored else MAX_HARMED
-    if least is None or least.harmed is None or least.harmed <= most:
+    if least is None or least.harmed is None or least.harmed <= MAX_HARMED:
         return None
     harmed = 100.0 * least.harmed
     what = f"light that is not the projector's changed during the scan and biases {harmed:.0f} % of the points"

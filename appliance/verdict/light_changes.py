@@ -18,7 +18,16 @@ from numpy.typing import NDArray
 from appliance.patterns.sequence import Direction, PatternSequence
 from appliance.reconstruct.decode import MIN_MODULATION_DN
 from appliance.reconstruct.noise import CameraNoise
-from appliance.verdict.light_fit import CLIP, COSINE, EXPECTED, SIGMA, SINE, THIRD, fit_blocks
+from appliance.verdict.light_fit import (
+    COSINE,
+    EXPECTED,
+    SIGMA,
+    SINE,
+    THIRD,
+    common_of_neighbours,
+    fit_blocks,
+    stripe_levels,
+)
 from appliance.verdict.light_levels import Sample
 
 BLOCK_ROWS, BLOCK_COLUMNS = 6, 8
@@ -36,6 +45,8 @@ HARMFUL_RIPPLE = 0.5
 EXPLAINED = 0.8
 """Share of the changes that one frequency must explain to be named."""
 MIN_LEVELS = 12
+FINE_IMAGES = 4
+"""Of each direction's Gray images: all of a block's pixels do not lie in one of their stripes."""
 RANK = 1e-10
 """Of a cosine and a sine: at half the frame rate there is only one of them."""
 
@@ -86,22 +97,23 @@ class _Fit:
     expected: Floats
     """What the sigma would be with a noise of one grey value in each difference: how well the phases are spread."""
     fine: Floats
-    """Mean square of the third difference within the block, less its mean: light of finer grain than a block."""
+    """Mean square of the third difference within the block, less its mean, that neighbours have in common: light of finer grain
+    than a block."""
 
 
 def measure_changes(s: Sample, sequence: PatternSequence, noise: CameraNoise) -> Changes:
     """What the sine and Gray images tell of one camera."""
     # Where noise alone decides what is saturated, only pixels with favourable phases would be left.
     good = s.lit & (s.top_dn <= CLEAR_DN) & (s.modulation_dn >= MIN_MODULATION_DN)
-    rows, columns = np.nonzero(good)
+    rows, columns = (np.ascontiguousarray(places) for places in np.nonzero(good))
     members = _blocks(rows, columns, good.shape)
     if not members:
         return UNKNOWN
     contrast = s.contrast_dn[good].astype(np.float64)
-    places = (rows.astype(np.float64), columns.astype(np.float64))
-    fits = {d: _fit(s.grey_dn[list(sequence.axis(d).sine)], good, contrast, members, places) for d in Direction}
+    four = {d: np.stack([s.grey_dn[k][good] for k in sequence.axis(d).sine]).astype(np.float64) for d in Direction}
+    fits = {d: _fit(four[d], contrast, (rows, columns), members) for d in Direction}
     # Noise of a block's pixels against their contrast, as the phase has it: rms of sigma over contrast.
-    mean = s.grey_dn[list(sequence.axis(Direction.X).sine)][:, good].mean(axis=0)
+    mean = four[Direction.X].mean(axis=0)
     variance = (noise.read_dn**2 + noise.dn_per_e * np.maximum(mean - noise.black_dn, 0.0)) / contrast**2
     relative = np.sqrt(np.array([np.median(variance[block]) for block in members]))
     counts = np.array([block.size for block in members], np.float64)
@@ -166,36 +178,16 @@ def _blocks(rows: NDArray[np.intp], columns: NDArray[np.intp], shape: tuple[int,
 
 
 def _fit(
-    images: NDArray[np.float32],
-    good: NDArray[np.bool_],
+    four: Floats,
     contrast: Floats,
+    places: tuple[NDArray[np.intp], NDArray[np.intp]],
     members: Sequence[NDArray[np.intp]],
-    places: tuple[Floats, Floats],
 ) -> _Fit:
-    """``images`` (4, rows, columns); of their ``good`` pixels, ``members`` are those of each block, and ``places`` row and
-    column, of any unit."""
-    four = np.ascontiguousarray(images[:, good], np.float64)
-    ends = np.cumsum([block.size for block in members])
-    found, third = fit_blocks(four, contrast, *places, np.concatenate(members), ends)
-    rest = np.full(good.shape, np.nan)
-    rest[good] = third
-    fine = _common_of_neighbours(rest, good, members)
+    """``four`` (4, n) sine images of the pixels at ``places`` (row and column), of which ``members`` are those of each block."""
+    order, ends = np.concatenate(members), np.cumsum([block.size for block in members])
+    found, third = fit_blocks(four, contrast, *places, order, ends)
+    fine = common_of_neighbours(third, contrast, *places, order, ends)
     return _Fit(found[COSINE], found[SINE], found[THIRD], found[SIGMA], found[EXPECTED], fine)
-
-
-def _common_of_neighbours(rest: Floats, good: NDArray[np.bool_], members: Sequence[NDArray[np.intp]]) -> Floats:
-    """Mean product of what is left at a pixel and at those next to it, in each block: what noise has not, and light has."""
-    size = 1.4826 * np.nanmedian(np.abs(rest))
-    value = np.clip(rest, -CLIP * size, CLIP * size)
-    sums, counts = np.zeros(rest.shape), np.zeros(rest.shape)
-    for axis in (0, 1):
-        product = value * np.roll(value, -1, axis)
-        product[(-1,) if axis == 0 else (slice(None), -1)] = np.nan
-        known = ~np.isnan(product)
-        sums[known] += product[known]
-        counts += known
-    sums, counts = sums[good], counts[good]
-    return np.array([sums[block].sum() / max(counts[block].sum(), 1.0) for block in members])
 
 
 def _apart(
@@ -220,17 +212,17 @@ def _apart(
 
 def _gray_levels(s: Sample, sequence: PatternSequence, good: NDArray[np.bool_], contrast: Floats) -> list[Level]:
     """Common levels of the fine Gray images: what scatters from lit stripes into dark ones cancels."""
-    dark = s.dark_dn[good].astype(np.float64)
+    pixels = np.flatnonzero(good)
     found: list[Level] = []
     for direction in Direction:
-        own: dict[int, float] = {}
-        for number in sequence.axis(direction).gray[-4:]:
-            value = (s.grey_dn[number][good] - dark) / contrast
-            low, high = value[value < 0.3], value[value > 0.7]
-            if min(low.size, high.size) >= MIN_PIXELS:
-                own[number] = 0.5 * float(np.median(low) + np.median(high))
-        mean = sum(own.values()) / max(len(own), 1)
-        found += [Level(number, f"gray {direction.value}", level - mean) for number, level in own.items()]
+        numbers = np.array(sequence.axis(direction).gray[-FINE_IMAGES:], np.int64)
+        own = stripe_levels(s.grey_dn.reshape(len(s.grey_dn), -1), numbers, sequence.dark, pixels, contrast, MIN_PIXELS)
+        known = np.isfinite(own)
+        group = f"gray {direction.value}"
+        mean = own[known].mean() if known.any() else 0.0
+        found += [
+            Level(int(k), group, float(level - mean)) for k, level in zip(numbers[known], own[known], strict=True)
+        ]
     return found
 
 

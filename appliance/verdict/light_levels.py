@@ -61,7 +61,9 @@ def sample(frames: NDArray[np.uint8], sequence: PatternSequence) -> Sample:
     lit_pixels = COARSE_PX**2 * int(np.count_nonzero(_lit(coarse[0], coarse[1])))
     least = math.ceil((frames[0].size / MOST_PIXELS) ** 0.5)
     stride = max(least, round((lit_pixels / SAMPLES) ** 0.5))
-    grey = frames[:, _places(frames.shape[1], stride)[:, None], _places(frames.shape[2], stride)].astype(np.float32)
+    grey = frames[:, _places(frames.shape[1], stride)[:, None], _places(frames.shape[2], stride)].astype(
+        np.float32, order="C"
+    )
     bright, dark = grey[sequence.bright], grey[sequence.dark]
     sines = [grey[list(sequence.axis(d).sine)] for d in Direction]
     modulation = np.minimum(*(0.5 * np.hypot(s[0] - s[2], s[3] - s[1]) for s in sines))

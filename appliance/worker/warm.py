@@ -18,7 +18,7 @@ from appliance.reconstruct.specks import mask_specks
 from appliance.reconstruct.surface import surface_of
 from appliance.reconstruct.table import Cloud
 from appliance.reconstruct.veiled import warm_up as read_veiled
-from appliance.verdict.light_fit import fit_blocks
+from appliance.verdict.light_fit import warm_up as warm_light
 from appliance.worker.scan_work import ScanWork, Taking
 
 _DESIGN = Design(11.5, 112.5, 230.0, 12.41, 30.0, 5.0, 1.77)
@@ -39,9 +39,8 @@ def run_empty_scan(work: ScanWork, frames: NDArray[np.uint8]) -> None:
 
 def run_what_an_empty_scan_does_not(sequence: PatternSequence, frames: NDArray[np.uint8]) -> None:
     """Kernels for motion, changing light, veil and a second exposure; else the first scan that has some would wait for a compiler."""
-    some = np.ones(4)
     run_compensation()
-    fit_blocks(np.eye(4), some, some, some, np.arange(4), np.array([4]))
+    warm_light()
     read_veiled(sequence, frames, TYPICAL)
     _run_pair()
 

@@ -14,8 +14,12 @@ from appliance.capture.verdict import Judgement
 from appliance.machine.alerts import alert_of
 from appliance.patterns.sequence import Direction, build_sequence
 from appliance.reconstruct.decode import CameraDecoder, Mask
-from appliance.reconstruct.noise import TYPICAL
+from appliance.reconstruct.noise import TYPICAL, StereoNoise, camera_noise
 from appliance.verdict.light import judge_light
+from appliance.verdict.recorded import Recorded
+from hw_sim.daylight import Daylight
+from hw_sim.scene import Scene
+from hw_sim.sensor import FULL_WELL_E, OFFSET_DN, READ_NOISE_E
 from tests.support.photographed import (
     HEIGHT_PX,
     WHITE_DN_PER_US,
@@ -26,6 +30,7 @@ from tests.support.photographed import (
     photograph,
     wall,
 )
+from tests.support.rendered import render_scan
 
 STEPS = ladder(60.0, 500, 0.0, Span())
 NOMINAL = Exposure(12_000)
@@ -158,6 +163,22 @@ def test_steady_light_never_flickers(seed: int) -> None:
     scene = Wall(wall(seed, 0.03, 0.55), rng.uniform(0.0, 0.6) + rng.uniform(0.0, 0.5) * torch)
     fault = judge(scene, seed=seed).fault
     assert fault is None or fault.code is not FaultCode.LIGHT_FLICKERS
+
+
+@pytest.mark.parametrize("flicker_depth", [0.0, 0.9])
+def test_labels_on_black_rubber_flicker_only_where_the_light_does(flicker_depth: float) -> None:
+    """Half saturated, and dark ones before which the water's veil has a larger share: neither is a change of light."""
+    scene = Scene("plane", texture="labels", ambient=0.2, daylight=Daylight(flicker_depth=flicker_depth))
+    scan = render_scan(scene, "realistic", 41, 320, 16, 0.012)
+    camera = camera_noise(FULL_WELL_E, READ_NOISE_E, OFFSET_DN, 0.0)
+    taken = Recorded(scan.sequence, scan.frames, {}, StereoNoise(camera, camera))
+    judged = judge_light(taken, NOMINAL, STEPS)
+    assert (judged.verdict.numbers["left_saturated_percent"] or 0.0) > 10.0
+    flickers = judged.fault is not None and judged.fault.code is FaultCode.LIGHT_FLICKERS
+    assert flickers == (flicker_depth > 0.0)
+    if not flickers:
+        harmed = [judged.verdict.numbers[f"{side}_flicker_harmed_percent"] for side in ("left", "right")]
+        assert max(one or 0.0 for one in harmed) < 5.0
 
 
 def test_a_torch_that_sweeps_over_a_part_is_a_change_of_light_and_one_that_rests_is_not() -> None:
