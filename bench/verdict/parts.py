@@ -30,16 +30,18 @@ class KeepingPart(Protocol):
         """As ``Part.measure``, with the rendered scans in the folder ``keep``; what is missing there is added."""
 
 
-KEEPING = ("motion",)
+KEEPING = ("motion", "identity_good")
 """The names of those."""
 PARTS = MappingProxyType(
     {
         "identity": "each frame is the pattern it should be",
+        "identity_good": "good scans, at rest, moving, in milk and rushing by, that are called wrong",
         "motion": "what moved is rejected, what did no harm is not",
         "compensation": "rigid motion taken out of the points",
         "light": "exposure, flicker, two exposures in one",
         "pair": "the second exposure that is proposed: what both show, at rest and moved, against any single one",
-        "turbidity": "what is said of the water, and points that specks would invent",
+        "turbidity": "what is said of the water",
+        "specks": "snow, bubbles and fish: points they make wrong, points they cost",
         "uncertainty": "each point's expected error against its true one",
     }
 )

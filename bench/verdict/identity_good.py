@@ -1,0 +1,128 @@
+"""How far good scans stay away from an alarm of the check of frame identity, and what it says of hands that rush by.
+
+The scenes are those that the verdict on movement is measured with: at rest and moving, dark, textured, turbid, in flicker, with
+specks and fish. A third of them is taken again in milk, and a quarter with hands so fast that nothing can be made of it. All
+frames are what they should be: such a scan may be refused for its movement, never for its patterns.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from appliance.patterns.sequence import build_sequence
+from appliance.reconstruct.noise import StereoNoise, camera_noise
+from appliance.verdict.identity import judge_identity
+from bench.result import Measured
+from bench.verdict.binomial import limits
+from bench.verdict.kept_scans import KeptScans, Take
+from bench.verdict.motion import case_of
+from bench.verdict.motion_cases import Case, record
+from bench.verdict.parts import Say
+from hw_sim.motion import Motion
+from hw_sim.sensor import FULL_WELL_E, OFFSET_DN, READ_NOISE_E
+from hw_sim.water import Water
+
+MILK_EVERY, FAST_EVERY = 3, 4
+FAST_MM_S = (60.0, 250.0)
+SLOW_MM_S = 30.0
+"""Hands that move the instrument by less are those of somebody who wants a scan."""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One good scan."""
+
+    kind: str
+    """``rest``, ``moving``, ``milk`` or ``fast``."""
+    seed: int
+    what: str
+    classes: tuple[str, ...]
+    speed_mm_s: float
+    passed: bool | None
+    doubt: float | None
+    cpu_ms: float
+    text: str
+
+
+def measure(scans: int, seed: int, say: Say, keep: Path | None = None) -> tuple[list[Measured], dict[str, Any]]:
+    """``scans`` scenes, each at rest and moving and some of them otherwise; their frames come from ``keep``."""
+    kept = KeptScans(keep)
+    rows: list[Row] = []
+    for number in range(scans):
+        say(f"identity: scene {number + 1} of {scans}", number / scans)
+        for kind, case, take in takes(seed, number):
+            rows.append(_judged(kind, case, take, kept))
+    return _figures(rows), {"scans": [_as_row(row) for row in rows]}
+
+
+def takes(seed: int, number: int) -> Iterator[tuple[str, Case, Take]]:
+    """What is recorded of scene ``number``."""
+    case = case_of(seed, number)
+    yield "rest", case, Take.REST
+    yield "moving", case, Take.MOVING
+    rng = np.random.default_rng([seed, number, 2027])
+    if number % MILK_EVERY == 0:
+        milk = Water(float(rng.uniform(1.0, 3.5)), float(rng.uniform(0.2, 0.9)), float(rng.uniform(0.1, 0.8)))
+        yield "milk", replace(case, scene=replace(case.scene, water=milk)), Take.REST
+    if number % FAST_EVERY == 0:
+        way = rng.standard_normal(3)
+        speed = float(rng.uniform(*FAST_MM_S))
+        x, y, z = (speed * way / np.linalg.norm(way)).tolist()
+        yield "fast", replace(case, motion=Motion((x, y, z)), speed_mm_s=speed), Take.MOVING
+
+
+def _judged(kind: str, case: Case, take: Take, kept: KeptScans) -> Row:
+    frames = record(case, kept.frames(case, take), 1)
+    camera = camera_noise(FULL_WELL_E, READ_NOISE_E, OFFSET_DN, case.gain_db)
+    begun = time.process_time()
+    verdict = judge_identity(frames, build_sequence(case.period_px), StereoNoise(camera, camera)).verdict
+    cpu_ms = 1e3 * (time.process_time() - begun)
+    speed = case.speed_mm_s if take is Take.MOVING else 0.0
+    return Row(
+        kind, case.seed, case.scene.object, case.classes, speed, verdict.passed, verdict.numbers["doubt"], cpu_ms, verdict.text
+    )  # fmt: skip
+
+
+def _figures(rows: Sequence[Row]) -> list[Measured]:
+    found: list[Measured] = []
+    for kind in ("rest", "moving", "milk", "fast"):
+        mine = [row for row in rows if row.kind == kind]
+        if not mine:
+            continue
+        alarms = sum(row.passed is False for row in mine)
+        name = f"identity: {len(mine)} good scans, {kind}"
+        found += [
+            Measured(f"{name}: called wrong", alarms, "scans", at_most=0.0, key=f"identity_good_{kind}_alarms"),
+            Measured(f"{name}: called wrong, at most", 100.0 * limits(alarms, len(mine))[1], "%"),
+            Measured(f"{name}: judged", 100.0 * sum(row.passed is not None for row in mine) / len(mine), "%"),
+            Measured(f"{name}: largest doubt of those that pass", _largest(mine), ""),
+        ]
+    for name in sorted({name for row in rows for name in row.classes}):
+        mine = [row for row in rows if name in row.classes and row.speed_mm_s <= SLOW_MM_S and row.kind != "milk"]
+        found.append(Measured(f"identity: up to {SLOW_MM_S:.0f} mm/s, {name}, largest doubt", _largest(mine), ""))
+    cpu = [row.cpu_ms for row in rows if row.kind == "rest"]
+    found.append(Measured("identity: CPU of a good scan, median", float(np.median(cpu)), "ms", at_most=20.0))
+    return found
+
+
+def _largest(rows: Sequence[Row]) -> float:
+    return max((row.doubt for row in rows if row.doubt is not None and row.passed), default=float("nan"))
+
+
+def _as_row(row: Row) -> dict[str, Any]:
+    return {
+        "kind": row.kind,
+        "seed": row.seed,
+        "object": row.what,
+        "classes": list(row.classes),
+        "speed_mm_s": round(row.speed_mm_s, 2),
+        "passed": row.passed,
+        "doubt": None if row.doubt is None else round(row.doubt, 4),
+        "text": row.text,
+    }
