@@ -27,8 +27,8 @@ pytestmark = [pytest.mark.libraries, pytest.mark.timeout(1500)]
 SIZE = (1600, 1200)
 FRAMES = 24
 ATTEMPTS = 8
-PATIENCE_S, LOOK_S = 6.0, 0.02
-"""Until a diver presses again, and how often the status is looked at."""
+PATIENCE_S, LOOK_S, STILL_S = 6.0, 0.02, 1.5
+"""Until a diver presses again; how often the status is looked at; how long live images must not change."""
 LATE = "LATE_FLIP"
 """The service itself was late for a blank, and said so."""
 BUSY_S = 0.1
@@ -66,8 +66,19 @@ def dive(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Dive]:
         with Testbed(world) as bed, Instrument(folder, bed, world.truth, SIZE) as instrument:
             status = instrument.wait_state("AIM", timeout_s=240)
             assert set(status["devices"].values()) == {"ok"}
-            time.sleep(2.0)  # until the live light has been seen, as a diver would
             yield Dive(world, instrument)
+
+
+def settle(dive: Dive) -> None:
+    """Until every live image is one that was made before: one that takes a second to make leaves the camera as late."""
+    sides, end = ("left", "right"), time.monotonic() + 120
+    seen, since = [dive.world.seen(side) for side in sides], time.monotonic()
+    while time.monotonic() < since + STILL_S:
+        assert time.monotonic() < end, "the live images do not come to rest"
+        time.sleep(LOOK_S)
+        now = [dive.world.seen(side) for side in sides]
+        if any(a is not b for a, b in zip(seen, now, strict=True)):
+            seen, since = now, time.monotonic()
 
 
 def press_until(dive: Dive, states: set[str], timeout_s: float) -> dict[str, Any]:
@@ -89,6 +100,7 @@ def scan(dive: Dive, attempts: int) -> StoredScan:
     machine; skips when there are only such."""
     excused: list[str] = []
     for _ in range(attempts):
+        settle(dive)
         before_s = dive.waited_s()
         press_until(dive, {"ARMED", "CAPTURE", "CHECK", "RECONSTRUCT"}, 60)
         status = dive.instrument.wait_state("AIM", "REVIEW", timeout_s=240)
