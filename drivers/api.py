@@ -340,7 +340,8 @@ class Projector(Protocol):
         """Flip through ``indices``, one per vertical blank, and end on ``idle``.
 
         First flips ``idle`` at every blank; ``start`` is called once with such a flip and returns the sequence
-        number at which ``indices[0]`` must appear (at least two blanks ahead; ``None`` = as soon as possible).
+        number at which ``indices[0]`` must appear (at least two blanks ahead; ``None`` = as soon as possible). Where
+        flips have no sequence number, it returns how many periods after that flip.
         Returns the flips of ``indices`` as they happened. A late flip is returned, not hidden, and ends the
         play early, as does ``abort()`` (asked at every blank). Raises DeviceGone.
         """

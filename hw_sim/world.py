@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hw_sim import registry
+from hw_sim.cable import Cable
 from hw_sim.darkroom import Darkroom, Print
 from hw_sim.daylight import Daylight
 from hw_sim.devices.board import Board
@@ -34,7 +35,7 @@ from hw_sim.heat import Housing, Powers
 from hw_sim.knock import Knock, knocked
 from hw_sim.motion import Motion
 from hw_sim.options import OptionError, WorldOptions
-from hw_sim.pace import START_NS, WorldTime
+from hw_sim.pace import BLANK_NS, START_NS, WorldTime
 from hw_sim.punctuality import Punctuality
 from hw_sim.render import LightSlice, Renderer, Surface, TrueView
 from hw_sim.scene import Scene
@@ -69,12 +70,17 @@ class _Interval:
 class World:
     """The simulated world. A context manager: inside it, time passes.
 
+    With a ``cable``, a computer outside drives the projector instead of the simulated graphics card.
+
     Raises OptionError for options that do not fit. A failure of the world itself is raised at its end.
     """
 
-    def __init__(self, options: WorldOptions | None = None) -> None:
+    def __init__(self, options: WorldOptions | None = None, cable: Cable | None = None) -> None:
         self.options = options or WorldOptions()
         o = self.options
+        if cable is not None and o.pace != "realtime":
+            raise OptionError(f"pace '{o.pace}' with a computer outside; its clock is the real one: choose realtime")
+        self.cable = cable
         scene = o.scene()
         n_water = scene.water.index
         wet = (
@@ -95,7 +101,10 @@ class World:
         self._warmed_ns = START_NS
         with self.time.condition:
             self.card = Card(self.time.condition.notify_all)
-            self.board = Board(self.time, self.faults, self._fire, self._sensor, o.seed)
+            self.board = Board(
+                *(self.time, self.faults, self._fire, self._sensor, o.seed),
+                period_ns=BLANK_NS if cable is None else cable.period_ns,
+            )
             self.keypad = Keypad(self.time, self.faults, o.seed)
             self.cameras = {side: self._camera(side) for side in SIDES}
             self.board.vsync(self.time.blank_ns)  # the console has been on the projector since boot
@@ -275,6 +284,9 @@ class World:
     # ------------------------------------------------------------------------------------------ what happens
 
     def _blank(self, time_ns: int) -> None:
+        if self.cable is not None and not self.cable.syncs(time_ns):
+            self._warm_up(time_ns)
+            return
         before = self._intervals[-1]
         wrong = self.faults.active("projector", "wrong") is not None
         if wrong or any(camera.shutter.exposing_until_ns > time_ns for camera in self.cameras.values()):
@@ -283,13 +295,15 @@ class World:
         if frame is not None:
             self.faults.reach(frame, time_ns)
             wrong = self.faults.active("projector", "wrong") is not None
-        self._shown_before = self.card.projected() if wrong else None
+        self._shown_before = self._projected() if wrong else None
         waiting = (self.card.pending(Output.PROJECTOR), self.card.pending(Output.DISPLAY))
         self.punctuality.blank(self.time.blank_late_ns, frame is not None, *waiting)
         self.card.vblank(time_ns, Output.PROJECTOR if self._flip_is_late(frame) else None)
+        if self.cable is not None:
+            self.cable.vblank(time_ns)
         self._intervals.append(_Interval(time_ns))
         self._warm_up(time_ns)
-        if self.card.crtc(Output.PROJECTOR) is not None:
+        if self._driven:
             self.board.vsync(time_ns)
         else:
             self.board.no_vsync(time_ns)
@@ -305,10 +319,19 @@ class World:
     def _light(self, interval: _Interval) -> NDArray[np.uint8]:
         """(768, 1024) codes that light the scene during the present interval."""
         if interval.light is None:
-            shown = self.card.projected() if self._shown_before is None else self._shown_before
+            shown = self._projected() if self._shown_before is None else self._shown_before
             dark = self.faults.active("projector", "off") is not None
             interval.light = np.zeros_like(shown) if dark else shown
         return interval.light
+
+    @property
+    def _driven(self) -> bool:
+        """The projector gets a signal."""
+        return self.card.crtc(Output.PROJECTOR) is not None if self.cable is None else self.cable.driven
+
+    def _projected(self) -> NDArray[np.uint8]:
+        """(768, 1024) codes at the projector's input."""
+        return self.card.projected() if self.cable is None else self.cable.projected()
 
     def _fire(self, time_ns: int, width_ns: int, shot: Shot) -> None:
         if shot.count is not None and shot.series not in self._first_pulse_ns:

@@ -218,10 +218,9 @@ class ScanRecorder:
                 len(sequence), found.count + lead, self._settings.trigger_delay_us, self._settings.exposure_us
             )
             sync.append(found)
-            planned = None if flip.sequence is None else flip.sequence + lead
-            start.append(planned)
+            start.append(None if flip.sequence is None else flip.sequence + lead)
             start.append(found.count + lead)
-            return planned
+            return (flip.sequence or 0) + lead
 
         try:
             if fault is None:

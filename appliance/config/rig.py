@@ -97,7 +97,7 @@ class OutputRig:
     kind: Literal["kms", "window"]
     width_px: Annotated[_Whole, Field(ge=64, le=8192)]
     height_px: Annotated[_Whole, Field(ge=64, le=8192)]
-    refresh_hz: Annotated[_Real, Field(ge=20.0, le=240.0)]
+    refresh_hz: Annotated[_Real, Field(ge=1.0, le=240.0)]
     card: _Text | None = None
     connector: _Text | None = None
 

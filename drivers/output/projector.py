@@ -72,21 +72,25 @@ class PatternProjector(Generic[P]):
     ) -> list[Flip]:
         """See ``drivers.api.Projector.play``. However it ends, ``idle`` is what stays on.
 
-        Where nothing counts vertical blanks, ``start`` gets a flip without a sequence number and must return
-        ``None``; lateness is then judged by time stamps alone. Raises IndexError for a frame that was not loaded,
-        ValueError for a start that cannot be, DeviceGone.
+        Where nothing counts vertical blanks, ``start`` gets a flip without a sequence number: what it returns counts
+        periods of the clock from that flip, and lateness is judged by time stamps alone. Raises IndexError for a frame
+        that was not loaded, ValueError for a start that cannot be, DeviceGone.
         """
         frames = [(index, self._frame(index)) for index in indices]
         idle_picture = self._frame(idle)
         self._surface.check_connection()
         shown = self._settle(idle_picture)
-        first = start(_flip(idle, shown))
+        asked = shown
+        first = start(_flip(idle, asked))
         if first is not None:
-            self._require_reachable(first, shown)
-            while shown.sequence is not None and shown.sequence + 1 < first:
+            ahead = first - (asked.sequence or 0)
+            self._require_reachable(ahead)
+            while self._blanks_between(asked, shown) + 1 < ahead:
                 if abort():
                     return []
                 shown = self._surface.flip(idle_picture, FLIP_TIMEOUT_S)
+        if asked.sequence is None:
+            first = None  # from here on each flip is compared with the one before it
         flips: list[Flip] = []
         try:
             for index, picture in frames:
@@ -120,16 +124,14 @@ class PatternProjector(Generic[P]):
             shown = self._surface.flip(idle, FLIP_TIMEOUT_S)
         return shown
 
-    def _require_reachable(self, first: int, shown: Shown) -> None:
-        if shown.sequence is None:
-            raise ValueError(
-                f"play was to start at blank {first}, but nothing counts the blanks of {self._surface.device}; "
-                "start must return None"
-            )
-        if first - shown.sequence > MAX_LEAD_BLANKS:
-            raise ValueError(
-                f"play was to start at blank {first}, {first - shown.sequence} ahead; allowed are 2..{MAX_LEAD_BLANKS}"
-            )
+    def _blanks_between(self, before: Shown, now: Shown) -> int:
+        if before.sequence is not None and now.sequence is not None:
+            return now.sequence - before.sequence
+        return round((now.time_ns - before.time_ns) * 1e-9 * self._surface.refresh_hz)
+
+    def _require_reachable(self, ahead: int) -> None:
+        if ahead > MAX_LEAD_BLANKS:
+            raise ValueError(f"play was to start {ahead} blanks ahead; allowed are 2..{MAX_LEAD_BLANKS}")
 
     def _is_late(self, number: int, first: int | None, before: Shown, shown: Shown) -> bool:
         if first is not None:

@@ -20,7 +20,7 @@ SERIAL = "KF-BRD-0001"
 SENSORS = ("TPROJ", "TCASE", "TBOARD", "LEAK", "HUM", "SUPPLY")
 HEARTBEAT_US = 500_000
 SLOW_ANSWER_NS = 500_000_000
-SYNC_LOST_NS = 3 * BLANK_NS
+SYNC_LOST_PERIODS = 3
 OUTPUT_BYTES = 65_536
 """What the host's serial buffer holds; later lines are lost whole."""
 
@@ -61,7 +61,11 @@ class Board:
         fire: Callable[[int, int, Shot], None],
         sensor: Callable[[str], str],
         seed: int,
+        *,
+        period_ns: int = BLANK_NS,
     ) -> None:
+        """``period_ns``: of the projector's vertical sync, as far as the firmware was told."""
+        self._sync_lost_ns = SYNC_LOST_PERIODS * period_ns
         self._time, self._faults, self._fire, self._sensor = time, faults, fire, sensor
         self._rng = np.random.default_rng([seed, 0xB0A2D])
         self._ppm = float(self._rng.uniform(-45.0, 45.0))
@@ -141,7 +145,7 @@ class Board:
             self._report("NOSYNC")
 
     def _synced(self, time_ns: int) -> bool:
-        return self._synced_ns is not None and time_ns - self._synced_ns < SYNC_LOST_NS
+        return self._synced_ns is not None and time_ns - self._synced_ns < self._sync_lost_ns
 
     def _frame_at(self, count: int) -> int | None:
         job = self._job

@@ -238,7 +238,7 @@ def test_a_start_that_fails_leaves_idle_on_the_screen() -> None:
 def test_a_start_in_another_age_is_refused_instead_of_waited_for() -> None:
     with opened(two_heads()) as (projector, _):
         projector.load(frames(2))
-        with pytest.raises(ValueError, match=r"100000 ahead; allowed are 2\.\.600"):
+        with pytest.raises(ValueError, match=r"100000 blanks ahead; allowed are 2\.\.600"):
             projector.play([1], 0, from_blank(100_000), never)
 
 
@@ -258,8 +258,21 @@ def test_without_a_blank_counter_the_sequence_is_unknown_and_time_stamps_tell_la
 
         kernel.late[kernel.flips + 3 + 1] = 1  # three flips to learn that nothing counts
         assert [flip.index for flip in projector.play([1, 2, 3], 0, asked.append, never)] == [1, 2]
-        with pytest.raises(ValueError, match="nothing counts the blanks of projector"):
-            projector.play([1], 0, lambda flip: 5, never)
+
+
+def test_without_a_blank_counter_the_start_is_counted_in_periods_of_the_clock() -> None:
+    kernel = two_heads(counts_blanks=False)
+    with opened(kernel) as (projector, _):
+        projector.load(frames(6))
+        asked: list[Flip] = []
+
+        def start(flip: Flip) -> int:
+            asked.append(flip)
+            return 5
+
+        flips = projector.play([1, 2], 0, start, never)
+        after_ns = [flip.time_ns - asked[0].time_ns for flip in flips]
+        assert np.allclose(after_ns, [5 * kernel.PERIOD_NS, 6 * kernel.PERIOD_NS], atol=2000)
 
 
 def test_a_card_that_does_not_throttle_still_plays_one_frame_per_period() -> None:
