@@ -84,6 +84,8 @@ def build(layout: Layout, tree: Path, wheels: Path | None, say: Say) -> str:
         durable.write(layout.rig, rig.read_bytes())
     for leftover in ("source", "wheels"):
         shutil.rmtree(folder / leftover)
+    if not layout.live:
+        _whole_seconds(folder)
     say("kernels (a minute)")
     # An image is started on another processor.
     target.run(layout, [f"{inside}/bin/kingfisher", "warm", *([] if layout.live else ["--common"])], 1800)
@@ -93,6 +95,16 @@ def build(layout: Layout, tree: Path, wheels: Path | None, say: Say) -> str:
     os.sync()  # tens of thousands of files: the whole disk at once, then the mark that says so
     durable.write(folder / versions.COMPLETE, f"{name}\n".encode())
     return name
+
+
+def _whole_seconds(folder: Path) -> None:
+    """Times of files without a fraction: what makes a file system from a folder keeps none, and numba, which compares them
+    with those it compiled, would take every kernel for outdated.
+    """
+    for path in folder.rglob("*"):
+        if not path.is_symlink():
+            at_s = int(path.stat().st_mtime)
+            os.utime(path, (at_s, at_s))
 
 
 def _complete_tree(tree: Path) -> None:
