@@ -62,17 +62,16 @@ def build(layout: Layout, tree: Path, wheels: Path | None, say: Say) -> str:
     pins.write_text(runtime_pins(tree), encoding="utf-8")
     say("packages")
     _wheels(layout, pins, wheels, folder / "wheels")
-    target.run(layout, ["/usr/bin/python3", "-m", "venv", str(inside)], 300)
+    target.run(layout, ["/usr/bin/python3", "-m", "venv", str(inside)])
     pip = [f"{inside}/bin/python", "-m", "pip", "--disable-pip-version-check", "--no-input", "-q", "install"]
     offline = ["--no-deps", "--no-index", "--no-compile"]
     target.run(
         layout,
         [*pip, *offline, "--require-hashes", "--find-links", f"{inside}/wheels", "-r", f"{inside}/packages.txt"],
-        1200,
     )
     say("program")
     _copy(tree, folder / "source")
-    target.run(layout, [*pip, *offline, "--no-build-isolation", f"{inside}/source"], 600)
+    target.run(layout, [*pip, *offline, "--no-build-isolation", f"{inside}/source"])
     for shared in SHARED:  # with the safe screen, which uses no environment
         copy = folder / "source" / "systemd" / shared
         copy.parent.mkdir(parents=True, exist_ok=True)
@@ -88,10 +87,10 @@ def build(layout: Layout, tree: Path, wheels: Path | None, say: Say) -> str:
         _whole_seconds(folder)
     say("kernels (a minute)")
     # An image is started on another processor.
-    target.run(layout, [f"{inside}/bin/kingfisher", "warm", *([] if layout.live else ["--common"])], 1800)
-    target.run(layout, [f"{inside}/bin/python", "-m", "compileall", "-q", f"{inside}/lib", f"{inside}/systemd"], 600)
+    target.run(layout, [f"{inside}/bin/kingfisher", "warm", *([] if layout.live else ["--common"])])
+    target.run(layout, [f"{inside}/bin/python", "-m", "compileall", "-q", f"{inside}/lib", f"{inside}/systemd"])
     say("checks")
-    target.run(layout, [f"{inside}/bin/python", "-c", CHECK, "/etc/kingfisher/rig.toml"], 300)
+    target.run(layout, [f"{inside}/bin/python", "-c", CHECK, "/etc/kingfisher/rig.toml"])
     os.sync()  # tens of thousands of files: the whole disk at once, then the mark that says so
     durable.write(folder / versions.COMPLETE, f"{name}\n".encode())
     return name
@@ -136,7 +135,7 @@ def _wheels(layout: Layout, pins: Path, given: Path | None, to: Path) -> None:
             raise SetupError(f"--wheels {given}: no wheels there; give a folder that `pip download` has filled")
         shutil.copytree(given, to, ignore=lambda _, names: [name for name in names if not name.endswith(".whl")])
         return
-    theirs = target.run(layout, ["/usr/bin/python3", "-c", "import sys; print('%d.%d' % sys.version_info[:2])"], 60)
+    theirs = target.run(layout, ["/usr/bin/python3", "-c", "import sys; print('%d.%d' % sys.version_info[:2])"])
     ours = "{}.{}".format(*sys.version_info[:2])
     if theirs.strip() != ours:
         raise SetupError(
@@ -144,11 +143,10 @@ def _wheels(layout: Layout, pins: Path, given: Path | None, to: Path) -> None:
         )
     here = Layout(Path("/"))
     with tempfile.TemporaryDirectory(prefix="kingfisher-setup-") as folder:
-        target.run(here, [sys.executable, "-m", "venv", folder], 300)
+        target.run(here, [sys.executable, "-m", "venv", folder])
         fetch = [f"{folder}/bin/python", "-m", "pip", "--disable-pip-version-check", "--no-input", "-q", "download"]
         target.run(
             here,
             [*fetch, "--no-deps", "--require-hashes", "--only-binary", ":all:", "-r", str(pins), "-d", str(to)],
-            3600,
             target.carried(os.environ),
         )

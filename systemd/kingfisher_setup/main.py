@@ -166,16 +166,16 @@ def _no_trial(layout: Layout) -> None:
 def _system(layout: Layout) -> None:
     """Let the operating system take notice of what was placed or taken away."""
     if layout.at("/etc/sysusers.d/kingfisher.conf").exists():
-        target.run(layout, ["systemd-sysusers"], 60)
+        target.run(layout, ["systemd-sysusers"])
     if not target.runs_systemd(layout):
         return
     target.systemctl(layout, "daemon-reload")
-    target.run(layout, ["systemd-tmpfiles", "--create"], 60)
-    target.run(layout, ["udevadm", "control", "--reload"], 60)
-    target.run(layout, ["udevadm", "trigger"], 60)
+    target.run(layout, ["systemd-tmpfiles", "--create"])
+    target.run(layout, ["udevadm", "control", "--reload"])
+    target.run(layout, ["udevadm", "trigger"])
     target.systemctl(layout, "try-restart", "systemd-journald.service")
     if layout.at("/boot/grub/grub.cfg").exists() and shutil.which("update-grub") is not None:
-        target.run(layout, ["update-grub"], 120)
+        target.run(layout, ["update-grub"])
 
 
 def _await_outcome(layout: Layout, name: str) -> None:

@@ -18,7 +18,9 @@ BOOTED = Path("/run/systemd/system")
 """sd_booted(3): the folder is there where systemd is the first process."""
 
 
-def run(layout: Layout, command: Sequence[str], timeout_s: float, more: Mapping[str, str] | None = None) -> str:
+def run(
+    layout: Layout, command: Sequence[str], more: Mapping[str, str] | None = None, timeout_s: float = 3600.0
+) -> str:
     """What the command prints. Raises SetupError with the last lines of its stderr when it fails or takes too long."""
     inside = list(command) if layout.live else ["chroot", str(layout.root), *command]
     environment = {"PATH": PATH, "HOME": "/root", "LANG": "C.UTF-8", **(more or {})}
@@ -39,7 +41,7 @@ def run(layout: Layout, command: Sequence[str], timeout_s: float, more: Mapping[
 def needed_packages(layout: Layout) -> tuple[str, ...]:
     """Debian packages that must be on the instrument. Raises SetupError where there is no Python of its own."""
     try:
-        version = run(layout, ["/usr/bin/python3", "-c", "import sys; print('%d.%d' % sys.version_info[:2])"], 60)
+        version = run(layout, ["/usr/bin/python3", "-c", "import sys; print('%d.%d' % sys.version_info[:2])"])
     except SetupError:
         return ("python3", "python3-venv", "libpython3.11", *LIBRARIES)
     version = version.strip()
@@ -59,10 +61,10 @@ def install_packages(names: Sequence[str]) -> None:
     quiet = {"DEBIAN_FRONTEND": "noninteractive"} | carried(os.environ)
     here = Layout(Path("/"))
     try:
-        run(here, [*apt, "install", "--no-install-recommends", *names], 1800, quiet)
+        run(here, [*apt, "install", "--no-install-recommends", *names], quiet)
     except SetupError:  # the lists may be old
-        run(here, [*apt, "update"], 600, quiet)
-        run(here, [*apt, "install", "--no-install-recommends", *names], 1800, quiet)
+        run(here, [*apt, "update"], quiet)
+        run(here, [*apt, "install", "--no-install-recommends", *names], quiet)
 
 
 def carried(environment: Mapping[str, str]) -> dict[str, str]:
@@ -73,7 +75,9 @@ def carried(environment: Mapping[str, str]) -> dict[str, str]:
 
 def systemctl(layout: Layout, *arguments: str, timeout_s: float = 120.0) -> str:
     """Ask systemd for something; on a mounted image there is nothing to ask. Raises SetupError."""
-    return run(layout, ["systemctl", "--no-ask-password", *arguments], timeout_s) if runs_systemd(layout) else ""
+    return (
+        run(layout, ["systemctl", "--no-ask-password", *arguments], timeout_s=timeout_s) if runs_systemd(layout) else ""
+    )
 
 
 def runs_systemd(layout: Layout) -> bool:
@@ -84,6 +88,6 @@ def runs_systemd(layout: Layout) -> bool:
 def _installed(layout: Layout, name: str) -> bool:
     query = ["dpkg-query", "-W", "-f", "${db:Status-Status}", name]
     try:
-        return run(layout, query, 60).strip() == "installed"
+        return run(layout, query).strip() == "installed"
     except SetupError:
         return False

@@ -34,15 +34,26 @@ def run(*command: object, check: bool = True) -> subprocess.CompletedProcess[str
     return done
 
 
-def setup(root: Path, verb: str, *more: object, tree: Path = REPOSITORY, check: bool = True) -> str:
+def setup(tree: Path, root: Path, verb: str, *more: object, check: bool = True) -> str:
     wheels = os.environ.get("KINGFISHER_WHEELS")
     given = ["--wheels", wheels] if wheels and verb in ("install", "upgrade") else []
     done = run(tree / "systemd" / "install", verb, "--root", root, *given, *more, check=check)
     return done.stdout + done.stderr
 
 
+def copied(tree: Path, to: Path) -> Path:
+    ignored = shutil.ignore_patterns(".*", "__pycache__", "tests", "bench", "docs", "demo")
+    return Path(shutil.copytree(tree, to, ignore=ignored))
+
+
 @pytest.fixture(scope="module")
-def root(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The source tree as it is now: somebody may work on it meanwhile, and another tree is another version."""
+    return copied(REPOSITORY, tmp_path_factory.mktemp("source") / "tree")
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory, tree: Path) -> Iterator[Path]:
     """A Debian with Kingfisher on it."""
     folder = tmp_path_factory.mktemp("debian")
     base = os.environ.get("KINGFISHER_BASE")
@@ -52,7 +63,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     else:
         include = ",".join(PACKAGES)
         run("mmdebstrap", "--quiet", "--variant=minbase", f"--include={include}", "bookworm", folder)
-    setup(folder, "install")
+    setup(tree, folder, "install")
     yield folder
     shutil.rmtree(folder)
 
@@ -62,11 +73,11 @@ def as_service(root: Path, *command: object, check: bool = True) -> subprocess.C
     return run(*user, "CACHE_DIRECTORY=/var/cache/kingfisher", *command, check=check)
 
 
-def test_everything_is_in_its_place(root: Path) -> None:
+def test_everything_is_in_its_place(root: Path, tree: Path) -> None:
     wants = root / "etc/systemd/system/multi-user.target.wants/kingfisher.service"
     assert os.readlink(wants) == "/etc/systemd/system/kingfisher.service"  # noqa: PTH115
     for name in ("kingfisher.service", "kingfisher-safe.service", "kingfisher-trial.service"):
-        assert (root / "etc/systemd/system" / name).read_text() == (REPOSITORY / "systemd" / name).read_text()
+        assert (root / "etc/systemd/system" / name).read_text() == (tree / "systemd" / name).read_text()
     assert "kingfisher:" in (root / "etc/passwd").read_text()
     assert (root / "etc/kingfisher/rig.toml").exists()
     verified = run("chroot", root, "systemd-analyze", "verify", "--man=no", "kingfisher.service", check=False)
@@ -87,45 +98,44 @@ def test_the_safe_screen_runs_without_the_environment(root: Path) -> None:
     assert as_service(root, "/usr/bin/python3", "-I", "-S", "-c", code).returncode == 0
 
 
-def test_a_second_call_changes_nothing(root: Path) -> None:
+def test_a_second_call_changes_nothing(root: Path, tree: Path) -> None:
     before = {path: path.lstat().st_mtime_ns for path in (root / "opt/kingfisher").glob("versions/*/*")}
-    assert "is built already" in setup(root, "install")
+    assert "is built already" in setup(tree, root, "install")
     assert {path: path.lstat().st_mtime_ns for path in (root / "opt/kingfisher").glob("versions/*/*")} == before
 
 
-def test_what_is_missing_is_named(tmp_path: Path) -> None:
-    said = setup(tmp_path, "install", check=False)
+def test_what_is_missing_is_named(tree: Path, tmp_path: Path) -> None:
+    said = setup(tree, tmp_path, "install", check=False)
     assert "lacks these Debian packages" in said
     assert "python3-venv" in said
     assert not (tmp_path / "opt/kingfisher/versions").exists()
 
 
-def test_an_upgrade_is_tried_at_the_next_start_and_uninstalling_keeps_the_data(root: Path, tmp_path: Path) -> None:
+def test_an_upgrade_is_tried_at_the_next_start_and_uninstalling_keeps_the_data(
+    root: Path, tree: Path, tmp_path: Path
+) -> None:
     scans = root / "var/lib/kingfisher/scans/000001"
     scans.mkdir(parents=True)
     (scans / "manifest.json").write_text("{}")
     rig = root / "etc/kingfisher/rig.toml"
     rig.write_text(rig.read_text().replace('"KF-0001"', '"KF-0042"'))
-    tree = tmp_path / "tree"
-    shutil.copytree(
-        REPOSITORY, tree, ignore=shutil.ignore_patterns(".*", "__pycache__", "tests", "bench", "docs", "demo")
-    )
-    version = tree / "appliance" / "__init__.py"
+    newer = copied(tree, tmp_path / "newer")
+    version = newer / "appliance" / "__init__.py"
     version.write_text(version.read_text().replace('__version__ = "', '__version__ = "9.'))
     old = os.readlink(root / "opt/kingfisher/current")  # noqa: PTH115
-    assert "on trial from the next start on" in setup(root, "upgrade", tree=tree)
+    assert "on trial from the next start on" in setup(newer, root, "upgrade")
     on_trial = json.loads((root / "opt/kingfisher/trial.json").read_text())
     assert on_trial["version"].startswith("9.")
     assert f"versions/{on_trial['previous']}" == old
-    assert "on trial" in setup(root, "upgrade", tree=tree, check=False)  # not another one meanwhile
-    setup(root, "rollback")
+    assert "on trial" in setup(newer, root, "upgrade", check=False)  # not another one meanwhile
+    setup(tree, root, "rollback")
     assert os.readlink(root / "opt/kingfisher/current") == old  # noqa: PTH115
     assert '"KF-0042"' in rig.read_text()
-    setup(root, "uninstall")
+    setup(tree, root, "uninstall")
     assert not (root / "opt/kingfisher").exists()
     assert not list((root / "etc").rglob("*kingfisher*.service"))
     assert (scans / "manifest.json").exists()
     assert rig.exists()
-    setup(root, "uninstall", "--purge")
+    setup(tree, root, "uninstall", "--purge")
     assert not (root / "var/lib/kingfisher").exists()
     assert not rig.exists()
