@@ -350,6 +350,7 @@ class TriggerBoard:
         heard_ns = self._clock.now_ns()
         silent = False
         while not self._closing.is_set():
+            asked_ns = self._clock.now_ns()
             try:
                 data = self._port.read(min(_READ_SIZE, max(1, self._port.in_waiting)))
             except (OSError, TypeError, serial.SerialException) as error:
@@ -362,7 +363,8 @@ class TriggerBoard:
                 if self._take(line, now_ns):
                     heard_ns = now_ns
                     silent = False
-            if not silent and now_ns - heard_ns > SILENCE_S * 1e9:
+            # A read that found nothing proves silence until it began: since then this thread may have had to wait.
+            if not silent and asked_ns - heard_ns > SILENCE_S * 1e9:
                 silent = True
                 with self._state:
                     self._latest = None

@@ -94,7 +94,7 @@ class HidKeypad:
             # At least one read per call, and time is looked at only when nothing lies unread: a report that waited
             # for a late host must not turn a short press into a long one, or a busy second into a lost pad.
             if not self._read_one(self._next_look_s(now_ns, deadline_ns)):
-                self._look_at_time(self._clock.now_ns())
+                self._look_at_time(asked_ns=now_ns, now_ns=self._clock.now_ns())
             if self._events:
                 return self._events.popleft()
             now_ns = self._clock.now_ns()
@@ -138,10 +138,13 @@ class HidKeypad:
             times.append(self._heard_ns + round(SILENCE_S * 1e9))
         return max(0.0, (min(times) - now_ns) * 1e-9)
 
-    def _look_at_time(self, now_ns: int) -> None:
+    def _look_at_time(self, asked_ns: int, now_ns: int) -> None:
+        """After a read that began at ``asked_ns`` and found nothing. It proves silence until then, not until now: a host
+        whose thread had to wait after it may have reports by now.
+        """
         if self._silent:
             return
-        if now_ns - self._heard_ns > SILENCE_S * 1e9:
+        if asked_ns - self._heard_ns > SILENCE_S * 1e9:
             self._silent = True
             # What is down now is unknown: forget it, so that a key held meanwhile neither presses nor sticks.
             self._debouncer = Debouncer()

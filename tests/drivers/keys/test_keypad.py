@@ -32,6 +32,8 @@ class Pad:
         self.present = True
         self.openable = True
         self.closed = False
+        self.late_s = 0.0
+        """How long the host's thread waits for the processor after a read that found nothing."""
         self.read_sizes: set[int] = set()
 
     def queue(self, time_ms: float, data: bytes | None) -> None:
@@ -61,6 +63,12 @@ class Pad:
             raise OSError("open failed")
 
     def read(self, size: int, timeout_ms: int) -> list[int]:
+        found = self._read(size, timeout_ms)
+        if not found:
+            self._clock.advance_s(self.late_s)
+        return found
+
+    def _read(self, size: int, timeout_ms: int) -> list[int]:
         assert timeout_ms >= 1, "0 blocks for ever in some versions"
         self.read_sizes.add(size)
         if self._queue and self._queue[0][0] <= self.now_ms() + timeout_ms:
@@ -184,6 +192,15 @@ def test_four_missing_reports_are_a_lost_pad_told_once_and_it_may_come_back() ->
     # The key that was down when the pad came back presses nothing; the next press does.
     assert [type(event) for event in said] == [KeyPress]
     assert bench.at_ms(said[0]) == 3600
+
+
+def test_a_host_that_comes_late_to_its_reports_has_not_lost_the_pad() -> None:
+    bench = Bench()
+    bench.pad.hold(NONE, 250, 12_000, 1)
+    with bench.open() as keys:
+        bench.pad.late_s = 1.2
+        assert bench.all_until(keys, 10_000) == []
+        assert keys.health().ok
 
 
 def test_a_pad_full_of_garbage_is_lost_too() -> None:
