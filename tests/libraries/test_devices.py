@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -11,6 +17,7 @@ from hw_sim.world import World
 from tests.libraries.client import Client
 from tests.libraries.clients.output import pattern
 from tests.libraries.commands import line
+from tests.libraries.instrument import rig_file
 
 pytestmark = pytest.mark.libraries
 
@@ -102,3 +109,24 @@ def test_mode_setting_lights_both_heads_to_the_bit(world: World, bed: Testbed) -
     period_ns = np.diff(flips["times_ns"]) / blanks
     assert period_ns == pytest.approx(BLANK_NS, abs=2000), "a blank is a blank, by the kernel's clock of microseconds"
     assert 0 <= flips["now_ns"] - flips["times_ns"][-1] < 1e9, "and that clock is the host's monotonic one"
+
+
+def test_check_names_every_device_and_what_ails_one(world: World, bed: Testbed, tmp_path: Path) -> None:
+    """``kingfisher check`` with the packaged rig file."""
+    world.fault("camera.right slow")
+    (tmp_path / "root").mkdir()
+    done = subprocess.run(
+        [sys.executable, "-m", "appliance.cli", "check", "--rig", str(rig_file(tmp_path, (400, 300))), "--json"],
+        env={**os.environ, **bed.environment},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    found = {entry["device"]: entry for entry in json.loads(done.stdout)}
+    assert set(found) == {"camera.left", "camera.right", "board", "keys", "projector", "display"}
+    assert {name for name, entry in found.items() if not entry["ok"]} == {"camera.right"}
+    assert found["camera.left"]["details"]["serial"] == "KF-CAM-L"
+    assert found["camera.left"]["details"]["link"] == "5000 Mbit/s"
+    assert found["camera.right"]["details"]["link"] == "480 Mbit/s"
+    assert done.returncode == 1
