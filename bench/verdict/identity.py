@@ -44,6 +44,9 @@ NAMED_OF_EACH = 4
 """Wrong orders of each kind and scan whose name is asked for too; found is asked of all."""
 WIDTH_PX = 400
 FASTEST_MM_S = 30.0
+MILKY = 0.25
+"""Of the scans: in water whose veil is as bright as the object, or several times as bright."""
+MILK_EXPOSURE_S = 0.012
 SIDES = ("left", "right")
 
 
@@ -110,11 +113,15 @@ def draw(seed: int, number: int) -> Drawn:
     )
     exposure_s = float(10 ** rng.uniform(-3.2, -1.92))
     ambient = float(rng.choice([0.0, 0.02, 0.2]))
+    milky, milk = rng.random() < MILKY, Water(float(rng.uniform(1.0, 3.0)), float(rng.uniform(0.2, 0.8)))
+    if milky:
+        water, exposure_s = milk, MILK_EXPOSURE_S
     classes = [
         "moving" if moves else "still",
         f"texture {texture}",
         *(["dark"] if exposure_s < 0.003 else []),
-        *(["turbid"] if water.blur_px_per_m > 2.0 or water.backscatter > 0.08 else []),
+        *(["milk"] if milky else []),
+        *(["turbid"] if not milky and (water.blur_px_per_m > 2.0 or water.backscatter > 0.08) else []),
         *(["flicker"] if flickers else []),
         *(["specks and fish"] if drifts else []),
         *(["small"] if name == "ballbar" else []),
