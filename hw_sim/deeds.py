@@ -14,6 +14,7 @@ from hw_sim.amounts import changed
 from hw_sim.daylight import Daylight
 from hw_sim.drift import Drift
 from hw_sim.faults import parse
+from hw_sim.fog import Fog
 from hw_sim.knock import parse as parse_knock
 from hw_sim.motion import Motion
 from hw_sim.water import Water
@@ -21,13 +22,16 @@ from hw_sim.water import Water
 if TYPE_CHECKING:
     from hw_sim.world import World
 
-SURROUNDINGS = {"motion": Motion(), "water": Water(), "daylight": Daylight(), "drift": Drift()}
+SURROUNDINGS = {"motion": Motion(), "water": Water(), "daylight": Daylight(), "drift": Drift(), "fog": Fog()}
 """What a line changes by its field of the scene."""
 HELP: Mapping[str, tuple[str, str]] = {
     "fault": ("SENTENCE", "break something: fault camera.left off, fault board wrong how=reset"),
     "clear": ("", "repair everything that is broken"),
     "worker": ("kill|hang", "the process that computes points dies, or hangs"),
-    "disk": ("off|on", "every write to the scans' folder fails, until it is on again"),
+    "disk": (
+        "off|on|fill|spare",
+        "the scans' folder refuses writes, until on; somebody fills a small disk, or spares it",
+    ),
     "object": (
         "NAME [X Y Z RX RY RZ]",
         "plane ballbar frustum pipe shell stones board; mm and degrees in the rig frame",
@@ -37,6 +41,7 @@ HELP: Mapping[str, tuple[str, str]] = {
     "motion": ("AMOUNTS | off", "of the hands during a scan: motion velocity_mm_s=10,0,0 tremor_mm=0.1,0.1,0.1"),
     "daylight": ("AMOUNTS | off", "daylight flicker_depth=0.5 caustics=0.3 torch=0.5"),
     "drift": ("AMOUNTS | off", "drift particles_per_l=20 bubbles=5 fish=1"),
+    "fog": ("AMOUNTS | off", "on a window: fog left=0.5 x=0.3 y=0.4 radius=0.12"),
     "knock": ("CAMERA AMOUNTS", "a camera moves in its mount, for good: knock right pitch_deg=0.03"),
     "screenshot": ("PATH", "the display as a PNG"),
 }

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 from hw_sim.daylight import Daylight
 from hw_sim.drift import Drift
+from hw_sim.fog import Fog
 from hw_sim.imaging import Imaging
 from hw_sim.motion import Motion
 from hw_sim.scene import Scene
@@ -47,6 +48,7 @@ class WorldOptions:
     imaging: Mapping[str, Any] = field(default_factory=dict)
     daylight: Mapping[str, Any] = field(default_factory=dict)
     drift: Mapping[str, Any] = field(default_factory=dict)
+    fog: Mapping[str, Any] = field(default_factory=dict)
     pace: str = "lockstep"
     idle_speed: float = 1.0
     faults: tuple[str, ...] = ()
@@ -87,6 +89,7 @@ class WorldOptions:
                 _made(Imaging, "imaging", self.imaging),
                 _made(Daylight, "daylight", self.daylight),
                 _made(Drift, "drift", self.drift),
+                _made(Fog, "fog", self.fog),
             )
         except (TypeError, ValueError) as error:
             raise OptionError(f"scene: {error}") from error

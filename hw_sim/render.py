@@ -114,7 +114,7 @@ class Renderer:
         image = self._blurred(camera, scene, electrons)
         if scene.imaging.camera_defocus:
             image = self._defocused(camera, scene, image, time_s)
-        return self._sensor(camera, scene).read_out(image, gain_db, noise_seed)
+        return self._sensor(camera, scene).read_out(scene.fog.over(camera, image), gain_db, noise_seed)
 
     def surface(self, time_s: float) -> Surface:
         """The true surface at ``time_s``."""

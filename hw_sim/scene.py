@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from hw_sim.daylight import Daylight
 from hw_sim.drift import Drift
+from hw_sim.fog import Fog
 from hw_sim.imaging import Imaging
 from hw_sim.motion import Motion
 from hw_sim.objects.shapes import DEFAULT_POSE, NAMES
@@ -31,6 +32,8 @@ class Scene:
     """What is special about the ambient light, and other lamps."""
     drift: Drift = field(default_factory=Drift)
     """What is in the water between."""
+    fog: Fog = field(default_factory=Fog)
+    """On the cameras' windows."""
 
     def __post_init__(self) -> None:
         for value, allowed, what in ((self.object, NAMES, "object"), (self.texture, TEXTURES, "texture")):

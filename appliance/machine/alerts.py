@@ -108,6 +108,8 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
         FaultCode.TOO_NEAR: Rule(_W, "NEAR {distance_mm:.0f} mm", "BACK, OR SCAN AGAIN TO RECORD", "TOO NEAR"),
         FaultCode.TOO_FAR: Rule(_W, "FAR {distance_mm:.0f} mm", "CLOSER, OR SCAN AGAIN TO RECORD", "TOO FAR"),
         FaultCode.STORAGE_FULL: Rule(_W, "STORAGE FULL", "COPY SCANS, MAKE ROOM", blocks_scan=True),
+        FaultCode.DISK_READ_ONLY: Rule(_W, "DISK READ-ONLY", "END DIVE, DISK NEEDS SERVICE", blocks_scan=True),
+        FaultCode.DISK_REFUSES: Rule(_W, "DISK REFUSES", "END DIVE, DISK NEEDS SERVICE", blocks_scan=True),
         FaultCode.NOT_SAVED: Rule(_C, "NOT SAVED", "TRY AGAIN OR REPEAT"),
         FaultCode.RESTARTED: Rule(_W, "RESTARTED", "GO ON; SAVED SCANS ARE THERE"),
         FaultCode.UPDATE_UNDONE: Rule(_W, "UPDATE UNDONE", "THE OLD VERSION GOES ON"),
@@ -115,6 +117,7 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
         FaultCode.UNCALIBRATED: Rule(_W, "UNCALIBRATED", "LENGTHS NOT TRUSTED"),
         FaultCode.VERIFY_CALIBRATION: Rule(_W, "VERIFY CALIBR.", "CHECK WATER AND BALL BAR"),
         FaultCode.RECONSTRUCTION_FAILED: Rule(_W, "PROCESS LATER", "KEEP RAW FRAMES OR REPEAT"),
+        FaultCode.WINDOW: Rule(_W, "{side}WINDOW?", "WIPE IT; FOG INSIDE: DRY IT", "WINDOW?"),
         FaultCode.WARM: Rule(_W, "WARM {temperature_c:.0f} °C", "LET IT COOL SOON", "WARM"),
         FaultCode.HOT: Rule(
             _C, "HOT {temperature_c:.0f} °C", "COOLING, SCAN BLOCKED", "HOT", blocks_scan=True, forbids_light=True

@@ -22,6 +22,7 @@ from appliance.capture.verdict import Judgement
 from appliance.optics.water import Water
 from appliance.reconstruct.noise import TYPICAL_PAIR, StereoNoise
 from appliance.reconstruct.table import POINT_BYTES, Cloud, Found, PointTable
+from appliance.verdict.window import Windows
 from appliance.worker.scan_work import Taking
 from appliance.worker.serve import work
 from drivers.api import Clock
@@ -95,6 +96,8 @@ class ScanJudged:
 
     scan: int
     judgements: tuple[Judgement, ...]
+    windows: Windows | None
+    """What it says of the cameras' windows, for who compares scans; ``None``: nothing."""
     cpu_s: float
     """CPU time the worker spent on judging."""
 
@@ -305,12 +308,12 @@ class ReconstructionWorker:
                 return None
             case ("cloud", int(ticket), bool(full), Found() as found, float(cpu_s)):
                 return self._taken(full, found, cpu_s) if ticket == self._ticket else None
-            case ("judged", int(ticket), tuple() as judgements, float(cpu_s)):
+            case ("judged", int(ticket), tuple() as judgements, Windows() | None as windows, float(cpu_s)):
                 if ticket != self._ticket or self._scan is None:
                     return None
                 if self._finishing:
                     self._await_cloud()  # it got so far; what follows may be more than on other scans
-                return ScanJudged(self._scan, judgements, cpu_s)
+                return ScanJudged(self._scan, judgements, windows, cpu_s)
             case ("identified", int(ticket)):
                 return PatternsRight(self._scan) if ticket == self._ticket and self._scan is not None else None
             case (

@@ -26,6 +26,7 @@ from appliance.verdict.light import judge_light
 from appliance.verdict.motion import MotionJudgement, judge_motion
 from appliance.verdict.recorded import Recorded
 from appliance.verdict.turbidity import judge_water
+from appliance.verdict.window import Windows, look_at_windows
 from appliance.worker.pair import Merged, Sequence, merge_pair
 
 WORTH_MASKING_PERCENT = 0.02
@@ -60,6 +61,8 @@ class ScanWork:
         self._coarse: Found | None = None
         self._specks = False
         self._motion: MotionJudgement | None = None
+        self.windows: Windows | None = None
+        """After ``judge``: what the scan says of the cameras' windows; ``None``: nothing, since something moved."""
         self._others: tuple[Judgement, ...] = ()
         self._found: Found | None = None
         self._compensated: Found | None = None
@@ -68,7 +71,7 @@ class ScanWork:
     def begin(self, taking: Taking) -> None:
         """The next frame is frame 0 of a scan that was taken so."""
         self._taking, self._coarse, self._specks = taking, None, False
-        self._motion = self._found = self._compensated = self._full = None
+        self.windows = self._motion = self._found = self._compensated = self._full = None
         self._frames.clear()
         self._pipeline.expect(taking.noise)
         self._pipeline.reset()
@@ -103,7 +106,10 @@ class ScanWork:
         if self.moved and light.fault is not None and light.fault.code is FaultCode.LIGHT_FLICKERS:
             # Grey values change from image to image: what moves explains that, and both cannot be told apart.
             light = Judgement(replace(light.verdict, passed=None, text="not judged: something moved"))
+        self.windows = None if self.moved else look_at_windows(recorded)
         self._others = (light, water.judgement)
+        if self.windows is not None:
+            self._others += (Judgement(self.windows.verdict()),)
         return (*self._others, self._motion.judgement)
 
     @property

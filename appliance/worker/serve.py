@@ -214,11 +214,12 @@ class Server:
         if self._answer(False, self._work.find_coarse):
             begun_s = time.process_time()
             judgements = (identity, *self._work.judge())
-            self._pipe.send(("judged", self._ticket, judgements, time.process_time() - begun_s))
+            windows = self._work.windows
+            self._pipe.send(("judged", self._ticket, judgements, windows, time.process_time() - begun_s))
             if self._work.moved:
                 begun_s = time.process_time()
                 judgements = (identity, *self._work.compensate())
-                self._pipe.send(("judged", self._ticket, judgements, time.process_time() - begun_s))
+                self._pipe.send(("judged", self._ticket, judgements, None, time.process_time() - begun_s))
             self._answer(True, self._work.find_full)
 
     def _answer(self, full: bool, find: Callable[[], Found]) -> bool:

@@ -178,9 +178,9 @@ def test_a_label_stands_at_its_own_key_only(painter: Painter, key: Key) -> None:
 
 def test_labels_in_plain_english_are_translated_like_entries(context: moderngl.Context) -> None:
     with Painter(context, (800, 480), Language.GERMAN) as painter:
-        by_word = drawn(painter, replace(REVIEW, keys={Key.SCAN: "KEEP", Key.BACK: "REPEAT"}))
-        by_entry = drawn(painter, replace(REVIEW, keys={Key.SCAN: Text.KEEP, Key.BACK: Text.REPEAT}))
-        unknown = drawn(painter, replace(REVIEW, keys={Key.SCAN: "HOVER", Key.BACK: "REPEAT"}))
+        by_word = drawn(painter, replace(REVIEW, keys={Key.SCAN: "KEEP", Key.BACK: "HOLD: REDO"}))
+        by_entry = drawn(painter, replace(REVIEW, keys={Key.SCAN: Text.KEEP, Key.BACK: Text.HOLD_REDO}))
+        unknown = drawn(painter, replace(REVIEW, keys={Key.SCAN: "HOVER", Key.BACK: "HOLD: REDO"}))
     np.testing.assert_array_equal(by_word, by_entry)
     assert (unknown != by_word).any()
 

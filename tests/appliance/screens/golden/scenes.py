@@ -73,7 +73,7 @@ LEAK = alert(FaultCode.LEAK)
 MOVED = alert(FaultCode.MOVED)
 _NAMES = ("camera.left", "camera.right", "board", "keys", "projector", "display", "storage", "calibration", "worker")
 _AIM_KEYS = keys(scan="SCAN", back="HOLD: OFF", up="MENU", down="GALLERY")
-_REVIEW_KEYS = keys(scan="KEEP", back="REPEAT", up="TURN", down="TURN")
+_REVIEW_KEYS = keys(scan="KEEP", back="HOLD: REDO", up="TURN", down="TURN")
 AIM = AimView(
     left=seabed.live(False), right=seabed.live(True), scans_taken=12, scans_left=41, temperature_c=34.0,
     exposure="12 ms", water=Text.SALT, gauge=Gauge(503.0, -4.0, Reach.OK), keys=_AIM_KEYS,
@@ -183,7 +183,7 @@ SCENES: Mapping[str, Scene] = MappingProxyType(
         ),
         "review-moved": Scene(
             replace(
-                REVIEW, grade=Grade.BAD, alerts=(MOVED,), keys=keys(scan="KEEP", back="REPEAT", up="TURN", down="EXPOSE 8 ms")
+                REVIEW, grade=Grade.BAD, alerts=(MOVED,), keys=keys(scan="KEEP", back="HOLD: REDO", up="TURN", down="EXPOSE 8 ms")
             ),
             "A scan that moved is never called good.", 0.4,
         ),

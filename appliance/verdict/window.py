@@ -1,0 +1,160 @@
+"""Owns what a scan says about the cameras' windows: where fringes are softer than the other camera sees them.
+
+Fog, a scratch, dirt on a window throw light aside: fringes lose contrast there, mean light hardly does. Contrast is also lost
+on the object (light from one part of it on another, a soft projector) and in the water. But what happens on the object both
+cameras see, at the same pattern coordinates; so each camera is compared with the other one, place by place on the object. The
+water's veil differs between them, and smoothly over the image; a smooth surface is therefore taken off first. What is left in
+one cell of the image is the window's, if it stays there while the scene changes: that is ``appliance.service.windows``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.capture.verdict import Verdict
+from appliance.patterns.sequence import Direction
+from appliance.reconstruct.decode import Mask
+from appliance.verdict.recorded import Recorded
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+
+NAME = "windows"
+SIDES = ("left", "right")
+CELLS = (8, 6)
+"""Columns and rows of cells over each image; a place on the window that is smaller is blurred over one."""
+PLACES = (24, 18)
+"""Columns and rows of places over the pattern, at which the cameras are compared."""
+SAMPLES = 40_000
+"""Pixels asked of each camera, at most."""
+MIN_PER_CELL, MIN_PER_PLACE = 40, 12
+MIN_CELLS = 12
+"""Fewer do not tell a local fall from anything."""
+SATURATED_DN = 254
+MIN_LIGHT_DN = 16.0
+"""Bright minus dark below this: the contrast is noise."""
+ROUNDS, TUNED = 6, 0.03
+"""Of the robust fit: iterations, and the fall from which on a cell counts less."""
+SLACK = 0.08
+"""A fall that every cell is forgiven: three times what a clean window shows on any object in clear water."""
+USUAL_QUANTILE, USUAL = 0.65, 2.0
+"""In turbid water the veil's own pattern remains; a cell is forgiven so many times what this share of the cells keep below."""
+
+
+@dataclass(frozen=True, slots=True)
+class Windows:
+    """One scan. By side ``left`` and ``right``; arrays (CELLS[0] · CELLS[1],), cells by row."""
+
+    falls: Mapping[str, Array]
+    """Share of the contrast that is missing in each cell; NaN where it cannot be told."""
+    wholes: Mapping[str, float | None]
+    """The same of all of the window, against the other one; ``None`` where it cannot be told."""
+    forgiven: Mapping[str, float]
+    """A fall of this size says nothing in this scan."""
+    light: Mapping[str, Array]
+    """Mean light of the object in each cell, DN; 0 where none is seen. It tells one scene from another."""
+
+    def verdict(self) -> Verdict:
+        """What is written down. Nothing is refused by a single scan: ``passed`` is always None."""
+        numbers: dict[str, float | None] = {}
+        said = []
+        for side in SIDES:
+            falls = self.falls[side]
+            told = bool(np.isfinite(falls).any())
+            worst = int(np.nanargmax(falls)) if told else 0
+            whole = self.wholes[side]
+            numbers[f"{side}_fall_percent"] = 100.0 * float(falls[worst]) if told else None
+            numbers[f"{side}_column"] = float(worst % CELLS[0]) if told else None
+            numbers[f"{side}_row"] = float(worst // CELLS[0]) if told else None
+            numbers[f"{side}_whole_percent"] = None if whole is None else 100.0 * whole
+            numbers[f"{side}_forgiven_percent"] = 100.0 * self.forgiven[side]
+            if told:
+                said.append(f"{side} at most {100.0 * float(falls[worst]):.0f} % softer in a cell")
+        return Verdict(
+            NAME, None, numbers, ", ".join(said) or "too little seen by both cameras to judge the windows by"
+        )
+
+
+def look_at_windows(recorded: Recorded) -> Windows:
+    """Compare the cameras' fringes place by place."""
+    seen = {side: _look(recorded, side) for side in SIDES}
+    falls: dict[str, Array] = {}
+    wholes: dict[str, float | None] = {}
+    forgiven: dict[str, float] = {}
+    for side, other in (SIDES, SIDES[::-1]):
+        falls[side], wholes[side] = _falls(seen[side], seen[other])
+        told = falls[side][np.isfinite(falls[side])]
+        usual = float(np.quantile(np.abs(told), USUAL_QUANTILE)) if len(told) else 0.0
+        forgiven[side] = max(SLACK, USUAL * usual)
+    return Windows(falls, wholes, forgiven, {side: seen[side].light for side in SIDES})
+
+
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """One camera's sampled pixels with coordinates, n of them."""
+
+    contrast: Floats
+    cell: NDArray[np.intp]
+    place: NDArray[np.intp]
+    light: Array
+    """By cell."""
+
+
+def _look(recorded: Recorded, side: str) -> _Seen:
+    frames, decoded, sequence = recorded.frames[side], recorded.decoded[side], recorded.sequence
+    h, w = decoded.p_px.shape
+    step = max(1, math.ceil(math.sqrt(h * w / SAMPLES)))
+    at = (slice(step // 2, None, step), slice(step // 2, None, step))
+    bright = frames[sequence.bright][at]
+    light = bright.astype(np.float32) - frames[sequence.dark][at]
+    good = (decoded.mask[at] == Mask.VALID) & (bright < SATURATED_DN) & (light > MIN_LIGHT_DN)
+    v, u = np.nonzero(good)
+    cell = v * CELLS[1] // good.shape[0] * CELLS[0] + u * CELLS[0] // good.shape[1]
+    swing = np.zeros(len(v), np.float32)
+    for direction in Direction:
+        s0, s1, s2, s3 = (frames[k][at][v, u].astype(np.float32) for k in sequence.axis(direction).sine)
+        swing += np.hypot(s0 - s2, s1 - s3)
+    across = (decoded.p_px[at][v, u] * (PLACES[0] / sequence.width_px)).astype(np.intp).clip(0, PLACES[0] - 1)
+    down = (decoded.q_px[at][v, u] * (PLACES[1] / sequence.height_px)).astype(np.intp).clip(0, PLACES[1] - 1)
+    lit = light[v, u]
+    size = CELLS[0] * CELLS[1]
+    total = np.bincount(cell, lit, size)
+    return _Seen(0.5 * swing / lit, cell, down * PLACES[0] + across, total / max(1.0, good.size / size))
+
+
+def _falls(mine: _Seen, others: _Seen) -> tuple[Array, float | None]:
+    """(cells,) and in all: how much softer this camera's fringes are than the other's at the same places of the object."""
+    count = np.bincount(others.place, minlength=PLACES[0] * PLACES[1])
+    mean = np.bincount(others.place, others.contrast, PLACES[0] * PLACES[1]) / np.maximum(count, 1)
+    known = count[mine.place] >= MIN_PER_PLACE
+    cell, ratio = mine.cell[known], mine.contrast[known] / mean[mine.place[known]]
+    size = CELLS[0] * CELLS[1]
+    ratios, falls = np.full(size, np.nan), np.full(size, np.nan)
+    order = np.argsort(cell, kind="stable")
+    borders = np.searchsorted(cell[order], np.arange(size + 1))
+    for k in range(size):
+        if borders[k + 1] - borders[k] >= MIN_PER_CELL:
+            ratios[k] = np.median(ratio[order[borders[k] : borders[k + 1]]])
+    told = np.flatnonzero(np.isfinite(ratios))
+    if len(told) < MIN_CELLS:
+        return falls, None
+    falls[told] = 1.0 - ratios[told] / _smooth(told, ratios[told])
+    return falls, 1.0 - float(np.median(ratios[told]))
+
+
+def _smooth(cells: NDArray[np.intp], ratios: Array) -> Array:
+    """What the ratios would be if they changed smoothly: a plane over the image, that cells with a fall hardly pull."""
+    x, y = cells % CELLS[0] / (CELLS[0] - 1.0) - 0.5, cells // CELLS[0] / (CELLS[1] - 1.0) - 0.5
+    A = np.stack([np.ones_like(x), x, y], -1)
+    fit = np.full(len(cells), np.median(ratios))
+    for _ in range(ROUNDS):
+        weight = 1.0 / (1.0 + ((ratios / fit - 1.0) / TUNED) ** 2)
+        rooted = np.sqrt(weight)
+        fit = A @ np.linalg.lstsq(A * rooted[:, None], ratios * rooted, rcond=None)[0]
+        fit = np.maximum(fit, 0.1)
+    return np.asarray(fit)

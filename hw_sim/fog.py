@@ -1,0 +1,63 @@
+"""Owns what a window that is fogged or scratched in one place does to its camera's picture.
+
+Droplets and scratches throw light aside: what comes through the place is partly a glow of its surroundings, fine detail goes
+first and mean light last. The window lies 18 mm before a pupil of 1.44 mm (11.5 mm at f/8), so that no place on it has a
+sharp border: it is blurred over 1.44 / 18 of the focal length, 130 px of 1600.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Picture = NDArray[np.float32]
+
+GLOW_PX = 220.0
+"""Gaussian sigma, px of 1600, of the light that is thrown aside: some 5 degrees, as by droplets of a hundredth of a mm."""
+BORDER_PX = 33.0
+"""The same of the border: a disc of 130 px, a quarter of it as sigma."""
+KEPT = 0.9
+"""Of the light that is thrown aside, what still meets the picture."""
+SHRINK = 8
+"""The glow is so smooth that it is computed on a smaller picture."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fog:
+    """One place on a window, or on both. Off by default. Raises ValueError for impossible amounts."""
+
+    left: float = 0.0
+    """Share of the light that the place on the left camera's window throws aside, 0..1."""
+    right: float = 0.0
+    x: float = 0.3
+    """Middle of the place, in widths of the picture from its left border."""
+    y: float = 0.4
+    """The same from the top, in heights."""
+    radius: float = 0.12
+    """Of the place, in widths of the picture; 2 covers all of it."""
+
+    def __post_init__(self) -> None:
+        for name, most in (("left", 1.0), ("right", 1.0), ("x", 1.0), ("y", 1.0), ("radius", 2.0)):
+            value = getattr(self, name)
+            if not 0.0 <= value <= most:
+                raise ValueError(f"fog: {name} = {value}; allowed are 0..{most:g}")
+
+    def over(self, camera: str, picture: Picture) -> Picture:
+        """The picture (h, w) of ``left`` or ``right`` through its window."""
+        thrown = self.left if camera == "left" else self.right
+        if thrown == 0.0:
+            return picture
+        h, w = picture.shape
+        scale = w / 1600.0
+        small = cv2.resize(picture, (math.ceil(w / SHRINK), math.ceil(h / SHRINK)), interpolation=cv2.INTER_AREA)
+        soft = cv2.GaussianBlur(small, (0, 0), GLOW_PX * scale / SHRINK, borderType=cv2.BORDER_REFLECT)
+        glow = cv2.resize(soft, (w, h), interpolation=cv2.INTER_LINEAR)
+        v, u = np.mgrid[:h, :w].astype(np.float32)
+        away_px = np.hypot(u - self.x * w, v - self.y * h) - self.radius * w
+        inside = 0.5 * (1.0 - np.tanh(away_px / (1.5 * BORDER_PX * scale)))
+        share = np.asarray(thrown * inside, np.float32)
+        return np.asarray(picture + share * (np.float32(KEPT) * glow - picture), np.float32)
