@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hw_sim import computer, sight
-from hw_sim.actor import ActError, Actor
+from hw_sim.actor import PRESS_S, ActError, Actor
 
 if TYPE_CHECKING:
     from hw_sim.world import World
@@ -37,6 +37,8 @@ COMPUTER = (("worker", "kill"), ("worker", "hang"), ("disk", "off"))
 FRAMES = 24
 AIM_S, ANSWER_S, END_S, SAVE_S = 60.0, 3.0, 200.0, 60.0
 """Longest waits of world time: for AIM, for anything to happen on a key, for the end of a scan, for a save."""
+REJECT_HOLD_S = 1.2
+"""BACK held so long rejects a scan."""
 READY_S = 45.0
 """After everything is repaired: until SCAN is answered with a scan."""
 BREAK, GIVE_BACK, KEEP, BREAK_COMPUTER = 0.5, 0.75, 0.8, 0.06
@@ -138,7 +140,8 @@ class ChaosDiver(Actor):
         for tries in range(int(AIM_S)):
             if tries == 20:
                 self._repair()  # the key pad may be away, and the disk
-            self.press("back")
+            # From REVIEW it is held: elsewhere that might switch off.
+            self.press("back", REJECT_HOLD_S if self._state() == "REVIEW" else PRESS_S)
             if self.until(self._aims, 1.0) or self.over:
                 return
         raise ActError(f"BACK does not lead to AIM: {self._line()}")
@@ -168,7 +171,7 @@ class ChaosDiver(Actor):
             self._keep()
         else:
             self.report.rejected += 1
-            self.press("back")
+            self.press("back", REJECT_HOLD_S)
 
     def _not_recorded(self, told: list[str]) -> None:
         """No scan: somebody must say why, or have said it."""

@@ -1,4 +1,5 @@
-"""Owns what the four keys mean: in each state one press has one meaning, and holding is for power-off and putting away."""
+"""Owns what the four keys mean: in each state one press has one meaning; holding is for what cannot be taken back: switching off,
+rejecting a scan, putting a calibration away."""
 
 from __future__ import annotations
 
@@ -11,7 +12,9 @@ from appliance.machine.states import Ending, Machine, State
 from drivers.api import Key
 
 HELD_TO_SWITCH_OFF = (State.BOOT, State.SELF_TEST, State.AIM, State.SAFE)
-"""Where BACK held switches off; elsewhere BACK ends something, and holding it on must not switch off as well."""
+"""Where BACK held switches off."""
+HELD_TO_REJECT = (State.CHECK, State.RECONSTRUCT, State.REVIEW)
+"""Where BACK held rejects the scan in hand: a glove that brushes the key costs no scan."""
 
 
 def meaning(machine: Machine, key: Key) -> Key:
@@ -27,7 +30,7 @@ def pressed(machine: Machine, key: Key) -> Result:
     """A key went down. ``key`` is what it stands for."""
     machine = replace(machine, notice=None, just_saved=None, last_key_ns=machine.now_ns)
     if key is Key.BACK:
-        machine = replace(machine, back_used=machine.state not in HELD_TO_SWITCH_OFF)
+        machine = replace(machine, back_from=machine.state)
     if key is not Key.SCAN:
         machine = replace(machine, insists_until_ns=None)
     match machine.state:
@@ -42,7 +45,7 @@ def pressed(machine: Machine, key: Key) -> Result:
         case State.ARMED | State.CAPTURE:
             return scanning.abandon(machine, None) if key is Key.BACK else (machine, ())
         case State.CHECK | State.RECONSTRUCT:
-            return scanning.given_up(machine) if key is Key.BACK else (machine, ())
+            return scanning.stopped_adding(machine) if key is Key.BACK else (machine, ())
         case State.REVIEW:
             return scanning.review_key(machine, key)
         case State.CALIBRATE:
@@ -58,10 +61,14 @@ def pressed(machine: Machine, key: Key) -> Result:
 
 
 def held(machine: Machine, key: Key) -> Result:
-    """BACK held switches off; DOWN held at the calibration's result puts that away for a new one."""
+    """BACK held rejects the scan in hand, or switches off; DOWN held at the calibration's result puts that away for a new one."""
     if key is Key.DOWN and calibrate.may_begin_session(machine):
         return calibrate.begin_session(machine)
-    if key is Key.BACK and machine.state in HELD_TO_SWITCH_OFF and not machine.back_used:
+    if key is not Key.BACK:
+        return machine, ()
+    if machine.state in HELD_TO_REJECT and machine.back_from in HELD_TO_REJECT:
+        return scanning.rejected(machine)
+    if machine.state in HELD_TO_SWITCH_OFF and machine.back_from in (None, *HELD_TO_SWITCH_OFF):
         return safety.stop(machine, Ending.POWER_OFF)
     return machine, ()
 

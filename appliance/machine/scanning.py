@@ -201,11 +201,19 @@ def not_merged(machine: Machine, number: int, fault: Fault) -> Result:
     return replace(home(machine), notice=_failure(machine, fault)), ()
 
 
-def given_up(machine: Machine) -> Result:
-    """BACK while points are found: of a second sequence only that one is given up."""
-    if machine.scan is not None and machine.scan.adding is not None:
-        return abandon(machine, None)
-    return drop(machine, "repeated before the cloud was ready")
+def stopped_adding(machine: Machine) -> Result:
+    """BACK while points of a second sequence are found: that one is given up, and no more."""
+    if machine.scan is None or machine.scan.adding is None:
+        return machine, ()
+    return abandon(replace(machine, back_from=None), None)  # held on, this press does not reject the first one
+
+
+def rejected(machine: Machine) -> Result:
+    """BACK held: the scan is not wanted. One whose second sequence is under way is not decided on."""
+    if machine.scan is None or machine.scan.adding is not None:
+        return machine, ()
+    when = "by the diver" if machine.state is State.REVIEW else "before the cloud was ready"
+    return drop(machine, f"rejected {when}")
 
 
 def no_cloud_in_time(machine: Machine) -> Result:
@@ -241,7 +249,7 @@ def _show(machine: Machine) -> Result:
 
 
 def review_key(machine: Machine, key: Key) -> Result:
-    """Keep or repeat; or the proposed exposure, for a second sequence or the next scan, or another view of the cloud."""
+    """Keep; or the proposed exposure, for a second sequence or the next scan, or another view of the cloud."""
     scan = machine.scan
     if scan is None:  # REVIEW without a scan cannot be reached; if it were, the way out is AIM
         return enter(machine, State.AIM), ()
@@ -249,7 +257,7 @@ def review_key(machine: Machine, key: Key) -> Result:
         case Key.SCAN:
             return saving.keep(machine, scan)
         case Key.BACK:
-            return drop(machine, "repeated by the diver")
+            return machine, ()  # it is held to reject the scan
         case Key.DOWN if second_exposure(machine) is not None:
             return add(machine, scan)
         case Key.DOWN if (other := other_exposure(machine)) is not None:

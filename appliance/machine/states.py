@@ -331,8 +331,8 @@ class Machine:
     """The diver left COOLING although it is still hot."""
     scan: ScanInHand | None = None
     stuck: frozenset[Key] = frozenset()
-    back_used: bool = False
-    """The latest press of BACK ended something; holding it on must not switch off as well."""
+    back_from: State | None = None
+    """Where the latest press of BACK began: held on into another state, it means nothing there."""
     last_key_ns: int | None = None
     """When a key was pressed last."""
     board_resets: int = 0

@@ -177,9 +177,12 @@ def _tick(machine: Machine, now_ns: int) -> Result:
         case State.CHECK | State.RECONSTRUCT:
             return scanning.no_cloud_in_time(machine)
         case State.SAVING | State.SAFE:
-            # The diver may have kept it before the cloud was there.
-            waits = machine.scan is not None and not machine.scan.publishing
-            return scanning.no_cloud_in_time(machine) if waits else saving.late(machine)
+            scan = machine.scan
+            if scan is None or scan.publishing:
+                return saving.late(machine)
+            if scan.settled and scan.retry_ns is not None:  # the disk refused before there was a cloud to wait for
+                return saving.retry(replace(machine, deadline_ns=None))
+            return scanning.no_cloud_in_time(machine)  # the diver kept it before the cloud was there
         case State.CALIBRATE:
             return calibrate.late(machine)
         case State.AIM | State.MENU | State.GALLERY | State.REVIEW | State.COOLING | State.SHUTDOWN:

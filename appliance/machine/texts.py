@@ -42,11 +42,12 @@ def _meant(machine: Machine) -> dict[Key, str]:
             return {Key.BACK: "STOP"}
         case State.CHECK | State.RECONSTRUCT:
             # Of a second exposure only that one is given up.
-            return {Key.BACK: "STOP" if machine.scan is not None and machine.scan.adding is not None else "REPEAT"}
+            adding = machine.scan is not None and machine.scan.adding is not None
+            return {Key.BACK: "STOP" if adding else "HOLD: REDO"}
         case State.REVIEW:
             return {
                 Key.SCAN: "KEEP",
-                Key.BACK: "REPEAT",
+                Key.BACK: "HOLD: REDO",
                 Key.UP: "TURN",
                 Key.DOWN: _add(machine) or _expose(machine) or "TURN",
             }

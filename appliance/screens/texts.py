@@ -50,6 +50,7 @@ class Text(Enum):
     NEWER = ("NEWER", "NEUER")
     OLDER = ("OLDER", "ÄLTER")
     HOLD_CALIBRATE = ("HOLD: CALIB", "LANG: KALIB")
+    HOLD_REDO = ("HOLD: REDO", "LANG: NOCHM.")
     HOLD_NEW = ("HOLD: NEW", "LANG: NEU")
     REDO = ("REDO", "ERSETZEN")
     RESTORE = ("RESTORE", "ALTE")

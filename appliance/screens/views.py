@@ -133,7 +133,7 @@ class CheckView(View):
 
     progress: float | None = None
     """0..1, ``None`` where nobody knows."""
-    keys: KeyLabels = field(default_factory=lambda: labels(back=Text.REPEAT))
+    keys: KeyLabels = field(default_factory=lambda: labels(back=Text.HOLD_REDO))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -141,7 +141,7 @@ class ReconstructView(View):
     """Points are being computed; ``progress`` is 0..1, ``None`` where nobody knows."""
 
     progress: float | None
-    keys: KeyLabels = field(default_factory=lambda: labels(back=Text.REPEAT))
+    keys: KeyLabels = field(default_factory=lambda: labels(back=Text.HOLD_REDO))
 
 
 class Grade(Enum):
@@ -185,7 +185,7 @@ class ReviewView(View):
     turn: int = 0
     """How far the diver turned the cloud: steps to the right, negative to the left."""
     keys: KeyLabels = field(
-        default_factory=lambda: labels(scan=Text.KEEP, back=Text.REPEAT, up=Text.TURN_RIGHT, down=Text.TURN_LEFT)
+        default_factory=lambda: labels(scan=Text.KEEP, back=Text.HOLD_REDO, up=Text.TURN_RIGHT, down=Text.TURN_LEFT)
     )
 
 

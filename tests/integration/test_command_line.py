@@ -31,7 +31,7 @@ press scan            # keep
 wait state AIM 60
 press scan
 wait state REVIEW 60
-press back            # repeat: this one is not wanted
+press back 1.2        # held: repeat: this one is not wanted
 wait state AIM 60
 end
 """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
@@ -26,6 +27,7 @@ from tests.appliance.machine.walks import (
     after,
     aim,
     capturing,
+    checking,
     heartbeat,
     reconstructing,
     reviewing,
@@ -66,10 +68,26 @@ def test_keep_before_the_full_cloud_waits_for_it() -> None:
     assert effects == [do.Publish(1)]
 
 
-def test_back_in_review_rejects_and_aims_again_without_switching_off() -> None:
-    machine, effects = after(reviewing(), on.KeyPressed(Key.BACK), on.KeyHeld(Key.BACK))
+@pytest.mark.parametrize("way", [checking, reconstructing, reviewing])
+def test_a_glove_that_brushes_back_costs_no_scan(way: Callable[[], Machine]) -> None:
+    machine, effects = after(way(), on.KeyPressed(Key.BACK))
+    assert (machine.state, machine.scan, effects) == (way().state, way().scan, [])
+    assert labels(machine)[Key.BACK] == "HOLD: REDO"
+
+
+def test_back_held_that_began_before_there_was_a_scan_rejects_nothing() -> None:
+    machine = run(aim(), on.KeyPressed(Key.BACK), on.KeyPressed(Key.SCAN), on.Armed(1), on.CaptureFinished(1))
+    machine, effects = after(machine, on.KeyHeld(Key.BACK))
+    assert (machine.state, effects) == (State.CHECK, [])
+
+
+@pytest.mark.parametrize("way", [checking, reconstructing, reviewing])
+def test_back_held_rejects_and_aims_again_without_switching_off(way: Callable[[], Machine]) -> None:
+    machine, effects = after(way(), on.KeyPressed(Key.BACK), on.KeyHeld(Key.BACK))
     assert machine.state is State.AIM
-    assert do.Reject(1, "repeated by the diver") in effects
+    (reject,) = (effect for effect in effects if isinstance(effect, do.Reject))
+    assert reject.reason.startswith("rejected")
+    assert run(machine, on.KeyHeld(Key.BACK)).state is State.AIM, "the same press does not switch off"
     machine = run(machine, on.KeyPressed(Key.BACK), on.KeyHeld(Key.BACK))
     assert machine.state is State.SHUTDOWN
 
@@ -348,6 +366,7 @@ def test_a_late_tick_does_not_push_a_deadline_away() -> None:
 # ---------------------------------------------------------------------------------------- exposure
 
 SHORTER = Exposure(8_000)
+REJECT = (on.KeyPressed(Key.BACK), on.KeyHeld(Key.BACK))
 
 
 def proposed(*events: on.Event) -> Machine:
@@ -357,7 +376,7 @@ def proposed(*events: on.Event) -> Machine:
 def test_one_key_takes_the_proposed_exposure_and_the_next_scan_has_it() -> None:
     machine = proposed()
     assert labels(machine)[Key.DOWN] == "EXPOSE 8 ms"
-    machine, effects = after(machine, on.KeyPressed(Key.DOWN), on.KeyPressed(Key.BACK))
+    machine, effects = after(machine, on.KeyPressed(Key.DOWN), *REJECT)
     assert do.GoLive(light=True, lasers=True, exposure=SHORTER) in effects, "the live views show it before the scan"
     _, effects = after(machine, on.KeyPressed(Key.SCAN))
     assert do.Arm(2, 16, SHORTER) in effects
@@ -374,10 +393,10 @@ def test_the_same_key_takes_it_back_and_the_scan_is_kept_either_way() -> None:
 
 
 def test_an_exposure_stays_until_the_diver_changes_it() -> None:
-    machine = proposed(on.KeyPressed(Key.DOWN), on.KeyPressed(Key.BACK), on.KeyPressed(Key.SCAN))
+    machine = proposed(on.KeyPressed(Key.DOWN), *REJECT, on.KeyPressed(Key.SCAN))
     machine = run(machine, on.Armed(2), on.CaptureFinished(2), on.FullReady(2, SUMMARY), on.Judged(2))
     assert labels(machine)[Key.DOWN] == "TURN", "nothing is proposed for a scan whose light was right"
-    machine = run(machine, on.KeyPressed(Key.DOWN), on.KeyPressed(Key.BACK))
+    machine = run(machine, on.KeyPressed(Key.DOWN), *REJECT)
     assert machine.exposure == SHORTER
     calibrate = run(machine, *(on.KeyPressed(key) for key in (Key.UP, *TO_CALIBRATION)))
     assert do.Arm(3, 16, SHORTER) in after(calibrate, on.KeyPressed(Key.SCAN))[1]
@@ -450,6 +469,16 @@ def test_whatever_ends_the_second_exposure_the_first_scan_is_reviewed_as_before(
         assert alert.action.endswith("FIRST KEPT")
         assert not isinstance(lost[-1], on.KeyPressed)
     assert do.Publish(1) in after(machine, on.KeyPressed(Key.SCAN))[1]
+
+
+def test_the_press_that_stops_the_second_exposure_does_not_reject_the_first_when_it_is_held_on() -> None:
+    for machine in (offered(on.KeyPressed(Key.DOWN)), offered(on.KeyPressed(Key.DOWN), on.Armed(2)), added()):
+        assert labels(machine)[Key.BACK] == "STOP"
+        machine, effects = after(machine, *REJECT)
+        assert machine.state is State.REVIEW
+        assert not any(isinstance(effect, do.Reject) for effect in effects)
+        machine, effects = after(machine, *REJECT)
+        assert (machine.state, do.Reject(1, "rejected by the diver") in effects) == (State.AIM, True)
 
 
 def test_a_leak_during_the_second_exposure_saves_the_first() -> None:

@@ -22,6 +22,7 @@ from tests.appliance.machine.walks import (
     aim,
     capturing,
     heartbeat,
+    kept_before_the_cloud,
     reconstructing,
     refused_by_the_disk,
     reviewing,
@@ -160,6 +161,14 @@ def test_a_leak_does_not_wait_for_a_worker_for_ever() -> None:
     machine = run(reconstructing(), *LEAK)
     _, effects = after(machine, later(machine, machine.settings.reconstruct_s))
     assert effects == [do.CancelReconstruction(1), do.Publish(1)]
+
+
+def test_a_scan_kept_before_its_cloud_that_the_disk_refuses_is_tried_again_and_does_not_wait_for_ever() -> None:
+    machine = run(kept_before_the_cloud(), on.SaveFailed(1, EIO))
+    machine = run(machine, later(machine, machine.settings.reconstruct_s))
+    machine, effects = after(machine, later(machine, 1.0))
+    assert (machine.state, effects) == (State.SAVING, [do.Publish(1)])
+    assert run(machine, on.Saved(1, "000001")).state is State.AIM
 
 
 def test_switching_off_in_safe_finishes_the_save_first() -> None:

@@ -125,7 +125,7 @@ def shone(seconds: int, presses: int) -> tuple[float, int]:
         if machine.state is State.ARMED:
             events += [on.Armed(machine.captures), on.CaptureFinished(machine.captures)]
         if machine.state is State.CHECK:
-            events += [on.KeyPressed(Key.BACK)]
+            events += [on.KeyPressed(Key.BACK), on.KeyHeld(Key.BACK)]
         for event in events:
             machine, effects = step(machine, event)
             for effect in effects:
