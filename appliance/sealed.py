@@ -34,5 +34,5 @@ def unseal(data: bytes, max_bytes: int) -> dict[str, Any]:
         raise SealError(f"a JSON object was expected, not {type(content).__name__}")
     stated, actual = content.pop("sha256", None), digest(content)
     if stated != actual:
-        raise SealError(f"checksum {stated!r}, but the content has {actual}: it was changed or damaged")
+        raise SealError(f"checksum {str(stated)[:80]!r}, but the content has {actual}: it was changed or damaged")
     return content

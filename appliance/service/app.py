@@ -37,8 +37,10 @@ from appliance.service.scans import ScanDesk
 from appliance.service.starts import installation, this_run
 from appliance.service.supervision import Supervision
 from appliance.storage.choices import ChoicesFile
+from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.library import Library
 from appliance.storage.lock import hold_lock
+from appliance.storage.room import Room
 from appliance.storage.status import StatusFile
 from drivers import rig as drivers_rig
 from drivers.output.gl import open_gl
@@ -67,7 +69,8 @@ def run(rig: Rig) -> int:
         manager = stack.enter_context(ServiceManager.of(os.environ))
         news = stack.enter_context(this_run(os.environ, Path(sys.prefix)))
         stack.enter_context(hold_lock(rig.storage.root))
-        library = Library(rig.storage.root)
+        room = Room(rig.storage.root, LocalFileSystem())
+        library = Library(rig.storage.root, room)
         library.prepare()
         recovery = library.recover()
         if recovery.recovered or recovery.set_aside:
@@ -91,6 +94,7 @@ def run(rig: Rig) -> int:
                 noise=noise_of(rig),
                 response=response,
                 water=water,
+                room=room,
             )
         )
         calibrating = stack.enter_context(CalibrationDesk(rig, desk))

@@ -36,11 +36,13 @@ from appliance.reconstruct.pipeline import COARSE_POINTS, Cloud
 from appliance.service.health import CalibrationWatch
 from appliance.service.instrument import exposure_of, noise_of, taking_of, water_of
 from appliance.service.wall_clock import set_from_outside
+from appliance.service.windows import WindowWatch
 from appliance.storage.atomic import StorageError, replace_file
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.library import Library, PendingScan
 from appliance.storage.record import ScanRecord, SecondSequence, SequenceInfo
-from appliance.storage.scan import size_bytes
+from appliance.storage.room import Room, is_full, is_read_only, plan
+from appliance.storage.scan import cloud_bytes, frames_bytes, size_bytes
 from appliance.worker.pair import faults_of
 from appliance.worker.process import (
     CloudReady,
@@ -60,6 +62,8 @@ from drivers.api import Clock
 log = logging.getLogger("kingfisher")
 
 Answer = TypeVar("Answer")
+ASK_AGAIN_S = 5.0
+"""Without room for a scan: how often the disk is asked whether there is some by now."""
 PROBE = "self-test"
 PROBE_CONTENT = b"written and read back at every start\n"
 
@@ -133,15 +137,17 @@ class ScanDesk:
         noise: StereoNoise = TYPICAL_PAIR,
         response: Response | None = None,
         water: Water | None = None,
+        room: Room | None = None,
     ) -> None:
         """``response``: the projector's, that the patterns are drawn for; it is written down. ``water``: if it is not what
-        the rig file states."""
+        the rig file states. ``room``: the library's file system, where it allocates space; without one it is only counted."""
         left = rig.camera.left
         self._rig = rig
         self._calibration = calibration
         self._response = response
         self._taking = taking_of(rig, exposure_of(rig))
         self._library = library
+        self._room = room
         self._fs = LocalFileSystem()
         self._clock = clock
         self.sequence = sequence
@@ -150,9 +156,12 @@ class ScanDesk:
         order = WorkOrder(calibration, self.water, sequence.period_px, sequence.width_px, sequence.height_px, noise)
         self.worker = ReconstructionWorker(order, self.store, clock, limits)
         self.watch = CalibrationWatch(rig.storage.root, calibration)
+        self.windows = WindowWatch()
         self._disk = ThreadPoolExecutor(1, "kf-storage")
         self._answers: list[Future[list[on.Event]]] = []
-        self._scan_bytes = size_bytes(len(sequence), left.width_px, left.height_px)
+        self._size_scans(sequence)
+        self._no_room: Fault | None = None
+        self._counted_ns = 0
         self.scan: ScanInWork | None = None
         self.worker_settled = False
         """It is warm, or it cannot be: nothing more is to be waited for at the start."""
@@ -177,13 +186,16 @@ class ScanDesk:
 
     @property
     def settled(self) -> bool:
-        """The frames in memory may be overwritten: they are on the disk, or nobody wants them."""
+        """The frames in memory may be overwritten, as they are on the disk, or nobody wants them; and the disk has said whether
+        there is room for the next ones."""
         scan = self.scan
-        return scan is None or scan.raw is None or scan.raw.done()
+        return (scan is None or scan.raw is None or scan.raw.done()) and not self.busy
 
     def begin(self, number: int, exposure: Exposure) -> Fault | None:
-        """Make room for a new scan's frames; a fault when the previous ones are still only in memory. Call when
-        ``settled``."""
+        """Make room in memory for a new scan's frames; a fault when the previous ones are still only there, or there is no room
+        for new ones on the disk. Call when ``settled``."""
+        if self._no_room is not None:
+            return self._no_room
         scan = self.scan
         if scan is not None and scan.raw is not None:
             try:
@@ -200,6 +212,8 @@ class ScanDesk:
         scan = self.scan
         if scan is None:
             return Fault(FaultCode.INTERNAL, "a second exposure was wanted without a scan")
+        if self._no_room is not None:
+            return self._no_room
         scan.second = SecondInWork(number, self._clock.now_ns(), exposure)
         self.worker.begin_second(scan.number, self._taken(exposure))
         return None
@@ -323,10 +337,16 @@ class ScanDesk:
         left = self._rig.camera.left
         old, self.store = self.store, FrameStore(len(sequence), left.height_px, left.width_px, sequences=2)
         self.sequence, self.scan = sequence, None
-        self._scan_bytes = size_bytes(len(sequence), left.width_px, left.height_px)
+        self._size_scans(sequence)
         self.worker.change(replace(self.worker.order, period_px=sequence.period_px), self.store)
         old.close()
         self.count()
+
+    def _size_scans(self, sequence: PatternSequence) -> None:
+        """What one scan takes on the disk, and what is allocated for it."""
+        n, (width_px, height_px) = len(sequence), (self._rig.camera.left.width_px, self._rig.camera.left.height_px)
+        self._scan_bytes = size_bytes(n, width_px, height_px)
+        self._room_plan = plan(frames_bytes(n, width_px, height_px), cloud_bytes(width_px, height_px))
 
     def test_storage(self) -> None:
         """Answer PartTested: whether the disk takes a file and gives it back."""
@@ -341,6 +361,8 @@ class ScanDesk:
     def poll(self) -> list[on.Event]:
         """What the disk and the worker answered since the last call."""
         events: list[on.Event] = []
+        if self._no_room is not None and not self.busy and self._clock.now_ns() - self._counted_ns > ASK_AGAIN_S * 1e9:
+            self.count()
         done = [answer for answer in self._answers if answer.done()]
         self._answers = [answer for answer in self._answers if not answer.done()]
         for answer in done:
@@ -405,9 +427,14 @@ class ScanDesk:
         for judgement in judged.judgements:
             scan.enter(judgement.verdict)
         faults = tuple(judgement.fault for judgement in judged.judgements if judgement.fault is not None)
+        events: list[on.Event] = []
+        if judged.windows is not None:
+            scan.enter(self.windows.judge(judged.windows))
+            for code, device, fault in self.windows.conditions():
+                events.append(on.ConditionCleared(code, device) if fault is None else on.ConditionRaised(fault))
         proposal = next((judgement.proposal for judgement in judged.judgements if judgement.proposal is not None), None)
         second = next((judgement.second for judgement in judged.judgements if judgement.second is not None), None)
-        return [on.Judged(scan.number, faults, proposal, second)]
+        return [on.Judged(scan.number, faults, proposal, second), *events]
 
     def _paired(self, judged: PairJudged) -> list[on.Event]:
         """The scan's cloud is that of both sequences, or nothing has changed."""
@@ -475,16 +502,20 @@ class ScanDesk:
         try:
             scan.pending = scan.raw.result()
         except (StorageError, ValueError) as error:
-            return [on.SaveFailed(scan.number, Fault(FaultCode.NOT_SAVED, str(error)))]
+            return self._not_saved(scan, error)
         scan.times_s["saved"] = scan.since_begun_s(self._clock.now_ns())
-        return [on.RawStored(scan.number)]
+        return [on.RawStored(scan.number), *self._counted_if_told()]
 
     def _second_stored(self, scan: ScanInWork) -> list[on.Event]:
         try:
             self._pending(scan)
         except (StorageError, ValueError) as error:
-            return [on.SaveFailed(scan.number, Fault(FaultCode.NOT_SAVED, str(error)))]
-        return [on.RawStored(scan.number)]
+            return self._not_saved(scan, error)
+        return [on.RawStored(scan.number), *self._counted_if_told()]
+
+    def _not_saved(self, scan: ScanInWork, error: Exception) -> list[on.Event]:
+        """What it took from the room is allocated again at once: it will be tried again."""
+        return [on.SaveFailed(scan.number, Fault(FaultCode.NOT_SAVED, str(error))), *self._counted_if_told()]
 
     def _pending(self, scan: ScanInWork) -> PendingScan:
         """The scan on the disk, with every sequence it has; what failed before is done again."""
@@ -511,7 +542,7 @@ class ScanDesk:
             pending = self._pending(scan)
             pending.publish(record, scan.full, png)
         except (StorageError, ValueError) as error:
-            return [on.SaveFailed(scan.number, Fault(FaultCode.NOT_SAVED, str(error)))]
+            return self._not_saved(scan, error)
         return [on.Saved(scan.number, pending.scan_id), *self._counted_if_told()]
 
     def _accept(self, scan: ScanInWork, entered: Callable[[str], list[on.Event]]) -> list[on.Event]:
@@ -529,12 +560,11 @@ class ScanDesk:
             pending = self._pending(scan)
             pending.reject(reason, None if scan.record is None else scan.whole)
         except (StorageError, ValueError) as error:
-            return [on.SaveFailed(scan.number, Fault(FaultCode.NOT_SAVED, str(error)))]
+            return self._not_saved(scan, error)
         return [on.Rejected(scan.number, pending.scan_id), *self._counted_if_told()]
 
     def _storage_tested(self) -> list[on.Event]:
         probe = self._library.root / PROBE
-        said = f"{self._scan_bytes / 1e6:.0f} MB each"
         try:
             replace_file(self._fs, probe, PROBE_CONTENT)
             if probe.read_bytes() != PROBE_CONTENT:
@@ -542,18 +572,44 @@ class ScanDesk:
             counted = self._counted()
         except (StorageError, OSError) as error:
             return [on.PartTested(Part.STORAGE, False, str(error))]
-        return [counted, on.PartTested(Part.STORAGE, True, said)]
+        said = f"{self._scan_bytes / 1e6:.0f} MB each"
+        if self._room is None or not self._room.allocates:
+            said += ", space counted only"
+        return [*counted, on.PartTested(Part.STORAGE, True, said)]
 
     def _counted_if_told(self) -> list[on.Event]:
         try:
-            return [self._counted()]
+            return self._counted()
         except StorageError as error:
             log.warning("scans are not counted: %s", error)
             return []
 
-    def _counted(self) -> on.StorageCounted:
+    def _counted(self) -> list[on.Event]:
+        """What is there, how much more fits, and whether the next scan's space is allocated."""
+        self._no_room = fault = self._reserved()
+        self._counted_ns = self._clock.now_ns()
         left = self._library.scans_left(self._scan_bytes, self._rig.storage.reserve_mb * 1_000_000)
-        return on.StorageCounted(self._library.count(), self._library.last_id(), left)
+        if fault is not None and fault.code is FaultCode.STORAGE_FULL:
+            left = 0
+        elif left == 0:
+            self._no_room = Fault(FaultCode.STORAGE_FULL, "no room for another scan")
+        events: list[on.Event] = [on.StorageCounted(self._library.count(), self._library.last_id(), left)]
+        for code in (FaultCode.DISK_READ_ONLY, FaultCode.DISK_REFUSES):
+            there = fault is not None and fault.code is code
+            events.append(on.ConditionRaised(fault) if fault is not None and there else on.ConditionCleared(code))
+        return events
+
+    def _reserved(self) -> Fault | None:
+        """Allocate the next scan's space; why that cannot be."""
+        if self._room is None:
+            return None
+        try:
+            self._room.hold(self._room_plan)
+        except StorageError as error:
+            log.warning("no space for the next scan: %s", error)
+            code = FaultCode.DISK_READ_ONLY if is_read_only(error) else FaultCode.DISK_REFUSES
+            return Fault(FaultCode.STORAGE_FULL if is_full(error) else code, str(error))
+        return None
 
 
 def _remembered(write: Callable[[], None]) -> list[on.Event]:

@@ -35,6 +35,8 @@ FOLDER = "calibration"
 CURRENT, AIR, SOLVED, SESSION = "current.json", "air.json", "solved.json", "session.json"
 MAX_BYTES = 1024 * 1024
 _SESSION = TypeAdapter(Session)
+_KEPT = re.compile(r"\d{4,9}-[\w-]{1,40}\.json")
+"""Name of a kept file, and of nothing outside its folder."""
 
 
 class SessionError(Exception):
@@ -77,7 +79,8 @@ class Calibrations:
         if session.solved is not None and session.solved.calibration_hash != solved:
             session = replace(session, solved=None, verified=None)  # power was lost between the two files
         in_use = session.solved is not None and _bytes(self.current) == _bytes(self.solved)
-        kept = session.kept if session.kept is not None and (self.folder / "kept" / session.kept).is_file() else None
+        named = session.kept is not None and _KEPT.fullmatch(session.kept) is not None
+        kept = session.kept if named and (self.folder / "kept" / str(session.kept)).is_file() else None
         return replace(session, in_use=in_use, kept=kept)
 
     def _read(self) -> Session:
@@ -88,7 +91,9 @@ class Calibrations:
             content = unseal(data, MAX_BYTES)
             if (content.pop("schema"), content.pop("rig_serial")) != (SCHEMA, self._serial):
                 return Session()
-            return _SESSION.validate_python(content)
+            session = _SESSION.validate_python(content)
+            json.dumps(_plain(asdict(session)), allow_nan=False)  # pydantic takes "nan" for a number
+            return session
         except (ValueError, KeyError, ValidationError):
             return Session()
 

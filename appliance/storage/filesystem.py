@@ -48,6 +48,16 @@ class FileSystem(Protocol):
         """Space left for an unprivileged process."""
 
 
+class AllocatingFileSystem(FileSystem, Protocol):
+    """A file system that can give space before there is anything to write. Every call raises OSError on failure."""
+
+    def allocate(self, path: Path, length_bytes: int) -> None:
+        """Make one file of that length, all of whose blocks are taken; it must not exist. What is in it means nothing."""
+
+    def reopen(self, path: Path) -> WritableFile:
+        """Write an existing file anew from its start, into the blocks it has; ``sync`` cuts it to what was written."""
+
+
 class _LocalFile:
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor
@@ -62,6 +72,14 @@ class _LocalFile:
 
     def close(self) -> None:
         os.close(self._descriptor)
+
+
+class _LocalFileAnew(_LocalFile):
+    """Written over what is there."""
+
+    def sync(self) -> None:
+        os.ftruncate(self._descriptor, os.lseek(self._descriptor, 0, os.SEEK_CUR))
+        super().sync()
 
 
 class LocalFileSystem:
@@ -90,6 +108,16 @@ class LocalFileSystem:
             path.rmdir()
         else:
             path.unlink()
+
+    def allocate(self, path: Path, length_bytes: int) -> None:
+        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+        try:
+            os.posix_fallocate(descriptor, 0, length_bytes)
+        finally:
+            os.close(descriptor)
+
+    def reopen(self, path: Path) -> WritableFile:
+        return _LocalFileAnew(os.open(path, os.O_WRONLY | os.O_CLOEXEC))
 
     def free_bytes(self, path: Path) -> int:
         answer = os.statvfs(path)

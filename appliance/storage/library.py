@@ -5,6 +5,7 @@
     <root>/rejected/000123    not wanted, kept all the same
     <root>/set-aside/000123   incomplete after a loss of power
     <root>/next-id            see ``appliance.storage.counter``
+    <root>/room               space for the next scan, see ``appliance.storage.room``
 
 Nothing in here deletes a scan. One process writes (``appliance.storage.lock``), from one thread at a time; any number
 may read.

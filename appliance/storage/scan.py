@@ -20,7 +20,7 @@ from appliance.storage import manifest as form
 from appliance.storage.atomic import checked_stamp, discard, draft_of, refused, replace_file, write_new
 from appliance.storage.filesystem import Bytes, FileSystem
 from appliance.storage.manifest import Decision, Manifest, ManifestError, Stage
-from appliance.storage.ply import PlyError, PointCloud, StoredCloud, encode_ply, read_ply
+from appliance.storage.ply import POINT, PlyError, PointCloud, StoredCloud, encode_ply, read_ply
 from appliance.storage.record import ScanRecord
 
 SIDES = ("left", "right")
@@ -223,4 +223,15 @@ def _npy(frames: NDArray[np.uint8]) -> tuple[Bytes, Bytes]:
 def size_bytes(frames: int, width_px: int, height_px: int) -> int:
     """Room one scan with one exposure needs at most: both cameras' frames, a point for every left pixel, and a margin for
     the rest. A second exposure takes its frames once more."""
-    return 2 * frames * width_px * height_px + 25 * width_px * height_px + 1_000_000
+    return 2 * frames_bytes(frames, width_px, height_px) + cloud_bytes(width_px, height_px) + 3_000_000
+
+
+def frames_bytes(frames: int, width_px: int, height_px: int) -> int:
+    """Length of the file with one camera's frames."""
+    header, _ = _npy(np.empty((frames, height_px, width_px), np.uint8))
+    return len(header) + frames * width_px * height_px
+
+
+def cloud_bytes(width_px: int, height_px: int) -> int:
+    """Length that the file with the points has at most: one for every left pixel."""
+    return POINT.itemsize * width_px * height_px + 4096

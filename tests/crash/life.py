@@ -22,7 +22,8 @@ from appliance.storage.calibrations import Calibrations
 from appliance.storage.filesystem import Bytes, LocalFileSystem, WritableFile
 from appliance.storage.health import HealthFile
 from appliance.storage.library import Library
-from tests.appliance.storage.scenes import PREVIEW, cloud, frames, record
+from appliance.storage.room import Room
+from tests.appliance.storage.scenes import PLAN, PREVIEW, cloud, frames, record
 
 SERIAL = "KF-TEST"
 HASH = "0123456789abcdef" * 4
@@ -60,6 +61,14 @@ class DeadlyDisk(LocalFileSystem):
         self.before()
         super().rename(source, target)
 
+    def allocate(self, path: Path, length_bytes: int) -> None:
+        self.before()
+        super().allocate(path, length_bytes)
+
+    def reopen(self, path: Path) -> WritableFile:
+        self.before()
+        return _DeadlyFile(self, super().reopen(path), self._chance)
+
     def sync_folder(self, path: Path) -> None:
         self.before()
         super().sync_folder(path)
@@ -95,13 +104,15 @@ def live(root: Path, said: Path, seed: int, die_at: int) -> None:
         os.write(log, (" ".join(map(str, words)) + ".\n").encode())
 
     disk = DeadlyDisk(die_at, random.Random(seed))
-    library = Library(root, disk)
+    room = Room(root, disk)
+    library = Library(root, room)
     library.prepare()
     library.recover()
     store = Calibrations(root, SERIAL, disk)
     health = HealthFile(root, HASH, disk)
     judged = health.read().judged
     for k in range(SCANS):
+        room.hold(PLAN)
         scan = library.begin(frames(seed + k), record())
         say("RAW", scan.scan_id)
         if k % 3 == 2:

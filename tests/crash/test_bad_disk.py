@@ -9,13 +9,21 @@ from pathlib import Path
 import pytest
 
 from appliance.storage.atomic import StorageError, replace_file
+from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.library import Library, PendingScan, Shelf
-from tests.appliance.storage.scenes import PREVIEW, BadDisk, cloud, frames, record
+from appliance.storage.room import Room
+from tests.appliance.storage.scenes import PLAN, PREVIEW, BadDisk, cloud, frames, record
 
 
 def prepared(root: Path) -> Path:
     Library(root).prepare()
+    Room(root, LocalFileSystem()).hold(PLAN)
     return root
+
+
+def on_a(disk: BadDisk, root: Path) -> Library:
+    """Its scans are written into allocated space, as on the instrument."""
+    return Library(root, Room(root, disk))
 
 
 def save(library: Library) -> str:
@@ -26,7 +34,7 @@ def save(library: Library) -> str:
 
 def calls_of(root: Path, work: str) -> list[str]:
     disk = BadDisk()
-    library = Library(prepared(root), disk)
+    library = on_a(disk, prepared(root))
     if work == "save":
         save(library)
     else:
@@ -46,7 +54,7 @@ def test_each_call_of_a_save_fails_once_and_trying_again_succeeds(tmp_path: Path
     assert sum(name.startswith("sync") for name in calls) >= 10
     for bad in range(len(calls)):
         root = prepared(tmp_path / f"{error}-{bad}")
-        library = Library(root, BadDisk(bad, error=error))
+        library = on_a(BadDisk(bad, error=error), root)
         scan: PendingScan | None = None
         failures = 0
         for _ in range(2):
@@ -57,7 +65,9 @@ def test_each_call_of_a_save_fails_once_and_trying_again_succeeds(tmp_path: Path
             except StorageError:
                 failures += 1
                 nothing_half_is_visible(root)
-        assert failures == 1, calls[bad]
+        # A folder that cannot grow is given the room's slack.
+        helped = error == errno.ENOSPC and calls[bad].split()[0] in ("rename", "create", "make_folder")
+        assert failures == (0 if helped else 1), calls[bad]
         assert scan is not None
         fresh = Library(root)
         assert fresh.recover().failed == ()
@@ -74,7 +84,7 @@ def test_a_disk_that_dies_for_good_at_each_call_keeps_what_was_there_and_shows_n
         root = prepared(tmp_path / f"dead-{bad}")
         first = save(Library(root))
         with pytest.raises(StorageError):
-            save(Library(root, BadDisk(bad, bad_for=10**6)))
+            save(on_a(BadDisk(bad, bad_for=10**6), root))
         nothing_half_is_visible(root)
         fresh = Library(root)
         assert fresh.recover().failed == ()
@@ -87,7 +97,7 @@ def test_each_call_of_a_rejection_fails_once_and_trying_again_succeeds(tmp_path:
     calls = calls_of(tmp_path / "count", "reject")
     for bad in range(len(calls)):
         root = prepared(tmp_path / f"reject-{bad}")
-        library = Library(root, BadDisk(bad))
+        library = on_a(BadDisk(bad), root)
         scan: PendingScan | None = None
         for _ in range(2):
             try:

@@ -7,14 +7,19 @@ from pathlib import Path
 import pytest
 
 from appliance.storage.library import Library, Shelf
-from tests.appliance.storage.scenes import PREVIEW, PowerCut, VolatileDisk, cloud, frames, record
+from appliance.storage.room import Room
+from tests.appliance.storage.scenes import PLAN, PREVIEW, PowerCut, VolatileDisk, cloud, frames, record
 
 
-def dive(library: Library, saved: list[str], rejected: list[str]) -> None:
-    """Two scans kept, one rejected between them."""
+def dive(root: Path, disk: VolatileDisk, saved: list[str], rejected: list[str], *, allocated: bool) -> None:
+    """Two scans kept, one rejected between them; with or without space allocated beforehand."""
+    room = Room(root, disk)
+    library = Library(root, room)
     library.prepare()
     library.recover()
     for k, keep in enumerate((True, False, True)):
+        if allocated:
+            room.hold(PLAN)
         scan = library.begin(frames(k), record())
         if keep:
             scan.publish(record(), cloud(seed=k), PREVIEW)
@@ -24,16 +29,17 @@ def dive(library: Library, saved: list[str], rejected: list[str]) -> None:
             rejected.append(scan.scan_id)
 
 
-def calls_of_a_dive(root: Path) -> int:
+def calls_of_a_dive(root: Path, *, allocated: bool) -> int:
     root.mkdir()
     disk = VolatileDisk(root)
-    dive(Library(root, disk), [], [])
+    dive(root, disk, [], [], allocated=allocated)
     return disk.calls
 
 
+@pytest.mark.parametrize("allocated", [False, True])
 @pytest.mark.parametrize("names_survive", [False, True])
-def test_power_cut_before_every_single_call_of_a_dive(tmp_path: Path, names_survive: bool) -> None:
-    total = calls_of_a_dive(tmp_path / "count")
+def test_power_cut_before_every_single_call_of_a_dive(tmp_path: Path, names_survive: bool, allocated: bool) -> None:
+    total = calls_of_a_dive(tmp_path / "count", allocated=allocated)
     assert total > 60
     recovered = set_aside = 0
     for cut_at in range(total + 1):
@@ -43,7 +49,7 @@ def test_power_cut_before_every_single_call_of_a_dive(tmp_path: Path, names_surv
         saved: list[str] = []
         rejected: list[str] = []
         try:
-            dive(Library(root, disk), saved, rejected)
+            dive(root, disk, saved, rejected, allocated=allocated)
         except PowerCut:
             pass
         else:

@@ -17,6 +17,7 @@ from appliance.calibration.health import Trend
 from appliance.storage import counter
 from appliance.storage import manifest as form
 from appliance.storage.atomic import StorageError
+from appliance.storage.calibrations import Calibrations
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.health import HealthFile
 from appliance.storage.library import Library
@@ -34,7 +35,7 @@ from tests.drivers.camera.test_features import XML, RegisterMemory
 from tests.drivers.camera.test_stream import Bench, frame
 from tests.drivers.clock import SteppedClock
 from tests.fuzz.camera import SHORT, _zipped
-from tests.fuzz.files import CALIBRATIONS, CLOUDS, HASH, HEALTH, RESPONSE, _resealed
+from tests.fuzz.files import CALIBRATIONS, CLOUDS, HASH, HEALTH, RESPONSE, SESSION, _resealed
 
 
 def features(xml: str) -> Features:
@@ -100,6 +101,34 @@ def test_a_message_quotes_no_page_of_nonsense() -> None:
         with pytest.raises(response_file.ResponseFileError) as caught:
             response_file.decode(resealed(RESPONSE, **changes), "response.json")
         assert len(str(caught.value)) < 400
+
+
+def test_a_checksum_of_a_page_is_not_quoted_as_a_page() -> None:
+    content = {**json.loads(RESPONSE), "sha256": "9" * 5000}
+    with pytest.raises(response_file.ResponseFileError, match="changed or damaged") as refused:
+        response_file.decode(json.dumps(content).encode(), "response response.json")
+    assert len(str(refused.value)) < 400
+
+
+@pytest.mark.parametrize(
+    ("field", "value"), [("kept", "9" * 5000), ("kept", "../../scans/000001/manifest.json"), ("number", "nan")]
+)
+def test_a_session_with_a_name_or_a_number_that_cannot_be_keeps_nothing_of_it(
+    tmp_path: Path, field: str, value: str
+) -> None:
+    content = json.loads(SESSION)
+    del content["sha256"]
+    if field == "number":
+        content["trials"][0]["number"] = value
+    else:
+        content[field] = value
+    store = Calibrations(tmp_path, "KF-TEST")
+    (store.folder / "session").mkdir(parents=True)
+    (store.folder / "session" / "session.json").write_bytes(_resealed(content))
+    session = store.session()
+    assert session.kept is None
+    assert store.write(session) == session
+    assert (session.trials == ()) == (field == "number")
 
 
 def test_numbers_that_are_used_up_are_not_given_again(tmp_path: Path) -> None:

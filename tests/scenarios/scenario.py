@@ -5,6 +5,7 @@
     rig limits.case_warm_c=25                    before: a value of the rig file
     given nonsense in calibration/current.json   before: a file below the storage root
     given fault camera.left slow                 before: what is broken when the power comes on
+    given disk 40                                before: the storage is a disk of its own, of so many MB
     ...                                          the dive: a diver's script (docs/protocols/world.md)
     after saved 1                                afterwards: how many scans lie there; each must be whole
     after rejected 1
@@ -17,9 +18,12 @@ Every scan that the screen called SAVED must be there and whole, whether the tex
 from __future__ import annotations
 
 import re
+import subprocess
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+
+import pytest
 
 from appliance.cli.simrig import default_sim_rig
 from appliance.config import load_rig
@@ -31,7 +35,7 @@ SHELVES = {"saved": Shelf.SCANS, "rejected": Shelf.REJECTED, "set-aside": Shelf.
 PATTERNS = {
     "world": r"world( \w+=\S+)+",
     "rig": r"rig( [\w.]+=\S+)+",
-    "given": r"given (nonsense in \S+|fault .+)",
+    "given": r"given (nonsense in \S+|fault .+|disk \d+)",
     "after": r"after ((saved|rejected|set-aside) \d+|verdict \w+ (passed|failed) in \d{6}|damaged \d{6})",
 }
 
@@ -44,6 +48,8 @@ class Scenario:
     rig: Mapping[str, str]
     nonsense: tuple[str, ...]
     faults: tuple[str, ...]
+    disk_mb: int | None
+    """Of a disk that is the storage's alone; ``None``: whatever lies under the tests."""
     script: str
     """The diver's part; every line where it stands in the file."""
     after: tuple[tuple[str, ...], ...]
@@ -71,6 +77,7 @@ def parse(text: str) -> Scenario:
         settings["rig"],
         tuple(said.split()[-1] for said in found["given"] if said.startswith("nonsense")),
         tuple(said.partition(" ")[2] for said in found["given"] if said.startswith("fault")),
+        next((int(said.split()[1]) for said in found["given"] if said.startswith("disk")), None),
         "\n".join(script),
         tuple(tuple(said.split()) for said in found["after"]),
     )
@@ -79,6 +86,8 @@ def parse(text: str) -> Scenario:
 def play(scenario: Scenario, folder: Path) -> Library:
     """Dive, from power on to power off, and look at what is left. Raises what the script or the service raises."""
     root = folder / "root"
+    if scenario.disk_mb is not None:
+        _mount(root, scenario.disk_mb)
     for name in scenario.nonsense:
         (root / name).parent.mkdir(parents=True, exist_ok=True)
         (root / name).write_bytes(b'{"nonsense": \x00')
@@ -91,6 +100,15 @@ def play(scenario: Scenario, folder: Path) -> Library:
     rig = replace(rig, rig=replace(rig.rig, wires_options=options), storage=replace(rig.storage, root=root))
     assert run(rig) == 0
     return Library(root)
+
+
+def _mount(root: Path, size_mb: int) -> None:
+    """A disk in memory; it goes with the last one who uses it. Skipped where this user may not mount one."""
+    root.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", f"size={size_mb}m", "none", str(root)]
+    mounted = subprocess.run(mount, capture_output=True, timeout=20, check=False)
+    if mounted.returncode != 0:
+        pytest.skip(f"no disk can be mounted: {mounted.stderr.decode().strip()}")
 
 
 def judge(scenario: Scenario, library: Library) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,11 @@ SCENARIOS = sorted(Path(__file__).parent.glob("*.scn"))
 @pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
 def test_the_instrument_survives(path: Path, tmp_path: Path) -> None:
     scenario = parse(path.read_text(encoding="utf-8"))
-    assert judge(scenario, play(scenario, tmp_path)) == []
+    try:
+        assert judge(scenario, play(scenario, tmp_path)) == []
+    finally:
+        if scenario.disk_mb is not None and (tmp_path / "root").is_mount():
+            subprocess.run(["umount", "-l", str(tmp_path / "root")], check=True, timeout=20)
 
 
 def test_a_text_that_is_not_understood_is_refused() -> None:

@@ -15,6 +15,7 @@ from appliance.capture.verdict import Verdict
 from appliance.storage.filesystem import Bytes, LocalFileSystem, WritableFile
 from appliance.storage.ply import StoredCloud
 from appliance.storage.record import ScanRecord, SequenceInfo
+from appliance.storage.room import plan
 
 FRAMES = 3
 
@@ -40,6 +41,10 @@ def record(**changes: object) -> ScanRecord:
         "stage_times_s": {"capture": 0.4},
     }
     return ScanRecord(**{**values, **changes})  # type: ignore[arg-type]
+
+
+PLAN = {name: min(length, 20_000) for name, length in plan(1000, 10_000).items()}
+"""Of the room for one of these scans."""
 
 
 def cloud(points: int = 20, seed: int = 0) -> StoredCloud:
@@ -85,6 +90,14 @@ class BadDisk(LocalFileSystem):
     def rename(self, source: Path, target: Path) -> None:
         self._count(f"rename {source.name} {target.name}")
         super().rename(source, target)
+
+    def allocate(self, path: Path, length_bytes: int) -> None:
+        self._count(f"allocate {path.name}")
+        super().allocate(path, length_bytes)
+
+    def reopen(self, path: Path) -> WritableFile:
+        self._count(f"reopen {path.name}")
+        return _BadFile(self, super().reopen(path), path.name)
 
     def sync_folder(self, path: Path) -> None:
         self._count(f"sync_folder {path.name}")
@@ -169,6 +182,16 @@ class VolatileDisk(LocalFileSystem):
         real = super().create(path)
         node = self._node(path.parent).names[path.name] = _Node(folder=False)
         return _VolatileFile(self, real, node)
+
+    def allocate(self, path: Path, length_bytes: int) -> None:
+        self._count()
+        super().allocate(path, length_bytes)
+        # What an earlier file left in those blocks may be found there.
+        self._node(path.parent).names[path.name] = _Node(folder=False, durable_data=b"\x5a" * length_bytes)
+
+    def reopen(self, path: Path) -> WritableFile:
+        self._count()
+        return _VolatileFile(self, super().reopen(path), self._node(path))
 
     def rename(self, source: Path, target: Path) -> None:
         self._count()

@@ -1,0 +1,122 @@
+"""No scan begins without space that is allocated for it, and the diver reads why."""
+
+from __future__ import annotations
+
+import errno
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from appliance.calibration.design import Design, design_calibration
+from appliance.capture.exposure import Exposure
+from appliance.capture.fault import FaultCode
+from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
+from appliance.config import load_rig
+from appliance.machine import events as on
+from appliance.machine.alerts import RULES
+from appliance.machine.states import Part
+from appliance.optics.water import Water
+from appliance.patterns.sequence import build_sequence
+from appliance.service.scans import ASK_AGAIN_S, ScanDesk
+from appliance.storage.filesystem import LocalFileSystem
+from appliance.storage.library import Library
+from appliance.storage.room import FOLDER, Room
+from tests.drivers.clock import SteppedClock
+
+
+class Disk(LocalFileSystem):
+    """Refuses to allocate, with ``error``, as long as there is one."""
+
+    error: int | None = None
+
+    def allocate(self, path: Path, length_bytes: int) -> None:
+        if self.error is not None:
+            raise OSError(self.error, "refused")
+        super().allocate(path, length_bytes)
+
+
+@contextmanager
+def desk_on(disk: Disk, root: Path, clock: SteppedClock) -> Iterator[ScanDesk]:
+    """Without the process for points: nothing is recorded here."""
+    rig = simulated(load_rig(default_sim_rig()), SimOptions(root=root, size="400x300"))
+    calibration = design_calibration(
+        Design(11.5, 18.0, 230.0, 12.41, 30.0, 5.0, 1.77), "KF-TEST", 400, 300, Water(20.0, 0.0, 530.0)
+    )
+    room = Room(root, disk)
+    library = Library(root, room)
+    library.prepare()
+    desk = ScanDesk(rig, calibration, build_sequence(16), library, clock, room=room)
+    try:
+        yield desk
+    finally:
+        desk.__exit__(None, None, None)
+
+
+def answered(desk: ScanDesk) -> list[on.Event]:
+    desk.submit(lambda: None).result(30.0)  # whatever was asked before is through
+    return desk.poll()
+
+
+def raised(events: list[on.Event]) -> set[FaultCode]:
+    found = {event.fault.code for event in events if isinstance(event, on.ConditionRaised)}
+    full = any(isinstance(event, on.StorageCounted) and event.scans_left == 0 for event in events)
+    return found | ({FaultCode.STORAGE_FULL} if full else set())
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (errno.ENOSPC, FaultCode.STORAGE_FULL),
+        (errno.EDQUOT, FaultCode.STORAGE_FULL),
+        (errno.EROFS, FaultCode.DISK_READ_ONLY),
+        (errno.EIO, FaultCode.DISK_REFUSES),
+    ],
+)
+def test_a_scan_for_which_no_space_can_be_allocated_is_refused_until_it_can(
+    tmp_path: Path, error: int, code: FaultCode
+) -> None:
+    disk, clock = Disk(), SteppedClock()
+    disk.error = error
+    with desk_on(disk, tmp_path, clock) as desk:
+        desk.test_storage()
+        assert raised(answered(desk)) == {code}
+        assert RULES[code].blocks_scan
+        fault = desk.begin(1, Exposure(8000, 0.0))
+        assert fault is not None
+        assert fault.code is code
+        disk.error = None
+        clock.sleep_s(ASK_AGAIN_S + 0.1)
+        desk.poll()
+        events = answered(desk)  # it asked again by itself
+        assert raised(events) == set()
+        assert any(isinstance(event, on.StorageCounted) and event.scans_left for event in events)
+        assert desk.begin(1, Exposure(8000, 0.0)) is None
+
+
+def test_after_the_self_test_the_space_of_a_whole_scan_is_allocated(tmp_path: Path) -> None:
+    with desk_on(Disk(), tmp_path, SteppedClock()) as desk:
+        desk.test_storage()
+        events = answered(desk)
+        (tested,) = (event for event in events if isinstance(event, on.PartTested))
+        assert (tested.part, tested.passed) == (Part.STORAGE, True)
+        assert "counted only" not in tested.detail
+        held = {path.name: path.stat().st_blocks * 512 for path in (tmp_path / FOLDER).iterdir() if path.is_file()}
+        assert held["frames-left"] >= 24 * 400 * 300
+        assert held["frames-right"] >= 24 * 400 * 300
+        desk.use_sequence(build_sequence(64))
+        answered(desk)
+        assert desk.begin(1, Exposure(8000, 0.0)) is None
+
+
+def test_a_disk_that_cannot_allocate_is_used_and_said_to_be_counted_only(tmp_path: Path) -> None:
+    disk = Disk()
+    disk.error = errno.EOPNOTSUPP
+    with desk_on(disk, tmp_path, SteppedClock()) as desk:
+        desk.test_storage()
+        events = answered(desk)
+        (tested,) = (event for event in events if isinstance(event, on.PartTested))
+        assert tested.passed
+        assert "counted only" in tested.detail
+        assert desk.begin(1, Exposure(8000, 0.0)) is None
