@@ -101,7 +101,7 @@ def _is_unknown_key(detail: ErrorDetails) -> bool:
 
 
 def _explain(detail: ErrorDetails, source: str, more: int) -> ConfigError:
-    key = ".".join(str(part) for part in detail["loc"])
+    key = ".".join(_short(str(part)) for part in detail["loc"])
     value = _spell(detail["input"])
     context = detail.get("ctx", {})
     lower, upper = _range_of(detail["loc"])
@@ -126,7 +126,10 @@ def _explain(detail: ErrorDetails, source: str, more: int) -> ConfigError:
 
 
 def _spell(value: object) -> str:
-    text = json.dumps(value, default=str) if not isinstance(value, float) else f"{value:g}"
+    return _short(json.dumps(value, default=str) if not isinstance(value, float) else f"{value:g}")
+
+
+def _short(text: str) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 

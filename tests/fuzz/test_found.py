@@ -14,6 +14,8 @@ import pytest
 from appliance.calibration import file as calibration_file
 from appliance.calibration import response_file
 from appliance.calibration.health import Trend
+from appliance.config import ConfigError
+from appliance.config.load import parse_rig
 from appliance.storage import counter
 from appliance.storage import manifest as form
 from appliance.storage.atomic import StorageError
@@ -101,6 +103,12 @@ def test_a_message_quotes_no_page_of_nonsense() -> None:
         with pytest.raises(response_file.ResponseFileError) as caught:
             response_file.decode(resealed(RESPONSE, **changes), "response.json")
         assert len(str(caught.value)) < 400
+
+
+def test_a_key_of_a_page_is_not_quoted_as_a_page() -> None:
+    with pytest.raises(ConfigError, match="unknown key") as refused:
+        parse_rig(f'[rig]\n{"9" * 5000} = 1\n')
+    assert len(str(refused.value)) < 400
 
 
 def test_a_checksum_of_a_page_is_not_quoted_as_a_page() -> None:
