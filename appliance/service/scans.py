@@ -33,6 +33,7 @@ from appliance.patterns.response import Response
 from appliance.patterns.sequence import PatternSequence
 from appliance.reconstruct.noise import TYPICAL_PAIR, StereoNoise
 from appliance.reconstruct.pipeline import COARSE_POINTS, Cloud
+from appliance.service.room import ScanRoom
 from appliance.service.health import CalibrationWatch
 from appliance.service.instrument import exposure_of, noise_of, taking_of, water_of
 from appliance.service.wall_clock import set_from_outside
@@ -41,8 +42,7 @@ from appliance.storage.atomic import StorageError, replace_file
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.library import Library, PendingScan
 from appliance.storage.record import ScanRecord, SecondSequence, SequenceInfo
-from appliance.storage.room import Room, is_full, is_read_only, plan
-from appliance.storage.scan import cloud_bytes, frames_bytes, size_bytes
+from appliance.storage.room import Room
 from appliance.worker.pair import faults_of
 from appliance.worker.process import (
     CloudReady,
@@ -62,8 +62,6 @@ from drivers.api import Clock
 log = logging.getLogger("kingfisher")
 
 Answer = TypeVar("Answer")
-ASK_AGAIN_S = 5.0
-"""Without room for a scan: how often the disk is asked whether there is some by now."""
 PROBE = "self-test"
 PROBE_CONTENT = b"written and read back at every start\n"
 
@@ -147,7 +145,6 @@ class ScanDesk:
         self._response = response
         self._taking = taking_of(rig, exposure_of(rig))
         self._library = library
-        self._room = room
         self._fs = LocalFileSystem()
         self._clock = clock
         self.sequence = sequence
@@ -159,9 +156,8 @@ class ScanDesk:
         self.windows = WindowWatch()
         self._disk = ThreadPoolExecutor(1, "kf-storage")
         self._answers: list[Future[list[on.Event]]] = []
-        self._size_scans(sequence)
-        self._no_room: Fault | None = None
-        self._counted_ns = 0
+        self.room = ScanRoom(library, room, rig.storage.reserve_mb * 1_000_000, clock)
+        self.room.size(len(sequence), left.width_px, left.height_px)
         self.scan: ScanInWork | None = None
         self.worker_settled = False
         """It is warm, or it cannot be: nothing more is to be waited for at the start."""
@@ -194,8 +190,8 @@ class ScanDesk:
     def begin(self, number: int, exposure: Exposure) -> Fault | None:
         """Make room in memory for a new scan's frames; a fault when the previous ones are still only there, or there is no room
         for new ones on the disk. Call when ``settled``."""
-        if self._no_room is not None:
-            return self._no_room
+        if self.room.missing is not None:
+            return self.room.missing
         scan = self.scan
         if scan is not None and scan.raw is not None:
             try:
@@ -212,8 +208,8 @@ class ScanDesk:
         scan = self.scan
         if scan is None:
             return Fault(FaultCode.INTERNAL, "a second exposure was wanted without a scan")
-        if self._no_room is not None:
-            return self._no_room
+        if self.room.missing is not None:
+            return self.room.missing
         scan.second = SecondInWork(number, self._clock.now_ns(), exposure)
         self.worker.begin_second(scan.number, self._taken(exposure))
         return None
@@ -337,16 +333,10 @@ class ScanDesk:
         left = self._rig.camera.left
         old, self.store = self.store, FrameStore(len(sequence), left.height_px, left.width_px, sequences=2)
         self.sequence, self.scan = sequence, None
-        self._size_scans(sequence)
+        self.room.size(len(sequence), left.width_px, left.height_px)
         self.worker.change(replace(self.worker.order, period_px=sequence.period_px), self.store)
         old.close()
         self.count()
-
-    def _size_scans(self, sequence: PatternSequence) -> None:
-        """What one scan takes on the disk, and what is allocated for it."""
-        n, (width_px, height_px) = len(sequence), (self._rig.camera.left.width_px, self._rig.camera.left.height_px)
-        self._scan_bytes = size_bytes(n, width_px, height_px)
-        self._room_plan = plan(frames_bytes(n, width_px, height_px), cloud_bytes(width_px, height_px))
 
     def test_storage(self) -> None:
         """Answer PartTested: whether the disk takes a file and gives it back."""
@@ -361,7 +351,7 @@ class ScanDesk:
     def poll(self) -> list[on.Event]:
         """What the disk and the worker answered since the last call."""
         events: list[on.Event] = []
-        if self._no_room is not None and not self.busy and self._clock.now_ns() - self._counted_ns > ASK_AGAIN_S * 1e9:
+        if self.room.due and not self.busy:
             self.count()
         done = [answer for answer in self._answers if answer.done()]
         self._answers = [answer for answer in self._answers if not answer.done()]
@@ -569,47 +559,17 @@ class ScanDesk:
             replace_file(self._fs, probe, PROBE_CONTENT)
             if probe.read_bytes() != PROBE_CONTENT:
                 return [on.PartTested(Part.STORAGE, False, f"{probe} does not hold what was written")]
-            counted = self._counted()
+            counted = self.room.counted()
         except (StorageError, OSError) as error:
             return [on.PartTested(Part.STORAGE, False, str(error))]
-        said = f"{self._scan_bytes / 1e6:.0f} MB each"
-        if self._room is None or not self._room.allocates:
-            said += ", space counted only"
-        return [*counted, on.PartTested(Part.STORAGE, True, said)]
+        return [*counted, on.PartTested(Part.STORAGE, True, self.room.said)]
 
     def _counted_if_told(self) -> list[on.Event]:
         try:
-            return self._counted()
+            return self.room.counted()
         except StorageError as error:
             log.warning("scans are not counted: %s", error)
             return []
-
-    def _counted(self) -> list[on.Event]:
-        """What is there, how much more fits, and whether the next scan's space is allocated."""
-        self._no_room = fault = self._reserved()
-        self._counted_ns = self._clock.now_ns()
-        left = self._library.scans_left(self._scan_bytes, self._rig.storage.reserve_mb * 1_000_000)
-        if fault is not None and fault.code is FaultCode.STORAGE_FULL:
-            left = 0
-        elif left == 0:
-            self._no_room = Fault(FaultCode.STORAGE_FULL, "no room for another scan")
-        events: list[on.Event] = [on.StorageCounted(self._library.count(), self._library.last_id(), left)]
-        for code in (FaultCode.DISK_READ_ONLY, FaultCode.DISK_REFUSES):
-            there = fault is not None and fault.code is code
-            events.append(on.ConditionRaised(fault) if fault is not None and there else on.ConditionCleared(code))
-        return events
-
-    def _reserved(self) -> Fault | None:
-        """Allocate the next scan's space; why that cannot be."""
-        if self._room is None:
-            return None
-        try:
-            self._room.hold(self._room_plan)
-        except StorageError as error:
-            log.warning("no space for the next scan: %s", error)
-            code = FaultCode.DISK_READ_ONLY if is_read_only(error) else FaultCode.DISK_REFUSES
-            return Fault(FaultCode.STORAGE_FULL if is_full(error) else code, str(error))
-        return None
 
 
 def _remembered(write: Callable[[], None]) -> list[on.Event]:

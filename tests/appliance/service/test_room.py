@@ -19,7 +19,8 @@ from appliance.machine.alerts import RULES
 from appliance.machine.states import Part
 from appliance.optics.water import Water
 from appliance.patterns.sequence import build_sequence
-from appliance.service.scans import ASK_AGAIN_S, ScanDesk
+from appliance.service.room import ASK_AGAIN_S
+from appliance.service.scans import ScanDesk
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.library import Library
 from appliance.storage.room import FOLDER, Room

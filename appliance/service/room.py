@@ -1,0 +1,79 @@
+"""Owns whether there is room for the next scan: allocated before the shot, counted, and asked for again where there is none."""
+
+from __future__ import annotations
+
+import logging
+
+from appliance.capture.fault import Fault, FaultCode
+from appliance.machine import events as on
+from appliance.storage.atomic import StorageError
+from appliance.storage.library import Library
+from appliance.storage.room import Room, is_full, is_read_only, plan
+from appliance.storage.scan import cloud_bytes, frames_bytes, size_bytes
+from drivers.api import Clock
+
+log = logging.getLogger("kingfisher")
+
+ASK_AGAIN_S = 5.0
+"""Without room for a scan: how often the disk is asked whether there is some by now."""
+
+
+class ScanRoom:
+    """``counted`` runs in the disk's thread, the rest in the heartbeat's; they share one reference at a time."""
+
+    def __init__(self, library: Library, room: Room | None, reserve_bytes: int, clock: Clock) -> None:
+        """``room``: the library's file system, where it allocates space; without one, space is only counted."""
+        self._library, self._room = library, room
+        self._reserve_bytes = reserve_bytes
+        self._clock = clock
+        self._counted_ns = 0
+        self._scan_bytes = 1
+        self._plan: dict[str, int] = {}
+        self.missing: Fault | None = None
+        """Why no scan may begin."""
+
+    def size(self, frames: int, width_px: int, height_px: int) -> None:
+        """What one scan takes from now on."""
+        self._scan_bytes = size_bytes(frames, width_px, height_px)
+        self._plan = plan(frames_bytes(frames, width_px, height_px), cloud_bytes(width_px, height_px))
+
+    @property
+    def due(self) -> bool:
+        """Whether to count again: there was no room, and some time has passed."""
+        return self.missing is not None and self._clock.now_ns() - self._counted_ns > ASK_AGAIN_S * 1e9
+
+    @property
+    def said(self) -> str:
+        """For the self-test, after ``counted``."""
+        allocates = self._room is not None and self._room.allocates
+        return f"{self._scan_bytes / 1e6:.0f} MB each" + ("" if allocates else ", space counted only")
+
+    def counted(self) -> list[on.Event]:
+        """Allocate what the next scan needs; how many there are, how many more fit, and what the disk has against it.
+
+        Raises StorageError where the scans cannot be listed.
+        """
+        fault = self._refused()
+        left = self._library.scans_left(self._scan_bytes, self._reserve_bytes)
+        if fault is not None and fault.code is FaultCode.STORAGE_FULL:
+            left = 0
+        elif fault is None and left == 0:
+            fault = Fault(FaultCode.STORAGE_FULL, "no room for another scan")
+        self.missing, self._counted_ns = fault, self._clock.now_ns()
+        events: list[on.Event] = [on.StorageCounted(self._library.count(), self._library.last_id(), left)]
+        for code in (FaultCode.DISK_READ_ONLY, FaultCode.DISK_REFUSES):
+            there = fault is not None and fault.code is code
+            events.append(on.ConditionRaised(fault) if fault is not None and there else on.ConditionCleared(code))
+        return events
+
+    def _refused(self) -> Fault | None:
+        """Why the space cannot be allocated."""
+        if self._room is None:
+            return None
+        try:
+            self._room.hold(self._plan)
+        except StorageError as error:
+            log.warning("no space for the next scan: %s", error)
+            code = FaultCode.DISK_READ_ONLY if is_read_only(error) else FaultCode.DISK_REFUSES
+            return Fault(FaultCode.STORAGE_FULL if is_full(error) else code, str(error))
+        return None
