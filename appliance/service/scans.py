@@ -33,9 +33,9 @@ from appliance.patterns.response import Response
 from appliance.patterns.sequence import PatternSequence
 from appliance.reconstruct.noise import TYPICAL_PAIR, StereoNoise
 from appliance.reconstruct.pipeline import COARSE_POINTS, Cloud
-from appliance.service.room import ScanRoom
 from appliance.service.health import CalibrationWatch
 from appliance.service.instrument import exposure_of, noise_of, taking_of, water_of
+from appliance.service.room import ScanRoom
 from appliance.service.wall_clock import set_from_outside
 from appliance.service.windows import WindowWatch
 from appliance.storage.atomic import StorageError, replace_file

@@ -107,7 +107,7 @@ def test_a_message_quotes_no_page_of_nonsense() -> None:
 
 def test_a_key_of_a_page_is_not_quoted_as_a_page() -> None:
     with pytest.raises(ConfigError, match="unknown key") as refused:
-        parse_rig(f'[rig]\n{"9" * 5000} = 1\n')
+        parse_rig(f"[rig]\n{'9' * 5000} = 1\n")
     assert len(str(refused.value)) < 400
 
 
