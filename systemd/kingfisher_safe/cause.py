@@ -54,8 +54,8 @@ _GERMAN = {
 KEYS = frozenset(_ENGLISH)
 
 _ENDED = re.compile(r"Main process exited, code=(\w+), status=(\S+)")
-_NOISE = re.compile(r"^(kingfisher\S*: (Scheduled|Start request|Failed with|Consumed|Main process|Watchdog|Killing)|"
-                    r"(Started|Starting|Stopped|Stopping|Failed to start) )")  # fmt: skip
+_SYSTEMD = re.compile(r"^(kingfisher[\w.-]*\.service: |(Started|Starting|Stopped|Stopping|Failed to start) kingfisher)")
+"""What systemd itself says of the service; all else is the program's."""
 
 
 def cause(last_words: Path, unit: str, journal: Sequence[str]) -> Cause:
@@ -66,13 +66,14 @@ def cause(last_words: Path, unit: str, journal: Sequence[str]) -> Cause:
     if said is not None:
         return said
     ended = [found for line in journal if (found := _ENDED.search(line))]
-    own = [line for line in journal if line.strip() and not _NOISE.match(line)]
+    own = [line for line in journal if line.strip() and not _SYSTEMD.match(line)]
     detail = own[-1] if own else "the journal says nothing"
     if any("Watchdog timeout" in line for line in journal[-60:]):
         where = [line.strip() for line in own if line.strip().startswith('File "')]
         return Cause("hang", re.sub(r'File ".*/site-packages/', 'in "', where[0]) if where else detail)
-    if any("oom" in line.lower() for line in journal[-20:]):
-        return Cause("memory", detail)
+    killed = [line for line in journal[-20:] if "oom" in line.lower()]
+    if killed:
+        return Cause("memory", killed[-1])
     if not ended:
         return Cause("unknown", detail)
     code, status = ended[-1].groups()

@@ -133,6 +133,17 @@ EXITED = "kingfisher.service: Main process exited, code=exited, status=1/FAILURE
     ("journal", "key", "detail"),
     [
         (["kingfisher: uncalibrated", "ValueError: no such crystal", EXITED], "program", "ValueError: no such crystal"),
+        (
+            [
+                "ValueError: no such crystal", EXITED, "kingfisher.service: Failed with result 'exit-code'.",
+                "kingfisher.service: Scheduled restart job, restart counter is at 5.",
+                "Stopped kingfisher.service - Kingfisher, the software of an underwater 3D scanner.",
+                "kingfisher.service: Start request repeated too quickly.",
+                "Failed to start kingfisher.service - Kingfisher, the software of an underwater 3D scanner.",
+                "kingfisher.service: Triggering OnFailure= dependencies.",
+            ],
+            "program", "ValueError: no such crystal",
+        ),
         (["x", "kingfisher.service: Main process exited, code=killed, status=9/KILL"], "killed", "by signal 9/KILL; x"),
         (["kingfisher.service: Main process exited, code=dumped, status=11/SEGV"], "killed", "11/SEGV"),
         (
