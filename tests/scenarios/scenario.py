@@ -6,6 +6,9 @@
     given nonsense in calibration/current.json   before: a file below the storage root
     given fault camera.left slow                 before: what is broken when the power comes on
     given disk 40                                before: the storage is a disk of its own, of so many MB
+    given calibrated                             before: a calibration in water that is exactly right (of the nominal rig)
+    given another instance                       before: another process holds the storage
+    refused CONFIG: ...                          instead of a dive: why the program does not start; * stands for anything
     ...                                          the dive: a diver's script (docs/protocols/world.md)
     after saved 1                                afterwards: how many scans lie there; each must be whole
     after rejected 1
@@ -17,9 +20,12 @@ Every scan that the screen called SAVED must be there and whole, whether the tex
 
 from __future__ import annotations
 
+import fnmatch
 import re
 import subprocess
+import sys
 from collections.abc import Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -27,15 +33,18 @@ import pytest
 
 from appliance.cli.simrig import default_sim_rig
 from appliance.config import load_rig
-from appliance.service.app import run
+from appliance.service.app import design_of, run
+from appliance.storage.calibrations import Calibrations
 from appliance.storage.library import Library, Shelf
+from appliance.storage.lock import hold_lock
 
 SMALL = {"width_px": "400", "height_px": "300", "truth": "nominal", "object": "plane", "stills": "true"}
 SHELVES = {"saved": Shelf.SCANS, "rejected": Shelf.REJECTED, "set-aside": Shelf.SET_ASIDE}
 PATTERNS = {
     "world": r"world( \w+=\S+)+",
     "rig": r"rig( [\w.]+=\S+)+",
-    "given": r"given (nonsense in \S+|fault .+|disk \d+)",
+    "given": r"given (nonsense in \S+|fault .+|disk \d+|calibrated|another instance)",
+    "refused": r"refused .+",
     "after": r"after ((saved|rejected|set-aside) \d+|verdict \w+ (passed|failed) in \d{6}|damaged \d{6})",
 }
 
@@ -48,6 +57,11 @@ class Scenario:
     rig: Mapping[str, str]
     nonsense: tuple[str, ...]
     faults: tuple[str, ...]
+    calibrated: bool
+    another: bool
+    """Another process holds the storage."""
+    refused: str | None
+    """What the program says instead of starting."""
     disk_mb: int | None
     """Of a disk that is the storage's alone; ``None``: whatever lies under the tests."""
     script: str
@@ -77,6 +91,9 @@ def parse(text: str) -> Scenario:
         settings["rig"],
         tuple(said.split()[-1] for said in found["given"] if said.startswith("nonsense")),
         tuple(said.partition(" ")[2] for said in found["given"] if said.startswith("fault")),
+        "calibrated" in found["given"],
+        "another instance" in found["given"],
+        next(iter(found["refused"]), None),
         next((int(said.split()[1]) for said in found["given"] if said.startswith("disk")), None),
         "\n".join(script),
         tuple(tuple(said.split()) for said in found["after"]),
@@ -95,11 +112,31 @@ def play(scenario: Scenario, folder: Path) -> Library:
     script.write_text(scenario.script, encoding="utf-8")
     rig_file = folder / "rig.toml"
     rig_file.write_text(_rig_text(scenario), encoding="utf-8")
+    if scenario.refused is not None:
+        _refuse(scenario, rig_file, root)
+        return Library(root)
     rig = load_rig(rig_file)
+    if scenario.calibrated:
+        exact = replace(design_of(rig), method="bundle", made_at="2026-11-20T10:00:00+00:00")
+        Calibrations(root, rig.rig.serial).install(exact, "2026-11-20")
     options = {**rig.rig.wires_options, "script": str(script), "status": str(root / "run" / "status.json")}
     rig = replace(rig, rig=replace(rig.rig, wires_options=options), storage=replace(rig.storage, root=root))
     assert run(rig) == 0
     return Library(root)
+
+
+def _refuse(scenario: Scenario, rig_file: Path, root: Path) -> None:
+    """Start it, as an operator would, and read what it says."""
+    rig_file.write_text(_set(_rig_text(scenario), "storage", "root", str(root)), encoding="utf-8")
+    with hold_lock(root) if scenario.another else nullcontext():
+        started = subprocess.run(
+            [sys.executable, "-m", "appliance.cli", "run", "--rig", str(rig_file)],
+            capture_output=True, text=True, timeout=120, check=False,
+        )  # fmt: skip
+    assert started.returncode != 0, "it started"
+    said = " ".join(started.stderr.split())
+    assert "Traceback" not in said, said
+    assert fnmatch.fnmatchcase(said, f"*{scenario.refused}*"), said
 
 
 def _mount(root: Path, size_mb: int) -> None:
