@@ -38,7 +38,7 @@ class Supervision:
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
         """``installation``: the name of the installed version, as the one who put it on trial knows it.
-        ``now_s``: the manager's time, which is never that of a simulated world."""
+        ``now_s``: the manager's time, whatever clock the devices go by."""
         self._manager = manager
         self._file = root / SELF_TEST_FILE
         self._installation = installation
