@@ -34,7 +34,8 @@ SPOILT = (
     "board off frame={k}",
 )  # fmt: skip
 COMPUTER = (("worker", "kill"), ("worker", "hang"), ("disk", "off"))
-FRAMES = 24
+FRAMES = 20
+"""Of the shortest sequence: a fault in one of its frames comes at any period."""
 AIM_S, ANSWER_S, END_S, SAVE_S = 60.0, 3.0, 200.0, 60.0
 """Longest waits of world time: for AIM, for anything to happen on a key, for the end of a scan, for a save."""
 REJECT_HOLD_S = 1.2
