@@ -104,12 +104,15 @@ def common_of_neighbours(
     """
     found = np.zeros(ends.size)
     value = rest * contrast
-    most = CLIP * 1.4826 * np.median(np.abs(value))
+    # Light that is usual before dark pixels is many grey values before bright ones; noise is not. Either is no edge.
+    most_dn = CLIP * 1.4826 * np.median(np.abs(value))
+    most_share = CLIP * 1.4826 * np.median(np.abs(rest))
     block = np.full(rest.size, -1)
     begin = 0
     for k in range(ends.size):
         for at in order[begin : ends[k]]:
             block[at] = k
+            most = max(most_dn, most_share * contrast[at])
             value[at] = min(max(value[at], -most), most)
         begin = ends[k]
     sums, weights = np.zeros(ends.size), np.zeros(ends.size)

@@ -94,7 +94,7 @@ def test_what_neighbours_have_in_common_is_that_of_numpy(seed: int) -> None:
     found = common_of_neighbours(rest, contrast, row, column, order, ends)
     value, weight, of = np.full(shape, np.nan), np.full(shape, np.nan), np.full(shape, -1)
     grey = rest * contrast
-    most = 3.0 * 1.4826 * float(np.median(np.abs(grey)))
+    most = 3.0 * 1.4826 * np.maximum(np.median(np.abs(grey)), np.median(np.abs(rest)) * contrast)
     value[row, column] = np.clip(grey, -most, most)
     weight[row, column], of[row, column] = contrast, block
     for k in range(2):
