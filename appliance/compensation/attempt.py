@@ -25,6 +25,9 @@ USEFUL_ERROR = 3.0
 CLEAR_GAIN = 0.75
 """Of the error before, at most, where it does not become as good as at rest."""
 
+LEAST_STEP_DEG = 15.0
+"""Of a point's phase between sines: below, no method tells its phase, and beyond, points are taken for those a fringe beside."""
+
 
 @dataclass(frozen=True, slots=True)
 class Attempt:
@@ -51,6 +54,10 @@ def attempt(pipeline: Pipeline, plain: Found, scanned: Scanned, calibration: Cal
         return Attempt(motion, None, "Nothing moved that would show.")
     if not motion.converged:
         return Attempt(motion, None, "The motion could not be told from the frames.")
+    if motion.step_deg < LEAST_STEP_DEG:
+        return Attempt(
+            motion, None, f"Points moved along with the fringes: phases advanced by {motion.step_deg:.0f} of 90°."
+        )
     made = compensate(scanned, calibration, water, motion)
     found = pipeline.find_replaced(made.maps["left"], made.maps["right"])
     error_after = _error(pipeline, found, made)

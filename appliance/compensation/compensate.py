@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibration.file import Calibration
-from appliance.compensation.beside import choose_shares, with_depth, with_paint
 from appliance.compensation.estimate import MotionEstimate, Scanned, noise_dn
-from appliance.compensation.paint import known_smooth
-from appliance.compensation.solve import Solved, Sources, Terms, solve_rows
-from appliance.compensation.ways import Ways, ways
+from appliance.compensation.paint import known_smooth, with_paint
+from appliance.compensation.solve import MAX_T, SINES, Solved, Sources, Terms, depth_rows, solve_rows
+from appliance.compensation.surface import rough_depth
+from appliance.compensation.ways import FIRST_WAY, PER_FRAME, Ways, ways
 from appliance.optics.water import Water
 from appliance.patterns.sequence import Direction
 from appliance.reconstruct.decode import MIN_MODULATION_DN, edge_limits_px
@@ -28,8 +28,13 @@ FILL_SHARE = 0.03
 PROBE_ROWS = 16
 """Every so many rows are asked for the fringes' second harmonic."""
 MAX_HARMONIC = 0.3
-PASSES = (3, 3, 1)
-"""Every so many rows are solved, each time with the depth that the time before found, where points are followed in part."""
+ROUGH_ROWS = 4
+"""Every so many rows are solved to know where paint lies."""
+GOOD_VARIANCE = 1.15
+"""Of a phase, of that by steps of 90°: more, and paint is asked."""
+EXACT_PX, EXACT_TURNS = 0.02, 0.001
+MAX_SETTLED_T = 0.02
+"""2 mm: what is looked up for other things, too, is right to that."""
 MISFIT_PX = 9
 """Window, in px of pictures 800 px wide, over which what contradicts is averaged."""
 MOST_MISFIT = 100.0
@@ -55,11 +60,11 @@ class _Side:
 
 
 def compensate(scanned: Scanned, calibration: Calibration, water: Water, motion: MotionEstimate) -> Compensated:
-    """Follow the scanned points through all frames and decode them anew."""
+    """Follow the scanned points through the frames and decode them anew."""
     sequence = scanned.sequence
     x, y = sequence.axis(Direction.X), sequence.axis(Direction.Y)
-    followed = (*motion.frames, sequence.bright, *x.gray, *y.gray)
-    axes = (0,) * 4 + (1,) * 4 + (0,) + (0,) * len(x.gray) + (1,) * len(y.gray)
+    followed = (*x.sine, sequence.bright, *x.gray, *y.gray)
+    axes = (0,) * (SINES + 1 + len(x.gray)) + (1,) * len(y.gray)
     moved_mm = motion.course_mm[list(followed)]
     rig = calibration.rig
 
@@ -82,41 +87,83 @@ def _solve(scanned: Scanned, side: str, motion: MotionEstimate, followed: tuple[
     # One kind of array, whether it may be written or not: each kind would be compiled for itself.
     frames = scanned.frames[side].view()
     frames.flags.writeable = False
+    nothing = np.zeros((0, 0), np.float32)
     sources = Sources(
-        frames, np.asarray(followed, np.int64), decoder.p_px, *(np.zeros((0, 0), np.float32) for _ in range(6))
+        frames, np.asarray(followed, np.int64), decoder.p_px, rough_depth(decoder.p_px, way), nothing, nothing, nothing
     )
+    terms = Terms(
+        np.float32(sequence.period_px), np.float32(sequence.width_px), np.float32(sequence.height_px),
+        np.float32(MIN_MODULATION_DN), np.float32(noise_dn(scanned, side)),
+        np.float32(noise.read_dn**2 - noise.dn_per_e * noise.black_dn), np.float32(noise.dn_per_e),
+        len(sequence.axis(Direction.X).gray), round(FILL_SHARE * width), np.float32(settled_t(way)),
+        np.float32(0.0), np.float32(0.0),
+    )  # fmt: skip
+    if phase_variance(way) > GOOD_VARIANCE:
+        sources = with_paint(sequence, sources, terms, way)
     solved = Solved(
         np.full((height, width), np.nan, np.float32), np.full((height, width), np.nan, np.float32),
         np.empty((height, width), np.uint8), np.empty((height, width), np.uint8), np.empty((height, width), np.float32),
         np.empty((height, width), np.uint8), np.empty((height, width), np.uint8), np.zeros((height, 2), np.int32),
     )  # fmt: skip
-    follow_x, follow_y = choose_shares(way)
-    terms = Terms(
-        np.float32(sequence.period_px), np.float32(sequence.width_px), np.float32(sequence.height_px),
-        np.float32(MIN_MODULATION_DN), np.float32(noise_dn(scanned, side)),
-        np.float32(noise.read_dn**2 - noise.dn_per_e * noise.black_dn), np.float32(noise.dn_per_e),
-        np.float32(0.0), np.float32(0.0), len(sequence.axis(Direction.X).gray), len(sequence.axis(Direction.Y).gray),
-        round(FILL_SHARE * width), np.float32(follow_x), np.float32(follow_y),
-    )  # fmt: skip
     gains = (1.0 / (1.0 + motion.gains)).astype(np.float32)
-    partly = min(follow_x, follow_y) < 1.0
-    if partly:
-        sources = with_paint(sequence, sources, terms, way)
-    for stride in PASSES if partly else PASSES[-1:]:
-        if partly:
-            sources = with_depth(sources, terms, way)
-        harmonics = np.zeros((2, 2))
-        straight = terms._replace(harmonic_x=np.float32(0.0), harmonic_y=np.float32(0.0))
-        solve_rows(sources, way, gains, straight, PROBE_ROWS // 2, height, PROBE_ROWS, solved, harmonics)
-        share = np.clip(harmonics[:, 0] / np.maximum(harmonics[:, 1], 1e-9), -MAX_HARMONIC, MAX_HARMONIC)
-        terms = terms._replace(harmonic_x=np.float32(share[0]), harmonic_y=np.float32(share[1]))
-        solve_rows(sources, way, gains, terms, 0, height, stride, solved, harmonics)
-        sources = sources._replace(p_px=solved.p_px.copy())
+    terms = _probed(sources, way, gains, terms, solved)
+    if sources.paint.size:
+        # Once more, with paint from the depth that the first one leads to.
+        solve_rows(sources, way, gains, terms, 0, height, ROUGH_ROWS, solved, np.zeros((2, 2)))
+        sources = with_paint(
+            sequence, sources._replace(rough=_nearest_rows(solved.p_px, sources.rough, way)), terms, way
+        )
+        terms = _probed(sources, way, gains, terms, solved)
+    solve_rows(sources, way, gains, terms, 0, height, 1, solved, np.zeros((2, 2)))
     jump_px, bend_px = edge_limits_px(sequence.period_px, width)
     drop_edges(solved.p_px, solved.q_px, jump_px, bend_px)
     worth = _less_misfit(solved.worth_half_dn, solved.misfit, motion.ripple_after, width)
     maps = LeftMaps(solved.p_px, solved.q_px, worth, solved.bright, solved.light, solved.lit_columns)
     return _Side(maps, solved.modulation_half_dn)
+
+
+def _nearest_rows(p_px: NDArray[np.float32], rough: NDArray[np.float32], way: Ways) -> NDArray[np.float32]:
+    """t by every ``ROUGH_ROWS``-th row of columns; ``rough`` where they say nothing."""
+    height, width = p_px.shape
+    depth = np.empty_like(rough)
+    depth_rows(
+        np.repeat(p_px[::ROUGH_ROWS], ROUGH_ROWS, axis=0)[:height], way, round(FILL_SHARE * width), 0, height, depth
+    )
+    return np.asarray(np.where(np.abs(depth) < MAX_T, depth, rough), np.float32)
+
+
+def phase_variance(way: Ways) -> float:
+    """Of the x-sines' phases where points are followed, of that by steps of 90°; in the middle of the volume, median over
+    the image, mean over all phases."""
+    first = FIRST_WAY + 6
+    moved = way.nodes[..., first : first + SINES * PER_FRAME : PER_FRAME].astype(np.float64)
+    steps = 2.0 * np.pi * (moved + 0.25 * np.arange(SINES))
+    A = np.stack([np.ones_like(steps), np.cos(steps), -np.sin(steps)], -1)
+    inverse = np.linalg.inv(np.einsum("...ki,...kj->...ij", A, A) + 1e-9 * np.eye(3))
+    return float(np.median(inverse[..., 1, 1] + inverse[..., 2, 2]))
+
+
+def settled_t(way: Ways) -> float:
+    """By how much a depth may be wrong and nothing is read elsewhere for it: no sine by more than ``EXACT_PX``, no step by
+    more than ``EXACT_TURNS``."""
+    by_t = (
+        np.abs(way.nodes[..., FIRST_WAY : FIRST_WAY + SINES * PER_FRAME]).reshape(-1, SINES, 3, 3)[..., 1].max((0, 1))
+    )
+    return float(min(MAX_SETTLED_T, EXACT_PX / max(by_t[:2].max(), 1e-9), EXACT_TURNS / max(by_t[2], 1e-9)))
+
+
+def _probed(sources: Sources, way: Ways, gains: NDArray[np.float32], terms: Terms, solved: Solved) -> Terms:
+    """``terms`` with what every so many rows tell of fringes and light: first of the light, then, with that, of harmonics."""
+    height = sources.p_px.shape[0]
+    for _ in range(2 if sources.paint.size else 1):
+        told = np.zeros((2, 2))
+        solve_rows(sources, way, gains, terms, PROBE_ROWS // 2, height, PROBE_ROWS, solved, told)
+        harmonic, mean = told[:, 0] / np.maximum(told[:, 1], 1e-9)
+        terms = terms._replace(
+            harmonic=np.float32(np.clip(harmonic, -MAX_HARMONIC, MAX_HARMONIC)),
+            mean_share=np.float32(np.clip(mean, 0.0, 1.0)),
+        )
+    return terms
 
 
 def _less_misfit(

@@ -124,6 +124,8 @@ class MotionEstimate:
     """What remains of it with this motion."""
     texture_px: float
     """Median way of the picture from the first to the last x-sine, in px of the left camera."""
+    step_deg: float
+    """Median advance of a point's phase from one x-sine to the next: 90 at rest, 0 where it moved along with the fringes."""
     noise_factor: float
     """Noise of phases against that of steps of 90° where points are followed all the way. Large where the hand moved along
     with the fringes: a point then saw nearly the same phase in all steps."""
@@ -201,6 +203,7 @@ def estimate(
         ripple_before=RIPPLE_OF_CONTRADICTION * before / noise,
         ripple_after=RIPPLE_OF_CONTRADICTION * after / noise,
         texture_px=binning * _way_px(samples["left"], solver.values),
+        step_deg=_step_deg(samples["left"], solver.values),
         noise_factor=noise_factor,
         converged=step_mm < NEARLY_CONVERGED_MM,
     )
@@ -340,6 +343,13 @@ def _way_px(samples: Samples, values: Array) -> float:
     d = moved[:3] + np.cross(moved[3:], samples.lever)
     way = np.einsum("nij,nj->ni", samples.jacobian, d)
     return float(np.nanmedian(np.linalg.norm(way, axis=1)))
+
+
+def _step_deg(samples: Samples, values: Array) -> float:
+    moved = values[18:24] - values[0:6]
+    d = moved[:3] + np.cross(moved[3:], samples.lever)
+    advance = np.einsum("nj,nj->n", samples.phase_per_mm[:, 0], d)
+    return 90.0 + math.degrees(float(np.nanmedian(advance))) / 3.0
 
 
 def noise_dn(scanned: Scanned, side: str) -> float:

@@ -1,4 +1,7 @@
-"""Owns the pixels' new coordinates: the sine frames followed to where each point went, and solved with their true steps."""
+"""Owns the pixels' new coordinates: the x-sines followed to where each point went, and solved with their true steps.
+
+Rows need no sines: where the column's depth is known, the fitted projector tells the row, better than a hand leaves it.
+"""
 
 from __future__ import annotations
 
@@ -8,28 +11,24 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.compensation.lookup import at, between, cubic, left_of_noise, linear, spread
+from appliance.compensation.lookup import at, left_of_noise, smooth, spread
 from appliance.compensation.residuals import apply_steps, invert_steps
 from appliance.compensation.ways import FIRST_WAY, P_OF_T, PER_FRAME, Q_OF_T, Ways
 
-BRIGHT, FIRST_GRAY = 8, 9
-"""Places of what is followed beside the 8 sine frames: the bright frame, then the Gray images of x, then of y."""
+SINES = 4
+BRIGHT, FIRST_GRAY = 4, 5
+"""Places of what is followed beside the 4 sine frames: the bright frame, then the Gray images of x, then of y."""
 MAX_ROUNDS = 3
-SETTLED_T = np.float32(0.002)
-"""0.2 mm of depth: moves no way by more than 0.02 px."""
 MAX_CONTRARY = np.float32(0.5)
 """Of a Gray image's full swing: what bits may say against an order altogether."""
-MAX_ASIDE_PX = np.float32(4.0)
-"""Between a pattern row and where the fitted projector has it for this pixel and column."""
 MAX_T = np.float32(2.5)
 NEAR_RAD = 0.03
 """Within it cosine and sine are carried on to the second order: right to 5e-6."""
-_NAN, _ZERO, _HALF, _ONE = np.float32(np.nan), np.float32(0.0), np.float32(0.5), np.float32(1.0)
-MIN_RATIO = np.float32(0.1)
-MAX_ROUGH_T = np.float32(0.02)
-"""2 mm of depth; beyond, the surface around a pixel is no smooth one."""
-MIN_SLOPE2 = np.float32(0.01)
-"""Of a pattern coordinate, in (px/px)²: on steeper limbs nothing is read beside the way."""
+MAX_CONTRARY_DN = 20.0
+"""What contradicts more is no harmonic."""
+LEAST_DOUBT = 1e-3
+"""Of the paint, in variances of a grey value: keeps its weight finite."""
+_NAN, _HALF, _ONE = np.float32(np.nan), np.float32(0.5), np.float32(1.0)
 
 
 class Sources(NamedTuple):
@@ -38,20 +37,17 @@ class Sources(NamedTuple):
     frames: NDArray[np.uint8]
     """(n, h, w)."""
     followed: NDArray[np.int64]
-    """Their numbers: 8 sines, bright, Gray images."""
+    """Their numbers: 4 sines, bright, Gray images."""
     p_px: NDArray[np.float32]
-    """As decoded without motion: where a pixel's depth comes from."""
-    depth: NDArray[np.float32]
-    """t, smooth, NaN where it is not known; (0, 0) where every point is followed all the way."""
-    by_column: NDArray[np.float32]
-    """Change of ``depth`` per column."""
-    by_row: NDArray[np.float32]
+    """As decoded without motion: where a pixel's depth is looked for first."""
+    rough: NDArray[np.float32]
+    """t everywhere, smooth: where it is looked for where that leads to nothing."""
     paint: NDArray[np.float32]
-    """Grey values under full light."""
+    """Grey values under full light, NaN where they are not known; (0, 0) where nobody asks for them."""
     veil: NDArray[np.float32]
     """Grey values without light."""
-    doubt: NDArray[np.float32]
-    """Variance of the paint, as a share of its square."""
+    doubt_dn2: NDArray[np.float32]
+    """Variance of the paint."""
 
 
 class Terms(NamedTuple):
@@ -67,17 +63,16 @@ class Terms(NamedTuple):
     """Variance at grey value 0."""
     shot_dn: np.float32
     """Variance per grey value."""
-    harmonic_x: np.float32
-    """Second harmonic of the fringes, as a share of the first."""
-    harmonic_y: np.float32
-    gray_x: int
+    gray: int
     """How many Gray images of the first direction."""
-    gray_y: int
     fill_px: int
     """So far is a depth carried over pixels that have none."""
-    follow_x: np.float32
-    """Share of a point's way within the x-sines that is followed; what remains is read beside it, paint divided out."""
-    follow_y: np.float32
+    settled_t: np.float32
+    """What moves no way by more than is looked up exactly."""
+    harmonic: np.float32
+    """Second harmonic of the fringes, as a share of the first."""
+    mean_share: np.float32
+    """Mean of the sines' light, of full light; 0: paint is not asked."""
 
 
 class Solved(NamedTuple):
@@ -85,6 +80,7 @@ class Solved(NamedTuple):
 
     p_px: NDArray[np.float32]
     q_px: NDArray[np.float32]
+    """What the fitted projector shows there."""
     modulation_half_dn: NDArray[np.uint8]
     worth_half_dn: NDArray[np.uint8]
     """The modulation that four steps of 90° would need for the same noise."""
@@ -104,6 +100,29 @@ def _turn(known: NDArray[np.float64], psi: float) -> tuple[float, float]:
         return known[1], known[2]
     less = 1.0 - 0.5 * apart * apart
     return less * known[1] - apart * known[2], less * known[2] + apart * known[1]
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def weigh_offset(
+    cosine: NDArray[np.float64], sine: NDArray[np.float64], told: float, weights: NDArray[np.float64]
+) -> tuple[float, float, float]:
+    """Least squares of y_k = a + c cos ψ_k − s sin ψ_k over four steps where also a is ``told``, with that weight against one
+    y: how a, c and s follow from y, into ``weights`` (3, 4), and how a, c and s follow from what a is told to be."""
+    n00, n01, n02, n11, n12, n22 = 4.0 + told, 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(SINES):
+        n01 += cosine[k]
+        n02 -= sine[k]
+        n11 += cosine[k] * cosine[k]
+        n12 -= cosine[k] * sine[k]
+        n22 += sine[k] * sine[k]
+    i00, i01, i02 = n11 * n22 - n12 * n12, n02 * n12 - n01 * n22, n01 * n12 - n02 * n11
+    i11, i12, i22 = n00 * n22 - n02 * n02, n01 * n02 - n00 * n12, n00 * n11 - n01 * n01
+    scale = 1.0 / (n00 * i00 + n01 * i01 + n02 * i02)
+    for k in range(SINES):
+        weights[0, k] = scale * (i00 + i01 * cosine[k] - i02 * sine[k])
+        weights[1, k] = scale * (i01 + i11 * cosine[k] - i12 * sine[k])
+        weights[2, k] = scale * (i02 + i12 * cosine[k] - i22 * sine[k])
+    return scale * told * i00, scale * told * i01, scale * told * i02
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -155,33 +174,30 @@ def solve_rows(
     stop: int,
     stride: int,
     solved: Solved,
-    harmonics: NDArray[np.float64],
+    gathered: NDArray[np.float64],
 ) -> None:
     """Solve every ``stride``-th row from ``start`` to ``stop`` − 1 into ``solved``.
 
-    ``harmonics`` (2, 2) gathers Σ contradiction · response and Σ response² of the second harmonic, per direction.
+    ``gathered`` (2, 2) gathers Σ contradiction · response and Σ response² of the second harmonic, then Σ offset · paint and
+    Σ paint² of the sines' mean.
     """
     nodes, step = ways.nodes, ways.step_px
     height, width = sources.p_px.shape
     pixels = sources.frames.reshape(sources.frames.size)
     starts = sources.followed * (height * width)
     bright = sources.frames[sources.followed[BRIGHT]]
-    count = nodes.shape[2]
-    upper = np.empty((nodes.shape[1], count), np.float32)
+    count = FIRST_WAY + PER_FRAME * (FIRST_GRAY + terms.gray)
+    upper = np.empty((nodes.shape[1], nodes.shape[2]), np.float32)
     parabola = np.empty((width, 3), np.float32)
     t_row = np.empty(width, np.float32)
     c = np.empty(count, np.float32)
-    y, cosine, sine = np.empty(4), np.empty(4), np.empty(4)
-    weights, known = np.empty((4, 4)), np.full((8, 3), np.inf)
+    y, cosine, sine, noise = np.empty(SINES), np.empty(SINES), np.empty(SINES), np.empty(SINES)
+    weights, known = np.empty((4, SINES)), np.full((SINES, 3), np.inf)
     seen_gray, carry = np.empty(8, np.float32), np.empty(8, np.int64)
     # By how much the row above lies farther than its undecoded ripple said: the next one hardly differs.
     farther = np.zeros(width, np.float32)
-    turns, modulation, light = np.empty(2), np.empty(2), np.empty(2)
-    noise, worth, misfit = np.empty(4), 0.0, 0.0
-    g_u, g_v = np.empty(6, np.float32), np.empty(6, np.float32)
-    own_paint, own_depth, per_step = _ONE, _ZERO, np.float32(1.0 / step)
-    per_variance = _ONE / (terms.noise_dn * terms.noise_dn)
-    partly = min(terms.follow_x, terms.follow_y) < _ONE
+    per_variance = 1.0 / (float(terms.noise_dn) * float(terms.noise_dn))
+    painting = sources.paint.shape[0] == height
     limit_u, limit_v = np.float32(width - 2), np.float32(height - 2)
     turn = 2.0 * np.pi
     for row in range(start, stop, stride):
@@ -192,10 +208,6 @@ def solve_rows(
             for k in range(3):
                 parabola[x, k] = upper[i, P_OF_T + k] + part * (upper[i + 1, P_OF_T + k] - upper[i, P_OF_T + k])
         _depths(parabola, sources.p_px[row], terms.fill_px, t_row)
-        if partly:
-            for x in range(width):
-                if t_row[x] != t_row[x]:
-                    t_row[x] = sources.depth[row, x]
         first, last = width, 0
         for x in range(width):
             solved.p_px[row, x] = _NAN
@@ -205,141 +217,122 @@ def solve_rows(
             solved.misfit[row, x] = _NAN
             solved.bright[row, x] = bright[row, x]
             solved.light[row, x] = 0
-            t = t_row[x]
-            if not (abs(t) < MAX_T):
-                continue
+            if not (abs(t_row[x]) < MAX_T):
+                t_row[x] = sources.rough[row, x]
             i = x // step
             part = np.float32((x - i * step) / step)
             for k in range(count):
                 c[k] = upper[i, k] + part * (upper[i + 1, k] - upper[i, k])
-            aside_here = partly and abs(sources.depth[row, x] - t) < MAX_ROUGH_T and sources.paint[row, x] > _ZERO
-            if aside_here:
-                own_paint, own_depth = sources.paint[row, x], sources.depth[row, x]
-                j = row // step
-                for k in range(6):
-                    g_u[k] = (upper[i + 1, k] - upper[i, k]) * per_step
-                    low = nodes[j, i, k] + part * (nodes[j, i + 1, k] - nodes[j, i, k])
-                    high = nodes[j + 1, i, k] + part * (nodes[j + 1, i + 1, k] - nodes[j + 1, i, k])
-                    g_v[k] = (high - low) * per_step
-            good = False
-            from_above = farther[x] != 0.0
-            if from_above:
-                t += farther[x]
-            for _ in range(MAX_ROUNDS + 1):
-                good = True
-                for block in range(2):
-                    share = terms.follow_x if block == 0 else terms.follow_y
-                    aside = aside_here and share < _ONE
-                    shown = P_OF_T if block == 0 else Q_OF_T
-                    middle, per_u, per_v = _ZERO, _ZERO, _ZERO
-                    if aside:
-                        for m in range(4):
-                            middle += np.float32(0.25) * at(c, FIRST_WAY + PER_FRAME * (4 * block + m) + 6, t)
-                        by_t = c[shown + 1] + np.float32(2.0) * t * c[shown + 2]
-                        per_u = at(g_u, shown, t) + by_t * sources.by_column[row, x]
-                        per_v = at(g_v, shown, t) + by_t * sources.by_row[row, x]
-                        size2 = per_u * per_u + per_v * per_v
-                        per_u, per_v = terms.period_px * per_u / size2, terms.period_px * per_v / size2
-                        aside = size2 > MIN_SLOPE2
-                    for m in range(4):
-                        k = 4 * block + m
+            paint = float(sources.paint[row, x]) if painting else 0.0
+            painted, doubt = paint > 0.0, 0.0
+            if painted:
+                doubt = per_variance * float(sources.doubt_dn2[row, x]) + LEAST_DOUBT
+            good, t, p, q = False, _NAN, _NAN, _NAN
+            offset, size, worth, misfit, turns = 0.0, 0.0, 0.0, 0.0, 0.0
+            for start_from in range(3):
+                # From what the row above said, from what was decoded, from what is around.
+                if start_from == 0:
+                    if farther[x] == 0.0:
+                        continue
+                    t = t_row[x] + farther[x]
+                elif start_from == 1:
+                    t = t_row[x]
+                else:
+                    t = sources.rough[row, x]
+                    if abs(t - t_row[x]) <= terms.settled_t:
+                        break
+                for _ in range(MAX_ROUNDS + 1):
+                    good = bool(abs(t) < MAX_T)
+                    if not good:
+                        break
+                    for k in range(SINES):
                         way = FIRST_WAY + PER_FRAME * k
-                        way_u, way_v = at(c, way, t), at(c, way + 3, t)
-                        t_there, carried, ratio, offset = t, _ZERO, _ONE, _ZERO
-                        own_doubt = _ZERO
-                        if aside:
-                            back = (share - _ONE) * (at(c, way + 6, t) - middle)
-                            du, dv = back * per_u, back * per_v
-                            t_there = t + linear(sources.depth, np.float32(x) + du, np.float32(row) + dv) - own_depth
-                            carried = at(c, shown, t_there) - at(c, shown, t)
-                            carried += du * at(g_u, shown, t) + dv * at(g_v, shown, t)
-                            carried /= terms.period_px
-                            ratio = own_paint / between(sources.paint, np.float32(x) + du, np.float32(row) + dv)
-                            if not (ratio > MIN_RATIO and ratio < _ONE / MIN_RATIO and t_there == t_there):
-                                good = False
-                                break
-                            offset = sources.veil[row, x]
-                            own_doubt = sources.doubt[int(row + dv + _HALF), int(x + du + _HALF)]
-                            way_u += du
-                            way_v += dv
-                        u, v = np.float32(x) + way_u, np.float32(row) + way_v
+                        u, v = np.float32(x) + at(c, way, t), np.float32(row) + at(c, way + 3, t)
                         if not (u >= _ONE and v >= _ONE and u < limit_u and v < limit_v):
                             good = False
                             break
-                        y[m] = (cubic(pixels, starts[k], width, u, v) * gains[k] - offset) * ratio + offset
-                        noise[m] = float(left_of_noise(u, v)) * ratio * ratio + own_doubt * y[m] * y[m] * per_variance
-                        phase = float(at(c, way + 6, t_there)) + float(carried) + 0.25 * m
-                        cosine[m], sine[m] = _turn(known[k], turn * phase)
+                        y[k] = smooth(pixels, starts[k], width, u, v) * gains[k]
+                        noise[k] = float(left_of_noise(u, v))
+                        cosine[k], sine[k] = _turn(known[k], turn * (float(at(c, way + 6, t)) + 0.25 * k))
                     if not good:
                         break
                     invert_steps(cosine, sine, weights)
-                    _, along_c, along_s, rest = apply_steps(weights, y)
-                    size = np.sqrt(along_c * along_c + along_s * along_s)
-                    harmonic = terms.harmonic_x if block == 0 else terms.harmonic_y
+                    offset, along_c, along_s, rest = apply_steps(weights, y)
+                    told, told_a, told_c, told_s, expected = 0.0, 0.0, 0.0, 0.0, 0.0
+                    if painted:
+                        if stride > 1 and abs(rest) < MAX_CONTRARY_DN:
+                            spare = 0.0
+                            for k in range(SINES):
+                                spare += weights[0, k] * weights[0, k]
+                            gathered[1, 0] += (offset - sources.veil[row, x]) * paint / spare
+                            gathered[1, 1] += paint * paint / spare
+                        if terms.mean_share > 0.0:
+                            expected = float(sources.veil[row, x]) + float(terms.mean_share) * paint
+                            told = 1.0 / (float(terms.mean_share) ** 2 * doubt)
+                            told_a, told_c, told_s = weigh_offset(cosine, sine, told, weights)
+                            along_c, along_s = told_c * expected, told_s * expected
+                            for k in range(SINES):
+                                along_c += weights[1, k] * y[k]
+                                along_s += weights[2, k] * y[k]
                     # cos 2(φ + ψ) of the four steps, times the modulation.
-                    per_size = 1.0 / (size + 1e-9)
+                    per_size = 1.0 / (np.sqrt(along_c * along_c + along_s * along_s) + 1e-9)
                     co, si = (along_c * along_c - along_s * along_s) * per_size, 2.0 * along_c * along_s * per_size
                     seen = 0.0
-                    for m in range(4):
-                        c2, s2 = cosine[m] * cosine[m] - sine[m] * sine[m], 2.0 * sine[m] * cosine[m]
+                    for k in range(SINES):
+                        c2, s2 = cosine[k] * cosine[k] - sine[k] * sine[k], 2.0 * sine[k] * cosine[k]
                         second = co * c2 - si * s2
-                        seen += weights[3, m] * second
-                        y[m] -= harmonic * second
-                    if stride > 1 and abs(rest) < 20.0:
-                        harmonics[block, 0] += rest * seen
-                        harmonics[block, 1] += seen * seen
-                    light[block], along_c, along_s, rest = apply_steps(weights, y)
+                        seen += weights[3, k] * second
+                        y[k] -= terms.harmonic * second
+                    if stride > 1 and abs(rest) < MAX_CONTRARY_DN:
+                        gathered[0, 0] += rest * seen
+                        gathered[0, 1] += seen * seen
+                    offset, along_c, along_s, rest = apply_steps(weights, y)
+                    if told > 0.0:
+                        offset += told_a * expected
+                        along_c += told_c * expected
+                        along_s += told_s * expected
                     size = np.sqrt(along_c * along_c + along_s * along_s)
-                    if not (size >= terms.min_modulation_dn and abs(rest) <= max(6.0 * terms.noise_dn, 0.25 * size)):
-                        good = False
+                    good = size >= terms.min_modulation_dn and abs(rest) <= max(6.0 * terms.noise_dn, 0.25 * size)
+                    if not good:
                         break
-                    turns[block] = np.arctan2(along_s, along_c) / turn
-                    modulation[block] = size
+                    turns = np.arctan2(along_s, along_c) / turn
                     spread_of, against = 0.0, 0.0
-                    for m in range(4):
-                        by = along_s * weights[1, m] - along_c * weights[2, m]
-                        spread_of += by * by * noise[m]
-                        against += weights[3, m] * weights[3, m] * noise[m]
-                    if block == 0:
-                        variance_dn2 = terms.dark_dn2 + terms.shot_dn * light[0]
-                        misfit = rest * rest / (against * variance_dn2)
-                        worth = size * size / np.sqrt(2.0 * spread_of + 1e-9)
-                p = q = _NAN
-                if good:
+                    for k in range(SINES):
+                        by = along_s * weights[1, k] - along_c * weights[2, k]
+                        spread_of += by * by * noise[k]
+                        against += weights[3, k] * weights[3, k] * noise[k]
+                    if told > 0.0:
+                        by = along_s * told_c - along_c * told_s
+                        spread_of += by * by / told
+                    misfit = rest * rest / (against * (float(terms.dark_dn2) + float(terms.shot_dn) * offset))
+                    worth = size * size / np.sqrt(2.0 * spread_of + 1e-9)
                     p = _place(
-                        pixels, starts, height, width, c, FIRST_GRAY, terms.gray_x, t, x, row, turns[0], light[0],
+                        pixels, starts, height, width, c, terms.gray, t, x, row, turns, offset,
                         at(c, P_OF_T, t), terms.period_px, seen_gray, carry,
                     )  # fmt: skip
-                    q = _place(
-                        pixels, starts, height, width, c, FIRST_GRAY + terms.gray_x, terms.gray_y, t, x, row, turns[1],
-                        light[1], at(c, Q_OF_T, t), terms.period_px, seen_gray, carry,
-                    )  # fmt: skip
-                    good = bool(-_ONE <= p <= terms.width_px) and bool(-_ONE <= q <= terms.height_px)
-                if not good:
-                    if from_above:
-                        from_above, t = False, t_row[x]
-                        continue
+                    good = bool(-_ONE <= p <= terms.width_px)
+                    if not good:
+                        break
+                    nearer = (p - c[P_OF_T]) / c[P_OF_T + 1]
+                    nearer -= c[P_OF_T + 2] * nearer * nearer / c[P_OF_T + 1]
+                    settled = abs(nearer - t) < terms.settled_t
+                    t = np.float32(nearer)
+                    q = at(c, Q_OF_T, t)
+                    good = bool(abs(t) < MAX_T) and bool(-_ONE <= q <= terms.height_px)
+                    if settled or not good:
+                        break
+                if good:
+                    fresh = t - t_row[x]
+                    farther[x] = _HALF * (farther[x] + fresh) if start_from == 0 else fresh
                     break
-                nearer = (p - c[P_OF_T]) / c[P_OF_T + 1]
-                nearer -= c[P_OF_T + 2] * nearer * nearer / c[P_OF_T + 1]
-                solved.p_px[row, x], solved.q_px[row, x] = p, q
-                settled = abs(nearer - t) < SETTLED_T
-                t = np.float32(nearer)
-                if settled or not (abs(t) < MAX_T):
-                    break
-            if not good or not (abs(solved.q_px[row, x] - at(c, Q_OF_T, t)) <= MAX_ASIDE_PX):
-                solved.p_px[row, x] = _NAN
-                solved.q_px[row, x] = _NAN
+            if not good:
                 farther[x] = 0.0
                 continue
-            fresh = t - t_row[x]
-            farther[x] = _HALF * (farther[x] + fresh) if from_above else fresh
-            solved.modulation_half_dn[row, x] = np.uint8(min(2.0 * min(modulation[0], modulation[1]) + 0.5, 255.0))
+            solved.p_px[row, x], solved.q_px[row, x] = p, q
+            solved.modulation_half_dn[row, x] = np.uint8(min(2.0 * size + 0.5, 255.0))
             solved.misfit[row, x] = misfit
-            solved.worth_half_dn[row, x] = np.uint8(
-                min(2.0 * min(1.0, modulation[1] / modulation[0]) * worth + 0.5, 255.0)
-            )
-            solved.light[row, x] = np.uint8(min(max(light[0] + 0.5, 0.0), 255.0))
+            solved.worth_half_dn[row, x] = np.uint8(min(2.0 * worth + 0.5, 255.0))
+            solved.light[row, x] = np.uint8(min(max(offset + 0.5, 0.0), 255.0))
             way = FIRST_WAY + PER_FRAME * BRIGHT
             column, line = int(x + at(c, way, t) + _HALF), int(row + at(c, way + 3, t) + _HALF)
             if 0 <= column < width and 0 <= line < height:
@@ -374,7 +367,6 @@ def _place(
     height: int,
     width: int,
     c: NDArray[np.float32],
-    first: int,
     count: int,
     t: np.float32,
     x: int,
@@ -398,12 +390,12 @@ def _place(
     per_light = np.float32(1.0 / max(light, 1.0))
     agreed = True
     for k in range(count):
-        way = FIRST_WAY + PER_FRAME * (first + k)
+        way = FIRST_WAY + PER_FRAME * (FIRST_GRAY + k)
         u = int(np.floor(np.float32(x) + at(c, way, t) + _HALF))
         v = int(np.floor(np.float32(row) + at(c, way + 3, t) + _HALF))
         if not (0 <= u < width and 0 <= v < height):
             return _NAN
-        grey = np.float32(pixels[np.uint64(starts[first + k] + v * width + u)])
+        grey = np.float32(pixels[np.uint64(starts[FIRST_GRAY + k] + v * width + u)])
         seen[k] = min(max((grey - np.float32(light)) * per_light, -_ONE), _ONE)
         lit = int(seen[k] > 0)
         bit ^= lit

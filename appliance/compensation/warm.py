@@ -6,9 +6,9 @@ import numpy as np
 
 from appliance.compensation.compensate import drop_edges
 from appliance.compensation.grays import Stripes, accumulate_gray
-from appliance.compensation.paint import gather
+from appliance.compensation.paint import Asked, Gathered, gather
 from appliance.compensation.residuals import FRAMES, PARAMETERS, SMOOTH_TERMS, Samples, accumulate
-from appliance.compensation.solve import BRIGHT, Solved, Sources, Terms, depth_rows, solve_rows
+from appliance.compensation.solve import FIRST_GRAY, Solved, Sources, Terms, depth_rows, solve_rows
 from appliance.compensation.ways import FIRST_WAY, PER_FRAME, Ways
 
 _SIZE = (8, 8)
@@ -35,13 +35,14 @@ def run_every_kernel() -> None:
         np.zeros(_SIZE, np.uint8), np.zeros(_SIZE, np.uint8), np.zeros((_SIZE[0], 2), np.int32),
     )  # fmt: skip
     one = np.float32(1.0)
-    terms = Terms(one, one, one, one, one, one, one, one, one, 0, 0, 0, one, one)
-    ways = Ways(np.ones((2, 2, FIRST_WAY + PER_FRAME * (BRIGHT + 1)), np.float32), _SIZE[0])
-    followed = np.zeros(BRIGHT + 1, np.int64)
+    terms = Terms(one, one, one, one, one, one, one, 0, 0, one, one, one)
+    ways = Ways(np.ones((2, 2, FIRST_WAY + PER_FRAME * FIRST_GRAY), np.float32), _SIZE[0])
+    followed = np.zeros(FIRST_GRAY, np.int64)
     frames = np.zeros((1, *_SIZE), np.uint8)
     frames.flags.writeable = False  # as they are always handed on
-    sources = Sources(frames, followed, *(p_px,) * 7)
+    sources = Sources(frames, followed, *(p_px,) * 5)
     solve_rows(sources, ways, np.ones(FRAMES, np.float32), terms, 0, _SIZE[0], 1, solved, np.zeros((2, 2)))
     depth_rows(p_px, ways, 0, 0, _SIZE[0], p_px.copy())
-    gather(frames, stripes, np.zeros(0, np.int64), ways, p_px, one, 0, _SIZE[0], *(p_px.copy() for _ in range(4)))
+    asked = Asked(stripes, np.zeros(0, np.int64), 0)
+    gather(frames, asked, ways, p_px, one, 0, _SIZE[0], Gathered(*(p_px.copy() for _ in range(4))))
     drop_edges(solved.p_px, solved.q_px, one, one)

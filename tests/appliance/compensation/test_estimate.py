@@ -107,10 +107,18 @@ def test_a_hand_along_the_fringes_leaves_far_less_noise_than_points_followed_all
     assert in_sigmas(along) < 1.5, "whatever it is, sigma tells"
 
 
+def test_who_outruns_the_fringes_has_to_repeat() -> None:
+    said = corrected(Motion((80.0, 0.0, 0.0))).said
+    assert said.found is None
+    assert said.motion is not None
+    assert said.motion.step_deg < 0.0
+
+
 def test_a_scan_at_rest_is_not_made_worse(still: Corrected) -> None:
     before, after = judge_at(still.scan, still.plain, 0.0), judge_at(still.scan, still.cloud, 0.0)
     assert np.abs(still.motion.motion_mm)[:4].max() < 0.04
     assert still.motion.ripple_before < 0.5
+    assert still.motion.step_deg == pytest.approx(90.0, abs=1.0)
     assert still.said.found is None
     assert after.rms_mm < 1.03 * before.rms_mm
     assert after.completeness_percent > before.completeness_percent - 1.0
