@@ -73,7 +73,7 @@ class SelfTestView(View):
     version: str
     finished: bool
     passed: bool
-    """Of meaning once it is finished: nothing forbids a scan."""
+    """Of meaning once it is finished: every line says OK. What failed need not forbid a scan."""
     keys: KeyLabels = field(default_factory=lambda: labels(back=Text.HOLD_OFF))
 
 

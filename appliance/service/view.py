@@ -79,7 +79,7 @@ def _view(machine: Machine, around: Surroundings) -> AnyView:
                 devices=(*_lines(machine), *_parts(machine)),
                 version=appliance.__version__,
                 finished=start.finished(machine),
-                passed=not start.stops(machine),
+                passed=start.passed(machine),
                 alerts=shown,
             )
         case State.AIM:
