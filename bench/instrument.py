@@ -72,6 +72,7 @@ def open_instrument(options: WorldOptions, period_px: int = 16) -> Iterator[Inst
         dark = np.zeros((sequence.height_px, sequence.width_px), np.uint8)
         projector.load([*pictures(sequence), dark])
         projector.show(len(sequence))
+        course = ScanSettings(REFRESH_HZ, EXPOSURE_US, TRIGGER_DELAY_US)
         grabbers = {}
         width, height = options.width_px, options.height_px
         for side in SIDES:
@@ -79,10 +80,9 @@ def open_instrument(options: WorldOptions, period_px: int = 16) -> Iterator[Inst
             camera = stack.enter_context(drivers_rig.open_camera(spec, wires))
             settings = CameraSettings(width, height, float(EXPOSURE_US), 0.0)
             camera.configure(settings)
-            grabbers[side] = stack.enter_context(Grabber(side, camera, wires.clock, settings))
+            grabbers[side] = stack.enter_context(Grabber(side, camera, wires.clock, settings, course.patience))
         board = stack.enter_context(
             drivers_rig.open_board(drivers_rig.BoardSpec(f"kfsim://{options.world}/board"), wires)
         )
         store = stack.enter_context(FrameStore(len(sequence), height, width))
-        course = ScanSettings(REFRESH_HZ, EXPOSURE_US, TRIGGER_DELAY_US)
         yield Instrument(world, sequence, store, ScanRecorder(grabbers, board, projector, wires.clock, course))

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
-from hw_sim.pace import BLANK_NS, LONGEST_WAIT_S, WorldTime
+from hw_sim.pace import LONGEST_WAIT_S, WorldTime
 
 PATIENCE_S = 5.0
 """Real time that a recording world waits for its host."""
@@ -101,7 +101,7 @@ class Drive:
         sequence = self._recording.armed
         recording = self._records
         hurry = recording and self._recording.host_ready
-        blank_ns = self._time.blank_ns + BLANK_NS
+        blank_ns = self._time.blank_ns + self._time.period_ns
         happening = self._time.due(blank_ns)
         real_s = self._time.real_until_s(happening.time_ns if happening else blank_ns)
         if recording and not hurry and real_s <= 0 and happening is None:
@@ -130,7 +130,7 @@ class Drive:
     # -- real time: blanks come whatever the host does
 
     def _real_time_once(self) -> None:
-        blank_ns = self._time.blank_ns + BLANK_NS
+        blank_ns = self._time.blank_ns + self._time.period_ns
         happening = self._time.due(blank_ns)
         real_s = self._time.real_until_s(happening.time_ns if happening else blank_ns)
         if real_s > 0:

@@ -51,6 +51,7 @@ class WorldOptions:
     fog: Mapping[str, Any] = field(default_factory=dict)
     pace: str = "lockstep"
     idle_speed: float = 1.0
+    refresh_hz: float = 60.0
     faults: tuple[str, ...] = ()
     script: str | None = None
     chaos: Mapping[str, Any] = field(default_factory=dict)
@@ -74,6 +75,8 @@ class WorldOptions:
             raise OptionError(f"camera size {self.width_px}x{self.height_px}; allowed are 64x48 to 4096x4096")
         if not 0.1 <= self.idle_speed <= 100.0:
             raise OptionError(f"idle_speed {self.idle_speed:g}; allowed are 0.1..100")
+        if not 1.0 <= self.refresh_hz <= 60.0:
+            raise OptionError(f"refresh_hz {self.refresh_hz:g}; allowed are 1..60")
 
     def scene(self) -> Scene:
         """The scene these options describe. Raises OptionError."""

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 BLANK_NS = 16_666_667
-"""Both heads of the card run at 60 Hz."""
+"""Both heads of the card run at 60 Hz, unless the world's options say otherwise."""
 START_NS = 3_000_000_000
 """The world begins a little after its host booted."""
 LONGEST_WAIT_S = 0.25
@@ -22,7 +22,6 @@ LONGEST_WAIT_S = 0.25
 FOREIGN_SLICE_S = 0.005
 """How often a wait on somebody else's condition looks at world time."""
 _FOREVER_NS = 2**62
-_HALT_NS = BLANK_NS * 97 // 100
 
 
 @dataclass(order=True, slots=True)
@@ -53,16 +52,21 @@ class _Mark:
 
 
 class WorldTime:
-    """The world's clock, agenda and lock. ``speed`` is world time per real time between blanks; 0 stands still."""
+    """The world's clock, agenda and lock. ``speed`` is world time per real time between blanks; 0 stands still.
 
-    def __init__(self, speed: float = 1.0) -> None:
+    ``period_ns`` is from one vertical blank to the next.
+    """
+
+    def __init__(self, speed: float = 1.0, period_ns: int = BLANK_NS) -> None:
+        self.period_ns = period_ns
+        self._halt_ns = period_ns * 97 // 100
         self.condition = threading.Condition()
         self.closed = False
         """The world has ended; time follows real time from then on, so that no wait of a host hangs or spins."""
         self._agenda: list[Happening] = []
         self._numbers = 0
         self._standing_ns: int | None = None
-        self._mark = _Mark(START_NS, time.monotonic_ns(), speed, START_NS, START_NS + _HALT_NS)
+        self._mark = _Mark(START_NS, time.monotonic_ns(), speed, START_NS, START_NS + self._halt_ns)
 
     @property
     def blank_ns(self) -> int:
@@ -101,7 +105,7 @@ class WorldTime:
 
     def blank(self, speed: float, real_ns: int, action: Callable[[int], None]) -> None:
         """With the lock held: the next vertical blank happens, at ``real_ns`` of real time, and ``action`` with it."""
-        blank_ns = self._mark.blank_ns + BLANK_NS
+        blank_ns = self._mark.blank_ns + self.period_ns
         self._mark = _Mark(blank_ns, real_ns, speed, blank_ns, blank_ns)
         self._stand(blank_ns, action)
 
@@ -120,7 +124,7 @@ class WorldTime:
         if self.closed:
             return
         mark = self._mark
-        limit_ns = mark.blank_ns + _HALT_NS
+        limit_ns = mark.blank_ns + self._halt_ns
         if self._standing_ns is not None:
             limit_ns = self._standing_ns
         elif self._agenda:

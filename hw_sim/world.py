@@ -35,7 +35,7 @@ from hw_sim.heat import Housing, Powers
 from hw_sim.knock import Knock, knocked
 from hw_sim.motion import Motion
 from hw_sim.options import OptionError, WorldOptions
-from hw_sim.pace import BLANK_NS, START_NS, WorldTime
+from hw_sim.pace import START_NS, WorldTime
 from hw_sim.punctuality import Punctuality
 from hw_sim.render import LightSlice, Renderer, Surface, TrueView
 from hw_sim.scene import Scene
@@ -93,17 +93,17 @@ class World:
         self._renderer_lock = threading.Lock()
         self._made_renderer: Renderer | None = None
         self._stills = Stills() if o.stills else None
-        self.time = WorldTime(o.idle_speed)
+        self.time = WorldTime(o.idle_speed, round(1e9 / o.refresh_hz))
         self.faults = FaultBook(self.time.now_ns, self.time.at, self._broken_or_repaired)
         self._darkroom = Darkroom(self.time, SIDES, self._failed)
         self._failure: BaseException | None = None
         self._housing = Housing(scene.water.temperature_c, o.medium)
         self._warmed_ns = START_NS
         with self.time.condition:
-            self.card = Card(self.time.condition.notify_all)
+            self.card = Card(self.time.condition.notify_all, o.refresh_hz)
             self.board = Board(
                 *(self.time, self.faults, self._fire, self._sensor, o.seed),
-                period_ns=BLANK_NS if cable is None else cable.period_ns,
+                period_ns=self.time.period_ns if cable is None else cable.period_ns,
             )
             self.keypad = Keypad(self.time, self.faults, o.seed)
             self.cameras = {side: self._camera(side) for side in SIDES}

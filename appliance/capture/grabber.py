@@ -15,15 +15,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.capture.patience import Patience
 from drivers.api import Camera, CameraSettings, Clock, ClockReading, DeviceError, Frame, FrameStatus
 
 LIVE_TIMEOUT_S = 0.15
-"""Longer than from one live image to the next. An order to stop waits for it: the board fires no more by then."""
-FIRST_FRAME_TIMEOUT_S = 2.0
-NEXT_FRAME_TIMEOUT_S = 0.15
-"""Nine vertical blanks: a frame that has not come by then was lost."""
-SILENCE_S = 0.035
-"""Two vertical blanks in which no frame may follow the last."""
+"""How long an order to stop waits for a live image: the board fires no more by then. One that comes later, where the
+projector is slow, is waited for again."""
 JOIN_TIMEOUT_S = 5.0
 
 
@@ -54,8 +51,8 @@ class Recording:
 class Grabber:
     """Runs one camera in its own thread. A context manager: leaving it stops the thread, not the camera's life."""
 
-    def __init__(self, side: str, camera: Camera, clock: Clock, settings: CameraSettings) -> None:
-        """``settings``: those the camera has."""
+    def __init__(self, side: str, camera: Camera, clock: Clock, settings: CameraSettings, patience: Patience) -> None:
+        """``settings``: those the camera has; ``patience``: with frames of a sequence."""
         self.side = side
         self._camera = camera
         self._clock = clock
@@ -64,6 +61,7 @@ class Grabber:
         self._state: Literal["idle", "live", "record", "end"] = "idle"
         self._recording: Recording | None = None
         self._settings = self._wanted = settings
+        self._patience = patience
         self._live = np.zeros((2, settings.height_px, settings.width_px), np.uint8)
         self._live_count = 0
         self._lost: str | None = None
@@ -211,10 +209,10 @@ class Grabber:
             self._state = "record"
             recording.ready = True
             self._changed.notify_all()
-        timeout_s = FIRST_FRAME_TIMEOUT_S
+        timeout_s = self._patience.first_frame_s
         for index, slot in enumerate(recording.slots):
             frame = self._camera.next_frame(slot, timeout_s)
-            timeout_s = NEXT_FRAME_TIMEOUT_S
+            timeout_s = self._patience.next_frame_s
             with self._changed:
                 recording.frames.append(frame)
                 stop = recording.cancelled or frame.status is not FrameStatus.COMPLETE
@@ -234,7 +232,7 @@ class Grabber:
 
     def _expect_silence(self, recording: Recording) -> None:
         """After the last frame nothing may follow: a frame too many is evidence like one too few."""
-        frame = self._camera.next_frame(self._live[0], SILENCE_S)
+        frame = self._camera.next_frame(self._live[0], self._patience.silence_s)
         if frame.status is not FrameStatus.TIMEOUT:
             with self._changed:
                 recording.frames.append(frame)

@@ -16,7 +16,9 @@ from appliance.capture.sync import SyncMap
 from drivers.api import ClockReading, Flip, Frame, FrameStatus, Pulse
 
 MAX_SKEW_NS = 200_000
-"""Exposure starts of left and right, and of frame and pulse, may wander by this much against each other."""
+"""Exposure starts of left and right, and of frame and pulse, may wander by this much against each other …"""
+CLOCKS_PPM = 200.0
+"""… or by this rate, where a sequence is so long that it is more: two clocks of 100 ppm each."""
 MAX_APART_NS = 500_000
 """First exposures of left and right, by the host's clock, beyond what reading the cameras' clocks leaves open."""
 MAX_FLIP_PHASE = 0.4
@@ -190,6 +192,7 @@ def _flips_against_pulses(ledger: Ledger) -> Fault | None:
 def _times(ledger: Ledger) -> Fault | None:
     """Frames must follow the pulses in the cameras' own clocks, and each other; a clock's offset is free, its rate
     to 100 ppm."""
+
     first_us = ledger.pulses[0].board_time_us
     relative: dict[str, list[int]] = {}
     for side, frames in ledger.frames.items():
@@ -199,14 +202,15 @@ def _times(ledger: Ledger) -> Fault | None:
         start = times[0] or 0
         relative[side] = [(t or 0) - start for t in times]
         for k, (dt, pulse) in enumerate(zip(relative[side], ledger.pulses, strict=True)):
-            skew_ns = dt - (pulse.board_time_us - first_us) * 1000
-            if abs(skew_ns) > MAX_SKEW_NS:
+            passed_ns = (pulse.board_time_us - first_us) * 1000
+            skew_ns = dt - passed_ns
+            if abs(skew_ns) > _wander_ns(MAX_SKEW_NS, passed_ns):
                 return _skew(
                     f"camera.{side}: frame {k} was exposed {skew_ns / 1e6:.2f} ms off its pulse", k, skew_ns, side
                 )
     if len(relative) == 2:
         for k, (left, right) in enumerate(zip(relative["left"], relative["right"], strict=True)):
-            if abs(left - right) > MAX_SKEW_NS:
+            if abs(left - right) > _wander_ns(MAX_SKEW_NS, left):
                 return _skew(
                     f"frame {k}: left and right are {(left - right) / 1e6:.2f} ms apart", k, left - right, "left"
                 )
@@ -221,16 +225,26 @@ def _apart(ledger: Ledger) -> Fault | None:
     if set(ledger.clocks) != {"left", "right"}:
         return None
     first_ns: dict[str, int] = {}
+    waited_ns = 0
     for side, clock in ledger.clocks.items():
         stamp_ns = ledger.frames[side][0].camera_time_ns
         if stamp_ns is None:
             return None
         first_ns[side] = stamp_ns + clock.offset_ns
+        waited_ns = max(waited_ns, stamp_ns - clock.camera_time_ns)
     apart_ns = first_ns["right"] - first_ns["left"]
-    if abs(apart_ns) <= MAX_APART_NS + sum(clock.bracket_ns for clock in ledger.clocks.values()) // 2:
+    if (
+        abs(apart_ns)
+        <= _wander_ns(MAX_APART_NS, waited_ns) + sum(clock.bracket_ns for clock in ledger.clocks.values()) // 2
+    ):
         return None
     late = "right" if apart_ns > 0 else "left"
     return _skew(f"all frames of camera.{late} are exposed {abs(apart_ns) / 1e6:.2f} ms late", 0, abs(apart_ns), late)
+
+
+def _wander_ns(least_ns: int, passed_ns: int) -> float:
+    """How far two clocks may be apart after a time in which each went as it pleases."""
+    return max(least_ns, CLOCKS_PPM * 1e-6 * passed_ns)
 
 
 def _skew(detail: str, frame: int, skew_ns: int, side: str) -> Fault:

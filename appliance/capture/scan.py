@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from appliance.capture.fault import Fault, FaultCode
 from appliance.capture.grabber import Grabber, Recording
 from appliance.capture.ledger import Ledger, audit, frame_fault
+from appliance.capture.patience import Patience
 from appliance.capture.store import SIDES, FrameStore
 from appliance.capture.sync import SyncError, SyncMap, synchronise
 from appliance.patterns.sequence import PatternSequence
@@ -37,8 +38,6 @@ LEAD_BLANKS = 3
 """Vertical blanks between arming and the first pattern: time for the answer to travel."""
 READY_TIMEOUT_S = 2.0
 ARM_POLL_S = 0.002
-COLLECT_TIMEOUT_S = 2.5
-PULSE_TIMEOUT_S = 0.25
 MAX_BOARD_EVENTS = 400
 
 
@@ -49,6 +48,11 @@ class ScanSettings:
     refresh_hz: float
     exposure_us: int
     trigger_delay_us: int
+
+    @property
+    def patience(self) -> Patience:
+        """How long is waited for what follows the projector."""
+        return Patience(self.refresh_hz)
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,9 +200,9 @@ class ScanRecorder:
         """Record what was armed. Never raises for a device: every failure is the report's fault.
 
         ``abort()`` is asked at every vertical blank and ends the scan with the fault it returns. Ends within the
-        sequence's length plus 5 s.
+        sequence's length and the margin of ``Patience``.
         """
-        period_ns = 1e9 / self._settings.refresh_hz
+        period_ns, patience = 1e9 / self._settings.refresh_hz, self._settings.patience
         begun_ns = self._clock.now_ns()
         recordings, events = arming.recordings, arming.events
         flips: list[Flip] = []
@@ -228,7 +232,7 @@ class ScanRecorder:
             whole = len(flips) == len(sequence)
             for side in SIDES:
                 if whole:
-                    self._grabbers[side].wait(recordings[side], "done", COLLECT_TIMEOUT_S)
+                    self._grabbers[side].wait(recordings[side], "done", patience.collect_s)
         except SyncError as error:
             fault = Fault(FaultCode.SYNC_LOST, str(error), {}, "board")
         except DeviceError as error:
@@ -240,7 +244,7 @@ class ScanRecorder:
         for side, recording in recordings.items():
             if not recording.done:
                 self._grabbers[side].cancel(recording)
-                self._grabbers[side].wait(recording, "done", COLLECT_TIMEOUT_S)
+                self._grabbers[side].wait(recording, "done", patience.collect_s)
         pulses = self._collect_pulses(len(sequence) if played else 0, events)
         if played and len(pulses) < len(sequence):
             self._disarm()
@@ -266,7 +270,7 @@ class ScanRecorder:
     def _collect_pulses(self, expected: int, events: list[BoardEvent]) -> list[Pulse]:
         pulses: list[Pulse] = []
         for _ in range(MAX_BOARD_EVENTS):
-            event = self._board.next_event(PULSE_TIMEOUT_S if expected else 0.0)
+            event = self._board.next_event(self._settings.patience.pulse_s if expected else 0.0)
             match event:
                 case None | PulsesDone():
                     break

@@ -98,7 +98,8 @@ def run(rig: Rig) -> int:
             )
         )
         calibrating = stack.enter_context(CalibrationDesk(rig, desk))
-        ranging = stack.enter_context(RangingDesk(pointers_of(rig), calibration, water.index, wires.clock))
+        live_s = rig.board.live_every_vsyncs / rig.projector.refresh_hz
+        ranging = stack.enter_context(RangingDesk(pointers_of(rig), calibration, water.index, wires.clock, live_s))
         painter = stack.enter_context(
             Painter(gl, (rig.display.width_px, rig.display.height_px), Language(rig.display.language))
         )

@@ -11,6 +11,7 @@ from typing import Any, Self
 from appliance.capture.exposure import Exposure
 from appliance.capture.fault import FaultCode
 from appliance.capture.grabber import Grabber
+from appliance.capture.patience import Patience
 from appliance.config import Rig
 from appliance.config.rig import OutputRig
 from appliance.machine.events import DeviceDown, DeviceUp
@@ -30,6 +31,7 @@ class Devices:
         """``load_projector`` is called with each newly opened projector, to give it its patterns."""
         self._rig = rig
         self._wires = wires
+        self._patience = Patience(rig.projector.refresh_hz)
         self._load_projector = load_projector
         self._executor = ThreadPoolExecutor(4, "kf-open")
         self._outputs = drivers_rig.open_outputs(_output(rig.projector), _output(rig.display), wires)
@@ -103,7 +105,7 @@ class Devices:
                 )
             settings = CameraSettings(spec.width_px, spec.height_px, 1000.0 * spec.exposure_ms, spec.gain_db)
             camera.configure(settings)
-            with Grabber(side, camera, self._wires.clock, settings) as grabber:
+            with Grabber(side, camera, self._wires.clock, settings, self._patience) as grabber:
                 yield grabber
 
     def expose(self, exposure: Exposure) -> None:

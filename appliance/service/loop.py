@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from appliance.capture.exposure import Exposure
 from appliance.capture.fault import Fault, FaultCode
+from appliance.capture.patience import Patience
 from appliance.capture.scan import Arming, ScanRecorder, ScanSettings
 from appliance.capture.verdict import Verdict
 from appliance.config import Rig
@@ -65,7 +66,8 @@ from drivers.api import (
 
 log = logging.getLogger("kingfisher")
 
-PRESENT_TIMEOUT_S = 0.5
+PRESENT_TIMEOUT_S, PRESENT_PERIODS = 0.5, 4
+"""How long a picture may take to the diver's display: the longer of both."""
 BEAT_WITHOUT_DISPLAY_S = 0.05
 MAX_BOARD_EVENTS = 200
 QUIT_TIMEOUT_S = 30.0
@@ -89,6 +91,7 @@ def machine_settings(rig: Rig, choices: Choices | None = None) -> Settings:
         offers=offers_of(standard_choices(rig), exposures_of(rig), tuple(sequences)),
         frames=sequences,
         refresh_hz=rig.projector.refresh_hz,
+        capture_margin_s=Patience(rig.projector.refresh_hz).margin_s,
         temperatures={
             "case": Limits(limits.case_warm_c, limits.case_hot_c, limits.case_off_c),
             "projector": Limits(limits.projector_warm_c, limits.projector_hot_c, limits.projector_off_c),
@@ -545,7 +548,8 @@ class Service:
         self._picture = self._painter.draw(view_of(self.machine, around), self._clock.now_ns() / 1e9)
         self._drawn = self.machine.state
         try:
-            display.value.present(self._picture, PRESENT_TIMEOUT_S)
+            limit_s = max(PRESENT_TIMEOUT_S, PRESENT_PERIODS / self._rig.display.refresh_hz)
+            display.value.present(self._picture, limit_s)
         except DeviceError as error:
             self._inbox += _one(display.lose(error.message))
 

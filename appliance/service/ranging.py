@@ -28,9 +28,10 @@ from drivers.api import Clock, LaserState
 
 log = logging.getLogger("kingfisher")
 
-SETTLE_NS = 200_000_000
-"""After the lasers or the light were switched, images may still be from before: two of ten a second."""
-PAIR_NS = 50_000_000
+SETTLE_NS, SETTLE_IMAGES = 200_000_000, 2.0
+"""After the lasers or the light were switched, images may still be from before: two of them. Here and below: at least the
+time, and more where live images come more slowly than ten a second."""
+PAIR_NS, PAIR_IMAGES = 50_000_000, 0.5
 """Both images of a pair arrive within this; the next pair comes twice as late."""
 DARK_PAIRS = 2
 """Pairs looked at before the lasers go on, and then again with them on."""
@@ -42,7 +43,7 @@ HEARTBEATS_NS = 1_000_000_000
 """Two heartbeats of the board."""
 SHINING_TIMEOUT_S = 10.0
 """For one pair of images, behind another one; and the first time for making what measures."""
-STALE_NS = 1_000_000_000
+STALE_NS, STALE_IMAGES = 1_000_000_000, 10.0
 IMAGES = "images"
 """The witness named in the fault, besides the board's read-back, which clears only its own."""
 SIDES = ("left", "right")
@@ -63,8 +64,14 @@ class RangingDesk:
     Called by the heartbeat only.
     """
 
-    def __init__(self, pointers: Pointers | None, calibration: Calibration, water_index: float, clock: Clock) -> None:
-        """Without ``pointers`` nothing is measured."""
+    def __init__(
+        self, pointers: Pointers | None, calibration: Calibration, water_index: float, clock: Clock, live_s: float
+    ) -> None:
+        """Without ``pointers`` nothing is measured. ``live_s``: from one live image to the next."""
+        live_ns = live_s * 1e9
+        self._settle_ns = round(max(SETTLE_NS, SETTLE_IMAGES * live_ns))
+        self._pair_ns = round(max(PAIR_NS, PAIR_IMAGES * live_ns))
+        self._stale_ns = round(max(STALE_NS, STALE_IMAGES * live_ns))
         self._pointers, self._clock = pointers, clock
         self._calibration, self._water_index = calibration, water_index
         self._executor = ThreadPoolExecutor(1, "kf-ranging")
@@ -103,7 +110,7 @@ class RangingDesk:
         if calibration is not self._calibration or water_index != self._water_index:
             self._calibration, self._water_index, self._ranger = calibration, water_index, None
         self._wanted = lasers and self._pointers is not None
-        self._ready_ns = self._clock.now_ns() + SETTLE_NS
+        self._ready_ns = self._clock.now_ns() + self._settle_ns
 
     def stop(self) -> None:
         """Live views end; the lasers go off."""
@@ -118,7 +125,7 @@ class RangingDesk:
         if any(one not in self._images for one in SIDES):
             return
         (left_ns, left), (right_ns, right) = (self._images[one] for one in SIDES)
-        if abs(left_ns - right_ns) > PAIR_NS or self._work is not None or self.wants_lasers:
+        if abs(left_ns - right_ns) > self._pair_ns or self._work is not None or self.wants_lasers:
             return
         self._images.clear()
         live, lit = self._live, self._lit
@@ -135,7 +142,7 @@ class RangingDesk:
         self._lit = True
         self._images.clear()
         self._lit_ns = self._clock.now_ns()
-        self._ready_ns = self._lit_ns + SETTLE_NS
+        self._ready_ns = self._lit_ns + self._settle_ns
         return self._read_back(state)
 
     def heard(self, state: LaserState) -> list[on.Event]:
@@ -167,7 +174,7 @@ class RangingDesk:
             measured = work.result(0.0)
             if measured.live == self._live and measured.lit == self._lit:
                 return self._judge(measured)
-        if self._told is not None and self._clock.now_ns() - self._told_ns > STALE_NS:
+        if self._told is not None and self._clock.now_ns() - self._told_ns > self._stale_ns:
             self._told = None
             return [on.Ranged(None)]
         return []

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from drivers.api import DeviceError, Flip, Health
 from drivers.output.surface import P, Shown, Surface
 
-FLIP_TIMEOUT_S = 1.0
-"""Sixty blanks: a projector that takes longer is not there."""
+FLIP_TIMEOUT_S, FLIP_PERIODS = 1.0, 6
+"""A projector that takes longer than both is not there."""
 COUNTER_TRIES = 3
 """Flips after which a counter that still reads zero does not exist."""
 MAX_LEAD_BLANKS = 600
@@ -27,6 +27,7 @@ class PatternProjector(Generic[P]):
 
     def __init__(self, surface: Surface[P]) -> None:
         self._surface = surface
+        self._timeout_s = max(FLIP_TIMEOUT_S, FLIP_PERIODS / surface.refresh_hz)
         self._black = surface.create_picture()
         self._frames: list[P] = []
         self._loaded = 0
@@ -47,7 +48,7 @@ class PatternProjector(Generic[P]):
                 raise ValueError(
                     f"projector frame {index} is {frame.shape} {frame.dtype}; it must be ({height}, {width}) uint8"
                 )
-        self._surface.flip(self._black, FLIP_TIMEOUT_S)
+        self._surface.flip(self._black, self._timeout_s)
         self._loaded = 0
         while len(self._frames) < len(frames):
             self._frames.append(self._surface.create_picture())
@@ -61,7 +62,7 @@ class PatternProjector(Generic[P]):
         """Flip to one frame and stay there. Raises IndexError, DeviceGone."""
         picture = self._frame(index)
         self._surface.check_connection()
-        return _flip(index, self._surface.flip(picture, FLIP_TIMEOUT_S))
+        return _flip(index, self._surface.flip(picture, self._timeout_s))
 
     def play(
         self,
@@ -88,7 +89,7 @@ class PatternProjector(Generic[P]):
             while self._blanks_between(asked, shown) + 1 < ahead:
                 if abort():
                     return []
-                shown = self._surface.flip(idle_picture, FLIP_TIMEOUT_S)
+                shown = self._surface.flip(idle_picture, self._timeout_s)
         if asked.sequence is None:
             first = None  # from here on each flip is compared with the one before it
         flips: list[Flip] = []
@@ -96,7 +97,7 @@ class PatternProjector(Generic[P]):
             for index, picture in frames:
                 if abort():
                     break
-                before, shown = shown, self._surface.flip(picture, FLIP_TIMEOUT_S)
+                before, shown = shown, self._surface.flip(picture, self._timeout_s)
                 if first is None:
                     first = shown.sequence  # as soon as possible is now
                 late = self._is_late(len(flips), first, before, shown)
@@ -104,7 +105,7 @@ class PatternProjector(Generic[P]):
                 if late:
                     break
         finally:
-            self._surface.flip(idle_picture, FLIP_TIMEOUT_S)
+            self._surface.flip(idle_picture, self._timeout_s)
         return flips
 
     def health(self) -> Health:
@@ -117,11 +118,11 @@ class PatternProjector(Generic[P]):
 
     def _settle(self, idle: P) -> Shown:
         """Flip ``idle`` until its report tells whether blanks are counted."""
-        shown = self._surface.flip(idle, FLIP_TIMEOUT_S)
+        shown = self._surface.flip(idle, self._timeout_s)
         for _ in range(COUNTER_TRIES - 1):
             if shown.sequence is not None:
                 break
-            shown = self._surface.flip(idle, FLIP_TIMEOUT_S)
+            shown = self._surface.flip(idle, self._timeout_s)
         return shown
 
     def _blanks_between(self, before: Shown, now: Shown) -> int:

@@ -24,6 +24,7 @@ from hw_sim.devices.head import (
     Framebuffer,
     Output,
     copy_mode,
+    slower_mode,
 )
 
 PROJECTOR_SIZE = (1024, 768)
@@ -32,8 +33,10 @@ PROJECTOR_SIZE = (1024, 768)
 class Card:
     """The card and its two monitors. ``notify`` is called when something may be waited for."""
 
-    def __init__(self, notify: Callable[[], None]) -> None:
+    def __init__(self, notify: Callable[[], None], refresh_hz: float = 60.0) -> None:
         self.notify = notify
+        self.modes = {output: tuple(slower_mode(mode, refresh_hz) for mode in modes) for output, modes in MODES.items()}
+        """What each monitor can show."""
         self.connectors = {
             95: Connector(Output.PROJECTOR, 95, 94, abi.CONNECTOR_HDMI_A, 1, (0, 0), broadcast_rgb=RGB_AUTOMATIC),
             103: Connector(Output.DISPLAY, 103, 102, abi.CONNECTOR_DISPLAY_PORT, 1, (154, 86)),
@@ -70,7 +73,7 @@ class Card:
         """What the kernel shows when nobody has the card: black, in the preferred modes."""
         for connector, crtc in zip(self.connectors.values(), self.crtcs.values(), strict=True):
             self.complete(crtc)
-            crtc.mode, crtc.framebuffer, crtc.offset = copy_mode(MODES[connector.output][0]), None, (0, 0)
+            crtc.mode, crtc.framebuffer, crtc.offset = copy_mode(self.modes[connector.output][0]), None, (0, 0)
             connector.crtc, connector.dpms = crtc, abi.DPMS_ON
 
     def remove_framebuffer(self, fb_id: int) -> None:

@@ -20,7 +20,6 @@ from hw_sim.devices import drm_abi as abi
 from hw_sim.devices.card import Card
 from hw_sim.devices.head import (
     GAMMA_SIZE,
-    MODES,
     Connector,
     Crtc,
     Dumb,
@@ -274,7 +273,7 @@ class CardFile:
         connector = self._card.connectors.get(arg.connector_id)
         if connector is None:
             raise _fail(errno.ENOENT)
-        modes = MODES[connector.output]
+        modes = self._card.modes[connector.output]
         # As in the kernel: modes and encoders are copied all or not at all, properties as far as there is room.
         if arg.count_modes >= len(modes):
             self._user.copy_to_user(arg.modes_ptr, b"".join(bytes(mode) for mode in modes))
@@ -431,7 +430,7 @@ class CardFile:
         ids = struct.unpack(f"<{arg.count_connectors}I", self._user.copy_from_user(arg.set_connectors_ptr, size))
         connectors = [self._connector(i, abi.OBJECT_CONNECTOR) for i in ids]
         for connector in connectors:
-            if connector is None or not any(same_timing(arg.mode, mode) for mode in MODES[connector.output]):
+            if connector is None or not any(same_timing(arg.mode, mode) for mode in self._card.modes[connector.output]):
                 raise _fail(errno.EINVAL)
         self._card.switch_off(crtc)
         crtc.mode, crtc.framebuffer, crtc.offset = copy_mode(arg.mode), framebuffer, (arg.x, arg.y)

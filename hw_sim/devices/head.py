@@ -143,6 +143,14 @@ def same_timing(a: Modeinfo, b: Modeinfo) -> bool:
     return all(getattr(a, name) == getattr(b, name) for name, *_ in Modeinfo._fields_ if name not in ignored)
 
 
+def slower_mode(mode: Modeinfo, refresh_hz: float) -> Modeinfo:
+    """The same lines at another rate than 60 Hz: its pixel clock, to the kernel's kHz."""
+    slower = copy_mode(mode)
+    slower.clock = round(mode.clock * refresh_hz / 60.0)
+    slower.vrefresh = round(mode.vrefresh * refresh_hz / 60.0)
+    return slower
+
+
 def copy_mode(mode: Modeinfo) -> Modeinfo:
     """A mode of its own."""
     return Modeinfo.from_buffer_copy(ctypes.string_at(ctypes.addressof(mode), ctypes.sizeof(mode)))

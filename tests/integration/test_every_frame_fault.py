@@ -6,7 +6,7 @@ The shipped drivers over the simulated wires, small images, both sides in turn. 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,35 +46,40 @@ class Bench:
 
 @pytest.fixture(scope="module")
 def bench() -> Iterator[Bench]:
+    with bench_of("every-frame-fault", 60.0, 2.0) as made:
+        yield made
+
+
+@contextmanager
+def bench_of(name: str, refresh_hz: float, idle_speed: float) -> Iterator[Bench]:
     with ExitStack() as stack:
-        name = "every-frame-fault"
-        world = stack.enter_context(
-            World(
-                WorldOptions(world=name, width_px=WIDTH, height_px=HEIGHT, object="plane", idle_speed=2.0, stills=True)
-            )
+        options = WorldOptions(
+            *(name, "realistic", 1, WIDTH, HEIGHT, "plane"), idle_speed=idle_speed, refresh_hz=refresh_hz, stills=True
         )
+        world = stack.enter_context(World(options))
         wires = stack.enter_context(open_wires({"world": name}))
         kms = drivers_rig.OutputKind("kms")
         outputs = stack.enter_context(
             drivers_rig.open_outputs(
-                drivers_rig.OutputSpec(kms, CARD, "HDMI-A-1", 1024, 768, 60.0),
-                drivers_rig.OutputSpec(kms, CARD, "DP-1", 800, 480, 60.0),
+                drivers_rig.OutputSpec(kms, CARD, "HDMI-A-1", 1024, 768, refresh_hz),
+                drivers_rig.OutputSpec(kms, CARD, "DP-1", 800, 480, refresh_hz),
                 wires,
             )
         )
         projector = outputs.open_projector()
         projector.load([*pictures(build_sequence(16)), np.zeros((768, 1024), np.uint8)])
         projector.show(N)
+        course = ScanSettings(refresh_hz, 12000, 500)
         grabbers = {}
         for side in ("left", "right"):
             spec = drivers_rig.CameraSpec(f"camera.{side}", f"KF-CAM-{side[0].upper()}")
             camera = stack.enter_context(drivers_rig.open_camera(spec, wires))
             settings = CameraSettings(WIDTH, HEIGHT, 12000.0, 0.0)
             camera.configure(settings)
-            grabbers[side] = stack.enter_context(Grabber(side, camera, wires.clock, settings))
+            grabbers[side] = stack.enter_context(Grabber(side, camera, wires.clock, settings, course.patience))
         board = stack.enter_context(drivers_rig.open_board(drivers_rig.BoardSpec(f"kfsim://{name}/board"), wires))
         store = stack.enter_context(FrameStore(N, HEIGHT, WIDTH))
-        recorder = ScanRecorder(grabbers, board, projector, wires.clock, ScanSettings(60.0, 12000, 500))
+        recorder = ScanRecorder(grabbers, board, projector, wires.clock, course)
         yield Bench(world, grabbers, board, recorder, store, [])
 
 
