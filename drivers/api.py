@@ -6,6 +6,7 @@ names; ``None`` means missing. Every blocking call has a timeout. See ``docs/pro
 
 from __future__ import annotations
 
+import datetime
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -48,6 +49,22 @@ class Clock(Protocol):
 
     def wait_for(self, condition: threading.Condition, predicate: Callable[[], bool], timeout_s: float) -> bool:
         """With ``condition`` held, wait until ``predicate()`` or the timeout; return the predicate's value."""
+
+
+@dataclass(frozen=True, slots=True)
+class Date:
+    """What the calendar says, and whether to believe it."""
+
+    utc: datetime.datetime
+    kept: bool
+    """Something from outside (a time server) has set it since power-on and keeps it."""
+
+
+class Calendar(Protocol):
+    """The date. It may jump, either way, and be of 1970: nothing is timed, ordered or named by it."""
+
+    def today(self) -> Date:
+        """Never raises: a date that nobody vouches for is not ``kept``."""
 
 
 # ------------------------------------------------------------------------------------------- camera
@@ -385,6 +402,7 @@ class Wires(Protocol):
     usb_backend: Any
     hidraw: Any
     clock: Clock
+    calendar: Calendar
 
     def open_card(self, path: str) -> CardNode: ...
 

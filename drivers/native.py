@@ -10,8 +10,9 @@ from typing import Any
 
 import hidraw
 
-from drivers.api import CardNode, Clock, DeviceRefused, Wires, WiresOptions
+from drivers.api import Calendar, CardNode, Clock, DeviceRefused, Wires, WiresOptions
 from drivers.output.node import DrmNode
+from drivers.wall_clock import KernelCalendar
 
 
 class MonotonicClock:
@@ -39,6 +40,7 @@ class NativeWires:
         """pyusb picks libusb-1.0."""
         self.hidraw: Any = hidraw
         self.clock: Clock = MonotonicClock()
+        self.calendar: Calendar = KernelCalendar()
 
     def open_card(self, path: str) -> CardNode:
         """The DRM node at ``path``. Raises DeviceGone, DeviceRefused."""

@@ -38,6 +38,7 @@ FRAMES = 20
 """Of the shortest sequence: a fault in one of its frames comes at any period."""
 AIM_S, ANSWER_S, END_S, SAVE_S = 60.0, 3.0, 200.0, 60.0
 """Longest waits of world time: for AIM, for anything to happen on a key, for the end of a scan, for a save."""
+KEYS_LOST = "KEYS_LOST"
 REJECT_HOLD_S = 1.2
 """BACK held so long rejects a scan."""
 READY_S = 45.0
@@ -153,6 +154,8 @@ class ChaosDiver(Actor):
         self.report.scans += 1
         told: list[str] = []
         """Reasons of a refusal, as soon as they are to be seen: they go when what they name comes back."""
+        deaf = self._shows(KEYS_LOST)
+        """The screen says that no key is heard, so who presses one knows why nothing comes of it."""
 
         def answered() -> bool:
             told.extend(filter(None, [self._reason(refused=True)]))
@@ -160,13 +163,13 @@ class ChaosDiver(Actor):
 
         self.world.press("scan")
         if not self.until(answered, ANSWER_S) or told:
-            self._not_recorded(told)
+            self._not_recorded(told, deaf)
             return
         if not self.until(lambda: self._state() in ("REVIEW", "AIM", None), END_S):
             raise ActError(f"no end of a scan after {END_S:g} s: {self._line()}")
         self._count_alerts()
         if self._state() != "REVIEW":
-            self._not_recorded(told)
+            self._not_recorded(told, deaf)
             return
         if self._random.random() < KEEP:
             self._keep()
@@ -174,10 +177,10 @@ class ChaosDiver(Actor):
             self.report.rejected += 1
             self.press("back", REJECT_HOLD_S)
 
-    def _not_recorded(self, told: list[str]) -> None:
+    def _not_recorded(self, told: list[str], deaf: bool) -> None:
         """No scan: somebody must say why, or have said it."""
         self._count_alerts()
-        reason = next(iter(told), None) or self._reason(refused=False)
+        reason = next(iter(told), None) or self._reason(refused=False) or (KEYS_LOST if deaf else None)
         if reason is None:
             self.report.unexplained.append(self._line())
         else:
@@ -229,4 +232,4 @@ class ChaosDiver(Actor):
         self._before = shown
 
     def _line(self) -> str:
-        return f"scan {self.report.scans}, {self.report.broken[-1:]}: {sight.summary(self.status())}"
+        return f"scan {self.report.scans}, broken {self.world.broken}: {sight.summary(self.status())}"

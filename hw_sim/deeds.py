@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import cv2
 
-from hw_sim import computer
+from hw_sim import calendar, computer
 from hw_sim.amounts import changed
 from hw_sim.daylight import Daylight
 from hw_sim.drift import Drift
@@ -31,6 +31,10 @@ HELP: Mapping[str, tuple[str, str]] = {
     "disk": (
         "off|on|fill|spare",
         "the scans' folder refuses writes, until on; somebody fills a small disk, or spares it",
+    ),
+    "date": (
+        "1970-01-01T00:00:07|+S|-S|kept|lost",
+        "of the computer: it is set, jumps by seconds, is kept by a time server or by nobody",
     ),
     "object": (
         "NAME [X Y Z RX RY RZ]",
@@ -59,6 +63,8 @@ def check(verb: str, words: tuple[str, ...]) -> bool:
             parse(" ".join(words))
         case (("worker" | "disk"), _):
             computer.check((verb, *words))
+        case "date", (word,):
+            calendar.check(word)
         case "object", (_, *pose) if len(pose) in (0, 6):
             [float(number) for number in pose]
         case "knock", (_, *_):
@@ -81,6 +87,8 @@ def do(world: World, verb: str, words: tuple[str, ...], status: Path) -> None:
             world.clear_faults()
         case "worker" | "disk":
             computer.happen((verb, *words), status)
+        case "date":
+            world.calendar.change(words[0])
         case "object":
             world.set_object(words[0], [float(n) for n in words[1:]] or None)
         case "texture":

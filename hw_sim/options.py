@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, TypeVar
 
+from hw_sim.calendar import Calendar
 from hw_sim.daylight import Daylight
 from hw_sim.drift import Drift
 from hw_sim.fog import Fog
@@ -55,6 +56,7 @@ class WorldOptions:
     faults: tuple[str, ...] = ()
     script: str | None = None
     chaos: Mapping[str, Any] = field(default_factory=dict)
+    date: str | None = None
     status: str | None = None
     window: bool = False
     console: bool = False
@@ -73,6 +75,11 @@ class WorldOptions:
             raise OptionError("script and chaos: only one diver can hold the instrument; leave one out")
         if not 64 <= self.width_px <= 4096 or not 48 <= self.height_px <= 4096:
             raise OptionError(f"camera size {self.width_px}x{self.height_px}; allowed are 64x48 to 4096x4096")
+        if self.date is not None:
+            try:
+                Calendar(lambda: 0, self.date)
+            except ValueError as error:
+                raise OptionError(f"date: {error}") from error
         if not 0.1 <= self.idle_speed <= 100.0:
             raise OptionError(f"idle_speed {self.idle_speed:g}; allowed are 0.1..100")
         if not 1.0 <= self.refresh_hz <= 60.0:

@@ -33,6 +33,24 @@ def _distance(status: Status, mm: float, within_mm: float) -> bool:
     return isinstance(found, int | float) and abs(found - mm) <= within_mm
 
 
+def _gallery(status: Status, scan: str, what: str) -> bool:
+    """Of the scan in the gallery: a word that is marked there, or the beginning of its date."""
+    shown = _table(status.get("gallery"))
+    if shown.get("scan") != scan:
+        return False
+    if what in GALLERY:
+        return GALLERY[what](shown)
+    return str(shown.get("taken") or "").startswith(what)
+
+
+GALLERY: Mapping[str, Callable[[Mapping[str, Any]], bool]] = {
+    "damaged": lambda shown: shown.get("damaged") is True,
+    "whole": lambda shown: shown.get("damaged") is False,
+    "undated": lambda shown: "taken" in shown and shown["taken"] is None,
+}
+"""What can be said of a scan in the gallery, besides its date."""
+
+
 def _like(texts: list[str], pattern: str) -> bool:
     """``*`` stands for anything: numbers that a scene does not fix."""
     return any(fnmatch.fnmatchcase(text, pattern) for text in texts)
@@ -47,6 +65,7 @@ SIGHTS: Mapping[str, tuple[int, Callable[[Status, list[str]], bool]]] = {
     "label": (2, lambda status, words: _like([str(_table(status.get("keys")).get(words[0]))], " ".join(words[1:]))),
     "device": (2, lambda status, words: _table(status.get("devices")).get(words[0]) == words[1]),
     "distance": (2, lambda status, words: _distance(status, float(words[0]), float(words[1]))),
+    "gallery": (2, lambda status, words: _gallery(status, words[0], words[1])),
     "reach": (1, lambda status, words: _table(status.get("range")).get("word") == words[0]),
     "scans": (1, lambda status, words: str(status.get("scans")) == words[0]),
     "step": (1, lambda status, words: _calibration(status, "step", words[0])),

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from hw_sim import registry
 from hw_sim.cable import Cable
+from hw_sim.calendar import Calendar
 from hw_sim.darkroom import Darkroom, Print
 from hw_sim.daylight import Daylight
 from hw_sim.devices.board import Board
@@ -94,6 +95,7 @@ class World:
         self._made_renderer: Renderer | None = None
         self._stills = Stills() if o.stills else None
         self.time = WorldTime(o.idle_speed, round(1e9 / o.refresh_hz))
+        self.calendar = Calendar(self.time.now_ns, o.date)
         self.faults = FaultBook(self.time.now_ns, self.time.at, self._broken_or_repaired)
         self._darkroom = Darkroom(self.time, SIDES, self._failed)
         self._failure: BaseException | None = None

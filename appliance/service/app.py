@@ -91,6 +91,7 @@ def run(rig: Rig) -> int:
                 patterns.sequence,
                 library,
                 wires.clock,
+                wires.calendar,
                 noise=noise_of(rig),
                 response=response,
                 water=water,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime
 import logging
 from collections.abc import Callable
 from concurrent.futures import Future
@@ -94,11 +93,11 @@ class CalibrationDesk:
 
     def solve(self) -> None:
         """Answer CalibrationProgressed, then SessionChanged or CalibrationFailed."""
-        self._background.ask(calibrator.solve, self._rig, _now().isoformat(timespec="seconds"))
+        self._background.ask(calibrator.solve, self._rig, self._desk.calendar.today().utc.isoformat(timespec="seconds"))
 
     def use_solved(self) -> None:
         """Answer SessionChanged or CalibrationFailed; the calibration in use is another from then on."""
-        date = _now().date().isoformat()
+        date = self._desk.calendar.today().utc.date().isoformat()
         self._ask(lambda: _Changed(self._store.use_solved(date), calibration_of(self._rig)))
 
     def restore(self) -> None:
@@ -177,8 +176,3 @@ class CalibrationDesk:
 
 def _outcome(trial: Trial) -> str:
     return "will do" if trial.refusal is None else trial.refusal.value
-
-
-def _now() -> datetime.datetime:
-    """The date of a calibration; as wrong as the instrument's clock."""
-    return datetime.datetime.now(datetime.UTC)

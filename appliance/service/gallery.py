@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -56,6 +57,14 @@ class GalleryDesk:
         """``shown`` becomes this one."""
         self._wanted = scan_id
         self._tasks.append(self._submit(lambda: self._load(scan_id)))
+
+    def told(self, scan_id: str | None) -> Mapping[str, Any] | None:
+        """Of the scan that the diver looks at, once it was read: for the status file."""
+        shown = self.shown
+        if shown is None or shown.scan_id != scan_id:
+            return None
+        word = None if shown.grade is None else shown.grade.value
+        return {"scan": shown.scan_id, "damaged": shown.damaged, "grade": word, "taken": shown.taken}
 
     def poll(self) -> list[on.Event]:
         """What the disk answered since the last call."""

@@ -172,7 +172,7 @@ class Service:
         end_ns = self._clock.now_ns() + int(QUIT_TIMEOUT_S * 1e9)
         while (self._desk.busy or self._calibrating.busy) and self._clock.now_ns() < end_ns:
             beat()
-        self._status.update(self.machine, self._desk.worker.pid)
+        self._tell_status()
         return self._quit
 
     def beat(self) -> None:
@@ -182,8 +182,13 @@ class Service:
         self._handle(on.Tick(self._clock.now_ns()))
         for event in self._make_ready():
             self._handle(event)
-        self._status.update(self.machine, self._desk.worker.pid)
+        self._tell_status()
         self._draw()
+
+    def _tell_status(self) -> None:
+        at = self.machine.gallery
+        shown = None if at is None else self._gallery.told(at.scan_id)
+        self._status.update(self.machine, self._desk.worker.pid, shown)
 
     # --------------------------------------------------------------------------------- what happened
 

@@ -5,7 +5,6 @@ Disk work runs in one thread, ``kf-storage``; points are computed in the worker 
 
 from __future__ import annotations
 
-import datetime
 import logging
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -36,7 +35,6 @@ from appliance.reconstruct.pipeline import COARSE_POINTS, Cloud
 from appliance.service.health import CalibrationWatch
 from appliance.service.instrument import exposure_of, noise_of, taking_of, water_of
 from appliance.service.room import ScanRoom
-from appliance.service.wall_clock import set_from_outside
 from appliance.service.windows import WindowWatch
 from appliance.storage.atomic import StorageError, replace_file
 from appliance.storage.filesystem import LocalFileSystem
@@ -57,7 +55,7 @@ from appliance.worker.process import (
     WorkOrder,
 )
 from appliance.worker.scan_work import Taking
-from drivers.api import Clock
+from drivers.api import Calendar, Clock
 
 log = logging.getLogger("kingfisher")
 
@@ -131,6 +129,7 @@ class ScanDesk:
         sequence: PatternSequence,
         library: Library,
         clock: Clock,
+        calendar: Calendar,
         limits: WorkLimits | None = None,
         noise: StereoNoise = TYPICAL_PAIR,
         response: Response | None = None,
@@ -147,6 +146,7 @@ class ScanDesk:
         self._library = library
         self._fs = LocalFileSystem()
         self._clock = clock
+        self.calendar = calendar
         self.sequence = sequence
         self.water = water or water_of(rig)
         self.store = FrameStore(len(sequence), left.height_px, left.width_px, sequences=2)
@@ -228,7 +228,7 @@ class ScanDesk:
                 second.exposure, second.begun_ns, temperatures_c, report.ledger.as_dict(), (self._ledger_verdict(),)
             )
             return
-        now = datetime.datetime.now(datetime.UTC)
+        date = self.calendar.today()
         ledger = report.ledger
         scan.times_s["first_pattern"] = scan.since_begun_s(ledger.flips[0].time_ns)
         arrived_ns = max(frames[-1].received_ns for frames in ledger.frames.values())
@@ -238,8 +238,8 @@ class ScanDesk:
             rig_hash=self._rig.rig_hash,
             calibration_hash=self._calibration.hash,
             software_version=appliance.__version__,
-            wall_time=now.isoformat(timespec="seconds"),
-            clock_trusted=set_from_outside(),
+            wall_time=date.utc.isoformat(timespec="seconds"),
+            clock_trusted=date.kept,
             recorded_ns=scan.begun_ns,
             response_hash=None if self._response is None else self._response.hash,
             exposure=scan.exposure,

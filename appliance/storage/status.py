@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,10 @@ from appliance.machine.states import Device, Machine
 from appliance.machine.texts import labels
 
 
-def describe(machine: Machine, pid: int, version: str, worker_pid: int | None = None) -> dict[str, Any]:
-    """The file's content. A device is ``ok``, ``lost`` or, before it was tried, ``unknown``."""
+def describe(
+    machine: Machine, pid: int, version: str, worker_pid: int | None = None, gallery: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """The file's content. A device is ``ok``, ``lost`` or, before it was tried, ``unknown``. ``gallery``: of the scan shown."""
     return {
         "state": machine.state.value,
         "since_ns": machine.since_ns,
@@ -34,6 +37,7 @@ def describe(machine: Machine, pid: int, version: str, worker_pid: int | None = 
         "last_scan": machine.last_scan,
         "range": _range(machine),
         "calibration": _calibration(machine),
+        "gallery": gallery,
         "pid": pid,
         "worker_pid": worker_pid,
         "version": version,
@@ -96,9 +100,11 @@ class StatusFile:
         self._version = version
         self._written: dict[str, Any] | None = None
 
-    def update(self, machine: Machine, worker_pid: int | None = None) -> bool:
+    def update(
+        self, machine: Machine, worker_pid: int | None = None, gallery: Mapping[str, Any] | None = None
+    ) -> bool:
         """Write if anything changed; whether it did. A disk that refuses is not an error here: False, and tried again."""
-        content = describe(machine, self._pid, self._version, worker_pid)
+        content = describe(machine, self._pid, self._version, worker_pid, gallery)
         if content == self._written:
             return False
         draft = self.path.with_name(f".{self.path.name}.draft")

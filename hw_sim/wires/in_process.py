@@ -43,6 +43,7 @@ class SimWires:
         self.usb_backend: Any = UsbBackend(list(world.cameras.values()), world.time)
         self.hidraw: Any = HidrawModule(world.keypad, world.time)
         self.clock = WorldClock(world.time)
+        self.calendar = world.calendar
 
     def open_card(self, path: str) -> SimCardNode:
         """Open the one card there is. Raises FileNotFoundError for another path."""

@@ -8,7 +8,7 @@ from dataclasses import fields
 from pathlib import Path
 from random import Random
 
-from hw_sim import deeds, sight
+from hw_sim import calendar, deeds, sight
 from hw_sim.amounts import changed as with_amounts
 from hw_sim.deeds import SURROUNDINGS
 from hw_sim.faults import KINDS, PARTS, FaultSyntaxError
@@ -43,6 +43,8 @@ water attenuation_per_m=1.5
 motion off
 object plane 0 0 500 0 0 0
 disk off
+date 1970-01-01T00:00:07
+date +3600.5
 worker kill
 screenshot /tmp/a b.png
 clear
@@ -61,6 +63,10 @@ SCRIPT_WORDS = (
     "end",
     "clear",
     "off",
+    "date",
+    "-1e9",
+    "kept",
+    "2106-01-01",
     *SURROUNDINGS,
 )
 
@@ -84,7 +90,13 @@ LINES = tuple(line for line in SCRIPT.splitlines() if line.split()[0] in deeds.H
 
 def _deed(line: str, _: Path) -> None:
     verb, *words = line.split("#", 1)[0].split() or [""]
-    if deeds.check(verb, tuple(words)) and verb in SURROUNDINGS:
+    known = deeds.check(verb, tuple(words))
+    if known and verb == "date":
+        try:
+            assert calendar.FIRST <= calendar.changed(calendar.Date(calendar.FIRST, kept=True), words[0]).utc
+        except ValueError:
+            return  # it leads out of the computer's time from there
+    if known and verb in SURROUNDINGS:
         before = SURROUNDINGS[verb]
         for one in fields(before):
             old, new = getattr(before, one.name), getattr(with_amounts(before, verb, words), one.name)
@@ -108,6 +120,7 @@ def _fault(text: str, _: Path) -> None:
 STATUS = {
     "state": "AIM", "since_ns": 1, "alerts": [{"code": "LEAK", "headline": "LEAK", "action": "ASCEND", "severity": "CRITICAL"}],
     "keys": {"scan": "SCAN"}, "devices": {"board": "ok"}, "scans": 3, "scans_left": None, "last_scan": "000003",
+    "gallery": {"scan": "000003", "damaged": False, "taken": None},
     "calibration": {"step": "M1", "busy": False, "result": "FITS", "done": ["M1"]}, "pid": 7, "worker_pid": None,
 }  # fmt: skip
 ASKED = tuple(

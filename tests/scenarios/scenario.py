@@ -14,6 +14,7 @@
     after rejected 1
     after verdict motion failed in 000002        or: passed
     after damaged 000007                         and no other
+    after dated 2026-11-20T10:00 in 000001       how its date begins, which somebody kept; undated: nobody did
 
 Every scan that the screen called SAVED must be there and whole, whether the text says so or not.
 """
@@ -45,7 +46,7 @@ PATTERNS = {
     "rig": r"rig( [\w.]+=\S+)+",
     "given": r"given (nonsense in \S+|fault .+|disk \d+|calibrated|another instance)",
     "refused": r"refused .+",
-    "after": r"after ((saved|rejected|set-aside) \d+|verdict \w+ (passed|failed) in \d{6}|damaged \d{6})",
+    "after": r"after ((saved|rejected|set-aside) \d+|verdict [\w-]+ (passed|failed) in \d{6}|damaged \d{6}|(dated \S+|undated \S+) in \d{6})",
 }
 
 
@@ -162,6 +163,10 @@ def judge(scenario: Scenario, library: Library) -> list[str]:
                 verdicts = {verdict.name: verdict for verdict in library.entry(scan_id).manifest.record.verdicts}
                 if name not in verdicts or verdicts[name].passed is not (wanted == "passed"):
                     wrong.append(f"{' '.join(words)}: {verdicts.get(name, sorted(verdicts))}")
+            case ("dated" | "undated" as said, date, "in", scan_id):
+                record = library.entry(scan_id).manifest.record
+                if record.clock_trusted is not (said == "dated") or not str(record.wall_time).startswith(date):
+                    wrong.append(f"{' '.join(words)}: {record.wall_time}, {record.clock_trusted}")
             case (shelf, number):
                 found = [entry.scan_id for entry in library.entries(SHELVES[shelf])]
                 if len(found) != int(number):

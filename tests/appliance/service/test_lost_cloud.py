@@ -28,6 +28,7 @@ from appliance.storage.library import Library
 from appliance.storage.ply import read_ply
 from drivers.api import Flip, Frame, FrameStatus, Pulse
 from drivers.native import MonotonicClock
+from drivers.wall_clock import KernelCalendar
 from tests.support import synthetic
 
 NORMAL = np.array([0.0, 0.1, 1.0]) / np.hypot(0.1, 1.0)
@@ -55,7 +56,7 @@ def desk(rig: Rig) -> Iterator[ScanDesk]:
     calibration = design_of(rig)
     library = Library(rig.storage.root)
     library.prepare()
-    with ScanDesk(rig, calibration, SEQUENCE, library, CLOCK) as desk:
+    with ScanDesk(rig, calibration, SEQUENCE, library, CLOCK, KernelCalendar()) as desk:
         index = calibration.water.index
         offset = float(NORMAL @ calibration.rig.volume_centre_mm(index))
         for side, camera in (("left", calibration.rig.left), ("right", calibration.rig.right)):

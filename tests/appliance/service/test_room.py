@@ -24,6 +24,7 @@ from appliance.service.scans import ScanDesk
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.library import Library
 from appliance.storage.room import FOLDER, Room
+from drivers.wall_clock import KernelCalendar
 from tests.drivers.clock import SteppedClock
 
 
@@ -48,7 +49,7 @@ def desk_on(disk: Disk, root: Path, clock: SteppedClock) -> Iterator[ScanDesk]:
     room = Room(root, disk)
     library = Library(root, room)
     library.prepare()
-    desk = ScanDesk(rig, calibration, build_sequence(16), library, clock, room=room)
+    desk = ScanDesk(rig, calibration, build_sequence(16), library, clock, KernelCalendar(), room=room)
     try:
         yield desk
     finally:

@@ -1,10 +1,13 @@
-"""Owns whether the date can be believed: the kernel knows if anything from outside has set its clock since power-on."""
+"""Owns the instrument's date, and whether it can be believed: the kernel knows if anything from outside keeps its clock."""
 
 from __future__ import annotations
 
 import ctypes
+import datetime
 import logging
 import struct
+
+from drivers.api import Date
 
 log = logging.getLogger("kingfisher")
 
@@ -13,6 +16,14 @@ STATUS_OFFSET, TIMEX_BYTES = 40, 208
 STA_UNSYNC = 0x0040
 TIME_ERROR = 5
 """What adjtimex returns while nothing keeps the clock."""
+
+
+class KernelCalendar:
+    """``drivers.api.Calendar`` over CLOCK_REALTIME."""
+
+    def today(self) -> Date:
+        """The date in UTC."""
+        return Date(datetime.datetime.now(datetime.UTC), set_from_outside())
 
 
 def set_from_outside() -> bool:

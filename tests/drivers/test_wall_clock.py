@@ -7,7 +7,7 @@ import subprocess
 
 import pytest
 
-from appliance.service.wall_clock import STA_UNSYNC, TIME_ERROR, believed, set_from_outside
+from drivers.wall_clock import STA_UNSYNC, TIME_ERROR, believed, set_from_outside
 
 
 @pytest.mark.parametrize(
