@@ -150,7 +150,6 @@ class ChaosDiver(Actor):
 
     def _scan_once(self) -> None:
         """One press of SCAN, and what comes of it."""
-        was = self._seen()
         self.report.scans += 1
         told: list[str] = []
         """Reasons of a refusal, as soon as they are to be seen: they go when what they name comes back."""
@@ -158,8 +157,9 @@ class ChaosDiver(Actor):
         """The screen says that no key is heard, so who presses one knows why nothing comes of it."""
 
         def answered() -> bool:
+            """An alert that comes or goes is no answer: what it names may have come back just now."""
             told.extend(filter(None, [self._reason(refused=True)]))
-            return bool(told) or not self._aims() or self._seen() != was
+            return bool(told) or not self._aims()
 
         self.world.press("scan")
         if not self.until(answered, ANSWER_S) or told:
@@ -212,9 +212,6 @@ class ChaosDiver(Actor):
 
     def _aims(self) -> bool:
         return self._state() == "AIM"
-
-    def _seen(self) -> list[tuple[str, str]]:
-        return [(alert["headline"], alert["action"]) for alert in self.status().get("alerts") or []]
 
     def _shows(self, code: str) -> bool:
         return any(alert.get("code") == code for alert in self.status().get("alerts") or [])

@@ -118,18 +118,29 @@ class Verified:
     """The length of a bar that the adjustment has not seen: relative error, (measured − calibrated)/calibrated."""
 
     before: float | None
-    """With the calibration of before; ``None`` where it finds no bar at all."""
-    after: float
+    """With the calibration of before, or the one in use while nothing is solved; ``None`` where it finds no bar at all."""
+    after: float | None
+    """With what was solved; ``None``: nothing is, the bar only checks the calibration in use."""
     sigma: float
-    """Standard uncertainty of ``after`` from the noise of the points and from the certificate, relative as well."""
+    """Standard uncertainty of ``after`` (of ``before`` without it) from the noise of the points and from the certificate,
+    relative as well."""
+    checked: str | None = None
+    """Hash of the calibration that ``before`` is of; ``None``: of the drawing."""
 
     @property
     def better(self) -> bool | None:
-        """Whether the length came out better than before; ``None`` where the difference may be chance (two sigma)."""
+        """Whether the length came out better than before; ``None`` where the difference may be chance (two sigma), or where
+        there is nothing to compare."""
+        if self.after is None:
+            return None
         if self.before is None:
             return True
         gain = abs(self.before) - abs(self.after)
         return None if abs(gain) <= 2.0 * self.sigma else gain > 0.0
+
+
+MOST_LENGTH_ERROR = 0.001
+"""Relative error of a length above which the calibration in use, or the water that was stated, is not to be trusted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,16 +173,30 @@ class Session:
                 return self.trial(step) is not None
 
     def open(self, step: Step) -> bool:
-        """Whether a step can be done now: recordings in any order, then one after the other."""
+        """Whether a step can be done now: recordings in any order, then one after the other. VERIFY checks what was solved, or
+        else the calibration in use."""
         match step:
             case Step.SOLVE:
                 return all(self.trial(used) is not None for used in USED)
             case Step.VERIFY:
-                return self.solved is not None
+                return True
             case Step.RESULT:
-                return self.solved is not None and self.verified is not None
+                return self.verified is not None
             case _:
                 return True
+
+    @property
+    def length_error(self) -> float | None:
+        """Relative error of the bar of VERIFY with the calibration in use; ``None``: nobody has checked it."""
+        if self.verified is None:
+            return None
+        return self.verified.after if self.in_use else self.verified.before
+
+    @property
+    def wrong(self) -> bool:
+        """Whether lengths are surely wrong by more than is allowed."""
+        error, verified = self.length_error, self.verified
+        return error is not None and verified is not None and abs(error) - 2.0 * verified.sigma > MOST_LENGTH_ERROR
 
     @property
     def next_step(self) -> Step:
@@ -182,6 +207,13 @@ class Session:
         """With a recording in place of its step's older one. What was solved with that one does not hold any more."""
         others = tuple(t for t in self.trials if t.step is not trial.step)
         changed = replace(self, trials=(*others, trial))
-        if trial.step in USED:
-            return replace(changed, solved=None, verified=None, in_use=False)
-        return changed
+        if trial.step not in USED:
+            return changed
+        verified = self.verified
+        if verified is not None and verified.after is None:  # a check of before is no witness of what will be solved
+            changed = replace(changed, trials=tuple(t for t in changed.trials if t.step is not Step.VERIFY))
+        if verified is not None:  # what it says of the calibration in use still holds
+            error = self.length_error
+            checked = self.solved.calibration_hash if self.in_use and self.solved is not None else verified.checked
+            verified = None if error is None else Verified(error, None, verified.sigma, checked)
+        return replace(changed, solved=None, verified=verified, in_use=False)

@@ -106,6 +106,7 @@ class FaultCode(Enum):
     UNCALIBRATED = "UNCALIBRATED"
     """No valid calibration of this rig; the design's values are used."""
     VERIFY_CALIBRATION = "VERIFY_CALIBRATION"
+    LENGTH_ERROR = "LENGTH_ERROR"
     """The ray gaps are no longer those of the calibration: a camera was knocked, or the water is not as stated."""
     RECONSTRUCTION_FAILED = "RECONSTRUCTION_FAILED"
     """The worker failed, died or took too long; the raw frames are kept."""

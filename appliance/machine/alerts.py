@@ -115,6 +115,9 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
         FaultCode.UPDATE_UNDONE: Rule(_W, "UPDATE UNDONE", "THE OLD VERSION GOES ON"),
         FaultCode.SETTINGS_LOST: Rule(_W, "SETTINGS LOST", "CHECK THEM IN THE MENU"),
         FaultCode.UNCALIBRATED: Rule(_W, "UNCALIBRATED", "LENGTHS NOT TRUSTED"),
+        FaultCode.LENGTH_ERROR: Rule(
+            _W, "LENGTH ERR {error_percent:.1f} %", "CHECK WATER, THEN CALIBRATE", "LENGTH ERROR"
+        ),
         FaultCode.VERIFY_CALIBRATION: Rule(_W, "VERIFY CALIBR.", "CHECK WATER AND BALL BAR"),
         FaultCode.RECONSTRUCTION_FAILED: Rule(_W, "PROCESS LATER", "KEEP RAW FRAMES OR REPEAT"),
         FaultCode.WINDOW: Rule(_W, "{side}WINDOW?", "WIPE IT; FOG INSIDE: DRY IT", "WINDOW?"),

@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 from appliance.calibration.guide import HELD, STEPS, Session, Step, Trial
+from appliance.capture.fault import Fault, FaultCode
 from appliance.machine import effects as do
+from appliance.machine.conditions import cleared, raised
 from appliance.machine.moves import Result, enter
 from appliance.machine.states import Calibrating, Machine, State, Task
 from drivers.api import Key
@@ -23,14 +25,13 @@ def records(machine: Machine) -> bool:
 
 
 def neighbour(machine: Machine, key: Key) -> Step | None:
-    """Where UP or DOWN leads: to the step before or the next one that can be done."""
+    """Where UP or DOWN leads: to the nearest step before or after that can be done."""
     at = machine.calibrating
     if at is None or at.task is not None or key not in (Key.UP, Key.DOWN):
         return None
-    index = STEPS.index(at.step) + (-1 if key is Key.UP else 1)
-    if not 0 <= index < len(STEPS) or not machine.session.open(STEPS[index]):
-        return None
-    return STEPS[index]
+    here = STEPS.index(at.step)
+    there = STEPS[:here][::-1] if key is Key.UP else STEPS[here + 1 :]
+    return next((step for step in there if machine.session.open(step)), None)
 
 
 def decision(machine: Machine) -> do.SolveCalibration | do.UseSolved | do.RestoreCalibration | None:
@@ -40,7 +41,7 @@ def decision(machine: Machine) -> do.SolveCalibration | do.UseSolved | do.Restor
         return None
     if at.step is Step.SOLVE:
         return do.SolveCalibration()
-    if at.step is Step.RESULT:
+    if at.step is Step.RESULT and machine.session.solved is not None:
         if not machine.session.in_use:
             return do.UseSolved()
         if machine.session.kept is not None:
@@ -121,15 +122,27 @@ def not_saved(machine: Machine, number: int, reason: str) -> Result:
 
 def session_changed(machine: Machine, session: Session) -> Result:
     """The disk holds another session: on to what is next in it."""
-    machine = replace(machine, session=session)
+    machine = _judge_lengths(replace(machine, session=session))
     at = machine.calibrating
     if machine.state is not State.CALIBRATE or at is None:
         return machine, ()
+    if at.task is Task.ACCEPT and at.step is Step.VERIFY and session.open(Step.RESULT):
+        return _rest(machine, replace(at, step=Step.RESULT)), ()
     if at.task in (Task.ACCEPT, Task.SOLVE, Task.SWITCH):
         return _rest(machine, replace(at, step=session.next_step)), ()
     if not session.open(at.step):
         return _rest(machine, replace(at, step=session.next_step)), cancelled(machine, "the session changed")
     return machine, ()
+
+
+def _judge_lengths(machine: Machine) -> Machine:
+    """A bar that was measured wrongly is told until one is measured right, or another calibration is in use."""
+    error = machine.session.length_error
+    if not machine.session.wrong or error is None:
+        return cleared(machine, FaultCode.LENGTH_ERROR)
+    percent = 100.0 * abs(error)
+    said = f"the ball bar of VERIFY came out wrong by {100.0 * error:+.3f} %"
+    return raised(machine, Fault(FaultCode.LENGTH_ERROR, said, {"error_percent": percent}))
 
 
 def progressed(machine: Machine, progress: float) -> Machine:

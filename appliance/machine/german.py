@@ -78,6 +78,7 @@ GERMAN: Mapping[FaultCode, German] = MappingProxyType(
         FaultCode.UPDATE_UNDONE: German("UPDATE ZURÜCK", "ALTE VERSION LÄUFT WEITER"),
         FaultCode.SETTINGS_LOST: German("WERTE VERLOREN", "IM MENÜ PRÜFEN"),
         FaultCode.UNCALIBRATED: German("UNKALIBRIERT", "MASSE SIND NICHT VERLÄSSLICH"),
+        FaultCode.LENGTH_ERROR: German("LÄNGENF. {error_percent:.1f} %", "WASSER PRÜFEN, KALIBRIEREN", "LÄNGENFEHLER"),
         FaultCode.VERIFY_CALIBRATION: German("KALIBR. PRÜFEN", "WASSER UND KUGELSTAB PRÜFEN"),
         FaultCode.RECONSTRUCTION_FAILED: German("SPÄTER RECHNEN", "ROHBILDER BEHALTEN ODER NOCHMAL"),
         FaultCode.WINDOW: German("{short_side}FENSTER?", "ABWISCHEN; INNEN: TROCKNEN", "FENSTER?"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibration.guide import HELD, STEPS, UNITS, USED, Refusal, Step, Trial
+from appliance.calibration.guide import HELD, STEPS, UNITS, USED, Refusal, Session, Step, Trial
 from appliance.calibration.recordings import ArtefactKind
 from appliance.machine.states import Task
 from appliance.screens import theme
@@ -205,6 +205,9 @@ def _result(canvas: Canvas, view: CalibrateView, language: Language) -> None:
     verified = session.verified
     before = None if verified is None else verified.before
     new = None if verified is None else verified.after
+    if verified is not None and verified.after is None:
+        _checked(canvas, session, language)
+        return
     for left, name, value, used in (
         (20.0, Text.BEFORE, before, not session.in_use),
         (410.0, Text.NEW, new, session.in_use),
@@ -226,6 +229,22 @@ def _result(canvas: Canvas, view: CalibrateView, language: Language) -> None:
         if session.solved.warnings:
             said = f"{Text.WARNINGS.in_language(language)}: {len(session.solved.warnings)}"
             canvas.words(said, canvas.width - 20, 350, CAPTION, BOLD, theme.YELLOW, Align.RIGHT, 370)
+
+
+def _checked(canvas: Canvas, session: Session, language: Language) -> None:
+    """Of the calibration in use, which the bar only checks."""
+    error, verified = session.length_error, session.verified
+    canvas.box(215, 120, 370, 190, theme.DEEP, 20, theme.AQUA, 6)
+    canvas.words(Text.IN_USE.in_language(language), 239, 164, BODY, BLACK, theme.MUTED)
+    text = "—" if error is None else f"{100.0 * abs(error):.3f} %"
+    canvas.words(text, 400, 248, HUGE - 18, BLACK, align=Align.CENTRE, max_width=340)
+    word, colour = (Text.NOT_RIGHT, theme.YELLOW) if session.wrong else (Text.RIGHT, theme.GREEN)
+    canvas.words(word.in_language(language), 239, 296, BODY, BLACK, colour)
+    if verified is not None:
+        canvas.words(f"± {100.0 * verified.sigma:.3f} %", 561, 296, CAPTION, BOLD, theme.MUTED, Align.RIGHT)
+    if session.wrong:
+        said = Text.CHECK_WATER.in_language(language)
+        canvas.words(said, canvas.width / 2, 350, CAPTION + 2, BOLD, theme.YELLOW, Align.CENTRE, canvas.width - 40)
 
 
 def _ticks(canvas: Canvas, view: CalibrateView) -> None:

@@ -45,6 +45,8 @@ class Basis:
     """Lenses and pose from air, ports as drawn; else the calibration in use."""
     before: Calibration
     """What the instrument measured with until now."""
+    before_hash: str | None
+    """Of its file; ``None``: the drawing."""
     rig: Rig
     bar: Certificate
     """Of the ball bar; its radius is stated."""
@@ -82,29 +84,32 @@ def basis_of(rig: Rig) -> Basis:
     calibrations = Calibrations(rig.storage.root, rig.rig.serial)
     current, _ = calibration_of(rig)
     session = calibrations.session()
-    before = calibrations.kept(session) if session.in_use else None
+    kept = calibrations.kept(session) if session.in_use else None
     certificate = Certificate(bar.length_mm, bar.length_sd_mm, bar.radius_mm, bar.radius_sd_mm)
-    return Basis(start_of(rig), before or current, rig, certificate)
+    before_hash = calibrations.in_use if kept is None else kept.hash
+    return Basis(start_of(rig), kept or current, before_hash, rig, certificate)
 
 
 def examine(rig: Rig, step: Step, folder: Path, report: Report) -> Examined:
     """Judge a stored scan as a recording of ``step``.
 
-    Raises RecordingError, ScanError, CalibrationError; VERIFY also where nothing is solved.
+    VERIFY judges with what was solved, or else with the calibration in use. Raises RecordingError, ScanError,
+    CalibrationError.
     """
     basis = basis_of(rig)
     scan = stored.load(folder)
     if step is Step.VERIFY:
-        solved = calibration_file.load(Calibrations(rig.storage.root, rig.rig.serial).solved)
-        fairly = _fairly(scan, solved, basis)
+        solved = _solved(rig)
+        checked = basis.before if solved is None else solved
+        fairly = _fairly(scan, checked, basis)
         spoilt = _spoilt(step, fairly)
         if spoilt is not None:
             return Examined(spoilt)
         bar = find_ball_bar(fairly.cloud)
-        trial = _judged_bar(step, bar, fairly.cloud, solved, basis.bar)
+        trial = _judged_bar(step, bar, fairly.cloud, checked, basis.bar)
         if trial.refusal is not None or isinstance(bar, NotFound):
             return Examined(trial)
-        return Examined(trial, _compared(scan, bar, basis))
+        return Examined(trial, _measured(bar, basis) if solved is None else _compared(scan, bar, basis))
     widely = _wide(scan, basis)
     spoilt = _spoilt(step, widely)
     if spoilt is not None:
@@ -180,13 +185,30 @@ def _recording(step: Step, folder: Path, basis: Basis) -> Recording:
     return replace(recording, name=f"{step.value}, scan {folder.name}")
 
 
+def _solved(rig: Rig) -> Calibration | None:
+    """What the session solved; ``None`` where nothing is."""
+    calibrations = Calibrations(rig.storage.root, rig.rig.serial)
+    return None if calibrations.session().solved is None else calibration_file.load(calibrations.solved)
+
+
 def _compared(scan: stored.StoredScan, bar: BallBar, basis: Basis) -> Verified:
     """The bar's length with the new calibration and with the one of before."""
-    length_mm = basis.bar.length_mm
     old = find_ball_bar(_fair(scan, basis.before, basis))
-    before = None if isinstance(old, NotFound) else (old.length_mm - length_mm) / length_mm
-    sigma = float(np.hypot(bar.sigma_length_mm, basis.bar.length_sd_mm)) / length_mm
-    return Verified(before, (bar.length_mm - length_mm) / length_mm, sigma)
+    before = None if isinstance(old, NotFound) else _error(old, basis)
+    return Verified(before, _error(bar, basis), _uncertainty(bar, basis), basis.before_hash)
+
+
+def _measured(bar: BallBar, basis: Basis) -> Verified:
+    """The bar's length with the calibration in use: nothing is solved."""
+    return Verified(_error(bar, basis), None, _uncertainty(bar, basis), basis.before_hash)
+
+
+def _error(bar: BallBar, basis: Basis) -> float:
+    return (bar.length_mm - basis.bar.length_mm) / basis.bar.length_mm
+
+
+def _uncertainty(bar: BallBar, basis: Basis) -> float:
+    return float(np.hypot(bar.sigma_length_mm, basis.bar.length_sd_mm)) / basis.bar.length_mm
 
 
 def _judged_bar(

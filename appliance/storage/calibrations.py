@@ -67,6 +67,11 @@ class Calibrations:
         """The calibration that the session's recordings gave."""
         return self.folder / "session" / SOLVED
 
+    @property
+    def in_use(self) -> str | None:
+        """Hash of the calibration in use; ``None`` where the drawing is."""
+        return _hash_of(self.current)
+
     # ------------------------------------------------------------------------------------- reading
 
     def session(self) -> Session:
@@ -80,6 +85,10 @@ class Calibrations:
             session = replace(session, solved=None, verified=None)  # power was lost between the two files
         in_use = session.solved is not None and _bytes(self.current) == _bytes(self.solved)
         named = session.kept is not None and _KEPT.fullmatch(session.kept) is not None
+        checked = session.verified
+        if checked is not None and not in_use and checked.checked != self.in_use:
+            # Another calibration was put in use since: what is known of the one of then says nothing.
+            session = replace(session, verified=None if checked.after is None else replace(checked, before=None))
         kept = session.kept if named and (self.folder / "kept" / str(session.kept)).is_file() else None
         return replace(session, in_use=in_use, kept=kept)
 

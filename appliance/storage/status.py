@@ -100,9 +100,7 @@ class StatusFile:
         self._version = version
         self._written: dict[str, Any] | None = None
 
-    def update(
-        self, machine: Machine, worker_pid: int | None = None, gallery: Mapping[str, Any] | None = None
-    ) -> bool:
+    def update(self, machine: Machine, worker_pid: int | None = None, gallery: Mapping[str, Any] | None = None) -> bool:
         """Write if anything changed; whether it did. A disk that refuses is not an error here: False, and tried again."""
         content = describe(machine, self._pid, self._version, worker_pid, gallery)
         if content == self._written:

@@ -93,7 +93,7 @@ def _deed(line: str, _: Path) -> None:
     known = deeds.check(verb, tuple(words))
     if known and verb == "date":
         try:
-            assert calendar.FIRST <= calendar.changed(calendar.Date(calendar.FIRST, kept=True), words[0]).utc
+            assert calendar.changed(calendar.Date(calendar.FIRST, kept=True), words[0]).utc >= calendar.FIRST
         except ValueError:
             return  # it leads out of the computer's time from there
     if known and verb in SURROUNDINGS:

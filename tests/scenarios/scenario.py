@@ -15,6 +15,7 @@
     after verdict motion failed in 000002        or: passed
     after damaged 000007                         and no other
     after dated 2026-11-20T10:00 in 000001       how its date begins, which somebody kept; undated: nobody did
+    after salinity 35 in 000001                  g/kg, of the water that it was measured in
 
 Every scan that the screen called SAVED must be there and whole, whether the text says so or not.
 """
@@ -46,7 +47,7 @@ PATTERNS = {
     "rig": r"rig( [\w.]+=\S+)+",
     "given": r"given (nonsense in \S+|fault .+|disk \d+|calibrated|another instance)",
     "refused": r"refused .+",
-    "after": r"after ((saved|rejected|set-aside) \d+|verdict [\w-]+ (passed|failed) in \d{6}|damaged \d{6}|(dated \S+|undated \S+) in \d{6})",
+    "after": r"after ((saved|rejected|set-aside) \d+|verdict [\w-]+ (passed|failed) in \d{6}|damaged \d{6}|(dated|undated|salinity) \S+ in \d{6})",
 }
 
 
@@ -167,6 +168,10 @@ def judge(scenario: Scenario, library: Library) -> list[str]:
                 record = library.entry(scan_id).manifest.record
                 if record.clock_trusted is not (said == "dated") or not str(record.wall_time).startswith(date):
                     wrong.append(f"{' '.join(words)}: {record.wall_time}, {record.clock_trusted}")
+            case ("salinity", psu, "in", scan_id):
+                water = library.entry(scan_id).manifest.record.water
+                if water["salinity_psu"] != float(psu):
+                    wrong.append(f"{' '.join(words)}: {water}")
             case (shelf, number):
                 found = [entry.scan_id for entry in library.entries(SHELVES[shelf])]
                 if len(found) != int(number):

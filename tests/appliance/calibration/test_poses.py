@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -140,11 +142,25 @@ def test_a_recording_made_anew_undoes_what_was_solved_from_the_old_one() -> None
     again = session.with_trial(Trial(Step.M2, None, 0.02, scan_id="000009"))
     assert again.next_step is Step.SOLVE
     assert again.solved is None
-    assert again.verified is None
+    assert again.verified == Verified(0.0001, None, 0.00005, "abc"), "what is in use was checked"
     assert again.kept == "0001.json", "the way back stays"
     assert [trial.scan_id for trial in again.trials if trial.step is Step.M2] == ["000009"]
     verified_again = session.with_trial(Trial(Step.VERIFY, None, 0.02))
     assert verified_again.solved == session.solved
+
+
+def test_a_bar_checks_the_calibration_in_use_before_anything_is_solved() -> None:
+    fresh = Session()
+    assert fresh.open(Step.VERIFY)
+    assert not fresh.open(Step.RESULT)
+    checked = replace(fresh.with_trial(Trial(Step.VERIFY, None, 0.02)), verified=Verified(0.006, None, 0.0002, "abc"))
+    assert checked.open(Step.RESULT)
+    assert checked.wrong
+    assert not replace(checked, verified=Verified(0.0013, None, 0.0002, "abc")).wrong, "it may be chance"
+    begun = checked.with_trial(Trial(Step.M1, None, 0.02))
+    assert begun.wrong, "a recording changes nothing about what is in use"
+    assert begun.trial(Step.VERIFY) is None, "and the check was recorded for another purpose"
+    assert begun.next_step is Step.M2
 
 
 # --------------------------------------------------------------------- what matters and what does not

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from appliance.calibration.guide import Refusal, Session, Step, Trial
+from appliance.calibration.guide import Refusal, Session, Step, Trial, Verified
 from appliance.capture.fault import Fault, FaultCode
 from appliance.machine import effects as do
 from appliance.machine import events as on
@@ -102,8 +102,10 @@ def test_up_and_down_lead_where_their_labels_say_and_no_farther_than_what_is_don
         assert labels(machine)[Key.DOWN] == step.value
         machine = run(machine, on.KeyPressed(Key.DOWN))
         assert at(machine) == (step, None)
-    assert Key.DOWN not in labels(machine), "nothing can be solved yet"
-    assert at(run(machine, on.KeyPressed(Key.DOWN))) == (Step.M4, None)
+    assert labels(machine)[Key.DOWN] == Step.VERIFY.value, "nothing can be solved yet, but checked"
+    machine = run(machine, on.KeyPressed(Key.DOWN))
+    assert at(machine) == (Step.VERIFY, None)
+    assert Key.DOWN not in labels(machine), "there is no result yet"
     machine = calibrating_at(VERIFIED)
     steps = []
     while Key.UP in labels(machine):
@@ -146,6 +148,26 @@ def test_the_result_is_kept_and_the_old_one_restored_with_the_same_key() -> None
     machine, effects = after(machine, on.KeyPressed(Key.SCAN))
     assert effects == [do.RestoreCalibration()]
     assert labels(run(machine, on.SessionChanged(VERIFIED)))[Key.SCAN] == "KEEP"
+
+
+def test_the_bar_alone_checks_the_calibration_in_use_and_a_wrong_length_is_told_until_it_is_right() -> None:
+    machine = run(calibrating(), *[on.KeyPressed(Key.DOWN)] * 4)
+    assert at(machine) == (Step.VERIFY, None), "past SOLVE, for which there is nothing"
+    bar = good(Step.VERIFY)
+    machine = run(machine, on.KeyPressed(Key.SCAN), on.Armed(1), on.CaptureFinished(1), on.RawStored(1))
+    machine = run(
+        machine, on.TrialExamined(1, bar), on.SessionChanged(Session((bar,), None, Verified(-0.006, None, 0.0001)))
+    )
+    assert at(machine) == (Step.RESULT, None)
+    assert Key.SCAN not in labels(machine), "there is nothing to keep"
+    (told,) = [alert for alert in alerts(machine) if alert.code is FaultCode.LENGTH_ERROR]
+    assert told.headline == "LENGTH ERR 0.6 %"
+    assert run(machine, on.KeyPressed(Key.BACK)).state is State.AIM
+    right = run(machine, on.SessionChanged(Session((bar,), None, Verified(0.0004, None, 0.0001))))
+    assert not [alert for alert in alerts(right) if alert.code is FaultCode.LENGTH_ERROR]
+    used = Session(VERIFIED.trials, SOLVED.solved, Verified(0.006, 0.0002, 0.0001), True, "0001.json")
+    better = run(machine, on.SessionChanged(used))
+    assert not [alert for alert in alerts(better) if alert.code is FaultCode.LENGTH_ERROR], "another one is in use"
 
 
 def test_a_new_session_needs_a_long_press() -> None:

@@ -13,6 +13,7 @@ from appliance.machine.german import GERMAN
 from appliance.machine.states import Notice, NoticeKind, boot
 
 NUMBERS = {
+    "error_percent": 0.6,
     "received": 23.0, "expected": 24.0, "shift_px": 12.3, "coverage_percent": 100.0, "temperature_c": 61.4,
     "supply_v": 10.4, "distance_mm": 1437.0,
 }  # fmt: skip

@@ -37,7 +37,9 @@ def test_a_worker_that_cannot_live_is_a_condition_and_no_endless_boot(tmp_path: 
     library.prepare()
     for memory_mb, expected in ((20.0, on.ConditionRaised), (2000.0, on.ConditionCleared)):
         limits = WorkLimits(memory_mb=memory_mb, start_memory_mb=memory_mb)
-        with ScanDesk(rig, calibration, build_sequence(16), library, MonotonicClock(), KernelCalendar(), limits) as desk:
+        with ScanDesk(
+            rig, calibration, build_sequence(16), library, MonotonicClock(), KernelCalendar(), limits
+        ) as desk:
             event, told = events_until_settled(desk)
             assert isinstance(event, expected)
             assert isinstance(told, on.PartTested)

@@ -22,7 +22,7 @@ from tests.support.truth import WATER
 OLD = design_calibration(DESIGN, "KF-TEST", 1600, 1200, WATER)
 NEW = replace(OLD, method="bundle, spline", made_at="2026-11-21T10:00:00+00:00")
 DAY = "2026-11-21"
-VERIFIED = Verified(0.003, -0.0001, 0.00004)
+VERIFIED = Verified(0.003, -0.0001, 0.00004, OLD.hash)
 
 
 def solved(calibration: Calibration) -> Solved:
@@ -51,6 +51,15 @@ def test_a_session_is_the_same_after_a_new_start(store: Calibrations, tmp_path: 
     assert Calibrations(tmp_path, "KF-TEST").session() == session
     assert session.next_step is Step.RESULT
     assert session.verified == VERIFIED
+
+
+def test_a_check_says_nothing_about_a_calibration_that_came_later(store: Calibrations) -> None:
+    checked = store.write(replace(Session(), verified=Verified(0.006, None, 0.0001, store.in_use)))
+    assert checked.length_error == 0.006
+    store.install(NEW, DAY)
+    assert store.session().verified is None
+    store.bring_back(None, DAY)
+    assert store.session().length_error == 0.006, "that one was measured"
 
 
 def test_the_old_file_comes_back_byte_for_byte(store: Calibrations) -> None:

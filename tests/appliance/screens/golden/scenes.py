@@ -44,6 +44,7 @@ from drivers.api import Key
 from tests.appliance.screens.golden import seabed
 
 NUMBERS = {
+    "error_percent": 0.6,
     "received": 23.0, "expected": 24.0, "shift_px": 1.8, "coverage_percent": 38.0, "temperature_c": 61.0,
     "supply_v": 10.4, "distance_mm": 421.0,
 }  # fmt: skip
@@ -105,6 +106,7 @@ MAIN_ROWS = (
 _MENU_KEYS = keys(scan="OK", back="BACK", up="UP", down="DOWN")
 _TRIALS = tuple(Trial(step, None, 0.031, 2140) for step in USED)
 _SOLVED = Solved("bundle, spline", 0.034, (), "abc")
+_CHECKED = Session((), None, Verified(0.0062, None, 0.0001))
 _BETTER = Session(_TRIALS, _SOLVED, Verified(0.0031, -0.0002, 0.00004))
 
 
@@ -257,6 +259,10 @@ SCENES: Mapping[str, Scene] = MappingProxyType(
         "calibrate-result": Scene(
             _calibrate(Calibrating(Step.RESULT), _BETTER, scan="KEEP", back="BACK", up="VERIFY", down="HOLD: NEW"),
             "What it gave, against the calibration in use.",
+        ),
+        "calibrate-checked": Scene(
+            _calibrate(Calibrating(Step.RESULT), _CHECKED, back="BACK", up="VERIFY", down="HOLD: NEW"),
+            "The ball bar alone: the calibration in use is wrong, or the water is.",
         ),
         "cooling": Scene(
             CoolingView(temperature_c=61.0, limit_c=55.0, remaining_s=118.0, keys=keys(back="BACK")),

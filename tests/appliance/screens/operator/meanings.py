@@ -55,6 +55,10 @@ MEANINGS: Mapping[F, tuple[str, str]] = MappingProxyType(
         F.UPDATE_UNDONE: ("A new version failed; the old one is back.", "Eine neue Version taugte nicht; die alte ist zurück."),
         F.SETTINGS_LOST: ("What was chosen in the menu could not be read.", "Was im Menü gewählt war, ließ sich nicht lesen."),
         F.UNCALIBRATED: ("No valid calibration: shapes yes, sizes no.", "Keine gültige Kalibrierung: Formen ja, Maße nein."),
+        F.LENGTH_ERROR: (
+            "The ball bar came out too long or too short: other water than was set, or the instrument has changed.",
+            "Der Kugelstab kam zu lang oder zu kurz heraus: anderes Wasser als eingestellt, oder das Gerät ist verändert.",
+        ),
         F.VERIFY_CALIBRATION: ("Knocked, or another water than was set.", "Angestoßen, oder anderes Wasser als eingestellt."),
         F.RECONSTRUCTION_FAILED: ("No cloud now; it can be computed on the desk.", "Jetzt keine Punkte; am Schreibtisch berechenbar."),
         F.WINDOW: ("Fogged, dirty or scratched: soft at one place.", "Beschlagen, schmutzig oder zerkratzt: an einer Stelle unscharf."),
