@@ -91,13 +91,13 @@ def notice(why: Cause, language: str, next_try_s: int | None) -> Notice:
         by_itself = "" if next_try_s is None else f"\nVON SELBST IN {next_try_s} S"
         return Notice(
             "SERVICE NÖTIG", words.headline, words.action, why.detail, "GESICHERTE SCANS SIND DA",
-            f"TASTE SCAN: NOCHMAL STARTEN{by_itself}",
+            f"TASTE SCAN: NOCHMAL STARTEN{by_itself}\nZURÜCK HALTEN: AUS",
         )  # fmt: skip
     words = _ENGLISH[why.key]
     by_itself = "" if next_try_s is None else f"\nBY ITSELF IN {next_try_s} S"
     return Notice(
         "SERVICE NEEDED", words.headline, words.action, why.detail, "SAVED SCANS ARE SAFE",
-        f"KEY SCAN: START AGAIN{by_itself}",
+        f"KEY SCAN: START AGAIN{by_itself}\nHOLD BACK: POWER OFF",
     )  # fmt: skip
 
 

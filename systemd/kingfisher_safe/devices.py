@@ -1,4 +1,4 @@
-"""Owns what the safe screen does with board and key pad: lasers and pulses off, and whether SCAN is pressed."""
+"""Owns what the safe screen does with board and key pad: lasers and pulses off, and what the keys ask for."""
 
 from __future__ import annotations
 
@@ -12,8 +12,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 REPORT_BYTES = 8
-SCAN = 0x01
+SCAN, BACK = 0x01, 0x02
 """docs/protocols/keys.md."""
+OFF_S = 2.0
+"""BACK is held so long to switch off: longer than a glove brushes it."""
+SILENCE_S = 1.0
+"""The pad tells its keys many times a second; what was down before a silence may have been let go."""
 COMMANDS = ("STOP", "LASER,0,0")
 ANSWER_S = 0.3
 TRIES = 3
@@ -62,34 +66,53 @@ def _acknowledged(descriptor: int, number: int, command: str) -> bool:
     return False
 
 
-class ScanKey:
+class Keys:
     """The key pad, opened again whenever it has gone."""
 
     def __init__(self, find: Callable[[], Path | None]) -> None:
         self._find = find
         self._descriptor: int | None = None
-        self._was_down = True
-        """A key that is down from the start (stuck, or still held) is no press."""
+        self._forget()
 
-    def pressed(self, timeout_s: float) -> bool:
-        """Wait for a new press of SCAN. Never raises; without a key pad it only waits."""
+    def asked(self, timeout_s: float) -> str | None:
+        """Wait for a new press of SCAN ("start") or for BACK to be held ("off"); ``None``: neither.
+
+        Never raises; without a key pad it only waits.
+        """
         end_s = time.monotonic() + timeout_s
         while (left_s := end_s - time.monotonic()) > 0.0:
             if self._descriptor is None and not self._open():
                 time.sleep(min(left_s, 0.5))
                 continue
-            down = self._read(left_s)
-            if down is None:
+            keys = self._read(left_s)
+            if keys is None:
                 continue
-            pressed, self._was_down = down and not self._was_down, down
-            if pressed:
-                return True
-        return False
+            new, self._down = keys & ~self._down, keys
+            if new & SCAN:
+                return "start"
+            if self._held(time.monotonic(), new):
+                return "off"
+        return None
 
     def close(self) -> None:
         if self._descriptor is not None:
             os.close(self._descriptor)
         self._descriptor = None
+
+    def _held(self, now_s: float, new: int) -> bool:
+        """Whether BACK alone has been down, without a gap in what the pad tells, since a new press ``OFF_S`` ago."""
+        silent, self._heard_s = now_s - self._heard_s > SILENCE_S, now_s
+        if self._down != BACK or silent:
+            self._back_s = None
+        elif new & BACK:
+            self._back_s = now_s
+        return self._back_s is not None and now_s - self._back_s >= OFF_S
+
+    def _forget(self) -> None:
+        """A key that is down from the start (stuck, or still held) is no press."""
+        self._down = SCAN | BACK
+        self._heard_s = time.monotonic()
+        self._back_s: float | None = None
 
     def _open(self) -> bool:
         path = self._find()
@@ -99,11 +122,11 @@ class ScanKey:
             self._descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
         except OSError:
             return False
-        self._was_down = True
+        self._forget()
         return True
 
-    def _read(self, timeout_s: float) -> bool | None:
-        """Whether SCAN is down; ``None`` where nothing, or nothing right, was said."""
+    def _read(self, timeout_s: float) -> int | None:
+        """The keys that are down; ``None`` where nothing, or nothing right, was said."""
         descriptor = self._descriptor
         assert descriptor is not None
         try:
@@ -115,17 +138,17 @@ class ScanKey:
         if not report:  # unplugged
             self.close()
             return None
-        return scan_is_down(report)
+        return keys_down(report)
 
 
-def scan_is_down(report: bytes) -> bool | None:
-    """From one report of the key pad; ``None`` where it is damaged, or SCAN's coil is."""
-    if len(report) != REPORT_BYTES or report[0] != 1 or report[3] & SCAN:
+def keys_down(report: bytes) -> int | None:
+    """From one report of the key pad, without keys whose coil is damaged; ``None`` where the report is."""
+    if len(report) != REPORT_BYTES or report[0] != 1:
         return None
     check = 0xA5
     for byte in report[:-1]:
         check ^= byte
-    return bool(report[1] & SCAN) if check == report[-1] else None
+    return report[1] & ~report[3] if check == report[-1] else None
 
 
 def find_keys(devices: Path = Path("/dev"), hidraw: Path = Path("/sys/class/hidraw")) -> Path | None:

@@ -1,4 +1,4 @@
-"""Owns the safe screen's course: dark, say what is wrong, wait for the key or the time, end so that the service starts."""
+"""Owns the safe screen's course: dark, say what is wrong, wait for a key or the time, end so that what was asked for comes."""
 
 from __future__ import annotations
 
@@ -22,6 +22,8 @@ LAST_WORDS = Path("/run/kingfisher/last-words.json")
 SERVICE = "kingfisher.service"
 WAITS_S = (30, 120, 600)
 """Before each try without a key, as long as the machine is on; then only the key starts it."""
+POWER_OFF = 3
+"""The exit code that kingfisher-safe.service knows."""
 LOOK_S = 1.0
 """How often the time is counted down, and displays are looked for."""
 JOURNAL = ("journalctl", "-b", "-u", SERVICE, "-n", "200", "-o", "cat", "--no-pager", "-q")
@@ -104,8 +106,8 @@ def journal() -> list[str]:
     return done.stdout.splitlines()
 
 
-def stay(why: Cause, screens: Screens, language: str, tries: Tries, key: devices.ScanKey) -> str:
-    """Show the page until SCAN is pressed or the time has come; returns which: ``key`` or ``time``."""
+def stay(why: Cause, screens: Screens, language: str, tries: Tries, keys: devices.Keys) -> str:
+    """Show the page until a key asks for something or the time has come; returns which: ``start``, ``off`` or ``time``."""
     wait_s = tries.wait_s()
     end_s = None if wait_s is None else time.monotonic() + wait_s
     where: tuple[str, ...] | None = None
@@ -115,27 +117,31 @@ def stay(why: Cause, screens: Screens, language: str, tries: Tries, key: devices
         if shown != where:
             where = shown
             _say(f"{why.key}: {why.detail}; shown on {', '.join(shown) or 'nothing: no display'}")
-        if key.pressed(LOOK_S):
-            return "key"
+        asked = keys.asked(LOOK_S)
+        if asked is not None:
+            return asked
         if end_s is not None and time.monotonic() >= end_s:
             tries.count()
             return "time"
 
 
 def main(environment: Mapping[str, str] = os.environ) -> int:
-    """Returns 0 when the service is to be started again."""
+    """Returns 0 when the service is to be started again, ``POWER_OFF`` when the machine is to be switched off."""
     rig = outputs(RIG)
     if not devices.lights_off(Path(rig.board)):
         _say("the board did not confirm that lasers are off")
     why = cause(LAST_WORDS, environment.get("MONITOR_UNIT", SERVICE), journal())
     screens = Screens(rig.cards, rig.display, rig.projector)
-    key = devices.ScanKey(devices.find_keys)
+    keys = devices.Keys(devices.find_keys)
     try:
-        asked = stay(why, screens, rig.language, Tries(Path(environment.get("RUNTIME_DIRECTORY", "/run"))), key)
+        asked = stay(why, screens, rig.language, Tries(Path(environment.get("RUNTIME_DIRECTORY", "/run"))), keys)
     finally:
         screens.close()
-        key.close()
-    _say(f"starting the service again, asked for by the {asked}")
+        keys.close()
+    if asked == "off":
+        _say("switching off, asked for by the key")
+        return POWER_OFF
+    _say(f"starting the service again, asked for by the {'key' if asked == 'start' else asked}")
     return 0
 
 

@@ -256,23 +256,43 @@ class Pad:
 
 def test_scan_is_a_new_press_of_that_key_and_nothing_else(tmp_path: Path) -> None:
     pad = Pad(tmp_path)
-    key = devices.ScanKey(lambda: pad.path)
+    keys = devices.Keys(lambda: pad.path)
     pad.send(report(1), report(1))  # held since before: perhaps stuck
-    assert not key.pressed(0.4)
+    assert keys.asked(0.4) is None
     pad.send(report(0), report(2), report(12), report(1, faulty=1), report(1)[:-1] + b"\0", report(1)[:5])
-    assert not key.pressed(0.6)
+    assert keys.asked(0.6) is None
     pad.send(report(0), report(1))
-    assert key.pressed(5.0)
-    key.close()
+    assert keys.asked(5.0) == "start"
+    keys.close()
+
+
+def test_back_switches_off_when_it_is_held_and_only_then(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(devices, "OFF_S", 0.4)
+    monkeypatch.setattr(devices, "SILENCE_S", 0.2)
+    pad = Pad(tmp_path)
+    keys = devices.Keys(lambda: pad.path)
+    pad.send(*[report(2)] * 12)  # down since before
+    assert keys.asked(0.8) is None
+    pad.send(report(0), *[report(2)] * 4, report(0), *[report(2)] * 4, report(0))  # brushed, twice
+    assert keys.asked(0.8) is None
+    pad.send(*[report(10)] * 12)  # with another key: a hand on the pad
+    assert keys.asked(0.8) is None
+    pad.send(report(0), report(2))  # then silence
+    assert keys.asked(0.5) is None
+    pad.send(*[report(2)] * 4)
+    assert keys.asked(0.4) is None
+    pad.send(report(0), *[report(2)] * 20)
+    assert keys.asked(5.0) == "off"
+    keys.close()
 
 
 def test_the_key_ends_the_page_at_once(tmp_path: Path) -> None:
     pad = Pad(tmp_path)
     card = Card(lambda: None)
     screens = Screens(["card"], DISPLAY, PROJECTOR, open_card=lambda _: CardFile(card))
-    key = devices.ScanKey(lambda: pad.path)
+    keys = devices.Keys(lambda: pad.path)
     pad.send(report(0), report(1))
-    assert stay(safe_pages.CONFIG, screens, "en", Tries(tmp_path), key) == "key"
+    assert stay(safe_pages.CONFIG, screens, "en", Tries(tmp_path), keys) == "start"
     assert Tries(tmp_path).wait_s() == WAITS_S[0]  # the key costs nothing of the budget
     assert shown_on(card, Output.DISPLAY) is not None
 
@@ -286,7 +306,7 @@ def test_without_a_key_it_is_tried_a_few_times_and_then_no_more(
     monkeypatch.setattr("kingfisher_safe.main.LOOK_S", 0.01)
     tries = Tries(tmp_path)
     for _ in range(2):
-        assert stay(safe_pages.HANG, screens, "en", tries, devices.ScanKey(lambda: None)) == "time"
+        assert stay(safe_pages.HANG, screens, "en", tries, devices.Keys(lambda: None)) == "time"
     assert Tries(tmp_path).wait_s() is None
     assert "BY ITSELF" not in cause.notice(safe_pages.HANG, "en", Tries(tmp_path).wait_s()).keys
 
