@@ -171,8 +171,11 @@ def _system(layout: Layout) -> None:
         return
     target.systemctl(layout, "daemon-reload")
     target.run(layout, ["systemd-tmpfiles", "--create"])
-    target.run(layout, ["udevadm", "control", "--reload"])
-    target.run(layout, ["udevadm", "trigger"])
+    if target.UDEV.exists():
+        target.run(layout, ["udevadm", "control", "--reload"])
+        target.run(layout, ["udevadm", "trigger"])
+    else:
+        _say("udev does not run: its rules count from the next start")
     target.systemctl(layout, "try-restart", "systemd-journald.service")
     if layout.at("/boot/grub/grub.cfg").exists() and shutil.which("update-grub") is not None:
         target.run(layout, ["update-grub"])

@@ -14,6 +14,8 @@ from kingfisher_setup.layout import Layout
 PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
 LIBRARIES = ("libegl1", "libgl1", "libgl1-mesa-dri", "libusb-1.0-0", "systemd", "udev")
 """Debian packages behind the wheels (drawing without a window system, cameras), and what starts and names things."""
+UDEV = Path("/run/udev/control")
+"""The socket is there while udev runs; systemd leaves it out where devices are not its own, as in a container."""
 BOOTED = Path("/run/systemd/system")
 """sd_booted(3): the folder is there where systemd is the first process."""
 

@@ -1,49 +1,20 @@
 """The real setup in a real Debian: everything is there, the program runs as its user, upgrade and uninstall keep the data.
 
-Needs root, mmdebstrap and a network (or KINGFISHER_BASE, a tar of a Debian 12 with the packages, and KINGFISHER_WHEELS);
-many minutes.
+What it needs says ``tests.systemd.debian``; many minutes.
 """
 
 from __future__ import annotations
 
 import json
 import os
-import shutil
-import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-REPOSITORY = Path(__file__).parents[2]
-PACKAGES = (
-    "python3", "python3-venv", "libpython3.11", "libegl1", "libgl1", "libgl1-mesa-dri", "libusb-1.0-0", "systemd", "udev"
-)  # fmt: skip
+from tests.systemd.debian import ELSEWHERE, REPOSITORY, as_service, copied, debian, newer, run, setup
 
-pytestmark = [
-    pytest.mark.long,
-    pytest.mark.timeout(3600),
-    pytest.mark.skipif(os.geteuid() != 0, reason="a chroot needs root"),
-    pytest.mark.skipif(shutil.which("mmdebstrap") is None, reason="mmdebstrap is missing: apt-get install mmdebstrap"),
-]
-
-
-def run(*command: object, check: bool = True) -> subprocess.CompletedProcess[str]:
-    done = subprocess.run([str(word) for word in command], capture_output=True, text=True, timeout=3000, check=False)
-    assert not check or done.returncode == 0, done.stdout + done.stderr
-    return done
-
-
-def setup(tree: Path, root: Path, verb: str, *more: object, check: bool = True) -> str:
-    wheels = os.environ.get("KINGFISHER_WHEELS")
-    given = ["--wheels", wheels] if wheels and verb in ("install", "upgrade") else []
-    done = run(tree / "systemd" / "install", verb, "--root", root, *given, *more, check=check)
-    return done.stdout + done.stderr
-
-
-def copied(tree: Path, to: Path) -> Path:
-    ignored = shutil.ignore_patterns(".*", "__pycache__", "tests", "bench", "docs", "demo")
-    return Path(shutil.copytree(tree, to, ignore=ignored))
+pytestmark = ELSEWHERE
 
 
 @pytest.fixture(scope="module")
@@ -55,22 +26,9 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def root(tmp_path_factory: pytest.TempPathFactory, tree: Path) -> Iterator[Path]:
     """A Debian with Kingfisher on it."""
-    folder = tmp_path_factory.mktemp("debian")
-    base = os.environ.get("KINGFISHER_BASE")
-    if base:
-        folder.chmod(0o755)
-        run("tar", "-C", folder, "-xf", base)
-    else:
-        include = ",".join(PACKAGES)
-        run("mmdebstrap", "--quiet", "--variant=minbase", f"--include={include}", "bookworm", folder)
-    setup(tree, folder, "install")
-    yield folder
-    shutil.rmtree(folder)
-
-
-def as_service(root: Path, *command: object, check: bool = True) -> subprocess.CompletedProcess[str]:
-    user = ("chroot", "--userspec=kingfisher:kingfisher", root, "env", "-i", "PATH=/usr/local/bin:/usr/bin:/bin")
-    return run(*user, "CACHE_DIRECTORY=/var/cache/kingfisher", *command, check=check)
+    with debian(tmp_path_factory.mktemp("debian")) as folder:
+        setup(tree, folder, "install")
+        yield folder
 
 
 def test_everything_is_in_its_place(root: Path, tree: Path) -> None:
@@ -119,15 +77,13 @@ def test_an_upgrade_is_tried_at_the_next_start_and_uninstalling_keeps_the_data(
     (scans / "manifest.json").write_text("{}")
     rig = root / "etc/kingfisher/rig.toml"
     rig.write_text(rig.read_text().replace('"KF-0001"', '"KF-0042"'))
-    newer = copied(tree, tmp_path / "newer")
-    version = newer / "appliance" / "__init__.py"
-    version.write_text(version.read_text().replace('__version__ = "', '__version__ = "9.'))
+    upgrade = newer(tree, tmp_path / "newer")
     old = os.readlink(root / "opt/kingfisher/current")  # noqa: PTH115
-    assert "on trial from the next start on" in setup(newer, root, "upgrade")
+    assert "on trial from the next start on" in setup(upgrade, root, "upgrade")
     on_trial = json.loads((root / "opt/kingfisher/trial.json").read_text())
     assert on_trial["version"].startswith("9.")
     assert f"versions/{on_trial['previous']}" == old
-    assert "on trial" in setup(newer, root, "upgrade", check=False)  # not another one meanwhile
+    assert "on trial" in setup(upgrade, root, "upgrade", check=False)  # not another one meanwhile
     setup(tree, root, "rollback")
     assert os.readlink(root / "opt/kingfisher/current") == old  # noqa: PTH115
     assert '"KF-0042"' in rig.read_text()
