@@ -72,7 +72,9 @@ class Keys:
     def __init__(self, find: Callable[[], Path | None]) -> None:
         self._find = find
         self._descriptor: int | None = None
-        self._forget()
+        self._down = SCAN | BACK
+        self._heard_s = time.monotonic()
+        self._back_s: float | None = None
 
     def asked(self, timeout_s: float) -> str | None:
         """Wait for a new press of SCAN ("start") or for BACK to be held ("off"); ``None``: neither.
@@ -112,7 +114,7 @@ class Keys:
         """A key that is down from the start (stuck, or still held) is no press."""
         self._down = SCAN | BACK
         self._heard_s = time.monotonic()
-        self._back_s: float | None = None
+        self._back_s = None
 
     def _open(self) -> bool:
         path = self._find()
