@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import stat
 from pathlib import Path
+from shlex import quote
 
 AGENT = Path(__file__).parent / "guest" / "agent.py"
 SERVICE = "kingfisher.service"
@@ -45,7 +46,10 @@ def _archive(exporter_port: int, files: dict[str, str]) -> bytes:
     for name in sorted(directories):
         _entry(made, name, stat.S_IFDIR | 0o755, b"")
     # The early user space has mkdir and cat, but no cp.
-    order = "".join(f"mkdir -p /run/{Path(name).parent}\ncat /kingfisher-run/{name} >/run/{name}\n" for name in content)
+    order = "".join(
+        f"mkdir -p {quote(f'/run/{Path(name).parent}')}\ncat {quote(f'/kingfisher-run/{name}')} >{quote(f'/run/{name}')}\n"
+        for name in content
+    )
     _entry(made, "scripts/init-premount/ORDER", stat.S_IFREG | 0o755, order.encode())
     for name, text in content.items():
         _entry(made, f"kingfisher-run/{name}", stat.S_IFREG | 0o644, text.encode())

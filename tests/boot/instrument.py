@@ -17,22 +17,27 @@ from typing import Any, Self
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from hw_sim.cable import Cable
 from hw_sim.script import Diver, parse_script
 from hw_sim.wires.usbip.exporter import Exporter
 from hw_sim.world import World, WorldOptions
 from tests.boot.injected import rig_drop_in, with_files
-from tests.boot.machine import DISPLAY, PROJECTOR, Boot, Gone, Machine
+from tests.boot.machine import DISPLAY, PROJECTOR, Boot, Given, Gone, Machine
 from tests.boot.picture import Image
 
-REFRESH_HZ = 2.0
-"""Of the projector: emulated in software, a machine needs this long for a picture and everything around it."""
-DISPLAY_HZ = 4.0
+ASKED_HZ, REFRESH_HZ = 2, 1.89
+"""Of the projector: emulated in software, a machine needs this long for a picture and everything around it. The kernel makes
+the mode that it is asked for of a pixel clock in steps of 250 kHz."""
+DISPLAY_HZ = 2.0
 """Of the diver's display, and so of the heartbeat: drawing is what an emulated processor is slowest at."""
 STATUS = "/var/lib/kingfisher/run/status.json"
 RIG = "/etc/kingfisher/rig.toml"
+DATA_DISK = r"dev-disk-by\x2dlabel-kf\x2ddata.device"
 POLL_S = 0.3
+DRAWN_S = 60.0
+"""Two pictures of the diver's display, on a computer that is busy with other things."""
 SIZE_PX = (400, 300)
 WORLD = {"truth": "nominal", "seed": 1, "stills": True, "pace": "realtime"}
 PROJECTOR_SIZE = (1024, 768)
@@ -74,6 +79,8 @@ class Instrument:
         self._over = threading.Event()
         self.cable = Cable(round(1e9 / REFRESH_HZ))
         self.status_path = folder / "status.json"
+        self._drawn = 0
+        """Pictures on the diver's display."""
         self.latencies_s: list[float] = []
         """From a flip's report to its picture lighting the scene."""
 
@@ -87,14 +94,16 @@ class Instrument:
             files = {
                 "kingfisher-test/rig.toml": rig_file(self._root),
                 "systemd/system/kingfisher.service.d/90-test.conf": self._drop_in + rig_drop_in(RIG),
+                f"systemd/system/{DATA_DISK}.d/90-test.conf": "[Unit]\nJobRunningTimeoutSec=300\n",
             }
             initrd = self._folder / "initrd"
             initrd.write_bytes(with_files(self._image.initrd.read_bytes(), self.exporter.port, files))
             arguments = (
                 f"{self._image.arguments} console=ttyS0 fbcon=map:9 "
-                f"video=Virtual-1:1024x768MR@{REFRESH_HZ:.0f} video=Virtual-2:800x480MR@{DISPLAY_HZ:.0f}e"
+                f"video=Virtual-1:1024x768MR@{ASKED_HZ} video=Virtual-2:800x480MR@{DISPLAY_HZ:.0f}e"
             )
-            boot = Boot(self._image.overlay(self._folder), self._image.kernel, initrd, arguments, model=self._image.cpu)
+            given = Given(self._image.kernel, initrd, arguments)
+            boot = Boot(self._image.overlay(self._folder), given, model=self._image.cpu)
             self.machine = stack.enter_context(Machine(boot, self._folder, self._on_flip))
             for work in (self._light, self._read_status):
                 thread = threading.Thread(target=work, daemon=True)
@@ -120,6 +129,8 @@ class Instrument:
         if head == PROJECTOR:
             self._flipped_s = time.monotonic()
             self._flipped.set()
+        else:
+            self._drawn += 1
 
     def _light(self) -> None:
         """What is scanned out to the projector lights the scene, picture by picture."""
@@ -182,8 +193,16 @@ class Instrument:
             self.keep("diver-failed")
             raise AssertionError(diver.failure or f"the dive took more than {timeout_s:g} s")
 
-    def keep(self, name: str) -> Path:
-        """The diver's screen as a picture among the artefacts."""
+    def screen(self) -> NDArray[np.uint8]:
+        """(h, w, 3) uint8 RGB: the diver's screen, drawn after this was called. Raises AssertionError if none is."""
+        drawn, end_s = self._drawn, time.monotonic() + DRAWN_S
+        while self._drawn < drawn + 2:  # the next one may have been begun before
+            assert time.monotonic() < end_s, f"no new picture within {DRAWN_S:g} s"
+            time.sleep(0.05)
+        return self.machine.screen(DISPLAY)
+
+    def keep(self, name: str, picture: NDArray[np.uint8] | None = None) -> Path:
+        """A picture, or the diver's screen as it is, among the artefacts."""
         path = self.artefacts / f"{name}.png"
-        cv2.imwrite(str(path), self.machine.screen(DISPLAY)[:, :, ::-1])
+        cv2.imwrite(str(path), (self.machine.screen(DISPLAY) if picture is None else picture)[:, :, ::-1])
         return path

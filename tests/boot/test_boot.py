@@ -9,29 +9,33 @@ import json
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 
 from tests.boot.instrument import Instrument
-from tests.boot.machine import DISPLAY, Gone
+from tests.boot.machine import DISPLAY, PROJECTOR
 from tests.boot.picture import image_of
 
 ROOT = Path(__file__).resolve().parents[2]
 UNIT = "kingfisher.service"
-SCANS = "/var/lib/kingfisher/scans"
+STORAGE = "/var/lib/kingfisher"
+SCANS = f"{STORAGE}/scans"
 TOOL = "/opt/kingfisher/current/bin/kingfisher"
-BOOT_S, RESTART_S, SCAN_S = 420.0, 240.0, 300.0
+BOOT_S, RESTART_S, SCAN_S = 900.0, 600.0, 300.0
 """Emulated in software, and on a computer that does other things as well."""
+PRESSES = 4
 DROP_IN = """[Service]
 # Everything takes many times as long where the processor is emulated.
 TimeoutStartSec=600
 WatchdogSec=60
 TimeoutStopSec=60
+# QEMU's emulation of AVX2 (7.2) gathers from wrong addresses, at times; software that asks for it by these names does without.
+Environment=NPY_DISABLE_CPU_FEATURES=X86_V3 OPENCV_CPU_DISABLE=AVX2 GALLIUM_OVERRIDE_CPU_CAPS=sse4.1
 """
 
-pytestmark = [pytest.mark.boot, pytest.mark.timeout(1800)]
+pytestmark = [pytest.mark.boot, pytest.mark.timeout(2400)]
 
 
 @pytest.fixture(scope="module")
@@ -46,16 +50,16 @@ def instrument(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Instrument]
 
 def ready(instrument: Instrument, timeout_s: float) -> dict[str, object]:
     """In AIM; a self-test that has something to say is answered as a diver does."""
-    status = instrument.wait("self-test or aim", lambda s: s["state"] in ("SELF_TEST", "AIM"), timeout_s)
     end_s = time.monotonic() + timeout_s
-    while status["state"] != "AIM" and time.monotonic() < end_s:
-        if status["state"] == "SELF_TEST" and status["keys"].get("scan") == "GO ON":
+    while True:
+        status = instrument.status()
+        if status.get("state") == "AIM":
+            return status
+        assert time.monotonic() < end_s, f"no AIM within {timeout_s:g} s; the status is {status}"
+        if status.get("state") == "SELF_TEST" and status["keys"].get("scan") == "GO ON":
             instrument.world.press("scan", 0.4)
             time.sleep(2.0)
         time.sleep(0.5)
-        status = instrument.status() or status
-    assert status["state"] == "AIM", status
-    return status
 
 
 def show(instrument: Instrument, unit_property: str) -> str:
@@ -70,27 +74,37 @@ def stored(instrument: Instrument) -> dict[str, str]:
     return {name: digest for digest, name in (line.split("  ") for line in text.splitlines())}
 
 
-def scan_once(instrument: Instrument, number: int) -> None:
-    instrument.dive(
-        f"""
-        wait state AIM 60
-        press scan 0.4
-        wait state REVIEW {SCAN_S:g}
-        """,
-        SCAN_S + 120.0,
-    )
-    instrument.keep(f"review-{number}")
+def headlines(status: dict[str, Any]) -> list[str]:
+    return [alert["headline"] for alert in status["alerts"]]
 
 
-def save(instrument: Instrument, number: int) -> None:
-    instrument.dive(
-        f"""
-        press scan 0.4
-        wait scans {number} 120
-        wait state AIM 60
-        """,
-        240.0,
-    )
+def scan_once(instrument: Instrument) -> None:
+    """Up to the coarse cloud. Where the emulated processor was too late for a picture, the diver is told, and repeats."""
+    for _ in range(PRESSES):
+        instrument.dive("wait state AIM 60\npress scan 0.4\nwait state ARMED 30", 120.0)
+        ended = instrument.wait("end of the scan", lambda s: s["state"] in ("REVIEW", "AIM"), SCAN_S)
+        if ended["state"] == "REVIEW":
+            return
+        print(f"not this time: {headlines(ended)}")
+    raise AssertionError(f"no scan at {PRESSES} presses; the last one ended as {headlines(ended)}")
+
+
+def save(instrument: Instrument) -> None:
+    """What is in review."""
+    scans = instrument.status()["scans"]
+    instrument.world.press("scan", 0.4)
+    instrument.wait("SAVED", lambda s: s["scans"] == scans + 1 and s["state"] == "AIM", SCAN_S)
+
+
+def restarted(instrument: Instrument, pid: str) -> None:
+    """Another process is there, says so, and is in AIM."""
+    begun_s = time.monotonic()
+    status = instrument.wait("another process", lambda s: str(s["pid"]) != pid, RESTART_S)
+    print(f"on the screen again after {time.monotonic() - begun_s:.0f} s")
+    assert "RESTARTED" in headlines(status)
+    instrument.keep("restarted", instrument.screen())
+    ready(instrument, RESTART_S)
+    print(f"in AIM again after {time.monotonic() - begun_s:.0f} s")
 
 
 def test_power_on_leads_to_the_aim_screen_by_itself(instrument: Instrument) -> None:
@@ -98,10 +112,10 @@ def test_power_on_leads_to_the_aim_screen_by_itself(instrument: Instrument) -> N
     status = ready(instrument, BOOT_S)
     status = instrument.wait("six devices", lambda s: set(s["devices"].values()) == {"ok"}, RESTART_S)
     assert status["state"] == "AIM"
-    picture = instrument.machine.screen(DISPLAY)
+    picture = instrument.screen()
+    instrument.keep("aim", picture)
     assert picture.shape == (480, 800, 3)
     assert picture.std() > 10.0, "the aim screen shows a live image and words"
-    instrument.keep("aim")
     report = instrument.machine.run(
         "systemd-analyze time; systemd-analyze critical-chain kingfisher.service --no-pager; "
         "systemd-analyze blame --no-pager | head -15; journalctl -u kingfisher -o short-monotonic --no-pager | head -40",
@@ -123,25 +137,25 @@ def test_nothing_can_write_to_the_system(instrument: Instrument) -> None:
 
 @pytest.mark.long
 def test_a_press_of_scan_becomes_a_cloud_and_a_scan_on_the_disk(instrument: Instrument) -> None:
-    scan_once(instrument, 1)
-    cloud = instrument.machine.screen(DISPLAY)
-    assert len(np.unique(cloud.reshape(-1, 3), axis=0)) > 200, "points coloured by depth"
-    cv2.imwrite(str(instrument.artefacts / "projector.png"), instrument.cable.projected())
-    save(instrument, 1)
-    instrument.keep("saved")
+    scan_once(instrument)
+    cloud = instrument.screen()
+    instrument.keep("review", cloud)
+    assert len(np.unique(cloud.reshape(-1, 3), axis=0)) > 2000, "points coloured by depth"
+    save(instrument)
+    instrument.keep("saved", instrument.screen())
     (manifest,) = [name for name in stored(instrument) if name.endswith("manifest.json")]
     told = json.loads(instrument.machine.run(f"cat {SCANS}/{manifest}"))
     assert told["ledger"]["expected"] == len(told["ledger"]["pulses"]) == 24
+    verified = json.loads(instrument.machine.run(f"{TOOL} scans verify --root {STORAGE} --json", 240.0))
+    assert (verified["checked"], verified["damaged"]) == (1, 0), "every byte is what the manifest's checksums say"
+    assert verified["scans"][0]["points"] > 10_000
 
 
 @pytest.mark.long
 def test_a_killed_service_is_back_with_its_scans(instrument: Instrument) -> None:  # faults.md 37
     before, pid = stored(instrument), show(instrument, "MainPID")
     instrument.machine.run(f"kill -KILL {pid}")
-    begun_s = time.monotonic()
-    instrument.wait("another process", lambda s: str(s["pid"]) != pid, RESTART_S)
-    ready(instrument, RESTART_S)
-    print(f"killed: in AIM again after {time.monotonic() - begun_s:.1f} s")
+    restarted(instrument, pid)
     assert stored(instrument) == before
     assert show(instrument, "NRestarts") == "1"
 
@@ -150,51 +164,56 @@ def test_a_killed_service_is_back_with_its_scans(instrument: Instrument) -> None
 def test_a_main_loop_that_hangs_is_ended_by_the_watchdog(instrument: Instrument) -> None:  # faults.md 38
     before, pid = stored(instrument), show(instrument, "MainPID")
     instrument.machine.run(f"kill -STOP {pid}")
-    begun_s = time.monotonic()
-    instrument.wait("another process", lambda s: str(s["pid"]) != pid, RESTART_S + 120.0)
-    ready(instrument, RESTART_S)
-    print(f"hung: in AIM again after {time.monotonic() - begun_s:.1f} s")
-    assert "watchdog" in instrument.machine.run(f"journalctl -u {UNIT} --no-pager -n 200").lower()
+    restarted(instrument, pid)
+    said = instrument.machine.run(f"journalctl -u {UNIT} --no-pager -n 300")
+    assert "Watchdog timeout" in said
+    assert "most recent call first" in said, "the stacks of its threads"
     assert stored(instrument) == before
 
 
 @pytest.mark.long
-def test_a_full_disk_is_said_and_costs_nothing(instrument: Instrument) -> None:  # faults.md 31
+def test_a_disk_that_somebody_filled_costs_no_scan(instrument: Instrument) -> None:  # faults.md 31
     before = stored(instrument)
     instrument.machine.run("fallocate -l $(($(df --output=avail -B1 /var | tail -1) - 60000000)) /var/full", 120.0)
-    instrument.wait("storage full", lambda s: any(a["headline"] == "STORAGE FULL" for a in s["alerts"]), 120.0)
-    instrument.keep("storage-full")
+    scan_once(instrument)  # into the space that was allocated before
+    save(instrument)
+    instrument.wait("storage full", lambda s: "STORAGE FULL" in headlines(s), 60.0)
+    instrument.keep("storage-full", instrument.screen())
     instrument.world.press("scan", 0.4)
     time.sleep(10.0)
-    assert instrument.status()["state"] == "AIM"
+    assert instrument.status()["state"] == "AIM", "no scan is begun that could not be kept"
+    after = stored(instrument)
+    assert before.items() < after.items(), "the scan is there, and so are those before it"
     instrument.machine.run("rm /var/full")
-    instrument.wait("room again", lambda s: all(a["headline"] != "STORAGE FULL" for a in s["alerts"]), 120.0)
-    assert stored(instrument) == before
+    instrument.wait("room again", lambda s: "STORAGE FULL" not in headlines(s), 120.0)
 
 
 @pytest.mark.long
 def test_a_reset_in_the_middle_of_saving_costs_no_scan(instrument: Instrument) -> None:  # faults.md 30
-    before = stored(instrument)
-    scan_once(instrument, 2)
+    before, scans = stored(instrument), instrument.status()["scans"]
+    scan_once(instrument)
     instrument.world.press("scan", 0.4)
-    instrument.wait("saving", lambda s: s["state"] == "SAVING" or s["scans"] == 2, 60.0)
-    instrument.machine.monitor.do("system_reset")
+    instrument.wait("saving", lambda s: s["state"] == "SAVING" or s["scans"] > scans, 60.0)
+    instrument.machine.reset()
     instrument.exporter.cut()
     instrument.status_path.unlink(missing_ok=True)
     instrument.machine.wait_for_agent(BOOT_S)
-    ready(instrument, BOOT_S)
+    status = ready(instrument, BOOT_S)
+    instrument.keep("after-reset", instrument.screen())
     after = stored(instrument)
     assert before.items() <= after.items(), "what was saved is there, bit by bit"
-    assert len({name.split("/")[1] for name in after}) == 2, "the one that was being saved was recovered"
-    listed = json.loads(instrument.machine.run(f"{TOOL} scans list --root /var/lib/kingfisher --json", 240.0))
-    print(json.dumps(listed)[:2000])
+    assert len({name.split("/")[1] for name in after}) == scans + 1, "the one that was being saved, too"
+    listed = json.loads(instrument.machine.run(f"{TOOL} scans verify --root {STORAGE} --json", 240.0))
+    assert (listed["checked"], listed["damaged"]) == (scans + 1, 0)
+    if listed["scans"][-1]["recovered"]:
+        assert "SCAN RECOVERED" in headlines(status)
 
 
 @pytest.mark.long
 def test_a_crash_loop_ends_on_the_safe_screen(instrument: Instrument) -> None:  # faults.md 40
     before = stored(instrument)
     killed: set[str] = set()
-    end_s = time.monotonic() + 300.0
+    end_s = time.monotonic() + RESTART_S
     while time.monotonic() < end_s:
         if instrument.machine.run("systemctl is-active kingfisher-safe.service || true").strip() == "active":
             break
@@ -204,11 +223,14 @@ def test_a_crash_loop_ends_on_the_safe_screen(instrument: Instrument) -> None:  
             instrument.machine.try_run(f"kill -KILL {pid}")
         time.sleep(0.2)
     assert instrument.machine.run("systemctl is-active kingfisher-safe.service").strip() == "active"
-    assert len(killed) >= 3
-    time.sleep(15.0)
+    assert len(killed) >= 4
+    code, _ = instrument.machine.try_run(f"systemctl is-active {UNIT}")
+    assert code != 0
+    deadline_s = time.monotonic() + 120.0
+    while instrument.machine.screen(DISPLAY).std() < 10.0 and time.monotonic() < deadline_s:
+        time.sleep(1.0)
     picture = instrument.machine.screen(DISPLAY)
-    instrument.keep("safe")
-    assert picture.std() > 5.0, "the safe screen says something"
+    instrument.keep("safe", picture)
+    assert picture.std() > 10.0, "the safe screen says something"
+    assert instrument.machine.screen(PROJECTOR).max() == 0, "the projector is dark"
     assert stored(instrument) == before
-    with pytest.raises(Gone):
-        instrument.machine.run(f"systemctl is-active {UNIT}")
