@@ -27,7 +27,7 @@ from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.config import Rig, load_rig
 from appliance.service.app import CALIBRATION_FILE, run
 from appliance.storage.library import Library
-from appliance.worker.process import own_memory_mb
+from appliance.worker.usage import own_memory_mb
 from hw_sim import registry
 from hw_sim.options import options_from
 from hw_sim.truth import draw_truth

@@ -98,6 +98,7 @@ class FaultCode(Enum):
     NOT_SAVED = "NOT_SAVED"
     """The disk refused a scan; it is still in memory."""
     RESTARTED = "RESTARTED"
+    SCAN_RECOVERED = "SCAN_RECOVERED"
     """The program had ended by itself, or hung, and was started again."""
     UPDATE_UNDONE = "UPDATE_UNDONE"
     """A new version did not prove itself; the one before is in use again."""

@@ -15,6 +15,11 @@ class Patience:
         return max(seconds, periods / self.refresh_hz)
 
     @property
+    def ready_s(self) -> float:
+        """For both cameras to leave their live views, and again for both to start: their images come as slowly."""
+        return self._at_least(2.0, 12)
+
+    @property
     def first_frame_s(self) -> float:
         """From a camera that is ready to its first frame: the other one, the heartbeat, the blank to begin with."""
         return self._at_least(2.0, 24)

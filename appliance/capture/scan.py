@@ -36,7 +36,6 @@ from drivers.api import (
 
 LEAD_BLANKS = 3
 """Vertical blanks between arming and the first pattern: time for the answer to travel."""
-READY_TIMEOUT_S = 2.0
 ARM_POLL_S = 0.002
 MAX_BOARD_EVENTS = 400
 
@@ -79,8 +78,10 @@ class Arming:
         clock: Clock,
         slots: Mapping[str, NDArray[np.uint8]],
         on_frame: Callable[[str, int], None],
+        ready_s: float,
     ) -> None:
         self._grabbers, self._board, self._clock = grabbers, board, clock
+        self._ready_s = ready_s
         self._slots, self._on_frame = slots, on_frame
         self.recordings: dict[str, Recording] = {}
         self.events: list[BoardEvent] = []
@@ -92,7 +93,7 @@ class Arming:
             self.fault = device_fault(error.device, error.message)
         for grabber in self._grabbers.values():
             grabber.leave()  # both at once, so that one waiting time is enough
-        self._patience(READY_TIMEOUT_S)
+        self._wait_on()
 
     def poll(self) -> bool:
         """Go on; True when everything is ready, or there is a fault."""
@@ -108,7 +109,7 @@ class Arming:
                 return True
             for side, slots in self._slots.items():
                 self.recordings[side] = self._grabbers[side].record(slots, partial(self._on_frame, side))
-            self._patience(READY_TIMEOUT_S)
+            self._wait_on()
         if all(self._ready(side) for side in self.recordings):
             return True
         return self._late("did not start", self._ready)
@@ -138,14 +139,14 @@ class Arming:
     def _ready(self, side: str) -> bool:
         return self._grabbers[side].wait(self.recordings[side], "ready", 0.0)
 
-    def _patience(self, seconds: float) -> None:
-        self._until_ns = self._clock.now_ns() + int(seconds * 1e9)
+    def _wait_on(self) -> None:
+        self._until_ns = self._clock.now_ns() + int(self._ready_s * 1e9)
 
     def _late(self, what: str, done: Callable[[str], bool]) -> bool:
         if self._clock.now_ns() < self._until_ns:
             return False
         side = next((side for side in self._grabbers if not done(side)), SIDES[0])
-        said = f"camera.{side} {what} in {READY_TIMEOUT_S:g} s"
+        said = f"camera.{side} {what} in {self._ready_s:g} s"
         self.fault = Fault(FaultCode.CAMERA_REFUSED, said, {}, f"camera.{side}")
         return True
 
@@ -181,7 +182,7 @@ class ScanRecorder:
         ``on_frame(side, index)`` is called in the camera threads as frames arrive.
         """
         slots = {side: store.frames(side, second=second)[: len(sequence)] for side in SIDES}
-        return Arming(self._grabbers, self._board, self._clock, slots, on_frame)
+        return Arming(self._grabbers, self._board, self._clock, slots, on_frame, self._settings.patience.ready_s)
 
     def record(
         self,

@@ -112,6 +112,7 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
         FaultCode.DISK_REFUSES: Rule(_W, "DISK REFUSES", "END DIVE, DISK NEEDS SERVICE", blocks_scan=True),
         FaultCode.NOT_SAVED: Rule(_C, "NOT SAVED", "TRY AGAIN OR REPEAT"),
         FaultCode.RESTARTED: Rule(_W, "RESTARTED", "GO ON; SAVED SCANS ARE THERE"),
+        FaultCode.SCAN_RECOVERED: Rule(_W, "SCAN RECOVERED", "IT IS IN THE GALLERY"),
         FaultCode.UPDATE_UNDONE: Rule(_W, "UPDATE UNDONE", "THE OLD VERSION GOES ON"),
         FaultCode.SETTINGS_LOST: Rule(_W, "SETTINGS LOST", "CHECK THEM IN THE MENU"),
         FaultCode.UNCALIBRATED: Rule(_W, "UNCALIBRATED", "LENGTHS NOT TRUSTED"),

@@ -123,6 +123,13 @@ class PartTested:
 
 
 @dataclass(frozen=True, slots=True)
+class PartBusy:
+    """A part without a result yet was seen to get on with what leads to one."""
+
+    part: Part
+
+
+@dataclass(frozen=True, slots=True)
 class Armed:
     """Lasers are proven off, and both cameras wait for the first pulse."""
 
@@ -297,6 +304,7 @@ Event = (
     | StorageCounted
     | BootFinished
     | PartTested
+    | PartBusy
     | Armed
     | CaptureFinished
     | CaptureFailed

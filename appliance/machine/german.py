@@ -75,6 +75,7 @@ GERMAN: Mapping[FaultCode, German] = MappingProxyType(
         FaultCode.TOO_NEAR: German("NAH {distance_mm:.0f} mm", "ZURÜCK, ODER NOCHMAL DRÜCKEN", "ZU NAH"),
         FaultCode.TOO_FAR: German("WEIT {distance_mm:.0f} mm", "NÄHER, ODER NOCHMAL DRÜCKEN", "ZU WEIT"),
         FaultCode.RESTARTED: German("NEU GESTARTET", "WEITER; GESICHERTES IST DA"),
+        FaultCode.SCAN_RECOVERED: German("SCAN GERETTET", "ER IST IN DER GALERIE"),
         FaultCode.UPDATE_UNDONE: German("UPDATE ZURÜCK", "ALTE VERSION LÄUFT WEITER"),
         FaultCode.SETTINGS_LOST: German("WERTE VERLOREN", "IM MENÜ PRÜFEN"),
         FaultCode.UNCALIBRATED: German("UNKALIBRIERT", "MASSE SIND NICHT VERLÄSSLICH"),

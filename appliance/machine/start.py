@@ -26,6 +26,14 @@ def tested(machine: Machine, event: on.PartTested) -> Machine:
     return replace(machine, parts={**machine.parts, event.part: Tested(event.passed, event.detail)})
 
 
+def busy(machine: Machine, part: Part) -> Machine:
+    """The self-test waits for a part that gets on: a slow processor has not failed."""
+    deadline_ns = machine.deadline_ns
+    if machine.state is not State.SELF_TEST or part in machine.parts or deadline_ns is None:
+        return machine
+    return replace(machine, deadline_ns=max(deadline_ns, machine.now_ns + seconds_ns(machine.settings.busy_s)))
+
+
 def finished(machine: Machine) -> bool:
     """Whether every device and part has a result."""
     heard = all(device in machine.up or device in machine.lost for device in Device)

@@ -108,7 +108,9 @@ class Settings:
     offers: Offers = field(default_factory=Offers)
     boot_s: float = 60.0
     self_test_s: float = 45.0
-    """What has no result by then counts as failed."""
+    """What has no result by then counts as failed …"""
+    busy_s: float = 10.0
+    """… but what was seen to get on is given so much longer, from then."""
     passed_s: float = 1.0
     """How long a self-test is shown that found nothing wrong …"""
     limited_s: float = 3.0

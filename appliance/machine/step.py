@@ -66,6 +66,8 @@ def _react(machine: Machine, event: on.Event) -> Result:
             return start.booted(machine)
         case on.PartTested():
             return start.tested(machine, event), ()
+        case on.PartBusy(part):
+            return start.busy(machine, part), ()
         case on.Armed(number):
             return scanning.armed(machine, number)
         case on.CaptureFinished(number):

@@ -34,7 +34,7 @@ from appliance.service.notify import ServiceManager
 from appliance.service.patterns import Patterns
 from appliance.service.ranging import RangingDesk
 from appliance.service.scans import ScanDesk
-from appliance.service.starts import installation, this_run
+from appliance.service.starts import installation, recovered, this_run
 from appliance.service.supervision import Supervision
 from appliance.storage.choices import ChoicesFile
 from appliance.storage.filesystem import LocalFileSystem
@@ -75,6 +75,7 @@ def run(rig: Rig) -> int:
         recovery = library.recover()
         if recovery.recovered or recovery.set_aside:
             log.warning("recovered %s, set aside %s", recovery.recovered, recovery.set_aside)
+        news = (*news, *recovered(recovery.recovered))  # last, for it says more than that the run before ended
         calibration, conditions = calibration_of(rig)
         stopping = stack.enter_context(_signals())
         wires = stack.enter_context(drivers_rig.open_wires(rig.rig.wires, rig.rig.wires_options))

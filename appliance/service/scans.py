@@ -384,7 +384,8 @@ class ScanDesk:
                     events.append(on.ConditionRaised(failed.fault))
                     events.append(on.PartTested(Part.WORKER, False, failed.fault.detail))
             case None:
-                pass
+                if self.worker.gets_on():
+                    events.append(on.PartBusy(Part.WORKER))
         return events
 
     @property

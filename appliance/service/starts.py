@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -40,6 +40,11 @@ def this_run(environment: Mapping[str, str], prefix: Path) -> Iterator[tuple[Fau
     if mark is not None:
         with suppress(OSError):
             mark.unlink(missing_ok=True)
+
+
+def recovered(scans: Sequence[str]) -> tuple[Fault, ...]:
+    """What the diver is told of scans that an earlier run, or a loss of power, left unpublished and that were whole."""
+    return (Fault(FaultCode.SCAN_RECOVERED, f"scan {', '.join(scans)}"),) if scans else ()
 
 
 def _restarted(mark: Path | None) -> Fault | None:

@@ -12,7 +12,6 @@ import threading
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from multiprocessing.shared_memory import SharedMemory
-from pathlib import Path
 from types import TracebackType
 
 from appliance.calibration.file import Calibration, encode
@@ -25,6 +24,7 @@ from appliance.reconstruct.table import POINT_BYTES, Cloud, Found, PointTable
 from appliance.verdict.window import Windows
 from appliance.worker.scan_work import Taking
 from appliance.worker.serve import work
+from appliance.worker.usage import cpu_s, own_memory_mb
 from drivers.api import Clock
 
 STOP_TIMEOUT_S = 2.0
@@ -36,6 +36,8 @@ MOST_FRUITLESS_STARTS = 4
 POLL_S = 0.002
 PING_S = 1.0
 """How often a worker with nothing to do is asked whether it is there."""
+PROGRESS_CHECK_S, PROGRESS_CPU_S = 2.0, 0.1
+"""How often a start is looked at, and the processor time that it takes meanwhile if it gets on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +60,7 @@ class WorkLimits:
     start_s: float = 240.0
     """A cold start without compiled kernels takes most of a minute, and more on a busy machine."""
     cloud_s: float = 10.0
-    """From the last frame to the full cloud; a hundred times what it takes."""
+    """From one step to the next of those that lead from the last frame to the full cloud; a hundred times what they take."""
     alive_s: float = 5.0
     """From a question to its answer while it has nothing to do."""
     memory_mb: float = 600.0
@@ -161,6 +163,8 @@ class ReconstructionWorker:
         """When it said something last, or was asked to."""
         self._asked = False
         self._memory_check_ns = 0
+        self._progress_check_ns = 0
+        self._start_cpu_s = 0.0
         self._scan: int | None = None
         self._taking = Taking(noise=order.noise)
         self._second: Taking | None = None
@@ -212,6 +216,16 @@ class ReconstructionWorker:
         if self._deadline_ns is not None:
             return now_ns <= self._deadline_ns + grace_ns
         return not self._asked or now_ns - self._alive_ns <= 2 * grace_ns
+
+    def gets_on(self) -> bool:
+        """The first start is not at its end, but took processor time since it was looked at last; a start that hangs takes
+        none. False also where that was only just asked."""
+        now_ns = self._clock.now_ns()
+        if not self._starting or self._fruitless or self.pid is None or now_ns < self._progress_check_ns:
+            return False
+        self._progress_check_ns = now_ns + int(PROGRESS_CHECK_S * 1e9)
+        before_s, self._start_cpu_s = self._start_cpu_s, cpu_s(self.pid) or 0.0
+        return self._start_cpu_s - before_s >= PROGRESS_CPU_S
 
     def change(self, order: WorkOrder, store: FrameStore | None = None) -> None:
         """Start again with another calibration, water or sequence, for cameras of the same size; a scan in work is
@@ -305,6 +319,10 @@ class ReconstructionWorker:
                     self._await_cloud()
                 return WorkerReady()
             case ("pong",):
+                return None
+            case ("step", int(ticket)):
+                if ticket == self._ticket and self._deadline_ns is not None:
+                    self._await_cloud()
                 return None
             case ("cloud", int(ticket), bool(full), Found() as found, float(cpu_s)):
                 return self._taken(full, found, cpu_s) if ticket == self._ticket else None
@@ -449,6 +467,7 @@ class ReconstructionWorker:
         self._pipe, self._process, self._starting, self._knows_first = ours, process, True, False
         self._alive_ns, self._asked = self._clock.now_ns(), False
         self._deadline_ns = self._alive_ns + int(self.limits.start_s * 1e9)
+        self._start_cpu_s = 0.0
 
     def _start_again(self) -> None:
         """A machine that has no room for another process now is a failure of this start, not of the service."""
@@ -495,13 +514,3 @@ class ReconstructionWorker:
 
 def _failed(scan: int | None, why: str) -> WorkerFailed:
     return WorkerFailed(scan, Fault(FaultCode.RECONSTRUCTION_FAILED, why))
-
-
-def own_memory_mb(pid: int) -> float | None:
-    """Resident memory of a process without what it shares with others, MB; ``None`` when it is not there any more."""
-    try:
-        status = Path(f"/proc/{pid}/status").read_text(encoding="ascii", errors="replace")
-    except OSError:
-        return None
-    kb = {line.split(":")[0]: line.split()[1] for line in status.splitlines() if line.startswith("Rss")}
-    return (int(kb.get("RssAnon", "0")) + int(kb.get("RssFile", "0"))) / 1000.0 if kb else None

@@ -5,6 +5,7 @@ The instrument's worker and the desk go through it alike, so that the same frame
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -93,16 +94,20 @@ class ScanWork:
         self._coarse = self._pipeline.find_coarse()
         return self._coarse
 
-    def judge(self) -> tuple[Judgement, ...]:
-        """What is to be said of the scan. Raises ValueError unless called after ``find_coarse``."""
+    def judge(self, done: Callable[[], None] = lambda: None) -> tuple[Judgement, ...]:
+        """What is to be said of the scan; ``done`` is called after each judge but the last. Raises ValueError unless called
+        after ``find_coarse``."""
         if self._coarse is None:
             raise ValueError("nothing was found to be judged; ask for the coarse cloud first")
         recorded, rig, index = self._recorded(), self._calibration.rig, self._water.index
         cloud = self._pipeline.table.cloud(self._coarse)
         water = judge_water(recorded, cloud, rig, index)
         self._specks = (water.speck_percent or 0.0) > WORTH_MASKING_PERCENT
+        done()
         light = judge_light(recorded, self._taking.exposure, self._taking.steps)
+        done()
         self._motion = judge_motion(recorded, cloud, rig, index)
+        done()
         if self.moved and light.fault is not None and light.fault.code is FaultCode.LIGHT_FLICKERS:
             # Grey values change from image to image: what moves explains that, and both cannot be told apart.
             light = Judgement(replace(light.verdict, passed=None, text="not judged: something moved"))

@@ -175,7 +175,7 @@ class Server:
         """The first sequence as it was left; without a word where this process was started since. Raises ValueError."""
         if not self._work.finished:
             self._work.find_coarse()
-            self._work.judge()
+            self._work.judge(self._say_step)
             if self._work.moved:
                 self._work.compensate()
             self._work.find_full()
@@ -192,7 +192,7 @@ class Server:
             )
         else:
             self._work.find_coarse()
-            judgements += self._work.judge()
+            judgements += self._work.judge(self._say_step)
             if self._work.moved:
                 judgements = (judgements[0], *self._work.compensate())
             self._work.find_full()
@@ -213,7 +213,7 @@ class Server:
         self._pipe.send(("identified", self._ticket))
         if self._answer(False, self._work.find_coarse):
             begun_s = time.process_time()
-            judgements = (identity, *self._work.judge())
+            judgements = (identity, *self._work.judge(self._say_step))
             windows = self._work.windows
             self._pipe.send(("judged", self._ticket, judgements, windows, time.process_time() - begun_s))
             if self._work.moved:
@@ -221,6 +221,10 @@ class Server:
                 judgements = (identity, *self._work.compensate())
                 self._pipe.send(("judged", self._ticket, judgements, None, time.process_time() - begun_s))
             self._answer(True, self._work.find_full)
+
+    def _say_step(self) -> None:
+        """A slow processor is told from a process that hangs."""
+        self._pipe.send(("step", self._ticket))
 
     def _answer(self, full: bool, find: Callable[[], Found]) -> bool:
         """Say where the points are, and wait until they were copied; False when nobody wants them any more."""

@@ -58,6 +58,20 @@ def test_it_waits_for_every_result_and_counts_silence_as_failed() -> None:
     assert not machine.parts[Part.WORKER].passed
 
 
+def test_a_worker_that_gets_on_is_waited_for_and_one_that_falls_silent_is_not() -> None:
+    machine = run(boot(0), *UPS, on.BootFinished(), *PARTS[:-1])
+    for second in range(2, 120, 2):
+        machine = run(machine, on.Tick(second * SECOND_NS), on.PartBusy(Part.WORKER))
+    assert machine.state is State.SELF_TEST
+    assert Part.WORKER not in machine.parts, "a slow processor has not failed"
+    ready = run(machine, PARTS[-1], on.Tick(120 * SECOND_NS))
+    assert ready.state is State.AIM
+    assert ready.parts[Part.WORKER].passed
+    silent = run(machine, on.Tick(129 * SECOND_NS), on.Tick(133 * SECOND_NS))
+    assert silent.state is State.AIM
+    assert not silent.parts[Part.WORKER].passed
+
+
 def test_what_forbids_scans_stays_on_the_screen_until_ok_or_until_it_works() -> None:
     machine = run(self_test_without_a_camera(), on.Tick(500 * SECOND_NS))
     assert machine.state is State.SELF_TEST

@@ -1,4 +1,4 @@
-"""The diver is told once that the program was started again, or that a new version was taken back."""
+"""The diver is told once that the program was started again, a scan recovered, or a new version taken back."""
 
 from __future__ import annotations
 
@@ -12,8 +12,10 @@ from appliance.machine.alerts import alerts
 from appliance.machine.events import KeyPressed, Tick, Told
 from appliance.machine.states import boot
 from appliance.machine.step import step
-from appliance.service.starts import installation, this_run
+from appliance.service.starts import installation, recovered, this_run
+from appliance.storage.library import Library
 from drivers.api import Key
+from tests.appliance.storage.scenes import frames, record
 
 
 def told(runtime: Path | None, prefix: Path, *, ends_well: bool = True) -> list[FaultCode]:
@@ -65,3 +67,14 @@ def test_it_is_read_once_and_gone_with_the_next_key(tmp_path: Path) -> None:
     assert [alert.headline for alert in alerts(machine)] == ["RESTARTED"]
     machine, _ = step(machine, KeyPressed(Key.UP))
     assert alerts(machine) == ()
+
+
+def test_a_scan_that_was_cut_off_while_being_saved_is_told_once(tmp_path: Path) -> None:
+    library = Library(tmp_path)
+    library.prepare()
+    begun = library.begin(frames(), record())  # whole on the disk, never published: here the power goes
+    news = recovered(Library(tmp_path).recover().recovered)
+    assert begun.scan_id in news[0].detail
+    machine, _ = step(boot(0), Told(news[0]))
+    assert [alert.headline for alert in alerts(machine)] == ["SCAN RECOVERED"]
+    assert recovered(Library(tmp_path).recover().recovered) == (), "at the next start it is a scan like any other"

@@ -362,3 +362,26 @@ except MemoryError:
 def test_the_kernel_refuses_what_is_out_of_proportion_but_not_what_is_shared() -> None:
     ran = subprocess.run([sys.executable, "-c", HUNGRY], capture_output=True, text=True, timeout=100, check=True)
     assert ran.stdout.strip() == "refused", ran.stderr
+
+
+def test_a_start_that_gets_on_is_told_from_one_that_hangs(store: FrameStore, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("appliance.worker.process.PROGRESS_CHECK_S", 0.2)
+    with ReconstructionWorker(
+        WorkOrder(synthetic.calibration(), synthetic.WATER, 16, 1024, 768), store, RealClock()
+    ) as made:
+        begun_s = time.monotonic()
+        while not made.gets_on():
+            assert time.monotonic() < begun_s + 30.0
+            time.sleep(0.01)
+        hold(made)
+        time.sleep(0.3)
+        made.gets_on()  # of what it took until it was held
+        seen = []
+        for _ in range(3):
+            time.sleep(0.3)
+            seen.append(made.gets_on())
+        assert seen == [False] * 3
+        signal_worker(made, signal.SIGCONT)
+        assert made.wait(60) == WorkerReady()
+        time.sleep(0.3)
+        assert not made.gets_on(), "it has started"

@@ -52,6 +52,7 @@ MEANINGS: Mapping[F, tuple[str, str]] = MappingProxyType(
         F.DISK_REFUSES: ("The disk gives no space for a scan.", "Der Speicher gibt keinen Platz für einen Scan."),
         F.NOT_SAVED: ("The disk refused the scan; it is still in memory.", "Der Speicher nahm den Scan nicht; er ist noch im Gerät."),
         F.RESTARTED: ("The program hung or ended by itself, and runs again.", "Das Programm hing oder endete und läuft wieder."),
+        F.SCAN_RECOVERED: ("Cut off while it was being saved; its frames are whole.", "Beim Sichern unterbrochen; seine Bilder sind ganz."),
         F.UPDATE_UNDONE: ("A new version failed; the old one is back.", "Eine neue Version taugte nicht; die alte ist zurück."),
         F.SETTINGS_LOST: ("What was chosen in the menu could not be read.", "Was im Menü gewählt war, ließ sich nicht lesen."),
         F.UNCALIBRATED: ("No valid calibration: shapes yes, sizes no.", "Keine gültige Kalibrierung: Formen ja, Maße nein."),
