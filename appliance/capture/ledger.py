@@ -192,7 +192,6 @@ def _flips_against_pulses(ledger: Ledger) -> Fault | None:
 def _times(ledger: Ledger) -> Fault | None:
     """Frames must follow the pulses in the cameras' own clocks, and each other; a clock's offset is free, its rate
     to 100 ppm."""
-
     first_us = ledger.pulses[0].board_time_us
     relative: dict[str, list[int]] = {}
     for side, frames in ledger.frames.items():
