@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hw_sim.cable import Cable
-from hw_sim.script import Diver, parse_script
 from hw_sim.wires.usbip.exporter import Exporter
 from hw_sim.world import World, WorldOptions
 from tests.boot.injected import rig_drop_in, with_files
@@ -118,6 +117,8 @@ class Instrument:
     ) -> None:
         with suppress(Gone):
             self.keep("at-the-end")
+            _, journal = self.machine.try_run("journalctl -b --no-pager -o short-monotonic -u kingfisher -n 2000", 60.0)
+            (self.artefacts / "journal.txt").write_text(journal, encoding="utf-8")
         self._stack.close()
         for name in ("console.log", "qemu.log"):
             with suppress(OSError):
@@ -183,15 +184,6 @@ class Instrument:
             time.sleep(POLL_S / 2)
         self.keep(f"waited-in-vain-for-{what.replace(' ', '-')}")
         raise AssertionError(f"no {what} within {timeout_s:g} s; the status is {json.dumps(self.status())[:1500]}")
-
-    def dive(self, script: str, timeout_s: float) -> None:
-        """A simulated diver follows a script (``docs/protocols/world.md``). Raises AssertionError if it fails."""
-        diver = Diver(self.world, parse_script(script), self.status_path)
-        diver.start()
-        diver.stop(timeout_s)
-        if diver.failure is not None or not diver.finished:
-            self.keep("diver-failed")
-            raise AssertionError(diver.failure or f"the dive took more than {timeout_s:g} s")
 
     def screen(self) -> NDArray[np.uint8]:
         """(h, w, 3) uint8 RGB: the diver's screen, drawn after this was called. Raises AssertionError if none is."""
