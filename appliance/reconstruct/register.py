@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.reconstruct.surface import Surface, below, pixels_of, thinned
+from appliance.reconstruct.surface import Below, Surface, below, pixels_of, thinned
 from appliance.reconstruct.table import Cloud
 
 Array = NDArray[np.float64]
@@ -68,10 +68,10 @@ def register(surface: Surface, second: Cloud) -> Registration | None:
     for _ in range(ROUNDS):
         moved = points @ rotation.T + translation
         found = below(surface, moved)
-        near = found.known & (np.abs(found.apart_mm) < reach_mm)
-        if int(near.sum()) < LEAST_SHARED:
+        near = _near(found, reach_mm)
+        if len(near) < LEAST_SHARED:
             return None
-        apart_mm, sigma_mm = found.apart_mm[near], np.hypot(found.sigma_mm, errors)[near]
+        apart_mm, sigma_mm = found.apart_mm[near], np.hypot(found.sigma_mm[near], errors[near])
         z = apart_mm / sigma_mm
         spread = max(1.0, 1.4826 * float(np.median(np.abs(z))))
         weight = np.clip(1.0 - (z / (MANY_SIGMA * spread)) ** 2, 0.0, None) ** 2 / sigma_mm**2
@@ -87,9 +87,9 @@ def register(surface: Surface, second: Cloud) -> Registration | None:
         reach_mm = min(reach_mm, REACH_MM)
     moved = points @ rotation.T + translation
     found = below(surface, moved)
-    near = found.known & (np.abs(found.apart_mm) < reach_mm)
-    sigma_mm = np.hypot(found.sigma_mm, errors)
-    if int(near.sum()) < LEAST_SHARED or last_mm > SETTLED * float(np.median(sigma_mm[near])):
+    near = _near(found, reach_mm)
+    sigma_mm = np.hypot(found.sigma_mm[near], errors[near])
+    if len(near) < LEAST_SHARED or last_mm > SETTLED * float(np.median(sigma_mm)):
         return None
     way_px = pixels_of(surface, moved) - pixels_of(surface, points)
     return Registration(
@@ -98,10 +98,16 @@ def register(surface: Surface, second: Cloud) -> Registration | None:
         moved_mm=float(np.median(np.linalg.norm(moved - points, axis=1))),
         moved_px=float(np.median(np.linalg.norm(way_px, axis=1))),
         turned_deg=math.degrees(math.acos(float(np.clip(0.5 * (np.trace(rotation) - 1.0), -1.0, 1.0)))),
-        residual=1.4826 * float(np.median(np.abs(found.apart_mm[near] / sigma_mm[near]))),
+        residual=1.4826 * float(np.median(np.abs(found.apart_mm[near] / sigma_mm))),
         residual_mm=1.4826 * float(np.median(np.abs(found.apart_mm[near]))),
-        shared=float(near.sum() / found.known.sum()),
+        shared=float(len(near) / found.known.sum()),
     )
+
+
+def _near(found: Below, reach_mm: float) -> NDArray[np.intp]:
+    """Numbers of the points with the surface below, closer than that; where there is none, nothing is said of it."""
+    known = np.flatnonzero(found.known)
+    return known[np.abs(found.apart_mm[known]) < reach_mm]
 
 
 def _solve(normal: Array, right: Array) -> Array:
