@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from appliance.calibration.file import Calibration
-from appliance.compensation.compensate import Compensated, compensate
+from appliance.compensation.compensate import WORTH_SHARE, Compensated, compensate
 from appliance.compensation.estimate import MotionEstimate, Scanned, estimate
 from appliance.optics.water import Water
 from appliance.reconstruct.pipeline import Pipeline
@@ -59,7 +59,7 @@ def attempt(pipeline: Pipeline, plain: Found, scanned: Scanned, calibration: Cal
             motion, None, f"Points moved along with the fringes: phases advanced by {motion.step_deg:.0f} of 90°."
         )
     made = compensate(scanned, calibration, water, motion)
-    found = pipeline.find_replaced(made.maps["left"], made.maps["right"])
+    found = pipeline.find_replaced(made.maps["left"], made.maps["right"], WORTH_SHARE)
     error_after = _error(pipeline, found, made)
     kept = found.summary.points / max(plain.summary.points, 1)
     if worth_it(motion.error_before, error_after) and kept >= LEAST_KEPT:
@@ -86,7 +86,7 @@ def _error(pipeline: Pipeline, found: Found, made: Compensated) -> float:
     """Of the median point, point by point against four steps of 90° of the same light; infinite where there is none."""
     points, modulation = pipeline.table.points, made.modulation_half_dn.ravel()
     factors = [
-        modulation[points.pixel[first:stop]] / np.maximum(points.modulation_half_dn[first:stop], 1)
+        WORTH_SHARE * modulation[points.pixel[first:stop]] / np.maximum(points.modulation_half_dn[first:stop], 1)
         for first, stop in found.pieces
     ]
     known = np.concatenate(factors)

@@ -38,6 +38,10 @@ MAX_SETTLED_T = 0.02
 MISFIT_PX = 9
 """Window, in px of pictures 800 px wide, over which what contradicts is averaged."""
 MOST_MISFIT = 100.0
+WORTH_SHARE = 0.25
+"""Of it the maps carry: reading between pixels leaves so little noise that the whole would not go into a byte."""
+BY_CHANCE = 1.3
+"""Times the usual: so far such a mean strays by noise alone, which neighbours share."""
 MISFIT_SHARE = 0.5
 """Of what contradicts beyond noise, that is in the phase: wrong steps make half of their contradiction, wrong paint as much."""
 _NAN = np.float32(np.nan)
@@ -48,7 +52,7 @@ class Compensated:
     """What ``Pipeline.find_replaced`` needs."""
 
     maps: Mapping[str, LeftMaps]
-    """By side. Modulation is that which four steps of 90° would need for as much noise: sigma is then made of it as ever."""
+    """By side. Modulation is ``WORTH_SHARE`` of that which four steps of 90° would need for as much noise."""
     modulation_half_dn: NDArray[np.uint8]
     """(h, w): what the left camera truly saw."""
 
@@ -73,14 +77,17 @@ def compensate(scanned: Scanned, calibration: Calibration, water: Water, motion:
         way = ways(
             camera, motion.projector.eye, water.index, moved_mm, motion.centre_mm, axes, float(sequence.period_px)
         )
-        return _solve(scanned, side, motion, followed, way)
+        px_per_mm = camera.lens.f_px[0] * water.index / float(motion.centre_mm[2])
+        return _solve(scanned, side, motion, followed, way, motion.gray_place_mm * px_per_mm)
 
     with ThreadPoolExecutor(len(SIDES), "kf-compensate") as pool:
         both = dict(zip(SIDES, pool.map(solve, SIDES), strict=True))
     return Compensated({side: one.maps for side, one in both.items()}, both["left"].modulation_half_dn)
 
 
-def _solve(scanned: Scanned, side: str, motion: MotionEstimate, followed: tuple[int, ...], way: Ways) -> _Side:
+def _solve(
+    scanned: Scanned, side: str, motion: MotionEstimate, followed: tuple[int, ...], way: Ways, place_px: float
+) -> _Side:
     sequence, decoder = scanned.sequence, scanned.decoded[side]
     noise = scanned.noise.left if side == "left" else scanned.noise.right
     height, width = decoder.p_px.shape
@@ -99,10 +106,10 @@ def _solve(scanned: Scanned, side: str, motion: MotionEstimate, followed: tuple[
         np.float32(0.0), np.float32(0.0),
     )  # fmt: skip
     if phase_variance(way) > GOOD_VARIANCE:
-        sources = with_paint(sequence, sources, terms, way)
+        sources = with_paint(sequence, sources, terms, way, place_px, ROUGH_ROWS)
     solved = Solved(
         np.full((height, width), np.nan, np.float32), np.full((height, width), np.nan, np.float32),
-        np.empty((height, width), np.uint8), np.empty((height, width), np.uint8), np.empty((height, width), np.float32),
+        np.empty((height, width), np.uint8), np.empty((height, width), np.float32), np.empty((height, width), np.float32),
         np.empty((height, width), np.uint8), np.empty((height, width), np.uint8), np.zeros((height, 2), np.int32),
     )  # fmt: skip
     gains = (1.0 / (1.0 + motion.gains)).astype(np.float32)
@@ -110,14 +117,13 @@ def _solve(scanned: Scanned, side: str, motion: MotionEstimate, followed: tuple[
     if sources.paint.size:
         # Once more, with paint from the depth that the first one leads to.
         solve_rows(sources, way, gains, terms, 0, height, ROUGH_ROWS, solved, np.zeros((2, 2)))
-        sources = with_paint(
-            sequence, sources._replace(rough=_nearest_rows(solved.p_px, sources.rough, way)), terms, way
-        )
+        nearer = sources._replace(rough=_nearest_rows(solved.p_px, sources.rough, way))
+        sources = with_paint(sequence, nearer, terms, way, place_px)
         terms = _probed(sources, way, gains, terms, solved)
     solve_rows(sources, way, gains, terms, 0, height, 1, solved, np.zeros((2, 2)))
     jump_px, bend_px = edge_limits_px(sequence.period_px, width)
     drop_edges(solved.p_px, solved.q_px, jump_px, bend_px)
-    worth = _less_misfit(solved.worth_half_dn, solved.misfit, motion.ripple_after, width)
+    worth = _less_misfit(solved.worth_dn, solved.misfit, motion.ripple_after, width)
     maps = LeftMaps(solved.p_px, solved.q_px, worth, solved.bright, solved.light, solved.lit_columns)
     return _Side(maps, solved.modulation_half_dn)
 
@@ -167,9 +173,10 @@ def _probed(sources: Sources, way: Ways, gains: NDArray[np.float32], terms: Term
 
 
 def _less_misfit(
-    worth_half_dn: NDArray[np.uint8], misfit: NDArray[np.float32], ripple: float, width: int
+    worth_dn: NDArray[np.float32], misfit: NDArray[np.float32], ripple: float, width: int
 ) -> NDArray[np.uint8]:
-    """The modulation that noise of 90° steps would need to scatter as this does: also by what the frames contradict.
+    """``WORTH_SHARE`` of the modulation that noise of 90° steps would need to scatter as this does, in half grey values: also
+    by what the frames contradict.
 
     The median of that is the fringes' harmonics, which depth does not see, and ``ripple``, which is known of its own.
     """
@@ -177,9 +184,9 @@ def _less_misfit(
     around = known_smooth(np.minimum(misfit, np.float32(MOST_MISFIT)), window)
     known = around[np.isfinite(around)]
     usual = float(np.median(known)) if known.size else 1.0
-    beyond = np.maximum(np.nan_to_num(around, nan=usual) - max(usual, 1.0), 0.0)
+    beyond = np.maximum(np.nan_to_num(around, nan=usual) - BY_CHANCE * max(usual, 1.0), 0.0)
     worse = np.sqrt(1.0 + ripple**2 + MISFIT_SHARE * beyond)
-    return np.asarray(worth_half_dn / worse + 0.5, np.uint8)
+    return np.asarray(np.minimum(2.0 * WORTH_SHARE * worth_dn / worse + 0.5, 255.0), np.uint8)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")

@@ -49,6 +49,15 @@ class Course:
         told = np.linalg.solve(covariance, motion_mm.ravel() - mean)
         return np.asarray(self.mean_mm + self.covariance_mm2[:, place] @ told).reshape(-1, 6)
 
+    def shift_sd_mm(self, frames: tuple[int, ...], motion_covariance_mm2: Array, of: tuple[int, ...]) -> float:
+        """Root mean square uncertainty of a shift sideways, in the frames ``of``, where ``frames``' motion is known with that
+        covariance (6 m, 6 m)."""
+        place = _places(frames)
+        known = self.covariance_mm2[np.ix_(place, place)]
+        through = np.linalg.solve(known, self.covariance_mm2[place]).T
+        variance = np.diag(self.covariance_mm2 + through @ (motion_covariance_mm2 - known) @ through.T)
+        return float(np.sqrt(np.mean(variance.reshape(-1, 6)[list(of), :2].clip(0.0))))
+
 
 def hands_course(times_s: Array, reference_s: float) -> Array:
     """Precision (6 n, 6 n) before anything was seen."""

@@ -42,6 +42,8 @@ Array = NDArray[np.float64]
 WORKING_WIDTH_PX = 800
 SAMPLES = 5_000
 FIT_POINTS = 1_200
+AROUND = 4
+"""So many Gray images before the x-sines and after them."""
 GAIN_SD = 0.03
 GAIN_MEAN_SD = 1e-5
 SMOOTH_SD = 0.1
@@ -80,7 +82,8 @@ LEVELS = (
     Level(5.0, 8.0, (X_STEPS,), 5, 2, 4),
     Level(5.0, 8.0, (X_STEPS, TEXTURE), 4, 2, 4),
     Level(5.0, 5.0, (X_STEPS, Y_STEPS, TEXTURE), 4, 2, 2),
-    Level(3.0, 3.0, (X_STEPS, Y_STEPS, TEXTURE), 8, 1, 1),
+    Level(3.0, 3.0, (X_STEPS, Y_STEPS, TEXTURE), 5, 1, 3),
+    Level(3.0, 3.0, (X_STEPS, Y_STEPS, TEXTURE), 4, 1, 1),
 )
 
 
@@ -111,6 +114,8 @@ class MotionEstimate:
     """(8, 6) mm: shift of the middle of the volume, and turn as mm at ``LEVER_MM`` from it."""
     covariance_mm2: Array
     """(48, 48) of ``motion_mm``, row by row."""
+    gray_place_mm: float
+    """Uncertainty (σ) of the place sideways in the Gray images around the x-sines, which tell the paint."""
     gains: Array
     """(8,): by how much each frame is brighter than its block."""
     centre_mm: Array
@@ -196,6 +201,7 @@ def estimate(
         course_mm=course.given(sines, solver.values[:MOTIONS].reshape(FRAMES, 6)),
         motion_mm=solver.values[:MOTIONS].reshape(FRAMES, 6).copy(),
         covariance_mm2=covariance,
+        gray_place_mm=course.shift_sd_mm(sines, covariance, _around(sequence)),
         gains=solver.values[GAINS : GAINS + FRAMES].copy(),
         centre_mm=centre,
         reference_s=reference_s,
@@ -207,6 +213,13 @@ def estimate(
         noise_factor=noise_factor,
         converged=step_mm < NEARLY_CONVERGED_MM,
     )
+
+
+def _around(sequence: PatternSequence) -> tuple[int, ...]:
+    """The Gray images next to the x-sines."""
+    first, last = sequence.axis(Direction.X).sine[0], sequence.axis(Direction.X).sine[-1]
+    gray = (*sequence.axis(Direction.X).gray, *sequence.axis(Direction.Y).gray)
+    return tuple(k for k in gray if first - k in range(1, AROUND + 1) or k - last in range(1, AROUND + 1))
 
 
 def _blurred(pictures: list[NDArray[np.float32]], blur_px: float, shrunk: int) -> NDArray[np.float32]:

@@ -6,6 +6,7 @@ the 20 mm that a scan can move.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -29,11 +30,17 @@ class Seen(NamedTuple):
     """(n, 3) 1/mm: e, the eye's axis divided by the point's distance along it."""
 
 
+def bare(eye: HousedCamera) -> HousedCamera:
+    """Without what shifts its pixels smoothly beyond every formula: that moves a way or a derivative by a thousandth, and
+    costs more than all the rest."""
+    return replace(eye, correction=None, ray_shift=None)
+
+
 def see(eye: HousedCamera, water_index: float, points_mm: Array) -> Seen:
     """Points (n, 3) in the left camera frame."""
-    steps = np.concatenate([np.zeros((1, 3)), _STEP_MM * np.eye(3), -_STEP_MM * np.eye(3)])
-    px = eye.project(points_mm[None] + steps[:, None], water_index)
-    jacobian = np.moveaxis(px[1:4] - px[4:7], 0, -1) / (2.0 * _STEP_MM)
+    steps = np.concatenate([_STEP_MM * np.eye(3), -_STEP_MM * np.eye(3)])
+    px = bare(eye).project(points_mm[None] + steps[:, None], water_index)
+    jacobian = np.moveaxis(px[:3] - px[3:], 0, -1) / (2.0 * _STEP_MM)
     axis = np.asarray(eye.rotation)[:, 2]
     distance_mm = (points_mm - np.asarray(eye.translation_mm)) @ axis
-    return Seen(px[0], np.ascontiguousarray(jacobian), axis / distance_mm[:, None])
+    return Seen(eye.project(points_mm, water_index), np.ascontiguousarray(jacobian), axis / distance_mm[:, None])

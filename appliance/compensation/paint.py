@@ -72,11 +72,15 @@ def asked_images(sequence: PatternSequence) -> Asked:
     return Asked(stripes, places, int(np.count_nonzero(away <= NEAR_IMAGES)))
 
 
-def with_paint(sequence: PatternSequence, sources: Sources, terms: Terms, way: Ways) -> Sources:
-    """``sources`` with the paint of what is at its rough depth."""
+def with_paint(
+    sequence: PatternSequence, sources: Sources, terms: Terms, way: Ways, place_px: float, stride: int = 1
+) -> Sources:
+    """``sources`` with the paint of what is at its rough depth, which may lie ``place_px`` beside; of every ``stride``-th row
+    alone, for those near it too: a row knows nothing of its neighbours then, and windows are so much higher."""
     height, width = sources.p_px.shape
-    gathered = Gathered(*(np.empty((height, width), np.float32) for _ in range(4)))
-    gather(sources.frames, asked_images(sequence), way, sources.rough, terms.period_px, 0, height, gathered)
+    rows = -(-height // stride)
+    gathered = Gathered(*(np.empty((rows, width), np.float32) for _ in range(4)))
+    gather(sources.frames, asked_images(sequence), way, sources.rough, terms.period_px, 0, height, stride, gathered)
     veil = np.nan_to_num(known_smooth(gathered.dark, _window(VEIL_PX, width)))
     full_dn2 = terms.dark_dn2 + terms.shot_dn * np.maximum(gathered.lit, _ZERO)
     noise_dn2 = np.asarray(LOOKED_UP * full_dn2 / np.maximum(gathered.lit_count, _ONE), np.float32)
@@ -86,10 +90,13 @@ def with_paint(sequence: PatternSequence, sources: Sources, terms: Terms, way: W
     unseen = ~np.isfinite(paint)
     paint = np.where(unseen, near, paint)
     variance = np.where(unseen, np.float32(FILLED_SD**2) * near**2, variance)
-    uneven = sum(np.asarray(one, np.float32) ** 2 for one in np.gradient(paint))
-    misplaced = np.float32((PLACE_PX * width / 800.0) ** 2) * uneven
+    slopes = np.gradient(paint, stride, 1) if stride > 1 else np.gradient(paint)
+    uneven = sum(np.asarray(one, np.float32) ** 2 for one in slopes)
+    misplaced = np.float32((PLACE_PX * width / 800.0) ** 2 + place_px**2) * uneven
     # Beside what is not known, the slope is not either.
     doubt_dn2 = np.asarray(np.where(np.isfinite(misplaced), variance + misplaced, 2.0 * variance), np.float32)
+    if stride > 1:
+        paint, veil, doubt_dn2 = (np.repeat(one, stride, axis=0)[:height] for one in (paint, veil, doubt_dn2))
     return sources._replace(paint=paint, veil=veil, doubt_dn2=doubt_dn2)
 
 
@@ -101,9 +108,10 @@ def _window(px: int, width: int) -> int:
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def gather(
     frames: NDArray[np.uint8], asked: Asked, ways: Ways, depth: Picture, period_px: np.float32, start: int, stop: int,
-    gathered: Gathered,
+    stride: int, gathered: Gathered,
 ) -> None:  # fmt: skip
-    """Ask for rows ``start`` to ``stop`` − 1 of pixels at ``depth`` (t)."""
+    """Ask for every ``stride``-th row from ``start`` to ``stop`` − 1 of pixels at ``depth`` (t), into one row of ``gathered``
+    each."""
     stripes, places, near = asked
     lit, lit_count, dark, dark_count = gathered
     height, width = depth.shape
@@ -112,11 +120,12 @@ def gather(
     pixels = frames.reshape(frames.size)
     upper = np.empty((nodes.shape[1], count), np.float32)
     c = np.empty(count, np.float32)
-    for row in range(start, stop):
+    for row in range(start, stop, stride):
         spread(nodes, step, row, upper)
+        line = (row - start) // stride
         for x in range(width):
-            lit[row, x], dark[row, x] = _NAN, _NAN
-            lit_count[row, x], dark_count[row, x] = _ZERO, _ZERO
+            lit[line, x], dark[line, x] = _NAN, _NAN
+            lit_count[line, x], dark_count[line, x] = _ZERO, _ZERO
             t = depth[row, x]
             if not (abs(t) < 2.5):
                 continue
@@ -151,9 +160,9 @@ def gather(
                     dim += grey
                     dims += _ONE
             if weights > _ZERO:
-                lit[row, x], lit_count[row, x] = bright / weights, weights * weights / squares
+                lit[line, x], lit_count[line, x] = bright / weights, weights * weights / squares
             if dims > _ZERO:
-                dark[row, x], dark_count[row, x] = dim / dims, dims
+                dark[line, x], dark_count[line, x] = dim / dims, dims
 
 
 def known_smooth(values: Picture, window_px: int) -> Picture:

@@ -82,8 +82,8 @@ class Solved(NamedTuple):
     q_px: NDArray[np.float32]
     """What the fitted projector shows there."""
     modulation_half_dn: NDArray[np.uint8]
-    worth_half_dn: NDArray[np.uint8]
-    """The modulation that four steps of 90° would need for the same noise."""
+    worth_dn: NDArray[np.float32]
+    """The modulation that four steps of 90° would need for the same noise; 0 where there is no column."""
     misfit: NDArray[np.float32]
     """What contradicts in the x-sines, squared, of what noise makes it: 1 in the mean; NaN where there is no column."""
     bright: NDArray[np.uint8]
@@ -213,7 +213,7 @@ def solve_rows(
             solved.p_px[row, x] = _NAN
             solved.q_px[row, x] = _NAN
             solved.modulation_half_dn[row, x] = 0
-            solved.worth_half_dn[row, x] = 0
+            solved.worth_dn[row, x] = 0.0
             solved.misfit[row, x] = _NAN
             solved.bright[row, x] = bright[row, x]
             solved.light[row, x] = 0
@@ -331,7 +331,7 @@ def solve_rows(
             solved.p_px[row, x], solved.q_px[row, x] = p, q
             solved.modulation_half_dn[row, x] = np.uint8(min(2.0 * size + 0.5, 255.0))
             solved.misfit[row, x] = misfit
-            solved.worth_half_dn[row, x] = np.uint8(min(2.0 * worth + 0.5, 255.0))
+            solved.worth_dn[row, x] = worth
             solved.light[row, x] = np.uint8(min(max(offset + 0.5, 0.0), 255.0))
             way = FIRST_WAY + PER_FRAME * BRIGHT
             column, line = int(x + at(c, way, t) + _HALF), int(row + at(c, way + 3, t) + _HALF)

@@ -31,7 +31,7 @@ def run_every_kernel() -> None:
     )  # fmt: skip
     p_px = np.full(_SIZE, np.nan, np.float32)
     solved = Solved(
-        p_px.copy(), p_px.copy(), np.zeros(_SIZE, np.uint8), np.zeros(_SIZE, np.uint8), p_px.copy(),
+        p_px.copy(), p_px.copy(), np.zeros(_SIZE, np.uint8), p_px.copy(), p_px.copy(),
         np.zeros(_SIZE, np.uint8), np.zeros(_SIZE, np.uint8), np.zeros((_SIZE[0], 2), np.int32),
     )  # fmt: skip
     one = np.float32(1.0)
@@ -44,5 +44,5 @@ def run_every_kernel() -> None:
     solve_rows(sources, ways, np.ones(FRAMES, np.float32), terms, 0, _SIZE[0], 1, solved, np.zeros((2, 2)))
     depth_rows(p_px, ways, 0, 0, _SIZE[0], p_px.copy())
     asked = Asked(stripes, np.zeros(0, np.int64), 0)
-    gather(frames, asked, ways, p_px, one, 0, _SIZE[0], Gathered(*(p_px.copy() for _ in range(4))))
+    gather(frames, asked, ways, p_px, one, 0, _SIZE[0], 1, Gathered(*(p_px.copy() for _ in range(4))))
     drop_edges(solved.p_px, solved.q_px, one, one)

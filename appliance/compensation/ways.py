@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.compensation.eyes import bare
 from appliance.compensation.hand import LEVER_MM
 from appliance.optics.model import HousedCamera
 
@@ -52,9 +53,11 @@ def ways(
     points = np.stack([origin + direction * ((1.0 / k - origin[..., 2:]) / direction[..., 2:]) for k in inverse])
     shown = projector.project(points, water_index)
     table = [_parabola(shown[..., 0]), _parabola(shown[..., 1])]
+    eye = bare(camera)
+    at_rest = eye.project(points, water_index)
     for motion, axis in zip(motion_mm, directions, strict=True):
         moved = points + motion[:3] + np.cross(motion[3:] / LEVER_MM, points - centre_mm)
-        way = camera.project(moved, water_index) - at_px
+        way = eye.project(moved, water_index) - at_rest
         phase = (projector.project(moved, water_index)[..., axis] - shown[..., axis]) / period_px
         table += [_parabola(way[..., 0]), _parabola(way[..., 1]), _parabola(phase)]
     return Ways(np.ascontiguousarray(np.concatenate(table, -1), np.float32), step_px)

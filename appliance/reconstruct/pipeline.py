@@ -26,7 +26,7 @@ from appliance.reconstruct.ripple import STILL, measure_ripple
 from appliance.reconstruct.rows import LeftMaps, reconstruct_rows, scratch_rows
 from appliance.reconstruct.scratch import MAX_WIDTH_PX
 from appliance.reconstruct.select import Limits
-from appliance.reconstruct.sigma import SigmaFactors, sigma_factors
+from appliance.reconstruct.sigma import SigmaFactors, read_between, sigma_factors
 from appliance.reconstruct.table import Cloud, Found, PointTable
 from appliance.reconstruct.triangulate import Rays, rays_of
 
@@ -198,15 +198,20 @@ class Pipeline:
         limits = self._kernel_limits(stride)._replace(max_gap_mm=LOOSE_GAP_MM, max_sigma_mm=np.float32(np.inf))
         return table.cloud(self._find(stride, limits, table))
 
-    def find_replaced(self, left: LeftMaps, right: LeftMaps) -> Found:
+    def find_replaced(self, left: LeftMaps, right: LeftMaps, worth_share: float) -> Found:
         """The full cloud of other maps than the decoded ones, which stay as they are, leaving the points in the table.
 
+        They were read between pixels; their modulation is ``worth_share`` of that which four steps of 90° would need for as
+        much noise.
         Gaps are not sampled: they would not be those of a scan at rest.
         """
         shown = self._sequence
         maps = right_maps(right.p_px, right.q_px, right.modulation_half_dn, shown.width_px, shown.height_px)
         fill_inverse_map(maps, self._inverse_stride)
-        return self._find_in(left, maps, self._factors, 1, self._kernel_limits(1), self.table)
+        # Cameras and projector share the field.
+        fringe_px = self._sequence.period_px / self._sequence.width_px * left.p_px.shape[1]
+        factors = read_between(self._factors, worth_share, fringe_px)
+        return self._find_in(left, maps, factors, 1, self._kernel_limits(1), self.table)
 
     def _find(self, stride: int, limits: Limits | None = None, table: PointTable | None = None) -> Found:
         if self._bright is None:

@@ -40,6 +40,9 @@ BLUR_PX2 = 0.2
 """Variance of what one pixel sees, in px²: its own area and the lens."""
 BORDER_PX = 0.07
 """Expected error, in px, where a neighbour has no coordinate."""
+SHARED = np.float32(1.17)
+"""Variance of a coordinate read between pixels where those next to each other have half of their noise in common, as the
+B-spline leaves it, against independent ones; mean over all places."""
 SURE = np.float32(20.0)
 """A bend counts by what it has beyond so many times the variance of a coordinate: noise alone makes 5 in the mean."""
 RIPPLE_KNEE = np.float32(KNEE)
@@ -84,6 +87,20 @@ def sigma_factors(period_px: int, noise: StereoNoise, ripple: Ripple = STILL) ->
         np.float32(8.0 * math.pi / period_px),
         np.float32(BLUR_PX2**2),
         np.float32(BORDER_PX**2),
+    )
+
+
+def read_between(factors: SigmaFactors, worth_share: float, fringe_px: float) -> SigmaFactors:
+    """Of maps whose grey values were read between pixels by the cubic B-spline, and whose modulation is ``worth_share`` of
+    that which makes their noise: neighbours share noise, and of fringes ``fringe_px`` long the third harmonic, which makes
+    the ripple, is lost more than the first."""
+    lost = float((np.sinc(3.0 / fringe_px) / np.sinc(1.0 / fringe_px)) ** 4)
+    share2 = np.float32(worth_share**2)
+    return factors._replace(
+        scale2_px2=factors.scale2_px2 * share2,
+        dark_right=factors.dark_right * SHARED,
+        shot_right=factors.shot_right * SHARED,
+        ripple_px2=factors.ripple_px2 * np.float32(lost**2),
     )
 
 

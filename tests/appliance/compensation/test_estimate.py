@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from appliance.compensation.attempt import Attempt, attempt
-from appliance.compensation.compensate import compensate
+from appliance.compensation.compensate import WORTH_SHARE, compensate
 from appliance.compensation.estimate import MotionEstimate
 from appliance.reconstruct.pipeline import Cloud, Pipeline
 from hw_sim.motion import Motion
@@ -46,7 +46,7 @@ def corrected(motion: Motion) -> Corrected:
         said = attempt(pipeline, found, taken, calibration, WATER)
         assert said.motion is not None
         made = compensate(taken, calibration, WATER, said.motion)
-        again = pipeline.find_replaced(made.maps["left"], made.maps["right"])
+        again = pipeline.find_replaced(made.maps["left"], made.maps["right"], WORTH_SHARE)
         return Corrected(scan, plain, said.motion, said, pipeline.table.cloud(again))
 
 
