@@ -13,7 +13,8 @@ from typing import Any
 from bench.progress import Progress
 from bench.result import Measured
 from bench.runner import machine
-from bench.verdict.motion_page import write_page
+from bench.verdict.compensation_page import write_page as write_compensation
+from bench.verdict.motion_page import write_page as write_motion
 from bench.verdict.parts import KEEPING, PARTS, measure_part, part
 
 OUT = Path("bench/out/verdict.json")
@@ -42,11 +43,16 @@ def main(arguments: Sequence[str]) -> int:
     )
     parser.add_argument("--parts", default=",".join(PARTS), help="names with commas between; default: all, %(default)s")
     parser.add_argument(
-        "--write-docs", action="store_true", help="measure nothing; write docs/motion.md's figures from --json"
+        "--write-docs",
+        action="store_true",
+        help="measure nothing; write the figures of docs/motion.md and compensation.md from --json",
     )
     wanted = parser.parse_args(arguments)
     if wanted.write_docs:
-        write_page(json.loads(wanted.json.read_text(encoding="utf-8")), Path("docs"))
+        content = json.loads(wanted.json.read_text(encoding="utf-8"))
+        if "motion" in content["parts"]:
+            write_motion(content, Path("docs"))
+        write_compensation(content, Path("docs"))
         return 0
     if not 1 <= wanted.scans <= 100_000:
         parser.error(f"--scans {wanted.scans}: allowed are 1 to 100000")

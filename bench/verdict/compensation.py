@@ -1,166 +1,217 @@
 """What undoing a hand's motion is worth: scans of moving hands against the same scans at rest.
 
-A cloud is judged against the true surface at its own time, the middle of the x-sines. Three hands are always measured on
-three objects: (a) slow and trembling, (b) accelerating along the view, (c) fast and accelerating. The others are drawn.
+A cloud is judged against the true surface at its own time, the middle of the x-sines. Every scan is solved twice: with the
+calibration that states the truth, and with one that was found as an instrument's is (``calibrations.py``). What a
+calibration is off at rest it is off moving too, and would make any ratio look good: errors are those of the scan alone.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from appliance.compensation.attempt import attempt
-from appliance.reconstruct.pipeline import Cloud, Pipeline
+from appliance.compensation.attempt import Attempt, attempt
+from appliance.optics.model import StereoRig
+from appliance.reconstruct.pipeline import SIDES, Pipeline
+from appliance.reconstruct.table import Found
 from bench.result import Measured
+from bench.verdict.calibrations import KINDS, Own, TrueScene, calibration_of
+from bench.verdict.compensation_cases import (
+    NAMED,
+    Case,
+    drawn_case,
+    named_cases,
+)
+from bench.verdict.kept_scans import kept_scan
 from bench.verdict.parts import Say
-from bench.verdict.uncertainty import along_the_ray, spread
-from hw_sim.motion import Motion
+from bench.verdict.uncertainty import spread
 from hw_sim.scene import Scene
-from tests.support.moved import FRAME_S, judge_at, recorded
-from tests.support.rendered import render_scan
-from tests.support.truth import WATER, true_calibration
+from hw_sim.view import TrueView
+from tests.support.moved import FRAME_S, recorded
+from tests.support.rendered import RenderedScan
+from tests.support.truth import WATER
 
-WIDTH_PX = 800
-NAMED = {
-    "a": Motion((6.0, 5.0, 6.2), tremor_mm=(0.2, 0.2, 0.2), rotation_deg_s=(1.0, -1.5, 1.0)),
-    "b": Motion((0.0, 0.0, 20.0), (0.0, 0.0, 300.0)),
-    "c": Motion((18.0, 15.0, 18.6), (120.0, 100.0, 124.0), rotation_deg_s=(2.0, -2.0, 1.5)),
-}
-OBJECTS = {"pipe": "checker", "plane": "strong", "shell": "slight"}
-TEXTURES = ("none", "slight", "strong", "checker")
-FASTEST_MM_S, MOST_MM_S2, MOST_TREMOR_MM, MOST_DEG_S = 25.0, 100.0, 0.25, 2.0
-AT_REST = 0.2
-"""Share of the draws in which nothing moves."""
 WORSE = 1.05
+"""Times the error without compensation, and a scan was made worse."""
+PERIOD_PX = 16
+Row = dict[str, Any]
+Rows = Sequence[Row]
 
 
-@dataclass(frozen=True, slots=True)
-class Case:
-    """One scan and its twin at rest."""
-
-    name: str
-    scene: Scene
-    truth: str
-    seed: int
-
-
-def measure(scans: int, seed: int, say: Say) -> tuple[list[Measured], dict[str, Any]]:
+def measure(scans: int, seed: int, say: Say, keep: Path | None = None) -> tuple[list[Measured], dict[str, Any]]:
     """The nine named cases, and ``scans`` drawn ones."""
-    cases = [
-        Case(f"{hand}-{name}", Scene(name, texture=texture, motion=motion), "modelled", seed)
-        for hand, motion in NAMED.items()
-        for name, texture in OBJECTS.items()
-    ]
-    cases += [_draw(np.random.default_rng([seed, 41, k]), k) for k in range(scans)]
-    rows = []
+    named, drawn = named_cases(seed), [drawn_case(seed, k) for k in range(scans)]
+    rows = judged([*named, *drawn], say, keep)
+    first = len(named) * len(KINDS)
+    return figures(rows[:first], rows[first:]), {"seed": seed, "named": rows[:first], "drawn": rows[first:]}
+
+
+def judged(cases: Sequence[Case], say: Say, keep: Path | None) -> list[Row]:
+    """The rows of all cases, with each kind of calibration."""
+    judge, rows = Judge(keep), []
     for number, case in enumerate(cases):
         say(case.name, number / len(cases))
-        rows.append(_judge(case))
-    named, drawn = rows[: len(NAMED) * len(OBJECTS)], rows[len(NAMED) * len(OBJECTS) :]
-    used = [row for row in drawn if row["used"]]
-    refused = [row for row in drawn if not row["used"] and row["moved"]]
-    worse = [row for row in rows if row["used"] and row["after"] > WORSE * max(row["before"], 1.0)]
-    found = [
-        Measured(
-            f"hand {hand}: rms over at rest, worst of three", _worst(named, hand, "after"), "",
-            at_most=1.2, key=f"compensation_{hand}",
-        )
-        for hand in NAMED
-    ]  # fmt: skip
-    found += [Measured(f"hand {hand}: the same, nothing done", _worst(named, hand, "before"), "") for hand in NAMED]
+        rows += judge.rows(case)
+    return rows
+
+
+class Judge:
+    """Scans are drawn once if there is a folder to keep them in; of a scene at rest, what came out is remembered."""
+
+    def __init__(self, keep: Path | None) -> None:
+        self._keep = keep
+        self._rest: dict[tuple[Scene, int, int, str], Own] = {}
+        self._seen: tuple[RenderedScan, float, TrueView] | None = None
+
+    def rows(self, case: Case) -> list[Row]:
+        """One for each kind of calibration."""
+        scan = self._scan(case, case.scene)
+        return [self._row(case, scan, kind) for kind in KINDS]
+
+    def _scan(self, case: Case, scene: Scene) -> RenderedScan:
+        frame_s = 0.0 if scene.motion.still else FRAME_S
+        return kept_scan(self._keep, scene, case.truth_set, case.seed, case.width_px, PERIOD_PX, frame_s)
+
+    def _true(self, scan: RenderedScan, rig: StereoRig, time_s: float) -> TrueScene:
+        """The same view serves each kind of calibration."""
+        known = self._seen
+        view = known[2] if known is not None and known[0] is scan and known[1] == time_s else None
+        true = TrueScene(scan, rig, time_s, view)
+        self._seen = (scan, time_s, true.view)
+        return true
+
+    def _at_rest(self, case: Case, kind: str) -> Own:
+        key = (case.rest, case.seed, case.width_px, kind)
+        if key not in self._rest:
+            scan = self._scan(case, case.rest)
+            calibration = calibration_of(kind, scan.renderer.truth)
+            with Pipeline(calibration, WATER, scan.sequence) as pipeline:
+                found = _push(pipeline, scan)
+                self._rest[key] = self._true(scan, calibration.rig, 0.0).judge(pipeline.table.cloud(found))
+        return self._rest[key]
+
+    def _row(self, case: Case, scan: RenderedScan, kind: str) -> Row:
+        rest = self._at_rest(case, kind)
+        calibration = calibration_of(kind, scan.renderer.truth)
+        with Pipeline(calibration, WATER, scan.sequence) as pipeline:
+            found = _push(pipeline, scan)
+            plain = pipeline.table.cloud(found)
+            begun_s = time.process_time()
+            tried = attempt(pipeline, found, recorded(scan, pipeline), calibration, WATER)
+            cpu_s = time.process_time() - begun_s
+            time_s = tried.motion.reference_s if tried.motion is not None else 10.5 * FRAME_S
+            true = self._true(scan, calibration.rig, time_s)
+            before = true.judge(plain)
+            after = before
+            if tried.found is not None:
+                after = true.judge(pipeline.table.cloud(tried.found))
+        return {
+            "name": case.name, "object": case.scene.object, "texture": case.scene.texture, "calibration": kind,
+            "moved": not case.scene.motion.still, "used": tried.found is not None, "why": tried.why, "cpu_s": cpu_s,
+            "at_rest_mm": rest.own_rms_mm, "before": before.own_rms_mm / rest.own_rms_mm,
+            "after": after.own_rms_mm / rest.own_rms_mm,
+            "surface_mm": {"at_rest": rest.accuracy.rms_mm, "before": before.accuracy.rms_mm, "after": after.accuracy.rms_mm},
+            "outliers_ppm": {
+                "at_rest": rest.accuracy.outliers_ppm, "before": before.accuracy.outliers_ppm,
+                "after": after.accuracy.outliers_ppm,
+            },
+            "completeness_at_rest": rest.accuracy.completeness_percent,
+            "completeness_before": before.accuracy.completeness_percent,
+            "completeness_after": after.accuracy.completeness_percent,
+            "in_sigmas_at_rest": spread(rest.residuals)["rms_trimmed"],
+            "in_sigmas": spread(after.residuals)["rms_trimmed"] if tried.found is not None else None,
+            **_expected(tried),
+        }  # fmt: skip
+
+
+def figures(named: Rows, drawn: Rows) -> list[Measured]:
+    """What is asked of compensation."""
+    every = [*named, *drawn]
+    found = []
+    for kind in KINDS:
+        mine = [row for row in named if row["calibration"] == kind]
+        found += [
+            Measured(
+                f"hand {hand}, {kind} rig: rms over at rest, worst of three", _worst(mine, f"{hand}-", "after"), "",
+                at_most=1.2, key=f"compensation_{hand}" if kind == "calibrated" else None,
+            )
+            for hand in NAMED
+        ]  # fmt: skip
     found += [
-        Measured("drawn, compensated: rms over at rest, median", _median(used, "after"), "", at_most=1.2)
-        if used else Measured("drawn, compensated: rms over at rest, median", math.nan, "", why="none was drawn"),
-        Measured("drawn, compensated: the same, nothing done", _median(used, "before"), "")
-        if used else Measured("drawn, compensated: the same, nothing done", math.nan, "", why="none was drawn"),
-        Measured("drawn, compensated: worst", max((row["after"] for row in used), default=math.nan), "",
-                 why=None if used else "none was drawn"),
-        Measured("drawn scans compensated", float(len(used)), "scans"),
-        Measured("drawn scans to be repeated", float(len(refused)), "scans"),
-        Measured("scans made worse", float(len(worse)), "scans", at_most=0.0, key="compensation_worse"),
+        Measured(f"hand {hand}: the same, nothing done", _worst(named, f"{hand}-", "before"), "") for hand in NAMED
+    ]
+    used = [row for row in drawn if row["used"]]
+    return [
+        *found,
+        of("drawn, compensated: rms over at rest, median", used, "after", median, at_most=1.2),
+        of("drawn, compensated: the same, nothing done", used, "before", median),
+        of("drawn, compensated: worst", used, "after", max),
+        Measured("drawn scans compensated", float(len(used)), f"of {len(drawn)}"),
+        Measured("drawn scans to be repeated", float(sum(row["moved"] and not row["used"] for row in drawn)), "scans"),
+        made_worse(every),
         Measured("named, compensated: error in own sigmas (or its inverse), worst", _farthest(named), "", at_most=1.1),
-        Measured("CPU time of an attempt, median", _median(rows, "cpu_s"), "s"),
-    ]  # fmt: skip
-    return found, {"width_px": WIDTH_PX, "named": named, "drawn": drawn}
+        of("CPU time of an attempt at 800 x 600, median", named, "cpu_s", median, "s"),
+    ]
 
 
-def _draw(rng: np.random.Generator, number: int) -> Case:
-    def vector(most: float) -> tuple[float, float, float]:
-        direction = rng.normal(size=3)
-        x, y, z = (float(v) for v in direction / np.linalg.norm(direction) * rng.uniform(0.0, most))
-        return x, y, z
-
-    motion = Motion(
-        vector(FASTEST_MM_S),
-        vector(MOST_MM_S2),
-        vector(MOST_TREMOR_MM),
-        float(rng.uniform(5.0, 9.0)),
-        vector(MOST_DEG_S),
-    )
-    if rng.uniform() < AT_REST:
-        motion = Motion()
-    name = str(rng.choice(["plane", "pipe", "shell", "frustum", "stones"]))
-    scene = Scene(name, texture=str(rng.choice(TEXTURES)), motion=motion, ambient=float(rng.uniform(0.0, 0.1)))
-    return Case(f"drawn {number}: {name}", scene, "realistic", int(rng.integers(1 << 30)))
+def made_worse(rows: Rows) -> Measured:
+    """None may be."""
+    count = sum(map(worse, rows))
+    return Measured("scans made worse", float(count), f"of {len(rows)}", at_most=0.0, key="compensation_worse")
 
 
-def _judge(case: Case) -> dict[str, Any]:
-    scan = render_scan(case.scene, case.truth, case.seed, WIDTH_PX, 16, frame_s=FRAME_S)
-    rest_scene = Scene(case.scene.object, texture=case.scene.texture, ambient=case.scene.ambient)
-    calibration = true_calibration(scan.renderer.truth)
-    rest = render_scan(rest_scene, case.truth, case.seed, WIDTH_PX, 16, frame_s=0.0)
-    at_rest = judge_at(rest, _plain(rest, calibration)[1], 0.0)
-    with Pipeline(calibration, WATER, scan.sequence) as pipeline:
-        _push(pipeline, scan.frames, len(scan.sequence))
-        found = pipeline.find_full()
-        plain = pipeline.table.cloud(found)
-        begun_s = time.process_time()
-        tried = attempt(pipeline, found, recorded(scan, pipeline), calibration, WATER)
-        cpu_s = time.process_time() - begun_s
-        motion = tried.motion
-        time_s = motion.reference_s if motion is not None else 10.5 * FRAME_S
-        before = judge_at(scan, plain, time_s)
-        after, in_sigmas = before, None
-        if tried.found is not None:
-            cloud = pipeline.table.cloud(tried.found)
-            after = judge_at(scan, cloud, time_s)
-            in_sigmas = spread(along_the_ray(scan, cloud, time_s) / cloud.sigma_mm)["rms_trimmed"]
+def worse(row: Row) -> bool:
+    """Whether what is shown errs more than what would have been shown without compensation."""
+    return bool(row["used"]) and float(row["after"]) > WORSE * float(row["before"])
+
+
+def _expected(tried: Attempt) -> dict[str, float | None]:
+    """What the attempt thinks of it."""
+    motion = tried.motion
     return {
-        "name": case.name, "texture": case.scene.texture, "moved": not case.scene.motion.still,
-        "used": tried.found is not None, "why": tried.why, "cpu_s": cpu_s,
-        "at_rest_mm": at_rest.rms_mm, "before": before.rms_mm / at_rest.rms_mm, "after": after.rms_mm / at_rest.rms_mm,
-        "completeness_at_rest": at_rest.completeness_percent, "completeness_before": before.completeness_percent,
-        "completeness_after": after.completeness_percent,
         "expected_before": None if motion is None else motion.error_before,
-        "expected_after": tried.error_after, "in_sigmas": in_sigmas,
-    }  # fmt: skip
+        "expected_after": tried.error_after,
+        "ripple_after": None if motion is None else motion.ripple_after,
+        "noise_factor": None if motion is None else motion.noise_factor,
+    }
 
 
-def _push(pipeline: Pipeline, frames: Any, count: int) -> None:
-    for side in ("left", "right"):
-        for k in range(count):
-            pipeline.push(side, frames[side], k)
+def _push(pipeline: Pipeline, scan: RenderedScan) -> Found:
+    for k in range(len(scan.sequence)):
+        for side in SIDES:
+            pipeline.push(side, scan.frames[side], k)
     pipeline.find_coarse()
+    return pipeline.find_full()
 
 
-def _plain(scan: Any, calibration: Any) -> tuple[Pipeline, Cloud]:
-    with Pipeline(calibration, WATER, scan.sequence) as pipeline:
-        _push(pipeline, scan.frames, len(scan.sequence))
-        return pipeline, pipeline.full()
+def _worst(rows: Rows, begins: str, what: str) -> float:
+    return max(float(row[what]) for row in rows if row["name"].startswith(begins))
 
 
-def _worst(rows: list[dict[str, Any]], hand: str, what: str) -> float:
-    return max(float(row[what]) for row in rows if row["name"].startswith(f"{hand}-"))
-
-
-def _farthest(rows: list[dict[str, Any]]) -> float:
+def _farthest(rows: Rows) -> float:
     known = [float(row["in_sigmas"]) for row in rows if row["in_sigmas"] is not None]
     return max((max(one, 1.0 / one) for one in known), default=math.nan)
 
 
-def _median(rows: list[dict[str, Any]], what: str) -> float:
-    return float(np.median([row[what] for row in rows])) if rows else math.nan
+def of(
+    name: str,
+    rows: Rows,
+    what: str,
+    how: Callable[[Iterable[float]], float],
+    unit: str = "",
+    at_most: float | None = None,
+) -> Measured:
+    """A figure of all rows, where there are any."""
+    if not rows:
+        return Measured(name, math.nan, unit, why="there was none")
+    return Measured(name, float(how([float(row[what]) for row in rows])), unit, at_most=at_most)
+
+
+def median(values: Iterable[float]) -> float:
+    """Of numbers."""
+    return float(np.median(list(values)))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from appliance.compensation.attempt import attempt
 from appliance.reconstruct.pipeline import Cloud, Pipeline
 from appliance.reconstruct.table import Found
-from bench.verdict.compensation import NAMED, OBJECTS
+from bench.verdict.compensation_cases import NAMED, OBJECTS
 from hw_sim.motion import Motion
 from hw_sim.scene import Scene
 from tests.support.moved import FRAME_S, recorded

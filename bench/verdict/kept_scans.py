@@ -15,9 +15,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.patterns.sequence import build_sequence
 from bench.verdict.motion_cases import FRAME_S, TRUTH_SET, Case, without_fish
+from hw_sim.render import Renderer
 from hw_sim.scene import Scene
-from tests.support.rendered import render_scan
+from hw_sim.truth import draw_truth
+from tests.support.rendered import RenderedScan, render_scan
 
 WIDTH_PX = 400
 Frames = Mapping[str, NDArray[np.uint8]]
@@ -54,19 +57,36 @@ class KeptScans:
             )  # fmt: skip
             both = np.stack([scan.frames["left"], scan.frames["right"]])
             if self._folder is not None:
-                self._keep(name, both)
+                _keep(self._folder, name, both)
         return {"left": both[0], "right": both[1]}
 
     def _name(self, case: Case, scene: Scene) -> str:
         what = repr((scene, TRUTH_SET, case.period_px, case.exposure_s, case.gain_db, self.width_px, FRAME_S))
         return f"{case.seed}-{hashlib.sha256(what.encode()).hexdigest()[:16]}.npy"
 
-    def _keep(self, name: str, both: NDArray[np.uint8]) -> None:
-        assert self._folder is not None
-        self._folder.mkdir(parents=True, exist_ok=True)
-        draft = self._folder / f".{name}"
-        np.save(draft, both)
-        draft.replace(self._folder / name)
+
+def kept_scan(
+    folder: Path | None, scene: Scene, truth_set: str, seed: int, width_px: int, period_px: int, frame_s: float
+) -> RenderedScan:
+    """As ``render_scan``, with frames from ``folder`` where they are there, and kept there where not; ``None`` keeps nothing."""
+    what = repr((scene, truth_set, width_px, period_px, frame_s))
+    name = f"scan-{seed}-{hashlib.sha256(what.encode()).hexdigest()[:16]}.npy"
+    if folder is None or not (folder / name).exists():
+        scan = render_scan(scene, truth_set, seed, width_px, period_px, frame_s=frame_s)
+        if folder is not None:
+            _keep(folder, name, np.stack([scan.frames["left"], scan.frames["right"]]))
+        return scan
+    both = np.load(folder / name)
+    truth = draw_truth(truth_set, seed, width_px, width_px * 3 // 4, scene.water.index)
+    frames = {"left": both[0], "right": both[1]}
+    return RenderedScan(Renderer(truth, scene), build_sequence(period_px), frames, frame_s=frame_s)
+
+
+def _keep(folder: Path, name: str, both: NDArray[np.uint8]) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    draft = folder / f".{name}"
+    np.save(draft, both)
+    draft.replace(folder / name)
 
 
 def scene_of(case: Case, take: Take) -> Scene:
