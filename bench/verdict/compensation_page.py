@@ -18,9 +18,9 @@ def begin(name: str) -> str:
 
 
 def write_page(content: Mapping[str, Any], docs: Path) -> None:
-    """Of a measurement's file: the tables of those parts that it has and the page has marks for, of the file's seed.
+    """Of a measurement's file: a table for each part that it has, of the file's seed.
 
-    Raises OSError, and ValueError for a page without marks.
+    Raises OSError, and ValueError for a page without the part's marks.
     """
     page, parts = docs / "compensation.md", content["parts"]
     text = page.read_text(encoding="utf-8")
