@@ -38,6 +38,13 @@ class Console:
     def __init__(self, world: World, status: Path) -> None:
         self._world = world
         self._status = status
+        self._rest = b""
+
+    def feed(self, data: bytes) -> list[str]:
+        """Answers to the lines that these bytes complete; of a line without end the last ``LONGEST_LINE`` bytes are kept."""
+        *lines, rest = (self._rest + data).split(b"\n")
+        self._rest = rest[-LONGEST_LINE:]
+        return [said for line in lines for said in self.answer(line.decode("utf-8", "replace")).splitlines()]
 
     def answer(self, line: str) -> str:
         """Do what the line says and say what was done; errors are answers too."""
@@ -91,18 +98,14 @@ def reading(world: World, status: Path, descriptor: int) -> Iterator[None]:
     console, closing = Console(world, status), threading.Event()
 
     def run() -> None:
-        rest = b""
         while not closing.is_set():
             if not select.select([descriptor], [], [], LOOK_S)[0]:
                 continue
             data = os.read(descriptor, LONGEST_LINE)
             if not data:
                 return
-            *lines, rest = (rest + data).split(b"\n")
-            rest = rest[-LONGEST_LINE:]
-            for line in lines:
-                for said in console.answer(line.decode("utf-8", "replace")).splitlines():
-                    LOG.info("%s", said)
+            for said in console.feed(data):
+                LOG.info("%s", said)
 
     thread = threading.Thread(target=run, name="console", daemon=True)
     LOG.info("console: type help")

@@ -36,6 +36,7 @@ from appliance.service.ranging import RangingDesk
 from appliance.service.scans import ScanDesk
 from appliance.service.starts import installation, recovered, this_run
 from appliance.service.supervision import Supervision
+from appliance.storage.beams import BeamsFile
 from appliance.storage.choices import ChoicesFile
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.library import Library
@@ -101,7 +102,11 @@ def run(rig: Rig) -> int:
         )
         calibrating = stack.enter_context(CalibrationDesk(rig, desk))
         live_s = rig.board.live_every_vsyncs / rig.projector.refresh_hz
-        ranging = stack.enter_context(RangingDesk(pointers_of(rig), calibration, water.index, wires.clock, live_s))
+        pointers = pointers_of(rig)
+        beams = None if pointers is None else BeamsFile(rig.storage.root, pointers)
+        ranging = stack.enter_context(
+            RangingDesk(pointers, calibration, water.index, wires.clock, live_s, beams, desk.submit)
+        )
         painter = stack.enter_context(
             Painter(gl, (rig.display.width_px, rig.display.height_px), Language(rig.display.language))
         )

@@ -8,6 +8,7 @@ then is remembered, and is a laser that ignores its switch if it looks no bright
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from types import TracebackType
@@ -20,10 +21,12 @@ from appliance.calibration.design import METHOD as DRAWN
 from appliance.calibration.file import Calibration
 from appliance.capture.fault import Fault, FaultCode
 from appliance.capture.ranging import Range
-from appliance.capture.ranging_beams import Pointers
+from appliance.capture.ranging_beams import Beam, Pointers
 from appliance.capture.ranging_measure import Dot, Dots, Ranger
 from appliance.capture.ranging_witness import SURELY_A_DOT_DN, shines_in_the_dark
 from appliance.machine import events as on
+from appliance.storage.atomic import StorageError
+from appliance.storage.beams import BeamsFile
 from drivers.api import Clock, LaserState
 
 log = logging.getLogger("kingfisher")
@@ -65,15 +68,26 @@ class RangingDesk:
     """
 
     def __init__(
-        self, pointers: Pointers | None, calibration: Calibration, water_index: float, clock: Clock, live_s: float
+        self,
+        pointers: Pointers | None,
+        calibration: Calibration,
+        water_index: float,
+        clock: Clock,
+        live_s: float,
+        memory: BeamsFile | None = None,
+        submit: Callable[[Callable[[], None]], object] | None = None,
     ) -> None:
-        """Without ``pointers`` nothing is measured. ``live_s``: from one live image to the next."""
+        """Without ``pointers`` nothing is measured. ``live_s``: from one live image to the next. ``memory``: of the beams, over
+        a restart; written to in ``submit``'s thread whenever live views end."""
         live_ns = live_s * 1e9
         self._settle_ns = round(max(SETTLE_NS, SETTLE_IMAGES * live_ns))
         self._pair_ns = round(max(PAIR_NS, PAIR_IMAGES * live_ns))
         self._stale_ns = round(max(STALE_NS, STALE_IMAGES * live_ns))
         self._pointers, self._clock = pointers, clock
         self._calibration, self._water_index = calibration, water_index
+        self._memory, self._submit = memory, submit
+        self._written = 0
+        """Dots that had taught the beams as they are on the disk."""
         self._executor = ThreadPoolExecutor(1, "kf-ranging")
         self._ranger: Ranger | None = None
         """Made and used in ``kf-ranging`` alone."""
@@ -207,13 +221,17 @@ class RangingDesk:
     def _made(self) -> Ranger:
         if self._ranger is None:
             assert self._pointers is not None
-            measured = self._calibration.method != DRAWN
-            self._ranger = Ranger(self._calibration.rig, self._water_index, self._pointers.beams(), measured)
+            calibration, memory = self._calibration, self._memory
+            measured = calibration.method != DRAWN
+            beams = memory.read(calibration.hash) if measured and memory is not None else self._pointers.beams()
+            self._ranger = Ranger(calibration.rig, self._water_index, beams, measured)
+            self._written = _taught(beams)
         return self._ranger
 
     # ------------------------------------------------------------------------------------------ what it means
 
     def _end(self) -> None:
+        self._remember()
         self._live += 1
         if self._work is not None and self._work.cancel():
             self._work = None
@@ -223,6 +241,22 @@ class RangingDesk:
         self._lit_first.clear()
         self._clear = 0
         self._told = None
+
+    def _remember(self) -> None:
+        """Let the disk have what the beams have learned since."""
+        ranger, memory = self._ranger, self._memory
+        if ranger is None or memory is None or self._submit is None or _taught(ranger.beams) == self._written:
+            return
+        beams, calibration_hash = ranger.beams, self._calibration.hash
+        self._written = _taught(beams)
+
+        def write() -> None:
+            try:
+                memory.write(calibration_hash, beams)
+            except StorageError as error:
+                log.warning("the laser beams are learned anew after the next start: %s", error)
+
+        self._submit(write)
 
     def _judge(self, measured: _Measured) -> list[on.Event]:
         if not measured.lit:
@@ -257,6 +291,11 @@ class RangingDesk:
         if self._clear != CLEAR_PAIRS or self._wanted:
             return []
         return [on.ConditionCleared(FaultCode.LASER_ON, IMAGES)]
+
+
+def _taught(beams: tuple[Beam, Beam]) -> int:
+    """How many dots taught them."""
+    return sum(beam.learned for beam in beams)
 
 
 def _of(side: str, dark: list[Dots], lit: list[Dots]) -> list[tuple[Dot | None, Dot | None]]:

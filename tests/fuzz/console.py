@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 from dataclasses import fields
@@ -10,12 +11,14 @@ from random import Random
 
 from hw_sim import calendar, deeds, sight
 from hw_sim.amounts import changed as with_amounts
+from hw_sim.console import Console
 from hw_sim.deeds import SURROUNDINGS
 from hw_sim.faults import KINDS, PARTS, FaultSyntaxError
 from hw_sim.faults import parse as parse_fault
 from hw_sim.knock import AMOUNTS, KnockError
 from hw_sim.knock import parse as parse_knock
 from hw_sim.script import ScriptError, parse_script
+from hw_sim.world import World, WorldOptions
 from tests.fuzz.damage import changed, damaged, reworded
 from tests.fuzz.target import Target
 
@@ -106,6 +109,53 @@ def _deed(line: str, _: Path) -> None:
                 assert not isinstance(number, float) or math.isfinite(number), "the world would be nowhere"
 
 
+TYPED = (
+    *LINES,
+    "help",
+    "help fault",
+    "help date",
+    "see",
+    "where",
+    "faults",
+    "press scan 0.2",
+    "press down",
+    "date kept",
+)
+
+
+def _typed(chance: Random) -> list[bytes]:
+    """What one read after the other gets of a trainer's typing; without pictures, which go wherever they are told to."""
+    lines = [
+        reworded(chance, chance.choice(TYPED), (*SCRIPT_WORDS, *FAULT_WORDS)) for _ in range(chance.randrange(1, 6))
+    ]
+    text = "\n".join(line for line in lines if "screenshot" not in line).encode("utf-8", "surrogatepass") + b"\n"
+    if chance.random() < 0.3:
+        text = damaged(chance, text)
+    cuts = sorted(chance.randrange(len(text) + 1) for _ in range(chance.randrange(4)))
+    return [text[a:b] for a, b in zip([0, *cuts], [*cuts, len(text)], strict=True)]
+
+
+@functools.cache
+def _world() -> World:
+    """In which no time passes: nobody enters it."""
+    return World(WorldOptions(world="fuzzed", width_px=400, height_px=300, truth="nominal", noise=False))
+
+
+def _type(pieces: list[bytes], scratch: Path) -> None:
+    world = _world()
+    (scratch / "run").mkdir(exist_ok=True)
+    (scratch / "scans").mkdir(exist_ok=True)
+    console = Console(world, scratch / "run" / "status.json")
+    said = [line for piece in pieces for line in console.feed(piece)]
+    assert all(line.strip() for line in said), "an answer says something"
+    assert console.feed(b"\nwhere\n")[-1].startswith(world.scene.object), (
+        "the next line is understood, whatever was before"
+    )
+    assert console.feed(b"clear\n") == ["done"]
+    console.feed(b"disk on\ndisk spare\n")
+    assert world.broken == ()
+
+
 def _play(text: str, _: Path) -> None:
     for step in parse_script(text):
         assert str(step).startswith("line ")
@@ -150,6 +200,7 @@ TARGETS = (
     Target("knock", "a knock's sentence", lambda c: reworded(c, c.choice(KNOCKS), KNOCK_WORDS), lambda text, _: parse_knock(text),
            (KnockError,)),
     Target("console", "a line of the trainer's console", lambda c: reworded(c, c.choice(LINES), (*SCRIPT_WORDS, *FAULT_WORDS)), _deed, (ValueError,)),
+    Target("console-bytes", "what is typed at the trainer's console, as it is read", _typed, _type, cost=5.0),
     Target("script", "a diver's script", _script, _play, (ScriptError,), "line ", cost=2.0),
     Target("status", "the instrument's status file, as the simulated diver reads it", _status, _look, cost=3.0),
 )  # fmt: skip

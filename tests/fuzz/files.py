@@ -26,6 +26,7 @@ from appliance.calibration.guide import USED, Session, Solved, Step, Trial, Veri
 from appliance.calibration.health import Trend, TrendPoint
 from appliance.calibration.response_file import ResponseFileError, StoredResponse
 from appliance.capture.exposure import Exposure
+from appliance.capture.ranging_beams import Pointers
 from appliance.config import ConfigError, default_rig_path, load_rig
 from appliance.machine.choices import Choices
 from appliance.optics.correction import ImageCorrection, node_count
@@ -35,6 +36,7 @@ from appliance.patterns.response import Response
 from appliance.storage import counter
 from appliance.storage import manifest as form
 from appliance.storage.atomic import Stamp, StorageError
+from appliance.storage.beams import BeamsFile
 from appliance.storage.calibrations import Calibrations
 from appliance.storage.choices import ChoicesFile
 from appliance.storage.filesystem import LocalFileSystem
@@ -164,6 +166,8 @@ def _written(write: Callable[[Path], object]) -> bytes:
 STANDARD = Choices()
 CHOSEN = Choices(Exposure(8000, 6.0), 32, 35.0, 12.5, "de")
 HEALTH, SESSION = _trend(), _session()
+POINTERS = Pointers((40.0, -60.0, 30.0), (25.0, 0.0, 522.5), 0.3)
+BEAMS = _written(lambda root: BeamsFile(root, POINTERS).write(HASH, POINTERS.beams()))
 CHOICES = _written(lambda root: ChoicesFile(root, STANDARD).write(CHOSEN))
 
 
@@ -184,6 +188,17 @@ def _read_choices(data: bytes, scratch: Path) -> None:
     assert fault is None or (chosen == STANDARD and fault.detail)
     file.write(chosen)
     assert file.read() == (chosen, None)
+
+
+def _read_beams(data: bytes, scratch: Path) -> None:
+    file = BeamsFile(scratch, POINTERS)
+    file.path.parent.mkdir(parents=True, exist_ok=True)
+    file.path.write_bytes(data)
+    beams = file.read(HASH)
+    assert np.isfinite([beam.at(np.array(500.0)) for beam in beams]).all()
+    assert all(np.isfinite(beam.sd_mm(np.array(500.0))) for beam in beams)
+    file.write(HASH, beams)
+    assert file.read(HASH) == beams
 
 
 def _read_session(data: bytes, scratch: Path) -> None:
@@ -323,6 +338,8 @@ TARGETS = (
     Target("response", "the projector's response", lambda c: _sealed(c, RESPONSE), _read_response, (ResponseFileError,),
            "response response.json"),
     Target("health", "how a calibration holds", lambda c: _sealed(c, HEALTH), _read_health, cost=10.0),
+    Target("beams", "what the laser dots have taught", lambda c: _sealed(c, BEAMS, ("line", "covariance", "learned", "last_z_mm")),
+           _read_beams, cost=5.0),
     Target("choices", "what the diver chose", lambda c: _sealed(c, CHOICES, ("language", "period_px")), _read_choices, cost=5.0),
     Target("session", "a calibration under way", lambda c: _sealed(c, SESSION), _read_session, cost=10.0),
     Target("counter", "the number of the next scan", _count, _read_count, (StorageError,), cost=5.0),

@@ -4,15 +4,32 @@ from __future__ import annotations
 
 import functools
 import operator
+import threading
+from dataclasses import asdict
 from pathlib import Path
 from random import Random
 
-from drivers.api import DeviceGone, KeyLongPress, KeyPress, KeyRelease, KeysLost, KeyStuck
+import serial
+
+from drivers.api import (
+    BoardEvent,
+    BoardLost,
+    DeviceGone,
+    KeyLongPress,
+    KeyPress,
+    KeyRelease,
+    KeysLost,
+    KeyStuck,
+    Telemetry,
+)
+from drivers.board import BoardSpec, TriggerBoard
+from drivers.board.board import THREAD_NAME
 from drivers.board.line import MAX_LINE, Kind, LineSplitter, MalformedLine, Sentence, crc16, format_line, parse_line
 from drivers.board.reports import parse_info, parse_lasers, parse_refusal, parse_report
 from drivers.keys.keypad import HidKeypad
 from drivers.keys.report import MalformedReport
 from drivers.keys.report import parse_report as parse_key_report
+from drivers.native import MonotonicClock
 from tests.drivers.clock import SteppedClock
 from tests.drivers.keys.test_keypad import SPEC, Pad
 from tests.drivers.keys.test_keypad import report as key_report
@@ -32,6 +49,7 @@ SENTENCES = (
     Sentence(Kind.ACKNOWLEDGE, 9, "VSYNC", ("90124", "1502733412", "1502740000")),
     Sentence(Kind.REFUSAL, 10, "ARM", ("3", "busy")),
 )
+HEARTBEAT = format_line(SENTENCES[3])
 LINES = tuple(format_line(sentence) for sentence in SENTENCES)
 BODIES = tuple(line[1:-7].decode() for line in LINES)
 FIELDS = tuple(sorted({field for body in BODIES for field in body.split(",")}))
@@ -92,6 +110,28 @@ def _split(pieces: list[bytes], _: Path) -> None:
     assert splitter.feed(LINES[0])[-1] == LINES[0], "the next whole line is found, whatever was before"
 
 
+def _hear(pieces: list[bytes], _: Path) -> None:
+    """The driver with its reader thread, on a port that says this and is then pulled out."""
+    packages: list[str] = serial.protocol_handler_packages
+    packages.append("tests.fuzz")
+    try:
+        url = "fuzz://" + ".".join(piece.hex() for piece in (*pieces, b"\r\n", HEARTBEAT))
+        with TriggerBoard.open(BoardSpec(url), MonotonicClock()) as board:
+            heard: list[BoardEvent] = []
+            while not heard or not isinstance(heard[-1], BoardLost):
+                event = board.next_event(5.0)
+                assert event is not None, "it hangs"
+                heard.append(event)
+            counters = board.counters
+            assert board.latest is None, "nothing is known of a board that is gone"
+    finally:
+        packages.remove("tests.fuzz")
+    assert isinstance(heard[-2], Telemetry), "the next whole line is heard, whatever was before"
+    assert heard[-2].temperature_projector_c == 41.5
+    assert min(asdict(counters).values()) >= 0
+    assert not any(thread.name == THREAD_NAME for thread in threading.enumerate())
+
+
 # ---------------------------------------------------------------------------------------------------- key pad
 
 REPORTS = (key_report(0, 0, 0), key_report(1, 3, 250), key_report(0x0F, 255, 65535), key_report(2, 9, 500, 8))
@@ -147,6 +187,7 @@ def _press(said: list[tuple[int, bytes | None]], _: Path) -> None:
 TARGETS = (
     Target("board-line", "a line of the board", _line, _read_line, (MalformedLine,)),
     Target("board-bytes", "the board's serial line with noise between and within lines", _bytes, _split, cost=3.0),
+    Target("board-thread", "the board's driver: reader thread, events, until the port is pulled out", _bytes, _hear, cost=20.0),
     Target("key-report", "a report of the key pad", _report, lambda data, _: parse_key_report(data), (MalformedReport,)),
     Target("key-pad", "reports of a key pad at any times, until it is pulled out", _presses, _press, (DeviceGone,), cost=5.0),
 )  # fmt: skip
