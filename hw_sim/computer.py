@@ -1,5 +1,5 @@
-"""Owns what can happen to the computer in the housing: its process for points dies or hangs, its disk refuses, or
-somebody else fills it.
+"""Owns what can happen to the computer in the housing: its process for points dies or hangs, its disk refuses, somebody else
+fills it, or the power goes.
 
 Like the diver's sight it goes by the status file: that names the process, and lies in ``run`` of the storage root.
 """
@@ -19,7 +19,15 @@ LEFT_BYTES = 200_000
 """What a disk that somebody fills has left: the status file must find its place."""
 MOST_FILLED_BYTES = 500_000_000
 """A larger disk is not one made for this."""
-VERBS = {("worker", "kill"), ("worker", "hang"), ("disk", "off"), ("disk", "on"), ("disk", "fill"), ("disk", "spare")}
+VERBS = {
+    ("power", "cut"),
+    ("worker", "kill"),
+    ("worker", "hang"),
+    ("disk", "off"),
+    ("disk", "on"),
+    ("disk", "fill"),
+    ("disk", "spare"),
+}
 
 
 def check(words: tuple[str, ...]) -> None:
@@ -32,6 +40,11 @@ def happen(words: tuple[str, ...], status: Path) -> None:
     """Let it happen now. Raises ValueError where there is nothing that it could happen to."""
     root = status.parent.parent
     match words:
+        case ("power", _):
+            pid = sight.read(status).get("pid")
+            if pid is None:
+                raise ValueError("no service is running")
+            os.kill(int(pid), signal.SIGKILL)
         case ("worker", how):
             pid = sight.read(status).get("worker_pid")
             if pid is None:

@@ -28,6 +28,7 @@ HELP: Mapping[str, tuple[str, str]] = {
     "fault": ("SENTENCE", "break something: fault camera.left off, fault board wrong how=reset"),
     "clear": ("", "repair everything that is broken"),
     "worker": ("kill|hang", "the process that computes points dies, or hangs"),
+    "power": ("cut", "the service ends without a word, as when the battery is pulled; begin again with another start"),
     "disk": (
         "off|on|fill|spare",
         "the scans' folder refuses writes, until on; somebody fills a small disk, or spares it",
@@ -61,7 +62,7 @@ def check(verb: str, words: tuple[str, ...]) -> bool:
     match verb, words:
         case "fault", (_, *_):
             parse(" ".join(words))
-        case (("worker" | "disk"), _):
+        case (("worker" | "disk" | "power"), _):
             computer.check((verb, *words))
         case "date", (word,):
             calendar.check(word)
@@ -85,7 +86,7 @@ def do(world: World, verb: str, words: tuple[str, ...], status: Path) -> None:
             world.fault(" ".join(words))
         case "clear":
             world.clear_faults()
-        case "worker" | "disk":
+        case "worker" | "disk" | "power":
             computer.happen((verb, *words), status)
         case "date":
             world.calendar.change(words[0])

@@ -135,7 +135,10 @@ def _latest(canvas: Canvas, view: CalibrateView, language: Language, time_s: flo
     elif at.failed is not None:
         canvas.hide(bottom - _FAILURE_PX, bottom)
         canvas.box(0, bottom - _FAILURE_PX, canvas.width, _FAILURE_PX, theme.YELLOW)
-        canvas.paragraph(at.failed, 16, bottom - _FAILURE_PX + 32, CAPTION, theme.INK, canvas.width - 32, 3)
+        top = bottom - _FAILURE_PX + 32
+        canvas.words(Text.CAME_TO_NOTHING.in_language(language), 16, top, BODY, BLACK, theme.INK)
+        # In the log's words: for who repairs it.
+        canvas.paragraph(at.failed, 16, top + 32, CAPTION, theme.INK, canvas.width - 32, 2)
     elif trial is not None and trial.refusal is None:
         number = "" if trial.number is None else f"{1000.0 * trial.number:.0f} µm"
         what = f"{worded(trial.step.value, language)} {Text.ACCEPTED.in_language(language)}"

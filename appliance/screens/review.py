@@ -32,7 +32,7 @@ def draw_review(canvas: Canvas, cloud: CloudPainter, view: ReviewView, language:
         _legend(canvas, cloud.range, view, language)
     if view.coarse:
         draw_coarse(canvas, view, language)
-    draw_verdict(canvas, view.word or GRADES[view.grade][0], view.grade, _VERDICT_TOP_PX, language)
+    draw_verdict(canvas, GRADES[view.grade][0], view.grade, _VERDICT_TOP_PX, language)
     rows = figures(view.points, view.coverage_percent, view.noise_mm, view.distance_mm)
     time = Figure(Text.TIME, known(view.duration_s, "{:.1f}"), "s")
     draw_figures(canvas, (*rows[:3], time, rows[3]), _VERDICT_TOP_PX + VERDICT_PX + 6, bottom, language)

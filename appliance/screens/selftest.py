@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from appliance.machine.alerts import Alert
 from appliance.screens import theme
 from appliance.screens.canvas import Align, Canvas
-from appliance.screens.frame import alerts_top
-from appliance.screens.texts import DEVICE_NAMES, Language, Text
+from appliance.screens.frame import alerts_top, words_of
+from appliance.screens.texts import DEVICE_NAMES, Language, Text, worded
 from appliance.screens.theme import BLACK, BODY, BOLD, CAPTION, HEADLINE, REGULAR
 from appliance.screens.views import BootView, DeviceLine, DeviceResult, SelfTestView
 
@@ -60,10 +61,15 @@ def _line(
 ) -> None:
     word, ink, mark, result_ink = _RESULTS[line.result]
     name = DEVICE_NAMES[line.device].in_language(language) if line.device in DEVICE_NAMES else line.device
-    detail = line.detail if pitch >= _LEAST_DETAIL_PX else ""
+    detail = _said(line.detail, language) if pitch >= _LEAST_DETAIL_PX else ""
     baseline = top + (26 if detail else 0.5 * pitch + 10)
     # A square, not a dot, where it failed: the shape says it without colour.
     canvas.box(left, baseline - 20, 20, 20, mark, 3 if line.result is DeviceResult.FAILED else 10)
     word_px = canvas.words(word.in_language(language), right, baseline, BODY, BLACK, result_ink, Align.RIGHT)
     canvas.words(name, left + 32, baseline, BODY - 2, BOLD, ink, max_width=right - word_px - left - 44)
     canvas.words(detail, left + 32, baseline + 28, CAPTION, REGULAR, theme.MUTED, max_width=right - left - 32)
+
+
+def _said(detail: Alert | Text | str, language: Language) -> str:
+    """What to do about it; the device's own message is for the log."""
+    return words_of(detail, language)[1] if isinstance(detail, Alert) else worded(detail, language)

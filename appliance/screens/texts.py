@@ -46,6 +46,7 @@ class Text(Enum):
     ARROW_UP = ("▲", "▲")
     ARROW_DOWN = ("▼", "▼")
     EXPOSE = ("EXPOSE", "ZEIT")
+    ADD = ("ADD", "DAZU")
     GAIN = ("GAIN", "VERST.")
     NEWER = ("NEWER", "NEUER")
     OLDER = ("OLDER", "ÄLTER")
@@ -186,6 +187,8 @@ class Text(Enum):
     STILL_AND_AGAIN = ("HOLD STILL, RECORD AGAIN", "STILLHALTEN, NOCH EINMAL")
     RECORD_AGAIN = ("RECORD IT AGAIN", "NOCH EINMAL AUFNEHMEN")
 
+    CAME_TO_NOTHING = ("THAT CAME TO NOTHING", "DAS IST MISSLUNGEN")
+
     # Calibration: what it gave
     FOUR_READY = ("FOUR RECORDINGS READY", "VIER AUFNAHMEN BEREIT")
     SOME_SECONDS = ("TAKES SOME SECONDS", "DAUERT EINIGE SEKUNDEN")
@@ -210,6 +213,11 @@ class Text(Enum):
     # Results of the self-test
     WAITING = ("…", "…")
     FAILED = ("FAILED", "FEHLT")
+    NOT_MEASURED = ("not measured yet", "noch nicht gemessen")
+    NO_ANSWER = ("no answer", "keine Antwort")
+    COUNTED_ONLY = ("space is counted only", "Platz ist nur gezählt")
+    REFUSES_FILES = ("takes no files", "nimmt keine Dateien an")
+    GIVEN_UP = ("does not run", "läuft nicht")
 
     # Devices, by their names in the rig file
     CAMERA_LEFT = ("Left camera", "Linke Kamera")

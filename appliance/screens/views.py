@@ -49,11 +49,11 @@ class DeviceResult(Enum):
 
 @dataclass(frozen=True, slots=True)
 class DeviceLine:
-    """One device of the self-test, named as in the rig file; ``detail`` is one short line, or empty."""
+    """One device of the self-test, named as in the rig file; ``detail`` is one short line, or empty: of an alert what to do."""
 
     device: str
     result: DeviceResult
-    detail: str = ""
+    detail: Alert | Text | str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -180,8 +180,6 @@ class ReviewView(View):
     distance_mm: float | None
     duration_s: float | None
     """From the key press to this picture."""
-    word: Text | None = None
-    """The verdict in a word; ``None``: the word of its grade."""
     turn: int = 0
     """How far the diver turned the cloud: steps to the right, negative to the left."""
     keys: KeyLabels = field(

@@ -14,6 +14,7 @@ from typing import Any, assert_never
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.calibration.design import METHOD as DRAWN
 from appliance.capture.exposure import Exposure
 from appliance.capture.fault import Fault, FaultCode
 from appliance.capture.patience import Patience
@@ -28,7 +29,7 @@ from appliance.machine.states import Limits, Machine, Part, Settings, State, boo
 from appliance.machine.step import step
 from appliance.patterns.sequence import build_sequence
 from appliance.screens.painter import Painter
-from appliance.screens.texts import Language
+from appliance.screens.texts import Language, Text
 from appliance.screens.views import Grade
 from appliance.service.calibrating import CalibrationDesk
 from appliance.service.devices import SIDES, Devices
@@ -141,7 +142,9 @@ class Service:
         self._inbox += [on.Told(fault) for fault in news]
         uncalibrated = next((fault for fault in conditions if fault.code is FaultCode.UNCALIBRATED), None)
         self._inbox.append(
-            on.PartTested(Part.CALIBRATION, uncalibrated is None, "" if uncalibrated is None else "NONE")
+            on.PartTested(
+                Part.CALIBRATION, uncalibrated is None, "" if uncalibrated is None else Text.NOT_MEASURED.english
+            )
         )
         self._arm_wanted: do.Arm | None = None
         self._arming: Arming | None = None
@@ -512,7 +515,7 @@ class Service:
         calibration = self._desk.calibration
         return Facts(
             serial=self._rig.rig.serial,
-            calibrated=f"{calibration.method} {calibration.made_at[:10]}",
+            calibrated=Text.NO if calibration.method == DRAWN else calibration.made_at[:10],
             calibration_hash=calibration.hash[:12],
         )
 

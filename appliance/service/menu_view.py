@@ -18,7 +18,7 @@ class Facts:
     """What the menu tells about the instrument."""
 
     serial: str
-    calibrated: str
+    calibrated: Text | str
     """Method and date."""
     calibration_hash: str
 

@@ -6,6 +6,7 @@ import logging
 
 from appliance.capture.fault import Fault, FaultCode
 from appliance.machine import events as on
+from appliance.screens.texts import Text
 from appliance.storage.atomic import StorageError
 from appliance.storage.library import Library
 from appliance.storage.room import Room, is_full, is_read_only, plan
@@ -46,7 +47,7 @@ class ScanRoom:
     def said(self) -> str:
         """For the self-test, after ``counted``."""
         allocates = self._room is not None and self._room.allocates
-        return f"{self._scan_bytes / 1e6:.0f} MB each" + ("" if allocates else ", space counted only")
+        return f"{self._scan_bytes / 1e6:.0f} MB / SCAN" if allocates else Text.COUNTED_ONLY.english
 
     def counted(self) -> list[on.Event]:
         """Allocate what the next scan needs; how many there are, how many more fit, and what the disk has against it.

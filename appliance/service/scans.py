@@ -32,6 +32,7 @@ from appliance.patterns.response import Response
 from appliance.patterns.sequence import PatternSequence
 from appliance.reconstruct.noise import TYPICAL_PAIR, StereoNoise
 from appliance.reconstruct.pipeline import COARSE_POINTS, Cloud
+from appliance.screens.texts import Text
 from appliance.service.health import CalibrationWatch
 from appliance.service.instrument import exposure_of, noise_of, taking_of, water_of
 from appliance.service.room import ScanRoom
@@ -382,7 +383,7 @@ class ScanDesk:
                     # It has given up until the next scan begins: frames can still be recorded and saved.
                     self.worker_settled = True
                     events.append(on.ConditionRaised(failed.fault))
-                    events.append(on.PartTested(Part.WORKER, False, failed.fault.detail))
+                    events.append(on.PartTested(Part.WORKER, False, Text.GIVEN_UP.english))
             case None:
                 if self.worker.gets_on():
                     events.append(on.PartBusy(Part.WORKER))
@@ -559,11 +560,15 @@ class ScanDesk:
         try:
             replace_file(self._fs, probe, PROBE_CONTENT)
             if probe.read_bytes() != PROBE_CONTENT:
-                return [on.PartTested(Part.STORAGE, False, f"{probe} does not hold what was written")]
+                return self._storage_failed(f"{probe} does not hold what was written")
             counted = self.room.counted()
         except (StorageError, OSError) as error:
-            return [on.PartTested(Part.STORAGE, False, str(error))]
+            return self._storage_failed(str(error))
         return [*counted, on.PartTested(Part.STORAGE, True, self.room.said)]
+
+    def _storage_failed(self, why: str) -> list[on.Event]:
+        log.warning("self-test of the storage: %s", why)
+        return [on.PartTested(Part.STORAGE, False, Text.REFUSES_FILES.english)]
 
     def _counted_if_told(self) -> list[on.Event]:
         try:

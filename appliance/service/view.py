@@ -233,7 +233,7 @@ def _lines(machine: Machine) -> tuple[DeviceLine, ...]:
         if device in machine.up:
             lines.append(DeviceLine(device.value, DeviceResult.WORKS))
         elif device in machine.lost:
-            lines.append(DeviceLine(device.value, DeviceResult.FAILED, machine.lost[device].detail))
+            lines.append(DeviceLine(device.value, DeviceResult.FAILED, alert_of(machine.lost[device])))
         else:
             lines.append(DeviceLine(device.value, DeviceResult.WAITING))
     return tuple(lines)

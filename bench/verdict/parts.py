@@ -43,6 +43,7 @@ PARTS = MappingProxyType(
         "light": "exposure, flicker, two exposures in one",
         "pair": "the second exposure that is proposed: what both show, at rest and moved, against any single one",
         "turbidity": "what is said of the water",
+        "window": "clean windows that are called fogged, and fog that is found and named",
         "specks": "snow, bubbles and fish: points they make wrong, points they cost",
         "uncertainty": "each point's expected error against its true one",
     }

@@ -8,6 +8,7 @@
     given disk 40                                before: the storage is a disk of its own, of so many MB
     given calibrated                             before: a calibration in water that is exactly right (of the nominal rig)
     given another instance                       before: another process holds the storage
+    power cut                                    in the dive: the machine is off at that moment; what follows is the next start
     refused CONFIG: ...                          instead of a dive: why the program does not start; * stands for anything
     ...                                          the dive: a diver's script (docs/protocols/world.md)
     after saved 1                                afterwards: how many scans lie there; each must be whole
@@ -24,12 +25,14 @@ from __future__ import annotations
 
 import fnmatch
 import re
+import signal
 import subprocess
 import sys
 from collections.abc import Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -69,6 +72,16 @@ class Scenario:
     script: str
     """The diver's part; every line where it stands in the file."""
     after: tuple[tuple[str, ...], ...]
+
+    @property
+    def starts(self) -> list[str]:
+        """The diver's part of each start: one more than the power is cut, each line where it stands in the file."""
+        parts: list[list[str]] = [[]]
+        for line in self.script.split("\n"):
+            parts[-1].append(line)
+            if line.split("#", 1)[0].split() == ["power", "cut"]:
+                parts.append([""] * len(parts[-1]))
+        return ["\n".join(part) for part in parts]
 
 
 def parse(text: str) -> Scenario:
@@ -111,7 +124,6 @@ def play(scenario: Scenario, folder: Path) -> Library:
         (root / name).parent.mkdir(parents=True, exist_ok=True)
         (root / name).write_bytes(b'{"nonsense": \x00')
     script = folder / "dive.script"
-    script.write_text(scenario.script, encoding="utf-8")
     rig_file = folder / "rig.toml"
     rig_file.write_text(_rig_text(scenario), encoding="utf-8")
     if scenario.refused is not None:
@@ -122,9 +134,29 @@ def play(scenario: Scenario, folder: Path) -> Library:
         exact = replace(design_of(rig), method="bundle", made_at="2026-11-20T10:00:00+00:00")
         Calibrations(root, rig.rig.serial).install(exact, "2026-11-20")
     options = {**rig.rig.wires_options, "script": str(script), "status": str(root / "run" / "status.json")}
+    *cut_short, last = scenario.starts
+    for part in cut_short:
+        script.write_text(part, encoding="utf-8")
+        _until_cut(rig_file, options, root)
+    script.write_text(last, encoding="utf-8")
     rig = replace(rig, rig=replace(rig.rig, wires_options=options), storage=replace(rig.storage, root=root))
     assert run(rig) == 0
     return Library(root)
+
+
+def _until_cut(rig_file: Path, options: Mapping[str, Any], root: Path) -> None:
+    """One start in a process of its own, which ends as a machine does that loses its power: without a word."""
+    text = _set(rig_file.read_text(encoding="utf-8"), "storage", "root", str(root))
+    for name in ("script", "status"):
+        text = _set(text, "rig.wires_options", name, str(options[name]))
+    once = rig_file.with_name("once.toml")
+    once.write_text(text, encoding="utf-8")
+    started = subprocess.run(
+        [sys.executable, "-m", "appliance.cli", "run", "--rig", str(once)],
+        capture_output=True, text=True, timeout=280, check=False,
+    )  # fmt: skip
+    assert started.returncode == -signal.SIGKILL, started.stderr[-2000:]
+    (root / "run" / "status.json").unlink()  # it lies in memory on the instrument
 
 
 def _refuse(scenario: Scenario, rig_file: Path, root: Path) -> None:

@@ -50,6 +50,14 @@ NUMBERS = {
 }  # fmt: skip
 
 
+OF_CODE = {
+    FaultCode.WARM: {"temperature_c": 52.0},
+    FaultCode.TOO_HOT: {"temperature_c": 85.0},
+    FaultCode.TOO_FAR: {"distance_mm": 588.0},
+}
+"""Numbers that fit an alert better."""
+
+
 @dataclass(frozen=True, slots=True)
 class Scene:
     """A view, when it is drawn, and what the gallery page says of it."""
@@ -61,7 +69,7 @@ class Scene:
 
 def alert(code: FaultCode, device: str | None = None) -> Alert:
     """As the machine would show it, with typical numbers."""
-    return alert_of(Fault(code, "said for the log", NUMBERS, device))
+    return alert_of(Fault(code, "said for the log", {**NUMBERS, **OF_CODE.get(code, {})}, device))
 
 
 def keys(**words: str) -> KeyLabels:
@@ -110,7 +118,7 @@ _CHECKED = Session((), None, Verified(0.0062, None, 0.0001))
 _BETTER = Session(_TRIALS, _SOLVED, Verified(0.0031, -0.0002, 0.00004))
 
 
-def _tested(failed: Mapping[str, str], waiting: int = 0) -> tuple[DeviceLine, ...]:
+def _tested(failed: Mapping[str, Alert | Text], waiting: int = 0) -> tuple[DeviceLine, ...]:
     known = [
         DeviceLine(name, DeviceResult.FAILED if name in failed else DeviceResult.WORKS, failed.get(name, ""))
         for name in _NAMES[: len(_NAMES) - waiting]
@@ -138,7 +146,10 @@ SCENES: Mapping[str, Scene] = MappingProxyType(
         ),
         "self-test-failed": Scene(
             SelfTestView(
-                devices=_tested({"camera.right": "not on the bus", "calibration": "none for this rig"}), version="0.1.0",
+                devices=_tested(
+                    {"camera.right": alert(FaultCode.CAMERA_LOST, "camera.right"), "calibration": Text.NOT_MEASURED}
+                ),
+                version="0.1.0",
                 finished=True, passed=False, keys=keys(scan="GO ON", back="HOLD: OFF"),
             ),
             "What failed is named, and waits to be read.", 0.7,

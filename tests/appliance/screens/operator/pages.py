@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Iterator
 
+from appliance.capture.exposure import Exposure
+from appliance.capture.fault import Fault, FaultCode
+from appliance.machine import events as on
 from appliance.machine.alerts import RULES, Rule, Severity
-from appliance.machine.states import State
+from appliance.machine.states import Machine, State
 from appliance.machine.texts import labels
 from appliance.screens.frame import words_of
 from appliance.screens.texts import Language, worded
 from drivers.api import Key
-from tests.appliance.machine.walks import STARTS
+from tests.appliance.machine.walks import STARTS, armed, in_gallery, reviewing, run
 from tests.appliance.screens.golden.scenes import ALERTS
 from tests.appliance.screens.operator.meanings import MEANINGS
 
@@ -42,10 +46,12 @@ def alarms(language: Language) -> str:
         rows = [code for code, rule in RULES.items() if rule.severity is severity]
         head = pick(language, "| headline | meaning | do | effect |", "| Überschrift | Bedeutung | tun | Wirkung |")
         lines += ["", f"## {pick(language, *_SEVERITIES[severity])}", "", head, "|---|---|---|---|"]
+        told = []
         for code in rows:
             headline, action = words_of(ALERTS[code.value], language)
             effect = _effect(RULES[code], language)
-            lines.append(f"| **{headline}** | {pick(language, *MEANINGS[code])} | {action} | {effect} |")
+            told.append(f"| **{headline}** | {pick(language, *MEANINGS[code])} | {action} | {effect} |")
+        lines += dict.fromkeys(told)  # what reads alike is one row
     return "\n".join(lines) + "\n"
 
 
@@ -62,12 +68,20 @@ def _effect(rule: Rule, language: Language) -> str:
 def meant() -> dict[State, dict[Key, list[str]]]:
     """Every label that each key can have in each state, as the machine gives them."""
     found: dict[State, dict[Key, list[str]]] = defaultdict(lambda: defaultdict(list))
-    for start in STARTS:
-        machine = start()
+    for machine in (*(start() for start in STARTS), *_more()):
         for key, word in labels(machine).items():
             if word not in found[machine.state][key]:
                 found[machine.state][key].append(word)
     return found
+
+
+def _more() -> Iterator[Machine]:
+    """Moments that have labels of their own: an older scan, an exposure that is proposed, one that is added, a failed scan."""
+    yield run(in_gallery(), on.KeyPressed(Key.DOWN))
+    other = Exposure(8_000)
+    yield run(reviewing(), on.Judged(1, (Fault(FaultCode.TOO_BRIGHT),), other))
+    yield run(reviewing(), on.Judged(1, (), None, other))
+    yield run(armed(), on.CaptureFailed(1, Fault(FaultCode.FRAME_MISSING)))
 
 
 def keys(language: Language) -> str:

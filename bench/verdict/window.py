@@ -1,0 +1,114 @@
+"""What the watch over the windows is worth: alarms over clean ones, and fog of known strength that it finds, names and measures.
+
+A dive is three scans of things drawn at random, each in a water of its own, with one hidden rig. Its windows are clean, or one
+place of one of them is fogged: so much of the light of that place is thrown aside. The watch is told as on the instrument.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from appliance.capture.fault import FaultCode
+from appliance.reconstruct.decode import CameraDecoder
+from appliance.reconstruct.noise import TYPICAL_PAIR
+from appliance.service.windows import WindowWatch
+from appliance.verdict.recorded import Recorded
+from appliance.verdict.window import SIDES, Windows, look_at_windows
+from bench.result import Measured
+from bench.turbidity.scenes import drawn_scene
+from bench.verdict.parts import Say
+from hw_sim.fog import Fog
+from hw_sim.scene import Scene
+from hw_sim.water import turbid
+from tests.support.rendered import render_scan
+
+WIDTH_PX, PERIOD_PX = 240, 16
+DIVE = 3
+"""Scans; the watch wants to see it in as many."""
+STRENGTHS = (0.15, 0.25, 0.35, 0.5)
+"""Share of the light that is thrown aside."""
+TOLD_FROM = 0.35
+"""The strength from which on it must be found."""
+MOST_ATTENUATION_PER_M = 2.0
+
+
+def measure(scans: int, seed: int, say: Say) -> tuple[list[Measured], dict[str, Any]]:
+    """``scans`` with clean windows and half as many, at least one dive, with each strength of fog."""
+    clean = max(1, scans // DIVE)
+    fogged = max(1, scans // (2 * DIVE))
+    dives = [(0.0, k) for k in range(clean)] + [(strength, k) for strength in STRENGTHS for k in range(fogged)]
+    rows = []
+    for done, (strength, k) in enumerate(dives):
+        say("windows", done / len(dives))
+        rows.append(_dive(np.random.default_rng([seed, round(100 * strength), k, 44]), strength))
+    return _figures(rows), {"dives": rows}
+
+
+def _dive(rng: np.random.Generator, strength: float) -> dict[str, Any]:
+    """Three scans, and what is told after them."""
+    side = str(rng.choice(SIDES))
+    place = (float(rng.uniform(0.3, 0.7)), float(rng.uniform(0.3, 0.7)), float(rng.uniform(0.1, 0.2)))
+    fog = Fog(**{side: strength}, x=place[0], y=place[1], radius=place[2]) if strength else Fog()
+    rig_seed, watch, falls, told = int(rng.integers(1, 10_000)), WindowWatch(), [], set[str]()
+    scenes: list[Scene] = []
+    for _ in range(DIVE):
+        water = turbid(float(np.exp(rng.uniform(np.log(0.1), np.log(MOST_ATTENUATION_PER_M)))))
+        scenes.append(drawn_scene(rng, water))
+        windows = _looked(scenes[-1], fog, rig_seed)
+        watch.judge(windows)
+        told |= {str(device) for code, device, fault in watch.conditions() if fault and code is FaultCode.WINDOW}
+        seen = windows.falls[side]
+        falls.append(None if np.isnan(seen).all() else float(np.nanmax(seen)))
+    return {
+        "strength": strength,
+        "side": side if strength else None,
+        "place": place,
+        "scenes": [f"{scene.object}, fringes fall by {scene.water.attenuation_per_m:.2f}/m" for scene in scenes],
+        "told": sorted(told),
+        "most_fall": falls,
+    }
+
+
+def _looked(scene: Scene, fog: Fog, seed: int) -> Windows:
+    scan = render_scan(replace(scene, fog=fog), "realistic", seed, WIDTH_PX, PERIOD_PX)
+    decoded = {}
+    for side, frames in scan.frames.items():
+        decoded[side] = decoder = CameraDecoder(scan.sequence, WIDTH_PX, WIDTH_PX * 3 // 4)
+        for k in range(len(scan.sequence)):
+            decoder.push(frames, k)
+        decoder.finish()
+    return look_at_windows(Recorded(scan.sequence, scan.frames, decoded, TYPICAL_PAIR))
+
+
+def _figures(rows: Sequence[dict[str, Any]]) -> list[Measured]:
+    clean = [row for row in rows if not row["strength"]]
+    wrong = sum(bool(row["told"]) for row in clean)
+    figures = [
+        Measured(f"clean windows, {len(clean)} dives of three scans: alarms", wrong, "dives", at_most=0),
+        Measured("clean windows: largest fall of a cell", _most(clean), "", None),
+    ]
+    for strength in STRENGTHS:
+        fogged = [row for row in rows if row["strength"] == strength]
+        right = [row["told"] == [f"camera.{row['side']}"] for row in fogged]
+        wrong = sum(any(device != f"camera.{row['side']}" for device in row["told"]) for row in fogged)
+        must = 1.0 if strength >= TOLD_FROM else None
+        figures += [
+            Measured(f"fog {strength:g}, {len(fogged)} dives: named", float(np.mean(right)), "share", at_least=must),
+            Measured(f"fog {strength:g}: the other window named", wrong, "dives", at_most=0),
+            Measured(f"fog {strength:g}: read as, median", _median(fogged), "", None),
+        ]
+    return figures
+
+
+def _most(rows: Sequence[dict[str, Any]]) -> float:
+    falls = [fall for row in rows for fall in row["most_fall"] if fall is not None]
+    return max(falls, default=float("nan"))
+
+
+def _median(rows: Sequence[dict[str, Any]]) -> float:
+    falls = [fall for row in rows for fall in row["most_fall"] if fall is not None]
+    return float(np.median(falls)) if falls else float("nan")
