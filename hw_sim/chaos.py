@@ -38,7 +38,8 @@ FRAMES = 20
 """Of the shortest sequence: a fault in one of its frames comes at any period."""
 AIM_S, ANSWER_S, END_S, SAVE_S = 60.0, 3.0, 200.0, 60.0
 """Longest waits of world time: for AIM, for anything to happen on a key, for the end of a scan, for a save."""
-KEYS_LOST = "KEYS_LOST"
+LOST = "_LOST"
+"""How the code of a device that is away ends."""
 REJECT_HOLD_S = 1.2
 """BACK held so long rejects a scan."""
 READY_S = 45.0
@@ -153,8 +154,8 @@ class ChaosDiver(Actor):
         self.report.scans += 1
         told: list[str] = []
         """Reasons of a refusal, as soon as they are to be seen: they go when what they name comes back."""
-        deaf = self._shows(KEYS_LOST)
-        """The screen says that no key is heard, so who presses one knows why nothing comes of it."""
+        away = self._away()
+        """What the screen says is lost, so who presses a key knows why nothing comes of it, even if it comes back right then."""
 
         def answered() -> bool:
             """An alert that comes or goes is no answer: what it names may have come back just now."""
@@ -163,13 +164,13 @@ class ChaosDiver(Actor):
 
         self.world.press("scan")
         if not self.until(answered, ANSWER_S) or told:
-            self._not_recorded(told, deaf)
+            self._not_recorded(told, away)
             return
         if not self.until(lambda: self._state() in ("REVIEW", "AIM", None), END_S):
             raise ActError(f"no end of a scan after {END_S:g} s: {self._line()}")
         self._count_alerts()
         if self._state() != "REVIEW":
-            self._not_recorded(told, deaf)
+            self._not_recorded(told, away)
             return
         if self._random.random() < KEEP:
             self._keep()
@@ -177,10 +178,10 @@ class ChaosDiver(Actor):
             self.report.rejected += 1
             self.press("back", REJECT_HOLD_S)
 
-    def _not_recorded(self, told: list[str], deaf: bool) -> None:
+    def _not_recorded(self, told: list[str], away: str | None) -> None:
         """No scan: somebody must say why, or have said it."""
         self._count_alerts()
-        reason = next(iter(told), None) or self._reason(refused=False) or (KEYS_LOST if deaf else None)
+        reason = next(iter(told), None) or self._reason(refused=False) or away
         if reason is None:
             self.report.unexplained.append(self._line())
         else:
@@ -212,6 +213,10 @@ class ChaosDiver(Actor):
 
     def _aims(self) -> bool:
         return self._state() == "AIM"
+
+    def _away(self) -> str | None:
+        codes = [str(alert.get("code")) for alert in self.status().get("alerts") or []]
+        return next((code for code in codes if code.endswith(LOST) and code != "SYNC_LOST"), None)
 
     def _shows(self, code: str) -> bool:
         return any(alert.get("code") == code for alert in self.status().get("alerts") or [])

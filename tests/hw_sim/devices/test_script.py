@@ -154,7 +154,10 @@ def test_a_screenshot_that_cannot_be_written_fails_the_script(tmp_path: Path) ->
         ("wait state AIM", "allowed are"),
         ("wait mood GOOD 3", "'mood' cannot be waited for; allowed are state, alert, gone"),
         ("never label scan 3", "'label' takes 2 words or more"),
-        ("disk slow", "'disk slow'; allowed are disk fill, disk off, disk on, disk spare, worker hang, worker kill"),
+        (
+            "disk slow",
+            "'disk slow'; allowed are disk fill, disk off, disk on, disk spare, power cut, worker hang, worker kill",
+        ),
         ("wait state AIM soon", "could not convert string to float: 'soon'"),
         ("pause -1", "'-1' is no duration"),
         ("press left", "key 'left'; allowed are scan, back, up, down"),
