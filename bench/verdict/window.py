@@ -32,7 +32,7 @@ DIVE, LEAST = 6, 3
 """Scans of a dive, and those that the watch needs at least."""
 STRENGTHS = (0.15, 0.25, 0.35, 0.5)
 """Share of the light that is thrown aside."""
-TOLD_FROM, MOST_MISSED = 0.5, 0.25
+TOLD_FROM, MOST_MISSED = 0.35, 0.25
 """The strength from which on it must be found in a dive, and the share that may lie where too little was seen."""
 MOST_ATTENUATION_PER_M = 2.0
 
