@@ -14,17 +14,15 @@ from typing import Any
 import numpy as np
 
 from appliance.capture.fault import FaultCode
-from appliance.reconstruct.decode import CameraDecoder
-from appliance.reconstruct.noise import TYPICAL_PAIR
 from appliance.service.windows import WindowWatch
-from appliance.verdict.recorded import Recorded
-from appliance.verdict.window import SIDES, Windows, look_at_windows
+from appliance.verdict.window import SIDES, Windows
 from bench.result import Measured
 from bench.turbidity.scenes import drawn_scene
 from bench.verdict.parts import Say
 from hw_sim.fog import Fog
 from hw_sim.scene import Scene
 from hw_sim.water import turbid
+from tests.support.fogged import windows_of
 from tests.support.rendered import render_scan
 
 WIDTH_PX, PERIOD_PX = 240, 16
@@ -78,14 +76,7 @@ def _dive(rng: np.random.Generator, strength: float) -> dict[str, Any]:
 
 
 def _looked(scene: Scene, fog: Fog, seed: int) -> Windows:
-    scan = render_scan(replace(scene, fog=fog), "realistic", seed, WIDTH_PX, PERIOD_PX)
-    decoded = {}
-    for side, frames in scan.frames.items():
-        decoded[side] = decoder = CameraDecoder(scan.sequence, WIDTH_PX, WIDTH_PX * 3 // 4)
-        for k in range(len(scan.sequence)):
-            decoder.push(frames, k)
-        decoder.finish()
-    return look_at_windows(Recorded(scan.sequence, scan.frames, decoded, TYPICAL_PAIR))
+    return windows_of(render_scan(replace(scene, fog=fog), "realistic", seed, WIDTH_PX, PERIOD_PX))
 
 
 def _figures(rows: Sequence[dict[str, Any]]) -> list[Measured]:

@@ -23,7 +23,7 @@ import pytest
 from tests.systemd.container import Container
 from tests.systemd.debian import ELSEWHERE, REPOSITORY, copied, debian, newer, setup, wheels
 
-UNIT, SAFE, TRIAL = "kingfisher.service", "kingfisher-safe.service", "kingfisher-trial.service"
+UNIT, SAFE = "kingfisher.service", "kingfisher-safe.service"
 SCAN, BACK = 0x01, 0x02
 UP_S = 120.0
 """From a start to the scan on the disk, on a busy computer."""

@@ -9,14 +9,12 @@ import pytest
 
 from appliance.capture.fault import FaultCode
 from appliance.machine.alerts import RULES
-from appliance.reconstruct.decode import CameraDecoder
-from appliance.reconstruct.noise import TYPICAL_PAIR
 from appliance.service.windows import WindowWatch
-from appliance.verdict.recorded import Recorded
-from appliance.verdict.window import CELLS, Windows, look_at_windows
+from appliance.verdict.window import CELLS, Windows
 from hw_sim.fog import Fog
 from hw_sim.scene import Scene
 from hw_sim.water import Water
+from tests.support.fogged import windows_of
 from tests.support.rendered import render_scan
 
 WIDTH = 240
@@ -28,14 +26,7 @@ DISTANCES_MM = (480.0, 520.0, 560.0)
 def looked(name: str, distance_mm: float, fog: Fog = CLEAN, water: Water = CLEAR) -> Windows:
     """One scan of an object at rest."""
     scene = Scene(object=name, pose=(4.0, -3.0, distance_mm, 5.0, 8.0, 10.0), fog=fog, water=water)
-    scan = render_scan(scene, "realistic", 4, WIDTH, 16)
-    decoded = {}
-    for side, frames in scan.frames.items():
-        decoded[side] = decoder = CameraDecoder(scan.sequence, WIDTH, WIDTH * 3 // 4)
-        for k in range(len(scan.sequence)):
-            decoder.push(frames, k)
-        decoder.finish()
-    return look_at_windows(Recorded(scan.sequence, scan.frames, decoded, TYPICAL_PAIR))
+    return windows_of(render_scan(scene, "realistic", 4, WIDTH, 16))
 
 
 def raised(watch: WindowWatch) -> list[str]:

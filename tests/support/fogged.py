@@ -1,0 +1,21 @@
+"""What a rendered scan tells of the windows, from what both cameras decode alone."""
+
+from __future__ import annotations
+
+from appliance.reconstruct.decode import CameraDecoder
+from appliance.reconstruct.noise import TYPICAL_PAIR
+from appliance.verdict.recorded import Recorded
+from appliance.verdict.window import Windows, look_at_windows
+from tests.support.rendered import RenderedScan
+
+
+def windows_of(scan: RenderedScan) -> Windows:
+    """The scan needs no calibration."""
+    decoded = {}
+    for side, frames in scan.frames.items():
+        height_px, width_px = frames.shape[1:]
+        decoded[side] = decoder = CameraDecoder(scan.sequence, width_px, height_px)
+        for k in range(len(scan.sequence)):
+            decoder.push(frames, k)
+        decoder.finish()
+    return look_at_windows(Recorded(scan.sequence, scan.frames, decoded, TYPICAL_PAIR))
