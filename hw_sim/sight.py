@@ -33,6 +33,12 @@ def _distance(status: Status, mm: float, within_mm: float) -> bool:
     return isinstance(found, int | float) and abs(found - mm) <= within_mm
 
 
+def _tilt(status: Status, deg: float, within_deg: float) -> bool:
+    """The tilt that the laser dots say, within so much of ``deg``."""
+    found = _table(status.get("range")).get("tilt_deg")
+    return isinstance(found, int | float) and abs(found - deg) <= within_deg
+
+
 def _gallery(status: Status, scan: str, what: str) -> bool:
     """Of the scan in the gallery: a word that is marked there, or the beginning of its date."""
     shown = _table(status.get("gallery"))
@@ -65,6 +71,7 @@ SIGHTS: Mapping[str, tuple[int, Callable[[Status, list[str]], bool]]] = {
     "label": (2, lambda status, words: _like([str(_table(status.get("keys")).get(words[0]))], " ".join(words[1:]))),
     "device": (2, lambda status, words: _table(status.get("devices")).get(words[0]) == words[1]),
     "distance": (2, lambda status, words: _distance(status, float(words[0]), float(words[1]))),
+    "tilt": (2, lambda status, words: _tilt(status, float(words[0]), float(words[1]))),
     "gallery": (2, lambda status, words: _gallery(status, words[0], words[1])),
     "reach": (1, lambda status, words: _table(status.get("range")).get("word") == words[0]),
     "scans": (1, lambda status, words: str(status.get("scans")) == words[0]),
@@ -85,7 +92,7 @@ def check(kind: str, words: list[str]) -> None:
         raise ValueError(f"'{kind}' cannot be waited for; allowed are {', '.join(SIGHTS)}")
     if len(words) < SIGHTS[kind][0]:
         raise ValueError(f"'{kind}' takes {SIGHTS[kind][0]} words or more, then the seconds")
-    if kind == "distance":
+    if kind in ("distance", "tilt"):
         [float(number) for number in words]
 
 

@@ -199,6 +199,12 @@ class Session:
         return error is not None and verified is not None and abs(error) - 2.0 * verified.sigma > MOST_LENGTH_ERROR
 
     @property
+    def right(self) -> bool:
+        """Whether lengths are right within what is allowed, by a check that is exact enough to tell."""
+        error, verified = self.length_error, self.verified
+        return error is not None and verified is not None and max(abs(error), 2.0 * verified.sigma) <= MOST_LENGTH_ERROR
+
+    @property
     def next_step(self) -> Step:
         """The first step that is not done; the result when all are."""
         return next((step for step in STEPS if not self.done(step)), Step.RESULT)

@@ -8,6 +8,7 @@ from appliance.calibration.guide import HELD, STEPS, Session, Step, Trial
 from appliance.capture.fault import Fault, FaultCode
 from appliance.machine import effects as do
 from appliance.machine.conditions import cleared, raised
+from appliance.machine.mishap import Failure, Mishap
 from appliance.machine.moves import Result, enter
 from appliance.machine.states import Calibrating, Machine, State, Task
 from drivers.api import Key
@@ -117,7 +118,7 @@ def not_saved(machine: Machine, number: int, reason: str) -> Result:
     at = machine.calibrating
     if at is None or at.number != number or machine.state is not State.CALIBRATE:
         return machine, ()
-    return _rest(machine, replace(at, latest=None, failed=reason)), ()
+    return _rest(machine, replace(at, latest=None, failed=Failure(Mishap.DISK, reason))), ()
 
 
 def session_changed(machine: Machine, session: Session) -> Result:
@@ -153,12 +154,12 @@ def progressed(machine: Machine, progress: float) -> Machine:
     return replace(machine, calibrating=replace(at, progress=progress))
 
 
-def failed(machine: Machine, reason: str) -> Result:
+def failed(machine: Machine, failure: Failure) -> Result:
     """The latest task came to nothing."""
     at = machine.calibrating
     if machine.state is not State.CALIBRATE or at is None or at.task is None:
         return machine, ()
-    return _rest(machine, replace(at, latest=None, failed=reason)), _dropped(at, reason)
+    return _rest(machine, replace(at, latest=None, failed=failure)), _dropped(at, failure.detail)
 
 
 def late(machine: Machine) -> Result:
@@ -167,7 +168,7 @@ def late(machine: Machine) -> Result:
     if at is None or at.task is None:
         return replace(machine, deadline_ns=None), ()
     said = f"no answer in time ({at.task.value})"
-    return _rest(machine, replace(at, latest=None, failed=said)), cancelled(machine, said)
+    return _rest(machine, replace(at, latest=None, failed=Failure(Mishap.NO_ANSWER, said))), cancelled(machine, said)
 
 
 def cancelled(machine: Machine, reason: str) -> tuple[do.Effect, ...]:

@@ -13,6 +13,7 @@ from appliance.calibration.guide import Session, Trial
 from appliance.capture.exposure import Exposure
 from appliance.capture.fault import Fault, FaultCode
 from appliance.capture.ranging import Range
+from appliance.machine.mishap import Failure
 from appliance.machine.states import Device, Part
 from drivers.api import Key, Telemetry
 
@@ -264,7 +265,7 @@ class CalibrationProgressed:
 class CalibrationFailed:
     """What was wanted for the calibration came to nothing; the session is as it was."""
 
-    reason: str
+    failure: Failure
 
 
 @dataclass(frozen=True, slots=True)

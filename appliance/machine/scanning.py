@@ -19,6 +19,8 @@ from drivers.api import Key
 
 SILENT_RETRIES = 1
 """Repetitions of a capture the diver does not hear of, for a late flip only."""
+READABLE_S = 2.0
+"""A refusal is shown at least so long: a device that comes back right after the press must not take the answer away."""
 
 
 # ------------------------------------------------------------------------------------- asked for
@@ -30,12 +32,16 @@ def wanted(machine: Machine) -> Result:
     if reason is not None:
         if reason.code is FaultCode.HOT and machine.state is State.AIM:
             return enter(machine, State.COOLING), ()
-        return replace(machine, notice=Notice(reason, NoticeKind.REFUSAL)), ()
+        return _refused(machine, reason), ()
     outside = out_of_reach(machine)
     if outside is not None and machine.insists_until_ns is None:
         until_ns = machine.now_ns + seconds_ns(machine.settings.insist_s)
         return replace(machine, insists_until_ns=until_ns, notice=Notice(outside, NoticeKind.NEWS)), ()
     return arm(replace(machine, retries=0))
+
+
+def _refused(machine: Machine, reason: Fault) -> Machine:
+    return replace(machine, notice=Notice(reason, NoticeKind.REFUSAL, machine.now_ns + seconds_ns(READABLE_S)))
 
 
 def out_of_reach(machine: Machine) -> Fault | None:
@@ -70,7 +76,7 @@ def add(machine: Machine, scan: ScanInHand) -> Result:
     """A second sequence with the exposure that was proposed; whatever comes of it, ``scan`` is not lost."""
     reason = refusal(machine)
     if reason is not None:
-        return replace(machine, notice=Notice(reason, NoticeKind.REFUSAL)), ()
+        return _refused(machine, reason), ()
     return arm(replace(machine, retries=0, scan=replace(scan, adding=machine.captures + 1)))
 
 

@@ -16,6 +16,7 @@ from appliance.capture.exposure import Exposure
 from appliance.capture.fault import Fault
 from appliance.capture.ranging import Range, Reach
 from appliance.machine.choices import Choices, Offers
+from appliance.machine.mishap import Failure
 from drivers.api import Key
 
 if TYPE_CHECKING:  # carried from the worker to the screens, never read here: no kernels are needed to decide
@@ -210,6 +211,8 @@ class Notice:
 
     fault: Fault
     kind: NoticeKind
+    readable_until_ns: int = 0
+    """It stays until then even if its reason goes: long enough to be read."""
 
 
 class Task(Enum):
@@ -238,7 +241,7 @@ class Calibrating:
     """Of the task, 0..1; ``None`` where nobody knows."""
     latest: Trial | None = None
     """The latest recording, until the next key."""
-    failed: str | None = None
+    failed: Failure | None = None
     """Why the latest task came to nothing, until the next key."""
 
 

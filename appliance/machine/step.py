@@ -29,9 +29,15 @@ def step(machine: Machine, event: on.Event) -> Result:
     after, more = safety.forced(after)
     if after.insists_until_ns is not None and after.now_ns >= after.insists_until_ns:
         after = replace(after, insists_until_ns=None, notice=None)  # the question was not answered
-    if after.notice is not None and after.notice.kind is NoticeKind.REFUSAL and refusal(after) is None:
-        after = replace(after, notice=None)  # the reason is gone; so is its message
-    return _settle(machine, after, (*wanted, *more))
+    return _settle(machine, _without_answered_refusal(after), (*wanted, *more))
+
+
+def _without_answered_refusal(machine: Machine) -> Machine:
+    """The reason is gone, so is its message, once it could be read."""
+    notice = machine.notice
+    if notice is None or notice.kind is not NoticeKind.REFUSAL or machine.now_ns < notice.readable_until_ns:
+        return machine
+    return machine if refusal(machine) is not None else replace(machine, notice=None)
 
 
 def _react(machine: Machine, event: on.Event) -> Result:
@@ -98,8 +104,8 @@ def _react(machine: Machine, event: on.Event) -> Result:
             return calibrate.session_changed(machine, session)
         case on.CalibrationProgressed(progress):
             return calibrate.progressed(machine, progress), ()
-        case on.CalibrationFailed(reason):
-            return calibrate.failed(machine, reason)
+        case on.CalibrationFailed(failure):
+            return calibrate.failed(machine, failure)
         case on.Ranged(measured):
             return replace(machine, range=measured, reach=reach_of(measured, machine.reach)), ()
         case on.ScansListed(scans):

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from appliance.calibration.guide import HELD, STEPS, UNITS, USED, Refusal, Session, Step, Trial
 from appliance.calibration.recordings import ArtefactKind
+from appliance.machine.mishap import Mishap
 from appliance.machine.states import Task
 from appliance.screens import theme
 from appliance.screens.canvas import Align, Canvas
@@ -59,6 +60,15 @@ def draw_calibrate(canvas: Canvas, view: CalibrateView, language: Language, time
         _result(canvas, view, language)
     _latest(canvas, view, language, time_s)
     _ticks(canvas, view)
+
+
+_MISHAPS = {
+    Mishap.RECORDING: Text.NOT_USABLE,
+    Mishap.FILES: Text.FILES_DO_NOT_FIT,
+    Mishap.DISK: Text.DISK_REFUSED,
+    Mishap.BROKEN_OFF: Text.BROKEN_OFF,
+    Mishap.NO_ANSWER: Text.ANSWERED_LATE,
+}
 
 
 def refusal_words(trial: Trial) -> tuple[Text, Text]:
@@ -136,9 +146,9 @@ def _latest(canvas: Canvas, view: CalibrateView, language: Language, time_s: flo
         canvas.hide(bottom - _FAILURE_PX, bottom)
         canvas.box(0, bottom - _FAILURE_PX, canvas.width, _FAILURE_PX, theme.YELLOW)
         top = bottom - _FAILURE_PX + 32
-        canvas.words(Text.CAME_TO_NOTHING.in_language(language), 16, top, BODY, BLACK, theme.INK)
+        canvas.words(_MISHAPS[at.failed.mishap].in_language(language), 16, top, BODY, BLACK, theme.INK)
         # In the log's words: for who repairs it.
-        canvas.paragraph(at.failed, 16, top + 32, CAPTION, theme.INK, canvas.width - 32, 2)
+        canvas.paragraph(at.failed.detail, 16, top + 32, CAPTION, theme.INK, canvas.width - 32, 2)
     elif trial is not None and trial.refusal is None:
         number = "" if trial.number is None else f"{1000.0 * trial.number:.0f} µm"
         what = f"{worded(trial.step.value, language)} {Text.ACCEPTED.in_language(language)}"

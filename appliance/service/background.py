@@ -43,6 +43,8 @@ class Failed:
     """The job raised, or its process is gone; why, in words."""
 
     reason: str
+    error: str | None = None
+    """Name of the exception's class, where the job raised one."""
 
 
 class Background:
@@ -141,7 +143,7 @@ def _serve(pipe: Connection) -> None:
             except (EOFError, BrokenPipeError):
                 raise
             except Exception as error:  # the one place where it can still be named
-                said = Failed(str(error) or type(error).__name__)
+                said = Failed(str(error) or type(error).__name__, type(error).__name__)
             pipe.send((ticket, said))
     except (EOFError, OSError):
         return  # the parent closed the pipe: the normal end

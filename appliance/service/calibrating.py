@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
@@ -11,10 +12,12 @@ from typing import Self
 
 from appliance.calibration.file import Calibration, CalibrationError
 from appliance.calibration.guide import Session, Step, Trial, Verified
+from appliance.calibration.recordings import RecordingError
 from appliance.capture.fault import Fault, FaultCode
 from appliance.capture.verdict import Verdict
 from appliance.config import Rig
 from appliance.machine import events as on
+from appliance.machine.mishap import Failure, Mishap
 from appliance.service import calibrator
 from appliance.service.background import Background, Done, Failed, Progressed
 from appliance.service.calibrator import Examined, Solution
@@ -22,8 +25,18 @@ from appliance.service.instrument import calibration_of
 from appliance.service.scans import ScanDesk
 from appliance.storage.atomic import StorageError
 from appliance.storage.calibrations import Calibrations, SessionError
+from appliance.storage.scan import ScanError
 
 log = logging.getLogger("kingfisher")
+
+_MISHAPS = {
+    RecordingError.__name__: Mishap.RECORDING,
+    ScanError.__name__: Mishap.RECORDING,
+    CalibrationError.__name__: Mishap.FILES,
+    SessionError.__name__: Mishap.FILES,
+    StorageError.__name__: Mishap.DISK,
+}
+"""By name: what a job raises in its own process arrives as words."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +60,8 @@ class CalibrationDesk:
         """Of the recording that is examined."""
         self._verified: Verified | None = None
         """What the latest recording of VERIFY says."""
+        self._passed: deque[str] = deque(maxlen=1)
+        """Length checks that are on the disk and found lengths right, from the disk's thread: what they say."""
         self._answers: list[Future[_Changed]] = []
         self._told: list[on.Event] = []
 
@@ -72,7 +87,8 @@ class CalibrationDesk:
         """Answer TrialExamined or CalibrationFailed."""
         folder = self._desk.folder(number)
         if folder is None:
-            self._told.append(on.CalibrationFailed("the recording is not on the disk; record it again"))
+            said = "the recording is not on the disk; record it again"
+            self._told.append(on.CalibrationFailed(Failure(Mishap.RECORDING, said)))
             return
         self._number = number
         self._background.ask(calibrator.examine, self._rig, step, folder)
@@ -87,7 +103,10 @@ class CalibrationDesk:
             session = self._store.session().with_trial(replace(trial, scan_id=scan_id))
             if trial.step is Step.VERIFY:
                 session = replace(session, verified=verified)
-            return [on.SessionChanged(self._store.write(session))]
+            session = self._store.write(session)
+            if trial.step is Step.VERIFY and session.right and session.length_error is not None:
+                self._passed.append(f"VERIFY, scan {scan_id}: ball bar {100.0 * session.length_error:+.3f} %")
+            return [on.SessionChanged(session)]
 
         self._desk.accept(number, verdict, entered)
 
@@ -121,6 +140,8 @@ class CalibrationDesk:
         self._answers = [answer for answer in self._answers if not answer.done()]
         for answer in done:
             events += self._changed(answer)
+        while self._passed:
+            events += self._desk.lengths_right(self._passed.popleft())
         match self._background.poll():
             case Progressed(progress):
                 events.append(on.CalibrationProgressed(progress))
@@ -131,10 +152,11 @@ class CalibrationDesk:
             case Done(Solution() as solution):
                 self._solved(solution)
             case Done(answer):
-                events.append(on.CalibrationFailed(f"it answered {answer!r:.60}"))
-            case Failed(reason):
+                events.append(on.CalibrationFailed(Failure(Mishap.BROKEN_OFF, f"it answered {answer!r:.60}")))
+            case Failed(reason, error):
                 log.warning("calibration: %s", reason)
-                events.append(on.CalibrationFailed(reason))
+                mishap = _MISHAPS.get(error or "", Mishap.BROKEN_OFF)
+                events.append(on.CalibrationFailed(Failure(mishap, reason)))
             case None:
                 pass
         return events
@@ -159,7 +181,7 @@ class CalibrationDesk:
             changed = answer.result()
         except (StorageError, SessionError, CalibrationError) as error:
             log.warning("calibration: %s", error)
-            return [on.CalibrationFailed(str(error))]
+            return [on.CalibrationFailed(Failure(_MISHAPS[type(error).__name__], str(error)))]
         events: list[on.Event] = [on.SessionChanged(changed.session)]
         if changed.in_use is not None:
             calibration, faults = changed.in_use

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from appliance.calibration.file import Calibration
 from appliance.calibration.gaps import TURNS, GapModes, in_words
-from appliance.calibration.health import UNMEASURED, Judgement, Trend, judge, likeliest
+from appliance.calibration.health import UNMEASURED, Judgement, Trend, answered, judge, likeliest
 from appliance.calibration.patches import PatchGaps
 from appliance.capture.fault import Fault, FaultCode
 from appliance.capture.verdict import Verdict
@@ -51,6 +51,15 @@ class CalibrationWatch:
         if before.alarm is None and self.trend.alarm is not None:
             self.trend = self.trend.alarmed(text)
         return Verdict(VERDICT, passed, said.numbers, text)
+
+    def answer(self, said: str) -> Callable[[], None] | None:
+        """A length check found lengths right: take the alarm back. What writes that down, as ``unwritten``; ``None``: there
+        is no alarm."""
+        if self.trend.alarm is None:
+            return None
+        self._written = self.trend = answered(self.trend, f"{said}, after: {self.trend.alarm}")
+        file, trend = self._file, self.trend
+        return lambda: file.write(trend)
 
     def unwritten(self, scan: str) -> Callable[[], None] | None:
         """What writes down the latest scan, whose number is known now; ``None``: nothing is new.

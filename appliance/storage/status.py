@@ -59,7 +59,7 @@ def _calibration(machine: Machine) -> dict[str, Any] | None:
         "step": at.step.value,
         "busy": at.task is not None,
         "result": result,
-        "detail": at.failed or (at.latest.detail if at.latest is not None else ""),
+        "detail": at.failed.detail if at.failed is not None else at.latest.detail if at.latest is not None else "",
         "done": [step.value for step in STEPS if session.done(step)],
         "e_l_before_percent": _percent(verified.before if verified is not None else None),
         "e_l_new_percent": _percent(verified.after if verified is not None else None),

@@ -148,7 +148,8 @@ def find_frequency_hz(levels: tuple[Level, ...], frame_s: float) -> tuple[float,
     """The frequency, up to half the frame rate, that explains most of the levels' changes, and the share it explains.
 
     Lamps that flicker faster appear at another one: 100 Hz at 20 Hz, 120 Hz not at all, at 60 frames per second.
-    ``None`` where no frequency stands out, or for fewer than twelve frames.
+    ``None`` where no frequency stands out, for fewer than twelve frames, or where frames come so slowly that none could be
+    told (below four a second).
     """
     if len(levels) < MIN_LEVELS:
         return None
@@ -160,6 +161,8 @@ def find_frequency_hz(levels: tuple[Level, ...], frame_s: float) -> tuple[float,
     if total == 0.0:
         return None
     candidates = np.arange(2.0, 0.5 / frame_s + 0.01, 0.25)
+    if not candidates.size:
+        return None
     angle = 2.0 * np.pi * frame_s * np.outer(candidates, frame)
     basis = np.stack([_centred(np.cos(angle), group), _centred(np.sin(angle), group)], axis=-1)
     fitted = np.einsum("cnk,ck->cn", basis, np.linalg.pinv(basis, rcond=RANK) @ value)

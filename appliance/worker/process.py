@@ -36,6 +36,8 @@ MOST_FRUITLESS_STARTS = 4
 POLL_S = 0.002
 PING_S = 1.0
 """How often a worker with nothing to do is asked whether it is there."""
+COMPUTING_SHARE = 0.05
+"""Of the time, that a worker uses a processor if it gets on; one that hangs uses none."""
 PROGRESS_CHECK_S, PROGRESS_CPU_S = 2.0, 0.1
 """How often a start is looked at, and the processor time that it takes meanwhile if it gets on."""
 
@@ -61,6 +63,8 @@ class WorkLimits:
     """A cold start without compiled kernels takes most of a minute, and more on a busy machine."""
     cloud_s: float = 10.0
     """From one step to the next of those that lead from the last frame to the full cloud; a hundred times what they take."""
+    computing_s: float = 60.0
+    """The same where it is seen to compute: on a processor that is throttled, or shared."""
     alive_s: float = 5.0
     """From a question to its answer while it has nothing to do."""
     memory_mb: float = 600.0
@@ -165,6 +169,10 @@ class ReconstructionWorker:
         self._memory_check_ns = 0
         self._progress_check_ns = 0
         self._start_cpu_s = 0.0
+        self._patience_ns = 0
+        """How long a step that computes is waited for."""
+        self._step_cpu_s = 0.0
+        """Processor time when the deadline was set."""
         self._scan: int | None = None
         self._taking = Taking(noise=order.noise)
         self._second: Taking | None = None
@@ -224,7 +232,7 @@ class ReconstructionWorker:
         if not self._starting or self._fruitless or self.pid is None or now_ns < self._progress_check_ns:
             return False
         self._progress_check_ns = now_ns + int(PROGRESS_CHECK_S * 1e9)
-        before_s, self._start_cpu_s = self._start_cpu_s, cpu_s(self.pid) or 0.0
+        before_s, self._start_cpu_s = self._start_cpu_s, self._used_s()
         return self._start_cpu_s - before_s >= PROGRESS_CPU_S
 
     def change(self, order: WorkOrder, store: FrameStore | None = None) -> None:
@@ -360,7 +368,23 @@ class ReconstructionWorker:
             self._clock.sleep_s(POLL_S)
 
     def _await_cloud(self) -> None:
-        self._deadline_ns = self._clock.now_ns() + int(self.limits.cloud_s * 1e9)
+        now_ns = self._clock.now_ns()
+        self._deadline_ns = now_ns + int(self.limits.cloud_s * 1e9)
+        self._patience_ns = now_ns + int(self.limits.computing_s * 1e9)
+        self._step_cpu_s = self._used_s()
+
+    def _used_s(self) -> float:
+        return (cpu_s(self.pid) if self.pid is not None else None) or 0.0
+
+    def _computes(self, now_ns: int) -> bool:
+        """Whether the step that is late uses the processor, and may go on: then its deadline is a new one."""
+        if self._starting or now_ns >= self._patience_ns:
+            return False
+        before_s, self._step_cpu_s = self._step_cpu_s, self._used_s()
+        if self._step_cpu_s - before_s < COMPUTING_SHARE * self.limits.cloud_s:
+            return False
+        self._deadline_ns = now_ns + int(self.limits.cloud_s * 1e9)
+        return True
 
     def _tell_again(self) -> None:
         """Of all frames of the scan, from the first on."""
@@ -382,7 +406,9 @@ class ReconstructionWorker:
     def _check_answer(self, now_ns: int) -> WorkerFailed | None:
         """Whether it is late with what was asked, or with a sign of life."""
         if self._deadline_ns is not None:
-            return self._restart("it did not answer in time") if now_ns > self._deadline_ns else None
+            if now_ns <= self._deadline_ns or self._computes(now_ns):
+                return None
+            return self._restart("it did not answer in time")
         waited_s = (now_ns - self._alive_ns) / 1e9
         if self._asked and waited_s > self.limits.alive_s:
             return self._restart(f"it gave no sign of life for {self.limits.alive_s:g} s")

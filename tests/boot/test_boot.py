@@ -157,7 +157,7 @@ def test_a_press_of_scan_becomes_a_cloud_and_a_scan_on_the_disk(instrument: Inst
     save(instrument)
     instrument.keep("saved", instrument.screen())
     (manifest,) = [name for name in stored(instrument) if name.endswith("manifest.json")]
-    told = json.loads(instrument.machine.run(f"cat {SCANS}/{manifest}"))
+    told = json.loads(instrument.machine.run(f"cat {SCANS}/{manifest}"))["record"]
     assert told["ledger"]["expected"] == len(told["ledger"]["pulses"]) == 24
     verified = json.loads(instrument.machine.run(f"{TOOL} scans verify --root {STORAGE} --json", 240.0))
     assert (verified["checked"], verified["damaged"]) == (1, 0), "every byte is what the manifest's checksums say"

@@ -7,6 +7,7 @@
     given fault camera.left slow                 before: what is broken when the power comes on
     given disk 40                                before: the storage is a disk of its own, of so many MB
     given calibrated                             before: a calibration in water that is exactly right (of the nominal rig)
+    given the calibration of KF-0007             before: the same, of another instrument; where it was calibrated, in its place
     given another instance                       before: another process holds the storage
     power cut                                    in the dive: the machine is off at that moment; what follows is the next start
     refused CONFIG: ...                          instead of a dive: why the program does not start; * stands for anything
@@ -17,6 +18,7 @@
     after damaged 000007                         and no other
     after dated 2026-11-20T10:00 in 000001       how its date begins, which somebody kept; undated: nobody did
     after salinity 35 in 000001                  g/kg, of the water that it was measured in
+    after measured with design in 000001         the calibration that it names: current or kept (of the files there), or no file
 
 Every scan that the screen called SAVED must be there and whole, whether the text says so or not.
 """
@@ -36,6 +38,7 @@ from typing import Any
 
 import pytest
 
+from appliance.calibration.file import load
 from appliance.cli.simrig import default_sim_rig
 from appliance.config import load_rig
 from appliance.service.app import design_of, run
@@ -48,9 +51,9 @@ SHELVES = {"saved": Shelf.SCANS, "rejected": Shelf.REJECTED, "set-aside": Shelf.
 PATTERNS = {
     "world": r"world( \w+=\S+)+",
     "rig": r"rig( [\w.]+=\S+)+",
-    "given": r"given (nonsense in \S+|fault .+|disk \d+|calibrated|another instance)",
+    "given": r"given (nonsense in \S+|fault .+|disk \d+|calibrated|the calibration of \S+|another instance)",
     "refused": r"refused .+",
-    "after": r"after ((saved|rejected|set-aside) \d+|verdict [\w-]+ (passed|failed) in \d{6}|damaged \d{6}|(dated|undated|salinity) \S+ in \d{6})",
+    "after": r"after ((saved|rejected|set-aside) \d+|verdict [\w-]+ (passed|failed) in \d{6}|damaged \d{6}|(dated|undated|salinity) \S+ in \d{6}|measured with (current|kept|design) in \d{6})",
 }
 
 
@@ -63,6 +66,8 @@ class Scenario:
     nonsense: tuple[str, ...]
     faults: tuple[str, ...]
     calibrated: bool
+    other_serial: str | None
+    """The calibration in use is of this instrument."""
     another: bool
     """Another process holds the storage."""
     refused: str | None
@@ -107,6 +112,7 @@ def parse(text: str) -> Scenario:
         tuple(said.split()[-1] for said in found["given"] if said.startswith("nonsense")),
         tuple(said.partition(" ")[2] for said in found["given"] if said.startswith("fault")),
         "calibrated" in found["given"],
+        next((said.split()[-1] for said in found["given"] if said.startswith("the calibration")), None),
         "another instance" in found["given"],
         next(iter(found["refused"]), None),
         next((int(said.split()[1]) for said in found["given"] if said.startswith("disk")), None),
@@ -130,9 +136,12 @@ def play(scenario: Scenario, folder: Path) -> Library:
         _refuse(scenario, rig_file, root)
         return Library(root)
     rig = load_rig(rig_file)
+    exact = replace(design_of(rig), method="bundle", made_at="2026-11-20T10:00:00+00:00")
+    calibrations = Calibrations(root, rig.rig.serial)
     if scenario.calibrated:
-        exact = replace(design_of(rig), method="bundle", made_at="2026-11-20T10:00:00+00:00")
-        Calibrations(root, rig.rig.serial).install(exact, "2026-11-20")
+        calibrations.install(exact, "2026-11-20")
+    if scenario.other_serial is not None:
+        calibrations.install(replace(exact, rig_serial=scenario.other_serial), "2026-11-21")
     options = {**rig.rig.wires_options, "script": str(script), "status": str(root / "run" / "status.json")}
     *cut_short, last = scenario.starts
     for part in cut_short:
@@ -204,11 +213,23 @@ def judge(scenario: Scenario, library: Library) -> list[str]:
                 water = library.entry(scan_id).manifest.record.water
                 if water["salinity_psu"] != float(psu):
                     wrong.append(f"{' '.join(words)}: {water}")
+            case ("measured", "with", which, "in", scan_id):
+                used = library.entry(scan_id).manifest.record.calibration_hash
+                if used is None or _origin(library.root, used) != which:
+                    wrong.append(f"{' '.join(words)}: {used}")
             case (shelf, number):
                 found = [entry.scan_id for entry in library.entries(SHELVES[shelf])]
                 if len(found) != int(number):
                     wrong.append(f"{' '.join(words)}: there are {found}")
     return wrong
+
+
+def _origin(root: Path, calibration_hash: str) -> str:
+    """Which file has the calibration of that hash; that of the design is in none."""
+    folder = root / "calibration"
+    if any(load(path).hash == calibration_hash for path in (folder / "kept").glob("*.json")):
+        return "kept"
+    return "current" if load(folder / "current.json").hash == calibration_hash else "design"
 
 
 def _rig_text(scenario: Scenario) -> str:

@@ -9,6 +9,7 @@ from appliance.capture.fault import Fault, FaultCode
 from appliance.machine import effects as do
 from appliance.machine import events as on
 from appliance.machine.alerts import alerts
+from appliance.machine.mishap import Failure, Mishap
 from appliance.machine.permissions import may_light
 from appliance.machine.states import Device, Machine, State, Task
 from appliance.machine.texts import labels
@@ -27,6 +28,8 @@ from tests.appliance.machine.walks import (
     run,
     trial_in_work,
 )
+
+NOT_CONVERGED = Failure(Mishap.RECORDING, "did not converge")
 
 
 def at(machine: Machine) -> tuple[Step, Task | None]:
@@ -131,10 +134,10 @@ def test_solving_shows_how_far_it_is_and_can_be_left_at_any_time() -> None:
 
 
 def test_what_fails_says_why_and_may_be_tried_again() -> None:
-    machine = run(calibrating_at(RECORDED), on.KeyPressed(Key.SCAN), on.CalibrationFailed("did not converge"))
+    machine = run(calibrating_at(RECORDED), on.KeyPressed(Key.SCAN), on.CalibrationFailed(NOT_CONVERGED))
     assert at(machine) == (Step.SOLVE, None)
     assert machine.calibrating is not None
-    assert machine.calibrating.failed == "did not converge"
+    assert machine.calibrating.failed == NOT_CONVERGED
     machine, effects = after(machine, on.KeyPressed(Key.SCAN))
     assert effects == [do.SolveCalibration()]
 

@@ -13,6 +13,7 @@ from appliance.capture.fault import Fault, FaultCode
 from appliance.capture.ranging import Range
 from appliance.machine import effects as do
 from appliance.machine import events as on
+from appliance.machine.mishap import Failure, Mishap
 from appliance.machine.states import Device, Machine, Part, State, boot
 from appliance.machine.step import step
 from appliance.reconstruct.quality import CloudSummary
@@ -287,7 +288,7 @@ EVERY_EVENT: list[on.Event] = [
     *(on.TrialExamined(1, good(step)) for step in HELD),
     *(on.SessionChanged(session) for session in SESSIONS),
     on.CalibrationProgressed(0.5),
-    on.CalibrationFailed("no bar"),
+    on.CalibrationFailed(Failure(Mishap.RECORDING, "no bar")),
     on.Ranged(Range(500.0, 2.0, 0.3, 2)),
     on.ScansListed(()),
     on.ScansListed(("000002", "000001")),

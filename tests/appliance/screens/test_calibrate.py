@@ -11,6 +11,7 @@ from appliance.calibration.guide import HELD, USED, Refusal, Session, Solved, St
 from appliance.calibration.recordings import ArtefactKind
 from appliance.capture.fault import FaultCode
 from appliance.machine.alerts import Alert, Severity
+from appliance.machine.mishap import Failure, Mishap
 from appliance.machine.states import Calibrating, Task
 from appliance.screens import theme
 from appliance.screens.calibrate import refusal_words
@@ -168,7 +169,7 @@ def test_an_alert_does_not_hide_what_became_of_a_recording(painter: Painter) -> 
 
 def test_a_long_reason_is_readable(painter: Painter) -> None:
     reason = "M1, scan 000012: of 556 points on the second ball only 5 are fit to calibrate with, 30 are needed"
-    picture = drawn(painter, Calibrating(Step.SOLVE, failed=reason), Session(GOOD))
+    picture = drawn(painter, Calibrating(Step.SOLVE, failed=Failure(Mishap.RECORDING, reason)), Session(GOOD))
     yellow = np.abs(picture.astype(int) - YELLOW).max(axis=2) < 12
     rows = np.flatnonzero(yellow.mean(axis=1) > 0.5)
     assert np.ptp(rows) > 90, "lines of it, not one line of tiny letters"

@@ -62,7 +62,7 @@ def test_a_job_says_how_far_it_is_and_answers(background: Background) -> None:
 
 def test_what_a_job_raises_is_told_in_its_words(background: Background) -> None:
     background.ask(refuse)
-    assert answers(background) == [Failed("the adjustment did not converge; check the certificates")]
+    assert answers(background) == [Failed("the adjustment did not converge; check the certificates", "ValueError")]
     background.ask(double, 1)
     assert answers(background)[-1] == Done(2)
 

@@ -51,6 +51,23 @@ def test_an_alarm_belongs_to_its_calibration(tmp_path: Path) -> None:
     assert [point.scan for point in again.trend.points] == ["000001", "000002", "000003"]
 
 
+def test_a_length_check_takes_the_alarm_back_for_good(tmp_path: Path) -> None:
+    watch = watched(tmp_path)
+    write = watch.answer("the bar is right")
+    assert write is not None
+    write()
+    assert watch.answer("again") is None, "there is no alarm any more"
+    turned = knocked(MADE.truth, Knock("right", pitch_deg=0.02))
+    further = knocked(MADE.truth, Knock("right", pitch_deg=0.04))
+    for still in (watch, CalibrationWatch(tmp_path, CALIBRATION)):
+        assert still.fault is None
+        assert [answer.partition(", after: ")[0] for answer in still.trend.answers] == ["the bar is right"]
+        assert still.judge(scan(MADE, turned, np.random.default_rng(2))).passed is True, (
+            "what the gaps show now is normal"
+        )
+        assert still.judge(scan(MADE, further, np.random.default_rng(3))).passed is False, "and a second knock is none"
+
+
 def test_a_calibration_that_was_never_measured_has_no_trend(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     turned = knocked(MADE.truth, Knock("right", pitch_deg=0.2))

@@ -148,3 +148,9 @@ def test_a_lamp_is_found_at_its_frequency_up_to_half_the_frame_rate(hz: float) -
     assert found is not None
     assert found[0] == pytest.approx(hz, abs=0.3)
     assert found[1] > 0.99
+
+
+def test_frames_that_come_too_slowly_tell_no_frequency() -> None:
+    levels = tuple(Level(k, "gray x", 0.1 * (-1.0) ** k) for k in range(24))
+    assert find_frequency_hz(levels, 1.0 / 1.9) is None
+    assert find_frequency_hz(levels, 1.0 / 60.0) is not None, "the same levels do at a projector's usual rate"

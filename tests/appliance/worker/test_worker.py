@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -362,6 +363,44 @@ except MemoryError:
 def test_the_kernel_refuses_what_is_out_of_proportion_but_not_what_is_shared() -> None:
     ran = subprocess.run([sys.executable, "-c", HUNGRY], capture_output=True, text=True, timeout=100, check=True)
     assert ran.stdout.strip() == "refused", ran.stderr
+
+
+@contextmanager
+def throttled(worker: ReconstructionWorker, share: float) -> Iterator[None]:
+    """The worker gets that share of the time, as on a processor that is too hot."""
+    over = threading.Event()
+
+    def hold_back() -> None:
+        while not over.is_set():
+            pid = worker.pid
+            for number, part in ((signal.SIGSTOP, 1.0 - share), (signal.SIGCONT, share)):
+                if pid is not None:
+                    with suppress(ProcessLookupError):
+                        os.kill(pid, number)
+                time.sleep(0.04 * part)
+
+    thread = threading.Thread(target=hold_back)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
+
+
+@pytest.mark.parametrize("computing_s", [60.0, 0.1])
+def test_a_worker_that_is_slow_but_computes_is_waited_for(
+    worker: ReconstructionWorker, store: FrameStore, computing_s: float
+) -> None:
+    worker.limits = replace(GOOD, cloud_s=0.1, computing_s=computing_s)
+    with throttled(worker, 0.1):
+        worker.reprocess(1)
+        events = [worker.wait(60)]
+        while not isinstance(events[-1], CloudReady | WorkerFailed):
+            events.append(worker.wait(60))
+    patient = computing_s > 1.0
+    assert isinstance(events[-1], CloudReady if patient else WorkerFailed)
+    assert worker.restarts == (0 if patient else 1)
 
 
 def test_a_start_that_gets_on_is_told_from_one_that_hangs(store: FrameStore, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,6 +12,7 @@ from appliance.calibration.guide import USED, Refusal, Session, Solved, Step, Tr
 from appliance.capture.fault import Fault, FaultCode
 from appliance.capture.ranging import Reach
 from appliance.machine.alerts import RULES, Alert, alert_of
+from appliance.machine.mishap import Failure, Mishap
 from appliance.machine.states import Calibrating, Task
 from appliance.screens.texts import Text
 from appliance.screens.views import (
@@ -266,6 +267,17 @@ SCENES: Mapping[str, Scene] = MappingProxyType(
                 Calibrating(Step.SOLVE, Task.SOLVE, progress=0.55), Session(_TRIALS), back="BACK"
             ),
             "The adjustment.",
+        ),
+        "calibrate-failed": Scene(
+            _calibrate(
+                Calibrating(
+                    Step.SOLVE,
+                    failed=Failure(Mishap.RECORDING, "M1, scan 000012: no ball on the right; record M1 again"),
+                ),
+                Session(_TRIALS),
+                back="BACK",
+            ),
+            "A task that came to nothing: what to do, and the log's words for who repairs it.",
         ),
         "calibrate-result": Scene(
             _calibrate(Calibrating(Step.RESULT), _BETTER, scan="KEEP", back="BACK", up="VERIFY", down="HOLD: NEW"),
