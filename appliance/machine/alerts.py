@@ -204,8 +204,9 @@ def alerts(machine: Machine) -> tuple[Alert, ...]:
         lasting += [alert_of(fault) for fault in machine.scan.warnings]
         if machine.scan.failed is not None:
             lasting.append(alert_of(machine.scan.failed))
-    # Among equally grave ones, what keeps it dark comes first: a leak before a disk.
-    lasting.sort(key=lambda alert: (-alert.severity, not RULES[alert.code].forbids_light))
+    # Among equally grave ones, what keeps it dark comes first, then what forbids a scan: a leak before a disk, and a full
+    # disk before a calibration that nobody trusts.
+    lasting.sort(key=lambda a: (-a.severity, not RULES[a.code].forbids_light, not RULES[a.code].blocks_scan))
     shown: list[Alert] = []
     notice = _notice(machine)
     if notice is not None:

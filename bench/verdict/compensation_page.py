@@ -29,6 +29,8 @@ def write_page(content: Mapping[str, Any], docs: Path) -> None:
         data = parts["compensation"]["data"]
         text = _put(text, begin(f"compensation, seed {seed}"), table(data["named"]))
         text = _put(text, begin(f"drawn, seed {seed}"), summary(data["drawn"])) if len(data["drawn"]) > 2 else text
+    if "compensation_full" in parts:
+        text = _put(text, begin("compensation_full"), table(parts["compensation_full"]["data"]["rows"]))
     if "compensation_hard" in parts:
         text = _put(text, begin("compensation_hard"), table(parts["compensation_hard"]["data"]["rows"]))
     if "compensation_speed" in parts:

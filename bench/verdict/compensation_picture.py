@@ -25,6 +25,7 @@ from tests.support.truth import WATER, left_to_rig, true_calibration
 WIDTH_PX, SEED = 800, 10_007
 SPAN_MM = 0.15
 """Colours end here: blue in front of the surface, red behind it, white on it."""
+CAPTION_PX = 34
 OBJECT, HAND = "shell", "b"
 
 
@@ -76,6 +77,7 @@ def _panel(scan: RenderedScan, cloud: Cloud, time_s: float, name: str) -> NDArra
     image = cv2.resize(
         picture.reshape(WIDTH_PX * 3 // 4, WIDTH_PX, 3), None, fx=0.6, fy=0.6, interpolation=cv2.INTER_AREA
     )
+    image = cv2.copyMakeBorder(image, CAPTION_PX, 0, 0, 0, cv2.BORDER_CONSTANT, value=(60, 60, 60))
     cv2.putText(
         image, f"{name}: {rms_um:.0f} um rms, {len(distance)} points", (10, 22), cv2.FONT_HERSHEY_SIMPLEX, 0.5,
         (255, 255, 255), 1, cv2.LINE_AA,

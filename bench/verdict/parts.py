@@ -30,7 +30,7 @@ class KeepingPart(Protocol):
         """As ``Part.measure``, with the rendered scans in the folder ``keep``; what is missing there is added."""
 
 
-KEEPING = ("motion", "identity_good", "compensation", "compensation_hard", "compensation_speed")
+KEEPING = ("motion", "identity_good", "compensation", "compensation_full", "compensation_hard", "compensation_speed")
 """The names of those."""
 PARTS = MappingProxyType(
     {
@@ -38,6 +38,7 @@ PARTS = MappingProxyType(
         "identity_good": "good scans, at rest, moving, in milk and rushing by, that are called wrong",
         "motion": "what moved is rejected, what did no harm is not",
         "compensation": "rigid motion taken out of the points",
+        "compensation_full": "the same at the instrument's own resolution",
         "compensation_hard": "the same in flicker, milk, without paint, with steps and labels",
         "compensation_speed": "the same against the hand's speed",
         "light": "exposure, flicker, two exposures in one",

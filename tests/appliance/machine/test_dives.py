@@ -109,6 +109,15 @@ def test_a_missing_frame_is_named_over_aim_and_ok_repeats() -> None:
     assert shown(machine) == []
 
 
+def test_what_forbids_a_scan_is_shown_before_what_only_warns() -> None:
+    uncalibrated = on.ConditionRaised(Fault(FaultCode.UNCALIBRATED, "no file"))
+    for events in ((uncalibrated, on.StorageCounted(3, "000003", 0)), (on.StorageCounted(3, "000003", 0), uncalibrated)):
+        assert shown(run(aim(), *events)) == [
+            ("STORAGE FULL", "COPY SCANS, MAKE ROOM"),
+            ("UNCALIBRATED", "LENGTHS NOT TRUSTED"),
+        ]
+
+
 def test_scan_with_a_camera_unplugged_is_refused_with_that_reason_and_clears_itself() -> None:
     machine, effects = after(aim(), on.DeviceDown(Device.CAMERA_RIGHT, "gone from the bus"))
     assert shown(machine) == [("RIGHT CAM LOST", "CHECK CONNECTOR")]
