@@ -39,6 +39,8 @@ ID = Struct("<I")
 """A bare id or handle (RMFB, DESTROY_DUMB)."""
 PAGE_FLIP = Struct("<4IQ")
 """crtc, frame buffer, flags, reserved, user data."""
+DIRTY_FRAMEBUFFER = Struct("<4IQ")
+"""frame buffer, flags, colour, count of clip rectangles (0: all of it), pointer to them."""
 CREATE_DUMB = Struct("<6IQ")
 """height, width, bits per pixel, flags; returned: handle, pitch, size."""
 MAP_DUMB = Struct("<2IQ")
@@ -66,6 +68,7 @@ IOCTL_SET_PROPERTY = iowr(0xAB, SET_PROPERTY)
 IOCTL_ADD_FRAMEBUFFER = iowr(0xAE, ADD_FRAMEBUFFER)
 IOCTL_REMOVE_FRAMEBUFFER = iowr(0xAF, ID)
 IOCTL_PAGE_FLIP = iowr(0xB0, PAGE_FLIP)
+IOCTL_DIRTY_FRAMEBUFFER = iowr(0xB1, DIRTY_FRAMEBUFFER)
 IOCTL_CREATE_DUMB = iowr(0xB2, CREATE_DUMB)
 IOCTL_MAP_DUMB = iowr(0xB3, MAP_DUMB)
 IOCTL_DESTROY_DUMB = iowr(0xB4, ID)

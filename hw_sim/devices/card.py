@@ -33,8 +33,10 @@ PROJECTOR_SIZE = (1024, 768)
 class Card:
     """The card and its two monitors. ``notify`` is called when something may be waited for."""
 
-    def __init__(self, notify: Callable[[], None], refresh_hz: float = 60.0) -> None:
+    def __init__(self, notify: Callable[[], None], refresh_hz: float = 60.0, *, copies: bool = False) -> None:
+        """``copies``: it scans out a copy of its own, made when it is told to, as virtual and USB cards do."""
         self.notify = notify
+        self.copies = copies
         self.modes = {output: tuple(slower_mode(mode, refresh_hz) for mode in modes) for output, modes in MODES.items()}
         """What each monitor can show."""
         self.connectors = {
@@ -94,6 +96,11 @@ class Card:
             if connector.crtc is crtc:
                 connector.crtc = None
 
+    def look_at(self, crtc: Crtc) -> None:
+        """Copy what an engine shows, on a card that does."""
+        if self.copies and crtc.framebuffer is not None:
+            crtc.copied = crtc.framebuffer.pixels().copy()
+
     def connect(self, connector: Connector, crtc: Crtc) -> None:
         """Let an engine drive a connector, awake; an engine that loses its last one is switched off."""
         before, connector.crtc, connector.dpms = connector.crtc, crtc, abi.DPMS_ON
@@ -136,6 +143,7 @@ class Card:
         flip = crtc.pending
         if flip is not None:
             crtc.framebuffer, crtc.pending = flip.framebuffer, None
+            self.look_at(crtc)
             if flip.owner is not None:
                 flip.owner.deliver(flip.user_data, self._blank_ns, crtc)
 

@@ -52,7 +52,7 @@ CAPS = {
     abi.CAP_ADDFB2_MODIFIERS: 0,
     abi.CAP_CRTC_IN_VBLANK_EVENT: 1,
 }
-MASTER_ONLY = (abi.SETCRTC, abi.SETGAMMA, abi.PAGE_FLIP, abi.SETPROPERTY, abi.OBJ_SETPROPERTY)
+MASTER_ONLY = (abi.SETCRTC, abi.SETGAMMA, abi.PAGE_FLIP, abi.DIRTYFB, abi.SETPROPERTY, abi.OBJ_SETPROPERTY)
 DRIVER = (b"kfsim", b"20240101", b"simulated display card")
 
 
@@ -134,6 +134,7 @@ class CardFile:
             abi.ADDFB: self._add_fb,
             abi.RMFB: self._remove_fb,
             abi.PAGE_FLIP: self._page_flip,
+            abi.DIRTYFB: self._dirty_fb,
             abi.CREATE_DUMB: self._create_dumb,
             abi.MAP_DUMB: self._map_dumb,
             abi.DESTROY_DUMB: self._destroy_dumb,
@@ -400,6 +401,15 @@ class CardFile:
             raise _fail(errno.ENOENT)
         self._card.remove_framebuffer(fb_id)
 
+    def _dirty_fb(self, buffer: bytearray) -> None:
+        arg = _from(buffer, abi.DirtyFb)
+        framebuffer = self._framebuffer(arg.fb_id)
+        if not self._card.copies:  # a driver that scans out what user space writes has nothing to do, and no such call
+            raise _fail(errno.ENOSYS)
+        for crtc in self._card.crtcs.values():
+            if crtc.framebuffer is framebuffer:
+                self._card.look_at(crtc)
+
     def _framebuffer(self, fb_id: int) -> Framebuffer:
         if fb_id not in self._card.framebuffers:
             raise _fail(errno.ENOENT)
@@ -434,6 +444,7 @@ class CardFile:
                 raise _fail(errno.EINVAL)
         self._card.switch_off(crtc)
         crtc.mode, crtc.framebuffer, crtc.offset = copy_mode(arg.mode), framebuffer, (arg.x, arg.y)
+        self._card.look_at(crtc)
         for connector in connectors:
             if connector is not None:
                 self._card.connect(connector, crtc)

@@ -12,6 +12,7 @@ VERSION, GET_CAP, SET_CLIENT_CAP, SET_MASTER, DROP_MASTER = 0x00, 0x0C, 0x0D, 0x
 GETRESOURCES, GETCRTC, SETCRTC, GETENCODER, GETCONNECTOR = 0xA0, 0xA1, 0xA2, 0xA6, 0xA7
 GETGAMMA, SETGAMMA = 0xA4, 0xA5
 GETPROPERTY, SETPROPERTY, ADDFB, RMFB, PAGE_FLIP = 0xAA, 0xAB, 0xAE, 0xAF, 0xB0
+DIRTYFB = 0xB1
 CREATE_DUMB, MAP_DUMB, DESTROY_DUMB, OBJ_GETPROPERTIES, OBJ_SETPROPERTY = 0xB2, 0xB3, 0xB4, 0xB9, 0xBA
 
 CAP_DUMB_BUFFER, CAP_VBLANK_HIGH_CRTC, CAP_DUMB_PREFERRED_DEPTH = 0x1, 0x2, 0x3
@@ -194,6 +195,16 @@ class PageFlip(ctypes.Structure):
         ("flags", c_uint32),
         ("reserved", c_uint32),
         ("user_data", c_uint64),
+    )
+
+
+class DirtyFb(ctypes.Structure):
+    _fields_ = (
+        ("fb_id", c_uint32),
+        ("flags", c_uint32),
+        ("color", c_uint32),
+        ("num_clips", c_uint32),
+        ("clips_ptr", c_uint64),
     )
 
 

@@ -117,6 +117,8 @@ class Crtc:
     """``None`` with a mode set: the console, black."""
     offset: tuple[int, int] = (0, 0)
     pending: Flip | None = None
+    copied: NDArray[np.uint8] | None = None
+    """(h, w, 4) of the framebuffer when the card was last told to look at it; ``None``: it is scanned out itself."""
     gamma: NDArray[np.uint16] = field(default_factory=linear_gamma)
     """(3, 256) red, green and blue, 16 bit; the cable carries the upper 8."""
 
@@ -127,14 +129,15 @@ class Crtc:
         return shown
 
     def image(self) -> NDArray[np.uint8]:
-        """(height, width, 4) of what is scanned out; a view into shared memory, or black."""
+        """(height, width, 4) of what is scanned out; a view into shared memory, the card's copy of it, or black."""
         if self.mode is None:
             return np.zeros((1, 1, 4), np.uint8)
         width, height = self.mode.hdisplay, self.mode.vdisplay
         if self.framebuffer is None:
             return np.zeros((height, width, 4), np.uint8)
         x, y = self.offset
-        return self.framebuffer.pixels()[y : y + height, x : x + width]
+        pixels = self.framebuffer.pixels() if self.copied is None else self.copied
+        return pixels[y : y + height, x : x + width]
 
 
 def same_timing(a: Modeinfo, b: Modeinfo) -> bool:

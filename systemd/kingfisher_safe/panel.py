@@ -70,8 +70,8 @@ class Panel:
 
     def __init__(self, node: Node) -> None:
         self._node = node
-        self._lit: dict[str, tuple[drm.Mode, memoryview, int]] = {}
-        """By connector: mode, buffer, bytes from row to row."""
+        self._lit: dict[str, tuple[drm.Mode, memoryview, int, int]] = {}
+        """By connector: mode, buffer, bytes from row to row, frame buffer."""
         self._used: set[int] = set()
 
     def show(self, page: Page, display: str | None, projector: str | None) -> tuple[str, ...]:
@@ -89,9 +89,12 @@ class Panel:
                 with contextlib.suppress(OSError):  # one head less
                     self._light(socket)
         shown = []
-        for name, (mode, memory, pitch) in self._lit.items():
+        for name, (mode, memory, pitch, framebuffer) in self._lit.items():
             if name in chosen:
                 _copy(page(mode.width_px, mode.height_px), memory, pitch)
+                # Cards that scan out a copy (virtual, USB, simple ones) make it anew when they are told; others know no such call.
+                with contextlib.suppress(OSError):
+                    self._call(drm.IOCTL_DIRTY_FRAMEBUFFER, drm.DIRTY_FRAMEBUFFER, framebuffer, 0, 0, 0, 0)
                 shown.append(name)
         return tuple(shown)
 
@@ -115,7 +118,7 @@ class Panel:
         ids = array("I", [socket.id])
         self._call(drm.IOCTL_SET_CRTC, drm.CRTC, _address(ids), 1, crtc, framebuffer, 0, 0, 0, 1, mode.raw)
         self._used.add(crtc)
-        self._lit[socket.name] = (mode, memory, pitch)
+        self._lit[socket.name] = (mode, memory, pitch, framebuffer)
 
     def _sockets(self) -> list[_Socket]:
         """Connectors with something plugged in that offers a mode."""

@@ -223,7 +223,8 @@ class Machine:
 
     @property
     def restarts(self) -> int:
-        """How often the machine was reset since it was switched on, as the monitor heard until its last answer."""
+        """How often the machine was reset since it was switched on. Raises Gone."""
+        self.monitor.do("query-status")  # what it tells unasked is heard with an answer
         return self.monitor.events.count("RESET")
 
     # ------------------------------------------------------------------------------------------ inside

@@ -36,7 +36,7 @@ def shown_on(card: Card, output: Output) -> NDArray[np.uint8] | None:
     """(h, w, 3) of what a monitor gets, ``None`` for nothing of ours."""
     connector = next(each for each in card.connectors.values() if each.output is output)
     crtc = connector.crtc
-    return None if crtc is None or crtc.framebuffer is None else crtc.framebuffer.pixels()[:, :, :3]
+    return None if crtc is None or crtc.framebuffer is None else crtc.image()[:, :, :3]
 
 
 def page(width_px: int, height_px: int) -> Picture:
@@ -46,8 +46,12 @@ def page(width_px: int, height_px: int) -> Picture:
 # --------------------------------------------------------------------------------- what is shown
 
 
-def test_the_page_is_on_the_divers_display_and_the_projector_is_dark() -> None:
-    card = Card(lambda: None)
+@pytest.fixture(params=[False, True], ids=["scans out memory", "scans out a copy"])
+def card(request: pytest.FixtureRequest) -> Card:
+    return Card(lambda: None, copies=request.param)
+
+
+def test_the_page_is_on_the_divers_display_and_the_projector_is_dark(card: Card) -> None:
     panel = Panel(CardFile(card))
     assert panel.show(page, DISPLAY, PROJECTOR) == (DISPLAY,)
     display, projector = shown_on(card, Output.DISPLAY), shown_on(card, Output.PROJECTOR)
@@ -74,8 +78,7 @@ def test_a_display_in_another_socket_is_found_and_the_projector_still_stays_dark
     assert projector.max() == 0
 
 
-def test_another_page_replaces_the_first_on_the_same_buffer() -> None:
-    card = Card(lambda: None)
+def test_another_page_replaces_the_first_on_the_same_buffer(card: Card) -> None:
     panel = Panel(CardFile(card))
     panel.show(page, DISPLAY, PROJECTOR)
     panel.show(lambda w, h: draw(safe_pages.PAGES["safe-hang.de"], w, h), DISPLAY, PROJECTOR)
