@@ -124,7 +124,7 @@ def _solve(
     solve_rows(sources, way, gains, terms, 0, height, 1, solved, np.zeros((2, 2)))
     jump_px, bend_px = edge_limits_px(sequence.period_px, width)
     drop_edges(solved.p_px, solved.q_px, jump_px, bend_px)
-    _drop_new_borders(solved.p_px, solved.q_px, decoder.p_px)
+    drop_new_borders(solved.p_px, solved.q_px, decoder.p_px)
     worth = _less_misfit(solved.worth_dn, solved.misfit, motion.ripple_after, width)
     maps = LeftMaps(solved.p_px, solved.q_px, worth, solved.bright, solved.light, solved.lit_columns)
     return _Side(maps, solved.modulation_half_dn)
@@ -174,7 +174,7 @@ def _probed(sources: Sources, way: Ways, gains: NDArray[np.float32], terms: Term
     return terms
 
 
-def _drop_new_borders(p_px: NDArray[np.float32], q_px: NDArray[np.float32], plain_px: NDArray[np.float32]) -> None:
+def drop_new_borders(p_px: NDArray[np.float32], q_px: NDArray[np.float32], plain_px: NDArray[np.float32]) -> None:
     """NaN for what the plain decoding does not confirm beside what neither knows: a spot between pixels reaches over an edge
     by one pixel more than a pixel does."""
     beside = cv2.dilate(np.isnan(p_px).astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)

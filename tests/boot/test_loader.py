@@ -79,6 +79,6 @@ def test_firmware_and_boot_loader_start_the_system_and_the_space_bar_opens_it(pc
     pc.type("grep -o 'rescue.target' /proc/cmdline >/dev/ttyS0; findmnt -no OPTIONS / >/dev/ttyS0\n")
     until("answer", lambda: "rescue.target" in serial(pc).partition("KF-BEFORE")[2], ANSWER_S)
     watch = "until systemctl is-active -q kingfisher; do sleep 1; done; echo KF-ACTIVE >/dev/ttyS0"
-    pc.type(f'systemd-run -q -p DefaultDependencies=no sh -c "{watch}"\n')
+    pc.type(f'systemd-run -q -p DefaultDependencies=no -p IgnoreOnIsolate=yes sh -c "{watch}"\n')
     pc.type("systemctl default\n")
     until("service", lambda: "KF-ACTIVE" in serial(pc), SERVICE_S)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from appliance.compensation.attempt import worth_it
-from appliance.compensation.compensate import GOOD_VARIANCE, phase_variance, settled_t
+from appliance.compensation.compensate import GOOD_VARIANCE, drop_new_borders, phase_variance, settled_t
 from appliance.compensation.grays import lit_there, stripes_of
 from appliance.compensation.lookup import left_of_noise, smooth
 from appliance.compensation.paint import asked_images, evened
@@ -132,3 +132,15 @@ def test_no_method_can_do_better_than_the_bound_and_four_sines_alone_do_far_wors
     cos, sin = np.cos(phase), np.sin(phase)
     N = np.linalg.inv(A.T @ A)[1:, 1:]
     assert scatter == pytest.approx(0.02 / 80.0 * np.sqrt(np.array([-sin, cos]) @ N @ np.array([-sin, cos])), rel=0.03)
+
+
+def test_beside_nothing_only_what_was_decoded_as_well_stays() -> None:
+    p_px, plain_px = np.full((20, 20), 300.0, np.float32), np.full((20, 20), np.nan, np.float32)
+    q_px = p_px.copy()
+    p_px[9, 9] = np.nan
+    plain_px[:, 10:] = 299.0  # the right half is known of old
+    plain_px[9, 10] = np.nan
+    drop_new_borders(p_px, q_px, plain_px)
+    gone = {(int(y), int(x)) for y, x in zip(*np.nonzero(np.isnan(p_px)), strict=True)}
+    assert gone == {(y, x) for y in (8, 9, 10) for x in (8, 9)} | {(9, 10)}
+    np.testing.assert_array_equal(np.isnan(q_px), np.isnan(p_px))

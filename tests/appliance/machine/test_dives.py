@@ -111,7 +111,10 @@ def test_a_missing_frame_is_named_over_aim_and_ok_repeats() -> None:
 
 def test_what_forbids_a_scan_is_shown_before_what_only_warns() -> None:
     uncalibrated = on.ConditionRaised(Fault(FaultCode.UNCALIBRATED, "no file"))
-    for events in ((uncalibrated, on.StorageCounted(3, "000003", 0)), (on.StorageCounted(3, "000003", 0), uncalibrated)):
+    for events in (
+        (uncalibrated, on.StorageCounted(3, "000003", 0)),
+        (on.StorageCounted(3, "000003", 0), uncalibrated),
+    ):
         assert shown(run(aim(), *events)) == [
             ("STORAGE FULL", "COPY SCANS, MAKE ROOM"),
             ("UNCALIBRATED", "LENGTHS NOT TRUSTED"),
