@@ -22,7 +22,8 @@ _LIVE_PX = (364.0, 273.0)
 _WORDS_PX = 392.0
 _BAND_PX, _WORKING_PX, _FAILURE_PX = 84.0, 52.0, 104.0
 """Heights of what was found and what is right, of one line, and of a reason in up to three."""
-_TICKS_PX = 456.0
+_TICKS_PX = 24.0
+"""From the lower edge."""
 
 _HOLD = {
     Step.M1: (Text.LYING, Text.FROM_ABOVE),
@@ -146,7 +147,8 @@ def _latest(canvas: Canvas, view: CalibrateView, language: Language, time_s: flo
         canvas.hide(bottom - _FAILURE_PX, bottom)
         canvas.box(0, bottom - _FAILURE_PX, canvas.width, _FAILURE_PX, theme.YELLOW)
         top = bottom - _FAILURE_PX + 32
-        canvas.words(_MISHAPS[at.failed.mishap].in_language(language), 16, top, BODY, BLACK, theme.INK)
+        said = _MISHAPS[at.failed.mishap].in_language(language)
+        canvas.words(said, 16, top, BODY, BLACK, theme.INK, max_width=canvas.width - 32)
         # In the log's words: for who repairs it.
         canvas.paragraph(at.failed.detail, 16, top + 32, CAPTION, theme.INK, canvas.width - 32, 2)
     elif trial is not None and trial.refusal is None:
@@ -263,14 +265,14 @@ def _checked(canvas: Canvas, session: Session, language: Language) -> None:
 def _ticks(canvas: Canvas, view: CalibrateView) -> None:
     """A mark per step between the lower labels: filled when done, ringed where the diver is."""
     pitch, size = 52.0, 26.0
-    left = canvas.width / 2 - pitch * (len(STEPS) - 1) / 2
+    left, y = canvas.width / 2 - pitch * (len(STEPS) - 1) / 2, canvas.height - _TICKS_PX
     for number, step in enumerate(STEPS):
         x = left + pitch * number
         done, here = view.session.done(step), step is view.step
         if here:
-            canvas.box(x - size, _TICKS_PX - size / 2 - 6, 2 * size, size + 12, theme.PANEL, 10, theme.WHITE, 3)
+            canvas.box(x - size, y - size / 2 - 6, 2 * size, size + 12, theme.PANEL, 10, theme.WHITE, 3)
         canvas.box(
-            x - size / 2, _TICKS_PX - size / 2, size, size, theme.GREEN if done else theme.LINE, size / 2 if not done else 5
+            x - size / 2, y - size / 2, size, size, theme.GREEN if done else theme.LINE, size / 2 if not done else 5
         )  # fmt: skip
         if done:
-            canvas.words("✓", x, _TICKS_PX + 9, CAPTION, BLACK, theme.INK, Align.CENTRE)
+            canvas.words("✓", x, y + 9, CAPTION, BLACK, theme.INK, Align.CENTRE)

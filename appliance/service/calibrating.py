@@ -141,7 +141,7 @@ class CalibrationDesk:
         for answer in done:
             events += self._changed(answer)
         while self._passed:
-            events += self._desk.lengths_right(self._passed.popleft())
+            events += self._lengths_right(self._passed.popleft())
         match self._background.poll():
             case Progressed(progress):
                 events.append(on.CalibrationProgressed(progress))
@@ -165,6 +165,15 @@ class CalibrationDesk:
     def busy(self) -> bool:
         """Something is on its way to the disk."""
         return bool(self._answers)
+
+    def _lengths_right(self, said: str) -> list[on.Event]:
+        """A bar was measured right: an alarm of the ray gaps is answered, and what they show now is normal."""
+        write = self._desk.watch.answer(said)
+        if write is None:
+            return []
+        log.info("ray gaps accepted: %s", said)
+        self._desk.submit(lambda: _written(write))
+        return [on.ConditionCleared(FaultCode.VERIFY_CALIBRATION)]
 
     def _solved(self, solution: Solution) -> None:
         for warning in solution.solved.warnings:
@@ -194,6 +203,14 @@ class CalibrationDesk:
 
     def _ask(self, work: Callable[[], _Changed]) -> None:
         self._answers.append(self._desk.submit(work))
+
+
+def _written(write: Callable[[], None]) -> None:
+    """Without it, the alarm comes back with the next start."""
+    try:
+        write()
+    except StorageError as error:
+        log.warning("the trend of the ray gaps: %s", error)
 
 
 def _outcome(trial: Trial) -> str:

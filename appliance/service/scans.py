@@ -309,15 +309,6 @@ class ScanDesk:
             scan.enter(verdict)
             self._ask(lambda: self._accept(scan, entered))
 
-    def lengths_right(self, said: str) -> list[on.Event]:
-        """A bar was measured right: an alarm of the ray gaps is answered, and what they show now is normal."""
-        write = self.watch.answer(said)
-        if write is None:
-            return []
-        log.info("ray gaps accepted: %s", said)
-        self._ask(lambda: _remembered(write))
-        return [on.ConditionCleared(FaultCode.VERIFY_CALIBRATION)]
-
     def folder(self, number: int) -> Path | None:
         """Where the scan's raw frames lie, once they are stored."""
         scan = self._current(number)

@@ -174,7 +174,7 @@ STATUS = {
     "calibration": {"step": "M1", "busy": False, "result": "FITS", "done": ["M1"]}, "pid": 7, "worker_pid": None,
 }  # fmt: skip
 ASKED = tuple(
-    (kind, (["500", "5"] if kind == "distance" else ["LEAK", "ok", "x"][: max(1, least)]))
+    (kind, (["500", "5"] if kind in ("distance", "tilt") else ["LEAK", "ok", "x"][: max(1, least)]))
     for kind, (least, _) in sight.SIGHTS.items()
 )
 
