@@ -22,7 +22,7 @@ from appliance.service import calibrator
 from appliance.service.background import Background, Done, Failed, Progressed
 from appliance.service.calibrator import Examined, Solution
 from appliance.service.instrument import calibration_of
-from appliance.service.scans import ScanDesk
+from appliance.service.scans import ScanDesk, remembered
 from appliance.storage.atomic import StorageError
 from appliance.storage.calibrations import Calibrations, SessionError
 from appliance.storage.scan import ScanError
@@ -155,8 +155,7 @@ class CalibrationDesk:
                 events.append(on.CalibrationFailed(Failure(Mishap.BROKEN_OFF, f"it answered {answer!r:.60}")))
             case Failed(reason, error):
                 log.warning("calibration: %s", reason)
-                mishap = _MISHAPS.get(error or "", Mishap.BROKEN_OFF)
-                events.append(on.CalibrationFailed(Failure(mishap, reason)))
+                events.append(on.CalibrationFailed(_failure(error, reason)))
             case None:
                 pass
         return events
@@ -172,7 +171,7 @@ class CalibrationDesk:
         if write is None:
             return []
         log.info("ray gaps accepted: %s", said)
-        self._desk.submit(lambda: _written(write))
+        self._desk.submit(lambda: remembered(write))
         return [on.ConditionCleared(FaultCode.VERIFY_CALIBRATION)]
 
     def _solved(self, solution: Solution) -> None:
@@ -190,7 +189,7 @@ class CalibrationDesk:
             changed = answer.result()
         except (StorageError, SessionError, CalibrationError) as error:
             log.warning("calibration: %s", error)
-            return [on.CalibrationFailed(Failure(_MISHAPS[type(error).__name__], str(error)))]
+            return [on.CalibrationFailed(_failure(type(error).__name__, str(error)))]
         events: list[on.Event] = [on.SessionChanged(changed.session)]
         if changed.in_use is not None:
             calibration, faults = changed.in_use
@@ -205,12 +204,8 @@ class CalibrationDesk:
         self._answers.append(self._desk.submit(work))
 
 
-def _written(write: Callable[[], None]) -> None:
-    """Without it, the alarm comes back with the next start."""
-    try:
-        write()
-    except StorageError as error:
-        log.warning("the trend of the ray gaps: %s", error)
+def _failure(error: str | None, reason: str) -> Failure:
+    return Failure(_MISHAPS.get(error or "", Mishap.BROKEN_OFF), reason)
 
 
 def _outcome(trial: Trial) -> str:

@@ -480,7 +480,7 @@ class ScanDesk:
             return
         write = self.watch.unwritten(pending.scan_id)
         if write is not None:
-            self._ask(lambda: _remembered(write))
+            self._ask(lambda: remembered(write))
 
     def _current(self, number: int) -> ScanInWork | None:
         return self.scan if self.scan is not None and self.scan.number == number else None
@@ -578,7 +578,7 @@ class ScanDesk:
             return []
 
 
-def _remembered(write: Callable[[], None]) -> list[on.Event]:
+def remembered(write: Callable[[], None]) -> list[on.Event]:
     """The scan itself is safe; without this, a restart would only know of its forerunners."""
     try:
         write()

@@ -28,6 +28,7 @@ TOOL = "/opt/kingfisher/current/bin/kingfisher"
 BOOT_S, RESTART_S, SCAN_S = 900.0, 600.0, 300.0
 """Emulated in software, and on a computer that does other things as well."""
 PRESSES, SEEN_S = 4, 20.0
+SCREENS = {"projector", "display"}
 DROP_IN = """[Service]
 # Everything takes many times as long where the processor is emulated.
 TimeoutStartSec=600
@@ -74,6 +75,11 @@ def stored(instrument: Instrument) -> dict[str, str]:
         f"cd {SCANS} 2>/dev/null && find . -type f ! -path '*/.*' | xargs -r sha256sum", 120.0
     )
     return {name: digest for digest, name in (line.split("  ") for line in text.splitlines())}
+
+
+def names(status: dict[str, Any], state: str) -> set[str]:
+    """Of the devices in ``state``."""
+    return {name for name, found in status["devices"].items() if found == state}
 
 
 def headlines(status: dict[str, Any]) -> list[str]:
@@ -257,3 +263,28 @@ def test_a_crash_loop_ends_on_the_safe_screen(instrument: Instrument) -> None:  
     assert stored(instrument) == before
     status = instrument.wait("a try without a key", lambda s: str(s["pid"]) not in killed, RESTART_S)
     assert "RESTARTED" in headlines(status)
+
+
+@pytest.mark.long
+def test_a_graphics_card_that_goes_and_comes_back_is_used_again(instrument: Instrument) -> None:  # faults.md 12
+    ready(instrument, RESTART_S)
+    before, machine = stored(instrument), instrument.machine
+    driver = "/sys/bus/virtio/drivers/virtio_gpu"
+    card = machine.run(f"basename $(ls -d {driver}/virtio*)").strip()
+    machine.run(f"echo {card} > {driver}/unbind", 60.0)
+    gone = instrument.wait("both screens gone", lambda s: SCREENS.isdisjoint(names(s, "ok")), RESTART_S)
+    assert {"camera.left", "camera.right", "keys", "board"} <= names(gone, "ok"), "nothing else went with it"
+    machine.run(f"echo {card} > {driver}/bind", 60.0)
+    begun_s = time.monotonic()
+    instrument.wait("both screens", lambda s: names(s, "ok") >= SCREENS, RESTART_S)
+    print(f"both screens again after {time.monotonic() - begun_s:.0f} s")
+    ready(instrument, RESTART_S)
+    picture = instrument.screen()
+    instrument.keep("graphics-back", picture)
+    assert picture.shape == (480, 800, 3)
+    assert picture.std() > 10.0, "the aim screen shows a live image and words"
+    assert stored(instrument) == before
+    scan_once(instrument)  # the projector is its old self, too
+    save(instrument)
+    after = stored(instrument)
+    assert before.items() < after.items()
