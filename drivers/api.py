@@ -31,6 +31,11 @@ class DeviceGone(DeviceError):
     """The device was unplugged or no longer answers; reopening it may help."""
 
 
+class CardGone(DeviceGone):
+    """Not only an output but its whole graphics card no longer answers: its node must be opened anew, and whatever was drawn
+    on it with GL is lost with it."""
+
+
 class DeviceRefused(DeviceError):
     """The device works but refused the request (wrong value, busy, wrong state)."""
 

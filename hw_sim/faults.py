@@ -38,6 +38,7 @@ KINDS: dict[tuple[str, str], Kind] = {
     ("projector", "delayed"): Kind(strikes=True),
     ("projector", "wrong"): Kind(),
     ("projector", "off"): Kind(),
+    ("graphics", "off"): Kind(),
     ("board", "off"): Kind(),
     ("board", "garbage"): Kind(),
     ("board", "slow"): Kind(),

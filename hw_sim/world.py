@@ -416,6 +416,7 @@ class World:
             camera.refresh(time_ns)
         self.board.refresh(time_ns)
         self.keypad.refresh(time_ns)
+        self.card.plug(self.faults.active("graphics", "off") is None)
         self.time.condition.notify_all()
 
     def _failed(self, error: BaseException) -> None:

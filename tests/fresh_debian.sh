@@ -6,7 +6,8 @@
 #
 # From the environment: MIRROR (default http://deb.debian.org/debian), SUITE (bookworm), and, carried into the fresh
 # system only if set: PIP_INDEX_URL PIP_EXTRA_INDEX_URL PIP_TRUSTED_HOST http_proxy https_proxy no_proxy, and
-# PIP_CERT, a file of certificates, which is copied in. TESTS: arguments of ./dev test (default -q).
+# PIP_CERT, a file of certificates, which is copied in. TESTS: arguments of ./dev test, a line for each call (default -q);
+# both stages that need packages of their own: TESTS=$'--stage=libraries\n--stage=boot'.
 set -euo pipefail
 
 repository=$(git -C "$(dirname -- "$(readlink -f -- "$0")")" rev-parse --show-toplevel)
@@ -79,9 +80,11 @@ printf '%s\n' "$said"
 
 step "root, first call: ./dev check"
 timed inside "$dev" check || failed+=("./dev check")
-step "root: ./dev test ${TESTS:--q}"
-# shellcheck disable=SC2086 # several arguments
-timed inside "$dev" test ${TESTS:--q} || failed+=("./dev test")
+while IFS= read -r tests; do
+    step "root: ./dev test $tests"
+    # shellcheck disable=SC2086 # several arguments
+    timed inside "$dev" test $tests || failed+=("./dev test $tests")
+done <<<"${TESTS:--q}"
 
 step "root: ./dev demo"
 timed inside "$dev" demo || failed+=("./dev demo")

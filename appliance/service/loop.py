@@ -49,6 +49,7 @@ from drivers.api import (
     BoardBooted,
     BoardEvent,
     BoardLost,
+    CardGone,
     Clock,
     DeviceError,
     Key,
@@ -521,9 +522,12 @@ class Service:
 
     @contextmanager
     def _watching(self, keeper: Keeper[Any]) -> Iterator[None]:
-        """A device that fails inside is lost, and that is an event like any other."""
+        """A device that fails inside is lost, and that is an event like any other. Raises CardGone: GL is lost with it, and
+        comes back in another process only."""
         try:
             yield
+        except CardGone:
+            raise
         except DeviceError as error:
             self._inbox += _one(keeper.lose(error.message))
 
@@ -555,11 +559,9 @@ class Service:
         self._painter.language = Language(self.machine.choices.language)
         self._picture = self._painter.draw(view_of(self.machine, around), self._clock.now_ns() / 1e9)
         self._drawn = self.machine.state
-        try:
-            limit_s = max(PRESENT_TIMEOUT_S, PRESENT_PERIODS / self._rig.display.refresh_hz)
+        limit_s = max(PRESENT_TIMEOUT_S, PRESENT_PERIODS / self._rig.display.refresh_hz)
+        with self._watching(display):
             display.value.present(self._picture, limit_s)
-        except DeviceError as error:
-            self._inbox += _one(display.lose(error.message))
 
 
 def _one(event: on.DeviceDown | None) -> list[on.Event]:

@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from appliance.reconstruct.pipeline import Cloud, Pipeline
 from appliance.verdict.motion import MotionJudgement, judge_motion
 from appliance.verdict.recorded import Recorded
 from bench.result import Measured
+from bench.spread import spread
 from bench.verdict.kept_scans import KeptScans, Take
 from bench.verdict.motion_cases import (
     FRAME_S,
@@ -109,15 +111,16 @@ def measure(scans: int, seed: int, say: Say, keep: Path | None = None) -> tuple[
     kept = KeptScans(keep)
     rows: list[Row] = []
     shown: dict[str, Judged] = {}
-    for number in range(scans):
-        say(f"motion: scene {number + 1} of {scans}", number / scans)
-        judged = examine(case_of(seed, number), kept)
+    cases = [case_of(seed, number) for number in range(scans)]
+    say(f"motion: {scans} scenes", 0.0)
+    for number, judged in enumerate(spread(partial(examine, kept=kept), cases), 1):
+        say(f"motion: {number} of {scans} scenes", number / scans)
         rows.append(judged.as_row())
         # The one nearest to the limit tells more than a gross one.
         nearest = shown.get(judged.case.kind)
         if judged.added > HARMFUL and (nearest is None or judged.added < nearest.added):
             shown[judged.case.kind] = judged
-    cpu_ms = cpu_at_full_size_ms(case_of(seed, 0), kept)
+    cpu_ms = cpu_at_full_size_ms(cases[0], kept)
     OUT.mkdir(parents=True, exist_ok=True)
     draw_scatter(OUT / "motion-harm.png", rows)
     draw_roc(OUT / "motion-roc.png", rows)

@@ -6,7 +6,7 @@ import contextlib
 import errno
 from collections.abc import Iterator, Mapping
 
-from drivers.api import Clock, DeviceError, DeviceGone, DeviceRefused
+from drivers.api import CardGone, Clock, DeviceError, DeviceGone, DeviceRefused
 from drivers.output import drm
 from drivers.output.card import Buffer, Card, Connector
 from drivers.output.pacing import BlankCounter, Pacer
@@ -27,10 +27,6 @@ WANTED_PROPERTIES = {
 
 _GONE = frozenset({errno.ENODEV, errno.ENXIO, errno.EIO, errno.EBADF})
 _NOT_MASTER = frozenset({errno.EACCES, errno.EPERM})
-
-
-class CardGone(DeviceGone):
-    """Not only the output but its whole card no longer answers: the node must be opened anew."""
 
 
 @contextlib.contextmanager

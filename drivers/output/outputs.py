@@ -7,11 +7,11 @@ from collections.abc import Iterator
 from types import TracebackType
 from typing import Any, Self, assert_never
 
-from drivers.api import DeviceError, DeviceRefused, Display, Projector, Wires
+from drivers.api import CardGone, DeviceError, DeviceGone, DeviceRefused, Display, Projector, Wires
 from drivers.output.card import Card, Connector
 from drivers.output.choice import assign_crtcs, choose_connector, choose_mode
 from drivers.output.display import PictureDisplay
-from drivers.output.head import CardGone, Head, explained
+from drivers.output.head import Head, explained
 from drivers.output.projector import PatternProjector
 from drivers.output.spec import OutputKind, OutputSpec
 from drivers.output.surface import Surface
@@ -127,6 +127,10 @@ class Outputs:
             except DeviceError as error:
                 # The node knows its path only; the one who reads this wants to know which output is dark.
                 raise type(error)(device, f"{path} {error.message}", error.remedy) from error
+            except OSError as error:
+                raise DeviceGone(
+                    device, f"{path} cannot be opened ({error.strerror})", "Check the graphics driver"
+                ) from error
             self._cards[path] = Card(node, self._wires.clock)
         return self._cards[path]
 

@@ -5,7 +5,9 @@ All calls with the world's lock held; the system calls of those who opened the c
 
 from __future__ import annotations
 
+import errno
 import itertools
+import os
 from collections.abc import Callable
 
 import numpy as np
@@ -49,16 +51,37 @@ class Card:
         self.master: FlipOwner | None = None
         self._ids = itertools.count(200)
         self._blank_ns = 0
+        self.there = True
         self.show_console()
 
+    def plug(self, there: bool) -> None:
+        """The card goes, as after a reset that it did not survive, or is there again. Who had opened it has a dead node."""
+        if there == self.there:
+            return
+        self.there = there
+        for file in list(self.files):
+            file.cut()
+        for crtc in self.crtcs.values():
+            self.switch_off(crtc)
+        self.framebuffers.clear()
+        self.files.clear()
+        self.master = None
+        if there:
+            self.show_console()
+        self.notify()
+
     def opened(self, file: FlipOwner) -> None:
-        """Somebody opened the node; the first is its master."""
+        """Somebody opened the node; the first is its master. Raises OSError(ENODEV) while the card is gone."""
+        if not self.there:
+            raise OSError(errno.ENODEV, os.strerror(errno.ENODEV))
         self.files.append(file)
         if self.master is None:
             self.master = file
 
     def released(self, file: FlipOwner) -> None:
         """Somebody closed it: their framebuffers go; the last one leaves the card to the console."""
+        if file not in self.files:
+            return  # opened before the card went
         for fb_id in [i for i, (owner, _) in self.framebuffers.items() if owner is file]:
             self.remove_framebuffer(fb_id)
         self.files.remove(file)

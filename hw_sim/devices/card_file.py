@@ -115,6 +115,7 @@ class CardFile:
         self._promised = 0
         """Events that were asked for and have not happened."""
         self._closed = False
+        self._cut = False
         card.opened(self)
         self._calls: dict[int, Callable[[bytearray], None]] = {
             abi.VERSION: self._version,
@@ -196,6 +197,10 @@ class CardFile:
         self._card.released(self)
         self._notify()
 
+    def cut(self) -> None:
+        """The card is gone: every call fails from now on."""
+        self._cut = True
+
     def deliver(self, user_data: int, time_ns: int, crtc: Crtc) -> None:
         """A flip that was asked for with an event has completed."""
         seconds, microseconds = divmod(self._host.time_ns(time_ns) // 1000, 1_000_000)
@@ -208,6 +213,8 @@ class CardFile:
     def _check_open(self) -> None:
         if self._closed:
             raise _fail(errno.EBADF)
+        if self._cut:
+            raise _fail(errno.ENODEV)
 
     @property
     def _is_master(self) -> bool:

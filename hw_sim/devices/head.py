@@ -47,9 +47,12 @@ class Framebuffer:
 
 
 class FlipOwner(Protocol):
-    """Who asked for a flip and waits for its event."""
+    """Who opened the card, may ask for a flip and waits for its event."""
 
     def deliver(self, user_data: int, time_ns: int, crtc: Crtc) -> None: ...
+
+    def cut(self) -> None:
+        """The card is gone for good: nothing that was opened works any more."""
 
 
 @dataclass(frozen=True, slots=True)

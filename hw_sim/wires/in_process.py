@@ -46,8 +46,8 @@ class SimWires:
         self.calendar = world.calendar
 
     def open_card(self, path: str) -> SimCardNode:
-        """Open the one card there is. Raises FileNotFoundError for another path."""
-        if path != CARD:
+        """Open the one card there is. Raises FileNotFoundError for another path, and while it is gone."""
+        if path != CARD or not self._world.card.there:
             raise FileNotFoundError(2, "No such file or directory", path)
         return SimCardNode(self._world.card, self._world.time)
 

@@ -58,7 +58,7 @@ def _archive(exporter_port: int, files: dict[str, str]) -> bytes:
 
 
 def rig_drop_in(rig: str) -> str:
-    """A drop-in that shows the service the test's rig file in the place of the image's."""
+    """A drop-in that shows a service the test's rig file in the place of the image's."""
     return _RIG_DROP_IN.format(rig=rig)
 
 

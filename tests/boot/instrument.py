@@ -93,6 +93,7 @@ class Instrument:
             files = {
                 "kingfisher-test/rig.toml": rig_file(self._root),
                 "systemd/system/kingfisher.service.d/90-test.conf": self._drop_in + rig_drop_in(RIG),
+                "systemd/system/kingfisher-safe.service.d/90-test.conf": rig_drop_in(RIG),
                 f"systemd/system/{DATA_DISK}.d/90-test.conf": "[Unit]\nJobRunningTimeoutSec=300\n",
             }
             initrd = self._folder / "initrd"

@@ -10,6 +10,7 @@
     given the calibration of KF-0007             before: the same, of another instrument; where it was calibrated, in its place
     given another instance                       before: another process holds the storage
     power cut                                    in the dive: the machine is off at that moment; what follows is the next start
+    ends * is gone *                             in the dive: the program ends with these words; what follows is the next start
     refused CONFIG: ...                          instead of a dive: why the program does not start; * stands for anything
     ...                                          the dive: a diver's script (docs/protocols/world.md)
     after saved 1                                afterwards: how many scans lie there; each must be whole
@@ -79,14 +80,18 @@ class Scenario:
     after: tuple[tuple[str, ...], ...]
 
     @property
-    def starts(self) -> list[str]:
-        """The diver's part of each start: one more than the power is cut, each line where it stands in the file."""
-        parts: list[list[str]] = [[]]
+    def starts(self) -> list[tuple[str, str | None]]:
+        """The diver's part of each start, each line where it stands in the file, and with which words the program ends;
+        ``None``: the power is cut or, after the last part, switched off."""
+        parts: list[tuple[list[str], str | None]] = []
+        lines: list[str] = []
         for line in self.script.split("\n"):
-            parts[-1].append(line)
-            if line.split("#", 1)[0].split() == ["power", "cut"]:
-                parts.append([""] * len(parts[-1]))
-        return ["\n".join(part) for part in parts]
+            verb, _, words = " ".join(line.split("#", 1)[0].split()).partition(" ")
+            lines.append("" if verb == "ends" else line)
+            if verb == "ends" or (verb, words) == ("power", "cut"):
+                parts.append((lines, words if verb == "ends" else None))
+                lines = [""] * len(lines)
+        return [("\n".join(part), ends) for part, ends in [*parts, (lines, None)]]
 
 
 def parse(text: str) -> Scenario:
@@ -143,18 +148,18 @@ def play(scenario: Scenario, folder: Path) -> Library:
     if scenario.other_serial is not None:
         calibrations.install(replace(exact, rig_serial=scenario.other_serial), "2026-11-21")
     options = {**rig.rig.wires_options, "script": str(script), "status": str(root / "run" / "status.json")}
-    *cut_short, last = scenario.starts
-    for part in cut_short:
+    *cut_short, (last, _) = scenario.starts
+    for part, ends in cut_short:
         script.write_text(part, encoding="utf-8")
-        _until_cut(rig_file, options, root)
+        _cut_short(rig_file, options, root, ends)
     script.write_text(last, encoding="utf-8")
     rig = replace(rig, rig=replace(rig.rig, wires_options=options), storage=replace(rig.storage, root=root))
     assert run(rig) == 0
     return Library(root)
 
 
-def _until_cut(rig_file: Path, options: Mapping[str, Any], root: Path) -> None:
-    """One start in a process of its own, which ends as a machine does that loses its power: without a word."""
+def _cut_short(rig_file: Path, options: Mapping[str, Any], root: Path, ends: str | None) -> None:
+    """One start in a process of its own. It ends as a machine does that loses its power, or by itself with these words."""
     text = _set(rig_file.read_text(encoding="utf-8"), "storage", "root", str(root))
     for name in ("script", "status"):
         text = _set(text, "rig.wires_options", name, str(options[name]))
@@ -164,8 +169,12 @@ def _until_cut(rig_file: Path, options: Mapping[str, Any], root: Path) -> None:
         [sys.executable, "-m", "appliance.cli", "run", "--rig", str(once)],
         capture_output=True, text=True, timeout=280, check=False,
     )  # fmt: skip
-    assert started.returncode == -signal.SIGKILL, started.stderr[-2000:]
-    (root / "run" / "status.json").unlink()  # it lies in memory on the instrument
+    if ends is None:
+        assert started.returncode == -signal.SIGKILL, started.stderr[-2000:]
+    else:
+        assert started.returncode > 0, started.stderr[-2000:]
+        assert fnmatch.fnmatchcase(" ".join(started.stderr.split()), f"*{ends}*"), started.stderr[-2000:]
+    (root / "run" / "status.json").unlink(missing_ok=True)  # it lies in memory on the instrument
 
 
 def _refuse(scenario: Scenario, rig_file: Path, root: Path) -> None:

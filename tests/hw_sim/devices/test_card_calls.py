@@ -453,3 +453,23 @@ def test_memory_is_mapped_once_asked_for_and_outlives_its_handle_on_screen(machi
     machine.bench.blanks(1)
     assert (machine.card.projected() == 235).all()
     assert not node.wait_readable(0.0), "no event was asked for"
+
+
+def test_a_card_that_goes_is_dead_to_who_had_it_and_new_to_who_opens_it_again(machine: Machine) -> None:
+    node = machine.open()
+    head = machine.head(node=node)
+    head.set_mode(head.buffer(RAMP))
+    assert machine.card.projected().any()
+    machine.card.plug(False)
+    assert not machine.card.projected().any()
+    with fails(errno.ENODEV):
+        head.resources()
+    with fails(errno.ENODEV):
+        machine.open()
+    machine.card.plug(True)
+    with fails(errno.ENODEV):
+        head.resources()
+    again = machine.head()  # master, though the dead node is still open
+    again.set_mode(again.buffer(RAMP))
+    node.close()
+    assert machine.card.projected().any(), "closing the dead node took nothing from the living one"

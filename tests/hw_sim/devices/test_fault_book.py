@@ -20,7 +20,7 @@ def sentences_of_the_manual() -> list[str]:
     found = []
     for row in rows:
         whole = re.findall(r"`([^`]+)`", row)
-        if not whole or not re.match(r"(camera|projector|board|laser|keypad|key|sensor|leak)\b", whole[0]):
+        if not whole or not re.match(r"(camera|projector|graphics|board|laser|keypad|key|sensor|leak)\b", whole[0]):
             continue
         first = whole[0].replace("[", "").replace("]", "").split()
         for text in whole:
