@@ -38,6 +38,7 @@ base=$directory/$suite.tar tree=$directory/$suite
 rm -rf --one-file-system -- "$tree"
 mkdir -p -- "$tree"
 tar -C "$tree" -xf "$base"
+mount --bind "$tree" "$tree" # a root that is a mount: whoever unshares mounts inside (the disk image's build) needs one
 mount -t proc proc "$tree/proc"
 mount -t sysfs -o ro sysfs "$tree/sys"
 mount -t tmpfs -o mode=1777 tmpfs "$tree/dev/shm"

@@ -69,6 +69,8 @@ def figures(rows: Rows, cpu_ms: float) -> list[Measured]:
         bounds = (at_least, at_most) if mine else (None, None)
         why = None if mine else "there was none"
         found.append(Measured(f"motion: refused, of those {what}: {words}", share, "%", bounds[1], bounds[0], why=why))
+    left = sum(row["moving"]["passed"] is None for row in hands if harmful(row))
+    found.append(Measured("motion: adding over 10 %, too few points left to be judged", left, "scans"))
     ratio = ratios(hands)
     found.append(
         Measured(
@@ -113,7 +115,7 @@ def roc(positive: Sequence[float], negative: Sequence[float]) -> tuple[list[floa
 
 
 def roc_table(rows: Rows) -> dict[str, dict[str, Any]]:
-    """For each group of textures with each kind of movement, and for each disturbance, ready for JSON: ``harm`` (over 10 %
+    """For each group of textures with each kind of movement, and for each disturbance, of what was judged, ready for JSON: ``harm`` (over 10 %
     against at rest and below 5 %, by the predicted addition) and ``seen`` (moving against at rest, by the largest score)."""
     table = {
         f"{group} {kind}": _curves([row for row in rows if row["texture"] in textures and row["kind"] == kind], rows)
@@ -127,6 +129,8 @@ def roc_table(rows: Rows) -> dict[str, dict[str, Any]]:
 
 
 def _curves(mine: Rows, at_rest: Rows) -> dict[str, Any]:
+    mine = [row for row in mine if row["moving"]["passed"] is not None]
+    at_rest = [row for row in at_rest if row["at_rest"]["passed"] is not None]
     rest = [row["at_rest"]["added_percent"] or 0.0 for row in at_rest]
     bad = [row["moving"]["added_percent"] or 0.0 for row in mine if harmful(row)]
     good = [row["moving"]["added_percent"] or 0.0 for row in mine if harmless(row) and keeps_points(row)]

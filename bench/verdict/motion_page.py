@@ -44,6 +44,7 @@ def table(rows: Rows, cpu_ms: float) -> list[str]:
     ratio = ratios(judged)
     alarms = counted(sum(refused(row, "at_rest") for row in rest), len(rest))
     near = "none" if not ratio else "{:.2f}, {:.2f} to {:.2f}".format(*np.percentile(ratio, (50, 10, 90)))
+    gone = [100.0 - row["lost_percent"] for row in hands if harmful(row) and row["moving"]["passed"] is None]
     lines = [
         f"{len(rows)} scenes, each at rest and moving; {len(rows) - len(rest)} too dark or milky to be judged. In brackets 95 % limits.",
         "",
@@ -51,6 +52,7 @@ def table(rows: Rows, cpu_ms: float) -> list[str]:
         "|---|---|---|",
         f"| at rest and refused | {alarms}; largest predicted addition {largest:.1f} % | 0 |",
         f"| refused, of those whose hands add over 10 % | {share(bad)} | 99 % |",
+        f"| harmful, but not judged: they keep {min(gone, default=0.0):.0f} to {max(gone, default=0.0):.0f} % of their points | {len(gone)} | – |",
         f"| refused, of those that add under 5 % | {share(good)} | 0 |",
         f"| the same, that keep 90 % of the points | {share([row for row in good if keeps_points(row)])} | 0 |",
         f"| predicted over true addition between 3 and 30 %: median, first and ninth tenth ({len(ratio)}) | {near} | – |",
