@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from bench.metrology.judge import look_at
 from bench.metrology.poses import unseen
+from bench.spread import spread
 from bench.turbidity.scan import MOST_GAIN_DB, Shutter, Taken, rig_in, set_water, take
 from hw_sim.imaging import Imaging
 from hw_sim.render import Renderer
@@ -115,10 +117,15 @@ class ArtefactRow:
 
 def planes(seed: int, step: Step, series: tuple[Series, ...] = SERIES, width_px: int = SMALL_PX) -> Iterator[Row]:
     """A plane in waters of every kind, before one rig."""
-    for one in series:
-        for attenuation in ATTENUATIONS_PER_M:
-            step(f"{one.name}, {attenuation:g} /m")
-            yield plane(one, attenuation, seed, width_px)
+    kinds = [(one, attenuation) for one in series for attenuation in ATTENUATIONS_PER_M]
+    work = partial(_plane, seed=seed, width_px=width_px)
+    for (one, attenuation), row in zip(kinds, spread(work, kinds), strict=True):
+        step(f"{one.name}, {attenuation:g} /m")
+        yield row
+
+
+def _plane(kind: tuple[Series, float], seed: int, width_px: int) -> Row:
+    return plane(*kind, seed, width_px)
 
 
 def plane(series: Series, attenuation_per_m: float, seed: int, width_px: int) -> Row:
@@ -150,25 +157,36 @@ def plane(series: Series, attenuation_per_m: float, seed: int, width_px: int) ->
 
 def artefacts(seed: int, step: Step, width_px: int = ARTEFACT_PX) -> Iterator[ArtefactRow]:
     """Ball bars and planes at poses of their own, in fresh and salt water, the index set as it is."""
-    for series in ARTEFACT_SERIES:
-        for attenuation in ARTEFACT_ATTENUATIONS_PER_M:
-            water = series.water(attenuation)
-            truth = rig_in(set_water(Scene(water=water)), TRUTH, seed, width_px)
-            for name, pose in unseen(truth, BARS, PLANES, 0):
-                step(f"{name}, {series.name}, {attenuation:g} /m")
-                scene = Scene(object=name, pose=pose, water=water, imaging=STRAIGHT)
-                seen = look_at(_take(series, scene, seed, width_px).cloud, name, truth)
-                yield ArtefactRow(
-                    series.name,
-                    attenuation,
-                    seed,
-                    name,
-                    _percent(seen.e_l[0] if seen.e_l else None),
-                    _percent(seen.e_f),
-                    _percent(seen.e_f_sys),
-                    None if seen.noise_mm is None else UM * seen.noise_mm,
-                    seen.missing,
-                )
+    kinds = [(series, attenuation) for series in ARTEFACT_SERIES for attenuation in ARTEFACT_ATTENUATIONS_PER_M]
+    for rows in spread(partial(_artefacts, seed=seed, width_px=width_px), kinds):
+        for row in rows:
+            step(f"{row.artefact}, {row.series}, {row.attenuation_per_m:g} /m")
+            yield row
+
+
+def _artefacts(kind: tuple[Series, float], seed: int, width_px: int) -> list[ArtefactRow]:
+    """All of them in one water."""
+    series, attenuation = kind
+    water = series.water(attenuation)
+    truth = rig_in(set_water(Scene(water=water)), TRUTH, seed, width_px)
+    rows: list[ArtefactRow] = []
+    for name, pose in unseen(truth, BARS, PLANES, 0):
+        scene = Scene(object=name, pose=pose, water=water, imaging=STRAIGHT)
+        seen = look_at(_take(series, scene, seed, width_px).cloud, name, truth)
+        rows.append(
+            ArtefactRow(
+                series.name,
+                attenuation,
+                seed,
+                name,
+                _percent(seen.e_l[0] if seen.e_l else None),
+                _percent(seen.e_f),
+                _percent(seen.e_f_sys),
+                None if seen.noise_mm is None else UM * seen.noise_mm,
+                seen.missing,
+            )
+        )
+    return rows
 
 
 def steps(rigs: int, artefact_rigs: int) -> int:
