@@ -579,7 +579,7 @@ class ScanDesk:
 
 
 def remembered(write: Callable[[], None]) -> list[on.Event]:
-    """The scan itself is safe; without this, a restart would only know of its forerunners."""
+    """Of the ray gaps' trend. No scan depends on it; without it, the next start knows what was before."""
     try:
         write()
     except StorageError as error:
