@@ -56,13 +56,15 @@ class Clock(Protocol):
         """With ``condition`` held, wait until ``predicate()`` or the timeout; return the predicate's value."""
 
 
-@dataclass(frozen=True, slots=True)
-class Date:
+class Date(Protocol):
     """What the calendar says, and whether to believe it."""
 
-    utc: datetime.datetime
-    kept: bool
-    """Something from outside (a time server) has set it since power-on and keeps it."""
+    @property
+    def utc(self) -> datetime.datetime: ...
+
+    @property
+    def kept(self) -> bool:
+        """Whether something from outside (a time server) has set it since power-on and keeps it."""
 
 
 class Calendar(Protocol):
@@ -406,8 +408,12 @@ class Wires(Protocol):
 
     usb_backend: Any
     hidraw: Any
-    clock: Clock
-    calendar: Calendar
+
+    @property
+    def clock(self) -> Clock: ...
+
+    @property
+    def calendar(self) -> Calendar: ...
 
     def open_card(self, path: str) -> CardNode: ...
 

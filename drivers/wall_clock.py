@@ -6,8 +6,7 @@ import ctypes
 import datetime
 import logging
 import struct
-
-from drivers.api import Date
+from dataclasses import dataclass
 
 log = logging.getLogger("kingfisher")
 
@@ -18,12 +17,20 @@ TIME_ERROR = 5
 """What adjtimex returns while nothing keeps the clock."""
 
 
+@dataclass(frozen=True, slots=True)
+class KernelDate:
+    """``drivers.api.Date``: the time of CLOCK_REALTIME, and whether the kernel is being told it."""
+
+    utc: datetime.datetime
+    kept: bool
+
+
 class KernelCalendar:
     """``drivers.api.Calendar`` over CLOCK_REALTIME."""
 
-    def today(self) -> Date:
+    def today(self) -> KernelDate:
         """The date in UTC."""
-        return Date(datetime.datetime.now(datetime.UTC), set_from_outside())
+        return KernelDate(datetime.datetime.now(datetime.UTC), set_from_outside())
 
 
 def set_from_outside() -> bool:

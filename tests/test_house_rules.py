@@ -217,6 +217,12 @@ def asserts_nothing(source: Source) -> Iterator[Breach]:
                 yield node.lineno, f"{node.name} asserts nothing"
 
 
+def unchecked_generator(source: Source) -> Iterator[Breach]:
+    for call, name in source.calls():
+        if name.rpartition(".")[2] in {"builds", "from_type"}:
+            yield call.lineno, f"{name}() hands on fields of any type: use tests.support.typed.built"
+
+
 @dataclass(frozen=True)
 class Rule:
     """A check, where it holds, and an example that it must notice beside one that it must let pass.
@@ -319,7 +325,8 @@ RULES = [
         blanket_silence,
         bad=("x = y  # type: ignore", "x = y  # noqa"),
         good=("x = y  # type: ignore[attr-defined]", "x = y  # noqa: N802"),
-        packages=(*SHIPPED, "bench"),
+        packages=(*SHIPPED, "bench", "tests"),
+        except_in={"tests/test_house_rules.py": "the example above"},
     ),
     Rule(too_long, bad=("x = 1\n" * (MOST_LINES + 1),), good=("x = 1\n" * MOST_LINES,)),
     Rule(
@@ -327,6 +334,13 @@ RULES = [
         bad=("def test_x():\n    f()",),
         good=("def test_x():\n    assert f()", "def test_x():\n    with pytest.raises(E): f()", "def f(): pass"),
         packages=("tests",),
+    ),
+    Rule(
+        unchecked_generator,
+        bad=("st.builds(Fault, st.just(3))", "builds(Fault)"),
+        good=("built(Fault, st.just('x'))", "st.just(1)"),
+        packages=("tests",),
+        except_in={"tests/support/typed.py": "it checks what was built"},
     ),
 ]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -13,7 +14,7 @@ from bench.verdict.uncertainty import OBJECTS, drawn, judged
 from bench.verdict.uncertainty_picture import draw_uncertainty
 
 
-def of(scale: float) -> tuple[dict[str, float], dict[str, object]]:
+def of(scale: float) -> tuple[dict[str, float], dict[str, Any]]:
     rng = np.random.default_rng(3)
     draws = [drawn(k, 7) for k in range(6)]
     sigmas = [rng.uniform(0.02, 0.3, 4000) for _ in draws]
@@ -43,4 +44,5 @@ def test_the_picture_shows_every_scan(tmp_path: Path) -> None:
     path = tmp_path / "uncertainty.png"
     draw_uncertainty(path, json.loads(json.dumps(data)))
     image = cv2.imread(str(path))
-    assert np.count_nonzero((image == (170, 120, 40)).all(-1)) > 6 * 30
+    assert image is not None
+    assert np.count_nonzero(np.all(image == np.array((170, 120, 40)), axis=-1)) > 6 * 30

@@ -317,7 +317,7 @@ def _transfers(chance: Random) -> list[bytes | str]:
     return transfers
 
 
-def _stream(transfers: list[bytes | str], _: Path) -> None:
+def _stream(transfers: list[bytes | str], _folder: Path) -> None:
     clock = SteppedClock()
     pipe = Pipe(clock)
     pipe.send(*(FAILURES[one](one) if isinstance(one, str) else one for one in transfers))

@@ -8,6 +8,7 @@ import math
 from dataclasses import fields
 from pathlib import Path
 from random import Random
+from typing import Any
 
 from hw_sim import calendar, deeds, sight
 from hw_sim.amounts import changed as with_amounts
@@ -100,7 +101,7 @@ def _deed(line: str, _: Path) -> None:
         except ValueError:
             return  # it leads out of the computer's time from there
     if known and verb in SURROUNDINGS:
-        before = SURROUNDINGS[verb]
+        before: Any = SURROUNDINGS[verb]
         for one in fields(before):
             old, new = getattr(before, one.name), getattr(with_amounts(before, verb, words), one.name)
             if isinstance(old, tuple):

@@ -21,7 +21,7 @@ def world() -> Iterator[World]:
         yield made
 
 
-def picture(code: int) -> np.ndarray:  # type: ignore[type-arg]
+def picture(code: int) -> np.ndarray:
     return np.full((768, 1024), code, np.uint8)
 
 

@@ -54,7 +54,8 @@ class Host:
     def call(self, command: int, first: int, second: int) -> int:
         self._socket.sendall(struct.pack("<QQQ", command, first, second))
         while True:
-            answer, one, two = struct.unpack("<QqQ", self._receive(24))
+            numbers: tuple[int, int, int] = struct.unpack("<QqQ", self._receive(24))
+            answer, one, two = numbers
             match answer:
                 case 3:
                     if one < 0:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +15,7 @@ from hw_sim.stills import MOST, Stills
 
 PATTERN = np.arange(256, dtype=np.uint8).reshape(16, 16)
 LIGHT = (LightSlice(PATTERN, 0.012),)
-ASKED = {
+ASKED: Mapping[str, Any] = {
     "camera": "left",
     "scene": "pipe",
     "slices": LIGHT,
@@ -59,7 +62,7 @@ def test_whatever_changes_the_image_makes_another(change: dict[str, object]) -> 
 
 def test_the_images_are_bounded_and_the_oldest_goes() -> None:
     stills = Stills()
-    image = {k: stills.get(k, lambda k=k: np.full(1, k % 256, np.uint8)) for k in range(MOST)}
+    image = {k: stills.get(k, partial(np.full, 1, k % 256, np.uint8)) for k in range(MOST)}
     stills.get(0, lambda: np.zeros(1, np.uint8))
     stills.get("new", lambda: np.zeros(1, np.uint8))
     assert stills.get(0, lambda: np.ones(1, np.uint8)) is image[0], "asked for lately"

@@ -105,7 +105,8 @@ UNSEEN = ((0.0, 5.0, 500.0, 0.0, 20.0, 0.0), (-10.0, 0.0, 545.0, 0.0, -15.0, 85.
 def binned(camera: HousedCamera, factor: float) -> HousedCamera:
     """The same camera with larger pixels."""
     lens = camera.lens
-    f, c = (tuple(x / factor for x in lens.f_px), tuple((x + 0.5) / factor - 0.5 for x in lens.c_px))
+    f = lens.f_px[0] / factor, lens.f_px[1] / factor
+    c = (lens.c_px[0] + 0.5) / factor - 0.5, (lens.c_px[1] + 0.5) / factor - 0.5
     size = int(camera.width_px / factor), int(camera.height_px / factor)
     return replace(camera, width_px=size[0], height_px=size[1], lens=replace(lens, f_px=f, c_px=c))
 
@@ -186,7 +187,7 @@ def test_a_hidden_rig_is_calibrated_over_a_loss_of_power_and_the_old_file_comes_
     assert [trial.step for trial in store.session().trials] == [Step.M1, Step.M2]
 
     second = Instrument(rig, tmp_path, AFTERWARDS)
-    in_use = []
+    in_use: list[bool] = []
     while second.process.poll() is None:
         at = second.calibration()
         if at is not None and at["in_use"] not in in_use[-1:]:
@@ -201,6 +202,7 @@ def test_a_hidden_rig_is_calibrated_over_a_loss_of_power_and_the_old_file_comes_
     assert session.solved.method == "bundle, spline"
     assert session.verified is not None
     assert session.verified.before is not None
+    assert session.verified.after is not None
     assert abs(session.verified.after) < 0.0005
     assert abs(session.verified.after) < abs(session.verified.before) / 3.0
     assert store.current.read_bytes() == old
@@ -210,8 +212,11 @@ def test_a_hidden_rig_is_calibrated_over_a_loss_of_power_and_the_old_file_comes_
     ordinary = library.entries()[-1].manifest
     assert ordinary is not None
     assert ordinary.record.calibration_hash == session.solved.calibration_hash
-    assert ordinary.record.cloud["points"] > 2000
-    assert ordinary.record.cloud["gap_mm"] < 0.03, "rays meet"
+    points, gap_mm = ordinary.record.cloud["points"], ordinary.record.cloud["gap_mm"]
+    assert points is not None
+    assert points > 2000
+    assert gap_mm is not None
+    assert gap_mm < 0.03, "rays meet"
 
     # Against the truth, which no certificate states, at poses that nobody recorded.
     truth_mm = hidden_rig("realistic", SEED).artefacts.ball_distance_mm

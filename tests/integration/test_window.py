@@ -248,7 +248,7 @@ def desk(
 def ramp() -> NDArray[np.uint8]:
     """Every pixel unlike its neighbours."""
     rows, columns = np.mgrid[:480, :800]
-    return ((rows * 7 + columns * 13) % 256).astype(np.uint8)
+    return np.asarray((rows * 7 + columns * 13) % 256, np.uint8)
 
 
 def test_the_windows_show_what_is_scanned_out(screen: Xvfb, monkeypatch: pytest.MonkeyPatch) -> None:

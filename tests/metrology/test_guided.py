@@ -66,7 +66,8 @@ def test_five_recordings_at_full_size(tmp_path: Path) -> None:
         trial = examine(rig, step, folders[step], lambda _: None).trial
         took_s[step.value] = time.process_time() - begun
         assert trial.refusal is None, trial
-    begun, reported = time.process_time(), []
+    begun = time.process_time()
+    reported: list[float] = []
     solution = solve(rig, "2026-11-21T10:00:00+00:00", reported.append)
     took_s["SOLVE"] = time.process_time() - begun
     store.write_solved(solution.calibration, replace(store.session(), solved=solution.solved), solution.report)
@@ -79,6 +80,7 @@ def test_five_recordings_at_full_size(tmp_path: Path) -> None:
     assert examined.verified is not None
     assert examined.verified == solution.verified, "the same, whether it was recorded before or after solving"
     assert examined.verified.before is not None
+    assert examined.verified.after is not None
     assert abs(examined.verified.before) > 0.002, "from the drawing"
     assert abs(examined.verified.after) < 0.0004
     assert reported == sorted(reported)

@@ -50,7 +50,7 @@ def seen(scan: RenderedScan) -> list[Seen]:
 
 def true_light(kind: str) -> np.ndarray:
     light = true_response(kind).astype(float)[8:248]
-    return (light - light[0]) / (light[-1] - light[0])
+    return np.asarray((light - light[0]) / (light[-1] - light[0]))
 
 
 @pytest.fixture(scope="module")

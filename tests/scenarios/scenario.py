@@ -46,6 +46,7 @@ from appliance.service.app import design_of, run
 from appliance.storage.calibrations import Calibrations
 from appliance.storage.library import Library, Shelf
 from appliance.storage.lock import hold_lock
+from appliance.storage.record import ScanRecord
 
 SMALL = {"width_px": "400", "height_px": "300", "truth": "nominal", "object": "plane", "stills": "true"}
 SHELVES = {"saved": Shelf.SCANS, "rejected": Shelf.REJECTED, "set-aside": Shelf.SET_ASIDE}
@@ -200,6 +201,12 @@ def _mount(root: Path, size_mb: int) -> None:
         pytest.skip(f"no disk can be mounted: {mounted.stderr.decode().strip()}")
 
 
+def _record(library: Library, scan_id: str) -> ScanRecord:
+    manifest = library.entry(scan_id).manifest
+    assert manifest is not None, f"scan {scan_id} has no readable manifest"
+    return manifest.record
+
+
 def judge(scenario: Scenario, library: Library) -> list[str]:
     """What the disk holds otherwise than the text says, and which scans that were kept are not whole."""
     damaged = {entry.scan_id for entry in library.entries() if not library.verify(entry.scan_id).ok}
@@ -211,19 +218,19 @@ def judge(scenario: Scenario, library: Library) -> list[str]:
             case ("damaged", _):
                 pass
             case ("verdict", name, wanted, "in", scan_id):
-                verdicts = {verdict.name: verdict for verdict in library.entry(scan_id).manifest.record.verdicts}
+                verdicts = {verdict.name: verdict for verdict in _record(library, scan_id).verdicts}
                 if name not in verdicts or verdicts[name].passed is not (wanted == "passed"):
                     wrong.append(f"{' '.join(words)}: {verdicts.get(name, sorted(verdicts))}")
             case ("dated" | "undated" as said, date, "in", scan_id):
-                record = library.entry(scan_id).manifest.record
+                record = _record(library, scan_id)
                 if record.clock_trusted is not (said == "dated") or not str(record.wall_time).startswith(date):
                     wrong.append(f"{' '.join(words)}: {record.wall_time}, {record.clock_trusted}")
             case ("salinity", psu, "in", scan_id):
-                water = library.entry(scan_id).manifest.record.water
+                water = _record(library, scan_id).water
                 if water["salinity_psu"] != float(psu):
                     wrong.append(f"{' '.join(words)}: {water}")
             case ("measured", "with", which, "in", scan_id):
-                used = library.entry(scan_id).manifest.record.calibration_hash
+                used = _record(library, scan_id).calibration_hash
                 if used is None or _origin(library.root, used) != which:
                     wrong.append(f"{' '.join(words)}: {used}")
             case (shelf, number):

@@ -55,7 +55,7 @@ def pictures(truth: TrueRig) -> Pictures:
 
 def test_corners_are_where_exact_optics_says(truth: TrueRig, views: list[BoardView]) -> None:
     dry = in_air(truth)
-    errors = {"left": [], "right": []}
+    errors: dict[str, list[np.ndarray]] = {"left": [], "right": []}
     for view, pose in zip(views, poses_in_air(10, 1), strict=True):
         for side, seen in (("left", view.left_px), ("right", view.right_px)):
             errors[side].append(seen - true_corners_px(dry, side, pose, view.corners_mm))

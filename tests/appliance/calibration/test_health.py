@@ -5,6 +5,8 @@ Realistic hidden rigs, calibrated with noise; planes at random poses that cover 
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -103,8 +105,9 @@ def test_an_alarm_stays_until_a_length_check_is_accepted_and_then_the_new_state_
 
 
 def only(gaps: PatchGaps, which: np.ndarray) -> PatchGaps:
-    arrays = (gaps.patch, gaps.gap_um, gaps.noise_um, gaps.modes)
-    return PatchGaps(*(values[which] for values in arrays), gaps.samples, gaps.water_index)
+    return replace(
+        gaps, patch=gaps.patch[which], gap_um=gaps.gap_um[which], noise_um=gaps.noise_um[which], modes=gaps.modes[which]
+    )
 
 
 def test_too_little_of_the_image_is_not_judged() -> None:

@@ -34,7 +34,8 @@ from tests.support.truth import WATER
 SALT = Water(WATER.temperature_c, 35.0, WATER.wavelength_nm)
 SEED = 1
 QUICK = LadderSettings(BundleSettings(points_per_recording=600), SearchSettings(points_per_recording=120))
-SIX_MORE = {"bars": (*CALIBRATION_BARS, *MORE_BARS), "planes": (*CALIBRATION_PLANES, *MORE_PLANES)}
+TEN = (*CALIBRATION_BARS, *MORE_BARS), (*CALIBRATION_PLANES, *MORE_PLANES)
+"""The poses of the bars, and of the planes."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,7 @@ def case() -> Case:
 @pytest.fixture(scope="module")
 def ten(case: Case) -> LadderResult:
     """Four bars and six planes."""
-    return calibrate(Method.BA_SPLINE, calibration_recordings(case.truth, **SIX_MORE), case.start, settings=QUICK)
+    return calibrate(Method.BA_SPLINE, calibration_recordings(case.truth, *TEN), case.start, settings=QUICK)
 
 
 def test_each_step_of_the_ladder_is_worth_its_model(case: Case) -> None:

@@ -18,6 +18,7 @@ from appliance.machine.states import Device, Machine, Part, State, boot
 from appliance.machine.step import step
 from appliance.reconstruct.quality import CloudSummary
 from drivers.api import Key, LaserState, Telemetry
+from tests.support.typed import built
 
 SECOND_NS = 1_000_000_000
 SUMMARY = CloudSummary(1000, coverage_percent=70.0, distance_mm=500.0, noise_mm=0.03, gap_mm=0.02)
@@ -177,16 +178,31 @@ WAYS: dict[State, Callable[[], Machine]] = {
 }
 
 
-def heartbeat(**sensors: float | bool | None) -> on.TelemetryArrived:
-    lasers = LaserState(bool(sensors.pop("left_on", False)), bool(sensors.pop("right_on", False)))
-    return on.TelemetryArrived(Telemetry(0, 0, 0, lasers, **sensors))  # type: ignore[arg-type]
+def heartbeat(
+    *,
+    left_on: bool = False,
+    right_on: bool = False,
+    leak: bool | None = None,
+    temperature_case_c: float | None = None,
+    temperature_projector_c: float | None = None,
+    humidity_percent: float | None = None,
+    supply_v: float | None = None,
+) -> on.TelemetryArrived:
+    lasers = LaserState(left_on, right_on)
+    sensors = Telemetry(
+        *(0, 0, 0, lasers, temperature_projector_c, temperature_case_c),
+        leak=leak,
+        humidity_percent=humidity_percent,
+        supply_v=supply_v,
+    )
+    return on.TelemetryArrived(sensors)
 
 
 _numbers = st.integers(0, 3)
 _keys = st.sampled_from(list(Key))
 _devices = st.sampled_from(list(Device))
 _temperatures = st.one_of(st.none(), st.floats(-10, 120))
-_faults = st.builds(
+_faults = built(
     Fault,
     st.sampled_from(list(FaultCode)),
     st.just("detail"),
@@ -194,59 +210,62 @@ _faults = st.builds(
     st.sampled_from([None, "camera.left", "board"]),
 )
 _summaries = st.sampled_from([SUMMARY, CloudSummary(0, None, None, None, None)])
-_trials = st.builds(Trial, st.sampled_from(list(Step)), st.sampled_from([None, *Refusal]), st.sampled_from([None, 0.1]))
+_trials = built(Trial, st.sampled_from(list(Step)), st.sampled_from([None, *Refusal]), st.sampled_from([None, 0.1]))
+_failures = built(Failure, st.sampled_from(list(Mishap)), st.just("the adjustment did not converge"))
 _warnings = st.lists(_faults, max_size=2).map(tuple)
 
 EVENTS: st.SearchStrategy[on.Event] = st.one_of(
-    st.builds(on.Tick, st.integers(0, 200).map(lambda s: s * SECOND_NS)),
-    st.builds(on.KeyPressed, _keys),
-    st.builds(on.KeyHeld, _keys),
-    st.builds(on.KeyJammed, _keys),
-    st.builds(on.KeyFreed, _keys),
-    st.builds(on.DeviceUp, _devices),
-    st.builds(on.DeviceDown, _devices, st.just("gone")),
-    st.builds(on.BoardReset, st.just("BROWNOUT")),
-    st.builds(
+    built(on.Tick, st.integers(0, 200).map(lambda s: s * SECOND_NS)),
+    built(on.KeyPressed, _keys),
+    built(on.KeyHeld, _keys),
+    built(on.KeyJammed, _keys),
+    built(on.KeyFreed, _keys),
+    built(on.DeviceUp, _devices),
+    built(on.DeviceDown, _devices, st.just("gone")),
+    built(on.BoardReset, st.just("BROWNOUT")),
+    built(
         heartbeat,
         left_on=st.booleans(),
         leak=st.sampled_from([None, False, True]),
         temperature_case_c=_temperatures,
         temperature_projector_c=_temperatures,
+        humidity_percent=st.sampled_from([None, 40.0, 95.0]),
+        supply_v=st.sampled_from([None, 3.0, 9.5, 12.0]),
     ),
-    st.builds(on.ConditionRaised, _faults),
-    st.builds(on.ConditionCleared, st.sampled_from(list(FaultCode))),
-    st.builds(on.Told, st.builds(Fault, st.sampled_from([FaultCode.RESTARTED, FaultCode.SCAN_RECOVERED]))),
-    st.builds(on.StorageCounted, _numbers, st.none(), st.sampled_from([None, 0, 5])),
-    st.builds(on.BootFinished),
-    st.builds(on.PartTested, st.sampled_from(list(Part)), st.booleans()),
-    st.builds(on.PartBusy, st.sampled_from(list(Part))),
-    st.builds(on.Armed, _numbers),
-    st.builds(on.CaptureFinished, _numbers),
-    st.builds(on.CaptureFailed, _numbers, _faults),
-    st.builds(on.RawStored, _numbers),
-    st.builds(on.PatternsRight, _numbers),
-    st.builds(on.CoarseReady, _numbers, _summaries),
-    st.builds(on.FullReady, _numbers, _summaries),
-    st.builds(
+    built(on.ConditionRaised, _faults),
+    built(on.ConditionCleared, st.sampled_from(list(FaultCode))),
+    built(on.Told, built(Fault, st.sampled_from([FaultCode.RESTARTED, FaultCode.SCAN_RECOVERED]))),
+    built(on.StorageCounted, _numbers, st.none(), st.sampled_from([None, 0, 5])),
+    built(on.BootFinished),
+    built(on.PartTested, st.sampled_from(list(Part)), st.booleans()),
+    built(on.PartBusy, st.sampled_from(list(Part))),
+    built(on.Armed, _numbers),
+    built(on.CaptureFinished, _numbers),
+    built(on.CaptureFailed, _numbers, _faults),
+    built(on.RawStored, _numbers),
+    built(on.PatternsRight, _numbers),
+    built(on.CoarseReady, _numbers, _summaries),
+    built(on.FullReady, _numbers, _summaries),
+    built(
         on.Judged,
         _numbers,
         _warnings,
         st.sampled_from([None, Exposure(8_000), Exposure(16_000, 4.0)]),
         st.sampled_from([None, Exposure(3_200)]),
     ),
-    st.builds(on.PairMerged, _numbers, _summaries, _warnings),
-    st.builds(on.PairFailed, _numbers, _faults),
-    st.builds(on.ReconstructionFailed, _numbers, _faults),
-    st.builds(on.Saved, _numbers, st.just("000007")),
-    st.builds(on.SaveFailed, _numbers, _faults),
-    st.builds(on.Rejected, _numbers, st.just("000007")),
-    st.builds(on.TrialExamined, _numbers, _trials),
-    st.builds(on.SessionChanged, st.sampled_from(SESSIONS)),
-    st.builds(on.CalibrationProgressed, st.floats(0, 1)),
-    st.builds(on.CalibrationFailed, st.just("the adjustment did not converge")),
-    st.builds(on.Ranged, st.sampled_from([None, Range(500.0, 2.0, 0.3, 2), Range(800.0, None, 1.0, 1)])),
-    st.builds(on.ScansListed, st.sampled_from([(), ("000001",), ("000003", "000002", "000001")])),
-    st.builds(on.StopRequested, st.just("SIGTERM")),
+    built(on.PairMerged, _numbers, _summaries, _warnings),
+    built(on.PairFailed, _numbers, _faults),
+    built(on.ReconstructionFailed, _numbers, _faults),
+    built(on.Saved, _numbers, st.just("000007")),
+    built(on.SaveFailed, _numbers, _faults),
+    built(on.Rejected, _numbers, st.just("000007")),
+    built(on.TrialExamined, _numbers, _trials),
+    built(on.SessionChanged, st.sampled_from(SESSIONS)),
+    built(on.CalibrationProgressed, st.floats(0, 1)),
+    built(on.CalibrationFailed, _failures),
+    built(on.Ranged, st.sampled_from([None, Range(500.0, 2.0, 0.3, 2), Range(800.0, None, 1.0, 1)])),
+    built(on.ScansListed, st.sampled_from([(), ("000001",), ("000003", "000002", "000001")])),
+    built(on.StopRequested, st.just("SIGTERM")),
 )
 
 EVERY_EVENT: list[on.Event] = [

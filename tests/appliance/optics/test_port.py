@@ -23,7 +23,7 @@ LENS = Lens((2555.6, 2555.1), (803.0, 594.0), (-0.11, 0.05, 3e-4, -2e-4, 0.01))
 def directions(seed: int, n: int = 200) -> np.ndarray:
     xy = np.random.default_rng(seed).uniform(-0.32, 0.32, (n, 2))
     a = np.concatenate([xy, np.ones((n, 1))], 1)
-    return a / np.linalg.norm(a, axis=1, keepdims=True)
+    return np.asarray(a / np.linalg.norm(a, axis=1, keepdims=True))
 
 
 def test_refraction_obeys_snell_and_stays_in_plane() -> None:
@@ -43,11 +43,9 @@ def test_the_path_through_the_port_takes_least_time() -> None:
     target = outer + 400.0 * w
 
     def optical_path(p: np.ndarray, q: np.ndarray) -> np.ndarray:
-        return (
-            np.linalg.norm(p, axis=1)
-            + TILTED.glass_index * np.linalg.norm(q - p, axis=1)
-            + N_WATER * np.linalg.norm(target - q, axis=1)
-        )
+        glass = TILTED.glass_index * np.linalg.norm(q - p, axis=1)
+        water = N_WATER * np.linalg.norm(target - q, axis=1)
+        return np.asarray(np.linalg.norm(p, axis=1) + glass + water)
 
     along = np.cross(n, [0.0, 1.0, 0.0])
     along /= np.linalg.norm(along)

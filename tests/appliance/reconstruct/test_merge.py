@@ -30,8 +30,8 @@ def merged(
 ) -> tuple[CameraDecoder, CameraDecoder, Agreement]:
     """The merged maps, those of the second exposure alone, and how far they agreed."""
     first, second = decoded(photograph(scene, exposures[0], 1)), decoded(photograph(later or scene, exposures[1], 2))
-    noise = tuple(camera_noise(13_000, 20, 2, exposure.gain_db) for exposure in exposures)
-    return first, second, merge(first, second, noise, 16)
+    noise = [camera_noise(13_000, 20, 2, exposure.gain_db) for exposure in exposures]
+    return first, second, merge(first, second, (noise[0], noise[1]), 16)
 
 
 def errors_px(decoder: CameraDecoder) -> np.ndarray:
@@ -45,7 +45,8 @@ def expected_px(decoder: CameraDecoder, noise: CameraNoise = TYPICAL) -> np.ndar
     valid = decoder.mask == Mask.VALID
     light = decoder.middle[valid].astype(float) - noise.black_dn
     modulation = 0.5 * decoder.modulation_half_dn[valid]
-    return np.sqrt(noise.read_dn**2 + noise.dn_per_e * light) / modulation * 16.0 / (2.0 * np.pi * np.sqrt(2.0))
+    sigma_dn = np.sqrt(noise.read_dn**2 + noise.dn_per_e * light)
+    return np.asarray(sigma_dn / modulation * 16.0 / (2.0 * np.pi * np.sqrt(2.0)))
 
 
 def test_together_they_have_what_neither_has_alone() -> None:
@@ -84,7 +85,7 @@ def test_what_moved_in_between_is_masked_where_it_moved() -> None:
     moved = np.roll(second.frames["left"], 2, axis=2)
     v, u = np.mgrid[0:HEIGHT_PX, 0:WIDTH_PX]
     disc = (u - 120) ** 2 + (v - 90) ** 2 < 30**2
-    second.frames["left"][:, disc] = moved[:, disc]  # type: ignore[index]
+    second.frames["left"][:, disc] = moved[:, disc]
     maps = decoded(first)
     agreement = merge(maps, decoded(second), (TYPICAL, TYPICAL), 16)
     inner = (u - 120) ** 2 + (v - 90) ** 2 < 26**2

@@ -44,7 +44,7 @@ def test_a_plane_is_measured_as_a_plane(period_px: int) -> None:
     pipeline, truth, offset = record(period_px, 0.0)
     coarse = pipeline.coarse()
     full = pipeline.full()
-    lit = ((truth > 1) & (truth < [1022, 766])).all(-1)
+    lit = np.all((truth > 1) & (truth < np.array([1022, 766])), axis=-1)
     assert len(full.points_mm) > 0.97 * np.count_nonzero(lit[2:-2, 2:-2])
     residual = full.points_mm @ NORMAL - offset
     assert np.abs(residual).max() < 0.12 * period_px / 16, "quantisation to 8 bit alone"

@@ -48,7 +48,7 @@ def plane(z_mm: float = 500.0, pitch_mm: float = 1.0, half_mm: float = 60.0) -> 
 
 
 def lit(picture: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    return picture.max(axis=2) > 0
+    return np.asarray(picture.max(axis=2) > 0)
 
 
 def test_x_goes_right_and_y_goes_down(stage: Stage) -> None:

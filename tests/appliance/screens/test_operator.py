@@ -45,7 +45,12 @@ def test_the_card_is_as_it_was_and_all_of_it_can_be_read(
 ) -> None:
     kept: list[Canvas] = []
     begin = Canvas.begin
-    monkeypatch.setattr(Canvas, "begin", lambda self, ground: (kept.append(self), begin(self, ground))[1])
+
+    def keeping(self: Canvas, ground: theme.Colour) -> None:
+        kept.append(self)
+        begin(self, ground)
+
+    monkeypatch.setattr(Canvas, "begin", keeping)
     aim = palette.read(Golden("aim", language, alert=False).path)
     drawn = card.draw_card(context, aim, language)
     lines = kept[0].written

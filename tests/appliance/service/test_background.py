@@ -39,7 +39,8 @@ def background() -> Iterator[Background]:
 
 def answers(background: Background, timeout_s: float = 30.0) -> list[object]:
     """Everything up to the end of the job."""
-    clock, found = MonotonicClock(), []
+    clock = MonotonicClock()
+    found: list[object] = []
     end_ns = clock.now_ns() + int(timeout_s * 1e9)
     while clock.now_ns() < end_ns:
         said = background.poll()
@@ -53,9 +54,11 @@ def answers(background: Background, timeout_s: float = 30.0) -> list[object]:
 
 def test_a_job_says_how_far_it_is_and_answers(background: Background) -> None:
     background.ask(double, 21)
-    assert background.busy
+    begun = background.busy
+    assert begun
     assert answers(background) == [Progressed(0.5), Done(42)]
-    assert not background.busy
+    still_busy = background.busy
+    assert not still_busy
     background.ask(double, 4)
     assert answers(background)[-1] == Done(8)
 
@@ -80,7 +83,8 @@ def test_a_process_that_dies_is_told_once_and_replaced(background: Background) -
 def test_a_job_that_is_no_longer_wanted_is_gone_at_once_and_never_answers(background: Background) -> None:
     background.ask(hang)
     background.stop()
-    assert not background.busy
+    still_busy = background.busy
+    assert not still_busy
     background.ask(double, 5)
     assert answers(background) == [Progressed(0.5), Done(10)]
 

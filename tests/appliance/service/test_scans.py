@@ -20,7 +20,8 @@ from drivers.wall_clock import KernelCalendar
 
 
 def events_until_settled(desk: ScanDesk, timeout_s: float = 60.0) -> list[on.Event]:
-    clock, found = MonotonicClock(), []
+    clock = MonotonicClock()
+    found: list[on.Event] = []
     end_ns = clock.now_ns() + int(timeout_s * 1e9)
     while not desk.worker_settled and clock.now_ns() < end_ns:
         found += [

@@ -36,16 +36,18 @@ def watched(root: Path) -> CalibrationWatch:
 
 def test_an_alarm_belongs_to_its_calibration(tmp_path: Path) -> None:
     watch = watched(tmp_path)
-    assert watch.fault is not None
-    assert watch.fault.code is FaultCode.VERIFY_CALIBRATION
-    assert "right camera turned by +0.02" in watch.fault.detail
-    shown = alert_of(watch.fault)
+    found = watch.fault
+    assert found is not None
+    assert found.code is FaultCode.VERIFY_CALIBRATION
+    assert "right camera turned by +0.02" in found.detail
+    shown = alert_of(found)
     assert (shown.headline, shown.action) == ("VERIFY CALIBR.", "CHECK WATER AND BALL BAR")
 
     watch.use(replace(CALIBRATION, made_at="2026-02-01"))
-    assert watch.fault is None, "a new calibration begins with a clean slate"
+    of_another = watch.fault
+    assert of_another is None, "a new calibration begins with a clean slate"
     watch.use(CALIBRATION)
-    assert watch.fault is not None, "the old one comes back with what was found"
+    assert watch.fault == found, "the old one comes back with what was found"
     again = CalibrationWatch(tmp_path, CALIBRATION)
     assert again.fault == watch.fault
     assert [point.scan for point in again.trend.points] == ["000001", "000002", "000003"]

@@ -30,7 +30,12 @@ STEADY = Daylight()
 
 @cache
 def clean(
-    motion: Motion, texture: str, pose: tuple[float, ...], thing: str, response: str, light: Daylight
+    motion: Motion,
+    texture: str,
+    pose: tuple[float, float, float, float, float, float],
+    thing: str,
+    response: str,
+    light: Daylight,
 ) -> dict[str, np.ndarray]:
     scene = Scene(
         object=thing, pose=pose, texture=texture, noise=False, motion=motion, imaging=Imaging(response), ambient=0.1,

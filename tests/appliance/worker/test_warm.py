@@ -18,8 +18,8 @@ from hw_sim.drift import Drift
 from hw_sim.motion import Motion
 from hw_sim.scene import Scene
 from hw_sim.water import Water, turbid
-from tests.support.rendered import WATER, render_scan
-from tests.support.truth import true_calibration
+from tests.support.rendered import render_scan
+from tests.support.truth import WATER, true_calibration
 
 SCENES = {
     "at rest": Scene("pipe"),

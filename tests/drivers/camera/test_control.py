@@ -223,15 +223,12 @@ def test_limits_too_small_for_a_register_are_refused() -> None:
 
 babble = st.one_of(
     st.binary(max_size=40),
-    st.builds(
-        lambda status, command, request, payload: (
-            struct.pack("<4sHHHH", b"U3VC", status, command, len(payload), request) + payload
-        ),
+    st.tuples(
         st.sampled_from([0, 0x8007, 0x8ABC]),
         st.sampled_from([0x0801, 0x0803, 0x0805, 0x1234]),
         st.integers(0, 4),
         st.binary(max_size=8),
-    ),
+    ).map(lambda drawn: struct.pack("<4sHHHH", b"U3VC", *drawn[:2], len(drawn[3]), drawn[2]) + drawn[3]),
     st.sampled_from([SILENCE, TransferStalled("halt"), TransferOverflow("babble"), Unplugged("gone")]),
 )
 

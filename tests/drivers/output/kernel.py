@@ -11,11 +11,14 @@ import errno
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 u16, u32, u64 = ctypes.c_uint16, ctypes.c_uint32, ctypes.c_uint64
+Layout = type[ctypes.Structure] | type[ctypes.c_uint32] | type[ctypes.c_uint64]
+"""What lies at an address that a call was given."""
 
 
 class ModeInfo(ctypes.Structure):
@@ -204,18 +207,19 @@ class Kernel:
             self.calls.append(number)
             if self.pulled:
                 raise OSError(errno.ENODEV, "No such device")
-            handler = {
+            handlers: dict[int, tuple[Callable[[Any], None], Layout]] = {
                 0x0C: (self._get_cap, GetCap), 0xA0: (self._resources, CardRes), 0xA1: (self._get_crtc, Crtc),
                 0xA2: (self._set_crtc, Crtc), 0xA5: (self._set_gamma, CrtcLut), 0xA6: (self._encoder, GetEncoder),
                 0xA7: (self._connector, GetConnector), 0xAA: (self._get_property, GetProperty),
                 0xAB: (self._set_property, SetProperty), 0xAE: (self._add_fb, FbCmd), 0xAF: (self._rm_fb, u32),
                 0xB0: (self._flip, PageFlip), 0xB2: (self._create, CreateDumb), 0xB3: (self._map, MapDumb),
                 0xB4: (self._destroy, u32),
-            }.get(number)  # fmt: skip
+            }  # fmt: skip
+            handler = handlers.get(number)
             if handler is None:
                 raise OSError(errno.EINVAL, "Invalid argument")
             function, layout = handler
-            function(layout.from_buffer(buffer))  # type: ignore[operator]
+            function(layout.from_buffer(buffer))
 
     def map(self, length: int, offset: int) -> memoryview:
         handle = offset >> 12
@@ -362,10 +366,10 @@ class Kernel:
         self.pending[flip.crtc_id] = (flip.fb_id, flip.user_data, self.blank + 1 + late)
 
     @staticmethod
-    def _fill(owner: ctypes.Structure, pointer: str, number: str, values: list, kind: type) -> None:  # type: ignore[type-arg]
+    def _fill(owner: ctypes.Structure, pointer: str, number: str, values: list[Any], kind: Layout) -> None:
         room, address = getattr(owner, number), getattr(owner, pointer)
         if values and room >= len(values) and address:
-            (kind * len(values)).from_address(address)[:] = values  # type: ignore[operator]
+            (kind * len(values)).from_address(address)[:] = values
         setattr(owner, number, len(values))
 
     def _number(self) -> int:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 import pytest
@@ -32,7 +33,7 @@ def two_heads(**changes: object) -> Kernel:
 
 
 @contextmanager
-def opened(kernel: Kernel) -> Iterator[tuple[PatternProjector[object], PictureDisplay[object]]]:
+def opened(kernel: Kernel) -> Iterator[tuple[PatternProjector[Any], PictureDisplay[Any]]]:
     with Outputs(PROJECTOR, DISPLAY, KernelWires({CARD: [kernel]})) as outputs:  # type: ignore[arg-type]
         yield outputs.open_projector(), outputs.open_display()
 
@@ -42,10 +43,15 @@ def frames(number: int) -> list[np.ndarray]:
     return [np.full((96, 128), index + 1, np.uint8) for index in range(number)]
 
 
-def from_blank(ahead: int):
+def blank_of(flip: Flip) -> int:
+    """The number of the vertical blank at which the frame appeared."""
+    assert flip.sequence is not None
+    return flip.sequence
+
+
+def from_blank(ahead: int) -> Callable[[Flip], int | None]:
     def start(flip: Flip) -> int | None:
-        assert flip.sequence is not None
-        return flip.sequence + ahead
+        return blank_of(flip) + ahead
 
     return start
 
@@ -141,7 +147,7 @@ def test_every_frame_is_lit_for_exactly_one_blank_from_the_agreed_one_on() -> No
         lit: dict[int, int] = {}
         kernel.on_blank = lambda k: lit.update({k.blank - 1: int(k.picture(PROJECTOR_CRTC)[0, 0, 1])})
         flips = projector.play([2, 3, 4], 0, from_blank(5), never)
-        first = flips[0].sequence
+        first = blank_of(flips[0])
         projector.show(0)
     assert [flip.index for flip in flips] == [2, 3, 4]
     assert [flip.sequence for flip in flips] == [first, first + 1, first + 2]
@@ -155,14 +161,14 @@ def test_start_is_asked_once_and_kept_to() -> None:
     def start(flip: Flip) -> int:
         asked.append(flip)
         kernel.time.sleep_s(0.010)
-        return flip.sequence + 7
+        return blank_of(flip) + 7
 
     with opened(kernel) as (projector, _):
         projector.load(frames(2))
         flips = projector.play([1], 0, start, never)
     assert len(asked) == 1
     assert asked[0].index == 0
-    assert flips[0].sequence == asked[0].sequence + 7
+    assert flips[0].sequence == blank_of(asked[0]) + 7
 
 
 def test_without_an_agreed_blank_it_starts_at_the_next() -> None:
@@ -171,7 +177,7 @@ def test_without_an_agreed_blank_it_starts_at_the_next() -> None:
         projector.load(frames(3))
         asked: list[Flip] = []
         flips = projector.play([1, 2], 0, asked.append, never)
-    assert [flip.sequence for flip in flips] == [asked[0].sequence + 1, asked[0].sequence + 2]
+    assert [flip.sequence for flip in flips] == [blank_of(asked[0]) + 1, blank_of(asked[0]) + 2]
 
 
 def test_a_missed_blank_is_in_the_flips_and_ends_the_play() -> None:
@@ -203,12 +209,12 @@ def test_a_late_idle_flip_shows_as_a_late_first_frame() -> None:
         agreed: list[int] = []
 
         def start(flip: Flip) -> int:
-            agreed.append(flip.sequence + 3)
+            agreed.append(blank_of(flip) + 3)
             return agreed[0]
 
         flips = projector.play([1, 2], 0, start, never)
     assert len(flips) == 1
-    assert flips[0].sequence > agreed[0]
+    assert blank_of(flips[0]) > agreed[0]
 
 
 def test_an_abort_ends_within_one_blank_on_idle() -> None:

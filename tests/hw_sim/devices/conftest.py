@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from typing import Any
 
@@ -17,7 +17,7 @@ from hw_sim.wires import open as open_wires
 from hw_sim.world import World, WorldOptions
 from tests.hw_sim.devices.host import BoardHost, CardHost, Recorder, U3vHost, greys
 
-SMALL = {"width_px": 160, "height_px": 120, "truth": "nominal"}
+SMALL: Mapping[str, Any] = {"width_px": 160, "height_px": 120, "truth": "nominal"}
 
 
 class Bench:

@@ -252,8 +252,8 @@ class CardHost:
         height, width = image.shape
         _, _, _, _, handle, pitch, size = self.call(0xB2, "<6IQ", height, width, 32, 0, 0, 0, 0)
         offset = self.call(0xB3, "<IIQ", handle, 0, 0)[2]
-        pixels = np.frombuffer(self.node.map(size, offset), np.uint8)[: pitch * height].reshape(height, pitch)
-        pixels = pixels[:, : 4 * width].reshape(height, width, 4)
+        rows = np.frombuffer(self.node.map(size, offset), np.uint8)[: pitch * height].reshape(height, pitch)
+        pixels = rows[:, : 4 * width].reshape(height, width, 4)
         pixels[:, :, :3] = image[:, :, None]
         fb = self.call(0xAE, "<7I", 0, width, height, pitch, 32, 24, handle)[0]
         self.fbs.append((fb, pixels))

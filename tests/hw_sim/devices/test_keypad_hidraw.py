@@ -44,7 +44,9 @@ def opened(module: HidrawModule) -> Iterator[Any]:
 
 def test_it_is_enumerated_as_hidapi_does(module: HidrawModule) -> None:
     (found,) = module.enumerate(0x1209, 0x4B46)
-    documented = {line.strip("- '") for line in inspect.getdoc(hidapi.enumerate).splitlines() if "- '" in line}
+    page = inspect.getdoc(hidapi.enumerate)
+    assert page is not None
+    documented = {line.strip("- '") for line in page.splitlines() if "- '" in line}
     assert len(documented) >= 10
     assert documented <= set(found)
     assert isinstance(found["path"], bytes)

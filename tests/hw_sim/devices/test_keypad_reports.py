@@ -173,10 +173,11 @@ def test_an_unplugged_pad_is_silent_and_comes_back_as_another_device(pad: Pad) -
     pad.bench.run_s(1.0)
     before, enumeration = len(pad.reports), pad.pad.enumeration
     pad.bench.faults.add("keypad off for_s=1.0")
-    assert not pad.pad.plugged
+    plugged = [pad.pad.plugged]
     pad.bench.run_s(3.0)
+    plugged.append(pad.pad.plugged)
+    assert plugged == [False, True]
     assert len(pad.reports) == before, "the old handle stays dead"
-    assert pad.pad.plugged
     assert pad.pad.enumeration == enumeration + 1
     pad.listen()
     pad.bench.run_s(0.3)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -31,7 +32,7 @@ def test_every_frame_shows_its_own_pattern(bench: Bench) -> None:
 def test_board_flips_and_frames_agree_about_time(bench: Bench) -> None:
     recorder = bench.recorder(patterns=8)
     frames = good(recorder.record()["left"])
-    pulses = []
+    pulses: list[tuple[int, int]] = []
     while len(pulses) < 8:
         report = bench.board.wait_report("PULSE")
         pulses.append((int(report[3]), int(report[5])))
@@ -44,7 +45,9 @@ def test_board_flips_and_frames_agree_about_time(bench: Bench) -> None:
     assert bench.board.wait_report("DONE")[3] == "8"
 
 
-def record_with(make_bench: Callable[..., Bench], between: Callable[[int], None], **options: object) -> dict[str, list]:
+def record_with(
+    make_bench: Callable[..., Bench], between: Callable[[int], None], **options: object
+) -> dict[str, list[Any]]:
     bench = make_bench(texture="strong", **options)
     got = bench.recorder(patterns=8).record(between=between)
     return {side: good(got[side]) for side in got}
@@ -181,7 +184,7 @@ def test_an_attended_world_is_real_time_between_sequences_and_waits_within_them(
     """Images that take three times as long as they may: the live view skips some, a sequence none."""
     expose = Renderer.expose
 
-    def slow(*arguments: object) -> object:
+    def slow(*arguments: Any) -> object:
         time.sleep(0.3)
         return expose(*arguments)
 

@@ -60,7 +60,7 @@ def test_it_waits_presses_and_breaks_things(tmp_path: Path) -> None:
         write_status(status, "REVIEW")
         until(lambda: wires.hidraw.enumerate() != [])
         until(lambda: wires._world.scene.object == "plane")
-        assert wires._world.scene.pose == (0, 0, 500, 0, 20, 0)
+        assert wires._world.scene.pose == (0.0, 0.0, 500.0, 0.0, 20.0, 0.0)
         write_status(status, "REVIEW", "LEAK")
 
 
@@ -136,7 +136,9 @@ def test_a_screenshot_is_the_display(tmp_path: Path) -> None:
     picture.parent.mkdir()
     with playing(tmp_path, f"screenshot {picture}"):
         until(picture.exists)
-    assert cv2.imread(str(picture)).shape == (480, 800, 3)
+    written = cv2.imread(str(picture))
+    assert written is not None
+    assert written.shape == (480, 800, 3)
 
 
 def test_a_screenshot_that_cannot_be_written_fails_the_script(tmp_path: Path) -> None:

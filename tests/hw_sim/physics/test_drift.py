@@ -54,7 +54,7 @@ def drawn(
 
 def centroid(image: np.ndarray) -> np.ndarray:
     v, u = np.indices(image.shape)
-    return np.array([(image * u).sum(), (image * v).sum()]) / image.sum()
+    return np.asarray(np.array([(image * u).sum(), (image * v).sum()]) / image.sum())
 
 
 @pytest.mark.parametrize("camera", ["left", "right"])

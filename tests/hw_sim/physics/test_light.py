@@ -27,7 +27,7 @@ def sampled(light: np.ndarray, p: np.ndarray, q: float, softness: float = 0.0) -
     out = np.zeros((1, len(p)), np.float32)
     nothing = np.zeros_like(out)
     collect(pixels, soften(light.astype(np.float32), 0.0), np.float32(1.0), np.float32(0.0), nothing, out)
-    return out[0].astype(float)
+    return np.asarray(out[0], float)
 
 
 def fringes(period_px: float, step: int) -> np.ndarray:

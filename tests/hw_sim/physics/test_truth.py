@@ -8,9 +8,10 @@ import math
 import numpy as np
 import pytest
 
+from hw_sim.objects.shapes import BALL_DISTANCE_MM
 from hw_sim.optics.points import ray
 from hw_sim.optics.trace import lens_field
-from hw_sim.truth import BALL_DISTANCE_MM, SETS, draw_truth, in_air
+from hw_sim.truth import SETS, draw_truth, in_air
 from hw_sim.water import Water, refractive_index
 
 N_WATER = Water().index

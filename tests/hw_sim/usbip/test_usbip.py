@@ -264,7 +264,9 @@ def test_a_whole_image_comes_through_the_stream_pipe(door: tuple[World, Exporter
         assert camera.finish(leader).data[:4] == b"U3VL"
         pixels = np.frombuffer(camera.finish(image).data, np.uint8).reshape(96, 128)
         assert camera.finish(trailer).data[:4] == b"U3VT"
-        assert np.array_equal(pixels, world.seen("left"))
+        seen = world.seen("left")
+        assert seen is not None
+        assert np.array_equal(pixels, seen)
 
 
 def test_what_the_camera_does_not_know_is_a_stall(door: tuple[World, Exporter]) -> None:

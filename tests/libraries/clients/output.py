@@ -18,7 +18,7 @@ FLIPS = 60
 def pattern(index: int) -> np.ndarray:
     """A picture in which every column and many rows differ."""
     rows, columns = np.mgrid[0:768, 0:1024]
-    return ((columns * (index + 1) + rows * 7) % 256).astype(np.uint8)
+    return np.asarray((columns * (index + 1) + rows * 7) % 256, np.uint8)
 
 
 if __name__ == "__main__":

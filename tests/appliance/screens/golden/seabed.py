@@ -42,7 +42,7 @@ def live(right: bool) -> NDArray[np.uint8]:
     grey = 18.0 + 175.0 * light * falloff * (0.8 + 0.2 * np.cos(0.9 * x) * np.cos(1.1 * y) * (z > MIDDLE_MM + 12))
     for dot_x in (-32.0, 34.0):
         grey += 230.0 * np.exp(-((x - dot_x) ** 2 + (y - 6.0) ** 2) / 5.0)
-    return np.clip(grey, 0, 255).astype(np.uint8)
+    return np.asarray(np.clip(grey, 0, 255), np.uint8)
 
 
 @cache
