@@ -17,7 +17,7 @@ from kingfisher_setup.layout import PROGRAM, Layout
 from kingfisher_setup.pins import runtime_pins
 
 PACKAGES = ("appliance", "drivers", "hw_sim")
-PARTS = (*PACKAGES, "systemd", "pyproject.toml", "requirements.lock", "README.md")
+PARTS = (*PACKAGES, "systemd", "pyproject.toml", "requirements.lock", "README.md", "LICENSE")
 """What of a source tree goes onto an instrument."""
 SHARED = ("drivers/__init__.py", "drivers/output/__init__.py", "drivers/output/drm.py")
 """What the safe screen has in common with the program."""
