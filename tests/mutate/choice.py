@@ -1,0 +1,192 @@
+"""Owns which tests judge a mutant: those that execute its lines, the cheap ones first.
+
+Candidates are the folder of ``tests/`` that mirrors the file's and the integration tests of ``BESIDE``. They run once
+under a trace (kept in ``.cache/mutate``, named after the contents of all files concerned). A kernel's lines never
+show, and a constant's show only at import: for these, the functions that use them stand in.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import json
+from collections import deque
+from dataclasses import dataclass
+from pathlib import Path
+
+from tests.mutate.mutants import Mutant
+from tests.mutate.names import PACKAGES, Definition, Names
+from tests.mutate.tree import Tree
+
+BESIDE = {
+    "appliance/capture": ("tests/integration/test_every_frame_fault.py",),
+    "appliance/storage": (
+        "tests/crash/test_power_loss.py",
+        "tests/crash/test_refused_writes.py",
+        "tests/crash/test_bad_disk.py",
+    ),
+    "drivers/board": ("tests/integration/drivers/test_board.py",),
+    "drivers/camera": ("tests/integration/drivers/test_camera.py",),
+    "drivers/keys": ("tests/integration/drivers/test_keys.py",),
+    "drivers/output": ("tests/integration/output/test_simulated_card.py",),
+}
+TRACE_LIMIT_S = 900.0
+
+
+@dataclass(frozen=True, slots=True)
+class Traced:
+    """One test file, run once without a mutant."""
+
+    file: str
+    digest: str
+    tests: dict[str, tuple[str, float]]
+    lines: dict[str, dict[str, list[int]]]
+
+    def reaching(self, path: str, lines: range) -> set[str]:
+        return {
+            name
+            for name, by_file in self.lines.items()
+            if self.tests.get(name, ("", 0.0))[0] == "passed" and any(line in lines for line in by_file.get(path, ()))
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Chosen:
+    """The tests for one mutant: files in the order in which they shall run, and of these the tests that count."""
+
+    files: tuple[str, ...]
+    tests: tuple[str, ...]
+    seconds: float
+    digest: str
+    """Of the contents of these files: another one, and a survivor must be tried again."""
+
+
+class Choice:
+    """Chooses tests for the mutants of some files of one tree."""
+
+    def __init__(self, tree: Tree, names: Names, home: Path) -> None:
+        self._tree, self._names, self._home = tree, names, home / "reach"
+        self._home.mkdir(parents=True, exist_ok=True)
+        self._traced: dict[str, list[Traced]] = {}
+        self.red: dict[str, str] = {}
+        """Tests that fail without any mutant, with what they said: they judge nothing."""
+
+    def for_mutant(self, mutant: Mutant, budget_s: float) -> Chosen:
+        """The tests that execute the mutant; the dearest are left out once they take more than ``budget_s``."""
+        traced = self._of_file(mutant.path)
+        definition = self._names.at(mutant.path, mutant.line)
+        wanted: list[tuple[float, Traced, set[str]]] = []
+        for one in traced:
+            tests = self._reaching(one, mutant, definition)
+            if tests:
+                wanted.append((sum(one.tests[name][1] for name in tests), one, tests))
+        wanted.sort(key=lambda entry: (entry[0], entry[1].file))
+        files: list[str] = []
+        chosen: list[str] = []
+        total = 0.0
+        digest = hashlib.sha256()
+        for seconds, one, tests in wanted:
+            if files and total + seconds > budget_s:
+                break
+            files.append(one.file)
+            total += seconds
+            digest.update(one.digest.encode())
+            chosen += sorted(tests)
+        return Chosen(tuple(files), tuple(chosen), total, digest.hexdigest()[:16])
+
+    def _reaching(self, traced: Traced, mutant: Mutant, definition: Definition | None) -> set[str]:
+        if definition is not None and definition.function and not definition.kernel:
+            found = traced.reaching(mutant.path, range(mutant.line, mutant.last_line + 1))
+            if found or mutant.within != definition.name:
+                return found
+        if definition is None:
+            return set()
+        found = set()
+        for worker in (definition, *self._names.workers(definition)):
+            # the first line of a function is reached when it is called; that of a class when it is defined
+            found |= traced.reaching(worker.path, range(worker.first, worker.last + 1))
+        return found
+
+    def _of_file(self, path: str) -> list[Traced]:
+        folder = Path(path).parent.as_posix()
+        if folder not in self._traced:
+            candidates = candidates_of(self._tree.path, path)
+            self._traced[folder] = [self._trace(file, self._watched(folder)) for file in candidates]
+        return self._traced[folder]
+
+    def _watched(self, folder: str) -> list[str]:
+        """The files of a folder, and those whose functions stand in for its kernels and constants."""
+        here = {one.relative_to(self._tree.path).as_posix() for one in (self._tree.path / folder).glob("*.py")}
+        workers = {
+            worker.path
+            for definition in self._names.definitions.values()
+            if definition.path in here and (definition.kernel or not definition.function)
+            for worker in self._names.workers(definition)
+        }
+        return sorted(here | workers)
+
+    def _trace(self, file: str, watched: list[str]) -> Traced:
+        digest = hashlib.sha256()
+        for name in (file, *watched):
+            digest.update(name.encode() + b"\0" + (self._tree.path / name).read_bytes() + b"\0")
+        own = hashlib.sha256((self._tree.path / file).read_bytes()).hexdigest()
+        kept = self._home / f"{digest.hexdigest()[:24]}.json"
+        if kept.exists():
+            known = json.loads(kept.read_text())
+            return Traced(file, own, {k: (v[0], v[1]) for k, v in known["tests"].items()}, known["lines"])
+        run = self._tree.run([file], TRACE_LIMIT_S, watched=watched)
+        tests = dict(run.tests)
+        if any(outcome == "failed" for outcome, _ in tests.values()) or run.outcome in {"died", "timed out"}:
+            again = self._tree.run([file], TRACE_LIMIT_S)  # a trace makes everything slow, and some tests mind
+            tests = {name: again.tests.get(name, entry) for name, entry in tests.items()}
+            self.red |= {name: again.said[-2000:] for name, entry in tests.items() if entry[0] == "failed"}
+            if again.outcome in {"died", "timed out"}:
+                self.red[file] = again.outcome
+        else:
+            kept.write_text(json.dumps({"tests": tests, "lines": run.lines}))
+        return Traced(file, own, tests, run.lines)
+
+
+def candidates_of(root: Path, path: str) -> list[str]:
+    """The test files that are tried for a file: the mirrored folder, a file named after it, and ``BESIDE``."""
+    folder = Path(path).parent.as_posix()
+    mirrored = root / "tests" / folder
+    found = sorted(one.relative_to(root).as_posix() for one in mirrored.rglob("test_*.py"))
+    found += [one for head, extra in BESIDE.items() if f"{folder}/".startswith(f"{head}/") for one in extra]
+    return [one for one in dict.fromkeys(found) if (root / one).exists()]
+
+
+def wider(root: Path, path: str, without: tuple[str, ...]) -> list[str]:
+    """Every other test file that imports ``path``, over however many modules: the nearest first."""
+    imports = {
+        file.relative_to(root).as_posix(): _imported(file, root)
+        for package in (*PACKAGES, "tests", "bench")
+        for file in sorted((root / package).rglob("*.py"))
+    }
+    users: dict[str, set[str]] = {}
+    for file, used in imports.items():
+        for one in used:
+            users.setdefault(one, set()).add(file)
+    distance, waiting = {path: 0}, deque([path])
+    while waiting:
+        file = waiting.popleft()
+        for user in users.get(file, ()):
+            if user not in distance:
+                distance[user] = distance[file] + 1
+                waiting.append(user)
+    tests = [file for file in distance if Path(file).name.startswith("test_") and file not in without]
+    return sorted(tests, key=lambda file: (distance[file], file))
+
+
+def _imported(file: Path, root: Path) -> set[str]:
+    modules: set[str] = set()
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            modules |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            modules |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+    found: set[str] = set()
+    for module in modules:
+        stem = module.replace(".", "/")
+        found |= {one for one in (f"{stem}.py", f"{stem}/__init__.py") if (root / one).is_file()}
+    return found

@@ -1,0 +1,234 @@
+"""The mutation runner notices a weak test, keeps its limit, and never touches the working tree."""
+
+from __future__ import annotations
+
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.mutate import argued
+from tests.mutate.campaign import Campaign, Result, share, table
+from tests.mutate.choice import Choice, candidates_of, wider
+from tests.mutate.mutants import Mutant, draw, mutants_of
+from tests.mutate.names import Names
+from tests.mutate.tree import HEAVY, Tree
+
+ROOT = Path(__file__).parents[2]
+
+
+def changes(text: str) -> set[str]:
+    return {one.applied(text).strip() for one in mutants_of("appliance/example.py", text)}
+
+
+@pytest.mark.parametrize(
+    ("text", "wanted"),
+    [
+        ("def f(a, b):\n    return a < b", {"a <= b", "a >= b", "True", "False"}),
+        ("def f(a, b):\n    return a + b", {"a - b", "None"}),
+        ("def f(a):\n    return (a  # + here\n    + 1)", {"(a  # + here\n    - 1)", "(a  # + here\n    + 2)"}),
+        ("def f(a, b):\n    return a and not b", {"a or not b", "a and (b)", "True", "False"}),
+        ("def f(a):\n    return a is None", {"a is not None"}),
+        ("def f(a):\n    return a not in (1, 2)", {"a in (1, 2)"}),
+        ("def f(a):\n    return -abs(a)", {"(abs(a))", "-(a)"}),
+        ("def f(a, b):\n    return g(a, b)", {"g(b, a)", "None"}),
+        ("def f(a):\n    return a[1:-2]", {"a[(1) + 1:-2]", "a[1:(-2) - 1]", "a[2:-2]"}),
+        ("def f(a):\n    return max(a, 0.5)", {"min(a, 0.5)", "max(a, 1.0)", "max(a, 0.25)"}),
+        ("def f(a):\n    return [x for x in a if x]", {"[x for x in a if True]"}),
+        ("def f(ß):\n    return ß + 'ä' + g(ß)", {"ß - 'ä' + g(ß)"}),
+    ],
+)
+def test_each_operator_changes_what_it_names(text: str, wanted: set[str]) -> None:
+    found = {one.partition("return ")[2] for one in changes(text)}
+    assert wanted <= found, found
+
+
+@pytest.mark.parametrize(
+    ("text", "wanted"),
+    [
+        ("def f():\n    g()\n    h()", "def f():\n    pass\n    h()"),
+        ("def f(s):\n    s.a = 1", "def f(s):\n    pass"),
+        ("def f():\n    raise ValueError('no')", "def f():\n    pass"),
+        ("def f(a):\n    if a:\n        g()", "def f(a):\n    if False:\n        g()"),
+        ("def f(a):\n    if a:\n        g()", "def f(a):\n    if not (a):\n        g()"),
+        ("def f(a):\n    for x in a:\n        break", "def f(a):\n    for x in a:\n        pass"),
+        ("LIMIT = 20.0", "LIMIT = 40.0"),
+        ("class A:\n    tries: int = 3", "class A:\n    tries: int = 4"),
+        ("def f(tries=3):\n    return", "def f(tries=3):\n    return"),
+    ],
+)
+def test_each_kind_of_statement_has_its_mutants(text: str, wanted: str) -> None:
+    assert wanted in changes(text) | {text}
+
+
+def test_what_is_written_for_people_and_type_checkers_is_left_alone() -> None:
+    text = '''"""A file about 3 things."""
+from __future__ import annotations
+Kind = "a+b"
+def f(a: Literal[3], s: Self) -> tuple[int, ...]:
+    """Return 3 + 4."""
+    assert a is not None
+    s.log.info("%d lines", 3)
+'''
+    assert changes(text) == set()
+
+
+def test_every_mutant_of_this_project_parses_and_says_what_it_changes() -> None:
+    text = (ROOT / "appliance/optics/port.py").read_text()
+    mutants = mutants_of("appliance/optics/port.py", text)
+    assert len(mutants) > 50
+    for one in mutants:
+        compile(one.applied(text), one.path, "exec")
+        assert one.before != one.after
+        assert one.before in " ".join(text.split())
+    assert {one.within for one in mutants} >= {"", "water_rays", "refract"}
+
+
+def test_a_seed_draws_the_same_mutants_again_and_no_line_twice_before_every_line_once() -> None:
+    mutants = mutants_of("appliance/optics/port.py", (ROOT / "appliance/optics/port.py").read_text())
+    lines = len({one.line for one in mutants})
+    first = draw(mutants, lines, 5)
+    assert first == draw(mutants, lines, 5) != draw(mutants, lines, 6)
+    assert len({one.line for one in first}) == lines
+    assert len(draw(mutants, 10**6, 5)) == len(mutants)
+
+
+OVER = "def is_over(value, top):\n    return value > top\n"
+
+
+def boundary(text: str) -> Mutant:
+    return next(one for one in mutants_of("appliance/limits.py", text) if one.operator == "> to >=")
+
+
+def test_a_mutant_keeps_its_key_and_its_argument_where_its_line_moves_to() -> None:
+    here, there = boundary(OVER), boundary("import math\n\n\n" + OVER)
+    assert here.key == there.key
+    assert (here.line, there.line) == (2, 5)
+    text = "# why\n\nappliance/limits.py · is_over\n- return value > top\n+ return value >= top\n  Nobody is equal.\n"
+    arguments = argued.read(text)
+    assert argued.why(arguments, there) == "Nobody is equal."
+    assert argued.why(arguments, boundary(OVER.replace("is_over", "exceeds"))) is None
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "appliance/limits.py · f\n- a\n+ b\n",
+        "appliance/limits.py · f\n+ b\n- a\n  why\n",
+        "appliance/limits.py · f\n- a\n+ b\nwhy\n",
+    ],
+    ids=["no reason", "order", "not indented"],
+)
+def test_an_argument_of_another_form_is_refused_with_its_name(text: str) -> None:
+    with pytest.raises(argued.Unreadable, match=r"appliance/limits\.py · f"):
+        argued.read(text)
+
+
+def test_every_argument_speaks_of_a_change_that_can_still_be_made() -> None:
+    arguments = argued.read(argued.FILE.read_text(encoding="utf-8"))
+    for path in {one.path for one in arguments}:
+        mutants = mutants_of(path, (ROOT / path).read_text(encoding="utf-8"))
+        for one in arguments:
+            if one.path == path:
+                assert any(one.meets(mutant) for mutant in mutants), f"{one.path} · {one.within}: {one.before}"
+
+
+KERNELS = {
+    "appliance/a.py": "from numba import njit\nHALF = 0.5\n@njit\ndef inner(x):\n    return x * HALF\n",
+    "appliance/b.py": "from numba import njit\nfrom appliance.a import inner\n@njit\ndef outer(x):\n    return inner(x)\n"
+    "@njit\ndef other(x):\n    return x\n",
+    "appliance/c.py": "from appliance import b\ndef plain(x):\n    return b.outer(x)\n",
+    "drivers/d.py": "",
+    "hw_sim/e.py": "",
+}
+
+
+def test_callers_in_other_files_are_stale_when_what_they_inlined_changes(tmp_path: Path) -> None:
+    write(tmp_path, KERNELS)
+    names = Names(tmp_path)
+    half = names.at("appliance/a.py", 2)
+    assert half is not None
+    assert names.stale_kernels(half) == {("appliance/a.py", "inner"), ("appliance/b.py", "outer")}
+    assert [one.name for one in names.workers(half)] == ["plain"]
+    alone = names.at("appliance/b.py", 7)
+    assert alone is not None
+    assert names.stale_kernels(alone) == {("appliance/b.py", "other")}
+
+
+PROJECT = {
+    "pyproject.toml": '[tool.pytest.ini_options]\naddopts = "--import-mode=importlib"\npythonpath = ["."]\n',
+    ".gitignore": "/.cache/\n__pycache__/\n",
+    "appliance/__init__.py": "",
+    "appliance/limits.py": OVER + "\n\ndef count(n):\n    i = 0\n    while i < n:\n        i += 1\n    return i\n",
+    "drivers/__init__.py": "",
+    "hw_sim/__init__.py": "",
+    "tests/__init__.py": "",
+    "tests/appliance/test_limits.py": "from appliance.limits import count, is_over\n\n"
+    "def test_over():\n    assert is_over(5, 3)\n    assert not is_over(2, 3)\n\n"
+    "def test_count():\n    assert count(3) == 3\n",
+    "tests/integration/test_far.py": "from tests.support import limit\n\ndef test_far():\n    assert limit() == 3\n",
+    "tests/support.py": "import appliance.limits\n\ndef limit():\n    return 3\n",
+}
+
+
+def write(root: Path, files: dict[str, str]) -> None:
+    for name, text in files.items():
+        path = root / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+
+
+def contents(root: Path) -> dict[str, tuple[str, int]]:
+    return {
+        path.relative_to(root).as_posix(): (path.read_text(), path.stat().st_mtime_ns)
+        for path in root.rglob("*")
+        if path.is_file() and ".git" not in path.parts and ".cache" not in path.parts
+    }
+
+
+def run(root: Path, said: list[str]) -> list[Result]:
+    home = root / ".cache" / "mutate"
+    file = "appliance/limits.py"
+    with Tree.taken(root, home, heavy=HEAVY[:4]) as tree:
+        names = Names(tree.path)
+        campaign = Campaign(tree, names, Choice(tree, names, home), [], home, limit_s=1.0, budget_s=60.0)
+        wanted = {"> to >=", "> to <=", "statement removed"}
+        mutants = [one for one in mutants_of(file, tree.text(file)) if one.operator in wanted]
+        return campaign.run(mutants, fresh=False, confirm=False, say=said.append)
+
+
+def test_a_weak_test_is_noticed_a_mutant_that_hangs_is_ended_and_the_working_tree_is_never_touched(
+    tmp_path: Path,
+) -> None:
+    write(tmp_path, PROJECT)
+    subprocess.run(["git", "init", "-q", "."], cwd=tmp_path, check=True, timeout=30)
+    before = contents(tmp_path)
+    began = time.monotonic()
+    said: list[str] = []
+    found = {one.mutant.operator: one for one in run(tmp_path, said)}
+    assert {name: one.status for name, one in found.items()} == {
+        "> to >=": "survived",
+        "> to <=": "killed",
+        "statement removed": "timed out",
+    }
+    assert found["> to <="].by == "tests/appliance/test_limits.py::test_over"
+    assert found["> to >="].tests == 1, "only one of the tests executes the line"
+    assert time.monotonic() - began < 120.0
+    assert contents(tmp_path) == before
+    assert share(list(found.values())) == pytest.approx(200 / 3)
+    assert "66.7 %" in table([("appliance", list(found.values()))])
+
+    again: list[str] = []
+    run(tmp_path, again)
+    assert all("known" in line for line in again), again
+    stronger = PROJECT["tests/appliance/test_limits.py"].replace("is_over(2, 3)", "is_over(3, 3)")
+    write(tmp_path, {"tests/appliance/test_limits.py": stronger})
+    assert {one.status for one in run(tmp_path, [])} == {"killed", "timed out"}
+
+
+def test_the_tests_of_a_file_are_those_of_its_folder_first_and_then_all_that_import_it(tmp_path: Path) -> None:
+    write(tmp_path, PROJECT)
+    near = candidates_of(tmp_path, "appliance/limits.py")
+    assert near == ["tests/appliance/test_limits.py"]
+    assert wider(tmp_path, "appliance/limits.py", tuple(near)) == ["tests/integration/test_far.py"]
