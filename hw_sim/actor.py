@@ -18,6 +18,8 @@ PRESS_S = 0.15
 POWER_OFF_HOLD_S = 1.2
 POWER_OFF_TRIES = 15
 POWER_OFF_TRY_S = 2.0
+SWITCH_OFF = "SWITCH OFF"
+"""The answer, as docs/protocols/status.md names it."""
 
 
 class ActError(Exception):
@@ -92,14 +94,24 @@ class Actor:
         return True
 
     def switch_off(self) -> bool:
-        """The power-off gesture, again and again until the service shuts down; whether it did."""
+        """The power-off gesture, again and again until the service shuts down; whether it did: BACK held, and its question
+        answered with DOWN and SCAN."""
         for _ in range(POWER_OFF_TRIES):
-            self.world.press("back", POWER_OFF_HOLD_S)
+            self.press("back", POWER_OFF_HOLD_S)
+            if self.until(lambda: self._selected() is not None or self._off(), POWER_OFF_TRY_S) and not self._off():
+                self.press("down")
+                if self.until(lambda: self._selected() == SWITCH_OFF, POWER_OFF_TRY_S):
+                    self.press("scan")
             if self.until(self._off, POWER_OFF_TRY_S):
                 return True
             if self.over:
                 break
         return False
+
+    def _selected(self) -> str | None:
+        """The answer that is selected now to the question on the screen; ``None``: nothing is asked."""
+        question = self.status().get("question")
+        return str(question.get("selected")) if isinstance(question, dict) else None
 
     def _off(self) -> bool:
         """Switched off: the service says so, or has taken its status away."""

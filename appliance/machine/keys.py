@@ -1,18 +1,18 @@
-"""Owns what the four keys mean: in each state one press has one meaning; holding is for what cannot be taken back: switching off,
-rejecting a scan, putting a calibration away."""
+"""Owns what the four keys mean: in each state one press has one meaning; holding is for what cannot be taken back: rejecting a
+scan, putting a calibration away, and asking whether to switch off."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from typing import assert_never
 
-from appliance.machine import calibrate, gallery, menu, safety, scanning, start
+from appliance.machine import asking, calibrate, gallery, menu, safety, scanning, start
 from appliance.machine.moves import Result
-from appliance.machine.states import Ending, Machine, State
+from appliance.machine.states import Machine, State
 from drivers.api import Key
 
 HELD_TO_SWITCH_OFF = (State.BOOT, State.SELF_TEST, State.AIM, State.SAFE)
-"""Where BACK held switches off."""
+"""Where BACK held asks whether to switch off."""
 HELD_TO_REJECT = (State.CHECK, State.RECONSTRUCT, State.REVIEW)
 """Where BACK held rejects the scan in hand: a glove that brushes the key costs no scan."""
 
@@ -30,9 +30,11 @@ def pressed(machine: Machine, key: Key) -> Result:
     """A key went down. ``key`` is what it stands for."""
     machine = replace(machine, notice=None, just_saved=None, last_key_ns=machine.now_ns)
     if key is Key.BACK:
-        machine = replace(machine, back_from=machine.state)
+        machine = replace(machine, back_from=machine.state, back_spent=False)
     if key is not Key.SCAN:
         machine = replace(machine, insists_until_ns=None)
+    if machine.off_question is not None:
+        return asking.pressed(machine, key)
     match machine.state:
         case State.SELF_TEST:
             return start.pressed(machine, key)
@@ -61,15 +63,18 @@ def pressed(machine: Machine, key: Key) -> Result:
 
 
 def held(machine: Machine, key: Key) -> Result:
-    """BACK held rejects the scan in hand, or switches off; DOWN held at the calibration's result puts that away for a new one."""
+    """BACK held rejects the scan in hand, or asks whether to switch off; DOWN held at the calibration's result puts that away
+    for a new one."""
+    if machine.off_question is not None:
+        return machine, ()
     if key is Key.DOWN and calibrate.may_begin_session(machine):
         return calibrate.begin_session(machine)
-    if key is not Key.BACK:
+    if key is not Key.BACK or machine.back_spent:
         return machine, ()
     if machine.state in HELD_TO_REJECT and machine.back_from in HELD_TO_REJECT:
         return scanning.rejected(machine)
     if machine.state in HELD_TO_SWITCH_OFF and machine.back_from in (None, *HELD_TO_SWITCH_OFF):
-        return safety.stop(machine, Ending.POWER_OFF)
+        return asking.ask(machine), ()
     return machine, ()
 
 

@@ -7,8 +7,7 @@ from dataclasses import replace
 from enum import Enum
 from types import MappingProxyType
 
-from appliance.machine import calibrate, choices, gallery
-from appliance.machine import effects as do
+from appliance.machine import asking, calibrate, choices, gallery
 from appliance.machine.choices import Choices
 from appliance.machine.moves import Result, enter
 from appliance.machine.states import Machine, Menu, Page, State
@@ -36,9 +35,6 @@ class Row(Enum):
     CALIBRATION_HASH = "CALIBRATION HASH"
     DISK = "DISK"
 
-    SWITCH_OFF = "SWITCH OFF"
-    STAY_ON = "STAY ON"
-
 
 ROWS: Mapping[Page, tuple[Row, ...]] = MappingProxyType(
     {
@@ -56,11 +52,9 @@ ROWS: Mapping[Page, tuple[Row, ...]] = MappingProxyType(
         ),
         Page.WATER: (Row.WATER_KIND, Row.WATER_TEMPERATURE),
         Page.ABOUT: (Row.VERSION, Row.INSTRUMENT, Row.CALIBRATED, Row.CALIBRATION_HASH, Row.DISK),
-        Page.POWER_OFF: (Row.STAY_ON, Row.SWITCH_OFF),
     }
 )
-"""The one that does no harm comes first."""
-PAGES = {Row.WATER: Page.WATER, Row.ABOUT: Page.ABOUT, Row.POWER_OFF: Page.POWER_OFF}
+PAGES = {Row.WATER: Page.WATER, Row.ABOUT: Page.ABOUT}
 """Rows of the main page that lead to another page."""
 VALUES = (Row.EXPOSURE, Row.PERIOD, Row.WATER_KIND, Row.WATER_TEMPERATURE, Row.LANGUAGE)
 """Rows whose value is changed with UP and DOWN after SCAN."""
@@ -123,8 +117,6 @@ def may_choose(machine: Machine) -> bool:
 def verb(machine: Machine) -> str:
     """What SCAN does on the selected row."""
     row = row_of(machine.menu) if machine.menu is not None else None
-    if row in (Row.SWITCH_OFF, Row.STAY_ON):
-        return "OK"
     return "CHANGE" if row in VALUES else "OPEN"
 
 
@@ -148,10 +140,8 @@ def _chosen(machine: Machine, menu: Menu) -> Result:
             return calibrate.begin(machine)
         case Row.GALLERY:
             return gallery.open_gallery(machine)
-        case Row.SWITCH_OFF:
-            return enter(machine, State.SHUTDOWN), (do.Quit(power_off=True),)
-        case Row.STAY_ON:
-            return _at(machine, Menu(row=ROWS[Page.MAIN].index(Row.POWER_OFF))), ()
+        case Row.POWER_OFF:
+            return asking.ask(machine), ()
         case _:
             return machine, ()
 

@@ -12,12 +12,15 @@ Result = tuple[Machine, tuple[do.Effect, ...]]
 WITH_A_SCAN = (State.CHECK, State.RECONSTRUCT, State.REVIEW, State.SAVING, State.SAFE)
 """States in which a recorded scan may be in hand."""
 RECORDING = (State.ARMED, State.CAPTURE)
+STARTING = (State.BOOT, State.SELF_TEST)
+"""States that pass by themselves on the way to AIM: a question that is being read stays on the screen."""
 
 
 def enter(machine: Machine, state: State, timeout_s: float | None = None) -> Machine:
     """The machine in ``state``, which ends after ``timeout_s`` at the latest."""
     adds = machine.scan is not None and machine.scan.adding is not None
     deadline_ns = None if timeout_s is None else machine.now_ns + seconds_ns(timeout_s)
+    still_asked = machine.state in STARTING and state in (State.SELF_TEST, State.AIM)
     return replace(
         machine,
         state=state,
@@ -28,6 +31,7 @@ def enter(machine: Machine, state: State, timeout_s: float | None = None) -> Mac
         menu=machine.menu if state in (State.MENU, State.GALLERY) else None,
         gallery=machine.gallery if state is State.GALLERY else None,
         insists_until_ns=None,
+        off_question=machine.off_question if still_asked else None,
     )
 
 

@@ -139,6 +139,8 @@ class Settings:
     supply_low_v: float | None = None
     supply_off_s: float = 30.0
     """How long a low supply is borne before the instrument switches off in good order."""
+    ask_off_s: float = 20.0
+    """How long the question whether to switch off waits for an answer."""
     insist_s: float = 10.0
     """How long SCAN outside the measuring volume waits to be pressed again."""
 
@@ -251,7 +253,23 @@ class Page(Enum):
     MAIN = "MAIN"
     WATER = "WATER"
     ABOUT = "ABOUT"
-    POWER_OFF = "POWER_OFF"
+
+
+class Answer(Enum):
+    """To the question whether to switch off, in the order of the screen: the harmless one first."""
+
+    STAY_ON = "STAY ON"
+    SWITCH_OFF = "SWITCH OFF"
+
+
+@dataclass(frozen=True, slots=True)
+class OffQuestion:
+    """The diver wants to switch off, and is asked whether that is meant."""
+
+    answer: Answer
+    """The one that is selected."""
+    until_ns: int
+    """Without an answer by then, it stays on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -338,6 +356,10 @@ class Machine:
     stuck: frozenset[Key] = frozenset()
     back_from: State | None = None
     """Where the latest press of BACK began: held on into another state, it means nothing there."""
+    back_spent: bool = False
+    """The latest press of BACK has had its effect: held on, it means nothing more."""
+    off_question: OffQuestion | None = None
+    """Shown over BOOT, SELF_TEST, AIM, MENU and SAFE; while it is, the keys answer it."""
     last_key_ns: int | None = None
     """When a key was pressed last."""
     board_resets: int = 0

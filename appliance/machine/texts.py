@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import assert_never
 
-from appliance.machine import calibrate, gallery, menu, start
+from appliance.machine import asking, calibrate, gallery, menu, start
 from appliance.machine import effects as do
 from appliance.machine.permissions import other_exposure, second_exposure
-from appliance.machine.states import Machine, NoticeKind, State
+from appliance.machine.states import Answer, Machine, NoticeKind, State
 from drivers.api import Key
 
 
@@ -25,6 +25,8 @@ def labels(machine: Machine) -> Mapping[Key, str]:
 
 
 def _meant(machine: Machine) -> dict[Key, str]:
+    if machine.off_question is not None:
+        return _question(machine)
     match machine.state:
         case State.AIM:
             failed = machine.notice is not None and machine.notice.kind is NoticeKind.FAILURE
@@ -64,6 +66,15 @@ def _meant(machine: Machine) -> dict[Key, str]:
             return {}
         case _:
             assert_never(machine.state)
+
+
+def _question(machine: Machine) -> dict[Key, str]:
+    meant = {Key.SCAN: "OK", Key.BACK: "BACK"}
+    for key in (Key.UP, Key.DOWN):
+        other = asking.other_answer(machine, key)
+        if other is not None:
+            meant[key] = "▲" if other is Answer.STAY_ON else "▼"
+    return meant
 
 
 def _add(machine: Machine) -> str | None:

@@ -8,7 +8,7 @@ import appliance
 from appliance.machine import menu
 from appliance.machine.alerts import alerts
 from appliance.machine.menu import Row
-from appliance.machine.states import Machine, Menu, Page
+from appliance.machine.states import Answer, Machine, Menu, OffQuestion, Page
 from appliance.screens.texts import Text
 from appliance.screens.views import MenuRow, MenuView
 
@@ -23,7 +23,7 @@ class Facts:
     calibration_hash: str
 
 
-TITLES = {Page.MAIN: Text.MENU, Page.WATER: Text.WATER, Page.ABOUT: Text.ABOUT, Page.POWER_OFF: Text.POWER_OFF}
+TITLES = {Page.MAIN: Text.MENU, Page.WATER: Text.WATER, Page.ABOUT: Text.ABOUT}
 WORDS = {
     Row.EXPOSURE: Text.EXPOSURE,
     Row.PERIOD: Text.FRINGES,
@@ -40,10 +40,18 @@ WORDS = {
     Row.CALIBRATED: Text.CALIBRATED,
     Row.CALIBRATION_HASH: Text.CALIBRATION_HASH,
     Row.DISK: Text.DISK,
-    Row.STAY_ON: Text.STAY_ON,
-    Row.SWITCH_OFF: Text.SWITCH_OFF,
 }
 LANGUAGES = {"en": Text.ENGLISH, "de": Text.GERMAN}
+
+
+ANSWERS = {Answer.STAY_ON: Text.STAY_ON, Answer.SWITCH_OFF: Text.SWITCH_OFF}
+
+
+def question_view(machine: Machine, question: OffQuestion) -> MenuView:
+    """Whether to switch off: the two answers, on the screen of any state."""
+    rows = tuple(MenuRow(ANSWERS[answer]) for answer in Answer)
+    selected = list(Answer).index(question.answer)
+    return MenuView(title=Text.POWER_OFF_ASKED, rows=rows, selected=selected, alerts=alerts(machine))
 
 
 def menu_view(machine: Machine, facts: Facts | None) -> MenuView:

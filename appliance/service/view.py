@@ -40,7 +40,7 @@ from appliance.screens.views import (
     ShutdownView,
 )
 from appliance.service.gallery import Shown
-from appliance.service.menu_view import Facts, menu_view
+from appliance.service.menu_view import Facts, menu_view, question_view
 from appliance.service.scans import ScanInWork
 
 NO_POINTS = np.empty((0, 3), np.float32)
@@ -71,6 +71,8 @@ def view_of(machine: Machine, around: Surroundings) -> AnyView:
 
 def _view(machine: Machine, around: Surroundings) -> AnyView:
     shown = alerts(machine)
+    if machine.off_question is not None:
+        return question_view(machine, machine.off_question)
     match machine.state:
         case State.BOOT:
             return BootView(devices=_lines(machine), version=appliance.__version__, alerts=shown)

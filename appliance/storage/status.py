@@ -9,7 +9,7 @@ from typing import Any
 
 from appliance.calibration.guide import STEPS
 from appliance.machine.alerts import alerts
-from appliance.machine.states import Device, Machine
+from appliance.machine.states import Answer, Device, Machine
 from appliance.machine.texts import labels
 
 
@@ -30,6 +30,7 @@ def describe(
             }
             for alert in alerts(machine)
         ],
+        "question": _question(machine),
         "keys": {key.name.lower(): str(label) for key, label in labels(machine).items()},
         "devices": {device.value: _device(machine, device) for device in Device},
         "scans": machine.scans,
@@ -42,6 +43,13 @@ def describe(
         "worker_pid": worker_pid,
         "version": version,
     }
+
+
+def _question(machine: Machine) -> dict[str, Any] | None:
+    """What the diver is asked, and the answer that is selected; ``None``: nothing."""
+    if machine.off_question is None:
+        return None
+    return {"answers": [answer.value for answer in Answer], "selected": machine.off_question.answer.value}
 
 
 def _calibration(machine: Machine) -> dict[str, Any] | None:

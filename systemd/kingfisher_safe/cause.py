@@ -90,15 +90,28 @@ def notice(why: Cause, language: str, next_try_s: int | None) -> Notice:
         words = _GERMAN[why.key]
         by_itself = "" if next_try_s is None else f"\nVON SELBST IN {next_try_s} S"
         return Notice(
-            "SERVICE NÖTIG", words.headline, words.action, why.detail, "GESICHERTE SCANS SIND DA",
-            f"TASTE SCAN: NOCHMAL STARTEN{by_itself}\nZURÜCK HALTEN: AUS",
+            "SERVICE NÖTIG", words.headline, words.action, why.detail, "GESPEICHERTE SCANS SIND DA",
+            f"TASTE SCAN: NOCHMAL STARTEN{by_itself}\nBACK HALTEN: AUSSCHALTEN?",
         )  # fmt: skip
     words = _ENGLISH[why.key]
     by_itself = "" if next_try_s is None else f"\nBY ITSELF IN {next_try_s} S"
     return Notice(
         "SERVICE NEEDED", words.headline, words.action, why.detail, "SAVED SCANS ARE SAFE",
-        f"KEY SCAN: START AGAIN{by_itself}\nHOLD BACK: POWER OFF",
+        f"KEY SCAN: START AGAIN{by_itself}\nHOLD BACK: POWER OFF?",
     )  # fmt: skip
+
+
+def question(language: str, off_selected: bool) -> Notice:
+    """The page that asks whether to switch off, with the answer marked that is selected."""
+    stay, off = ("- ", "> ") if off_selected else ("> ", "- ")
+    if language == "de":
+        return Notice(
+            "AUSSCHALTEN?", f"{stay}ANBLEIBEN", f"{off}AUSSCHALTEN", "", "",
+            "UP, DOWN: AUSWÄHLEN\nSCAN: OK, BACK: ANBLEIBEN",
+        )  # fmt: skip
+    return Notice(
+        "POWER OFF?", f"{stay}STAY ON", f"{off}SWITCH OFF", "", "", "UP, DOWN: SELECT\nSCAN: OK, BACK: STAY ON"
+    )
 
 
 @dataclass(frozen=True, slots=True)

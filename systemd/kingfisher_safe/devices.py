@@ -12,10 +12,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 REPORT_BYTES = 8
-SCAN, BACK = 0x01, 0x02
+SCAN, BACK, UP, DOWN = 0x01, 0x02, 0x04, 0x08
 """docs/protocols/keys.md."""
 OFF_S = 2.0
-"""BACK is held so long to switch off: longer than a glove brushes it."""
+"""BACK is held so long to ask for switching off: longer than a glove brushes it."""
+NAMES = {SCAN: "scan", BACK: "back", UP: "up", DOWN: "down"}
+EVERY = SCAN | BACK | UP | DOWN
 SILENCE_S = 1.0
 """The pad tells its keys many times a second; what was down before a silence may have been let go."""
 COMMANDS = ("STOP", "LASER,0,0")
@@ -72,12 +74,12 @@ class Keys:
     def __init__(self, find: Callable[[], Path | None]) -> None:
         self._find = find
         self._descriptor: int | None = None
-        self._down = SCAN | BACK
+        self._down = EVERY
         self._heard_s = time.monotonic()
         self._back_s: float | None = None
 
-    def asked(self, timeout_s: float) -> str | None:
-        """Wait for a new press of SCAN ("start") or for BACK to be held ("off"); ``None``: neither.
+    def pressed(self, timeout_s: float) -> str | None:
+        """Wait for a new press of a key ("scan", "back", "up", "down"), or for BACK to be held ("hold"); ``None``: nothing.
 
         Never raises; without a key pad it only waits.
         """
@@ -90,10 +92,12 @@ class Keys:
             if keys is None:
                 continue
             new, self._down = keys & ~self._down, keys
-            if new & SCAN:
-                return "start"
-            if self._held(time.monotonic(), new):
-                return "off"
+            held = self._held(time.monotonic(), new)
+            for key, name in NAMES.items():
+                if new & key:
+                    return name
+            if held:
+                return "hold"
         return None
 
     def close(self) -> None:
@@ -108,11 +112,14 @@ class Keys:
             self._back_s = None
         elif new & BACK:
             self._back_s = now_s
-        return self._back_s is not None and now_s - self._back_s >= OFF_S
+        held = self._back_s is not None and now_s - self._back_s >= OFF_S
+        if held:
+            self._back_s = None  # once for each press
+        return held
 
     def _forget(self) -> None:
         """A key that is down from the start (stuck, or still held) is no press."""
-        self._down = SCAN | BACK
+        self._down = EVERY
         self._heard_s = time.monotonic()
         self._back_s = None
 

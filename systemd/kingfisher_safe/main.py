@@ -1,4 +1,4 @@
-"""Owns the safe screen's course: dark, say what is wrong, wait for a key or the time, end so that what was asked for comes."""
+"""Owns the safe screen's course: dark, say what is wrong, wait for a key or the time, end so that what was wanted comes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 
 from kingfisher_safe import devices
-from kingfisher_safe.cause import Cause, cause, notice, outputs
+from kingfisher_safe.cause import Cause, cause, notice, outputs, question
 from kingfisher_safe.page import Picture, draw
 from kingfisher_safe.panel import Console, KernelNode, Node, Panel
 
@@ -24,6 +24,8 @@ WAITS_S = (30, 120, 600)
 """Before each try without a key, as long as the machine is on; then only the key starts it."""
 POWER_OFF = 3
 """The exit code that kingfisher-safe.service knows."""
+ASK_OFF_S = 20.0
+"""How long the question whether to switch off waits; without an answer it stays on."""
 LOOK_S = 1.0
 """How often the time is counted down, and displays are looked for."""
 JOURNAL = ("journalctl", "-b", "-u", SERVICE, "-n", "200", "-o", "cat", "--no-pager", "-q")
@@ -107,20 +109,36 @@ def journal() -> list[str]:
 
 
 def stay(why: Cause, screens: Screens, language: str, tries: Tries, keys: devices.Keys) -> str:
-    """Show the page until a key asks for something or the time has come; returns which: ``start``, ``off`` or ``time``."""
+    """Show the page until a key wants something or the time has come; returns which: ``start``, ``off`` or ``time``.
+
+    BACK held asks whether to switch off, with STAY ON selected: DOWN and UP select, SCAN takes, BACK stays on.
+    """
     wait_s = tries.wait_s()
     end_s = None if wait_s is None else time.monotonic() + wait_s
+    asked_until_s, off_selected = 0.0, False
     where: tuple[str, ...] | None = None
     while True:
+        asking = time.monotonic() < asked_until_s
         left_s = None if end_s is None else max(0, round(end_s - time.monotonic()))
-        shown = screens.show(partial(draw, notice(why, language, left_s)))
+        words = question(language, off_selected) if asking else notice(why, language, left_s)
+        shown = screens.show(partial(draw, words))
         if shown != where:
             where = shown
             _say(f"{why.key}: {why.detail}; shown on {', '.join(shown) or 'nothing: no display'}")
-        asked = keys.asked(LOOK_S)
-        if asked is not None:
-            return asked
-        if end_s is not None and time.monotonic() >= end_s:
+        match keys.pressed(LOOK_S):
+            case "hold" if not asking:
+                asked_until_s, off_selected = time.monotonic() + ASK_OFF_S, False
+            case "scan" if asking and off_selected:
+                return "off"
+            case "scan" if not asking:
+                return "start"
+            case "scan" | "back" if asking:
+                asked_until_s = 0.0
+            case "up" | "down" as key if asking:
+                off_selected = key == "down"
+            case _:
+                pass
+        if end_s is not None and time.monotonic() >= max(end_s, asked_until_s):
             tries.count()
             return "time"
 

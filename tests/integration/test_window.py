@@ -91,6 +91,13 @@ class Instrument:
             [*command, "--window", *options], cwd=ROOT, env=env, stderr=subprocess.PIPE, text=True
         )
 
+    def status(self) -> dict[str, Any]:
+        """The status file; empty while there is none."""
+        try:
+            return dict(json.loads(self._status.read_text(encoding="utf-8")))
+        except (OSError, ValueError):
+            return {}
+
     @property
     def state(self) -> str | None:
         try:
@@ -144,9 +151,13 @@ def test_a_dive_by_keyboard(screen: Xvfb, tmp_path: Path) -> None:
         tap(screen, "Return")
         until(lambda: it.state == "AIM", "kept")
         tap(screen, "BackSpace", hold_s=1.2)
+        until(lambda: (it.status().get("question") or {}).get("selected") == "STAY ON", "held long enough to be asked")
+        tap(screen, "Down")
+        until(lambda: (it.status().get("question") or {}).get("selected") == "SWITCH OFF", "the other answer")
+        tap(screen, "Return")
         code, said = it.ends()
         assert code == 0, said
-        assert "AIM → SHUTDOWN (KeyHeld)" in said, "held long enough for a long press"
+        assert "AIM → SHUTDOWN (KeyPressed)" in said, "only the answer switches off"
     until(lambda: not screen.windows, "no window stays")
     library = Library(root)
     (entry,) = library.entries()

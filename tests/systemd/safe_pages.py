@@ -1,4 +1,4 @@
-"""Owns the safe screen's pictures as they should be; ``python -m tests.systemd.safe_pages`` draws them again."""
+"""Owns the safe screen's pictures as they should be; ``PYTHONPATH=.:systemd python -m tests.systemd.safe_pages`` draws them again."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from kingfisher_safe.cause import Cause, notice
+from kingfisher_safe.cause import Cause, notice, question
 from kingfisher_safe.page import Picture, draw
 
 FOLDER = Path(__file__).parent / "golden"
@@ -23,6 +23,8 @@ PAGES = {
     "safe-config.de": notice(CONFIG, "de", None),
     "safe-hang.en": notice(HANG, "en", 30),
     "safe-hang.de": notice(HANG, "de", 30),
+    "safe-off.en": question("en", off_selected=False),
+    "safe-off.de": question("de", off_selected=True),
 }
 
 

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import ast
+import fcntl
 import json
 import os
 import pty
+import struct
 import subprocess
 import sys
+import termios
 import threading
 import time
 from pathlib import Path
@@ -248,45 +251,101 @@ class Pad:
         os.mkfifo(self.path)
         self._end = os.open(self.path, os.O_RDWR | os.O_NONBLOCK)
 
+    def _unread(self) -> bool:
+        return bool(struct.unpack("i", fcntl.ioctl(self._end, termios.FIONREAD, bytes(4)))[0])
+
     def send(self, *reports: bytes) -> None:
         def sending() -> None:
             for each in reports:
                 time.sleep(0.05)
+                end_s = time.monotonic() + 10.0
+                while self._unread() and time.monotonic() < end_s:  # a real pad hands over one report at a time
+                    time.sleep(0.005)
                 os.write(self._end, each)
 
         threading.Thread(target=sending, daemon=True).start()
+
+
+KEYS = {"scan": (1,), "back": (2,), "up": (4,), "down": (8,), "hold": (2,) * 8}
+
+
+def stays(tmp_path: Path, *pressed: str) -> str:
+    """How the page ends when these keys are pressed one after the other."""
+    pad = Pad(tmp_path)
+    card = Card(lambda: None)
+    screens = Screens(["card"], DISPLAY, PROJECTOR, open_card=lambda _: CardFile(card))
+    keys = devices.Keys(lambda: pad.path)
+    pad.send(report(0), *(report(mask) for key in pressed for mask in (*KEYS[key], 0)))
+    try:
+        return stay(safe_pages.CONFIG, screens, "en", Tries(tmp_path), keys)
+    finally:
+        keys.close()
 
 
 def test_scan_is_a_new_press_of_that_key_and_nothing_else(tmp_path: Path) -> None:
     pad = Pad(tmp_path)
     keys = devices.Keys(lambda: pad.path)
     pad.send(report(1), report(1))  # held since before: perhaps stuck
-    assert keys.asked(0.4) is None
-    pad.send(report(0), report(2), report(12), report(1, faulty=1), report(1)[:-1] + b"\0", report(1)[:5])
-    assert keys.asked(0.6) is None
+    assert keys.pressed(0.4) is None
+    pad.send(report(1, faulty=1), report(1)[:-1] + b"\0", report(1)[:5])
+    assert keys.pressed(0.6) is None
     pad.send(report(0), report(1))
-    assert keys.asked(5.0) == "start"
+    assert keys.pressed(5.0) == "scan"
+    for mask, name in ((2, "back"), (4, "up"), (8, "down")):
+        pad.send(report(0), report(mask))
+        assert keys.pressed(5.0) == name
     keys.close()
 
 
-def test_back_switches_off_when_it_is_held_and_only_then(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_back_is_told_as_held_after_a_while_and_only_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(devices, "OFF_S", 0.4)
     monkeypatch.setattr(devices, "SILENCE_S", 0.2)
     pad = Pad(tmp_path)
     keys = devices.Keys(lambda: pad.path)
+
+    def said(seconds: float) -> list[str]:
+        end_s, names = time.monotonic() + seconds, []
+        while (left_s := end_s - time.monotonic()) > 0.0:
+            names += [name for name in [keys.pressed(left_s)] if name is not None]
+        return names
+
     pad.send(*[report(2)] * 12)  # down since before
-    assert keys.asked(0.8) is None
+    assert said(0.8) == []
     pad.send(report(0), *[report(2)] * 4, report(0), *[report(2)] * 4, report(0))  # brushed, twice
-    assert keys.asked(0.8) is None
+    assert said(0.8) == ["back", "back"]
     pad.send(*[report(10)] * 12)  # with another key: a hand on the pad
-    assert keys.asked(0.8) is None
+    assert "hold" not in said(0.8)
     pad.send(report(0), report(2))  # then silence
-    assert keys.asked(0.5) is None
+    assert said(0.5) == ["back"]
     pad.send(*[report(2)] * 4)
-    assert keys.asked(0.4) is None
+    assert said(0.4) == []
     pad.send(report(0), *[report(2)] * 20)
-    assert keys.asked(5.0) == "off"
+    assert said(1.2) == ["back", "hold"]
     keys.close()
+
+
+@pytest.mark.parametrize(
+    ("pressed", "ends"),
+    [
+        (("hold", "scan", "scan"), "start"),  # stays on; the next press starts the service as on the page itself
+        (("hold", "down", "scan"), "off"),
+        (("hold", "down", "up", "scan", "scan"), "start"),
+        (("hold", "back", "scan"), "start"),
+        (("hold", "down", "back", "hold", "scan", "scan"), "start"),  # asked anew, it is STAY ON that is selected
+        (("back", "down", "up", "scan"), "start"),
+    ],
+)
+def test_switching_off_is_asked_back_and_staying_on_is_selected(
+    tmp_path: Path, pressed: tuple[str, ...], ends: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(devices, "OFF_S", 0.25)
+    assert stays(tmp_path, *pressed) == ends
+
+
+def test_a_question_without_an_answer_goes_away(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(devices, "OFF_S", 0.25)
+    monkeypatch.setattr("kingfisher_safe.main.ASK_OFF_S", 0.0)
+    assert stays(tmp_path, "hold", "down", "scan") == "start"
 
 
 def test_the_key_ends_the_page_at_once(tmp_path: Path) -> None:

@@ -24,8 +24,10 @@ from tests.appliance.machine.walks import (
     SUMMARY,
     TO_CALIBRATION,
     UPS,
+    about_to_switch_off,
     after,
     aim,
+    asked,
     capturing,
     checking,
     heartbeat,
@@ -88,13 +90,13 @@ def test_back_held_rejects_and_aims_again_without_switching_off(way: Callable[[]
     (reject,) = (effect for effect in effects if isinstance(effect, do.Reject))
     assert reject.reason.startswith("rejected")
     assert run(machine, on.KeyHeld(Key.BACK)).state is State.AIM, "the same press does not switch off"
-    machine = run(machine, on.KeyPressed(Key.BACK), on.KeyHeld(Key.BACK))
-    assert machine.state is State.SHUTDOWN
+    assert machine.off_question is None
+    assert asked(machine).off_question is not None
 
 
-def test_holding_back_in_aim_switches_off_even_over_a_message() -> None:
-    machine = run(capturing(), on.CaptureFailed(1, MISSING))
-    machine, effects = after(machine, on.KeyPressed(Key.BACK), on.KeyHeld(Key.BACK))
+def test_holding_back_in_aim_asks_even_over_a_message() -> None:
+    machine = about_to_switch_off(run(capturing(), on.CaptureFailed(1, MISSING)))
+    machine, effects = after(machine, on.KeyPressed(Key.SCAN))
     assert effects == [do.StopLive(), do.Quit(power_off=True)]
     assert machine.state is State.SHUTDOWN
 
@@ -210,7 +212,7 @@ def test_one_heartbeat_with_a_leak_is_debounced_two_are_latched() -> None:
     assert shown(machine)[0][0] == "LEAK: ASCEND"
     machine, effects = after(machine, on.KeyPressed(Key.BACK), on.Saved(1, "000001"))
     assert (machine.state, machine.just_saved, effects) == (State.SAFE, "000001", [])
-    _, effects = after(machine, on.KeyPressed(Key.BACK), on.KeyHeld(Key.BACK))
+    _, effects = after(about_to_switch_off(machine), on.KeyPressed(Key.SCAN))
     assert effects == [do.Quit(power_off=True)], "it can still be switched off"
 
 

@@ -18,6 +18,7 @@ from tests.appliance.machine.walks import (
     SECOND_NS,
     SUMMARY,
     UPS,
+    about_to_switch_off,
     after,
     aim,
     capturing,
@@ -186,8 +187,8 @@ def test_a_scan_kept_before_its_cloud_that_the_disk_refuses_is_tried_again_and_d
 
 
 def test_switching_off_in_safe_finishes_the_save_first() -> None:
-    machine = run(reviewing(), *LEAK, on.KeyPressed(Key.BACK))
-    machine, effects = after(machine, on.KeyHeld(Key.BACK))
+    machine = about_to_switch_off(run(reviewing(), *LEAK))
+    machine, effects = after(machine, on.KeyPressed(Key.SCAN))
     assert (machine.state, effects) == (State.SAFE, [])
     assert after(machine, on.Saved(1, "000001"))[1] == [do.Quit(power_off=True)]
 

@@ -115,8 +115,21 @@ def calibrating_at(session: Session) -> Machine:
     return run(aim(), on.SessionChanged(session), *presses)
 
 
+HOLD_BACK = (on.KeyPressed(Key.BACK), on.KeyHeld(Key.BACK))
+
+
+def asked(start: Machine) -> Machine:
+    """BACK was held: whether to switch off is on the screen, STAY ON selected."""
+    return run(start, *HOLD_BACK)
+
+
+def about_to_switch_off(start: Machine) -> Machine:
+    """The same, and SWITCH OFF is selected; SCAN (OK) takes it."""
+    return run(asked(start), on.KeyPressed(Key.DOWN))
+
+
 def ended() -> Machine:
-    return run(aim(), on.KeyPressed(Key.BACK), on.KeyHeld(Key.BACK))
+    return run(about_to_switch_off(aim()), on.KeyPressed(Key.SCAN))
 
 
 def cooling() -> Machine:
@@ -327,7 +340,13 @@ STARTS: tuple[Callable[[], Machine], ...] = (
     lambda: in_menu(Key.SCAN),
     lambda: in_menu(Key.DOWN, Key.DOWN, Key.DOWN),
     lambda: in_menu(*(Key.DOWN,) * 4),
+    lambda: in_menu(*(Key.DOWN,) * 7, Key.SCAN),
     lambda: in_menu(*(Key.DOWN,) * 7, Key.SCAN, Key.DOWN),
+    lambda: asked(aim()),
+    lambda: about_to_switch_off(aim()),
+    lambda: about_to_switch_off(boot(0)),
+    lambda: about_to_switch_off(self_testing()),
+    lambda: about_to_switch_off(safe()),
     lambda: in_menu(Key.DOWN, Key.DOWN, Key.SCAN, Key.DOWN, Key.SCAN),
     *(partial(calibrating_at, session) for session in SESSIONS),
 )

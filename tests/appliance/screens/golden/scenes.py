@@ -238,9 +238,10 @@ SCENES: Mapping[str, Scene] = MappingProxyType(
         ),
         "menu-power-off": Scene(
             MenuView(
-                title=Text.POWER_OFF, selected=0, rows=(MenuRow(Text.STAY_ON), MenuRow(Text.SWITCH_OFF)), keys=_MENU_KEYS
+                title=Text.POWER_OFF_ASKED, selected=0, rows=(MenuRow(Text.STAY_ON), MenuRow(Text.SWITCH_OFF)),
+                keys=keys(scan="OK", back="BACK", down="▼"),
             ),
-            "The one that does no harm comes first.",
+            "Asked before every switching off that the diver wants; the answer that does no harm is selected.",
         ),
         "gallery": Scene(GALLERY, "A scan on the disk, with its stored picture."),
         "gallery-damaged": Scene(

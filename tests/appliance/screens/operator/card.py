@@ -37,7 +37,7 @@ def steps(language: Language) -> tuple[str, ...]:
             f"{say(Text.SCAN)} drücken. {say(Text.HOLD_STILL)}, bis das Licht aus ist.",
             f"{say(Text.GOOD)}, {say(Text.USABLE)}: {say(Text.KEEP)}. {say(Text.BAD)}: {say(Text.REPEAT)}.",
             f"{say(Text.SAVED)} heißt: sicher auf dem Speicher.",
-            "Ausschalten: BACK lang drücken.",
+            f"BACK lang drücken, {say(Text.SWITCH_OFF)}: schaltet aus.",
         )
     return (
         f"Power on, wait for {say(Text.ALL_READY)}.",
@@ -46,7 +46,7 @@ def steps(language: Language) -> tuple[str, ...]:
         f"Press {say(Text.SCAN)}. {say(Text.HOLD_STILL)} until the light is off.",
         f"{say(Text.GOOD)}, {say(Text.USABLE)}: {say(Text.KEEP)}. {say(Text.BAD)}: {say(Text.REPEAT)}.",
         f"{say(Text.SAVED)} means: safe on the disk.",
-        "To switch off, hold BACK.",
+        f"Hold BACK, {say(Text.SWITCH_OFF)}: switches off.",
     )
 
 

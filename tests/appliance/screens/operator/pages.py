@@ -65,13 +65,18 @@ def _effect(rule: Rule, language: Language) -> str:
     return ", ".join(pick(language, english, german) for holds, english, german in said if holds)
 
 
-def meant() -> dict[State, dict[Key, list[str]]]:
-    """Every label that each key can have in each state, as the machine gives them."""
-    found: dict[State, dict[Key, list[str]]] = defaultdict(lambda: defaultdict(list))
+ASKED = "POWER OFF?"
+"""The row of the question, which is the same over every state."""
+
+
+def meant() -> dict[str, dict[Key, list[str]]]:
+    """Every label that each key can have in each state, as the machine gives them; those of the question by ``ASKED``."""
+    found: dict[str, dict[Key, list[str]]] = defaultdict(lambda: defaultdict(list))
     for machine in (*(start() for start in STARTS), *_more()):
+        row = found[machine.state.value if machine.off_question is None else ASKED]
         for key, word in labels(machine).items():
-            if word not in found[machine.state][key]:
-                found[machine.state][key].append(word)
+            if word not in row[key]:
+                row[key].append(word)
     return found
 
 
@@ -105,9 +110,9 @@ def keys(language: Language) -> str:
         f"| {pick(language, 'screen', 'Bild')} | {' | '.join(key.name for key in _ORDER)} |",
         "|---|---|---|---|---|",
     ]  # fmt: skip
-    for state in State:
-        words = (", ".join(worded(word, language) for word in found.get(state, {}).get(key, [])) for key in _ORDER)
-        lines.append(f"| {state.value} | {' | '.join(words)} |")
+    for row in (*(state.value for state in State), ASKED):
+        words = (", ".join(worded(word, language) for word in found.get(row, {}).get(key, [])) for key in _ORDER)
+        lines.append(f"| {worded(row, language) if row == ASKED else row} | {' | '.join(words)} |")
     return "\n".join(lines) + "\n"
 
 
