@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 from hw_sim.calendar import Calendar
 from hw_sim.daylight import Daylight
+from hw_sim.devices.power_on import Cameras, PowerOn
 from hw_sim.drift import Drift
 from hw_sim.fog import Fog
 from hw_sim.imaging import Imaging
@@ -50,6 +51,7 @@ class WorldOptions:
     daylight: Mapping[str, Any] = field(default_factory=dict)
     drift: Mapping[str, Any] = field(default_factory=dict)
     fog: Mapping[str, Any] = field(default_factory=dict)
+    cameras: Mapping[str, Any] = field(default_factory=dict)
     pace: str = "lockstep"
     idle_speed: float = 1.0
     refresh_hz: float = 60.0
@@ -80,10 +82,19 @@ class WorldOptions:
                 Calendar(lambda: 0, self.date)
             except ValueError as error:
                 raise OptionError(f"date: {error}") from error
+        for side in ("left", "right"):
+            self.power_on(side)
         if not 0.1 <= self.idle_speed <= 100.0:
             raise OptionError(f"idle_speed {self.idle_speed:g}; allowed are 0.1..100")
         if not 1.0 <= self.refresh_hz <= 60.0:
             raise OptionError(f"refresh_hz {self.refresh_hz:g}; allowed are 1..60")
+
+    def power_on(self, side: str) -> PowerOn:
+        """How a camera powers up. Raises OptionError."""
+        try:
+            return _made(PowerOn, f"cameras {side}", _made(Cameras, "cameras", self.cameras).of(side))
+        except (TypeError, ValueError) as error:
+            raise OptionError(f"cameras {side}: {error}") from error
 
     def scene(self) -> Scene:
         """The scene these options describe. Raises OptionError."""

@@ -348,6 +348,7 @@ class World:
             expose=lambda exposure: self._expose(side, exposure),
             temperature_c=lambda: self._housing.temperature_c("camera"),
             seed=o.seed,
+            power_on=o.power_on(side),
         )
 
     def _expose(self, side: str, exposure: Exposure) -> Latent | None:

@@ -78,7 +78,8 @@ class Features:
         whole = isinstance(node, genapi.IInteger)
         try:
             node.value = int(value) if whole else float(value)
-            return float(node.value)
+            # Asked anew: a description may let us keep what was written, and a camera may round it nevertheless.
+            return float(node.get_value(False, True))
         except genapi.GenericException as error:
             raise self._refused(feature, f"{value:g} refused, allowed {_range_of(node, whole)}", error) from error
 

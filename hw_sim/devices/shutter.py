@@ -13,6 +13,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from hw_sim.devices.power_on import CHOICES, POLITE, PowerOn
 from hw_sim.devices.shot import Shot
 from hw_sim.faults import FaultBook
 from hw_sim.pace import WorldTime
@@ -26,6 +27,9 @@ CONTINUOUS, SINGLE_FRAME, MULTI_FRAME = 0, 1, 2
 LINE0, SOFTWARE = 0, 8
 RISING, FALLING = 0, 1
 TIMED, TRIGGER_WIDTH = 1, 2
+AUTO_OFF, AUTO_CONTINUOUS = 0, 2
+AUTO_EXPOSURE_US, AUTO_GAIN_TENTH_DB = 14_000, 120
+"""What the automatic functions choose in the dark of a scan: more than anybody asks for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +58,7 @@ class Latent(Protocol):
 
 @dataclass(slots=True)
 class Settings:
-    """What the host sets. Power-on values: a free-running camera that needs no trigger."""
+    """What the host sets. Power-on values, unless told otherwise: a free-running camera that needs no trigger."""
 
     acquisition_mode: int = CONTINUOUS
     frame_count: int = 1
@@ -65,6 +69,23 @@ class Settings:
     exposure_mode: int = TIMED
     exposure_us: int = 5_000
     gain_tenth_db: int = 0
+    exposure_auto: int = AUTO_OFF
+    gain_auto: int = AUTO_OFF
+
+    @classmethod
+    def at_power_on(cls, state: PowerOn) -> Settings:
+        """The settings that a camera wakes up with."""
+        return cls(**{name: state.register(name) for name in CHOICES})
+
+    @property
+    def used_exposure_us(self) -> int:
+        """The duration of an exposure in mode Timed."""
+        return self.exposure_us if self.exposure_auto == AUTO_OFF else AUTO_EXPOSURE_US
+
+    @property
+    def used_gain_db(self) -> float:
+        """The gain that the image is made with."""
+        return (self.gain_tenth_db if self.gain_auto == AUTO_OFF else AUTO_GAIN_TENTH_DB) / 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,10 +115,12 @@ class Shutter:
         unread: Callable[[], int],
         link_ns: Callable[[], int],
         rows: Callable[[], float],
+        power_on: PowerOn = POLITE,
     ) -> None:
         self._name, self._time, self._faults = name, time, faults
         self._expose, self._send, self._unread, self._link_ns, self._rows = expose, send, unread, link_ns, rows
-        self.settings = Settings()
+        self._power_on = power_on
+        self.settings = Settings.at_power_on(power_on)
         self.acquiring = False
         self.ignored = 0
         """Triggers that came while a frame was exposed or could not have been read out."""
@@ -118,7 +141,7 @@ class Shutter:
         self.stop()
         self._begin_life()
         self.exposing_until_ns = self._readout_until_ns = 0
-        self.settings = Settings()
+        self.settings = Settings.at_power_on(self._power_on)
 
     def _begin_life(self) -> None:
         """What is still on its way never arrives, and keeps neither memory nor link busy."""
@@ -152,8 +175,8 @@ class Shutter:
         late = self._faults.strike(self._name, "delayed", frame=shot.frame)
         if late is not None:
             start_ns += int(late.amount * 1e6)
-        duration_ns = width_ns if s.exposure_mode == TRIGGER_WIDTH else s.exposure_us * 1000
-        self._at(start_ns, lambda t: self._trigger(Exposure(t, duration_ns, s.gain_tenth_db / 10, shot)))
+        duration_ns = width_ns if s.exposure_mode == TRIGGER_WIDTH else s.used_exposure_us * 1000
+        self._at(start_ns, lambda t: self._trigger(Exposure(t, duration_ns, s.used_gain_db, shot)))
 
     def software(self) -> None:
         """The host's trigger command."""
@@ -171,12 +194,12 @@ class Shutter:
         if number != self._free_run_number or not self.acquiring or self.settings.trigger_on:
             return
         self._trigger(self._own_exposure(time_ns))
-        period_ns = max(10**12 // self.settings.frame_rate_mhz, self.settings.exposure_us * 1000)
+        period_ns = max(10**12 // self.settings.frame_rate_mhz, self.settings.used_exposure_us * 1000)
         self._time.at(time_ns + period_ns, lambda t: self._free_run(number, t))
 
     def _own_exposure(self, time_ns: int) -> Exposure:
         s = self.settings
-        return Exposure(time_ns, s.exposure_us * 1000, s.gain_tenth_db / 10, Shot(0, self._block_id, None))
+        return Exposure(time_ns, s.used_exposure_us * 1000, s.used_gain_db, Shot(0, self._block_id, None))
 
     # ------------------------------------------------------------------------------------------ exposure to link
 

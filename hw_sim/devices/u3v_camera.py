@@ -14,6 +14,7 @@ import numpy as np
 from hw_sim.devices import u3v_descriptors as usb
 from hw_sim.devices import u3v_registers
 from hw_sim.devices.gencp_memory import Refused, Status
+from hw_sim.devices.power_on import POLITE, PowerOn
 from hw_sim.devices.shot import Shot
 from hw_sim.devices.shutter import ROOM_BLOCKS, Exposure, Latent, Settings, Shutter, Taken
 from hw_sim.devices.u3v_control import MAX_COMMAND, ControlChannel
@@ -43,9 +44,11 @@ class U3vCamera:
         expose: Callable[[Exposure], Latent | None],
         temperature_c: Callable[[], float],
         seed: int,
+        power_on: PowerOn = POLITE,
     ) -> None:
         self.name, self.sensor = name, sensor
         self._time, self._faults = time, faults
+        self.power_on = power_on
         self.temperature_c = temperature_c
         rng = np.random.default_rng([seed, *serial.encode()])
         self._clock_offset_ns = int(rng.integers(10**9, 10**12))
@@ -64,6 +67,7 @@ class U3vCamera:
             unread=lambda: self._pipe.blocks,
             link_ns=lambda: int(self.region.payload_bytes / self.speed.bytes_per_s * 1e9),
             rows=lambda: self.region.height / sensor[1],
+            power_on=power_on,
         )
         self._pipe = StreamPipe()
         self._power_up()
@@ -71,7 +75,8 @@ class U3vCamera:
         self._control = ControlChannel(time, self._memory, self._write_duration_ns)
 
     def _power_up(self) -> None:
-        self.region = Region(*self.sensor, 0, 0)
+        x, y = self.power_on.offset_x_px, self.power_on.offset_y_px
+        self.region = Region(self.sensor[0] - x, self.sensor[1] - y, x, y)
         self.setup = Setup()
         self.streaming = False
         self.user_name = self.identity.user_name.encode().ljust(64, b"\0")
@@ -146,7 +151,8 @@ class U3vCamera:
                 raise Refused(Status.STREAM_ENDPOINT_HALTED)
             self.setup.check(self.region.payload_bytes)
         if on != self.streaming:
-            self._pipe.clear()
+            if not self.power_on.keeps_stale:
+                self._pipe.clear()
             self._swapped = None
             self.streaming = on
 

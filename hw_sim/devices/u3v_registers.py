@@ -16,7 +16,19 @@ from typing import Protocol
 
 from hw_sim.devices import u3v_control
 from hw_sim.devices.gencp_memory import Memory, Refused, Register, Status
-from hw_sim.devices.shutter import FALLING, LINE0, MULTI_FRAME, RISING, SOFTWARE, TIMED, TRIGGER_WIDTH, Settings
+from hw_sim.devices.power_on import PowerOn
+from hw_sim.devices.shutter import (
+    AUTO_CONTINUOUS,
+    AUTO_OFF,
+    FALLING,
+    LINE0,
+    MULTI_FRAME,
+    RISING,
+    SOFTWARE,
+    TIMED,
+    TRIGGER_WIDTH,
+    Settings,
+)
 from hw_sim.devices.u3v_descriptors import GENCP_VERSION, U3V_VERSION, Identity, Speed
 from hw_sim.devices.u3v_stream import ALIGNMENT_LOG2, LEADER_BYTES, MONO8, TRAILER_BYTES, Region, Setup
 
@@ -34,6 +46,7 @@ class CameraCore(Protocol):
     """What the registers show and change."""
 
     identity: Identity
+    power_on: PowerOn
     speed: Speed
     setup: Setup
     region: Region
@@ -78,9 +91,15 @@ class Limits:
             raise Refused(Status.INVALID_PARAMETER)
 
 
-def zipped_description() -> bytes:
-    """The GenICam description as the camera stores it: the same bytes every time."""
+def zipped_description(lacks: tuple[str, ...] = ()) -> bytes:
+    """The GenICam description as the camera stores it: the same bytes every time.
+
+    The features it ``lacks`` bear a name of the maker's own, as in cameras that do not follow the naming convention.
+    """
     xml = resources.files(__package__).joinpath("u3v_camera.xml").read_bytes()
+    for name in lacks:
+        for before, after in (('Name="%s"', 'Name="Maker%s"'), ("<pFeature>%s<", "<pFeature>Maker%s<")):
+            xml = xml.replace((before % name).encode(), (after % name).encode())
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr(zipfile.ZipInfo("Kingfisher_KFC1920.xml", _XML_TIME), xml, zipfile.ZIP_DEFLATED)
@@ -90,7 +109,7 @@ def zipped_description() -> bytes:
 def build(core: CameraCore) -> Memory:
     """All memory of a camera."""
     memory = Memory()
-    description = zipped_description()
+    description = zipped_description(core.power_on.lacks)
     _bootstrap(memory, core)
     _manifest(memory, description)
     _technology(memory, core)
@@ -217,6 +236,22 @@ def _features(memory: Memory, core: CameraCore) -> None:
 
         return lambda: int(getattr(core.region, name)), write
 
+    def width() -> tuple[Callable[[], int], Callable[[int], None]]:
+        read, write = shape("width", lambda r: Limits(16, sensor_width - r.offset_x, 8))
+        step = core.power_on.width_step_px or 1
+        return read, lambda value: write(value // step * step)
+
+    def manual(name: str, auto: str, limits: Limits) -> tuple[Callable[[], int], Callable[[int], None]]:
+        """A value that only its automatic function may change while that is on."""
+        read, write = setting(name, limits)
+
+        def checked(value: int) -> None:
+            if getattr(core.settings, auto) != AUTO_OFF:
+                raise Refused(Status.ACCESS_DENIED)
+            write(value)
+
+        return read, checked
+
     def setting(
         name: str, allowed: Limits | tuple[int, ...], locked: bool = False, then: Callable[[], None] | None = None
     ) -> tuple[Callable[[], int], Callable[[int], None]]:
@@ -243,7 +278,7 @@ def _features(memory: Memory, core: CameraCore) -> None:
 
         return write
 
-    memory.u32(base + 0x000, *shape("width", lambda r: Limits(16, sensor_width - r.offset_x, 8)))
+    memory.u32(base + 0x000, *width())
     memory.u32(base + 0x004, *shape("height", lambda r: Limits(2, sensor_height - r.offset_y, 2)))
     memory.u32(base + 0x008, *shape("offset_x", lambda r: Limits(0, sensor_width - r.width, 8)))
     memory.u32(base + 0x00C, *shape("offset_y", lambda r: Limits(0, sensor_height - r.height, 2)))
@@ -265,8 +300,10 @@ def _features(memory: Memory, core: CameraCore) -> None:
     memory.u32(base + 0x20C, None, command(core.software_trigger))
     memory.u32(base + 0x210, lambda: 0, only(0))
     memory.u32(base + 0x300, *setting("exposure_mode", (TIMED, TRIGGER_WIDTH)))
-    memory.u32(base + 0x304, *setting("exposure_us", Limits(20, 1_000_000)))
-    memory.u32(base + 0x308, *setting("gain_tenth_db", Limits(0, 240)))
+    memory.u32(base + 0x304, *manual("exposure_us", "exposure_auto", Limits(20, 1_000_000)))
+    memory.u32(base + 0x308, *manual("gain_tenth_db", "gain_auto", Limits(0, 240)))
+    memory.u32(base + 0x30C, *setting("exposure_auto", (AUTO_OFF, AUTO_CONTINUOUS)))
+    memory.u32(base + 0x310, *setting("gain_auto", (AUTO_OFF, AUTO_CONTINUOUS)))
     memory.f32(base + 0x400, core.temperature_c)
     memory.text(base + 0x420, 32, FIRMWARE_VERSION)
     memory.u32(base + 0x500, None, command(core.restart))

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from drivers.api import BoardBooted, BoardEvent, BoardLost, DeviceGone, LaserState, Pulse, Telemetry
+from drivers.api import BoardBooted, BoardEvent, BoardLost, DeviceGone, DeviceRefused, LaserState, Pulse, Telemetry
 from drivers.board import BoardSpec, TriggerBoard
 from drivers.board.board import BoardRefused
 from drivers.board.reports import Refusal
@@ -239,6 +239,31 @@ def test_an_unplugged_board_is_told_and_refuses_commands() -> None:
         with pytest.raises(DeviceGone, match="board:"):
             board.set_lasers(False, False)
         assert not board.health().ok
+
+
+def test_an_order_that_comes_back_otherwise_was_not_understood() -> None:
+    def forgetful(sequence: int, verb: str, fields: list[str]) -> list[bytes]:
+        if verb in {"ARM", "LIVE"}:
+            return [line("A", sequence, verb, *fields[:-1], 999)]
+        return polite(sequence, verb, fields)
+
+    with connected(forgetful) as (_, board):
+        with pytest.raises(DeviceRefused, match="ARM 24,90,500,12000 was answered with 24,90,500,999"):
+            board.arm(24, 90, 500, 12000)
+        with pytest.raises(DeviceRefused, match="LIVE 2,500,12000 was answered with 2,500,999"):
+            board.live(2, 500, 12000)
+
+
+def test_what_a_vanished_board_measured_last_is_no_measurement_of_now() -> None:
+    with connected() as (far, board):
+        far.say(line("R", 1, "HB", 500000, 30, 0, 0, "TPROJ=40.5"))
+        wait_for(board, Telemetry, 1.0)
+        assert board.latest is not None
+        far.unplug()
+        lost = wait_for(board, BoardLost, 1.0)
+        assert isinstance(lost, BoardLost)
+        assert "vanished" in lost.reason
+        assert board.latest is None
 
 
 def test_a_path_without_a_board_is_one_clear_error() -> None:

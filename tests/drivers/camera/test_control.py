@@ -221,6 +221,32 @@ def test_limits_too_small_for_a_register_are_refused() -> None:
         control.set_limits(16, 1024, 0.2)
 
 
+def test_before_the_limits_are_known_no_packet_holds_more_than_a_string_register_of_64_bytes() -> None:
+    control, memory, _ = channel(good)
+    assert control.read(0x100, 200) == image(0x100, 200)
+    assert [reading(c) for c in memory.commands] == [(0x100, 64), (0x140, 64), (0x180, 64), (0x1C0, 8)]
+    del memory.commands[:]
+    control.write(0x2000, bytes(range(100)))
+    assert [len(c) - 20 for c in memory.commands] == [64, 36]
+
+
+def test_a_device_that_babbles_old_answers_without_end_or_pause_is_given_up() -> None:
+    class Babbler(Memory):
+        reads = 0
+
+        def read(self, size: int, timeout_s: float) -> bytes:
+            self.reads += 1
+            assert self.reads < 1000, "the host listens for ever"
+            return answer(self.commands[-1], b"old!", id_offset=-1)
+
+    clock = SteppedClock()
+    memory = Babbler(clock, lambda command: [])
+    control = ControlChannel("camera.left", memory, clock)
+    with pytest.raises(DeviceGone, match="no answer at 3 attempts"):
+        control.read_u32(0)
+    assert control.counters.stale_answers == memory.reads <= 100
+
+
 babble = st.one_of(
     st.binary(max_size=40),
     st.tuples(

@@ -273,6 +273,15 @@ def test_flushing_leaves_nothing_of_the_past() -> None:
     bench.expect_whole(0)
 
 
+def test_flushing_forgets_the_leader_that_was_kept_for_the_next_frame() -> None:
+    bench = Bench()
+    bench.pipe.send(leader(1), leader(2))
+    assert bench.next().status is FrameStatus.TRUNCATED
+    bench.reader.flush()
+    bench.pipe.send(*frame(7))
+    bench.expect_whole(7)
+
+
 def test_an_image_size_off_the_alignment_still_arrives_whole() -> None:
     bench = Bench(transfer_size=4096)
     bench.pipe.send(leader(1), image(1).tobytes() + bytes(1000), trailer(1))
