@@ -73,14 +73,17 @@ def undistort(xy_distorted: Array, distortion: tuple[float, float, float, float,
         xy_ = slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y
         yy = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
         det = xx * yy - xy_ * xy_
-        xy = xy - np.stack(
-            [
-                (yy * residual[..., 0] - xy_ * residual[..., 1]) / det,
-                (xx * residual[..., 1] - xy_ * residual[..., 0]) / det,
-            ],
-            axis=-1,
-        )
-    if float(np.max(np.abs(distort(xy, distortion) - target), initial=0.0)) > 1e-9:
+        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+            xy = xy - np.stack(
+                [
+                    (yy * residual[..., 0] - xy_ * residual[..., 1]) / det,
+                    (xx * residual[..., 1] - xy_ * residual[..., 0]) / det,
+                ],
+                axis=-1,
+            )
+    # Where Newton's method ran away, the error is no number: that is no solution either.
+    error = np.abs(distort(xy, distortion) - target)[np.isfinite(target)]
+    if not np.all(error <= 1e-9):
         raise ValueError(
             f"lens distortion {distortion} cannot be inverted within the image; recalibrate the camera in air"
         )

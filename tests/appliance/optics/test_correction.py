@@ -9,7 +9,7 @@ import pytest
 
 from appliance.calibration.design import Design, design_calibration
 from appliance.calibration.file import CalibrationError, decode, encode
-from appliance.optics.correction import ImageCorrection, node_count
+from appliance.optics.correction import ImageCorrection, basis_matrix, node_count
 from appliance.optics.model import StereoRig
 from appliance.optics.water import Water
 
@@ -38,11 +38,37 @@ def test_slope_and_bend_go_on_across_the_knots() -> None:
     assert np.abs(second).max() > 1e-9
 
 
+def test_one_node_acts_where_it_is_and_on_the_component_that_is_its_own() -> None:
+    """A cubic B-spline is 4/6 at its node, 1/6 one interval aside, and 0 two intervals aside."""
+    columns, rows = 6, 5
+    for component, expected in ((0, [1.0, 0.0]), (1, [0.0, 1.0])):
+        nodes = np.zeros((rows + 3, columns + 3, 2))
+        nodes[1 + 2, 1 + 4, component] = 1.0
+        c = ImageCorrection(1600, 1200, (columns, rows), tuple(nodes.ravel()))
+        u, v = 4 * 1600 / columns - 0.5, 2 * 1200 / rows - 0.5
+        across, down = 1600 / columns, 1200 / rows
+        at = [(u, v), (u + across, v), (u, v - down), (u - across, v + down), (u + 2 * across, v), (u, v + 2 * down)]
+        weights = np.array([16, 4, 4, 1, 0, 0]) / 36
+        np.testing.assert_allclose(c.shift_px(np.array(at)), weights[:, None] * expected, atol=1e-12)
+
+
+def test_the_matrix_of_weights_is_the_surface() -> None:
+    uv = np.random.default_rng(5).uniform([-3, -3], [1602, 1202], (200, 2))
+    c = correction()
+    matrix = basis_matrix(uv, (1600, 1200), (6, 5))
+    nodes = np.reshape(c.coefficients_px, (-1, 2))
+    np.testing.assert_allclose(matrix @ nodes, c.shift_px(uv), atol=1e-12)
+    np.testing.assert_allclose(matrix.sum(axis=1), 1.0, atol=1e-12)
+
+
 def test_real_and_ideal_pixels_invert_each_other() -> None:
     uv = np.random.default_rng(3).uniform([0, 0], [1599, 1199], (1000, 2))
     c = correction()
     assert np.abs(c.to_real(c.to_ideal(uv)) - uv).max() < 1e-9
-    assert np.isnan(c.to_real(np.array([[np.nan, 3.0]]))).all()
+    some = np.array([[np.nan, 3.0], [700.0, 300.0], [2.0, np.nan]])
+    assert np.isnan(c.to_real(some)).all(axis=1).tolist() == [True, False, True]
+    assert np.abs(c.to_ideal(c.to_real(some[1])) - some[1]).max() < 1e-9
+    assert c.to_real(np.zeros((0, 2))).shape == (0, 2)
 
 
 def test_a_corrected_camera_projects_onto_the_pixels_its_rays_come_from() -> None:

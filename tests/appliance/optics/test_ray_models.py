@@ -9,7 +9,7 @@ import pytest
 
 from appliance.calibration.design import Design, design_calibration
 from appliance.optics.correction import ImageCorrection
-from appliance.optics.model import HousedCamera
+from appliance.optics.model import HousedCamera, StereoRig
 from appliance.optics.pinhole import Lens
 from appliance.optics.printed import PrintedCamera
 from appliance.optics.ray_shift import RayShift
@@ -83,3 +83,59 @@ def test_the_misprint_is_as_large_as_half_a_pixel_at_the_edge() -> None:
 
     least = min(float(miss(d).max()) for d in np.arange(0.0, 60.0, 0.25))
     assert 0.02 < least < 2.0
+
+
+def test_the_middle_of_the_volume_is_where_the_two_central_rays_come_nearest() -> None:
+    rig = design_calibration(
+        Design(11.5, 4.5, 230.0, 12.41, 30.0, 5.0, 1.77), "KF", 1600, 1200, Water(20.0, 0.0, 530.0)
+    ).rig
+    rig = replace(rig, right=replace(rig.right, translation_mm=(226.0, 7.0, 51.0)))
+    centre = rig.volume_centre_mm(FRESH)
+    gaps = []
+    for camera in (rig.left, rig.right):
+        origin, direction = camera.rays(np.array([799.5, 599.5]), FRESH)
+        gaps.append(origin + direction * float((centre - origin) @ direction) - centre)
+        assert abs(float(gaps[-1] @ direction)) < 1e-9
+    np.testing.assert_allclose(gaps[0], -gaps[1], atol=1e-9)  # half-way between the feet, which lie opposite each other
+    assert 1.0 < np.linalg.norm(gaps[0]) < 10.0
+    assert 300.0 < centre[2] < 900.0
+
+
+def test_two_cameras_that_look_the_same_way_have_no_middle() -> None:
+    camera = replace(right_camera(), rotation=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
+    with pytest.raises(ValueError, match="parallel; check the calibration"):
+        StereoRig(camera, replace(camera, translation_mm=(230.0, 0.0, 0.0))).volume_centre_mm(FRESH)
+
+
+def test_distortion_is_opencvs() -> None:
+    """Against the formulas of OpenCV's manual, one coefficient at a time, at (0.3, -0.2): r² = 0.13."""
+    at = np.array([0.3, -0.2])
+    for place, moved in enumerate(
+        [
+            (0.3 * 0.13, -0.2 * 0.13),
+            (0.3 * 0.0169, -0.2 * 0.0169),
+            (2 * 0.3 * -0.2, 0.13 + 2 * 0.04),
+            (0.13 + 2 * 0.09, 2 * 0.3 * -0.2),
+            (0.3 * 0.002197, -0.2 * 0.002197),
+        ]
+    ):
+        coefficients = [0.0] * 5
+        coefficients[place] = 0.1
+        lens = Lens((1000.0, 900.0), (10.0, 20.0), tuple(coefficients))  # type: ignore[arg-type]
+        expected = (at + 0.1 * np.array(moved)) * [1000.0, 900.0] + [10.0, 20.0]
+        np.testing.assert_allclose(lens.to_pixels(at), expected, atol=1e-9)
+        np.testing.assert_allclose(lens.to_normalised(expected), at, atol=1e-12)
+
+
+def test_strong_distortion_is_inverted_to_the_last_digit_and_a_lens_that_folds_over_is_refused() -> None:
+    strong = Lens((2500.0, 2500.0), (800.0, 600.0), (-0.3, 0.12, 4e-3, -5e-3, -0.02))
+    v, u = np.mgrid[0:1200:60, 0:1600:60].astype(float)
+    uv = np.stack([u, v], -1)
+    assert np.abs(strong.to_pixels(strong.to_normalised(uv)) - uv).max() < 1e-9
+    with pytest.raises(ValueError, match="cannot be inverted within the image"):
+        Lens((600.0, 600.0), (800.0, 600.0), (-0.9, 0.0, 0.0, 0.0, 0.0)).to_normalised(uv)
+
+
+def test_a_surface_with_the_wrong_number_of_nodes_is_refused() -> None:
+    with pytest.raises(ValueError, match="ray shift with 10 coefficients; 4 × 3 intervals need 84"):
+        RayShift(1600, 1200, (4, 3), (0.0,) * 10)

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import binascii
+import errno
 import os
+import re
 import select
+import termios
 import threading
 import time
 import tty
@@ -12,6 +15,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import pytest
+import serial
 
 from drivers.api import BoardBooted, BoardEvent, BoardLost, DeviceGone, DeviceRefused, LaserState, Pulse, Telemetry
 from drivers.board import BoardSpec, TriggerBoard
@@ -264,6 +268,86 @@ def test_what_a_vanished_board_measured_last_is_no_measurement_of_now() -> None:
         assert isinstance(lost, BoardLost)
         assert "vanished" in lost.reason
         assert board.latest is None
+
+
+def refusing(code: int) -> Respond:
+    def respond(sequence: int, verb: str, fields: list[str]) -> list[bytes]:
+        return [line("N", sequence, verb, code, "no")] if verb == "VSYNC" else polite(sequence, verb, fields)
+
+    return respond
+
+
+def test_a_board_without_a_vertical_sync_is_well_and_says_so_and_any_other_refusal_is_no_health() -> None:
+    with connected(refusing(Refusal.NO_VSYNC)) as (_, board):
+        health = board.health()
+        assert health.ok
+        assert health.details["vertical sync"] == "none"
+    with connected(refusing(Refusal.UNKNOWN_VERB)) as (_, board):
+        health = board.health()
+        assert not health.ok
+        assert "refused VSYNC" in health.summary
+    with connected() as (_, board):
+        assert board.health().details["vertical sync"] == "300"
+
+
+def test_a_board_that_never_sends_a_whole_heartbeat_is_lost_however_much_it_says_and_answers() -> None:
+    with connected() as (far, board):
+        begin = time.monotonic()
+        lost: BoardEvent | None = None
+        while lost is None and time.monotonic() - begin < 3.0:
+            far.say(line("R", 1, "HB", 1, 1, 0, 0)[:-4] + b"00\r\n" + line("R", 1, "DEPTH", 12))
+            board.stop()
+            lost = board.next_event(0.2)
+        assert lost == BoardLost("no heartbeat for 1.5 s")
+        assert board.counters.damaged_lines >= 3
+
+
+def test_commands_after_the_loss_of_the_port_fail_at_once_with_the_reason() -> None:
+    with connected() as (far, board):
+        far.unplug()
+        wait_for(board, BoardLost, 1.0)
+        begin = time.monotonic()
+        for command in (board.stop, board.vsync):
+            with pytest.raises(DeviceGone, match=r"port (vanished|failed)"):
+                command()
+        assert time.monotonic() - begin < 0.09
+        assert not far.commands
+
+
+def test_a_bench_bridge_gets_its_baud_rate_and_a_second_program_is_kept_out() -> None:
+    with connected() as (far, _):
+        assert termios.tcgetattr(far._slave)[5] == termios.B115200
+        with pytest.raises(DeviceRefused, match=f"another program uses {far.url}"):
+            TriggerBoard.open(BoardSpec(far.url), MonotonicClock())
+
+
+@pytest.mark.parametrize(
+    ("number", "kind", "said"),
+    [
+        (errno.EACCES, DeviceRefused, "no permission to open /dev/board. Install the udev rules"),
+        (errno.EPERM, DeviceRefused, "no permission to open /dev/board. Install the udev rules"),
+        (errno.EBUSY, DeviceRefused, "another program uses /dev/board. Stop it"),
+        (errno.EAGAIN, DeviceRefused, "another program uses /dev/board. Stop it"),
+        (errno.EIO, DeviceGone, "/dev/board cannot be opened"),
+        (None, DeviceGone, "/dev/board cannot be opened"),
+    ],
+)
+def test_what_the_system_says_of_a_port_is_told_with_its_remedy(
+    number: int | None, kind: type[DeviceGone], said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise serial.SerialException(number, "as the system says") if number else serial.SerialException("somehow")
+
+    monkeypatch.setattr(serial, "serial_for_url", refuse)
+    with pytest.raises(kind, match=re.escape(said)) as caught:
+        TriggerBoard.open(BoardSpec("/dev/board"), MonotonicClock())
+    assert caught.value.device == "board"
+
+
+def test_a_url_that_is_no_port_is_told_with_the_entry_to_correct() -> None:
+    with pytest.raises(DeviceRefused, match=r"^board: nonsense://x is no port .*\[board\] in the rig file") as caught:
+        TriggerBoard.open(BoardSpec("nonsense://x"), MonotonicClock())
+    assert caught.value.device == "board"
 
 
 def test_a_path_without_a_board_is_one_clear_error() -> None:

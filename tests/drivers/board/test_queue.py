@@ -1,5 +1,7 @@
 """What is given up when nobody reads."""
 
+import pytest
+
 from drivers.api import BoardEvent, LaserState, Pulse, Telemetry
 from drivers.board.queue import EventQueue
 from tests.drivers.clock import SteppedClock
@@ -37,6 +39,24 @@ def test_a_loss_of_pulses_is_counted() -> None:
         queue.put(Pulse(k, k, k))
     assert drain(queue) == [Pulse(3, 3, 3), Pulse(4, 4, 4)]
     assert queue.dropped == 3
+
+
+@pytest.mark.parametrize("capacity", [0, -1])
+def test_a_queue_without_room_is_refused(capacity: int) -> None:
+    with pytest.raises(ValueError, match=f"capacity {capacity}; at least 1"):
+        EventQueue(SteppedClock(), capacity)
+
+
+def test_the_oldest_heartbeat_is_given_up_not_the_newest_and_a_queue_of_one_keeps_the_last_word() -> None:
+    queue = EventQueue(SteppedClock(), capacity=2)
+    for event in (heartbeat(1), heartbeat(2), heartbeat(3)):
+        queue.put(event)
+    assert drain(queue) == [heartbeat(2), heartbeat(3)]
+    single = EventQueue(SteppedClock(), capacity=1)
+    for k in range(2):
+        single.put(Pulse(k, k, k))
+    assert drain(single) == [Pulse(1, 1, 1)]
+    assert (queue.dropped, single.dropped) == (1, 1)
 
 
 def test_an_empty_queue_waits_its_timeout() -> None:

@@ -25,6 +25,23 @@ def test_a_heartbeat_carries_what_is_fitted_and_answers() -> None:
     assert got == Telemetry(77, 5_000_000, 300, LaserState(False, True), temperature_projector_c=41.5, leak=False)
 
 
+def test_every_sensor_is_told_under_its_own_name() -> None:
+    sensors = ("TPROJ=41.5", "TCASE=12.25", "TBOARD=-3", "LEAK=1", "HUM=38.5", "SUPPLY=11.9")
+    got = parse_report(report("HB", "5000000", "300", "1", "0", *sensors), 77)
+    assert got == Telemetry(77, 5_000_000, 300, LaserState(True, False), 41.5, 12.25, -3.0, True, 38.5, 11.9)
+
+
+def test_the_largest_numbers_of_the_protocol_are_taken() -> None:
+    assert parse_report(report("PULSE", "63", "4294967295", "18446744073709551615"), 0) == Pulse(
+        63, 4294967295, 18446744073709551615
+    )
+    assert parse_report(report("DONE", "64"), 0) == PulsesDone(64)
+    assert parse_refusal(Sentence(Kind.REFUSAL, 1, "ARM", ("9999",))) == (9999, "")
+    assert parse_refusal(Sentence(Kind.REFUSAL, 1, "ARM", ("3", "armed", "since 12"))) == (3, "armed,since 12")
+    with pytest.raises(MalformedLine):
+        parse_refusal(Sentence(Kind.REFUSAL, 1, "ARM", ("10000",)))
+
+
 def test_a_silent_leak_sensor_is_unknown_not_dry() -> None:
     got = parse_report(report("HB", "1", "2", "0", "0", "LEAK=-"), 0)
     assert isinstance(got, Telemetry)
@@ -50,6 +67,13 @@ def test_a_later_boards_reports_do_not_disturb() -> None:
         report("HB", "1", "2", "0", "0", "TPROJ=nan"),
         report("HB", "1", "2", "0", "0", "TPROJ=hot"),
         report("HB", "1", "2", "0", "0", "TPROJ"),
+        report("HB", "1", "2", "0", "0", "TPROJ41"),
+        report("HB", "1", "2", "0", "0", "=41"),
+        report("HB", "1", "2", "0", "0", "12.5"),
+        report("DONE", "65"),
+        report("DONE"),
+        report("BOOT", "1.4", "KF-B-1"),
+        report("PULSE", "0", "1", "18446744073709551616"),
     ],
 )
 def test_a_report_that_cannot_be_is_refused(bad: Sentence) -> None:
