@@ -2,5 +2,6 @@
 
 from appliance.config.load import ConfigError, default_rig_path, load_rig, parse_rig
 from appliance.config.rig import Rig
+from appliance.config.spell import rig_text
 
-__all__ = ["ConfigError", "Rig", "default_rig_path", "load_rig", "parse_rig"]
+__all__ = ["ConfigError", "Rig", "default_rig_path", "load_rig", "parse_rig", "rig_text"]

@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Self, TypeVar
@@ -34,7 +34,9 @@ from appliance.reconstruct.noise import TYPICAL_PAIR, StereoNoise
 from appliance.reconstruct.pipeline import COARSE_POINTS, Cloud
 from appliance.screens.texts import Text
 from appliance.service.health import CalibrationWatch
+from appliance.service.in_work import ScanInWork, SecondInWork
 from appliance.service.instrument import exposure_of, noise_of, taking_of, water_of
+from appliance.service.origin import origin_of
 from appliance.service.room import ScanRoom
 from appliance.service.windows import WindowWatch
 from appliance.storage.atomic import StorageError, replace_file
@@ -65,61 +67,6 @@ PROBE = "self-test"
 PROBE_CONTENT = b"written and read back at every start\n"
 
 
-@dataclass(slots=True)
-class SecondInWork:
-    """A second sequence of the scan in work, from its first frame until the points of both are one cloud."""
-
-    number: int
-    begun_ns: int
-    exposure: Exposure
-    record: SecondSequence | None = None
-    merged: bool = False
-    stored: bool = False
-    """Its frames are durable."""
-
-
-@dataclass(slots=True)
-class ScanInWork:
-    """One scan from its first frame to its folder."""
-
-    number: int
-    begun_ns: int
-    exposure: Exposure
-    record: ScanRecord | None = None
-    coarse: Cloud | None = None
-    full: Cloud | None = None
-    pending: PendingScan | None = None
-    raw: Future[PendingScan] | None = None
-    judgements: tuple[Judgement, ...] = ()
-    """Of the first sequence."""
-    second: SecondInWork | None = None
-    times_s: dict[str, float] = field(default_factory=dict)
-    """As ``ScanRecord.stage_times_s``."""
-
-    def enter(self, verdict: Verdict) -> None:
-        """Write a verdict down, in place of an earlier one of its name."""
-        if self.record is not None:
-            others = tuple(one for one in self.record.verdicts if one.name != verdict.name)
-            self.record = replace(self.record, verdicts=(*others, verdict))
-
-    @property
-    def whole(self) -> ScanRecord:
-        """The record as it is to be written down: with the second sequence, once the scan is of both."""
-        if self.record is None:
-            raise ValueError("nothing was recorded")
-        second = self.second
-        return self.record if second is None or not second.merged else replace(self.record, second=second.record)
-
-    def since_begun_s(self, time_ns: int) -> float:
-        """Seconds from the key press to a moment of the same clock."""
-        return (time_ns - self.begun_ns) / 1e9
-
-    @property
-    def cloud(self) -> Cloud | None:
-        """The best cloud there is."""
-        return self.full or self.coarse
-
-
 class ScanDesk:
     """Everything about recorded scans that is neither a device nor a decision. A context manager."""
 
@@ -142,6 +89,7 @@ class ScanDesk:
         left = rig.camera.left
         self._rig = rig
         self._calibration = calibration
+        self._origin = origin_of(rig, calibration)
         self._response = response
         self._taking = taking_of(rig, exposure_of(rig))
         self._library = library
@@ -234,6 +182,7 @@ class ScanDesk:
         scan.times_s["first_pattern"] = scan.since_begun_s(ledger.flips[0].time_ns)
         arrived_ns = max(frames[-1].received_ns for frames in ledger.frames.values())
         scan.times_s["recording"] = scan.since_begun_s(arrived_ns)
+        scan.origin = self._origin
         scan.record = ScanRecord(
             sequence=SequenceInfo.of(self.sequence),
             rig_hash=self._rig.rig_hash,
@@ -279,7 +228,7 @@ class ScanDesk:
             return
         record = scan.record
         frames: dict[str, NDArray[np.uint8]] = {side: self.store.frames(side) for side in SIDES}
-        scan.raw = self._disk.submit(self._library.begin, frames, record)
+        scan.raw = self._disk.submit(self._library.begin, frames, record, scan.origin)
         self._ask(lambda: self._raw_stored(scan))
 
     def publish(self, number: int, preview: NDArray[np.uint8] | None, verdict: Verdict | None = None) -> None:
@@ -321,6 +270,7 @@ class ScanDesk:
     def use(self, calibration: Calibration) -> None:
         """Measure with another calibration of this instrument from now on."""
         self._calibration = calibration
+        self._origin = origin_of(self._rig, calibration)
         self.watch.use(calibration)
         self.worker.change(replace(self.worker.order, calibration=calibration))
 
@@ -514,7 +464,7 @@ class ScanDesk:
         if scan.pending is None:
             assert scan.record is not None
             frames: dict[str, NDArray[np.uint8]] = {side: self.store.frames(side) for side in SIDES}
-            scan.pending = self._library.begin(frames, scan.record)
+            scan.pending = self._library.begin(frames, scan.record, scan.origin)
             scan.times_s["saved"] = scan.since_begun_s(self._clock.now_ns())
         second = scan.second
         if second is not None and second.merged and not second.stored:

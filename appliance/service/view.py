@@ -40,8 +40,8 @@ from appliance.screens.views import (
     ShutdownView,
 )
 from appliance.service.gallery import Shown
+from appliance.service.in_work import ScanInWork
 from appliance.service.menu_view import Facts, menu_view, question_view
-from appliance.service.scans import ScanInWork
 
 NO_POINTS = np.empty((0, 3), np.float32)
 NO_VALUES = np.empty(0, np.float32)

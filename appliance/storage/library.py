@@ -94,8 +94,10 @@ class Library:
                         self._fs.make_folder(one)
                         self._fs.sync_folder(one.parent)
 
-    def begin(self, frames: Mapping[str, NDArray[np.uint8]], record: ScanRecord) -> PendingScan:
-        """Make a scan's raw frames durable, hidden from the list, before anything is decided.
+    def begin(
+        self, frames: Mapping[str, NDArray[np.uint8]], record: ScanRecord, origin: scan.Origin | None = None
+    ) -> PendingScan:
+        """Make a scan's raw frames and their ``origin`` durable, hidden from the list, before anything is decided.
 
         ``frames``: by side, (n, h, w) uint8; not used after return. On failure nothing of this scan stays, the
         frames are still the caller's, and ``begin`` may be called again. Raises StorageError, ValueError.
@@ -103,7 +105,7 @@ class Library:
         scan_id = counter.spell_id(counter.take(self._fs, self.root, self._numbers()))
         folder = self._shelf(Shelf.SCANS) / f".{scan_id}"
         try:
-            manifest = scan.write_raw(self._fs, folder, scan_id, frames, record)
+            manifest = scan.write_raw(self._fs, folder, scan_id, frames, record, origin)
             with refused("cannot make durable", folder):
                 self._fs.sync_folder(folder.parent)
         except (StorageError, ValueError):

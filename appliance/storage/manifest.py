@@ -9,7 +9,7 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from enum import Enum
 from pathlib import Path
 from typing import Any, SupportsFloat, SupportsIndex
@@ -59,6 +59,9 @@ class Manifest:
     """Why it was rejected."""
     recovered: bool = False
     """Found unpublished at a start and published then."""
+    frame_crc32: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """By the name of a file of frames: CRC-32 (hexadecimal) of each frame, so that it can be said which one is damaged.
+    Empty in old scans."""
 
 
 _MANIFEST = TypeAdapter(Manifest)

@@ -21,7 +21,7 @@ from appliance.storage.atomic import StorageError, draft_of, refused
 from appliance.storage.counter import FILE_NAME as NUMBER
 from appliance.storage.filesystem import AllocatingFileSystem, WritableFile
 from appliance.storage.manifest import FILE_NAME as MANIFEST
-from appliance.storage.scan import CLOUD, PREVIEW, SIDES, frames_file, second_frames_file
+from appliance.storage.scan import CALIBRATION, CLOUD, PREVIEW, RIG, SIDES, frames_file, second_frames_file
 
 log = logging.getLogger("kingfisher")
 
@@ -37,6 +37,8 @@ PLACES: Mapping[str, tuple[str, ...]] = MappingProxyType(
         **{second_frames_file(side): (f"frames-{side}",) for side in SIDES},
         CLOUD: ("cloud",),
         PREVIEW: ("preview",),
+        CALIBRATION: ("calibration",),
+        RIG: ("rig",),
         draft_of(Path(MANIFEST)).name: ("manifest-1", "manifest-2"),  # with the raw frames, and at the end
         draft_of(Path(NUMBER)).name: ("number",),
     }
@@ -44,7 +46,15 @@ PLACES: Mapping[str, tuple[str, ...]] = MappingProxyType(
 """By the name of a file to be made: what of the room may become it."""
 
 SMALL = MappingProxyType(
-    {"preview": 1_500_000, "manifest-1": 400_000, "manifest-2": 400_000, "number": 4096, _SLACK: 500_000}
+    {
+        "preview": 1_500_000,
+        "calibration": 250_000,  # 30 kB with a spline of 8 x 6 intervals in either camera and a covariance
+        "rig": 50_000,
+        "manifest-1": 400_000,
+        "manifest-2": 400_000,
+        "number": 4096,
+        _SLACK: 500_000,
+    }
 )
 """What does not depend on the sequence, in bytes."""
 

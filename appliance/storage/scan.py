@@ -1,14 +1,19 @@
 """Owns the content of a scan's folder: which files it has, when each is written, and how it is read back.
 
-Two steps. ``write_raw``: frames and a first manifest, durable before the diver decides. ``finish``: cloud and
-preview, then the manifest that lists them. In between, ``add_second`` may add the frames of a second exposure. Each manifest replaces the one before atomically, so that at any instant the
-folder holds a manifest and every file it lists, or no manifest at all.
+Two steps. ``write_raw``: frames, what they were taken with (``Origin``) and a first manifest, durable before the diver
+decides. ``finish``: cloud and preview, then the manifest that lists them. In between, ``add_second`` may add the frames
+of a second exposure. Each manifest replaces the one before atomically, so that at any instant the folder holds a manifest
+and every file it lists, or no manifest at all.
+
+Scans of version 0.1.0 as it was until November 2026 have neither an origin nor checksums of single frames; they are read
+like all others.
 """
 
 from __future__ import annotations
 
 import io
 import re
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -32,6 +37,12 @@ _HEADER = re.compile(
 """Of NumPy's format 1.0."""
 CLOUD = "cloud.ply"
 PREVIEW = "preview.png"
+CALIBRATION = "calibration.json"
+RIG = "rig.toml"
+ORIGIN_FILES = (CALIBRATION, RIG)
+"""What a scan was taken with; old scans have neither."""
+DERIVED_FILES = (CLOUD, PREVIEW)
+"""What can be made again from the others."""
 
 
 def frames_file(side: str) -> str:
@@ -50,6 +61,16 @@ SECOND_FILES = tuple(second_frames_file(side) for side in SIDES)
 
 class ScanError(Exception):
     """A stored scan cannot be used; the text says which and why."""
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """What a scan was taken with, as the bytes of the files that say so: with them its folder can be read anywhere."""
+
+    calibration: bytes
+    """A calibration file: the one in use, or the drawing's where none was."""
+    rig: bytes
+    """A rig file, changed options and defaults included (``appliance.config.rig_text``)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,9 +94,14 @@ class StoredScan:
 
 
 def write_raw(
-    fs: FileSystem, folder: Path, scan_id: str, frames: Mapping[str, NDArray[np.uint8]], record: ScanRecord
+    fs: FileSystem,
+    folder: Path,
+    scan_id: str,
+    frames: Mapping[str, NDArray[np.uint8]],
+    record: ScanRecord,
+    origin: Origin | None = None,
 ) -> Manifest:
-    """Make ``folder`` with the frames and the first manifest. Durable on return but for the folder's own name.
+    """Make ``folder`` with the frames, their ``origin`` and the first manifest. Durable on return but for its own name.
 
     ``frames``: by side, (n, h, w) uint8. Raises StorageError, ValueError.
     """
@@ -83,9 +109,13 @@ def write_raw(
     with refused("cannot make", folder):
         fs.make_folder(folder)
     files = {frames_file(side): write_new(fs, folder / frames_file(side), _npy(frames[side])) for side in SIDES}
+    if origin is not None:
+        for name, content in ((CALIBRATION, origin.calibration), (RIG, origin.rig)):
+            files[name] = write_new(fs, folder / name, (content,))
     with refused("cannot make durable", folder):
         fs.sync_folder(folder)
-    manifest = Manifest(scan_id, Stage.RAW, Decision.UNDECIDED, record, files)
+    checks = {frames_file(side): frame_checks(frames[side]) for side in SIDES}
+    manifest = Manifest(scan_id, Stage.RAW, Decision.UNDECIDED, record, files, frame_crc32=checks)
     replace_file(fs, folder / form.FILE_NAME, form.encode(manifest))
     return manifest
 
@@ -106,14 +136,22 @@ def add_second(
     if record.second is None:
         raise ValueError("the record tells of no second sequence; give it before its frames")
     files = {name: stamp for name, stamp in manifest.files.items() if name not in SECOND_FILES}
+    checks = dict(manifest.frame_crc32)
     for side in SIDES:
-        discard(fs, folder / second_frames_file(side))
-        files[second_frames_file(side)] = write_new(fs, folder / second_frames_file(side), _npy(frames[side]))
+        name = second_frames_file(side)
+        discard(fs, folder / name)
+        files[name] = write_new(fs, folder / name, _npy(frames[side]))
+        checks[name] = frame_checks(frames[side])
     with refused("cannot make durable", folder):
         fs.sync_folder(folder)
-    added = replace(manifest, record=record, files=files)
+    added = replace(manifest, record=record, files=files, frame_crc32=checks)
     replace_file(fs, folder / form.FILE_NAME, form.encode(added))
     return added
+
+
+def frame_checks(frames: NDArray[np.uint8]) -> tuple[str, ...]:
+    """CRC-32 of each of ``frames`` (n, h, w) uint8, 8 hexadecimal digits: which one of them is damaged, not whether."""
+    return tuple(f"{zlib.crc32(np.ascontiguousarray(frame).reshape(-1).data):08x}" for frame in frames)
 
 
 def _check(frames: Mapping[str, NDArray[np.uint8]], record: ScanRecord) -> None:
@@ -135,7 +173,7 @@ def finish(
     reason: str = "",
 ) -> Manifest:
     """Add what there is to add and write the final manifest. May be repeated after a failure. Raises StorageError."""
-    files = {name: stamp for name, stamp in manifest.files.items() if name not in (CLOUD, PREVIEW)}
+    files = {name: stamp for name, stamp in manifest.files.items() if name not in DERIVED_FILES}
     added: dict[str, tuple[Bytes, ...]] = {}
     if cloud is not None:
         added[CLOUD] = encode_ply(cloud)
@@ -153,7 +191,7 @@ def finish(
 
 def discard_raw(fs: FileSystem, folder: Path) -> None:
     """Take back a ``write_raw`` that failed, whose frames are still in memory. Raises StorageError."""
-    for name in (form.FILE_NAME, *RAW_FILES):  # the manifest first: it must never list what is gone
+    for name in (form.FILE_NAME, *RAW_FILES, *ORIGIN_FILES):  # the manifest first: it must never list what is gone
         discard(fs, folder / name)
         discard(fs, draft_of(folder / name))
     discard(fs, folder)
@@ -180,13 +218,23 @@ def wrong_files(folder: Path, manifest: Manifest, *, checksums: bool) -> dict[st
     return wrong
 
 
-def load(folder: Path) -> StoredScan:
-    """Open a scan; its files' lengths are checked, checksums are not (``Library.verify``). Raises ScanError."""
+def manifest_of(folder: Path) -> Manifest:
+    """The manifest of a scan's folder. Raises ScanError."""
     try:
-        manifest = form.read(folder)
+        return form.read(folder)
     except ManifestError as error:
         raise ScanError(str(error)) from error
+
+
+def load(folder: Path, *, only_raw: bool = False) -> StoredScan:
+    """Open a scan; its files' lengths are checked, checksums are not (``Library.verify``). Raises ScanError.
+
+    ``only_raw``: whatever is not a file of frames may be missing or damaged.
+    """
+    manifest = manifest_of(folder)
     wrong = wrong_files(folder, manifest, checksums=False)
+    if only_raw:
+        wrong = {name: what for name, what in wrong.items() if name in (*RAW_FILES, *SECOND_FILES)}
     if wrong:
         raise ScanError(f"{folder}: {'; '.join(f'{name}: {what}' for name, what in wrong.items())}")
     count = len(manifest.record.sequence.patterns)
@@ -223,7 +271,7 @@ def _npy(frames: NDArray[np.uint8]) -> tuple[Bytes, Bytes]:
 def size_bytes(frames: int, width_px: int, height_px: int) -> int:
     """Room one scan with one exposure needs at most: both cameras' frames, a point for every left pixel, and a margin for
     the rest. A second exposure takes its frames once more."""
-    return 2 * frames_bytes(frames, width_px, height_px) + cloud_bytes(width_px, height_px) + 3_000_000
+    return 2 * frames_bytes(frames, width_px, height_px) + cloud_bytes(width_px, height_px) + 3_500_000
 
 
 def frames_bytes(frames: int, width_px: int, height_px: int) -> int:

@@ -23,7 +23,7 @@ from appliance.storage.filesystem import Bytes, LocalFileSystem, WritableFile
 from appliance.storage.health import HealthFile
 from appliance.storage.library import Library
 from appliance.storage.room import Room
-from tests.appliance.storage.scenes import PLAN, PREVIEW, cloud, frames, record
+from tests.appliance.storage.scenes import ORIGIN, PLAN, PREVIEW, cloud, frames, record
 
 SERIAL = "KF-TEST"
 HASH = "0123456789abcdef" * 4
@@ -113,7 +113,7 @@ def live(root: Path, said: Path, seed: int, die_at: int) -> None:
     judged = health.read().judged
     for k in range(SCANS):
         room.hold(PLAN)
-        scan = library.begin(frames(seed + k), record())
+        scan = library.begin(frames(seed + k), record(), ORIGIN)
         say("RAW", scan.scan_id)
         if k % 3 == 2:
             scan.reject("moved", record())

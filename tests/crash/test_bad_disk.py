@@ -12,7 +12,7 @@ from appliance.storage.atomic import StorageError, replace_file
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.library import Library, PendingScan, Shelf
 from appliance.storage.room import Room
-from tests.appliance.storage.scenes import PLAN, PREVIEW, BadDisk, cloud, frames, record
+from tests.appliance.storage.scenes import ORIGIN, PLAN, PREVIEW, BadDisk, cloud, frames, record
 
 
 def prepared(root: Path) -> Path:
@@ -27,7 +27,7 @@ def on_a(disk: BadDisk, root: Path) -> Library:
 
 
 def save(library: Library) -> str:
-    scan = library.begin(frames(), record())
+    scan = library.begin(frames(), record(), ORIGIN)
     scan.publish(record(), cloud(), PREVIEW)
     return scan.scan_id
 
@@ -38,7 +38,7 @@ def calls_of(root: Path, work: str) -> list[str]:
     if work == "save":
         save(library)
     else:
-        library.begin(frames(), record()).reject("moved")
+        library.begin(frames(), record(), ORIGIN).reject("moved")
     return disk.calls
 
 
@@ -59,7 +59,7 @@ def test_each_call_of_a_save_fails_once_and_trying_again_succeeds(tmp_path: Path
         failures = 0
         for _ in range(2):
             try:
-                scan = scan or library.begin(frames(), record())
+                scan = scan or library.begin(frames(), record(), ORIGIN)
                 scan.publish(record(), cloud(), PREVIEW)
                 break
             except StorageError:
@@ -101,7 +101,7 @@ def test_each_call_of_a_rejection_fails_once_and_trying_again_succeeds(tmp_path:
         scan: PendingScan | None = None
         for _ in range(2):
             try:
-                scan = scan or library.begin(frames(), record())
+                scan = scan or library.begin(frames(), record(), ORIGIN)
                 scan.reject("moved")
                 break
             except StorageError:
@@ -116,8 +116,8 @@ def test_each_call_of_a_rejection_fails_once_and_trying_again_succeeds(tmp_path:
 def test_each_call_of_a_recovery_fails_once_and_the_next_start_completes_it(tmp_path: Path) -> None:
     def unfinished(root: Path) -> Path:
         library = Library(prepared(root))
-        library.begin(frames(1), record())
-        (library.begin(frames(2), record()).folder / "frames_left.npy").write_bytes(b"half")
+        library.begin(frames(1), record(), ORIGIN)
+        (library.begin(frames(2), record(), ORIGIN).folder / "frames_left.npy").write_bytes(b"half")
         return root
 
     disk = BadDisk()
@@ -148,4 +148,4 @@ def test_replacing_a_file_leaves_the_old_or_the_new_one(tmp_path: Path) -> None:
 def test_a_refusal_names_what_was_tried_where_and_why(tmp_path: Path) -> None:
     root = prepared(tmp_path / "root")
     with pytest.raises(StorageError, match=r"cannot make .*scans/\.000001: .*injected.*; free space"):
-        Library(root, BadDisk(6)).begin(frames(), record())
+        Library(root, BadDisk(6)).begin(frames(), record(), ORIGIN)

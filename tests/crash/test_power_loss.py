@@ -8,7 +8,7 @@ import pytest
 
 from appliance.storage.library import Library, Shelf
 from appliance.storage.room import Room
-from tests.appliance.storage.scenes import PLAN, PREVIEW, PowerCut, VolatileDisk, cloud, frames, record
+from tests.appliance.storage.scenes import ORIGIN, PLAN, PREVIEW, PowerCut, VolatileDisk, cloud, frames, record
 
 
 def dive(root: Path, disk: VolatileDisk, saved: list[str], rejected: list[str], *, allocated: bool) -> None:
@@ -20,7 +20,7 @@ def dive(root: Path, disk: VolatileDisk, saved: list[str], rejected: list[str], 
     for k, keep in enumerate((True, False, True)):
         if allocated:
             room.hold(PLAN)
-        scan = library.begin(frames(k), record())
+        scan = library.begin(frames(k), record(), ORIGIN)
         if keep:
             scan.publish(record(), cloud(seed=k), PREVIEW)
             saved.append(scan.scan_id)
@@ -74,7 +74,7 @@ def test_power_cut_before_every_single_call_of_a_dive(tmp_path: Path, names_surv
 
         # numbers go on where they were, and the dive goes on
         seen = {int(entry.scan_id.partition("-")[0]) for shelf in Shelf for entry in library.entries(shelf)}
-        scan = library.begin(frames(9), record())
+        scan = library.begin(frames(9), record(), ORIGIN)
         assert int(scan.scan_id) not in seen
         scan.publish(record())
         assert library.verify(scan.scan_id).ok
@@ -94,7 +94,7 @@ def test_a_second_power_cut_during_the_recovery_loses_nothing_either(tmp_path: P
         disk = VolatileDisk(root)
         library = Library(root, disk)
         library.prepare()
-        library.begin(frames(1), record())  # the power goes before the decision
+        library.begin(frames(1), record(), ORIGIN)  # the power goes before the decision
         disk._cut_at = disk.calls + cut_at
         try:
             assert library.recover().recovered == ("000001",)

@@ -21,7 +21,7 @@ from appliance.storage.choices import ChoicesFile
 from appliance.storage.filesystem import FileSystem, LocalFileSystem
 from appliance.storage.health import HealthFile
 from appliance.storage.library import Library
-from tests.appliance.storage.scenes import BadDisk, cloud, frames, record
+from tests.appliance.storage.scenes import ORIGIN, BadDisk, cloud, frames, record
 from tests.crash.life import HASH, NEW, OLD, SERIAL
 
 STANDARD = Choices()
@@ -52,7 +52,7 @@ def in_use(root: Path) -> str:
 def accept(fs: FileSystem, root: Path) -> None:
     """A recording of a calibration: published, and only then entered into the session."""
     library = Library(root, fs)
-    scan = library.begin(frames(), record())
+    scan = library.begin(frames(), record(), ORIGIN)
     scan.publish(record(), cloud())
     Calibrations(root, SERIAL, fs).write(replace(SESSION, trials=(replace(SESSION.trials[0], scan_id=scan.scan_id),)))
 
@@ -140,7 +140,7 @@ def test_a_write_that_takes_only_a_part_goes_on_with_the_rest(tmp_path: Path, mo
     monkeypatch.setattr(os, "write", lambda fd, data: whole(fd, memoryview(data)[: max(1, len(data) // 3)]))
     library = Library(tmp_path)
     library.prepare()
-    scan = library.begin(frames(), record())
+    scan = library.begin(frames(), record(), ORIGIN)
     scan.publish(record(), cloud())
     monkeypatch.undo()
     assert library.verify(scan.scan_id).ok
@@ -150,7 +150,7 @@ def test_a_scan_damaged_in_any_stretch_of_any_file_is_listed_so_and_the_others_a
     library = Library(tmp_path)
     library.prepare()
     for k in range(3):
-        library.begin(frames(k), record()).publish(record(), cloud(seed=k), b"\x89PNG" * 10)
+        library.begin(frames(k), record(), ORIGIN).publish(record(), cloud(seed=k), b"\x89PNG" * 10)
     folder = tmp_path / "scans" / "000002"
     tried = 0
     for path in sorted(folder.iterdir()):

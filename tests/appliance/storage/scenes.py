@@ -16,6 +16,7 @@ from appliance.storage.filesystem import Bytes, LocalFileSystem, WritableFile
 from appliance.storage.ply import StoredCloud
 from appliance.storage.record import ScanRecord, SequenceInfo
 from appliance.storage.room import plan
+from appliance.storage.scan import Origin
 
 FRAMES = 3
 
@@ -58,6 +59,7 @@ def cloud(points: int = 20, seed: int = 0) -> StoredCloud:
     )
 
 
+ORIGIN = Origin(b'{"a": "calibration"}\n' * 40, b"[rig]\n" * 200)
 PREVIEW = b"\x89PNG\r\n\x1a\n" + bytes(50)
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import shutil
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +19,7 @@ from appliance.storage.library import Library, Shelf, UnknownScan
 from appliance.storage.lock import hold_lock
 from appliance.storage.record import SequenceInfo
 from appliance.storage.scan import ScanError, load, size_bytes
-from tests.appliance.storage.scenes import PREVIEW, cloud, frames, record
+from tests.appliance.storage.scenes import ORIGIN, PREVIEW, cloud, frames, record
 
 
 @pytest.fixture
@@ -28,7 +30,7 @@ def library(tmp_path: Path) -> Library:
 
 
 def saved(library: Library, seed: int = 0) -> str:
-    scan = library.begin(frames(seed), record())
+    scan = library.begin(frames(seed), record(), ORIGIN)
     scan.publish(record(), cloud(seed=seed), PREVIEW)
     return scan.scan_id
 
@@ -47,6 +49,44 @@ def test_what_was_recorded_is_what_is_read(library: Library) -> None:
     assert (points.points_mm == cloud().points_mm).all()
     assert (stored.folder / "preview.png").read_bytes() == PREVIEW
     assert library.verify(scan_id).ok
+
+
+def test_a_scan_carries_the_calibration_and_the_rig_it_was_taken_with_byte_for_byte(library: Library) -> None:
+    scan = library.begin(frames(), record(), ORIGIN)
+    before = [(scan.folder / name).read_bytes() for name in ("calibration.json", "rig.toml")]
+    folder = scan.publish(record(), cloud(), PREVIEW)
+    assert before == [ORIGIN.calibration, ORIGIN.rig], "durable before the diver decides"
+    manifest = load(folder).manifest
+    for name, content in (("calibration.json", ORIGIN.calibration), ("rig.toml", ORIGIN.rig)):
+        assert (folder / name).read_bytes() == content
+        assert manifest.files[name].length == len(content)
+        assert manifest.files[name].sha256 == hashlib.sha256(content).hexdigest()
+
+
+def test_a_scan_without_its_origin_is_read_as_before(library: Library) -> None:
+    scan = library.begin(frames(), record())
+    folder = scan.publish(record(), cloud(), PREVIEW)
+    assert sorted(load(folder).manifest.files) == ["cloud.ply", "frames_left.npy", "frames_right.npy", "preview.png"]
+    assert library.verify(scan.scan_id).ok
+
+
+def test_an_origin_that_a_loss_of_power_damaged_does_not_cost_the_frames(library: Library) -> None:
+    scan = library.begin(frames(), record(), ORIGIN)
+    (scan.folder / "calibration.json").write_bytes(ORIGIN.calibration[:100])
+    assert library.recover().recovered == (scan.scan_id,)
+    stored = library.load(scan.scan_id)
+    assert library.verify(scan.scan_id).ok
+    assert "rig.toml" in stored.manifest.files
+    assert "calibration.json" not in stored.manifest.files
+    assert (stored.folder / "calibration.json.partial").stat().st_size == 100, "nothing is deleted"
+
+
+def test_the_manifest_knows_the_checksum_of_every_single_frame(library: Library) -> None:
+    """So that it can be said later which of 48 images is damaged, and not only that one of them is."""
+    stored = library.load(saved(library))
+    for side in ("left", "right"):
+        sums = [f"{zlib.crc32(frame.tobytes()):08x}" for frame in frames()[side]]
+        assert list(stored.manifest.frame_crc32[f"frames_{side}.npy"]) == sums
 
 
 def test_raw_frames_are_safe_but_not_listed_before_the_decision(library: Library) -> None:
@@ -104,7 +144,18 @@ def test_numbers_of_numpy_and_what_is_not_finite_are_written_as_json_knows_them(
     assert entry.manifest.record.cloud == {"a": 0.5, "b": 7.0, "c": None}
 
 
-@pytest.mark.parametrize("name", ["frames_left.npy", "frames_right.npy", "cloud.ply", "preview.png", "manifest.json"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "frames_left.npy",
+        "frames_right.npy",
+        "calibration.json",
+        "rig.toml",
+        "cloud.ply",
+        "preview.png",
+        "manifest.json",
+    ],
+)
 def test_any_damaged_byte_range_is_found_and_leaves_the_others_fine(library: Library, name: str) -> None:
     bad, good = saved(library, 1), saved(library, 2)
     path = library.entry(bad).folder / name
@@ -147,8 +198,6 @@ def test_a_manifest_whose_number_was_edited_is_not_believed(library: Library) ->
 
 
 def test_a_manifest_of_a_newer_version_says_so(library: Library) -> None:
-    import hashlib
-
     scan_id = saved(library)
     path = library.entry(scan_id).folder / "manifest.json"
     content = json.loads(path.read_text(encoding="utf-8"))

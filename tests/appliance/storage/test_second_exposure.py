@@ -12,7 +12,7 @@ from appliance.capture.verdict import Verdict
 from appliance.storage.atomic import StorageError
 from appliance.storage.library import Library
 from appliance.storage.record import SecondSequence
-from tests.appliance.storage.scenes import PREVIEW, BadDisk, cloud, frames, record
+from tests.appliance.storage.scenes import ORIGIN, PREVIEW, BadDisk, cloud, frames, record
 
 SECOND = SecondSequence(
     Exposure(14_000), 99, {"case": 31.0}, {"flips": [{"sequence": 5}]}, (Verdict("light", True, {"weak_percent": 1.5}),)
@@ -23,7 +23,7 @@ BOTH = replace(record(), second=SECOND)
 def test_both_exposures_are_read_back_with_their_ledgers_and_verdicts(tmp_path: Path) -> None:
     library = Library(tmp_path)
     library.prepare()
-    scan = library.begin(frames(1), record())
+    scan = library.begin(frames(1), record(), ORIGIN)
     scan.add_second(frames(2), BOTH)
     scan.publish(BOTH, cloud(), PREVIEW)
     assert library.verify(scan.scan_id).ok
@@ -32,6 +32,9 @@ def test_both_exposures_are_read_back_with_their_ledgers_and_verdicts(tmp_path: 
     assert (stored.frames["right"] == frames(1)["right"]).all()
     assert (stored.second["right"] == frames(2)["right"]).all()
     assert stored.manifest.record.second == SECOND
+    assert (stored.folder / "rig.toml").read_bytes() == ORIGIN.rig
+    files = ["frames_left.npy", "frames_left_second.npy", "frames_right.npy", "frames_right_second.npy"]
+    assert sorted(stored.manifest.frame_crc32) == files
 
 
 def test_a_scan_of_one_exposure_has_no_second_one(tmp_path: Path) -> None:
