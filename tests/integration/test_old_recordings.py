@@ -1,0 +1,208 @@
+"""What earlier versions wrote is read by this one: scans, calibrations, beams, health, choices, a session, an unfinished scan.
+
+The recordings lie in ``tests/recordings``, which says how they were made; no test writes to them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+import shutil
+import tarfile
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import llvmlite.binding as llvm
+import numpy as np
+import pytest
+
+from appliance.calibration import file as calibration_file
+from appliance.calibration.guide import Step
+from appliance.cli import main
+from appliance.config import Rig, load_rig
+from appliance.service.instrument import calibration_of, pointers_of, start_of
+from appliance.service.loop import standard_choices
+from appliance.storage.beams import BeamsFile
+from appliance.storage.calibrations import Calibrations
+from appliance.storage.choices import ChoicesFile
+from appliance.storage.health import HealthFile
+from appliance.storage.library import Library, Shelf
+from appliance.storage.manifest import Decision, Stage
+from appliance.storage.ply import read_ply
+
+RECORDINGS = Path(__file__).parents[1] / "recordings"
+VERSIONS = sorted(path.name.partition(".")[0] for path in RECORDINGS.glob("*.tar.xz"))
+WIDTH_PX, HEIGHT_PX = 160, 120
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """A storage root of an earlier version, and what that version made of every scan."""
+
+    version: str
+    root: Path
+    rig_file: Path
+    expected: dict[str, Any]
+
+    @property
+    def rig(self) -> Rig:
+        return load_rig(self.rig_file)
+
+    @property
+    def library(self) -> Library:
+        return Library(self.root)
+
+
+@pytest.fixture(scope="module", params=VERSIONS)
+def recorded(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Recorded:
+    """Unpacked once; read only."""
+    folder = tmp_path_factory.mktemp("recordings")
+    with tarfile.open(RECORDINGS / f"{request.param}.tar.xz") as packed:
+        packed.extractall(folder, filter="data")
+    expected = json.loads((folder / "expected.json").read_text(encoding="utf-8"))
+    return Recorded(request.param, folder / "root", folder / "rig.toml", expected)
+
+
+def test_there_are_recordings_of_the_first_version() -> None:
+    assert "98232a1" in VERSIONS
+
+
+def test_every_scan_is_listed_whole_and_says_what_it_said(recorded: Recorded) -> None:
+    library = recorded.library
+    assert [entry.scan_id for entry in library.entries()] == ["000001", "000002", "000004", "000005", "000006"]
+    assert [entry.scan_id for entry in library.entries(Shelf.REJECTED)] == ["000003"]
+    for shelf in (Shelf.SCANS, Shelf.REJECTED):
+        for listed in library.entries(shelf):
+            entry = library.verify(listed.scan_id)
+            assert entry.problems == ()
+            manifest = entry.manifest
+            assert manifest is not None
+            assert manifest.stage is Stage.COMPLETE
+            assert manifest.decision is (Decision.KEPT if shelf is Shelf.SCANS else Decision.REJECTED)
+            record = manifest.record
+            assert record.software_version == "0.1.0"
+            assert record.wall_time is not None
+            assert record.exposure is not None
+            assert record.exposure.time_us == 12_000
+            assert record.sequence.period_px == (16 if entry.scan_id == "000006" else 32)
+            assert record.water["temperature_c"] == 20.0
+            assert record.verdicts[0].text == "all four witnesses agree"
+            scan = library.load(entry.scan_id)
+            for side in ("left", "right"):
+                frames = scan.frames[side]
+                assert frames.shape == (len(record.sequence.patterns), HEIGHT_PX, WIDTH_PX)
+                bright, dark = (frames[record.sequence.patterns.index(name)] for name in ("bright", "dark"))
+                assert float(bright.mean()) > float(dark.mean()) + 10.0
+
+
+def test_figures_of_the_dive_are_those_that_were_stored(recorded: Recorded) -> None:
+    points = {
+        one.scan_id: one.manifest.record.cloud.get("points") for one in recorded.library.entries() if one.manifest
+    }
+    expected = {name.rpartition("/")[2]: said["points"] for name, said in recorded.expected["scans"].items()}
+    assert points == {**{name: expected[name] for name in points}, "000004": None}, (
+        "a step of a calibration has no cloud"
+    )
+    for name in ("000001", "000002", "000005", "000006"):
+        scan = recorded.library.load(name)
+        cloud = scan.cloud()
+        assert cloud is not None
+        assert len(cloud.points_mm) == expected[name]
+        assert 380.0 < float(np.median(cloud.points_mm[:, 2])) < 680.0
+        assert scan.manifest.record.cloud["noise_mm"] == pytest.approx(float(np.median(cloud.sigma_mm)), rel=0.05)
+        verdicts = {one.name: one for one in scan.manifest.record.verdicts}
+        assert verdicts["ray-gaps"].passed is True
+        assert verdicts["motion"].numbers["added_noise_percent"] is not None
+
+
+def test_two_exposures_are_still_one_scan(recorded: Recorded) -> None:
+    scan = recorded.library.load("000002")
+    assert scan.second is not None
+    record = scan.manifest.record
+    assert record.second is not None
+    assert record.exposure is not None
+    assert record.second.exposure.light != record.exposure.light
+    assert {"pair", "grade"} <= {one.name for one in record.verdicts}
+    assert scan.second["left"].shape == scan.frames["left"].shape
+    assert not np.array_equal(scan.second["left"], scan.frames["left"])
+
+
+@pytest.mark.parametrize("number", range(1, 7))
+def test_reconstructing_gives_the_points_of_the_version_that_recorded(
+    recorded: Recorded, number: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Bit by bit on the processor that the recordings were made on; on others, whose sums may round differently, nearly."""
+    name = next(name for name in recorded.expected["scans"] if name.endswith(f"{number:06d}"))
+    said = recorded.expected["scans"][name]
+    out = tmp_path / "again.ply"
+    words = ("--rig", recorded.rig_file, "--root", recorded.root, "--calibration", recorded.root / said["calibration"])
+    assert main(["reconstruct", str(recorded.root / name), *map(str, words), "--out", str(out), "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["same_calibration"] is True
+    stored = recorded.root / name / "cloud.ply"
+    if recorded.expected["processor"] == f"{platform.machine()} {llvm.get_host_cpu_name()}":
+        assert hashlib.sha256(out.read_bytes()).hexdigest() == said["sha256"]
+        assert not stored.exists() or out.read_bytes() == stored.read_bytes()
+    assert report["points"] == pytest.approx(said["points"], rel=1e-3)
+    if stored.exists():
+        before, after = (np.median(read_ply(path).points_mm, axis=0) for path in (stored, out))
+        np.testing.assert_allclose(after, before, atol=0.01)
+
+
+def test_calibrations_of_every_schema_are_read_and_are_the_same_ones(recorded: Recorded) -> None:
+    folder = recorded.root / "calibration"
+    files = {
+        path.name: path for path in (*folder.glob("*.json"), *folder.glob("kept/*.json")) if path.name != "beams.json"
+    }
+    schemas = {name: json.loads(path.read_text(encoding="utf-8"))["schema"] for name, path in files.items()}
+    assert sorted(set(schemas.values())) == [1, 2, 3]
+    for name, path in files.items():
+        found = calibration_file.load(path)
+        assert found.rig_serial == "KF-SIM"
+        assert (found.rig.left.width_px, found.rig.left.height_px) == (WIDTH_PX, HEIGHT_PX)
+        assert (found.rig.left.correction is not None) == (schemas[name] == 2)
+        assert (found.rig.left.ray_shift is not None) == (schemas[name] == 3)
+        assert found.hash == json.loads(path.read_text(encoding="utf-8"))["sha256"], "scans name it by this"
+    assert calibration_file.load(files["air.json"]).air_covariance is not None
+
+
+def test_the_instrument_starts_with_what_was_in_use(recorded: Recorded, tmp_path: Path) -> None:
+    root = shutil.copytree(recorded.root, tmp_path / "root")
+    rig = recorded.rig
+    rig = replace(rig, storage=replace(rig.storage, root=root))
+    calibration, conditions = calibration_of(rig)
+    assert conditions == ()
+    assert calibration == calibration_file.load(root / "calibration" / "current.json")
+    assert start_of(rig) == calibration_file.load(root / "calibration" / "air.json")
+    session = Calibrations(root, rig.rig.serial).session()
+    assert [(trial.step, trial.scan_id) for trial in session.trials] == [(Step.M3, "000004")]
+    chosen, fault = ChoicesFile(root, standard_choices(rig)).read()
+    assert fault is None
+    assert chosen.period_px == 16
+    (calibrations,) = ({path.stem for path in (root / "calibration" / "health").glob("*.json")},)
+    for path in (root / "calibration" / "kept").glob("000[12]*.json"):
+        found = calibration_file.load(path).hash
+        assert found[:16] in calibrations
+        trend = HealthFile(root, found).read()
+        assert trend.judged >= 1
+        assert trend.points
+    pointers = pointers_of(rig)
+    assert pointers is not None
+    known = json.loads((root / "calibration" / "beams.json").read_text(encoding="utf-8"))["calibration"]
+    learned = BeamsFile(root, pointers).read(known)
+    assert learned != pointers.beams(), "what the dots taught is not lost"
+    assert json.loads((root / "run" / "status.json").read_text(encoding="utf-8"))["state"] == "REVIEW"
+
+
+def test_a_scan_that_was_not_decided_when_the_power_went_is_recovered(recorded: Recorded, tmp_path: Path) -> None:
+    root = shutil.copytree(recorded.root, tmp_path / "root")
+    library = Library(root)
+    outcome = library.recover()
+    assert (outcome.recovered, outcome.set_aside, outcome.failed) == (("000008",), (), ())
+    scan = library.load("000008")
+    assert library.verify("000008").ok
+    assert scan.manifest.recovered
+    assert scan.frames["left"].shape[1:] == (HEIGHT_PX, WIDTH_PX)
+    assert [entry.scan_id for entry in library.entries(Shelf.SET_ASIDE)] == ["000007"]
