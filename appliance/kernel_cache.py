@@ -5,6 +5,9 @@ whose functions were built in, not at its own version's flags. So each state of 
 after everything that goes into a kernel. What an installation has compiled (``build``) may lie on a read-only disk, where
 numba refuses to read; it is copied to a place that can be written, once per start of the machine.
 
+numba runs whatever machine code it finds in its folder. So a folder is only used when nobody but this user can have
+written to it: it belongs to the user, is closed to everybody else, and lies where others cannot exchange it.
+
 Kernels are compiled for one processor. An image that is made here and started there brings them for a level of processors
 that is common enough (``COMMON``), and they are used where none were compiled for the processor itself.
 """
@@ -15,6 +18,7 @@ import hashlib
 import os
 import platform
 import shutil
+import stat
 import sys
 import tempfile
 from collections.abc import Mapping
@@ -28,6 +32,7 @@ VARIABLE = "NUMBA_CACHE_DIR"
 CPU_VARIABLES = ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES")
 COMPLETE = "complete"
 """A file that is written last: without it, a folder was left half made."""
+_PRIVATE = 0o700
 _PROGRAM = Path(__file__).parent
 
 
@@ -115,7 +120,7 @@ def writable_folder(environment: Mapping[str, str]) -> Path:
 def use(shipped: Path | None = None, writable: Path | None = None) -> KernelCache:
     """Point numba at kernels of exactly this program. Call before any module with kernels is imported.
 
-    Never fails: without a place that can be written, the kernels go to a temporary one.
+    Never fails: without a place that can be written and trusted, the kernels go to a new temporary one.
     """
     given = os.environ.get(VARIABLE)
     if given:
@@ -126,7 +131,7 @@ def use(shipped: Path | None = None, writable: Path | None = None) -> KernelCach
         try:
             origin = _fill(folder, source)
         except OSError:
-            continue  # read-only or full: the next one
+            continue  # read-only, full, or somebody else's: the next one
         _point_at(folder, compiled_for)
         return KernelCache(folder, origin)
     folder = Path(tempfile.mkdtemp(prefix="kingfisher-kernels-"))
@@ -184,18 +189,40 @@ def _point_at(folder: Path, processor: Processor | None = None) -> None:
 
 
 def _fill(folder: Path, source: Path) -> Origin:
-    """Make ``folder`` usable; raises OSError when it cannot be."""
-    if (folder / COMPLETE).exists():
-        _try_writing(folder)
-        return Origin.READY
-    folder.mkdir(parents=True, exist_ok=True)
+    """Make ``folder`` usable; raises OSError when it cannot be, or when somebody else could have put kernels there."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with suppress(FileExistsError):
+        folder.mkdir(mode=_PRIVATE)
+    _refuse_unless_private(folder)
     _try_writing(folder)
+    if (folder / COMPLETE).exists():
+        return Origin.READY
     if not (source / COMPLETE).exists():
         return Origin.EMPTY
     # The mark comes last; numba's own files are renamed into place, so that two starts at once do no harm.
     shutil.copytree(source, folder, dirs_exist_ok=True, ignore=shutil.ignore_patterns(COMPLETE))
+    folder.chmod(_PRIVATE)  # copytree gave it the mode of the source
     (folder / COMPLETE).touch()
     return Origin.SHIPPED
+
+
+def _refuse_unless_private(folder: Path) -> None:
+    """Raises PermissionError unless ``folder`` is a real folder of this user that nobody else can look into or replace.
+
+    A folder above it that everybody may write to must be sticky, as /tmp is: else a stranger may exchange what lies in it
+    between this look and numba's reading.
+    """
+    found = folder.lstat()
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.geteuid() or stat.S_IMODE(found.st_mode) & 0o077:
+        raise PermissionError(
+            f"{folder}: kernels are read only from a folder that belongs to this user, with mode 0700"
+        )
+    for above in folder.resolve().parents:
+        mode = above.stat().st_mode
+        if mode & stat.S_IWOTH and not mode & stat.S_ISVTX:
+            raise PermissionError(
+                f"{above}: everybody may exchange what lies in this folder; kernels there are not read"
+            )
 
 
 def _try_writing(folder: Path) -> None:

@@ -7,9 +7,11 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 from typing import Any
 
+import numba
 import pytest
 
 from appliance import kernel_cache
@@ -93,6 +95,70 @@ def test_a_changed_function_in_another_file_is_another_program(tmp_path: Path, m
     called = copy / "reconstruct" / "scratch.py"
     called.write_text(called.read_text().replace("+ 8", "+ 16"))
     assert kernel_cache.fingerprint() != before
+
+
+@pytest.fixture
+def last_resort(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder that a process without any other place used in a temporary folder that everybody may write to."""
+    shared = tmp_path / "shared"
+    shared.mkdir()
+    shared.chmod(0o1777)
+    monkeypatch.delenv(VARIABLE, raising=False)
+    monkeypatch.setattr(numba.config, "CACHE_DIR", numba.config.CACHE_DIR)  # given back afterwards
+    monkeypatch.setattr(tempfile, "tempdir", str(shared))
+    return shared / f"kingfisher-kernels-{os.getuid()}" / kernel_cache.fingerprint()
+
+
+def used() -> kernel_cache.KernelCache:
+    """What a process of its own would choose, without any place but the last resort."""
+    os.environ.pop(VARIABLE, None)
+    return kernel_cache.use(Path("/nothing/shipped"), Path("/proc/read-only"))
+
+
+def test_kernels_that_somebody_else_laid_into_tmp_are_never_run(last_resort: Path) -> None:
+    """A stranger prepares the folder, ``complete`` included: whoever starts the program next would run his code."""
+    last_resort.mkdir(parents=True, mode=0o700)
+    (last_resort / COMPLETE).touch()
+    if os.geteuid() == 0:
+        os.chown(last_resort, 65534, 65534)
+    else:  # nobody else's folder can be made here; a mode that lets others write is as bad
+        last_resort.chmod(0o777)
+    cache = used()
+    assert cache.origin is Origin.EMPTY
+    assert cache.path != last_resort
+    found = cache.path.lstat()
+    assert (found.st_uid, found.st_mode & 0o777) == (os.geteuid(), 0o700)
+
+
+@pytest.mark.parametrize("mode", [0o777, 0o770, 0o755, 0o701])
+def test_a_folder_of_kernels_that_others_may_enter_is_not_used(last_resort: Path, mode: int) -> None:
+    last_resort.mkdir(parents=True)
+    (last_resort / COMPLETE).touch()
+    last_resort.chmod(mode)
+    assert used().path != last_resort
+
+
+def test_a_link_in_the_place_of_the_kernels_is_not_followed(last_resort: Path, tmp_path: Path) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir(mode=0o700)
+    (elsewhere / COMPLETE).touch()
+    last_resort.parent.mkdir()
+    last_resort.symlink_to(elsewhere)
+    assert used().path.resolve() != elsewhere.resolve()
+
+
+def test_kernels_in_a_folder_that_anybody_may_exchange_are_not_used(last_resort: Path) -> None:
+    last_resort.mkdir(parents=True, mode=0o700)
+    (last_resort / COMPLETE).touch()
+    assert used() == kernel_cache.KernelCache(last_resort, Origin.READY)
+    last_resort.parents[1].chmod(0o777)  # no longer sticky
+    assert used().path != last_resort
+
+
+def test_the_last_resort_is_private_and_used_again(last_resort: Path) -> None:
+    first = used()
+    assert (first.path, first.path.lstat().st_mode & 0o777) == (last_resort, 0o700)
+    assert used().path == first.path
 
 
 @pytest.mark.parametrize(
