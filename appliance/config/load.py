@@ -14,16 +14,22 @@ from typing import Any, get_type_hints
 from pydantic import TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
-from appliance.config.checks import complaints
+from appliance.config.checks import Complaint, complaints
 from appliance.config.rig import Rig
 
 _MAX_BYTES = 1_000_000
+_MOST_FAULTS = 100
+"""More wrong keys than a rig file has: beyond this the file is something else, and the rest is counted."""
 
 
 class ConfigError(Exception):
-    """The rig file cannot be used. ``headline`` fits a safe screen; ``str()`` adds allowed range and remedy."""
+    """The rig file cannot be used. ``headline`` fits a safe screen; ``str()`` adds allowed range and remedy, and names
+    every other fault of the file.
+    """
 
-    def __init__(self, headline: str, allowed: str, remedy: str, *, key: str | None = None, more: int = 0) -> None:
+    def __init__(
+        self, headline: str, allowed: str, remedy: str, *, key: str | None = None, others: Sequence[ConfigError] = ()
+    ) -> None:
         self.headline = headline
         self.key = key
         """Path of the key (``camera.left.exposure_ms``); ``None`` when the file as a whole is wrong."""
@@ -33,8 +39,10 @@ class ConfigError(Exception):
         if allowed:
             parts.append(f"allowed: {allowed}")
         parts.append(remedy)
-        if more:
-            parts.append(f"({more} more)")
+        if others:
+            named = [other.headline + (f" (allowed: {other.allowed})" if other.allowed else "") for other in others]
+            uncounted = [f"and {len(named) - _MOST_FAULTS} more"] if len(named) > _MOST_FAULTS else []
+            parts.append("also wrong: " + ", ".join(named[:_MOST_FAULTS] + uncounted))
         super().__init__("; ".join(parts))
 
 
@@ -74,33 +82,36 @@ def parse_rig(text: str, source: str = "rig file") -> Rig:
 
 
 def rig_from_mapping(content: Mapping[str, Any], source: str = "rig") -> Rig:
-    """Check a parsed rig file. Raises ConfigError for the first wrong key, and counts the others."""
+    """Check a parsed rig file. Raises ConfigError that explains the first wrong key and names all others."""
     try:
         # Through JSON: dates and other TOML oddities become text, and the value shares nothing with its source.
         plain = json.loads(json.dumps(content, default=str))
         rig = TypeAdapter(Rig).validate_python(plain)
     except ValidationError as error:
         details = sorted(error.errors(include_url=False), key=lambda d: not _is_unknown_key(d))
-        raise _explain(details[0], source, len(details) - 1) from None
+        raise _explain(details[0], source, [_explain(detail, source) for detail in details[1:]]) from None
     broken = list(complaints(rig))
     if broken:
-        first = broken[0]
-        value = "" if first.value is None else f" {_spell(first.value)}"
-        raise ConfigError(
-            f"{first.key}{value} {first.relation}",
-            first.allowed,
-            f"{first.remedy} ({source})",
-            key=first.key,
-            more=len(broken) - 1,
-        )
+        raise _complain(broken[0], source, [_complain(complaint, source) for complaint in broken[1:]])
     return rig
+
+
+def _complain(broken: Complaint, source: str, others: Sequence[ConfigError] = ()) -> ConfigError:
+    value = "" if broken.value is None else f" {_spell(broken.value)}"
+    return ConfigError(
+        f"{broken.key}{value} {broken.relation}",
+        broken.allowed,
+        f"{broken.remedy} ({source})",
+        key=broken.key,
+        others=others,
+    )
 
 
 def _is_unknown_key(detail: ErrorDetails) -> bool:
     return detail["type"] in ("unexpected_keyword_argument", "extra_forbidden")
 
 
-def _explain(detail: ErrorDetails, source: str, more: int) -> ConfigError:
+def _explain(detail: ErrorDetails, source: str, others: Sequence[ConfigError] = ()) -> ConfigError:
     key = ".".join(_short(str(part)) for part in detail["loc"])
     value = _spell(detail["input"])
     context = detail.get("ctx", {})
@@ -111,18 +122,20 @@ def _explain(detail: ErrorDetails, source: str, more: int) -> ConfigError:
     if _is_unknown_key(detail):
         near = _nearest(detail["loc"])
         hint = f"did you mean {near}?" if near else f"known here: {', '.join(_siblings(detail['loc']))}"
-        return ConfigError(f"{key} unknown key", "", f"{hint} ({source})", key=key, more=more)
+        return ConfigError(f"{key} unknown key", "", f"{hint} ({source})", key=key, others=others)
     if kind in ("missing", "missing_argument"):
-        return ConfigError(f"{key} missing", allowed, f"add it to {source}", key=key, more=more)
+        return ConfigError(f"{key} missing", allowed, f"add it to {source}", key=key, others=others)
     if kind in ("less_than_equal", "greater_than_equal"):
         sign, limit = (">", context["le"]) if kind == "less_than_equal" else ("<", context["ge"])
-        return ConfigError(f"{key} {value} {sign} {limit:g}", allowed, remedy, key=key, more=more)
+        return ConfigError(f"{key} {value} {sign} {limit:g}", allowed, remedy, key=key, others=others)
     if kind == "literal_error":
-        return ConfigError(f"{key} {value}", str(context["expected"]), remedy, key=key, more=more)
+        return ConfigError(f"{key} {value}", str(context["expected"]), remedy, key=key, others=others)
     if kind == "string_pattern_mismatch":
-        return ConfigError(f"{key} {value}", '"package.module:function"', remedy, key=key, more=more)
+        return ConfigError(f"{key} {value}", '"package.module:function"', remedy, key=key, others=others)
     wanted = detail["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
-    return ConfigError(f"{key} {value} is not {wanted.removesuffix(' is needed')}", allowed, remedy, key=key, more=more)
+    return ConfigError(
+        f"{key} {value} is not {wanted.removesuffix(' is needed')}", allowed, remedy, key=key, others=others
+    )
 
 
 def _spell(value: object) -> str:
