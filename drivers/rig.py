@@ -14,6 +14,7 @@ from drivers.camera import CameraSpec, UsbVisionCamera
 from drivers.keys import HidKeypad, KeysSpec
 from drivers.output.outputs import Outputs
 from drivers.output.spec import OutputKind, OutputSpec
+from drivers.registered_wires import REMEDY, check_registered
 
 __all__ = [
     "BoardSpec",
@@ -28,22 +29,19 @@ __all__ = [
     "open_wires",
 ]
 
-_REMEDY = 'Correct wires of [rig]; on the instrument it is "drivers.native:open"'
-
 
 def open_wires(name: str, options: WiresOptions) -> AbstractContextManager[Wires]:
-    """The wires that ``module:function`` makes from ``options``. Raises DeviceRefused, naming what is wrong."""
-    module_name, colon, function_name = name.partition(":")
-    if not colon or not module_name or not function_name:
-        raise DeviceRefused("wires", f"{name!r} is not of the form module:function", _REMEDY)
+    """The wires that the registered ``module:function`` makes from ``options``.
+
+    Raises DeviceRefused for a name that is not registered, before anything of it is imported, and where it is not installed.
+    """
+    check_registered(name)
+    module_name, _, function_name = name.partition(":")
     try:
         module = importlib.import_module(module_name)
     except ImportError as error:
-        raise DeviceRefused("wires", f"{name!r}: {error}", _REMEDY) from error
-    function = getattr(module, function_name, None)
-    if not callable(function):
-        raise DeviceRefused("wires", f"{name!r}: the module has no function {function_name}", _REMEDY)
-    opened: AbstractContextManager[Wires] = function(options)
+        raise DeviceRefused("wires", f"{name!r}: {error}", REMEDY) from error
+    opened: AbstractContextManager[Wires] = getattr(module, function_name)(options)
     return opened
 
 

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from appliance.config.rig import OutputRig, Rig
+from drivers.registered_wires import NATIVE, REGISTERED
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,6 +23,14 @@ class Complaint:
 
 def complaints(rig: Rig) -> Iterator[Complaint]:
     """Every broken rule, in the order of the file."""
+    if rig.rig.wires not in REGISTERED:
+        yield Complaint(
+            "rig.wires",
+            rig.rig.wires,
+            "not registered",
+            ", ".join(REGISTERED),
+            f"correct it; on an instrument it is {NATIVE}",
+        )
     yield from _exposures_fit(rig)
     if rig.camera.left.serial == rig.camera.right.serial:
         yield Complaint(

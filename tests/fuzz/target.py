@@ -24,6 +24,8 @@ class Target:
     """The errors that the parser documents; empty: it never raises."""
     names: str = ""
     """What every refusal must name: the file, the device."""
+    longest: int = LONGEST_MESSAGE
+    """In characters: a refusal that lists many faults is longer."""
     cost: float = 1.0
     """How many inputs of a plain parser one of these takes the time of: the default tests take fewer of it."""
 
@@ -38,7 +40,7 @@ def check_refusal(target: Target, case: Any, error: Exception) -> None:
     if not any(character.isalpha() for character in message):
         raise Unclear(f"{type(error).__name__} says nothing: {message!r}") from error
     said = len(case) if isinstance(case, str) else 0  # a sentence is quoted to who said it
-    if len(message) > LONGEST_MESSAGE + 3 * said:
+    if len(message) > target.longest + 3 * said:
         raise Unclear(f"{type(error).__name__} of {len(message)} characters: {message[:200]!r}...") from error
     if target.names not in message:
         raise Unclear(f"{type(error).__name__} does not name {target.names!r}: {message[:200]!r}") from error

@@ -102,7 +102,8 @@ def test_it_runs_through_its_self_test_and_ends_when_asked(tmp_path: Path) -> No
     ("break_it", "kind", "words"),
     [
         (lambda rig: rig.replace("exposure_ms = ", "exposure_ms = 99"), "config", "exposure_ms"),
-        (lambda rig: rig.replace("hw_sim.wires:open", "nowhere:open"), "device", "nowhere"),
+        (lambda rig: rig.replace("hw_sim.wires:open", "nowhere:open"), "config", "nowhere"),
+        (lambda rig: rig.replace("hw_sim.wires:open", "drivers.native:open"), "device", "width_px"),
     ],
 )
 def test_what_keeps_it_from_starting_is_left_for_the_safe_screen(

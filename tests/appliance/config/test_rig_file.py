@@ -102,6 +102,44 @@ def test_a_warning_must_come_before_the_block() -> None:
     assert refusal(changed("case_warm_c = 50.0", "case_warm_c = 60.0")).key == "limits.case_warm_c"
 
 
+def test_every_fault_of_a_rig_file_is_listed_not_counted() -> None:
+    """Whoever writes a rig file mends all of it in one go, not one key a try."""
+    everything = refusal("")
+    tables = ("rig", "camera", "projector", "display", "board", "keys", "scan", "storage", "water", "design")
+    missing = [table for table in tables if f"{table} missing" in str(everything)]
+    assert len(missing) >= 8
+    assert "more)" not in str(everything)
+    three = PACKAGED.replace("gain_db = 0.0", "gain_db = 99", 2).replace("period_px = 16 ", "period_px = 24 ")
+    said = str(refusal(three))
+    assert "camera.left.gain_db 99 > 48" in said
+    assert "camera.right.gain_db 99 > 48 (allowed: 0..48 dB)" in said
+    assert "scan.period_px 24 (allowed: 16, 32 or 64)" in said
+    assert "\n" not in said
+
+
+def test_every_broken_rule_between_keys_is_listed() -> None:
+    right, left = parse_rig(PACKAGED).camera.right.serial, parse_rig(PACKAGED).camera.left.serial
+    text = changed("case_warm_c = 50.0", "case_warm_c = 61.0").replace(right, left)
+    said = str(refusal(text))
+    assert "camera.right.serial" in said
+    assert "limits.case_warm_c 61 >= 60 (allowed: below case_hot_c)" in said
+
+
+def test_a_file_of_thousands_of_wrong_keys_is_refused_in_a_message_that_ends() -> None:
+    said = str(refusal(PACKAGED + "".join(f"key_{n} = {n}\n" for n in range(5000))))
+    assert len(said) < 10_000
+    assert "and 4899 more" in said
+
+
+@pytest.mark.parametrize("wires", ["subprocess:Popen", "os:system", "appliance.cli:main", "drivers.native:NativeWires"])
+def test_a_rig_file_cannot_name_a_command_as_its_wires(wires: str) -> None:
+    """What opens the devices is called with whatever else the file says: a rig file from elsewhere could run anything."""
+    error = refusal(changed("drivers.native:open", wires))
+    assert error.key == "rig.wires"
+    assert error.headline == f'rig.wires "{wires}" not registered'
+    assert "allowed: drivers.native:open, hw_sim.wires:open" in str(error)
+
+
 def test_options_of_the_wires_are_free() -> None:
     rig = parse_rig(changed("[camera.left]", "[rig.wires_options]\nobject = 'pipe'\nwater = {blur = 1}\n[camera.left]"))
     assert rig.rig.wires_options == {"object": "pipe", "water": {"blur": 1}}

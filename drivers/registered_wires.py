@@ -1,0 +1,22 @@
+"""Owns the list of wires that a rig file may name.
+
+A rig file is data, often somebody else's. What it names as ``wires`` is called with what it gives as ``wires_options``; were
+any function allowed, reading a rig file would be running it. So the list is part of the program, and a world of its own
+adds itself here (``docs/adr/0031-wires-are-registered.md``).
+"""
+
+from __future__ import annotations
+
+from drivers.api import DeviceRefused
+
+NATIVE = "drivers.native:open"
+REGISTERED = (NATIVE, "hw_sim.wires:open")
+"""Each a ``module:function`` that takes ``WiresOptions`` and gives a context manager of ``drivers.api.Wires``."""
+
+REMEDY = f'Correct wires of [rig]; on the instrument it is "{NATIVE}"'
+
+
+def check_registered(name: str) -> None:
+    """Raises DeviceRefused, with the names there are, for any other than a registered one."""
+    if name not in REGISTERED:
+        raise DeviceRefused("wires", f"{name!r} is not registered; allowed: {', '.join(REGISTERED)}", REMEDY)
