@@ -1,4 +1,8 @@
-"""Owns what is asked of a camera's description before GenApi may see it: GenApi follows some wrong references blindly.
+"""Owns what is asked of a camera's description before GenApi may see it: its size, and the references in it.
+
+GenApi parses in native code, recursively and without limits of its own. So a description that is nested deeper, or has more
+nodes, than any camera's is refused, and so is one that declares a document type: entities can make a gigabyte of a kilobyte,
+or name a file of this machine.
 
 A ``pPort`` that names a node other than a port, or any other reference that names a port, ends the process from below
 Python, where nothing can be caught (genicam 1.6). Such a description is refused like any other that cannot be used.
@@ -7,14 +11,53 @@ Python, where nothing can be caught (genicam 1.6). Such a description is refused
 from __future__ import annotations
 
 from xml.etree import ElementTree
+from xml.parsers import expat
+
+MAX_DEPTH = 32
+"""A description has a root, groups in groups, a node, its entries and their elements: five to eight levels."""
+MAX_ELEMENTS = 400_000
+"""The largest published descriptions have some 40,000."""
+MAX_ATTRIBUTES = 64
 
 
 class WrongReference(ValueError):
-    """The description is not well formed, or names a node where there is none of the needed kind."""
+    """The description is not well formed, beyond its limits, or names a node where there is none of the needed kind."""
+
+
+def check_limits(xml: str) -> None:
+    """Raises WrongReference for a description that is nested too deep, has too many nodes, or declares a document type."""
+    depth = count = 0
+
+    def opened(name: str, attributes: dict[str, str]) -> None:
+        nonlocal depth, count
+        depth += 1
+        count += 1
+        if depth > MAX_DEPTH:
+            raise WrongReference(f"elements nested deeper than {MAX_DEPTH}")
+        if count > MAX_ELEMENTS:
+            raise WrongReference(f"more than {MAX_ELEMENTS} elements")
+        if len(attributes) > MAX_ATTRIBUTES:
+            raise WrongReference(f"an element with more than {MAX_ATTRIBUTES} attributes")
+
+    def closed(name: str) -> None:
+        nonlocal depth
+        depth -= 1
+
+    def declared(*_: object) -> None:
+        raise WrongReference("a document type is declared; descriptions have none")
+
+    parser = expat.ParserCreate()
+    parser.StartElementHandler, parser.EndElementHandler = opened, closed
+    parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = declared
+    try:
+        parser.Parse(xml.encode(), True)
+    except (expat.ExpatError, ValueError) as error:
+        raise WrongReference(f"not well-formed XML: {error}") from error
 
 
 def check_references(xml: str) -> None:
     """Raises WrongReference for what GenApi would not survive; everything else it judges itself."""
+    check_limits(xml)
     try:
         root = ElementTree.fromstring(xml.encode())
     except (ElementTree.ParseError, ValueError, LookupError) as error:

@@ -218,6 +218,7 @@ TAGS = tuple(
     word.encode()
     for word in (
         "<pValue>Width</pValue>", "<pValue>WidthReg</pValue>", "<pMin>Width</pMin>", "<pAddress>Width</pAddress>", "<Length>0</Length>",
+        "<Group>" * 40 + "</Group>" * 40, "<!DOCTYPE R [<!ENTITY e 'Width'>]>", "&e;",
         "<Length>-1</Length>", "<Length>999999999</Length>", "<Formula>1/0</Formula>", "<Address>0xFFFFFFFFFFFFFFFF</Address>",
         "<pIsAvailable>TriggerMode</pIsAvailable>", "<pSelected>Width</pSelected>", "<Inc>0</Inc>", "<Min>nan</Min>", "<!--", "]]>",
         "&amp;", "&x;", "<IntSwissKnife Name='K'><pVariable Name='W'>Width</pVariable><Formula>W/0</Formula></IntSwissKnife>", "<a>" * 300,

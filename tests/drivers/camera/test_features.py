@@ -119,3 +119,40 @@ def test_an_unplugged_camera_is_gone_not_a_bad_value(device: Any) -> None:
 def test_a_description_that_is_none_is_refused(text: str) -> None:
     with pytest.raises(DeviceRefused, match="description"):
         Features("camera.left", text, ControlChannel("camera.left", RegisterMemory(), SteppedClock()))
+
+
+def nested(depth: int) -> str:
+    return XML.replace("<Port ", "<Group>" * depth + "</Group>" * depth + "<Port ")
+
+
+ENTITIES = "".join(f"<!ENTITY e{n} '{f'&e{n - 1};' * 10}'>" for n in range(1, 12))
+MANY = " ".join(f"b{n}='0'" for n in range(65))
+BOMB = XML.replace(
+    "<RegisterDescription", f"<!DOCTYPE R [<!ENTITY e0 'Width'>{ENTITIES}]><RegisterDescription", 1
+).replace("<pFeature>Width</pFeature>", "<pFeature>&e11;</pFeature>")
+FILE = XML.replace(
+    "<RegisterDescription", "<!DOCTYPE R [<!ENTITY f SYSTEM 'file:///etc/passwd'>]><RegisterDescription", 1
+).replace("<pFeature>Width</pFeature>", "<pFeature>&f;</pFeature>")
+
+
+@pytest.mark.parametrize(
+    ("xml", "words"),
+    [
+        (nested(100_000), "nested deeper than 32"),
+        (nested(32), "nested deeper than 32"),
+        (XML.replace("<Port ", "<a/>" * 400_001 + "<Port "), "more than 400000 elements"),
+        (XML.replace("<Port ", f"<a {MANY}/><Port "), "more than 64 attributes"),
+        (BOMB, "a document type is declared"),
+        (FILE, "a document type is declared"),
+    ],
+    ids=["deep", "just too deep", "many", "attributes", "entities", "a file of this machine"],
+)
+def test_a_description_beyond_any_cameras_never_reaches_the_native_parser(xml: str, words: str) -> None:
+    """A hundred thousand nested elements end the process from below Python, where nothing can be caught."""
+    with pytest.raises(DeviceRefused, match=words):
+        Features("camera.left", xml, ControlChannel("camera.left", RegisterMemory(), SteppedClock()))
+
+
+def test_a_description_within_the_limits_goes_on_to_the_native_parser() -> None:
+    with pytest.raises(DeviceRefused, match="parsing XML stream"):  # GenApi's own words: it knows no such nesting
+        Features("camera.left", nested(31), ControlChannel("camera.left", RegisterMemory(), SteppedClock()))
