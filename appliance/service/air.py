@@ -30,6 +30,7 @@ from appliance.config import Rig
 from appliance.patterns.sequence import build_sequence
 from appliance.service.air_views import LEFT, RIGHT
 from appliance.service.instrument import design_of
+from appliance.service.picture_size import KNOWN, size_px
 from appliance.storage import calibrations
 from appliance.storage import scan as stored
 from appliance.storage.atomic import refused, replace_file
@@ -42,6 +43,8 @@ AIR_FILE = Path(calibrations.FOLDER, calibrations.AIR)
 """Below the storage root: where calibrating in water begins."""
 KINDS = (".png", ".tif", ".tiff", ".bmp", ".pgm")
 SIDES = ("left", "right")
+_LEAST_BYTES, _BYTES_PER_PIXEL = 1_000_000, 16
+"""What a file may have: headers and notes, and four channels of 32 bits. The cameras' pictures have one byte a pixel."""
 RESULTS = ("air-coverage.png", "air-residuals.png")
 
 
@@ -108,13 +111,9 @@ def read_pair(pair: Pair, width_px: int, height_px: int) -> tuple[Image, Image]:
         bright = build_sequence(made.period_px, made.width_px, made.height_px).bright
         left, right = (np.array(scan.frames[side][bright]) for side in SIDES)
     else:
-        left, right = _picture(pair.left), _picture(pair.right)
+        left, right = (_picture(path, (width_px, height_px)) for path in (pair.left, pair.right))
     for image, path in ((left, pair.left), (right, pair.right)):
-        if image.shape != (height_px, width_px):
-            raise PicturesError(
-                f"{path}: {image.shape[1]}x{image.shape[0]} px; the rig file has {width_px}x{height_px} px; "
-                f"give the rig file of the instrument that took it (--rig)"
-            )
+        _check_size(path, (image.shape[1], image.shape[0]), (width_px, height_px))
     return left, right
 
 
@@ -235,10 +234,31 @@ def _report(
     }
 
 
-def _picture(path: Path) -> Image:
-    with refused("cannot read", path):
-        data = path.read_bytes()
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
+def _check_size(path: Path, found_px: tuple[int, int], wanted_px: tuple[int, int]) -> None:
+    if found_px != wanted_px:
+        raise PicturesError(
+            f"{path}: {found_px[0]}x{found_px[1]} px; the rig file has {wanted_px[0]}x{wanted_px[1]} px; "
+            f"give the rig file of the instrument that took it (--rig)"
+        )
+
+
+def _picture(path: Path, wanted_px: tuple[int, int]) -> Image:
+    """Of the wanted size, or refused before it is decoded: a small file may promise more pixels than there is memory."""
+    longest = _LEAST_BYTES + _BYTES_PER_PIXEL * wanted_px[0] * wanted_px[1]
+    with refused("cannot read", path), path.open("rb") as file:
+        data = file.read(longest + 1)
+    if len(data) > longest:
+        raise PicturesError(
+            f"{path}: larger than {longest} bytes, which {wanted_px[0]}x{wanted_px[1]} px never are; "
+            "give the pictures as recorded"
+        )
+    stated_px = size_px(data)
+    if stated_px is None:
+        raise PicturesError(
+            f"{path}: is no picture, or damaged ({KNOWN} is read); bring it back from a copy, or remove the pair"
+        )
+    _check_size(path, stated_px, wanted_px)
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if image is None:
         raise PicturesError(f"{path}: is no picture, or damaged; bring it back from a copy, or remove the pair")
     if image.dtype != np.uint8:

@@ -16,6 +16,7 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
+import cv2
 import numpy as np
 
 from appliance.calibration import file as calibration_file
@@ -33,6 +34,7 @@ from appliance.optics.correction import ImageCorrection, node_count
 from appliance.optics.ray_shift import RayShift
 from appliance.optics.water import Water
 from appliance.patterns.response import Response
+from appliance.service.air import Pair, PicturesError, read_pair
 from appliance.storage import counter
 from appliance.storage import manifest as form
 from appliance.storage.atomic import Stamp, StorageError
@@ -82,6 +84,31 @@ def _read_rig(data: bytes, scratch: Path) -> None:
     rig = load_rig(path)
     assert len(rig.rig_hash) == len(rig.optical_hash) == 64
     assert load_rig(path) == rig
+
+
+# --------------------------------------------------------------------------------------------------- pictures
+
+PICTURES = tuple(
+    cv2.imencode(kind, np.arange(48, dtype=np.uint8).reshape(6, 8))[1].tobytes()
+    for kind in (".png", ".tif", ".bmp", ".pgm", ".jpg")
+)
+
+
+def _picture(chance: Random) -> bytes:
+    return damaged(chance, chance.choice(PICTURES), PICTURES)
+
+
+def _read_picture(data: bytes, scratch: Path) -> None:
+    path = scratch / "00_left.png"
+    path.write_bytes(data)
+    for image in read_pair(_pair(path, scratch), 8, 6):
+        assert (image.shape, image.dtype) == ((6, 8), np.uint8)
+
+
+def _pair(left: Path, scratch: Path) -> Pair:
+    right = scratch / "00_right.png"
+    right.write_bytes(PICTURES[0])
+    return Pair("00", left, right)
 
 
 # ------------------------------------------------------------------------------------------------ sealed JSON
@@ -332,7 +359,8 @@ def _open(files: dict[str, bytes], scratch: Path) -> None:
 
 
 TARGETS = (
-    Target("rig", "the rig file", _rig, _read_rig, (ConfigError,), "CONFIG: ", cost=20.0),
+    Target("rig", "the rig file", _rig, _read_rig, (ConfigError,), "CONFIG: ", longest=12_000, cost=20.0),
+    Target("picture", "a picture of the board", _picture, _read_picture, (PicturesError,), "00_left", cost=2.0),
     Target("calibration", "a calibration file", lambda c: _sealed(c, c.choice(CALIBRATIONS)), _read_calibration,
            (CalibrationError,), "calibration current.json", cost=5.0),
     Target("response", "the projector's response", lambda c: _sealed(c, RESPONSE), _read_response, (ResponseFileError,),
