@@ -104,7 +104,8 @@ def last_resort(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     shared.mkdir()
     shared.chmod(0o1777)
     monkeypatch.delenv(VARIABLE, raising=False)
-    monkeypatch.setattr(numba.config, "CACHE_DIR", numba.config.CACHE_DIR)  # given back afterwards
+    config: Any = numba.config
+    monkeypatch.setattr(config, "CACHE_DIR", config.CACHE_DIR)  # given back afterwards
     monkeypatch.setattr(tempfile, "tempdir", str(shared))
     return shared / f"kingfisher-kernels-{os.getuid()}" / kernel_cache.fingerprint()
 

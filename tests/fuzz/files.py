@@ -102,7 +102,8 @@ def _read_picture(data: bytes, scratch: Path) -> None:
     path = scratch / "00_left.png"
     path.write_bytes(data)
     for image in read_pair(_pair(path, scratch), 8, 6):
-        assert (image.shape, image.dtype) == ((6, 8), np.uint8)
+        assert image.shape == (6, 8)
+        assert image.dtype == np.uint8
 
 
 def _pair(left: Path, scratch: Path) -> Pair:
