@@ -126,7 +126,6 @@ class HidKeypad:
             self._read_one(remaining_s)
         if self._failure is not None:
             raise DeviceGone(self._name, self._failure, "Re-plug the key pad")
-        self._events.clear()
 
     def _next_look_s(self, now_ns: int, deadline_ns: int) -> float:
         """How long a read may block: until the caller's, the debouncer's or the silence's time."""

@@ -95,16 +95,16 @@ class Choice:
         return Chosen(tuple(files), tuple(chosen), total, digest.hexdigest()[:16])
 
     def _reaching(self, traced: Traced, mutant: Mutant, definition: Definition | None) -> set[str]:
-        if definition is not None and definition.function and not definition.kernel:
-            found = traced.reaching(mutant.path, range(mutant.line, mutant.last_line + 1))
-            if found or mutant.within != definition.name:
-                return found
         if definition is None:
             return set()
-        found = set()
+        called = mutant.line >= definition.body or mutant.within != definition.name  # else it runs at import
+        if called and definition.function and not definition.kernel:
+            return traced.reaching(mutant.path, range(mutant.line, mutant.last_line + 1))
+        found: set[str] = set()
         for worker in (definition, *self._names.workers(definition)):
-            # the first line of a function is reached when it is called; that of a class when it is defined
-            found |= traced.reaching(worker.path, range(worker.first, worker.last + 1))
+            found |= traced.reaching(worker.path, range(min(worker.body, worker.last), worker.last + 1))
+            if worker.body > worker.last:  # of a class, whatever of it runs
+                found |= traced.reaching(worker.path, range(worker.first + 1, worker.last + 1))
         return found
 
     def _of_file(self, path: str) -> list[Traced]:

@@ -27,7 +27,10 @@ class Definition:
     first: int
     last: int
     function: bool
+    """Or a class."""
     kernel: bool
+    body: int
+    """The line from which on a function runs when it is called; a constant's and a class's run at import."""
     uses: set[Name] = field(default_factory=set)
 
 
@@ -104,7 +107,8 @@ class Names:
                 pass
         for name in names:
             assert node.end_lineno is not None
-            self.definitions[path, name] = Definition(path, name, first, node.end_lineno, function, kernel)
+            body = node.body[0].lineno if isinstance(node, ast.FunctionDef) else node.end_lineno + 1
+            self.definitions[path, name] = Definition(path, name, first, node.end_lineno, function, kernel, body)
 
     def _link(self, path: str, tree: ast.Module, known: dict[str, ast.Module]) -> None:
         modules: dict[str, str] = {}

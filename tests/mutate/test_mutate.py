@@ -187,13 +187,15 @@ def contents(root: Path) -> dict[str, tuple[str, int]]:
     }
 
 
-def run(root: Path, said: list[str]) -> list[Result]:
+WANTED = {"> to >=", "> to <=", "statement removed"}
+
+
+def run(root: Path, said: list[str], wanted: set[str] = WANTED) -> list[Result]:
     home = root / ".cache" / "mutate"
     file = "appliance/limits.py"
     with Tree.taken(root, home, heavy=HEAVY[:4]) as tree:
         names = Names(tree.path)
         campaign = Campaign(tree, names, Choice(tree, names, home), [], home, limit_s=1.0, budget_s=60.0)
-        wanted = {"> to >=", "> to <=", "statement removed"}
         mutants = [one for one in mutants_of(file, tree.text(file)) if one.operator in wanted]
         return campaign.run(mutants, fresh=False, confirm=False, say=said.append)
 
@@ -225,6 +227,18 @@ def test_a_weak_test_is_noticed_a_mutant_that_hangs_is_ended_and_the_working_tre
     stronger = PROJECT["tests/appliance/test_limits.py"].replace("is_over(2, 3)", "is_over(3, 3)")
     write(tmp_path, {"tests/appliance/test_limits.py": stronger})
     assert {one.status for one in run(tmp_path, [])} == {"killed", "timed out"}
+
+
+def test_a_line_that_runs_in_a_process_of_a_test_is_reached(tmp_path: Path) -> None:
+    apart = (
+        "import subprocess, sys\n\ndef test_apart():\n    said = 'from appliance.limits import count; print(count(2))'\n"
+        "    assert subprocess.run([sys.executable, '-c', said], capture_output=True).stdout == b'2\\n'\n"
+    )
+    child = "tests/mutate/child/sitecustomize.py"
+    write(tmp_path, PROJECT | {"tests/appliance/test_limits.py": apart, child: (ROOT / child).read_text()})
+    subprocess.run(["git", "init", "-q", "."], cwd=tmp_path, check=True, timeout=30)
+    found = {one.mutant.operator: one.status for one in run(tmp_path, [], {"> to >=", "returned None"})}
+    assert found == {"> to >=": "not reached", "returned None": "killed"}
 
 
 def test_the_tests_of_a_file_are_those_of_its_folder_first_and_then_all_that_import_it(tmp_path: Path) -> None:

@@ -56,12 +56,17 @@ class Chosen:
 
 
 class Lines:
-    """A pytest plugin that notes which lines of the watched files each test executes, in any of its threads."""
+    """A pytest plugin that notes which lines of the watched files each test executes, in any thread and process."""
 
-    def __init__(self, tree: str, watched: list[str]) -> None:
+    def __init__(self, tree: str, watched: list[str], folder: Path) -> None:
+        self._folder = folder
         self._watched = {os.path.join(tree, one): one for one in watched}  # noqa: PTH118 (as code objects name it)
         self.seen: dict[str, dict[str, list[int]]] = {}
         self._now: set[tuple[str, int]] = set()
+        if watched:
+            folder.mkdir(exist_ok=True)
+            os.environ["KINGFISHER_MUTATE_LINES"] = json.dumps({"folder": str(folder), "watched": self._watched})
+            os.environ["PYTHONPATH"] += os.pathsep + str(Path(tree) / "tests" / "mutate" / "child")
 
     def _call(self, frame: FrameType, event: str, argument: object) -> Any:
         code: CodeType = frame.f_code
@@ -86,6 +91,9 @@ class Lines:
     def pytest_runtest_logfinish(self, nodeid: str, location: object) -> None:
         sys.settrace(None)
         threading.settrace(None)
+        for told in self._folder.glob("*.json"):  # of processes that the test started
+            self._now.update((name, line) for name, line in json.loads(told.read_text() or "[]"))
+            told.unlink()
         by_file: dict[str, list[int]] = {}
         for name, line in sorted(self._now):
             by_file.setdefault(name, []).append(line)
@@ -180,7 +188,7 @@ def _run(tree: str, job: dict[str, Any]) -> int:
 
     chosen = Chosen(job["files"], job["wanted"])
     plugins: list[object] = [chosen]
-    lines = Lines(tree, job["watched"])
+    lines = Lines(tree, job["watched"], Path(job["notes"]).with_suffix(".lines"))
     if job["watched"]:
         plugins.append(lines)
     options = ["-q", "-n0", "-p", "no:cacheprovider", "--hypothesis-seed=0", "--rootdir", tree, "--tb=short"]

@@ -7,13 +7,14 @@ from dataclasses import replace
 import pytest
 
 from appliance.capture.exposure import NOMINAL
-from appliance.capture.fault import FaultCode
+from appliance.capture.fault import Fault, FaultCode
 from appliance.machine import effects as do
 from appliance.machine import events as on
 from appliance.machine.alerts import alerts
+from appliance.machine.conditions import has
 from appliance.machine.states import Machine, State
 from appliance.machine.step import step
-from appliance.machine.thermal import RATION_S, remaining_s
+from appliance.machine.thermal import RATION_S, may_aim_lit, passed, remaining_s, slope_c_per_s, spend
 from drivers.api import Key
 from tests.appliance.machine.walks import SECOND_NS, after, aim, heartbeat, reviewing, run
 
@@ -161,3 +162,92 @@ def test_a_scan_without_light_left_is_refused_with_that_reason() -> None:
     for _ in range(90):
         machine = run(machine, later(machine, 0.1))
     assert run(machine, on.KeyPressed(Key.SCAN)).state is State.ARMED
+
+
+def unsensed() -> Machine:
+    """AIM without a temperature sensor: light is rationed."""
+    machine = run(aim(), heartbeat())
+    return run(machine, later(machine, 6.0), heartbeat())
+
+
+def rested(machine: Machine, seconds: float) -> Machine:
+    """The same in the dark, so much later."""
+    dark = replace(machine, thermal=replace(machine.thermal, lit=False))
+    after_ns = dark.now_ns + int(seconds * SECOND_NS)
+    return passed(replace(dark, now_ns=after_ns), dark.now_ns)
+
+
+def test_an_hour_of_rest_gathers_no_more_than_a_minutes_light() -> None:
+    machine = rested(unsensed(), 3600.0)
+    assert machine.thermal.ration_s == 20.0
+    shining = replace(machine, thermal=replace(machine.thermal, lit=True), now_ns=machine.now_ns + 30 * SECOND_NS)
+    assert passed(shining, machine.now_ns).thermal.ration_s == pytest.approx(20.0 - 30.0 + 10.0)
+
+
+def test_light_gathers_by_a_third_of_the_time_and_is_spent_by_two_thirds_more_but_never_below_nothing() -> None:
+    empty = replace(unsensed(), thermal=replace(unsensed().thermal, ration_s=0.0))
+    assert rested(empty, 15.0).thermal.ration_s == pytest.approx(5.0)
+    lit = replace(empty, thermal=replace(empty.thermal, ration_s=9.0, lit=True), now_ns=empty.now_ns + 6 * SECOND_NS)
+    assert passed(lit, empty.now_ns).thermal.ration_s == pytest.approx(9.0 - 6.0 * 2.0 / 3.0)
+    assert passed(replace(lit, now_ns=lit.now_ns + 60 * SECOND_NS), lit.now_ns).thermal.ration_s == 0.0
+    assert passed(lit, lit.now_ns + SECOND_NS).thermal.ration_s == 9.0, "time does not run backwards"
+    assert spend(lit, 2.5).thermal.ration_s == pytest.approx(6.5)
+    assert spend(lit, 30.0).thermal.ration_s == 0.0
+
+
+def test_aiming_goes_dark_at_the_reserve_and_is_lit_again_only_with_something_in_hand() -> None:
+    def with_ration(ration_s: float, spent: bool) -> bool:
+        machine = unsensed()
+        machine = replace(machine, thermal=replace(machine.thermal, ration_s=ration_s, spent=spent, lit=False))
+        return may_aim_lit(passed(machine, machine.now_ns))
+
+    assert [with_ration(s, spent=False) for s in (5.0, 5.1, 7.9)] == [False, True, True]
+    assert [with_ration(s, spent=True) for s in (5.1, 7.9, 8.0)] == [False, False, True]
+
+
+def test_a_sensor_may_be_silent_for_five_seconds_and_what_was_hot_cools_in_five_minutes() -> None:
+    warm = warmed(aim(), 51.0)
+    for silent_s, told in ((4.9, False), (5.0, True)):
+        assert (FaultCode.TEMPERATURE_UNKNOWN in codes(run(warm, later(warm, silent_s), heartbeat()))) == told
+    for silent_s, believed in ((299.0, True), (300.0, False)):
+        machine = run(warm, later(warm, silent_s), heartbeat())
+        assert has(machine, FaultCode.WARM, "case") == believed
+
+
+@pytest.mark.parametrize(("code", "limit_c"), [(FaultCode.WARM, 50.0), (FaultCode.HOT, 60.0)])
+def test_a_band_begins_at_its_limit_and_ends_three_degrees_below(code: FaultCode, limit_c: float) -> None:
+    assert not has(warmed(aim(), limit_c - 0.01), code, "case")
+    hot = warmed(aim(), limit_c)
+    assert has(hot, code, "case")
+    assert has(warmed(hot, limit_c - 2.99), code, "case")
+    assert not has(warmed(hot, limit_c - 3.0), code, "case")
+    assert not has(warmed(warmed(hot, limit_c - 3.0), limit_c - 0.01), code, "case"), "and begins at its limit again"
+
+
+def test_a_straight_line_is_fitted_to_what_was_measured() -> None:
+    def line(slope: float, seconds: tuple[float, ...]) -> tuple[tuple[int, float], ...]:
+        return tuple((int(7e9 + s * 1e9), 40.0 + slope * s) for s in seconds)
+
+    assert slope_c_per_s(line(-0.05, (0.0, 5.0, 12.0, 30.0))) == pytest.approx(-0.05)
+    assert slope_c_per_s(((0, 1.0), (SECOND_NS, 2.0), (2 * SECOND_NS, 6.0))) == pytest.approx(2.5)
+    assert slope_c_per_s(line(1.0, (0.0, 5.0))) is None, "two points make any line"
+    assert slope_c_per_s(((5, 1.0), (5, 2.0), (5, 3.0))) is None
+
+
+def test_the_estimate_is_the_slowest_places_and_never_more_than_an_hour() -> None:
+    def cooling(place: str, per_s: float) -> tuple[tuple[int, float], ...]:
+        return tuple((int(5e9 * k), 65.0 - per_s * 5 * k) for k in range(8))
+
+    def hot(place: str) -> Fault:
+        return Fault(FaultCode.HOT, "hot", {"temperature_c": 63.0, "below_c": 57.0}, place)
+
+    machine = replace(aim(), conditions=(hot("case"), hot("projector")))
+    trend = {"case": cooling("case", 0.1), "projector": cooling("projector", 0.02)}
+    assert remaining_s(replace(machine, thermal=replace(machine.thermal, trend=trend))) == pytest.approx(300.0)
+    trend["projector"] = cooling("projector", 0.001)
+    assert remaining_s(replace(machine, thermal=replace(machine.thermal, trend=trend))) is None, "it hardly cools"
+    trend["projector"] = cooling("projector", 0.0021)
+    far = Fault(FaultCode.HOT, "hot", {"temperature_c": 66.0, "below_c": 57.0}, "projector")
+    slow = replace(machine, conditions=(far,), thermal=replace(machine.thermal, trend=trend))
+    assert remaining_s(slow) == 3600.0
+    assert remaining_s(aim()) is None

@@ -46,6 +46,7 @@ def test_a_point_on_a_ray_is_seen_at_its_pixel(name: str) -> None:
     uv = np.stack([u, v], -1)
     for depth_mm in (420.0, 520.0, 650.0):
         origin, direction = camera.rays(uv, FRESH)
+        np.testing.assert_allclose(np.linalg.norm(direction, axis=-1), 1.0, atol=1e-12)
         np.testing.assert_allclose(camera.project(origin + depth_mm * direction, FRESH), uv, atol=1e-6)
     behind = np.asarray(camera.translation_mm) - 100.0 * np.asarray(camera.rotation)[:, 2]
     assert np.isnan(camera.project(behind[None], FRESH)).all()

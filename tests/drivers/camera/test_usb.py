@@ -229,3 +229,11 @@ def test_pyusbs_libusb_backend_fills_the_same_memory() -> None:
     read = backend._LibUSB__read
     assert read(libusb_bulk_transfer, SimpleNamespace(handle=None), 0x83, 2, transfer_buffer(slot), 250) == 8
     assert slot.tolist() == [[1, 2, 3, 4], [5, 6, 7, 8]]
+
+
+@pytest.mark.parametrize(
+    ("speed", "mbps"), [(1, 2), (2, 12), (3, 480), (4, 5000), (5, 10000), (6, 20000), (0, None), (None, None)]
+)
+def test_the_link_has_the_speed_that_the_host_says(speed: int | None, mbps: int | None) -> None:
+    """libusb's names of speeds, rounded to whole Mbit/s; 0 is unknown."""
+    assert find_camera(Backend(Device(speed=speed)), "camera.left", "KF-CAM-L").link_speed_mbps == mbps

@@ -137,6 +137,21 @@ def test_a_coil_that_reports_a_fault_is_stuck_until_it_recovers() -> None:
     assert pad.said[1:] == [KeyFreed(Key.DOWN), KeyPress(Key.DOWN, 500 * MS)]
 
 
+def test_a_faulty_coil_that_recovers_while_the_key_is_held_is_free_only_when_it_is_released() -> None:
+    pad = Pad()
+    pad.at(100, Key.UP, faulty=frozenset({Key.UP}))
+    assert pad.said == [KeyStuck(Key.UP)]
+    pad.at(200, Key.UP)
+    pad.until(2000)
+    assert pad.said == [KeyStuck(Key.UP)], "still down"
+    pad.at(2100)
+    pad.until(2200)
+    assert pad.said == [KeyStuck(Key.UP), KeyFreed(Key.UP)]
+    pad.at(2300, Key.UP)
+    pad.until(2400)
+    assert pad.said[2:] == [KeyPress(Key.UP, 2300 * MS)]
+
+
 def test_a_key_that_was_down_before_we_listened_presses_nothing() -> None:
     pad = Pad(Key.SCAN)
     pad.until(2000)

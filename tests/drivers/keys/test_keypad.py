@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from drivers.api import DeviceGone, DeviceRefused, KeyEvent, KeyLongPress, KeyPress, KeyRelease, KeysLost
+from drivers.api import DeviceGone, DeviceRefused, Key, KeyEvent, KeyLongPress, KeyPress, KeyRelease, KeysLost, KeyStuck
 from drivers.keys import HidKeypad, KeysSpec
 from tests.drivers.clock import SteppedClock
 
@@ -35,6 +35,7 @@ class Pad:
         self.late_s = 0.0
         """How long the host's thread waits for the processor after a read that found nothing."""
         self.read_sizes: set[int] = set()
+        self.reads = 0
 
     def queue(self, time_ms: float, data: bytes | None) -> None:
         self._queue.append((time_ms, data))
@@ -70,6 +71,7 @@ class Pad:
 
     def _read(self, size: int, timeout_ms: int) -> list[int]:
         assert timeout_ms >= 1, "0 blocks for ever in some versions"
+        self.reads += 1
         self.read_sizes.add(size)
         if self._queue and self._queue[0][0] <= self.now_ms() + timeout_ms:
             time_ms, data = self._queue.pop(0)
@@ -137,9 +139,46 @@ def test_a_long_press_is_told_while_the_key_is_held() -> None:
 def test_nothing_is_nothing_for_exactly_the_timeout() -> None:
     bench = Bench()
     with bench.open() as keys:
-        begin_ms = bench.pad.now_ms()
+        begin_ms, bench.pad.reads = bench.pad.now_ms(), 0
         assert keys.next_event(0.1) is None
         assert bench.pad.now_ms() - begin_ms == pytest.approx(100, abs=2)
+        assert bench.pad.reads == 1, "it sleeps meanwhile"
+        assert keys.next_event(0.85) is None
+        assert bench.pad.reads == 2
+        assert keys.health().details["firmware"] == "3"
+
+
+def test_a_pad_that_starts_anew_dates_its_reports_anew() -> None:
+    """Its clock stood at 65.3 s; the first report after the silence lies unread, and says 10 ms."""
+    bench = Bench()
+    bench.pad.queue(200, report(NONE, 1, 65_300))
+    bench.pad.queue(3000, report(NONE, 0, 10))
+    bench.pad.queue(3200, report(SCAN, 1, 210))
+    bench.pad.hold(SCAN, 3400, 4300, 2)
+    with bench.open() as keys:
+        assert bench.all_until(keys, 2000) == [KeysLost("no report for 1.0 s")]
+        bench.clock.advance_s(1.3)
+        said = bench.all_until(keys, 3800)
+    assert [type(event) for event in said] == [KeyPress]
+    assert bench.at_ms(said[0]) == pytest.approx(3300, abs=110), "not in the silence before"
+
+
+def test_a_coil_that_is_faulty_when_the_pad_is_opened_is_told() -> None:
+    bench = Bench()
+    bench.pad._queue.clear()
+    bench.pad.queue(0, report(NONE, 0, 0, faulty=SCAN))
+    with bench.open() as keys:
+        assert keys.next_event(0.1) == KeyStuck(Key.SCAN)
+
+
+def test_a_mute_pad_is_given_up_after_a_second_of_waiting_not_of_polling() -> None:
+    bench = Bench()
+    bench.pad._queue.clear()
+    begin_ms = bench.pad.now_ms()
+    with pytest.raises(DeviceGone, match="no valid report"):
+        bench.open()
+    assert bench.pad.now_ms() - begin_ms == pytest.approx(1000, abs=3)
+    assert bench.pad.reads <= 2
 
 
 def test_a_host_that_reads_late_still_sees_a_short_press_as_short() -> None:

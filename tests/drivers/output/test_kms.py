@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -367,9 +368,10 @@ def test_full_range_and_linear_gamma_are_set_where_the_driver_lets_us() -> None:
         8: ("EDID", 16, {}),
         9: ("dithering mode", 8, {"auto": 0, "off": 4}),
     }
-    kernel.plugs[1].properties = {7: 0, 8: 55, 9: 4}
+    kernel.properties[10] = ("underscan", 8, {"on": 1})  # has not what is wanted: left as it is
+    kernel.plugs[1].properties = {7: 0, 8: 55, 9: 4, 10: 1}
     with opened(kernel) as (projector, _):
-        assert kernel.plugs[1].properties == {7: 1, 8: 55, 9: 4}
+        assert kernel.plugs[1].properties == {7: 1, 8: 55, 9: 4, 10: 1}
         assert kernel.calls.count(0xAB) == 1  # what is right already is left alone
         ramp = kernel.gamma[PROJECTOR_CRTC]
         assert (ramp[0], ramp[128], ramp[255]) == (0, 128 * 257, 65535)
@@ -403,6 +405,39 @@ def test_two_heads_on_one_crtc_are_refused_with_the_reason() -> None:
     kernel.plugs[1].possible_crtcs = kernel.plugs[2].possible_crtcs = 0b10
     with pytest.raises(DeviceRefused, match="no CRTC of its own for every output"), opened(kernel):
         pass
+
+
+def test_heads_on_cards_of_their_own_need_no_crtc_of_the_other_and_do_not_go_with_its_card() -> None:
+    other = "/dev/dri/card1"
+    display = replace(DISPLAY, card=other, connector="HDMI-A-1")
+
+    def single(*modes: tuple[int, int]) -> Kernel:
+        plug = Plug(1, 11, 1, [mode(*size) for size in modes], possible_crtcs=0b1)
+        return Kernel([plug], crtcs=1)
+
+    first, second, again = single((128, 96)), single((80, 48)), single((128, 96))
+    wires = KernelWires({CARD: [first, again], other: [second]})
+    with Outputs(PROJECTOR, display, wires) as outputs:  # type: ignore[arg-type]
+        outputs.open_projector()
+        screen = outputs.open_display()
+        first.pulled = True
+        outputs.open_projector()
+        assert wires.opened == [CARD, other, CARD]
+        screen.present(np.full((48, 80, 3), 7, np.uint8), 0.5)
+        assert second.picture(40)[0, 0, 0] == 7
+        assert not second.closed
+
+
+def test_loading_takes_one_buffer_per_frame_and_keeps_them_for_the_next_load() -> None:
+    kernel = two_heads()
+    with opened(kernel) as (projector, _):
+        empty = len(kernel.dumb)
+        projector.load(frames(5))
+        assert len(kernel.dumb) == empty + 5
+        projector.load(frames(3))
+        assert len(kernel.dumb) == empty + 5
+        with pytest.raises(IndexError):
+            projector.show(3)
 
 
 def test_reopening_after_the_card_was_away_opens_its_node_anew() -> None:
