@@ -52,6 +52,7 @@ class WorldOptions:
     drift: Mapping[str, Any] = field(default_factory=dict)
     fog: Mapping[str, Any] = field(default_factory=dict)
     cameras: Mapping[str, Any] = field(default_factory=dict)
+    serials: Mapping[str, str] = field(default_factory=dict)
     pace: str = "lockstep"
     idle_speed: float = 1.0
     refresh_hz: float = 60.0
@@ -84,6 +85,13 @@ class WorldOptions:
                 raise OptionError(f"date: {error}") from error
         for side in ("left", "right"):
             self.power_on(side)
+        for side, serial in self.serials.items():
+            if side not in ("left", "right") or not (
+                isinstance(serial, str) and serial.isascii() and 1 <= len(serial) <= 63
+            ):
+                raise OptionError(
+                    f"serials {side} = {serial!r:.80}; allowed are left and right, 1 to 63 ASCII characters"
+                )
         if not 0.1 <= self.idle_speed <= 100.0:
             raise OptionError(f"idle_speed {self.idle_speed:g}; allowed are 0.1..100")
         if not 1.0 <= self.refresh_hz <= 60.0:

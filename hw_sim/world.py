@@ -344,7 +344,7 @@ class World:
     def _camera(self, side: str) -> U3vCamera:
         o = self.options
         return U3vCamera(
-            *(f"camera.{side}", SERIALS[side], (o.width_px, o.height_px), self.time, self.faults),
+            *(f"camera.{side}", o.serials.get(side, SERIALS[side]), (o.width_px, o.height_px), self.time, self.faults),
             expose=lambda exposure: self._expose(side, exposure),
             temperature_c=lambda: self._housing.temperature_c("camera"),
             seed=o.seed,

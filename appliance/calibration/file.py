@@ -5,7 +5,8 @@ coordinates px, angles never appear (rotations are matrices).
 
 Schema 2 is schema 1 with an image correction in a camera, schema 3 has also a ray shift, or lenses calibrated in water.
 Each is written only where it is needed: a program that knows none of these must refuse such a file, not read past what
-it does not know.
+it does not know. Beside these, ``air_covariance`` and ``camera_serials`` may be there in any schema: they make no points, and a
+program that does not know them may pass over them.
 """
 
 from __future__ import annotations
@@ -59,6 +60,8 @@ class Calibration:
     """RMS residual of the adjustment, ``None`` where there was none."""
     air_covariance: Matrix22 | None = None
     """Of the values from air (``parameters.NAMES[AIR]``): the prior of an adjustment in water that starts here."""
+    camera_serials: tuple[str, str] | None = None
+    """Of the left and the right camera; ``None``: not known, as in files made before they were written down."""
 
     @property
     def hash(self) -> str:
@@ -100,6 +103,7 @@ def decode(data: bytes, name: str = "calibration") -> Calibration:
         rig=StereoRig(reader.camera(cameras, "left"), reader.camera(cameras, "right")),
         residual_px=None if residual is None else reader.number(content, "residual_px", 0.0, 1e6),
         air_covariance=reader.covariance(content),
+        camera_serials=reader.serials(content),
     )
 
 
@@ -141,6 +145,8 @@ def _content(calibration: Calibration) -> dict[str, Any]:
     }
     if calibration.air_covariance is not None:
         content["air_covariance"] = [list(row) for row in calibration.air_covariance]
+    if calibration.camera_serials is not None:
+        content["camera_serials"] = dict(zip(("left", "right"), calibration.camera_serials, strict=True))
     return content
 
 
@@ -281,6 +287,12 @@ class _Reader:
         if not np.array_equal(C, C.T) or np.linalg.eigvalsh(C / np.outer(sd, sd))[0] <= 0.0:
             raise self.fail(key, rows, "a symmetric, positive definite matrix")
         return matrix
+
+    def serials(self, content: dict[str, Any]) -> tuple[str, str] | None:
+        if "camera_serials" not in content:
+            return None
+        table = self.table(content, "camera_serials")
+        return self.text(table, "left"), self.text(table, "right")
 
     def lens_in_water(self, camera: dict[str, Any]) -> bool:
         value = camera.get("lens_in_water", False)

@@ -46,6 +46,8 @@ class Rule:
     headline: str
     action: str
     plain: str = ""
+    exchanged: str = ""
+    """Instead of ``action``, with the camera's name, where the fault names a camera."""
     blocks_scan: bool = False
     """While it lasts, SCAN is refused."""
     stops_capture: bool = False
@@ -115,7 +117,7 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
         FaultCode.SCAN_RECOVERED: Rule(_W, "SCAN RECOVERED", "IT IS IN THE GALLERY"),
         FaultCode.UPDATE_UNDONE: Rule(_W, "UPDATE UNDONE", "THE OLD VERSION GOES ON"),
         FaultCode.SETTINGS_LOST: Rule(_W, "SETTINGS LOST", "CHECK THEM IN THE MENU"),
-        FaultCode.UNCALIBRATED: Rule(_W, "UNCALIBRATED", "LENGTHS NOT TRUSTED"),
+        FaultCode.UNCALIBRATED: Rule(_W, "UNCALIBRATED", "LENGTHS NOT TRUSTED", exchanged="{camera} EXCHANGED"),
         FaultCode.LENGTH_ERROR: Rule(
             _W, "LENGTH ERR {error_percent:.1f} %", "CHECK WATER, THEN CALIBRATE", "LENGTH ERROR"
         ),
@@ -136,6 +138,7 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
     }
 )
 
+_CAMERAS = {"camera.left": "LEFT CAMERA", "camera.right": "RIGHT CAMERA", "cameras": "CAMERAS"}
 _SIDES = {"camera.left": "LEFT ", "camera.right": "RIGHT "}
 
 
@@ -143,6 +146,15 @@ def headline_of(fault: Fault) -> str:
     """At most 16 characters, with the fault's numbers where all of them are known."""
     rule = RULES[fault.code]
     return _filled(rule.headline, rule.plain or fault.code.value.replace("_", " "), fault, {"side": _SIDES})
+
+
+def actions_of(fault: Fault) -> tuple[str, str]:
+    """What to do, or what the fault costs, in English and German; where a camera was exchanged, which one."""
+    rule, words = RULES[fault.code], german.GERMAN[fault.code]
+    if fault.device is None or not rule.exchanged or fault.device not in _CAMERAS:
+        return rule.action, words.action
+    in_german = words.exchanged.format(camera=german.CAMERAS[fault.device])
+    return rule.exchanged.format(camera=_CAMERAS[fault.device]), in_german
 
 
 def german_headline_of(fault: Fault) -> str:
@@ -167,8 +179,9 @@ def _filled(template: str, plain: str, fault: Fault, sides: Mapping[str, Mapping
 def alert_of(fault: Fault) -> Alert:
     """The fault as a message of its own."""
     rule = RULES[fault.code]
-    in_german = german_headline_of(fault), german.GERMAN[fault.code].action
-    return Alert(fault.code, rule.severity, headline_of(fault), rule.action, fault.detail, fault.device, in_german)
+    action, german_action = actions_of(fault)
+    in_german = german_headline_of(fault), german_action
+    return Alert(fault.code, rule.severity, headline_of(fault), action, fault.detail, fault.device, in_german)
 
 
 def _notice(machine: Machine) -> Alert | None:

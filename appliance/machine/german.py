@@ -19,6 +19,7 @@ class German:
     headline: str
     action: str
     plain: str = ""
+    exchanged: str = ""
 
 
 REFUSED = "SCAN ABGELEHNT"
@@ -28,6 +29,7 @@ FAILED = "SCAN MISSLUNGEN"
 NOT_ADDED, FIRST_KEPT = "NICHT ERGÄNZT", "ERSTER BLEIBT"
 """The same, of a second exposure."""
 AGAIN = "NOCHMAL"
+CAMERAS = {"camera.left": "LINKE KAMERA", "camera.right": "RECHTE KAMERA", "cameras": "KAMERAS"}
 SIDES = {"camera.left": "LINKS ", "camera.right": "RECHTS "}
 SHORT_SIDES = {"camera.left": "LI. ", "camera.right": "RE. "}
 
@@ -78,7 +80,7 @@ GERMAN: Mapping[FaultCode, German] = MappingProxyType(
         FaultCode.SCAN_RECOVERED: German("SCAN GERETTET", "ER IST IN DER GALERIE"),
         FaultCode.UPDATE_UNDONE: German("UPDATE ZURÜCK", "ALTE VERSION LÄUFT WEITER"),
         FaultCode.SETTINGS_LOST: German("WERTE VERLOREN", "IM MENÜ PRÜFEN"),
-        FaultCode.UNCALIBRATED: German("UNKALIBRIERT", "MASSE SIND NICHT VERLÄSSLICH"),
+        FaultCode.UNCALIBRATED: German("UNKALIBRIERT", "MASSE SIND NICHT VERLÄSSLICH", exchanged="{camera} GETAUSCHT"),
         FaultCode.LENGTH_ERROR: German("LÄNGENF. {error_percent:.1f} %", "WASSER PRÜFEN, KALIBRIEREN", "LÄNGENFEHLER"),
         FaultCode.VERIFY_CALIBRATION: German("KALIBR. PRÜFEN", "WASSER UND KUGELSTAB PRÜFEN"),
         FaultCode.RECONSTRUCTION_FAILED: German("SPÄTER RECHNEN", "ROHBILDER BEHALTEN ODER NOCHMAL"),

@@ -174,7 +174,8 @@ def start_of(rig: Rig, air: AirCalibration, design: BoardDesign, found: Found, m
         *(text for view, text in zip(found.views, found.made_from, strict=True) if view.name in used),
     )
     start = start_from_air(air, design_of(rig), made_from)
-    return replace(start, made_at=made_at.astimezone(UTC).isoformat(timespec="seconds"))
+    serials = (rig.camera.left.serial, rig.camera.right.serial)
+    return replace(start, made_at=made_at.astimezone(UTC).isoformat(timespec="seconds"), camera_serials=serials)
 
 
 def install(rig: Rig, file: Path) -> tuple[Path, Path | None]:

@@ -27,7 +27,7 @@ from appliance.reconstruct.pipeline import Cloud
 from appliance.reconstruct.quality import QualityLimits
 from appliance.service.desk import Reworked, rework
 from appliance.service.instrument import calibration_of, start_of, taking_of_scan
-from appliance.service.recordings import recording_of_scan
+from appliance.service.recordings import cameras_of, recording_of_scan
 from appliance.storage import scan as stored
 from appliance.storage.calibrations import Calibrations
 from appliance.storage.library import Library
@@ -151,6 +151,7 @@ def solve(rig: Rig, date: str, report: Report) -> Solution:
     missing = [step.value for step in USED if step not in folders]
     if missing:
         raise RecordingError(f"no recording of {', '.join(missing)}; record it")
+    serials = cameras_of((folders[step] for step in USED), basis.start)
     recordings = []
     for k, step in enumerate(USED):
         report(0.15 * k)
@@ -159,7 +160,7 @@ def solve(rig: Rig, date: str, report: Report) -> Solution:
     method = Method.BA_PORTS if basis.start.air_covariance is None else Method.BA_SPLINE
     result = calibrate(method, recordings, basis.start)
     report(0.9)
-    calibration = replace(result.calibration, made_at=date)
+    calibration = replace(result.calibration, made_at=date, camera_serials=serials)
     result = replace(result, calibration=calibration)
     if calibration.residual_px is None:
         raise RecordingError(f"{method.value} says nothing about what is left; use another method")

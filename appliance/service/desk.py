@@ -220,6 +220,7 @@ def describe_calibration(rig: Rig, path: Path | None) -> dict[str, Any]:
     has_ports = not (left.lens_in_water or right.lens_in_water)
     return {
         "rig_serial": calibration.rig_serial,
+        "camera_serials": " / ".join(calibration.camera_serials) if calibration.camera_serials else None,
         "method": calibration.method,
         "made_at": calibration.made_at,
         "made_from": "; ".join(calibration.made_from),

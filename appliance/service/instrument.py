@@ -8,8 +8,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.calibration import owner
 from appliance.calibration.design import Design, design_calibration
 from appliance.calibration.file import Calibration, CalibrationError, load
+from appliance.calibration.owner import Misfit, Owner
 from appliance.calibration.response_file import ResponseFileError
 from appliance.calibration.response_file import load as load_response
 from appliance.calibration.start import METHOD as IN_AIR
@@ -42,29 +44,36 @@ ONLY_IN_AIR = "the calibration is one in air, a start for calibrating in water; 
 def calibration_of(rig: Rig) -> tuple[Calibration, tuple[Fault, ...]]:
     """The instrument's calibration.
 
-    Where the file in use is damaged, missing or of another instrument: the one before that is kept and fits, else the
-    design's; either with the condition UNCALIBRATED, whose detail says which.
+    Where the file in use is damaged, missing, of another instrument or of other cameras: the one before that is kept and
+    fits, else the design's; either with the condition UNCALIBRATED, whose detail says which, and whose device
+    is the camera that was exchanged (``cameras``: both).
     """
     calibration, problem = _usable(rig, rig.storage.root / CALIBRATION_FILE)
-    if calibration is not None:
-        return calibration, ()
+    if problem is None:
+        return calibration or design_of(rig), ()
+    calibration, detail = None, problem.reason
     for kept in sorted((rig.storage.root / KEPT).glob("*.json"), reverse=True):
-        calibration, _ = _usable(rig, kept)
-        if calibration is not None:
-            problem = f"{problem}; {kept.name}, which was in use before, is used"
+        found, unfit = _usable(rig, kept)
+        # After a camera was exchanged, one that does not say which cameras it is of is most likely of those that left.
+        if found is not None and unfit is None and (found.camera_serials is not None or not problem.exchanged):
+            calibration, detail = found, f"{detail}; {kept.name}, which was in use before, is used"
             break
-    log.warning("uncalibrated: %s", problem)
-    return calibration or design_of(rig), (Fault(FaultCode.UNCALIBRATED, problem),)
+    log.warning("uncalibrated: %s", detail)
+    device = None
+    if problem.exchanged:
+        device = f"camera.{problem.exchanged[0]}" if len(problem.exchanged) == 1 else "cameras"
+    return calibration or design_of(rig), (Fault(FaultCode.UNCALIBRATED, detail, device=device),)
 
 
-def _usable(rig: Rig, path: Path) -> tuple[Calibration | None, str]:
-    """A file's calibration if this instrument can measure with it, else why not."""
+def _usable(rig: Rig, path: Path) -> tuple[Calibration | None, Misfit | None]:
+    """A file's calibration, and why this instrument cannot measure with it."""
     try:
         calibration = load(path)
     except CalibrationError as error:
-        return None, str(error)
-    problem = ONLY_IN_AIR if calibration.method == IN_AIR else misfit(calibration, rig)
-    return (calibration, "") if problem is None else (None, problem)
+        return None, Misfit(str(error))
+    if calibration.method == IN_AIR:
+        return calibration, Misfit(ONLY_IN_AIR)
+    return calibration, owner.misfit(calibration, owner_of(rig))
 
 
 def start_of(rig: Rig, path: Path | None = None) -> Calibration:
@@ -75,7 +84,7 @@ def start_of(rig: Rig, path: Path | None = None) -> Calibration:
     in_air = rig.storage.root / AIR_FILE
     if path is not None:
         start = load(path)
-        problem = _of_another(start, rig)  # the size is compared with that of the scans
+        problem = _of_another(start, rig)  # the size is compared with that of the scans, and so are the cameras
     elif in_air.exists():
         start = load(in_air)
         problem = misfit(start, rig)
@@ -193,19 +202,16 @@ def exposures_of(rig: Rig) -> tuple[Exposure, ...]:
 
 
 def misfit(calibration: Calibration, rig: Rig) -> str | None:
-    """Why a calibration, in air or in water, is not of this instrument; ``None`` where it is."""
-    if (other := _of_another(calibration, rig)) is not None:
-        return other
-    for side, camera, spec in (
-        ("left", calibration.rig.left, rig.camera.left),
-        ("right", calibration.rig.right, rig.camera.right),
-    ):
-        if (camera.width_px, camera.height_px) != (spec.width_px, spec.height_px):
-            return (
-                f"the calibration's {side} camera has {camera.width_px}x{camera.height_px} px, "
-                f"the rig's {spec.width_px}x{spec.height_px}"
-            )
-    return None
+    """Why a calibration, in air or in water, is not of this instrument and its cameras; ``None`` where it is."""
+    found = owner.misfit(calibration, owner_of(rig))
+    return None if found is None else found.reason
+
+
+def owner_of(rig: Rig) -> Owner:
+    """Who the instrument is, for ``appliance.calibration.owner``. A camera with another serial number is never opened."""
+    left, right = rig.camera.left, rig.camera.right
+    sizes_px = ((left.width_px, left.height_px), (right.width_px, right.height_px))
+    return Owner(rig.rig.serial, sizes_px, (left.serial, right.serial))
 
 
 def _of_another(calibration: Calibration, rig: Rig) -> str | None:

@@ -2,18 +2,55 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from appliance.calibration.extract import CALIBRATING_GAP_MM, Certificate, extract
 from appliance.calibration.file import Calibration
-from appliance.calibration.recordings import Recording
-from appliance.config import Rig
+from appliance.calibration.owner import exchanged
+from appliance.calibration.recordings import Recording, RecordingError
+from appliance.config import ConfigError, Rig, load_rig
 from appliance.evaluation.points import NotFound
 from appliance.reconstruct.quality import QualityLimits
 from appliance.service.desk import rework
 from appliance.service.instrument import taking_of_scan
 from appliance.storage import scan as stored
+
+
+def cameras_of(folders: Iterable[Path], start: Calibration) -> tuple[str, str] | None:
+    """Serial numbers of the left and right camera that recorded these scans; ``None`` where no scan says.
+
+    Raises RecordingError where scans are of different cameras, or ``start`` is of others, CalibrationError or ScanError for a
+    scan whose rig file cannot be read.
+    """
+    known: tuple[str, str] | None = None
+    of: Path | None = None
+    for folder in folders:
+        found = _cameras(folder)
+        if found is None:
+            continue
+        if known is not None and of is not None and (other := exchanged(known, found)) is not None:
+            raise RecordingError(
+                f"scans {of.name} and {folder.name} are of different cameras ({other.reason}); calibrate with scans of the same"
+            )
+        known, of = found, folder
+    wrong = exchanged(start.camera_serials, known)
+    if wrong is not None:
+        raise RecordingError(
+            f"the scans are of other cameras than what they start from ({wrong.reason}); calibrate in air again"
+        )
+    return known
+
+
+def _cameras(folder: Path) -> tuple[str, str] | None:
+    """From the rig file that a scan carries; ``None``: an old scan."""
+    if stored.RIG not in stored.manifest_of(folder).files:
+        return None
+    try:
+        camera = load_rig(folder / stored.RIG).camera
+    except ConfigError as error:
+        raise stored.ScanError(f"{folder}: {error}") from error
+    return camera.left.serial, camera.right.serial
 
 
 def recording_of_scan(

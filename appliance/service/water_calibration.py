@@ -16,7 +16,7 @@ from appliance.config import Rig
 from appliance.evaluation.points import NotFound
 from appliance.evaluation.result import Artefact
 from appliance.service.evaluation import Entry, ListError, ScanList
-from appliance.service.recordings import recording_of_scan
+from appliance.service.recordings import cameras_of, recording_of_scan
 
 RECONSTRUCTED = 0.8
 """The part of the progress that the scans get."""
@@ -67,6 +67,7 @@ def run_water_calibration(
     ``made_at`` is the date for the file, ISO 8601; ``method`` one of ``BY_SCANS``. Raises ListError, ScanError, RecordingError.
     """
     check_list(listed)
+    serials = cameras_of(folders, start)
     recordings, left_out = [], {}
     for k, (entry, folder) in enumerate(zip(listed.entries, folders, strict=True)):
         at = RECONSTRUCTED * k / len(folders)
@@ -81,7 +82,7 @@ def run_water_calibration(
             recordings.append(found)
     waters = {(r.water.temperature_c, r.water.salinity_psu) for r in recordings}
     result = calibrate(method, recordings, start, None, settings, lambda what: progress(what, RECONSTRUCTED))
-    result = replace(result, calibration=replace(result.calibration, made_at=made_at))
+    result = replace(result, calibration=replace(result.calibration, made_at=made_at, camera_serials=serials))
     about = {
         "operator": listed.operator,
         "rig_serial": rig.rig.serial,

@@ -6,6 +6,7 @@
     given nonsense in calibration/current.json   before: a file below the storage root
     given fault camera.left slow                 before: what is broken when the power comes on
     given disk 40                                before: the storage is a disk of its own, of so many MB
+    given cameras KF-CAM-X KF-CAM-R              before: left and right camera in the calibration that ``calibrated`` gives
     given calibrated                             before: a calibration in water that is exactly right (of the nominal rig)
     given the calibration of KF-0007             before: the same, of another instrument; where it was calibrated, in its place
     given another instance                       before: another process holds the storage
@@ -53,7 +54,7 @@ SHELVES = {"saved": Shelf.SCANS, "rejected": Shelf.REJECTED, "set-aside": Shelf.
 PATTERNS = {
     "world": r"world( \w+=\S+)+",
     "rig": r"rig( [\w.]+=\S+)+",
-    "given": r"given (nonsense in \S+|fault .+|disk \d+|calibrated|the calibration of \S+|another instance)",
+    "given": r"given (nonsense in \S+|fault .+|disk \d+|calibrated|cameras \S+ \S+|the calibration of \S+|another instance)",
     "refused": r"refused .+",
     "after": r"after ((saved|rejected|set-aside) \d+|verdict [\w-]+ (passed|failed) in \d{6}|damaged \d{6}|(dated|undated|salinity) \S+ in \d{6}|measured with (current|kept|design) in \d{6})",
 }
@@ -68,6 +69,8 @@ class Scenario:
     nonsense: tuple[str, ...]
     faults: tuple[str, ...]
     calibrated: bool
+    cameras: tuple[str, str] | None
+    """Serial numbers that the calibration is of; ``None``: it does not say."""
     other_serial: str | None
     """The calibration in use is of this instrument."""
     another: bool
@@ -118,6 +121,7 @@ def parse(text: str) -> Scenario:
         tuple(said.split()[-1] for said in found["given"] if said.startswith("nonsense")),
         tuple(said.partition(" ")[2] for said in found["given"] if said.startswith("fault")),
         "calibrated" in found["given"],
+        next(((said.split()[1], said.split()[2]) for said in found["given"] if said.startswith("cameras")), None),
         next((said.split()[-1] for said in found["given"] if said.startswith("the calibration")), None),
         "another instance" in found["given"],
         next(iter(found["refused"]), None),
@@ -142,7 +146,9 @@ def play(scenario: Scenario, folder: Path) -> Library:
         _refuse(scenario, rig_file, root)
         return Library(root)
     rig = load_rig(rig_file)
-    exact = replace(design_of(rig), method="bundle", made_at="2026-11-20T10:00:00+00:00")
+    exact = replace(
+        design_of(rig), method="bundle", made_at="2026-11-20T10:00:00+00:00", camera_serials=scenario.cameras
+    )
     calibrations = Calibrations(root, rig.rig.serial)
     if scenario.calibrated:
         calibrations.install(exact, "2026-11-20")

@@ -17,7 +17,7 @@ NUMBERS = {
     "received": 23.0, "expected": 24.0, "shift_px": 12.3, "coverage_percent": 100.0, "temperature_c": 61.4,
     "supply_v": 10.4, "distance_mm": 1437.0,
 }  # fmt: skip
-DEVICES = (None, "camera.left", "camera.right")
+DEVICES = (None, "camera.left", "camera.right", "cameras")
 
 
 def test_every_row_of_the_table_has_both_languages() -> None:

@@ -1,0 +1,154 @@
+"""A calibration is used with the instrument, the cameras and the image size that it was made with, and with no others."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from appliance.calibration.file import Calibration, CalibrationError, decode, encode
+from appliance.calibration.owner import Owner, exchanged, misfit
+from appliance.calibration.recordings import RecordingError
+from appliance.capture.fault import FaultCode
+from appliance.config import Rig, default_rig_path, load_rig, rig_text
+from appliance.machine.alerts import alert_of
+from appliance.sealed import seal
+from appliance.service.instrument import calibration_of, design_of
+from appliance.service.recordings import cameras_of
+from appliance.storage.library import Library
+from appliance.storage.scan import Origin
+from tests.appliance.storage.scenes import frames, record
+
+OWN = ("KF-CAM-L", "KF-CAM-R")
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Rig:
+    packaged = load_rig(default_rig_path())
+    left, right = (
+        replace(c, serial=s) for c, s in zip((packaged.camera.left, packaged.camera.right), OWN, strict=True)
+    )
+    return replace(packaged, camera=replace(packaged.camera, left=left, right=right),
+                   storage=replace(packaged.storage, root=tmp_path))  # fmt: skip
+
+
+def measured(rig: Rig, serials: tuple[str, str] | None) -> Calibration:
+    return replace(design_of(rig), method="bundle", camera_serials=serials)
+
+
+def installed(rig: Rig, name: str, serials: tuple[str, str] | None) -> Calibration:
+    path = rig.storage.root / "calibration" / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(encode(measured(rig, serials)))
+    return decode(path.read_bytes())
+
+
+def test_the_serial_numbers_of_the_cameras_are_written_and_read_back(rig: Rig) -> None:
+    known = measured(rig, OWN)
+    assert json.loads(encode(known))["camera_serials"] == {"left": "KF-CAM-L", "right": "KF-CAM-R"}
+    assert decode(encode(known)) == known
+    assert json.loads(encode(known))["schema"] == 1, "an earlier program reads the file all the same"
+
+
+def test_a_file_made_before_serials_were_written_is_read_and_accepted(rig: Rig) -> None:
+    installed(rig, "current.json", None)
+    assert "camera_serials" not in json.loads(encode(measured(rig, None)))
+    calibration, faults = calibration_of(rig)
+    assert (calibration.method, calibration.camera_serials, faults) == ("bundle", None, ())
+
+
+@pytest.mark.parametrize("wrong", ["L and R", ["L", "R"], {"left": "L"}, {"left": 3, "right": "R"}])
+def test_serials_that_are_none_are_refused_with_the_key(rig: Rig, wrong: object) -> None:
+    content = json.loads(encode(measured(rig, OWN)))
+    del content["sha256"]
+    with pytest.raises(CalibrationError, match=r"camera_serials|left is|right is"):
+        decode(seal({**content, "camera_serials": wrong}))
+
+
+@pytest.mark.parametrize(
+    ("serials", "reason", "action", "german"),
+    [
+        (("KF-OLD", "KF-CAM-R"), "left camera exchanged: calibrated with serial KF-OLD, connected KF-CAM-L",
+         "LEFT CAMERA EXCHANGED", "LINKE KAMERA GETAUSCHT"),
+        (("KF-CAM-L", "KF-OLD"), "right camera exchanged: calibrated with serial KF-OLD, connected KF-CAM-R",
+         "RIGHT CAMERA EXCHANGED", "RECHTE KAMERA GETAUSCHT"),
+        (("KF-A", "KF-B"), "left camera exchanged: calibrated with serial KF-A, connected KF-CAM-L; right camera",
+         "CAMERAS EXCHANGED", "KAMERAS GETAUSCHT"),
+        (("KF-CAM-R", "KF-CAM-L"), "left and right camera swapped", "CAMERAS EXCHANGED", "KAMERAS GETAUSCHT"),
+    ],
+)  # fmt: skip
+def test_lengths_are_not_trusted_after_a_camera_was_exchanged_under_its_calibration(
+    rig: Rig, serials: tuple[str, str], reason: str, action: str, german: str
+) -> None:
+    installed(rig, "current.json", serials)
+    calibration, (fault,) = calibration_of(rig)
+    assert (calibration.method, fault.code) == ("design", FaultCode.UNCALIBRATED)
+    assert fault.detail.startswith(reason)
+    alert = alert_of(fault)
+    assert (alert.headline, alert.action) == ("UNCALIBRATED", action)
+    assert alert.german == ("UNKALIBRIERT", german)
+
+
+def test_the_calibration_holds_again_when_the_camera_is_back(rig: Rig) -> None:
+    kept = installed(rig, "current.json", OWN)
+    left = replace(rig.camera.left, serial="KF-NEW")
+    exchanged_rig = replace(rig, camera=replace(rig.camera, left=left))
+    assert calibration_of(exchanged_rig)[1]
+    assert calibration_of(rig) == (kept, ())
+
+
+def test_after_an_exchange_a_kept_calibration_counts_only_if_it_says_that_it_is_of_these_cameras(rig: Rig) -> None:
+    installed(rig, "current.json", ("KF-OLD", "KF-CAM-R"))
+    installed(rig, "kept/0002-2026-11-20.json", None)
+    assert calibration_of(rig)[0].method == "design"
+    own = installed(rig, "kept/0001-2026-11-19.json", OWN)
+    calibration, (fault,) = calibration_of(rig)
+    assert calibration == own
+    assert "0001-2026-11-19.json, which was in use before, is used" in fault.detail
+
+
+def test_another_instrument_and_another_image_size_come_before_the_cameras(rig: Rig) -> None:
+    calibration = measured(rig, OWN)
+    size_px = (rig.camera.left.width_px, rig.camera.left.height_px)
+    assert misfit(calibration, Owner(rig.rig.serial, (size_px, size_px), OWN)) is None
+    assert misfit(calibration, Owner(rig.rig.serial, (size_px, size_px), None)) is None
+    of_another = misfit(calibration, Owner("KF-0009", (size_px, size_px), ("A", "B")))
+    assert of_another is not None
+    assert "of instrument KF-0001; this one is KF-0009" in of_another.reason
+    assert not of_another.exchanged
+    smaller = misfit(calibration, Owner(rig.rig.serial, (size_px, (800, 600)), OWN))
+    assert smaller is not None
+    assert "right camera has 1600x1200 px, the rig's 800x600" in smaller.reason
+
+
+def test_what_nobody_knows_is_no_exchange() -> None:
+    assert exchanged(None, OWN) is None
+    assert exchanged(OWN, None) is None
+    assert exchanged(OWN, OWN) is None
+
+
+def scanned(rig: Rig, library: Library, serials: tuple[str, str] | None) -> Path:
+    """A stored scan that was taken with these cameras; ``None``: one of before scans carried their rig."""
+    origin = None
+    if serials is not None:
+        left, right = (replace(c, serial=s) for c, s in zip((rig.camera.left, rig.camera.right), serials, strict=True))
+        taken = replace(rig, camera=replace(rig.camera, left=left, right=right))
+        origin = Origin(encode(design_of(rig)), rig_text(taken).encode())
+    info = record()
+    return library.begin(frames(), info, origin).publish(info)
+
+
+def test_a_calibration_from_scans_is_of_the_cameras_that_took_them(rig: Rig) -> None:
+    library = Library(rig.storage.root)
+    library.prepare()
+    old, first, second = (scanned(rig, library, serials) for serials in (None, OWN, OWN))
+    start = measured(rig, None)
+    assert cameras_of([old, first, second], start) == OWN
+    assert cameras_of([old], start) is None
+    other = scanned(rig, library, ("KF-NEW", "KF-CAM-R"))
+    with pytest.raises(RecordingError, match=r"000002 and 000004 are of different cameras.*left camera exchanged"):
+        cameras_of([first, other], start)
+    with pytest.raises(RecordingError, match="of other cameras than what they start from"):
+        cameras_of([first], measured(rig, ("KF-OLD", "KF-CAM-R")))
