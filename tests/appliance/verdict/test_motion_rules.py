@@ -1,0 +1,313 @@
+"""The rules by which signs of movement become a score, a kind and a verdict: each at its limit, by numbers made for it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from appliance.capture.fault import FaultCode
+from appliance.verdict.motion import (
+    MotionKind,
+    _axial,
+    _judgement,
+    _kind,
+    _shift,
+    _to_and_fro,
+    _turning_mm_s,
+)
+from appliance.verdict.motion_edges import EdgeShifts
+from appliance.verdict.motion_harm import Harm
+from appliance.verdict.motion_map import DriftMap
+from appliance.verdict.motion_place import place_of
+from appliance.verdict.motion_scores import (
+    Scores,
+    Trend,
+    drift_trend,
+    edge_course,
+    edges_score,
+    flow_score,
+    texture_score,
+)
+from appliance.verdict.motion_texture import TextureShift
+
+ROWS, COLUMNS = 6, 8
+REST = Scores(0.5, 0.5, 0.5, 0.5)
+NO_COURSE = (np.full(8, np.nan), np.full(8, np.nan))
+
+
+def cells(value: float) -> np.ndarray:
+    return np.full((ROWS, COLUMNS), value)
+
+
+def harm(ripple: float | None = 0.1, **maps: np.ndarray) -> Harm:
+    """A plane that recedes evenly, and is well seen."""
+    v, u = np.mgrid[0:ROWS, 0:COLUMNS].astype(float)
+    given: dict[str, Any] = {
+        "drift_px": cells(0.02),
+        "sd_px": cells(0.002),
+        "depth_rate_mm_s": cells(3.0),
+        "ripple_mm": cells(0.004),
+        "noise_mm": cells(0.02),
+        "weight": cells(50.0),
+        "u_px": 25.0 + 50.0 * u,
+        "v_px": 25.0 + 50.0 * v,
+        "across_mm": cells(0.3),
+    }
+    return Harm(**(given | maps), ripple=ripple, ripple_rms_mm=0.004, noise_rms_mm=0.02)
+
+
+def texture(
+    flow: tuple[float, float] | None = None, sd: float = 0.1, change: float | None = None, early: float | None = None
+) -> TextureShift:
+    nothing = np.zeros((0, 2))
+    return TextureShift(flow, None if flow is None else sd, 40, nothing, nothing, change, early, 12.0, 2)
+
+
+# ------------------------------------------------------------------------------------------------- verdict
+
+
+def judged(added: float | None, kind: MotionKind, scores: Scores = REST, **more: Any) -> Any:
+    ripple = None if added is None else float(np.sqrt((1.0 + added) ** 2 - 1.0))
+    values: dict[str, Any] = {
+        "axial_mm_s": 3.0,
+        "lateral_mm_s": (-4.0, 2.0),
+        "shift_px": 1.5,
+        "place": None,
+        "lost": 0.02,
+    } | more
+    return _judgement(kind, harm(ripple), scores=scores, **values)
+
+
+@pytest.mark.parametrize(
+    ("added", "kind", "passed"),
+    [
+        (0.059, MotionKind.AXIAL, True),
+        (0.061, MotionKind.AXIAL, False),
+        (0.30, MotionKind.AXIAL, False),
+        (0.30, MotionKind.STILL, True),
+        (0.0, MotionKind.STILL, True),
+        (None, MotionKind.STILL, None),
+    ],
+)
+def test_a_scan_is_refused_for_the_noise_that_a_movement_adds_and_never_at_rest_as_in_snow(
+    added: float | None, kind: MotionKind, passed: bool | None
+) -> None:
+    said = judged(added, kind)
+    assert said.verdict.passed is passed
+    assert (said.fault is not None) == (passed is False)
+    if said.fault is not None:
+        assert said.fault.code is FaultCode.MOVED
+        assert said.fault.numbers["added_noise_percent"] == pytest.approx(100.0 * (added or 0.0))
+
+
+def test_the_numbers_of_a_verdict_are_those_that_were_measured_with_their_signs() -> None:
+    numbers = judged(0.2, MotionKind.AXIAL, Scores(5.0, 1.0, 6.0, 2.0)).verdict.numbers
+    assert (numbers["axial_mm_s"], numbers["right_mm_s"], numbers["down_mm_s"]) == (3.0, -4.0, 2.0)
+    assert numbers["speed_mm_s"] == pytest.approx(np.sqrt(9.0 + 16.0 + 4.0))
+    assert numbers["added_noise_percent"] == pytest.approx(20.0)
+    assert numbers["limit_percent"] == pytest.approx(6.0)
+    assert numbers["lost_percent"] == pytest.approx(2.0)
+    assert (numbers["score"], numbers["score_limit"]) == (6.0, 4.5)
+
+
+def test_only_what_is_certain_has_a_say_in_the_speed() -> None:
+    def speed(scores: Scores, kind: MotionKind = MotionKind.AXIAL) -> float | None:
+        found = judged(0.2, kind, scores).verdict.numbers["speed_mm_s"]
+        return None if found is None else float(found)
+
+    assert speed(Scores(4.5, 0.0, 4.4, 0.0)) == pytest.approx(3.0)
+    assert speed(Scores(4.4, 0.0, 4.5, 0.0)) == pytest.approx(np.hypot(4.0, 2.0))
+    assert speed(Scores(4.4, 9.0, None, 9.0)) is None
+
+
+def test_a_turn_has_the_speed_of_its_cells_whose_median_says_nothing() -> None:
+    rates = cells(0.0)
+    rates[:, : COLUMNS // 2], rates[:, COLUMNS // 2 :] = -6.0, 6.0
+    turning = harm(0.6, depth_rate_mm_s=rates)
+    assert _axial(turning) == pytest.approx(0.0)
+    assert _turning_mm_s(turning) == pytest.approx(6.0)
+    said = _judgement(MotionKind.ROTATION, turning, 0.0, None, 1.0, None, Scores(9.0, None, None, None), 0.0)
+    assert said.verdict.numbers["speed_mm_s"] == pytest.approx(6.0)
+
+
+def test_cells_without_points_say_nothing_of_the_speed() -> None:
+    rates, weight = cells(3.0), cells(50.0)
+    rates[0], weight[0] = 99.0, 0.0
+    rates[1, 0] = np.nan
+    assert _axial(harm(depth_rate_mm_s=rates, weight=weight)) == pytest.approx(3.0)
+    assert _turning_mm_s(harm(depth_rate_mm_s=rates, weight=weight)) == pytest.approx(3.0)
+    assert _axial(harm(weight=cells(0.0))) is None
+
+
+# ---------------------------------------------------------------------------------------------------- kind
+
+EVEN = Trend(0.02, 0.001, 0.001, (0.001, 0.001, 0.001), 20.0)
+
+
+def kind(scores: Scores, trend: Trend | None = EVEN, course: Any = NO_COURSE, **more: Any) -> MotionKind:
+    values: dict[str, Any] = {"axial_mm_s": 3.0, "lateral_mm_s": None} | more
+    given = values.pop("harm", harm())
+    return _kind(scores, trend, given, course, values["axial_mm_s"], values["lateral_mm_s"])
+
+
+@pytest.mark.parametrize("sign", ["drift", "edges", "flow", "texture"])
+def test_whatever_exceeds_the_score_is_a_movement(sign: str) -> None:
+    for score, still in ((4.4, True), (4.6, False), (8.0, False)):
+        assert (kind(replace(REST, **{sign: score})) is MotionKind.STILL) == still
+    assert kind(Scores(None, None, None, None)) is MotionKind.STILL
+
+
+def test_sideways_is_what_is_faster_across_than_along_and_does_not_turn() -> None:
+    both = Scores(9.0, 0.0, 9.0, 0.0)
+    assert kind(both, lateral_mm_s=(4.0, 3.0)) is MotionKind.LATERAL
+    assert kind(both, lateral_mm_s=(-3.0, 3.0)) is MotionKind.AXIAL
+    assert kind(both, lateral_mm_s=(4.0, 3.0), axial_mm_s=-3.5) is MotionKind.AXIAL
+    assert kind(replace(both, flow=4.0), lateral_mm_s=(40.0, 30.0)) is MotionKind.AXIAL, "not certain"
+    turning = replace(EVEN, across=0.04)
+    assert kind(both, turning, lateral_mm_s=(4.0, 3.0)) is MotionKind.ROTATION
+    assert kind(replace(REST, flow=9.0), None) is MotionKind.LATERAL
+    assert kind(replace(REST, texture=9.0), None) is MotionKind.LATERAL
+    assert kind(replace(REST, edges=9.0), None) is MotionKind.AXIAL
+
+
+def test_a_turn_is_a_slope_of_the_drift_that_is_steep_and_certain() -> None:
+    moved = replace(REST, drift=9.0)
+    assert kind(moved, replace(EVEN, across=0.013)) is MotionKind.AXIAL
+    assert kind(moved, replace(EVEN, across=0.015)) is MotionKind.ROTATION
+    assert kind(moved, replace(EVEN, down=-0.015)) is MotionKind.ROTATION
+    assert kind(moved, replace(EVEN, across=0.015, sd=(0.001, 0.003, 0.003))) is MotionKind.AXIAL
+    assert kind(moved, replace(EVEN, mean=-0.03, across=0.015)) is MotionKind.AXIAL
+
+
+def test_shaking_goes_to_and_fro_by_more_than_its_uncertainty() -> None:
+    sd = np.full(8, 0.01)
+
+    def course(*values: float) -> Any:
+        return np.array(values), sd
+
+    assert _to_and_fro(course(0.0, 0.3, 0.6, 0.3, 0.0, -0.3, 0.0, 0.2))
+    assert not _to_and_fro(course(0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.05)), "steadily towards the sine images"
+    assert not _to_and_fro(course(0.7, 0.6, 0.5, 0.62, 0.3, 0.2, 0.1, 0.0)), "a fifth of the way back is none"
+    assert not _to_and_fro(course(0.0, 0.05, 0.0, 0.05, 0.0, 0.05, 0.0, 0.05)), "less than its uncertainty"
+    assert not _to_and_fro((np.array([0.0, 0.9, 0.0] + [np.nan] * 5), sd)), "three frames tell nothing"
+    assert not _to_and_fro(NO_COURSE)
+    uncertain = sd.copy()
+    uncertain[[1, 2]] = 1.0
+    assert not _to_and_fro((np.array([0.1, 9.0, -9.0, 0.1, 0.1, 0.1, 0.05, 0.0]), uncertain)), "coarse bits"
+    assert kind(replace(REST, drift=9.0), course=course(0.0, 0.3, 0.6, 0.3, 0.0, -0.3, 0.0, 0.2)) is MotionKind.TREMOR
+
+
+def test_something_else_moves_where_few_cells_close_together_have_the_harm() -> None:
+    ripple, drift = cells(0.0005), cells(0.0)
+    ripple[1:3, 5:8] = 0.05
+    drift[1:3, 5:8] = 0.1
+    there = harm(ripple_mm=ripple, drift_px=drift)
+    assert kind(REST, harm=there) is MotionKind.LOCAL
+    assert kind(replace(REST, flow=4.6), harm=there) is not MotionKind.LOCAL, "all of it slides"
+    assert kind(replace(REST, edges=4.6), harm=there) is not MotionKind.LOCAL
+    assert kind(REST, harm=harm(ripple_mm=ripple, drift_px=drift / 10.0)) is MotionKind.STILL, "not certain"
+    scattered = cells(0.0005)
+    scattered[[0, 0, 5, 5, 2, 3], [0, 7, 0, 7, 3, 5]] = 0.05
+    assert kind(REST, harm=harm(ripple_mm=scattered, drift_px=cells(0.1))) is MotionKind.STILL
+    weight = cells(0.0)
+    weight[1:3, 5:8] = 50.0
+    assert kind(REST, harm=harm(ripple_mm=ripple, drift_px=drift, weight=weight)) is MotionKind.STILL, "too few cells"
+    place = place_of(there, (400, 300))
+    assert place is not None
+    assert place.word == "upper right"
+    assert place.u_px == pytest.approx(325.0, abs=5.0)
+    assert place.v_px == pytest.approx(100.0, abs=5.0)
+
+
+def test_fringes_and_paint_make_one_way_over_the_whole_sequence() -> None:
+    known = DriftMap(drift_px=cells(0.02), sd_px=cells(0.001), slope_per_px=cells(0.5), **_rest_of_drift_map())
+    assert _shift(known, harm(), texture(), 24) == pytest.approx(0.02 / 0.5 * 24)
+    assert _shift(known, harm(), texture((0.3, -0.4)), 24) == pytest.approx(np.hypot(0.96, 0.5 * 24 / 12))
+    assert _shift(known, harm(weight=cells(0.0)), texture((0.3, 0.4)), 24) is None
+
+
+def _rest_of_drift_map() -> dict[str, Any]:
+    taken = {"drift_px", "sd_px", "slope_per_px"}
+    return {name: cells(0.0) for name in DriftMap.__dataclass_fields__ if name not in taken}
+
+
+# -------------------------------------------------------------------------------------------------- scores
+
+
+def test_an_even_drift_is_its_mean_and_a_turn_its_slope_with_their_uncertainty() -> None:
+    trend = drift_trend(harm())
+    assert trend is not None
+    assert (trend.mean, trend.across, trend.down) == pytest.approx((0.02, 0.0, 0.0), abs=1e-9)
+    sd = np.hypot(0.002, 0.001) / np.sqrt(ROWS * COLUMNS)
+    assert trend.sd[0] == pytest.approx(sd, rel=1e-3)
+    assert trend.score == pytest.approx(0.02 / np.hypot(sd, 0.001), rel=1e-3)
+    y, x = np.mgrid[-1.0 : 1.0 : ROWS * 1j, -1.0 : 1.0 : COLUMNS * 1j]
+    turn = drift_trend(harm(drift_px=-0.01 + 0.03 * x - 0.02 * y))
+    assert turn is not None
+    assert (turn.mean, turn.across, turn.down) == pytest.approx((-0.01, 0.03, -0.02), abs=1e-6)
+    weight = cells(0.0)
+    weight[0, :5] = 1.0
+    assert drift_trend(harm(weight=weight)) is None
+    weight[0, 5] = 1.0
+    assert drift_trend(harm(weight=weight)) is not None
+
+
+def test_uncertain_cells_and_those_without_points_have_little_say() -> None:
+    drift, sd = cells(0.02), cells(0.002)
+    drift[0], sd[0] = 5.0, 100.0
+    trend = drift_trend(harm(drift_px=drift, sd_px=sd))
+    assert trend is not None
+    assert trend.mean == pytest.approx(0.02, abs=1e-4)
+
+
+def edges(shift: float, frames: int = 3, holes: int = 0) -> EdgeShifts:
+    maps = np.full((frames, ROWS, COLUMNS), shift)
+    maps.reshape(frames, -1)[:, :holes] = np.nan
+    return EdgeShifts(maps, np.full_like(maps, 0.01), np.arange(frames, dtype=float))
+
+
+def test_gray_edges_count_left_less_right_by_their_median() -> None:
+    middle, sd = edge_course({"left": edges(0.3), "right": edges(0.1)}, harm(drift_px=cells(0.0)))
+    assert middle == pytest.approx([0.2] * 3)
+    assert sd == pytest.approx([0.0] * 3)
+    assert edges_score((middle, sd)) == pytest.approx(0.2 / 0.025)
+    assert edges_score((np.array([0.1, -0.4, np.nan]), np.array([0.02, 0.06, np.nan]))) == pytest.approx(0.4 / 0.065)
+    few = {"left": edges(0.3, holes=ROWS * COLUMNS - 5), "right": edges(0.1)}
+    assert np.isnan(edge_course(few, harm(drift_px=cells(0.0)))[0]).all()
+    assert edges_score(NO_COURSE) is None
+    enough = {"left": edges(0.3, holes=ROWS * COLUMNS - 6), "right": edges(0.1)}
+    assert np.isfinite(edge_course(enough, harm(drift_px=cells(0.0)))[0]).all()
+
+
+def test_edges_of_a_turn_count_in_units_of_its_drift_so_that_they_do_not_cancel() -> None:
+    sign = np.where(np.arange(COLUMNS) < COLUMNS // 2, -1.0, 1.0)
+    drift = 0.02 * np.broadcast_to(sign, (ROWS, COLUMNS))
+    left = edges(0.0)
+    left.shift_px[:] = 10.0 * drift
+    middle, _ = edge_course({"left": left, "right": edges(0.0)}, harm(drift_px=drift))
+    assert np.abs(middle) == pytest.approx([0.2] * 3)
+    uncertain = harm(drift_px=drift, sd_px=cells(0.02))
+    assert edge_course({"left": left, "right": edges(0.0)}, uncertain)[0] == pytest.approx([0.0] * 3)
+
+
+def test_the_camera_that_saw_more_of_the_paint_counts() -> None:
+    textures = {"left": texture((0.3, 0.4), 0.0), "right": texture((0.6, -0.8), 0.48)}
+    assert flow_score(textures) == pytest.approx(0.5 / 0.02)
+    assert flow_score({"left": texture((0.6, -0.8), 0.48)}) == pytest.approx(1.0 / np.hypot(0.48, 0.02))
+    assert flow_score({"left": texture()}) is None
+
+
+def test_paint_that_changes_between_the_means_counts_against_what_it_does_at_rest() -> None:
+    assert texture_score({"left": texture(change=1.045, early=1.10)}) == pytest.approx(0.0, abs=1e-9)
+    assert texture_score({"left": texture(change=1.145, early=1.10)}) == pytest.approx(5.0)
+    both = {"left": texture(change=1.0, early=1.45), "right": texture(change=1.045, early=1.1)}
+    assert texture_score(both) == pytest.approx(5.0)
+    assert texture_score({"left": texture(change=2.0)}) is None
+
+
+def test_the_largest_of_the_known_scores_counts() -> None:
+    assert Scores(None, 2.0, None, 1.0).largest == 2.0
+    assert Scores(None, None, None, None).largest is None
