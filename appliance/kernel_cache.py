@@ -2,8 +2,9 @@
 
 numba looks only at the file of the kernel itself to see whether what it compiled before still holds: not at other files
 whose functions were built in, not at its own version's flags. So each state of the program has a folder of its own, named
-after everything that goes into a kernel. What an installation has compiled (``build``) may lie on a read-only disk, where
-numba refuses to read; it is copied to a place that can be written, once per start of the machine.
+after everything that goes into a kernel. What an installation has compiled (``kernel_build``) may lie on a read-only disk,
+where numba refuses to read; it is copied to a place that can be written, once per start of the machine. A source tree has its
+kernels in ``.cache/numba`` beside its packages, whichever command needs them (``python -m appliance.kernel_cache`` names it).
 
 numba runs whatever machine code it finds in its folder. So a folder is only used when nobody but this user can have
 written to it: it belongs to the user, is closed to everybody else, and lies where others cannot exchange it.
@@ -21,10 +22,11 @@ import shutil
 import stat
 import sys
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -32,8 +34,11 @@ VARIABLE = "NUMBA_CACHE_DIR"
 CPU_VARIABLES = ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES")
 COMPLETE = "complete"
 """A file that is written last: without it, a folder was left half made."""
+MARKS = "pieces"
+"""Folder of marks, one of each piece that was compiled here (``kernel_build``)."""
 _PRIVATE = 0o700
 _PROGRAM = Path(__file__).parent
+_DISTRIBUTION = "kingfisher"
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,11 +61,11 @@ class Origin(Enum):
     GIVEN = "given"
     """The environment names a place: whoever set it keeps it up to date."""
     READY = "ready"
-    """Compiled before, in this place."""
+    """Compiled before, in this place, at least in part."""
     SHIPPED = "shipped"
     """Copied from the installation."""
     EMPTY = "empty"
-    """Nothing fits: they are compiled when first needed, which takes some ten seconds."""
+    """Nothing fits: they are compiled when first needed, which takes a minute and more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,20 +92,40 @@ def runs_common(processor: Processor) -> bool:
 
 def fingerprint(processor: Processor | None = None) -> str:
     """16 hexadecimal digits that change with each kernel file, interpreter, compiler and processor (default: this one)."""
-    import numba
-    import numpy
-
     processor = processor or this_processor()
     digest = hashlib.sha256()
-    for path in sorted(_PROGRAM.rglob("*.py")):
-        text = path.read_bytes()
-        if b"numba" in text or path.parent.name == "reconstruct":
-            digest.update(str(path.relative_to(_PROGRAM)).encode() + b"\0" + text + b"\0")
-    parts = (
-        sys.version, platform.machine(), numba.__version__, numpy.__version__, processor.name, processor.features,
-    )  # fmt: skip
+    for name, path in _kernel_files():
+        digest.update(name.encode() + b"\0" + path.read_bytes() + b"\0")
+    versions = [metadata.version(package) for package in ("numba", "llvmlite", "numpy")]
+    parts = (sys.version, platform.machine(), *versions, processor.name, processor.features)
     digest.update("\0".join(parts).encode())
     return digest.hexdigest()[:16]
+
+
+def stamps() -> str:
+    """Changes when a kernel file was written anew, be it with the same text: numba goes by a file's time and size."""
+    digest = hashlib.sha256()
+    for name, path in _kernel_files():
+        status = path.stat()
+        digest.update(f"{name}\0{int(status.st_mtime)}\0{status.st_size}\0".encode())
+    return digest.hexdigest()[:16]
+
+
+def _kernel_files() -> Iterator[tuple[str, Path]]:
+    """Every file of the program that kernels, or what decides which there are, are made of; by name, in order."""
+    for package in _packages():
+        for path in sorted((_PROGRAM.parent / package).rglob("*.py")):
+            if b"numba" in path.read_bytes() or path.parent.name == "reconstruct" or path.name == "warm.py":
+                yield path.relative_to(_PROGRAM.parent).as_posix(), path
+
+
+def _packages() -> list[str]:
+    """The packages that came with this one, and this one, where they lie side by side."""
+    try:
+        named = (metadata.distribution(_DISTRIBUTION).read_text("top_level.txt") or "").split()
+    except metadata.PackageNotFoundError:
+        named = []
+    return sorted(name for name in {*named, _PROGRAM.name} if (_PROGRAM.parent / name).is_dir())
 
 
 def shipped_folder() -> Path:
@@ -109,10 +134,15 @@ def shipped_folder() -> Path:
 
 
 def writable_folder(environment: Mapping[str, str]) -> Path:
-    """The service's cache directory, else the user's, else one that lasts until the machine is switched off."""
-    for name, below in (("CACHE_DIRECTORY", "kernels"), ("XDG_CACHE_HOME", "kingfisher/kernels")):
-        if environment.get(name):
-            return Path(environment[name].split(":")[0]) / below
+    """The service's cache directory, else the source tree's, else the user's, else one that lasts until the machine is
+    switched off."""
+    if environment.get("CACHE_DIRECTORY"):
+        return Path(environment["CACHE_DIRECTORY"].split(":")[0]) / "kernels"
+    tree = _PROGRAM.parent
+    if (tree / "pyproject.toml").is_file() and os.access(tree, os.W_OK):
+        return tree / ".cache" / "numba"
+    if environment.get("XDG_CACHE_HOME"):
+        return Path(environment["XDG_CACHE_HOME"].split(":")[0]) / "kingfisher/kernels"
     home = environment.get("HOME")
     return Path(home) / ".cache/kingfisher/kernels" if home else _last_resort()
 
@@ -123,8 +153,10 @@ def use(shipped: Path | None = None, writable: Path | None = None) -> KernelCach
     Never fails: without a place that can be written and trusted, the kernels go to a new temporary one.
     """
     given = os.environ.get(VARIABLE)
-    if given:
+    if given and Path(given).name != fingerprint():
         return KernelCache(Path(given), Origin.GIVEN)
+    if given:
+        writable = Path(given).parent
     source, compiled_for = _shipped(shipped or shipped_folder())
     for base in (writable or writable_folder(os.environ), _last_resort()):
         folder = base / source.name
@@ -132,10 +164,10 @@ def use(shipped: Path | None = None, writable: Path | None = None) -> KernelCach
             origin = _fill(folder, source)
         except OSError:
             continue  # read-only, full, or somebody else's: the next one
-        _point_at(folder, compiled_for)
+        point_at(folder, compiled_for)
         return KernelCache(folder, origin)
     folder = Path(tempfile.mkdtemp(prefix="kingfisher-kernels-"))
-    _point_at(folder)
+    point_at(folder)
     return KernelCache(folder, Origin.EMPTY)
 
 
@@ -151,40 +183,18 @@ def _shipped(base: Path) -> tuple[Path, Processor | None]:
     return own, None
 
 
-def build(target: Path, processor: Processor | None = None) -> Path:
-    """Compile every kernel of the reconstruction into a folder of ``target``; return that folder.
-
-    For ``processor`` (default: this one), and in this process, which must not have imported a kernel yet. Raises OSError when ``target`` cannot be written.
-    """
-    folder = target / fingerprint(processor)
-    if (folder / COMPLETE).exists():
-        return folder
-    target.mkdir(parents=True, exist_ok=True)
-    making = Path(tempfile.mkdtemp(prefix=".making-", dir=target))
-    try:
-        _point_at(making, processor)
-        from appliance.worker.warm import run_every_kernel
-
-        run_every_kernel()
-        (making / COMPLETE).touch()
-        making.chmod(0o755)
-        with suppress(FileExistsError):
-            shutil.rmtree(folder, ignore_errors=True)
-            making.rename(folder)
-    finally:
-        shutil.rmtree(making, ignore_errors=True)
-    return folder
-
-
-def _point_at(folder: Path, processor: Processor | None = None) -> None:
-    """For this process, whose numba has read its settings already, and for those it starts."""
+def point_at(folder: Path, processor: Processor | None = None) -> None:
+    """Let numba use ``folder``, and compile for ``processor`` (``None``: this one), in this process and those it starts."""
+    os.environ[VARIABLE] = str(folder)
+    if processor is not None:
+        os.environ.update(zip(CPU_VARIABLES, (processor.name, processor.features), strict=True))
+    if "numba" not in sys.modules:
+        return  # it reads the environment when it is imported
     import numba
 
-    os.environ[VARIABLE] = str(folder)
     config: Any = numba.config
     config.CACHE_DIR = str(folder)
     if processor is not None:
-        os.environ.update(zip(CPU_VARIABLES, (processor.name, processor.features), strict=True))
         config.CPU_NAME, config.CPU_FEATURES = processor.name, processor.features
 
 
@@ -198,7 +208,7 @@ def _fill(folder: Path, source: Path) -> Origin:
     if (folder / COMPLETE).exists():
         return Origin.READY
     if not (source / COMPLETE).exists():
-        return Origin.EMPTY
+        return Origin.READY if (folder / MARKS).is_dir() else Origin.EMPTY
     # The mark comes last; numba's own files are renamed into place, so that two starts at once do no harm.
     shutil.copytree(source, folder, dirs_exist_ok=True, ignore=shutil.ignore_patterns(COMPLETE))
     folder.chmod(_PRIVATE)  # copytree gave it the mode of the source
@@ -232,3 +242,7 @@ def _try_writing(folder: Path) -> None:
 
 def _last_resort() -> Path:
     return Path(tempfile.gettempdir()) / f"kingfisher-kernels-{os.getuid()}"
+
+
+if __name__ == "__main__":
+    sys.stdout.write(f"{writable_folder(os.environ) / fingerprint()}\n")

@@ -8,10 +8,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from appliance import kernel_cache
 from appliance.calibration import file as calibration_file
 from appliance.calibration.method import Method
 from appliance.cli.desk import place_of, usable_scan, writable, writing
+from appliance.cli.kernels import compile_desk_kernels
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json
 from appliance.config import Rig
 from appliance.storage.atomic import replace_file
@@ -65,7 +65,7 @@ def water(rig: Rig, listed: Path, options: WaterOptions, *, json: bool) -> Exit:
         raise UsageError(f"--out {target}: exists already; a calibration is never replaced; give a new name")
     if data.absolute() == listed.absolute():
         raise UsageError(f"--out {target}: {data} is the list itself; give another name")
-    kernel_cache.use()  # before anything brings compiled kernels
+    compile_desk_kernels()  # before anything brings compiled kernels
     from appliance.service.evaluation import ListError, read_list
     from appliance.service.instrument import start_of
     from appliance.service.water_calibration import check_list, run_water_calibration

@@ -8,8 +8,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from appliance import kernel_cache
 from appliance.cli.desk import writable, writing
+from appliance.cli.kernels import find_kernels
 from appliance.cli.output import Exit, Progress, UsageError, complain, say, say_json, table
 from appliance.config import Rig
 
@@ -39,7 +39,7 @@ class AirOptions:
 
 def air(rig: Rig, folder: Path, options: AirOptions, *, json: bool) -> Exit:
     """Calibrate from a folder of pictures; FAILED where they do not suffice, with the reason for each."""
-    kernel_cache.use()
+    find_kernels()
     from appliance.calibration.air import AirCalibrationError
     from appliance.calibration.board import BoardDesign, BoardError, parse_board
     from appliance.service.air import PicturesError, calibrate_folder

@@ -6,8 +6,8 @@ import json as json_form
 from pathlib import Path
 from typing import Any
 
-from appliance import kernel_cache
 from appliance.cli.desk import place_of, usable_scan, writable, writing
+from appliance.cli.kernels import compile_desk_kernels
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json
 from appliance.config import Rig
 from appliance.storage.atomic import replace_file
@@ -28,7 +28,7 @@ def evaluate(rig: Rig, listed: Path, calibration: Path | None, out: Path | None,
         raise UsageError(f"--out {page}: {data} is the list itself; give another name")
     for path in (page, data):
         writable(path)
-    kernel_cache.use()  # before anything brings compiled kernels
+    compile_desk_kernels()  # before anything brings compiled kernels
     from appliance.evaluation.report import as_html, as_json
     from appliance.service.evaluation import ListError, read_list, run_evaluation
 

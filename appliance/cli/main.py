@@ -21,6 +21,7 @@ from appliance.cli.last_words import last_words
 from appliance.cli.output import Exit, UsageError, complain, log_lines
 from appliance.cli.simrig import OBJECTS, PACES, TEXTURES, TRUTHS, SimOptions, default_sim_rig
 from appliance.config import ConfigError, Rig, default_rig_path, load_rig
+from appliance.kernel_build import CompileError
 from appliance.storage.atomic import StorageError
 from appliance.storage.library import UnknownScan
 from appliance.storage.scan import ScanError
@@ -57,7 +58,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (ConfigError, UsageError) as error:
         complain(str(error), as_json=arguments.json)
         return Exit.USAGE
-    except (StorageError, UnknownScan, ScanError, CalibrationError, RecordingError, DeviceError) as error:
+    except (StorageError, UnknownScan, ScanError, CalibrationError, RecordingError, DeviceError, CompileError) as error:
         complain(str(error), as_json=arguments.json)
         return Exit.FAILED
     except BrokenPipeError:

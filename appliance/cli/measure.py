@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from appliance import kernel_cache
 from appliance.cli.desk import usable_scan, writable, writing
+from appliance.cli.kernels import compile_desk_kernels
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json, table
 from appliance.config import Rig
 from appliance.storage.atomic import replace_file
@@ -20,7 +20,7 @@ LEVELS = 255.0
 def response(rig: Rig, scan: str, out: Path | None, *, json: bool) -> Exit:
     """The projector's response from a scan of a plane, written to its file. Never replaces one."""
     writable(out)
-    kernel_cache.use()  # before anything brings compiled kernels
+    compile_desk_kernels()  # before anything brings compiled kernels
     from appliance.calibration.response import ResponseError
     from appliance.calibration.response_file import encode
     from appliance.service.instrument import RESPONSE_FILE
@@ -62,7 +62,7 @@ def response(rig: Rig, scan: str, out: Path | None, *, json: bool) -> Exit:
 
 def noise(rig: Rig, scan: str, *, json: bool) -> Exit:
     """Each camera's noise in a scan, beside what the rig file's data sheet makes expect."""
-    kernel_cache.use()  # before anything brings compiled kernels
+    compile_desk_kernels()  # before anything brings compiled kernels
     from appliance.calibration.photon_transfer import NoiseError
     from appliance.service.measuring import noise_of_scan
 

@@ -69,9 +69,12 @@ def log_lines(*, as_json: bool, service: bool) -> Iterator[None]:
     handler.setFormatter(_JsonLine() if as_json else logging.Formatter("kingfisher: %(message)s"))
     log.addHandler(handler)
     log.setLevel(logging.INFO if service else logging.WARNING)
+    compiler = logging.getLogger("appliance.cli.kernels")
+    compiler.setLevel(logging.INFO)  # a minute of silence is a warning of its own
     try:
         yield
     finally:
+        compiler.setLevel(logging.NOTSET)
         log.setLevel(before)
         log.removeHandler(handler)
 

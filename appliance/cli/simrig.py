@@ -6,9 +6,10 @@ those of ``docs/protocols/world.md`` and go into ``[rig.wires_options]``, unread
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -47,6 +48,12 @@ def default_sim_rig() -> Path:
     if spec is None or spec.origin is None:
         raise UsageError("the simulator is not installed; install it, or give a rig file with --rig PATH")
     return Path(spec.origin).parent / "rigs" / "full.toml"
+
+
+def simulator_kernels() -> Iterable[tuple[str, str]]:
+    """What the simulator has to compile before it opens: what for, and the function that does it."""
+    pieces: Iterable[tuple[str, str]] = importlib.import_module(f"{SIMULATOR}.warm").PIECES
+    return pieces
 
 
 def with_simulated_wires(rig: Rig) -> Rig:

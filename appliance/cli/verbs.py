@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import faulthandler
-import logging
 from pathlib import Path
 
-from appliance import __version__, kernel_cache
+from appliance import __version__, kernel_build, kernel_cache
 from appliance.cli.desk import measuring, usable_scan, writable, writing
+from appliance.cli.kernels import Progress as CompilerProgress
+from appliance.cli.kernels import compile_desk_kernels, compile_kernels, find_kernels
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json, table
-from appliance.cli.simrig import SimOptions, simulated, with_simulated_wires
+from appliance.cli.simrig import SimOptions, simulated, simulator_kernels, with_simulated_wires
 from appliance.config import Rig
 
 # The service is imported inside the verbs: it brings drivers and compiled kernels, which `scans list` can do without.
@@ -17,21 +18,20 @@ from appliance.config import Rig
 
 def run(rig: Rig) -> Exit:
     """The instrument, until it is switched off."""
-    faulthandler.enable(all_threads=True)  # who kills it because it hangs, or it dies in a library: where was it?
-    _use_kernels()
-    from appliance.service.app import run as run_service
-
-    return Exit(run_service(rig))
+    find_kernels()
+    return _serve(rig)
 
 
 def sim(rig: Rig, options: SimOptions) -> Exit:
     """The same instrument in a simulated world. What goes wrong there brings its own exit code (``main``)."""
-    return run(simulated(with_simulated_wires(rig), options))
+    wanted = simulated(with_simulated_wires(rig), options)
+    compile_kernels(simulator_kernels)
+    return _serve(wanted)
 
 
 def check(rig: Rig, *, json: bool) -> Exit:
     """Open every device once and say what it says about itself; FAILED if any does not work."""
-    _use_kernels()
+    find_kernels()
     from appliance.service.checkup import check as check_devices
 
     with Progress() as progress:
@@ -56,7 +56,7 @@ def reconstruct(rig: Rig, scan: str, calibration: Path | None, out: Path | None,
     with Progress() as progress:
         progress("comparing checksums")
         folder = usable_scan(rig, scan, calibration)
-        _use_kernels()
+        compile_desk_kernels()
         from appliance.service.desk import reconstruct_scan
 
         with writing(out or Path(f"{folder.name}.ply")):
@@ -76,7 +76,7 @@ def merge(rig: Rig, scans: tuple[str, str], calibration: Path | None, out: Path 
     with Progress() as progress:
         progress("comparing checksums")
         first, second = (usable_scan(rig, scan, calibration) for scan in scans)
-        _use_kernels()
+        compile_desk_kernels()
         from appliance.service.merging import merge_scans
 
         with writing(out or Path(f"{first.name}+{second.name}.ply")):
@@ -129,12 +129,13 @@ def version(*, json: bool) -> Exit:
 
 
 def warm(out: Path | None, *, common: bool, json: bool) -> Exit:
-    """Compile the kernels for this processor, or for the common level, as an installation does. Raises OSError."""
+    """Compile the kernels for this processor, or for the common level, as an installation does."""
+    from appliance.worker.warm import DESK
+
     target = out or kernel_cache.shipped_folder()
-    with Progress() as progress:
-        progress("compiling kernels (half a minute)")
+    with CompilerProgress() as progress:
         try:
-            folder = kernel_cache.build(target, kernel_cache.COMMON if common else None)
+            folder = kernel_build.build(target, DESK, progress, kernel_cache.COMMON if common else None)
         except OSError as error:
             raise UsageError(
                 f"{target}: {error.strerror or error}; give a folder that can be written: --out DIR"
@@ -146,8 +147,8 @@ def warm(out: Path | None, *, common: bool, json: bool) -> Exit:
     return Exit.OK
 
 
-def _use_kernels() -> None:
-    """Only what makes somebody wait is worth a line."""
-    cache = kernel_cache.use()
-    level = logging.INFO if cache.origin is kernel_cache.Origin.EMPTY else logging.DEBUG
-    logging.getLogger(__name__).log(level, "kernels: %s, in %s", cache.origin.value, cache.path)
+def _serve(rig: Rig) -> Exit:
+    faulthandler.enable(all_threads=True)  # who kills it because it hangs, or it dies in a library: where was it?
+    from appliance.service.app import run as run_service
+
+    return Exit(run_service(rig))

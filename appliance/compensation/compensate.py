@@ -211,10 +211,8 @@ def drop_edges(p_px: NDArray[np.float32], q_px: NDArray[np.float32], jump_px: np
         edges[:] = 0
         for k in range(2):
             source = p_px if k == 0 else q_px
-            if y < height:
-                rows[k, y % 3, 1 : width + 1] = source[y]
-            else:
-                rows[k, y % 3, :] = _NAN
+            for x in range(width):  # a slice would bring the text of its error, which takes the compiler 3 s
+                rows[k, y % 3, 1 + x] = source[y, x] if y < height else _NAN
             if y > 0:
                 keep_smooth(
                     rows[k, (y - 2) % 3, 1 : width + 1], rows[k, (y - 1) % 3], rows[k, y % 3, 1 : width + 1], jump_px,

@@ -1,26 +1,44 @@
-"""Owns a scan of nothing, which runs every kernel once: at installation to compile them, at start to load them."""
+"""Owns a scan of nothing, which runs every kernel once: at installation to compile them, at start to load them.
+
+``run_every_kernel`` is the whole; ``INSTRUMENT`` and ``DESK`` are the same in pieces that can be compiled side by side
+(``appliance.kernel_build``), the longest first. What a piece forgets is compiled when it is first needed, as without pieces;
+the tests compare both ways kernel by kernel. numba compiles an array that cannot be written (a stored scan's) as another type.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibration.design import Design, design_calibration
+from appliance.calibration.file import Calibration
+from appliance.capture.exposure import NOMINAL
 from appliance.compensation.warm import run_every_kernel as run_compensation
+from appliance.kernel_build import Piece
 from appliance.optics.water import Water
 from appliance.patterns.sequence import PatternSequence, build_sequence
 from appliance.reconstruct.fuse import fuse
-from appliance.reconstruct.noise import TYPICAL
+from appliance.reconstruct.noise import TYPICAL, TYPICAL_PAIR
 from appliance.reconstruct.pipeline import SIDES, Pipeline
 from appliance.reconstruct.quality import CloudSummary
 from appliance.reconstruct.register import register
 from appliance.reconstruct.specks import mask_specks
 from appliance.reconstruct.surface import surface_of
-from appliance.reconstruct.table import Cloud
+from appliance.reconstruct.table import Cloud, Found
 from appliance.reconstruct.veiled import warm_up as read_veiled
+from appliance.verdict.identity import judge_identity
+from appliance.verdict.light import judge_light
 from appliance.verdict.light_fit import warm_up as warm_light
+from appliance.verdict.motion import judge_motion
+from appliance.verdict.recorded import Recorded
+from appliance.verdict.turbidity import judge_water
+from appliance.verdict.window import look_at_windows
 from appliance.worker.scan_work import ScanWork, Taking
 
+_WATER = Water(20.0, 0.0, 530.0)
 _DESIGN = Design(11.5, 112.5, 230.0, 12.41, 30.0, 5.0, 1.77)
 _SIZE_PX = (64, 48)
 
@@ -60,18 +78,109 @@ def _run_pair() -> None:
         fuse(surface, wall, wall, found, (1.0, 1.0))
 
 
+INSTRUMENT = (
+    Piece("matching and triangulation", "appliance.worker.warm:find_points"),
+    Piece("motion compensation", "appliance.compensation.warm:run_every_kernel"),
+    Piece("changing light", "appliance.verdict.light_fit:warm_up"),
+    Piece("pattern identity", "appliance.worker.warm:judge_patterns"),
+    Piece("motion verdict", "appliance.worker.warm:judge_scan"),
+    Piece("veiled water and particles", "appliance.worker.warm:read_through_veil"),
+    Piece("two exposures", "appliance.worker.warm:merge_walls"),
+)
+"""Everything that the instrument may need for a scan."""
+DESK = (
+    *INSTRUMENT,
+    Piece("points of stored scans", "appliance.worker.warm:find_points_of_stored"),
+    Piece("verdicts on stored scans", "appliance.worker.warm:judge_stored"),
+)
+"""The same, and what differs for frames that come from the disk."""
+
+
+def find_points() -> None:
+    """Kernels from frames to clouds."""
+    _find_points(writable=True)
+
+
+def find_points_of_stored() -> None:
+    """As ``find_points``, for frames that cannot be written."""
+    _find_points(writable=False)
+
+
+def judge_patterns() -> None:
+    """Kernels that tell whether each frame shows its pattern."""
+    with _nothing(writable=True) as (pipeline, _, frames):
+        judge_identity(dict.fromkeys(SIDES, frames), pipeline.sequence, TYPICAL_PAIR)
+
+
+def judge_scan() -> None:
+    """Kernels of the other verdicts."""
+    _judge(writable=True)
+
+
+def judge_stored() -> None:
+    """As ``judge_scan`` and ``read_through_veil``, for frames that cannot be written."""
+    _judge(writable=False)
+    _read_through_veil(writable=False)
+
+
+def read_through_veil() -> None:
+    """Kernels for turbid water and for what floats in it."""
+    _read_through_veil(writable=True)
+
+
+def merge_walls() -> None:
+    """Kernels that make one cloud of two exposures."""
+    _run_pair()
+
+
 def run_every_kernel() -> None:
     """With an instrument of its own; also for frames that cannot be written, as they come from the disk."""
+    for writable in (True, False):
+        with _nothing(writable) as (pipeline, calibration, frames):
+            run_empty_scan(ScanWork(pipeline, calibration, _WATER), frames)
+            _mask_specks(pipeline, frames)
+            run_what_an_empty_scan_does_not(pipeline.sequence, frames)
+
+
+def _find_points(*, writable: bool) -> None:
+    with _nothing(writable) as (pipeline, _, frames):
+        for side in SIDES:
+            for index in range(len(frames)):
+                pipeline.push(side, frames, index)
+        pipeline.find_coarse()
+        pipeline.find_full()
+
+
+def _judge(*, writable: bool) -> None:
+    with _nothing(writable) as (pipeline, calibration, frames):
+        decoded = {side: pipeline.decoded(side) for side in SIDES}
+        recorded = Recorded(pipeline.sequence, dict.fromkeys(SIDES, frames), decoded, TYPICAL_PAIR)
+        cloud = pipeline.table.cloud(Found(((0, 0),), CloudSummary(0, 0.0, None, None, None)))
+        judge_water(recorded, cloud, calibration.rig, _WATER.index)
+        judge_light(recorded, NOMINAL, (NOMINAL,))
+        judge_motion(recorded, cloud, calibration.rig, _WATER.index)
+        look_at_windows(recorded)
+
+
+def _read_through_veil(*, writable: bool) -> None:
+    with _nothing(writable) as (pipeline, _, frames):
+        read_veiled(pipeline.sequence, frames, TYPICAL)
+        _mask_specks(pipeline, frames)
+
+
+def _mask_specks(pipeline: Pipeline, frames: NDArray[np.uint8]) -> None:
+    decoded = pipeline.decoded("left")
+    decoded.mask.fill(0)
+    mask_specks(pipeline.sequence, frames, decoded, TYPICAL)
+
+
+@contextmanager
+def _nothing(writable: bool) -> Iterator[tuple[Pipeline, Calibration, NDArray[np.uint8]]]:
+    """A small instrument as drawn, and the dark frames (n, h, w) of a scan."""
     width_px, height_px = _SIZE_PX
-    water = Water(20.0, 0.0, 530.0)
-    calibration = design_calibration(_DESIGN, "kernels", width_px, height_px, water)
+    calibration = design_calibration(_DESIGN, "kernels", width_px, height_px, _WATER)
     sequence = build_sequence(16)
-    with Pipeline(calibration, water, sequence) as pipeline:
-        for writable in (True, False):
-            frames = np.zeros((len(sequence), height_px, width_px), np.uint8)
-            frames.flags.writeable = writable
-            run_empty_scan(ScanWork(pipeline, calibration, water), frames)
-            decoded = pipeline.decoded("left")
-            decoded.mask.fill(0)
-            mask_specks(sequence, frames, decoded, TYPICAL)
-            run_what_an_empty_scan_does_not(sequence, frames)
+    frames = np.zeros((len(sequence), height_px, width_px), np.uint8)
+    frames.flags.writeable = writable
+    with Pipeline(calibration, _WATER, sequence) as pipeline:
+        yield pipeline, calibration, frames

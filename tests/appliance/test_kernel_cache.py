@@ -15,7 +15,9 @@ import numba
 import pytest
 
 from appliance import kernel_cache
+from appliance.kernel_build import compile_pieces
 from appliance.kernel_cache import COMPLETE, VARIABLE, Origin
+from appliance.worker.warm import DESK
 
 USE = """
 import json, sys
@@ -24,12 +26,12 @@ from appliance import kernel_cache
 cache = kernel_cache.use(Path(sys.argv[1]), Path(sys.argv[2]))
 from appliance.worker.warm import run_every_kernel
 run_every_kernel()
-from appliance.reconstruct.rows import reconstruct_rows
-from appliance.reconstruct.edges import close_axis
-from appliance.compensation.solve import solve_rows
-kernels = (reconstruct_rows, close_axis, solve_rows)
-misses = sum(sum(kernel.stats.cache_misses.values()) for kernel in kernels)
-print(json.dumps({"origin": cache.origin.value, "path": str(cache.path), "compiled": misses}))
+import gc
+from numba.core.registry import CPUDispatcher
+kernels = [one for one in gc.get_objects() if isinstance(one, CPUDispatcher) and one.__module__.startswith("appliance.")]
+compiled = sorted({kernel.__name__ for kernel in kernels if kernel.stats.cache_misses})
+hits = sum(bool(kernel.stats.cache_hits) for kernel in kernels)
+print(json.dumps({"origin": cache.origin.value, "path": str(cache.path), "compiled": compiled, "found": hits}))
 """
 
 
@@ -56,20 +58,28 @@ def compiled(folder: Path, *more: str) -> Path:
 
 @pytest.fixture(scope="module")
 def shipped(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return compiled(tmp_path_factory.mktemp("installation"))
+    """As an installation leaves it, from what this source tree has compiled, piece by piece."""
+    mine = kernel_cache.use().path
+    compile_pieces(mine, DESK)
+    folder = tmp_path_factory.mktemp("installation")
+    copy = folder / kernel_cache.fingerprint()
+    shutil.copytree(mine, copy)
+    (copy / COMPLETE).touch()
+    return folder
 
 
 def test_what_the_installation_compiled_is_not_compiled_again(shipped: Path, tmp_path: Path) -> None:
     first = started(shipped, tmp_path / "cache", tmp_path)
-    assert (first["origin"], first["compiled"]) == ("shipped", 0)
+    assert (first["origin"], first["compiled"]) == ("shipped", [])
+    assert first["found"] > 20
     assert Path(first["path"]).parent == tmp_path / "cache"
     again = started(tmp_path / "gone", tmp_path / "cache", tmp_path)
-    assert (again["origin"], again["compiled"]) == ("ready", 0)
+    assert (again["origin"], again["compiled"]) == ("ready", [])
 
 
 def test_without_a_place_to_write_there_is_a_temporary_one(shipped: Path, tmp_path: Path) -> None:
     said = started(shipped, Path("/proc/read-only"), tmp_path)
-    assert (said["origin"], said["compiled"]) == ("shipped", 0)
+    assert (said["origin"], said["compiled"]) == ("shipped", [])
     assert tmp_path in Path(said["path"]).parents
 
 
@@ -170,8 +180,44 @@ def test_the_last_resort_is_private_and_used_again(last_resort: Path) -> None:
         ({"HOME": "/home/diver"}, "/home/diver/.cache/kingfisher/kernels"),
     ],
 )
-def test_the_service_and_its_user_have_a_place(environment: dict[str, str], expected: str) -> None:
+def test_the_service_and_its_user_have_a_place(
+    environment: dict[str, str], expected: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(kernel_cache, "_PROGRAM", tmp_path / "site-packages" / "appliance")
     assert kernel_cache.writable_folder(environment) == Path(expected)
+
+
+def test_whichever_command_starts_it_a_source_tree_has_one_place_for_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
+    tree = Path(kernel_cache.__file__).parents[1]
+    monkeypatch.delenv(VARIABLE, raising=False)
+    monkeypatch.delenv("CACHE_DIRECTORY", raising=False)
+    expected = tree / ".cache/numba" / kernel_cache.fingerprint()
+    told = subprocess.run(
+        [sys.executable, "-m", "appliance.kernel_cache"],
+        cwd="/",
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
+    )  # as ./dev asks
+    assert Path(told.stdout.strip()) == expected
+    assert kernel_cache.use().path == expected  # as `kingfisher` finds it by itself
+    monkeypatch.setenv(VARIABLE, str(expected))
+    assert kernel_cache.use().path == expected  # as what ./dev starts finds it
+    assert kernel_cache.use().origin is not Origin.GIVEN
+
+
+def test_the_simulators_kernels_are_part_of_what_names_the_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tree = Path(kernel_cache.__file__).parents[1]
+    for package in ("appliance", "drivers", "hw_sim"):
+        shutil.copytree(tree / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
+    monkeypatch.setattr(kernel_cache, "_PROGRAM", tmp_path / "appliance")
+    before = kernel_cache.fingerprint()
+    traced = tmp_path / "hw_sim" / "optics" / "trace.py"
+    traced.write_text(traced.read_text() + "\n")
+    assert kernel_cache.fingerprint() != before
 
 
 @pytest.mark.long
@@ -180,7 +226,7 @@ def test_an_image_brings_kernels_for_processors_it_has_never_seen(tmp_path: Path
         pytest.skip("this processor is below x86-64-v3, which images are made for")
     shipped = compiled(tmp_path / "image", "--common")
     said = started(shipped, tmp_path / "cache", tmp_path)
-    assert (said["origin"], said["compiled"]) == ("shipped", 0)
+    assert (said["origin"], said["compiled"]) == ("shipped", [])
     assert Path(said["path"]).name == kernel_cache.fingerprint(kernel_cache.COMMON)
 
 

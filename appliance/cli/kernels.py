@@ -1,0 +1,97 @@
+"""Owns what the command line does before a verb that needs compiled kernels: find them, or compile them and say so.
+
+What is waited for is said on stderr, how much and for how long: on a terminal in one line that changes, elsewhere in lines
+at most ten seconds apart.
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from types import TracebackType
+from typing import TextIO
+
+from appliance import kernel_cache
+from appliance.kernel_build import CompileError, Compiling, Piece, compile_pieces, missing
+from appliance.kernel_cache import KernelCache, Origin
+
+LINE_EVERY_S = 8.0
+"""Where there is no terminal: one of the calls that come every second is this much later than the line before."""
+
+log = logging.getLogger(__name__)
+"""What makes somebody wait: heard from every verb (``output.log_lines``)."""
+service_log = logging.getLogger("kingfisher")
+
+
+def find_kernels() -> None:
+    """Use what was compiled before. What was not is compiled when it is first needed: only that is worth a line."""
+    cache = kernel_cache.use()
+    level = logging.INFO if cache.origin is Origin.EMPTY else logging.DEBUG
+    service_log.log(level, "kernels: %s, in %s", cache.origin.value, cache.path)
+
+
+def compile_kernels(more: Callable[[], Iterable[tuple[str, str]]] = tuple) -> None:
+    """Have everything compiled that a scan needs on the instrument, and the pieces (what for, function) of ``more``."""
+    cache = kernel_cache.use()  # before numba is imported
+    from appliance.worker.warm import INSTRUMENT
+
+    _compile(cache, (*INSTRUMENT, *(Piece(what, function) for what, function in more())))
+
+
+def compile_desk_kernels() -> None:
+    """Have everything compiled that a stored scan needs."""
+    cache = kernel_cache.use()
+    from appliance.worker.warm import DESK
+
+    _compile(cache, DESK)
+
+
+def _compile(cache: KernelCache, pieces: Sequence[Piece]) -> None:
+    if cache.origin is Origin.GIVEN or not missing(cache.path, pieces):
+        return
+    try:
+        with Progress() as progress:
+            compile_pieces(cache.path, pieces, progress)
+    except (CompileError, OSError) as error:
+        log.warning("kernels could not be compiled in advance: %s; they are compiled when first needed", error)
+
+
+class Progress:
+    """Says how far the compiler is. A context manager; call it with each ``Compiling``."""
+
+    def __init__(self, stream: TextIO | None = None, line: Callable[[str], None] = log.info) -> None:
+        self._stream = stream or sys.stderr
+        self._line = line
+        self._shown = 0
+        self._next_s = 0.0
+        self._last: Compiling | None = None
+
+    def __call__(self, now: Compiling) -> None:
+        self._last = now
+        text = _sentence(now)
+        if self._stream.isatty():
+            self._stream.write("\r" + text.ljust(self._shown))
+            self._stream.flush()
+            self._shown = len(text)
+        elif now.seconds >= self._next_s:
+            self._line(text)
+            self._next_s = now.seconds + LINE_EVERY_S
+
+    def __enter__(self) -> Progress:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._shown:
+            self._stream.write("\r" + " " * self._shown + "\r")
+            self._stream.flush()
+        if self._last is not None and kind is None:
+            self._line(f"compiled in {self._last.seconds:.0f} s")
+
+
+def _sentence(now: Compiling) -> str:
+    if not now.what:
+        return f"another process is compiling the same kernels; waiting for it, {now.seconds:.0f} s"
+    return f"compiling, once: {now.done} of {now.of} done; {', '.join(now.what)}; {now.seconds:.0f} s"

@@ -1,0 +1,26 @@
+"""Owns the compiling that ``./dev`` does before tests and benchmarks: every kernel of the product and of the simulator.
+
+    python -m bench.kernels
+
+Else each process that needs a kernel would compile it for itself, the reconstruction's worker while a test waits for it.
+"""
+
+from __future__ import annotations
+
+import sys
+
+from appliance.cli.kernels import compile_desk_kernels, compile_kernels
+from appliance.cli.output import log_lines
+from appliance.cli.simrig import simulator_kernels
+
+
+def main() -> int:
+    """Compile what is not compiled yet, and say how far it is on stderr."""
+    with log_lines(as_json=False, service=False):
+        compile_kernels(simulator_kernels)
+        compile_desk_kernels()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

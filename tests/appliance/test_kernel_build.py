@@ -1,0 +1,142 @@
+"""Kernels are compiled once, on several cores, with a word about it; what cannot be compiled is named, the rest is done."""
+
+from __future__ import annotations
+
+import io
+import logging
+import os
+import subprocess
+import sys
+import time
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from appliance import kernel_build, kernel_cache
+from appliance.cli.kernels import Progress
+from appliance.kernel_build import CompileError, Compiling, Piece, compile_pieces, missing
+
+HERE = "tests.appliance.test_kernel_build"
+LOG = "KERNEL_TEST_LOG"
+
+
+def _note(name: str) -> None:
+    with Path(os.environ[LOG]).open("a", encoding="ascii") as log:
+        log.write(f"{name} {os.getpid()} {os.environ[kernel_cache.VARIABLE]}\n")
+
+
+def one() -> None:
+    """Stands for kernels: it says where and by whom it was run."""
+    _note("one")
+    time.sleep(1.0)
+
+
+def two() -> None:
+    """Another one."""
+    _note("two")
+    time.sleep(1.0)
+
+
+def broken() -> None:
+    """Kernels that do not compile."""
+    raise TypeError("cannot unify int64 and array")
+
+
+def dies() -> None:
+    """A compiler that the system ends, for want of memory."""
+    os._exit(9)
+
+
+PIECES = (Piece("the first", f"{HERE}:one"), Piece("the second", f"{HERE}:two"))
+
+
+@pytest.fixture
+def ran(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The log of what was run."""
+    log = tmp_path / "log"
+    log.touch()
+    monkeypatch.setenv(LOG, str(log))
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[2]))
+    return log
+
+
+def lines(log: Path) -> list[list[str]]:
+    return [line.split() for line in log.read_text(encoding="ascii").splitlines()]
+
+
+def test_pieces_are_compiled_side_by_side_into_the_folder_and_never_again(ran: Path, tmp_path: Path) -> None:
+    folder, said = tmp_path / "kernels", list[Compiling]()
+    compile_pieces(folder, PIECES, said.append, processes=2)
+    assert {name for name, _, _ in lines(ran)} == {"one", "two"}
+    assert len({process for _, process, _ in lines(ran)}) == 2
+    assert {into for _, _, into in lines(ran)} == {str(folder)}
+    assert said[0].what == ("the first", "the second")
+    assert all(b.seconds - a.seconds < 10.0 for a, b in pairwise(said))
+    compile_pieces(folder, PIECES, said.append)
+    assert len(lines(ran)) == 2
+
+
+def test_what_was_compiled_of_a_file_that_is_written_anew_does_not_count(
+    ran: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    compile_pieces(tmp_path / "kernels", PIECES[:1])
+    assert missing(tmp_path / "kernels", PIECES) == [PIECES[1]]
+    monkeypatch.setattr(kernel_build, "stamps", lambda: "after a checkout")
+    assert missing(tmp_path / "kernels", PIECES) == list(PIECES)
+
+
+def test_who_starts_meanwhile_waits_and_compiles_nothing_twice(ran: Path, tmp_path: Path) -> None:
+    code = f"""
+from pathlib import Path
+from appliance.kernel_build import compile_pieces
+from {HERE} import PIECES
+if __name__ == "__main__":
+    compile_pieces(Path({str(tmp_path / "kernels")!r}), PIECES, print, processes=1)
+"""
+    script = tmp_path / "start.py"
+    script.write_text(code, encoding="utf-8")
+    both = [subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE, text=True) for _ in range(2)]
+    said = [process.communicate(timeout=120)[0] for process in both]
+    assert [process.returncode for process in both] == [0, 0]
+    assert sorted(name for name, _, _ in lines(ran)) == ["one", "two"]
+    assert any("what=()" in each for each in said), "nobody was told that somebody else is compiling"
+
+
+@pytest.mark.parametrize(("bad", "reason"), [("broken", "TypeError: cannot unify int64 and array"), ("dies", "code 9")])
+def test_what_cannot_be_compiled_is_named_and_the_rest_is_done(
+    bad: str, reason: str, ran: Path, tmp_path: Path
+) -> None:
+    piece = Piece("the bad one", f"{HERE}:{bad}")
+    with pytest.raises(CompileError, match=f"the bad one: .*{reason}"):
+        compile_pieces(tmp_path / "kernels", (piece, *PIECES), processes=1)
+    assert missing(tmp_path / "kernels", (piece, *PIECES)) == [piece]
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_on_a_terminal_one_line_changes_and_is_cleared(caplog: pytest.LogCaptureFixture) -> None:
+    terminal = Terminal()
+    caplog.set_level(logging.INFO)
+    with Progress(terminal) as progress:
+        progress(Compiling(0, 2, ("the first", "the second"), 0.0))
+        progress(Compiling(1, 2, ("the second",), 7.0))
+    shown = terminal.getvalue().split("\r")
+    assert shown[1].strip() == "compiling, once: 0 of 2 done; the first, the second; 0 s"
+    assert shown[2].strip() == "compiling, once: 1 of 2 done; the second; 7 s"
+    assert not shown[3].strip()
+    assert "\n" not in terminal.getvalue()
+    assert caplog.messages == ["compiled in 7 s"]
+
+
+def test_elsewhere_a_line_comes_at_least_every_ten_seconds() -> None:
+    begun: list[float] = []
+    now = 0.0
+    with Progress(io.StringIO(), lambda _: begun.append(now)) as progress:
+        for now in [0.3 * k + k % 2 for k in range(200)]:
+            progress(Compiling(0, 2, ("the first",), now))
+    assert len(begun) < 12
+    assert max(b - a for a, b in pairwise(begun)) < 10.0
