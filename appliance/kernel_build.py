@@ -34,6 +34,8 @@ TICK_S = 1.0
 PIECE_S = 900.0
 """The longest that one piece may take; the longest known takes half a minute of a processor of its own."""
 LOCK_S = 1800.0
+END_S = 10.0
+"""A process that has nothing left to do, or was killed, ends in no time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,7 +166,7 @@ class _Team:
     def _give(self, pipe: Connection, process: BaseProcess) -> None:
         if not self._left:
             pipe.close()
-            process.join(PIECE_S)
+            process.join(END_S)
             return
         piece = self._left.pop()
         self._working[pipe] = (process, piece, time.monotonic() + PIECE_S)
@@ -197,7 +199,7 @@ class _Team:
     def _dismiss(self, pipe: Connection) -> None:
         process, _, _ = self._working.pop(pipe)
         process.kill()
-        process.join()
+        process.join(END_S)
         pipe.close()
 
     def _say(self) -> None:
