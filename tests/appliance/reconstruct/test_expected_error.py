@@ -1,0 +1,178 @@
+"""What a correspondence expects of its error, part by part, against the sums of ``docs/uncertainty.md`` in float64."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from appliance.reconstruct.noise import CameraNoise, StereoNoise, camera_noise
+from appliance.reconstruct.ripple import KNEE, Ripple
+from appliance.reconstruct.scratch import (
+    BEND_RIGHT,
+    LIGHT,
+    MODULATION,
+    MODULATION_RIGHT,
+    POINT_VARIANCE,
+    RIGHT_SHARE,
+    SIZE,
+    SLOPE,
+    UP,
+    UQ,
+    P,
+)
+from appliance.reconstruct.sigma import SigmaFactors, expect_row, read_between, sigma_factors, without_neighbours
+
+LEFT = CameraNoise(read_dn=0.6, dn_per_e=0.02, black_dn=2.0)
+RIGHT = CameraNoise(read_dn=0.9, dn_per_e=0.05, black_dn=3.0)
+QUIET = CameraNoise(read_dn=1e-6, dn_per_e=0.0, black_dn=0.0)
+PERIOD_PX = 16
+N = 9
+PLAIN: dict[int, float] = {
+    MODULATION: 60.0,
+    MODULATION_RIGHT: 40.0,
+    LIGHT: 90.0,
+    SLOPE: 1.5,
+    BEND_RIGHT: 0.0,
+    RIGHT_SHARE: 0.8,
+    UP: 0.6,
+    UQ: 0.2,
+}
+
+
+def expected(factors: SigmaFactors, next_to: bool = True) -> np.ndarray:
+    return with_row(factors, {}, next_to)
+
+
+def with_row(
+    factors: SigmaFactors, changes: dict[int, Any], next_to: bool = True, p: np.ndarray | None = None
+) -> np.ndarray:
+    """Variance in px² of a row (n,) whose quantities are those of PLAIN but for the changes."""
+    s = np.full(SIZE, np.nan, np.float32)
+    for place, value in (PLAIN | changes).items():
+        s[place - 1 : place + N + 1] = value
+    s[P - 1 : P + N + 1] = 100.0 + 1.5 * np.arange(-1, N + 1) if p is None else p
+    expect_row(factors, next_to, s, N)
+    return s[POINT_VARIANCE : POINT_VARIANCE + N].astype(float)
+
+
+def noise_px2(modulation: float, light: float, camera: CameraNoise) -> float:
+    """P·σ/(2π·√2·B), squared."""
+    variance = camera.read_dn**2 + camera.dn_per_e * (light - camera.black_dn)
+    return (PERIOD_PX / (2.0 * math.pi * math.sqrt(2.0) * modulation)) ** 2 * variance
+
+
+FACTORS = sigma_factors(PERIOD_PX, StereoNoise(LEFT, RIGHT))
+SILENT = sigma_factors(PERIOD_PX, StereoNoise(QUIET, QUIET))
+
+
+@pytest.mark.parametrize("next_to", [True, False])
+def test_noise_is_that_of_both_cameras_each_at_its_own_light(next_to: bool) -> None:
+    both = noise_px2(60.0, 90.0, LEFT) + 0.8 * noise_px2(40.0, 90.0 * 40.0 / 60.0, RIGHT)
+    np.testing.assert_allclose(expected(FACTORS, next_to), (0.6**2 + 0.2**2) * both, rtol=1e-4)
+
+
+def test_noise_follows_light_modulation_and_the_share_that_reading_between_pixels_leaves() -> None:
+    changes = {MODULATION: 25.0, MODULATION_RIGHT: 70.0, LIGHT: 40.0, RIGHT_SHARE: 0.55, UP: -0.3, UQ: 0.5}
+    both = noise_px2(25.0, 40.0, LEFT) + 0.55 * noise_px2(70.0, 40.0 * 70.0 / 25.0, RIGHT)
+    np.testing.assert_allclose(with_row(FACTORS, changes), (0.3**2 + 0.5**2) * both, rtol=1e-4)
+
+
+def test_a_bend_of_either_camera_counts_by_the_blur() -> None:
+    bend = 0.3
+    along = np.arange(-1, N + 1)
+    p = 100.0 + 1.5 * along + bend * along**2
+    middle = N // 2
+    for changes, both in (({}, bend**2), ({BEND_RIGHT: 0.4}, bend**2 + 0.4**2)):
+        slope = 1.5 + 2.0 * bend * middle
+        found = with_row(SILENT, {SLOPE: slope, **changes}, p=p)[middle]
+        assert found == pytest.approx((0.6**2 + 0.2**2) * 0.2**2 * both, rel=1e-3)
+
+
+def test_a_bend_that_noise_alone_could_make_does_not_count() -> None:
+    noise = noise_px2(60.0, 90.0, LEFT) + 0.8 * noise_px2(40.0, 60.0, RIGHT)
+    plain = expected(FACTORS)[0]
+    at_the_limit = math.sqrt(20.0 * noise)
+    assert with_row(FACTORS, {BEND_RIGHT: 0.99 * at_the_limit})[0] == pytest.approx(plain, rel=1e-4)
+    more = with_row(FACTORS, {BEND_RIGHT: 2.0 * at_the_limit})[0]
+    assert more - plain == pytest.approx(0.4 * 0.2**2 * 3.0 * at_the_limit**2, rel=1e-2)
+
+
+def test_light_that_is_steeper_on_one_side_moves_a_slanted_coordinate_by_what_the_cameras_see_differently() -> None:
+    """β ∇p · ∇ln B of either camera; the right one's gradient is the left one's by the slopes' squares."""
+    steep = 60.0 + 4.0 * np.arange(-1, N + 1)
+    middle = N // 2
+    here = 60.0 + 4.0 * middle
+    for right_slope in (1.5, 2.5, 0.5):
+        found = with_row(SILENT, {MODULATION: steep, MODULATION_RIGHT: here, SLOPE: right_slope})[middle]
+        left, right = 1.5 * 4.0 / here, right_slope * (4.0 / here) * (right_slope / 1.5)
+        assert found == pytest.approx(0.4 * (0.2 * (left - right)) ** 2, rel=1e-3, abs=1e-9)
+
+
+def test_beside_a_missing_neighbour_a_point_expects_a_border() -> None:
+    p = 100.0 + 1.5 * np.arange(-1.0, N + 1)
+    p[4] = np.nan
+    found = with_row(SILENT, {}, p=p)
+    border = 0.4 * (0.07 * 1.5) ** 2
+    assert found[[2, 4]] == pytest.approx([border, border], rel=1e-3)
+    assert found[[0, 6]] == pytest.approx([0.0, 0.0], abs=1e-9)
+    missing = with_row(SILENT, {BEND_RIGHT: np.nan})
+    np.testing.assert_allclose(missing, border, rtol=1e-3)
+    alone = with_row(SILENT, {BEND_RIGHT: np.nan}, next_to=False)
+    np.testing.assert_allclose(alone, 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("slope", [0.5, 1.5, 3.0])
+def test_of_a_ripple_what_is_lost_between_pixels_counts(slope: float) -> None:
+    ripple = Ripple(0.05, lost_px=0.04, noise_px=0.01)
+    factors = sigma_factors(PERIOD_PX, StereoNoise(QUIET, QUIET), ripple)
+    t = (4.0 * 2.0 * math.pi / PERIOD_PX * slope) ** 2
+    lost = 0.05**2 * t**3 / (t**3 + KNEE)
+    found = with_row(factors, {SLOPE: slope}, p=100.0 + slope * np.arange(-1, N + 1))
+    np.testing.assert_allclose(found, 0.4 * lost, rtol=1e-3)
+
+
+def test_a_ripple_that_is_lost_in_noise_does_not_count() -> None:
+    for lost_px, counts in ((0.021, True), (0.019, False)):
+        factors = sigma_factors(PERIOD_PX, StereoNoise(LEFT, RIGHT), Ripple(0.05, lost_px, 0.1))
+        assert (factors.ripple_px2 > 0.0) == counts
+    assert sigma_factors(PERIOD_PX, StereoNoise(LEFT, RIGHT)).ripple_px2 == 0.0
+
+
+def test_a_longer_period_makes_noise_larger_in_proportion() -> None:
+    twice = sigma_factors(2 * PERIOD_PX, StereoNoise(LEFT, RIGHT))
+    np.testing.assert_allclose(expected(twice), 4.0 * expected(FACTORS), rtol=1e-5)
+
+
+def test_grey_values_read_between_pixels_share_noise_and_lose_the_ripple() -> None:
+    ripple = Ripple(0.05, lost_px=0.04, noise_px=0.01)
+    factors = sigma_factors(PERIOD_PX, StereoNoise(LEFT, RIGHT), ripple)
+    read = read_between(factors, 0.5, 10.0)
+    assert read.scale2_px2 == pytest.approx(0.25 * factors.scale2_px2)
+    assert read.dark_left == factors.dark_left
+    assert read.shot_left == factors.shot_left
+    assert read.dark_right == pytest.approx(1.17 * factors.dark_right)
+    assert read.shot_right == pytest.approx(1.17 * factors.shot_right)
+    third, first = math.sin(0.3 * math.pi) / (0.3 * math.pi), math.sin(0.1 * math.pi) / (0.1 * math.pi)
+    assert read.ripple_px2 == pytest.approx(0.05**2 * (third / first) ** 8, rel=1e-4)
+
+
+def test_without_neighbours_only_noise_and_ripple_are_left() -> None:
+    ripple = Ripple(0.05, lost_px=0.04, noise_px=0.01)
+    factors = sigma_factors(PERIOD_PX, StereoNoise(LEFT, RIGHT), ripple)
+    alone = without_neighbours.py_func(factors)
+    assert (alone.blur2_px4, alone.border_px2) == (0.0, 0.0)
+    assert alone[:-2] == factors[:-2]
+
+
+def test_a_data_sheets_figures_are_the_cameras_noise_at_every_gain() -> None:
+    """13 000 electrons at 255 grey values, 20 electrons of read noise: at 6.02 dB twice the grey values per electron."""
+    plain, twice = camera_noise(13_000.0, 20.0, 2.0, 0.0), camera_noise(13_000.0, 20.0, 2.0, 20.0 * math.log10(2.0))
+    assert plain.dn_per_e == pytest.approx(255.0 / 13_000.0)
+    assert plain.read_dn == pytest.approx(math.sqrt((20.0 * 255.0 / 13_000.0) ** 2 + 1.0 / 12.0))
+    assert twice.dn_per_e == pytest.approx(2.0 * plain.dn_per_e)
+    assert twice.read_dn == pytest.approx(math.sqrt((40.0 * 255.0 / 13_000.0) ** 2 + 1.0 / 12.0))
+    assert plain.variance_dn2(102.0) == pytest.approx(plain.read_dn**2 + 100.0 * plain.dn_per_e)
+    assert plain.variance_dn2(0.0) == pytest.approx(plain.read_dn**2), "below black there is no light to be missing"

@@ -1,0 +1,181 @@
+"""Two sequences pixel by pixel, with variances worked out by hand: who is taken, what is averaged, what is masked."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from appliance.reconstruct.decode import DecodedMaps, Mask
+from appliance.reconstruct.merge import Agreement, merge
+from appliance.reconstruct.noise import CameraNoise
+
+NOISE = CameraNoise(read_dn=0.5, dn_per_e=0.02, black_dn=2.0)
+SCALE_PX = 16.0 / (2.0 * math.pi * math.sqrt(2.0))
+NAN = math.nan
+
+
+def sigma_px(modulation_dn: float, middle: float, noise: CameraNoise = NOISE) -> float:
+    return SCALE_PX * math.sqrt(noise.read_dn**2 + noise.dn_per_e * (middle - noise.black_dn)) / modulation_dn
+
+
+def maps(
+    mask: list[int], p_px: list[float], modulation_dn: list[float], middle: list[int], q_px: list[float] | None = None
+) -> DecodedMaps:
+    n = len(mask)
+    return DecodedMaps(
+        np.array([mask], np.uint8),
+        np.array([p_px], np.float32),
+        np.array([p_px if q_px is None else q_px], np.float32),
+        np.array([np.rint(2.0 * np.array(modulation_dn))], np.uint8),
+        np.array([middle], np.uint8),
+        np.array([[0, n]], np.int32),
+        n,
+    )
+
+
+V, SHADOW, SATURATED, WEAK, CONTRADICTION, EDGE = (
+    Mask.VALID,
+    Mask.SHADOW,
+    Mask.SATURATED,
+    Mask.WEAK,
+    Mask.CONTRADICTION,
+    Mask.EDGE,
+)
+
+
+def merged(
+    first: DecodedMaps, second: DecodedMaps, noise: tuple[CameraNoise, CameraNoise] = (NOISE, NOISE)
+) -> Agreement:
+    return merge(first, second, noise, 16)
+
+
+def test_two_coordinates_become_their_mean_by_variance_and_the_stated_light_gives_its_variance() -> None:
+    first = maps([V], [100.0], [40.0], [80], [50.0])
+    second = maps([V], [100.02], [20.0], [50], [50.01])
+    a, b = sigma_px(40.0, 80) ** 2, sigma_px(20.0, 50) ** 2
+    agreement = merged(first, second)
+    weight = b / (a + b)
+    assert first.p_px[0, 0] == pytest.approx(100.0 + 0.02 * (1 - weight), abs=1e-5)
+    assert first.q_px[0, 0] == pytest.approx(50.0 + 0.01 * (1 - weight), abs=1e-5)
+    said = sigma_px(first.modulation_half_dn[0, 0] / 2.0, int(first.middle[0, 0])) ** 2
+    assert said == pytest.approx(1.0 / (1.0 / a + 1.0 / b), rel=0.02)
+    assert first.middle[0, 0] == 80, "the light of the clearer one"
+    assert (agreement.first, agreement.second, agreement.both, agreement.masked) == (0.0, 0.0, 1.0, 0.0)
+    assert agreement.agrees is None, "one pixel tells nothing of a movement"
+
+
+def test_of_the_clearer_second_sequence_the_light_is_kept_and_its_own_noise_counts() -> None:
+    loud = CameraNoise(read_dn=2.0, dn_per_e=0.08, black_dn=2.0)
+    first, second = maps([V], [100.0], [20.0], [60]), maps([V], [100.1], [90.0], [120])
+    merged(first, second, (NOISE, loud))
+    a, b = sigma_px(20.0, 60) ** 2, sigma_px(90.0, 120, loud) ** 2
+    assert first.p_px[0, 0] == pytest.approx(100.0 + 0.1 * a / (a + b), abs=1e-5)
+    assert first.middle[0, 0] == 120
+    said = sigma_px(first.modulation_half_dn[0, 0] / 2.0, 120) ** 2
+    assert said == pytest.approx(1.0 / (1.0 / a + 1.0 / b), rel=0.03), "restated in the first one's noise"
+
+
+@pytest.mark.parametrize("times", [4.8, 5.2])
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_more_than_five_sigmas_apart_in_either_direction_is_a_contradiction(times: float, axis: int, sign: int) -> None:
+    off = sign * times * math.hypot(sigma_px(40.0, 80), sigma_px(20.0, 50))
+    at = [100.0, 50.0]
+    at[axis] += off
+    first = maps([V], [100.0], [40.0], [80], [50.0])
+    agreement = merged(first, maps([V], [at[0]], [20.0], [50], [at[1]]))
+    apart = times > 5.0
+    assert first.mask[0, 0] == (CONTRADICTION if apart else V)
+    assert np.isnan([first.p_px[0, 0], first.q_px[0, 0]]).tolist() == [apart, apart]
+    assert agreement.both == 1.0
+    assert agreement.masked == float(apart)
+
+
+def test_where_only_one_has_a_coordinate_it_is_taken_and_where_none_has_there_is_none() -> None:
+    first = maps([V, SATURATED, WEAK, SHADOW, WEAK], [1.0, NAN, NAN, NAN, NAN], [40, 50, 3, 0, 3], [80, 200, 20, 5, 20])
+    second = maps([WEAK, V, V, V, SHADOW], [NAN, 2.0, 3.0, 4.0, NAN], [3, 30, 20, 25, 0], [20, 60, 50, 55, 4])
+    agreement = merged(first, second)
+    assert first.mask.tolist() == [[V, V, V, V, WEAK]]
+    np.testing.assert_array_equal(first.p_px, np.array([[1.0, 2.0, 3.0, 4.0, NAN]], np.float32))
+    assert first.middle[0, 0] == 80
+    assert first.modulation_half_dn[0, 0] == 80
+    for k, (modulation, middle) in enumerate([(30, 60), (20, 50), (25, 55)], start=1):
+        said = sigma_px(first.modulation_half_dn[0, k] / 2.0, int(first.middle[0, k]))
+        assert said == pytest.approx(sigma_px(modulation, middle), rel=0.03), k
+    assert (agreement.first, agreement.second, agreement.both) == pytest.approx((0.2, 0.6, 0.0))
+
+
+@pytest.mark.parametrize("doubt", [CONTRADICTION, EDGE])
+def test_an_edge_in_the_clearer_sequence_is_one_whatever_the_other_shows(doubt: Mask) -> None:
+    first = maps([V, V, doubt, doubt], [1.0, 2.0, NAN, NAN], [20, 40, 40, 20], [50, 80, 80, 50])
+    second = maps([doubt, doubt, V, V], [NAN, NAN, 3.0, 4.0], [40, 20, 20, 40], [80, 50, 50, 80])
+    agreement = merged(first, second)
+    assert np.isnan(first.p_px[0]).tolist() == [True, False, True, False]
+    assert first.mask[0].tolist() == [EDGE, V, doubt, V]
+    assert (agreement.first, agreement.second, agreement.both) == pytest.approx((0.25, 0.25, 0.0))
+
+
+def test_a_variance_better_than_the_scale_can_say_is_said_with_less_light() -> None:
+    first, second = maps([V], [100.0], [127.0], [130]), maps([V], [100.0], [127.0], [130])
+    merged(first, second)
+    variance = sigma_px(127.0, 130) ** 2 / 2.0
+    assert first.modulation_half_dn[0, 0] == 255
+    assert first.middle[0, 0] < 130
+    assert sigma_px(127.5, int(first.middle[0, 0])) ** 2 == pytest.approx(variance, rel=0.03)
+
+
+def test_lit_parts_are_joined() -> None:
+    first, second = maps([V] * 6, [1.0] * 6, [40.0] * 6, [80] * 6), maps([V] * 6, [1.0] * 6, [40.0] * 6, [80] * 6)
+    first.lit_columns[:], second.lit_columns[:] = [2, 5], [1, 4]
+    first.lit_pixels, second.lit_pixels = 3, 4
+    merged(first, second)
+    assert first.lit_columns.tolist() == [[1, 5]]
+    assert first.lit_pixels == 4
+
+
+def whole(off_px: np.ndarray, shape: tuple[int, int] = (96, 160)) -> tuple[DecodedMaps, DecodedMaps]:
+    """Two sequences of an image that differ by ``off_px`` in p."""
+    v, u = np.mgrid[0 : shape[0], 0 : shape[1]].astype(np.float32)
+
+    def one(p: np.ndarray) -> DecodedMaps:
+        return DecodedMaps(
+            np.zeros(shape, np.uint8),
+            p.astype(np.float32),
+            v.copy(),
+            np.full(shape, 80, np.uint8),
+            np.full(shape, 80, np.uint8),
+            np.tile(np.array([0, shape[1]], np.int32), (shape[0], 1)),
+            p.size,
+        )
+
+    return one(u), one(u + off_px)
+
+
+@pytest.mark.parametrize(("noises", "agrees"), [(0.0, True), (0.45, True), (0.55, False), (-0.55, False)])
+def test_a_shift_of_half_the_noise_common_to_the_image_is_a_movement(noises: float, agrees: bool) -> None:
+    noise_px = math.sqrt(2.0) * sigma_px(40.0, 80)
+    first, second = whole(np.full((96, 160), noises * noise_px))
+    agreement = merged(first, second)
+    assert agreement.shift == pytest.approx(abs(noises), abs=0.01)
+    assert agreement.agrees is agrees
+    assert agreement.both == 1.0
+    assert np.isfinite(first.p_px).all()
+
+
+def test_a_corner_that_moved_does_not_make_the_whole_image_move() -> None:
+    off = np.zeros((96, 160))
+    off[:40, :60] = math.sqrt(2.0) * sigma_px(40.0, 80)
+    agreement = merged(*whole(off))
+    assert agreement.shift == pytest.approx(0.0, abs=0.01)
+
+
+def test_of_too_few_shared_pixels_no_movement_is_told() -> None:
+    for shared, told in ((99, False), (100, True)):
+        first, second = whole(np.zeros((96, 160)))
+        second.mask[:] = SATURATED
+        block = np.zeros((16, 20), bool)
+        block.ravel()[:shared] = True
+        second.mask[:16, :20][block] = V
+        assert (merged(first, second).agrees is not None) == told, shared
