@@ -62,7 +62,7 @@ class Row:
         match_row(right, before, self.s, self.n, above is not None, np.empty(self.n, np.int32))
 
     def __getitem__(self, place: int) -> np.ndarray:
-        return self.s[place : place + self.n].astype(float)
+        return np.asarray(self.s[place : place + self.n], np.float64)
 
     def __setitem__(self, place: int, values: np.ndarray) -> None:
         self.s[place : place + self.n] = values
