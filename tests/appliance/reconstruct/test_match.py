@@ -62,14 +62,16 @@ class Row:
         match_row(right, before, self.s, self.n, above is not None, np.empty(self.n, np.int32))
 
     def __getitem__(self, place: int) -> np.ndarray:
-        return np.asarray(self.s[place : place + self.n], np.float64)
+        values: np.ndarray = self.s[place : place + self.n].astype(float)
+        return values
 
     def __setitem__(self, place: int, values: np.ndarray) -> None:
         self.s[place : place + self.n] = values
 
     @property
     def matched(self) -> np.ndarray:
-        return np.isfinite(self[U])
+        found: np.ndarray = np.isfinite(self[U])
+        return found
 
 
 def somewhere(seed: int, n: int = 70) -> tuple[np.ndarray, np.ndarray]:
