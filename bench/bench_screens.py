@@ -12,7 +12,7 @@ from appliance.capture.ranging import Reach
 from appliance.patterns.draw import draw_sequence
 from appliance.patterns.sequence import Direction, PatternSequence, build_sequence
 from appliance.screens.painter import Painter
-from appliance.screens.views import AimView, Gauge, Grade, PointValue, ReviewView
+from appliance.screens.views import AimView, Gauge, Grade, ReviewView
 from bench.result import Measured
 from drivers.output.display import PictureDisplay
 from drivers.output.gl import open_gl
@@ -30,7 +30,7 @@ def measure() -> Iterator[Measured]:
         left=live, right=live, scans_taken=3, scans_left=40, temperature_c=31.0, gauge=Gauge(505.0, 4.0, Reach.OK)
     )
     review = ReviewView(
-        points_mm=points, values=points[:, 2].copy(), value=PointValue.DEPTH, coarse=False, grade=Grade.GOOD,
+        points_mm=points, values=points[:, 2].copy(), coarse=False, grade=Grade.GOOD,
         points=len(points), coverage_percent=90.0, noise_mm=0.03, distance_mm=500.0, duration_s=1.0,
     )  # fmt: skip
     sequence = build_sequence(16)

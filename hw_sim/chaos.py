@@ -41,6 +41,7 @@ AIM_S, ANSWER_S, END_S, SAVE_S = 60.0, 3.0, 200.0, 60.0
 LOST = "_LOST"
 """How the code of a device that is away ends."""
 REJECT_HOLD_S = 1.2
+REJECT_TRIES = 5
 """BACK held so long rejects a scan."""
 READY_S = 45.0
 """After everything is repaired: until SCAN is answered with a scan."""
@@ -176,7 +177,10 @@ class ChaosDiver(Actor):
             self._keep()
         else:
             self.report.rejected += 1
-            self.press("back", REJECT_HOLD_S)
+            for _ in range(REJECT_TRIES):  # a warning that lasts is acknowledged first, with the same key
+                self.press("back", REJECT_HOLD_S)
+                if self.until(lambda: self._state() != "REVIEW", PRESS_S) or self.over:
+                    break
 
     def _not_recorded(self, told: list[str], away: str | None) -> None:
         """No scan: somebody must say why, or have said it."""

@@ -5,14 +5,15 @@ A headline has at most 16 characters, an action at most 32; both are read under 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from types import MappingProxyType
 
 from appliance.capture.fault import Fault, FaultCode
 from appliance.machine import german
-from appliance.machine.states import Machine, NoticeKind
+from appliance.machine.states import Machine, NoticeKind, State
 from drivers.api import Key
 
 
@@ -36,6 +37,10 @@ class Alert:
     device: str | None = None
     german: tuple[str, str] | None = None
     """Headline and action in German; ``None``: only English is known."""
+    lasts: bool = False
+    """Shown as long as its cause lasts (a condition, a lost device, a stuck key), not until the next key."""
+    seen: bool = False
+    """The diver has acknowledged it: a small mark is left of it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +63,10 @@ class Rule:
     """Found in a recorded scan, it makes the scan worthless."""
     spoils_points: bool = False
     """Found in a recorded scan, it makes points wrong: the diver may keep the scan, but is never told it is good."""
+    doubts_lengths: bool = False
+    """While it lasts, shapes are right and lengths may not be: no scan is called good without saying so."""
+    worsens: Mapping[str, float] = field(default_factory=dict, hash=False)
+    """By how much a number has to change, and in which direction, for an acknowledged alert to be shown in full again."""
 
 
 _I, _W, _C = Severity.INFO, Severity.WARNING, Severity.CRITICAL
@@ -96,7 +105,7 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
             _W, "CAMERA LINK SLOW", "CHECK CONNECTOR", blocks_scan=True, stops_capture=True
         ),
         FaultCode.CAMERA_REFUSED: Rule(
-            _W, "{side}CAM REFUSED", "CHECK RIG FILE", "CAMERA REFUSED", blocks_scan=True, stops_capture=True
+            _W, "{side}CAM REFUSED", "ASHORE: CHECK RIG FILE", "CAMERA REFUSED", blocks_scan=True, stops_capture=True
         ),
         FaultCode.PROJECTOR_LOST: Rule(_W, "PROJECTOR LOST", "CHECK CONNECTOR", blocks_scan=True, stops_capture=True),
         FaultCode.DISPLAY_LOST: Rule(_W, "DISPLAY LOST", "CHECK CONNECTOR"),
@@ -117,14 +126,23 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
         FaultCode.SCAN_RECOVERED: Rule(_W, "SCAN RECOVERED", "IT IS IN THE GALLERY"),
         FaultCode.UPDATE_UNDONE: Rule(_W, "UPDATE UNDONE", "THE OLD VERSION GOES ON"),
         FaultCode.SETTINGS_LOST: Rule(_W, "SETTINGS LOST", "CHECK THEM IN THE MENU"),
-        FaultCode.UNCALIBRATED: Rule(_W, "UNCALIBRATED", "LENGTHS NOT TRUSTED", exchanged="{camera} EXCHANGED"),
-        FaultCode.LENGTH_ERROR: Rule(
-            _W, "LENGTH ERR {error_percent:.1f} %", "CHECK WATER, THEN CALIBRATE", "LENGTH ERROR"
+        FaultCode.UNCALIBRATED: Rule(
+            _W, "UNCALIBRATED", "LENGTHS NOT TRUSTED", doubts_lengths=True, exchanged="{camera} EXCHANGED"
         ),
-        FaultCode.VERIFY_CALIBRATION: Rule(_W, "VERIFY CALIBR.", "CHECK WATER AND BALL BAR"),
+        FaultCode.LENGTH_ERROR: Rule(
+            _W,
+            "LENGTH ERR {error_percent:.1f} %",
+            "CHECK WATER, THEN CALIBRATE",
+            "LENGTH ERROR",
+            doubts_lengths=True,
+            worsens={"error_percent": 0.2},
+        ),
+        FaultCode.VERIFY_CALIBRATION: Rule(_W, "VERIFY CALIBR.", "CHECK WATER AND BALL BAR", doubts_lengths=True),
         FaultCode.RECONSTRUCTION_FAILED: Rule(_W, "PROCESS LATER", "KEEP RAW FRAMES OR REPEAT"),
         FaultCode.WINDOW: Rule(_W, "{side}WINDOW?", "WIPE IT; FOG INSIDE: DRY IT", "WINDOW?"),
-        FaultCode.WARM: Rule(_W, "WARM {temperature_c:.0f} °C", "LET IT COOL SOON", "WARM"),
+        FaultCode.WARM: Rule(
+            _W, "WARM {temperature_c:.0f} °C", "LET IT COOL SOON", "WARM", worsens={"temperature_c": 2.0}
+        ),
         FaultCode.HOT: Rule(
             _C, "HOT {temperature_c:.0f} °C", "COOLING, SCAN BLOCKED", "HOT", blocks_scan=True, forbids_light=True
         ),
@@ -132,20 +150,24 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
             _C, "TOO HOT {temperature_c:.0f}°C", "SWITCHING OFF", "TOO HOT", blocks_scan=True, forbids_light=True
         ),
         FaultCode.TEMPERATURE_UNKNOWN: Rule(_W, "TEMP ?", "LIGHT IS RATIONED"),
-        FaultCode.SUPPLY_LOW: Rule(_W, "SUPPLY LOW {supply_v:.1f}V", "END DIVE", "SUPPLY LOW", blocks_scan=True),
+        FaultCode.SUPPLY_LOW: Rule(
+            _W, "SUPPLY LOW {supply_v:.1f}V", "END DIVE", "SUPPLY LOW", blocks_scan=True, worsens={"supply_v": -0.3}
+        ),
         FaultCode.LEAK: Rule(_C, "LEAK: ASCEND", "LIGHT IS OFF, SCANS ARE SAFE", blocks_scan=True, forbids_light=True),
-        FaultCode.INTERNAL: Rule(_W, "INTERNAL FAULT", "REPEAT; SEE LOG", spoils_scan=True),
+        FaultCode.INTERNAL: Rule(_W, "INTERNAL FAULT", "REPEAT; READ THE LOG ASHORE", spoils_scan=True),
     }
 )
 
 _CAMERAS = {"camera.left": "LEFT CAMERA", "camera.right": "RIGHT CAMERA", "cameras": "CAMERAS"}
+LONGEST = 16
+"""Letters of a headline; ``plain`` has no more either."""
 _SIDES = {"camera.left": "LEFT ", "camera.right": "RIGHT "}
 
 
 def headline_of(fault: Fault) -> str:
     """At most 16 characters, with the fault's numbers where all of them are known."""
     rule = RULES[fault.code]
-    return _filled(rule.headline, rule.plain or fault.code.value.replace("_", " "), fault, {"side": _SIDES})
+    return _filled(rule.headline, rule.plain or fault.code.value.replace("_", " "), fault, {"side": _SIDES}, LONGEST)
 
 
 def actions_of(fault: Fault) -> tuple[str, str]:
@@ -160,11 +182,12 @@ def actions_of(fault: Fault) -> tuple[str, str]:
 def german_headline_of(fault: Fault) -> str:
     """The same in German."""
     words = german.GERMAN[fault.code]
-    sides = {"side": german.SIDES, "short_side": german.SHORT_SIDES}
-    return _filled(words.headline, words.plain or words.headline, fault, sides)
+    sides = {"side": german.SIDES, "window_side": german.WINDOW_SIDES}
+    return _filled(words.headline, words.plain or words.headline, fault, sides, german.LONGEST)
 
 
-def _filled(template: str, plain: str, fault: Fault, sides: Mapping[str, Mapping[str, str]]) -> str:
+def _filled(template: str, plain: str, fault: Fault, sides: Mapping[str, Mapping[str, str]], longest: int) -> str:
+    """The template with the fault's numbers; ``plain`` where one is missing, or so large that there is no room for it."""
     values: dict[str, float | str] = dict(fault.numbers)
     for name, words in sides.items():
         if fault.device is not None and fault.device in words:
@@ -173,7 +196,7 @@ def _filled(template: str, plain: str, fault: Fault, sides: Mapping[str, Mapping
         text = template.format(**values)
     except (KeyError, ValueError):
         text = plain
-    return text if len(text) <= 16 else plain[:16]
+    return text if len(text) <= longest else plain
 
 
 def alert_of(fault: Fault) -> Alert:
@@ -209,22 +232,84 @@ def _notice(machine: Machine) -> Alert | None:
             return plain
 
 
+_TESTED = frozenset(
+    {
+        FaultCode.CAMERA_LOST, FaultCode.CAMERA_SLOW_LINK, FaultCode.CAMERA_REFUSED, FaultCode.PROJECTOR_LOST,
+        FaultCode.DISPLAY_LOST, FaultCode.BOARD_LOST, FaultCode.KEYS_LOST, FaultCode.UNCALIBRATED,
+    }
+)  # fmt: skip
+"""What has a line of its own in the self-test."""
+QUIET: Mapping[State, frozenset[FaultCode]] = MappingProxyType(
+    {
+        State.BOOT: _TESTED,
+        State.SELF_TEST: _TESTED,
+        State.CALIBRATE: frozenset({FaultCode.UNCALIBRATED, FaultCode.LENGTH_ERROR}),
+        State.COOLING: frozenset({FaultCode.HOT, FaultCode.WARM}),
+        State.SAFE: frozenset({FaultCode.LEAK}),
+    }
+)
+"""What a state's own screen says already, or is the remedy for."""
+
+
+def lasting(machine: Machine) -> tuple[Fault, ...]:
+    """What is wrong until it ends by itself or is mended: lost devices, conditions, stuck keys."""
+    stuck = (Fault(FaultCode.KEY_STUCK, f"{k.value} key", device=f"key.{k.value}") for k in Key if k in machine.stuck)
+    return (*machine.lost.values(), *machine.conditions, *stuck)
+
+
+def seen(machine: Machine, fault: Fault) -> bool:
+    """Whether the diver has acknowledged it as it is now: for the same reason, and not noticeably worse."""
+    worsens = RULES[fault.code].worsens
+    return any(
+        (was.code, was.device, _reason(was)) == (fault.code, fault.device, _reason(fault))
+        and not any(_worse(was, fault, name, by) for name, by in worsens.items())
+        for was in machine.seen
+    )
+
+
+def _reason(fault: Fault) -> str:
+    """The detail without its numbers, which change from one moment to the next."""
+    return re.sub(r"[-+]?\d[\d.,]*", "#", fault.detail)
+
+
+def _worse(was: Fault, now: Fault, name: str, by: float) -> bool:
+    if name not in was.numbers or name not in now.numbers:
+        return name in now.numbers
+    change = now.numbers[name] - was.numbers[name]
+    return change >= by if by > 0.0 else change <= by
+
+
+def in_full(shown: Sequence[Alert]) -> Alert | None:
+    """The one that is shown in full: the first of the gravest that nobody has acknowledged."""
+    return max((alert for alert in shown if not alert.seen), key=lambda alert: alert.severity, default=None)
+
+
+def on_screen(machine: Machine) -> tuple[Alert, ...]:
+    """What the band of the screen shows of ``alerts``: not what the screen is made of, nor what is being remedied."""
+    quiet = QUIET.get(machine.state, frozenset())
+    return tuple(alert for alert in alerts(machine) if alert.code not in quiet)
+
+
+def lengths_doubtful(machine: Machine) -> bool:
+    """Whether something lasts that makes lengths not to be trusted."""
+    return any(RULES[fault.code].doubts_lengths for fault in machine.conditions)
+
+
 def alerts(machine: Machine) -> tuple[Alert, ...]:
     """What to show now: the notice first, then what lasts, the most severe first; nothing twice."""
-    stuck = [Fault(FaultCode.KEY_STUCK, f"{k.value} key", device=f"key.{k.value}") for k in Key if k in machine.stuck]
-    lasting = [alert_of(fault) for fault in (*machine.lost.values(), *machine.conditions, *stuck)]
+    lasts = [replace(alert_of(fault), lasts=True, seen=seen(machine, fault)) for fault in lasting(machine)]
     if machine.scan is not None:
-        lasting += [alert_of(fault) for fault in machine.scan.warnings]
+        lasts += [alert_of(fault) for fault in machine.scan.warnings]
         if machine.scan.failed is not None:
-            lasting.append(alert_of(machine.scan.failed))
+            lasts.append(alert_of(machine.scan.failed))
     # Among equally grave ones, what keeps it dark comes first, then what forbids a scan: a leak before a disk, and a full
     # disk before a calibration that nobody trusts.
-    lasting.sort(key=lambda a: (-a.severity, not RULES[a.code].forbids_light, not RULES[a.code].blocks_scan))
+    lasts.sort(key=lambda a: (-a.severity, not RULES[a.code].forbids_light, not RULES[a.code].blocks_scan))
     shown: list[Alert] = []
     notice = _notice(machine)
     if notice is not None:
         shown.append(notice)
-    for alert in lasting:
+    for alert in lasts:
         if not any((s.code, s.headline) == (alert.code, alert.headline) for s in shown):
             shown.append(alert)
     return tuple(shown)

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import assert_never
 
-from appliance.machine import asking, calibrate, gallery, menu, safety, scanning, start
+from appliance.machine import acknowledge, asking, calibrate, gallery, menu, safety, scanning, start
 from appliance.machine.moves import Result
 from appliance.machine.states import Machine, State
 from drivers.api import Key
@@ -28,9 +28,12 @@ def meaning(machine: Machine, key: Key) -> Key:
 
 def pressed(machine: Machine, key: Key) -> Result:
     """A key went down. ``key`` is what it stands for."""
+    known = acknowledge.pending(machine) if key is Key.BACK else None
     machine = replace(machine, notice=None, just_saved=None, last_key_ns=machine.now_ns)
     if key is Key.BACK:
         machine = replace(machine, back_from=machine.state, back_spent=False)
+    if known is not None:
+        return acknowledge.acknowledged(machine, known), ()
     if key is not Key.SCAN:
         machine = replace(machine, insists_until_ns=None)
     if machine.off_question is not None:

@@ -30,9 +30,9 @@ class Row(Enum):
     WATER_TEMPERATURE = "WATER TEMPERATURE"
 
     VERSION = "VERSION"
-    INSTRUMENT = "INSTRUMENT"
+    SERIAL_NUMBER = "SERIAL NUMBER"
     CALIBRATED = "CALIBRATED"
-    CALIBRATION_HASH = "CALIBRATION HASH"
+    SALINITY = "SALINITY"
     DISK = "DISK"
 
 
@@ -51,7 +51,7 @@ ROWS: Mapping[Page, tuple[Row, ...]] = MappingProxyType(
             ),
         ),
         Page.WATER: (Row.WATER_KIND, Row.WATER_TEMPERATURE),
-        Page.ABOUT: (Row.VERSION, Row.INSTRUMENT, Row.CALIBRATED, Row.CALIBRATION_HASH, Row.DISK),
+        Page.ABOUT: (Row.VERSION, Row.SERIAL_NUMBER, Row.CALIBRATED, Row.SALINITY, Row.DISK),
     }
 )
 PAGES = {Row.WATER: Page.WATER, Row.ABOUT: Page.ABOUT}

@@ -336,6 +336,8 @@ class Machine:
     """A device in neither ``up`` nor ``lost`` has not been heard of."""
     conditions: tuple[Fault, ...] = ()
     """What is wrong as long as it lasts, besides lost devices; one per code and device."""
+    seen: tuple[Fault, ...] = ()
+    """Of what lasts, what the diver has acknowledged, as it was then; one per code and device."""
     notice: Notice | None = None
     captures: int = 0
     """Number of the latest Capture effect."""

@@ -1,7 +1,7 @@
 """Owns every decision of the instrument: ``step(machine, event) -> (machine, effects)``, pure and total.
 
 It does no I/O, never raises and never waits. The decisions themselves lie with their subjects: ``start``, ``keys``,
-``asking``, ``menu``, ``gallery``, ``scanning``, ``saving``, ``calibrate``, ``safety``. Light is granted in one place (``_settle``), from
+``asking``, ``acknowledge``, ``menu``, ``gallery``, ``scanning``, ``saving``, ``calibrate``, ``safety``. Light is granted in one place (``_settle``), from
 the state and the conditions after the event, so that no path to a new state can forget to switch it off.
 """
 
@@ -12,7 +12,7 @@ from typing import assert_never
 
 from appliance.capture.fault import Fault, FaultCode
 from appliance.capture.ranging import Reach, reach_of
-from appliance.machine import asking, calibrate, gallery, keys, safety, saving, scanning, start, thermal
+from appliance.machine import acknowledge, asking, calibrate, gallery, keys, safety, saving, scanning, start, thermal
 from appliance.machine import effects as do
 from appliance.machine import events as on
 from appliance.machine.conditions import cleared, device_down, device_up, judge, raised
@@ -29,7 +29,7 @@ def step(machine: Machine, event: on.Event) -> Result:
     after, more = safety.forced(after)
     if after.insists_until_ns is not None and after.now_ns >= after.insists_until_ns:
         after = replace(after, insists_until_ns=None, notice=None)  # the question was not answered
-    after = asking.unanswered(after)
+    after = acknowledge.forgotten(asking.unanswered(after))
     return _settle(machine, _without_answered_refusal(after), (*wanted, *more))
 
 

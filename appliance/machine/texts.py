@@ -5,16 +5,21 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import assert_never
 
-from appliance.machine import asking, calibrate, gallery, menu, start
+from appliance.machine import acknowledge, asking, calibrate, gallery, menu, start
 from appliance.machine import effects as do
 from appliance.machine.permissions import other_exposure, second_exposure
 from appliance.machine.states import Answer, Machine, NoticeKind, State
 from drivers.api import Key
 
+SEEN = "SEEN"
+"""Beside BACK while it acknowledges what is shown in full."""
+
 
 def labels(machine: Machine) -> Mapping[Key, str]:
     """Label per physical key; a key without one does nothing now. A stuck key's label moves to its stand-in."""
     meant = _meant(machine)
+    if acknowledge.pending(machine) is not None:
+        meant[Key.BACK] = SEEN
     for broken, stand_in in ((Key.SCAN, Key.UP), (Key.BACK, Key.DOWN)):
         if broken in machine.stuck:
             label = meant.pop(broken, None)

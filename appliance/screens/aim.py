@@ -11,8 +11,8 @@ from appliance.screens import theme
 from appliance.screens.canvas import Align, Canvas
 from appliance.screens.frame import alerts_top, draw_title, room_between
 from appliance.screens.gauge import draw_gauge
-from appliance.screens.texts import Language, Text, worded
-from appliance.screens.theme import BAR_PX, BLACK, BODY, BOLD, CAPTION, REGULAR, TITLE
+from appliance.screens.texts import Language, Text, numbered, worded
+from appliance.screens.theme import BLACK, BODY, BOLD, CAPTION, REGULAR, TITLE
 from appliance.screens.views import AimView
 
 LIVE_PX = (398.0, 298.5)
@@ -33,21 +33,20 @@ def draw_aim(canvas: Canvas, view: AimView, language: Language) -> None:
     )
     draw_title(canvas, title.in_language(language), view.keys, language, colour)
     draw_gauge(canvas, view.gauge, GAUGE_MIDDLE_PX, language)
-    width, height = LIVE_PX
-    top = _TOP_PX + max(0.0, canvas.height - BAR_PX - _TOP_PX - height) / 2
+    width, room = LIVE_PX[0], alerts_top(canvas, view.alerts) - _TOP_PX
+    height = min(LIVE_PX[1], room)
+    top = _TOP_PX + (room - height) / 2
     right = canvas.width - width
-    _live(canvas, "left", view.left, 0, top, language)
-    _live(canvas, "right", view.right, right, top, language)
+    _live(canvas, "left", view.left, 0, top, height, language)
+    _live(canvas, "right", view.right, right, top, height, language)
     _plate(canvas, "L", 10, top + 10)
     _plate(canvas, "R", right + 10, top + 10)
     if view.exposure is not None:
-        _plate(canvas, view.exposure, 62, top + 10)
+        _plate(canvas, numbered(view.exposure, language), 62, top + 10)
     if view.water is not None:
         _plate(canvas, worded(view.water, language), right + 62, top + 10)
     _temperature(canvas, view, top + 10)
     _numbers(canvas, view, language)
-    if view.just_saved is not None:
-        _saved(canvas, view.just_saved, min(top + height, alerts_top(canvas, view.alerts)), language)
 
 
 def dash_or(value: float | None, pattern: str) -> str:
@@ -56,17 +55,24 @@ def dash_or(value: float | None, pattern: str) -> str:
 
 
 def _live(
-    canvas: Canvas, side: str, pixels: NDArray[np.uint8] | None, left: float, top: float, language: Language
+    canvas: Canvas,
+    side: str,
+    pixels: NDArray[np.uint8] | None,
+    left: float,
+    top: float,
+    height: float,
+    language: Language,
 ) -> None:
-    width, height = LIVE_PX
+    """In its half of the screen, as large as an alert leaves room for."""
+    width = LIVE_PX[0]
     if pixels is not None:
         canvas.image(side, pixels, left, top, width, height)
         return
     name = Text.LEFT_CAMERA if side == "left" else Text.RIGHT_CAMERA
     canvas.box(left, top, width, height, theme.DEEP, 10, theme.YELLOW, 4)
-    middle = left + width / 2
-    canvas.words(name.in_language(language), middle, top + 92, TITLE - 6, BOLD, theme.WHITE, Align.CENTRE)
-    canvas.words(Text.NO_IMAGE.in_language(language), middle, top + 138, TITLE, BLACK, theme.YELLOW, Align.CENTRE)
+    middle, level = left + width / 2, top + 0.5 * (height + _PLATE_PX + 10)
+    canvas.words(name.in_language(language), middle, level - 6, TITLE - 6, BOLD, theme.WHITE, Align.CENTRE)
+    canvas.words(Text.NO_IMAGE.in_language(language), middle, level + 36, TITLE, BLACK, theme.YELLOW, Align.CENTRE)
 
 
 def _plate(
@@ -115,11 +121,3 @@ def _numbers(canvas: Canvas, view: AimView, language: Language) -> None:
     for number, unit in cells:
         x += canvas.words(number, x, baseline, size, BLACK) + space
         x += canvas.words(unit, x, baseline, CAPTION, REGULAR, theme.MUTED) + gap
-
-
-def _saved(canvas: Canvas, scan_id: str, bottom: float, language: Language) -> None:
-    words = f"{Text.SAVED.in_language(language)} {scan_id}"
-    width = canvas.measure(words, TITLE, BLACK) + 64
-    left, top = (canvas.width - width) / 2, bottom - 84
-    canvas.box(left, top, width, 66, theme.INK, 33, theme.GREEN, 5)
-    canvas.words(words, canvas.width / 2, top + 47, TITLE, BLACK, theme.WHITE, Align.CENTRE)

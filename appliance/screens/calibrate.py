@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibration.guide import HELD, STEPS, UNITS, USED, Refusal, Session, Step, Trial
+from appliance.calibration.guide import HELD, STEPS, UNITS, USED, Refusal, Session, Step, Trial, Verified
 from appliance.calibration.recordings import ArtefactKind
 from appliance.machine.mishap import Mishap
 from appliance.machine.states import Task
@@ -13,13 +15,14 @@ from appliance.screens import theme
 from appliance.screens.canvas import Align, Canvas
 from appliance.screens.frame import alerts_top, draw_title
 from appliance.screens.sketch import FROM_THE_SIDE, sketch_depth, sketch_front
-from appliance.screens.texts import Language, Text, worded
+from appliance.screens.texts import Language, Text, numbered, worded
 from appliance.screens.theme import BLACK, BODY, BOLD, CAPTION, HUGE, REGULAR, TITLE
 from appliance.screens.views import CalibrateView
 
 _TOP_PX, _SKETCH_PX = 68.0, 180.0
 _LIVE_PX = (364.0, 273.0)
 _WORDS_PX = 392.0
+_BOX_PX = 370.0
 _BAND_PX, _WORKING_PX, _FAILURE_PX = 84.0, 52.0, 104.0
 """Heights of what was found and what is right, of one line, and of a reason in up to three."""
 _TICKS_PX = 24.0
@@ -52,15 +55,29 @@ def draw_calibrate(canvas: Canvas, view: CalibrateView, language: Language, time
         artefact = Text.BALL_BAR if HELD[view.step] is ArtefactKind.BALL_BAR else Text.PLANE
         title = f"{title}  {artefact.in_language(language)}"
     draw_title(canvas, title, view.keys, language)
+    bottom = alerts_top(canvas, view.alerts) + (-4 if view.alerts else 8)
+    free = bottom - _latest_px(view)
     if view.step in HELD:
-        _how(canvas, view.step, language)
-        _live(canvas, view.left, language)
+        _how(canvas, view.step, free, language)
+        _live(canvas, view.left, free, language)
     elif view.step is Step.SOLVE:
-        _solve(canvas, view, language)
+        _solve(canvas, view, free, language)
     else:
-        _result(canvas, view, language)
-    _latest(canvas, view, language, time_s)
+        _result(canvas, view, free, language)
+    _latest(canvas, view, bottom, language, time_s)
     _ticks(canvas, view)
+
+
+def _latest_px(view: CalibrateView) -> float:
+    """Height of what is said at the lower end of the screen."""
+    trial = view.at.latest or view.session.trial(view.step)
+    if view.at.task is not None:
+        return _WORKING_PX
+    if view.at.failed is not None:
+        return _FAILURE_PX
+    if trial is not None:
+        return _BAND_PX
+    return 36.0 if view.step is Step.SOLVE else 0.0
 
 
 _MISHAPS = {
@@ -106,26 +123,35 @@ def refusal_words(trial: Trial) -> tuple[Text, Text]:
             return Text.WRONG_PATTERN, Text.RECORD_AGAIN
 
 
-def _how(canvas: Canvas, step: Step, language: Language) -> None:
-    """Two sketches side by side, and the same in words."""
+def _how(canvas: Canvas, step: Step, bottom: float, language: Language) -> None:
+    """Two sketches side by side, and the same in words; smaller where what is below needs the room."""
     words, depth = _HOLD[step]
+    size = min(_SKETCH_PX, bottom - _TOP_PX - 92.0)
     for slot, picture, left, caption in (
         ("sketch.front", sketch_front(step), 8.0, Text.FRONT),
         ("sketch.depth", sketch_depth(step), 204.0, depth),
     ):
-        canvas.image(slot, picture, left, _TOP_PX, _SKETCH_PX, _SKETCH_PX)
+        canvas.image(slot, picture, left, _TOP_PX, _SKETCH_PX, size)
         canvas.words(
-            caption.in_language(language), left + _SKETCH_PX / 2, _TOP_PX + _SKETCH_PX + 23, CAPTION, REGULAR,
+            caption.in_language(language), left + _SKETCH_PX / 2, _TOP_PX + size + 22, CAPTION, REGULAR,
             theme.MUTED, Align.CENTRE, _SKETCH_PX,
         )  # fmt: skip
     assert (depth is Text.FROM_THE_SIDE) == (step in FROM_THE_SIDE)
     lines = words.in_language(language).split(", ")
     for number, line in enumerate(lines):
-        canvas.words(line, _WORDS_PX / 2, 304 + 34 * number, BODY, BOLD, align=Align.CENTRE, max_width=_WORDS_PX - 16)
+        canvas.words(
+            line,
+            _WORDS_PX / 2,
+            _TOP_PX + size + 52 + 33 * number,
+            BODY,
+            BOLD,
+            align=Align.CENTRE,
+            max_width=_WORDS_PX - 16,
+        )
 
 
-def _live(canvas: Canvas, pixels: NDArray[np.uint8] | None, language: Language) -> None:
-    width, height = _LIVE_PX
+def _live(canvas: Canvas, pixels: NDArray[np.uint8] | None, bottom: float, language: Language) -> None:
+    width, height = _LIVE_PX[0], min(_LIVE_PX[1], bottom - _TOP_PX)
     if pixels is not None:
         canvas.image("left", pixels, canvas.width - width, _TOP_PX, width, height)
         return
@@ -136,15 +162,13 @@ def _live(canvas: Canvas, pixels: NDArray[np.uint8] | None, language: Language) 
     )  # fmt: skip
 
 
-def _latest(canvas: Canvas, view: CalibrateView, language: Language, time_s: float) -> None:
+def _latest(canvas: Canvas, view: CalibrateView, bottom: float, language: Language, time_s: float) -> None:
     """The band over the lower labels, or over an alert: what is done now, or what became of the latest recording."""
     at = view.at
-    bottom = alerts_top(canvas, view.alerts) + (0 if view.alerts else 8)
     trial = at.latest or view.session.trial(view.step)
     if at.task is not None:
         _working(canvas, at.task, at.progress, language, time_s, bottom)
     elif at.failed is not None:
-        canvas.hide(bottom - _FAILURE_PX, bottom)
         canvas.box(0, bottom - _FAILURE_PX, canvas.width, _FAILURE_PX, theme.YELLOW)
         top = bottom - _FAILURE_PX + 32
         said = _MISHAPS[at.failed.mishap].in_language(language)
@@ -158,6 +182,7 @@ def _latest(canvas: Canvas, view: CalibrateView, language: Language, time_s: flo
     elif trial is not None and trial.refusal is not None:
         words, why = refusal_words(trial)
         number = "" if trial.number is None else f"{trial.number:.3g} {UNITS[trial.refusal]}".replace(" °", "°")
+        number = numbered(number, language)
         _band(canvas, theme.YELLOW, words.in_language(language), why.in_language(language), number, bottom)
     elif view.step is Step.SOLVE:
         said = Text.SOME_SECONDS.in_language(language)
@@ -166,7 +191,6 @@ def _latest(canvas: Canvas, view: CalibrateView, language: Language, time_s: flo
 
 def _band(canvas: Canvas, fill: theme.Colour, what: str, why: str, number: str, bottom: float) -> None:
     top, ink = bottom - _BAND_PX, theme.INK
-    canvas.hide(top, bottom)
     canvas.box(0, top, canvas.width, _BAND_PX, fill)
     right = canvas.width - 16
     if number:
@@ -179,7 +203,6 @@ def _working(
     canvas: Canvas, task: Task, progress: float | None, language: Language, time_s: float, bottom: float
 ) -> None:
     top = bottom - _WORKING_PX
-    canvas.hide(top, bottom)
     canvas.box(0, top, canvas.width, _WORKING_PX, theme.INK)
     canvas.words(_TASKS[task].in_language(language), 16, top + 38, BODY, BLACK, max_width=300)
     left, width = 330.0, canvas.width - 346.0
@@ -191,16 +214,22 @@ def _working(
         canvas.box(left + (width - 120.0) * swing, top + 12, 120, 28, theme.AQUA, 14)
 
 
-def _solve(canvas: Canvas, view: CalibrateView, language: Language) -> None:
-    middle = canvas.width / 2
-    canvas.words(Text.FOUR_READY.in_language(language), middle, 124, TITLE, BLACK, align=Align.CENTRE, max_width=760)
+def _solve(canvas: Canvas, view: CalibrateView, bottom: float, language: Language) -> None:
+    middle, room = canvas.width / 2, bottom - _TOP_PX
+    top = _TOP_PX
+    if view.at.failed is None:
+        top, low, size = (top + 84.0, 24.0, TITLE) if room > 240 else (top + 38.0, 7.0, TITLE - 6)
+        said = Text.FOUR_READY.in_language(language)
+        canvas.words(said, middle, top - low, size, BLACK, align=Align.CENTRE, max_width=760)
+    pitch = min(40.0, (bottom - top - 4) / len(USED))
+    size = BODY if pitch > 34 else CAPTION
     for row, step in enumerate(USED):
         trial = view.session.trial(step)
         if trial is None:
             continue
-        baseline = 176 + 40 * row
+        baseline = top + pitch * (row + 0.75)
         artefact = Text.BALL_BAR if HELD[step] is ArtefactKind.BALL_BAR else Text.PLANE
-        canvas.words(f"{step.value}  {artefact.in_language(language)}", 120, baseline, BODY, BOLD)
+        canvas.words(f"{step.value}  {artefact.in_language(language)}", 120, baseline, size, BOLD)
         canvas.words(
             f"{trial.points} {Text.POINTS.in_language(language)}",
             560,
@@ -211,55 +240,88 @@ def _solve(canvas: Canvas, view: CalibrateView, language: Language) -> None:
             Align.RIGHT,
         )
         if trial.number is not None:
-            canvas.words(f"{1000.0 * trial.number:.0f} µm", 690, baseline, BODY, BOLD, align=Align.RIGHT)
+            canvas.words(f"{1000.0 * trial.number:.0f} µm", 690, baseline, size, BOLD, align=Align.RIGHT)
 
 
-def _result(canvas: Canvas, view: CalibrateView, language: Language) -> None:
+@dataclass(frozen=True, slots=True)
+class _Box:
+    """Where a length error stands: as high as what is below leaves room for."""
+
+    left: float
+    top: float
+    height: float
+    used: bool
+    """Its calibration is the one in use."""
+
+    def draw(self, canvas: Canvas, name: Text, error: float | None, language: Language) -> None:
+        """The name above, the error in percent in the middle."""
+        edge, width = (theme.AQUA, 6) if self.used else (theme.LINE, 3)
+        canvas.box(self.left, self.top, _BOX_PX, self.height, theme.DEEP, 20, edge, width)
+        canvas.words(name.in_language(language), self.left + 24, self.name_at, BODY, BLACK, theme.MUTED)
+        text = "—" if error is None else numbered(f"{100.0 * abs(error):.3f} %", language)
+        size = round(min(HUGE - 18.0, 0.8 * (self.height - 76)))
+        level = 0.5 * (self.name_at + self.verdict_at - 26) + 0.36 * size
+        canvas.words(text, self.left + _BOX_PX / 2, level, size, BLACK, align=Align.CENTRE, max_width=340)
+
+    def judge(
+        self, canvas: Canvas, word: Text, colour: theme.Colour, verified: Verified | None, language: Language
+    ) -> None:
+        """The verdict in a word, and how sure it is."""
+        canvas.words(word.in_language(language), self.left + 24, self.verdict_at, BODY, BLACK, colour)
+        if verified is not None:
+            said = numbered(f"± {100.0 * verified.sigma:.3f} %", language)
+            canvas.words(said, self.left + 346, self.verdict_at, CAPTION, BOLD, theme.MUTED, Align.RIGHT)
+
+    @property
+    def name_at(self) -> float:
+        """Baseline of the name."""
+        return self.top + min(44.0, 0.2 * self.height + 8)
+
+    @property
+    def verdict_at(self) -> float:
+        """Baseline of the verdict."""
+        return self.top + self.height - 14
+
+
+def _result(canvas: Canvas, view: CalibrateView, bottom: float, language: Language) -> None:
     session = view.session
-    canvas.words(Text.LENGTH_ERROR.in_language(language), canvas.width / 2, 104, BODY, BOLD, theme.MUTED, Align.CENTRE)
+    top = _TOP_PX + 34
+    height = min(190.0, bottom - top - 34)
+    below = top + height + 27
+    canvas.words(
+        Text.LENGTH_ERROR.in_language(language), canvas.width / 2, top - 9, BODY, BOLD, theme.MUTED, Align.CENTRE
+    )
     verified = session.verified
+    if verified is not None and verified.after is None:
+        _checked(canvas, session, _Box(215.0, top, height, used=True), below, language)
+        return
     before = None if verified is None else verified.before
     new = None if verified is None else verified.after
-    if verified is not None and verified.after is None:
-        _checked(canvas, session, language)
-        return
-    for left, name, value, used in (
-        (20.0, Text.BEFORE, before, not session.in_use),
-        (410.0, Text.NEW, new, session.in_use),
-    ):
-        canvas.box(left, 120, 370, 190, theme.DEEP, 20, theme.AQUA if used else theme.LINE, 6 if used else 3)
-        canvas.words(name.in_language(language), left + 24, 164, BODY, BLACK, theme.MUTED)
-        text = "—" if value is None else f"{100.0 * abs(value):.3f} %"
-        canvas.words(text, left + 185, 248, HUGE - 18, BLACK, align=Align.CENTRE, max_width=340)
-        if used:
-            canvas.words(Text.IN_USE.in_language(language), left + 346, 164, CAPTION, BOLD, theme.AQUA, Align.RIGHT)
+    boxes = _Box(20.0, top, height, not session.in_use), _Box(410.0, top, height, session.in_use)
+    for box, name, value in zip(boxes, (Text.BEFORE, Text.NEW), (before, new), strict=True):
+        box.draw(canvas, name, value, language)
+        if box.used:
+            said = Text.IN_USE.in_language(language)
+            canvas.words(said, box.left + 346, box.name_at, CAPTION, BOLD, theme.AQUA, Align.RIGHT)
     if verified is not None:
         verdict, colour = _VERDICTS[verified.better]
-        canvas.words(verdict.in_language(language), 434, 296, BODY, BLACK, colour)
-        said = f"± {100.0 * verified.sigma:.3f} %"
-        canvas.words(said, 756, 296, CAPTION, BOLD, theme.MUTED, Align.RIGHT)
+        boxes[1].judge(canvas, verdict, colour, verified, language)
     if session.solved is not None:
-        said = f"{Text.RESIDUAL.in_language(language)} {session.solved.residual_px:.3f} px"
-        canvas.words(said, 20, 350, CAPTION, BOLD, max_width=370)
+        said = f"{Text.RESIDUAL.in_language(language)} {numbered(f'{session.solved.residual_px:.3f}', language)} px"
+        canvas.words(said, 20, below, CAPTION, BOLD, max_width=370)
         if session.solved.warnings:
             said = f"{Text.WARNINGS.in_language(language)}: {len(session.solved.warnings)}"
-            canvas.words(said, canvas.width - 20, 350, CAPTION, BOLD, theme.YELLOW, Align.RIGHT, 370)
+            canvas.words(said, canvas.width - 20, below, CAPTION, BOLD, theme.YELLOW, Align.RIGHT, 370)
 
 
-def _checked(canvas: Canvas, session: Session, language: Language) -> None:
+def _checked(canvas: Canvas, session: Session, box: _Box, below: float, language: Language) -> None:
     """Of the calibration in use, which the bar only checks."""
-    error, verified = session.length_error, session.verified
-    canvas.box(215, 120, 370, 190, theme.DEEP, 20, theme.AQUA, 6)
-    canvas.words(Text.IN_USE.in_language(language), 239, 164, BODY, BLACK, theme.MUTED)
-    text = "—" if error is None else f"{100.0 * abs(error):.3f} %"
-    canvas.words(text, 400, 248, HUGE - 18, BLACK, align=Align.CENTRE, max_width=340)
+    box.draw(canvas, Text.IN_USE, session.length_error, language)
     word, colour = (Text.NOT_RIGHT, theme.YELLOW) if session.wrong else (Text.RIGHT, theme.GREEN)
-    canvas.words(word.in_language(language), 239, 296, BODY, BLACK, colour)
-    if verified is not None:
-        canvas.words(f"± {100.0 * verified.sigma:.3f} %", 561, 296, CAPTION, BOLD, theme.MUTED, Align.RIGHT)
+    box.judge(canvas, word, colour, session.verified, language)
     if session.wrong:
         said = Text.CHECK_WATER.in_language(language)
-        canvas.words(said, canvas.width / 2, 350, CAPTION + 2, BOLD, theme.YELLOW, Align.CENTRE, canvas.width - 40)
+        canvas.words(said, canvas.width / 2, below, CAPTION + 2, BOLD, theme.YELLOW, Align.CENTRE, canvas.width - 40)
 
 
 def _ticks(canvas: Canvas, view: CalibrateView) -> None:

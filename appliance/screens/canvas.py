@@ -168,9 +168,12 @@ class Canvas:
         self._images: dict[str, moderngl.Texture] = {}
         self.written: list[Written] = []
         """Every line of text since ``begin``: what an eye would check for size, contrast and room."""
+        self.pictured: list[tuple[str, float, float, float, float]] = []
+        """Every picture since ``begin``: its slot, and left, top, right, bottom in units of the design."""
 
     def begin(self, background: Colour) -> None:
         self.written.clear()
+        self.pictured.clear()
         # Whoever used the context before may have left an error behind, as by releasing what was still bound.
         _ = self.context.error
         self.framebuffer.use()
@@ -255,10 +258,6 @@ class Canvas:
         self._letters["box"] = (left_px, top_px, line.width_px, line.height_px)
         self._letters_quad.render(moderngl.TRIANGLE_STRIP, vertices=4)
 
-    def hide(self, top: float, bottom: float) -> None:
-        """Lines of text wholly between these heights are about to be drawn over: they are written no more."""
-        self.written = [line for line in self.written if line.top < top or line.bottom > bottom]
-
     def paragraph(
         self, words: str, x: float, baseline: float, size: int, colour: Colour, max_width: float, max_lines: int
     ) -> None:
@@ -291,6 +290,7 @@ class Canvas:
             left, width = left + (width - height * shape) / 2, height * shape
         else:
             top, height = top + (height - width / shape) / 2, width / shape
+        self.pictured.append((slot, left, top, left + width, top + height))
         across, down = max(1, round(width * self.scale)), max(1, round(height * self.scale))
         shrink = pixels.shape[0] > down or pixels.shape[1] > across
         if shrink:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 from appliance.screens import theme
 from appliance.screens.canvas import Align, Canvas
-from appliance.screens.texts import Language, Text
-from appliance.screens.theme import BLACK, BODY, BOLD, CAPTION, HEADLINE, REGULAR
+from appliance.screens.texts import Language, Text, numbered
+from appliance.screens.theme import BLACK, BODY, BOLD, CAPTION, HEADLINE, REGULAR, TITLE
 from appliance.screens.views import Grade
 
 GRADES = {
@@ -17,8 +17,8 @@ GRADES = {
     Grade.BAD: (Text.BAD, theme.YELLOW),
 }
 LEFT_PX, RIGHT_MARGIN_PX = 520.0, 14.0
-VERDICT_PX = 64.0
-_LEAST_PITCH_PX, _MOST_PITCH_PX = 36.0, 52.0
+VERDICT_PX, DOUBTFUL_PX = 64.0, 70.0
+_LEAST_PITCH_PX, _MOST_PITCH_PX = 27.0, 52.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,14 +56,29 @@ def many(number: int) -> str:
     return f"{number / 1e6:.3g} M"
 
 
-def draw_verdict(canvas: Canvas, word: Text, grade: Grade, top: float, language: Language) -> None:
-    """In a word, beside the colour of its grade; a bad one on a ground of that colour, seen in grey at a glance."""
+def draw_verdict(canvas: Canvas, grade: Grade, doubtful: bool, top: float, language: Language) -> float:
+    """In a word, beside the colour of its grade; a bad one on a ground of that colour, seen in grey at a glance. Returns its
+    lower end.
+
+    ``doubtful``: lengths are not to be trusted. Then no word stands alone, and the ground is that of a warning.
+    """
     left, right = LEFT_PX, canvas.width - RIGHT_MARGIN_PX
-    _, colour = GRADES[grade]
+    word, colour = GRADES[grade]
+    if doubtful and grade is not Grade.BAD:
+        canvas.box(left, top, right - left, DOUBTFUL_PX, theme.YELLOW, 5)
+        for said, baseline, size, weight in (
+            (word, top + 36, TITLE - 2, BLACK),
+            (Text.LENGTHS_DOUBTFUL, top + 62, CAPTION, BOLD),
+        ):
+            canvas.words(
+                said.in_language(language), left + 10, baseline, size, weight, theme.INK, max_width=right - left - 16
+            )
+        return top + DOUBTFUL_PX
     bad = grade is Grade.BAD
     canvas.box(left, top, right - left if bad else 10, VERDICT_PX, colour, 5)
     ink = theme.INK if bad else theme.WHITE
     canvas.words(word.in_language(language), left + 24, top + 49, HEADLINE - 6, BLACK, ink, max_width=right - left - 32)
+    return top + VERDICT_PX
 
 
 def draw_figures(canvas: Canvas, rows: Sequence[Figure], top: float, bottom: float, language: Language) -> None:
@@ -73,11 +88,13 @@ def draw_figures(canvas: Canvas, rows: Sequence[Figure], top: float, bottom: flo
         return
     pitch = min(_MOST_PITCH_PX, (bottom - top) / fit)
     left, right = LEFT_PX, canvas.width - RIGHT_MARGIN_PX
-    size = BODY + 2 if pitch > 44 else BODY
+    size = BODY + 2 if pitch > 44 else BODY if pitch > 34 else CAPTION + 2
     for number, row in enumerate(rows[:fit]):
         baseline = top + pitch * (number + 1) - 0.26 * pitch
         unit_px = canvas.words(row.unit, right, baseline, CAPTION, REGULAR, theme.MUTED, Align.RIGHT)
         value_right = right - unit_px - (6 if row.unit else 0)
-        value_px = canvas.words(row.value, value_right, baseline, size, BOLD, theme.WHITE, Align.RIGHT)
+        value_px = canvas.words(
+            numbered(row.value, language), value_right, baseline, size, BOLD, theme.WHITE, Align.RIGHT
+        )
         room = value_right - value_px - left - 6
         canvas.words(row.name.in_language(language), left, baseline, CAPTION, REGULAR, theme.MUTED, max_width=room)

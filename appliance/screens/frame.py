@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from appliance.machine.alerts import Alert, Severity
+from appliance.machine.alerts import Alert, Severity, in_full
 from appliance.screens import theme
 from appliance.screens.canvas import Align, Canvas
-from appliance.screens.texts import Language, worded
+from appliance.screens.texts import Language, Text, numbered, worded
 from appliance.screens.theme import BAR_PX, BLACK, BODY, BOLD, CAPTION, HEADLINE, HUGE, KEY_CORNERS, TITLE, Corner
 from appliance.screens.views import KeyLabels
 from drivers.api import Key
@@ -15,7 +15,8 @@ from drivers.api import Key
 LABEL_PX = 54
 _PAD_PX = 22
 _RADIUS_PX = 20
-ALERT_PX, CRITICAL_PX, OTHERS_PX = 110, 144, 40
+ALERT_PX, CRITICAL_PX, MARKS_PX = 95, 106, 34
+"""Heights of the band of the one alert in full, and of the row of marks above it, which holds the names of all others."""
 
 
 def draw_title(
@@ -76,69 +77,97 @@ def draw_key_labels(
         # A stroke on the edge itself says: the key is here.
         canvas.box(canvas.width - 7 if right else 0.0, top, 7, LABEL_PX, mark)
         middle = left + width / 2 + (-3 if right else 3)
-        canvas.words(words, middle, top + 38, BODY, BLACK, ink, Align.CENTRE, width - 2 * _PAD_PX + 8)
+        lines = _label_lines(canvas, words)
+        if words in _ARROWS:  # the font's own are small
+            canvas.words(words, middle, top + 44, HUGE - 20, BLACK, ink, Align.CENTRE)
+            continue
+        for baseline, line in zip((38,) if len(lines) == 1 else (24, 48), lines, strict=True):
+            canvas.words(line, middle, top + baseline, _LABEL_SIZES[len(lines)], BLACK, ink, Align.CENTRE)
+
+
+_ARROWS = (Text.ARROW_UP.english, Text.ARROW_DOWN.english)
+_LABEL_SIZES = {1: BODY, 2: CAPTION}
+
+
+def _label_lines(canvas: Canvas, words: str) -> list[str]:
+    """On one line; on two, the first word on its own, where that is too long: EXPOSE, and below it 16 ms +12 dB."""
+    first, space, rest = words.partition(" ")
+    one_line = not space or canvas.measure(words, BODY, BLACK) + 2 * _PAD_PX <= theme.LABEL_MAX_PX
+    return [words] if one_line else [first, rest]
 
 
 def _label_width(canvas: Canvas, words: str) -> float:
-    width = canvas.measure(words, BODY, BLACK) + 2 * _PAD_PX
-    return max(theme.LABEL_MIN_PX, min(theme.LABEL_MAX_PX, width))
+    lines = _label_lines(canvas, words)
+    width = max(canvas.measure(line, _LABEL_SIZES[len(lines)], BLACK) for line in lines) + 2 * _PAD_PX
+    return max(theme.LABEL_MIN_PX, width)
 
 
 def draw_alerts(canvas: Canvas, alerts: Sequence[Alert], language: Language, time_s: float) -> None:
-    """The gravest alert as a band across the picture, above the lower bar; over it the names of the others."""
-    if not alerts:
+    """The gravest alert that nobody has acknowledged as a band above the lower bar; over it the names of all others.
+
+    The band has its own room: screens draw what they have above ``alerts_top``.
+    """
+    gravest = in_full(alerts)
+    others = [alert for alert in alerts if alert is not gravest]
+    if gravest is None:
+        _marks(canvas, others, language, canvas.height - BAR_PX)
         return
-    gravest = max(alerts, key=lambda alert: alert.severity)
     critical = gravest.severity is Severity.CRITICAL
     height = CRITICAL_PX if critical else ALERT_PX
     top = canvas.height - BAR_PX - height
     fill, ink, edge = alert_colours(gravest.severity, time_s)
-    canvas.hide(alerts_top(canvas, alerts), canvas.height - BAR_PX)
-    _others(canvas, [alert for alert in alerts if alert is not gravest], language, top)
+    _marks(canvas, others, language, top)
     canvas.box(0, top, canvas.width, height, fill, edge=edge, edge_width=7)
-    badge = height - 40
-    canvas.box(22, top + 20, badge, badge, ink, badge / 2)
-    canvas.words("!", 22 + badge / 2, top + 20 + badge * 0.86, round(badge), BLACK, fill, Align.CENTRE)
-    left = 22 + badge + 22
+    badge = height - 32
+    canvas.box(22, top + 16, badge, badge, ink, badge / 2)
+    canvas.words("!", 22 + badge / 2, top + 16 + badge * 0.86, round(badge), BLACK, fill, Align.CENTRE)
+    left = 22 + badge + 20
     room = canvas.width - left - 20
     headline, action = words_of(gravest, language)
     canvas.words(
-        headline, left, top + (84 if critical else 56), HUGE - 10 if critical else HEADLINE, BLACK, ink, max_width=room
+        headline,
+        left,
+        top + (57 if critical else 47),
+        HEADLINE + 4 if critical else HEADLINE - 6,
+        BLACK,
+        ink,
+        max_width=room,
     )
-    canvas.words(action, left, top + height - (18 if critical else 16), BODY + 2, BOLD, ink, max_width=room)
+    canvas.words(action, left, top + height - 12, BODY + 2, BOLD, ink, max_width=room)
 
 
-def _others(canvas: Canvas, others: Sequence[Alert], language: Language, bottom: float) -> None:
+def _marks(canvas: Canvas, others: Sequence[Alert], language: Language, bottom: float) -> None:
     """The headlines of the other alerts, the gravest first, and how many there was no room for."""
     if not others:
         return
-    canvas.box(0, bottom - OTHERS_PX, canvas.width, OTHERS_PX, theme.INK)
     ranked = sorted(others, key=lambda alert: -alert.severity)
-    x, middle, count_px = 14.0, bottom - OTHERS_PX / 2, 60.0
+    x, middle, count_px = 14.0, bottom - MARKS_PX / 2, 60.0
     for place, alert in enumerate(ranked):
         headline = words_of(alert, language)[0]
         colour = theme.WHITE if alert.severity is Severity.INFO else theme.YELLOW
         more = len(ranked) - place
         if x + 26 + canvas.measure(headline, CAPTION, BLACK) > canvas.width - (16 if more == 1 else count_px):
-            canvas.words(f"+{more}", x, bottom - 11, CAPTION, BLACK, colour)
+            canvas.words(f"+{more}", x, bottom - 8, CAPTION, BLACK, colour)
             return
         canvas.box(x, middle - 8, 16, 16, theme.RED if alert.severity is Severity.CRITICAL else colour, 3)
-        x += 26 + canvas.words(headline, x + 26, bottom - 11, CAPTION, BLACK, colour) + 24
+        x += 26 + canvas.words(headline, x + 26, bottom - 8, CAPTION, BLACK, colour) + 24
 
 
 def words_of(alert: Alert, language: Language) -> tuple[str, str]:
     """Headline and action."""
     if language is Language.GERMAN and alert.german is not None:
-        return alert.german
+        return numbered(alert.german[0], language), numbered(alert.german[1], language)
     return alert.headline, alert.action
 
 
 def alerts_top(canvas: Canvas, alerts: Sequence[Alert]) -> float:
     """Where the band of these alerts begins; the lower bar where there are none. What is above is free."""
-    if not alerts:
-        return canvas.height - BAR_PX
-    critical = max(alert.severity for alert in alerts) is Severity.CRITICAL
-    return canvas.height - BAR_PX - (CRITICAL_PX if critical else ALERT_PX) - (OTHERS_PX if len(alerts) > 1 else 0)
+    bottom = canvas.height - BAR_PX
+    gravest = in_full(alerts)
+    if gravest is None:
+        return bottom - (MARKS_PX if alerts else 0)
+    band = CRITICAL_PX if gravest.severity is Severity.CRITICAL else ALERT_PX
+    return bottom - band - (MARKS_PX if len(alerts) > 1 else 0)
 
 
 def alert_colours(severity: Severity, time_s: float) -> tuple[theme.Colour, theme.Colour, theme.Colour]:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from appliance.screens import theme
 from appliance.screens.canvas import Align, Canvas
-from appliance.screens.column import GRADES, LEFT_PX, RIGHT_MARGIN_PX, VERDICT_PX, draw_figures, draw_verdict, figures
+from appliance.screens.column import LEFT_PX, RIGHT_MARGIN_PX, VERDICT_PX, draw_figures, draw_verdict, figures
 from appliance.screens.frame import alerts_top, draw_title, room_between
 from appliance.screens.texts import Language, Text
 from appliance.screens.theme import BAR_PX, BLACK, BODY, BOLD, CAPTION, HEADLINE, REGULAR, TITLE
 from appliance.screens.views import GalleryView
 
-_TOP_PX = 70.0
-_ID_PX = 44.0
+_TOP_PX = 66.0
 
 
 def draw_gallery(canvas: Canvas, view: GalleryView, language: Language) -> None:
@@ -23,6 +22,8 @@ def draw_gallery(canvas: Canvas, view: GalleryView, language: Language) -> None:
         canvas.words(said, canvas.width / 2, middle, HEADLINE, BLACK, theme.MUTED, Align.CENTRE, canvas.width - 80)
         return
     draw_title(canvas, f"{view.index + 1}/{view.count}", view.keys, language)
+    # SCAN means nothing here: its place is free.
+    canvas.words(view.scan_id, canvas.width - RIGHT_MARGIN_PX, 42, BODY + 2, BOLD, theme.MUTED, Align.RIGHT)
     width, height = LEFT_PX - 32, bottom - _TOP_PX - 6
     if view.preview is not None:
         canvas.image("gallery", view.preview, 16, _TOP_PX, width, height)
@@ -32,23 +33,22 @@ def draw_gallery(canvas: Canvas, view: GalleryView, language: Language) -> None:
         middle = _TOP_PX + height / 2 + 14
         canvas.words(said, 16 + width / 2, middle, TITLE, BOLD, theme.MUTED, Align.CENTRE, width - 40)
     _column(canvas, view, bottom, language)
-    if not view.alerts:
-        left, right = room_between(canvas, view.keys, language, bottom=True)
-        said = view.taken or f"{Text.DATE.in_language(language)} ?"
-        canvas.words(
-            said, (left + right) / 2, canvas.height - 20, CAPTION, REGULAR, theme.MUTED, Align.CENTRE, right - left
-        )
+    left, right = room_between(canvas, view.keys, language, bottom=True)
+    said = view.taken or f"{Text.DATE.in_language(language)} ?"
+    canvas.words(
+        said, (left + right) / 2, canvas.height - 20, CAPTION, REGULAR, theme.MUTED, Align.CENTRE, right - left
+    )
 
 
 def _column(canvas: Canvas, view: GalleryView, bottom: float, language: Language) -> None:
     left, right = LEFT_PX, canvas.width - RIGHT_MARGIN_PX
-    canvas.words(view.scan_id, left, _TOP_PX + 28, BODY + 2, BOLD, theme.MUTED, max_width=right - left)
-    top = _TOP_PX + _ID_PX
+    top = _TOP_PX
+    below = top + VERDICT_PX
     if view.damaged:
         canvas.box(left, top, right - left, VERDICT_PX, theme.YELLOW, 5)
         said = Text.DAMAGED.in_language(language)
         canvas.words(said, left + 16, top + 45, TITLE - 2, BLACK, theme.INK, max_width=right - left - 24)
     elif view.grade is not None:
-        draw_verdict(canvas, GRADES[view.grade][0], view.grade, top, language)
+        below = draw_verdict(canvas, view.grade, view.lengths_doubtful, top, language)
     rows = figures(view.points, view.coverage_percent, view.noise_mm, view.distance_mm)
-    draw_figures(canvas, rows, top + VERDICT_PX + 6, bottom, language)
+    draw_figures(canvas, rows, below + 4, bottom, language)

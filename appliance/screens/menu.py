@@ -9,7 +9,8 @@ from appliance.screens.texts import Language, worded
 from appliance.screens.theme import BAR_PX, BLACK, BODY, BOLD, TITLE
 from appliance.screens.views import MenuRow, MenuView
 
-_ROW_PX, _LEFT_PX, _PAD_PX = 43.0, 24.0, 20.0
+_ROW_PX, _LEFT_PX, _PAD_PX = 32.0, 24.0, 20.0
+"""The least height of a row: with an alert all of a page's rows stay on the screen, closer together."""
 _TALL_ROW_PX = 62.0
 _VALUE_PX = 300.0
 
@@ -34,23 +35,26 @@ def _row(
     canvas: Canvas, row: MenuRow, top: float, height: float, selected: bool, changing: bool, language: Language
 ) -> None:
     left, right = _LEFT_PX, canvas.width - _LEFT_PX
-    baseline = top + height / 2 + 8
+    name, said = (BODY + 2, BODY) if height > 40 else (BODY - 2, BODY - 4)
+    baseline = top + (height - 5) / 2 + 0.36 * said
     if selected:
-        canvas.box(left, top, right - left, height - 5, theme.WHITE if row.allowed else theme.PANEL, 12)
-    ink = theme.MUTED if not row.allowed else theme.INK if selected else theme.WHITE
+        canvas.box(left, top, right - left, height - 5, theme.WHITE, 12)
+    ink = theme.INK if selected else theme.WHITE
     value = worded(row.value, language)
     room = min(_VALUE_PX, right - left - 2 * _PAD_PX)
     if changing:
-        width = min(room, canvas.measure(value, TITLE - 6, BLACK)) + 88
+        # UP and DOWN change it: the marks are those beside the keys.
+        large = TITLE - 6 if height > 40 else said
+        width = min(room, canvas.measure(value, large, BLACK)) + 112
         canvas.box(right - width, top, width, height - 5, theme.AQUA, 12)
-        canvas.words("‹", right - width + 18, baseline, TITLE - 4, BLACK, theme.INK)
-        canvas.words("›", right - 18, baseline, TITLE - 4, BLACK, theme.INK, Align.RIGHT)
-        canvas.words(value, right - width / 2, baseline, TITLE - 6, BLACK, theme.INK, Align.CENTRE, width - 80)
+        canvas.words("▲", right - width + 8, baseline + 5, TITLE + 8, BLACK, theme.INK)
+        canvas.words("▼", right - 8, baseline + 5, TITLE + 8, BLACK, theme.INK, Align.RIGHT)
+        canvas.words(value, right - width / 2, baseline, large, BLACK, theme.INK, Align.CENTRE, width - 104)
         value_px = width
     else:
-        value_px = canvas.words(value, right - _PAD_PX, baseline, BODY, BOLD, ink, Align.RIGHT, room) + _PAD_PX
+        value_px = canvas.words(value, right - _PAD_PX, baseline, said, BOLD, ink, Align.RIGHT, room) + _PAD_PX
     name_px = right - value_px - 16 - left - _PAD_PX
-    canvas.words(row.text.in_language(language), left + _PAD_PX, baseline, BODY + 2, BLACK, ink, max_width=name_px)
+    canvas.words(row.text.in_language(language), left + _PAD_PX, baseline, name, BLACK, ink, max_width=name_px)
 
 
 def first_shown(rows: int, selected: int, fit: int) -> int:

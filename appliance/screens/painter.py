@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.capture.fault import FaultCode
+from appliance.machine.texts import SEEN
 from appliance.screens import theme
 from appliance.screens.aim import draw_aim
 from appliance.screens.calibrate import draw_calibrate
@@ -23,7 +24,6 @@ from appliance.screens.progress import (
     draw_armed,
     draw_capture,
     draw_check,
-    draw_fault,
     draw_reconstruct,
     draw_saving,
     draw_shutdown,
@@ -31,7 +31,7 @@ from appliance.screens.progress import (
 from appliance.screens.review import CLOUD_PX, draw_review
 from appliance.screens.selftest import draw_boot, draw_self_test
 from appliance.screens.stops import draw_cooling, draw_safe
-from appliance.screens.texts import Language
+from appliance.screens.texts import Language, Text
 from appliance.screens.theme import BAR_PX
 from appliance.screens.views import (
     AimView,
@@ -42,8 +42,8 @@ from appliance.screens.views import (
     CaptureView,
     CheckView,
     CoolingView,
-    FaultView,
     GalleryView,
+    KeyLabels,
     MenuView,
     ReconstructView,
     ReviewView,
@@ -145,21 +145,24 @@ class Painter:
                     draw_cooling(canvas, view, language)
                 case SafeView():
                     draw_safe(canvas, view, language, time_s)
-                case FaultView():
-                    draw_fault(canvas, view, language, time_s)
                 case ShutdownView():
                     draw_shutdown(canvas, view, language, time_s)
                 case _:
                     assert_never(view)
             draw_alerts(canvas, view.alerts, language, time_s)
-            draw_key_labels(canvas, view.keys, language, dim, urgent)
+            draw_key_labels(canvas, view.keys, language, dim, urgent | acknowledges(view.keys))
             return canvas.finish()
+
+
+def acknowledges(keys: KeyLabels) -> frozenset[Key]:
+    """The key that takes the warning above it for known: in the colour of the warning."""
+    return frozenset(key for key, word in keys.items() if word in (SEEN, Text.SEEN))
 
 
 def said_once(view: AnyView) -> AnyView:
     """The view without the alerts that its screen is made of: nothing is said twice."""
     match view:
-        case SafeView() | FaultView():
+        case SafeView():
             said = {view.alert.code}
         case ShutdownView():
             said = set() if view.reason is None else {view.reason.code}

@@ -1,4 +1,4 @@
-"""Owns the screens that wait: recording, checking, computing, saving, switching off, and a fault that fills all."""
+"""Owns the screens that wait: recording, checking, computing, saving, switching off."""
 
 from __future__ import annotations
 
@@ -6,12 +6,11 @@ from appliance.screens import theme
 from appliance.screens.canvas import Align, Canvas
 from appliance.screens.frame import alert_colours, alerts_top, words_of
 from appliance.screens.texts import Language, Text
-from appliance.screens.theme import BAR_PX, BLACK, BODY, BOLD, CAPTION, HEADLINE, HUGE, TITLE
+from appliance.screens.theme import BAR_PX, BLACK, BODY, BOLD, HEADLINE, HUGE, TITLE
 from appliance.screens.views import (
     ArmedView,
     CaptureView,
     CheckView,
-    FaultView,
     ReconstructView,
     SavingView,
     ShutdownView,
@@ -24,31 +23,22 @@ _EDGE_PX = 60.0
 
 
 def draw_armed(canvas: Canvas, view: ArmedView, language: Language) -> None:
-    word_at, line_at, more_at = _places(canvas, view)
+    word_at, line_at, _ = _places(canvas, view)
     _word(canvas, Text.GET_READY, word_at, language)
     _sentence(canvas, Text.LASERS_OFF, line_at, language)
-    # The frames to come, all of them empty: the next screen fills this bar.
-    canvas.box(_EDGE_PX, more_at - 34, canvas.width - 2 * _EDGE_PX, 34, theme.PANEL, 17)
 
 
 def draw_capture(canvas: Canvas, view: CaptureView, language: Language) -> None:
-    word_at, line_at, more_at = _places(canvas, view)
+    word_at, line_at, _ = _places(canvas, view)
     _word(canvas, Text.HOLD_STILL, word_at, language)
     _sentence(canvas, Text.LIGHT_IS_ON, line_at, language)
-    number = f"{view.frames_done}/{view.frames}"
-    number_px = canvas.words(number, canvas.width - _EDGE_PX, more_at - 4, TITLE, BLACK, align=Align.RIGHT)
-    left, gap = _EDGE_PX, 4.0
-    step = (canvas.width - 2 * left - number_px - 20 + gap) / max(1, view.frames)
-    for frame in range(view.frames):
-        done = frame < view.frames_done
-        canvas.box(left + frame * step, more_at - 34, step - gap, 34, theme.AQUA if done else theme.PANEL, 5)
 
 
 def draw_check(canvas: Canvas, view: CheckView, language: Language, time_s: float) -> None:
     word_at, line_at, more_at = _places(canvas, view)
     _word(canvas, Text.CHECKING, word_at, language)
     _sentence(canvas, Text.MAY_MOVE, line_at, language)
-    _bar(canvas, view.progress, more_at, time_s)
+    _waiting(canvas, more_at, time_s)
 
 
 def draw_reconstruct(canvas: Canvas, view: ReconstructView, language: Language, time_s: float) -> None:
@@ -57,7 +47,7 @@ def draw_reconstruct(canvas: Canvas, view: ReconstructView, language: Language, 
     word_at, line_at, more_at = _places(canvas, view)
     _word(canvas, Text.COMPUTING, word_at, language)
     _sentence(canvas, Text.MAY_MOVE, line_at, language)
-    _bar(canvas, view.progress, more_at, time_s)
+    _waiting(canvas, more_at, time_s)
 
 
 def draw_saving(canvas: Canvas, view: SavingView, language: Language, time_s: float) -> None:
@@ -72,23 +62,7 @@ def draw_saving(canvas: Canvas, view: SavingView, language: Language, time_s: fl
         said = Text.SAFE_ON_DISK.in_language(language)
         canvas.words(said, middle, more_at - 8, BODY, BOLD, theme.GREEN, Align.CENTRE, 620)
     else:
-        _bar(canvas, None, more_at, time_s)
-
-
-def draw_fault(canvas: Canvas, view: FaultView, language: Language, time_s: float) -> None:
-    ground, ink, edge = alert_colours(view.alert.severity, time_s)
-    top, bottom = float(BAR_PX), alerts_top(canvas, view.alerts)
-    canvas.box(0, top, canvas.width, bottom - top, ground, edge=edge, edge_width=10)
-    said, to_do = words_of(view.alert, language)
-    left = 176.0
-    room = canvas.width - left - 30
-    canvas.box(36, top + 26, 116, 116, ink, 58)
-    canvas.words("!", 94, top + 124, 106, BLACK, ground, Align.CENTRE)
-    canvas.words(said, left, top + 86, HUGE - 10, BLACK, ink, max_width=room)
-    canvas.words(to_do, left, top + 146, TITLE, BOLD, ink, max_width=room)
-    lines = min(4, int((bottom - top - 196) / (1.3 * CAPTION)) + 1)
-    if lines > 0:
-        canvas.paragraph(view.detail, 36, top + 196, CAPTION, ink, canvas.width - 72, lines)
+        _waiting(canvas, more_at, time_s)
 
 
 def draw_shutdown(canvas: Canvas, view: ShutdownView, language: Language, time_s: float) -> None:
@@ -124,17 +98,9 @@ def _sentence(canvas: Canvas, text: Text, baseline: float, language: Language) -
     canvas.words(words, canvas.width / 2, baseline, BODY + 2, BOLD, align=Align.CENTRE, max_width=canvas.width - 60)
 
 
-def _bar(canvas: Canvas, progress: float | None, bottom: float, time_s: float) -> None:
+def _waiting(canvas: Canvas, bottom: float, time_s: float) -> None:
+    """Something that moves, without pretending to a length: nobody knows how long it takes."""
     left, width, height = _EDGE_PX, canvas.width - 2 * _EDGE_PX, 34.0
-    top = bottom - height
-    if progress is not None:
-        part = min(1.0, max(0.0, progress))
-        said = f"{100 * part:.0f} %"
-        canvas.words(said, canvas.width - left, bottom - 3, TITLE, BLACK, align=Align.RIGHT)
-        width -= canvas.measure("100 %", TITLE, BLACK) + 20
-        canvas.box(left, top, width, height, theme.PANEL, 17)
-        canvas.box(left, top, max(34.0, width * part), height, theme.AQUA, 17)
-    else:  # nobody knows how long: something that moves, without pretending to a length
-        canvas.box(left, top, width, height, theme.PANEL, 17)
-        swing = 1.0 - abs(2.0 * (0.4 * time_s % 1.0) - 1.0)
-        canvas.box(left + (width - 160) * swing, top, 160, height, theme.AQUA, 17)
+    canvas.box(left, bottom - height, width, height, theme.PANEL, 17)
+    swing = 1.0 - abs(2.0 * (0.4 * time_s % 1.0) - 1.0)
+    canvas.box(left + (width - 160) * swing, bottom - height, 160, height, theme.AQUA, 17)

@@ -5,20 +5,20 @@ from __future__ import annotations
 from appliance.screens import theme
 from appliance.screens.canvas import Align, Canvas
 from appliance.screens.cloud import CloudPainter
-from appliance.screens.column import GRADES, VERDICT_PX, Figure, draw_figures, draw_verdict, figures, known
+from appliance.screens.column import Figure, draw_figures, draw_verdict, figures, known
 from appliance.screens.frame import alerts_top, draw_title, room_between
 from appliance.screens.texts import Language, Text
 from appliance.screens.theme import BAR_PX, BOLD, CAPTION, REGULAR, TITLE
-from appliance.screens.views import PointValue, ReviewView
+from appliance.screens.views import ReviewView
 
 CLOUD_PX = 512.0
 """Width of the cloud's part of the screen; it is as high as the screen."""
-_VERDICT_TOP_PX = 70.0
+_VERDICT_TOP_PX = 66.0
 _LEGEND_PX = 120.0
 
 
 def draw_review(canvas: Canvas, cloud: CloudPainter, view: ReviewView, language: Language, time_s: float) -> None:
-    # Near is bright, little noise is bright: what the diver wants more of stands out.
+    # Near is bright.
     cloud.show(view.points_mm, view.values, bright_is_high=False)
     bottom = alerts_top(canvas, view.alerts)
     if cloud.empty:
@@ -32,10 +32,10 @@ def draw_review(canvas: Canvas, cloud: CloudPainter, view: ReviewView, language:
         _legend(canvas, cloud.range, view, language)
     if view.coarse:
         draw_coarse(canvas, view, language)
-    draw_verdict(canvas, GRADES[view.grade][0], view.grade, _VERDICT_TOP_PX, language)
+    top = draw_verdict(canvas, view.grade, view.lengths_doubtful, _VERDICT_TOP_PX, language) + 4
     rows = figures(view.points, view.coverage_percent, view.noise_mm, view.distance_mm)
     time = Figure(Text.TIME, known(view.duration_s, "{:.1f}"), "s")
-    draw_figures(canvas, (*rows[:3], time, rows[3]), _VERDICT_TOP_PX + VERDICT_PX + 6, bottom, language)
+    draw_figures(canvas, (*rows[:3], time, rows[3]), top, bottom, language)
 
 
 def draw_coarse(canvas: Canvas, view: ReviewView, language: Language) -> None:
@@ -45,14 +45,8 @@ def draw_coarse(canvas: Canvas, view: ReviewView, language: Language) -> None:
 
 def _legend(canvas: Canvas, span: tuple[float, float], view: ReviewView, language: Language) -> None:
     """What the colours mean: a bar with the values of its two ends, the bright end first, between the lower labels."""
-    if view.alerts:
-        return
-    match view.value:
-        case PointValue.DEPTH:
-            factor, unit = 1.0, "mm"
-        case PointValue.NOISE:
-            factor, unit = 1000.0, "µm"
-    low, high = (f"{factor * v:.0f}" for v in span)
+    unit = "mm"
+    low, high = (f"{value:.0f}" for value in span)
     left, right = room_between(canvas, view.keys, language, bottom=True)
     high_px, unit_px = canvas.measure(high, CAPTION, BOLD), canvas.measure(unit, CAPTION, REGULAR)
     bar_px = min(_LEGEND_PX, right - left - canvas.measure(low, CAPTION, BOLD) - high_px - unit_px - 22)

@@ -14,7 +14,7 @@ from appliance.screens.views import BootView, DeviceLine, DeviceResult, SelfTest
 
 _BANNER_PX, _FRINGE_SPEED = 104.0, 1.6
 _ROWS = 5
-_LEAST_DETAIL_PX = 54.0
+_LEAST_DETAIL_PX, _DETAIL_PX = 52.0, 26.0
 _RESULTS = {
     DeviceResult.WORKS: (Text.OK, theme.WHITE, theme.GREEN, theme.WHITE),
     DeviceResult.FAILED: (Text.FAILED, theme.YELLOW, theme.YELLOW, theme.YELLOW),
@@ -47,13 +47,22 @@ def _banner(canvas: Canvas, word: Text, colour: theme.Colour, version: str, lang
 
 
 def _devices(canvas: Canvas, devices: Sequence[DeviceLine], bottom: float, language: Language) -> None:
-    """In two columns; why one failed stands below its name where there is room."""
-    top = _BANNER_PX + 10
-    pitch = min(64.0, (bottom - top) / _ROWS)
+    """In two columns; why one failed stands below its name. Where room is short, only such lines are higher."""
+    top = _BANNER_PX + (10 if bottom > 380 else 4)
     column_px = canvas.width / 2
-    for number, line in enumerate(devices[: 2 * _ROWS]):
-        left = column_px * (number // _ROWS)
-        _line(canvas, line, left + 18, left + column_px - 18, top + pitch * (number % _ROWS), pitch, language)
+    for column in range(2):
+        lines = devices[_ROWS * column : _ROWS * (column + 1)]
+        pitch = min(64.0, (bottom - top) / _ROWS)
+        heights = [pitch] * len(lines)
+        if pitch < _LEAST_DETAIL_PX:
+            reasons = [bool(line.detail) and line.result is DeviceResult.FAILED for line in lines]
+            pitch = (bottom - top - _DETAIL_PX * sum(reasons)) / _ROWS
+            if pitch >= _LEAST_DETAIL_PX - _DETAIL_PX:
+                heights = [pitch + _DETAIL_PX * reason for reason in reasons]
+        y = top
+        for line, height in zip(lines, heights, strict=True):
+            _line(canvas, line, column_px * column + 18, column_px * (column + 1) - 18, y, height, language)
+            y += height
 
 
 def _line(
@@ -62,12 +71,17 @@ def _line(
     word, ink, mark, result_ink = _RESULTS[line.result]
     name = DEVICE_NAMES[line.device].in_language(language) if line.device in DEVICE_NAMES else line.device
     detail = _said(line.detail, language) if pitch >= _LEAST_DETAIL_PX else ""
-    baseline = top + (26 if detail else 0.5 * pitch + 10)
+    tight = pitch < 60
+    baseline = top + (0.5 * pitch + (7 if tight else 10) if not detail else 20 if tight else 26)
     # A square, not a dot, where it failed: the shape says it without colour.
     canvas.box(left, baseline - 20, 20, 20, mark, 3 if line.result is DeviceResult.FAILED else 10)
     word_px = canvas.words(word.in_language(language), right, baseline, BODY, BLACK, result_ink, Align.RIGHT)
-    canvas.words(name, left + 32, baseline, BODY - 2, BOLD, ink, max_width=right - word_px - left - 44)
-    canvas.words(detail, left + 32, baseline + 28, CAPTION, REGULAR, theme.MUTED, max_width=right - left - 32)
+    canvas.words(
+        name, left + 32, baseline, CAPTION + 2 if tight else BODY - 2, BOLD, ink, max_width=right - word_px - left - 44
+    )
+    canvas.words(
+        detail, left + 32, baseline + (27 if tight else 28), CAPTION, REGULAR, theme.MUTED, max_width=right - left - 32
+    )
 
 
 def _said(detail: Alert | Text | str, language: Language) -> str:

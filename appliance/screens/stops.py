@@ -9,7 +9,7 @@ from appliance.screens.canvas import Align, Canvas
 from appliance.screens.column import known
 from appliance.screens.frame import alert_colours, alerts_top, draw_title, words_of
 from appliance.screens.texts import Language, Text
-from appliance.screens.theme import BAR_PX, BLACK, BODY, BOLD, CAPTION, HEADLINE, HUGE, TITLE
+from appliance.screens.theme import BAR_PX, BLACK, BODY, BOLD, HEADLINE, HUGE, TITLE
 from appliance.screens.views import CoolingView, SafeView
 
 HOTTER_C = 15.0
@@ -20,11 +20,13 @@ def draw_cooling(canvas: Canvas, view: CoolingView, language: Language) -> None:
     draw_title(canvas, Text.COOLING.in_language(language), view.keys, language, theme.YELLOW)
     top, bottom = float(BAR_PX), alerts_top(canvas, view.alerts)
     room = bottom - top
-    high = room > 300
+    high = room > 200
     number = known(view.temperature_c, "{:.0f}") + " °C"
     x = 40.0
     baseline = top + room * (0.36 if high else 0.52)
-    canvas.words(number, x, baseline, HUGE + 16 if high else HUGE, BLACK, theme.YELLOW, max_width=360)
+    canvas.words(
+        number, x, baseline, round(min(HUGE + 16.0, 0.38 * room)) if high else HUGE, BLACK, theme.YELLOW, max_width=360
+    )
     until = f"{Text.UNTIL.in_language(language)} {view.limit_c:.0f} °C"
     right = canvas.width - 40
     canvas.words(until, right, baseline - 52, BODY + 2, BOLD, theme.WHITE, Align.RIGHT, 370)
@@ -75,6 +77,3 @@ def draw_safe(canvas: Canvas, view: SafeView, language: Language, time_s: float)
     baseline = bottom - (34 if not view.alerts else 18)
     words = said.in_language(language)
     canvas.words(words, middle, baseline, HEADLINE - 10, BLACK, colour, Align.CENTRE, canvas.width - 60)
-    device = view.alert.device
-    if device is not None:
-        canvas.words(device, 24, canvas.height - 20, CAPTION, BOLD, theme.MUTED, max_width=400)

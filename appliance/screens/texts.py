@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from enum import Enum, unique
 
@@ -15,46 +16,37 @@ class Language(Enum):
 class Text(Enum):
     """One entry per word or phrase; its value is (English, German)."""
 
-    # Labels of keys: one word, at most eleven letters
+    # Labels of keys: one word, or HOLD: and one word
     SCAN = ("SCAN", "SCAN")
     OK = ("OK", "OK")
     KEEP = ("KEEP", "BEHALTEN")
+    SEEN = ("SEEN", "GESEHEN")
     REPEAT = ("REPEAT", "NOCHMAL")
     BACK = ("BACK", "ZURÜCK")
     OFF = ("OFF", "AUS")
-    BRIGHTER = ("BRIGHTER", "HELLER")
-    DARKER = ("DARKER", "DUNKLER")
     HOLD_OFF = ("HOLD: OFF", "LANG: AUS")
     STOP = ("STOP", "STOPP")
     TURN = ("TURN", "DREHEN")
-    TURN_LEFT = ("‹ TURN", "‹ DREHEN")
-    TURN_RIGHT = ("TURN ›", "DREHEN ›")
-    DEPTH = ("DEPTH", "TIEFE")
     NOISE = ("NOISE", "RAUSCHEN")
     CANCEL = ("CANCEL", "ABBRUCH")
     RETRY = ("RETRY", "ERNEUT")
     MENU = ("MENU", "MENÜ")
     GALLERY = ("GALLERY", "GALERIE")
-    UP = ("UP", "HOCH")
-    DOWN = ("DOWN", "RUNTER")
-    HIGHER = ("HIGHER", "MEHR")
-    LOWER = ("LOWER", "WENIGER")
     GO_ON = ("GO ON", "WEITER")
     ANYWAY = ("ANYWAY", "TROTZDEM")
     CHANGE = ("CHANGE", "ÄNDERN")
     OPEN = ("OPEN", "ÖFFNEN")
     ARROW_UP = ("▲", "▲")
     ARROW_DOWN = ("▼", "▼")
-    EXPOSE = ("EXPOSE", "ZEIT")
-    ADD = ("ADD", "DAZU")
-    GAIN = ("GAIN", "VERST.")
+    EXPOSE = ("EXPOSE", "BELICHTEN")
+    ADD = ("ADD", "ERGÄNZEN")
+    GAIN = ("GAIN", "VERSTÄRKEN")
     NEWER = ("NEWER", "NEUER")
     OLDER = ("OLDER", "ÄLTER")
-    HOLD_CALIBRATE = ("HOLD: CALIB", "LANG: KALIB")
-    HOLD_REDO = ("HOLD: REDO", "LANG: NOCHM.")
+    HOLD_REDO = ("HOLD: REDO", "LANG: NOCHMAL")
     HOLD_NEW = ("HOLD: NEW", "LANG: NEU")
     REDO = ("REDO", "ERSETZEN")
-    RESTORE = ("RESTORE", "ALTE")
+    RESTORE = ("RESTORE", "ZURÜCKHOLEN")
     M1 = ("M1", "M1")
     M2 = ("M2", "M2")
     M3 = ("M3", "M3")
@@ -72,7 +64,7 @@ class Text(Enum):
     COMPUTING = ("COMPUTING", "RECHNET")
     SAVING = ("SAVING", "SPEICHERT")
     SAVED = ("SAVED", "GESPEICHERT")
-    POWERING_OFF = ("POWERING OFF", "SCHALTET AB")
+    POWERING_OFF = ("POWERING OFF", "SCHALTET AUS")
     SELF_TEST = ("SELF-TEST", "SELBSTTEST")
     ALL_READY = ("ALL READY", "ALLES BEREIT")
     SEE_BELOW = ("SOMETHING FAILED", "ETWAS FEHLT")
@@ -83,19 +75,23 @@ class Text(Enum):
 
     # The menu
     EXPOSURE = ("EXPOSURE", "BELICHTUNG")
-    FRINGES = ("FRINGE PERIOD", "STREIFENBREITE")
+    FRINGES = ("FRINGES", "STREIFEN")
+    FINE = ("FINE", "FEIN")
+    MEDIUM = ("MEDIUM", "MITTEL")
+    COARSE_FRINGES = ("COARSE", "GROB")
     WATER = ("WATER", "WASSER")
     CALIBRATE = ("CALIBRATION", "KALIBRIERUNG")
     LANGUAGE = ("LANGUAGE", "SPRACHE")
     ENGLISH = ("ENGLISH", "ENGLISCH")
     GERMAN = ("GERMAN", "DEUTSCH")
-    ABOUT = ("ABOUT", "GERÄT")
-    POWER_OFF = ("POWER OFF", "GERÄT AUS")
+    ABOUT = ("ABOUT", "ÜBER DAS GERÄT")
+    POWER_OFF = ("POWER OFF", "AUSSCHALTEN")
     POWER_OFF_ASKED = ("POWER OFF?", "AUSSCHALTEN?")
     VERSION = ("VERSION", "VERSION")
-    INSTRUMENT = ("INSTRUMENT", "INSTRUMENT")
+    SERIAL_NUMBER = ("SERIAL NUMBER", "GERÄTENUMMER")
     CALIBRATED = ("CALIBRATED", "KALIBRIERT")
-    CALIBRATION_HASH = ("CALIBRATION ID", "KALIBRIERUNG-ID")
+    FROM_DRAWING = ("NEVER, FROM DRAWING", "NIE, NACH ZEICHNUNG")
+    SALINITY = ("SALINITY", "SALZGEHALT")
     DISK = ("DISK", "SPEICHER")
     STAY_ON = ("STAY ON", "ANBLEIBEN")
     SWITCH_OFF = ("SWITCH OFF", "AUSSCHALTEN")
@@ -103,9 +99,6 @@ class Text(Enum):
     WATER_TEMPERATURE = ("WATER TEMPERATURE", "WASSERTEMPERATUR")
     FRESH = ("FRESH", "SÜSSWASSER")
     SALT = ("SALT", "SALZWASSER")
-    AUTOMATIC = ("AUTOMATIC", "AUTOMATISCH")
-    YES = ("YES", "JA")
-    NO = ("NO", "NEIN")
 
     # The gallery
     NO_SCANS = ("NO SCANS YET", "NOCH KEINE SCANS")
@@ -120,8 +113,6 @@ class Text(Enum):
     COVERAGE = ("COVERAGE", "ABDECKUNG")
     DISTANCE = ("DISTANCE", "ABSTAND")
     TIME = ("TIME", "DAUER")
-    FRAME = ("FRAME", "BILD")
-    MORE = ("MORE", "WEITERE")
 
     # Sentences
     LEFT_CAMERA = ("LEFT CAMERA", "LINKE KAMERA")
@@ -135,8 +126,8 @@ class Text(Enum):
     LASERS_OFF = ("LASERS OFF, CAMERAS READY", "LASER AUS, KAMERAS BEREIT")
     UNTIL = ("READY BELOW", "BEREIT UNTER")
     SOME_MORE = ("STILL ABOUT", "NOCH ETWA")
-    ALL_SAVED = ("ALL SCANS ARE SAVED", "ALLE SCANS GESICHERT")
-    LIGHT_IS_ON = ("DO NOT MOVE UNTIL THE LIGHT IS OFF", "RUHIG BIS DAS LICHT AUS IST")
+    ALL_SAVED = ("ALL SCANS ARE SAVED", "ALLE SCANS GESPEICHERT")
+    LIGHT_IS_ON = ("DO NOT MOVE UNTIL THE LIGHT IS OFF", "RUHIG HALTEN, BIS DAS LICHT AUS IST")
     SAFE_ON_DISK = ("SAFE ON DISK", "SICHER GESPEICHERT")
     WAIT_FOR_DARK = ("KEEP POWER CONNECTED", "NICHT VOM STROM TRENNEN")
 
@@ -153,7 +144,7 @@ class Text(Enum):
     FROM_THE_SIDE = ("SIDE", "SEITE")
 
     # Calibration: what becomes of a recording
-    STORING = ("STORING", "SICHERT")
+    STORING = ("STORING", "WIRD GESPEICHERT")
     LOOKING = ("LOOKING FOR IT", "WIRD GESUCHT")
     ENTERING = ("ENTERING", "WIRD EINGETRAGEN")
     SOLVING = ("SOLVING", "RECHNET AUS")
@@ -214,6 +205,7 @@ class Text(Enum):
     GOOD = ("GOOD", "GUT")
     USABLE = ("USABLE", "BRAUCHBAR")
     BAD = ("BAD", "SCHLECHT")
+    LENGTHS_DOUBTFUL = ("LENGTHS UNSURE", "LÄNGEN UNSICHER")
 
     # Results of the self-test
     WAITING = ("…", "…")
@@ -259,15 +251,26 @@ DEVICE_NAMES: Mapping[str, Text] = {
 _BY_ENGLISH = {text.english: text for text in Text}
 
 
-def worded(label: Text | str, language: Language) -> str:
+_DECIMAL = re.compile(r"(?<![\d.])(\d+)\.(\d+)(?![\d.])")
+"""One point between figures: a version like 0.1.0 has two."""
+
+
+def numbered(words: str, language: Language) -> str:
+    """Numbers as the language writes them: 0.31 % → 0,31 % in German."""
+    return _DECIMAL.sub(r"\1,\2", words) if language is Language.GERMAN else words
+
+
+def worded(label: Text | str | tuple[Text | str, ...], language: Language) -> str:
     """A label in a language; English words that the table holds are translated, others stay as they are.
 
-    Of words that the table does not hold as a whole, the first is translated: EXPOSE 8 ms → ZEIT 8 ms.
+    Of words that the table does not hold as a whole, the first is translated: EXPOSE 8 ms → BELICHTEN 8 ms.
     """
+    if isinstance(label, tuple):
+        return " ".join(worded(part, language) for part in label)
     if isinstance(label, Text):
         return label.in_language(language)
     if label in _BY_ENGLISH:
         return _BY_ENGLISH[label].in_language(language)
     first, space, rest = label.partition(" ")
     text = _BY_ENGLISH.get(first) if space else None
-    return label if text is None else f"{text.in_language(language)} {rest}"
+    return numbered(label if text is None else f"{text.in_language(language)} {rest}", language)

@@ -106,8 +106,6 @@ class AimView(View):
     """SCAN was pressed outside the measuring volume; pressed once more it records."""
     scan_allowed: bool = True
     """Without it the label of SCAN is drawn dim; the reason is an alert."""
-    just_saved: str | None = None
-    """Number of a scan whose saving is to be confirmed."""
     keys: KeyLabels = field(default_factory=lambda: labels(scan=Text.SCAN, back=Text.HOLD_OFF))
 
 
@@ -120,10 +118,8 @@ class ArmedView(View):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CaptureView(View):
-    """The sequence is being recorded: ``frames_done`` of ``frames``."""
+    """The sequence is being recorded. Drawn once, before the first pattern: until the last one nothing is drawn."""
 
-    frames_done: int
-    frames: int
     keys: KeyLabels = field(default_factory=lambda: labels(back=Text.STOP))
 
 
@@ -131,16 +127,13 @@ class CaptureView(View):
 class CheckView(View):
     """The sequence is recorded; whether its frames show what they should is being checked. The diver may move."""
 
-    progress: float | None = None
-    """0..1, ``None`` where nobody knows."""
     keys: KeyLabels = field(default_factory=lambda: labels(back=Text.HOLD_REDO))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ReconstructView(View):
-    """Points are being computed; ``progress`` is 0..1, ``None`` where nobody knows."""
+    """Points are being computed; for how long, nobody knows."""
 
-    progress: float | None
     keys: KeyLabels = field(default_factory=lambda: labels(back=Text.HOLD_REDO))
 
 
@@ -152,26 +145,17 @@ class Grade(Enum):
     BAD = "bad"
 
 
-class PointValue(Enum):
-    """What the colours of a cloud mean."""
-
-    DEPTH = "depth"
-    """Distance along z, mm."""
-    NOISE = "noise"
-    """Expected standard deviation, mm; less is better."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ReviewView(View):
     """A scan and its verdict. The coarse cloud comes first; the full one replaces it in a later view.
 
-    ``points_mm`` is (n, 3) float32 in the left camera frame, ``values`` (n,) float32 in mm. The arrays must not
-    change while they are shown; the same memory in the next view is not copied again. No points: (0, 3), (0,).
+    ``points_mm`` is (n, 3) float32 in the left camera frame, ``values`` (n,) float32 their distance in mm, which is what the
+    colours mean. The arrays must not change while they are shown; the same memory in the next view is not copied again.
+    No points: (0, 3), (0,).
     """
 
     points_mm: NDArray[np.float32]
     values: NDArray[np.float32]
-    value: PointValue
     coarse: bool
     grade: Grade
     points: int
@@ -180,10 +164,12 @@ class ReviewView(View):
     distance_mm: float | None
     duration_s: float | None
     """From the key press to this picture."""
+    lengths_doubtful: bool = False
+    """Lengths are not to be trusted: no grade stands alone."""
     turn: int = 0
     """How far the diver turned the cloud: steps to the right, negative to the left."""
     keys: KeyLabels = field(
-        default_factory=lambda: labels(scan=Text.KEEP, back=Text.HOLD_REDO, up=Text.TURN_RIGHT, down=Text.TURN_LEFT)
+        default_factory=lambda: labels(scan=Text.KEEP, back=Text.HOLD_REDO, up=Text.TURN, down=Text.TURN)
     )
 
 
@@ -197,11 +183,10 @@ class SavingView(View):
 
 @dataclass(frozen=True, slots=True)
 class MenuRow:
-    """One line of a menu. ``value`` is what is chosen now; a row that is not ``allowed`` is drawn dim."""
+    """One line of a menu. ``value`` is what is chosen now, in one word or several."""
 
     text: Text
-    value: Text | str = ""
-    allowed: bool = True
+    value: Text | str | tuple[Text | str, ...] = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -213,7 +198,9 @@ class MenuView(View):
     selected: int
     changing: bool = False
     """The value of the selected row is being changed, and not yet taken."""
-    keys: KeyLabels = field(default_factory=lambda: labels(scan=Text.OK, back=Text.BACK, up=Text.UP, down=Text.DOWN))
+    keys: KeyLabels = field(
+        default_factory=lambda: labels(scan=Text.OK, back=Text.BACK, up=Text.ARROW_UP, down=Text.ARROW_DOWN)
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -229,6 +216,8 @@ class GalleryView(View):
     count: int = 0
     preview: NDArray[np.uint8] | None = None
     grade: Grade | None = None
+    lengths_doubtful: bool = False
+    """As in ``ReviewView``, when the scan was taken."""
     points: int | None = None
     coverage_percent: float | None = None
     noise_mm: float | None = None
@@ -275,15 +264,6 @@ class SafeView(View):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class FaultView(View):
-    """Nothing else can be shown than what is wrong and what to do; ``alert`` fills the screen."""
-
-    alert: Alert
-    detail: str = ""
-    """One line for who repairs it: the device's own message."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ShutdownView(View):
     """The instrument is switching off. ``reason`` is the alert that forced it, ``None`` after the diver's wish."""
 
@@ -307,6 +287,5 @@ AnyView = (
     | CalibrateView
     | CoolingView
     | SafeView
-    | FaultView
     | ShutdownView
 )

@@ -19,6 +19,8 @@ from appliance.storage.scan import PREVIEW
 
 GRADE = "grade"
 """Name of the verdict that holds the word shown in the review."""
+LENGTHS_DOUBTFUL = "lengths_doubtful"
+"""Its number that is 1 where lengths were not to be trusted when the scan was taken; older scans do not tell."""
 MAX_PREVIEW_BYTES = 20_000_000
 
 
@@ -31,6 +33,7 @@ class Shown:
     preview: NDArray[np.uint8] | None = None
     """(h, w, 3) uint8 RGB."""
     grade: Grade | None = None
+    lengths_doubtful: bool = False
     points: int | None = None
     coverage_percent: float | None = None
     noise_mm: float | None = None
@@ -92,7 +95,8 @@ def read(library: Library, scan_id: str) -> Shown:
     if entry.manifest is None:
         return Shown(scan_id, damaged=True)
     record = entry.manifest.record
-    word = next((verdict.text for verdict in record.verdicts if verdict.name == GRADE), None)
+    graded = next((verdict for verdict in record.verdicts if verdict.name == GRADE), None)
+    word = None if graded is None else graded.text
     preview, readable = _preview(entry)
     points = record.cloud.get("points")
     return Shown(
@@ -100,6 +104,7 @@ def read(library: Library, scan_id: str) -> Shown:
         damaged=not entry.ok or not readable,
         preview=preview,
         grade=next((grade for grade in Grade if grade.value == word), None),
+        lengths_doubtful=graded is not None and graded.numbers.get(LENGTHS_DOUBTFUL) == 1.0,
         points=None if points is None else int(points),
         coverage_percent=record.cloud.get("coverage_percent"),
         noise_mm=record.cloud.get("noise_mm"),

@@ -23,6 +23,7 @@ from appliance.capture.verdict import Verdict
 from appliance.config import Rig
 from appliance.machine import effects as do
 from appliance.machine import events as on
+from appliance.machine.alerts import lengths_doubtful
 from appliance.machine.choices import PERIODS_PX, Choices, offers_of
 from appliance.machine.keys import meaning
 from appliance.machine.states import Limits, Machine, Part, Settings, State, boot
@@ -33,7 +34,7 @@ from appliance.screens.texts import Language, Text
 from appliance.screens.views import Grade
 from appliance.service.calibrating import CalibrationDesk
 from appliance.service.devices import SIDES, Devices
-from appliance.service.gallery import GRADE, GalleryDesk
+from appliance.service.gallery import GRADE, LENGTHS_DOUBTFUL, GalleryDesk
 from appliance.service.instrument import exposure_of, exposures_of
 from appliance.service.keeper import Keeper
 from appliance.service.menu_view import Facts
@@ -498,7 +499,8 @@ class Service:
             if summary is None
             else grade(summary.coverage_percent, summary.noise_mm, warnings)
         )
-        verdict = None if summary is None else Verdict(GRADE, word is not Grade.BAD, {}, word.value)
+        numbers = {LENGTHS_DOUBTFUL: float(lengths_doubtful(self.machine))}
+        verdict = None if summary is None else Verdict(GRADE, word is not Grade.BAD, numbers, word.value)
         self._desk.publish(number, self._preview, verdict)
 
     def _temperatures_c(self) -> dict[str, float | None]:
@@ -516,8 +518,7 @@ class Service:
         calibration = self._desk.calibration
         return Facts(
             serial=self._rig.rig.serial,
-            calibrated=Text.NO if calibration.method == DRAWN else calibration.made_at[:10],
-            calibration_hash=calibration.hash[:12],
+            calibrated=Text.FROM_DRAWING if calibration.method == DRAWN else calibration.made_at[:10],
         )
 
     @contextmanager
@@ -551,8 +552,6 @@ class Service:
             right=self._live.get("right"),
             temperature_c=self._telemetry.temperature_case_c if self._telemetry is not None else None,
             scan=self._desk.scan,
-            frames=len(self._desk.sequence),
-            frames_done=0,
             shown=self._gallery.shown,
             facts=self._facts(),
         )

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import appliance
 from appliance.machine import menu
-from appliance.machine.alerts import alerts
+from appliance.machine.alerts import alerts, on_screen
 from appliance.machine.menu import Row
 from appliance.machine.states import Answer, Machine, Menu, OffQuestion, Page
 from appliance.screens.texts import Text
@@ -19,8 +19,7 @@ class Facts:
 
     serial: str
     calibrated: Text | str
-    """Method and date."""
-    calibration_hash: str
+    """On which day; or that it never was."""
 
 
 TITLES = {Page.MAIN: Text.MENU, Page.WATER: Text.WATER, Page.ABOUT: Text.ABOUT}
@@ -36,9 +35,9 @@ WORDS = {
     Row.WATER_KIND: Text.WATER_KIND,
     Row.WATER_TEMPERATURE: Text.WATER_TEMPERATURE,
     Row.VERSION: Text.VERSION,
-    Row.INSTRUMENT: Text.INSTRUMENT,
+    Row.SERIAL_NUMBER: Text.SERIAL_NUMBER,
     Row.CALIBRATED: Text.CALIBRATED,
-    Row.CALIBRATION_HASH: Text.CALIBRATION_HASH,
+    Row.SALINITY: Text.SALINITY,
     Row.DISK: Text.DISK,
 }
 LANGUAGES = {"en": Text.ENGLISH, "de": Text.GERMAN}
@@ -59,19 +58,22 @@ def menu_view(machine: Machine, facts: Facts | None) -> MenuView:
     at = machine.menu or Menu()
     rows = tuple(MenuRow(WORDS[row], value_of(row, machine, facts)) for row in menu.ROWS[at.page])
     changing = at.draft is not None
-    return MenuView(title=TITLES[at.page], rows=rows, selected=at.row, changing=changing, alerts=alerts(machine))
+    return MenuView(title=TITLES[at.page], rows=rows, selected=at.row, changing=changing, alerts=on_screen(machine))
 
 
-def value_of(row: Row, machine: Machine, facts: Facts | None) -> Text | str:
+FRINGES = {16: Text.FINE, 32: Text.MEDIUM, 64: Text.COARSE_FRINGES}
+
+
+def value_of(row: Row, machine: Machine, facts: Facts | None) -> Text | str | tuple[Text | str, ...]:
     """What is chosen, or so; while it is being changed, what it would be."""
     chosen = menu.shown(machine)
     match row:
         case Row.EXPOSURE:
-            value: Text | str = chosen.exposure.label
+            value: Text | str | tuple[Text | str, ...] = chosen.exposure.label
         case Row.PERIOD:
-            value = f"{chosen.period_px} px"
+            value = FRINGES.get(chosen.period_px, f"{chosen.period_px} px")
         case Row.WATER:
-            value = f"{chosen.water_c:g} °C, {chosen.salinity_psu:g} psu"
+            value = (Text.SALT if chosen.salt else Text.FRESH, f"{chosen.water_c:g} °C")
         case Row.WATER_KIND:
             value = Text.SALT if chosen.salt else Text.FRESH
         case Row.WATER_TEMPERATURE:
@@ -81,13 +83,14 @@ def value_of(row: Row, machine: Machine, facts: Facts | None) -> Text | str:
         case Row.VERSION:
             value = appliance.__version__
         case Row.DISK:
-            value = f"{machine.scans} + {'?' if machine.scans_left is None else machine.scans_left}"
-        case Row.INSTRUMENT if facts is not None:
+            left = "?" if machine.scans_left is None else str(machine.scans_left)
+            value = (str(machine.scans), Text.TAKEN, f"· {left}", Text.LEFT_OVER)
+        case Row.SERIAL_NUMBER if facts is not None:
             value = facts.serial
         case Row.CALIBRATED if facts is not None:
             value = facts.calibrated
-        case Row.CALIBRATION_HASH if facts is not None:
-            value = facts.calibration_hash
+        case Row.SALINITY:
+            value = f"{chosen.salinity_psu:g} psu"
         case _:
             value = ""
     return value

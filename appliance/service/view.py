@@ -12,7 +12,7 @@ import appliance
 from appliance.calibration.guide import HELD
 from appliance.capture.fault import Fault, FaultCode
 from appliance.machine import safety, start, thermal
-from appliance.machine.alerts import RULES, alert_of, alerts
+from appliance.machine.alerts import RULES, alert_of, lengths_doubtful, on_screen
 from appliance.machine.permissions import refusal
 from appliance.machine.states import Calibrating, Device, Machine, Part, State
 from appliance.machine.texts import labels
@@ -31,7 +31,6 @@ from appliance.screens.views import (
     GalleryView,
     Gauge,
     Grade,
-    PointValue,
     ReconstructView,
     ReviewView,
     SafeView,
@@ -57,8 +56,6 @@ class Surroundings:
     right: NDArray[np.uint8] | None
     temperature_c: float | None
     scan: ScanInWork | None
-    frames: int
-    frames_done: int
     shown: Shown | None = None
     """The scan that the gallery has loaded."""
     facts: Facts | None = None
@@ -70,7 +67,7 @@ def view_of(machine: Machine, around: Surroundings) -> AnyView:
 
 
 def _view(machine: Machine, around: Surroundings) -> AnyView:
-    shown = alerts(machine)
+    shown = on_screen(machine)
     if machine.off_question is not None:
         return question_view(machine, machine.off_question)
     match machine.state:
@@ -107,11 +104,11 @@ def _view(machine: Machine, around: Surroundings) -> AnyView:
         case State.ARMED:
             return ArmedView(alerts=shown)
         case State.CAPTURE:
-            return CaptureView(frames_done=around.frames_done, frames=around.frames, alerts=shown)
+            return CaptureView(alerts=shown)
         case State.CHECK:
             return CheckView(alerts=shown)
         case State.RECONSTRUCT:
-            return ReconstructView(progress=None, alerts=shown)
+            return ReconstructView(alerts=shown)
         case State.REVIEW:
             return _review(machine, around, machine.scan is not None and machine.scan.full is not None)
         case State.SAVING:
@@ -124,8 +121,7 @@ def _view(machine: Machine, around: Surroundings) -> AnyView:
                 left=around.left if Device.CAMERA_LEFT in machine.up else None,
                 right=around.right if Device.CAMERA_RIGHT in machine.up else None,
                 scan_allowed=at.step not in HELD or refusal(machine) is None,
-                # What calibrating is the remedy for need not be said while it is done.
-                alerts=tuple(alert for alert in shown if alert.code is not FaultCode.UNCALIBRATED),
+                alerts=shown,
             )
         case State.COOLING:
             return _cooling(machine)
@@ -143,8 +139,8 @@ def _review(machine: Machine, around: Surroundings, full: bool) -> ReviewView:
     cloud = around.scan.cloud if around.scan is not None else None
     if cloud is None:
         return ReviewView(
-            points_mm=NO_POINTS, values=NO_VALUES, value=PointValue.DEPTH, coarse=True, grade=Grade.BAD, points=0,
-            coverage_percent=None, noise_mm=None, distance_mm=None, duration_s=None, alerts=alerts(machine),
+            points_mm=NO_POINTS, values=NO_VALUES, coarse=True, grade=Grade.BAD, points=0,
+            coverage_percent=None, noise_mm=None, distance_mm=None, duration_s=None, alerts=on_screen(machine),
         )  # fmt: skip
     # The coarse cloud is what a small screen can show; the numbers are those of the full one as soon as it is there.
     shown = around.scan.coarse if around.scan is not None and around.scan.coarse is not None else cloud
@@ -153,16 +149,16 @@ def _review(machine: Machine, around: Surroundings, full: bool) -> ReviewView:
     return ReviewView(
         points_mm=shown.points_mm,
         values=shown.points_mm[:, 2],
-        value=PointValue.DEPTH,
         coarse=not full,
         grade=grade(s.coverage_percent, s.noise_mm, machine.scan.warnings if machine.scan is not None else ()),
+        lengths_doubtful=lengths_doubtful(machine),
         points=s.points,
         coverage_percent=s.coverage_percent,
         noise_mm=s.noise_mm,
         distance_mm=s.distance_mm,
         duration_s=duration_s,
         turn=machine.scan.turn if machine.scan is not None else 0,
-        alerts=alerts(machine),
+        alerts=on_screen(machine),
     )
 
 
@@ -195,14 +191,14 @@ def _cooling(machine: Machine) -> CoolingView:
         temperature_c=None if worst is None else worst.numbers["temperature_c"],
         limit_c=worst.numbers.get("below_c", 0.0) if worst is not None else machine.settings.temperatures["case"].hot_c,
         remaining_s=thermal.remaining_s(machine),
-        alerts=alerts(machine),
+        alerts=on_screen(machine),
     )
 
 
 def _gallery(machine: Machine, shown: Shown | None) -> GalleryView:
     at = machine.gallery
     if at is None or not at.scans or at.scan_id is None:
-        return GalleryView(alerts=alerts(machine))
+        return GalleryView(alerts=on_screen(machine))
     scan = shown if shown is not None and shown.scan_id == at.scan_id else Shown(at.scan_id, damaged=False)
     return GalleryView(
         scan_id=scan.scan_id,
@@ -210,13 +206,14 @@ def _gallery(machine: Machine, shown: Shown | None) -> GalleryView:
         count=len(at.scans),
         preview=scan.preview,
         grade=scan.grade,
+        lengths_doubtful=scan.lengths_doubtful,
         points=scan.points,
         coverage_percent=scan.coverage_percent,
         noise_mm=scan.noise_mm,
         distance_mm=scan.distance_mm,
         taken=scan.taken,
         damaged=scan.damaged,
-        alerts=alerts(machine),
+        alerts=on_screen(machine),
     )
 
 

@@ -27,6 +27,7 @@ def describe(
                 "action": alert.action,
                 "severity": alert.severity.name,
                 "detail": alert.detail,
+                "seen": alert.seen,
             }
             for alert in alerts(machine)
         ],

@@ -36,6 +36,7 @@ from tests.support.rendered import RenderedScan, render_scan
 SEED, SIZE = 2, "800x600"
 UNTIL_THE_POWER_FAILS = """
 wait state AIM 90
+press back            # UNCALIBRATED: seen
 press up                    # the menu
 press down
 press down

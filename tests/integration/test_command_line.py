@@ -24,6 +24,7 @@ ROOT = Path(__file__).parents[2]
 SMALL_RIG = ROOT / "hw_sim" / "rigs" / "small.toml"
 DIVE = """
 wait state AIM 90
+press back            # UNCALIBRATED: seen
 press scan
 wait state REVIEW 60
 pause 1

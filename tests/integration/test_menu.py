@@ -26,6 +26,7 @@ MOST_PICTURES = 2
 """From a press to its answer: at 60 Hz a third of the 100 ms that a diver may wait."""
 DIVE = """
 wait state AIM 90
+press back            # UNCALIBRATED: seen
 pause 0.5
 press up
 wait state MENU 5

@@ -150,6 +150,8 @@ def test_a_dive_by_keyboard(screen: Xvfb, tmp_path: Path) -> None:
 
         tap(screen, "Return")
         until(lambda: it.state == "AIM", "kept")
+        tap(screen, "BackSpace")  # UNCALIBRATED: seen
+        until(lambda: it.status().get("keys", {}).get("back") == "HOLD: OFF", "seen")
         tap(screen, "BackSpace", hold_s=1.2)
         until(lambda: (it.status().get("question") or {}).get("selected") == "STAY ON", "held long enough to be asked")
         tap(screen, "Down")

@@ -16,6 +16,7 @@ from hw_sim.world import World
 
 SCRIPT = """
 wait state AIM 240
+press back            # UNCALIBRATED: seen
 pause 0.5
 press scan
 wait state REVIEW 240

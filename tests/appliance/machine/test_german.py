@@ -8,8 +8,9 @@ from string import Formatter
 import pytest
 
 from appliance.capture.fault import Fault, FaultCode
-from appliance.machine.alerts import RULES, alert_of, alerts
-from appliance.machine.german import GERMAN
+from appliance.machine.alerts import LONGEST, RULES, alert_of, alerts
+from appliance.machine.german import FIRST_KEPT, GERMAN
+from appliance.machine.german import LONGEST as LONGEST_GERMAN
 from appliance.machine.states import Notice, NoticeKind, boot
 
 NUMBERS = {
@@ -30,8 +31,11 @@ def test_both_languages_keep_to_the_room_with_and_without_numbers(code: FaultCod
         for numbers in ({}, NUMBERS):
             alert = alert_of(Fault(code, "detail", numbers, device))
             assert alert.german is not None
-            for headline, action in ((alert.headline, alert.action), alert.german):
-                assert 0 < len(headline) <= 16, headline
+            for (headline, action), longest in (
+                ((alert.headline, alert.action), LONGEST),
+                (alert.german, LONGEST_GERMAN),
+            ):
+                assert 0 < len(headline) <= longest, headline
                 assert 0 < len(action) <= 32, action
                 assert "{" not in headline
 
@@ -39,7 +43,7 @@ def test_both_languages_keep_to_the_room_with_and_without_numbers(code: FaultCod
 @pytest.mark.parametrize("code", list(FaultCode))
 def test_both_languages_tell_the_same_numbers(code: FaultCode) -> None:
     def numbers_of(template: str) -> set[str]:
-        return {name for _, name, _, _ in Formatter().parse(template) if name} - {"side", "short_side"}
+        return {name for _, name, _, _ in Formatter().parse(template) if name} - {"side", "window_side"}
 
     assert numbers_of(GERMAN[code].headline) == numbers_of(RULES[code].headline)
 
@@ -55,7 +59,8 @@ def test_nothing_is_cut_to_fit(code: FaultCode) -> None:
             assert any(letter.isdigit() for letter in alert.headline)
             assert any(letter.isdigit() for letter in alert.german[0])
         if "side" in said:
-            assert ("LI" in alert.german[0]) == (device == "camera.left")
+            assert ("LINK" in alert.german[0]) == (device == "camera.left")
+            assert ("RECHT" in alert.german[0]) == (device == "camera.right")
 
 
 @pytest.mark.parametrize("kind", list(NoticeKind))
@@ -64,6 +69,6 @@ def test_a_notice_is_in_both_languages(code: FaultCode, kind: NoticeKind) -> Non
     fault = Fault(code, "detail", NUMBERS, "camera.right")
     said = alerts(replace(boot(0), notice=Notice(fault, kind)))[0]
     assert said.german is not None
-    assert len(said.german[0]) <= 16
-    assert len(said.german[1]) <= 32
+    assert len(said.german[0]) <= LONGEST_GERMAN
+    assert len(said.german[1]) <= LONGEST_GERMAN + len(f": {FIRST_KEPT}")
     assert said.german != (said.headline, said.action)

@@ -267,7 +267,7 @@ def test_a_scan_the_diver_kept_is_saved_or_still_in_hand(
 @settings(max_examples=70, deadline=None)
 def test_a_press_of_scan_that_begins_nothing_says_why(start: Machine, events: list[on.Event]) -> None:
     before = walk(start, events)
-    if before.state is not State.AIM or Key.SCAN in before.stuck:
+    if before.state is not State.AIM or Key.SCAN in before.stuck or before.off_question is not None:
         return
     machine, effects = step(before, on.KeyPressed(Key.SCAN))
     if any(isinstance(effect, do.Arm) for effect in effects):

@@ -141,7 +141,8 @@ def test_the_question_of_the_menu_is_the_same_one_and_leads_back_to_its_row() ->
 
 
 def test_with_back_stuck_its_stand_in_asks_and_the_other_key_selects() -> None:
-    machine = run(aim(), on.KeyJammed(Key.BACK), on.KeyPressed(Key.DOWN), on.KeyHeld(Key.DOWN))
+    seen = run(aim(), on.KeyJammed(Key.BACK), on.KeyPressed(Key.DOWN))
+    machine = run(seen, on.KeyPressed(Key.DOWN), on.KeyHeld(Key.DOWN))
     assert labels(machine) == {Key.SCAN: "OK", Key.DOWN: "BACK", Key.UP: "▼"}
     assert run(machine, on.KeyPressed(Key.DOWN)).off_question is None
     machine = run(machine, on.KeyPressed(Key.UP))

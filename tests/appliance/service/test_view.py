@@ -10,7 +10,7 @@ from appliance.screens.views import SelfTestView
 from appliance.service.view import Surroundings, view_of
 from tests.appliance.machine.walks import UPS, run
 
-NOTHING = Surroundings(left=None, right=None, temperature_c=None, scan=None, frames=24, frames_done=0)
+NOTHING = Surroundings(left=None, right=None, temperature_c=None, scan=None)
 
 
 @pytest.mark.parametrize("failed", [None, *Part])

@@ -22,6 +22,11 @@ in grey as well; words neither overlap nor are cut, in both languages, at 800 ×
 (`tests/appliance/screens/test_legible.py`). White is normal, solid yellow a warning, flashing red critical (1.5 Hz, below
 the limit for photosensitive eyes). What each key does is written beside it: UP and DOWN on the left, SCAN and BACK on the
 right. The language is chosen in the rig file (`[display] language`).
+
+An alert has room of its own: numbers, rows and pictures move up, none is covered (`tests/appliance/screens/test_room.py`). A
+warning that lasts is acknowledged with BACK (SEEN) and stays as a small mark on every screen, until its reason changes or it
+gets worse. While the light is on nothing is drawn: the display and the projector share one thread and one graphics card, and a
+picture of the progress could make a pattern late.
 """
 
 

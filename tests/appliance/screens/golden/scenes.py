@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
-import numpy as np
-
 from appliance.calibration.guide import USED, Refusal, Session, Solved, Step, Trial, Verified
 from appliance.capture.fault import Fault, FaultCode
 from appliance.capture.ranging import Reach
@@ -26,14 +24,12 @@ from appliance.screens.views import (
     CoolingView,
     DeviceLine,
     DeviceResult,
-    FaultView,
     GalleryView,
     Gauge,
     Grade,
     KeyLabels,
     MenuRow,
     MenuView,
-    PointValue,
     ReconstructView,
     ReviewView,
     SafeView,
@@ -89,9 +85,8 @@ AIM = AimView(
     exposure="12 ms", water=Text.SALT, gauge=Gauge(503.0, -4.0, Reach.OK), keys=_AIM_KEYS,
 )  # fmt: skip
 _POINTS = seabed.cloud()
-_NOISE = (0.018 + 0.05 * np.hypot(_POINTS[:, 0] / 122.0, _POINTS[:, 1] / 96.0) ** 2).astype(np.float32)
 REVIEW = ReviewView(
-    points_mm=_POINTS, values=_POINTS[:, 2], value=PointValue.DEPTH, coarse=False, grade=Grade.GOOD, points=1_312_409,
+    points_mm=_POINTS, values=_POINTS[:, 2], coarse=False, grade=Grade.GOOD, points=1_312_409,
     coverage_percent=87.0, noise_mm=0.028, distance_mm=503.0, duration_s=2.8, keys=_REVIEW_KEYS,
 )  # fmt: skip
 NO_POINTS = replace(
@@ -104,15 +99,15 @@ GALLERY = GalleryView(
 )  # fmt: skip
 MAIN_ROWS = (
     MenuRow(Text.EXPOSURE, "12 ms"),
-    MenuRow(Text.FRINGES, "16 px"),
-    MenuRow(Text.WATER, "12.5 °C, 34.5 psu"),
+    MenuRow(Text.FRINGES, Text.FINE),
+    MenuRow(Text.WATER, (Text.SALT, "12.5 °C")),
     MenuRow(Text.CALIBRATE),
     MenuRow(Text.GALLERY),
     MenuRow(Text.LANGUAGE, Text.ENGLISH),
     MenuRow(Text.ABOUT),
     MenuRow(Text.POWER_OFF),
 )
-_MENU_KEYS = keys(scan="OK", back="BACK", up="UP", down="DOWN")
+_MENU_KEYS = keys(scan="OPEN", back="BACK", up="▲", down="▼")
 _TRIALS = tuple(Trial(step, None, 0.031, 2140) for step in USED)
 _SOLVED = Solved("bundle, spline", 0.034, (), "abc")
 _CHECKED = Session((), None, Verified(0.0062, None, 0.0001))
@@ -168,10 +163,20 @@ SCENES: Mapping[str, Scene] = MappingProxyType(
             replace(AIM, gauge=Gauge(None, None, Reach.UNKNOWN), temperature_c=None, scans_left=None, exposure=None),
             "No dot is seen, no sensor answers: unknown is a dash, never a zero.",
         ),
-        "aim-saved": Scene(replace(AIM, just_saved="000012"), "A scan is safe on the disk."),
         "aim-warning": Scene(
             replace(AIM, right=None, scan_allowed=False, alerts=(LOST, WARM)),
             "A camera is lost: its picture is gone, SCAN is dim, the band says what to do.",
+        ),
+        "aim-acknowledge": Scene(
+            replace(
+                AIM, alerts=(replace(alert(FaultCode.UNCALIBRATED), lasts=True),),
+                keys=keys(scan="SCAN", back="SEEN", up="MENU", down="GALLERY"),
+            ),
+            "A warning that lasts has room of its own, and goes with BACK …",
+        ),
+        "aim-mark": Scene(
+            replace(AIM, alerts=(replace(alert(FaultCode.UNCALIBRATED), lasts=True, seen=True),)),
+            "… to a small mark, on this screen and on every other.",
         ),
         "aim-many-alerts": Scene(
             replace(
@@ -183,17 +188,19 @@ SCENES: Mapping[str, Scene] = MappingProxyType(
             ),
             "The gravest flashes in red; the others are named above it.",
         ),
-        "armed": Scene(ArmedView(), "Lasers are proven off before any pattern is shown."),
-        "capture": Scene(CaptureView(frames_done=14, frames=24), "The sequence is recorded."),
-        "check": Scene(CheckView(progress=0.6), "Whether every frame shows its pattern; the diver may move."),
-        "reconstruct": Scene(ReconstructView(progress=0.4), "Points are computed."),
-        "reconstruct-unknown": Scene(ReconstructView(progress=None), "The same where nobody knows for how long.", 0.9),
+        "armed": Scene(ArmedView(keys=keys(back="STOP")), "Lasers are proven off before any pattern is shown."),
+        "capture": Scene(CaptureView(keys=keys(back="STOP")), "The sequence is recorded. Drawn before its first pattern, and not again before its last one."),
+        "check": Scene(CheckView(keys=keys(back="HOLD: REDO")), "Whether every frame shows its pattern; the diver may move."),
+        "reconstruct": Scene(ReconstructView(keys=keys(back="HOLD: REDO")), "Points are computed.", 0.9),
         "review": Scene(REVIEW, "The cloud by depth, gently turning; the verdict and its numbers.", 1.2),
         "review-coarse": Scene(
             replace(REVIEW, coarse=True, grade=Grade.USABLE, points=20_412, noise_mm=0.071), "A coarse cloud comes first.", 0.4
         ),
-        "review-noise": Scene(
-            replace(REVIEW, values=_NOISE, value=PointValue.NOISE, turn=1), "By noise, turned by the diver.", 0.0
+        "review-turned": Scene(replace(REVIEW, turn=1), "Turned by the diver.", 0.0),
+        "review-doubtful": Scene(
+            replace(REVIEW, lengths_doubtful=True, alerts=(replace(alert(FaultCode.UNCALIBRATED), lasts=True, seen=True),)),
+            "A good scan of an instrument that is not calibrated: no grade stands alone. The warning was acknowledged; its mark stays.",
+            1.2,
         ),
         "review-moved": Scene(
             replace(
@@ -213,25 +220,25 @@ SCENES: Mapping[str, Scene] = MappingProxyType(
         "menu-changing": Scene(
             MenuView(
                 title=Text.MENU, rows=MAIN_ROWS, selected=0, changing=True,
-                keys=keys(scan="OK", back="CANCEL", up="HIGHER", down="LOWER"),
+                keys=keys(scan="OK", back="CANCEL", up="▲", down="▼"),
             ),
             "A value is being changed; it holds once it is taken.",
         ),
         "menu-alert": Scene(
             MenuView(
                 title=Text.MENU,
-                rows=(*MAIN_ROWS[:3], replace(MAIN_ROWS[3], allowed=False), *MAIN_ROWS[4:]),
+                rows=MAIN_ROWS,
                 selected=3, alerts=(LOST, WARM), keys=_MENU_KEYS,
             ),
-            "With an alert the rows around the chosen one stay; what is not allowed is dim.",
+            "With an alert the rows stand closer, and a long page goes on above and below.",
         ),
         "menu-about": Scene(
             MenuView(
-                title=Text.ABOUT, selected=0, keys=keys(back="BACK", down="DOWN"),
+                title=Text.ABOUT, selected=0, keys=keys(back="BACK", down="▼"),
                 rows=(
-                    MenuRow(Text.VERSION, "0.1.0"), MenuRow(Text.INSTRUMENT, "KF-0001"),
-                    MenuRow(Text.CALIBRATED, "2026-11-02"), MenuRow(Text.CALIBRATION_HASH, "3f9a01c27be4"),
-                    MenuRow(Text.DISK, "12 + 41"),
+                    MenuRow(Text.VERSION, "0.1.0"), MenuRow(Text.SERIAL_NUMBER, "KF-0001"),
+                    MenuRow(Text.CALIBRATED, "2026-11-02"), MenuRow(Text.SALINITY, "34.5 psu"),
+                    MenuRow(Text.DISK, ("12", Text.TAKEN, "· 41", Text.LEFT_OVER)),
                 ),
             ),
             "What this instrument is.",
@@ -305,13 +312,6 @@ SCENES: Mapping[str, Scene] = MappingProxyType(
         "safe-alert": Scene(
             SafeView(alert=LEAK, saved=True, alerts=(LEAK, LOST, WARM), keys=keys(back="HOLD: OFF")),
             "What else is wrong comes second.",
-        ),
-        "fault": Scene(
-            FaultView(
-                alert=alert(FaultCode.PROJECTOR_LOST),
-                detail="card0 HDMI-A-1: the connector reports no display; the cable or the projector's supply is off",
-            ),
-            "Nothing else can be shown than what is wrong and what to do.",
         ),
         "shutdown": Scene(ShutdownView(), "After the diver's wish."),
         "shutdown-forced": Scene(

@@ -19,7 +19,8 @@ SIZE_PX = (1748, 2480)
 """A5 at 300 px per inch; 800 × 1135 units of the design."""
 _EDGE = 48.0
 _DISPLAY_TOP_PX, _DISPLAY_PX = 102.0, (460.0, 276.0)
-_STEPS_TOP_PX, _STEP_PX = 396.0, 44.0
+_LEGEND_TOP_PX, _LINE_PX = 382.0, 28.0
+_STEPS_TOP_PX, _STEP_PX = 448.0, 40.0
 
 
 def steps(language: Language) -> tuple[str, ...]:
@@ -50,6 +51,19 @@ def steps(language: Language) -> tuple[str, ...]:
     )
 
 
+def legend(language: Language) -> tuple[str, ...]:
+    """What the small things on the aim screen above mean, with the words and numbers that it shows."""
+    if language is Language.GERMAN:
+        return (
+            "L, R: linke, rechte Kamera · 12 ms: Belichtung",
+            f"{Text.SALT.german}: eingestellt · 34 °C: Gehäuse · 4°: Schräge",
+        )
+    return (
+        "L, R: left, right camera · 12 ms: exposure",
+        f"{Text.SALT.english}: water set · 34 °C: housing · 4°: slant",
+    )
+
+
 def draw_card(context: moderngl.Context, aim: NDArray[np.uint8], language: Language) -> NDArray[np.uint8]:
     """(h, w, 3) uint8 RGB; ``aim`` is the picture of the aim screen."""
     with context:
@@ -58,6 +72,7 @@ def draw_card(context: moderngl.Context, aim: NDArray[np.uint8], language: Langu
             canvas.begin(theme.hex_colour(0xFFFFFF))
             _head(canvas, language)
             _keys(canvas, aim)
+            _legend(canvas, language)
             _steps(canvas, language)
             _alarms(canvas, language)
             return canvas.finish().copy()
@@ -86,6 +101,12 @@ def _keys(canvas: Canvas, aim: NDArray[np.uint8]) -> None:
         canvas.words(name, x + 55, y + 35, CAPTION + 2, BLACK, theme.WHITE, Align.CENTRE)
 
 
+def _legend(canvas: Canvas, language: Language) -> None:
+    for number, line in enumerate(legend(language)):
+        y = _LEGEND_TOP_PX + _LINE_PX * (number + 0.8)
+        canvas.words(line, canvas.width / 2, y, CAPTION, REGULAR, theme.INK, Align.CENTRE, canvas.width - 60)
+
+
 def _steps(canvas: Canvas, language: Language) -> None:
     for number, step in enumerate(steps(language)):
         y = _STEPS_TOP_PX + _STEP_PX * number
@@ -108,8 +129,9 @@ def _alarms(canvas: Canvas, language: Language) -> None:
     y = canvas.height - 84
     canvas.box(30, y, canvas.width - 60, 44, theme.YELLOW, 8)
     said = (
-        "GELB: Warnung. Was zu tun ist, steht darunter." if language is Language.GERMAN
-        else "YELLOW: a warning. What to do stands below it."
+        f"GELB: Warnung, und was zu tun ist. BACK: {Text.SEEN.german}."
+        if language is Language.GERMAN
+        else f"YELLOW: a warning, and what to do. BACK: {Text.SEEN.english}."
     )  # fmt: skip
     canvas.words(said, _EDGE, y + 31, CAPTION + 2, BOLD, theme.INK, max_width=canvas.width - 2 * _EDGE)
     last = (

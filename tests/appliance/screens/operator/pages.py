@@ -12,7 +12,7 @@ from appliance.machine.alerts import RULES, Rule, Severity
 from appliance.machine.states import Machine, State
 from appliance.machine.texts import labels
 from appliance.screens.frame import words_of
-from appliance.screens.texts import Language, worded
+from appliance.screens.texts import Language, Text, worded
 from drivers.api import Key
 from tests.appliance.machine.walks import STARTS, armed, in_gallery, reviewing, run
 from tests.appliance.screens.golden.scenes import ALERTS
@@ -98,8 +98,12 @@ def keys(language: Language) -> str:
         pick(
             language,
             "One press has one meaning; its word stands on the display beside the key. HOLD means 0.8 s. "
+            f"While a lasting warning is shown in full, BACK says {Text.SEEN.english} on every screen but while something is "
+            "recorded: the press takes it for known and does nothing else, and a small mark of it stays. "
             f"A key without a word does nothing. Made by `{COMMAND}`.",
             "Ein Druck hat eine Bedeutung; ihr Wort steht auf der Anzeige neben der Taste. LANG heißt 0,8 s. "
+            f"Solange eine bleibende Warnung groß dasteht, heißt BACK überall {Text.SEEN.german}, außer während einer Aufnahme: "
+            "der Druck nimmt sie zur Kenntnis und tut sonst nichts, und eine kleine Marke bleibt. "
             f"Eine Taste ohne Wort tut nichts. Erzeugt mit `{COMMAND}`.",
         ),
         "",
