@@ -36,6 +36,18 @@ class Step:
         return f"line {self.line}: {' '.join((self.verb, *self.words))}"
 
 
+def read_script(path: Path) -> tuple[Step, ...]:
+    """Read and parse a script's file. Raises ScriptError for one that is no text or cannot be read."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise ScriptError(f"script {path}: cannot be read ({error.strerror}); give a file that can") from error
+    try:
+        return parse_script(data.decode("utf-8"))
+    except UnicodeDecodeError as error:
+        raise ScriptError(f"script {path}: byte {error.start} is not UTF-8; a script is a text file") from error
+
+
 def parse_script(text: str) -> tuple[Step, ...]:
     """Parse a script; every line is checked before the first is played. Raises ScriptError."""
     steps = []

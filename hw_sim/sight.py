@@ -107,10 +107,28 @@ def read(path: Path) -> dict[str, Any]:
 
 def summary(status: Status) -> str:
     """What is to be seen instead, in one line."""
-    alerts, calibration = _alerts(status, "code"), status.get("calibration")
-    read = [f"{head}: {act}" for head, act in zip(_alerts(status, "headline"), _alerts(status, "action"), strict=True)]
+    alerts = zip(*(_alerts(status, field) for field in ("code", "headline", "action")), strict=True)
+    read = ", ".join(f"{code} ({headline}: {action})" for code, headline, action in alerts)
+    calibration = status.get("calibration")
     return (
-        f"the state is {status.get('state')}, alerts {alerts}, which read {read}, keys {status.get('keys')}, "
-        f"scans {status.get('scans')}, range {status.get('range')}"
-        + (f", calibration {calibration}" if calibration else "")
+        f"the state is {_words(status.get('state'))}; alerts: {read or 'none'}; keys: {_words(status.get('keys'))}; "
+        f"scans: {_words(status.get('scans'))}; range: {_words(status.get('range'))}"
+        + (f"; calibration: {_words(calibration)}" if calibration else "")
     )
+
+
+def _words(value: object) -> str:
+    """A value of the file as a person would write it down."""
+    match value:
+        case None | "":
+            return "-"
+        case bool():
+            return "yes" if value else "no"
+        case float():
+            return f"{value:.4g}"
+        case Mapping():
+            return ", ".join(f"{name} {_words(one)}" for name, one in value.items()) or "none"
+        case list():
+            return ", ".join(_words(one) for one in value) or "none"
+        case _:
+            return str(value)

@@ -10,9 +10,11 @@ from appliance.calibration import file as calibration_file
 from appliance.cli.output import UsageError
 from appliance.config import Rig
 from appliance.storage import scan as stored
-from appliance.storage.atomic import StorageError
+from appliance.storage.atomic import StorageError, remedy_for
 from appliance.storage.library import Library
 from appliance.storage.scan import RAW_FILES, ScanError
+
+CLOUD_SUFFIX = ".ply"
 
 
 def usable_scan(rig: Rig, scan: str, calibration: Path | None) -> Path:
@@ -58,14 +60,27 @@ def writable(out: Path | None) -> None:
         raise UsageError(f"--out {out}: there is no folder {out.parent}; make it first, or give another one")
 
 
+def writable_cloud(out: Path | None) -> None:
+    """As ``writable``, of a cloud. Raises UsageError for a name that promises another format than the one written."""
+    if out is not None and out.suffix.lower() != CLOUD_SUFFIX:
+        raise UsageError(
+            f"--out {out}: a cloud is written as PLY, and {out.suffix or 'no suffix'} promises something else; allowed: "
+            f"{CLOUD_SUFFIX}; give {out.with_suffix(CLOUD_SUFFIX)}, which other programs convert"
+        )
+    writable(out)
+
+
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
     """Turns what the disk refuses into a StorageError that names ``path`` and the option that leads elsewhere."""
     try:
         yield
     except (StorageError, OSError) as error:
-        reason = error.reason if isinstance(error, StorageError) else error.strerror or str(error)
-        raise StorageError("cannot write", path, reason, "free space there, or give another file with --out") from error
+        if isinstance(error, StorageError):
+            reason, remedy = error.reason, error.remedy
+        else:
+            reason, remedy = error.strerror or str(error), remedy_for(error)
+        raise StorageError("cannot write", path, reason, f"{remedy}; --out FILE writes elsewhere") from error
 
 
 def _folder(rig: Rig, scan: str) -> Path:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 import os
+import re
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -27,9 +28,15 @@ from appliance.storage.library import UnknownScan
 from appliance.storage.scan import ScanError
 from drivers.api import DeviceError
 
-EXIT_CODES = "exit codes: " + ", ".join(
-    f"{code.value} {code.name.lower().replace('_', ' ')}" for code in Exit
-)  # fmt: skip
+_NEGATIVE = re.compile(r"-\.?\d.*")
+"""A value that begins with a minus, and no option: none of ours begins with a digit."""
+
+
+def _exit_codes(*of: Exit) -> str:
+    """The end of a help text: the codes that every verb may end with, and those ``of`` this one."""
+    usual = (Exit.OK, Exit.FAILED, Exit.USAGE, *of, Exit.INTERRUPTED)
+    return "exit codes: " + ", ".join(f"{code.value} {code.name.lower().replace('_', ' ')}" for code in usual)
+
 
 Verb = Callable[[argparse.Namespace], Exit]
 
@@ -39,6 +46,8 @@ class _Parser(argparse.ArgumentParser):
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(allow_abbrev=False, **settings)
+        # argparse takes "-5x3x1x1" for an option and says "expected one argument": let the value be judged instead.
+        self._negative_number_matcher = _NEGATIVE
 
     def error(self, message: str) -> NoReturn:
         complain(f"{message}; see `{self.prog} --help`", as_json="--json" in sys.argv[1:])
@@ -91,15 +100,31 @@ def _rooted(arguments: argparse.Namespace) -> Rig:
 
 
 def _given_root(root: Path) -> Path:
+    if root.is_file():
+        raise UsageError(f"--root {root}: is a file; give the folder that holds scans/")
     if not root.is_dir():
         raise UsageError(f"--root {root}: no such folder; give the storage root that holds scans/")
     return root
 
 
+def _run(arguments: argparse.Namespace) -> Exit:
+    """With a root of its own where one is given; it is made if it is not there."""
+    rig, root = _rig(arguments), arguments.root
+    if root is not None:
+        rig = replace(rig, storage=replace(rig.storage, root=_new_root(root)))
+    return verbs.run(rig)
+
+
+def _new_root(root: Path) -> Path:
+    if root.exists() and not root.is_dir():
+        raise UsageError(f"--root {root}: is a file; give a folder, which is made if it is not there")
+    return root.absolute()
+
+
 def _sim(arguments: argparse.Namespace) -> Exit:
     rig = load_rig(arguments.rig or default_sim_rig())
     options = SimOptions(
-        root=arguments.root,
+        root=None if arguments.root is None else _new_root(arguments.root),
         object_name=arguments.object,
         texture=arguments.texture,
         truth=arguments.truth,
@@ -124,19 +149,32 @@ def _grammar() -> _Parser:
     root = _Parser(add_help=False)
     root.add_argument("--root", type=Path, metavar="PATH", help="storage root (default: the rig file's)")
 
-    top = _Parser(prog="kingfisher", description="Handheld underwater 3D scanner.", epilog=EXIT_CODES)
+    top = _Parser(
+        prog="kingfisher",
+        description="Handheld underwater 3D scanner.",
+        epilog=_exit_codes(Exit.SCRIPT_FAILED, Exit.DAMAGED),
+    )
     top.add_argument("--version", action="version", version=f"kingfisher {__version__}")
     commands = top.add_subparsers(required=True, metavar="VERB", parser_class=_Parser)
 
-    def add(where: argparse._SubParsersAction[_Parser], name: str, text: str, verb: Verb, *parents: _Parser) -> _Parser:
-        parser = where.add_parser(name, help=text, description=text, epilog=EXIT_CODES, parents=[common, *parents])
+    def add(
+        where: argparse._SubParsersAction[_Parser],
+        name: str,
+        text: str,
+        verb: Verb,
+        *parents: _Parser,
+        codes: Sequence[Exit] = (),
+    ) -> _Parser:
+        parser = where.add_parser(
+            name, help=text, description=text, epilog=_exit_codes(*codes), parents=[common, *parents]
+        )
         parser.set_defaults(verb=verb, service=False)
         return parser
 
-    run = add(commands, "run", "run the instrument", lambda a: verbs.run(_rig(a)), rig)
+    run = add(commands, "run", "run the instrument", _run, rig, root)
     run.set_defaults(service=True)
 
-    sim = add(commands, "sim", "run the instrument in a simulated world (docs/protocols/world.md)", _sim, rig, root)
+    sim = add(commands, "sim", "run the instrument in a simulated world", _sim, rig, root, codes=(Exit.SCRIPT_FAILED,))
     sim.set_defaults(service=True)
     sim.add_argument("--object", choices=OBJECTS, help="what lies before the scanner")
     sim.add_argument("--texture", choices=TEXTURES, help="its albedo")
@@ -170,7 +208,7 @@ def _grammar() -> _Parser:
     evaluation = add(
         commands,
         "evaluate",
-        "measure artefacts in stored scans, after VDI/VDE 2634 (docs/evaluation.md)",
+        "measure artefacts in stored scans, after VDI/VDE 2634",
         lambda a: evaluate.evaluate(_rooted(a), a.list, a.calibration, a.out, json=a.json),
         rig,
         root,
@@ -207,7 +245,7 @@ def _add_scans(
     rig: _Parser,
     root: _Parser,
 ) -> None:
-    group = commands.add_parser("scans", help="look at stored scans", epilog=EXIT_CODES)
+    group = commands.add_parser("scans", help="look at stored scans", epilog=_exit_codes())
     inner = group.add_subparsers(required=True, metavar="VERB", parser_class=_Parser)
     every = "also those rejected or set aside"
 
@@ -224,13 +262,14 @@ def _add_scans(
         lambda a: scans.verify_scans(_root(a), a.scans, every=a.all, json=a.json),
         rig,
         root,
+        codes=(Exit.DAMAGED,),
     )
     verify.add_argument("scans", metavar="SCAN", nargs="*", help="numbers (default: all)")
     verify.add_argument("--all", action="store_true", help=every)
     merge = add(
         inner,
         "merge",
-        "one cloud of two scans that were taken with different exposures from the same place (docs/exposure.md)",
+        "one cloud of two scans that were taken with different exposures from the same place",
         lambda a: verbs.merge(_rooted(a), (a.first, a.second), a.calibration, a.out, json=a.json),
         rig,
         root,
@@ -247,7 +286,7 @@ def _add_calibration(
     rig: _Parser,
     root: _Parser,
 ) -> None:
-    group = commands.add_parser("calibration", help="look at calibrations", epilog=EXIT_CODES)
+    group = commands.add_parser("calibration", help="look at calibrations", epilog=_exit_codes())
     inner = group.add_subparsers(required=True, metavar="VERB", parser_class=_Parser)
     show = add(
         inner,
@@ -275,12 +314,12 @@ def _add_measure(
     rig: _Parser,
     root: _Parser,
 ) -> None:
-    group = commands.add_parser("measure", help="measure the instrument itself in a stored scan", epilog=EXIT_CODES)
+    group = commands.add_parser("measure", help="measure the instrument itself in a stored scan", epilog=_exit_codes())
     inner = group.add_subparsers(required=True, metavar="VERB", parser_class=_Parser)
     response = add(
         inner,
         "response",
-        "the projector's light by code, from a scan of a plane (docs/phase-bias.md)",
+        "the projector's light by code, from a scan of a plane",
         lambda a: measure.response(_rooted(a), a.scan, a.out, json=a.json),
         rig,
         root,
@@ -304,12 +343,12 @@ def _add_health(
     rig: _Parser,
     root: _Parser,
 ) -> None:
-    group = commands.add_parser("health", help="whether the calibration still holds", epilog=EXIT_CODES)
+    group = commands.add_parser("health", help="whether the calibration still holds", epilog=_exit_codes())
     inner = group.add_subparsers(required=True, metavar="VERB", parser_class=_Parser)
     add(
         inner,
         "show",
-        "the trend of the ray gaps (docs/calibration-health.md)",
+        "the trend of the ray gaps",
         lambda a: health.show(_rooted(a), json=a.json),
         rig,
         root,
@@ -348,7 +387,7 @@ def _add_calibrate(
     rig: _Parser,
     root: _Parser,
 ) -> None:
-    group = commands.add_parser("calibrate", help="make calibrations", epilog=EXIT_CODES)
+    group = commands.add_parser("calibrate", help="make calibrations", epilog=_exit_codes())
     inner = group.add_subparsers(required=True, metavar="VERB", parser_class=_Parser)
     air = add(
         inner,
@@ -384,7 +423,7 @@ def _add_calibrate(
     water = add(
         inner,
         "water",
-        "calibrate from scans of ball bars and planes in water (docs/calibration.md)",
+        "calibrate from scans of ball bars and planes in water",
         lambda a: calibrate.water(_rooted(a), a.list, _water_options(a), json=a.json),
         rig,
         root,

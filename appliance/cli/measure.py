@@ -7,6 +7,7 @@ from pathlib import Path
 
 from appliance.cli.desk import usable_scan, writable, writing
 from appliance.cli.kernels import compile_desk_kernels
+from appliance.cli.listing import listing
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json, table
 from appliance.config import Rig
 from appliance.storage.atomic import replace_file
@@ -54,9 +55,7 @@ def response(rig: Rig, scan: str, out: Path | None, *, json: bool) -> Exit:
     if json:
         say_json(report)
     else:
-        for key, value in report.items():
-            shown = " ".join(f"{one:.2f}" for one in value) if isinstance(value, list) else value
-            say(f"{key:<24} {f'{shown:.3f}' if isinstance(shown, float) else shown}")
+        listing(report)
     return Exit.OK
 
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from appliance.cli.listing import shown
 from appliance.cli.output import Exit, Progress, say, say_json, table
 from appliance.storage.library import Entry, Library, Shelf
 from appliance.storage.manifest import Stage, as_json
@@ -128,5 +129,5 @@ def _flat(value: Any, prefix: str = "") -> list[tuple[str, str]]:
     if isinstance(value, list):
         if len(value) > 6 or any(isinstance(one, dict | list) for one in value):
             return [(prefix, f"{len(value)} items")]
-        return [(prefix, ", ".join(str(one) for one in value) or "-")]
-    return [(prefix, "-" if value in (None, "") else str(value))]
+        return [(prefix, ", ".join(shown(prefix, one) for one in value) or "-")]
+    return [(prefix, shown(prefix, value))]

@@ -6,12 +6,14 @@ import faulthandler
 from pathlib import Path
 
 from appliance import __version__, kernel_build, kernel_cache
-from appliance.cli.desk import measuring, usable_scan, writable, writing
+from appliance.cli.desk import measuring, usable_scan, writable, writable_cloud, writing
 from appliance.cli.kernels import Progress as CompilerProgress
 from appliance.cli.kernels import compile_desk_kernels, compile_kernels, find_kernels
+from appliance.cli.listing import listing
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json, table
 from appliance.cli.simrig import SimOptions, simulated, simulator_kernels, with_simulated_wires
 from appliance.config import Rig
+from appliance.storage.atomic import remedy_for
 
 # The service is imported inside the verbs: it brings drivers and compiled kernels, which `scans list` can do without.
 
@@ -51,7 +53,7 @@ def check(rig: Rig, *, json: bool) -> Exit:
 
 def reconstruct(rig: Rig, scan: str, calibration: Path | None, out: Path | None, *, json: bool) -> Exit:
     """A stored scan's cloud from its raw frames. ``scan``: its number, or its folder."""
-    writable(out)
+    writable_cloud(out)
     measuring(calibration)
     with Progress() as progress:
         progress("comparing checksums")
@@ -64,14 +66,13 @@ def reconstruct(rig: Rig, scan: str, calibration: Path | None, out: Path | None,
     if json:
         say_json(report)
     else:
-        for key, value in report.items():
-            say(f"{key:<24} {'-' if value is None else value}")
+        listing(report)
     return Exit.OK
 
 
 def merge(rig: Rig, scans: tuple[str, str], calibration: Path | None, out: Path | None, *, json: bool) -> Exit:
     """One cloud of two stored scans with different exposures. ``scans``: their numbers, or their folders."""
-    writable(out)
+    writable_cloud(out)
     measuring(calibration)
     with Progress() as progress:
         progress("comparing checksums")
@@ -84,8 +85,7 @@ def merge(rig: Rig, scans: tuple[str, str], calibration: Path | None, out: Path 
     if json:
         say_json(report)
     else:
-        for key, value in report.items():
-            say(f"{key:<26} {'-' if value is None else value}")
+        listing(report)
     return Exit.OK
 
 
@@ -97,8 +97,7 @@ def calibration_show(rig: Rig, path: Path | None, *, json: bool) -> Exit:
     if json:
         say_json(content)
     else:
-        for key, value in content.items():
-            say(f"{key:<24} {'-' if value is None else value}")
+        listing(content)
     return Exit.OK
 
 
@@ -138,7 +137,7 @@ def warm(out: Path | None, *, common: bool, json: bool) -> Exit:
             folder = kernel_build.build(target, DESK, progress, kernel_cache.COMMON if common else None)
         except OSError as error:
             raise UsageError(
-                f"{target}: {error.strerror or error}; give a folder that can be written: --out DIR"
+                f"{target}: {error.strerror or error}; {remedy_for(error)}; --out DIR writes elsewhere"
             ) from error
     if json:
         say_json({"folder": str(folder)})

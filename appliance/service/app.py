@@ -75,7 +75,8 @@ def run(rig: Rig) -> int:
         library.prepare()
         recovery = library.recover()
         if recovery.recovered or recovery.set_aside:
-            log.warning("recovered %s, set aside %s", recovery.recovered, recovery.set_aside)
+            found, aside = (", ".join(ids) or "none" for ids in (recovery.recovered, recovery.set_aside))
+            log.warning("scans recovered: %s; set aside: %s", found, aside)
         news = (*news, *recovered(recovery.recovered))  # last, for it says more than that the run before ended
         calibration, conditions = calibration_of(rig)
         stopping = stack.enter_context(_signals())

@@ -103,7 +103,11 @@ class Background:
                 ticket, said = pipe.recv()
                 if ticket == self._ticket and self.busy:
                     self.busy = isinstance(said, Progressed)
-                    return said if isinstance(said, Progressed | Done | Failed) else Failed(f"it sent {said!r:.60}")
+                    return (
+                        said
+                        if isinstance(said, Progressed | Done | Failed)
+                        else Failed(f"it sent a {type(said).__name__}, which is no answer")
+                    )
         except (EOFError, OSError):
             return self._gone()
         return None if process.is_alive() else self._gone()

@@ -152,7 +152,9 @@ class CalibrationDesk:
             case Done(Solution() as solution):
                 self._solved(solution)
             case Done(answer):
-                events.append(on.CalibrationFailed(Failure(Mishap.BROKEN_OFF, f"it answered {answer!r:.60}")))
+                events.append(
+                    on.CalibrationFailed(Failure(Mishap.BROKEN_OFF, f"it answered with a {type(answer).__name__}"))
+                )
             case Failed(reason, error):
                 log.warning("calibration: %s", reason)
                 events.append(on.CalibrationFailed(_failure(error, reason)))

@@ -41,6 +41,7 @@ from appliance.service.menu_view import Facts
 from appliance.service.patterns import Patterns
 from appliance.service.ranging import RangingDesk
 from appliance.service.scans import ScanDesk
+from appliance.service.spoken import spoken
 from appliance.service.supervision import Supervision
 from appliance.service.view import Surroundings, grade, view_of
 from appliance.storage.atomic import StorageError
@@ -270,10 +271,9 @@ class Service:
                 self._calibrating.cancel()  # its process takes memory
             if before.state is State.REVIEW and self._drawn is State.REVIEW:
                 self._preview = self._painter.preview()
-        if isinstance(event, on.DeviceUp):
-            log.info("%s works", event.device.value)
-        elif isinstance(event, on.DeviceDown | on.CaptureFailed | on.SaveFailed | on.ReconstructionFailed):
-            log.warning("%s", event)
+        said = spoken(event)
+        if said is not None:
+            log.log(*said)
         for effect in wanted:
             self._execute(effect)
 

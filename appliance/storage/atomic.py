@@ -6,6 +6,7 @@ failed fsync means that the kernel may have dropped the data: nothing is retried
 
 from __future__ import annotations
 
+import errno
 import hashlib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -15,6 +16,20 @@ from pathlib import Path
 from appliance.storage.filesystem import Bytes, FileSystem, WritableFile
 
 _BLOCK = 4 * 1024 * 1024
+_OWNER = "this user may not: check the owner and the mode of the folder, or use another folder"
+_REMEDIES = {
+    errno.ENOSPC: "the disk is full: free space on it, or use another folder",
+    errno.EDQUOT: "this user's share of the disk is used up: free space, or have the share enlarged",
+    errno.EROFS: "the file system is mounted for reading only: mount it for writing, or use another folder",
+    errno.EACCES: _OWNER,
+    errno.EPERM: _OWNER,
+    errno.ENOENT: "a part of the path does not exist: correct it",
+    errno.ENOTDIR: "a part of the path is a file: correct it, or move the file away",
+    errno.EISDIR: "it is a folder: give the name of a file",
+    errno.ENAMETOOLONG: "the name is too long: give a shorter one",
+    errno.EIO: "the disk fails: copy what is on it, and replace it",
+    errno.EMFILE: "too many files are open in this process: start it again",
+}
 
 
 class StorageError(Exception):
@@ -25,6 +40,7 @@ class StorageError(Exception):
         self.what = what
         self.path = path
         self.reason = reason
+        self.remedy = remedy
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +57,12 @@ def refused(what: str, path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise StorageError(what, path, error.strerror or str(error)) from error
+        raise StorageError(what, path, error.strerror or str(error), remedy_for(error)) from error
+
+
+def remedy_for(error: OSError) -> str:
+    """What to do about a disk's refusal, by its number (errno.h)."""
+    return _REMEDIES.get(error.errno or 0, "free space or replace the disk")
 
 
 def write_new(fs: FileSystem, path: Path, parts: Iterable[Bytes]) -> Stamp:

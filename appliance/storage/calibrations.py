@@ -28,7 +28,7 @@ from appliance.calibration import file as calibration_file
 from appliance.calibration.file import Calibration, CalibrationError
 from appliance.calibration.guide import Session
 from appliance.sealed import seal, unseal
-from appliance.storage.atomic import StorageError, move_folder, refused, replace_file
+from appliance.storage.atomic import StorageError, move_folder, refused, remedy_for, replace_file
 from appliance.storage.filesystem import FileSystem, LocalFileSystem
 
 SCHEMA = 1
@@ -228,7 +228,7 @@ def _next(folder: Path) -> int:
     try:
         found = [int(match[0]) for path in folder.iterdir() if (match := re.match(r"\d{1,9}", path.name))]
     except OSError as error:
-        raise StorageError("cannot list", folder, error.strerror or str(error)) from error
+        raise StorageError("cannot list", folder, error.strerror or str(error), remedy_for(error)) from error
     return max(found, default=0) + 1
 
 

@@ -17,7 +17,7 @@ from pydantic import TypeAdapter, ValidationError
 from appliance.calibration.health import Trend
 from appliance.calibration.patches import COUNT
 from appliance.sealed import seal, unseal
-from appliance.storage.atomic import StorageError, refused, replace_file
+from appliance.storage.atomic import StorageError, refused, remedy_for, replace_file
 from appliance.storage.filesystem import FileSystem, LocalFileSystem
 
 log = logging.getLogger("kingfisher")
@@ -70,7 +70,7 @@ class HealthFile:
         try:
             self._decoded(self.path.read_bytes())
         except OSError as error:
-            raise StorageError("cannot read", self.path, error.strerror or str(error)) from error
+            raise StorageError("cannot read", self.path, error.strerror or str(error), remedy_for(error)) from error
         except ValueError:
             with refused("cannot rename", self.path):
                 self._fs.rename(self.path, self.path.with_suffix(".damaged"))

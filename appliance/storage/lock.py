@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from appliance.storage.atomic import StorageError
+from appliance.storage.atomic import StorageError, remedy_for
 
 FILE_NAME = "lock"
 
@@ -21,7 +21,7 @@ def hold_lock(root: Path) -> Iterator[None]:
         path.parent.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
     except OSError as error:
-        raise StorageError("cannot open", path, error.strerror or str(error), "check the folder's owner") from error
+        raise StorageError("cannot open", path, error.strerror or str(error), remedy_for(error)) from error
     try:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

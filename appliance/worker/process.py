@@ -356,7 +356,7 @@ class ReconstructionWorker:
             case ("crashed", str(text)):
                 return self._restart(f"it failed: {text}")
             case _:
-                return self._restart(f"it sent {message!r:.60}")
+                return self._restart(f"it sent a {type(message).__name__}, which is no answer")
 
     def wait(self, timeout_s: float) -> WorkerEvent | None:
         """As ``poll``, waiting up to ``timeout_s`` (for the desk; the service polls)."""

@@ -16,7 +16,7 @@ from hw_sim.chaos import ChaosDiver
 from hw_sim.console import reading
 from hw_sim.options import OptionError, WorldOptions, options_from
 from hw_sim.pace import WorldClock
-from hw_sim.script import Diver, parse_script
+from hw_sim.script import Diver, read_script
 from hw_sim.window import open_windows
 from hw_sim.wires.card import SimCardNode
 from hw_sim.wires.hidraw import HidrawModule
@@ -81,7 +81,7 @@ def _diver(wanted: WorldOptions, world: World) -> Actor | None:
         return None
     status = _status(wanted, "a diver")
     if wanted.script is not None:
-        return Diver(world, parse_script(Path(wanted.script).read_text(encoding="utf-8")), status)
+        return Diver(world, read_script(Path(wanted.script)), status)
     chaos = wanted.chaos
     return ChaosDiver(world, status, int(chaos["seed"]), int(chaos["scans"]), Path(chaos["report"]))
 

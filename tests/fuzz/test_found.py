@@ -195,4 +195,4 @@ def test_a_status_file_with_other_things_in_it_is_looked_at_all_the_same() -> No
     assert not sight.sees(status, "alert", ["AIM"])
     assert not sight.sees(status, "device", ["board", "ok"])
     assert not sight.sees(status, "step", ["M1"])
-    assert "alerts []" in sight.summary(status)
+    assert "alerts: none" in sight.summary(status)

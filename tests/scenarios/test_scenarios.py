@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 import subprocess
 from pathlib import Path
 
 import pytest
 
+from tests.appliance.service.test_spoken import REPR
 from tests.scenarios.scenario import judge, parse, play
 
 SCENARIOS = sorted(Path(__file__).parent.glob("*.scn"))
@@ -14,10 +16,12 @@ SCENARIOS = sorted(Path(__file__).parent.glob("*.scn"))
 
 @pytest.mark.dive
 @pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
-def test_the_instrument_survives(path: Path, tmp_path: Path) -> None:
+def test_the_instrument_survives(path: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO)
     scenario = parse(path.read_text(encoding="utf-8"))
     try:
         assert judge(scenario, play(scenario, tmp_path)) == []
+        assert [line for line in map(logging.LogRecord.getMessage, caplog.records) if REPR.search(line)] == []
     finally:
         if scenario.disk_mb is not None and (tmp_path / "root").is_mount():
             subprocess.run(["umount", "-l", str(tmp_path / "root")], check=True, timeout=20)
