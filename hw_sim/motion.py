@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+SWAY_MM, SWAY_S = 50.0, 1.0
+"""How far hands that are not at rest while aiming go before they turn back; and how long where they only tremble or turn."""
 PIVOT_MM = np.array([0.0, 0.0, 522.5])
 
 
@@ -25,6 +27,8 @@ class Motion:
     tremor_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     tremor_hz: float = 6.0
     rotation_deg_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    aiming: int = 0
+    """1: the hands move in live views, too, to and fro over ``SWAY_MM``; 0: there they are at rest."""
 
     def __post_init__(self) -> None:
         for name in ("velocity_mm_s", "acceleration_mm_s2", "tremor_mm", "rotation_deg_s"):
@@ -33,11 +37,23 @@ class Motion:
                 raise ValueError(f"motion: {name} = {value}; give three finite numbers: x, y, z of the rig frame")
         if not 0.0 < self.tremor_hz <= 30.0:
             raise ValueError(f"motion: tremor_hz = {self.tremor_hz}; allowed are 0..30 (hands shake at 4 to 12)")
+        if self.aiming not in (0, 1):
+            raise ValueError(f"motion: aiming = {self.aiming}; allowed are 0 (at rest in live views) and 1")
 
     @property
     def still(self) -> bool:
         """Nothing moves."""
         return not any((*self.velocity_mm_s, *self.acceleration_mm_s2, *self.tremor_mm, *self.rotation_deg_s))
+
+
+def swayed_s(motion: Motion, clock_s: float) -> float:
+    """For a live view at ``clock_s``: the time of the motion, there and back again so that the object stays in sight; 0 where
+    the hands are at rest in live views."""
+    if not motion.aiming:
+        return 0.0
+    speed_mm_s = math.hypot(*motion.velocity_mm_s)
+    way_s = SWAY_MM / speed_mm_s if speed_mm_s > 0.0 else SWAY_S
+    return way_s - abs(clock_s % (2.0 * way_s) - way_s)
 
 
 def pose_matrix(pose: tuple[float, ...]) -> tuple[Array, Array]:

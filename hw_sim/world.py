@@ -34,7 +34,7 @@ from hw_sim.drive import Drive
 from hw_sim.faults import Fault, FaultBook
 from hw_sim.heat import Housing, Powers
 from hw_sim.knock import Knock, knocked
-from hw_sim.motion import Motion
+from hw_sim.motion import Motion, swayed_s
 from hw_sim.options import OptionError, WorldOptions
 from hw_sim.pace import START_NS, WorldTime
 from hw_sim.punctuality import Punctuality
@@ -365,7 +365,8 @@ class World:
             if until_ns > begin_ns and interval.light is not None:
                 slices.append(LightSlice(interval.light, (until_ns - begin_ns) / 1e9))
             until_ns = min(until_ns, interval.begin_ns)
-        moment_s, clock_s = 0.0, (exposure.start_ns - START_NS + exposure.duration_ns / 2) / 1e9
+        clock_s = (exposure.start_ns - START_NS + exposure.duration_ns / 2) / 1e9
+        moment_s = swayed_s(self._scene.motion, clock_s) if live else 0.0
         if not live:
             first_ns = self._first_pulse_ns.get(exposure.shot.series, exposure.start_ns)
             moment_s = (exposure.start_ns - first_ns + exposure.duration_ns / 2) / 1e9

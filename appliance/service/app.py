@@ -17,6 +17,7 @@ from appliance.optics.water import Water
 from appliance.patterns.sequence import PatternSequence, build_sequence
 from appliance.screens.painter import Painter
 from appliance.screens.texts import Language
+from appliance.service.aiming import AimingDesk
 from appliance.service.calibrating import CalibrationDesk
 from appliance.service.devices import Devices
 from appliance.service.gallery import GalleryDesk
@@ -108,13 +109,14 @@ def run(rig: Rig) -> int:
         ranging = stack.enter_context(
             RangingDesk(pointers, calibration, water.index, wires.clock, live_s, beams, desk.submit)
         )
+        aiming = stack.enter_context(AimingDesk(wires.clock, live_s, rig.camera.left.black_level_dn))
         painter = stack.enter_context(
             Painter(gl, (rig.display.width_px, rig.display.height_px), Language(rig.display.language))
         )
         devices = stack.enter_context(Devices(rig, wires, patterns.load))
         status = StatusFile(rig.storage.root, os.getpid(), appliance.__version__)
         service = Service(
-            rig, devices, desk, calibrating, GalleryDesk(library, desk.submit), ranging, patterns, painter, status, wires.clock,
+            rig, devices, desk, calibrating, GalleryDesk(library, desk.submit), ranging, aiming, patterns, painter, status, wires.clock,
             choices, conditions, news, lambda: stopping.reason,
         )  # fmt: skip
         ended = service.run(Supervision(manager, rig.storage.root, installation(Path(sys.prefix))))

@@ -32,6 +32,7 @@ from appliance.patterns.sequence import build_sequence
 from appliance.screens.painter import Painter
 from appliance.screens.texts import Language, Text
 from appliance.screens.views import Grade
+from appliance.service.aiming import AimingDesk
 from appliance.service.calibrating import CalibrationDesk
 from appliance.service.devices import SIDES, Devices
 from appliance.service.gallery import GRADE, LENGTHS_DOUBTFUL, GalleryDesk
@@ -115,6 +116,7 @@ class Service:
         calibrating: CalibrationDesk,
         gallery: GalleryDesk,
         ranging: RangingDesk,
+        aiming: AimingDesk,
         patterns: Patterns,
         painter: Painter,
         status: StatusFile,
@@ -133,6 +135,7 @@ class Service:
         self._calibrating = calibrating
         self._gallery = gallery
         self._ranging = ranging
+        self._aiming = aiming
         self._patterns = patterns
         self._choices = choices
         self._painter = painter
@@ -216,6 +219,7 @@ class Service:
         events += self._calibrating.poll()
         events += self._gallery.poll()
         events += self._ranging.poll()
+        events += self._aiming.poll()
         events += self._lasers_on()
         if not self._boot_told and self._devices.all_tried:
             self._boot_told = True
@@ -354,7 +358,9 @@ class Service:
                 board.set_lasers(False, False)
                 board.live(self._rig.board.live_every_vsyncs, self._rig.board.trigger_delay_us, wanted.exposure.time_us)
 
-        self._ranging.live(wanted.lasers, self._desk.calibration, self._desk.water.index)
+        calibration, index = self._desk.calibration, self._desk.water.index
+        self._ranging.live(wanted.lasers, calibration, index)
+        self._inbox += self._aiming.live(wanted.light and self.machine.state is State.AIM, calibration, index)
 
     def _lasers_on(self) -> list[on.Event]:
         """Switch the lasers on as soon as the live images were seen without them."""
@@ -368,6 +374,7 @@ class Service:
 
     def _dark(self) -> None:
         self._ranging.stop()
+        self._inbox += self._aiming.stop()
         with self._watching(self._devices.projector):
             if self._devices.projector.value is not None:
                 self._devices.projector.value.show(len(self._desk.sequence))
@@ -544,6 +551,7 @@ class Service:
             if latest is not None:
                 self._live_number[side], self._live[side] = latest
                 self._ranging.see(side, latest[1])
+                self._aiming.see(side, *latest)
             elif keeper.value is None:
                 self._live.pop(side, None)
                 self._live_number[side] = 0

@@ -1,0 +1,156 @@
+"""Owns the warnings of the live views: what a scan taken now would fail for, from the images that are there anyway.
+
+Every image of the left camera is looked at in a thread of its own, ``kf-aiming``, one at a time (2 ms); what comes meanwhile is left
+out. A warning comes with the third image in a row that says so, and goes with the third that does not. It forbids nothing.
+"""
+
+from __future__ import annotations
+
+import logging
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.calibration.file import Calibration
+from appliance.capture.aiming import WIDTH_PX, Aimed, look, moved_px, too_fast
+from appliance.capture.fault import Fault, FaultCode
+from appliance.machine import events as on
+from drivers.api import Clock
+
+log = logging.getLogger("kingfisher")
+
+SIDE = "left"
+DEVICE = "live view"
+"""Named in the conditions, which no other witness clears."""
+SETTLE_S, SETTLE_IMAGES = 0.3, 3.0
+"""After the light was switched, images may still be from before: so long, and longer where they come more slowly."""
+VOTES = 3
+"""Images in a row."""
+MOST_APART = 3
+"""Images of a pair that motion is told from may have missed so many between them, less one."""
+CODES = (FaultCode.AIM_DARK, FaultCode.AIM_TURBID, FaultCode.AIM_FAST)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Looked:
+    live: int
+    """Of which live view."""
+    number: int
+    aimed: Aimed
+    faults: tuple[Fault, ...]
+
+
+class AimingDesk:
+    """Judges live images. A context manager; called by the heartbeat only."""
+
+    def __init__(self, clock: Clock, live_s: float, black_dn: float) -> None:
+        """``live_s``: from one live image to the next; ``black_dn``: the cameras' level without light."""
+        self._clock, self._live_s, self._black_dn = clock, live_s, black_dn
+        self._settle_ns = round(1e9 * max(SETTLE_S, SETTLE_IMAGES * live_s))
+        self._executor = ThreadPoolExecutor(1, "kf-aiming")
+        self._work: Future[_Looked] | None = None
+        self._live = 0
+        self._watching = False
+        self._ready_ns = 0
+        self._mm_per_px = 0.0
+        self._last: _Looked | None = None
+        self._votes = dict.fromkeys(CODES, 0)
+        self._told: set[FaultCode] = set()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._executor.shutdown(wait=True, cancel_futures=True)
+
+    def live(self, lit: bool, calibration: Calibration, water_index: float) -> list[on.Event]:
+        """Live views for aiming begin; nothing is judged that the projector does not light (``lit``)."""
+        events = self.stop()
+        self._watching = lit
+        self._ready_ns = self._clock.now_ns() + self._settle_ns
+        self._mm_per_px = _mm_per_px(calibration, water_index)
+        return events
+
+    def stop(self) -> list[on.Event]:
+        """They end, and with them what was told of them."""
+        self._live += 1
+        self._watching, self._last = False, None
+        self._votes = dict.fromkeys(CODES, 0)
+        told, self._told = self._told, set()
+        return [on.ConditionCleared(code, DEVICE) for code in CODES if code in told]
+
+    def see(self, side: str, number: int, image: NDArray[np.uint8]) -> None:
+        """A new live image of one camera, (h, w) uint8, which must not change any more, with its running ``number``."""
+        if not self._watching or side != SIDE or self._work is not None or self._clock.now_ns() < self._ready_ns:
+            return
+        self._work = self._executor.submit(self._look, self._live, number, image, self._last)
+
+    @property
+    def busy(self) -> bool:
+        """An image is being looked at."""
+        return self._work is not None and not self._work.done()
+
+    def poll(self) -> list[on.Event]:
+        """What was found since."""
+        if self._work is None or not self._work.done():
+            return []
+        work, self._work = self._work, None
+        error = work.exception(0.0)
+        if error is not None:
+            log.error("live images are not judged: %s", error, exc_info=error)
+            return []
+        looked = work.result(0.0)
+        if looked.live != self._live:
+            return []
+        self._last = looked
+        events: list[on.Event] = []
+        for code in CODES:
+            fault = next((one for one in looked.faults if one.code is code), None)
+            events += self._voted(code, fault)
+        return events
+
+    def _voted(self, code: FaultCode, fault: Fault | None) -> list[on.Event]:
+        if (fault is None) == (code not in self._told):
+            self._votes[code] = 0
+            return []
+        self._votes[code] += 1
+        if self._votes[code] < VOTES:
+            return []
+        self._votes[code] = 0
+        if fault is None:
+            self._told.discard(code)
+            return [on.ConditionCleared(code, DEVICE)]
+        self._told.add(code)
+        return [on.ConditionRaised(fault)]
+
+    # ------------------------------------------------------------------------------------------ kf-aiming
+
+    def _look(self, live: int, number: int, image: NDArray[np.uint8], last: _Looked | None) -> _Looked:
+        aimed = look(image, self._black_dn)
+        faults = [aimed.fault()]
+        if last is not None and 0 < number - last.number <= MOST_APART:
+            way_px = moved_px(last.aimed, aimed)
+            if way_px is not None:
+                faults.append(too_fast(way_px * self._mm_per_px / (self._live_s * (number - last.number))))
+        known = tuple(_named(fault) for fault in faults if fault is not None)
+        return _Looked(live, number, aimed, known)
+
+
+def _named(fault: Fault) -> Fault:
+    return Fault(fault.code, fault.detail, fault.numbers, DEVICE)
+
+
+def _mm_per_px(calibration: Calibration, water_index: float) -> float:
+    """What a px of a reduced image sees in the middle of the volume."""
+    camera = calibration.rig.left
+    middle = np.array([(camera.width_px - 1) / 2.0, (camera.height_px - 1) / 2.0])
+    step_px = camera.width_px / WIDTH_PX
+    _, along = camera.rays(np.stack([middle, middle + np.array([step_px, 0.0])]), water_index)
+    reach_mm = float(np.linalg.norm(calibration.rig.volume_centre_mm(water_index)))
+    return reach_mm * float(np.linalg.norm(along[1] - along[0]))
