@@ -30,7 +30,15 @@ class KeepingPart(Protocol):
         """As ``Part.measure``, with the rendered scans in the folder ``keep``; what is missing there is added."""
 
 
-KEEPING = ("motion", "identity_good", "compensation", "compensation_full", "compensation_hard", "compensation_speed")
+KEEPING = (
+    "motion",
+    "causes",
+    "identity_good",
+    "compensation",
+    "compensation_full",
+    "compensation_hard",
+    "compensation_speed",
+)
 """The names of those."""
 PARTS = MappingProxyType(
     {
@@ -45,6 +53,7 @@ PARTS = MappingProxyType(
         "pair": "the second exposure that is proposed: what both show, at rest and moved, against any single one",
         "turbidity": "what is said of the water",
         "window": "clean windows that are called fogged, and fog that is found and named",
+        "causes": "the first reason that is given for a bad scan is a true one",
         "specks": "snow, bubbles and fish: points they make wrong, points they cost",
         "uncertainty": "each point's expected error against its true one",
     }

@@ -1,0 +1,94 @@
+"""Owns the figures of the naming of causes: how often the first reason of a bad scan is a true one.
+
+``scans`` sets how many bases are drawn: each gives 40 to 50 scenes, spoilt by up to three of four factors. True causes come from
+the simulator alone (``causes_truth``).
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from appliance.screens.views import Grade
+from bench.result import Measured
+from bench.verdict.binomial import counted, limits
+from bench.verdict.causes_scenes import Base, Spoilt, draw_base, grid_of
+from bench.verdict.causes_truth import FACTOR_OF, Outcome, Truth
+from bench.verdict.parts import Say
+
+SCANS_PER_BASE = 40
+RIGHT_PERCENT = 98.0
+
+Row = dict[str, Any]
+
+
+def measure(scans: int, seed: int, say: Say, keep: Path | None = None) -> tuple[list[Measured], dict[str, Any]]:
+    """As many bases as make at least ``scans`` scenes, every scene judged and every bad one looked into.
+
+    With ``keep``, frames and rows are kept there, and what is there is not done again.
+    """
+    bases = max(1, -(-scans // SCANS_PER_BASE))
+    rows: list[Row] = []
+    for number in range(bases):
+        base, grid = draw_base(seed, number), grid_of(seed, number)
+        truth = Truth(base, keep)
+        for k, spoilt in enumerate(grid):
+            say("causes", (number + k / len(grid)) / bases)
+            rows.append(_row(number, base, spoilt, truth))
+            if keep is not None:
+                (keep / f"causes-rows-{seed}.json").write_text(json.dumps(rows) + "\n", encoding="utf-8")
+    return figures(rows), {"rows": rows, "by_reason": by_reason(rows)}
+
+
+def _row(number: int, base: Base, spoilt: Spoilt, truth: Truth) -> Row:
+    here = truth.outcome(spoilt)
+    row: Row = {
+        "base": number, "object": base.scene.object, "texture": base.scene.texture, "scene": spoilt.name,
+        "hands": spoilt.hands, "water": spoilt.water, "light": spoilt.light, "distance": spoilt.distance,
+        "grade": here.grade.value, "reasons": [code.value for code in here.reasons],
+        "coverage_percent": here.coverage_percent, "good": here.good, "error_mm": here.error_mm,
+        "texts": here.texts, "numbers": here.numbers,
+    }  # fmt: skip
+    if here.grade is Grade.BAD:
+        blamed = _blamed(here)
+        row["true"] = sorted(truth.causes(spoilt, blamed))
+        row["blamed"] = blamed
+        row["right"] = blamed is not None and blamed in row["true"]
+    return row
+
+
+def _blamed(here: Outcome) -> str | None:
+    """The factor that the first reason names; ``None``: there is no reason, or one that blames nothing of these."""
+    return FACTOR_OF.get(here.reasons[0]) if here.reasons else None
+
+
+def figures(rows: Sequence[Row]) -> list[Measured]:
+    """The rates, and the lower end of their interval."""
+    bad = [row for row in rows if row["grade"] == Grade.BAD.value]
+    right = sum(row["right"] for row in bad)
+    silent = sum(not row["reasons"] for row in bad)
+    unknown = sum(row["reasons"][:1] == ["SCAN_POOR"] for row in bad)
+    good = [row for row in rows if row["grade"] == Grade.GOOD.value]
+    warned = sum(bool(row["reasons"]) for row in good)
+    low = 100.0 * limits(right, len(bad))[0] if bad else float("nan")
+    share = 100.0 * right / len(bad) if bad else float("nan")
+    return [
+        Measured("scenes", float(len(rows)), "scenes"),
+        Measured("of these bad", float(len(bad)), "scenes"),
+        Measured("first reason is a true one", share, "%", at_least=RIGHT_PERCENT, key="causes_right_percent"),
+        Measured("the same, lower end of the 95 % interval", low, "%"),
+        Measured("bad without a reason", float(silent), "scenes", at_most=0.0, key="causes_silent"),
+        Measured("bad, and said that the cause is not known", float(unknown), "scenes"),
+        Measured("good, and yet warned of something", float(warned), "scenes"),
+    ]
+
+
+def by_reason(rows: Sequence[Row]) -> dict[str, str]:
+    """Of each first reason, how often it was a true one, with limits."""
+    bad = [row for row in rows if row["grade"] == Grade.BAD.value]
+    all_of = Counter((row["reasons"] or ["none"])[0] for row in bad)
+    right = Counter((row["reasons"] or ["none"])[0] for row in bad if row["right"])
+    return {name: counted(right[name], number) for name, number in sorted(all_of.items())}

@@ -1,0 +1,44 @@
+"""Owns the frames of the scenes that the naming of causes is measured with: rendered once, kept in a folder if there is one."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+
+from appliance.capture.exposure import Exposure
+from appliance.patterns.sequence import build_sequence
+from bench.verdict.causes_scenes import FRAME_S, HEIGHT_PX, PERIOD_PX, WIDTH_PX, Base, Spoilt, exposure_of, scene_of
+from hw_sim.render import Renderer
+from hw_sim.truth import draw_truth
+from tests.support.rendered import RenderedScan, render_scan
+
+TRUTH_SET = "realistic"
+
+
+def frames_of(base: Base, spoilt: Spoilt, keep: Path | None, exposure: Exposure | None = None) -> RenderedScan:
+    """The scan of a scene, with noise; from the folder ``keep`` where it is there, and kept there where not.
+
+    ``exposure``: another one than the scene's own.
+    """
+    scene, taken = scene_of(base, spoilt), exposure or exposure_of(spoilt)
+    frame_s = 0.0 if scene.motion.still else FRAME_S
+    exposure_s = taken.time_us / 1e6
+    what = repr((base.rig_seed, scene, taken, WIDTH_PX, PERIOD_PX, TRUTH_SET))
+    path = None if keep is None else keep / f"causes-{hashlib.sha256(what.encode()).hexdigest()[:20]}.npy"
+    if path is not None and path.exists():
+        both = np.load(path)
+        truth = draw_truth(TRUTH_SET, base.rig_seed, WIDTH_PX, HEIGHT_PX, scene.water.index)
+        frames = {"left": both[0], "right": both[1]}
+        return RenderedScan(Renderer(truth, scene), build_sequence(PERIOD_PX), frames, exposure_s, frame_s)
+    scan = render_scan(
+        scene, TRUTH_SET, base.rig_seed, WIDTH_PX, PERIOD_PX, exposure_s, frame_s=frame_s, gain_db=taken.gain_db
+    )
+    if path is not None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        draft = path.with_name(f".{path.name}")
+        with draft.open("wb") as file:
+            np.save(file, np.stack([scan.frames["left"], scan.frames["right"]]))
+        draft.replace(path)
+    return scan

@@ -1,0 +1,160 @@
+"""Owns what a scan is truly worth, and which factors of a scene truly spoil it: by taking them away, one by one.
+
+A scan's worth is counted against the true surface, with none of the product's judges: how many points lie within a millimetre of
+it, and how far these are off (after the rigid displacement that moving hands leave). Taking a factor away *mends* a scan
+where it gives more points, by a tenth of those that the unspoilt base gives, or points that err less by 3 %. A factor is a
+true cause where taking it away mends the scan. Where no single one does, since two of them spoil it each by itself, each
+is one whose presence alone spoils the base.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from appliance.capture.exposure import Exposure
+from appliance.capture.fault import FaultCode
+from appliance.machine.alerts import RULES, alert_of
+from appliance.patterns.sequence import Direction
+from appliance.reconstruct.pipeline import SIDES, Cloud, Pipeline
+from appliance.screens.views import Grade
+from appliance.service.view import grade
+from appliance.worker.scan_work import ScanWork, Taking
+from bench.verdict.causes_frames import frames_of
+from bench.verdict.causes_scenes import NONE, STEPS, Base, Spoilt, exposure_of
+from bench.verdict.light_scenes import noise_at
+from bench.verdict.motion_truth import FALSE_MM, errors_mm, rms_mm
+from hw_sim.render import LightSlice
+from tests.support.rendered import RenderedScan, pictures
+from tests.support.truth import WATER, true_calibration
+
+MORE_POINTS, LESS_ERROR = 0.10, 1.03
+LEAST_POINTS = 0.10
+"""Of the base's points: fewer do not say how far they err."""
+AIM_DN, BRIGHTEST = 225.0, 99.5
+"""Where a suitable exposure puts that percentile of the bright frame."""
+FACTOR_OF = {
+    FaultCode.MOVED: "hands",
+    FaultCode.WATER_DIRTY: "water",
+    FaultCode.TOO_DARK: "light",
+    FaultCode.TOO_BRIGHT: "light",
+    FaultCode.AMBIENT: "light",
+    FaultCode.LIGHT_FLICKERS: "light",
+    FaultCode.SCAN_NEAR: "distance",
+    FaultCode.SCAN_FAR: "distance",
+    FaultCode.NOTHING_SEEN: "distance",
+}
+"""The factor that a reason blames; a reason that is none of these is never a true one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """One scan as the product sees it and as it truly is."""
+
+    grade: Grade
+    reasons: tuple[FaultCode, ...]
+    """As the screen ranks them, without what is only told."""
+    coverage_percent: float | None
+    good: int
+    """Points within a millimetre of the surface."""
+    error_mm: float | None
+    """How far these are off, rms; ``None``: too few."""
+    texts: dict[str, str]
+    numbers: dict[str, dict[str, float | None]]
+
+
+def judged(scan: RenderedScan, exposure: Exposure) -> Outcome:
+    """Work through a scan as the instrument does, with the true calibration, and compare its points with the truth."""
+    calibration = true_calibration(scan.renderer.truth)
+    noise = noise_at(exposure)
+    with Pipeline(calibration, WATER, scan.sequence, noise=noise) as pipeline:
+        work = ScanWork(pipeline, calibration, WATER)
+        work.begin(Taking(exposure=exposure, noise=noise, steps=STEPS))
+        for k in range(len(scan.sequence)):
+            for side in SIDES:
+                work.push(side, scan.frames[side], k)
+        identity = work.identify()
+        work.find_coarse()
+        work.judge()
+        if work.moved:
+            work.compensate()
+        cloud = pipeline.table.cloud(work.find_full())
+        judgements = (identity, *work.conclude())
+    faults = tuple(one.fault for one in judgements if one.fault is not None)
+    summary = cloud.summary
+    # What spoils a scan outright is all that its diver hears of.
+    spoilt = [fault for fault in faults if RULES[fault.code].spoils_scan]
+    ranked = spoilt or sorted(faults, key=lambda fault: -alert_of(fault).severity)
+    good, error_mm = _worth(scan, cloud)
+    return Outcome(
+        Grade.BAD if spoilt else grade(summary.coverage_percent, summary.noise_mm, faults),
+        tuple(fault.code for fault in ranked if fault.code is not FaultCode.COMPENSATED),
+        summary.coverage_percent, good, error_mm,
+        {one.verdict.name: one.verdict.text for one in judgements},
+        {one.verdict.name: dict(one.verdict.numbers) for one in judgements},
+    )  # fmt: skip
+
+
+def _worth(scan: RenderedScan, cloud: Cloud) -> tuple[int, float | None]:
+    if len(cloud.pixel) < 100:
+        return 0, None
+    # Depth follows from the fringes across the baseline: a moving scan's points belong to the middle of these.
+    time_s = float(np.mean(scan.sequence.axis(Direction.X).sine)) * scan.frame_s
+    errors, _ = errors_mm(scan.renderer, cloud, time_s)
+    good = int(np.count_nonzero(np.abs(errors) < FALSE_MM))
+    return good, rms_mm(errors) if good else None
+
+
+class Truth:
+    """The outcomes of one base's scenes, each worked out once."""
+
+    def __init__(self, base: Base, keep: Path | None) -> None:
+        self._base, self._keep = base, keep
+        self._known: dict[tuple[Spoilt, Exposure], Outcome] = {}
+
+    def outcome(self, spoilt: Spoilt, exposure: Exposure | None = None) -> Outcome:
+        """Of a scene, as it is exposed or with another exposure."""
+        taken = exposure or exposure_of(spoilt)
+        if (spoilt, taken) not in self._known:
+            self._known[spoilt, taken] = judged(frames_of(self._base, spoilt, self._keep, taken), taken)
+        return self._known[spoilt, taken]
+
+    def causes(self, spoilt: Spoilt, blamed: str | None) -> set[str]:
+        """The factors that truly spoil a scene. Light, where it is not among what was changed, is looked at only if it is
+        ``blamed``: then the scene is taken with the exposure that suits it."""
+        here = self.outcome(spoilt)
+        true = {factor for factor in spoilt.present if self._mends(here, self.outcome(spoilt.without(factor)))}
+        if blamed == "light" and spoilt.light == NONE:
+            suited = self._suited(spoilt)
+            if suited is not None and self._mends(here, self.outcome(spoilt, suited)):
+                true.add("light")
+        if true:
+            return true
+        clean = self.outcome(Spoilt())
+        return {factor for factor in spoilt.present if self._mends(self.outcome(spoilt.alone(factor)), clean)}
+
+    def _mends(self, before: Outcome, after: Outcome) -> bool:
+        base = self.outcome(Spoilt()).good
+        if after.good - before.good >= MORE_POINTS * base:
+            return True
+        enough = min(before.good, after.good) >= LEAST_POINTS * base
+        if not enough or before.error_mm is None or after.error_mm is None:
+            return False
+        return before.error_mm >= LESS_ERROR * after.error_mm
+
+    def _suited(self, spoilt: Spoilt) -> Exposure | None:
+        """The step of the exposure that uses the scale and keeps it; ``None``: the present one does."""
+        present = exposure_of(spoilt)
+        scan = frames_of(self._base, spoilt, self._keep)
+        white = pictures(scan.sequence)[scan.sequence.bright]
+
+        def brightest(step: Exposure) -> float:
+            light = [LightSlice(white, step.time_us / 1e6)]
+            shot = scan.renderer.expose("left", light, 0.0, step.time_us / 1e6, step.gain_db, (False, False), 0)
+            return float(np.percentile(shot, BRIGHTEST))
+
+        fitting = [step for step in STEPS if brightest(step) <= AIM_DN]
+        chosen = fitting[-1] if fitting else STEPS[0]
+        return None if chosen == present else chosen
