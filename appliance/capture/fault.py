@@ -53,6 +53,14 @@ class FaultCode(Enum):
     """Specks or the water's veil cost much of the object (coverage_percent)."""
     LIGHT_FLICKERS = "LIGHT_FLICKERS"
     """Light that is not the projector's changed from frame to frame, enough to bias phases (harmed_percent)."""
+    SCAN_NEAR = "SCAN_NEAR"
+    """Most of what a scan sees is nearer than is measured (distance_mm)."""
+    SCAN_FAR = "SCAN_FAR"
+    """Most of what a scan sees is farther than is measured (distance_mm)."""
+    NOTHING_SEEN = "NOTHING_SEEN"
+    """A scan in which the projector's light meets nothing."""
+    SCAN_POOR = "SCAN_POOR"
+    """Too few points, or too noisy ones, and no judge knows why."""
     AMBIENT = "AMBIENT"
     """Daylight or a torch is brighter than the projector: no exposure helps (ambient_percent)."""
 
@@ -83,6 +91,12 @@ class FaultCode(Enum):
     """A key was held for more than 8 s or its coil is faulty; it is masked."""
 
     # The place
+    AIM_DARK = "AIM_DARK"
+    """While aiming: a scan would see too little light to measure by (detail_dn)."""
+    AIM_TURBID = "AIM_TURBID"
+    """While aiming: the water shines, and nothing is seen through it (detail_dn, glow_dn)."""
+    AIM_FAST = "AIM_FAST"
+    """While aiming: instrument and object move against each other faster than can be undone (speed_mm_s)."""
     TOO_NEAR = "TOO_NEAR"
     """The object is nearer than the measuring volume (distance_mm)."""
     TOO_FAR = "TOO_FAR"

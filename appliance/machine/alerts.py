@@ -96,6 +96,10 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
         FaultCode.WATER_DIRTY: Rule(
             _W, "WATER DIRTY {coverage_percent:.0f}%", "LET IT SETTLE OR GO CLOSER", "WATER DIRTY"
         ),
+        FaultCode.SCAN_NEAR: Rule(_W, "NEAR {distance_mm:.0f} mm", "BACK, REPEAT", "TOO NEAR"),
+        FaultCode.SCAN_FAR: Rule(_W, "FAR {distance_mm:.0f} mm", "GO CLOSER, REPEAT", "TOO FAR"),
+        FaultCode.NOTHING_SEEN: Rule(_W, "NOTHING SEEN", "GO CLOSER; IS LIGHT COVERED?"),
+        FaultCode.SCAN_POOR: Rule(_W, "POOR, CAUSE ?", "GO CLOSER, HOLD STILL, REPEAT"),
         FaultCode.LIGHT_FLICKERS: Rule(_W, "LIGHT FLICKERS", "SHADE OR MOVE AWAY, REPEAT", spoils_points=True),
         FaultCode.AMBIENT: Rule(_W, "TOO MUCH LIGHT", "SHADE IT, TURN TORCHES AWAY"),
         FaultCode.CAMERA_LOST: Rule(
@@ -118,6 +122,9 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
         FaultCode.KEY_STUCK: Rule(_W, "KEY STUCK", "USE THE KEY WITH ITS LABEL"),
         FaultCode.TOO_NEAR: Rule(_W, "NEAR {distance_mm:.0f} mm", "BACK, OR SCAN AGAIN TO RECORD", "TOO NEAR"),
         FaultCode.TOO_FAR: Rule(_W, "FAR {distance_mm:.0f} mm", "CLOSER, OR SCAN AGAIN TO RECORD", "TOO FAR"),
+        FaultCode.AIM_DARK: Rule(_W, "TOO DARK TO SCAN", "GO CLOSER OR LENGTHEN EXPOSURE"),
+        FaultCode.AIM_TURBID: Rule(_W, "WATER TOO TURBID", "GO CLOSER OR LET IT SETTLE"),
+        FaultCode.AIM_FAST: Rule(_W, "MOVING TOO FAST", "HOLD STILL, THEN SCAN"),
         FaultCode.STORAGE_FULL: Rule(_W, "STORAGE FULL", "COPY SCANS, MAKE ROOM", blocks_scan=True),
         FaultCode.DISK_READ_ONLY: Rule(_W, "DISK READ-ONLY", "END DIVE, DISK NEEDS SERVICE", blocks_scan=True),
         FaultCode.DISK_REFUSES: Rule(_W, "DISK REFUSES", "END DIVE, DISK NEEDS SERVICE", blocks_scan=True),

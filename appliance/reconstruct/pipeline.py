@@ -105,6 +105,11 @@ class Pipeline:
             self._bright = frames[index]
 
     @property
+    def limits(self) -> QualityLimits:
+        """What points must keep."""
+        return self._limits
+
+    @property
     def sequence(self) -> PatternSequence:
         """The patterns of the scans it reconstructs."""
         return self._sequence
@@ -188,14 +193,17 @@ class Pipeline:
         gaps = self._gaps.measure(decoder.p_px, decoder.q_px, self._right, self._rays)
         return replace(found, gaps=gaps)
 
-    def sample(self, stride: int) -> Cloud:
-        """After ``coarse``: every ``stride``-th left pixel's point, also where its rays miss each other by far.
+    def sample(self, stride: int, any_depth: bool = False) -> Cloud:
+        """After ``coarse``: every ``stride``-th left pixel's point, also where its rays miss each other by far, and with
+        ``any_depth`` also where it lies outside of the depths that are measured.
 
         For what asks why they do. The table is left as it is.
         """
         height_px, width_px = self._decoders["left"].p_px.shape
         table = PointTable(-(-width_px // stride) * -(-height_px // stride))
         limits = self._kernel_limits(stride)._replace(max_gap_mm=LOOSE_GAP_MM, max_sigma_mm=np.float32(np.inf))
+        if any_depth:
+            limits = limits._replace(min_depth_mm=np.float32(0.0), max_depth_mm=np.float32(np.inf))
         return table.cloud(self._find(stride, limits, table))
 
     def find_replaced(self, left: LeftMaps, right: LeftMaps, worth_share: float) -> Found:

@@ -199,12 +199,13 @@ def _work_through(
     progress("judging")
     identity = work.identify()
     work.find_coarse()
-    judgements = (identity, *work.judge())
+    work.judge()
     if work.moved:
         progress("taking the motion out")
-        judgements = (identity, *work.compensate())
+        work.compensate()
     progress("matching")
-    return judgements, work.find_full()
+    found = work.find_full()
+    return (identity, *work.conclude()), found
 
 
 def sequence_of_scan(scan: stored.StoredScan) -> PatternSequence:

@@ -41,11 +41,10 @@ from appliance.screens.views import (
 from appliance.service.gallery import Shown
 from appliance.service.in_work import ScanInWork
 from appliance.service.menu_view import Facts, menu_view, question_view
+from appliance.verdict.usable import is_good, is_usable
 
 NO_POINTS = np.empty((0, 3), np.float32)
 NO_VALUES = np.empty(0, np.float32)
-GOOD_COVERAGE_PERCENT, GOOD_NOISE_MM = 60.0, 0.06
-USABLE_COVERAGE_PERCENT, USABLE_NOISE_MM = 25.0, 0.25
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,13 +163,11 @@ def _review(machine: Machine, around: Surroundings, full: bool) -> ReviewView:
 
 def grade(coverage_percent: float | None, noise_mm: float | None, warnings: tuple[Fault, ...]) -> Grade:
     """The verdict on a scan in a word. What makes its points wrong makes it bad, whatever its numbers."""
-    if coverage_percent is None or noise_mm is None or any(RULES[w.code].spoils_points for w in warnings):
+    if any(RULES[w.code].spoils_points for w in warnings):
         return Grade.BAD
-    if coverage_percent >= GOOD_COVERAGE_PERCENT and noise_mm <= GOOD_NOISE_MM:
+    if is_good(coverage_percent, noise_mm):
         return Grade.GOOD
-    if coverage_percent >= USABLE_COVERAGE_PERCENT and noise_mm <= USABLE_NOISE_MM:
-        return Grade.USABLE
-    return Grade.BAD
+    return Grade.USABLE if is_usable(coverage_percent, noise_mm) else Grade.BAD
 
 
 def _gauge(machine: Machine) -> Gauge | None:

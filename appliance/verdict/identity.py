@@ -25,6 +25,14 @@ MOST_MOVED = 0.25
 doubts that no order of the frames explains are the motion's, which has a judge of its own."""
 LEAST_MOVED, LARGE_DOUBT = 0.03, 1.5
 """So are lesser doubts, where anything moves at all: a fish before what the first frames saw."""
+MUCH_MOVED, LARGER_DOUBT = 0.12, 2.5
+"""And larger ones where much moves: an object that comes nearer by 60 mm/s."""
+MOST_SATURATED = 0.4
+"""Share of lit samples that are saturated in some frame. Beyond, lesser doubts that no order of the frames explains are that of
+fringes whose tops are cut off, as on an object that is much too near."""
+
+MOST_FLOODED = 0.05
+"""Share of all samples that are saturated even in the darkest frame. Beyond, that all images are alike proves nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +50,8 @@ class _Camera:
     """The last frame is about as dark as the darkest."""
     identical: bool
     """All frames are one image to the last bit, and it is not black."""
+    flooded: bool
+    """So much of the image is saturated in every frame that it says nothing of the patterns."""
 
 
 def judge_identity(
@@ -96,13 +106,14 @@ def _look(side: str, frames: NDArray[np.uint8], sequence: PatternSequence, noise
     if evidence.judged:
         if evidence.contradicted:
             explanation = explain(witness, sequence, noise, evidence)
-            if _may_be_motion(explanation, evidence):
+            if _may_be_motion(explanation, evidence) or _may_be_saturated(explanation, evidence, witness):
                 explanation, evidence = None, Evidence({}, {}, evidence.lit, 0, 0)
     elif evidence.lit >= MIN_FRINGE:
         explanation = still(witness, sequence, noise)
     ends_dark = bool(means[-1] - means.min() < 0.1 * (means.max() - means.min()))
     identical = all(np.array_equal(mine.low, mine.high) and mine.high.any() for mine in witness.lines.values())
-    return _Camera(f"camera.{side}", evidence, explanation, light_dn, sees_light, ends_dark, identical)
+    flooded = max(float(np.mean(mine.low == 255)) for mine in witness.lines.values()) > MOST_FLOODED
+    return _Camera(f"camera.{side}", evidence, explanation, light_dn, sees_light, ends_dark, identical, flooded)
 
 
 def _may_be_motion(explanation: Explanation, evidence: Evidence) -> bool:
@@ -111,8 +122,19 @@ def _may_be_motion(explanation: Explanation, evidence: Evidence) -> bool:
     """
     if explanation.what not in (What.STILL, What.REPEATED) and explanation.moved > MOST_MOVED:
         return True
+    if explanation.what is What.UNEXPLAINED and explanation.moved > MUCH_MOVED:
+        return evidence.worst < LARGER_DOUBT
     unproven = explanation.what in (What.UNEXPLAINED, What.REPEATED)
     return unproven and explanation.moved > LEAST_MOVED and evidence.worst < LARGE_DOUBT
+
+
+def _may_be_saturated(explanation: Explanation, evidence: Evidence, witness: Witness) -> bool:
+    """Fringes that are cut off at the top look like no pattern."""
+    if explanation.what is not What.UNEXPLAINED or evidence.worst >= LARGE_DOUBT:
+        return False
+    lit = sum(int(np.count_nonzero(mine.lit)) for mine in witness.lines.values())
+    cut = sum(int(np.count_nonzero(mine.lit & (mine.high == 255))) for mine in witness.lines.values())
+    return lit > 0 and cut > MOST_SATURATED * lit
 
 
 def _fault(cameras: list[_Camera]) -> Fault | None:
@@ -146,6 +168,8 @@ def _stuck(camera: _Camera, frame: int) -> Fault:
 
 def _without_patterns(cameras: list[_Camera]) -> Fault | None:
     """Nothing contradicts the patterns; but has anybody seen them?"""
+    if any(camera.flooded for camera in cameras):
+        return None  # other light than the projector's blinds it: the judge of light says so
     for camera in cameras:
         others = [c for c in cameras if c is not camera]
         blind = camera.evidence.lit < MIN_FRINGE and not camera.sees_light

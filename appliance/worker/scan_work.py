@@ -20,18 +20,24 @@ from appliance.optics.water import Water
 from appliance.reconstruct.decode import DecodedMaps
 from appliance.reconstruct.noise import TYPICAL_PAIR, StereoNoise
 from appliance.reconstruct.pipeline import SIDES, Pipeline
+from appliance.reconstruct.quality import CloudSummary
 from appliance.reconstruct.specks import mask_specks
 from appliance.reconstruct.table import Found
+from appliance.verdict.causes import with_causes
 from appliance.verdict.identity import judge_identity
 from appliance.verdict.light import judge_light
 from appliance.verdict.motion import MotionJudgement, judge_motion
 from appliance.verdict.recorded import Recorded
+from appliance.verdict.sight import look
 from appliance.verdict.turbidity import judge_water
 from appliance.verdict.window import Windows, look_at_windows
 from appliance.worker.pair import Merged, Sequence, merge_pair
 
 WORTH_MASKING_PERCENT = 0.02
 """Of the pixels with coordinates; where specks disturb fewer, they are not looked for one by one: 20 ms of a scan."""
+
+SIGHT_POINTS = 7_500
+"""Left pixels that are asked at what depth, near or far, they see something."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +70,8 @@ class ScanWork:
         self._motion: MotionJudgement | None = None
         self.windows: Windows | None = None
         """After ``judge``: what the scan says of the cameras' windows; ``None``: nothing, since something moved."""
-        self._others: tuple[Judgement, ...] = ()
+        self._judged: tuple[Judgement, ...] = ()
+        """As the judges said it, each by itself."""
         self._found: Found | None = None
         self._compensated: Found | None = None
         self._full: Found | None = None
@@ -108,14 +115,12 @@ class ScanWork:
         done()
         self._motion = judge_motion(recorded, cloud, rig, index)
         done()
-        if self.moved and light.fault is not None and light.fault.code is FaultCode.LIGHT_FLICKERS:
-            # Grey values change from image to image: what moves explains that, and both cannot be told apart.
-            light = Judgement(replace(light.verdict, passed=None, text="not judged: something moved"))
         self.windows = None if self.moved else look_at_windows(recorded)
-        self._others = (light, water.judgement)
+        others: tuple[Judgement, ...] = (light, water.judgement, Judgement(self._look(recorded)))
         if self.windows is not None:
-            self._others += (Judgement(self.windows.verdict()),)
-        return (*self._others, self._motion.judgement)
+            others += (Judgement(self.windows.verdict()),)
+        self._judged = (*others, self._motion.judgement)
+        return self._weighed(self._coarse.summary)
 
     @property
     def moved(self) -> bool:
@@ -129,14 +134,15 @@ class ScanWork:
         """
         if self._motion is None or self._coarse is None:
             raise ValueError("nothing was judged that could be compensated; ask for the judgements first")
-        motion, recorded = self._motion.judgement, self._recorded()
+        others, motion, recorded = self._judged[:-1], self._motion.judgement, self._recorded()
         plain = self._pipeline.find_full()
         tried = attempt(self._pipeline, plain, recorded, self._calibration, self._water)
         self._compensated = tried.found
         self._found = tried.found or plain
         if tried.found is not None:
             motion = replace(motion, fault=Fault(FaultCode.COMPENSATED, motion.verdict.text))
-        return (*self._others, motion, Judgement(_compensation(tried, recorded.frame_s)))
+        self._judged = (*others, motion, Judgement(_compensation(tried, recorded.frame_s)))
+        return self._weighed(self._found.summary)
 
     def find_full(self) -> Found:
         """The full cloud; after ``judge``. What passed by makes no points."""
@@ -145,6 +151,26 @@ class ScanWork:
                 mask_specks(self._pipeline.sequence, self._frames[side], self._pipeline.decoded(side), noise)
         self._full = self._found or self._pipeline.find_full()
         return self._full
+
+    def conclude(self) -> tuple[Judgement, ...]:
+        """What is to be said of the scan once its full cloud is known, in place of what was said before. Raises ValueError
+        unless called after ``find_full``."""
+        if self._full is None:
+            raise ValueError("the scan has no full cloud yet; ask for it before concluding")
+        return self._weighed(self._full.summary)
+
+    def _weighed(self, summary: CloudSummary) -> tuple[Judgement, ...]:
+        return with_causes(self._judged, summary, self._taking.exposure, self._taking.steps)
+
+    def _look(self, recorded: Recorded) -> Verdict:
+        """At what is there at whatever depth, and at fringes too weak to be decoded."""
+        left = self._calibration.rig.left
+        stride = max(1, round((left.width_px * left.height_px / SIGHT_POINTS) ** 0.5))
+        loose = self._pipeline.sample(stride, any_depth=True)
+        return look(
+            recorded.frames, recorded.sequence, recorded.noise, self._calibration.rig, self._water.index, loose,
+            self._pipeline.limits,
+        )  # fmt: skip
 
     @property
     def finished(self) -> bool:

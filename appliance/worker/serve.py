@@ -196,6 +196,7 @@ class Server:
             if self._work.moved:
                 judgements = (judgements[0], *self._work.compensate())
             self._work.find_full()
+            judgements = (judgements[0], *self._work.conclude())
             merged = self._work.merge_with(first)
             pair, found = merged.judgement, merged.found
         self._pipe.send(("merged", self._ticket, found, judgements, pair, time.process_time() - begun_s))
@@ -220,7 +221,15 @@ class Server:
                 begun_s = time.process_time()
                 judgements = (identity, *self._work.compensate())
                 self._pipe.send(("judged", self._ticket, judgements, None, time.process_time() - begun_s))
-            self._answer(True, self._work.find_full)
+            self._answer(True, lambda: self._concluded(identity, judgements))
+
+    def _concluded(self, identity: Judgement, said: tuple[Judgement, ...]) -> Found:
+        """The full cloud; before it, what is said of the scan in its light, where that is something else than was ``said``."""
+        found = self._work.find_full()
+        judgements = (identity, *self._work.conclude())
+        if [one.fault for one in judgements] != [one.fault for one in said]:
+            self._pipe.send(("judged", self._ticket, judgements, None, 0.0))
+        return found
 
     def _say_step(self) -> None:
         """A slow processor is told from a process that hangs."""

@@ -1,0 +1,311 @@
+"""Owns the naming of causes: why a scan is poor, the cause that explains most of it first.
+
+Judges look at one thing each, and one thing looks like another: what moves changes grey values as flickering light does, and
+disturbs pixels as specks do; what is saturated has weak fringes as in milk; darkness is a short exposure's doing or the
+water's. Here all judgements are weighed against each other, in one currency: the share of the scan's information that a cause
+takes. Points count by the inverse of their variance; a pixel that gives no point has lost all of it, and noise that grows by a
+factor f leaves 1/f².
+
+A cause is told where it exceeds its own limit, or where the scan is not usable and nothing explains more. A scan that is
+not usable has at least one cause: what remains unexplained is said to be so. See ``docs/causes.md``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from appliance.capture.exposure import Exposure
+from appliance.capture.fault import Fault, FaultCode
+from appliance.capture.verdict import Judgement, Verdict
+from appliance.reconstruct.quality import CloudSummary
+from appliance.verdict.usable import USABLE_COVERAGE_PERCENT, USABLE_NOISE_MM, is_usable
+
+NAME = "causes"
+MOVED_LIKE_FLICKER = 2.4
+"""Where something moves, the judge of light sees a ripple of 1.5 to 1.7 times that which the motion makes. What exceeds this
+multiple is light."""
+CLEAR_WATER_PERCENT = 12.0
+"""Pixels that are lost behind a fainter veil than this are not lost to the water."""
+LEAST_SHARE = 0.05
+"""A cause that explains less is not told where its judge would not have raised it."""
+ENOUGH_FRINGE_DN = 8.0
+"""Fringes of this amplitude give points. The ninth tenth of the cells must reach it with the longest exposure, or no exposure
+helps."""
+FULL_SCALE_DN = 235.0
+MOST_SATURATED = 0.25
+"""Share of the lit pixels: beyond, weak fringes say nothing about darkness."""
+MUCH_ROOM = 8.0
+"""So much more light can be exposed for: where nothing is seen, an exposure is to blame that leaves this unused."""
+SWALLOWS_PER_M = 1.6
+"""From this on, the shape of the glow says that the water lets no light through; the true attenuation is two to three times as much."""
+MOST_OUTSIDE = 0.5
+"""Share of the points that lie outside of the depths measured; beyond, distance is what ails the scan."""
+ALL = 1.0
+
+Numbers = Mapping[str, float | None]
+
+
+@dataclass(frozen=True, slots=True)
+class Cause:
+    """Why points are missing or worse than they could be."""
+
+    fault: Fault
+    share: float
+    """Of the scan's information that it takes, 0..1."""
+    certain: bool
+    """Its judge's own limit is exceeded; else it is told only of a scan that is not usable."""
+
+
+def find_causes(
+    judgements: Sequence[Judgement], summary: CloudSummary, present: Exposure, steps: Sequence[Exposure]
+) -> tuple[Cause, ...]:
+    """Every cause worth telling, the one that takes most first.
+
+    ``judgements``: all of the scan; ``summary``: of its best cloud; ``present``: how it was exposed; ``steps``: how it could be.
+    Pure: the same verdicts give the same causes, whether they come from the judges or from a manifest.
+    """
+    of = {one.verdict.name: one for one in judgements}
+    found = _once(sorted(_all(of, summary, present, steps), key=lambda cause: -cause.share))
+    usable = is_usable(summary.coverage_percent, summary.noise_mm)
+    told = tuple(
+        cause for k, cause in enumerate(found)
+        if cause.certain or (not usable and (cause.share >= LEAST_SHARE or k == 0) and cause.share > 0.0)
+    )  # fmt: skip
+    if (told and any(cause.fault.code is not FaultCode.COMPENSATED for cause in told)) or usable:
+        return told
+    return (*told, Cause(_unexplained(summary), 0.0, False))
+
+
+def with_causes(
+    judgements: Sequence[Judgement], summary: CloudSummary, present: Exposure, steps: Sequence[Exposure]
+) -> tuple[Judgement, ...]:
+    """``judgements`` with the faults of ``find_causes`` in place of their own, in that order, and a verdict ``causes``.
+
+    A judgement whose fault something else explains passes nothing and fails nothing. Identity is left as it is.
+    """
+    causes = find_causes(judgements, summary, present, steps)
+    left = {one.verdict.name: one for one in judgements if one.verdict.name != NAME}
+    ranked: list[Judgement] = []
+    for cause in causes:
+        judge = _JUDGES.get(cause.fault.code, NAME)
+        if judge in left and judge != NAME:
+            one = left.pop(judge)
+            ranked.append(replace(one, fault=cause.fault, verdict=_failed(one.verdict, cause)))
+        else:
+            ranked.append(Judgement(Verdict(NAME, None), cause.fault))
+    others = [_without_fault(one) if name != "identity" else one for name, one in left.items()]
+    numbers: dict[str, float | None] = {
+        f"{cause.fault.code.value.lower()}_percent": 100.0 * cause.share for cause in causes
+    }
+    text = ", ".join(f"{cause.fault.code.value} {100.0 * cause.share:.0f} %" for cause in causes) or "nothing ails it"
+    verdict = Verdict(NAME, not causes, numbers, text)
+    whole = [replace(one, verdict=verdict) if one.verdict.name == NAME else one for one in ranked]
+    if not any(one.verdict.name == NAME for one in whole):
+        whole.append(Judgement(verdict))
+    identity = [one for one in others if one.verdict.name == "identity"]
+    return (*identity, *whole, *(one for one in others if one.verdict.name != "identity"))
+
+
+_JUDGES: Mapping[FaultCode, str] = {
+    FaultCode.MOVED: "motion",
+    FaultCode.COMPENSATED: "motion",
+    FaultCode.TOO_BRIGHT: "light",
+    FaultCode.TOO_DARK: "light",
+    FaultCode.AMBIENT: "light",
+    FaultCode.LIGHT_FLICKERS: "light",
+    FaultCode.WATER_DIRTY: "water",
+    FaultCode.SCAN_NEAR: "sight",
+    FaultCode.SCAN_FAR: "sight",
+    FaultCode.NOTHING_SEEN: "sight",
+}
+"""Whose verdict a cause is entered into; what has none is the verdict ``causes`` itself."""
+
+
+def _failed(verdict: Verdict, cause: Cause) -> Verdict:
+    """COMPENSATED leaves the verdict on motion as it is."""
+    if cause.fault.code is FaultCode.COMPENSATED or verdict.passed is False:
+        return verdict
+    return replace(verdict, passed=False, text=f"{cause.fault.code.value}: {cause.fault.detail}")
+
+
+def _without_fault(one: Judgement) -> Judgement:
+    if one.fault is None:
+        return one
+    explained = replace(one.verdict, passed=None, text=f"{one.verdict.text}; explained by something else")
+    return replace(one, fault=None, verdict=explained)
+
+
+def _once(found: Sequence[Cause]) -> list[Cause]:
+    """The first of each code, certain if any of them is."""
+    certain = {cause.fault.code for cause in found if cause.certain}
+    first: dict[FaultCode, Cause] = {}
+    for cause in found:
+        first.setdefault(cause.fault.code, replace(cause, certain=cause.fault.code in certain))
+    return list(first.values())
+
+
+def _all(
+    of: Mapping[str, Judgement], summary: CloudSummary, present: Exposure, steps: Sequence[Exposure]
+) -> Iterator[Cause]:
+    """What every judge's numbers make likely, whether or not it is worth telling."""
+    light, water, motion, sight = (_numbers(of, name) for name in ("light", "water", "motion", "sight"))
+    poor = not is_usable(summary.coverage_percent, summary.noise_mm)
+    moved = _moved_ripple(motion)
+    yield from _motion(of, motion, summary, poor)
+    yield from _flicker(light, of, moved)
+    outside = _outside(sight)
+    if outside is not None:
+        yield outside
+    yield from _levels(of, light)
+    yield from _water(of, water, moved)
+    if poor and outside is None:
+        faint = _faint(sight, light, summary, present, steps)
+        if faint is not None:
+            yield faint
+
+
+def _motion(of: Mapping[str, Judgement], motion: Numbers, summary: CloudSummary, poor: bool) -> Iterator[Cause]:
+    judged = of.get("motion")
+    fault = None if judged is None else judged.fault
+    added, lost = motion.get("added_noise_percent"), motion.get("lost_percent") or 0.0
+    score, least = motion.get("score"), motion.get("score_limit")
+    if added is None or score is None or least is None or score < least:
+        return
+    left = (1.0 - 0.01 * min(lost, 100.0)) / (1.0 + 0.01 * max(added, 0.0)) ** 2
+    numbers = {"added_noise_percent": added, "shift_px": motion.get("shift_px"), "speed_mm_s": motion.get("speed_mm_s")}
+    known = {name: value for name, value in numbers.items() if value is not None}
+    detail = "" if judged is None else judged.verdict.text
+    if fault is not None and fault.code is FaultCode.COMPENSATED:
+        yield Cause(fault, 0.0, True)
+        if poor:
+            # Undone, and yet too few points are left: what was lost while it moved is lost.
+            yield Cause(Fault(FaultCode.MOVED, detail, known), 1.0 - left, False)
+        return
+    yield Cause(fault or Fault(FaultCode.MOVED, detail, known), 1.0 - left, fault is not None)
+
+
+def _moved_ripple(motion: Numbers) -> float:
+    """Ripple that the motion makes over the points' noise, 0 at rest."""
+    added, score, least = (motion.get(name) for name in ("added_noise_percent", "score", "score_limit"))
+    if added is None or score is None or least is None or score < least:
+        return 0.0
+    return math.sqrt(max((1.0 + 0.01 * added) ** 2 - 1.0, 0.0))
+
+
+def _flicker(light: Numbers, of: Mapping[str, Judgement], moved: float) -> Iterator[Cause]:
+    judged = of.get("light")
+    if judged is None or judged.fault is None or judged.fault.code is not FaultCode.LIGHT_FLICKERS:
+        return
+    ripples = [light.get(f"{side}_flicker_over_noise") for side in ("left", "right")]
+    ripple = min((one for one in ripples if one is not None), default=0.0)
+    own = ripple**2 - (MOVED_LIKE_FLICKER * moved) ** 2
+    if own > 0.0:
+        yield Cause(judged.fault, own / (1.0 + own), True)
+
+
+def _outside(sight: Numbers) -> Cause | None:
+    distance = sight.get("distance_mm")
+    if distance is None:
+        return None
+    near, far = sight.get("near_percent") or 0.0, sight.get("far_percent") or 0.0
+    share = 0.01 * max(near, far)
+    if share <= MOST_OUTSIDE:
+        return None
+    code = FaultCode.SCAN_NEAR if near > far else FaultCode.SCAN_FAR
+    word = "nearer" if near > far else "farther"
+    what = f"{100.0 * share:.0f} % of what is seen lies {word} than is measured, most at {distance:.0f} mm"
+    # What lies outside gives no points, however bright or still it is.
+    return Cause(Fault(code, what, {"distance_mm": distance}), ALL, True)
+
+
+def _levels(of: Mapping[str, Judgement], light: Numbers) -> Iterator[Cause]:
+    """Too bright, too dark, too much ambient light, as shares of the lit pixels."""
+    judged = of.get("light")
+    fault = None if judged is None else judged.fault
+    saturated = _saturated(light)
+    if fault is not None and fault.code in (FaultCode.TOO_DARK, FaultCode.AMBIENT, FaultCode.TOO_BRIGHT):
+        names = {FaultCode.TOO_DARK: "weak", FaultCode.AMBIENT: "ambient_beyond", FaultCode.TOO_BRIGHT: "saturated"}
+        told = fault.numbers.get(f"{names[fault.code]}_percent")
+        if fault.code is FaultCode.TOO_DARK:
+            told = 100.0 - fault.numbers.get("coverage_percent", 0.0)
+        if fault.code is FaultCode.AMBIENT:
+            told = fault.numbers.get("ambient_percent")
+        yield Cause(fault, 0.01 * (told or 0.0), True)
+    if saturated > 0.0 and (fault is None or fault.code is not FaultCode.TOO_BRIGHT):
+        detail = f"{100.0 * saturated:.0f} % of the lit pixels are saturated"
+        yield Cause(Fault(FaultCode.TOO_BRIGHT, detail, {"saturated_percent": 100.0 * saturated}), saturated, False)
+
+
+def _saturated(light: Numbers) -> float:
+    """Share of the lit pixels of the brighter camera."""
+    return 0.01 * max(light.get("left_saturated_percent") or 0.0, light.get("right_saturated_percent") or 0.0)
+
+
+def _water(of: Mapping[str, Judgement], water: Numbers, moved: float) -> Iterator[Cause]:
+    judged = of.get("water")
+    if judged is None or judged.fault is None:
+        return
+    veil, hidden, specks = (0.01 * (water.get(f"{name}_percent") or 0.0) for name in ("veil", "hidden", "speck"))
+    masked = 0.01 * (water.get("masked_percent") or 0.0)
+    behind_veil = 100.0 * veil >= CLEAR_WATER_PERCENT
+    shares = [hidden if behind_veil else 0.0, veil if behind_veil and masked > hidden else 0.0]
+    if moved == 0.0:
+        shares.append(specks)
+    share = max(shares)
+    if share > 0.0:
+        yield Cause(judged.fault, share, True)
+
+
+def _faint(
+    sight: Numbers, light: Numbers, summary: CloudSummary, present: Exposure, steps: Sequence[Exposure]
+) -> Cause | None:
+    """Why too little of an object is seen to measure it: exposure, water, or that there is none."""
+    room = max((step.light for step in steps), default=present.light) / present.light
+    fringe, top = sight.get("fringe_dn"), sight.get("top_dn") or 0.0
+    lost = 1.0 - 0.01 * min(summary.coverage_percent or 0.0, 100.0)
+    if _saturated(light) > MOST_SATURATED:
+        return None  # what is saturated shows no fringes
+    if fringe is None:
+        return _unseen(sight, room)
+    best = fringe * min(room, FULL_SCALE_DN / max(top, 1.0))
+    fine = summary.noise_mm is None or summary.noise_mm <= USABLE_NOISE_MM
+    if fringe >= ENOUGH_FRINGE_DN and fine:
+        return None
+    numbers = {"fringe_dn": fringe, "coverage_percent": 100.0 * (1.0 - lost)}
+    share = lost * min(1.0, ENOUGH_FRINGE_DN / max(fringe, 0.1))
+    if best >= ENOUGH_FRINGE_DN:
+        if room <= 1.25:
+            return None
+        detail = f"fringes of {fringe:.1f} DN; a longer exposure makes {best:.0f} DN of them"
+        return Cause(Fault(FaultCode.TOO_DARK, detail, numbers), share, False)
+    detail = f"fringes of {fringe:.1f} DN, and no exposure makes more than {best:.1f} DN of them: the water swallows the light"
+    return Cause(Fault(FaultCode.WATER_DIRTY, detail, numbers), share, False)
+
+
+def _unseen(sight: Numbers, room: float) -> Cause:
+    light, glow = sight.get("light_dn") or 0.0, sight.get("glow_per_m")
+    numbers = {"light_dn": light}
+    if glow is not None and glow >= SWALLOWS_PER_M:
+        detail = f"nothing but lit water, {light:.1f} DN, and its glow fades within a hand's breadth"
+        return Cause(Fault(FaultCode.WATER_DIRTY, detail, numbers | {"coverage_percent": 0.0}), ALL, False)
+    if room >= MUCH_ROOM:
+        detail = f"nothing is seen; the exposure could be {room:.0f} times as bright"
+        return Cause(Fault(FaultCode.TOO_DARK, detail, numbers), ALL, False)
+    return Cause(Fault(FaultCode.NOTHING_SEEN, f"no fringes anywhere; white adds {light:.1f} DN", numbers), ALL, False)
+
+
+def _unexplained(summary: CloudSummary) -> Fault:
+    coverage = summary.coverage_percent
+    few = coverage is None or coverage < USABLE_COVERAGE_PERCENT
+    detail = (
+        "too few points, and nothing that was judged explains it"
+        if few
+        else "points are too noisy, and nothing explains it"
+    )
+    return Fault(FaultCode.SCAN_POOR, detail, {} if coverage is None else {"coverage_percent": coverage})
+
+
+def _numbers(of: Mapping[str, Judgement], name: str) -> Numbers:
+    return of[name].verdict.numbers if name in of else {}

@@ -1,0 +1,189 @@
+"""The first reason of a poor scan is what ails it, and a poor scan has one; numbers are those of rendered scans."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from appliance.capture.exposure import Exposure, Span, ladder
+from appliance.capture.fault import Fault, FaultCode
+from appliance.capture.verdict import Judgement, Verdict
+from appliance.reconstruct.quality import CloudSummary
+from appliance.verdict.causes import find_causes, with_causes
+
+STEPS = ladder(60.0, 500, 0.0, Span())
+USUAL = Exposure(12_000)
+GOOD = CloudSummary(44_597, 81.7, 530.7, 0.022, 0.001)
+NO_POINTS = CloudSummary(0, 0.0, None, None, None)
+NOTHING_LIT = CloudSummary(0, None, None, None, None)
+FRINGES = {"light_dn": 40.0, "top_dn": 190.0, "fringe_cells_percent": 43.0, "fringe_dn": 87.0, "object_percent": 110.0}
+NO_FRINGES = {"light_dn": 2.6, "top_dn": 3.7, "fringe_cells_percent": 0.0, "fringe_dn": None, "object_percent": None}
+
+
+def judgement(name: str, numbers: dict[str, float | None], code: FaultCode | None = None, **known: float) -> Judgement:
+    fault = None if code is None else Fault(code, "as measured", known)
+    return Judgement(Verdict(name, fault is None, numbers), fault)
+
+
+def sight(**numbers: float | None) -> Judgement:
+    places: dict[str, float | None] = {
+        "distance_mm": None,
+        "near_percent": None,
+        "far_percent": None,
+        "glow_per_m": None,
+    }
+    return Judgement(Verdict("sight", None, places | numbers))
+
+
+def moved(added_percent: float, code: FaultCode | None) -> Judgement:
+    numbers = {"added_noise_percent": added_percent, "lost_percent": 4.0, "score": 245.0, "score_limit": 4.5}
+    return judgement("motion", numbers, code, shift_px=12.5)
+
+
+def still() -> Judgement:
+    return judgement("motion", {"added_noise_percent": 0.0, "lost_percent": 0.5, "score": 1.8, "score_limit": 4.5})
+
+
+def light(code: FaultCode | None = None, **numbers: float | None) -> Judgement:
+    """LIGHT_FLICKERS and its like with the numbers of their faults."""
+    return judgement("light", dict(numbers), code, **{k: v for k, v in numbers.items() if v is not None})
+
+
+def codes(*judgements: Judgement, summary: CloudSummary = GOOD, exposure: Exposure = USUAL) -> list[FaultCode]:
+    return [cause.fault.code for cause in find_causes(judgements, summary, exposure, STEPS)]
+
+
+SPECKS_OF_MOTION = {"veil_percent": 0.7, "hidden_percent": 4.4, "masked_percent": 13.3, "speck_percent": 2.4}
+
+
+def test_hands_that_move_in_clear_water_do_not_make_it_dirty() -> None:
+    """20 mm/s: what moves disturbs 2.4 % of the pixels as specks would, and was headed WATER DIRTY 86 %."""
+    water = judgement("water", SPECKS_OF_MOTION, FaultCode.WATER_DIRTY, coverage_percent=86.0)
+    said = codes(moved(25.0, FaultCode.MOVED), water, light(), sight(**FRINGES))
+    assert said == [FaultCode.MOVED]
+
+
+def test_specks_are_specks_where_nothing_moves() -> None:
+    water = judgement("water", SPECKS_OF_MOTION, FaultCode.WATER_DIRTY, coverage_percent=86.0)
+    assert codes(still(), water, light(), sight(**FRINGES)) == [FaultCode.WATER_DIRTY]
+
+
+def test_hands_that_move_slowly_do_not_make_the_light_flicker() -> None:
+    """5 mm/s add 3 % of noise, which spoils nothing; they change grey values as a lamp would."""
+    numbers = {"left_flicker_over_noise": 0.35, "right_flicker_over_noise": 0.34, "harmed_percent": 21.0}
+    assert codes(moved(2.6, None), light(FaultCode.LIGHT_FLICKERS, **numbers), sight(**FRINGES)) == []
+
+
+def test_a_lamp_flickers_before_moving_hands_as_well() -> None:
+    numbers = {"left_flicker_over_noise": 3.6, "right_flicker_over_noise": 3.5, "harmed_percent": 100.0}
+    said = codes(moved(8.0, FaultCode.MOVED), light(FaultCode.LIGHT_FLICKERS, **numbers), sight(**FRINGES))
+    assert said == [FaultCode.LIGHT_FLICKERS, FaultCode.MOVED]
+
+
+def test_a_black_picture_of_turbid_water_has_a_reason() -> None:
+    """6 per metre and backscatter 0.5: no fringe anywhere, a glow that fades near the windows; there was no reason at all."""
+    glow = NO_FRINGES | {"light_dn": 4.1, "top_dn": 8.0, "glow_per_m": 2.25}
+    assert codes(still(), light(), sight(**glow), summary=NO_POINTS) == [FaultCode.WATER_DIRTY]
+
+
+def test_open_water_is_no_dirty_water() -> None:
+    clear = NO_FRINGES | {"glow_per_m": 0.25}
+    assert codes(still(), light(), sight(**clear), summary=NOTHING_LIT) == [FaultCode.NOTHING_SEEN]
+
+
+@pytest.mark.parametrize(
+    ("fringe_dn", "exposure", "expected"),
+    [
+        (1.2, USUAL, FaultCode.WATER_DIRTY),  # five times the light makes 6 DN of it: too little
+        (3.0, USUAL, FaultCode.TOO_DARK),  # and here 16
+        (1.2, Exposure(500), FaultCode.TOO_DARK),
+        (3.0, STEPS[-1], FaultCode.WATER_DIRTY),  # it is exposed as long as can be
+    ],
+)
+def test_faint_fringes_are_the_exposures_fault_where_a_longer_one_helps(
+    fringe_dn: float, exposure: Exposure, expected: FaultCode
+) -> None:
+    faint = FRINGES | {"fringe_dn": fringe_dn, "top_dn": 2.5 * fringe_dn, "light_dn": fringe_dn}
+    assert codes(still(), light(), sight(**faint), summary=NOTHING_LIT, exposure=exposure)[0] is expected
+
+
+def test_an_exposure_that_leaves_all_unused_is_to_blame_where_nothing_is_seen() -> None:
+    dark = NO_FRINGES | {"light_dn": 0.1, "top_dn": 0.2}
+    assert codes(still(), light(), sight(**dark), summary=NOTHING_LIT, exposure=Exposure(500)) == [FaultCode.TOO_DARK]
+
+
+@pytest.mark.parametrize(
+    ("places", "expected"),
+    [
+        ({"distance_mm": 347.0, "near_percent": 100.0, "far_percent": 0.0}, FaultCode.SCAN_NEAR),
+        ({"distance_mm": 750.0, "near_percent": 0.0, "far_percent": 100.0}, FaultCode.SCAN_FAR),
+    ],
+)
+def test_what_lies_outside_of_the_volume_is_said_to_before_it_is_too_bright(
+    places: dict[str, float | None], expected: FaultCode
+) -> None:
+    """It came without a reason, or as TOO BRIGHT."""
+    bright = light(FaultCode.TOO_BRIGHT, left_saturated_percent=74.0, saturated_percent=74.0)
+    said = codes(still(), bright, sight(**FRINGES | places), summary=NO_POINTS)
+    assert said == [expected, FaultCode.TOO_BRIGHT]
+
+
+def test_a_few_points_outside_are_no_reason() -> None:
+    places: dict[str, float | None] = {"distance_mm": 660.0, "near_percent": 0.0, "far_percent": 30.0}
+    assert codes(still(), light(), sight(**FRINGES | places)) == []
+
+
+def test_floodlight_is_not_the_waters_fault() -> None:
+    """All is saturated: the fringes that are missing say nothing of the water."""
+    water = judgement(
+        "water", {"veil_percent": None, "hidden_percent": 35.0, "masked_percent": 100.0}, FaultCode.WATER_DIRTY
+    )
+    flood = light(FaultCode.TOO_BRIGHT, left_saturated_percent=99.6, saturated_percent=99.6)
+    assert codes(still(), water, flood, sight(**NO_FRINGES), summary=NO_POINTS) == [FaultCode.TOO_BRIGHT]
+
+
+def test_the_waters_veil_counts_before_what_it_hides() -> None:
+    water = judgement(
+        "water", {"veil_percent": 48.0, "hidden_percent": 25.0, "masked_percent": 27.0}, FaultCode.WATER_DIRTY
+    )
+    assert codes(still(), water, light(), sight(**FRINGES)) == [FaultCode.WATER_DIRTY]
+
+
+def test_a_poor_scan_that_nothing_explains_says_so() -> None:
+    few = replace(GOOD, points=2_000, coverage_percent=11.0)
+    assert codes(still(), light(), sight(**FRINGES), summary=few) == [FaultCode.SCAN_POOR]
+
+
+def test_a_motion_that_was_undone_is_not_held_against_a_good_scan_but_against_a_poor_one() -> None:
+    undone = moved(130.0, FaultCode.COMPENSATED)
+    assert codes(undone, light(), sight(**FRINGES)) == [FaultCode.COMPENSATED]
+    poor = replace(GOOD, coverage_percent=12.0)
+    assert FaultCode.MOVED in codes(undone, light(), sight(**FRINGES), summary=poor)
+
+
+def test_judgements_keep_their_own_numbers_and_lose_what_something_else_explains() -> None:
+    water = judgement("water", SPECKS_OF_MOTION, FaultCode.WATER_DIRTY, coverage_percent=86.0)
+    said = with_causes((light(), water, sight(**FRINGES), moved(25.0, FaultCode.MOVED)), GOOD, USUAL, STEPS)
+    of = {one.verdict.name: one for one in said}
+    assert [one.fault.code for one in said if one.fault is not None] == [FaultCode.MOVED]
+    assert of["water"].verdict.passed is None
+    assert of["water"].verdict.numbers["speck_percent"] == pytest.approx(2.4)
+    assert of["causes"].verdict.passed is False
+    assert of["causes"].verdict.numbers["moved_percent"] == pytest.approx(100 * (1 - 0.96 / 1.25**2))
+
+
+def test_the_first_fault_among_the_judgements_is_the_first_cause() -> None:
+    numbers = {"left_flicker_over_noise": 3.6, "right_flicker_over_noise": 3.5, "harmed_percent": 100.0}
+    flickers = light(FaultCode.LIGHT_FLICKERS, **numbers)
+    said = with_causes((moved(8.0, FaultCode.MOVED), flickers, sight(**FRINGES)), GOOD, USUAL, STEPS)
+    assert [one.fault.code for one in said if one.fault is not None] == [FaultCode.LIGHT_FLICKERS, FaultCode.MOVED]
+
+
+def test_a_verdict_that_passed_fails_where_the_causes_blame_it() -> None:
+    faint = FRINGES | {"fringe_dn": 3.0, "top_dn": 8.0}
+    said = with_causes((still(), light(), sight(**faint)), NOTHING_LIT, USUAL, STEPS)
+    of = {one.verdict.name: one for one in said}
+    assert of["light"].fault is not None
+    assert of["light"].fault.code is FaultCode.TOO_DARK
+    assert of["light"].verdict.passed is False
