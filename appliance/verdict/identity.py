@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from appliance.capture.fault import Fault, FaultCode
 from appliance.capture.verdict import Judgement, Verdict
 from appliance.patterns.sequence import Direction, PatternSequence
 from appliance.reconstruct.noise import TYPICAL_PAIR, CameraNoise, StereoNoise
-from appliance.verdict.identity_evidence import MIN_FRINGE, Evidence, Witness
+from appliance.verdict.identity_evidence import DECIDED, MIN_FRINGE, Evidence, Witness
 from appliance.verdict.identity_explain import Explanation, What, explain, still
 from appliance.verdict.identity_lines import can_follow, take_lines
 
@@ -27,9 +27,9 @@ LEAST_MOVED, LARGE_DOUBT = 0.03, 1.5
 """So are lesser doubts, where anything moves at all: a fish before what the first frames saw."""
 MUCH_MOVED, LARGER_DOUBT = 0.12, 2.5
 """And larger ones where much moves: an object that comes nearer by 60 mm/s."""
-MOST_SATURATED = 0.4
-"""Share of lit samples that are saturated in some frame. Beyond, lesser doubts that no order of the frames explains are that of
-fringes whose tops are cut off, as on an object that is much too near."""
+LEAST_PARALLAX = 0.1
+"""Of the field, by which the stripes lie beside their place in either camera, to opposite sides: the object is far from the
+measuring volume. That alone is no wrong pattern."""
 
 MOST_FLOODED = 0.05
 """Share of all samples that are saturated even in the darkest frame. Beyond, that all images are alike proves nothing."""
@@ -71,7 +71,7 @@ def judge_identity(
                 f"{len(mine)} frames of camera {side} for a sequence of {len(sequence)}; judge whole sequences"
             )
     of = {"left": noise.left, "right": noise.right}
-    cameras = [_look(side, mine, sequence, of[side]) for side, mine in frames.items()]
+    cameras = _without_parallax([_look(side, mine, sequence, of[side]) for side, mine in frames.items()])
     fault = _fault(cameras)
     judged = [camera for camera in cameras if camera.evidence.judged]
     numbers: dict[str, float | None] = {
@@ -103,16 +103,16 @@ def _look(side: str, frames: NDArray[np.uint8], sequence: PatternSequence, noise
     light_dn = float(means[sequence.bright] - means[sequence.dark])
     sees_light = abs(light_dn) > max(LEAST_LIGHT_DN, LIGHT_SIGMA * float(np.std(means[sines])))
     explanation = None
+    flooded = max(float(np.mean(mine.low == 255)) for mine in witness.lines.values()) > MOST_FLOODED
     if evidence.judged:
         if evidence.contradicted:
             explanation = explain(witness, sequence, noise, evidence)
-            if _may_be_motion(explanation, evidence) or _may_be_saturated(explanation, evidence, witness):
+            if _may_be_motion(explanation, evidence):
                 explanation, evidence = None, Evidence({}, {}, evidence.lit, 0, 0)
-    elif evidence.lit >= MIN_FRINGE:
+    elif evidence.lit >= MIN_FRINGE and not flooded:
         explanation = still(witness, sequence, noise)
     ends_dark = bool(means[-1] - means.min() < 0.1 * (means.max() - means.min()))
     identical = all(np.array_equal(mine.low, mine.high) and mine.high.any() for mine in witness.lines.values())
-    flooded = max(float(np.mean(mine.low == 255)) for mine in witness.lines.values()) > MOST_FLOODED
     return _Camera(f"camera.{side}", evidence, explanation, light_dn, sees_light, ends_dark, identical, flooded)
 
 
@@ -128,13 +128,21 @@ def _may_be_motion(explanation: Explanation, evidence: Evidence) -> bool:
     return unproven and explanation.moved > LEAST_MOVED and evidence.worst < LARGE_DOUBT
 
 
-def _may_be_saturated(explanation: Explanation, evidence: Evidence, witness: Witness) -> bool:
-    """Fringes that are cut off at the top look like no pattern."""
-    if explanation.what is not What.UNEXPLAINED or evidence.worst >= LARGE_DOUBT:
-        return False
-    lit = sum(int(np.count_nonzero(mine.lit)) for mine in witness.lines.values())
-    cut = sum(int(np.count_nonzero(mine.lit & (mine.high == 255))) for mine in witness.lines.values())
-    return lit > 0 and cut > MOST_SATURATED * lit
+def _without_parallax(cameras: list[_Camera]) -> list[_Camera]:
+    """Cameras whose only doubt is where the stripes lie are not judged where both see them displaced to opposite sides."""
+    aside = [camera.evidence.displaced for camera in cameras]
+    if len(aside) != 2 or aside[0] * aside[1] >= 0.0 or min(abs(one) for one in aside) < LEAST_PARALLAX:
+        return cameras
+    return [replace(one, explanation=None, evidence=_nothing(one)) if _only_displaced(one) else one for one in cameras]
+
+
+def _only_displaced(camera: _Camera) -> bool:
+    decided = [name for name, doubt in camera.evidence.doubts.items() if doubt >= DECIDED]
+    return camera.explanation is not None and camera.explanation.what is What.UNEXPLAINED and decided == ["place x"]
+
+
+def _nothing(camera: _Camera) -> Evidence:
+    return Evidence({}, {}, camera.evidence.lit, 0, 0)
 
 
 def _fault(cameras: list[_Camera]) -> Fault | None:

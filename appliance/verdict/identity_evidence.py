@@ -64,6 +64,9 @@ class Evidence:
     fringe: int
     """Samples with fringes; below ``MIN_FRINGE`` no doubt means anything."""
     edges: int
+    displaced: float = 0.0
+    """How far beside the design's place the stripes across the base line lie, in widths of the field: with opposite signs in both
+    cameras where the object is near or far, with the same sign where a Gray image is wrong."""
 
     @property
     def judged(self) -> bool:
@@ -122,7 +125,8 @@ class Witness:
         self._reference_doubts(order, total, doubts, suspects)
         doubts = {name: float(doubt) for name, doubt in doubts.items()}
         return Evidence(
-            doubts, suspects, int(total[Count.LIT]), int(total[Count.FRINGE]), int(total[Count.EDGES])
+            doubts, suspects, int(total[Count.LIT]), int(total[Count.FRINGE]), int(total[Count.EDGES]),
+            self._displaced(all_sums),
         )  # fmt: skip
 
     def _follow_doubts(
@@ -148,6 +152,14 @@ class Witness:
                 key = f"order {self._sequence.patterns[k].name}"
                 doubts[key] = wrong / seen / MOST_OF_ONE_OUT_OF_ORDER
                 suspects[key] = k
+
+    def _displaced(self, sums: Mapping[Direction, NDArray[np.float64]]) -> float:
+        mine, axis = sums[Direction.X], self._axes[Direction.X]
+        steps = mine[Count.STEPS]
+        if steps < MIN_FRINGE:
+            return 0.0
+        coded = (mine[Count.NUMBER] / steps + 0.5) * 0.5 * self._sequence.period_px / axis.size_px
+        return float(coded - mine[Count.PLACE] / steps)
 
     def _sine_doubts(
         self, sums: Mapping[Direction, NDArray[np.float64]], doubts: dict[str, float], suspects: dict[str, int]

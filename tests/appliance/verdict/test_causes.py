@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import pytest
@@ -21,7 +22,9 @@ FRINGES = {"light_dn": 40.0, "top_dn": 190.0, "fringe_cells_percent": 43.0, "fri
 NO_FRINGES = {"light_dn": 2.6, "top_dn": 3.7, "fringe_cells_percent": 0.0, "fringe_dn": None, "object_percent": None}
 
 
-def judgement(name: str, numbers: dict[str, float | None], code: FaultCode | None = None, **known: float) -> Judgement:
+def judgement(
+    name: str, numbers: Mapping[str, float | None], code: FaultCode | None = None, **known: float
+) -> Judgement:
     fault = None if code is None else Fault(code, "as measured", known)
     return Judgement(Verdict(name, fault is None, numbers), fault)
 
