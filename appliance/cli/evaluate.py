@@ -8,7 +8,7 @@ from typing import Any
 
 from appliance.cli.desk import place_of, usable_scan, writable, writing
 from appliance.cli.kernels import compile_desk_kernels
-from appliance.cli.output import Exit, Progress, UsageError, say, say_json
+from appliance.cli.output import Exit, Progress, UsageError, say, say_json, table
 from appliance.config import Rig
 from appliance.storage.atomic import replace_file
 from appliance.storage.filesystem import LocalFileSystem
@@ -62,6 +62,17 @@ def _tell(content: dict[str, Any], page: Path) -> None:
     for scan in content["scans"]:
         if scan["reason"] is not None:
             say(f"{scan['scan']}  {scan['artefact']}: {scan['reason']}")
+    measured = [(scan["scan"], q) for scan in content["scans"] for q in scan["quantities"]]
+    if measured:
+        columns = ("SCAN", "QUANTITY", "OF", "VALUE mm", "U (k=2) mm", "LIMIT mm", "POINTS", "")
+        say(table(columns, [(scan, *_row(quantity)) for scan, quantity in measured]))
     for key, value in content["summary"].items():
         say(f"{key:<24} {'-' if value is None else f'{value:.4f}'}")
+    say(f"{'limits':<24} {content['limits_kept']}")
     say(f"{'report':<24} {page}")
+
+
+def _row(quantity: dict[str, Any]) -> tuple[str, ...]:
+    lengths = (quantity[name] for name in ("value_mm", "expanded_uncertainty_mm", "limit_mm"))
+    shown = ("-" if value is None else f"{value:.4f}" for value in lengths)
+    return (quantity["quantity"], quantity["of"], *shown, str(quantity["points"]), quantity["kept"])

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from appliance.evaluation.acceptance import Symbol, overall
 from appliance.evaluation.page import PAGE_END, figure, page_head, rows, table
 from appliance.evaluation.pictures import deviation_map, histogram, scale_mm
 from appliance.evaluation.points import OUTLIER_SHARE, NotFound, Used
@@ -51,13 +52,16 @@ def as_json(evaluation: Evaluation) -> dict[str, Any]:
         "reference_mm": evaluation.reference_mm,
         "outliers_allowed_percent": 100.0 * OUTLIER_SHARE,
         "complete": evaluation.complete,
+        "limits_kept": overall(q for item in evaluation.items for q in item.result.quantities).value,
         "summary": summary(evaluation),
         "scans": [_item(item) for item in evaluation.items],
     }
 
 
 def summary(evaluation: Evaluation) -> dict[str, float | None]:
-    """The paper's Table 2 for this evaluation: the largest error of each kind in percent, the mean noise in mm."""
+    """The paper's Table 2 for this evaluation: the largest error of each kind in percent, the mean noise in mm; and the
+    largest PF, PS, SD and F.
+    """
     results = [item.result for item in evaluation.items]
 
     def worst(values: list[float | None]) -> float | None:
@@ -70,7 +74,14 @@ def summary(evaluation: Evaluation) -> dict[str, float | None]:
         "e_f_percent": worst([r.e_f for r in results]),
         "e_f_sys_percent": worst([r.e_f_sys for r in results]),
         "noise_mm": sum(noises) / len(noises) if noises else None,
+        **{f"{symbol.value.lower()}_mm": _largest(results, symbol) for symbol in Symbol},
     }
+
+
+def _largest(results: Sequence[Result], symbol: Symbol) -> float | None:
+    """The value of a quantity with the largest size, with its sign."""
+    values = [q.value_mm for result in results for q in result.quantities if q.symbol is symbol]
+    return max(values, key=abs, default=None)
 
 
 def as_html(evaluation: Evaluation) -> str:
@@ -86,6 +97,12 @@ def as_html(evaluation: Evaluation) -> str:
             f"d_r = {evaluation.reference_mm:g} mm; E_F,sys is that of a bivariate cubic through them. At most "
             f"{100 * OUTLIER_SHARE:g} % of a surface's points are removed as outliers.</p>"
         ),
+        (
+            "<p>PF = range of the radial distances of a ball's points from their best-fit sphere, its radius free. PS = its "
+            "diameter − the calibrated one. SD = measured − calibrated distance of the centres. F = range of the distances "
+            "from the best-fit plane. Uncertainties are expanded (k = 2), of noise and certificate; a limit is kept when "
+            f"it is for every value within them. Limits: <b>{html.escape(content['limits_kept'])}</b>.</p>"
+        ),
     ]
     for item, written in zip(evaluation.items, content["scans"], strict=True):
         parts.append(f"<h2>Scan {html.escape(item.scan)}: {item.result.artefact.value}</h2>")
@@ -94,6 +111,8 @@ def as_html(evaluation: Evaluation) -> str:
         parts.append(table({key: written[key] for key in ("e_f_percent", "e_f_sys_percent", "noise_mm")}))
         if written["lengths"]:
             parts.append(rows(written["lengths"]))
+        if written["quantities"]:
+            parts.append(rows(written["quantities"]))
         if written["surfaces"]:
             parts.append(rows(written["surfaces"]))
         parts += [_pictures(n, u, evaluation.left_width_px) for n, u in item.result.surfaces.items()]
@@ -115,10 +134,26 @@ def _item(item: Item) -> dict[str, Any]:
                 "name": length.name,
                 "measured_mm": length.measured_mm,
                 "calibrated_mm": length.calibrated_mm,
+                "error_mm": length.measured_mm - length.calibrated_mm,
                 "sigma_mm": length.sigma_mm,
+                "certificate_sd_mm": length.certificate_sd_mm,
+                "expanded_uncertainty_mm": length.uncertainty_mm,
                 "e_l_percent": 100.0 * length.e_l,
             }
             for length in result.lengths
+        ],
+        "quantities": [
+            {
+                "quantity": quantity.symbol.value,
+                "of": quantity.of,
+                "value_mm": quantity.value_mm,
+                "expanded_uncertainty_mm": quantity.uncertainty_mm,
+                "limit_mm": quantity.limit_mm,
+                "kept": quantity.kept.value,
+                "points": quantity.points,
+                "rejected": quantity.rejected,
+            }
+            for quantity in result.quantities
         ],
         "surfaces": [
             {

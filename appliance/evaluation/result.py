@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
+from types import MappingProxyType
 
 import numpy as np
 
+from appliance.evaluation.acceptance import Certificate, Quantity, Symbol, expanded_mm, of_bar, of_plane
 from appliance.evaluation.ball_bar import BallBar, find_ball_bar
 from appliance.evaluation.flatness import REFERENCE_MM, flatness, local_noise_mm
 from appliance.evaluation.frustum import Frustum, find_frustum
@@ -42,11 +44,20 @@ class Length:
     calibrated_mm: float
     sigma_mm: float | None = None
     """From the noise of the points; ``None`` where that was not derived."""
+    certificate_sd_mm: float | None = None
+    """Standard uncertainty of the calibrated length; ``None``: the certificate does not say, or nobody wrote it down."""
 
     @property
     def e_l(self) -> float:
         """(measured − calibrated)/calibrated, signed: the paper's Eq. (6) is its absolute value. 1 is 100 %."""
         return (self.measured_mm - self.calibrated_mm) / self.calibrated_mm
+
+    @property
+    def uncertainty_mm(self) -> float | None:
+        """Expanded (k = 2) uncertainty of the length error: noise and certificate; ``None`` where neither is known."""
+        if self.sigma_mm is None and self.certificate_sd_mm is None:
+            return None
+        return expanded_mm(self.sigma_mm, self.certificate_sd_mm)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,6 +70,8 @@ class Result:
     e_f: float | None = None
     e_f_sys: float | None = None
     noise_mm: float | None = None
+    quantities: tuple[Quantity, ...] = ()
+    """Of VDI/VDE 2634 part 2: PF, PS and SD of a ball bar, F of a plane."""
 
     @property
     def surfaces(self) -> Mapping[str, Used]:
@@ -81,26 +94,39 @@ class Result:
 
 
 def evaluate(
-    cloud: PointSource, artefact: Artefact, calibrated_mm: Mapping[str, float], reference_mm: float = REFERENCE_MM
+    cloud: PointSource,
+    artefact: Artefact,
+    calibrated_mm: Mapping[str, float],
+    reference_mm: float = REFERENCE_MM,
+    certificate: Certificate | None = None,
+    limits_mm: Mapping[Symbol, float] = MappingProxyType({}),
 ) -> Result:
-    """Find ``artefact`` in ``cloud`` and compare it with its calibrated lengths (names in ``LENGTHS``)."""
+    """Find ``artefact`` in ``cloud`` and compare it with its calibrated lengths (names in ``LENGTHS``) and ``limits_mm``."""
+    stated = certificate or Certificate()
     match artefact:
         case Artefact.BALL_BAR:
             bar = find_ball_bar(cloud)
             if isinstance(bar, NotFound):
                 return Result(artefact, bar)
             lengths = tuple(
-                Length("length", bar.length_mm, value, bar.sigma_length_mm) for value in calibrated_mm.values()
+                Length("length", bar.length_mm, value, bar.sigma_length_mm, stated.length_sd_mm)
+                for value in calibrated_mm.values()
+            )
+            quantities = tuple(
+                quantity
+                for value in calibrated_mm.values()
+                for quantity in of_bar(cloud, bar, value, stated, limits_mm)
             )
             noises = [_noise_of_ball(cloud, ball.used) for ball in (bar.first, bar.second)]
             known = [noise for noise in noises if noise is not None]
-            return Result(artefact, bar, lengths, noise_mm=float(np.mean(known)) if known else None)
+            noise_mm = float(np.mean(known)) if known else None
+            return Result(artefact, bar, lengths, noise_mm=noise_mm, quantities=quantities)
         case Artefact.PLANE:
             plane = fit_plane(cloud)
             if isinstance(plane, NotFound):
                 return Result(artefact, plane)
             flat = flatness(plane, reference_mm)
-            return Result(artefact, plane, (), flat.e_f, flat.e_f_sys, flat.noise_mm)
+            return Result(artefact, plane, (), flat.e_f, flat.e_f_sys, flat.noise_mm, of_plane(plane, limits_mm))
         case Artefact.FRUSTUM:
             frustum = find_frustum(cloud)
             if isinstance(frustum, NotFound):

@@ -6,13 +6,14 @@ import json
 import math
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from appliance import __version__
 from appliance.calibration import file as calibration_file
 from appliance.config import Rig
+from appliance.evaluation.acceptance import Certificate, Symbol
 from appliance.evaluation.flatness import REFERENCE_MM
 from appliance.evaluation.report import Evaluation, Item
 from appliance.evaluation.result import LENGTHS, Artefact, evaluate
@@ -26,8 +27,10 @@ LENGTH_MM, REFERENCE_RANGE_MM = (1.0, 2000.0), (10.0, 5000.0)
 JUDGING_GAP_MM = 20.0
 """The instrument masks points whose rays pass at more than 0.25 mm. A wrong calibration would so hide its own worst points,
 many more than the 0.3 % that may be removed; here every calibration is judged by the same points."""
-SD_MM, RADIUS_MM = (1e-5, 1.0), (1.0, 100.0)
-_TOP_KEYS = {"operator", "reference_mm", "scan"}
+SD_MM, RADIUS_MM, LIMIT_MM = (1e-5, 1.0), (1.0, 100.0), (1e-4, 10.0)
+_TOP_KEYS = {"operator", "reference_mm", "scan", "limits"}
+LIMITS = {f"{symbol.value.lower()}_mm": symbol for symbol in Symbol}
+"""Keys of ``[limits]``: the largest permissible error of each quantity."""
 
 
 class ListError(Exception):
@@ -48,6 +51,8 @@ class Entry:
     """Of a ball bar's length: its standard uncertainty by the certificate."""
     radius_mm: float | None = None
     """Of a ball bar's balls by the certificate."""
+    radius_sd_mm: float | None = None
+    """Its standard uncertainty."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +62,8 @@ class ScanList:
     entries: tuple[Entry, ...]
     operator: str | None
     reference_mm: float
+    limits_mm: Mapping[Symbol, float] = field(default_factory=dict)
+    """Largest permissible errors; what is not there is not limited."""
 
 
 def read_list(path: Path) -> ScanList:
@@ -78,10 +85,15 @@ def read_list(path: Path) -> ScanList:
     if not isinstance(tables, list) or not tables or not all(isinstance(table, dict) for table in tables):
         raise ListError(f"LIST {path}: no scan in it; give at least one [[scan]]")
     reference = content.get("reference_mm", REFERENCE_MM)
+    limits = content.get("limits", {})
+    if not isinstance(limits, dict):
+        raise ListError(f"LIST {path}: limits is no table; give [limits] with {', '.join(LIMITS)}")
+    _known(path, limits, set(LIMITS), "limits.")
     return ScanList(
         tuple(_entry(path, k, table) for k, table in enumerate(tables)),
         _text(path, content, "operator"),
         _number(path, "reference_mm", reference, REFERENCE_RANGE_MM),
+        {LIMITS[key]: _number(path, f"limits.{key}", value, LIMIT_MM) for key, value in limits.items()},
     )
 
 
@@ -109,7 +121,10 @@ def run_evaluation(
         reworked = rework(scan, chosen, taking, step, QualityLimits(max_gap_mm=JUDGING_GAP_MM))
         cloud, water = reworked.cloud, reworked.water
         step(f"looking for the {entry.artefact.value}")
-        result = evaluate(cloud, entry.artefact, entry.calibrated_mm, listed.reference_mm)
+        certificate = Certificate(entry.length_sd_mm, entry.radius_mm, entry.radius_sd_mm)
+        result = evaluate(
+            cloud, entry.artefact, entry.calibrated_mm, listed.reference_mm, certificate, listed.limits_mm
+        )
         record = scan.manifest.record
         provenance = {
             "recorded": record.wall_time,
@@ -149,7 +164,9 @@ def _entry(path: Path, k: int, table: dict[str, Any]) -> Entry:
             f"LIST {path}: {where}.artefact is {table.get('artefact')!r}; allowed are {names}; correct it"
         ) from error
     lengths = {f"{name}_mm": name for name in LENGTHS[artefact]}
-    of_balls = {"length_sd_mm": SD_MM, "radius_mm": RADIUS_MM} if artefact is Artefact.BALL_BAR else {}
+    of_balls = (
+        {"length_sd_mm": SD_MM, "radius_mm": RADIUS_MM, "radius_sd_mm": SD_MM} if artefact is Artefact.BALL_BAR else {}
+    )
     _known(path, table, {"scan", "artefact", "serial", *lengths, *of_balls}, f"{where}.")
     scan = table.get("scan")
     if not isinstance(scan, str) or not scan:

@@ -98,4 +98,5 @@ def _certificate(entry: Entry) -> Certificate | None:
     if entry.artefact is Artefact.PLANE:
         return None
     usual = Certificate(entry.calibrated_mm["length"], radius_mm=entry.radius_mm)
-    return usual if entry.length_sd_mm is None else replace(usual, length_sd_mm=entry.length_sd_mm)
+    stated = {"length_sd_mm": entry.length_sd_mm, "radius_sd_mm": entry.radius_sd_mm}
+    return replace(usual, **{name: value for name, value in stated.items() if value is not None})

@@ -49,10 +49,16 @@ def evaluate(folder: Path, text: str, name: str = "list.toml", calibration: str 
 def listed(length_mm: float) -> str:
     return f"""
 operator = "Ada & Co"
+[limits]
+sd_mm = 0.3
+pf_mm = 5.0
 [[scan]]
 scan = "./ballbar"
 artefact = "ball-bar"
 length_mm = {length_mm}
+length_sd_mm = 0.01
+radius_mm = 15.0
+radius_sd_mm = 0.002
 serial = "KB-7"
 [[scan]]
 scan = "./plane"
@@ -84,6 +90,16 @@ def test_errors_are_those_of_the_truth(bench: tuple[Path, TrueRig]) -> None:
     for scan in said["scans"]:
         for surface in scan["surfaces"]:
             assert surface["rejected"] <= 0.003 * (surface["points"] + surface["rejected"])
+    by = {(one["quantity"], one["of"]): one for one in bar["quantities"]}
+    spacing = by["SD", "length"]
+    assert spacing["value_mm"] == pytest.approx(-0.005 * truth.artefacts.ball_distance_mm, abs=0.02)
+    assert 0.02 < spacing["expanded_uncertainty_mm"] < 0.03, "twice the certificate's 0.01 mm, and some noise"
+    assert (spacing["kept"], by["PF", "first ball"]["kept"]) == ("fail", "pass")
+    assert (by["PS", "first ball"]["kept"], said["limits_kept"]) == ("no limit stated", "fail")
+    assert (summary["sd_mm"], summary["f_mm"]) == (
+        spacing["value_mm"], said["scans"][1]["quantities"][0]["value_mm"],
+    )  # fmt: skip
+    assert summary["f_mm"] == pytest.approx(2.5 * summary["e_f_percent"])
     assert bar["provenance"]["temperatures_c"] == {"projector": 41.5, "case": None}
     assert bar["provenance"]["artefact_serial"] == "KB-7"
     assert said["about"]["operator"] == "Ada & Co"
@@ -127,6 +143,8 @@ def test_the_page_stands_alone(bench: tuple[Path, TrueRig]) -> None:
         assert image is not None
         assert image.std() > 10.0
     assert "after VDI/VDE 2634" in page
+    assert "no limit stated" in page
+    assert "expanded" in page
     assert "Ada &amp; Co" in page
     assert "KF-&lt;7&gt;" in page
     assert json.loads((folder / "report.json").read_text())["about"]["calibration"] in page
