@@ -16,7 +16,7 @@ from appliance import __version__
 from appliance.calibration.file import CalibrationError
 from appliance.calibration.method import BY_SCANS
 from appliance.calibration.recordings import RecordingError
-from appliance.cli import calibrate, calibrate_air, evaluate, health, measure, scans, verbs
+from appliance.cli import calibrate, calibrate_air, evaluate, health, measure, scans, shelves, verbs
 from appliance.cli.chaos import Chaos, chaos
 from appliance.cli.last_words import last_words
 from appliance.cli.output import Exit, UsageError, complain, log_lines
@@ -24,6 +24,7 @@ from appliance.cli.simrig import OBJECTS, PACES, TEXTURES, TRUTHS, SimOptions, d
 from appliance.config import ConfigError, Rig, default_rig_path, load_rig
 from appliance.kernel_build import CompileError
 from appliance.storage.atomic import StorageError
+from appliance.storage.label import LONGEST_NAME, LONGEST_NOTE
 from appliance.storage.library import UnknownScan
 from appliance.storage.scan import ScanError
 from drivers.api import DeviceError
@@ -247,10 +248,19 @@ def _add_scans(
 ) -> None:
     group = commands.add_parser("scans", help="look at stored scans", epilog=_exit_codes())
     inner = group.add_subparsers(required=True, metavar="VERB", parser_class=_Parser)
-    every = "also those rejected or set aside"
+    every = "also those rejected, set aside or in the trash"
 
-    listing = add(inner, "list", "all scans", lambda a: scans.list_scans(_root(a), every=a.all, json=a.json), rig, root)
-    listing.add_argument("--all", action="store_true", help=every)
+    listing = add(
+        inner,
+        "list",
+        "all scans",
+        lambda a: scans.list_scans(_root(a), every=a.all, trash=a.trash, json=a.json),
+        rig,
+        root,
+    )
+    which = listing.add_mutually_exclusive_group()
+    which.add_argument("--all", action="store_true", help=every)
+    which.add_argument("--trash", action="store_true", help="only those in the trash")
     show = add(
         inner, "show", "one scan's manifest", lambda a: scans.show_scan(_root(a), a.scan, json=a.json), rig, root
     )
@@ -266,6 +276,19 @@ def _add_scans(
     )
     verify.add_argument("scans", metavar="SCAN", nargs="*", help="numbers (default: all)")
     verify.add_argument("--all", action="store_true", help=every)
+    for verb, text, shelve, what in (
+        ("name", "call a scan something", shelves.name_scan, f"up to {LONGEST_NAME} characters; empty: none"),
+        ("note", "write a note about a scan", shelves.note_scan, f"up to {LONGEST_NOTE} characters; empty: none"),
+    ):
+        said = add(inner, verb, text, _labels(shelve), rig, root)
+        said.add_argument("scan", metavar="SCAN", help="its number")
+        said.add_argument("text", metavar=verb.upper(), help=what)
+    for verb, text, move in (
+        ("trash", "put scans away; nothing is deleted, and numbers stay taken", shelves.trash),
+        ("restore", "take scans out of the trash", shelves.restore),
+    ):
+        moved = add(inner, verb, text, _moves(move), rig, root)
+        moved.add_argument("scans", metavar="SCAN", nargs="+", help="numbers")
     merge = add(
         inner,
         "merge",
@@ -278,6 +301,14 @@ def _add_scans(
     merge.add_argument("second", metavar="SCAN", help="the other one; their order does not matter")
     merge.add_argument("--calibration", type=Path, metavar="FILE", help="default: the instrument's")
     merge.add_argument("--out", type=Path, metavar="FILE", help="default: NUMBER+NUMBER.ply here")
+
+
+def _labels(verb: Callable[..., Exit]) -> Verb:
+    return lambda a: verb(_root(a), a.scan, a.text, json=a.json)
+
+
+def _moves(verb: Callable[..., Exit]) -> Verb:
+    return lambda a: verb(_root(a), a.scans, json=a.json)
 
 
 def _add_calibration(

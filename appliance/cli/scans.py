@@ -12,19 +12,27 @@ from appliance.storage.library import Entry, Library, Shelf
 from appliance.storage.manifest import Stage, as_json
 
 
-def list_scans(root: Path, *, every: bool, json: bool) -> Exit:
-    """All scans, damaged ones marked. ``every``: also those rejected or set aside."""
-    entries = _entries(Library(root), every)
+def list_scans(root: Path, *, every: bool, trash: bool = False, json: bool) -> Exit:
+    """All scans, damaged ones marked. ``every``: also those rejected, set aside or in the trash; ``trash``: only these."""
+    entries = Library(root).entries(Shelf.TRASH) if trash else _entries(Library(root), every)
     if json:
         say_json([_brief(entry) for entry in entries])
     elif not entries:
         say(f"no scans under {root}")
     else:
         rows = [
-            (entry.scan_id, _state(entry), _when(entry), _points(entry), f"{entry.size_bytes / 1e6:.1f}", _note(entry))
+            (
+                entry.scan_id,
+                _state(entry),
+                _when(entry),
+                _points(entry),
+                f"{entry.size_bytes / 1e6:.1f}",
+                entry.label.name or "-",
+                "; ".join(filter(None, (_note(entry), entry.label.note))),
+            )
             for entry in entries
         ]
-        say(table(("SCAN", "STATE", "TIME", "POINTS", "MB", "NOTE"), rows))
+        say(table(("SCAN", "STATE", "TIME", "POINTS", "MB", "NAME", "NOTE"), rows))
     return Exit.OK
 
 
@@ -83,6 +91,8 @@ def _brief(entry: Entry) -> dict[str, Any]:
         "clock_trusted": None if record is None else record.clock_trusted,
         "points": _point_count(entry),
         "size_bytes": entry.size_bytes,
+        "name": entry.label.name,
+        "note": entry.label.note,
     }
 
 

@@ -4,6 +4,7 @@
     <root>/scans/.000123      being written, or waiting for the diver's decision
     <root>/rejected/000123    not wanted, kept all the same
     <root>/set-aside/000123   incomplete after a loss of power
+    <root>/trash/000123       put away at the desk; made when it is first needed
     <root>/next-id            see ``appliance.storage.counter``
     <root>/room               space for the next scan, see ``appliance.storage.room``
 
@@ -24,9 +25,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.storage import counter, scan
+from appliance.storage import label as labels
 from appliance.storage import manifest as form
 from appliance.storage.atomic import StorageError, move_folder, refused, replace_file
 from appliance.storage.filesystem import FileSystem, LocalFileSystem
+from appliance.storage.label import NO_LABEL, Label, LabelError
 from appliance.storage.manifest import Decision, Manifest, ManifestError
 from appliance.storage.ply import PointCloud
 from appliance.storage.record import ScanRecord
@@ -41,6 +44,7 @@ class Shelf(Enum):
     SCANS = "scans"
     REJECTED = "rejected"
     SET_ASIDE = "set-aside"
+    TRASH = "trash"
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +57,7 @@ class Entry:
     manifest: Manifest | None
     problems: tuple[str, ...]
     size_bytes: int
+    label: Label = NO_LABEL
 
     @property
     def ok(self) -> bool:
@@ -86,13 +91,16 @@ class Library:
 
     def prepare(self) -> None:
         """Make the folders that are missing, durably. Raises StorageError."""
-        for folder in (self.root, *(self.root / shelf.value for shelf in Shelf)):
-            if not folder.is_dir():
-                missing = [one for one in (folder, *folder.parents) if not one.exists()]
-                for one in reversed(missing):
-                    with refused("cannot make", one):
-                        self._fs.make_folder(one)
-                        self._fs.sync_folder(one.parent)
+        for folder in (self.root, *(self._shelf(shelf) for shelf in Shelf if shelf is not Shelf.TRASH)):
+            self._make(folder)
+
+    def _make(self, folder: Path) -> None:
+        if folder.is_dir():
+            return
+        for one in reversed([one for one in (folder, *folder.parents) if not one.exists()]):
+            with refused("cannot make", one):
+                self._fs.make_folder(one)
+                self._fs.sync_folder(one.parent)
 
     def begin(
         self, frames: Mapping[str, NDArray[np.uint8]], record: ScanRecord, origin: scan.Origin | None = None
@@ -175,6 +183,43 @@ class Library:
             raise scan.ScanError(f"scan {scan_id}: has a cloud already; write the new one elsewhere with --out FILE")
         return scan.finish(self._fs, entry.folder, entry.manifest, entry.manifest.decision, record, cloud, preview_png)
 
+    def trash(self, scan_id: str) -> Path:
+        """Put a scan away: it is no longer listed or shown, and keeps its number and every byte. Answers its folder.
+
+        Raises UnknownScan, ScanError for one that lies in the trash already or is set aside, StorageError.
+        """
+        shelf, folder = self._find(scan_id)
+        if shelf is Shelf.TRASH:
+            raise scan.ScanError(f"scan {folder.name} is in the trash already; `kingfisher scans restore` takes it out")
+        if shelf is Shelf.SET_ASIDE:
+            raise scan.ScanError(
+                f"scan {folder.name} is set aside: it is not whole, and in no list; nothing to put away"
+            )
+        return self._moved(folder, self._shelf(Shelf.TRASH) / folder.name)
+
+    def restore(self, scan_id: str) -> Path:
+        """Take a scan out of the trash, to where its manifest says that it belongs. Answers its folder.
+
+        Raises UnknownScan for one that is not in the trash, ScanError where another of its number lies there, StorageError.
+        """
+        folder = self._find_on(Shelf.TRASH, scan_id)
+        if folder is None:
+            raise UnknownScan(
+                f"no scan {scan_id!r} in the trash of {self.root}; `kingfisher scans list --trash` shows it"
+            )
+        return self._moved(folder, self._shelf(_belongs(folder)) / folder.name)
+
+    def _moved(self, folder: Path, target: Path) -> Path:
+        self._make(target.parent)
+        if target.exists():
+            raise scan.ScanError(f"scan {folder.name}: {target} is there already; move one of them elsewhere")
+        move_folder(self._fs, folder, target)
+        return target
+
+    def set_label(self, scan_id: str, label: Label) -> None:
+        """Give a scan a name and a note, durably; nothing else in its folder changes. Raises UnknownScan, StorageError."""
+        labels.write(self._fs, self._find(scan_id)[1], label)
+
     # ------------------------------------------------------------------------------------- reading
 
     def entries(self, shelf: Shelf = Shelf.SCANS) -> list[Entry]:
@@ -243,11 +288,17 @@ class Library:
 
     def _find(self, scan_id: str) -> tuple[Shelf, Path]:
         for shelf in Shelf:
-            for folder in self._sorted(shelf):
-                plain_number = scan_id.isascii() and scan_id.isdigit() and int(scan_id) == _number(folder)
-                if folder.name == scan_id or plain_number:
-                    return shelf, folder
+            folder = self._find_on(shelf, scan_id)
+            if folder is not None:
+                return shelf, folder
         raise UnknownScan(f"no scan {scan_id!r} under {self.root}; `kingfisher scans list --all` shows what there is")
+
+    def _find_on(self, shelf: Shelf, scan_id: str) -> Path | None:
+        for folder in self._sorted(shelf):
+            plain_number = scan_id.isascii() and scan_id.isdigit() and int(scan_id) == _number(folder)
+            if folder.name == scan_id or plain_number:
+                return folder
+        return None
 
     def _entry(self, shelf: Shelf, folder: Path, *, checksums: bool) -> Entry:
         size_bytes = _size(folder)
@@ -259,7 +310,21 @@ class Library:
         found = [f"{name}: {what}" for name, what in wrong.items()]
         if manifest.scan_id != folder.name.partition("-")[0]:
             found.append(f"its manifest is of scan {manifest.scan_id}")
-        return Entry(folder.name, shelf, folder, manifest, tuple(found), size_bytes)
+        label = NO_LABEL
+        try:
+            label = labels.read(folder)
+        except LabelError as error:
+            if checksums:  # no damage to the scan: told where every byte is looked at
+                found.append(str(error))
+        return Entry(folder.name, shelf, folder, manifest, tuple(found), size_bytes, label)
+
+
+def _belongs(folder: Path) -> Shelf:
+    """Where a scan lay before it came into the trash; a damaged one is listed, as one on the shelf would be."""
+    try:
+        return Shelf.REJECTED if form.read(folder).decision is Decision.REJECTED else Shelf.SCANS
+    except ManifestError:
+        return Shelf.SCANS
 
 
 def _number(folder: Path) -> int:

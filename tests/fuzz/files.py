@@ -34,8 +34,10 @@ from appliance.optics.correction import ImageCorrection, node_count
 from appliance.optics.ray_shift import RayShift
 from appliance.optics.water import Water
 from appliance.patterns.response import Response
+from appliance.sealed import seal
 from appliance.service.air import Pair, PicturesError, read_pair
 from appliance.storage import counter
+from appliance.storage import label as labels
 from appliance.storage import manifest as form
 from appliance.storage.atomic import Stamp, StorageError
 from appliance.storage.beams import BeamsFile
@@ -43,6 +45,7 @@ from appliance.storage.calibrations import Calibrations
 from appliance.storage.choices import ChoicesFile
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.health import HealthFile
+from appliance.storage.label import LabelError
 from appliance.storage.library import Library, Shelf
 from appliance.storage.manifest import Decision, Manifest, ManifestError, Stage
 from appliance.storage.ply import PlyError, encode_ply, read_ply
@@ -239,6 +242,17 @@ def _read_session(data: bytes, scratch: Path) -> None:
     assert store.write(session) == session
 
 
+def _label(chance: Random) -> bytes:
+    return _sealed(chance, seal({"schema": 1, "name": "bollard 3", "note": "north side"}), ("name", "note", "schema"))
+
+
+def _read_label(data: bytes, scratch: Path) -> None:
+    (scratch / labels.FILE_NAME).write_bytes(data)
+    label = labels.read(scratch)
+    for text, longest in ((label.name, labels.LONGEST_NAME), (label.note, labels.LONGEST_NOTE)):
+        assert text is None or (0 < len(text) <= longest and "\n" not in text and "\x1b" not in text)
+
+
 def _count(chance: Random) -> bytes:
     number = chance.choice((b"1", b"42", b"999999999999", b"0", b"000007", "٣".encode(), b"1" * 40))
     line = number + b" %08x\n" % zlib.crc32(number)
@@ -371,6 +385,7 @@ TARGETS = (
            _read_beams, cost=5.0),
     Target("choices", "what the diver chose", lambda c: _sealed(c, CHOICES, ("language", "period_px")), _read_choices, cost=5.0),
     Target("session", "a calibration under way", lambda c: _sealed(c, SESSION), _read_session, cost=10.0),
+    Target("label", "what a person calls a scan", _label, _read_label, (LabelError,), labels.FILE_NAME),
     Target("counter", "the number of the next scan", _count, _read_count, (StorageError,), cost=5.0),
     Target("manifest", "a scan's manifest", lambda c: _sealed(c, MANIFEST, ("files", "record", "../x")), _read_manifest,
            (ManifestError,), "manifest.json", cost=3.0),
