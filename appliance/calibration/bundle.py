@@ -21,7 +21,7 @@ from appliance.calibration import parameters
 from appliance.calibration.artefact import Place, first_place
 from appliance.calibration.file import Calibration
 from appliance.calibration.judgement import Estimate, judged, warnings_about
-from appliance.calibration.recordings import ArtefactKind, Recording, RecordingError, thinned
+from appliance.calibration.recordings import ArtefactKind, NotConverged, Recording, RecordingError, thinned
 from appliance.calibration.start import check_start
 from appliance.optics.correction import INTERVALS, ImageCorrection, basis_matrix, node_count
 from appliance.optics.model import HousedCamera, StereoRig
@@ -148,7 +148,7 @@ def adjust(
         if still_to_go < chosen.small_step:
             break
     else:
-        raise RecordingError(
+        raise NotConverged(
             f"the adjustment did not converge in {chosen.steps_at_most} steps; check the certificates, the water and "
             f"which points belong to which sphere"
         )

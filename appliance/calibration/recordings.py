@@ -29,6 +29,23 @@ class ArtefactKind(Enum):
 class RecordingError(Exception):
     """Recordings cannot be used for a calibration; the text says which, why and what to do."""
 
+    def __init__(self, text: str, about: str = "") -> None:
+        """``about``: the step of the calibration, or the recording, that it is about, as the screen names it."""
+        super().__init__(text)
+        self.about = about
+
+
+class CertificateMissing(RecordingError):
+    """The artefact's certificate, or a number of it, is not stated."""
+
+
+class CamerasDiffer(RecordingError):
+    """The recordings are not of the cameras that the calibration starts from, or not all of the same."""
+
+
+class NotConverged(RecordingError):
+    """The recordings can be used one by one, and no calibration fits all of them."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:

@@ -11,6 +11,12 @@ class Mishap(Enum):
 
     RECORDING = "recording"
     """A recording, or the artefact in it, cannot be used."""
+    CERTIFICATE = "certificate"
+    """The ball bar's certificate is not stated."""
+    CAMERAS = "cameras"
+    """The recordings are of other cameras."""
+    NO_SOLUTION = "no solution"
+    """Each recording can be used, and no calibration fits all of them."""
     FILES = "files"
     """A file of the session, or a calibration, is damaged, missing or does not fit."""
     DISK = "disk"
@@ -27,4 +33,6 @@ class Failure:
 
     mishap: Mishap
     detail: str
-    """For the log, and for who repairs it: English, with names and values."""
+    """For the log, and for who repairs it: English, with names and values. Never on the screen."""
+    about: str = ""
+    """The step that it is about; empty: none in particular."""

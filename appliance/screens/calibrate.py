@@ -23,8 +23,8 @@ _TOP_PX, _SKETCH_PX = 68.0, 180.0
 _LIVE_PX = (364.0, 273.0)
 _WORDS_PX = 392.0
 _BOX_PX = 370.0
-_BAND_PX, _WORKING_PX, _FAILURE_PX = 84.0, 52.0, 104.0
-"""Heights of what was found and what is right, of one line, and of a reason in up to three."""
+_BAND_PX, _WORKING_PX = 84.0, 52.0
+"""Heights of what was found and what is right, and of one line."""
 _TICKS_PX = 24.0
 """From the lower edge."""
 
@@ -73,20 +73,22 @@ def _latest_px(view: CalibrateView) -> float:
     trial = view.at.latest or view.session.trial(view.step)
     if view.at.task is not None:
         return _WORKING_PX
-    if view.at.failed is not None:
-        return _FAILURE_PX
-    if trial is not None:
+    if view.at.failed is not None or trial is not None:
         return _BAND_PX
     return 36.0 if view.step is Step.SOLVE else 0.0
 
 
 _MISHAPS = {
-    Mishap.RECORDING: Text.NOT_USABLE,
-    Mishap.FILES: Text.FILES_DO_NOT_FIT,
-    Mishap.DISK: Text.DISK_REFUSED,
-    Mishap.BROKEN_OFF: Text.BROKEN_OFF,
-    Mishap.NO_ANSWER: Text.ANSWERED_LATE,
+    Mishap.RECORDING: (Text.NOT_USABLE, Text.RECORD_AGAIN),
+    Mishap.CERTIFICATE: (Text.NO_CERTIFICATE, Text.AT_THE_DESK),
+    Mishap.CAMERAS: (Text.OTHER_CAMERAS, Text.CALIBRATE_IN_AIR),
+    Mishap.NO_SOLUTION: (Text.NO_SOLUTION, Text.RECORD_ALL),
+    Mishap.FILES: (Text.FILES_DO_NOT_FIT, Text.AT_THE_DESK),
+    Mishap.DISK: (Text.DISK_REFUSED, Text.TRY_AGAIN),
+    Mishap.BROKEN_OFF: (Text.BROKEN_OFF, Text.TRY_AGAIN),
+    Mishap.NO_ANSWER: (Text.ANSWERED_LATE, Text.TRY_AGAIN),
 }
+"""What came to nothing, and what to do. The details are in the log and in the status file."""
 
 
 def refusal_words(trial: Trial) -> tuple[Text, Text]:
@@ -169,12 +171,8 @@ def _latest(canvas: Canvas, view: CalibrateView, bottom: float, language: Langua
     if at.task is not None:
         _working(canvas, at.task, at.progress, language, time_s, bottom)
     elif at.failed is not None:
-        canvas.box(0, bottom - _FAILURE_PX, canvas.width, _FAILURE_PX, theme.YELLOW)
-        top = bottom - _FAILURE_PX + 32
-        said = _MISHAPS[at.failed.mishap].in_language(language)
-        canvas.words(said, 16, top, BODY, BLACK, theme.INK, max_width=canvas.width - 32)
-        # In the log's words: for who repairs it.
-        canvas.paragraph(at.failed.detail, 16, top + 32, CAPTION, theme.INK, canvas.width - 32, 2)
+        came, remedy = (text.in_language(language) for text in _MISHAPS[at.failed.mishap])
+        _band(canvas, theme.YELLOW, came, remedy, at.failed.about, bottom)
     elif trial is not None and trial.refusal is None:
         number = "" if trial.number is None else f"{1000.0 * trial.number:.0f} µm"
         what = f"{worded(trial.step.value, language)} {Text.ACCEPTED.in_language(language)}"

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.screens.colours import colour_table
-from appliance.screens.theme import BODY, BOLD, CAPTION, DESIGN_SIZE_PX, REGULAR, WHITE, Colour
+from appliance.screens.theme import BODY, BOLD, CAPTION, DESIGN_SIZE_PX, WHITE, Colour
 from drivers.api import DeviceGone
 
 MAX_WORDS = 192
@@ -257,24 +257,6 @@ class Canvas:
         self._letters["size"] = self.size_px
         self._letters["box"] = (left_px, top_px, line.width_px, line.height_px)
         self._letters_quad.render(moderngl.TRIANGLE_STRIP, vertices=4)
-
-    def paragraph(
-        self, words: str, x: float, baseline: float, size: int, colour: Colour, max_width: float, max_lines: int
-    ) -> None:
-        """Text in up to ``max_lines`` lines of ``max_width``; what does not fit ends in an ellipsis."""
-        lines, rest = [""], words.split()
-        while rest:
-            longer = f"{lines[-1]} {rest[0]}".strip()
-            if self.measure(longer, size, REGULAR) <= max_width or not lines[-1]:
-                lines[-1] = longer
-                rest.pop(0)
-            elif len(lines) == max_lines:
-                lines[-1] += " …"
-                break
-            else:
-                lines.append("")
-        for number, line in enumerate(lines):
-            self.words(line, x, baseline + 1.3 * size * number, size, REGULAR, colour, max_width=max_width)
 
     def measure(self, words: str, size: int = BODY, weight: int = BOLD) -> float:
         """Width of a line of text."""

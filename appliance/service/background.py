@@ -45,6 +45,8 @@ class Failed:
     reason: str
     error: str | None = None
     """Name of the exception's class, where the job raised one."""
+    about: str = ""
+    """What the exception says it is about, in a word, where it has an ``about``."""
 
 
 class Background:
@@ -147,7 +149,8 @@ def _serve(pipe: Connection) -> None:
             except (EOFError, BrokenPipeError):
                 raise
             except Exception as error:  # the one place where it can still be named
-                said = Failed(str(error) or type(error).__name__, type(error).__name__)
+                about = str(getattr(error, "about", ""))
+                said = Failed(str(error) or type(error).__name__, type(error).__name__, about)
             pipe.send((ticket, said))
     except (EOFError, OSError):
         return  # the parent closed the pipe: the normal end

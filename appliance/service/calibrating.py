@@ -12,7 +12,7 @@ from typing import Self
 
 from appliance.calibration.file import Calibration, CalibrationError
 from appliance.calibration.guide import Session, Step, Trial, Verified
-from appliance.calibration.recordings import RecordingError
+from appliance.calibration.recordings import CamerasDiffer, CertificateMissing, NotConverged, RecordingError
 from appliance.capture.fault import Fault, FaultCode
 from appliance.capture.verdict import Verdict
 from appliance.config import Rig
@@ -31,6 +31,9 @@ log = logging.getLogger("kingfisher")
 
 _MISHAPS = {
     RecordingError.__name__: Mishap.RECORDING,
+    CertificateMissing.__name__: Mishap.CERTIFICATE,
+    CamerasDiffer.__name__: Mishap.CAMERAS,
+    NotConverged.__name__: Mishap.NO_SOLUTION,
     ScanError.__name__: Mishap.RECORDING,
     CalibrationError.__name__: Mishap.FILES,
     SessionError.__name__: Mishap.FILES,
@@ -155,9 +158,9 @@ class CalibrationDesk:
                 events.append(
                     on.CalibrationFailed(Failure(Mishap.BROKEN_OFF, f"it answered with a {type(answer).__name__}"))
                 )
-            case Failed(reason, error):
+            case Failed(reason, error, about):
                 log.warning("calibration: %s", reason)
-                events.append(on.CalibrationFailed(_failure(error, reason)))
+                events.append(on.CalibrationFailed(_failure(error, reason, about)))
             case None:
                 pass
         return events
@@ -206,8 +209,8 @@ class CalibrationDesk:
         self._answers.append(self._desk.submit(work))
 
 
-def _failure(error: str | None, reason: str) -> Failure:
-    return Failure(_MISHAPS.get(error or "", Mishap.BROKEN_OFF), reason)
+def _failure(error: str | None, reason: str, about: str = "") -> Failure:
+    return Failure(_MISHAPS.get(error or "", Mishap.BROKEN_OFF), reason, about)
 
 
 def _outcome(trial: Trial) -> str:

@@ -17,7 +17,13 @@ from appliance.calibration.file import Calibration
 from appliance.calibration.guide import HELD, USED, Refusal, Solved, Step, Trial, Verified
 from appliance.calibration.ladder import Method, calibrate
 from appliance.calibration.poses import FoundBar, FoundPlane, judge_bar, judge_plane
-from appliance.calibration.recordings import ArtefactKind, Recording, RecordingError
+from appliance.calibration.recordings import (
+    ArtefactKind,
+    CertificateMissing,
+    NotConverged,
+    Recording,
+    RecordingError,
+)
 from appliance.capture.fault import FaultCode
 from appliance.config import Rig
 from appliance.evaluation.ball_bar import BallBar, find_ball_bar
@@ -80,7 +86,7 @@ def basis_of(rig: Rig) -> Basis:
     """
     bar = rig.ball_bar
     if bar is None:
-        raise RecordingError("no certificate of the ball bar; give [ball_bar] in the rig file")
+        raise CertificateMissing("no certificate of the ball bar; give [ball_bar] in the rig file")
     calibrations = Calibrations(rig.storage.root, rig.rig.serial)
     current, _ = calibration_of(rig)
     session = calibrations.session()
@@ -150,7 +156,7 @@ def solve(rig: Rig, date: str, report: Report) -> Solution:
     folders = {trial.step: library.entry(trial.scan_id).folder for trial in trials if trial.scan_id is not None}
     missing = [step.value for step in USED if step not in folders]
     if missing:
-        raise RecordingError(f"no recording of {', '.join(missing)}; record it")
+        raise RecordingError(f"no recording of {', '.join(missing)}; record it", about=missing[0])
     serials = cameras_of((folders[step] for step in USED), basis.start)
     recordings = []
     for k, step in enumerate(USED):
@@ -163,7 +169,7 @@ def solve(rig: Rig, date: str, report: Report) -> Solution:
     calibration = replace(result.calibration, made_at=date, camera_serials=serials)
     result = replace(result, calibration=calibration)
     if calibration.residual_px is None:
-        raise RecordingError(f"{method.value} says nothing about what is left; use another method")
+        raise NotConverged(f"{method.value} says nothing about what is left; use another method")
     solved = Solved(calibration.method, calibration.residual_px, result.warnings, calibration.hash)
     verified = None
     if Step.VERIFY in folders:
@@ -182,7 +188,8 @@ def _recording(step: Step, folder: Path, basis: Basis) -> Recording:
     certificate = basis.bar if HELD[step] is ArtefactKind.BALL_BAR else None
     recording = recording_of_scan(folder, certificate, basis.start, basis.rig, _silent)
     if isinstance(recording, NotFound):
-        raise RecordingError(f"{step.value}, scan {folder.name}: {recording.reason}; record {step.value} again")
+        said = f"{step.value}, scan {folder.name}: {recording.reason}; record {step.value} again"
+        raise RecordingError(said, about=step.value)
     return replace(recording, name=f"{step.value}, scan {folder.name}")
 
 
@@ -218,7 +225,7 @@ def _judged_bar(
     if isinstance(bar, NotFound):
         return Trial(step, Refusal.NOT_FOUND, None, cloud.summary.points, bar.reason)
     if certificate.radius_mm is None:
-        raise ValueError("the ball bar's radius is not stated; give ball_bar.radius_mm in the rig file")
+        raise CertificateMissing("the ball bar's radius is not stated; give ball_bar.radius_mm in the rig file")
     balls = (bar.first, bar.second)
     found = FoundBar(
         np.array([ball.sphere.centre_mm for ball in balls]),

@@ -8,7 +8,7 @@ from pathlib import Path
 from appliance.calibration.extract import CALIBRATING_GAP_MM, Certificate, extract
 from appliance.calibration.file import Calibration
 from appliance.calibration.owner import exchanged
-from appliance.calibration.recordings import Recording, RecordingError
+from appliance.calibration.recordings import CamerasDiffer, Recording
 from appliance.config import ConfigError, Rig, load_rig
 from appliance.evaluation.points import NotFound
 from appliance.reconstruct.quality import QualityLimits
@@ -20,7 +20,7 @@ from appliance.storage import scan as stored
 def cameras_of(folders: Iterable[Path], start: Calibration) -> tuple[str, str] | None:
     """Serial numbers of the left and right camera that recorded these scans; ``None`` where no scan says.
 
-    Raises RecordingError where scans are of different cameras, or ``start`` is of others, CalibrationError or ScanError for a
+    Raises CamerasDiffer where scans are of different cameras, or ``start`` is of others, CalibrationError or ScanError for a
     scan whose rig file cannot be read.
     """
     known: tuple[str, str] | None = None
@@ -30,13 +30,13 @@ def cameras_of(folders: Iterable[Path], start: Calibration) -> tuple[str, str] |
         if found is None:
             continue
         if known is not None and of is not None and (other := exchanged(known, found)) is not None:
-            raise RecordingError(
+            raise CamerasDiffer(
                 f"scans {of.name} and {folder.name} are of different cameras ({other.reason}); calibrate with scans of the same"
             )
         known, of = found, folder
     wrong = exchanged(start.camera_serials, known)
     if wrong is not None:
-        raise RecordingError(
+        raise CamerasDiffer(
             f"the scans are of other cameras than what they start from ({wrong.reason}); calibrate in air again"
         )
     return known

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import dataclass, replace
 
 from appliance.capture.fault import Fault, FaultCode
 from appliance.machine import events as on
@@ -17,6 +18,31 @@ log = logging.getLogger("kingfisher")
 
 ASK_AGAIN_S = 5.0
 """Without room for a scan: how often the disk is asked whether there is some by now."""
+FREED_SCANS = 3
+"""Less than that many scans' room that comes from nowhere is not told: logs and other programs take and give some all the time,
+and a number that goes up after a save would not be believed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """What was last told of the room on the disk."""
+
+    scans: int
+    """There were on the disk."""
+    left: int
+    """More had room."""
+    scan_bytes: int
+    """One of them takes."""
+
+
+def steady(told: Told | None, now: Told) -> Told:
+    """Return what to tell after ``told``: ``now``, but no more scans than before while nothing noticeable was freed.
+
+    Scans that were taken away, scans of another size, a disk that was full, and room for ``FREED_SCANS`` more count as freed.
+    """
+    if told is None or told.scan_bytes != now.scan_bytes or now.scans < told.scans or told.left == 0:
+        return now
+    return now if now.left >= told.left + FREED_SCANS else replace(now, left=min(now.left, told.left))
 
 
 class ScanRoom:
@@ -30,6 +56,7 @@ class ScanRoom:
         self._counted_ns = 0
         self._scan_bytes = 1
         self._plan: dict[str, int] = {}
+        self._told: Told | None = None
         self.missing: Fault | None = None
         """Why no scan may begin."""
 
@@ -61,7 +88,11 @@ class ScanRoom:
         elif fault is None and left == 0:
             fault = Fault(FaultCode.STORAGE_FULL, "no room for another scan")
         self.missing, self._counted_ns = fault, self._clock.now_ns()
-        events: list[on.Event] = [on.StorageCounted(self._library.count(), self._library.last_id(), left)]
+        scans = self._library.count()
+        if left is not None:
+            self._told = steady(self._told, Told(scans, left, self._scan_bytes))
+            left = self._told.left
+        events: list[on.Event] = [on.StorageCounted(scans, self._library.last_id(), left)]
         for code in (FaultCode.DISK_READ_ONLY, FaultCode.DISK_REFUSES):
             there = fault is not None and fault.code is code
             events.append(on.ConditionRaised(fault) if fault is not None and there else on.ConditionCleared(code))

@@ -29,7 +29,7 @@ from tests.appliance.machine.walks import (
     trial_in_work,
 )
 
-NOT_CONVERGED = Failure(Mishap.RECORDING, "did not converge")
+NOT_CONVERGED = Failure(Mishap.NO_SOLUTION, "did not converge")
 
 
 def at(machine: Machine) -> tuple[Step, Task | None]:

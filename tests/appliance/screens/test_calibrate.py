@@ -18,7 +18,7 @@ from appliance.screens.calibrate import refusal_words
 from appliance.screens.canvas import Canvas
 from appliance.screens.painter import Painter
 from appliance.screens.sketch import sketch_depth, sketch_front
-from appliance.screens.texts import Language
+from appliance.screens.texts import Language, Text
 from appliance.screens.views import CalibrateView
 
 Picture = NDArray[np.uint8]
@@ -167,9 +167,28 @@ def test_an_alert_does_not_hide_what_became_of_a_recording(painter: Painter) -> 
         assert share(painter.draw(view, 0.0), GREEN) == pytest.approx(share(alone, GREEN), rel=0.02)
 
 
-def test_a_long_reason_is_readable(painter: Painter) -> None:
-    reason = "M1, scan 000012: of 556 points on the second ball only 5 are fit to calibrate with, 30 are needed"
-    picture = drawn(painter, Calibrating(Step.SOLVE, failed=Failure(Mishap.RECORDING, reason)), Session(GOOD))
-    yellow = np.abs(picture.astype(int) - YELLOW).max(axis=2) < 12
-    rows = np.flatnonzero(yellow.mean(axis=1) > 0.5)
-    assert np.ptp(rows) > 90, "lines of it, not one line of tiny letters"
+@pytest.mark.parametrize("mishap", list(Mishap))
+def test_what_came_to_nothing_is_told_in_the_language_of_the_screen_and_never_in_the_words_of_the_log(
+    painter: Painter, mishap: Mishap
+) -> None:
+    known = [text.german for text in Text]
+    at = Calibrating(Step.SOLVE, failed=Failure(mishap, "M1, scan 000012: no ball on the right; record M1 again", "M1"))
+    painter.language = Language.GERMAN
+    try:
+        drawn(painter, at, Session(GOOD))
+        band = [line for line in painter.canvas.written if line.top > 480 - 62 - 84]
+    finally:
+        painter.language = Language.ENGLISH
+    said = [line.words for line in band if line.words != "✓"]
+    assert said[0] == "M1", "of which step"
+    assert len(said) == 3
+    assert all(words in known for words in said[1:]), said
+    assert not any(line.cut for line in band)
+
+
+def test_each_mishap_has_words_of_its_own(painter: Painter) -> None:
+    told = set()
+    for mishap in Mishap:
+        drawn(painter, Calibrating(Step.SOLVE, failed=Failure(mishap, "")), Session(GOOD))
+        told.add(tuple(line.words for line in painter.canvas.written if line.top > 480 - 62 - 84))
+    assert len(told) == len(Mishap)

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import re
 import time
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
 import moderngl
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+import appliance
 from appliance.capture.fault import FaultCode
 from appliance.capture.ranging import Range, reach_of
 from appliance.machine.alerts import Alert, Severity
@@ -186,6 +189,21 @@ def test_every_label_of_the_machine_can_be_translated() -> None:
     words = {word for s in State for word in machine_labels(replace(state, state=s)).values()}
     assert words
     assert {word for word in words if word not in {text.english for text in Text}} == set()
+
+
+def test_no_word_of_the_table_is_left_over() -> None:
+    """Each is drawn by name, or is what the machine calls a key, a step or a state of the self-test."""
+    folder = Path(appliance.__file__).parent
+    said = {path: path.read_text(encoding="utf-8") for path in folder.rglob("*.py")}
+    others = "\n".join(text for path, text in said.items() if path.name != "texts.py" or path.parent.name == "machine")
+    own = said[folder / "screens" / "texts.py"]
+    unused = [
+        text.name
+        for text in Text
+        if not re.search(rf"Text\.{text.name}\b", others + own)
+        and not re.search(rf'"{re.escape(text.english)}\b', others)
+    ]
+    assert not unused
 
 
 def test_a_refused_scan_has_a_dim_label(painter: Painter) -> None:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
+from appliance.calibration.recordings import NotConverged
 from appliance.service.background import Background, Done, Failed, Progressed
 from drivers.native import MonotonicClock
 
@@ -19,6 +20,10 @@ def double(x: int, report: Callable[[float], None]) -> int:
 
 def refuse(report: Callable[[float], None]) -> None:
     raise ValueError("the adjustment did not converge; check the certificates")
+
+
+def refuse_a_step(report: Callable[[float], None]) -> None:
+    raise NotConverged("no calibration fits M3; record it again", about="M3")
 
 
 def die(report: Callable[[float], None]) -> None:
@@ -50,6 +55,11 @@ def answers(background: Background, timeout_s: float = 30.0) -> list[object]:
                 return found
         clock.sleep_s(0.01)
     raise AssertionError(f"no end of the job; so far {found}")
+
+
+def test_a_refusal_arrives_with_its_kind_and_what_it_is_about(background: Background) -> None:
+    background.ask(refuse_a_step)
+    assert answers(background) == [Failed("no calibration fits M3; record it again", "NotConverged", "M3")]
 
 
 def test_a_job_says_how_far_it_is_and_answers(background: Background) -> None:

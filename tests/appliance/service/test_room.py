@@ -19,19 +19,24 @@ from appliance.machine.alerts import RULES
 from appliance.machine.states import Part
 from appliance.optics.water import Water
 from appliance.patterns.sequence import build_sequence
-from appliance.service.room import ASK_AGAIN_S
+from appliance.service.room import ASK_AGAIN_S, Told, steady
 from appliance.service.scans import ScanDesk
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.library import Library
 from appliance.storage.room import FOLDER, Room
+from appliance.storage.scan import size_bytes
 from drivers.wall_clock import KernelCalendar
 from tests.drivers.clock import SteppedClock
 
 
 class Disk(LocalFileSystem):
-    """Refuses to allocate, with ``error``, as long as there is one."""
+    """Refuses to allocate, with ``error``, as long as there is one; says that ``free`` bytes are free, if that is stated."""
 
     error: int | None = None
+    free: int | None = None
+
+    def free_bytes(self, path: Path) -> int:
+        return super().free_bytes(path) if self.free is None else self.free
 
     def allocate(self, path: Path, length_bytes: int) -> None:
         if self.error is not None:
@@ -95,6 +100,48 @@ def test_a_scan_for_which_no_space_can_be_allocated_is_refused_until_it_can(
         assert raised(events) == set()
         assert any(isinstance(event, on.StorageCounted) and event.scans_left for event in events)
         assert desk.begin(1, Exposure(8000, 0.0)) is None
+
+
+def told_left(desk: ScanDesk) -> int | None:
+    """How many more scans have room, as it is told now."""
+    desk.test_storage()
+    return next(event.scans_left for event in answered(desk) if isinstance(event, on.StorageCounted))
+
+
+def test_the_scans_left_do_not_go_up_after_a_save_by_what_other_programs_give_back(tmp_path: Path) -> None:
+    disk = Disk()
+    with desk_on(disk, tmp_path, SteppedClock()) as desk:
+        desk.test_storage()
+        answered(desk)
+        one = size_bytes(24, 400, 300)
+        disk.free = 2000 * one
+        begun = told_left(desk)
+        assert begun is not None
+        disk.free += one
+        assert told_left(desk) == begun, "2001 after 2000, and nothing was freed"
+        disk.free -= 7 * one
+        less = told_left(desk)
+        assert less == begun - 6
+        disk.free += 2 * one
+        assert told_left(desk) == less
+        disk.free += 50 * one
+        assert told_left(desk) == begun + 46, "somebody made room: that is told"
+
+
+@pytest.mark.parametrize(
+    ("before", "now", "left"),
+    [
+        (Told(7, 0, 10), Told(7, 1, 10), 1),  # it was full
+        (Told(7, 20, 10), Told(6, 21, 10), 21),  # a scan was taken away
+        (Told(7, 20, 10), Told(7, 22, 9), 22),  # scans of a longer period are smaller
+        (Told(7, 20, 10), Told(8, 22, 10), 20),
+        (Told(7, 20, 10), Told(8, 19, 10), 19),
+        (Told(7, 20, 10), Told(8, 23, 10), 23),
+    ],
+)
+def test_what_counts_as_freed(before: Told, now: Told, left: int) -> None:
+    assert steady(before, now).left == left
+    assert steady(None, now) == now
 
 
 def test_after_the_self_test_the_space_of_a_whole_scan_is_allocated(tmp_path: Path) -> None:

@@ -280,12 +280,12 @@ SCENES: Mapping[str, Scene] = MappingProxyType(
             _calibrate(
                 Calibrating(
                     Step.SOLVE,
-                    failed=Failure(Mishap.RECORDING, "M1, scan 000012: no ball on the right; record M1 again"),
+                    failed=Failure(Mishap.RECORDING, "M1, scan 000012: no ball on the right; record M1 again", "M1"),
                 ),
                 Session(_TRIALS),
                 back="BACK",
             ),
-            "A task that came to nothing: what to do, and the log's words for who repairs it.",
+            "A task that came to nothing: of which step, and what to do. The log says more, to who repairs it.",
         ),
         "calibrate-result": Scene(
             _calibrate(Calibrating(Step.RESULT), _BETTER, scan="KEEP", back="BACK", up="VERIFY", down="HOLD: NEW"),
