@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 from appliance.calibration import file as calibration_file
 from appliance.calibration.method import Method
-from appliance.cli.desk import place_of, usable_scan, writable, writing
+from appliance.cli.desk import place_of, whole_scan, writable, writing
 from appliance.cli.kernels import compile_desk_kernels
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json
 from appliance.config import Rig
+from appliance.service.origin import Wish, instrument_of, refuse_misfit, taken
 from appliance.storage.atomic import replace_file
 from appliance.storage.calibrations import Calibrations, SessionError
 from appliance.storage.filesystem import LocalFileSystem
@@ -52,7 +53,7 @@ class WaterOptions:
         return LadderSettings(search=search)
 
 
-def water(rig: Rig, listed: Path, options: WaterOptions, *, json: bool) -> Exit:
+def water(wish: Wish, listed: Path, options: WaterOptions, *, json: bool) -> Exit:
     """Calibrate from the list's scans; FAILED if an artefact was not found, after all else was done without it."""
     method = Method(options.method)
     target = options.out or DEFAULT_OUT
@@ -67,7 +68,7 @@ def water(rig: Rig, listed: Path, options: WaterOptions, *, json: bool) -> Exit:
         raise UsageError(f"--out {target}: {data} is the list itself; give another name")
     compile_desk_kernels()  # before anything brings compiled kernels
     from appliance.service.evaluation import ListError, read_list
-    from appliance.service.instrument import start_of
+    from appliance.service.instrument import refuse_drawing, start_of
     from appliance.service.water_calibration import check_list, run_water_calibration
 
     try:
@@ -75,18 +76,23 @@ def water(rig: Rig, listed: Path, options: WaterOptions, *, json: bool) -> Exit:
         check_list(scans)
     except ListError as error:
         raise UsageError(str(error)) from error
-    start = start_of(rig, options.start)
     made_at = datetime.now(UTC).isoformat(timespec="seconds")
     with Progress() as progress:
-        folders = []
+        sources = []
         for k, entry in enumerate(scans.entries):
             progress(f"comparing checksums of {entry.scan}", SCANS_CHECKED * k / len(scans.entries))
-            folders.append(usable_scan(rig, place_of(listed, entry.scan), options.start))
+            sources.append(taken(whole_scan(wish, place_of(listed, entry.scan)), wish))
+
+        rig = instrument_of(sources, wish)
+        refuse_drawing(rig, options.start)
+        start = start_of(rig, options.start)
+        for source in sources:
+            refuse_misfit(start, f"start {options.start or rig.storage.root}", source, foreign=False, start=True)
 
         def step(what: str, part: float) -> None:
             progress(what, SCANS_CHECKED + (1.0 - SCANS_CHECKED) * part)
 
-        made = run_water_calibration(rig, scans, folders, start, method, made_at, step, options.settings())
+        made = run_water_calibration(rig, scans, sources, start, method, made_at, step, options.settings())
     content = made.as_json()
     text = json_form.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
     files = {page: made.as_html().encode(), data: text.encode()}

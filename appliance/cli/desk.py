@@ -1,4 +1,4 @@
-"""Owns what the desk asks for before it works: a scan that is whole and of the calibration's size, a file to write."""
+"""Owns what the desk asks for before it works: a scan whose frames are whole, a file to write."""
 
 from __future__ import annotations
 
@@ -8,28 +8,54 @@ from pathlib import Path
 
 from appliance.calibration import file as calibration_file
 from appliance.cli.output import UsageError
-from appliance.config import Rig
+from appliance.config import default_rig_path, load_rig
+from appliance.service.origin import Wish
 from appliance.storage import scan as stored
 from appliance.storage.atomic import StorageError, remedy_for
+from appliance.storage.damage import damaged_frames
 from appliance.storage.library import Library
-from appliance.storage.scan import RAW_FILES, ScanError
+from appliance.storage.scan import ScanError
 
 CLOUD_SUFFIX = ".ply"
 
 
-def usable_scan(rig: Rig, scan: str, calibration: Path | None) -> Path:
-    """The folder of ``scan``, its number or its folder, whose raw frames are whole and have the calibration's size.
+def whole_scan(wish: Wish, scan: str) -> Path:
+    """The folder of ``scan``, its number or its folder, whose frames are whole: every byte is compared with its checksum.
 
-    Raises UnknownScan, ScanError (every byte of the frames is compared with its checksum), CalibrationError, UsageError.
+    What can be made again from the frames (cloud, preview), and what may be found elsewhere (calibration, rig file), need
+    not be whole. Raises UnknownScan, ScanError, UsageError.
     """
-    folder = _folder(rig, scan)
-    loaded = stored.load(folder)
-    wrong = stored.wrong_files(folder, loaded.manifest, checksums=True)
-    damaged = [f"{name}: {problem}" for name, problem in wrong.items() if name in RAW_FILES]
-    if damaged:
-        raise ScanError(f"{folder}: {'; '.join(damaged)}; bring the scan's folder back from a copy")
-    _check_size(rig, folder, loaded, calibration)
+    folder = scan_folder(scan) or Library(library_root(wish)).entry(scan).folder
+    refuse_damaged_frames(folder)
     return folder
+
+
+def refuse_damaged_frames(folder: Path) -> None:
+    """Raises ScanError that names every damaged file of frames, and the frame where that is known."""
+    manifest = stored.manifest_of(folder)
+    damaged = damaged_frames(folder, manifest)
+    if damaged:
+        told = "; ".join(str(one) for one in damaged)
+        raise ScanError(
+            f"{folder}: {told}; bring the scan's folder back from a copy, or see with `kingfisher reconstruct --salvage` what "
+            "can be made without"
+        )
+
+
+def library_root(wish: Wish) -> Path:
+    """Where numbers of scans are looked up."""
+    if wish.root is not None:
+        return wish.root
+    return (wish.rig or load_rig(default_rig_path())).storage.root
+
+
+def scan_folder(scan: str) -> Path | None:
+    """The folder that ``scan`` names; ``None`` where it is a number. Raises UsageError for a folder that is not there."""
+    if "/" not in scan and not Path(scan).is_dir():
+        return None
+    if not Path(scan).is_dir():
+        raise UsageError(f"SCAN {scan}: no such folder; give a scan's number or its folder")
+    return Path(scan)
 
 
 def place_of(listed: Path, scan: str) -> str:
@@ -81,28 +107,3 @@ def writing(path: Path) -> Iterator[None]:
         else:
             reason, remedy = error.strerror or str(error), remedy_for(error)
         raise StorageError("cannot write", path, reason, f"{remedy}; --out FILE writes elsewhere") from error
-
-
-def _folder(rig: Rig, scan: str) -> Path:
-    if "/" in scan or Path(scan).is_dir():
-        folder = Path(scan)
-        if not folder.is_dir():
-            raise UsageError(f"SCAN {scan}: no such folder; give a scan's number or its folder")
-        return folder
-    return Library(rig.storage.root).entry(scan).folder
-
-
-def _check_size(rig: Rig, folder: Path, scan: stored.StoredScan, calibration: Path | None) -> None:
-    """Pixels of another size would give another instrument's points, or none."""
-    for side, of_rig in (("left", rig.camera.left), ("right", rig.camera.right)):
-        size = (of_rig.width_px, of_rig.height_px)  # the instrument's own calibration is only used if it has this size
-        whose = f"the rig file ({rig.rig.name})"
-        if calibration is not None:
-            eye = getattr(calibration_file.load(calibration).rig, side)
-            size, whose = (eye.width_px, eye.height_px), f"--calibration {calibration}"
-        height, width = scan.frames[side].shape[1:]
-        if (width, height) != size:
-            raise UsageError(
-                f"SCAN {folder}: its {side} images are {width}x{height} px; {whose} is for {size[0]}x{size[1]} px; "
-                "give the rig file (--rig) or the calibration (--calibration) of the instrument that recorded it"
-            )

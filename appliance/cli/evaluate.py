@@ -6,10 +6,10 @@ import json as json_form
 from pathlib import Path
 from typing import Any
 
-from appliance.cli.desk import place_of, usable_scan, writable, writing
+from appliance.cli.desk import measuring, place_of, whole_scan, writable, writing
 from appliance.cli.kernels import compile_desk_kernels
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json, table
-from appliance.config import Rig
+from appliance.service.origin import Wish, instrument_of, one_calibration, taken
 from appliance.storage.atomic import replace_file
 from appliance.storage.filesystem import LocalFileSystem
 
@@ -18,7 +18,7 @@ SCANS_CHECKED = 0.1
 """The part of the progress that comparing checksums gets."""
 
 
-def evaluate(rig: Rig, listed: Path, calibration: Path | None, out: Path | None, *, json: bool) -> Exit:
+def evaluate(wish: Wish, listed: Path, out: Path | None, *, json: bool) -> Exit:
     """Measure every artefact of the list; FAILED if one was not found, after the report was written all the same."""
     page = out or DEFAULT_OUT
     data = page.with_suffix(".json")
@@ -28,6 +28,7 @@ def evaluate(rig: Rig, listed: Path, calibration: Path | None, out: Path | None,
         raise UsageError(f"--out {page}: {data} is the list itself; give another name")
     for path in (page, data):
         writable(path)
+    measuring(wish.calibration)
     compile_desk_kernels()  # before anything brings compiled kernels
     from appliance.evaluation.report import as_html, as_json
     from appliance.service.evaluation import ListError, read_list, run_evaluation
@@ -37,15 +38,16 @@ def evaluate(rig: Rig, listed: Path, calibration: Path | None, out: Path | None,
     except ListError as error:
         raise UsageError(str(error)) from error
     with Progress() as progress:
-        folders = []
+        sources = []
         for k, entry in enumerate(scans.entries):
             progress(f"comparing checksums of {entry.scan}", SCANS_CHECKED * k / len(scans.entries))
-            folders.append(usable_scan(rig, place_of(listed, entry.scan), calibration))
+            sources.append(taken(whole_scan(wish, place_of(listed, entry.scan)), wish))
 
         def step(what: str, part: float) -> None:
             progress(what, SCANS_CHECKED + (1.0 - SCANS_CHECKED) * part)
 
-        evaluation = run_evaluation(rig, scans, folders, calibration, step)
+        instrument_of(sources, wish)  # refuses two
+        evaluation = run_evaluation(scans, sources, one_calibration(sources, wish).calibration, step)
     content = as_json(evaluation)
     text = json_form.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
     for path, written in ((page, as_html(evaluation)), (data, text)):

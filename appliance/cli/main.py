@@ -9,6 +9,7 @@ import re
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -23,6 +24,7 @@ from appliance.cli.output import Exit, UsageError, complain, log_lines
 from appliance.cli.simrig import OBJECTS, PACES, TEXTURES, TRUTHS, SimOptions, default_sim_rig
 from appliance.config import ConfigError, Rig, default_rig_path, load_rig
 from appliance.kernel_build import CompileError
+from appliance.service.origin import Wish
 from appliance.storage.atomic import StorageError
 from appliance.storage.label import LONGEST_NAME, LONGEST_NOTE
 from appliance.storage.library import UnknownScan
@@ -98,6 +100,25 @@ def _rooted(arguments: argparse.Namespace) -> Rig:
     if arguments.root is None:
         return rig
     return replace(rig, storage=replace(rig.storage, root=_given_root(arguments.root)))
+
+
+def _wish(arguments: argparse.Namespace) -> Wish:
+    """What was asked for beside a scan; a rig file is only read where one was given."""
+    return Wish(
+        rig=None if arguments.rig is None else load_rig(arguments.rig),
+        root=None if arguments.root is None else _given_root(arguments.root),
+        calibration=getattr(arguments, "calibration", None),
+        current=getattr(arguments, "current", False),
+        foreign=getattr(arguments, "foreign_calibration", False),
+    )
+
+
+def _add_choice_of_calibration(verb: _Parser) -> None:
+    """For verbs that make points: by default each scan's own calibration."""
+    which = verb.add_mutually_exclusive_group()
+    which.add_argument("--calibration", type=Path, metavar="FILE", help="default: the one the scan was taken with")
+    which.add_argument("--current", action="store_true", help="the one in use under the storage root")
+    verb.add_argument("--foreign-calibration", action="store_true", help="also if it is another instrument's")
 
 
 def _given_root(root: Path) -> Path:
@@ -198,24 +219,24 @@ def _grammar() -> _Parser:
         commands,
         "reconstruct",
         "reconstruct a stored scan from its raw frames",
-        lambda a: verbs.reconstruct(_rooted(a), a.scan, a.calibration, a.out, json=a.json),
+        lambda a: verbs.reconstruct(_wish(a), a.scan, a.out, json=a.json),
         rig,
         root,
     )
     reconstruct.add_argument("scan", metavar="SCAN", help="its number or its folder")
-    reconstruct.add_argument("--calibration", type=Path, metavar="FILE", help="default: the instrument's")
+    _add_choice_of_calibration(reconstruct)
     reconstruct.add_argument("--out", type=Path, metavar="FILE", help="write the cloud there (PLY)")
 
     evaluation = add(
         commands,
         "evaluate",
         "measure artefacts in stored scans, after VDI/VDE 2634",
-        lambda a: evaluate.evaluate(_rooted(a), a.list, a.calibration, a.out, json=a.json),
+        lambda a: evaluate.evaluate(_wish(a), a.list, a.out, json=a.json),
         rig,
         root,
     )
     evaluation.add_argument("list", metavar="LIST", type=Path, help="which artefact each scan shows (TOML or JSON)")
-    evaluation.add_argument("--calibration", type=Path, metavar="FILE", help="default: the instrument's")
+    _add_choice_of_calibration(evaluation)
     evaluation.add_argument("--out", type=Path, metavar="FILE", help="the page, and beside it FILE with .json")
 
     _add_scans(add, commands, rig, root)
@@ -262,19 +283,24 @@ def _add_scans(
     which.add_argument("--all", action="store_true", help=every)
     which.add_argument("--trash", action="store_true", help="only those in the trash")
     show = add(
-        inner, "show", "one scan's manifest", lambda a: scans.show_scan(_root(a), a.scan, json=a.json), rig, root
+        inner,
+        "show",
+        "one scan's manifest",
+        lambda a: scans.show_scan(partial(_root, a), a.scan, json=a.json),
+        rig,
+        root,
     )
-    show.add_argument("scan", metavar="SCAN", help="its number")
+    show.add_argument("scan", metavar="SCAN", help="its number or its folder")
     verify = add(
         inner,
         "verify",
         "compare every byte with its checksum",
-        lambda a: scans.verify_scans(_root(a), a.scans, every=a.all, json=a.json),
+        lambda a: scans.verify_scans(partial(_root, a), a.scans, every=a.all, json=a.json),
         rig,
         root,
         codes=(Exit.DAMAGED,),
     )
-    verify.add_argument("scans", metavar="SCAN", nargs="*", help="numbers (default: all)")
+    verify.add_argument("scans", metavar="SCAN", nargs="*", help="numbers or folders (default: all)")
     verify.add_argument("--all", action="store_true", help=every)
     for verb, text, shelve, what in (
         ("name", "call a scan something", shelves.name_scan, f"up to {LONGEST_NAME} characters; empty: none"),
@@ -293,13 +319,13 @@ def _add_scans(
         inner,
         "merge",
         "one cloud of two scans that were taken with different exposures from the same place",
-        lambda a: verbs.merge(_rooted(a), (a.first, a.second), a.calibration, a.out, json=a.json),
+        lambda a: verbs.merge(_wish(a), (a.first, a.second), a.out, json=a.json),
         rig,
         root,
     )
     merge.add_argument("first", metavar="SCAN", help="its number or its folder")
     merge.add_argument("second", metavar="SCAN", help="the other one; their order does not matter")
-    merge.add_argument("--calibration", type=Path, metavar="FILE", help="default: the instrument's")
+    _add_choice_of_calibration(merge)
     merge.add_argument("--out", type=Path, metavar="FILE", help="default: NUMBER+NUMBER.ply here")
 
 
@@ -351,7 +377,7 @@ def _add_measure(
         inner,
         "response",
         "the projector's light by code, from a scan of a plane",
-        lambda a: measure.response(_rooted(a), a.scan, a.out, json=a.json),
+        lambda a: measure.response(_wish(a), a.scan, a.out, json=a.json),
         rig,
         root,
     )
@@ -361,7 +387,7 @@ def _add_measure(
         inner,
         "noise",
         "both cameras' noise, beside what their data sheets make expect",
-        lambda a: measure.noise(_rooted(a), a.scan, json=a.json),
+        lambda a: measure.noise(_wish(a), a.scan, json=a.json),
         rig,
         root,
     )
@@ -455,7 +481,7 @@ def _add_calibrate(
         inner,
         "water",
         "calibrate from scans of ball bars and planes in water",
-        lambda a: calibrate.water(_rooted(a), a.list, _water_options(a), json=a.json),
+        lambda a: calibrate.water(_wish(a), a.list, _water_options(a), json=a.json),
         rig,
         root,
     )

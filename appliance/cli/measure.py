@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from appliance.cli.desk import usable_scan, writable, writing
+from appliance.cli.desk import whole_scan, writable, writing
 from appliance.cli.kernels import compile_desk_kernels
 from appliance.cli.listing import listing
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json, table
-from appliance.config import Rig
+from appliance.service.origin import Wish, instrument_of, taken
 from appliance.storage.atomic import replace_file
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.scan import ScanError
@@ -18,7 +18,7 @@ SHOWN_HARMONICS = 6
 LEVELS = 255.0
 
 
-def response(rig: Rig, scan: str, out: Path | None, *, json: bool) -> Exit:
+def response(wish: Wish, scan: str, out: Path | None, *, json: bool) -> Exit:
     """The projector's response from a scan of a plane, written to its file. Never replaces one."""
     writable(out)
     compile_desk_kernels()  # before anything brings compiled kernels
@@ -27,14 +27,17 @@ def response(rig: Rig, scan: str, out: Path | None, *, json: bool) -> Exit:
     from appliance.service.instrument import RESPONSE_FILE
     from appliance.service.measuring import response_of_scan
 
-    path = out or rig.storage.root / RESPONSE_FILE
-    if path.exists():
-        raise UsageError(
-            f"--out {path}: exists already; a response is never replaced; move it away, or give a new name"
-        )
+    _never_replaced(out)
     with Progress() as progress:
         progress("comparing checksums")
-        folder = usable_scan(rig, scan, None)
+        source = taken(whole_scan(wish, scan), wish)
+        folder, rig = source.scan.folder, instrument_of((source,), wish)
+        path = out or rig.storage.root / RESPONSE_FILE
+        _never_replaced(path)
+        if not rig.storage.root.is_dir():
+            raise UsageError(
+                f"--root {rig.storage.root}: no such folder; give the instrument's, or a file with --out FILE"
+            )
         try:
             found, measured = response_of_scan(rig, folder, progress)
         except ResponseError as error:
@@ -59,7 +62,14 @@ def response(rig: Rig, scan: str, out: Path | None, *, json: bool) -> Exit:
     return Exit.OK
 
 
-def noise(rig: Rig, scan: str, *, json: bool) -> Exit:
+def _never_replaced(path: Path | None) -> None:
+    if path is not None and path.exists():
+        raise UsageError(
+            f"--out {path}: exists already; a response is never replaced; move it away, or give a new name"
+        )
+
+
+def noise(wish: Wish, scan: str, *, json: bool) -> Exit:
     """Each camera's noise in a scan, beside what the rig file's data sheet makes expect."""
     compile_desk_kernels()  # before anything brings compiled kernels
     from appliance.calibration.photon_transfer import NoiseError
@@ -67,10 +77,11 @@ def noise(rig: Rig, scan: str, *, json: bool) -> Exit:
 
     with Progress() as progress:
         progress("comparing checksums")
-        folder = usable_scan(rig, scan, None)
+        source = taken(whole_scan(wish, scan), wish)
+        folder = source.scan.folder
         progress("comparing sine images")
         try:
-            found = noise_of_scan(rig, folder)
+            found = noise_of_scan(source.rig, folder)
         except NoiseError as error:
             raise ScanError(f"{folder}: {error}") from error
     report = {}

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from appliance.cli.desk import scan_folder
 from appliance.cli.listing import shown
 from appliance.cli.output import Exit, Progress, say, say_json, table
-from appliance.storage.library import Entry, Library, Shelf
+from appliance.storage.damage import damaged_frames
+from appliance.storage.library import Entry, Library, Shelf, entry_of
 from appliance.storage.manifest import Stage, as_json
 
 
@@ -36,9 +39,9 @@ def list_scans(root: Path, *, every: bool, trash: bool = False, json: bool) -> E
     return Exit.OK
 
 
-def show_scan(root: Path, scan_id: str, *, json: bool) -> Exit:
-    """Everything the manifest says. Raises UnknownScan."""
-    entry = Library(root).entry(scan_id)
+def show_scan(root: Callable[[], Path], scan: str, *, json: bool) -> Exit:
+    """Everything the manifest says. ``scan``: a number under ``root``, or a folder. Raises UnknownScan, UsageError."""
+    entry = entry_of(scan_folder(scan) or Library(root()).entry(scan).folder, checksums=False)
     full = {**_brief(entry), "manifest": None if entry.manifest is None else as_json(entry.manifest)}
     if json:
         say_json(full)
@@ -54,15 +57,19 @@ def show_scan(root: Path, scan_id: str, *, json: bool) -> Exit:
     return Exit.OK
 
 
-def verify_scans(root: Path, scan_ids: Sequence[str], *, every: bool, json: bool) -> Exit:
-    """Read every byte and compare checksums; DAMAGED if any does not fit. No ids: all scans. Raises UnknownScan."""
-    library = Library(root)
-    chosen = [library.entry(scan_id) for scan_id in scan_ids] or _entries(library, every)
+def verify_scans(root: Callable[[], Path], scans: Sequence[str], *, every: bool, json: bool) -> Exit:
+    """Read every byte and compare checksums; DAMAGED if any does not fit. No scans: all. Raises UnknownScan, UsageError.
+
+    ``scans``: numbers under ``root``, or folders, wherever they were copied to.
+    """
+    folders = [scan_folder(scan) or Library(root()).entry(scan).folder for scan in scans]
+    if not scans:
+        folders = [entry.folder for entry in _entries(Library(root()), every)]
     checked: list[Entry] = []
     with Progress() as progress:
-        for k, entry in enumerate(chosen):
-            progress(f"verifying {entry.scan_id}", k / len(chosen))
-            checked.append(library.verify(entry.scan_id))
+        for k, folder in enumerate(folders):
+            progress(f"verifying {folder.name}", k / len(folders))
+            checked.append(_with_frames_named(entry_of(folder, checksums=True)))
     damaged = [entry for entry in checked if not entry.ok]
     if json:
         say_json({"checked": len(checked), "damaged": len(damaged), "scans": [_brief(entry) for entry in checked]})
@@ -71,6 +78,14 @@ def verify_scans(root: Path, scan_ids: Sequence[str], *, every: bool, json: bool
             say(f"{entry.scan_id}  {'ok' if entry.ok else 'DAMAGED: ' + '; '.join(entry.problems)}")
         say(f"{len(checked)} checked, {len(damaged)} damaged")
     return Exit.DAMAGED if damaged else Exit.OK
+
+
+def _with_frames_named(entry: Entry) -> Entry:
+    """Of a damaged file of frames it is also said which frames, where that is known."""
+    if entry.ok or entry.manifest is None:
+        return entry
+    frames = {one.file: str(one) for one in damaged_frames(entry.folder, entry.manifest)}
+    return replace(entry, problems=tuple(frames.get(text.partition(":")[0], text) for text in entry.problems))
 
 
 def _entries(library: Library, every: bool) -> list[Entry]:

@@ -6,13 +6,14 @@ import faulthandler
 from pathlib import Path
 
 from appliance import __version__, kernel_build, kernel_cache
-from appliance.cli.desk import measuring, usable_scan, writable, writable_cloud, writing
+from appliance.cli.desk import measuring, whole_scan, writable, writable_cloud, writing
 from appliance.cli.kernels import Progress as CompilerProgress
 from appliance.cli.kernels import compile_desk_kernels, compile_kernels, find_kernels
 from appliance.cli.listing import listing
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json, table
 from appliance.cli.simrig import SimOptions, simulated, simulator_kernels, with_simulated_wires
 from appliance.config import Rig
+from appliance.service.origin import Wish, calibration_for, instrument_of, one_calibration, taken
 from appliance.storage.atomic import remedy_for
 
 # The service is imported inside the verbs: it brings drivers and compiled kernels, which `scans list` can do without.
@@ -51,18 +52,20 @@ def check(rig: Rig, *, json: bool) -> Exit:
     return Exit.OK if all(h.ok for h in found) else Exit.FAILED
 
 
-def reconstruct(rig: Rig, scan: str, calibration: Path | None, out: Path | None, *, json: bool) -> Exit:
+def reconstruct(wish: Wish, scan: str, out: Path | None, *, json: bool) -> Exit:
     """A stored scan's cloud from its raw frames. ``scan``: its number, or its folder."""
     writable_cloud(out)
-    measuring(calibration)
+    measuring(wish.calibration)
     with Progress() as progress:
         progress("comparing checksums")
-        folder = usable_scan(rig, scan, calibration)
+        folder = whole_scan(wish, scan)
         compile_desk_kernels()
         from appliance.service.desk import reconstruct_scan
 
+        source = taken(folder, wish)
+        chosen = calibration_for(source, wish)
         with writing(out or Path(f"{folder.name}.ply")):
-            report = reconstruct_scan(rig, folder, calibration, out, progress)
+            report = reconstruct_scan(source, chosen, out, progress)
     if json:
         say_json(report)
     else:
@@ -70,18 +73,21 @@ def reconstruct(rig: Rig, scan: str, calibration: Path | None, out: Path | None,
     return Exit.OK
 
 
-def merge(rig: Rig, scans: tuple[str, str], calibration: Path | None, out: Path | None, *, json: bool) -> Exit:
+def merge(wish: Wish, scans: tuple[str, str], out: Path | None, *, json: bool) -> Exit:
     """One cloud of two stored scans with different exposures. ``scans``: their numbers, or their folders."""
     writable_cloud(out)
-    measuring(calibration)
+    measuring(wish.calibration)
     with Progress() as progress:
         progress("comparing checksums")
-        first, second = (usable_scan(rig, scan, calibration) for scan in scans)
+        first, second = (whole_scan(wish, scan) for scan in scans)
         compile_desk_kernels()
         from appliance.service.merging import merge_scans
 
+        sources = (taken(first, wish), taken(second, wish))
+        instrument_of(sources, wish)  # refuses two
+        chosen = one_calibration(sources, wish)
         with writing(out or Path(f"{first.name}+{second.name}.ply")):
-            report = merge_scans(rig, (first, second), calibration, out, progress)
+            report = merge_scans(sources, chosen, out, progress)
     if json:
         say_json(report)
     else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -22,6 +23,7 @@ from appliance.patterns.sequence import PatternSequence, build_sequence
 from appliance.reconstruct.pipeline import SIDES, Cloud, Pipeline
 from appliance.reconstruct.quality import QualityLimits
 from appliance.reconstruct.table import Found
+from appliance.service.empty import Empty, why_empty
 from appliance.service.instrument import (
     CALIBRATION_FILE,
     calibration_of,
@@ -30,29 +32,31 @@ from appliance.service.instrument import (
     taking_of,
     taking_of_scan,
 )
+from appliance.service.origin import Chosen, Taken, lost
 from appliance.storage import scan as stored
 from appliance.storage.atomic import replace_file
-from appliance.storage.filesystem import LocalFileSystem
-from appliance.storage.ply import write_ply
+from appliance.storage.filesystem import Bytes, LocalFileSystem
+from appliance.storage.ply import encode_ply
 from appliance.worker.pair import Sequence, faults_of
 from appliance.worker.scan_work import ScanWork, Taking
 
 
 def reconstruct_scan(
-    rig: Rig, folder: Path, calibration: Path | None, out: Path | None, progress: Callable[[str], None]
+    source: Taken, chosen: Chosen, out: Path | None, progress: Callable[[str], None]
 ) -> dict[str, Any]:
     """The cloud of a stored scan from its raw frames, written as PLY to ``out`` (``None``: ``NAME.ply`` here).
 
-    The same frames, calibration and version give the same points as on the instrument. ``calibration`` ``None`` takes
-    the instrument's. Raises ScanError, CalibrationError, OSError.
+    The same frames, calibration and version give the same points as on the instrument; ``stored_cloud`` says what became
+    of those that the instrument stored. Raises ScanError, also where no points are left; CalibrationError, OSError.
     """
-    scan = stored.load(folder)
-    chosen = calibration_file.load(calibration) if calibration is not None else calibration_of(rig)[0]
+    scan, rig, calibration = source.scan, source.rig, chosen.calibration
     record = scan.manifest.record
-    cloud, water, faults = _points_of(scan, rig, chosen, progress)
-    target = out if out is not None else Path(f"{folder.name}.ply")
+    cloud, water, faults = _points_of(scan, rig, calibration, progress)
+    target = out if out is not None else Path(f"{scan.folder.name}.ply")
     progress("writing")
-    write_ply(target, cloud)
+    header, body = encode_ply(cloud)
+    before = _stored_cloud(scan, header, body)  # compared before it may be written over
+    replace_file(LocalFileSystem(), target, header, body)
     s = cloud.summary
     return {
         "scan": scan.manifest.scan_id,
@@ -64,12 +68,29 @@ def reconstruct_scan(
         "gap_mm": s.gap_mm,
         "exposure": exposures_label(record, rig),
         "period_px": record.sequence.period_px,
-        "calibration": chosen.hash,
-        "calibration_method": chosen.method,
-        "same_calibration": chosen.hash == record.calibration_hash,
+        "stored_cloud": before,
+        "calibration": calibration.hash,
+        "calibration_from": chosen.whose,
+        "calibration_method": calibration.method,
+        "same_calibration": calibration.hash == record.calibration_hash,
         "water_index": water.index,
         "warnings": [f"{fault.code.value}: {fault.detail}" for fault in faults],
     }
+
+
+def _stored_cloud(scan: stored.StoredScan, *parts: Bytes) -> str:
+    """What became of the cloud that the instrument stored, beside the new one in ``parts``."""
+    stamp = scan.manifest.files.get(stored.CLOUD)
+    if stamp is None:
+        return "none was stored"
+    digest = hashlib.sha256()
+    for part in parts:
+        digest.update(part)
+    same = digest.hexdigest() == stamp.sha256
+    problem = lost(scan.folder, scan.manifest, stored.CLOUD)
+    if problem is None:
+        return "the same, byte for byte" if same else "other points"
+    return f"{stored.CLOUD}: {problem}; {'made again, byte for byte' if same else 'these are not the points it had'}"
 
 
 def _points_of(
@@ -80,12 +101,20 @@ def _points_of(
     taking = taking_of_scan(record, rig)
     if scan.second is None or record.second is None:
         reworked = rework(scan, calibration, taking, progress)
+        refuse_empty(scan.folder, reworked.empty)
         return reworked.cloud, reworked.water, reworked.faults
     takings = (taking, taking_of(rig, record.second.exposure))
     pair = rework_pair(scan, scan.second, takings, calibration, progress)
     if pair.cloud is None:
         raise stored.ScanError(f"{scan.folder}: {pair.pair.verdict.text}")
+    refuse_empty(scan.folder, pair.empty)
     return pair.cloud, pair.water, pair.faults
+
+
+def refuse_empty(folder: Path, empty: Empty | None) -> None:
+    """Raises ScanError where ``why_empty`` had a reason."""
+    if empty is not None:
+        raise stored.ScanError(f"{folder}: {empty.reason}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,6 +127,8 @@ class Reworked:
     water: Water
     """In which it was reconstructed."""
     judgements: tuple[Judgement, ...]
+    empty: Empty | None = None
+    """Why there are (nearly) no points, and what to do; ``None`` where there are some."""
 
     @property
     def faults(self) -> tuple[Fault, ...]:
@@ -131,7 +162,8 @@ def rework(
     with Pipeline(calibration, water, sequence_of_scan(scan), limits, noise=taking.noise) as pipeline:
         work = ScanWork(pipeline, calibration, water)
         judgements, found = _work_through(work, scan.frames, taking, pipeline, progress)
-        return Reworked(pipeline, pipeline.table.cloud(found), water, judgements)
+        cloud = pipeline.table.cloud(found)
+        return Reworked(pipeline, cloud, water, judgements, why_empty(pipeline, cloud, judgements))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,6 +176,8 @@ class ReworkedPair:
     first: tuple[Judgement, ...]
     second: tuple[Judgement, ...]
     pair: Judgement
+    empty: Empty | None = None
+    """As ``Reworked.empty``."""
 
     @property
     def faults(self) -> tuple[Fault, ...]:
@@ -178,7 +212,8 @@ def rework_pair(
         progress("merging")
         merged = work.merge_with(held[0])
         cloud = None if merged.found is None else pipeline.table.cloud(merged.found)
-        return ReworkedPair(cloud, water, judged[0], judged[1], merged.judgement)
+        empty = None if cloud is None else why_empty(pipeline, cloud, judged[1])
+        return ReworkedPair(cloud, water, judged[0], judged[1], merged.judgement, empty)
 
 
 def _work_through(

@@ -11,15 +11,15 @@ from pathlib import Path
 from typing import Any
 
 from appliance import __version__
-from appliance.calibration import file as calibration_file
-from appliance.config import Rig
+from appliance.calibration.file import Calibration
 from appliance.evaluation.acceptance import Certificate, Symbol
 from appliance.evaluation.flatness import REFERENCE_MM
 from appliance.evaluation.report import Evaluation, Item
 from appliance.evaluation.result import LENGTHS, Artefact, evaluate
 from appliance.reconstruct.quality import QualityLimits
-from appliance.service.desk import rework
-from appliance.service.instrument import calibration_of, taking_of_scan
+from appliance.service.desk import refuse_empty, rework
+from appliance.service.instrument import taking_of_scan
+from appliance.service.origin import Taken
 from appliance.storage import scan as stored
 
 MOST_BYTES = 1_000_000
@@ -98,27 +98,26 @@ def read_list(path: Path) -> ScanList:
 
 
 def run_evaluation(
-    rig: Rig,
     listed: ScanList,
-    folders: Sequence[Path],
-    calibration: Path | None,
+    sources: Sequence[Taken],
+    chosen: Calibration,
     progress: Callable[[str, float], None],
 ) -> Evaluation:
-    """Reconstruct and measure every scan of the list; ``folders`` are theirs, in its order, with whole raw frames.
+    """Reconstruct and measure every scan of the list; ``sources`` are they, in its order, with whole raw frames.
 
-    ``calibration`` ``None`` takes the instrument's. Raises ScanError, CalibrationError.
+    Raises ScanError, also for a scan that the calibration leaves no points of.
     """
-    chosen = calibration_file.load(calibration) if calibration is not None else calibration_of(rig)[0]
     items = []
-    for k, (entry, folder) in enumerate(zip(listed.entries, folders, strict=True)):
-        at = k / len(folders)
-        scan = stored.load(folder)
+    for k, (entry, source) in enumerate(zip(listed.entries, sources, strict=True)):
+        at, scan = k / len(sources), source.scan
 
-        def step(what: str, at: float = at, name: str = folder.name) -> None:
+        def step(what: str, at: float = at, name: str = scan.folder.name) -> None:
             progress(f"{name}: {what}", at)
 
-        taking = taking_of_scan(scan.manifest.record, rig)
+        taking = taking_of_scan(scan.manifest.record, source.rig)
         reworked = rework(scan, chosen, taking, step, QualityLimits(max_gap_mm=JUDGING_GAP_MM))
+        if reworked.empty is not None and reworked.empty.by_calibration:
+            refuse_empty(scan.folder, reworked.empty)
         cloud, water = reworked.cloud, reworked.water
         step(f"looking for the {entry.artefact.value}")
         certificate = Certificate(entry.length_sd_mm, entry.radius_mm, entry.radius_sd_mm)

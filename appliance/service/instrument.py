@@ -96,6 +96,19 @@ def start_of(rig: Rig, path: Path | None = None) -> Calibration:
     return start
 
 
+def refuse_drawing(rig: Rig, path: Path | None) -> None:
+    """Raises CalibrationError where calibrating in water would begin with the drawing without anybody having said so."""
+    if (
+        path is None
+        and not (rig.storage.root / AIR_FILE).exists()
+        and not (rig.storage.root / CALIBRATION_FILE).exists()
+    ):
+        raise CalibrationError(
+            f"{rig.storage.root / AIR_FILE}: missing; calibrate in air (`kingfisher calibrate air`), or give with --start FILE "
+            "what to begin with, be it the drawing (`kingfisher calibration nominal`)"
+        )
+
+
 def response_of(rig: Rig) -> Response | None:
     """The projector's response as it was measured; ``None`` where it was not, or cannot be used (which is logged)."""
     path = rig.storage.root / RESPONSE_FILE

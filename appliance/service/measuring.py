@@ -25,7 +25,7 @@ def response_of_scan(
 
     Raises ScanError, ResponseError.
     """
-    scan = stored.load(folder)
+    scan = stored.load(folder, only_raw=True)
     record = scan.manifest.record
     sequence = build_sequence(record.sequence.period_px, record.sequence.width_px, record.sequence.height_px)
     drawn_for = _drawn_for(rig, scan.manifest.scan_id, record.response_hash)
@@ -47,7 +47,7 @@ def noise_of_scan(rig: Rig, folder: Path) -> dict[str, tuple[MeasuredNoise, Came
 
     Raises ScanError, NoiseError.
     """
-    scan = stored.load(folder)
+    scan = stored.load(folder, only_raw=True)
     made = scan.manifest.record.sequence
     sequence = build_sequence(made.period_px, made.width_px, made.height_px)
     expected = noise_of(rig, exposure_of_scan(scan.manifest.record, rig))

@@ -6,32 +6,34 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from appliance.calibration import file as calibration_file
 from appliance.calibration.file import Calibration
 from appliance.capture.verdict import Verdict
 from appliance.config import Rig
 from appliance.optics.water import Water
 from appliance.reconstruct.pipeline import Cloud
-from appliance.service.desk import rework_pair
-from appliance.service.instrument import calibration_of, exposure_of_scan, taking_of_scan
+from appliance.service.desk import refuse_empty, rework_pair
+from appliance.service.instrument import exposure_of_scan, taking_of_scan
+from appliance.service.origin import Chosen, Taken
 from appliance.storage import scan as stored
 from appliance.storage.ply import write_ply
 from appliance.storage.scan import ScanError
 
 
 def merge_scans(
-    rig: Rig, folders: tuple[Path, Path], calibration: Path | None, out: Path | None, progress: Callable[[str], None]
+    sources: tuple[Taken, Taken], chosen: Chosen, out: Path | None, progress: Callable[[str], None]
 ) -> dict[str, Any]:
     """One cloud of two stored scans of the same scene with different exposures, written as PLY to ``out`` (``None``:
     ``NAME+NAME.ply`` here).
 
-    Raises ScanError, also for scans that do not show the same; CalibrationError, OSError.
+    Raises ScanError, also for scans that do not show the same, or are the same; CalibrationError, OSError.
     """
-    scans = [stored.load(folder) for folder in folders]
+    rig, calibration = sources[0].rig, chosen.calibration
+    refuse_the_same(sources[0].scan, sources[1].scan)
     # The shorter exposure's grey values are those of the cloud: they are not saturated.
-    scans.sort(key=lambda scan: exposure_of_scan(scan.manifest.record, rig).light)
-    chosen = calibration_file.load(calibration) if calibration is not None else calibration_of(rig)[0]
-    cloud, verdict, water = merged_cloud_of((scans[0], scans[1]), rig, chosen, progress)
+    scans = sorted(
+        (source.scan for source in sources), key=lambda scan: exposure_of_scan(scan.manifest.record, rig).light
+    )
+    cloud, verdict, water = merged_cloud_of((scans[0], scans[1]), rig, calibration, progress)
     names = [scan.manifest.scan_id for scan in scans]
     target = out if out is not None else Path(f"{'+'.join(names)}.ply")
     progress("writing")
@@ -47,10 +49,25 @@ def merge_scans(
         "gap_mm": s.gap_mm,
         "merged": verdict.text,
         **verdict.numbers,
-        "calibration": chosen.hash,
-        "calibration_method": chosen.method,
+        "calibration": calibration.hash,
+        "calibration_from": chosen.whose,
+        "calibration_method": calibration.method,
         "water_index": water.index,
     }
+
+
+def refuse_the_same(first: stored.StoredScan, second: stored.StoredScan) -> None:
+    """Raises ScanError for two scans with a file of frames in common, whatever their numbers.
+
+    The same frames counted twice would claim less noise than there is, by the root of two.
+    """
+    of_frames = (*stored.RAW_FILES, *stored.SECOND_FILES)
+    sums = [{scan.manifest.files[n].sha256 for n in of_frames if n in scan.manifest.files} for scan in (first, second)]
+    if sums[0] & sums[1]:
+        raise ScanError(
+            f"{first.folder} and {second.folder} are the same scan: they have the same frames, which must not count twice; "
+            "merge two scans of different exposures"
+        )
 
 
 def merged_cloud_of(
@@ -73,4 +90,5 @@ def merged_cloud_of(
     made = rework_pair(first, second.frames, takings, calibration, progress)
     if made.cloud is None:
         raise ScanError(f"{made.pair.verdict.text}: merge scans that were taken from one place")
+    refuse_empty(first.folder, made.empty)
     return made.cloud, made.pair.verdict, made.water

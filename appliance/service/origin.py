@@ -1,12 +1,285 @@
-"""Owns what a scan was taken with: written beside its frames, and found again at the desk."""
+"""Owns what a scan was taken with: written beside its frames, found again at the desk, and refused where it does not fit.
+
+A new scan carries its calibration and its rig file. An old one has only the calibration's hash in its manifest: the file of
+that hash is looked for under the storage root that the scan lies in. The drawing is used where the scan itself was taken
+with it, and nowhere else.
+"""
 
 from __future__ import annotations
 
-from appliance.calibration.file import Calibration, encode
-from appliance.config import Rig, rig_text
-from appliance.storage.scan import Origin
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from appliance.calibration import owner as belonging
+from appliance.calibration.file import Calibration, CalibrationError, decode, encode, load
+from appliance.calibration.owner import Owner
+from appliance.config import ConfigError, Rig, default_rig_path, load_rig, parse_rig, rig_text
+from appliance.storage import scan as stored
+from appliance.storage.calibrations import CURRENT, FOLDER
+from appliance.storage.library import Shelf
+from appliance.storage.manifest import Manifest
+from appliance.storage.scan import CALIBRATION, RIG, SIDES, Origin, ScanError, StoredScan
+
+FOREIGN_OPTION = "--foreign-calibration"
+SHOWN_DIGITS = 12
+"""Of a hash, for people."""
 
 
 def origin_of(rig: Rig, calibration: Calibration) -> Origin:
     """What a scan that is taken now carries with it: the calibration in use and the rig as it is understood."""
     return Origin(encode(calibration), rig_text(rig).encode())
+
+
+@dataclass(frozen=True, slots=True)
+class Wish:
+    """What was asked for beside the scan itself; ``None``: nothing was said."""
+
+    rig: Rig | None = None
+    """Of ``--rig``."""
+    root: Path | None = None
+    """Of ``--root``."""
+    calibration: Path | None = None
+    """A calibration file that takes the place of the scan's own."""
+    current: bool = False
+    """The calibration in use under the storage root takes its place."""
+    foreign: bool = False
+    """One of another instrument is used all the same."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Taken:
+    """A stored scan and the instrument that took it, as far as it is known."""
+
+    scan: StoredScan
+    rig: Rig
+    known: bool
+    """``rig`` is this scan's: its own, or the one that was given. Otherwise it is the packaged one, for want of another,
+    and only its cameras' data sheets and its folders are of use."""
+    root: Path | None
+    """The storage root that was given, or that the scan's folder lies in."""
+
+    @property
+    def storage_root(self) -> Path:
+        """Where the instrument's own files are."""
+        return self.root or self.rig.storage.root
+
+
+@dataclass(frozen=True, slots=True)
+class Chosen:
+    """The calibration a scan is reconstructed with."""
+
+    calibration: Calibration
+    whose: str
+    """Where it is from, in words."""
+
+
+def root_of(folder: Path) -> Path | None:
+    """The storage root that a scan's folder lies in: ROOT of ROOT/scans/000001; ``None`` where it was copied elsewhere."""
+    whole = folder.absolute()
+    root = whole.parent.parent
+    inside = whole.parent.name in {shelf.value for shelf in Shelf} and (root / FOLDER).is_dir()
+    return root if inside else None
+
+
+def taken(folder: Path, wish: Wish) -> Taken:
+    """Open a scan and the rig it was taken with: ``--rig``, else its own, else the packaged one.
+
+    Raises ScanError, also for a rig file whose cameras are of another size.
+    """
+    scan = stored.load(folder, only_raw=True)
+    root = wish.root or root_of(folder)
+    if wish.rig is not None:
+        for side, camera in (("left", wish.rig.camera.left), ("right", wish.rig.camera.right)):
+            _same_size(scan, side, (camera.width_px, camera.height_px), f"the rig file ({wish.rig.rig.name})", "--rig")
+        return Taken(scan, wish.rig, True, root)
+    own = _own(scan, RIG)
+    if own is None:
+        return Taken(scan, load_rig(default_rig_path()), False, root)
+    try:
+        return Taken(scan, parse_rig(own.decode(), str(folder / RIG)), True, root)
+    except (ConfigError, UnicodeDecodeError) as error:
+        raise ScanError(f"{folder / RIG}: {error}; give the rig file of the instrument with --rig PATH") from error
+
+
+def instrument_of(scans: Sequence[Taken], wish: Wish) -> Rig:
+    """The instrument that all ``scans`` are of, with its storage root: ``--rig``, else that of the first that knows its own.
+
+    Raises ScanError for scans of several instruments.
+    """
+    known = [one for one in scans if one.known]
+    rig = wish.rig or (known[0].rig if known else load_rig(default_rig_path()))
+    for one in known:
+        if one.rig.optical_hash != rig.optical_hash:
+            raise ScanError(
+                f"{one.scan.folder}: is of {_cameras(one.rig)}, not of {_cameras(rig)} as the others; "
+                "take scans of one instrument"
+            )
+    root = wish.root or next((one.root for one in scans if one.root is not None), None)
+    return rig if root is None else replace(rig, storage=replace(rig.storage, root=root))
+
+
+def calibration_for(scan: Taken, wish: Wish) -> Chosen:
+    """The calibration for a scan: the one asked for, else its own, else the file of the hash that its manifest names.
+
+    Raises CalibrationError for one that is missing or does not fit; the text says what to do.
+    """
+    if wish.calibration is not None:
+        chosen = Chosen(load(wish.calibration), f"--calibration {wish.calibration}")
+    elif wish.current:
+        path = scan.storage_root / FOLDER / CURRENT
+        chosen = Chosen(load(path), str(path))
+    else:
+        chosen = _of_the_scan(scan)
+    refuse_misfit(chosen.calibration, chosen.whose, scan, foreign=wish.foreign)
+    return chosen
+
+
+def one_calibration(scans: Sequence[Taken], wish: Wish) -> Chosen:
+    """The calibration for several scans at once. Raises CalibrationError also where they were taken with different ones."""
+    chosen = [calibration_for(scan, wish) for scan in scans]
+    other = next((k for k, one in enumerate(chosen) if one.calibration != chosen[0].calibration), None)
+    if other is None:
+        return chosen[0]
+    first, second = (chosen[k].calibration for k in (0, other))
+    raise CalibrationError(
+        f"{scans[0].scan.folder} was taken with calibration {first.hash[:SHOWN_DIGITS]} of {first.made_at}, "
+        f"{scans[other].scan.folder} with {second.hash[:SHOWN_DIGITS]} of {second.made_at}; choose one for all with "
+        "--calibration FILE, or the instrument's with --current"
+    )
+
+
+def refuse_misfit(calibration: Calibration, whose: str, scan: Taken, *, foreign: bool, start: bool = False) -> None:
+    """Raises CalibrationError where ``misfit`` has a reason. ``whose``: where the calibration is from, in words."""
+    problem = misfit(calibration, scan, foreign=foreign, start=start)
+    if problem is not None:
+        raise CalibrationError(f"{whose}: {problem} ({scan.scan.folder})")
+
+
+def misfit(calibration: Calibration, scan: Taken, *, foreign: bool = False, start: bool = False) -> str | None:
+    """Why a scan cannot be measured with a calibration, and what to do; ``None`` where it can.
+
+    The images must have its size. Instrument and cameras must be its own too, unless ``foreign``: that is compared as far
+    as the scan, the rig file given for it or the calibration that its manifest names say whose it is. ``start``: it is
+    what a calibration begins with.
+    """
+    from appliance.calibration.start import METHOD as IN_AIR  # brings OpenCV
+
+    option = "--start" if start else "--calibration"
+    remedy = f"give the one of the instrument that recorded it with {option} FILE"
+    for side in SIDES:
+        eye = getattr(calibration.rig, side)
+        height_px, width_px = scan.scan.frames[side].shape[1:]
+        if (width_px, height_px) != (eye.width_px, eye.height_px):
+            return f"is for {side} images of {eye.width_px}x{eye.height_px} px; the scan's are {width_px}x{height_px} px; {remedy}"
+    if calibration.method == IN_AIR and not start:
+        return (
+            "is one in air, which only calibrating in water begins with; give one made in water with --calibration FILE"
+        )
+    if foreign or calibration.hash == scan.scan.manifest.record.calibration_hash:
+        return None
+    owner = _owner(scan)
+    other = None if owner is None else belonging.misfit(calibration, owner)
+    if other is None:
+        return None
+    return f"{other.reason}; {remedy}" + ("" if start else f", or use it all the same with {FOREIGN_OPTION}")
+
+
+def _owner(scan: Taken) -> Owner | None:
+    """The instrument that took a scan; ``None`` where nothing says which."""
+    left, right = (scan.scan.frames[side].shape for side in SIDES)
+    sizes_px = ((left[2], left[1]), (right[2], right[1]))
+    if scan.known:
+        camera = scan.rig.camera
+        return Owner(scan.rig.rig.serial, sizes_px, (camera.left.serial, camera.right.serial))
+    named = next(_of_the_hash(scan), None)
+    return None if named is None else Owner(named.calibration.rig_serial, sizes_px, named.calibration.camera_serials)
+
+
+# ------------------------------------------------------------------------------------- the scan's own
+
+
+def _of_the_scan(scan: Taken) -> Chosen:
+    folder, record = scan.scan.folder, scan.scan.manifest.record
+    own = _own(scan.scan, CALIBRATION)
+    if own is not None:
+        return Chosen(decode(own, str(folder / CALIBRATION)), "the scan's own")
+    if record.calibration_hash is None:
+        if scan.root is not None:
+            path = scan.root / FOLDER / CURRENT
+            return Chosen(load(path), str(path))
+        raise CalibrationError(
+            f"{folder}: does not say with which calibration it was taken; give one with --calibration FILE, "
+            "or the storage root of its instrument with --root PATH and --current"
+        )
+    found = next(_of_the_hash(scan), None)
+    if found is not None:
+        return found
+    where = ", ".join(str(root / FOLDER) for root in _roots(scan)) or "no storage root"
+    raise CalibrationError(
+        f"{folder}: was taken with calibration {record.calibration_hash[:SHOWN_DIGITS]}, which is neither in its folder nor "
+        f"under {where}; give its file with --calibration FILE, or take the instrument's newest with --current --root PATH"
+    )
+
+
+def _of_the_hash(scan: Taken) -> Iterator[Chosen]:
+    """Calibrations of the hash that the scan's manifest names, from wherever they may be kept."""
+    wanted = scan.scan.manifest.record.calibration_hash
+    if wanted is None:
+        return
+    for root in _roots(scan):
+        folder = root / FOLDER
+        for path in (
+            folder / CURRENT,
+            *sorted(folder.glob("kept/*.json"), reverse=True),
+            *sorted(folder.glob("*.json")),
+        ):
+            try:
+                found = load(path)
+            except CalibrationError:
+                continue
+            if found.hash == wanted:
+                yield Chosen(found, str(path))
+    from appliance.service.instrument import design_of
+
+    drawn = design_of(scan.rig)
+    if drawn.hash == wanted:
+        yield Chosen(drawn, "the drawing in the rig file")
+
+
+def _roots(scan: Taken) -> list[Path]:
+    """Storage roots that may hold the scan's calibration: the one it lies in first."""
+    wanted = (root_of(scan.scan.folder), scan.root, scan.rig.storage.root)
+    return [root for k, root in enumerate(wanted) if root is not None and root not in wanted[:k]]
+
+
+def _own(scan: StoredScan, name: str) -> bytes | None:
+    """The bytes of a file that the scan carries; ``None`` where it carries none, or a damaged one."""
+    if lost(scan.folder, scan.manifest, name) is not None:
+        return None
+    try:
+        return (scan.folder / name).read_bytes()
+    except OSError:
+        return None
+
+
+def lost(folder: Path, manifest: Manifest, name: str) -> str | None:
+    """What is wrong with one of a scan's files, its bytes compared with their checksum; ``None`` where it is whole."""
+    if name not in manifest.files:
+        return "not in the manifest"
+    alone = replace(manifest, files={name: manifest.files[name]})
+    return stored.wrong_files(folder, alone, checksums=True).get(name)
+
+
+def _same_size(scan: StoredScan, side: str, size: tuple[int, int], whose: str, option: str) -> None:
+    height_px, width_px = scan.frames[side].shape[1:]
+    if (width_px, height_px) != size:
+        raise ScanError(
+            f"{scan.folder}: its {side} images are {width_px}x{height_px} px; {whose} is for {size[0]}x{size[1]} px; give the "
+            f"one of the instrument that recorded it ({option}), or none where the scan carries its own"
+        )
+
+
+def _cameras(rig: Rig) -> str:
+    left, right = rig.camera.left, rig.camera.right
+    return f"instrument {rig.rig.serial} with cameras {left.serial} and {right.serial} of {left.width_px}x{left.height_px} px"

@@ -61,7 +61,7 @@ def recording_of_scan(
     ``start`` has the lenses and pose of the calibration in air and the ports as drawn. The water is the scan's. The
     answer is ``NotFound`` with the reason in words where the artefact is not seen well enough. Raises ScanError.
     """
-    scan = stored.load(folder)
+    scan = stored.load(folder, only_raw=True)
     taking = taking_of_scan(scan.manifest.record, rig)
     reworked = rework(scan, start, taking, progress, QualityLimits(max_gap_mm=CALIBRATING_GAP_MM))
     if reworked.unfit is not None:

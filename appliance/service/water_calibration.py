@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 from appliance import __version__
@@ -16,6 +15,7 @@ from appliance.config import Rig
 from appliance.evaluation.points import NotFound
 from appliance.evaluation.result import Artefact
 from appliance.service.evaluation import Entry, ListError, ScanList
+from appliance.service.origin import Taken
 from appliance.service.recordings import cameras_of, recording_of_scan
 
 RECONSTRUCTED = 0.8
@@ -55,27 +55,28 @@ def check_list(listed: ScanList) -> None:
 def run_water_calibration(
     rig: Rig,
     listed: ScanList,
-    folders: Sequence[Path],
+    sources: Sequence[Taken],
     start: Calibration,
     method: Method,
     made_at: str,
     progress: Callable[[str, float], None],
     settings: LadderSettings | None = None,
 ) -> WaterCalibration:
-    """Reconstruct every scan of the list and calibrate; ``folders`` are theirs, in its order, with whole raw frames.
+    """Reconstruct every scan of the list and calibrate; ``sources`` are they, in its order, with whole raw frames.
 
     ``made_at`` is the date for the file, ISO 8601; ``method`` one of ``BY_SCANS``. Raises ListError, ScanError, RecordingError.
     """
     check_list(listed)
-    serials = cameras_of(folders, start)
+    serials = cameras_of([source.scan.folder for source in sources], start)
     recordings, left_out = [], {}
-    for k, (entry, folder) in enumerate(zip(listed.entries, folders, strict=True)):
-        at = RECONSTRUCTED * k / len(folders)
+    for k, (entry, source) in enumerate(zip(listed.entries, sources, strict=True)):
+        folder = source.scan.folder
+        at = RECONSTRUCTED * k / len(sources)
 
         def step(what: str, at: float = at, name: str = folder.name) -> None:
             progress(f"{name}: {what}", at)
 
-        found = recording_of_scan(folder, _certificate(entry), start, rig, step)
+        found = recording_of_scan(folder, _certificate(entry), start, source.rig, step)
         if isinstance(found, NotFound):
             left_out[folder.name] = found.reason
         else:

@@ -224,15 +224,15 @@ class Library:
 
     def entries(self, shelf: Shelf = Shelf.SCANS) -> list[Entry]:
         """All scans of a shelf by number; manifests and lengths are checked, checksums are not (``verify``)."""
-        return [self._entry(shelf, folder, checksums=False) for folder in self._sorted(shelf)]
+        return [entry_of(folder, checksums=False) for folder in self._sorted(shelf)]
 
     def entry(self, scan_id: str) -> Entry:
         """One scan by its number, wherever it lies. Raises UnknownScan."""
-        return self._entry(*self._find(scan_id), checksums=False)
+        return entry_of(self._find(scan_id)[1], checksums=False)
 
     def verify(self, scan_id: str) -> Entry:
         """As ``entry``, and reads every byte. Raises UnknownScan."""
-        return self._entry(*self._find(scan_id), checksums=True)
+        return entry_of(self._find(scan_id)[1], checksums=True)
 
     def load(self, scan_id: str) -> scan.StoredScan:
         """Open a scan. Raises UnknownScan, ScanError."""
@@ -300,24 +300,6 @@ class Library:
                 return folder
         return None
 
-    def _entry(self, shelf: Shelf, folder: Path, *, checksums: bool) -> Entry:
-        size_bytes = _size(folder)
-        try:
-            manifest = form.read(folder)
-        except ManifestError as error:
-            return Entry(folder.name, shelf, folder, None, (str(error),), size_bytes)
-        wrong = scan.wrong_files(folder, manifest, checksums=checksums)
-        found = [f"{name}: {what}" for name, what in wrong.items()]
-        if manifest.scan_id != folder.name.partition("-")[0]:
-            found.append(f"its manifest is of scan {manifest.scan_id}")
-        label = NO_LABEL
-        try:
-            label = labels.read(folder)
-        except LabelError as error:
-            if checksums:  # no damage to the scan: told where every byte is looked at
-                found.append(str(error))
-        return Entry(folder.name, shelf, folder, manifest, tuple(found), size_bytes, label)
-
 
 def _belongs(folder: Path) -> Shelf:
     """Where a scan lay before it came into the trash; a damaged one is listed, as one on the shelf would be."""
@@ -325,6 +307,33 @@ def _belongs(folder: Path) -> Shelf:
         return Shelf.REJECTED if form.read(folder).decision is Decision.REJECTED else Shelf.SCANS
     except ManifestError:
         return Shelf.SCANS
+
+
+def entry_of(folder: Path, *, checksums: bool) -> Entry:
+    """One scan by its folder, be it in a library or copied elsewhere; ``checksums``: every byte is read.
+
+    A folder outside of any library counts as one of published scans, and may have any name. A number as its name must be
+    the scan's own.
+    """
+    whole = folder.absolute()
+    shelf = next((one for one in Shelf if one.value == whole.parent.name), Shelf.SCANS)
+    size_bytes = _size(folder)
+    try:
+        manifest = form.read(folder)
+    except ManifestError as error:
+        return Entry(whole.name, shelf, folder, None, (str(error),), size_bytes)
+    wrong = scan.wrong_files(folder, manifest, checksums=checksums)
+    found = [f"{name}: {what}" for name, what in wrong.items()]
+    named = _FOLDER.fullmatch(whole.name)
+    if named is not None and manifest.scan_id != named[1]:
+        found.append(f"its manifest is of scan {manifest.scan_id}")
+    label = NO_LABEL
+    try:
+        label = labels.read(folder)
+    except LabelError as error:
+        if checksums:  # no damage to the scan: told where every byte is looked at
+            found.append(str(error))
+    return Entry(whole.name, shelf, folder, manifest, tuple(found), size_bytes, label)
 
 
 def _number(folder: Path) -> int:

@@ -245,14 +245,25 @@ def load(folder: Path, *, only_raw: bool = False) -> StoredScan:
     return StoredScan(folder, manifest, frames, second)
 
 
+def read_header(data: bytes) -> tuple[int, tuple[int, int, int]] | None:
+    """Length of the header of a file of frames that begins with ``data``, and (n, h, w); ``None`` for anything else.
+
+    It is compared with the one that ``_npy`` writes, nothing in it is executed.
+    """
+    found = _HEADER.match(data[:_HEADER_BYTES])
+    if found is None:
+        return None
+    return 10 + int.from_bytes(found[1], "little"), (int(found[2]), int(found[3]), int(found[4]))
+
+
 def _mapped(path: Path, count: int) -> NDArray[np.uint8]:
-    """The frames of a file; its header is compared with the one that ``_npy`` writes, nothing in it is executed."""
+    """The frames of a file."""
     try:
         with path.open("rb") as file:
-            found = _HEADER.match(file.read(_HEADER_BYTES))
-        if found is None or int(found[2]) != count:
+            header = read_header(file.read(_HEADER_BYTES))
+        if header is None or header[1][0] != count:
             raise ScanError(f"{path}: not {count} frames of 8 bits")
-        header_bytes, shape = 10 + int.from_bytes(found[1], "little"), (count, int(found[3]), int(found[4]))
+        header_bytes, shape = header
         if not 0 < shape[0] * shape[1] * shape[2] == path.stat().st_size - header_bytes:
             raise ScanError(f"{path}: {path.stat().st_size} bytes are not {count} frames of {shape[2]} x {shape[1]} px")
         return np.memmap(path, np.uint8, "r", header_bytes, shape)

@@ -12,6 +12,7 @@ from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.config import Rig, load_rig
 from appliance.service.app import run
 from appliance.service.desk import reconstruct_scan
+from appliance.service.origin import Wish, calibration_for, taken
 from appliance.storage.library import Library, Shelf
 from appliance.storage.ply import read_ply
 from appliance.storage.scan import StoredScan
@@ -99,7 +100,9 @@ def test_the_pair_is_one_scan_with_both_exposures_ledgers_and_verdicts(scans: li
 
 def test_the_desk_makes_the_same_points_of_it(dive: Rig, scans: list[StoredScan], tmp_path: Path) -> None:
     out = tmp_path / "again.ply"
-    report = reconstruct_scan(dive, scans[0].folder, None, out, lambda what: None)
+    source = taken(scans[0].folder, Wish())
+    report = reconstruct_scan(source, calibration_for(source, Wish()), out, lambda what: None)
+    assert source.rig == dive
     stored = scans[0].cloud()
     assert stored is not None
     np.testing.assert_array_equal(read_ply(out).points_mm, stored.points_mm)

@@ -16,6 +16,7 @@ from appliance.patterns.sequence import build_sequence
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.service.app import CALIBRATION_FILE, calibration_of, design_of
 from appliance.service.desk import describe_calibration, reconstruct_scan, write_nominal_calibration
+from appliance.service.origin import Wish, calibration_for, taken
 from appliance.storage.calibrations import Calibrations
 from appliance.storage.library import Library
 from appliance.storage.ply import read_ply
@@ -76,7 +77,8 @@ def store_plane(rig: Rig) -> tuple[Path, np.ndarray]:
 def test_the_same_points_again(rig: Rig, tmp_path: Path) -> None:
     folder, points = store_plane(rig)
     seen: list[str] = []
-    report = reconstruct_scan(rig, folder, None, tmp_path / "again.ply", seen.append)
+    source = taken(folder, Wish(rig))
+    report = reconstruct_scan(source, calibration_for(source, Wish(rig)), tmp_path / "again.ply", seen.append)
     np.testing.assert_array_equal(read_ply(tmp_path / "again.ply").points_mm, points)
     assert report["points"] == len(points)
     assert report["same_calibration"] is True
@@ -85,11 +87,13 @@ def test_the_same_points_again(rig: Rig, tmp_path: Path) -> None:
 
 def test_another_calibration_gives_other_points_and_says_so(rig: Rig, tmp_path: Path) -> None:
     folder, points = store_plane(rig)
-    other = replace(design_of(rig), method="air")
+    other = replace(design_of(rig), method="bundle")
     moved = replace(other.rig.left, port=replace(other.rig.left.port, distance_mm=33.0))
     path = tmp_path / "other.json"
     path.write_bytes(encode(replace(other, rig=replace(other.rig, left=moved))))
-    report = reconstruct_scan(rig, folder, path, tmp_path / "again.ply", lambda text: None)
+    wish = Wish(rig, calibration=path)
+    source = taken(folder, wish)
+    report = reconstruct_scan(source, calibration_for(source, wish), tmp_path / "again.ply", lambda text: None)
     assert report["same_calibration"] is False
     again = read_ply(tmp_path / "again.ply").points_mm
     assert abs(np.max(again[:, 2]) - np.max(points[:, 2])) > 0.2, "three millimetres of port bend the plane"

@@ -23,6 +23,7 @@ from appliance.patterns.sequence import PatternSequence, build_sequence
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.service.app import design_of
 from appliance.service.desk import reconstruct_scan
+from appliance.service.origin import Wish, calibration_for, taken
 from appliance.service.scans import ScanDesk
 from appliance.storage.library import Library
 from appliance.storage.ply import read_ply
@@ -153,7 +154,8 @@ def test_raw_frames_are_kept_without_a_cloud_and_the_desk_makes_it(desk: ScanDes
         for side in SIDES:
             pipeline.push(side, desk.store.frames(side), k)
     pipeline.coarse()
-    made = reconstruct_scan(rig, rig.storage.root / "scans" / scan_id, None, tmp_path / "late.ply", lambda text: None)
+    source = taken(rig.storage.root / "scans" / scan_id, Wish())
+    made = reconstruct_scan(source, calibration_for(source, Wish()), tmp_path / "late.ply", lambda text: None)
     assert made["points"] > 10_000
     np.testing.assert_array_equal(read_ply(tmp_path / "late.ply").points_mm, pipeline.full().points_mm)
 

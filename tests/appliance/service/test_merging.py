@@ -12,6 +12,7 @@ from appliance.calibration.file import encode, load
 from appliance.config import Rig, load_rig
 from appliance.config.load import default_rig_path
 from appliance.service.merging import merge_scans, merged_cloud_of
+from appliance.service.origin import Wish, one_calibration, taken
 from appliance.storage import scan as stored
 from appliance.storage.ply import read_ply
 from appliance.storage.scan import ScanError
@@ -22,6 +23,10 @@ from tests.support.truth import true_calibration
 
 SCENE = Scene(object="stones", texture="checker")
 WIDTH_PX = 400
+
+
+def silent(what: str) -> None:
+    """No progress is shown."""
 
 
 def rig() -> Rig:
@@ -42,8 +47,10 @@ def test_a_cloud_of_two_exposures_has_more_points_and_is_as_true(tmp_path: Path)
     calibration = load(tmp_path / "calibration.json")
     alone = {name: judge(scan, reconstruct(scan, calibration)[1]) for name, scan in scans.items()}
     out = tmp_path / "both.ply"
+    wish = Wish(rig(), calibration=tmp_path / "calibration.json")
+    sources = taken(folders["000001"], wish), taken(folders["000002"], wish)
     report = merge_scans(
-        rig(), (folders["000001"], folders["000002"]), tmp_path / "calibration.json", out, lambda what: None
+        sources, one_calibration(sources, Wish(calibration=wish.calibration, foreign=True)), out, silent
     )
     assert report["scans"] == "000002 + 000001", "the shorter one gives the grey values"
     assert report["exposures"] == "2.5 ms + 16 ms"

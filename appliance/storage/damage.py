@@ -1,0 +1,108 @@
+"""Owns which of a scan's frames are damaged: found by their own checksums, or by the length of their file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.storage import scan as stored
+from appliance.storage.manifest import Manifest
+from appliance.storage.scan import RAW_FILES, SECOND_FILES, ScanError, frame_checks
+
+HEADER_BYTES = 128
+"""Of every file of frames: NumPy's format 1.0 pads so short a header to this."""
+MOST_NAMED = 6
+"""Frames, in one line."""
+
+
+@dataclass(frozen=True, slots=True)
+class DamagedFrames:
+    """One file of frames that is not what was recorded."""
+
+    file: str
+    problem: str
+    """In words: missing, too short, damaged."""
+    frames: tuple[int, ...] | None
+    """Numbers of the damaged ones, all others are whole; ``None``: which ones is not known, since the scan was recorded
+    before every frame had a checksum."""
+    names: tuple[str, ...]
+    """Of their patterns."""
+
+    def __str__(self) -> str:
+        which = "" if self.frames is None or len(self.frames) > MOST_NAMED else f" in {', '.join(self.names)}"
+        if self.frames is not None and len(self.frames) > MOST_NAMED:
+            which = f" in {len(self.frames)} frames"
+        return f"{self.file}: {self.problem}{which}"
+
+
+def damaged_frames(folder: Path, manifest: Manifest) -> tuple[DamagedFrames, ...]:
+    """Compare every byte of the frames with its checksum; empty where all are whole."""
+    wrong = stored.wrong_files(folder, manifest, checksums=True)
+    names = manifest.record.sequence.patterns
+    found = []
+    for file in (*RAW_FILES, *SECOND_FILES):
+        if file in wrong:
+            frames = _which(folder, manifest, file)
+            of_them = () if frames is None else tuple(names[k] for k in frames)
+            found.append(DamagedFrames(file, wrong[file], frames, of_them))
+    return tuple(found)
+
+
+def frames_as_they_are(folder: Path, manifest: Manifest, file: str) -> NDArray[np.uint8]:
+    """The frames of a damaged ``file``, (n, h, w) uint8; what is missing at its end is 0. Raises ScanError.
+
+    A header that is damaged is made up from that of the other files of frames: all cameras have the same size.
+    """
+    count = len(manifest.record.sequence.patterns)
+    shape = _shape(folder, manifest, count)
+    if shape is None:
+        raise ScanError(
+            f"{folder / file}: nothing is left that says how large its frames are; bring it back from a copy"
+        )
+    pixels = count * shape[0] * shape[1]
+    frames = np.zeros(pixels, np.uint8)
+    try:
+        raw = np.frombuffer((folder / file).read_bytes(), np.uint8)[HEADER_BYTES:]
+    except FileNotFoundError:
+        raw = frames[:0]
+    except OSError as error:
+        raise ScanError(f"{folder / file}: {error.strerror or error}") from error
+    frames[: min(pixels, raw.size)] = raw[:pixels]
+    return frames.reshape(count, *shape)
+
+
+def _which(folder: Path, manifest: Manifest, file: str) -> tuple[int, ...] | None:
+    count = len(manifest.record.sequence.patterns)
+    shape = _shape(folder, manifest, count)
+    known = manifest.frame_crc32.get(file)
+    if shape is not None and known is not None and len(known) == count:
+        found = frame_checks(frames_as_they_are(folder, manifest, file))
+        return tuple(k for k in range(count) if found[k] != known[k])
+    try:
+        length = (folder / file).stat().st_size
+    except OSError:
+        return tuple(range(count))
+    if shape is None or length >= manifest.files[file].length:
+        return None
+    whole = max(0, length - HEADER_BYTES) // (shape[0] * shape[1])
+    return tuple(range(whole, count))
+
+
+def _shape(folder: Path, manifest: Manifest, count: int) -> tuple[int, int] | None:
+    """Height and width of the frames, as the first header says that can be read and fits its file's recorded length."""
+    for file in (*RAW_FILES, *SECOND_FILES):
+        if file not in manifest.files:
+            continue
+        try:
+            with (folder / file).open("rb") as opened:
+                header = stored.read_header(opened.read(2 * HEADER_BYTES))
+        except OSError:
+            continue
+        if header is not None and header[1][0] == count:
+            header_bytes, (_, height, width) = header
+            if header_bytes == HEADER_BYTES and count * height * width == manifest.files[file].length - HEADER_BYTES:
+                return height, width
+    return None

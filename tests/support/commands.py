@@ -1,0 +1,76 @@
+"""The program as somebody types it: in a process of its own, or in this one, where kernels are loaded once."""
+
+from __future__ import annotations
+
+import json
+import resource
+import subprocess
+import sys
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from appliance.cli import main
+
+ROOT = Path(__file__).parents[2]
+
+
+@dataclass(frozen=True)
+class Said:
+    """What a command did."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def document(self) -> Any:
+        return json.loads(self.out)
+
+    @property
+    def lines(self) -> dict[str, str]:
+        """Lines of ``name value``."""
+        return dict(line.split(None, 1) for line in self.out.splitlines() if len(line.split(None, 1)) == 2)
+
+    @property
+    def error(self) -> str:
+        """The one line of the error."""
+        lines = self.err.splitlines()
+        assert len(lines) == 1, self.err
+        return lines[0]
+
+
+def kingfisher(*words: object, cwd: Path = ROOT, most_bytes: int | None = None) -> Said:
+    """What the program said, in a process of its own; it can make no file larger than ``most_bytes``."""
+    done = subprocess.run(
+        [sys.executable, "-m", "appliance.cli", *map(str, words)],
+        cwd=cwd,
+        capture_output=True,
+        text=True,
+        timeout=240,
+        check=False,
+        preexec_fn=None
+        if most_bytes is None
+        else partial(resource.setrlimit, resource.RLIMIT_FSIZE, (most_bytes,) * 2),
+    )
+    assert "Traceback" not in done.stderr, done.stderr
+    return Said(done.returncode, done.stdout, done.stderr)
+
+
+@dataclass(frozen=True)
+class Shell:
+    """The program in this process; a fixture makes it of ``capsys``."""
+
+    capsys: pytest.CaptureFixture[str]
+
+    def __call__(self, *words: object) -> Said:
+        self.capsys.readouterr()
+        try:
+            code = int(main([*map(str, words)]))
+        except SystemExit as left:
+            code = int(left.code or 0)
+        said = self.capsys.readouterr()
+        return Said(code, said.out, said.err)
