@@ -144,7 +144,7 @@ class Room:
     def _became(self, name: str, path: Path) -> bool:
         """Whether the room had ``name`` and it is ``path`` now."""
         piece = self._folder / name
-        if not piece.exists() or path.exists():
+        if path.exists() or not _unused(piece):
             return False
         self._unhindered(lambda: self._fs.rename(piece, path))
         return True
@@ -173,6 +173,15 @@ def is_read_only(error: StorageError) -> bool:
 
 def _number(error: StorageError) -> int | None:
     return error.__cause__.errno if isinstance(error.__cause__, OSError) else None
+
+
+def _unused(piece: Path) -> bool:
+    """Whether it is there and of the room alone. A loss of power between the two halves of a rename may leave it under both
+    names: what is written to it then would be written into a stored scan."""
+    try:
+        return not any(piece.iterdir()) if piece.is_dir() else piece.stat().st_nlink == 1
+    except OSError:
+        return False
 
 
 def _allocated(path: Path) -> int:

@@ -21,7 +21,14 @@ from appliance.storage.choices import ChoicesFile
 from appliance.storage.filesystem import FileSystem, LocalFileSystem
 from appliance.storage.health import HealthFile
 from appliance.storage.library import Library
-from tests.appliance.storage.scenes import ORIGIN, BadDisk, cloud, frames, record
+from tests.appliance.storage.scenes import (
+    ORIGIN,
+    BadDisk,
+    cloud,
+    frames,
+    manifests_that_list_what_is_not_there,
+    record,
+)
 from tests.crash.life import HASH, NEW, OLD, SERIAL
 
 STANDARD = Choices()
@@ -168,3 +175,32 @@ def test_a_scan_damaged_in_any_stretch_of_any_file_is_listed_so_and_the_others_a
         path.write_bytes(data)
         assert library.verify("000002").ok
     assert tried > 500
+
+
+class DyingDisk(BadDisk):
+    """It refuses to make the new scan's name durable, and after so many removals to remove anything."""
+
+    def __init__(self, removals: int) -> None:
+        super().__init__()
+        self.removals = removals
+
+    def _count(self, name: str) -> None:
+        super()._count(name)
+        removed = sum(call.startswith("remove") for call in self.calls)
+        if name == "sync_folder scans" or removed > self.removals:
+            raise OSError(errno.EIO, f"injected ({name})")
+
+
+def test_half_a_discard_never_leaves_a_manifest_that_lists_missing_frames(tmp_path: Path) -> None:
+    """The frames are still in memory; what stays of them on the disk must not look like a scan that lost its frames."""
+    stopped = 0
+    for removals in range(7):
+        root = tmp_path / str(removals)
+        Library(root).prepare()
+        with pytest.raises(StorageError, match="cannot make durable"):
+            Library(root, DyingDisk(removals)).begin(frames(), record(), ORIGIN)
+        left = sorted(path.name for path in (root / "scans").glob(".*/*"))
+        stopped += bool(left)
+        assert manifests_that_list_what_is_not_there(root) == [], left
+    assert stopped == 5
+    assert left == []

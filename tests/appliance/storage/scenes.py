@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import errno
-import shutil
-from collections.abc import Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.capture.exposure import Exposure
 from appliance.capture.verdict import Verdict
+from appliance.storage import manifest as form
+from appliance.storage import scan
 from appliance.storage.filesystem import Bytes, LocalFileSystem, WritableFile
+from appliance.storage.library import Shelf
+from appliance.storage.manifest import ManifestError
 from appliance.storage.ply import StoredCloud
-from appliance.storage.record import ScanRecord, SequenceInfo
+from appliance.storage.record import ScanRecord, SecondSequence, SequenceInfo
 from appliance.storage.room import plan
 from appliance.storage.scan import Origin
 
@@ -44,6 +46,12 @@ def record(**changes: object) -> ScanRecord:
     return ScanRecord(**{**values, **changes})  # type: ignore[arg-type]
 
 
+def second_sequence() -> SecondSequence:
+    """What a record tells of a second exposure."""
+    weak = Verdict("light", True, {"weak_percent": 1.5})
+    return SecondSequence(Exposure(14_000), 99, {"case": 31.0}, {"flips": [{"sequence": 5}]}, (weak,))
+
+
 PLAN = {name: min(length, 20_000) for name, length in plan(1000, 10_000).items()}
 """Of the room for one of these scans."""
 
@@ -61,6 +69,18 @@ def cloud(points: int = 20, seed: int = 0) -> StoredCloud:
 
 ORIGIN = Origin(b'{"a": "calibration"}\n' * 40, b"[rig]\n" * 200)
 PREVIEW = b"\x89PNG\r\n\x1a\n" + bytes(50)
+
+
+def manifests_that_list_what_is_not_there(root: Path) -> list[str]:
+    """Folders of scans, finished or not, in which a readable manifest names a file that is missing or cut short."""
+    wrong = []
+    for folder in [folder for shelf in Shelf for folder in (root / shelf.value).glob("*")]:
+        try:
+            manifest = form.read(folder)
+        except ManifestError:
+            continue
+        wrong += [f"{folder.name}: {found}" for found in scan.wrong_files(folder, manifest, checksums=True).items()]
+    return wrong
 
 
 # --------------------------------------------------------------------------------------- a bad disk
@@ -130,117 +150,3 @@ class _BadFile:
     def close(self) -> None:
         self._file.close()
         self._disk._count(f"close {self._name}")
-
-
-# ----------------------------------------------------------------------------------- a loss of power
-
-
-class PowerCut(BaseException):
-    """The power went: no handler may run as if it were an error of the disk."""
-
-
-@dataclass
-class _Node:
-    """A file or a folder, with what would be found after a loss of power."""
-
-    folder: bool
-    data: bytes = b""
-    durable_data: bytes = b""
-    names: dict[str, _Node] = field(default_factory=dict)
-    durable_names: dict[str, _Node] = field(default_factory=dict)
-
-
-class VolatileDisk(LocalFileSystem):
-    """The local disk, with a book of what was made durable; the power goes before changing call ``cut_at``.
-
-    ``survivors`` then builds the worst disk that the calls so far allow: data that was not fsynced is gone; names
-    that were not are gone as well, or all there (``names_survive``), as a journal may have written them early.
-    """
-
-    def __init__(self, root: Path, cut_at: int | None = None) -> None:
-        self.calls = 0
-        self._cut_at = cut_at
-        self._root = root
-        self._top = _Node(folder=True)
-
-    def _count(self) -> None:
-        if self.calls == self._cut_at:
-            raise PowerCut
-        self.calls += 1
-
-    def _node(self, path: Path) -> _Node:
-        node = self._top
-        for part in path.relative_to(self._root).parts:
-            node = node.names[part]
-        return node
-
-    def make_folder(self, path: Path) -> None:
-        self._count()
-        super().make_folder(path)
-        self._node(path.parent).names[path.name] = _Node(folder=True)
-
-    def create(self, path: Path) -> WritableFile:
-        self._count()
-        real = super().create(path)
-        node = self._node(path.parent).names[path.name] = _Node(folder=False)
-        return _VolatileFile(self, real, node)
-
-    def allocate(self, path: Path, length_bytes: int) -> None:
-        self._count()
-        super().allocate(path, length_bytes)
-        # What an earlier file left in those blocks may be found there.
-        self._node(path.parent).names[path.name] = _Node(folder=False, durable_data=b"\x5a" * length_bytes)
-
-    def reopen(self, path: Path) -> WritableFile:
-        self._count()
-        return _VolatileFile(self, super().reopen(path), self._node(path))
-
-    def rename(self, source: Path, target: Path) -> None:
-        self._count()
-        super().rename(source, target)
-        self._node(target.parent).names[target.name] = self._node(source.parent).names.pop(source.name)
-
-    def sync_folder(self, path: Path) -> None:
-        self._count()
-        super().sync_folder(path)
-        node = self._node(path)
-        node.durable_names = dict(node.names)
-
-    def remove(self, path: Path) -> None:
-        self._count()
-        super().remove(path)
-        del self._node(path.parent).names[path.name]
-
-    def survivors(self, target: Path, *, names_survive: bool) -> Path:
-        """Write what is left after the loss of power to ``target``."""
-        shutil.rmtree(target, ignore_errors=True)
-        target.mkdir()
-        self._write(self._top, target, names_survive)
-        return target
-
-    def _write(self, node: _Node, path: Path, names_survive: bool) -> None:
-        names: Mapping[str, _Node] = node.names if names_survive else node.durable_names
-        for name, child in names.items():
-            if child.folder:
-                (path / name).mkdir()
-                self._write(child, path / name, names_survive)
-            else:
-                (path / name).write_bytes(child.durable_data)
-
-
-class _VolatileFile:
-    def __init__(self, disk: VolatileDisk, file: WritableFile, node: _Node) -> None:
-        self._disk, self._file, self._node = disk, file, node
-
-    def write(self, data: Bytes) -> None:
-        self._disk._count()
-        self._file.write(data)
-        self._node.data += bytes(data)
-
-    def sync(self) -> None:
-        self._disk._count()
-        self._file.sync()
-        self._node.durable_data = self._node.data
-
-    def close(self) -> None:
-        self._file.close()

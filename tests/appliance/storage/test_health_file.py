@@ -10,7 +10,7 @@ import pytest
 from appliance.calibration.health import MOST_POINTS, Reference, Trend, TrendPoint
 from appliance.storage.atomic import StorageError
 from appliance.storage.health import MAX_BYTES, HealthFile
-from tests.appliance.storage.scenes import PowerCut, VolatileDisk
+from tests.appliance.storage.volatile import PowerCut, VolatileDisk
 
 HASH = "0123456789abcdef" * 4
 
@@ -57,8 +57,8 @@ def test_power_cut_before_every_single_call_leaves_the_old_or_the_new_trend(tmp_
             total = cut_at
         except PowerCut:
             pass
-        for names_survive in (False, True):
-            left = disk.survivors(tmp_path / "after", names_survive=names_survive)
+        for fate in disk.fates():
+            left = disk.survivors(tmp_path / "after", fate)
             judged = HealthFile(left, HASH).read().judged
             assert judged in (done, done + 1), "what was written stays"
             seen.add(judged)

@@ -232,6 +232,16 @@ def test_an_unfinished_scan_is_recovered_and_marked_and_an_incomplete_one_set_as
     assert library.recover() == type(outcome)()
 
 
+def test_an_unfinished_scan_copied_under_another_number_is_not_recovered_as_a_second_scan(library: Library) -> None:
+    scan = library.begin(frames(1), record())
+    shutil.copytree(scan.folder, scan.folder.with_name(".000007"))
+    outcome = library.recover()
+    assert outcome.recovered == (scan.scan_id,)
+    assert outcome.set_aside == ("000007",)
+    assert [entry.scan_id for entry in library.entries()] == [scan.scan_id], "there was one recording"
+    assert (library.root / "set-aside" / "000007" / "frames_left.npy").exists(), "nothing is deleted"
+
+
 def test_half_a_cloud_does_not_cost_the_raw_frames(library: Library) -> None:
     scan = library.begin(frames(), record())
     published = scan.publish(record(), cloud(), PREVIEW)

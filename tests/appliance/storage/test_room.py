@@ -25,6 +25,24 @@ HEIGHT, WIDTH = 600, 800
 LENGTHS = {**plan(frames_bytes(FRAMES, WIDTH, HEIGHT), cloud_bytes(200, 100)), "preview": 200_000}
 
 
+@pytest.mark.parametrize("piece", ["manifest-1", "frames-left", "cloud"])
+def test_a_piece_that_a_stored_scan_has_under_another_name_is_not_written_to(tmp_path: Path, piece: str) -> None:
+    """A loss of power between the two halves of a rename leaves a file under its old name and the new one."""
+    room = Room(tmp_path, LocalFileSystem())
+    library = Library(tmp_path, room)
+    library.prepare()
+    room.hold(LENGTHS)
+    kept = library.begin(frames(), record())
+    kept.publish(record(), cloud(), PREVIEW)
+    stored = {"manifest-1": "manifest.json", "frames-left": "frames_left.npy", "cloud": "cloud.ply"}[piece]
+    (tmp_path / FOLDER / piece).hardlink_to(library.entry(kept.scan_id).folder / stored)
+    library.begin(frames(1), record()).publish(record(), cloud(seed=1), PREVIEW)
+    assert library.verify(kept.scan_id).ok
+    room.hold(LENGTHS)
+    library.begin(frames(2), record()).publish(record(), cloud(seed=2), PREVIEW)
+    assert [library.verify(entry.scan_id).problems for entry in library.entries()] == [(), (), ()]
+
+
 def frames(seed: int = 0) -> dict[str, NDArray[np.uint8]]:
     chance = np.random.default_rng(seed)
     return {side: chance.integers(0, 256, (FRAMES, HEIGHT, WIDTH), np.uint8) for side in ("left", "right")}

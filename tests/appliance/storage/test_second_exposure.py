@@ -7,16 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from appliance.capture.exposure import Exposure
-from appliance.capture.verdict import Verdict
 from appliance.storage.atomic import StorageError
 from appliance.storage.library import Library
-from appliance.storage.record import SecondSequence
-from tests.appliance.storage.scenes import ORIGIN, PREVIEW, BadDisk, cloud, frames, record
+from tests.appliance.storage.scenes import ORIGIN, PREVIEW, BadDisk, cloud, frames, record, second_sequence
 
-SECOND = SecondSequence(
-    Exposure(14_000), 99, {"case": 31.0}, {"flips": [{"sequence": 5}]}, (Verdict("light", True, {"weak_percent": 1.5}),)
-)
+SECOND = second_sequence()
 BOTH = replace(record(), second=SECOND)
 
 
