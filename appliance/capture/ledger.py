@@ -126,9 +126,9 @@ def _pulses(ledger: Ledger) -> Fault | None:
     for p in ledger.pulses:
         if ledger.start_vsync is None or p.vsync != ledger.start_vsync + p.index:
             return Fault(
-                FaultCode.PULSE_MISSING,
+                FaultCode.SYNC_LOST,  # all pulses came: "PULSES 24/24" would be no reason
                 f"pulse {p.index} was fired on vertical sync {p.vsync}, not {(ledger.start_vsync or 0) + p.index}",
-                {**numbers, "frame": p.index},
+                {"frame": p.index},
                 "board",
             )
     return None

@@ -136,7 +136,9 @@ class Board:
         if frame is not None and self._faults.strike("board", "wrong", "reset", frame):
             self._boot("WATCHDOG", time_ns)
         if self._job is job:  # the fault may have reset the board
-            self._at(time_ns + job.delay_us * 1000, lambda t: self._pulse(job, index, t))
+            late = self._faults.strike("board", "delayed", frame=frame)
+            late_ns = 0 if late is None else int(late.amount * 1e6)
+            self._at(time_ns + job.delay_us * 1000 + late_ns, lambda t: self._pulse(job, index, t))
 
     def no_vsync(self, time_ns: int) -> None:
         """The projector's video input is dead at this blank."""
@@ -160,7 +162,8 @@ class Board:
         shot = Shot(job.series, index, job.pulses)
         if self._faults.strike("board", "intermittent", frame=shot.frame) is None:
             if job.pulses is not None:
-                self._report("PULSE", index, (job.start + index) & 0xFFFFFFFF, self._us(time_ns))
+                miscounted = int(self._faults.strike("board", "wrong", "vsync", shot.frame) is not None)
+                self._report("PULSE", index, (job.start + index + miscounted) & 0xFFFFFFFF, self._us(time_ns))
             self._fire(time_ns, job.width_us * 1000, shot)
         if job.pulses is not None and index == job.pulses - 1:
             self._job = None
@@ -258,7 +261,8 @@ class Board:
                 _numbers(arguments)
                 if self._synced_ns is None or not self._synced(now_ns):
                     raise _Refused(NO_SYNC)
-                return [self._count, self._us(self._synced_ns), self._us(now_ns)]
+                miscounted = int(self._faults.strike("board", "wrong", "query") is not None)
+                return [(self._count + miscounted) & 0xFFFFFFFF, self._us(self._synced_ns), self._us(now_ns)]
             case "ARM":
                 return self._arm(arguments, now_ns)
             case "LIVE":

@@ -183,6 +183,48 @@ def test_a_pulse_that_was_not_fired(bench: Bench) -> None:
     assert bench.record().fault is None
 
 
+@pytest.mark.parametrize("k", [0, 9, 23])
+def test_a_pulse_on_the_wrong_vertical_sync(bench: Bench, k: int) -> None:
+    bench.world.fault(f"board wrong how=vsync frame={k}")
+    report = bench.record()
+    bench.world.clear_faults()
+    assert report.fault is not None
+    assert (report.fault.code, report.fault.device) == (FaultCode.SYNC_LOST, "board")
+    assert f"pulse {k} was fired on vertical sync" in report.fault.detail
+
+
+def test_one_answer_of_the_board_that_counts_a_vertical_sync_too_many_is_not_believed_alone(bench: Bench) -> None:
+    bench.world.fault("board wrong how=query")
+    report = bench.record()
+    bench.world.clear_faults()
+    assert report.fault is None, "two other answers agree"
+    bright, dark = bench.store.frames("left")[:2]
+    assert np.median(bright) > 100 > 20 > np.median(dark)
+
+
+def test_a_board_that_always_counts_a_vertical_sync_too_many_exposes_no_neighbours_unnoticed(bench: Bench) -> None:
+    bench.world.fault("board wrong how=query count=10")
+    report = bench.record()
+    bench.world.clear_faults()
+    assert report.fault is not None
+    assert report.fault.code is FaultCode.PROJECTOR_TIMING
+    assert report.fault.numbers["shift_frames"] == 1
+    assert bench.record().fault is None
+
+
+@pytest.mark.parametrize("late_ms", [8.3, 5.0])
+def test_pulses_that_come_half_a_blank_after_their_patterns(bench: Bench, late_ms: float) -> None:
+    bench.world.fault(f"board delayed amount={late_ms} count={N}")
+    report = bench.record()
+    bench.world.clear_faults()
+    if late_ms < 0.4 * 1000 / 60:
+        assert report.fault is None, "a tap that lags a little says nothing about which pattern is lit"
+    else:
+        assert report.fault is not None
+        assert report.fault.code is FaultCode.PROJECTOR_TIMING
+    assert bench.record().fault is None
+
+
 def test_a_laser_that_stays_on_forbids_the_scan(bench: Bench) -> None:
     bench.world.fault("laser.left stuck")
     report = bench.record()

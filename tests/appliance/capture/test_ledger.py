@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import pytest
@@ -156,3 +157,79 @@ def test_a_slow_query_or_a_foreign_sync_supports_no_map() -> None:
     assert map_vsync(flip, Vsync(9, 1000, 1000, int(7e9), int(7e9 + 9e6)), PERIOD_NS) is None, "took half a period"
     half_a_period_off = Vsync(9, 1000, 1000 + 8333, int(7e9 + 16.5e6), int(7e9 + 16.8e6))
     assert map_vsync(flip, half_a_period_off, PERIOD_NS) is None
+
+
+@pytest.mark.parametrize("missing", [1, 2, N])
+def test_patterns_that_never_reached_the_screen_are_named(missing: int) -> None:
+    fault = audit(replace(clean(), flips=clean().flips[: N - missing]))
+    assert fault is not None
+    assert (fault.code, fault.device) == (FaultCode.LATE_FLIP, "projector")
+    assert (fault.numbers["received"], fault.numbers["expected"]) == (N - missing, N)
+
+
+@pytest.mark.parametrize("k", range(N))
+@pytest.mark.parametrize("off", [-1, 1])
+def test_a_pulse_on_the_wrong_vertical_sync(k: int, off: int) -> None:
+    """Every time fits, only the board's own number of the blank does not: it has counted something else than blanks."""
+    pulses = tuple(replace(p, vsync=p.vsync + off) if p.index == k else p for p in clean().pulses)
+    fault = audit(replace(clean(), pulses=pulses))
+    assert fault is not None
+    assert (fault.code, fault.device, fault.numbers["frame"]) == (FaultCode.SYNC_LOST, "board", k)
+    assert f"vertical sync {200 + k + off}, not {200 + k}" in fault.detail
+
+
+def test_pulses_of_a_board_that_was_never_armed() -> None:
+    fault = audit(replace(clean(), start_vsync=None))
+    assert fault is not None
+    assert fault.code is FaultCode.SYNC_LOST
+
+
+@pytest.mark.parametrize(("late", "passes"), [(0.3, True), (-0.3, True), (0.5, False), (-0.5, False), (0.9, False)])
+def test_pulses_part_of_a_blank_away_from_the_flips(late: float, passes: bool) -> None:
+    """Half a blank of lateness lights half of one pattern and half of the next."""
+    late_us = round(late * PERIOD_NS / 1000)
+    pulses = tuple(replace(p, board_time_us=p.board_time_us + late_us) for p in clean().pulses)
+    fault = audit(replace(clean(), pulses=pulses))
+    assert (fault is None) == passes
+    if fault is not None:
+        assert fault.code is FaultCode.PROJECTOR_TIMING
+        assert f"{late * PERIOD_NS / 1e6:.1f} ms away" in fault.detail
+
+
+@pytest.mark.parametrize("delay_us", [0, 500, 10_000, 15_000])
+def test_a_trigger_delay_is_no_lateness(delay_us: int) -> None:
+    """The rig file allows up to 15 ms: most of a blank, all of it wanted."""
+    later = tuple(replace(p, board_time_us=p.board_time_us - DELAY_US + delay_us) for p in clean().pulses)
+    assert audit(replace(clean(), delay_us=delay_us, pulses=later)) is None
+    if delay_us >= 10_000:
+        fault = audit(replace(clean(), delay_us=delay_us))
+        assert fault is not None, "the pulses came at once, although they should have waited"
+        assert fault.code is FaultCode.PROJECTOR_TIMING
+
+
+def exposed_later(ledger: Ledger, side: str, k: int, later_us: float) -> Ledger:
+    frames = list(ledger.frames[side])
+    frames[k] = replace(frames[k], camera_time_ns=(frames[k].camera_time_ns or 0) + round(later_us * 1000))
+    return with_frames(ledger, side, frames)
+
+
+@pytest.mark.parametrize("k", [1, 11, N - 1])
+def test_left_and_right_off_their_pulses_in_opposite_ways(k: int) -> None:
+    """Each by less than it may, together by more."""
+    one = exposed_later(clean(), "left", k, 150.0)
+    assert audit(one) is None
+    fault = audit(exposed_later(one, "right", k, -150.0))
+    assert fault is not None
+    assert (fault.code, fault.numbers["frame"]) == (FaultCode.SYNC_LOST, k)
+    assert fault.numbers["skew_ms"] == pytest.approx(0.3, abs=0.04)
+    assert audit(exposed_later(one, "right", k, 150.0)) is None, "both with the object, not against each other"
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+@pytest.mark.parametrize("without", [range(N), [N - 1], [0]], ids=["all", "last", "first"])
+def test_frames_without_a_block_id_prove_nothing(side: str, without: Sequence[int]) -> None:
+    """A camera that does not number its blocks may have lost one and sent another twice."""
+    frames = [replace(f, block_id=None) if k in without else f for k, f in enumerate(clean().frames[side])]
+    fault = audit(with_frames(clean(), side, frames))
+    assert fault is not None
+    assert (fault.code, fault.device) == (FaultCode.FRAME_MISSING, f"camera.{side}")

@@ -7,6 +7,7 @@ import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
+import numpy as np
 import pytest
 
 from hw_sim.devices.board import Board
@@ -371,6 +372,35 @@ def test_a_pulse_that_is_not_fired_is_not_reported(desk: Desk) -> None:
     reports = [line[2:] for line in desk.lines()]
     assert [r[1] for r in reports if r[0] == "PULSE"] == ["0", "2"]
     assert ["DONE", "3"] in reports
+
+
+def test_a_report_may_name_the_wrong_vertical_sync(desk: Desk) -> None:
+    desk.bench.faults.add("board wrong how=vsync frame=1")
+    desk.arm(pulses=3, ahead=1)
+    desk.bench.blanks(6)
+    pulses = [line[2:] for line in desk.lines() if line[2] == "PULSE"]
+    first = int(pulses[0][2])
+    assert [int(vsync) - first for _, _, vsync, _ in pulses] == [0, 2, 2]
+    apart_us = np.diff([int(time_us) for *_, time_us in pulses])
+    assert np.ptp(apart_us) <= 2, "it is fired where it belongs"
+
+
+def test_an_answer_may_count_a_vertical_sync_too_many(desk: Desk) -> None:
+    desk.bench.blanks(3)
+    before = int(desk.ask("VSYNC")[2])
+    desk.bench.faults.add("board wrong how=query count=2")
+    assert [int(desk.ask("VSYNC")[2]) - before for _ in range(3)] == [1, 1, 0]
+
+
+def test_a_late_pulse_is_dated_as_it_was_fired(desk: Desk) -> None:
+    desk.bench.faults.add("board delayed frame=1 amount=5")
+    desk.arm(pulses=3, ahead=1)
+    desk.bench.blanks(6)
+    times_us = [int(line[-1]) for line in desk.lines() if line[2] == "PULSE"]
+    late_us = np.diff(times_us) - 1e6 / 60
+    assert late_us == pytest.approx([5000, -5000], abs=3)
+    fired_ns = np.diff([f.time_ns for f in desk.fired]) - 1e9 / 60
+    assert fired_ns == pytest.approx([5e6, -5e6], abs=2000)
 
 
 def test_a_reset_in_a_sequence_forgets_everything(desk: Desk) -> None:
