@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -259,7 +260,8 @@ def _picture(path: Path, wanted_px: tuple[int, int]) -> Image:
             f"{path}: is no picture, or damaged ({KNOWN} is read); bring it back from a copy, or remove the pair"
         )
     _check_size(path, stated_px, wanted_px)
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    with _quiet_decoder():
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if image is None:
         raise PicturesError(f"{path}: is no picture, or damaged; bring it back from a copy, or remove the pair")
     if image.dtype != np.uint8:
@@ -270,6 +272,17 @@ def _picture(path: Path, wanted_px: tuple[int, int]) -> Image:
             raise PicturesError(f"{path}: is in colour; the cameras are grey; give the pictures as recorded")
         image = channels[0]
     return np.ascontiguousarray(image, np.uint8)
+
+
+@contextmanager
+def _quiet_decoder() -> Iterator[None]:
+    """Inside, OpenCV writes nothing of its own to stderr about a damaged file: we say it, once, with the file's name."""
+    before = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        yield
+    finally:
+        cv2.utils.logging.setLogLevel(before)
 
 
 def _channels(image: NDArray[Any]) -> Iterator[NDArray[Any]]:

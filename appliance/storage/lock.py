@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from appliance.storage.atomic import StorageError, remedy_for
+from appliance.storage.atomic import StorageError, refused, remedy_for
 
 FILE_NAME = "lock"
 
@@ -30,8 +30,9 @@ def hold_lock(root: Path) -> Iterator[None]:
             raise StorageError(
                 "cannot use", root, f"another instance (process {owner}) is using it", "stop that one first"
             ) from error
-        os.ftruncate(descriptor, 0)
-        os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
+        with refused("cannot write", path):
+            os.ftruncate(descriptor, 0)
+            os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
         yield
     finally:
         os.close(descriptor)

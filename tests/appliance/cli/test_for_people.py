@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import errno
 import os
+import subprocess
+from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -94,6 +97,36 @@ def test_each_refusal_of_a_disk_gets_its_own_remedy(number_of_error: int, words:
         raise OSError(number_of_error, os.strerror(number_of_error))
     assert str(caught.value).startswith(f"cannot make /somewhere: {os.strerror(number_of_error)}; ")
     assert words in remedy_for(OSError(number_of_error, ""))
+
+
+@pytest.fixture
+def disk(tmp_path: Path) -> Iterator[Path]:
+    """A disk of its own of 1 MB; skipped where this user may not mount one."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=1m", "none", str(place)], capture_output=True, check=False
+    )
+    if mounted.returncode:
+        pytest.skip("this user may not mount a disk")
+    try:
+        yield place
+    finally:
+        subprocess.run(["umount", "-l", str(place)], check=True, timeout=20)
+
+
+def test_a_disk_that_takes_no_changes_and_a_full_one_are_told_apart(
+    disk: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    root = disk / "root"
+    subprocess.run(["mount", "-o", "remount,ro", str(disk)], check=True, timeout=20)
+    error = error_of(["run", "--root", str(root)], capfd, 1)
+    assert "Read-only file system; the file system is mounted for reading only: mount it for writing" in error
+    subprocess.run(["mount", "-o", "remount,rw", str(disk)], check=True, timeout=20)
+    with suppress(OSError), (disk / "fill").open("wb") as fill:
+        fill.write(bytes(1 << 22))
+    error = error_of(["run", "--root", str(root)], capfd, 1)
+    assert "No space left on device; the disk is full: free space on it" in error
 
 
 def test_a_root_below_a_file_is_refused_with_the_path_to_mend(tmp_path: Path) -> None:

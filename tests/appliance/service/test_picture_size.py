@@ -56,6 +56,20 @@ def test_a_small_file_that_promises_many_pixels_is_refused_before_it_is_unpacked
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kb < 100_000  # 400 MB unpacked
 
 
+@pytest.mark.parametrize("kind", [".png", ".tif", ".bmp", ".pgm"])
+def test_a_picture_that_was_cut_off_is_refused_in_our_words_alone(
+    kind: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    image = np.random.default_rng(1).integers(0, 256, (60, 80), np.uint8)
+    left, right = tmp_path / f"00_left{kind}", tmp_path / "00_right.png"
+    data = cv2.imencode(kind, image)[1].tobytes()
+    left.write_bytes(data[: len(data) * 2 // 3] if kind != ".tif" else data[:8] + data[len(data) // 2 :])
+    cv2.imwrite(str(right), image)
+    with pytest.raises(PicturesError, match=r"00_left\.\w+: (is no picture|\d+x\d+ px)"):
+        read_pair(Pair("00", left, right), 80, 60)
+    assert capfd.readouterr().err == ""
+
+
 def test_a_file_of_more_bytes_than_its_pixels_can_have_is_not_read_to_its_end(tmp_path: Path) -> None:
     endless, good = tmp_path / "00_left.png", tmp_path / "00_right.png"
     with endless.open("wb") as file:
