@@ -28,10 +28,15 @@ SIGMA_MM = 0.9
 FOOT_SHARE, FOOT_SIGMA_MM = 0.01, 4.0
 """Of what lens and window of the pointer scatter: how bright in the middle, and how wide."""
 SAME_SURFACE_MM = 8.0
-"""How much further than its axis a beam may reach within its width: the slope of the lit surface."""
+"""Where a beam's light ends within so much of its way, its dot lies on one surface and has no edge in it."""
+SHADOW_MM = 0.2
+"""A place is lit if the light that runs towards it, parallel to the beam's axis, gets so near to it."""
 WINDOW_MM = 14.0
 FAR_MM = 1000.0
 """A beam that meets nothing is followed so far."""
+_RINGS_MM = tuple(SIGMA_MM * k for k in (1.0, 2.0, 3.0))
+_AROUND = 12
+"""The axis and these rays around it say where a beam's light ends: a beam is cut by an edge that its axis misses."""
 STREAK_MARGIN_MM = 4.0
 LEAST_STREAK_E = 0.05
 
@@ -51,16 +56,36 @@ def add_laser(
 
     ``peak_e`` is what a white surface perpendicular to the beam gives in its middle in clear water. Every pixel near the
     dot is lit by its distance from the beam, so the dot is as oblique as the surface, and hidden where the camera sees
-    something nearer. ``grain_seed``: of the speckle, which belongs to the surface's place; ``None``: there is none.
+    something nearer. What passes an edge lights what is behind it, or nothing. ``grain_seed``: of the speckle, which
+    belongs to the surface's place; ``None``: there is none.
     """
     origin, direction = np.array(laser.origin_mm), np.array(laser.direction)
-    beam = np.concatenate([pose.R.T @ (origin - pose.t), pose.R.T @ direction])[None]
-    reach = np.empty(1)
-    march_all(pose.kind, pose.sizes, beam, reach)
-    reach_mm = float(reach[0])
-    if math.isfinite(reach_mm):
-        _add_dot(electrons, peak_e, origin, direction, reach_mm, eye, rays, pose, geometry, water, grain_seed)
-    _add_streak(electrons, peak_e, origin, direction, min(reach_mm, FAR_MM), eye, rays, geometry, water)
+    starts = origin + _across(direction)
+    reach_mm = _reach(starts, direction, pose)
+    met = np.isfinite(reach_mm)
+    if met.any():
+        ends = starts[met] + reach_mm[met, None] * direction
+        _add_dot(electrons, peak_e, origin, direction, ends, eye, rays, pose, geometry, water, grain_seed)
+    _add_streak(electrons, peak_e, origin, direction, min(float(reach_mm[0]), FAR_MM), eye, rays, geometry, water)
+
+
+def _across(direction: Array) -> Array:
+    """Offsets (n, 3) of the beam's axis, which is the first, and of rays around it, mm."""
+    x = np.cross([0.0, 1.0, 0.0], direction)
+    x /= np.linalg.norm(x)
+    y = np.cross(direction, x)
+    angles = 2.0 * math.pi * np.arange(_AROUND) / _AROUND
+    ring = np.cos(angles)[:, None] * x + np.sin(angles)[:, None] * y
+    return np.concatenate([np.zeros((1, 3)), *(radius * ring for radius in _RINGS_MM)])
+
+
+def _reach(starts: Array, direction: Array, pose: Pose) -> Array:
+    """How far (n,) light goes from ``starts`` (n, 3) to the object, mm; infinite where it meets nothing."""
+    beam = np.empty((len(starts), 6))
+    beam[:, :3], beam[:, 3:] = (starts - pose.t) @ pose.R, direction @ pose.R
+    reach_mm = np.empty(len(starts))
+    march_all(pose.kind, pose.sizes, beam, reach_mm)
+    return reach_mm
 
 
 def _add_dot(
@@ -68,7 +93,7 @@ def _add_dot(
     peak_e: float,
     origin: Array,
     direction: Array,
-    reach_mm: float,
+    ends: Array,
     eye: Array,
     rays: Array,
     pose: Pose,
@@ -76,18 +101,25 @@ def _add_dot(
     water: Water,
     grain_seed: int | None,
 ) -> None:
-    part = _around(eye, electrons.shape, (origin + reach_mm * direction)[None], WINDOW_MM)
+    part = _around(eye, electrons.shape, ends, WINDOW_MM)
     if part is None:
         return
     points = rays[part][..., :3] + rays[part][..., 3:] * geometry.distance_mm[part][..., None]
     along_mm = (points - origin) @ direction
     off_mm2 = np.sum((points - origin) ** 2, axis=-1) - along_mm**2
     # What scattering turns a little on the way widens the beam; the camera's own way blurs the whole picture.
-    wide_mm2 = SIGMA_MM**2 + (water.blur_px_per_m * 0.16 * reach_mm / 1000.0) ** 2
+    wide_mm2 = SIGMA_MM**2 + (water.blur_px_per_m * 0.16 * along_mm / 1000.0) ** 2
     lit = SIGMA_MM**2 / wide_mm2 * np.exp(-off_mm2 / (2.0 * wide_mm2))
     lit += FOOT_SHARE * np.exp(-off_mm2 / (2.0 * FOOT_SIGMA_MM**2))
     lit *= np.exp(-water.attenuation_per_m / 1000.0 * along_mm)
-    lit = np.where(np.abs(along_mm - reach_mm) < SAME_SURFACE_MM, lit, 0.0)
+    lit[~(off_mm2 < WINDOW_MM**2)] = 0.0
+    ends_mm = (ends - origin) @ direction
+    if len(ends) == len(_across(direction)) and np.ptp(ends_mm) < SAME_SURFACE_MM:
+        lit[np.abs(along_mm - ends_mm[0]) > SAME_SURFACE_MM] = 0.0
+    else:
+        near = lit > 0.0
+        free_mm = _reach(points[near] - along_mm[near, None] * direction, direction, pose)
+        lit[near] = np.where(along_mm[near] < free_mm + SHADOW_MM, lit[near], 0.0)
     if grain_seed is not None:
         # A camera px of 1600 is as large as one grain (1.22 λ N); a binned one holds as many as px are binned.
         grains = max(1.0, (1600.0 / electrons.shape[1]) ** 2)

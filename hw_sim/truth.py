@@ -23,9 +23,9 @@ CENTRE_MM = 522.5
 """Where the two axes cross, in the rig frame."""
 TOE_IN_DEG = 12.41
 HALF_BASELINE_MM = 115.0
-LASER_X_MM, LASER_Y_MM, LASER_Z_MM = 40.0, -60.0, 30.0
+LASER_X_MM, LASER_Y_MM, LASER_Z_MM = 40.0, 0.0, 30.0
 """Where the right pointer's beam leaves its window, rig frame; the left one's mirrors it."""
-LASER_AIM_X_MM = 25.0
+LASER_AIM_X_MM = 20.0
 """So far from the axis the beams meet the plane in the middle of the volume, both at the height of the axis."""
 SETS = ("nominal", "realistic", "hard", "paper", "modelled")
 
