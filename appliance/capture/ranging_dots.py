@@ -7,6 +7,7 @@ squares, and from the streak that the beam itself makes in turbid water, which i
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -29,7 +30,7 @@ BAND_PX = 2.0
 CORE_PX = 1.2
 """Gaussian sigma of the smoothing before dots are looked for, in coarse px; a dot has about 1.5."""
 RING_PX = 6
-LEAST_CONTRAST_DN = 5.0
+LEAST_CONTRAST_DN = 7.0
 MOST = 4
 """Candidates per image and beam."""
 CENTRE_TIMES = 3
@@ -98,8 +99,7 @@ class Lane:
         part = image[self._y0 * s : self._y1 * s, self._x0 * s : self._x1 * s]
         size = (self._x1 - self._x0, self._y1 - self._y0)
         coarse = cv2.resize(part, size, interpolation=cv2.INTER_AREA) if s > 1 else part
-        smooth = cv2.GaussianBlur(coarse.astype(np.float32), (0, 0), CORE_PX)
-        contrast = np.where(self._band, smooth - cv2.dilate(smooth, _RING), -np.inf)
+        contrast = np.where(self._band, contrast_of(coarse), -np.inf)
         found: list[Candidate] = []
         for _ in range(MOST):
             row, column = divmod(int(np.argmax(contrast)), size[0])
@@ -112,6 +112,12 @@ class Lane:
                 max(0, row - RING_PX) : row + RING_PX + 1, max(0, column - RING_PX) : column + RING_PX + 1
             ] = -np.inf
         return found
+
+
+def contrast_of(coarse: NDArray[Any]) -> NDArray[np.float32]:
+    """By how much each place (h, w) of an image of about ``COARSE_PX`` is brighter than the brightest on a ring around it."""
+    smooth = cv2.GaussianBlur(coarse.astype(np.float32), (0, 0), CORE_PX)
+    return np.asarray(smooth - cv2.dilate(smooth, _RING), np.float32)
 
 
 def _ring() -> NDArray[np.uint8]:

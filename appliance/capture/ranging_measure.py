@@ -7,15 +7,17 @@ sees it, its ray meets the beam, which is good enough as soon as the beam was le
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from appliance.capture.ranging import Range
-from appliance.capture.ranging_beams import DOT_SD_MM, FLOOR_SD_MM, Beam
+from appliance.capture.ranging_alone import OtherCamera
+from appliance.capture.ranging_beams import DOT_SD_MM, Beam
 from appliance.capture.ranging_dots import FARTHEST_MM, NEAREST_MM, Candidate, Lane
 from appliance.capture.ranging_frame import RigFrame
+from appliance.capture.ranging_marks import Marks, marks_of
 from appliance.optics.model import StereoRig
 
 Array = NDArray[np.float64]
@@ -25,14 +27,27 @@ Images = tuple[NDArray[np.uint8], NDArray[np.uint8]]
 CENTRE_SD_PX = 0.12
 """Of a dot's centre, in px of an image 400 px wide: grain, noise and texture."""
 MOST_SIGMAS = 3.5
+LIKE_IN_BOTH = 0.2
+"""A dot has at least so much of its contrast in one camera in the other: a surface is not a mirror."""
+SURFACE_SD_MM = 0.3
+"""Of a dot's depth, from speckle and texture."""
+CUT_SLOPE = 1.7
+"""An edge that cuts a dot, or a change of albedo in it, moves its middle off the beam; on a surface as steep as 60° its
+depth is off by so much for each mm."""
 GAP_MM = 0.6
 """Rays of one dot pass each other so near with a measured calibration: texture moves its centre differently."""
-DRAWN_GAP_MM, DRAWN_SD_MM = 8.0, 4.0
-"""With a calibration that was never measured: how far rays may pass, and what distances are uncertain by."""
+DRAWN_GAP_MM, DRAWN_SD_MM, DRAWN_SHARE = 8.0, 4.0, 0.015
+"""With a calibration that was never measured: how far rays may pass, what places across the axis are uncertain by, and what
+share of themselves distances are (15 mm of 600 was the worst of eight instruments)."""
 LIKE_THE_OTHER, MOST_SLOPE_DEG = 0.4, 45.0
 """A dot that only one camera sees has so much of the contrast of the other pointer's, and is so near it in depth."""
-LONE_DN = 15.0
-"""Contrast of a dot that is believed without the other: two faint ones on one surface bear each other out."""
+ALONE_DN = 50.0
+"""Contrast of a dot that only one camera sees, where there is no other dot."""
+STEADY_PAIRS, STEADY_MM = 4, 8.0
+"""So many pairs in a row must show it, each as near to the one before: specks drift by, and hands and objects do not jump."""
+LONE_DN, FAINT_DN, FAINT_MM = 7.0, 15.0, 2.5
+"""Contrast of a dot that is believed without the other; below ``FAINT_DN`` only if its depth is as certain as ``FAINT_MM``.
+Two faint ones on one surface bear each other out."""
 DRAWN_LEAST_DN = 20.0
 """Contrast of a dot with a calibration that was never measured: rays meet nearly everywhere then."""
 MOST_SIGMA_MM = 5.0
@@ -44,6 +59,12 @@ SAME_MM = 4.0
 MOST_STEP_DEG = 60.0
 """Two dots that would make a surface more oblique than this lie on two surfaces."""
 REBUILD_MM = 0.3
+CLEARLY = 0.6
+"""A pair lies clearly nearer to the beam with so much of another's distance from it."""
+SAME_RAY = 2e-3
+"""Sine of an angle: a px of an image 400 px wide."""
+OTHERS_MM = 3.0
+"""What one camera sees so near to the other pointer's dot is that dot."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,9 +96,28 @@ class Dots:
 class _Sighted:
     """A candidate's ray in the rig frame."""
 
+    side: int
+    """Of the camera: left (0) or right (1)."""
     start_mm: Array
     ahead: Array
     contrast_dn: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """Candidates for one pointer's dot: what both cameras agree on, and what one of them sees."""
+
+    met: list[Dot]
+    alone: list[tuple[Dot, _Sighted]]
+
+
+@dataclass(frozen=True, slots=True)
+class _Steady:
+    """A bright spot that one camera saw on a beam, and in how many pairs in a row."""
+
+    side: int
+    z_mm: float
+    pairs: int
 
 
 class Ranger:
@@ -92,13 +132,20 @@ class Ranger:
         self._step = max(1.0, rig.left.width_px / 400.0)
         self._beams = list(beams)
         self._lanes = [self._lanes_of(beam) for beam in beams]
+        self._other_camera = OtherCamera(rig, self.frame, water_index)
         self._seen_by = list(beams)
         """The beams that the lanes were made for."""
+        self._steady: list[_Steady | None] = [None, None]
+        """What one camera alone saw of each pointer in the latest pair."""
 
     @property
     def beams(self) -> tuple[Beam, Beam]:
         """As known now."""
         return self._beams[0], self._beams[1]
+
+    def marks(self) -> Marks:
+        """Where the dots are going to be seen in the live pictures."""
+        return marks_of(self._rig, self.frame, self._index, self.beams)
 
     def measure(self, images: Images) -> Range | None:
         """The distance, from whichever dots are sure; what both cameras saw teaches the beams."""
@@ -108,12 +155,13 @@ class Ranger:
 
     def find(self, images: Images, lit: tuple[bool, bool] = (True, True)) -> Dots:
         """Both dots, as far as they are there beyond doubt; only of the pointers that are ``lit``."""
-        seen = [self._find(number, images) if lit[number] else ([], []) for number in (0, 1)]
-        met = [_unambiguous(dots) for dots, _ in seen]
-        dots = [
-            dot if any_met else _alone(one, met[1 - number])
-            for number, (dot, (any_met, one)) in enumerate(zip(met, seen, strict=True))
-        ]
+        seen = [self._find(number, images) if lit[number] else _Found([], []) for number in (0, 1)]
+        met = [_unambiguous(found.met) for found in seen]
+        dots: list[Dot | None] = []
+        for number, found in enumerate(seen):
+            other = met[1 - number]
+            alone = self._lone(number, seen, images) if other is None and not found.met else None
+            dots.append(met[number] if found.met else alone if other is None else self._beside(found.alone, other))
         return Dots(dots[0], dots[1])
 
     def pixel_of(self, side: int, dot: Dot) -> tuple[float, float]:
@@ -135,26 +183,13 @@ class Ranger:
 
     def range_of(self, dots: Dots) -> Range | None:
         """What dots say of distance and tilt."""
-        sigma_mm = 0.0 if self._measured else DRAWN_SD_MM
         if not dots.found:
             return None
-        if dots.left is None or dots.right is None:
-            dot = dots.found[0]
-            if dot.contrast_dn < LONE_DN:
-                return None
-            return _sure(Range(dot.place_mm[2], None, math.hypot(dot.sigma_mm, sigma_mm), 1))
-        a, b = dots.left, dots.right
-        across_mm, behind_mm = b.place_mm[0] - a.place_mm[0], b.place_mm[2] - a.place_mm[2]
-        if across_mm <= 0.0 or abs(behind_mm) > math.tan(math.radians(MOST_STEP_DEG)) * across_mm:
-            near, _ = sorted((a, b), key=lambda dot: dot.place_mm[2])
-            if min(a.contrast_dn, b.contrast_dn) < LIKE_THE_OTHER * max(a.contrast_dn, b.contrast_dn):
-                return None  # one of them is no dot, and nobody knows which
-            return _sure(Range(near.place_mm[2], None, math.hypot(near.sigma_mm, sigma_mm), 2))
-        share = -a.place_mm[0] / across_mm
-        z = a.place_mm[2] + share * behind_mm
-        own_mm = math.hypot((1.0 - share) * a.sigma_mm, share * b.sigma_mm)
-        tilt_deg = math.degrees(math.atan2(behind_mm, across_mm))
-        return _sure(Range(z, tilt_deg, math.hypot(own_mm, sigma_mm), 2))
+        measured = _told(dots)
+        if measured is None or measured.sigma_mm > MOST_SIGMA_MM:
+            return None
+        drawn_mm = 0.0 if self._measured else DRAWN_SHARE * measured.distance_mm
+        return replace(measured, sigma_mm=math.hypot(measured.sigma_mm, drawn_mm))
 
     # ------------------------------------------------------------------------------------------ one beam
 
@@ -162,16 +197,41 @@ class Ranger:
         rig, frame, index = self._rig, self.frame, self._index
         return Lane(rig.left, frame, index, beam), Lane(rig.right, frame, index, beam)
 
-    def _find(self, number: int, images: Images) -> tuple[list[Dot], list[Dot]]:
-        """What both cameras agree on, and what one sees alone."""
+    def _find(self, number: int, images: Images) -> _Found:
+        """Candidates for one pointer's dot."""
         beam = self._beams[number]
         seen = [
             self._sighted(side, lane.candidates(image))
             for side, (lane, image) in enumerate(zip(self._lanes[number], images, strict=True))
         ]
-        met = [dot for a in seen[0] for b in seen[1] if (dot := self._met(beam, a, b)) is not None]
-        alone = [dot for found in seen for one in found if (dot := self._single(beam, one)) is not None]
-        return met, alone
+        pairs = [(dot, a, b) for a in seen[0] for b in seen[1] if (dot := self._met(beam, a, b)) is not None]
+        met = [dot for dot, _, _ in pairs] if self._measured else _best_fitting(beam, pairs)
+        alone = [(dot, one) for found in seen for one in found if (dot := self._single(beam, one)) is not None]
+        return _Found(met, alone)
+
+    def _beside(self, found: list[tuple[Dot, _Sighted]], other: Dot) -> Dot | None:
+        """A dot that one camera sees, borne out by the other pointer's dot on the same surface."""
+        # The other's dot may be seen on this beam's curve, too, as if it were at another depth.
+        place = np.array(other.place_mm)
+        best = _unambiguous([dot for dot, seen in found if _off_mm(place, seen) > OTHERS_MM])
+        return best if best is not None and _borne_out(best, other) else None
+
+    def _lone(self, number: int, seen: list[_Found], images: Images) -> Dot | None:
+        """A dot that one camera sees, without any other. It may be anything bright beside the dark of the live light: it must
+        be bright itself, on no other beam, without anything like it on its ray for the other camera, and stay for a while."""
+        before, self._steady[number] = self._steady[number], None
+        best = _unambiguous([dot for dot, _ in seen[number].alone])
+        if best is None or best.contrast_dn < ALONE_DN or not self._measured:
+            return None
+        ray = next(one for dot, one in seen[number].alone if dot is best)
+        if any(_same_ray(ray, one) for _, one in seen[1 - number].alone):
+            return None
+        if not self._other_camera.sees_nothing_like(ray.side, ray.start_mm, ray.ahead, images, best.contrast_dn):
+            return None
+        stays = before is not None and before.side == ray.side and abs(before.z_mm - best.place_mm[2]) < STEADY_MM
+        now = _Steady(ray.side, best.place_mm[2], before.pairs + 1 if before is not None and stays else 1)
+        self._steady[number] = now
+        return best if now.pairs >= STEADY_PAIRS else None
 
     def _sighted(self, side: int, found: list[Candidate]) -> list[_Sighted]:
         """With the rays, in the rig frame, that candidates of one camera lie on."""
@@ -181,7 +241,7 @@ class Ranger:
         at = np.array([[one.u_px, one.v_px] for one in found])
         origins, directions = camera.rays(at, self._index)
         start, ahead = self.frame.from_left(origins), self.frame.turn_from_left(directions)
-        return [_Sighted(start[k], ahead[k], one.contrast_dn) for k, one in enumerate(found)]
+        return [_Sighted(side, start[k], ahead[k], one.contrast_dn) for k, one in enumerate(found)]
 
     def _met(self, beam: Beam, a: _Sighted, b: _Sighted) -> Dot | None:
         """Where the rays of both cameras meet, if they do, and on the beam."""
@@ -191,12 +251,15 @@ class Ranger:
             return None
         if gap_mm > self._gap_mm or not NEAREST_MM <= z <= FARTHEST_MM:
             return None
-        off_mm = float(np.linalg.norm((beam.at(np.array(z)) - place)[:2]))
+        off_mm, sd_mm = float(np.linalg.norm((beam.at(np.array(z)) - place)[:2])), float(beam.sd_mm(np.array(z)))
         own_mm = DOT_SD_MM if self._measured else DRAWN_SD_MM
-        if off_mm > MOST_SIGMAS * math.hypot(float(beam.sd_mm(np.array(z))), own_mm):
+        if off_mm > MOST_SIGMAS * math.hypot(sd_mm, own_mm):
+            return None
+        if min(a.contrast_dn, b.contrast_dn) < LIKE_IN_BOTH * max(a.contrast_dn, b.contrast_dn):
             return None
         lateral_mm = self._centre_sd_mm(place - a.start_mm)
-        sigma_mm = math.hypot(math.sqrt(2.0) * lateral_mm / sine, 0.5 * FLOOR_SD_MM)
+        aside_mm = off_mm if sd_mm < DOT_SD_MM else DOT_SD_MM  # a beam that was not learned does not tell
+        sigma_mm = math.hypot(math.sqrt(2.0) * lateral_mm / sine, SURFACE_SD_MM, CUT_SLOPE * aside_mm)
         return Dot((float(place[0]), float(place[1]), z), sigma_mm, min(a.contrast_dn, b.contrast_dn), 2)
 
     def _single(self, beam: Beam, one: _Sighted) -> Dot | None:
@@ -221,15 +284,59 @@ class Ranger:
         return CENTRE_SD_PX * self._step * float(np.linalg.norm(way)) / f_px
 
 
-def _alone(dots: list[Dot], other: Dot | None) -> Dot | None:
-    """A dot that one camera sees: about as bright as the other pointer's, and on the same surface as it. Without that
-    other, it may be anything bright that the camera sees beside the dark of the live light."""
-    best = _unambiguous(dots)
-    if best is None or other is None:
-        return None
-    across_mm = abs(best.place_mm[0] - other.place_mm[0])
-    near = abs(best.place_mm[2] - other.place_mm[2]) < math.tan(math.radians(MOST_SLOPE_DEG)) * across_mm
-    return best if near and best.contrast_dn > LIKE_THE_OTHER * other.contrast_dn else None
+def _borne_out(dot: Dot, other: Dot) -> bool:
+    """Whether a dot that one camera sees is about as bright as the other pointer's, and on the same surface as it."""
+    across_mm = abs(dot.place_mm[0] - other.place_mm[0])
+    near = abs(dot.place_mm[2] - other.place_mm[2]) < math.tan(math.radians(MOST_SLOPE_DEG)) * across_mm
+    return near and dot.contrast_dn > max(FAINT_DN, LIKE_THE_OTHER * other.contrast_dn)
+
+
+def _told(dots: Dots) -> Range | None:
+    """What dots, at least one, say of distance and tilt."""
+    if dots.left is None or dots.right is None:
+        dot = dots.found[0]
+        if dot.contrast_dn < LONE_DN or (dot.contrast_dn < FAINT_DN and dot.sigma_mm > FAINT_MM):
+            return None
+        return Range(dot.place_mm[2], None, dot.sigma_mm, 1)
+    a, b = dots.left, dots.right
+    across_mm, behind_mm = b.place_mm[0] - a.place_mm[0], b.place_mm[2] - a.place_mm[2]
+    if across_mm <= 0.0 or abs(behind_mm) > math.tan(math.radians(MOST_STEP_DEG)) * across_mm:
+        near, _ = sorted((a, b), key=lambda dot: dot.place_mm[2])
+        clear, faint = sorted((a, b), key=lambda dot: -dot.contrast_dn)
+        if faint.contrast_dn < LIKE_THE_OTHER * clear.contrast_dn:
+            # One of them may be no dot, and nobody knows which, unless one is beyond doubt.
+            sure = clear.cameras == 2 and clear.contrast_dn >= ALONE_DN and faint.contrast_dn < FAINT_DN
+            return Range(clear.place_mm[2], None, clear.sigma_mm, 1) if sure else None
+        return Range(near.place_mm[2], None, near.sigma_mm, 2)
+    share = -a.place_mm[0] / across_mm
+    z = a.place_mm[2] + share * behind_mm
+    own_mm = math.hypot((1.0 - share) * a.sigma_mm, share * b.sigma_mm)
+    tilt_deg = math.degrees(math.atan2(behind_mm, across_mm))
+    return Range(z, tilt_deg, own_mm, 2)
+
+
+def _best_fitting(beam: Beam, pairs: list[tuple[Dot, _Sighted, _Sighted]]) -> list[Dot]:
+    """Of pairs that have a spot in common, those that lie clearly nearer to the beam. With a calibration that was never
+    measured the left dot in one picture and the right one in the other meet as well, some way beside both beams."""
+
+    def off_mm(dot: Dot) -> float:
+        return float(np.linalg.norm(beam.at(np.array(dot.place_mm[2])) - np.array(dot.place_mm)))
+
+    return [
+        dot
+        for dot, a, b in pairs
+        if not any((a is c or b is d) and off_mm(other) < CLEARLY * off_mm(dot) for other, c, d in pairs)
+    ]
+
+
+def _same_ray(a: _Sighted, b: _Sighted) -> bool:
+    """Whether both are one spot of one picture."""
+    return a.side == b.side and float(np.linalg.norm(np.cross(a.ahead, b.ahead))) < SAME_RAY
+
+
+def _off_mm(place_mm: Array, seen: _Sighted) -> float:
+    """How far a place is from a ray."""
+    return float(np.linalg.norm(np.cross(place_mm - seen.start_mm, seen.ahead)))
 
 
 def _unambiguous(dots: list[Dot]) -> Dot | None:
@@ -242,10 +349,6 @@ def _unambiguous(dots: list[Dot]) -> Dot | None:
         if abs(other.place_mm[2] - best.place_mm[2]) > SAME_MM and other.contrast_dn > AMBIGUOUS * best.contrast_dn:
             return None
     return best
-
-
-def _sure(measured: Range) -> Range | None:
-    return measured if measured.sigma_mm <= MOST_SIGMA_MM else None
 
 
 def _nearest(p: Array, d: Array, q: Array, e: Array) -> tuple[Array, float, float]:

@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.capture.ranging_measure import Dots, Ranger
+from appliance.capture.ranging import Range
+from appliance.capture.ranging_measure import Dot, Dots, Ranger
 from appliance.config import load_rig
 from appliance.service.instrument import live_light_of, pointers_of
-from bench.ranging.scenes import Case, drawn, hide, live_pair, seen, true_dots
+from bench.ranging.scenes import Case, aimed, drawn, hide, live_pair, seen, true_dots
 from hw_sim.render import Renderer
 from hw_sim.scene import Scene
 from hw_sim.truth import TrueRig, draw_truth
@@ -27,7 +28,11 @@ TEACHING = tuple(
 )
 """What an instrument has seen before: its beams are learned from it."""
 SCENES_PER_RIG = 10
+POSED = ("free", "free-aimed", "guided", "guided-aimed")
+"""As it comes; the ball bar as the sketches of the calibration show it; and either with a dot brought onto the ball bar."""
 MOVED_AT_S = 0.3
+PAIRS_BEFORE, PAIR_S = 3, 0.1
+"""Live pairs that the instrument saw of the scene before the one that is judged."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,31 +72,64 @@ def truth_of(one: Instrument, dots: list[NDArray[np.float64] | None]) -> tuple[f
     return float(a[2]) + share * behind, math.degrees(math.atan2(behind, across))
 
 
+def _look_before(
+    one: Instrument, renderer: Renderer, case: Case, seed: int, light: NDArray[np.uint8], time_s: float
+) -> None:
+    nothing = np.zeros((one.truth.left.height_px, one.truth.left.width_px), np.uint8)
+    one.ranger.find((nothing, nothing))
+    for k in range(PAIRS_BEFORE):
+        before_s = max(0.0, time_s - (PAIRS_BEFORE - k) * PAIR_S)
+        dots = true_dots(renderer, one.truth, before_s)
+        one.ranger.find(_pair(one, renderer, case, dots, 1_000_000 + 10 * seed + k, light, before_s)[0])
+
+
+def _used(dot: Dot | None, measured: Range | None) -> bool:
+    """Whether a distance was told from a dot: from both on one surface, else from one of them."""
+    if dot is None or measured is None:
+        return False
+    return measured.tilt_deg is not None or dot.place_mm[2] == measured.distance_mm
+
+
+def _pair(
+    one: Instrument, renderer: Renderer, case: Case, dots: list[NDArray[np.float64] | None], seed: int,
+    light: NDArray[np.uint8], time_s: float,
+) -> tuple[tuple[NDArray[np.uint8], NDArray[np.uint8]], bool]:  # fmt: skip
+    """A live pair, and whether a weed hides a dot in it."""
+    left, right = live_pair(renderer, (True, True), seed, light, time_s)
+    dot = dots[case.hidden[1]] if case.hidden is not None else None
+    if case.hidden is None or dot is None:
+        return (left, right), False
+    if case.hidden[0] == "left":
+        return (hide(left, one.truth, "left", dot), right), True
+    return (left, hide(right, one.truth, "right", dot)), True
+
+
 def row(one: Instrument, case: Case, seed: int, light: NDArray[np.uint8]) -> dict[str, Any]:
     """One live pair, measured."""
     renderer = Renderer(one.truth, case.scene)
     time_s = 0.0 if case.scene.motion.still else MOVED_AT_S
     dots = true_dots(renderer, one.truth, time_s)
-    left, right = live_pair(renderer, (True, True), seed, light, time_s)
+    (left, right), hidden = _pair(one, renderer, case, dots, seed, light, time_s)
     views = {
         (side, k): dot is not None and seen(renderer, one.truth, side, dot, time_s)
         for side in ("left", "right")
         for k, dot in enumerate(dots)
     }
-    if case.hidden is not None:
-        side, k = case.hidden
-        hidden = dots[k]
-        if hidden is not None:
-            left = hide(left, one.truth, "left", hidden) if side == "left" else left
-            right = hide(right, one.truth, "right", hidden) if side == "right" else right
-            views[case.hidden] = False
+    if hidden and case.hidden is not None:
+        views[case.hidden] = False
     begun = time.process_time()
     found: Dots = one.ranger.find((left, right))
     measured = one.ranger.range_of(found)
     cpu_ms = 1e3 * (time.process_time() - begun)
+    if measured is None:
+        # What is believed only after a while has no effect on what is told at once: the pairs before are made here.
+        _look_before(one, renderer, case, seed, light, time_s)
+        found = one.ranger.find((left, right))
+        measured = one.ranger.range_of(found)
     one.ranger.learn(found)
-    told = [dot if got is not None else None for dot, got in zip(dots, (found.left, found.right), strict=True)]
-    true_mm, true_deg = truth_of(one, told)
+    true_mm, true_deg = truth_of(
+        one, [dot if _used(got, measured) else None for dot, got in zip(dots, (found.left, found.right), strict=True)]
+    )
     places = [None if dot is None else one.ranger.frame.from_left(rig_to_left(one.truth, dot[None])[0]) for dot in dots]
     dot_errors = [
         None if got is None or place is None else float(got.place_mm[2] - place[2])
@@ -126,8 +164,11 @@ def row(one: Instrument, case: Case, seed: int, light: NDArray[np.uint8]) -> dic
     }
 
 
-def rows_of(scenes: int, seed: int, width_px: int, say: Callable[[str, float], None]) -> list[dict[str, Any]]:
-    """``scenes`` at random, ``SCENES_PER_RIG`` with each instrument."""
+def rows_of(
+    scenes: int, seed: int, width_px: int, say: Callable[[str, float], None], posed: str = "free",
+    name: str | None = None,
+) -> list[dict[str, Any]]:  # fmt: skip
+    """``scenes`` at random, ``SCENES_PER_RIG`` with each instrument; ``posed`` is one of ``POSED``, ``name`` of the objects."""
     light = live_light_of(load_rig(RIG_FILE))
     found = []
     one = instrument(seed * 1000, width_px)
@@ -135,5 +176,9 @@ def rows_of(scenes: int, seed: int, width_px: int, say: Callable[[str, float], N
         say("distance", k / scenes)
         if k and k % SCENES_PER_RIG == 0:
             one = instrument(seed * 1000 + k // SCENES_PER_RIG, width_px)
-        found.append(row(one, drawn(np.random.default_rng([seed, k, 31])), seed * 10_000 + k, light))
+        rng = np.random.default_rng([seed, k, 31])
+        case = drawn(rng, name, "guided" in posed)
+        if "aimed" in posed:
+            case = aimed(case, one.truth, rng, 0.0 if case.scene.motion.still else MOVED_AT_S)
+        found.append(row(one, case, seed * 10_000 + k, light))
     return found

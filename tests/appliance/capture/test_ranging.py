@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from appliance.capture.ranging import Range
 from appliance.capture.ranging_measure import Ranger
 from appliance.capture.ranging_witness import SURELY_A_DOT_DN, shines_in_the_dark
 from appliance.config import load_rig
 from appliance.patterns.sequence import BRIGHT_CODE
-from appliance.service.instrument import live_light_of, pointers_of
+from appliance.service.instrument import design_of, live_light_of, pointers_of
 from bench.ranging.scenes import hide, live_pair, true_dots
 from bench.ranging.study import RIG_FILE, Instrument, instrument, truth_of
 from hw_sim.optics.points import project
@@ -22,6 +24,7 @@ from hw_sim.truth import draw_truth
 from hw_sim.water import Water, turbid
 from tests.support.truth import WATER, complete_calibration, rig_to_left
 
+SMALL_RIG_FILE = Path("hw_sim/rigs/small.toml")
 LIGHT = live_light_of(load_rig(RIG_FILE))
 BLACK, WHITE = np.zeros_like(LIGHT), np.full_like(LIGHT, BRIGHT_CODE)
 BOTH, NONE = (True, True), (False, False)
@@ -99,6 +102,97 @@ def test_a_dot_hidden_from_one_camera_still_counts(taught: Instrument) -> None:
     assert found.left.place_mm[2] == pytest.approx(true[2], abs=3.0 * found.left.sigma_mm)
 
 
+def bar_in_the_beam(taught: Instrument, pointer: int, z_mm: float, off_mm: float, **more: Any) -> Scene:
+    """A lying ball bar whose middle line one pointer's beam passes ``off_mm`` below."""
+    laser = taught.truth.lasers[pointer]
+    along = (z_mm - laser.origin_mm[2]) / laser.direction[2]
+    y = laser.origin_mm[1] + along * laser.direction[1]
+    return Scene(object="ballbar", pose=(0.0, y - off_mm, z_mm, 0.0, 0.0, 0.0), **more)
+
+
+@pytest.mark.parametrize("off_mm", [-5.4, -4.5, -3.0, 0.0, 3.0, 4.5, 5.4])
+def test_the_distance_of_a_thin_bar_is_told_even_where_its_edge_cuts_the_dot_and_is_right_within_what_is_said(
+    taught: Instrument, off_mm: float
+) -> None:
+    """A bar of 10 mm: at 5.4 mm from its middle line the axis of the beam passes by, and a third of its light does not."""
+    renderer = Renderer(taught.truth, bar_in_the_beam(taught, 0, 470.0, off_mm))
+    found = taught.ranger.find(live_pair(renderer, (True, False), 3, LIGHT))
+    measured = taught.ranger.range_of(found)
+    assert measured is not None
+    true_mm, _ = truth_of(taught, [true_dots(renderer, taught.truth, 0.0)[0], None])
+    assert true_mm is not None
+    assert measured.sigma_mm < 3.0
+    assert abs(measured.distance_mm - true_mm) < 2.5 * measured.sigma_mm
+
+
+def test_what_is_said_of_a_distance_is_less_certain_where_an_edge_cuts_the_dot(taught: Instrument) -> None:
+    whole, cut = (
+        taught.ranger.range_of(
+            taught.ranger.find(
+                live_pair(Renderer(taught.truth, bar_in_the_beam(taught, 0, 470.0, off_mm)), (True, False), 3, LIGHT)
+            )
+        )
+        for off_mm in (0.0, 5.4)
+    )
+    assert whole is not None
+    assert cut is not None
+    assert cut.sigma_mm > 2.0 * whole.sigma_mm
+
+
+def told_after(taught: Instrument, *pairs: tuple[np.ndarray, np.ndarray]) -> Range | None:
+    """What is told of the last of some pairs, after a pair of nothing."""
+    nothing = np.zeros((300, 400), np.uint8)
+    told = None
+    for pair in ((nothing, nothing), *pairs):
+        told = taught.ranger.range_of(taught.ranger.find(pair))
+    return told
+
+
+def test_a_bright_dot_that_only_one_camera_sees_is_believed_without_another_one_when_it_stays(
+    taught: Instrument,
+) -> None:
+    renderer = Renderer(taught.truth, bar_in_the_beam(taught, 1, 500.0, 0.0))
+    dot = true_dots(renderer, taught.truth, 0.0)[1]
+    assert dot is not None
+    left, right = live_pair(renderer, (False, True), 3, LIGHT)
+    pair = left, hide(right, taught.truth, "right", dot)
+    assert told_after(taught, pair, pair, pair) is None
+    measured = told_after(taught, pair, pair, pair, pair)
+    assert measured is not None
+    true_mm, _ = truth_of(taught, [None, dot])
+    assert measured.distance_mm == pytest.approx(true_mm, abs=2.5 * measured.sigma_mm)
+    assert measured.sigma_mm > 1.0
+
+
+@pytest.mark.parametrize("z_mm", [335.0, 420.0, 560.0])
+def test_a_bright_speck_in_the_water_that_one_camera_sees_on_a_beams_way_is_no_dot(
+    taught: Instrument, z_mm: float
+) -> None:
+    """Both cameras see it, and it lies on the beam's way in one picture only: it is beside the beam."""
+    black = np.zeros((300, 400), np.uint8)
+    laser = taught.truth.lasers[1]
+    behind = np.array(laser.origin_mm) + 470.0 * np.array(laser.direction)
+    eye_mm = np.array(taught.truth.eye("left").t_mm)
+    speck_mm = eye_mm + (behind - eye_mm) * z_mm / behind[2]
+    seen = [spotted(black, *project(taught.truth, side, speck_mm[None])[0]) for side in ("left", "right")]
+    assert told_after(taught, *4 * [(seen[0], black)]) is not None, "as bright as a dot is"
+    assert told_after(taught, *4 * [(seen[0], seen[1])]) is None
+
+
+def test_one_spot_in_one_picture_that_can_be_either_pointers_dot_is_neither(taught: Instrument) -> None:
+    """The right camera sees the right dot at 500 mm where the left one would be at 680 mm."""
+    laser = taught.truth.lasers[1]
+    dot = np.array(laser.origin_mm) + 470.0 * np.array(laser.direction)
+    black = np.zeros((300, 400), np.uint8)
+    spot = spotted(black, *project(taught.truth, "right", dot[None])[0])
+    assert told_after(taught, *4 * [(black, spot)]) is None
+
+
+def spotted(image: np.ndarray, u: float, v: float) -> np.ndarray:
+    y, x = np.mgrid[: image.shape[0], : image.shape[1]]
+    return np.asarray(np.minimum(255.0, image + 200.0 * np.exp(-((x - u) ** 2 + (y - v) ** 2) / 5.0)), np.uint8)
+
+
 def test_with_one_laser_the_distance_is_that_of_its_dot_and_there_is_no_tilt(taught: Instrument) -> None:
     renderer = Renderer(taught.truth, plane(510.0, 10.0))
     measured = taught.ranger.range_of(taught.ranger.find(live_pair(renderer, (False, True), 3, LIGHT)))
@@ -146,3 +240,42 @@ def test_the_live_light_is_dark_wherever_a_beam_of_a_real_instrument_can_end() -
             way = np.array(laser.origin_mm) + np.linspace(340.0, 640.0, 20)[:, None] * np.array(laser.direction)
             u, v = np.rint(project(truth, "projector", way)).astype(int).T
             assert (LIGHT[v, u] == 0).all()
+
+
+def test_the_marks_in_the_live_pictures_are_where_the_dots_are_seen_at_500_mm(taught: Instrument) -> None:
+    """By the simulator's own beams and rays; within 1.5 px of 400, a fifth of the ring that is drawn."""
+    marks = taught.ranger.marks()
+    for side, tracks in (("left", marks.left), ("right", marks.right)):
+        assert len(tracks) == 2
+        for track, laser in zip(tracks, taught.truth.lasers, strict=True):
+            origin, beam = np.array(laser.origin_mm), np.array(laser.direction)
+            for mark, z_mm in ((track.near, 440.0), (track.middle, 500.0), (track.far, 560.0)):
+                way = origin + np.arange(300.0, 700.0, 0.5)[:, None] * beam
+                depth_mm = taught.ranger.frame.from_left(rig_to_left(taught.truth, way))[:, 2]
+                seen = project(taught.truth, side, way[np.argmin(np.abs(depth_mm - z_mm))][None])[0]
+                assert (400 * mark[0] - 0.5, 300 * mark[1] - 0.5) == pytest.approx(tuple(seen), abs=1.5)
+
+
+def test_a_dot_that_would_lie_beside_a_picture_has_no_mark_in_it(taught: Instrument) -> None:
+    beside = replace(taught.ranger.beams[1], line=(400.0, 0.0, 0.0, 0.0))
+    rig = complete_calibration(taught.truth).rig
+    marks = Ranger(rig, WATER.index, (taught.ranger.beams[0], beside)).marks()
+    assert (len(marks.left), len(marks.right)) == (1, 1)
+
+
+def test_before_the_first_calibration_one_dot_is_not_taken_for_the_other_and_the_distance_is_right_within_what_is_said() -> (
+    None
+):
+    """Both dots are in one row of both pictures, and rays of the drawing meet nearly everywhere."""
+    rig = load_rig(SMALL_RIG_FILE)
+    pointers, calibration = pointers_of(rig), design_of(rig)
+    assert pointers is not None
+    size = calibration.rig.left.width_px, calibration.rig.left.height_px
+    for seed, z_mm in ((3, 420.0), (5, 510.0), (6, 600.0)):
+        truth = draw_truth("realistic", seed, *size, WATER.index)
+        ranger = Ranger(calibration.rig, WATER.index, pointers.beams(), measured=False)
+        measured = ranger.range_of(ranger.find(live_pair(Renderer(truth, plane(z_mm)), BOTH, 3, LIGHT)))
+        assert measured is not None
+        assert measured.dots == 2
+        assert abs(measured.distance_mm - z_mm) < 2.5 * measured.sigma_mm
+        assert measured.sigma_mm < 15.0

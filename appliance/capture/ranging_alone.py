@@ -1,0 +1,61 @@
+"""Owns the second camera's testimony on a dot that only one camera sees: that it sees nothing like it anywhere on that ray.
+
+What is bright and no dot is seen by both cameras: a lit corner, a print, a speck in the water near the cameras. Then the
+other one has it somewhere on the image of the first one's ray. Where that image is not in its picture it cannot tell.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.capture.ranging_dots import COARSE_PX, EDGE_PX, FARTHEST_MM, contrast_of
+from appliance.capture.ranging_frame import RigFrame
+from appliance.optics.model import StereoRig
+
+Array = NDArray[np.float64]
+
+BEGIN_MM = 150.0
+"""From here on the ray is looked along, rig frame; what is nearer is out of focus and before one camera alone."""
+NEAR_MM, FAR_MM = 330.0, 620.0
+"""Between these the other camera must see the ray; nearer and farther, as far as its picture goes."""
+STEP_MM = 4.0
+HALF_PX = 3
+"""To each side of the ray's image, coarse px: a calibration's error, and the size of what is looked for."""
+LIKE = 0.25
+"""So much of the contrast is like it."""
+
+
+class OtherCamera:
+    """Asks one camera of a rig about what the other one sees."""
+
+    def __init__(self, rig: StereoRig, frame: RigFrame, water_index: float) -> None:
+        self._cameras, self._frame, self._index = (rig.left, rig.right), frame, water_index
+
+    def sees_nothing_like(
+        self, side: int, start_mm: Array, ahead: Array, images: tuple[NDArray[np.uint8], NDArray[np.uint8]],
+        contrast_dn: float,
+    ) -> bool:  # fmt: skip
+        """Whether the camera that is not ``side`` (0 left, 1 right) looks all along the ray from ``start_mm`` in the direction
+        ``ahead`` (3,), rig frame, as far as the volume goes, and sees nothing of ``LIKE`` times the contrast."""
+        camera, image = self._cameras[1 - side], images[1 - side]
+        z_mm = np.arange(BEGIN_MM, FARTHEST_MM, STEP_MM)
+        way = start_mm + ((z_mm - start_mm[2]) / ahead[2])[:, None] * ahead
+        step = max(1, camera.width_px // COARSE_PX)
+        seen = (camera.project(self._frame.to_left(way), self._index) + 0.5) / step - 0.5
+        h, w = camera.height_px // step, camera.width_px // step
+        inside = np.asarray(np.isfinite(seen).all(axis=1))
+        inside &= ((seen >= EDGE_PX) & (seen <= (w - 1 - EDGE_PX, h - 1 - EDGE_PX))).all(axis=1)
+        in_volume = (z_mm >= NEAR_MM) & (z_mm <= FAR_MM)
+        if not inside[in_volume].all():
+            return False
+        seen = seen[inside]
+        x0, y0 = (int(v) for v in np.floor(seen.min(axis=0)) - EDGE_PX)
+        x1, y1 = (int(v) for v in np.ceil(seen.max(axis=0)) + EDGE_PX + 1)
+        part = image[y0 * step : y1 * step, x0 * step : x1 * step]
+        coarse = cv2.resize(part, (x1 - x0, y1 - y0), interpolation=cv2.INTER_AREA) if step > 1 else part
+        along = np.zeros(coarse.shape, np.uint8)
+        line = np.rint(seen - (x0, y0)).astype(np.int32)
+        cv2.polylines(along, [line], False, (1,), 2 * HALF_PX + 1)
+        return not bool((contrast_of(coarse)[along > 0] > LIKE * contrast_dn).any())

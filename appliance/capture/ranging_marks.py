@@ -1,0 +1,51 @@
+"""Owns where the laser dots are going to be seen in the live pictures: marks for the diver to aim at what is to be measured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from appliance.capture.ranging import FARTHEST_MM, NEAREST_MM
+from appliance.capture.ranging_beams import Beam
+from appliance.capture.ranging_frame import RigFrame
+from appliance.optics.model import StereoRig
+
+Place = tuple[float, float]
+"""In shares of a picture's width and height, from its upper left corner."""
+WORKING_MM = 500.0
+"""The distance that is aimed for: the middle of the measuring volume."""
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """Where one pointer's dot is seen in one picture, at the near end, in the middle, and at the far end of the volume."""
+
+    near: Place
+    middle: Place
+    far: Place
+
+
+@dataclass(frozen=True, slots=True)
+class Marks:
+    """The tracks in each camera's picture; a pointer whose dot would lie beside the picture has none."""
+
+    left: tuple[Track, ...]
+    right: tuple[Track, ...]
+
+
+def marks_of(rig: StereoRig, frame: RigFrame, water_index: float, beams: tuple[Beam, Beam]) -> Marks:
+    """Marks for beams as they are known now, by the calibration in use, through the windows and the water."""
+    z_mm = np.array([NEAREST_MM, WORKING_MM, FARTHEST_MM])
+    sides = []
+    for camera in (rig.left, rig.right):
+        tracks = []
+        for beam in beams:
+            shares = (camera.project(frame.to_left(beam.at(z_mm)), water_index) + 0.5) / (
+                camera.width_px,
+                camera.height_px,
+            )
+            if np.isfinite(shares).all() and (shares > 0.0).all() and (shares < 1.0).all():
+                tracks.append(Track(*((float(u), float(v)) for u, v in shares)))
+        sides.append(tuple(tracks))
+    return Marks(sides[0], sides[1])
