@@ -11,6 +11,7 @@ from appliance.screens import theme
 from appliance.screens.canvas import Align, Canvas
 from appliance.screens.frame import alerts_top, draw_title, room_between
 from appliance.screens.gauge import draw_gauge
+from appliance.screens.marks import draw_marks
 from appliance.screens.texts import Language, Text, numbered, worded
 from appliance.screens.theme import BLACK, BODY, BOLD, CAPTION, REGULAR, TITLE
 from appliance.screens.views import AimView
@@ -39,6 +40,11 @@ def draw_aim(canvas: Canvas, view: AimView, language: Language) -> None:
     right = canvas.width - width
     _live(canvas, "left", view.left, 0, top, height, language)
     _live(canvas, "right", view.right, right, top, height, language)
+    if view.marks is not None:
+        seen = view.gauge is not None and view.gauge.distance_mm is not None
+        for pixels, tracks, left in ((view.left, view.marks.left, 0.0), (view.right, view.marks.right, right)):
+            if pixels is not None:
+                draw_marks(canvas, tracks, pixels, left, top, width, height, seen)
     _plate(canvas, "L", 10, top + 10)
     _plate(canvas, "R", right + 10, top + 10)
     if view.exposure is not None:

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from appliance.calibration.guide import HELD, STEPS, UNITS, USED, Refusal, Session, Step, Trial, Verified
 from appliance.calibration.recordings import ArtefactKind
 from appliance.machine.mishap import Mishap
@@ -14,6 +11,7 @@ from appliance.machine.states import Task
 from appliance.screens import theme
 from appliance.screens.canvas import Align, Canvas
 from appliance.screens.frame import alerts_top, draw_title
+from appliance.screens.marks import draw_marks
 from appliance.screens.sketch import FROM_THE_SIDE, sketch_depth, sketch_front
 from appliance.screens.texts import Language, Text, numbered, worded
 from appliance.screens.theme import BLACK, BODY, BOLD, CAPTION, HUGE, REGULAR, TITLE
@@ -59,7 +57,7 @@ def draw_calibrate(canvas: Canvas, view: CalibrateView, language: Language, time
     free = bottom - _latest_px(view)
     if view.step in HELD:
         _how(canvas, view.step, free, language)
-        _live(canvas, view.left, free, language)
+        _live(canvas, view, free, language)
     elif view.step is Step.SOLVE:
         _solve(canvas, view, free, language)
     else:
@@ -152,10 +150,23 @@ def _how(canvas: Canvas, step: Step, bottom: float, language: Language) -> None:
         )
 
 
-def _live(canvas: Canvas, pixels: NDArray[np.uint8] | None, bottom: float, language: Language) -> None:
+def _live(canvas: Canvas, view: CalibrateView, bottom: float, language: Language) -> None:
+    """The left camera's picture, with the laser dots' marks, and the distance that they say."""
+    pixels, gauge = view.left, view.gauge
     width, height = _LIVE_PX[0], min(_LIVE_PX[1], bottom - _TOP_PX)
+    left = canvas.width - width
     if pixels is not None:
-        canvas.image("left", pixels, canvas.width - width, _TOP_PX, width, height)
+        canvas.image("left", pixels, left, _TOP_PX, width, height)
+        distance_mm = None if gauge is None else gauge.distance_mm
+        if view.marks is not None:
+            draw_marks(canvas, view.marks.left, pixels, left, _TOP_PX, width, height, distance_mm is not None)
+        if gauge is not None:
+            known = distance_mm is not None
+            said = f"{distance_mm:.0f} mm" if known else Text.DOT_ON_IT.in_language(language)
+            wide = canvas.measure(said, CAPTION + 2, BLACK) + 20
+            canvas.box(left + 10, _TOP_PX + 10, wide, 42, theme.INK, 10)
+            ink = theme.WHITE if known else theme.YELLOW
+            canvas.words(said, left + 20, _TOP_PX + 41, CAPTION + 2, BLACK, ink)
         return
     canvas.box(canvas.width - width, _TOP_PX, width, height, theme.DEEP, 10, theme.YELLOW, 4)
     canvas.words(

@@ -35,7 +35,11 @@ def draw_gauge(canvas: Canvas, gauge: Gauge | None, middle: float, language: Lan
     left, right = SCALE_PX
     word = None if gauge is None else gauge.word
     colour = theme.MUTED if word is None else ADVICE[word][1]
-    _scale(canvas, word, middle)
+    if word is Reach.UNKNOWN:
+        hint = Text.DOT_ON_IT.in_language(language)
+        canvas.words(hint, (left + right) / 2, middle + 10, CAPTION + 2, BOLD, theme.YELLOW, Align.CENTRE, right - left)
+    else:
+        _scale(canvas, word, middle)
     distance_mm = None if gauge is None else gauge.distance_mm
     if word is not None:
         said = ADVICE[word][0].in_language(language)

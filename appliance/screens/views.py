@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from appliance.calibration.guide import Session, Step
 from appliance.capture.ranging import Reach
+from appliance.capture.ranging_marks import Marks
 from appliance.machine.alerts import Alert
 from appliance.machine.states import Calibrating
 from appliance.screens.texts import Text
@@ -100,6 +101,8 @@ class AimView(View):
     """Of the next scan, with its unit; ``None``: nothing to say of it."""
     gauge: Gauge | None = None
     """``None`` while the lasers are off."""
+    marks: Marks | None = None
+    """Where the laser dots are going to be seen; ``None``: no marks."""
     water: Text | str | None = None
     """What the refractive index is computed for, in a word."""
     insist: bool = False
@@ -237,6 +240,9 @@ class CalibrateView(View):
     right: NDArray[np.uint8] | None
     scan_allowed: bool = True
     """As in ``AimView``; of meaning at the steps that record."""
+    gauge: Gauge | None = None
+    """As in ``AimView``, and as there the marks."""
+    marks: Marks | None = None
 
     @property
     def step(self) -> Step:

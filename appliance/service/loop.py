@@ -562,6 +562,7 @@ class Service:
             scan=self._desk.scan,
             shown=self._gallery.shown,
             facts=self._facts(),
+            marks=self._ranging.marks,
         )
         self._painter.language = Language(self.machine.choices.language)
         self._picture = self._painter.draw(view_of(self.machine, around), self._clock.now_ns() / 1e9)

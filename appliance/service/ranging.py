@@ -22,6 +22,7 @@ from appliance.calibration.file import Calibration
 from appliance.capture.fault import Fault, FaultCode
 from appliance.capture.ranging import Range
 from appliance.capture.ranging_beams import Beam, Pointers
+from appliance.capture.ranging_marks import Marks
 from appliance.capture.ranging_measure import Dot, Dots, Ranger
 from appliance.capture.ranging_witness import SURELY_A_DOT_DN, shines_in_the_dark
 from appliance.machine import events as on
@@ -88,6 +89,8 @@ class RangingDesk:
         self._memory, self._submit = memory, submit
         self._written = 0
         """Dots that had taught the beams as they are on the disk."""
+        self._marks: Marks | None = None
+        """Made in ``kf-ranging``, whenever a dot has taught a beam; shown by the heartbeat."""
         self._executor = ThreadPoolExecutor(1, "kf-ranging")
         self._ranger: Ranger | None = None
         """Made and used in ``kf-ranging`` alone."""
@@ -118,11 +121,17 @@ class RangingDesk:
         """What measures, once a pair was measured."""
         return self._ranger
 
+    @property
+    def marks(self) -> Marks | None:
+        """Where the dots are going to be seen; ``None`` while the lasers are not on, or nobody knows yet."""
+        return self._marks if self._lit else None
+
     def live(self, lasers: bool, calibration: Calibration, water_index: float) -> None:
         """Live views begin, with the lasers off; ``lasers``: they may go on when they were seen to be off."""
         self._end()
         if calibration is not self._calibration or water_index != self._water_index:
             self._calibration, self._water_index, self._ranger = calibration, water_index, None
+            self._marks = None
         self._wanted = lasers and self._pointers is not None
         self._ready_ns = self._clock.now_ns() + self._settle_ns
 
@@ -217,8 +226,11 @@ class RangingDesk:
     ) -> _Measured:
         ranger = self._made()
         dots = ranger.find((left, right), shining if lit else (True, True))
+        known = ranger.beams
         if lit:
             ranger.learn(dots)
+        if self._marks is None or ranger.beams != known:
+            self._marks = ranger.marks()
         return _Measured(live, lit, dots, ranger.range_of(dots) if lit else None)
 
     def _shining(self, bright: dict[str, NDArray[np.uint8]], dark: dict[str, NDArray[np.uint8]]) -> Fault | None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 import appliance
 from appliance.calibration.guide import HELD
 from appliance.capture.fault import Fault, FaultCode
+from appliance.capture.ranging_marks import Marks
 from appliance.machine import safety, start, thermal
 from appliance.machine.alerts import RULES, alert_of, lengths_doubtful, on_screen
 from appliance.machine.permissions import refusal
@@ -58,6 +59,8 @@ class Surroundings:
     shown: Shown | None = None
     """The scan that the gallery has loaded."""
     facts: Facts | None = None
+    marks: Marks | None = None
+    """Where the laser dots are going to be seen in the live pictures."""
 
 
 def view_of(machine: Machine, around: Surroundings) -> AnyView:
@@ -91,6 +94,7 @@ def _view(machine: Machine, around: Surroundings) -> AnyView:
                 temperature_c=around.temperature_c,
                 exposure=machine.exposure.label,
                 gauge=_gauge(machine),
+                marks=around.marks,
                 water=Text.SALT if machine.choices.salt else Text.FRESH,
                 insist=machine.insists_until_ns is not None,
                 scan_allowed=refusal(machine) is None,
@@ -120,6 +124,8 @@ def _view(machine: Machine, around: Surroundings) -> AnyView:
                 left=around.left if Device.CAMERA_LEFT in machine.up else None,
                 right=around.right if Device.CAMERA_RIGHT in machine.up else None,
                 scan_allowed=at.step not in HELD or refusal(machine) is None,
+                marks=around.marks,
+                gauge=_gauge(machine),
                 alerts=shown,
             )
         case State.COOLING:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 from appliance.capture.ranging_beams import Pointers
 from appliance.service.ranging import RangingDesk
 from appliance.storage.beams import BeamsFile
+from drivers.api import LaserState
 from drivers.native import MonotonicClock
 from hw_sim.truth import draw_truth
 from tests.support.truth import true_calibration
@@ -55,3 +57,25 @@ def test_images_that_cannot_be_judged_end_neither_scan_nor_service(
 ) -> None:
     assert desk.shining(BRIGHT, {"left": DARK["left"]}) is None
     assert "lasers in the dark frame: not judged: 'right'" in caplog.text
+
+
+def test_the_marks_of_the_dots_are_known_once_the_lasers_are_on_and_only_then(desk: RangingDesk) -> None:
+    desk.live(True, CALIBRATION, 1.333)
+    assert desk.marks is None
+    shown = _looked_at(desk, lambda: desk.wants_lasers)
+    assert shown
+    assert desk.marks is None, "the lasers are off"
+    desk.switched_on(LaserState(True, True))
+    assert _looked_at(desk, lambda: desk.marks is not None)
+    desk.stop()
+    assert desk.marks is None
+
+
+def _looked_at(desk: RangingDesk, enough: Callable[[], bool]) -> bool:
+    until = time.monotonic() + 20.0
+    while not enough() and time.monotonic() < until:
+        for side, image in BRIGHT.items():
+            desk.see(side, image)
+        time.sleep(0.02)
+        desk.poll()
+    return enough()

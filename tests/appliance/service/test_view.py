@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
+from appliance.capture.ranging_marks import Marks, Track
 from appliance.machine import events as on
-from appliance.machine.states import Part, boot
-from appliance.screens.views import SelfTestView
+from appliance.machine.states import Part, State, boot
+from appliance.screens.views import AimView, CalibrateView, SelfTestView
 from appliance.service.view import Surroundings, view_of
 from tests.appliance.machine.walks import UPS, run
 
@@ -20,3 +23,11 @@ def test_all_is_called_ready_only_when_no_line_of_the_self_test_says_otherwise(f
     assert isinstance(view, SelfTestView)
     assert view.finished
     assert view.passed == (failed is None)
+
+
+@pytest.mark.parametrize("state", [State.AIM, State.CALIBRATE])
+def test_where_a_picture_is_aimed_with_the_dots_it_shows_their_marks(state: State) -> None:
+    marks = Marks((Track((0.4, 0.5), (0.5, 0.5), (0.6, 0.5)),), ())
+    view = view_of(replace(boot(0), state=state), replace(NOTHING, marks=marks))
+    assert isinstance(view, AimView | CalibrateView)
+    assert view.marks is marks

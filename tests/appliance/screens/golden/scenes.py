@@ -82,7 +82,8 @@ _AIM_KEYS = keys(scan="SCAN", back="HOLD: OFF", up="MENU", down="GALLERY")
 _REVIEW_KEYS = keys(scan="KEEP", back="HOLD: REDO", up="TURN", down="TURN")
 AIM = AimView(
     left=seabed.live(False), right=seabed.live(True), scans_taken=12, scans_left=41, temperature_c=34.0,
-    exposure="12 ms", water=Text.SALT, gauge=Gauge(503.0, -4.0, Reach.OK), keys=_AIM_KEYS,
+    exposure="12 ms", water=Text.SALT, gauge=Gauge(503.0, -4.0, Reach.OK), marks=seabed.marks(),
+    keys=_AIM_KEYS,
 )  # fmt: skip
 _POINTS = seabed.cloud()
 REVIEW = ReviewView(
@@ -125,7 +126,10 @@ def _tested(failed: Mapping[str, Alert | Text], waiting: int = 0) -> tuple[Devic
 def _calibrate(at: Calibrating, session: Session | None = None, **words: str) -> CalibrateView:
     given = keys(**(words or {"scan": "SCAN", "back": "BACK", "down": "M2"}))
     live = seabed.live(False)
-    return CalibrateView(at=at, session=session or Session(), left=live, right=live, keys=given)
+    gauge = Gauge(None, None, Reach.UNKNOWN) if at.latest is None else Gauge(508.0, None, Reach.OK)
+    return CalibrateView(
+        at=at, session=session or Session(), left=live, right=live, gauge=gauge, marks=seabed.marks(), keys=given
+    )
 
 
 SCENES: Mapping[str, Scene] = MappingProxyType(

@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.capture.ranging_marks import Marks, Track
 from appliance.screens.colours import colour_table
 
 MIDDLE_MM = 505.0
@@ -28,6 +29,15 @@ def _height_mm(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.flo
 def _grid(columns: int, rows: int, shift_mm: float = 0.0) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     x, y = np.meshgrid(np.linspace(-_HALF_MM[0], _HALF_MM[0], columns), np.linspace(-_HALF_MM[1], _HALF_MM[1], rows))
     return 1.25 * x + shift_mm, 1.25 * y
+
+
+def marks() -> Marks:
+    """Where both dots of ``live`` are seen: the rings a little behind the dots, as of an object that is 503 mm away."""
+
+    def track(u: float, towards: float) -> Track:
+        return Track((u + 0.045 * towards, 0.531), (u - 0.004 * towards, 0.531), (u - 0.04 * towards, 0.531))
+
+    return Marks(tuple(track(u, 1.0) for u in (0.408, 0.672)), tuple(track(u, -1.0) for u in (0.336, 0.6)))
 
 
 @cache
