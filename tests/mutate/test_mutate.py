@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import time
 from pathlib import Path
@@ -127,11 +128,10 @@ def test_an_argument_of_another_form_is_refused_with_its_name(text: str) -> None
 
 def test_every_argument_speaks_of_a_change_that_can_still_be_made() -> None:
     arguments = argued.read(argued.FILE.read_text(encoding="utf-8"))
-    for path in {one.path for one in arguments}:
-        mutants = mutants_of(path, (ROOT / path).read_text(encoding="utf-8"))
-        for one in arguments:
-            if one.path == path:
-                assert any(one.meets(mutant) for mutant in mutants), f"{one.path} · {one.within}: {one.before}"
+    for one in arguments:
+        text = (ROOT / one.path).read_text(encoding="utf-8")
+        assert one.before in " ".join(text.split()), f"{one.path} · {one.within}: {one.before}"
+        assert all(re.search(rf"(def|class) {name}\b", text) for name in one.within.split(".") if name), one.within
 
 
 KERNELS = {
@@ -246,3 +246,18 @@ def test_the_tests_of_a_file_are_those_of_its_folder_first_and_then_all_that_imp
     near = candidates_of(tmp_path, "appliance/limits.py")
     assert near == ["tests/appliance/test_limits.py"]
     assert wider(tmp_path, "appliance/limits.py", tuple(near)) == ["tests/integration/test_far.py"]
+
+
+def test_a_test_that_calls_a_compiled_kernel_itself_judges_it(tmp_path: Path) -> None:
+    direct = "from appliance.b import outer\n\ndef test_outer():\n    assert outer(4.0) == 2.0\n"
+    write(tmp_path, PROJECT | KERNELS | {"tests/appliance/test_limits.py": direct})
+    subprocess.run(["git", "init", "-q", "."], cwd=tmp_path, check=True, timeout=30)
+    home = tmp_path / ".cache" / "mutate"
+    with Tree.taken(tmp_path, home, heavy=HEAVY[:4]) as tree:
+        choice = Choice(tree, Names(tree.path), home)
+        inner, other = (
+            next(one for one in mutants_of(path, tree.text(path)) if one.within == name)
+            for path, name in (("appliance/a.py", "inner"), ("appliance/b.py", "other"))
+        )
+        assert choice.for_mutant(inner, 60.0).tests == ("tests/appliance/test_limits.py::test_outer",)
+        assert choice.for_mutant(other, 60.0).tests == ()
