@@ -34,6 +34,7 @@ def main() -> int:
     parser.add_argument("--count", type=int, metavar="N", help="so many mutants per PATH (default: all)")
     parser.add_argument("--limit", type=float, default=30.0, metavar="S", help="processor seconds for one (default 30)")
     parser.add_argument("--budget", type=float, default=60.0, metavar="S", help="seconds of tests for one (default 60)")
+    parser.add_argument("--tests", metavar="GLOB", help="only test files like this, such as 'tests/**/test_motion*.py'")
     parser.add_argument(
         "--confirm", action="store_true", help="try survivors against every test file that imports them"
     )
@@ -55,7 +56,7 @@ def main() -> int:
     home = ROOT / ".cache" / "mutate"
     with Tree.taken(ROOT, home) as tree:
         names = Names(tree.path)
-        choice = Choice(tree, names, home)
+        choice = Choice(tree, names, home, args.tests)
         campaign = Campaign(tree, names, choice, arguments, home, limit_s=args.limit, budget_s=args.budget)
         groups: list[tuple[str, list[Result]]] = []
         for name, mutants in chosen:

@@ -64,7 +64,9 @@ class Chosen:
 class Choice:
     """Chooses tests for the mutants of some files of one tree."""
 
-    def __init__(self, tree: Tree, names: Names, home: Path) -> None:
+    def __init__(self, tree: Tree, names: Names, home: Path, only: str | None = None) -> None:
+        """``only``: a pattern, of test files that may be chosen."""
+        self._only = only
         self._tree, self._names, self._home = tree, names, home / "reach"
         self._home.mkdir(parents=True, exist_ok=True)
         self._traced: dict[str, list[Traced]] = {}
@@ -127,6 +129,9 @@ class Choice:
         folder = Path(path).parent.as_posix()
         if folder not in self._traced:
             candidates = candidates_of(self._tree.path, path)
+            if self._only is not None:
+                like = {one.relative_to(self._tree.path).as_posix() for one in self._tree.path.glob(self._only)}
+                candidates = [one for one in candidates if one in like]
             self._traced[folder] = [self._trace(file, self._watched(folder)) for file in candidates]
         return self._traced[folder]
 

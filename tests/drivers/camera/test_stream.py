@@ -263,6 +263,22 @@ def test_a_reader_that_joins_in_the_middle_of_a_frame_finds_the_next() -> None:
     bench = Bench()
     bench.pipe.send(image(1).tobytes()[1024:], trailer(1), *frame(2))
     bench.expect_whole(2)
+    assert bench.reader.counters.skipped_transfers == 1, "the rest of a frame is taken at once"
+
+
+def test_a_payload_goes_straight_into_the_callers_memory() -> None:
+    bench = Bench()
+    seen: list[tuple[int, int]] = []
+    read = bench.pipe.read_into
+
+    def noted(buffer: TransferBuffer, timeout_s: float) -> int:
+        seen.append(buffer.buffer_info())
+        return read(buffer, timeout_s)
+
+    bench.pipe.read_into = noted  # type: ignore[method-assign]
+    bench.pipe.send(*frame(3))
+    bench.expect_whole(3)
+    assert (bench.slot.ctypes.data, PIXELS) in seen
 
 
 def test_flushing_leaves_nothing_of_the_past() -> None:

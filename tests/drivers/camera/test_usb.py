@@ -45,6 +45,8 @@ class Device:
     """What a bulk transfer does: raise this errno, or give these bytes."""
     claimed: list[int] = field(default_factory=list)
     timeouts_ms: list[int] = field(default_factory=list)
+    halts_cleared: list[int] = field(default_factory=list)
+    halt_error: int = 0
     is_open: bool = False
     configuration: int = 0
 
@@ -111,6 +113,11 @@ class Backend:
         string = bytes([len(text) + 2, 3]) + text
         data[: len(string)] = np.frombuffer(string, np.uint8)
         return len(string)
+
+    def clear_halt(self, device: Device, endpoint: int) -> None:
+        if device.halt_error:
+            raise usb_error(device.halt_error)
+        device.halts_cleared.append(endpoint)
 
     def bulk_read(self, device: Device, endpoint: int, interface: int, buffer: Any, timeout_ms: int) -> int:
         device.timeouts_ms.append(timeout_ms)
@@ -237,3 +244,17 @@ def test_pyusbs_libusb_backend_fills_the_same_memory() -> None:
 def test_the_link_has_the_speed_that_the_host_says(speed: int | None, mbps: int | None) -> None:
     """libusb's names of speeds, rounded to whole Mbit/s; 0 is unknown."""
     assert find_camera(Backend(Device(speed=speed)), "camera.left", "KF-CAM-L").link_speed_mbps == mbps
+
+
+def test_a_halt_is_cleared_on_every_endpoint_of_a_pipe_and_only_a_camera_that_left_makes_it_fail() -> None:
+    device = Device()
+    camera = UsbCamera("camera.left", find_camera(Backend(device), "camera.left", "KF-CAM-L"))
+    camera.control().clear_halt()
+    assert device.halts_cleared == [0x81, 0x01]
+    camera.stream().clear_halt()
+    assert device.halts_cleared == [0x81, 0x01, 0x83]
+    device.halt_error = errno.EPIPE
+    camera.stream().clear_halt()
+    device.halt_error = errno.ENODEV
+    with pytest.raises(Unplugged):
+        camera.stream().clear_halt()

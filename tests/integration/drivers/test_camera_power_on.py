@@ -109,6 +109,33 @@ def test_without_a_gain_only_no_gain_can_be_asked_for_and_without_a_thermometer_
         assert camera.health().details["temperature"] == "unknown"
 
 
+def test_closing_a_camera_that_streams_stops_it_and_one_that_makes_no_sense_is_let_go(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    options = WorldOptions(world="closing", width_px=WIDTH, height_px=HEIGHT)
+    with World(options) as true, open_wires("hw_sim.wires:open", {"world": "closing"}) as wires, ExitStack() as stack:
+        with monkeypatch.context() as patched:
+            patched.setattr("drivers.camera.camera.read_identification", _nonsense)
+            with pytest.raises(DeviceRefused, match="registers make no sense"):
+                opened("left", wires, stack)
+        camera = opened("left", wires, stack)  # not "another program uses it"
+        camera.configure(SETTINGS)
+        camera.start()
+        assert (true.cameras["left"].acquiring, true.cameras["left"].streaming) == (True, True)
+        camera.close()
+        camera.close()
+        assert (true.cameras["left"].acquiring, true.cameras["left"].streaming) == (False, False)
+        again = opened("left", wires, stack)
+        with pytest.raises(DeviceRefused, match="asked for a frame while stopped"):
+            again.next_frame(slot(), 0.1)
+        with pytest.raises(DeviceRefused, match="started before it was configured"):
+            again.start()
+
+
+def _nonsense(*_: object) -> None:
+    raise ValueError("a string register without an end")
+
+
 def test_the_clock_is_read_in_the_moment_in_which_the_host_was_not_interrupted(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
