@@ -121,3 +121,22 @@ def test_a_decoded_scan_can_be_reconstructed_with_another_calibration() -> None:
         ValueError, match="the calibration's left camera has 800 x 600 px, this pipeline's 400 x 300 px"
     ):
         pipeline.recalibrate(synthetic.calibration(800, 600), synthetic.WATER)
+
+
+@pytest.mark.parametrize(("period_px", "limit_mm"), [(16, 0.25), (32, 0.5)])
+def test_rays_that_miss_each_other_by_more_than_the_limit_make_no_point(period_px: int, limit_mm: float) -> None:
+    """A right camera that stands too high by so much misses every left ray by it; twice the period, twice the noise."""
+    pipeline, _, _ = record(period_px, 0.0)
+    pipeline.coarse()
+    whole = len(pipeline.full().points_mm)
+    assert whole > 50_000
+    cal = synthetic.calibration()
+    x, y, z = cal.rig.right.translation_mm
+    for factor, kept in ((0.9, True), (1.12, False)):
+        higher = replace(cal.rig.right, translation_mm=(x, y - factor * limit_mm, z))
+        pipeline.recalibrate(replace(cal, rig=replace(cal.rig, right=higher)), synthetic.WATER)
+        cloud = pipeline.full()
+        assert (len(cloud.points_mm) > 0.95 * whole) == kept, factor
+        assert (len(cloud.points_mm) < 0.05 * whole) != kept, factor
+        if kept:
+            assert np.median(cloud.ray_gap_mm) == pytest.approx(factor * limit_mm, rel=0.03)
