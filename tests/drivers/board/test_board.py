@@ -219,6 +219,13 @@ def test_a_reset_is_told_and_starts_the_numbering_anew() -> None:
         event = wait_for(board, Telemetry, 1.0)
         assert isinstance(event, Telemetry)
         assert event.temperature_projector_c == 40.5
+        far.say(line("R", 2, "HB", 1000000, 60, 0, 0, "TBOARD=31.24"))
+        wait_for(board, Telemetry, 1.0)
+        assert board.health().details["board temperature"] == "31.2 °C"
+        far.say(line("R", 0, "BOOT", "1.4", "KF-B-1", "BROWNOUT"))
+        wait_for(board, BoardBooted, 1.0)
+        assert board.latest is None, "what it measured before says nothing of now"
+        assert "board temperature" not in board.health().details
         assert board.counters.lost_reports == 0
 
 
@@ -319,6 +326,10 @@ def test_a_bench_bridge_gets_its_baud_rate_and_a_second_program_is_kept_out() ->
         assert termios.tcgetattr(far._slave)[5] == termios.B115200
         with pytest.raises(DeviceRefused, match=f"another program uses {far.url}"):
             TriggerBoard.open(BoardSpec(far.url), MonotonicClock())
+    with connected() as (far, board):
+        board.close()
+        with TriggerBoard.open(BoardSpec(far.url), MonotonicClock()) as again:
+            assert again.info.serial == "KF-B-1"
 
 
 @pytest.mark.parametrize(
@@ -342,6 +353,51 @@ def test_what_the_system_says_of_a_port_is_told_with_its_remedy(
     with pytest.raises(kind, match=re.escape(said)) as caught:
         TriggerBoard.open(BoardSpec("/dev/board"), MonotonicClock())
     assert caught.value.device == "board"
+
+
+@pytest.mark.parametrize(
+    ("code", "remedy"),
+    [
+        (1, "Update the board's firmware"),
+        (2, "Correct the value"),
+        (3, "Send STOP first"),
+        (4, "Check that the projector gets a signal"),
+        (5, "Choose a later vertical sync"),
+        (77, "Update this software or the board's firmware"),
+    ],
+)
+def test_each_refusal_of_the_protocol_has_its_remedy(code: int, remedy: str) -> None:
+    def refuse(sequence: int, verb: str, fields: list[str]) -> list[bytes]:
+        return [line("N", sequence, verb, code)] if verb == "ARM" else polite(sequence, verb, fields)
+
+    with connected(refuse) as (_, board):
+        with pytest.raises(BoardRefused, match=re.escape(f"refused ARM: no reason (code {code}). {remedy}")) as caught:
+            board.arm(24, 90, 500, 12000)
+        assert caught.value.code == code
+
+
+@pytest.mark.parametrize(
+    "fields", [("300", "5000000"), ("many", "5000000", "5001234"), ("300", "-1", "5001234"), ("4294967296", "1", "2")]
+)
+def test_an_answer_without_meaning_is_refused_not_believed(fields: tuple[str, ...]) -> None:
+    def rambling(sequence: int, verb: str, asked: list[str]) -> list[bytes]:
+        if verb == "VSYNC":
+            return [line("A", sequence, verb, *fields)]
+        return [line("A", sequence, verb, "on")] if verb == "LASER" else polite(sequence, verb, asked)
+
+    with connected(rambling) as (_, board):
+        with pytest.raises(DeviceRefused, match="answered VSYNC with nonsense"):
+            board.vsync()
+        with pytest.raises(DeviceRefused, match="answered LASER with nonsense"):
+            board.set_lasers(True, False)
+
+
+def test_commands_are_numbered_by_the_milliseconds_so_that_a_restarted_program_does_not_repeat_a_number() -> None:
+    far = FarEnd()
+    with TriggerBoard.open(BoardSpec(far.url), MonotonicClock()):
+        now_ms = time.monotonic_ns() // 1_000_000
+        assert (now_ms - far.commands[0][0]) % 65536 < 5000
+    far.unplug()
 
 
 def test_a_url_that_is_no_port_is_told_with_the_entry_to_correct() -> None:

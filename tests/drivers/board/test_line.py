@@ -119,3 +119,12 @@ printable = st.text(st.characters(min_codepoint=0x20, max_codepoint=0x7E, exclud
 def test_what_is_sent_is_what_is_read(kind: Kind, sequence: int, verb: str, fields: list[str]) -> None:
     sentence = Sentence(kind, sequence, verb, tuple(fields))
     assert parse_line(format_line(sentence)) == sentence
+
+
+def test_a_line_of_the_greatest_length_is_read_and_one_byte_more_is_not() -> None:
+    fits = Sentence(Kind.REPORT, 1, "X", ("a" * (MAX_LINE - len(format_line(Sentence(Kind.REPORT, 1, "X", ("",))))),))
+    assert len(format_line(fits)) == MAX_LINE
+    assert parse_line(format_line(fits)) == fits
+    body = b"R,1,X," + b"a" * (len(fits.fields[0]) + 1)
+    with pytest.raises(MalformedLine, match=f"{MAX_LINE + 1} bytes"):
+        parse_line(b"$" + body + b"*%04X\r\n" % crc16(body))
