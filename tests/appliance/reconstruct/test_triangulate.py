@@ -10,7 +10,7 @@ from appliance.reconstruct.scratch import GAP, POINT_VARIANCE, SIGMA, SIZE, U, V
 from appliance.reconstruct.triangulate import RAY_BLOCK, Rays, rays_of, triangulate_row
 from tests.support import synthetic
 
-CAL = synthetic.calibration()
+CAL = synthetic.calibration(1600, 1200)
 INDEX = synthetic.WATER.index
 PLANE_MM = float(CAL.rig.volume_centre_mm(INDEX)[2])
 RAYS = rays_of(
@@ -48,13 +48,13 @@ def scene(y: int, columns: np.ndarray, depth_mm: float) -> tuple[tuple[np.ndarra
     return (origin, direction), CAL.rig.right.project(points, INDEX)
 
 
-@pytest.mark.parametrize(("first", "stride"), [(120, 1), (137, 1), (88, 3)])
+@pytest.mark.parametrize(("first", "stride"), [(480, 1), (549, 1), (700, 3)])
 @pytest.mark.parametrize("depth_mm", [400.0, 520.0, 660.0])
-@pytest.mark.parametrize("y", [21, 150, 278])
+@pytest.mark.parametrize("y", [85, 602, 1115])
 def test_a_point_seen_by_both_is_found_to_a_micrometre(y: int, first: int, stride: int, depth_mm: float) -> None:
     columns = first + stride * np.arange(80)
     (origin, direction), uv = scene(y, columns, depth_mm)
-    inside = np.all((uv > 4) & (uv < [395, 295]), axis=1)
+    inside = np.all((uv > 8) & (uv < [1590, 1190]), axis=1)
     assert inside.sum() > 30
     found = triangulated(RAYS, y, first, stride, uv)
     exact = origin + direction * ((depth_mm - origin[:, 2]) / direction[:, 2])[:, None]
@@ -65,10 +65,10 @@ def test_a_point_seen_by_both_is_found_to_a_micrometre(y: int, first: int, strid
 @pytest.mark.parametrize("stride", [1, 4])
 @pytest.mark.parametrize("depth_mm", [400.0, 520.0, 660.0])
 def test_rays_that_miss_each_other_are_met_half_way_and_the_gap_is_their_distance(depth_mm: float, stride: int) -> None:
-    columns = 100 + stride * np.arange(48)
-    left, uv = scene(190, columns, depth_mm)
-    uv = np.add(uv, [0.0, 1.5])
-    found = triangulated(RAYS, 190, 100, stride, uv)
+    columns = 401 + stride * np.arange(48)
+    left, uv = scene(763, columns, depth_mm)
+    uv = np.add(uv, [0.0, 6.0])
+    found = triangulated(RAYS, 763, 401, stride, uv)
     on_left, on_right = met(left, CAL.rig.right.rays(uv, INDEX))
     np.testing.assert_allclose(found["xyz"], 0.5 * (on_left + on_right), atol=0.002)
     np.testing.assert_allclose(found["gap"][:, 0], np.linalg.norm(on_left - on_right, axis=1), atol=0.001)
@@ -80,9 +80,9 @@ def test_rays_that_miss_each_other_are_met_half_way_and_the_gap_is_their_distanc
 def test_sigma_is_what_an_error_of_the_right_point_moves_along_the_left_ray_at_every_depth(
     depth_mm: float, stride: int
 ) -> None:
-    columns = 120 + stride * np.arange(40)
-    left, uv = scene(150, columns, depth_mm)
-    found = triangulated(RAYS, 150, 120, stride, uv)
+    columns = 481 + stride * np.arange(40)
+    left, uv = scene(602, columns, depth_mm)
+    found = triangulated(RAYS, 602, 481, stride, uv)
     feet = [met(left, CAL.rig.right.rays(np.add(uv, [shift, 0.0]), INDEX))[0] for shift in (-SIGMA_PX, SIGMA_PX)]
     moved_mm = np.linalg.norm(feet[1] - feet[0], axis=1) / 2.0
     np.testing.assert_allclose(found["sigma"][:, 0], moved_mm, rtol=0.012)
@@ -107,26 +107,27 @@ def test_a_gap_across_a_slanted_baseline_is_halved_in_all_three_directions() -> 
 
 
 def test_a_pixel_without_a_match_has_no_point_and_takes_none_from_its_neighbours() -> None:
-    columns = 100 + np.arange(48)
-    _, uv = scene(150, columns, 520.0)
-    whole = triangulated(RAYS, 150, 100, 1, uv)["xyz"]
+    columns = 400 + np.arange(48)
+    _, uv = scene(602, columns, 520.0)
+    whole = triangulated(RAYS, 602, 400, 1, uv)["xyz"]
     holes = uv.copy()
     holes[[0, 8, 20, 24, 47]] = np.nan
-    found = triangulated(RAYS, 150, 100, 1, holes)
+    found = triangulated(RAYS, 602, 400, 1, holes)
     gone = np.isnan(found["xyz"]).any(axis=1)
     assert np.flatnonzero(gone).tolist() == [0, 8, 20, 24, 47]
     np.testing.assert_allclose(found["xyz"][~gone], whole[~gone], atol=0.002)
 
 
 def test_a_step_in_the_surface_does_not_borrow_the_rays_of_the_other_side() -> None:
-    columns = 100 + np.arange(48)
-    _, near = scene(150, columns, 420.0)
-    _, far = scene(150, columns, 660.0)
+    columns = 600 + np.arange(48)
+    _, near = scene(602, columns, 440.0)
+    _, far = scene(602, columns, 620.0)
     uv = np.where((np.arange(48) % 16 < 5)[:, None], near, far)
-    depths = np.where(np.arange(48) % 16 < 5, 420.0, 660.0)
+    depths = np.where(np.arange(48) % 16 < 5, 440.0, 620.0)
     assert np.abs(np.diff(uv[:, 0])).max() > 16.0
-    found = triangulated(RAYS, 150, 100, 1, uv)
-    inside = (uv[:, 0] > 2) & (uv[:, 0] < 397)
+    found = triangulated(RAYS, 602, 600, 1, uv)
+    inside = (uv[:, 0] > 8) & (uv[:, 0] < 1590)
+    assert inside.all()
     np.testing.assert_allclose(found["xyz"][inside, 2], depths[inside], atol=0.003)
 
 

@@ -152,6 +152,42 @@ def test_a_faulty_coil_that_recovers_while_the_key_is_held_is_free_only_when_it_
     assert pad.said[2:] == [KeyPress(Key.UP, 2300 * MS)]
 
 
+def test_a_stuck_key_whose_coil_then_reports_a_fault_is_not_free_although_it_opened() -> None:
+    pad = Pad()
+    pad.at(100, Key.UP)
+    pad.until(8200)
+    assert pad.said[-1] == KeyStuck(Key.UP)
+    told = len(pad.said)
+    pad.at(8300, faulty=frozenset({Key.UP}))
+    pad.until(9000)
+    assert pad.said[told:] == []
+    pad.at(9100)
+    pad.until(9200)
+    assert pad.said[told:] == [KeyFreed(Key.UP)]
+
+
+def test_a_fault_that_ends_as_the_key_opens_frees_it_without_a_release() -> None:
+    pad = Pad()
+    pad.at(100, Key.UP, faulty=frozenset({Key.UP}))
+    pad.until(200)
+    pad.at(300)
+    pad.until(310)
+    assert pad.said == [KeyStuck(Key.UP)], "it may be bounce"
+    pad.until(400)
+    assert pad.said == [KeyStuck(Key.UP), KeyFreed(Key.UP)]
+
+
+def test_every_long_press_is_told_not_only_the_first() -> None:
+    pad = Pad()
+    for begin in (100, 2000, 4000):
+        pad.at(begin, Key.BACK)
+        pad.until(begin + 900)
+        pad.at(begin + 1000)
+        pad.until(begin + 1100)
+    long = [event for event in pad.said if isinstance(event, KeyLongPress)]
+    assert long == [KeyLongPress(Key.BACK, (begin + 800) * MS) for begin in (100, 2000, 4000)]
+
+
 def test_a_key_that_was_down_before_we_listened_presses_nothing() -> None:
     pad = Pad(Key.SCAN)
     pad.until(2000)

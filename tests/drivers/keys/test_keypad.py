@@ -171,6 +171,13 @@ def test_a_coil_that_is_faulty_when_the_pad_is_opened_is_told() -> None:
         assert keys.next_event(0.1) == KeyStuck(Key.SCAN)
 
 
+def test_whoever_waits_long_hears_of_a_lost_pad_after_a_second() -> None:
+    bench = Bench()
+    with bench.open() as keys:
+        assert keys.next_event(5.0) == KeysLost("no report for 1.0 s")
+        assert bench.pad.now_ms() == pytest.approx(1000, abs=60)
+
+
 def test_a_mute_pad_is_given_up_after_a_second_of_waiting_not_of_polling() -> None:
     bench = Bench()
     bench.pad._queue.clear()

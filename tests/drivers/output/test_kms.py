@@ -407,6 +407,25 @@ def test_two_heads_on_one_crtc_are_refused_with_the_reason() -> None:
         pass
 
 
+def test_a_card_with_more_crtcs_than_connectors_lends_the_one_that_reaches() -> None:
+    hdmi = Plug(1, 11, 1, [mode(128, 96)], possible_crtcs=0b1000)
+    kernel = Kernel([hdmi, Plug(2, 10, 1, [mode(80, 48)], possible_crtcs=0b0001)], crtcs=4)
+    with opened(kernel) as (projector, _):
+        projector.load(frames(1))
+        projector.show(0)
+        assert kernel.picture(kernel.crtc_ids[3])[0, 0, 1] == 1
+
+
+@pytest.mark.parametrize(("size", "told"), [(0, "no table"), (1, "no table"), (2, "linear"), (256, "linear")])
+def test_the_smallest_table_of_gamma_has_two_entries(size: int, told: str) -> None:
+    kernel = two_heads(gamma_size=size)
+    with opened(kernel) as (projector, _):
+        assert projector.health().details["gamma"] == told
+        if told == "linear":
+            ramp = kernel.gamma[PROJECTOR_CRTC]
+            assert (len(ramp), ramp[0], ramp[-1]) == (size, 0, 65535)
+
+
 def test_heads_on_cards_of_their_own_need_no_crtc_of_the_other_and_do_not_go_with_its_card() -> None:
     other = "/dev/dri/card1"
     display = replace(DISPLAY, card=other, connector="HDMI-A-1")
