@@ -103,11 +103,14 @@ class Choice:
         called = mutant.line >= definition.body or mutant.within != definition.name  # else it runs at import
         if called and definition.function and not definition.kernel:
             return traced.reaching(mutant.path, range(mutant.line, mutant.last_line + 1))
-        kernels = self._names.stale_kernels(definition)
-        if kernels and kernels & self._named(traced.file):  # a test may call a compiled kernel itself, unseen
+        workers = self._names.workers(definition)
+        named = self._names.stale_kernels(definition) | {(definition.path, definition.name)}
+        if not definition.function:
+            named |= {(worker.path, worker.name) for worker in workers}
+        if named & self._named(traced.file):  # what a test file calls at its import, or as a kernel, shows nowhere
             return {name for name, (outcome, _) in traced.tests.items() if outcome == "passed"}
         found: set[str] = set()
-        for worker in (definition, *self._names.workers(definition)):
+        for worker in (definition, *workers):
             found |= traced.reaching(worker.path, range(min(worker.body, worker.last), worker.last + 1))
             if worker.body > worker.last:  # of a class, whatever of it runs
                 found |= traced.reaching(worker.path, range(worker.first + 1, worker.last + 1))

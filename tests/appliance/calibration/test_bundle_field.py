@@ -13,6 +13,7 @@ from appliance.calibration.bundle import BundleSettings, Rung, _Problem, adjust
 from appliance.calibration.design import Design, design_calibration
 from appliance.calibration.recordings import ArtefactKind, Recording, RecordingError
 from appliance.optics.model import StereoRig
+from appliance.optics.ray_shift import INTERVALS as SHIFT_INTERVALS
 from appliance.optics.water import Water
 
 WATER = Water(20.0, 0.0, 530.0)
@@ -155,3 +156,50 @@ def test_all_rungs_but_the_first_need_the_covariance_of_the_air() -> None:
     assert prior[7] == pytest.approx(0.05, rel=1e-6)
     assert prior[22] == pytest.approx(np.hypot(1e-4, np.radians(0.01)), rel=1e-6)
     assert prior[25] == pytest.approx(np.hypot(0.05, 0.02), rel=1e-6)
+
+
+def test_each_rung_gives_a_rig_with_what_it_may_change_and_no_more() -> None:
+    exact = recordings(START.rig)
+    for rung, corrected, shifted in (
+        (Rung.PORTS, None, False),
+        (Rung.ALL, None, False),
+        (Rung.SPLINE, (6, 5), False),
+        (Rung.FIELD, (10, 8), True),
+    ):
+        problem = _Problem(exact, START.rig, rung, AIR_COVARIANCE, SETTINGS)
+        rig = problem.rig(np.zeros(problem.size))
+        for camera in (rig.left, rig.right):
+            assert (camera.correction.intervals if camera.correction else None) == corrected
+            assert (camera.ray_shift is not None) == shifted
+
+
+def test_nodes_are_held_by_their_size_and_by_their_bends_not_by_a_slope() -> None:
+    problem = field()[0]
+    settings = BundleSettings()
+    for nodes, (columns, rows), value_sd, bend_sd in (
+        (problem._left_nodes, (13, 11), settings.spline_px, settings.field_bend_px),
+        (problem._right_nodes, (13, 11), settings.spline_px, settings.field_bend_px),
+        (problem._left_shifts, (SHIFT_INTERVALS[0] + 3, SHIFT_INTERVALS[1] + 3), 0.02, 0.01),
+        (problem._right_shifts, (SHIFT_INTERVALS[0] + 3, SHIFT_INTERVALS[1] + 3), 0.02, 0.01),
+    ):
+        count = columns * rows
+        assert nodes.stop - nodes.start == 2 * count
+        block = problem._prior[nodes, nodes]
+        x, y = (a.ravel() for a in np.meshgrid(np.arange(columns), np.arange(rows)))
+
+        def energy(surface: np.ndarray, block: np.ndarray = block, count: int = count, second: bool = False) -> float:
+            values = np.zeros(2 * count)
+            values[count * second : count * (second + 1)] = surface
+            return float(values @ block @ values)
+
+        for second in (False, True):
+            even = np.full(count, 0.3)
+            assert energy(even, second=second) == pytest.approx(count * (0.3 / value_sd) ** 2)
+            slope = 0.01 * x - 0.02 * y
+            assert energy(slope, second=second) == pytest.approx(float(np.sum(slope**2)) / value_sd**2)
+            bent = 0.01 * x**2.0
+            held = float(np.sum(bent**2)) / value_sd**2 + rows * (columns - 2) * (0.02 / bend_sd) ** 2
+            assert energy(bent, second=second) == pytest.approx(held)
+            bent = 0.01 * y**2.0
+            held = float(np.sum(bent**2)) / value_sd**2 + columns * (rows - 2) * (0.02 / bend_sd) ** 2
+            assert energy(bent, second=second) == pytest.approx(held)

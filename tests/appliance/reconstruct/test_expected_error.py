@@ -176,3 +176,13 @@ def test_a_data_sheets_figures_are_the_cameras_noise_at_every_gain() -> None:
     assert twice.read_dn == pytest.approx(math.sqrt((40.0 * 255.0 / 13_000.0) ** 2 + 1.0 / 12.0))
     assert plain.variance_dn2(102.0) == pytest.approx(plain.read_dn**2 + 100.0 * plain.dn_per_e)
     assert plain.variance_dn2(0.0) == pytest.approx(plain.read_dn**2), "below black there is no light to be missing"
+
+
+def test_where_the_left_coordinate_hardly_changes_the_right_ones_light_is_not_blown_up() -> None:
+    """The left slope counts as 0.05 at least where the right light is told from it."""
+    steep, here = 60.0 + 4.0 * np.arange(-1, N + 1), 60.0 + 4.0 * (N // 2)
+    for slope, at_least in ((0.02, 0.05), (0.06, 0.06)):
+        p = 100.0 + slope * np.arange(-1, N + 1)
+        found = with_row(SILENT, {MODULATION: steep, MODULATION_RIGHT: here, SLOPE: 1.0}, p=p)[N // 2]
+        difference = slope * 4.0 / here * (1.0 - 1.0 / at_least**2)
+        assert found == pytest.approx(0.4 * (0.2 * difference) ** 2, rel=2e-3)
