@@ -9,10 +9,11 @@ import hashlib
 import logging
 import threading
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +36,7 @@ from hw_sim.faults import Fault, FaultBook
 from hw_sim.heat import Housing, Powers
 from hw_sim.knock import Knock, knocked
 from hw_sim.motion import Motion, swayed_s
-from hw_sim.options import OptionError, WorldOptions
+from hw_sim.options import OptionError, WorldOptions, options_from
 from hw_sim.pace import START_NS, WorldTime
 from hw_sim.punctuality import Punctuality
 from hw_sim.render import LightSlice, Renderer, Surface, TrueView
@@ -83,13 +84,7 @@ class World:
             raise OptionError(f"pace '{o.pace}' with a computer outside; its clock is the real one: choose realtime")
         self.cable = cable
         scene = o.scene()
-        n_water = scene.water.index
-        wet = (
-            draw_truth(o.truth, o.seed, o.width_px, o.height_px, n_water)
-            if o.truth in SETS
-            else _stored_truth(Path(o.truth), n_water)
-        )
-        self.truth: TrueRig = in_air(wet) if o.medium == "air" else wet
+        self.truth = _true_rig(o, scene)
         self._scene = scene
         self._renderer_lock = threading.Lock()
         self._made_renderer: Renderer | None = None
@@ -455,6 +450,25 @@ class World:
                 return f"{SUPPLY_V:.2f}"
             case _:
                 return f"{self._housing.temperature_c(name):.1f}"
+
+
+def true_rig(options: Mapping[str, Any]) -> TrueRig:
+    """The true rig of a world with ``options`` (``[rig.wires_options]``): what a calibration of it would have to find.
+
+    Raises OptionError.
+    """
+    wanted = options_from(options)
+    return _true_rig(wanted, wanted.scene())
+
+
+def _true_rig(o: WorldOptions, scene: Scene) -> TrueRig:
+    n_water = scene.water.index
+    wet = (
+        draw_truth(o.truth, o.seed, o.width_px, o.height_px, n_water)
+        if o.truth in SETS
+        else _stored_truth(Path(o.truth), n_water)
+    )
+    return in_air(wet) if o.medium == "air" else wet
 
 
 def _stored_truth(path: Path, n_water: float) -> TrueRig:

@@ -29,6 +29,9 @@ def sim(rig: Rig, options: SimOptions) -> Exit:
     """The same instrument in a simulated world. What goes wrong there brings its own exit code (``main``)."""
     wanted = simulated(with_simulated_wires(rig), options)
     compile_kernels(simulator_kernels)
+    from appliance.cli.simtruth import bring_calibration
+
+    bring_calibration(wanted)
     return _serve(wanted)
 
 

@@ -42,6 +42,7 @@ def test_a_first_start_says_what_it_compiles_before_the_self_test_begins(tmp_pat
     again = _dive(script, tmp_path, kernels)
     assert not any("compil" in line for line in again)
     assert any("SELF_TEST" in line for line in again)
+    assert not any("uncalibrated" in line for line in (*first, *again)), "the nominal rig is as drawn"
 
 
 def _dive(script: Path, folder: Path, kernels: Path) -> list[str]:

@@ -1,0 +1,100 @@
+"""Owns the calibration that ``kingfisher sim --truth nominal`` brings: what the simulator says its true rig is.
+
+The other sets of true rigs are there to be calibrated. The simulator is found by name, as in ``simrig``; what it says is
+the JSON of ``docs/protocols/world.md``, in the rig frame. A calibration that lies in the storage root is never touched.
+"""
+
+from __future__ import annotations
+
+import importlib
+import logging
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.calibration.file import Calibration, CalibrationError, encode, load
+from appliance.cli.output import UsageError
+from appliance.cli.simrig import SIMULATOR
+from appliance.config import Rig
+from appliance.optics.model import HousedCamera, StereoRig
+from appliance.optics.pinhole import Lens
+from appliance.optics.port import Port
+from appliance.optics.water import Water
+from appliance.service.instrument import CALIBRATION_FILE, KEPT, RESPONSE_FILE
+from appliance.storage.atomic import replace_file
+from appliance.storage.filesystem import LocalFileSystem
+
+METHOD = "truth"
+KNOWN_SET = "nominal"
+"""Of true rigs: built as drawn."""
+
+log = logging.getLogger("kingfisher")
+
+
+def bring_calibration(rig: Rig) -> None:
+    """Give the storage root of a simulated ``rig`` its calibration, if its true rig is the nominal one and there is none yet.
+
+    Raises UsageError where the one that lies there was brought for a rig that is not the one of this start, StorageError.
+    """
+    path = rig.storage.root / CALIBRATION_FILE
+    options = rig.rig.wires_options
+    nominal = options.get("truth") == KNOWN_SET and options.get("medium", "water") == "water"
+    if nominal and not _calibrated_before(path.parent):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        replace_file(LocalFileSystem(), path, encode(true_calibration(rig)))
+        log.info("calibration: that of the simulated instrument as drawn, in %s", path)
+    elif not nominal and path.is_file():
+        _refuse_nominal(rig)
+
+
+def true_calibration(rig: Rig) -> Calibration:
+    """The calibration that states the true rig of a simulated ``rig``; exact where that has neither wedge nor lens field."""
+    told: Mapping[str, Any] = importlib.import_module(f"{SIMULATOR}.world").true_rig(rig.rig.wires_options).as_dict()
+    left, right = told["cameras"]["left"], told["cameras"]["right"]
+    return Calibration(
+        rig_serial=rig.rig.serial,
+        method=METHOD,
+        made_at="unknown",
+        made_from=(f"the simulated true rig: {told['set']}",),
+        water=Water(rig.water.temperature_c, rig.water.salinity_psu, rig.water.wavelength_nm),
+        rig=StereoRig(_camera(left, left), _camera(right, left)),
+    )
+
+
+def _calibrated_before(folder: Path) -> bool:
+    """Somebody has calibrated, or begun to: what lies there is theirs."""
+    return (folder / KEPT.name).exists() or any(one.name != RESPONSE_FILE.name for one in folder.glob("*.json"))
+
+
+def _refuse_nominal(rig: Rig) -> None:
+    """A calibration that was brought for the nominal rig would give wrong lengths with another, without a word."""
+    path = rig.storage.root / CALIBRATION_FILE
+    try:
+        found = load(path)
+    except CalibrationError:
+        return  # the service says what is wrong with it
+    if found.method == METHOD and any(one.endswith(f"rig: {KNOWN_SET}") for one in found.made_from):
+        raise UsageError(
+            f"--root {rig.storage.root}: its calibration is that of --truth {KNOWN_SET}, this start has another true rig and "
+            f"would measure wrong lengths; give another folder, --truth {KNOWN_SET}, or remove {path}"
+        )
+
+
+def _camera(eye: Mapping[str, Any], left: Mapping[str, Any]) -> HousedCamera:
+    """From the rig frame, which points of a camera are turned into by R, then t_mm, to the left camera's."""
+    to_left: NDArray[np.float64] = np.array(left["R"]).T
+    rotation = to_left @ np.array(eye["R"])
+    t_mm = to_left @ (np.array(eye["t_mm"]) - np.array(left["t_mm"]))
+    a, b, c = ((float(row[0]), float(row[1]), float(row[2])) for row in rotation)
+    port = eye["port"]
+    return HousedCamera(
+        eye["width_px"],
+        eye["height_px"],
+        Lens(tuple(eye["f_px"]), tuple(eye["c_px"]), tuple(eye["distortion"])),
+        Port(tuple(port["normal"]), port["d_mm"], port["th_mm"], port["n_g"]),
+        (a, b, c),
+        (float(t_mm[0]), float(t_mm[1]), float(t_mm[2])),
+    )

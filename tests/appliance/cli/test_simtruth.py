@@ -1,0 +1,83 @@
+"""The simulated instrument that is as drawn comes calibrated: like the true rig to the last pixel, and never instead of another."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from appliance.calibration.file import load
+from appliance.cli.output import UsageError
+from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
+from appliance.cli.simtruth import bring_calibration, true_calibration
+from appliance.config import Rig, load_rig
+from appliance.service.instrument import CALIBRATION_FILE, calibration_of
+from hw_sim.optics.points import project
+from hw_sim.world import true_rig
+
+
+def rig_of(root: Path, truth: str, size: str = "800x600") -> Rig:
+    return simulated(load_rig(default_sim_rig()), SimOptions(root=root, truth=truth, size=size, seed=5))
+
+
+@pytest.mark.parametrize("truth", ["nominal", "modelled"])
+def test_the_calibration_sees_every_point_where_the_true_cameras_see_it(truth: str, tmp_path: Path) -> None:
+    rig = rig_of(tmp_path, truth)
+    calibration = true_calibration(rig)
+    hidden = true_rig(rig.rig.wires_options)
+    in_rig = np.random.default_rng(1).uniform((-60.0, -50.0, 430.0), (60.0, 50.0, 600.0), (200, 3))
+    left = np.array(hidden.left.R), np.array(hidden.left.t_mm)
+    in_left = (in_rig - left[1]) @ left[0]
+    for side, camera in (("left", calibration.rig.left), ("right", calibration.rig.right)):
+        told = camera.project(in_left, calibration.water.index)
+        assert np.abs(told - project(hidden, side, in_rig)).max() < 1e-6, side
+
+
+@pytest.mark.parametrize("size", ["800x600", "400x300", "1600x1200"])
+def test_a_nominal_start_is_calibrated_at_any_size(size: str, tmp_path: Path) -> None:
+    rig = rig_of(tmp_path, "nominal", size)
+    assert calibration_of(rig)[1], "without a calibration the screen says UNCALIBRATED"
+    bring_calibration(rig)
+    calibration, conditions = calibration_of(rig)
+    assert conditions == ()
+    assert calibration.method == "truth"
+
+
+def test_a_calibration_that_is_there_is_never_touched(tmp_path: Path) -> None:
+    rig = rig_of(tmp_path, "nominal")
+    bring_calibration(rig)
+    path = tmp_path / CALIBRATION_FILE
+    path.write_bytes(path.read_bytes().replace(b"unknown", b"mine"))
+    mine, at = path.read_bytes(), path.stat().st_mtime_ns
+    bring_calibration(rig)
+    bring_calibration(rig_of(tmp_path, "nominal", "400x300"))
+    assert (path.read_bytes(), path.stat().st_mtime_ns) == (mine, at)
+
+
+@pytest.mark.parametrize("theirs", ["calibration/air.json", "calibration/kept/20260101.json"])
+def test_nothing_is_brought_where_somebody_has_begun_to_calibrate(theirs: str, tmp_path: Path) -> None:
+    (tmp_path / theirs).parent.mkdir(parents=True)
+    (tmp_path / theirs).write_text("{}", encoding="utf-8")
+    bring_calibration(rig_of(tmp_path, "nominal"))
+    assert not (tmp_path / CALIBRATION_FILE).exists()
+
+
+def test_the_rigs_that_are_there_to_be_calibrated_get_none(tmp_path: Path) -> None:
+    for truth in ("realistic", "hard", "paper", "modelled"):
+        bring_calibration(rig_of(tmp_path, truth))
+    bring_calibration(load_rig_in_air(tmp_path))
+    assert not (tmp_path / CALIBRATION_FILE).exists()
+
+
+def load_rig_in_air(root: Path) -> Rig:
+    rig = rig_of(root, "nominal")
+    return replace(rig, rig=replace(rig.rig, wires_options={**rig.rig.wires_options, "medium": "air"}))
+
+
+def test_another_true_rig_is_not_measured_with_the_nominal_calibration(tmp_path: Path) -> None:
+    bring_calibration(rig_of(tmp_path, "nominal"))
+    with pytest.raises(UsageError, match=r"has another true rig.*give another folder, --truth nominal, or remove"):
+        bring_calibration(rig_of(tmp_path, "realistic"))
+    assert load(tmp_path / CALIBRATION_FILE).method == "truth"
