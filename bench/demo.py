@@ -2,7 +2,8 @@
 
 Runs the service as ``kingfisher sim`` does, on the simulated rig at full resolution, with a calibration equal to the
 true rig, and a script in the diver's place. Then only files are read: the saved scan, and the world's truth.
-Writes ``demo/summary.json``, ``cloud.ply``, ``display.png`` and ``contact_sheet.png``.
+Writes ``demo/summary.json``, ``cloud.ply``, ``display.png`` and ``contact_sheet.png``; ends with what that means in ten
+lines. While it works it is never silent for more than ten seconds.
 """
 
 from __future__ import annotations
@@ -12,17 +13,20 @@ import json
 import logging
 import shutil
 import sys
+import threading
 import time
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibration.file import encode
-from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
+from appliance.cli.kernels import compile_kernels
+from appliance.cli.simrig import SimOptions, default_sim_rig, simulated, simulator_kernels
 from appliance.config import load_rig
 from appliance.service.app import CALIBRATION_FILE, run
 from appliance.storage.library import Library
@@ -33,6 +37,8 @@ from hw_sim.truth import draw_truth
 from hw_sim.wires.in_process import ScriptFailedError
 from tests.support.truth import left_to_rig, true_calibration
 
+QUIET_S = 8.0
+"""Longest silence."""
 SCRIPT = """
 wait state AIM 60
 pause 0.5
@@ -47,6 +53,43 @@ end
 """
 
 
+class Pulse(logging.Handler):
+    """Prints each piece of news, and that work goes on where there was none for a while. A context manager."""
+
+    def __init__(self, stream: TextIO, quiet_s: float = QUIET_S) -> None:
+        super().__init__()
+        self.setFormatter(logging.Formatter("%(asctime)s %(message)s", datefmt="%H:%M:%S"))
+        self._stream, self._quiet_s = stream, quiet_s
+        self._begun_s = self._last_s = time.monotonic()
+        self._doing = "working"
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._beat, name="pulse", daemon=True)
+
+    def begin(self, doing: str) -> None:
+        """From now on this is being done."""
+        self._doing, self._begun_s = doing, time.monotonic()
+        logging.getLogger("demo").info("%s …", doing)
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self._last_s = time.monotonic()
+        self._stream.write(self.format(record) + "\n")
+        self._stream.flush()
+
+    def __enter__(self) -> Pulse:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        self._thread.join(QUIET_S)
+
+    def _beat(self) -> None:
+        while not self._over.wait(0.2):
+            now_s = time.monotonic()
+            if now_s - self._last_s > self._quiet_s:
+                logging.getLogger("demo").info("%s: %.0f s so far", self._doing, now_s - self._begun_s)
+
+
 def main() -> int:
     """Run the demonstration; 0 when a scan was saved and measured."""
     parser = argparse.ArgumentParser(prog="./dev demo", description=__doc__.partition("\n")[0])
@@ -55,8 +98,17 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=7)
     parser.add_argument("--period", type=int, default=16, choices=(16, 32, 64))
     parser.add_argument("--out", type=Path, default=Path("demo"))
+    parser.add_argument("--json", action="store_true", help="print all numbers instead of a summary")
     wanted = parser.parse_args()
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s", datefmt="%H:%M:%S", stream=sys.stderr)
+    with Pulse(sys.stderr) as pulse:
+        logging.basicConfig(level=logging.INFO, handlers=[pulse])
+        return _demonstrate(wanted, pulse)
+
+
+def _demonstrate(wanted: argparse.Namespace, pulse: Pulse) -> int:
+    begun = time.perf_counter()
+    compile_kernels(simulator_kernels)
+    compiling_s = time.perf_counter() - begun
     out: Path = wanted.out.absolute()
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir(parents=True)
@@ -79,6 +131,7 @@ def main() -> int:
     calibration.write_bytes(encode(true_calibration(truth, rig.rig.serial)))
 
     begun = time.perf_counter()
+    pulse.begin(f"a dive: a {wanted.object} at {wanted.size}, somebody presses SCAN, looks, and keeps it")
     try:
         code = run(rig)
     except ScriptFailedError as error:
@@ -93,14 +146,44 @@ def main() -> int:
     if last is None:
         print("no scan was saved", file=sys.stderr)
         return 1
+    pulse.begin("comparing the saved cloud with the true surface")
+    begun = time.perf_counter()
     scan = library.load(last)
     shutil.copy(scan.folder / "cloud.ply", out / "cloud.ply")
     summary = measure(scan, Renderer(truth, world.scene()))
-    summary["wall_s"] = {**scan.manifest.record.stage_times_s, "dive": round(dive_s, 3)}
-    (out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
     cv2.imwrite(str(out / "contact_sheet.png"), contact_sheet(scan))
-    print(json.dumps(summary, indent=2))
+    took_s = {"compiling": compiling_s, "dive": dive_s, "comparing": time.perf_counter() - begun}
+    summary["wall_s"] = scan.manifest.record.stage_times_s | {name: round(s, 3) for name, s in took_s.items()}
+    (out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
+    print(json.dumps(summary, indent=2) if wanted.json else "\n".join(in_words(summary, wanted.object, wanted.out)))
     return 0
+
+
+def in_words(summary: Mapping[str, Any], scanned: str, out: Path) -> list[str]:
+    """Ten lines: what was measured, how good it is, what to look at, what to do next."""
+    frames = [status for statuses in summary["frame_verdicts"].values() for status in statuses]
+    bad = sum(status != "complete" for status in frames)
+    refused = [name for name, passed in summary["verdicts"].items() if passed is False]
+    wall_s = summary["wall_s"]
+    outliers = round(1e-6 * summary["outliers_ppm"] * summary["points"])
+    return [
+        f"Scanned a {scanned} under water with the simulated instrument, from key press to saved cloud:",
+        f"  images        {summary['frames']} from each camera, {f'{bad} of them bad' if bad else 'none missing'}",
+        f"  points        {summary['points']:,}",
+        f"  completeness  {summary['completeness_percent']:.1f} % of what both cameras see in the projector's light",
+        (
+            f"  error         {summary['rms_mm']:.3f} mm rms to the true surface, 99 % within {summary['p99_mm']:.3f} mm, "
+            f"{outliers} points off by more than 1 mm"
+        ),
+        f"  verdict       {'good' if not refused else 'bad: ' + ', '.join(refused)}",
+        (
+            f"  time          compiling {wall_s['compiling']:.0f} s, dive {wall_s['dive']:.0f} s, "
+            f"comparing {wall_s['comparing']:.0f} s"
+        ),
+        f"Look at   {out / 'display.png'} (what the diver saw), {out / 'contact_sheet.png'} (every image),",
+        f"          {out / 'cloud.ply'} (the cloud, in any viewer), {out / 'summary.json'} (all numbers)",
+        "Next      ./dev run kingfisher sim --window --truth nominal --size 800x600   (dive yourself)",
+    ]
 
 
 def measure(scan: StoredScan, renderer: Renderer) -> dict[str, Any]:
