@@ -61,6 +61,7 @@ def true_calibration(rig: Rig) -> Calibration:
         made_from=(f"the simulated true rig: {told['set']}",),
         water=Water(rig.water.temperature_c, rig.water.salinity_psu, rig.water.wavelength_nm),
         rig=StereoRig(_camera(left, left), _camera(right, left)),
+        camera_serials=(rig.camera.left.serial, rig.camera.right.serial),
     )
 
 
