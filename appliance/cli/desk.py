@@ -25,9 +25,14 @@ def whole_scan(wish: Wish, scan: str) -> Path:
     What can be made again from the frames (cloud, preview), and what may be found elsewhere (calibration, rig file), need
     not be whole. Raises UnknownScan, ScanError, UsageError.
     """
-    folder = scan_folder(scan) or Library(library_root(wish)).entry(scan).folder
+    folder = scan_in(wish, scan)
     refuse_damaged_frames(folder)
     return folder
+
+
+def scan_in(wish: Wish, scan: str) -> Path:
+    """The folder of ``scan``, its number or its folder, whatever is in it. Raises UnknownScan, UsageError."""
+    return scan_folder(scan) or Library(library_root(wish)).entry(scan).folder
 
 
 def refuse_damaged_frames(folder: Path) -> None:
@@ -88,12 +93,12 @@ def writable(out: Path | None) -> None:
 
 def writable_cloud(out: Path | None) -> None:
     """As ``writable``, of a cloud. Raises UsageError for a name that promises another format than the one written."""
+    writable(out)
     if out is not None and out.suffix.lower() != CLOUD_SUFFIX:
         raise UsageError(
             f"--out {out}: a cloud is written as PLY, and {out.suffix or 'no suffix'} promises something else; allowed: "
             f"{CLOUD_SUFFIX}; give {out.with_suffix(CLOUD_SUFFIX)}, which other programs convert"
         )
-    writable(out)
 
 
 @contextmanager

@@ -219,12 +219,13 @@ def _grammar() -> _Parser:
         commands,
         "reconstruct",
         "reconstruct a stored scan from its raw frames",
-        lambda a: verbs.reconstruct(_wish(a), a.scan, a.out, json=a.json),
+        lambda a: verbs.reconstruct(_wish(a), a.scan, a.out, damaged=a.salvage, json=a.json),
         rig,
         root,
     )
     reconstruct.add_argument("scan", metavar="SCAN", help="its number or its folder")
     _add_choice_of_calibration(reconstruct)
+    reconstruct.add_argument("--salvage", action="store_true", help="do without a damaged frame; the cloud says so")
     reconstruct.add_argument("--out", type=Path, metavar="FILE", help="write the cloud there (PLY)")
 
     evaluation = add(

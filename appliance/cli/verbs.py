@@ -6,7 +6,7 @@ import faulthandler
 from pathlib import Path
 
 from appliance import __version__, kernel_build, kernel_cache
-from appliance.cli.desk import measuring, whole_scan, writable, writable_cloud, writing
+from appliance.cli.desk import measuring, scan_in, whole_scan, writable, writable_cloud, writing
 from appliance.cli.kernels import Progress as CompilerProgress
 from appliance.cli.kernels import compile_desk_kernels, compile_kernels, find_kernels
 from appliance.cli.listing import listing
@@ -55,20 +55,22 @@ def check(rig: Rig, *, json: bool) -> Exit:
     return Exit.OK if all(h.ok for h in found) else Exit.FAILED
 
 
-def reconstruct(wish: Wish, scan: str, out: Path | None, *, json: bool) -> Exit:
-    """A stored scan's cloud from its raw frames. ``scan``: its number, or its folder."""
+def reconstruct(wish: Wish, scan: str, out: Path | None, *, damaged: bool = False, json: bool) -> Exit:
+    """A stored scan's cloud from its raw frames. ``scan``: its number, or its folder; ``damaged``: of what is left of it."""
     writable_cloud(out)
     measuring(wish.calibration)
     with Progress() as progress:
         progress("comparing checksums")
-        folder = whole_scan(wish, scan)
+        folder = scan_in(wish, scan) if damaged else whole_scan(wish, scan)
         compile_desk_kernels()
         from appliance.service.desk import reconstruct_scan
+        from appliance.service.salvage import salvage
 
-        source = taken(folder, wish)
+        salvaged = salvage(folder) if damaged else None
+        source = taken(folder, wish, None if salvaged is None else salvaged.scan)
         chosen = calibration_for(source, wish)
         with writing(out or Path(f"{folder.name}.ply")):
-            report = reconstruct_scan(source, chosen, out, progress)
+            report = reconstruct_scan(source, chosen, out, progress, salvaged)
     if json:
         say_json(report)
     else:

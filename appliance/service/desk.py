@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +33,7 @@ from appliance.service.instrument import (
     taking_of_scan,
 )
 from appliance.service.origin import Chosen, Taken, lost
+from appliance.service.salvage import Salvaged
 from appliance.storage import scan as stored
 from appliance.storage.atomic import replace_file
 from appliance.storage.filesystem import Bytes, LocalFileSystem
@@ -42,19 +43,25 @@ from appliance.worker.scan_work import ScanWork, Taking
 
 
 def reconstruct_scan(
-    source: Taken, chosen: Chosen, out: Path | None, progress: Callable[[str], None]
+    source: Taken,
+    chosen: Chosen,
+    out: Path | None,
+    progress: Callable[[str], None],
+    salvaged: Salvaged | None = None,
 ) -> dict[str, Any]:
     """The cloud of a stored scan from its raw frames, written as PLY to ``out`` (``None``: ``NAME.ply`` here).
 
     The same frames, calibration and version give the same points as on the instrument; ``stored_cloud`` says what became
-    of those that the instrument stored. Raises ScanError, also where no points are left; CalibrationError, OSError.
+    of those that the instrument stored. Of a ``salvaged`` scan, which ``source`` is then of, file and report say what was
+    lost. Raises ScanError, also where no points are left; CalibrationError, OSError.
     """
     scan, rig, calibration = source.scan, source.rig, chosen.calibration
     record = scan.manifest.record
-    cloud, water, faults = _points_of(scan, rig, calibration, progress)
+    said = salvaged.said if salvaged is not None else ()
+    cloud, water, faults = _points_of(scan, rig, calibration, progress, salvaged)
     target = out if out is not None else Path(f"{scan.folder.name}.ply")
     progress("writing")
-    header, body = encode_ply(cloud)
+    header, body = encode_ply(cloud, "; ".join(said) or None)
     before = _stored_cloud(scan, header, body)  # compared before it may be written over
     replace_file(LocalFileSystem(), target, header, body)
     s = cloud.summary
@@ -69,6 +76,7 @@ def reconstruct_scan(
         "exposure": exposures_label(record, rig),
         "period_px": record.sequence.period_px,
         "stored_cloud": before,
+        "salvaged": list(said) or None,
         "calibration": calibration.hash,
         "calibration_from": chosen.whose,
         "calibration_method": calibration.method,
@@ -94,11 +102,17 @@ def _stored_cloud(scan: stored.StoredScan, *parts: Bytes) -> str:
 
 
 def _points_of(
-    scan: stored.StoredScan, rig: Rig, calibration: Calibration, progress: Callable[[str], None]
+    scan: stored.StoredScan,
+    rig: Rig,
+    calibration: Calibration,
+    progress: Callable[[str], None],
+    salvaged: Salvaged | None,
 ) -> tuple[Cloud, Water, tuple[Fault, ...]]:
     """Of one sequence, or of both that the scan has."""
     record = scan.manifest.record
     taking = taking_of_scan(record, rig)
+    if salvaged is not None:
+        taking = replace(taking, noise=salvaged.noise(taking.noise))
     if scan.second is None or record.second is None:
         reworked = rework(scan, calibration, taking, progress)
         refuse_empty(scan.folder, reworked.empty)

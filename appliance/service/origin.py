@@ -82,12 +82,12 @@ def root_of(folder: Path) -> Path | None:
     return root if inside else None
 
 
-def taken(folder: Path, wish: Wish) -> Taken:
+def taken(folder: Path, wish: Wish, scan: StoredScan | None = None) -> Taken:
     """Open a scan and the rig it was taken with: ``--rig``, else its own, else the packaged one.
 
-    Raises ScanError, also for a rig file whose cameras are of another size.
+    ``scan``: what was opened of it already. Raises ScanError, also for a rig file whose cameras are of another size.
     """
-    scan = stored.load(folder, only_raw=True)
+    scan = scan or stored.load(folder, only_raw=True)
     root = wish.root or root_of(folder)
     if wish.rig is not None:
         for side, camera in (("left", wish.rig.camera.left), ("right", wish.rig.camera.right)):

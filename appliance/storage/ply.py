@@ -37,7 +37,7 @@ ply
 format binary_little_endian 1.0
 comment Kingfisher cloud 1: mm, left camera frame (x right, y down, z forward)
 comment modulation in grey levels, ray_gap and sigma in mm
-comment body crc32 {crc:08x}
+{remark}comment body crc32 {crc:08x}
 element vertex {points}
 property float x
 property float y
@@ -48,6 +48,8 @@ property float ray_gap
 property float sigma
 end_header
 """
+_REMARK = re.compile(rb"comment salvaged: ([ -~]{1,2000})\n")
+"""What is wrong with the cloud as a whole; only where something is."""
 _NUMBERS = re.compile(rb"comment body crc32 ([0-9a-f]{8})\nelement vertex (\d{1,10})\n")
 
 
@@ -79,10 +81,13 @@ class StoredCloud:
     modulation_dn: NDArray[np.float32]
     ray_gap_mm: NDArray[np.float32]
     sigma_mm: NDArray[np.float32]
+    salvaged: str | None = None
+    """Made of damaged frames: what was lost. Such a cloud may be looked at and measures nothing."""
 
 
-def encode_ply(cloud: PointCloud) -> tuple[bytes, Bytes]:
-    """Header and body of the file. Raises ValueError where lengths differ or a coordinate is not finite."""
+def encode_ply(cloud: PointCloud, salvaged: str | None = None) -> tuple[bytes, Bytes]:
+    """Header and body of the file; ``salvaged`` is written into it. Raises ValueError where lengths differ or a coordinate
+    is not finite."""
     n = len(cloud.points_mm)
     if cloud.points_mm.shape != (n, 3):
         raise ValueError(f"points_mm has shape {cloud.points_mm.shape}; (n, 3) is needed")
@@ -109,7 +114,14 @@ def encode_ply(cloud: PointCloud) -> tuple[bytes, Bytes]:
         for name, column in values.items():
             block[name] = column[rows]
         crc = zlib.crc32(raw[rows.start * POINT.itemsize : rows.stop * POINT.itemsize], crc)
-    return _HEADER.format(crc=crc, points=n).encode("ascii"), raw
+    return _header(crc, n, salvaged), raw
+
+
+def _header(crc: int, points: int, salvaged: str | None) -> bytes:
+    plain = "" if salvaged is None else salvaged.encode("ascii", "replace").decode("ascii")[:2000]
+    return _HEADER.format(crc=crc, points=points, remark=f"comment salvaged: {plain}\n" if plain else "").encode(
+        "ascii"
+    )
 
 
 def write_ply(path: Path, cloud: PointCloud) -> None:
@@ -123,11 +135,12 @@ def read_ply(path: Path) -> StoredCloud:
         raw = path.read_bytes()
     except OSError as error:
         raise PlyError(f"{path}: {error.strerror or error}") from error
-    numbers = _NUMBERS.search(raw[:1024])
+    numbers, remark = _NUMBERS.search(raw[:4096]), _REMARK.search(raw[:4096])
     if numbers is None:
         raise PlyError(f"{path}: not a cloud of this instrument (no checksum and point count in its header)")
     crc, n = int(numbers[1], 16), int(numbers[2])
-    header = _HEADER.format(crc=crc, points=n).encode("ascii")
+    said = None if remark is None else remark[1].decode("ascii")
+    header = _header(crc, n, said)
     if not raw.startswith(header):
         raise PlyError(f"{path}: damaged header")
     body = memoryview(raw)[len(header) :]
@@ -144,4 +157,5 @@ def read_ply(path: Path) -> StoredCloud:
         points["modulation"].copy(),
         points["ray_gap"].copy(),
         points["sigma"].copy(),
+        said,
     )

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from appliance.calibration import file as calibration_file
@@ -266,6 +267,90 @@ def test_a_lost_or_damaged_cloud_is_made_again_from_the_frames(copy: Path, tmp_p
     (copy / "cloud.ply").unlink()
     said = desk("reconstruct", copy, "--out", out, "--json")
     assert (said.code, said.document["stored_cloud"]) == (0, "cloud.ply: missing; made again, byte for byte")
+
+
+def spoil_frames(copy: Path, side: str, *names: str) -> None:
+    """100 bytes in the middle of each of these frames become zero, as a lost sector does."""
+    patterns = json.loads((copy / "manifest.json").read_text(encoding="utf-8"))["record"]["sequence"]["patterns"]
+    path = copy / f"frames_{side}.npy"
+    raw = bytearray(path.read_bytes())
+    for name in names:
+        start = 128 + patterns.index(name) * 360 * 270 + 135 * 360 + 130
+        raw[start : start + 100] = bytes(100)
+    path.write_bytes(raw)
+
+
+@pytest.mark.parametrize(
+    ("side", "name"), [("left", "sine-x-90"), ("right", "sine-y-0"), ("left", "bright"), ("right", "dark")]
+)
+def test_what_does_not_need_the_damaged_frame_is_salvaged_and_marked(
+    copy: Path, tmp_path: Path, desk: Shell, side: str, name: str
+) -> None:
+    """Beside the points of the whole scan: hardly fewer, in the same places, and expected to be no better than they are."""
+    stored = read_ply(copy / "cloud.ply")
+    spoil_frames(copy, side, name)
+    out = tmp_path / "s.ply"
+    said = desk("reconstruct", copy, "--out", out)
+    assert (said.code, f"frames_{side}.npy" in said.error, f"in {name};" in said.error) == (1, True, True)
+    said = desk("reconstruct", copy, "--salvage", "--out", out, "--json")
+    assert said.code == 0, said.err
+    assert any(f"{name} was made up from" in text for text in said.document["salvaged"])
+    made = read_ply(out)
+    assert made.salvaged is not None
+    assert name in made.salvaged
+    assert 0.9 < len(made.points_mm) / len(stored.points_mm) < 1.01, (
+        "where three steps leave the range of grey values, none"
+    )
+    some = made.points_mm[::97].astype(float)
+    nearest_mm = [float(np.min(np.linalg.norm(stored.points_mm - point, axis=1))) for point in some]
+    assert float(np.median(nearest_mm)) < 0.1
+    assert float(np.percentile(nearest_mm, 95)) < 0.6
+    worse = float(np.median(made.sigma_mm) / np.median(stored.sigma_mm))
+    assert (1.1 < worse < 2.3) if "sine" in name else worse == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [
+        (("gray-x-3",), ("gray-x-3 cannot be missed", "which fringe")),
+        (("sine-x-0", "sine-x-180"), ("two of the four sine images",)),
+        (("bright", "dark"), ("bright and dark",)),
+    ],
+)
+def test_what_cannot_be_missed_is_said(
+    copy: Path, tmp_path: Path, desk: Shell, names: tuple[str, ...], words: tuple[str, ...]
+) -> None:
+    spoil_frames(copy, "left", *names)
+    out = tmp_path / "s.ply"
+    said = desk("reconstruct", copy, "--salvage", "--out", out)
+    assert said.code == 1
+    for word in (*words, "copy"):
+        assert word in said.error
+    assert not out.exists()
+
+
+def test_nothing_is_called_salvaged_that_was_whole(copy: Path, tmp_path: Path, desk: Shell) -> None:
+    out = tmp_path / "s.ply"
+    said = desk("reconstruct", copy, "--salvage", "--out", out, "--json")
+    assert (said.code, said.document["salvaged"]) == (0, None)
+    assert out.read_bytes() == (copy / "cloud.ply").read_bytes()
+
+
+def test_a_damaged_scan_is_never_evaluated_merged_or_measured(
+    root: Path, copy: Path, tmp_path: Path, desk: Shell
+) -> None:
+    spoil_frames(copy, "left", "sine-x-90")
+    (tmp_path / "list.toml").write_text(f'[[scan]]\nscan = "{copy}"\nartefact = "frustum"\ntop_mm = 80.0\n')
+    for words in (
+        ("evaluate", tmp_path / "list.toml", "--out", tmp_path / "x.html"),
+        ("measure", "noise", copy),
+        ("measure", "response", copy, "--out", tmp_path / "r.json"),
+        ("scans", "merge", copy, root / "scans" / "000001", "--out", tmp_path / "m.ply"),
+    ):
+        said = desk(*words)
+        assert (said.code, "in sine-x-90;" in said.error) == (1, True)
+        assert desk(*words, "--salvage").code == 2
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["copied", "list.toml"]
 
 
 def test_the_same_scan_is_not_merged_with_itself(root: Path, copy: Path, tmp_path: Path, desk: Shell) -> None:

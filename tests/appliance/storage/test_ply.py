@@ -89,6 +89,18 @@ def test_every_single_bit_flip_and_every_cut_is_noticed(tmp_path: Path) -> None:
         read_ply(path)
 
 
+def test_a_cloud_of_damaged_frames_says_so_in_its_header_and_any_change_of_that_is_seen(tmp_path: Path) -> None:
+    path = tmp_path / "salvaged.ply"
+    path.write_bytes(b"".join(bytes(part) for part in encode_ply(cloud(5), "damaged: frames_left.npy in sine-x-90")))
+    assert read_ply(path).salvaged == "damaged: frames_left.npy in sine-x-90"
+    assert (read_ply(path).points_mm == cloud(5).points_mm).all()
+    path.write_bytes(path.read_bytes().replace(b"comment salvaged", b"comment salvagED"))
+    with pytest.raises(PlyError, match="damaged header"):
+        read_ply(path)
+    path.write_bytes(b"".join(bytes(part) for part in encode_ply(cloud(5))))
+    assert read_ply(path).salvaged is None
+
+
 def test_a_missing_file_and_another_programs_file_are_named(tmp_path: Path) -> None:
     with pytest.raises(PlyError, match=r"none\.ply"):
         read_ply(tmp_path / "none.ply")
@@ -102,7 +114,8 @@ def test_points_that_are_not_finite_and_lengths_that_differ_are_refused() -> Non
     bad.points_mm[2, 1] = np.nan
     with pytest.raises(ValueError, match="1 of 5 points are not finite"):
         encode_ply(bad)
-    short = StoredCloud(cloud(5).points_mm, *(cloud(4).intensity,), *([cloud(5).sigma_mm] * 3))
+    sigma = cloud(5).sigma_mm
+    short = StoredCloud(cloud(5).points_mm, cloud(4).intensity, sigma, sigma, sigma)
     with pytest.raises(ValueError, match=r"intensity has shape \(4,\)"):
         encode_ply(short)
 
