@@ -137,10 +137,12 @@ def test_reconstructing_gives_the_points_of_the_version_that_recorded(
     name = next(name for name in recorded.expected["scans"] if name.endswith(f"{number:06d}"))
     said = recorded.expected["scans"][name]
     out = tmp_path / "again.ply"
-    words = ("--rig", recorded.rig_file, "--root", recorded.root, "--calibration", recorded.root / said["calibration"])
-    assert main(["reconstruct", str(recorded.root / name), *map(str, words), "--out", str(out), "--json"]) == 0
+    words = () if number == 1 else ("--rig", str(recorded.rig_file))
+    assert main(["reconstruct", str(recorded.root / name), *words, "--out", str(out), "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
     assert report["same_calibration"] is True
+    found = recorded.root / said["calibration"]
+    assert report["calibration_from"] == str(found), "by the hash in its manifest, in the root that it lies in"
     stored = recorded.root / name / "cloud.ply"
     if recorded.expected["processor"] == f"{platform.machine()} {llvm.get_host_cpu_name()}":
         assert hashlib.sha256(out.read_bytes()).hexdigest() == said["sha256"]
