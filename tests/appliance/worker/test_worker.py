@@ -416,7 +416,7 @@ def test_a_start_that_gets_on_is_told_from_one_that_hangs(store: FrameStore, mon
     ) as made:
         begun_s = time.monotonic()
         while not made.gets_on():
-            assert time.monotonic() < begun_s + 30.0
+            assert time.monotonic() < begun_s + 240.0  # a busy computer takes half a minute to import alone
             time.sleep(0.01)
         hold(made)
         time.sleep(0.3)
