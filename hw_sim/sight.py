@@ -107,14 +107,20 @@ def read(path: Path) -> dict[str, Any]:
 
 def summary(status: Status) -> str:
     """What is to be seen instead, in one line."""
-    alerts = zip(*(_alerts(status, field) for field in ("code", "headline", "action")), strict=True)
-    read = ", ".join(f"{code} ({headline}: {action})" for code, headline, action in alerts)
+    listed = status.get("alerts")
+    read = ", ".join(_alert(_table(alert)) for alert in listed) if isinstance(listed, list) else ""
     calibration = status.get("calibration")
     return (
         f"the state is {_words(status.get('state'))}; alerts: {read or 'none'}; keys: {_words(status.get('keys'))}; "
         f"scans: {_words(status.get('scans'))}; range: {_words(status.get('range'))}"
         + (f"; calibration: {_words(calibration)}" if calibration else "")
     )
+
+
+def _alert(alert: Mapping[str, Any]) -> str:
+    """Its code, and what the screen says of it where the file has that."""
+    said = ": ".join(str(alert[field]) for field in ("headline", "action") if alert.get(field))
+    return f"{alert.get('code')} ({said})" if said else str(alert.get("code"))
 
 
 def _words(value: object) -> str:

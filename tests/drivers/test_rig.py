@@ -1,5 +1,6 @@
 """Names in the rig file become wires, or one clear error."""
 
+import importlib
 import threading
 import time
 
@@ -7,6 +8,7 @@ import pytest
 
 from drivers.api import DeviceRefused
 from drivers.native import MonotonicClock
+from drivers.registered_wires import REGISTERED
 from drivers.rig import open_wires
 
 
@@ -18,19 +20,27 @@ def test_the_instruments_wires_are_the_systems_own() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "reason"),
-    [
-        ("drivers.native", "not of the form module:function"),
-        (":open", "not of the form module:function"),
-        ("no.such.module:open", "No module named 'no'"),
-        ("drivers.native:opne", "no function opne"),
-        ("drivers.native:NativeWires.x", "no function"),
-    ],
+    "name",
+    ["drivers.native", ":open", "no.such.module:open", "drivers.native:NativeWires", "subprocess:Popen", "os:system"],
 )
-def test_a_wrong_name_says_what_is_wrong_and_what_is_right(name: str, reason: str) -> None:
-    with pytest.raises(DeviceRefused, match=reason) as caught:
-        open_wires(name, {})
+def test_a_name_that_is_not_registered_is_neither_imported_nor_called(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A rig file from somebody else must not be able to run anything."""
+    asked: list[str] = []
+    monkeypatch.setattr("importlib.import_module", asked.append)
+    with pytest.raises(
+        DeviceRefused, match=r"is not registered; allowed: drivers\.native:open, hw_sim\.wires:open"
+    ) as caught:
+        open_wires(name, {"args": ["touch", "/tmp/ran"]})
     assert "drivers.native:open" in caught.value.remedy
+    assert asked == []
+
+
+@pytest.mark.parametrize("name", REGISTERED)
+def test_every_registered_name_is_a_function_that_is_there(name: str) -> None:
+    module, _, function = name.partition(":")
+    assert callable(getattr(importlib.import_module(module), function))
 
 
 def test_the_instruments_wires_take_no_options() -> None:

@@ -96,7 +96,7 @@ def test_the_power_off_gesture_is_repeated_until_the_service_goes(tmp_path: Path
 
 
 def test_a_wait_that_fails_ends_the_dive_and_is_raised(tmp_path: Path) -> None:
-    said = r"line 1: wait state REVIEW 2: after 2 s the state is AIM, alerts \['LEAK'\]"
+    said = r"line 1: wait state REVIEW 2: after 2 s the state is AIM; alerts: LEAK;"
 
     def dive() -> None:
         with playing(tmp_path, "wait state REVIEW 2\nend") as (wires, status):
