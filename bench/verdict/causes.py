@@ -28,7 +28,8 @@ Row = dict[str, Any]
 def measure(scans: int, seed: int, say: Say, keep: Path | None = None) -> tuple[list[Measured], dict[str, Any]]:
     """As many bases as make at least ``scans`` scenes, every scene judged and every bad one looked into.
 
-    With ``keep``, frames and rows are kept there, and what is there is not done again.
+    With ``keep``, frames and what this version of the product made of them are kept there and not worked out again; the rows
+    so far, too, for who wants to look before the end.
     """
     bases = max(1, -(-scans // SCANS_PER_BASE))
     rows: list[Row] = []

@@ -9,11 +9,16 @@ is one whose presence alone spoils the base.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import hashlib
+import json
+from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+import appliance
 from appliance.capture.exposure import Exposure
 from appliance.capture.fault import FaultCode
 from appliance.machine.alerts import RULES, alert_of
@@ -97,6 +102,28 @@ def judged(scan: RenderedScan, exposure: Exposure) -> Outcome:
     )  # fmt: skip
 
 
+def written(outcome: Outcome) -> dict[str, Any]:
+    """Ready for JSON."""
+    content = asdict(outcome)
+    content["grade"], content["reasons"] = outcome.grade.value, [code.value for code in outcome.reasons]
+    return content
+
+
+def read_outcome(content: dict[str, Any]) -> Outcome:
+    """What ``written`` made."""
+    reasons = tuple(FaultCode(code) for code in content["reasons"])
+    return Outcome(**{**content, "grade": Grade(content["grade"]), "reasons": reasons})
+
+
+@cache
+def sources_digest() -> str:
+    """Of the product's sources: what another version found out is not its own."""
+    whole = hashlib.sha256()
+    for path in sorted(Path(appliance.__file__).parent.rglob("*.py")):
+        whole.update(path.read_bytes())
+    return whole.hexdigest()
+
+
 def _worth(scan: RenderedScan, cloud: Cloud) -> tuple[int, float | None]:
     if len(cloud.pixel) < 100:
         return 0, None
@@ -118,8 +145,22 @@ class Truth:
         """Of a scene, as it is exposed or with another exposure."""
         taken = exposure or exposure_of(spoilt)
         if (spoilt, taken) not in self._known:
-            self._known[spoilt, taken] = judged(frames_of(self._base, spoilt, self._keep, taken), taken)
+            self._known[spoilt, taken] = self._kept(spoilt, taken)
         return self._known[spoilt, taken]
+
+    def _kept(self, spoilt: Spoilt, taken: Exposure) -> Outcome:
+        """From the folder, if this very product judged that scene before."""
+        if self._keep is None:
+            return judged(frames_of(self._base, spoilt, None, taken), taken)
+        what = repr((self._base, spoilt, taken, sources_digest()))
+        path = self._keep / f"causes-outcome-{hashlib.sha256(what.encode()).hexdigest()[:20]}.json"
+        if path.exists():
+            return read_outcome(json.loads(path.read_text(encoding="utf-8")))
+        outcome = judged(frames_of(self._base, spoilt, self._keep, taken), taken)
+        draft = path.with_name(f".{path.name}")
+        draft.write_text(json.dumps(written(outcome)) + "\n", encoding="utf-8")
+        draft.replace(path)
+        return outcome
 
     def causes(self, spoilt: Spoilt, blamed: str | None) -> set[str]:
         """The factors that truly spoil a scene. Light, where it is not among what was changed, is looked at only if it is
