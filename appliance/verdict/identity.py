@@ -62,7 +62,8 @@ def judge_identity(
     Passed: every frame is its pattern. None: too little of the projector's light is seen to say so, or too much moves. Failed, with a fault:
     ``CAMERA_STUCK`` (device), ``PROJECTOR_TIMING`` (shift_frames), ``PATTERN_WRONG`` (frame; device projector if both cameras
     say it), ``PROJECTOR_DARK``. Numbers: ``doubt``, the largest of all doubts, which alarm from 1 on; of each camera the
-    same, the samples with fringes, and the projector's light. Raises ValueError for a number of frames that is not the
+    same, the samples with fringes, and the projector's light; ``parallax_percent``, by which both see the stripes beside their
+    place, to opposite sides. Raises ValueError for a number of frames that is not the
     sequence's.
     """
     for side, mine in frames.items():
@@ -71,12 +72,14 @@ def judge_identity(
                 f"{len(mine)} frames of camera {side} for a sequence of {len(sequence)}; judge whole sequences"
             )
     of = {"left": noise.left, "right": noise.right}
-    cameras = _without_parallax([_look(side, mine, sequence, of[side]) for side, mine in frames.items()])
+    looked = [_look(side, mine, sequence, of[side]) for side, mine in frames.items()]
+    cameras = _without_parallax(looked)
     fault = _fault(cameras)
     judged = [camera for camera in cameras if camera.evidence.judged]
     numbers: dict[str, float | None] = {
         "doubt": max((camera.evidence.worst for camera in judged), default=None),
         "frame": None if fault is None else fault.numbers.get("frame"),
+        "parallax_percent": _parallax_percent(looked),
     }
     for camera in cameras:
         side = camera.device.removeprefix("camera.")
@@ -134,6 +137,15 @@ def _without_parallax(cameras: list[_Camera]) -> list[_Camera]:
     if len(aside) != 2 or aside[0] * aside[1] >= 0.0 or min(abs(one) for one in aside) < LEAST_PARALLAX:
         return cameras
     return [replace(one, explanation=None, evidence=_nothing(one)) if _only_displaced(one) else one for one in cameras]
+
+
+def _parallax_percent(cameras: list[_Camera]) -> float | None:
+    """By which the stripes lie to the right in the left camera and to the left in the right one, in percent of the field: positive
+    before an object that is near. ``None``: one of them sees too few."""
+    aside = {camera.device: camera.evidence.displaced for camera in cameras}
+    left, right = aside.get("camera.left", 0.0), aside.get("camera.right", 0.0)
+    # A pattern's stripe that is seen farther to the right has a smaller code there than the design gives that place.
+    return None if left == 0.0 or right == 0.0 else 50.0 * (right - left)
 
 
 def _only_displaced(camera: _Camera) -> bool:

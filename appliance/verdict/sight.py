@@ -19,7 +19,7 @@ from appliance.patterns.sequence import Direction, PatternSequence
 from appliance.reconstruct.noise import CameraNoise, StereoNoise
 from appliance.reconstruct.quality import QualityLimits
 from appliance.reconstruct.table import Cloud
-from appliance.verdict.sight_glow import shape_of_glow
+from appliance.verdict.sight_glow import half_field, shape_of_glow
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -37,7 +37,9 @@ LEAST_FRINGE_DN, FRINGE_SIGMAS = 0.4, 4.0
 """A cell shows fringes from this amplitude on, and from this many standard errors of its square."""
 ROUNDING_DN2 = 1.0 / 12.0
 MIN_POINTS = 40
-"""Fewer do not say where the object lies."""
+"""Fewer do not say where the object lies …"""
+ROUGHLY = 0.03
+"""… but for the parallax of the stripes, which is known so well."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +68,7 @@ def look(
     water_index: float,
     loose: Cloud,
     limits: QualityLimits,
+    parallax_percent: float | None = None,
 ) -> Verdict:
     """Verdict ``sight`` on ``frames`` (n, h, w) uint8 by side, and on the points of ``loose``, found without limits of depth.
 
@@ -82,7 +85,8 @@ def look(
         "object_percent": None if best.object_share is None else 100.0 * best.object_share,
         "glow_per_m": None if best.cells > 0.0 else shape_of_glow(both["left"].glow_dn, CELLS, rig, water_index),
     }
-    numbers |= _places(loose, limits)
+    by_parallax = None if parallax_percent is None else distance_of(parallax_percent, rig, water_index)
+    numbers |= _places(loose, limits, by_parallax)
     return Verdict(NAME, None, numbers, _text(numbers))
 
 
@@ -124,10 +128,25 @@ def see(frames: NDArray[np.uint8], sequence: PatternSequence, noise: CameraNoise
     )
 
 
-def _places(loose: Cloud, limits: QualityLimits) -> dict[str, float | None]:
+def distance_of(parallax_percent: float, rig: StereoRig, water_index: float) -> float | None:
+    """Depth in mm at which the cameras see stripes so far beside where they see them in the middle of the volume: roughly, but
+    where all is saturated as well, since the borders of dark stripes are seen there, too. ``None``: behind everything."""
+    middle_mm = float(rig.volume_centre_mm(water_index)[2])
+    half_baseline_mm = 0.5 * float(np.linalg.norm(rig.right.translation_mm))
+    field = 2.0 * half_field(rig.left, water_index)[0]
+    inverse = 1.0 / middle_mm + 0.01 * parallax_percent * field / half_baseline_mm
+    return 1.0 / inverse if inverse > 0.0 else None
+
+
+def _places(loose: Cloud, limits: QualityLimits, by_parallax_mm: float | None) -> dict[str, float | None]:
+    """By points; by parallax alone only where it is far outside."""
     depth_mm = loose.points_mm[:, 2]
     if len(depth_mm) < MIN_POINTS:
-        return {"distance_mm": None, "near_percent": None, "far_percent": None}
+        near = by_parallax_mm is not None and by_parallax_mm < (1.0 - ROUGHLY) * limits.min_depth_mm
+        far = by_parallax_mm is not None and by_parallax_mm > (1.0 + ROUGHLY) * limits.max_depth_mm
+        if not near and not far:
+            return {"distance_mm": None, "near_percent": None, "far_percent": None}
+        return {"distance_mm": by_parallax_mm, "near_percent": 100.0 * near, "far_percent": 100.0 * far}
     return {
         "distance_mm": float(np.median(depth_mm)),
         "near_percent": 100.0 * float(np.mean(depth_mm < limits.min_depth_mm)),

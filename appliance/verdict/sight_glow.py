@@ -57,12 +57,12 @@ def _beam(rig: StereoRig, water_index: float) -> Beam:
     port = rig.left.port
     face_mm = port.distance_mm + port.thickness_mm
     depth_mm = water_index * (port.distance_mm + port.thickness_mm / port.glass_index)
-    across, down = _half_field(rig.left, water_index)
+    across, down = half_field(rig.left, water_index)
     axes = np.stack([x, np.cross(z, x), z])
     return Beam(axes, middle + z * (face_mm - depth_mm), depth_mm, -across, across, -down, down)
 
 
-def _half_field(camera: HousedCamera, water_index: float) -> tuple[float, float]:
+def half_field(camera: HousedCamera, water_index: float) -> tuple[float, float]:
     """Tangents of half the angles of view in the water."""
     u, v = (camera.width_px - 1) / 2.0, (camera.height_px - 1) / 2.0
     edges = np.array([[0.0, v], [2.0 * u, v], [u, 0.0], [u, 2.0 * v]])

@@ -70,6 +70,7 @@ class ScanWork:
         self._motion: MotionJudgement | None = None
         self.windows: Windows | None = None
         """After ``judge``: what the scan says of the cameras' windows; ``None``: nothing, since something moved."""
+        self._identity: Judgement | None = None
         self._judged: tuple[Judgement, ...] = ()
         """As the judges said it, each by itself."""
         self._found: Found | None = None
@@ -80,6 +81,7 @@ class ScanWork:
         """The next frame is frame 0 of a scan that was taken so."""
         self._taking, self._coarse, self._specks = taking, None, False
         self.windows = self._motion = self._found = self._compensated = self._full = None
+        self._identity = None
         self._frames.clear()
         self._pipeline.expect(taking.noise)
         self._pipeline.reset()
@@ -94,7 +96,8 @@ class ScanWork:
 
     def identify(self) -> Judgement:
         """Whether each frame shows the pattern it should; after the last one. With a fault, points would mean nothing."""
-        return judge_identity(self._frames, self._pipeline.sequence, self._taking.noise)
+        self._identity = judge_identity(self._frames, self._pipeline.sequence, self._taking.noise)
+        return self._identity
 
     def find_coarse(self) -> Found:
         """The coarse cloud; after the last frame."""
@@ -165,11 +168,12 @@ class ScanWork:
     def _look(self, recorded: Recorded) -> Verdict:
         """At what is there at whatever depth, and at fringes too weak to be decoded."""
         left = self._calibration.rig.left
+        parallax = None if self._identity is None else self._identity.verdict.numbers.get("parallax_percent")
         stride = max(1, round((left.width_px * left.height_px / SIGHT_POINTS) ** 0.5))
         loose = self._pipeline.sample(stride, any_depth=True)
         return look(
             recorded.frames, recorded.sequence, recorded.noise, self._calibration.rig, self._water.index, loose,
-            self._pipeline.limits,
+            self._pipeline.limits, parallax,
         )  # fmt: skip
 
     @property
