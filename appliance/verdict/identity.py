@@ -111,7 +111,7 @@ def _look(side: str, frames: NDArray[np.uint8], sequence: PatternSequence, noise
         if evidence.contradicted:
             explanation = explain(witness, sequence, noise, evidence)
             if _may_be_motion(explanation, evidence):
-                explanation, evidence = None, Evidence({}, {}, evidence.lit, 0, 0)
+                explanation, evidence = None, Evidence({}, {}, evidence.lit, 0, 0, evidence.displaced)
     elif evidence.lit >= MIN_FRINGE and not flooded:
         explanation = still(witness, sequence, noise)
     ends_dark = bool(means[-1] - means.min() < 0.1 * (means.max() - means.min()))

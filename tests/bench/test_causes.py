@@ -1,0 +1,47 @@
+"""A slice of the grid that the naming of causes is measured over: one scene of each factor, end to end, and the grid's own promise."""
+
+from __future__ import annotations
+
+import pytest
+
+from appliance.capture.fault import FaultCode
+from appliance.screens.views import Grade
+from bench.verdict.causes_frames import frames_of
+from bench.verdict.causes_scenes import Spoilt, draw_base, exposure_of, grid_of
+from bench.verdict.causes_truth import Outcome, judged
+
+BASE = draw_base(10_000, 0)
+
+
+def outcome(spoilt: Spoilt) -> Outcome:
+    return judged(frames_of(BASE, spoilt, None), exposure_of(spoilt))
+
+
+@pytest.mark.parametrize(
+    ("spoilt", "expected"),
+    [
+        (Spoilt(water="black"), FaultCode.WATER_DIRTY),
+        (Spoilt(light="dimmer"), FaultCode.TOO_DARK),
+        (Spoilt(distance="near"), FaultCode.SCAN_NEAR),
+        (Spoilt(distance="nothing"), FaultCode.NOTHING_SEEN),
+    ],
+    ids=lambda value: value.name if isinstance(value, Spoilt) else value.value,
+)
+def test_a_bad_scan_has_a_reason_and_the_first_is_the_true_one(spoilt: Spoilt, expected: FaultCode) -> None:
+    found = outcome(spoilt)
+    assert found.grade is Grade.BAD
+    assert found.reasons[0] is expected
+
+
+def test_a_good_scan_has_none() -> None:
+    found = outcome(Spoilt(water="coast"))
+    assert found.grade is Grade.GOOD
+    assert found.reasons == ()
+
+
+def test_every_scene_of_the_grid_is_there_without_each_of_its_factors() -> None:
+    """That is what true causes are told by."""
+    grid = grid_of(10_000, 0)
+    assert len(grid) >= 40
+    for spoilt in grid:
+        assert all(spoilt.without(factor) in grid for factor in spoilt.present)
