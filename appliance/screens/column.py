@@ -36,10 +36,17 @@ def figures(
     """What there is to say of any scan, the most telling first."""
     return (
         Figure(Text.COVERAGE, known(coverage_percent, "{:.0f}"), "%"),
-        Figure(Text.NOISE, known(None if noise_mm is None else 1000.0 * noise_mm, "{:.0f}"), "µm"),
+        _noise(noise_mm),
         Figure(Text.DISTANCE, known(distance_mm, "{:.0f}"), "mm"),
         Figure(Text.POINTS, "—" if points is None else many(points)),
     )
+
+
+def _noise(noise_mm: float | None) -> Figure:
+    """In µm; what is as coarse as a millimetre in mm."""
+    if noise_mm is not None and noise_mm >= 1.0:
+        return Figure(Text.NOISE, f"{noise_mm:.1f}", "mm")
+    return Figure(Text.NOISE, known(None if noise_mm is None else 1000.0 * noise_mm, "{:.0f}"), "µm")
 
 
 def known(value: float | None, pattern: str) -> str:
@@ -93,8 +100,7 @@ def draw_figures(canvas: Canvas, rows: Sequence[Figure], top: float, bottom: flo
         baseline = top + pitch * (number + 1) - 0.26 * pitch
         unit_px = canvas.words(row.unit, right, baseline, CAPTION, REGULAR, theme.MUTED, Align.RIGHT)
         value_right = right - unit_px - (6 if row.unit else 0)
-        value_px = canvas.words(
-            numbered(row.value, language), value_right, baseline, size, BOLD, theme.WHITE, Align.RIGHT
-        )
-        room = value_right - value_px - left - 6
-        canvas.words(row.name.in_language(language), left, baseline, CAPTION, REGULAR, theme.MUTED, max_width=room)
+        name, value = row.name.in_language(language), numbered(row.value, language)
+        room = value_right - left - 6 - canvas.measure(name, CAPTION, REGULAR)
+        canvas.words(value, value_right, baseline, size, BOLD, theme.WHITE, Align.RIGHT, room)
+        canvas.words(name, left, baseline, CAPTION, REGULAR, theme.MUTED)

@@ -12,7 +12,6 @@ from appliance.screens.views import MenuRow, MenuView
 _ROW_PX, _LEFT_PX, _PAD_PX = 32.0, 24.0, 20.0
 """The least height of a row: with an alert all of a page's rows stay on the screen, closer together."""
 _TALL_ROW_PX = 62.0
-_VALUE_PX = 300.0
 
 
 def draw_menu(canvas: Canvas, view: MenuView, language: Language) -> None:
@@ -41,11 +40,12 @@ def _row(
         canvas.box(left, top, right - left, height - 5, theme.WHITE, 12)
     ink = theme.INK if selected else theme.WHITE
     value = worded(row.value, language)
-    room = min(_VALUE_PX, right - left - 2 * _PAD_PX)
+    text = row.text.in_language(language)
+    room = right - left - 2 * _PAD_PX - 16 - canvas.measure(text, name, BLACK)
     if changing:
         # UP and DOWN change it: the marks are those beside the keys.
         large = TITLE - 6 if height > 40 else said
-        width = min(room, canvas.measure(value, large, BLACK)) + 112
+        width = min(room - 72, canvas.measure(value, large, BLACK)) + 112
         canvas.box(right - width, top, width, height - 5, theme.AQUA, 12)
         canvas.words("▲", right - width + 8, baseline + 5, TITLE + 8, BLACK, theme.INK)
         canvas.words("▼", right - 8, baseline + 5, TITLE + 8, BLACK, theme.INK, Align.RIGHT)
@@ -54,7 +54,7 @@ def _row(
     else:
         value_px = canvas.words(value, right - _PAD_PX, baseline, said, BOLD, ink, Align.RIGHT, room) + _PAD_PX
     name_px = right - value_px - 16 - left - _PAD_PX
-    canvas.words(row.text.in_language(language), left + _PAD_PX, baseline, name, BLACK, ink, max_width=name_px)
+    canvas.words(text, left + _PAD_PX, baseline, name, BLACK, ink, max_width=name_px)
 
 
 def first_shown(rows: int, selected: int, fit: int) -> int:
