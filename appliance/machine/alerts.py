@@ -39,6 +39,8 @@ class Alert:
     """Headline and action in German; ``None``: only English is known."""
     lasts: bool = False
     """Shown as long as its cause lasts (a condition, a lost device, a stuck key), not until the next key."""
+    passing: bool = False
+    """As in ``Rule``."""
     seen: bool = False
     """The diver has acknowledged it: a small mark is left of it."""
 
@@ -65,6 +67,9 @@ class Rule:
     """Found in a recorded scan, it makes points wrong: the diver may keep the scan, but is never told it is good."""
     doubts_lengths: bool = False
     """While it lasts, shapes are right and lengths may not be: no scan is called good without saying so."""
+    passing: bool = False
+    """It comes and goes with the live picture: told in the title and as a mark that says what to do, never in full. Nothing
+    moves under the diver's eyes, and no key is needed."""
     worsens: Mapping[str, float] = field(default_factory=dict, hash=False)
     """By how much a number has to change, and in which direction, for an acknowledged alert to be shown in full again."""
 
@@ -122,9 +127,9 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
         FaultCode.KEY_STUCK: Rule(_W, "KEY STUCK", "USE THE KEY WITH ITS LABEL"),
         FaultCode.TOO_NEAR: Rule(_W, "NEAR {distance_mm:.0f} mm", "BACK, OR SCAN AGAIN TO RECORD", "TOO NEAR"),
         FaultCode.TOO_FAR: Rule(_W, "FAR {distance_mm:.0f} mm", "CLOSER, OR SCAN AGAIN TO RECORD", "TOO FAR"),
-        FaultCode.AIM_DARK: Rule(_W, "TOO DARK TO SCAN", "GO CLOSER OR LENGTHEN EXPOSURE"),
-        FaultCode.AIM_TURBID: Rule(_W, "WATER TOO TURBID", "GO CLOSER OR LET IT SETTLE"),
-        FaultCode.AIM_FAST: Rule(_W, "MOVING TOO FAST", "HOLD STILL, THEN SCAN"),
+        FaultCode.AIM_DARK: Rule(_W, "TOO DARK TO SCAN", "GO CLOSER OR LENGTHEN EXPOSURE", passing=True),
+        FaultCode.AIM_TURBID: Rule(_W, "WATER TOO TURBID", "GO CLOSER OR LET IT SETTLE", passing=True),
+        FaultCode.AIM_FAST: Rule(_W, "MOVING TOO FAST", "HOLD STILL, THEN SCAN", passing=True),
         FaultCode.STORAGE_FULL: Rule(_W, "STORAGE FULL", "COPY SCANS, MAKE ROOM", blocks_scan=True),
         FaultCode.DISK_READ_ONLY: Rule(_W, "DISK READ-ONLY", "END DIVE, DISK NEEDS SERVICE", blocks_scan=True),
         FaultCode.DISK_REFUSES: Rule(_W, "DISK REFUSES", "END DIVE, DISK NEEDS SERVICE", blocks_scan=True),
@@ -211,7 +216,16 @@ def alert_of(fault: Fault) -> Alert:
     rule = RULES[fault.code]
     action, german_action = actions_of(fault)
     in_german = german_headline_of(fault), german_action
-    return Alert(fault.code, rule.severity, headline_of(fault), action, fault.detail, fault.device, in_german)
+    return Alert(
+        fault.code,
+        rule.severity,
+        headline_of(fault),
+        action,
+        fault.detail,
+        fault.device,
+        in_german,
+        passing=rule.passing,
+    )
 
 
 def _notice(machine: Machine) -> Alert | None:
@@ -288,7 +302,11 @@ def _worse(was: Fault, now: Fault, name: str, by: float) -> bool:
 
 def in_full(shown: Sequence[Alert]) -> Alert | None:
     """The one that is shown in full: the first of the gravest that nobody has acknowledged."""
-    return max((alert for alert in shown if not alert.seen), key=lambda alert: alert.severity, default=None)
+    return max(
+        (alert for alert in shown if not alert.seen and not alert.passing),
+        key=lambda alert: alert.severity,
+        default=None,
+    )
 
 
 def on_screen(machine: Machine) -> tuple[Alert, ...]:

@@ -9,7 +9,7 @@ from appliance.capture.fault import FaultCode
 from appliance.machine.alerts import Severity
 from appliance.screens import theme
 from appliance.screens.canvas import Align, Canvas
-from appliance.screens.frame import alerts_top, draw_title, room_between
+from appliance.screens.frame import alerts_top, draw_title, room_between, words_of
 from appliance.screens.gauge import draw_gauge
 from appliance.screens.marks import draw_marks
 from appliance.screens.texts import Language, Text, numbered, worded
@@ -32,7 +32,12 @@ def draw_aim(canvas: Canvas, view: AimView, language: Language) -> None:
         if view.insist
         else (Text.READY, theme.WHITE)
     )
-    draw_title(canvas, title.in_language(language), view.keys, language, colour)
+    # What a scan would fail for now is said where READY stands.
+    passing = next((words_of(alert, language)[0] for alert in view.alerts if alert.passing), None)
+    if passing is not None and title is Text.READY:
+        draw_title(canvas, passing, view.keys, language, theme.YELLOW)
+    else:
+        draw_title(canvas, title.in_language(language), view.keys, language, colour)
     draw_gauge(canvas, view.gauge, GAUGE_MIDDLE_PX, language)
     width, room = LIVE_PX[0], alerts_top(canvas, view.alerts) - _TOP_PX
     height = min(LIVE_PX[1], room)

@@ -140,10 +140,11 @@ def _marks(canvas: Canvas, others: Sequence[Alert], language: Language, bottom: 
     """The headlines of the other alerts, the gravest first, and how many there was no room for."""
     if not others:
         return
-    ranked = sorted(others, key=lambda alert: -alert.severity)
+    ranked = sorted(others, key=lambda alert: (not alert.passing, -alert.severity))
     x, middle, count_px = 14.0, bottom - MARKS_PX / 2, 60.0
     for place, alert in enumerate(ranked):
-        headline = words_of(alert, language)[0]
+        headline, action = words_of(alert, language)
+        headline = f"{headline}: {action}" if alert.passing else headline
         colour = theme.WHITE if alert.severity is Severity.INFO else theme.YELLOW
         more = len(ranked) - place
         if x + 26 + canvas.measure(headline, CAPTION, BLACK) > canvas.width - (16 if more == 1 else count_px):

@@ -140,6 +140,15 @@ def test_what_calibrating_is_the_remedy_for_need_not_be_acknowledged_there() -> 
     assert full(run(machine, BACK)) == "UNCALIBRATED"
 
 
+@pytest.mark.parametrize("code", [code for code, rule in RULES.items() if rule.passing])
+def test_what_comes_and_goes_with_the_live_picture_is_never_in_full_and_needs_no_key(code: FaultCode) -> None:
+    machine = run(aim(), on.ConditionRaised(Fault(code, "", {}, "live view")))
+    assert [alert.code for alert in alerts(machine)] == [code]
+    assert full(machine) is None
+    assert labels(machine) == labels(aim())
+    assert full(run(machine, UNCALIBRATED)) == "UNCALIBRATED"
+
+
 @given(START, WALKS, EVENTS)
 @settings(deadline=None)
 def test_nothing_becomes_known_but_by_its_key(start: Machine, events: list[on.Event], event: on.Event) -> None:

@@ -87,6 +87,8 @@ def test_every_alert_keeps_a_size_that_is_seen_at_once(context: moderngl.Context
     with context:
         canvas = Canvas(context, (800, 480))
         for alert in ALERTS.values():
+            if alert.passing:
+                continue  # never in full
             canvas.begin(theme.INK)
             draw_alerts(canvas, (alert,), language, 0.0)
             _, headline, action = canvas.written

@@ -392,6 +392,17 @@ def test_a_grade_does_not_stand_alone_where_lengths_are_not_trusted(painter: Pai
     assert "BAD" in bad[0]
 
 
+def test_what_a_scan_would_fail_for_stands_where_ready_stood(painter: Painter) -> None:
+    dark = Alert(FaultCode.AIM_DARK, Severity.WARNING, "TOO DARK TO SCAN", "GO CLOSER", passing=True)
+    drawn(painter, replace(AIM, alerts=(dark,)))
+    said = [line.words for line in painter.canvas.written]
+    assert "READY" not in said
+    assert said.count("TOO DARK TO SCAN") == 1
+    assert "TOO DARK TO SCAN: GO CLOSER" in said
+    drawn(painter, replace(AIM, alerts=(dark,), scan_allowed=False))
+    assert "NOT READY" in [line.words for line in painter.canvas.written]
+
+
 def test_the_key_that_acknowledges_is_as_yellow_as_the_warning_above_it(painter: Painter) -> None:
     view = replace(AIM, alerts=(LOST,), keys={Key.BACK: "SEEN"})
     label = drawn(painter, view)[430:476, 700:780].astype(int)

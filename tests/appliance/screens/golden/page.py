@@ -25,7 +25,8 @@ right. The language is chosen in the rig file (`[display] language`).
 
 An alert has room of its own: numbers, rows and pictures move up, none is covered (`tests/appliance/screens/test_room.py`). A
 warning that lasts is acknowledged with BACK (SEEN) and stays as a small mark on every screen, until its reason changes or it
-gets worse. While the light is on nothing is drawn: the display and the projector share one thread and one graphics card, and a
+gets worse. What comes and goes with the live picture (too dark, too turbid, too fast) stands in the place of READY, and as a
+mark that says what to do: nothing jumps, and no key is needed. While the light is on nothing is drawn: the display and the projector share one thread and one graphics card, and a
 picture of the progress could make a pattern late.
 """
 

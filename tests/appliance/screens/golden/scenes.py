@@ -171,6 +171,10 @@ SCENES: Mapping[str, Scene] = MappingProxyType(
             replace(AIM, right=None, scan_allowed=False, alerts=(LOST, WARM)),
             "A camera is lost: its picture is gone, SCAN is dim, the band says what to do.",
         ),
+        "aim-too-dark": Scene(
+            replace(AIM, alerts=(alert(FaultCode.AIM_DARK),)),
+            "What a scan would fail for, as the live picture shows it: it comes and goes by itself, and nothing jumps.",
+        ),
         "aim-acknowledge": Scene(
             replace(
                 AIM, alerts=(replace(alert(FaultCode.UNCALIBRATED), lasts=True),),
@@ -196,11 +200,10 @@ SCENES: Mapping[str, Scene] = MappingProxyType(
         "capture": Scene(CaptureView(keys=keys(back="STOP")), "The sequence is recorded. Drawn before its first pattern, and not again before its last one."),
         "check": Scene(CheckView(keys=keys(back="HOLD: REDO")), "Whether every frame shows its pattern; the diver may move."),
         "reconstruct": Scene(ReconstructView(keys=keys(back="HOLD: REDO")), "Points are computed.", 0.9),
-        "review": Scene(REVIEW, "The cloud by depth, gently turning; the verdict and its numbers.", 1.2),
+        "review": Scene(REVIEW, "The cloud by depth, gently turning, or turned by the diver; the verdict and its numbers.", 1.2),
         "review-coarse": Scene(
             replace(REVIEW, coarse=True, grade=Grade.USABLE, points=20_412, noise_mm=0.071), "A coarse cloud comes first.", 0.4
         ),
-        "review-turned": Scene(replace(REVIEW, turn=1), "Turned by the diver.", 0.0),
         "review-doubtful": Scene(
             replace(REVIEW, lengths_doubtful=True, alerts=(replace(alert(FaultCode.UNCALIBRATED), lasts=True, seen=True),)),
             "A good scan of an instrument that is not calibrated: no grade stands alone. The warning was acknowledged; its mark stays.",
