@@ -3,7 +3,8 @@
 A program of its own that imports nothing of the project: what it imported from one tree would hide another's. Its
 arguments name the libraries; it reads one job per line of its input (JSON) and writes one answer per line of its output.
 A run over its limit is killed with everything that it started. The limit is of processor time, since a busy computer
-makes a good run wait; by the clock a run may take twice as long and a while, for one that waits for what never comes.
+makes a good run wait. By the clock a run is ended when twice that and a while are over and nothing of it has used the
+processor lately: it waits for what never comes.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ from types import CodeType, FrameType
 from typing import Any
 
 _MEMORY_BYTES = 24 << 30
-_WHILE_S = 20.0
+_WHILE_S, _IDLE_S, _LOOK_S = 20.0, 10.0, 0.25
+_DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG
 _SUBREAPER = 36  # PR_SET_CHILD_SUBREAPER: what a killed run started becomes ours, so that we can end it
 
 
@@ -105,7 +107,9 @@ def main() -> int:
     here = str(Path(__file__).parent)
     sys.path[:] = [one for one in sys.path if one != here]
     sys.path.insert(0, tree)
-    ctypes.CDLL(None).prctl(_SUBREAPER, 1, 0, 0, 0)
+    libc = ctypes.CDLL(None)
+    libc.prctl(_SUBREAPER, 1, 0, 0, 0)
+    libc.prctl(_DIE_WITH_PARENT, signal.SIGKILL, 0, 0, 0)
     for name in sys.argv[1:]:
         try:
             importlib.import_module(name)
@@ -128,7 +132,7 @@ def _answer(tree: str, job: dict[str, Any]) -> dict[str, Any]:
             code = _run(tree, job)
         finally:
             os._exit(code)
-    status = _wait(child, began + 2.0 * job["limit_s"] + _WHILE_S)
+    status = _wait(child, began + 2.0 * job["limit_s"] + _WHILE_S, job["limit_s"])
     _end_the_rest(child)
     answer: dict[str, Any] = {"seconds": time.monotonic() - began, "tests": {}, "lines": {}}
     if notes.exists():
@@ -143,16 +147,39 @@ def _answer(tree: str, job: dict[str, Any]) -> dict[str, Any]:
     return answer
 
 
-def _wait(child: int, until: float) -> int | None:
-    """The child's status, or None when it had to be killed at the limit."""
-    while time.monotonic() < until:
+def _wait(child: int, until: float, limit_s: float) -> int | None:
+    """The child's status, or None when it had to be killed at a limit."""
+    used_s, moved = 0.0, time.monotonic()
+    look = moved + _LOOK_S
+    while True:
         pid, status = os.waitpid(child, os.WNOHANG)
         if pid:
             return status
+        now = time.monotonic()
+        if now > look:
+            look = now + _LOOK_S
+            now_used_s = _used_s(child)
+            if now_used_s > used_s + 0.01:
+                used_s, moved = now_used_s, now
+            if used_s > limit_s or (now > until and now - moved > _IDLE_S):
+                break
         time.sleep(0.02)
     os.killpg(child, signal.SIGKILL)
     os.waitpid(child, 0)
     return None
+
+
+def _used_s(session: int) -> float:
+    """Processor time of all processes of a session."""
+    ticks = 0
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = stat.read_text().rpartition(")")[2].split()
+        except OSError:
+            continue  # it has just ended
+        if int(fields[3]) == session:
+            ticks += sum(int(value) for value in fields[11:15])
+    return ticks / os.sysconf("SC_CLK_TCK")
 
 
 def _end_the_rest(child: int) -> None:
@@ -173,6 +200,7 @@ def _end_the_rest(child: int) -> None:
 
 def _run(tree: str, job: dict[str, Any]) -> int:
     os.setsid()
+    ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL, 0, 0, 0)  # a campaign that is ended leaves nothing behind
     resource.setrlimit(resource.RLIMIT_CPU, (int(job["limit_s"]) + 1, int(job["limit_s"]) + 5))
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY_BYTES, _MEMORY_BYTES))
     nothing, said = os.open(os.devnull, os.O_RDONLY), os.open(job["said"], os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
