@@ -25,8 +25,8 @@ MOST_MOVED = 0.25
 doubts that no order of the frames explains are the motion's, which has a judge of its own."""
 LEAST_MOVED, LARGE_DOUBT = 0.03, 1.5
 """So are lesser doubts, where anything moves at all: a fish before what the first frames saw."""
-MUCH_MOVED, LARGER_DOUBT = 0.12, 2.5
-"""And larger ones where much moves: an object that comes nearer by 60 mm/s."""
+DOUBT_PER_MOVED, LARGER_DOUBT = 10.0, 2.5
+"""And larger ones the more moves, beyond 1, and at most: an object that comes nearer by 60 mm/s."""
 LEAST_PARALLAX = 0.1
 """Of the field, by which the stripes lie beside their place in either camera, to opposite sides: the object is far from the
 measuring volume. That alone is no wrong pattern."""
@@ -125,10 +125,10 @@ def _may_be_motion(explanation: Explanation, evidence: Evidence) -> bool:
     """
     if explanation.what not in (What.STILL, What.REPEATED) and explanation.moved > MOST_MOVED:
         return True
-    if explanation.what is What.UNEXPLAINED and explanation.moved > MUCH_MOVED:
-        return evidence.worst < LARGER_DOUBT
-    unproven = explanation.what in (What.UNEXPLAINED, What.REPEATED)
-    return unproven and explanation.moved > LEAST_MOVED and evidence.worst < LARGE_DOUBT
+    if explanation.moved <= LEAST_MOVED or explanation.what not in (What.UNEXPLAINED, What.REPEATED):
+        return False
+    most = min(LARGER_DOUBT, DECIDED + DOUBT_PER_MOVED * explanation.moved)
+    return evidence.worst < (max(LARGE_DOUBT, most) if explanation.what is What.UNEXPLAINED else LARGE_DOUBT)
 
 
 def _without_parallax(cameras: list[_Camera]) -> list[_Camera]:
