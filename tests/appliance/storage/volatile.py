@@ -20,7 +20,7 @@ from appliance.storage.filesystem import Bytes, LocalFileSystem, WritableFile
 
 FEW = 4
 """Up to so many changes of names that are not durable, every subset is tried."""
-LATEST, SAMPLES = 3, 2
+LATEST, SAMPLES = 2, 1
 """Of more: each of so many of the latest alone and left out, and so many subsets at random."""
 RUBBISH = b"\x5a"
 """What an earlier file left in blocks that were allocated anew."""
