@@ -180,12 +180,21 @@ def test_a_bright_speck_in_the_water_that_one_camera_sees_on_a_beams_way_is_no_d
 
 
 def test_one_spot_in_one_picture_that_can_be_either_pointers_dot_is_neither(taught: Instrument) -> None:
-    """The right camera sees the right dot at 500 mm where the left one would be at 680 mm."""
-    laser = taught.truth.lasers[1]
+    """The left camera sees the right pointer's dot at 500 mm where another pointer's would be at 450 mm."""
+    laser, frame = taught.truth.lasers[1], taught.ranger.frame
     dot = np.array(laser.origin_mm) + 470.0 * np.array(laser.direction)
+    eye_mm = np.array(taught.truth.eye("left").t_mm)
+    nearer = frame.from_left(rig_to_left(taught.truth, (eye_mm + (dot - eye_mm) * 450.0 / dot[2])[None]))[0]
+    own = taught.ranger.beams[1]
+    other = replace(own, z0_mm=float(nearer[2]), line=(float(nearer[0]), float(nearer[1]), 0.0, 0.0))
+    far = replace(own, line=(-300.0, 0.0, 0.0, 0.0))
     black = np.zeros((300, 400), np.uint8)
-    spot = spotted(black, *project(taught.truth, "right", dot[None])[0])
-    assert told_after(taught, *4 * [(black, spot)]) is None
+    spot = spotted(black, *project(taught.truth, "left", dot[None])[0])
+    rig = complete_calibration(taught.truth).rig
+    for beside, told in ((far, True), (other, False)):
+        ranger = Ranger(rig, WATER.index, (beside, own))
+        measured = [ranger.range_of(ranger.find((spot, black))) for _ in range(4)]
+        assert (measured[-1] is not None) == told
 
 
 def spotted(image: np.ndarray, u: float, v: float) -> np.ndarray:
