@@ -179,3 +179,17 @@ def test_of_too_few_shared_pixels_no_movement_is_told() -> None:
         block.ravel()[:shared] = True
         second.mask[:16, :20][block] = V
         assert (merged(first, second).agrees is not None) == told, shared
+
+
+def test_a_picture_that_is_higher_than_wide_is_merged_to_its_last_row() -> None:
+    first, second = whole(np.full((200, 40), 0.004), shape=(200, 40))
+    merged(first, second)
+    v, u = np.mgrid[0:200, 0:40]
+    np.testing.assert_allclose(first.p_px, u + 0.002, atol=1e-4)
+
+
+def test_pictures_of_two_sizes_are_refused_with_both() -> None:
+    first, _ = whole(np.zeros((96, 160)))
+    _, second = whole(np.zeros((48, 64)), shape=(48, 64))
+    with pytest.raises(ValueError, match="images of 160x96 and 64x48 px cannot be merged"):
+        merged(first, second)
