@@ -184,7 +184,7 @@ def test_of_too_few_shared_pixels_no_movement_is_told() -> None:
 def test_a_picture_that_is_higher_than_wide_is_merged_to_its_last_row() -> None:
     first, second = whole(np.full((200, 40), 0.004), shape=(200, 40))
     merged(first, second)
-    v, u = np.mgrid[0:200, 0:40]
+    _, u = np.mgrid[0:200, 0:40]
     np.testing.assert_allclose(first.p_px, u + 0.002, atol=1e-4)
 
 
