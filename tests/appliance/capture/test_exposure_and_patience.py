@@ -1,0 +1,63 @@
+"""How bright, and how long to wait: the steps a diver may choose from, and limits that follow a slow projector."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import pytest
+
+from appliance.capture.exposure import Exposure, Span, ladder
+from appliance.capture.patience import Patience
+
+
+def test_at_60_hz_the_seconds_count() -> None:
+    p = Patience(60.0)
+    found = (p.ready_s, p.first_frame_s, p.next_frame_s, p.silence_s, p.collect_s, p.pulse_s, p.margin_s)
+    assert found == pytest.approx((2.0, 2.0, 0.15, 0.035, 2.5, 0.25, 5.0))
+
+
+def test_at_one_picture_a_second_the_periods_count() -> None:
+    p = Patience(1.0)
+    found = (p.ready_s, p.first_frame_s, p.next_frame_s, p.silence_s, p.collect_s, p.pulse_s, p.margin_s)
+    assert found == pytest.approx((12.0, 24.0, 9.0, 2.1, 12.0, 3.0, 40.0))
+
+
+def test_longer_exposures_come_before_more_gain_and_each_step_is_brighter() -> None:
+    steps = ladder(60.0, 500, 0.0, Span())
+    assert [step.time_us for step in steps[:-6]] == [
+        *(2000, 2500, 3200, 4000, 5000, 6300, 8000, 10000, 12000, 14000, 16000)
+    ]
+    assert [(step.time_us, step.gain_db) for step in steps[-6:]] == [(16000, 2.0 * k) for k in range(1, 7)]
+    lights = [step.light for step in steps]
+    assert lights == sorted(lights)
+    assert all(1.1 < b / a < 1.3 for a, b in pairwise(lights))
+
+
+def test_no_exposure_ends_after_the_next_vertical_sync() -> None:
+    """16.667 ms less the delay and 0.1 ms of margin."""
+    assert ladder(60.0, 566, 0.0, Span())[-7].time_us == 16000
+    assert ladder(60.0, 568, 0.0, Span())[-7].time_us == 14000
+    assert [one.time_us for one in ladder(60.0, 500, 0.0, Span(3.0, 5.0, 0.0))] == [3200, 4000, 5000]
+
+
+def test_the_rigs_own_gain_is_the_lowest_and_the_spans_the_highest() -> None:
+    gains = [step.gain_db for step in ladder(60.0, 500, 3.0, Span(most_gain_db=8.0)) if step.time_us == 16000]
+    assert gains == [3.0, 5.0, 7.0]
+    assert {step.gain_db for step in ladder(60.0, 500, 12.0, Span())} == {12.0}
+
+
+def test_where_no_step_fits_the_reason_and_the_steps_are_told() -> None:
+    with pytest.raises(
+        ValueError, match=r"no exposure step lies within 2\.\.1\.57 ms \(60 Hz less trigger delay 15000 us"
+    ):
+        ladder(60.0, 15_000, 0.0, Span())
+
+
+def test_an_exposure_is_as_bright_as_its_time_and_gain_and_says_so() -> None:
+    assert Exposure(8000).light == 8000.0
+    assert Exposure(8000, 20.0).light == pytest.approx(80_000.0)
+    assert [one.label for one in (Exposure(8000), Exposure(6300), Exposure(16000, 4.0))] == [
+        "8 ms",
+        "6.3 ms",
+        "16 ms +4 dB",
+    ]
