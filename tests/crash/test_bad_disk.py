@@ -147,5 +147,7 @@ def test_replacing_a_file_leaves_the_old_or_the_new_one(tmp_path: Path) -> None:
 
 def test_a_refusal_names_what_was_tried_where_and_why(tmp_path: Path) -> None:
     root = prepared(tmp_path / "root")
-    with pytest.raises(StorageError, match=r"cannot make .*scans/\.000001: .*injected.*; the disk fails: copy what is on it"):
+    with pytest.raises(
+        StorageError, match=r"cannot make .*scans/\.000001: .*injected.*; the disk fails: copy what is on it"
+    ):
         Library(root, BadDisk(6)).begin(frames(), record(), ORIGIN)
