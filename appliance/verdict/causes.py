@@ -33,6 +33,8 @@ LEAST_SHARE = 0.05
 ENOUGH_FRINGE_DN = 8.0
 """Fringes of this amplitude give points. The ninth tenth of the cells must reach it with the longest exposure, or no exposure
 helps."""
+RUSHING_FRINGE_DN = 10.0
+"""Fringes of this amplitude and more are decoded, unless something moves fast."""
 FULL_SCALE_DN = 235.0
 MOST_SATURATED = 0.25
 """Share of the lit pixels: beyond, weak fringes say nothing about darkness."""
@@ -153,13 +155,17 @@ def _all(
     light, water, motion, sight = (_numbers(of, name) for name in ("light", "water", "motion", "sight"))
     poor = not is_usable(summary.coverage_percent, summary.noise_mm)
     moved = _moved_ripple(motion)
-    yield from _motion(of, motion, summary, poor)
-    yield from _flicker(light, of, moved)
     outside = _outside(sight)
+    rushing = _rushing(motion, sight, light, water, summary) if poor and outside is None else None
+    if rushing is not None:
+        yield rushing
+    else:
+        yield from _motion(of, motion, summary, poor)
+        yield from _flicker(light, of, moved)
     if outside is not None:
         yield outside
     yield from _levels(of, light)
-    yield from _water(of, water, moved)
+    yield from _water(of, water, moved if rushing is None else 1.0)
     if poor and outside is None:
         faint = _faint(sight, light, summary, present, steps)
         if faint is not None:
@@ -184,6 +190,21 @@ def _motion(of: Mapping[str, Judgement], motion: Numbers, summary: CloudSummary,
             yield Cause(Fault(FaultCode.MOVED, detail, known), 1.0 - left, False)
         return
     yield Cause(fault or Fault(FaultCode.MOVED, detail, known), 1.0 - left, fault is not None)
+
+
+def _rushing(motion: Numbers, sight: Numbers, light: Numbers, water: Numbers, summary: CloudSummary) -> Cause | None:
+    """So fast that too few points are left to judge the motion by: strong fringes in good light that contradict each other.
+
+    A lamp that flickers leaves the Gray code readable, and what is saturated, veiled, faint or outside is told from this.
+    """
+    fringe = sight.get("fringe_dn")
+    if motion.get("added_noise_percent") is not None or fringe is None or fringe < RUSHING_FRINGE_DN:
+        return None
+    veiled = (water.get("veil_percent") or 0.0) >= CLEAR_WATER_PERCENT
+    if veiled or _saturated(light) > MOST_SATURATED:
+        return None
+    detail = f"fringes of {fringe:.0f} DN that contradict each other: something moves fast"
+    return Cause(Fault(FaultCode.MOVED, detail), 1.0 - 0.01 * min(summary.coverage_percent or 0.0, 100.0), True)
 
 
 def _moved_ripple(motion: Numbers) -> float:

@@ -67,6 +67,17 @@ def test_hands_that_move_in_clear_water_do_not_make_it_dirty() -> None:
     assert said == [FaultCode.MOVED]
 
 
+def test_hands_too_fast_to_be_judged_are_no_flickering_light() -> None:
+    """60 mm/s across: no point is left to judge the motion by, and grey values change as before a lamp."""
+    unjudged = judgement(
+        "motion", {"added_noise_percent": None, "lost_percent": 90.0, "score": None, "score_limit": 4.5}
+    )
+    numbers = {"left_flicker_over_noise": 5.6, "right_flicker_over_noise": 5.7, "harmed_percent": 100.0}
+    flickers = light(FaultCode.LIGHT_FLICKERS, **numbers)
+    water = judgement("water", SPECKS_OF_MOTION, FaultCode.WATER_DIRTY, coverage_percent=86.0)
+    assert codes(unjudged, flickers, water, sight(**FRINGES), summary=NO_POINTS) == [FaultCode.MOVED]
+
+
 def test_specks_are_specks_where_nothing_moves() -> None:
     water = judgement("water", SPECKS_OF_MOTION, FaultCode.WATER_DIRTY, coverage_percent=86.0)
     assert codes(still(), water, light(), sight(**FRINGES)) == [FaultCode.WATER_DIRTY]
