@@ -10,7 +10,7 @@ from bench.verdict.causes_frames import frames_of
 from bench.verdict.causes_scenes import Spoilt, draw_base, exposure_of, grid_of
 from bench.verdict.causes_truth import Outcome, judged
 
-BASE = draw_base(10_000, 0)
+BASE = draw_base(10_000, 1)
 
 
 def outcome(spoilt: Spoilt) -> Outcome:
@@ -34,7 +34,7 @@ def test_a_bad_scan_has_a_reason_and_the_first_is_the_true_one(spoilt: Spoilt, e
 
 
 def test_a_good_scan_has_none() -> None:
-    found = outcome(Spoilt(water="coast"))
+    found = outcome(Spoilt())
     assert found.grade is Grade.GOOD
     assert found.reasons == ()
 
