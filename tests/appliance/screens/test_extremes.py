@@ -93,8 +93,9 @@ def views() -> dict[str, AnyView]:
     return {
         "aim, most": replace(
             AIM, scans_taken=tens_of_thousands, scans_left=tens_of_thousands, temperature_c=-12.6, exposure=LONGEST.label,
-            water=Text.FRESH, gauge=Gauge(9999.0, -88.0, Reach.UNKNOWN),
+            water=Text.FRESH, gauge=Gauge(9999.0, -88.0, Reach.CLOSER),
         ),
+        "aim, unknown": replace(AIM, gauge=Gauge(None, None, Reach.UNKNOWN)),
         "aim, back": replace(AIM, gauge=Gauge(104.0, 89.0, Reach.BACK), temperature_c=104.4, exposure="6.3 ms"),
         "review, most": replace(
             REVIEW, points=99_949_999, coverage_percent=100.0, noise_mm=12.3456, distance_mm=9_999.4, duration_s=12_345.67,
