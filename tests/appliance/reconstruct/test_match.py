@@ -14,8 +14,10 @@ from appliance.reconstruct.scratch import (
     RIGHT_SHARE,
     SIZE,
     SLOPE,
+    U_START,
     UP,
     UQ,
+    V_START,
     VP,
     VQ,
     P,
@@ -99,6 +101,45 @@ def test_the_row_above_leads_to_the_same_points() -> None:
         assert np.abs(below[U] - (u + 0.4 * step)).max() < 4e-3
         np.testing.assert_allclose(below[U], alone[U], atol=1e-3)
         np.testing.assert_allclose(below[V], alone[V], atol=1e-3)
+
+
+def nearest_pixel_was_read(row: Row) -> bool:
+    """Whether the short way over the whole row chose each point's pixel; what it misses is found one by one, slowly."""
+    found: bool = (np.abs(row[U_START] - row[U]) < 0.76).all() and (np.abs(row[V_START] - row[V]) < 0.76).all()
+    return found
+
+
+def test_on_a_smooth_surface_the_inverse_map_leads_the_short_way_to_every_point() -> None:
+    def wide(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return 40.0 + 0.6 * u + 0.05 * v, 100.0 - 0.02 * u + 0.7 * v
+
+    v, u = np.mgrid[0:40, 0:1600].astype(float)
+    p, q = (x.astype(np.float32) for x in wide(u, v))
+    right = right_maps(p, q, np.full(p.shape, 150, np.uint8), 1024, 768)
+    fill_inverse_map(right, 1)
+    row = Row(right, wide, np.linspace(12.3, 1580.7, 400), np.linspace(6.2, 32.7, 400))
+    assert row.matched.all()
+    assert nearest_pixel_was_read(row)
+
+
+def test_the_row_above_is_enough_to_know_where_to_look() -> None:
+    right = maps_of(bent)
+    u, v = np.linspace(12.3, 140.7, 70), np.linspace(40.0, 60.0, 70)
+    first = Row(right, bent, u, v)
+    right.inverse[:, :] = 0
+    for step in (0.3, 1.0, 2.4):
+        below = Row(right, bent, u + 0.4 * step, v + step, first)
+        assert below.matched.all()
+        assert nearest_pixel_was_read(below)
+
+
+def test_a_node_that_only_a_hole_meets_knows_a_pixel_beside_the_hole() -> None:
+    right = maps_of(sheared, (slice(48, 62), slice(66, 90)))
+    # Node 12 · 20 px, 7 · 20 px: all the pixels that would round to it are missing.
+    y, x = divmod(int(right.inverse[7 + 1, 12 + 1]), 65536)
+    assert (x, y) != (0, 0)
+    assert abs(right.p_px[y, x] - 240.0) <= 30.2
+    assert abs(right.q_px[y, x] - 140.0) <= 30.2
 
 
 def test_the_derivatives_are_those_of_the_inverse_map() -> None:
