@@ -1,0 +1,330 @@
+"""One scan with devices that follow a script: what is armed, what a report says, and which of several troubles comes first."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from typing import cast
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from appliance.capture.fault import Fault, FaultCode
+from appliance.capture.grabber import Grabber
+from appliance.capture.scan import CaptureReport, ScanRecorder, ScanSettings, device_fault
+from appliance.capture.store import FrameStore
+from appliance.patterns.sequence import build_sequence
+from drivers.api import (
+    Board,
+    BoardBooted,
+    BoardEvent,
+    BoardLost,
+    Camera,
+    CameraSettings,
+    ClockReading,
+    DeviceGone,
+    Flip,
+    Frame,
+    FrameStatus,
+    LaserState,
+    Projector,
+    Pulse,
+    PulsesDone,
+    Telemetry,
+    Vsync,
+    VsyncLost,
+)
+from drivers.native import MonotonicClock
+
+SEQUENCE = build_sequence(16, 64, 64)
+N = len(SEQUENCE)
+HZ, DELAY_US, EXPOSURE_US = 60.0, 500, 8000
+PERIOD_NS = 1e9 / HZ
+HEIGHT_PX, WIDTH_PX = 2, 3
+IDLE_SEQUENCE, IDLE_VSYNC, IDLE_US = 1000, 200, 5_000_000
+"""The blank of the flip that the sequence is planned by: the display's number, the board's, and the board's time."""
+BEAT = Telemetry(0, 0, 0, LaserState(False, False))
+
+
+@dataclass
+class Script:
+    """What shall happen, and what did."""
+
+    damaged: dict[str, tuple[int, FrameStatus]] = field(default_factory=dict)
+    lost_at: dict[str, int] = field(default_factory=dict)
+    too_many: str | None = None
+    lasers: LaserState = LaserState(False, False)  # noqa: RUF009
+    pulses: Callable[[list[BoardEvent]], list[BoardEvent]] = list
+    before: list[BoardEvent] = field(default_factory=list)
+    projector_gone: bool = False
+    said: list[str] = field(default_factory=list)
+    clock: MonotonicClock = field(default_factory=MonotonicClock)
+    blank: threading.Condition = field(default_factory=threading.Condition)
+    shown: int = 0
+    idle_ns: int = 0
+
+
+class ScriptedCamera:
+    """Gives the k-th frame once the k-th pattern is shown."""
+
+    def __init__(self, side: str, script: Script) -> None:
+        self._side, self._script = side, script
+        self._next = 0
+
+    def configure(self, settings: CameraSettings) -> CameraSettings:
+        self._script.said.append(f"{self._side} {settings.exposure_us:g} us {settings.gain_db:g} dB")
+        return settings
+
+    def start(self) -> None:
+        self._next = 0
+
+    def stop(self) -> None:
+        pass
+
+    def temperature_c(self) -> float | None:
+        return 30.5
+
+    def read_clock(self) -> ClockReading | None:
+        return None
+
+    def next_frame(self, slot: NDArray[np.uint8], timeout_s: float) -> Frame:
+        k, script = self._next, self._script
+        last = N + (1 if script.too_many == self._side else 0)
+        with script.blank:
+            if k >= last or not script.blank.wait_for(lambda: script.shown > min(k, N - 1), timeout_s):
+                return Frame(FrameStatus.TIMEOUT, None, None, 0)
+        if script.lost_at.get(self._side) == k:
+            raise DeviceGone(f"camera.{self._side}", "unplugged", "plug it in")
+        self._next = k + 1
+        slot[:] = k + 1
+        at, status = script.damaged.get(self._side, (-1, FrameStatus.COMPLETE))
+        return Frame(status if at == k else FrameStatus.COMPLETE, k, 77 + round(k * PERIOD_NS), 0, "as scripted")
+
+
+class ScriptedProjector:
+    """Shows a pattern at every blank from the planned one on."""
+
+    def __init__(self, script: Script) -> None:
+        self._script = script
+
+    def play(
+        self, indices: Sequence[int], idle: int, start: Callable[[Flip], int | None], abort: Callable[[], bool]
+    ) -> list[Flip]:
+        script = self._script
+        script.idle_ns = script.clock.now_ns()
+        first = start(Flip(idle, IDLE_SEQUENCE, script.idle_ns))
+        assert first is not None
+        assert first >= IDLE_SEQUENCE + 2, "at least two blanks ahead"
+        flips: list[Flip] = []
+        for k, index in enumerate(indices):
+            if abort():
+                break
+            if script.projector_gone and k == 3:
+                raise DeviceGone("projector", "no signal", "plug it in")
+            sequence = first + k
+            flips.append(Flip(index, sequence, script.idle_ns + round((sequence - IDLE_SEQUENCE) * PERIOD_NS)))
+            with script.blank:
+                script.shown += 1
+                script.blank.notify_all()
+            script.clock.sleep_s(0.001)
+        return flips
+
+
+class ScriptedBoard:
+    """Fires as it was armed, and says so."""
+
+    def __init__(self, script: Script) -> None:
+        self._script = script
+        self._events: list[BoardEvent] = list(script.before)
+
+    def stop(self) -> None:
+        self._script.said.append("stop")
+
+    def set_lasers(self, left_on: bool, right_on: bool) -> LaserState:
+        self._script.said.append(f"lasers {left_on} {right_on}")
+        return self._script.lasers
+
+    def vsync(self) -> Vsync:
+        asked_ns = self._script.idle_ns + 100_000
+        return Vsync(IDLE_VSYNC, IDLE_US, IDLE_US + 100, asked_ns, asked_ns)
+
+    def arm(self, pulses: int, at_vsync: int, delay_us: int, width_us: int) -> None:
+        self._script.said.append(f"arm {pulses} delay {delay_us} width {width_us}")
+        first_us = IDLE_US + (at_vsync - IDLE_VSYNC) * PERIOD_NS / 1000 + delay_us
+        fired = [Pulse(k, at_vsync + k, round(first_us + k * PERIOD_NS / 1000)) for k in range(pulses)]
+        self._events += self._script.pulses([*fired, PulsesDone(pulses)])
+
+    def next_event(self, timeout_s: float) -> BoardEvent | None:
+        return self._events.pop(0) if self._events else None
+
+
+@dataclass
+class Bench:
+    script: Script
+    grabbers: dict[str, Grabber]
+    store: FrameStore
+    arrived: list[tuple[str, int]] = field(default_factory=list)
+
+    def record(self, abort: Callable[[], Fault | None] = lambda: None) -> CaptureReport:
+        recorder = ScanRecorder(
+            self.grabbers,
+            cast("Board", ScriptedBoard(self.script)),
+            cast("Projector", ScriptedProjector(self.script)),
+            self.script.clock,
+            ScanSettings(HZ, EXPOSURE_US, DELAY_US),
+        )
+        return recorder.record(SEQUENCE, self.store, lambda side, k: self.arrived.append((side, k)), abort)
+
+
+@pytest.fixture
+def bench() -> Iterator[Bench]:
+    script = Script()
+    settings = CameraSettings(WIDTH_PX, HEIGHT_PX, float(EXPOSURE_US), 0.0)
+    patience = ScanSettings(HZ, EXPOSURE_US, DELAY_US).patience
+    with ExitStack() as stack:
+        store = stack.enter_context(FrameStore(N, HEIGHT_PX, WIDTH_PX))
+        grabbers = {
+            side: stack.enter_context(
+                Grabber(side, cast("Camera", ScriptedCamera(side, script)), script.clock, settings, patience)
+            )
+            for side in ("left", "right")
+        }
+        yield Bench(script, grabbers, store)
+
+
+def test_a_scan_in_which_nothing_goes_wrong(bench: Bench) -> None:
+    bench.script.before = [Pulse(7, 8, 9), PulsesDone(8), BEAT]
+    report = bench.record()
+    assert report.fault is None
+    assert bench.script.said == ["stop", "lasers False False", f"arm {N} delay {DELAY_US} width {EXPOSURE_US}"]
+    assert sorted(bench.arrived) == sorted((side, k) for side in ("left", "right") for k in range(N))
+    for side in ("left", "right"):
+        assert bench.store.frames(side)[:, 1, 2].tolist() == list(range(1, N + 1))
+    ledger = report.ledger
+    assert (ledger.expected, ledger.period_ns, ledger.delay_us) == (N, PERIOD_NS, DELAY_US)
+    assert ledger.start_sequence is not None
+    assert ledger.start_vsync is not None
+    assert ledger.start_sequence - IDLE_SEQUENCE == ledger.start_vsync - IDLE_VSYNC >= 3
+    assert (len(ledger.flips), len(ledger.pulses)) == (N, N), "a pulse of before does not count"
+    assert {side: len(frames) for side, frames in ledger.frames.items()} == {"left": N, "right": N}
+    assert report.board_events == (BEAT,), "kept for whoever watches the board"
+    assert 0.0 < report.recording_s < 20.0
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "which"), [(True, False, "left"), (False, True, "right"), (True, True, "left and right")]
+)
+def test_no_scan_with_a_laser_that_conducts(bench: Bench, left: bool, right: bool, which: str) -> None:
+    bench.script.lasers = LaserState(left, right)
+    report = bench.record()
+    assert report.fault is not None
+    assert (report.fault.code, report.fault.device) == (FaultCode.LASER_ON, "board")
+    assert report.fault.detail == f"the {which} laser still conducts after switching off"
+    assert report.ledger.flips == ()
+    assert not any(said.startswith("arm") for said in bench.script.said)
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+@pytest.mark.parametrize("at", [0, 5])
+def test_a_camera_that_is_lost_explains_what_else_is_missing(bench: Bench, side: str, at: int) -> None:
+    bench.script.lost_at = {side: at}
+    report = bench.record()
+    assert report.fault is not None
+    assert (report.fault.code, report.fault.device) == (FaultCode.CAMERA_LOST, f"camera.{side}")
+    assert report.fault.detail == "unplugged"
+    assert bench.grabbers[side].lost == "unplugged"
+    assert bench.script.said[-1] == "stop", "no more light for nothing"
+    again = bench.record()
+    assert again.fault is not None
+    assert again.fault.code is FaultCode.CAMERA_LOST, "and the next scan says so too"
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+@pytest.mark.parametrize(
+    ("status", "code"),
+    [(FrameStatus.TRUNCATED, FaultCode.FRAME_TRUNCATED), (FrameStatus.CORRUPT, FaultCode.FRAME_CORRUPT)],
+)
+def test_a_damaged_frame_is_the_cause_and_the_other_cameras_missing_ones_are_not(
+    bench: Bench, side: str, status: FrameStatus, code: FaultCode
+) -> None:
+    bench.script.damaged = {side: (4, status)}
+    report = bench.record()
+    assert report.fault is not None
+    assert (report.fault.code, report.fault.device) == (code, f"camera.{side}")
+    assert report.fault.numbers["frame"] == 4
+
+
+def test_a_frame_too_many_is_evidence_as_well(bench: Bench) -> None:
+    bench.script.too_many = "right"
+    report = bench.record()
+    assert report.fault is not None
+    assert (report.fault.code, report.fault.device) == (FaultCode.FRAME_MISSING, "camera.right")
+    assert len(report.ledger.frames["right"]) == N + 1
+
+
+@pytest.mark.parametrize(
+    ("event", "code"),
+    [
+        (BoardBooted("1.0", "B1", "brown-out"), FaultCode.BOARD_RESET),
+        (BoardLost("silent for 2 s"), FaultCode.BOARD_LOST),
+        (VsyncLost(), FaultCode.VSYNC_LOST),
+    ],
+)
+def test_what_the_board_says_of_itself_explains_the_pulses_that_are_missing(
+    bench: Bench, event: BoardEvent, code: FaultCode
+) -> None:
+    bench.script.pulses = lambda events: [*events[:6], event]
+    report = bench.record()
+    assert report.fault is not None
+    assert (report.fault.code, report.fault.device) == (code, "board")
+    assert event in report.board_events
+    assert bench.script.said[-1] == "stop", "what it was armed for is called off"
+
+
+def test_a_pulse_that_was_not_fired(bench: Bench) -> None:
+    bench.script.pulses = lambda events: [*events[:6], *events[7:]]
+    report = bench.record()
+    assert report.fault is not None
+    assert (report.fault.code, report.fault.numbers["received"]) == (FaultCode.PULSE_MISSING, N - 1)
+    assert bench.script.said[-1] == "stop"
+
+
+def test_whoever_ends_a_scan_says_why(bench: Bench) -> None:
+    leak = Fault(FaultCode.LEAK, "water")
+    report = bench.record(lambda: leak if bench.script.shown >= 5 else None)
+    assert report.fault == leak
+    assert len(report.ledger.flips) == 5
+    assert bench.script.said[-1] == "stop"
+
+
+def test_a_projector_that_goes_while_it_plays(bench: Bench) -> None:
+    bench.script.projector_gone = True
+    report = bench.record()
+    assert report.fault is not None
+    assert (report.fault.code, report.fault.device) == (FaultCode.PROJECTOR_LOST, "projector")
+    assert bench.script.said[-1] == "stop"
+
+
+def test_another_exposure_counts_from_the_next_start_on(bench: Bench) -> None:
+    bench.grabbers["left"].expose(4000.0, 6.0)
+    assert bench.record().fault is None
+    assert bench.script.said.count("left 4000 us 6 dB") == 1
+    assert not any(said.startswith("right") for said in bench.script.said)
+
+
+@pytest.mark.parametrize(
+    ("device", "code"),
+    [
+        ("camera.left", FaultCode.CAMERA_LOST),
+        ("camera.right", FaultCode.CAMERA_LOST),
+        ("projector", FaultCode.PROJECTOR_LOST),
+        ("display", FaultCode.DISPLAY_LOST),
+        ("board", FaultCode.BOARD_LOST),
+        ("wires", FaultCode.INTERNAL),
+    ],
+)
+def test_each_device_has_its_own_loss(device: str, code: FaultCode) -> None:
+    assert device_fault(device, "gone") == Fault(code, "gone", {}, device)
