@@ -32,7 +32,7 @@ class DamagedFrames:
     """Of their patterns."""
 
     def __str__(self) -> str:
-        which = "" if self.frames is None or len(self.frames) > MOST_NAMED else f" in {', '.join(self.names)}"
+        which = "" if not self.frames or len(self.frames) > MOST_NAMED else f" in {', '.join(self.names)}"
         if self.frames is not None and len(self.frames) > MOST_NAMED:
             which = f" in {len(self.frames)} frames"
         return f"{self.file}: {self.problem}{which}"
