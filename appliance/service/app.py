@@ -79,9 +79,9 @@ def run(rig: Rig) -> int:
             found, aside = (", ".join(ids) or "none" for ids in (recovery.recovered, recovery.set_aside))
             log.warning("scans recovered: %s; set aside: %s", found, aside)
         news = (*news, *recovered(recovery.recovered))  # last, for it says more than that the run before ended
-        calibration, conditions = calibration_of(rig)
         stopping = stack.enter_context(_signals())
         wires = stack.enter_context(drivers_rig.open_wires(rig.rig.wires, rig.rig.wires_options))
+        calibration, conditions = calibration_of(rig)
         gl = stack.enter_context(open_gl())
         response = response_of(rig)
         choices = ChoicesFile(rig.storage.root, standard_choices(rig))

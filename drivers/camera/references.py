@@ -51,7 +51,7 @@ def check_limits(xml: str) -> None:
     parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = declared
     try:
         parser.Parse(xml.encode(), True)
-    except (expat.ExpatError, ValueError) as error:
+    except (expat.ExpatError, ValueError, LookupError) as error:  # LookupError: an encoding that Python does not know
         raise WrongReference(f"not well-formed XML: {error}") from error
 
 
