@@ -328,3 +328,8 @@ def test_another_exposure_counts_from_the_next_start_on(bench: Bench) -> None:
 )
 def test_each_device_has_its_own_loss(device: str, code: FaultCode) -> None:
     assert device_fault(device, "gone") == Fault(code, "gone", {}, device)
+
+
+def test_faults_with_numbers_can_be_told_apart_in_a_set() -> None:
+    one, two = (Fault(FaultCode.FRAME_MISSING, "", {"received": received}) for received in (22, 23))
+    assert len({one, two, Fault(FaultCode.FRAME_MISSING, "", {"received": 23})}) == 2

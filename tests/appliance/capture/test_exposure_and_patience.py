@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import pytest
 
-from appliance.capture.exposure import Exposure, Span, ladder
+from appliance.capture.exposure import NOMINAL, Exposure, Span, ladder
 from appliance.capture.patience import Patience
 
 
@@ -56,6 +56,7 @@ def test_where_no_step_fits_the_reason_and_the_steps_are_told() -> None:
 def test_an_exposure_is_as_bright_as_its_time_and_gain_and_says_so() -> None:
     assert Exposure(8000).light == 8000.0
     assert Exposure(8000, 20.0).light == pytest.approx(80_000.0)
+    assert NOMINAL.label == "12 ms", "of an instrument whose rig file nobody has read"
     assert [one.label for one in (Exposure(8000), Exposure(6300), Exposure(16000, 4.0))] == [
         "8 ms",
         "6.3 ms",

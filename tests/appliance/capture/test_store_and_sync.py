@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import chain, repeat
 from multiprocessing.shared_memory import SharedMemory
+from pathlib import Path
 from typing import cast
 
 import numpy as np
@@ -45,10 +46,27 @@ def test_the_memory_is_given_back_by_its_maker_and_only_once() -> None:
     store = FrameStore(FRAMES, HEIGHT_PX, WIDTH_PX)
     name = store.name
     SharedMemory(name).close()
+    assert name in Path("/proc/self/maps").read_text()
     store.close()
     store.close()
     with pytest.raises(FileNotFoundError):
         SharedMemory(name)
+    assert name not in Path("/proc/self/maps").read_text(), "184 MB must not stay mapped"
+    with pytest.raises(KeyError):
+        store.frames("left")
+
+
+def test_leaving_the_store_gives_its_memory_back() -> None:
+    with FrameStore(FRAMES, HEIGHT_PX, WIDTH_PX) as store:
+        name = store.name
+    with pytest.raises(FileNotFoundError):
+        SharedMemory(name)
+
+
+def test_every_page_is_there_before_the_first_scan() -> None:
+    """A page that is only promised is found while frames arrive, or is not found at all."""
+    with FrameStore(FRAMES, 100, 200, sequences=2) as store:
+        assert Path("/dev/shm", store.name).stat().st_blocks * 512 >= 2 * 2 * FRAMES * 100 * 200
 
 
 class Answers:
