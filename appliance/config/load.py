@@ -24,11 +24,18 @@ _MOST_FAULTS = 100
 
 class ConfigError(Exception):
     """The rig file cannot be used. ``headline`` fits a safe screen; ``str()`` adds allowed range and remedy, and names
-    every other fault of the file.
+    the ``others``, further faults of the file; ``uncounted`` is how many there are beyond those.
     """
 
     def __init__(
-        self, headline: str, allowed: str, remedy: str, *, key: str | None = None, others: Sequence[ConfigError] = ()
+        self,
+        headline: str,
+        allowed: str,
+        remedy: str,
+        *,
+        key: str | None = None,
+        others: Sequence[ConfigError] = (),
+        uncounted: int = 0,
     ) -> None:
         self.headline = headline
         self.key = key
@@ -41,8 +48,8 @@ class ConfigError(Exception):
         parts.append(remedy)
         if others:
             named = [other.headline + (f" (allowed: {other.allowed})" if other.allowed else "") for other in others]
-            uncounted = [f"and {len(named) - _MOST_FAULTS} more"] if len(named) > _MOST_FAULTS else []
-            parts.append("also wrong: " + ", ".join(named[:_MOST_FAULTS] + uncounted))
+            more = [f"and {uncounted} more"] if uncounted else []
+            parts.append("also wrong: " + ", ".join(named + more))
         super().__init__("; ".join(parts))
 
 
@@ -89,7 +96,8 @@ def rig_from_mapping(content: Mapping[str, Any], source: str = "rig") -> Rig:
         rig = TypeAdapter(Rig).validate_python(plain)
     except ValidationError as error:
         details = sorted(error.errors(include_url=False), key=lambda d: not _is_unknown_key(d))
-        raise _explain(details[0], source, [_explain(detail, source) for detail in details[1:]]) from None
+        named = [_explain(detail, source) for detail in details[1 : 1 + _MOST_FAULTS]]
+        raise _explain(details[0], source, named, max(0, len(details) - 1 - _MOST_FAULTS)) from None
     broken = list(complaints(rig))
     if broken:
         raise _complain(broken[0], source, [_complain(complaint, source) for complaint in broken[1:]])
@@ -111,7 +119,12 @@ def _is_unknown_key(detail: ErrorDetails) -> bool:
     return detail["type"] in ("unexpected_keyword_argument", "extra_forbidden")
 
 
-def _explain(detail: ErrorDetails, source: str, others: Sequence[ConfigError] = ()) -> ConfigError:
+def _explain(detail: ErrorDetails, source: str, others: Sequence[ConfigError] = (), uncounted: int = 0) -> ConfigError:
+    """The words for one fault that pydantic found; ``others`` and ``uncounted`` as in ``ConfigError``."""
+
+    def wrong(headline: str, allowed: str, remedy: str) -> ConfigError:
+        return ConfigError(headline, allowed, remedy, key=key, others=others, uncounted=uncounted)
+
     key = ".".join(_short(str(part)) for part in detail["loc"])
     value = _spell(detail["input"])
     context = detail.get("ctx", {})
@@ -122,20 +135,18 @@ def _explain(detail: ErrorDetails, source: str, others: Sequence[ConfigError] = 
     if _is_unknown_key(detail):
         near = _nearest(detail["loc"])
         hint = f"did you mean {near}?" if near else f"known here: {', '.join(_siblings(detail['loc']))}"
-        return ConfigError(f"{key} unknown key", "", f"{hint} ({source})", key=key, others=others)
+        return wrong(f"{key} unknown key", "", f"{hint} ({source})")
     if kind in ("missing", "missing_argument"):
-        return ConfigError(f"{key} missing", allowed, f"add it to {source}", key=key, others=others)
+        return wrong(f"{key} missing", allowed, f"add it to {source}")
     if kind in ("less_than_equal", "greater_than_equal"):
         sign, limit = (">", context["le"]) if kind == "less_than_equal" else ("<", context["ge"])
-        return ConfigError(f"{key} {value} {sign} {limit:g}", allowed, remedy, key=key, others=others)
+        return wrong(f"{key} {value} {sign} {limit:g}", allowed, remedy)
     if kind == "literal_error":
-        return ConfigError(f"{key} {value}", str(context["expected"]), remedy, key=key, others=others)
+        return wrong(f"{key} {value}", str(context["expected"]), remedy)
     if kind == "string_pattern_mismatch":
-        return ConfigError(f"{key} {value}", '"package.module:function"', remedy, key=key, others=others)
+        return wrong(f"{key} {value}", '"package.module:function"', remedy)
     wanted = detail["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
-    return ConfigError(
-        f"{key} {value} is not {wanted.removesuffix(' is needed')}", allowed, remedy, key=key, others=others
-    )
+    return wrong(f"{key} {value} is not {wanted.removesuffix(' is needed')}", allowed, remedy)
 
 
 def _spell(value: object) -> str:
