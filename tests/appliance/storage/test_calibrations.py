@@ -240,3 +240,11 @@ def test_killed_while_a_step_is_entered_leaves_the_session_before_or_after(tmp_p
         trial = store.session().trial(Step.M1)
         assert trial is not None
         assert trial.points in (last, last + 1)
+
+
+def test_a_solved_calibration_lies_beside_the_report_that_speaks_of_it(store: Calibrations) -> None:
+    session = store.write(recorded())
+    store.write_solved(NEW, replace(session, solved=solved(NEW)), {"report.txt": b"0.026 px", "residuals.csv": b"1,2"})
+    assert (store.folder / "session" / "report.txt").read_bytes() == b"0.026 px"
+    assert (store.folder / "session" / "residuals.csv").read_bytes() == b"1,2"
+    assert load(store.solved).hash == NEW.hash
