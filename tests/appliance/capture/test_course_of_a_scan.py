@@ -6,6 +6,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from functools import partial
 from typing import cast
 
 import numpy as np
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from appliance.capture.fault import Fault, FaultCode
 from appliance.capture.grabber import Grabber
-from appliance.capture.scan import CaptureReport, ScanRecorder, ScanSettings, device_fault
+from appliance.capture.scan import Arming, CaptureReport, ScanRecorder, ScanSettings, device_fault
 from appliance.capture.store import FrameStore
 from appliance.patterns.sequence import build_sequence
 from drivers.api import (
@@ -56,6 +57,8 @@ class Script:
     damaged: dict[str, tuple[int, FrameStatus]] = field(default_factory=dict)
     lost_at: dict[str, int] = field(default_factory=dict)
     too_many: str | None = None
+    slow: tuple[str, str] | None = None
+    go_on: threading.Event = field(default_factory=threading.Event)
     lasers: LaserState = LaserState(False, False)  # noqa: RUF009
     pulses: Callable[[list[BoardEvent]], list[BoardEvent]] = list
     before: list[BoardEvent] = field(default_factory=list)
@@ -79,10 +82,13 @@ class ScriptedCamera:
         return settings
 
     def start(self) -> None:
+        if self._script.slow == (self._side, "start"):
+            self._script.go_on.wait(10.0)
         self._next = 0
 
     def stop(self) -> None:
-        pass
+        if self._script.slow == (self._side, "stop"):
+            self._script.go_on.wait(10.0)
 
     def temperature_c(self) -> float | None:
         return 30.5
@@ -167,6 +173,18 @@ class Bench:
     grabbers: dict[str, Grabber]
     store: FrameStore
     arrived: list[tuple[str, int]] = field(default_factory=list)
+
+    def show(self, patterns: int) -> None:
+        """As if so many patterns had been shown: whoever waits for one of them gets its frame."""
+        with self.script.blank:
+            self.script.shown = patterns
+            self.script.blank.notify_all()
+
+    def wait_for(self, happened: Callable[[], bool]) -> None:
+        until_ns = self.script.clock.now_ns() + 5_000_000_000
+        while not happened():
+            assert self.script.clock.now_ns() < until_ns
+            self.script.clock.sleep_s(0.001)
 
     def record(self, abort: Callable[[], Fault | None] = lambda: None) -> CaptureReport:
         recorder = ScanRecorder(
@@ -306,6 +324,54 @@ def test_a_projector_that_goes_while_it_plays(bench: Bench) -> None:
     assert report.fault is not None
     assert (report.fault.code, report.fault.device) == (FaultCode.PROJECTOR_LOST, "projector")
     assert bench.script.said[-1] == "stop"
+
+
+def has_image(grabber: Grabber) -> bool:
+    return grabber.latest(0) is not None
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+@pytest.mark.parametrize(("slow", "said"), [("stop", "did not leave live view"), ("start", "did not start")])
+def test_a_camera_that_is_not_ready_in_time_is_named(bench: Bench, side: str, slow: str, said: str) -> None:
+    bench.script.slow = (side, slow)
+    if slow == "stop":
+        bench.show(N)
+        for grabber in bench.grabbers.values():
+            grabber.live()
+            bench.wait_for(partial(has_image, grabber))
+    slots = {one: bench.store.frames(one) for one in bench.grabbers}
+    board = cast("Board", ScriptedBoard(bench.script))
+    arming = Arming(bench.grabbers, board, bench.script.clock, slots, lambda side, k: None, 0.2)
+    try:
+        while not arming.poll():
+            bench.script.clock.sleep_s(0.002)
+        fault = arming.fault
+        assert fault is not None
+        assert (fault.code, fault.device) == (FaultCode.CAMERA_REFUSED, f"camera.{side}")
+        assert fault.detail == f"camera.{side} {said} in 0.2 s"
+        assert arming.poll(), "and stays so"
+        arming.let_go()
+    finally:
+        bench.show(N)
+        bench.script.go_on.set()
+    assert all(grabber.idle() for grabber in bench.grabbers.values()), "they come to rest"
+    bench.show(0)
+    assert bench.record().fault is None, "and the next scan works"
+
+
+def test_a_live_image_is_shown_once_and_the_newest_first(bench: Bench) -> None:
+    grabber = bench.grabbers["left"]
+    assert grabber.latest(-1) is None
+    bench.show(3)
+    grabber.live()
+    bench.wait_for(lambda: grabber.latest(2) is not None)
+    found = grabber.latest(0)
+    assert found is not None
+    number, image = found
+    assert image.shape == (HEIGHT_PX, WIDTH_PX)
+    assert np.all(image == number), "the image of that number"
+    assert grabber.latest(number) is None, "nothing newer"
+    assert grabber.idle()
 
 
 def test_another_exposure_counts_from_the_next_start_on(bench: Bench) -> None:
