@@ -222,6 +222,31 @@ def test_something_else_moves_where_few_cells_close_together_have_the_harm() -> 
     assert place.v_px == pytest.approx(100.0, abs=5.0)
 
 
+def test_a_harm_that_is_everywhere_has_its_middle_but_no_side() -> None:
+    place = place_of(harm(), (400, 300))
+    assert place is not None
+    assert (place.word, place.u_px, place.v_px) == ("everywhere", pytest.approx(200.0), pytest.approx(150.0))
+    assert place_of(harm(ripple_mm=cells(0.0)), (400, 300)) is None
+
+
+def test_a_side_is_named_from_what_is_seen_and_not_from_the_middle_of_the_image() -> None:
+    def word(row: int, column: int, weight: np.ndarray | None = None) -> str:
+        ripple = cells(0.0)
+        ripple[row : row + 2, column : column + 2] = 0.05
+        place = place_of(harm(ripple_mm=ripple, weight=cells(50.0) if weight is None else weight), (400, 300))
+        assert place is not None
+        return place.word
+
+    assert word(2, 3) == "middle"
+    assert word(0, 3) == "upper"
+    assert word(4, 3) == "lower"
+    assert word(2, 0) == "left"
+    assert word(2, 6) == "right"
+    right_half = cells(0.0)
+    right_half[:, COLUMNS // 2 :] = 50.0
+    assert word(2, 5, right_half) == "middle"
+
+
 def test_fringes_and_paint_make_one_way_over_the_whole_sequence() -> None:
     known = DriftMap(drift_px=cells(0.02), sd_px=cells(0.001), slope_per_px=cells(0.5), **_rest_of_drift_map())
     assert _shift(known, harm(), texture(), 24) == pytest.approx(0.02 / 0.5 * 24)
@@ -280,6 +305,15 @@ def test_gray_edges_count_left_less_right_by_their_median() -> None:
     assert edges_score(NO_COURSE) is None
     enough = {"left": edges(0.3, holes=ROWS * COLUMNS - 6), "right": edges(0.1)}
     assert np.isfinite(edge_course(enough, harm(drift_px=cells(0.0)))[0]).all()
+
+
+def test_scattered_edges_have_the_uncertainty_of_a_median() -> None:
+    rng = np.random.default_rng(4)
+    left, right = edges(0.0, frames=400), edges(0.1, frames=400)
+    left.shift_px[:] = 0.3 + rng.normal(0.0, 0.05, left.shift_px.shape)
+    middle, sd = edge_course({"left": left, "right": right}, harm(drift_px=cells(0.0)))
+    assert np.mean(middle) == pytest.approx(0.2, abs=0.002)
+    assert np.median(sd) == pytest.approx(np.std(middle), rel=0.15), "what is said is what 400 frames scatter by"
 
 
 def test_edges_of_a_turn_count_in_units_of_its_drift_so_that_they_do_not_cancel() -> None:

@@ -53,3 +53,16 @@ def test_without_points_nothing_is_said() -> None:
     empty = tilted(0.0, missing=10_000)
     found = surface_map(empty, np.zeros((90, WIDTH_PX), np.float32), np.zeros((90, WIDTH_PX), np.float32), (2, 2))
     assert np.isnan(found.across).all()
+    cosine, inside = facing(empty, WIDTH_PX)
+    assert (len(cosine), len(inside)) == (0, 0)
+
+
+def test_points_in_one_row_or_one_column_face_nowhere() -> None:
+    for kept in (slice(0, 30), slice(0, None, 30)):
+        whole = tilted(20.0)
+        line = Cloud(
+            whole.points_mm[kept], whole.intensity[kept], whole.modulation_dn[kept], whole.ray_gap_mm[kept],
+            whole.sigma_mm[kept], whole.pixel[kept], whole.summary,
+        )  # fmt: skip
+        cosine, inside = facing(line, WIDTH_PX)
+        assert (len(cosine), len(inside)) == (0, 0)
