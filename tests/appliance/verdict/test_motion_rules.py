@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from typing import Any
 
@@ -193,7 +194,9 @@ def test_shaking_goes_to_and_fro_by_more_than_its_uncertainty() -> None:
     assert not _to_and_fro(course(0.7, 0.6, 0.5, 0.62, 0.3, 0.2, 0.1, 0.0)), "a fifth of the way back is none"
     assert not _to_and_fro(course(0.0, 0.05, 0.0, 0.05, 0.0, 0.05, 0.0, 0.05)), "less than its uncertainty"
     assert not _to_and_fro((np.array([0.0, 0.9, 0.0] + [np.nan] * 5), sd)), "three frames tell nothing"
-    assert not _to_and_fro(NO_COURSE)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert not _to_and_fro(NO_COURSE), "nor does it warn of means of nothing"
     uncertain = sd.copy()
     uncertain[[1, 2]] = 1.0
     assert not _to_and_fro((np.array([0.1, 9.0, -9.0, 0.1, 0.1, 0.1, 0.05, 0.0]), uncertain)), "coarse bits"

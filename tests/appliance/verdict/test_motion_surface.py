@@ -41,6 +41,18 @@ def test_points_at_a_border_have_no_say() -> None:
     assert inside.min() > 0
 
 
+def test_the_order_of_the_points_does_not_matter() -> None:
+    whole = tilted(20.0)
+    turned = np.roll(np.arange(len(whole.pixel)), 300)
+    other = Cloud(
+        whole.points_mm[turned], whole.intensity[turned], whole.modulation_dn[turned], whole.ray_gap_mm[turned],
+        whole.sigma_mm[turned], whole.pixel[turned], whole.summary,
+    )  # fmt: skip
+    (cosine, inside), (again, there) = facing(whole, WIDTH_PX), facing(other, WIDTH_PX)
+    np.testing.assert_array_equal(np.sort(whole.pixel[inside]), np.sort(other.pixel[there]))
+    np.testing.assert_array_equal(np.sort(cosine), np.sort(again))
+
+
 def test_noise_counts_across_the_surface() -> None:
     coordinate = np.tile(np.linspace(0.0, 127.0, WIDTH_PX, dtype=np.float32), (90, 1))
     found = surface_map(tilted(60.0), coordinate, coordinate, (2, 2))
