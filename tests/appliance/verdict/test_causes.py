@@ -201,3 +201,18 @@ def test_a_verdict_that_passed_fails_where_the_causes_blame_it() -> None:
     assert of["light"].fault is not None
     assert of["light"].fault.code is FaultCode.TOO_DARK
     assert of["light"].verdict.passed is False
+
+
+@pytest.mark.parametrize(("far_percent", "expected"), [(40.0, []), (60.0, [FaultCode.SCAN_FAR])])
+def test_an_object_is_too_far_when_most_of_it_is(far_percent: float, expected: list[FaultCode]) -> None:
+    places = {"distance_mm": 690.0, "near_percent": 0.0, "far_percent": far_percent}
+    assert codes(still(), light(), sight(**FRINGES | places)) == expected
+
+
+@pytest.mark.parametrize(("veil_percent", "expected"), [(8.0, []), (16.0, [FaultCode.WATER_DIRTY])])
+def test_what_is_lost_behind_a_faint_veil_is_not_lost_to_the_water(
+    veil_percent: float, expected: list[FaultCode]
+) -> None:
+    numbers = {"veil_percent": veil_percent, "hidden_percent": 20.0, "masked_percent": 25.0, "speck_percent": 0.0}
+    water = judgement("water", numbers, FaultCode.WATER_DIRTY, coverage_percent=75.0)
+    assert codes(still(), water, light(), sight(**FRINGES)) == expected
