@@ -58,7 +58,7 @@ class Grabber:
         self._clock = clock
         self._changed = threading.Condition()
         self._order: Literal["idle", "live", "record", "end"] = "idle"
-        self._state: Literal["idle", "live", "record", "end"] = "idle"
+        self._state: Literal["idle", "start", "live", "record"] = "idle"
         self._recording: Recording | None = None
         self._settings = self._wanted = settings
         self._patience = patience
@@ -154,6 +154,8 @@ class Grabber:
                 with self._changed:
                     self._clock.wait_for(self._changed, lambda: self._order != "idle", 1.0)
                     order = self._order
+                    if order in {"live", "record"}:
+                        self._state = "start"  # idle() waits for a camera that is starting as for one that runs
                 if order == "end":
                     self._camera.stop()
                     return
@@ -200,7 +202,8 @@ class Grabber:
             self._changed.notify_all()
 
     def _run_record(self) -> None:
-        recording = self._recording
+        with self._changed:
+            recording = self._recording
         assert recording is not None
         self._start()
         clock = self._camera.read_clock()
@@ -224,9 +227,10 @@ class Grabber:
         self._camera.stop()
         with self._changed:
             recording.done = True
-            self._recording = None
-            if self._order == "record":
-                self._order = "idle"
+            if self._recording is recording:  # not one that was ordered meanwhile
+                self._recording = None
+                if self._order == "record":
+                    self._order = "idle"
             self._state = "idle"
             self._changed.notify_all()
 

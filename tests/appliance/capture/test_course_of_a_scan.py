@@ -58,6 +58,7 @@ class Script:
     lost_at: dict[str, int] = field(default_factory=dict)
     too_many: str | None = None
     slow: tuple[str, str] | None = None
+    starting: bool = False
     go_on: threading.Event = field(default_factory=threading.Event)
     lasers: LaserState = LaserState(False, False)  # noqa: RUF009
     pulses: Callable[[list[BoardEvent]], list[BoardEvent]] = list
@@ -83,6 +84,7 @@ class ScriptedCamera:
 
     def start(self) -> None:
         if self._script.slow == (self._side, "start"):
+            self._script.starting = True
             self._script.go_on.wait(10.0)
         self._next = 0
 
@@ -351,12 +353,27 @@ def test_a_camera_that_is_not_ready_in_time_is_named(bench: Bench, side: str, sl
         assert fault.detail == f"camera.{side} {said} in 0.2 s"
         assert arming.poll(), "and stays so"
         arming.let_go()
+        assert not bench.grabbers[side].idle(0.05), "it has not come to rest before it answered"
     finally:
         bench.show(N)
         bench.script.go_on.set()
     assert all(grabber.idle() for grabber in bench.grabbers.values()), "they come to rest"
     bench.show(0)
     assert bench.record().fault is None, "and the next scan works"
+
+
+def test_a_recording_ordered_while_the_last_one_ends_is_made(bench: Bench) -> None:
+    bench.script.slow = ("left", "start")
+    grabber, slots = bench.grabbers["left"], bench.store.frames("left")
+    first = grabber.record(slots, lambda k: None)
+    bench.wait_for(lambda: bench.script.starting)
+    grabber.cancel(first)
+    second = grabber.record(slots, lambda k: None)
+    bench.show(N)
+    bench.script.go_on.set()
+    assert grabber.wait(first, "done", 5.0)
+    assert grabber.wait(second, "done", 5.0), "not forgotten when the first one ended"
+    assert len(second.frames) == N
 
 
 def test_a_live_image_is_shown_once_and_the_newest_first(bench: Bench) -> None:
