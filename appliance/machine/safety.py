@@ -106,10 +106,12 @@ def _ordered_off(machine: Machine) -> Result:
     cause = next((c for code in ENDS_THE_DIVE for c in machine.conditions if c.code is code), None)
     if cause is None:
         return replace(machine, off_ns=None), ()
-    if machine.off_ns is None:
-        wait_s = machine.settings.supply_off_s if cause.code is FaultCode.SUPPLY_LOW else 0.0
-        machine = replace(machine, off_ns=machine.now_ns + seconds_ns(wait_s))
-    if machine.off_ns is None or machine.now_ns < machine.off_ns:
+    wait_s = machine.settings.supply_off_s if cause.code is FaultCode.SUPPLY_LOW else 0.0
+    off_ns = machine.now_ns + seconds_ns(wait_s)
+    if machine.off_ns is not None:
+        off_ns = min(off_ns, machine.off_ns)  # too much heat does not wait out a low supply's time
+    machine = replace(machine, off_ns=off_ns)
+    if machine.now_ns < off_ns:
         return machine, ()
     return stop(replace(machine, ended_by=cause), Ending.POWER_OFF)
 
