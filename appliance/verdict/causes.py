@@ -23,9 +23,15 @@ from appliance.reconstruct.quality import CloudSummary
 from appliance.verdict.usable import USABLE_COVERAGE_PERCENT, USABLE_NOISE_MM, is_usable
 
 NAME = "causes"
+SIDES = ("left", "right")
 MOVED_LIKE_FLICKER = 2.4
 """Where something moves, the judge of light sees a ripple of 1.5 to 1.7 times that which the motion makes. What exceeds this
 multiple is light."""
+PAINT_LIKE_FLICKER = 4.0
+"""The same of what the parts of the picture have not in common: printed squares that move make up to 2.4 times the motion's ripple."""
+LAMP_IN_COMMON = 0.5
+"""Share of the squares of the changes that all parts of the picture have in common: before a lamp 0.9 and more, where something
+moves before paint of any kind mostly below 0.3."""
 CLEAR_WATER_PERCENT = 12.0
 """Pixels that are lost behind a fainter veil than this are not lost to the water."""
 LEAST_SHARE = 0.05
@@ -161,7 +167,7 @@ def _all(
         yield rushing
     else:
         yield from _motion(of, motion, summary, poor)
-        yield from _flicker(light, of, moved)
+        yield from _flicker(light, of, motion)
     if outside is not None:
         yield outside
     yield from _levels(of, light)
@@ -176,8 +182,7 @@ def _motion(of: Mapping[str, Judgement], motion: Numbers, summary: CloudSummary,
     judged = of.get("motion")
     fault = None if judged is None else judged.fault
     added, lost = motion.get("added_noise_percent"), motion.get("lost_percent") or 0.0
-    score, least = motion.get("score"), motion.get("score_limit")
-    if added is None or score is None or least is None or score < least:
+    if added is None or not _moves(motion):
         return
     left = (1.0 - 0.01 * min(lost, 100.0)) / (1.0 + 0.01 * max(added, 0.0)) ** 2
     numbers = {"added_noise_percent": added, "shift_px": motion.get("shift_px"), "speed_mm_s": motion.get("speed_mm_s")}
@@ -209,21 +214,45 @@ def _rushing(motion: Numbers, sight: Numbers, light: Numbers, water: Numbers, su
 
 def _moved_ripple(motion: Numbers) -> float:
     """Ripple that the motion makes over the points' noise, 0 at rest."""
-    added, score, least = (motion.get(name) for name in ("added_noise_percent", "score", "score_limit"))
-    if added is None or score is None or least is None or score < least:
+    added = motion.get("added_noise_percent")
+    if added is None or not _moves(motion):
         return 0.0
     return math.sqrt(max((1.0 + 0.01 * added) ** 2 - 1.0, 0.0))
 
 
-def _flicker(light: Numbers, of: Mapping[str, Judgement], moved: float) -> Iterator[Cause]:
+def _flicker(light: Numbers, of: Mapping[str, Judgement], motion: Numbers) -> Iterator[Cause]:
+    """A lamp changes the whole picture alike, from frame to frame; what moves changes each part by its own paint, and so does sun
+    through waves. So where anything moves, the two are weighed apart."""
     judged = of.get("light")
     if judged is None or judged.fault is None or judged.fault.code is not FaultCode.LIGHT_FLICKERS:
         return
-    ripples = [light.get(f"{side}_flicker_over_noise") for side in ("left", "right")]
-    ripple = min((one for one in ripples if one is not None), default=0.0)
-    own = ripple**2 - (MOVED_LIKE_FLICKER * moved) ** 2
+    ripples = [light.get(f"{side}_flicker_over_noise") for side in SIDES]
+    own = min((one for one in ripples if one is not None), default=0.0) ** 2
+    if _moves(motion):
+        lamp = min(_in_common(light, side) for side in SIDES)
+        if motion.get("added_noise_percent") is None:
+            own = own if lamp >= LAMP_IN_COMMON else 0.0
+        else:
+            moved = _moved_ripple(motion)
+            own = max(
+                lamp * own - (MOVED_LIKE_FLICKER * moved) ** 2, (1.0 - lamp) * own - (PAINT_LIKE_FLICKER * moved) ** 2
+            )
     if own > 0.0:
         yield Cause(judged.fault, own / (1.0 + own), True)
+
+
+def _in_common(light: Numbers, side: str) -> float:
+    """Share of the squares of the light's changes that the whole picture has in common; 1 where a manifest does not say."""
+    common, local = light.get(f"{side}_flicker_percent"), light.get(f"{side}_local_flicker_percent")
+    if common is None or local is None:
+        return 1.0
+    return common**2 / max(common**2 + local**2, 1e-12)
+
+
+def _moves(motion: Numbers) -> bool:
+    """Whether anything was found to move, be its harm known or not."""
+    score, least = motion.get("score"), motion.get("score_limit")
+    return score is not None and least is not None and score >= least
 
 
 def _outside(sight: Numbers) -> Cause | None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.capture.exposure import NOMINAL, Exposure
 from appliance.capture.fault import Fault, FaultCode
 from appliance.capture.verdict import Judgement, Verdict
 from appliance.patterns.sequence import Direction, PatternSequence
@@ -20,6 +21,9 @@ NAME = "identity"
 LEAST_LIGHT_DN = 0.05
 """Mean of the bright frame above that of the dark one, where even the water's veil is gone."""
 LIGHT_SIGMA = 4.0
+LEAST_VEIL_DN_PER_MS = 0.03
+"""Of exposure at 0 dB, that the projector's white adds to the mean even where it meets nothing but the clearest water: a tenth of
+what clear coastal water adds. An exposure so short that this would not be seen cannot tell that the projector is dark."""
 MOST_MOVED = 0.25
 """Share of samples that are not the same from one direction's fringes to the other's. At rest it is below 0.01; beyond this,
 doubts that no order of the frames explains are the motion's, which has a judge of its own."""
@@ -46,6 +50,9 @@ class _Camera:
     light_dn: float
     """How much the projector's white adds to the mean of the image."""
     sees_light: bool
+    """It is more than chance."""
+    would_see_veil: bool
+    """Mere lit water would be more than chance as well: seeing no light then means that there is none."""
     ends_dark: bool
     """The last frame is about as dark as the darkest."""
     identical: bool
@@ -55,13 +62,17 @@ class _Camera:
 
 
 def judge_identity(
-    frames: Mapping[str, NDArray[np.uint8]], sequence: PatternSequence, noise: StereoNoise = TYPICAL_PAIR
+    frames: Mapping[str, NDArray[np.uint8]],
+    sequence: PatternSequence,
+    noise: StereoNoise = TYPICAL_PAIR,
+    exposure: Exposure = NOMINAL,
 ) -> Judgement:
-    """Verdict ``identity`` on the frames (n, h, w) uint8 of ``left`` and ``right``, in the order of ``sequence``.
+    """Verdict ``identity`` on the frames (n, h, w) uint8 of ``left`` and ``right``, in the order of ``sequence``, taken with
+    ``exposure``.
 
     Passed: every frame is its pattern. None: too little of the projector's light is seen to say so, or too much moves. Failed, with a fault:
     ``CAMERA_STUCK`` (device), ``PROJECTOR_TIMING`` (shift_frames), ``PATTERN_WRONG`` (frame; device projector if both cameras
-    say it), ``PROJECTOR_DARK``. Numbers: ``doubt``, the largest of all doubts, which alarm from 1 on; of each camera the
+    say it), ``PROJECTOR_DARK`` (only where the lit water would have been seen). Numbers: ``doubt``, the largest of all doubts, which alarm from 1 on; of each camera the
     same, the samples with fringes, and the projector's light; ``parallax_percent``, by which both see the stripes beside their
     place, to opposite sides. Raises ValueError for a number of frames that is not the
     sequence's.
@@ -72,7 +83,7 @@ def judge_identity(
                 f"{len(mine)} frames of camera {side} for a sequence of {len(sequence)}; judge whole sequences"
             )
     of = {"left": noise.left, "right": noise.right}
-    looked = [_look(side, mine, sequence, of[side]) for side, mine in frames.items()]
+    looked = [_look(side, mine, sequence, of[side], exposure) for side, mine in frames.items()]
     cameras = _without_parallax(looked)
     fault = _fault(cameras)
     judged = [camera for camera in cameras if camera.evidence.judged]
@@ -96,7 +107,9 @@ def judge_identity(
     return Judgement(Verdict(NAME, True, numbers, f"each frame of {seen} is its pattern"))
 
 
-def _look(side: str, frames: NDArray[np.uint8], sequence: PatternSequence, noise: CameraNoise) -> _Camera:
+def _look(
+    side: str, frames: NDArray[np.uint8], sequence: PatternSequence, noise: CameraNoise, exposure: Exposure
+) -> _Camera:
     witness = Witness(take_lines(frames, sequence, noise), sequence, noise)
     evidence = witness.evidence(np.arange(len(sequence), dtype=np.int64))
     if not can_follow(sequence, frames.shape[2]):
@@ -104,7 +117,9 @@ def _look(side: str, frames: NDArray[np.uint8], sequence: PatternSequence, noise
     means = np.mean([mine.values.reshape(len(sequence), -1).mean(axis=1) for mine in witness.lines.values()], axis=0)
     sines = [k for direction in Direction for k in sequence.axis(direction).sine]
     light_dn = float(means[sequence.bright] - means[sequence.dark])
-    sees_light = abs(light_dn) > max(LEAST_LIGHT_DN, LIGHT_SIGMA * float(np.std(means[sines])))
+    chance_dn = max(LEAST_LIGHT_DN, LIGHT_SIGMA * float(np.std(means[sines])))
+    sees_light = abs(light_dn) > chance_dn
+    would_see_veil = LEAST_VEIL_DN_PER_MS * 1e-3 * exposure.light > chance_dn
     explanation = None
     flooded = max(float(np.mean(mine.low == 255)) for mine in witness.lines.values()) > MOST_FLOODED
     if evidence.judged:
@@ -116,7 +131,9 @@ def _look(side: str, frames: NDArray[np.uint8], sequence: PatternSequence, noise
         explanation = still(witness, sequence, noise)
     ends_dark = bool(means[-1] - means.min() < 0.1 * (means.max() - means.min()))
     identical = all(np.array_equal(mine.low, mine.high) and mine.high.any() for mine in witness.lines.values())
-    return _Camera(f"camera.{side}", evidence, explanation, light_dn, sees_light, ends_dark, identical, flooded)
+    return _Camera(
+        f"camera.{side}", evidence, explanation, light_dn, sees_light, would_see_veil, ends_dark, identical, flooded
+    )
 
 
 def _may_be_motion(explanation: Explanation, evidence: Evidence) -> bool:
@@ -197,6 +214,8 @@ def _without_patterns(cameras: list[_Camera]) -> Fault | None:
             return _stuck(camera, 0)
     if any(camera.sees_light or camera.evidence.judged for camera in cameras):
         return None
+    if not any(camera.would_see_veil for camera in cameras):
+        return None  # a short exposure or a lamp hides it: the causes say what is known of that
     light_dn = max(camera.light_dn for camera in cameras)
     return Fault(
         FaultCode.PROJECTOR_DARK,

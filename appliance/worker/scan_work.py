@@ -96,7 +96,8 @@ class ScanWork:
 
     def identify(self) -> Judgement:
         """Whether each frame shows the pattern it should; after the last one. With a fault, points would mean nothing."""
-        self._identity = judge_identity(self._frames, self._pipeline.sequence, self._taking.noise)
+        taking = self._taking
+        self._identity = judge_identity(self._frames, self._pipeline.sequence, taking.noise, taking.exposure)
         return self._identity
 
     def find_coarse(self) -> Found:

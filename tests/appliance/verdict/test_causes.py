@@ -95,6 +95,50 @@ def test_a_lamp_flickers_before_moving_hands_as_well() -> None:
     assert said == [FaultCode.LIGHT_FLICKERS, FaultCode.MOVED]
 
 
+PAINT = {"left_flicker_over_noise": 2.6, "right_flicker_over_noise": 2.6, "harmed_percent": 100.0}
+"""Printed squares before hands of 20 mm/s, which add 40 % of noise: each part of the picture changes by its own paint."""
+
+
+@pytest.mark.parametrize(
+    ("common_percent", "local_percent", "ripple", "expected"),
+    [(1.3, 2.9, 2.6, [FaultCode.MOVED]), (3.5, 0.6, 3.6, [FaultCode.LIGHT_FLICKERS, FaultCode.MOVED])],
+    ids=["printed squares", "a lamp"],
+)
+def test_printed_squares_before_moving_hands_are_no_flickering_light(
+    common_percent: float, local_percent: float, ripple: float, expected: list[FaultCode]
+) -> None:
+    """A lamp changes the whole picture alike; the squares came as LIGHT FLICKERS, and a scan that was good was BAD by it."""
+    changes = {f"{side}_flicker_percent": common_percent for side in ("left", "right")}
+    changes |= {f"{side}_local_flicker_percent": local_percent for side in ("left", "right")}
+    changes |= {f"{side}_flicker_over_noise": ripple for side in ("left", "right")}
+    flickers = light(FaultCode.LIGHT_FLICKERS, **PAINT | changes)
+    assert codes(moved(40.4, FaultCode.MOVED), flickers, sight(**FRINGES)) == expected
+
+
+def test_what_moves_too_fast_or_too_far_to_be_measured_is_no_flickering_light_either() -> None:
+    """Motion is known there, its harm is not."""
+    numbers = {"added_noise_percent": None, "lost_percent": 40.0, "score": 119.0, "score_limit": 4.5}
+    changes = {"left_flicker_percent": 0.1, "left_local_flicker_percent": 0.6}
+    flickers = light(FaultCode.LIGHT_FLICKERS, **PAINT, **changes)
+    places = {"distance_mm": 750.0, "near_percent": 0.0, "far_percent": 100.0}
+    far = sight(**FRINGES | places)
+    assert codes(judgement("motion", numbers), flickers, far, summary=NO_POINTS) == [FaultCode.SCAN_FAR]
+
+
+@pytest.mark.parametrize("motion", [still(), moved(5.0, FaultCode.MOVED)], ids=["at rest", "hardly moved"])
+def test_sun_through_waves_flickers_in_each_part_by_itself(motion: Judgement) -> None:
+    """Far more than so little motion makes of any paint."""
+    changes = {
+        f"{side}_{what}_percent": value
+        for side in ("left", "right")
+        for what, value in (("flicker", 0.3), ("local_flicker", 2.0))
+    }
+    assert (
+        codes(motion, light(FaultCode.LIGHT_FLICKERS, **PAINT, **changes), sight(**FRINGES))[0]
+        is FaultCode.LIGHT_FLICKERS
+    )
+
+
 def test_a_black_picture_of_turbid_water_has_a_reason() -> None:
     """6 per metre and backscatter 0.5: no fringe anywhere, a glow that fades near the windows; there was no reason at all."""
     glow = NO_FRINGES | {"light_dn": 4.1, "top_dn": 8.0, "glow_per_m": 2.25}

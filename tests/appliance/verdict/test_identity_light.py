@@ -1,4 +1,5 @@
-"""An object outside of the volume and a blinding lamp are no fault of patterns or cameras: they came as WRONG PATTERN and LCAM STUCK."""
+"""An object outside of the volume, a lamp and a short exposure are no fault of patterns, cameras or projector: they came as WRONG
+PATTERN, LCAM STUCK and PROJECTOR DARK."""
 
 from __future__ import annotations
 
@@ -6,8 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from appliance.patterns.sequence import Direction
+from appliance.capture.exposure import Exposure
+from appliance.capture.fault import FaultCode
+from appliance.patterns.sequence import Direction, build_sequence
 from appliance.verdict.identity import judge_identity
 from hw_sim.scene import Scene
 from hw_sim.water import turbid
@@ -42,3 +46,43 @@ def test_a_lamp_that_blinds_a_camera_does_not_make_it_stuck() -> None:
     scan = render_scan(scene, "realistic", 5, 400, 16)
     assert float(np.mean(scan.frames["left"].min(axis=0) == 255)) > 0.05
     assert judge_identity(scan.frames, scan.sequence).fault is None
+
+
+def lit_by_lamp(frames: NDArray[np.uint8] | NDArray[np.float64], swing_dn: float, hz: float = 3.1) -> NDArray[np.uint8]:
+    """The same before a lamp that adds up to twice ``swing_dn`` everywhere, frame by frame at 60 a second."""
+    added = swing_dn * (1.0 + np.cos(2.0 * np.pi * hz * np.arange(len(frames)) / 60.0))
+    return np.asarray(np.clip(np.rint(frames + added[:, None, None]), 0, 255), np.uint8)
+
+
+def test_a_flickering_lamp_before_an_object_that_is_too_near_makes_no_projector_dark(near: RenderedScan) -> None:
+    """The mean of the frames says nothing of the projector then: a lamp of 3 Hz before a far plane was PROJECTOR DARK."""
+    frames = {side: lit_by_lamp(stack, 10.0) for side, stack in near.frames.items()}
+    judged = judge_identity(frames, near.sequence)
+    assert judged.verdict.numbers["left_samples"] == 0.0, "the stripes are displaced: nothing is left to be judged"
+    assert judged.fault is None
+
+
+@pytest.mark.parametrize(
+    ("time_us", "expected"), [(200, None), (2_000, FaultCode.PROJECTOR_DARK), (12_000, FaultCode.PROJECTOR_DARK)]
+)
+def test_only_an_exposure_that_shows_lit_water_can_tell_that_the_projector_is_dark(
+    time_us: int, expected: FaultCode | None
+) -> None:
+    """0.2 ms before nothing, or into thick water, was PROJECTOR DARK: a hundredth of a grey value of veil is not seen."""
+    sequence = build_sequence(16, 128, 96)
+    rng = np.random.default_rng(7)
+    black = {
+        side: np.clip(np.rint(2.0 + 0.5 * rng.standard_normal((len(sequence), 144, 192))), 0, 255).astype(np.uint8)
+        for side in ("left", "right")
+    }
+    fault = judge_identity(black, sequence, exposure=Exposure(time_us)).fault
+    assert (None if fault is None else fault.code) is expected
+
+
+def test_a_dark_projector_before_a_flickering_lamp_is_not_told_from_nothing_in_reach() -> None:
+    """The lamp's changes are many times what lit water adds, so that its absence says nothing; the diver hears NOTHING SEEN, IS LIGHT COVERED?"""
+    sequence = build_sequence(16, 128, 96)
+    rng = np.random.default_rng(8)
+    dark = 2.0 + 0.5 * rng.standard_normal((len(sequence), 144, 192))
+    frames = {side: lit_by_lamp(dark, 1.5) for side in ("left", "right")}
+    assert judge_identity(frames, sequence).fault is None
