@@ -15,7 +15,7 @@ from appliance.calibration.patches import PatchGaps
 from bench.health_changes import Change, changes, length_error_percent
 from bench.health_picture import draw_health
 from bench.result import Measured
-from hw_sim.knock import Knock, knocked
+from hw_sim.mount_shift import Knock, knocked
 from tests.support.gap_scans import Calibrated, calibrated, follow, learnt, scan
 
 RIGS = (1, 2, 5)

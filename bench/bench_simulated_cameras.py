@@ -10,12 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from bench.result import Measured
-from hw_sim.motion import Motion
-from hw_sim.optics.points import ray
+from hw_sim.objects.motion import Motion
 from hw_sim.optics.table import fit_table, look_up_all
-from hw_sim.render import LightSlice, Renderer
+from hw_sim.rendering.render import LightSlice, Renderer
 from hw_sim.scene import Scene
-from hw_sim.truth import draw_truth
+from hw_sim.truth import draw_truth, ray
 
 EXPOSURE_S = 0.012
 FRAMES = 24

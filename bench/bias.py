@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.reconstruct.pipeline import Cloud, Pipeline
-from hw_sim.optics.points import project, ray
-from hw_sim.render import Renderer
-from hw_sim.truth import TrueRig
+from hw_sim.rendering.render import Renderer
+from hw_sim.truth import TrueRig, project, ray
 
 Array = NDArray[np.float64]
 

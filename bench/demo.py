@@ -32,7 +32,7 @@ from appliance.service.app import CALIBRATION_FILE, run
 from appliance.storage.library import Library
 from appliance.storage.scan import StoredScan
 from hw_sim.options import options_from
-from hw_sim.render import Renderer
+from hw_sim.rendering.render import Renderer
 from hw_sim.truth import draw_truth
 from hw_sim.wires.in_process import ScriptFailedError
 from tests.support.truth import left_to_rig, true_calibration

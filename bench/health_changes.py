@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from appliance.calibration.shapes import triangulate
 from appliance.optics.model import StereoRig
 from appliance.optics.water import Water
-from hw_sim.knock import Knock, knocked
-from hw_sim.optics.points import project
-from hw_sim.truth import TrueEye, TrueRig
+from hw_sim.mount_shift import Knock, knocked
+from hw_sim.truth import TrueEye, TrueRig, project
 from tests.support.calibrating import Pose
 from tests.support.truth import WATER
 

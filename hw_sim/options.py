@@ -8,15 +8,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, TypeVar
 
-from hw_sim.calendar import Calendar
-from hw_sim.daylight import Daylight
 from hw_sim.devices.power_on import Cameras, PowerOn
-from hw_sim.drift import Drift
-from hw_sim.fog import Fog
-from hw_sim.imaging import Imaging
-from hw_sim.motion import Motion
-from hw_sim.scene import Scene
-from hw_sim.water import AIR, Water
+from hw_sim.light.daylight import Daylight
+from hw_sim.objects.motion import Motion
+from hw_sim.optics.fog import Fog
+from hw_sim.scene import Imaging, Scene
+from hw_sim.timing.calendar import Calendar
+from hw_sim.water.drift import Drift
+from hw_sim.water.medium import AIR, Water
 
 Value = TypeVar("Value")
 Pose = tuple[float, float, float, float, float, float]

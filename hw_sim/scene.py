@@ -4,14 +4,34 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from hw_sim.daylight import Daylight
-from hw_sim.drift import Drift
-from hw_sim.fog import Fog
-from hw_sim.imaging import Imaging
-from hw_sim.motion import Motion
+from hw_sim.light.daylight import Daylight
+from hw_sim.objects.motion import Motion
 from hw_sim.objects.shapes import DEFAULT_POSE, NAMES
 from hw_sim.objects.texture import NAMES as TEXTURES
-from hw_sim.water import Water
+from hw_sim.optics.fog import Fog
+from hw_sim.water.drift import Drift
+from hw_sim.water.medium import Water
+
+RESPONSES = ("measured", "linear", "gamma")
+
+
+@dataclass(frozen=True, slots=True)
+class Imaging:
+    """What makes a recorded fringe no pure sine; each cause can be switched off, so that its effect can be measured.
+
+    Raises ValueError for a response that is not one of ``RESPONSES``."""
+
+    response: str = "measured"
+    """Light of the projector's codes: like one that was measured, proportional, or a pure gamma of 2.2."""
+    projector_defocus: bool = True
+    """Light gets softer away from the projector's focus."""
+    camera_defocus: bool = False
+    """Images get softer away from the cameras' focus: at f/8 by 0.46 px (of 1600) where ``FAR_MM`` away, which is added in
+    squares to the lens's own blur. Off, because it costs time and, inside of the measuring volume, next to nothing."""
+
+    def __post_init__(self) -> None:
+        if self.response not in RESPONSES:
+            raise ValueError(f"response '{self.response}'; allowed are {', '.join(RESPONSES)}")
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,31 +19,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hw_sim import registry
-from hw_sim.cable import Cable
-from hw_sim.calendar import Calendar
-from hw_sim.darkroom import Darkroom, Print
-from hw_sim.daylight import Daylight
 from hw_sim.devices.board import Board
+from hw_sim.devices.cable import Cable
 from hw_sim.devices.card import Card
 from hw_sim.devices.head import Flip, Output
 from hw_sim.devices.keypad import Keypad
 from hw_sim.devices.shot import Shot
 from hw_sim.devices.shutter import Exposure, Latent
 from hw_sim.devices.u3v_camera import U3vCamera
-from hw_sim.drift import Drift
-from hw_sim.drive import Drive
 from hw_sim.faults import Fault, FaultBook
 from hw_sim.heat import Housing, Powers
-from hw_sim.knock import Knock, knocked
-from hw_sim.motion import Motion, swayed_s
+from hw_sim.light.daylight import Daylight
+from hw_sim.mount_shift import Knock, knocked
+from hw_sim.objects.motion import Motion, swayed_s
 from hw_sim.options import OptionError, WorldOptions, options_from
-from hw_sim.pace import START_NS, WorldTime
 from hw_sim.punctuality import Punctuality
-from hw_sim.render import LightSlice, Renderer, Surface, TrueView
+from hw_sim.rendering.exposure_worker import Darkroom, Print
+from hw_sim.rendering.frame_cache import Stills
+from hw_sim.rendering.render import LightSlice, Renderer, Surface, TrueView
 from hw_sim.scene import Scene
-from hw_sim.stills import Stills
+from hw_sim.timing.calendar import Calendar
+from hw_sim.timing.world_thread import Drive
+from hw_sim.timing.world_time import START_NS, WorldTime
 from hw_sim.truth import SETS, TrueRig, draw_truth, in_air, load_truth
-from hw_sim.water import Water
+from hw_sim.water.drift import Drift
+from hw_sim.water.medium import Water
 
 __all__ = ["World", "WorldOptions"]
 

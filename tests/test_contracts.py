@@ -45,6 +45,9 @@ FORBIDDEN = [
     Forbidden("data-flow", "appliance.machine", "appliance.service"),
     Forbidden("pure-core", "appliance.machine", "threading"),
     Forbidden("pure-core", "appliance.optics", "pathlib"),
+    Forbidden("rooms-of-the-world", "hw_sim.optics", "hw_sim.water"),
+    Forbidden("rooms-of-the-world", "hw_sim.devices", "hw_sim.rendering"),
+    Forbidden("timeless-physics", "hw_sim.water", "hw_sim.timing"),
 ]
 
 

@@ -250,7 +250,7 @@ RULES = [
         good=("clock.now_ns()", "time.monotonic()"),
         except_in={
             "drivers/wall_clock.py": "the instrument's calendar, by which nothing is decided",
-            "hw_sim/calendar.py": "the simulated one begins today",
+            "hw_sim/timing/calendar.py": "the simulated one begins today",
             "appliance/cli/calibrate.py": "the date in a calibration file",
             "appliance/cli/calibrate_air.py": "the same",
         },

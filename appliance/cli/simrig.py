@@ -52,7 +52,7 @@ def default_sim_rig() -> Path:
 
 def simulator_kernels() -> Iterable[tuple[str, str]]:
     """What the simulator has to compile before it opens: what for, and the function that does it."""
-    pieces: Iterable[tuple[str, str]] = importlib.import_module(f"{SIMULATOR}.warm").PIECES
+    pieces: Iterable[tuple[str, str]] = importlib.import_module(f"{SIMULATOR}.rendering.warm").PIECES
     return pieces
 
 

@@ -13,10 +13,10 @@ from appliance.calibration.board import find_board
 from appliance.calibration.design import design_calibration
 from appliance.calibration.file import Calibration
 from appliance.calibration.start import start_from_air
-from hw_sim.render import Renderer
+from hw_sim.rendering.render import Renderer
 from hw_sim.scene import Scene
 from hw_sim.truth import TrueRig, in_air
-from hw_sim.water import AIR, Water
+from hw_sim.water.medium import AIR, Water
 from tests.support.board_pictures import BOARD, Pose, picture, poses_in_air, poses_in_water
 from tests.support.calibrating import DESIGN, WIDTH_PX
 from tests.support.truth import WATER

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from hw_sim.motion import pose_matrix
+from hw_sim.objects.motion import pose_matrix
 from hw_sim.objects.shapes import (
     BALL_DISTANCE_MM,
     BALL_RADIUS_MM,
@@ -15,8 +15,7 @@ from hw_sim.objects.shapes import (
     FRUSTUM_HEIGHT_MM,
     FRUSTUM_TOP_MM,
 )
-from hw_sim.optics.points import project
-from hw_sim.truth import TrueRig
+from hw_sim.truth import TrueRig, project
 
 Array = NDArray[np.float64]
 Pose = tuple[float, float, float, float, float, float]

@@ -27,9 +27,8 @@ from bench.phase_bias.conditions import (
     take,
 )
 from bench.phase_bias.paint import borders
-from hw_sim.imaging import Imaging
 from hw_sim.objects.shapes import BALL_RADIUS_MM, FRUSTUM_BASE_MM, FRUSTUM_TOP_MM
-from hw_sim.scene import Scene
+from hw_sim.scene import Imaging, Scene
 
 POSES = {"500 mm, facing": MIDDLE, "500 mm, turned by 35°": TILTED, "445 mm": NEAR, "560 mm": FAR}
 """By the distance from the front of the instrument, about."""

@@ -8,13 +8,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hw_sim.motion import Motion, object_pose
-from hw_sim.optics.points import project
-from hw_sim.render import LightSlice, Renderer
+from hw_sim.objects.motion import Motion, object_pose
+from hw_sim.optics.view import Surface
+from hw_sim.rendering.render import LightSlice, Renderer
 from hw_sim.scene import Scene
-from hw_sim.surface import Surface
-from hw_sim.truth import TrueRig
-from hw_sim.water import Water, turbid
+from hw_sim.truth import TrueRig, project
+from hw_sim.water.medium import Water, turbid
 
 Array = NDArray[np.float64]
 

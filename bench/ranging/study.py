@@ -17,7 +17,7 @@ from appliance.capture.ranging_measure import Dot, Dots, Ranger
 from appliance.config import load_rig
 from appliance.service.instrument import live_light_of, pointers_of
 from bench.ranging.scenes import Case, aimed, drawn, hide, live_pair, seen, true_dots
-from hw_sim.render import Renderer
+from hw_sim.rendering.render import Renderer
 from hw_sim.scene import Scene
 from hw_sim.truth import TrueRig, draw_truth
 from tests.support.truth import WATER, complete_calibration, rig_to_left

@@ -16,9 +16,9 @@ from appliance.reconstruct.pipeline import SIDES, Cloud, Pipeline
 from appliance.verdict.recorded import Recorded
 from appliance.verdict.turbidity import WaterJudgement, judge_water
 from bench.bias import DepthErrors, depth_errors
-from hw_sim.render import LightSlice, Renderer
+from hw_sim.rendering.render import LightSlice, Renderer
+from hw_sim.rendering.sensor import FULL_WELL_E, OFFSET_DN, READ_NOISE_E
 from hw_sim.scene import Scene
-from hw_sim.sensor import FULL_WELL_E, OFFSET_DN, READ_NOISE_E
 from hw_sim.truth import TrueRig, draw_truth
 from tests.support.rendered import pictures
 from tests.support.truth import WATER, true_calibration

@@ -8,7 +8,7 @@ import numpy as np
 
 from hw_sim.objects.shapes import DEFAULT_POSE
 from hw_sim.scene import Scene
-from hw_sim.water import Water
+from hw_sim.water.medium import Water
 
 OBJECTS = ("pipe", "shell", "stones", "frustum", "plane")
 TEXTURES = ("none", "slight", "strong")

@@ -13,10 +13,9 @@ from bench.metrology.judge import look_at
 from bench.metrology.poses import unseen
 from bench.spread import spread
 from bench.turbidity.scan import MOST_GAIN_DB, Shutter, Taken, rig_in, set_water, take
-from hw_sim.imaging import Imaging
-from hw_sim.render import Renderer
-from hw_sim.scene import Scene
-from hw_sim.water import Water
+from hw_sim.rendering.render import Renderer
+from hw_sim.scene import Imaging, Scene
+from hw_sim.water.medium import Water
 
 ATTENUATIONS_PER_M = (0.05, 0.2, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 8.0)
 BACKSCATTER_M, BLUR_PX = 0.025, 0.75

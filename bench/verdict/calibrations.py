@@ -17,9 +17,8 @@ from appliance.calibration.file import Calibration
 from appliance.calibration.shapes import triangulate
 from appliance.optics.model import HousedCamera, StereoRig
 from appliance.reconstruct.pipeline import Cloud
-from hw_sim.optics.points import project
-from hw_sim.truth import TrueRig
-from hw_sim.view import TrueView
+from hw_sim.optics.view import TrueView
+from hw_sim.truth import TrueRig, project
 from tests.support.calibrating import WIDTH_PX as CALIBRATED_PX
 from tests.support.gap_scans import calibrated
 from tests.support.rendered import Accuracy, RenderedScan

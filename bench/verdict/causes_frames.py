@@ -10,7 +10,7 @@ import numpy as np
 from appliance.capture.exposure import Exposure
 from appliance.patterns.sequence import build_sequence
 from bench.verdict.causes_scenes import FRAME_S, HEIGHT_PX, PERIOD_PX, WIDTH_PX, Base, Spoilt, exposure_of, scene_of
-from hw_sim.render import Renderer
+from hw_sim.rendering.render import Renderer
 from hw_sim.truth import draw_truth
 from tests.support.rendered import RenderedScan, render_scan
 

@@ -13,11 +13,11 @@ from types import MappingProxyType
 import numpy as np
 
 from appliance.capture.exposure import Exposure, Span, ladder
-from hw_sim.daylight import Daylight
-from hw_sim.motion import Motion
+from hw_sim.light.daylight import Daylight
+from hw_sim.objects.motion import Motion
 from hw_sim.objects.shapes import DEFAULT_POSE
 from hw_sim.scene import Scene
-from hw_sim.water import Water, turbid
+from hw_sim.water.medium import Water, turbid
 
 STEPS = ladder(60.0, 500, 0.0, Span())
 WIDTH_PX, HEIGHT_PX, PERIOD_PX = 400, 300, 16

@@ -31,7 +31,7 @@ from bench.verdict.causes_frames import frames_of
 from bench.verdict.causes_scenes import NONE, STEPS, Base, Spoilt, exposure_of
 from bench.verdict.light_scenes import noise_at
 from bench.verdict.motion_truth import FALSE_MM, errors_mm, rms_mm
-from hw_sim.render import LightSlice
+from hw_sim.rendering.render import LightSlice
 from tests.support.rendered import RenderedScan, pictures
 from tests.support.truth import WATER, true_calibration
 

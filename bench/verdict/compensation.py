@@ -30,8 +30,8 @@ from bench.verdict.compensation_cases import (
 from bench.verdict.kept_scans import kept_scan
 from bench.verdict.parts import Say
 from bench.verdict.uncertainty import spread
+from hw_sim.optics.view import TrueView
 from hw_sim.scene import Scene
-from hw_sim.view import TrueView
 from tests.support.moved import FRAME_S, recorded
 from tests.support.rendered import RenderedScan
 from tests.support.truth import WATER

@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bench.verdict.calibrations import TRUTH_SET
-from hw_sim.daylight import Daylight
-from hw_sim.motion import Motion
+from hw_sim.light.daylight import Daylight
+from hw_sim.objects.motion import Motion
 from hw_sim.scene import Scene
-from hw_sim.water import turbid
+from hw_sim.water.medium import turbid
 
 WIDTH_PX, SMALL_PX = 800, 400
 NAMED = {

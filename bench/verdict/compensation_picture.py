@@ -16,7 +16,7 @@ from appliance.compensation.attempt import attempt
 from appliance.reconstruct.pipeline import Cloud, Pipeline
 from appliance.reconstruct.table import Found
 from bench.verdict.compensation_cases import NAMED, OBJECTS
-from hw_sim.motion import Motion
+from hw_sim.objects.motion import Motion
 from hw_sim.scene import Scene
 from tests.support.moved import FRAME_S, recorded
 from tests.support.rendered import RenderedScan, render_scan

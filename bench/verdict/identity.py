@@ -24,13 +24,13 @@ from appliance.verdict.identity import judge_identity
 from appliance.verdict.identity_evidence import Witness
 from appliance.verdict.identity_lines import take_lines
 from bench.result import Measured
-from hw_sim.daylight import Daylight
-from hw_sim.drift import Drift
-from hw_sim.motion import Motion
+from hw_sim.light.daylight import Daylight
+from hw_sim.objects.motion import Motion
 from hw_sim.objects.shapes import DEFAULT_POSE
+from hw_sim.rendering.sensor import E_PER_DN, READ_NOISE_E
 from hw_sim.scene import Scene
-from hw_sim.sensor import E_PER_DN, READ_NOISE_E
-from hw_sim.water import Water
+from hw_sim.water.drift import Drift
+from hw_sim.water.medium import Water
 from tests.support.rendered import pictures, render_scan
 
 Say = Callable[[str, float], None]

@@ -24,9 +24,9 @@ from bench.verdict.kept_scans import KeptScans, Take
 from bench.verdict.motion import case_of
 from bench.verdict.motion_cases import Case, record
 from bench.verdict.parts import Say
-from hw_sim.motion import Motion
-from hw_sim.sensor import FULL_WELL_E, OFFSET_DN, READ_NOISE_E
-from hw_sim.water import Water
+from hw_sim.objects.motion import Motion
+from hw_sim.rendering.sensor import FULL_WELL_E, OFFSET_DN, READ_NOISE_E
+from hw_sim.water.medium import Water
 
 MILK_EVERY, FAST_EVERY = 3, 4
 FAST_MM_S = (60.0, 250.0)

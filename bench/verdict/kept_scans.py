@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from appliance.patterns.sequence import build_sequence
 from bench.verdict.motion_cases import FRAME_S, TRUTH_SET, Case, without_fish
-from hw_sim.render import Renderer
+from hw_sim.rendering.render import Renderer
 from hw_sim.scene import Scene
 from hw_sim.truth import draw_truth
 from tests.support.rendered import RenderedScan, render_scan

@@ -12,11 +12,11 @@ from appliance.capture.exposure import Exposure, Span, ladder
 from appliance.patterns.sequence import PatternSequence, build_sequence
 from appliance.reconstruct.noise import StereoNoise, camera_noise
 from appliance.verdict.recorded import Recorded
-from hw_sim.daylight import Daylight
-from hw_sim.render import LightSlice, Renderer
+from hw_sim.light.daylight import Daylight
+from hw_sim.rendering.render import LightSlice, Renderer
 from hw_sim.scene import Scene
 from hw_sim.truth import draw_truth
-from hw_sim.water import Water
+from hw_sim.water.medium import Water
 from tests.support.rendered import FRAME_S, RenderedScan, pictures
 
 WIDTH_PX, HEIGHT_PX = 400, 300

@@ -38,8 +38,8 @@ from bench.verdict.motion_figures import HARMFUL, Row, figures, roc_table
 from bench.verdict.motion_pictures import draw_maps, draw_roc, draw_scatter
 from bench.verdict.motion_truth import errors_mm, noise_mm, rms_mm
 from bench.verdict.parts import Say
-from hw_sim.render import Renderer
-from hw_sim.sensor import FULL_WELL_E, OFFSET_DN, READ_NOISE_E
+from hw_sim.rendering.render import Renderer
+from hw_sim.rendering.sensor import FULL_WELL_E, OFFSET_DN, READ_NOISE_E
 from hw_sim.truth import draw_truth
 from tests.support.truth import WATER, complete_calibration, true_calibration
 

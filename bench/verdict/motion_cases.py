@@ -13,13 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hw_sim.daylight import Daylight
-from hw_sim.drift import Drift
-from hw_sim.imaging import Imaging
-from hw_sim.motion import Motion
-from hw_sim.scene import Scene
-from hw_sim.sensor import E_PER_DN, OFFSET_DN, Sensor
-from hw_sim.water import Water, turbid
+from hw_sim.light.daylight import Daylight
+from hw_sim.objects.motion import Motion
+from hw_sim.rendering.sensor import E_PER_DN, OFFSET_DN, Sensor
+from hw_sim.scene import Imaging, Scene
+from hw_sim.water.drift import Drift
+from hw_sim.water.medium import Water, turbid
 
 FRAME_S = 1.0 / 60.0
 TRUTH_SET = "realistic"

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.reconstruct.pipeline import Cloud
-from hw_sim.render import Renderer, Surface
+from hw_sim.rendering.render import Renderer, Surface
 from tests.support.truth import left_to_rig
 
 FALSE_MM = 1.0

@@ -25,10 +25,10 @@ from bench.turbidity.scan import WRONG_MM, WRONG_SIGMAS, rig_in, set_water
 from bench.turbidity.scenes import drawn_scene
 from bench.verdict.light_scenes import STEPS, noise_at
 from bench.verdict.parts import Say
-from hw_sim.drift import Drift
-from hw_sim.render import Renderer
+from hw_sim.rendering.render import Renderer
 from hw_sim.scene import Scene
-from hw_sim.water import Water
+from hw_sim.water.drift import Drift
+from hw_sim.water.medium import Water
 from tests.support.rendered import render_scan
 from tests.support.truth import true_calibration
 

@@ -11,7 +11,7 @@ import numpy as np
 from bench.result import Measured
 from bench.turbidity.scan import Taken, expose, rig_in, set_water, take
 from bench.turbidity.scenes import drawn_scene, drawn_water
-from hw_sim.render import Renderer
+from hw_sim.rendering.render import Renderer
 
 WIDTH_PX = 400
 """Waters are judged at this size; the cost is measured at full size by itself."""

@@ -23,13 +23,12 @@ from appliance.reconstruct.noise import StereoNoise, camera_noise
 from appliance.reconstruct.pipeline import Cloud, Pipeline
 from bench.result import Measured
 from bench.verdict.parts import Say
-from hw_sim.imaging import Imaging
 from hw_sim.objects.shapes import DEFAULT_POSE
-from hw_sim.optics.points import ray
-from hw_sim.projector import response as light_of_codes
-from hw_sim.scene import Scene
-from hw_sim.sensor import FULL_WELL_E, OFFSET_DN, READ_NOISE_E
-from hw_sim.water import Water
+from hw_sim.optics.projector import response as light_of_codes
+from hw_sim.rendering.sensor import FULL_WELL_E, OFFSET_DN, READ_NOISE_E
+from hw_sim.scene import Imaging, Scene
+from hw_sim.truth import ray
+from hw_sim.water.medium import Water
 from tests.support.rendered import RenderedScan, render_scan
 from tests.support.truth import WATER, complete_calibration, left_to_rig
 

@@ -19,9 +19,9 @@ from appliance.verdict.window import SIDES, Windows
 from bench.result import Measured
 from bench.turbidity.scenes import drawn_scene
 from bench.verdict.parts import Say
-from hw_sim.fog import Fog
+from hw_sim.optics.fog import Fog
 from hw_sim.scene import Scene
-from hw_sim.water import turbid
+from hw_sim.water.medium import turbid
 from tests.support.fogged import windows_of
 from tests.support.rendered import render_scan
 

@@ -13,7 +13,7 @@ import numpy as np
 from hw_sim.devices.board_line import Command, CommandReader, line
 from hw_sim.devices.shot import Shot
 from hw_sim.faults import FaultBook
-from hw_sim.pace import BLANK_NS, WorldTime
+from hw_sim.timing.world_time import BLANK_NS, WorldTime
 
 FIRMWARE = "1.4.2"
 SERIAL = "KF-BRD-0001"

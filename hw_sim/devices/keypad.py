@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 
 from hw_sim.faults import FaultBook
-from hw_sim.pace import START_NS, WorldTime
+from hw_sim.timing.world_time import START_NS, WorldTime
 
 VENDOR, PRODUCT, RELEASE = 0x1209, 0x4B46, 0x0103
 MANUFACTURER, NAME, SERIAL = "Kingfisher", "Key pad", "KF-KEY-0001"

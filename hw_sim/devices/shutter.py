@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hw_sim.devices.power_on import CHOICES, POLITE, PowerOn
 from hw_sim.devices.shot import Shot
 from hw_sim.faults import FaultBook
-from hw_sim.pace import WorldTime
+from hw_sim.timing.world_time import WorldTime
 
 READOUT_NS = 14_000_000
 """The whole sensor; rows are read one after the other. 71 frames a second at most."""

@@ -22,7 +22,7 @@ from hw_sim.devices.u3v_descriptors import Identity, Speed
 from hw_sim.devices.u3v_stream import OVERRUN, Block, Overflow, Region, Setup, StreamPipe
 from hw_sim.devices.usb_standard import Stall as Stall
 from hw_sim.faults import FaultBook
-from hw_sim.pace import WorldTime
+from hw_sim.timing.world_time import WorldTime
 
 ARMING_NS = 30_000_000
 """The sensor needs this long to start: longer than the response time, so that the host sees a PENDING_ACK."""

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable
 
 from hw_sim.devices.gencp_memory import Memory, Refused, Status
-from hw_sim.pace import WorldTime
+from hw_sim.timing.world_time import WorldTime
 
 MAX_COMMAND, MAX_ACKNOWLEDGE = 1024, 1024
 MAX_RESPONSE_MS = 20

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import hw_sim
-from hw_sim.hands import Hands
+from hw_sim.people.hands import Hands
 from hw_sim.scene import Scene
 from hw_sim.window.fingers import Fingers
 from hw_sim.window.keyboard import HELP

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from hw_sim.devices.card import Card
 from hw_sim.devices.card_file import CardFile
-from hw_sim.pace import WorldTime
+from hw_sim.timing.world_time import WorldTime
 
 
 class SimCardNode:

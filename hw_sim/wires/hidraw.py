@@ -7,7 +7,7 @@ from typing import Any
 
 from hw_sim.devices import keypad as pad
 from hw_sim.devices.keypad import Keypad
-from hw_sim.pace import WorldTime
+from hw_sim.timing.world_time import WorldTime
 
 REPORTS_KEPT = 63
 """As the kernel's hidraw, a ring of 64 that is never quite full: when nobody reads, the newest reports are lost."""

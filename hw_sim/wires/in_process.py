@@ -11,12 +11,12 @@ from typing import Any
 import serial
 
 from hw_sim import registry
-from hw_sim.actor import Actor
-from hw_sim.chaos import ChaosDiver
-from hw_sim.console import reading
 from hw_sim.options import OptionError, WorldOptions, options_from
-from hw_sim.pace import WorldClock
-from hw_sim.script import Diver, read_script
+from hw_sim.people.actor import Actor
+from hw_sim.people.chaos import ChaosDiver
+from hw_sim.people.console import reading
+from hw_sim.people.script import Diver, read_script
+from hw_sim.timing.world_time import WorldClock
 from hw_sim.window import open_windows
 from hw_sim.wires.card import SimCardNode
 from hw_sim.wires.hidraw import HidrawModule

@@ -12,7 +12,7 @@ from serial.serialutil import PortNotOpenError, SerialBase, SerialException, to_
 
 from hw_sim import registry
 from hw_sim.devices.board import Board
-from hw_sim.pace import WorldTime
+from hw_sim.timing.world_time import WorldTime
 
 _GONE = "device reports readiness to read but returned no data (device disconnected or multiple access on port?)"
 

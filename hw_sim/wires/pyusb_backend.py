@@ -13,7 +13,7 @@ from usb.core import USBError, USBTimeoutError
 
 from hw_sim.devices.u3v_camera import Stall, U3vCamera
 from hw_sim.devices.u3v_stream import Overflow
-from hw_sim.pace import WorldTime
+from hw_sim.timing.world_time import WorldTime
 from hw_sim.wires.usb_descriptors import Interface, parse_configuration, parse_device
 
 BUS = 2

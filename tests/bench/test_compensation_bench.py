@@ -16,7 +16,7 @@ from appliance.reconstruct.quality import CloudSummary
 from bench.verdict.calibrations import TrueScene, binned, calibration_of
 from bench.verdict.compensation import worse
 from bench.verdict.compensation_page import END, begin, write_page
-from hw_sim.render import Renderer
+from hw_sim.rendering.render import Renderer
 from hw_sim.scene import Scene
 from hw_sim.truth import TrueRig, draw_truth
 from tests.support.rendered import RenderedScan

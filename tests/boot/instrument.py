@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hw_sim.cable import Cable
+from hw_sim.devices.cable import Cable
 from hw_sim.wires.usbip.exporter import Exporter
 from hw_sim.world import World, WorldOptions
 from tests.boot.injected import rig_drop_in, with_files

@@ -10,15 +10,16 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-from hw_sim import calendar, deeds, sight
-from hw_sim.amounts import changed as with_amounts
-from hw_sim.console import Console
-from hw_sim.deeds import SURROUNDINGS
 from hw_sim.faults import KINDS, PARTS, FaultSyntaxError
 from hw_sim.faults import parse as parse_fault
-from hw_sim.knock import AMOUNTS, KnockError
-from hw_sim.knock import parse as parse_knock
-from hw_sim.script import ScriptError, parse_script
+from hw_sim.mount_shift import AMOUNTS, KnockError
+from hw_sim.mount_shift import parse as parse_knock
+from hw_sim.people import commands, status_file
+from hw_sim.people.commands import SURROUNDINGS
+from hw_sim.people.commands import changed as with_amounts
+from hw_sim.people.console import Console
+from hw_sim.people.script import ScriptError, parse_script
+from hw_sim.timing import calendar
 from hw_sim.world import World, WorldOptions
 from tests.fuzz.damage import changed, damaged, reworded
 from tests.fuzz.target import Target
@@ -89,12 +90,12 @@ def _script(chance: Random) -> str:
     )
 
 
-LINES = tuple(line for line in SCRIPT.splitlines() if line.split()[0] in deeds.HELP)
+LINES = tuple(line for line in SCRIPT.splitlines() if line.split()[0] in commands.HELP)
 
 
 def _deed(line: str, _: Path) -> None:
     verb, *words = line.split("#", 1)[0].split() or [""]
-    known = deeds.check(verb, tuple(words))
+    known = commands.check(verb, tuple(words))
     if known and verb == "date":
         try:
             assert calendar.changed(calendar.Date(calendar.FIRST, kept=True), words[0]).utc >= calendar.FIRST
@@ -176,7 +177,7 @@ STATUS = {
 }  # fmt: skip
 ASKED = tuple(
     (kind, (["500", "5"] if kind in ("distance", "tilt") else ["LEAK", "ok", "x"][: max(1, least)]))
-    for kind, (least, _) in sight.SIGHTS.items()
+    for kind, (least, _) in status_file.SIGHTS.items()
 )
 
 
@@ -189,10 +190,10 @@ def _status(chance: Random) -> bytes:
 def _look(data: bytes, scratch: Path) -> None:
     path = scratch / "status.json"
     path.write_bytes(data)
-    status = sight.read(path)
+    status = status_file.read(path)
     for kind, words in ASKED:
-        assert sight.sees(status, kind, list(words)) in (True, False)
-    assert sight.summary(status)
+        assert status_file.sees(status, kind, list(words)) in (True, False)
+    assert status_file.summary(status)
 
 
 TARGETS = (

@@ -31,7 +31,7 @@ from drivers.camera.control import ControlChannel
 from drivers.camera.description import BadDescription, unpack
 from drivers.camera.features import Features
 from drivers.camera.usb import TransferError
-from hw_sim import sight
+from hw_sim.people import status_file
 from tests.appliance.storage.scenes import frames, record
 from tests.drivers.camera.test_features import XML, RegisterMemory
 from tests.drivers.camera.test_stream import Bench, frame
@@ -192,7 +192,7 @@ def test_frames_that_numpy_itself_wrote_are_read(tmp_path: Path) -> None:
 
 def test_a_status_file_with_other_things_in_it_is_looked_at_all_the_same() -> None:
     status = {"alerts": "AIM", "keys": [1], "devices": 1.5, "calibration": [{}]}
-    assert not sight.sees(status, "alert", ["AIM"])
-    assert not sight.sees(status, "device", ["board", "ok"])
-    assert not sight.sees(status, "step", ["M1"])
-    assert "alerts: none" in sight.summary(status)
+    assert not status_file.sees(status, "alert", ["AIM"])
+    assert not status_file.sees(status, "device", ["board", "ok"])
+    assert not status_file.sees(status, "step", ["M1"])
+    assert "alerts: none" in status_file.summary(status)

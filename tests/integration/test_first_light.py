@@ -12,7 +12,7 @@ from appliance.config import load_rig
 from appliance.service.app import CALIBRATION_FILE, run
 from appliance.storage.library import Library
 from hw_sim.options import options_from
-from hw_sim.render import Renderer
+from hw_sim.rendering.render import Renderer
 from hw_sim.truth import draw_truth
 from tests.support.truth import left_to_rig, true_calibration
 

@@ -15,7 +15,7 @@ import pytest
 
 from appliance.storage.library import Library
 from appliance.storage.scan import StoredScan
-from hw_sim.pace import BLANK_NS
+from hw_sim.timing.world_time import BLANK_NS
 from hw_sim.wires.umockdev.testbed import Testbed
 from hw_sim.world import World, WorldOptions
 from tests.libraries.instrument import Instrument

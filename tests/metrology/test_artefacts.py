@@ -10,10 +10,9 @@ from appliance.evaluation.flatness import flatness
 from appliance.evaluation.frustum import Frustum, find_frustum
 from appliance.evaluation.plane import PlaneFit, fit_plane
 from appliance.evaluation.points import NotFound
-from hw_sim.imaging import Imaging
-from hw_sim.motion import pose_matrix
+from hw_sim.objects.motion import pose_matrix
 from hw_sim.objects.shapes import BALL_RADIUS_MM, FRUSTUM_BASE_MM, FRUSTUM_HEIGHT_MM, FRUSTUM_TOP_MM
-from hw_sim.scene import Scene
+from hw_sim.scene import Imaging, Scene
 from tests.support.rendered import reconstruct, render_scan
 from tests.support.truth import rig_to_left
 

@@ -14,11 +14,11 @@ from appliance.calibration.health import Judgement, Trend, judge
 from appliance.calibration.patches import PatchGaps
 from appliance.patterns.sequence import build_sequence
 from appliance.reconstruct.pipeline import SIDES, Pipeline
-from hw_sim.knock import Knock, knocked
-from hw_sim.render import LightSlice, Renderer
+from hw_sim.mount_shift import Knock, knocked
+from hw_sim.rendering.render import LightSlice, Renderer
 from hw_sim.scene import Scene
 from hw_sim.truth import TrueRig, draw_truth
-from hw_sim.water import Water
+from hw_sim.water.medium import Water
 from tests.support.rendered import EXPOSURE_S, pictures
 from tests.support.truth import WATER, true_calibration
 

@@ -12,7 +12,7 @@ from appliance.calibration.file import Calibration
 from appliance.optics.model import HousedCamera
 from appliance.optics.pinhole import Lens
 from appliance.optics.port import Port
-from hw_sim.motion import pose_matrix
+from hw_sim.objects.motion import pose_matrix
 from hw_sim.objects.shapes import BALL_DISTANCE_MM, BALL_RADIUS_MM
 from hw_sim.scene import Scene
 from tests.support import oracle

@@ -9,14 +9,13 @@ from numpy.typing import NDArray
 
 from appliance.calibration.air import BoardView
 from appliance.calibration.board import BoardDesign, NoBoard, find_board
-from hw_sim.motion import pose_matrix
+from hw_sim.objects.motion import pose_matrix
 from hw_sim.objects.print import corners_mm
 from hw_sim.objects.shapes import BOARD_HALF_X_MM
-from hw_sim.optics.points import project
-from hw_sim.render import Renderer
+from hw_sim.rendering.render import Renderer
 from hw_sim.scene import Scene
-from hw_sim.truth import TrueRig, in_air
-from hw_sim.water import AIR, Water
+from hw_sim.truth import TrueRig, in_air, project
+from hw_sim.water.medium import AIR, Water
 
 BOARD = BoardDesign()
 EXPOSURE_S = 0.007

@@ -31,8 +31,7 @@ from hw_sim.objects.shapes import (
     PLANE_HALF_X_MM,
     PLANE_HALF_Y_MM,
 )
-from hw_sim.optics.points import project, ray
-from hw_sim.truth import TrueRig, draw_truth, in_air
+from hw_sim.truth import TrueRig, draw_truth, in_air, project, ray
 from tests.support.truth import WATER
 
 Array = NDArray[np.float64]

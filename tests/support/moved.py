@@ -9,7 +9,7 @@ from appliance.compensation.hand import LEVER_MM
 from appliance.reconstruct.noise import TYPICAL_PAIR
 from appliance.reconstruct.pipeline import Cloud, Pipeline
 from appliance.verdict.recorded import Recorded
-from hw_sim.motion import object_pose
+from hw_sim.objects.motion import object_pose
 from tests.support.rendered import Accuracy, RenderedScan
 from tests.support.truth import left_to_rig
 

@@ -13,7 +13,7 @@ from appliance.calibration.file import Calibration
 from appliance.patterns.response import Response
 from appliance.patterns.sequence import Direction, PatternSequence, build_sequence
 from appliance.reconstruct.pipeline import Cloud, Pipeline
-from hw_sim.render import LightSlice, Renderer
+from hw_sim.rendering.render import LightSlice, Renderer
 from hw_sim.scene import Scene
 from hw_sim.truth import draw_truth
 from tests.support.truth import WATER, left_to_rig, true_calibration

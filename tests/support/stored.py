@@ -8,7 +8,7 @@ from appliance.capture.exposure import Exposure
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.record import ScanRecord, SequenceInfo
 from appliance.storage.scan import write_raw
-from hw_sim.water import GREEN_NM
+from hw_sim.water.medium import GREEN_NM
 from tests.support.rendered import RenderedScan
 
 

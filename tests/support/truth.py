@@ -16,8 +16,7 @@ from appliance.optics.model import HousedCamera, StereoRig
 from appliance.optics.pinhole import Lens
 from appliance.optics.port import Port
 from appliance.optics.water import Water
-from hw_sim.optics.points import ray
-from hw_sim.truth import TrueEye, TrueRig
+from hw_sim.truth import TrueEye, TrueRig, ray
 
 WATER = Water(20.0, 0.0, 530.0)
 MIDDLE_MM = 522.5

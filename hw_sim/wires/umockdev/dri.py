@@ -15,7 +15,7 @@ from typing import Self
 from hw_sim.devices.card import Card
 from hw_sim.devices.card_file import CardFile, UserMemory
 from hw_sim.devices.drm_abi import OwnMemory
-from hw_sim.pace import WorldTime
+from hw_sim.timing.world_time import WorldTime
 from hw_sim.wires.umockdev.preload import HostMemory
 
 SLOT_BYTES = 1 << 26

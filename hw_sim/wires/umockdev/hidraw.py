@@ -12,7 +12,7 @@ from collections import deque
 
 from hw_sim.devices import keypad as pad
 from hw_sim.devices.keypad import Keypad
-from hw_sim.pace import LONGEST_WAIT_S, WorldTime
+from hw_sim.timing.world_time import LONGEST_WAIT_S, WorldTime
 from hw_sim.wires.umockdev.preload import HostMemory
 from hw_sim.wires.umockdev.readiness import Readiness
 

@@ -16,7 +16,7 @@ from typing import Self
 
 from hw_sim.devices import keypad as pad
 from hw_sim.devices.u3v_camera import U3vCamera
-from hw_sim.pace import LONGEST_WAIT_S
+from hw_sim.timing.world_time import LONGEST_WAIT_S
 from hw_sim.wires.umockdev import hidraw, plugs
 from hw_sim.wires.umockdev.dri import CardMemory, DrmFile, HostClock
 from hw_sim.wires.umockdev.preload import OTHER_NODES, NodeServer, Plain

@@ -11,7 +11,7 @@ import tty
 from pathlib import Path
 
 from hw_sim.devices.board import Board
-from hw_sim.pace import WorldTime
+from hw_sim.timing.world_time import WorldTime
 
 CHUNK = 4096
 LOOK_S = 0.02

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 
 from hw_sim.devices.u3v_camera import Stall, U3vCamera
 from hw_sim.devices.u3v_stream import Overflow
-from hw_sim.pace import LONGEST_WAIT_S, WorldTime
+from hw_sim.timing.world_time import LONGEST_WAIT_S, WorldTime
 from hw_sim.wires.umockdev.preload import HostMemory
 from hw_sim.wires.umockdev.readiness import Readiness
 

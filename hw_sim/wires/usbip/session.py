@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 from hw_sim.devices.u3v_stream import Overflow
 from hw_sim.devices.usb_standard import Stall
-from hw_sim.pace import LONGEST_WAIT_S, WorldTime
+from hw_sim.timing.world_time import LONGEST_WAIT_S, WorldTime
 from hw_sim.wires.usbip import messages
 from hw_sim.wires.usbip.messages import ProtocolError, Submit, Unlink
 from hw_sim.wires.usbip.ports import Function

@@ -12,11 +12,10 @@ from appliance.calibration.board import NoBoard, find_board
 from appliance.calibration.pinhole_in_water import calibrate_pinhole_in_water
 from appliance.calibration.shapes import triangulate
 from appliance.optics.water import Water
-from hw_sim.optics.points import project
-from hw_sim.render import Renderer
+from hw_sim.rendering.render import Renderer
 from hw_sim.scene import Scene
-from hw_sim.truth import TrueRig, in_air
-from hw_sim.water import AIR
+from hw_sim.truth import TrueRig, in_air, project
+from hw_sim.water.medium import AIR
 from tests.support.board_pictures import (
     BOARD,
     Pictures,

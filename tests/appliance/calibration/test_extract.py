@@ -22,9 +22,9 @@ from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.quality import QualityLimits
 from appliance.service.recordings import recording_of_scan
 from hw_sim.objects.shapes import BALL_RADIUS_MM
-from hw_sim.optics.points import project, ray
 from hw_sim.scene import Scene
-from hw_sim.water import GREEN_NM
+from hw_sim.truth import project, ray
+from hw_sim.water.medium import GREEN_NM
 from tests.support.rendered import RenderedScan, render_scan
 from tests.support.stored import store
 from tests.support.truth import WATER, true_calibration

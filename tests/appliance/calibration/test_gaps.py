@@ -11,9 +11,8 @@ import pytest
 from appliance.calibration.gaps import MODES, GapModes, pairs_in_volume, signed_gap_mm
 from appliance.calibration.health import likeliest
 from appliance.optics.model import StereoRig
-from hw_sim.knock import Knock, knocked
-from hw_sim.optics.points import project, ray
-from hw_sim.truth import TrueRig
+from hw_sim.mount_shift import Knock, knocked
+from hw_sim.truth import TrueRig, project, ray
 from tests.support.calibrating import hidden_rig, inside
 from tests.support.truth import WATER, true_calibration
 

@@ -14,7 +14,7 @@ from appliance.calibration.bundle import Rung
 from appliance.calibration.health import LEARNT_SCANS, Trend, answered, judge
 from appliance.calibration.patches import PatchGaps
 from appliance.optics.water import Water
-from hw_sim.knock import Knock, knocked
+from hw_sim.mount_shift import Knock, knocked
 from tests.support.gap_scans import calibrated, follow, in_water, learnt, scan, scans_until_alarm
 from tests.support.truth import WATER
 

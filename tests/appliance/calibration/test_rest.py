@@ -9,10 +9,10 @@ from appliance.calibration.air import BoardView
 from appliance.calibration.board import NoBoard
 from appliance.calibration.coverage import coverage
 from appliance.calibration.rest import view_of
-from hw_sim.render import Renderer
+from hw_sim.rendering.render import Renderer
 from hw_sim.scene import Scene
 from hw_sim.truth import draw_truth, in_air
-from hw_sim.water import AIR
+from hw_sim.water.medium import AIR
 from tests.support.board_pictures import BOARD, picture
 from tests.support.truth import WATER
 

@@ -17,11 +17,10 @@ from appliance.patterns.sequence import BRIGHT_CODE
 from appliance.service.instrument import design_of, live_light_of, pointers_of
 from bench.ranging.scenes import hide, live_pair, true_dots
 from bench.ranging.study import RIG_FILE, Instrument, instrument, truth_of
-from hw_sim.optics.points import project
-from hw_sim.render import Renderer
+from hw_sim.rendering.render import Renderer
 from hw_sim.scene import Scene
-from hw_sim.truth import draw_truth
-from hw_sim.water import Water, turbid
+from hw_sim.truth import draw_truth, project
+from hw_sim.water.medium import Water, turbid
 from tests.support.truth import WATER, complete_calibration, rig_to_left
 
 SMALL_RIG_FILE = Path("hw_sim/rigs/small.toml")

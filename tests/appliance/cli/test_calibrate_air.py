@@ -15,10 +15,10 @@ from appliance.calibration.start import METHOD
 from appliance.cli import main
 from appliance.config import parse_rig
 from appliance.service.instrument import calibration_of
-from hw_sim.render import Renderer
+from hw_sim.rendering.render import Renderer
 from hw_sim.scene import Scene
 from hw_sim.truth import TrueRig, draw_truth, in_air
-from hw_sim.water import AIR
+from hw_sim.water.medium import AIR
 from tests.support.board_pictures import picture, poses_in_air
 from tests.support.truth import WATER
 

@@ -9,8 +9,7 @@ import pytest
 
 from appliance.calibration.response_file import load
 from appliance.cli import main
-from hw_sim.imaging import Imaging
-from hw_sim.scene import Scene
+from hw_sim.scene import Imaging, Scene
 from tests.support.rendered import RenderedScan, render_scan
 from tests.support.stored import store
 

@@ -11,7 +11,7 @@ from appliance.compensation.attempt import Attempt, attempt
 from appliance.compensation.compensate import WORTH_SHARE, compensate
 from appliance.compensation.estimate import MotionEstimate
 from appliance.reconstruct.pipeline import Cloud, Pipeline
-from hw_sim.motion import Motion
+from hw_sim.objects.motion import Motion
 from hw_sim.scene import Scene
 from tests.support.moved import FRAME_S, judge_at, recorded, true_motion_mm
 from tests.support.rendered import RenderedScan, render_scan

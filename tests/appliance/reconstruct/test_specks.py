@@ -12,8 +12,7 @@ from appliance.reconstruct.pipeline import SIDES, Cloud, Pipeline
 from appliance.reconstruct.specks import mask_specks
 from appliance.worker.scan_work import ScanWork, Taking
 from bench.bias import depth_errors
-from hw_sim.imaging import Imaging
-from hw_sim.scene import Scene
+from hw_sim.scene import Imaging, Scene
 from tests.support.rendered import RenderedScan, render_scan
 from tests.support.specks import add_specks
 from tests.support.truth import WATER, true_calibration

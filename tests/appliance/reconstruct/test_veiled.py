@@ -14,10 +14,9 @@ from appliance.reconstruct.noise import StereoNoise, camera_noise
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.worker.scan_work import ScanWork, Taking
 from bench.bias import depth_errors
-from hw_sim.imaging import Imaging
-from hw_sim.scene import Scene
-from hw_sim.sensor import FULL_WELL_E, OFFSET_DN, READ_NOISE_E
-from hw_sim.water import Water
+from hw_sim.rendering.sensor import FULL_WELL_E, OFFSET_DN, READ_NOISE_E
+from hw_sim.scene import Imaging, Scene
+from hw_sim.water.medium import Water
 from tests.support.rendered import RenderedScan, render_scan
 from tests.support.truth import WATER, true_calibration
 

@@ -17,7 +17,7 @@ from appliance.capture.fault import Fault, FaultCode
 from appliance.machine import events as on
 from appliance.machine.states import Device
 from appliance.service.spoken import fault_text, spoken
-from hw_sim import sight
+from hw_sim.people import status_file
 
 REPR = re.compile(r"<\w+[.:]|\w\(\w+=|\{'|\['|\(\)|\('|\bNone\b|Device\.|FaultCode\.")
 """``<Device.DISPLAY: 'display'>``, ``Fault(code=…)``, a dict, a list, a tuple."""
@@ -85,10 +85,10 @@ def test_what_the_console_sees_is_written_in_words() -> None:
         "range": {"distance_mm": 498.76543, "word": "OK"},
         "calibration": {"busy": False, "steps": ["M1", "M2"]},
     }
-    said = sight.summary(status)
+    said = status_file.summary(status)
     assert not REPR.search(said), said
     assert said == (
         "the state is REVIEW; alerts: MOVED (MOVED 3.1 px: REPEAT); keys: scan SAVE, back -; scans: 3; "
         "range: distance_mm 498.8, word OK; calibration: busy no, steps M1, M2"
     )
-    assert "alerts: none" in sight.summary({})
+    assert "alerts: none" in status_file.summary({})

@@ -11,7 +11,7 @@ from appliance.calibration.file import Calibration
 from appliance.capture.fault import FaultCode
 from appliance.machine.alerts import alert_of
 from appliance.service.health import CalibrationWatch
-from hw_sim.knock import Knock, knocked
+from hw_sim.mount_shift import Knock, knocked
 from tests.support.gap_scans import calibrated, scan
 from tests.support.truth import WATER
 

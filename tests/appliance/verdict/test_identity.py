@@ -17,10 +17,10 @@ from appliance.verdict.identity import judge_identity
 from appliance.verdict.identity_evidence import Witness
 from appliance.verdict.identity_kernel import follow
 from appliance.verdict.identity_lines import take_lines
-from hw_sim.daylight import Daylight
-from hw_sim.motion import Motion
+from hw_sim.light.daylight import Daylight
+from hw_sim.objects.motion import Motion
 from hw_sim.scene import Scene
-from hw_sim.water import Water
+from hw_sim.water.medium import Water
 from tests.support.rendered import render_scan
 from tests.support.synthetic import frames as ideal_frames
 

@@ -14,7 +14,7 @@ from appliance.capture.fault import FaultCode
 from appliance.patterns.sequence import Direction, build_sequence
 from appliance.verdict.identity import judge_identity
 from hw_sim.scene import Scene
-from hw_sim.water import turbid
+from hw_sim.water.medium import turbid
 from tests.support.rendered import RenderedScan, render_scan
 
 

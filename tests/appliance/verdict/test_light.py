@@ -17,9 +17,9 @@ from appliance.reconstruct.decode import CameraDecoder, Mask
 from appliance.reconstruct.noise import TYPICAL, StereoNoise, camera_noise
 from appliance.verdict.light import judge_light
 from appliance.verdict.recorded import Recorded
-from hw_sim.daylight import Daylight
+from hw_sim.light.daylight import Daylight
+from hw_sim.rendering.sensor import FULL_WELL_E, OFFSET_DN, READ_NOISE_E
 from hw_sim.scene import Scene
-from hw_sim.sensor import FULL_WELL_E, OFFSET_DN, READ_NOISE_E
 from tests.support.photographed import (
     HEIGHT_PX,
     WHITE_DN_PER_US,

@@ -13,12 +13,11 @@ from appliance.verdict.motion import MotionJudgement, MotionKind
 from appliance.verdict.motion_scores import MOVED
 from bench.verdict.motion import judge_frames
 from bench.verdict.motion_cases import FRAME_S, draw_case, record
-from hw_sim.daylight import Daylight
-from hw_sim.imaging import Imaging
-from hw_sim.motion import Motion
-from hw_sim.scene import Scene
+from hw_sim.light.daylight import Daylight
+from hw_sim.objects.motion import Motion
+from hw_sim.scene import Imaging, Scene
 from hw_sim.truth import draw_truth
-from hw_sim.water import Water
+from hw_sim.water.medium import Water
 from tests.support.rendered import render_scan
 from tests.support.truth import true_calibration
 

@@ -14,9 +14,8 @@ from appliance.reconstruct.noise import TYPICAL_PAIR
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.verdict.recorded import Recorded
 from appliance.verdict.turbidity import WaterJudgement, judge_water
-from hw_sim.imaging import Imaging
-from hw_sim.scene import Scene
-from hw_sim.water import Water
+from hw_sim.scene import Imaging, Scene
+from hw_sim.water.medium import Water
 from tests.support.rendered import RenderedScan, render_scan
 from tests.support.specks import add_specks
 from tests.support.truth import WATER, true_calibration

@@ -11,9 +11,9 @@ from appliance.capture.fault import FaultCode
 from appliance.machine.alerts import RULES
 from appliance.service.windows import WindowWatch
 from appliance.verdict.window import CELLS, Windows
-from hw_sim.fog import Fog
+from hw_sim.optics.fog import Fog
 from hw_sim.scene import Scene
-from hw_sim.water import Water
+from hw_sim.water.medium import Water
 from tests.support.fogged import windows_of
 from tests.support.rendered import render_scan
 

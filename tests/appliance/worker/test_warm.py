@@ -13,11 +13,11 @@ from appliance.patterns.sequence import build_sequence
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.worker.scan_work import ScanWork, Taking
 from appliance.worker.warm import run_empty_scan, run_what_an_empty_scan_does_not
-from hw_sim.daylight import Daylight
-from hw_sim.drift import Drift
-from hw_sim.motion import Motion
+from hw_sim.light.daylight import Daylight
+from hw_sim.objects.motion import Motion
 from hw_sim.scene import Scene
-from hw_sim.water import Water, turbid
+from hw_sim.water.drift import Drift
+from hw_sim.water.medium import Water, turbid
 from tests.support.rendered import render_scan
 from tests.support.truth import WATER, true_calibration
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from hw_sim.faults import FaultBook
-from hw_sim.pace import BLANK_NS, WorldTime
+from hw_sim.timing.world_time import BLANK_NS, WorldTime
 
 
 class Bench:

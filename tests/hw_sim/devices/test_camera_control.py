@@ -15,7 +15,7 @@ import usb.core
 import usb.util
 from genicam.genapi import AbstractPort, EAccessMode, NodeMap, OutOfRangeException, is_writable
 
-from tests.hw_sim.devices.conftest import Bench
+from tests.hw_sim.conftest import Bench
 from tests.hw_sim.devices.host import GencpError, U3vHost
 
 WIDTH_REGISTER, MODEL, USER_NAME = 0x200000, 0x044, 0x184

@@ -11,7 +11,7 @@ import pytest
 import usb.core
 
 from hw_sim.devices.u3v_stream import Block, Overflow, Region, Setup, StreamPipe
-from tests.hw_sim.devices.conftest import Bench
+from tests.hw_sim.conftest import Bench
 from tests.hw_sim.devices.host import U3vHost, greys
 
 PACKET = 1024

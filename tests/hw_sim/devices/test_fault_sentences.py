@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import usb.core
 
-from tests.hw_sim.devices.conftest import Bench
+from tests.hw_sim.conftest import Bench
 from tests.hw_sim.devices.host import GotFrame, Recorder, good
 
 COUNT = 8

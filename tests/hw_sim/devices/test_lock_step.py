@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import usb.core
 
-from hw_sim.render import Renderer
+from hw_sim.rendering.render import Renderer
 from hw_sim.wires import open as open_wires
-from tests.hw_sim.devices.conftest import Bench
+from tests.hw_sim.conftest import Bench
 from tests.hw_sim.devices.host import BoardHost, CardHost, Recorder, U3vHost, good, greys, stripes
 
 
@@ -102,7 +102,7 @@ def test_a_host_that_does_not_read_its_cameras_is_waited_for(bench: Bench) -> No
 def test_patience_ends_and_comes_back_with_the_next_sequence(
     make_bench: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hw_sim.drive.PATIENCE_S", 0.4)
+    monkeypatch.setattr("hw_sim.timing.world_thread.PATIENCE_S", 0.4)
     bench = make_bench()
     camera, projector = bench.camera(), bench.projector()
     projector.show(0)

@@ -1,0 +1,205 @@
+"""Owns the two laser pointers: the light their beams put on the surface and into the water that a camera sees.
+
+A beam is narrow and goes straight (its window bends it once, see ``truth``). On the surface it makes a dot: a Gaussian
+with a faint wide foot, grained by speckle. On its way the water throws a little of it back, single scattering: a streak
+from the window to the dot.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from hw_sim.objects.shapes import march_all
+from hw_sim.optics.geometry import GREY, MIDDLE_MM, Geometry, Pose
+from hw_sim.optics.trace import pixels_of
+from hw_sim.truth import Laser
+from hw_sim.water.medium import Water
+from hw_sim.water.scattering import VEIL_ALBEDO, VEIL_MM
+
+Array = NDArray[np.float64]
+
+SIGMA_MM = 0.9
+"""Half width of a beam (Gaussian sigma)."""
+FOOT_SHARE, FOOT_SIGMA_MM = 0.01, 4.0
+"""Of what lens and window of the pointer scatter: how bright in the middle, and how wide."""
+SAME_SURFACE_MM = 8.0
+"""Where a beam's light ends within so much of its way, its dot lies on one surface and has no edge in it."""
+SHADOW_MM = 0.2
+"""A place is lit if the light that runs towards it, parallel to the beam's axis, gets so near to it."""
+WINDOW_MM = 14.0
+FAR_MM = 1000.0
+"""A beam that meets nothing is followed so far."""
+_RINGS_MM = tuple(SIGMA_MM * k for k in (1.0, 2.0, 3.0))
+_AROUND = 12
+"""The axis and these rays around it say where a beam's light ends: a beam is cut by an edge that its axis misses."""
+STREAK_MARGIN_MM = 4.0
+LEAST_STREAK_E = 0.05
+
+
+def add_laser(
+    electrons: NDArray[np.float32],
+    peak_e: float,
+    laser: Laser,
+    eye: Array,
+    rays: Array,
+    pose: Pose,
+    geometry: Geometry,
+    water: Water,
+    grain_seed: int | None,
+) -> None:
+    """Add one beam to a camera's mean electrons (h, w) in place.
+
+    ``peak_e`` is what a white surface perpendicular to the beam gives in its middle in clear water. Every pixel near the
+    dot is lit by its distance from the beam, so the dot is as oblique as the surface, and hidden where the camera sees
+    something nearer. What passes an edge lights what is behind it, or nothing. ``grain_seed``: of the speckle, which
+    belongs to the surface's place; ``None``: there is none.
+    """
+    origin, direction = np.array(laser.origin_mm), np.array(laser.direction)
+    starts = origin + _across(direction)
+    reach_mm = _reach(starts, direction, pose)
+    met = np.isfinite(reach_mm)
+    if met.any():
+        ends = starts[met] + reach_mm[met, None] * direction
+        _add_dot(electrons, peak_e, origin, direction, ends, eye, rays, pose, geometry, water, grain_seed)
+    _add_streak(electrons, peak_e, origin, direction, min(float(reach_mm[0]), FAR_MM), eye, rays, geometry, water)
+
+
+def _across(direction: Array) -> Array:
+    """Offsets (n, 3) of the beam's axis, which is the first, and of rays around it, mm."""
+    x = np.cross([0.0, 1.0, 0.0], direction)
+    x /= np.linalg.norm(x)
+    y = np.cross(direction, x)
+    angles = 2.0 * math.pi * np.arange(_AROUND) / _AROUND
+    ring = np.cos(angles)[:, None] * x + np.sin(angles)[:, None] * y
+    return np.concatenate([np.zeros((1, 3)), *(radius * ring for radius in _RINGS_MM)])
+
+
+def _reach(starts: Array, direction: Array, pose: Pose) -> Array:
+    """How far (n,) light goes from ``starts`` (n, 3) to the object, mm; infinite where it meets nothing."""
+    beam = np.empty((len(starts), 6))
+    beam[:, :3], beam[:, 3:] = (starts - pose.t) @ pose.R, direction @ pose.R
+    reach_mm = np.empty(len(starts))
+    march_all(pose.kind, pose.sizes, beam, reach_mm)
+    return reach_mm
+
+
+def _add_dot(
+    electrons: NDArray[np.float32],
+    peak_e: float,
+    origin: Array,
+    direction: Array,
+    ends: Array,
+    eye: Array,
+    rays: Array,
+    pose: Pose,
+    geometry: Geometry,
+    water: Water,
+    grain_seed: int | None,
+) -> None:
+    part = _around(eye, electrons.shape, ends, WINDOW_MM)
+    if part is None:
+        return
+    points = rays[part][..., :3] + rays[part][..., 3:] * geometry.distance_mm[part][..., None]
+    along_mm = (points - origin) @ direction
+    off_mm2 = np.sum((points - origin) ** 2, axis=-1) - along_mm**2
+    # What scattering turns a little on the way widens the beam; the camera's own way blurs the whole picture.
+    wide_mm2 = SIGMA_MM**2 + (water.blur_px_per_m * 0.16 * along_mm / 1000.0) ** 2
+    lit = SIGMA_MM**2 / wide_mm2 * np.exp(-off_mm2 / (2.0 * wide_mm2))
+    lit += FOOT_SHARE * np.exp(-off_mm2 / (2.0 * FOOT_SIGMA_MM**2))
+    lit *= np.exp(-water.attenuation_per_m / 1000.0 * along_mm)
+    lit[~(off_mm2 < WINDOW_MM**2)] = 0.0
+    ends_mm = (ends - origin) @ direction
+    if len(ends) == len(_across(direction)) and np.ptp(ends_mm) < SAME_SURFACE_MM:
+        lit[np.abs(along_mm - ends_mm[0]) > SAME_SURFACE_MM] = 0.0
+    else:
+        near = lit > 0.0
+        free_mm = _reach(points[near] - along_mm[near, None] * direction, direction, pose)
+        lit[near] = np.where(along_mm[near] < free_mm + SHADOW_MM, lit[near], 0.0)
+    if grain_seed is not None:
+        # A camera px of 1600 is as large as one grain (1.22 λ N); a binned one holds as many as px are binned.
+        grains = max(1.0, (1600.0 / electrons.shape[1]) ** 2)
+        place = hashlib.blake2b(pose.key, digest_size=8).digest()
+        rng = np.random.default_rng([grain_seed, int.from_bytes(place, "little")])
+        lit = lit * rng.gamma(grains, 1.0 / grains, lit.shape)
+    electrons[part] += (peak_e * geometry.pixels[part][..., GREY] * lit).astype(np.float32)
+
+
+def _add_streak(
+    electrons: NDArray[np.float32],
+    peak_e: float,
+    origin: Array,
+    direction: Array,
+    reach_mm: float,
+    eye: Array,
+    rays: Array,
+    geometry: Geometry,
+    water: Water,
+) -> None:
+    # What a mm of lit water sends back, as the albedo of a surface that would look the same; angles are near the veil's.
+    albedo_per_mm = water.backscatter * VEIL_ALBEDO / VEIL_MM
+    brightest_e = peak_e * albedo_per_mm * SIGMA_MM * math.sqrt(2.0 * math.pi) / 0.1
+    if brightest_e < LEAST_STREAK_E:
+        return
+    way = origin + np.linspace(0.2 * MIDDLE_MM, reach_mm, 64)[:, None] * direction
+    part = _around(eye, electrons.shape, way, STREAK_MARGIN_MM)
+    if part is not None:
+        _streak(
+            rays[part], geometry.distance_mm[part], origin, direction, reach_mm, peak_e * albedo_per_mm,
+            water.attenuation_per_m / 1000.0, electrons[part],
+        )  # fmt: skip
+
+
+def _around(eye: Array, shape: tuple[int, ...], points: Array, margin_mm: float) -> tuple[slice, slice] | None:
+    """The part of an image in which ``points`` (n, 3) are seen, with a margin; ``None``: they are not."""
+    pixels = np.empty((len(points), 2))
+    pixels_of(eye, points, pixels)
+    h, w = shape
+    margin = max(3, round(margin_mm / 0.16 * w / 1600.0))
+    with np.errstate(invalid="ignore"):
+        near = np.all((pixels > -margin) & (pixels < (w + margin, h + margin)), axis=1)
+    if not near.any():
+        return None
+    (u0, v0), (u1, v1) = pixels[near].min(axis=0), pixels[near].max(axis=0)
+    x0, x1 = max(0, round(u0) - margin), min(w, round(u1) + margin + 1)
+    y0, y1 = max(0, round(v0) - margin), min(h, round(v1) + margin + 1)
+    return (slice(y0, y1), slice(x0, x1)) if x0 < x1 and y0 < y1 else None
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _streak(
+    rays: Array, ends: Array, origin: Array, direction: Array, reach_mm: float, back_e_per_mm: float, per_mm: float,
+    electrons: NDArray[np.float32],
+) -> None:  # fmt: skip
+    """A ray that passes the beam at a distance d, at an angle ψ, crosses σ √(2π) / sin ψ · exp(−d²/2σ²) of its light."""
+    dx, dy, dz = direction[0], direction[1], direction[2]
+    for y in range(electrons.shape[0]):
+        for x in range(electrons.shape[1]):
+            ray = rays[y, x]
+            ox, oy, oz = ray[0] - origin[0], ray[1] - origin[1], ray[2] - origin[2]
+            cosine = ray[3] * dx + ray[4] * dy + ray[5] * dz
+            sine2 = 1.0 - cosine * cosine
+            if sine2 < 1e-4:
+                continue
+            p = ray[3] * ox + ray[4] * oy + ray[5] * oz
+            q = dx * ox + dy * oy + dz * oz
+            path = (cosine * q - p) / sine2
+            along = (q - cosine * p) / sine2
+            if (
+                path <= 0.0 or along <= 0.0 or along >= reach_mm or path > ends[y, x]
+            ):  # not so where it meets nothing: NaN
+                continue
+            gx, gy, gz = (
+                ox + path * ray[3] - along * dx,
+                oy + path * ray[4] - along * dy,
+                oz + path * ray[5] - along * dz,
+            )
+            gap2 = gx * gx + gy * gy + gz * gz
+            if gap2 > 16.0 * SIGMA_MM * SIGMA_MM:
+                continue
+            crossed_mm = SIGMA_MM * math.sqrt(2.0 * math.pi / sine2) * math.exp(-gap2 / (2.0 * SIGMA_MM * SIGMA_MM))
+            electrons[y, x] += np.float32(back_e_per_mm * crossed_mm * math.exp(-per_mm * (path + along)))

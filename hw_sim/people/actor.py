@@ -1,0 +1,118 @@
+"""Owns what everybody before the instrument has in common: a thread, eyes for the status file, a finger for the keys."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hw_sim.people import status_file
+
+if TYPE_CHECKING:
+    from hw_sim.world import World
+
+POLL_S = 0.05
+PRESS_S = 0.15
+"""How long a key is held; also the pause behind each press."""
+POWER_OFF_HOLD_S = 1.2
+POWER_OFF_TRIES = 15
+POWER_OFF_TRY_S = 2.0
+SWITCH_OFF = "SWITCH OFF"
+"""The answer, as docs/protocols/status.md names it."""
+
+
+class ActError(Exception):
+    """What had to happen did not."""
+
+
+class Actor:
+    """Acts in a thread of its own. ``failure`` tells afterwards what did not happen."""
+
+    def __init__(self, world: World, status: Path) -> None:
+        self.world = world
+        self.status_path = status
+        self._stopped = False
+        self.failure: str | None = None
+        self.finished = False
+        """It came to its end."""
+        self._thread = threading.Thread(target=self._run, name="diver", daemon=True)
+
+    def act(self) -> None:
+        """Everything that is to be done; returns early when ``over``. Raises ActError."""
+        raise NotImplementedError
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def stop(self, grace_s: float) -> None:
+        """Let it come to its end for ``grace_s`` of real time, then end it. Raises RuntimeError if it hangs."""
+        self._thread.join(grace_s)
+        with self.world.time.condition:
+            self._stopped = True
+            self.world.time.condition.notify_all()
+        self._thread.join(10.0)
+        if self._thread.is_alive():
+            raise RuntimeError("the diver's thread does not end")
+
+    def _run(self) -> None:
+        try:
+            self.act()
+            self.finished = self.finished or not self.over
+        except Exception as error:
+            self.failure = str(error)
+            # Who waits for the diver must not wait for ever.
+            self.switch_off()
+
+    @property
+    def over(self) -> bool:
+        """The world has ended, or nobody wants this any more."""
+        return self._stopped or self.world.time.closed
+
+    def status(self) -> status_file.Status:
+        """What is to be seen now."""
+        return status_file.read(self.status_path)
+
+    def press(self, key: str, hold_s: float = PRESS_S) -> None:
+        """Press and let go."""
+        self.world.press(key, hold_s)
+        self.sleep(hold_s + PRESS_S)
+
+    def sleep(self, duration_s: float) -> None:
+        """World time passes."""
+        with self.world.time.condition:
+            self.world.time.wait_for(lambda: self.over, duration_s)
+
+    def until(self, predicate: Callable[[], bool], timeout_s: float) -> bool:
+        """Whether it becomes true within world time."""
+        end_ns = self.world.time_ns + int(timeout_s * 1e9)
+        while not predicate():
+            if self.over or self.world.time_ns > end_ns:
+                return predicate()
+            self.sleep(POLL_S)
+        return True
+
+    def switch_off(self) -> bool:
+        """The power-off gesture, again and again until the service shuts down; whether it did: BACK held, and its question
+        answered with DOWN and SCAN."""
+        for _ in range(POWER_OFF_TRIES):
+            self.press("back", POWER_OFF_HOLD_S)
+            if self.until(lambda: self._selected() is not None or self._off(), POWER_OFF_TRY_S) and not self._off():
+                self.press("down")
+                if self.until(lambda: self._selected() == SWITCH_OFF, POWER_OFF_TRY_S):
+                    self.press("scan")
+            if self.until(self._off, POWER_OFF_TRY_S):
+                return True
+            if self.over:
+                break
+        return False
+
+    def _selected(self) -> str | None:
+        """The answer that is selected now to the question on the screen; ``None``: nothing is asked."""
+        question = self.status().get("question")
+        return str(question.get("selected")) if isinstance(question, dict) else None
+
+    def _off(self) -> bool:
+        """Switched off: the service says so, or has taken its status away."""
+        return self.status().get("state") in (None, "SHUTDOWN")

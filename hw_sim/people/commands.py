@@ -1,0 +1,136 @@
+"""Owns what can be done to a world with one line of text: break, repair, and change what is before the instrument."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import cv2
+
+from hw_sim.faults import parse
+from hw_sim.light.daylight import Daylight
+from hw_sim.mount_shift import parse as parse_knock
+from hw_sim.objects.motion import Motion
+from hw_sim.optics.fog import Fog
+from hw_sim.people import computer
+from hw_sim.timing import calendar
+from hw_sim.water.drift import Drift
+from hw_sim.water.medium import Water
+
+if TYPE_CHECKING:
+    from hw_sim.world import World
+
+Value = TypeVar("Value")
+
+SURROUNDINGS = {"motion": Motion(), "water": Water(), "daylight": Daylight(), "drift": Drift(), "fog": Fog()}
+"""What a line changes by its field of the scene."""
+HELP: Mapping[str, tuple[str, str]] = {
+    "fault": ("SENTENCE", "break something: fault camera.left off, fault board wrong how=reset"),
+    "clear": ("", "repair everything that is broken"),
+    "worker": ("kill|hang", "the process that computes points dies, or hangs"),
+    "power": ("cut", "the service ends without a word, as when the battery is pulled; begin again with another start"),
+    "disk": (
+        "off|on|fill|spare",
+        "the scans' folder refuses writes, until on; somebody fills a small disk, or spares it",
+    ),
+    "date": (
+        "1970-01-01T00:00:07|+S|-S|kept|lost",
+        "of the computer: it is set, jumps by seconds, is kept by a time server or by nobody",
+    ),
+    "object": (
+        "NAME [X Y Z RX RY RZ]",
+        "plane ballbar frustum pipe shell stones board; mm and degrees in the rig frame",
+    ),
+    "texture": ("NAME", "none slight strong checker"),
+    "water": ("AMOUNTS | off", "water attenuation_per_m=2 backscatter=0.1"),
+    "motion": ("AMOUNTS | off", "of the hands during a scan: motion velocity_mm_s=10,0,0 tremor_mm=0.1,0.1,0.1"),
+    "daylight": ("AMOUNTS | off", "daylight flicker_depth=0.5 caustics=0.3 torch=0.5"),
+    "drift": ("AMOUNTS | off", "drift particles_per_l=20 bubbles=5 fish=1"),
+    "fog": ("AMOUNTS | off", "on a window: fog left=0.5 x=0.3 y=0.4 radius=0.12"),
+    "knock": ("CAMERA AMOUNTS", "a camera moves in its mount, for good: knock right pitch_deg=0.03"),
+    "screenshot": ("PATH", "the display as a PNG"),
+}
+"""Verb → (what follows, what it does)."""
+
+
+class DeedError(Exception):
+    """It could not be done; the text says why."""
+
+
+def check(verb: str, words: tuple[str, ...]) -> bool:
+    """Whether that is one of the deeds. Raises ValueError for one that cannot be done."""
+    match verb, words:
+        case "fault", (_, *_):
+            parse(" ".join(words))
+        case (("worker" | "disk" | "power"), _):
+            computer.check((verb, *words))
+        case "date", (word,):
+            calendar.check(word)
+        case "object", (_, *pose) if len(pose) in (0, 6):
+            [float(number) for number in pose]
+        case "knock", (_, *_):
+            parse_knock(" ".join(words))
+        case _ if verb in SURROUNDINGS:
+            changed(SURROUNDINGS[verb], verb, words)
+        case (("screenshot" | "texture"), (_,)) | ("clear", ()):
+            pass
+        case _:
+            return False
+    return True
+
+
+def do(world: World, verb: str, words: tuple[str, ...], status: Path) -> None:
+    """Do what ``check`` has found to be a deed. Raises DeedError, ValueError, OSError where it cannot be done now."""
+    match verb:
+        case "fault":
+            world.fault(" ".join(words))
+        case "clear":
+            world.clear_faults()
+        case "worker" | "disk" | "power":
+            computer.happen((verb, *words), status)
+        case "date":
+            world.calendar.change(words[0])
+        case "object":
+            world.set_object(words[0], [float(n) for n in words[1:]] or None)
+        case "texture":
+            world.set_scene(replace(world.scene, texture=words[0]))
+        case "knock":
+            world.knock(parse_knock(" ".join(words)))
+        case "screenshot":
+            picture = world.scanned_out("display")
+            if not cv2.imwrite(words[0], cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)):
+                raise DeedError("the picture cannot be written")
+        case _:
+            world.set_scene(replace(world.scene, **{verb: changed(getattr(world.scene, verb), verb, words)}))
+
+
+def changed(value: Value, what: str, words: Sequence[str]) -> Value:
+    """A frozen dataclass with the named amounts changed. ``what`` names it in errors. Raises ValueError."""
+    if not is_dataclass(value) or isinstance(value, type):
+        raise TypeError(f"{what}: {value!r} has no amounts")
+    if tuple(words) == ("off",):
+        return type(value)()
+    known = {f.name: getattr(value, f.name) for f in fields(value)}
+    amounts: dict[str, Any] = {}
+    for word in words:
+        name, sign, text = word.partition("=")
+        if name not in known or not sign:
+            raise ValueError(
+                f"{what}: '{word}' is not understood; allowed are off, or any of {', '.join(known)} = amount"
+            )
+        amounts[name] = _amount(f"{what} {name}", text, known[name])
+    if not amounts:
+        raise ValueError(f"{what}: what of it? Give off, or any of {', '.join(known)} = amount")
+    return replace(value, **amounts)
+
+
+def _amount(what: str, text: str, like: object) -> float | int | tuple[float, ...]:
+    try:
+        if isinstance(like, tuple):
+            return tuple(float(part) for part in text.split(","))
+        return int(text) if isinstance(like, int) else float(text)
+    except ValueError:
+        kind = {tuple: "numbers with commas between them", int: "a whole number"}.get(type(like), "a number")
+        raise ValueError(f"{what} = '{text}'; give {kind}") from None

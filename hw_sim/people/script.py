@@ -1,0 +1,136 @@
+"""Owns the diver's script: a list of steps, played by a thread that knows the product only through its status file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hw_sim.people import commands, status_file
+from hw_sim.people.actor import PRESS_S, Actor
+
+if TYPE_CHECKING:
+    from hw_sim.world import World
+
+KEYS = ("scan", "back", "up", "down")
+GRAMMAR = f"allowed are: wait|never {'|'.join(status_file.SIGHTS)} WORDS S, pause S, press KEY [S], end, " + ", ".join(
+    " ".join(filter(None, (verb, words))) for verb, (words, _) in commands.HELP.items()
+)
+
+
+class ScriptError(Exception):
+    """A step is not understood, or what it waited for did not come; the text names line and step."""
+
+    exit_code = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One line: its number, the verb and its words."""
+
+    line: int
+    verb: str
+    words: tuple[str, ...]
+
+    def __str__(self) -> str:
+        return f"line {self.line}: {' '.join((self.verb, *self.words))}"
+
+
+def read_script(path: Path) -> tuple[Step, ...]:
+    """Read and parse a script's file. Raises ScriptError for one that is no text or cannot be read."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise ScriptError(f"script {path}: cannot be read ({error.strerror}); give a file that can") from error
+    try:
+        return parse_script(data.decode("utf-8"))
+    except UnicodeDecodeError as error:
+        raise ScriptError(f"script {path}: byte {error.start} is not UTF-8; a script is a text file") from error
+
+
+def parse_script(text: str) -> tuple[Step, ...]:
+    """Parse a script; every line is checked before the first is played. Raises ScriptError."""
+    steps = []
+    for number, raw in enumerate(text.splitlines(), 1):
+        said = raw.split("#", 1)[0].strip()
+        if not said:
+            continue
+        # A path is the rest of its line, blanks and all.
+        words = said.split(maxsplit=1) if said.startswith("screenshot ") else said.split()
+        step = Step(number, words[0], tuple(words[1:]))
+        try:
+            _check(step)
+        except ValueError as error:
+            raise ScriptError(f"{step}: {error}") from error
+        steps.append(step)
+    return tuple(steps)
+
+
+def _check(step: Step) -> None:
+    match step.verb, step.words:
+        case (("wait" | "never"), (kind, first, *more, seconds)):
+            _seconds(seconds)
+            status_file.check(kind, [first, *more])
+        case "pause", (seconds,):
+            _seconds(seconds)
+        case "press", (key, *hold) if len(hold) <= 1:
+            if key not in KEYS:
+                raise ValueError(f"key '{key}'; allowed are {', '.join(KEYS)}")
+            for seconds in hold:
+                _seconds(seconds)
+        case "end", ():
+            pass
+        case _:
+            if not commands.check(step.verb, step.words):
+                raise ValueError(GRAMMAR)
+
+
+def _seconds(word: str) -> float:
+    seconds = float(word)
+    if not 0 <= seconds < 1e6:
+        raise ValueError(f"'{word}' is no duration in s")
+    return seconds
+
+
+class Diver(Actor):
+    """Plays a script."""
+
+    def __init__(self, world: World, steps: tuple[Step, ...], status: Path) -> None:
+        super().__init__(world, status)
+        self._steps = steps
+
+    def act(self) -> None:
+        """Step by step. Raises ScriptError."""
+        for step in self._steps:
+            try:
+                self._play(step)
+            except ScriptError:
+                raise
+            except Exception as error:
+                raise ScriptError(f"{step}: {error}") from error
+            if self.over:
+                return
+
+    def _play(self, step: Step) -> None:
+        words = step.words
+        match step.verb:
+            case "wait":
+                if not self._sees(words) and not self.over:
+                    raise ScriptError(f"{step}: after {words[-1]} s {status_file.summary(self.status())}")
+            case "never":
+                if self._sees(words):
+                    raise ScriptError(f"{step}: {status_file.summary(self.status())}")
+            case "pause":
+                self.sleep(float(words[0]))
+            case "press":
+                self.press(words[0], float(words[1]) if len(words) > 1 else PRESS_S)
+            case "end":
+                if not self.switch_off() and not self.over:
+                    raise ScriptError(f"{step}: the state is still {self.status().get('state')}")
+            case _:
+                commands.do(self.world, step.verb, words, self.status_path)
+
+    def _sees(self, words: tuple[str, ...]) -> bool:
+        """Whether what the words say, or what they end with, comes to be seen in its time."""
+        kind, *what, seconds = words
+        return self.until(lambda: status_file.sees(self.status(), kind, what), float(seconds))

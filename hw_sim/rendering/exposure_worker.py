@@ -1,0 +1,85 @@
+"""Owns the making of images: exposures in, images out, in one thread per camera, in order."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hw_sim.timing.world_time import WorldTime
+
+Image = NDArray[np.uint8]
+MOST_WAITING = 40
+"""Images that one camera may have under way, more than its memory holds."""
+
+
+class Print:
+    """One image that is being made. Used with the world's lock held."""
+
+    def __init__(self) -> None:
+        self._image: Image | None = None
+        self._waiting: list[Callable[[], None]] = []
+
+    @property
+    def ready(self) -> bool:
+        """The image is there."""
+        return self._image is not None
+
+    @property
+    def image(self) -> Image:
+        """(h, w) uint8. Raises RuntimeError before it is there."""
+        if self._image is None:
+            raise RuntimeError("the image is not made yet")
+        return self._image
+
+    def when_ready(self, action: Callable[[], None]) -> None:
+        """Call ``action``: at once, or as soon as the image is there."""
+        if self.ready:
+            action()
+        else:
+            self._waiting.append(action)
+
+    def finish(self, image: Image) -> None:
+        """The image is there."""
+        self._image = image
+        waiting, self._waiting = self._waiting, []
+        for action in waiting:
+            action()
+
+
+class Darkroom:
+    """A failure in making an image goes to ``failed``, lock held."""
+
+    def __init__(self, time: WorldTime, cameras: tuple[str, ...], failed: Callable[[BaseException], None]) -> None:
+        self._time, self._failed = time, failed
+        self._threads = {name: ThreadPoolExecutor(1, f"darkroom-{name}") for name in cameras}
+        self._pending = dict.fromkeys(cameras, 0)
+
+    def make(self, camera: str, render: Callable[[], Image]) -> Print | None:
+        """With the lock held: begin an image; ``None`` if too many are under way."""
+        if self._pending[camera] >= MOST_WAITING:
+            return None
+        self._pending[camera] += 1
+        latent = Print()
+
+        def done(pending: Future[Image]) -> None:
+            with self._time.condition:
+                self._pending[camera] -= 1
+                if pending.cancelled() or self._time.closed:
+                    return
+                error = pending.exception()
+                if error is not None:
+                    self._failed(error)
+                    return
+                latent.finish(pending.result())
+                self._time.condition.notify_all()
+
+        self._threads[camera].submit(render).add_done_callback(done)
+        return latent
+
+    def close(self) -> None:
+        """End the threads; the images under way are given up."""
+        for thread in self._threads.values():
+            thread.shutdown(wait=True, cancel_futures=True)

@@ -1,0 +1,104 @@
+"""Owns how a rig and its scene stand to each other at a moment: traced once for each camera and pose.
+
+The cameras' rays belong to the rig and never change; the object's pose relative to the rig does.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hw_sim.latest import Latest
+from hw_sim.objects.motion import object_pose
+from hw_sim.objects.print import board_print
+from hw_sim.objects.shapes import NAMES, RADIUS
+from hw_sim.objects.texture import NAMES as TEXTURES
+from hw_sim.objects.texture import noise_lattice
+from hw_sim.optics.geometry import Geometry, Lamp, Pose, lamp_of, shadows, trace
+from hw_sim.optics.table import fit_table
+from hw_sim.optics.trace import rays_of_image
+from hw_sim.optics.view import TrueView, true_view
+from hw_sim.scene import Scene
+from hw_sim.truth import TrueRig
+
+Array = NDArray[np.float64]
+
+CAMERAS = ("left", "right")
+SMEAR_PX = 1.0
+"""Motion of the picture between two instants, at most (as long as MOST_INSTANTS suffice)."""
+MOST_INSTANTS = 4
+
+
+class Stage:
+    """One rig before whatever scene is named. All methods may be called by several threads at once."""
+
+    def __init__(self, truth: TrueRig) -> None:
+        self.eyes = {name: truth.eye(name).packed(truth.n_water) for name in (*CAMERAS, "projector")}
+        """Packed as in ``optics.trace``."""
+        self.lamp: Lamp = lamp_of(self.eyes["projector"])
+        self._shapes_px = {name: (truth.eye(name).height_px, truth.eye(name).width_px) for name in CAMERAS}
+        self._sizes = truth.artefacts.sizes()
+        self._lattice = noise_lattice()
+        self._ink = board_print()
+        self._rays: Latest[str, Array] = Latest(keep=len(CAMERAS))
+        self._tables: Latest[str, Array] = Latest(keep=len(CAMERAS))
+        self._geometries: dict[str, Latest[tuple[object, ...], Geometry]] = {name: Latest() for name in CAMERAS}
+        self._unlit: dict[str, Latest[tuple[object, ...], Geometry]] = {name: Latest() for name in CAMERAS}
+        # The cameras' threads need the same shadows, but not at the same time: one may be an exposure behind.
+        self._shadows: Latest[bytes, NDArray[np.float32]] = Latest(keep=MOST_INSTANTS)
+
+    def pose(self, scene: Scene, time_s: float) -> Pose:
+        """Where the object is in the rig's frame; before time 0 the hands are at rest."""
+        R, t = object_pose(scene.start_pose, scene.motion, max(time_s, 0.0))
+        return Pose(NAMES[scene.object], self._sizes, R, t)
+
+    def rays(self, camera: str) -> Array:
+        """Exact rays (h, w, 6) in water of all of a camera's pixels: point on the window and unit direction, rig frame."""
+
+        def compute() -> Array:
+            rays = np.empty((*self._shapes_px[camera], 6))
+            rays_of_image(self.eyes[camera], rays)
+            return rays
+
+        return self._rays.get(camera, compute)
+
+    def geometry(self, camera: str, scene: Scene, pose: Pose, lit: bool = True) -> Geometry:
+        """What ``camera`` meets of the scene's object at ``pose``; without ``lit``, only what a dark projector leaves: half
+        the work. The latest of each camera is kept: 53 MB."""
+        texture, per_m = TEXTURES[scene.texture], scene.water.attenuation_per_m
+
+        def compute() -> Geometry:
+            first = self.shadows(pose) if lit else None
+            return trace(self.rays(camera), pose, first, self.lamp, texture, self._lattice, self._ink, per_m)
+
+        kept = self._geometries if lit else self._unlit
+        return kept[camera].get((texture, per_m, pose.key), compute)
+
+    def view(self, camera: str, scene: Scene, pose: Pose) -> TrueView:
+        """What ``camera`` truly sees."""
+        other = "right" if camera == "left" else "left"
+        return true_view(
+            self.rays(camera), self.geometry(camera, scene, pose), pose, self.lamp, self.eyes[other], self.table(other)
+        )  # fmt: skip
+
+    def table(self, camera: str) -> Array:
+        """Fast projection into a camera: see ``optics.table``."""
+        return self._tables.get(camera, lambda: fit_table(self.eyes[camera]))
+
+    def shadows(self, pose: Pose) -> NDArray[np.float32]:
+        """What the projector's light meets first at ``pose``: see ``geometry.shadows``."""
+        return self._shadows.get(pose.key, lambda: shadows(pose, self.lamp))
+
+
+def instants(begin: Pose, end: Pose, pixel_mm: float) -> int:
+    """Of an exposure that begins and ends with the object at these poses: 1..MOST_INSTANTS.
+
+    Measured where the object is widest, across the line of sight: along it the picture hardly moves. ``pixel_mm`` is the
+    size of a camera pixel on the object.
+    """
+    reach_mm = 0.7 * float(RADIUS[begin.kind])
+    places = reach_mm * np.array([[0.0, 0.0, 0.0], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
+    moved_mm = np.linalg.norm((places @ begin.R.T + begin.t - places @ end.R.T - end.t)[:, :2], axis=1).max()
+    return min(MOST_INSTANTS, max(1, math.ceil(float(moved_mm) / pixel_mm / SMEAR_PX)))

@@ -1,0 +1,146 @@
+"""Owns the thread that moves the world on, and when the next vertical blank may come."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import Protocol
+
+from hw_sim.timing.world_time import LONGEST_WAIT_S, WorldTime
+
+PATIENCE_S = 5.0
+"""Real time that a recording world waits for its host."""
+CATCH_UP_NS = 1_000_000_000
+"""A real-time world that is later than this gives the lost time up."""
+
+
+class Recording(Protocol):
+    """What decides whether the next blank waits for the host. Called with the lock held."""
+
+    @property
+    def armed(self) -> int | None:
+        """Number of the sequence that is being recorded, ``None`` when there is none."""
+
+    @property
+    def host_ready(self) -> bool:
+        """A flip of the projector is pending and both cameras have room."""
+
+    @property
+    def developing(self) -> bool:
+        """Images of a sequence are still being made, although all its pulses may have been fired."""
+
+
+class Drive:
+    """Calls ``on_blank(time_ns)`` at each vertical blank and lets happenings happen between them, in one thread."""
+
+    def __init__(
+        self,
+        world_time: WorldTime,
+        recording: Recording,
+        on_blank: Callable[[int], None],
+        pace: str,
+        idle_speed: float,
+    ) -> None:
+        """``pace``: one of ``hw_sim.options.PACES``; ``idle_speed`` counts in lock-step only."""
+        self._time = world_time
+        self._recording = recording
+        self._on_blank = on_blank
+        self._pace = pace
+        self._idle_speed = idle_speed if pace == "lockstep" else 1.0
+        self._given_up: int | None = None
+        """The armed sequence whose host was waited for in vain."""
+        self._waiting_since_ns: int | None = None
+        """Real time since when nothing but the host keeps the next blank from coming."""
+        self.failure: BaseException | None = None
+        """What ended the world before its time."""
+        self._thread = threading.Thread(target=self._run, name="world", daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def set_pace(self, pace: str) -> None:
+        """With the lock held: go on at another pace, one of ``hw_sim.options.PACES``."""
+        self._pace = pace
+        self._waiting_since_ns = None
+
+    def join(self) -> None:
+        """After the time is closed: wait until the thread has ended. Raises RuntimeError if it does not."""
+        if self._thread.ident is None:
+            return
+        self._thread.join(10.0)
+        if self._thread.is_alive():
+            raise RuntimeError("the world's thread does not end")
+
+    def _run(self) -> None:
+        with self._time.condition:
+            try:
+                while not self._time.closed:
+                    if self._waits_for_nobody:
+                        self._real_time_once()
+                    else:
+                        self._lock_step_once()
+            except Exception as failure:
+                self.failure = failure
+                self._time.close()
+
+    @property
+    def _waits_for_nobody(self) -> bool:
+        if self._pace == "attended":
+            return not self._records and not self._recording.developing
+        return self._pace == "realtime"
+
+    @property
+    def _records(self) -> bool:
+        sequence = self._recording.armed
+        return sequence is not None and sequence != self._given_up
+
+    # -- lock-step: the host's readiness decides while a sequence is recorded, real time otherwise
+
+    def _lock_step_once(self) -> None:
+        sequence = self._recording.armed
+        recording = self._records
+        hurry = recording and self._recording.host_ready
+        blank_ns = self._time.blank_ns + self._time.period_ns
+        happening = self._time.due(blank_ns)
+        real_s = self._time.real_until_s(happening.time_ns if happening else blank_ns)
+        if recording and not hurry and real_s <= 0 and happening is None:
+            self._wait_for_host(sequence)
+            return
+        self._waiting_since_ns = None
+        if not hurry and real_s > 0:
+            self._time.condition.wait(min(real_s, LONGEST_WAIT_S))
+        elif happening is None:
+            self._blank(time.monotonic_ns())
+        elif happening.ready is None or happening.ready():
+            self._time.happen()
+        else:
+            self._time.condition.wait(LONGEST_WAIT_S)
+
+    def _wait_for_host(self, sequence: int | None) -> None:
+        now_ns = time.monotonic_ns()
+        if self._waiting_since_ns is None:
+            self._waiting_since_ns = now_ns
+        left_s = PATIENCE_S - (now_ns - self._waiting_since_ns) / 1e9
+        if left_s > 0:
+            self._time.condition.wait(min(left_s, LONGEST_WAIT_S))
+        else:
+            self._given_up = sequence
+
+    # -- real time: blanks come whatever the host does
+
+    def _real_time_once(self) -> None:
+        blank_ns = self._time.blank_ns + self._time.period_ns
+        happening = self._time.due(blank_ns)
+        real_s = self._time.real_until_s(happening.time_ns if happening else blank_ns)
+        if real_s > 0:
+            self._time.condition.wait(min(real_s, LONGEST_WAIT_S))
+        elif happening is not None:
+            self._time.happen()
+        else:
+            # As it was due, not as it came: else each blank would take a little of the next one's time.
+            due_ns, now_ns = self._time.real_ns(blank_ns), time.monotonic_ns()
+            self._blank(due_ns if now_ns - due_ns < CATCH_UP_NS else now_ns)
+
+    def _blank(self, real_ns: int) -> None:
+        self._time.blank(self._idle_speed, real_ns, self._on_blank)

@@ -1,0 +1,122 @@
+"""Owns the fish before the object: ellipsoids that cameras and projector meet first, traced like the object itself."""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from hw_sim.optics.geometry import GREY, LIT, MIDDLE_MM, SOFT, Geometry, Lamp, P, Q
+from hw_sim.optics.projector import FAR_MM, FOCUS_MM
+from hw_sim.optics.shadow import nearest
+from hw_sim.optics.table import OUTSIDE, look_up
+from hw_sim.optics.trace import HEIGHT, WIDTH
+from hw_sim.water.drift import School
+
+Array = NDArray[np.float64]
+
+FIN_AT, FIN_HALF = -1.08, (0.2, 1.0, 0.25)
+"""The tail fin: where along the half length, and its half axes against the body's."""
+
+
+def before(
+    rays: Array, geometry: Geometry, school: School, lamp: Lamp, attenuation_per_m: float, lit: bool
+) -> Geometry:
+    """What a camera with ``rays`` (h, w, 6) meets where fish swim before the scene; their shadow falls on the object."""
+    places = np.concatenate([school.places_mm, school.places_mm + school.axes[:, 0] * FIN_AT * school.half_mm[:, :1]])
+    axes = np.concatenate([school.axes, school.axes])
+    half = np.concatenate([school.half_mm, school.half_mm * np.array(FIN_HALF)])
+    seen = Geometry(geometry.distance_mm.copy(), geometry.pixels.copy())
+    _before(
+        rays, places, axes, half, lit, attenuation_per_m / 1000.0, lamp.eye, lamp.table, lamp.window, lamp.depth_mm,
+        seen.distance_mm, seen.pixels,
+    )  # fmt: skip
+    return seen
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _meet(
+    places: Array, axes: Array, half: Array, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float
+) -> tuple[int, float]:
+    """Which ellipsoid a ray meets first, and after how far; (−1, inf): none."""
+    which, least = -1, math.inf
+    for i in range(places.shape[0]):
+        px, py, pz = ox - places[i, 0], oy - places[i, 1], oz - places[i, 2]
+        along = px * dx + py * dy + pz * dz
+        reach = half[i, 0] if half[i, 0] > half[i, 1] else half[i, 1]
+        if px * px + py * py + pz * pz - along * along > reach * reach:
+            continue
+        a, b, c = 0.0, 0.0, -1.0
+        for k in range(3):
+            p = (px * axes[i, k, 0] + py * axes[i, k, 1] + pz * axes[i, k, 2]) / half[i, k]
+            d = (dx * axes[i, k, 0] + dy * axes[i, k, 1] + dz * axes[i, k, 2]) / half[i, k]
+            a, b, c = a + d * d, b + p * d, c + p * p
+        inside = b * b - a * c
+        if inside > 0.0:
+            far = (-b - math.sqrt(inside)) / a
+            if 0.0 < far < least:
+                which, least = i, far
+    return which, least
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _skin(ahead: float, up: float) -> float:
+    """Albedo at a place of the body in units of its half axes: banded, dark above and light below."""
+    return 0.30 - 0.14 * up + 0.12 * math.sin(9.0 * ahead + 1.5 * math.sin(5.0 * up))
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _before(
+    rays: Array, places: Array, axes: Array, half: Array, lit: bool, per_mm: float, lamp: Array, table: Array,
+    window: NDArray[np.float32], depth_mm: float, distance: Array, pixels: NDArray[np.float32],
+) -> None:  # fmt: skip
+    width, height = lamp[WIDTH], lamp[HEIGHT]
+    for y in range(distance.shape[0]):
+        for x in range(distance.shape[1]):
+            ray, out = rays[y, x], pixels[y, x]
+            which, far = _meet(places, axes, half, ray[0], ray[1], ray[2], ray[3], ray[4], ray[5])
+            if which < 0 or far > distance[y, x]:
+                if lit and out[LIT] > 0.0:
+                    far = distance[y, x]
+                    wx, wy, wz = ray[0] + far * ray[3], ray[1] + far * ray[4], ray[2] + far * ray[5]
+                    start = window[nearest(out[Q]), nearest(out[P])]
+                    sx, sy, sz = start[0] - wx, start[1] - wy, start[2] - wz
+                    length = math.sqrt(sx * sx + sy * sy + sz * sz)
+                    if _meet(places, axes, half, wx, wy, wz, sx / length, sy / length, sz / length)[0] >= 0:
+                        out[LIT] = 0.0
+                continue
+            wx, wy, wz = ray[0] + far * ray[3], ray[1] + far * ray[4], ray[2] + far * ray[5]
+            px, py, pz = wx - places[which, 0], wy - places[which, 1], wz - places[which, 2]
+            nx, ny, nz, ahead, up = 0.0, 0.0, 0.0, 0.0, 0.0
+            for k in range(3):
+                axis = axes[which, k]
+                at = (px * axis[0] + py * axis[1] + pz * axis[2]) / half[which, k]
+                nx, ny, nz = (
+                    nx + at / half[which, k] * axis[0],
+                    ny + at / half[which, k] * axis[1],
+                    nz + at / half[which, k] * axis[2],
+                )
+                if k == 0:
+                    ahead = at
+                elif k == 1:
+                    up = at
+            grey = _skin(ahead, up) * math.exp(-per_mm * far)
+            distance[y, x] = far
+            out[P], out[Q], out[LIT], out[SOFT], out[GREY] = OUTSIDE, OUTSIDE, 0.0, 0.0, grey
+            if not lit:
+                continue
+            u, v = look_up(lamp, table, wx, wy, wz)
+            if not (-2.0 < u < width + 1.0 and -2.0 < v < height + 1.0):
+                continue
+            out[P], out[Q] = u, v
+            start = window[nearest(v), nearest(u)]
+            sx, sy, sz = start[0] - wx, start[1] - wy, start[2] - wz
+            length = math.sqrt(sx * sx + sy * sy + sz * sz)
+            facing = (sx * nx + sy * ny + sz * nz) / (length * math.sqrt(nx * nx + ny * ny + nz * nz))
+            if facing > 0.0:
+                spread = (MIDDLE_MM + depth_mm) / (length + depth_mm)
+                out[LIT] = grey * facing * spread * spread * start[3] * math.exp(-per_mm * length)
+                away = (wz - FOCUS_MM) / FAR_MM
+                out[SOFT] = min(away * away, 1.0)
