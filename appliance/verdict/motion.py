@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 from appliance.capture.fault import Fault, FaultCode
 from appliance.capture.verdict import Judgement, Verdict
 from appliance.optics.model import StereoRig
-from appliance.patterns.sequence import Direction
 from appliance.reconstruct.decode import CameraDecoder, Mask
 from appliance.reconstruct.noise import CameraNoise
 from appliance.reconstruct.table import Cloud
-from appliance.verdict.motion_edges import EdgeShifts, edge_shifts
+from appliance.verdict.motion_edges import edge_shifts
 from appliance.verdict.motion_harm import Harm, predict
 from appliance.verdict.motion_map import DriftMap, drift_map
 from appliance.verdict.motion_paint import PaintCourse, paint_course
@@ -80,16 +79,10 @@ class MotionJudgement:
     place: Place | None
     """Where most of the harm is."""
     scores: Scores
-    trend: Trend | None
     harm: Harm
     """Maps over the cells of the pattern."""
     drift: Mapping[str, DriftMap]
     """``left`` and ``right``."""
-    edges: Mapping[str, EdgeShifts]
-    edge_course_px: Array
-    """(frames,): shift of the Gray edges, left less right, with the sign of the drift; NaN where there are none."""
-    edge_course_sd_px: Array
-    textures: Mapping[str, TextureShift]
     paint: Mapping[str, PaintCourse]
 
 
@@ -101,7 +94,7 @@ def judge_motion(recorded: Recorded, cloud: Cloud, rig: StereoRig, water_index: 
     drift, edges, textures, paint = {}, {}, {}, {}
     for side in SIDES:
         frames, decoded, variance = recorded.frames[side], recorded.decoded[side], _variance(noise[side])
-        drift[side] = drift_map(frames, decoded, sequence, Direction.X, variance)
+        drift[side] = drift_map(frames, decoded, sequence, variance)
         edges[side] = edge_shifts(frames, decoded, sequence)
         textures[side] = texture_shift(frames, decoded, sequence, variance)
         paint[side] = paint_course(frames, decoded, sequence, variance)
@@ -134,12 +127,8 @@ def judge_motion(recorded: Recorded, cloud: Cloud, rig: StereoRig, water_index: 
         shift,
         place,
         scores,
-        trend,
         harm,
         drift,
-        edges,
-        *course,
-        textures,
         paint,
     )
 

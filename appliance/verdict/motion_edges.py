@@ -22,10 +22,8 @@ INNER_PX, REACH_PX = 4.5, 7.5
 dark and how light its sides are. Blur stays within the first; the next edge is 16 px away at least."""
 SAMPLES = 60_000
 """Pixels of a camera that are looked at, about."""
-(
-    _INNER, _INNER_LIT, _INNER_STEP, _INNER_WAY, _LOW, _LOW_LIT, _LOW_SQUARE, _HIGH, _HIGH_LIT, _HIGH_SQUARE,
-) = range(10)  # fmt: skip
-_COLUMNS = 10
+_COLUMNS = 8
+_INNER, _INNER_LIT, _INNER_STEP, _INNER_WAY, _LOW, _LOW_LIT, _HIGH, _HIGH_LIT = range(_COLUMNS)
 MIN_PIXELS, MIN_HEIGHT = 10, 0.3
 """In each of the three parts; and what must lie between light and dark, of bright less dark."""
 
@@ -36,9 +34,6 @@ class EdgeShifts:
 
     shift_px: NDArray[np.float64]
     """How much larger the coordinates of pixels were in that frame than in the sine images; NaN: no edge there."""
-    sd_px: NDArray[np.float64]
-    lead_frames: NDArray[np.float64]
-    """(frames,): from each Gray image to the middle of the sine images."""
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -70,7 +65,7 @@ def _accumulate(
                 continue
             # Both sides of an edge belong to its cell: edges of the coarse bits lie where cells meet.
             row, column = int(q / cell_px), int(edge / cell_px)
-            if row >= sums.shape[0] or column >= sums.shape[1]:
+            if row >= sums.shape[0]:
                 continue
             way = np.float64(rises[place])
             low, high = np.float64(dark[v, u]), np.float64(bright[v, u])
@@ -87,11 +82,9 @@ def _accumulate(
             elif beside < 0.0:
                 s[_LOW] += 1.0
                 s[_LOW_LIT] += lit
-                s[_LOW_SQUARE] += lit * lit
             else:
                 s[_HIGH] += 1.0
                 s[_HIGH_LIT] += lit
-                s[_HIGH_SQUARE] += lit * lit
 
 
 def edge_shifts(frames: NDArray[np.uint8], decoded: CameraDecoder, sequence: PatternSequence) -> EdgeShifts:
@@ -107,8 +100,7 @@ def edge_shifts(frames: NDArray[np.uint8], decoded: CameraDecoder, sequence: Pat
         _accumulate(
             frames[k], bright, dark, decoded.p_px, decoded.q_px, edge_px, rises, stride, float(CELL_PX), sums[number]
         )
-    shift, sd = _solve(sums)
-    return EdgeShifts(shift, sd, np.mean(axis.sine) - np.array(axis.gray, np.float64))
+    return EdgeShifts(_solve(sums))
 
 
 def _edges(codes: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -125,19 +117,12 @@ def _edges(codes: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.fl
     return edge_px, np.sign(np.diff(lit)[after])[nearest].astype(np.float32)
 
 
-def _solve(sums: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _solve(sums: NDArray[np.float64]) -> NDArray[np.float64]:
     """An edge that moves by so many px takes so many px of light with it, whatever its blur."""
-    count = sums[..., _INNER]
-    low, high = (np.maximum(sums[..., k], 1.0) for k in (_LOW, _HIGH))
-    dark, light = sums[..., _LOW_LIT] / low, sums[..., _HIGH_LIT] / high
-    height = light - dark
-    known = (np.minimum(count, np.minimum(sums[..., _LOW], sums[..., _HIGH])) >= MIN_PIXELS) & (height > MIN_HEIGHT)
-    variance = 0.5 * (sums[..., _LOW_SQUARE] / low - dark**2 + sums[..., _HIGH_SQUARE] / high - light**2)
+    count, low, high = sums[..., _INNER], sums[..., _LOW], sums[..., _HIGH]
     with np.errstate(invalid="ignore", divide="ignore"):
+        dark = sums[..., _LOW_LIT] / low
+        height = sums[..., _HIGH_LIT] / high - dark
+        known = (np.minimum(count, np.minimum(low, high)) >= MIN_PIXELS) & (height > MIN_HEIGHT)
         moved = (sums[..., _INNER_LIT] - dark * sums[..., _INNER_WAY]) / height - sums[..., _INNER_STEP]
-        shift = np.where(known, 2.0 * INNER_PX * moved / count, np.nan)
-        level = (sums[..., _INNER_WAY] / count) ** 2 * (0.25 / low + 0.25 / high)
-        sd = np.where(
-            known, 2.0 * INNER_PX * np.sqrt(np.maximum(variance, 0.0) * (1.0 / count + level)) / height, np.nan
-        )
-    return shift, sd
+        return np.where(known, 2.0 * INNER_PX * moved / count, np.nan)

@@ -53,8 +53,6 @@ class Harm:
     u_px: Array
     """Mean place in the left image."""
     v_px: Array
-    across_mm: Array
-    """Across the surface, for one px of E."""
     ripple: float | None
     """All cells: RMS of the ripple over that of the noise; ``None``: fewer than ``MIN_CELLS``."""
     ripple_rms_mm: float | None
@@ -119,7 +117,6 @@ def predict(
             weight,
             left.u_px,
             left.v_px,
-            across,
             ripple,
             ripple_mm,
             noise_mm,
@@ -130,7 +127,7 @@ def depth_per_px(left: DriftMap, right: DriftMap, rig: StereoRig, water_index: f
     """How many mm farther along the left ray a surface lies whose fringes moved by one px of E; (rows, columns)."""
     left_px = np.stack([left.u_px, left.v_px], -1)
     right_px = np.stack([right.u_px, right.v_px], -1)
-    known = np.isfinite(left_px).all(-1) & np.isfinite(right_px).all(-1)
+    known = np.isfinite(left.u_px) & np.isfinite(right.u_px)
     out = np.full(known.shape, np.nan)
     if not known.any():
         return out

@@ -26,7 +26,7 @@ _TERMS = 6
 _PRODUCTS = _TERMS * (_TERMS + 1) // 2
 _RIGHT = _PRODUCTS
 _SQUARE = _RIGHT + _TERMS
-_COUNT, _U, _V, _P, _Q, _INVERSE, _LIGHT, _SLOPE, _SLOPES, _TEXTURE, _TEXTURES = (_SQUARE + 1 + k for k in range(11))
+_COUNT, _U, _V, _INVERSE, _LIGHT, _SLOPE, _SLOPES, _TEXTURE, _TEXTURES = (_SQUARE + 1 + k for k in range(9))
 _COLUMNS = _TEXTURES + 1
 LEAST_LEFT = 0.3
 """Of the drift's terms in C, whatever the second harmonic takes of them."""
@@ -46,9 +46,6 @@ class DriftMap:
     """The same from the second to the fourth: of a steady movement, no other."""
     sd_px: NDArray[np.float64]
     """Standard deviation of it from what the fit leaves."""
-    excess: NDArray[np.float64]
-    """Variance of what the fit leaves over that of the cameras' noise: 1 at rest."""
-    pixels: NDArray[np.float64]
     u_px: NDArray[np.float64]
     """Mean place in the image."""
     v_px: NDArray[np.float64]
@@ -72,7 +69,6 @@ def _accumulate(
     i3: NDArray[np.uint8],
     p_px: NDArray[np.float32],
     q_px: NDArray[np.float32],
-    slope_of: NDArray[np.float32],
     stride: int,
     cell_px: float,
     dark_dn2: float,
@@ -114,11 +110,9 @@ def _accumulate(
             s[_COUNT] += 1.0
             s[_U] += u
             s[_V] += v
-            s[_P] += p
-            s[_Q] += q
             s[_INVERSE] += 1.0 / (modulation * modulation)
             s[_LIGHT] += 0.25 * (a + b + c + d)
-            before, after = slope_of[v, u - 1], slope_of[v, u + 1]
+            before, after = p_px[v, u - 1], p_px[v, u + 1]
             if before == before and after == after:
                 slope = np.float64(0.5) * (after - before)
                 s[_SLOPE] += slope
@@ -198,20 +192,18 @@ def drift_map(
     frames: NDArray[np.uint8],
     decoded: CameraDecoder,
     sequence: PatternSequence,
-    direction: Direction,
     variance_dn2: tuple[float, float],
 ) -> DriftMap:
-    """Of one camera's frames (n, h, w) uint8 and the sine images of one direction.
+    """Of one camera's frames (n, h, w) uint8 and the sine images across which depth moves the pattern.
 
     ``variance_dn2``: of the cameras' noise as (dark, per grey value), see ``CameraNoise``.
     """
-    axis = sequence.axis(direction)
-    i0, i1, i2, i3 = (frames[k] for k in axis.sine)
+    i0, i1, i2, i3 = (frames[k] for k in sequence.axis(Direction.X).sine)
     height_px, width_px = decoded.p_px.shape
     stride = max(1, round((height_px * width_px / SAMPLES) ** 0.5))
     shape = (-(-sequence.height_px // CELL_PX), -(-sequence.width_px // CELL_PX))
     sums = np.zeros((*shape, _COLUMNS))
-    _accumulate(i0, i1, i2, i3, decoded.p_px, decoded.q_px, decoded.p_px, stride, float(CELL_PX), *variance_dn2, sums)
+    _accumulate(i0, i1, i2, i3, decoded.p_px, decoded.q_px, stride, float(CELL_PX), *variance_dn2, sums)
     fit, solved = _solve(sums, sequence.period_px / (2.0 * np.pi), variance_dn2)
     uneven = np.zeros(shape)
     _left_over(i0, i1, i2, i3, decoded.p_px, decoded.q_px, stride, float(CELL_PX), *variance_dn2, fit, uneven)
@@ -219,7 +211,7 @@ def drift_map(
 
 
 def _solve(
-    sums: NDArray[np.float64], px_per_rad: float | NDArray[np.float64], variance_dn2: tuple[float, float]
+    sums: NDArray[np.float64], px_per_rad: float, variance_dn2: tuple[float, float]
 ) -> tuple[NDArray[np.float64], DriftMap]:
     count = sums[..., _COUNT]
     enough = count >= MIN_PIXELS
@@ -238,7 +230,7 @@ def _solve(
     # A second harmonic κ puts 4 κ cos 2φ into C, and a drift bends φ itself, by 2 ε κ sin 2φ (cos φ − sin φ): of the
     # drift's own terms, 4 κ² are then missing from C.
     second2 = (fit[..., 3] ** 2 + fit[..., 4] ** 2) / 16.0
-    px_per_rad = px_per_rad / np.maximum(1.0 - 4.0 * second2, LEAST_LEFT)
+    px = px_per_rad / np.maximum(1.0 - 4.0 * second2, LEAST_LEFT)
     variance = rest * np.einsum("i,...ij,j->...", tells, inverse, tells)
 
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -246,12 +238,10 @@ def _solve(
         dark, per_dn = variance_dn2
         noise = dark + per_dn * mean[..., _LIGHT]
         return fit, DriftMap(
-            np.where(enough, px_per_rad * (fit @ tells), np.nan),
-            np.where(enough, px_per_rad * 0.5 * fit[..., 2], np.nan),
-            np.where(enough, px_per_rad * -0.5 * fit[..., 1], np.nan),
-            np.where(enough, px_per_rad * np.sqrt(variance), np.nan),
-            rest / (4.0 * noise),
-            count,
+            np.where(enough, px * (fit @ tells), np.nan),
+            np.where(enough, px * 0.5 * fit[..., 2], np.nan),
+            np.where(enough, px * -0.5 * fit[..., 1], np.nan),
+            np.where(enough, px * np.sqrt(variance), np.nan),
             mean[..., _U],
             mean[..., _V],
             np.where(enough, sums[..., _SLOPE] / sums[..., _SLOPES], np.nan),

@@ -122,7 +122,7 @@ def paint_course(
 
 def _well_lit(codes: NDArray[np.uint8]) -> NDArray[np.bool_]:
     """(pattern px,): light, and far enough from all edges of the stripes."""
-    lit = np.asarray(codes > codes.max() // 2)
+    lit = codes.astype(np.bool_)
     edges = np.flatnonzero(np.diff(lit.astype(np.int8))) + 0.5
     if not edges.size:
         return lit

@@ -38,12 +38,6 @@ class TextureShift:
     flow_px: tuple[float, float] | None
     """Median flow from the middle of the x-sines to that of the y-sines; ``None``: there is no texture to follow."""
     flow_sd_px: float | None
-    points: int
-    """That could be followed."""
-    places_px: NDArray[np.float64]
-    """(n, 2): where they are."""
-    flows_px: NDArray[np.float64]
-    """(n, 2)."""
     change: float | None
     """RMS difference between both means in units of noise: 1 at rest."""
     early_change: float | None
@@ -105,25 +99,21 @@ def texture_shift(
     inside = cv2.erode(valid.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
     pixels = bin_px * (bin_px // stride)
     apart = float(np.mean(y_axis.sine) - np.mean(x_axis.sine))
-    nothing = np.empty((0, 2))
     if np.count_nonzero(inside) < 200:
-        return TextureShift(None, None, 0, nothing, nothing, None, None, apart, bin_px)
+        return TextureShift(None, None, None, None, apart, bin_px)
     dark, per_dn = variance_dn2
     noise = float(dark + per_dn * np.mean(first[inside])) / pixels
     change = _difference(first, second, inside, noise * (0.25 + 0.25))
     early_change = _difference(early, first, inside, noise * (0.5 + 0.25))
-    places, flows = _follow(first, second, valid, inside, 0.25 * noise)
-    if len(places) < MIN_POINTS:
-        return TextureShift(None, None, len(places), nothing, nothing, change, early_change, apart, bin_px)
+    flows = _follow(first, second, valid, inside, 0.25 * noise)
+    if len(flows) < MIN_POINTS:
+        return TextureShift(None, None, change, early_change, apart, bin_px)
     flow = np.median(flows, 0)
     spread = 1.4826 * np.median(np.abs(flows - flow), 0)
     sd = float(np.hypot(*spread) * 1.25 / np.sqrt(len(flows)))
     return TextureShift(
         (float(flow[0]) * bin_px, float(flow[1]) * bin_px),
         sd * bin_px,
-        len(places),
-        places * bin_px,
-        flows * bin_px,
         change,
         early_change,
         apart,
@@ -159,8 +149,8 @@ def _follow(
     valid: NDArray[np.bool_],
     inside: NDArray[np.bool_],
     variance: float,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Places (n, 2) and flows (n, 2) in binned px, where there is texture enough and the way back leads back."""
+) -> NDArray[np.float64]:
+    """Flows (n, 2) in binned px, where there is texture enough and the way back leads back."""
     height, width = first.shape
     before, scale = _texture(first, valid)
     after, _ = _texture(second, valid)
@@ -181,13 +171,13 @@ def _follow(
     at = grid.astype(int)
     good = least[at[:, 1], at[:, 0]] > MIN_CONTRAST * noise[at[:, 1], at[:, 0]]
     grid = grid[good]
-    if len(grid) < MIN_POINTS:
-        return np.empty((0, 2)), np.empty((0, 2))
+    if not len(grid):
+        return np.empty((0, 2))
     there, found = _lucas_kanade(before, after, grid)
     back, returned = _lucas_kanade(after, before, there)
     miss = np.linalg.norm(back - grid, axis=1)
     kept = found & returned & (miss < 0.5)
-    return grid[kept].astype(np.float64), (there - grid)[kept].astype(np.float64)
+    return np.asarray((there - grid)[kept], np.float64)
 
 
 def _lucas_kanade(

@@ -55,7 +55,6 @@ def harm(ripple: float | None = 0.1, **maps: np.ndarray) -> Harm:
         "weight": cells(50.0),
         "u_px": 25.0 + 50.0 * u,
         "v_px": 25.0 + 50.0 * v,
-        "across_mm": cells(0.3),
     }
     return Harm(**(given | maps), ripple=ripple, ripple_rms_mm=0.004, noise_rms_mm=0.02)
 
@@ -63,8 +62,7 @@ def harm(ripple: float | None = 0.1, **maps: np.ndarray) -> Harm:
 def texture(
     flow: tuple[float, float] | None = None, sd: float = 0.1, change: float | None = None, early: float | None = None
 ) -> TextureShift:
-    nothing = np.zeros((0, 2))
-    return TextureShift(flow, None if flow is None else sd, 40, nothing, nothing, change, early, 12.0, 2)
+    return TextureShift(flow, None if flow is None else sd, change, early, 12.0, 2)
 
 
 # ------------------------------------------------------------------------------------------------- verdict
@@ -295,7 +293,7 @@ def test_uncertain_cells_and_those_without_points_have_little_say() -> None:
 def edges(shift: float, frames: int = 3, holes: int = 0) -> EdgeShifts:
     maps = np.full((frames, ROWS, COLUMNS), shift)
     maps.reshape(frames, -1)[:, :holes] = np.nan
-    return EdgeShifts(maps, np.full_like(maps, 0.01), np.arange(frames, dtype=float))
+    return EdgeShifts(maps)
 
 
 def test_gray_edges_count_left_less_right_by_their_median() -> None:

@@ -73,21 +73,6 @@ def test_gray_edges_tell_by_how_much_the_pattern_had_moved_in_their_frame(moved_
             assert np.median(found.shift_px[frame][there]) == pytest.approx(moved_px, abs=0.06 + 0.05 * abs(moved_px))
 
 
-def test_the_uncertainty_of_an_edge_grows_with_the_noise_and_covers_what_noise_does() -> None:
-    calm = edges_moved(0.0)
-    frames = photographed(lambda k: 0.0, seed=2, noise_dn=6.0)
-    noisy = edge_shifts(frames, decoded(still()), SEQUENCE)
-    known = np.isfinite(noisy.shift_px) & np.isfinite(calm.shift_px)
-    assert np.median((noisy.sd_px / calm.sd_px)[known]) == pytest.approx(6.0 / 0.85, rel=0.3)
-    z = ((noisy.shift_px - calm.shift_px) / noisy.sd_px)[known]
-    assert 0.6 < np.sqrt(np.mean(z**2)) < 1.6
-
-
-def test_the_lead_of_a_gray_image_is_counted_to_the_middle_of_the_sines() -> None:
-    lead = edges_moved(0.0).lead_frames
-    assert lead == pytest.approx([float(np.mean(SINE)) - k for k in GRAY])
-
-
 def test_cells_in_the_dark_have_no_edges() -> None:
     frames = still().copy()
     decoder = decoded(frames)
@@ -100,7 +85,7 @@ def test_cells_in_the_dark_have_no_edges() -> None:
 def drift(per_frame_px: float, noise_dn: float = NOISE_DN) -> DriftMap:
     middle = float(np.mean(SINE))
     frames = photographed(lambda k: per_frame_px * (k - middle) if k in SINE else 0.0, noise_dn=noise_dn)
-    return drift_map(frames, decoded(frames), SEQUENCE, Direction.X, VARIANCE)
+    return drift_map(frames, decoded(frames), SEQUENCE, VARIANCE)
 
 
 @pytest.mark.parametrize("per_frame_px", [-0.2, -0.05, 0.0, 0.05, 0.2])
@@ -118,12 +103,13 @@ def test_the_drifts_uncertainty_is_the_scatter_it_has() -> None:
     found = drift(0.0)
     z = (found.drift_px / found.sd_px)[np.isfinite(found.drift_px)]
     assert 0.6 < np.sqrt(np.mean(z**2)) < 1.6
-    assert np.nanmedian(found.excess) == pytest.approx(1.0, abs=0.25)
 
 
 def test_a_cell_stands_where_its_pixels_are() -> None:
     found = drift(0.0)
-    rows, columns = np.nonzero(np.isfinite(found.drift_px) & (found.pixels > np.nanmedian(found.pixels) * 0.9))
+    known = np.isfinite(np.pad(found.drift_px, 1, constant_values=np.nan))
+    whole = known[1:-1, 1:-1] & known[:-2, 1:-1] & known[2:, 1:-1] & known[1:-1, :-2] & known[1:-1, 2:]
+    rows, columns = np.nonzero(whole)
     assert len(rows) > 20
     p, q = 64.0 * (columns + 0.5), 64.0 * (rows + 0.5)
     v = (q - 15.1) / 2.41
@@ -222,3 +208,88 @@ def test_paint_that_moves_to_and_fro_harms_although_the_fringes_stand_still() ->
     slope2 = 0.5 * (2.0**2 + 2.5**2)
     expected_px = 16.0 / (2.0 * np.pi) * np.sqrt(0.01 * slope2 * 0.25 * 0.36)
     assert shaken.ripple_rms_mm == pytest.approx(expected_px * 0.9 * np.sqrt(np.mean(per_px**2)), rel=0.02)
+
+
+def told(seed: int) -> tuple[DriftMap, DriftMap, SurfaceMap]:
+    """Cells that differ in everything, some of them with a hole in one map or the other."""
+    rng = np.random.default_rng(seed)
+    left, right, _ = seen(500.0)
+    shape = left.u_px.shape
+    maps = [
+        replace(
+            one,
+            **{name: rng.uniform(0.05, 0.15, shape) for name in ("drift_px", "early_px", "late_px")},
+            sd_px=rng.uniform(0.01, 0.02, shape),
+            noise_rad2=rng.uniform(1e-3, 2e-3, shape),
+            texture_per_px2=rng.uniform(0.0, 0.03, shape),
+            uneven_rad2=rng.uniform(0.0, 0.01, shape),
+            second2=rng.uniform(0.0, 0.02, shape),
+        )
+        for one in (left, right)
+    ]
+    maps[0].texture_per_px2[0, 0] = maps[1].texture_per_px2[0, 1] = np.nan
+    maps[0].drift_px[1, 1] = maps[1].second2[1, 2] = np.nan
+    maps[1].u_px[1, 3] = maps[1].v_px[1, 3] = np.nan
+    points = rng.integers(5, 60, shape).astype(float)
+    across, noise_mm = rng.uniform(0.5, 1.0, shape), rng.uniform(0.01, 0.03, shape)
+    noise_mm[2, 2] = np.nan
+    return maps[0], maps[1], SurfaceMap(points, across, noise_mm)
+
+
+@pytest.mark.parametrize("double_step2", [None, 0.5])
+def test_a_cells_ripple_is_the_sum_of_what_the_module_names(double_step2: float | None) -> None:
+    left, right, stands = told(3)
+    per_px = depth_per_px(left, right, CAL.rig, INDEX)
+    harm = predict(left, right, stands, double_step2, CAL.rig, INDEX, 16, 1 / 60)
+    some = 0
+    for at in np.ndindex(*per_px.shape):
+        known = at not in {(1, 1), (1, 2), (1, 3), (2, 2)}
+        assert (harm.weight[at] > 0.0) == known
+        if not known:
+            continue
+        a, b = (
+            {name: float(getattr(one, name)[at]) for name in DriftMap.__dataclass_fields__} for one in (left, right)
+        )
+        variance = a["sd_px"] ** 2 + b["sd_px"] ** 2
+        assert harm.sd_px[at] == pytest.approx(np.sqrt(variance))
+        steady = (a["drift_px"] - b["drift_px"]) ** 2 - variance
+        shaky = ((a["early_px"] - b["early_px"]) ** 2 + (a["late_px"] - b["late_px"]) ** 2) / 2.0 - 2.0 * variance
+        texture = (np.nan_to_num(a["texture_per_px2"]) + np.nan_to_num(b["texture_per_px2"])) / 2.0
+        # A tenth of the noise's variance may be noise that was not stated; 2 maps, each of 2 pixels' errors.
+        beyond = (a["uneven_rad2"] + b["uneven_rad2"]) / 2.0 - 0.2 * (a["noise_rad2"] + b["noise_rad2"])
+        painted = 0.3**2 * max(beyond, 0.0)
+        if double_step2 is not None:
+            painted += texture * (2.0**2 + 2.5**2) / 2.0 * double_step2 / 4.0
+        ripple2 = steady * (1.0 / 8.0 + a["second2"] + b["second2"])
+        ripple2 += (16.0 / (2.0 * np.pi)) ** 2 * (shaky * texture + painted)
+        if ripple2 > 0.0:
+            some += 1
+            assert harm.ripple_mm[at] == pytest.approx(abs(per_px[at]) * stands.across[at] * np.sqrt(ripple2))
+        else:
+            assert np.isnan(harm.ripple_mm[at])
+    assert some >= 8
+
+
+def test_cells_count_by_their_points() -> None:
+    left, right, _ = seen(500.0)
+    per_px = np.abs(depth_per_px(left, right, CAL.rig, INDEX))
+    drift, points, noise = np.full(per_px.shape, 0.1), np.full(per_px.shape, 10.0), np.full(per_px.shape, 0.02)
+    drift[:2], points[:2], noise[:2] = 0.2, 90.0, 0.01
+    moving = replace(left, drift_px=drift, sd_px=np.full(per_px.shape, 1e-6))
+    still = replace(right, sd_px=np.full(per_px.shape, 1e-6))
+    stands = SurfaceMap(points, np.ones(per_px.shape), noise)
+    harm = predict(moving, still, stands, None, CAL.rig, INDEX, 16, 1 / 60)
+    ripple = np.sqrt(np.average((per_px * drift) ** 2 / 8.0, weights=points))
+    noisy = np.sqrt((9.0 * 0.01**2 + 0.02**2) / 10.0)
+    assert harm.ripple_rms_mm == pytest.approx(ripple, rel=1e-6)
+    assert harm.noise_rms_mm == pytest.approx(noisy)
+    assert harm.ripple == pytest.approx(ripple / noisy, rel=1e-6)
+    assert np.array_equal(harm.u_px, left.u_px)
+    assert np.array_equal(harm.v_px, left.v_px)
+
+
+def test_where_either_camera_sees_nothing_depth_is_not_known() -> None:
+    left, right, _ = seen(500.0)
+    for one in (left, right):
+        one.u_px[:], one.v_px[:] = np.nan, np.nan
+        assert np.isnan(depth_per_px(left, right, CAL.rig, INDEX)).all()
