@@ -6,11 +6,13 @@ import hashlib
 import io
 import struct
 import zipfile
+from collections.abc import Callable
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from drivers.api import DeviceRefused
 from drivers.camera.bootstrap import (
     ManifestEntry,
     parse_identification,
@@ -18,7 +20,7 @@ from drivers.camera.bootstrap import (
     parse_stream_needs,
     parse_technology,
 )
-from drivers.camera.description import BadDescription, check_sha1, choose, unpack
+from drivers.camera.description import BadDescription, check_sha1, choose, read_description, unpack
 
 XML = '<?xml version="1.0"?><RegisterDescription/>'
 
@@ -101,6 +103,129 @@ def test_one_flipped_bit_is_found_by_the_hash() -> None:
 def test_a_zip_bomb_is_not_unpacked() -> None:
     with pytest.raises(BadDescription, match="unpacks to more than"):
         unpack(zipped(b"<" + b" " * (17 * 1024 * 1024)), 1)
+
+
+@pytest.mark.parametrize(
+    ("parse", "size"),
+    [(parse_identification, 0x1E0), (parse_technology, 0x44), (parse_stream_needs, 0x18), (parse_manifest_entry, 64)],
+)
+def test_registers_that_come_short_are_named(parse: Callable[[bytes], object], size: int) -> None:
+    parse(bytes(size))
+    with pytest.raises(ValueError, match=f"{size - 1} bytes of .*, expected {size}"):
+        parse(bytes(size - 1))
+
+
+def test_family_and_the_users_own_name_are_read_and_texts_are_trimmed() -> None:
+    memory = bytearray(0x1E0)
+    for offset, text in ((0x084, b"  Family \0rest"), (0x184, "Küste".encode())):
+        memory[offset : offset + len(text)] = text
+    who = parse_identification(bytes(memory))
+    assert (who.family, who.user_name) == ("Family", "Küste")
+
+
+def test_neighbouring_bits_of_a_register_do_not_count() -> None:
+    needs = parse_stream_needs(struct.pack("<IIQII", 0xEA_FF_FF_FF, 0xFFFF_FFFE, 8, 52, 32))
+    assert (needs.alignment, needs.enabled) == (1024, False)
+    assert parse_stream_needs(struct.pack("<IIQII", 0, 1, 8, 52, 32)).alignment == 1
+    assert parse_stream_needs(struct.pack("<IIQII", 0x1F << 24, 1, 8, 52, 32)).alignment == 1 << 31
+    assert parse_manifest_entry(struct.pack("<IIQQ40x", 1, 0xFFFF_07FF, 8, 8)).file_format == 1
+    assert parse_manifest_entry(struct.pack("<IIQQ40x", 1, 0x3F << 10, 8, 8)).file_format == 0x3F
+
+
+def test_a_file_of_no_bytes_or_more_than_16_mib_is_passed_over_and_of_equals_the_first_is_taken() -> None:
+    most = 16 * 1024 * 1024
+
+    def entry(size: int, address: int = 0) -> ManifestEntry:
+        return ManifestEntry(1, 0, address, size, None)
+
+    assert choose([entry(0), entry(most + 1)]) is None
+    assert choose([entry(0), entry(1)]) == entry(1)
+    assert choose([entry(most)]) == entry(most)
+    assert choose([entry(5, 1), entry(5, 2)]) == entry(5, 1)
+
+
+def archive(*members: tuple[str, bytes], method: int = zipfile.ZIP_DEFLATED) -> bytes:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", method) as made:
+        for name, content in members:
+            made.writestr(name, content)
+    return buffer.getvalue()
+
+
+def test_of_an_archive_the_xml_is_read_whatever_lies_beside_it() -> None:
+    assert unpack(archive(("read.me", b"<no/>"), ("docs/", b""), ("CAMERA.XML", XML.encode())), 1) == XML
+    assert unpack(archive(("description", XML.encode())), 1) == XML
+    assert unpack(archive(("a.xml", XML.encode()), method=zipfile.ZIP_STORED), 1) == XML
+
+
+@pytest.mark.parametrize(
+    ("data", "file_format", "said"),
+    [
+        (archive(), 1, "the zipped description is empty"),
+        (archive(("docs/", b"")), 1, "the zipped description is empty"),
+        (archive(("a.xml", XML.encode()), method=zipfile.ZIP_BZIP2), 1, "packed by method 12; known are 0 and 8"),
+        (b"PK, but no archive", 1, "cannot be read"),
+        (XML.encode(), 2, r"description in format 2; known are 0 \(raw\) and 1 \(zip\)"),
+        (b"  text", 0, "the description is not XML"),
+    ],
+)
+def test_a_description_that_cannot_be_read_says_why(data: bytes, file_format: int, said: str) -> None:
+    with pytest.raises(BadDescription, match=said):
+        unpack(data, file_format)
+
+
+def test_a_description_may_unpack_to_16_mib_and_not_to_a_byte_more() -> None:
+    most = 16 * 1024 * 1024
+    assert len(unpack(zipped(b"<" + b" " * (most - 1)), 1)) == most
+    with pytest.raises(BadDescription, match=f"unpacks to more than {most} bytes"):
+        unpack(zipped(b"<" + b" " * most), 1)
+
+
+def test_a_mark_of_the_byte_order_is_no_part_of_the_text_and_white_space_may_come_first() -> None:
+    assert unpack(b"\xef\xbb\xbf" + XML.encode(), 0) == XML
+    assert unpack(b"\n " + XML.encode(), 0) == "\n " + XML
+
+
+class Files:
+    """A control channel that gives one manifest, and a file that may come damaged."""
+
+    def __init__(self, *versions: bytes, sha1: bytes, count: int = 1) -> None:
+        self.count, self.fetched, self._versions = count, 0, versions
+        entry = struct.pack("<IIQQ20s20x", 1, 0, 0x5000, len(versions[0]), sha1)
+        self._table = entry + struct.pack("<IIQQ40x", 0, 9, 0, 0) * (count - 1)
+
+    def read_u64(self, address: int) -> int:
+        assert address == 0x4000
+        return self.count
+
+    def read(self, address: int, count: int) -> bytes:
+        if address == 0x4008:
+            assert count == len(self._table) == 64 * self.count
+            return self._table
+        assert (address, count) == (0x5000, len(self._versions[0]))
+        self.fetched += 1
+        return self._versions[min(self.fetched, len(self._versions)) - 1]
+
+
+def fetched(files: Files) -> str:
+    return read_description(files, "camera.left", 0x4000)  # type: ignore[arg-type]
+
+
+def test_a_file_that_came_damaged_is_fetched_once_more_and_not_for_ever() -> None:
+    whole, sha1 = XML.encode(), hashlib.sha1(XML.encode()).digest()
+    files = Files(whole[:-1] + b"!", whole, sha1=sha1)
+    assert fetched(files) == XML
+    assert files.fetched == 2
+    files = Files(whole[:-1] + b"!", sha1=sha1)
+    with pytest.raises(DeviceRefused, match="does not match its SHA-1") as caught:
+        fetched(files)
+    assert (files.fetched, caught.value.device) == (2, "camera.left")
+
+
+def test_a_manifest_of_64_files_is_read_whole() -> None:
+    assert fetched(Files(XML.encode(), sha1=bytes(20), count=64)) == XML
+    with pytest.raises(DeviceRefused, match="claims 65 files; 1 to 64"):
+        fetched(Files(XML.encode(), sha1=bytes(20), count=65))
 
 
 @given(st.binary(max_size=300), st.integers(0, 3))

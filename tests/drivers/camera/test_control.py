@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from drivers.api import DeviceError, DeviceGone, DeviceRefused
 from drivers.camera.control import ATTEMPTS, ControlChannel, ControlRefused
-from drivers.camera.usb import TransferOverflow, TransferStalled, TransferTimeout, Unplugged
+from drivers.camera.usb import TransferError, TransferOverflow, TransferStalled, TransferTimeout, Unplugged
 from tests.drivers.clock import SteppedClock
 
 SILENCE = TransferTimeout("nothing")
@@ -245,6 +245,223 @@ def test_a_device_that_babbles_old_answers_without_end_or_pause_is_given_up() ->
     with pytest.raises(DeviceGone, match="no answer at 3 attempts"):
         control.read_u32(0)
     assert control.counters.stale_answers == memory.reads <= 100
+
+
+class Slow(Memory):
+    """A device that lets time pass before what it says: a number is a wait in seconds."""
+
+    def __init__(self, clock: SteppedClock, said: list[bytes | float]) -> None:
+        super().__init__(clock, lambda command: [])
+        self._said = said
+        self.sizes: list[int] = []
+
+    def read(self, size: int, timeout_s: float) -> bytes:
+        self.sizes.append(size)
+        waited_s = 0.0
+        while self._said:
+            first = self._said[0]
+            if isinstance(first, bytes):
+                self._clock.advance_s(waited_s)
+                request = struct.unpack_from("<H", self.commands[-1], 10)[0]
+                del self._said[0]
+                return first[:10] + struct.pack("<H", request) + first[12:]
+            if waited_s + first > timeout_s:
+                self._said[0] = waited_s + first - timeout_s
+                break
+            waited_s += first
+            del self._said[0]
+        self._clock.advance_s(timeout_s)
+        raise SILENCE
+
+
+ANSWER = struct.pack("<4sHHHH", b"U3VC", 0, 0x0801, 4, 0) + b"data"
+
+
+def pending(wait_ms: int) -> bytes:
+    return struct.pack("<4sHHHHHH", b"U3VC", 0, 0x0805, 4, 0, 0, wait_ms)
+
+
+@pytest.mark.parametrize(
+    ("said", "attempts"),
+    [
+        ([0.49, ANSWER], 1),
+        ([0.4, pending(1000), 0.99, ANSWER], 1),
+        ([0.4, pending(1000), 1.01, ANSWER], 2),
+        ([pending(8000), 7.9, ANSWER], 1),
+        ([pending(6000), 5.9, pending(6000), 3.9, ANSWER], 1),
+        ([pending(6000), 5.9, pending(6000), 4.2, ANSWER], 2),  # ten seconds are the most for one command
+    ],
+)
+def test_a_device_gets_the_time_it_asks_for_up_to_ten_seconds(said: list[bytes | float], attempts: int) -> None:
+    clock = SteppedClock()
+    memory = Slow(clock, said)
+    control = ControlChannel("camera.left", memory, clock)
+    assert control.read(0, 4) == b"data"
+    assert len(memory.commands) == attempts
+    assert control.counters.retries == attempts - 1
+
+
+def test_a_pending_acknowledge_without_its_time_is_counted_and_the_wait_goes_on() -> None:
+    clock = SteppedClock()
+    cut = struct.pack("<4sHHHH", b"U3VC", 0, 0x0805, 2, 0) + b"\0\0"
+    control = ControlChannel("camera.left", Slow(clock, [cut, 0.4, ANSWER]), clock)
+    assert control.read(0, 4) == b"data"
+    assert (control.counters.malformed_answers, control.counters.retries) == (1, 0)
+
+
+@pytest.mark.parametrize(("most", "size"), [(1024, 1024), (1025, 2048), (2048, 2048), (100, 1024)])
+def test_a_read_has_room_for_whole_packets(most: int, size: int) -> None:
+    clock = SteppedClock()
+    memory = Slow(clock, [ANSWER])
+    control = ControlChannel("camera.left", memory, clock)
+    control.set_limits(512, most, 0.2)
+    control.read(0, 4)
+    assert memory.sizes == [size]
+
+
+@pytest.mark.parametrize(("stated_s", "waited_s"), [(0.3, 0.3), (0.05, 0.05), (0.0, 0.05), (2.0, 2.0)])
+def test_a_silent_device_is_waited_for_as_long_as_it_stated_and_at_least_50_ms(
+    stated_s: float, waited_s: float
+) -> None:
+    control, _, clock = channel(lambda c: [])
+    control.set_limits(512, 512, stated_s)
+    begin_ns = clock.now_ns()
+    with pytest.raises(DeviceGone):
+        control.read(0, 4)
+    assert (clock.now_ns() - begin_ns) * 1e-9 == pytest.approx(ATTEMPTS * waited_s)
+
+
+@pytest.mark.parametrize(
+    ("command", "answer_size", "fits"), [(28, 20, True), (27, 20, False), (28, 19, False), (0, 4096, False)]
+)
+def test_a_packet_has_room_for_one_register_of_64_bits(command: int, answer_size: int, fits: bool) -> None:
+    control, memory, _ = channel(good)
+    if not fits:
+        with pytest.raises(DeviceRefused, match=rf"{command} / {answer_size} bytes, too small for one register"):
+            control.set_limits(command, answer_size, 0.2)
+        return
+    control.set_limits(command, answer_size, 0.2)
+    assert control.read(0x100, 16) == image(0x100, 16)
+    control.write(0x100, bytes(16))
+    assert [len(c) for c in memory.commands] == [24, 24, 28, 28]
+
+
+def test_a_count_never_needs_more_than_16_bits_whatever_the_camera_claims() -> None:
+    control, memory, _ = channel(good)
+    control.set_limits(1 << 20, 1 << 20, 0.2)
+    assert len(control.read(0, 70_000)) == 70_000
+    assert reading(memory.commands[0]) == (0, 0xFFFF - 12)
+    control.write(0, bytes(70_000))
+    assert max(len(c) for c in memory.commands) == 0xFFFF
+
+
+def test_addresses_have_64_bits() -> None:
+    control, memory, _ = channel(good)
+    last = (1 << 64) - 4
+    assert control.read(last, 4) == image(last, 4)
+    control.write(last, b"last")
+    assert len(memory.commands) == 2
+    for address, count in ((-1, 4), (last, 5), (1 << 64, 1)):
+        with pytest.raises(DeviceRefused, match="outside 64 bits"):
+            control.read(address, count)
+        with pytest.raises(DeviceRefused, match="outside 64 bits"):
+            control.write(address, bytes(count))
+    with pytest.raises(DeviceRefused, match="outside 64 bits"):
+        control.read(0, -1)
+    assert len(memory.commands) == 2, "nothing was asked"
+
+
+def test_registers_are_little_endian_and_of_32_or_64_bits() -> None:
+    control, memory, _ = channel(good)
+    assert control.read_u32(1) == 0x04030201
+    assert control.read_u64(1) == 0x0807060504030201
+    control.write_u32(0x20, 0x01020304)
+    assert memory.commands[-1][20:] == b"\4\3\2\1"
+
+
+@pytest.mark.parametrize(
+    ("payload", "command", "attempts"),
+    [
+        (struct.pack("<HH", 0, 4), 0x0803, 1),
+        (struct.pack("<HH", 0, 0), 0x0803, 1),
+        (b"", 0x0803, 1),
+        (struct.pack("<HH", 0, 3), 0x0803, 2),
+        (struct.pack("<HH", 0, 4), 0x0801, 2),
+    ],
+)
+def test_a_write_counts_when_the_device_says_all_of_it_or_nothing_about_it(
+    payload: bytes, command: int, attempts: int
+) -> None:
+    control, memory, _ = channel(
+        lambda c: [answer(c, payload, command=command)] if len(memory.commands) == 1 else good(c)
+    )
+    control.write_u32(0x20, 7)
+    assert len(memory.commands) == attempts
+    assert control.counters.malformed_answers == attempts - 1
+
+
+def test_an_answer_to_another_command_is_not_taken_for_data() -> None:
+    control, memory, _ = channel(
+        lambda c: [answer(c, b"four", command=0x0803)] if len(memory.commands) == 1 else good(c)
+    )
+    assert control.read(0, 4) == image(0, 4)
+    control, _, _ = channel(lambda c: [answer(c, b"four", command=0x0803)])
+    with pytest.raises(DeviceGone, match=r"a wrong answer \(0x0803, 4 bytes\) at 3 attempts") as caught:
+        control.read(0, 4)
+    assert (caught.value.device, control.counters.malformed_answers) == ("camera.left", 3)
+
+
+@pytest.mark.parametrize(
+    ("failure", "said"),
+    [
+        (TransferOverflow("babble"), "the answer was longer than allowed"),
+        (TransferStalled("halt"), "the endpoint stalled"),
+        (TransferError("odd"), "odd"),
+    ],
+)
+def test_what_failed_at_every_attempt_is_told(failure: TransferError, said: str) -> None:
+    control, memory, _ = channel(lambda c: [failure])
+    with pytest.raises(DeviceGone, match=f"{said} at 3 attempts of a write of 4 bytes at 0x20"):
+        control.write_u32(0x20, 7)
+    assert control.counters.retries == 2
+    assert memory.halts_cleared == (3 if isinstance(failure, TransferStalled) else 0)
+
+
+def test_a_camera_that_leaves_while_its_halt_is_cleared_is_gone() -> None:
+    control, memory, _ = channel(lambda c: [TransferStalled("halt")])
+
+    def leave() -> None:
+        raise Unplugged("gone")
+
+    memory.clear_halt = leave  # type: ignore[method-assign]
+    with pytest.raises(DeviceGone, match="unplugged"):
+        control.read(0, 4)
+
+
+def test_a_busy_device_is_given_a_moment_and_then_refuses_with_its_status() -> None:
+    control, _, clock = channel(lambda c: [answer(c, b"", status=0x8007)])
+    begin_ns = clock.now_ns()
+    with pytest.raises(ControlRefused, match="busy at 3 attempts") as caught:
+        control.read(0, 4)
+    assert (clock.now_ns() - begin_ns) * 1e-9 == pytest.approx(ATTEMPTS * 0.01)
+    assert (caught.value.status, caught.value.device) == (0x8007, "camera.left")
+    assert caught.value.remedy == "Try again later"
+
+
+@pytest.mark.parametrize(
+    ("status", "remedy"),
+    [
+        (0x8006, "Stop the acquisition"),
+        (0xA003, "payload sizes"),
+        (0x8001, "camera settings"),
+        (0x8ABC, "camera settings"),
+    ],
+)
+def test_a_refusal_comes_with_what_to_do(status: int, remedy: str) -> None:
+    control, _, _ = channel(lambda c: [answer(c, b"", status=status)])
+    with pytest.raises(ControlRefused) as caught:
+        control.read(0, 4)
+    assert remedy in caught.value.remedy
 
 
 babble = st.one_of(

@@ -48,6 +48,17 @@ def test_a_pending_acknowledge_tells_its_milliseconds() -> None:
     assert gencp.parse_pending(bytes.fromhex("0000 e803")) == 1000
 
 
+def test_a_pending_acknowledge_that_is_cut_short_is_named() -> None:
+    with pytest.raises(MalformedPacket, match="3 bytes, expected 4"):
+        gencp.parse_pending(bytes.fromhex("0000 e8"))
+
+
+def test_a_write_acknowledge_tells_its_bytes_or_leaves_them_out() -> None:
+    assert gencp.parse_written(bytes.fromhex("0000 0800")) == 8
+    assert gencp.parse_written(bytes.fromhex("0000 08")) is None
+    assert gencp.parse_written(b"") is None
+
+
 def test_request_ids_skip_zero_when_they_wrap() -> None:
     assert [gencp.next_request_id(i) for i in (0, 1, 0xFFFE, 0xFFFF)] == [1, 2, 0xFFFF, 1]
 
