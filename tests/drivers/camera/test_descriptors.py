@@ -61,6 +61,84 @@ def test_a_webcam_is_no_usb3_vision_camera() -> None:
     assert find_layout(1, [video]) is None
 
 
+def test_every_string_of_the_device_info_has_its_place() -> None:
+    info = parse_device_info(DEVICE_INFO)
+    assert (info.device_version_index, info.manufacturer_info_index, info.family_index) == (7, 8, 6)
+    assert parse_device_info(DEVICE_INFO + b"more") == info
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (DEVICE_INFO[:19], "device info of 19 bytes; the standard says 20"),
+        (b"\x13" + DEVICE_INFO[1:], "device info of 20 bytes"),
+        (DEVICE_INFO[:2] + b"\x02" + DEVICE_INFO[3:], "0x24/0x02"),
+    ],
+)
+def test_a_device_info_that_is_none_is_named(data: bytes, said: str) -> None:
+    with pytest.raises(MalformedDescriptor, match=said):
+        parse_device_info(data)
+
+
+@pytest.mark.parametrize(
+    ("before", "found"),
+    [
+        (b"", True),
+        (b"\x03\x24\x06", True),
+        (b"\x05\x24\x01\0\0", True),  # of the type, but too short to be it
+        (b"\x02\x24", False),  # no descriptor is so short: nothing chains behind it
+        (b"\x00", False),
+        (b"\xff\x24\x01", False),  # reaches beyond the end
+    ],
+)
+def test_descriptors_are_followed_as_long_as_they_chain(before: bytes, found: bool) -> None:
+    assert (find_device_info(before + DEVICE_INFO) is not None) == found
+
+
+def test_a_search_that_ends_without_a_device_info_finds_none() -> None:
+    assert find_device_info(b"") is None
+    assert find_device_info(b"\x06\x30\0\0\0\0") is None
+    assert find_device_info(DEVICE_INFO[:-1]) is None
+
+
+@pytest.mark.parametrize(
+    ("data", "text"),
+    [
+        (b"\x02\x03", ""),
+        (b"\x04\x03K\0", "K"),
+        (b"\x06\x03K\0\0\0", "K"),
+        (b"\x04\x03K", None),
+        (b"\x02", None),
+        (b"\x01\x03", None),
+        (b"\x04\x02K\0", None),
+        (b"", None),
+    ],
+)
+def test_a_string_is_as_long_as_it_says_or_none_at_all(data: bytes, text: str | None) -> None:
+    if text is not None:
+        assert parse_string(data) == text
+        return
+    with pytest.raises(MalformedDescriptor, match="not a string descriptor"):
+        parse_string(data)
+
+
+def test_the_first_of_several_interfaces_counts_and_one_without_its_endpoints_does_not() -> None:
+    no_way_out = InterfaceDescription(7, 0xEF, 0x05, 0, (0x87,), (), b"")
+    no_stream = InterfaceDescription(8, 0xEF, 0x05, 2, (), (), b"")
+    other_class = InterfaceDescription(9, 0xEF, 0x02, 0, (0x88,), (0x08,), b"")
+    good = [
+        *(interface(0, 0, bulk_in=0x81, bulk_out=0x01), interface(1, 0, bulk_in=0x82, bulk_out=0x02)),
+        *(interface(2, 2, bulk_in=0x83), interface(3, 2, bulk_in=0x84)),
+    ]
+    layout = find_layout(5, [no_way_out, no_stream, other_class, *good])
+    assert layout is not None
+    assert (layout.configuration, layout.control_interface, layout.stream_interface) == (5, 0, 2)
+    assert (layout.control_in, layout.control_out, layout.stream_in) == (0x81, 0x01, 0x83)
+    assert find_layout(1, [no_way_out, good[2]]) is None
+    assert find_layout(1, [good[0], no_stream]) is None
+    assert find_layout(1, [other_class, good[2]]) is None
+
+
 @given(st.binary(max_size=64))
 def test_arbitrary_bytes_never_break_the_search(data: bytes) -> None:
     info = find_device_info(data)

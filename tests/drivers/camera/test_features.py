@@ -26,11 +26,21 @@ XML = f"""<?xml version="1.0" encoding="utf-8"?>
 <Category Name="Root"><pFeature>Width</pFeature></Category>
 <Integer Name="Width"><pValue>WidthReg</pValue><Min>16</Min><Max>1600</Max><Inc>16</Inc></Integer>
 <Enumeration Name="TriggerMode"><EnumEntry Name="Off"><Value>0</Value></EnumEntry>
-<EnumEntry Name="On"><Value>1</Value></EnumEntry><pValue>ModeReg</pValue></Enumeration>
+<EnumEntry Name="On"><Value>1</Value></EnumEntry>
+<EnumEntry Name="Later"><pIsAvailable>No</pIsAvailable><Value>2</Value></EnumEntry>
+<pValue>ModeReg</pValue></Enumeration>
 <Float Name="ExposureTime"><pValue>ExposureReg</pValue><Min>10</Min><Max>16000</Max></Float>
 <FloatReg Name="ExposureReg"><Address>0x100c</Address><Length>4</Length><AccessMode>RW</AccessMode>
 <pPort>Device</pPort><Endianess>LittleEndian</Endianess></FloatReg>
 <Command Name="AcquisitionStart"><pValue>StartReg</pValue><CommandValue>1</CommandValue></Command>
+<Integer Name="Fixed"><pIsLocked>Yes</pIsLocked><Value>7</Value></Integer>
+<Integer Name="Absent"><pIsImplemented>No</pIsImplemented><pValue>WidthReg</pValue></Integer>
+<Integer Name="Yes"><Value>1</Value></Integer><Integer Name="No"><Value>0</Value></Integer>
+<Integer Name="Locked"><pIsAvailable>No</pIsAvailable><pValue>WidthReg</pValue></Integer>
+<Enumeration Name="LockedMode"><pIsAvailable>No</pIsAvailable><EnumEntry Name="On"><Value>1</Value></EnumEntry>
+<pValue>ModeReg</pValue></Enumeration>
+<Command Name="LockedStart"><pIsAvailable>No</pIsAvailable><pValue>StartReg</pValue>
+<CommandValue>1</CommandValue></Command>
 {REGISTERS}<Port Name="Device"/></RegisterDescription>"""
 
 
@@ -40,6 +50,8 @@ class RegisterMemory:
     def __init__(self) -> None:
         self.memory = bytearray(65536)
         self.plugged = True
+        self.holds: dict[int, bytes] = {}
+        """What a register holds whatever is written to it."""
         self._answer = b""
 
     def write(self, data: bytes, timeout_s: float) -> None:
@@ -51,7 +63,7 @@ class RegisterMemory:
             (count,) = struct.unpack_from("<H", data, 22)
             payload = bytes(self.memory[address : address + count])
         else:
-            self.memory[address : address + size - 8] = data[20:]
+            self.memory[address : address + size - 8] = self.holds.get(address, data[20:])
             payload = struct.pack("<HH", 0, size - 8)
         self._answer = struct.pack("<4sHHHH", b"U3VC", 0, command + 1, len(payload), request_id) + payload
 
@@ -123,6 +135,82 @@ def test_a_description_that_is_none_is_refused(text: str) -> None:
 
 def nested(depth: int) -> str:
     return XML.replace("<Port ", "<Group>" * depth + "</Group>" * depth + "<Port ")
+
+
+def test_a_camera_that_rounds_what_it_is_told_is_asked_what_it_holds_even_beyond_its_own_range(device: Any) -> None:
+    """The description lets a reader keep what was written, and check what is read."""
+    memory, features = device
+    for held in (632, 1608):
+        memory.holds = {0x1000: struct.pack("<I", held)}
+        assert features.set_number("Width", 640) == held
+
+
+def test_a_number_that_has_fractions_or_not_is_written_as_its_register_takes_it(device: Any) -> None:
+    memory, features = device
+    assert features.set_number("Width", 320.0) == 320
+    assert features.set_number("ExposureTime", 500) == 500.0
+    assert struct.unpack("<f", memory.memory[0x100C:0x1010]) == (500.0,)
+    with pytest.raises(DeviceRefused, match=r"ExposureTime: 1e\+06 refused, allowed 10\.\.16000 \(") as caught:
+        features.set_number("ExposureTime", 1e6)
+    assert caught.value.device == "camera.left"
+    assert "in steps" not in caught.value.message
+
+
+def test_what_a_camera_has_and_what_may_be_written_are_two_things(device: Any) -> None:
+    _, features = device
+    assert (features.has("Width"), features.writable("Width")) == (True, True)
+    assert (features.has("Fixed"), features.writable("Fixed")) == (True, False)
+    assert (features.has("Absent"), features.writable("Absent")) == (False, False)
+    assert (features.has("Gain"), features.writable("Gain")) == (False, False)
+
+
+def test_choices_come_in_the_order_of_the_description_without_those_that_are_not_there_now(device: Any) -> None:
+    _, features = device
+    assert features.choices("TriggerMode") == ("Off", "On")
+    assert features.choice("TriggerMode") == "Off"
+
+
+REFUSED_BY = {
+    "number": lambda features: features.number("Locked"),
+    "set": lambda features: features.set_number("Locked", 1),
+    "choice": lambda features: features.choice("LockedMode"),
+    "choose": lambda features: features.choose("LockedMode", "On"),
+    "execute": lambda features: features.execute("LockedStart"),
+}
+
+
+@pytest.mark.parametrize(
+    ("way", "said"),
+    [
+        ("number", "Locked: cannot be read"),
+        ("set", "Locked: 1 refused, allowed"),
+        ("choice", "LockedMode: cannot be read"),
+        ("choose", "LockedMode: On refused, allowed: "),
+        ("execute", "LockedStart: cannot be executed"),
+    ],
+)
+def test_a_feature_that_is_locked_is_refused_by_name(device: Any, way: str, said: str) -> None:
+    _, features = device
+    with pytest.raises(DeviceRefused, match=said) as caught:
+        REFUSED_BY[way](features)
+    assert caught.value.device == "camera.left"
+    assert "camera's manual" in caught.value.remedy
+
+
+@pytest.mark.parametrize(
+    ("ask", "said"),
+    [
+        (lambda f: f.number("TriggerMode"), "TriggerMode is an IEnumeration, not IInteger or IFloat"),
+        (lambda f: f.set_number("AcquisitionStart", 1), "AcquisitionStart is an ICommand, not IInteger or IFloat"),
+        (lambda f: f.choices("Width"), "Width is an IInteger, not IEnumeration"),
+        (lambda f: f.choose("ExposureTime", "On"), "ExposureTime is an IFloat, not IEnumeration"),
+        (lambda f: f.execute("Width"), "Width is an IInteger, not ICommand"),
+    ],
+)
+def test_a_standard_name_for_something_else_is_refused(device: Any, ask: Any, said: str) -> None:
+    _, features = device
+    with pytest.raises(DeviceRefused, match=said):
+        ask(features)
 
 
 ENTITIES = "".join(f"<!ENTITY e{n} '{f'&e{n - 1};' * 10}'>" for n in range(1, 12))

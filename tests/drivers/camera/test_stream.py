@@ -304,6 +304,139 @@ def test_an_image_size_off_the_alignment_still_arrives_whole() -> None:
     bench.expect_whole(1)
 
 
+def took_s(bench: Bench, timeout_s: float = 0.5) -> tuple[Frame, float]:
+    begin_ns = bench.clock.now_ns()
+    frame = bench.next(timeout_s)
+    return frame, (bench.clock.now_ns() - begin_ns) * 1e-9
+
+
+def test_a_payload_has_a_quarter_of_a_second_and_a_trailer_a_tenth() -> None:
+    """1.92 MB take 50 ms on the slowest link that there is, five times as long is a frame that was lost."""
+    bench = Bench()
+    bench.pipe.send(leader(1))
+    assert took_s(bench)[1] == pytest.approx(0.25 + 0.1), "its trailer is waited for as well"
+    bench.pipe.send(leader(2), image(2).tobytes())
+    frame, waited_s = took_s(bench)
+    assert (frame.status, frame.detail, waited_s) == (FrameStatus.TRUNCATED, "no trailer", pytest.approx(0.1))
+
+
+def test_flushing_an_empty_pipe_takes_a_fiftieth_of_a_second() -> None:
+    bench = Bench()
+    begin_ns = bench.clock.now_ns()
+    bench.reader.flush()
+    assert (bench.clock.now_ns() - begin_ns) * 1e-9 == pytest.approx(0.02)
+
+
+class Endless(Pipe):
+    """A camera that never stops sending, and takes no time for it."""
+
+    def __init__(self, clock: SteppedClock, packet: bytes) -> None:
+        super().__init__(clock)
+        self._packet = packet
+        self.reads = 0
+
+    def read_into(self, buffer: TransferBuffer, timeout_s: float) -> int:
+        self.reads += 1
+        assert self.reads < 20_000, "it reads for ever"
+        buffer[: len(self._packet)] = np.frombuffer(self._packet, np.uint8)
+        return len(self._packet)
+
+
+def test_a_pipe_that_never_runs_dry_keeps_neither_a_flush_nor_a_search_for_ever() -> None:
+    clock = SteppedClock()
+    pipe = Endless(clock, b"noise")
+    reader = StreamReader("camera.left", pipe, StreamGeometry(WIDTH, HEIGHT, PIXELS, PIXELS, PACKET), clock)
+    reader.flush()
+    assert 100 < pipe.reads < 1000
+    assert reader.next_frame(np.zeros((HEIGHT, WIDTH), np.uint8), 0.5).status is FrameStatus.TIMEOUT
+    assert reader.counters.timeouts == 1
+
+
+def test_flushing_goes_on_behind_what_was_too_long_and_ends_at_a_halt() -> None:
+    bench = Bench()
+    bench.pipe.send(TransferOverflow("babble"), *frame(1))
+    bench.reader.flush()
+    bench.pipe.send(*frame(2))
+    bench.expect_whole(2)
+    bench.pipe.send(TransferStalled("halt"), *frame(3))
+    begin_ns = bench.clock.now_ns()
+    bench.reader.flush()
+    assert (bench.pipe.halts_cleared, bench.clock.now_ns()) == (1, begin_ns)
+
+
+def test_what_the_camera_discarded_is_told_before_what_is_missing_of_it() -> None:
+    bench = Bench()
+    bench.pipe.send(leader(1), image(1).tobytes()[:1500], trailer(1, status=0xA100, valid=1500))
+    got = bench.next()
+    assert (got.status, got.detail) == (FrameStatus.DISCARDED, "DATA_DISCARDED (0xa100)")
+
+
+def test_a_payload_that_is_too_long_or_fails_is_truncated_and_says_so() -> None:
+    bench = Bench()
+    bench.pipe.send(leader(1), TransferOverflow("babble"), trailer(1), *frame(2))
+    got = bench.next()
+    assert (got.status, got.detail) == (FrameStatus.TRUNCATED, "payload longer than the image")
+    bench.expect_whole(2)
+    bench.pipe.send(leader(3), TransferStalled("halt"), trailer(3), *frame(4))
+    got = bench.next()
+    assert (got.status, got.detail) == (FrameStatus.TRUNCATED, "payload failed (halt)")
+    bench.expect_whole(4)
+
+
+def test_a_trailer_that_fails_is_truncated_and_one_that_is_damaged_is_corrupt() -> None:
+    bench = Bench()
+    bench.pipe.send(leader(1), image(1).tobytes(), TransferStalled("halt"), *frame(2))
+    got = bench.next()
+    assert (got.status, got.detail) == (FrameStatus.TRUNCATED, "no trailer (halt)")
+    bench.expect_whole(2)
+    short = trailer(3)[:6] + b"\x1f\0" + trailer(3)[8:]
+    bench.pipe.send(leader(3), image(3).tobytes(), short, leader(4), image(4).tobytes(), bytes(32), *frame(5))
+    got = bench.next()
+    assert (got.status, got.detail) == (FrameStatus.CORRUPT, "trailer says 31 bytes, 32 arrived")
+    got = bench.next()
+    assert got.status is FrameStatus.CORRUPT
+    assert got.detail.startswith("not a trailer (")
+    bench.expect_whole(5)
+
+
+def test_an_image_with_padded_lines_is_corrupt() -> None:
+    bench = Bench()
+    padded = bytearray(leader(1))
+    padded[48:50] = b"\x04\0"
+    bench.pipe.send(bytes(padded), image(1).tobytes(), trailer(1), *frame(2))
+    got = bench.next()
+    assert (got.status, got.block_id) == (FrameStatus.CORRUPT, 1)
+    assert "64 x 48 with padding 4" in got.detail
+    bench.pipe.send(leader(3, height=32), image(3).tobytes(), trailer(3))
+    bench.expect_whole(2)
+    assert "64 x 32 with padding 0" in bench.next().detail
+
+
+def test_what_is_met_is_counted() -> None:
+    bench = Bench()
+    bench.pipe.send(*frame(1), leader(2), image(2).tobytes()[:100], trailer(2), b"stray", *frame(3))
+    statuses = [bench.next().status for _ in range(4)]
+    assert statuses == [FrameStatus.COMPLETE, FrameStatus.TRUNCATED, FrameStatus.COMPLETE, FrameStatus.TIMEOUT]
+    counters = bench.reader.counters
+    assert (counters.frames, counters.damaged_frames, counters.timeouts) == (4, 1, 1)
+    assert counters.skipped_transfers == 1
+
+
+def test_a_short_packet_of_noise_is_a_damaged_leader_only_where_one_was_due() -> None:
+    bench = Bench()
+    noise = bytes(range(100, 152))
+    bench.pipe.send(b"stray", noise, *frame(2))
+    bench.expect_whole(2)
+    assert bench.reader.counters.skipped_transfers == 2
+
+
+def test_an_arrival_is_dated_when_the_frame_is_whole() -> None:
+    bench = Bench()
+    bench.pipe.send(*frame(1))
+    bench.clock.advance_s(3.0)
+    assert bench.next().received_ns == bench.clock.now_ns() == 4_000_000_000
+
+
 @given(
     st.lists(
         st.one_of(

@@ -20,6 +20,7 @@ from drivers.camera.usb import (
     TransferTimeout,
     Unplugged,
     UsbCamera,
+    default_backend,
     find_camera,
     find_cameras,
     transfer_buffer,
@@ -45,6 +46,18 @@ class Device:
     """What a bulk transfer does: raise this errno, or give these bytes."""
     claimed: list[int] = field(default_factory=list)
     timeouts_ms: list[int] = field(default_factory=list)
+    written: list[tuple[int, int, bytes]] = field(default_factory=list)
+    short_by: int = 0
+    """Bytes that a write leaves out."""
+    release_error: int = 0
+    interrupts: bool = False
+    """Each interface begins with an endpoint that is not bulk."""
+    configured: int = 0
+    """How often a configuration was set."""
+    info: bytes = DEVICE_INFO
+    string: bytes | None = None
+    """In place of the serial number's descriptor."""
+    iserial: int = 1
     halts_cleared: list[int] = field(default_factory=list)
     halt_error: int = 0
     is_open: bool = False
@@ -63,7 +76,7 @@ class Backend:
     def get_device_descriptor(self, device: Device) -> Any:
         if device.enumeration_error:
             raise usb_error(device.enumeration_error)
-        return SimpleNamespace(iSerialNumber=1, speed=device.speed, bus=1, address=7)
+        return SimpleNamespace(iSerialNumber=device.iserial, speed=device.speed, bus=1, address=7)
 
     def get_configuration_descriptor(self, device: Device, config: int) -> Any:
         return SimpleNamespace(bNumInterfaces=3 if device.vision else 1, bConfigurationValue=1)
@@ -72,14 +85,17 @@ class Backend:
         kind = (0xEF, 0x05) if device.vision else (0x08, 0x06)
         return SimpleNamespace(
             bInterfaceNumber=index,
-            bNumEndpoints=2 if index == 0 else 1,
+            bNumEndpoints=(2 if index == 0 else 1) + int(device.interrupts),
             bInterfaceClass=kind[0],
             bInterfaceSubClass=kind[1],
             bInterfaceProtocol=index,
-            extra_descriptors=list(DEVICE_INFO) if index == 0 else [],
+            extra_descriptors=list(device.info) if index == 0 else None,
         )
 
     def get_endpoint_descriptor(self, device: Device, number: int, index: int, alt: int, config: int) -> Any:
+        if device.interrupts and number == 0:
+            return SimpleNamespace(bmAttributes=3, bEndpointAddress=0x8F)
+        number -= int(device.interrupts)
         return SimpleNamespace(bmAttributes=2, bEndpointAddress=(0x81 + index) if number == 0 else 0x01)
 
     def open_device(self, device: Device) -> Device:
@@ -96,6 +112,7 @@ class Backend:
 
     def set_configuration(self, device: Device, value: int) -> None:
         device.configuration = value
+        device.configured += 1
 
     def claim_interface(self, device: Device, interface: int) -> None:
         if device.claim_error and interface == 2:
@@ -103,6 +120,8 @@ class Backend:
         device.claimed.append(interface)
 
     def release_interface(self, device: Device, interface: int) -> None:
+        if device.release_error:
+            raise usb_error(device.release_error)
         device.claimed.remove(interface)
 
     def ctrl_transfer(
@@ -111,6 +130,8 @@ class Backend:
         assert (kind, request, value >> 8, index) == (0x80, 0x06, 0x03, 0x0409)
         text = (device.serial if value & 0xFF == 3 else "not the U3V serial").encode("utf-16-le")
         string = bytes([len(text) + 2, 3]) + text
+        string = string if device.string is None else device.string
+        assert 0 < timeout_ms <= 2000, "a device that does not answer is not waited for"
         data[: len(string)] = np.frombuffer(string, np.uint8)
         return len(string)
 
@@ -118,6 +139,13 @@ class Backend:
         if device.halt_error:
             raise usb_error(device.halt_error)
         device.halts_cleared.append(endpoint)
+
+    def bulk_write(self, device: Device, endpoint: int, interface: int, buffer: Any, timeout_ms: int) -> int:
+        device.timeouts_ms.append(timeout_ms)
+        device.written.append((endpoint, interface, bytes(memoryview(buffer))))
+        if isinstance(device.transfer, int) and device.transfer:
+            raise usb_error(device.transfer)
+        return len(memoryview(buffer)) - device.short_by
 
     def bulk_read(self, device: Device, endpoint: int, interface: int, buffer: Any, timeout_ms: int) -> int:
         device.timeouts_ms.append(timeout_ms)
@@ -258,3 +286,103 @@ def test_a_halt_is_cleared_on_every_endpoint_of_a_pipe_and_only_a_camera_that_le
     device.halt_error = errno.ENODEV
     with pytest.raises(Unplugged):
         camera.stream().clear_halt()
+
+
+def opened(device: Device) -> UsbCamera:
+    return UsbCamera("camera.left", find_camera(Backend(device), "camera.left", "KF-CAM-L"))
+
+
+@pytest.mark.parametrize(("timeout_s", "timeout_ms"), [(0.25, 250), (1.0, 1000), (0.0004, 1), (0.0026, 3), (-1.0, 1)])
+def test_a_transfer_waits_as_long_as_it_was_told(timeout_s: float, timeout_ms: int) -> None:
+    device = Device(transfer=b"answer")
+    pipe = opened(device).control()
+    assert pipe.read(1024, timeout_s) == b"answer"
+    pipe.write(b"command", timeout_s)
+    assert device.timeouts_ms == [timeout_ms, timeout_ms]
+
+
+def test_a_command_goes_out_whole_on_the_way_out_or_is_said_not_to() -> None:
+    device = Device(transfer=b"")
+    camera = opened(device)
+    camera.control().write(b"command", 0.1)
+    assert device.written == [(0x01, 0, b"command")]
+    device.short_by = 1
+    with pytest.raises(TransferTimeout, match="6 of 7 bytes written"):
+        camera.control().write(b"command", 0.1)
+    device.transfer = errno.ENODEV
+    with pytest.raises(Unplugged):
+        camera.control().write(b"command", 0.1)
+    with pytest.raises(ValueError, match="no way out"):
+        camera.stream().write(b"command", 0.1)  # type: ignore[attr-defined]
+
+
+def test_a_time_that_ran_out_is_known_by_its_kind_or_by_its_number() -> None:
+    for error in (usb.core.USBError("late", -7, errno.ETIMEDOUT), usb.core.USBTimeoutError("late", -7, None)):
+        backend = Backend(Device())
+        camera = UsbCamera("camera.left", find_camera(backend, "camera.left", "KF-CAM-L"))
+
+        def late(*_: Any, error: usb.core.USBError = error) -> int:
+            raise error
+
+        backend.bulk_read = late  # type: ignore[method-assign]
+        with pytest.raises(TransferTimeout):
+            camera.control().read(64, 0.1)
+
+
+def test_endpoints_that_are_not_bulk_are_no_pipes() -> None:
+    found = find_camera(Backend(Device(interrupts=True)), "camera.left", "KF-CAM-L")
+    assert (found.layout.control_in, found.layout.control_out, found.layout.stream_in) == (0x81, 0x01, 0x83)
+
+
+def test_a_configuration_that_is_active_is_not_set_again() -> None:
+    for configuration, set_times in ((1, 0), (0, 1), (2, 1)):
+        device = Device(configuration=configuration)
+        opened(device)
+        assert (device.configuration, device.configured) == (1, set_times)
+
+
+def test_a_camera_that_was_unplugged_closes_silently() -> None:
+    device = Device()
+    camera = opened(device)
+    device.release_error = errno.ENODEV
+    camera.close()
+    assert not device.is_open
+
+
+@pytest.mark.parametrize("number", [errno.EBUSY, errno.EACCES, errno.EPERM, errno.ENODEV])
+def test_who_cannot_open_a_camera_reads_which_one(number: int) -> None:
+    device = Device()
+    found = find_camera(Backend(device), "camera.left", "KF-CAM-L")
+    device.open_error = number
+    with pytest.raises(DeviceError) as caught:
+        UsbCamera("camera.left", found)
+    assert caught.value.device == "camera.left"
+    assert ("udev" in caught.value.remedy) == (number in (errno.EACCES, errno.EPERM))
+
+
+def test_without_a_serial_number_of_its_own_the_devices_serves() -> None:
+    nameless = DEVICE_INFO[:17] + b"\0" + DEVICE_INFO[18:]
+    assert [camera.serial for camera in find_cameras(Backend(Device(info=nameless)))] == ["not the U3V serial"]
+    assert [camera.serial for camera in find_cameras(Backend(Device(info=b"")))] == ["not the U3V serial"]
+
+
+@pytest.mark.parametrize(
+    "device",
+    [Device(info=b"", iserial=0), Device(string=b"\x04\x09no string")],
+    ids=["none", "not a string"],
+)
+def test_a_camera_without_a_readable_serial_number_may_be_the_one(device: Device) -> None:
+    (found,) = find_cameras(Backend(device))
+    assert (found.serial, found.unreadable) == (None, "")
+    with pytest.raises(DeviceRefused, match="bus 1 address 7: no serial number"):
+        find_camera(Backend(device, Device("KF-CAM-R")), "camera.left", "KF-CAM-L")
+    assert not device.is_open
+
+
+def test_without_the_library_it_is_said_which_package_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("usb.backend.libusb1.get_backend", lambda: None)
+    with pytest.raises(DeviceGone, match=r"Install the package libusb-1\.0-0"):
+        default_backend()
+    backend = object()
+    monkeypatch.setattr("usb.backend.libusb1.get_backend", lambda: backend)
+    assert default_backend() is backend
