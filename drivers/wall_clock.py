@@ -38,7 +38,7 @@ def set_from_outside() -> bool:
     of 1970, is written down and marked. Numbers of scans do not depend on it."""
     timex = ctypes.create_string_buffer(TIMEX_BYTES)  # modes 0: only asks
     try:
-        state = ctypes.CDLL(None, use_errno=True).adjtimex(timex)
+        state = ctypes.CDLL(None).adjtimex(timex)
     except (OSError, AttributeError) as error:
         log.warning("nobody tells whether the clock is right: %s", error)
         return False

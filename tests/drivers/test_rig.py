@@ -1,15 +1,38 @@
 """Names in the rig file become wires, or one clear error."""
 
+from __future__ import annotations
+
 import importlib
 import threading
 import time
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
-from drivers.api import DeviceRefused
-from drivers.native import MonotonicClock
+from drivers.api import ClockReading, DeviceError, DeviceGone, DeviceRefused
+from drivers.native import MonotonicClock, NativeWires
+from drivers.output.display import PictureDisplay
+from drivers.output.projector import PatternProjector
 from drivers.registered_wires import REGISTERED
-from drivers.rig import open_wires
+from drivers.rig import (
+    BoardSpec,
+    CameraSpec,
+    KeysSpec,
+    OutputKind,
+    OutputSpec,
+    open_board,
+    open_camera,
+    open_keys,
+    open_outputs,
+    open_wires,
+)
+from tests.drivers.board.test_board import FarEnd
+from tests.drivers.camera.scripted import ScriptedCamera
+from tests.drivers.clock import SteppedClock
+from tests.drivers.keys.test_keypad import NONE, Pad, report
+from tests.drivers.output.kernel import Kernel, KernelWires, Plug, mode
 
 
 def test_the_instruments_wires_are_the_systems_own() -> None:
@@ -65,3 +88,80 @@ def test_the_clock_waits_for_a_condition_or_the_timeout() -> None:
         threading.Timer(0.05, finish).start()
         assert clock.wait_for(condition, lambda: bool(done), 5.0)
         assert (clock.now_ns() - begin_ns) * 1e-9 < 2.0
+
+
+def test_a_clock_sleeps_as_long_as_it_is_told_and_not_at_all_for_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    slept: list[float] = []
+    monkeypatch.setattr(time, "sleep", slept.append)
+    for duration_s in (0.25, 0.0, -1.0, 3.0):
+        MonotonicClock().sleep_s(duration_s)
+    assert slept == [0.25, 3.0]
+
+
+def test_a_card_of_the_instrument_is_the_node_at_its_path(tmp_path: Path) -> None:
+    (tmp_path / "card0").write_bytes(b"event")
+    wires = NativeWires()
+    node = wires.open_card(str(tmp_path / "card0"))
+    assert node.read(16) == b"event"
+    node.close()
+    with pytest.raises(DeviceGone, match="card7"):
+        wires.open_card(str(tmp_path / "card7"))
+
+
+def test_wires_that_are_registered_but_not_installed_are_refused_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(name: str) -> Any:
+        raise ImportError(f"No module named {name!r}")
+
+    monkeypatch.setattr("drivers.rig.importlib", SimpleNamespace(import_module=missing))
+    with pytest.raises(DeviceRefused, match=r"'hw_sim\.wires:open': No module named 'hw_sim\.wires'") as caught:
+        open_wires("hw_sim.wires:open", {})
+    assert caught.value.device == "wires"
+
+
+def wired(clock: Any, **parts: Any) -> Any:
+    return SimpleNamespace(clock=clock, **parts)
+
+
+def test_a_camera_is_opened_on_the_bus_of_the_wires() -> None:
+    clock = SteppedClock()
+    with open_camera(CameraSpec("camera.left", "KF-CAM-L"), wired(clock, usb_backend=ScriptedCamera(clock))) as camera:
+        assert camera.identity.serial == "KF-CAM-L"
+
+
+def test_a_key_pad_is_opened_by_the_wires_library() -> None:
+    clock = SteppedClock()
+    pad = Pad(clock)
+    pad.queue(0, report(NONE, 0, 0))
+    with open_keys(KeysSpec(0x1209, 0x4B46), wired(clock, hidraw=pad)) as keys:
+        assert keys.health().ok
+
+
+def test_a_board_is_opened_at_its_port_with_the_clock_of_the_wires() -> None:
+    far = FarEnd()
+    try:
+        with open_board(BoardSpec(far.url), wired(MonotonicClock())) as board:
+            assert board.vsync().count == 300
+    finally:
+        far.unplug()
+
+
+def test_outputs_are_opened_each_on_the_connector_of_its_own() -> None:
+    card = "/dev/dri/card0"
+    kernel = Kernel([Plug(1, 11, 1, [mode(128, 96)]), Plug(2, 10, 1, [mode(80, 48)])])
+    projector = OutputSpec(OutputKind.KMS, card, "HDMI-A-1", 128, 96, 60.0)
+    display = OutputSpec(OutputKind.KMS, card, "DP-1", 80, 48, 60.0)
+    with open_outputs(projector, display, KernelWires({card: [kernel]})) as outputs:  # type: ignore[arg-type]
+        lit: tuple[PatternProjector[Any], PictureDisplay[Any]] = outputs.open_projector(), outputs.open_display()
+        assert [one.size_px for one in lit] == [(128, 96), (80, 48)]
+
+
+def test_an_error_names_its_device_says_what_happened_and_what_to_do() -> None:
+    error = DeviceError("camera.left", "it is dark", "Take the cap off")
+    assert str(error) == "camera.left: it is dark. Take the cap off"
+    assert (error.device, error.message, error.remedy) == ("camera.left", "it is dark", "Take the cap off")
+
+
+def test_a_cameras_clock_lies_in_the_middle_of_the_question() -> None:
+    reading = ClockReading(camera_time_ns=1_000, host_sent_ns=5_000, host_received_ns=5_600)
+    assert reading.bracket_ns == 600
+    assert reading.offset_ns == 4_300

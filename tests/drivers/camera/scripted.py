@@ -140,7 +140,10 @@ class ScriptedCamera:
 
     def feature(self, name: str) -> float | str:
         """What the camera would work with: of an enumeration its symbol."""
-        (value,) = struct.unpack("<f" if name in FLOATS else "<I", self.get(ADDRESS[name], 4))
+        raw = self.get(ADDRESS[name], 4)
+        if name in FLOATS:
+            return float(struct.unpack("<f", raw)[0])
+        value = int.from_bytes(raw, "little")
         return CHOICES[name][value] if name in CHOICES else value
 
     # ---- the bus

@@ -324,7 +324,7 @@ def test_a_time_that_ran_out_is_known_by_its_kind_or_by_its_number() -> None:
         def late(*_: Any, error: usb.core.USBError = error) -> int:
             raise error
 
-        backend.bulk_read = late  # type: ignore[method-assign]
+        backend.bulk_read = late  # type: ignore[method-assign, assignment]
         with pytest.raises(TransferTimeout):
             camera.control().read(64, 0.1)
 
