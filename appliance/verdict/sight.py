@@ -2,7 +2,8 @@
 
 It is asked where decoding comes to nothing: a pixel needs 5 grey values of modulation, but the mean over a cell of some
 hundred pixels tells fringes of half a grey value from noise. Fringes across the baseline are the object's alone: a ray crosses
-many of them in the water, so that the water's light has none. Points are asked where they lie before any limit of depth.
+many of them in the water, so that the water's light has none. Points are asked where they lie before any limit of depth; where
+there are none, the fringes themselves (``sight_range``).
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from appliance.reconstruct.noise import CameraNoise, StereoNoise
 from appliance.reconstruct.quality import QualityLimits
 from appliance.reconstruct.table import Cloud
 from appliance.verdict.sight_glow import half_field, shape_of_glow
+from appliance.verdict.sight_range import find_depths_mm
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -37,9 +39,9 @@ LEAST_FRINGE_DN, FRINGE_SIGMAS = 0.4, 4.0
 """A cell shows fringes from this amplitude on, and from this many standard errors of its square."""
 ROUNDING_DN2 = 1.0 / 12.0
 MIN_POINTS = 40
-"""Fewer do not say where the object lies …"""
+"""Fewer do not say where the object lies; then windows of faint fringes do …"""
 ROUGHLY = 0.03
-"""… but for the parallax of the stripes, which is known so well."""
+"""… or the parallax of the stripes, which is known so well."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,8 +87,11 @@ def look(
         "object_percent": None if best.object_share is None else 100.0 * best.object_share,
         "glow_per_m": None if best.cells > 0.0 else shape_of_glow(both["left"].glow_dn, CELLS, rig, water_index),
     }
+    depth_mm = np.asarray(loose.points_mm[:, 2], np.float64)
+    if len(depth_mm) < MIN_POINTS:
+        depth_mm = find_depths_mm(frames, sequence, noise, rig, water_index) if best.cells > 0.0 else depth_mm[:0]
     by_parallax = None if parallax_percent is None else distance_of(parallax_percent, rig, water_index)
-    numbers |= _places(loose, limits, by_parallax)
+    numbers |= _places(depth_mm, limits, by_parallax)
     return Verdict(NAME, None, numbers, _text(numbers))
 
 
@@ -138,10 +143,9 @@ def distance_of(parallax_percent: float, rig: StereoRig, water_index: float) -> 
     return 1.0 / inverse if inverse > 0.0 else None
 
 
-def _places(loose: Cloud, limits: QualityLimits, by_parallax_mm: float | None) -> dict[str, float | None]:
-    """By points; by parallax alone only where it is far outside."""
-    depth_mm = loose.points_mm[:, 2]
-    if len(depth_mm) < MIN_POINTS:
+def _places(depth_mm: Array, limits: QualityLimits, by_parallax_mm: float | None) -> dict[str, float | None]:
+    """By points or windows; by parallax alone only where it is far outside."""
+    if not len(depth_mm):
         near = by_parallax_mm is not None and by_parallax_mm < (1.0 - ROUGHLY) * limits.min_depth_mm
         far = by_parallax_mm is not None and by_parallax_mm > (1.0 + ROUGHLY) * limits.max_depth_mm
         if not near and not far:
