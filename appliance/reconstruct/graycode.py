@@ -23,7 +23,7 @@ def threshold(
     """The middle between bright and dark, rounded up, and 1 where they differ too little; arrays (n,) uint8."""
     for i in range(middle.size):
         middle[i] = np.uint8((np.uint16(bright[i]) + np.uint16(dark[i]) + np.uint16(1)) >> np.uint16(1))
-        contrast = np.uint8(bright[i] - dark[i])
+        contrast = np.uint8(np.int16(bright[i]) - np.int16(dark[i]))
         mask[i] = _SHADOW if (bright[i] < dark[i]) | (contrast < min_contrast_dn) else _ZERO
 
 

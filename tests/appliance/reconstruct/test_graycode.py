@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 
 from appliance.reconstruct.graycode import add_bit, number_half_periods, threshold
@@ -11,7 +13,9 @@ def test_the_threshold_is_the_middle_rounded_up_and_too_little_contrast_is_shado
     bright = np.array([255, 101, 100, 20, 19, 10, 9, 0, 255], np.uint8)
     dark = np.array([0, 100, 100, 10, 10, 20, 10, 0, 254], np.uint8)
     middle, mask = np.zeros(9, np.uint8), np.full(9, 9, np.uint8)
-    threshold.py_func(bright, dark, np.uint8(10), middle, mask)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # no grey value may leave its range on the way
+        threshold.py_func(bright, dark, np.uint8(10), middle, mask)
     assert middle.tolist() == [128, 101, 100, 15, 15, 15, 10, 0, 255]
     assert mask.tolist() == [0, 1, 1, 0, 1, 1, 1, 1, 1], (
         "ten grey values are enough, nine are not, and none is negative"

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 import resource
 import signal
 import struct
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -118,6 +120,14 @@ def test_points_that_are_not_finite_and_lengths_that_differ_are_refused() -> Non
     short = StoredCloud(cloud(5).points_mm, cloud(4).intensity, sigma, sigma, sigma)
     with pytest.raises(ValueError, match=r"intensity has shape \(4,\)"):
         encode_ply(short)
+
+
+@pytest.mark.parametrize("shape", [(5, 2), (5, 4), (5,), (5, 3, 1)])
+def test_points_that_are_not_three_coordinates_each_are_refused_with_their_shape(shape: tuple[int, ...]) -> None:
+    whole = cloud(5)
+    flat = replace(whole, points_mm=np.zeros(shape, np.float32))
+    with pytest.raises(ValueError, match=re.escape(f"points_mm has shape {shape}; (n, 3) is needed")):
+        encode_ply(flat)
 
 
 def test_a_million_points_cost_little_cpu() -> None:
