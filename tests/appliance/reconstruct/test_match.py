@@ -40,13 +40,15 @@ def bent(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return p + 0.004 * (u - 80.0) ** 2 - 0.002 * (v - 60.0) ** 2, q + 0.003 * (v - 60.0) ** 2 + 0.001 * (u - 80.0) ** 2
 
 
-def maps_of(surface: Surface, holes: tuple[slice, slice] | None = None) -> RightMaps:
+def maps_of(
+    surface: Surface, holes: tuple[slice, slice] | None = None, projector: tuple[int, int] = PROJECTOR
+) -> RightMaps:
     v, u = np.mgrid[0:HEIGHT, 0:WIDTH].astype(float)
     p, q = surface(u, v)
     if holes is not None:
         p[holes], q[holes] = np.nan, np.nan
     modulation = (100 + (u + 2 * v) % 100).astype(np.uint8)
-    right = right_maps(p.astype(np.float32), q.astype(np.float32), modulation, *PROJECTOR)
+    right = right_maps(p.astype(np.float32), q.astype(np.float32), modulation, *projector)
     fill_inverse_map(right, 1)
     return right
 
@@ -197,7 +199,7 @@ def test_across_a_step_and_beyond_the_image_there_is_no_match() -> None:
         p, q = sheared(u, v)
         return p + np.where(u > 80.5, 120.0, 0.0), q
 
-    right = maps_of(steps)
+    right = maps_of(steps, projector=(640, 384))
     hidden_p, hidden_q = sheared(np.full(9, 80.5), np.linspace(30.0, 80.0, 9))
     row = Row(right, lambda u, v: (hidden_p + 60.0, hidden_q), np.zeros(9), np.zeros(9))
     assert not row.matched.any()
