@@ -136,3 +136,140 @@ def test_lattices_that_do_not_belong_together_are_refused() -> None:
     for other in (RayLattice(left.plane_z_mm + 1.0, left.step_px, left.nodes), RayLattice(PLANE_MM, 7, left.nodes)):
         with pytest.raises(ValueError, match="differ in step or plane"):
             rays_of(left, other, 400)
+
+
+STEP_PX = 4
+"""Between the nodes of made-up lattices."""
+LEFT_RAY = np.array([5.0, 1.0, 500.0]), np.array([0.2, 0.1, 1.0])
+
+
+def made_up(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Rays (..., 4) of a right camera: x0, y0, sx, sy, bent far more than those of any lens."""
+    x = 40.0 - 0.3 * u + 0.05 * v + 1e-3 * u * u - 2e-3 * u * v + 3e-3 * v * v
+    y = 2.0 + 0.1 * u + 0.2 * v - 2e-3 * u * u + 1e-3 * u * v + 2e-3 * v * v
+    sx = -0.4 + 1e-3 * u - 2e-3 * v + 1e-5 * u * u + 2e-5 * u * v - 1e-5 * v * v
+    sy = 0.1 - 2e-3 * u + 1e-3 * v - 1e-5 * u * u + 1e-5 * u * v + 2e-5 * v * v
+    return np.stack([x, y, sx, sy], -1)
+
+
+def made_up_rays(width: int = 96, height: int = 64) -> Rays:
+    j, i = np.mgrid[0 : (height - 1) // STEP_PX + 2, 0 : (width - 1) // STEP_PX + 2].astype(float)
+    right = RayLattice(500.0, STEP_PX, made_up(STEP_PX * i, STEP_PX * j).astype(np.float32))
+    (origin, slope), shape = LEFT_RAY, (*j.shape, 4)
+    constant = np.array([origin[0], origin[1], slope[0], slope[1]], np.float32)
+    return rays_of(RayLattice(500.0, STEP_PX, np.broadcast_to(constant, shape).copy()), right, width)
+
+
+def half_way(rays: np.ndarray) -> np.ndarray:
+    """Points (n, 3) half way between the left ray and the right ones (n, 4)."""
+    n = len(rays)
+    origin = np.column_stack([rays[:, :2], np.full(n, 500.0)])
+    left = np.tile(LEFT_RAY[0], (n, 1)), np.tile(LEFT_RAY[1], (n, 1))
+    a, b = met(left, (origin, np.column_stack([rays[:, 2:], np.ones(n)])))
+    return np.asarray(0.5 * (a + b))
+
+
+def first_order(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Rays (n, 4) as each point's nearest node and the slopes there have them."""
+    i, j = STEP_PX * np.floor(u / STEP_PX + 0.5), STEP_PX * np.floor(v / STEP_PX + 0.5)
+    h = 1e-4
+    by_u, by_v = (made_up(i + h, j) - made_up(i - h, j)) / (2 * h), (made_up(i, j + h) - made_up(i, j - h)) / (2 * h)
+    return np.asarray(made_up(i, j) + (u - i)[:, None] * by_u + (v - j)[:, None] * by_v)
+
+
+@pytest.mark.parametrize("stride", [1, 2])
+def test_at_the_borders_of_the_image_rays_are_as_good_as_inside(stride: int) -> None:
+    n = 16
+    along = np.linspace(0.0, 9.0, n)
+    for u, v in (
+        (0.3 + along, np.full(n, 30.0)),
+        (94.7 - along, np.full(n, 30.0)),
+        (np.full(n, 40.0), 0.3 + 0.4 * along),
+        (np.full(n, 40.0), 62.7 - 0.4 * along),
+        (94.7 - along, np.full(n, 62.7)),
+        (0.3 + along, np.full(n, 0.3)),
+    ):
+        found = triangulated(made_up_rays(), 5, 3, stride, np.stack([u, v], -1))["xyz"]
+        wanted = half_way(made_up(u, v) if stride == 1 else first_order(u, v))
+        np.testing.assert_allclose(found, wanted, atol=5e-4)
+        if stride == 1:
+            assert np.abs(half_way(first_order(u, v)) - wanted).max() > 1e-3, "a block's node has second order as well"
+
+
+@pytest.mark.parametrize(("axis", "limit_px"), [(0, 16.0), (1, 8.0)])
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("place", [0, 3, 15])
+def test_beyond_its_limit_a_block_is_given_up_and_each_point_asks_its_own_node(
+    axis: int, limit_px: float, sign: int, place: int
+) -> None:
+    uv = np.tile([40.0, 32.0], (32, 1)) + np.array([1.3, 0.8])
+    for away_px, series in ((limit_px - 0.5, True), (limit_px + 0.5, False)):
+        asked = uv.copy()
+        asked[place, axis] = (40.0, 32.0)[axis] + sign * away_px
+        found = triangulated(made_up_rays(), 5, 3, 1, asked)["xyz"]
+        exact, alone = half_way(made_up(*asked.T)), half_way(first_order(*asked.T))
+        assert np.abs(exact - alone)[:16].max() > 2e-3
+        np.testing.assert_allclose(found[:16], (exact if series else alone)[:16], atol=5e-4)
+        np.testing.assert_allclose(found[16:], exact[16:], atol=5e-4, err_msg="the next block is its own")
+
+
+@pytest.mark.parametrize("stride", [1, 2])
+@pytest.mark.parametrize("falling", [1.0, -1.0])
+def test_an_error_counts_by_the_shift_of_the_right_ray_at_the_points_own_depth(stride: int, falling: float) -> None:
+    """Rays in one plane, whose shift per px grows with the depth; a mirrored camera errs by as much."""
+    _, i = np.mgrid[0:8, 0:26].astype(float)
+    u = STEP_PX * i
+    nodes = np.stack([50.0 + falling * 0.1 * u, 0.0 * u, -0.4 + falling * 2e-3 * u, 0.0 * u], -1)
+    left = np.broadcast_to(np.array([0.0, 0.0, 0.3, 0.0], np.float32), nodes.shape).copy()
+    rays = rays_of(RayLattice(500.0, STEP_PX, left), RayLattice(500.0, STEP_PX, nodes.astype(np.float32)), 96)
+    at = 40.0 + np.linspace(0.0, 6.0, 16)
+    found = triangulated(rays, 2, 0, stride, np.column_stack([at, np.full(16, 8.0)]))
+
+    def depth_mm(u: np.ndarray) -> np.ndarray:
+        return np.asarray((50.0 + falling * 0.1 * u) / (0.3 - (-0.4 + falling * 2e-3 * u)))
+
+    moved_mm = np.abs(depth_mm(at + SIGMA_PX) - depth_mm(at - SIGMA_PX)) / 2.0 * np.hypot(1.0, 0.3)
+    np.testing.assert_allclose(found["xyz"][:, 2], 500.0 + depth_mm(at), rtol=1e-5)
+    np.testing.assert_allclose(found["sigma"][:, 0], moved_mm, rtol=2e-3)
+
+
+def test_left_rays_between_the_nodes_are_read_in_proportion_in_both_directions() -> None:
+    """A left lattice that is straight in column and row: at every pixel its ray is known."""
+    j, i = np.mgrid[0:12, 0:26].astype(float)
+    u, v = STEP_PX * i, STEP_PX * j
+    nodes = np.stack([0.5 * u + 0.1 * v, 0.2 * v - 0.1 * u, 0.3 + 1e-3 * u - 2e-3 * v, 1e-3 * v + 2e-3 * u], -1)
+    right = np.broadcast_to(np.array([60.0, 1.0, -0.4, 0.1], np.float32), nodes.shape).copy()
+    rays = rays_of(RayLattice(500.0, STEP_PX, nodes.astype(np.float32)), RayLattice(500.0, STEP_PX, right), 97)
+    for y, first, stride in ((0, 0, 1), (5, 3, 1), (43, 81, 1), (7, 1, 3), (42, 0, 5)):
+        columns = first + stride * np.arange(16.0)
+        found = triangulated(rays, y, first, stride, np.full((16, 2), 8.0))
+        n = len(columns)
+        origin = np.column_stack([0.5 * columns + 0.1 * y, 0.2 * y - 0.1 * columns, np.full(n, 500.0)])
+        slope = np.column_stack([0.3 + 1e-3 * columns - 2e-3 * y, 1e-3 * y + 2e-3 * columns, np.ones(n)])
+        far = np.tile([60.0, 1.0, 500.0], (n, 1)), np.tile([-0.4, 0.1, 1.0], (n, 1))
+        on_left, on_right = met((origin, slope), far)
+        np.testing.assert_allclose(found["xyz"], 0.5 * (on_left + on_right), atol=2e-3)
+        np.testing.assert_allclose(found["gap"][:, 0], np.linalg.norm(on_left - on_right, axis=1), atol=1e-3)
+
+
+@pytest.mark.parametrize("stride", [1, 2])
+@pytest.mark.parametrize("wild", [1e9, -1e9, np.inf, -np.inf])
+def test_a_row_that_means_nothing_where_there_is_no_match_leads_nowhere(stride: int, wild: float) -> None:
+    """Only U is NaN without a match; V may be anything."""
+    uv = np.column_stack([40.0 + 0.3 * np.arange(32), np.full(32, 30.2)])
+    uv[[8, 20], 0], uv[[8, 20], 1] = np.nan, wild
+    found = triangulated(made_up_rays(), 5, 3, stride, uv)["xyz"]
+    assert np.flatnonzero(np.isnan(found).any(axis=1)).tolist() == [8, 20]
+    there = np.isfinite(uv[:, 0])
+    # A block with such a place is given up: each of its points asks its own node.
+    np.testing.assert_allclose(found[there], half_way(first_order(*uv[there].T)), atol=5e-4)
+
+
+def test_of_two_images_the_left_one_is_asked_up_to_its_last_column() -> None:
+    rays = made_up_rays(width=97)
+    assert rays.left.shape == (4, 17, 97)
+    assert rays.right.shape == (17, 26, 24)
+    assert rays.left.dtype == rays.right.dtype == np.float32
+    assert float(rays.plane_z_mm) == 500.0
+    assert rays.step_px == STEP_PX
+    assert np.isfinite(rays.left).all()

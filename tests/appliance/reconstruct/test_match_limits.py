@@ -1,0 +1,416 @@
+"""Correspondence at its limits: how far a step may lead, the borders of the image, steep, flat and strongly bent maps.
+
+A match is found in one of three ways, which must mean the same: from the inverse map, from the row above, and one by one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from appliance.reconstruct.match import RightMaps, fill_inverse_map, match_row, right_maps
+from appliance.reconstruct.scratch import (
+    BEND_RIGHT,
+    MODULATION_RIGHT,
+    RIGHT_SHARE,
+    SIZE,
+    SLOPE,
+    U_START,
+    UP,
+    UQ,
+    V_START,
+    VP,
+    VQ,
+    P,
+    Q,
+    U,
+    V,
+)
+
+Surface = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+PROJECTOR = (520, 384)
+WAYS = ("inverse map", "row above", "one by one")
+NODE_PX = 10
+"""Pattern px between nodes: as many px of these small images as a large one has."""
+
+
+def straight(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return 60.0 + 2.5 * u + 0.3 * v, 50.0 - 0.2 * u + 2.2 * v
+
+
+def maps_of(surface: Surface, width: int = 64, height: int = 48, missing: np.ndarray | None = None) -> RightMaps:
+    v, u = np.mgrid[0:height, 0:width].astype(float)
+    p, q = surface(u, v)
+    if missing is not None:
+        p[missing], q[missing] = np.nan, np.nan
+    half_dn = (100 + (3 * u + 7 * v) % 100).astype(np.uint8)
+    nodes = np.zeros((PROJECTOR[1] // NODE_PX + 4, PROJECTOR[0] // NODE_PX + 4), np.uint32)
+    right = right_maps(p.astype(np.float32), q.astype(np.float32), half_dn, *PROJECTOR)
+    right = right._replace(inverse=nodes, nodes_per_px=np.float32(1.0 / NODE_PX))
+    fill_inverse_map(right, 1)
+    return right
+
+
+class Row:
+    """Points asked for, (n,), and what the matching wrote for them; ``above`` is a scratch row, None the inverse map."""
+
+    def __init__(self, right: RightMaps, p_px: np.ndarray, q_px: np.ndarray, above: np.ndarray | None = None) -> None:
+        self.n = len(p_px)
+        self.s = np.full(SIZE, np.nan, np.float32)
+        self.s[P : P + self.n], self.s[Q : Q + self.n] = p_px, q_px
+        before = self.s if above is None else above
+        match_row(right, before, self.s, self.n, above is not None, np.empty(self.n, np.int32))
+
+    def __getitem__(self, place: int) -> np.ndarray:
+        values: np.ndarray = self.s[place : place + self.n].astype(float)
+        return values
+
+    @property
+    def matched(self) -> list[bool]:
+        found: list[bool] = np.isfinite(self[U]).tolist()
+        return found
+
+
+def asked(right: RightMaps, surface: Surface, u: np.ndarray, v: np.ndarray, way: str) -> Row:
+    """The points (u, v) of a surface, found in one of three ways."""
+    p, q = surface(np.asarray(u, float), np.asarray(v, float))
+    if way == "inverse map":
+        return Row(right, p, q)
+    above = np.full(SIZE, np.nan, np.float32)
+    if way == "one by one":  # nothing is known of the row above, so that the short way fails everywhere
+        return Row(right, p, q, above)
+    n = len(p)
+    above[P : P + n], above[Q : Q + n], above[U : U + n], above[V : V + n] = p, q, u, v
+    for place in (UP, UQ, VQ, VP):
+        above[place : place + n] = 0.0
+    return Row(right._replace(inverse=np.zeros_like(right.inverse)), p, q, above)
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("bends", [(1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1), (1, -1, -1, 1)])
+def test_a_strong_bend_of_either_coordinate_in_either_direction_is_followed(
+    way: str, bends: tuple[int, int, int, int]
+) -> None:
+    puu, pvv, quu, qvv = 0.05 * np.array(bends)
+
+    def bent(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        a, b = u - 12.0, v - 12.0
+        p, q = straight(a, b)
+        return p + 0.5 * (puu * a * a + pvv * b * b), q + 0.5 * (quu * a * a + qvv * b * b)
+
+    right = maps_of(bent, 24, 24)
+    du, dv = (x.ravel() for x in np.meshgrid([-0.45, -0.2, 0.1, 0.4], [-0.4, -0.1, 0.2, 0.45]))
+    u, v = 12.0 + du, 13.0 + dv
+    row = asked(right, bent, u, v, way)
+    # Straight on, they would be 0.5 · 0.45² · 0.05 / 2.2 = 0.0023 px off.
+    np.testing.assert_allclose(row[U], u, atol=4e-4)
+    np.testing.assert_allclose(row[V], v, atol=4e-4)
+    np.testing.assert_allclose(row[BEND_RIGHT], 0.5 * (puu + pvv), atol=1e-4)
+    np.testing.assert_allclose(row[SLOPE], 2.5, atol=1e-3)
+    weights = [1 - du**2 - dv**2, (du**2 + du) / 2, (du**2 - du) / 2, (dv**2 + dv) / 2, (dv**2 - dv) / 2]
+    np.testing.assert_allclose(row[RIGHT_SHARE], sum(w**2 for w in weights), atol=0.01)
+    np.testing.assert_allclose(row[MODULATION_RIGHT], 0.5 * float(right.modulation_half_dn[13, 12]))
+    slopes = np.array([[2.5, 0.3 + pvv], [-0.2, 2.2 + qvv]])
+    inverse = np.linalg.inv(slopes)
+    for place, value in (
+        (UP, inverse[0, 0]),
+        (UQ, -inverse[0, 1]),
+        (VQ, inverse[1, 1]),
+        (VP, -inverse[1, 0]),
+    ):
+        np.testing.assert_allclose(row[place], value, atol=1e-3)
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize(
+    ("pixel", "du", "dv"),
+    [
+        ((1, 20), -1, 0),
+        ((62, 20), 1, 0),
+        ((30, 1), 0, -1),
+        ((30, 46), 0, 1),
+        ((1, 1), -1, -1),
+        ((62, 46), 1, 1),
+    ],
+)
+def test_three_quarters_of_a_pixel_beyond_the_last_with_neighbours_there_is_still_a_match(
+    way: str, pixel: tuple[int, int], du: int, dv: int
+) -> None:
+    right = maps_of(straight)
+    right.inverse[:, :] = pixel[1] << 16 | pixel[0]
+    for away_px, found in ((0.3, True), (0.7, True), (0.8, False)):
+        u, v = pixel[0] + du * np.array([away_px]), pixel[1] + dv * np.array([away_px])
+        row = asked(right, straight, u, v, way)
+        assert row.matched == [found], away_px
+        if found:
+            assert (row[U][0], row[V][0]) == pytest.approx((u[0], v[0]), abs=1e-4)
+            assert row[MODULATION_RIGHT][0] == 0.5 * float(right.modulation_half_dn[pixel[1], pixel[0]])
+        if way != "one by one":
+            assert (row[U_START][0], row[V_START][0]) == pixel, "whose neighbours are in the image"
+
+
+@pytest.mark.parametrize(
+    ("start", "du", "dv"), [((3, 20), -1, 0), ((60, 20), 1, 0), ((30, 3), 0, -1), ((30, 44), 0, 1)]
+)
+def test_a_walk_goes_as_far_as_the_last_pixel_that_has_neighbours_and_no_farther(
+    start: tuple[int, int], du: int, dv: int
+) -> None:
+    right = maps_of(straight)
+    right.inverse[:, :] = start[1] << 16 | start[0]
+    for away_px, found in ((1.9, True), (2.4, True), (2.6, False)):
+        u, v = start[0] + du * np.array([away_px]), start[1] + dv * np.array([away_px])
+        assert asked(right, straight, u, v, "one by one").matched == [found], away_px
+
+
+@pytest.mark.parametrize(
+    ("pixel", "du", "dv"), [((29, 25), 1, 0), ((40, 25), -1, 0), ((35, 19), 0, 1), ((35, 30), 0, -1)]
+)
+def test_three_quarters_of_a_pixel_into_a_hole_there_is_still_a_match_beside_it(
+    pixel: tuple[int, int], du: int, dv: int
+) -> None:
+    hole = np.zeros((48, 64), bool)
+    hole[20:30, 30:40] = True
+    right = maps_of(straight, missing=hole)
+    right.inverse[:, :] = pixel[1] << 16 | pixel[0]
+    for away_px, found in ((0.7, True), (0.8, False)):
+        u, v = pixel[0] + du * np.array([away_px]), pixel[1] + dv * np.array([away_px])
+        row = asked(right, straight, u, v, "one by one")
+        assert row.matched == [found], away_px
+        if found:
+            assert (row[U][0], row[V][0]) == pytest.approx((u[0], v[0]), abs=1e-4)
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize(("off_px", "found"), [(0.7, True), (0.8, False)])
+def test_the_row_above_may_be_off_by_three_quarters_of_a_pixel(
+    axis: int, sign: int, off_px: float, found: bool
+) -> None:
+    """It leads to a pixel that is so far from the point; the inverse map knows nothing."""
+    right = maps_of(straight)
+    right.inverse[:, :] = 0
+    place = np.array([[30.0], [20.0]])
+    place[axis] -= sign * off_px
+    p, q = straight(place[0], place[1])
+    above = np.full(SIZE, np.nan, np.float32)
+    above[P], above[Q], above[U], above[V] = p[0], q[0], 30.0, 20.0
+    for derivative in (UP, UQ, VQ, VP):
+        above[derivative] = 0.0
+    row = Row(right, p, q, above)
+    assert row.matched == [found]
+    assert (row[U_START][0], row[V_START][0]) == (30.0, 20.0)
+
+
+@pytest.mark.parametrize(("du", "dv"), [(1, 0), (-1, 0), (0, 1), (0, -1), (-1, 1)])
+def test_the_short_way_from_the_inverse_map_leads_four_pixels_and_a_walk_nine_and_three_quarters(
+    du: int, dv: int
+) -> None:
+    right = maps_of(straight)
+    for away_px, short, found in ((3.8, True, True), (4.2, False, True), (9.7, False, True), (9.8, False, False)):
+        u, v = np.array([32.0 + du * away_px]), np.array([24.0 + dv * away_px])
+        right.inverse[:, :] = 24 << 16 | 32
+        p, q = straight(u, v)
+        row = Row(right, p, q)
+        assert row.matched == [found], away_px
+        near = abs(row[U_START][0] - u[0]) <= 0.5 and abs(row[V_START][0] - v[0]) <= 0.5
+        assert near == short, away_px
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("signs", [(1, 1, 1, 1), (-1, 1, 1, 1), (1, -1, 1, 1), (1, 1, -1, 1), (1, 1, 1, -1)])
+def test_steepness_is_the_sum_of_all_four_slopes_whichever_way_they_lean(
+    way: str, signs: tuple[int, int, int, int]
+) -> None:
+    """A mirrored picture too has its matches."""
+    pu, pv, qu, qv = np.array([2.0, 0.4, 0.3, 1.8]) * signs
+
+    def leaning(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return 250.0 + pu * (u - 32.0) + pv * (v - 24.0), 190.0 + qu * (u - 32.0) + qv * (v - 24.0)
+
+    right = maps_of(leaning)
+    u, v = np.array([20.2, 33.4, 45.1]), np.array([15.3, 24.4, 33.1])
+    for limit, found in ((4.6, True), (4.4, False)):
+        row = asked(right._replace(max_derivative_sum_px=np.float32(limit)), leaning, u, v, way)
+        assert row.matched == [found] * 3, limit
+        if found:
+            np.testing.assert_allclose(row[U], u, atol=2e-4)
+            np.testing.assert_allclose(row[V], v, atol=2e-4)
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("mirrored", [1.0, -1.0])
+@pytest.mark.parametrize(("area", "found"), [(1.1e-4, True), (0.9e-4, False)])
+def test_a_pixel_that_covers_next_to_nothing_of_the_pattern_is_no_match(
+    way: str, mirrored: float, area: float, found: bool
+) -> None:
+    def flat(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return 1.0 + mirrored * 0.02 * (u - 32.0), area / 0.02 * v
+
+    right = maps_of(flat)
+    right.inverse[:, :] = 24 << 16 | 32
+    row = asked(right, flat, np.array([32.2]), np.array([24.1]), way)
+    assert row.matched == [found]
+
+
+def exact(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Slopes whose steps have no rounding error."""
+    return 64.0 + 2.0 * u, 32.0 + 2.0 * v
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_what_is_just_as_steep_as_allowed_is_a_match_and_what_has_just_no_area_is_none(way: str) -> None:
+    right = maps_of(exact)
+    at = np.array([32.25]), np.array([24.25])
+    assert asked(right._replace(max_derivative_sum_px=np.float32(4.0)), exact, *at, way).matched == [True]
+    least = float(np.float32(1e-4))
+
+    def flat(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return least * (u - 32.0), v
+
+    right = maps_of(flat)
+    right.inverse[:, :] = 24 << 16 | 32
+    assert asked(right, flat, np.array([32.0]), np.array([24.0]), way).matched == [False]
+
+
+@pytest.mark.parametrize(("du", "dv"), [(1, 0), (-1, 0), (0, 1), (0, -1)])
+def test_a_step_of_just_the_length_that_is_allowed_is_taken(du: int, dv: int) -> None:
+    right = maps_of(exact)
+    right.inverse[:, :] = 24 << 16 | 32
+    far = Row(right, *exact(np.array([32.0 + 4.0 * du]), np.array([24.0 + 4.0 * dv])))
+    assert (far[U_START][0], far[V_START][0]) == (32.0 + 4.0 * du, 24.0 + 4.0 * dv)
+    u, v = np.array([32.0 + 0.75 * du]), np.array([24.0 + 0.75 * dv])
+    above = np.full(SIZE, np.nan, np.float32)
+    above[P], above[Q] = (float(one[0]) for one in exact(u, v))
+    above[U], above[V] = 32.0, 24.0
+    above[[UP, UQ, VQ, VP]] = 0.0
+    right.inverse[:, :] = 0
+    assert Row(right, *exact(u, v), above).matched == [True]
+    edge = (62 if du > 0 else 1 if du < 0 else 30), (46 if dv > 0 else 1 if dv < 0 else 20)
+    right.inverse[:, :] = edge[1] << 16 | edge[0]
+    last = np.array([edge[0] + 0.75 * du]), np.array([edge[1] + 0.75 * dv])
+    assert asked(right, exact, *last, "one by one").matched == [True], "of the last pixel that has neighbours"
+
+
+def alone(pixels: list[tuple[int, int]]) -> RightMaps:
+    """An image in which only these pixels (column, row) have coordinates."""
+    missing = np.ones((48, 64), bool)
+    for x, y in pixels:
+        missing[y, x] = False
+    return maps_of(straight, missing=missing)
+
+
+@pytest.mark.parametrize("pixel", [(1, 1), (62, 46), (1, 46), (62, 1), (30, 20)])
+def test_the_inverse_map_knows_every_pixel_that_has_four_neighbours_in_the_image(pixel: tuple[int, int]) -> None:
+    x, y = pixel
+    inverse = alone([pixel]).inverse
+    p, q = straight(np.array(x), np.array(y))
+    i, j = int(p / NODE_PX + 1.5), int(q / NODE_PX + 1.5)
+    known = y * 65536 + x
+    assert inverse[j, i] == known
+    beside = [(j, i - 1), (j, i + 1), (j - 1, i), (j + 1, i)]
+    inner = [(b, a) for b, a in beside if 1 <= a < inverse.shape[1] - 1 and 1 <= b < inverse.shape[0] - 1]
+    assert len(inner) >= 2
+    assert {int(inverse[b, a]) for b, a in inner} == {known}, "an empty node asks those on all four sides"
+    assert j < 2 or i < 2 or inverse[j - 1, i - 1] == 0, "once"
+
+
+@pytest.mark.parametrize(("near", "node"), [(True, (2, 2)), (False, (52, 39))])
+def test_the_first_and_the_last_nodes_of_the_pattern_ask_their_neighbours_too(
+    near: bool, node: tuple[int, int]
+) -> None:
+    """What rounds to the node before the first or behind the last one is searched from there."""
+    i, j = node
+    p, q = (8.0, 7.0) if near else (508.0, 378.0)
+
+    def corner(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return p + 2.5 * (u - 30.0), q + 2.2 * (v - 20.0)
+
+    missing = np.ones((48, 64), bool)
+    missing[20, 30] = False
+    inverse = maps_of(corner, missing=missing).inverse
+    assert inverse.shape == (42, 56)
+    for b, a in ((j, i), (j, i + 1), (j + 1, i), (j - 1, i), (j, i - 1)):
+        assert inverse[b, a] == 20 << 16 | 30, (b, a)
+
+
+def test_an_empty_node_asks_the_one_next_to_it_and_none_farther_away() -> None:
+    """Three nodes one below the other: two pixels, and none for the third."""
+    inverse = alone([(30, 20), (30, 24)]).inverse
+    p, q = straight(np.array([30, 30]), np.array([20, 24]))
+    i, j = (p / NODE_PX + 1.5).astype(int), (q / NODE_PX + 1.5).astype(int)
+    assert (i[1], j[1]) == (i[0], j[0] + 1)
+    assert inverse[j[0], i[0]] == 20 << 16 | 30
+    assert inverse[j[1], i[0]] == inverse[j[1] + 1, i[0]] == 24 << 16 | 30
+
+
+def test_a_missing_coordinate_looks_up_nothing_and_the_others_are_found() -> None:
+    u, v = np.array([20.2, 30.3, 40.4]), np.array([15.1, 25.2, 35.3])
+    right = maps_of(straight)
+    p, q = straight(u, v)
+    p[1], q[1] = np.nan, np.nan
+    row = Row(right, p, q)
+    assert row.matched == [True, False, True]
+    np.testing.assert_allclose(row[U][[0, 2]], u[[0, 2]], atol=1e-4)
+
+
+@pytest.mark.parametrize("pixel", [(0, 20), (63, 20), (30, 0), (30, 47)])
+def test_pixels_at_the_edge_of_the_image_start_no_search(pixel: tuple[int, int]) -> None:
+    assert not alone([pixel]).inverse.any()
+
+
+def test_the_inverse_map_forgets_the_scan_before() -> None:
+    right = maps_of(straight)
+    assert right.inverse.any()
+    right.p_px[:], right.q_px[:] = np.nan, np.nan
+    fill_inverse_map(right, 1)
+    assert not right.inverse.any()
+
+
+def search_from(starts: dict[tuple[int, int], tuple[int, int]]) -> list[bool]:
+    """Whether a point at (40.2, 30.1) is found when of the nodes around its own only those at (right, down) know a pixel.
+
+    Pixel (10, 10) is one without neighbours: a walk from it is lost.
+    """
+    missing = np.zeros((48, 64), bool)
+    missing[8:13, 8:13] = True
+    missing[10, 10] = False
+    right = maps_of(straight, missing=missing)
+    right.inverse[:, :] = 0
+    p, q = straight(np.array([40.2]), np.array([30.1]))
+    i, j = int(p[0] / NODE_PX + 1.5), int(q[0] / NODE_PX + 1.5)
+    for (a, b), (x, y) in starts.items():
+        right.inverse[j + b, i + a] = y << 16 | x
+    return Row(right, p, q, np.full(SIZE, np.nan, np.float32)).matched
+
+
+GOOD, LOST = (39, 31), (10, 10)
+HERE, RIGHT, LEFT, BELOW, ABOVE = (0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)
+
+
+@pytest.mark.parametrize("side", [RIGHT, LEFT, BELOW, ABOVE])
+def test_what_is_lost_from_its_own_node_is_tried_once_more_from_a_neighbouring_one(side: tuple[int, int]) -> None:
+    assert search_from({HERE: GOOD}) == [True]
+    assert search_from({HERE: LOST}) == [False]
+    assert search_from({HERE: LOST, side: GOOD}) == [True]
+    assert search_from({side: GOOD}) == [True], "its own node knows nothing"
+    assert search_from({(2 * side[0], 2 * side[1]): GOOD}) == [False], "only the nearest neighbours are asked"
+
+
+def test_a_search_is_given_up_after_two_walks() -> None:
+    assert search_from({HERE: LOST, RIGHT: LOST, LEFT: GOOD}) == [True], "the same pixel is not tried again"
+    assert search_from({RIGHT: LOST, LEFT: GOOD}) == [True]
+    assert search_from({HERE: LOST, RIGHT: (9, 9), LEFT: GOOD}) == [False]
+
+
+@pytest.mark.parametrize(
+    ("width_px", "node_px", "limit_px"),
+    [(3200, 2, 10.0), (1600, 2, 10.0), (1599, 3, 10.00625), (1000, 4, 16.0), (457, 8, 16000 / 457)],
+)
+def test_a_smaller_image_has_wider_nodes_and_may_be_steeper(width_px: int, node_px: int, limit_px: float) -> None:
+    empty = np.zeros((4, width_px), np.float32)
+    right = right_maps(empty, empty, np.zeros((4, width_px), np.uint8), 1024, 768)
+    assert float(right.nodes_per_px) == pytest.approx(1.0 / node_px)
+    assert right.inverse.shape == (768 // node_px + 4, 1024 // node_px + 4)
+    assert float(right.max_derivative_sum_px) == pytest.approx(limit_px)
