@@ -362,9 +362,10 @@ def test_addresses_have_64_bits() -> None:
     control.write(last, b"last")
     assert len(memory.commands) == 2
     for address, count in ((-1, 4), (last, 5), (1 << 64, 1)):
-        with pytest.raises(DeviceRefused, match="outside 64 bits"):
+        said = f"puts {count} bytes at {address:#x}, outside 64 bits"
+        with pytest.raises(DeviceRefused, match=said):
             control.read(address, count)
-        with pytest.raises(DeviceRefused, match="outside 64 bits"):
+        with pytest.raises(DeviceRefused, match=said):
             control.write(address, bytes(count))
     with pytest.raises(DeviceRefused, match="outside 64 bits"):
         control.read(0, -1)

@@ -183,7 +183,7 @@ REFUSED_BY = {
     ("way", "said"),
     [
         ("number", "Locked: cannot be read"),
-        ("set", "Locked: 1 refused, allowed"),
+        ("set", "Locked: 1 refused, allowed range unknown"),
         ("choice", "LockedMode: cannot be read"),
         ("choose", "LockedMode: On refused, allowed: "),
         ("execute", "LockedStart: cannot be executed"),

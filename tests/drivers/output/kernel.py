@@ -201,6 +201,7 @@ class Kernel:
     def ioctl(self, request: int, buffer: bytearray) -> None:
         with self._lock:
             number = request & 0xFF
+            assert not self.closed, "that descriptor may be somebody else's by now"
             assert request >> 30 == 3
             assert request >> 8 & 0xFF == ord("d")
             assert request >> 16 & 0x3FFF == len(buffer)

@@ -26,6 +26,34 @@ def test_the_nearest_refresh_rate_wins_over_the_preferred_mode() -> None:
     assert choose_mode("projector", SPEC, connector("HDMI-A-1", *modes)) is modes[1]
 
 
+@pytest.mark.parametrize(("hz", "fits"), [(58.99, False), (59.0, True), (61.0, True), (61.01, False)])
+def test_a_rate_may_be_one_hertz_off_and_no_more(hz: float, fits: bool) -> None:
+    plugged = connector("HDMI-A-1", mode(1024, 768, hz))
+    if fits:
+        assert choose_mode("projector", SPEC, plugged).refresh_hz == hz
+        return
+    with pytest.raises(DeviceRefused, match="no mode"):
+        choose_mode("projector", SPEC, plugged)
+
+
+def test_of_modes_as_near_the_preferred_one_wins() -> None:
+    modes = (mode(1024, 768, 59.5), mode(1024, 768, 60.5, preferred=True), mode(1024, 768, 60.5))
+    assert choose_mode("projector", SPEC, connector("HDMI-A-1", *modes)) is modes[1]
+
+
+@pytest.mark.parametrize("size", [(1024, 600), (1280, 768)])
+def test_a_size_that_is_half_right_is_wrong(size: tuple[int, int]) -> None:
+    with pytest.raises(DeviceRefused, match="no mode"):
+        choose_mode("projector", SPEC, connector("HDMI-A-1", mode(*size, 60.0)))
+
+
+def test_the_connector_of_that_name_is_taken_empty_or_not() -> None:
+    offered = [connector("DP-1"), connector("HDMI-A-1", connected=False)]
+    assert choose_connector("projector", SPEC, offered) is offered[1]
+    with pytest.raises(DeviceRefused, match="it has none"):
+        choose_connector("projector", SPEC, [])
+
+
 def test_a_mode_that_is_not_offered_lists_those_that_are() -> None:
     offers = (mode(1024, 768, 75.03), mode(1024, 768, 60.0, progressive=False), mode(800, 600, 60.32))
     with pytest.raises(DeviceRefused) as refused:

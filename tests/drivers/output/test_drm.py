@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from struct import Struct
+
 import pytest
 
 from drivers.output import drm
@@ -29,6 +31,11 @@ from drivers.output import drm
 )
 def test_request_numbers_are_those_a_compiler_makes(name: str, number: int) -> None:
     assert getattr(drm, f"IOCTL_{name}") == number
+
+
+def test_a_request_that_reads_and_writes_carries_its_size_letter_and_number() -> None:
+    assert drm.iowr(0x0C, Struct("<QQ")) == 0xC010640C
+    assert drm.iowr(0xB4, Struct("<I")) == 0xC00464B4
 
 
 def test_page_flip_bytes() -> None:
@@ -89,6 +96,27 @@ def test_a_stream_out_of_step_is_an_error_not_a_loop(data: bytes) -> None:
         drm.parse_events(data)
 
 
+def test_a_report_that_is_longer_than_ours_is_read_and_a_shorter_one_is_none() -> None:
+    longer = event(1, 5)[:4] + (40).to_bytes(4, "little") + event(1, 5)[8:] + bytes(8)
+    shorter = event(2, 6)[:4] + (24).to_bytes(4, "little") + event(2, 6)[8:24]
+    assert [flip.token for flip in drm.parse_events(longer + shorter + event(3, 7))] == [1, 3]
+    assert drm.parse_events(b"") == []
+
+
+@pytest.mark.parametrize(
+    ("flags", "progressive"), [(0, True), (0x0F, True), (0x10, False), (0x20, False), (0x40, True)]
+)
+def test_interlaced_and_doubled_modes_are_not_progressive(flags: int, progressive: bool) -> None:
+    mode = drm.Mode.unpack(XGA[:28] + flags.to_bytes(4, "little") + XGA[32:])
+    assert mode.progressive == progressive
+    assert str(mode) == f"1024×768 60.00 Hz{'' if progressive else ' interlaced'}"
+
+
+@pytest.mark.parametrize(("kind", "preferred"), [(0x40, False), (0x48, True), (0x08, True), (0x37, False)])
+def test_the_preferred_mode_is_known_by_its_bit(kind: int, preferred: bool) -> None:
+    assert drm.Mode.unpack(XGA[:32] + kind.to_bytes(4, "little") + XGA[36:]).preferred == preferred
+
+
 @pytest.mark.parametrize(
     ("kind", "count", "name"),
     [
@@ -97,6 +125,10 @@ def test_a_stream_out_of_step_is_an_error_not_a_loop(data: bytes) -> None:
         (15, 1, "Virtual-1"),
         (14, 1, "eDP-1"),
         (2, 1, "DVI-I-1"),
+        (0, 1, "Unknown-1"),
+        (1, 1, "VGA-1"),
+        (20, 1, "USB-1"),
+        (21, 1, "Unknown-1"),
         (99, 3, "Unknown-3"),
     ],
 )

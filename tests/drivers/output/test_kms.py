@@ -464,6 +464,7 @@ def test_reopening_after_the_card_was_away_opens_its_node_anew() -> None:
     wires = KernelWires({CARD: [before, after]})
     with Outputs(PROJECTOR, DISPLAY, wires) as outputs:  # type: ignore[arg-type]
         outputs.open_display()
+        outputs.open_projector()  # what is lit on the old node is given up with it
         before.pulled = True
         display = outputs.open_display()
         display.present(np.full((48, 80, 3), 7, np.uint8), 0.5)
