@@ -16,29 +16,10 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-
-class DeviceError(Exception):
-    """A device failed. ``device`` names it as in the rig file (``camera.left``), ``remedy`` says what to do."""
-
-    def __init__(self, device: str, message: str, remedy: str) -> None:
-        super().__init__(f"{device}: {message}. {remedy}")
-        self.device = device
-        self.message = message
-        self.remedy = remedy
-
-
-class DeviceGone(DeviceError):
-    """The device was unplugged or no longer answers; reopening it may help."""
-
-
-class CardGone(DeviceGone):
-    """Not only an output but its whole graphics card no longer answers: its node must be opened anew, and whatever was drawn
-    on it with GL is lost with it."""
-
-
-class DeviceRefused(DeviceError):
-    """The device works but refused the request (wrong value, busy, wrong state)."""
-
+from drivers.errors import CardGone as CardGone
+from drivers.errors import DeviceError as DeviceError
+from drivers.errors import DeviceGone as DeviceGone
+from drivers.errors import DeviceRefused as DeviceRefused
 
 # --------------------------------------------------------------------------------------------- time
 

@@ -7,7 +7,7 @@ adds itself here (``docs/adr/0031-wires-are-registered.md``).
 
 from __future__ import annotations
 
-from drivers.api import DeviceRefused
+from drivers.errors import DeviceRefused
 
 NATIVE = "drivers.native:open"
 REGISTERED = (NATIVE, "hw_sim.wires:open")

@@ -1,4 +1,4 @@
-"""The command ``kingfisher``: arguments only; every verb calls one function. See ``docs/cli.md``."""
+"""The command ``kingfisher``: a list of verbs, each of which declares its own arguments. See ``docs/cli.md``."""
 
 from appliance.cli.main import main
 

@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from appliance.calibration import file as calibration_file
-from appliance.calibration.method import Method
+from appliance.calibration.method import BY_SCANS, Method
+from appliance.cli.arguments import number, operand, option, separated, switch
 from appliance.cli.desk import place_of, whole_scan, writable, writing
 from appliance.cli.kernels import compile_desk_kernels
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json
-from appliance.config import Rig
-from appliance.service.origin import Wish, instrument_of, refuse_misfit, taken
+from appliance.cli.places import WithRoot
+from appliance.service.origin import instrument_of, refuse_misfit, taken
 from appliance.storage.atomic import replace_file
 from appliance.storage.calibrations import Calibrations, SessionError
 from appliance.storage.filesystem import LocalFileSystem
@@ -23,25 +24,104 @@ from appliance.storage.lock import hold_lock
 if TYPE_CHECKING:  # solvers are imported inside the verbs: `scans list` can do without
     from appliance.calibration.ladder import LadderSettings
 
+STEP_MM = number(0.01, 50.0, "mm")
 DEFAULT_OUT = Path("calibration-water.json")
 SCANS_CHECKED = 0.1
 """The part of the progress that comparing checksums gets."""
 
 
-@dataclass(frozen=True, slots=True)
-class WaterOptions:
-    """What was typed after ``calibrate water LIST``."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CalibrateWater(WithRoot):
+    """Calibrate from the list's scans; FAILED if an artefact was not found, after all else was done without it."""
 
-    method: str = Method.BA_SPLINE.value
-    start: Path | None = None
-    out: Path | None = None
-    published_flatness: bool = False
-    reach_mm: float | None = None
-    steps_mm: tuple[float, ...] | None = None
-    install: bool = False
+    list: Path = operand("LIST", "which artefact each scan shows, as for evaluate", parse=Path)
+    method: str = option(
+        "--method", "default: %(default)s", default=Method.BA_SPLINE.value, choices=[m.value for m in BY_SCANS]
+    )
+    start: Path | None = option("--start", "default: the instrument's calibration in air", parse=Path, metavar="FILE")
+    out: Path | None = option(
+        "--out", "the calibration; beside it FILE-report.html and .json", parse=Path, metavar="FILE"
+    )
+    install: bool = switch("--install", "use it from now on; the one of before is kept")
+    published_flatness: bool = switch("--published-flatness", "rm, rmd: flatness from the points, noise and all")
+    reach_mm: float | None = option(
+        "--reach-mm", "rm, rmd: search so far around the drawing", parse=STEP_MM, metavar="MM"
+    )
+    steps_mm: tuple[float, ...] | None = option(
+        "--steps-mm",
+        "rm, rmd: step widths, each around the best of the one before",
+        parse=separated(STEP_MM),
+        metavar="MM,MM",
+    )
+
+    def run(self) -> Exit:
+        wish = self.wish()
+        method = Method(self.method)
+        target = self.out or DEFAULT_OUT
+        page, data = (target.with_name(f"{target.stem}-report{ending}") for ending in (".html", ".json"))
+        for path in (target, page, data):
+            writable(path)
+        if self.install and method is Method.PAPER_RM_PRINTED:
+            raise UsageError(
+                f"--install: {method.value} is for comparison only and has no file; choose another --method"
+            )
+        if target.exists():
+            raise UsageError(f"--out {target}: exists already; a calibration is never replaced; give a new name")
+        if data.absolute() == self.list.absolute():
+            raise UsageError(f"--out {target}: {data} is the list itself; give another name")
+        compile_desk_kernels()  # before anything brings compiled kernels
+        from appliance.service.evaluation import ListError, read_list
+        from appliance.service.instrument import refuse_drawing, start_of
+        from appliance.service.water_calibration import check_list, run_water_calibration
+
+        try:
+            scans = read_list(self.list)
+            check_list(scans)
+        except ListError as error:
+            raise UsageError(str(error)) from error
+        made_at = datetime.now(UTC).isoformat(timespec="seconds")
+        with Progress() as progress:
+            sources = []
+            for k, entry in enumerate(scans.entries):
+                progress(f"comparing checksums of {entry.scan}", SCANS_CHECKED * k / len(scans.entries))
+                sources.append(taken(whole_scan(wish, place_of(self.list, entry.scan)), wish))
+
+            rig = instrument_of(sources, wish)
+            refuse_drawing(rig, self.start)
+            start = start_of(rig, self.start)
+            for source in sources:
+                refuse_misfit(start, f"start {self.start or rig.storage.root}", source, foreign=False, start=True)
+
+            def step(what: str, part: float) -> None:
+                progress(what, SCANS_CHECKED + (1.0 - SCANS_CHECKED) * part)
+
+            made = run_water_calibration(rig, scans, sources, start, method, made_at, step, self.settings())
+        content = made.as_json()
+        text = json_form.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+        files = {page: made.as_html().encode(), data: text.encode()}
+        if made.result.can_be_saved:
+            files[target] = calibration_file.encode(made.result.calibration)
+        for path, written in files.items():
+            with writing(path):
+                replace_file(LocalFileSystem(), path, written)
+        installed = self.install and not made.left_out
+        if installed:
+            with hold_lock(rig.storage.root):
+                Calibrations(rig.storage.root, rig.rig.serial).install(made.result.calibration, _day(made_at))
+        if self.json:
+            say_json({**content, "installed": installed})
+        else:
+            _tell(content, page, target if made.result.can_be_saved else None)
+            if self.install:
+                say(
+                    "installed; `kingfisher calibrate restore` undoes it"
+                    if installed
+                    else "not installed: scans are missing"
+                )
+        return Exit.FAILED if made.left_out else Exit.OK
 
     def settings(self) -> LadderSettings:
-        """Of the searches."""
+        """What the searches of rm and rmd go by."""
         from appliance.calibration.interface import SearchSettings
         from appliance.calibration.ladder import LadderSettings
 
@@ -53,85 +133,26 @@ class WaterOptions:
         return LadderSettings(search=search)
 
 
-def water(wish: Wish, listed: Path, options: WaterOptions, *, json: bool) -> Exit:
-    """Calibrate from the list's scans; FAILED if an artefact was not found, after all else was done without it."""
-    method = Method(options.method)
-    target = options.out or DEFAULT_OUT
-    page, data = (target.with_name(f"{target.stem}-report{ending}") for ending in (".html", ".json"))
-    for path in (target, page, data):
-        writable(path)
-    if options.install and method is Method.PAPER_RM_PRINTED:
-        raise UsageError(f"--install: {method.value} is for comparison only and has no file; choose another --method")
-    if target.exists():
-        raise UsageError(f"--out {target}: exists already; a calibration is never replaced; give a new name")
-    if data.absolute() == listed.absolute():
-        raise UsageError(f"--out {target}: {data} is the list itself; give another name")
-    compile_desk_kernels()  # before anything brings compiled kernels
-    from appliance.service.evaluation import ListError, read_list
-    from appliance.service.instrument import refuse_drawing, start_of
-    from appliance.service.water_calibration import check_list, run_water_calibration
-
-    try:
-        scans = read_list(listed)
-        check_list(scans)
-    except ListError as error:
-        raise UsageError(str(error)) from error
-    made_at = datetime.now(UTC).isoformat(timespec="seconds")
-    with Progress() as progress:
-        sources = []
-        for k, entry in enumerate(scans.entries):
-            progress(f"comparing checksums of {entry.scan}", SCANS_CHECKED * k / len(scans.entries))
-            sources.append(taken(whole_scan(wish, place_of(listed, entry.scan)), wish))
-
-        rig = instrument_of(sources, wish)
-        refuse_drawing(rig, options.start)
-        start = start_of(rig, options.start)
-        for source in sources:
-            refuse_misfit(start, f"start {options.start or rig.storage.root}", source, foreign=False, start=True)
-
-        def step(what: str, part: float) -> None:
-            progress(what, SCANS_CHECKED + (1.0 - SCANS_CHECKED) * part)
-
-        made = run_water_calibration(rig, scans, sources, start, method, made_at, step, options.settings())
-    content = made.as_json()
-    text = json_form.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-    files = {page: made.as_html().encode(), data: text.encode()}
-    if made.result.can_be_saved:
-        files[target] = calibration_file.encode(made.result.calibration)
-    for path, written in files.items():
-        with writing(path):
-            replace_file(LocalFileSystem(), path, written)
-    installed = options.install and not made.left_out
-    if installed:
-        with hold_lock(rig.storage.root):
-            Calibrations(rig.storage.root, rig.rig.serial).install(made.result.calibration, _day(made_at))
-    if json:
-        say_json({**content, "installed": installed})
-    else:
-        _tell(content, page, target if made.result.can_be_saved else None)
-        if options.install:
-            say(
-                "installed; `kingfisher calibrate restore` undoes it"
-                if installed
-                else "not installed: scans are missing"
-            )
-    return Exit.FAILED if made.left_out else Exit.OK
-
-
-def restore(rig: Rig, name: str | None, *, json: bool) -> Exit:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RestoreCalibration(WithRoot):
     """Put a calibration of before in use again; what was in use is kept, so that the same verb undoes it."""
-    now = datetime.now(UTC).isoformat(timespec="seconds")
-    with hold_lock(rig.storage.root):
-        try:
-            path = Calibrations(rig.storage.root, rig.rig.serial).bring_back(name, _day(now))
-        except SessionError as error:
-            raise UsageError(f"calibrate restore: {error}") from error
-    found = calibration_file.load(path)
-    if json:
-        say_json({"file": str(path), "calibration": found.hash, "method": found.method, "made_at": found.made_at})
-    else:
-        say(f"in use again: {path}, {found.method}, made {found.made_at}")
-    return Exit.OK
+
+    name: str | None = operand("NAME", "a file of calibration/kept (default: the last one)", optional=True)
+
+    def run(self) -> Exit:
+        rig = self.rooted_rig()
+        now = datetime.now(UTC).isoformat(timespec="seconds")
+        with hold_lock(rig.storage.root):
+            try:
+                path = Calibrations(rig.storage.root, rig.rig.serial).bring_back(self.name, _day(now))
+            except SessionError as error:
+                raise UsageError(f"calibrate restore: {error}") from error
+        found = calibration_file.load(path)
+        if self.json:
+            say_json({"file": str(path), "calibration": found.hash, "method": found.method, "made_at": found.made_at})
+        else:
+            say(f"in use again: {path}, {found.method}, made {found.made_at}")
+        return Exit.OK
 
 
 def _day(moment: str) -> str:

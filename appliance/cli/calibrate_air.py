@@ -8,9 +8,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from appliance.cli.arguments import number, operand, option, switch, whole
 from appliance.cli.desk import writable, writing
 from appliance.cli.kernels import find_kernels
 from appliance.cli.output import Exit, Progress, UsageError, complain, say, say_json, table
+from appliance.cli.places import WithRoot
 from appliance.config import Rig
 
 if TYPE_CHECKING:  # imported inside the verb: `scans list` can do without
@@ -22,68 +24,84 @@ DEFAULT_NAME = "air.json"
 """In the folder of pictures."""
 
 
-@dataclass(frozen=True, slots=True)
-class AirOptions:
-    """What was typed after ``calibrate air FOLDER``."""
-
-    board: str | None = None
-    """``None``: that of the folder, else the usual one."""
-    out: Path | None = None
-    install: bool = False
-    live: bool = False
-    views: int = 20
-    room_light: bool = False
-    exposure_ms: float | None = None
-    patience_s: float = 300.0
-
-
-def air(rig: Rig, folder: Path, options: AirOptions, *, json: bool) -> Exit:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CalibrateAir(WithRoot):
     """Calibrate from a folder of pictures; FAILED where they do not suffice, with the reason for each."""
-    find_kernels()
-    from appliance.calibration.air import AirCalibrationError
-    from appliance.calibration.board import BoardDesign, BoardError, parse_board
-    from appliance.service.air import PicturesError, calibrate_folder
-    from appliance.service.air import install as install_air
-    from appliance.service.air_views import FolderError, read_session
 
-    writable(options.out)
-    target = options.out or folder / DEFAULT_NAME
-    try:
-        design = None if options.board is None else parse_board(options.board)
-        if options.live:
-            _record(rig, folder, design, options)
-        begun = read_session(folder)
-        design = design or (begun[1] if begun is not None else BoardDesign())
-        with Progress() as progress, writing(target):
-            report = calibrate_folder(rig, folder, design, target, datetime.now(UTC), progress)
-    except (BoardError, PicturesError, FolderError) as error:
-        raise UsageError(str(error)) from error
-    except (AirCalibrationError, LiveFailed) as error:
-        complain(str(error), as_json=json)
-        return Exit.FAILED
-    if options.install:
-        installed, before = install_air(rig, target)
-        report |= {"installed": str(installed), "before": None if before is None else str(before)}
-    if json:
-        say_json(report)
-    else:
-        _tell(report)
-    return Exit.OK
+    folder: Path = operand(
+        "FOLDER", "pairs NAME_left.png, NAME_right.png, or folders of --live or of scans", parse=Path
+    )
+    board: str | None = option(
+        "--board", "squares across and down, their size and the markers' in mm", metavar="15x12x18x13.5"
+    )
+    """``None``: that of the folder, else the usual one."""
+    out: Path | None = option("--out", "default: air.json in FOLDER; pictures go beside it", parse=Path, metavar="FILE")
+    install: bool = switch("--install", "make it the start of this instrument's calibrations")
+    live: bool = switch("--live", "record the views first, with this instrument, into FOLDER")
+    views: int = option("--views", "default: %(default)s", default=20, parse=whole(6, 200), metavar="N")
+    room_light: bool = switch("--room-light", "the projector stays dark")
+    exposure_ms: float | None = option(
+        "--exposure-ms", "default: the rig file's", parse=number(0.05, 16.0), metavar="MS"
+    )
+    patience_s: float = option(
+        "--patience-s",
+        "without a new view, default: %(default)g",
+        default=300.0,
+        parse=number(1.0, 86400.0),
+        metavar="S",
+    )
+
+    @property
+    def says_news(self) -> bool:
+        """With --live it is the instrument for a while."""
+        return self.live
+
+    def run(self) -> Exit:
+        rig = self.rooted_rig()
+        find_kernels()
+        from appliance.calibration.air import AirCalibrationError
+        from appliance.calibration.board import BoardDesign, BoardError, parse_board
+        from appliance.service.air import PicturesError, calibrate_folder
+        from appliance.service.air import install as install_air
+        from appliance.service.air_views import FolderError, read_session
+
+        writable(self.out)
+        target = self.out or self.folder / DEFAULT_NAME
+        try:
+            design = None if self.board is None else parse_board(self.board)
+            if self.live:
+                self._record(rig, design)
+            begun = read_session(self.folder)
+            design = design or (begun[1] if begun is not None else BoardDesign())
+            with Progress() as progress, writing(target):
+                report = calibrate_folder(rig, self.folder, design, target, datetime.now(UTC), progress)
+        except (BoardError, PicturesError, FolderError) as error:
+            raise UsageError(str(error)) from error
+        except (AirCalibrationError, LiveFailed) as error:
+            complain(str(error), as_json=self.json)
+            return Exit.FAILED
+        if self.install:
+            installed, before = install_air(rig, target)
+            report |= {"installed": str(installed), "before": None if before is None else str(before)}
+        if self.json:
+            say_json(report)
+        else:
+            _tell(report)
+        return Exit.OK
+
+    def _record(self, rig: Rig, design: BoardDesign | None) -> None:
+        from appliance.service.air_live import LiveError, LiveOptions, record_views
+        from appliance.service.air_views import ViewFolder
+
+        wanted = LiveOptions(self.views, not self.room_light, self.exposure_ms, self.patience_s)
+        try:
+            record_views(rig, ViewFolder(self.folder, rig.rig.serial, design), wanted, log.info)
+        except LiveError as error:
+            raise LiveFailed(str(error)) from error
 
 
 class LiveFailed(Exception):
     """Recording ended before there were enough views; the text says why."""
-
-
-def _record(rig: Rig, folder: Path, design: BoardDesign | None, options: AirOptions) -> None:
-    from appliance.service.air_live import LiveError, LiveOptions, record_views
-    from appliance.service.air_views import ViewFolder
-
-    wanted = LiveOptions(options.views, not options.room_light, options.exposure_ms, options.patience_s)
-    try:
-        record_views(rig, ViewFolder(folder, rig.rig.serial, design), wanted, log.info)
-    except LiveError as error:
-        raise LiveFailed(str(error)) from error
 
 
 def _tell(report: dict[str, Any]) -> None:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json as json_format
 import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from appliance.cli import verbs
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json
 from appliance.cli.simrig import SimOptions, simulated
 from appliance.config import Rig
@@ -26,8 +26,11 @@ class Chaos:
     scans: int
 
 
-def chaos(rig: Rig, options: SimOptions, wanted: Chaos, *, json: bool) -> Exit:
-    """Dive while devices come and go; FAILED if an accepted scan is lost or damaged or a refusal had no reason."""
+def chaos(rig: Rig, options: SimOptions, wanted: Chaos, dive: Callable[[Rig, SimOptions], Exit], *, json: bool) -> Exit:
+    """Dive while devices come and go; FAILED if an accepted scan is lost or damaged or a refusal had no reason.
+
+    ``dive`` runs the instrument of a rig in its simulated world until that ends.
+    """
     if options.script is not None or options.window:
         raise UsageError("--chaos: its diver holds the instrument; leave --script and --window out")
     root = options.root or rig.storage.root
@@ -37,7 +40,7 @@ def chaos(rig: Rig, options: SimOptions, wanted: Chaos, *, json: bool) -> Exit:
         report = Path(folder) / "report.json"
         chosen = {OPTION: {"seed": wanted.seed, "scans": wanted.scans, "report": str(report)}, "stills": True}
         world = replace(rig.rig, wires_options={**rig.rig.wires_options, **chosen})
-        ended = verbs.sim(replace(rig, rig=world), options)
+        ended = dive(replace(rig, rig=world), options)
         told: dict[str, Any] = json_format.loads(report.read_text(encoding="utf-8"))
     result = told | _compared(simulated(replace(rig, rig=world), options), told["accepted"])
     if json:

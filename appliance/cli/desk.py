@@ -8,6 +8,7 @@ from pathlib import Path
 
 from appliance.calibration import file as calibration_file
 from appliance.cli.output import UsageError
+from appliance.cli.places import scan_folder
 from appliance.config import default_rig_path, load_rig
 from appliance.service.origin import Wish
 from appliance.storage import scan as stored
@@ -52,15 +53,6 @@ def library_root(wish: Wish) -> Path:
     if wish.root is not None:
         return wish.root
     return (wish.rig or load_rig(default_rig_path())).storage.root
-
-
-def scan_folder(scan: str) -> Path | None:
-    """The folder that ``scan`` names; ``None`` where it is a number. Raises UsageError for a folder that is not there."""
-    if "/" not in scan and not Path(scan).is_dir():
-        return None
-    if not Path(scan).is_dir():
-        raise UsageError(f"SCAN {scan}: no such folder; give a scan's number or its folder")
-    return Path(scan)
 
 
 def place_of(listed: Path, scan: str) -> str:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json as json_form
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from appliance.cli.arguments import operand, option
 from appliance.cli.desk import measuring, place_of, whole_scan, writable, writing
 from appliance.cli.kernels import compile_desk_kernels
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json, table
-from appliance.service.origin import Wish, instrument_of, one_calibration, taken
+from appliance.cli.places import WithCalibration
+from appliance.service.origin import instrument_of, one_calibration, taken
 from appliance.storage.atomic import replace_file
 from appliance.storage.filesystem import LocalFileSystem
 
@@ -18,46 +21,55 @@ SCANS_CHECKED = 0.1
 """The part of the progress that comparing checksums gets."""
 
 
-def evaluate(wish: Wish, listed: Path, out: Path | None, *, json: bool) -> Exit:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Evaluate(WithCalibration):
     """Measure every artefact of the list; FAILED if one was not found, after the report was written all the same."""
-    page = out or DEFAULT_OUT
-    data = page.with_suffix(".json")
-    if data == page:
-        raise UsageError(f"--out {page}: the JSON is written beside the page; give the page's name, for example x.html")
-    if data.absolute() == listed.absolute():
-        raise UsageError(f"--out {page}: {data} is the list itself; give another name")
-    for path in (page, data):
-        writable(path)
-    measuring(wish.calibration)
-    compile_desk_kernels()  # before anything brings compiled kernels
-    from appliance.evaluation.report import as_html, as_json
-    from appliance.service.evaluation import ListError, read_list, run_evaluation
 
-    try:
-        scans = read_list(listed)
-    except ListError as error:
-        raise UsageError(str(error)) from error
-    with Progress() as progress:
-        sources = []
-        for k, entry in enumerate(scans.entries):
-            progress(f"comparing checksums of {entry.scan}", SCANS_CHECKED * k / len(scans.entries))
-            sources.append(taken(whole_scan(wish, place_of(listed, entry.scan)), wish))
+    list: Path = operand("LIST", "which artefact each scan shows (TOML or JSON)", parse=Path)
+    out: Path | None = option("--out", "the page, and beside it FILE with .json", parse=Path, metavar="FILE")
 
-        def step(what: str, part: float) -> None:
-            progress(what, SCANS_CHECKED + (1.0 - SCANS_CHECKED) * part)
+    def run(self) -> Exit:
+        wish = self.wish()
+        page = self.out or DEFAULT_OUT
+        data = page.with_suffix(".json")
+        if data == page:
+            raise UsageError(
+                f"--out {page}: the JSON is written beside the page; give the page's name, for example x.html"
+            )
+        if data.absolute() == self.list.absolute():
+            raise UsageError(f"--out {page}: {data} is the list itself; give another name")
+        for path in (page, data):
+            writable(path)
+        measuring(wish.calibration)
+        compile_desk_kernels()  # before anything brings compiled kernels
+        from appliance.evaluation.report import as_html, as_json
+        from appliance.service.evaluation import ListError, read_list, run_evaluation
 
-        instrument_of(sources, wish)  # refuses two
-        evaluation = run_evaluation(scans, sources, one_calibration(sources, wish).calibration, step)
-    content = as_json(evaluation)
-    text = json_form.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-    for path, written in ((page, as_html(evaluation)), (data, text)):
-        with writing(path):
-            replace_file(LocalFileSystem(), path, written.encode())
-    if json:
-        say_json(content)
-    else:
-        _tell(content, page)
-    return Exit.OK if evaluation.complete else Exit.FAILED
+        try:
+            scans = read_list(self.list)
+        except ListError as error:
+            raise UsageError(str(error)) from error
+        with Progress() as progress:
+            sources = []
+            for k, entry in enumerate(scans.entries):
+                progress(f"comparing checksums of {entry.scan}", SCANS_CHECKED * k / len(scans.entries))
+                sources.append(taken(whole_scan(wish, place_of(self.list, entry.scan)), wish))
+
+            def step(what: str, part: float) -> None:
+                progress(what, SCANS_CHECKED + (1.0 - SCANS_CHECKED) * part)
+
+            instrument_of(sources, wish)  # refuses two
+            evaluation = run_evaluation(scans, sources, one_calibration(sources, wish).calibration, step)
+        content = as_json(evaluation)
+        text = json_form.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+        for path, written in ((page, as_html(evaluation)), (data, text)):
+            with writing(path):
+                replace_file(LocalFileSystem(), path, written.encode())
+        if self.json:
+            say_json(content)
+        else:
+            _tell(content, page)
+        return Exit.OK if evaluation.complete else Exit.FAILED
 
 
 def _tell(content: dict[str, Any], page: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json as json_form
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,9 @@ from appliance.calibration import file as calibration_file
 from appliance.calibration.file import Calibration
 from appliance.calibration.gaps import MODES
 from appliance.calibration.health import LEARNT_SCANS, UNMEASURED, Trend, answered
+from appliance.cli.arguments import number_above, operand, option
 from appliance.cli.output import Exit, UsageError, say, say_json, table
+from appliance.cli.places import WithRoot
 from appliance.config import Rig
 from appliance.storage.health import HealthFile
 from appliance.storage.lock import hold_lock
@@ -22,77 +25,93 @@ AT_MOST_PERCENT = 0.1
 MAX_BYTES = 64_000_000
 
 
-def show(rig: Rig, *, json: bool) -> Exit:
-    """The trend of the calibration in use. Raises CalibrationError where there is none."""
-    calibration = _in_use(rig)
-    trend = HealthFile(rig.storage.root, calibration.hash).read()
-    measured = calibration.method not in UNMEASURED
-    taught = len(trend.reference.rests_um)
-    if json:
-        say_json(
-            {
-                "calibration": calibration.hash,
-                "method": calibration.method,
-                "measured": measured,
-                "judged": trend.judged,
-                "alarm": trend.alarm,
-                "answers": list(trend.answers),
-                "reference_scans": taught,
-                "scans": [
-                    {
-                        "scan": point.scan,
-                        **{f"{name}_um": value for name, value in zip(MODES, point.amplitudes_um, strict=True)},
-                        **{f"{name}_sigma_um": value for name, value in zip(MODES, point.sigma_um, strict=True)},
-                        "rest_um": point.rest_um,
-                        "score": point.score,
-                        "sum": point.total,
-                        "alarm": point.alarm,
-                    }
-                    for point in trend.points
-                ],
-            }
-        )
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShowHealth(WithRoot):
+    """The trend of the calibration in use."""
+
+    def run(self) -> Exit:
+        """Raises CalibrationError where there is none."""
+        rig = self.rooted_rig()
+        calibration = _in_use(rig)
+        trend = HealthFile(rig.storage.root, calibration.hash).read()
+        measured = calibration.method not in UNMEASURED
+        taught = len(trend.reference.rests_um)
+        if self.json:
+            say_json(
+                {
+                    "calibration": calibration.hash,
+                    "method": calibration.method,
+                    "measured": measured,
+                    "judged": trend.judged,
+                    "alarm": trend.alarm,
+                    "answers": list(trend.answers),
+                    "reference_scans": taught,
+                    "scans": [
+                        {
+                            "scan": point.scan,
+                            **{f"{name}_um": value for name, value in zip(MODES, point.amplitudes_um, strict=True)},
+                            **{f"{name}_sigma_um": value for name, value in zip(MODES, point.sigma_um, strict=True)},
+                            "rest_um": point.rest_um,
+                            "score": point.score,
+                            "sum": point.total,
+                            "alarm": point.alarm,
+                        }
+                        for point in trend.points
+                    ],
+                }
+            )
+            return Exit.OK
+        if not measured:
+            say(f"uncalibrated: the calibration in use ({calibration.method}) was never measured in water; no trend")
+            return Exit.OK
+        say(f"calibration {calibration.hash[:16]}, {calibration.method}; {trend.judged} scans judged")
+        say(f"reference   {taught} of {LEARNT_SCANS} scans")
+        say(f"alarm       {trend.alarm or 'none'}")
+        for answer in trend.answers:
+            say(f"accepted    {answer}")
+        if trend.points:
+            say(_points(trend))
         return Exit.OK
-    if not measured:
-        say(f"uncalibrated: the calibration in use ({calibration.method}) was never measured in water; no trend")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AcceptHealth(WithRoot):
+    """Take an alarm back, as the length check in ``report`` (of ``kingfisher evaluate``) found the lengths right."""
+
+    report: Path = operand("REPORT", "the .json that `kingfisher evaluate` wrote", parse=Path)
+    at_most_percent: float = option(
+        "--at-most-percent",
+        f"largest length error that is accepted (default: {AT_MOST_PERCENT:g})",
+        default=AT_MOST_PERCENT,
+        parse=number_above(0.0, 10.0),
+        metavar="E_L",
+    )
+
+    def run(self) -> Exit:
+        """Raises UsageError for a report that does not show that, StorageError while the service runs."""
+        rig = self.rooted_rig()
+        root = rig.storage.root
+        calibration = _in_use(rig)
+        content = _content(self.report, calibration.hash)
+        worst = _worst_percent(self.report, content)
+        if worst > self.at_most_percent:
+            raise UsageError(
+                f"REPORT {self.report}: largest E_L of the ball bar is {worst:.3f} %; allowed are up to {self.at_most_percent:g} %: "
+                "calibrate again, or state another limit with --at-most-percent"
+            )
+        with hold_lock(root):
+            file = HealthFile(root, calibration.hash)
+            trend = file.read()
+            if trend.alarm is None:
+                raise UsageError(f"REPORT {self.report}: there is no alarm to be taken back; nothing was changed")
+            _recorded_since(self.report, content, trend)
+            said = f"{self.report.name}: largest E_L of the ball bar {worst:.3f} %, after: {trend.alarm}"
+            file.write(answered(trend, said))
+        if self.json:
+            say_json({"accepted": said})
+        else:
+            say(f"accepted: {said}")
         return Exit.OK
-    say(f"calibration {calibration.hash[:16]}, {calibration.method}; {trend.judged} scans judged")
-    say(f"reference   {taught} of {LEARNT_SCANS} scans")
-    say(f"alarm       {trend.alarm or 'none'}")
-    for answer in trend.answers:
-        say(f"accepted    {answer}")
-    if trend.points:
-        say(_points(trend))
-    return Exit.OK
-
-
-def accept(rig: Rig, report: Path, at_most_percent: float, *, json: bool) -> Exit:
-    """Take an alarm back, as the length check in ``report`` (of ``kingfisher evaluate``) found the lengths right.
-
-    Raises UsageError for a report that does not show that, StorageError while the service runs.
-    """
-    root = rig.storage.root
-    calibration = _in_use(rig)
-    content = _content(report, calibration.hash)
-    worst = _worst_percent(report, content)
-    if worst > at_most_percent:
-        raise UsageError(
-            f"REPORT {report}: largest E_L of the ball bar is {worst:.3f} %; allowed are up to {at_most_percent:g} %: "
-            "calibrate again, or state another limit with --at-most-percent"
-        )
-    with hold_lock(root):
-        file = HealthFile(root, calibration.hash)
-        trend = file.read()
-        if trend.alarm is None:
-            raise UsageError(f"REPORT {report}: there is no alarm to be taken back; nothing was changed")
-        _recorded_since(report, content, trend)
-        said = f"{report.name}: largest E_L of the ball bar {worst:.3f} %, after: {trend.alarm}"
-        file.write(answered(trend, said))
-    if json:
-        say_json({"accepted": said})
-    else:
-        say(f"accepted: {said}")
-    return Exit.OK
 
 
 def _in_use(rig: Rig) -> Calibration:

@@ -2,88 +2,114 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
-from pathlib import Path
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
-from appliance.cli.desk import scan_folder
+from appliance.cli.arguments import operand, operands, switch
 from appliance.cli.listing import shown
 from appliance.cli.output import Exit, Progress, say, say_json, table
-from appliance.storage.damage import damaged_frames
+from appliance.cli.places import WithRoot, scan_folder
 from appliance.storage.library import Entry, Library, Shelf, entry_of
 from appliance.storage.manifest import Stage, as_json
 
-
-def list_scans(root: Path, *, every: bool, trash: bool = False, json: bool) -> Exit:
-    """All scans, damaged ones marked. ``every``: also those rejected, set aside or in the trash; ``trash``: only these."""
-    entries = Library(root).entries(Shelf.TRASH) if trash else _entries(Library(root), every)
-    if json:
-        say_json([_brief(entry) for entry in entries])
-    elif not entries:
-        say(f"no scans under {root}")
-    else:
-        rows = [
-            (
-                entry.scan_id,
-                _state(entry),
-                _when(entry),
-                _points(entry),
-                f"{entry.size_bytes / 1e6:.1f}",
-                entry.label.name or "-",
-                "; ".join(filter(None, (_note(entry), entry.label.note))),
-            )
-            for entry in entries
-        ]
-        say(table(("SCAN", "STATE", "TIME", "POINTS", "MB", "NAME", "NOTE"), rows))
-    return Exit.OK
+EVERY = "also those rejected, set aside or in the trash"
 
 
-def show_scan(root: Callable[[], Path], scan: str, *, json: bool) -> Exit:
-    """Everything the manifest says. ``scan``: a number under ``root``, or a folder. Raises UnknownScan, UsageError."""
-    entry = entry_of(scan_folder(scan) or Library(root()).entry(scan).folder, checksums=False)
-    full = {**_brief(entry), "manifest": None if entry.manifest is None else as_json(entry.manifest)}
-    if json:
-        say_json(full)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ListScans(WithRoot):
+    """All scans, damaged ones marked. ``all``: also those rejected, set aside or in the trash; ``trash``: only these."""
+
+    all: bool = switch("--all", EVERY, either="shelves")
+    trash: bool = switch("--trash", "only those in the trash", either="shelves")
+
+    def run(self) -> Exit:
+        root = self.existing_root()
+        entries = Library(root).entries(Shelf.TRASH) if self.trash else _entries(Library(root), self.all)
+        if self.json:
+            say_json([_brief(entry) for entry in entries])
+        elif not entries:
+            say(f"no scans under {root}")
+        else:
+            rows = [
+                (
+                    entry.scan_id,
+                    _state(entry),
+                    _when(entry),
+                    _points(entry),
+                    f"{entry.size_bytes / 1e6:.1f}",
+                    entry.label.name or "-",
+                    "; ".join(filter(None, (_note(entry), entry.label.note))),
+                )
+                for entry in entries
+            ]
+            say(table(("SCAN", "STATE", "TIME", "POINTS", "MB", "NAME", "NOTE"), rows))
         return Exit.OK
-    if entry.manifest is not None:
-        # Verdicts by their names, so that their numbers are lines of their own.
-        record = full["manifest"]["record"]
-        record["verdicts"] = {verdict.pop("name"): verdict for verdict in record["verdicts"]}
-    lines = _flat(full)
-    width = max(len(key) for key, _ in lines)
-    for key, value in lines:
-        say(f"{key:<{width}} {value}")
-    return Exit.OK
 
 
-def verify_scans(root: Callable[[], Path], scans: Sequence[str], *, every: bool, json: bool) -> Exit:
-    """Read every byte and compare checksums; DAMAGED if any does not fit. No scans: all. Raises UnknownScan, UsageError.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShowScan(WithRoot):
+    """Everything a scan's manifest says."""
 
-    ``scans``: numbers under ``root``, or folders, wherever they were copied to.
+    scan: str = operand("SCAN", "its number or its folder")
+
+    def run(self) -> Exit:
+        """Raises UnknownScan, UsageError."""
+        folder = scan_folder(self.scan) or Library(self.existing_root()).entry(self.scan).folder
+        entry = entry_of(folder, checksums=False)
+        full = {**_brief(entry), "manifest": None if entry.manifest is None else as_json(entry.manifest)}
+        if self.json:
+            say_json(full)
+            return Exit.OK
+        if entry.manifest is not None:
+            # Verdicts by their names, so that their numbers are lines of their own.
+            record = full["manifest"]["record"]
+            record["verdicts"] = {verdict.pop("name"): verdict for verdict in record["verdicts"]}
+        lines = _flat(full)
+        width = max(len(key) for key, _ in lines)
+        for key, value in lines:
+            say(f"{key:<{width}} {value}")
+        return Exit.OK
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VerifyScans(WithRoot):
+    """Read every byte and compare checksums; DAMAGED if any does not fit. No scans: all.
+
+    ``scans``: numbers under the root, or folders, wherever they were copied to.
     """
-    folders = [scan_folder(scan) or Library(root()).entry(scan).folder for scan in scans]
-    if not scans:
-        folders = [entry.folder for entry in _entries(Library(root()), every)]
-    checked: list[Entry] = []
-    with Progress() as progress:
-        for k, folder in enumerate(folders):
-            progress(f"verifying {folder.name}", k / len(folders))
-            checked.append(_with_frames_named(entry_of(folder, checksums=True)))
-    damaged = [entry for entry in checked if not entry.ok]
-    if json:
-        say_json({"checked": len(checked), "damaged": len(damaged), "scans": [_brief(entry) for entry in checked]})
-    else:
-        for entry in checked:
-            say(f"{entry.scan_id}  {'ok' if entry.ok else 'DAMAGED: ' + '; '.join(entry.problems)}")
-        say(f"{len(checked)} checked, {len(damaged)} damaged")
-    return Exit.DAMAGED if damaged else Exit.OK
+
+    codes: ClassVar[Sequence[Exit]] = (Exit.DAMAGED,)
+
+    scans: Sequence[str] = operands("SCAN", "numbers or folders (default: all)", at_least_one=False)
+    all: bool = switch("--all", EVERY)
+
+    def run(self) -> Exit:
+        """Raises UnknownScan, UsageError."""
+        folders = [scan_folder(scan) or Library(self.existing_root()).entry(scan).folder for scan in self.scans]
+        if not self.scans:
+            folders = [entry.folder for entry in _entries(Library(self.existing_root()), self.all)]
+        checked: list[Entry] = []
+        with Progress() as progress:
+            for k, folder in enumerate(folders):
+                progress(f"verifying {folder.name}", k / len(folders))
+                checked.append(_with_frames_named(entry_of(folder, checksums=True)))
+        damaged = [entry for entry in checked if not entry.ok]
+        if self.json:
+            say_json({"checked": len(checked), "damaged": len(damaged), "scans": [_brief(entry) for entry in checked]})
+        else:
+            for entry in checked:
+                say(f"{entry.scan_id}  {'ok' if entry.ok else 'DAMAGED: ' + '; '.join(entry.problems)}")
+            say(f"{len(checked)} checked, {len(damaged)} damaged")
+        return Exit.DAMAGED if damaged else Exit.OK
 
 
 def _with_frames_named(entry: Entry) -> Entry:
     """Of a damaged file of frames it is also said which frames, where that is known."""
     if entry.ok or entry.manifest is None:
         return entry
+    from appliance.storage.damage import damaged_frames  # looks into frames, which a list can do without
+
     frames = {one.file: str(one) for one in damaged_frames(entry.folder, entry.manifest)}
     return replace(entry, problems=tuple(frames.get(text.partition(":")[0], text) for text in entry.problems))
 

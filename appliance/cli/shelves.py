@@ -6,35 +6,65 @@ They write, so that no instrument may run on the same root meanwhile. Nothing is
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from appliance.cli.arguments import operand, operands
 from appliance.cli.output import Exit, UsageError, say, say_json
+from appliance.cli.places import WithRoot
 from appliance.storage.label import LONGEST_NAME, LONGEST_NOTE, Label, LabelError, checked, read
 from appliance.storage.library import Library
 from appliance.storage.lock import hold_lock
 
 
-def name_scan(root: Path, scan_id: str, text: str, *, json: bool) -> Exit:
-    """Call a scan something; an empty text takes the name away. Raises UsageError, UnknownScan, StorageError."""
-    name = _checked("NAME", text, LONGEST_NAME)
-    return _label(root, scan_id, lambda label: replace(label, name=name), json=json)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NameScan(WithRoot):
+    """Call a scan something; an empty text takes the name away."""
+
+    scan: str = operand("SCAN", "its number")
+    text: str = operand("NAME", f"up to {LONGEST_NAME} characters; empty: none")
+
+    def run(self) -> Exit:
+        """Raises UsageError, UnknownScan, StorageError."""
+        root, name = self.existing_root(), _checked("NAME", self.text, LONGEST_NAME)
+        return _label(root, self.scan, lambda label: replace(label, name=name), json=self.json)
 
 
-def note_scan(root: Path, scan_id: str, text: str, *, json: bool) -> Exit:
-    """Write a note about a scan; an empty text takes it away. Raises UsageError, UnknownScan, StorageError."""
-    note = _checked("NOTE", text, LONGEST_NOTE)
-    return _label(root, scan_id, lambda label: replace(label, note=note), json=json)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NoteScan(WithRoot):
+    """Write a note about a scan; an empty text takes it away."""
+
+    scan: str = operand("SCAN", "its number")
+    text: str = operand("NOTE", f"up to {LONGEST_NOTE} characters; empty: none")
+
+    def run(self) -> Exit:
+        """Raises UsageError, UnknownScan, StorageError."""
+        root, note = self.existing_root(), _checked("NOTE", self.text, LONGEST_NOTE)
+        return _label(root, self.scan, lambda label: replace(label, note=note), json=self.json)
 
 
-def trash(root: Path, scan_ids: Sequence[str], *, json: bool) -> Exit:
-    """Put scans away. Raises UnknownScan before any was moved, ScanError, StorageError."""
-    return _move(root, scan_ids, Library(root).trash, json=json)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrashScans(WithRoot):
+    """Put scans away."""
+
+    scans: Sequence[str] = operands("SCAN", "numbers", at_least_one=True)
+
+    def run(self) -> Exit:
+        """Raises UnknownScan before any was moved, ScanError, StorageError."""
+        root = self.existing_root()
+        return _move(root, self.scans, Library(root).trash, json=self.json)
 
 
-def restore(root: Path, scan_ids: Sequence[str], *, json: bool) -> Exit:
-    """Take scans out of the trash. Raises UnknownScan before any was moved, ScanError, StorageError."""
-    return _move(root, scan_ids, Library(root).restore, json=json)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RestoreScans(WithRoot):
+    """Take scans out of the trash."""
+
+    scans: Sequence[str] = operands("SCAN", "numbers", at_least_one=True)
+
+    def run(self) -> Exit:
+        """Raises UnknownScan before any was moved, ScanError, StorageError."""
+        root = self.existing_root()
+        return _move(root, self.scans, Library(root).restore, json=self.json)
 
 
 def _checked(what: str, text: str, longest: int) -> str | None:

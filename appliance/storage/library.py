@@ -20,9 +20,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING
 
 from appliance.storage import counter, scan
 from appliance.storage import label as labels
@@ -31,8 +29,13 @@ from appliance.storage.atomic import StorageError, move_folder, refused, replace
 from appliance.storage.filesystem import FileSystem, LocalFileSystem
 from appliance.storage.label import NO_LABEL, Label, LabelError
 from appliance.storage.manifest import Decision, Manifest, ManifestError
-from appliance.storage.ply import PointCloud
 from appliance.storage.record import ScanRecord
+
+if TYPE_CHECKING:  # NumPy is loaded where pixels and points are: a list of scans touches none
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from appliance.storage.ply import PointCloud
 
 _FOLDER = re.compile(r"\.?(\d{6,12})(-\d+)?")
 """A scan's folder; the ending tells apart two of the same number that were set aside."""

@@ -14,7 +14,6 @@ from enum import Enum
 from pathlib import Path
 from typing import Any, SupportsFloat, SupportsIndex
 
-import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from appliance.storage.atomic import Stamp
@@ -145,7 +144,7 @@ def _plain(value: Any) -> Any:
             return [_plain(one) for one in value]
         case _ if is_dataclass(value):
             return {one.name: _plain(getattr(value, one.name)) for one in fields(value)}
-        case np.bool_():
+        case _ if str(getattr(value, "dtype", None)) == "bool":  # NumPy's, which need not be loaded for that
             return bool(value)
         case SupportsIndex():  # int and NumPy's integers
             return int(value)

@@ -7,11 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from appliance.capture.exposure import Exposure
 from appliance.capture.verdict import Verdict
-from appliance.patterns.sequence import PatternSequence
+
+if TYPE_CHECKING:  # brings NumPy, which a list of scans can do without
+    from appliance.patterns.sequence import PatternSequence
 
 
 @dataclass(frozen=True, slots=True)

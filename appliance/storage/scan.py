@@ -17,16 +17,19 @@ import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING
 
 from appliance.storage import manifest as form
 from appliance.storage.atomic import checked_stamp, discard, draft_of, refused, replace_file, write_new
 from appliance.storage.filesystem import Bytes, FileSystem
 from appliance.storage.manifest import Decision, Manifest, ManifestError, Stage
-from appliance.storage.ply import POINT, PlyError, PointCloud, StoredCloud, encode_ply, read_ply
 from appliance.storage.record import ScanRecord
+
+if TYPE_CHECKING:  # NumPy is loaded where pixels and points are: a list of scans touches none
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from appliance.storage.ply import PointCloud, StoredCloud
 
 SIDES = ("left", "right")
 _HEADER_BYTES = 256
@@ -87,6 +90,8 @@ class StoredScan:
         """The stored cloud; ``None`` where the scan has none. Raises ScanError."""
         if CLOUD not in self.manifest.files:
             return None
+        from appliance.storage.ply import PlyError, read_ply
+
         try:
             return read_ply(self.folder / CLOUD)
         except PlyError as error:
@@ -151,6 +156,8 @@ def add_second(
 
 def frame_checks(frames: NDArray[np.uint8]) -> tuple[str, ...]:
     """CRC-32 of each of ``frames`` (n, h, w) uint8, 8 hexadecimal digits: which one of them is damaged, not whether."""
+    import numpy as np
+
     return tuple(f"{zlib.crc32(np.ascontiguousarray(frame).reshape(-1).data):08x}" for frame in frames)
 
 
@@ -158,7 +165,7 @@ def _check(frames: Mapping[str, NDArray[np.uint8]], record: ScanRecord) -> None:
     expected = len(record.sequence.patterns)
     for side in SIDES:
         shape, dtype = frames[side].shape, frames[side].dtype
-        if len(shape) != 3 or shape[0] != expected or dtype != np.uint8:
+        if len(shape) != 3 or shape[0] != expected or dtype != "uint8":
             raise ValueError(f"{side} frames are {dtype} {shape}; uint8 ({expected}, height, width) is needed")
 
 
@@ -176,6 +183,8 @@ def finish(
     files = {name: stamp for name, stamp in manifest.files.items() if name not in DERIVED_FILES}
     added: dict[str, tuple[Bytes, ...]] = {}
     if cloud is not None:
+        from appliance.storage.ply import encode_ply
+
         added[CLOUD] = encode_ply(cloud)
     if preview_png is not None:
         added[PREVIEW] = (preview_png,)
@@ -258,6 +267,8 @@ def read_header(data: bytes) -> tuple[int, tuple[int, int, int]] | None:
 
 def _mapped(path: Path, count: int) -> NDArray[np.uint8]:
     """The frames of a file."""
+    import numpy as np
+
     try:
         with path.open("rb") as file:
             header = read_header(file.read(_HEADER_BYTES))
@@ -273,6 +284,8 @@ def _mapped(path: Path, count: int) -> NDArray[np.uint8]:
 
 def _npy(frames: NDArray[np.uint8]) -> tuple[Bytes, Bytes]:
     """Header and body of an .npy file (NumPy format 1.0), without a copy of the pixels."""
+    import numpy as np
+
     solid = np.ascontiguousarray(frames)
     header = io.BytesIO()
     np.lib.format.write_array_header_1_0(header, np.lib.format.header_data_from_array_1_0(solid))
@@ -287,10 +300,14 @@ def size_bytes(frames: int, width_px: int, height_px: int) -> int:
 
 def frames_bytes(frames: int, width_px: int, height_px: int) -> int:
     """Length of the file with one camera's frames."""
+    import numpy as np
+
     header, _ = _npy(np.empty((frames, height_px, width_px), np.uint8))
     return len(header) + frames * width_px * height_px
 
 
 def cloud_bytes(width_px: int, height_px: int) -> int:
     """Length that the file with the points has at most: one for every left pixel."""
+    from appliance.storage.ply import POINT
+
     return POINT.itemsize * width_px * height_px + 4096

@@ -1,0 +1,169 @@
+"""Owns how a verb declares what may be typed after it: once, as the fields of a frozen dataclass.
+
+A field's name, type and default are those of the value that the verb works with; ``option``, ``switch``, ``operand`` and
+``operands`` add how it is typed and what ``--help`` says about it. ``declare`` hands the fields to ``argparse``, ``collect``
+makes the dataclass from what was typed. Nothing of the product is imported here: every call of ``kingfisher`` loads this file.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any, ClassVar, TypeVar
+
+from appliance.cli.output import Exit
+
+_KEY = "typed"
+"""Of a field's metadata: its ``_Typed``."""
+_MOST_DIGITS = 9
+
+
+@dataclass(frozen=True, slots=True)
+class _Typed:
+    """How a field is typed."""
+
+    flag: str | None
+    """``--out``; ``None``: its place says what it is."""
+    settings: Mapping[str, Any]
+    """For ``add_argument``."""
+    either: str | None
+    """Of the options with the same word here, at most one may be typed."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verb:
+    """A verb with everything that was typed after it. ``run`` does the work and answers the exit code."""
+
+    codes: ClassVar[Sequence[Exit]] = ()
+    """Exit codes that only this verb has, for ``--help``."""
+    service: ClassVar[bool] = False
+    """Whether it is the instrument itself: it says its news, and an error that ends it is kept for the safe screen."""
+
+    json: bool = field(
+        default=False,
+        metadata={_KEY: _Typed("--json", {"action": "store_true", "help": "print one JSON document"}, None)},
+    )
+
+    @property
+    def says_news(self) -> bool:
+        """Whether what it logs besides warnings is printed, too."""
+        return self.service
+
+    def run(self) -> Exit:
+        """Do it. Errors that a person can do something about are raised (``appliance.cli.failures``)."""
+        raise NotImplementedError
+
+
+V = TypeVar("V", bound=Verb)
+
+
+def option(
+    flag: str,
+    text: str | None,
+    *,
+    default: Any = None,
+    parse: Callable[[str], Any] | None = None,
+    metavar: str | None = None,
+    choices: Sequence[str] | None = None,
+    either: str | None = None,
+) -> Any:
+    """A field whose value is typed after ``flag``. ``parse`` raises ``ArgumentTypeError``; ``text`` is for ``--help``."""
+    settings = {"help": text, "type": parse, "metavar": metavar, "choices": choices}
+    given = {name: value for name, value in settings.items() if value is not None}
+    return field(default=default, metadata={_KEY: _Typed(flag, given, either)})
+
+
+def repeated(flag: str, text: str, *, metavar: str) -> Any:
+    """A tuple of what was typed after each ``flag``, in that order; empty where it was not typed."""
+    settings = {"help": text, "metavar": metavar, "action": "append"}
+    return field(default=(), metadata={_KEY: _Typed(flag, settings, None)})
+
+
+def switch(flag: str, text: str, *, either: str | None = None) -> Any:
+    """A field that is true where ``flag`` was typed."""
+    return field(default=False, metadata={_KEY: _Typed(flag, {"action": "store_true", "help": text}, either)})
+
+
+def operand(metavar: str, text: str | None, *, parse: Callable[[str], Any] = str, optional: bool = False) -> Any:
+    """A field that its place names; ``optional``: ``None`` where nothing stands there."""
+    settings = {"metavar": metavar, "help": text, "type": parse, **({"nargs": "?"} if optional else {})}
+    typed = {_KEY: _Typed(None, settings, None)}
+    return field(default=None, metadata=typed) if optional else field(metadata=typed)
+
+
+def operands(metavar: str, text: str, *, at_least_one: bool) -> Any:
+    """A tuple of all words that stand there."""
+    settings = {"metavar": metavar, "help": text, "nargs": "+" if at_least_one else "*"}
+    return field(metadata={_KEY: _Typed(None, settings, None)})
+
+
+def declare(verb: type[Verb], parser: argparse.ArgumentParser) -> None:
+    """Give ``parser`` an argument for each field of ``verb``, those of its base classes first."""
+    groups: dict[str, argparse._MutuallyExclusiveGroup] = {}
+    for one in fields(verb):
+        typed: _Typed = one.metadata[_KEY]
+        if typed.either is not None and typed.either not in groups:
+            groups[typed.either] = parser.add_mutually_exclusive_group()
+        where = parser if typed.either is None else groups[typed.either]
+        if typed.flag is None:
+            where.add_argument(one.name, **typed.settings)
+        else:  # argparse appends to the default itself, so that a repeated option begins with nothing
+            default = None if typed.settings.get("action") == "append" else one.default
+            where.add_argument(typed.flag, dest=one.name, default=default, **typed.settings)
+
+
+def collect(verb: type[V], typed: argparse.Namespace) -> V:
+    """The verb with what ``declare``'s parser found."""
+    found = {one.name: getattr(typed, one.name) for one in fields(verb)}
+    for one in fields(verb):
+        if found[one.name] is None:
+            found[one.name] = () if one.default == () else None
+        elif isinstance(found[one.name], list):
+            found[one.name] = tuple(found[one.name])
+    return verb(**found)
+
+
+# ------------------------------------------------------------------------------------------ numbers
+
+
+def whole(low: int, high: int) -> Callable[[str], int]:
+    """A parser of whole numbers ``low`` to ``high``, at most nine digits."""
+
+    def parse(text: str) -> int:
+        digits = text.lstrip("0") or "0"
+        if not (text.isascii() and text.isdigit() and len(digits) <= _MOST_DIGITS and low <= int(digits) <= high):
+            raise argparse.ArgumentTypeError(f"{text}: allowed are whole numbers {low}..{high}")
+        return int(digits)
+
+    return parse
+
+
+def number(low: float, high: float, unit: str | None = None) -> Callable[[str], float]:
+    """A parser of numbers ``low`` to ``high``; ``unit`` is named where the option's own name does not."""
+    allowed = f"{low:g}..{high:g}" if unit is None else f"numbers {low:g}..{high:g} ({unit})"
+    return _judged(lambda value: low <= value <= high, allowed)
+
+
+def number_above(low: float, high: float) -> Callable[[str], float]:
+    """A parser of numbers greater than ``low``, up to ``high``."""
+    return _judged(lambda value: low < value <= high, f"numbers above {low:g}, up to {high:g}")
+
+
+def _judged(fits: Callable[[float], bool], allowed: str) -> Callable[[str], float]:
+    def parse(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not fits(value):
+            raise argparse.ArgumentTypeError(f"{text}: allowed are {allowed}")
+        return value
+
+    return parse
+
+
+def separated(parse: Callable[[str], float]) -> Callable[[str], tuple[float, ...]]:
+    """A parser of several such numbers with commas between them."""
+    return lambda text: tuple(parse(part) for part in text.split(","))

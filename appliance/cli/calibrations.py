@@ -1,0 +1,54 @@
+"""Owns the verbs ``calibration show`` and ``calibration nominal``: looking at calibrations, and the drawing's own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from appliance.cli.arguments import operand, option
+from appliance.cli.desk import writable, writing
+from appliance.cli.listing import listing
+from appliance.cli.output import Exit, UsageError, say, say_json
+from appliance.cli.places import WithRoot
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShowCalibration(WithRoot):
+    """The calibration in use, or that of a file."""
+
+    file: Path | None = operand("FILE", None, parse=Path, optional=True)
+
+    def run(self) -> Exit:
+        rig = self.rooted_rig()
+        from appliance.service.desk import describe_calibration
+
+        content = describe_calibration(rig, self.file)
+        if self.json:
+            say_json(content)
+        else:
+            listing(content)
+        return Exit.OK
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NominalCalibration(WithRoot):
+    """Write the calibration that follows from the rig file's design. Never replaces a file."""
+
+    out: Path | None = option("--out", "default: beside the instrument's calibrations", parse=Path, metavar="FILE")
+
+    def run(self) -> Exit:
+        rig = self.rooted_rig()
+        from appliance.service.app import CALIBRATION_FILE
+        from appliance.service.desk import write_nominal_calibration
+
+        writable(self.out)
+        path = self.out or rig.storage.root / CALIBRATION_FILE.with_name("nominal.json")
+        if path.exists():
+            raise UsageError(f"--out {path}: exists already; a calibration is never replaced; give a new name")
+        with writing(path):
+            write_nominal_calibration(rig, path)
+        if self.json:
+            say_json({"file": str(path)})
+        else:
+            say(str(path))
+        return Exit.OK

@@ -1,0 +1,33 @@
+"""Owns which errors end a verb with which exit code; imported when there is one, since it loads whoever may raise."""
+
+from __future__ import annotations
+
+from appliance.calibration.file import CalibrationError
+from appliance.calibration.recordings import RecordingError
+from appliance.cli.output import Exit, UsageError
+from appliance.config import ConfigError
+from appliance.kernel_build import CompileError
+from appliance.storage.atomic import StorageError
+from appliance.storage.library import UnknownScan
+from appliance.storage.scan import ScanError
+from drivers.api import DeviceError
+
+
+def exit_code_of(error: Exception) -> Exit | None:
+    """The exit code of an error whose text is for the person at the keyboard; ``None``: a fault of the program."""
+    match error:
+        case ConfigError() | UsageError():
+            return Exit.USAGE
+        case (
+            StorageError()
+            | UnknownScan()
+            | ScanError()
+            | CalibrationError()
+            | RecordingError()
+            | DeviceError()
+            | CompileError()
+        ):
+            return Exit.FAILED
+        case _:  # errors of a simulated world, which nothing here knows by name, bring their own
+            code: int | None = getattr(error, "exit_code", None)
+            return None if code is None else Exit(code)

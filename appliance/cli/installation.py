@@ -1,0 +1,50 @@
+"""Owns the verbs ``version`` and ``warm``: what is installed here, and the kernels that an installation brings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from appliance import __version__
+from appliance.cli.arguments import Verb, option, switch
+from appliance.cli.output import Exit, UsageError, say, say_json
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Version(Verb):
+    """The program's version."""
+
+    def run(self) -> Exit:
+        if self.json:
+            say_json({"version": __version__})
+        else:
+            say(f"kingfisher {__version__}")
+        return Exit.OK
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Warm(Verb):
+    """Compile the kernels for this processor, or for the common level, as an installation does."""
+
+    out: Path | None = option("--out", "default: within the installed environment", parse=Path, metavar="DIR")
+    common: bool = switch("--common", "for every x86-64-v3 processor instead of this one: for images")
+
+    def run(self) -> Exit:
+        from appliance import kernel_build, kernel_cache
+        from appliance.cli.kernels import Progress
+        from appliance.storage.atomic import remedy_for
+        from appliance.worker.warm import DESK
+
+        target = self.out or kernel_cache.shipped_folder()
+        with Progress() as progress:
+            try:
+                folder = kernel_build.build(target, DESK, progress, kernel_cache.COMMON if self.common else None)
+            except OSError as error:
+                raise UsageError(
+                    f"{target}: {error.strerror or error}; {remedy_for(error)}; --out DIR writes elsewhere"
+                ) from error
+        if self.json:
+            say_json({"folder": str(folder)})
+        else:
+            say(f"kernels are in {folder}")
+        return Exit.OK

@@ -1,0 +1,63 @@
+"""Owns the verbs ``run`` and ``check``, and how the instrument's service is started, also in a simulated world."""
+
+from __future__ import annotations
+
+import faulthandler
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+from appliance.cli.kernels import find_kernels
+from appliance.cli.output import Exit, Progress, say, say_json, table
+from appliance.cli.places import WithRig, WithRoot
+from appliance.config import Rig
+
+# The service is imported when it starts: it brings drivers and compiled kernels, which must be found before.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Run(WithRoot):
+    """The instrument, until it is switched off."""
+
+    service: ClassVar[bool] = True
+
+    def run(self) -> Exit:
+        """With a root of its own where one is given; it is made if it is not there."""
+        rig, root = self.read_rig(), self.new_root()
+        if root is not None:
+            rig = replace(rig, storage=replace(rig.storage, root=root))
+        find_kernels()
+        return serve(rig)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Check(WithRig):
+    """Open every device once and say what it says about itself; FAILED if any does not work."""
+
+    def run(self) -> Exit:
+        rig = self.read_rig()
+        find_kernels()
+        from appliance.service.checkup import check
+
+        with Progress() as progress:
+            progress("asking the devices")
+            found = check(rig)
+        if self.json:
+            say_json(
+                [{"device": h.device, "ok": h.ok, "summary": h.summary, "details": dict(h.details)} for h in found]
+            )
+        else:
+            facts = ("serial", "link", "firmware")
+            rows = [
+                (h.device, "ok" if h.ok else "FAILED", *(h.details.get(fact, "-") for fact in facts), h.summary)
+                for h in found
+            ]
+            say(table(("DEVICE", "", *(fact.upper() for fact in facts), "WHAT IT IS, OR WHAT IS WRONG"), rows))
+        return Exit.OK if all(h.ok for h in found) else Exit.FAILED
+
+
+def serve(rig: Rig) -> Exit:
+    """Run the instrument's service on ``rig`` until it ends. Its kernels must have been found before."""
+    faulthandler.enable(all_threads=True)  # who kills it because it hangs, or it dies in a library: where was it?
+    from appliance.service.app import run
+
+    return Exit(run(rig))

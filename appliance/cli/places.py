@@ -1,0 +1,101 @@
+"""Owns the options that many verbs share: which rig file, storage root, calibration and scan."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from appliance.cli.arguments import Verb, option, switch
+from appliance.cli.output import UsageError
+
+if TYPE_CHECKING:  # imported where they are needed: a verb that needs neither loads neither
+    from appliance.config import Rig
+    from appliance.service.origin import Wish
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WithRig(Verb):
+    """A verb of one instrument, which a rig file describes."""
+
+    rig: Path | None = option("--rig", "rig file (default: the packaged one)", parse=Path, metavar="PATH")
+
+    def read_rig(self) -> Rig:
+        """Read the rig file that was given, else the packaged one. Raises ConfigError."""
+        from appliance.config import default_rig_path, load_rig
+
+        return load_rig(self.rig or default_rig_path())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WithRoot(WithRig):
+    """A verb of what lies under a storage root."""
+
+    root: Path | None = option("--root", "storage root (default: the rig file's)", parse=Path, metavar="PATH")
+
+    def existing_root(self) -> Path:
+        """The root that was given, else the rig file's. Where one is given, no rig file is read. Raises UsageError."""
+        return self.read_rig().storage.root if self.root is None else given_root(self.root)
+
+    def rooted_rig(self) -> Rig:
+        """The rig with the root that was given. Raises ConfigError, UsageError."""
+        rig = self.read_rig()
+        if self.root is None:
+            return rig
+        return replace(rig, storage=replace(rig.storage, root=given_root(self.root)))
+
+    def new_root(self) -> Path | None:
+        """The root that was given, which is made if it is not there. Raises UsageError for a file."""
+        if self.root is None:
+            return None
+        if self.root.exists() and not self.root.is_dir():
+            raise UsageError(f"--root {self.root}: is a file; give a folder, which is made if it is not there")
+        return self.root.absolute()
+
+    def wish(self) -> Wish:
+        """What was asked for beside a scan; a rig file is only read where one was given. Raises ConfigError, UsageError."""
+        from appliance.config import load_rig
+        from appliance.service.origin import Wish
+
+        return Wish(
+            rig=None if self.rig is None else load_rig(self.rig),
+            root=None if self.root is None else given_root(self.root),
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WithCalibration(WithRoot):
+    """A verb that makes points: by default with each scan's own calibration."""
+
+    calibration: Path | None = option(
+        "--calibration", "default: the one the scan was taken with", parse=Path, metavar="FILE", either="calibration"
+    )
+    current: bool = switch("--current", "the one in use under the storage root", either="calibration")
+    foreign_calibration: bool = switch("--foreign-calibration", "also if it is another instrument's")
+
+    def wish(self) -> Wish:
+        """As of ``WithRoot``, with the choice of a calibration."""
+        return replace(
+            WithRoot.wish(self),
+            calibration=self.calibration,
+            current=self.current,
+            foreign=self.foreign_calibration,
+        )
+
+
+def given_root(root: Path) -> Path:
+    """``root`` itself. Raises UsageError where it is no folder."""
+    if root.is_file():
+        raise UsageError(f"--root {root}: is a file; give the folder that holds scans/")
+    if not root.is_dir():
+        raise UsageError(f"--root {root}: no such folder; give the storage root that holds scans/")
+    return root
+
+
+def scan_folder(scan: str) -> Path | None:
+    """The folder that ``scan`` names; ``None`` where it is a number. Raises UsageError for a folder that is not there."""
+    if "/" not in scan and not Path(scan).is_dir():
+        return None
+    if not Path(scan).is_dir():
+        raise UsageError(f"SCAN {scan}: no such folder; give a scan's number or its folder")
+    return Path(scan)

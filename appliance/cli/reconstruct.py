@@ -1,0 +1,75 @@
+"""Owns the verbs ``reconstruct`` and ``scans merge``: clouds of stored scans, made again from their raw frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from appliance.cli.arguments import operand, option, switch
+from appliance.cli.desk import measuring, scan_in, whole_scan, writable_cloud, writing
+from appliance.cli.kernels import compile_desk_kernels
+from appliance.cli.listing import listing
+from appliance.cli.output import Exit, Progress, say_json
+from appliance.cli.places import WithCalibration
+from appliance.service.origin import calibration_for, instrument_of, one_calibration, taken
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reconstruct(WithCalibration):
+    """A stored scan's cloud from its raw frames; ``salvage``: of what is left of it."""
+
+    scan: str = operand("SCAN", "its number or its folder")
+    salvage: bool = switch("--salvage", "do without a damaged frame; the cloud says so")
+    out: Path | None = option("--out", "write the cloud there (PLY)", parse=Path, metavar="FILE")
+
+    def run(self) -> Exit:
+        wish = self.wish()
+        writable_cloud(self.out)
+        measuring(wish.calibration)
+        with Progress() as progress:
+            progress("comparing checksums")
+            folder = scan_in(wish, self.scan) if self.salvage else whole_scan(wish, self.scan)
+            compile_desk_kernels()
+            from appliance.service.desk import reconstruct_scan
+            from appliance.service.salvage import salvage
+
+            salvaged = salvage(folder) if self.salvage else None
+            source = taken(folder, wish, None if salvaged is None else salvaged.scan)
+            chosen = calibration_for(source, wish)
+            with writing(self.out or Path(f"{folder.name}.ply")):
+                report = reconstruct_scan(source, chosen, self.out, progress, salvaged)
+        if self.json:
+            say_json(report)
+        else:
+            listing(report)
+        return Exit.OK
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MergeScans(WithCalibration):
+    """One cloud of two stored scans with different exposures."""
+
+    first: str = operand("SCAN", "its number or its folder")
+    second: str = operand("SCAN", "the other one; their order does not matter")
+    out: Path | None = option("--out", "default: NUMBER+NUMBER.ply here", parse=Path, metavar="FILE")
+
+    def run(self) -> Exit:
+        wish = self.wish()
+        writable_cloud(self.out)
+        measuring(wish.calibration)
+        with Progress() as progress:
+            progress("comparing checksums")
+            first, second = (whole_scan(wish, scan) for scan in (self.first, self.second))
+            compile_desk_kernels()
+            from appliance.service.merging import merge_scans
+
+            sources = (taken(first, wish), taken(second, wish))
+            instrument_of(sources, wish)  # refuses two
+            chosen = one_calibration(sources, wish)
+            with writing(self.out or Path(f"{first.name}+{second.name}.ply")):
+                report = merge_scans(sources, chosen, self.out, progress)
+        if self.json:
+            say_json(report)
+        else:
+            listing(report)
+        return Exit.OK

@@ -1,0 +1,159 @@
+"""A verb loads what it needs and no more, and every verb that is listed is there with its arguments."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from appliance.calibration.file import CalibrationError
+from appliance.cli import main
+from appliance.cli.arguments import (
+    Verb,
+    collect,
+    declare,
+    number,
+    number_above,
+    operands,
+    option,
+    repeated,
+    separated,
+    whole,
+)
+from appliance.cli.failures import exit_code_of
+from appliance.cli.output import Exit
+from appliance.cli.verbs import VERBS, Group, Listed
+from appliance.config import default_rig_path
+from appliance.storage.library import Library, UnknownScan
+from tests.appliance.storage.scenes import PREVIEW, cloud, frames, record
+
+COMPUTES = ("numpy", "numba", "llvmlite", "scipy", "cv2")
+DEVICES = ("usb", "serial", "moderngl", "hw_sim", "appliance.service")
+EVERY = [
+    ((*words, one.name), one)
+    for group in VERBS
+    for words, verbs in [((group.name,), group.verbs) if isinstance(group, Group) else ((), (group,))]
+    for one in verbs
+]
+
+
+def loaded(*words: str | Path) -> set[str]:
+    """The modules that a process has loaded when it has run the verb."""
+    code = (
+        "import sys; from appliance.cli import main\n"
+        "try: code = main(sys.argv[1:])\n"
+        "except SystemExit as end: code = end.code\n"
+        "print('\\n' + ' '.join(sys.modules)); sys.exit(code)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, *map(str, words)],
+        capture_output=True, text=True, timeout=60, check=True, env=dict(os.environ),
+    )  # fmt: skip
+    return set(done.stdout.splitlines()[-1].split())
+
+
+def test_printing_the_version_loads_nothing_else_of_the_product() -> None:
+    mine = {name for name in loaded("version") if name.partition(".")[0] in ("appliance", "drivers")}
+    assert mine == {
+        "appliance", "appliance.cli", "appliance.cli.main", "appliance.cli.arguments", "appliance.cli.output",
+        "appliance.cli.verbs", "appliance.cli.installation",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("words", [("scans", "list", "--root"), ("scans", "show", "1", "--root")])
+def test_looking_at_scans_loads_nothing_that_computes_and_no_device(words: tuple[str, ...], tmp_path: Path) -> None:
+    library = Library(tmp_path)
+    library.prepare()
+    library.begin(frames(1), record(cloud={"points": 20})).publish(record(), cloud(), PREVIEW)
+    assert loaded(*words, tmp_path).isdisjoint((*COMPUTES, *DEVICES, "appliance.config"))
+
+
+def test_a_list_of_the_scans_of_a_rig_file_loads_nothing_that_computes(tmp_path: Path) -> None:
+    text = default_rig_path().read_text(encoding="utf-8")
+    rig = tmp_path / "rig.toml"
+    rig.write_text(text.replace("/var/lib/kingfisher", str(tmp_path)), encoding="utf-8")
+    found = loaded("scans", "list", "--rig", rig)
+    assert found.isdisjoint((*COMPUTES, *DEVICES))
+    assert "appliance.config" in found
+
+
+def test_help_loads_no_verb() -> None:
+    assert {name for name in loaded("--help") if name.startswith("appliance.cli.")} == {
+        f"appliance.cli.{name}" for name in ("main", "arguments", "output", "verbs")
+    }
+
+
+@pytest.mark.parametrize(("words", "listed"), EVERY, ids=lambda one: " ".join(one) if isinstance(one, tuple) else "")
+def test_every_verb_says_what_may_be_typed_after_it(
+    words: tuple[str, ...], listed: Listed, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as end:
+        main([*words, "--help"])
+    assert end.value.code == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert said.startswith(f"usage: kingfisher {' '.join(words)} [-h] [--json]")
+    assert listed.text in said
+    assert "exit codes: 0 ok, 1 failed, 2 usage" in said
+    assert listed.load().run is not Verb.run
+
+
+# ---------------------------------------------------------------------------------------- arguments
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Dive(Verb):
+    """A verb with each kind of argument that holds several values."""
+
+    faults: tuple[str, ...] = repeated("--fault", "a fault", metavar="SENTENCE")
+    scans: tuple[str, ...] = operands("SCAN", "numbers", at_least_one=False)
+    reach_mm: float | None = option("--reach-mm", "so far", parse=number(0.5, 2.0, "mm"))
+
+
+def typed(verb: type[Verb], *words: str) -> Verb:
+    parser = argparse.ArgumentParser(exit_on_error=False)
+    declare(verb, parser)
+    return collect(verb, parser.parse_args(list(words)))
+
+
+def test_an_option_that_is_repeated_keeps_all_values_and_none_of_the_call_before() -> None:
+    assert typed(Dive, "--fault", "a", "7", "--fault", "b") == Dive(faults=("a", "b"), scans=("7",))
+    assert typed(Dive, "--fault", "c", "--json") == Dive(faults=("c",), scans=(), json=True)
+    assert typed(Dive, "--reach-mm", "0.5") == Dive(scans=(), reach_mm=0.5)
+
+
+@pytest.mark.parametrize(
+    ("parse", "good", "bad", "allowed"),
+    [
+        (whole(6, 200), {"6": 6, "200": 200, "0012": 12}, "5 201 -7 6.0 ٧ x 9999999999", "whole numbers 6..200"),
+        (whole(0, 999_999_999), {"0": 0, "000": 0, "999999999": 999_999_999}, "1000000000 -1", "0..999999999"),
+        (number(0.05, 16.0), {"0.05": 0.05, "16": 16.0, "1e1": 10.0}, "0.049 16.01 x nan inf", "allowed are 0.05..16"),
+        (number(0.01, 50.0, "mm"), {"0.01": 0.01}, "0 50.1 nan", "allowed are numbers 0.01..50 (mm)"),
+        (number_above(0.0, 10.0), {"10": 10.0, "0.001": 0.001}, "0 -1 10.01 nan", "numbers above 0, up to 10"),
+        (separated(number(1.0, 3.0)), {"1": (1.0,), "3,2": (3.0, 2.0)}, "1,4 1, ,", "allowed are 1..3"),
+    ],
+)
+def test_numbers_out_of_range_are_refused_with_the_range(
+    parse: object, good: dict[str, object], bad: str, allowed: str
+) -> None:
+    assert callable(parse)
+    assert {text: parse(text) for text in good} == good
+    for text in bad.split():
+        with pytest.raises(argparse.ArgumentTypeError) as error:
+            parse(text)
+        assert allowed in str(error.value)
+        assert str(error.value).startswith((text, text.split(",")[-1]))
+
+
+def test_what_a_person_can_do_something_about_ends_with_one_and_a_fault_of_the_program_is_raised() -> None:
+    class ScriptFailed(Exception):
+        exit_code = 3
+
+    assert exit_code_of(UnknownScan("no scan 7")) is Exit.FAILED
+    assert exit_code_of(CalibrationError("damaged")) is Exit.FAILED
+    assert exit_code_of(ScriptFailed("line 3")) is Exit.SCRIPT_FAILED
+    assert exit_code_of(ZeroDivisionError()) is None
