@@ -32,15 +32,15 @@ CONDUCTANCE_W_PER_K = {
     ("camera", "TCASE"): 0.10,
 }
 OUTSIDE_W_PER_K = {"water": 30.0, "air": 2.4}
-"""From the shell: 0.3 m² times 100 W/(m² K) in water at rest, times 8 in air with what it radiates."""
+"""Conductance from the shell: 0.3 m² times 100 W/(m² K) in water at rest, times 8 in air with what it radiates."""
 STEP_S = 1.0
-"""Of the integration; the quickest part follows in five minutes."""
+"""Step of the integration; the quickest part follows in five minutes."""
 PLACES = tuple(CAPACITY_J_PER_K)
 
 
 @dataclass(frozen=True, slots=True)
 class Powers:
-    """What is on."""
+    """The consumers that are on."""
 
     projector_lit: bool = False
     """Its lamp shines: an LED of the projector's engine, driven by what is scanned out."""
@@ -49,7 +49,7 @@ class Powers:
     lasers: bool = False
 
     def watts(self) -> dict[str, float]:
-        """Heat in each part, W."""
+        """Return the heat made in each part, W."""
         return {
             "computer": 28.0,
             "TBOARD": 1.5 + (0.6 if self.lasers else 0.0),
@@ -80,7 +80,7 @@ class Housing:
         return np.array([OUTSIDE_W_PER_K[self.medium] if place == "shell" else 0.0 for place in PLACES])
 
     def temperature_c(self, place: str) -> float:
-        """Of a place of ``PLACES``."""
+        """Return the temperature of a place of ``PLACES``, °C. Raises ValueError for another place."""
         return float(self._now_c[PLACES.index(place)])
 
     def advance(self, duration_s: float, powers: Powers) -> None:
@@ -91,14 +91,16 @@ class Housing:
         while left_s > 0.0:
             step_s = min(STEP_S, left_s)
             t = self._now_c
+            # Explicit Euler of C dT/dt = P + Σ G (T_other − T) + G_out (T_out − T).
             inside = self._conductance @ t - self._conductance.sum(axis=1) * t
             self._now_c = t + step_s * (made + inside + self._outwards * (self.outside_c - t)) / self._capacity
             left_s -= step_s
 
     def settled(self, powers: Powers) -> dict[str, float]:
-        """Temperatures after hours with that on, °C."""
+        """Return the temperatures after hours with that on, °C by place."""
         watts = powers.watts()
         made = np.array([watts.get(place, 0.0) for place in PLACES])
+        # Steady state: the same balance with dT/dt = 0.
         system = np.diag(self._conductance.sum(axis=1) + self._outwards) - self._conductance
         settled_c = np.linalg.solve(system, made + self._outwards * self.outside_c)
         return dict(zip(PLACES, settled_c.tolist(), strict=True))

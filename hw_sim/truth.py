@@ -20,13 +20,13 @@ from hw_sim.optics.trace import FIELD, FIELD_ORDER, HAS_FIELD, PACKED, pixels_of
 Array = NDArray[np.float64]
 
 CENTRE_MM = 522.5
-"""Where the two axes cross, in the rig frame."""
+"""The two axes cross here: z in the rig frame."""
 TOE_IN_DEG = 12.41
 HALF_BASELINE_MM = 115.0
 LASER_X_MM, LASER_Y_MM, LASER_Z_MM = 40.0, 0.0, 30.0
-"""Where the right pointer's beam leaves its window, rig frame; the left one's mirrors it."""
+"""The right pointer's beam leaves its window here, rig frame; the left one's mirrors it."""
 LASER_AIM_X_MM = 20.0
-"""So far from the axis the beams meet the plane in the middle of the volume, both at the height of the axis."""
+"""Distance from the axis at which the beams meet the plane in the middle of the volume, both at the height of the axis."""
 SETS = ("nominal", "realistic", "hard", "paper", "modelled")
 
 
@@ -45,6 +45,7 @@ class TruePort:
     def outer_normal(self) -> Array:
         """Unit normal of the outer face."""
         n = np.array(self.normal)
+        # A frame around the inner normal; the wedge tilts the outer one by tan(wedge) in the plane of the faces.
         x = np.cross([0.0, 1.0, 0.0], n)
         x /= np.linalg.norm(x)
         angle, direction = math.radians(self.wedge_deg), math.radians(self.wedge_direction_deg)
@@ -68,7 +69,7 @@ class TrueEye:
     """Cosine coefficients in px, FIELD_ORDER² (row = order in v) for u, then for v: see ``optics.trace.lens_field``."""
 
     def packed(self, n_water: float) -> Array:
-        """The array that compiled tracing reads."""
+        """Return the array (PACKED,) float64 that compiled tracing reads."""
         eye = np.zeros(PACKED)
         eye[:9] = (*self.f_px, *self.c_px, *self.distortion)
         eye[9:18] = np.ravel(self.R)
@@ -87,25 +88,25 @@ class Laser:
     """A pointer behind a window of its own: the beam as it is in the water."""
 
     origin_mm: tuple[float, float, float]
-    """Where it leaves the window's outer face."""
+    """Point at which it leaves the window's outer face, rig frame."""
     direction: tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
 class Artefacts:
-    """What the workshop really made of the objects whose certificates state the nominal dimensions."""
+    """The true dimensions of the objects whose certificates state the nominal ones."""
 
     ball_distance_mm: float = BALL_DISTANCE_MM
-    """Between the centres of the ball bar."""
+    """Distance between the centres of the ball bar."""
     plane_bow_mm: float = 0.0
-    """How far the middle of the plane stands back from the middles of its short edges, half of it: z = bow (1 − 2 r²/a²)."""
+    """Half of how far the middle of the plane stands back from the middles of its short edges: z = bow (1 − 2 r²/a²)."""
     board_bow_mm: float = 0.0
     """The same of the ChArUco board's plate."""
     board_scale: float = 1.0
-    """Of the board's print against its drawing."""
+    """Size of the board's print against its drawing."""
 
     def sizes(self) -> Array:
-        """The array that compiled shapes read."""
+        """Return the array (SIZES,) float64 that compiled shapes read."""
         sizes = np.zeros(SIZES)
         sizes[HALF_BALL_DISTANCE], sizes[PLANE_BOW] = 0.5 * self.ball_distance_mm, self.plane_bow_mm
         sizes[BOARD_BOW], sizes[BOARD_SCALE] = self.board_bow_mm, self.board_scale
@@ -114,6 +115,8 @@ class Artefacts:
 
 @dataclass(frozen=True, slots=True)
 class TrueRig:
+    """All that is true of one simulated instrument; frames and units as in ``docs/conventions.md``."""
+
     seed: int
     set: str
     n_water: float
@@ -124,11 +127,11 @@ class TrueRig:
     artefacts: Artefacts = Artefacts()
 
     def eye(self, name: str) -> TrueEye:
-        """``left``, ``right`` or ``projector``."""
+        """Return the eye called ``left``, ``right`` or ``projector``. Raises KeyError for another name."""
         return {"left": self.left, "right": self.right, "projector": self.projector}[name]
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON-ready, in the words of ``docs/protocols/world.md``."""
+        """Return the rig ready for JSON, in the words of ``docs/protocols/world.md``."""
         return {
             "seed": self.seed,
             "set": self.set,
@@ -210,7 +213,7 @@ _AMOUNTS = {
 
 
 def draw_truth(kind: str, seed: int, width_px: int, height_px: int, n_water: float) -> TrueRig:
-    """The true rig of a set (``SETS``) or of a ``truth.toml`` (a path); other image sizes bin the nominal pixel.
+    """Return the true rig of a set (``SETS``) or of a ``truth.toml`` (a path); other image sizes bin the nominal pixel.
 
     Raises ValueError for an unknown set, OSError for an unreadable file.
     """
@@ -222,6 +225,7 @@ def draw_truth(kind: str, seed: int, width_px: int, height_px: int, n_water: flo
     rng = np.random.default_rng([seed, 20])
     toe = math.radians(TOE_IN_DEG)
     binning = 1600.0 / width_px
+    # 11.5 mm lenses on pixels of 4.5 µm; below, 16.9 mm on the projector's pixels of 10.8 µm.
     f_px = 11.5 / 0.0045 / binning
     camera = TrueEye(
         width_px,
@@ -249,7 +253,7 @@ def draw_truth(kind: str, seed: int, width_px: int, height_px: int, n_water: flo
 
 
 def _pointer(side: float, lean_rad: Array, n_water: float) -> Laser:
-    """The pointer left (−1) or right (+1) of the projector, turned in its mount by ``lean_rad`` (x, y) against its window,
+    """Return the pointer left (−1) or right (+1) of the projector, turned in its mount by ``lean_rad`` (x, y) against its window,
     which is perpendicular to the beam as drawn: the window bends what leans (air, then water: its plane faces drop out).
     """
     origin = np.array([side * LASER_X_MM, LASER_Y_MM, LASER_Z_MM])
@@ -266,7 +270,7 @@ def _pointer(side: float, lean_rad: Array, n_water: float) -> Laser:
 
 
 def in_air(rig: TrueRig) -> TrueRig:
-    """The same instrument on the day of its calibration in air, before it was closed and taken into the water.
+    """Return the same instrument on the day of its calibration in air, before it was closed and taken into the water.
 
     No windows (their index and the water's are 1, so that light goes straight), and what moved since is undone: the
     cameras' mounting by 0.005° and 0.01 mm and the principal distance by 1e-4 (standard deviations of the realistic
@@ -292,12 +296,12 @@ def in_air(rig: TrueRig) -> TrueRig:
 
 
 def turned(eye: TrueEye, angles_deg: tuple[float, float, float]) -> TrueEye:
-    """The eye turned by a rotation vector in its own frame, together with its window."""
+    """Return the eye turned by a rotation vector, degrees in its own frame, together with its window."""
     return replace(eye, R=_rows(np.array(eye.R) @ _rodrigues(np.radians(np.array(angles_deg)))))
 
 
 def load_truth(path: Path, n_water: float) -> TrueRig:
-    """Read a ``truth.toml`` as ``save_truth`` writes it."""
+    """Read a ``truth.toml`` as ``save_truth`` writes it. Raises OSError, and KeyError for what is missing there."""
     data = tomllib.loads(path.read_text())
     eyes = {}
     for name, table in data["cameras"].items():
@@ -327,7 +331,7 @@ def load_truth(path: Path, n_water: float) -> TrueRig:
 
 
 def save_truth(rig: TrueRig, path: Path) -> None:
-    """Write a ``truth.toml``."""
+    """Write ``rig`` as a ``truth.toml``. Raises OSError."""
     content = rig.as_dict()
     lines = [f"seed = {rig.seed}", f'set = "{rig.set}"']
     for name, table in content["cameras"].items():
@@ -343,6 +347,8 @@ def save_truth(rig: TrueRig, path: Path) -> None:
 
 
 def _disturb(eye: TrueEye, a: _Amounts, rng: np.random.Generator, binning: float) -> TrueEye:
+    """Return the drawn eye as a workshop builds it. The order of the draws is part of each seed's rig: never change it."""
+    # The window leans against the lens, its faces stand off and apart by what machining leaves.
     tilt = math.radians(rng.uniform(*a.tilt_deg))
     towards = rng.uniform(0.0, 2 * math.pi)
     lean = math.tan(tilt) * np.array([math.cos(towards), math.sin(towards)])
@@ -356,10 +362,12 @@ def _disturb(eye: TrueEye, a: _Amounts, rng: np.random.Generator, binning: float
         a.wedge_deg,
         float(rng.uniform(0.0, 360.0)),
     )
+    # Mounting, principal distance and point, and Brown's five coefficients of a typical small lens.
     turn = _rodrigues(np.radians(rng.normal(0.0, a.mount_deg or 0.0, 3)))
     shift = rng.normal(0.0, a.mount_mm, 3)
     focal = 1.0 + rng.uniform(-a.focal, a.focal)
     centre = rng.normal(0.0, a.centre_px / binning, 2)
+    # k1, k2, p1, p2, k3, each within 30 % of the lens's design.
     brown = np.array([-0.06, 0.08, 2e-4, -1.5e-4, 0.0]) * a.distortion * rng.uniform(0.7, 1.3, 5)
     field = None
     if a.field_px:
@@ -404,7 +412,7 @@ def _eye_dict(eye: TrueEye) -> dict[str, Any]:
 
 
 def _field_dict(field: tuple[float, ...] | None) -> dict[str, Any] | None:
-    """A pixel (u, v) sees what an ideal five-parameter lens has at (u, v) − field; u_px[j][i] belongs to
+    """Return the lens field as a table: a pixel (u, v) sees what an ideal five-parameter lens has at (u, v) − field; u_px[j][i] belongs to
     cos(iπ(u+½)/width) cos(jπ(v+½)/height), likewise v_px."""
     if field is None:
         return None
@@ -425,6 +433,7 @@ def _rodrigues(vector_rad: Array) -> Array:
     angle = float(np.linalg.norm(vector_rad))
     if angle == 0.0:
         return np.eye(3)
+    # Rodrigues: R = I + sin θ K + (1 − cos θ) K².
     x, y, z = vector_rad / angle
     K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return np.asarray(np.eye(3) + math.sin(angle) * K + (1 - math.cos(angle)) * K @ K)
@@ -439,7 +448,7 @@ def _rows(m: Array) -> tuple[tuple[float, float, float], ...]:
 
 
 def ray(truth: TrueRig, eye: str, uv_px: ArrayLike) -> tuple[Array, Array]:
-    """Rays in water of pixels (n, 2) of ``left``, ``right`` or ``projector``, float64.
+    """Return the rays in water of pixels (n, 2) of ``left``, ``right`` or ``projector``, float64.
 
     Returns the points (n, 3) where they leave the outer glass face, in mm, and their unit directions (n, 3), both in
     the rig frame. Exact vector Snell; raises KeyError for another eye.
@@ -451,7 +460,7 @@ def ray(truth: TrueRig, eye: str, uv_px: ArrayLike) -> tuple[Array, Array]:
 
 
 def project(truth: TrueRig, eye: str, points_rig_mm: ArrayLike) -> Array:
-    """Pixels (n, 2) float64 at which water points (n, 3) of the rig frame are seen: Newton on the exact ray, 1e-9 px.
+    """Return the pixels (n, 2) float64 at which water points (n, 3) of the rig frame are seen: Newton on the exact ray, 1e-9 px.
 
     NaN for a point behind the window. Raises KeyError for an unknown eye.
     """

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 SWAY_MM, SWAY_S = 50.0, 1.0
-"""How far hands that are not at rest while aiming go before they turn back; and how long where they only tremble or turn."""
+"""Hands that are not at rest while aiming go this far before they turn back; this long where they only tremble or turn."""
 PIVOT_MM = np.array([0.0, 0.0, 522.5])
 
 
@@ -47,29 +47,32 @@ class Motion:
 
 
 def swayed_s(motion: Motion, clock_s: float) -> float:
-    """For a live view at ``clock_s``: the time of the motion, there and back again so that the object stays in sight; 0 where
-    the hands are at rest in live views."""
+    """Return the time of the motion, s, that a live view at ``clock_s`` shows: there and back again so that the object stays
+    in sight; 0 where the hands are at rest in live views."""
     if not motion.aiming:
         return 0.0
     speed_mm_s = math.hypot(*motion.velocity_mm_s)
+    # A triangle wave between 0 and way_s.
     way_s = SWAY_MM / speed_mm_s if speed_mm_s > 0.0 else SWAY_S
     return way_s - abs(clock_s % (2.0 * way_s) - way_s)
 
 
 def pose_matrix(pose: tuple[float, ...]) -> tuple[Array, Array]:
-    """Rotation (Rz Ry Rx) and translation of a pose [x, y, z, rx_deg, ry_deg, rz_deg]: object frame → rig frame."""
+    """Return rotation (3, 3) = Rz Ry Rx and translation (3,), mm, of a pose [x, y, z, rx_deg, ry_deg, rz_deg]: object frame →
+    rig frame."""
     x, y, z, *angles = pose
     return _euler(tuple(math.radians(a) for a in angles)), np.array([x, y, z])
 
 
 def object_pose(pose: tuple[float, ...], motion: Motion, time_s: float) -> tuple[Array, Array]:
-    """Rotation and translation of the object in the moved rig's frame at ``time_s``."""
+    """Return rotation (3, 3) and translation (3,), mm, of the object in the moved rig's frame at ``time_s``."""
     R0, t0 = pose_matrix(pose)
     if motion.still or time_s == 0.0:
         return R0, t0
     v, a, tremor = (np.array(x) for x in (motion.velocity_mm_s, motion.acceleration_mm_s2, motion.tremor_mm))
     phases = np.array([0.0, 2.1, 4.2])
     omega = 2 * math.pi * motion.tremor_hz
+    # s = v t + a t²/2 + A (sin(ωt + φ) − sin φ): at time 0 nothing has moved. Each axis trembles in its own phase.
     shift = v * time_s + 0.5 * a * time_s**2 + tremor * (np.sin(omega * time_s + phases) - np.sin(phases))
     turn = _euler(tuple(math.radians(w) * time_s for w in motion.rotation_deg_s))
     # Rig point = turn · (moved rig's point − pivot) + pivot + shift, inverted for the object.

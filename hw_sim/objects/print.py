@@ -4,6 +4,11 @@ The drawing is bilevel and consists of small squares (``CELL_MM``) without a rem
 markers' modules. A camera pixel sees the mean of what lies before it.
 """
 
+# Symbols:
+#   x, y          point of the board's front in its own frame, mm; column, row the same in cells of the drawing
+#   a, b          steps from a pixel to its right and lower neighbour, in cells: the pixel is the parallelogram ±a/2 ± b/2
+#   i0..i1, j0..j1   cells that the parallelogram touches
+
 from __future__ import annotations
 
 import math
@@ -27,13 +32,13 @@ CELL_MM = SQUARE_MM / CELLS
 PAPER, INK = 0.6, 0.04
 """Albedos."""
 EDGE_MM, LEAST_SLOPE = 0.01, 0.2
-"""So near the plate's edge, and so obliquely, other means than ``front_met`` decide what is seen."""
+"""Nearer to the plate's edge than this, or seen more obliquely, other means than ``front_met`` decide what is seen."""
 SAMPLES, TURN = 233, 144
 """A Fibonacci lattice: evenly spread over a pixel. Only where more than one edge crosses a pixel."""
 
 
 def board_print() -> Ink:
-    """The drawing (DOWN × CELLS, ACROSS × CELLS) uint8: 1 for paper, 0 for ink; the top left square is row 0."""
+    """Return the drawing (DOWN × CELLS, ACROSS × CELLS) uint8: 1 for paper, 0 for ink; the top left square is row 0."""
     dictionary = cv2.aruco.getPredefinedDictionary(DICTIONARY)
     board = cv2.aruco.CharucoBoard((ACROSS, DOWN), SQUARE_MM, MARKER_MM, dictionary)
     drawn = np.asarray(board.generateImage((ACROSS * CELLS, DOWN * CELLS)), np.uint8)
@@ -41,14 +46,14 @@ def board_print() -> Ink:
 
 
 def corners_mm(scale: float = 1.0) -> Array:
-    """The inner corners ((ACROSS − 1)(DOWN − 1), 3) of the print in the object frame, row by row; without the bow."""
+    """Return the inner corners ((ACROSS − 1)(DOWN − 1), 3) float64 of the print in the object frame, mm, row by row; without the bow."""
     x, y = np.meshgrid(np.arange(1, ACROSS) - 0.5 * ACROSS, np.arange(1, DOWN) - 0.5 * DOWN)
     return np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], -1) * (SQUARE_MM * scale)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _paper(ink: Ink, i: int, j: int) -> float:
-    """1 where there is paper; all around the print, too."""
+    """Return 1 where there is paper, which is also all around the print, and 0 where there is ink."""
     if i < 0 or j < 0 or i >= ink.shape[1] or j >= ink.shape[0]:
         return 1.0
     return float(ink[j, i])
@@ -56,7 +61,8 @@ def _paper(ink: Ink, i: int, j: int) -> float:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _before(edge: float, a: float, b: float) -> float:
-    """Share of a pixel that lies before an edge at ``edge``, when its coordinate there is a u + b v, u and v in ±½."""
+    """Return the share of a pixel that lies before an edge at ``edge``, when its coordinate there is a u + b v, u and v in ±½."""
+    # u a + v b with u, v even in ±½ has a trapezoid as density: flat within wide − narrow, zero beyond wide + narrow.
     wide, narrow = 0.5 * max(abs(a), abs(b)), 0.5 * min(abs(a), abs(b))
     end = wide + narrow - abs(edge)
     if end <= 0.0:
@@ -72,7 +78,7 @@ def _before(edge: float, a: float, b: float) -> float:
 def printed(
     ink: Ink, sizes: Array, x: float, y: float, right_x: float, right_y: float, down_x: float, down_y: float
 ) -> float:
-    """Mean albedo of what a pixel sees that looks at (x, y) of the object frame, mm; ``right`` and ``down`` lead to what
+    """Return the mean albedo of what a pixel sees that looks at (x, y) of the object frame, mm; ``right`` and ``down`` lead to what
     its neighbours look at."""
     per_mm = 1.0 / (CELL_MM * sizes[BOARD_SCALE])
     column, row = x * per_mm + 0.5 * ink.shape[1], y * per_mm + 0.5 * ink.shape[0]
@@ -81,6 +87,7 @@ def printed(
     i0, i1 = math.floor(column - reach_x), math.floor(column + reach_x)
     j0, j1 = math.floor(row - reach_y), math.floor(row + reach_y)
     share = -1.0
+    # At most four cells: where one straight edge parts them, its share is exact.
     if i1 <= i0 + 1 and j1 <= j0 + 1:
         a, b, c, d = _paper(ink, i0, j0), _paper(ink, i1, j0), _paper(ink, i0, j1), _paper(ink, i1, j1)
         if a == b and c == d:
@@ -90,6 +97,7 @@ def printed(
     if share < 0.0:
         share = 0.0
         for k in range(SAMPLES):
+            # Else average over the lattice: u evenly, v by the golden ratio (TURN / SAMPLES).
             u = (k + 0.5) / SAMPLES - 0.5
             v = ((k * TURN) % SAMPLES + 0.5) / SAMPLES - 0.5
             share += _paper(ink, math.floor(column + u * ax + v * bx), math.floor(row + u * ay + v * by))
@@ -99,9 +107,9 @@ def printed(
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def front_met(sizes: Array, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float) -> float:
-    """How far along a ray from before the board its printed front is; NaN for a ray that does not meet it, or hardly.
+    """Return how far, mm along a ray from before the board, its printed front is; NaN if the ray meets it hardly or not.
 
-    What ``shapes.march`` finds, in a fifth of the time: the front is nearly a plane, and each round makes the rest of
+    This is what ``shapes.march`` finds, in a fifth of the time: the front is nearly a plane, and each round makes the rest of
     what it is not a thousand times smaller.
     """
     if dz < LEAST_SLOPE:
@@ -109,6 +117,7 @@ def front_met(sizes: Array, ox: float, oy: float, oz: float, dx: float, dy: floa
     far = -oz / dz
     for _ in range(3):
         x, y = ox + far * dx, oy + far * dy
+        # Fixed point: intersect with the plane at the height that the front has where the last guess met it.
         bent = sizes[BOARD_BOW] * (1.0 - (x * x + y * y) * (2.0 / (BOARD_HALF_X_MM * BOARD_HALF_X_MM)))
         far = (bent - oz) / dz
     x, y = ox + far * dx, oy + far * dy
@@ -119,6 +128,6 @@ def front_met(sizes: Array, ox: float, oy: float, oz: float, dx: float, dy: floa
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def lean(sizes: Array, x: float, y: float) -> tuple[float, float]:
-    """By how much the bent front rises along x and y at a point: dz/dx, dz/dy."""
+    """Return the slopes dz/dx, dz/dy of the bent front at a point: the derivative of z = bow (1 − 2 r²/a²)."""
     k = -4.0 * sizes[BOARD_BOW] / (BOARD_HALF_X_MM * BOARD_HALF_X_MM)
     return k * x, k * y

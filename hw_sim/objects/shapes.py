@@ -4,6 +4,12 @@ Object frame, mm: the side that the instrument looks at faces −z. The function
 surface, so that rays can march along it without stepping through. ``docs/protocols/world.md`` lists the dimensions.
 """
 
+# Symbols:
+#   kind, sizes  the object, and what the workshop made of it (see SIZES)
+#   x, y, z      point of the object's frame, mm; o, d origin and unit direction of a ray there
+#   f, g         values of the implicit function at the present and the next place of a ray, mm
+#   t            length along the ray; fall = −df/dt, mm per mm, as the last step had it
+
 from __future__ import annotations
 
 import math
@@ -81,12 +87,14 @@ HIT_MM = 1e-7
 NEAR_MM, REACH_MM, LAST_MM = 0.1, 1.0, 1e-4
 """Secants are tried where the function is this small, and if they reach no further than this; and the last of them."""
 STRETCH = 1.9
-"""How much of a stretched step's longest length (2: the balls of its ends just touch if the guess is right) is tried."""
+"""A stretched step tries this share of its longest length (2: the balls of its ends just touch if the guess is right)."""
 MARCH_STEPS = 300
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _box(x: float, y: float, z: float, a: float, b: float, c: float) -> float:
+    """Return the signed distance to a box with half sides a, b, c around the origin."""
+    # Outside: to the nearest face, edge or corner; inside: to the nearest face, negative.
     dx, dy, dz = abs(x) - a, abs(y) - b, abs(z) - c
     ox, oy, oz = max(dx, 0.0), max(dy, 0.0), max(dz, 0.0)
     return math.sqrt(ox * ox + oy * oy + oz * oz) + min(max(dx, max(dy, dz)), 0.0)
@@ -94,7 +102,7 @@ def _box(x: float, y: float, z: float, a: float, b: float, c: float) -> float:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _disc_or_tube(x: float, r: float, radius: float, half_length: float) -> float:
-    """A cylinder along x, from the distance r to its axis."""
+    """Return the signed distance to a cylinder along x; r is the point's distance from its axis."""
     dr, dx = r - radius, abs(x) - half_length
     outer_r, outer_x = max(dr, 0.0), max(dx, 0.0)
     return math.sqrt(outer_r * outer_r + outer_x * outer_x) + min(max(dr, dx), 0.0)
@@ -128,6 +136,7 @@ def _shell(x: float, y: float, z: float) -> float:
     # A fossil scallop on a slab: a dome with ribs that fan out from the hinge, and rings of growth around it.
     ry = (y - 2.5) / 62.5
     rx = x / 88.0
+    # Within the ellipse: 24 ribs by the angle from the hinge at y = −85, rings by the distance from it.
     inside = 1.0 - rx * rx - ry * ry
     height = 0.0
     if inside > 0.0:
@@ -157,6 +166,7 @@ def _stones(x: float, y: float, z: float) -> float:
             best = min(best, ball)
             continue
         ux, uy, uz = dx / r, dy / r, dz / r
+        # The radius varies with the direction alone, so the factor below bounds the distance.
         bump = (
             0.07 * math.sin(3.0 * ux + 1.7 * i)
             + 0.05 * math.sin(4.0 * uy - 2.0 * i + 1.0)
@@ -169,14 +179,15 @@ def _stones(x: float, y: float, z: float) -> float:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _plate(x: float, y: float, z: float, half_x: float, half_y: float, thickness: float, bow: float) -> float:
-    """A plate with its front at z = 0, which the workshop bent: z = bow (1 − 2 r²/half_x²)."""
+    """Return a bound of the distance to a plate whose front, at z = 0, the workshop bent: z = bow (1 − 2 r²/half_x²)."""
     bent = bow * (1.0 - (x * x + y * y) * (2.0 / (half_x * half_x)))
+    # A front that leans by a slope m is √(1 + m²) nearer than measured along z: 0.999 covers m = 0.045, far above any bow.
     return 0.999 * _box(x, y, z - 0.5 * thickness - bent, half_x, half_y, 0.5 * thickness)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def implicit(kind: int, sizes: Array, x: float, y: float, z: float) -> float:
-    """The implicit function of an object at a point of its frame."""
+    """Return the implicit function of an object at a point of its frame, mm: never more than the distance to the surface."""
     if kind == 0:
         return _plate(x, y, z, PLANE_HALF_X_MM, PLANE_HALF_Y_MM, PLANE_THICKNESS_MM, sizes[PLANE_BOW])
     if kind == 1:
@@ -199,7 +210,7 @@ def implicit(kind: int, sizes: Array, x: float, y: float, z: float) -> float:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def gradient(kind: int, sizes: Array, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Direction in which ``implicit`` grows fastest, by differences over a small tetrahedron; not normalised."""
+    """Return the gradient of ``implicit``, by differences over a small tetrahedron; not normalised."""
     h = 1e-4
     a = implicit(kind, sizes, x + h, y - h, z - h)
     b = implicit(kind, sizes, x - h, y - h, z + h)
@@ -218,7 +229,7 @@ def _slab(low: float, high: float, slope: float) -> tuple[float, float]:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def box_span(kind: int, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float) -> tuple[float, float]:
-    """Where a ray enters and leaves the object's box (with half a millimetre to spare); enter > leave: it misses."""
+    """Return where a ray enters and leaves the object's box, mm, with half a millimetre to spare; enter > leave: it misses."""
     x0, x1 = _slab(BOX[kind, 0] - ox, BOX[kind, 3] - ox, dx)
     y0, y1 = _slab(BOX[kind, 1] - oy, BOX[kind, 4] - oy, dy)
     z0, z1 = _slab(BOX[kind, 2] - oz, BOX[kind, 5] - oz, dz)
@@ -229,7 +240,7 @@ def box_span(kind: int, ox: float, oy: float, oz: float, dx: float, dy: float, d
 def march(
     kind: int, sizes: Array, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, start: float, stop: float
 ) -> float:
-    """Distance along a ray (object frame, unit direction) to the first surface after ``start``; NaN when there is none
+    """Return the distance along a ray (object frame, unit direction) to the first surface after ``start``; NaN when there is none
     before ``stop``. Good to 1e-8 mm unless the ray grazes.
 
     The function is a radius within which there is nothing (sphere tracing: Hart 1996). A step may be longer than that,
@@ -245,6 +256,7 @@ def march(
     for _ in range(MARCH_STEPS):
         if f < HIT_MM:
             break
+        # Near the surface: Newton's step f / fall, as far as the secant has been going downhill.
         if f < NEAR_MM and f < fall * REACH_MM:
             step = f / fall
             g = implicit(kind, sizes, ox + (t + step) * dx, oy + (t + step) * dy, oz + (t + step) * dz)
@@ -254,8 +266,10 @@ def march(
                 fall = (f - g) / step
                 t, f = t + step, g
                 continue
+        # The free balls of the two ends touch where step = f + g; with g = f − fall · step: step = 2f / (1 + fall).
         step = max(f, f * STRETCH / max(1.0 + fall, 0.5))
         g = implicit(kind, sizes, ox + (t + step) * dx, oy + (t + step) * dy, oz + (t + step) * dz)
+        # They do not touch: something might lie between. Back to the safe step.
         if step > f + g:
             step = f
             g = implicit(kind, sizes, ox + (t + step) * dx, oy + (t + step) * dy, oz + (t + step) * dz)
@@ -273,8 +287,8 @@ def _crossing(
     kind: int, sizes: Array, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float,
     outside: float, f: float, inside: float, g: float,
 ) -> float:  # fmt: skip
-    """Where along a ray the function passes zero, between ``outside`` (value f > 0) and ``inside`` (value g < 0): false
-    position, Illinois variant (Dowell and Jarratt 1971)."""
+    """Return the length along a ray at which the function passes zero, between ``outside`` (value f > 0) and ``inside``
+    (value g < 0): false position, Illinois variant (Dowell and Jarratt 1971)."""
     at, last = outside, 0.0
     for _ in range(60):
         at = (outside * g - inside * f) / (g - f)
@@ -283,6 +297,7 @@ def _crossing(
             break
         if here < 0.0:
             inside, g = at, here
+            # The same end moved twice: halve the other's value, or false position would creep.
             if last < 0.0:
                 f *= 0.5
         else:
@@ -295,7 +310,7 @@ def _crossing(
 
 @numba.njit(nogil=True, cache=True)
 def march_all(kind: int, sizes: Array, rays: Array, out: Array) -> None:
-    """``march`` for rays (n, 6) of the object frame: distances (n,)."""
+    """Fill ``out`` (n,) with ``march`` of rays (n, 6) of the object frame, mm."""
     for i in range(rays.shape[0]):
         r = rays[i]
         out[i] = march(kind, sizes, r[0], r[1], r[2], r[3], r[4], r[5], 0.0, 1e4)
@@ -303,14 +318,14 @@ def march_all(kind: int, sizes: Array, rays: Array, out: Array) -> None:
 
 @numba.njit(nogil=True, cache=True)
 def values(kind: int, sizes: Array, points: Array, out: Array) -> None:
-    """``implicit`` for points (n, 3): (n,)."""
+    """Fill ``out`` (n,) with ``implicit`` at points (n, 3) of the object frame, mm."""
     for i in range(points.shape[0]):
         out[i] = implicit(kind, sizes, points[i, 0], points[i, 1], points[i, 2])
 
 
 @numba.njit(nogil=True, cache=True)
 def distances(kind: int, sizes: Array, points: Array, out: Array) -> None:
-    """Signed distance (n,) of points (n, 3) in the object frame to the surface, outside positive.
+    """Fill ``out`` (n,) with the signed distances, mm, of points (n, 3) in the object frame from the surface, outside positive.
 
     The foot point is dropped onto the surface along the gradient, then slid along the surface until the point stands
     perpendicularly above it. Exact near the surface, whatever the function's slope; beside an edge the foot is on one
@@ -323,6 +338,7 @@ def distances(kind: int, sizes: Array, points: Array, out: Array) -> None:
         for _ in range(12):
             gx, gy, gz = 0.0, 0.0, 1.0
             for _ in range(6):
+                # Newton along the gradient: foot −= f ∇f / |∇f|².
                 f = implicit(kind, sizes, fx, fy, fz)
                 gx, gy, gz = gradient(kind, sizes, fx, fy, fz)
                 g2 = gx * gx + gy * gy + gz * gz

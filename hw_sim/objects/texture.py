@@ -1,5 +1,9 @@
 """Owns albedo: how light or dark an object is at each of its points, fixed to the object."""
 
+# Symbols:
+#   i, j, k   cell of the lattice, modulo 64; s, t, r place within it, 0..1, eased
+#   u, v, w   the object's point in turned axes, mm
+
 from __future__ import annotations
 
 import math
@@ -21,18 +25,20 @@ LATTICE = 64
 
 
 def noise_lattice() -> NDArray[np.float32]:
-    """Random values −1..1 at the lattice points of ``albedo``: (LATTICE,)*3 float32; the same for everybody, always."""
+    """Return random values −1..1 at the lattice points of ``albedo``: (LATTICE,)*3 float32; the same for everybody, always."""
     return np.random.default_rng(64).uniform(-1.0, 1.0, (LATTICE, LATTICE, LATTICE)).astype(np.float32)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _noise(lattice: NDArray[np.float32], x: float, y: float, z: float) -> float:
-    """Smooth noise −1..1 with cells of size 1: trilinear between lattice points, eased."""
+    """Return smooth noise −1..1 with cells of size 1: trilinear between lattice points, eased."""
     fx, fy, fz = math.floor(x), math.floor(y), math.floor(z)
     s, t, r = x - fx, y - fy, z - fz
+    # Ease with 3s² − 2s³, whose slope is 0 at both ends: no creases between cells (Perlin 1985).
     s, t, r = s * s * (3.0 - 2.0 * s), t * t * (3.0 - 2.0 * t), r * r * (3.0 - 2.0 * r)
     i, j, k = int(fx) & 63, int(fy) & 63, int(fz) & 63
     i1, j1, k1 = (i + 1) & 63, (j + 1) & 63, (k + 1) & 63
+    # Trilinear: along x at the four edges, then along y, then along z.
     a = lattice[k, j, i] + s * (lattice[k, j, i1] - lattice[k, j, i])
     b = lattice[k, j1, i] + s * (lattice[k, j1, i1] - lattice[k, j1, i])
     c = lattice[k1, j, i] + s * (lattice[k1, j, i1] - lattice[k1, j, i])
@@ -43,7 +49,7 @@ def _noise(lattice: NDArray[np.float32], x: float, y: float, z: float) -> float:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _stripe(x: float) -> float:
-    """1 and −1 in turn, with a straight border between them."""
+    """Return 1 and −1 in turn, CHECKER_MM each, with a straight border between them."""
     to_border = (
         0.5 * CHECKER_MM - abs((x / (2.0 * CHECKER_MM) - math.floor(x / (2.0 * CHECKER_MM))) * 2.0 - 1.0) * CHECKER_MM
     )
@@ -52,7 +58,7 @@ def _stripe(x: float) -> float:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def albedo(texture: int, lattice: NDArray[np.float32], x: float, y: float, z: float) -> float:
-    """Diffuse albedo 0..1 at a point of the object's frame, mm."""
+    """Return the diffuse albedo 0..1 at a point of the object's frame, mm."""
     if texture == NONE:
         return MEAN_ALBEDO
     if texture in (CHECKER, LABELS):

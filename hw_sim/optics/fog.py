@@ -21,7 +21,7 @@ GLOW_PX = 220.0
 BORDER_PX = 33.0
 """The same of the border: a disc of 130 px, a quarter of it as sigma."""
 KEPT = 0.9
-"""Of the light that is thrown aside, what still meets the picture."""
+"""Share of the light that is thrown aside which still meets the picture."""
 SHRINK = 8
 """The glow is so smooth that it is computed on a smaller picture."""
 
@@ -38,7 +38,7 @@ class Fog:
     y: float = 0.4
     """The same from the top, in heights."""
     radius: float = 0.12
-    """Of the place, in widths of the picture; 2 covers all of it."""
+    """Radius of the place, in widths of the picture; 2 covers all of it."""
 
     def __post_init__(self) -> None:
         for name, most in (("left", 1.0), ("right", 1.0), ("x", 1.0), ("y", 1.0), ("radius", 2.0)):
@@ -47,17 +47,20 @@ class Fog:
                 raise ValueError(f"fog: {name} = {value}; allowed are 0..{most:g}")
 
     def over(self, camera: str, picture: Picture) -> Picture:
-        """The picture (h, w) of ``left`` or ``right`` through its window."""
+        """Return the picture (h, w) float32, electrons, of ``left`` or ``right`` as seen through its window."""
         thrown = self.left if camera == "left" else self.right
         if thrown == 0.0:
             return picture
         h, w = picture.shape
         scale = w / 1600.0
+        # The glow: light thrown aside comes from a wide surrounding, so it is blurred on a smaller picture.
         small = cv2.resize(picture, (math.ceil(w / SHRINK), math.ceil(h / SHRINK)), interpolation=cv2.INTER_AREA)
         soft = cv2.GaussianBlur(small, (0, 0), GLOW_PX * scale / SHRINK, borderType=cv2.BORDER_REFLECT)
         glow = cv2.resize(soft, (w, h), interpolation=cv2.INTER_LINEAR)
         v, u = np.mgrid[:h, :w].astype(np.float32)
+        # A disc convolved with a smooth border, approximated by a tanh of the same width.
         away_px = np.hypot(u - self.x * w, v - self.y * h) - self.radius * w
         inside = 0.5 * (1.0 - np.tanh(away_px / (1.5 * BORDER_PX * scale)))
+        # (1 − share) of the light goes straight; of the share, KEPT returns as glow.
         share = np.asarray(thrown * inside, np.float32)
         return np.asarray(picture + share * (np.float32(KEPT) * glow - picture), np.float32)

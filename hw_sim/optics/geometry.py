@@ -4,6 +4,12 @@ meets is projected into the projector.
 What depends on the pose alone is computed once (``Geometry``); a frame of a scene at rest then only samples light.
 """
 
+# Symbols in the kernels:
+#   o, d      a camera ray in the object's frame; far its length to the surface, h the point met there, w the same in the rig's
+#   n         unit normal at h; s where the projector's light leaves its window, v = s − h, length = |v|
+#   u, v      pattern coordinate at which the projector sees w
+#   per_mm    attenuation of the water; grey albedo times what the water leaves on the way to the camera
+
 from __future__ import annotations
 
 import math
@@ -60,7 +66,7 @@ class Lamp:
     """(rows, columns, 4): where these rays leave the window (rig frame, mm; 0.02 mm apart per pixel), and how bright they
     are (vignetting)."""
     depth_mm: float
-    """How far behind the outer face of the window the light seems to start, seen from the water."""
+    """The light seems to start this far behind the outer face of the window, seen from the water."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,10 +80,11 @@ class Geometry:
 
 
 def lamp_of(eye: Array) -> Lamp:
-    """The projector, from its eye packed as in ``optics.trace``."""
+    """Return the projector, from its eye packed as in ``optics.trace``."""
     at = map_pixels(int(eye[WIDTH]), int(eye[HEIGHT]))
     map_rays = np.empty((*at.shape[:2], 6))
     rays_of(eye, at.reshape(-1, 2), map_rays.reshape(-1, 6))
+    # Vignetting by the cos⁴ law, against the projector's optical axis.
     axis = eye[ROTATION : ROTATION + 9].reshape(3, 3)[:, 2]
     window = np.concatenate([map_rays[..., :3], (map_rays[..., 3:] @ axis)[..., None] ** 4], -1).astype(np.float32)
     # Rays near the axis diverge from a point this far behind the outer face: depths count by the ratio of the indices.
@@ -87,7 +94,7 @@ def lamp_of(eye: Array) -> Lamp:
 
 
 def shadows(pose: Pose, lamp: Lamp) -> NDArray[np.float32]:
-    """The map of what the projector's light meets first at this pose (see ``shadow``)."""
+    """Return the map (rows, columns) float32 of how far, mm, the projector's light goes at this pose (see ``shadow``)."""
     first = np.empty(lamp.map_rays.shape[:2], np.float32)
     shadow_map(pose.kind, pose.sizes, pose.R, pose.t, lamp.map_rays, first)
     return first
@@ -119,7 +126,7 @@ def trace(
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _beside(R: Array, t: Array, sizes: Array, ray: Array, x: float, y: float, z: float) -> tuple[float, float]:
-    """How far along x and y of the board a ray meets the plane that touches its front at a point."""
+    """Return how far, mm along x and y of the board, from a point a ray meets the plane that touches the front there."""
     rise_x, rise_y = lean(sizes, x, y)
     ox, oy, oz = into(R, ray[0] - t[0], ray[1] - t[1], ray[2] - t[2])
     dx, dy, dz = into(R, ray[3], ray[4], ray[5])
@@ -158,6 +165,8 @@ def _trace(
                     distance[y, x] = far
                     hx, hy, hz = ox + far * dx, oy + far * dy, oz + far * dz
                     if print_seen:
+                        # The pixel's footprint on the board is spanned by where its neighbours' rays meet the tangent
+                        # plane.
                         beside = rays[y, x + 1 if x + 1 < columns else x - 1]
                         below = rays[y + 1 if y + 1 < rows else y - 1, x]
                         ax, ay = _beside(R, t, sizes, beside, hx, hy, hz)
@@ -165,11 +174,14 @@ def _trace(
                         grey = printed(ink, sizes, hx, hy, ax, ay, bx, by)
                     else:
                         grey = albedo(texture, lattice, hx, hy, hz)
+                    # Beer and Lambert on the way to the camera.
                     grey *= math.exp(-per_mm * far)
                     out[GREY] = grey
                     if not lit:
                         continue
                     wx, wy, wz = ray[0] + far * ray[3], ray[1] + far * ray[4], ray[2] + far * ray[5]
+                    # Where the projector sees the point; outside of its picture (and a border for blur) no light comes
+                    # from it.
                     u, v = look_up(lamp, table, wx, wy, wz)
                     if not (-2.0 < u < width + 1.0 and -2.0 < v < height + 1.0):
                         continue
@@ -178,16 +190,20 @@ def _trace(
                     sx, sy, sz = into(R, origin[0] - t[0], origin[1] - t[1], origin[2] - t[2])
                     vx, vy, vz = sx - hx, sy - hy, sz - hz
                     length = math.sqrt(vx * vx + vy * vy + vz * vz)
+                    # Lambert: light falls as the cosine between the normal and the way to the projector's window.
                     nx, ny, nz = gradient(kind, sizes, hx, hy, hz)
                     norm = math.sqrt(nx * nx + ny * ny + nz * nz) + 1e-12
                     nx, ny, nz = nx / norm, ny / norm, nz / norm
                     facing = (vx * nx + vy * ny + vz * nz) / length
                     if facing <= 0.0:
                         continue
+                    # The map answers for most points; where it cannot, the point's own ray towards the light is followed.
                     sure = by_map(first, u, v, length)
                     if sure < 0 or (sure == 0 and shaded(kind, sizes, hx, hy, hz, nx, ny, nz, sx, sy, sz)):
                         continue
+                    # Inverse squares from the apparent source, 1 in the middle of the volume; vignetting; Beer and Lambert.
                     spread = (MIDDLE_MM + depth_mm) / (length + depth_mm)
                     out[LIT] = grey * facing * spread * spread * origin[3] * math.exp(-per_mm * length)
+                    # Defocus like heat: softness is the square of the distance from the focus.
                     away = (wz - FOCUS_MM) / FAR_MM
                     out[SOFT] = min(away * away, 1.0)

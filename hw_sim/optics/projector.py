@@ -5,6 +5,11 @@ A pixel is a square of light seen through a lens. Square and lens in focus toget
 Away from the focus the light spreads further, like heat: in proportion to the square of the distance.
 """
 
+# Symbols in collect:
+#   p, q      pattern coordinate of a camera pixel, shifted by PAD; i, j its whole part, s, t the rest, r = 1 − s, e = 1 − t
+#   a0..a3    weights of the cubic B-spline along x at the nodes i − 1 .. i + 2; b0..b3 the same along y
+#   near, far light in focus and at FAR_MM from it, between which the pixel's softness 0..1 interpolates
+
 from __future__ import annotations
 
 import math
@@ -30,7 +35,7 @@ Light = NDArray[np.float32]
 
 
 def response(kind: str = "measured") -> Light:
-    """Light 0..1 of each code, (256,) float32, by the name of ``imaging.RESPONSES``.
+    """Return the light 0..1 of each code, (256,) float32; ``kind`` is one of ``scene.RESPONSES``.
 
     The measured-like one is monotone, with a toe and a shoulder; no pure gamma.
     """
@@ -45,7 +50,7 @@ def response(kind: str = "measured") -> Light:
 
 @dataclass(frozen=True, slots=True)
 class LightSlice:
-    """What the projector showed for a part of an exposure."""
+    """One image that the projector showed, and for how long of an exposure."""
 
     image: NDArray[np.uint8]
     """(768, 1024) green codes as scanned out."""
@@ -53,7 +58,7 @@ class LightSlice:
 
 
 def light_between(slices: tuple[LightSlice, ...], begin_s: float, end_s: float, table: Light) -> Light | None:
-    """Light times seconds per pixel, (768, 1024) float32, of successive ``slices`` from ``begin_s`` to ``end_s`` after
+    """Return light times seconds per pixel, (768, 1024) float32, of successive ``slices`` from ``begin_s`` to ``end_s`` after
     the first began; ``None`` when none of them overlaps."""
     total: Light | None = None
     at_s = 0.0
@@ -68,7 +73,7 @@ def light_between(slices: tuple[LightSlice, ...], begin_s: float, end_s: float, 
 
 
 def soften(light: Light, water_blur_px: float, spread_far_px: float = SPREAD_FAR_PX) -> Light:
-    """The light (h, w) as spline coefficients in focus and ``FAR_MM`` from it, with ``PAD`` dark px around:
+    """Return the light (h, w) as spline coefficients in focus and ``FAR_MM`` from it, with ``PAD`` dark px around:
     (h + 2 PAD, w + 2 PAD, 2) float32.
 
     ``water_blur_px`` is the sigma by which the water spreads the light on its way, in projector px; ``spread_far_px``
@@ -76,6 +81,7 @@ def soften(light: Light, water_blur_px: float, spread_far_px: float = SPREAD_FAR
     """
     around = np.zeros((light.shape[0] + 2 * PAD, light.shape[1] + 2 * PAD), np.float32)
     around[PAD:-PAD, PAD:-PAD] = light
+    # Below 0.15 px a Gaussian is narrower than its own sampling: it changes nothing.
     near = _blur(around, water_blur_px) if water_blur_px > 0.15 else around
     far = _blur(around, math.hypot(water_blur_px, spread_far_px)) if spread_far_px > 0.0 else near
     return np.asarray(cv2.merge([near, far]), np.float32)
@@ -87,8 +93,10 @@ def _blur(light: Light, sigma_px: float) -> Light:
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
-def collect(pixels: Light, light: Light, white: np.float32, ambient: np.float32, veil: Light, electrons: Light) -> None:
-    """Add to ``electrons`` (h, w): ``white`` × projected light, ``ambient`` × grey, and the veil (h, w).
+def collect(
+    pixels: Light, light: Light, white: np.float32, ambient: np.float32, backscatter: Light, electrons: Light
+) -> None:
+    """Add to ``electrons`` (h, w): ``white`` × projected light, ``ambient`` × grey, and the ``backscatter`` (h, w).
 
     ``pixels`` (h, w, 5) are (p, q, lit, softness, grey) as in ``geometry``; ``light`` is what ``soften`` gives, sampled
     by the cubic B-spline; p and q lie within PAD − 2 px of the pattern wherever ``lit`` is not zero.
@@ -96,13 +104,14 @@ def collect(pixels: Light, light: Light, white: np.float32, ambient: np.float32,
     one, half, third, sixth = np.float32(1.0), np.float32(0.5), np.float32(2.0 / 3.0), np.float32(1.0 / 6.0)
     for y in range(pixels.shape[0]):
         for x in range(pixels.shape[1]):
-            value = ambient * pixels[y, x, 4] + veil[y, x]
+            value = ambient * pixels[y, x, 4] + backscatter[y, x]
             lit = pixels[y, x, 2]
             if lit > np.float32(0.0):
                 p, q = pixels[y, x, 0] + np.float32(PAD), pixels[y, x, 1] + np.float32(PAD)
                 i, j = int(p), int(q)
                 s, t = p - np.float32(i), q - np.float32(j)
                 r, e = one - s, one - t
+                # Cubic B-spline: (1 − s)³/6, 2/3 − s² + s³/2, the rest, s³/6; they sum to 1.
                 a0, a3, a1 = r * r * r * sixth, s * s * s * sixth, third - s * s * (one - half * s)
                 b0, b3, b1 = e * e * e * sixth, t * t * t * sixth, third - t * t * (one - half * t)
                 a2, b2 = one - a0 - a1 - a3, one - b0 - b1 - b3
@@ -122,5 +131,6 @@ def collect(pixels: Light, light: Light, white: np.float32, ambient: np.float32,
                         + light[n, i + 1, 1] * a2
                         + light[n, i + 2, 1] * a3
                     )
+                # Heat-like defocus: variance grows with the square of the distance, so light is linear in softness.
                 value += white * lit * (near + pixels[y, x, 3] * (far - near))
             electrons[y, x] += value

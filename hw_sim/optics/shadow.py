@@ -4,6 +4,12 @@ A map of what the projector's rays meet first answers for most points; where it 
 the point's own ray is followed.
 """
 
+# Symbols:
+#   kind, sizes   the object, see objects.shapes; R, t its pose: p_rig = R p_object + t
+#   o, d          origin and unit direction of a ray in the object's frame
+#   u, v          pattern coordinate; a, b, i, j, s, t the same in steps of the map, its whole part and the rest
+#   n, s          in shaded: unit normal, and the point that the light comes from
+
 from __future__ import annotations
 
 import math
@@ -21,14 +27,14 @@ STEP_PX, MARGIN_PX = 2, 4
 SURE_MM = 0.05
 """A point as far along the projector's light as the map says is what that light meets."""
 EDGE_MM = 3.0
-"""Where the map steps by more within a few rays, it is not believed."""
+"""The map is not believed where it steps by more within a few rays."""
 LIFT_MM = 0.02
 """Shadow rays start this far above the surface, so that its own roundoff does not shade it."""
 BLOCK_PX = 8
 
 
 def map_pixels(width_px: int, height_px: int) -> Array:
-    """Pattern coordinates (rows, columns, 2) of the map's rays."""
+    """Return the pattern coordinates (rows, columns, 2) float64 of the map's rays."""
     u = np.arange(-MARGIN_PX, width_px + MARGIN_PX + 1, STEP_PX, dtype=np.float64)
     v = np.arange(-MARGIN_PX, height_px + MARGIN_PX + 1, STEP_PX, dtype=np.float64)
     return np.stack(np.meshgrid(u, v), -1)
@@ -36,13 +42,13 @@ def map_pixels(width_px: int, height_px: int) -> Array:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def nearest(coordinate: float) -> int:
-    """Row or column of the map next to a pattern coordinate."""
+    """Return the row or column of the map next to a pattern coordinate."""
     return int((coordinate + MARGIN_PX) * (1.0 / STEP_PX) + 0.5)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def into(R: Array, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Rᵀ v: a direction of the rig frame in the object frame."""
+    """Return Rᵀ v: a direction of the rig frame in the object frame."""
     return (
         R[0, 0] * x + R[1, 0] * y + R[2, 0] * z,
         R[0, 1] * x + R[1, 1] * y + R[2, 1] * z,
@@ -52,9 +58,12 @@ def into(R: Array, x: float, y: float, z: float) -> tuple[float, float, float]:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def block_start(kind: int, sizes: Array, R: Array, t: Array, rays: Array, y0: int, y1: int, x0: int, x1: int) -> float:
-    """How far all rays of a block (rows y0..y1, columns x0..x1) can go without meeting anything; NaN when none of them
-    meets the object. The middle ray marches with the radius of the bundle around it."""
+    """Return how far, mm, all rays of a block (rows y0..y1, columns x0..x1) can go without meeting anything.
+
+    The middle ray marches with the radius of the bundle around it. NaN when no ray of the block meets the object.
+    """
     middle = rays[(y0 + y1) // 2, (x0 + x1) // 2]
+    # The bundle: how far its corner rays start from the middle one, and by how much they part per mm of way.
     apart, widening = 0.0, 0.0
     for k in range(4):
         corner = rays[(y0, y0, y1, y1)[k], (x0, x1, x0, x1)[k]]
@@ -64,6 +73,7 @@ def block_start(kind: int, sizes: Array, R: Array, t: Array, rays: Array, y0: in
             b += (corner[i + 3] - middle[i + 3]) ** 2
         apart, widening = max(apart, math.sqrt(a)), max(widening, math.sqrt(b))
     apart, widening = 1.02 * apart + 1e-3, 1.02 * widening
+    # Where the bundle enters and leaves the ball around the object: |o + s d|² = reach², a quadratic in s.
     ox, oy, oz = into(R, middle[0] - t[0], middle[1] - t[1], middle[2] - t[2])
     dx, dy, dz = into(R, middle[3], middle[4], middle[5])
     b = ox * dx + oy * dy + oz * dz
@@ -74,6 +84,7 @@ def block_start(kind: int, sizes: Array, R: Array, t: Array, rays: Array, y0: in
         return math.nan
     at, end = max(0.0, -b - math.sqrt(inside)), -b + math.sqrt(inside)
     for _ in range(200):
+        # Sphere tracing with a ball that is smaller by the bundle's radius at this length.
         free = implicit(kind, sizes, ox + at * dx, oy + at * dy, oz + at * dz) - apart - widening * at
         if free < 0.05:
             return at
@@ -88,7 +99,7 @@ def shaded(
     kind: int, sizes: Array, x: float, y: float, z: float,
     nx: float, ny: float, nz: float, sx: float, sy: float, sz: float,
 ) -> bool:  # fmt: skip
-    """Whether the object itself lies between its surface point (unit normal n) and the point s (object frame)."""
+    """Return whether the object itself lies between its surface point (unit normal n) and the point s (object frame)."""
     x, y, z = x + LIFT_MM * nx, y + LIFT_MM * ny, z + LIFT_MM * nz
     dx, dy, dz = sx - x, sy - y, sz - z
     length = math.sqrt(dx * dx + dy * dy + dz * dz)
@@ -97,7 +108,8 @@ def shaded(
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def shadow_map(kind: int, sizes: Array, R: Array, t: Array, rays: Array, out: NDArray[np.float32]) -> None:
-    """Distance (rows, columns) from the window to what each ray (rows, columns, 6) meets first; NaN for nothing."""
+    """Fill ``out`` (rows, columns) with the way, mm, from the window to what each ray (rows, columns, 6) meets first;
+    NaN for nothing."""
     rows, columns = out.shape
     for y0 in range(0, rows, BLOCK_PX):
         y1 = min(y0 + BLOCK_PX, rows)
@@ -116,12 +128,14 @@ def shadow_map(kind: int, sizes: Array, R: Array, t: Array, rays: Array, out: ND
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def by_map(first: NDArray[np.float32], u: float, v: float, length: float) -> int:
-    """1: the point at pattern coordinate (u, v), ``length`` from the window, is lit; −1: in shadow; 0: not certain."""
+    """Return 1 if the point at pattern coordinate (u, v), ``length`` mm from the window, is lit, −1 if it is in shadow,
+    0 if the map cannot tell."""
     a, b = (u + MARGIN_PX) / STEP_PX, (v + MARGIN_PX) / STEP_PX
     i, j = int(a), int(b)
     if i < 1 or j < 1 or i > first.shape[1] - 3 or j > first.shape[0] - 3:
         return 0
     s, t = a - i, b - j
+    # Four by four rays around: an edge of a shadow anywhere among them makes the answer uncertain.
     least, most = 1e9, -1e9
     for m in range(-1, 3):
         for n in range(-1, 3):
@@ -133,6 +147,7 @@ def by_map(first: NDArray[np.float32], u: float, v: float, length: float) -> int
         return -1
     if most - least > 2.0 * EDGE_MM:
         return 0
+    # Bilinear between the four rays around: what the light meets exactly there.
     here = (first[j, i] * (1.0 - s) + first[j, i + 1] * s) * (1.0 - t) + (
         first[j + 1, i] * (1.0 - s) + first[j + 1, i + 1] * s
     ) * t

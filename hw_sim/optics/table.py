@@ -5,6 +5,12 @@ the eye and of 1/z. On a lattice of directions, the dependence on 1/z is a polyn
 between the nodes of the lattice lies a cubic. The lens field is part of what is fitted.
 """
 
+# Symbols:
+#   l         the point in the eye's frame, mm; w = 1 / l_z; a, b its direction l_x / l_z, l_y / l_z in steps of the lattice
+#   c         w as −1..1 between the reciprocals of the far and the near end of the table
+#   i, j      node before the point; s, t what is left, 0..1; a0..a3, b0..b3 weights of the four nodes along x and y
+#   u0..u4    coefficients of u over c, interpolated between the nodes; v0..v4 those of v
+
 from __future__ import annotations
 
 import numba
@@ -28,8 +34,9 @@ _STEP_X, _STEP_Y = 2.0 * HALF_X / (NODES_X - 1), 2.0 * HALF_Y / (NODES_Y - 1)
 
 
 def fit_table(eye: Array) -> Array:
-    """The table (NODES_Y, NODES_X, 2 TERMS) of an eye packed as in ``trace``; some 0.1 s."""
+    """Fit the table (NODES_Y, NODES_X, 2 TERMS) float64 of an eye packed as in ``trace``; takes some 0.1 s."""
     samples = TERMS + 1
+    # Chebyshev's nodes: a polynomial through them has no wild ends.
     c = np.cos(np.pi * (np.arange(samples) + 0.5) / samples)
     tangent_y, tangent_x, z = np.meshgrid(
         np.linspace(-HALF_Y, HALF_Y, NODES_Y),
@@ -42,6 +49,7 @@ def fit_table(eye: Array) -> Array:
     points = np.ascontiguousarray(local @ R.T + eye[POSITION : POSITION + 3])
     pixels = np.empty((len(points), 2))
     pixels_of(eye, points, pixels)
+    # Least squares of each node's samples: coefficients = V⁺ pixels, V = [1 c c² c³ c⁴].
     powers = np.linalg.pinv(np.vander(c, TERMS, increasing=True))
     coefficients = np.einsum("ks,yxsd->yxdk", powers, pixels.reshape(NODES_Y, NODES_X, samples, 2))
     return np.ascontiguousarray(coefficients.reshape(NODES_Y, NODES_X, 2 * TERMS))
@@ -49,7 +57,7 @@ def fit_table(eye: Array) -> Array:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def look_up(eye: Array, table: Array, x: float, y: float, z: float) -> tuple[float, float]:
-    """Pixel of a water point in the rig frame; (OUTSIDE, OUTSIDE) beyond what the table covers."""
+    """Return the pixel of a water point (rig frame, mm), or (OUTSIDE, OUTSIDE) beyond what the table covers."""
     r = ROTATION
     dx, dy, dz = x - eye[POSITION], y - eye[POSITION + 1], z - eye[POSITION + 2]
     lz = dx * eye[r + 2] + dy * eye[r + 5] + dz * eye[r + 8]
@@ -84,11 +92,12 @@ def look_up(eye: Array, table: Array, x: float, y: float, z: float) -> tuple[flo
             v2 += k * node[7]
             v3 += k * node[8]
             v4 += k * node[9]
+    # Horner's rule.
     return u0 + c * (u1 + c * (u2 + c * (u3 + c * u4))), v0 + c * (v1 + c * (v2 + c * (v3 + c * v4)))
 
 
 @numba.njit(nogil=True, cache=True)
 def look_up_all(eye: Array, table: Array, points: Array, out: Array) -> None:
-    """Pixels (n, 2) of water points (n, 3) from the table."""
+    """Fill ``out`` with the pixels (n, 2) of water points (n, 3), rig frame, from the table."""
     for i in range(points.shape[0]):
         out[i, 0], out[i, 1] = look_up(eye, table, points[i, 0], points[i, 1], points[i, 2])

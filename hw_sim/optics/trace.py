@@ -6,6 +6,13 @@ small-angle terms) through an inner face with normal n at distance d along n, an
 own (the wedge) through the point n (d + th).
 """
 
+# Symbols:
+#   eye       a packed camera or projector; the constants below name its places
+#   u, v      pixel; x, y normalised image coordinates (z = 1); xd, yd the same after lens distortion
+#   n, m      unit normals of the window's inner and outer face, pointing into the water
+#   a, g, w   unit directions in air, glass and water; p the point reached on the way
+#   s         length along a ray, mm; r the first place of the rotation R (row by row) in the packed eye
+
 from __future__ import annotations
 
 import math
@@ -31,6 +38,7 @@ DIFFERENCE_PX = 0.01
 @numba.njit(nogil=True, cache=True)
 def refract(x: float, y: float, z: float, nx: float, ny: float, nz: float, ratio: float) -> tuple[float, float, float]:
     """Snell's law for a unit direction crossing a face whose unit normal points onwards; ``ratio`` = n before / after."""
+    # t = η i + (√(1 − η²(1 − c²)) − η c) n, with η = ratio and c = i · n: the vector form of Snell's law.
     cosine = x * nx + y * ny + z * nz
     onward = math.sqrt(1.0 - ratio * ratio * (1.0 - cosine * cosine))
     k = onward - ratio * cosine
@@ -46,6 +54,7 @@ def lens_field(eye: Array, u: float, v: float) -> tuple[float, float]:
     du, dv = 0.0, 0.0
     if eye[HAS_FIELD] == 0.0:
         return du, dv
+    # cos 2x and cos 3x from cos x: cos 2x = 2c² − 1, cos 3x = c(2 cos 2x − 1).
     x, y = math.pi * (u + 0.5) / eye[WIDTH], math.pi * (v + 0.5) / eye[HEIGHT]
     x1, y1 = math.cos(x), math.cos(y)
     x2, y2 = 2.0 * x1 * x1 - 1.0, 2.0 * y1 * y1 - 1.0
@@ -67,10 +76,12 @@ def undistort(eye: Array, xd: float, yd: float) -> tuple[float, float]:
     x, y = xd, yd
     for _ in range(UNDISTORT_STEPS):
         r2 = x * x + y * y
+        # xd = x(1 + k1 r² + k2 r⁴ + k3 r⁶) + 2 p1 xy + p2(r² + 2x²); e is what the present guess misses by.
         radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
         slope = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3))
         ex = xd - (x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x))
         ey = yd - (y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y)
+        # The Jacobian d(xd, yd)/d(x, y) is symmetric; solve it for the step by Cramer's rule.
         xx = radial + x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x
         xy = x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y
         yy = radial + y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x
@@ -90,6 +101,7 @@ def pixel_ray(eye: Array, u: float, v: float) -> tuple[float, float, float, floa
     x, y = undistort(
         eye, (u - du - eye[CENTRE]) / eye[FOCAL], (v - dv - eye[CENTRE + 1]) / eye[FOCAL + 1]
     )  # fmt: skip
+    # In air, from the projection centre to the inner face: n · p = d.
     norm = math.sqrt(x * x + y * y + 1.0)
     ax, ay, az = x / norm, y / norm, 1.0 / norm
     nx, ny, nz = eye[INNER], eye[INNER + 1], eye[INNER + 2]
@@ -97,9 +109,11 @@ def pixel_ray(eye: Array, u: float, v: float) -> tuple[float, float, float, floa
     s = eye[DISTANCE] / (ax * nx + ay * ny + az * nz)
     px, py, pz = ax * s, ay * s, az * s
     gx, gy, gz = refract(ax, ay, az, nx, ny, nz, 1.0 / eye[GLASS])
+    # In glass, to the outer face: m · (p + s g) = m · n (d + th), for the faces are wedged (m ≠ n).
     depth = eye[DISTANCE] + eye[THICKNESS]
     s = ((nx * depth - px) * mx + (ny * depth - py) * my + (nz * depth - pz) * mz) / (gx * mx + gy * my + gz * mz)
     px, py, pz = px + gx * s, py + gy * s, pz + gz * s
+    # Into the water, then from the eye's frame into the rig's: R p + t.
     wx, wy, wz = refract(gx, gy, gz, mx, my, mz, eye[GLASS] / eye[WATER])
     r = ROTATION
     return (
@@ -114,7 +128,7 @@ def pixel_ray(eye: Array, u: float, v: float) -> tuple[float, float, float, floa
 
 @numba.njit(nogil=True, cache=True)
 def _miss(eye: Array, u: float, v: float, x: float, y: float, z: float) -> tuple[float, float]:
-    """Where the ray of (u, v) passes the point, in the eye's x and y, at the point's depth."""
+    """Return by how much the ray of (u, v) misses the point, mm along the eye's x and y, at the point's depth."""
     ox, oy, oz, dx, dy, dz = pixel_ray(eye, u, v)
     r = ROTATION
     zx, zy, zz = eye[r + 2], eye[r + 5], eye[r + 8]
@@ -127,6 +141,7 @@ def _miss(eye: Array, u: float, v: float, x: float, y: float, z: float) -> tuple
 def project_point(eye: Array, x: float, y: float, z: float) -> tuple[float, float]:
     """The pixel whose ray passes through a water point, by Newton on the exact ray; NaN if there is none."""
     r = ROTATION
+    # Into the eye's frame: l = Rᵀ(p − t).
     dx, dy, dz = x - eye[POSITION], y - eye[POSITION + 1], z - eye[POSITION + 2]
     lx = dx * eye[r] + dy * eye[r + 3] + dz * eye[r + 6]
     ly = dx * eye[r + 1] + dy * eye[r + 4] + dz * eye[r + 7]
@@ -139,6 +154,7 @@ def project_point(eye: Array, x: float, y: float, z: float) -> tuple[float, floa
     u, v = eye[CENTRE] + eye[FOCAL] * lx / reach, eye[CENTRE + 1] + eye[FOCAL + 1] * ly / reach
     h = DIFFERENCE_PX
     for _ in range(PROJECT_STEPS):
+        # Newton: J from forward differences, (u, v) −= J⁻¹ m. The root alone decides the accuracy.
         mx, my = _miss(eye, u, v, x, y, z)
         ax, ay = _miss(eye, u + h, v, x, y, z)
         bx, by = _miss(eye, u, v + h, x, y, z)
@@ -158,14 +174,14 @@ def project_point(eye: Array, x: float, y: float, z: float) -> tuple[float, floa
 
 @numba.njit(nogil=True, cache=True)
 def rays_of(eye: Array, uv: Array, out: Array) -> None:
-    """Rays (n, 6) of pixels (n, 2)."""
+    """Fill ``out`` with the rays (n, 6) of pixels ``uv`` (n, 2): see ``pixel_ray``."""
     for i in range(uv.shape[0]):
         out[i, 0], out[i, 1], out[i, 2], out[i, 3], out[i, 4], out[i, 5] = pixel_ray(eye, uv[i, 0], uv[i, 1])
 
 
 @numba.njit(nogil=True, cache=True)
 def rays_of_image(eye: Array, out: Array) -> None:
-    """Rays (h, w, 6) of all pixels."""
+    """Fill ``out`` with the rays (h, w, 6) of all pixels: see ``pixel_ray``."""
     for y in range(out.shape[0]):
         for x in range(out.shape[1]):
             o = out[y, x]
@@ -174,6 +190,6 @@ def rays_of_image(eye: Array, out: Array) -> None:
 
 @numba.njit(nogil=True, cache=True)
 def pixels_of(eye: Array, points: Array, out: Array) -> None:
-    """Pixels (n, 2) of water points (n, 3), rig frame."""
+    """Fill ``out`` with the pixels (n, 2) at which water points (n, 3) of the rig frame, mm, are seen."""
     for i in range(points.shape[0]):
         out[i, 0], out[i, 1] = project_point(eye, points[i, 0], points[i, 1], points[i, 2])

@@ -1,4 +1,10 @@
-"""Owns what a camera truly sees: for each pixel the point, its pattern coordinate, and whether all three eyes see it."""
+"""Owns the ground truth of an image: each pixel's point, its pattern coordinate, whether all three eyes see it, and how far
+a point is from the true surface."""
+
+# Symbols in _look:
+#   p         surface point in the rig's frame, h the same in the object's, n its unit normal
+#   u, v      pattern coordinate; a, b pixel of the other camera
+#   s         where the eye's ray leaves its window (object frame), v = s − h
 
 from __future__ import annotations
 
@@ -22,7 +28,7 @@ MOST_OBLIQUE_DEG = 75.0
 
 @dataclass(frozen=True, slots=True)
 class TrueView:
-    """What one camera truly sees."""
+    """The ground truth of one camera's pixels."""
 
     points_rig_mm: Array
     """(h, w, 3), NaN where no surface is hit."""
@@ -37,7 +43,7 @@ class TrueView:
 def true_view(
     rays: Array, geometry: Geometry, pose: Pose, lamp: Lamp, other_eye: Array, other_table: Array
 ) -> TrueView:
-    """The view of the camera that has ``rays`` (h, w, 6), beside the ``other`` camera."""
+    """Return the true view of the camera that has ``rays`` (h, w, 6), beside the ``other`` camera."""
     h, w = rays.shape[:2]
     points = rays[..., :3] + rays[..., 3:] * geometry.distance_mm[..., None]
     pixels, seen = np.full((h, w, 2), np.nan), np.zeros((h, w), np.bool_)
@@ -58,6 +64,7 @@ def _look(
             px, py, pz = points[y, x, 0], points[y, x, 1], points[y, x, 2]
             if math.isnan(px):
                 continue
+            # Both other eyes must have the point in their pictures.
             u, v = look_up(lamp, lamp_table, px, py, pz)
             if u < -1e5:
                 continue
@@ -72,6 +79,7 @@ def _look(
             norm = math.sqrt(nx * nx + ny * ny + nz * nz) + 1e-12
             nx, ny, nz = nx / norm, ny / norm, nz / norm
             good = True
+            # This camera, the other one, the projector: none may look too obliquely or have the object in its way.
             for which in range(3):
                 ox, oy, oz = rays[y, x, 0], rays[y, x, 1], rays[y, x, 2]
                 if which == 1:
@@ -88,13 +96,13 @@ def _look(
 
 
 class Surface:
-    """The true surface at a moment."""
+    """The true surface at a moment, as a tape measure."""
 
     def __init__(self, pose: Pose) -> None:
         self._pose = pose
 
     def distance_mm(self, points_rig_mm: ArrayLike) -> NDArray[np.float64]:
-        """Signed distances (n,) float64 of points (n, 3) in the rig frame, outside positive; exact near the surface."""
+        """Return signed distances (n,) float64 of points (n, 3) in the rig frame, outside positive; exact near the surface."""
         points = np.reshape(np.asarray(points_rig_mm, np.float64), (-1, 3))
         out = np.empty(len(points))
         pose = self._pose
