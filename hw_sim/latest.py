@@ -1,4 +1,4 @@
-"""Owns values that are dear to compute and asked for again: computed once, whoever asks first."""
+"""Owns a cache of the latest values that take long to compute: computed once, whoever asks first."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Latest(Generic[Key, Value]):
         self._values: OrderedDict[Key, Value] = OrderedDict()
 
     def get(self, key: Key, compute: Callable[[], Value]) -> Value:
-        """The value of ``key``, from ``compute`` if it is not kept. What ``compute`` raises is passed on and not kept."""
+        """Return the value of ``key``, from ``compute`` if it is not kept. What ``compute`` raises is passed on and not kept."""
         with self._lock:
             if key not in self._values:
                 value = compute()

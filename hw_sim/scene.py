@@ -17,7 +17,7 @@ RESPONSES = ("measured", "linear", "gamma")
 
 @dataclass(frozen=True, slots=True)
 class Imaging:
-    """What makes a recorded fringe no pure sine; each cause can be switched off, so that its effect can be measured.
+    """The causes that make a recorded fringe no pure sine; each can be switched off, so that its effect can be measured.
 
     Raises ValueError for a response that is not one of ``RESPONSES``."""
 
@@ -42,18 +42,18 @@ class Scene:
     pose: tuple[float, float, float, float, float, float] | None = None
     """[x, y, z, rx_deg, ry_deg, rz_deg] in the rig frame at time 0; ``None``: where both cameras see it well."""
     texture: str = "slight"
-    """Of every object but the board, which has its print."""
+    """Texture of every object but the board, which has its print."""
     water: Water = field(default_factory=Water)
     ambient: float = 0.02
     noise: bool = True
     motion: Motion = field(default_factory=Motion)
     imaging: Imaging = field(default_factory=Imaging)
     daylight: Daylight = field(default_factory=Daylight)
-    """What is special about the ambient light, and other lamps."""
+    """All that is special about the ambient light, and other lamps."""
     drift: Drift = field(default_factory=Drift)
-    """What is in the water between."""
+    """Snow, bubbles and fish in the water between."""
     fog: Fog = field(default_factory=Fog)
-    """On the cameras' windows."""
+    """A fogged or scratched place on the cameras' windows."""
 
     def __post_init__(self) -> None:
         for value, allowed, what in ((self.object, NAMES, "object"), (self.texture, TEXTURES, "texture")):

@@ -5,6 +5,11 @@ other, light gathers. No light is lost: the net's mean is 1. The waves are band-
 directions, and disperse as in deep water (frequency ∝ root of the wave number). Everything repeats after a tile.
 """
 
+# Symbols:
+#   k         wave number in cycles per tile, kx and ky its parts; height the waves' spectrum; slopes i k height
+#   omega     angular frequency of each wave, rad/s
+#   dx, dy    displacement of each ray, cells; a, b, i, j, s, t where it arrives, whole part and rest
+
 from __future__ import annotations
 
 import math
@@ -32,16 +37,19 @@ class Net:
         cycles = np.fft.fftfreq(CELLS, 1.0 / CELLS)
         kx, ky = cycles[None, :], cycles[:, None]
         k = np.hypot(kx, ky)
+        # One band of wave numbers around the mesh; heights ∝ 1/k² make all of it gather light alike.
         band = np.where(np.abs(k / MESHES - 1.25) < 1.0, np.exp(-(((k / MESHES - 1.25) / 0.5) ** 2)), 0.0)
         height = band / np.maximum(k, 1.0) ** 2 * np.exp(2j * math.pi * rng.uniform(size=k.shape))
         radians = 2.0 * math.pi / CELLS
+        # Parseval: rms of the Laplacian, which is the change of area between neighbouring rays.
         gathering = math.sqrt(0.5 * float(np.sum(np.abs(height) ** 2 * (radians * k) ** 4)))
         height *= GATHERING / gathering * CELLS**2
         self._slopes = (1j * radians * kx * height, 1j * radians * ky * height)
+        # Deep water: ω = √(g k); here scaled so that a wave of one mesh runs at the given speed.
         self._omega = 2.0 * math.pi * speed_mm_s / self.tile_mm * np.sqrt(k * MESHES)
 
     def light(self, clock_s: float) -> NDArray[np.float32]:
-        """The net at a time: (CELLS, CELLS) float32 with mean 1; row and column repeat after ``tile_mm``."""
+        """Return the net at a time: (CELLS, CELLS) float32 with mean 1; row and column repeat after ``tile_mm``."""
         turned = np.exp(-1j * self._omega * clock_s)
         dx, dy = (np.fft.ifft2(slope * turned).real.astype(np.float32) for slope in self._slopes)
         net = np.zeros((CELLS, CELLS), np.float32)

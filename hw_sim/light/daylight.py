@@ -1,7 +1,6 @@
-"""Owns the foreign light: lamps that flicker, another diver's torch, and the bright net that waves throw.
+"""Owns the ambient light: lamps that flicker, another diver's torch, and the bright net that waves throw.
 
-Foreign light falls on a surface from everywhere (it is weighted with albedo alone, like ambient light, and casts no
-shadows) and is dimmed by the water on its way back to the camera. It goes by the world's clock, not by that of the hands:
+It falls on a surface from everywhere (it is weighted with albedo alone and casts no shadows) and is dimmed by the water on its way back to the camera. It goes by the world's clock, not by that of the hands:
 it flickers and moves while the hands are still.
 """
 
@@ -14,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 SWING_MM = 120.0
-"""How far a moving torch strays from its place."""
+"""A moving torch strays so far from its place."""
 LIMITS = {
     "flicker_depth": (0.0, 1.0),
     "flicker_hz": (1.0, 100_000.0),
@@ -44,18 +43,18 @@ class Daylight:
     caustics_speed_mm_s: float = 400.0
     """Speed of the waves that make the net."""
     sun_direction: tuple[float, float, float] = (0.1, 0.6, 0.8)
-    """Where the net's light travels to."""
+    """Direction in which the net's light travels."""
     torch: float = 0.0
-    """In the middle of the spot, in units of the projector's white at 500 mm."""
+    """Light in the middle of the spot, in units of the projector's white at 500 mm."""
     torch_at_mm: tuple[float, float, float] = (30.0, -20.0, 520.0)
-    """Where the spot's middle is, before the clock counts; only its distance from the beam's axis matters."""
+    """The spot's middle before the clock counts; only its distance from the beam's axis matters."""
     torch_direction: tuple[float, float, float] = (-0.5, 0.3, 1.0)
     torch_diameter_mm: float = 80.0
-    """Where the spot is half as bright as in its middle."""
+    """Full width at half maximum of the spot."""
     torch_velocity_mm_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """With which the spot swings through its place; it turns back ``SWING_MM`` from it."""
+    """Velocity with which the spot swings through its place; it turns back ``SWING_MM`` from it."""
     seed: int = 1
-    """Of the flicker's phase and of the waves."""
+    """Seed of the flicker's phase and of the waves."""
 
     def __post_init__(self) -> None:
         for name, (least, most) in LIMITS.items():
@@ -82,15 +81,16 @@ class Daylight:
         return self.caustics == 0.0 and self.torch == 0.0
 
     def flicker(self, clock_s: float, duration_s: float) -> float:
-        """Mean factor of the ambient light over ``duration_s`` around ``clock_s``."""
+        """Return the mean factor of the ambient light over ``duration_s`` around ``clock_s``."""
         if self.flicker_depth == 0.0:
             return 1.0
         phase = np.random.default_rng([self.seed, 100]).uniform(0.0, 2.0 * math.pi)
+        # A cosine averaged over T keeps sin(π f T) / (π f T) of its depth.
         averaged = float(np.sinc(self.flicker_hz * duration_s))
         return 1.0 + self.flicker_depth * averaged * math.cos(2.0 * math.pi * self.flicker_hz * clock_s + phase)
 
     def torch_mm(self, clock_s: float) -> NDArray[np.float64]:
-        """Where the spot's middle is at ``clock_s``."""
+        """Return the spot's middle (3,), mm in the rig frame at time 0, at ``clock_s``."""
         velocity = np.array(self.torch_velocity_mm_s)
         speed = float(np.linalg.norm(velocity))
         if speed == 0.0:

@@ -5,6 +5,10 @@ with a faint wide foot, grained by speckle. On its way the water throws a little
 from the window to the dot.
 """
 
+# Symbols in _streak:
+#   o         from the beam's origin to the camera ray's; d the beam's unit direction; cosine, sine2 of the angle ψ between them
+#   path, along   lengths along ray and beam to where they are nearest to each other; gap2 their squared distance there
+
 from __future__ import annotations
 
 import hashlib
@@ -19,16 +23,16 @@ from hw_sim.optics.geometry import GREY, MIDDLE_MM, Geometry, Pose
 from hw_sim.optics.trace import pixels_of
 from hw_sim.truth import Laser
 from hw_sim.water.medium import Water
-from hw_sim.water.scattering import VEIL_ALBEDO, VEIL_MM
+from hw_sim.water.scattering import BACKSCATTER_ALBEDO, BACKSCATTER_MM
 
 Array = NDArray[np.float64]
 
 SIGMA_MM = 0.9
 """Half width of a beam (Gaussian sigma)."""
 FOOT_SHARE, FOOT_SIGMA_MM = 0.01, 4.0
-"""Of what lens and window of the pointer scatter: how bright in the middle, and how wide."""
+"""Light that lens and window of the pointer scatter: its share in the middle, and its width."""
 SAME_SURFACE_MM = 8.0
-"""Where a beam's light ends within so much of its way, its dot lies on one surface and has no edge in it."""
+"""A dot lies on one surface and has no edge in it if all of the beam's light ends within so much of its way."""
 SHADOW_MM = 0.2
 """A place is lit if the light that runs towards it, parallel to the beam's axis, gets so near to it."""
 WINDOW_MM = 14.0
@@ -70,7 +74,7 @@ def add_laser(
 
 
 def _across(direction: Array) -> Array:
-    """Offsets (n, 3) of the beam's axis, which is the first, and of rays around it, mm."""
+    """Return offsets (n, 3) of the beam's axis, which is the first, and of rays around it, mm."""
     x = np.cross([0.0, 1.0, 0.0], direction)
     x /= np.linalg.norm(x)
     y = np.cross(direction, x)
@@ -80,7 +84,7 @@ def _across(direction: Array) -> Array:
 
 
 def _reach(starts: Array, direction: Array, pose: Pose) -> Array:
-    """How far (n,) light goes from ``starts`` (n, 3) to the object, mm; infinite where it meets nothing."""
+    """Return how far (n,), mm, light goes from ``starts`` (n, 3) to the object; infinite where it meets nothing."""
     beam = np.empty((len(starts), 6))
     beam[:, :3], beam[:, 3:] = (starts - pose.t) @ pose.R, direction @ pose.R
     reach_mm = np.empty(len(starts))
@@ -101,6 +105,7 @@ def _add_dot(
     water: Water,
     grain_seed: int | None,
 ) -> None:
+    """Add the light on the surface around ``ends`` (n, 3), mm, where rays of the beam end."""
     part = _around(eye, electrons.shape, ends, WINDOW_MM)
     if part is None:
         return
@@ -109,11 +114,13 @@ def _add_dot(
     off_mm2 = np.sum((points - origin) ** 2, axis=-1) - along_mm**2
     # What scattering turns a little on the way widens the beam; the camera's own way blurs the whole picture.
     wide_mm2 = SIGMA_MM**2 + (water.blur_px_per_m * 0.16 * along_mm / 1000.0) ** 2
+    # A wider Gaussian of the same power is dimmer in its middle by the ratio of the areas.
     lit = SIGMA_MM**2 / wide_mm2 * np.exp(-off_mm2 / (2.0 * wide_mm2))
     lit += FOOT_SHARE * np.exp(-off_mm2 / (2.0 * FOOT_SIGMA_MM**2))
     lit *= np.exp(-water.attenuation_per_m / 1000.0 * along_mm)
     lit[~(off_mm2 < WINDOW_MM**2)] = 0.0
     ends_mm = (ends - origin) @ direction
+    # One smooth surface: cut by length. Else each near point asks whether its own light reaches it.
     if len(ends) == len(_across(direction)) and np.ptp(ends_mm) < SAME_SURFACE_MM:
         lit[np.abs(along_mm - ends_mm[0]) > SAME_SURFACE_MM] = 0.0
     else:
@@ -140,8 +147,10 @@ def _add_streak(
     geometry: Geometry,
     water: Water,
 ) -> None:
-    # What a mm of lit water sends back, as the albedo of a surface that would look the same; angles are near the veil's.
-    albedo_per_mm = water.backscatter * VEIL_ALBEDO / VEIL_MM
+    """Add the light that the water throws back from the beam, up to ``reach_mm``."""
+    # What a mm of lit water sends back, as the albedo of a surface that would look the same; angles are near backscatter's.
+    albedo_per_mm = water.backscatter * BACKSCATTER_ALBEDO / BACKSCATTER_MM
+    # Seen across at a tenth of a radian, the longest way through the beam: below the limit nobody sees a streak.
     brightest_e = peak_e * albedo_per_mm * SIGMA_MM * math.sqrt(2.0 * math.pi) / 0.1
     if brightest_e < LEAST_STREAK_E:
         return
@@ -155,7 +164,7 @@ def _add_streak(
 
 
 def _around(eye: Array, shape: tuple[int, ...], points: Array, margin_mm: float) -> tuple[slice, slice] | None:
-    """The part of an image in which ``points`` (n, 3) are seen, with a margin; ``None``: they are not."""
+    """Return the part of an image in which ``points`` (n, 3) are seen, with a margin; ``None``: they are not."""
     pixels = np.empty((len(points), 2))
     pixels_of(eye, points, pixels)
     h, w = shape
@@ -175,7 +184,10 @@ def _streak(
     rays: Array, ends: Array, origin: Array, direction: Array, reach_mm: float, back_e_per_mm: float, per_mm: float,
     electrons: NDArray[np.float32],
 ) -> None:  # fmt: skip
-    """A ray that passes the beam at a distance d, at an angle ψ, crosses σ √(2π) / sin ψ · exp(−d²/2σ²) of its light."""
+    """Add to ``electrons`` (h, w) what the beam's light in the water sends along each ray (h, w, 6).
+
+    A ray that passes the beam at a distance d, at an angle ψ, crosses σ √(2π) / sin ψ · exp(−d²/2σ²) of its light.
+    """
     dx, dy, dz = direction[0], direction[1], direction[2]
     for y in range(electrons.shape[0]):
         for x in range(electrons.shape[1]):
@@ -187,6 +199,7 @@ def _streak(
                 continue
             p = ray[3] * ox + ray[4] * oy + ray[5] * oz
             q = dx * ox + dy * oy + dz * oz
+            # Closest approach of two skew lines.
             path = (cosine * q - p) / sine2
             along = (q - cosine * p) / sine2
             if (

@@ -1,4 +1,9 @@
-"""Owns what uneven foreign light adds to a camera's picture: the torch's spot and the net of the waves, where they fall."""
+"""Owns what uneven ambient light adds to a camera's picture: the torch's spot and the net of the waves, where they fall."""
+
+# Symbols in _add:
+#   w, p      surface point in the rig's frame now, and in that of time 0, where the light stays; turn, shift lead from w to p
+#   off2      squared distance of the point from the torch's axis; per_mm2 = 4 ln 2 / diameter² makes the diameter an FWHM
+#   a, b      place in the net, cells; i, j, s, t whole part and rest
 
 from __future__ import annotations
 
@@ -17,11 +22,11 @@ Array = NDArray[np.float64]
 Picture = NDArray[np.float32]
 
 LOOKS_PER_S = 250.0
-"""How often an exposure looks at the net: its lines are as wide as they move meanwhile."""
+"""An exposure looks at the net so often: its lines are as wide as they move meanwhile."""
 MOST_LOOKS = 4
 
 
-class Foreign:
+class UnevenLight:
     """Uneven light on one rig's scene. May be used by several threads at once."""
 
     def __init__(self) -> None:
@@ -73,7 +78,7 @@ class Foreign:
 
 
 def _across(direction: Array) -> tuple[Array, Array]:
-    """Two unit vectors perpendicular to a direction and to each other."""
+    """Return two unit vectors (3,) perpendicular to a direction and to each other."""
     axis = direction / np.linalg.norm(direction)
     x = np.cross([0.0, 1.0, 0.0] if abs(axis[1]) < 0.9 else [1.0, 0.0, 0.0], axis)
     x /= np.linalg.norm(x)
@@ -86,6 +91,7 @@ def _add(
     net: Picture, net_e: float, per_mm: float, sun_x: Array, sun_y: Array,
     torch_e: float, torch_at: Array, axis: Array, per_mm2: float, electrons: Picture,
 ) -> None:  # fmt: skip
+    """Add albedo × (torch + net − 1) to ``electrons`` (h, w) where the camera meets a surface."""
     rows, columns = net.shape
     for y in range(distance.shape[0]):
         for x in range(distance.shape[1]):
@@ -110,6 +116,7 @@ def _add(
                 s, t = a - i, b - j
                 i0, j0 = i % columns, j % rows
                 i1, j1 = (i0 + 1) % columns, (j0 + 1) % rows
+                # Bilinear in the net; its mean, which even light already has, is taken off.
                 above = net[j0, i0] + s * (net[j0, i1] - net[j0, i0])
                 below = net[j1, i0] + s * (net[j1, i1] - net[j1, i0])
                 light += net_e * (above + t * (below - above) - 1.0)

@@ -1,1 +1,1 @@
-"""From a scene and its light to the 8-bit image of a camera."""
+"""Rendering turns a scene and its light into the 8-bit image of a camera."""

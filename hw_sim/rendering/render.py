@@ -1,8 +1,8 @@
 """Owns what the cameras see: light through the scene onto the sensor, one frame at a time.
 
 Where light goes is traced once per pose (``stage``). A frame then samples the projected light, adds ambient light, lasers
-and the water's veil, blurs with the lens, and is read out by the sensor. For moving hands an exposure is the mean of as
-many instants as its motion blur needs (``smear``).
+and backscatter, blurs with the lens, and is read out by the sensor. For moving hands an exposure is the mean of as
+many instants as its motion blur needs (``stage.instants``).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from hw_sim.latest import Latest
 from hw_sim.light.lasers import add_laser
-from hw_sim.light.uneven import Foreign
+from hw_sim.light.uneven import UnevenLight
 from hw_sim.optics.geometry import GREY, LIT, MIDDLE_MM, Geometry, Pose
 from hw_sim.optics.projector import FAR_MM, SPREAD_FAR_PX, LightSlice, collect, light_between, response, soften
 from hw_sim.optics.view import Surface, TrueView
@@ -24,7 +24,7 @@ from hw_sim.rendering.sensor import FULL_WELL_E, Sensor
 from hw_sim.rendering.stage import CAMERAS, MOST_INSTANTS, Stage, instants
 from hw_sim.scene import RESPONSES, Scene
 from hw_sim.truth import TrueRig
-from hw_sim.water.backscatter import Veil
+from hw_sim.water.backscatter import Backscatter
 from hw_sim.water.drift import Drift, Swarm
 from hw_sim.water.fish import before
 from hw_sim.water.medium import Water
@@ -36,7 +36,7 @@ Picture = NDArray[np.float32]
 """Mean electrons of each pixel, (h, w)."""
 
 _CLEAR = math.exp(2.0 * MIDDLE_MM / 1000.0 * Water().attenuation_per_m)
-"""How much brighter the middle of the volume would be in clear water than in the default water."""
+"""The middle of the volume would be so much brighter in clear water than in the default water."""
 WHITE_E_PER_S = FULL_WELL_E * 210.0 / 255.0 / 0.012 / 0.6 * _CLEAR
 """Electrons per second from white light on a white surface facing the rig in the middle of the volume, in clear water:
 210 DN in 12 ms from an albedo of 0.6 in the default water."""
@@ -45,7 +45,7 @@ LASER_E_PER_S = 3.0e6 * _CLEAR
 LENS_BLUR_PX, LEAST_BLUR_PX = 0.55, 0.4
 """Gaussian sigma of the lens in px of 1600; and what remains of it in binned images: the pixel itself."""
 DEFOCUS_FAR_PX = 0.46
-"""What a lens of 11.5 mm at f/8, focused on the middle of the volume, adds ``FAR_MM`` of water away from it: a disc of
+"""A lens of 11.5 mm at f/8, focused on the middle of the volume, adds this ``FAR_MM`` of water away from it: a disc of
 1.44 mm · 11.5 mm · 90 mm / (405 mm · 495 mm) = 7.4 µm (lengths in water divided by its index), a quarter of it as sigma."""
 HIDDEN = 0.25
 """Share of a pixel that must be covered for it to count as hidden."""
@@ -56,7 +56,7 @@ CAMERA_PX_MM, PROJECTOR_PX_MM = 0.160, 0.255
 class Renderer:
     """Renders one rig's cameras. ``expose`` may run in two threads at once.
 
-    The refractive index is that of ``truth``; the scene's water gives attenuation, veil and blur.
+    The refractive index is that of ``truth``; the scene's water gives attenuation, backscatter and blur.
     """
 
     def __init__(self, truth: TrueRig, scene: Scene) -> None:
@@ -64,14 +64,14 @@ class Renderer:
         self._scene = scene
         self._stage = Stage(truth)
         self._responses = {kind: response(kind) for kind in RESPONSES}
-        self._veils: dict[str, Latest[float, Veil]] = {camera: Latest() for camera in CAMERAS}
-        self._foreign = Foreign()
+        self._backscatters: dict[str, Latest[float, Backscatter]] = {camera: Latest() for camera in CAMERAS}
+        self._uneven = UnevenLight()
         self._swarms: Latest[Drift, Swarm] = Latest()
         self._sensors: dict[str, Latest[bool, Sensor]] = {camera: Latest() for camera in CAMERAS}
 
     @property
     def scene(self) -> Scene:
-        """What is looked at; setting it takes effect with the next exposure."""
+        """The scene that is looked at; setting it takes effect with the next exposure."""
         return self._scene
 
     @scene.setter
@@ -89,7 +89,7 @@ class Renderer:
         noise_seed: int,
         clock_s: float | None = None,
     ) -> NDArray[np.uint8]:
-        """One frame (h, w) uint8 of ``left`` or ``right``.
+        """Render one frame (h, w) uint8 of ``left`` or ``right``.
 
         ``time_s`` is the middle of the exposure; the hands move from time 0 on, and are at rest for all of an exposure
         with ``time_s`` ≤ 0. ``slices`` follow each other from the exposure's start; what they do not cover is dark.
@@ -99,6 +99,7 @@ class Renderer:
         clock_s = time_s if clock_s is None else clock_s
         scene = self._scene
         eye = self.truth.eye(camera)
+        # Motion blur: the exposure is the mean of a few instants, each with the light that fell in its share of the time.
         count = self._instants(camera, scene, time_s, exposure_s)
         at_rest = scene.motion.still or time_s <= 0.0
         electrons = np.zeros((eye.height_px, eye.width_px), np.float32)
@@ -108,24 +109,26 @@ class Renderer:
             light = light_between(tuple(slices), begin_s, end_s, self._responses[scene.imaging.response])
             by_clock_s = clock_s + 0.5 * (begin_s + end_s - exposure_s)
             self._add_instant(camera, scene, at_s, by_clock_s, light, end_s - begin_s, lasers, electrons)
+        # Order as in the instrument: lens and water, defocus, fog on the window (so soft that its place in the chain
+        # does not matter), sensor.
         image = self._blurred(camera, scene, electrons)
         if scene.imaging.camera_defocus:
             image = self._defocused(camera, scene, image, time_s)
         return self._sensor(camera, scene).read_out(scene.fog.over(camera, image), gain_db, noise_seed)
 
     def surface(self, time_s: float) -> Surface:
-        """The true surface at ``time_s``."""
+        """Return the true surface at ``time_s``."""
         return Surface(self._stage.pose(self._scene, time_s))
 
     def view(self, camera: str, time_s: float) -> TrueView:
-        """What ``camera`` truly sees at ``time_s``."""
+        """Return the ground truth of ``camera``'s image at ``time_s``."""
         scene = self._scene
         return self._stage.view(camera, scene, self._stage.pose(scene, time_s))
 
     def hidden_by_drift(
         self, camera: str, time_s: float, clock_s: float | None = None, exposure_s: float = 0.0
     ) -> NDArray[np.bool_]:
-        """(h, w): where something in the water hides the object from ``camera``, or a fish its light, in an exposure whose
+        """Return (h, w) bool: whether something in the water hides the object from ``camera``, or a fish its light, in an exposure whose
         middle is ``time_s`` of the hands and ``clock_s`` of the water (``None``: the same)."""
         scene, clock_s = self._scene, time_s if clock_s is None else clock_s
         pose = self._stage.pose(scene, time_s)
@@ -143,6 +146,7 @@ class Renderer:
         return np.asarray(hidden)
 
     def _instants(self, camera: str, scene: Scene, time_s: float, exposure_s: float) -> int:
+        """Return how many instants of the exposure are rendered; fish always need all."""
         if scene.drift.fish:
             return MOST_INSTANTS
         if scene.motion.still or time_s <= 0.0:
@@ -167,23 +171,26 @@ class Renderer:
         geometry = self._geometry(camera, scene, pose, clock_s, lit=light is not None)
         whole, electrons = electrons, np.zeros_like(electrons) if scene.drift.specks else electrons
         daylight, white_e = scene.daylight, WHITE_E_PER_S * duration_s
+        # Ambient light is in units of the projector's white in the middle of the volume.
         ambient = np.float32(white_e * scene.ambient * daylight.flicker(clock_s, duration_s))
         softened = None
         if light is None:
             electrons += ambient * geometry.pixels[..., GREY]
         else:
-            veil = self._veil(camera, scene).seen(light, geometry.distance_mm)
-            veil *= np.float32(WHITE_E_PER_S * 0.6 * scene.water.backscatter)
+            scattered = self._backscatter(camera, scene).seen(light, geometry.distance_mm)
+            # In units of what a surface of albedo 0.6 in the middle sends back (water.medium.Water.backscatter).
+            scattered *= np.float32(WHITE_E_PER_S * 0.6 * scene.water.backscatter)
             spread_px = SPREAD_FAR_PX if scene.imaging.projector_defocus else 0.0
             softened = soften(light, _water_blur_mm(scene.water) / PROJECTOR_PX_MM, spread_px)
-            collect(geometry.pixels, softened, np.float32(WHITE_E_PER_S), ambient, veil, electrons)
+            collect(geometry.pixels, softened, np.float32(WHITE_E_PER_S), ambient, scattered, electrons)
         if not daylight.even:
-            self._foreign.add(
+            self._uneven.add(
                 daylight, clock_s, duration_s, float(ambient), white_e,
                 self._stage.rays(camera), geometry, pose, self._stage.pose(scene, 0.0), electrons,
             )  # fmt: skip
         for number, (on, laser) in enumerate(zip(lasers, self.truth.lasers, strict=True)):
             if on:
+                # Speckle differs between pointers and between cameras, and is the same in each frame of a scene at rest.
                 grain = 4 * self.truth.seed + 2 * number + CAMERAS.index(camera) if scene.noise else None
                 add_laser(
                     electrons, LASER_E_PER_S * duration_s, laser, self._stage.eyes[camera], self._stage.rays(camera),
@@ -194,7 +201,7 @@ class Renderer:
             whole += electrons
 
     def _geometry(self, camera: str, scene: Scene, pose: Pose, clock_s: float, lit: bool) -> Geometry:
-        """What the camera meets, fish included."""
+        """Return what the camera meets, fish included."""
         geometry = self._stage.geometry(camera, scene, pose, lit)
         if not scene.drift.fish:
             return geometry
@@ -229,14 +236,18 @@ class Renderer:
         return self._swarms.get(scene.drift, lambda: Swarm(scene.drift))
 
     def _blurred(self, camera: str, scene: Scene, electrons: Picture) -> Picture:
-        """By the lens, and by the water on the way to it."""
+        """Return the picture blurred by the lens, and by the water on the way to it."""
         scale = self._scale(camera)
         lens_px = max(LENS_BLUR_PX * scale, LEAST_BLUR_PX)
+        # Blurs of independent causes add as variances.
         sigma_px = math.hypot(lens_px, _water_blur_mm(scene.water) / CAMERA_PX_MM * scale)
         return np.asarray(cv2.GaussianBlur(electrons, (0, 0), sigma_px, borderType=cv2.BORDER_REPLICATE), np.float32)
 
     def _defocused(self, camera: str, scene: Scene, image: Picture, time_s: float) -> Picture:
-        """Like heat, in proportion to the square of the distance from the focus; what is behind an edge blurs as its own."""
+        """Return the picture softened away from the focus.
+
+        Variance grows with the square of the distance, as in heat conduction; what is behind an edge blurs as its own.
+        """
         away = self._stage.geometry(camera, scene, self._stage.pose(scene, time_s)).distance_mm - MIDDLE_MM
         share = np.nan_to_num(np.minimum((away / FAR_MM) ** 2, 1.0)).astype(np.float32)
         sigma_px = DEFOCUS_FAR_PX * self._scale(camera)
@@ -246,9 +257,11 @@ class Renderer:
     def _scale(self, camera: str) -> float:
         return self.truth.eye(camera).width_px / 1600.0
 
-    def _veil(self, camera: str, scene: Scene) -> Veil:
+    def _backscatter(self, camera: str, scene: Scene) -> Backscatter:
         per_m = scene.water.attenuation_per_m
-        return self._veils[camera].get(per_m, lambda: Veil(self._stage.rays(camera), self._stage.lamp, per_m))
+        return self._backscatters[camera].get(
+            per_m, lambda: Backscatter(self._stage.rays(camera), self._stage.lamp, per_m)
+        )  # fmt: skip
 
     def _sensor(self, camera: str, scene: Scene) -> Sensor:
         eye = self.truth.eye(camera)
@@ -259,5 +272,5 @@ class Renderer:
 
 
 def _water_blur_mm(water: Water) -> float:
-    """Gaussian sigma in the middle of the volume of what forward scattering does on one way."""
+    """Return the Gaussian sigma, mm in the middle of the volume, of what forward scattering does on one way."""
     return water.blur_px_per_m * CAMERA_PX_MM * MIDDLE_MM / 1000.0

@@ -27,8 +27,9 @@ Array = NDArray[np.float64]
 
 CAMERAS = ("left", "right")
 SMEAR_PX = 1.0
-"""Motion of the picture between two instants, at most (as long as MOST_INSTANTS suffice)."""
+"""The picture moves at most so far between two instants of an exposure (as long as MOST_INSTANTS suffice)."""
 MOST_INSTANTS = 4
+"""A moving picture is the mean of up to so many instants of its exposure."""
 
 
 class Stage:
@@ -50,12 +51,13 @@ class Stage:
         self._shadows: Latest[bytes, NDArray[np.float32]] = Latest(keep=MOST_INSTANTS)
 
     def pose(self, scene: Scene, time_s: float) -> Pose:
-        """Where the object is in the rig's frame; before time 0 the hands are at rest."""
+        """Return the object's pose in the rig's frame at ``time_s``; before time 0 the hands are at rest."""
         R, t = object_pose(scene.start_pose, scene.motion, max(time_s, 0.0))
         return Pose(NAMES[scene.object], self._sizes, R, t)
 
     def rays(self, camera: str) -> Array:
-        """Exact rays (h, w, 6) in water of all of a camera's pixels: point on the window and unit direction, rig frame."""
+        """Return the exact rays (h, w, 6) float64 in water of all of a camera's pixels: point on the window, mm, and unit
+        direction, rig frame."""
 
         def compute() -> Array:
             rays = np.empty((*self._shapes_px[camera], 6))
@@ -65,8 +67,10 @@ class Stage:
         return self._rays.get(camera, compute)
 
     def geometry(self, camera: str, scene: Scene, pose: Pose, lit: bool = True) -> Geometry:
-        """What ``camera`` meets of the scene's object at ``pose``; without ``lit``, only what a dark projector leaves: half
-        the work. The latest of each camera is kept: 53 MB."""
+        """Return what ``camera`` meets of the scene's object at ``pose``.
+
+        Without ``lit`` only what a dark projector leaves: half the work. The latest of each camera is kept: 53 MB.
+        """
         texture, per_m = TEXTURES[scene.texture], scene.water.attenuation_per_m
 
         def compute() -> Geometry:
@@ -77,25 +81,25 @@ class Stage:
         return kept[camera].get((texture, per_m, pose.key), compute)
 
     def view(self, camera: str, scene: Scene, pose: Pose) -> TrueView:
-        """What ``camera`` truly sees."""
+        """Return the ground truth of ``camera``'s image."""
         other = "right" if camera == "left" else "left"
         return true_view(
             self.rays(camera), self.geometry(camera, scene, pose), pose, self.lamp, self.eyes[other], self.table(other)
         )  # fmt: skip
 
     def table(self, camera: str) -> Array:
-        """Fast projection into a camera: see ``optics.table``."""
+        """Return the table for fast projection into a camera: see ``optics.table``."""
         return self._tables.get(camera, lambda: fit_table(self.eyes[camera]))
 
     def shadows(self, pose: Pose) -> NDArray[np.float32]:
-        """What the projector's light meets first at ``pose``: see ``geometry.shadows``."""
+        """Return how far the projector's light goes at ``pose``: see ``geometry.shadows``."""
         return self._shadows.get(pose.key, lambda: shadows(pose, self.lamp))
 
 
 def instants(begin: Pose, end: Pose, pixel_mm: float) -> int:
-    """Of an exposure that begins and ends with the object at these poses: 1..MOST_INSTANTS.
+    """Return the number of instants, 1..MOST_INSTANTS, that an exposure between these poses of the object needs.
 
-    Measured where the object is widest, across the line of sight: along it the picture hardly moves. ``pixel_mm`` is the
+    The motion is measured where the object is widest, across the line of sight: along it the picture hardly moves. ``pixel_mm`` is the
     size of a camera pixel on the object.
     """
     reach_mm = 0.7 * float(RADIUS[begin.kind])

@@ -1,6 +1,6 @@
 """Owns an image of nothing, which runs the kernels that every image needs: to compile them before the world opens.
 
-``PIECES`` can be compiled side by side, the longest first. Fish, particles, foreign light and the like are not among them:
+``PIECES`` can be compiled side by side, the longest first. Fish, particles, uneven light and the like are not among them:
 what a scene rarely has is compiled when it first has it, in a second or two.
 """
 
@@ -19,7 +19,7 @@ PIECES = (
     ("simulated shadows", "hw_sim.rendering.warm:cast_shadows"),
     ("simulated light and water", "hw_sim.rendering.warm:see_by_the_projector"),
 )
-"""What each is for, and its function."""
+"""The purpose of each, and its function."""
 _SIZE_PX = (64, 48)
 _EXPOSURE_S = 0.012
 
@@ -37,7 +37,7 @@ def cast_shadows() -> None:
 
 
 def see_by_the_projector() -> None:
-    """Run what is left: the projector's light, the water's veil, and the true view."""
+    """Run what is left: the projector's light, backscatter, and the true view."""
     renderer = _expose((LightSlice(np.zeros((768, 1024), np.uint8), _EXPOSURE_S),))
     renderer.view("left", 0.0)
     renderer.surface(0.0).distance_mm(np.zeros((1, 3)))

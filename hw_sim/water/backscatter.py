@@ -1,9 +1,15 @@
 """Owns backscatter: projected light that the water between throws straight into a camera.
 
 Single scattering. Along each camera ray, the water inside the projector's beam sends back light in proportion to what
-falls on it there; near the window the ray has not yet entered the beam, behind a surface there is no more water. The veil
+falls on it there; near the window the ray has not yet entered the beam, behind a surface there is no more water. Backscatter
 is smooth, so it is computed on a coarse lattice of rays.
 """
+
+# Symbols in the kernels:
+#   depths    lengths along a camera ray, mm, at the middles of DEPTHS equal steps
+#   place     column and row in the shrunk, padded light, and the share of white light that comes back from there
+#   u, v      pattern coordinate of the place; i, j, s, t the same in the shrunk light, whole part and rest
+#   ends      length of each ray to the surface, NaN where it meets none
 
 from __future__ import annotations
 
@@ -26,11 +32,11 @@ CELL_PX = 32
 DEPTHS = 128
 FIRST_MM, LAST_MM = 120.0, 1000.0
 SHRINK = 16
-"""The light is averaged over squares of so many projector px; between them it is interpolated, so that the veil has no
-steps where a ray enters the beam."""
+"""The light is averaged over squares of so many projector px; between them it is interpolated, so that
+backscatter has no steps where a ray enters the beam."""
 
 
-class Veil:
+class Backscatter:
     """Backscatter as one camera of a rig sees it, at rest or in motion: the beam moves with the camera."""
 
     def __init__(self, rays: Array, lamp: Lamp, attenuation_per_m: float) -> None:
@@ -48,7 +54,7 @@ class Veil:
         middle = coarse[len(self._rows) // 2, len(self._columns) // 2][None, None]
         _places(middle, self._depths_mm, lamp.eye, lamp.table, lamp.window, lamp.depth_mm, 0.0, clear)
         self._unit = float(clear[0, 0, self._depths_mm < MIDDLE_MM, 2].sum())
-        """What comes back of white light from perfectly clear water before the middle: the unit of the option."""
+        """Sum of white light that comes back from perfectly clear water before the middle: the unit of the option."""
 
     @property
     def lit_water_mm(self) -> float:
@@ -56,7 +62,8 @@ class Veil:
         return self._unit * float(self._depths_mm[1] - self._depths_mm[0])
 
     def seen(self, light: NDArray[np.float32], distance_mm: Array) -> NDArray[np.float32]:
-        """The veil (h, w) float32 of the projected ``light`` (768, 1024), in units of the middle's veil of white light."""
+        """Return the backscatter (h, w) float32 of the projected ``light`` (768, 1024), in units of the middle ray's of white
+        light."""
         size = (light.shape[1] // SHRINK, light.shape[0] // SHRINK)
         small = np.pad(np.asarray(cv2.resize(light, size, interpolation=cv2.INTER_AREA), np.float32), 1)
         ends = distance_mm[np.ix_(self._rows, self._columns)]
@@ -71,7 +78,7 @@ def _places(
     rays: Array, depths: Array, lamp: Array, table: Array, window: NDArray[np.float32], depth_mm: float,
     per_mm: float, out: NDArray[np.float32],
 ) -> None:  # fmt: skip
-    """For each ray and depth: column and row in the shrunk, padded light, and what white light there sends back."""
+    """Fill ``out`` (rows, columns, DEPTHS, 3) with the place of each ray and depth."""
     for y in range(rays.shape[0]):
         for x in range(rays.shape[1]):
             ray = rays[y, x]
@@ -80,12 +87,14 @@ def _places(
                 u, v = look_up(lamp, table, px, py, pz)
                 place = out[y, x, k]
                 place[0], place[1], place[2] = 0.0, 0.0, 0.0
+                # Centres of the shrunk pixels lie at whole numbers, shifted by the one dark pixel of padding.
                 i, j = (u + 0.5) / SHRINK + 0.5, (v + 0.5) / SHRINK + 0.5
                 if not (0.0 < i < lamp[WIDTH] / SHRINK + 1.0 and 0.0 < j < lamp[HEIGHT] / SHRINK + 1.0):
                     continue
                 u, v = min(max(u, 0.0), lamp[WIDTH] - 1.0), min(max(v, 0.0), lamp[HEIGHT] - 1.0)
                 start = window[nearest(v), nearest(u)]
                 path = math.sqrt((px - start[0]) ** 2 + (py - start[1]) ** 2 + (pz - start[2]) ** 2)
+                # Inverse squares from the apparent source, vignetting, Beer and Lambert on both ways.
                 spread = (MIDDLE_MM + depth_mm) / (path + depth_mm)
                 place[0], place[1] = i, j
                 place[2] = spread * spread * start[3] * math.exp(-per_mm * (path + depths[k]))
@@ -95,6 +104,7 @@ def _places(
 def _gather(
     places: NDArray[np.float32], depths: Array, ends: Array, light: NDArray[np.float32], out: NDArray[np.float32]
 ) -> None:
+    """Fill ``out`` (rows, columns) with the light that comes back along each ray before it ends."""
     step = depths[1] - depths[0]
     for y in range(ends.shape[0]):
         for x in range(ends.shape[1]):
@@ -102,6 +112,8 @@ def _gather(
             for k in range(depths.size):
                 share = 1.0
                 if ends[y, x] < depths[k] + 0.5 * step:  # not so where nothing is hit: NaN
+                    # The surface cuts this step: only the share before it counts, so backscatter changes smoothly with
+                    # depth.
                     share = (ends[y, x] - depths[k]) / step + 0.5
                     if share <= 0.0:
                         break
@@ -109,6 +121,7 @@ def _gather(
                 if place[2] > 0.0:
                     i, j = int(place[0]), int(place[1])
                     s, t = place[0] - i, place[1] - j
+                    # Bilinear in the shrunk light.
                     above = light[j, i] + s * (light[j, i + 1] - light[j, i])
                     below = light[j + 1, i] + s * (light[j + 1, i + 1] - light[j + 1, i])
                     total += share * place[2] * (above + t * (below - above))

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 LIMITS = {"particles_per_l": (0.0, 2000.0), "bubbles": (0, 5000), "fish": (0, 20)}
 BOX_MM = np.array([[-230.0, -150.0, 80.0], [230.0, 150.0, 700.0]])
-"""Before the rig: all that any camera sees of the water, 86 litres."""
+"""A box before the rig that holds all the water that any camera sees: 86 litres."""
 SNOW_MM, SNOW_POWER = (0.1, 1.0), 3.0
 """Diameters of marine snow, and the power by which larger ones are rarer."""
 STRAY_MM_S = 2.0
@@ -32,18 +32,18 @@ SNOW, BUBBLE = 0, 1
 
 @dataclass(frozen=True, slots=True)
 class Drift:
-    """What is between instrument and object. Off by default. Raises ValueError for impossible amounts (``LIMITS``)."""
+    """The amounts of what is between instrument and object. Off by default. Raises ValueError for impossible amounts (``LIMITS``)."""
 
     particles_per_l: float = 0.0
     """Marine snow: soft specks of 0.1 to 1 mm."""
     bubbles: int = 0
-    """In sight or about to be, of 1 to 4 mm, rising with 100 to 250 mm/s."""
+    """Number of bubbles in sight or about to be, of 1 to 4 mm, rising with 100 to 250 mm/s."""
     fish: int = 0
-    """Of 60 to 120 mm, swimming to and fro across the view; each is in sight for about half of the time."""
+    """Number of fish of 60 to 120 mm, swimming to and fro across the view; each is in sight for about half of the time."""
     current_mm_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Of the water, with all that is in it but fish."""
+    """Velocity of the water, with all that is in it but fish."""
     up: tuple[float, float, float] = (0.0, -1.0, 0.0)
-    """Where bubbles rise to, rig frame."""
+    """Direction in which bubbles rise, rig frame."""
     seed: int = 1
 
     def __post_init__(self) -> None:
@@ -67,7 +67,7 @@ class Drift:
 
     @property
     def specks(self) -> bool:
-        """There is something small in it."""
+        """The water holds something small: snow or bubbles."""
         return bool(self.particles_per_l or self.bubbles)
 
 
@@ -106,6 +106,7 @@ class Swarm:
         current = np.array(drift.current_mm_s)
         up = np.array(drift.up) / np.linalg.norm(drift.up)
         largest = rng.uniform(size=snow)
+        # Inverse transform sampling of a density ∝ d^−power between the two diameters (Junge's law).
         least, most = (d ** (1.0 - SNOW_POWER) for d in SNOW_MM)
         diameter = (least + largest * (most - least)) ** (1.0 / (1.0 - SNOW_POWER))
         self._snow = _Cloud(
@@ -114,6 +115,7 @@ class Swarm:
             current + rng.normal(0.0, STRAY_MM_S, (snow, 3)),
         )
         size = rng.uniform(size=drift.bubbles)
+        # Larger bubbles rise faster.
         rise = RISE_MM_S[0] + (RISE_MM_S[1] - RISE_MM_S[0]) * size
         self._bubbles = _Cloud(
             BUBBLE_BOX_MM,
@@ -135,7 +137,8 @@ class Swarm:
         )
 
     def specks(self, clock_s: float, pose: Pose, rest: Pose) -> Specks:
-        """Where they are for the rig whose object is at ``pose``, and was at ``rest`` when places were named."""
+        """Return snow and bubbles at ``clock_s`` in the frame of the rig whose object is at ``pose``, and was at ``rest`` when
+        places were named; the furthest first."""
         turn = pose.R @ rest.R.T
         clouds = (self._snow, self._bubbles)
         places = np.concatenate([cloud.places(clock_s, pose, rest) for cloud in clouds])
@@ -144,8 +147,9 @@ class Swarm:
         return Specks(places[order], velocity[order], self._radius_mm[order], self._kind[order])
 
     def school(self, clock_s: float, pose: Pose, rest: Pose) -> School:
-        """Likewise."""
+        """Return the fish at ``clock_s``, in the same frame as ``specks``."""
         turn = pose.R @ rest.R.T
+        # Right-handed: ahead, up, aside; fish keep their backs up as far as their heading lets them.
         aside = np.cross(self._heading, self._up)
         aside /= np.maximum(np.linalg.norm(aside, axis=1)[:, None], 1e-9)
         axes = np.stack([self._heading, np.cross(aside, self._heading), aside], axis=1)
@@ -162,10 +166,12 @@ class _Cloud:
     velocity: Array
 
     def places(self, clock_s: float, pose: Pose, rest: Pose) -> Array:
-        """(n, 3) in the frame of the rig now."""
+        """Return the places (n, 3), mm, in the frame of the rig now."""
         turn = pose.R @ rest.R.T
+        # x_now = turn x_then + shift, for the object stands still in the water.
         shift = pose.t - turn @ rest.t
         middle = turn.T @ (self.box_mm.mean(axis=0) - shift)
         size = self.box_mm[1] - self.box_mm[0]
+        # Wrap around the box as the rig has it now: pieces never run out, wherever the hands go.
         away = self.places_mm + self.velocity * clock_s - middle
         return np.asarray((middle + away - size * np.rint(away / size)) @ turn.T + shift)

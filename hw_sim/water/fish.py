@@ -1,5 +1,11 @@
 """Owns the fish before the object: ellipsoids that cameras and projector meet first, traced like the object itself."""
 
+# Symbols:
+#   o, d      origin and unit direction of a ray, rig frame
+#   a, b, c   of |p + far d|² = 1 in units of the half axes: a far² + 2 b far + c = 0
+#   w, n      point met and its normal (not unit); s the way to the projector's window, length = |s|
+#   ahead, up place on the body in units of its half axes
+
 from __future__ import annotations
 
 import math
@@ -18,13 +24,13 @@ from hw_sim.water.drift import School
 Array = NDArray[np.float64]
 
 FIN_AT, FIN_HALF = -1.08, (0.2, 1.0, 0.25)
-"""The tail fin: where along the half length, and its half axes against the body's."""
+"""The tail fin: its place along the half length, and its half axes against the body's."""
 
 
 def before(
     rays: Array, geometry: Geometry, school: School, lamp: Lamp, attenuation_per_m: float, lit: bool
 ) -> Geometry:
-    """What a camera with ``rays`` (h, w, 6) meets where fish swim before the scene; their shadow falls on the object."""
+    """Return what a camera with ``rays`` (h, w, 6) meets where fish swim before the scene; their shadow falls on the object."""
     places = np.concatenate([school.places_mm, school.places_mm + school.axes[:, 0] * FIN_AT * school.half_mm[:, :1]])
     axes = np.concatenate([school.axes, school.axes])
     half = np.concatenate([school.half_mm, school.half_mm * np.array(FIN_HALF)])
@@ -40,12 +46,13 @@ def before(
 def _meet(
     places: Array, axes: Array, half: Array, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float
 ) -> tuple[int, float]:
-    """Which ellipsoid a ray meets first, and after how far; (−1, inf): none."""
+    """Return the number of the ellipsoid that a ray meets first, and after how many mm; (−1, inf) for none."""
     which, least = -1, math.inf
     for i in range(places.shape[0]):
         px, py, pz = ox - places[i, 0], oy - places[i, 1], oz - places[i, 2]
         along = px * dx + py * dy + pz * dz
         reach = half[i, 0] if half[i, 0] > half[i, 1] else half[i, 1]
+        # Most rays pass the ball around the fish: no need for the quadratic.
         if px * px + py * py + pz * pz - along * along > reach * reach:
             continue
         a, b, c = 0.0, 0.0, -1.0
@@ -63,7 +70,7 @@ def _meet(
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _skin(ahead: float, up: float) -> float:
-    """Albedo at a place of the body in units of its half axes: banded, dark above and light below."""
+    """Return the albedo at a place of the body in units of its half axes: banded, dark above and light below."""
     return 0.30 - 0.14 * up + 0.12 * math.sin(9.0 * ahead + 1.5 * math.sin(5.0 * up))
 
 
@@ -72,6 +79,7 @@ def _before(
     rays: Array, places: Array, axes: Array, half: Array, lit: bool, per_mm: float, lamp: Array, table: Array,
     window: NDArray[np.float32], depth_mm: float, distance: Array, pixels: NDArray[np.float32],
 ) -> None:  # fmt: skip
+    """Put the fish into ``distance`` (h, w) and ``pixels`` (h, w, CHANNELS), in place."""
     width, height = lamp[WIDTH], lamp[HEIGHT]
     for y in range(distance.shape[0]):
         for x in range(distance.shape[1]):
@@ -81,6 +89,7 @@ def _before(
                 if lit and out[LIT] > 0.0:
                     far = distance[y, x]
                     wx, wy, wz = ray[0] + far * ray[3], ray[1] + far * ray[4], ray[2] + far * ray[5]
+                    # The object is seen here: is a fish between it and the projector's window?
                     start = window[nearest(out[Q]), nearest(out[P])]
                     sx, sy, sz = start[0] - wx, start[1] - wy, start[2] - wz
                     length = math.sqrt(sx * sx + sy * sy + sz * sz)
@@ -92,6 +101,7 @@ def _before(
             nx, ny, nz, ahead, up = 0.0, 0.0, 0.0, 0.0, 0.0
             for k in range(3):
                 axis = axes[which, k]
+                # The normal is the gradient of Σ (p · axis / half)².
                 at = (px * axis[0] + py * axis[1] + pz * axis[2]) / half[which, k]
                 nx, ny, nz = (
                     nx + at / half[which, k] * axis[0],
@@ -116,6 +126,7 @@ def _before(
             length = math.sqrt(sx * sx + sy * sy + sz * sz)
             facing = (sx * nx + sy * ny + sz * nz) / (length * math.sqrt(nx * nx + ny * ny + nz * nz))
             if facing > 0.0:
+                # Lit as the object is: see optics.geometry.
                 spread = (MIDDLE_MM + depth_mm) / (length + depth_mm)
                 out[LIT] = grey * facing * spread * spread * start[3] * math.exp(-per_mm * length)
                 away = (wz - FOCUS_MM) / FAR_MM

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hw_sim.water.scattering import WAY_MM, seen_in_fringes, veil
+from hw_sim.water.scattering import WAY_MM, backscatter, seen_in_fringes
 
 GREEN_NM = 530.0
 """The projector's light: the middle of its band-pass."""
@@ -22,8 +22,9 @@ LIMITS = {
 
 
 def refractive_index(temperature_c: float, salinity_psu: float, wavelength_nm: float) -> float:
-    """Index of water relative to air: X. Quan, E. S. Fry, Appl. Opt. 34 (1995) 3477, equation 3."""
+    """Return the index of water relative to air: X. Quan, E. S. Fry, Appl. Opt. 34 (1995) 3477, equation 3."""
     t, s = temperature_c, salinity_psu
+    # n = Σ terms λ⁻ᵏ, k = 0..3, λ in nm.
     terms = np.array(
         [
             1.31405 - 2.02e-6 * t**2 + s * (1.779e-4 - 1.05e-6 * t + 1.6e-8 * t**2),
@@ -37,15 +38,15 @@ def refractive_index(temperature_c: float, salinity_psu: float, wavelength_nm: f
 
 @dataclass(frozen=True, slots=True)
 class Water:
-    """What surrounds the instrument. Raises ValueError for values that no water has (``LIMITS``)."""
+    """The water around the instrument. Raises ValueError for values that no water has (``LIMITS``)."""
 
     temperature_c: float = 20.0
     salinity_psu: float = 0.0
     attenuation_per_m: float = 0.4
-    """Light that neither goes on nor comes from elsewhere: exp(−attenuation · path)."""
+    """Attenuation: exp(−attenuation · path) of the light goes on, and none comes from elsewhere."""
     backscatter: float = 0.01
-    """Veil of a white pattern before the middle of the volume in otherwise clear water, as a fraction of what a surface
-    of albedo 0.6 there sends back."""
+    """Backscatter of a white pattern before the middle of the volume in otherwise clear water, as a fraction of what a
+    surface of albedo 0.6 there sends back."""
     blur_px_per_m: float = 0.3
     """Forward scattering: Gaussian sigma per metre of path, in px of 1600."""
 
@@ -57,20 +58,20 @@ class Water:
 
     @property
     def index(self) -> float:
-        """Refractive index relative to air at the projector's green."""
+        """The refractive index relative to air at the projector's green."""
         return refractive_index(self.temperature_c, self.salinity_psu, GREEN_NM)
 
 
 AIR = Water(attenuation_per_m=0.0, backscatter=0.0, blur_px_per_m=0.0)
-"""What air does to light on its way. That it does not refract is the matter of ``truth.in_air``."""
+"""Air dims, scatters and blurs nothing. That it does not refract is the matter of ``truth.in_air``."""
 
 
 def turbid(
     attenuation_per_m: float, scattering_share: float = 0.8, temperature_c: float = 20.0, salinity_psu: float = 0.0
 ) -> Water:
-    """Natural water of a beam attenuation c (1/m, what a transmissometer says) of which the share b/c is scattering.
+    """Return natural water of a beam attenuation c (1/m, what a transmissometer says) of which the share b/c is scattering.
 
-    Attenuation, veil and blur then belong together (``scattering``): some of the scattered light is turned so little that
+    Attenuation, backscatter and blur then belong together (``scattering``): some of the scattered light is turned so little that
     it still carries the fringes, a little softer; what is turned further is gone, and some comes straight back. Clear
     ocean has c = 0.1, coast 0.4 (share 0.55), a harbour 2 (share 0.8). Raises ValueError.
     """
@@ -85,6 +86,6 @@ def turbid(
         temperature_c,
         salinity_psu,
         attenuation_per_m - given_back_per_m,
-        veil(scattering_per_m),
+        backscatter(scattering_per_m),
         sigma_mm / PX_MM / (WAY_MM / 1000.0),
     )

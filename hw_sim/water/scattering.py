@@ -1,4 +1,4 @@
-"""Owns how particles of natural water scatter, and what that does to fringes, to the picture's sharpness, and as veil.
+"""Owns how particles of natural water scatter, and what that does to fringes, to the picture's sharpness, and as backscatter.
 
 The phase function is the mean of T. J. Petzold's measurements in San Diego harbour (Volume Scattering Functions for
 Selected Ocean Waters, SIO Ref. 72-78, 1972) as tabulated by C. D. Mobley, Light and Water (1994), table 3.10; below 0.1°
@@ -18,12 +18,12 @@ from scipy.special import j0
 Array = NDArray[np.float64]
 
 WAY_MM = 487.5
-"""From a window to the middle of the volume."""
+"""Path from a window to the middle of the volume."""
 FRINGE_MM = 4.08
 """A fringe of 16 projector px there. What is fitted is true of it and of one half as long."""
-VEIL_MM, VEIL_DEG, VEIL_ALBEDO = 576.0, 159.4, 0.6
-"""Of the water before the middle that a camera sees inside the projector's beam: its length, weighted with how much
-brighter it is lit than the middle; the weighted angle by which its light is turned; and what the veil is compared to."""
+BACKSCATTER_MM, BACKSCATTER_DEG, BACKSCATTER_ALBEDO = 576.0, 159.4, 0.6
+"""The water before the middle that a camera sees inside the projector's beam: its length, weighted with how much brighter
+it is lit than the middle; the weighted angle by which its light is turned; and the albedo that backscatter is compared to."""
 _POWER = -1.346
 _DEG = (*(0.1, 0.126, 0.158, 0.200, 0.251, 0.316, 0.398, 0.501, 0.631, 0.794, 1.000, 1.259, 1.585, 1.995, 2.512, 3.162,
           3.981, 5.012, 6.310, 7.943), *range(10, 181, 5))  # fmt: skip
@@ -37,39 +37,45 @@ _PER_SR = (
 
 
 def phase_function(angle_rad: Array) -> Array:
-    """Share of the scattered light per steradian at scattering angles 0..π (0 excluded)."""
+    """Return the share of the scattered light per steradian at scattering angles 0..π (0 excluded)."""
     known = np.log(np.radians(_DEG))
+    # Between the table's angles the function is close to a power: interpolate logarithms.
     inside = np.exp(np.interp(np.log(angle_rad), known, np.log(_PER_SR)))
     first = math.radians(_DEG[0])
     return np.where(angle_rad < first, _PER_SR[0] * (angle_rad / first) ** _POWER, inside)
 
 
 def survival(period_mm: float, way_mm: float = WAY_MM) -> float:
-    """Share of once scattered light that still carries fringes of ``period_mm`` after a way of ``way_mm``."""
+    """Return the share of once scattered light that still carries fringes of ``period_mm`` after a way of ``way_mm``."""
     angles = np.geomspace(1e-7, math.pi, 4000)
+    # The ring of directions at θ has the solid angle 2π sin θ dθ.
     weight = 2.0 * math.pi * phase_function(angles) * np.sin(angles)
     places = (np.arange(64) + 0.5) / 64.0
+    # Mean over the place u of scattering of J0(κ θ u s), κ = 2π / period.
     carried = j0(2.0 * math.pi / period_mm * way_mm * angles[:, None] * places).mean(axis=1)
     return float(np.trapezoid(weight * carried, angles) / np.trapezoid(weight, angles))
 
 
 def seen_in_fringes(scattering_per_m: float) -> tuple[float, float]:
-    """What scattering gives back of the light it takes, and how it blurs: the rate per metre by which fringes are dimmed
-    less than by beam attenuation, and the Gaussian sigma in mm after ``WAY_MM``.
+    """Return what scattering gives back of the light it takes, and how it blurs: the rate per metre by which fringes are
+    dimmed less than by beam attenuation, and the Gaussian sigma in mm after ``WAY_MM``.
 
     Together they dim fringes of ``FRINGE_MM`` and of half of it as ``survival`` says.
     """
     coarse, fine = survival(FRINGE_MM), survival(0.5 * FRINGE_MM)
     depth = scattering_per_m * WAY_MM / 1000.0
     wave = 2.0 * math.pi / FRINGE_MM
+    # Solve b s S(κ) = g − σ²κ²/2 for both κ and 2κ: σ² = 2 b s (S(κ) − S(2κ)) / (3 κ²), g from the first.
     variance_mm2 = 2.0 * depth * (coarse - fine) / (3.0 * wave**2)
     given_back = depth * coarse + 0.5 * wave**2 * variance_mm2
     return given_back / (WAY_MM / 1000.0), math.sqrt(variance_mm2)
 
 
-def veil(scattering_per_m: float) -> float:
-    """Veil of white light before the middle, single scattering, as a fraction of what ``VEIL_ALBEDO`` there sends back."""
+def backscatter(scattering_per_m: float) -> float:
+    """Return the backscatter of white light before the middle, single scattering, as a fraction of what a surface of
+    ``BACKSCATTER_ALBEDO`` there sends back."""
     angles = np.geomspace(1e-7, math.pi, 4000)
     whole = float(np.trapezoid(2.0 * math.pi * phase_function(angles) * np.sin(angles), angles))
-    per_sr = float(phase_function(np.array([math.radians(VEIL_DEG)]))[0]) / whole
-    return scattering_per_m * VEIL_MM / 1000.0 * per_sr * math.pi / VEIL_ALBEDO
+    per_sr = float(phase_function(np.array([math.radians(BACKSCATTER_DEG)]))[0]) / whole
+    # b L p(θ), against a Lambertian surface, which sends albedo / π per steradian.
+    return scattering_per_m * BACKSCATTER_MM / 1000.0 * per_sr * math.pi / BACKSCATTER_ALBEDO

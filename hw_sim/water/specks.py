@@ -5,6 +5,13 @@ A speck is a disc; what is smaller than a pixel keeps its light and loses its fo
 window is wider than most of them.
 """
 
+# Symbols in the kernels:
+#   drawn     per speck: U, V its middle, px; MOVED_U, MOVED_V its way during the exposure; RADIUS, SIGMA size and defocus, px;
+#             FAR its distance, mm; KIND snow or bubble; SEEN
+#   samples   per speck and place of LOOKS: the channels of geometry.Geometry.pixels
+#   p, q      pattern coordinate; reduced the optical distance, mm: water counts by 1 / index
+#   r, sigma  radius and softness, px; cover, hides, shines shares of a pixel
+
 from __future__ import annotations
 
 import math
@@ -31,15 +38,15 @@ BALL = 2.0 / 3.0
 """Mean brightness of a matt ball that is lit from where it is looked at, against a disc."""
 BUBBLE_ALBEDO = 0.5
 RIM, RIM_LIGHT, CORE_OPACITY = 0.75, 1.0, 0.3
-"""Of a bubble's radius: further out, light is totally reflected (1/1.333); how bright that is; what the rest hides."""
+"""Share of a bubble's radius beyond which light is totally reflected (1/1.333); how bright that is; what the rest hides."""
 SPOT_AT, SPOT_RADIUS, SPOT_LIGHT = 0.35, 0.16, 4.0
 """The projector's reflex, in radii."""
 LOOKS = ((0.0, 0.0), (0.7, 0.0), (0.35, 0.606), (-0.35, 0.606), (-0.7, 0.0), (-0.35, -0.606), (0.35, -0.606))
-"""Where on a speck the light is sampled, in radii."""
+"""Places on a speck at which the light is sampled, in radii."""
 LEAST_SIGMA_PX = 0.3
 """Softness of what is in focus, so that its place within a pixel is not lost before the lens blurs the picture."""
 MOST_STEPS = 24
-"""Of a speck's way during one exposure."""
+"""A speck's way during one exposure is drawn in at most so many steps."""
 U, V, MOVED_U, MOVED_V, RADIUS, SIGMA, FAR, KIND, SEEN = range(9)
 
 
@@ -87,7 +94,7 @@ def scatter(
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _pixel(eye: Array, table: Array, x: float, y: float, z: float) -> tuple[float, float]:
-    """Where a point is seen: from the table, or exactly, where that does not reach."""
+    """Return the pixel at which a point is seen: from the table, or exactly where that does not reach."""
     u, v = look_up(eye, table, x, y, z)
     if u <= OUTSIDE:
         return project_point(eye, x, y, z)
@@ -100,6 +107,7 @@ def _place(
     lit: bool, first: Picture, lamp: Array, lamp_table: Array, window: Picture, depth_mm: float, per_mm: float,
     looks: Array, drawn: Array, samples: Picture,
 ) -> None:  # fmt: skip
+    """Fill ``drawn`` (n, 9) and ``samples`` (n, len(LOOKS), CHANNELS): where each speck is seen, and what lights it."""
     h, w = rays.shape[:2]
     behind_glass = eye[DISTANCE] + eye[THICKNESS] / eye[GLASS]
     focus_mm = behind_glass + MIDDLE_MM / eye[WATER]
@@ -123,6 +131,7 @@ def _place(
         u0, v0 = _pixel(eye, table, x - mx, y - my, z - mz)
         u1, v1 = _pixel(eye, table, x + mx, y + my, z + mz)
         out[RADIUS] = radius[i] * per_px
+        # Circle of confusion in the image: aperture · f · |1/s − 1/s₀|.
         out[SIGMA] = DEFOCUS_SIGMA * APERTURE_MM * eye[FOCAL] * abs(1.0 / reduced - 1.0 / focus_mm)
         reach = out[RADIUS] + 4.0 * out[SIGMA] + 2.0
         if not (max(u0, u1) > -reach and min(u0, u1) < w + reach and max(v0, v1) > -reach and min(v0, v1) < h + reach):
@@ -132,6 +141,7 @@ def _place(
         far = math.sqrt((x - ray[0]) ** 2 + (y - ray[1]) ** 2 + (z - ray[2]) ** 2)
         out[U], out[V], out[MOVED_U], out[MOVED_V] = u, v, u1 - u0, v1 - v0
         out[FAR], out[KIND], out[SEEN] = far, kind[i], 1.0
+        # The same light as at a surface point (optics.geometry), but for the cosine: a ball has its own mean.
         grey = BUBBLE_ALBEDO if kind[i] == BUBBLE else SNOW_ALBEDO * BALL
         grey *= math.exp(-per_mm * far)
         p, q, light, soft, length = OUTSIDE, OUTSIDE, 0.0, 0.0, 0.0
@@ -140,11 +150,13 @@ def _place(
             if 0.0 < p < lamp[WIDTH] - 1.0 and 0.0 < q < lamp[HEIGHT] - 1.0:
                 start = window[nearest(q), nearest(p)]
                 length = math.sqrt((x - start[0]) ** 2 + (y - start[1]) ** 2 + (z - start[2]) ** 2)
+                # In the object's shadow, but for a millimetre: no projector light.
                 if not first[nearest(q), nearest(p)] < length - 1.0:
                     spread = (MIDDLE_MM + depth_mm) / (length + depth_mm)
                     light = grey * spread * spread * start[3] * math.exp(-per_mm * length)
                     away = (z - FOCUS_MM) / FAR_MM
                     soft = min(away * away, 1.0)
+        # Large specks cross several fringes, so the pattern is sampled all over them.
         wide = radius[i] * lamp[FOCAL] / (lamp_behind + length / lamp[WATER])
         for k in range(looks.shape[0]):
             sample = samples[i, k]
@@ -155,7 +167,7 @@ def _place(
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _step(edge: float, sigma: float) -> float:
-    """A soft step: 1 well inside of an edge, 0 well outside."""
+    """Return a soft step: 1 well inside of an edge, 0 well outside (Gaussian of sigma px)."""
     return 0.5 * math.erfc(edge / (math.sqrt(2.0) * sigma))
 
 
@@ -163,7 +175,10 @@ def _step(edge: float, sigma: float) -> float:
 def _draw(
     drawn: Array, light: Picture, distance: Array, own: Picture, glow: Picture, electrons: Picture, hidden: Picture
 ) -> None:
-    """``own`` (what of a pixel is hidden by this speck) and ``glow`` (what it adds) are zero, and left so."""
+    """Draw the specks over ``electrons`` (h, w), the furthest first.
+
+    ``own`` (what of a pixel is hidden by this speck) and ``glow`` (what it adds), both (h, w), are zero, and left so.
+    """
     h, w = electrons.shape
     root = math.sqrt(2.0)
     for i in range(drawn.shape[0]):
@@ -171,6 +186,7 @@ def _draw(
         r, sigma, bubble = speck[RADIUS], max(speck[SIGMA], LEAST_SIGMA_PX), speck[KIND] == BUBBLE
         way = math.hypot(speck[MOVED_U], speck[MOVED_V])
         steps = min(MOST_STEPS, 1 + int(way / max(0.7, sigma, 0.1 * r if bubble else 0.5 * r)))
+        # A small speck is a Gaussian with the disc's own variance r²/4 added; a large one a disc with soft edges.
         formless = r < 2.0 * sigma
         spread = math.sqrt(sigma * sigma + 0.25 * r * r)
         reach = 0.5 * way + (4.0 * spread + 1.0 if formless else r + 4.0 * sigma + 1.0)
@@ -189,6 +205,7 @@ def _draw(
                     continue
                 row = 1.0
                 if formless:
+                    # The Gaussian is integrated over each pixel (differences of erf), so no light is lost between pixels.
                     row = area * 0.5 * (math.erf((dy + 0.5) / (root * spread)) - math.erf((dy - 0.5) / (root * spread)))
                 for x in range(x0, x1 + 1):
                     dx = x - cu
@@ -205,6 +222,8 @@ def _draw(
                         cover = _step(d - disc, sigma)
                         hides, shines = cover * SNOW_OPACITY, cover
                         if bubble:
+                            # A bubble: bright rim by total reflection, a nearly clear core, and the projector's reflex
+                            # above its middle.
                             core = _step(d - RIM * disc, sigma)
                             hides = cover - (1.0 - CORE_OPACITY) * core
                             spot = math.hypot(dx, dy + SPOT_AT * r)
@@ -215,6 +234,7 @@ def _draw(
                     glow[y, x] += shines / steps
         for y in range(y0, y1 + 1):
             for x in range(x0, x1 + 1):
+                # Painter's algorithm: what is behind counts as far as this speck leaves it, unless the object is nearer.
                 hides, shines = min(own[y, x], np.float32(1.0)), glow[y, x]
                 own[y, x], glow[y, x] = 0.0, 0.0
                 if distance[y, x] < speck[FAR]:

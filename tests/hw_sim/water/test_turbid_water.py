@@ -13,9 +13,9 @@ from hw_sim.rendering.sensor import OFFSET_DN
 from hw_sim.rendering.stage import Stage
 from hw_sim.scene import Scene
 from hw_sim.truth import draw_truth
-from hw_sim.water.backscatter import Veil
+from hw_sim.water.backscatter import Backscatter
 from hw_sim.water.medium import Water, turbid
-from hw_sim.water.scattering import FRINGE_MM, VEIL_DEG, VEIL_MM, WAY_MM, phase_function, survival
+from hw_sim.water.scattering import BACKSCATTER_DEG, BACKSCATTER_MM, FRINGE_MM, WAY_MM, phase_function, survival
 
 
 def test_the_phase_function_scatters_all_light_and_its_known_share_backwards() -> None:
@@ -52,9 +52,9 @@ def test_the_fitted_fringe_is_one_of_the_rig() -> None:
 
 def test_the_veil_counts_the_water_that_the_rig_sees_lit() -> None:
     stage = Stage(draw_truth("nominal", 1, 400, 300, Water().index))
-    seen = Veil(stage.rays("left"), stage.lamp, 0.0).lit_water_mm
-    assert seen == pytest.approx(VEIL_MM, rel=0.01)
-    assert 150.0 < VEIL_DEG < 168.0
+    seen = Backscatter(stage.rays("left"), stage.lamp, 0.0).lit_water_mm
+    assert seen == pytest.approx(BACKSCATTER_MM, rel=0.01)
+    assert 150.0 < BACKSCATTER_DEG < 168.0
 
 
 def test_a_harbour_veils_and_blurs_more_than_a_coast_and_absorbing_water_does_neither() -> None:
