@@ -19,12 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hw_sim import registry
-from hw_sim.devices.board import Board
+from hw_sim.devices.board import Board, Shot
 from hw_sim.devices.cable import Cable
 from hw_sim.devices.card import Card
 from hw_sim.devices.head import Flip, Output
 from hw_sim.devices.keypad import Keypad
-from hw_sim.devices.shot import Shot
 from hw_sim.devices.shutter import Exposure, Latent
 from hw_sim.devices.u3v_camera import U3vCamera
 from hw_sim.faults import Fault, FaultBook

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from hw_sim.devices.board_line import Command, CommandReader, line
-from hw_sim.devices.shot import Shot
 from hw_sim.faults import FaultBook
 from hw_sim.timing.world_time import BLANK_NS, WorldTime
 
@@ -22,7 +21,7 @@ HEARTBEAT_US = 500_000
 SLOW_ANSWER_NS = 500_000_000
 SYNC_LOST_PERIODS = 3
 OUTPUT_BYTES = 65_536
-"""What the host's serial buffer holds; later lines are lost whole."""
+"""Capacity of the host's serial buffer; later lines are lost whole."""
 
 BAD_VERB, BAD_ARGUMENT, BUSY, NO_SYNC, PAST = 1, 2, 3, 4, 5
 REFUSALS = {
@@ -35,8 +34,24 @@ REFUSALS = {
 
 
 @dataclass(frozen=True, slots=True)
+class Shot:
+    """The number of a pulse and of its sequence; rides along with the trigger line so that faults can name a frame."""
+
+    series: int
+    """Number of the ARM, from 1; 0 for live pulses."""
+    index: int
+    count: int | None
+    """Pulses of the ARM; ``None`` for live pulses."""
+
+    @property
+    def frame(self) -> int | None:
+        """Index in the armed sequence; ``None`` for live pulses."""
+        return self.index if self.count is not None else None
+
+
+@dataclass(frozen=True, slots=True)
 class _Job:
-    """What the board was told to fire."""
+    """A series of pulses that the board was told to fire."""
 
     start: int
     every: int
@@ -64,14 +79,14 @@ class Board:
         *,
         period_ns: int = BLANK_NS,
     ) -> None:
-        """``period_ns``: of the projector's vertical sync, as far as the firmware was told."""
+        """``period_ns``: that of the projector's vertical sync, as far as the firmware was told."""
         self._sync_lost_ns = SYNC_LOST_PERIODS * period_ns
         self._time, self._faults, self._fire, self._sensor = time, faults, fire, sensor
         self._rng = np.random.default_rng([seed, 0xB0A2D])
         self._ppm = float(self._rng.uniform(-45.0, 45.0))
         self.series = 0
         self.open = False
-        """Whether a host has the port open; what is sent meanwhile is lost."""
+        """True while a host has the port open; what is sent while it is closed is lost."""
         self._out = bytearray()
         self._life = 0
         """Counts resets, so that what was planned before one does not happen after it."""
@@ -96,7 +111,7 @@ class Board:
 
     @property
     def lasers_on(self) -> tuple[bool, bool]:
-        """What really shines."""
+        """The lasers (left, right) that really shine."""
         left, right = (
             conducts or self._faults.active(f"laser.{side}", "wrong") is not None
             for side, conducts in zip(("left", "right"), self._conducting, strict=True)
@@ -105,7 +120,7 @@ class Board:
 
     @property
     def _conducting(self) -> tuple[bool, bool]:
-        """What the drivers' current sense reads back."""
+        """The lasers (left, right) through which the drivers' current sense finds a current."""
         left, right = (
             self._faults.active(f"laser.{side}", "stuck") is not None
             or (wanted and self._powered and self._faults.active(f"laser.{side}", "off") is None)
@@ -120,7 +135,7 @@ class Board:
     # ------------------------------------------------------------------------------------------ vertical sync
 
     def vsync(self, time_ns: int) -> None:
-        """A vertical sync of the projector's video input."""
+        """Count a vertical sync of the projector's video input, and fire what it is the turn of."""
         if not self._powered:
             return
         self._count = (self._count + 1) & 0xFFFFFFFF
@@ -128,6 +143,7 @@ class Board:
         job = self._job
         if job is None:
             return
+        # The counter has 32 bits and wraps: a difference in its upper half is negative, the start is still to come.
         since = (self._count - job.start) & 0xFFFFFFFF
         if since & 0x80000000 or since % job.every:
             return
@@ -141,7 +157,7 @@ class Board:
             self._at(time_ns + job.delay_us * 1000 + late_ns, lambda t: self._pulse(job, index, t))
 
     def no_vsync(self, time_ns: int) -> None:
-        """The projector's video input is dead at this blank."""
+        """Note that the projector's video input is dead at this blank."""
         if self._job is not None and not self._synced(time_ns):
             self._job = None
             self._report("NOSYNC")
@@ -172,7 +188,7 @@ class Board:
     # ------------------------------------------------------------------------------------------ power and resets
 
     def refresh(self, time_ns: int) -> None:
-        """A fault may have begun or ended."""
+        """Look again at the faults: one may have begun or ended."""
         powered = self._faults.active("board", "off") is None
         if powered and not self._powered:
             self._powered = True
@@ -202,7 +218,7 @@ class Board:
         return int((time_ns - self._reset_ns) * (1.0 + self._ppm * 1e-6)) // 1000
 
     def _at(self, time_ns: int, action: Callable[[int], None]) -> None:
-        """As the world's agenda, but forgotten by a reset."""
+        """Put ``action`` on the world's agenda; a reset of the board forgets it."""
         life = self._life
 
         def alive(t: int) -> None:
@@ -213,6 +229,7 @@ class Board:
 
     def _schedule_heartbeat(self) -> None:
         self._beats += 1
+        # The board's crystal is off by _ppm: its half seconds are not the world's.
         self._at(self._reset_ns + int(self._beats * HEARTBEAT_US * 1000 / (1.0 + self._ppm * 1e-6)), self._heartbeat)
 
     def _heartbeat(self, time_ns: int) -> None:
@@ -226,10 +243,11 @@ class Board:
     # ------------------------------------------------------------------------------------------ commands
 
     def receive(self, data: bytes) -> None:
-        """Bytes from the host."""
+        """Obey the commands in bytes from the host."""
         if not self._powered:
             return
         for command in self._reader.feed(data):
+            # A host that lost an answer sends the same number again: it is answered again, not obeyed again.
             if self._answered is not None and self._answered[0] == command:
                 answer = self._answered[1]
             else:
@@ -319,7 +337,7 @@ class Board:
         return len(self._out)
 
     def take(self, size: int) -> bytes:
-        """Up to ``size`` unread bytes."""
+        """Return up to ``size`` unread bytes and forget them."""
         taken = bytes(self._out[:size])
         del self._out[:size]
         return taken

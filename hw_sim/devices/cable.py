@@ -21,18 +21,18 @@ MOST_WAITING = 4
 
 
 class Cable:
-    """From a machine that shows a picture every ``period_ns``."""
+    """A cable from a machine that shows a picture every ``period_ns``."""
 
     def __init__(self, period_ns: int) -> None:
         self.period_ns = period_ns
         self.pictures = 0
-        """How many came."""
+        """Number of pictures that came."""
         self._waiting: deque[NDArray[np.uint8]] = deque(maxlen=MOST_WAITING)
         self._shown: NDArray[np.uint8] | None = None
         self._sync_ns: int | None = None
 
     def show(self, green: NDArray[np.uint8]) -> None:
-        """The machine scans this out from now on: (768, 1024) uint8. Raises ValueError for another size."""
+        """Take a picture that the machine scans out from now on: (768, 1024) uint8. Raises ValueError for another size."""
         width, height = PROJECTOR_SIZE
         if green.shape != (height, width) or green.dtype != np.uint8:
             raise ValueError(f"a picture of {green.shape} {green.dtype}; the projector takes ({height}, {width}) uint8")
@@ -40,7 +40,7 @@ class Cable:
         self._waiting.append(green)
 
     def dark(self) -> None:
-        """The machine drives the cable no more."""
+        """Note that the machine drives the cable no more."""
         self._waiting.clear()
         self._shown = None
 
@@ -50,18 +50,18 @@ class Cable:
         return self._shown is not None
 
     def syncs(self, time_ns: int) -> bool:
-        """A vertical sync begins now."""
+        """Return whether a vertical sync begins at ``time_ns``."""
         if self._waiting or self._sync_ns is None:
             return True
         return time_ns - self._sync_ns >= HELD_PERIODS * self.period_ns
 
     def vblank(self, time_ns: int) -> None:
-        """It begins: the oldest picture that waits is shown."""
+        """Begin a vertical sync: the oldest picture that waits is shown."""
         self._sync_ns = time_ns
         if self._waiting:
             self._shown = self._waiting.popleft()
 
     def projected(self) -> NDArray[np.uint8]:
-        """(768, 1024) uint8 that lights the scene; black while nothing is scanned out."""
+        """Return (768, 1024) uint8 that lights the scene; black while nothing is scanned out."""
         width, height = PROJECTOR_SIZE
         return np.zeros((height, width), np.uint8) if self._shown is None else self._shown

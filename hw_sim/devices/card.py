@@ -40,7 +40,7 @@ class Card:
         self.notify = notify
         self.copies = copies
         self.modes = {output: tuple(slower_mode(mode, refresh_hz) for mode in modes) for output, modes in MODES.items()}
-        """What each monitor can show."""
+        """The modes that each monitor can show."""
         self.connectors = {
             95: Connector(Output.PROJECTOR, 95, 94, abi.CONNECTOR_HDMI_A, 1, (0, 0), broadcast_rgb=RGB_AUTOMATIC),
             103: Connector(Output.DISPLAY, 103, 102, abi.CONNECTOR_DISPLAY_PORT, 1, (154, 86)),
@@ -55,7 +55,7 @@ class Card:
         self.show_console()
 
     def plug(self, there: bool) -> None:
-        """The card goes, as after a reset that it did not survive, or is there again. Who had opened it has a dead node."""
+        """Take the card away, as after a reset that it did not survive, or give it back. Who had opened it has a dead node."""
         if there == self.there:
             return
         self.there = there
@@ -71,7 +71,7 @@ class Card:
         self.notify()
 
     def opened(self, file: FlipOwner) -> None:
-        """Somebody opened the node; the first is its master. Raises OSError(ENODEV) while the card is gone."""
+        """Note a file that opened the node; the first is its master. Raises OSError(ENODEV) while the card is gone."""
         if not self.there:
             raise OSError(errno.ENODEV, os.strerror(errno.ENODEV))
         self.files.append(file)
@@ -79,7 +79,7 @@ class Card:
             self.master = file
 
     def released(self, file: FlipOwner) -> None:
-        """Somebody closed it: their framebuffers go; the last one leaves the card to the console."""
+        """Note a file that closed the node: its framebuffers go; the last one leaves the card to the console."""
         if file not in self.files:
             return  # opened before the card went
         for fb_id in [i for i, (owner, _) in self.framebuffers.items() if owner is file]:
@@ -91,11 +91,11 @@ class Card:
             self.show_console()
 
     def next_id(self) -> int:
-        """A new object number."""
+        """Return a new object number."""
         return next(self._ids)
 
     def show_console(self) -> None:
-        """What the kernel shows when nobody has the card: black, in the preferred modes."""
+        """Show what the kernel does when nobody has the card: black, in the preferred modes."""
         for connector, crtc in zip(self.connectors.values(), self.crtcs.values(), strict=True):
             self.complete(crtc)
             crtc.mode, crtc.framebuffer, crtc.offset = copy_mode(self.modes[connector.output][0]), None, (0, 0)
@@ -107,12 +107,13 @@ class Card:
         for crtc in self.crtcs.values():
             if crtc.framebuffer is framebuffer:
                 self.switch_off(crtc)
+            # drm_framebuffer_remove: engines that would show it are switched off, and their event still comes.
             elif crtc.pending is not None and crtc.pending.framebuffer is framebuffer:
                 self.complete(crtc)
                 self.switch_off(crtc)
 
     def switch_off(self, crtc: Crtc) -> None:
-        """No mode, no image, no vertical blank; a pending flip still gets its event."""
+        """Switch an engine off: no mode, no image, no vertical blank; a pending flip still gets its event."""
         self.complete(crtc)
         crtc.mode, crtc.framebuffer = None, None
         for connector in self.connectors.values():
@@ -133,26 +134,26 @@ class Card:
     # ------------------------------------------------------------------------------------------ what others see
 
     def crtc(self, output: Output) -> Crtc | None:
-        """The engine that drives an output; ``None`` while the output is dark."""
+        """Return the engine that drives an output; ``None`` while the output is dark."""
         connector = next(c for c in self.connectors.values() if c.output is output)
         return connector.crtc if connector.crtc is not None and self.lit(connector.crtc) else None
 
     def lit(self, crtc: Crtc) -> bool:
-        """Whether an engine has a mode and a monitor that is awake, and so vertical blanks."""
+        """Return whether an engine has a mode and a monitor that is awake, and so vertical blanks."""
         awake = any(c.crtc is crtc and c.dpms == abi.DPMS_ON for c in self.connectors.values())
         return crtc.mode is not None and awake
 
     def flip_pending(self, output: Output) -> bool:
-        """Whether the next vertical blank brings a new image."""
+        """Return whether the next vertical blank brings a new image."""
         return self.pending(output) is not None
 
     def pending(self, output: Output) -> Flip | None:
-        """The flip that waits for the next vertical blank."""
+        """Return the flip that waits for the next vertical blank; ``None``: there is none."""
         crtc = self.crtc(output)
         return crtc.pending if crtc is not None else None
 
     def vblank(self, time_ns: int, hold: Output | None = None) -> None:
-        """The vertical blank of both heads; the flip of the output ``hold`` stays pending once more."""
+        """Do the vertical blank of both heads; the flip of the output ``hold`` stays pending once more."""
         self._blank_ns = time_ns
         for output in Output:
             crtc = self.crtc(output)
@@ -171,20 +172,22 @@ class Card:
                 flip.owner.deliver(flip.user_data, self._blank_ns, crtc)
 
     def projected(self) -> NDArray[np.uint8]:
-        """(768, 1024) uint8 copy: green as it leaves the cable, after the connector's range and the beamer's scaler."""
+        """Return a (768, 1024) uint8 copy: green as it leaves the cable, after the connector's range and the beamer's scaler."""
         width, height = PROJECTOR_SIZE
         crtc = self.crtc(Output.PROJECTOR)
         if crtc is None:
             return np.zeros((height, width), np.uint8)
         green = crtc.colour(1)
         if green.shape != (height, width):
+            # The beamer's scaler repeats or drops pixels, as cheap ones do.
             rows, columns = (np.arange(n) * m // n for n, m in zip((height, width), green.shape, strict=True))
             green = green[rows[:, None], columns]
+        # Anything but Full may leave with codes 16..235, as drivers choose for monitors of video: fringes lose contrast.
         full = self.connectors[95].broadcast_rgb == RGB_FULL
         return green if full else LIMITED_RANGE[green]
 
     def displayed(self) -> NDArray[np.uint8]:
-        """(h, w, 3) uint8 RGB copy of the diver's display; black in its own size while it is dark."""
+        """Return an (h, w, 3) uint8 RGB copy of the diver's display; black in its own size while it is dark."""
         crtc = self.crtc(Output.DISPLAY)
         if crtc is None:
             native = MODES[Output.DISPLAY][0]

@@ -65,17 +65,17 @@ class UserMemory(Protocol):
 
 
 class Host(Protocol):
-    """What the card shares with the machine that it is built into."""
+    """The machine that the card is built into, as far as they share something."""
 
     @property
     def memory(self) -> UserMemory:
-        """Of the process that opened the node, where a call names no other."""
+        """Memory of the process that opened the node, where a call names no other."""
 
     def time_ns(self, world_ns: int) -> int:
-        """A moment of world time by the host's monotonic clock."""
+        """Return a moment of world time by the host's monotonic clock."""
 
     def scan_out_memory(self, size: int) -> tuple[bytearray | memoryview, int]:
-        """Memory for a dumb buffer, zero, and the offset of the node at which it can be mapped."""
+        """Return memory for a dumb buffer, zero, and the offset of the node at which it can be mapped."""
 
 
 class ThisProcess:
@@ -146,11 +146,12 @@ class CardFile:
     # ------------------------------------------------------------------------------------------ system calls
 
     def ioctl(self, request: int, buffer: bytearray, user: UserMemory | None = None) -> None:
-        """As ``fcntl.ioctl(fd, request, buffer, True)``; pointers lead into ``user``, by default the host's memory."""
+        """Do what ``fcntl.ioctl(fd, request, buffer, True)`` does; pointers lead into ``user``, by default the host's memory."""
         self._check_open()
         self._user = user or self._host.memory
         if request >> 8 & 0xFF != abi.IOCTL_TYPE:
             raise _fail(errno.ENOTTY)
+        # _IOC of asm-generic/ioctl.h: number in bits 0..7, type in 8..15, size in 16..29.
         number, size = request & 0xFF, request >> 16 & 0x3FFF
         call = self._calls.get(number)
         if call is None:
@@ -162,7 +163,7 @@ class CardFile:
         call(buffer)
 
     def map(self, length: int, offset: int) -> memoryview:
-        """As ``mmap`` of a dumb buffer: writable, shared."""
+        """Return what ``mmap`` of a dumb buffer does: its memory, writable and shared."""
         self._check_open()
         dumb = self._offsets.get(offset)
         if dumb is None or not 0 < length <= len(dumb.memory):
@@ -176,11 +177,11 @@ class CardFile:
 
     @property
     def closed(self) -> bool:
-        """Whether ``close`` was called."""
+        """True after ``close``."""
         return self._closed
 
     def read(self, size: int) -> bytes:
-        """As ``os.read`` of a non-blocking descriptor: whole events. Raises BlockingIOError when there is none."""
+        """Return what ``os.read`` of a non-blocking descriptor does: whole events. Raises BlockingIOError when there is none."""
         self._check_open()
         if not self._events:
             raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
@@ -198,11 +199,12 @@ class CardFile:
         self._notify()
 
     def cut(self) -> None:
-        """The card is gone: every call fails from now on."""
+        """Fail every call from now on: the card is gone."""
         self._cut = True
 
     def deliver(self, user_data: int, time_ns: int, crtc: Crtc) -> None:
-        """A flip that was asked for with an event has completed."""
+        """Queue the event of a flip that has completed."""
+        # struct drm_event_vblank carries the blank's time, not that of the delivery.
         seconds, microseconds = divmod(self._host.time_ns(time_ns) // 1000, 1_000_000)
         event = (abi.EVENT_FLIP_COMPLETE, abi.FLIP_COMPLETE.size, user_data, seconds, microseconds)
         self._promised -= 1
@@ -277,7 +279,7 @@ class CardFile:
         _into(buffer, arg)
 
     def _get_connector(self, buffer: bytearray) -> None:
-        arg = _from(buffer, abi.Connector)
+        arg = _from(buffer, abi.ModeGetConnector)
         connector = self._card.connectors.get(arg.connector_id)
         if connector is None:
             raise _fail(errno.ENOENT)
@@ -298,7 +300,7 @@ class CardFile:
         _into(buffer, arg)
 
     def _get_crtc(self, buffer: bytearray) -> None:
-        arg = _from(buffer, abi.Crtc)
+        arg = _from(buffer, abi.ModeCrtc)
         crtc = self._crtc(arg.crtc_id)
         arg.x, arg.y = crtc.offset
         arg.gamma_size = GAMMA_SIZE
@@ -339,7 +341,7 @@ class CardFile:
         self._set_property(self._connector(arg.obj_id, arg.obj_type), arg.prop_id, arg.value)
 
     def _connector(self, object_id: int, object_type: int, is_crtc: bool = False) -> Connector | None:
-        """The connector of that number; ``None`` for an engine, which has no properties."""
+        """Return the connector of that number; ``None`` for an engine, which has no properties."""
         if is_crtc and object_type in (abi.OBJECT_CRTC, abi.OBJECT_ANY):
             return None
         connector = self._card.connectors.get(object_id)
@@ -354,6 +356,7 @@ class CardFile:
             raise _fail(errno.EINVAL)
         if property_id == PROP_DPMS:
             connector.dpms = value
+            # A monitor that goes to sleep ends vertical blanks: what is pending must not wait for one.
             if value != abi.DPMS_ON and connector.crtc is not None:
                 self._card.complete(connector.crtc)
         else:
@@ -430,7 +433,7 @@ class CardFile:
         return self._card.crtcs[crtc_id]
 
     def _set_crtc(self, buffer: bytearray) -> None:
-        arg = _from(buffer, abi.Crtc)
+        arg = _from(buffer, abi.ModeCrtc)
         crtc = self._crtc(arg.crtc_id)
         if not arg.mode_valid:
             if arg.count_connectors:
@@ -482,15 +485,18 @@ class CardFile:
             raise _fail(errno.EBUSY)
         framebuffer = self._framebuffer(arg.fb_id)
         _check_viewport(framebuffer, crtc.mode, crtc.offset)
+        # Without a vertical blank the flip would never complete: atomic helpers refuse it.
         if not self._card.lit(crtc):
             raise _fail(errno.EINVAL)
         if crtc.pending is not None:
             raise _fail(errno.EBUSY)
         wants_event = bool(arg.flags & abi.FLIP_EVENT)
         if wants_event:
+            # drm_event_reserve_init: an event needs room in the file's queue before the flip is taken.
             if (len(self._events) + self._promised + 1) * abi.FLIP_COMPLETE.size > EVENT_SPACE:
                 raise _fail(errno.ENOMEM)
             self._promised += 1
+        # drm_mode_page_flip_ioctl: one flip at a time; it completes at the next vertical blank.
         crtc.pending = Flip(framebuffer, arg.user_data, self if wants_event else None)
         self._notify()
 
@@ -502,7 +508,7 @@ class CardFile:
 
 
 def _properties(connector: Connector | None) -> dict[int, int]:
-    """Property number → value of a connector."""
+    """Return property number → value of a connector."""
     if connector is None:
         return {}
     properties = {PROP_DPMS: connector.dpms}
@@ -518,7 +524,7 @@ def _check_viewport(framebuffer: Framebuffer, mode: abi.Modeinfo, offset: tuple[
 
 
 def _from(buffer: bytearray, kind: type[Struct]) -> Struct:
-    """The argument of a call; what user space did not give is zero, as in the kernel."""
+    """Return the argument of a call; what user space did not give is zero, as in the kernel."""
     size = ctypes.sizeof(kind)
     return kind.from_buffer_copy(bytes(buffer[:size]).ljust(size, b"\0"))
 

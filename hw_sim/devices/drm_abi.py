@@ -33,6 +33,8 @@ DPMS_ON = 0
 
 
 class Modeinfo(ctypes.Structure):
+    """A mode (struct drm_mode_modeinfo): pixel clock in kHz, then edges of line and picture in pixels and lines."""
+
     _fields_ = (
         ("clock", c_uint32),
         ("hdisplay", c_uint16),
@@ -87,7 +89,7 @@ class Resources(ctypes.Structure):
     )
 
 
-class Crtc(ctypes.Structure):
+class ModeCrtc(ctypes.Structure):
     _fields_ = (
         ("set_connectors_ptr", c_uint64),
         ("count_connectors", c_uint32),
@@ -121,7 +123,7 @@ class Encoder(ctypes.Structure):
     )
 
 
-class Connector(ctypes.Structure):
+class ModeGetConnector(ctypes.Structure):
     _fields_ = (
         ("encoders_ptr", c_uint64),
         ("modes_ptr", c_uint64),

@@ -99,7 +99,7 @@ class Memory:
         self.add(Register(address, size, pack if read is not None else None, unpack if write is not None else None))
 
     def read(self, address: int, size: int) -> bytes:
-        """Raises Refused: a hole, a write-only register, bad alignment."""
+        """Return ``size`` bytes from ``address``. Raises Refused: a hole, a write-only register, bad alignment."""
         data = b""
         for register in self._touched(address, size):
             if register.read is None:
@@ -109,7 +109,7 @@ class Memory:
         return data
 
     def write(self, address: int, data: bytes) -> None:
-        """Raises Refused: a hole, a read-only register, half a number; nothing is written then."""
+        """Write ``data`` at ``address``. Raises Refused: a hole, a read-only register, half a number; nothing is written then."""
         registers = self._touched(address, len(data))
         for register in registers:
             if register.write is None:
@@ -118,6 +118,7 @@ class Memory:
             if register.whole and not inside:
                 raise Refused(Status.INVALID_PARAMETER)
         for register in registers:
+            # Only now that every register has agreed: a refused write changes nothing.
             start, end = register.address - address, register.address + register.length - address
             if register.write is not None:
                 register.write(data[max(start, 0) : end])
@@ -135,6 +136,7 @@ class Memory:
             touched.append(register)
             reached = register.address + register.length
             at += 1
+        # GenCP: numbers are read and written in units of 4 bytes; strings and files at any place.
         if (address % 4 or size % 4) and any(register.whole for register in touched):
             raise Refused(Status.BAD_ALIGNMENT)
         return touched

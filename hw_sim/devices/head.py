@@ -16,6 +16,7 @@ from hw_sim.devices.drm_abi import Modeinfo
 
 RGB_AUTOMATIC, RGB_FULL, RGB_LIMITED = 0, 1, 2
 GAMMA_SIZE = 256
+# CTA-861: codes 16..235 of 0..255.
 LIMITED_RANGE = np.round(16 + np.arange(256) * 219 / 255).astype(np.uint8)
 
 
@@ -26,7 +27,7 @@ class Dumb:
     pitch: int
     memory: bytearray | memoryview
     offset: int = 0
-    """At which user space maps it."""
+    """Offset in the node at which user space maps it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,18 +42,18 @@ class Framebuffer:
     dumb: Dumb
 
     def pixels(self) -> NDArray[np.uint8]:
-        """(height, width, 4) view: blue, green, red, unused."""
+        """Return a (height, width, 4) view: blue, green, red, unused."""
         rows = np.frombuffer(self.dumb.memory, np.uint8, self.pitch * self.height).reshape(self.height, self.pitch)
         return rows[:, : 4 * self.width].reshape(self.height, self.width, 4)
 
 
 class FlipOwner(Protocol):
-    """Who opened the card, may ask for a flip and waits for its event."""
+    """A file that opened the card, may ask for a flip and waits for its event."""
 
     def deliver(self, user_data: int, time_ns: int, crtc: Crtc) -> None: ...
 
     def cut(self) -> None:
-        """The card is gone for good: nothing that was opened works any more."""
+        """Note that the card is gone for good: nothing that was opened works any more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +69,7 @@ class Flip:
 
 
 class Output(Enum):
-    """What is plugged in where."""
+    """An output, by the connector that its monitor is plugged into."""
 
     PROJECTOR = "HDMI-A-1"
     DISPLAY = "DP-1"
@@ -76,6 +77,7 @@ class Output(Enum):
 
 MODES: dict[Output, tuple[Modeinfo, ...]] = {
     Output.PROJECTOR: (
+        # VESA DMT timings; 800x480 is that of common 7 inch panels.
         abi.mode("1024x768", 65_000, (1024, 1048, 1184, 1344), (768, 771, 777, 806), abi.NHSYNC | abi.NVSYNC, True),
         abi.mode("800x600", 40_000, (800, 840, 968, 1056), (600, 601, 605, 628), abi.PHSYNC | abi.PVSYNC, False),
         abi.mode("640x480", 25_175, (640, 656, 752, 800), (480, 490, 492, 525), abi.NHSYNC | abi.NVSYNC, False),
@@ -104,7 +106,7 @@ class Connector:
 
 
 def linear_gamma() -> NDArray[np.uint16]:
-    """(3, 256) red, green and blue table as the kernel makes it: entry i is i << 8."""
+    """Return the (3, 256) uint16 table of red, green and blue as the kernel makes it: entry i is i << 8."""
     return np.tile((np.arange(GAMMA_SIZE) << 8).astype(np.uint16), (3, 1))
 
 
@@ -126,13 +128,13 @@ class Crtc:
     """(3, 256) red, green and blue, 16 bit; the cable carries the upper 8."""
 
     def colour(self, channel: int) -> NDArray[np.uint8]:
-        """(height, width) copy of one channel (0 red, 1 green, 2 blue) behind the gamma table."""
+        """Return a (height, width) uint8 copy of one channel (0 red, 1 green, 2 blue) behind the gamma table."""
         table = (self.gamma[channel] >> 8).astype(np.uint8)
         shown: NDArray[np.uint8] = table[self.image()[:, :, 2 - channel]]
         return shown
 
     def image(self) -> NDArray[np.uint8]:
-        """(height, width, 4) of what is scanned out; a view into shared memory, the card's copy of it, or black."""
+        """Return (height, width, 4) uint8 of what is scanned out; a view into shared memory, the card's copy of it, or black."""
         if self.mode is None:
             return np.zeros((1, 1, 4), np.uint8)
         width, height = self.mode.hdisplay, self.mode.vdisplay
@@ -144,13 +146,13 @@ class Crtc:
 
 
 def same_timing(a: Modeinfo, b: Modeinfo) -> bool:
-    """Whether two modes drive the monitor alike; name and type do not matter."""
+    """Return whether two modes drive the monitor alike; name and type do not matter."""
     ignored = {"name", "type", "vrefresh"}
     return all(getattr(a, name) == getattr(b, name) for name, *_ in Modeinfo._fields_ if name not in ignored)
 
 
 def slower_mode(mode: Modeinfo, refresh_hz: float) -> Modeinfo:
-    """The same lines at another rate than 60 Hz: its pixel clock, to the kernel's kHz."""
+    """Return the same lines at another rate than 60 Hz: another pixel clock, rounded to the kernel's kHz."""
     slower = copy_mode(mode)
     slower.clock = round(mode.clock * refresh_hz / 60.0)
     slower.vrefresh = round(mode.vrefresh * refresh_hz / 60.0)
@@ -158,5 +160,5 @@ def slower_mode(mode: Modeinfo, refresh_hz: float) -> Modeinfo:
 
 
 def copy_mode(mode: Modeinfo) -> Modeinfo:
-    """A mode of its own."""
+    """Return a copy of a mode."""
     return Modeinfo.from_buffer_copy(ctypes.string_at(ctypes.addressof(mode), ctypes.sizeof(mode)))

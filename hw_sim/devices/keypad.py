@@ -54,11 +54,11 @@ class Keypad:
         self._edge(now_ns + hold_ns, key, False, BOUNCE_NS)
 
     def touch(self, key: str, at_ns: int) -> None:
-        """A finger comes at ``at_ns``, or now if that is past, and stays. Raises ValueError for an unknown key."""
+        """Lay a finger on a key at ``at_ns``, or now if that is past, and stays. Raises ValueError for an unknown key."""
         self._finger(key, True, at_ns)
 
     def let_go(self, key: str, at_ns: int) -> None:
-        """It goes, at ``at_ns`` or now. Raises ValueError for an unknown key."""
+        """Take the finger off, at ``at_ns`` or now. Raises ValueError for an unknown key."""
         self._finger(key, False, at_ns)
 
     def _finger(self, key: str, down: bool, at_ns: int) -> None:
@@ -67,7 +67,7 @@ class Keypad:
         self._edge(max(at_ns, self._time.now_ns()), key, down, BOUNCE_NS)
 
     def _edge(self, time_ns: int, key: str, down: bool, within_ns: int) -> None:
-        """A change at ``time_ns`` and up to three bounces behind it, the last of which settles."""
+        """Plan a change at ``time_ns`` and up to three bounces behind it, the last of which settles."""
         self._edges += 1
         number, bit = self._edges, BITS[key]
 
@@ -80,6 +80,7 @@ class Keypad:
                 self._set(bit, closed, t)
 
         self._time.at(time_ns, begin)
+        # An even number, so that the last bounce ends where the finger is.
         bounces = 2 * int(self._rng.integers(0, 4))
         after_ns = np.sort(self._rng.integers(min(500_000, within_ns // 2), max(1, within_ns), bounces))
         for i, offset_ns in enumerate(after_ns.tolist()):
@@ -96,7 +97,7 @@ class Keypad:
         return self._coils | stuck
 
     def refresh(self, time_ns: int) -> None:
-        """A fault may have begun or ended."""
+        """Look again at the faults: one may have begun or ended."""
         plugged = self._faults.active("keypad", "off") is None
         if plugged != self.plugged:
             self.plugged = plugged
@@ -131,6 +132,7 @@ class Keypad:
         self._counter = (self._counter + 1) & 0xFF
         check = CHECK
         for byte in body:
+            # Exclusive or of all bytes: finds every single wrong bit.
             check ^= byte
         report = body + bytes([check])
         if self._faults.active("keypad", "garbage"):
@@ -140,7 +142,7 @@ class Keypad:
         self._time.condition.notify_all()
 
     def _spoil(self, report: bytes) -> bytes:
-        """One of: wrong checksum, wrong number, too short, noise."""
+        """Return a report with one of: wrong checksum, wrong number, too short, noise."""
         match int(self._rng.integers(0, 4)):
             case 0:
                 return report[:-1] + bytes([report[-1] ^ 0x5A])

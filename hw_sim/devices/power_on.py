@@ -24,7 +24,7 @@ CHOICES = {
 
 @dataclass(frozen=True, slots=True)
 class PowerOn:
-    """What a camera does before anybody has set it. Raises ValueError for a word that no camera knows."""
+    """The state of a camera before anybody has set it. Raises ValueError for a word that no camera knows."""
 
     acquisition_mode: str = "Continuous"
     trigger_activation: str = "RisingEdge"
@@ -40,7 +40,7 @@ class PowerOn:
     width_step_px: int = 0
     """A width between two steps is rounded down, unsaid; 0: the camera refuses it instead."""
     keeps_stale: bool = False
-    """What was not read when a stream ended is sent when the next begins."""
+    """Blocks that were not read when a stream ended are sent when the next begins."""
 
     def __post_init__(self) -> None:
         for name, words in CHOICES.items():
@@ -61,7 +61,7 @@ POLITE = PowerOn()
 
 @dataclass(frozen=True, slots=True)
 class Cameras:
-    """How each of the two cameras powers up, from a table of ``PowerOn`` values."""
+    """The power-on states of the two cameras, from a table of ``PowerOn`` values."""
 
     left: Mapping[str, Any] = field(default_factory=dict)
     right: Mapping[str, Any] = field(default_factory=dict)

@@ -13,8 +13,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from hw_sim.devices.board import Shot
 from hw_sim.devices.power_on import CHOICES, POLITE, PowerOn
-from hw_sim.devices.shot import Shot
 from hw_sim.faults import FaultBook
 from hw_sim.timing.world_time import WorldTime
 
@@ -29,12 +29,12 @@ RISING, FALLING = 0, 1
 TIMED, TRIGGER_WIDTH = 1, 2
 AUTO_OFF, AUTO_CONTINUOUS = 0, 2
 AUTO_EXPOSURE_US, AUTO_GAIN_TENTH_DB = 14_000, 120
-"""What the automatic functions choose in the dark of a scan: more than anybody asks for."""
+"""The automatic functions choose this in the dark of a scan: more than anybody asks for."""
 
 
 @dataclass(frozen=True, slots=True)
 class Exposure:
-    """Light was collected from ``start_ns`` on."""
+    """An exposure: light was collected from ``start_ns`` on."""
 
     start_ns: int
     duration_ns: int
@@ -58,7 +58,7 @@ class Latent(Protocol):
 
 @dataclass(slots=True)
 class Settings:
-    """What the host sets. Power-on values, unless told otherwise: a free-running camera that needs no trigger."""
+    """The settings that a host may change. Power-on values, unless told otherwise: a free-running camera that needs no trigger."""
 
     acquisition_mode: int = CONTINUOUS
     frame_count: int = 1
@@ -126,7 +126,7 @@ class Shutter:
         """Triggers that came while a frame was exposed or could not have been read out."""
         self._life = 0
         self._free_run_number = 0
-        """Of the free run that goes on; those before it have ended."""
+        """Number of the free run that goes on; those before it have ended."""
         self._block_id = 0
         self._left: int | None = None
         self.exposing_until_ns = 0
@@ -137,14 +137,14 @@ class Shutter:
         self._frozen: Latent | None = None
 
     def power_up(self) -> None:
-        """Settings and counters as after plugging in."""
+        """Set settings and counters as after plugging in."""
         self.stop()
         self._begin_life()
         self.exposing_until_ns = self._readout_until_ns = 0
         self.settings = Settings.at_power_on(self._power_on)
 
     def _begin_life(self) -> None:
-        """What is still on its way never arrives, and keeps neither memory nor link busy."""
+        """Forget what is still on its way: it never arrives, and keeps neither memory nor link busy."""
         self._life += 1
         self._held = 0
         self._link_free_ns = 0
@@ -167,7 +167,7 @@ class Shutter:
     # ------------------------------------------------------------------------------------------ triggers
 
     def line0(self, time_ns: int, width_ns: int, shot: Shot) -> None:
-        """A pulse of the trigger line, rising at ``time_ns``."""
+        """Take a pulse of the trigger line that rises at ``time_ns``."""
         s = self.settings
         if not s.trigger_on or s.trigger_source != LINE0:
             return
@@ -179,13 +179,13 @@ class Shutter:
         self._at(start_ns, lambda t: self._trigger(Exposure(t, duration_ns, s.used_gain_db, shot)))
 
     def software(self) -> None:
-        """The host's trigger command."""
+        """Take the host's trigger command."""
         s = self.settings
         if s.trigger_on and s.trigger_source == SOFTWARE:
             self._trigger(self._own_exposure(self._time.now_ns()))
 
     def trigger_mode_changed(self) -> None:
-        """Off during an acquisition: it runs freely from now on, and no two runs at once."""
+        """Note that the trigger mode changed: off during an acquisition, it runs freely from now on, and no two runs at once."""
         self._free_run_number += 1
         if self.acquiring and not self.settings.trigger_on:
             self._free_run(self._free_run_number, self._time.now_ns())
@@ -194,6 +194,7 @@ class Shutter:
         if number != self._free_run_number or not self.acquiring or self.settings.trigger_on:
             return
         self._trigger(self._own_exposure(time_ns))
+        # The frame rate is in mHz; no exposure is cut short for it.
         period_ns = max(10**12 // self.settings.frame_rate_mhz, self.settings.used_exposure_us * 1000)
         self._time.at(time_ns + period_ns, lambda t: self._free_run(number, t))
 
@@ -204,7 +205,7 @@ class Shutter:
     # ------------------------------------------------------------------------------------------ exposure to link
 
     def _at(self, time_ns: int, action: Callable[[int], None], ready: Callable[[], bool] | None = None) -> None:
-        """As the world's agenda, for this acquisition."""
+        """Put ``action`` on the world's agenda; another acquisition forgets it."""
         life = self._life
 
         def alive(t: int) -> None:
@@ -218,6 +219,7 @@ class Shutter:
         end_ns = exposure.start_ns + exposure.duration_ns
         if not self.acquiring:
             return
+        # A trigger is ignored while the sensor is exposed, or if its image would be ready before the last one is read out.
         if exposure.start_ns < self.exposing_until_ns or end_ns < self._readout_until_ns:
             self.ignored += 1
             return
@@ -232,6 +234,7 @@ class Shutter:
         self._at(end_ns, lambda _: self._exposed(block_id, exposure))
 
     def _exposed(self, block_id: int, exposure: Exposure) -> None:
+        # Overrun: with the memory full the image is lost, but its block id is used up.
         latent = self._image(exposure) if self._held + self._unread() < MEMORY_BLOCKS else None
         free_ns = max(self._readout_until_ns, self._link_free_ns)
         if latent is None:
@@ -254,7 +257,7 @@ class Shutter:
         self._at(due_ns, due, lambda: latent.ready)
 
     def _image(self, exposure: Exposure) -> Latent | None:
-        """A new image, or once more the last one while the sensor is stuck."""
+        """Return a new image, or once more the last one while the sensor is stuck."""
         if self._frozen is None or self._faults.active(self._name, "stuck") is None:
             self._frozen = self._expose(exposure)
         return self._frozen

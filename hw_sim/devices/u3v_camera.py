@@ -13,9 +13,9 @@ import numpy as np
 
 from hw_sim.devices import u3v_descriptors as usb
 from hw_sim.devices import u3v_registers
+from hw_sim.devices.board import Shot
 from hw_sim.devices.gencp_memory import Refused, Status
 from hw_sim.devices.power_on import POLITE, PowerOn
-from hw_sim.devices.shot import Shot
 from hw_sim.devices.shutter import ROOM_BLOCKS, Exposure, Latent, Settings, Shutter, Taken
 from hw_sim.devices.u3v_control import MAX_COMMAND, ControlChannel
 from hw_sim.devices.u3v_descriptors import Identity, Speed
@@ -51,6 +51,7 @@ class U3vCamera:
         self.power_on = power_on
         self.temperature_c = temperature_c
         rng = np.random.default_rng([seed, *serial.encode()])
+        # No two cameras share a clock: offset and drift (crystals of 40 ppm) are drawn from the serial number.
         self._clock_offset_ns = int(rng.integers(10**9, 10**12))
         self._clock_ppm = float(rng.uniform(-40.0, 40.0))
         self._noise = rng
@@ -89,7 +90,7 @@ class U3vCamera:
         self.shutter.power_up()
 
     def refresh(self, time_ns: int) -> None:
-        """A fault may have begun or ended: it may leave the bus, come back, or come back slower."""
+        """Look again at the faults: the camera may leave the bus, come back, or come back slower."""
         plugged = self._faults.active(self.name, "off") is None
         speed = Speed.HIGH if self._faults.active(self.name, "slow") else Speed.SUPER
         if (plugged, speed) != (self.plugged, self.speed):
@@ -100,7 +101,7 @@ class U3vCamera:
 
     @property
     def settings(self) -> Settings:
-        """What the host set."""
+        """The settings that the host made."""
         return self.shutter.settings
 
     @property
@@ -109,7 +110,7 @@ class U3vCamera:
         return self.shutter.acquiring
 
     def clock_ns(self) -> int:
-        """The camera's own clock now."""
+        """Return the camera's own clock now."""
         return self._camera_time_ns(self._time.now_ns())
 
     def _camera_time_ns(self, time_ns: int) -> int:
@@ -117,7 +118,7 @@ class U3vCamera:
         return (self._clock_offset_ns + int(time_ns * (1.0 + self._clock_ppm * 1e-6))) // tick_ns * tick_ns
 
     def start(self) -> None:
-        """AcquisitionStart. Raises Refused."""
+        """Execute AcquisitionStart. Raises Refused."""
         if usb.STREAM_IN in self._halted:
             raise Refused(Status.STREAM_ENDPOINT_HALTED)
         self._overrun_told = False
@@ -126,26 +127,26 @@ class U3vCamera:
         self.shutter.start()
 
     def stop(self) -> None:
-        """AcquisitionStop."""
+        """Execute AcquisitionStop."""
         self.shutter.stop()
 
     def software_trigger(self) -> None:
-        """TriggerSoftware."""
+        """Execute TriggerSoftware."""
         self.shutter.software()
 
     def trigger_mode_changed(self) -> None:
-        """TriggerMode was written."""
+        """Note that TriggerMode was written."""
         self.shutter.trigger_mode_changed()
 
     def restart(self) -> None:
-        """DeviceReset, or the cable: everything is forgotten, and it is another device on the bus."""
+        """Reset the camera (DeviceReset, or the cable): everything is forgotten, and it is another device on the bus."""
         self.enumeration += 1
         self._control.reset()
         self._power_up()
         self._time.condition.notify_all()
 
     def stream(self, on: bool) -> None:
-        """The stream interface's control bit. Raises Refused."""
+        """Set the stream interface's control bit. Raises Refused."""
         if on and not self.streaming:
             if usb.STREAM_IN in self._halted:
                 raise Refused(Status.STREAM_ENDPOINT_HALTED)
@@ -167,12 +168,12 @@ class U3vCamera:
         return self._pipe.blocks < ROOM_BLOCKS
 
     def line0(self, time_ns: int, width_ns: int, shot: Shot) -> None:
-        """A pulse of the trigger line."""
+        """Take a pulse of the trigger line."""
         if self.plugged:
             self.shutter.line0(time_ns, width_ns, shot)
 
     def _send(self, taken: Taken) -> None:
-        """A frame is ready for the link: as it is, or as a fault left it."""
+        """Send a frame that is ready for the link: as it is, or as a fault left it."""
         if not self.streaming or not self.plugged:
             return
         time_ns = self._camera_time_ns(taken.exposure.start_ns)
@@ -201,7 +202,10 @@ class U3vCamera:
             self._swapped = None
 
     def _changes_places(self, frame: int | None, count: int | None) -> bool:
-        """With the next one; the last of a sequence has none, so that the one before it is asked in its stead."""
+        """Return whether a frame changes places with the next one.
+
+        The last of a sequence has no next one, so that the one before it is asked in its stead.
+        """
         if self._strikes("wrong", "swap", frame):
             return True
         return (
@@ -211,6 +215,7 @@ class U3vCamera:
     def _spoil(self, block: Block, frame: int | None) -> Block:
         if self._strikes("garbage", "truncate", frame):
             packet = self.speed.bulk_packet
+            # Half of the payload and half a packet: the transfer ends with a short packet, as after an error of the link.
             half = len(block.payload) // 2 // packet * packet + packet // 2
             return replace(block, payload=block.payload[: min(half, len(block.payload) - 1)])
         if self._strikes("garbage", "leader", frame):
@@ -229,15 +234,15 @@ class U3vCamera:
     # ------------------------------------------------------------------------------------------ the bus
 
     def device_descriptor(self) -> bytes:
-        """18 bytes."""
+        """Return the device descriptor: 18 bytes."""
         return usb.device(self.speed)
 
     def configuration_descriptor(self) -> bytes:
-        """The configuration with everything in it."""
+        """Return the configuration descriptor with everything in it."""
         return usb.configuration(self.speed)
 
     def request(self, kind: int, request: int, value: int, index: int, length: int) -> bytes:
-        """A control transfer on endpoint 0; returns the data of an IN request. Raises Stall."""
+        """Do a control transfer on endpoint 0; return the data of an IN request. Raises Stall."""
         answer = self._standard_in(kind, request, value, index) if kind & 0x80 else b""
         if answer is None or (not kind & 0x80 and not self._standard_out(kind, request, value, index)):
             raise Stall
@@ -245,6 +250,7 @@ class U3vCamera:
 
     def _standard_in(self, kind: int, request: int, value: int, index: int) -> bytes | None:
         match kind, request:
+            # USB 3.2, 9.4: GET_DESCRIPTOR, GET_CONFIGURATION, GET_INTERFACE, GET_STATUS.
             case 0x80, 0x06:
                 return self._descriptor(value >> 8, value & 0xFF)
             case 0x80, 0x08:
@@ -273,6 +279,7 @@ class U3vCamera:
 
     def _standard_out(self, kind: int, request: int, value: int, index: int) -> bool:
         match kind, request:
+            # SET_CONFIGURATION, SET_INTERFACE, CLEAR_FEATURE and SET_FEATURE of ENDPOINT_HALT.
             case 0x00, 0x09:
                 if value not in (0, 1):
                     return False
@@ -292,18 +299,18 @@ class U3vCamera:
                 return False
 
     def clear_halt(self, endpoint: int) -> None:
-        """CLEAR_FEATURE(ENDPOINT_HALT)."""
+        """Do CLEAR_FEATURE(ENDPOINT_HALT)."""
         self._halted.discard(endpoint)
 
     def write(self, endpoint: int, data: bytes) -> int:
-        """A bulk OUT transfer. Raises Stall."""
+        """Do a bulk OUT transfer; return the bytes taken. Raises Stall."""
         if endpoint != usb.CONTROL_OUT or endpoint in self._halted or len(data) > MAX_COMMAND:
             raise Stall
         self._control.receive(data)
         return len(data)
 
     def read(self, endpoint: int, buffer: memoryview) -> tuple[int, bool]:
-        """A bulk IN transfer as far as data is there: bytes put into ``buffer``, and whether the transfer ends.
+        """Do a bulk IN transfer as far as data is there; return the bytes put into ``buffer``, and whether the transfer ends.
 
         Raises Stall, Overflow.
         """

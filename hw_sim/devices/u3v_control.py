@@ -15,6 +15,7 @@ PENDING_MS = 200
 ACKS_KEPT = 4
 """Acknowledges that nobody reads; the oldest go."""
 
+# USB3 Vision, control protocol: prefix 'U3VC', flags, command id, length of the payload, request id, little-endian.
 _MAGIC = 0x43563355
 _HEADER = struct.Struct("<IHHHH")
 _WANTS_ACK = 0x4000
@@ -22,7 +23,7 @@ _READ, _WRITE, _PENDING = 0x0800, 0x0802, 0x0805
 
 
 class ControlChannel:
-    """``duration_ns(address)`` says how long a write there takes; beyond the response time a PENDING_ACK is sent."""
+    """The device's end of the channel. ``duration_ns(address)`` says how long a write there takes; beyond the response time a PENDING_ACK is sent."""
 
     def __init__(self, time: WorldTime, memory: Memory, duration_ns: Callable[[int], int]) -> None:
         self._time, self._memory, self._duration_ns = time, memory, duration_ns
@@ -37,7 +38,7 @@ class ControlChannel:
         self._acks.clear()
 
     def receive(self, packet: bytes) -> None:
-        """One transfer of the host. What is no command is ignored."""
+        """Take one transfer of the host. What is no command is ignored."""
         if len(packet) < _HEADER.size:
             return
         magic, flags, command, size, request_id = _HEADER.unpack_from(packet)
@@ -63,6 +64,7 @@ class ControlChannel:
         if duration_ns <= MAX_RESPONSE_MS * 1_000_000:
             self._finish(command, wants_ack, payload, request_id)
             return
+        # GenCP, PENDING_ACK: a command that outlasts the response time is announced with the longer time it will take.
         self._busy = True
         if wants_ack:
             self._acknowledge(Status.SUCCESS, _PENDING, request_id, struct.pack("<HH", 0, PENDING_MS))
@@ -105,5 +107,5 @@ class ControlChannel:
         self._time.condition.notify_all()
 
     def take(self) -> bytes | None:
-        """The oldest acknowledge that was not read."""
+        """Return the oldest acknowledge that was not read, and forget it; ``None``: there is none."""
         return self._acks.popleft() if self._acks else None

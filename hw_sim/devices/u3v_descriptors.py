@@ -32,13 +32,13 @@ class Speed(IntEnum):
 
     @property
     def bytes_per_s(self) -> float:
-        """What bulk transfers really reach."""
+        """Rate that bulk transfers really reach."""
         return 380e6 if self is Speed.SUPER else 38e6
 
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """What the camera says about itself; ``guid`` is vendor and serial in 12 hex digits."""
+    """The camera's names for itself; ``guid`` is vendor and serial in 12 hex digits."""
 
     vendor: str
     model: str
@@ -58,7 +58,8 @@ class Identity:
 
 
 def device(speed: Speed) -> bytes:
-    """The device descriptor. The USB serial number is the GUID, as U3V wants it."""
+    """Return the device descriptor. The USB serial number is the GUID, as U3V wants it."""
+    # USB 3.2, device descriptor: a SuperSpeed device gives the packet size of endpoint 0 as a power of two: 2⁹.
     usb, packet0 = (0x0300, 9) if speed is Speed.SUPER else (0x0210, 64)
     return struct.pack(
         "<BBHBBBBHHHBBBB",
@@ -68,7 +69,7 @@ def device(speed: Speed) -> bytes:
 
 
 def configuration(speed: Speed) -> bytes:
-    """The configuration with all that belongs to it: three interfaces in one association."""
+    """Return the configuration with all that belongs to it: three interfaces in one association."""
     parts = [
         struct.pack("<BBBBBBBB", 8, _ASSOCIATION, CONTROL_INTERFACE, 3, _MISCELLANEOUS, _U3V, 0, 3),
         _interface(CONTROL_INTERFACE, 2, 0),
@@ -81,19 +82,20 @@ def configuration(speed: Speed) -> bytes:
         _endpoint(STREAM_IN, speed, 15),
     ]
     body = b"".join(parts)
+    # bMaxPower has another unit at each speed.
     power = 112 if speed is Speed.SUPER else 250  # 896 mA in units of 8 mA; 500 mA in units of 2 mA
     return struct.pack("<BBHBBBBB", 9, _CONFIGURATION, 9 + len(body), 3, 1, 0, 0x80, power) + body
 
 
 def bos(speed: Speed) -> bytes:
-    """The binary device object store: USB 2 link power management and SuperSpeed."""
+    """Return the binary device object store: USB 2 link power management and SuperSpeed."""
     usb2 = struct.pack("<BBBI", 7, _CAPABILITY, 2, 0x02)
     superspeed = struct.pack("<BBBBHBBH", 10, _CAPABILITY, 3, 0, 0x000C, 2, 10, 200)
     return struct.pack("<BBHB", 5, _BOS, 5 + len(usb2) + len(superspeed), 2) + usb2 + superspeed
 
 
 def string(identity: Identity, index: int) -> bytes | None:
-    """A string descriptor; number 0 lists the languages; ``None`` past the end."""
+    """Return a string descriptor; number 0 lists the languages; ``None`` past the end."""
     if index == 0:
         return struct.pack("<BBH", 4, _STRING, LANGUAGE)
     strings = identity.strings()
@@ -108,6 +110,7 @@ def _interface(number: int, endpoints: int, protocol: int) -> bytes:
 
 
 def _endpoint(address: int, speed: Speed, burst: int) -> bytes:
+    # Only SuperSpeed endpoints are followed by a companion (USB 3.2, 9.6.7), which holds the burst size.
     endpoint = struct.pack("<BBBBHB", 7, _ENDPOINT, address, _BULK, speed.bulk_packet, 0)
     companion = struct.pack("<BBBBH", 6, _COMPANION, burst, 0, 0)
     return endpoint + (companion if speed is Speed.SUPER else b"")

@@ -43,7 +43,7 @@ _XML_TIME = (2024, 5, 14, 9, 0, 0)
 
 
 class CameraCore(Protocol):
-    """What the registers show and change."""
+    """The part of a camera that its registers show and change."""
 
     identity: Identity
     power_on: PowerOn
@@ -86,13 +86,13 @@ class Limits:
     step: int = 1
 
     def check(self, value: int) -> None:
-        """Raises Refused."""
+        """Check a value. Raises Refused."""
         if not self.low <= value <= self.high or (value - self.low) % self.step:
             raise Refused(Status.INVALID_PARAMETER)
 
 
 def zipped_description(lacks: tuple[str, ...] = ()) -> bytes:
-    """The GenICam description as the camera stores it: the same bytes every time.
+    """Return the GenICam description as the camera stores it: the same bytes every time.
 
     The features it ``lacks`` bear a name of the maker's own, as in cameras that do not follow the naming convention.
     """
@@ -107,7 +107,7 @@ def zipped_description(lacks: tuple[str, ...] = ()) -> bytes:
 
 
 def build(core: CameraCore) -> Memory:
-    """All memory of a camera."""
+    """Return all memory of a camera."""
     memory = Memory()
     description = zipped_description(core.power_on.lacks)
     _bootstrap(memory, core)
@@ -126,8 +126,12 @@ def _version(version: tuple[int, int]) -> int:
 
 
 def _bootstrap(memory: Memory, core: CameraCore) -> None:
-    """ABRM: user name, timestamp, family name, SBRM and the written length are supported."""
+    """Lay out the ABRM (technology-agnostic bootstrap registers).
+
+    User name, timestamp, family name, SBRM and the written length are supported.
+    """
     identity = core.identity
+    # GenCP 1.3 prescribes these addresses of the ABRM.
     memory.u32(0x000, lambda: _version(GENCP_VERSION))
     texts = (identity.vendor, identity.model, identity.family, identity.version, identity.info, identity.serial)
     for index, text in enumerate(texts):
@@ -137,6 +141,7 @@ def _bootstrap(memory: Memory, core: CameraCore) -> None:
         core.user_name = data.ljust(_USER_NAME_BYTES, b"\0")
 
     memory.add(Register(0x184, _USER_NAME_BYTES, lambda: core.user_name, rename, whole=False))
+    # Device capability: one bit for each thing that is supported.
     memory.u64(0x1C4, lambda: 1 << 0 | 1 << 3 | 1 << 8 | 1 << 9 | 1 << 11)
     memory.u32(0x1CC, lambda: u3v_control.MAX_RESPONSE_MS)
     memory.u64(0x1D0, lambda: MANIFEST)
@@ -149,6 +154,7 @@ def _bootstrap(memory: Memory, core: CameraCore) -> None:
         if value & 1:
             latched = core.clock_ns()
 
+    # The timestamp is what was latched last: the two halves of a number must belong together.
     memory.u64(0x1F0, lambda: latched)
     memory.u32(0x1F8, None, latch)
     memory.u64(0x1FC, lambda: TIMESTAMP_INCREMENT_NS)
@@ -156,13 +162,14 @@ def _bootstrap(memory: Memory, core: CameraCore) -> None:
 
 def _manifest(memory: Memory, description: bytes) -> None:
     major, minor, sub = _XML_VERSION
+    # GenCP 1.3, manifest entry: version of the file, schema and type (1 << 10: zipped), address, size, SHA-1.
     entry = struct.pack("<IIQQ", major << 24 | minor << 16 | sub, 1 << 24 | 1 << 16 | 1 << 10, XML, len(description))
     digest = hashlib.sha1(description, usedforsecurity=False).digest()
     memory.blob(MANIFEST, struct.pack("<Q", 1) + entry + digest + bytes(20))
 
 
 def _technology(memory: Memory, core: CameraCore) -> None:
-    """SBRM: stream and event interfaces are there."""
+    """Lay out the SBRM (technology-specific bootstrap registers): stream and event interfaces are there."""
     memory.u32(SBRM + 0x00, lambda: _version(U3V_VERSION))
     memory.u64(SBRM + 0x04, lambda: 1 << 0 | 1 << 1)
     memory.u64(SBRM + 0x0C, lambda: 0)
@@ -178,7 +185,7 @@ def _technology(memory: Memory, core: CameraCore) -> None:
 
 
 def _stream_interface(memory: Memory, core: CameraCore) -> None:
-    """SIRM: its set-up can only be written while the stream is off."""
+    """Lay out the SIRM (stream interface registers): the set-up can only be written while the stream is off."""
 
     def field(name: str) -> tuple[Callable[[], int], Callable[[int], None]]:
         def write(value: int) -> None:
@@ -208,7 +215,7 @@ def _stream_interface(memory: Memory, core: CameraCore) -> None:
 
 
 def _event_interface(memory: Memory) -> None:
-    """EIRM: may be enabled, but this camera has no events to send."""
+    """Lay out the EIRM (event interface registers): it may be enabled, but this camera has no events to send."""
     enabled = 0
 
     def control(value: int) -> None:
@@ -278,6 +285,7 @@ def _features(memory: Memory, core: CameraCore) -> None:
 
         return write
 
+    # The camera's own features; u3v_camera.xml names the same addresses.
     memory.u32(base + 0x000, *width())
     memory.u32(base + 0x004, *shape("height", lambda r: Limits(2, sensor_height - r.offset_y, 2)))
     memory.u32(base + 0x008, *shape("offset_x", lambda r: Limits(0, sensor_width - r.width, 8)))

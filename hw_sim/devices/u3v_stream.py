@@ -31,6 +31,7 @@ class Region:
 
     @property
     def payload_bytes(self) -> int:
+        """Bytes of an image of 8 bits per pixel."""
         return self.width * self.height
 
 
@@ -47,17 +48,20 @@ class Block:
     spoilt_trailer: bytes | None = None
 
     def leader(self) -> bytes:
-        """52 bytes."""
+        """Return the leader: 52 bytes."""
         if self.spoilt_leader is not None:
             return self.spoilt_leader
         r = self.region
+        # USB3 Vision 1.0, image leader: magic, reserved, size, block id, reserved, payload type, timestamp; then the image's
+        # shape.
         head = struct.pack("<4sHHQHHQ", LEADER_MAGIC, 0, LEADER_BYTES, self.block_id, 0, IMAGE, self.camera_time_ns)
         return head + struct.pack("<IIIIIHH", MONO8, r.width, r.height, r.offset_x, r.offset_y, 0, 0)
 
     def trailer(self) -> bytes:
-        """32 bytes; says how much of the payload is valid."""
+        """Return the trailer: 32 bytes, which say how much of the payload is valid."""
         if self.spoilt_trailer is not None:
             return self.spoilt_trailer
+        # USB3 Vision 1.0, image trailer: magic, reserved, size, block id, status, reserved; then valid bytes and rows.
         head = struct.pack("<4sHHQHH", TRAILER_MAGIC, 0, TRAILER_BYTES, self.block_id, self.status, 0)
         rows = len(self.payload) // self.region.width
         return head + struct.pack("<QI", len(self.payload), rows)
@@ -65,7 +69,7 @@ class Block:
 
 @dataclass(slots=True)
 class Setup:
-    """What the host wrote into the stream interface registers (SIRM)."""
+    """The values that the host wrote into the stream interface registers (SIRM)."""
 
     max_leader: int = 0
     max_trailer: int = 0
@@ -75,25 +79,28 @@ class Setup:
     final2: int = 0
 
     def check(self, payload_bytes: int) -> None:
-        """Raises Refused if a block of that size does not fit into it."""
+        """Check that a block of that size fits into the transfers. Raises Refused."""
         if any(length % (1 << ALIGNMENT_LOG2) for length in (self.size, self.final1, self.final2)):
             raise Refused(Status.PAYLOAD_SIZE_NOT_ALIGNED)
+        # USB3 Vision 1.0, SIRM: equal transfers, then up to two final ones.
         room = self.size * self.count + self.final1 + self.final2
         if room < payload_bytes or self.max_leader < LEADER_BYTES or self.max_trailer < TRAILER_BYTES:
             raise Refused(Status.REGISTERS_INCONSISTENT)
 
     def transfers(self) -> list[int]:
-        """Lengths of the transfers that make up a payload."""
+        """Return the lengths of the transfers that make up a payload."""
         return [n for n in [self.size] * self.count + [self.final1, self.final2] if n]
 
 
 @dataclass(slots=True)
 class _Transfer:
+    """One transfer of a block, as far as it has left."""
+
     data: memoryview
     terminated: bool
     """An empty packet follows when the last one is full, since the host expects more."""
     last: bool
-    """Of its block."""
+    """True for the last transfer of its block."""
     done: int = 0
 
 
@@ -131,6 +138,7 @@ class StreamPipe:
             transfer = self._transfers[0]
             rest = len(transfer.data) - transfer.done
             take = min(rest, len(buffer) - filled)
+            # The device sends whole packets: one that does not fit is babble, and the host's transfer fails.
             if take < rest and take % packet:
                 raise Overflow
             buffer[filled : filled + take] = transfer.data[transfer.done : transfer.done + take]

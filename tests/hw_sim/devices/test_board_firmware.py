@@ -10,8 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from hw_sim.devices.board import Board
-from hw_sim.devices.shot import Shot
+from hw_sim.devices.board import Board, Shot
 from hw_sim.timing.world_time import BLANK_NS, START_NS
 from tests.hw_sim.devices.bench import Bench, bench
 

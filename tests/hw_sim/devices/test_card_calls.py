@@ -71,8 +71,8 @@ def grey(head: CardHost, value: int) -> NDArray[np.uint8]:
 @pytest.mark.parametrize(
     ("structure", "size"),
     [
-        *((abi.Version, 64), (abi.Cap, 16), (abi.Modeinfo, 68), (abi.Resources, 64), (abi.Crtc, 104)),
-        *((abi.CrtcLut, 32), (abi.Encoder, 20), (abi.Connector, 80), (abi.PropertyEnum, 40), (abi.Property, 64)),
+        *((abi.Version, 64), (abi.Cap, 16), (abi.Modeinfo, 68), (abi.Resources, 64), (abi.ModeCrtc, 104)),
+        *((abi.CrtcLut, 32), (abi.Encoder, 20), (abi.ModeGetConnector, 80), (abi.PropertyEnum, 40), (abi.Property, 64)),
         *((abi.ConnectorSetProperty, 16), (abi.ObjectProperties, 32), (abi.ObjectSetProperty, 24), (abi.Fb, 28)),
         *((abi.PageFlip, 24), (abi.CreateDumb, 32), (abi.MapDumb, 16)),
     ],
