@@ -15,7 +15,7 @@ from appliance.calibration.patches import PatchGaps
 from bench.health_changes import Change, changes, length_error_percent
 from bench.health_picture import draw_health
 from bench.result import Measured
-from hw_sim.mount_shift import Knock, knocked
+from hw_sim.mount_shift import MountShift, with_mount_shifted
 from tests.support.gap_scans import Calibrated, calibrated, follow, learnt, scan
 
 RIGS = (1, 2, 5)
@@ -168,7 +168,7 @@ def _false_alarms(bias: float) -> int:
 def _story(made: Calibrated) -> Trend:
     """Thirty normal scans, then the right camera turned by 0.02° about y."""
     rng = np.random.default_rng(3)
-    turned = knocked(made.truth, Knock("right", yaw_deg=0.02))
+    turned = with_mount_shifted(made.truth, MountShift("right", yaw_deg=0.02))
     scans = [scan(made, made.truth if k < 30 else turned, rng) for k in range(36)]
     return [trend for trend, _ in follow(Trend(), scans)][-1]
 

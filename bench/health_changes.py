@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from appliance.calibration.shapes import triangulate
 from appliance.optics.model import StereoRig
 from appliance.optics.water import Water
-from hw_sim.mount_shift import Knock, knocked
+from hw_sim.mount_shift import MountShift, with_mount_shifted
 from hw_sim.truth import TrueEye, TrueRig, project
 from tests.support.calibrating import Pose
 from tests.support.truth import WATER
@@ -83,11 +83,13 @@ def _length(truth: TrueRig, points_mm: NDArray[np.float64], rig: StereoRig) -> f
 
 
 def _knock(camera: str, amount: str) -> Callable[[TrueRig, float], TrueRig]:
-    return lambda truth, size: knocked(truth, Knock(camera, **{amount: size}))
+    return lambda truth, size: with_mount_shifted(truth, MountShift(camera, **{amount: size}))
 
 
 def _toe_in(truth: TrueRig, size: float) -> TrueRig:
-    return knocked(knocked(truth, Knock("left", yaw_deg=size)), Knock("right", yaw_deg=-size))
+    return with_mount_shifted(
+        with_mount_shifted(truth, MountShift("left", yaw_deg=size)), MountShift("right", yaw_deg=-size)
+    )
 
 
 def _eyes(sides: tuple[str, ...], make: Callable[[TrueEye, float], TrueEye]) -> Callable[[TrueRig, float], TrueRig]:

@@ -26,7 +26,7 @@ class Kind:
 Number = TypeVar("Number", int, float)
 NAN = float("nan")
 MOST = 1e9
-"""Of frames, counts and seconds: 30 years."""
+"""Bound of frames, counts and seconds: 30 years."""
 KINDS: dict[tuple[str, str], Kind] = {
     ("camera", "intermittent"): Kind(strikes=True),
     ("camera", "wrong"): Kind(("repeat", "swap"), strikes=True),
@@ -82,7 +82,7 @@ class Fault:
     begins_ns: int = 0
     for_ns: int | None = None
     left: int | None = None
-    """How often it still strikes; ``None`` without limit."""
+    """Number of times that it still strikes; ``None`` without limit."""
     amount: float = NAN
     sentence: str = field(default="", compare=False)
 
@@ -92,7 +92,7 @@ class Fault:
         return self.frame is not None and not self.strikes
 
     def in_force(self, now_ns: int) -> bool:
-        """Whether it is broken now (or, for one that strikes, whether it may strike now)."""
+        """Return whether it is broken now (or, for one that strikes, whether it may strike now)."""
         ended = self.for_ns is not None and now_ns >= self.begins_ns + self.for_ns
         return not self.waits_for_frame and now_ns >= self.begins_ns and not ended and self.left != 0
 
@@ -151,18 +151,20 @@ def _check(fault: Fault, kind: Kind) -> None:
         raise FaultSyntaxError(f"fault '{fault.sentence}': how={fault.how} is not supported; supported: {wanted}")
     if fault.left is not None and not kind.strikes:
         raise FaultSyntaxError(f"fault '{fault.sentence}': it lasts, so it has no count; for_s= limits it")
+    # NaN is not equal to itself: the first test asks whether an amount was given, the next whether it is missing.
     if fault.amount == fault.amount and kind.amount is None:
         raise FaultSyntaxError(f"fault '{fault.sentence}': it takes no amount")
     if fault.amount != fault.amount and kind.amount is not None:
         if kind.amount != kind.amount:
             raise FaultSyntaxError(f"fault '{fault.sentence}': amount= is needed")
         fault.amount = kind.amount
+    # One named frame comes once per sequence, and the board has no frames: these strike once unless told otherwise.
     if fault.left is None and kind.strikes and (fault.frame is not None or fault.component == "board"):
         fault.left = 1
 
 
 def supported() -> str:
-    """All supported sentences, one after the other."""
+    """Return all supported sentences, one after the other."""
     sentences = []
     for (name, verb), kind in KINDS.items():
         parts = PARTS.get(name)
@@ -204,7 +206,7 @@ class FaultBook:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """As they were said; without those that have done what they could."""
+        """The sentences as they were said, without those that have done what they could."""
         now_ns = self._now_ns()
         return tuple(
             f.sentence for f in self._faults if f.begins_ns > now_ns or f.waits_for_frame or f.in_force(now_ns)
@@ -216,7 +218,7 @@ class FaultBook:
         self._changed(self._now_ns())
 
     def reach(self, frame: int, time_ns: int) -> None:
-        """Frame ``frame`` of an armed sequence begins: what lasts from there on begins."""
+        """Let faults begin that last from ``frame`` of an armed sequence on, which begins at ``time_ns``."""
         for fault in self._faults:
             if fault.waits_for_frame and fault.frame == frame and time_ns >= fault.begins_ns:
                 fault.frame = None
@@ -226,7 +228,7 @@ class FaultBook:
                 self._changed(time_ns)
 
     def active(self, component: str, verb: str) -> Fault | None:
-        """The lasting fault of that kind in force now."""
+        """Return the lasting fault of that kind in force now; ``None``: there is none."""
         now_ns = self._now_ns()
         for fault in self._faults:
             if (fault.component, fault.verb) == (component, verb) and not fault.strikes and fault.in_force(now_ns):
@@ -234,7 +236,7 @@ class FaultBook:
         return None
 
     def strike(self, component: str, verb: str, how: str | None = None, frame: int | None = None) -> Fault | None:
-        """The fault of that kind that strikes now, counted. ``frame`` is ``None`` outside an armed sequence."""
+        """Return the fault of that kind that strikes now, and count it. ``frame`` is ``None`` outside an armed sequence."""
         now_ns = self._now_ns()
         for fault in self._faults:
             if (fault.component, fault.verb, fault.how) != (component, verb, how) or not fault.in_force(now_ns):

@@ -1,4 +1,4 @@
-"""Owns what a knock does to the true rig: a camera turned and shifted in its mount, for good.
+"""Owns how a knock shifts a camera in its mount: the true rig has it turned and moved, for good.
 
     <left|right> [pitch_deg=<a>] [yaw_deg=<a>] [roll_deg=<a>] [x_mm=<s>] [y_mm=<s>] [z_mm=<s>]
 
@@ -19,15 +19,15 @@ SIDES = ("left", "right")
 LIMITS = {"deg": 5.0, "mm": 20.0}
 
 
-class KnockError(ValueError):
+class MountShiftError(ValueError):
     """A knock is not understood; the text says what is allowed."""
 
     exit_code = 2
 
 
 @dataclass(frozen=True, slots=True)
-class Knock:
-    """One knock of one camera."""
+class MountShift:
+    """One shift of one camera: turns about its own axes, then a move along them."""
 
     camera: str
     pitch_deg: float = 0.0
@@ -41,11 +41,11 @@ class Knock:
 AMOUNTS = ("pitch_deg", "yaw_deg", "roll_deg", "x_mm", "y_mm", "z_mm")
 
 
-def parse(sentence: str) -> Knock:
-    """Read a knock. Raises KnockError."""
+def parse(sentence: str) -> MountShift:
+    """Return the shift that a ``knock`` sentence names. Raises MountShiftError."""
     camera, *words = [*sentence.split(), ""]
     if camera not in SIDES:
-        raise KnockError(f"knock '{sentence}': camera '{camera}'; allowed are {', '.join(SIDES)}")
+        raise MountShiftError(f"knock '{sentence}': camera '{camera}'; allowed are {', '.join(SIDES)}")
     amounts: dict[str, float] = {}
     for word in filter(None, words):
         name, _, value = word.partition("=")
@@ -55,22 +55,23 @@ def parse(sentence: str) -> Knock:
             amount = math.nan
         limit = LIMITS.get(name.rpartition("_")[2], 0.0)
         if name not in AMOUNTS or not abs(amount) <= limit:
-            raise KnockError(
+            raise MountShiftError(
                 f"knock '{sentence}': '{word}' is not understood; allowed are {', '.join(AMOUNTS)} = a number, "
                 f"up to {LIMITS['deg']:g} degrees or {LIMITS['mm']:g} mm"
             )
         amounts[name] = amount
     if not amounts:
-        raise KnockError(f"knock '{sentence}': by how much? Give one of {', '.join(AMOUNTS)}")
-    return Knock(camera, **amounts)
+        raise MountShiftError(f"knock '{sentence}': by how much? Give one of {', '.join(AMOUNTS)}")
+    return MountShift(camera, **amounts)
 
 
-def knocked(rig: TrueRig, knock: Knock) -> TrueRig:
-    """The rig after the knock."""
-    eye = rig.eye(knock.camera)
+def with_mount_shifted(rig: TrueRig, shift: MountShift) -> TrueRig:
+    """Return the rig after the shift: camera and window turned and moved together."""
+    eye = rig.eye(shift.camera)
     R = np.array(eye.R)
-    t = np.array(eye.t_mm) + R @ np.array([knock.x_mm, knock.y_mm, knock.z_mm])
+    # The move is along the axes as they were before the turn.
+    t = np.array(eye.t_mm) + R @ np.array([shift.x_mm, shift.y_mm, shift.z_mm])
     moved = replace(
-        turned(eye, (knock.pitch_deg, knock.yaw_deg, knock.roll_deg)), t_mm=(float(t[0]), float(t[1]), float(t[2]))
+        turned(eye, (shift.pitch_deg, shift.yaw_deg, shift.roll_deg)), t_mm=(float(t[0]), float(t[1]), float(t[2]))
     )
-    return replace(rig, left=moved) if knock.camera == "left" else replace(rig, right=moved)
+    return replace(rig, left=moved) if shift.camera == "left" else replace(rig, right=moved)

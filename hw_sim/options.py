@@ -31,7 +31,7 @@ class OptionError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class WorldOptions:
-    """See ``docs/protocols/world.md``."""
+    """The options of a world, as ``docs/protocols/world.md`` lists them. Raises OptionError."""
 
     world: str = "main"
     truth: str = "realistic"
@@ -97,14 +97,14 @@ class WorldOptions:
             raise OptionError(f"refresh_hz {self.refresh_hz:g}; allowed are 1..60")
 
     def power_on(self, side: str) -> PowerOn:
-        """How a camera powers up. Raises OptionError."""
+        """Return how the camera of ``side`` powers up. Raises OptionError."""
         try:
             return _made(PowerOn, f"cameras {side}", _made(Cameras, "cameras", self.cameras).of(side))
         except (TypeError, ValueError) as error:
             raise OptionError(f"cameras {side}: {error}") from error
 
     def scene(self) -> Scene:
-        """The scene these options describe. Raises OptionError."""
+        """Return the scene that these options describe. Raises OptionError."""
         try:
             return Scene(
                 self.object,
@@ -124,7 +124,7 @@ class WorldOptions:
 
 
 def _made(kind: Callable[..., Value], what: str, table: Mapping[str, Any]) -> Value:
-    """A frozen dataclass from a rig file's table; its vectors are lists there. Raises OptionError and ValueError."""
+    """Return a frozen dataclass made from a rig file's table; its vectors are lists there. Raises OptionError and ValueError."""
     known = inspect.signature(kind).parameters
     for key in table:
         if key not in known:
@@ -138,7 +138,7 @@ def _nearest(key: str, known: set[str]) -> str:
 
 
 def options_from(mapping: Mapping[str, Any]) -> WorldOptions:
-    """Options of a rig file's table. Raises OptionError for an unknown key, naming the nearest."""
+    """Return the options of a rig file's table. Raises OptionError for an unknown key, naming the nearest."""
     known = {f.name for f in fields(WorldOptions)}
     for key in mapping:
         if key not in known:

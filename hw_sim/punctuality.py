@@ -15,14 +15,14 @@ MOST = 20_000
 
 
 class Punctuality:
-    """Told of every vertical blank, with the world's lock held."""
+    """Counts and times of vertical blanks. Told of each one with the world's lock held."""
 
     def __init__(self) -> None:
         self.answers_us: deque[float] = deque(maxlen=MOST)
-        """For each flip of a sequence: from the blank before it, as it happened, until the host asked for it. Later than
+        """Time, for each flip of a sequence, from the blank before it, as it happened, until the host asked for it. Later than
         one period is too late."""
         self.blanks_late_us: deque[float] = deque(maxlen=MOST)
-        """For each blank of a sequence: by how much it happened after it was due. That is the world's own fault."""
+        """Delay of each blank of a sequence after it was due. That is the world's own fault."""
         self.missed = 0
         """Blanks of a sequence that found no flip waiting."""
         self.other_blanks = 0
@@ -32,7 +32,7 @@ class Punctuality:
         self._flipped_ns: int | None = None
 
     def blank(self, late_ns: int, recording: bool, projector: Flip | None, display: Flip | None) -> None:
-        """A vertical blank happens now, ``late_ns`` after it was due, with these flips waiting."""
+        """Note a vertical blank that happens now, ``late_ns`` after it was due, with these flips waiting."""
         if recording:
             self.blanks_late_us.append(late_ns / 1e3)
             if projector is None:

@@ -16,7 +16,7 @@ _WORLDS: dict[str, World] = {}
 
 
 def register(name: str, world: World) -> None:
-    """Let ``world`` be found. Raises ValueError if there is one of that name."""
+    """Register ``world`` under ``name``. Raises ValueError if there is one of that name."""
     with _LOCK:
         if name in _WORLDS:
             raise ValueError(f"there is already a world named '{name}'; give the new one another name")
@@ -24,13 +24,13 @@ def register(name: str, world: World) -> None:
 
 
 def unregister(name: str, world: World) -> None:
-    """Forget it, if it is the one of that name."""
+    """Forget ``world``, if it is the one of that name."""
     with _LOCK:
         if _WORLDS.get(name) is world:
             del _WORLDS[name]
 
 
 def find(name: str) -> World | None:
-    """The world of that name, ``None`` if there is none."""
+    """Return the world of that name, ``None`` if there is none."""
     with _LOCK:
         return _WORLDS.get(name)

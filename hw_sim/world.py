@@ -29,16 +29,16 @@ from hw_sim.devices.u3v_camera import U3vCamera
 from hw_sim.faults import Fault, FaultBook
 from hw_sim.heat import Housing, Powers
 from hw_sim.light.daylight import Daylight
-from hw_sim.mount_shift import Knock, knocked
+from hw_sim.mount_shift import MountShift, with_mount_shifted
 from hw_sim.objects.motion import Motion, swayed_s
 from hw_sim.options import OptionError, WorldOptions, options_from
 from hw_sim.punctuality import Punctuality
-from hw_sim.rendering.exposure_worker import Darkroom, Print
-from hw_sim.rendering.frame_cache import Stills
+from hw_sim.rendering.exposure_worker import ExposureWorker, PendingImage
+from hw_sim.rendering.frame_cache import FrameCache
 from hw_sim.rendering.render import LightSlice, Renderer, Surface, TrueView
 from hw_sim.scene import Scene
 from hw_sim.timing.calendar import Calendar
-from hw_sim.timing.world_thread import Drive
+from hw_sim.timing.world_thread import WorldThread
 from hw_sim.timing.world_time import START_NS, WorldTime
 from hw_sim.truth import SETS, TrueRig, draw_truth, in_air, load_truth
 from hw_sim.water.drift import Drift
@@ -51,7 +51,7 @@ SIDES = ("left", "right")
 SERIALS = {"left": "KF-CAM-L", "right": "KF-CAM-R"}
 HUMIDITY_PERCENT, SUPPLY_V = 38.0, 12.1
 SERIES_APART_S = 101.0037
-"""Between sequences by the clock of daylight: each is lit anew, and the same one the same however long the host took."""
+"""Time between sequences by the clock of daylight: each is lit anew, and the same one the same however slow the host is."""
 WARM_UP_EVERY_S = 0.5
 LIT_DN = 8.0
 """Mean code that is scanned out, above which the projector's lamp is driven."""
@@ -61,7 +61,7 @@ KEPT_INTERVALS = 12
 
 @dataclass(slots=True)
 class _Interval:
-    """From one vertical blank to the next."""
+    """The time from one vertical blank to the next."""
 
     begin_ns: int
     light: NDArray[np.uint8] | None = None
@@ -87,11 +87,11 @@ class World:
         self._scene = scene
         self._renderer_lock = threading.Lock()
         self._made_renderer: Renderer | None = None
-        self._stills = Stills() if o.stills else None
+        self._frame_cache = FrameCache() if o.stills else None
         self.time = WorldTime(o.idle_speed, round(1e9 / o.refresh_hz))
         self.calendar = Calendar(self.time.now_ns, o.date)
         self.faults = FaultBook(self.time.now_ns, self.time.at, self._broken_or_repaired)
-        self._darkroom = Darkroom(self.time, SIDES, self._failed)
+        self._exposure_worker = ExposureWorker(self.time, SIDES, self._failed)
         self._failure: BaseException | None = None
         self._housing = Housing(scene.water.temperature_c, o.medium)
         self._warmed_ns = START_NS
@@ -108,20 +108,20 @@ class World:
         self._shown_before: NDArray[np.uint8] | None = None
         self._late_flip: Flip | None = None
         self.punctuality = Punctuality()
-        """Of the host, and of the world."""
-        self._latest: dict[str, Print] = {}
-        self._recorded: dict[str, Print] = {}
+        """Delays of the host, and of the world."""
+        self._latest: dict[str, PendingImage] = {}
+        self._recorded: dict[str, PendingImage] = {}
         """The last image of a sequence that each camera took."""
         self._seen: dict[str, NDArray[np.uint8]] = {}
         self._first_pulse_ns: dict[int, int] = {}
-        self._drive = Drive(self.time, self, self._blank, o.pace, o.idle_speed)
+        self._world_thread = WorldThread(self.time, self, self._blank, o.pace, o.idle_speed)
 
     def __enter__(self) -> World:
         registry.register(self.options.world, self)
         with self.time.condition:
             for sentence in self.options.faults:
                 self.faults.add(sentence)
-        self._drive.start()
+        self._world_thread.start()
         return self
 
     def __exit__(
@@ -130,9 +130,9 @@ class World:
         registry.unregister(self.options.world, self)
         with self.time.condition:
             self.time.close()
-        self._drive.join()
-        self._darkroom.close()
-        failure = self._failure or self._drive.failure
+        self._world_thread.wait_until_ended()
+        self._exposure_worker.close()
+        failure = self._failure or self._world_thread.failure
         if failure is not None and error is None:
             raise failure
 
@@ -145,7 +145,7 @@ class World:
 
     @property
     def scene(self) -> Scene:
-        """What the instrument is put before."""
+        """The scene that the instrument is put before."""
         return self._scene
 
     @property
@@ -176,35 +176,35 @@ class World:
         x, y, z, rx, ry, rz = pose or (0.0,) * 6
         self.set_scene(replace(self.scene, object=name, pose=None if pose is None else (x, y, z, rx, ry, rz)))
 
-    def knock(self, knock: Knock) -> None:
-        """A camera moves in its mount, for good: what is seen from the next image on. Nothing repairs it."""
+    def knock(self, shift: MountShift) -> None:
+        """Shift a camera in its mount, for good: it is seen from the next image on. Nothing repairs it."""
         with self._renderer_lock:
-            self.truth = knocked(self.truth, knock)
+            self.truth = with_mount_shifted(self.truth, shift)
             if self._made_renderer is not None:
                 self._made_renderer = Renderer(self.truth, self._scene)
-                self._stills = Stills() if self._stills is not None else None
+                self._frame_cache = FrameCache() if self._frame_cache is not None else None
 
     def set_motion(self, motion: Motion) -> None:
-        """How the hands move during sequences: time 0 is a sequence's first pulse, live views are at rest."""
+        """Change how the hands move during sequences: time 0 is a sequence's first pulse, live views are at rest."""
         self.set_scene(replace(self.scene, motion=motion))
 
     def set_daylight(self, daylight: Daylight) -> None:
-        """Other light than the projector's, from the next image on."""
+        """Change the light that is not the projector's, from the next image on."""
         self.set_scene(replace(self.scene, daylight=daylight))
 
     def set_drift(self, drift: Drift) -> None:
-        """What floats and swims in the water, from the next image on."""
+        """Change what floats and swims in the water, from the next image on."""
         self.set_scene(replace(self.scene, drift=drift))
 
     def set_water(self, water: Water) -> None:
-        """How the water dims, veils and blurs, from the next image on. Its index stays that of the start."""
+        """Change how the water dims, scatters back and blurs, from the next image on. Its index stays that of the start."""
         self.set_scene(replace(self.scene, water=water))
 
     def set_pace(self, pace: str) -> None:
-        """How world time passes from now on: ``realtime``, ``attended`` or ``lockstep``. Raises OptionError."""
+        """Change how world time passes from now on: ``realtime``, ``attended`` or ``lockstep``. Raises OptionError."""
         self.options = replace(self.options, pace=pace)
         with self.time.condition:
-            self._drive.set_pace(pace)
+            self._world_thread.set_pace(pace)
 
     def set_scene(self, scene: Scene) -> None:
         """Change what is looked at, from the next image that is made. The refractive index stays that of the start."""
@@ -236,7 +236,7 @@ class World:
             self.faults.clear()
 
     def scanned_out(self, head: str) -> NDArray[np.uint8]:
-        """``projector``: (768, 1024) uint8 that lights the scene now; ``display``: (h, w, 3) uint8 RGB."""
+        """Return what a head scans out: ``projector``: (768, 1024) uint8 that lights the scene now; ``display``: (h, w, 3) uint8 RGB."""
         with self.time.condition:
             match head:
                 case "projector":
@@ -247,7 +247,7 @@ class World:
                     raise ValueError(f"head '{head}'; allowed are projector, display")
 
     def seen(self, side: str) -> NDArray[np.uint8] | None:
-        """(h, w) uint8, not to be changed: the image that a camera (``left``, ``right``) took last; ``None`` before one."""
+        """Return (h, w) uint8, not to be changed: the image that a camera (``left``, ``right``) took last; ``None`` before one."""
         with self.time.condition:
             return self._seen.get(side)
 
@@ -257,7 +257,7 @@ class World:
         return self._renderer.surface(0.0)
 
     def view(self, camera: str) -> TrueView:
-        """What a camera truly sees at rest, which is at a sequence's first pulse."""
+        """Return the ground truth of a camera's image at rest, which is at a sequence's first pulse."""
         return self._renderer.view(camera, 0.0)
 
     # ------------------------------------------------------------------------------------------ recording
@@ -285,6 +285,7 @@ class World:
             return
         before = self._intervals[-1]
         wrong = self.faults.active("projector", "wrong") is not None
+        # Light that an exposure still needs must be copied before the flip overwrites it.
         if wrong or any(camera.shutter.exposing_until_ns > time_ns for camera in self.cameras.values()):
             self._light(before)
         frame = self.board.upcoming_frame()
@@ -305,7 +306,7 @@ class World:
             self.board.no_vsync(time_ns)
 
     def _flip_is_late(self, frame: int | None) -> bool:
-        """The projector's pending flip misses this blank; each flip does so once at most."""
+        """Return whether the projector's pending flip misses this blank; each flip does so once at most."""
         flip = self.card.pending(Output.PROJECTOR)
         if flip is None or flip is self._late_flip or not self.faults.strike("projector", "delayed", frame=frame):
             return False
@@ -313,7 +314,7 @@ class World:
         return True
 
     def _light(self, interval: _Interval) -> NDArray[np.uint8]:
-        """(768, 1024) codes that light the scene during the present interval."""
+        """Return (768, 1024) codes that light the scene during the present interval."""
         if interval.light is None:
             shown = self._projected() if self._shown_before is None else self._shown_before
             dark = self.faults.active("projector", "off") is not None
@@ -326,7 +327,7 @@ class World:
         return self.card.crtc(Output.PROJECTOR) is not None if self.cable is None else self.cable.driven
 
     def _projected(self) -> NDArray[np.uint8]:
-        """(768, 1024) codes at the projector's input."""
+        """Return (768, 1024) codes at the projector's input."""
         return self.card.projected() if self.cable is None else self.cable.projected()
 
     def _fire(self, time_ns: int, width_ns: int, shot: Shot) -> None:
@@ -346,7 +347,7 @@ class World:
         )
 
     def _expose(self, side: str, exposure: Exposure) -> Latent | None:
-        """At the end of an exposure: everything that lit it is known."""
+        """Begin the image of an exposure that has ended: everything that lit it is known by now."""
         latest = self._latest.get(side)
         live = exposure.shot.count is None
         if live and self.options.pace == "attended" and latest is not None and not latest.ready:
@@ -354,6 +355,7 @@ class World:
         end_ns = exposure.start_ns + exposure.duration_ns
         slices, until_ns = [], end_ns
         self._light(self._intervals[-1])
+        # From the end of the exposure backwards: each interval lights the part of it that it overlaps.
         for interval in reversed(self._intervals):
             begin_ns = max(interval.begin_ns, exposure.start_ns)
             if until_ns > begin_ns and interval.light is not None:
@@ -364,11 +366,12 @@ class World:
         if not live:
             first_ns = self._first_pulse_ns.get(exposure.shot.series, exposure.start_ns)
             moment_s = (exposure.start_ns - first_ns + exposure.duration_ns / 2) / 1e9
+            # Recorded frames go by the sequence's own clock, so that a slow host gets the same images as a fast one.
             clock_s = moment_s + SERIES_APART_S * exposure.shot.series
         seed, lasers = self._noise_seed(side, exposure.shot), self.board.lasers_on
         exposure_s, gain_db = exposure.duration_ns / 1e9, exposure.gain_db
         frame = exposure.shot.frame
-        made = self._darkroom.make(
+        made = self._exposure_worker.make(
             side,
             lambda: self._image(side, slices[::-1], moment_s, exposure_s, gain_db, lasers, seed, clock_s, frame),
         )
@@ -391,19 +394,19 @@ class World:
         clock_s: float,
         frame: int | None,
     ) -> NDArray[np.uint8]:
-        """Without the lock: one image, made or, where that is asked for, repeated."""
+        """Render one image or, where that is asked for, repeat it. Called without the lock."""
         renderer = self._renderer
 
         def made() -> NDArray[np.uint8]:
             return renderer.expose(side, slices, moment_s, exposure_s, gain_db, lasers, seed, clock_s)
 
-        if self._stills is None or not self._scene.still:
+        if self._frame_cache is None or not self._scene.still:
             return made()
-        key = self._stills.key(side, repr(self._scene), slices, exposure_s, gain_db, lasers, frame)
-        return self._stills.get(key, made)
+        key = self._frame_cache.key(side, repr(self._scene), slices, exposure_s, gain_db, lasers, frame)
+        return self._frame_cache.get(key, made)
 
     def _noise_seed(self, side: str, shot: Shot) -> int:
-        """The same for the same frame of the same sequence, however long the host took to come there."""
+        """Return a seed that is the same for the same frame of the same sequence, however long the host took."""
         key = f"{self.options.seed} {side} {shot.series} {shot.index}".encode()
         return int.from_bytes(hashlib.blake2b(key, digest_size=4).digest(), "little")
 
@@ -423,7 +426,7 @@ class World:
     # ------------------------------------------------------------------------------------------ sensors
 
     def _warm_up(self, time_ns: int) -> None:
-        """What was on since the last time has warmed the housing."""
+        """Warm the housing by what was on since the last time."""
         passed_s = (time_ns - self._warmed_ns) / 1e9
         if passed_s < WARM_UP_EVERY_S:
             return
@@ -434,7 +437,7 @@ class World:
         self._housing.advance(passed_s, Powers(shines, streaming, any(self.board.lasers_on)))
 
     def _sensor(self, name: str) -> str:
-        """A sensor's value as the board prints it; ``-`` when it does not answer."""
+        """Return a sensor's value as the board prints it; ``-`` when it does not answer."""
         if name == "LEAK":
             return "1" if self.faults.active("leak", "wrong") else "0"
         if self.faults.active(f"sensor.{name}", "off"):
@@ -452,7 +455,7 @@ class World:
 
 
 def true_rig(options: Mapping[str, Any]) -> TrueRig:
-    """The true rig of a world with ``options`` (``[rig.wires_options]``): what a calibration of it would have to find.
+    """Return the true rig of a world with ``options`` (``[rig.wires_options]``): what a calibration of it would have to find.
 
     Raises OptionError.
     """

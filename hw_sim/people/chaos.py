@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hw_sim.people import computer, status_file
-from hw_sim.people.actor import PRESS_S, ActError, Actor
+from hw_sim.people.operator import PRESS_S, Operator, OperatorError
 
 if TYPE_CHECKING:
     from hw_sim.world import World
@@ -35,41 +35,41 @@ SPOILT = (
 )  # fmt: skip
 COMPUTER = (("worker", "kill"), ("worker", "hang"), ("disk", "off"))
 FRAMES = 20
-"""Of the shortest sequence: a fault in one of its frames comes at any period."""
+"""Frames of the shortest sequence: a fault in one of them comes at any period."""
 AIM_S, ANSWER_S, END_S, SAVE_S = 60.0, 3.0, 200.0, 60.0
 """Longest waits of world time: for AIM, for anything to happen on a key, for the end of a scan, for a save."""
 LOST = "_LOST"
-"""How the code of a device that is away ends."""
+"""The code of a device that is away ends so."""
 REJECT_HOLD_S = 1.2
 REJECT_TRIES = 5
 """BACK held so long rejects a scan."""
 READY_S = 45.0
-"""After everything is repaired: until SCAN is answered with a scan."""
+"""Longest wait, after everything is repaired, until SCAN is answered with a scan."""
 BREAK, GIVE_BACK, KEEP, BREAK_COMPUTER = 0.5, 0.75, 0.8, 0.06
 """Chances before each scan: that something breaks, that all is repaired; that a scan is kept; that it is the computer."""
 
 
 @dataclass(slots=True)
 class Report:
-    """What was seen."""
+    """The record of one dive."""
 
     seed: int
     scans: int = 0
-    """How often SCAN was pressed."""
+    """Number of presses of SCAN."""
     accepted: list[str] = field(default_factory=list)
     """Numbers of the scans that the screen called saved."""
     rejected: int = 0
     """Shown and not wanted."""
     refused: Counter[str] = field(default_factory=Counter)
-    """Not recorded, or worthless: by the code that the screen gave as the reason."""
+    """Scans that were not recorded, or worthless, by the code that the screen gave as the reason."""
     unexplained: list[str] = field(default_factory=list)
     """Moments at which nothing happened and nothing said why."""
     alerts: Counter[str] = field(default_factory=Counter)
-    """How often each came up."""
+    """Number of times that each came up."""
     broken: list[str] = field(default_factory=list)
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON-ready."""
+        """Return the record ready for JSON."""
         return {
             "seed": self.seed, "scans": self.scans, "accepted": self.accepted, "rejected": self.rejected,
             "refused": dict(self.refused), "unexplained": self.unexplained, "alerts": dict(self.alerts),
@@ -77,7 +77,7 @@ class Report:
         }  # fmt: skip
 
 
-class ChaosDiver(Actor):
+class ChaosDiver(Operator):
     """Presses SCAN ``scans`` times while things break; writes ``report`` (JSON) at the end, whatever it was."""
 
     def __init__(self, world: World, status: Path, seed: int, scans: int, report: Path) -> None:
@@ -90,7 +90,7 @@ class ChaosDiver(Actor):
         self.report = Report(seed)
 
     def act(self) -> None:
-        """Scan after scan, then off."""
+        """Scan again and again, then switch off. Raises OperatorError."""
         try:
             for _ in range(self._wanted):
                 self._to_aim()
@@ -101,7 +101,7 @@ class ChaosDiver(Actor):
             self._repair()
             self._to_aim()
             if not self.switch_off() and not self.over:
-                raise ActError(f"it cannot be switched off: {self.status().get('state')}")
+                raise OperatorError(f"it cannot be switched off: {self.status().get('state')}")
             self.finished = True
         finally:
             self._path.write_text(json.dumps(self.report.as_dict()), encoding="utf-8")
@@ -138,7 +138,7 @@ class ChaosDiver(Actor):
     # ------------------------------------------------------------------------------------- one scan
 
     def _to_aim(self) -> None:
-        """Home, as a diver finds it: with BACK, and with patience where nothing but time helps."""
+        """Go home to AIM as a diver does: with BACK, and by waiting where nothing but time helps."""
         if self.until(self._aims, 1.0) or self.over:
             return
         for tries in range(int(AIM_S)):
@@ -148,18 +148,18 @@ class ChaosDiver(Actor):
             self.press("back", REJECT_HOLD_S if self._state() == "REVIEW" else PRESS_S)
             if self.until(self._aims, 1.0) or self.over:
                 return
-        raise ActError(f"BACK does not lead to AIM: {self._line()}")
+        raise OperatorError(f"BACK does not lead to AIM: {self._line()}")
 
     def _scan_once(self) -> None:
-        """One press of SCAN, and what comes of it."""
+        """Press SCAN once, and write down what comes of it."""
         self.report.scans += 1
         told: list[str] = []
         """Reasons of a refusal, as soon as they are to be seen: they go when what they name comes back."""
         away = self._away()
-        """What the screen says is lost, so who presses a key knows why nothing comes of it, even if it comes back right then."""
+        """The device that the screen calls lost: a reason for nothing to happen, even if it comes back right then."""
 
         def answered() -> bool:
-            """An alert that comes or goes is no answer: what it names may have come back just now."""
+            """Return whether SCAN was answered. An alert that comes or goes is no answer: its device may have just come back."""
             told.extend(filter(None, [self._reason(refused=True)]))
             return bool(told) or not self._aims()
 
@@ -168,7 +168,7 @@ class ChaosDiver(Actor):
             self._not_recorded(told, away)
             return
         if not self.until(lambda: self._state() in ("REVIEW", "AIM", None), END_S):
-            raise ActError(f"no end of a scan after {END_S:g} s: {self._line()}")
+            raise OperatorError(f"no end of a scan after {END_S:g} s: {self._line()}")
         self._count_alerts()
         if self._state() != "REVIEW":
             self._not_recorded(told, away)
@@ -183,7 +183,7 @@ class ChaosDiver(Actor):
                     break
 
     def _not_recorded(self, told: list[str], away: str | None) -> None:
-        """No scan: somebody must say why, or have said it."""
+        """Count a scan that did not come about: somebody must say why, or have said it."""
         self._count_alerts()
         reason = next(iter(told), None) or self._reason(refused=False) or away
         if reason is None:
@@ -226,7 +226,7 @@ class ChaosDiver(Actor):
         return any(alert.get("code") == code for alert in self.status().get("alerts") or [])
 
     def _reason(self, *, refused: bool) -> str | None:
-        """The code of the first alert, which is the newest message; ``refused``: only if it says so."""
+        """Return the code of the first alert, which is the newest message; ``refused``: only if it says so."""
         shown: list[Mapping[str, str]] = [a for a in self.status().get("alerts") or [] if a["code"] != "UNCALIBRATED"]
         if not shown or (refused and shown[0].get("action") != "SCAN REFUSED"):
             return None

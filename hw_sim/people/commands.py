@@ -1,4 +1,7 @@
-"""Owns what can be done to a world with one line of text: break, repair, and change what is before the instrument."""
+"""Owns the commands of scripts and of the console: lines that break, repair, or change what is before the instrument.
+
+A value is written in ``name=amount`` words, a vector as ``x,y,z``; ``off`` stands for the value's defaults.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,7 @@ if TYPE_CHECKING:
 Value = TypeVar("Value")
 
 SURROUNDINGS = {"motion": Motion(), "water": Water(), "daylight": Daylight(), "drift": Drift(), "fog": Fog()}
-"""What a line changes by its field of the scene."""
+"""Commands that change a field of the scene of the same name, with that field's defaults."""
 HELP: Mapping[str, tuple[str, str]] = {
     "fault": ("SENTENCE", "break something: fault camera.left off, fault board wrong how=reset"),
     "clear": ("", "repair everything that is broken"),
@@ -55,12 +58,12 @@ HELP: Mapping[str, tuple[str, str]] = {
 """Verb → (what follows, what it does)."""
 
 
-class DeedError(Exception):
-    """It could not be done; the text says why."""
+class CommandError(Exception):
+    """A command could not be carried out; the text says why."""
 
 
 def check(verb: str, words: tuple[str, ...]) -> bool:
-    """Whether that is one of the deeds. Raises ValueError for one that cannot be done."""
+    """Return whether that is one of the commands. Raises ValueError for one that can never be carried out."""
     match verb, words:
         case "fault", (_, *_):
             parse(" ".join(words))
@@ -82,7 +85,8 @@ def check(verb: str, words: tuple[str, ...]) -> bool:
 
 
 def do(world: World, verb: str, words: tuple[str, ...], status: Path) -> None:
-    """Do what ``check`` has found to be a deed. Raises DeedError, ValueError, OSError where it cannot be done now."""
+    """Carry out what ``check`` has found to be a command. Raises CommandError, ValueError, OSError where it cannot be
+    carried out now."""
     match verb:
         case "fault":
             world.fault(" ".join(words))
@@ -101,13 +105,13 @@ def do(world: World, verb: str, words: tuple[str, ...], status: Path) -> None:
         case "screenshot":
             picture = world.scanned_out("display")
             if not cv2.imwrite(words[0], cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)):
-                raise DeedError("the picture cannot be written")
+                raise CommandError("the picture cannot be written")
         case _:
             world.set_scene(replace(world.scene, **{verb: changed(getattr(world.scene, verb), verb, words)}))
 
 
 def changed(value: Value, what: str, words: Sequence[str]) -> Value:
-    """A frozen dataclass with the named amounts changed. ``what`` names it in errors. Raises ValueError."""
+    """Return a frozen dataclass with the named amounts changed. ``what`` names it in errors. Raises ValueError."""
     if not is_dataclass(value) or isinstance(value, type):
         raise TypeError(f"{what}: {value!r} has no amounts")
     if tuple(words) == ("off",):
@@ -129,6 +133,7 @@ def changed(value: Value, what: str, words: Sequence[str]) -> Value:
 def _amount(what: str, text: str, like: object) -> float | int | tuple[float, ...]:
     try:
         if isinstance(like, tuple):
+            # The default's type says how the amount is written.
             return tuple(float(part) for part in text.split(","))
         return int(text) if isinstance(like, int) else float(text)
     except ValueError:

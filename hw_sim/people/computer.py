@@ -1,7 +1,7 @@
 """Owns what can happen to the computer in the housing: its process for points dies or hangs, its disk refuses, somebody else
 fills it, or the power goes.
 
-Like the diver's sight it goes by the status file: that names the process, and lies in ``run`` of the storage root.
+Like a diver it goes by the status file: that names the process, and lies in ``run`` of the storage root.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ SCANS = "scans"
 GONE = "scans.taken-away"
 SOMEBODY_ELSES = "somebody-elses-file"
 LEFT_BYTES = 200_000
-"""What a disk that somebody fills has left: the status file must find its place."""
+"""A disk that somebody fills has so much left: the status file must find its place."""
 MOST_FILLED_BYTES = 500_000_000
 """A larger disk is not one made for this."""
 VERBS = {
@@ -31,13 +31,13 @@ VERBS = {
 
 
 def check(words: tuple[str, ...]) -> None:
-    """Raises ValueError for what cannot happen."""
+    """Check that it can happen. Raises ValueError otherwise."""
     if words not in VERBS:
         raise ValueError(f"'{' '.join(words)}'; allowed are {', '.join(' '.join(pair) for pair in sorted(VERBS))}")
 
 
 def happen(words: tuple[str, ...], status: Path) -> None:
-    """Let it happen now. Raises ValueError where there is nothing that it could happen to."""
+    """Make it happen now. Raises ValueError where there is nothing that it could happen to."""
     root = status.parent.parent
     match words:
         case ("power", _):
@@ -61,6 +61,7 @@ def happen(words: tuple[str, ...], status: Path) -> None:
                 )
             with (root / SOMEBODY_ELSES).open("ab", buffering=0) as file:
                 os.posix_fallocate(file.fileno(), file.tell(), max(1, free - LEFT_BYTES))
+        # The other file is what fills the disk; without it there is room again.
         case ("disk", "spare"):
             (root / SOMEBODY_ELSES).unlink(missing_ok=True)
         case ("disk", _):

@@ -42,17 +42,17 @@ class Console:
         self._rest = b""
 
     def feed(self, data: bytes) -> list[str]:
-        """Answers to the lines that these bytes complete; of a line without end the last ``LONGEST_LINE`` bytes are kept."""
+        """Return the answers to the lines that these bytes complete; of a line without end the last ``LONGEST_LINE`` bytes are kept."""
         *lines, rest = (self._rest + data).split(b"\n")
         self._rest = rest[-LONGEST_LINE:]
         return [said for line in lines for said in self.answer(line.decode("utf-8", "replace")).splitlines()]
 
     def answer(self, line: str) -> str:
-        """Do what the line says and say what was done; errors are answers too."""
+        """Carry out the line and return what was done; errors are answers too."""
         verb, *words = line.split("#", 1)[0].split() or [""]
         try:
             return self._do(verb, tuple(words))
-        except (ValueError, OSError, commands.DeedError) as error:
+        except (ValueError, OSError, commands.CommandError) as error:
             return f"no: {error}"
 
     def _do(self, verb: str, words: tuple[str, ...]) -> str:

@@ -1,4 +1,4 @@
-"""Owns the hands of a person at the desk: how a mouse moves the instrument before the object, and how fast.
+"""Owns the hands of a person at a computer: how a mouse moves the instrument before the object, and how fast.
 
 The scanner goes with the mouse. One held button shifts it, the other turns it about the middle of the volume, the wheel
 goes nearer and farther. While a sequence is recorded the hands go on as they were when it began, since one that is
@@ -27,7 +27,7 @@ LIMIT_MM, NEAREST_MM, FARTHEST_MM = 300.0, 250.0, 1500.0
 
 
 class Held(Protocol):
-    """What is held: a world."""
+    """The part of a world that hands move."""
 
     @property
     def scene(self) -> Scene: ...
@@ -46,19 +46,19 @@ class Hands:
         self._lately: deque[tuple[int, NDArray[np.float64]]] = deque()
         """(real time, shift in mm and turn in degrees), newest last."""
         self._waiting = np.zeros(6)
-        """What was done since the last change of the scene."""
+        """Shift, mm, and turn, degrees, since the last change of the scene."""
         self._moving = False
 
     def shift(self, dx_px: float, dy_px: float, real_ns: int) -> None:
-        """Left button: the instrument goes right and down with the mouse."""
+        """Shift the instrument right and down with the mouse (left button)."""
         self._did(np.array([dx_px * MM_PER_PX, dy_px * MM_PER_PX, 0.0, 0.0, 0.0, 0.0]), real_ns)
 
     def turn(self, dx_px: float, dy_px: float, real_ns: int) -> None:
-        """Right button: it looks at the same place from further right and further down."""
+        """Turn it so that it looks at the same place from further right and further down (right button)."""
         self._did(np.array([0.0, 0.0, 0.0, dy_px * DEG_PER_PX, -dx_px * DEG_PER_PX, 0.0]), real_ns)
 
     def wheel(self, notches: float, real_ns: int) -> None:
-        """Nearer (positive) or farther."""
+        """Move it nearer (positive) or farther, ``MM_PER_NOTCH`` each."""
         self._did(np.array([0.0, 0.0, notches * MM_PER_NOTCH, 0.0, 0.0, 0.0]), real_ns)
 
     def _did(self, change: NDArray[np.float64], real_ns: int) -> None:
@@ -71,6 +71,7 @@ class Hands:
             self._lately.popleft()
         if self._world.recording or not (self._moving or self._waiting.any()):
             return
+        # A mean over the memory: a single event of the mouse says little of a speed.
         speed = sum((change for _, change in self._lately), np.zeros(6)) / (MEMORY_NS / 1e9)
         scene = self._world.scene
         vx, vy, vz, wx, wy, wz = (float(part) for part in speed)
@@ -81,12 +82,13 @@ class Hands:
 
 
 def seen_after(pose: Pose, change: NDArray[np.float64]) -> Pose:
-    """Where an object is in the instrument's frame after that has shifted (mm) and turned (degrees about the pivot)."""
+    """Return an object's pose in the instrument's frame after that has shifted (mm) and turned (degrees about the pivot)."""
     R, t = pose_matrix(pose)
     turn, shift = pose_matrix(tuple(float(part) for part in (*change[:3], *change[3:])))
     R = turn.T @ R if change[3:].any() else R
     t = turn.T @ (t - shift - PIVOT_MM) + PIVOT_MM
     x, y, z = np.clip(t, (-LIMIT_MM, -LIMIT_MM, NEAREST_MM), (LIMIT_MM, LIMIT_MM, FARTHEST_MM))
+    # Back to angles of R = Rz Ry Rx; at ry = ±90° only the sum of the others would count, which no mouse reaches.
     rx = math.degrees(math.atan2(R[2, 1], R[2, 2]))
     ry = math.degrees(math.asin(max(-1.0, min(1.0, -R[2, 0]))))
     rz = math.degrees(math.atan2(R[1, 0], R[0, 0]))

@@ -7,14 +7,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hw_sim.people import commands, status_file
-from hw_sim.people.actor import PRESS_S, Actor
+from hw_sim.people.operator import PRESS_S, Operator
 
 if TYPE_CHECKING:
     from hw_sim.world import World
 
 KEYS = ("scan", "back", "up", "down")
-GRAMMAR = f"allowed are: wait|never {'|'.join(status_file.SIGHTS)} WORDS S, pause S, press KEY [S], end, " + ", ".join(
-    " ".join(filter(None, (verb, words))) for verb, (words, _) in commands.HELP.items()
+GRAMMAR = (
+    f"allowed are: wait|never {'|'.join(status_file.CONDITIONS)} WORDS S, pause S, press KEY [S], end, "
+    + ", ".join(" ".join(filter(None, (verb, words))) for verb, (words, _) in commands.HELP.items())
 )
 
 
@@ -92,15 +93,15 @@ def _seconds(word: str) -> float:
     return seconds
 
 
-class Diver(Actor):
-    """Plays a script."""
+class Diver(Operator):
+    """Operates the instrument by a script."""
 
     def __init__(self, world: World, steps: tuple[Step, ...], status: Path) -> None:
         super().__init__(world, status)
         self._steps = steps
 
     def act(self) -> None:
-        """Step by step. Raises ScriptError."""
+        """Play step after step. Raises ScriptError."""
         for step in self._steps:
             try:
                 self._play(step)
@@ -115,10 +116,10 @@ class Diver(Actor):
         words = step.words
         match step.verb:
             case "wait":
-                if not self._sees(words) and not self.over:
+                if not self._comes(words) and not self.over:
                     raise ScriptError(f"{step}: after {words[-1]} s {status_file.summary(self.status())}")
             case "never":
-                if self._sees(words):
+                if self._comes(words):
                     raise ScriptError(f"{step}: {status_file.summary(self.status())}")
             case "pause":
                 self.sleep(float(words[0]))
@@ -130,7 +131,7 @@ class Diver(Actor):
             case _:
                 commands.do(self.world, step.verb, words, self.status_path)
 
-    def _sees(self, words: tuple[str, ...]) -> bool:
-        """Whether what the words say, or what they end with, comes to be seen in its time."""
+    def _comes(self, words: tuple[str, ...]) -> bool:
+        """Return whether what the words name comes to be seen within the seconds that they end with."""
         kind, *what, seconds = words
-        return self.until(lambda: status_file.sees(self.status(), kind, what), float(seconds))
+        return self.until(lambda: status_file.is_met(self.status(), kind, what), float(seconds))

@@ -1,4 +1,4 @@
-"""Owns what a diver can wait to see: questions to the product's status file, and to nothing else of it."""
+"""Owns the conditions that a script can wait for: questions to the product's status file, and to nothing else of it."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ def _alerts(status: Status, field: str) -> list[str]:
 
 
 def _table(value: object) -> Mapping[str, Any]:
-    """A table of the file; empty where it has something else in that place."""
+    """Return a table of the file; empty where it has something else in that place."""
     return value if isinstance(value, Mapping) else {}
 
 
 def _calibration(status: Status, field: str, name: str) -> bool:
-    """Of a calibration, when nothing is computed for it any more."""
+    """Return whether ``field`` of a calibration is ``name``, when nothing is computed for it any more."""
     at = _table(status.get("calibration"))
     return at.get(field) == name and not at.get("busy")
 
 
 def _distance(status: Status, mm: float, within_mm: float) -> bool:
-    """What the laser dots say, within so much of ``mm``."""
+    """Return whether the laser dots tell a distance within so much of ``mm``."""
     found = _table(status.get("range")).get("distance_mm")
     return isinstance(found, int | float) and abs(found - mm) <= within_mm
 
 
 def _tilt(status: Status, deg: float, within_deg: float) -> bool:
-    """The tilt that the laser dots say, within so much of ``deg``."""
+    """Return whether the laser dots tell a tilt within so much of ``deg``."""
     found = _table(status.get("range")).get("tilt_deg")
     return isinstance(found, int | float) and abs(found - deg) <= within_deg
 
 
 def _gallery(status: Status, scan: str, what: str) -> bool:
-    """Of the scan in the gallery: a word that is marked there, or the beginning of its date."""
+    """Return whether the gallery shows ``scan``, with a mark of ``GALLERY`` or with a date that begins with ``what``."""
     shown = _table(status.get("gallery"))
     if shown.get("scan") != scan:
         return False
@@ -54,15 +54,15 @@ GALLERY: Mapping[str, Callable[[Mapping[str, Any]], bool]] = {
     "whole": lambda shown: shown.get("damaged") is False,
     "undated": lambda shown: "taken" in shown and shown["taken"] is None,
 }
-"""What can be said of a scan in the gallery, besides its date."""
+"""Marks of a scan in the gallery, besides its date."""
 
 
 def _like(texts: list[str], pattern: str) -> bool:
-    """``*`` stands for anything: numbers that a scene does not fix."""
+    """Return whether one of ``texts`` is like ``pattern``; ``*`` stands for anything: numbers that a scene does not fix."""
     return any(fnmatch.fnmatchcase(text, pattern) for text in texts)
 
 
-SIGHTS: Mapping[str, tuple[int, Callable[[Status, list[str]], bool]]] = {
+CONDITIONS: Mapping[str, tuple[int, Callable[[Status, list[str]], bool]]] = {
     "state": (1, lambda status, words: status.get("state") == words[0]),
     "alert": (1, lambda status, words: words[0] in _alerts(status, "code")),
     "gone": (1, lambda status, words: bool(status) and words[0] not in _alerts(status, "code")),
@@ -78,27 +78,28 @@ SIGHTS: Mapping[str, tuple[int, Callable[[Status, list[str]], bool]]] = {
     "step": (1, lambda status, words: _calibration(status, "step", words[0])),
     "result": (1, lambda status, words: _calibration(status, "result", words[0])),
 }
-"""What can be waited for: how many words it takes at least, and whether it is to be seen now."""
+"""Condition → (number of words it takes at least, whether it is met now)."""
 
 
-def sees(status: Status, kind: str, words: list[str]) -> bool:
-    """Whether that is to be seen."""
-    return SIGHTS[kind][1](status, words)
+def is_met(status: Status, kind: str, words: list[str]) -> bool:
+    """Return whether the condition ``kind`` is met."""
+    return CONDITIONS[kind][1](status, words)
 
 
 def check(kind: str, words: list[str]) -> None:
-    """Raises ValueError for what nobody could ever see."""
-    if kind not in SIGHTS:
-        raise ValueError(f"'{kind}' cannot be waited for; allowed are {', '.join(SIGHTS)}")
-    if len(words) < SIGHTS[kind][0]:
-        raise ValueError(f"'{kind}' takes {SIGHTS[kind][0]} words or more, then the seconds")
+    """Check a condition and its words. Raises ValueError for what could never be met."""
+    if kind not in CONDITIONS:
+        raise ValueError(f"'{kind}' cannot be waited for; allowed are {', '.join(CONDITIONS)}")
+    if len(words) < CONDITIONS[kind][0]:
+        raise ValueError(f"'{kind}' takes {CONDITIONS[kind][0]} words or more, then the seconds")
     if kind in ("distance", "tilt"):
         [float(number) for number in words]
 
 
 def read(path: Path) -> dict[str, Any]:
-    """The status now; empty where there is none."""
+    """Return the status now; empty where there is none."""
     try:
+        # The file is replaced as a whole while the service runs, but may be missing before it starts and after it ends.
         content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return {}
@@ -106,7 +107,7 @@ def read(path: Path) -> dict[str, Any]:
 
 
 def summary(status: Status) -> str:
-    """What is to be seen instead, in one line."""
+    """Return the whole status in one line, for messages that say what is to be seen instead."""
     listed = status.get("alerts")
     read = ", ".join(_alert(_table(alert)) for alert in listed) if isinstance(listed, list) else ""
     calibration = status.get("calibration")
@@ -118,13 +119,13 @@ def summary(status: Status) -> str:
 
 
 def _alert(alert: Mapping[str, Any]) -> str:
-    """Its code, and what the screen says of it where the file has that."""
+    """Return an alert's code, and what the screen says of it where the file has that."""
     said = ": ".join(str(alert[field]) for field in ("headline", "action") if alert.get(field))
     return f"{alert.get('code')} ({said})" if said else str(alert.get("code"))
 
 
 def _words(value: object) -> str:
-    """A value of the file as a person would write it down."""
+    """Return a value of the file as a person would write it down."""
     match value:
         case None | "":
             return "-"

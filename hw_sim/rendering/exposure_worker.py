@@ -15,7 +15,7 @@ MOST_WAITING = 40
 """Images that one camera may have under way, more than its memory holds."""
 
 
-class Print:
+class PendingImage:
     """One image that is being made. Used with the world's lock held."""
 
     def __init__(self) -> None:
@@ -49,20 +49,20 @@ class Print:
             action()
 
 
-class Darkroom:
+class ExposureWorker:
     """A failure in making an image goes to ``failed``, lock held."""
 
     def __init__(self, time: WorldTime, cameras: tuple[str, ...], failed: Callable[[BaseException], None]) -> None:
         self._time, self._failed = time, failed
-        self._threads = {name: ThreadPoolExecutor(1, f"darkroom-{name}") for name in cameras}
+        self._threads = {name: ThreadPoolExecutor(1, f"exposure-{name}") for name in cameras}
         self._pending = dict.fromkeys(cameras, 0)
 
-    def make(self, camera: str, render: Callable[[], Image]) -> Print | None:
+    def make(self, camera: str, render: Callable[[], Image]) -> PendingImage | None:
         """With the lock held: begin an image; ``None`` if too many are under way."""
         if self._pending[camera] >= MOST_WAITING:
             return None
         self._pending[camera] += 1
-        latent = Print()
+        pending_image = PendingImage()
 
         def done(pending: Future[Image]) -> None:
             with self._time.condition:
@@ -73,11 +73,11 @@ class Darkroom:
                 if error is not None:
                     self._failed(error)
                     return
-                latent.finish(pending.result())
+                pending_image.finish(pending.result())
                 self._time.condition.notify_all()
 
         self._threads[camera].submit(render).add_done_callback(done)
-        return latent
+        return pending_image
 
     def close(self) -> None:
         """End the threads; the images under way are given up."""

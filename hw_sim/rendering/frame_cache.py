@@ -1,4 +1,4 @@
-"""Owns images of a scene at rest that are made once and shown again, so that two full-size cameras run in real time.
+"""Owns the cache of frames of a scene at rest: made once and shown again, two full-size cameras run in real time.
 
 An image is known by all that lights and exposes it, and by its place in a sequence: the same frame of the same scene gives
 the same image, to its noise. Where the noise of one sequence and the next matters, this is not used.
@@ -21,8 +21,8 @@ MOST = 96
 Image = NDArray[np.uint8]
 
 
-class Stills:
-    """May be used by several threads at once."""
+class FrameCache:
+    """The latest ``MOST`` frames by what lit and exposed them. May be used by several threads at once."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -38,12 +38,12 @@ class Stills:
         lasers: tuple[bool, bool],
         frame: int | None,
     ) -> Hashable:
-        """Equal for equal images. ``frame``: of the sequence; no camera gives two frames the same noise."""
+        """Return a key that is equal for equal images. ``frame``: of the sequence; no camera gives two frames the same noise."""
         light = tuple((zlib.crc32(part.image.tobytes()), round(part.duration_s, 6)) for part in slices)
         return camera, scene, light, round(exposure_s, 6), gain_db, lasers, frame
 
     def get(self, key: Hashable, make: Callable[[], Image]) -> Image:
-        """The image of that key, read-only; made if there is none yet."""
+        """Return the image (h, w) uint8 of that key, read-only; made if there is none yet."""
         with self._lock:
             known = self._images.get(key)
             if known is not None:

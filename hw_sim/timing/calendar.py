@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 KEPT, LOST = "kept", "lost"
 FIRST, LAST = datetime.datetime(1970, 1, 1, tzinfo=datetime.UTC), datetime.datetime(2106, 1, 1, tzinfo=datetime.UTC)
-"""What a date can be set to; a computer's clock begins with the first."""
+"""First and last date that can be set; a computer's clock begins with the first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,24 +34,26 @@ class Calendar:
             self.change(date)
 
     def today(self) -> Date:
-        """Now."""
+        """Return the date now."""
         passed = datetime.timedelta(microseconds=(self._now_ns() - self._set_ns) // 1000)
         return replace(self._set, utc=self._set.utc + passed)
 
     def change(self, word: str) -> None:
-        """As ``changed`` has it."""
+        """Change the date as ``changed`` says. Raises ValueError."""
         self._set, self._set_ns = changed(self.today(), word), self._now_ns()
 
 
 def check(word: str) -> None:
-    """Raises ValueError for what ``changed`` never takes."""
+    """Check a word. Raises ValueError for what ``changed`` never takes."""
     if word not in (KEPT, LOST):
         _jump(word) if word[:1] in ("+", "-") else _date(word)
 
 
 def changed(date: Date, word: str) -> Date:
-    """``+S`` or ``-S``: it jumps by so many seconds, whoever keeps it. A date: it is that, and nobody keeps it. ``kept``: a
-    time server sets it right and keeps it. ``lost``: nobody keeps it any more. Raises ValueError for anything else.
+    """Return the date after ``word``.
+
+    ``+S`` or ``-S``: it jumps by so many seconds, whoever keeps it. A date: it is that, and nobody keeps it. ``kept``: a time
+    server sets it right and keeps it. ``lost``: nobody keeps it any more. Raises ValueError for anything else.
     """
     if word == KEPT:
         return Date(datetime.datetime.now(datetime.UTC), kept=True)

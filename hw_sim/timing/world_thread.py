@@ -9,14 +9,14 @@ from typing import Protocol
 
 from hw_sim.timing.world_time import LONGEST_WAIT_S, WorldTime
 
-PATIENCE_S = 5.0
+HOST_TIMEOUT_S = 5.0
 """Real time that a recording world waits for its host."""
 CATCH_UP_NS = 1_000_000_000
 """A real-time world that is later than this gives the lost time up."""
 
 
 class Recording(Protocol):
-    """What decides whether the next blank waits for the host. Called with the lock held."""
+    """The state that decides whether the next blank waits for the host. Asked with the lock held."""
 
     @property
     def armed(self) -> int | None:
@@ -31,7 +31,7 @@ class Recording(Protocol):
         """Images of a sequence are still being made, although all its pulses may have been fired."""
 
 
-class Drive:
+class WorldThread:
     """Calls ``on_blank(time_ns)`` at each vertical blank and lets happenings happen between them, in one thread."""
 
     def __init__(
@@ -53,19 +53,19 @@ class Drive:
         self._waiting_since_ns: int | None = None
         """Real time since when nothing but the host keeps the next blank from coming."""
         self.failure: BaseException | None = None
-        """What ended the world before its time."""
+        """The error that ended the world before its time."""
         self._thread = threading.Thread(target=self._run, name="world", daemon=True)
 
     def start(self) -> None:
         self._thread.start()
 
     def set_pace(self, pace: str) -> None:
-        """With the lock held: go on at another pace, one of ``hw_sim.options.PACES``."""
+        """Go on at another pace, one of ``hw_sim.options.PACES``. The caller holds the lock."""
         self._pace = pace
         self._waiting_since_ns = None
 
-    def join(self) -> None:
-        """After the time is closed: wait until the thread has ended. Raises RuntimeError if it does not."""
+    def wait_until_ended(self) -> None:
+        """Wait, after the time is closed, until the thread has ended. Raises RuntimeError if it does not."""
         if self._thread.ident is None:
             return
         self._thread.join(10.0)
@@ -100,6 +100,7 @@ class Drive:
     def _lock_step_once(self) -> None:
         sequence = self._recording.armed
         recording = self._records
+        # A host that is ready early is not kept waiting: the blank comes at once, whatever real time says.
         hurry = recording and self._recording.host_ready
         blank_ns = self._time.blank_ns + self._time.period_ns
         happening = self._time.due(blank_ns)
@@ -121,10 +122,11 @@ class Drive:
         now_ns = time.monotonic_ns()
         if self._waiting_since_ns is None:
             self._waiting_since_ns = now_ns
-        left_s = PATIENCE_S - (now_ns - self._waiting_since_ns) / 1e9
+        left_s = HOST_TIMEOUT_S - (now_ns - self._waiting_since_ns) / 1e9
         if left_s > 0:
             self._time.condition.wait(min(left_s, LONGEST_WAIT_S))
         else:
+            # The host died or lost count: from here on this sequence runs by real time, so that no wait is for ever.
             self._given_up = sequence
 
     # -- real time: blanks come whatever the host does

@@ -20,7 +20,7 @@ START_NS = 3_000_000_000
 LONGEST_WAIT_S = 0.25
 """Bound of a wait that is expected to end by a notification."""
 FOREIGN_SLICE_S = 0.005
-"""How often a wait on somebody else's condition looks at world time."""
+"""A wait on somebody else's condition looks at world time so often."""
 _FOREVER_NS = 2**62
 
 
@@ -47,6 +47,7 @@ class _Mark:
     limit_ns: int
 
     def now_ns(self, real_ns: int) -> int:
+        # now = blank + speed · (real time since), between what was seen already and what may not be passed yet.
         followed_ns = self.blank_ns + int((real_ns - self.blank_real_ns) * self.speed)
         return max(self.floor_ns, min(followed_ns, self.limit_ns))
 
@@ -79,11 +80,11 @@ class WorldTime:
         return time.monotonic_ns() - self._mark.blank_real_ns
 
     def now_ns(self) -> int:
-        """World time; never goes back."""
+        """Return world time, which never goes back."""
         return self._mark.now_ns(time.monotonic_ns())
 
     def at(self, time_ns: int, action: Callable[[int], None], ready: Callable[[], bool] | None = None) -> None:
-        """With the lock held: let ``action`` happen at ``time_ns``, or at once where that is past.
+        """Let ``action`` happen at ``time_ns``, or at once where that is past. The caller holds the lock.
 
         Nothing happens any more once the world has ended.
         """
@@ -95,22 +96,22 @@ class WorldTime:
         self.condition.notify_all()
 
     def due(self, until_ns: int) -> Happening | None:
-        """With the lock held: what happens next, if not later than ``until_ns``."""
+        """Return what happens next, if not later than ``until_ns``. The caller holds the lock."""
         return self._agenda[0] if self._agenda and self._agenda[0].time_ns <= until_ns else None
 
     def happen(self) -> None:
-        """With the lock held: the next happening happens now. Only who drives the world calls this."""
+        """Make the next happening happen now. Only the world's thread calls this, with the lock held."""
         happening = heapq.heappop(self._agenda)
         self._stand(happening.time_ns, happening.action)
 
     def blank(self, speed: float, real_ns: int, action: Callable[[int], None]) -> None:
-        """With the lock held: the next vertical blank happens, at ``real_ns`` of real time, and ``action`` with it."""
+        """Make the next vertical blank happen, at ``real_ns`` of real time, and ``action`` with it. The caller holds the lock."""
         blank_ns = self._mark.blank_ns + self.period_ns
         self._mark = _Mark(blank_ns, real_ns, speed, blank_ns, blank_ns)
         self._stand(blank_ns, action)
 
     def _stand(self, time_ns: int, action: Callable[[int], None]) -> None:
-        """Time stands still while something happens, so that all of it happens at that moment."""
+        """Let time stand still while ``action`` runs, so that all of it happens at that moment."""
         self._standing_ns = time_ns
         self._set_mark(time_ns)
         try:
@@ -134,7 +135,7 @@ class WorldTime:
         self._mark = _Mark(mark.blank_ns, mark.blank_real_ns, mark.speed, floor_ns, limit_ns)
 
     def close(self) -> None:
-        """With the lock held: the world ends."""
+        """End the world. The caller holds the lock."""
         now_ns, real_ns = self.now_ns(), time.monotonic_ns()
         self._agenda.clear()
         self._mark = _Mark(now_ns, real_ns, 1.0, now_ns, _FOREVER_NS)
@@ -142,7 +143,7 @@ class WorldTime:
         self.condition.notify_all()
 
     def real_until_s(self, time_ns: int) -> float:
-        """Real seconds until ``time_ns``, if nothing holds world time up; infinite where it stands still."""
+        """Return the real seconds until ``time_ns``, if nothing holds world time up; infinite where it stands still."""
         mark = self._mark
         if mark.speed <= 0:
             return float("inf")
@@ -155,7 +156,7 @@ class WorldTime:
         return mark.blank_real_ns + round((time_ns - mark.blank_ns) / (mark.speed or 1.0))
 
     def wait_for(self, predicate: Callable[[], bool], timeout_s: float | None) -> bool:
-        """With the lock held: wait until ``predicate()``, or ``timeout_s`` of world time (``None``: no limit).
+        """Wait with the lock held until ``predicate()``, or ``timeout_s`` of world time (``None``: no limit).
 
         Returns the predicate's value. Who waits for a device also asks whether the world is ``closed``.
         """
@@ -182,7 +183,7 @@ class WorldClock:
         self._time = world_time
 
     def now_ns(self) -> int:
-        """World time, the clock of the flips' time stamps."""
+        """Return world time, the clock of the flips' time stamps."""
         return self._time.now_ns()
 
     def sleep_s(self, duration_s: float) -> None:
@@ -190,7 +191,7 @@ class WorldClock:
         self._time.sleep_s(duration_s)
 
     def wait_for(self, condition: threading.Condition, predicate: Callable[[], bool], timeout_s: float) -> bool:
-        """With ``condition`` held, wait until ``predicate()`` or the timeout; return the predicate's value."""
+        """Wait with ``condition`` held until ``predicate()`` or the timeout; return the predicate's value."""
         deadline_ns = self._time.now_ns() + int(timeout_s * 1e9)
         while not predicate():
             if self._time.now_ns() >= deadline_ns:

@@ -12,9 +12,9 @@ import serial
 
 from hw_sim import registry
 from hw_sim.options import OptionError, WorldOptions, options_from
-from hw_sim.people.actor import Actor
 from hw_sim.people.chaos import ChaosDiver
 from hw_sim.people.console import reading
+from hw_sim.people.operator import Operator
 from hw_sim.people.script import Diver, read_script
 from hw_sim.timing.world_time import WorldClock
 from hw_sim.window import open_windows
@@ -75,7 +75,7 @@ def open(options: Mapping[str, Any]) -> Iterator[SimWires]:
         yield SimWires(world)
 
 
-def _diver(wanted: WorldOptions, world: World) -> Actor | None:
+def _diver(wanted: WorldOptions, world: World) -> Operator | None:
     """Who holds the instrument, if somebody does."""
     if wanted.script is None and not wanted.chaos:
         return None
@@ -93,7 +93,7 @@ def _status(wanted: WorldOptions, who: str) -> Path:
 
 
 @contextmanager
-def _acting(diver: Actor) -> Iterator[None]:
+def _acting(diver: Operator) -> Iterator[None]:
     diver.start()
     try:
         yield

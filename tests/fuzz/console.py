@@ -12,7 +12,7 @@ from typing import Any
 
 from hw_sim.faults import KINDS, PARTS, FaultSyntaxError
 from hw_sim.faults import parse as parse_fault
-from hw_sim.mount_shift import AMOUNTS, KnockError
+from hw_sim.mount_shift import AMOUNTS, MountShiftError
 from hw_sim.mount_shift import parse as parse_knock
 from hw_sim.people import commands, status_file
 from hw_sim.people.commands import SURROUNDINGS
@@ -177,7 +177,7 @@ STATUS = {
 }  # fmt: skip
 ASKED = tuple(
     (kind, (["500", "5"] if kind in ("distance", "tilt") else ["LEAK", "ok", "x"][: max(1, least)]))
-    for kind, (least, _) in status_file.SIGHTS.items()
+    for kind, (least, _) in status_file.CONDITIONS.items()
 )
 
 
@@ -192,7 +192,7 @@ def _look(data: bytes, scratch: Path) -> None:
     path.write_bytes(data)
     status = status_file.read(path)
     for kind, words in ASKED:
-        assert status_file.sees(status, kind, list(words)) in (True, False)
+        assert status_file.is_met(status, kind, list(words)) in (True, False)
     assert status_file.summary(status)
 
 
@@ -200,7 +200,7 @@ TARGETS = (
     Target("fault", "a fault sentence of the simulated world", lambda c: reworded(c, c.choice(FAULTS), FAULT_WORDS), _fault,
            (FaultSyntaxError,)),
     Target("knock", "a knock's sentence", lambda c: reworded(c, c.choice(KNOCKS), KNOCK_WORDS), lambda text, _: parse_knock(text),
-           (KnockError,)),
+           (MountShiftError,)),
     Target("console", "a line of the trainer's console", lambda c: reworded(c, c.choice(LINES), (*SCRIPT_WORDS, *FAULT_WORDS)), _deed, (ValueError,)),
     Target("console-bytes", "what is typed at the trainer's console, as it is read", _typed, _type, cost=5.0),
     Target("script", "a diver's script", _script, _play, (ScriptError,), "line ", cost=2.0),

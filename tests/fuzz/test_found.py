@@ -192,7 +192,7 @@ def test_frames_that_numpy_itself_wrote_are_read(tmp_path: Path) -> None:
 
 def test_a_status_file_with_other_things_in_it_is_looked_at_all_the_same() -> None:
     status = {"alerts": "AIM", "keys": [1], "devices": 1.5, "calibration": [{}]}
-    assert not status_file.sees(status, "alert", ["AIM"])
-    assert not status_file.sees(status, "device", ["board", "ok"])
-    assert not status_file.sees(status, "step", ["M1"])
+    assert not status_file.is_met(status, "alert", ["AIM"])
+    assert not status_file.is_met(status, "device", ["board", "ok"])
+    assert not status_file.is_met(status, "step", ["M1"])
     assert "alerts: none" in status_file.summary(status)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hw_sim.mount_shift import Knock, KnockError, knocked, parse
+from hw_sim.mount_shift import MountShift, MountShiftError, parse, with_mount_shifted
 from hw_sim.truth import draw_truth, project
 
 TRUTH = draw_truth("nominal", 1, 1600, 1200, 1.335)
@@ -24,7 +24,7 @@ MIDDLE = np.array([[0.0, 0.0, 522.5]])
     ],
 )
 def test_the_middle_of_the_image_moves_as_it_must(sentence: str, moves_px: tuple[float, float]) -> None:
-    moved = knocked(TRUTH, parse(sentence))
+    moved = with_mount_shifted(TRUTH, parse(sentence))
     step = project(moved, "right", MIDDLE)[0] - project(TRUTH, "right", MIDDLE)[0]
     scale = np.radians(0.1) * TRUTH.right.f_px[0] * 1.335 if "deg" in sentence else 1.0
     assert step == pytest.approx(np.array(moves_px) * scale, rel=0.1, abs=0.1)
@@ -34,7 +34,7 @@ def test_the_middle_of_the_image_moves_as_it_must(sentence: str, moves_px: tuple
 
 def test_a_roll_turns_the_image() -> None:
     away = np.array([[80.0, 0.0, 522.5]])
-    moved = knocked(TRUTH, Knock("left", roll_deg=0.1))
+    moved = with_mount_shifted(TRUTH, MountShift("left", roll_deg=0.1))
     step = project(moved, "left", away)[0] - project(TRUTH, "left", away)[0]
     assert abs(step[1]) == pytest.approx(np.radians(0.1) * 80.0 / 0.16, rel=0.15)
 
@@ -44,5 +44,5 @@ def test_a_roll_turns_the_image() -> None:
     ["", "right", "top pitch_deg=1", "right pitch=1", "right pitch_deg=x", "right pitch_deg=nan", "right x_mm=21"],
 )
 def test_what_is_no_knock_is_refused_with_what_is_allowed(sentence: str) -> None:
-    with pytest.raises(KnockError, match=r"pitch_deg|left, right"):
+    with pytest.raises(MountShiftError, match=r"pitch_deg|left, right"):
         parse(sentence)

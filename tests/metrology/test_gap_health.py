@@ -14,7 +14,7 @@ from appliance.calibration.health import Judgement, Trend, judge
 from appliance.calibration.patches import PatchGaps
 from appliance.patterns.sequence import build_sequence
 from appliance.reconstruct.pipeline import SIDES, Pipeline
-from hw_sim.mount_shift import Knock, knocked
+from hw_sim.mount_shift import MountShift, with_mount_shifted
 from hw_sim.rendering.render import LightSlice, Renderer
 from hw_sim.scene import Scene
 from hw_sim.truth import TrueRig, draw_truth
@@ -99,7 +99,7 @@ def test_ten_normal_scans_and_then_a_knock() -> None:
     """Two of the twelve are of a ball bar, which shows too little of the image to be judged."""
     instrument, trend, said = normal("modelled", 12)
     assert_quiet(said, judged=10)
-    turned = knocked(instrument.truth, Knock("left", roll_deg=-0.02))
+    turned = with_mount_shifted(instrument.truth, MountShift("left", roll_deg=-0.02))
     _, judgement = judge(trend, instrument.scan(Scene(object="shell"), turned))
     assert judgement.alarm
 
@@ -124,8 +124,11 @@ def test_larger_images(width_px: int) -> None:
         trend, judgement = judge(trend, instrument.scan(scene))
         said.append(judgement)
     assert_quiet(said, judged=4)
-    turns = [Knock("right", pitch_deg=0.02), Knock("right", yaw_deg=0.02), Knock("left", roll_deg=0.02)]
-    changed = [*(knocked(truth, turn) for turn in turns), replace(truth, n_water=Water(salinity_psu=35.0).index)]
+    turns = [MountShift("right", pitch_deg=0.02), MountShift("right", yaw_deg=0.02), MountShift("left", roll_deg=0.02)]
+    changed = [
+        *(with_mount_shifted(truth, turn) for turn in turns),
+        replace(truth, n_water=Water(salinity_psu=35.0).index),
+    ]
     for other in changed:
         after, alarms = trend, []
         for scene in pair:
@@ -139,7 +142,7 @@ def test_larger_images(width_px: int) -> None:
 def test_the_amplitude_of_a_turn_is_that_turn() -> None:
     """From images, in the words that the technician reads: within a twentieth of what was done."""
     instrument, trend, _ = normal("modelled", 1)
-    turned = knocked(instrument.truth, Knock("right", pitch_deg=0.015))
+    turned = with_mount_shifted(instrument.truth, MountShift("right", pitch_deg=0.015))
     after, judgement = judge(trend, instrument.scan(Scene(object="plane"), turned))
     assert judgement.alarm
     height_um = after.points[-1].amplitudes_um[0]

@@ -11,7 +11,7 @@ import pytest
 from appliance.calibration.gaps import MODES, GapModes, pairs_in_volume, signed_gap_mm
 from appliance.calibration.health import likeliest
 from appliance.optics.model import StereoRig
-from hw_sim.mount_shift import Knock, knocked
+from hw_sim.mount_shift import MountShift, with_mount_shifted
 from hw_sim.truth import TrueRig, project, ray
 from tests.support.calibrating import hidden_rig, inside
 from tests.support.truth import WATER, true_calibration
@@ -37,7 +37,7 @@ def test_rays_of_true_pairs_meet() -> None:
 
 def test_the_gap_is_positive_where_the_left_ray_passes_below() -> None:
     """The right camera sinks: the calibration believes it higher than it is, so its rays are reported too high."""
-    sunk = knocked(TRUTH, Knock("right", y_mm=0.05))
+    sunk = with_mount_shifted(TRUTH, MountShift("right", y_mm=0.05))
     gap = signed_gap_mm(RIG, WATER.index, *pairs_of(sunk))
     assert gap == pytest.approx(0.05, abs=0.003)
 
@@ -45,16 +45,16 @@ def test_the_gap_is_positive_where_the_left_ray_passes_below() -> None:
 @pytest.mark.parametrize(
     ("knock", "parameter", "unit"),
     [
-        (Knock("right", pitch_deg=0.02), "right camera's turn x (rad)", math.radians(0.02)),
-        (Knock("right", yaw_deg=-0.02), "right camera's turn y (rad)", math.radians(-0.02)),
-        (Knock("right", roll_deg=0.02), "right camera's turn z (rad)", math.radians(0.02)),
-        (Knock("right", y_mm=0.05), None, 0.0),
+        (MountShift("right", pitch_deg=0.02), "right camera's turn x (rad)", math.radians(0.02)),
+        (MountShift("right", yaw_deg=-0.02), "right camera's turn y (rad)", math.radians(-0.02)),
+        (MountShift("right", roll_deg=0.02), "right camera's turn z (rad)", math.radians(0.02)),
+        (MountShift("right", y_mm=0.05), None, 0.0),
     ],
 )
-def test_a_knock_has_the_pattern_that_the_model_derives(knock: Knock, parameter: str | None, unit: float) -> None:
+def test_a_knock_has_the_pattern_that_the_model_derives(knock: MountShift, parameter: str | None, unit: float) -> None:
     modes = GapModes(RIG, WATER.index)
     answers = modes.of_parameters()
-    left, right = pairs_of(knocked(TRUTH, knock))
+    left, right = pairs_of(with_mount_shifted(TRUTH, knock))
     gap_um = 1000.0 * signed_gap_mm(RIG, WATER.index, left, right)
     amplitudes, *_ = np.linalg.lstsq(modes.at(left, right), gap_um, rcond=None)
     if parameter is not None:

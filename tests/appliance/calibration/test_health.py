@@ -14,13 +14,13 @@ from appliance.calibration.bundle import Rung
 from appliance.calibration.health import LEARNT_SCANS, Trend, answered, judge
 from appliance.calibration.patches import PatchGaps
 from appliance.optics.water import Water
-from hw_sim.mount_shift import Knock, knocked
+from hw_sim.mount_shift import MountShift, with_mount_shifted
 from tests.support.gap_scans import calibrated, follow, in_water, learnt, scan, scans_until_alarm
 from tests.support.truth import WATER
 
 SEED = 1
 KNOCKS = [
-    Knock(camera, **{f"{axis}_deg": sign * 0.02})
+    MountShift(camera, **{f"{axis}_deg": sign * 0.02})
     for camera in ("left", "right")
     for axis in ("pitch", "yaw", "roll")
     for sign in (-1.0, 1.0)
@@ -28,23 +28,28 @@ KNOCKS = [
 
 
 @pytest.mark.parametrize("knock", KNOCKS, ids=str)
-def test_a_turn_of_two_hundredths_of_a_degree_alarms_at_the_first_or_second_scan(knock: Knock) -> None:
+def test_a_turn_of_two_hundredths_of_a_degree_alarms_at_the_first_or_second_scan(knock: MountShift) -> None:
     made = calibrated(SEED)
-    needed = scans_until_alarm(made, learnt(made), knocked(made.truth, knock), most=2)
+    needed = scans_until_alarm(made, learnt(made), with_mount_shifted(made.truth, knock), most=2)
     assert needed is not None
 
 
 @pytest.mark.parametrize("axis", ["y_mm", "z_mm"])
 def test_a_shift_across_the_base_line_of_a_tenth_alarms(axis: str) -> None:
     made = calibrated(SEED)
-    needed = scans_until_alarm(made, learnt(made), knocked(made.truth, Knock("right", **{axis: 0.1})), most=2)
+    needed = scans_until_alarm(
+        made, learnt(made), with_mount_shifted(made.truth, MountShift("right", **{axis: 0.1})), most=2
+    )
     assert needed is not None
 
 
 def test_a_shift_along_the_base_line_is_what_only_a_length_check_finds() -> None:
     """0.1 mm of 230 mm is 0.04 % of every length, and the rays meet as before."""
     made = calibrated(SEED)
-    assert scans_until_alarm(made, learnt(made), knocked(made.truth, Knock("right", x_mm=0.05)), most=10) is None
+    assert (
+        scans_until_alarm(made, learnt(made), with_mount_shifted(made.truth, MountShift("right", x_mm=0.05)), most=10)
+        is None
+    )
 
 
 @pytest.mark.parametrize(("salinity_psu", "most"), [(35.0, 1), (10.0, 3)])
@@ -74,8 +79,8 @@ def test_normal_scans_never_alarm(rung: Rung) -> None:
 
 def test_a_knock_between_calibration_and_first_scan_is_noticed() -> None:
     made = calibrated(SEED)
-    for knock in (Knock("right", pitch_deg=0.02), Knock("left", roll_deg=0.02)):
-        assert scans_until_alarm(made, Trend(), knocked(made.truth, knock), most=2) is not None
+    for knock in (MountShift("right", pitch_deg=0.02), MountShift("left", roll_deg=0.02)):
+        assert scans_until_alarm(made, Trend(), with_mount_shifted(made.truth, knock), most=2) is not None
 
 
 def test_a_slow_drift_alarms_before_it_is_learnt() -> None:
@@ -83,7 +88,8 @@ def test_a_slow_drift_alarms_before_it_is_learnt() -> None:
     made = calibrated(SEED)
     rng = np.random.default_rng(3)
     drifting = (
-        scan(made, knocked(made.truth, Knock("right", roll_deg=0.004 * (k + 1))), rng) for k in range(LEARNT_SCANS)
+        scan(made, with_mount_shifted(made.truth, MountShift("right", roll_deg=0.004 * (k + 1))), rng)
+        for k in range(LEARNT_SCANS)
     )
     alarms = [said.alarm for _, said in follow(Trend(), drifting)]
     assert not alarms[0]
@@ -92,7 +98,7 @@ def test_a_slow_drift_alarms_before_it_is_learnt() -> None:
 
 def test_an_alarm_stays_until_a_length_check_is_accepted_and_then_the_new_state_is_normal() -> None:
     made = calibrated(SEED)
-    turned = knocked(made.truth, Knock("right", pitch_deg=0.01))
+    turned = with_mount_shifted(made.truth, MountShift("right", pitch_deg=0.01))
     rng = np.random.default_rng(4)
     scans = [scan(made, truth, rng) for truth in (turned, made.truth, made.truth, turned)]
     followed = list(follow(learnt(made), scans))
@@ -101,7 +107,10 @@ def test_an_alarm_stays_until_a_length_check_is_accepted_and_then_the_new_state_
     assert accepted.alarm is None
     assert accepted.answers == ("ball bar, largest |E_L| 0.02 %",)
     assert scans_until_alarm(made, accepted, turned, most=12) is None
-    assert scans_until_alarm(made, accepted, knocked(turned, Knock("left", roll_deg=0.02)), most=2) is not None
+    assert (
+        scans_until_alarm(made, accepted, with_mount_shifted(turned, MountShift("left", roll_deg=0.02)), most=2)
+        is not None
+    )
 
 
 def only(gaps: PatchGaps, which: np.ndarray) -> PatchGaps:

@@ -11,7 +11,7 @@ from appliance.calibration.file import Calibration
 from appliance.capture.fault import FaultCode
 from appliance.machine.alerts import alert_of
 from appliance.service.health import CalibrationWatch
-from hw_sim.mount_shift import Knock, knocked
+from hw_sim.mount_shift import MountShift, with_mount_shifted
 from tests.support.gap_scans import calibrated, scan
 from tests.support.truth import WATER
 
@@ -23,7 +23,7 @@ def watched(root: Path) -> CalibrationWatch:
     """After two normal scans and one of a knocked instrument, all written down."""
     watch = CalibrationWatch(root, CALIBRATION)
     rng = np.random.default_rng(1)
-    turned = knocked(MADE.truth, Knock("right", pitch_deg=0.02))
+    turned = with_mount_shifted(MADE.truth, MountShift("right", pitch_deg=0.02))
     for number, truth in enumerate((MADE.truth, MADE.truth, turned), 1):
         verdict = watch.judge(scan(MADE, truth, rng))
         assert verdict.passed is (number < 3)
@@ -59,8 +59,8 @@ def test_a_length_check_takes_the_alarm_back_for_good(tmp_path: Path) -> None:
     assert write is not None
     write()
     assert watch.answer("again") is None, "there is no alarm any more"
-    turned = knocked(MADE.truth, Knock("right", pitch_deg=0.02))
-    further = knocked(MADE.truth, Knock("right", pitch_deg=0.04))
+    turned = with_mount_shifted(MADE.truth, MountShift("right", pitch_deg=0.02))
+    further = with_mount_shifted(MADE.truth, MountShift("right", pitch_deg=0.04))
     for still in (watch, CalibrationWatch(tmp_path, CALIBRATION)):
         assert still.fault is None
         assert [answer.partition(", after: ")[0] for answer in still.trend.answers] == ["the bar is right"]
@@ -72,7 +72,7 @@ def test_a_length_check_takes_the_alarm_back_for_good(tmp_path: Path) -> None:
 
 def test_a_calibration_that_was_never_measured_has_no_trend(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
-    turned = knocked(MADE.truth, Knock("right", pitch_deg=0.2))
+    turned = with_mount_shifted(MADE.truth, MountShift("right", pitch_deg=0.2))
     for method in ("design", "air"):
         watch = CalibrationWatch(tmp_path, replace(CALIBRATION, method=method))
         verdict = watch.judge(scan(MADE, turned, rng))

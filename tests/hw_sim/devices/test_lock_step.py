@@ -102,7 +102,7 @@ def test_a_host_that_does_not_read_its_cameras_is_waited_for(bench: Bench) -> No
 def test_patience_ends_and_comes_back_with_the_next_sequence(
     make_bench: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hw_sim.timing.world_thread.PATIENCE_S", 0.4)
+    monkeypatch.setattr("hw_sim.timing.world_thread.HOST_TIMEOUT_S", 0.4)
     bench = make_bench()
     camera, projector = bench.camera(), bench.projector()
     projector.show(0)

@@ -39,12 +39,12 @@ def test_what_is_there_is_seen_and_nothing_else(seen: str, not_seen: str) -> Non
     for sentence, there in ((seen, True), (not_seen, False)):
         kind, *words = sentence.split()
         status_file.check(kind, words)
-        assert status_file.sees(STATUS, kind, words) is there
+        assert status_file.is_met(STATUS, kind, words) is there
 
 
 def test_without_a_status_nothing_is_seen_not_even_that_an_alert_is_gone() -> None:
-    assert not status_file.sees({}, "gone", ["LEAK"])
-    assert not status_file.sees({}, "state", ["AIM"])
+    assert not status_file.is_met({}, "gone", ["LEAK"])
+    assert not status_file.is_met({}, "state", ["AIM"])
 
 
 def test_a_disk_that_is_taken_away_refuses_and_comes_back_as_it_was(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from hw_sim.optics.projector import LightSlice
-from hw_sim.rendering.frame_cache import MOST, Stills
+from hw_sim.rendering.frame_cache import MOST, FrameCache
 
 PATTERN = np.arange(256, dtype=np.uint8).reshape(16, 16)
 LIGHT = (LightSlice(PATTERN, 0.012),)
@@ -27,7 +27,7 @@ ASKED: Mapping[str, Any] = {
 
 
 def test_the_same_light_is_the_same_image_and_nobody_may_change_it() -> None:
-    stills, made = Stills(), []
+    stills, made = FrameCache(), []
 
     def make() -> np.ndarray:
         made.append(1)
@@ -57,11 +57,11 @@ def test_the_same_light_is_the_same_image_and_nobody_may_change_it() -> None:
     ids=lambda change: next(iter(change)),
 )
 def test_whatever_changes_the_image_makes_another(change: dict[str, object]) -> None:
-    assert Stills.key(**{**ASKED, **change}) != Stills.key(**ASKED)
+    assert FrameCache.key(**{**ASKED, **change}) != FrameCache.key(**ASKED)
 
 
 def test_the_images_are_bounded_and_the_oldest_goes() -> None:
-    stills = Stills()
+    stills = FrameCache()
     image = {k: stills.get(k, partial(np.full, 1, k % 256, np.uint8)) for k in range(MOST)}
     stills.get(0, lambda: np.zeros(1, np.uint8))
     stills.get("new", lambda: np.zeros(1, np.uint8))

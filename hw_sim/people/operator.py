@@ -1,4 +1,4 @@
-"""Owns what everybody before the instrument has in common: a thread, eyes for the status file, a finger for the keys."""
+"""Owns what everybody who operates the instrument has in common: a thread, a view of the status file, presses of keys."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 POLL_S = 0.05
 PRESS_S = 0.15
-"""How long a key is held; also the pause behind each press."""
+"""A key is held so long; also the pause behind each press."""
 POWER_OFF_HOLD_S = 1.2
 POWER_OFF_TRIES = 15
 POWER_OFF_TRY_S = 2.0
@@ -22,12 +22,12 @@ SWITCH_OFF = "SWITCH OFF"
 """The answer, as docs/protocols/status.md names it."""
 
 
-class ActError(Exception):
-    """What had to happen did not."""
+class OperatorError(Exception):
+    """Something that had to happen did not; the text says what."""
 
 
-class Actor:
-    """Acts in a thread of its own. ``failure`` tells afterwards what did not happen."""
+class Operator:
+    """Operates the instrument in a thread of its own. ``failure`` tells afterwards what did not happen."""
 
     def __init__(self, world: World, status: Path) -> None:
         self.world = world
@@ -39,11 +39,11 @@ class Actor:
         self._thread = threading.Thread(target=self._run, name="diver", daemon=True)
 
     def act(self) -> None:
-        """Everything that is to be done; returns early when ``over``. Raises ActError."""
+        """Do everything that is to be done; return early when ``over``. Raises OperatorError."""
         raise NotImplementedError
 
     def start(self) -> None:
-        """Begin."""
+        """Begin in a thread."""
         self._thread.start()
 
     def stop(self, grace_s: float) -> None:
@@ -71,7 +71,7 @@ class Actor:
         return self._stopped or self.world.time.closed
 
     def status(self) -> status_file.Status:
-        """What is to be seen now."""
+        """Return the status file's content now; empty where there is none."""
         return status_file.read(self.status_path)
 
     def press(self, key: str, hold_s: float = PRESS_S) -> None:
@@ -80,12 +80,12 @@ class Actor:
         self.sleep(hold_s + PRESS_S)
 
     def sleep(self, duration_s: float) -> None:
-        """World time passes."""
+        """Return after ``duration_s`` of world time, or when it is ``over``."""
         with self.world.time.condition:
             self.world.time.wait_for(lambda: self.over, duration_s)
 
     def until(self, predicate: Callable[[], bool], timeout_s: float) -> bool:
-        """Whether it becomes true within world time."""
+        """Return whether ``predicate`` becomes true within ``timeout_s`` of world time."""
         end_ns = self.world.time_ns + int(timeout_s * 1e9)
         while not predicate():
             if self.over or self.world.time_ns > end_ns:
@@ -94,8 +94,10 @@ class Actor:
         return True
 
     def switch_off(self) -> bool:
-        """The power-off gesture, again and again until the service shuts down; whether it did: BACK held, and its question
-        answered with DOWN and SCAN."""
+        """Repeat the power-off gesture until the service shuts down; return whether it did.
+
+        The gesture is BACK held, and its question answered with DOWN and SCAN.
+        """
         for _ in range(POWER_OFF_TRIES):
             self.press("back", POWER_OFF_HOLD_S)
             if self.until(lambda: self._selected() is not None or self._off(), POWER_OFF_TRY_S) and not self._off():
@@ -109,10 +111,10 @@ class Actor:
         return False
 
     def _selected(self) -> str | None:
-        """The answer that is selected now to the question on the screen; ``None``: nothing is asked."""
+        """Return the answer that is selected now to the question on the screen; ``None``: nothing is asked."""
         question = self.status().get("question")
         return str(question.get("selected")) if isinstance(question, dict) else None
 
     def _off(self) -> bool:
-        """Switched off: the service says so, or has taken its status away."""
+        """Return whether the instrument is off: the service says so, or has taken its status away."""
         return self.status().get("state") in (None, "SHUTDOWN")
