@@ -50,6 +50,8 @@ SWALLOWS_PER_M = 1.6
 """From this on, the shape of the glow says that the water lets no light through; the true attenuation is two to three times as much."""
 MOST_OUTSIDE = 0.5
 """Share of the points that lie outside of the depths measured; beyond, distance is what ails the scan."""
+FAINT_AND_NEAR = 0.5
+"""Most that nearness takes of what is too faint at any distance: the light comes first."""
 ALL = 1.0
 
 Numbers = Mapping[str, float | None]
@@ -172,7 +174,7 @@ def _all(
         yield outside
     yield from _levels(of, light)
     yield from _water(of, water, moved if rushing is None else 1.0)
-    if poor and outside is None:
+    if poor and (outside is None or outside.share < ALL):
         faint = _faint(sight, light, summary, present, steps)
         if faint is not None:
             yield faint
@@ -191,8 +193,8 @@ def _motion(of: Mapping[str, Judgement], motion: Numbers, summary: CloudSummary,
     if fault is not None and fault.code is FaultCode.COMPENSATED:
         yield Cause(fault, 0.0, True)
         if poor:
-            # Undone, and yet too few points are left: what was lost while it moved is lost.
-            yield Cause(Fault(FaultCode.MOVED, detail, known), 1.0 - left, False)
+            # Undone, and yet too few points are left: the noise is gone, what was lost while it moved is lost.
+            yield Cause(Fault(FaultCode.MOVED, detail, known), 0.01 * min(lost, 100.0), False)
         return
     yield Cause(fault or Fault(FaultCode.MOVED, detail, known), 1.0 - left, fault is not None)
 
@@ -266,8 +268,13 @@ def _outside(sight: Numbers) -> Cause | None:
     code = FaultCode.SCAN_NEAR if near > far else FaultCode.SCAN_FAR
     word = "nearer" if near > far else "farther"
     what = f"{100.0 * share:.0f} % of what is seen lies {word} than is measured, most at {distance:.0f} mm"
-    # What lies outside gives no points, however bright or still it is.
-    return Cause(Fault(code, what, {"distance_mm": distance}), ALL, True)
+    fringe = sight.get("fringe_dn")
+    if code is FaultCode.SCAN_NEAR and fringe is not None and fringe < ENOUGH_FRINGE_DN:
+        # So near and still too faint: farther away it is fainter. What is too far, coming closer mends in either case.
+        share = min(share, FAINT_AND_NEAR)
+    else:
+        share = ALL  # gives no points, however bright or still it is
+    return Cause(Fault(code, what, {"distance_mm": distance}), share, True)
 
 
 def _levels(of: Mapping[str, Judgement], light: Numbers) -> Iterator[Cause]:

@@ -187,6 +187,36 @@ def test_what_lies_outside_of_the_volume_is_said_to_before_it_is_too_bright(
     assert said == [expected, FaultCode.TOO_BRIGHT]
 
 
+@pytest.mark.parametrize(
+    ("fringe_dn", "expected"), [(3.6, [FaultCode.TOO_DARK, FaultCode.SCAN_NEAR]), (60.0, [FaultCode.SCAN_NEAR])]
+)
+def test_what_is_near_and_still_too_dark_is_too_dark_first(fringe_dn: float, expected: list[FaultCode]) -> None:
+    """It was told to go back, where it is darker still."""
+    near = FRINGES | {
+        "fringe_dn": fringe_dn,
+        "top_dn": 11.0,
+        "distance_mm": 338.0,
+        "near_percent": 88.0,
+        "far_percent": 2.0,
+    }
+    assert codes(still(), light(), sight(**near), summary=NOTHING_LIT, exposure=Exposure(200)) == expected
+
+
+def test_what_is_far_and_too_dark_is_too_far_first() -> None:
+    """Coming closer makes it brighter as well."""
+    far = FRINGES | {"fringe_dn": 3.6, "top_dn": 56.0, "distance_mm": 757.0, "near_percent": 2.0, "far_percent": 90.0}
+    dark = light(FaultCode.TOO_DARK, coverage_percent=0.0)
+    assert codes(still(), dark, sight(**far), summary=NO_POINTS)[0] is FaultCode.SCAN_FAR
+
+
+def test_a_motion_that_was_undone_takes_only_what_it_lost() -> None:
+    """16 ms and 12 dB before hands of 20 mm/s: the noise was undone, a third was saturated, and it came as MOVED."""
+    bright = light(FaultCode.TOO_BRIGHT, left_saturated_percent=33.0, saturated_percent=33.0)
+    poor = replace(GOOD, points=900, coverage_percent=0.9)
+    said = codes(moved(85.0, FaultCode.COMPENSATED), bright, sight(**FRINGES), summary=poor)
+    assert said[0] is FaultCode.TOO_BRIGHT
+
+
 def test_a_few_points_outside_are_no_reason() -> None:
     places: dict[str, float | None] = {"distance_mm": 660.0, "near_percent": 0.0, "far_percent": 30.0}
     assert codes(still(), light(), sight(**FRINGES | places)) == []
