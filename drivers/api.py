@@ -125,11 +125,35 @@ class ClockReading:
         return self.host_received_ns - self.host_sent_ns
 
 
+@dataclass(frozen=True, slots=True)
+class CameraSpec:
+    """One camera of the rig.
+
+    ``name`` is the rig's name for it (``camera.left``) and appears in every error. ``serial`` is the serial number
+    the camera itself reports. ``trigger_source`` is the SFNC name of the input that the board's trigger line is
+    wired to; ``None`` takes the first ``Line…`` the camera offers.
+    """
+
+    name: str
+    serial: str
+    trigger_source: str | None = None
+
+
 class Camera(Protocol):
-    """A hardware-triggered camera. One thread calls ``next_frame``; the core owns the memory."""
+    """A hardware-triggered camera: all that the service asks of one, of whatever family (``drivers.camera_families``).
+
+    One thread calls ``next_frame``; the core owns the memory.
+    """
 
     @property
     def identity(self) -> CameraIdentity: ...
+
+    @property
+    def slow_link(self) -> str | None:
+        """What is wrong with a link that is too slow for the images of a scan; ``None``: nothing, or nobody knows."""
+
+    def health(self) -> Health:
+        """What ``kingfisher check`` shows. A lost camera is reported, not raised."""
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
         """Apply and return what the camera really set; trigger on, Mono8. Raises DeviceRefused, DeviceGone."""

@@ -8,9 +8,9 @@ from __future__ import annotations
 import importlib
 from contextlib import AbstractContextManager
 
-from drivers.api import DeviceRefused, Wires, WiresOptions
+from drivers.api import Camera, CameraSpec, DeviceRefused, Wires, WiresOptions
 from drivers.board import BoardSpec, TriggerBoard
-from drivers.camera import CameraSpec, UsbVisionCamera
+from drivers.camera_families import USUAL, opener
 from drivers.keys import HidKeypad, KeysSpec
 from drivers.output.outputs import Outputs
 from drivers.output.spec import OutputKind, OutputSpec
@@ -45,9 +45,9 @@ def open_wires(name: str, options: WiresOptions) -> AbstractContextManager[Wires
     return opened
 
 
-def open_camera(spec: CameraSpec, wires: Wires) -> UsbVisionCamera:
-    """Find, open and identify one camera. Raises DeviceGone, DeviceRefused."""
-    return UsbVisionCamera.open(spec, wires.usb_backend, wires.clock)
+def open_camera(spec: CameraSpec, wires: Wires, kind: str = USUAL) -> AbstractContextManager[Camera]:
+    """Find, open and identify one camera of the family ``kind``. Raises DeviceGone, DeviceRefused."""
+    return opener(kind)(spec, wires)
 
 
 def open_board(spec: BoardSpec, wires: Wires) -> TriggerBoard:

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from appliance.config.rig import OutputRig, Rig
+from drivers.camera_families import USUAL, families
 from drivers.registered_wires import NATIVE, REGISTERED
 
 
@@ -30,6 +31,14 @@ def complaints(rig: Rig) -> Iterator[Complaint]:
             "not registered",
             ", ".join(REGISTERED),
             f"correct it; on an instrument it is {NATIVE}",
+        )
+    if rig.camera.kind not in families():
+        yield Complaint(
+            "camera.kind",
+            rig.camera.kind,
+            "is no family of cameras",
+            ", ".join(families()),
+            f'correct it; usually it is "{USUAL}", and may be left out',
         )
     yield from _exposures_fit(rig)
     if rig.camera.left.serial == rig.camera.right.serial:

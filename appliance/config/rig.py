@@ -16,6 +16,8 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, ConfigDict, Field, Strict
 from pydantic.dataclasses import dataclass
 
+from drivers.camera_families import USUAL
+
 _CONFIG = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 # A number with a fraction; whole numbers are accepted, text and booleans are not.
@@ -68,6 +70,8 @@ class CameraRig:
 class Cameras:
     left: CameraRig
     right: CameraRig
+    kind: _Text = USUAL
+    """The family of both (``drivers.camera_families``)."""
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)

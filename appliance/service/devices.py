@@ -13,13 +13,13 @@ from appliance.capture.fault import FaultCode
 from appliance.capture.grabber import Grabber
 from appliance.capture.patience import Patience
 from appliance.config import Rig
-from appliance.config.rig import OutputRig
+from appliance.config.rig import CameraRig, OutputRig
 from appliance.machine.events import DeviceDown, DeviceUp
 from appliance.machine.states import Device
 from appliance.service.keeper import DeviceRejected, Keeper
 from appliance.service.keys import KeyReader
 from drivers import rig as drivers_rig
-from drivers.api import Board, CameraSettings, Display, Projector, Wires
+from drivers.api import Board, Camera, CameraSettings, Display, Projector, Wires
 
 SIDES = ("left", "right")
 
@@ -65,13 +65,10 @@ class Devices:
     def openers(self) -> dict[str, Callable[[], AbstractContextManager[object]]]:
         """How to open each device once, by its name in the rig file, for whoever only wants to look at them."""
         wires, rig = self._wires, self._rig
-        camera = drivers_rig.CameraSpec
-        left = camera("camera.left", rig.camera.left.serial)
-        right = camera("camera.right", rig.camera.right.serial)
         keys = drivers_rig.KeysSpec(rig.keys.vendor_id, rig.keys.product_id)
         return {
-            "camera.left": lambda: drivers_rig.open_camera(left, wires),
-            "camera.right": lambda: drivers_rig.open_camera(right, wires),
+            "camera.left": lambda: self._open_camera("left"),
+            "camera.right": lambda: self._open_camera("right"),
             "board": lambda: drivers_rig.open_board(drivers_rig.BoardSpec(rig.board.url), wires),
             "keys": lambda: drivers_rig.open_keys(keys, wires),
             "projector": self._projector,
@@ -93,20 +90,22 @@ class Devices:
 
     @contextmanager
     def _camera(self, side: str) -> Iterator[Grabber]:
-        spec = self._rig.camera.left if side == "left" else self._rig.camera.right
-        name = f"camera.{side}"
-        with drivers_rig.open_camera(drivers_rig.CameraSpec(name, spec.serial), self._wires) as camera:
-            if camera.link_is_fast is False:
-                raise DeviceRejected(
-                    name,
-                    f"the link runs at {camera.identity.link_speed_mbps} Mbit/s; SuperSpeed (5000) is needed",
-                    "Check connector and cable",
-                    FaultCode.CAMERA_SLOW_LINK,
-                )
+        spec = self._camera_rig(side)
+        with self._open_camera(side) as camera:
+            slow = camera.slow_link
+            if slow is not None:
+                raise DeviceRejected(f"camera.{side}", slow, "Check connector and cable", FaultCode.CAMERA_SLOW_LINK)
             settings = CameraSettings(spec.width_px, spec.height_px, 1000.0 * spec.exposure_ms, spec.gain_db)
             camera.configure(settings)
             with Grabber(side, camera, self._wires.clock, settings, self._patience) as grabber:
                 yield grabber
+
+    def _open_camera(self, side: str) -> AbstractContextManager[Camera]:
+        spec = drivers_rig.CameraSpec(f"camera.{side}", self._camera_rig(side).serial)
+        return drivers_rig.open_camera(spec, self._wires, self._rig.camera.kind)
+
+    def _camera_rig(self, side: str) -> CameraRig:
+        return self._rig.camera.left if side == "left" else self._rig.camera.right
 
     def expose(self, exposure: Exposure) -> None:
         """Both cameras from their next image on; one that comes later is told then.

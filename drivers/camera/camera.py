@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from drivers.api import (
     CameraIdentity,
     CameraSettings,
+    CameraSpec,
     Clock,
     ClockReading,
     DeviceError,
@@ -25,7 +26,6 @@ from drivers.camera.bootstrap import read_identification, read_stream_needs, rea
 from drivers.camera.control import ControlChannel, ControlCounters, ControlRefused
 from drivers.camera.description import read_description
 from drivers.camera.features import Features
-from drivers.camera.spec import CameraSpec
 from drivers.camera.stream import StreamCounters, StreamGeometry, StreamReader
 from drivers.camera.usb import UsbCamera, default_backend, find_camera
 
@@ -111,6 +111,13 @@ class UsbVisionCamera:
         """True at SuperSpeed or better, False when the link fell back, ``None`` when nobody knows."""
         speed = self._identity.link_speed_mbps
         return None if speed is None else speed >= u3v.SUPERSPEED_MBPS
+
+    @property
+    def slow_link(self) -> str | None:
+        """As ``Camera.slow_link``: anything below SuperSpeed cannot carry the images of a scan."""
+        if self.link_is_fast is not False:
+            return None
+        return f"the link runs at {self._identity.link_speed_mbps} Mbit/s; SuperSpeed (5000) is needed"
 
     @property
     def control_counters(self) -> ControlCounters:

@@ -89,6 +89,8 @@ def test_the_host_knows_the_link_best_and_the_camera_where_the_host_does_not_say
 
     _, camera = opened(prepare)
     assert (camera.identity.link_speed_mbps, camera.link_is_fast) == (mbps, fast)
+    slow = f"the link runs at {mbps} Mbit/s; SuperSpeed (5000) is needed"
+    assert camera.slow_link == (slow if fast is False else None)
     assert camera.health().details["link"] == ("unknown" if mbps is None else f"{mbps} Mbit/s")
     assert camera.health().ok == (fast is not False)
 

@@ -21,7 +21,6 @@ from drivers.rig import (
     OutputKind,
     OutputSpec,
     open_board,
-    open_camera,
     open_keys,
     open_outputs,
     open_wires,
@@ -44,7 +43,9 @@ class Rig:
 
     def camera(self, side: str = "left") -> UsbVisionCamera:
         """An opened, configured camera."""
-        camera = self.stack.enter_context(open_camera(CameraSpec(f"camera.{side}", SERIALS[side]), self.wires))
+        camera = self.stack.enter_context(
+            UsbVisionCamera.open(CameraSpec(f"camera.{side}", SERIALS[side]), self.wires.usb_backend, self.wires.clock)
+        )
         camera.configure(SETTINGS)
         return camera
 

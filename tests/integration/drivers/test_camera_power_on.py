@@ -12,7 +12,7 @@ import pytest
 
 from drivers.api import CameraSettings, DeviceRefused, FrameStatus, Wires
 from drivers.camera import CameraSpec, UsbVisionCamera
-from drivers.rig import BoardSpec, open_board, open_camera, open_wires
+from drivers.rig import BoardSpec, open_board, open_wires
 from hw_sim.options import OptionError
 from hw_sim.world import World, WorldOptions
 
@@ -40,7 +40,9 @@ def world(name: str, **cameras: Any) -> Iterator[tuple[Wires, ExitStack]]:
 
 
 def opened(side: str, wires: Wires, stack: ExitStack) -> UsbVisionCamera:
-    return stack.enter_context(open_camera(CameraSpec(f"camera.{side}", SERIALS[side]), wires))
+    return stack.enter_context(
+        UsbVisionCamera.open(CameraSpec(f"camera.{side}", SERIALS[side]), wires.usb_backend, wires.clock)
+    )
 
 
 def slot() -> np.ndarray[tuple[int, int], np.dtype[np.uint8]]:

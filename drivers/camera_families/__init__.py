@@ -1,0 +1,44 @@
+"""Owns which families of cameras there are: each module of this package is one, named by ``kind`` of ``[camera]``.
+
+Such a module has a function ``open_camera(spec, wires)`` that finds, opens and identifies one camera, and returns it as a context
+manager that gives a ``drivers.api.Camera``. It raises DeviceGone (not there) and DeviceRefused (not usable). It is imported when
+a rig file names it; a name that is no module of this package is never imported (``docs/adr/0036-a-camera-family-is-a-module.md``).
+"""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from contextlib import AbstractContextManager
+from typing import TYPE_CHECKING, Protocol
+
+from drivers.errors import DeviceRefused
+
+if TYPE_CHECKING:  # the rig file's check needs the names alone
+    from drivers.api import Camera, CameraSpec, Wires
+
+USUAL = "usb3vision"
+"""Of a rig file that names none."""
+
+
+class OpenCamera(Protocol):
+    """What a family's module has to offer."""
+
+    def __call__(self, spec: CameraSpec, wires: Wires) -> AbstractContextManager[Camera]: ...
+
+
+def families() -> tuple[str, ...]:
+    """The names that ``kind`` may have."""
+    return tuple(sorted(one.name for one in pkgutil.iter_modules(__path__) if not one.name.startswith("_")))
+
+
+def opener(kind: str) -> OpenCamera:
+    """How cameras of a family are opened. Raises DeviceRefused for a family that is not there."""
+    if kind not in families():
+        raise DeviceRefused(
+            "camera",
+            f"there is no family {kind!r}; allowed: {', '.join(families())}",
+            f'Correct kind of [camera]; usually it is "{USUAL}"',
+        )
+    found: OpenCamera = importlib.import_module(f"{__name__}.{kind}").open_camera
+    return found

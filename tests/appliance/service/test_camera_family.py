@@ -1,0 +1,179 @@
+"""A camera of another family is one file, and its name in the rig file: this file is one, with the test that runs it.
+
+The family's cameras hang upside down in their housing: every picture arrives turned by half a turn, and is turned back.
+"""
+
+from __future__ import annotations
+
+import importlib
+import re
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from appliance.capture.grabber import Grabber
+from appliance.capture.scan import ScanRecorder, ScanSettings
+from appliance.capture.store import FrameStore
+from appliance.cli.simrig import default_sim_rig
+from appliance.config import ConfigError, Rig, load_rig, parse_rig, rig_text
+from appliance.patterns.sequence import build_sequence
+from appliance.service.checkup import check
+from appliance.service.devices import Devices
+from drivers import camera_families
+from drivers.api import (
+    Board,
+    Camera,
+    CameraIdentity,
+    CameraSettings,
+    CameraSpec,
+    ClockReading,
+    DeviceRefused,
+    Frame,
+    Health,
+    Projector,
+    Wires,
+)
+from drivers.camera import UsbVisionCamera
+from drivers.rig import open_camera as open_by_kind
+from drivers.rig import open_wires
+from tests.support.rendered import pictures
+
+
+class UpsideDown:
+    """A ``drivers.api.Camera``; it has what the protocol asks for, and nothing else."""
+
+    def __init__(self, camera: UsbVisionCamera) -> None:
+        self._camera = camera
+
+    @property
+    def identity(self) -> CameraIdentity:
+        return replace(self._camera.identity, model="upside down")
+
+    @property
+    def slow_link(self) -> str | None:
+        return None
+
+    def health(self) -> Health:
+        return replace(self._camera.health(), summary="upside down")
+
+    def configure(self, settings: CameraSettings) -> CameraSettings:
+        return self._camera.configure(settings)
+
+    def start(self) -> None:
+        self._camera.start()
+
+    def next_frame(self, slot: NDArray[np.uint8], timeout_s: float) -> Frame:
+        frame = self._camera.next_frame(slot, timeout_s)
+        slot[:] = slot[::-1, ::-1].copy()
+        return frame
+
+    def stop(self) -> None:
+        self._camera.stop()
+
+    def temperature_c(self) -> float | None:
+        return self._camera.temperature_c()
+
+    def read_clock(self) -> ClockReading | None:
+        return self._camera.read_clock()
+
+
+@contextmanager
+def open_camera(spec: CameraSpec, wires: Wires) -> Iterator[Camera]:
+    """The family's way in."""
+    with UsbVisionCamera.open(spec, wires.usb_backend, wires.clock) as camera:
+        yield UpsideDown(camera)
+
+
+# ------------------------------------------------------------------------------------------- tests
+
+KIND = Path(__file__).stem
+SMALL = default_sim_rig().with_name("small.toml")
+
+
+@pytest.fixture
+def family(monkeypatch: pytest.MonkeyPatch) -> None:
+    """This file lies in the package of families, as a new one would."""
+    monkeypatch.setattr(camera_families, "__path__", [*camera_families.__path__, str(Path(__file__).parent)])
+
+
+def rig_of(kind: str | None, root: Path) -> Rig:
+    text = re.sub(r"(?m)^root = .*", f'root = "{root}"', SMALL.read_text(encoding="utf-8"))
+    if kind is not None:
+        text = text.replace("[camera.left]", f'[camera]\nkind = "{kind}"\n\n[camera.left]')
+    rig = parse_rig(text)
+    options = {"object": "plane", "noise": False, "stills": True, "idle_speed": 2.0}
+    return replace(rig, rig=replace(rig.rig, wires_options={**rig.rig.wires_options, **options}))
+
+
+def captured(rig: Rig) -> dict[str, NDArray[np.uint8]]:
+    """A sequence's frames by side, recorded as the service does it: devices of the rig file, and nothing said about them."""
+    sequence = build_sequence(64)
+    settings = ScanSettings(
+        rig.projector.refresh_hz, int(1000.0 * rig.camera.left.exposure_ms), rig.board.trigger_delay_us
+    )
+
+    def load(projector: Projector) -> None:
+        projector.load([*pictures(sequence), np.zeros((768, 1024), np.uint8)])
+        projector.show(len(sequence))
+
+    with ExitStack() as stack:
+        wires = stack.enter_context(open_wires(rig.rig.wires, rig.rig.wires_options))
+        devices = stack.enter_context(Devices(rig, wires, load))
+        grabbers, board, projector = opened(devices, wires)
+        store = stack.enter_context(FrameStore(len(sequence), 300, 400))
+        recorder = ScanRecorder(grabbers, board, projector, wires.clock, settings)
+        report = recorder.record(sequence, store, lambda side, index: None, lambda: None)
+        assert report.fault is None
+        return {side: store.frames(side).copy() for side in ("left", "right")}
+
+
+def opened(devices: Devices, wires: Wires) -> tuple[dict[str, Grabber], Board, Projector]:
+    for _ in range(1000):
+        devices.poll()
+        grabbers = {side: keeper.value for side, keeper in devices.cameras.items() if keeper.value is not None}
+        if len(grabbers) == 2 and devices.board.value is not None and devices.projector.value is not None:
+            return grabbers, devices.board.value, devices.projector.value
+        wires.clock.sleep_s(0.02)
+    raise AssertionError("the devices were not opened")
+
+
+def test_a_scan_is_captured_with_a_family_that_is_one_file_and_a_name_in_the_rig_file(
+    family: None, tmp_path: Path
+) -> None:
+    usual, turned = captured(rig_of(None, tmp_path)), captured(rig_of(KIND, tmp_path))
+    for side in ("left", "right"):
+        assert usual[side].std() > 5.0
+        np.testing.assert_array_equal(turned[side], usual[side][:, ::-1, ::-1])
+
+
+def test_checking_the_devices_asks_the_family(family: None, tmp_path: Path) -> None:
+    said = {health.device: health.summary for health in check(rig_of(KIND, tmp_path))}
+    assert said["camera.left"] == said["camera.right"] == "upside down"
+
+
+def test_a_rig_file_without_a_family_is_of_the_usual_one_and_is_written_with_it(tmp_path: Path) -> None:
+    rig = rig_of(None, tmp_path)
+    assert rig.camera.kind == camera_families.USUAL == "usb3vision"
+    assert parse_rig(rig_text(rig)) == rig
+    assert load_rig(SMALL).camera.kind == "usb3vision"
+
+
+@pytest.mark.parametrize("kind", ["gige", "usb3vision ", "__init__", "..api", "usb3vision.UsbVisionCamera", "os"])
+def test_a_family_that_is_not_there_is_refused_by_name_and_nothing_is_imported(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(ConfigError) as caught:
+        rig_of(kind, tmp_path)
+    assert caught.value.key == "camera.kind"
+    assert str(caught.value).startswith(f'CONFIG: camera.kind "{kind}" is no family of cameras; allowed: usb3vision; ')
+    asked: list[str] = []
+    with monkeypatch.context() as patched:
+        patched.setattr(importlib, "import_module", asked.append)
+        with pytest.raises(DeviceRefused, match="allowed: usb3vision"):
+            open_by_kind(CameraSpec("camera.left", "KF-CAM-L"), None, kind)  # type: ignore[arg-type]  # is not reached
+    assert asked == []
