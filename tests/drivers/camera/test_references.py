@@ -28,8 +28,9 @@ def test_an_element_may_have_64_attributes_and_no_more() -> None:
 
 @pytest.mark.parametrize("xml", ["<a>", "<a/><b/>", "", "<?xml version='1.0' encoding='no-such'?><a/>"])
 def test_what_is_not_well_formed_is_said_to_be_so(xml: str) -> None:
-    with pytest.raises(WrongReference, match="not well-formed XML"):
-        check_references(xml)
+    for check in (check_limits, check_references):
+        with pytest.raises(WrongReference, match="not well-formed XML"):
+            check(xml)
 
 
 def test_declarations_are_refused_before_they_take_effect() -> None:
