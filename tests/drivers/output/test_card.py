@@ -60,3 +60,26 @@ def test_a_connector_that_never_stops_growing_is_given_up() -> None:
     kernel._connector = grow  # type: ignore[method-assign]
     with pytest.raises(OSError, match="connector 1 kept changing through 4 reads"):
         Card(kernel, kernel.time).connector(1)
+
+
+@pytest.mark.parametrize(("probe", "room"), [(True, 0), (False, 1)])
+def test_only_a_question_with_room_for_no_mode_makes_the_driver_look_at_the_wire(probe: bool, room: int) -> None:
+    """Slow, so not done at every question; and no field says that there is room where there is none."""
+    kernel = Changing(nothing, 0)
+    asked: list[GetConnector] = []
+
+    def note(con: GetConnector) -> None:
+        asked.append(GetConnector.from_buffer_copy(con))
+        Kernel._connector(kernel, con)
+
+    kernel._connector = note  # type: ignore[method-assign]
+    card = Card(kernel, kernel.time)
+    assert card.connector(1, probe=probe).connected
+    assert card.is_connected(1)
+    first, whole, again = asked
+    assert (first.modes, bool(first.modes_ptr)) == (room, room > 0)
+    assert (again.modes, bool(again.modes_ptr)) == (1, True)
+    for question in (first, again):
+        assert (question.props, question.encoders) == (0, 0)
+        assert (question.props_ptr, question.values_ptr, question.encoders_ptr) == (0, 0, 0)
+    assert (whole.modes, whole.props, whole.encoders) == (1, 1, 1)
