@@ -162,9 +162,8 @@ def frame_fault(ledger: Ledger, side: str) -> Fault | None:
                 {"frame": k},
                 device,
             )
-    gap = next((k for k in range(1, len(ids)) if ids[k] != ids[k - 1] + 1), None)
-    if gap is not None or len(arrived) != ledger.expected or len(ids) != len(arrived):
-        where = gap if gap is not None else len(arrived)
+    if len(arrived) != ledger.expected or len(ids) != len(arrived) or ids[-1] - ids[0] != len(ids) - 1:
+        where = _first_gap(ledger, side, arrived)
         return Fault(
             FaultCode.FRAME_MISSING,
             f"{device}: {len(arrived)} of {ledger.expected} frames arrived; the first gap is at frame {where}",
@@ -172,6 +171,35 @@ def frame_fault(ledger: Ledger, side: str) -> Fault | None:
             device,
         )
     return None
+
+
+def _first_gap(ledger: Ledger, side: str, arrived: Sequence[Frame]) -> int:
+    """The number of the first frame of one side that is not there, by block ids and by the camera's clock.
+
+    A camera that did not see a pulse uses no id up, but its clock goes on.
+    """
+    late = _begins_late(ledger, side)
+    for k, frame in enumerate(arrived):
+        by_id = by_clock = k
+        if frame.block_id is not None and arrived[0].block_id is not None:
+            by_id = frame.block_id - arrived[0].block_id + late
+        if frame.camera_time_ns is not None and arrived[0].camera_time_ns is not None:
+            by_clock = round((frame.camera_time_ns - arrived[0].camera_time_ns) / ledger.period_ns) + late
+        if max(by_id, by_clock) > k:
+            return k
+    return len(arrived)
+
+
+def _begins_late(ledger: Ledger, side: str) -> int:
+    """How many first frames one side lacks that the other one has: by the host's clock; where cameras cannot be asked for
+    theirs, by block ids, which begin alike, since both cameras are started anew for every sequence."""
+    begun_ns = _begun_ns(ledger)
+    if len(begun_ns) == 2:
+        return round((begun_ns[side] - min(begun_ns.values())) / ledger.period_ns)
+    first_ids = {one: frames[0].block_id for one, frames in ledger.frames.items() if frames}
+    known = [block_id for block_id in first_ids.values() if block_id is not None]
+    own = first_ids.get(side)
+    return 0 if own is None else own - min(known)
 
 
 def _flips_against_pulses(ledger: Ledger) -> Fault | None:
@@ -221,17 +249,11 @@ def _apart(ledger: Ledger) -> Fault | None:
 
     Only the two are compared: which moment of an exposure a time stamp means is the maker's choice, and they are alike.
     """
-    if set(ledger.clocks) != {"left", "right"}:
+    begun_ns = _begun_ns(ledger)
+    if len(begun_ns) < 2:
         return None
-    first_ns: dict[str, int] = {}
-    waited_ns = 0
-    for side, clock in ledger.clocks.items():
-        stamp_ns = ledger.frames[side][0].camera_time_ns
-        if stamp_ns is None:
-            return None
-        first_ns[side] = stamp_ns + clock.offset_ns
-        waited_ns = max(waited_ns, stamp_ns - clock.camera_time_ns)
-    apart_ns = first_ns["right"] - first_ns["left"]
+    waited_ns = max(begun_ns[side] - clock.camera_time_ns - clock.offset_ns for side, clock in ledger.clocks.items())
+    apart_ns = begun_ns["right"] - begun_ns["left"]
     if (
         abs(apart_ns)
         <= _wander_ns(MAX_APART_NS, waited_ns) + sum(clock.bracket_ns for clock in ledger.clocks.values()) // 2
@@ -239,6 +261,16 @@ def _apart(ledger: Ledger) -> Fault | None:
         return None
     late = "right" if apart_ns > 0 else "left"
     return _skew(f"all frames of camera.{late} are exposed {abs(apart_ns) / 1e6:.2f} ms late", 0, abs(apart_ns), late)
+
+
+def _begun_ns(ledger: Ledger) -> dict[str, int]:
+    """When the first frame of each side was exposed, in the host's clock; without those of which it is not known."""
+    found = {}
+    for side, clock in ledger.clocks.items():
+        frames = ledger.frames.get(side, ())
+        if frames and frames[0].camera_time_ns is not None:
+            found[side] = frames[0].camera_time_ns + clock.offset_ns
+    return found
 
 
 def _wander_ns(least_ns: int, passed_ns: int) -> float:

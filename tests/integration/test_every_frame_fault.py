@@ -122,6 +122,8 @@ def test_a_spoilt_frame_is_named_and_the_next_scan_works(bench: Bench, sentence:
     bench.world.clear_faults()
     assert report.fault is not None
     assert (report.fault.code, report.fault.device) == (code, f"camera.{side}")
+    if code is FaultCode.FRAME_MISSING:
+        assert report.fault.numbers["frame"] == k
     assert report.recording_s < 5.0
     if k % 4 >= 2:  # the others are followed by a scan that works up to its own fault
         assert bench.record().fault is None

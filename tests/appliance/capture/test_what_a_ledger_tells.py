@@ -33,13 +33,54 @@ def test_the_frame_that_came_too_late_is_named(k: int) -> None:
     assert fault.detail == f"camera.right: block {5 + k} arrived after block {6 + k}"
 
 
-@pytest.mark.parametrize("k", [1, 2, N // 2, N - 1])
-def test_the_first_frame_that_is_missing_is_named(k: int) -> None:
-    frames = [f for n, f in enumerate(clean().frames["left"]) if n not in (k, k + 2)]
-    fault = audit(with_frames(clean(), "left", frames))
+@pytest.mark.parametrize("side", ["left", "right"])
+@pytest.mark.parametrize("k", [0, 1, 2, N // 2, N - 1])
+def test_the_first_frame_that_is_missing_is_named(side: str, k: int) -> None:
+    frames = [f for n, f in enumerate(clean().frames[side]) if n not in (k, k + 2)]
+    fault = audit(with_frames(clean(), side, frames))
     assert fault is not None
+    assert (fault.code, fault.device) == (FaultCode.FRAME_MISSING, f"camera.{side}")
     assert dict(fault.numbers) == {"frame": k, "received": len(frames), "expected": N}
-    assert f"{len(frames)} of {N} frames arrived; the first gap is at frame {k}" in fault.detail
+    assert fault.detail == f"camera.{side}: {len(frames)} of {N} frames arrived; the first gap is at frame {k}"
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+@pytest.mark.parametrize("k", [0, 1, 9, N - 2, N - 1])
+def test_a_pulse_that_one_camera_did_not_see_is_named_although_its_numbers_have_no_gap(side: str, k: int) -> None:
+    """A camera that was not triggered uses no block id up; its clock says when it was not."""
+    frames = [
+        replace(f, block_id=5 + n) for n, f in enumerate(g for m, g in enumerate(clean().frames[side]) if m != k)
+    ]
+    fault = audit(with_frames(clean(), side, frames))
+    assert fault is not None
+    assert (fault.code, fault.device, fault.numbers["frame"]) == (FaultCode.FRAME_MISSING, f"camera.{side}", k)
+
+
+@pytest.mark.parametrize("k", [0, 1, 9, N - 1])
+def test_the_first_frame_that_is_missing_is_named_by_its_number_where_cameras_have_no_clock(k: int) -> None:
+    bare = replace(
+        clean(),
+        clocks={},
+        frames={side: tuple(replace(f, camera_time_ns=None) for f in frames) for side, frames in clean().frames.items()},
+    )
+    fault = audit(with_frames(bare, "left", [f for n, f in enumerate(bare.frames["left"]) if n != k]))
+    assert fault is not None
+    assert (fault.code, fault.device, fault.numbers["frame"]) == (FaultCode.FRAME_MISSING, "camera.left", k)
+
+
+def test_cameras_that_count_from_different_numbers_lack_no_frame_for_that() -> None:
+    """Their clocks say that they began together."""
+    counted = [replace(f, block_id=(f.block_id or 0) + 1) for f in clean().frames["right"]]
+    assert audit(with_frames(clean(), "right", counted)) is None
+    fault = audit(with_frames(clean(), "right", [f for n, f in enumerate(counted) if n != 9]))
+    assert fault is not None
+    assert fault.numbers["frame"] == 9
+
+
+def test_a_camera_that_sent_nothing_lacks_the_first_frame() -> None:
+    fault = audit(with_frames(clean(), "right", []))
+    assert fault is not None
+    assert fault.detail == f"camera.right: 0 of {N} frames arrived; the first gap is at frame 0"
 
 
 def test_a_frame_too_many_is_not_told_as_all_of_them() -> None:
