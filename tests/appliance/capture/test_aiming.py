@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.capture.aiming import look, moved_px, too_fast
+from appliance.capture.aiming import Aimed, look, moved_px, too_fast
 from appliance.capture.fault import FaultCode
 
 BLACK_DN = 2.0
@@ -81,3 +81,139 @@ def test_only_what_cannot_be_undone_is_too_fast() -> None:
     assert fault is not None
     assert fault.code is FaultCode.AIM_FAST
     assert fault.numbers["speed_mm_s"] == 100.0
+
+
+@pytest.mark.parametrize(
+    ("detail_dn", "glow_dn", "code"),
+    [
+        (6.0, 200.0, None),
+        (5.0, 200.0, None),
+        (4.8, 30.0, FaultCode.AIM_TURBID),
+        (4.8, 24.0, FaultCode.AIM_TURBID),
+        (4.8, 23.0, FaultCode.AIM_DARK),
+        (2.0, 11.0, FaultCode.AIM_TURBID),
+        (2.0, 9.0, FaultCode.AIM_DARK),
+        (0.3, 5.0, FaultCode.AIM_TURBID),
+        (0.3, 4.5, FaultCode.AIM_DARK),
+        (0.0, 0.0, FaultCode.AIM_DARK),
+    ],
+)
+def test_turbid_is_what_shines_five_times_as_much_as_it_shows(
+    detail_dn: float, glow_dn: float, code: FaultCode | None
+) -> None:
+    fault = Aimed(np.zeros((1, 1), np.uint8), detail_dn, glow_dn).fault()
+    assert (None if fault is None else fault.code) == code
+    if fault is not None:
+        assert dict(fault.numbers) == {"detail_dn": detail_dn, "glow_dn": glow_dn}
+
+
+def test_the_glow_is_told_over_the_black_level() -> None:
+    seen = look(np.full(SIZE, 30, np.uint8), 4.0)
+    assert (seen.detail_dn, seen.glow_dn) == pytest.approx((0.0, 26.0), abs=1e-3)
+
+
+@pytest.mark.parametrize(("share", "counts"), [(0.013, False), (0.03, True)])
+def test_detail_counts_from_a_fiftieth_of_the_picture_on(share: float, counts: bool) -> None:
+    """Laser dots and their streaks are less."""
+    image = np.full(SIZE, 10, np.uint8)
+    points = round(share * 150 * 200)
+    y, x = np.divmod(np.random.default_rng(1).choice(30 * 40, points // 9, replace=False), 40)
+    for row, column in zip(10 * y, 10 * x, strict=True):  # spots of 3 x 3 px of the reduced image
+        image[row : row + 6, column : column + 6] = 110
+    assert (look(image, 0.0).detail_dn > 50.0) == counts
+
+
+@pytest.mark.parametrize(("size", "small"), [((300, 400), (150, 200)), ((1200, 1600), (150, 200)), ((400, 400), (200, 200)), ((1, 900), (1, 200))])  # fmt: skip
+def test_images_are_looked_at_in_200_px_of_width_and_keep_their_form(
+    size: tuple[int, int], small: tuple[int, int]
+) -> None:
+    seen = look(np.full(size, 9, np.uint8), 0.0)
+    assert seen.small.shape == small
+    assert np.all(seen.small == 9)
+
+
+def blurred(sigma_px: float) -> float:
+    """Detail of stripes whose edges are so soft, of full contrast, 40 px apart in the picture."""
+    x = np.arange(SIZE[1])
+    stripes = np.tile(np.where(x // 20 % 2, 200, 0).astype(np.uint8), (SIZE[0], 1))
+    return look(np.asarray(cv2.GaussianBlur(stripes, (0, 0), sigma_px), np.uint8), 0.0).detail_dn
+
+
+def test_detail_is_what_is_finer_than_a_fortieth_of_the_picture() -> None:
+    """Fringes are finer, and a glow is smoother."""
+    assert blurred(1.0) > 80.0
+    assert 8.0 < blurred(8.0) < 45.0
+    x = np.linspace(0.0, 2.0 * np.pi, SIZE[1])
+    for periods in (1, 5):  # of a wave of 90 grey values, of which a blur of 5 px of 200 leaves that part
+        wave = np.tile(np.rint(100.0 + 90.0 * np.cos(periods * x)).astype(np.uint8), (SIZE[0], 1))
+        left = np.exp(-0.5 * (5.0 * 2.0 * np.pi * periods / 200.0) ** 2)
+        assert look(wave, 0.0).detail_dn == pytest.approx(90.0 * (1.0 - left), abs=1.5)
+
+
+@pytest.mark.parametrize("shift_px", [(36.0, 0.0), (-30.0, 20.0), (1.6, 0.0), (0.0, -1.2)])
+def test_motion_is_measured_from_less_than_a_px_to_a_twelfth_of_the_picture(shift_px: tuple[float, float]) -> None:
+    before, after = look(picture(200.0), BLACK_DN), look(picture(200.0, shift_px=shift_px, seed=1), BLACK_DN)
+    assert moved_px(before, after) == pytest.approx(float(np.hypot(*shift_px)) / 2.0, rel=0.06)
+
+
+def joined(first: NDArray[np.uint8], second: NDArray[np.uint8], rows: int) -> NDArray[np.uint8]:
+    """The first image's upper ``rows``, and the second one below."""
+    return np.vstack([first[:rows], second[rows:]])
+
+
+@pytest.mark.parametrize("rows", [300, 210, 90], ids=["all", "most", "few"])
+def test_what_moves_in_two_ways_moves_by_that_of_the_greater_part(rows: int) -> None:
+    """Here a part goes to the left and the other to the right."""
+    still = picture(200.0)
+    left, right = (picture(200.0, shift_px=(by, 0.0), seed=1) for by in (-10.0, 10.0))
+    found = moved_px(look(still, BLACK_DN), look(joined(left, right, rows), BLACK_DN))
+    assert found == pytest.approx(5.0, rel=0.1)
+
+
+def test_what_moves_in_three_ways_does_not_move_as_one() -> None:
+    still = picture(200.0)
+    left, right, up = (picture(200.0, shift_px=by, seed=1) for by in ((-10.0, 0.0), (10.0, 0.0), (0.0, 10.0)))
+    assert moved_px(look(still, BLACK_DN), look(joined(left, joined(right, up, 200), 100), BLACK_DN)) == 0.0
+
+
+def test_a_turn_about_the_middle_moves_nothing_as_one() -> None:
+    still = picture(200.0)
+    turn = cv2.getRotationMatrix2D((200.0, 150.0), 6.0, 1.0)
+    turned = np.asarray(cv2.warpAffine(still, turn, SIZE[::-1], borderMode=cv2.BORDER_REFLECT), np.uint8)
+    assert moved_px(look(still, BLACK_DN), look(turned, BLACK_DN)) == 0.0
+
+
+def test_what_stands_beside_something_that_moves_does_not_count() -> None:
+    """The object moves in two fifths of the picture; the rest is what the live light makes."""
+    still, moving = picture(200.0), picture(200.0, shift_px=(12.0, 0.0), seed=1)
+    found = moved_px(look(still, BLACK_DN), look(joined(moving, still, 120), BLACK_DN))
+    assert found == pytest.approx(6.0, rel=0.1)
+
+
+@pytest.mark.parametrize(("patch_px", "moves"), [(20, False), (150, True)])
+def test_a_fish_is_no_motion_of_the_hands(patch_px: int, moves: bool) -> None:
+    """What changes less than a fiftieth of the picture."""
+    still, moving = picture(200.0), picture(200.0, shift_px=(10.0, 0.0), seed=1)
+    swum = still.copy()
+    swum[50 : 50 + patch_px, 100 : 100 + patch_px] = moving[50 : 50 + patch_px, 100 : 100 + patch_px]
+    assert moved_px(look(still, BLACK_DN), look(swum, BLACK_DN)) == (pytest.approx(5.0, rel=0.15) if moves else 0.0)
+
+
+def test_of_a_picture_without_contrast_no_motion_is_told() -> None:
+    before, after = look(picture(8.0), BLACK_DN), look(picture(40.0, shift_px=(12.0, 0.0), seed=1), BLACK_DN)
+    assert before.detail_dn < 6.0
+    assert moved_px(before, after) is None
+    bright = look(np.full(SIZE, 200, np.uint8), BLACK_DN)
+    assert moved_px(look(np.full(SIZE, 20, np.uint8), BLACK_DN), bright) is None
+
+
+def test_what_is_not_seen_again_is_not_followed() -> None:
+    """Another scene altogether: no corner is found forth and back."""
+    other = np.asarray(255 - picture(200.0)[::-1, ::-1], np.uint8)
+    assert moved_px(look(picture(200.0), BLACK_DN), look(other, BLACK_DN)) in (None, 0.0)
+
+
+@pytest.mark.parametrize(("speed_mm_s", "said"), [(69.6, None), (70.0, None), (71.4, "71 mm/s across the picture")])
+def test_the_speed_from_which_on_motion_cannot_be_undone(speed_mm_s: float, said: str | None) -> None:
+    fault = too_fast(speed_mm_s)
+    assert (None if fault is None else fault.detail) == said

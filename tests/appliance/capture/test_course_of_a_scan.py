@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from typing import cast
@@ -64,7 +64,12 @@ class Script:
     pulses: Callable[[list[BoardEvent]], list[BoardEvent]] = list
     before: list[BoardEvent] = field(default_factory=list)
     projector_gone: bool = False
+    counted: bool = True
+    late_at: int | None = None
+    clocks: dict[str, ClockReading] = field(default_factory=dict)
     said: list[str] = field(default_factory=list)
+    cameras: dict[str, list[str]] = field(default_factory=lambda: {"left": [], "right": []})
+    waits_s: dict[str, list[float]] = field(default_factory=lambda: {"left": [], "right": []})
     clock: MonotonicClock = field(default_factory=MonotonicClock)
     blank: threading.Condition = field(default_factory=threading.Condition)
     shown: int = 0
@@ -83,12 +88,15 @@ class ScriptedCamera:
         return settings
 
     def start(self) -> None:
+        self._script.cameras[self._side].append("start")
+        self._script.waits_s[self._side].clear()
         if self._script.slow == (self._side, "start"):
             self._script.starting = True
             self._script.go_on.wait(10.0)
         self._next = 0
 
     def stop(self) -> None:
+        self._script.cameras[self._side].append("stop")
         if self._script.slow == (self._side, "stop"):
             self._script.go_on.wait(10.0)
 
@@ -96,15 +104,17 @@ class ScriptedCamera:
         return 30.5
 
     def read_clock(self) -> ClockReading | None:
-        return None
+        return self._script.clocks.get(self._side)
 
     def next_frame(self, slot: NDArray[np.uint8], timeout_s: float) -> Frame:
         k, script = self._next, self._script
+        script.waits_s[self._side].append(timeout_s)
         last = N + (1 if script.too_many == self._side else 0)
         with script.blank:
             if k >= last or not script.blank.wait_for(lambda: script.shown > min(k, N - 1), timeout_s):
                 return Frame(FrameStatus.TIMEOUT, None, None, 0)
         if script.lost_at.get(self._side) == k:
+            script.cameras[self._side].append("lost")
             raise DeviceGone(f"camera.{self._side}", "unplugged", "plug it in")
         self._next = k + 1
         slot[:] = k + 1
@@ -123,22 +133,41 @@ class ScriptedProjector:
     ) -> list[Flip]:
         script = self._script
         script.idle_ns = script.clock.now_ns()
-        first = start(Flip(idle, IDLE_SEQUENCE, script.idle_ns))
+        first = start(Flip(idle, IDLE_SEQUENCE if script.counted else None, script.idle_ns))
         assert first is not None
-        assert first >= IDLE_SEQUENCE + 2, "at least two blanks ahead"
+        first += 0 if script.counted else IDLE_SEQUENCE
+        passed = round((script.clock.now_ns() - script.idle_ns) / PERIOD_NS)
+        assert 3 <= first - IDLE_SEQUENCE <= 3 + passed, (
+            "three blanks from now, and no pattern is shown later than that"
+        )
         flips: list[Flip] = []
         for k, index in enumerate(indices):
             if abort():
                 break
             if script.projector_gone and k == 3:
                 raise DeviceGone("projector", "no signal", "plug it in")
-            sequence = first + k
-            flips.append(Flip(index, sequence, script.idle_ns + round((sequence - IDLE_SEQUENCE) * PERIOD_NS)))
+            sequence = first + k + (1 if script.late_at is not None and k >= script.late_at else 0)
+            counted = sequence if script.counted else None
+            flips.append(Flip(index, counted, script.idle_ns + round((sequence - IDLE_SEQUENCE) * PERIOD_NS)))
             with script.blank:
                 script.shown += 1
                 script.blank.notify_all()
-            script.clock.sleep_s(0.001)
+            self._wait_for_cameras(k, abort)
         return flips
+
+    def _wait_for_cameras(self, k: int, abort: Callable[[], bool]) -> None:
+        """Until both have taken the k-th frame, or one has ended before its last and whoever plays knows: so that what is
+        recorded does not depend on which thread the machine lets run."""
+        script = self._script
+        until_ns = script.clock.now_ns() + 5_000_000_000
+        while script.clock.now_ns() < until_ns:
+            ended = [said[-1:] in (["stop"], ["lost"]) for said in script.cameras.values()]
+            taken = [len(waits) > k + 1 for waits in script.waits_s.values()]
+            if (any(ended) and k < N - 1 and abort()) or (all(taken) and not any(ended)):
+                return
+            if k == N - 1 and all(a or b for a, b in zip(ended, taken, strict=True)):
+                return
+            script.clock.sleep_s(0.001)
 
 
 class ScriptedBoard:
@@ -189,23 +218,32 @@ class Bench:
             self.script.clock.sleep_s(0.001)
 
     def record(self, abort: Callable[[], Fault | None] = lambda: None) -> CaptureReport:
-        recorder = ScanRecorder(
+        return self.recorder().record(SEQUENCE, self.store, lambda side, k: self.arrived.append((side, k)), abort)
+
+    def recorder(self) -> ScanRecorder:
+        return ScanRecorder(
             self.grabbers,
             cast("Board", ScriptedBoard(self.script)),
             cast("Projector", ScriptedProjector(self.script)),
             self.script.clock,
             ScanSettings(HZ, EXPOSURE_US, DELAY_US),
         )
-        return recorder.record(SEQUENCE, self.store, lambda side, k: self.arrived.append((side, k)), abort)
 
 
 @pytest.fixture
 def bench() -> Iterator[Bench]:
+    with a_bench() as one:
+        yield one
+
+
+@contextmanager
+def a_bench(sequences: int = 1) -> Iterator[Bench]:
+    """Two cameras that follow a script, each in its thread, and memory for so many sequences."""
     script = Script()
     settings = CameraSettings(WIDTH_PX, HEIGHT_PX, float(EXPOSURE_US), 0.0)
     patience = ScanSettings(HZ, EXPOSURE_US, DELAY_US).patience
     with ExitStack() as stack:
-        store = stack.enter_context(FrameStore(N, HEIGHT_PX, WIDTH_PX))
+        store = stack.enter_context(FrameStore(N, HEIGHT_PX, WIDTH_PX, sequences=sequences))
         grabbers = {
             side: stack.enter_context(
                 Grabber(side, cast("Camera", ScriptedCamera(side, script)), script.clock, settings, patience)
@@ -275,6 +313,7 @@ def test_a_damaged_frame_is_the_cause_and_the_other_cameras_missing_ones_are_not
     assert report.fault is not None
     assert (report.fault.code, report.fault.device) == (code, f"camera.{side}")
     assert report.fault.numbers["frame"] == 4
+    assert len(report.ledger.flips) == 5, "and the rest of the sequence is not shown"
 
 
 def test_a_frame_too_many_is_evidence_as_well(bench: Bench) -> None:

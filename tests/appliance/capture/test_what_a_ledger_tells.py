@@ -48,9 +48,7 @@ def test_the_first_frame_that_is_missing_is_named(side: str, k: int) -> None:
 @pytest.mark.parametrize("k", [0, 1, 9, N - 2, N - 1])
 def test_a_pulse_that_one_camera_did_not_see_is_named_although_its_numbers_have_no_gap(side: str, k: int) -> None:
     """A camera that was not triggered uses no block id up; its clock says when it was not."""
-    frames = [
-        replace(f, block_id=5 + n) for n, f in enumerate(g for m, g in enumerate(clean().frames[side]) if m != k)
-    ]
+    frames = [replace(f, block_id=5 + n) for n, f in enumerate(g for m, g in enumerate(clean().frames[side]) if m != k)]
     fault = audit(with_frames(clean(), side, frames))
     assert fault is not None
     assert (fault.code, fault.device, fault.numbers["frame"]) == (FaultCode.FRAME_MISSING, f"camera.{side}", k)
@@ -61,7 +59,9 @@ def test_the_first_frame_that_is_missing_is_named_by_its_number_where_cameras_ha
     bare = replace(
         clean(),
         clocks={},
-        frames={side: tuple(replace(f, camera_time_ns=None) for f in frames) for side, frames in clean().frames.items()},
+        frames={
+            side: tuple(replace(f, camera_time_ns=None) for f in frames) for side, frames in clean().frames.items()
+        },
     )
     fault = audit(with_frames(bare, "left", [f for n, f in enumerate(bare.frames["left"]) if n != k]))
     assert fault is not None
