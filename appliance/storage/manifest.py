@@ -98,7 +98,7 @@ def decode(data: bytes, name: str) -> Manifest:
         first = error.errors(include_url=False)[0]
         raise ManifestError(f"{name}: {'.'.join(str(p) for p in first['loc'])}: {first['msg']}") from None
     for file_name in manifest.files:
-        if Path(file_name).name != file_name or file_name == FILE_NAME:
+        if Path(file_name).name != file_name or file_name in {FILE_NAME, "", ".."} or "\0" in file_name:
             raise ManifestError(f"{name}: {file_name!r} is not the name of a file beside it")
     return manifest
 

@@ -11,7 +11,7 @@ import pytest
 
 from appliance.capture.fault import FaultCode
 from appliance.capture.grabber import Grabber, Recording
-from appliance.capture.scan import Arming
+from appliance.capture.scan import Arming, ScanSettings
 from drivers.api import Board, Camera, CameraSettings, ClockReading, Frame, FrameStatus, LaserState
 from drivers.native import MonotonicClock
 from tests.appliance.capture.test_course_of_a_scan import (
@@ -24,7 +24,6 @@ from tests.appliance.capture.test_course_of_a_scan import (
     WIDTH_PX,
     Bench,
     N,
-    ScanSettings,
     Script,
     ScriptedBoard,
     ScriptedCamera,
@@ -209,7 +208,6 @@ def test_each_half_of_making_ready_has_its_own_time(bench: Bench) -> None:
     assert set(arming.recordings) == set(SIDES)
     clock.time_s += 1.9
     assert not arming.poll()
-    assert arming.fault is None
     clock.time_s += 0.2
     assert arming.poll()
     assert arming.fault is not None

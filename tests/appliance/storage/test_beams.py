@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -75,3 +76,99 @@ def test_a_sealed_beam_that_no_dot_could_have_taught_is_not_used(
     file.path.write_bytes(seal(json.loads(json.dumps(content))))
     assert file.read("abc") == POINTERS.beams()
     assert said in caplog.text
+
+
+def sealed(tmp_path: Path, **changes: object) -> tuple[Beam, Beam]:
+    """What is read of a file whose right beam, as it was drawn, was changed so and sealed anew."""
+    file = BeamsFile(tmp_path, POINTERS)
+    file.write("abc", POINTERS.beams())
+    content = unseal(file.path.read_bytes(), MAX_BYTES)
+    content["beams"][1].update(changes)
+    content["beams"][1]["learned"] = content["beams"][1]["learned"] or 7  # so that it differs from the drawing
+    file.path.write_bytes(seal(json.loads(json.dumps(content))))
+    return file.read("abc")
+
+
+def is_taken(found: tuple[Beam, Beam]) -> bool:
+    return found != POINTERS.beams()
+
+
+@pytest.mark.parametrize("value", range(4))
+@pytest.mark.parametrize(("sigmas", "taken"), [(5.8, True), (-5.8, True), (6.2, False), (-6.2, False)])
+def test_a_beam_may_be_as_far_from_the_drawing_as_six_times_its_tolerance(
+    tmp_path: Path, value: int, sigmas: float, taken: bool
+) -> None:
+    """0.7 mm where it leaves its window, 0.3° in its direction."""
+    line = list(POINTERS.beams()[1].line)
+    line[value] += sigmas * (0.7 if value < 2 else math.radians(0.3))
+    found = sealed(tmp_path, line=line)
+    assert is_taken(found) == taken
+    if taken:
+        assert found[1].line == pytest.approx(line)
+
+
+@pytest.mark.parametrize("value", range(4))
+@pytest.mark.parametrize(("times", "taken"), [(0.0, True), (1.0, True), (1.0005, True), (1.01, False), (-0.1, False)])
+def test_no_dot_makes_a_beam_less_certain_than_drawn_or_more_than_certain(
+    tmp_path: Path, value: int, times: float, taken: bool
+) -> None:
+    P = np.array(POINTERS.beams()[1].covariance)
+    P[value, value] *= times
+    assert is_taken(sealed(tmp_path, covariance=P.tolist())) == taken
+
+
+def test_a_covariance_that_nothing_can_have_is_not_used(tmp_path: Path) -> None:
+    """Place and lean that go together by more than they vary."""
+    P = np.array(POINTERS.beams()[1].covariance)
+    for share, taken in ((0.9, True), (-0.9, True), (1.2, False), (-1.2, False)):
+        P[0, 2] = P[2, 0] = share * math.sqrt(P[0, 0] * P[2, 2])
+        assert is_taken(sealed(tmp_path, covariance=P.tolist())) == taken
+
+
+@pytest.mark.parametrize(
+    ("changes", "taken"),
+    [
+        ({"learned": 1}, True),
+        ({"learned": 2**53}, True),
+        ({"learned": 2**53 + 1}, False),
+        ({"learned": -1}, False),
+        ({"learned": 1.5}, False),
+        ({"last_z_mm": None}, True),
+        ({"last_z_mm": 480}, True),
+        ({"last_z_mm": -999_999.0}, True),
+        ({"last_z_mm": 1e6}, False),
+        ({"last_z_mm": -1e6}, False),
+        ({"last_z_mm": True}, False),
+        ({"line": [40.0, -60.0, 0.0]}, False),
+        ({"covariance": [[0.1] * 4] * 3}, False),
+    ],
+)
+def test_what_a_beams_file_may_say_ends_somewhere(tmp_path: Path, changes: dict[str, object], taken: bool) -> None:
+    assert is_taken(sealed(tmp_path, **changes)) == taken
+
+
+def test_where_the_latest_dot_was_is_remembered_and_where_none_was_nothing(tmp_path: Path) -> None:
+    assert sealed(tmp_path, last_z_mm=480.5)[1].last_z_mm == 480.5
+    assert math.isinf(sealed(tmp_path, last_z_mm=None)[1].last_z_mm)
+
+
+def test_beams_that_are_none_or_three_are_not_used(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    file = BeamsFile(tmp_path, POINTERS)
+    file.write("abc", taught())
+    whole = unseal(file.path.read_bytes(), MAX_BYTES)
+    for beams in (None, [], whole["beams"][:1], [*whole["beams"], whole["beams"][0]]):
+        file.path.write_bytes(seal({**whole, "beams": beams}))
+        assert file.read("abc") == POINTERS.beams()
+    file.path.write_bytes(seal({**whole, "schema": 2}))
+    assert file.read("abc") == POINTERS.beams()
+    assert "schema 2; 1 is known here" in caplog.text
+    file.path.write_bytes(seal(whole))
+    assert file.read("abc") == taught()
+
+
+def test_beams_are_written_again_where_others_are(tmp_path: Path) -> None:
+    file = BeamsFile(tmp_path, POINTERS)
+    file.write("abc", POINTERS.beams())
+    file.write("abc", taught())
+    assert file.read("abc") == taught()
+    assert [path.name for path in file.path.parent.iterdir()] == ["beams.json"]

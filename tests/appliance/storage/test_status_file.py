@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import pytest
+
+from appliance.calibration.guide import Refusal, Session, Step, Trial, Verified
+from appliance.capture.ranging import Range, Reach
 from appliance.machine import events as on
-from appliance.machine.states import Device
-from appliance.storage.status import StatusFile
+from appliance.machine.mishap import Failure, Mishap
+from appliance.machine.states import Answer, Calibrating, Device, OffQuestion, Task, boot
+from appliance.storage.status import StatusFile, describe
 from tests.appliance.machine.walks import MISSING, aim, capturing, run
 
 
@@ -40,3 +46,71 @@ def test_a_disk_that_refuses_is_tried_again(tmp_path: Path) -> None:
     assert not status.update(aim())
     (tmp_path / "run").unlink()
     assert status.update(aim())
+
+
+def test_a_distance_is_told_in_whole_millimetres_and_degrees_with_its_word(tmp_path: Path) -> None:
+    machine = replace(aim(), range=Range(512.6, -7.4, 0.2512, 2), reach=Reach.OK)
+    told = describe(machine, 1, "0.1.0")["range"]
+    assert told == {"distance_mm": 513, "tilt_deg": -7, "sigma_mm": 0.3, "dots": 2, "word": "OK"}
+    alone = describe(replace(machine, range=Range(433.2, None, 1.04, 1), reach=Reach.BACK), 1, "0.1.0")["range"]
+    assert alone == {"distance_mm": 433, "tilt_deg": None, "sigma_mm": 1.0, "dots": 1, "word": "BACK"}
+    assert describe(replace(machine, range=None), 1, "0.1.0")["range"] is None
+
+
+def test_what_is_asked_before_switching_off_and_the_answer_that_is_selected(tmp_path: Path) -> None:
+    machine = aim()
+    assert describe(machine, 1, "0.1.0")["question"] is None
+    for answer in Answer:
+        asked = describe(replace(machine, off_question=OffQuestion(answer, 0)), 1, "0.1.0")["question"]
+        assert asked == {"answers": [one.value for one in Answer], "selected": answer.value}
+
+
+def test_a_calibration_under_way_tells_its_step_and_what_came_of_the_latest_recording() -> None:
+    session = Session(
+        (Trial(Step.M1, None, 0.03, 900, "bar", "000001"),),
+        verified=Verified(0.003, -0.0001, 0.00004, "ab"),
+        kept="0001-2026-11-21.json",
+    )
+    machine = replace(aim(), session=session)
+    assert describe(machine, 1, "0.1.0")["calibration"] is None, "while nobody calibrates"
+
+    def told(at: Calibrating) -> dict[str, object]:
+        found = describe(replace(machine, calibrating=at), 1, "0.1.0")["calibration"]
+        assert isinstance(found, dict)
+        return found
+
+    none = told(Calibrating(Step.M1))
+    assert (none["step"], none["busy"], none["result"], none["detail"]) == (Step.M1.value, False, None, "")
+    assert none["done"] == [Step.M1.value, Step.VERIFY.value]
+    assert none["e_l_before_percent"] == pytest.approx(0.3)
+    assert none["e_l_new_percent"] == pytest.approx(-0.01)
+    assert (none["in_use"], none["kept"]) == (False, "0001-2026-11-21.json")
+    assert told(Calibrating(Step.M1, Task.EXAMINE))["busy"] is True
+    fits = told(Calibrating(Step.M1, latest=session.trials[0]))
+    assert (fits["result"], fits["detail"]) == ("FITS", "bar")
+    few = Trial(Step.M2, Refusal.FEW_POINTS, 3.0, 3, "3 points")
+    refused = told(Calibrating(Step.M2, latest=few))
+    assert (refused["result"], refused["detail"]) == ("FEW_POINTS", "3 points")
+    failed = told(Calibrating(Step.M2, latest=session.trials[0], failed=Failure(Mishap.DISK, "it is full")))
+    assert (failed["result"], failed["detail"]) == ("FAILED", "it is full")
+    unverified = describe(replace(machine, session=Session(), calibrating=Calibrating(Step.M1)), 1, "0.1.0")[
+        "calibration"
+    ]
+    assert (unverified["e_l_before_percent"], unverified["e_l_new_percent"]) == (None, None)
+
+
+def test_a_device_that_was_never_tried_is_neither_there_nor_lost() -> None:
+    devices = describe(boot(0), 1, "0.1.0")["devices"]
+    assert set(devices) == {device.value for device in Device}
+    assert set(devices.values()) == {"unknown"}
+
+
+def test_the_worker_and_the_gallery_are_told_and_a_status_taken_away_twice_is_no_error(tmp_path: Path) -> None:
+    status = StatusFile(tmp_path, 1, "0.1.0")
+    assert status.update(aim(), 77, {"scan": "000003"})
+    assert not status.update(aim(), 77, {"scan": "000003"})
+    content = json.loads(status.path.read_text(encoding="utf-8"))
+    assert (content["worker_pid"], content["gallery"]) == (77, {"scan": "000003"})
+    assert status.update(aim(), 78, {"scan": "000003"})
+    status.remove()
+    status.remove()
