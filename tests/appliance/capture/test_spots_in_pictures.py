@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from appliance.capture.ranging_beams import Beam
 from appliance.capture.ranging_dots import contrast_of
 from appliance.capture.ranging_measure import Dots, Images, Ranger
-from hw_sim.optics.points import project
-from hw_sim.truth import TrueRig, draw_truth
+from hw_sim.truth import TrueRig, draw_truth, project
 from tests.support.truth import WATER, left_to_rig, true_calibration
 
 Array = NDArray[np.float64]
