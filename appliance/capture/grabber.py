@@ -248,5 +248,4 @@ class Grabber:
             if self._recording is not None:
                 self._recording.lost = reason
                 self._recording.done = True
-                self._recording = None
             self._changed.notify_all()

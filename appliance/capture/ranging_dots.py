@@ -48,8 +48,6 @@ class Candidate:
     """Its centre, in px of the whole image."""
     contrast_dn: float
     """By how much it is brighter than the brightest around it."""
-    z_mm: float
-    """Depth in the rig frame of the nearest place on the beam's curve."""
 
 
 class Lane:
@@ -67,22 +65,19 @@ class Lane:
         h, w = camera.height_px // step, camera.width_px // step
         inside = np.isfinite(curve).all(axis=1)
         inside &= (curve > -half[:, None]).all(axis=1) & (curve < (w, h) + half[:, None]).all(axis=1)
-        z, curve, half = z[inside], curve[inside], half[inside]
-        self._empty = len(z) == 0
+        curve, half = curve[inside], half[inside]
+        self._empty = len(curve) == 0
         if self._empty:
             return
         low = np.floor((curve - half[:, None]).min(axis=0)).astype(int) - EDGE_PX
         high = np.ceil((curve + half[:, None]).max(axis=0)).astype(int) + EDGE_PX + 1
         self._x0, self._y0 = (int(v) for v in np.maximum(low, 0))
         self._x1, self._y1 = (int(v) for v in np.minimum(high, (w, h)))
-        self._z_mm = np.zeros((self._y1 - self._y0, self._x1 - self._x0), np.float32)
-        self._band = np.zeros(self._z_mm.shape, np.bool_)
+        self._band = np.zeros((self._y1 - self._y0, self._x1 - self._x0), np.bool_)
         x = np.arange(self._x0, self._x1)
-        for row in range(self._z_mm.shape[0]):
+        for row, inside_row in enumerate(self._band):
             off = np.hypot(x[:, None] - curve[:, 0], self._y0 + row - curve[:, 1]) - half
-            nearest = np.argmin(off, axis=1)
-            self._z_mm[row] = z[nearest]
-            self._band[row] = off[np.arange(len(x)), nearest] <= 0.0
+            inside_row[:] = (off <= 0.0).any(axis=1)
         # A ring must fit around a dot: what is nearer to the image's border is not looked at.
         for edge, rim in (
             (self._x0 == 0, np.s_[:, :EDGE_PX]), (self._x1 == w, np.s_[:, -EDGE_PX:]),
@@ -107,7 +102,7 @@ class Lane:
             if best < LEAST_CONTRAST_DN:
                 break
             u, v = _centre(image, (self._x0 + column + 0.5) * s - 0.5, (self._y0 + row + 0.5) * s - 0.5, s)
-            found.append(Candidate(u, v, best, float(self._z_mm[row, column])))
+            found.append(Candidate(u, v, best))
             contrast[
                 max(0, row - RING_PX) : row + RING_PX + 1, max(0, column - RING_PX) : column + RING_PX + 1
             ] = -np.inf
@@ -117,15 +112,12 @@ class Lane:
 def contrast_of(coarse: NDArray[Any]) -> NDArray[np.float32]:
     """By how much each place (h, w) of an image of about ``COARSE_PX`` is brighter than the brightest on a ring around it."""
     smooth = cv2.GaussianBlur(coarse.astype(np.float32), (0, 0), CORE_PX)
-    return np.asarray(smooth - cv2.dilate(smooth, _RING), np.float32)
+    return np.asarray(smooth - cv2.dilate(smooth, _ring()), np.float32)
 
 
 def _ring() -> NDArray[np.uint8]:
     y, x = np.mgrid[-RING_PX : RING_PX + 1, -RING_PX : RING_PX + 1]
     return np.asarray(np.abs(np.hypot(x, y) - RING_PX) <= 0.6, np.uint8)
-
-
-_RING = _ring()
 
 
 def _centre(image: NDArray[np.uint8], u: float, v: float, step: int) -> tuple[float, float]:

@@ -216,6 +216,31 @@ def test_each_half_of_making_ready_has_its_own_time(bench: Bench) -> None:
     arming.let_go()
 
 
+class Watched(MonotonicClock):
+    """Notes for how long the first thread has waited for something."""
+
+    def __init__(self) -> None:
+        self.waits_s: list[float] = []
+
+    def wait_for(self, condition: threading.Condition, predicate: Callable[[], bool], timeout_s: float) -> bool:
+        if threading.current_thread() is threading.main_thread():
+            self.waits_s.append(timeout_s)
+        return super().wait_for(condition, predicate, timeout_s)
+
+
+def test_making_ready_waits_for_nothing() -> None:
+    """A heartbeat goes on meanwhile."""
+    clock = Watched()
+    with a_bench(clock=clock) as bench:
+        arming = arming_of(bench, SetClock())
+        bench.wait_for(arming.poll)
+        assert arming.fault is None
+        assert len(clock.waits_s) >= 4
+        assert set(clock.waits_s) == {0.0}
+        arming.let_go()
+        bench.show(1)
+
+
 def test_what_was_armed_is_let_go_when_no_sequence_follows(bench: Bench) -> None:
     arming = arming_of(bench, SetClock())
     bench.wait_for(arming.poll)

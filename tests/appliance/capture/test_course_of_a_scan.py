@@ -237,9 +237,9 @@ def bench() -> Iterator[Bench]:
 
 
 @contextmanager
-def a_bench(sequences: int = 1) -> Iterator[Bench]:
+def a_bench(sequences: int = 1, clock: MonotonicClock | None = None) -> Iterator[Bench]:
     """Two cameras that follow a script, each in its thread, and memory for so many sequences."""
-    script = Script()
+    script = Script(clock=clock or MonotonicClock())
     settings = CameraSettings(WIDTH_PX, HEIGHT_PX, float(EXPOSURE_US), 0.0)
     patience = ScanSettings(HZ, EXPOSURE_US, DELAY_US).patience
     with ExitStack() as stack:

@@ -64,6 +64,23 @@ def test_a_camera_that_is_late_by_the_same_time_in_every_frame(late_ms: float, d
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
+@pytest.mark.parametrize(("beyond_ns", "passes"), [(0, True), (1, False)])
+def test_first_exposures_may_be_half_a_millisecond_apart_and_what_the_clocks_leave_open(
+    side: str, beyond_ns: int, passes: bool
+) -> None:
+    """0.5 ms and half of the two answers' 0.2 and 0.6 ms; here to the nanosecond."""
+    ledger = clean()
+    begun = {one: (ledger.frames[one][0].camera_time_ns or 0) + clock.offset_ns for one, clock in ledger.clocks.items()}
+    other = "left" if side == "right" else "right"
+    later_ns = begun[other] - begun[side] + 500_000 + 400_000 + beyond_ns
+    late = [replace(f, camera_time_ns=(f.camera_time_ns or 0) + later_ns) for f in ledger.frames[side]]
+    fault = audit(with_frames(ledger, side, late))
+    assert (fault is None) == passes
+    if fault is not None:
+        assert (fault.device, fault.numbers["frame"]) == (f"camera.{side}", 0)
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
 @pytest.mark.parametrize("k", range(N))
 def test_a_dropped_frame(side: str, k: int) -> None:
     frames = list(clean().frames[side])

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from appliance.capture.ranging_beams import Beam
-from appliance.capture.ranging_dots import contrast_of
+from appliance.capture.ranging_dots import Lane, contrast_of
 from appliance.capture.ranging_measure import Dots, Images, Ranger
 from hw_sim.truth import TrueRig, draw_truth, project
 from tests.support.truth import WATER, left_to_rig, true_calibration
@@ -299,6 +299,82 @@ def test_a_beam_that_was_learned_elsewhere_is_looked_for_there(bench: Bench) -> 
 
 
 # ------------------------------------------------------------------------------------------------- the picture
+
+
+def broad(pointer: int, sd_mm: float) -> Beam:
+    """A beam that is known so badly."""
+    variances = np.diag([sd_mm**2, sd_mm**2, 0.0, 0.0])
+    return replace(BEAMS[pointer], covariance=tuple(tuple(row) for row in variances.tolist()))
+
+
+@pytest.mark.parametrize(("off_mm", "inside"), [(9.0, True), (-9.0, True), (15.5, False), (-15.5, False)])
+@pytest.mark.parametrize("side", [0, 1])
+def test_the_less_certain_a_beam_is_the_farther_beside_it_its_dot_is_looked_for(
+    bench: Bench, side: int, off_mm: float, inside: bool
+) -> None:
+    """3.5 standard deviations of 3 mm, and 2 px."""
+    camera = (bench.rig.left, bench.rig.right)[side]
+    lane = Lane(camera, bench.frame, WATER.index, broad(0, 3.0))
+    uv = bench.seen(on(0, 500.0, off_mm=(0.0, off_mm)))[side]
+    found = lane.candidates(bench.picture((uv, HEIGHT_DN)))
+    assert bool(found) == inside
+    if inside:
+        assert (found[0].u_px, found[0].v_px) == pytest.approx(tuple(uv), abs=0.05)
+
+
+def faint_spot(bench: Bench, u: float, v: float) -> NDArray[np.uint8]:
+    """A spot of which one px alone is bright enough to be a dot."""
+    for height_dn in np.arange(10.0, 16.0, 0.1):
+        picture = bench.picture((np.array([u, v]), float(height_dn)), ground_dn=3.0)
+        if np.count_nonzero(contrast_of(picture) >= 7.0) == 1:
+            return picture
+    raise AssertionError("there is such a height")
+
+
+@pytest.mark.parametrize(
+    ("u", "v", "looked_at"),
+    [
+        (200, 150, True),
+        (8, 150, True),
+        (7, 150, False),
+        (391, 150, True),
+        (392, 150, False),
+        (200, 8, True),
+        (200, 7, False),
+        (200, 291, True),
+        (200, 292, False),
+    ],
+)
+def test_a_dot_is_looked_for_where_its_surroundings_are_in_the_picture(
+    bench: Bench, u: int, v: int, looked_at: bool
+) -> None:
+    """8 px from the border on: a ring of 6 px, and what smooths it."""
+    lane = Lane(bench.rig.left, bench.frame, WATER.index, broad(0, 300.0))
+    assert bool(lane.candidates(faint_spot(bench, u, v))) == looked_at
+
+
+@pytest.mark.parametrize(("height_dn", "seen"), [(11.5, False), (13.5, True)])
+def test_what_is_fainter_than_7_grey_values_is_no_dot(bench: Bench, height_dn: float, seen: bool) -> None:
+    lane = Lane(bench.rig.left, bench.frame, WATER.index, BEAMS[0])
+    uv = np.rint(bench.seen(on(0, 480.0))[0])
+    picture = bench.picture((uv, height_dn))
+    assert 5.5 < contrast_of(picture).max() < 7.0 if not seen else 7.0 < contrast_of(picture).max() < 9.0
+    assert bool(lane.candidates(picture)) == seen
+
+
+def test_of_many_bright_spots_the_four_clearest_are_candidates_the_clearest_first(bench: Bench) -> None:
+    lane = Lane(bench.rig.left, bench.frame, WATER.index, broad(0, 300.0))
+    heights = (60.0, 150.0, 90.0, 30.0, 120.0, 180.0)
+    spots = [(np.array([60.0 + 55.0 * k, 150.0]), height) for k, height in enumerate(heights)]
+    found = lane.candidates(bench.picture(*spots))
+    assert [round(one.u_px) for one in found] == [335, 115, 280, 170]
+    assert [one.contrast_dn for one in found] == sorted((one.contrast_dn for one in found), reverse=True)
+
+
+def test_a_beam_that_passes_beside_the_picture_has_no_dot_in_it(bench: Bench) -> None:
+    beside = replace(BEAMS[0], line=(-2000.0, 10.0, 0.085, -0.01))
+    lane = Lane(bench.rig.left, bench.frame, WATER.index, beside)
+    assert lane.candidates(bench.picture((np.array([200.0, 150.0]), 200.0))) == []
 
 
 def test_the_contrast_of_a_spot_is_its_height_over_the_brightest_around_it_after_smoothing() -> None:

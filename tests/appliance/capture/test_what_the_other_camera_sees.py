@@ -71,6 +71,16 @@ def test_what_shows_beside_the_ray_is_something_else(bench: Bench, off_px: float
     assert nothing_like(bench, 0, THROUGH[0], spot(bench, 0.4, at)) == beside
 
 
+@pytest.mark.parametrize(("off_px", "beside"), [(4, False), (-4, False), (5, True), (-5, True)])
+def test_the_way_along_the_ray_ends_a_few_px_to_either_side(bench: Bench, off_px: int, beside: bool) -> None:
+    """By a spot that is like it in one px alone."""
+    start, ahead = ray(bench, 0, THROUGH[0])
+    at = np.rint(bench.seen(beyond(start, ahead, 500.0))[1]) + np.array([0.0, off_px])
+    picture = spot(bench, 0.28, at)
+    assert np.count_nonzero(contrast_of(picture) > 0.25 * CONTRAST_DN) == 1
+    assert nothing_like(bench, 0, THROUGH[0], picture) == beside
+
+
 def test_pictures_of_full_size_are_looked_at_in_the_same_way() -> None:
     full = Bench(1600)
     start, ahead = ray(full, 0, THROUGH[0])

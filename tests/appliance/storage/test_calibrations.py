@@ -13,6 +13,7 @@ import pytest
 from appliance.calibration.design import design_calibration
 from appliance.calibration.file import Calibration, CalibrationError, encode, load
 from appliance.calibration.guide import USED, Session, Solved, Step, Trial, Verified
+from appliance.sealed import seal, unseal
 from appliance.storage.atomic import StorageError
 from appliance.storage.calibrations import Calibrations, SessionError
 from appliance.storage.filesystem import LocalFileSystem, WritableFile
@@ -248,3 +249,100 @@ def test_a_solved_calibration_lies_beside_the_report_that_speaks_of_it(store: Ca
     assert (store.folder / "session" / "report.txt").read_bytes() == b"0.026 px"
     assert (store.folder / "session" / "residuals.csv").read_bytes() == b"1,2"
     assert load(store.solved).hash == NEW.hash
+
+
+# ------------------------------------------------------------------------------------------- names and what is not followed
+
+
+def test_everything_of_a_calibration_lies_below_one_folder(tmp_path: Path) -> None:
+    store = Calibrations(tmp_path, "KF-TEST")
+    assert store.current == tmp_path / "calibration" / "current.json"
+    assert store.air == tmp_path / "calibration" / "air.json"
+    assert store.solved == tmp_path / "calibration" / "session" / "solved.json"
+    assert store.in_use is None
+    assert list(tmp_path.iterdir()) == [], "nothing is touched"
+    store.install(NEW, DAY)
+    assert store.in_use == NEW.hash
+
+
+@pytest.mark.parametrize(
+    "name", ["../current.json", "0001-2026-11-21.json/..", "current.json", "", "001-a.json", "0001-a/b.json"]
+)
+def test_a_session_names_no_file_outside_of_the_kept_ones(store: Calibrations, name: str) -> None:
+    session = store.write(replace(recorded(), kept=name))
+    assert session.kept is None
+    assert store.kept(session) is None
+    with pytest.raises(SessionError, match="no calibration of before is kept"):
+        store.restore()
+
+
+def test_the_calibration_of_before_is_read_from_where_it_is_kept(store: Calibrations) -> None:
+    with_solution(store)
+    session = store.use_solved(DAY)
+    found = store.kept(session)
+    assert found is not None
+    assert found.hash == OLD.hash
+    (store.folder / "kept" / str(session.kept)).write_text("{")
+    assert store.kept(session) is None
+    (store.folder / "kept" / str(session.kept)).unlink()
+    assert store.session().kept is None, "a file that is gone is not kept"
+
+
+def test_a_solution_whose_file_is_another_one_is_none(store: Calibrations) -> None:
+    """Power was lost between the two files."""
+    with_solution(store)
+    store.solved.write_bytes(encode(OLD))
+    session = store.session()
+    assert (session.solved, session.verified) == (None, None)
+    assert session.trials == recorded().trials
+    with pytest.raises(SessionError, match="nothing is solved; solve first"):
+        store.use_solved(DAY)
+
+
+def test_without_a_solution_nothing_is_put_in_use(store: Calibrations) -> None:
+    store.write(recorded())
+    with pytest.raises(SessionError, match="nothing is solved"):
+        store.use_solved(DAY)
+    assert store.in_use == OLD.hash
+
+
+def test_sessions_are_put_away_under_growing_numbers(store: Calibrations) -> None:
+    assert store.begin() == Session(), "where there is none"
+    (store.folder / "sessions").mkdir()
+    (store.folder / "sessions" / "0041").mkdir()
+    (store.folder / "sessions" / "notes").mkdir()
+    for name in ("0042", "0043"):
+        store.write(recorded())
+        assert store.begin() == Session()
+        assert (store.folder / "sessions" / name / "session.json").is_file()
+
+
+def test_a_session_is_read_up_to_a_mebibyte_and_only_of_this_version(store: Calibrations) -> None:
+    store.write(recorded())
+    path = store.folder / "session" / "session.json"
+    whole = path.read_bytes()
+    for length, read in ((1024 * 1024, True), (1024 * 1024 + 1, False)):
+        path.write_bytes(whole[:-2] + b" " * (length - len(whole)) + whole[-2:])
+        assert (store.session() == recorded()) == read
+    content = unseal(whole, 1024 * 1024)
+    for changed in ({"schema": 2}, {"rig_serial": "KF-OTHER"}):
+        path.write_bytes(seal({**content, **changed}))
+        assert store.session() == Session()
+    path.write_bytes(seal({name: value for name, value in content.items() if name != "schema"}))
+    assert store.session() == Session()
+
+
+def test_that_a_calibration_is_in_use_is_never_written_down(store: Calibrations) -> None:
+    with_solution(store)
+    used = store.write(store.use_solved(DAY))
+    assert used.in_use
+    assert b'"in_use": false' in (store.folder / "session" / "session.json").read_bytes()
+
+
+def test_what_was_checked_after_a_solution_stays_and_what_was_before_it_goes_with_another_calibration(
+    store: Calibrations,
+) -> None:
+    with_solution(store)
+    assert store.session().verified == VERIFIED
+    store.install(replace(NEW, made_at="2026-12-24T10:00:00+00:00"), DAY)
+    assert store.session().verified == replace(VERIFIED, before=None)

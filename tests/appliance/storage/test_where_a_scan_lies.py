@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -12,9 +13,10 @@ from appliance.sealed import seal
 from appliance.storage.choices import FILE, ChoicesFile
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.label import Label
-from appliance.storage.library import Library, Shelf, UnknownScan
-from appliance.storage.scan import ScanError, size_bytes
-from tests.appliance.storage.scenes import ORIGIN, PREVIEW, cloud, frames, record
+from appliance.storage.library import Library, Shelf, UnknownScan, entry_of
+from appliance.storage.manifest import Decision, Stage
+from appliance.storage.scan import ScanError, load, size_bytes
+from tests.appliance.storage.scenes import ORIGIN, PREVIEW, cloud, frames, record, second_sequence
 
 
 @pytest.fixture
@@ -127,3 +129,153 @@ def test_choices_are_taken_to_their_limits_and_not_beyond(
             assert exposure.get(name, getattr(choices, name, None)) == value
         else:
             assert f"{name} {value!r}; allowed are {allowed[0]:g}..{allowed[1]:g}" in fault.detail
+
+
+# ---------------------------------------------------------------------------------------------- folders and what they hold
+
+
+class OneRefused(LocalFileSystem):
+    """Renames everything but one folder."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def rename(self, source: Path, target: Path) -> None:
+        if source.name == self._name and target.parent != source:
+            raise OSError(5, "Input/output error")
+        super().rename(source, target)
+
+
+class SoMuchFree(LocalFileSystem):
+    def free_bytes(self, path: Path) -> int:
+        return 1000
+
+
+def test_one_scan_that_cannot_be_moved_does_not_keep_the_others_from_the_list(tmp_path: Path) -> None:
+    made = Library(tmp_path)
+    made.prepare()
+    for seed in range(3):
+        made.begin(frames(seed), record())
+    outcome = Library(tmp_path, OneRefused(".000002")).recover()
+    assert outcome.recovered == ("000001", "000003")
+    assert (outcome.rejected, outcome.set_aside) == ((), ())
+    assert len(outcome.failed) == 1
+    assert "scans/000002" in outcome.failed[0]
+    assert Library(tmp_path).recover().recovered == ("000002",)
+
+
+def test_a_scan_that_the_diver_rejected_before_the_power_went_is_rejected_after_it(tmp_path: Path) -> None:
+    made = Library(tmp_path)
+    made.prepare()
+    made.begin(frames(), record()).reject("moved")
+    (tmp_path / "rejected" / "000001").rename(tmp_path / "scans" / ".000001")
+    outcome = made.recover()
+    assert (outcome.recovered, outcome.rejected) == ((), ("000001",))
+    entry = made.verify("000001")
+    assert (entry.shelf, entry.ok) == (Shelf.REJECTED, True)
+    assert entry.manifest is not None
+    assert (entry.manifest.reason, entry.manifest.recovered) == ("moved", True)
+
+
+def test_an_unfinished_scan_whose_number_is_taken_is_set_aside(library: Library) -> None:
+    shutil.copytree(library.root / "scans" / "000001", library.root / "scans" / ".000001")
+    before = (library.root / "scans" / "000001" / "manifest.json").read_bytes()
+    assert library.recover().set_aside == ("000001",)
+    assert (library.root / "scans" / "000001" / "manifest.json").read_bytes() == before
+    assert (library.root / "set-aside" / "000001" / "frames_left.npy").exists()
+    shutil.rmtree(library.root / "scans" / "000001")
+    with pytest.raises(ScanError, match="nothing to put away"):
+        library.trash("000001")
+
+
+def test_drafts_that_a_loss_of_power_left_are_kept_under_a_name_that_says_so(tmp_path: Path) -> None:
+    made = Library(tmp_path)
+    made.prepare()
+    folder = made.begin(frames(), record()).folder
+    (folder / ".manifest.json.draft").write_bytes(b"half")
+    made.recover()
+    assert sorted(path.name for path in (tmp_path / "scans" / "000001").iterdir()) == [
+        "frames_left.npy",
+        "frames_right.npy",
+        "manifest.json",
+        "manifest.json.draft.partial",
+    ]
+
+
+@pytest.mark.parametrize("name", ["00001", "1234567890123", "000001a", "a000001", "x.000009", "000009-"])
+def test_what_is_not_named_like_a_scan_is_none(library: Library, name: str) -> None:
+    (library.root / "scans" / name).mkdir()
+    (library.root / "scans" / "000077").write_text("a file")
+    assert library.ids() == ["000001", "000002"]
+    assert library.begin(frames(), record()).scan_id == "000004"
+
+
+def test_scans_are_listed_by_number_and_not_by_name(library: Library) -> None:
+    for name in ("1000000", "999999", "000010"):
+        (library.root / "scans" / name).mkdir()
+    assert library.ids() == ["000001", "000002", "000010", "999999", "1000000"]
+    assert library.last_id() == "1000000"
+    assert library.begin(frames(), record()).scan_id == "1000001"
+    assert Library(library.root / "nowhere").last_id() is None
+
+
+def test_the_room_left_is_counted_in_whole_scans(tmp_path: Path) -> None:
+    made = Library(tmp_path, SoMuchFree())
+    assert [made.scans_left(300, reserve) for reserve in (0, 99, 100, 101, 399, 401, 999, 1000, 5000)] == [
+        *(3, 3, 3, 2, 2, 1, 0, 0, 0)
+    ]
+
+
+def test_a_scan_copied_elsewhere_is_read_under_any_name_but_another_number(library: Library, tmp_path: Path) -> None:
+    library.set_label("2", Label("bollard", None))
+    for name, problems in (("holiday", 0), ("000002", 0), ("000002-3", 0), ("000009", 1)):
+        copied = tmp_path / "elsewhere" / name
+        shutil.copytree(library.root / "scans" / "000002", copied)
+        entry = entry_of(copied, checksums=True)
+        assert (entry.scan_id, entry.shelf, len(entry.problems)) == (name, Shelf.SCANS, problems)
+        assert entry.label == Label("bollard", None)
+        assert entry.size_bytes == sum(path.stat().st_size for path in copied.iterdir()) > 1000
+    assert entry_of(tmp_path / "none", checksums=False).size_bytes == 0
+
+
+def test_a_rejected_scan_keeps_what_was_known_of_it_and_its_folder_is_told(tmp_path: Path) -> None:
+    made = Library(tmp_path)
+    made.prepare()
+    pending = made.begin(frames(), record())
+    assert pending.folder == tmp_path / "scans" / ".000001"
+    assert (
+        pending.reject("moved", record(calibration_hash="cd" * 32))
+        == pending.folder
+        == tmp_path / "rejected" / "000001"
+    )
+    manifest = made.load("1").manifest
+    assert manifest.record.calibration_hash == "cd" * 32
+    assert (manifest.decision, manifest.stage) == (Decision.REJECTED, Stage.COMPLETE)
+    pending.add_second(frames(1), record(second=second_sequence()))
+    assert made.load("1").second is None, "it is decided"
+    with pytest.raises(ValueError, match="tells of no second sequence"):
+        made.begin(frames(), record()).add_second(frames(), record())
+
+
+def test_no_cloud_is_added_to_a_damaged_scan_and_the_trash_is_made_when_it_is_needed(tmp_path: Path) -> None:
+    made = Library(tmp_path)
+    made.prepare()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["rejected", "scans", "set-aside"]
+    folder = made.begin(frames(), record()).publish(record())
+    path = folder / "frames_left.npy"
+    path.write_bytes(path.read_bytes()[:-1])
+    with pytest.raises(ScanError, match=r"scan 1: frames_left\.npy: 367 bytes instead of 368"):
+        made.add_cloud("1", cloud(), None, record())
+    made.trash("1")
+    assert (tmp_path / "trash").is_dir()
+
+
+def test_only_frames_count_where_only_they_are_wanted(library: Library) -> None:
+    folder = library.entry("1").folder
+    (folder / "cloud.ply").unlink()
+    with pytest.raises(ScanError, match=r"cloud\.ply: missing"):
+        load(folder)
+    assert (load(folder, only_raw=True).frames["left"] == frames(0)["left"]).all()
+    (folder / "frames_right.npy").unlink()
+    with pytest.raises(ScanError, match=r"frames_right\.npy: missing"):
+        load(folder, only_raw=True)
