@@ -46,6 +46,16 @@ def test_each_pointer_gets_its_own_of_two_dots(bench: Bench, measured: bool, lef
     assert own_mm < told.sigma_mm < own_mm + 1.0
 
 
+def test_a_larger_picture_of_the_same_dot_tells_its_depth_no_better(bench: Bench) -> None:
+    """Texture and grain move its centre by a part of the dot, not of a px."""
+    full = Bench(1600)
+    for z_mm in (430.0, 560.0):
+        small, large = (one.ranger().find(one.pair((on(0, z_mm), HEIGHT_DN, HEIGHT_DN))).left for one in (bench, full))
+        assert small is not None
+        assert large is not None
+        assert large.sigma_mm == pytest.approx(small.sigma_mm, rel=0.1)
+
+
 def test_what_was_measured_once_is_measured_again_with_what_was_learned(bench: Bench) -> None:
     """The beam is drawn 1 mm beside where it is; after some dots it is known to a quarter of that."""
     off = replace(BEAMS[1], line=(61.0, 11.0, -0.085, -0.01), covariance=tuple(tuple(row) for row in np.diag([0.5, 0.5, 3e-5, 3e-5]).tolist()))  # fmt: skip
