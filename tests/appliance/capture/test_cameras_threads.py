@@ -9,9 +9,10 @@ from typing import cast
 import numpy as np
 import pytest
 
-from appliance.capture.fault import FaultCode
+from appliance.capture.fault import Fault, FaultCode
 from appliance.capture.grabber import Grabber, Recording
 from appliance.capture.scan import Arming, ScanSettings
+from appliance.capture.verdict import Verdict
 from drivers.api import Board, Camera, CameraSettings, ClockReading, Frame, FrameStatus, LaserState
 from drivers.native import MonotonicClock
 from tests.appliance.capture.test_course_of_a_scan import (
@@ -262,6 +263,12 @@ def test_no_camera_is_started_while_a_laser_conducts(bench: Bench) -> None:
     assert not arming.recordings
     assert bench.script.cameras == {"left": [], "right": []}
     arming.let_go()
+
+
+def test_a_fault_stands_for_a_verdict_that_says_its_code_its_words_and_its_numbers() -> None:
+    verdict = Verdict.failed("motion", Fault(FaultCode.MOVED, "axial", {"shift_px": 1.8}))
+    assert verdict == Verdict("motion", False, {"shift_px": 1.8}, "MOVED: axial")
+    assert Verdict.failed("motion", Fault(FaultCode.MOVED)).text == "MOVED"
 
 
 def test_how_long_a_sequence_took_is_told(bench: Bench) -> None:

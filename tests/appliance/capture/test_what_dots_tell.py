@@ -85,6 +85,7 @@ def test_dots_that_have_changed_sides_make_no_surface(rangers: tuple[Ranger, Ran
         ((100.0, 2), 40.0, 470.0),
         ((100.0, 2), 35.0, None),
         ((100.0, 2), 16.0, None),
+        ((100.0, 2), 15.0, None),
         ((100.0, 2), 14.0, 550.0),
         ((100.0, 1), 14.0, None),
         ((51.0, 2), 14.0, 550.0),

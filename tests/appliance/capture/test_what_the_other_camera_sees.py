@@ -161,6 +161,15 @@ def test_a_print_becomes_brighter_in_the_projectors_light_and_a_laser_does_not(
     assert shines_in_the_dark(bench.ranger(), bright, dark) == (("right",) if shines else ())
 
 
+def test_in_daylight_what_does_not_become_brighter_is_a_lasers_too(bench: Bench) -> None:
+    """Ambient light is ten times the projector's: a print of 30 grey values would show 3 more, of which nothing is there."""
+    dark, bright = frames(bench, 100.0, (32.0, 32.0)), frames(bench, 110.0, (32.0, 32.0))
+    assert shines_in_the_dark(bench.ranger(), bright, dark) == ("right",)
+    print_dn = 1.0  # a third of it, and a bit
+    more = frames(bench, 110.0, (32.0 + 2.0 * print_dn, 32.0 + 2.0 * print_dn))
+    assert shines_in_the_dark(bench.ranger(), more, dark) == ()
+
+
 def test_where_the_bright_frame_is_saturated_it_explains_nothing(bench: Bench) -> None:
     """There the print, too, would show no more light; the other camera decides, and where there is none the dot is a laser's."""
     dark = frames(bench, 8.0, (30.0, 30.0))
