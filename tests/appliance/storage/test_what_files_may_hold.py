@@ -268,6 +268,13 @@ def test_what_is_no_manifest_says_why(data: bytes, said: str) -> None:
         form.decode(data, "here")
 
 
+@pytest.mark.parametrize(("name", "value"), [("stage", "half"), ("files", []), ("recovered", "perhaps")])
+def test_a_manifest_of_another_form_names_what_is_wrong_in_it(name: str, value: object) -> None:
+    content = json.loads(form.encode(a_manifest()))
+    with pytest.raises(ManifestError, match=f"^here: {name}: "):
+        form.decode(resealed({**content, name: value}), "here")
+
+
 def test_a_manifest_is_read_up_to_16_mib(tmp_path: Path) -> None:
     whole = form.encode(a_manifest())
     for length, read in ((16 * 1024 * 1024, True), (16 * 1024 * 1024 + 1, False)):
