@@ -36,7 +36,7 @@ NAMED = {
 
 
 def main(descriptor: int) -> int:
-    """Until the parent closes standard input, or a window is closed; returns the exit code."""
+    """Show the windows until the parent closes standard input or one is closed; return the exit code."""
     try:
         panes = open_panes()
     except ValueError as error:
@@ -44,14 +44,14 @@ def main(descriptor: int) -> int:
         return 1
     try:
         say(1, "open")
-        Desk(panes, Pictures(descriptor)).run()
+        WindowLoop(panes, Pictures(descriptor)).run()
     finally:
         glfw.terminate()
     return 0
 
 
 def open_panes() -> list[Pane]:
-    """All windows. Raises ValueError with what the window system says, and with the remedy."""
+    """Open all windows. Raises ValueError with what the window system says, and with the remedy."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the error says it better
         if not glfw.init():
@@ -70,7 +70,7 @@ def open_panes() -> list[Pane]:
 
 
 class Mouse:
-    """What it does in the cameras' window: one button held shifts the instrument, the other turns it."""
+    """The mouse in the cameras' window: one button held shifts the instrument, the other turns it."""
 
     def __init__(self, tell: Callable[..., None]) -> None:
         self._tell = tell
@@ -90,7 +90,7 @@ class Mouse:
         self._tell("wheel", f"{dy:.2f}", str(time.monotonic_ns()))
 
 
-class Desk:
+class WindowLoop:
     """The loop of the process."""
 
     def __init__(self, panes: list[Pane], pictures: Pictures) -> None:
@@ -153,7 +153,7 @@ class Desk:
 
 
 def name_of(code: int, scancode: int) -> str:
-    """A letter as the layout has it (where that is no Latin one: as a US keyboard has it), or the key's name."""
+    """Return a letter as the layout has it (where that is no Latin one: as a US keyboard has it), or the key's name."""
     if code in NAMED:
         return NAMED[code]
     letter = glfw.get_key_name(code, scancode) if code != glfw.KEY_UNKNOWN else None

@@ -30,7 +30,7 @@ LOG = logging.getLogger(__name__)
 START_S = 30.0
 """A loaded machine needs this long for Python and a software renderer."""
 LOOK_S = 0.1
-"""How often the feed looks whether it is to end."""
+"""The feed looks so often whether it is to end."""
 END_S = 5.0
 
 
@@ -41,7 +41,7 @@ class WindowError(Exception):
 
 
 class Seen(Protocol):
-    """What of a world is shown, and what of it is touched."""
+    """The part of a world that is shown, and the part that is touched."""
 
     @property
     def time_ns(self) -> int: ...
@@ -64,7 +64,7 @@ class Seen(Protocol):
 
 
 def interrupt() -> None:
-    """What Ctrl-C in a terminal does to this process."""
+    """Do to this process what Ctrl-C in a terminal does."""
     os.kill(os.getpid(), signal.SIGINT)
 
 

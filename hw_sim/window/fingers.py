@@ -11,14 +11,14 @@ GAP_NS = 100_000_000
 
 
 class Fingers:
-    """When each change of the keyboard happens in the world. Times in ns: real ones monotonic, world ones the world's."""
+    """The moments at which changes of the keyboard happen in the world. Times in ns: real ones monotonic, world ones the world's."""
 
     def __init__(self) -> None:
         self._pressed: dict[str, tuple[int, int]] = {}
         self._last: tuple[int, int] | None = None
 
     def at(self, key: str, down: bool, real_ns: int, now_ns: int) -> int:
-        """World time of a change that came at ``real_ns``; ``now_ns`` is the world's time now, never later."""
+        """Return the world time of a change that came at ``real_ns``; ``now_ns`` is the world's time now, never later."""
         world_ns = now_ns
         if self._last is not None:
             last_real_ns, last_world_ns = self._last
@@ -27,6 +27,7 @@ class Fingers:
             self._pressed[key] = (real_ns, world_ns)
         elif key in self._pressed:
             pressed_real_ns, pressed_world_ns = self._pressed.pop(key)
+            # A hold keeps its length: whether a press is a long one decides what it means.
             world_ns = max(world_ns, pressed_world_ns + real_ns - pressed_real_ns)
         self._last = (real_ns, world_ns)
         return world_ns

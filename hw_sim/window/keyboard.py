@@ -34,7 +34,7 @@ class Keyboard:
         self._held: dict[str, set[str]] = {}
 
     def change(self, name: str, down: bool) -> PadChange | None:
-        """What a change of the keyboard's key ``name`` does to the pad; ``None`` for nothing, as for ``quit``."""
+        """Return what a change of the keyboard's key ``name`` does to the pad; ``None`` for nothing, as for ``quit``."""
         key = MEANING.get(name, QUIT)
         if key == QUIT:
             return None

@@ -83,6 +83,7 @@ class Pane:
             if texture is not None:
                 texture.release()
             texture = self._context.texture((width, height), channels, alignment=1)
+            # One channel in red serves grey and green pictures alike: the swizzle says where it goes.
             texture.swizzle = self.layout.colours
             texture.repeat_x = texture.repeat_y = False
             self._textures[name] = texture
@@ -108,12 +109,12 @@ class Pane:
         self._drawn_px = size_px
 
     def spoil(self) -> None:
-        """The window system has lost what the window showed."""
+        """Draw anew next time: the window system has lost what the window showed."""
         self._drawn_px = None
 
 
 def fit(picture_px: tuple[int, int], window_px: tuple[int, int], k: int, count: int) -> Box:
-    """(left, bottom, width, height) of the ``k``-th of ``count`` pictures side by side: whole, centred, undistorted."""
+    """Return (left, bottom, width, height), px, of the ``k``-th of ``count`` pictures side by side: whole, centred, undistorted."""
     column = window_px[0] / count
     scale = min(column / picture_px[0], window_px[1] / picture_px[1])
     width, height = (max(1, round(scale * size)) for size in picture_px)
@@ -121,7 +122,7 @@ def fit(picture_px: tuple[int, int], window_px: tuple[int, int], k: int, count: 
 
 
 def last_error() -> str:
-    """What the window library says about its last failure."""
+    """Return what the window library says about its last failure."""
     said: Any = glfw.get_error()[1]  # bytes, although its type stub says str
     return said.decode("utf-8", "replace") if isinstance(said, bytes) else str(said or "")
 
