@@ -30,6 +30,7 @@ class UsbBoard:
     def __init__(self, board: Board, faults: FaultBook) -> None:
         self._board, self._faults = board, faults
         self._line_coding = struct.pack("<IBBB", 115200, 0, 0, 8)
+        # CDC 1.2 and PSTN 1.2: the functional descriptors of an abstract control model.
         functional = (
             struct.pack("<BBBH", 5, _CLASS_INTERFACE, 0x00, 0x0110)  # header
             + struct.pack("<BBBBB", 5, _CLASS_INTERFACE, 0x01, 0, 1)  # no call management
@@ -62,24 +63,24 @@ class UsbBoard:
         return 0
 
     def attach(self) -> None:
-        """A host has it from now on: it starts as after plugging in."""
+        """Give the board to a host: it starts as after plugging in."""
         self._standard.restart()
         self._board.open = False
 
     def detach(self) -> None:
-        """No host has it."""
+        """Take the board from its host."""
         self._board.open = False
 
     def device_descriptor(self) -> bytes:
-        """18 bytes."""
+        """Return the device descriptor: 18 bytes."""
         return self._standard.device
 
     def configuration_descriptor(self) -> bytes:
-        """The configuration with everything in it."""
+        """Return the configuration descriptor with everything in it."""
         return self._standard.configuration
 
     def control(self, kind: int, request: int, value: int, index: int, length: int, data: bytes) -> bytes:
-        """A control transfer; returns the data of an IN request. Raises Stall."""
+        """Do a control transfer; return the data of an IN request. Raises Stall."""
         match kind, request:
             case 0x21, 0x20 if len(data) == len(self._line_coding):  # SET_LINE_CODING
                 self._line_coding = data
@@ -100,14 +101,14 @@ class UsbBoard:
         self._board.open = ready
 
     def write(self, endpoint: int, data: bytes) -> int:
-        """A bulk OUT transfer. Raises Stall."""
+        """Do a bulk OUT transfer; return the bytes taken. Raises Stall."""
         if endpoint != DATA_OUT or endpoint in self._standard.halted:
             raise usb.Stall
         self._board.receive(data)
         return len(data)
 
     def read(self, endpoint: int, buffer: memoryview) -> tuple[int, bool]:
-        """What the board has to say: bytes put into ``buffer``, and whether the transfer ends. Raises Stall."""
+        """Put what the board has to say into ``buffer``; return the bytes, and whether the transfer ends. Raises Stall."""
         if endpoint in self._standard.halted:
             raise usb.Stall
         if endpoint == NOTIFY_IN:

@@ -27,6 +27,7 @@ class UsbKeypad:
     def __init__(self, keypad: Keypad) -> None:
         self._keypad = keypad
         self._report: bytes | None = None
+        # HID 1.11: the HID descriptor stands between interface and endpoint, and announces the report descriptor.
         hid = struct.pack("<BBHBBBH", 9, _HID, 0x0111, 0, 1, _REPORT, len(pad.REPORT_DESCRIPTOR))
         body = usb.interface(0, 1, _HID_CLASS) + hid + usb.endpoint(REPORT_IN, usb.INTERRUPT, PACKET, POLLED_EVERY_MS)
         self._standard = StandardRequests(
@@ -47,25 +48,25 @@ class UsbKeypad:
         return self._keypad.enumeration
 
     def attach(self) -> None:
-        """A host has it from now on: it starts as after plugging in."""
+        """Give the pad to a host: it starts as after plugging in."""
         self._standard.restart()
         self._report = None
         self._keypad.listen(self._receive)
 
     def detach(self) -> None:
-        """No host has it."""
+        """Take the pad from its host."""
         self._keypad.forget(self._receive)
 
     def device_descriptor(self) -> bytes:
-        """18 bytes."""
+        """Return the device descriptor: 18 bytes."""
         return self._standard.device
 
     def configuration_descriptor(self) -> bytes:
-        """The configuration with everything in it."""
+        """Return the configuration descriptor with everything in it."""
         return self._standard.configuration
 
     def control(self, kind: int, request: int, value: int, index: int, length: int, data: bytes) -> bytes:
-        """A control transfer; returns the data of an IN request. Raises Stall."""
+        """Do a control transfer; return the data of an IN request. Raises Stall."""
         match kind, request:
             case 0xA1, 0x02:  # GET_IDLE: as often as it likes
                 return b"\0"
@@ -75,11 +76,11 @@ class UsbKeypad:
                 return self._standard.answer(kind, request, value, index)[:length]
 
     def write(self, endpoint: int, data: bytes) -> int:
-        """There is no pipe towards it. Raises Stall."""
+        """Refuse a transfer towards the pad, which has no such pipe. Raises Stall."""
         raise usb.Stall
 
     def read(self, endpoint: int, buffer: memoryview) -> tuple[int, bool]:
-        """One report, if there is one: bytes put into ``buffer``, and whether the transfer ends. Raises Stall."""
+        """Read one report, if there is one: return the bytes put into ``buffer``, and whether the transfer ends. Raises Stall."""
         if endpoint != REPORT_IN or endpoint in self._standard.halted:
             raise usb.Stall
         if self._report is None:

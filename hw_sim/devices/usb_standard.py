@@ -19,35 +19,35 @@ class Stall(Exception):
 def device(
     usb: int, device_class: tuple[int, int, int], packet0: int, vendor: int, product: int, release: int
 ) -> bytes:
-    """A device descriptor with one configuration; strings 1, 2, 3 are manufacturer, product, serial number."""
+    """Return a device descriptor with one configuration; strings 1, 2, 3 are manufacturer, product, serial number."""
     return struct.pack("<BBHBBBBHHHBBBB", 18, DEVICE, usb, *device_class, packet0, vendor, product, release, 1, 2, 3, 1)
 
 
 def configuration(interfaces: int, power_ma: int, body: bytes) -> bytes:
-    """The configuration with ``body`` (interfaces, endpoints, class descriptors) behind it; bus-powered."""
+    """Return the configuration with ``body`` (interfaces, endpoints, class descriptors) behind it; bus-powered."""
     head = struct.pack("<BBHBBBBB", 9, CONFIGURATION, 9 + len(body), interfaces, 1, 0, 0x80, power_ma // 2)
     return head + body
 
 
 def interface(number: int, endpoints: int, kind: tuple[int, int, int]) -> bytes:
-    """An interface of class, subclass and protocol ``kind``."""
+    """Return an interface descriptor of class, subclass and protocol ``kind``."""
     return struct.pack("<BBBBBBBBB", 9, INTERFACE, number, 0, endpoints, *kind, 0)
 
 
 def endpoint(address: int, transfer: int, packet: int, interval: int) -> bytes:
-    """An endpoint; ``transfer`` is BULK or INTERRUPT."""
+    """Return an endpoint descriptor; ``transfer`` is BULK or INTERRUPT."""
     return struct.pack("<BBBBHB", 7, ENDPOINT, address, transfer, packet, interval)
 
 
 def string(text: str) -> bytes:
-    """A string descriptor."""
+    """Return a string descriptor."""
     coded = text.encode("utf-16-le")
     return struct.pack("<BB", 2 + len(coded), STRING) + coded
 
 
 @dataclass(slots=True)
 class StandardRequests:
-    """What every device answers on endpoint 0.
+    """The answers that every device gives on endpoint 0.
 
     ``others`` are the descriptors of interfaces, by (kind, number). ``halt_cleared`` is called with an endpoint's address.
     """
@@ -61,13 +61,14 @@ class StandardRequests:
     halt_cleared: Callable[[int], None] = lambda endpoint: None
 
     def restart(self) -> None:
-        """As after plugging in."""
+        """Go back to the state after plugging in."""
         self.configured = 0
         self.halted.clear()
 
     def answer(self, kind: int, request: int, value: int, index: int) -> bytes:
-        """The data of an IN request; nothing for an OUT request that was obeyed. Raises Stall."""
+        """Return the data of an IN request; nothing for an OUT request that was obeyed. Raises Stall."""
         match kind, request:
+            # USB 2.0, 9.4: GET_DESCRIPTOR, GET_CONFIGURATION, GET_INTERFACE, GET_STATUS;
             case ((0x80 | 0x81), 0x06):
                 return self._descriptor(kind, value >> 8, value & 0xFF)
             case 0x80, 0x08:
@@ -78,6 +79,7 @@ class StandardRequests:
                 return b"\0\0"
             case 0x82, 0x00:
                 return struct.pack("<H", index in self.halted)
+            # SET_CONFIGURATION, SET_INTERFACE, CLEAR_FEATURE and SET_FEATURE of ENDPOINT_HALT.
             case 0x00, 0x09 if value in (0, self.configuration[5]):
                 self.configured = value
             case 0x01, 0x0B if value == 0 and index < self.configuration[4]:

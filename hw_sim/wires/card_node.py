@@ -16,22 +16,22 @@ class SimCardNode:
             self._file = CardFile(card)
 
     def ioctl(self, request: int, buffer: bytearray) -> None:
-        """As ``fcntl.ioctl(fd, request, buffer, True)``; pointers are addresses of this process. Raises OSError."""
+        """Do what ``fcntl.ioctl(fd, request, buffer, True)`` does; pointers are addresses of this process. Raises OSError."""
         with self._time.condition:
             self._file.ioctl(request, buffer)
 
     def map(self, length: int, offset: int) -> memoryview:
-        """As ``mmap`` of a dumb buffer: writable, shared. Raises OSError."""
+        """Return what ``mmap`` of a dumb buffer does: its memory, writable and shared. Raises OSError."""
         with self._time.condition:
             return self._file.map(length, offset)
 
     def read(self, size: int) -> bytes:
-        """As ``os.read`` on a non-blocking descriptor. Raises BlockingIOError when nothing is there."""
+        """Return what ``os.read`` does on a non-blocking descriptor. Raises BlockingIOError when nothing is there."""
         with self._time.condition:
             return self._file.read(size)
 
     def wait_readable(self, timeout_s: float) -> bool:
-        """As ``select``: True when an event can be read."""
+        """Wait as ``select`` does; return whether an event can be read."""
         with self._time.condition:
             self._time.wait_for(lambda: self._file.readable or self._file.closed or self._time.closed, timeout_s)
             return self._file.readable

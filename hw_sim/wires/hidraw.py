@@ -10,7 +10,7 @@ from hw_sim.devices.keypad import Keypad
 from hw_sim.timing.world_time import WorldTime
 
 REPORTS_KEPT = 63
-"""As the kernel's hidraw, a ring of 64 that is never quite full: when nobody reads, the newest reports are lost."""
+"""The kernel's hidraw has a ring of 64 that is never quite full: when nobody reads, the newest reports are lost."""
 BUS_TYPE_USB = 1
 
 
@@ -21,7 +21,7 @@ class HidrawModule:
         self._keypad, self._time = keypad, time
 
     def enumerate(self, vendor_id: int = 0, product_id: int = 0) -> list[dict[str, Any]]:
-        """The devices of that vendor and product; 0 matches all."""
+        """Return the devices of that vendor and product; 0 matches all."""
         with self._time.condition:
             matches = vendor_id in (0, pad.VENDOR) and product_id in (0, pad.PRODUCT)
             if not matches or not self._keypad.plugged or self._time.closed:
@@ -43,14 +43,15 @@ class HidrawModule:
             ]
 
     def _path(self) -> bytes:
+        # Every appearance has another path, as udev numbers them: an old path never leads to the new device.
         return b"/dev/hidraw%d" % self._keypad.enumeration
 
     def device(self) -> HidDevice:
-        """A device that is not opened yet."""
+        """Return a device that is not opened yet."""
         return HidDevice(self, self._keypad, self._time)
 
     def is_there(self, path: bytes) -> bool:
-        """With the lock held: the path leads to the pad."""
+        """Return whether the path leads to the pad. The caller holds the lock."""
         return self._keypad.plugged and not self._time.closed and path == self._path()
 
 
@@ -94,12 +95,13 @@ class HidDevice:
         return 0
 
     def read(self, max_length: int, timeout_ms: int = 0) -> list[int]:
-        """A report, cut to ``max_length``; empty after the timeout. Without a timeout it waits for ever."""
+        """Return a report, cut to ``max_length``; empty after the timeout. Without a timeout it waits for ever."""
         path = self._check_open()
         with self._time.condition:
             if timeout_ms > 0:
                 limit_s: float | None = timeout_ms / 1000
             else:
+                # hidapi's read without a timeout waits for ever, unless the device is in non-blocking mode.
                 limit_s = 0.0 if self._nonblocking else None
             self._time.wait_for(lambda: bool(self._reports) or not self._usable(path), limit_s)
             if self._reports:
@@ -109,32 +111,32 @@ class HidDevice:
             return []
 
     def write(self, buff: bytes) -> int:
-        """The pad has no output report."""
+        """Refuse an output report, of which the pad has none: -1, as hidapi says it."""
         self._check_open()
         return -1
 
     def error(self) -> str:
-        """hidapi's last error."""
+        """Return hidapi's last error."""
         self._check_open()
         return "Success"
 
     def get_manufacturer_string(self) -> str:
-        """iManufacturer."""
+        """Return iManufacturer."""
         self._check_open()
         return pad.MANUFACTURER
 
     def get_product_string(self) -> str:
-        """iProduct."""
+        """Return iProduct."""
         self._check_open()
         return pad.NAME
 
     def get_serial_number_string(self) -> str:
-        """iSerialNumber."""
+        """Return iSerialNumber."""
         self._check_open()
         return pad.SERIAL
 
     def get_report_descriptor(self) -> list[int]:
-        """The HID report descriptor."""
+        """Return the HID report descriptor."""
         self._check_open()
         return list(pad.REPORT_DESCRIPTOR)
 

@@ -18,7 +18,7 @@ from hw_sim.people.operator import Operator
 from hw_sim.people.script import Diver, read_script
 from hw_sim.timing.world_time import WorldClock
 from hw_sim.window import open_windows
-from hw_sim.wires.card import SimCardNode
+from hw_sim.wires.card_node import SimCardNode
 from hw_sim.wires.hidraw import HidrawModule
 from hw_sim.wires.pyusb_backend import UsbBackend
 from hw_sim.world import World
@@ -46,7 +46,7 @@ class SimWires:
         self.calendar = world.calendar
 
     def open_card(self, path: str) -> SimCardNode:
-        """Open the one card there is. Raises FileNotFoundError for another path, and while it is gone."""
+        """Open the one card that there is. Raises FileNotFoundError for another path, and while it is gone."""
         if path != CARD or not self._world.card.there:
             raise FileNotFoundError(2, "No such file or directory", path)
         return SimCardNode(self._world.card, self._world.time)
@@ -54,7 +54,7 @@ class SimWires:
 
 @contextmanager
 def open(options: Mapping[str, Any]) -> Iterator[SimWires]:
-    """Wires into the world that ``options`` name; it is made, and ends with them, unless it exists already.
+    """Open wires into the world that ``options`` name; it is made, and ends with them, unless it exists already.
 
     Raises OptionError, ScriptError, WindowError; at the end ScriptFailedError when a script was given and did not
     succeed, WindowError when the windows failed.
@@ -76,7 +76,7 @@ def open(options: Mapping[str, Any]) -> Iterator[SimWires]:
 
 
 def _diver(wanted: WorldOptions, world: World) -> Operator | None:
-    """Who holds the instrument, if somebody does."""
+    """Return the diver who holds the instrument; ``None`` if nobody does."""
     if wanted.script is None and not wanted.chaos:
         return None
     status = _status(wanted, "a diver")
@@ -107,7 +107,7 @@ def _acting(diver: Operator) -> Iterator[None]:
 
 @contextmanager
 def _serial_protocol() -> Iterator[None]:
-    """pyserial knows ``kfsim://`` as long as the wires are open; several may be open at once."""
+    """Make pyserial know ``kfsim://`` as long as the wires are open; several may be open at once."""
     packages: list[str] = serial.protocol_handler_packages
     packages.append(SERIAL_PROTOCOLS)
     try:

@@ -38,6 +38,7 @@ class Serial(SerialBase):  # type: ignore[misc]
         if world is None or parts.path != "/board":
             raise SerialException(2, f"could not open port {self._port}: [Errno 2] No such file or directory")
         with world.time.condition:
+            # The kernel lets a port be opened twice; pyserial's exclusive mode does not, and one host is what a board has.
             if world.board.open:
                 raise SerialException(16, f"could not open port {self._port}: [Errno 16] Device or resource busy")
             world.board.open = True
@@ -75,7 +76,7 @@ class Serial(SerialBase):  # type: ignore[misc]
         return 0
 
     def read(self, size: int = 1) -> bytes:
-        """Up to ``size`` bytes; fewer after the timeout."""
+        """Return up to ``size`` bytes; fewer after the timeout."""
         board, time = self._ends()
         with time.condition:
             self._cancelled = False
@@ -99,7 +100,7 @@ class Serial(SerialBase):  # type: ignore[misc]
         return len(data)
 
     def flush(self) -> None:
-        """Everything is sent at once."""
+        """Do nothing: everything is sent at once."""
         self._ends()
 
     def reset_input_buffer(self) -> None:
@@ -109,7 +110,7 @@ class Serial(SerialBase):  # type: ignore[misc]
             board.take(board.waiting)
 
     def reset_output_buffer(self) -> None:
-        """Nothing waits to be sent."""
+        """Do nothing: nothing waits to be sent."""
         self._ends()
 
     def cancel_read(self) -> None:
@@ -120,19 +121,19 @@ class Serial(SerialBase):  # type: ignore[misc]
             time.condition.notify_all()
 
     def cancel_write(self) -> None:
-        """No write waits."""
+        """Do nothing: no write waits."""
 
     def _reconfigure_port(self) -> None:
-        """USB has no baud rate."""
+        """Do nothing: USB has no baud rate."""
 
     def _update_break_state(self) -> None:
-        """No such line."""
+        """Do nothing: there is no such line."""
 
     def _update_rts_state(self) -> None:
-        """No such line."""
+        """Do nothing: there is no such line."""
 
     def _update_dtr_state(self) -> None:
-        """No such line."""
+        """Do nothing: there is no such line."""
 
     @property
     def cts(self) -> bool:

@@ -54,7 +54,7 @@ def _not_found() -> USBError:
 
 
 def _memory(buffer: array[int]) -> memoryview:
-    """The bytes behind an array, by address and length as libusb takes them."""
+    """Return the bytes behind an array, by address and length as libusb takes them."""
     address, length = buffer.buffer_info()
     size = length * buffer.itemsize
     return memoryview((ctypes.c_ubyte * size).from_address(address)).cast("B") if size else memoryview(bytearray())
@@ -81,6 +81,7 @@ class UsbBackend(usb.backend.IBackend):  # type: ignore[misc]
     def get_device_descriptor(self, dev: U3vCamera) -> SimpleNamespace:
         with self._time.condition:
             port = self._cameras.index(dev) + 1
+            # The kernel gives every appearance a new address; 1 is the root hub.
             address = 2 + port + len(self._cameras) * dev.enumeration
             where = {"bus": BUS, "address": address, "port_number": port, "port_numbers": (port,)}
             return SimpleNamespace(**parse_device(dev.device_descriptor()), **where, speed=int(dev.speed))
@@ -134,6 +135,7 @@ class UsbBackend(usb.backend.IBackend):  # type: ignore[misc]
             camera = self._check(dev_handle)
             if intf >= len(parse_configuration(camera.configuration_descriptor())[1]):
                 raise _not_found()
+            # Claims belong to one appearance on the bus: a device that comes back is claimed by nobody.
             key = (camera.name, camera.enumeration, intf)
             if self._claims.setdefault(key, dev_handle) is not dev_handle:
                 raise _busy()
@@ -171,7 +173,7 @@ class UsbBackend(usb.backend.IBackend):  # type: ignore[misc]
         self._request(dev_handle, 0x02, 0x01, 0, ep, 0)
 
     def reset_device(self, dev_handle: Handle) -> None:
-        """A port reset: the device stays the same one, with its registers as after plugging in."""
+        """Reset the port: the device stays the same one, with its registers as after plugging in."""
         with self._time.condition:
             camera = self._check(dev_handle)
             camera.restart()

@@ -46,12 +46,12 @@ class Interface:
 
 
 def parse_device(raw: bytes) -> dict[str, Any]:
-    """Fields of a device descriptor."""
+    """Return the fields of a device descriptor, by the names of the USB specification."""
     return _named(raw)
 
 
 def parse_configuration(raw: bytes) -> tuple[dict[str, Any], list[Interface]]:
-    """Fields of a configuration and its interfaces.
+    """Return the fields of a configuration and its interfaces, by the names of the USB specification.
 
     What is neither configuration, interface nor endpoint goes into ``extra_descriptors`` of the one before it.
     """
@@ -60,6 +60,7 @@ def parse_configuration(raw: bytes) -> tuple[dict[str, Any], list[Interface]]:
     latest: dict[str, Any] = {}
     at = 0
     while at < len(raw):
+        # Every descriptor begins with its length and type, so that unknown ones can be stepped over.
         length, kind = raw[at], raw[at + 1]
         piece = raw[at : at + length]
         at += length

@@ -27,7 +27,7 @@ this late, lest the host spins, and no later, since a descriptor's other calls w
 
 
 class CardMemory:
-    """The node as a sparse regular file: where buffers lie that both sides map."""
+    """The node as a sparse regular file, which holds the buffers that both sides map."""
 
     def __init__(self, node: Path) -> None:
         """The node must not exist yet."""
@@ -46,7 +46,7 @@ class CardMemory:
         os.close(self._fd)
 
     def allocate(self, size: int) -> tuple[memoryview, int]:
-        """Zeroed memory and its offset in the node. Raises OSError(ENOMEM)."""
+        """Return zeroed memory and its offset in the node. Raises OSError(ENOMEM)."""
         with self._lock:
             offset = next(self._slots) * SLOT_BYTES
         if size > SLOT_BYTES or offset + size > SLOT_BYTES * SLOTS:
@@ -55,7 +55,7 @@ class CardMemory:
 
 
 class HostClock:
-    """What the kernel's clock says of a moment of world time.
+    """The kernel's clock at moments of world time.
 
     While a sequence is recorded that waits for its host (pace ``attended`` and ``lockstep``), the display's time stands
     still with the world's, so that blanks keep their distance; behind it the two are brought together again.
@@ -67,7 +67,7 @@ class HostClock:
         self._ahead_ns: int | None = None
 
     def at_ns(self, world_ns: int) -> int:
-        """With the lock held: by CLOCK_MONOTONIC, which all processes share."""
+        """Return a moment by CLOCK_MONOTONIC, which all processes share. The caller holds the lock."""
         if self._ahead_ns is None or not self._recording():
             self._ahead_ns = self._world.real_ns(world_ns) - world_ns
         return world_ns + self._ahead_ns
@@ -97,6 +97,7 @@ class DrmFile:
     # -- system calls
 
     def ioctl(self, request: int, argument: int, memory: HostMemory) -> int:
+        # The size stands in the request (_IOC_SIZE); the kernel, too, copies the argument in and out as a whole.
         buffer = bytearray(memory.copy_from_user(argument, request >> 16 & 0x3FFF))
         with self._time.condition:
             self._check()
@@ -105,7 +106,7 @@ class DrmFile:
         return 0
 
     def read(self, size: int) -> bytes:
-        """Whole events. Raises OSError(EAGAIN), a little late, where there is none."""
+        """Return whole events. Raises OSError(EAGAIN), a little late, where there is none."""
         with self._time.condition:
             self._check()
             if not self._file.readable:

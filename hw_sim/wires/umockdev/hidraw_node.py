@@ -24,8 +24,8 @@ DESCRIPTOR_SIZE, DESCRIPTOR, RAW_INFO, RAW_NAME, RAW_PHYS, RAW_UNIQUE = 1, 2, 3,
 PHYS = "usb-0000:00:14.0-1/input0"
 
 
-class HidDevice:
-    """What all openings of the pad share, while it stays plugged in."""
+class PluggedPad:
+    """The state that all openings of the pad share while it stays plugged in."""
 
     def __init__(self, keypad: Keypad, time: WorldTime, ready: Readiness) -> None:
         self.keypad, self.time, self.ready = keypad, time, ready
@@ -34,18 +34,18 @@ class HidDevice:
 
     @property
     def there(self) -> bool:
-        """With the lock held."""
+        """True while the pad has not left the bus. Asked with the lock held."""
         return not self.time.closed and self.keypad.plugged and self.keypad.enumeration == self.enumeration
 
     def changed(self) -> None:
-        """With the lock held: some file's reports have changed, or the pad is gone."""
+        """Note that some file's reports have changed, or that the pad is gone. The caller holds the lock."""
         self.ready.set(not self.there or any(file.reports for file in self.files))
 
 
 class HidFile:
     """One opening of ``/dev/hidrawN``. Takes the world's lock itself."""
 
-    def __init__(self, device: HidDevice) -> None:
+    def __init__(self, device: PluggedPad) -> None:
         self._device = device
         self.reports: deque[bytes] = deque()
         with device.time.condition:
@@ -58,13 +58,13 @@ class HidFile:
             self._device.changed()
 
     def close(self) -> None:
-        """No more reports."""
+        """End the opening: no more reports."""
         with self._device.time.condition:
             self._device.keypad.forget(self._receive)
             self._device.files.remove(self)
 
     def read(self, size: int) -> bytes:
-        """One report, cut to ``size``; waits for it. Raises OSError(EIO) when the pad is gone."""
+        """Return one report, cut to ``size``; waits for it. Raises OSError(EIO) when the pad is gone."""
         time = self._device.time
         with time.condition:
             while not self.reports:
@@ -76,7 +76,7 @@ class HidFile:
             return report[:size]
 
     def write(self, data: bytes) -> int:
-        """The pad has no output report."""
+        """Refuse an output report, of which the pad has none. Raises OSError(EPIPE)."""
         raise _error(errno.EPIPE)
 
     def ioctl(self, request: int, argument: int, memory: HostMemory) -> int:
@@ -87,6 +87,7 @@ class HidFile:
                 raise _error(errno.ENODEV)
         descriptor, room = pad.REPORT_DESCRIPTOR, request >> 16 & 0x3FFF
         match request & 0xFF:
+            # HIDIOCGRDESCSIZE, HIDIOCGRDESC, HIDIOCGRAWINFO, HIDIOCGRAWNAME, HIDIOCGRAWPHYS, HIDIOCGRAWUNIQ.
             case 1:
                 memory.copy_to_user(argument, struct.pack("<I", len(descriptor)))
             case 2:

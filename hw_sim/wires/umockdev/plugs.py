@@ -6,7 +6,7 @@ from types import ModuleType
 
 from hw_sim.devices.u3v_camera import U3vCamera
 from hw_sim.devices.u3v_descriptors import PRODUCT_ID, VENDOR_ID, Speed
-from hw_sim.wires.umockdev.hidraw import PHYS
+from hw_sim.wires.umockdev.hidraw_node import PHYS
 from hw_sim.wires.umockdev.tree import SysDevice
 
 PCI = "devices/pci0000:00"
@@ -18,26 +18,27 @@ FIXED = (
     SysDevice(f"{PCI}/0000:00:14.0", "pci", attributes={"class": "0x0c0330"}),
     SysDevice(f"{PCI}/0000:00:02.0", "pci", attributes={"class": "0x030000"}),
 )
-"""The host's own: a USB controller and a display controller."""
+"""The host's own devices: a USB controller and a display controller."""
 BOARD = SysDevice(
     f"{PCI}/0000:00:14.0/usb1/1-9/1-9:1.0/tty/ttyACM0", "tty", "ttyACM0", (TTY_MAJOR, 0), attributes={"dev": "166:0"}
 )
 BOARD_LINK = "kingfisher-board"
-"""As the instrument's udev rules name it."""
+"""Name of the link that the instrument's udev rules make."""
 CARD = SysDevice(
     f"{PCI}/0000:00:02.0/drm/card0", "drm", "dri/card0", (DRM_MAJOR, 0), "drm_minor", attributes={"dev": "226:0"}
 )
 
 
 def bus_of(device: U3vCamera) -> int:
-    """The bus that the camera's speed belongs to."""
+    """Return the bus that the camera's speed belongs to."""
     return SUPER_SPEED_BUS if device.speed is Speed.SUPER else HIGH_SPEED_BUS
 
 
 def camera(device: U3vCamera, port: int, address: int) -> SysDevice:
-    """A camera on its port; every appearance has another ``address``."""
+    """Return a camera on its port; every appearance has another ``address``."""
     bus = bus_of(device)
     descriptors = device.device_descriptor() + device.configuration_descriptor()
+    # drivers/usb/core: the minor number of a device node holds bus and address.
     minor = (bus - 1) * 128 + address - 1
     return SysDevice(
         f"{PCI}/0000:00:14.0/usb{bus}/{bus}-{port}",
@@ -64,7 +65,7 @@ def camera(device: U3vCamera, port: int, address: int) -> SysDevice:
 
 
 def keypad(pad: ModuleType, number: int, address: int) -> list[SysDevice]:
-    """The pad's chain from the bus to ``hidrawN``; parents first. Its USB device has no node: no library asks for one."""
+    """Return the pad's chain from the bus to ``hidrawN``; parents first. Its USB device has no node: no library asks for one."""
     root = f"{PCI}/0000:00:14.0/usb{PAD_BUS}/{PAD_BUS}-5"
     interface = f"{root}/{PAD_BUS}-5:1.0"
     name = f"0003:{pad.VENDOR:04X}:{pad.PRODUCT:04X}.{address:04X}"

@@ -40,7 +40,7 @@ class HostMemory:
         self._connection = connection
 
     def copy_from_user(self, address: int, size: int) -> bytes:
-        """``size`` bytes at ``address``."""
+        """Return ``size`` bytes at ``address``."""
         if size == 0:
             return b""
         if address == 0:
@@ -49,7 +49,7 @@ class HostMemory:
         return _receive(self._connection, size)
 
     def copy_to_user(self, address: int, data: bytes | bytearray | memoryview) -> None:
-        """Put ``data`` there."""
+        """Put ``data`` at ``address``."""
         view = memoryview(data).cast("B")
         if len(view) == 0:
             return
@@ -63,16 +63,16 @@ class OpenedNode(Protocol):
     """One opening of a device node: the kernel's end of it. Each call raises OSError as the system call does."""
 
     def ioctl(self, request: int, argument: int, memory: HostMemory) -> int:
-        """``argument`` is the third one as it came, mostly an address in ``memory``. Raises NotOurs."""
+        """Do the call; ``argument`` is the third one as it came, mostly an address in ``memory``. Raises NotOurs."""
 
     def read(self, size: int) -> bytes:
-        """What is put into the reader's buffer."""
+        """Return the bytes that are put into the reader's buffer."""
 
     def write(self, data: bytes) -> int:
-        """How many of them were taken."""
+        """Take ``data``; return the number of bytes taken."""
 
     def close(self) -> None:
-        """The last descriptor is closed, or its process has ended."""
+        """End the opening: its last descriptor is closed, or its process has ended."""
 
 
 class Plain:
@@ -88,7 +88,7 @@ class Plain:
         raise NotOurs
 
     def close(self) -> None:
-        """Nothing is kept."""
+        """Do nothing: nothing is kept."""
 
 
 OTHER_NODES = "_default"
@@ -112,7 +112,7 @@ class NodeServer:
         self._thread.start()
 
     def close(self) -> None:
-        """No more openings; may be called again."""
+        """Accept no more openings; may be called again."""
         self._path.unlink(missing_ok=True)
         with contextlib.suppress(OSError):
             self._listener.shutdown(socket.SHUT_RDWR)
@@ -134,6 +134,8 @@ class NodeServer:
                 while True:
                     connection.settimeout(None)
                     packet = _PACKET.unpack(_receive(connection, _PACKET.size))
+                    # Between calls the host may do anything for any time; during one it is stopped in ours and answers
+                    # at once.
                     connection.settimeout(ANSWER_TIMEOUT_S)
                     try:
                         result = _answer(opened, HostMemory(connection), *packet)
@@ -149,7 +151,7 @@ class NodeServer:
 
 
 def _answer(opened: OpenedNode, memory: HostMemory, command: int, first: int, second: int) -> list[int]:
-    """Result and errno of one system call."""
+    """Return result and errno of one system call."""
     try:
         match command:
             case 1:  # ioctl

@@ -1,4 +1,4 @@
-"""Owns what ``poll`` says of a device node: a named pipe stands for it, and is kept full or empty to say no."""
+"""Owns the answer of ``poll`` for a device node: a named pipe stands for it, and is kept full or empty to say no."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Readiness:
             self._fill()
 
     def set(self, ready: bool) -> None:
-        """Say so from now on; after ``close`` this does nothing."""
+        """Let ``poll`` say ``ready`` from now on; after ``close`` this does nothing."""
         with self._lock:
             if ready == self._ready or self._fd < 0:
                 return

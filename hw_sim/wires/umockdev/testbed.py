@@ -17,7 +17,7 @@ from typing import Self
 from hw_sim.devices import keypad as pad
 from hw_sim.devices.u3v_camera import U3vCamera
 from hw_sim.timing.world_time import LONGEST_WAIT_S
-from hw_sim.wires.umockdev import hidraw, plugs
+from hw_sim.wires.umockdev import hidraw_node, plugs
 from hw_sim.wires.umockdev.dri import CardMemory, DrmFile, HostClock
 from hw_sim.wires.umockdev.preload import OTHER_NODES, NodeServer, Plain
 from hw_sim.wires.umockdev.readiness import Readiness
@@ -90,7 +90,7 @@ class Testbed:
 
     @property
     def environment(self) -> dict[str, str]:
-        """What a program's environment needs beside its own variables."""
+        """The variables that a program's environment needs beside its own."""
         return {"LD_PRELOAD": PRELOAD, "UMOCKDEV_DIR": str(self.root)}
 
     # ------------------------------------------------------------------------------------------ coming and going
@@ -111,7 +111,7 @@ class Testbed:
             self._look()
 
     def _wanted(self) -> dict[str, int]:
-        """With the lock held: what is on a bus, and its enumeration."""
+        """Return what is on a bus, by name, and its enumeration. The caller holds the lock."""
         world = self._world
         wanted = {camera.name: camera.enumeration for camera in world.cameras.values() if camera.plugged}
         if world.keypad.plugged:
@@ -137,6 +137,7 @@ class Testbed:
         port = 1 + list(self._world.cameras.values()).index(camera)
         device = plugs.camera(camera, port, self._addresses)
         node = device.node or ""
+        # usbfs reports finished transfers as POLLOUT, hidraw its reports as POLLIN.
         ready = Readiness(self._tree.node(node), for_writing=True)
         bus = plugs.bus_of(camera)
         shared = UsbDevice(camera, self._world.time, ready, bus, self._addresses, self._tap)
@@ -150,9 +151,9 @@ class Testbed:
         devices = plugs.keypad(pad, enumeration, self._addresses)
         node = devices[-1].node or ""
         ready = Readiness(self._tree.node(node))
-        shared = hidraw.HidDevice(self._world.keypad, self._world.time, ready)
+        shared = hidraw_node.PluggedPad(self._world.keypad, self._world.time, ready)
         shared.enumeration = enumeration
-        server = NodeServer(self.root, node, lambda: hidraw.HidFile(shared))
+        server = NodeServer(self.root, node, lambda: hidraw_node.HidFile(shared))
         for device in devices:
             self._tree.add(device)
         return _Plugged(enumeration, devices, server, ready)

@@ -30,7 +30,7 @@ class SysDevice:
     properties: Mapping[str, str] = field(default_factory=dict)
 
     def all_properties(self, dev: str = "/dev/") -> dict[str, str]:
-        """As udev tells them; the kernel's own ``uevent`` file names the node without ``/dev/``."""
+        """Return the properties as udev tells them; the kernel's own ``uevent`` file names the node without ``/dev/``."""
         found = {"SUBSYSTEM": self.subsystem}
         if self.kind is not None:
             found["DEVTYPE"] = self.kind
@@ -51,11 +51,11 @@ class Tree:
         self._messages = itertools.count(1)
 
     def node(self, name: str) -> Path:
-        """Where the file for ``/dev/<name>`` lies."""
+        """Return the path of the file for ``/dev/<name>``."""
         return self.root / "dev" / name
 
     def add(self, device: SysDevice) -> None:
-        """It appears, and all who listen are told. Its node is made by who answers for it, before this."""
+        """Let a device appear and tell all who listen. Its node is made by who answers for it, before this."""
         place = self.root / "sys" / device.path
         place.mkdir(parents=True, exist_ok=True)
         below = "../" * (len(Path(device.path).parts))
@@ -86,11 +86,11 @@ class Tree:
         return listed
 
     def _number(self, node: str) -> Path:
-        """Where the preload library looks for a node's numbers."""
+        """Return the path at which the preload library looks for a node's numbers."""
         return self.root / "dev" / ".node" / node.replace("/", "_")
 
     def remove(self, device: SysDevice) -> None:
-        """It is gone with its node and all below it, and all who listen are told."""
+        """Remove a device with its node and all below it, and tell all who listen."""
         group = ("bus" if device.subsystem in BUSES else "class", device.subsystem)
         for link in self._lists(device, group):
             link.unlink(missing_ok=True)

@@ -15,7 +15,7 @@ from hw_sim.timing.world_time import WorldTime
 
 CHUNK = 4096
 LOOK_S = 0.02
-"""How soon a host that opens the port, or leaves it, is noticed."""
+"""A host that opens the port, or leaves it, is noticed so soon."""
 
 
 class BoardLine:
@@ -27,6 +27,7 @@ class BoardLine:
         self._master, slave = pty.openpty()
         tty.setraw(slave)
         self.terminal = os.ttyname(slave)
+        # Linux hangs the master up (POLLHUP) while nobody has the slave open: so the board knows of its host.
         os.close(slave)
         os.set_blocking(self._master, False)
         self._ending = threading.Event()
@@ -40,7 +41,7 @@ class BoardLine:
             thread.start()
 
     def close(self) -> None:
-        """The line is cut: the host's reads end."""
+        """Cut the line: the host's reads end."""
         self._ending.set()
         with self._time.condition:
             self._time.condition.notify_all()

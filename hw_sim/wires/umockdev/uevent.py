@@ -19,7 +19,7 @@ _M = 0x5BD1E995
 
 
 def murmur_hash(text: bytes) -> int:
-    """MurmurHash2, seed 0, 32 bits: what a listener's filter in the kernel compares."""
+    """Return MurmurHash2 with seed 0, 32 bits, which a listener's filter in the kernel compares."""
     h = len(text)
     whole = len(text) // 4 * 4
     for (k,) in struct.iter_unpack("<I", text[:whole]):
@@ -33,12 +33,13 @@ def murmur_hash(text: bytes) -> int:
 
 
 def message(action: str, device: str, number: int, properties: Mapping[str, str]) -> bytes:
-    """``device``: path below ``/sys``; ``properties`` hold SUBSYSTEM and, where there is one, DEVTYPE."""
+    """Return a message to listeners. ``device``: path below ``/sys``; ``properties`` hold SUBSYSTEM and, where there is one, DEVTYPE."""
     head = {"ACTION": action, "DEVPATH": f"/{device}", "SEQNUM": str(number)}
     body = b"".join(f"{key}={value}\0".encode() for key, value in {**head, **properties}.items())
     kind = properties.get("DEVTYPE")
     hashes = (murmur_hash(properties["SUBSYSTEM"].encode()), murmur_hash(kind.encode()) if kind else 0)
     return (
+        # struct monitor_netlink_header: magic and hashes are big endian, sizes in the machine's own order.
         b"libudev\0"
         + struct.pack(">I", _MAGIC)
         + _NATIVE.pack(_HEADER_BYTES, _HEADER_BYTES, len(body))

@@ -56,15 +56,15 @@ class Urb:
     buffer: int
     length: int
     data: bytearray = field(default_factory=bytearray)
-    """What came, or what goes."""
+    """The data that came, or that go."""
     done: int = 0
     status: int = 0
     setup: bytes = b""
-    """Of a control transfer; it lies in the host's buffer before the data."""
+    """Set-up packet of a control transfer; it lies in the host's buffer before the data."""
 
     @property
     def is_in(self) -> bool:
-        """Whether data come from the device."""
+        """True if data come from the device."""
         return bool((self.setup[0] if self.kind == URB_CONTROL else self.endpoint) & _IN)
 
 
@@ -72,7 +72,7 @@ Tap = Callable[[str, "UsbDevice", Urb], None]
 
 
 class UsbDevice:
-    """What all openings of one camera share, while it stays plugged in: who claimed which interface."""
+    """The state that all openings of one camera share while it stays plugged in: who claimed which interface."""
 
     def __init__(
         self, camera: U3vCamera, time: WorldTime, ready: Readiness, bus: int, address: int, tap: Tap | None = None
@@ -86,11 +86,11 @@ class UsbDevice:
 
     @property
     def there(self) -> bool:
-        """With the lock held."""
+        """True while the camera has not left the bus. Asked with the lock held."""
         return not self.time.closed and self.camera.plugged and self.camera.enumeration == self.enumeration
 
     def completed(self) -> None:
-        """With the lock held: some file's finished transfers have changed."""
+        """Note that some file's finished transfers have changed. The caller holds the lock."""
         self.ready.set(not self.there or any(file.finished for file in self.files))
 
 
@@ -112,7 +112,7 @@ class UsbFile:
         self._pump.start()
 
     def close(self) -> None:
-        """Everything under way is given up, every interface released."""
+        """Give up everything under way and release every interface."""
         with self._time.condition:
             self._closed = True
             self._device.files.remove(self)
@@ -122,7 +122,7 @@ class UsbFile:
         self._pump.join(5.0)
 
     def read(self, size: int) -> bytes:
-        """The descriptors, as usbfs gives them."""
+        """Return the descriptors, as usbfs gives them."""
         with self._time.condition:
             self._check()
             whole = self._camera.device_descriptor() + self._camera.configuration_descriptor()
@@ -131,7 +131,7 @@ class UsbFile:
             return part
 
     def write(self, data: bytes) -> int:
-        """usbfs has none."""
+        """Refuse: usbfs has no ``write``. Raises OSError(EINVAL)."""
         raise OSError(errno.EINVAL, os.strerror(errno.EINVAL))
 
     def ioctl(self, request: int, argument: int, memory: HostMemory) -> int:
@@ -205,7 +205,7 @@ class UsbFile:
         return 0
 
     def _driver_ioctl(self, argument: int, memory: HostMemory) -> int:
-        """Attach or detach a kernel driver: no driver wants these interfaces."""
+        """Refuse to attach or detach a kernel driver: none wants these interfaces. Raises OSError(ENODATA)."""
         raise _error(errno.ENODATA)
 
     def _set_interface(self, argument: int, memory: HostMemory) -> int:
@@ -230,7 +230,7 @@ class UsbFile:
         return 0
 
     def _reset(self, argument: int, memory: HostMemory) -> int:
-        """A port reset: the same device, its registers as after plugging in."""
+        """Reset the port: the same device, its registers as after plugging in."""
         with self._time.condition:
             self._check()
             self._camera.restart()
@@ -316,7 +316,7 @@ class UsbFile:
             self._time.condition.notify_all()
 
     def _may_use(self, endpoint: int) -> None:
-        """As the kernel: an interface that nobody claimed is claimed by its first transfer."""
+        """Check the claim as the kernel does: an interface that nobody claimed is claimed by its first transfer."""
         interface = _interface_of(self._camera.configuration_descriptor(), endpoint)
         if interface is None:
             raise _error(errno.ENOENT)
@@ -330,12 +330,13 @@ class UsbFile:
                     self._time.condition.wait(LONGEST_WAIT_S)
 
     def _advance(self) -> bool:
-        """With the lock held: fill what waits as far as there is data; whether anything ended."""
+        """Fill what waits as far as there is data; return whether anything ended. The caller holds the lock."""
         ended = False
         if not self._device.there:
             for queue in self._waiting.values():
                 while queue:
                     urb = queue.popleft()
+                    # The kernel's word for transfers of a device that has left the bus.
                     urb.status = -errno.ESHUTDOWN
                     self._finish(urb)
                     ended = True
@@ -348,7 +349,7 @@ class UsbFile:
         return ended
 
     def _fill(self, endpoint: int, urb: Urb) -> bool:
-        """Whether the transfer ended."""
+        """Fill a transfer as far as there is data; return whether it ended."""
         try:
             filled, ends = self._camera.read(endpoint, memoryview(urb.data)[urb.done :])
         except Stall:
@@ -358,6 +359,7 @@ class UsbFile:
             urb.status = -errno.EOVERFLOW
             return True
         urb.done += filled
+        # URB_SHORT_NOT_OK: the host calls a transfer that ends early an error.
         if ends and urb.flags & SHORT_NOT_OK and urb.done < urb.length:
             urb.status = -errno.EREMOTEIO
         return ends
@@ -412,7 +414,7 @@ def _error(number: int) -> OSError:
 
 
 def _interface_of(configuration: bytes, endpoint: int) -> int | None:
-    """The interface that an endpoint belongs to."""
+    """Return the interface that an endpoint belongs to; ``None``: no such endpoint."""
     at, interface = 0, None
     while at < len(configuration):
         length, kind = configuration[at], configuration[at + 1]

@@ -44,13 +44,14 @@ class Usbmon:
         self._file.close()
 
     def record(self, event: str, device: UsbDevice, urb: Urb) -> None:
-        """``event``: ``S`` the host submitted ``urb``, ``C`` it is complete."""
+        """Write one event: ``S``, the host submitted ``urb``, or ``C``, it is complete."""
         where = device.bus, device.address
         if where not in self._met:
             # A listener that came after the kernel's own questions would not know what the endpoints are.
             self._met.add(where)
             self._enumerated(where, 1, device.camera.device_descriptor())
             self._enumerated(where, 2, device.camera.configuration_descriptor())
+        # usbmon: data go with the submission of OUT transfers and with the completion of IN transfers.
         control, is_in = urb.kind == URB_CONTROL, urb.is_in
         carries = (event == "C") == is_in
         data = memoryview(urb.data)[: urb.done if is_in else None] if carries else memoryview(b"")

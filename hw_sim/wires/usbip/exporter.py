@@ -21,7 +21,7 @@ from hw_sim.world import World
 LOG = logging.getLogger(__name__)
 LOOPBACK = "127.0.0.1"
 PORT = 3240
-"""Where ``usbip attach`` looks by itself."""
+"""The port at which ``usbip attach`` looks by itself."""
 MOST_CONNECTIONS = 16
 ACCEPT_SLICE_S = 0.2
 GREETING_TIMEOUT_S = 10.0
@@ -55,7 +55,7 @@ class Exporter:
             return frozenset(self._imported)
 
     def cut(self) -> None:
-        """Every host loses its devices, as when its machine is reset: USB/IP itself would never notice that."""
+        """Take its devices from every host, as when its machine is reset: USB/IP itself would never notice that."""
         with self._lock:
             connections = list(self._connections)
         for connection in connections:
@@ -97,6 +97,7 @@ class Exporter:
     def _serve(self, connection: socket.socket) -> None:
         try:
             with connection:
+                # Small replies must not wait for each other: the host's kernel asks again only when it has the answer.
                 connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 connection.settimeout(GREETING_TIMEOUT_S)
                 self._answer(connection)
@@ -146,6 +147,7 @@ class Exporter:
                 connection.sendall(messages.operation(messages.REPLY_IMPORT, messages.REFUSED))
                 return
             connection.sendall(messages.operation(messages.REPLY_IMPORT) + record)
+            # From here on the host may be silent for as long as it likes; ``cut`` and the end of the world wake the reader.
             connection.settimeout(None)
             Session(connection, port.function, self._world.time, bus_id).serve()
         finally:

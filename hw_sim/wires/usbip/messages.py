@@ -50,12 +50,12 @@ class Unlink:
 
 
 def operation(code: int, status: int = OK) -> bytes:
-    """The head of a reply before the import."""
+    """Return the head of a reply before the import."""
     return _OPERATION.pack(VERSION, code, status)
 
 
 def parse_operation(data: bytes) -> int:
-    """The code of a request. Raises ProtocolError."""
+    """Return the code of a request. Raises ProtocolError."""
     version, code, _ = _OPERATION.unpack(data)
     if version != VERSION:
         raise ProtocolError(f"USB/IP version {version:#06x}; spoken is {VERSION:#06x}")
@@ -63,14 +63,14 @@ def parse_operation(data: bytes) -> int:
 
 
 def parse_bus_id(data: bytes) -> str:
-    """A bus id; what is not ASCII never matches one."""
+    """Return a bus id; what is not ASCII never matches one."""
     return data.split(b"\0", 1)[0].decode("ascii", errors="replace")
 
 
 def record(
     bus_id: str, bus: int, number: int, speed: int, device: bytes, configuration: bytes, with_interfaces: bool
 ) -> bytes:
-    """What is said about one device: 312 bytes and, in a list, four for each interface."""
+    """Return what is said about one device: 312 bytes and, in a list, four for each interface."""
     vendor, product, release = struct.unpack_from("<HHH", device, 8)
     path = f"/sys/devices/kingfisher/usb{bus}/{bus_id}"
     fields = (path.encode(), bus_id.encode(), bus, number, speed, vendor, product, release)
@@ -82,6 +82,7 @@ def record(
 def _interfaces(configuration: bytes) -> bytes:
     found, at = b"", 0
     while at < len(configuration):
+        # Class, subclass and protocol of each interface descriptor (type 4), and a byte of padding.
         if configuration[at + 1] == 4:
             found += configuration[at + 5 : at + 8] + b"\0"
         at += configuration[at]
@@ -89,7 +90,7 @@ def _interfaces(configuration: bytes) -> bytes:
 
 
 def parse_command(header: bytes) -> Submit | Unlink:
-    """One of the two commands. Raises ProtocolError."""
+    """Return one of the two commands. Raises ProtocolError."""
     command, number, _, direction, endpoint = _BASIC.unpack_from(header)
     if command == CMD_UNLINK:
         return Unlink(number, int.from_bytes(header[20:24], "big"))
@@ -107,11 +108,11 @@ def parse_command(header: bytes) -> Submit | Unlink:
 
 
 def returned(submit: Submit, status: int, length: int, data: bytes | memoryview = b"") -> bytes:
-    """The end of a transfer: how, how many bytes, and what was read."""
+    """Return the message that ends a transfer: how, how many bytes, and what was read."""
     head = _BASIC.pack(RET_SUBMIT, submit.number, 0, 0, 0) + _RETURN.pack(status, length, 0, 0, 0)
     return head + bytes(data)
 
 
 def unlinked(unlink: Unlink, status: int) -> bytes:
-    """The answer to an unlink."""
+    """Return the answer to an unlink."""
     return _BASIC.pack(RET_UNLINK, unlink.number, 0, 0, 0) + struct.pack(">i24x", status)

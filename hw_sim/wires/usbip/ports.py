@@ -19,7 +19,7 @@ class Function(Protocol):
 
     @property
     def speed(self) -> int:
-        """As Linux numbers it: 2 full, 3 high, 5 SuperSpeed."""
+        """Bus speed as Linux numbers it: 2 full, 3 high, 5 SuperSpeed."""
 
     @property
     def plugged(self) -> bool: ...
@@ -29,23 +29,26 @@ class Function(Protocol):
         """Counts how often it appeared on the bus; another number is another device."""
 
     def attach(self) -> None:
-        """A host has it from now on."""
+        """Give the device to a host."""
 
     def detach(self) -> None:
-        """No host has it."""
+        """Take the device from its host."""
 
     def device_descriptor(self) -> bytes: ...
 
     def configuration_descriptor(self) -> bytes: ...
 
     def control(self, kind: int, request: int, value: int, index: int, length: int, data: bytes) -> bytes:
-        """A control transfer; returns the data of an IN request. Raises Stall."""
+        """Do a control transfer; return the data of an IN request. Raises Stall."""
 
     def write(self, endpoint: int, data: bytes) -> int:
-        """A transfer to the device. Raises Stall."""
+        """Do a transfer to the device; return the bytes taken. Raises Stall."""
 
     def read(self, endpoint: int, buffer: memoryview) -> tuple[int, bool]:
-        """As far as data is there: bytes put into ``buffer``, and whether the transfer ends. Raises Stall, Overflow."""
+        """Read as far as data is there: return the bytes put into ``buffer``, and whether the transfer ends.
+
+        Raises Stall, Overflow.
+        """
 
 
 class CameraFunction:
@@ -74,19 +77,19 @@ class CameraFunction:
         return self._camera.enumeration
 
     def attach(self) -> None:
-        """Its registers are as they were: it has had power all the time."""
+        """Do nothing: its registers are as they were, for it has had power all the time."""
 
     def detach(self) -> None:
-        """It keeps running, as a camera whose host has died."""
+        """Do nothing: it keeps running, as a camera whose host has died."""
 
     def control(self, kind: int, request: int, value: int, index: int, length: int, data: bytes) -> bytes:
-        """A control transfer; returns the data of an IN request. Raises Stall."""
+        """Do a control transfer; return the data of an IN request. Raises Stall."""
         return self._camera.request(kind, request, value, index, length)
 
 
 @dataclass(frozen=True, slots=True)
 class Port:
-    """Where a device is plugged in."""
+    """A port of the bus with the device that is plugged into it."""
 
     bus_id: str
     number: int
@@ -94,7 +97,7 @@ class Port:
 
 
 def ports_of(world: World) -> tuple[Port, ...]:
-    """Bus ids 1-1 left camera, 1-2 right camera, 1-3 key pad, 1-4 board. With the world's lock held."""
+    """Return the ports with bus ids 1-1 left camera, 1-2 right camera, 1-3 key pad, 1-4 board. With the world's lock held."""
     functions: list[Function] = [CameraFunction(world.cameras["left"]), CameraFunction(world.cameras["right"])]
     functions += [UsbKeypad(world.keypad), UsbBoard(world.board, world.faults)]
     return tuple(Port(f"{BUS}-{i}", i + 1, function) for i, function in enumerate(functions, 1))

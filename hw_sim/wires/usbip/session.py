@@ -41,7 +41,7 @@ def receive(connection: socket.socket, size: int) -> bytes:
 
 
 @dataclass(slots=True)
-class _Transfer:
+class _Pending:
     """A transfer under way; ``doomed``: one before it ended early, and the host will take this one back."""
 
     submit: Submit
@@ -56,8 +56,8 @@ class Session:
 
     def __init__(self, connection: socket.socket, function: Function, time: WorldTime, name: str) -> None:
         self._connection, self._function, self._time = connection, function, time
-        self._commands: deque[_Transfer | Unlink] = deque()
-        self._pipes: dict[int, deque[_Transfer]] = {}
+        self._commands: deque[_Pending | Unlink] = deque()
+        self._pipes: dict[int, deque[_Pending]] = {}
         self._over = False
         self._reader = threading.Thread(target=self._read_forever, name=f"usbip-read-{name}", daemon=True)
 
@@ -97,12 +97,12 @@ class Session:
         try:
             while True:
                 command = messages.parse_command(receive(self._connection, messages.HEADER_BYTES))
-                wanted: _Transfer | Unlink
+                wanted: _Pending | Unlink
                 if isinstance(command, Unlink):
                     wanted = command
                 else:
                     data = b"" if command.device_to_host else receive(self._connection, command.length)
-                    wanted = _Transfer(command, data)
+                    wanted = _Pending(command, data)
                 with self._time.condition:
                     if len(self._commands) + sum(map(len, self._pipes.values())) >= MOST_PENDING:
                         raise ProtocolError(f"more than {MOST_PENDING} transfers under way")
@@ -116,7 +116,7 @@ class Session:
     # ------------------------------------------------------------------------------------------ how it ends
 
     def _replies(self) -> list[bytes]:
-        """With the lock held: everything that can be answered now, in order."""
+        """Return everything that can be answered now, in order. The caller holds the lock."""
         replies: list[bytes] = []
         while self._commands:
             command = self._commands.popleft()
@@ -134,7 +134,7 @@ class Session:
                 replies.append(reply)
         return replies
 
-    def _control(self, transfer: _Transfer) -> bytes:
+    def _control(self, transfer: _Pending) -> bytes:
         submit = transfer.submit
         kind, request, value, index, length = struct.unpack("<BBHHH", submit.setup)
         try:
@@ -144,14 +144,14 @@ class Session:
         length = len(answer) if submit.device_to_host else len(transfer.data)
         return messages.returned(submit, 0, length, answer if submit.device_to_host else b"")
 
-    def _write(self, transfer: _Transfer) -> bytes:
+    def _write(self, transfer: _Pending) -> bytes:
         try:
             written = self._function.write(transfer.submit.endpoint, transfer.data)
         except Stall:
             return messages.returned(transfer.submit, -errno.EPIPE, 0)
         return messages.returned(transfer.submit, 0, written)
 
-    def _read(self, pipe: deque[_Transfer]) -> bytes | None:
+    def _read(self, pipe: deque[_Pending]) -> bytes | None:
         """The end of the pipe's first transfer; ``None``: not yet."""
         transfer = pipe[0]
         if transfer.doomed:
@@ -172,6 +172,7 @@ class Session:
         status = 0
         if transfer.filled < transfer.submit.length and transfer.submit.flags & messages.SHORT_NOT_OK:
             status = -errno.EREMOTEIO
+            # The host's driver gives up what it queued behind a short transfer; USB/IP has no other word for that.
             for behind in pipe:
                 behind.doomed = True
         return messages.returned(transfer.submit, status, transfer.filled, memory[: transfer.filled])

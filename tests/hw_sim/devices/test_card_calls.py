@@ -18,7 +18,7 @@ from hw_sim.devices import drm_abi as abi
 from hw_sim.devices.card import Card
 from hw_sim.devices.head import Output
 from hw_sim.timing.world_time import BLANK_NS
-from hw_sim.wires.card import SimCardNode
+from hw_sim.wires.card_node import SimCardNode
 from tests.hw_sim.devices.bench import Bench, bench
 from tests.hw_sim.devices.host import CardHost, iowr
 
