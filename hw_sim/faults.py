@@ -196,6 +196,7 @@ class FaultBook:
         now_ns = self._now_ns()
         fault = parse(sentence, now_ns)
         self._faults.append(fault)
+        # What begins later, or ends, tells the devices at that moment: they do not poll.
         if fault.begins_ns <= now_ns:
             self._changed(now_ns)
         else:

@@ -27,6 +27,7 @@ class Latest(Generic[Key, Value]):
         with self._lock:
             if key not in self._values:
                 value = compute()
+                # The least recently used value goes first (``get`` moves what it returns to the end).
                 while len(self._values) >= self._keep:
                     self._values.popitem(last=False)
                 self._values[key] = value

@@ -133,6 +133,7 @@ def _made(kind: Callable[..., Value], what: str, table: Mapping[str, Any]) -> Va
 
 
 def _nearest(key: str, known: set[str]) -> str:
+    # A slip of the pen is told its likely remedy; anything else the whole list.
     near = difflib.get_close_matches(key, known, 1)
     return f"; did you mean '{near[0]}'?" if near else f"; known are {', '.join(sorted(known))}"
 

@@ -43,4 +43,5 @@ class Punctuality:
             self.other_blanks += 1
             self.screen_updates += display is not None
         if projector is not None:
+            # As the host saw it: its answer is counted from when the blank really came, not from when it was due.
             self._flipped_ns = time.monotonic_ns()

@@ -26,6 +26,7 @@ def register(name: str, world: World) -> None:
 def unregister(name: str, world: World) -> None:
     """Forget ``world``, if it is the one of that name."""
     with _LOCK:
+        # A later world may have the name by now.
         if _WORLDS.get(name) is world:
             del _WORLDS[name]
 

@@ -117,6 +117,7 @@ class World:
         self._world_thread = WorldThread(self.time, self, self._blank, o.pace, o.idle_speed)
 
     def __enter__(self) -> World:
+        # Before the first fault and the first blank: whoever finds the world's name finds it running.
         registry.register(self.options.world, self)
         with self.time.condition:
             for sentence in self.options.faults:
@@ -400,6 +401,7 @@ class World:
         def made() -> NDArray[np.uint8]:
             return renderer.expose(side, slices, moment_s, exposure_s, gain_db, lasers, seed, clock_s)
 
+        # A scene that moves, or is lit otherwise from moment to moment, has no frame that comes twice.
         if self._frame_cache is None or not self._scene.still:
             return made()
         key = self._frame_cache.key(side, repr(self._scene), slices, exposure_s, gain_db, lasers, frame)
@@ -433,6 +435,7 @@ class World:
         self._warmed_ns = time_ns
         shines = self.board.armed is not None or bool(self._light(self._intervals[-1])[::64, ::64].mean() > LIT_DN)
         streaming = any(camera.acquiring for camera in self.cameras.values())
+        # The water may have been changed meanwhile: the housing feels it, although the refractive index stays.
         self._housing.outside_c = self._scene.water.temperature_c
         self._housing.advance(passed_s, Powers(shines, streaming, any(self.board.lasers_on)))
 

@@ -91,6 +91,7 @@ class Daylight:
 
     def torch_mm(self, clock_s: float) -> NDArray[np.float64]:
         """Return the spot's middle (3,), mm in the rig frame at time 0, at ``clock_s``."""
+        # A pendulum: in its middle it is as fast as was asked for, x = A sin(v t / A), and it stays in sight.
         velocity = np.array(self.torch_velocity_mm_s)
         speed = float(np.linalg.norm(velocity))
         if speed == 0.0:

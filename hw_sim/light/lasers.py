@@ -110,6 +110,7 @@ def _add_dot(
     if part is None:
         return
     points = rays[part][..., :3] + rays[part][..., 3:] * geometry.distance_mm[part][..., None]
+    # A surface point by cylinder coordinates of the beam: along its axis, and off it squared.
     along_mm = (points - origin) @ direction
     off_mm2 = np.sum((points - origin) ** 2, axis=-1) - along_mm**2
     # What scattering turns a little on the way widens the beam; the camera's own way blurs the whole picture.
@@ -168,6 +169,7 @@ def _around(eye: Array, shape: tuple[int, ...], points: Array, margin_mm: float)
     pixels = np.empty((len(points), 2))
     pixels_of(eye, points, pixels)
     h, w = shape
+    # 0.16 mm is a px of 1600 in the middle of the volume.
     margin = max(3, round(margin_mm / 0.16 * w / 1600.0))
     with np.errstate(invalid="ignore"):
         near = np.all((pixels > -margin) & (pixels < (w + margin, h + margin)), axis=1)

@@ -1,5 +1,10 @@
 """Owns how the diver's hands move the instrument, and where an object therefore is at a moment."""
 
+# Symbols:
+#   R0, t0    pose of the object before anything moved: p_rig = R0 p_object + t0
+#   v, a      velocity and acceleration of the rig, mm/s and mm/s²; omega the tremor's angular frequency, rad/s
+#   turn, shift   how the rig has moved since: p_rig_then = turn (p_rig_now − pivot) + pivot + shift
+
 from __future__ import annotations
 
 import math

@@ -5,6 +5,10 @@ first and mean light last. The window lies 18 mm before a pupil of 1.44 mm (11.5
 sharp border: it is blurred over 1.44 / 18 of the focal length, 130 px of 1600.
 """
 
+# Symbols in over:
+#   u, v      column and row of a pixel; away_px its distance outside of the place's border
+#   thrown    share of light that the place throws aside in its middle; share the same at a pixel
+
 from __future__ import annotations
 
 import math

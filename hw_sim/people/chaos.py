@@ -109,6 +109,7 @@ class ChaosDiver(Operator):
     # ------------------------------------------------------------------------------------- what breaks
 
     def _break_something(self) -> None:
+        # The order of the draws is the seed's dive: it does not depend on what the instrument answers.
         if self._random.random() < GIVE_BACK:
             self._repair()
         if self._random.random() < BREAK_COMPUTER:
@@ -142,6 +143,7 @@ class ChaosDiver(Operator):
         if self.until(self._aims, 1.0) or self.over:
             return
         for tries in range(int(AIM_S)):
+            # A diver at a loss surfaces: what keeps the instrument from AIM by now is not going to mend itself.
             if tries == 20:
                 self._repair()  # the key pad may be away, and the disk
             # From REVIEW it is held: elsewhere that might switch off.

@@ -104,6 +104,7 @@ def do(world: World, verb: str, words: tuple[str, ...], status: Path) -> None:
             world.knock(parse_knock(" ".join(words)))
         case "screenshot":
             picture = world.scanned_out("display")
+            # OpenCV writes blue first.
             if not cv2.imwrite(words[0], cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)):
                 raise CommandError("the picture cannot be written")
         case _:

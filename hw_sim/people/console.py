@@ -100,6 +100,7 @@ def reading(world: World, status: Path, descriptor: int) -> Iterator[None]:
 
     def run() -> None:
         while not closing.is_set():
+            # A read that blocks could not be ended: look first, and look again whether the context has ended.
             if not select.select([descriptor], [], [], LOOK_S)[0]:
                 continue
             data = os.read(descriptor, LONGEST_LINE)

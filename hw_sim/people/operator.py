@@ -50,6 +50,7 @@ class Operator:
         """Let it come to its end for ``grace_s`` of real time, then end it. Raises RuntimeError if it hangs."""
         self._thread.join(grace_s)
         with self.world.time.condition:
+            # Told under the world's lock, so that a wait in world time notices it at once.
             self._stopped = True
             self.world.time.condition.notify_all()
         self._thread.join(10.0)

@@ -58,7 +58,7 @@ class ExposureWorker:
         self._pending = dict.fromkeys(cameras, 0)
 
     def make(self, camera: str, render: Callable[[], Image]) -> PendingImage | None:
-        """With the lock held: begin an image; ``None`` if too many are under way."""
+        """Begin an image and return it, still pending; ``None`` if too many are under way. The caller holds the lock."""
         if self._pending[camera] >= MOST_WAITING:
             return None
         self._pending[camera] += 1

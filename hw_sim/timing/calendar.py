@@ -40,6 +40,7 @@ class Calendar:
 
     def change(self, word: str) -> None:
         """Change the date as ``changed`` says. Raises ValueError."""
+        # Set against world time, so that the date goes on with it and not with the real clock.
         self._set, self._set_ns = changed(self.today(), word), self._now_ns()
 
 

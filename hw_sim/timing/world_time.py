@@ -60,6 +60,7 @@ class WorldTime:
 
     def __init__(self, speed: float = 1.0, period_ns: int = BLANK_NS) -> None:
         self.period_ns = period_ns
+        # World time stops short of the blank until the thread makes it happen: nobody sees a time after it before it came.
         self._halt_ns = period_ns * 97 // 100
         self.condition = threading.Condition()
         self.closed = False
@@ -137,6 +138,7 @@ class WorldTime:
     def close(self) -> None:
         """End the world. The caller holds the lock."""
         now_ns, real_ns = self.now_ns(), time.monotonic_ns()
+        # From now on it follows real time without a limit, so that nobody who still waits hangs.
         self._agenda.clear()
         self._mark = _Mark(now_ns, real_ns, 1.0, now_ns, _FOREVER_NS)
         self.closed = True

@@ -7,6 +7,12 @@ it goes on with its power there. What it does to a pattern of a given fineness i
 in 0..1, so of a fringe with wave number κ the mean of J0(κ θ u s) survives.
 """
 
+# Symbols:
+#   b, c      scattering and attenuation coefficients, 1/m (here named scattering_per_m and attenuation_per_m)
+#   θ         scattering angle; p(θ) the phase function, 1/sr, of integral 1 over the sphere
+#   s, u      length of the way, and the share of it that is still to go behind the scattering, 0..1
+#   κ         wave number of a fringe, 2π / period; S(κ) the share of scattered light that still carries it (survival)
+
 from __future__ import annotations
 
 import math
