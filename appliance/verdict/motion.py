@@ -171,10 +171,10 @@ def _lateral(
         return None
     camera = rig.left
     middle = np.array([(camera.width_px - 1) / 2.0, (camera.height_px - 1) / 2.0])
-    _, along = camera.rays(np.stack([middle, middle + np.array([1.0, 0.0])]), water_index)
-    reach = float(np.linalg.norm(rig.volume_centre_mm(water_index)))
-    mm_per_px = reach * float(np.linalg.norm(along[1] - along[0]))
-    scale = mm_per_px / (texture.frames * frame_s)
+    # Rays begin at the window, not at the lens.
+    origin, along = camera.rays(np.stack([middle, middle + np.array([1.0, 0.0])]), water_index)
+    here, beside = origin + along * ((rig.volume_centre_mm(water_index) - origin[0]) @ along[0])
+    scale = float(np.linalg.norm(beside - here)) / (texture.frames * frame_s)
     return texture.flow_px[0] * scale, texture.flow_px[1] * scale
 
 
@@ -252,9 +252,9 @@ def _is_local(harm: Harm, scores: Scores) -> bool:
         return False
     certain = known & (np.abs(harm.drift_px) > 6.0 * harm.sd_px)
     squared = np.where(certain, np.nan_to_num(harm.ripple_mm / harm.noise_mm) ** 2 * harm.weight, 0.0)
-    if not certain.any() or squared.sum() <= 0.01 * harm.weight.sum():
+    if squared.sum() <= 0.01 * harm.weight.sum():
         return False
-    few = max(1, int(LOCAL_CELLS * np.count_nonzero(known)))
+    few = int(LOCAL_CELLS * np.count_nonzero(known))
     row, column = np.unravel_index(np.argsort(squared, axis=None)[::-1][:few], squared.shape)
     near = np.hypot(row - row[0], column - column[0]) <= LOCAL_REACH_CELLS
     return bool(squared[row, column][near].sum() > LOCAL_SHARE * squared.sum())

@@ -40,8 +40,7 @@ def surface_map(
     pixel = cloud.pixel[inside]
     p, q = p_px.ravel()[pixel], q_px.ravel()[pixel]
     rows, columns = shape
-    known = np.isfinite(p) & np.isfinite(q) & (p >= 0.0) & (q >= 0.0)
-    known &= (p < columns * CELL_PX) & (q < rows * CELL_PX) & np.isfinite(cosine)
+    known = (p >= 0.0) & (q >= 0.0) & (p < columns * CELL_PX) & (q < rows * CELL_PX) & np.isfinite(cosine)
     cell = (q[known] / CELL_PX).astype(np.int64) * columns + (p[known] / CELL_PX).astype(np.int64)
     square = cosine[known].astype(np.float64) ** 2
     noise = square * cloud.sigma_mm[inside][known].astype(np.float64) ** 2
@@ -61,18 +60,15 @@ def facing(cloud: Cloud, width_px: int) -> tuple[NDArray[np.float32], NDArray[np
 
     Of flat pixel numbers of an image ``width_px`` wide, that lie on a grid of rows and columns at equal distances.
     """
-    nothing = np.empty(0, np.float32), np.empty(0, np.intp)
-    if len(cloud.pixel) < 5:
-        return nothing
     v, u = np.divmod(cloud.pixel.astype(np.int64), width_px)
     columns, rows = np.unique(u), np.unique(v)
-    step = int(np.gcd.reduce(np.diff(columns))) if len(columns) > 1 else 0
-    down = int(np.gcd.reduce(np.diff(rows))) if len(rows) > 1 else 0
+    # 0 where there is but one.
+    step, down = (int(np.gcd.reduce(np.diff(places))) for places in (columns, rows))
     if step == 0 or down == 0:
-        return nothing
+        return np.empty(0, np.float32), np.empty(0, np.intp)
     # A border of nothing spares the question what lies beside.
     x, y = (u - columns[0]) // step + 1, (v - rows[0]) // down + 1
-    wide = int(x.max()) + 2
+    wide = int(x.max()) + 1
     place = y * wide + x
     at = np.full(wide * (int(y.max()) + 2), -1, np.int64)
     at[place] = np.arange(len(place))

@@ -198,7 +198,7 @@ def least_squares(
     return -fit[2:], float(np.sqrt(0.5 * rest * (inverse[2, 2] + inverse[3, 3]))), contrast
 
 
-@pytest.mark.parametrize(("width", "height", "reach", "stride"), [(160, 75, 1, 1), (640, 60, 2, 2)])
+@pytest.mark.parametrize(("width", "height", "reach", "stride"), [(160, 75, 1, 1), (640, 300, 2, 4)])
 def test_paint_is_where_least_squares_find_it_in_every_gray_image(
     width: int, height: int, reach: int, stride: int
 ) -> None:

@@ -1,0 +1,234 @@
+"""What is seen of an object by itself: fringes fainter than any pixel shows, its light, and how far away it lies."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from appliance.patterns.sequence import Direction, build_sequence
+from appliance.reconstruct.noise import CameraNoise, StereoNoise
+from appliance.reconstruct.quality import CloudSummary, QualityLimits
+from appliance.reconstruct.table import Cloud
+from appliance.verdict.sight import Seen, distance_of, look, see
+from tests.support import synthetic
+
+SEQUENCE = build_sequence(16)
+SINE = SEQUENCE.axis(Direction.X).sine
+CAL = synthetic.calibration()
+INDEX = synthetic.WATER.index
+READ = CameraNoise(0.5, 0.0, 4.0)
+PHOTONS = CameraNoise(1.5, 0.12, 4.0)
+
+
+def frames_of(
+    width: int, height: int, fringe_dn: np.ndarray, light_dn: np.ndarray, noise: CameraNoise, specks: bool = False
+) -> np.ndarray:
+    """Cells (12, 16) of fringes and of light that white adds, over a dark of 10; ``specks`` of which some are too bright to be asked."""
+    rng = np.random.default_rng(1)
+    v, u = np.mgrid[0:height, 0:width]
+    cell = v * 12 // height, u * 16 // width
+    frames = np.zeros((len(SEQUENCE), height, width), np.uint8)
+    images = {SEQUENCE.bright: 10.0 + light_dn[cell], SEQUENCE.dark: np.full(u.shape, 10.0)}
+    for step, k in enumerate(SINE):
+        phase = 2.0 * np.pi * u / 14.3 + step * np.pi / 2.0
+        images[k] = 10.0 + 0.5 * light_dn[cell] + fringe_dn[cell] * np.cos(phase)
+    for k, image in images.items():
+        variance = noise.read_dn**2 + noise.dn_per_e * np.maximum(image - noise.black_dn, 0.0)
+        frames[k] = np.clip(np.rint(image + np.sqrt(variance) * rng.standard_normal(u.shape)), 0, 255)
+    if specks:
+        for k in (SEQUENCE.bright, *SINE):
+            frames[k][rng.random(u.shape) < 0.02] = 251
+            frames[k][rng.random(u.shape) < 0.01] = 250
+            frames[k][rng.random(u.shape) < 0.0004] = 249
+    return frames
+
+
+def cell_by_cell(frames: np.ndarray, noise: CameraNoise, step: int) -> tuple[Seen, np.ndarray]:
+    """The same one cell after the other; and which cells show fringes."""
+    asked = frames[:, step // 2 :: step, step // 2 :: step].astype(float)
+    height, width = asked.shape[1:]
+    bright, dark = asked[SEQUENCE.bright], asked[SEQUENCE.dark]
+    i0, i1, i2, i3 = (asked[k] for k in SINE)
+    clear = np.max([bright, i0, i1, i2, i3], 0) < 250.0
+    v, u = np.mgrid[0:height, 0:width]
+    glow, shows, fringes, shares = np.full(192, np.nan), np.zeros(192, bool), [], []
+    for number in range(192):
+        here = clear & (v * 12 // height == number // 16) & (u * 16 // width == number % 16)
+        if np.count_nonzero(here) < 40:
+            continue
+        level = 0.25 * (i0 + i1 + i2 + i3)[here]
+        expected = 4.0 * (noise.read_dn**2 + 1.0 / 12.0 + noise.dn_per_e * np.maximum(level - noise.black_dn, 0.0))
+        excess = (i0 - i2)[here] ** 2 + (i3 - i1)[here] ** 2 - expected
+        squared, error = excess.mean(), excess.std() / np.sqrt(excess.size)
+        glow[number] = (bright - dark)[here].mean()
+        fringe = 0.5 * np.sqrt(max(squared, 0.0))
+        shows[number] = fringe >= 0.4 and squared > 4.0 * error
+        if shows[number]:
+            fringes.append(fringe)
+            shares.append(2.0 * fringe / max(glow[number], 0.5))
+    told = (float(np.quantile(fringes, 0.9)), float(np.median(shares))) if fringes else (None, None)
+    top = float(np.nanmax(glow)) if np.isfinite(glow).any() else 0.0
+    return Seen(float((bright - dark).mean()), shows.sum() / 192.0, *told, top, glow), shows
+
+
+@pytest.mark.parametrize(("width", "height", "step"), [(320, 240, 1), (770, 644, 2)])
+@pytest.mark.parametrize("noise", [READ, PHOTONS])
+def test_cells_show_the_fringes_that_are_certain(width: int, height: int, step: int, noise: CameraNoise) -> None:
+    rng = np.random.default_rng(3)
+    fringe, light = rng.uniform(0.0, 2.5, (12, 16)), rng.uniform(0.0, 40.0, (12, 16))
+    fringe[:2] = rng.uniform(0.2, 0.5, (2, 16))
+    light[5] = 0.2
+    frames = frames_of(width, height, fringe, light, noise, specks=True)
+    frames[SEQUENCE.bright, -height // 12 :, -width // 16 :] = 255  # a cell that is not clear at all
+    found = see(frames, SEQUENCE, noise)
+    wanted, shows = cell_by_cell(frames, noise, step)
+    assert 20 < np.count_nonzero(shows) < 180
+    assert found.cells == pytest.approx(wanted.cells)
+    assert found.light_dn == pytest.approx(wanted.light_dn, rel=1e-5)
+    assert found.fringe_dn == pytest.approx(wanted.fringe_dn, rel=1e-4)
+    assert found.object_share == pytest.approx(wanted.object_share, rel=1e-4)
+    assert found.top_dn == pytest.approx(wanted.top_dn, rel=1e-5)
+    np.testing.assert_allclose(found.glow_dn, wanted.glow_dn, rtol=1e-4, atol=1e-5)
+    assert np.isnan(found.glow_dn[-1])
+
+
+def even(value: float) -> np.ndarray:
+    return np.full((12, 16), value)
+
+
+def test_fringes_half_a_grey_value_high_are_seen_and_noise_is_not() -> None:
+    # An object of which all light carries fringes: they are half as high as what white adds.
+    found = see(frames_of(320, 240, even(0.6), even(1.2), READ), SEQUENCE, READ)
+    assert found.cells > 0.95
+    assert found.fringe_dn == pytest.approx(0.6, abs=0.08)
+    nothing = see(frames_of(320, 240, even(0.0), even(1.2), PHOTONS), SEQUENCE, PHOTONS)
+    assert nothing.cells == 0.0
+    assert (nothing.fringe_dn, nothing.object_share) == (None, None)
+    half = see(frames_of(320, 240, even(5.0), even(20.0), READ), SEQUENCE, READ)
+    assert half.object_share == pytest.approx(0.5, rel=0.02)
+    # Where white adds nothing at all, what carries fringes is of half a grey value.
+    dark = see(frames_of(320, 240, even(1.0), even(0.0), READ), SEQUENCE, READ)
+    assert dark.object_share == pytest.approx(4.0, rel=0.1)
+
+
+def test_a_cell_of_forty_clear_pixels_says_something_and_one_of_less_does_not() -> None:
+    for many in (40, 39):
+        frames = frames_of(320, 240, even(5.0), even(20.0), READ)
+        frames[[SEQUENCE.bright, *SINE]] = np.minimum(frames[[SEQUENCE.bright, *SINE]], 200)
+        cell = frames[SEQUENCE.bright, :20, :20]
+        cell.flat = np.where(np.arange(400) < many, 30, 255)
+        assert np.isfinite(see(frames, SEQUENCE, READ).glow_dn[0]) == (many == 40)
+
+
+def test_where_all_is_too_bright_nothing_is_seen() -> None:
+    frames = np.full((len(SEQUENCE), 240, 320), 255, np.uint8)
+    found = see(frames, SEQUENCE, READ)
+    assert (found.cells, found.top_dn, found.fringe_dn) == (0.0, 0.0, None)
+    assert np.isnan(found.glow_dn).all()
+
+
+# ---------------------------------------------------------------------------------------- where it lies
+
+
+@pytest.mark.parametrize("depth_mm", [330.0, 450.0, 800.0])
+def test_a_parallax_of_the_stripes_is_a_distance(depth_mm: float) -> None:
+    """The projector stands half way between the cameras; its middle ray moves over the left picture with the depth."""
+    origin, along = synthetic.projector(CAL).rays(np.array([511.5, 383.5]), INDEX)
+    usual_mm = float(CAL.rig.volume_centre_mm(INDEX)[2])
+    points = [origin + along * ((z - origin[2]) / along[2]) for z in (depth_mm, usual_mm)]
+    here, there = CAL.rig.left.project(np.array(points), INDEX)
+    parallax_percent = 100.0 * (here[0] - there[0]) / CAL.rig.left.width_px
+    assert (parallax_percent > 0.0) == (depth_mm < usual_mm)
+    assert distance_of(parallax_percent, CAL.rig, INDEX) == pytest.approx(depth_mm, rel=0.04)
+
+
+def test_stripes_beyond_those_of_infinity_have_no_distance() -> None:
+    assert distance_of(-60.0, CAL.rig, INDEX) is None
+    assert distance_of(0.0, CAL.rig, INDEX) == pytest.approx(float(CAL.rig.volume_centre_mm(INDEX)[2]))
+
+
+def cloud(*depths_mm: float) -> Cloud:
+    n = len(depths_mm)
+    points = np.stack([np.zeros(n), np.zeros(n), np.array(depths_mm)], -1).astype(np.float32)
+    ones = np.ones(n, np.float32)
+    summary = CloudSummary(n, None, None, None, None)
+    return Cloud(points, ones.astype(np.uint8), ones, ones, ones, np.arange(n, dtype=np.uint32), summary)
+
+
+NOISE = StereoNoise(READ, READ)
+LIMITS = QualityLimits()
+"""Depths from 380 to 680 mm."""
+GLOW = frames_of(320, 240, even(0.0), 2.0 + 3.0 * np.tile(np.linspace(0.0, 1.0, 16), (12, 1)), READ)
+
+
+def seen(left: np.ndarray, right: np.ndarray, loose: Cloud, parallax: float | None = None) -> dict[str, float | None]:
+    frames = {"left": left, "right": right}
+    said = look(frames, SEQUENCE, NOISE, CAL.rig, INDEX, loose, LIMITS, parallax)
+    assert (said.name, said.passed) == ("sight", None)
+    return dict(said.numbers)
+
+
+def percent_at(depth_mm: float) -> float:
+    """The parallax that ``distance_of`` takes for this depth."""
+    middle = float(CAL.rig.volume_centre_mm(INDEX)[2])
+    at_one = 1.0 / float(distance_of(1.0, CAL.rig, INDEX) or 0.0) - 1.0 / middle
+    return (1.0 / depth_mm - 1.0 / middle) / at_one
+
+
+def test_the_camera_that_sees_more_of_the_object_is_believed() -> None:
+    few, many = even(0.0), even(6.0)
+    few[:3] = 6.0
+    dim = frames_of(320, 240, few, even(20.0), READ)
+    full = frames_of(320, 240, many, even(30.0), READ)
+    for left, right in ((dim, full), (full, dim)):
+        numbers = seen(left, right, cloud())
+        assert numbers["fringe_cells_percent"] == pytest.approx(100.0, abs=1.0)
+        assert numbers["top_dn"] == pytest.approx(30.0, abs=0.5)
+        assert numbers["light_dn"] == pytest.approx(30.0, abs=0.1)
+        assert numbers["object_percent"] == pytest.approx(40.0, abs=0.5)
+        assert numbers["fringe_dn"] == pytest.approx(6.0, abs=0.2)
+        assert numbers["glow_per_m"] is None, "where fringes are seen, the water's glow is not asked"
+        assert numbers["distance_mm"] is None
+
+
+def test_where_no_fringes_are_seen_the_left_cameras_glow_is_asked_for_the_water() -> None:
+    numbers = seen(GLOW, np.zeros_like(GLOW), cloud())
+    assert numbers["fringe_dn"] is None
+    assert numbers["object_percent"] is None
+    assert numbers["glow_per_m"] is not None
+    assert seen(np.zeros_like(GLOW), GLOW, cloud())["glow_per_m"] is None
+    said = look({"left": GLOW, "right": GLOW}, SEQUENCE, NOISE, CAL.rig, INDEX, cloud(), LIMITS)
+    assert said.text.startswith("no fringes are seen; white adds ")
+
+
+def test_forty_points_say_where_the_object_lies() -> None:
+    depths = [379.0] * 10 + [380.0] * 10 + [680.0] * 8 + [681.0] * 12
+    numbers = seen(GLOW, GLOW, cloud(*depths), percent_at(900.0))
+    assert numbers["distance_mm"] == pytest.approx(530.0)
+    assert numbers["near_percent"] == pytest.approx(25.0)
+    assert numbers["far_percent"] == pytest.approx(30.0)
+    fewer = seen(GLOW, GLOW, cloud(*depths[1:]))
+    assert (fewer["distance_mm"], fewer["near_percent"], fewer["far_percent"]) == (None, None, None)
+
+
+@pytest.mark.parametrize(
+    ("depth_mm", "near", "far"),
+    [(367.5, 100.0, 0.0), (369.5, None, None), (520.0, None, None), (699.5, None, None), (701.5, 0.0, 100.0)],
+)
+def test_the_parallax_alone_is_believed_where_it_is_far_outside(
+    depth_mm: float, near: float | None, far: float | None
+) -> None:
+    """By three hundredths beyond 380 and 680 mm, with too few points to say better."""
+    numbers = seen(GLOW, GLOW, cloud(500.0), percent_at(depth_mm))
+    assert (numbers["near_percent"], numbers["far_percent"]) == (near, far)
+    assert numbers["distance_mm"] == (None if near is None else pytest.approx(depth_mm))
+
+
+def test_the_verdict_says_how_far_away_the_object_is_where_that_is_known() -> None:
+    full = frames_of(320, 240, even(6.0), even(30.0), READ)
+    frames = {"left": full, "right": full}
+    near = look(frames, SEQUENCE, NOISE, CAL.rig, INDEX, cloud(*[350.0] * 40), LIMITS)
+    assert near.text.endswith("an object at 350 mm")
+    nowhere = look(frames, SEQUENCE, NOISE, CAL.rig, INDEX, cloud(), LIMITS)
+    assert nowhere.text.startswith("fringes of 6.0 DN in 100 ")
+    assert nowhere.text.endswith("% of the picture")
