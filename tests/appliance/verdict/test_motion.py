@@ -65,7 +65,9 @@ def judge(
         ("plane", "slight", "measured", 0.0, STEADY),
         ("plane", "checker", "gamma", 12.0, STEADY),
         ("plane", "slight", "measured", 0.0, Daylight(flicker_depth=0.9, flicker_hz=2.0)),
-        ("plane", "slight", "measured", 6.0, Daylight(flicker_depth=0.9, flicker_hz=119.9)),
+        pytest.param(
+            "plane", "slight", "measured", 6.0, Daylight(flicker_depth=0.9, flicker_hz=119.9), marks=pytest.mark.long
+        ),
         pytest.param(
             "stones", "strong", "gamma", 0.0, Daylight(flicker_depth=0.5, flicker_hz=1.0), marks=pytest.mark.long
         ),
@@ -112,6 +114,7 @@ def test_a_projector_that_is_no_straight_line_hides_no_movement() -> None:
     assert bent.harm.ripple_rms_mm > 1.15 * straight.harm.ripple_rms_mm
 
 
+@pytest.mark.long
 def test_shaking_paint_is_followed_frame_by_frame() -> None:
     """Six millimetres per second to and fro at 11 Hz: no mean of several images would show it."""
     hz, tremor_mm = 11.0, 0.09

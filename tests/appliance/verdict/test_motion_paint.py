@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, sobel, uniform_filter
@@ -15,6 +17,7 @@ SEQUENCE = build_sequence(16)
 X_SINE, Y_SINE = SEQUENCE.axis(Direction.X).sine, SEQUENCE.axis(Direction.Y).sine
 
 
+@cache
 def paint(width: int, height: int, fine_px: float, moved: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
     """(height, width): waves in all directions, of ``fine_px`` to five times that a period; the picture is ``moved`` right and down."""
     rng = np.random.default_rng(11)
@@ -25,6 +28,7 @@ def paint(width: int, height: int, fine_px: float, moved: tuple[float, float] = 
         angle, phase = rng.uniform(0.0, 2.0 * np.pi, 2)
         k = 2.0 * np.pi / (fine_px * 5.0 ** rng.random())
         out += 2.0 * np.sin(k * (u * np.cos(angle) + v * np.sin(angle)) + phase)
+    out.flags.writeable = False
     return out
 
 

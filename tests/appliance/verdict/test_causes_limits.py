@@ -1,0 +1,394 @@
+"""How much of a scan each cause takes, and from which number on it is one: the limits of the naming, each from both sides."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from appliance.capture.exposure import Exposure
+from appliance.capture.fault import Fault, FaultCode
+from appliance.capture.verdict import Judgement, Verdict
+from appliance.reconstruct.quality import CloudSummary
+from appliance.verdict.causes import Cause, find_causes, with_causes
+
+GOOD = CloudSummary(44_597, 81.7, 530.7, 0.022, 0.001)
+POOR = replace(GOOD, coverage_percent=20.0)
+USUAL = Exposure(12_000)
+LONGER = (Exposure(6_000), Exposure(60_000))
+Given = float | None
+"""A number of a verdict."""
+
+
+def said(name: str, code: FaultCode | None = None, told: dict[str, float] | None = None, **numbers: Any) -> Judgement:
+    fault = None if code is None else Fault(code, "as measured", told or {})
+    return Judgement(Verdict(name, fault is None, numbers, "as seen"), fault)
+
+
+def motion(added: Given = 25.0, code: FaultCode | None = None, **more: Any) -> Judgement:
+    usual: dict[str, Any] = {"added_noise_percent": added, "lost_percent": 4.0, "score": 9.0, "score_limit": 4.5}
+    return said("motion", code, **(usual | more))
+
+
+SEEN = said("sight", fringe_dn=9.0, top_dn=200.0)
+"""An object that is seen well enough: it explains nothing."""
+
+
+def causes(
+    *judgements: Judgement,
+    summary: CloudSummary = GOOD,
+    present: Exposure = USUAL,
+    steps: tuple[Exposure, ...] = LONGER,
+) -> dict[FaultCode, Cause]:
+    return {cause.fault.code: cause for cause in find_causes(judgements, summary, present, steps)}
+
+
+# -------------------------------------------------------------------------------------------------- motion
+
+
+def test_noise_that_a_movement_adds_takes_what_noise_is_worth_and_lost_points_all_of_theirs() -> None:
+    cause = causes(motion(25.0, FaultCode.MOVED))[FaultCode.MOVED]
+    assert cause.share == pytest.approx(1.0 - 0.96 / 1.25**2)
+    assert cause.certain
+    assert causes(motion(25.0, FaultCode.MOVED, lost_percent=150.0))[FaultCode.MOVED].share == 1.0
+    assert causes(motion(-9.0, FaultCode.MOVED))[FaultCode.MOVED].share == pytest.approx(0.04)
+    assert causes(motion(25.0, FaultCode.MOVED, lost_percent=None))[FaultCode.MOVED].share == pytest.approx(0.36)
+    assert FaultCode.MOVED in causes(motion(25.0, FaultCode.MOVED, score=4.5))
+    assert FaultCode.MOVED not in causes(motion(25.0, FaultCode.MOVED, score=4.4))
+    for unknown in ("score", "score_limit"):
+        assert FaultCode.MOVED not in causes(motion(25.0, FaultCode.MOVED, **{unknown: None}))
+
+
+def test_a_movement_that_its_judge_let_pass_is_told_of_a_poor_scan_with_what_is_known_of_it() -> None:
+    assert causes(motion(25.0)) == {}
+    cause = causes(motion(25.0, shift_px=2.0), summary=POOR)[FaultCode.MOVED]
+    assert not cause.certain
+    assert cause.fault.numbers == {"added_noise_percent": 25.0, "shift_px": 2.0}
+    assert cause.fault.detail == "as seen"
+
+
+def test_a_movement_that_was_undone_takes_nothing_and_of_a_poor_scan_what_it_took() -> None:
+    undone = motion(25.0, FaultCode.COMPENSATED)
+    good = causes(undone)
+    assert set(good) == {FaultCode.COMPENSATED}
+    assert (good[FaultCode.COMPENSATED].share, good[FaultCode.COMPENSATED].certain) == (0.0, True)
+    poor = causes(undone, SEEN, summary=POOR)
+    assert set(poor) == {FaultCode.MOVED, FaultCode.COMPENSATED}
+    assert poor[FaultCode.MOVED].share == pytest.approx(1.0 - 0.96 / 1.25**2)
+    assert not poor[FaultCode.MOVED].certain
+    harmless = causes(motion(0.0, FaultCode.COMPENSATED, lost_percent=0.0), SEEN, summary=POOR)
+    assert set(harmless) == {FaultCode.COMPENSATED, FaultCode.SCAN_POOR}, "what was undone explains no poor scan"
+
+
+def rushing(fringe: Given = 30.0, veil: Given = None, saturated: Given = None, **more: Any) -> dict[FaultCode, Cause]:
+    summary = replace(GOOD, coverage_percent=10.0)
+    judgements = (
+        motion(None, score=None),
+        said("sight", fringe_dn=fringe, **more),
+        said("water", FaultCode.WATER_DIRTY, veil_percent=veil, speck_percent=9.0),
+        said("light", left_saturated_percent=saturated),
+    )
+    return causes(*judgements, summary=summary)
+
+
+def test_strong_fringes_that_give_no_points_are_a_fast_movement() -> None:
+    cause = rushing()[FaultCode.MOVED]
+    assert cause.share == pytest.approx(0.9)
+    assert cause.certain is True
+    assert FaultCode.WATER_DIRTY not in rushing(), "specks of what moves are none"
+    assert FaultCode.MOVED in rushing(10.0)
+    assert FaultCode.MOVED not in rushing(9.9)
+    assert FaultCode.MOVED not in rushing(None)
+    assert FaultCode.MOVED in rushing(veil=11.9)
+    assert FaultCode.MOVED not in rushing(veil=12.0)
+    assert FaultCode.MOVED in rushing(saturated=25.0)
+    assert FaultCode.MOVED not in rushing(saturated=25.1)
+    assert FaultCode.MOVED not in rushing(distance_mm=800.0, far_percent=90.0)
+    judged = causes(motion(0.0, score=1.0), said("sight", fringe_dn=30.0), summary=POOR)
+    assert FaultCode.MOVED not in judged
+    usable = causes(motion(None, score=None), said("sight", fringe_dn=30.0))
+    assert usable == {}
+    noisy = replace(GOOD, coverage_percent=120.0, noise_mm=0.3)
+    fast = causes(motion(None, score=None), said("sight", fringe_dn=30.0), summary=noisy)
+    assert fast[FaultCode.MOVED].share == 0.0
+    unknown = causes(
+        motion(None, score=None), said("sight", fringe_dn=30.0), summary=replace(GOOD, coverage_percent=None)
+    )
+    assert unknown[FaultCode.MOVED].share == 1.0
+
+
+# ------------------------------------------------------------------------------------------------- flicker
+
+
+def flicker(*others: Judgement, left: Given = 3.5, right: Given = 3.6, **more: Any) -> float | None:
+    light = said(
+        "light", FaultCode.LIGHT_FLICKERS, left_flicker_over_noise=left, right_flicker_over_noise=right, **more
+    )
+    found = causes(light, *others)
+    return found[FaultCode.LIGHT_FLICKERS].share if FaultCode.LIGHT_FLICKERS in found else None
+
+
+def parts(common: float, local: float) -> dict[str, Any]:
+    return {
+        "left_flicker_percent": common, "right_flicker_percent": common,
+        "left_local_flicker_percent": local, "right_local_flicker_percent": local,
+    }  # fmt: skip
+
+
+def test_light_takes_what_its_ripple_adds_to_the_noise_of_the_better_camera() -> None:
+    assert flicker() == pytest.approx(12.25 / 13.25)
+    assert flicker(left=None) == pytest.approx(12.96 / 13.96)
+    assert flicker(left=None, right=None) is None
+    assert flicker(left=0.0) is None
+    assert flicker(**parts(1.0, 5.0)) == pytest.approx(12.25 / 13.25), "whoever does not move shares nothing"
+
+
+def test_before_what_moves_a_lamp_is_what_exceeds_the_motions_own_ripple() -> None:
+    moves = motion(8.0)
+    moved = 1.08**2 - 1.0
+    for common, local in ((3.0, 1.0), (3.0, 4.0)):
+        lamp = common**2 / (common**2 + local**2)
+        own = max(lamp * 12.25 - 2.4**2 * moved, (1.0 - lamp) * 12.25 - 4.0**2 * moved)
+        assert flicker(moves, **parts(common, local)) == pytest.approx(own / (1.0 + own))
+    own = 12.25 - 2.4**2 * moved
+    assert flicker(moves) == pytest.approx(own / (1.0 + own)), "manifests that do not say what is in common"
+    assert flicker(moves, **(parts(3.0, 4.0) | {"left_local_flicker_percent": None})) == pytest.approx(
+        max(0.36 * 12.25 - 5.76 * moved, 0.64 * 12.25 - 16.0 * moved)
+        / (1.0 + max(0.36 * 12.25 - 5.76 * moved, 0.64 * 12.25 - 16.0 * moved))
+    ), "the camera that has less in common counts"
+    assert flicker(motion(-5.0), **parts(3.0, 0.0)) == pytest.approx(12.25 / 13.25), "a negative addition is none"
+    assert flicker(motion(200.0), **parts(3.0, 4.0)) is None
+
+
+def test_before_a_movement_of_unknown_harm_a_lamp_has_half_of_the_change_in_common() -> None:
+    unknown = motion(None)
+    assert flicker(unknown, **parts(2.0, 2.0)) == pytest.approx(12.25 / 13.25)
+    assert flicker(unknown, **parts(2.0, 2.01)) is None
+    assert flicker(unknown, **parts(0.0, 0.0)) is None
+
+
+# ------------------------------------------------------------------------------------------------- outside
+
+
+def test_what_mostly_lies_outside_takes_all() -> None:
+    far = said("sight", distance_mm=700.0, near_percent=10.0, far_percent=50.1)
+    cause = causes(far)[FaultCode.SCAN_FAR]
+    assert (cause.share, cause.certain, cause.fault.numbers) == (1.0, True, {"distance_mm": 700.0})
+    near = said("sight", distance_mm=300.0, near_percent=90.0, far_percent=None)
+    assert set(causes(near, summary=POOR)) == {FaultCode.SCAN_NEAR}
+    assert "90 %" in causes(near)[FaultCode.SCAN_NEAR].fault.detail
+    assert causes(said("sight", distance_mm=700.0, near_percent=None, far_percent=50.0)) == {}
+    assert causes(said("sight", near_percent=90.0)) == {}
+
+
+def test_what_lies_outside_is_not_also_too_dark() -> None:
+    far = said("sight", distance_mm=800.0, far_percent=100.0, fringe_dn=3.0, top_dn=6.0)
+    assert set(causes(far, summary=POOR)) == {FaultCode.SCAN_FAR}
+
+
+# -------------------------------------------------------------------------------------------------- levels
+
+
+@pytest.mark.parametrize(
+    ("code", "told", "share"),
+    [
+        (FaultCode.TOO_DARK, {"weak_percent": 3.0, "coverage_percent": 70.0}, 0.3),
+        (FaultCode.TOO_DARK, {}, 1.0),
+        (FaultCode.AMBIENT, {"ambient_percent": 40.0}, 0.4),
+        (FaultCode.AMBIENT, {}, 0.0),
+        (FaultCode.TOO_BRIGHT, {"saturated_percent": 20.0}, 0.2),
+    ],
+)
+def test_light_takes_the_pixels_that_it_costs(code: FaultCode, told: dict[str, float], share: float) -> None:
+    cause = causes(said("light", code, told))[code]
+    assert cause.share == pytest.approx(share)
+    assert cause.certain is True
+
+
+def test_saturation_that_its_judge_let_pass_is_told_of_a_poor_scan() -> None:
+    light = said("light", left_saturated_percent=3.0, right_saturated_percent=9.0)
+    assert causes(light) == {}
+    cause = causes(light, summary=POOR)[FaultCode.TOO_BRIGHT]
+    assert cause.share == pytest.approx(0.09)
+    assert cause.certain is False
+    assert cause.fault.numbers == {"saturated_percent": pytest.approx(9.0)}
+    dark = said("light", FaultCode.TOO_DARK, {"coverage_percent": 40.0}, left_saturated_percent=9.0)
+    assert set(causes(dark, SEEN, motion(0.0, score=1.0), summary=POOR)) == {FaultCode.TOO_DARK, FaultCode.TOO_BRIGHT}
+    none = causes(said("light", left_saturated_percent=0.0), summary=POOR)
+    assert set(none) == {FaultCode.NOTHING_SEEN}
+
+
+def test_a_twentieth_is_the_least_that_is_told_beside_something_larger() -> None:
+    moves = motion(25.0)
+    for percent, told in ((5.0, True), (4.9, False)):
+        found = causes(moves, said("light", left_saturated_percent=percent), SEEN, summary=POOR)
+        assert (FaultCode.TOO_BRIGHT in found) == told
+        assert FaultCode.MOVED in found
+    alone = causes(said("light", left_saturated_percent=1.0), SEEN, motion(0.0, score=1.0), summary=POOR)
+    assert set(alone) == {FaultCode.TOO_BRIGHT}
+
+
+# --------------------------------------------------------------------------------------------------- water
+
+
+def water(moves: bool = False, **numbers: Any) -> float | None:
+    dirty = said("water", FaultCode.WATER_DIRTY, **numbers)
+    found = causes(dirty, motion(5.0) if moves else motion(0.0, score=1.0))
+    return found[FaultCode.WATER_DIRTY].share if FaultCode.WATER_DIRTY in found else None
+
+
+def test_water_takes_what_its_veil_hides() -> None:
+    assert water(veil_percent=12.0, hidden_percent=20.0, masked_percent=20.0) == pytest.approx(0.2)
+    assert water(veil_percent=11.9, hidden_percent=20.0, masked_percent=25.0) is None
+    assert water(veil_percent=30.0, hidden_percent=20.0, masked_percent=21.0) == pytest.approx(0.3)
+    assert water(veil_percent=30.0, hidden_percent=20.0, masked_percent=20.0) == pytest.approx(0.2)
+    assert water(veil_percent=30.0, hidden_percent=20.0) == pytest.approx(0.2)
+    assert water(speck_percent=3.0) == pytest.approx(0.03)
+    assert water(moves=True, speck_percent=3.0) is None, "what moves looks like specks"
+    assert water() is None
+    assert causes(said("water", speck_percent=3.0), summary=GOOD) == {}
+
+
+# --------------------------------------------------------------------------------------------------- faint
+
+
+def faint(fringe: float, top: Given = 10.0, noise_mm: Given = 0.02, room: float = 5.0, **more: Any) -> Cause | None:
+    summary = CloudSummary(100, 20.0, 500.0, noise_mm, 0.001)
+    steps = (Exposure(1_000), Exposure(int(10_000 * room)))
+    judgements = (said("sight", fringe_dn=fringe, top_dn=top), said("light", **more), motion(0.0, score=1.0))
+    found = causes(*judgements, summary=summary, present=Exposure(10_000), steps=steps)
+    return next((one for code, one in found.items() if code in (FaultCode.TOO_DARK, FaultCode.WATER_DIRTY)), None)
+
+
+def named(cause: Cause | None) -> FaultCode | None:
+    return None if cause is None else cause.fault.code
+
+
+def test_faint_fringes_are_dark_where_an_exposure_makes_eight_grey_values_of_them() -> None:
+    assert named(faint(2.0, room=4.0)) is FaultCode.TOO_DARK
+    assert named(faint(2.0, room=3.9)) is FaultCode.WATER_DIRTY
+    # White may not exceed 235: of fringes of 3 and a white of 88, 8.01 can be made, of 89 7.9.
+    assert named(faint(3.0, top=88.0)) is FaultCode.TOO_DARK
+    assert named(faint(3.0, top=89.0)) is FaultCode.WATER_DIRTY
+    assert named(faint(2.0, top=None, room=4.0)) is FaultCode.TOO_DARK
+    assert named(faint(0.03, top=0.0, room=300.0)) is FaultCode.WATER_DIRTY, "235 times as much is all there is"
+    assert named(faint(8.0)) is None, "that is enough"
+    assert named(faint(7.9)) is FaultCode.TOO_DARK
+    assert named(faint(7.9, left_saturated_percent=25.0)) is FaultCode.TOO_DARK
+    assert named(faint(7.9, left_saturated_percent=25.1)) is None
+    # Strong fringes, and yet a poor scan: points are too noisy.
+    assert named(faint(9.0, noise_mm=0.25)) is None
+    assert named(faint(9.0, noise_mm=None)) is None
+    assert named(faint(9.0, noise_mm=0.26, room=1.26)) is FaultCode.TOO_DARK
+    assert named(faint(9.0, noise_mm=0.26, room=1.25)) is None
+
+
+def test_what_faint_fringes_take_is_what_is_lost_as_far_as_they_are_too_faint() -> None:
+    for fringe, room, share in ((4.0, 5.0, 0.8), (1.0, 2.0, 0.8), (8.0, 5.0, 0.8), (16.0, 5.0, 0.4)):
+        cause = faint(fringe, room=room, noise_mm=0.3)
+        assert cause is not None
+        assert cause.share == pytest.approx(share)
+        assert cause.certain is False
+        assert cause.fault.numbers == {"fringe_dn": fringe, "coverage_percent": pytest.approx(20.0)}
+    noisy = CloudSummary(100, 120.0, 500.0, 0.3, 0.001)
+    found = causes(said("sight", fringe_dn=4.0, top_dn=9.0), summary=noisy)
+    assert FaultCode.TOO_DARK not in found, "nothing is lost"
+
+
+def unseen(glow: Given = None, present: int = 12_000, steps: tuple[Exposure, ...] = (Exposure(12_000),)) -> Cause:
+    nothing = CloudSummary(0, None, None, None, None)
+    seen = said("sight", light_dn=2.5, glow_per_m=glow)
+    (cause,) = find_causes((seen,), nothing, Exposure(present), steps)
+    return cause
+
+
+def test_where_no_fringes_are_seen_it_is_the_water_or_the_exposure_or_that_there_is_nothing() -> None:
+    dirty = unseen(1.6)
+    assert (dirty.fault.code, dirty.share, dirty.certain) == (FaultCode.WATER_DIRTY, 1.0, False)
+    assert dirty.fault.numbers == {"light_dn": 2.5, "coverage_percent": 0.0}
+    nothing = unseen(1.5)
+    assert (nothing.fault.code, nothing.share, nothing.certain) == (FaultCode.NOTHING_SEEN, 1.0, False)
+    assert nothing.fault.numbers == {"light_dn": 2.5}
+    dark = unseen(None, present=1_500)
+    assert (dark.fault.code, dark.share, dark.certain) == (FaultCode.TOO_DARK, 1.0, False)
+    assert dark.fault.numbers == {"light_dn": 2.5}
+    assert unseen(None, present=1_501).fault.code is FaultCode.NOTHING_SEEN
+    assert unseen(None, present=500, steps=()).fault.code is FaultCode.NOTHING_SEEN
+
+
+@pytest.mark.parametrize(
+    ("coverage", "noise_mm", "word"),
+    [(None, None, "few"), (24.9, 0.02, "few"), (25.0, 0.26, "noisy"), (80.0, 0.26, "noisy")],
+)
+def test_a_poor_scan_without_a_cause_says_whether_points_are_few_or_noisy(
+    coverage: Given, noise_mm: Given, word: str
+) -> None:
+    summary = CloudSummary(10, coverage, None, noise_mm, None)
+    lit = said("light", left_saturated_percent=0.0)
+    seen = SEEN
+    (cause,) = find_causes((lit, seen, motion(0.0, score=1.0)), summary, USUAL, (USUAL,))
+    assert (cause.fault.code, cause.share, cause.certain) == (FaultCode.SCAN_POOR, 0.0, False)
+    assert word in cause.fault.detail
+    assert cause.fault.numbers == ({} if coverage is None else {"coverage_percent": coverage})
+
+
+# -------------------------------------------------------------------------------------------- all together
+
+
+def test_a_cause_that_two_judges_see_is_told_once_with_the_larger_share_and_as_certain_as_either() -> None:
+    dark = said("light", FaultCode.TOO_DARK, {"coverage_percent": 90.0})
+    seen = said("sight", fringe_dn=3.0, top_dn=6.0)
+    (cause,) = find_causes((dark, seen, motion(0.0, score=1.0)), POOR, USUAL, LONGER)
+    assert (cause.fault.code, cause.certain) == (FaultCode.TOO_DARK, True)
+    assert cause.share == pytest.approx(0.8)
+    assert cause.fault.numbers["fringe_dn"] == 3.0
+
+
+def test_verdicts_come_with_identity_first_then_causes_by_what_they_take_then_the_others() -> None:
+    who = said("identity", FaultCode.MOVED)
+    light = said("light", FaultCode.AMBIENT, {"ambient_percent": 30.0}, left_saturated_percent=40.0)
+    old = said("causes", FaultCode.SCAN_POOR)
+    window, seen = said("window"), SEEN
+    found = with_causes((light, window, old, motion(90.0, FaultCode.MOVED), seen, who), POOR, USUAL, LONGER)
+    # One verdict takes one cause; the next one of the same judge comes with the verdict on causes.
+    assert [one.verdict.name for one in found] == ["identity", "motion", "light", "causes", "window", "sight"]
+    assert found[0] is who
+    codes = [None if one.fault is None else one.fault.code for one in found[1:]]
+    assert codes == [FaultCode.MOVED, FaultCode.TOO_BRIGHT, FaultCode.AMBIENT, None, None]
+    assert dict(found[3].verdict.numbers) == {
+        "moved_percent": pytest.approx(100.0 * (1.0 - 0.96 / 1.9**2)),
+        "too_bright_percent": pytest.approx(40.0),
+        "ambient_percent": pytest.approx(30.0),
+    }
+    assert (found[2].verdict.passed, found[2].verdict.text) == (False, "as seen")
+
+
+def test_a_scan_that_nothing_ails_says_so() -> None:
+    found = with_causes((said("light"), said("window")), GOOD, USUAL, LONGER)
+    assert [one.verdict.name for one in found] == ["causes", "light", "window"]
+    assert (found[0].verdict.passed, found[0].fault, dict(found[0].verdict.numbers)) == (True, None, {})
+    assert found[0].verdict.text == "nothing ails it"
+
+
+def test_a_poor_scan_that_nothing_explains_fails_by_the_verdict_on_causes_alone() -> None:
+    seen = SEEN
+    found = with_causes((said("light"), seen, motion(0.0, score=1.0)), POOR, USUAL, (USUAL,))
+    (causes_said,) = [one for one in found if one.verdict.name == "causes"]
+    assert causes_said.fault is not None
+    assert causes_said.fault.code is FaultCode.SCAN_POOR
+    assert causes_said.verdict.passed is False
+    assert causes_said.verdict.numbers == {"scan_poor_percent": 0.0}
+    assert all(one.fault is None for one in found if one is not causes_said)
+
+
+def test_a_movement_that_was_undone_leaves_its_verdict_as_it_is() -> None:
+    undone = replace(
+        motion(25.0, FaultCode.COMPENSATED), verdict=Verdict("motion", True, motion().verdict.numbers, "axial")
+    )
+    (first, *_) = with_causes((undone,), GOOD, USUAL, LONGER)
+    assert (first.verdict.passed, first.verdict.text) == (True, "axial")
+    failed = with_causes((motion(25.0, FaultCode.MOVED),), GOOD, USUAL, LONGER)[0]
+    assert (failed.verdict.passed, failed.verdict.text) == (False, "as seen")
+    slow = with_causes((motion(60.0), SEEN), POOR, USUAL, (USUAL,))[0]
+    assert (slow.verdict.passed, slow.verdict.text) == (False, "MOVED: as seen")
