@@ -61,7 +61,7 @@ def harm(ripple: float | None = 0.1, **maps: np.ndarray) -> Harm:
         "depth_rate_mm_s": cells(3.0),
         "ripple_mm": cells(0.004),
         "noise_mm": cells(0.02),
-        "weight": cells(50.0),
+        "weight": cells(1.0),
         "u_px": 25.0 + 50.0 * u,
         "v_px": 25.0 + 50.0 * v,
     }
@@ -167,7 +167,7 @@ def test_a_turn_has_the_speed_of_its_cells_whose_median_says_nothing() -> None:
 
 
 def test_cells_without_points_say_nothing_of_the_speed() -> None:
-    rates, weight = cells(3.0), cells(50.0)
+    rates, weight = cells(3.0), cells(1.0)
     rates[0], weight[0] = 99.0, 0.0
     rates[1, 0] = np.nan
     assert _axial(harm(depth_rate_mm_s=rates, weight=weight)) == pytest.approx(3.0)
@@ -222,6 +222,9 @@ def test_kinds_at_their_limits() -> None:
     assert kind(both, lateral_mm_s=(4.6, 0.0)) is MotionKind.LATERAL
     assert kind(both, lateral_mm_s=(4.4, 0.0)) is MotionKind.AXIAL
     assert kind(both, None, lateral_mm_s=(0.1, 0.0), axial_mm_s=None) is MotionKind.LATERAL
+    assert kind(replace(REST, edges=9.0), None, axial_mm_s=None) is MotionKind.AXIAL, (
+        "what does not slide is not lateral"
+    )
     # A score of 4.5 is the first that counts.
     for sign, found in (("drift", MotionKind.AXIAL), ("flow", MotionKind.LATERAL), ("texture", MotionKind.LATERAL)):
         assert kind(replace(REST, **{sign: 4.5}), None) is found
@@ -282,7 +285,7 @@ def test_what_is_local_is_so_at_its_limits() -> None:
 
 def test_a_local_movement_needs_twenty_cells_and_that_nothing_else_moves() -> None:
     for many, found in ((20, MotionKind.LOCAL), (19, MotionKind.STILL)):
-        weight = np.where(np.arange(ROWS * COLUMNS) < many, 50.0, 0.0).reshape(ROWS, COLUMNS)
+        weight = np.where(np.arange(ROWS * COLUMNS) < many, 1.0, 0.0).reshape(ROWS, COLUMNS)
         assert somewhere({(0, 0): 4.0, (0, 1): 4.0}, weight=weight) is found
         noise = np.where(weight > 0.0, 0.02, np.nan)
         assert somewhere({(0, 0): 4.0, (0, 1): 4.0}, noise_mm=noise) is found
@@ -328,7 +331,7 @@ def test_something_else_moves_where_few_cells_close_together_have_the_harm() -> 
     scattered[[0, 0, 5, 5, 2, 3], [0, 7, 0, 7, 3, 5]] = 0.05
     assert kind(REST, harm=harm(ripple_mm=scattered, drift_px=cells(0.1))) is MotionKind.STILL
     weight = cells(0.0)
-    weight[1:3, 5:8] = 50.0
+    weight[1:3, 5:8] = 1.0
     assert kind(REST, harm=harm(ripple_mm=ripple, drift_px=drift, weight=weight)) is MotionKind.STILL, "too few cells"
     place = place_of(there, (400, 300))
     assert place is not None
@@ -349,7 +352,7 @@ def test_a_side_is_named_from_what_is_seen_and_not_from_the_middle_of_the_image(
     def word(row: int, column: int, weight: np.ndarray | None = None) -> str:
         ripple = cells(0.0)
         ripple[row : row + 2, column : column + 2] = 0.05
-        place = place_of(harm(ripple_mm=ripple, weight=cells(50.0) if weight is None else weight), (400, 300))
+        place = place_of(harm(ripple_mm=ripple, weight=cells(1.0) if weight is None else weight), (400, 300))
         assert place is not None
         return place.word
 
@@ -359,7 +362,7 @@ def test_a_side_is_named_from_what_is_seen_and_not_from_the_middle_of_the_image(
     assert word(2, 0) == "left"
     assert word(2, 6) == "right"
     right_half = cells(0.0)
-    right_half[:, COLUMNS // 2 :] = 50.0
+    right_half[:, COLUMNS // 2 :] = 1.0
     assert word(2, 5, right_half) == "middle"
 
 
@@ -398,7 +401,7 @@ def test_a_side_begins_an_eighth_of_the_image_away_from_what_is_seen() -> None:
 
 
 def test_cells_without_a_place_or_points_have_no_say_in_where_it_is() -> None:
-    ripple, weight, u = cells(0.0), cells(50.0), 25.0 + 50.0 * np.mgrid[0:ROWS, 0:COLUMNS][1].astype(float)
+    ripple, weight, u = cells(0.0), cells(1.0), 25.0 + 50.0 * np.mgrid[0:ROWS, 0:COLUMNS][1].astype(float)
     ripple[0, 0], ripple[5, 7] = 0.05, np.nan
     weight[5, 7] = 0.0
     u[5, 7] = np.nan
@@ -420,7 +423,7 @@ def _rest_of_drift_map() -> dict[str, Any]:
 
 
 def test_only_cells_with_points_and_a_slope_have_a_say_in_the_way() -> None:
-    drift, slope, weight = cells(0.02), cells(0.5), cells(50.0)
+    drift, slope, weight = cells(0.02), cells(0.5), cells(1.0)
     drift[:3], weight[:3] = 0.5, 0.0
     drift[3], slope[3] = 0.5, np.nan
     known = DriftMap(drift_px=drift, sd_px=cells(0.001), slope_per_px=slope, **_rest_of_drift_map())
@@ -478,7 +481,7 @@ def test_a_flow_is_a_speed_in_the_middle_of_the_volume(velocity_mm_s: tuple[floa
 def test_a_trend_is_the_weighted_least_squares_of_the_cells() -> None:
     rng = np.random.default_rng(2)
     drift, sd = rng.normal(0.0, 0.02, (ROWS, COLUMNS)), rng.uniform(0.0005, 0.004, (ROWS, COLUMNS))
-    weight = np.where(rng.random((ROWS, COLUMNS)) < 0.8, 20.0, 0.0)
+    weight = np.where(rng.random((ROWS, COLUMNS)) < 0.8, 1.0, 0.0)
     trend = drift_trend(harm(drift_px=drift, sd_px=sd, weight=weight))
     assert trend is not None
     down, across = np.meshgrid(np.linspace(-1.0, 1.0, ROWS), np.linspace(-1.0, 1.0, COLUMNS), indexing="ij")
@@ -510,9 +513,9 @@ def test_edges_count_in_units_of_the_drift_where_at_least_half_of_the_cells_are_
     assert middle(fewer) != pytest.approx(0.2)
     # What has no points is asked for nothing: eight of fifteen are enough then.
     weight = np.zeros((ROWS, COLUMNS))
-    weight[0], weight[5, :7] = 50.0, 50.0
+    weight[0], weight[5, :7] = 1.0, 1.0
     assert middle(half, weight=weight) == pytest.approx(0.2)
-    weight[5, 7], weight[4, 0] = 50.0, 50.0
+    weight[5, 7], weight[4, 0] = 1.0, 1.0
     assert middle(half, weight=weight) != pytest.approx(0.2)
 
 

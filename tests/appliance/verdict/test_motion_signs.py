@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -286,6 +287,16 @@ def test_cells_count_by_their_points() -> None:
     assert harm.ripple == pytest.approx(ripple / noisy, rel=1e-6)
     assert np.array_equal(harm.u_px, left.u_px)
     assert np.array_equal(harm.v_px, left.v_px)
+
+
+def test_where_no_cell_is_known_nothing_is_predicted_and_nothing_warns() -> None:
+    left, right, _ = seen(500.0)
+    blind = replace(left, drift_px=np.full(left.u_px.shape, np.nan))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        harm = predict(blind, right, surface(left.u_px.shape), None, CAL.rig, INDEX, 16, 1 / 60)
+    assert (harm.ripple, harm.added, harm.ripple_rms_mm, harm.noise_rms_mm) == (None, None, None, None)
+    assert not harm.weight.any()
 
 
 def test_where_either_camera_sees_nothing_depth_is_not_known() -> None:
