@@ -66,9 +66,10 @@ def cell_by_cell(frames: np.ndarray, noise: CameraNoise, step: int) -> tuple[See
         if shows[number]:
             fringes.append(fringe)
             shares.append(2.0 * fringe / max(glow[number], 0.5))
-    told = (float(np.quantile(fringes, 0.9)), float(np.median(shares))) if fringes else (None, None)
+    amplitude = float(np.quantile(fringes, 0.9)) if fringes else None
+    share = float(np.median(shares)) if fringes else None
     top = float(np.nanmax(glow)) if np.isfinite(glow).any() else 0.0
-    return Seen(float((bright - dark).mean()), shows.sum() / 192.0, *told, top, glow), shows
+    return Seen(float((bright - dark).mean()), shows.sum() / 192.0, amplitude, share, top, glow), shows
 
 
 @pytest.mark.parametrize(("width", "height", "step"), [(320, 240, 1), (770, 644, 2)])
@@ -116,7 +117,7 @@ def test_a_cell_of_forty_clear_pixels_says_something_and_one_of_less_does_not() 
         frames = frames_of(320, 240, even(5.0), even(20.0), READ)
         frames[[SEQUENCE.bright, *SINE]] = np.minimum(frames[[SEQUENCE.bright, *SINE]], 200)
         cell = frames[SEQUENCE.bright, :20, :20]
-        cell.flat = np.where(np.arange(400) < many, 30, 255)
+        cell[:] = np.where(np.arange(400) < many, 30, 255).reshape(20, 20)
         assert np.isfinite(see(frames, SEQUENCE, READ).glow_dn[0]) == (many == 40)
 
 
