@@ -75,7 +75,7 @@ def test_a_movement_that_was_undone_takes_nothing_and_of_a_poor_scan_what_it_too
     assert (good[FaultCode.COMPENSATED].share, good[FaultCode.COMPENSATED].certain) == (0.0, True)
     poor = causes(undone, SEEN, summary=POOR)
     assert set(poor) == {FaultCode.MOVED, FaultCode.COMPENSATED}
-    assert poor[FaultCode.MOVED].share == pytest.approx(1.0 - 0.96 / 1.25**2)
+    assert poor[FaultCode.MOVED].share == pytest.approx(0.04)
     assert not poor[FaultCode.MOVED].certain
     harmless = causes(motion(0.0, FaultCode.COMPENSATED, lost_percent=0.0), SEEN, summary=POOR)
     assert set(harmless) == {FaultCode.COMPENSATED, FaultCode.SCAN_POOR}, "what was undone explains no poor scan"

@@ -112,6 +112,11 @@ def test_fringes_half_a_grey_value_high_are_seen_and_noise_is_not() -> None:
     assert dark.object_share == pytest.approx(4.0, rel=0.1)
 
 
+def test_what_is_darker_than_black_has_no_photons_that_scatter() -> None:
+    sensitive = CameraNoise(0.5, 2.0, 40.0)
+    assert see(frames_of(320, 240, even(1.0), even(0.0), READ), SEQUENCE, sensitive).cells > 0.95
+
+
 def test_a_cell_of_forty_clear_pixels_says_something_and_one_of_less_does_not() -> None:
     for many in (40, 39):
         frames = frames_of(320, 240, even(5.0), even(20.0), READ)
