@@ -182,6 +182,17 @@ def test_what_mostly_lies_outside_takes_all() -> None:
     assert causes(said("sight", near_percent=90.0)) == {}
 
 
+def test_what_is_near_and_yet_too_faint_does_not_take_all() -> None:
+    def share(fringe_dn: Given, **places: float) -> float:
+        (cause,) = causes(said("sight", distance_mm=300.0, fringe_dn=fringe_dn, **places)).values()
+        return cause.share
+
+    assert share(7.9, near_percent=90.0, far_percent=0.0) < 1.0
+    assert share(8.0, near_percent=90.0, far_percent=0.0) == 1.0
+    assert share(None, near_percent=90.0, far_percent=0.0) == 1.0
+    assert share(7.9, near_percent=0.0, far_percent=90.0) == 1.0
+
+
 def test_what_lies_outside_is_not_also_too_dark() -> None:
     far = said("sight", distance_mm=800.0, far_percent=100.0, fringe_dn=3.0, top_dn=6.0)
     assert set(causes(far, summary=POOR)) == {FaultCode.SCAN_FAR}
