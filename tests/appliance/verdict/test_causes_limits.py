@@ -183,7 +183,7 @@ def test_what_mostly_lies_outside_takes_all() -> None:
 
 
 def test_what_is_near_and_yet_too_faint_does_not_take_all() -> None:
-    def share(fringe_dn: Given, **places: float) -> float:
+    def share(fringe_dn: Given, **places: Any) -> float:
         (cause,) = causes(said("sight", distance_mm=300.0, fringe_dn=fringe_dn, **places)).values()
         return cause.share
 
