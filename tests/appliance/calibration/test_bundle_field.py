@@ -118,6 +118,8 @@ def test_a_port_that_stands_nearer_and_leans_is_found_from_exact_recordings() ->
     assert result.calibration.residual_px == pytest.approx(0.01, rel=0.15)
     assert [r.name for r in result.residuals] == ["plane 0", "plane 1", "bar"]
     assert [r.points for r in result.residuals][:2] == [300, 300]
+    # Noise is of the right pixels alone, and nearly nothing is fitted away: each recording has it by itself.
+    assert [r.rms_px for r in result.residuals] == pytest.approx([0.01] * 3, rel=0.15)
     assert result.costs[-1] < 0.5 * result.costs[0]
     assert result.steps == len(result.costs) - 1 <= 10
     assert result.warnings == ()

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from appliance.optics import port as ports
 from appliance.optics.model import HousedCamera
 from appliance.optics.pinhole import Lens
 from appliance.optics.port import Port, air_directions, refract, water_rays
@@ -191,3 +192,30 @@ def test_a_camera_that_looks_along_the_plane_is_refused() -> None:
     aside = ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0))
     with pytest.raises(ValueError, match="parallel to the mid-volume plane"):
         ray_lattice(HousedCamera(1600, 1200, LENS, TILTED, aside), N_WATER, 535.0)
+
+
+def test_a_point_on_the_outer_face_itself_is_not_in_the_water() -> None:
+    port = Port((0.0, 0.0, 1.0), 30.0, 5.0, 1.77)
+    points = np.array([[1.0, 2.0, 35.0], [0.0, 0.0, 35.0], [1.0, 2.0, 36.0]])
+    assert np.isnan(air_directions(port, N_WATER, points)).all(axis=1).tolist() == [True, True, False]
+
+
+@pytest.mark.parametrize(("steps", "within"), [(2, 5e-9), (3, 1e-15)])
+def test_a_point_in_the_water_is_found_in_three_steps(
+    steps: int, within: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Newton's method squares the error with each step, if it starts near and its slope is that of the path."""
+    monkeypatch.setattr(ports, "NEWTON_STEPS", steps)
+    a = directions(3)
+    point, w = water_rays(TILTED, N_WATER, a)
+    for depth_mm in (1.0, 60.0, 400.0, 700.0):
+        seen = air_directions(TILTED, N_WATER, point + depth_mm * w)
+        np.testing.assert_allclose(seen / np.linalg.norm(seen, axis=1, keepdims=True), a, atol=within)
+
+
+def test_points_a_few_tenths_of_a_millimetre_beside_the_axis_are_seen_beside_it() -> None:
+    port = Port((0.0, 0.0, 1.0), 30.0, 5.0, 1.77)
+    seen = air_directions(port, N_WATER, np.array([[0.3, -0.2, 500.0], [-0.6, 0.4, 500.0]]))
+    # So near the axis angles are so small that each medium only shortens its part of the way.
+    straight_mm = 30.0 + 5.0 / 1.77 + 465.0 / N_WATER
+    np.testing.assert_allclose(seen[:, :2], np.array([[0.3, -0.2], [-0.6, 0.4]]) / straight_mm, rtol=1e-5)

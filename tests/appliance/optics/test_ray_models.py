@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from appliance.calibration.design import Design, design_calibration
+from appliance.optics import pinhole
 from appliance.optics.correction import ImageCorrection
 from appliance.optics.model import HousedCamera, StereoRig
 from appliance.optics.pinhole import Lens
+from appliance.optics.port import water_rays
 from appliance.optics.printed import PrintedCamera
 from appliance.optics.ray_shift import RayShift
 from appliance.optics.water import Water
@@ -140,3 +142,76 @@ def test_strong_distortion_is_inverted_to_the_last_digit_and_a_lens_that_folds_o
 def test_a_surface_with_the_wrong_number_of_nodes_is_refused() -> None:
     with pytest.raises(ValueError, match="ray shift with 10 coefficients; 4 × 3 intervals need 84"):
         RayShift(1600, 1200, (4, 3), (0.0,) * 10)
+
+
+def test_a_camera_without_a_place_stands_in_the_left_ones_and_looks_the_same_way() -> None:
+    housed = right_camera()
+    camera = HousedCamera(1600, 1200, housed.lens, housed.port)
+    uv = np.array([[100.0, 200.0], [1500.0, 700.0], [3.0, 1190.0]])
+    origin, direction = camera.rays(uv, FRESH)
+    wanted_origin, wanted_direction = water_rays(housed.port, FRESH, housed.lens.to_directions(uv))
+    np.testing.assert_allclose(origin, wanted_origin, atol=1e-12)
+    np.testing.assert_allclose(direction, wanted_direction, atol=1e-12)
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_lens_that_folds_over_is_refused_on_either_side_of_the_image(side: float, axis: int) -> None:
+    """x (1 - 0.5 r^2) is never more than 0.55."""
+    lens = Lens((1000.0, 1000.0), (0.0, 0.0), (-0.5, 0.0, 0.0, 0.0, 0.0))
+    uv = np.zeros((1, 2))
+    uv[0, axis] = 200.0 * side
+    assert lens.to_pixels(lens.to_normalised(uv)) == pytest.approx(uv, abs=1e-8)
+    uv[0, axis] = 700.0 * side
+    with pytest.raises(ValueError, match="cannot be inverted within the image; recalibrate the camera in air"):
+        lens.to_normalised(uv)
+
+
+def test_a_pixel_that_nobody_knows_leaves_the_others_their_directions() -> None:
+    lens = Lens((1000.0, 900.0), (10.0, 20.0), (-0.1, 0.05, 1e-3, -1e-3, 0.01))
+    uv = np.array([[300.0, 250.0], [np.nan, np.nan], [-200.0, 100.0]])
+    found = lens.to_pixels(lens.to_normalised(uv))
+    assert np.isnan(found).all(axis=1).tolist() == [False, True, False]
+    np.testing.assert_allclose(found[[0, 2]], uv[[0, 2]], atol=1e-9)
+
+
+def test_a_ray_shift_with_a_wrong_number_of_nodes_is_refused() -> None:
+    RayShift(1600, 1200, (4, 3), (0.0,) * 84)
+    for count in (83, 85, 42, 126, 0):
+        with pytest.raises(ValueError, match=f"ray shift with {count} coefficients; 4 × 3 intervals need 84"):
+            RayShift(1600, 1200, (4, 3), (0.0,) * count)
+
+
+def test_the_printed_equations_are_those_of_the_paper_at_every_distance_from_the_axis() -> None:
+    """Eqs. 1 to 4 by hand, for rays at r = 0.05, 0.2 and 0.3 of the principal distance; d is that of the outer face."""
+    housed = right_camera()
+    lens = Lens((1000.0, 1000.0), (0.0, 0.0))
+    camera = PrintedCamera(1600, 1200, lens, housed.port)
+    d_mm, glass_mm = housed.port.distance_mm + housed.port.thickness_mm, housed.port.thickness_mm
+    for r in (0.05, 0.2, 0.3):
+        origin, direction = camera.rays(np.array([[1000.0 * r, 0.0]]), FRESH)
+        sine = r / np.hypot(1.0, r)
+        in_glass, in_water = sine / housed.port.glass_index, sine / FRESH
+        tan_glass = in_glass / np.sqrt(1.0 - in_glass**2)
+        shift_mm = d_mm * r / in_water - d_mm - glass_mm * r * (r - tan_glass)
+        np.testing.assert_allclose(origin, [[0.0, 0.0, -shift_mm]], atol=1e-9)
+        np.testing.assert_allclose(direction[0, 0] / direction[0, 2], in_water / np.sqrt(1.0 - in_water**2), rtol=1e-9)
+
+
+def test_near_its_axis_the_printed_camera_still_tells_points_apart() -> None:
+    housed = right_camera()
+    camera = PrintedCamera(1600, 1200, Lens((1000.0, 1000.0), (800.0, 600.0)), housed.port)
+    uv = np.array([[801.0, 600.0], [800.0, 599.5], [799.8, 600.1]])
+    origin, direction = camera.rays(uv, FRESH)
+    points = origin + 100.0 * direction
+    assert np.hypot(*points[:, :2].T).max() < 0.2
+    np.testing.assert_allclose(camera.project(points, FRESH), uv, atol=1e-5)
+
+
+def test_a_strongly_bent_lens_is_inverted_in_three_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Newton's method squares the error with each step, if its slopes are those of the lens."""
+    monkeypatch.setattr(pinhole, "MAX_ITERATIONS", 3)
+    lens = Lens((1000.0, 900.0), (10.0, 20.0), (-0.3, 0.12, 2e-2, -3e-2, 0.05))
+    xy = np.random.default_rng(1).uniform(-0.45, 0.45, (300, 2))
+    xy[0], xy[1], xy[2] = (0.0, 0.0), (0.3, 0.0), (0.0, 0.3)
+    np.testing.assert_allclose(lens.to_normalised(lens.to_pixels(xy)), xy, atol=2e-10)

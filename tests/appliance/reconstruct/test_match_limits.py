@@ -398,6 +398,20 @@ def test_what_is_lost_from_its_own_node_is_tried_once_more_from_a_neighbouring_o
     assert search_from({(2 * side[0], 2 * side[1]): GOOD}) == [False], "only the nearest neighbours are asked"
 
 
+def test_a_walk_that_ends_in_a_hole_is_tried_once_more_from_a_neighbouring_node() -> None:
+    missing = np.zeros((48, 64), bool)
+    missing[28:33, 20:30] = True
+    right = maps_of(straight, missing=missing)
+    right.inverse[:, :] = 0
+    p, q = straight(np.array([34.2]), np.array([30.1]))
+    i, j = int(p[0] / NODE_PX + 1.5), int(q[0] / NODE_PX + 1.5)
+    right.inverse[j, i] = 30 << 16 | 18  # before the hole, into which the first step leads
+    nothing = np.full(SIZE, np.nan, np.float32)
+    assert Row(right, p, q, nothing).matched == [False]
+    right.inverse[j, i + 1] = 30 << 16 | 33
+    assert Row(right, p, q, nothing).matched == [True]
+
+
 def test_a_search_is_given_up_after_two_walks() -> None:
     assert search_from({HERE: LOST, RIGHT: LOST, LEFT: GOOD}) == [True], "the same pixel is not tried again"
     assert search_from({RIGHT: LOST, LEFT: GOOD}) == [True]

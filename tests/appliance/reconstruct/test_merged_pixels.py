@@ -127,12 +127,38 @@ def test_a_variance_better_than_the_scale_can_say_is_said_with_less_light() -> N
 
 
 def test_lit_parts_are_joined() -> None:
-    first, second = maps([V] * 6, [1.0] * 6, [40.0] * 6, [80] * 6), maps([V] * 6, [1.0] * 6, [40.0] * 6, [80] * 6)
-    first.lit_columns[:], second.lit_columns[:] = [2, 5], [1, 4]
-    first.lit_pixels, second.lit_pixels = 3, 4
+    for one, other in (([2, 5], [1, 4]), ([1, 4], [2, 5]), ([1, 5], [2, 4]), ([2, 4], [1, 5])):
+        first, second = maps([V] * 6, [1.0] * 6, [40.0] * 6, [80] * 6), maps([V] * 6, [1.0] * 6, [40.0] * 6, [80] * 6)
+        first.lit_columns[:], second.lit_columns[:] = one, other
+        first.lit_pixels, second.lit_pixels = one[1] - one[0], other[1] - other[0]
+        wanted = max(first.lit_pixels, second.lit_pixels)
+        merged(first, second)
+        assert first.lit_columns.tolist() == [[1, 5]]
+        assert first.lit_pixels == wanted
+
+
+@pytest.mark.parametrize("doubt", [CONTRADICTION, EDGE])
+def test_an_edge_in_a_sequence_that_is_no_clearer_takes_nothing_away(doubt: Mask) -> None:
+    first = maps([V, doubt], [1.0, NAN], [30, 30], [60, 60])
+    merged(first, maps([doubt, V], [NAN, 2.0], [30, 30], [60, 60]))
+    assert first.mask.tolist() == [[V, V]]
+    assert first.p_px.tolist() == [[1.0, 2.0]]
+
+
+@pytest.mark.parametrize("middle", [2, 1, 0])
+def test_at_black_and_below_it_only_the_noise_of_reading_counts(middle: int) -> None:
+    first, second = maps([V], [100.0], [60.0], [middle]), maps([V], [100.05], [60.0], [42])
     merged(first, second)
-    assert first.lit_columns.tolist() == [[1, 5]]
-    assert first.lit_pixels == 4
+    a, b = sigma_px(60.0, 2) ** 2, sigma_px(60.0, 42) ** 2
+    assert first.p_px[0, 0] == pytest.approx(100.0 + 0.05 * a / (a + b), abs=3e-5)
+    said = sigma_px(first.modulation_half_dn[0, 0] / 2.0, 2) ** 2
+    assert first.middle[0, 0] == middle
+    assert said == pytest.approx(1.0 / (1.0 / a + 1.0 / b), rel=0.02)
+
+
+def test_a_shift_of_just_half_the_noise_still_agrees() -> None:
+    assert Agreement(0.0, 0.0, 1.0, 0.0, 0.5).agrees is True
+    assert Agreement(0.0, 0.0, 1.0, 0.0, 0.5001).agrees is False
 
 
 def whole(off_px: np.ndarray, shape: tuple[int, int] = (96, 160)) -> tuple[DecodedMaps, DecodedMaps]:
