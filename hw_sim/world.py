@@ -117,11 +117,12 @@ class World:
         self._world_thread = WorldThread(self.time, self, self._blank, o.pace, o.idle_speed)
 
     def __enter__(self) -> World:
-        # Before the first fault and the first blank: whoever finds the world's name finds it running.
-        registry.register(self.options.world, self)
         with self.time.condition:
             for sentence in self.options.faults:
                 self.faults.add(sentence)
+        # After the faults, of which one may be refused, and before the first blank: whoever finds the world's name finds
+        # it running.
+        registry.register(self.options.world, self)
         self._world_thread.start()
         return self
 

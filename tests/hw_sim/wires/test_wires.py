@@ -117,6 +117,19 @@ def test_faults_may_be_options(make_bench: Callable[..., Bench]) -> None:
     assert "LEAK=1" in bench.board.ask("SENSE")
 
 
+def test_a_world_that_was_refused_is_not_found_by_the_next_who_asks_for_its_name() -> None:
+    """It was, and its time stood still: whoever waited for one of its devices waited for ever."""
+    with (
+        pytest.raises(ValueError, match=r"camera\.left explode"),
+        open_wires({**SMALL, "faults": ["camera.left explode"]}),
+    ):
+        pass
+    with open_wires(SMALL) as next_wires:
+        start_ns = next_wires.clock.now_ns()
+        time.sleep(0.1)
+        assert next_wires.clock.now_ns() - start_ns > 50_000_000, "its time passes"
+
+
 def test_a_world_that_fails_says_so(make_bench: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch) -> None:
     bench = make_bench()
 
