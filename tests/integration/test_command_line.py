@@ -11,17 +11,24 @@ from typing import Any
 import pytest
 
 from appliance.storage.lock import hold_lock
-from tests.support.commands import ROOT, kingfisher
+from tests.support.commands import ROOT, Shell, kingfisher
 
 SMALL_RIG = ROOT / "hw_sim" / "rigs" / "small.toml"
 
 
-def checked(folder: Path, *faults: str, change: Callable[[str], str] = str) -> dict[str, dict[str, Any]]:
+@pytest.fixture
+def shell(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Shell:
+    """Commands in this process: starting one is most of what they take. A few have a process of their own all the same."""
+    monkeypatch.setattr("faulthandler.enable", lambda **_: None)  # a process has one, and here it is the test run's
+    return Shell(capsys)
+
+
+def checked(shell: Shell, folder: Path, *faults: str, change: Callable[[str], str] = str) -> dict[str, dict[str, Any]]:
     """What ``kingfisher check`` says of each device of a rig in which something is wrong; exit code 1 if it says so."""
     rig = folder / "rig.toml"
     text = change(SMALL_RIG.read_text(encoding="utf-8"))
     rig.write_text(text.replace("[rig.wires_options]", f"[rig.wires_options]\nfaults = {json.dumps(faults)}"))
-    said = kingfisher("check", "--rig", rig, "--json")
+    said = shell("check", "--rig", rig, "--json")
     assert said.code == (0 if all(one["ok"] for one in said.document) else 1)
     return {one["device"]: one for one in said.document}
 
@@ -36,14 +43,14 @@ def test_the_simulated_devices_pass_the_check_and_identify_themselves() -> None:
     assert lines[0].split()[:6] == ["camera.left", "ok", "KF-CAM-L", "5000", "Mbit/s", "1.0"]
 
 
-def test_the_check_names_what_is_wrong_with_each_device(tmp_path: Path) -> None:
+def test_the_check_names_what_is_wrong_with_each_device(shell: Shell, tmp_path: Path) -> None:
     def other(text: str) -> str:
         """The rig wants another left camera than the one that is there, and another firmware of the board."""
         return text.replace('serial = "KF-CAM-L"', 'serial = "KF-CAM-7"').replace(
             "[board]", '[board]\nfirmware = "2.0"'
         )
 
-    said = checked(tmp_path, "camera.right slow", "keypad off", change=other)
+    said = checked(shell, tmp_path, "camera.right slow", "keypad off", change=other)
     assert [name for name, one in said.items() if not one["ok"]] == ["camera.left", "camera.right", "board", "keys"]
     assert "KF-CAM-7 not found" in said["camera.left"]["summary"]
     assert "KF-CAM-L" in said["camera.left"]["summary"]  # which is there in its place
@@ -53,8 +60,8 @@ def test_the_check_names_what_is_wrong_with_each_device(tmp_path: Path) -> None:
     assert all(". " in said[name]["summary"] for name in ("camera.left", "camera.right", "board", "keys"))  # a remedy
 
 
-def test_a_device_that_does_not_answer_fails_the_check(tmp_path: Path) -> None:
-    said = checked(tmp_path, "camera.right off")
+def test_a_device_that_does_not_answer_fails_the_check(shell: Shell, tmp_path: Path) -> None:
+    said = checked(shell, tmp_path, "camera.right off")
     assert [name for name, one in said.items() if not one["ok"]] == ["camera.right"]
     assert "KF-CAM-R" in said["camera.right"]["summary"]
 
@@ -69,17 +76,17 @@ def test_the_check_leaves_a_running_instrument_alone(tmp_path: Path) -> None:
     assert "systemctl stop kingfisher" in said.error
 
 
-def test_a_calibration_is_never_replaced(tmp_path: Path) -> None:
-    for out in ((), ("--out", tmp_path / "x.json")):
-        first = kingfisher("calibration", "nominal", "--rig", SMALL_RIG, "--root", tmp_path, *out, "--json")
+def test_a_calibration_is_never_replaced(shell: Shell, tmp_path: Path) -> None:
+    for run, out in ((kingfisher, ()), (shell, ("--out", tmp_path / "x.json"))):
+        first = run("calibration", "nominal", "--rig", SMALL_RIG, "--root", tmp_path, *out, "--json")
         assert first.code == 0, first.err
         path = Path(first.document["file"])
         before = path.read_bytes()
-        again = kingfisher("calibration", "nominal", "--rig", SMALL_RIG, "--root", tmp_path, *out)
+        again = shell("calibration", "nominal", "--rig", SMALL_RIG, "--root", tmp_path, *out)
         assert again.code == 2
         assert str(path) in again.error
         assert path.read_bytes() == before
-    said = kingfisher("calibration", "nominal", "--out", tmp_path / "no" / "x.json")
+    said = shell("calibration", "nominal", "--out", tmp_path / "no" / "x.json")
     assert (said.code, "no folder" in said.error) == (2, True)
 
 
@@ -93,10 +100,12 @@ def test_a_calibration_is_never_replaced(tmp_path: Path) -> None:
         ("wait state REVIEW 1", 3, ("line 1: wait state REVIEW 1", "after 1 s the state is")),
     ],
 )
-def test_a_script_says_at_which_line_it_failed(script: str, code: int, words: tuple[str, ...], tmp_path: Path) -> None:
+def test_a_script_says_at_which_line_it_failed(
+    script: str, code: int, words: tuple[str, ...], shell: Shell, tmp_path: Path
+) -> None:
     path = tmp_path / "dive.script"
     path.write_text(script + "\n")
-    said = kingfisher("sim", "--rig", SMALL_RIG, "--root", tmp_path / "root", "--script", path)
+    said = shell("sim", "--rig", SMALL_RIG, "--root", tmp_path / "root", "--script", path)
     assert said.code == code
     last = said.err.splitlines()[-1]
     for word in words:
@@ -112,9 +121,9 @@ def test_a_script_says_at_which_line_it_failed(script: str, code: int, words: tu
     ],
 )
 def test_an_option_that_the_world_refuses_is_wrong_usage(
-    options: tuple[object, ...], words: tuple[str, ...], tmp_path: Path
+    options: tuple[object, ...], words: tuple[str, ...], shell: Shell, tmp_path: Path
 ) -> None:
-    said = kingfisher("sim", "--rig", SMALL_RIG, "--root", tmp_path / "root", *options)
+    said = shell("sim", "--rig", SMALL_RIG, "--root", tmp_path / "root", *options)
     assert said.code == 2
     for word in words:
         assert word in said.error
