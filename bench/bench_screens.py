@@ -8,9 +8,9 @@ from collections.abc import Callable, Iterator, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.capture.ranging import Reach
 from appliance.patterns.draw import draw_sequence
 from appliance.patterns.sequence import Direction, PatternSequence, build_sequence
+from appliance.ranging.reach import Reach
 from appliance.screens.painter import Painter
 from appliance.screens.views import AimView, Gauge, Grade, ReviewView
 from bench.result import Measured

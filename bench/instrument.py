@@ -15,8 +15,9 @@ import numpy as np
 
 from appliance.capture.grabber import Grabber
 from appliance.capture.scan import ScanRecorder, ScanSettings
-from appliance.capture.store import SIDES, FrameStore
+from appliance.capture.store import FrameStore
 from appliance.patterns.sequence import PatternSequence, build_sequence
+from appliance.scan.sides import SIDES
 from drivers import rig as drivers_rig
 from drivers.api import CameraSettings, Wires
 from hw_sim.options import WorldOptions

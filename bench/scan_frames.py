@@ -19,7 +19,6 @@ from tests.support import synthetic
 NOISE_DN = 1.6
 RADIUS_MM = 112.0
 NORMAL = np.array([-0.2, 0.15, 1.0]) / np.linalg.norm([-0.2, 0.15, 1.0])
-SIDES = ("left", "right")
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from appliance.reconstruct.pipeline import Pipeline
-from bench.scan_frames import SIDES, ScanFrames
+from appliance.scan.sides import SIDES
+from bench.scan_frames import ScanFrames
 
 
 @dataclass(frozen=True, slots=True)

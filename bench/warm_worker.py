@@ -9,9 +9,10 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from appliance.capture.store import FrameStore
+from appliance.scan.sides import SIDES
 from appliance.worker.process import CloudReady, PatternsRight, ReconstructionWorker, ScanJudged, WorkerReady, WorkOrder
 from bench.result import Measured
-from bench.scan_frames import SIDES, ScanFrames
+from bench.scan_frames import ScanFrames
 from bench.timing import median_of
 from drivers.native import MonotonicClock
 from tests.support import synthetic

@@ -9,8 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from appliance.calibration.file import Calibration
-
-SIDES = ("left", "right")
+from appliance.scan.sides import SIDES
 
 
 @dataclass(frozen=True, slots=True)

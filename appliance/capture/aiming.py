@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.capture.fault import Fault, FaultCode
+from appliance.scan.fault import Fault, FaultCode
 
 WIDTH_PX = 200
 """Images are looked at in this width."""

@@ -11,8 +11,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from appliance.capture.fault import Fault, FaultCode
 from appliance.capture.sync import SyncMap
+from appliance.scan.fault import Fault, FaultCode
 from drivers.api import ClockReading, Flip, Frame, FrameStatus, Pulse
 
 MAX_SKEW_NS = 200_000

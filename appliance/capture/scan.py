@@ -13,13 +13,14 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.capture.fault import Fault, FaultCode
 from appliance.capture.grabber import Grabber, Recording
 from appliance.capture.ledger import Ledger, audit, frame_fault
 from appliance.capture.patience import Patience
-from appliance.capture.store import SIDES, FrameStore
+from appliance.capture.store import FrameStore
 from appliance.capture.sync import SyncError, SyncMap, synchronise
 from appliance.patterns.sequence import PatternSequence
+from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.sides import SIDES
 from drivers.api import (
     Board,
     BoardBooted,

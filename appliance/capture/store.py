@@ -14,7 +14,7 @@ from types import TracebackType
 import numpy as np
 from numpy.typing import NDArray
 
-SIDES = ("left", "right")
+from appliance.scan.sides import SIDES
 
 
 class FrameStore:

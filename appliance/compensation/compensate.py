@@ -21,8 +21,8 @@ from appliance.optics.water import Water
 from appliance.patterns.sequence import Direction
 from appliance.reconstruct.decode import MIN_MODULATION_DN, edge_limits_px
 from appliance.reconstruct.edges import keep_smooth
-from appliance.reconstruct.pipeline import SIDES
 from appliance.reconstruct.rows import LeftMaps
+from appliance.scan.sides import SIDES, of_side
 
 FILL_SHARE = 0.03
 """Of the image's width: so far is a depth carried over pixels that motion left without coordinates."""
@@ -74,7 +74,7 @@ def compensate(scanned: Scanned, calibration: Calibration, water: Water, motion:
     rig = calibration.rig
 
     def solve(side: str) -> _Side:
-        camera = rig.left if side == "left" else rig.right
+        camera = of_side(rig, side)
         way = ways(
             camera, motion.projector.eye, water.index, moved_mm, motion.centre_mm, axes, float(sequence.period_px)
         )
@@ -90,7 +90,7 @@ def _solve(
     scanned: Scanned, side: str, motion: MotionEstimate, followed: tuple[int, ...], way: Ways, place_px: float
 ) -> _Side:
     sequence, decoder = scanned.sequence, scanned.decoded[side]
-    noise = scanned.noise.left if side == "left" else scanned.noise.right
+    noise = of_side(scanned.noise, side)
     height, width = decoder.p_px.shape
     # One kind of array, whether it may be written or not: each kind would be compiled for itself.
     frames = scanned.frames[side].view()
@@ -102,7 +102,7 @@ def _solve(
     terms = Terms(
         np.float32(sequence.period_px), np.float32(sequence.width_px), np.float32(sequence.height_px),
         np.float32(MIN_MODULATION_DN), np.float32(noise_dn(scanned, side)),
-        np.float32(noise.read_dn**2 - noise.dn_per_e * noise.black_dn), np.float32(noise.dn_per_e),
+        np.float32(noise.dark_variance_dn2), np.float32(noise.dn_per_e),
         len(sequence.axis(Direction.X).gray), round(FILL_SHARE * width), np.float32(settled_t(way)),
         np.float32(0.0), np.float32(0.0),
     )  # fmt: skip

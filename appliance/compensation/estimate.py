@@ -34,8 +34,8 @@ from appliance.optics.model import HousedCamera
 from appliance.optics.water import Water
 from appliance.patterns.sequence import Direction, PatternSequence
 from appliance.reconstruct.decode import CameraDecoder, Mask
-from appliance.reconstruct.noise import StereoNoise
-from appliance.reconstruct.pipeline import SIDES
+from appliance.scan.noise import StereoNoise
+from appliance.scan.sides import SIDES, of_side
 
 Array = NDArray[np.float64]
 
@@ -367,7 +367,7 @@ def _step_deg(samples: Samples, values: Array) -> float:
 
 def noise_dn(scanned: Scanned, side: str) -> float:
     """Of the grey values of one camera, at the object's mean light."""
-    decoder, camera = scanned.decoded[side], scanned.noise.left if side == "left" else scanned.noise.right
+    decoder, camera = scanned.decoded[side], of_side(scanned.noise, side)
     lit = decoder.middle[::4, ::4][decoder.mask[::4, ::4] == Mask.VALID]
     return math.sqrt(camera.variance_dn2(float(np.median(lit)) if lit.size else 0.0))
 

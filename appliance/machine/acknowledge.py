@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from appliance.capture.fault import Fault
 from appliance.machine.alerts import Severity, in_full, lasting, on_screen
 from appliance.machine.moves import RECORDING
 from appliance.machine.states import Machine, State
+from appliance.scan.fault import Fault
 
 
 def pending(machine: Machine) -> Fault | None:

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from types import MappingProxyType
 
-from appliance.capture.fault import Fault, FaultCode
 from appliance.machine import german
 from appliance.machine.states import Machine, NoticeKind, State
+from appliance.scan.fault import Fault, FaultCode
 from drivers.api import Key
 
 

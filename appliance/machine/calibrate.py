@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 from appliance.calibration.guide import HELD, STEPS, Session, Step, Trial
-from appliance.capture.fault import Fault, FaultCode
 from appliance.machine import effects as do
 from appliance.machine.conditions import cleared, raised
 from appliance.machine.mishap import Failure, Mishap
 from appliance.machine.moves import Result, enter
 from appliance.machine.states import Calibrating, Machine, State, Task
+from appliance.scan.fault import Fault, FaultCode
 from drivers.api import Key
 
 

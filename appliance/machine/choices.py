@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
-from appliance.capture.exposure import NOMINAL, Exposure
+from appliance.scan.exposure import NOMINAL, Exposure
 
 T = TypeVar("T")
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from appliance.capture.fault import Fault, FaultCode
 from appliance.machine.permissions import LOST_CODES
 from appliance.machine.states import Device, Machine, seconds_ns
+from appliance.scan.fault import Fault, FaultCode
 from drivers.api import Telemetry
 
 LEAK_HEARTBEATS = 2

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from appliance.calibration.guide import Step, Trial
-from appliance.capture.exposure import Exposure
 from appliance.machine.choices import Choices
 from appliance.machine.states import Device
+from appliance.scan.exposure import Exposure
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from appliance.calibration.guide import Session, Trial
-from appliance.capture.exposure import Exposure
-from appliance.capture.fault import Fault, FaultCode
-from appliance.capture.ranging import Range
 from appliance.machine.mishap import Failure
 from appliance.machine.states import Device, Part
+from appliance.ranging.reach import Range
+from appliance.scan.exposure import Exposure
+from appliance.scan.fault import Fault, FaultCode
 from drivers.api import Key, Telemetry
 
 if TYPE_CHECKING:

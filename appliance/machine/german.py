@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from appliance.capture.fault import FaultCode
+from appliance.scan.fault import FaultCode
 
 
 @dataclass(frozen=True, slots=True)

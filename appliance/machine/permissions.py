@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from appliance.capture.exposure import Exposure
-from appliance.capture.fault import Fault, FaultCode
 from appliance.machine.alerts import RULES
 from appliance.machine.states import NEEDED_FOR_A_SCAN, Device, Machine, State
+from appliance.scan.exposure import Exposure
+from appliance.scan.fault import Fault, FaultCode
 
 LOST_CODES = {
     Device.CAMERA_LEFT: FaultCode.CAMERA_LOST,

@@ -7,13 +7,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from appliance.capture.fault import Fault, FaultCode
 from appliance.machine import calibrate, saving, scanning
 from appliance.machine import effects as do
 from appliance.machine.alerts import RULES
 from appliance.machine.moves import RECORDING, Result, enter
 from appliance.machine.permissions import interruption, too_hot_to_shine
 from appliance.machine.states import Device, Ending, Machine, Notice, NoticeKind, State, seconds_ns
+from appliance.scan.fault import Fault, FaultCode
 from drivers.api import Key
 
 COOLS_DOWN = (FaultCode.HOT, FaultCode.TOO_HOT)

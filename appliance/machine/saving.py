@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from appliance.capture.fault import Fault, FaultCode
 from appliance.machine import calibrate
 from appliance.machine import effects as do
 from appliance.machine.conditions import cleared, raised
 from appliance.machine.moves import Result, enter
 from appliance.machine.states import Ending, Machine, ScanInHand, State, seconds_ns
+from appliance.scan.fault import Fault, FaultCode
 
 RETRIES = 3
 """Unasked, after the disk refused; then the diver decides."""

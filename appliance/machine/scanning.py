@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import assert_never
 
-from appliance.capture.fault import Fault, FaultCode
-from appliance.capture.ranging import Reach
 from appliance.machine import calibrate, saving, thermal
 from appliance.machine import effects as do
 from appliance.machine import events as on
@@ -15,6 +13,8 @@ from appliance.machine.conditions import raised
 from appliance.machine.moves import RECORDING, Result, enter, home
 from appliance.machine.permissions import other_exposure, refusal, second_exposure
 from appliance.machine.states import Device, Machine, Notice, NoticeKind, ScanInHand, State, seconds_ns
+from appliance.ranging.reach import Reach
+from appliance.scan.fault import Fault, FaultCode
 from drivers.api import Key
 
 SILENT_RETRIES = 1

@@ -12,11 +12,11 @@ from enum import Enum
 from typing import TYPE_CHECKING
 
 from appliance.calibration.guide import Session, Step, Trial
-from appliance.capture.exposure import Exposure
-from appliance.capture.fault import Fault
-from appliance.capture.ranging import Range, Reach
 from appliance.machine.choices import Choices, Offers
 from appliance.machine.mishap import Failure
+from appliance.ranging.reach import Range, Reach
+from appliance.scan.exposure import Exposure
+from appliance.scan.fault import Fault
 from drivers.api import Key
 
 if TYPE_CHECKING:  # carried from the worker to the screens, never read here: no kernels are needed to decide

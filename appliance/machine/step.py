@@ -10,8 +10,6 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import assert_never
 
-from appliance.capture.fault import Fault, FaultCode
-from appliance.capture.ranging import Reach, reach_of
 from appliance.machine import acknowledge, asking, calibrate, gallery, keys, safety, saving, scanning, start, thermal
 from appliance.machine import effects as do
 from appliance.machine import events as on
@@ -19,6 +17,8 @@ from appliance.machine.conditions import cleared, device_down, device_up, judge,
 from appliance.machine.moves import Result
 from appliance.machine.permissions import may_lase, may_light, may_shine, refusal
 from appliance.machine.states import Device, Ending, Machine, Notice, NoticeKind, State
+from appliance.ranging.reach import Reach, reach_of
+from appliance.scan.fault import Fault, FaultCode
 
 
 def step(machine: Machine, event: on.Event) -> Result:

@@ -8,10 +8,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from appliance.capture.fault import Fault, FaultCode
 from appliance.machine.conditions import cleared, has, raised
 from appliance.machine.permissions import rationed
 from appliance.machine.states import Limits, Machine, State, seconds_ns
+from appliance.scan.fault import Fault, FaultCode
 from drivers.api import Telemetry
 
 HYSTERESIS_C = 3.0

@@ -17,9 +17,9 @@ from appliance.patterns.sequence import Direction, Kind, PatternSequence
 from appliance.reconstruct.edges import close_axis
 from appliance.reconstruct.graycode import BITS_AT_ONCE, add_bit, number_half_periods, threshold
 from appliance.reconstruct.lit import find_lit
-from appliance.reconstruct.noise import CameraNoise
 from appliance.reconstruct.phase import Axis
 from appliance.reconstruct.veiled import read_through_veil
+from appliance.scan.noise import CameraNoise
 
 MIN_CONTRAST_DN = 8
 """Bright minus dark below this is shadow: no projector light."""

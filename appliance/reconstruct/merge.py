@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.reconstruct.decode import CameraDecoder, DecodedMaps, Mask
-from appliance.reconstruct.noise import CameraNoise
+from appliance.scan.noise import CameraNoise
 
 Maps = CameraDecoder | DecodedMaps
 MAX_SIGMA = 5.0
@@ -123,9 +123,9 @@ def _merge_rows(
 def _variance_px2(decoder: Maps, noise: CameraNoise, scale_px: float, rows: slice) -> NDArray[np.float32]:
     """Of either coordinate; in the shadow, where nothing else means anything, that of the least modulation."""
     lit = decoder.mask[rows] != Mask.SHADOW
-    light = np.maximum(decoder.middle[rows].astype(np.float32) - np.float32(noise.black_dn), 0.0)
+    grey_dn = decoder.middle[rows].astype(np.float32)
     modulation = np.where(lit, np.maximum(0.5 * decoder.modulation_half_dn[rows].astype(np.float32), 1.0), 1.0)
-    return np.asarray(scale_px**2 * (noise.read_dn**2 + noise.dn_per_e * light) / modulation**2, np.float32)
+    return np.asarray(scale_px**2 * noise.variance_dn2(grey_dn) / modulation**2, np.float32)
 
 
 def _restate(
@@ -142,7 +142,7 @@ def _restate(
     that would leave the scale, less light."""
     light = np.where(second_is_clearer, second.middle[rows], first.middle[rows]).astype(np.float32)
     black = np.float32(noise.black_dn)
-    at_light = noise.read_dn**2 + noise.dn_per_e * np.maximum(light - black, 0.0)
+    at_light = noise.variance_dn2(light)
     modulation = scale_px * np.sqrt(at_light / variance_px2)
     beyond = modulation > 127.5
     needed = (variance_px2 * (127.5 / scale_px) ** 2 - noise.read_dn**2) / noise.dn_per_e + black

@@ -20,7 +20,6 @@ from appliance.patterns.sequence import PatternSequence
 from appliance.reconstruct.decode import CameraDecoder
 from appliance.reconstruct.gaps import GapSampler
 from appliance.reconstruct.match import RightMaps, fill_inverse_map, right_maps
-from appliance.reconstruct.noise import TYPICAL_PAIR, StereoNoise
 from appliance.reconstruct.quality import QualityLimits, summarise
 from appliance.reconstruct.ripple import STILL, measure_ripple
 from appliance.reconstruct.rows import LeftMaps, reconstruct_rows, scratch_rows
@@ -29,8 +28,9 @@ from appliance.reconstruct.select import Limits
 from appliance.reconstruct.sigma import SigmaFactors, read_between, sigma_factors
 from appliance.reconstruct.table import Cloud, Found, PointTable
 from appliance.reconstruct.triangulate import Rays, rays_of
+from appliance.scan.noise import TYPICAL_PAIR, StereoNoise
+from appliance.scan.sides import SIDES, of_side
 
-SIDES = ("left", "right")
 COARSE_POINTS = 30_000
 """Left pixels asked for the coarse cloud; 20,000 points remain when 70 % of them see the object."""
 MIN_COARSE_NEIGHBOURS = 2
@@ -38,7 +38,7 @@ MIN_COARSE_NEIGHBOURS = 2
 LOOSE_GAP_MM = np.float32(5.0)
 """Rays of the same point, seen while it moved."""
 THREADS = 2
-__all__ = ["SIDES", "Cloud", "Pipeline"]
+__all__ = ["Cloud", "Pipeline"]
 
 
 class Pipeline:
@@ -176,7 +176,7 @@ class Pipeline:
         self._factors = sigma_factors(period_px, self._noise, self._ripple)
 
     def _read_through_veil(self) -> None:
-        noises = {"left": self._noise.left, "right": self._noise.right}
+        noises = {side: of_side(self._noise, side) for side in SIDES}
 
         def work(side: str) -> None:
             self._decoders[side].read_again_through_veil(self._frames[side], noises[side])

@@ -21,7 +21,6 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.reconstruct.noise import CameraNoise, StereoNoise
 from appliance.reconstruct.ripple import KNEE, STILL, Ripple
 from appliance.reconstruct.scratch import (
     BEND_RIGHT,
@@ -35,6 +34,7 @@ from appliance.reconstruct.scratch import (
     UQ,
     P,
 )
+from appliance.scan.noise import CameraNoise, StereoNoise
 
 BLUR_PX2 = 0.2
 """Variance of what one pixel sees, in px²: its own area and the lens."""
@@ -76,8 +76,7 @@ def sigma_factors(period_px: int, noise: StereoNoise, ripple: Ripple = STILL) ->
     """For fringes of ``period_px``, cameras of that noise, and a coordinate that ripples like that."""
 
     def of(camera: CameraNoise) -> tuple[np.float32, np.float32]:
-        dark_dn2 = camera.read_dn**2 - camera.dn_per_e * camera.black_dn
-        return np.float32(dark_dn2), np.float32(camera.dn_per_e)
+        return np.float32(camera.dark_variance_dn2), np.float32(camera.dn_per_e)
 
     return SigmaFactors(
         np.float32(period_px**2 / (8.0 * math.pi**2)),

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from appliance.patterns.sequence import Direction, PatternSequence
 from appliance.reconstruct.decode import CameraDecoder, Mask
-from appliance.reconstruct.noise import CameraNoise
+from appliance.scan.noise import CameraNoise
 
 SIGMAS = 6.0
 SHARE = 0.12
@@ -78,7 +78,7 @@ def _allowed(steps: list[NDArray[np.uint8]], mask: NDArray[np.uint8], noise: Cam
         strong = np.abs(second) > 0.5 * np.median(np.abs(second))
         seconds.append(float(np.median(off[strong] / second[strong])) if strong.any() else 0.0)
     means = float(np.median(i[0] + i[1] + i[2] + i[3] - i[4] - i[5] - i[6] - i[7]))
-    dark_dn2 = 4.0 * (noise.read_dn**2 - noise.dn_per_e * noise.black_dn)
+    dark_dn2 = 4.0 * noise.dark_variance_dn2
     return Allowed(
         np.float32(seconds[0]),
         np.float32(seconds[1]),

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.patterns.sequence import Direction, PatternSequence
-from appliance.reconstruct.noise import CameraNoise
+from appliance.scan.noise import CameraNoise
 
 Floats = NDArray[np.float32]
 
@@ -156,9 +156,11 @@ def fringe_scale(
 
 def scale_of(contrast: float, light_per_sines: float, noise: CameraNoise) -> Scale:
     """``contrast``: modulation in halves of the object's light."""
-    dark_dn2 = noise.read_dn**2 - noise.dn_per_e * noise.black_dn
     return Scale(
-        np.float32(1.0 / contrast), np.float32(light_per_sines), np.float32(dark_dn2), np.float32(noise.dn_per_e)
+        np.float32(1.0 / contrast),
+        np.float32(light_per_sines),
+        np.float32(noise.dark_variance_dn2),
+        np.float32(noise.dn_per_e),
     )
 
 

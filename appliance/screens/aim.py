@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.capture.fault import FaultCode
 from appliance.machine.alerts import Severity
+from appliance.scan.fault import FaultCode
 from appliance.screens import theme
 from appliance.screens.canvas import Align, Canvas
 from appliance.screens.frame import alerts_top, draw_title, room_between, words_of

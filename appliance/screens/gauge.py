@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.capture.ranging import FARTHEST_MM, NEAREST_MM, Reach
+from appliance.ranging.reach import FARTHEST_MM, NEAREST_MM, Reach
 from appliance.screens import theme
 from appliance.screens.canvas import Align, Canvas
 from appliance.screens.texts import Language, Text

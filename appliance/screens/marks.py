@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.capture.ranging_marks import Place, Track
+from appliance.ranging.marks import Place, Track
 from appliance.screens import theme
 from appliance.screens.canvas import Canvas
 

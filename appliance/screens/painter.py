@@ -10,8 +10,8 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.capture.fault import FaultCode
 from appliance.machine.texts import SEEN
+from appliance.scan.fault import FaultCode
 from appliance.screens import theme
 from appliance.screens.aim import draw_aim
 from appliance.screens.calibrate import draw_calibrate

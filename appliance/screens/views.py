@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibration.guide import Session, Step
-from appliance.capture.ranging import Reach
-from appliance.capture.ranging_marks import Marks
 from appliance.machine.alerts import Alert
 from appliance.machine.states import Calibrating
+from appliance.ranging.marks import Marks
+from appliance.ranging.reach import Reach
 from appliance.screens.texts import Text
 from drivers.api import Key
 

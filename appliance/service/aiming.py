@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from appliance.calibration.file import Calibration
 from appliance.capture.aiming import WIDTH_PX, Aimed, look, moved_px, too_fast
-from appliance.capture.fault import Fault, FaultCode
 from appliance.machine import events as on
+from appliance.scan.fault import Fault, FaultCode
 from drivers.api import Clock
 
 log = logging.getLogger("kingfisher")

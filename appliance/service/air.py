@@ -29,6 +29,7 @@ from appliance.calibration.parameters import AIR, NAMES
 from appliance.calibration.start import METHOD, start_from_air
 from appliance.config import Rig
 from appliance.patterns.sequence import build_sequence
+from appliance.scan.sides import SIDES
 from appliance.service.air_views import LEFT, RIGHT
 from appliance.service.instrument import design_of
 from appliance.service.picture_size import KNOWN, size_px
@@ -43,7 +44,6 @@ Image = NDArray[np.uint8]
 AIR_FILE = Path(calibrations.FOLDER, calibrations.AIR)
 """Below the storage root: where calibrating in water begins."""
 KINDS = (".png", ".tif", ".tiff", ".bmp", ".pgm")
-SIDES = ("left", "right")
 _LEAST_BYTES, _BYTES_PER_PIXEL = 1_000_000, 16
 """What a file may have: headers and notes, and four channels of 32 bits. The cameras' pictures have one byte a pixel."""
 RESULTS = ("air-coverage.png", "air-residuals.png")

@@ -20,12 +20,13 @@ from appliance.calibration.air import BoardView
 from appliance.calibration.board import NoBoard
 from appliance.calibration.coverage import coverage
 from appliance.calibration.rest import mean_of, view_of
-from appliance.capture.fault import Fault
 from appliance.capture.grabber import Grabber
 from appliance.capture.scan import ScanRecorder, ScanSettings
 from appliance.capture.store import FrameStore
 from appliance.config import Rig
 from appliance.patterns.sequence import Direction, Kind, Pattern, PatternSequence
+from appliance.scan.fault import Fault
+from appliance.scan.sides import SIDES
 from appliance.service.air import find_boards, pairs_of
 from appliance.service.air_views import ViewFolder
 from appliance.service.devices import Devices
@@ -43,7 +44,6 @@ POLL_S = 0.05
 BETWEEN_TAKES_S = 0.3
 MOST_FAULTS = 5
 """In a row; then it is not the board."""
-SIDES = ("left", "right")
 
 
 class LiveError(Exception):

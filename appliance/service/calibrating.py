@@ -13,11 +13,11 @@ from typing import Self
 from appliance.calibration.file import Calibration, CalibrationError
 from appliance.calibration.guide import Session, Step, Trial, Verified
 from appliance.calibration.recordings import CamerasDiffer, CertificateMissing, NotConverged, RecordingError
-from appliance.capture.fault import Fault, FaultCode
-from appliance.capture.verdict import Verdict
 from appliance.config import Rig
 from appliance.machine import events as on
 from appliance.machine.mishap import Failure, Mishap
+from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.verdict import Verdict
 from appliance.service import calibrator
 from appliance.service.background import Background, Done, Failed, Progressed
 from appliance.service.calibrator import Examined, Solution

@@ -24,13 +24,13 @@ from appliance.calibration.recordings import (
     Recording,
     RecordingError,
 )
-from appliance.capture.fault import FaultCode
 from appliance.config import Rig
 from appliance.evaluation.ball_bar import BallBar, find_ball_bar
 from appliance.evaluation.plane import PlaneFit, fit_plane
 from appliance.evaluation.points import NotFound
 from appliance.reconstruct.pipeline import Cloud
 from appliance.reconstruct.quality import QualityLimits
+from appliance.scan.fault import FaultCode
 from appliance.service.desk import Reworked, rework
 from appliance.service.instrument import calibration_of, start_of, taking_of_scan
 from appliance.service.recordings import cameras_of, recording_of_scan

@@ -14,15 +14,16 @@ from numpy.typing import NDArray
 
 from appliance.calibration import file as calibration_file
 from appliance.calibration.file import Calibration
-from appliance.capture.fault import Fault, FaultCode
-from appliance.capture.verdict import Judgement
 from appliance.config import Rig
 from appliance.machine.alerts import RULES
 from appliance.optics.water import Water
 from appliance.patterns.sequence import PatternSequence, build_sequence
-from appliance.reconstruct.pipeline import SIDES, Cloud, Pipeline
+from appliance.reconstruct.pipeline import Cloud, Pipeline
 from appliance.reconstruct.quality import QualityLimits
 from appliance.reconstruct.table import Found
+from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.sides import SIDES, of_side
+from appliance.scan.verdict import Judgement
 from appliance.service.empty import Empty, why_empty
 from appliance.service.instrument import (
     CALIBRATION_FILE,
@@ -308,5 +309,5 @@ def water_of_scan(scan: stored.StoredScan, calibration: Calibration) -> Water:
 
 
 def _tilt_deg(calibration: Calibration, side: str) -> float:
-    port = calibration.rig.left.port if side == "left" else calibration.rig.right.port
+    port = of_side(calibration.rig, side).port
     return math.degrees(math.acos(min(1.0, port.normal[2])))

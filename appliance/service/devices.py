@@ -8,20 +8,19 @@ from contextlib import AbstractContextManager, contextmanager
 from types import TracebackType
 from typing import Any, Self
 
-from appliance.capture.exposure import Exposure
-from appliance.capture.fault import FaultCode
 from appliance.capture.grabber import Grabber
 from appliance.capture.patience import Patience
 from appliance.config import Rig
 from appliance.config.rig import CameraRig, OutputRig
 from appliance.machine.events import DeviceDown, DeviceUp
 from appliance.machine.states import Device
+from appliance.scan.exposure import Exposure
+from appliance.scan.fault import FaultCode
+from appliance.scan.sides import of_side
 from appliance.service.keeper import DeviceRejected, Keeper
 from appliance.service.keys import KeyReader
 from drivers import rig as drivers_rig
 from drivers.api import Board, Camera, CameraSettings, Display, Projector, Wires
-
-SIDES = ("left", "right")
 
 
 class Devices:

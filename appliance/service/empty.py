@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from appliance.capture.verdict import Judgement
 from appliance.reconstruct.decode import Mask
 from appliance.reconstruct.pipeline import Cloud, Pipeline
 from appliance.reconstruct.quality import QualityLimits
+from appliance.scan.verdict import Judgement
 
 LEAST_SHARE = 0.05
 """Of the left pixels that were decoded. A calibration that fits leaves more than half of them even in turbid water. One that

@@ -9,8 +9,8 @@ from appliance.calibration.file import Calibration
 from appliance.calibration.gaps import TURNS, GapModes, in_words
 from appliance.calibration.health import UNMEASURED, Judgement, Trend, answered, judge, likeliest
 from appliance.calibration.patches import PatchGaps
-from appliance.capture.fault import Fault, FaultCode
-from appliance.capture.verdict import Verdict
+from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.verdict import Verdict
 from appliance.storage.filesystem import FileSystem
 from appliance.storage.health import HealthFile
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 
-from appliance.capture.exposure import Exposure
-from appliance.capture.verdict import Judgement, Verdict
 from appliance.reconstruct.pipeline import Cloud
+from appliance.scan.exposure import Exposure
+from appliance.scan.verdict import Judgement, Verdict
 from appliance.storage.library import PendingScan
 from appliance.storage.record import ScanRecord, SecondSequence
 from appliance.storage.scan import Origin

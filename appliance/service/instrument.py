@@ -16,10 +16,6 @@ from appliance.calibration.response_file import ResponseFileError
 from appliance.calibration.response_file import load as load_response
 from appliance.calibration.start import METHOD as IN_AIR
 from appliance.calibration.start import check_start
-from appliance.capture.exposure import Exposure, Span, ladder
-from appliance.capture.fault import Fault, FaultCode
-from appliance.capture.ranging_beams import Pointers
-from appliance.capture.ranging_light import live_light
 from appliance.config import Rig
 from appliance.config.rig import CameraRig
 from appliance.optics.model import HousedCamera
@@ -27,7 +23,11 @@ from appliance.optics.pinhole import Lens
 from appliance.optics.port import Port
 from appliance.optics.water import Water
 from appliance.patterns.response import Response
-from appliance.reconstruct.noise import CameraNoise, StereoNoise, camera_noise
+from appliance.ranging.beams import Pointers
+from appliance.ranging.expected_light import live_light
+from appliance.scan.exposure import Exposure, Span, ladder
+from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.noise import CameraNoise, StereoNoise, camera_noise
 from appliance.storage.record import ScanRecord
 from appliance.worker.scan_work import Taking
 

@@ -7,9 +7,9 @@ from concurrent.futures import Executor, Future
 from contextlib import AbstractContextManager
 from typing import Generic, TypeVar
 
-from appliance.capture.fault import FaultCode
 from appliance.machine.events import DeviceDown, DeviceUp
 from appliance.machine.states import Device
+from appliance.scan.fault import FaultCode
 from drivers.api import Clock, DeviceError
 
 T = TypeVar("T")

@@ -15,11 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibration.design import METHOD as DRAWN
-from appliance.capture.exposure import Exposure
-from appliance.capture.fault import Fault, FaultCode
 from appliance.capture.patience import Patience
 from appliance.capture.scan import Arming, ScanRecorder, ScanSettings
-from appliance.capture.verdict import Verdict
 from appliance.config import Rig
 from appliance.machine import effects as do
 from appliance.machine import events as on
@@ -29,12 +26,16 @@ from appliance.machine.keys import meaning
 from appliance.machine.states import Limits, Machine, Part, Settings, State, boot
 from appliance.machine.step import step
 from appliance.patterns.sequence import build_sequence
+from appliance.scan.exposure import Exposure
+from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.sides import SIDES
+from appliance.scan.verdict import Verdict
 from appliance.screens.painter import Painter
 from appliance.screens.texts import Language, Text
 from appliance.screens.views import Grade
 from appliance.service.aiming import AimingDesk
 from appliance.service.calibrating import CalibrationDesk
-from appliance.service.devices import SIDES, Devices
+from appliance.service.devices import Devices
 from appliance.service.gallery import GRADE, LENGTHS_DOUBTFUL, GalleryDesk
 from appliance.service.instrument import exposure_of, exposures_of
 from appliance.service.keeper import Keeper

@@ -12,10 +12,10 @@ from appliance.config import Rig
 from appliance.patterns.response import Response
 from appliance.patterns.sequence import build_sequence
 from appliance.reconstruct.decode import CameraDecoder
-from appliance.reconstruct.noise import CameraNoise
+from appliance.scan.noise import CameraNoise
+from appliance.scan.sides import SIDES
 from appliance.service.instrument import RESPONSE_FILE, exposure_of_scan, noise_of, response_of
 from appliance.storage import scan as stored
-from appliance.storage.scan import SIDES
 
 
 def response_of_scan(

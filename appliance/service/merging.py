@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from appliance.calibration.file import Calibration
-from appliance.capture.verdict import Verdict
 from appliance.config import Rig
 from appliance.optics.water import Water
 from appliance.reconstruct.pipeline import Cloud
+from appliance.scan.verdict import Verdict
 from appliance.service.desk import refuse_empty, rework_pair
 from appliance.service.instrument import exposure_of_scan, taking_of_scan
 from appliance.service.origin import Chosen, Taken

@@ -15,11 +15,12 @@ from appliance.calibration import owner as belonging
 from appliance.calibration.file import Calibration, CalibrationError, decode, encode, load
 from appliance.calibration.owner import Owner
 from appliance.config import ConfigError, Rig, default_rig_path, load_rig, parse_rig, rig_text
+from appliance.scan.sides import SIDES, of_side
 from appliance.storage import scan as stored
 from appliance.storage.calibrations import CURRENT, FOLDER
 from appliance.storage.library import Shelf
 from appliance.storage.manifest import Manifest
-from appliance.storage.scan import CALIBRATION, RIG, SIDES, Origin, ScanError, StoredScan
+from appliance.storage.scan import CALIBRATION, RIG, Origin, ScanError, StoredScan
 
 FOREIGN_OPTION = "--foreign-calibration"
 SHOWN_DIGITS = 12
@@ -168,7 +169,7 @@ def misfit(calibration: Calibration, scan: Taken, *, foreign: bool = False, star
     option = "--start" if start else "--calibration"
     remedy = f"give the one of the instrument that recorded it with {option} FILE"
     for side in SIDES:
-        eye = getattr(calibration.rig, side)
+        eye = of_side(calibration.rig, side)
         height_px, width_px = scan.scan.frames[side].shape[1:]
         if (width_px, height_px) != (eye.width_px, eye.height_px):
             return f"is for {side} images of {eye.width_px}x{eye.height_px} px; the scan's are {width_px}x{height_px} px; {remedy}"

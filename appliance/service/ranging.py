@@ -19,13 +19,14 @@ from numpy.typing import NDArray
 
 from appliance.calibration.design import METHOD as DRAWN
 from appliance.calibration.file import Calibration
-from appliance.capture.fault import Fault, FaultCode
-from appliance.capture.ranging import Range
-from appliance.capture.ranging_beams import Beam, Pointers
-from appliance.capture.ranging_marks import Marks
-from appliance.capture.ranging_measure import Dot, Dots, Ranger
-from appliance.capture.ranging_witness import SURELY_A_DOT_DN, shines_in_the_dark
 from appliance.machine import events as on
+from appliance.ranging.beams import Beam, Pointers
+from appliance.ranging.marks import Marks
+from appliance.ranging.measure import Dot, Dots, Ranger
+from appliance.ranging.reach import Range
+from appliance.ranging.witness import SURELY_A_DOT_DN, shines_in_the_dark
+from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.sides import SIDES, of_side
 from appliance.storage.atomic import StorageError
 from appliance.storage.beams import BeamsFile
 from drivers.api import Clock, LaserState
@@ -50,7 +51,6 @@ SHINING_TIMEOUT_S = 3.0
 STALE_NS, STALE_IMAGES = 1_000_000_000, 10.0
 IMAGES = "images"
 """The witness named in the fault, besides the board's read-back, which clears only its own."""
-SIDES = ("left", "right")
 
 
 @dataclass(frozen=True, slots=True)
@@ -322,7 +322,7 @@ def _taught(beams: tuple[Beam, Beam]) -> int:
 
 
 def _of(side: str, dark: list[Dots], lit: list[Dots]) -> list[tuple[Dot | None, Dot | None]]:
-    return [(getattr(before, side), getattr(after, side)) for before, after in zip(dark, lit, strict=True)]
+    return [(of_side(before, side), of_side(after, side)) for before, after in zip(dark, lit, strict=True)]
 
 
 def _same_dot(before: Dot | None, after: Dot | None) -> bool:

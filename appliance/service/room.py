@@ -5,8 +5,8 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass, replace
 
-from appliance.capture.fault import Fault, FaultCode
 from appliance.machine import events as on
+from appliance.scan.fault import Fault, FaultCode
 from appliance.screens.texts import Text
 from appliance.storage.atomic import StorageError
 from appliance.storage.library import Library

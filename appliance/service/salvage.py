@@ -24,10 +24,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.patterns.sequence import Direction, Kind, PatternSequence, build_sequence
-from appliance.reconstruct.noise import CameraNoise, StereoNoise
+from appliance.scan.noise import CameraNoise, StereoNoise
+from appliance.scan.sides import SIDES, of_side
 from appliance.storage import scan as stored
 from appliance.storage.damage import DamagedFrames, damaged_frames, frames_as_they_are
-from appliance.storage.scan import SECOND_FILES, SIDES, ScanError, StoredScan, frames_file, second_frames_file
+from appliance.storage.scan import SECOND_FILES, ScanError, StoredScan, frames_file, second_frames_file
 
 Frames = NDArray[np.uint8]
 SATURATED = 255
@@ -50,7 +51,7 @@ class Salvaged:
 
     def noise(self, noise: StereoNoise) -> StereoNoise:
         """The noise that points of this scan are to be expected to have, from that of a whole one."""
-        return StereoNoise(_times(noise.left, self.variance["left"]), _times(noise.right, self.variance["right"]))
+        return StereoNoise(*(_times(of_side(noise, side), self.variance[side]) for side in SIDES))
 
 
 def salvage(folder: Path) -> Salvaged:

@@ -19,19 +19,20 @@ from numpy.typing import NDArray
 
 import appliance
 from appliance.calibration.file import Calibration
-from appliance.capture.exposure import Exposure
-from appliance.capture.fault import Fault, FaultCode
 from appliance.capture.scan import CaptureReport
-from appliance.capture.store import SIDES, FrameStore
-from appliance.capture.verdict import Judgement, Verdict
+from appliance.capture.store import FrameStore
 from appliance.config import Rig
 from appliance.machine import events as on
 from appliance.machine.states import Part
 from appliance.optics.water import Water
 from appliance.patterns.response import Response
 from appliance.patterns.sequence import PatternSequence
-from appliance.reconstruct.noise import TYPICAL_PAIR, StereoNoise
 from appliance.reconstruct.pipeline import COARSE_POINTS, Cloud
+from appliance.scan.exposure import Exposure
+from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.noise import TYPICAL_PAIR, StereoNoise
+from appliance.scan.sides import SIDES
+from appliance.scan.verdict import Judgement, Verdict
 from appliance.screens.texts import Text
 from appliance.service.health import CalibrationWatch
 from appliance.service.in_work import ScanInWork, SecondInWork

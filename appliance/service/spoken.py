@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import logging
 
-from appliance.capture.fault import Fault
 from appliance.machine import events as on
+from appliance.scan.fault import Fault
 
 
 def spoken(event: on.Event) -> tuple[int, str] | None:

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from appliance.capture.fault import Fault, FaultCode
+from appliance.scan.fault import Fault, FaultCode
 
 log = logging.getLogger("kingfisher")
 

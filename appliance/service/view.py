@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 import appliance
 from appliance.calibration.guide import HELD
-from appliance.capture.fault import Fault, FaultCode
-from appliance.capture.ranging_marks import Marks
 from appliance.machine import safety, start, thermal
 from appliance.machine.alerts import RULES, alert_of, lengths_doubtful, on_screen
 from appliance.machine.permissions import refusal
 from appliance.machine.states import Calibrating, Device, Machine, Part, State
 from appliance.machine.texts import labels
+from appliance.ranging.marks import Marks
+from appliance.scan.fault import Fault, FaultCode
 from appliance.screens.texts import Text
 from appliance.screens.views import (
     AimView,

@@ -13,9 +13,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.capture.fault import Fault, FaultCode
-from appliance.capture.verdict import Verdict
-from appliance.verdict.window import CELLS, SIDES, SLACK, Windows
+from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.sides import SIDES
+from appliance.scan.verdict import Verdict
+from appliance.verdict.window import CELLS, SLACK, Windows
 
 Array = NDArray[np.float64]
 

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from appliance.capture.ranging_beams import Beam, Pointers
+from appliance.ranging.beams import Beam, Pointers
 from appliance.sealed import seal, unseal
 from appliance.storage.atomic import refused, replace_file
 from appliance.storage.calibrations import FOLDER

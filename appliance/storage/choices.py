@@ -12,9 +12,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from appliance.capture.exposure import Exposure
-from appliance.capture.fault import Fault, FaultCode
 from appliance.machine.choices import COLDEST_C, LANGUAGES, PERIODS_PX, WARMEST_C, Choices
+from appliance.scan.exposure import Exposure
+from appliance.scan.fault import Fault, FaultCode
 from appliance.sealed import seal, unseal
 from appliance.storage.atomic import replace_file
 from appliance.storage.filesystem import FileSystem, LocalFileSystem

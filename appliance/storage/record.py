@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from appliance.capture.exposure import Exposure
-from appliance.capture.verdict import Verdict
+from appliance.scan.exposure import Exposure
+from appliance.scan.verdict import Verdict
 
 if TYPE_CHECKING:  # brings NumPy, which a list of scans can do without
     from appliance.patterns.sequence import PatternSequence

@@ -17,11 +17,12 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TypeVar
 
+from appliance.scan.sides import SIDES
 from appliance.storage.atomic import StorageError, draft_of, refused
 from appliance.storage.counter import FILE_NAME as NUMBER
 from appliance.storage.filesystem import AllocatingFileSystem, WritableFile
 from appliance.storage.manifest import FILE_NAME as MANIFEST
-from appliance.storage.scan import CALIBRATION, CLOUD, PREVIEW, RIG, SIDES, frames_file, second_frames_file
+from appliance.storage.scan import CALIBRATION, CLOUD, PREVIEW, RIG, frames_file, second_frames_file
 
 log = logging.getLogger("kingfisher")
 

@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from appliance.scan.sides import SIDES
 from appliance.storage import manifest as form
 from appliance.storage.atomic import checked_stamp, discard, draft_of, refused, replace_file, write_new
 from appliance.storage.filesystem import Bytes, FileSystem
@@ -31,7 +32,6 @@ if TYPE_CHECKING:  # NumPy is loaded where pixels and points are: a list of scan
 
     from appliance.storage.ply import PointCloud, StoredCloud
 
-SIDES = ("left", "right")
 _HEADER_BYTES = 256
 _HEADER = re.compile(
     rb"\x93NUMPY\x01\x00(..)\{'descr': '\|u1', 'fortran_order': False, 'shape': \((\d{1,9}), (\d{1,9}), (\d{1,9})\), \} *\n",

@@ -16,10 +16,10 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from appliance.capture.exposure import Exposure
-from appliance.capture.fault import Fault, FaultCode
-from appliance.capture.verdict import Judgement, Verdict
 from appliance.reconstruct.quality import CloudSummary
+from appliance.scan.exposure import Exposure
+from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.verdict import Judgement, Verdict
 from appliance.verdict.usable import USABLE_COVERAGE_PERCENT, USABLE_NOISE_MM, is_usable
 
 NAME = "causes"

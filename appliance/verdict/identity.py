@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.capture.exposure import NOMINAL, Exposure
-from appliance.capture.fault import Fault, FaultCode
-from appliance.capture.verdict import Judgement, Verdict
 from appliance.patterns.sequence import Direction, PatternSequence
-from appliance.reconstruct.noise import TYPICAL_PAIR, CameraNoise, StereoNoise
+from appliance.scan.exposure import NOMINAL, Exposure
+from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.noise import TYPICAL_PAIR, CameraNoise, StereoNoise
+from appliance.scan.sides import SIDES, of_side
+from appliance.scan.verdict import Judgement, Verdict
 from appliance.verdict.identity_evidence import DECIDED, MIN_FRINGE, Evidence, Witness
 from appliance.verdict.identity_explain import Explanation, What, explain, still
 from appliance.verdict.identity_lines import can_follow, take_lines
@@ -82,7 +83,7 @@ def judge_identity(
             raise ValueError(
                 f"{len(mine)} frames of camera {side} for a sequence of {len(sequence)}; judge whole sequences"
             )
-    of = {"left": noise.left, "right": noise.right}
+    of = {side: of_side(noise, side) for side in SIDES}
     looked = [_look(side, mine, sequence, of[side], exposure) for side, mine in frames.items()]
     cameras = _without_parallax(looked)
     fault = _fault(cameras)

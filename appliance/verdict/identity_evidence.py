@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.patterns.sequence import Direction, PatternSequence
-from appliance.reconstruct.noise import CameraNoise
+from appliance.scan.noise import CameraNoise
 from appliance.verdict.identity_kernel import COUNTS, OFF_REFERENCE, Count, follow
 from appliance.verdict.identity_lines import Lines
 from appliance.verdict.identity_veil import thresholds
@@ -97,8 +97,7 @@ class Witness:
         self._sequence = sequence
         self._noise = noise
         self._off: NDArray[np.float64] | None = None
-        levels = np.maximum(np.arange(256.0) - noise.black_dn, 0.0)
-        sigma = np.sqrt(noise.read_dn**2 + noise.dn_per_e * levels)
+        sigma = np.sqrt(noise.variance_dn2(np.arange(256.0)))
         self._least_dn = np.asarray(_FRINGE_SIGMA * sigma, np.float32)
         self._axes = {d: sequence.axis(d) for d in Direction}
         self._gray = {d: np.array(axis.gray, np.int64) for d, axis in self._axes.items()}

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.patterns.sequence import Direction, PatternSequence
-from appliance.reconstruct.noise import CameraNoise
+from appliance.scan.noise import CameraNoise
 from appliance.verdict.identity_evidence import MIN_FRINGE, Evidence, Witness
 from appliance.verdict.identity_lines import Lines
 
@@ -95,7 +95,7 @@ def differences(witness: Witness, sequence: PatternSequence, noise: CameraNoise)
     values = np.concatenate(samples, axis=1).astype(np.float64)
     if values.shape[1] < MIN_FRINGE:
         values = np.concatenate([lines.values[:, lines.lit] for lines in witness.lines.values()], axis=1).astype(float)
-    variance = noise.read_dn**2 + noise.dn_per_e * np.maximum(values.mean(axis=0) - noise.black_dn, 0.0)
+    variance = noise.variance_dn2(values.mean(axis=0))
     scaled = (values - values.mean(axis=0)) / np.sqrt(2.0 * variance)
     squares = (scaled**2).sum(axis=1)
     apart = squares[:, None] + squares - 2.0 * scaled @ scaled.T
@@ -122,7 +122,7 @@ def moved_share(witness: Witness, sequence: PatternSequence, order: NDArray[np.i
 def _fringed(lines: Lines, sequence: PatternSequence, noise: CameraNoise) -> NDArray[np.uint8]:
     """(n, samples): those in which the fringes across columns are seen; broad stripes are seen in mere veil too."""
     s0, s1, s2, s3 = (lines.values[k].astype(np.float32) for k in sequence.axis(Direction.X).sine)
-    variance = noise.read_dn**2 + noise.dn_per_e * np.maximum(lines.high.astype(np.float32) - noise.black_dn, 0.0)
+    variance = noise.variance_dn2(lines.high.astype(np.float32))
     seen = (s0 - s2) ** 2 + (s3 - s1) ** 2 > 72.0 * variance
     return np.asarray(lines.values[:, lines.lit & seen])
 

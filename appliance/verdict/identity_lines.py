@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.patterns.sequence import Direction, PatternSequence
-from appliance.reconstruct.noise import CameraNoise
+from appliance.scan.noise import CameraNoise
 
 LINES = 32
 """Rows, and columns: each crosses each stripe's edge once."""
@@ -81,7 +81,7 @@ def _spread(lit: NDArray[np.int64], size_px: int, coarse_px: int) -> NDArray[np.
 def _least_swing(noise: CameraNoise) -> NDArray[np.uint8]:
     """(256,): the least swing at each brightest value."""
     levels = np.arange(256.0)
-    sigma = np.sqrt(noise.read_dn**2 + noise.dn_per_e * np.maximum(levels - noise.black_dn, 0.0))
+    sigma = np.sqrt(noise.variance_dn2(levels))
     return np.minimum(np.maximum(MIN_SWING_DN, MIN_SWING_SIGMA * sigma), 255.0).astype(np.uint8)
 
 

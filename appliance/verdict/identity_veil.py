@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.patterns.sequence import Direction, PatternSequence
-from appliance.reconstruct.noise import CameraNoise
 from appliance.reconstruct.veiled import (
     APART_SIGMAS,
     BEYOND,
@@ -27,6 +26,7 @@ from appliance.reconstruct.veiled import (
     lit_share,
     seen_at,
 )
+from appliance.scan.noise import CameraNoise
 from appliance.verdict.identity_lines import Lines
 
 ALL = (slice(None), slice(None))

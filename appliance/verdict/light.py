@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from appliance.capture.exposure import Exposure
-from appliance.capture.fault import Fault, FaultCode
-from appliance.capture.verdict import Judgement, Verdict
+from appliance.scan.exposure import Exposure
+from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.sides import SIDES, of_side
+from appliance.scan.verdict import Judgement, Verdict
 from appliance.verdict.light_changes import Changes, find_frequency_hz, measure_changes
 from appliance.verdict.light_levels import FULL_DN, Levels, light_of, measure_levels, sample
 from appliance.verdict.light_pair import propose_second
 from appliance.verdict.light_proposal import propose, without_flicker
 from appliance.verdict.recorded import Recorded
 
-SIDES = ("left", "right")
 MAX_SATURATED = 0.05
 """Of lit pixels of one camera: so many points may be lost before the diver is told."""
 MAX_WEAK = 0.25
@@ -32,7 +32,7 @@ def judge_light(recorded: Recorded, present: Exposure, steps: Sequence[Exposure]
     From the frames alone. ``present``: what they were exposed with; ``steps``: what may be proposed, from dark to bright
     (``capture.exposure.ladder``).
     """
-    noise = {"left": recorded.noise.left, "right": recorded.noise.right}
+    noise = {side: of_side(recorded.noise, side) for side in SIDES}
     samples = {side: sample(recorded.frames[side], recorded.sequence) for side in SIDES}
     levels = {side: measure_levels(samples[side], recorded.sequence, noise[side]) for side in SIDES}
     changes = {side: measure_changes(samples[side], recorded.sequence, noise[side]) for side in SIDES}
@@ -66,7 +66,7 @@ def judge_light(recorded: Recorded, present: Exposure, steps: Sequence[Exposure]
 
 
 def _top(recorded: Recorded, levels: dict[str, Levels]) -> tuple[float, float]:
-    black = {"left": recorded.noise.left.black_dn, "right": recorded.noise.right.black_dn}
+    black = {side: of_side(recorded.noise, side).black_dn for side in SIDES}
     brightest = max(SIDES, key=lambda side: levels[side].top_dn / (FULL_DN - black[side]))
     return levels[brightest].top_dn, FULL_DN - black[brightest]
 

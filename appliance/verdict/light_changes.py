@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from appliance.patterns.sequence import Direction, PatternSequence
 from appliance.reconstruct.decode import MIN_MODULATION_DN
-from appliance.reconstruct.noise import CameraNoise
+from appliance.scan.noise import CameraNoise
 from appliance.verdict.light_fit import (
     COSINE,
     EXPECTED,
@@ -114,7 +114,7 @@ def measure_changes(s: Sample, sequence: PatternSequence, noise: CameraNoise) ->
     fits = {d: _fit(four[d], contrast, (rows, columns), members) for d in Direction}
     # Noise of a block's pixels against their contrast, as the phase has it: rms of sigma over contrast.
     mean = four[Direction.X].mean(axis=0)
-    variance = (noise.read_dn**2 + noise.dn_per_e * np.maximum(mean - noise.black_dn, 0.0)) / contrast**2
+    variance = noise.variance_dn2(mean) / contrast**2
     relative = np.sqrt(np.array([np.median(variance[block]) for block in members]))
     counts = np.array([block.size for block in members], np.float64)
     expected = np.maximum(*(fit.expected for fit in fits.values())) * np.sqrt(2.0 * np.median(variance * contrast**2))

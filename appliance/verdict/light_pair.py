@@ -11,8 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.capture.exposure import Exposure
 from appliance.reconstruct.decode import MIN_MODULATION_DN
+from appliance.scan.exposure import Exposure
 
 LEAST_LOST = 0.05
 """Of the lit pixels are lost by the best single exposure, or one serves."""

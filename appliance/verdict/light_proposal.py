@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from appliance.capture.exposure import Exposure
+from appliance.scan.exposure import Exposure
 
 AIM, TOO_HIGH, TOO_LOW = 0.85, 0.97, 0.55
 """Of the scale above black: where the brightest surfaces should be, and the ends of the band that is left alone."""

@@ -13,12 +13,13 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.capture.fault import Fault, FaultCode
-from appliance.capture.verdict import Judgement, Verdict
 from appliance.optics.model import StereoRig
 from appliance.reconstruct.decode import CameraDecoder, Mask
-from appliance.reconstruct.noise import CameraNoise
 from appliance.reconstruct.table import Cloud
+from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.noise import CameraNoise
+from appliance.scan.sides import SIDES, of_side
+from appliance.scan.verdict import Judgement, Verdict
 from appliance.verdict.motion_edges import edge_shifts
 from appliance.verdict.motion_harm import Harm, predict
 from appliance.verdict.motion_map import DriftMap, drift_map
@@ -43,7 +44,6 @@ NAME = "motion"
 MOST_ADDED = 0.06
 """Of the noise, as a fraction: between what nobody notices (0.05) and what must not be kept (0.10), nearer to the former
 since predictions on bent surfaces are rather too small."""
-SIDES = ("left", "right")
 
 Array = NDArray[np.float64]
 
@@ -90,7 +90,7 @@ def judge_motion(recorded: Recorded, cloud: Cloud, rig: StereoRig, water_index: 
     """Judge a whole sequence with its coarse ``cloud``; ``rig`` and ``water_index`` turn px into mm. About 50 ms of CPU at
     full size."""
     sequence = recorded.sequence
-    noise = {"left": recorded.noise.left, "right": recorded.noise.right}
+    noise = {side: of_side(recorded.noise, side) for side in SIDES}
     drift, edges, textures, paint = {}, {}, {}, {}
     for side in SIDES:
         frames, decoded, variance = recorded.frames[side], recorded.decoded[side], _variance(noise[side])
@@ -141,7 +141,7 @@ def _double_step2(paint: Mapping[str, PaintCourse]) -> float | None:
 
 def _variance(noise: CameraNoise) -> tuple[float, float]:
     """As (at grey value 0, per grey value)."""
-    return noise.read_dn**2 - noise.dn_per_e * noise.black_dn, noise.dn_per_e
+    return noise.dark_variance_dn2, noise.dn_per_e
 
 
 def _lost_share(decoded: CameraDecoder) -> float:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from appliance.patterns.sequence import PatternSequence
 from appliance.reconstruct.decode import CameraDecoder
-from appliance.reconstruct.noise import StereoNoise
+from appliance.scan.noise import StereoNoise
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,12 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.capture.verdict import Verdict
 from appliance.optics.model import StereoRig
 from appliance.patterns.sequence import Direction, PatternSequence
-from appliance.reconstruct.noise import CameraNoise, StereoNoise
 from appliance.reconstruct.quality import QualityLimits
 from appliance.reconstruct.table import Cloud
+from appliance.scan.noise import CameraNoise, StereoNoise
+from appliance.scan.sides import SIDES, of_side
+from appliance.scan.verdict import Verdict
 from appliance.verdict.sight_glow import half_field, shape_of_glow
 from appliance.verdict.sight_range import find_depths_mm
 
@@ -27,7 +28,6 @@ Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
 NAME = "sight"
-SIDES = ("left", "right")
 CELLS = (16, 12)
 """Columns and rows of cells over the image."""
 SAMPLES = 120_000
@@ -77,7 +77,7 @@ def look(
     It passes nothing and fails nothing: ``causes`` weighs its numbers. ``fringe_dn`` and ``object_percent`` are ``None`` where no
     fringes are seen, ``glow_per_m`` (attenuation as the glow's shape suggests it) where any are.
     """
-    both = {side: see(frames[side], sequence, getattr(noise, side)) for side in SIDES}
+    both = {side: see(frames[side], sequence, of_side(noise, side)) for side in SIDES}
     best = max(both.values(), key=lambda one: one.cells)
     numbers: dict[str, float | None] = {
         "light_dn": best.light_dn,

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from appliance.optics.model import StereoRig
 from appliance.patterns.sequence import Direction, PatternSequence
-from appliance.reconstruct.noise import CameraNoise, StereoNoise
+from appliance.scan.noise import CameraNoise, StereoNoise
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.capture.fault import Fault, FaultCode
-from appliance.capture.verdict import Judgement, Verdict
 from appliance.optics.model import StereoRig
 from appliance.reconstruct.table import Cloud
+from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.verdict import Judgement, Verdict
 from appliance.verdict.recorded import Recorded
 from appliance.verdict.turbidity_beam import Beam, Gathered, beam_of, gather
 from appliance.verdict.turbidity_veil import CELLS, Cells, Looked, cell_of, look_at_veil

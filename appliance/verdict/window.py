@@ -16,16 +16,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.capture.verdict import Verdict
 from appliance.patterns.sequence import Direction
 from appliance.reconstruct.decode import Mask
+from appliance.scan.sides import SIDES
+from appliance.scan.verdict import Verdict
 from appliance.verdict.recorded import Recorded
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
 NAME = "windows"
-SIDES = ("left", "right")
 CELLS = (8, 6)
 """Columns and rows of cells over each image; a place on the window that is smaller is blurred over one."""
 PLACES = (24, 18)

@@ -12,17 +12,18 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.capture.exposure import Exposure
-from appliance.capture.fault import Fault, FaultCode
-from appliance.capture.verdict import Judgement, Verdict
 from appliance.reconstruct.decode import DecodedMaps
 from appliance.reconstruct.fuse import fuse
 from appliance.reconstruct.merge import Agreement, merge
-from appliance.reconstruct.noise import StereoNoise
-from appliance.reconstruct.pipeline import SIDES, Pipeline
+from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.register import Registration, register
 from appliance.reconstruct.surface import surface_of
 from appliance.reconstruct.table import Cloud, Found
+from appliance.scan.exposure import Exposure
+from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.noise import StereoNoise
+from appliance.scan.sides import SIDES, of_side
+from appliance.scan.verdict import Judgement, Verdict
 
 MAX_MOVED_MM = 10.0
 """From one sequence to the other; it is found up to here whatever the object (docs/exposure.md)."""
@@ -126,7 +127,7 @@ def _merge_maps(pipeline: Pipeline, first: Sequence, second: Sequence) -> dict[s
     """Into the pipeline's, which are the second one's."""
     agreements = {}
     for side in SIDES:
-        noise = (getattr(second.noise, side), getattr(first.noise, side))
+        noise = (of_side(second.noise, side), of_side(first.noise, side))
         agreements[side] = merge(pipeline.decoded(side), first.maps[side], noise, pipeline.sequence.period_px)
     return agreements
 

@@ -15,12 +15,13 @@ from multiprocessing.shared_memory import SharedMemory
 from types import TracebackType
 
 from appliance.calibration.file import Calibration, encode
-from appliance.capture.fault import Fault, FaultCode
-from appliance.capture.store import SIDES, FrameStore
-from appliance.capture.verdict import Judgement
+from appliance.capture.store import FrameStore
 from appliance.optics.water import Water
-from appliance.reconstruct.noise import TYPICAL_PAIR, StereoNoise
 from appliance.reconstruct.table import POINT_BYTES, Cloud, Found, PointTable
+from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.noise import TYPICAL_PAIR, StereoNoise
+from appliance.scan.sides import SIDES
+from appliance.scan.verdict import Judgement
 from appliance.verdict.window import Windows
 from appliance.worker.scan_work import Taking
 from appliance.worker.serve import work

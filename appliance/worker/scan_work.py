@@ -12,17 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibration.file import Calibration
-from appliance.capture.exposure import NOMINAL, Exposure
-from appliance.capture.fault import Fault, FaultCode
-from appliance.capture.verdict import Judgement, Verdict
 from appliance.compensation.attempt import Attempt, attempt
 from appliance.optics.water import Water
 from appliance.reconstruct.decode import DecodedMaps
-from appliance.reconstruct.noise import TYPICAL_PAIR, StereoNoise
-from appliance.reconstruct.pipeline import SIDES, Pipeline
+from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.quality import CloudSummary
 from appliance.reconstruct.specks import mask_specks
 from appliance.reconstruct.table import Found
+from appliance.scan.exposure import NOMINAL, Exposure
+from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.noise import TYPICAL_PAIR, StereoNoise
+from appliance.scan.sides import SIDES, of_side
+from appliance.scan.verdict import Judgement, Verdict
 from appliance.verdict.causes import with_causes
 from appliance.verdict.identity import judge_identity
 from appliance.verdict.light import judge_light
@@ -151,8 +152,13 @@ class ScanWork:
     def find_full(self) -> Found:
         """The full cloud; after ``judge``. What passed by makes no points."""
         if self._found is None and self._specks:
-            for side, noise in (("left", self._taking.noise.left), ("right", self._taking.noise.right)):
-                mask_specks(self._pipeline.sequence, self._frames[side], self._pipeline.decoded(side), noise)
+            for side in SIDES:
+                mask_specks(
+                    self._pipeline.sequence,
+                    self._frames[side],
+                    self._pipeline.decoded(side),
+                    of_side(self._taking.noise, side),
+                )
         self._full = self._found or self._pipeline.find_full()
         return self._full
 

@@ -23,12 +23,12 @@ import numpy as np
 
 from appliance.calibration.file import Calibration, decode
 from appliance.capture.store import FrameStore
-from appliance.capture.verdict import Judgement, Verdict
 from appliance.optics.water import Water
 from appliance.patterns.sequence import PatternSequence, build_sequence
-from appliance.reconstruct.noise import StereoNoise
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.table import Found, PointTable
+from appliance.scan.noise import StereoNoise
+from appliance.scan.verdict import Judgement, Verdict
 from appliance.worker.pair import Sequence
 from appliance.worker.scan_work import ScanWork, Taking
 from appliance.worker.warm import run_empty_scan, run_what_an_empty_scan_does_not

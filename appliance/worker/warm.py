@@ -15,20 +15,21 @@ from numpy.typing import NDArray
 
 from appliance.calibration.design import Design, design_calibration
 from appliance.calibration.file import Calibration
-from appliance.capture.exposure import NOMINAL
 from appliance.compensation.warm import run_every_kernel as run_compensation
 from appliance.kernel_build import Piece
 from appliance.optics.water import Water
 from appliance.patterns.sequence import PatternSequence, build_sequence
 from appliance.reconstruct.fuse import fuse
-from appliance.reconstruct.noise import TYPICAL, TYPICAL_PAIR
-from appliance.reconstruct.pipeline import SIDES, Pipeline
+from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.quality import CloudSummary
 from appliance.reconstruct.register import register
 from appliance.reconstruct.specks import mask_specks
 from appliance.reconstruct.surface import surface_of
 from appliance.reconstruct.table import Cloud, Found
 from appliance.reconstruct.veiled import warm_up as read_veiled
+from appliance.scan.exposure import NOMINAL
+from appliance.scan.noise import TYPICAL, TYPICAL_PAIR
+from appliance.scan.sides import SIDES
 from appliance.verdict.identity import judge_identity
 from appliance.verdict.light import judge_light
 from appliance.verdict.light_fit import warm_up as warm_light

@@ -13,8 +13,9 @@ from appliance.calibration.file import Calibration
 from appliance.calibration.recordings import Recording
 from appliance.evaluation.points import NotFound
 from appliance.optics.water import Water
-from appliance.reconstruct.pipeline import SIDES, Pipeline
+from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.quality import QualityLimits
+from appliance.scan.sides import SIDES
 from appliance.service.evaluation import JUDGING_GAP_MM
 from bench.instrument import Instrument, open_instrument
 from bench.metrology.air import air_of, start_of

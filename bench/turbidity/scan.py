@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from appliance.optics.water import Water as SetWater
 from appliance.patterns.sequence import PatternSequence, build_sequence
 from appliance.reconstruct.decode import Mask
-from appliance.reconstruct.noise import StereoNoise, camera_noise
-from appliance.reconstruct.pipeline import SIDES, Cloud, Pipeline
+from appliance.reconstruct.pipeline import Cloud, Pipeline
+from appliance.scan.noise import StereoNoise, camera_noise
+from appliance.scan.sides import SIDES
 from appliance.verdict.recorded import Recorded
 from appliance.verdict.turbidity import WaterJudgement, judge_water
 from bench.bias import DepthErrors, depth_errors

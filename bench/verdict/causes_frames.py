@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from appliance.capture.exposure import Exposure
 from appliance.patterns.sequence import build_sequence
+from appliance.scan.exposure import Exposure
 from bench.verdict.causes_scenes import FRAME_S, HEIGHT_PX, PERIOD_PX, WIDTH_PX, Base, Spoilt, exposure_of, scene_of
 from hw_sim.rendering.render import Renderer
 from hw_sim.truth import draw_truth

@@ -19,11 +19,12 @@ from typing import Any
 import numpy as np
 
 import appliance
-from appliance.capture.exposure import Exposure
-from appliance.capture.fault import FaultCode
 from appliance.machine.alerts import RULES, alert_of
 from appliance.patterns.sequence import Direction
-from appliance.reconstruct.pipeline import SIDES, Cloud, Pipeline
+from appliance.reconstruct.pipeline import Cloud, Pipeline
+from appliance.scan.exposure import Exposure
+from appliance.scan.fault import FaultCode
+from appliance.scan.sides import SIDES
 from appliance.screens.views import Grade
 from appliance.service.view import grade
 from appliance.worker.scan_work import ScanWork, Taking

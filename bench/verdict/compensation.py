@@ -17,8 +17,9 @@ import numpy as np
 
 from appliance.compensation.attempt import Attempt, attempt
 from appliance.optics.model import StereoRig
-from appliance.reconstruct.pipeline import SIDES, Pipeline
+from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.table import Found
+from appliance.scan.sides import SIDES
 from bench.result import Measured
 from bench.verdict.calibrations import KINDS, Own, TrueScene, calibration_of
 from bench.verdict.compensation_cases import (

@@ -16,10 +16,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.capture.fault import FaultCode
-from appliance.capture.verdict import Judgement
 from appliance.patterns.sequence import Kind, PatternSequence
-from appliance.reconstruct.noise import TYPICAL_PAIR
+from appliance.scan.fault import FaultCode
+from appliance.scan.noise import TYPICAL_PAIR
+from appliance.scan.sides import SIDES
+from appliance.scan.verdict import Judgement
 from appliance.verdict.identity import judge_identity
 from appliance.verdict.identity_evidence import Witness
 from appliance.verdict.identity_lines import take_lines
@@ -47,7 +48,6 @@ FASTEST_MM_S = 30.0
 MILKY = 0.25
 """Of the scans: in water whose veil is as bright as the object, or several times as bright."""
 MILK_EXPOSURE_S = 0.012
-SIDES = ("left", "right")
 
 
 @dataclass(frozen=True, slots=True)

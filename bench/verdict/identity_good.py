@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from appliance.patterns.sequence import build_sequence
-from appliance.reconstruct.noise import StereoNoise, camera_noise
+from appliance.scan.noise import StereoNoise, camera_noise
 from appliance.verdict.identity import judge_identity
 from bench.result import Measured
 from bench.verdict.binomial import limits

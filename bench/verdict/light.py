@@ -13,12 +13,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.capture.exposure import Exposure
-from appliance.capture.fault import FaultCode
 from appliance.patterns.sequence import Direction
 from appliance.reconstruct.decode import CameraDecoder
 from appliance.reconstruct.merge import merge
-from appliance.reconstruct.pipeline import SIDES, Pipeline
+from appliance.reconstruct.pipeline import Pipeline
+from appliance.scan.exposure import Exposure
+from appliance.scan.fault import FaultCode
+from appliance.scan.sides import SIDES
 from appliance.verdict.light import MAX_HARMED, judge_light
 from appliance.verdict.light_changes import HARMFUL_RIPPLE
 from bench.result import Measured

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.capture.exposure import Exposure, Span, ladder
 from appliance.patterns.sequence import PatternSequence, build_sequence
-from appliance.reconstruct.noise import StereoNoise, camera_noise
+from appliance.scan.exposure import Exposure, Span, ladder
+from appliance.scan.noise import StereoNoise, camera_noise
 from appliance.verdict.recorded import Recorded
 from hw_sim.light.daylight import Daylight
 from hw_sim.rendering.render import LightSlice, Renderer

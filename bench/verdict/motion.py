@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from appliance.calibration.file import Calibration
 from appliance.patterns.sequence import Direction, build_sequence
-from appliance.reconstruct.noise import StereoNoise, camera_noise
 from appliance.reconstruct.pipeline import Cloud, Pipeline
+from appliance.scan.noise import StereoNoise, camera_noise
 from appliance.verdict.motion import MotionJudgement, judge_motion
 from appliance.verdict.recorded import Recorded
 from bench.result import Measured

@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from appliance.capture.exposure import NOMINAL, Exposure
-from appliance.reconstruct.pipeline import SIDES, Pipeline
+from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.table import Cloud
+from appliance.scan.exposure import NOMINAL, Exposure
+from appliance.scan.sides import SIDES
 from appliance.worker.scan_work import ScanWork, Taking
 from bench.result import Measured
 from bench.verdict.light_scenes import STEPS, noise_at

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.capture.exposure import Exposure
-from appliance.capture.verdict import Judgement
 from appliance.reconstruct.decode import Mask
 from appliance.reconstruct.pipeline import Cloud, Pipeline
+from appliance.scan.exposure import Exposure
+from appliance.scan.verdict import Judgement
 from appliance.worker.scan_work import ScanWork, Taking
 from bench.bias import depth_errors
 from bench.result import Measured

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from appliance.patterns.response import Response
 from appliance.patterns.sequence import build_sequence
-from appliance.reconstruct.noise import StereoNoise, camera_noise
 from appliance.reconstruct.pipeline import Cloud, Pipeline
+from appliance.scan.noise import StereoNoise, camera_noise
 from bench.result import Measured
 from bench.verdict.parts import Say
 from hw_sim.objects.shapes import DEFAULT_POSE

@@ -13,9 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from appliance.capture.fault import FaultCode
+from appliance.scan.fault import FaultCode
+from appliance.scan.sides import SIDES
 from appliance.service.windows import WindowWatch
-from appliance.verdict.window import SIDES, Windows
+from appliance.verdict.window import Windows
 from bench.result import Measured
 from bench.turbidity.scenes import drawn_scene
 from bench.verdict.parts import Say

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from appliance.capture.fault import FaultCode
+from appliance.scan.fault import FaultCode
 from appliance.screens.views import Grade
 from bench.verdict.causes_frames import frames_of
 from bench.verdict.causes_scenes import Spoilt, draw_base, exposure_of, grid_of

@@ -12,8 +12,8 @@ import pytest
 from appliance.calibration import file as calibration_file
 from appliance.calibration.guide import USED, Session, Solved, Trial
 from appliance.calibration.health import Trend
-from appliance.capture.exposure import Exposure
 from appliance.machine.choices import Choices
+from appliance.scan.exposure import Exposure
 from appliance.storage import counter
 from appliance.storage.atomic import StorageError
 from appliance.storage.calibrations import Calibrations

@@ -26,14 +26,14 @@ from appliance.calibration.file import CalibrationError
 from appliance.calibration.guide import USED, Session, Solved, Step, Trial, Verified
 from appliance.calibration.health import Trend, TrendPoint
 from appliance.calibration.response_file import ResponseFileError, StoredResponse
-from appliance.capture.exposure import Exposure
-from appliance.capture.ranging_beams import Pointers
 from appliance.config import ConfigError, default_rig_path, load_rig
 from appliance.machine.choices import Choices
 from appliance.optics.correction import ImageCorrection, node_count
 from appliance.optics.ray_shift import RayShift
 from appliance.optics.water import Water
 from appliance.patterns.response import Response
+from appliance.ranging.beams import Pointers
+from appliance.scan.exposure import Exposure
 from appliance.sealed import seal
 from appliance.service.air import Pair, PicturesError, read_pair
 from appliance.storage import counter

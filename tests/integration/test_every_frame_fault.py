@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from appliance.capture.fault import FaultCode
 from appliance.capture.grabber import Grabber
 from appliance.capture.scan import CaptureReport, ScanRecorder, ScanSettings
 from appliance.capture.store import FrameStore
 from appliance.patterns.sequence import build_sequence
+from appliance.scan.fault import FaultCode
 from drivers import rig as drivers_rig
 from drivers.api import Board, CameraSettings
 from hw_sim.wires import open as open_wires

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from appliance.capture.verdict import Verdict
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.config import Rig, load_rig
+from appliance.scan.verdict import Verdict
 from appliance.service.app import run
 from appliance.service.desk import reconstruct_scan
 from appliance.service.origin import Wish, calibration_for, taken

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from appliance.capture.fault import FaultCode
 from appliance.capture.patience import Patience
+from appliance.scan.fault import FaultCode
 from tests.integration.test_every_frame_fault import N, bench_of
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from appliance.capture.verdict import Verdict
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.config import load_rig
+from appliance.scan.verdict import Verdict
 from appliance.service.app import run
 from appliance.storage.library import Library, Shelf
 

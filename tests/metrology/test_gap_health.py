@@ -13,7 +13,8 @@ import pytest
 from appliance.calibration.health import Judgement, Trend, judge
 from appliance.calibration.patches import PatchGaps
 from appliance.patterns.sequence import build_sequence
-from appliance.reconstruct.pipeline import SIDES, Pipeline
+from appliance.reconstruct.pipeline import Pipeline
+from appliance.scan.sides import SIDES
 from hw_sim.mount_shift import MountShift, with_mount_shifted
 from hw_sim.rendering.render import LightSlice, Renderer
 from hw_sim.scene import Scene

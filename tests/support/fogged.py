@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from appliance.reconstruct.decode import CameraDecoder
-from appliance.reconstruct.noise import TYPICAL_PAIR
+from appliance.scan.noise import TYPICAL_PAIR
 from appliance.verdict.recorded import Recorded
 from appliance.verdict.window import Windows, look_at_windows
 from tests.support.rendered import RenderedScan

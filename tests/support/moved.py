@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.compensation.hand import LEVER_MM
-from appliance.reconstruct.noise import TYPICAL_PAIR
 from appliance.reconstruct.pipeline import Cloud, Pipeline
+from appliance.scan.noise import TYPICAL_PAIR
 from appliance.verdict.recorded import Recorded
 from hw_sim.objects.motion import object_pose
 from tests.support.rendered import Accuracy, RenderedScan

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.capture.exposure import Exposure
 from appliance.patterns.sequence import Direction, PatternSequence, build_sequence
-from appliance.reconstruct.noise import LEVELS, TYPICAL, TYPICAL_PAIR, CameraNoise, StereoNoise, camera_noise
+from appliance.scan.exposure import Exposure
+from appliance.scan.noise import LEVELS, TYPICAL, TYPICAL_PAIR, CameraNoise, StereoNoise, camera_noise
 from appliance.verdict.recorded import Recorded
 
 WHITE_DN_PER_US = 0.030

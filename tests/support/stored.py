@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from appliance.capture.exposure import Exposure
+from appliance.scan.exposure import Exposure
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.record import ScanRecord, SequenceInfo
 from appliance.storage.scan import write_raw

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import find
 from hypothesis import strategies as st
 
-from appliance.capture.fault import Fault, FaultCode
 from appliance.machine import events as on
 from appliance.machine.mishap import Failure, Mishap
+from appliance.scan.fault import Fault, FaultCode
 from tests.support.typed import MistypedError, built, well_typed
 
 

@@ -11,9 +11,9 @@ import pytest
 from appliance.calibration.file import Calibration, CalibrationError, decode, encode
 from appliance.calibration.owner import Owner, exchanged, misfit
 from appliance.calibration.recordings import RecordingError
-from appliance.capture.fault import FaultCode
 from appliance.config import Rig, default_rig_path, load_rig, rig_text
 from appliance.machine.alerts import alert_of
+from appliance.scan.fault import FaultCode
 from appliance.sealed import seal
 from appliance.service.instrument import calibration_of, design_of
 from appliance.service.recordings import cameras_of

@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from appliance.capture.aiming import Aimed, look, moved_px, too_fast
-from appliance.capture.fault import FaultCode
+from appliance.scan.fault import FaultCode
 
 BLACK_DN = 2.0
 SIZE = (300, 400)

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.capture.fault import Fault, FaultCode
 from appliance.capture.grabber import Grabber
 from appliance.capture.scan import Arming, CaptureReport, ScanRecorder, ScanSettings, device_fault
 from appliance.capture.store import FrameStore
 from appliance.patterns.sequence import build_sequence
+from appliance.scan.fault import Fault, FaultCode
 from drivers.api import (
     Board,
     BoardBooted,

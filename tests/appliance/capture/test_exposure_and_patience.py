@@ -6,8 +6,8 @@ from itertools import pairwise
 
 import pytest
 
-from appliance.capture.exposure import NOMINAL, Exposure, Span, ladder
 from appliance.capture.patience import Patience
+from appliance.scan.exposure import NOMINAL, Exposure, Span, ladder
 
 
 def test_at_60_hz_the_seconds_count() -> None:

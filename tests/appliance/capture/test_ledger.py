@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import pytest
 
-from appliance.capture.fault import FaultCode
 from appliance.capture.ledger import Ledger, audit
 from appliance.capture.sync import map_vsync
+from appliance.scan.fault import FaultCode
 from drivers.api import ClockReading, Flip, Frame, FrameStatus, Pulse, Vsync
 
 N = 24

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import pytest
 
-from appliance.capture.fault import FaultCode
 from appliance.capture.ledger import Ledger, audit
+from appliance.scan.fault import FaultCode
 from drivers.api import Flip, Frame, FrameStatus, Pulse
 from tests.appliance.capture.test_ledger import BOARD_START_US, PERIOD_NS, N, clean, with_frames
 

@@ -58,7 +58,7 @@ def page() -> str:
         "What each state is for stands beside its name in `appliance/machine/states.py`.",
         "",
         "`key` is a press by its label on the screen; `time` is a deadline, or results that were shown long enough; names in capitals are",
-        "faults (`appliance/capture/fault.py`), others are events (`appliance/machine/events.py`).",
+        "faults (`appliance/scan/fault.py`), others are events (`appliance/machine/events.py`).",
         "",
         "```mermaid",
         "stateDiagram-v2",

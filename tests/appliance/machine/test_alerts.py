@@ -6,11 +6,11 @@ from itertools import permutations
 
 import pytest
 
-from appliance.capture.fault import Fault, FaultCode
 from appliance.machine import events as on
 from appliance.machine.alerts import Severity, alert_of, alerts, in_full, lengths_doubtful
 from appliance.machine.permissions import refusal
 from appliance.machine.states import Machine
+from appliance.scan.fault import Fault, FaultCode
 from drivers.api import Key
 from tests.appliance.machine.walks import aim, capturing, heartbeat, run
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 
 from appliance.calibration.guide import Refusal, Session, Step, Trial, Verified
-from appliance.capture.fault import Fault, FaultCode
 from appliance.machine import effects as do
 from appliance.machine import events as on
 from appliance.machine.alerts import alerts
@@ -13,6 +12,7 @@ from appliance.machine.mishap import Failure, Mishap
 from appliance.machine.permissions import may_light
 from appliance.machine.states import Device, Machine, State, Task
 from appliance.machine.texts import labels
+from appliance.scan.fault import Fault, FaultCode
 from drivers.api import Key
 from tests.appliance.machine.walks import (
     IN_USE,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pytest
 
-from appliance.capture.exposure import Exposure
 from appliance.machine.choices import (
     Choices,
     Offers,
@@ -15,6 +14,7 @@ from appliance.machine.choices import (
     other_water,
     warmer,
 )
+from appliance.scan.exposure import Exposure
 
 STEPS = (Exposure(4_000), Exposure(8_000), Exposure(16_000), Exposure(16_000, 6.0))
 OFFERS = offers_of(Choices(), STEPS)

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from appliance.capture.fault import FaultCode
 from appliance.machine.conditions import cleared, device_down, device_up, has, judge
 from appliance.machine.states import Device, Machine
+from appliance.scan.fault import FaultCode
 from tests.appliance.machine.walks import SECOND_NS, aim, heartbeat
 
 

@@ -7,15 +7,15 @@ from dataclasses import replace
 
 import pytest
 
-from appliance.capture.exposure import NOMINAL, Exposure
-from appliance.capture.fault import Fault, FaultCode
-from appliance.capture.ranging import Range
 from appliance.machine import effects as do
 from appliance.machine import events as on
 from appliance.machine.alerts import RULES, alerts, headline_of
 from appliance.machine.states import Device, Machine, Settings, State, boot
 from appliance.machine.step import step
 from appliance.machine.texts import labels
+from appliance.ranging.reach import Range
+from appliance.scan.exposure import NOMINAL, Exposure
+from appliance.scan.fault import Fault, FaultCode
 from drivers.api import Key
 from tests.appliance.machine.walks import (
     MISSING,

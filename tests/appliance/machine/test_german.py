@@ -7,11 +7,11 @@ from string import Formatter
 
 import pytest
 
-from appliance.capture.fault import Fault, FaultCode
 from appliance.machine.alerts import LONGEST, RULES, alert_of, alerts
 from appliance.machine.german import FIRST_KEPT, GERMAN
 from appliance.machine.german import LONGEST as LONGEST_GERMAN
 from appliance.machine.states import Notice, NoticeKind, boot
+from appliance.scan.fault import Fault, FaultCode
 
 NUMBERS = {
     "error_percent": 0.6,

@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import pytest
 
-from appliance.capture.fault import Fault, FaultCode
 from appliance.machine import events as on
 from appliance.machine.start import waits_for_ok
 from appliance.machine.states import Machine, State
 from appliance.machine.step import step
 from appliance.machine.texts import labels
+from appliance.scan.fault import Fault, FaultCode
 from drivers.api import Key
 from tests.appliance.machine.walks import (
     STARTS,

@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given, settings
 
 from appliance.calibration.guide import HELD
-from appliance.capture.fault import Fault, FaultCode
 from appliance.machine import effects as do
 from appliance.machine import events as on
 from appliance.machine.alerts import alerts
@@ -16,6 +15,7 @@ from appliance.machine.permissions import interruption, may_lase, may_light, may
 from appliance.machine.states import NEEDED_FOR_A_SCAN, Machine, State, Task
 from appliance.machine.step import step
 from appliance.machine.texts import labels
+from appliance.scan.fault import Fault, FaultCode
 from drivers.api import Key
 from tests.appliance.machine.walks import (
     EVENTS,

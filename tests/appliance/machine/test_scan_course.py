@@ -7,9 +7,6 @@ from dataclasses import replace
 
 import pytest
 
-from appliance.capture.exposure import Exposure
-from appliance.capture.fault import Fault, FaultCode
-from appliance.capture.ranging import Range
 from appliance.machine import effects as do
 from appliance.machine import events as on
 from appliance.machine.alerts import alerts
@@ -18,6 +15,9 @@ from appliance.machine.permissions import other_exposure, second_exposure
 from appliance.machine.states import Device, Machine, State, boot
 from appliance.machine.step import step
 from appliance.machine.texts import labels
+from appliance.ranging.reach import Range
+from appliance.scan.exposure import Exposure
+from appliance.scan.fault import Fault, FaultCode
 from drivers.api import Key
 from tests.appliance.machine.walks import (
     HOLD_BACK,

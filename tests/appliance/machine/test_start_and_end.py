@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from appliance.capture.fault import Fault, FaultCode
-from appliance.capture.ranging import Range
 from appliance.machine import effects as do
 from appliance.machine import events as on
 from appliance.machine.alerts import alerts
 from appliance.machine.saving import RETRIES
 from appliance.machine.states import Device, Machine, Part, State, boot
 from appliance.machine.texts import labels
+from appliance.ranging.reach import Range
+from appliance.scan.fault import Fault, FaultCode
 from drivers.api import Key
 from tests.appliance.machine.walks import (
     PARTS,

@@ -6,8 +6,6 @@ from dataclasses import replace
 
 import pytest
 
-from appliance.capture.exposure import NOMINAL
-from appliance.capture.fault import Fault, FaultCode
 from appliance.machine import effects as do
 from appliance.machine import events as on
 from appliance.machine.alerts import alerts
@@ -15,6 +13,8 @@ from appliance.machine.conditions import has
 from appliance.machine.states import Machine, State
 from appliance.machine.step import step
 from appliance.machine.thermal import RATION_S, may_aim_lit, passed, remaining_s, slope_c_per_s, spend
+from appliance.scan.exposure import NOMINAL
+from appliance.scan.fault import Fault, FaultCode
 from drivers.api import Key
 from tests.appliance.machine.walks import SECOND_NS, after, aim, heartbeat, reviewing, run
 

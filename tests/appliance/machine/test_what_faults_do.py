@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from appliance.capture.fault import Fault, FaultCode
 from appliance.machine import effects as do
 from appliance.machine import events as on
 from appliance.machine.alerts import RULES, actions_of
 from appliance.machine.permissions import may_light
 from appliance.machine.states import State
+from appliance.scan.fault import Fault, FaultCode
 from drivers.api import Key
 from tests.appliance.machine.walks import after, aim, capturing, in_gallery, reconstructing, run
 

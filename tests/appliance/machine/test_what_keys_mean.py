@@ -6,10 +6,10 @@ from itertools import pairwise
 
 import pytest
 
-from appliance.capture.fault import Fault, FaultCode
 from appliance.machine import effects as do
 from appliance.machine import events as on
 from appliance.machine.states import Machine, State, boot
+from appliance.scan.fault import Fault, FaultCode
 from drivers.api import Key
 from tests.appliance.machine.walks import (
     RECORDED,

@@ -8,15 +8,15 @@ from functools import partial
 from hypothesis import strategies as st
 
 from appliance.calibration.guide import HELD, USED, Refusal, Session, Solved, Step, Trial, Verified
-from appliance.capture.exposure import Exposure
-from appliance.capture.fault import Fault, FaultCode
-from appliance.capture.ranging import Range
 from appliance.machine import effects as do
 from appliance.machine import events as on
 from appliance.machine.mishap import Failure, Mishap
 from appliance.machine.states import Device, Machine, Part, State, boot
 from appliance.machine.step import step
+from appliance.ranging.reach import Range
 from appliance.reconstruct.quality import CloudSummary
+from appliance.scan.exposure import Exposure
+from appliance.scan.fault import Fault, FaultCode
 from drivers.api import Key, LaserState, Telemetry
 from tests.support.typed import built
 

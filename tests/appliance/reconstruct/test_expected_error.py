@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from appliance.reconstruct.noise import CameraNoise, StereoNoise, camera_noise
 from appliance.reconstruct.ripple import KNEE, Ripple
 from appliance.reconstruct.scratch import (
     BEND_RIGHT,
@@ -24,6 +23,7 @@ from appliance.reconstruct.scratch import (
     P,
 )
 from appliance.reconstruct.sigma import SigmaFactors, expect_row, read_between, sigma_factors, without_neighbours
+from appliance.scan.noise import CameraNoise, StereoNoise, camera_noise
 
 LEFT = CameraNoise(read_dn=0.6, dn_per_e=0.02, black_dn=2.0)
 RIGHT = CameraNoise(read_dn=0.9, dn_per_e=0.05, black_dn=3.0)

@@ -13,7 +13,8 @@ from appliance.calibration.file import Calibration
 from appliance.calibration.gaps import signed_gap_mm
 from appliance.calibration.patches import COUNT
 from appliance.patterns.sequence import build_sequence
-from appliance.reconstruct.pipeline import SIDES, Cloud, Pipeline
+from appliance.reconstruct.pipeline import Cloud, Pipeline
+from appliance.scan.sides import SIDES
 from tests.support import synthetic
 
 SEQUENCE = build_sequence(16)

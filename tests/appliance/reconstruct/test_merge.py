@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from appliance.capture.exposure import Exposure
 from appliance.patterns.sequence import build_sequence
 from appliance.reconstruct.decode import CameraDecoder, Mask
 from appliance.reconstruct.merge import Agreement, merge
-from appliance.reconstruct.noise import TYPICAL, CameraNoise, camera_noise
+from appliance.scan.exposure import Exposure
+from appliance.scan.noise import TYPICAL, CameraNoise, camera_noise
 from appliance.verdict.recorded import Recorded
 from tests.support.photographed import HEIGHT_PX, WIDTH_PX, Wall, coordinates, photograph, wall
 

@@ -9,7 +9,7 @@ import pytest
 
 from appliance.reconstruct.decode import DecodedMaps, Mask
 from appliance.reconstruct.merge import Agreement, merge
-from appliance.reconstruct.noise import CameraNoise
+from appliance.scan.noise import CameraNoise
 
 NOISE = CameraNoise(read_dn=0.5, dn_per_e=0.02, black_dn=2.0)
 SCALE_PX = 16.0 / (2.0 * math.pi * math.sqrt(2.0))

@@ -9,8 +9,8 @@ import pytest
 
 from appliance.patterns.sequence import build_sequence
 from appliance.reconstruct.decode import Mask
-from appliance.reconstruct.noise import TYPICAL_PAIR, CameraNoise, StereoNoise
 from appliance.reconstruct.pipeline import Pipeline
+from appliance.scan.noise import TYPICAL_PAIR, CameraNoise, StereoNoise
 from tests.support import synthetic
 
 NORMAL = np.array([0.25, -0.1, 1.0]) / np.linalg.norm([0.25, -0.1, 1.0])

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from appliance.reconstruct.noise import TYPICAL
-from appliance.reconstruct.pipeline import SIDES, Cloud, Pipeline
+from appliance.reconstruct.pipeline import Cloud, Pipeline
 from appliance.reconstruct.specks import mask_specks
+from appliance.scan.noise import TYPICAL
+from appliance.scan.sides import SIDES
 from appliance.worker.scan_work import ScanWork, Taking
 from bench.bias import depth_errors
 from hw_sim.scene import Imaging, Scene

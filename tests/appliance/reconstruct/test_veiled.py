@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.capture.exposure import Exposure
 from appliance.reconstruct.decode import CameraDecoder, Mask
-from appliance.reconstruct.noise import StereoNoise, camera_noise
 from appliance.reconstruct.pipeline import Pipeline
+from appliance.scan.exposure import Exposure
+from appliance.scan.noise import StereoNoise, camera_noise
 from appliance.worker.scan_work import ScanWork, Taking
 from bench.bias import depth_errors
 from hw_sim.rendering.sensor import FULL_WELL_E, OFFSET_DN, READ_NOISE_E

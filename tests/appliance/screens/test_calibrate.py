@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from appliance.calibration.guide import HELD, USED, Refusal, Session, Solved, Step, Trial, Verified
 from appliance.calibration.recordings import ArtefactKind
-from appliance.capture.fault import FaultCode
 from appliance.machine.alerts import Alert, Severity
 from appliance.machine.mishap import Failure, Mishap
 from appliance.machine.states import Calibrating, Task
+from appliance.scan.fault import FaultCode
 from appliance.screens import theme
 from appliance.screens.calibrate import refusal_words
 from appliance.screens.canvas import Canvas

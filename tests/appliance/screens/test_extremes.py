@@ -9,13 +9,13 @@ from itertools import product
 import moderngl
 import pytest
 
-from appliance.capture.exposure import Exposure, Span, ladder
-from appliance.capture.fault import Fault, FaultCode
-from appliance.capture.ranging import Reach
 from appliance.machine.alerts import Alert, alert_of, alerts
 from appliance.machine.choices import COLDEST_C, WARMEST_C
 from appliance.machine.menu import ROWS
 from appliance.machine.states import Menu, Notice, NoticeKind, Page, boot
+from appliance.ranging.reach import Reach
+from appliance.scan.exposure import Exposure, Span, ladder
+from appliance.scan.fault import Fault, FaultCode
 from appliance.screens import theme
 from appliance.screens.canvas import Canvas
 from appliance.screens.frame import draw_alerts

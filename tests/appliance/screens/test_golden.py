@@ -11,7 +11,7 @@ import moderngl
 import numpy as np
 import pytest
 
-from appliance.capture.fault import FaultCode
+from appliance.scan.fault import FaultCode
 from appliance.screens.canvas import Canvas
 from appliance.screens.texts import Language
 from appliance.screens.theme import Colour

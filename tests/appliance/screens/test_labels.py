@@ -8,7 +8,7 @@ from itertools import combinations, product
 import moderngl
 import pytest
 
-from appliance.capture.exposure import Span, ladder
+from appliance.scan.exposure import Span, ladder
 from appliance.screens import theme
 from appliance.screens.canvas import Canvas
 from appliance.screens.frame import draw_key_labels, room_between

@@ -7,7 +7,7 @@ from itertools import combinations
 import moderngl
 import pytest
 
-from appliance.capture.fault import FaultCode
+from appliance.scan.fault import FaultCode
 from appliance.screens import theme
 from appliance.screens.canvas import Canvas
 from appliance.screens.texts import Language, Text

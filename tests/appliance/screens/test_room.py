@@ -8,8 +8,8 @@ from dataclasses import replace
 import moderngl
 import pytest
 
-from appliance.capture.fault import FaultCode
 from appliance.machine.alerts import Alert
+from appliance.scan.fault import FaultCode
 from appliance.screens.frame import alerts_top
 from appliance.screens.painter import Painter, said_once
 from appliance.screens.texts import Language, Text

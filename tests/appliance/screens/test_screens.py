@@ -14,12 +14,12 @@ import pytest
 from numpy.typing import NDArray
 
 import appliance
-from appliance.capture.fault import FaultCode
-from appliance.capture.ranging import Range, reach_of
 from appliance.machine.alerts import Alert, Severity
 from appliance.machine.states import State
 from appliance.machine.states import boot as machine_at_boot
 from appliance.machine.texts import labels as machine_labels
+from appliance.ranging.reach import Range, reach_of
+from appliance.scan.fault import FaultCode
 from appliance.screens import theme
 from appliance.screens.canvas import MAX_WORDS, Canvas
 from appliance.screens.frame import ALERT_PX, MARKS_PX, alert_colours

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.capture.fault import FaultCode
 from appliance.config import load_rig
 from appliance.machine import events as on
+from appliance.scan.fault import FaultCode
 from appliance.service.aiming import DEVICE, AimingDesk
 from appliance.service.instrument import design_of
 from drivers.native import MonotonicClock

@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 import pytest
 
-from appliance.capture.verdict import Verdict
 from appliance.machine import events as on
+from appliance.scan.verdict import Verdict
 from appliance.screens.views import Grade
 from appliance.service.gallery import GRADE, GalleryDesk, read
 from appliance.storage.library import Library

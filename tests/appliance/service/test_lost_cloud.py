@@ -11,16 +11,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from appliance.capture.exposure import Exposure
-from appliance.capture.fault import FaultCode
 from appliance.capture.ledger import Ledger
 from appliance.capture.scan import CaptureReport
-from appliance.capture.store import SIDES
 from appliance.config import Rig, load_rig
 from appliance.config.load import default_rig_path
 from appliance.machine import events as on
 from appliance.patterns.sequence import PatternSequence, build_sequence
 from appliance.reconstruct.pipeline import Pipeline
+from appliance.scan.exposure import Exposure
+from appliance.scan.fault import FaultCode
+from appliance.scan.sides import SIDES
 from appliance.service.app import design_of
 from appliance.service.desk import reconstruct_scan
 from appliance.service.origin import Wish, calibration_for, taken

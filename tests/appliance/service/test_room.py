@@ -10,8 +10,6 @@ from pathlib import Path
 import pytest
 
 from appliance.calibration.design import Design, design_calibration
-from appliance.capture.exposure import Exposure
-from appliance.capture.fault import FaultCode
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.config import load_rig
 from appliance.machine import events as on
@@ -19,6 +17,8 @@ from appliance.machine.alerts import RULES
 from appliance.machine.states import Part
 from appliance.optics.water import Water
 from appliance.patterns.sequence import build_sequence
+from appliance.scan.exposure import Exposure
+from appliance.scan.fault import FaultCode
 from appliance.service.room import ASK_AGAIN_S, Told, steady
 from appliance.service.scans import ScanDesk
 from appliance.storage.filesystem import LocalFileSystem

@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 from appliance.calibration.design import Design, design_calibration
-from appliance.capture.fault import FaultCode
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.config import load_rig
 from appliance.machine import events as on
 from appliance.machine.states import Part
 from appliance.optics.water import Water
 from appliance.patterns.sequence import build_sequence
+from appliance.scan.fault import FaultCode
 from appliance.service.scans import ScanDesk
 from appliance.storage.library import Library
 from appliance.worker.process import WorkLimits

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from appliance.capture.ranging_beams import Pointers
+from appliance.ranging.beams import Pointers
 from appliance.service.ranging import RangingDesk
 from appliance.storage.beams import BeamsFile
 from drivers.api import LaserState

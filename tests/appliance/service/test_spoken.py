@@ -13,9 +13,9 @@ from typing import Any
 
 import pytest
 
-from appliance.capture.fault import Fault, FaultCode
 from appliance.machine import events as on
 from appliance.machine.states import Device
+from appliance.scan.fault import Fault, FaultCode
 from appliance.service.spoken import fault_text, spoken
 from hw_sim.people import status_file
 

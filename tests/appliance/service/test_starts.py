@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from appliance.capture.fault import FaultCode
 from appliance.machine.alerts import alerts
 from appliance.machine.events import KeyPressed, Tick, Told
 from appliance.machine.states import boot
 from appliance.machine.step import step
+from appliance.scan.fault import FaultCode
 from appliance.service.starts import installation, recovered, this_run
 from appliance.storage.library import Library
 from drivers.api import Key

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from appliance.capture.fault import Fault, FaultCode
 from appliance.machine import states
 from appliance.machine.states import Device, Machine, Part, State, boot
+from appliance.scan.fault import Fault, FaultCode
 from appliance.service.notify import ServiceManager
 from appliance.service.supervision import SELF_TEST_FILE, Supervision
 

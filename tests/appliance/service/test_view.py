@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from appliance.capture.ranging_marks import Marks, Track
 from appliance.machine import events as on
 from appliance.machine.states import Part, State, boot
+from appliance.ranging.marks import Marks, Track
 from appliance.screens.views import AimView, CalibrateView, SelfTestView
 from appliance.service.view import Surroundings, view_of
 from tests.appliance.machine.walks import UPS, run

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from appliance.calibration.file import Calibration
-from appliance.capture.fault import FaultCode
 from appliance.machine.alerts import alert_of
+from appliance.scan.fault import FaultCode
 from appliance.service.health import CalibrationWatch
 from hw_sim.mount_shift import MountShift, with_mount_shifted
 from tests.support.gap_scans import calibrated, scan

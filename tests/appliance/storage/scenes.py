@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.capture.exposure import Exposure
-from appliance.capture.verdict import Verdict
+from appliance.scan.exposure import Exposure
+from appliance.scan.verdict import Verdict
 from appliance.storage import manifest as form
 from appliance.storage import scan
 from appliance.storage.filesystem import Bytes, LocalFileSystem, WritableFile

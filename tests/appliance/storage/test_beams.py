@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from appliance.capture.ranging_beams import Beam, Pointers
+from appliance.ranging.beams import Beam, Pointers
 from appliance.sealed import seal, unseal
 from appliance.storage.beams import MAX_BYTES, BeamsFile
 

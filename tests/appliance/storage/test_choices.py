@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from appliance.capture.exposure import Exposure
-from appliance.capture.fault import FaultCode
 from appliance.machine.choices import Choices
+from appliance.scan.exposure import Exposure
+from appliance.scan.fault import FaultCode
 from appliance.sealed import seal
 from appliance.storage.choices import FILE, ChoicesFile
 

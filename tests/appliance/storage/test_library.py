@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from appliance.capture.fault import Fault, FaultCode
-from appliance.capture.verdict import Verdict
 from appliance.patterns.sequence import build_sequence
+from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.verdict import Verdict
 from appliance.storage.atomic import StorageError
 from appliance.storage.library import Library, Shelf, UnknownScan
 from appliance.storage.lock import hold_lock

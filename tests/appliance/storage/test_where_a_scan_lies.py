@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from appliance.capture.exposure import Exposure
 from appliance.machine.choices import Choices
+from appliance.scan.exposure import Exposure
 from appliance.sealed import seal
 from appliance.storage.choices import FILE, ChoicesFile
 from appliance.storage.filesystem import LocalFileSystem

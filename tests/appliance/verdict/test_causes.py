@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import pytest
 
-from appliance.capture.exposure import Exposure, Span, ladder
-from appliance.capture.fault import Fault, FaultCode
-from appliance.capture.verdict import Judgement, Verdict
 from appliance.reconstruct.quality import CloudSummary
+from appliance.scan.exposure import Exposure, Span, ladder
+from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.verdict import Judgement, Verdict
 from appliance.verdict.causes import find_causes, with_causes
 
 STEPS = ladder(60.0, 500, 0.0, Span())

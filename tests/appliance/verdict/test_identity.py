@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.capture.fault import FaultCode
-from appliance.capture.verdict import Judgement
 from appliance.patterns.sequence import PatternSequence, build_sequence
-from appliance.reconstruct.noise import TYPICAL
+from appliance.scan.fault import FaultCode
+from appliance.scan.noise import TYPICAL
+from appliance.scan.sides import SIDES
+from appliance.scan.verdict import Judgement
 from appliance.verdict.identity import judge_identity
 from appliance.verdict.identity_evidence import Witness
 from appliance.verdict.identity_kernel import follow
@@ -28,7 +29,6 @@ SEQUENCE = build_sequence(16, 128, 96)
 """Small: 18 frames, so that everything can be tried."""
 N = len(SEQUENCE)
 SIZE_PX = (144, 192)
-SIDES = ("left", "right")
 Frames = NDArray[np.uint8]
 Takes = Mapping[str, Frames]
 """(2, n, h, w) of each camera: the same patterns, recorded twice."""

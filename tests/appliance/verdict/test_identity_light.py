@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.capture.exposure import Exposure
-from appliance.capture.fault import FaultCode
 from appliance.patterns.sequence import Direction, build_sequence
+from appliance.scan.exposure import Exposure
+from appliance.scan.fault import FaultCode
 from appliance.verdict.identity import judge_identity
 from hw_sim.scene import Scene
 from hw_sim.water.medium import turbid

@@ -8,13 +8,13 @@ import math
 import numpy as np
 import pytest
 
-from appliance.capture.exposure import Exposure, Span, ladder
-from appliance.capture.fault import FaultCode
-from appliance.capture.verdict import Judgement
 from appliance.machine.alerts import alert_of
 from appliance.patterns.sequence import Direction, build_sequence
 from appliance.reconstruct.decode import CameraDecoder, Mask
-from appliance.reconstruct.noise import TYPICAL, StereoNoise, camera_noise
+from appliance.scan.exposure import Exposure, Span, ladder
+from appliance.scan.fault import FaultCode
+from appliance.scan.noise import TYPICAL, StereoNoise, camera_noise
+from appliance.scan.verdict import Judgement
 from appliance.verdict.light import judge_light
 from appliance.verdict.recorded import Recorded
 from hw_sim.light.daylight import Daylight

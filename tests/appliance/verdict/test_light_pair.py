@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from appliance.capture.exposure import NOMINAL, Exposure, Span, ladder
+from appliance.scan.exposure import NOMINAL, Exposure, Span, ladder
 from appliance.verdict.light_pair import LEAST_COMMON, LEAST_GAINED, propose_second
 
 STEPS = ladder(60.0, 500, 0.0, Span())

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from appliance.capture.fault import FaultCode
+from appliance.scan.fault import FaultCode
 from appliance.verdict.motion import MotionJudgement, MotionKind
 from appliance.verdict.motion_scores import MOVED
 from bench.verdict.motion import judge_frames

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from appliance.capture.fault import FaultCode
+from appliance.scan.fault import FaultCode
 from appliance.patterns.sequence import build_sequence
 from appliance.reconstruct.decode import CameraDecoder, Mask
-from appliance.reconstruct.noise import CameraNoise
+from appliance.scan.noise import CameraNoise
 from appliance.verdict.motion import (
     MotionKind,
     _axial,

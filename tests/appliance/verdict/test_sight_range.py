@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from appliance.reconstruct.noise import TYPICAL_PAIR
 from appliance.reconstruct.quality import CloudSummary, QualityLimits
 from appliance.reconstruct.table import Found, PointTable
+from appliance.scan.noise import TYPICAL_PAIR
 from appliance.verdict.sight import look
 from appliance.verdict.sight_range import find_depths_mm
 from hw_sim.scene import Scene

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from appliance.capture.fault import FaultCode
 from appliance.machine.alerts import headline_of
 from appliance.patterns.sequence import Direction
-from appliance.reconstruct.noise import TYPICAL_PAIR
 from appliance.reconstruct.pipeline import Pipeline
+from appliance.scan.fault import FaultCode
+from appliance.scan.noise import TYPICAL_PAIR
 from appliance.verdict.recorded import Recorded
 from appliance.verdict.turbidity import WaterJudgement, judge_water
 from hw_sim.scene import Imaging, Scene

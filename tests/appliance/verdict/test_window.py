@@ -7,8 +7,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from appliance.capture.fault import FaultCode
 from appliance.machine.alerts import RULES
+from appliance.scan.fault import FaultCode
 from appliance.service.windows import WindowWatch
 from appliance.verdict.window import CELLS, Windows
 from hw_sim.optics.fog import Fog

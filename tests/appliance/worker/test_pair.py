@@ -12,14 +12,15 @@ import pytest
 from numpy.typing import NDArray
 
 from appliance.calibration.file import Calibration
-from appliance.capture.exposure import Exposure
-from appliance.capture.fault import FaultCode
-from appliance.capture.store import SIDES, FrameStore
-from appliance.capture.verdict import Judgement
+from appliance.capture.store import FrameStore
 from appliance.patterns.sequence import build_sequence
-from appliance.reconstruct.noise import TYPICAL_PAIR
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.table import Cloud
+from appliance.scan.exposure import Exposure
+from appliance.scan.fault import FaultCode
+from appliance.scan.noise import TYPICAL_PAIR
+from appliance.scan.sides import SIDES
+from appliance.scan.verdict import Judgement
 from appliance.worker.process import (
     CloudReady,
     PairJudged,

@@ -17,9 +17,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from appliance.capture.store import SIDES, FrameStore
+from appliance.capture.store import FrameStore
 from appliance.patterns.sequence import build_sequence
 from appliance.reconstruct.pipeline import Pipeline
+from appliance.scan.sides import SIDES
 from appliance.worker.process import (
     CloudReady,
     PatternsRight,

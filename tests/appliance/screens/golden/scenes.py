@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 from appliance.calibration.guide import USED, Refusal, Session, Solved, Step, Trial, Verified
-from appliance.capture.fault import Fault, FaultCode
-from appliance.capture.ranging import Reach
 from appliance.machine.alerts import RULES, Alert, alert_of
 from appliance.machine.mishap import Failure, Mishap
 from appliance.machine.states import Calibrating, Task
+from appliance.ranging.reach import Reach
+from appliance.scan.fault import Fault, FaultCode
 from appliance.screens.texts import Text
 from appliance.screens.views import (
     AimView,

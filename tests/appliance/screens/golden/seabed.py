@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.capture.ranging_marks import Marks, Track
+from appliance.ranging.marks import Marks, Track
 from appliance.screens.colours import colour_table
 
 MIDDLE_MM = 505.0

@@ -6,8 +6,8 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.capture.ranging import FARTHEST_MM, NEAREST_MM
 from appliance.machine.alerts import Severity
+from appliance.ranging.reach import FARTHEST_MM, NEAREST_MM
 from appliance.screens import theme
 from appliance.screens.canvas import Align, Canvas
 from appliance.screens.frame import words_of

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from appliance.capture.fault import FaultCode as F
+from appliance.scan.fault import FaultCode as F
 
 _FRAMES = (
     "Frames are missing, doubled or damaged; the scan is not used.",

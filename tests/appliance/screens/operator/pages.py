@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator
 
-from appliance.capture.exposure import Exposure
-from appliance.capture.fault import Fault, FaultCode
 from appliance.machine import events as on
 from appliance.machine.alerts import RULES, Rule, Severity
 from appliance.machine.states import Machine, State
 from appliance.machine.texts import labels
+from appliance.scan.exposure import Exposure
+from appliance.scan.fault import Fault, FaultCode
 from appliance.screens.frame import words_of
 from appliance.screens.texts import Language, Text, worded
 from drivers.api import Key

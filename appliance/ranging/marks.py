@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from appliance.capture.ranging import FARTHEST_MM, NEAREST_MM
-from appliance.capture.ranging_beams import Beam
-from appliance.capture.ranging_frame import RigFrame
 from appliance.optics.model import StereoRig
+from appliance.ranging.beams import Beam
+from appliance.ranging.reach import FARTHEST_MM, NEAREST_MM
+from appliance.ranging.rig_frame import RigFrame
 
 Place = tuple[float, float]
 """In shares of a picture's width and height, from its upper left corner."""

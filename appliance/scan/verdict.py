@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from appliance.capture.exposure import Exposure
-from appliance.capture.fault import Fault
+from appliance.scan.exposure import Exposure
+from appliance.scan.fault import Fault
 
 
 @dataclass(frozen=True, slots=True)

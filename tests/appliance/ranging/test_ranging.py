@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from appliance.capture.ranging import Range
-from appliance.capture.ranging_measure import Ranger
-from appliance.capture.ranging_witness import SURELY_A_DOT_DN, shines_in_the_dark
 from appliance.config import load_rig
 from appliance.patterns.sequence import BRIGHT_CODE
+from appliance.ranging.measure import Ranger
+from appliance.ranging.reach import Range
+from appliance.ranging.witness import SURELY_A_DOT_DN, shines_in_the_dark
 from appliance.service.instrument import design_of, live_light_of, pointers_of
 from bench.ranging.scenes import hide, live_pair, true_dots
 from bench.ranging.study import RIG_FILE, Instrument, instrument, truth_of

@@ -12,10 +12,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.capture.ranging_beams import Pointers
-from appliance.capture.ranging_dots import FARTHEST_MM, NEAREST_MM
 from appliance.optics.model import HousedCamera
 from appliance.patterns.sequence import BRIGHT_CODE, DARK_CODE
+from appliance.ranging.beams import Pointers
+from appliance.ranging.dots import FARTHEST_MM, NEAREST_MM
 
 LEAN_SIGMAS = 3.0
 AROUND_MM = 5.0

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.capture.ranging_measure import Dot, Images, Ranger
+from appliance.ranging.measure import Dot, Images, Ranger
 
 SURELY_A_DOT_DN = 15.0
 """Contrast of a dot that counts as evidence."""

@@ -13,9 +13,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.capture.ranging_beams import Beam
-from appliance.capture.ranging_frame import RigFrame
 from appliance.optics.model import HousedCamera
+from appliance.ranging.beams import Beam
+from appliance.ranging.rig_frame import RigFrame
 
 Array = NDArray[np.float64]
 

@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TypeVar, overload
+
+import numpy as np
+from numpy.typing import NDArray
 
 LEVELS = 255.0
 QUANTISATION_DN2 = 1.0 / 12.0
 """Variance of rounding to whole grey values."""
+Float = TypeVar("Float", np.float32, np.float64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,14 +29,28 @@ class CameraNoise:
     black_dn: float
     """Grey value of no light."""
 
-    def variance_dn2(self, grey_dn: float) -> float:
-        """Of a grey value whose mean is ``grey_dn``."""
+    @property
+    def dark_variance_dn2(self) -> float:
+        """The straight line's variance at grey value 0: what a kernel adds ``dn_per_e`` times the grey value to.
+
+        It may be below 0 where black is far above 0; grey values below black do not occur but for noise.
+        """
+        return self.read_dn**2 - self.dn_per_e * self.black_dn
+
+    @overload
+    def variance_dn2(self, grey_dn: float) -> float: ...
+    @overload
+    def variance_dn2(self, grey_dn: NDArray[Float]) -> NDArray[Float]: ...
+    def variance_dn2(self, grey_dn: float | NDArray[Float]) -> float | NDArray[Float]:
+        """Return the variance of grey values whose mean is ``grey_dn``, of any shape and in its type; below black, that of black."""
+        if isinstance(grey_dn, np.ndarray):
+            return np.asarray(self.read_dn**2 + self.dn_per_e * np.maximum(grey_dn - self.black_dn, 0.0), grey_dn.dtype)
         return self.read_dn**2 + self.dn_per_e * max(grey_dn - self.black_dn, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
 class StereoNoise:
-    """Of both cameras."""
+    """The temporal noise of both cameras."""
 
     left: CameraNoise
     right: CameraNoise

@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.capture.ranging_dots import COARSE_PX, EDGE_PX, FARTHEST_MM, contrast_of
-from appliance.capture.ranging_frame import RigFrame
 from appliance.optics.model import StereoRig
+from appliance.ranging.dots import COARSE_PX, EDGE_PX, FARTHEST_MM, contrast_of
+from appliance.ranging.rig_frame import RigFrame
 
 Array = NDArray[np.float64]
 

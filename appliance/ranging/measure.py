@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.capture.ranging import Range
-from appliance.capture.ranging_alone import OtherCamera
-from appliance.capture.ranging_beams import DOT_SD_MM, Beam
-from appliance.capture.ranging_dots import FARTHEST_MM, NEAREST_MM, Candidate, Lane
-from appliance.capture.ranging_frame import RigFrame
-from appliance.capture.ranging_marks import Marks, marks_of
 from appliance.optics.model import StereoRig
+from appliance.ranging.beams import DOT_SD_MM, Beam
+from appliance.ranging.dots import FARTHEST_MM, NEAREST_MM, Candidate, Lane
+from appliance.ranging.marks import Marks, marks_of
+from appliance.ranging.other_camera import OtherCamera
+from appliance.ranging.reach import Range
+from appliance.ranging.rig_frame import RigFrame
 
 Array = NDArray[np.float64]
 Images = tuple[NDArray[np.uint8], NDArray[np.uint8]]

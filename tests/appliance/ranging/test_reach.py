@@ -4,7 +4,7 @@ import itertools
 
 import pytest
 
-from appliance.capture.ranging import Range, Reach, reach_of
+from appliance.ranging.reach import Range, Reach, reach_of
 
 
 def at(distance_mm: float) -> Range:
