@@ -9,8 +9,9 @@ import numpy as np
 
 from appliance.calibration.file import Calibration
 from appliance.compensation.compensate import WORTH_SHARE, Compensated, compensate
-from appliance.compensation.estimate import MotionEstimate, Scanned, estimate
+from appliance.compensation.estimate import MotionEstimate, estimate
 from appliance.optics.water import Water
+from appliance.reconstruct.images import ScanImages
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.table import Found
 
@@ -43,7 +44,7 @@ class Attempt:
     """Expected error of the median compensated point, by its own sigma, against a scan at rest; ``None``: none were made."""
 
 
-def attempt(pipeline: Pipeline, plain: Found, scanned: Scanned, calibration: Calibration, water: Water) -> Attempt:
+def attempt(pipeline: Pipeline, plain: Found, scanned: ScanImages, calibration: Calibration, water: Water) -> Attempt:
     """After ``pipeline.find_full`` gave ``plain``; ``calibration`` and ``water`` are those of the pipeline."""
     sample = pipeline.sample(pipeline.coarse_stride)
     try:

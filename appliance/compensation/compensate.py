@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibration.file import Calibration
-from appliance.compensation.estimate import MotionEstimate, Scanned, noise_dn
+from appliance.compensation.estimate import MotionEstimate, noise_dn
 from appliance.compensation.paint import known_smooth, with_paint
 from appliance.compensation.solve import MAX_T, SINES, Solved, Sources, Terms, depth_rows, solve_rows
 from appliance.compensation.surface import rough_depth
@@ -21,6 +21,7 @@ from appliance.optics.water import Water
 from appliance.patterns.sequence import Direction
 from appliance.reconstruct.decode import MIN_MODULATION_DN, edge_limits_px
 from appliance.reconstruct.edges import keep_smooth
+from appliance.reconstruct.images import ScanImages
 from appliance.reconstruct.rows import LeftMaps
 from appliance.scan.sides import SIDES, of_side
 
@@ -64,7 +65,7 @@ class _Side:
     modulation_half_dn: NDArray[np.uint8]
 
 
-def compensate(scanned: Scanned, calibration: Calibration, water: Water, motion: MotionEstimate) -> Compensated:
+def compensate(scanned: ScanImages, calibration: Calibration, water: Water, motion: MotionEstimate) -> Compensated:
     """Follow the scanned points through the frames and decode them anew."""
     sequence = scanned.sequence
     x, y = sequence.axis(Direction.X), sequence.axis(Direction.Y)
@@ -87,7 +88,7 @@ def compensate(scanned: Scanned, calibration: Calibration, water: Water, motion:
 
 
 def _solve(
-    scanned: Scanned, side: str, motion: MotionEstimate, followed: tuple[int, ...], way: Ways, place_px: float
+    scanned: ScanImages, side: str, motion: MotionEstimate, followed: tuple[int, ...], way: Ways, place_px: float
 ) -> _Side:
     sequence, decoder = scanned.sequence, scanned.decoded[side]
     noise = of_side(scanned.noise, side)

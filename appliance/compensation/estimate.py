@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -33,8 +33,8 @@ from appliance.compensation.residuals import (
 from appliance.optics.model import HousedCamera
 from appliance.optics.water import Water
 from appliance.patterns.sequence import Direction, PatternSequence
-from appliance.reconstruct.decode import CameraDecoder, Mask
-from appliance.scan.noise import StereoNoise
+from appliance.reconstruct.decode import Mask
+from appliance.reconstruct.images import ScanImages
 from appliance.scan.sides import SIDES, of_side
 
 Array = NDArray[np.float64]
@@ -87,21 +87,6 @@ LEVELS = (
 )
 
 
-class Scanned(Protocol):
-    """A whole sequence of both cameras. Mappings are keyed ``left`` and ``right``."""
-
-    @property
-    def sequence(self) -> PatternSequence: ...
-    @property
-    def frames(self) -> Mapping[str, NDArray[np.uint8]]: ...
-    @property
-    def decoded(self) -> Mapping[str, CameraDecoder]: ...
-    @property
-    def noise(self) -> StereoNoise: ...
-    @property
-    def frame_s(self) -> float: ...
-
-
 @dataclass(frozen=True, slots=True)
 class MotionEstimate:
     """How the scene moved before the instrument, against the reference time; left camera frame."""
@@ -148,7 +133,11 @@ class MotionEstimate:
 
 
 def estimate(
-    scanned: Scanned, calibration: Calibration, water: Water, points_mm: NDArray[np.floating], pixel: NDArray[np.uint32]
+    scanned: ScanImages,
+    calibration: Calibration,
+    water: Water,
+    points_mm: NDArray[np.floating],
+    pixel: NDArray[np.uint32],
 ) -> MotionEstimate:
     """From a scan, its cloud's points (n, 3) in the left camera frame and their left pixels (n,) flat.
 
@@ -365,14 +354,14 @@ def _step_deg(samples: Samples, values: Array) -> float:
     return 90.0 + math.degrees(float(np.nanmedian(advance))) / 3.0
 
 
-def noise_dn(scanned: Scanned, side: str) -> float:
+def noise_dn(scanned: ScanImages, side: str) -> float:
     """Of the grey values of one camera, at the object's mean light."""
     decoder, camera = scanned.decoded[side], of_side(scanned.noise, side)
     lit = decoder.middle[::4, ::4][decoder.mask[::4, ::4] == Mask.VALID]
     return math.sqrt(camera.variance_dn2(float(np.median(lit)) if lit.size else 0.0))
 
 
-def _modulation_dn(scanned: Scanned, side: str) -> float:
+def _modulation_dn(scanned: ScanImages, side: str) -> float:
     decoder = scanned.decoded[side]
     lit = decoder.modulation_half_dn[::4, ::4][decoder.mask[::4, ::4] == Mask.VALID]
     return max(0.5 * float(np.median(lit)), 1.0) if lit.size else 1.0

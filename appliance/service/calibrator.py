@@ -32,7 +32,7 @@ from appliance.reconstruct.pipeline import Cloud
 from appliance.reconstruct.quality import QualityLimits
 from appliance.scan.fault import FaultCode
 from appliance.service.desk import Reworked, rework
-from appliance.service.instrument import calibration_of, start_of, taking_of_scan
+from appliance.service.instrument import calibration_of, settings_of_scan, start_of
 from appliance.service.recordings import cameras_of, recording_of_scan
 from appliance.storage import scan as stored
 from appliance.storage.calibrations import Calibrations
@@ -252,13 +252,13 @@ def _judged_plane(step: Step, plane: PlaneFit | NotFound, cloud: Cloud, calibrat
 
 def _wide(scan: stored.StoredScan, basis: Basis) -> Reworked:
     """With room for rays that miss each other because nobody knows the ports."""
-    taking = taking_of_scan(scan.manifest.record, basis.rig)
-    return rework(scan, basis.start, taking, _silent, QualityLimits(max_gap_mm=CALIBRATING_GAP_MM))
+    settings = settings_of_scan(scan.manifest.record, basis.rig)
+    return rework(scan, basis.start, settings, _silent, QualityLimits(max_gap_mm=CALIBRATING_GAP_MM))
 
 
 def _fairly(scan: stored.StoredScan, calibration: Calibration, basis: Basis) -> Reworked:
-    taking = taking_of_scan(scan.manifest.record, basis.rig)
-    return rework(scan, calibration, taking, _silent, QualityLimits(max_gap_mm=VERIFY_GAP_MM))
+    settings = settings_of_scan(scan.manifest.record, basis.rig)
+    return rework(scan, calibration, settings, _silent, QualityLimits(max_gap_mm=VERIFY_GAP_MM))
 
 
 def _fair(scan: stored.StoredScan, calibration: Calibration, basis: Basis) -> Cloud:

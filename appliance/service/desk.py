@@ -21,6 +21,7 @@ from appliance.patterns.sequence import PatternSequence, build_sequence
 from appliance.reconstruct.pipeline import Cloud, Pipeline
 from appliance.reconstruct.quality import QualityLimits
 from appliance.reconstruct.table import Found
+from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.sides import SIDES, of_side
 from appliance.scan.verdict import Judgement
@@ -30,8 +31,8 @@ from appliance.service.instrument import (
     calibration_of,
     design_of,
     exposures_label,
-    taking_of,
-    taking_of_scan,
+    settings_of,
+    settings_of_scan,
 )
 from appliance.service.origin import Chosen, Taken, lost
 from appliance.service.salvage import Salvaged
@@ -40,7 +41,7 @@ from appliance.storage.atomic import replace_file
 from appliance.storage.filesystem import Bytes, LocalFileSystem
 from appliance.storage.ply import encode_ply
 from appliance.worker.pair import Sequence, faults_of
-from appliance.worker.scan_work import ScanWork, Taking
+from appliance.worker.scan_work import ScanWork
 
 
 def reconstruct_scan(
@@ -111,15 +112,15 @@ def _points_of(
 ) -> tuple[Cloud, Water, tuple[Fault, ...]]:
     """Of one sequence, or of both that the scan has."""
     record = scan.manifest.record
-    taking = taking_of_scan(record, rig)
+    settings = settings_of_scan(record, rig)
     if salvaged is not None:
-        taking = replace(taking, noise=salvaged.noise(taking.noise))
+        settings = replace(settings, noise=salvaged.noise(settings.noise))
     if scan.second is None or record.second is None:
-        reworked = rework(scan, calibration, taking, progress)
+        reworked = rework(scan, calibration, settings, progress)
         refuse_empty(scan.folder, reworked.empty)
         return reworked.cloud, reworked.water, reworked.faults
-    takings = (taking, taking_of(rig, record.second.exposure))
-    pair = rework_pair(scan, scan.second, takings, calibration, progress)
+    both = (settings, settings_of(rig, record.second.exposure))
+    pair = rework_pair(scan, scan.second, both, calibration, progress)
     if pair.cloud is None:
         raise stored.ScanError(f"{scan.folder}: {pair.pair.verdict.text}")
     refuse_empty(scan.folder, pair.empty)
@@ -164,19 +165,19 @@ def _spoils_maps(fault: Fault) -> bool:
 def rework(
     scan: stored.StoredScan,
     calibration: Calibration,
-    taking: Taking,
+    settings: AcquisitionSettings,
     progress: Callable[[str], None],
     limits: QualityLimits | None = None,
 ) -> Reworked:
     """Reconstruct and judge a stored scan with ``calibration``, as the instrument does; of a pair, its first sequence.
 
-    ``taking``: how it was taken (``taking_of_scan``). ``limits`` ``None``: those of the instrument. Frames that are not
+    ``settings``: how it was taken (``settings_of_scan``). ``limits`` ``None``: those of the instrument. Frames that are not
     what they should be give their points all the same: the judgements say so.
     """
     water = water_of_scan(scan, calibration)
-    with Pipeline(calibration, water, sequence_of_scan(scan), limits, noise=taking.noise) as pipeline:
+    with Pipeline(calibration, water, sequence_of_scan(scan), limits, noise=settings.noise) as pipeline:
         work = ScanWork(pipeline, calibration, water)
-        judgements, found = _work_through(work, scan.frames, taking, pipeline, progress)
+        judgements, found = _work_through(work, scan.frames, settings, pipeline, progress)
         cloud = pipeline.table.cloud(found)
         return Reworked(pipeline, cloud, water, judgements, why_empty(pipeline, cloud, judgements))
 
@@ -203,21 +204,21 @@ class ReworkedPair:
 def rework_pair(
     first: stored.StoredScan,
     second: Mapping[str, NDArray[np.uint8]],
-    takings: tuple[Taking, Taking],
+    both: tuple[AcquisitionSettings, AcquisitionSettings],
     calibration: Calibration,
     progress: Callable[[str], None],
 ) -> ReworkedPair:
     """Reconstruct and judge ``first`` and the frames of a ``second`` sequence as one, as the instrument does.
 
-    ``takings``: how either was taken. Raises ScanError where frames are not what they should be.
+    ``both``: how either was taken. Raises ScanError where frames are not what they should be.
     """
     water = water_of_scan(first, calibration)
-    with Pipeline(calibration, water, sequence_of_scan(first), noise=takings[0].noise) as pipeline:
+    with Pipeline(calibration, water, sequence_of_scan(first), noise=both[0].noise) as pipeline:
         work = ScanWork(pipeline, calibration, water)
         judged = []
         held: list[Sequence] = []
-        for name, frames, taking in (("first", first.frames, takings[0]), ("second", second, takings[1])):
-            judgements, _ = _work_through(work, frames, taking, pipeline, progress)
+        for name, frames, settings in (("first", first.frames, both[0]), ("second", second, both[1])):
+            judgements, _ = _work_through(work, frames, settings, pipeline, progress)
             spoiled = judgements[0].fault
             if spoiled is not None:
                 raise stored.ScanError(f"{name} sequence: {spoiled.code.value}: {spoiled.detail}")
@@ -234,13 +235,13 @@ def rework_pair(
 def _work_through(
     work: ScanWork,
     frames: Mapping[str, NDArray[np.uint8]],
-    taking: Taking,
+    settings: AcquisitionSettings,
     pipeline: Pipeline,
     progress: Callable[[str], None],
 ) -> tuple[tuple[Judgement, ...], Found]:
     """What is said of one sequence, identity first, and its full cloud."""
     progress("loading")
-    work.begin(taking)
+    work.begin(settings)
     count = len(pipeline.sequence)
     for index in range(count):
         progress(f"decoding frame {index + 1} of {count}")

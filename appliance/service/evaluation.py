@@ -18,7 +18,7 @@ from appliance.evaluation.report import Evaluation, Item
 from appliance.evaluation.result import LENGTHS, Artefact, evaluate
 from appliance.reconstruct.quality import QualityLimits
 from appliance.service.desk import refuse_empty, rework
-from appliance.service.instrument import taking_of_scan
+from appliance.service.instrument import settings_of_scan
 from appliance.service.origin import Taken
 from appliance.storage import scan as stored
 
@@ -114,8 +114,8 @@ def run_evaluation(
         def step(what: str, at: float = at, name: str = scan.folder.name) -> None:
             progress(f"{name}: {what}", at)
 
-        taking = taking_of_scan(scan.manifest.record, source.rig)
-        reworked = rework(scan, chosen, taking, step, QualityLimits(max_gap_mm=JUDGING_GAP_MM))
+        settings = settings_of_scan(scan.manifest.record, source.rig)
+        reworked = rework(scan, chosen, settings, step, QualityLimits(max_gap_mm=JUDGING_GAP_MM))
         if reworked.empty is not None and reworked.empty.by_calibration:
             refuse_empty(scan.folder, reworked.empty)
         cloud, water = reworked.cloud, reworked.water

@@ -25,11 +25,11 @@ from appliance.optics.water import Water
 from appliance.patterns.response import Response
 from appliance.ranging.beams import Pointers
 from appliance.ranging.expected_light import live_light
+from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.exposure import Exposure, Span, ladder
 from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.noise import CameraNoise, StereoNoise, camera_noise
 from appliance.storage.record import ScanRecord
-from appliance.worker.scan_work import Taking
 
 log = logging.getLogger("kingfisher")
 
@@ -197,14 +197,14 @@ def exposures_label(record: ScanRecord, rig: Rig) -> str:
     return first if record.second is None else f"{first}, then {record.second.exposure.label}"
 
 
-def taking_of(rig: Rig, exposure: Exposure) -> Taking:
+def settings_of(rig: Rig, exposure: Exposure) -> AcquisitionSettings:
     """How a sequence is taken with ``exposure``. Raises ValueError for a rig that has no time for any exposure."""
-    return Taking(exposure, 1.0 / rig.projector.refresh_hz, noise_of(rig, exposure), exposures_of(rig))
+    return AcquisitionSettings(exposure, 1.0 / rig.projector.refresh_hz, noise_of(rig, exposure), exposures_of(rig))
 
 
-def taking_of_scan(record: ScanRecord, rig: Rig) -> Taking:
+def settings_of_scan(record: ScanRecord, rig: Rig) -> AcquisitionSettings:
     """How a stored scan was taken."""
-    return taking_of(rig, exposure_of_scan(record, rig))
+    return settings_of(rig, exposure_of_scan(record, rig))
 
 
 def exposures_of(rig: Rig) -> tuple[Exposure, ...]:

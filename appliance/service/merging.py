@@ -12,7 +12,7 @@ from appliance.optics.water import Water
 from appliance.reconstruct.pipeline import Cloud
 from appliance.scan.verdict import Verdict
 from appliance.service.desk import refuse_empty, rework_pair
-from appliance.service.instrument import exposure_of_scan, taking_of_scan
+from appliance.service.instrument import exposure_of_scan, settings_of_scan
 from appliance.service.origin import Chosen, Taken
 from appliance.storage import scan as stored
 from appliance.storage.ply import write_ply
@@ -86,8 +86,8 @@ def merged_cloud_of(
             raise ScanError(f"{scan.folder}: is of two exposures already; merge scans of one")
     if first.manifest.record.sequence != second.manifest.record.sequence:
         raise ScanError("the scans were recorded with different patterns; merge two of the same fringe period")
-    takings = (taking_of_scan(first.manifest.record, rig), taking_of_scan(second.manifest.record, rig))
-    made = rework_pair(first, second.frames, takings, calibration, progress)
+    settings = (settings_of_scan(first.manifest.record, rig), settings_of_scan(second.manifest.record, rig))
+    made = rework_pair(first, second.frames, settings, calibration, progress)
     if made.cloud is None:
         raise ScanError(f"{made.pair.verdict.text}: merge scans that were taken from one place")
     refuse_empty(first.folder, made.empty)

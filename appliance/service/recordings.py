@@ -13,7 +13,7 @@ from appliance.config import ConfigError, Rig, load_rig
 from appliance.evaluation.points import NotFound
 from appliance.reconstruct.quality import QualityLimits
 from appliance.service.desk import rework
-from appliance.service.instrument import taking_of_scan
+from appliance.service.instrument import settings_of_scan
 from appliance.storage import scan as stored
 
 
@@ -62,8 +62,8 @@ def recording_of_scan(
     answer is ``NotFound`` with the reason in words where the artefact is not seen well enough. Raises ScanError.
     """
     scan = stored.load(folder, only_raw=True)
-    taking = taking_of_scan(scan.manifest.record, rig)
-    reworked = rework(scan, start, taking, progress, QualityLimits(max_gap_mm=CALIBRATING_GAP_MM))
+    settings = settings_of_scan(scan.manifest.record, rig)
+    reworked = rework(scan, start, settings, progress, QualityLimits(max_gap_mm=CALIBRATING_GAP_MM))
     if reworked.unfit is not None:
         return NotFound(f"{reworked.unfit.code.value}: {reworked.unfit.detail}; record it again")
     progress("looking for the artefact")

@@ -28,6 +28,7 @@ from appliance.optics.water import Water
 from appliance.patterns.response import Response
 from appliance.patterns.sequence import PatternSequence
 from appliance.reconstruct.pipeline import COARSE_POINTS, Cloud
+from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.noise import TYPICAL_PAIR, StereoNoise
@@ -36,7 +37,7 @@ from appliance.scan.verdict import Judgement, Verdict
 from appliance.screens.texts import Text
 from appliance.service.health import CalibrationWatch
 from appliance.service.in_work import ScanInWork, SecondInWork
-from appliance.service.instrument import exposure_of, noise_of, taking_of, water_of
+from appliance.service.instrument import exposure_of, noise_of, settings_of, water_of
 from appliance.service.origin import origin_of
 from appliance.service.room import ScanRoom
 from appliance.service.windows import WindowWatch
@@ -58,7 +59,6 @@ from appliance.worker.process import (
     WorkLimits,
     WorkOrder,
 )
-from appliance.worker.scan_work import Taking
 from drivers.api import Calendar, Clock
 
 log = logging.getLogger("kingfisher")
@@ -92,7 +92,7 @@ class ScanDesk:
         self._calibration = calibration
         self._origin = origin_of(rig, calibration)
         self._response = response
-        self._taking = taking_of(rig, exposure_of(rig))
+        self._settings = settings_of(rig, exposure_of(rig))
         self._library = library
         self._fs = LocalFileSystem()
         self._clock = clock
@@ -164,8 +164,8 @@ class ScanDesk:
         self.worker.begin_second(scan.number, self._taken(exposure))
         return None
 
-    def _taken(self, exposure: Exposure) -> Taking:
-        return replace(self._taking, exposure=exposure, noise=noise_of(self._rig, exposure))
+    def _taken(self, exposure: Exposure) -> AcquisitionSettings:
+        return replace(self._settings, exposure=exposure, noise=noise_of(self._rig, exposure))
 
     def recorded(self, report: CaptureReport, temperatures_c: dict[str, float | None]) -> None:
         """The sequence ended and every witness agrees."""

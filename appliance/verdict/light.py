@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from appliance.reconstruct.images import ScanImages
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.sides import SIDES, of_side
@@ -12,7 +13,6 @@ from appliance.verdict.light_changes import Changes, find_frequency_hz, measure_
 from appliance.verdict.light_levels import FULL_DN, Levels, light_of, measure_levels, sample
 from appliance.verdict.light_pair import propose_second
 from appliance.verdict.light_proposal import propose, without_flicker
-from appliance.verdict.recorded import Recorded
 
 MAX_SATURATED = 0.05
 """Of lit pixels of one camera: so many points may be lost before the diver is told."""
@@ -26,7 +26,7 @@ FLICKER_ALIAS_HZ = (18.5, 21.5)
 """Where lamps on 50 Hz mains show up at 60 frames per second."""
 
 
-def judge_light(recorded: Recorded, present: Exposure, steps: Sequence[Exposure]) -> Judgement:
+def judge_light(recorded: ScanImages, present: Exposure, steps: Sequence[Exposure]) -> Judgement:
     """The verdict ``light`` with its numbers, at most one fault, and what to expose the next scan with.
 
     From the frames alone. ``present``: what they were exposed with; ``steps``: what may be proposed, from dark to bright
@@ -65,14 +65,14 @@ def judge_light(recorded: Recorded, present: Exposure, steps: Sequence[Exposure]
     return Judgement(verdict, fault, proposal, second)
 
 
-def _top(recorded: Recorded, levels: dict[str, Levels]) -> tuple[float, float]:
+def _top(recorded: ScanImages, levels: dict[str, Levels]) -> tuple[float, float]:
     black = {side: of_side(recorded.noise, side).black_dn for side in SIDES}
     brightest = max(SIDES, key=lambda side: levels[side].top_dn / (FULL_DN - black[side]))
     return levels[brightest].top_dn, FULL_DN - black[brightest]
 
 
 def _propose(
-    recorded: Recorded, levels: dict[str, Levels], present: Exposure, steps: Sequence[Exposure]
+    recorded: ScanImages, levels: dict[str, Levels], present: Exposure, steps: Sequence[Exposure]
 ) -> Exposure | None:
     top_dn, scale_dn = _top(recorded, levels)
     return propose(top_dn, scale_dn, present, steps)

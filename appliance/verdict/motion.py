@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from appliance.optics.model import StereoRig
 from appliance.reconstruct.decode import CameraDecoder, Mask
+from appliance.reconstruct.images import ScanImages
 from appliance.reconstruct.table import Cloud
 from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.noise import CameraNoise
@@ -38,7 +39,6 @@ from appliance.verdict.motion_scores import (
 )
 from appliance.verdict.motion_surface import surface_map
 from appliance.verdict.motion_texture import TextureShift, texture_shift
-from appliance.verdict.recorded import Recorded
 
 NAME = "motion"
 MOST_ADDED = 0.06
@@ -86,7 +86,7 @@ class MotionJudgement:
     paint: Mapping[str, PaintCourse]
 
 
-def judge_motion(recorded: Recorded, cloud: Cloud, rig: StereoRig, water_index: float) -> MotionJudgement:
+def judge_motion(recorded: ScanImages, cloud: Cloud, rig: StereoRig, water_index: float) -> MotionJudgement:
     """Judge a whole sequence with its coarse ``cloud``; ``rig`` and ``water_index`` turn px into mm. About 50 ms of CPU at
     full size."""
     sequence = recorded.sequence

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.optics.model import StereoRig
+from appliance.reconstruct.images import ScanImages
 from appliance.reconstruct.table import Cloud
 from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.verdict import Judgement, Verdict
-from appliance.verdict.recorded import Recorded
 from appliance.verdict.turbidity_beam import Beam, Gathered, beam_of, gather
 from appliance.verdict.turbidity_veil import CELLS, Cells, Looked, cell_of, look_at_veil
 
@@ -89,7 +89,7 @@ class Attenuation:
     """Veil per mm of water in the beam at ``SCALE_MM``, without attenuation."""
 
 
-def judge_water(recorded: Recorded, cloud: Cloud, rig: StereoRig, water_index: float) -> WaterJudgement:
+def judge_water(recorded: ScanImages, cloud: Cloud, rig: StereoRig, water_index: float) -> WaterJudgement:
     """Judge the water by the left camera's frames and the points of ``cloud`` (the coarse one is enough)."""
     decoded = recorded.decoded["left"]
     looked = look_at_veil(recorded.sequence, recorded.frames["left"], decoded)
@@ -182,7 +182,7 @@ def _fault(looked: Looked) -> Fault | None:
 
 
 def _rays(
-    recorded: Recorded, cells: Cells, cloud: Cloud, rig: StereoRig, water_index: float
+    recorded: ScanImages, cells: Cells, cloud: Cloud, rig: StereoRig, water_index: float
 ) -> tuple[Cells, Gathered, float] | None:
     """The cells with points in them, what their rays gather, and what the middle one gathers in clear water before the
     middle of the volume."""

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from appliance.patterns.sequence import Direction
 from appliance.reconstruct.decode import Mask
+from appliance.reconstruct.images import ScanImages
 from appliance.scan.sides import SIDES
 from appliance.scan.verdict import Verdict
-from appliance.verdict.recorded import Recorded
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -80,7 +80,7 @@ class Windows:
         )
 
 
-def look_at_windows(recorded: Recorded) -> Windows:
+def look_at_windows(recorded: ScanImages) -> Windows:
     """Compare the cameras' fringes place by place."""
     seen = {side: _look(recorded, side) for side in SIDES}
     falls: dict[str, Array] = {}
@@ -105,7 +105,7 @@ class _Seen:
     """By cell."""
 
 
-def _look(recorded: Recorded, side: str) -> _Seen:
+def _look(recorded: ScanImages, side: str) -> _Seen:
     frames, decoded, sequence = recorded.frames[side], recorded.decoded[side], recorded.sequence
     h, w = decoded.p_px.shape
     step = max(1, math.ceil(math.sqrt(h * w / SAMPLES)))

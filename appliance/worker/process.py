@@ -18,12 +18,12 @@ from appliance.calibration.file import Calibration, encode
 from appliance.capture.store import FrameStore
 from appliance.optics.water import Water
 from appliance.reconstruct.table import POINT_BYTES, Cloud, Found, PointTable
+from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.noise import TYPICAL_PAIR, StereoNoise
 from appliance.scan.sides import SIDES
 from appliance.scan.verdict import Judgement
 from appliance.verdict.window import Windows
-from appliance.worker.scan_work import Taking
 from appliance.worker.serve import work
 from appliance.worker.usage import cpu_s, own_memory_mb
 from drivers.api import Clock
@@ -175,8 +175,8 @@ class ReconstructionWorker:
         self._step_cpu_s = 0.0
         """Processor time when the deadline was set."""
         self._scan: int | None = None
-        self._taking = Taking(noise=order.noise)
-        self._second: Taking | None = None
+        self._settings = AcquisitionSettings(noise=order.noise)
+        self._second: AcquisitionSettings | None = None
         """How the scan's second sequence is taken; ``None``: there is none, or not yet."""
         self._knows_first = False
         """This process found the scan's full cloud: a second sequence can follow without the frames of the first."""
@@ -246,31 +246,31 @@ class ReconstructionWorker:
         self._stop(0.0)
         self._start_again()
 
-    def begin(self, scan: int, taking: Taking | None = None) -> None:
+    def begin(self, scan: int, settings: AcquisitionSettings | None = None) -> None:
         """A new scan's frames will follow, taken so (``None``: as always)."""
-        self._taking = taking or Taking(noise=self.order.noise)
+        self._settings = settings or AcquisitionSettings(noise=self.order.noise)
         self._scan, self._finishing, self._missed, self._attempts = scan, False, False, 1
         self._second, self._knows_first = None, False
         self._ticket += 1
         if self._process is None:
             self._fruitless = 0
             self._start_again()
-        self._send(("begin", self._ticket, self._taking))
+        self._send(("begin", self._ticket, self._settings))
 
-    def begin_second(self, scan: int, taking: Taking) -> None:
+    def begin_second(self, scan: int, settings: AcquisitionSettings) -> None:
         """A second sequence's frames will follow, of the ``scan`` begun last, whose first ones are still in the store.
 
         After ``finish``, one event PairJudged answers.
         """
         self._scan, self._finishing, self._missed, self._attempts = scan, False, False, 1
-        self._second = taking
+        self._second = settings
         self._ticket += 1
         if self._process is None:
             self._fruitless = 0
             self._start_again()
         if not self._knows_first:
             self._tell_first()
-        self._send(("begin second", self._ticket, taking))
+        self._send(("begin second", self._ticket, settings))
 
     def frame(self, side: str, index: int) -> None:
         """Frame ``index`` of ``side`` is in the store, in the place of the sequence begun last."""
@@ -298,9 +298,9 @@ class ReconstructionWorker:
             self._deadline_ns = None
         self._send(("drop",))
 
-    def reprocess(self, scan: int, taking: Taking | None = None) -> None:
+    def reprocess(self, scan: int, settings: AcquisitionSettings | None = None) -> None:
         """Reconstruct the frames in the store from the first on."""
-        self.begin(scan, taking)
+        self.begin(scan, settings)
         self._tell_again()
         self.finish()
 
@@ -396,7 +396,7 @@ class ReconstructionWorker:
             self._tell_frames()
 
     def _tell_first(self) -> None:
-        self._send(("begin", self._ticket, self._taking))
+        self._send(("begin", self._ticket, self._settings))
         self._tell_frames()
 
     def _tell_frames(self) -> None:

@@ -6,7 +6,7 @@ The instrument's worker and the desk go through it alike, so that the same frame
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,20 +15,19 @@ from appliance.calibration.file import Calibration
 from appliance.compensation.attempt import Attempt, attempt
 from appliance.optics.water import Water
 from appliance.reconstruct.decode import DecodedMaps
+from appliance.reconstruct.images import ScanImages
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.quality import CloudSummary
 from appliance.reconstruct.specks import mask_specks
 from appliance.reconstruct.table import Found
-from appliance.scan.exposure import NOMINAL, Exposure
+from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.fault import Fault, FaultCode
-from appliance.scan.noise import TYPICAL_PAIR, StereoNoise
 from appliance.scan.sides import SIDES, of_side
 from appliance.scan.verdict import Judgement, Verdict
 from appliance.verdict.causes import with_causes
 from appliance.verdict.identity import judge_identity
 from appliance.verdict.light import judge_light
 from appliance.verdict.motion import MotionJudgement, judge_motion
-from appliance.verdict.recorded import Recorded
 from appliance.verdict.sight import look
 from appliance.verdict.turbidity import judge_water
 from appliance.verdict.window import Windows, look_at_windows
@@ -41,19 +40,6 @@ SIGHT_POINTS = 7_500
 """Left pixels that are asked at what depth, near or far, they see something."""
 
 
-@dataclass(frozen=True, slots=True)
-class Taking:
-    """How a sequence is taken."""
-
-    exposure: Exposure = NOMINAL
-    frame_s: float = 1.0 / 60.0
-    """From one frame to the next."""
-    noise: StereoNoise = TYPICAL_PAIR
-    """Of the cameras as they are set."""
-    steps: tuple[Exposure, ...] = (NOMINAL,)
-    """What may be proposed for the next scan, from dark to bright."""
-
-
 class ScanWork:
     """One scan after the other through ``pipeline`` and past the judges.
 
@@ -64,7 +50,7 @@ class ScanWork:
     def __init__(self, pipeline: Pipeline, calibration: Calibration, water: Water) -> None:
         self._pipeline = pipeline
         self._calibration, self._water = calibration, water
-        self._taking = Taking()
+        self._settings = AcquisitionSettings()
         self._frames: dict[str, NDArray[np.uint8]] = {}
         self._coarse: Found | None = None
         self._specks = False
@@ -78,13 +64,13 @@ class ScanWork:
         self._compensated: Found | None = None
         self._full: Found | None = None
 
-    def begin(self, taking: Taking) -> None:
+    def begin(self, settings: AcquisitionSettings) -> None:
         """The next frame is frame 0 of a scan that was taken so."""
-        self._taking, self._coarse, self._specks = taking, None, False
+        self._settings, self._coarse, self._specks = settings, None, False
         self.windows = self._motion = self._found = self._compensated = self._full = None
         self._identity = None
         self._frames.clear()
-        self._pipeline.expect(taking.noise)
+        self._pipeline.expect(settings.noise)
         self._pipeline.reset()
 
     def push(self, side: str, frames: NDArray[np.uint8], index: int) -> None:
@@ -97,8 +83,8 @@ class ScanWork:
 
     def identify(self) -> Judgement:
         """Whether each frame shows the pattern it should; after the last one. With a fault, points would mean nothing."""
-        taking = self._taking
-        self._identity = judge_identity(self._frames, self._pipeline.sequence, taking.noise, taking.exposure)
+        settings = self._settings
+        self._identity = judge_identity(self._frames, self._pipeline.sequence, settings.noise, settings.exposure)
         return self._identity
 
     def find_coarse(self) -> Found:
@@ -116,7 +102,7 @@ class ScanWork:
         water = judge_water(recorded, cloud, rig, index)
         self._specks = (water.speck_percent or 0.0) > WORTH_MASKING_PERCENT
         done()
-        light = judge_light(recorded, self._taking.exposure, self._taking.steps)
+        light = judge_light(recorded, self._settings.exposure, self._settings.steps)
         done()
         self._motion = judge_motion(recorded, cloud, rig, index)
         done()
@@ -157,7 +143,7 @@ class ScanWork:
                     self._pipeline.sequence,
                     self._frames[side],
                     self._pipeline.decoded(side),
-                    of_side(self._taking.noise, side),
+                    of_side(self._settings.noise, side),
                 )
         self._full = self._found or self._pipeline.find_full()
         return self._full
@@ -170,9 +156,9 @@ class ScanWork:
         return self._weighed(self._full.summary)
 
     def _weighed(self, summary: CloudSummary) -> tuple[Judgement, ...]:
-        return with_causes(self._judged, summary, self._taking.exposure, self._taking.steps)
+        return with_causes(self._judged, summary, self._settings.exposure, self._settings.steps)
 
-    def _look(self, recorded: Recorded) -> Verdict:
+    def _look(self, recorded: ScanImages) -> Verdict:
         """At what is there at whatever depth, and at fringes too weak to be decoded."""
         left = self._calibration.rig.left
         parallax = None if self._identity is None else self._identity.verdict.numbers.get("parallax_percent")
@@ -202,15 +188,13 @@ class ScanWork:
         bright = self._frames["left"][self._pipeline.sequence.bright]
         spoilt = self.moved and self._compensated is None
         return Sequence(
-            self._pipeline.table.cloud(self._full), maps, bright, self._taking.exposure, self._taking.noise,
+            self._pipeline.table.cloud(self._full), maps, bright, self._settings.exposure, self._settings.noise,
             moved=self.moved, spoilt=spoilt,
         )  # fmt: skip
 
-    def _recorded(self) -> Recorded:
+    def _recorded(self) -> ScanImages:
         decoded = {side: self._pipeline.decoded(side) for side in SIDES}
-        taking = self._taking
-        exposure_s = 1e-6 * taking.exposure.time_us
-        return Recorded(self._pipeline.sequence, self._frames, decoded, taking.noise, taking.frame_s, exposure_s)
+        return ScanImages(self._pipeline.sequence, self._frames, decoded, self._settings)
 
 
 def _compensation(tried: Attempt, frame_s: float) -> Verdict:

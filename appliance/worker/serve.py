@@ -27,10 +27,11 @@ from appliance.optics.water import Water
 from appliance.patterns.sequence import PatternSequence, build_sequence
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.table import Found, PointTable
+from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.noise import StereoNoise
 from appliance.scan.verdict import Judgement, Verdict
 from appliance.worker.pair import Sequence
-from appliance.worker.scan_work import ScanWork, Taking
+from appliance.worker.scan_work import ScanWork
 from appliance.worker.warm import run_empty_scan, run_what_an_empty_scan_does_not
 
 NICENESS = 5
@@ -152,14 +153,14 @@ class Server:
 
     def _do(self, message: Any) -> None:
         match message:
-            case ("begin", int(ticket), Taking() as taking):
+            case ("begin", int(ticket), AcquisitionSettings() as settings):
                 self._ticket, self._failed, self._second, self._first = ticket, False, False, None
-                self._work.begin(taking)
-            case ("begin second", int(ticket), Taking() as taking):
+                self._work.begin(settings)
+            case ("begin second", int(ticket), AcquisitionSettings() as settings):
                 self._ticket, self._failed, self._second = ticket, False, True
                 if self._first is None:
                     self._first = self._work_through_first()
-                self._work.begin(taking)
+                self._work.begin(settings)
             case ("frame", str(side), int(index)) if not self._failed:
                 self._work.push(side, self._store.frames(side, second=self._second), index)
             case ("finish",) if not self._failed:

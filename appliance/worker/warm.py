@@ -20,6 +20,7 @@ from appliance.kernel_build import Piece
 from appliance.optics.water import Water
 from appliance.patterns.sequence import PatternSequence, build_sequence
 from appliance.reconstruct.fuse import fuse
+from appliance.reconstruct.images import ScanImages
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.quality import CloudSummary
 from appliance.reconstruct.register import register
@@ -27,6 +28,7 @@ from appliance.reconstruct.specks import mask_specks
 from appliance.reconstruct.surface import surface_of
 from appliance.reconstruct.table import Cloud, Found
 from appliance.reconstruct.veiled import warm_up as read_veiled
+from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.exposure import NOMINAL
 from appliance.scan.noise import TYPICAL, TYPICAL_PAIR
 from appliance.scan.sides import SIDES
@@ -34,10 +36,9 @@ from appliance.verdict.identity import judge_identity
 from appliance.verdict.light import judge_light
 from appliance.verdict.light_fit import warm_up as warm_light
 from appliance.verdict.motion import judge_motion
-from appliance.verdict.recorded import Recorded
 from appliance.verdict.turbidity import judge_water
 from appliance.verdict.window import look_at_windows
-from appliance.worker.scan_work import ScanWork, Taking
+from appliance.worker.scan_work import ScanWork
 
 _WATER = Water(20.0, 0.0, 530.0)
 _DESIGN = Design(11.5, 112.5, 230.0, 12.41, 30.0, 5.0, 1.77)
@@ -46,7 +47,7 @@ _SIZE_PX = (64, 48)
 
 def run_empty_scan(work: ScanWork, frames: NDArray[np.uint8]) -> None:
     """Push the same dark ``frames`` (n, h, w) for both sides, and ask for everything."""
-    work.begin(Taking())
+    work.begin(AcquisitionSettings())
     for side in SIDES:
         for index in range(len(frames)):
             work.push(side, frames, index)
@@ -155,7 +156,7 @@ def _find_points(*, writable: bool) -> None:
 def _judge(*, writable: bool) -> None:
     with _nothing(writable) as (pipeline, calibration, frames):
         decoded = {side: pipeline.decoded(side) for side in SIDES}
-        recorded = Recorded(pipeline.sequence, dict.fromkeys(SIDES, frames), decoded, TYPICAL_PAIR)
+        recorded = ScanImages(pipeline.sequence, dict.fromkeys(SIDES, frames), decoded)
         cloud = pipeline.table.cloud(Found(((0, 0),), CloudSummary(0, 0.0, None, None, None)))
         judge_water(recorded, cloud, calibration.rig, _WATER.index)
         judge_light(recorded, NOMINAL, (NOMINAL,))

@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 from appliance.optics.water import Water as SetWater
 from appliance.patterns.sequence import PatternSequence, build_sequence
 from appliance.reconstruct.decode import Mask
+from appliance.reconstruct.images import ScanImages
 from appliance.reconstruct.pipeline import Cloud, Pipeline
+from appliance.scan.acquisition import AcquisitionSettings
+from appliance.scan.exposure import Exposure
 from appliance.scan.noise import StereoNoise, camera_noise
 from appliance.scan.sides import SIDES
-from appliance.verdict.recorded import Recorded
 from appliance.verdict.turbidity import WaterJudgement, judge_water
 from bench.bias import DepthErrors, depth_errors
 from hw_sim.rendering.render import LightSlice, Renderer
@@ -150,7 +152,8 @@ def finish(
                 pipeline.push(side, frames[side], k)
         coarse = pipeline.coarse()
         decoded = {side: pipeline.decoded(side) for side in SIDES}
-        recorded = Recorded(sequence, frames, decoded, noise, FRAME_S, shutter.exposure_s)
+        exposure = Exposure(round(1e6 * shutter.exposure_s), shutter.gain_db)
+        recorded = ScanImages(sequence, frames, decoded, AcquisitionSettings(exposure, FRAME_S, noise))
         begun = time.process_time()
         said = judge_water(recorded, coarse, calibration.rig, water.index)
         judging_cpu_s = time.process_time() - begun

@@ -1,7 +1,7 @@
 """Owns what a scan is truly worth, and which factors of a scene truly spoil it: by taking them away, one by one.
 
 A scan's worth is counted against the true surface, with none of the product's judges: how many points lie within a millimetre of
-it, and how far these are off (after the rigid displacement that moving hands leave). Taking a factor away *mends* a scan
+it, and how far these are off (after the rigid displacement that moving hands leave). AcquisitionSettings a factor away *mends* a scan
 where it gives more points, by a tenth of those that the unspoilt base gives, or points that err less by 3 %. A factor is a
 true cause where taking it away mends the scan. Where no single one does, since two of them spoil it each by itself, each
 is one whose presence alone spoils the base.
@@ -22,12 +22,13 @@ import appliance
 from appliance.machine.alerts import RULES, alert_of
 from appliance.patterns.sequence import Direction
 from appliance.reconstruct.pipeline import Cloud, Pipeline
+from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import FaultCode
 from appliance.scan.sides import SIDES
 from appliance.screens.views import Grade
 from appliance.service.view import grade
-from appliance.worker.scan_work import ScanWork, Taking
+from appliance.worker.scan_work import ScanWork
 from bench.verdict.causes_frames import frames_of
 from bench.verdict.causes_scenes import NONE, STEPS, Base, Spoilt, exposure_of
 from bench.verdict.light_scenes import noise_at
@@ -77,7 +78,7 @@ def judged(scan: RenderedScan, exposure: Exposure) -> Outcome:
     noise = noise_at(exposure)
     with Pipeline(calibration, WATER, scan.sequence, noise=noise) as pipeline:
         work = ScanWork(pipeline, calibration, WATER)
-        work.begin(Taking(exposure=exposure, noise=noise, steps=STEPS))
+        work.begin(AcquisitionSettings(exposure=exposure, noise=noise, steps=STEPS))
         for k in range(len(scan.sequence)):
             for side in SIDES:
                 work.push(side, scan.frames[side], k)

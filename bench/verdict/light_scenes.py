@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.patterns.sequence import PatternSequence, build_sequence
+from appliance.reconstruct.images import ScanImages
+from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.exposure import Exposure, Span, ladder
 from appliance.scan.noise import StereoNoise, camera_noise
-from appliance.verdict.recorded import Recorded
 from hw_sim.light.daylight import Daylight
 from hw_sim.rendering.render import LightSlice, Renderer
 from hw_sim.scene import Scene
@@ -104,8 +105,8 @@ def noise_at(exposure: Exposure) -> StereoNoise:
     return StereoNoise(camera, camera)
 
 
-def recorded(frames: dict[str, NDArray[np.uint8]], exposure: Exposure) -> Recorded:
-    return Recorded(SEQUENCE, frames, {}, noise_at(exposure), FRAME_S, exposure.time_us / 1e6)
+def recorded(frames: dict[str, NDArray[np.uint8]], exposure: Exposure) -> ScanImages:
+    return ScanImages(SEQUENCE, frames, {}, AcquisitionSettings(exposure, FRAME_S, noise_at(exposure)))
 
 
 def scan_of(

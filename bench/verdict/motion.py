@@ -16,10 +16,12 @@ from numpy.typing import NDArray
 
 from appliance.calibration.file import Calibration
 from appliance.patterns.sequence import Direction, build_sequence
+from appliance.reconstruct.images import ScanImages
 from appliance.reconstruct.pipeline import Cloud, Pipeline
+from appliance.scan.acquisition import AcquisitionSettings
+from appliance.scan.exposure import Exposure
 from appliance.scan.noise import StereoNoise, camera_noise
 from appliance.verdict.motion import MotionJudgement, judge_motion
-from appliance.verdict.recorded import Recorded
 from bench.result import Measured
 from bench.spread import spread
 from bench.verdict.kept_scans import KeptScans, Take
@@ -180,10 +182,11 @@ def judge_frames(
         return judge_motion(recorded, cloud, calibration.rig, WATER.index)
 
 
-def as_judged(pipeline: Pipeline, frames: Frames, gain_db: float, exposure_s: float) -> tuple[Recorded, Cloud]:
+def as_judged(pipeline: Pipeline, frames: Frames, gain_db: float, exposure_s: float) -> tuple[ScanImages, Cloud]:
     """What a judge is given after the last frame; valid until the next."""
     camera = camera_noise(FULL_WELL_E, READ_NOISE_E, OFFSET_DN, gain_db)
     noise = StereoNoise(camera, camera)
+    exposure = Exposure(round(1e6 * exposure_s), gain_db)
     pipeline.expect(noise)
     pipeline.reset()
     for side, stack in frames.items():
@@ -191,7 +194,7 @@ def as_judged(pipeline: Pipeline, frames: Frames, gain_db: float, exposure_s: fl
             pipeline.push(side, stack, k)
     cloud = pipeline.coarse()
     decoded = {side: pipeline.decoded(side) for side in frames}
-    return Recorded(pipeline.sequence, frames, decoded, noise, FRAME_S, exposure_s), cloud
+    return ScanImages(pipeline.sequence, frames, decoded, AcquisitionSettings(exposure, FRAME_S, noise)), cloud
 
 
 def cloud_of(pipeline: Pipeline, frames: Frames) -> Cloud:

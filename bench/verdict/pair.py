@@ -13,9 +13,10 @@ import numpy as np
 
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.table import Cloud
+from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.exposure import NOMINAL, Exposure
 from appliance.scan.sides import SIDES
-from appliance.worker.scan_work import ScanWork, Taking
+from appliance.worker.scan_work import ScanWork
 from bench.result import Measured
 from bench.verdict.light_scenes import STEPS, noise_at
 from bench.verdict.parts import Say
@@ -97,7 +98,7 @@ def _render(scene: Scene, exposure: Exposure, seed: int) -> RenderedScan:
 
 
 def _scan(work: ScanWork, pipeline: Pipeline, scan: RenderedScan, exposure: Exposure) -> Cloud:
-    work.begin(Taking(exposure, noise=noise_at(exposure), steps=STEPS))
+    work.begin(AcquisitionSettings(exposure, noise=noise_at(exposure), steps=STEPS))
     for k in range(len(scan.sequence)):
         for side in SIDES:
             work.push(side, scan.frames[side], k)

@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 
 from appliance.reconstruct.decode import Mask
 from appliance.reconstruct.pipeline import Cloud, Pipeline
+from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.exposure import Exposure
 from appliance.scan.verdict import Judgement
-from appliance.worker.scan_work import ScanWork, Taking
+from appliance.worker.scan_work import ScanWork
 from bench.bias import depth_errors
 from bench.result import Measured
 from bench.turbidity.scan import WRONG_MM, WRONG_SIGMAS, rig_in, set_water
@@ -101,14 +102,14 @@ def measure(scans: int, seed: int, say: Say) -> tuple[list[Measured], dict[str, 
 
 
 def _take(scene: Scene, rig_seed: int) -> Taken:
-    """Recorded, judged and reconstructed as the worker does."""
+    """ScanImages, judged and reconstructed as the worker does."""
     scan = render_scan(scene, "modelled", rig_seed, WIDTH_PX, PERIOD_PX, EXPOSURE.time_us / 1e6)
     water = set_water(scene)
     renderer = Renderer(rig_in(water, "modelled", rig_seed, WIDTH_PX), scene)
     calibration = replace(true_calibration(renderer.truth), water=water)
     with Pipeline(calibration, water, scan.sequence) as pipeline:
         work = ScanWork(pipeline, calibration, water)
-        work.begin(Taking(EXPOSURE, noise=noise_at(EXPOSURE), steps=STEPS))
+        work.begin(AcquisitionSettings(EXPOSURE, noise=noise_at(EXPOSURE), steps=STEPS))
         for k in range(len(scan.sequence)):
             for side, frames in scan.frames.items():
                 work.push(side, frames, k)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from appliance.reconstruct.decode import CameraDecoder
-from appliance.scan.noise import TYPICAL_PAIR
-from appliance.verdict.recorded import Recorded
+from appliance.reconstruct.images import ScanImages
 from appliance.verdict.window import Windows, look_at_windows
 from tests.support.rendered import RenderedScan
 
@@ -18,4 +17,4 @@ def windows_of(scan: RenderedScan) -> Windows:
         for k in range(len(scan.sequence)):
             decoder.push(frames, k)
         decoder.finish()
-    return look_at_windows(Recorded(scan.sequence, scan.frames, decoded, TYPICAL_PAIR))
+    return look_at_windows(ScanImages(scan.sequence, scan.frames, decoded))

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.compensation.hand import LEVER_MM
+from appliance.reconstruct.images import ScanImages
 from appliance.reconstruct.pipeline import Cloud, Pipeline
-from appliance.scan.noise import TYPICAL_PAIR
-from appliance.verdict.recorded import Recorded
+from appliance.scan.sides import SIDES
 from hw_sim.objects.motion import object_pose
 from tests.support.rendered import Accuracy, RenderedScan
 from tests.support.truth import left_to_rig
@@ -16,11 +16,9 @@ from tests.support.truth import left_to_rig
 FRAME_S = 1.0 / 60.0
 
 
-def recorded(scan: RenderedScan, pipeline: Pipeline) -> Recorded:
+def recorded(scan: RenderedScan, pipeline: Pipeline) -> ScanImages:
     """A scan as judges are given it."""
-    return Recorded(
-        scan.sequence, scan.frames, {side: pipeline.decoded(side) for side in ("left", "right")}, TYPICAL_PAIR, FRAME_S
-    )
+    return ScanImages(scan.sequence, scan.frames, {side: pipeline.decoded(side) for side in SIDES})
 
 
 def true_motion_mm(

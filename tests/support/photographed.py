@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.patterns.sequence import Direction, PatternSequence, build_sequence
+from appliance.reconstruct.images import ScanImages
+from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.exposure import Exposure
 from appliance.scan.noise import LEVELS, TYPICAL, TYPICAL_PAIR, CameraNoise, StereoNoise, camera_noise
-from appliance.verdict.recorded import Recorded
 
 WHITE_DN_PER_US = 0.030
 """Of white on an albedo of 1: 360 DN in 12 ms."""
@@ -72,7 +73,7 @@ def photograph(
     seed: int,
     sequence: PatternSequence | None = None,
     noise: CameraNoise | None = None,
-) -> Recorded:
+) -> ScanImages:
     """Both cameras' frames; ``noise`` is of 0 dB."""
     sequence = sequence or build_sequence(16)
     noise = noise or TYPICAL
@@ -91,4 +92,4 @@ def photograph(
     cameras = (
         TYPICAL_PAIR if not exposure.gain_db else StereoNoise(*(camera_noise(13_000, 20, 2, exposure.gain_db),) * 2)
     )
-    return Recorded(sequence, frames, {}, cameras, exposure_s=exposure.time_us / 1e6)
+    return ScanImages(sequence, frames, {}, AcquisitionSettings(exposure, noise=cameras))

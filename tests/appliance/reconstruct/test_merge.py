@@ -7,10 +7,10 @@ import pytest
 
 from appliance.patterns.sequence import build_sequence
 from appliance.reconstruct.decode import CameraDecoder, Mask
+from appliance.reconstruct.images import ScanImages
 from appliance.reconstruct.merge import Agreement, merge
 from appliance.scan.exposure import Exposure
 from appliance.scan.noise import TYPICAL, CameraNoise, camera_noise
-from appliance.verdict.recorded import Recorded
 from tests.support.photographed import HEIGHT_PX, WIDTH_PX, Wall, coordinates, photograph, wall
 
 SHORT, LONG = Exposure(2_500), Exposure(16_000)
@@ -18,7 +18,7 @@ WIDE = Wall(wall(3, 0.008, 2.0))
 """250 : 1, more than any single exposure holds."""
 
 
-def decoded(recorded: Recorded) -> CameraDecoder:
+def decoded(recorded: ScanImages) -> CameraDecoder:
     decoder = CameraDecoder(recorded.sequence, WIDTH_PX, HEIGHT_PX)
     for k in range(len(recorded.sequence)):
         decoder.push(recorded.frames["left"], k)
@@ -100,7 +100,7 @@ def test_when_all_has_moved_the_scans_do_not_agree() -> None:
     second = photograph(scene, Exposure(10_000), 2)
     shifted = np.roll(second.frames["left"], 1, axis=2)
     maps = decoded(photograph(scene, Exposure(8_000), 1))
-    other = decoded(Recorded(second.sequence, {"left": shifted}, {}, second.noise))
+    other = decoded(ScanImages(second.sequence, {"left": shifted}, {}, second.settings))
     assert merge(maps, other, (TYPICAL, TYPICAL), 16).agrees is False
 
 

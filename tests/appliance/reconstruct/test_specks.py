@@ -9,9 +9,10 @@ import pytest
 
 from appliance.reconstruct.pipeline import Cloud, Pipeline
 from appliance.reconstruct.specks import mask_specks
+from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.noise import TYPICAL
 from appliance.scan.sides import SIDES
-from appliance.worker.scan_work import ScanWork, Taking
+from appliance.worker.scan_work import ScanWork
 from bench.bias import depth_errors
 from hw_sim.scene import Imaging, Scene
 from tests.support.rendered import RenderedScan, render_scan
@@ -90,7 +91,7 @@ def test_the_instrument_masks_them_between_the_judges_and_the_full_cloud(clean: 
     with Pipeline(calibration, WATER, clean.sequence) as pipeline:
         work = ScanWork(pipeline, calibration, WATER)
         for name, frames in (("dirty", dirty), ("clean", clean.frames)):
-            work.begin(Taking())
+            work.begin(AcquisitionSettings())
             for side in SIDES:
                 for k in range(len(clean.sequence)):
                     work.push(side, frames[side], k)

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from appliance.reconstruct.decode import CameraDecoder, Mask
 from appliance.reconstruct.pipeline import Pipeline
+from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.exposure import Exposure
 from appliance.scan.noise import StereoNoise, camera_noise
-from appliance.worker.scan_work import ScanWork, Taking
+from appliance.worker.scan_work import ScanWork
 from bench.bias import depth_errors
 from hw_sim.rendering.sensor import FULL_WELL_E, OFFSET_DN, READ_NOISE_E
 from hw_sim.scene import Imaging, Scene
@@ -89,7 +90,7 @@ def test_what_the_water_hides_is_no_movement(milky: RenderedScan) -> None:
     noise = StereoNoise(NOISE, NOISE)
     with Pipeline(calibration, WATER, milky.sequence, noise=noise) as pipeline:
         work = ScanWork(pipeline, calibration, WATER)
-        work.begin(Taking(Exposure(16_200, GAIN_DB), noise=noise))
+        work.begin(AcquisitionSettings(Exposure(16_200, GAIN_DB), noise=noise))
         for side, frames in milky.frames.items():
             for k in range(len(milky.sequence)):
                 work.push(side, frames, k)

@@ -11,12 +11,13 @@ import pytest
 from appliance.machine.alerts import alert_of
 from appliance.patterns.sequence import Direction, build_sequence
 from appliance.reconstruct.decode import CameraDecoder, Mask
+from appliance.reconstruct.images import ScanImages
+from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.exposure import Exposure, Span, ladder
 from appliance.scan.fault import FaultCode
 from appliance.scan.noise import TYPICAL, StereoNoise, camera_noise
 from appliance.scan.verdict import Judgement
 from appliance.verdict.light import judge_light
-from appliance.verdict.recorded import Recorded
 from hw_sim.light.daylight import Daylight
 from hw_sim.rendering.sensor import FULL_WELL_E, OFFSET_DN, READ_NOISE_E
 from hw_sim.scene import Scene
@@ -171,7 +172,7 @@ def test_labels_on_black_rubber_flicker_only_where_the_light_does(flicker_depth:
     scene = Scene("plane", texture="labels", ambient=0.2, daylight=Daylight(flicker_depth=flicker_depth))
     scan = render_scan(scene, "realistic", 41, 320, 16, 0.012)
     camera = camera_noise(FULL_WELL_E, READ_NOISE_E, OFFSET_DN, 0.0)
-    taken = Recorded(scan.sequence, scan.frames, {}, StereoNoise(camera, camera))
+    taken = ScanImages(scan.sequence, scan.frames, {}, AcquisitionSettings(noise=StereoNoise(camera, camera)))
     judged = judge_light(taken, NOMINAL, STEPS)
     assert (judged.verdict.numbers["left_saturated_percent"] or 0.0) > 10.0
     flickers = judged.fault is not None and judged.fault.code is FaultCode.LIGHT_FLICKERS

@@ -9,10 +9,9 @@ import pytest
 
 from appliance.machine.alerts import headline_of
 from appliance.patterns.sequence import Direction
+from appliance.reconstruct.images import ScanImages
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.scan.fault import FaultCode
-from appliance.scan.noise import TYPICAL_PAIR
-from appliance.verdict.recorded import Recorded
 from appliance.verdict.turbidity import WaterJudgement, judge_water
 from hw_sim.scene import Imaging, Scene
 from hw_sim.water.medium import Water
@@ -42,7 +41,7 @@ def judged(scan: RenderedScan) -> Judged:
                 pipeline.push(side, frames, k)
         cloud = pipeline.coarse()
         decoded = {side: pipeline.decoded(side) for side in scan.frames}
-        recorded = Recorded(scan.sequence, scan.frames, decoded, TYPICAL_PAIR)
+        recorded = ScanImages(scan.sequence, scan.frames, decoded)
         return Judged(scan, judge_water(recorded, cloud, calibration.rig, WATER.index))
 
 

@@ -16,6 +16,7 @@ from appliance.capture.store import FrameStore
 from appliance.patterns.sequence import build_sequence
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.table import Cloud
+from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import FaultCode
 from appliance.scan.noise import TYPICAL_PAIR
@@ -30,7 +31,7 @@ from appliance.worker.process import (
     WorkerReady,
     WorkOrder,
 )
-from appliance.worker.scan_work import ScanWork, Taking
+from appliance.worker.scan_work import ScanWork
 from hw_sim.scene import Scene
 from tests.appliance.worker.test_worker import RealClock
 from tests.support.rendered import RenderedScan, judge, render_scan
@@ -74,7 +75,7 @@ def paired(first: RenderedScan, second: RenderedScan, calibration: Calibration) 
         work, held = ScanWork(pipeline, calibration, WATER), None
         for one, exposure in ((first, SHORT), (second, LONG)):
             held = work.hold() if alone else None
-            work.begin(Taking(exposure))
+            work.begin(AcquisitionSettings(exposure))
             for k in range(len(first.sequence)):
                 for side in SIDES:
                     work.push(side, np.asarray(one.frames[side]), k)
@@ -163,16 +164,16 @@ def test_the_worker_makes_the_same_points_and_again_when_it_was_killed_in_betwee
     order = WorkOrder(calibration, WATER, 16, 1024, 768, TYPICAL_PAIR)
     with ReconstructionWorker(order, store, RealClock()) as worker:
         assert worker.wait(240) == WorkerReady()
-        worker.reprocess(7, Taking(SHORT))
+        worker.reprocess(7, AcquisitionSettings(SHORT))
         events = [worker.wait(30) for _ in range(4)]
         assert [type(event) for event in events] == [PatternsRight, CloudReady, ScanJudged, CloudReady]
-        worker.begin_second(7, Taking(LONG))
+        worker.begin_second(7, AcquisitionSettings(LONG))
         np.testing.assert_array_equal(points_of_pair(worker, count), laid.cloud.points_mm)
-        worker.begin_second(7, Taking(LONG))
+        worker.begin_second(7, AcquisitionSettings(LONG))
         worker.drop()  # the diver went back in the middle; then wants it after all, from a worker that knows nothing
         assert worker.pid is not None
         os.kill(worker.pid, signal.SIGKILL)
         while not isinstance(worker.wait(240), WorkerReady):
             pass
-        worker.begin_second(7, Taking(LONG))
+        worker.begin_second(7, AcquisitionSettings(LONG))
         np.testing.assert_array_equal(points_of_pair(worker, count), laid.cloud.points_mm)

@@ -11,7 +11,8 @@ from numba.core.registry import CPUDispatcher
 
 from appliance.patterns.sequence import build_sequence
 from appliance.reconstruct.pipeline import Pipeline
-from appliance.worker.scan_work import ScanWork, Taking
+from appliance.scan.acquisition import AcquisitionSettings
+from appliance.worker.scan_work import ScanWork
 from appliance.worker.warm import run_empty_scan, run_what_an_empty_scan_does_not
 from hw_sim.light.daylight import Daylight
 from hw_sim.objects.motion import Motion
@@ -60,7 +61,7 @@ def test_no_scan_needs_a_kernel_that_is_not_there(name: str) -> None:
     calibration = true_calibration(scan.renderer.truth)
     with Pipeline(calibration, WATER, scan.sequence) as pipeline:
         work = ScanWork(pipeline, calibration, WATER)
-        work.begin(Taking())
+        work.begin(AcquisitionSettings())
         for k in range(len(scan.sequence)):
             for side, frames in scan.frames.items():
                 work.push(side, frames, k)
