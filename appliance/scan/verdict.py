@@ -35,3 +35,5 @@ class Judgement:
     """What to expose the next scan with; ``None``: as this one."""
     second: Exposure | None = None
     """What a second sequence of the same scene should be exposed with, to show what this one cannot; ``None``: one serves."""
+    remembered: object | None = None
+    """What whoever compares scans with each other is given beside the verdict; never stored. ``None``: nothing."""

@@ -7,7 +7,6 @@ process stays warm for the next job. One that dies, or is no longer wanted, is k
 from __future__ import annotations
 
 import logging
-import multiprocessing
 import os
 import signal
 from collections.abc import Callable
@@ -15,9 +14,10 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Any
 
+from appliance.worker.child import ChildGone, ChildProcess
+
 NICENESS = 10
 """Behind the heartbeat, the cameras and the reconstruction."""
-STOP_TIMEOUT_S = 2.0
 
 Report = Callable[[float], None]
 Job = Callable[..., Any]
@@ -53,27 +53,15 @@ class Background:
     """The parent's end. ``poll`` and all else are called by one thread, and none of it waits for the job."""
 
     def __init__(self) -> None:
-        self._context = multiprocessing.get_context("spawn")
-        self._process: multiprocessing.process.BaseProcess | None = None
-        self._pipe: Connection | None = None
+        self._child = ChildProcess("kf-calibrate", _serve)
         self._ticket = 0
         self.busy = False
         """A job's answer is awaited."""
 
     def start(self) -> None:
         """Start the process where there is none, so that the first job finds it warm. Raises OSError."""
-        if self._process is not None:
-            return
-        ours, theirs = self._context.Pipe()
-        process = self._context.Process(target=_serve, name="kf-calibrate", args=(theirs,), daemon=True)
-        try:
-            process.start()
-        except BaseException:
-            ours.close()
-            raise
-        finally:
-            theirs.close()
-        self._pipe, self._process = ours, process
+        if not self._child.runs:
+            self._child.start()
 
     def ask(self, job: Job, *arguments: Any) -> None:
         """Begin a job; its answer comes through ``poll``. A job that was still running is given up."""
@@ -86,50 +74,41 @@ class Background:
             return
         self._ticket += 1
         self.busy = True
-        assert self._pipe is not None
-        try:
-            self._pipe.send((self._ticket, job, arguments))
-        except OSError:
-            return  # poll notices that it is gone
+        self._child.send((self._ticket, job, arguments))
 
     def poll(self) -> Progressed | Done | Failed | None:
         """The next thing it says about the job that was asked for last."""
-        pipe, process = self._pipe, self._process
-        if pipe is None or process is None:
+        if not self._child.runs:
             if self.busy:
                 self.busy = False
                 return Failed("no process could be started; restart the instrument")
             return None
         try:
-            while pipe.poll(0.0):
-                ticket, said = pipe.recv()
-                if ticket == self._ticket and self.busy:
-                    self.busy = isinstance(said, Progressed)
-                    return (
-                        said
-                        if isinstance(said, Progressed | Done | Failed)
-                        else Failed(f"it sent a {type(said).__name__}, which is no answer")
-                    )
-        except (EOFError, OSError):
-            return self._gone()
-        return None if process.is_alive() else self._gone()
+            while (message := self._child.receive()) is not None:
+                said = self._of_this_job(message)
+                if said is not None:
+                    return said
+        except ChildGone as gone:
+            was_busy = self.busy
+            self.stop()
+            return Failed(str(gone)) if was_busy else None
+        return None
 
-    def _gone(self) -> Failed | None:
-        code = self._process.exitcode if self._process is not None else None
-        was_busy = self.busy
-        self.stop()
-        return Failed(f"the process ended with code {code}") if was_busy else None
+    def _of_this_job(self, message: object) -> Progressed | Done | Failed | None:
+        match message:
+            case (int(ticket), said) if ticket != self._ticket or not self.busy:
+                return None
+            case (int(), Progressed() | Done() | Failed() as said):
+                self.busy = isinstance(said, Progressed)
+                return said
+            case _:
+                self.busy = False
+                return Failed(f"it sent a {type(message).__name__}, which is no answer")
 
     def stop(self) -> None:
         """Give up the job, if there is one, and end the process."""
-        pipe, process = self._pipe, self._process
-        self._pipe = self._process = None
         self.busy = False
-        if pipe is not None:
-            pipe.close()
-        if process is not None:
-            process.kill()
-            process.join(STOP_TIMEOUT_S)
+        self._child.stop()
 
 
 def _serve(pipe: Connection) -> None:

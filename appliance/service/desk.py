@@ -18,12 +18,13 @@ from appliance.config import Rig
 from appliance.machine.alerts import RULES
 from appliance.optics.water import Water
 from appliance.patterns.sequence import PatternSequence, build_sequence
+from appliance.processing.bracket import ProcessedSequence, faults_of
+from appliance.processing.procedure import AllJudged, FullFound, SequenceProcessor
 from appliance.reconstruct.pipeline import Cloud, Pipeline
 from appliance.reconstruct.quality import QualityLimits
-from appliance.reconstruct.table import Found
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.fault import Fault, FaultCode
-from appliance.scan.sides import SIDES, of_side
+from appliance.scan.sides import of_side
 from appliance.scan.verdict import Judgement
 from appliance.service.empty import Empty, why_empty
 from appliance.service.instrument import (
@@ -40,8 +41,6 @@ from appliance.storage import scan as stored
 from appliance.storage.atomic import replace_file
 from appliance.storage.filesystem import Bytes, LocalFileSystem
 from appliance.storage.ply import encode_ply
-from appliance.worker.pair import Sequence, faults_of
-from appliance.worker.scan_work import ScanWork
 
 
 def reconstruct_scan(
@@ -176,9 +175,9 @@ def rework(
     """
     water = water_of_scan(scan, calibration)
     with Pipeline(calibration, water, sequence_of_scan(scan), limits, noise=settings.noise) as pipeline:
-        work = ScanWork(pipeline, calibration, water)
-        judgements, found = _work_through(work, scan.frames, settings, pipeline, progress)
-        cloud = pipeline.table.cloud(found)
+        processor = SequenceProcessor(pipeline, calibration, water)
+        full = _work_through(processor, scan.frames, settings, len(pipeline.sequence), progress)
+        judgements, cloud = full.judgements, pipeline.table.cloud(full.found)
         return Reworked(pipeline, cloud, water, judgements, why_empty(pipeline, cloud, judgements))
 
 
@@ -214,49 +213,48 @@ def rework_pair(
     """
     water = water_of_scan(first, calibration)
     with Pipeline(calibration, water, sequence_of_scan(first), noise=both[0].noise) as pipeline:
-        work = ScanWork(pipeline, calibration, water)
+        processor = SequenceProcessor(pipeline, calibration, water)
         judged = []
-        held: list[Sequence] = []
+        held: list[ProcessedSequence] = []
         for name, frames, settings in (("first", first.frames, both[0]), ("second", second, both[1])):
-            judgements, _ = _work_through(work, frames, settings, pipeline, progress)
+            judgements = _work_through(processor, frames, settings, len(pipeline.sequence), progress).judgements
             spoiled = judgements[0].fault
             if spoiled is not None:
                 raise stored.ScanError(f"{name} sequence: {spoiled.code.value}: {spoiled.detail}")
             judged.append(judgements)
             if not held:
-                held.append(work.hold())
+                held.append(processor.hold())
         progress("merging")
-        merged = work.merge_with(held[0])
+        merged = processor.merge_with(held[0])
         cloud = None if merged.found is None else pipeline.table.cloud(merged.found)
         empty = None if cloud is None else why_empty(pipeline, cloud, judged[1])
         return ReworkedPair(cloud, water, judged[0], judged[1], merged.judgement, empty)
 
 
 def _work_through(
-    work: ScanWork,
+    processor: SequenceProcessor,
     frames: Mapping[str, NDArray[np.uint8]],
     settings: AcquisitionSettings,
-    pipeline: Pipeline,
+    count: int,
     progress: Callable[[str], None],
-) -> tuple[tuple[Judgement, ...], Found]:
-    """What is said of one sequence, identity first, and its full cloud."""
+) -> FullFound:
+    """Take every step with one stored sequence of ``count`` frames, also where it shows wrong patterns; return the last one."""
     progress("loading")
-    work.begin(settings)
-    count = len(pipeline.sequence)
-    for index in range(count):
+    processor.begin(settings)
+    for index in processor.push_all(frames):
         progress(f"decoding frame {index + 1} of {count}")
-        for side in SIDES:
-            work.push(side, frames[side], index)
     progress("judging")
-    identity = work.identify()
-    work.find_coarse()
-    work.judge()
-    if work.moved:
-        progress("taking the motion out")
-        work.compensate()
-    progress("matching")
-    found = work.find_full()
-    return (identity, *work.conclude()), found
+    full: FullFound | None = None
+    for step in processor.steps(even_if_wrong=True):
+        match step:
+            case AllJudged():
+                progress("taking the motion out" if step.compensating else "matching")
+            case FullFound():
+                full = step
+            case _:
+                pass
+    assert full is not None, "the last step, since no wrong pattern ends them"
+    return full
 
 
 def sequence_of_scan(scan: stored.StoredScan) -> PatternSequence:

@@ -42,6 +42,8 @@ class ScanInWork:
     raw: Future[PendingScan] | None = None
     judgements: tuple[Judgement, ...] = ()
     """Of the first sequence."""
+    windows_watched: bool = False
+    """The watch over the cameras' windows has counted it."""
     second: SecondInWork | None = None
     times_s: dict[str, float] = field(default_factory=dict)
     """As ``ScanRecord.stage_times_s``."""

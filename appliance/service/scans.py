@@ -27,6 +27,7 @@ from appliance.machine.states import Part
 from appliance.optics.water import Water
 from appliance.patterns.response import Response
 from appliance.patterns.sequence import PatternSequence
+from appliance.processing.bracket import faults_of
 from appliance.reconstruct.pipeline import COARSE_POINTS, Cloud
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.exposure import Exposure
@@ -46,7 +47,7 @@ from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.library import Library, PendingScan
 from appliance.storage.record import ScanRecord, SecondSequence, SequenceInfo
 from appliance.storage.room import Room
-from appliance.worker.pair import faults_of
+from appliance.verdict.window import Windows
 from appliance.worker.process import (
     CloudReady,
     PairJudged,
@@ -367,17 +368,27 @@ class ScanDesk:
             return []
         scan.times_s["judged_cpu"] = scan.times_s.get("judged_cpu", 0.0) + judged.cpu_s
         scan.judgements = judged.judgements
-        for judgement in judged.judgements:
-            scan.enter(judgement.verdict)
-        faults = tuple(judgement.fault for judgement in judged.judgements if judgement.fault is not None)
         events: list[on.Event] = []
-        if judged.windows is not None:
-            scan.enter(self.windows.judge(judged.windows))
-            for code, device, fault in self.windows.conditions():
-                events.append(on.ConditionCleared(code, device) if fault is None else on.ConditionRaised(fault))
+        for judgement in judged.judgements:
+            if isinstance(judgement.remembered, Windows):
+                events += self._watch_windows(scan, judgement.remembered)
+            else:
+                scan.enter(judgement.verdict)
+        faults = tuple(judgement.fault for judgement in judged.judgements if judgement.fault is not None)
         proposal = next((judgement.proposal for judgement in judged.judgements if judgement.proposal is not None), None)
         second = next((judgement.second for judgement in judged.judgements if judgement.second is not None), None)
         return [on.Judged(scan.number, faults, proposal, second), *events]
+
+    def _watch_windows(self, scan: ScanInWork, windows: Windows) -> list[on.Event]:
+        """Count a scan once, however often it is judged; its verdict says what holds after it."""
+        if scan.windows_watched:
+            return []
+        scan.windows_watched = True
+        scan.enter(self.windows.judge(windows))
+        return [
+            on.ConditionCleared(code, device) if fault is None else on.ConditionRaised(fault)
+            for code, device, fault in self.windows.conditions()
+        ]
 
     def _paired(self, judged: PairJudged) -> list[on.Event]:
         """The scan's cloud is that of both sequences, or nothing has changed."""

@@ -7,10 +7,7 @@ processed again from the raw frames, which are untouched by all of that. The chi
 
 from __future__ import annotations
 
-import multiprocessing
-import threading
 from dataclasses import dataclass
-from multiprocessing.connection import Connection
 from multiprocessing.shared_memory import SharedMemory
 from types import TracebackType
 
@@ -23,7 +20,27 @@ from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.noise import TYPICAL_PAIR, StereoNoise
 from appliance.scan.sides import SIDES
 from appliance.scan.verdict import Judgement
-from appliance.verdict.window import Windows
+from appliance.worker.child import ChildGone, ChildProcess
+from appliance.worker.messages import (
+    Begin,
+    BracketJudged,
+    CloudFound,
+    Crashed,
+    Drop,
+    Finish,
+    FrameStored,
+    FromWorker,
+    GoingOn,
+    Judged,
+    PatternsIdentified,
+    Ping,
+    Pong,
+    Ready,
+    SequenceFailed,
+    Spoiled,
+    Taken,
+    ToWorker,
+)
 from appliance.worker.serve import work
 from appliance.worker.usage import cpu_s, own_memory_mb
 from drivers.api import Clock
@@ -103,8 +120,6 @@ class ScanJudged:
 
     scan: int
     judgements: tuple[Judgement, ...]
-    windows: Windows | None
-    """What it says of the cameras' windows, for who compares scans; ``None``: nothing."""
     cpu_s: float
     """CPU time the worker spent on judging."""
 
@@ -158,10 +173,7 @@ class ReconstructionWorker:
         left = order.calibration.rig.left
         self._capacity = left.width_px * left.height_px
         self._results = SharedMemory(create=True, size=self._capacity * POINT_BYTES)
-        self._context = multiprocessing.get_context("spawn")
-        self._process: multiprocessing.process.BaseProcess | None = None
-        self._pipe: Connection | None = None
-        self._sending = threading.Lock()
+        self._child = ChildProcess("kf-reconstruct", work)
         self._starting = False
         self._deadline_ns: int | None = None
         self._alive_ns = 0
@@ -204,7 +216,7 @@ class ReconstructionWorker:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._stop(STOP_TIMEOUT_S)
+        self._child.stop(STOP_TIMEOUT_S)
         self._release()
 
     def _release(self) -> None:
@@ -214,12 +226,12 @@ class ReconstructionWorker:
     @property
     def pid(self) -> int | None:
         """Of the process; ``None`` while there is none."""
-        return self._process.pid if self._process is not None else None
+        return self._child.pid
 
     @property
     def answers(self) -> bool:
         """It keeps its times, or it is known not to be there; false where ``poll`` should have seen that it does not."""
-        if self._process is None:
+        if not self._child.runs:
             return True
         now_ns, grace_ns = self._clock.now_ns(), int(self.limits.alive_s * 1e9)
         if self._deadline_ns is not None:
@@ -243,7 +255,7 @@ class ReconstructionWorker:
         self.order = order
         self._store = store or self._store
         self._fruitless = 0
-        self._stop(0.0)
+        self._child.stop()
         self._start_again()
 
     def begin(self, scan: int, settings: AcquisitionSettings | None = None) -> None:
@@ -252,10 +264,10 @@ class ReconstructionWorker:
         self._scan, self._finishing, self._missed, self._attempts = scan, False, False, 1
         self._second, self._knows_first = None, False
         self._ticket += 1
-        if self._process is None:
+        if not self._child.runs:
             self._fruitless = 0
             self._start_again()
-        self._send(("begin", self._ticket, self._settings))
+        self._send(Begin(self._ticket, self._settings))
 
     def begin_second(self, scan: int, settings: AcquisitionSettings) -> None:
         """A second sequence's frames will follow, of the ``scan`` begun last, whose first ones are still in the store.
@@ -265,17 +277,17 @@ class ReconstructionWorker:
         self._scan, self._finishing, self._missed, self._attempts = scan, False, False, 1
         self._second = settings
         self._ticket += 1
-        if self._process is None:
+        if not self._child.runs:
             self._fruitless = 0
             self._start_again()
         if not self._knows_first:
             self._tell_first()
-        self._send(("begin second", self._ticket, settings))
+        self._send(Begin(self._ticket, settings, second=True))
 
     def frame(self, side: str, index: int) -> None:
         """Frame ``index`` of ``side`` is in the store, in the place of the sequence begun last."""
         if not self._missed:
-            self._send(("frame", side, index))
+            self._send(FrameStored(side, index))
 
     def finish(self) -> None:
         """All frames are there and the ledger agrees: answer with the coarse, then the full cloud.
@@ -289,14 +301,14 @@ class ReconstructionWorker:
             self._tell_again()
         if not self._starting:  # else from the moment it is ready
             self._await_cloud()
-        self._send(("finish",))
+        self._send(Finish())
 
     def drop(self) -> None:
         """Forget the scan that was begun."""
         self._scan, self._finishing = None, False
         if not self._starting:
             self._deadline_ns = None
-        self._send(("drop",))
+        self._send(Drop())
 
     def reprocess(self, scan: int, settings: AcquisitionSettings | None = None) -> None:
         """Reconstruct the frames in the store from the first on."""
@@ -309,55 +321,61 @@ class ReconstructionWorker:
 
         Never waits: the caller is the heartbeat.
         """
-        pipe, process = self._pipe, self._process
-        if pipe is None or process is None:
+        if not self._child.runs:
             return self._restart(self._not_started) if self._not_started is not None else None
         try:
-            message = pipe.recv() if pipe.poll(0.0) else None
-        except (EOFError, OSError):
-            process.join(STOP_TIMEOUT_S)  # it closed its end: it is ending
-            return self._restart(f"the process ended with code {process.exitcode}")
+            message = self._child.receive()
+        except ChildGone as gone:
+            return self._restart(str(gone))
         now_ns = self._clock.now_ns()
         if message is None:
             return self._check_answer(now_ns) or self._check_memory(now_ns)
         self._alive_ns, self._asked = now_ns, False
         match message:
-            case ("ready",):
+            case Ready():
                 self._deadline_ns, self._starting = None, False
                 if self._finishing:
                     self._await_cloud()
                 return WorkerReady()
-            case ("pong",):
+            case Pong():
                 return None
-            case ("step", int(ticket)):
-                if ticket == self._ticket and self._deadline_ns is not None:
-                    self._await_cloud()
-                return None
-            case ("cloud", int(ticket), bool(full), Found() as found, float(cpu_s)):
-                return self._taken(full, found, cpu_s) if ticket == self._ticket else None
-            case ("judged", int(ticket), tuple() as judgements, Windows() | None as windows, float(cpu_s)):
-                if ticket != self._ticket or self._scan is None:
-                    return None
-                if self._finishing:
-                    self._await_cloud()  # it got so far; what follows may be more than on other scans
-                return ScanJudged(self._scan, judgements, windows, cpu_s)
-            case ("identified", int(ticket)):
-                return PatternsRight(self._scan) if ticket == self._ticket and self._scan is not None else None
-            case (
-                "merged", int(ticket), Found() | None as found, tuple() as second, Judgement() as pair, float(cpu_s)
-            ):  # fmt: skip
-                return self._merged(found, second, pair, cpu_s) if ticket == self._ticket else None
-            case ("spoiled", int(ticket), Judgement() as judgement):
-                spoiled = self._end_of(ticket)
-                return None if spoiled is None else ScanSpoiled(spoiled, judgement)
-            case ("failed", int(ticket), str(text)):
-                if ticket != self._ticket:
-                    return None
-                return WorkerFailed(self._end_of(ticket), Fault(FaultCode.RECONSTRUCTION_FAILED, text))
-            case ("crashed", str(text)):
+            case Crashed(text):
                 return self._restart(f"it failed: {text}")
+            case (
+                GoingOn(ticket) | PatternsIdentified(ticket) | Spoiled(ticket) | CloudFound(ticket) | Judged(ticket)
+                | BracketJudged(ticket) | SequenceFailed(ticket)
+            ) as said:  # fmt: skip
+                return self._said_of(self._scan, said) if ticket == self._ticket else None
             case _:
                 return self._restart(f"it sent a {type(message).__name__}, which is no answer")
+
+    def _said_of(self, scan: int | None, said: FromWorker) -> WorkerEvent | None:
+        """Turn what was said of the ``scan`` in work into an event; ``None``: the scan was dropped meanwhile, or nothing is to be told."""
+        match said:
+            case GoingOn():
+                if self._deadline_ns is not None:
+                    self._await_cloud()
+                return None
+            case SequenceFailed(_, text):
+                self._end()
+                return WorkerFailed(scan, Fault(FaultCode.RECONSTRUCTION_FAILED, text))
+            case _ if scan is None:
+                return None
+            case PatternsIdentified():
+                return PatternsRight(scan)
+            case Judged(_, judgements, cpu_s):
+                if self._finishing:
+                    self._await_cloud()  # it got so far; what follows may be more than on other scans
+                return ScanJudged(scan, judgements, cpu_s)
+            case CloudFound(_, full, found, cpu_s):
+                return self._cloud_found(scan, full, found, cpu_s)
+            case BracketJudged(_, found, second, pair, cpu_s):
+                return self._bracket_judged(scan, found, second, pair, cpu_s)
+            case Spoiled(_, judgement):
+                self._end()
+                return ScanSpoiled(scan, judgement)
+            case _:
+                return None
 
     def wait(self, timeout_s: float) -> WorkerEvent | None:
         """As ``poll``, waiting up to ``timeout_s`` (for the desk; the service polls)."""
@@ -392,17 +410,17 @@ class ReconstructionWorker:
         self._missed = False
         self._tell_first()
         if self._second is not None:
-            self._send(("begin second", self._ticket, self._second))
+            self._send(Begin(self._ticket, self._second, second=True))
             self._tell_frames()
 
     def _tell_first(self) -> None:
-        self._send(("begin", self._ticket, self._settings))
+        self._send(Begin(self._ticket, self._settings))
         self._tell_frames()
 
     def _tell_frames(self) -> None:
         for index in range(self._store.shape[0]):
             for side in SIDES:
-                self._send(("frame", side, index))
+                self._send(FrameStored(side, index))
 
     def _check_answer(self, now_ns: int) -> WorkerFailed | None:
         """Whether it is late with what was asked, or with a sign of life."""
@@ -415,7 +433,7 @@ class ReconstructionWorker:
             return self._restart(f"it gave no sign of life for {self.limits.alive_s:g} s")
         if not self._asked and waited_s > PING_S:
             self._alive_ns, self._asked = now_ns, True
-            self._send(("ping",))
+            self._send(Ping())
         return None
 
     def _check_memory(self, now_ns: int) -> WorkerFailed | None:
@@ -428,70 +446,42 @@ class ReconstructionWorker:
             return None
         return self._restart(f"it took {used_mb:.0f} MB of memory; allowed are {most_mb:.0f} MB")
 
-    def _end_of(self, ticket: int) -> int | None:
-        """The scan of this ticket, for which nothing more is awaited; ``None`` where it is no longer wanted."""
-        if ticket != self._ticket:
-            return None
-        ended, self._scan, self._finishing, self._deadline_ns = self._scan, None, False, None
-        return ended
+    def _end(self) -> None:
+        """Await nothing more of the scan in work."""
+        self._scan, self._finishing, self._deadline_ns = None, False, None
 
-    def _taken(self, full: bool, found: Found, cpu_s: float) -> CloudReady | None:
-        if self._scan is None:
-            return None  # dropped meanwhile
+    def _cloud_found(self, scan: int, full: bool, found: Found, cpu_s: float) -> CloudReady:
         # No reference to the memory may outlive this call: it could not be closed.
         cloud = PointTable(self._capacity, self._results.buf).cloud(found)
-        self._send(("taken", self._ticket))
+        self._send(Taken(self._ticket))
         if full:
             self._finishing, self._deadline_ns, self._fruitless = False, None, 0
             self._knows_first = True
-        return CloudReady(self._scan, full, cloud, cpu_s)
+        return CloudReady(scan, full, cloud, cpu_s)
 
-    def _merged(
-        self, found: Found | None, second: tuple[Judgement, ...], pair: Judgement, cpu_s: float
-    ) -> PairJudged | None:
-        if self._scan is None:
-            return None  # dropped meanwhile
+    def _bracket_judged(
+        self, scan: int, found: Found | None, second: tuple[Judgement, ...], pair: Judgement, cpu_s: float
+    ) -> PairJudged:
         cloud = None if found is None else PointTable(self._capacity, self._results.buf).cloud(found)
-        self._send(("taken", self._ticket))
+        self._send(Taken(self._ticket))
         self._finishing, self._deadline_ns, self._fruitless, self._knows_first = False, None, 0, True
-        return PairJudged(self._scan, second, pair, cloud, cpu_s)
+        return PairJudged(scan, second, pair, cloud, cpu_s)
 
-    def _send(self, message: tuple[object, ...]) -> None:
-        pipe = self._pipe
-        if pipe is None:
-            return
-        try:
-            with self._sending:  # both camera threads and the service's send
-                pipe.send(message)
-        except (BrokenPipeError, OSError):
-            return  # poll notices and restarts
+    def _send(self, message: ToWorker) -> None:
+        self._child.send(message)  # both camera threads and the service's do
 
     def _start(self) -> None:
-        ours, theirs = self._context.Pipe()
         order = self.order
-        process = self._context.Process(
-            target=work,
-            name="kf-reconstruct",
-            args=(
-                theirs,
-                encode(order.calibration),
-                order.water,
-                (order.period_px, order.projector_width_px, order.projector_height_px),
-                order.noise,
-                (self._store.name, *self._store.shape),
-                self._results.name,
-                self.limits.memory_mb,
-            ),
-            daemon=True,
+        self._child.start(
+            encode(order.calibration),
+            order.water,
+            (order.period_px, order.projector_width_px, order.projector_height_px),
+            order.noise,
+            (self._store.name, *self._store.shape),
+            self._results.name,
+            self.limits.memory_mb,
         )
-        try:
-            process.start()
-        except BaseException:
-            ours.close()
-            raise
-        finally:
-            theirs.close()
-        self._pipe, self._process, self._starting, self._knows_first = ours, process, True, False
+        self._starting, self._knows_first = True, False
         self._alive_ns, self._asked = self._clock.now_ns(), False
         self._deadline_ns = self._alive_ns + int(self.limits.start_s * 1e9)
         self._start_cpu_s = 0.0
@@ -504,26 +494,15 @@ class ReconstructionWorker:
         except OSError as error:
             self._not_started = f"no process could be started: {error.strerror or error}"
 
-    def _stop(self, patience_s: float) -> None:
-        """Close the pipe, which ends a worker that listens; kill it when it is still there after ``patience_s``."""
-        pipe, process = self._pipe, self._process
-        self._pipe = self._process = None
-        if pipe is not None:
-            pipe.close()
-        if process is not None:
-            process.join(patience_s)
-            if process.is_alive():
-                process.kill()
-                process.join(STOP_TIMEOUT_S)
-
     def _restart(self, why: str) -> WorkerFailed:
         """Start again, with the scan in work if it has an attempt left."""
-        self._stop(0.0)  # the heartbeat waits meanwhile
+        self._child.stop()  # the heartbeat waits meanwhile
         self._not_started = None
         self.restarts += 1
         self._fruitless += 1
         if self._fruitless >= MOST_FRUITLESS_STARTS:
-            lost, self._scan, self._finishing, self._deadline_ns = self._scan, None, False, None
+            lost = self._scan
+            self._end()
             return _failed(lost, f"the worker failed {self._fruitless} times in a row, the last time because {why}")
         self._start_again()
         lost = None
@@ -535,7 +514,7 @@ class ReconstructionWorker:
                 self._missed = True
                 if self._finishing:
                     self._tell_again()
-                    self._send(("finish",))
+                    self._send(Finish())
         return _failed(lost, f"the worker was started again: {why}")
 
 

@@ -12,12 +12,11 @@ import signal
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from multiprocessing.shared_memory import SharedMemory
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -25,13 +24,40 @@ from appliance.calibration.file import Calibration, decode
 from appliance.capture.store import FrameStore
 from appliance.optics.water import Water
 from appliance.patterns.sequence import PatternSequence, build_sequence
+from appliance.processing.bracket import ProcessedSequence
+from appliance.processing.procedure import (
+    AllJudged,
+    CoarseFound,
+    FullFound,
+    Identified,
+    OneJudged,
+    SequenceProcessor,
+    Step,
+)
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.table import Found, PointTable
-from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.noise import StereoNoise
 from appliance.scan.verdict import Judgement, Verdict
-from appliance.worker.pair import Sequence
-from appliance.worker.scan_work import ScanWork
+from appliance.worker.messages import (
+    Begin,
+    BracketJudged,
+    CloudFound,
+    Crashed,
+    Drop,
+    Finish,
+    FrameStored,
+    FromWorker,
+    GoingOn,
+    Judged,
+    PatternsIdentified,
+    Ping,
+    Pong,
+    Ready,
+    SequenceFailed,
+    Spoiled,
+    Taken,
+    ToWorker,
+)
 from appliance.worker.warm import run_empty_scan, run_what_an_empty_scan_does_not
 
 NICENESS = 5
@@ -79,20 +105,20 @@ def _work(
     with Pipeline(
         calibration, water, sequence, table=PointTable(left.width_px * left.height_px, memory.buf), noise=noise
     ) as pipeline:
-        scan_work = ScanWork(pipeline, calibration, water)
+        processor = SequenceProcessor(pipeline, calibration, water)
         # So that the first real scan is as fast as the others.
         with _missing("scipy.linalg"):
             nothing = np.zeros(store.shape, np.uint8)
-            run_empty_scan(scan_work, nothing)
+            run_empty_scan(processor, nothing)
             run_what_an_empty_scan_does_not(sequence, nothing)
         limit_memory(headroom_mb)
-        pipe.send(("ready",))
+        pipe.send(Ready())
         try:
-            Server(pipe, scan_work, store).serve()
+            Server(pipe, processor, store).serve()
         except (EOFError, OSError):
             raise
         except Exception as error:  # the one place where it can still be named
-            pipe.send(("crashed", f"{type(error).__name__}: {error}"))
+            pipe.send(Crashed(f"{type(error).__name__}: {error}"))
 
 
 @contextmanager
@@ -128,131 +154,130 @@ def limit_memory(headroom_mb: float) -> None:
 
 
 class Server:
-    """Does what the messages say, in order. A scan that is dropped, or followed by another, is not finished."""
+    """Does what the messages say, in order. A sequence that is dropped, or followed by another, is not finished."""
 
-    def __init__(self, pipe: Connection, scan_work: ScanWork, store: FrameStore) -> None:
-        self._pipe, self._work, self._store = pipe, scan_work, store
+    def __init__(self, pipe: Connection, processor: SequenceProcessor, store: FrameStore) -> None:
+        self._pipe, self._processor, self._store = pipe, processor, store
         self._ticket = 0
-        """Of the scan in work, as the parent numbers them."""
+        """The sequence in work, as the parent numbers them."""
         self._failed = False
-        self._first: Sequence | None = None
-        """Of the scan in work, once a second sequence was begun."""
+        self._steps: Iterator[Step] | None = None
+        """What is left to be done on the sequence; ``None``: everything."""
+        self._first: ProcessedSequence | None = None
+        """The first sequence of the scan in work, once a second one was begun."""
         self._second = False
         """The frames that come are the second sequence's."""
-        self._put_back: deque[Any] = deque()
+        self._put_back: deque[ToWorker] = deque()
 
     def serve(self) -> None:
-        """Until the pipe closes: then EOFError or OSError."""
+        """Serve until the pipe closes: then EOFError or OSError is raised."""
         while True:
             message = self._put_back.popleft() if self._put_back else self._pipe.recv()
             try:
                 self._do(message)
-            except ValueError as error:  # the frames are not what was agreed; the next scan may be
-                self._failed = True
-                self._pipe.send(("failed", self._ticket, str(error)))
+            except ValueError as error:  # the frames are not what was agreed; the next scan's may be
+                self._failed, self._steps = True, None
+                self._say(SequenceFailed(self._ticket, str(error)))
 
-    def _do(self, message: Any) -> None:
+    def _do(self, message: ToWorker) -> None:
         match message:
-            case ("begin", int(ticket), AcquisitionSettings() as settings):
-                self._ticket, self._failed, self._second, self._first = ticket, False, False, None
-                self._work.begin(settings)
-            case ("begin second", int(ticket), AcquisitionSettings() as settings):
-                self._ticket, self._failed, self._second = ticket, False, True
-                if self._first is None:
+            case Begin(ticket, settings, second):
+                self._ticket, self._failed, self._second = ticket, False, second
+                if not second:
+                    self._first = None
+                elif self._first is None:
                     self._first = self._work_through_first()
-                self._work.begin(settings)
-            case ("frame", str(side), int(index)) if not self._failed:
-                self._work.push(side, self._store.frames(side, second=self._second), index)
-            case ("finish",) if not self._failed:
-                self._finish()
-            case ("drop",):
+                self._steps = None
+                self._processor.begin(settings)
+            case FrameStored(side, index) if not self._failed:
+                self._processor.push(side, self._store.frames(side, second=self._second), index)
+            case Finish() if not self._failed:
+                if self._first is None:
+                    self._finish()
+                else:
+                    self._finish_bracket(self._first)
+            case Drop():
                 self._failed = True
-            case ("ping",):
-                self._pipe.send(("pong",))
+            case Ping():
+                self._say(Pong())
             case _:
                 pass
 
-    def _work_through_first(self) -> Sequence:
-        """The first sequence as it was left; without a word where this process was started since. Raises ValueError."""
-        if not self._work.finished:
-            self._work.find_coarse()
-            self._work.judge(self._say_step)
-            if self._work.moved:
-                self._work.compensate()
-            self._work.find_full()
-        return self._work.hold()
-
-    def _finish_pair(self, first: Sequence) -> None:
-        """One answer for the second sequence: what its judges say, and the cloud of both."""
-        begun_s = time.process_time()
-        judgements: tuple[Judgement, ...] = (self._work.identify(),)
-        found: Found | None = None
-        if (spoiled := judgements[0].fault) is not None:
-            pair = Judgement(
-                Verdict("pair", False, {}, "the second exposure's frames are not what they should be"), spoiled
-            )
-        else:
-            self._work.find_coarse()
-            judgements += self._work.judge(self._say_step)
-            if self._work.moved:
-                judgements = (judgements[0], *self._work.compensate())
-            self._work.find_full()
-            judgements = (judgements[0], *self._work.conclude())
-            merged = self._work.merge_with(first)
-            pair, found = merged.judgement, merged.found
-        self._pipe.send(("merged", self._ticket, found, judgements, pair, time.process_time() - begun_s))
-        self._await_taken()
+    def _say(self, message: FromWorker) -> None:
+        self._pipe.send(message)
 
     def _finish(self) -> None:
-        """Everything that is to be said of the scan, as soon as it is known, until nobody wants to hear it any more."""
-        if self._second and self._first is not None:
-            self._finish_pair(self._first)
-            return
-        identity = self._work.identify()
-        if identity.fault is not None:
-            self._pipe.send(("spoiled", self._ticket, identity))
-            return
-        self._pipe.send(("identified", self._ticket))
-        if self._answer(False, self._work.find_coarse):
-            begun_s = time.process_time()
-            judgements = (identity, *self._work.judge(self._say_step))
-            windows = self._work.windows
-            self._pipe.send(("judged", self._ticket, judgements, windows, time.process_time() - begun_s))
-            if self._work.moved:
-                begun_s = time.process_time()
-                judgements = (identity, *self._work.compensate())
-                self._pipe.send(("judged", self._ticket, judgements, None, time.process_time() - begun_s))
-            self._answer(True, lambda: self._concluded(identity, judgements))
-
-    def _concluded(self, identity: Judgement, said: tuple[Judgement, ...]) -> Found:
-        """The full cloud; before it, what is said of the scan in its light, where that is something else than was ``said``."""
-        found = self._work.find_full()
-        judgements = (identity, *self._work.conclude())
-        if [one.fault for one in judgements] != [one.fault for one in said]:
-            self._pipe.send(("judged", self._ticket, judgements, None, 0.0))
-        return found
-
-    def _say_step(self) -> None:
-        """A slow processor is told from a process that hangs."""
-        self._pipe.send(("step", self._ticket))
-
-    def _answer(self, full: bool, find: Callable[[], Found]) -> bool:
-        """Say where the points are, and wait until they were copied; False when nobody wants them any more."""
+        """Say everything that is to be said of the sequence, as soon as it is known, until nobody wants to hear it any more."""
+        self._steps = self._processor.steps()
         begun_s = time.process_time()
-        found = find()
-        self._pipe.send(("cloud", self._ticket, full, found, time.process_time() - begun_s))
-        return self._await_taken()
+        said: tuple[Judgement, ...] = ()
+        for step in self._steps:
+            spent_s = time.process_time() - begun_s
+            match step:
+                case Identified(judgement) if judgement.fault is not None:
+                    self._say(Spoiled(self._ticket, judgement))
+                case Identified():
+                    self._say(PatternsIdentified(self._ticket))
+                case CoarseFound(found):
+                    self._say(CloudFound(self._ticket, full=False, found=found, cpu_s=spent_s))
+                    if not self._await_taken():
+                        return
+                case OneJudged():
+                    self._say(GoingOn(self._ticket))
+                    continue
+                case AllJudged(judgements):
+                    said = judgements
+                    self._say(Judged(self._ticket, judgements, spent_s))
+                case FullFound(found, judgements):
+                    if [one.fault for one in judgements] != [one.fault for one in said]:
+                        self._say(Judged(self._ticket, judgements, 0.0))
+                    self._say(CloudFound(self._ticket, full=True, found=found, cpu_s=spent_s))
+                    self._await_taken()
+            begun_s = time.process_time()
+
+    def _work_through_first(self) -> ProcessedSequence:
+        """Do without a word what was left of the first sequence: all of it, where this process was started since.
+
+        Raises ValueError.
+        """
+        if not self._processor.finished:
+            for _ in self._steps or self._processor.steps():
+                pass
+        return self._processor.hold()
+
+    def _finish_bracket(self, first: ProcessedSequence) -> None:
+        """Give one answer for the second sequence: what its judges say, and the cloud of both."""
+        begun_s = time.process_time()
+        judgements: tuple[Judgement, ...] = ()
+        for step in self._processor.steps():
+            match step:
+                case Identified(judgement):
+                    judgements = (judgement,)
+                case FullFound():
+                    judgements = step.judgements
+                case _:
+                    self._say(GoingOn(self._ticket))
+        found: Found | None = None
+        if self._processor.finished:
+            merged = self._processor.merge_with(first)
+            pair, found = merged.judgement, merged.found
+        else:
+            verdict = Verdict("pair", False, {}, "the second exposure's frames are not what they should be")
+            pair = Judgement(verdict, judgements[0].fault)
+        self._say(BracketJudged(self._ticket, found, judgements, pair, time.process_time() - begun_s))
+        self._await_taken()
 
     def _await_taken(self) -> bool:
-        """Until what was found was copied; False when nobody wants it any more."""
+        """Wait until what was found was copied; returns False when nobody wants it any more."""
         while True:
-            match self._pipe.recv():
-                case ("taken", int(ticket)) if ticket == self._ticket:
+            message: ToWorker = self._pipe.recv()
+            match message:
+                case Taken(ticket) if ticket == self._ticket:
                     return True
-                case ("begin" | "begin second" | "drop", *_) as message:
+                case Begin() | Drop():
                     self._put_back.append(message)
                     return False
-                case ("ping",):
-                    self._pipe.send(("pong",))
+                case Ping():
+                    self._say(Pong())
                 case _:
                     pass

@@ -19,6 +19,7 @@ from appliance.compensation.warm import run_every_kernel as run_compensation
 from appliance.kernel_build import Piece
 from appliance.optics.water import Water
 from appliance.patterns.sequence import PatternSequence, build_sequence
+from appliance.processing.procedure import SequenceProcessor
 from appliance.reconstruct.fuse import fuse
 from appliance.reconstruct.images import ScanImages
 from appliance.reconstruct.pipeline import Pipeline
@@ -38,23 +39,18 @@ from appliance.verdict.light_fit import warm_up as warm_light
 from appliance.verdict.motion import judge_motion
 from appliance.verdict.turbidity import judge_water
 from appliance.verdict.window import look_at_windows
-from appliance.worker.scan_work import ScanWork
 
 _WATER = Water(20.0, 0.0, 530.0)
 _DESIGN = Design(11.5, 112.5, 230.0, 12.41, 30.0, 5.0, 1.77)
 _SIZE_PX = (64, 48)
 
 
-def run_empty_scan(work: ScanWork, frames: NDArray[np.uint8]) -> None:
-    """Push the same dark ``frames`` (n, h, w) for both sides, and ask for everything."""
-    work.begin(AcquisitionSettings())
-    for side in SIDES:
-        for index in range(len(frames)):
-            work.push(side, frames, index)
-    work.identify()
-    work.find_coarse()
-    work.judge()
-    work.find_full()
+def run_empty_scan(processor: SequenceProcessor, frames: NDArray[np.uint8]) -> None:
+    """Push the same dark ``frames`` (n, h, w) for both sides, and take every step."""
+    processor.begin(AcquisitionSettings())
+    for _ in processor.push_all(dict.fromkeys(SIDES, frames)):
+        pass
+    processor.run(even_if_wrong=True)
 
 
 def run_what_an_empty_scan_does_not(sequence: PatternSequence, frames: NDArray[np.uint8]) -> None:
@@ -139,7 +135,7 @@ def run_every_kernel() -> None:
     """With an instrument of its own; also for frames that cannot be written, as they come from the disk."""
     for writable in (True, False):
         with _nothing(writable) as (pipeline, calibration, frames):
-            run_empty_scan(ScanWork(pipeline, calibration, _WATER), frames)
+            run_empty_scan(SequenceProcessor(pipeline, calibration, _WATER), frames)
             _mask_specks(pipeline, frames)
             run_what_an_empty_scan_does_not(pipeline.sequence, frames)
 

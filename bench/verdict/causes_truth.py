@@ -21,14 +21,13 @@ import numpy as np
 import appliance
 from appliance.machine.alerts import RULES, alert_of
 from appliance.patterns.sequence import Direction
+from appliance.processing.procedure import SequenceProcessor
 from appliance.reconstruct.pipeline import Cloud, Pipeline
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import FaultCode
-from appliance.scan.sides import SIDES
 from appliance.screens.views import Grade
 from appliance.service.view import grade
-from appliance.worker.scan_work import ScanWork
 from bench.verdict.causes_frames import frames_of
 from bench.verdict.causes_scenes import NONE, STEPS, Base, Spoilt, exposure_of
 from bench.verdict.light_scenes import noise_at
@@ -77,18 +76,9 @@ def judged(scan: RenderedScan, exposure: Exposure) -> Outcome:
     calibration = true_calibration(scan.renderer.truth)
     noise = noise_at(exposure)
     with Pipeline(calibration, WATER, scan.sequence, noise=noise) as pipeline:
-        work = ScanWork(pipeline, calibration, WATER)
-        work.begin(AcquisitionSettings(exposure=exposure, noise=noise, steps=STEPS))
-        for k in range(len(scan.sequence)):
-            for side in SIDES:
-                work.push(side, scan.frames[side], k)
-        identity = work.identify()
-        work.find_coarse()
-        work.judge()
-        if work.moved:
-            work.compensate()
-        cloud = pipeline.table.cloud(work.find_full())
-        judgements = (identity, *work.conclude())
+        processor = SequenceProcessor(pipeline, calibration, WATER)
+        full = processor.process(scan.frames, AcquisitionSettings(exposure=exposure, noise=noise, steps=STEPS))
+        cloud, judgements = pipeline.table.cloud(full.found), full.judgements
     faults = tuple(one.fault for one in judgements if one.fault is not None)
     summary = cloud.summary
     # What spoils a scan outright is all that its diver hears of.

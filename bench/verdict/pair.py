@@ -11,12 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from appliance.processing.procedure import FullFound, SequenceProcessor
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.table import Cloud
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.exposure import NOMINAL, Exposure
-from appliance.scan.sides import SIDES
-from appliance.worker.scan_work import ScanWork
 from bench.result import Measured
 from bench.verdict.light_scenes import STEPS, noise_at
 from bench.verdict.parts import Say
@@ -68,26 +67,29 @@ def _case(name: str, seed: int, rng: np.random.Generator) -> dict[str, Any]:
     calibration = true_calibration(first.renderer.truth)
     case: dict[str, Any] = {"object": name, "pose": start, "second": None, "alone": {}}
     with Pipeline(calibration, WATER, first.sequence) as pipeline:
-        work = ScanWork(pipeline, calibration, WATER)
-        cloud = _scan(work, pipeline, first, NOMINAL)
-        light = work.judge()[0]
+        processor = SequenceProcessor(pipeline, calibration, WATER)
+        full = _process(processor, first, NOMINAL)
+        cloud = pipeline.table.cloud(full.found)
+        (light,) = [one for one in full.judgements if one.verdict.name == "light"]
         case["alone"][NOMINAL.label] = _figures(first, cloud)
         if light.second is None:
             return case
         case["second"] = light.second.label
-        held = work.hold()
+        held = processor.hold()
         for way, where in (("at rest", scene), ("moved", gone)):
             second = _render(where, light.second, seed)
-            cloud = _scan(work, pipeline, second, light.second)
+            cloud = pipeline.table.cloud(_process(processor, second, light.second).found)
             if way == "at rest":
                 case["alone"][light.second.label] = _figures(second, cloud)
-            merged = work.merge_with(held)
+            merged = processor.merge_with(held)
             verdict = merged.judgement.verdict
             case[f"{way}: verdict"] = {"text": verdict.text, **verdict.numbers}
             case[way] = None if merged.found is None else _figures(first, pipeline.table.cloud(merged.found))
         if light.proposal is not None:
             other = _render(scene, light.proposal, seed)
-            case["alone"][light.proposal.label] = _figures(other, _scan(work, pipeline, other, light.proposal))
+            case["alone"][light.proposal.label] = _figures(
+                other, pipeline.table.cloud(_process(processor, other, light.proposal).found)
+            )
     return case
 
 
@@ -97,14 +99,8 @@ def _render(scene: Scene, exposure: Exposure, seed: int) -> RenderedScan:
     )
 
 
-def _scan(work: ScanWork, pipeline: Pipeline, scan: RenderedScan, exposure: Exposure) -> Cloud:
-    work.begin(AcquisitionSettings(exposure, noise=noise_at(exposure), steps=STEPS))
-    for k in range(len(scan.sequence)):
-        for side in SIDES:
-            work.push(side, scan.frames[side], k)
-    work.find_coarse()
-    work.judge()
-    return pipeline.table.cloud(work.find_full())
+def _process(processor: SequenceProcessor, scan: RenderedScan, exposure: Exposure) -> FullFound:
+    return processor.process(scan.frames, AcquisitionSettings(exposure, noise=noise_at(exposure), steps=STEPS))
 
 
 def _figures(scan: RenderedScan, cloud: Cloud) -> Figures:

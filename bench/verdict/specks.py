@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.processing.procedure import SequenceProcessor
 from appliance.reconstruct.decode import Mask
 from appliance.reconstruct.pipeline import Cloud, Pipeline
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.exposure import Exposure
 from appliance.scan.verdict import Judgement
-from appliance.worker.scan_work import ScanWork
 from bench.bias import depth_errors
 from bench.result import Measured
 from bench.turbidity.scan import WRONG_MM, WRONG_SIGMAS, rig_in, set_water
@@ -102,20 +102,16 @@ def measure(scans: int, seed: int, say: Say) -> tuple[list[Measured], dict[str, 
 
 
 def _take(scene: Scene, rig_seed: int) -> Taken:
-    """ScanImages, judged and reconstructed as the worker does."""
+    """Recorded, judged and reconstructed as the worker does."""
     scan = render_scan(scene, "modelled", rig_seed, WIDTH_PX, PERIOD_PX, EXPOSURE.time_us / 1e6)
     water = set_water(scene)
     renderer = Renderer(rig_in(water, "modelled", rig_seed, WIDTH_PX), scene)
     calibration = replace(true_calibration(renderer.truth), water=water)
     with Pipeline(calibration, water, scan.sequence) as pipeline:
-        work = ScanWork(pipeline, calibration, water)
-        work.begin(AcquisitionSettings(EXPOSURE, noise=noise_at(EXPOSURE), steps=STEPS))
-        for k in range(len(scan.sequence)):
-            for side, frames in scan.frames.items():
-                work.push(side, frames, k)
-        work.find_coarse()
-        (dirty,) = [one for one in work.judge() if one.verdict.name == "water"]
-        cloud = pipeline.table.cloud(work.find_full())
+        processor = SequenceProcessor(pipeline, calibration, water)
+        full = processor.process(scan.frames, AcquisitionSettings(EXPOSURE, noise=noise_at(EXPOSURE), steps=STEPS))
+        (dirty,) = [one for one in full.judgements if one.verdict.name == "water"]
+        cloud = pipeline.table.cloud(full.found)
         decoded = pipeline.decoded("left").mask == Mask.VALID
     off = np.abs(np.nan_to_num(depth_errors(renderer, cloud).along_ray_mm, nan=1e3))
     wrong = (off > WRONG_MM) & (off > WRONG_SIGMAS * cloud.sigma_mm)

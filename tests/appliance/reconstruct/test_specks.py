@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from appliance.processing.procedure import SequenceProcessor
 from appliance.reconstruct.pipeline import Cloud, Pipeline
 from appliance.reconstruct.specks import mask_specks
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.noise import TYPICAL
 from appliance.scan.sides import SIDES
-from appliance.worker.scan_work import ScanWork
 from bench.bias import depth_errors
 from hw_sim.scene import Imaging, Scene
 from tests.support.rendered import RenderedScan, render_scan
@@ -89,14 +89,8 @@ def test_the_instrument_masks_them_between_the_judges_and_the_full_cloud(clean: 
     dirty = {side: add_specks(clean.frames[side], clean.sequence, 100, rng) for side in SIDES}
     points = {}
     with Pipeline(calibration, WATER, clean.sequence) as pipeline:
-        work = ScanWork(pipeline, calibration, WATER)
+        processor = SequenceProcessor(pipeline, calibration, WATER)
         for name, frames in (("dirty", dirty), ("clean", clean.frames)):
-            work.begin(AcquisitionSettings())
-            for side in SIDES:
-                for k in range(len(clean.sequence)):
-                    work.push(side, frames[side], k)
-            work.find_coarse()
-            work.judge()
-            points[name] = work.find_full().summary.points
+            points[name] = processor.process(frames, AcquisitionSettings()).found.summary.points
     assert points["dirty"] == len(reconstructed(RenderedScan(clean.renderer, clean.sequence, dirty), True).cloud.pixel)
     assert points["clean"] == len(reconstructed(clean, False).cloud.pixel)

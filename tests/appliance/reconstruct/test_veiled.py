@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from appliance.processing.procedure import SequenceProcessor
 from appliance.reconstruct.decode import CameraDecoder, Mask
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.exposure import Exposure
 from appliance.scan.noise import StereoNoise, camera_noise
-from appliance.worker.scan_work import ScanWork
 from bench.bias import depth_errors
 from hw_sim.rendering.sensor import FULL_WELL_E, OFFSET_DN, READ_NOISE_E
 from hw_sim.scene import Imaging, Scene
@@ -89,14 +89,10 @@ def test_what_the_water_hides_is_no_movement(milky: RenderedScan) -> None:
     calibration = true_calibration(milky.renderer.truth)
     noise = StereoNoise(NOISE, NOISE)
     with Pipeline(calibration, WATER, milky.sequence, noise=noise) as pipeline:
-        work = ScanWork(pipeline, calibration, WATER)
-        work.begin(AcquisitionSettings(Exposure(16_200, GAIN_DB), noise=noise))
-        for side, frames in milky.frames.items():
-            for k in range(len(milky.sequence)):
-                work.push(side, frames, k)
-        work.find_coarse()
+        processor = SequenceProcessor(pipeline, calibration, WATER)
+        full = processor.process(milky.frames, AcquisitionSettings(Exposure(16_200, GAIN_DB), noise=noise))
         hidden = max(100.0 * np.mean(pipeline.decoded(side).mask == Mask.CONTRADICTION) for side in milky.frames)
-        judged = {judgement.verdict.name: judgement for judgement in work.judge()}["motion"]
+        judged = {judgement.verdict.name: judgement for judgement in full.judgements}["motion"]
     assert hidden > 5.0
     assert judged.fault is None, judged.verdict.text
     lost_percent = judged.verdict.numbers["lost_percent"]

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from appliance.calibration.file import Calibration
 from appliance.capture.store import FrameStore
 from appliance.patterns.sequence import build_sequence
+from appliance.processing.procedure import SequenceProcessor
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.table import Cloud
 from appliance.scan.acquisition import AcquisitionSettings
@@ -31,7 +32,6 @@ from appliance.worker.process import (
     WorkerReady,
     WorkOrder,
 )
-from appliance.worker.scan_work import ScanWork
 from hw_sim.scene import Scene
 from tests.appliance.worker.test_worker import RealClock
 from tests.support.rendered import RenderedScan, judge, render_scan
@@ -72,18 +72,12 @@ class Paired:
 def paired(first: RenderedScan, second: RenderedScan, calibration: Calibration) -> Paired:
     alone: list[Cloud] = []
     with Pipeline(calibration, WATER, first.sequence) as pipeline:
-        work, held = ScanWork(pipeline, calibration, WATER), None
+        processor, held = SequenceProcessor(pipeline, calibration, WATER), None
         for one, exposure in ((first, SHORT), (second, LONG)):
-            held = work.hold() if alone else None
-            work.begin(AcquisitionSettings(exposure))
-            for k in range(len(first.sequence)):
-                for side in SIDES:
-                    work.push(side, np.asarray(one.frames[side]), k)
-            work.find_coarse()
-            work.judge()
-            alone.append(pipeline.table.cloud(work.find_full()))
+            held = processor.hold() if alone else None
+            alone.append(pipeline.table.cloud(processor.process(one.frames, AcquisitionSettings(exposure)).found))
         assert held is not None
-        merged = work.merge_with(held)
+        merged = processor.merge_with(held)
         cloud = None if merged.found is None else pipeline.table.cloud(merged.found)
         return Paired((alone[0], alone[1]), cloud, merged.judgement)
 

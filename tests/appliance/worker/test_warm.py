@@ -10,9 +10,9 @@ import pytest
 from numba.core.registry import CPUDispatcher
 
 from appliance.patterns.sequence import build_sequence
+from appliance.processing.procedure import SequenceProcessor
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.scan.acquisition import AcquisitionSettings
-from appliance.worker.scan_work import ScanWork
 from appliance.worker.warm import run_empty_scan, run_what_an_empty_scan_does_not
 from hw_sim.light.daylight import Daylight
 from hw_sim.objects.motion import Motion
@@ -47,7 +47,7 @@ def warm() -> Iterator[None]:
     calibration = true_calibration(scan.renderer.truth)
     nothing = np.zeros((len(sequence), 150, 200), np.uint8)
     with Pipeline(calibration, WATER, sequence) as pipeline:
-        run_empty_scan(ScanWork(pipeline, calibration, WATER), nothing)
+        run_empty_scan(SequenceProcessor(pipeline, calibration, WATER), nothing)
         run_what_an_empty_scan_does_not(sequence, nothing)
         yield
 
@@ -60,17 +60,7 @@ def test_no_scan_needs_a_kernel_that_is_not_there(name: str) -> None:
     scan = render_scan(scene, "nominal", 1, 200, 16, frame_s=0.0 if scene.still else 1 / 60)
     calibration = true_calibration(scan.renderer.truth)
     with Pipeline(calibration, WATER, scan.sequence) as pipeline:
-        work = ScanWork(pipeline, calibration, WATER)
-        work.begin(AcquisitionSettings())
-        for k in range(len(scan.sequence)):
-            for side, frames in scan.frames.items():
-                work.push(side, frames, k)
-        work.identify()
-        work.find_coarse()
-        work.judge()
-        if work.moved:
-            work.compensate()
-        work.find_full()
+        SequenceProcessor(pipeline, calibration, WATER).process(scan.frames, AcquisitionSettings())
     after = signatures()
     assert before
     assert {kernel: count for kernel, count in after.items() if count != before.get(kernel, 0)} == {}

@@ -38,7 +38,7 @@ _LEVELS = (FaultCode.TOO_BRIGHT, FaultCode.TOO_DARK)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sequence:
+class ProcessedSequence:
     """What is known of one of the two, after its full cloud."""
 
     cloud: Cloud
@@ -77,7 +77,7 @@ class _Story:
         return Merged(found, Judgement(Verdict("pair", True, self.numbers, how)))
 
 
-def merge_pair(pipeline: Pipeline, first: Sequence, second: Sequence) -> Merged:
+def merge_bracket(pipeline: Pipeline, first: ProcessedSequence, second: ProcessedSequence) -> Merged:
     """The cloud of both in the frame of the first; after ``pipeline`` found the second one's full cloud.
 
     The pipeline's maps are changed. The same two sequences give the same points, bit by bit.
@@ -123,7 +123,7 @@ def faults_of(first: Iterable[Judgement], second: Iterable[Judgement], pair: Jud
     return tuple(codes.values())
 
 
-def _merge_maps(pipeline: Pipeline, first: Sequence, second: Sequence) -> dict[str, Agreement]:
+def _merge_maps(pipeline: Pipeline, first: ProcessedSequence, second: ProcessedSequence) -> dict[str, Agreement]:
     """Into the pipeline's, which are the second one's."""
     agreements = {}
     for side in SIDES:

@@ -1,0 +1,1 @@
+"""What happens to a recorded sequence, in order: identify, coarse cloud, judge, compensate, full cloud. Everybody runs this."""

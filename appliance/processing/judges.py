@@ -1,0 +1,107 @@
+"""Owns the table of judges: what is said of a whole sequence once its coarse cloud is known, and by whom.
+
+A new verdict is one file in ``appliance/verdict``, one row in ``JUDGES``, and one row in the alerts' table where the diver is
+to be told. The judge of identity is not among them: it runs before any cloud, since points of wrong patterns mean nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+
+from appliance.optics.model import StereoRig
+from appliance.reconstruct.images import ScanImages
+from appliance.reconstruct.pipeline import Pipeline
+from appliance.reconstruct.table import Cloud
+from appliance.scan.verdict import Judgement
+from appliance.verdict.light import judge_light
+from appliance.verdict.motion import judge_motion
+from appliance.verdict.sight import look
+from appliance.verdict.turbidity import judge_water
+from appliance.verdict.window import look_at_windows
+
+SIGHT_POINTS = 7_500
+"""Left pixels that are asked at what depth, near or far, they see something."""
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What every judge is given."""
+
+    images: ScanImages
+    cloud: Cloud
+    """The coarse cloud."""
+    rig: StereoRig
+    water_index: float
+    """Refractive index of the water at the projector's wavelength."""
+    identity: Judgement
+    """Whether each frame shows the pattern it should."""
+    pipeline: Pipeline
+    """Where points can be asked for at any depth, also outside of the measuring volume."""
+
+
+Earlier = Mapping[str, Judgement | None]
+"""What the judges said that a judge ``needs``, by their names."""
+
+
+@dataclass(frozen=True, slots=True)
+class Judge:
+    """One row of the table."""
+
+    name: str
+    """The name of its verdict in the manifest."""
+    judge: Callable[[Evidence, Earlier], Judgement | None]
+    """Returns ``None`` where there is nothing to be said."""
+    needs: tuple[str, ...] = ()
+    """Judges that must have spoken before; they need none themselves."""
+
+
+def _look(given: Evidence, _: Earlier) -> Judgement:
+    """What is there at whatever depth, and fringes too weak to be decoded."""
+    left = given.rig.left
+    stride = max(1, round((left.width_px * left.height_px / SIGHT_POINTS) ** 0.5))
+    return Judgement(
+        look(
+            given.images.frames, given.images.sequence, given.images.noise, given.rig, given.water_index,
+            given.pipeline.sample(stride, any_depth=True), given.pipeline.limits,
+            given.identity.verdict.numbers.get("parallax_percent"),
+        )
+    )  # fmt: skip
+
+
+def _look_at_windows(given: Evidence, earlier: Earlier) -> Judgement | None:
+    """Nothing where something moved: what moves is soft in one camera and not in the other, too."""
+    if is_fault(earlier["motion"]):
+        return None
+    windows = look_at_windows(given.images)
+    return Judgement(windows.verdict(), remembered=windows)
+
+
+JUDGES = (
+    Judge(
+        "light", lambda given, _: judge_light(given.images, given.images.settings.exposure, given.images.settings.steps)
+    ),
+    Judge("water", lambda given, _: judge_water(given.images, given.cloud, given.rig, given.water_index).judgement),
+    Judge("sight", _look),
+    Judge("window", _look_at_windows, needs=("motion",)),
+    Judge("motion", lambda given, _: judge_motion(given.images, given.cloud, given.rig, given.water_index).judgement),
+)
+"""In the order in which their verdicts are told and stored."""
+
+
+def judged_by_all(given: Evidence) -> Iterator[tuple[str, Judgement | None]]:
+    """Ask every judge, those that need others last; yields each one's name and what it says as soon as it has said it."""
+    said: dict[str, Judgement | None] = {}
+    for judge in sorted(JUDGES, key=lambda judge: len(judge.needs)):
+        said[judge.name] = judge.judge(given, said)
+        yield judge.name, said[judge.name]
+
+
+def in_order(said: Earlier) -> dict[str, Judgement]:
+    """What the judges ``said``, in the table's order; without those that had nothing to say."""
+    return {judge.name: one for judge in JUDGES if (one := said.get(judge.name)) is not None}
+
+
+def is_fault(judgement: Judgement | None) -> bool:
+    """Whether a judgement holds something against the scan."""
+    return judgement is not None and judgement.fault is not None

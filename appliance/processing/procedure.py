@@ -1,0 +1,225 @@
+"""Owns what happens to a sequence: identify → coarse cloud → judge → compensate → full cloud.
+
+It is written once, as the generator ``SequenceProcessor.steps``. The instrument's worker, the desk, the warm-up, the benches
+and the tests all run it, so that the same frames get the same points and the same verdicts everywhere.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.calibration.file import Calibration
+from appliance.compensation.attempt import Attempt, attempt
+from appliance.optics.water import Water
+from appliance.processing.bracket import Merged, ProcessedSequence, merge_bracket
+from appliance.processing.judges import Evidence, in_order, is_fault, judged_by_all
+from appliance.reconstruct.decode import DecodedMaps
+from appliance.reconstruct.images import ScanImages
+from appliance.reconstruct.pipeline import Pipeline
+from appliance.reconstruct.quality import CloudSummary
+from appliance.reconstruct.specks import mask_specks
+from appliance.reconstruct.table import Found
+from appliance.scan.acquisition import AcquisitionSettings
+from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.sides import SIDES, of_side
+from appliance.scan.verdict import Judgement, Verdict
+from appliance.verdict.causes import with_causes
+from appliance.verdict.identity import judge_identity
+
+WORTH_MASKING_PERCENT = 0.02
+"""Share of the pixels with coordinates; where specks disturb fewer, they are not looked for one by one: 20 ms of a scan."""
+
+
+@dataclass(frozen=True, slots=True)
+class Identified:
+    """It was judged whether each frame shows the pattern it should. With a fault, points would mean nothing."""
+
+    judgement: Judgement
+
+
+@dataclass(frozen=True, slots=True)
+class CoarseFound:
+    """The coarse cloud is in the pipeline's table."""
+
+    found: Found
+
+
+@dataclass(frozen=True, slots=True)
+class OneJudged:
+    """One judge has spoken; more follow. It shows that the work goes on."""
+
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class AllJudged:
+    """What is to be said of the scan, identity first, in place of what was said before."""
+
+    judgements: tuple[Judgement, ...]
+    compensating: bool = False
+    """Instrument and scene moved against each other; it is tried next to take that out of the points."""
+
+
+@dataclass(frozen=True, slots=True)
+class FullFound:
+    """The full cloud is in the pipeline's table, and nothing follows."""
+
+    found: Found
+    judgements: tuple[Judgement, ...]
+    """What is finally to be said of the scan, weighed with the full cloud."""
+
+
+Step = Identified | CoarseFound | OneJudged | AllJudged | FullFound
+
+
+class SequenceProcessor:
+    """Takes one sequence after the other through ``pipeline`` and past the judges.
+
+    ``begin``, ``push`` for every frame of both sides as they come, then all ``steps``. A second sequence with another exposure
+    follows in the same way between ``hold`` and ``merge_with``.
+    """
+
+    def __init__(self, pipeline: Pipeline, calibration: Calibration, water: Water) -> None:
+        self._pipeline = pipeline
+        self._calibration, self._water = calibration, water
+        self._settings = AcquisitionSettings()
+        self._frames: dict[str, NDArray[np.uint8]] = {}
+        self._moved = self._compensated = False
+        self._full: Found | None = None
+
+    def begin(self, settings: AcquisitionSettings) -> None:
+        """Expect frame 0 of a sequence that was taken with ``settings``."""
+        self._settings, self._full = settings, None
+        self._moved = self._compensated = False
+        self._frames.clear()
+        self._pipeline.expect(settings.noise)
+        self._pipeline.reset()
+
+    def push(self, side: str, frames: NDArray[np.uint8], index: int) -> None:
+        """Decode frame ``index`` of one side's ``frames`` (n, h, w) uint8, which must not change until the last step.
+
+        Raises ValueError unless frames come as 0, 1, …
+        """
+        self._frames[side] = frames
+        self._pipeline.push(side, frames, index)
+
+    def push_all(self, frames: Mapping[str, NDArray[np.uint8]]) -> Iterator[int]:
+        """Push all ``frames`` of a stored sequence, both sides of one index after the other; yields each index before its frames."""
+        for index in range(len(self._pipeline.sequence)):
+            yield index
+            for side in SIDES:
+                self.push(side, frames[side], index)
+
+    def steps(self, *, even_if_wrong: bool = False) -> Iterator[Step]:
+        """Work on the sequence after its last frame; yields what is known as soon as it is. It may be left at any step.
+
+        Where a frame shows another pattern than it should, nothing follows ``Identified`` unless ``even_if_wrong``. Raises
+        ValueError where frames are missing.
+        """
+        pipeline, settings, rig = self._pipeline, self._settings, self._calibration.rig
+
+        identity = judge_identity(self._frames, pipeline.sequence, settings.noise, settings.exposure)
+        yield Identified(identity)
+        if identity.fault is not None and not even_if_wrong:
+            return
+
+        coarse = pipeline.find_coarse()
+        yield CoarseFound(coarse)
+
+        images = ScanImages(pipeline.sequence, self._frames, {side: pipeline.decoded(side) for side in SIDES}, settings)
+        given = Evidence(images, pipeline.table.cloud(coarse), rig, self._water.index, identity, pipeline)
+        spoken: dict[str, Judgement | None] = {}
+        for name, one in judged_by_all(given):
+            spoken[name] = one
+            yield OneJudged(name)
+        said = in_order(spoken)
+        self._moved = is_fault(said["motion"])
+        yield AllJudged((identity, *self._weighed(said, coarse.summary)), compensating=self._moved)
+
+        full: Found | None = None
+        if self._moved:
+            # The full cloud will be that of one moment of the scan where that makes it good, else the plain one.
+            plain = pipeline.find_full()
+            tried = attempt(pipeline, plain, images, self._calibration, self._water)
+            full = tried.found or plain
+            motion = said["motion"]
+            if tried.found is not None:
+                self._compensated = True
+                said["motion"] = replace(motion, fault=Fault(FaultCode.COMPENSATED, motion.verdict.text))
+            said["compensation"] = Judgement(_compensation(tried, settings.frame_s))
+            yield AllJudged((identity, *self._weighed(said, full.summary)))
+        elif (said["water"].verdict.numbers["speck_percent"] or 0.0) > WORTH_MASKING_PERCENT:
+            for side in SIDES:  # what passed by makes no points
+                noise = of_side(settings.noise, side)
+                mask_specks(pipeline.sequence, self._frames[side], pipeline.decoded(side), noise)
+
+        self._full = full or pipeline.find_full()
+        yield FullFound(self._full, (identity, *self._weighed(said, self._full.summary)))
+
+    def run(self, *, even_if_wrong: bool = False) -> FullFound | None:
+        """Take all ``steps`` at once; returns the last one, ``None`` where wrong patterns ended them. Raises ValueError."""
+        (last,) = deque(self.steps(even_if_wrong=even_if_wrong), maxlen=1)
+        return last if isinstance(last, FullFound) else None
+
+    def process(self, frames: Mapping[str, NDArray[np.uint8]], settings: AcquisitionSettings) -> FullFound:
+        """Do everything with a whole sequence, also where it shows wrong patterns: ``begin``, ``push`` and all ``steps``.
+
+        Raises ValueError where ``frames`` are not of the sequence.
+        """
+        self.begin(settings)
+        for _ in self.push_all(frames):
+            pass
+        last = self.run(even_if_wrong=True)
+        assert last is not None, "no wrong pattern ends the steps"
+        return last
+
+    @property
+    def finished(self) -> bool:
+        """The full cloud was found, and nothing begun since."""
+        return self._full is not None
+
+    def hold(self) -> ProcessedSequence:
+        """Return a copy of this sequence, for a second one to be merged with. Raises ValueError unless ``finished``."""
+        return self._processed({side: self._pipeline.decoded(side).copied() for side in SIDES})
+
+    def merge_with(self, first: ProcessedSequence) -> Merged:
+        """Merge this sequence, the second of its scan, with the ``first`` one; raises ValueError unless ``finished``."""
+        return merge_bracket(self._pipeline, first, self._processed({}))
+
+    def _processed(self, maps: Mapping[str, DecodedMaps]) -> ProcessedSequence:
+        if self._full is None:
+            raise ValueError("the sequence has no full cloud yet; ask for it before another one is begun")
+        bright = self._frames["left"][self._pipeline.sequence.bright]
+        return ProcessedSequence(
+            self._pipeline.table.cloud(self._full), maps, bright, self._settings.exposure, self._settings.noise,
+            moved=self._moved, spoilt=self._moved and not self._compensated,
+        )  # fmt: skip
+
+    def _weighed(self, said: Mapping[str, Judgement], summary: CloudSummary) -> tuple[Judgement, ...]:
+        """Return what the judges said, with the causes of a poor scan weighed against each other."""
+        return with_causes(tuple(said.values()), summary, self._settings.exposure, self._settings.steps)
+
+
+def _compensation(tried: Attempt, frame_s: float) -> Verdict:
+    """Return the verdict ``compensation``; its errors are in units of those of a scan at rest."""
+    if tried.motion is None:
+        return Verdict("compensation", False, {}, tried.why)
+    motion = tried.motion
+    # Displacement from the first sine image to the last, over the time between.
+    lasted_s = frame_s * (motion.frames[-1] - motion.frames[0])
+    x, y, z = (motion.motion_mm[-1, :3] - motion.motion_mm[0, :3]) / lasted_s
+    numbers: dict[str, float | None] = {
+        "error_before": motion.error_before,
+        "error_after": tried.error_after,
+        "noise_factor": motion.noise_factor,
+        "speed_x_mm_s": float(x),
+        "speed_y_mm_s": float(y),
+        "speed_z_mm_s": float(z),
+        "reference_s": motion.reference_s,
+    }
+    return Verdict("compensation", tried.found is not None, numbers, tried.why)

@@ -1,0 +1,89 @@
+"""Owns the life of a child process: started with a pipe, spoken to, listened to, ended, and killed where it does not end."""
+
+from __future__ import annotations
+
+import multiprocessing
+import threading
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+from typing import Any
+
+KILL_TIMEOUT_S = 2.0
+"""How long a process that was killed, or that has closed its pipe, is waited for."""
+
+
+class ChildGone(Exception):
+    """The process ended by itself; its text says with which code."""
+
+
+class ChildProcess:
+    """One process at a time that runs ``main(pipe, *arguments)`` in a fresh interpreter until its pipe closes.
+
+    One thread starts, listens and stops; ``send`` may be called by any.
+    """
+
+    def __init__(self, name: str, main: Callable[..., None]) -> None:
+        self._name, self._main = name, main
+        self._context = multiprocessing.get_context("spawn")
+        self._process: multiprocessing.process.BaseProcess | None = None
+        self._pipe: Connection | None = None
+        self._sending = threading.Lock()
+
+    @property
+    def runs(self) -> bool:
+        """There is a process, as far as was noticed."""
+        return self._process is not None
+
+    @property
+    def pid(self) -> int | None:
+        """The process's number; ``None`` while there is none."""
+        return self._process.pid if self._process is not None else None
+
+    def start(self, *arguments: Any) -> None:
+        """Start the process, with these arguments after its end of the pipe. Raises OSError where there is no room for one."""
+        ours, theirs = self._context.Pipe()
+        process = self._context.Process(target=self._main, name=self._name, args=(theirs, *arguments), daemon=True)
+        try:
+            process.start()
+        except BaseException:
+            ours.close()
+            raise
+        finally:
+            theirs.close()
+        self._pipe, self._process = ours, process
+
+    def send(self, message: object) -> None:
+        """Say ``message``; lost where nobody listens any more, which ``receive`` will notice."""
+        pipe = self._pipe
+        if pipe is None:
+            return
+        try:
+            with self._sending:
+                pipe.send(message)
+        except OSError:
+            return
+
+    def receive(self) -> object | None:
+        """Return the next thing it said, ``None`` where it said nothing; never waits for words. Raises ChildGone."""
+        pipe, process = self._pipe, self._process
+        if pipe is None or process is None:
+            return None
+        try:
+            if pipe.poll(0.0):
+                return pipe.recv()  # type: ignore[no-any-return]  # whatever was pickled
+        except (EOFError, OSError):
+            process.join(KILL_TIMEOUT_S)  # it closed its end: it is ending
+            raise ChildGone(f"the process ended with code {process.exitcode}") from None
+        return None
+
+    def stop(self, patience_s: float = 0.0) -> None:
+        """Close the pipe, which ends a process that listens, and kill one that is still there after ``patience_s``."""
+        pipe, process = self._pipe, self._process
+        self._pipe = self._process = None
+        if pipe is not None:
+            pipe.close()
+        if process is not None:
+            process.join(patience_s)
+            if process.is_alive():
+                process.kill()
+                process.join(KILL_TIMEOUT_S)

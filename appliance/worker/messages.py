@@ -1,0 +1,147 @@
+"""Owns what the worker process and its parent say to each other: typed values, pickled on one pipe.
+
+A ticket numbers the sequences that were begun; what is said of an earlier one is of no interest any more. Pixels and points
+are never in a message: frames lie in the shared store, clouds in shared memory, where ``Found`` says which part.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from appliance.reconstruct.table import Found
+from appliance.scan.acquisition import AcquisitionSettings
+from appliance.scan.verdict import Judgement
+
+
+@dataclass(frozen=True, slots=True)
+class Begin:
+    """To the worker: the frames of a new sequence will follow."""
+
+    ticket: int
+    settings: AcquisitionSettings
+    second: bool = False
+    """They are the second exposure of the scan begun last, and lie in the second place of the store."""
+
+
+@dataclass(frozen=True, slots=True)
+class FrameStored:
+    """To the worker: frame ``index`` of the camera ``side`` is in the store."""
+
+    side: str
+    index: int
+
+
+@dataclass(frozen=True, slots=True)
+class Finish:
+    """To the worker: all frames are there; say everything that is to be said of them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Drop:
+    """To the worker: nobody wants the sequence any more."""
+
+
+@dataclass(frozen=True, slots=True)
+class Taken:
+    """To the worker: the cloud was copied, and its memory may be used again."""
+
+    ticket: int
+
+
+@dataclass(frozen=True, slots=True)
+class Ping:
+    """To the worker: answer ``Pong``."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ready:
+    """From the worker: kernels are loaded and buffers allocated."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pong:
+    """From the worker: it is there."""
+
+
+@dataclass(frozen=True, slots=True)
+class GoingOn:
+    """From the worker: one step more is done, which tells a slow processor from a process that hangs."""
+
+    ticket: int
+
+
+@dataclass(frozen=True, slots=True)
+class PatternsIdentified:
+    """From the worker: every frame shows the pattern it should."""
+
+    ticket: int
+
+
+@dataclass(frozen=True, slots=True)
+class Spoiled:
+    """From the worker: a frame shows another pattern than it should; there will be no cloud."""
+
+    ticket: int
+    judgement: Judgement
+
+
+@dataclass(frozen=True, slots=True)
+class CloudFound:
+    """From the worker: a cloud is in the shared memory; ``Taken`` is awaited."""
+
+    ticket: int
+    full: bool
+    found: Found
+    cpu_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """From the worker: what is to be said of the sequence, in place of what was said before."""
+
+    ticket: int
+    judgements: tuple[Judgement, ...]
+    cpu_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class BracketJudged:
+    """From the worker: what became of a second exposure; with a cloud, ``Taken`` is awaited."""
+
+    ticket: int
+    found: Found | None
+    """The cloud of both; ``None``: ``pair`` says why there is none."""
+    second: tuple[Judgement, ...]
+    """On the second sequence alone."""
+    pair: Judgement
+    cpu_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class SequenceFailed:
+    """From the worker: the frames are not what was agreed; the next sequence's may be."""
+
+    ticket: int
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Crashed:
+    """From the worker: its last words."""
+
+    text: str
+
+
+ToWorker = Begin | FrameStored | Finish | Drop | Taken | Ping
+FromWorker = (
+    Ready
+    | Pong
+    | GoingOn
+    | PatternsIdentified
+    | Spoiled
+    | CloudFound
+    | Judged
+    | BracketJudged
+    | SequenceFailed
+    | Crashed
+)
