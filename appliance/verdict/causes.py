@@ -19,11 +19,11 @@ from dataclasses import dataclass, replace
 from appliance.reconstruct.quality import CloudSummary
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.sides import SIDES
 from appliance.scan.verdict import Judgement, Verdict
 from appliance.verdict.usable import USABLE_COVERAGE_PERCENT, USABLE_NOISE_MM, is_usable
 
 NAME = "causes"
-SIDES = ("left", "right")
 MOVED_LIKE_FLICKER = 2.4
 """Where something moves, the judge of light sees a ripple of 1.5 to 1.7 times that which the motion makes. What exceeds this
 multiple is light."""
