@@ -83,7 +83,7 @@ JUDGES = (
     ),
     Judge("water", lambda given, _: judge_water(given.images, given.cloud, given.rig, given.water_index).judgement),
     Judge("sight", _look),
-    Judge("window", _look_at_windows, needs=("motion",)),
+    Judge("windows", _look_at_windows, needs=("motion",)),
     Judge("motion", lambda given, _: judge_motion(given.images, given.cloud, given.rig, given.water_index).judgement),
 )
 """In the order in which their verdicts are told and stored."""

@@ -104,7 +104,7 @@ class Devices:
         return drivers_rig.open_camera(spec, self._wires, self._rig.camera.kind)
 
     def _camera_rig(self, side: str) -> CameraRig:
-        return self._rig.camera.left if side == "left" else self._rig.camera.right
+        return of_side(self._rig.camera, side)
 
     def expose(self, exposure: Exposure) -> None:
         """Both cameras from their next image on; one that comes later is told then.

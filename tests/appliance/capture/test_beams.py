@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from appliance.capture.ranging_beams import Beam, Pointers
+from appliance.ranging.beams import Beam, Pointers
 
 POINTERS = Pointers((60.0, 10.0, 30.0), (20.0, 5.0, 500.0), 1.5)
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from appliance.capture.ranging_dots import Lane, contrast_of
+from appliance.ranging.dots import Lane, contrast_of
 from tests.appliance.capture.test_spots_in_pictures import BEAMS, Bench
 from tests.support.truth import WATER
 

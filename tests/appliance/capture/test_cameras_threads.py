@@ -9,10 +9,10 @@ from typing import cast
 import numpy as np
 import pytest
 
-from appliance.capture.fault import Fault, FaultCode
 from appliance.capture.grabber import Grabber, Recording
 from appliance.capture.scan import Arming, ScanSettings
-from appliance.capture.verdict import Verdict
+from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.verdict import Verdict
 from drivers.api import Board, Camera, CameraSettings, ClockReading, Frame, FrameStatus, LaserState
 from drivers.native import MonotonicClock
 from tests.appliance.capture.test_course_of_a_scan import (

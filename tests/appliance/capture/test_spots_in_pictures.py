@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.capture.ranging_beams import Beam
-from appliance.capture.ranging_dots import Lane, contrast_of
-from appliance.capture.ranging_measure import Dots, Images, Ranger
+from appliance.ranging.beams import Beam
+from appliance.ranging.dots import Lane, contrast_of
+from appliance.ranging.measure import Dots, Images, Ranger
 from hw_sim.truth import TrueRig, draw_truth, project
 from tests.support.truth import WATER, left_to_rig, true_calibration
 

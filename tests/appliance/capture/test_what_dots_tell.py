@@ -6,9 +6,9 @@ import math
 
 import pytest
 
-from appliance.capture.ranging import Range
-from appliance.capture.ranging_beams import Pointers
-from appliance.capture.ranging_measure import Dot, Dots, Ranger
+from appliance.ranging.beams import Pointers
+from appliance.ranging.measure import Dot, Dots, Ranger
+from appliance.ranging.reach import Range
 from hw_sim.truth import draw_truth
 from tests.support.truth import WATER, true_calibration
 

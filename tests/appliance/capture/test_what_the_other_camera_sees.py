@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.capture.ranging_alone import OtherCamera
-from appliance.capture.ranging_dots import contrast_of
-from appliance.capture.ranging_witness import shines_in_the_dark
+from appliance.ranging.dots import contrast_of
+from appliance.ranging.other_camera import OtherCamera
+from appliance.ranging.witness import shines_in_the_dark
 from tests.appliance.capture.test_spots_in_pictures import Array, Bench, on
 from tests.support.truth import WATER
 

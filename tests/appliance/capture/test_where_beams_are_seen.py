@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from appliance.capture.ranging_beams import Pointers
-from appliance.capture.ranging_frame import RigFrame
-from appliance.capture.ranging_light import live_light
-from appliance.capture.ranging_marks import marks_of
 from appliance.patterns.sequence import BRIGHT_CODE, DARK_CODE
+from appliance.ranging.beams import Pointers
+from appliance.ranging.expected_light import live_light
+from appliance.ranging.marks import marks_of
+from appliance.ranging.rig_frame import RigFrame
 from tests.appliance.capture.test_spots_in_pictures import BEAMS, Bench
 from tests.support.truth import WATER
 

@@ -8,7 +8,6 @@ from dataclasses import replace
 import pytest
 
 from appliance.calibration.guide import Session, Solved, Step, Verified
-from appliance.capture.fault import Fault, FaultCode
 from appliance.machine import acknowledge, asking, calibrate, gallery, menu, safety, scanning
 from appliance.machine import effects as do
 from appliance.machine import events as on
@@ -16,6 +15,7 @@ from appliance.machine.mishap import Failure, Mishap
 from appliance.machine.states import Ending, Machine, State, Task, Thermal, boot
 from appliance.machine.step import step
 from appliance.machine.texts import labels
+from appliance.scan.fault import Fault, FaultCode
 from drivers.api import Key
 from tests.appliance.machine.walks import (
     IN_USE,

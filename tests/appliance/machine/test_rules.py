@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from appliance.capture.fault import Fault, FaultCode
 from appliance.machine.alerts import RULES, Severity, alert_of
+from appliance.scan.fault import Fault, FaultCode
 from tests.appliance.machine.test_german import NUMBERS
 from tests.appliance.machine.test_what_faults_do import HEAT_AND_WATER, NEEDED, NOWHERE_TO_KEEP, WITNESSES
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.capture.exposure import Exposure
 from appliance.patterns.sequence import Direction, build_sequence
-from appliance.reconstruct.noise import CameraNoise, StereoNoise
+from appliance.scan.exposure import Exposure
+from appliance.scan.noise import CameraNoise, StereoNoise
 from appliance.service.salvage import _make_up, salvage
 from appliance.storage import manifest as form
 from appliance.storage.filesystem import LocalFileSystem

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from appliance.calibration.guide import Refusal, Session, Step, Trial, Verified
-from appliance.capture.ranging import Range, Reach
 from appliance.machine import events as on
 from appliance.machine.mishap import Failure, Mishap
 from appliance.machine.states import Answer, Calibrating, Device, OffQuestion, Task, boot
+from appliance.ranging.reach import Range, Reach
 from appliance.storage.status import StatusFile, describe
 from tests.appliance.machine.walks import MISSING, aim, capturing, run
 

@@ -16,9 +16,9 @@ import pytest
 
 from appliance.calibration.health import Reference, Trend
 from appliance.calibration.patches import COUNT
-from appliance.capture.exposure import Exposure
-from appliance.capture.fault import FaultCode
 from appliance.machine.choices import Choices
+from appliance.scan.exposure import Exposure
+from appliance.scan.fault import FaultCode
 from appliance.sealed import seal, unseal
 from appliance.storage import label
 from appliance.storage import manifest as form

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from appliance.capture.ranging_beams import Pointers
+from appliance.ranging.beams import Pointers
 from appliance.sealed import seal, unseal
 from appliance.storage.atomic import StorageError, discard, draft_of, move_folder, refused, replace_file
 from appliance.storage.beams import MAX_BYTES, BeamsFile

@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 
-from appliance.capture.exposure import Exposure
-from appliance.capture.fault import Fault, FaultCode
-from appliance.capture.verdict import Judgement, Verdict
 from appliance.reconstruct.quality import CloudSummary
+from appliance.scan.exposure import Exposure
+from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.verdict import Judgement, Verdict
 from appliance.verdict.causes import Cause, find_causes, with_causes
 
 GOOD = CloudSummary(44_597, 81.7, 530.7, 0.022, 0.001)

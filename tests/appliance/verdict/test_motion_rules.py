@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from appliance.scan.fault import FaultCode
 from appliance.patterns.sequence import build_sequence
 from appliance.reconstruct.decode import CameraDecoder, Mask
+from appliance.scan.fault import FaultCode
 from appliance.scan.noise import CameraNoise
 from appliance.verdict.motion import (
     MotionKind,

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from appliance.patterns.sequence import Direction, build_sequence
-from appliance.reconstruct.noise import CameraNoise, StereoNoise
 from appliance.reconstruct.quality import CloudSummary, QualityLimits
 from appliance.reconstruct.table import Cloud
+from appliance.scan.noise import CameraNoise, StereoNoise
 from appliance.verdict.sight import Seen, distance_of, look, see
 from tests.support import synthetic
 

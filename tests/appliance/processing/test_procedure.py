@@ -1,0 +1,133 @@
+"""One procedure for every sequence: its order, where it ends, and that it can be left and gone on with."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from appliance.processing.judges import JUDGES
+from appliance.processing.procedure import (
+    AllJudged,
+    CoarseFound,
+    FullFound,
+    Identified,
+    OneJudged,
+    SequenceProcessor,
+)
+from appliance.reconstruct.pipeline import Pipeline
+from appliance.scan.acquisition import AcquisitionSettings
+from appliance.scan.fault import FaultCode
+from hw_sim.scene import Scene
+from tests.support.rendered import WATER, RenderedScan, render_scan, true_calibration
+
+N = 24
+Frames = Mapping[str, NDArray[np.uint8]]
+
+
+@pytest.fixture(scope="module")
+def still() -> RenderedScan:
+    """A wall at rest."""
+    return render_scan(Scene("plane", texture="slight"), "nominal", 1, 400, 16)
+
+
+@pytest.fixture(scope="module")
+def wall(still: RenderedScan) -> Frames:
+    return still.frames
+
+
+@pytest.fixture(scope="module")
+def pipeline(still: RenderedScan) -> Iterator[Pipeline]:
+    with Pipeline(true_calibration(still.renderer.truth), WATER, still.sequence) as made:
+        yield made
+
+
+@pytest.fixture
+def processor(pipeline: Pipeline, still: RenderedScan) -> SequenceProcessor:
+    """The wall's frames are pushed; no step is taken."""
+    made = SequenceProcessor(pipeline, true_calibration(still.renderer.truth), WATER)
+    made.begin(AcquisitionSettings())
+    assert list(made.push_all(still.frames)) == list(range(N))
+    return made
+
+
+def test_identity_comes_before_any_cloud_and_the_judges_between_the_two(processor: SequenceProcessor) -> None:
+    steps = list(processor.steps())
+    kinds = [type(step) for step in steps]
+    assert kinds == [Identified, CoarseFound, *[OneJudged] * len(JUDGES), AllJudged, FullFound]
+    coarse, full = steps[1], steps[-1]
+    assert isinstance(coarse, CoarseFound)
+    assert isinstance(full, FullFound)
+    assert 0 < coarse.found.summary.points <= full.found.summary.points
+    assert coarse.found.gaps is None
+    assert full.found.gaps is not None, "the ray gaps are sampled from the full cloud's pixels"
+
+
+def test_verdicts_are_stored_under_the_names_of_the_table_in_its_order(processor: SequenceProcessor) -> None:
+    full = processor.run()
+    assert full is not None
+    names = [one.verdict.name for one in full.judgements]
+    judges = [judge.name for judge in JUDGES]
+    assert names[0] == "identity"
+    assert [name for name in names if name in judges] == judges
+
+
+def test_who_needs_another_judge_needs_one_that_needs_none() -> None:
+    needs = {judge.name: judge.needs for judge in JUDGES}
+    assert len(needs) == len(JUDGES), "every name once"
+    assert all(needs[other] == () for others in needs.values() for other in others)
+
+
+def test_wrong_patterns_end_it_before_any_cloud_unless_they_are_wanted_all_the_same(
+    processor: SequenceProcessor, wall: Frames
+) -> None:
+    swapped = {side: frames.copy() for side, frames in wall.items()}
+    for frames in swapped.values():
+        frames[[4, 9]] = frames[[9, 4]]
+    processor.begin(AcquisitionSettings())
+    assert len(list(processor.push_all(swapped))) == N
+    (only,) = processor.steps()
+    assert isinstance(only, Identified)
+    assert only.judgement.fault is not None
+    assert only.judgement.fault.code in {FaultCode.PATTERN_WRONG, FaultCode.PROJECTOR_TIMING}
+    assert not processor.finished
+    all_the_same = processor.process(swapped, AcquisitionSettings())
+    assert all_the_same.judgements[0].fault == only.judgement.fault
+    assert processor.finished
+
+
+def test_it_can_be_left_after_the_coarse_cloud_and_gone_on_with(
+    processor: SequenceProcessor, pipeline: Pipeline, wall: Frames
+) -> None:
+    at_once = processor.process(wall, AcquisitionSettings())
+    expected = pipeline.table.cloud(at_once.found).points_mm.copy()
+    processor.begin(AcquisitionSettings())
+    assert len(list(processor.push_all(wall))) == N
+    steps = processor.steps()
+    assert any(isinstance(step, CoarseFound) for step in steps)
+    *_, last = steps
+    assert isinstance(last, FullFound)
+    assert np.array_equal(pipeline.table.cloud(last.found).points_mm, expected)
+
+
+def test_what_has_no_full_cloud_yet_cannot_be_one_of_two(processor: SequenceProcessor) -> None:
+    with pytest.raises(ValueError, match="no full cloud yet"):
+        processor.hold()
+    processor.run()
+    assert len(processor.hold().cloud.pixel) > 0
+
+
+def test_frames_that_are_missing_are_refused(processor: SequenceProcessor, wall: Frames) -> None:
+    processor.begin(AcquisitionSettings())
+    processor.push("left", wall["left"], 0)
+    with pytest.raises(ValueError, match="frames"):
+        processor.run()
+
+
+def test_a_scan_at_rest_remembers_its_windows(processor: SequenceProcessor) -> None:
+    full = processor.run()
+    assert full is not None
+    (window,) = [one for one in full.judgements if one.verdict.name == "windows"]
+    assert window.remembered is not None
