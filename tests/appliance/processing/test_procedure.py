@@ -21,7 +21,8 @@ from appliance.reconstruct.pipeline import Pipeline
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.fault import FaultCode
 from hw_sim.scene import Scene
-from tests.support.rendered import WATER, RenderedScan, render_scan, true_calibration
+from tests.support.rendered import RenderedScan, render_scan
+from tests.support.truth import WATER, true_calibration
 
 N = 24
 Frames = Mapping[str, NDArray[np.uint8]]
