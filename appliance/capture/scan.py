@@ -5,7 +5,7 @@ Called from the thread that owns the screens; the two camera threads fill the fr
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sized
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -18,7 +18,6 @@ from appliance.capture.ledger import Ledger, audit, frame_fault
 from appliance.capture.patience import Patience
 from appliance.capture.store import FrameStore
 from appliance.capture.sync import SyncError, SyncMap, synchronise
-from appliance.patterns.sequence import PatternSequence
 from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.sides import SIDES
 from drivers.api import (
@@ -153,7 +152,10 @@ class Arming:
 
 
 class ScanRecorder:
-    """Records sequences with devices that are open and patterns that are loaded (index = frame, ``idle`` = dark)."""
+    """Records sequences with devices that are open and patterns that are loaded (index = frame, ``idle`` = dark).
+
+    What the patterns show is nothing to it: of a sequence it wants to know how many frames there are.
+    """
 
     def __init__(
         self,
@@ -171,7 +173,7 @@ class ScanRecorder:
 
     def arm(
         self,
-        sequence: PatternSequence,
+        sequence: Sized,
         store: FrameStore,
         on_frame: Callable[[str, int], None],
         *,
@@ -187,7 +189,7 @@ class ScanRecorder:
 
     def record(
         self,
-        sequence: PatternSequence,
+        sequence: Sized,
         store: FrameStore,
         on_frame: Callable[[str, int], None],
         abort: Callable[[], Fault | None],
@@ -198,7 +200,7 @@ class ScanRecorder:
             self._clock.sleep_s(ARM_POLL_S)
         return self.play(sequence, arming, abort)
 
-    def play(self, sequence: PatternSequence, arming: Arming, abort: Callable[[], Fault | None]) -> CaptureReport:
+    def play(self, sequence: Sized, arming: Arming, abort: Callable[[], Fault | None]) -> CaptureReport:
         """Record what was armed. Never raises for a device: every failure is the report's fault.
 
         ``abort()`` is asked at every vertical blank and ends the scan with the fault it returns. Ends within the

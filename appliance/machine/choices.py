@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
+from appliance.patterns.sequence import PERIODS_PX
 from appliance.scan.exposure import NOMINAL, Exposure
 
 T = TypeVar("T")
 
-PERIODS_PX = (16, 32, 64)
 COLDEST_C, WARMEST_C = -2.0, 40.0
 """As the rig file allows: where the formula of the refractive index holds."""
 FRESH_PSU, SALT_PSU = 0.0, 35.0

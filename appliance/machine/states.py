@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from appliance.calibration.guide import Session, Step, Trial
 from appliance.machine.choices import Choices, Offers
 from appliance.machine.mishap import Failure
+from appliance.patterns.sequence import PERIODS_PX, build_sequence
 from appliance.ranging.reach import Range, Reach
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault
@@ -123,7 +124,9 @@ class Settings:
     capture_margin_s: float = 5.0
     """Beyond the length of the sequence: to find the vertical blank, to wait for frames that do not come."""
     refresh_hz: float = 60.0
-    frames: Mapping[int, int] = field(default_factory=lambda: {16: 24, 32: 22, 64: 20}, hash=False)
+    frames: Mapping[int, int] = field(
+        default_factory=lambda: {period_px: len(build_sequence(period_px)) for period_px in PERIODS_PX}, hash=False
+    )
     """Of a sequence, by its period in px."""
     reconstruct_s: float = 60.0
     saving_s: float = 60.0

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
+from itertools import zip_longest
 
 import numpy as np
 from numpy.typing import NDArray
 
 from appliance.patterns.gray import bit_count, gray_bit
 from appliance.patterns.response import Response
-from appliance.patterns.sine import STEPS, sine_codes
+from appliance.patterns.sine import STEP_DEG, STEPS, sine_codes
 
 PERIODS_PX = (16, 32, 64)
 BRIGHT_CODE = 247
@@ -58,7 +59,7 @@ class Pattern:
             case Kind.GRAY:
                 return f"gray-{self.direction.value}-{self.index}"
             case Kind.SINE:
-                return f"sine-{self.direction.value}-{90 * self.index}"
+                return f"sine-{self.direction.value}-{STEP_DEG * self.index}"
 
     def codes(self, response: Response | None = None) -> NDArray[np.uint8]:
         """The 8-bit codes along the varying axis: shape (size_px,) uint8. Gray stripes use the bright code.
@@ -92,12 +93,33 @@ class Axis:
 
 @dataclass(frozen=True, slots=True)
 class PatternSequence:
-    """All patterns of a scan in the order of projection."""
+    """All patterns of a scan in the order of projection.
+
+    Whoever decodes, judges or compensates a scan may rely on this, and on nothing else (``docs/adr/0039-what-a-sequence-promises.md``):
+
+    * the bright and the dark reference are the first two frames, in whichever order;
+    * there are two directions: every frame that varies along X comes before every one that varies along Y, and the last
+      frame of Y is the last of all;
+    * a direction begins with its Gray-code images, the most significant bit first, as many as number all half periods;
+    * they are followed at once by ``STEPS`` = 4 sine images, 90° apart, in the order 0°, 90°, 180°, 270°;
+    * all have the same period and each the size of its axis.
+
+    Raises ValueError for anything else, with the first frame that is wrong.
+    """
 
     period_px: int
     width_px: int
     height_px: int
     patterns: tuple[Pattern, ...]
+
+    def __post_init__(self) -> None:
+        bright, dark, *rest = _promised(self.period_px, self.width_px, self.height_px)
+        references = (dark, bright) if self.patterns[:1] == (dark,) else (bright, dark)
+        for k, (wanted, found) in enumerate(zip_longest((*references, *rest), self.patterns)):
+            if wanted != found:
+                raise ValueError(
+                    f"frame {k} of the sequence: {_named(found)}; {_named(wanted)} belongs there (class PatternSequence)"
+                )
 
     def __len__(self) -> int:
         return len(self.patterns)
@@ -131,6 +153,11 @@ def build_sequence(period_px: int, width_px: int = 1024, height_px: int = 768) -
         raise ValueError(
             f"fringe period {period_px} px; allowed are 4..{min(width_px, height_px)} px; choose one of {PERIODS_PX}"
         )
+    return PatternSequence(period_px, width_px, height_px, tuple(_promised(period_px, width_px, height_px)))
+
+
+def _promised(period_px: int, width_px: int, height_px: int) -> list[Pattern]:
+    """The patterns in the order that ``PatternSequence`` promises."""
     patterns = [
         Pattern(Kind.BRIGHT, Direction.X, 0, period_px, width_px),
         Pattern(Kind.DARK, Direction.X, 0, period_px, width_px),
@@ -140,4 +167,8 @@ def build_sequence(period_px: int, width_px: int = 1024, height_px: int = 768) -
             Pattern(Kind.GRAY, direction, bit, period_px, size_px) for bit in range(bit_count(size_px, period_px))
         ]
         patterns += [Pattern(Kind.SINE, direction, step, period_px, size_px) for step in range(STEPS)]
-    return PatternSequence(period_px, width_px, height_px, tuple(patterns))
+    return patterns
+
+
+def _named(pattern: Pattern | None) -> str:
+    return "nothing" if pattern is None else f"{pattern.name} ({pattern.size_px} px, period {pattern.period_px} px)"

@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 STEPS = 4
+"""Of 90° each; ``PatternSequence`` says what relies on it."""
+STEP_DEG = 360 // STEPS
 MEAN_CODE = 127.5
 AMPLITUDE_CODE = 119.5
 """Codes run from 8 to 247: clear of the ends of the scale, where projectors clip."""

@@ -24,7 +24,7 @@ from appliance.capture.grabber import Grabber
 from appliance.capture.scan import ScanRecorder, ScanSettings
 from appliance.capture.store import FrameStore
 from appliance.config import Rig
-from appliance.patterns.sequence import Direction, Kind, Pattern, PatternSequence
+from appliance.patterns.sequence import Direction, Kind, Pattern
 from appliance.scan.fault import Fault
 from appliance.scan.sides import SIDES
 from appliance.service.air import find_boards, pairs_of
@@ -129,9 +129,6 @@ def _takes(rig: Rig, wires: Wires, lit: bool) -> Iterator[Callable[[], tuple[Ima
     """Inside: a function that takes PICTURES pictures with each camera, (n, h, w), or tells what went wrong."""
     kind = Kind.BRIGHT if lit else Kind.DARK
     pattern = Pattern(kind, Direction.X, 0, rig.scan.period_px, rig.projector.width_px)
-    sequence = PatternSequence(
-        rig.scan.period_px, rig.projector.width_px, rig.projector.height_px, (pattern,) * PICTURES
-    )
     shown = np.ascontiguousarray(
         np.broadcast_to(pattern.codes(), (rig.projector.height_px, rig.projector.width_px)), np.uint8
     )
@@ -149,7 +146,7 @@ def _takes(rig: Rig, wires: Wires, lit: bool) -> Iterator[Callable[[], tuple[Ima
         recorder = ScanRecorder(grabbers, board, projector, wires.clock, settings)
 
         def take() -> tuple[Image, Image] | Fault:
-            report = recorder.record(sequence, store, lambda _side, _index: None, lambda: None)
+            report = recorder.record((pattern,) * PICTURES, store, lambda _side, _index: None, lambda: None)
             if report.fault is not None:
                 return report.fault
             return store.frames("left").copy(), store.frames("right").copy()

@@ -21,11 +21,11 @@ from appliance.config import Rig
 from appliance.machine import effects as do
 from appliance.machine import events as on
 from appliance.machine.alerts import lengths_doubtful
-from appliance.machine.choices import PERIODS_PX, Choices, offers_of
+from appliance.machine.choices import Choices, offers_of
 from appliance.machine.keys import meaning
 from appliance.machine.states import Limits, Machine, Part, Settings, State, boot
 from appliance.machine.step import step
-from appliance.patterns.sequence import build_sequence
+from appliance.patterns.sequence import PERIODS_PX, build_sequence
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.sides import SIDES

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.patterns.sequence import Direction, Kind, PatternSequence, build_sequence
+from appliance.patterns.sine import STEPS
 from appliance.scan.noise import CameraNoise, StereoNoise
 from appliance.scan.sides import SIDES, of_side
 from appliance.storage import scan as stored
@@ -111,7 +112,7 @@ def _make_up(frames: Frames, sequence: PatternSequence, lost: Sequence[int], wha
                 raise ScanError(
                     f"{what}: two of the four sine images of a direction are lost; bring the folder back from a copy"
                 )
-            frames[k] = _sine(*(frames[steps[(pattern.index + by) % 4]] for by in (1, 2, 3)))
+            frames[k] = _sine(*(frames[steps[(pattern.index + by) % STEPS]] for by in (1, 2, 3)))
             variance = THREE_STEP_VARIANCE
             said.append(f"{pattern.name} was made up from the other three steps")
     if sequence.bright in lost and sequence.dark in lost:

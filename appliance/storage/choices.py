@@ -12,7 +12,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from appliance.machine.choices import COLDEST_C, LANGUAGES, PERIODS_PX, WARMEST_C, Choices
+from appliance.machine.choices import COLDEST_C, LANGUAGES, WARMEST_C, Choices
+from appliance.patterns.sequence import PERIODS_PX
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault, FaultCode
 from appliance.sealed import seal, unseal

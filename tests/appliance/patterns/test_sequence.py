@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from appliance.patterns.gray import inverse_gray
-from appliance.patterns.sequence import Direction, Kind, build_sequence
+from appliance.patterns.sequence import Direction, Kind, Pattern, PatternSequence, build_sequence
 
 
 @pytest.mark.parametrize(("period_px", "frames", "bits"), [(16, 24, 7), (32, 22, 6), (64, 20, 5)])
@@ -56,3 +58,64 @@ def test_every_frame_is_named_once_and_references_come_first() -> None:
 def test_a_period_out_of_range_names_itself_and_the_range() -> None:
     with pytest.raises(ValueError, match=r"fringe period 3 px; allowed are 4\.\.768 px"):
         build_sequence(3)
+
+
+def changed(change: str) -> list[Pattern]:
+    """The patterns of a sequence with a period of 64 px (bright, dark, 5 + 4 of X, 5 + 4 of Y) with one thing wrong."""
+    patterns = list(build_sequence(64).patterns)
+    match change:
+        case "two steps exchanged":
+            patterns[8], patterns[9] = patterns[9], patterns[8]
+        case "three steps":
+            del patterns[10]
+        case "five steps":
+            patterns.insert(11, replace(patterns[10], index=4))
+        case "one direction":
+            del patterns[11:]
+        case "Y before X":
+            patterns[2:] = patterns[11:] + patterns[2:11]
+        case "least significant bit first":
+            patterns[2:7] = patterns[6:1:-1]
+        case "sines before Gray":
+            patterns[2:11] = patterns[7:11] + patterns[2:7]
+        case "no dark":
+            del patterns[1]
+        case "dark at the end":
+            patterns.append(patterns.pop(1))
+        case "another period":
+            patterns[9] = replace(patterns[9], period_px=32)
+        case "another size":
+            patterns[16] = replace(patterns[16], size_px=1024)
+        case "one frame more":
+            patterns.append(patterns[-1])
+        case _:
+            raise ValueError(change)
+    return patterns
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ("two steps exchanged", r"frame 8 .* sine-x-180 .*; sine-x-90 .* belongs there"),
+        ("three steps", r"frame 10 .* gray-y-0 .*; sine-x-270"),
+        ("five steps", r"frame 11 .* sine-x-360 .*; gray-y-0"),
+        ("one direction", r"frame 11 .* nothing; gray-y-0"),
+        ("Y before X", r"frame 2 .* gray-y-0 .*; gray-x-0"),
+        ("least significant bit first", r"frame 2 .* gray-x-4 .*; gray-x-0"),
+        ("sines before Gray", r"frame 2 .* sine-x-0 .*; gray-x-0"),
+        ("no dark", r"frame 1 .* gray-x-0 .*; dark"),
+        ("dark at the end", r"frame 1 .* gray-x-0 .*; dark"),
+        ("another period", r"frame 9 .* sine-x-180 \(1024 px, period 32 px\); sine-x-180 \(1024 px, period 64 px\)"),
+        ("another size", r"frame 16 .* sine-y-0 \(1024 px, .*; sine-y-0 \(768 px"),
+        ("one frame more", r"frame 20 .* sine-y-270 .*; nothing belongs there"),
+    ],
+)
+def test_a_sequence_that_breaks_what_its_judges_rely_on_cannot_be_made(change: str, said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        PatternSequence(64, 1024, 768, tuple(changed(change)))
+
+
+def test_dark_may_come_before_bright() -> None:
+    bright, dark, *rest = build_sequence(32).patterns
+    sequence = PatternSequence(32, 1024, 768, (dark, bright, *rest))
+    assert (sequence.bright, sequence.dark) == (1, 0)
