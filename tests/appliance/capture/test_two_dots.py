@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.appliance.capture.test_course_of_a_scan import a_bench
-from tests.appliance.capture.test_spots_in_pictures import BEAMS, HEIGHT_DN, Bench, on
+from tests.appliance.ranging.test_spots_in_pictures import BEAMS, HEIGHT_DN, Bench, on
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from appliance.ranging.beams import Pointers
 from appliance.ranging.expected_light import live_light
 from appliance.ranging.marks import marks_of
 from appliance.ranging.rig_frame import RigFrame
-from tests.appliance.capture.test_spots_in_pictures import BEAMS, Bench
+from tests.appliance.ranging.test_spots_in_pictures import BEAMS, Bench
 from tests.support.truth import WATER
 
 Row = tuple[float, float, float]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from appliance.ranging.dots import contrast_of
 from appliance.ranging.other_camera import OtherCamera
 from appliance.ranging.witness import shines_in_the_dark
-from tests.appliance.capture.test_spots_in_pictures import Array, Bench, on
+from tests.appliance.ranging.test_spots_in_pictures import Array, Bench, on
 from tests.support.truth import WATER
 
 CONTRAST_DN = 100.0

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from appliance.ranging.dots import Lane, contrast_of
-from tests.appliance.capture.test_spots_in_pictures import BEAMS, Bench
+from tests.appliance.ranging.test_spots_in_pictures import BEAMS, Bench
 from tests.support.truth import WATER
 
 
