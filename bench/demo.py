@@ -167,7 +167,7 @@ def in_words(summary: Mapping[str, Any], scanned: str, out: Path) -> list[str]:
     wall_s = summary["wall_s"]
     outliers = round(1e-6 * summary["outliers_ppm"] * summary["points"])
     return [
-        f"ScanImages a {scanned} under water with the simulated instrument, from key press to saved cloud:",
+        f"Scanned a {scanned} under water with the simulated instrument, from key press to saved cloud:",
         f"  images        {summary['frames']} from each camera, {f'{bad} of them bad' if bad else 'none missing'}",
         f"  points        {summary['points']:,}",
         f"  completeness  {summary['completeness_percent']:.1f} % of what both cameras see in the projector's light",

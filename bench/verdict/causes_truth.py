@@ -1,7 +1,7 @@
 """Owns what a scan is truly worth, and which factors of a scene truly spoil it: by taking them away, one by one.
 
 A scan's worth is counted against the true surface, with none of the product's judges: how many points lie within a millimetre of
-it, and how far these are off (after the rigid displacement that moving hands leave). AcquisitionSettings a factor away *mends* a scan
+it, and how far these are off (after the rigid displacement that moving hands leave). Taking a factor away *mends* a scan
 where it gives more points, by a tenth of those that the unspoilt base gives, or points that err less by 3 %. A factor is a
 true cause where taking it away mends the scan. Where no single one does, since two of them spoil it each by itself, each
 is one whose presence alone spoils the base.
