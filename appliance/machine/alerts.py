@@ -1,6 +1,7 @@
-"""Owns the diver's words for every fault: one row each, and the list to show at a moment.
+"""Owns the diver's words for every fault, in each language: one row each, and the list to show at a moment.
 
-A headline has at most 16 characters, an action at most 32; both are read under water, in grey.
+A headline has at most 16 characters (in German 21), an action at most 32; both are read under water, in grey. Whether they fit
+their room is measured.
 """
 
 from __future__ import annotations
@@ -11,8 +12,8 @@ from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from types import MappingProxyType
 
-from appliance.machine import german
 from appliance.machine.states import Machine, NoticeKind, State
+from appliance.machine.words import Language, Words
 from appliance.scan.fault import Fault, FaultCode
 from drivers.api import Key
 
@@ -50,10 +51,10 @@ class Rule:
     """A row of the table. ``headline`` is used when all its numbers are known, else ``plain``."""
 
     severity: Severity
-    headline: str
-    action: str
-    plain: str = ""
-    exchanged: str = ""
+    headline: Words
+    action: Words
+    plain: Words | None = None
+    exchanged: Words | None = None
     """Instead of ``action``, with the camera's name, where the fault names a camera."""
     blocks_scan: bool = False
     """While it lasts, SCAN is refused."""
@@ -75,155 +76,376 @@ class Rule:
 
 
 _I, _W, _C = Severity.INFO, Severity.WARNING, Severity.CRITICAL
-_INCOMPLETE = "INCOMPLETE {received:.0f}/{expected:.0f}"
+_INCOMPLETE = Words("INCOMPLETE {received:.0f}/{expected:.0f}", "UNVOLLSTÄNDIG {received:.0f}/{expected:.0f}")
+_REPEAT = Words("REPEAT", "NOCHMAL")
+_CONNECTOR = Words("CHECK CONNECTOR", "STECKER PRÜFEN")
 
 RULES: Mapping[FaultCode, Rule] = MappingProxyType(
     {
-        FaultCode.FRAME_MISSING: Rule(_W, _INCOMPLETE, "REPEAT", "INCOMPLETE", spoils_scan=True),
-        FaultCode.FRAME_REPEATED: Rule(_W, _INCOMPLETE, "REPEAT", "FRAME REPEATED", spoils_scan=True),
-        FaultCode.FRAME_ORDER: Rule(_W, _INCOMPLETE, "REPEAT", "FRAME ORDER", spoils_scan=True),
-        FaultCode.FRAME_TRUNCATED: Rule(_W, _INCOMPLETE, "REPEAT", "FRAME CUT SHORT", spoils_scan=True),
-        FaultCode.FRAME_CORRUPT: Rule(_W, _INCOMPLETE, "REPEAT", "FRAME DAMAGED", spoils_scan=True),
-        FaultCode.CAMERA_STUCK: Rule(_W, "{side}CAM STUCK", "REPEAT", "CAMERA STUCK", spoils_scan=True),
-        FaultCode.PATTERN_WRONG: Rule(_W, "WRONG PATTERN", "REPEAT", spoils_scan=True),
-        FaultCode.SYNC_LOST: Rule(_W, "SYNC LOST", "REPEAT; CHECK TRIGGER CABLES", spoils_scan=True),
-        FaultCode.LATE_FLIP: Rule(_W, "PROJECTOR LATE", "REPEAT", spoils_scan=True),
-        FaultCode.PROJECTOR_TIMING: Rule(_W, "PROJECTOR TIMING", "REPEAT; RESTART IF AGAIN", spoils_scan=True),
-        FaultCode.PROJECTOR_DARK: Rule(_W, "PROJECTOR DARK", "CHECK LAMP AND VIDEO CABLE", spoils_scan=True),
+        FaultCode.FRAME_MISSING: Rule(_W, _INCOMPLETE, _REPEAT, Words("INCOMPLETE", "UNVOLLSTÄNDIG"), spoils_scan=True),
+        FaultCode.FRAME_REPEATED: Rule(
+            _W, _INCOMPLETE, _REPEAT, Words("FRAME REPEATED", "BILD DOPPELT"), spoils_scan=True
+        ),
+        FaultCode.FRAME_ORDER: Rule(
+            _W, _INCOMPLETE, _REPEAT, Words("FRAME ORDER", "BILDFOLGE FALSCH"), spoils_scan=True
+        ),
+        FaultCode.FRAME_TRUNCATED: Rule(
+            _W, _INCOMPLETE, _REPEAT, Words("FRAME CUT SHORT", "BILD ABGESCHNITTEN"), spoils_scan=True
+        ),
+        FaultCode.FRAME_CORRUPT: Rule(
+            _W, _INCOMPLETE, _REPEAT, Words("FRAME DAMAGED", "BILD BESCHÄDIGT"), spoils_scan=True
+        ),
+        FaultCode.CAMERA_STUCK: Rule(
+            _W,
+            Words("{side}CAM STUCK", "{side}KAMERA HÄNGT"),
+            _REPEAT,
+            Words("CAMERA STUCK", "KAMERA HÄNGT"),
+            spoils_scan=True,
+        ),
+        FaultCode.PATTERN_WRONG: Rule(_W, Words("WRONG PATTERN", "FALSCHES MUSTER"), _REPEAT, spoils_scan=True),
+        FaultCode.SYNC_LOST: Rule(
+            _W,
+            Words("SYNC LOST", "KEIN GLEICHTAKT"),
+            Words("REPEAT; CHECK TRIGGER CABLES", "NOCHMAL; TRIGGERKABEL PRÜFEN"),
+            spoils_scan=True,
+        ),
+        FaultCode.LATE_FLIP: Rule(_W, Words("PROJECTOR LATE", "PROJEKTOR SPÄT"), _REPEAT, spoils_scan=True),
+        FaultCode.PROJECTOR_TIMING: Rule(
+            _W,
+            Words("PROJECTOR TIMING", "PROJEKTORTAKT"),
+            Words("REPEAT; RESTART IF AGAIN", "NOCHMAL; SONST NEU STARTEN"),
+            spoils_scan=True,
+        ),
+        FaultCode.PROJECTOR_DARK: Rule(
+            _W,
+            Words("PROJECTOR DARK", "PROJEKTOR DUNKEL"),
+            Words("CHECK LAMP AND VIDEO CABLE", "LAMPE UND VIDEOKABEL PRÜFEN"),
+            spoils_scan=True,
+        ),
         FaultCode.PULSE_MISSING: Rule(
-            _W, "PULSES {received:.0f}/{expected:.0f}", "REPEAT", "PULSE MISSING", spoils_scan=True
+            _W,
+            Words("PULSES {received:.0f}/{expected:.0f}", "PULSE {received:.0f}/{expected:.0f}"),
+            _REPEAT,
+            Words("PULSE MISSING", "PULS FEHLT"),
+            spoils_scan=True,
         ),
-        FaultCode.CAPTURE_TIMEOUT: Rule(_W, "SCAN TIMED OUT", "REPEAT", spoils_scan=True),
-        FaultCode.MOVED: Rule(_W, "MOVED {shift_px:.1f} px", "REPEAT", "MOVED", spoils_points=True),
-        FaultCode.COMPENSATED: Rule(_I, "MOTION CORRECTED", "KEEP, OR REPEAT HELD STILL"),
-        FaultCode.TOO_BRIGHT: Rule(_W, "TOO BRIGHT", "SHORTEN EXPOSURE, REPEAT"),
-        FaultCode.TOO_DARK: Rule(_W, "TOO DARK", "GO CLOSER OR LENGTHEN EXPOSURE"),
+        FaultCode.CAPTURE_TIMEOUT: Rule(_W, Words("SCAN TIMED OUT", "SCAN ZU LANGSAM"), _REPEAT, spoils_scan=True),
+        FaultCode.MOVED: Rule(
+            _W,
+            Words("MOVED {shift_px:.1f} px", "BEWEGT {shift_px:.1f} px"),
+            _REPEAT,
+            Words("MOVED", "BEWEGT"),
+            spoils_points=True,
+        ),
+        FaultCode.COMPENSATED: Rule(
+            _I,
+            Words("MOTION CORRECTED", "BEWEGUNG BEHOBEN"),
+            Words("KEEP, OR REPEAT HELD STILL", "BEHALTEN, ODER NOCHMAL RUHIGER"),
+        ),
+        FaultCode.TOO_BRIGHT: Rule(
+            _W, Words("TOO BRIGHT", "ZU HELL"), Words("SHORTEN EXPOSURE, REPEAT", "KÜRZER BELICHTEN, NOCHMAL")
+        ),
+        FaultCode.TOO_DARK: Rule(
+            _W, Words("TOO DARK", "ZU DUNKEL"), Words("GO CLOSER OR LENGTHEN EXPOSURE", "NÄHER HERAN, LÄNGER BELICHTEN")
+        ),
         FaultCode.WATER_DIRTY: Rule(
-            _W, "WATER DIRTY {coverage_percent:.0f}%", "LET IT SETTLE OR GO CLOSER", "WATER DIRTY"
+            _W,
+            Words("WATER DIRTY {coverage_percent:.0f}%", "WASSER TRÜB {coverage_percent:.0f} %"),
+            Words("LET IT SETTLE OR GO CLOSER", "WARTEN ODER NÄHER HERAN"),
+            Words("WATER DIRTY", "WASSER TRÜB"),
         ),
-        FaultCode.SCAN_NEAR: Rule(_W, "NEAR {distance_mm:.0f} mm", "BACK, REPEAT", "TOO NEAR"),
-        FaultCode.SCAN_FAR: Rule(_W, "FAR {distance_mm:.0f} mm", "GO CLOSER, REPEAT", "TOO FAR"),
-        FaultCode.NOTHING_SEEN: Rule(_W, "NOTHING SEEN", "GO CLOSER; IS LIGHT COVERED?"),
-        FaultCode.SCAN_POOR: Rule(_W, "POOR, CAUSE ?", "GO CLOSER, HOLD STILL, REPEAT"),
-        FaultCode.LIGHT_FLICKERS: Rule(_W, "LIGHT FLICKERS", "SHADE OR MOVE AWAY, REPEAT", spoils_points=True),
-        FaultCode.AMBIENT: Rule(_W, "TOO MUCH LIGHT", "SHADE IT, TURN TORCHES AWAY"),
+        FaultCode.SCAN_NEAR: Rule(
+            _W,
+            Words("NEAR {distance_mm:.0f} mm", "NAH {distance_mm:.0f} mm"),
+            Words("BACK, REPEAT", "ZURÜCK, NOCHMAL"),
+            Words("TOO NEAR", "ZU NAH"),
+        ),
+        FaultCode.SCAN_FAR: Rule(
+            _W,
+            Words("FAR {distance_mm:.0f} mm", "WEIT {distance_mm:.0f} mm"),
+            Words("GO CLOSER, REPEAT", "NÄHER HERAN, NOCHMAL"),
+            Words("TOO FAR", "ZU WEIT"),
+        ),
+        FaultCode.NOTHING_SEEN: Rule(
+            _W,
+            Words("NOTHING SEEN", "NICHTS ZU SEHEN"),
+            Words("GO CLOSER; IS LIGHT COVERED?", "NÄHER HERAN; LICHT VERDECKT?"),
+        ),
+        FaultCode.SCAN_POOR: Rule(
+            _W,
+            Words("POOR, CAUSE ?", "SCHLECHT, WARUM?"),
+            Words("GO CLOSER, HOLD STILL, REPEAT", "NÄHER, STILL HALTEN, NOCHMAL"),
+        ),
+        FaultCode.LIGHT_FLICKERS: Rule(
+            _W,
+            Words("LIGHT FLICKERS", "LICHT FLACKERT"),
+            Words("SHADE OR MOVE AWAY, REPEAT", "ABSCHATTEN, WEG DAVON, NOCHMAL"),
+            spoils_points=True,
+        ),
+        FaultCode.AMBIENT: Rule(
+            _W,
+            Words("TOO MUCH LIGHT", "ZU VIEL LICHT"),
+            Words("SHADE IT, TURN TORCHES AWAY", "ABSCHATTEN, LAMPEN WEGDREHEN"),
+        ),
         FaultCode.CAMERA_LOST: Rule(
-            _W, "{side}CAM LOST", "CHECK CONNECTOR", "CAMERA LOST", blocks_scan=True, stops_capture=True
+            _W,
+            Words("{side}CAM LOST", "{side}KAMERA FEHLT"),
+            _CONNECTOR,
+            Words("CAMERA LOST", "KAMERA FEHLT"),
+            blocks_scan=True,
+            stops_capture=True,
         ),
         FaultCode.CAMERA_SLOW_LINK: Rule(
-            _W, "CAMERA LINK SLOW", "CHECK CONNECTOR", blocks_scan=True, stops_capture=True
+            _W, Words("CAMERA LINK SLOW", "KAMERA LANGSAM"), _CONNECTOR, blocks_scan=True, stops_capture=True
         ),
         FaultCode.CAMERA_REFUSED: Rule(
-            _W, "{side}CAM REFUSED", "ASHORE: CHECK RIG FILE", "CAMERA REFUSED", blocks_scan=True, stops_capture=True
+            _W,
+            Words("{side}CAM REFUSED", "{side}KAMERA GESTÖRT"),
+            Words("ASHORE: CHECK RIG FILE", "AN LAND: EINSTELLUNG PRÜFEN"),
+            Words("CAMERA REFUSED", "KAMERA GESTÖRT"),
+            blocks_scan=True,
+            stops_capture=True,
         ),
-        FaultCode.PROJECTOR_LOST: Rule(_W, "PROJECTOR LOST", "CHECK CONNECTOR", blocks_scan=True, stops_capture=True),
-        FaultCode.DISPLAY_LOST: Rule(_W, "DISPLAY LOST", "CHECK CONNECTOR"),
-        FaultCode.BOARD_LOST: Rule(_W, "BOARD LOST", "CHECK CONNECTOR", blocks_scan=True, stops_capture=True),
-        FaultCode.BOARD_RESET: Rule(_W, "BOARD RESET", "REPEAT IF A SCAN WAS RUNNING", spoils_scan=True),
-        FaultCode.VSYNC_LOST: Rule(_W, "NO VIDEO SIGNAL", "CHECK VIDEO CABLE", blocks_scan=True, stops_capture=True),
-        FaultCode.LASER_ON: Rule(_C, "LASER ON", "SCAN BLOCKED", blocks_scan=True, stops_capture=True),
-        FaultCode.LASER_FAILED: Rule(_W, "LASER OUT", "DISTANCE FROM ONE DOT"),
-        FaultCode.KEYS_LOST: Rule(_W, "KEYS LOST", "CHECK CONNECTOR"),
-        FaultCode.KEY_STUCK: Rule(_W, "KEY STUCK", "USE THE KEY WITH ITS LABEL"),
-        FaultCode.TOO_NEAR: Rule(_W, "NEAR {distance_mm:.0f} mm", "BACK, OR SCAN AGAIN TO RECORD", "TOO NEAR"),
-        FaultCode.TOO_FAR: Rule(_W, "FAR {distance_mm:.0f} mm", "CLOSER, OR SCAN AGAIN TO RECORD", "TOO FAR"),
-        FaultCode.AIM_DARK: Rule(_W, "TOO DARK TO SCAN", "GO CLOSER OR LENGTHEN EXPOSURE", passing=True),
-        FaultCode.AIM_TURBID: Rule(_W, "WATER TOO TURBID", "GO CLOSER OR LET IT SETTLE", passing=True),
-        FaultCode.AIM_FAST: Rule(_W, "MOVING TOO FAST", "HOLD STILL, THEN SCAN", passing=True),
-        FaultCode.STORAGE_FULL: Rule(_W, "STORAGE FULL", "COPY SCANS, MAKE ROOM", blocks_scan=True),
-        FaultCode.DISK_READ_ONLY: Rule(_W, "DISK READ-ONLY", "END DIVE, DISK NEEDS SERVICE", blocks_scan=True),
-        FaultCode.DISK_REFUSES: Rule(_W, "DISK REFUSES", "END DIVE, DISK NEEDS SERVICE", blocks_scan=True),
-        FaultCode.NOT_SAVED: Rule(_C, "NOT SAVED", "TRY AGAIN OR REPEAT"),
-        FaultCode.RESTARTED: Rule(_W, "RESTARTED", "GO ON; SAVED SCANS ARE THERE"),
-        FaultCode.SCAN_RECOVERED: Rule(_W, "SCAN RECOVERED", "IT IS IN THE GALLERY"),
-        FaultCode.UPDATE_UNDONE: Rule(_W, "UPDATE UNDONE", "THE OLD VERSION GOES ON"),
-        FaultCode.SETTINGS_LOST: Rule(_W, "SETTINGS LOST", "CHECK THEM IN THE MENU"),
+        FaultCode.PROJECTOR_LOST: Rule(
+            _W, Words("PROJECTOR LOST", "PROJEKTOR FEHLT"), _CONNECTOR, blocks_scan=True, stops_capture=True
+        ),
+        FaultCode.DISPLAY_LOST: Rule(_W, Words("DISPLAY LOST", "ANZEIGE FEHLT"), _CONNECTOR),
+        FaultCode.BOARD_LOST: Rule(
+            _W, Words("BOARD LOST", "PLATINE FEHLT"), _CONNECTOR, blocks_scan=True, stops_capture=True
+        ),
+        FaultCode.BOARD_RESET: Rule(
+            _W,
+            Words("BOARD RESET", "PLATINE NEU GESTARTET"),
+            Words("REPEAT IF A SCAN WAS RUNNING", "LIEF EIN SCAN: NOCHMAL"),
+            spoils_scan=True,
+        ),
+        FaultCode.VSYNC_LOST: Rule(
+            _W,
+            Words("NO VIDEO SIGNAL", "KEIN VIDEOSIGNAL"),
+            Words("CHECK VIDEO CABLE", "VIDEOKABEL PRÜFEN"),
+            blocks_scan=True,
+            stops_capture=True,
+        ),
+        FaultCode.LASER_ON: Rule(
+            _C,
+            Words("LASER ON", "LASER AN"),
+            Words("SCAN BLOCKED", "SCAN GESPERRT"),
+            blocks_scan=True,
+            stops_capture=True,
+        ),
+        FaultCode.LASER_FAILED: Rule(
+            _W, Words("LASER OUT", "LASER FEHLT"), Words("DISTANCE FROM ONE DOT", "ABSTAND AUS EINEM PUNKT")
+        ),
+        FaultCode.KEYS_LOST: Rule(_W, Words("KEYS LOST", "TASTEN FEHLEN"), _CONNECTOR),
+        FaultCode.KEY_STUCK: Rule(
+            _W, Words("KEY STUCK", "TASTE KLEMMT"), Words("USE THE KEY WITH ITS LABEL", "BESCHRIFTETE TASTE NEHMEN")
+        ),
+        FaultCode.TOO_NEAR: Rule(
+            _W,
+            Words("NEAR {distance_mm:.0f} mm", "NAH {distance_mm:.0f} mm"),
+            Words("BACK, OR SCAN AGAIN TO RECORD", "ZURÜCK, ODER NOCHMAL DRÜCKEN"),
+            Words("TOO NEAR", "ZU NAH"),
+        ),
+        FaultCode.TOO_FAR: Rule(
+            _W,
+            Words("FAR {distance_mm:.0f} mm", "WEIT {distance_mm:.0f} mm"),
+            Words("CLOSER, OR SCAN AGAIN TO RECORD", "NÄHER, ODER NOCHMAL DRÜCKEN"),
+            Words("TOO FAR", "ZU WEIT"),
+        ),
+        FaultCode.AIM_DARK: Rule(
+            _W,
+            Words("TOO DARK TO SCAN", "ZU DUNKEL"),
+            Words("GO CLOSER OR LENGTHEN EXPOSURE", "NÄHER HERAN, LÄNGER BELICHTEN"),
+            passing=True,
+        ),
+        FaultCode.AIM_TURBID: Rule(
+            _W,
+            Words("WATER TOO TURBID", "WASSER ZU TRÜB"),
+            Words("GO CLOSER OR LET IT SETTLE", "NÄHER HERAN ODER WARTEN"),
+            passing=True,
+        ),
+        FaultCode.AIM_FAST: Rule(
+            _W,
+            Words("MOVING TOO FAST", "ZU UNRUHIG"),
+            Words("HOLD STILL, THEN SCAN", "STILL HALTEN, DANN SCANNEN"),
+            passing=True,
+        ),
+        FaultCode.STORAGE_FULL: Rule(
+            _W,
+            Words("STORAGE FULL", "SPEICHER VOLL"),
+            Words("COPY SCANS, MAKE ROOM", "SCANS KOPIEREN, PLATZ SCHAFFEN"),
+            blocks_scan=True,
+        ),
+        FaultCode.DISK_READ_ONLY: Rule(
+            _W,
+            Words("DISK READ-ONLY", "SPEICHER NUR LESBAR"),
+            Words("END DIVE, DISK NEEDS SERVICE", "AUFTAUCHEN, SPEICHER PRÜFEN"),
+            blocks_scan=True,
+        ),
+        FaultCode.DISK_REFUSES: Rule(
+            _W,
+            Words("DISK REFUSES", "SPEICHER GESTÖRT"),
+            Words("END DIVE, DISK NEEDS SERVICE", "AUFTAUCHEN, SPEICHER PRÜFEN"),
+            blocks_scan=True,
+        ),
+        FaultCode.NOT_SAVED: Rule(
+            _C, Words("NOT SAVED", "NICHT GESPEICHERT"), Words("TRY AGAIN OR REPEAT", "ERNEUT SPEICHERN ODER NOCHMAL")
+        ),
+        FaultCode.RESTARTED: Rule(
+            _W,
+            Words("RESTARTED", "NEU GESTARTET"),
+            Words("GO ON; SAVED SCANS ARE THERE", "WEITER; GESPEICHERTES IST DA"),
+        ),
+        FaultCode.SCAN_RECOVERED: Rule(
+            _W, Words("SCAN RECOVERED", "SCAN GERETTET"), Words("IT IS IN THE GALLERY", "ER IST IN DER GALERIE")
+        ),
+        FaultCode.UPDATE_UNDONE: Rule(
+            _W,
+            Words("UPDATE UNDONE", "UPDATE VERWORFEN"),
+            Words("THE OLD VERSION GOES ON", "ALTE VERSION LÄUFT WEITER"),
+        ),
+        FaultCode.SETTINGS_LOST: Rule(
+            _W, Words("SETTINGS LOST", "EINSTELLUNG VERLOREN"), Words("CHECK THEM IN THE MENU", "IM MENÜ PRÜFEN")
+        ),
         FaultCode.UNCALIBRATED: Rule(
-            _W, "UNCALIBRATED", "LENGTHS NOT TRUSTED", doubts_lengths=True, exchanged="{camera} EXCHANGED"
+            _W,
+            Words("UNCALIBRATED", "UNKALIBRIERT"),
+            Words("LENGTHS NOT TRUSTED", "LÄNGEN NICHT VERLÄSSLICH"),
+            doubts_lengths=True,
+            exchanged=Words("{camera} EXCHANGED", "{camera} GETAUSCHT"),
         ),
         FaultCode.LENGTH_ERROR: Rule(
             _W,
-            "LENGTH ERR {error_percent:.1f} %",
-            "CHECK WATER, THEN CALIBRATE",
-            "LENGTH ERROR",
+            Words("LENGTH ERR {error_percent:.1f} %", "LÄNGENFEHLER {error_percent:.1f} %"),
+            Words("CHECK WATER, THEN CALIBRATE", "WASSER PRÜFEN, KALIBRIEREN"),
+            Words("LENGTH ERROR", "LÄNGENFEHLER"),
             doubts_lengths=True,
             worsens={"error_percent": 0.2},
         ),
-        FaultCode.VERIFY_CALIBRATION: Rule(_W, "VERIFY CALIBR.", "CHECK WATER AND BALL BAR", doubts_lengths=True),
-        FaultCode.RECONSTRUCTION_FAILED: Rule(_W, "PROCESS LATER", "KEEP RAW FRAMES OR REPEAT"),
-        FaultCode.WINDOW: Rule(_W, "{side}WINDOW?", "WIPE IT; FOG INSIDE: DRY IT", "WINDOW?"),
+        FaultCode.VERIFY_CALIBRATION: Rule(
+            _W,
+            Words("VERIFY CALIBR.", "KALIBRIERUNG PRÜFEN"),
+            Words("CHECK WATER AND BALL BAR", "WASSER UND KUGELSTAB PRÜFEN"),
+            doubts_lengths=True,
+        ),
+        FaultCode.RECONSTRUCTION_FAILED: Rule(
+            _W,
+            Words("PROCESS LATER", "SPÄTER RECHNEN"),
+            Words("KEEP RAW FRAMES OR REPEAT", "ROHBILDER BEHALTEN ODER NOCHMAL"),
+        ),
+        FaultCode.WINDOW: Rule(
+            _W,
+            Words("{window_side}WINDOW?", "{window_side}FENSTER?"),
+            Words("WIPE IT; FOG INSIDE: DRY IT", "ABWISCHEN; INNEN: TROCKNEN"),
+            Words("WINDOW?", "FENSTER?"),
+        ),
         FaultCode.WARM: Rule(
-            _W, "WARM {temperature_c:.0f} °C", "LET IT COOL SOON", "WARM", worsens={"temperature_c": 2.0}
+            _W,
+            Words("WARM {temperature_c:.0f} °C", "WARM {temperature_c:.0f} °C"),
+            Words("LET IT COOL SOON", "BALD ABKÜHLEN LASSEN"),
+            Words("WARM", "WARM"),
+            worsens={"temperature_c": 2.0},
         ),
         FaultCode.HOT: Rule(
-            _C, "HOT {temperature_c:.0f} °C", "COOLING, SCAN BLOCKED", "HOT", blocks_scan=True, forbids_light=True
+            _C,
+            Words("HOT {temperature_c:.0f} °C", "HEISS {temperature_c:.0f} °C"),
+            Words("COOLING, SCAN BLOCKED", "KÜHLT AB, SCAN GESPERRT"),
+            Words("HOT", "HEISS"),
+            blocks_scan=True,
+            forbids_light=True,
         ),
         FaultCode.TOO_HOT: Rule(
-            _C, "TOO HOT {temperature_c:.0f}°C", "SWITCHING OFF", "TOO HOT", blocks_scan=True, forbids_light=True
+            _C,
+            Words("TOO HOT {temperature_c:.0f}°C", "ZU HEISS {temperature_c:.0f} °C"),
+            Words("SWITCHING OFF", "SCHALTET SICH AUS"),
+            Words("TOO HOT", "ZU HEISS"),
+            blocks_scan=True,
+            forbids_light=True,
         ),
-        FaultCode.TEMPERATURE_UNKNOWN: Rule(_W, "TEMP ?", "LIGHT IS RATIONED"),
+        FaultCode.TEMPERATURE_UNKNOWN: Rule(
+            _W, Words("TEMP ?", "TEMPERATUR ?"), Words("LIGHT IS RATIONED", "LICHT WIRD EINGETEILT")
+        ),
         FaultCode.SUPPLY_LOW: Rule(
-            _W, "SUPPLY LOW {supply_v:.1f}V", "END DIVE", "SUPPLY LOW", blocks_scan=True, worsens={"supply_v": -0.3}
+            _W,
+            Words("SUPPLY LOW {supply_v:.1f}V", "SPANNUNG NUR {supply_v:.1f} V"),
+            Words("END DIVE", "TAUCHGANG BEENDEN"),
+            Words("SUPPLY LOW", "SPANNUNG NIEDRIG"),
+            blocks_scan=True,
+            worsens={"supply_v": -0.3},
         ),
-        FaultCode.LEAK: Rule(_C, "LEAK: ASCEND", "LIGHT IS OFF, SCANS ARE SAFE", blocks_scan=True, forbids_light=True),
-        FaultCode.INTERNAL: Rule(_W, "INTERNAL FAULT", "REPEAT; READ THE LOG ASHORE", spoils_scan=True),
+        FaultCode.LEAK: Rule(
+            _C,
+            Words("LEAK: ASCEND", "LECK: AUFTAUCHEN"),
+            Words("LIGHT IS OFF, SCANS ARE SAFE", "LICHT IST AUS, SCANS SIND SICHER"),
+            blocks_scan=True,
+            forbids_light=True,
+        ),
+        FaultCode.INTERNAL: Rule(
+            _W,
+            Words("INTERNAL FAULT", "INTERNER FEHLER"),
+            Words("REPEAT; READ THE LOG ASHORE", "NOCHMAL; PROTOKOLL AN LAND LESEN"),
+            spoils_scan=True,
+        ),
     }
 )
 
-_CAMERAS = {"camera.left": "LEFT CAMERA", "camera.right": "RIGHT CAMERA", "cameras": "CAMERAS"}
-LONGEST = 16
+_REFUSED = Words("SCAN REFUSED", "SCAN ABGELEHNT")
+"""The action of any fault that SCAN was refused for."""
+_FAILED, _AGAIN = Words("SCAN FAILED", "SCAN MISSLUNGEN"), Words("{fault}: REPEAT", "{fault}: NOCHMAL")
+"""The headline over any fault that ended a scan; its own goes into the action."""
+_NOT_ADDED, _FIRST_KEPT = Words("NOT ADDED", "NICHT ERGÄNZT"), Words("{fault}: FIRST KEPT", "{fault}: ERSTER BLEIBT")
+"""The same, of a second exposure."""
+_CAMERAS = {
+    "camera.left": Words("LEFT CAMERA", "LINKE KAMERA"),
+    "camera.right": Words("RIGHT CAMERA", "RECHTE KAMERA"),
+    "cameras": Words("CAMERAS", "KAMERAS"),
+}
+LONGEST: Mapping[Language, int] = MappingProxyType({Language.ENGLISH: 16, Language.GERMAN: 21})
 """Letters of a headline; ``plain`` has no more either."""
-_SIDES = {"camera.left": "LEFT ", "camera.right": "RIGHT "}
+_SIDES: Mapping[str, Mapping[str, Words]] = MappingProxyType(
+    {
+        "side": {"camera.left": Words("LEFT ", "LINKE "), "camera.right": Words("RIGHT ", "RECHTE ")},
+        "window_side": {"camera.left": Words("LEFT ", "LINKES "), "camera.right": Words("RIGHT ", "RECHTES ")},
+    }
+)
+"""By a headline's word, which goes with the gender of what follows, and the device."""
 
 
-def headline_of(fault: Fault) -> str:
-    """At most 16 characters, with the fault's numbers where all of them are known."""
+def headline_of(fault: Fault, language: Language = Language.ENGLISH) -> str:
+    """At most ``LONGEST`` letters, with the fault's numbers where all of them are known and there is room for them."""
     rule = RULES[fault.code]
-    return _filled(rule.headline, rule.plain or fault.code.value.replace("_", " "), fault, {"side": _SIDES}, LONGEST)
-
-
-def actions_of(fault: Fault) -> tuple[str, str]:
-    """What to do, or what the fault costs, in English and German; where a camera was exchanged, which one."""
-    rule, words = RULES[fault.code], german.GERMAN[fault.code]
-    if fault.device is None or not rule.exchanged or fault.device not in _CAMERAS:
-        return rule.action, words.action
-    in_german = words.exchanged.format(camera=german.CAMERAS[fault.device])
-    return rule.exchanged.format(camera=_CAMERAS[fault.device]), in_german
-
-
-def german_headline_of(fault: Fault) -> str:
-    """The same in German."""
-    words = german.GERMAN[fault.code]
-    sides = {"side": german.SIDES, "window_side": german.WINDOW_SIDES}
-    return _filled(words.headline, words.plain or words.headline, fault, sides, german.LONGEST)
-
-
-def _filled(template: str, plain: str, fault: Fault, sides: Mapping[str, Mapping[str, str]], longest: int) -> str:
-    """The template with the fault's numbers; ``plain`` where one is missing, or so large that there is no room for it."""
+    plain = (rule.plain or rule.headline).in_language(language)
     values: dict[str, float | str] = dict(fault.numbers)
-    for name, words in sides.items():
+    for name, words in _SIDES.items():
         if fault.device is not None and fault.device in words:
-            values[name] = words[fault.device]
+            values[name] = words[fault.device].in_language(language)
     try:
-        text = template.format(**values)
+        text = rule.headline.in_language(language).format(**values)
     except (KeyError, ValueError):
-        text = plain
-    return text if len(text) <= longest else plain
+        return plain
+    return text if len(text) <= LONGEST[language] else plain
+
+
+def action_of(fault: Fault, language: Language = Language.ENGLISH) -> str:
+    """What to do, or what the fault costs; where a camera was exchanged, which one."""
+    rule = RULES[fault.code]
+    camera = None if fault.device is None else _CAMERAS.get(fault.device)
+    if rule.exchanged is None or camera is None:
+        return rule.action.in_language(language)
+    return rule.exchanged.in_language(language).format(camera=camera.in_language(language))
 
 
 def alert_of(fault: Fault) -> Alert:
     """The fault as a message of its own."""
     rule = RULES[fault.code]
-    action, german_action = actions_of(fault)
-    in_german = german_headline_of(fault), german_action
     return Alert(
         fault.code,
         rule.severity,
         headline_of(fault),
-        action,
+        action_of(fault),
         fault.detail,
         fault.device,
-        in_german,
+        (headline_of(fault, Language.GERMAN), action_of(fault, Language.GERMAN)),
         passing=rule.passing,
     )
 
@@ -234,23 +456,23 @@ def _notice(machine: Machine) -> Alert | None:
     fault = machine.notice.fault
     rule = RULES[fault.code]
     plain = alert_of(fault)
-    in_german = german_headline_of(fault)
+    english, german = (headline_of(fault, language) for language in (Language.ENGLISH, Language.GERMAN))
     match machine.notice.kind:
         case NoticeKind.REFUSAL:
-            return replace(plain, action="SCAN REFUSED", german=(in_german, german.REFUSED))
+            return replace(plain, action=_REFUSED.english, german=(german, _REFUSED.german))
         case NoticeKind.NOT_ADDED:
-            return replace(
-                plain, headline="NOT ADDED", action=f"{plain.headline}: FIRST KEPT",
-                german=(german.NOT_ADDED, f"{in_german}: {german.FIRST_KEPT}"),
-            )  # fmt: skip
+            said, why = _NOT_ADDED, _FIRST_KEPT
         case NoticeKind.FAILURE if rule.stops_capture or rule.forbids_light:
             # What ended the scan is listed as a condition while it lasts; this says what became of the scan.
-            return replace(
-                plain, headline="SCAN FAILED", action=f"{plain.headline}: REPEAT",
-                german=(german.FAILED, f"{in_german}: {german.AGAIN}"),
-            )  # fmt: skip
+            said, why = _FAILED, _AGAIN
         case NoticeKind.FAILURE | NoticeKind.NEWS:
             return plain
+    return replace(
+        plain,
+        headline=said.english,
+        action=why.english.format(fault=english),
+        german=(said.german, why.german.format(fault=german)),
+    )
 
 
 _TESTED = frozenset(

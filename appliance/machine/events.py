@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from appliance.calibration.guide import Session, Trial
 from appliance.machine.mishap import Failure
 from appliance.machine.states import Device, Part
+from appliance.machine.words import Label
 from appliance.ranging.reach import Range
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault, FaultCode
@@ -120,7 +121,7 @@ class PartTested:
 
     part: Part
     passed: bool
-    detail: str = ""
+    detail: Label = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,6 +11,7 @@ from appliance.machine import asking, calibrate, choices, gallery
 from appliance.machine.choices import Choices
 from appliance.machine.moves import Result, enter
 from appliance.machine.states import Machine, Menu, Page, State
+from appliance.machine.words import Text
 from drivers.api import Key
 
 
@@ -114,10 +115,10 @@ def may_choose(machine: Machine) -> bool:
     return machine.menu is not None and (machine.menu.draft is not None or machine.menu.page is not Page.ABOUT)
 
 
-def verb(machine: Machine) -> str:
+def verb(machine: Machine) -> Text:
     """What SCAN does on the selected row."""
     row = row_of(machine.menu) if machine.menu is not None else None
-    return "CHANGE" if row in VALUES else "OPEN"
+    return Text.CHANGE if row in VALUES else Text.OPEN
 
 
 def _at(machine: Machine, menu: Menu) -> Machine:

@@ -9,9 +9,8 @@ from appliance.machine.conditions import device_down
 from appliance.machine.moves import Result, enter
 from appliance.machine.permissions import refusal
 from appliance.machine.states import Device, Machine, Part, State, Tested, seconds_ns
+from appliance.machine.words import Text
 from drivers.api import Key
-
-NO_ANSWER = "no answer"
 
 
 def booted(machine: Machine) -> Result:
@@ -83,7 +82,7 @@ def late(machine: Machine) -> Result:
         return enter(machine, State.SELF_TEST, machine.settings.self_test_s), ()
     for device in Device:
         if device not in machine.up and device not in machine.lost:
-            machine = device_down(machine, device, NO_ANSWER, None)
-    silent = {part: Tested(False, NO_ANSWER) for part in Part if part not in machine.parts}
+            machine = device_down(machine, device, Text.NO_ANSWER.english, None)
+    silent = {part: Tested(False, Text.NO_ANSWER) for part in Part if part not in machine.parts}
     # Shown from now on, for as long as any other result.
     return enter(replace(machine, parts={**machine.parts, **silent}), State.SELF_TEST), ()

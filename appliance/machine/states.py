@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from appliance.calibration.guide import Session, Step, Trial
 from appliance.machine.choices import Choices, Offers
 from appliance.machine.mishap import Failure
+from appliance.machine.words import Label
 from appliance.patterns.sequence import PERIODS_PX, build_sequence
 from appliance.ranging.reach import Range, Reach
 from appliance.scan.exposure import Exposure
@@ -83,7 +84,7 @@ class Tested:
     """What the self-test found about a part."""
 
     passed: bool
-    detail: str = ""
+    detail: Label = ""
 
 
 NEEDED_FOR_A_SCAN = (Device.CAMERA_LEFT, Device.CAMERA_RIGHT, Device.BOARD, Device.PROJECTOR)

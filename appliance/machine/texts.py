@@ -9,17 +9,15 @@ from appliance.machine import acknowledge, asking, calibrate, gallery, menu, sta
 from appliance.machine import effects as do
 from appliance.machine.permissions import other_exposure, second_exposure
 from appliance.machine.states import Answer, Machine, NoticeKind, State
+from appliance.machine.words import STEP_NAMES, Label, Text
 from drivers.api import Key
 
-SEEN = "SEEN"
-"""Beside BACK while it acknowledges what is shown in full."""
 
-
-def labels(machine: Machine) -> Mapping[Key, str]:
+def labels(machine: Machine) -> Mapping[Key, Label]:
     """Label per physical key; a key without one does nothing now. A stuck key's label moves to its stand-in."""
     meant = _meant(machine)
     if acknowledge.pending(machine) is not None:
-        meant[Key.BACK] = SEEN
+        meant[Key.BACK] = Text.SEEN
     for broken, stand_in in ((Key.SCAN, Key.UP), (Key.BACK, Key.DOWN)):
         if broken in machine.stuck:
             label = meant.pop(broken, None)
@@ -29,105 +27,107 @@ def labels(machine: Machine) -> Mapping[Key, str]:
     return meant
 
 
-def _meant(machine: Machine) -> dict[Key, str]:
+def _meant(machine: Machine) -> dict[Key, Label]:
     if machine.off_question is not None:
         return _question(machine)
     match machine.state:
         case State.AIM:
             failed = machine.notice is not None and machine.notice.kind is NoticeKind.FAILURE
-            scan = "ANYWAY" if machine.insists_until_ns is not None else "REPEAT" if failed else "SCAN"
-            return {Key.SCAN: scan, Key.BACK: "HOLD: OFF", Key.UP: "MENU", Key.DOWN: "GALLERY"}
+            scan = Text.ANYWAY if machine.insists_until_ns is not None else Text.REPEAT if failed else Text.SCAN
+            return {Key.SCAN: scan, Key.BACK: Text.HOLD_OFF, Key.UP: Text.MENU, Key.DOWN: Text.GALLERY}
         case State.SELF_TEST:
             waits = start.waits_for_ok(machine)
-            return {Key.SCAN: "GO ON", Key.BACK: "HOLD: OFF"} if waits else {Key.BACK: "HOLD: OFF"}
+            return {Key.SCAN: Text.GO_ON, Key.BACK: Text.HOLD_OFF} if waits else {Key.BACK: Text.HOLD_OFF}
         case State.MENU:
             return _menu(machine)
         case State.GALLERY:
-            moves = {Key.UP: "NEWER", Key.DOWN: "OLDER"}
-            return {Key.BACK: "BACK", **{key: word for key, word in moves.items() if gallery.may_move(machine, key)}}
+            moves = {Key.UP: Text.NEWER, Key.DOWN: Text.OLDER}
+            return {Key.BACK: Text.BACK, **{key: word for key, word in moves.items() if gallery.may_move(machine, key)}}
         case State.ARMED | State.CAPTURE:
-            return {Key.BACK: "STOP"}
+            return {Key.BACK: Text.STOP}
         case State.CHECK | State.RECONSTRUCT:
             # Of a second exposure only that one is given up.
             adding = machine.scan is not None and machine.scan.adding is not None
-            return {Key.BACK: "STOP" if adding else "HOLD: REDO"}
+            return {Key.BACK: Text.STOP if adding else Text.HOLD_REDO}
         case State.REVIEW:
             return {
-                Key.SCAN: "KEEP",
-                Key.BACK: "HOLD: REDO",
-                Key.UP: "TURN",
-                Key.DOWN: _add(machine) or _expose(machine) or "TURN",
+                Key.SCAN: Text.KEEP,
+                Key.BACK: Text.HOLD_REDO,
+                Key.UP: Text.TURN,
+                Key.DOWN: _add(machine) or _expose(machine) or Text.TURN,
             }
         case State.CALIBRATE:
             return _calibrate(machine)
         case State.BOOT:
-            return {Key.BACK: "HOLD: OFF"}
+            return {Key.BACK: Text.HOLD_OFF}
         case State.COOLING:
-            return {Key.BACK: "BACK"}
+            return {Key.BACK: Text.BACK}
         case State.SAFE:
             refused = machine.scan is not None and machine.scan.settled and not machine.scan.publishing
-            return {Key.SCAN: "RETRY", Key.BACK: "HOLD: OFF"} if refused else {Key.BACK: "HOLD: OFF"}
+            return {Key.SCAN: Text.RETRY, Key.BACK: Text.HOLD_OFF} if refused else {Key.BACK: Text.HOLD_OFF}
         case State.SAVING | State.SHUTDOWN:
             return {}
         case _:
             assert_never(machine.state)
 
 
-def _question(machine: Machine) -> dict[Key, str]:
-    meant = {Key.SCAN: "OK", Key.BACK: "BACK"}
+def _question(machine: Machine) -> dict[Key, Label]:
+    meant: dict[Key, Label] = {Key.SCAN: Text.OK, Key.BACK: Text.BACK}
     for key in (Key.UP, Key.DOWN):
         other = asking.other_answer(machine, key)
         if other is not None:
-            meant[key] = "▲" if other is Answer.STAY_ON else "▼"
+            meant[key] = Text.ARROW_UP if other is Answer.STAY_ON else Text.ARROW_DOWN
     return meant
 
 
-def _add(machine: Machine) -> str | None:
+def _add(machine: Machine) -> Label | None:
     """A second exposure of the scene that is being reviewed."""
     wanted = second_exposure(machine)
-    return None if wanted is None else f"ADD {wanted.label}"
+    return None if wanted is None else (Text.ADD, wanted.label)
 
 
-def _expose(machine: Machine) -> str | None:
+def _expose(machine: Machine) -> Label | None:
     """Gain is only proposed where the exposure stays as long as it can be."""
     wanted = other_exposure(machine)
     if wanted is None:
         return None
     if wanted.time_us == machine.exposure.time_us:
-        return f"GAIN {wanted.gain_db:g} dB"
-    return f"EXPOSE {wanted.label}"
+        return (Text.GAIN, f"{wanted.gain_db:g} dB")
+    return (Text.EXPOSE, wanted.label)
 
 
-def _menu(machine: Machine) -> dict[Key, str]:
+def _menu(machine: Machine) -> dict[Key, Label]:
     changing = machine.menu is not None and machine.menu.draft is not None
-    meant = {key: word for key, word in ((Key.UP, "▲"), (Key.DOWN, "▼")) if menu.may_move(machine, key)}
-    meant[Key.BACK] = "CANCEL" if changing else "BACK"
+    meant: dict[Key, Label] = {
+        key: word for key, word in ((Key.UP, Text.ARROW_UP), (Key.DOWN, Text.ARROW_DOWN)) if menu.may_move(machine, key)
+    }
+    meant[Key.BACK] = Text.CANCEL if changing else Text.BACK
     if menu.may_choose(machine):
-        meant[Key.SCAN] = "OK" if changing else menu.verb(machine)
+        meant[Key.SCAN] = Text.OK if changing else menu.verb(machine)
     return meant
 
 
-def _calibrate(machine: Machine) -> dict[Key, str]:
+def _calibrate(machine: Machine) -> dict[Key, Label]:
     """UP and DOWN are labelled with the step they lead to."""
-    meant = {Key.BACK: "BACK"}
+    meant: dict[Key, Label] = {Key.BACK: Text.BACK}
     at = machine.calibrating
     if at is None or at.task is not None:
         return meant
     for key in (Key.UP, Key.DOWN):
         step = calibrate.neighbour(machine, key)
         if step is not None:
-            meant[key] = step.value
+            meant[key] = STEP_NAMES[step]
     if calibrate.may_begin_session(machine):
-        meant[Key.DOWN] = "HOLD: NEW"
+        meant[Key.DOWN] = Text.HOLD_NEW
     if calibrate.records(machine):
-        meant[Key.SCAN] = "REDO" if machine.session.done(at.step) else "SCAN"
+        meant[Key.SCAN] = Text.REDO if machine.session.done(at.step) else Text.SCAN
     match calibrate.decision(machine):
         case do.SolveCalibration():
-            meant[Key.SCAN] = "SOLVE"
+            meant[Key.SCAN] = Text.SOLVE
         case do.UseSolved():
-            meant[Key.SCAN] = "KEEP"
+            meant[Key.SCAN] = Text.KEEP
         case do.RestoreCalibration():
-            meant[Key.SCAN] = "RESTORE"
+            meant[Key.SCAN] = Text.RESTORE
         case None:
             pass
     return meant

@@ -6,13 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.machine.alerts import Severity
+from appliance.machine.words import Language, Text
 from appliance.scan.fault import FaultCode
 from appliance.screens import theme
 from appliance.screens.canvas import Align, Canvas
 from appliance.screens.frame import alerts_top, draw_title, room_between, words_of
 from appliance.screens.gauge import draw_gauge
 from appliance.screens.marks import draw_marks
-from appliance.screens.texts import Language, Text, numbered, worded
+from appliance.screens.texts import numbered, worded
 from appliance.screens.theme import BLACK, BODY, BOLD, CAPTION, REGULAR, TITLE
 from appliance.screens.views import AimView
 

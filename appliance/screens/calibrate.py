@@ -8,12 +8,13 @@ from appliance.calibration.guide import HELD, STEPS, UNITS, USED, Refusal, Sessi
 from appliance.calibration.recordings import ArtefactKind
 from appliance.machine.mishap import Mishap
 from appliance.machine.states import Task
+from appliance.machine.words import STEP_NAMES, Language, Text
 from appliance.screens import theme
 from appliance.screens.canvas import Align, Canvas
 from appliance.screens.frame import alerts_top, draw_title
 from appliance.screens.marks import draw_marks
 from appliance.screens.sketch import FROM_THE_SIDE, sketch_depth, sketch_front
-from appliance.screens.texts import Language, Text, numbered, worded
+from appliance.screens.texts import numbered
 from appliance.screens.theme import BLACK, BODY, BOLD, CAPTION, HUGE, REGULAR, TITLE
 from appliance.screens.views import CalibrateView
 
@@ -48,7 +49,7 @@ _TASKS = {
 
 
 def draw_calibrate(canvas: Canvas, view: CalibrateView, language: Language, time_s: float) -> None:
-    title = worded(view.step.value, language)
+    title = STEP_NAMES[view.step].in_language(language)
     if view.step in HELD:
         artefact = Text.BALL_BAR if HELD[view.step] is ArtefactKind.BALL_BAR else Text.PLANE
         title = f"{title}  {artefact.in_language(language)}"
@@ -186,7 +187,7 @@ def _latest(canvas: Canvas, view: CalibrateView, bottom: float, language: Langua
         _band(canvas, theme.YELLOW, came, remedy, at.failed.about, bottom)
     elif trial is not None and trial.refusal is None:
         number = "" if trial.number is None else f"{1000.0 * trial.number:.0f} µm"
-        what = f"{worded(trial.step.value, language)} {Text.ACCEPTED.in_language(language)}"
+        what = f"{STEP_NAMES[trial.step].in_language(language)} {Text.ACCEPTED.in_language(language)}"
         _band(canvas, theme.GREEN, what, f"{trial.points} {Text.POINTS.in_language(language)}", number, bottom)
     elif trial is not None and trial.refusal is not None:
         words, why = refusal_words(trial)

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from appliance.machine.words import Language, Text
 from appliance.screens import theme
 from appliance.screens.canvas import Align, Canvas
-from appliance.screens.texts import Language, Text, numbered
+from appliance.screens.texts import numbered
 from appliance.screens.theme import BLACK, BODY, BOLD, CAPTION, HEADLINE, REGULAR, TITLE
 from appliance.screens.views import Grade
 

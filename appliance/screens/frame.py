@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from appliance.machine.alerts import Alert, Severity, in_full
+from appliance.machine.words import Language, Text
 from appliance.screens import theme
 from appliance.screens.canvas import Align, Canvas
-from appliance.screens.texts import Language, Text, numbered, worded
+from appliance.screens.texts import numbered, worded
 from appliance.screens.theme import BAR_PX, BLACK, BODY, BOLD, CAPTION, HEADLINE, HUGE, KEY_CORNERS, TITLE, Corner
 from appliance.screens.views import KeyLabels
 from drivers.api import Key

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from appliance.machine.words import Language, Text
 from appliance.screens import theme
 from appliance.screens.canvas import Align, Canvas
 from appliance.screens.column import LEFT_PX, RIGHT_MARGIN_PX, VERDICT_PX, draw_figures, draw_verdict, figures
 from appliance.screens.frame import alerts_top, draw_title, room_between
-from appliance.screens.texts import Language, Text
 from appliance.screens.theme import BAR_PX, BLACK, BODY, BOLD, CAPTION, HEADLINE, REGULAR, TITLE
 from appliance.screens.views import GalleryView
 

@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.machine.words import Language, Text
 from appliance.ranging.reach import FARTHEST_MM, NEAREST_MM, Reach
 from appliance.screens import theme
 from appliance.screens.canvas import Align, Canvas
-from appliance.screens.texts import Language, Text
 from appliance.screens.theme import BLACK, BODY, BOLD, CAPTION, TITLE
 from appliance.screens.views import Gauge
 

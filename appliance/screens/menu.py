@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from appliance.machine.words import Language
 from appliance.screens import theme
 from appliance.screens.canvas import Align, Canvas
 from appliance.screens.frame import alerts_top, draw_title
-from appliance.screens.texts import Language, worded
+from appliance.screens.texts import worded
 from appliance.screens.theme import BAR_PX, BLACK, BODY, BOLD, TITLE
 from appliance.screens.views import MenuRow, MenuView
 

@@ -10,7 +10,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.machine.texts import SEEN
+from appliance.machine.words import Language, Text
 from appliance.scan.fault import FaultCode
 from appliance.screens import theme
 from appliance.screens.aim import draw_aim
@@ -31,7 +31,6 @@ from appliance.screens.progress import (
 from appliance.screens.review import CLOUD_PX, draw_review
 from appliance.screens.selftest import draw_boot, draw_self_test
 from appliance.screens.stops import draw_cooling, draw_safe
-from appliance.screens.texts import Language, Text
 from appliance.screens.theme import BAR_PX
 from appliance.screens.views import (
     AimView,
@@ -156,7 +155,7 @@ class Painter:
 
 def acknowledges(keys: KeyLabels) -> frozenset[Key]:
     """The key that takes the warning above it for known: in the colour of the warning."""
-    return frozenset(key for key, word in keys.items() if word in (SEEN, Text.SEEN))
+    return frozenset(key for key, word in keys.items() if word is Text.SEEN)
 
 
 def said_once(view: AnyView) -> AnyView:

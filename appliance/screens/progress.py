@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from appliance.machine.words import Language, Text
 from appliance.screens import theme
 from appliance.screens.canvas import Align, Canvas
 from appliance.screens.frame import alert_colours, alerts_top, words_of
-from appliance.screens.texts import Language, Text
 from appliance.screens.theme import BAR_PX, BLACK, BODY, BOLD, HEADLINE, HUGE, TITLE
 from appliance.screens.views import (
     ArmedView,

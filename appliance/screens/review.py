@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from appliance.machine.words import Language, Text
 from appliance.screens import theme
 from appliance.screens.canvas import Align, Canvas
 from appliance.screens.cloud import CloudPainter
 from appliance.screens.column import Figure, draw_figures, draw_verdict, figures, known
 from appliance.screens.frame import alerts_top, draw_title, room_between
-from appliance.screens.texts import Language, Text
 from appliance.screens.theme import BAR_PX, BOLD, CAPTION, REGULAR, TITLE
 from appliance.screens.views import ReviewView
 

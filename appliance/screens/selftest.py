@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from appliance.machine.alerts import Alert
+from appliance.machine.words import Label, Language, Text
 from appliance.screens import theme
 from appliance.screens.canvas import Align, Canvas
 from appliance.screens.frame import alerts_top, words_of
-from appliance.screens.texts import DEVICE_NAMES, Language, Text, worded
+from appliance.screens.texts import DEVICE_NAMES, worded
 from appliance.screens.theme import BLACK, BODY, BOLD, CAPTION, HEADLINE, REGULAR
 from appliance.screens.views import BootView, DeviceLine, DeviceResult, SelfTestView
 
@@ -84,6 +85,6 @@ def _line(
     )
 
 
-def _said(detail: Alert | Text | str, language: Language) -> str:
+def _said(detail: Alert | Label, language: Language) -> str:
     """What to do about it; the device's own message is for the log."""
     return words_of(detail, language)[1] if isinstance(detail, Alert) else worded(detail, language)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 
+from appliance.machine.words import Language, Text
 from appliance.screens import theme
 from appliance.screens.canvas import Align, Canvas
 from appliance.screens.column import known
 from appliance.screens.frame import alert_colours, alerts_top, draw_title, words_of
-from appliance.screens.texts import Language, Text
 from appliance.screens.theme import BAR_PX, BLACK, BODY, BOLD, HEADLINE, HUGE, TITLE
 from appliance.screens.views import CoolingView, SafeView
 

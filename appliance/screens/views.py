@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 from appliance.calibration.guide import Session, Step
 from appliance.machine.alerts import Alert
 from appliance.machine.states import Calibrating
+from appliance.machine.words import Label, Text
 from appliance.ranging.marks import Marks
 from appliance.ranging.reach import Reach
-from appliance.screens.texts import Text
 from drivers.api import Key
 
-KeyLabels = Mapping[Key, Text | str]
-"""What each key does now, as an entry of the table or in English. A key without a label has none drawn."""
+KeyLabels = Mapping[Key, Label]
+"""What each key does now. A key without a label has none drawn."""
 
 
 def labels(
@@ -54,7 +54,7 @@ class DeviceLine:
 
     device: str
     result: DeviceResult
-    detail: Alert | Text | str = ""
+    detail: Alert | Label = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -103,7 +103,7 @@ class AimView(View):
     """``None`` while the lasers are off."""
     marks: Marks | None = None
     """Where the laser dots are going to be seen; ``None``: no marks."""
-    water: Text | str | None = None
+    water: Text | None = None
     """What the refractive index is computed for, in a word."""
     insist: bool = False
     """SCAN was pressed outside the measuring volume; pressed once more it records."""
@@ -189,7 +189,7 @@ class MenuRow:
     """One line of a menu. ``value`` is what is chosen now, in one word or several."""
 
     text: Text
-    value: Text | str | tuple[Text | str, ...] = ""
+    value: Label = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

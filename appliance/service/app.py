@@ -13,10 +13,10 @@ from types import FrameType
 
 import appliance
 from appliance.config import Rig
+from appliance.machine.words import Language
 from appliance.optics.water import Water
 from appliance.patterns.sequence import PatternSequence, build_sequence
 from appliance.screens.painter import Painter
-from appliance.screens.texts import Language
 from appliance.service.aiming import AimingDesk
 from appliance.service.calibrating import CalibrationDesk
 from appliance.service.devices import Devices

@@ -25,13 +25,13 @@ from appliance.machine.choices import Choices, offers_of
 from appliance.machine.keys import meaning
 from appliance.machine.states import Limits, Machine, Part, Settings, State, boot
 from appliance.machine.step import step
+from appliance.machine.words import Language, Text
 from appliance.patterns.sequence import PERIODS_PX, build_sequence
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.sides import SIDES
 from appliance.scan.verdict import Verdict
 from appliance.screens.painter import Painter
-from appliance.screens.texts import Language, Text
 from appliance.screens.views import Grade
 from appliance.service.aiming import AimingDesk
 from appliance.service.calibrating import CalibrationDesk
@@ -149,9 +149,7 @@ class Service:
         self._inbox += [on.Told(fault) for fault in news]
         uncalibrated = next((fault for fault in conditions if fault.code is FaultCode.UNCALIBRATED), None)
         self._inbox.append(
-            on.PartTested(
-                Part.CALIBRATION, uncalibrated is None, "" if uncalibrated is None else Text.NOT_MEASURED.english
-            )
+            on.PartTested(Part.CALIBRATION, uncalibrated is None, "" if uncalibrated is None else Text.NOT_MEASURED)
         )
         self._arm_wanted: do.Arm | None = None
         self._arming: Arming | None = None

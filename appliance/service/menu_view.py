@@ -9,7 +9,7 @@ from appliance.machine import menu
 from appliance.machine.alerts import alerts, on_screen
 from appliance.machine.menu import Row
 from appliance.machine.states import Answer, Machine, Menu, OffQuestion, Page
-from appliance.screens.texts import Text
+from appliance.machine.words import Label, Text
 from appliance.screens.views import MenuRow, MenuView
 
 
@@ -18,7 +18,7 @@ class Facts:
     """What the menu tells about the instrument."""
 
     serial: str
-    calibrated: Text | str
+    calibrated: Label
     """On which day; or that it never was."""
 
 
@@ -64,12 +64,12 @@ def menu_view(machine: Machine, facts: Facts | None) -> MenuView:
 FRINGES = {16: Text.FINE, 32: Text.MEDIUM, 64: Text.COARSE_FRINGES}
 
 
-def value_of(row: Row, machine: Machine, facts: Facts | None) -> Text | str | tuple[Text | str, ...]:
+def value_of(row: Row, machine: Machine, facts: Facts | None) -> Label:
     """What is chosen, or so; while it is being changed, what it would be."""
     chosen = menu.shown(machine)
     match row:
         case Row.EXPOSURE:
-            value: Text | str | tuple[Text | str, ...] = chosen.exposure.label
+            value: Label = chosen.exposure.label
         case Row.PERIOD:
             value = FRINGES.get(chosen.period_px, f"{chosen.period_px} px")
         case Row.WATER:

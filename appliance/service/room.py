@@ -6,8 +6,8 @@ import logging
 from dataclasses import dataclass, replace
 
 from appliance.machine import events as on
+from appliance.machine.words import Label, Text
 from appliance.scan.fault import Fault, FaultCode
-from appliance.screens.texts import Text
 from appliance.storage.atomic import StorageError
 from appliance.storage.library import Library
 from appliance.storage.room import Room, is_full, is_read_only, plan
@@ -71,10 +71,10 @@ class ScanRoom:
         return self.missing is not None and self._clock.now_ns() - self._counted_ns > ASK_AGAIN_S * 1e9
 
     @property
-    def said(self) -> str:
+    def said(self) -> Label:
         """For the self-test, after ``counted``."""
         allocates = self._room is not None and self._room.allocates
-        return f"{self._scan_bytes / 1e6:.0f} MB / SCAN" if allocates else Text.COUNTED_ONLY.english
+        return f"{self._scan_bytes / 1e6:.0f} MB / SCAN" if allocates else Text.COUNTED_ONLY
 
     def counted(self) -> list[on.Event]:
         """Allocate what the next scan needs; how many there are, how many more fit, and what the disk has against it.

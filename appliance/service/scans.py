@@ -24,6 +24,7 @@ from appliance.capture.store import FrameStore
 from appliance.config import Rig
 from appliance.machine import events as on
 from appliance.machine.states import Part
+from appliance.machine.words import Text
 from appliance.optics.water import Water
 from appliance.patterns.response import Response
 from appliance.patterns.sequence import PatternSequence
@@ -35,7 +36,6 @@ from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.noise import TYPICAL_PAIR, StereoNoise
 from appliance.scan.sides import SIDES
 from appliance.scan.verdict import Judgement, Verdict
-from appliance.screens.texts import Text
 from appliance.service.health import CalibrationWatch
 from appliance.service.in_work import ScanInWork, SecondInWork
 from appliance.service.instrument import exposure_of, noise_of, settings_of, water_of
@@ -335,7 +335,7 @@ class ScanDesk:
                     # It has given up until the next scan begins: frames can still be recorded and saved.
                     self.worker_settled = True
                     events.append(on.ConditionRaised(failed.fault))
-                    events.append(on.PartTested(Part.WORKER, False, Text.GIVEN_UP.english))
+                    events.append(on.PartTested(Part.WORKER, False, Text.GIVEN_UP))
             case None:
                 if self.worker.gets_on():
                     events.append(on.PartBusy(Part.WORKER))
@@ -530,7 +530,7 @@ class ScanDesk:
 
     def _storage_failed(self, why: str) -> list[on.Event]:
         log.warning("self-test of the storage: %s", why)
-        return [on.PartTested(Part.STORAGE, False, Text.REFUSES_FILES.english)]
+        return [on.PartTested(Part.STORAGE, False, Text.REFUSES_FILES)]
 
     def _counted_if_told(self) -> list[on.Event]:
         try:

@@ -15,9 +15,9 @@ from appliance.machine.alerts import RULES, alert_of, lengths_doubtful, on_scree
 from appliance.machine.permissions import refusal
 from appliance.machine.states import Calibrating, Device, Machine, Part, State
 from appliance.machine.texts import labels
+from appliance.machine.words import Text
 from appliance.ranging.marks import Marks
 from appliance.scan.fault import Fault, FaultCode
-from appliance.screens.texts import Text
 from appliance.screens.views import (
     AimView,
     AnyView,

@@ -11,6 +11,7 @@ from appliance.calibration.guide import STEPS
 from appliance.machine.alerts import alerts
 from appliance.machine.states import Answer, Device, Machine
 from appliance.machine.texts import labels
+from appliance.machine.words import english
 
 
 def describe(
@@ -32,7 +33,7 @@ def describe(
             for alert in alerts(machine)
         ],
         "question": _question(machine),
-        "keys": {key.name.lower(): str(label) for key, label in labels(machine).items()},
+        "keys": {key.name.lower(): english(label) for key, label in labels(machine).items()},
         "devices": {device.value: _device(machine, device) for device in Device},
         "scans": machine.scans,
         "scans_left": machine.scans_left,

@@ -8,7 +8,7 @@ from pathlib import Path
 from appliance.machine import events as on
 from appliance.machine.states import State
 from appliance.machine.step import step
-from appliance.machine.texts import labels
+from tests.appliance.machine.english import labels
 from tests.appliance.machine.walks import EVERY_EVENT, STARTS
 
 PAGE = Path(__file__).parents[3] / "docs" / "states.md"

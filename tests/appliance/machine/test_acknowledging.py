@@ -13,9 +13,9 @@ from appliance.machine.acknowledge import pending
 from appliance.machine.alerts import RULES, Severity, alerts, in_full, lasting
 from appliance.machine.states import Device, Machine, State
 from appliance.machine.step import step
-from appliance.machine.texts import labels
 from appliance.scan.fault import Fault, FaultCode
 from drivers.api import Key
+from tests.appliance.machine.english import labels
 from tests.appliance.machine.walks import (
     EVENTS,
     HOLD_BACK,

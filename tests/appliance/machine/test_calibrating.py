@@ -11,9 +11,9 @@ from appliance.machine.alerts import alerts
 from appliance.machine.mishap import Failure, Mishap
 from appliance.machine.permissions import may_light
 from appliance.machine.states import Device, Machine, State, Task
-from appliance.machine.texts import labels
 from appliance.scan.fault import Fault, FaultCode
 from drivers.api import Key
+from tests.appliance.machine.english import labels
 from tests.appliance.machine.walks import (
     IN_USE,
     RECORDED,

@@ -10,10 +10,10 @@ from appliance.machine import effects as do
 from appliance.machine import events as on
 from appliance.machine.alerts import alerts
 from appliance.machine.states import Device, Machine, Part, Settings, State, boot
-from appliance.machine.texts import labels
 from appliance.ranging.reach import Range
 from appliance.scan.fault import Fault, FaultCode
 from drivers.api import Key
+from tests.appliance.machine.english import labels
 from tests.appliance.machine.walks import (
     PARTS,
     RECORDED,

@@ -12,11 +12,11 @@ from appliance.machine import events as on
 from appliance.machine.alerts import RULES, alerts, headline_of
 from appliance.machine.states import Device, Machine, Settings, State, boot
 from appliance.machine.step import step
-from appliance.machine.texts import labels
 from appliance.ranging.reach import Range
 from appliance.scan.exposure import NOMINAL, Exposure
 from appliance.scan.fault import Fault, FaultCode
 from drivers.api import Key
+from tests.appliance.machine.english import labels
 from tests.appliance.machine.walks import (
     MISSING,
     PARTS,
@@ -351,7 +351,7 @@ def test_headlines_fit_sixteen_characters_with_any_numbers() -> None:
                 assert 0 < len(headline) <= 16, headline
                 assert "{" not in headline
     for rule in RULES.values():
-        assert len(rule.action) <= 32
+        assert len(rule.action.english) <= 32
 
 
 def test_answers_to_an_earlier_scan_change_nothing() -> None:

@@ -14,9 +14,9 @@ from appliance.machine import events as on
 from appliance.machine.mishap import Failure, Mishap
 from appliance.machine.states import Ending, Machine, State, Task, Thermal, boot
 from appliance.machine.step import step
-from appliance.machine.texts import labels
 from appliance.scan.fault import Fault, FaultCode
 from drivers.api import Key
+from tests.appliance.machine.english import labels
 from tests.appliance.machine.walks import (
     IN_USE,
     RECORDED,

@@ -11,9 +11,9 @@ from appliance.machine import events as on
 from appliance.machine.start import waits_for_ok
 from appliance.machine.states import Machine, State
 from appliance.machine.step import step
-from appliance.machine.texts import labels
 from appliance.scan.fault import Fault, FaultCode
 from drivers.api import Key
+from tests.appliance.machine.english import labels
 from tests.appliance.machine.walks import (
     STARTS,
     SUMMARY,

@@ -9,9 +9,9 @@ from appliance.machine import events as on
 from appliance.machine.choices import Choices, offers_of
 from appliance.machine.menu import Row, row_of, shown
 from appliance.machine.states import Machine, Page, Settings, State, boot
-from appliance.machine.texts import labels
 from appliance.scan.exposure import Exposure
 from drivers.api import Key
+from tests.appliance.machine.english import labels
 from tests.appliance.machine.walks import PARTS, SECOND_NS, UPS, after, aim, in_gallery, in_menu, run
 
 STEPS = (Exposure(5_000), Exposure(8_000), Exposure(12_000), Exposure(16_000))

@@ -14,9 +14,9 @@ from appliance.machine.alerts import alerts
 from appliance.machine.permissions import interruption, may_lase, may_light, may_shine, refusal
 from appliance.machine.states import NEEDED_FOR_A_SCAN, Machine, State, Task
 from appliance.machine.step import step
-from appliance.machine.texts import labels
 from appliance.scan.fault import Fault, FaultCode
 from drivers.api import Key
+from tests.appliance.machine.english import labels
 from tests.appliance.machine.walks import (
     EVENTS,
     EVERY_EVENT,

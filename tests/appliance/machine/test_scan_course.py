@@ -14,11 +14,11 @@ from appliance.machine.conditions import has
 from appliance.machine.permissions import other_exposure, second_exposure
 from appliance.machine.states import Device, Machine, State, boot
 from appliance.machine.step import step
-from appliance.machine.texts import labels
 from appliance.ranging.reach import Range
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault, FaultCode
 from drivers.api import Key
+from tests.appliance.machine.english import labels
 from tests.appliance.machine.walks import (
     HOLD_BACK,
     RECORDED,

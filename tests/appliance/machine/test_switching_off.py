@@ -14,8 +14,8 @@ from appliance.machine import effects as do
 from appliance.machine import events as on
 from appliance.machine.states import Answer, Machine, State, boot
 from appliance.machine.step import step
-from appliance.machine.texts import labels
 from drivers.api import Key
+from tests.appliance.machine.english import labels
 from tests.appliance.machine.walks import (
     HOLD_BACK,
     SECOND_NS,

@@ -6,9 +6,10 @@ import pytest
 
 from appliance.machine import effects as do
 from appliance.machine import events as on
-from appliance.machine.alerts import RULES, actions_of
+from appliance.machine.alerts import RULES, action_of
 from appliance.machine.permissions import may_light
 from appliance.machine.states import State
+from appliance.machine.words import Language
 from appliance.scan.fault import Fault, FaultCode
 from drivers.api import Key
 from tests.appliance.machine.walks import after, aim, capturing, in_gallery, reconstructing, run
@@ -70,11 +71,11 @@ def test_what_doubts_lengths_or_spoils_points_is_no_scan_to_call_good() -> None:
     ],
 )
 def test_an_exchanged_camera_is_named_as_the_reason(device: str | None, action: str) -> None:
-    assert actions_of(Fault(C.UNCALIBRATED, device=device))[0] == action
-    german = actions_of(Fault(C.UNCALIBRATED, device=device))[1]
+    assert action_of(Fault(C.UNCALIBRATED, device=device)) == action
+    german = action_of(Fault(C.UNCALIBRATED, device=device), Language.GERMAN)
     assert german != action
-    assert (german == actions_of(Fault(C.UNCALIBRATED))[1]) == (not action.endswith("EXCHANGED"))
-    assert actions_of(Fault(C.CAMERA_LOST, device=device))[0] == "CHECK CONNECTOR"
+    assert (german == action_of(Fault(C.UNCALIBRATED), Language.GERMAN)) == (not action.endswith("EXCHANGED"))
+    assert action_of(Fault(C.CAMERA_LOST, device=device)) == "CHECK CONNECTOR"
 
 
 def test_in_the_gallery_only_up_and_down_turn_the_pages() -> None:

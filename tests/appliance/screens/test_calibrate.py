@@ -12,13 +12,13 @@ from appliance.calibration.recordings import ArtefactKind
 from appliance.machine.alerts import Alert, Severity
 from appliance.machine.mishap import Failure, Mishap
 from appliance.machine.states import Calibrating, Task
+from appliance.machine.words import Language, Text
 from appliance.scan.fault import FaultCode
 from appliance.screens import theme
 from appliance.screens.calibrate import refusal_words
 from appliance.screens.canvas import Canvas
 from appliance.screens.painter import Painter
 from appliance.screens.sketch import sketch_depth, sketch_front
-from appliance.screens.texts import Language, Text
 from appliance.screens.views import CalibrateView
 
 Picture = NDArray[np.uint8]

@@ -13,6 +13,7 @@ from appliance.machine.alerts import Alert, alert_of, alerts
 from appliance.machine.choices import COLDEST_C, WARMEST_C
 from appliance.machine.menu import ROWS
 from appliance.machine.states import Menu, Notice, NoticeKind, Page, boot
+from appliance.machine.words import Language, Text
 from appliance.ranging.reach import Reach
 from appliance.scan.exposure import Exposure, Span, ladder
 from appliance.scan.fault import Fault, FaultCode
@@ -20,7 +21,6 @@ from appliance.screens import theme
 from appliance.screens.canvas import Canvas
 from appliance.screens.frame import draw_alerts
 from appliance.screens.painter import Painter
-from appliance.screens.texts import Language, Text
 from appliance.screens.views import AnyView, Gauge, Grade
 from appliance.service.menu_view import Facts, menu_view
 from tests.appliance.screens.golden.scenes import AIM, GALLERY, REVIEW

@@ -11,9 +11,9 @@ import moderngl
 import numpy as np
 import pytest
 
+from appliance.machine.words import Language
 from appliance.scan.fault import FaultCode
 from appliance.screens.canvas import Canvas
-from appliance.screens.texts import Language
 from appliance.screens.theme import Colour
 from appliance.screens.views import AnyView
 from tests.appliance.screens.golden import palette

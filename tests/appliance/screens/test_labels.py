@@ -8,11 +8,11 @@ from itertools import combinations, product
 import moderngl
 import pytest
 
+from appliance.machine.words import Label, Language, Text
 from appliance.scan.exposure import Span, ladder
 from appliance.screens import theme
 from appliance.screens.canvas import Canvas
 from appliance.screens.frame import draw_key_labels, room_between
-from appliance.screens.texts import Language
 from drivers.api import Key
 from tests.appliance.screens.operator.pages import meant
 
@@ -30,16 +30,16 @@ def exposures() -> set[str]:
     return {step.label for step in steps}
 
 
-def words() -> dict[Key, set[str]]:
+def words() -> dict[Key, set[Label]]:
     """Every label of each key."""
-    found: dict[Key, set[str]] = {key: set() for key in Key}
+    found: dict[Key, set[Label]] = {key: set() for key in Key}
     for by_key in meant().values():
         for key, labels in by_key.items():
             found[key] |= set(labels)
-    found[Key.BACK].add("SEEN")
+    found[Key.BACK].add(Text.SEEN)
     gains = {label.partition(" +")[2] for label in exposures()} - {""}
-    found[Key.DOWN] |= {f"{verb} {label}" for verb, label in product(("EXPOSE", "ADD"), exposures())}
-    found[Key.DOWN] |= {f"GAIN {gain}" for gain in gains}
+    found[Key.DOWN] |= {(verb, label) for verb, label in product((Text.EXPOSE, Text.ADD), exposures())}
+    found[Key.DOWN] |= {(Text.GAIN, gain) for gain in gains}
     # Stand-ins carry the labels of the keys that are stuck.
     found[Key.UP] |= found[Key.SCAN]
     found[Key.DOWN] |= found[Key.BACK]
@@ -100,5 +100,5 @@ def test_the_longest_exposure_stands_on_two_lines(
 ) -> None:
     with context:
         canvas.begin(theme.INK)
-        draw_key_labels(canvas, {Key.DOWN: "EXPOSE 16 ms +12 dB"}, language)
+        draw_key_labels(canvas, {Key.DOWN: (Text.EXPOSE, "16 ms +12 dB")}, language)
         assert [line.words for line in canvas.written] == lines

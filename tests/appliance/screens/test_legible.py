@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from appliance.calibration.guide import HELD, Refusal, Session, Step, Trial
 from appliance.machine.states import Calibrating
+from appliance.machine.words import Language, Text
 from appliance.screens import theme
 from appliance.screens.canvas import Canvas, Written
 from appliance.screens.frame import alerts_top, draw_alerts
 from appliance.screens.painter import Painter, said_once
-from appliance.screens.texts import Language, Text
 from appliance.screens.views import AnyView, CalibrateView
 from tests.appliance.screens.golden.scenes import AIM, ALERTS, SCENES, keys
 

@@ -9,10 +9,10 @@ import moderngl
 import pytest
 
 from appliance.machine.alerts import Alert
+from appliance.machine.words import Language, Text
 from appliance.scan.fault import FaultCode
 from appliance.screens.frame import alerts_top
 from appliance.screens.painter import Painter, said_once
-from appliance.screens.texts import Language, Text
 from appliance.screens.views import MenuView, ShutdownView
 from tests.appliance.screens.golden.scenes import SCENES, alert
 from tests.appliance.screens.test_legible import complaints, written

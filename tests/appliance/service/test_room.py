@@ -15,6 +15,7 @@ from appliance.config import load_rig
 from appliance.machine import events as on
 from appliance.machine.alerts import RULES
 from appliance.machine.states import Part
+from appliance.machine.words import Text
 from appliance.optics.water import Water
 from appliance.patterns.sequence import build_sequence
 from appliance.scan.exposure import Exposure
@@ -150,7 +151,7 @@ def test_after_the_self_test_the_space_of_a_whole_scan_is_allocated(tmp_path: Pa
         events = answered(desk)
         (tested,) = (event for event in events if isinstance(event, on.PartTested))
         assert (tested.part, tested.passed) == (Part.STORAGE, True)
-        assert "counted only" not in tested.detail
+        assert tested.detail is not Text.COUNTED_ONLY
         held = {path.name: path.stat().st_blocks * 512 for path in (tmp_path / FOLDER).iterdir() if path.is_file()}
         assert held["frames-left"] >= 24 * 400 * 300
         assert held["frames-right"] >= 24 * 400 * 300
@@ -167,5 +168,5 @@ def test_a_disk_that_cannot_allocate_is_used_and_said_to_be_counted_only(tmp_pat
         events = answered(desk)
         (tested,) = (event for event in events if isinstance(event, on.PartTested))
         assert tested.passed
-        assert "counted only" in tested.detail
+        assert tested.detail is Text.COUNTED_ONLY
         assert desk.begin(1, Exposure(8000, 0.0)) is None

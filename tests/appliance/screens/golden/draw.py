@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.machine.alerts import Alert
+from appliance.machine.words import Language
 from appliance.screens import theme
 from appliance.screens.canvas import Canvas
 from appliance.screens.frame import alerts_top, draw_alerts
 from appliance.screens.painter import Painter
-from appliance.screens.texts import Language
 from tests.appliance.screens.golden.scenes import ALERTS, SCENES
 
 FOLDER = Path(__file__).parent

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from appliance.machine.alerts import RULES
-from appliance.screens.texts import Language
+from appliance.machine.words import Language
 from tests.appliance.screens.golden.draw import Golden
 from tests.appliance.screens.golden.scenes import ALERTS, SCENES
 

@@ -10,9 +10,9 @@ from appliance.calibration.guide import USED, Refusal, Session, Solved, Step, Tr
 from appliance.machine.alerts import RULES, Alert, alert_of
 from appliance.machine.mishap import Failure, Mishap
 from appliance.machine.states import Calibrating, Task
+from appliance.machine.words import Label, Text
 from appliance.ranging.reach import Reach
 from appliance.scan.fault import Fault, FaultCode
-from appliance.screens.texts import Text
 from appliance.screens.views import (
     AimView,
     AnyView,
@@ -69,7 +69,7 @@ def alert(code: FaultCode, device: str | None = None) -> Alert:
     return alert_of(Fault(code, "said for the log", {**NUMBERS, **OF_CODE.get(code, {})}, device))
 
 
-def keys(**words: str) -> KeyLabels:
+def keys(**words: Label) -> KeyLabels:
     return MappingProxyType({Key(name): word for name, word in words.items()})
 
 
@@ -78,8 +78,8 @@ LOST = alert(FaultCode.CAMERA_LOST, "camera.right")
 LEAK = alert(FaultCode.LEAK)
 MOVED = alert(FaultCode.MOVED)
 _NAMES = ("camera.left", "camera.right", "board", "keys", "projector", "display", "storage", "calibration", "worker")
-_AIM_KEYS = keys(scan="SCAN", back="HOLD: OFF", up="MENU", down="GALLERY")
-_REVIEW_KEYS = keys(scan="KEEP", back="HOLD: REDO", up="TURN", down="TURN")
+_AIM_KEYS = keys(scan=Text.SCAN, back=Text.HOLD_OFF, up=Text.MENU, down=Text.GALLERY)
+_REVIEW_KEYS = keys(scan=Text.KEEP, back=Text.HOLD_REDO, up=Text.TURN, down=Text.TURN)
 AIM = AimView(
     left=seabed.live(False), right=seabed.live(True), scans_taken=12, scans_left=41, temperature_c=34.0,
     exposure="12 ms", water=Text.SALT, gauge=Gauge(503.0, -4.0, Reach.OK), marks=seabed.marks(),
@@ -96,7 +96,7 @@ NO_POINTS = replace(
 )  # fmt: skip
 GALLERY = GalleryView(
     scan_id="000012", index=0, count=12, preview=seabed.preview(), grade=Grade.GOOD, points=1_312_409, coverage_percent=87.0,
-    noise_mm=0.028, distance_mm=503.0, taken="2026-11-21 14:07", keys=keys(back="BACK", down="OLDER"),
+    noise_mm=0.028, distance_mm=503.0, taken="2026-11-21 14:07", keys=keys(back=Text.BACK, down=Text.OLDER),
 )  # fmt: skip
 MAIN_ROWS = (
     MenuRow(Text.EXPOSURE, "12 ms"),
@@ -108,7 +108,7 @@ MAIN_ROWS = (
     MenuRow(Text.ABOUT),
     MenuRow(Text.POWER_OFF),
 )
-_MENU_KEYS = keys(scan="OPEN", back="BACK", up="▲", down="▼")
+_MENU_KEYS = keys(scan=Text.OPEN, back=Text.BACK, up=Text.ARROW_UP, down=Text.ARROW_DOWN)
 _TRIALS = tuple(Trial(step, None, 0.031, 2140) for step in USED)
 _SOLVED = Solved("bundle, spline", 0.034, (), "abc")
 _CHECKED = Session((), None, Verified(0.0062, None, 0.0001))
@@ -123,8 +123,8 @@ def _tested(failed: Mapping[str, Alert | Text], waiting: int = 0) -> tuple[Devic
     return (*known, *(DeviceLine(name, DeviceResult.WAITING) for name in _NAMES[len(_NAMES) - waiting :]))
 
 
-def _calibrate(at: Calibrating, session: Session | None = None, **words: str) -> CalibrateView:
-    given = keys(**(words or {"scan": "SCAN", "back": "BACK", "down": "M2"}))
+def _calibrate(at: Calibrating, session: Session | None = None, **words: Label) -> CalibrateView:
+    given = keys(**(words or {"scan": Text.SCAN, "back": Text.BACK, "down": Text.M2}))
     live = seabed.live(False)
     gauge = Gauge(None, None, Reach.UNKNOWN) if at.latest is None else Gauge(508.0, None, Reach.OK)
     return CalibrateView(
@@ -135,12 +135,12 @@ def _calibrate(at: Calibrating, session: Session | None = None, **words: str) ->
 SCENES: Mapping[str, Scene] = MappingProxyType(
     {
         "boot": Scene(
-            BootView(devices=_tested({}, 5), version="0.1.0", keys=keys(back="HOLD: OFF")),
+            BootView(devices=_tested({}, 5), version="0.1.0", keys=keys(back=Text.HOLD_OFF)),
             "Start: devices answer one after the other.", 0.7,
         ),
         "self-test": Scene(
             SelfTestView(
-                devices=_tested({}), version="0.1.0", finished=True, passed=True, keys=keys(back="HOLD: OFF")
+                devices=_tested({}), version="0.1.0", finished=True, passed=True, keys=keys(back=Text.HOLD_OFF)
             ),
             "Everything works; the aim screen follows by itself.", 0.7,
         ),
@@ -150,7 +150,7 @@ SCENES: Mapping[str, Scene] = MappingProxyType(
                     {"camera.right": alert(FaultCode.CAMERA_LOST, "camera.right"), "calibration": Text.NOT_MEASURED}
                 ),
                 version="0.1.0",
-                finished=True, passed=False, keys=keys(scan="GO ON", back="HOLD: OFF"),
+                finished=True, passed=False, keys=keys(scan=Text.GO_ON, back=Text.HOLD_OFF),
             ),
             "What failed is named, and waits to be read.", 0.7,
         ),
@@ -178,7 +178,7 @@ SCENES: Mapping[str, Scene] = MappingProxyType(
         "aim-acknowledge": Scene(
             replace(
                 AIM, alerts=(replace(alert(FaultCode.UNCALIBRATED), lasts=True),),
-                keys=keys(scan="SCAN", back="SEEN", up="MENU", down="GALLERY"),
+                keys=keys(scan=Text.SCAN, back=Text.SEEN, up=Text.MENU, down=Text.GALLERY),
             ),
             "A warning that lasts has room of its own, and goes with BACK …",
         ),
@@ -196,10 +196,10 @@ SCENES: Mapping[str, Scene] = MappingProxyType(
             ),
             "The gravest flashes in red; the others are named above it.",
         ),
-        "armed": Scene(ArmedView(keys=keys(back="STOP")), "Lasers are proven off before any pattern is shown."),
-        "capture": Scene(CaptureView(keys=keys(back="STOP")), "The sequence is recorded. Drawn before its first pattern, and not again before its last one."),
-        "check": Scene(CheckView(keys=keys(back="HOLD: REDO")), "Whether every frame shows its pattern; the diver may move."),
-        "reconstruct": Scene(ReconstructView(keys=keys(back="HOLD: REDO")), "Points are computed.", 0.9),
+        "armed": Scene(ArmedView(keys=keys(back=Text.STOP)), "Lasers are proven off before any pattern is shown."),
+        "capture": Scene(CaptureView(keys=keys(back=Text.STOP)), "The sequence is recorded. Drawn before its first pattern, and not again before its last one."),
+        "check": Scene(CheckView(keys=keys(back=Text.HOLD_REDO)), "Whether every frame shows its pattern; the diver may move."),
+        "reconstruct": Scene(ReconstructView(keys=keys(back=Text.HOLD_REDO)), "Points are computed.", 0.9),
         "review": Scene(REVIEW, "The cloud by depth, gently turning, or turned by the diver; the verdict and its numbers.", 1.2),
         "review-coarse": Scene(
             replace(REVIEW, coarse=True, grade=Grade.USABLE, points=20_412, noise_mm=0.071), "A coarse cloud comes first.", 0.4
@@ -211,7 +211,7 @@ SCENES: Mapping[str, Scene] = MappingProxyType(
         ),
         "review-moved": Scene(
             replace(
-                REVIEW, grade=Grade.BAD, alerts=(MOVED,), keys=keys(scan="KEEP", back="HOLD: REDO", up="TURN", down="EXPOSE 8 ms")
+                REVIEW, grade=Grade.BAD, alerts=(MOVED,), keys=keys(scan=Text.KEEP, back=Text.HOLD_REDO, up=Text.TURN, down=(Text.EXPOSE, "8 ms"))
             ),
             "A scan that moved is never called good.", 0.4,
         ),
@@ -227,7 +227,7 @@ SCENES: Mapping[str, Scene] = MappingProxyType(
         "menu-changing": Scene(
             MenuView(
                 title=Text.MENU, rows=MAIN_ROWS, selected=0, changing=True,
-                keys=keys(scan="OK", back="CANCEL", up="▲", down="▼"),
+                keys=keys(scan=Text.OK, back=Text.CANCEL, up=Text.ARROW_UP, down=Text.ARROW_DOWN),
             ),
             "A value is being changed; it holds once it is taken.",
         ),
@@ -241,7 +241,7 @@ SCENES: Mapping[str, Scene] = MappingProxyType(
         ),
         "menu-about": Scene(
             MenuView(
-                title=Text.ABOUT, selected=0, keys=keys(back="BACK", down="▼"),
+                title=Text.ABOUT, selected=0, keys=keys(back=Text.BACK, down=Text.ARROW_DOWN),
                 rows=(
                     MenuRow(Text.VERSION, "0.1.0"), MenuRow(Text.SERIAL_NUMBER, "KF-0001"),
                     MenuRow(Text.CALIBRATED, "2026-11-02"), MenuRow(Text.SALINITY, "34.5 psu"),
@@ -253,7 +253,7 @@ SCENES: Mapping[str, Scene] = MappingProxyType(
         "menu-power-off": Scene(
             MenuView(
                 title=Text.POWER_OFF_ASKED, selected=0, rows=(MenuRow(Text.STAY_ON), MenuRow(Text.SWITCH_OFF)),
-                keys=keys(scan="OK", back="BACK", down="▼"),
+                keys=keys(scan=Text.OK, back=Text.BACK, down=Text.ARROW_DOWN),
             ),
             "Asked before every switching off that the diver wants; the answer that does no harm is selected.",
         ),
@@ -261,11 +261,11 @@ SCENES: Mapping[str, Scene] = MappingProxyType(
         "gallery-damaged": Scene(
             replace(
                 GALLERY, scan_id="000009", index=3, preview=None, grade=None, points=None, coverage_percent=None, noise_mm=None,
-                distance_mm=None, taken=None, damaged=True, keys=keys(back="BACK", up="NEWER", down="OLDER"),
+                distance_mm=None, taken=None, damaged=True, keys=keys(back=Text.BACK, up=Text.NEWER, down=Text.OLDER),
             ),
             "A damaged scan is marked, the others are fine.",
         ),
-        "gallery-empty": Scene(GalleryView(keys=keys(back="BACK")), "No scan yet."),
+        "gallery-empty": Scene(GalleryView(keys=keys(back=Text.BACK)), "No scan yet."),
         "calibrate-bar": Scene(
             _calibrate(Calibrating(Step.M1, latest=Trial(Step.M1, Refusal.TILT_MORE, 12.0))),
             "How to hold the ball bar, and what was wrong with the last recording.",
@@ -273,13 +273,13 @@ SCENES: Mapping[str, Scene] = MappingProxyType(
         "calibrate-plane": Scene(
             _calibrate(
                 Calibrating(Step.M3, latest=_TRIALS[2]), Session(_TRIALS[:3]),
-                scan="REDO", back="BACK", up="M2", down="M4",
+                scan=Text.REDO, back=Text.BACK, up=Text.M2, down=Text.M4,
             ),
             "A recording that fits.",
         ),
         "calibrate-solve": Scene(
             _calibrate(
-                Calibrating(Step.SOLVE, Task.SOLVE, progress=0.55), Session(_TRIALS), back="BACK"
+                Calibrating(Step.SOLVE, Task.SOLVE, progress=0.55), Session(_TRIALS), back=Text.BACK
             ),
             "The adjustment.",
         ),
@@ -290,34 +290,34 @@ SCENES: Mapping[str, Scene] = MappingProxyType(
                     failed=Failure(Mishap.RECORDING, "M1, scan 000012: no ball on the right; record M1 again", "M1"),
                 ),
                 Session(_TRIALS),
-                back="BACK",
+                back=Text.BACK,
             ),
             "A task that came to nothing: of which step, and what to do. The log says more, to who repairs it.",
         ),
         "calibrate-result": Scene(
-            _calibrate(Calibrating(Step.RESULT), _BETTER, scan="KEEP", back="BACK", up="VERIFY", down="HOLD: NEW"),
+            _calibrate(Calibrating(Step.RESULT), _BETTER, scan=Text.KEEP, back=Text.BACK, up=Text.VERIFY, down=Text.HOLD_NEW),
             "What it gave, against the calibration in use.",
         ),
         "calibrate-checked": Scene(
-            _calibrate(Calibrating(Step.RESULT), _CHECKED, back="BACK", up="VERIFY", down="HOLD: NEW"),
+            _calibrate(Calibrating(Step.RESULT), _CHECKED, back=Text.BACK, up=Text.VERIFY, down=Text.HOLD_NEW),
             "The ball bar alone: the calibration in use is wrong, or the water is.",
         ),
         "cooling": Scene(
-            CoolingView(temperature_c=61.0, limit_c=55.0, remaining_s=118.0, keys=keys(back="BACK")),
+            CoolingView(temperature_c=61.0, limit_c=55.0, remaining_s=118.0, keys=keys(back=Text.BACK)),
             "Too hot to shine.",
         ),
         "cooling-alert": Scene(
             CoolingView(
-                temperature_c=61.0, limit_c=55.0, remaining_s=None, alerts=(alert(FaultCode.HOT), LOST), keys=keys(back="BACK")
+                temperature_c=61.0, limit_c=55.0, remaining_s=None, alerts=(alert(FaultCode.HOT), LOST), keys=keys(back=Text.BACK)
             ),
             "How long is not known; what else is wrong is said as well.",
         ),
-        "safe": Scene(SafeView(alert=LEAK, saved=True, keys=keys(back="HOLD: OFF")), "Water came in: no light, ascend."),
+        "safe": Scene(SafeView(alert=LEAK, saved=True, keys=keys(back=Text.HOLD_OFF)), "Water came in: no light, ascend."),
         "safe-saving": Scene(
-            SafeView(alert=LEAK, saved=False, keys=keys(back="HOLD: OFF")), "The last scan is still being saved.", 0.4
+            SafeView(alert=LEAK, saved=False, keys=keys(back=Text.HOLD_OFF)), "The last scan is still being saved.", 0.4
         ),
         "safe-alert": Scene(
-            SafeView(alert=LEAK, saved=True, alerts=(LEAK, LOST, WARM), keys=keys(back="HOLD: OFF")),
+            SafeView(alert=LEAK, saved=True, alerts=(LEAK, LOST, WARM), keys=keys(back=Text.HOLD_OFF)),
             "What else is wrong comes second.",
         ),
         "shutdown": Scene(ShutdownView(), "After the diver's wish."),
@@ -328,6 +328,6 @@ SCENES: Mapping[str, Scene] = MappingProxyType(
 )  # fmt: skip
 
 ALERTS: Mapping[str, Alert] = MappingProxyType(
-    {code.value: alert(code, "camera.left" if "{side}" in RULES[code].headline else None) for code in RULES}
+    {code.value: alert(code, "camera.left" if "side}" in RULES[code].headline.english else None) for code in RULES}
 )
 """Every alert there is, with typical numbers."""

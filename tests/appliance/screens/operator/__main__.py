@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from appliance.screens.texts import Language
+from appliance.machine.words import Language
 from drivers.output.gl import open_gl
 from tests.appliance.screens.golden import palette
 from tests.appliance.screens.golden.draw import Golden

@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.machine.alerts import Severity
+from appliance.machine.words import Language, Text
 from appliance.ranging.reach import FARTHEST_MM, NEAREST_MM
 from appliance.screens import theme
 from appliance.screens.canvas import Align, Canvas
 from appliance.screens.frame import words_of
-from appliance.screens.texts import Language, Text
 from appliance.screens.theme import BLACK, BODY, BOLD, CAPTION, HEADLINE, REGULAR, TITLE
 from tests.appliance.screens.golden.scenes import ALERTS
 

@@ -9,10 +9,11 @@ from appliance.machine import events as on
 from appliance.machine.alerts import RULES, Rule, Severity
 from appliance.machine.states import Machine, State
 from appliance.machine.texts import labels
+from appliance.machine.words import Label, Language, Text
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault, FaultCode
 from appliance.screens.frame import words_of
-from appliance.screens.texts import Language, Text, worded
+from appliance.screens.texts import worded
 from drivers.api import Key
 from tests.appliance.machine.walks import STARTS, armed, in_gallery, reviewing, run
 from tests.appliance.screens.golden.scenes import ALERTS
@@ -65,13 +66,13 @@ def _effect(rule: Rule, language: Language) -> str:
     return ", ".join(pick(language, english, german) for holds, english, german in said if holds)
 
 
-ASKED = "POWER OFF?"
+ASKED = Text.POWER_OFF_ASKED.english
 """The row of the question, which is the same over every state."""
 
 
-def meant() -> dict[str, dict[Key, list[str]]]:
+def meant() -> dict[str, dict[Key, list[Label]]]:
     """Every label that each key can have in each state, as the machine gives them; those of the question by ``ASKED``."""
-    found: dict[str, dict[Key, list[str]]] = defaultdict(lambda: defaultdict(list))
+    found: dict[str, dict[Key, list[Label]]] = defaultdict(lambda: defaultdict(list))
     for machine in (*(start() for start in STARTS), *_more()):
         row = found[machine.state.value if machine.off_question is None else ASKED]
         for key, word in labels(machine).items():
@@ -116,7 +117,7 @@ def keys(language: Language) -> str:
     ]  # fmt: skip
     for row in (*(state.value for state in State), ASKED):
         words = (", ".join(worded(word, language) for word in found.get(row, {}).get(key, [])) for key in _ORDER)
-        lines.append(f"| {worded(row, language) if row == ASKED else row} | {' | '.join(words)} |")
+        lines.append(f"| {Text.POWER_OFF_ASKED.in_language(language) if row == ASKED else row} | {' | '.join(words)} |")
     return "\n".join(lines) + "\n"
 
 
