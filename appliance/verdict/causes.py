@@ -78,6 +78,9 @@ def find_causes(
     """
     of = {one.verdict.name: one for one in judgements}
     found = _once(sorted(_all(of, summary, present, steps), key=lambda cause: -cause.share))
+    found += [
+        Cause(one.fault, 0.0, certain=True) for one in judgements if one.fault is not None and not _is_weighed(one)
+    ]
     usable = is_usable(summary.coverage_percent, summary.noise_mm)
     told = tuple(
         cause for k, cause in enumerate(found)
@@ -96,10 +99,12 @@ def with_causes(
     A judgement whose fault something else explains passes nothing and fails nothing. Identity is left as it is.
     """
     causes = find_causes(judgements, summary, present, steps)
+    judges = {one.fault.code: one.verdict.name for one in judgements if one.fault is not None and not _is_weighed(one)}
+    judges |= _JUDGES
     left = {one.verdict.name: one for one in judgements if one.verdict.name != NAME}
     ranked: list[Judgement] = []
     for cause in causes:
-        judge = _JUDGES.get(cause.fault.code, NAME)
+        judge = judges.get(cause.fault.code, NAME)
         if judge in left and judge != NAME:
             one = left.pop(judge)
             ranked.append(replace(one, fault=cause.fault, verdict=_failed(one.verdict, cause)))
@@ -131,6 +136,11 @@ _JUDGES: Mapping[FaultCode, str] = {
     FaultCode.NOTHING_SEEN: "sight",
 }
 """Whose verdict a cause is entered into; what has none is the verdict ``causes`` itself."""
+
+
+def _is_weighed(one: Judgement) -> bool:
+    """Whether a judge's numbers are weighed here; the fault of any other judge stands as it says, behind the weighed ones."""
+    return one.verdict.name in {NAME, "identity", *_JUDGES.values()}
 
 
 def _failed(verdict: Verdict, cause: Cause) -> Verdict:

@@ -290,3 +290,14 @@ def test_what_is_lost_behind_a_faint_veil_is_not_lost_to_the_water(
     numbers = {"veil_percent": veil_percent, "hidden_percent": 20.0, "masked_percent": 25.0, "speck_percent": 0.0}
     water = judgement("water", numbers, FaultCode.WATER_DIRTY, coverage_percent=75.0)
     assert codes(still(), water, light(), sight(**FRINGES)) == expected
+
+
+def test_the_fault_of_a_judge_whose_numbers_are_not_weighed_stands_as_it_says_behind_the_weighed_ones() -> None:
+    leaky = judgement("bubbles", {}, FaultCode.LEAK)
+    hands = moved(60.0, FaultCode.MOVED)
+    causes, judged = find_causes((leaky, hands), GOOD, USUAL, STEPS), with_causes((leaky, hands), GOOD, USUAL, STEPS)
+    assert [cause.fault.code for cause in causes] == [FaultCode.MOVED, FaultCode.LEAK]
+    assert {one.verdict.name: one.fault.code for one in judged if one.fault is not None} == {
+        "motion": FaultCode.MOVED,
+        "bubbles": FaultCode.LEAK,
+    }
