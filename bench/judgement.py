@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from appliance.patterns.sequence import Direction
-from appliance.reconstruct.phase import phase
+from appliance.reconstruct.decode.phase import phase
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.scratch import COORDINATE, DECODING_SIZE
 from appliance.reconstruct.table import Cloud

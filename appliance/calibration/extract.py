@@ -56,7 +56,7 @@ class Certificate:
 
 
 class DecodedImage(Protocol):
-    """One camera's decoded scan; ``appliance.reconstruct.decode.CameraDecoder`` is one."""
+    """One camera's decoded scan; ``appliance.reconstruct.decode.decoder.CameraDecoder`` is one."""
 
     p_px: NDArray[np.float32]
     """(h, w) pattern column, NaN where it is unknown."""

@@ -19,8 +19,8 @@ from appliance.compensation.surface import rough_depth
 from appliance.compensation.ways import FIRST_WAY, PER_FRAME, Ways, ways
 from appliance.optics.water import Water
 from appliance.patterns.sequence import Direction
-from appliance.reconstruct.decode import MIN_MODULATION_DN, edge_limits_px
-from appliance.reconstruct.edges import keep_smooth
+from appliance.reconstruct.decode.decoder import MIN_MODULATION_DN, edge_limits_px
+from appliance.reconstruct.decode.edges import keep_smooth
 from appliance.reconstruct.images import ScanImages
 from appliance.reconstruct.rows import LeftMaps
 from appliance.scan.sides import SIDES, of_side

@@ -33,7 +33,7 @@ from appliance.compensation.residuals import (
 from appliance.optics.model import HousedCamera
 from appliance.optics.water import Water
 from appliance.patterns.sequence import Direction, PatternSequence
-from appliance.reconstruct.decode import Mask
+from appliance.reconstruct.decode.decoder import Mask
 from appliance.reconstruct.images import ScanImages
 from appliance.scan.sides import SIDES, of_side
 
@@ -357,7 +357,7 @@ def _step_deg(samples: Samples, values: Array) -> float:
 def noise_dn(scanned: ScanImages, side: str) -> float:
     """Of the grey values of one camera, at the object's mean light."""
     decoder, camera = scanned.decoded[side], of_side(scanned.noise, side)
-    lit = decoder.middle[::4, ::4][decoder.mask[::4, ::4] == Mask.VALID]
+    lit = decoder.gray_threshold[::4, ::4][decoder.mask[::4, ::4] == Mask.VALID]
     return math.sqrt(camera.variance_dn2(float(np.median(lit)) if lit.size else 0.0))
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.reconstruct.decode import DecodedMaps
+from appliance.reconstruct.decode.decoder import DecodedMaps
 from appliance.reconstruct.fuse import fuse
 from appliance.reconstruct.merge import Agreement, merge
 from appliance.reconstruct.pipeline import Pipeline

@@ -18,11 +18,11 @@ from appliance.compensation.attempt import Attempt, attempt
 from appliance.optics.water import Water
 from appliance.processing.bracket import Merged, ProcessedSequence, merge_bracket
 from appliance.processing.judges import Evidence, in_order, is_fault, judged_by_all
-from appliance.reconstruct.decode import DecodedMaps
+from appliance.reconstruct.decode.decoder import DecodedMaps
+from appliance.reconstruct.decode.specks import mask_specks
 from appliance.reconstruct.images import ScanImages
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.quality import CloudSummary
-from appliance.reconstruct.specks import mask_specks
 from appliance.reconstruct.table import Found
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.fault import Fault, FaultCode

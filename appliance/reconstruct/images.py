@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.patterns.sequence import PatternSequence
-from appliance.reconstruct.decode import CameraDecoder
+from appliance.reconstruct.decode.decoder import CameraDecoder
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.noise import StereoNoise
 

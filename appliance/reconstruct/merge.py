@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.reconstruct.decode import CameraDecoder, DecodedMaps, Mask
+from appliance.reconstruct.decode.decoder import CameraDecoder, DecodedMaps, Mask
 from appliance.scan.noise import CameraNoise
 
 Maps = CameraDecoder | DecodedMaps
@@ -64,9 +64,9 @@ def merge(first: Maps, second: Maps, noise: tuple[CameraNoise, CameraNoise], per
     for top in range(0, first.mask.shape[0], ROWS):
         rows = slice(top, top + ROWS)
         counts += _merge_rows(first, second, noise, scale_px, rows, differences)
-    first.lit_columns[:, 0] = np.minimum(first.lit_columns[:, 0], second.lit_columns[:, 0])
-    first.lit_columns[:, 1] = np.maximum(first.lit_columns[:, 1], second.lit_columns[:, 1])
-    first.lit_pixels = max(first.lit_pixels, second.lit_pixels)
+    first.illuminated_columns[:, 0] = np.minimum(first.illuminated_columns[:, 0], second.illuminated_columns[:, 0])
+    first.illuminated_columns[:, 1] = np.maximum(first.illuminated_columns[:, 1], second.illuminated_columns[:, 1])
+    first.illuminated_pixels = max(first.illuminated_pixels, second.illuminated_pixels)
     share = counts / first.mask.size
     return Agreement(float(share[0]), float(share[1]), float(share[2]), float(share[3]), _shift(differences))
 
@@ -123,7 +123,7 @@ def _merge_rows(
 def _variance_px2(decoder: Maps, noise: CameraNoise, scale_px: float, rows: slice) -> NDArray[np.float32]:
     """Of either coordinate; in the shadow, where nothing else means anything, that of the least modulation."""
     lit = decoder.mask[rows] != Mask.SHADOW
-    grey_dn = decoder.middle[rows].astype(np.float32)
+    grey_dn = decoder.gray_threshold[rows].astype(np.float32)
     modulation = np.where(lit, np.maximum(0.5 * decoder.modulation_half_dn[rows].astype(np.float32), 1.0), 1.0)
     return np.asarray(scale_px**2 * noise.variance_dn2(grey_dn) / modulation**2, np.float32)
 
@@ -140,7 +140,7 @@ def _restate(
 ) -> None:
     """Modulation and light that make ``variance_px2``: the clearer sequence's light, and the modulation it takes; where
     that would leave the scale, less light."""
-    light = np.where(second_is_clearer, second.middle[rows], first.middle[rows]).astype(np.float32)
+    light = np.where(second_is_clearer, second.gray_threshold[rows], first.gray_threshold[rows]).astype(np.float32)
     black = np.float32(noise.black_dn)
     at_light = noise.variance_dn2(light)
     modulation = scale_px * np.sqrt(at_light / variance_px2)
@@ -149,7 +149,7 @@ def _restate(
     light = np.where(beyond, np.clip(needed, black, light), light)
     half_dn = np.rint(np.clip(2.0 * modulation, 0.0, 255.0)).astype(np.uint8)
     first.modulation_half_dn[rows][where] = half_dn[where]
-    first.middle[rows][where] = np.rint(light).astype(np.uint8)[where]
+    first.gray_threshold[rows][where] = np.rint(light).astype(np.uint8)[where]
 
 
 def _size(decoder: Maps) -> str:

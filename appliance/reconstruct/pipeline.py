@@ -17,14 +17,14 @@ from appliance.calibration.gaps import GapModes
 from appliance.optics.rays import ray_lattice
 from appliance.optics.water import Water
 from appliance.patterns.sequence import PatternSequence
-from appliance.reconstruct.decode import CameraDecoder
+from appliance.reconstruct.decode.decoder import CameraDecoder
 from appliance.reconstruct.gaps import GapSampler
 from appliance.reconstruct.match import RightMaps, fill_inverse_map, right_maps
 from appliance.reconstruct.quality import QualityLimits, summarise
 from appliance.reconstruct.ripple import STILL, measure_ripple
 from appliance.reconstruct.rows import LeftMaps, reconstruct_rows, scratch_rows
 from appliance.reconstruct.scratch import MAX_WIDTH_PX
-from appliance.reconstruct.select import Limits
+from appliance.reconstruct.select import PointLimits
 from appliance.reconstruct.sigma import SigmaFactors, read_between, sigma_factors
 from appliance.reconstruct.table import Cloud, Found, PointTable
 from appliance.reconstruct.triangulate import Rays, rays_of
@@ -156,7 +156,7 @@ class Pipeline:
         """As ``coarse``, leaving the points in the table."""
         for decoder in self._decoders.values():
             decoder.finish()
-        self._read_through_veil()
+        self._read_through_backscatter()
         self._prepare()
         return self._find(self.coarse_stride)
 
@@ -172,14 +172,14 @@ class Pipeline:
     def _prepare(self) -> None:
         fill_inverse_map(self._right, self._inverse_stride)
         left, period_px = self._decoders["left"], self._sequence.period_px
-        self._ripple = measure_ripple(left.p_px, left.lit_columns, period_px)
+        self._ripple = measure_ripple(left.p_px, left.illuminated_columns, period_px)
         self._factors = sigma_factors(period_px, self._noise, self._ripple)
 
-    def _read_through_veil(self) -> None:
+    def _read_through_backscatter(self) -> None:
         noises = {side: of_side(self._noise, side) for side in SIDES}
 
         def work(side: str) -> None:
-            self._decoders[side].read_again_through_veil(self._frames[side], noises[side])
+            self._decoders[side].read_again_through_backscatter(self._frames[side], noises[side])
 
         for _ in self._pool.map(work, self._frames):
             pass
@@ -221,19 +221,25 @@ class Pipeline:
         factors = read_between(self._factors, worth_share, fringe_px)
         return self._find_in(left, maps, factors, 1, self._kernel_limits(1), self.table)
 
-    def _find(self, stride: int, limits: Limits | None = None, table: PointTable | None = None) -> Found:
+    def _find(self, stride: int, limits: PointLimits | None = None, table: PointTable | None = None) -> Found:
         if self._bright is None:
             raise ValueError("no bright frame was pushed; push the whole sequence before asking for a cloud")
         decoder = self._decoders["left"]
         left = LeftMaps(
-            decoder.p_px, decoder.q_px, decoder.modulation_half_dn, self._bright, decoder.middle, decoder.lit_columns,
-            np.float32(decoder.sine_light),
+            decoder.p_px, decoder.q_px, decoder.modulation_half_dn, self._bright, decoder.gray_threshold, decoder.illuminated_columns,
+            np.float32(decoder.offset_per_threshold),
         )  # fmt: skip
         limits = limits or self._kernel_limits(stride)
         return self._find_in(left, self._right, self._factors, stride, limits, table or self.table)
 
     def _find_in(
-        self, left: LeftMaps, right: RightMaps, factors: SigmaFactors, stride: int, limits: Limits, table: PointTable
+        self,
+        left: LeftMaps,
+        right: RightMaps,
+        factors: SigmaFactors,
+        stride: int,
+        limits: PointLimits,
+        table: PointTable,
     ) -> Found:
         points = table.points
         rows, columns = left.p_px.shape
@@ -251,13 +257,13 @@ class Pipeline:
             return first, first + int(count)
 
         pieces = tuple(self._pool.map(work, range(0, rows, block)))
-        lit = self._decoders["left"].lit_pixels // stride**2
+        lit = self._decoders["left"].illuminated_pixels // stride**2
         return Found(pieces, summarise(lit, points, pieces))
 
-    def _kernel_limits(self, stride: int) -> Limits:
+    def _kernel_limits(self, stride: int) -> PointLimits:
         limits = self._limits
         noise = max(1.0, self._sequence.period_px / 16.0)
-        return Limits(
+        return PointLimits(
             max_gap_mm=np.float32(limits.max_gap_mm * noise),
             max_sigma_mm=np.float32(limits.max_sigma_mm * noise),
             min_depth_mm=np.float32(limits.min_depth_mm),

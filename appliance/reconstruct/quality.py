@@ -44,10 +44,10 @@ SAMPLE = 8_000
 """Points of which the medians are taken: their own standard error is about 1 %."""
 
 
-def summarise(lit_pixels: int, points: Points, pieces: tuple[tuple[int, int], ...]) -> CloudSummary:
-    """Numbers of the cloud in ``pieces`` (first, stop) of a table; ``lit_pixels`` at the same stride."""
+def summarise(illuminated_pixels: int, points: Points, pieces: tuple[tuple[int, int], ...]) -> CloudSummary:
+    """Numbers of the cloud in ``pieces`` (first, stop) of a table; ``illuminated_pixels`` at the same stride."""
     n = sum(stop - first for first, stop in pieces)
-    coverage = 100.0 * n / lit_pixels if lit_pixels else None
+    coverage = 100.0 * n / illuminated_pixels if illuminated_pixels else None
     if n == 0:
         return CloudSummary(0, coverage, None, None, None)
     step = max(1, n // SAMPLE)

@@ -70,12 +70,12 @@ def _sums(
     return count, cc, ss, cs, cy, sy, yy, lost
 
 
-def measure_ripple(p_px: NDArray[np.float32], lit_columns: NDArray[np.int32], period_px: int) -> Ripple:
-    """Of the decoded columns ``p_px`` (h, w), NaN where there is none, whose lit parts are ``lit_columns`` (h, 2)."""
+def measure_ripple(p_px: NDArray[np.float32], illuminated_columns: NDArray[np.int32], period_px: int) -> Ripple:
+    """Of the decoded columns ``p_px`` (h, w), NaN where there is none, whose lit parts are ``illuminated_columns`` (h, 2)."""
     stride = max(1, int((p_px.size / SAMPLES) ** 0.5))
     # Bends of noise are within this; those of edges need not be asked.
     most_px = period_px / 16.0
-    count, cc, ss, cs, cy, sy, yy, lost = _sums(p_px, lit_columns, 8.0 * math.pi / period_px, stride, most_px)
+    count, cc, ss, cs, cy, sy, yy, lost = _sums(p_px, illuminated_columns, 8.0 * math.pi / period_px, stride, most_px)
     det = cc * ss - cs * cs
     if count < 4 or det <= 1e-6 * cc * ss:
         return STILL

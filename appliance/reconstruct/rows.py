@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.reconstruct.match import RightMaps, match_row
-from appliance.reconstruct.scratch import LIGHT, MODULATION, SIZE, P, Q, Z
-from appliance.reconstruct.select import Limits, Points, append, judge
+from appliance.reconstruct.scratch import MODULATION, OFFSET, SIZE, P, Q, Z
+from appliance.reconstruct.select import PointLimits, Points, append, judge
 from appliance.reconstruct.sigma import SigmaFactors, expect_row
 from appliance.reconstruct.triangulate import Rays, triangulate_row
 
@@ -20,7 +20,7 @@ _NAN = np.float32(np.nan)
 
 
 class LeftMaps(NamedTuple):
-    """What is reconstructed, (h, w) but for ``lit_columns``."""
+    """What is reconstructed, (h, w) but for ``illuminated_columns``."""
 
     p_px: NDArray[np.float32]
     """NaN where there is no coordinate."""
@@ -29,9 +29,9 @@ class LeftMaps(NamedTuple):
     bright: NDArray[np.uint8]
     light: NDArray[np.uint8]
     """Half way between bright and dark."""
-    lit_columns: NDArray[np.int32]
+    illuminated_columns: NDArray[np.int32]
     """(h, 2): first column of each row that may have a coordinate, and the one behind the last."""
-    sine_light: np.float32 = np.float32(1.0)
+    offset_per_threshold: np.float32 = np.float32(1.0)
     """Mean of the sine images, of ``light``: less than 1 where the projector's response sags."""
 
 
@@ -57,7 +57,7 @@ def _load_row(left: LeftMaps, y: int, first: int, end: int, stride: int, s: NDAr
     _load(left.p_px[y, column:], stride, np.float32(1.0), s[P + first : P + end])
     _load(left.q_px[y, column:], stride, np.float32(1.0), s[Q + first : Q + end])
     _load(left.modulation_half_dn[y, column:], stride, np.float32(0.5), s[MODULATION + first : MODULATION + end])
-    _load(left.light[y, column:], stride, left.sine_light, s[LIGHT + first : LIGHT + end])
+    _load(left.light[y, column:], stride, left.offset_per_threshold, s[OFFSET + first : OFFSET + end])
     s[P + first - 1], s[P + end] = _NAN, _NAN
 
 
@@ -66,7 +66,7 @@ def reconstruct_rows(
     left: LeftMaps,
     right: RightMaps,
     rays: Rays,
-    limits: Limits,
+    limits: PointLimits,
     factors: SigmaFactors,
     start: int,
     stop: int,
@@ -94,8 +94,8 @@ def reconstruct_rows(
         row_first, row_end = first, end
         first, end = 0, 0
         if y < rows:
-            first = (left.lit_columns[y, 0] + stride - 1) // stride
-            end = max(first, (left.lit_columns[y, 1] + stride - 1) // stride)
+            first = (left.illuminated_columns[y, 0] + stride - 1) // stride
+            end = max(first, (left.illuminated_columns[y, 1] + stride - 1) // stride)
         s[Z : Z + first] = _NAN
         s[Z + end : Z + n] = _NAN
         if first < end:

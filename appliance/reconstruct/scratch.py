@@ -20,7 +20,7 @@ _NAMES = 42
     U, V, U_START, V_START,  # right image point, and the pixel at which its Newton step begins
     UP, UQ, VQ, VP,  # inverse derivatives: px of the right image per px of the pattern
     PC, PL, PR, PT, PB, QC, QL, QR, QT, QB,  # right coordinates: centre, left, right, top, bottom
-    SLOPE, MODULATION, MODULATION_RIGHT, LIGHT,
+    SLOPE, MODULATION, MODULATION_RIGHT, OFFSET,
     BEND_RIGHT, RIGHT_SHARE, POINT_VARIANCE,  # towards sigma
     X1, Y1, SX1, SY1, X2, Y2, SX2, SY2, SHIFT, SHIFT_SLOPE,  # rays
     X, Y, Z, GAP, SIGMA,

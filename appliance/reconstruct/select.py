@@ -15,7 +15,7 @@ _EIGHT_GOOD = np.uint64(0x0101010101010101)
 _X, _Y, _Z, _GAP, _SIGMA = (np.uint64(place) for place in (X, Y, Z, GAP, SIGMA))
 
 
-class Limits(NamedTuple):
+class PointLimits(NamedTuple):
     """What a point must keep to be chosen."""
 
     max_gap_mm: np.float32
@@ -49,7 +49,7 @@ def judge(
     row: NDArray[np.float32],
     below: NDArray[np.float32],
     n: int,
-    limits: Limits,
+    limits: PointLimits,
     good: NDArray[np.uint8],
 ) -> None:
     """1 in ``good`` for the points of scratch row ``row`` that keep all limits. NaN is near to nothing."""

@@ -24,9 +24,9 @@ from numpy.typing import NDArray
 from appliance.reconstruct.ripple import KNEE, STILL, Ripple
 from appliance.reconstruct.scratch import (
     BEND_RIGHT,
-    LIGHT,
     MODULATION,
     MODULATION_RIGHT,
+    OFFSET,
     POINT_VARIANCE,
     RIGHT_SHARE,
     SLOPE,
@@ -108,7 +108,7 @@ def _expect(factors: SigmaFactors, s: NDArray[np.float32], n: int) -> None:
     """Noise, footprint and border."""
     scale2, dark1, shot1, dark2, shot2, _ripple, _rad, blur2, border2 = factors
     for x in range(n):
-        m1, m2, light, slope = s[MODULATION + x], s[MODULATION_RIGHT + x], s[LIGHT + x], s[SLOPE + x]
+        m1, m2, light, slope = s[MODULATION + x], s[MODULATION_RIGHT + x], s[OFFSET + x], s[SLOPE + x]
         before, after = s[P + x - 1], s[P + x + 1]
         left_slope, slope2 = _HALF * (after - before), slope * slope
         left2 = left_slope * left_slope
@@ -148,7 +148,7 @@ def expect_row(factors: SigmaFactors, next_to: bool, s: NDArray[np.float32], n: 
     """POINT_VARIANCE in px² of ``n`` matched left pixels; ``next_to``: places of ``s`` are neighbours in the image, whose
     footprints can be told. Where there is no match it means nothing.
 
-    Reads P, UP, UQ, SLOPE, MODULATION, MODULATION_RIGHT, LIGHT, RIGHT_SHARE, BEND_RIGHT. The right camera's light is the
+    Reads P, UP, UQ, SLOPE, MODULATION, MODULATION_RIGHT, OFFSET, RIGHT_SHARE, BEND_RIGHT. The right camera's light is the
     left one's in proportion to their modulations.
     """
     if next_to:

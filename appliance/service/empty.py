@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from appliance.reconstruct.decode import Mask
+from appliance.reconstruct.decode.decoder import Mask
 from appliance.reconstruct.pipeline import Cloud, Pipeline
 from appliance.reconstruct.quality import QualityLimits
 from appliance.scan.verdict import Judgement

@@ -11,7 +11,7 @@ from appliance.calibration.response_file import StoredResponse
 from appliance.config import Rig
 from appliance.patterns.response import Response
 from appliance.patterns.sequence import build_sequence
-from appliance.reconstruct.decode import CameraDecoder
+from appliance.reconstruct.decode.decoder import CameraDecoder
 from appliance.scan.noise import CameraNoise
 from appliance.scan.sides import SIDES
 from appliance.service.instrument import RESPONSE_FILE, exposure_of_scan, noise_of, response_of

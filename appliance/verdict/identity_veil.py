@@ -2,7 +2,7 @@
 
 Half way between a sample's darkest and brightest value a Gray image's bit is told only as long as the water's veil is fainter
 than the object. Beyond, coarse stripes that light the water turn bits over, in good scans too. What decoding does about that
-(``reconstruct.veiled``) is done here along the lines: the fringes tell the object's light, and sure samples how much of the
+(``reconstruct.decode.backscatter``) is done here along the lines: the fringes tell the object's light, and sure samples how much of the
 veil each image lights. Across the base line nothing need be done: there the water is lit by the same stripe as what it hides.
 """
 
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.patterns.sequence import Direction, PatternSequence
-from appliance.reconstruct.veiled import (
+from appliance.reconstruct.decode.backscatter import (
     APART_SIGMAS,
     BEYOND,
     MARGIN,
@@ -21,10 +21,10 @@ from appliance.reconstruct.veiled import (
     NOISE_SIGMAS,
     SURE,
     Floats,
-    any_veil,
+    any_backscatter,
     fringe_scale,
-    lit_share,
-    seen_at,
+    illuminated_share,
+    sample_pixels,
 )
 from appliance.scan.noise import CameraNoise
 from appliance.verdict.identity_lines import Lines
@@ -48,19 +48,19 @@ def thresholds(
     bright, dark = (frames[k].astype(np.float32) for k in (sequence.bright, sequence.dark))
     mask = np.where(bright - dark < MIN_LIGHT_DN, np.uint8(1), np.uint8(0))
     scale = fringe_scale(sequence, frames, mask, noise, CLEAR_MODULATION_DN)
-    if scale is None or not any_veil(sequence, frames, mask, scale):
+    if scale is None or not any_backscatter(sequence, frames, mask, scale):
         return plain[None], none
-    seen = seen_at(sequence, frames, ALL, scale)
-    own = np.minimum(seen.object_dn, seen.light_dn)
-    veil, apart_dn = seen.light_dn - own, np.float32(APART_SIGMAS) * seen.noise_dn
+    pixels = sample_pixels(sequence, frames, ALL, scale)
+    own = np.minimum(pixels.object_dn, pixels.light_dn)
+    veil, apart_dn = pixels.light_dn - own, np.float32(APART_SIGMAS) * pixels.noise_dn
     room_dn = np.float32(0.5) * own + np.maximum(np.float32(BEYOND) * own, apart_dn)
-    sure = np.float32(SURE) * seen.object_dn - np.float32(NOISE_SIGMAS) * seen.noise_dn
-    without_veil = np.where(seen.light_dn < np.float32(2.0) * sure, plain, np.float32(np.nan))
+    sure = np.float32(SURE) * pixels.object_dn - np.float32(NOISE_SIGMAS) * pixels.noise_dn
+    without_veil = np.where(pixels.light_dn < np.float32(2.0) * sure, plain, np.float32(np.nan))
     told = []
     for k in sequence.axis(Direction.X).gray:
         gray = frames[k].astype(np.float32) - dark
-        middle = _of_samples(lit_share(gray, seen), gray.shape) * veil + np.float32(0.5) * own
-        known = seen.usable & np.isfinite(middle)
+        middle = _of_samples(illuminated_share(gray, pixels), gray.shape) * veil + np.float32(0.5) * own
+        known = pixels.usable & np.isfinite(middle)
         middle[abs(gray - middle) > room_dn] = np.nan
         told.append(np.where(known, dark + middle, without_veil))
     doubt_dn = np.minimum(np.float32(MARGIN_OF_VEIL) * veil, np.float32(MARGIN) * own)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.patterns.sequence import Direction, PatternSequence
-from appliance.reconstruct.decode import MIN_MODULATION_DN
+from appliance.reconstruct.decode.decoder import MIN_MODULATION_DN
 from appliance.scan.noise import CameraNoise
 from appliance.verdict.light_fit import (
     COSINE,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from appliance.patterns.sequence import Direction, PatternSequence
 from appliance.patterns.sine import AMPLITUDE_CODE, MEAN_CODE
-from appliance.reconstruct.decode import MIN_CONTRAST_DN, MIN_MODULATION_DN
+from appliance.reconstruct.decode.decoder import MIN_CONTRAST_DN, MIN_MODULATION_DN
 from appliance.scan.noise import CameraNoise
 
 SAMPLES = 25_000

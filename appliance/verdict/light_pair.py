@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.reconstruct.decode import MIN_MODULATION_DN
+from appliance.reconstruct.decode.decoder import MIN_MODULATION_DN
 from appliance.scan.exposure import Exposure
 
 LEAST_LOST = 0.05

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.optics.model import StereoRig
-from appliance.reconstruct.decode import CameraDecoder, Mask
+from appliance.reconstruct.decode.decoder import CameraDecoder, Mask
 from appliance.reconstruct.images import ScanImages
 from appliance.reconstruct.table import Cloud
 from appliance.scan.fault import Fault, FaultCode
@@ -147,8 +147,10 @@ def _variance(noise: CameraNoise) -> tuple[float, float]:
 def _lost_share(decoded: CameraDecoder) -> float:
     """Of the lit pixels, those whose frames contradict each other or that look like an edge. What is saturated has no phase
     that could, and what the water hides does so at rest, too."""
-    lit = np.count_nonzero((decoded.mask != Mask.SHADOW) & (decoded.mask != Mask.SATURATED)) - decoded.veiled_pixels
-    lost = np.count_nonzero(decoded.mask >= Mask.CONTRADICTION) - decoded.veiled_pixels
+    lit = (
+        np.count_nonzero((decoded.mask != Mask.SHADOW) & (decoded.mask != Mask.SATURATED)) - decoded.backscatter_pixels
+    )
+    lost = np.count_nonzero(decoded.mask >= Mask.CONTRADICTION) - decoded.backscatter_pixels
     return lost / lit if lit > 0 else 0.0
 
 

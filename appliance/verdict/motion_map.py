@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.patterns.sequence import Direction, PatternSequence
-from appliance.reconstruct.decode import CameraDecoder
+from appliance.reconstruct.decode.decoder import CameraDecoder
 
 CELL_PX = 64
 """Side of a cell in pattern px: 16 mm; one fringe of the longest period."""

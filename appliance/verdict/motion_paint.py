@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.patterns.sequence import Direction, PatternSequence
-from appliance.reconstruct.decode import CameraDecoder
+from appliance.reconstruct.decode.decoder import CameraDecoder
 
 BESIDE_PX = 8.0
 """Pattern px from an edge of the stripes: nearer, the image is neither bright nor dark."""

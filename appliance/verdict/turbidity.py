@@ -49,7 +49,7 @@ DIRTY_MASKED, DIRTY_VEIL, DIRTY_SPECKS = 0.25, 0.25, 0.02
 specks disturb so much of it."""
 VEILED = 0.30
 """From this share of veil on, the scan is poor however much of it has coordinates: here and there the veil outshines the
-object, and the Gray code has to be read through it (``reconstruct.veiled``)."""
+object, and the Gray code has to be read through it (``reconstruct.decode.backscatter``)."""
 HIDDEN = 0.25
 """So much of the object may be lost where the veil outshines it."""
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.patterns.sequence import Direction, PatternSequence
-from appliance.reconstruct.decode import CameraDecoder, Mask
+from appliance.reconstruct.decode.decoder import CameraDecoder, Mask
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]

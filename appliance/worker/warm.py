@@ -20,15 +20,15 @@ from appliance.kernel_build import Piece
 from appliance.optics.water import Water
 from appliance.patterns.sequence import PatternSequence, build_sequence
 from appliance.processing.procedure import SequenceProcessor
+from appliance.reconstruct.decode.backscatter import warm_up as warm_backscatter
+from appliance.reconstruct.decode.specks import mask_specks
 from appliance.reconstruct.fuse import fuse
 from appliance.reconstruct.images import ScanImages
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.quality import CloudSummary
 from appliance.reconstruct.register import register
-from appliance.reconstruct.specks import mask_specks
 from appliance.reconstruct.surface import surface_of
 from appliance.reconstruct.table import Cloud, Found
-from appliance.reconstruct.veiled import warm_up as read_veiled
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.exposure import NOMINAL
 from appliance.scan.noise import TYPICAL, TYPICAL_PAIR
@@ -57,7 +57,7 @@ def run_what_an_empty_scan_does_not(sequence: PatternSequence, frames: NDArray[n
     """Kernels for motion, changing light, veil and a second exposure; else the first scan that has some would wait for a compiler."""
     run_compensation()
     warm_light()
-    read_veiled(sequence, frames, TYPICAL)
+    warm_backscatter(sequence, frames, TYPICAL)
     _run_pair()
 
 
@@ -82,7 +82,7 @@ INSTRUMENT = (
     Piece("changing light", "appliance.verdict.light_fit:warm_up"),
     Piece("pattern identity", "appliance.worker.warm:judge_patterns"),
     Piece("motion verdict", "appliance.worker.warm:judge_scan"),
-    Piece("veiled water and particles", "appliance.worker.warm:read_through_veil"),
+    Piece("veiled water and particles", "appliance.worker.warm:read_through_backscatter"),
     Piece("two exposures", "appliance.worker.warm:merge_walls"),
 )
 """Everything that the instrument may need for a scan."""
@@ -116,14 +116,14 @@ def judge_scan() -> None:
 
 
 def judge_stored() -> None:
-    """As ``judge_scan`` and ``read_through_veil``, for frames that cannot be written."""
+    """As ``judge_scan`` and ``read_through_backscatter``, for frames that cannot be written."""
     _judge(writable=False)
-    _read_through_veil(writable=False)
+    _read_through_backscatter(writable=False)
 
 
-def read_through_veil() -> None:
+def read_through_backscatter() -> None:
     """Kernels for turbid water and for what floats in it."""
-    _read_through_veil(writable=True)
+    _read_through_backscatter(writable=True)
 
 
 def merge_walls() -> None:
@@ -160,9 +160,9 @@ def _judge(*, writable: bool) -> None:
         look_at_windows(recorded)
 
 
-def _read_through_veil(*, writable: bool) -> None:
+def _read_through_backscatter(*, writable: bool) -> None:
     with _nothing(writable) as (pipeline, _, frames):
-        read_veiled(pipeline.sequence, frames, TYPICAL)
+        warm_backscatter(pipeline.sequence, frames, TYPICAL)
         _mask_specks(pipeline, frames)
 
 

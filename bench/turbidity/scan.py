@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from appliance.optics.water import Water as SetWater
 from appliance.patterns.sequence import PatternSequence, build_sequence
-from appliance.reconstruct.decode import Mask
+from appliance.reconstruct.decode.decoder import Mask
 from appliance.reconstruct.images import ScanImages
 from appliance.reconstruct.pipeline import Cloud, Pipeline
 from appliance.scan.acquisition import AcquisitionSettings

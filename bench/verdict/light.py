@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.patterns.sequence import Direction
-from appliance.reconstruct.decode import CameraDecoder
+from appliance.reconstruct.decode.decoder import CameraDecoder
 from appliance.reconstruct.merge import merge
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.scan.exposure import Exposure

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.processing.procedure import SequenceProcessor
-from appliance.reconstruct.decode import Mask
+from appliance.reconstruct.decode.decoder import Mask
 from appliance.reconstruct.pipeline import Cloud, Pipeline
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.exposure import Exposure

@@ -25,6 +25,7 @@ BESIDE = {
         "tests/crash/test_refused_writes.py",
         "tests/crash/test_bad_disk.py",
     ),
+    "appliance/reconstruct/decode": ("tests/appliance/reconstruct/test_*.py",),
     "drivers/board": ("tests/integration/drivers/test_board*.py",),
     "drivers/camera": ("tests/integration/drivers/test_camera*.py",),
     "drivers/keys": ("tests/integration/drivers/test_keys*.py",),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from appliance.reconstruct.decode import CameraDecoder
+from appliance.reconstruct.decode.decoder import CameraDecoder
 from appliance.reconstruct.images import ScanImages
 from appliance.verdict.window import Windows, look_at_windows
 from tests.support.rendered import RenderedScan

@@ -7,7 +7,13 @@ import pytest
 
 from appliance.optics.rays import ray_lattice
 from appliance.patterns.sequence import Direction, build_sequence
-from appliance.reconstruct.decode import MAX_GRAY_DISAGREEMENT, MIN_CONTRAST_DN, MIN_MODULATION_DN, CameraDecoder, Mask
+from appliance.reconstruct.decode.decoder import (
+    MAX_GRAY_DISAGREEMENT,
+    MIN_CONTRAST_DN,
+    MIN_MODULATION_DN,
+    CameraDecoder,
+    Mask,
+)
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.scratch import SIZE, SX2, SY2, X2, Y2, U, V, Z
 from appliance.reconstruct.triangulate import rays_of, triangulate_row
@@ -138,8 +144,8 @@ def test_nothing_of_the_scan_before_remains() -> None:
     new = CameraDecoder(sequence, width, height)
     for k in range(len(sequence)):
         new.push(stack, k)
-    assert new.lit_pixels > 10_000
-    assert used.lit_pixels == new.lit_pixels == np.count_nonzero(new.mask != Mask.SHADOW)
+    assert new.illuminated_pixels > 10_000
+    assert used.illuminated_pixels == new.illuminated_pixels == np.count_nonzero(new.mask != Mask.SHADOW)
     np.testing.assert_array_equal(used.mask, new.mask)
     np.testing.assert_array_equal(used.p_px, new.p_px)
     np.testing.assert_array_equal(used.q_px, new.q_px)

@@ -11,9 +11,9 @@ import pytest
 from appliance.reconstruct.ripple import KNEE, Ripple
 from appliance.reconstruct.scratch import (
     BEND_RIGHT,
-    LIGHT,
     MODULATION,
     MODULATION_RIGHT,
+    OFFSET,
     POINT_VARIANCE,
     RIGHT_SHARE,
     SIZE,
@@ -33,7 +33,7 @@ N = 9
 PLAIN: dict[int, float] = {
     MODULATION: 60.0,
     MODULATION_RIGHT: 40.0,
-    LIGHT: 90.0,
+    OFFSET: 90.0,
     SLOPE: 1.5,
     BEND_RIGHT: 0.0,
     RIGHT_SHARE: 0.8,
@@ -75,7 +75,7 @@ def test_noise_is_that_of_both_cameras_each_at_its_own_light(next_to: bool) -> N
 
 
 def test_noise_follows_light_modulation_and_the_share_that_reading_between_pixels_leaves() -> None:
-    changes = {MODULATION: 25.0, MODULATION_RIGHT: 70.0, LIGHT: 40.0, RIGHT_SHARE: 0.55, UP: -0.3, UQ: 0.5}
+    changes = {MODULATION: 25.0, MODULATION_RIGHT: 70.0, OFFSET: 40.0, RIGHT_SHARE: 0.55, UP: -0.3, UQ: 0.5}
     both = noise_px2(25.0, 40.0, LEFT) + 0.55 * noise_px2(70.0, 40.0 * 70.0 / 25.0, RIGHT)
     np.testing.assert_allclose(with_row(FACTORS, changes), (0.3**2 + 0.5**2) * both, rtol=1e-4)
 

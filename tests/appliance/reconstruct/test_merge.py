@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from appliance.patterns.sequence import build_sequence
-from appliance.reconstruct.decode import CameraDecoder, Mask
+from appliance.reconstruct.decode.decoder import CameraDecoder, Mask
 from appliance.reconstruct.images import ScanImages
 from appliance.reconstruct.merge import Agreement, merge
 from appliance.scan.exposure import Exposure
@@ -43,7 +43,7 @@ def errors_px(decoder: CameraDecoder) -> np.ndarray:
 
 def expected_px(decoder: CameraDecoder, noise: CameraNoise = TYPICAL) -> np.ndarray:
     valid = decoder.mask == Mask.VALID
-    light = decoder.middle[valid].astype(float) - noise.black_dn
+    light = decoder.gray_threshold[valid].astype(float) - noise.black_dn
     modulation = 0.5 * decoder.modulation_half_dn[valid]
     sigma_dn = np.sqrt(noise.read_dn**2 + noise.dn_per_e * light)
     return np.asarray(sigma_dn / modulation * 16.0 / (2.0 * np.pi * np.sqrt(2.0)))

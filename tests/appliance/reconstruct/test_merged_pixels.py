@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from appliance.reconstruct.decode import DecodedMaps, Mask
+from appliance.reconstruct.decode.decoder import DecodedMaps, Mask
 from appliance.reconstruct.merge import Agreement, merge
 from appliance.scan.noise import CameraNoise
 
@@ -59,9 +59,9 @@ def test_two_coordinates_become_their_mean_by_variance_and_the_stated_light_give
     weight = b / (a + b)
     assert first.p_px[0, 0] == pytest.approx(100.0 + 0.02 * (1 - weight), abs=1e-5)
     assert first.q_px[0, 0] == pytest.approx(50.0 + 0.01 * (1 - weight), abs=1e-5)
-    said = sigma_px(first.modulation_half_dn[0, 0] / 2.0, int(first.middle[0, 0])) ** 2
+    said = sigma_px(first.modulation_half_dn[0, 0] / 2.0, int(first.gray_threshold[0, 0])) ** 2
     assert said == pytest.approx(1.0 / (1.0 / a + 1.0 / b), rel=0.02)
-    assert first.middle[0, 0] == 80, "the light of the clearer one"
+    assert first.gray_threshold[0, 0] == 80, "the light of the clearer one"
     assert (agreement.first, agreement.second, agreement.both, agreement.masked) == (0.0, 0.0, 1.0, 0.0)
     assert agreement.agrees is None, "one pixel tells nothing of a movement"
 
@@ -72,7 +72,7 @@ def test_of_the_clearer_second_sequence_the_light_is_kept_and_its_own_noise_coun
     merged(first, second, (NOISE, loud))
     a, b = sigma_px(20.0, 60) ** 2, sigma_px(90.0, 120, loud) ** 2
     assert first.p_px[0, 0] == pytest.approx(100.0 + 0.1 * a / (a + b), abs=1e-5)
-    assert first.middle[0, 0] == 120
+    assert first.gray_threshold[0, 0] == 120
     said = sigma_px(first.modulation_half_dn[0, 0] / 2.0, 120) ** 2
     assert said == pytest.approx(1.0 / (1.0 / a + 1.0 / b), rel=0.03), "restated in the first one's noise"
 
@@ -99,10 +99,10 @@ def test_where_only_one_has_a_coordinate_it_is_taken_and_where_none_has_there_is
     agreement = merged(first, second)
     assert first.mask.tolist() == [[V, V, V, V, WEAK]]
     np.testing.assert_array_equal(first.p_px, np.array([[1.0, 2.0, 3.0, 4.0, NAN]], np.float32))
-    assert first.middle[0, 0] == 80
+    assert first.gray_threshold[0, 0] == 80
     assert first.modulation_half_dn[0, 0] == 80
     for k, (modulation, middle) in enumerate([(30, 60), (20, 50), (25, 55)], start=1):
-        said = sigma_px(first.modulation_half_dn[0, k] / 2.0, int(first.middle[0, k]))
+        said = sigma_px(first.modulation_half_dn[0, k] / 2.0, int(first.gray_threshold[0, k]))
         assert said == pytest.approx(sigma_px(modulation, middle), rel=0.03), k
     assert (agreement.first, agreement.second, agreement.both) == pytest.approx((0.2, 0.6, 0.0))
 
@@ -122,19 +122,19 @@ def test_a_variance_better_than_the_scale_can_say_is_said_with_less_light() -> N
     merged(first, second)
     variance = sigma_px(127.0, 130) ** 2 / 2.0
     assert first.modulation_half_dn[0, 0] == 255
-    assert first.middle[0, 0] < 130
-    assert sigma_px(127.5, int(first.middle[0, 0])) ** 2 == pytest.approx(variance, rel=0.03)
+    assert first.gray_threshold[0, 0] < 130
+    assert sigma_px(127.5, int(first.gray_threshold[0, 0])) ** 2 == pytest.approx(variance, rel=0.03)
 
 
 def test_lit_parts_are_joined() -> None:
     for one, other in (([2, 5], [1, 4]), ([1, 4], [2, 5]), ([1, 5], [2, 4]), ([2, 4], [1, 5])):
         first, second = maps([V] * 6, [1.0] * 6, [40.0] * 6, [80] * 6), maps([V] * 6, [1.0] * 6, [40.0] * 6, [80] * 6)
-        first.lit_columns[:], second.lit_columns[:] = one, other
-        first.lit_pixels, second.lit_pixels = one[1] - one[0], other[1] - other[0]
-        wanted = max(first.lit_pixels, second.lit_pixels)
+        first.illuminated_columns[:], second.illuminated_columns[:] = one, other
+        first.illuminated_pixels, second.illuminated_pixels = one[1] - one[0], other[1] - other[0]
+        wanted = max(first.illuminated_pixels, second.illuminated_pixels)
         merged(first, second)
-        assert first.lit_columns.tolist() == [[1, 5]]
-        assert first.lit_pixels == wanted
+        assert first.illuminated_columns.tolist() == [[1, 5]]
+        assert first.illuminated_pixels == wanted
 
 
 @pytest.mark.parametrize("doubt", [CONTRADICTION, EDGE])
@@ -152,7 +152,7 @@ def test_at_black_and_below_it_only_the_noise_of_reading_counts(middle: int) -> 
     a, b = sigma_px(60.0, 2) ** 2, sigma_px(60.0, 42) ** 2
     assert first.p_px[0, 0] == pytest.approx(100.0 + 0.05 * a / (a + b), abs=3e-5)
     said = sigma_px(first.modulation_half_dn[0, 0] / 2.0, 2) ** 2
-    assert first.middle[0, 0] == middle
+    assert first.gray_threshold[0, 0] == middle
     assert said == pytest.approx(1.0 / (1.0 / a + 1.0 / b), rel=0.02)
 
 

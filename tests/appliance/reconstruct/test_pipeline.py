@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from appliance.patterns.sequence import build_sequence
-from appliance.reconstruct.decode import Mask
+from appliance.reconstruct.decode.decoder import Mask
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.scan.noise import TYPICAL_PAIR, CameraNoise, StereoNoise
 from tests.support import synthetic

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from appliance.reconstruct.scratch import GAP, SIGMA, SIZE, X, Y, Z
-from appliance.reconstruct.select import Limits, Points, append, judge
+from appliance.reconstruct.select import PointLimits, Points, append, judge
 
 f = np.float32
-LIMITS = Limits(f(0.25), f(0.5), f(380.0), f(680.0), f(2.0), f(5.0))
+LIMITS = PointLimits(f(0.25), f(0.5), f(380.0), f(680.0), f(2.0), f(5.0))
 N = 5
 EPS = 1e-3
 
@@ -24,7 +24,7 @@ def rows() -> list[np.ndarray]:
     return made
 
 
-def judged(made: list[np.ndarray], limits: Limits = LIMITS) -> list[int]:
+def judged(made: list[np.ndarray], limits: PointLimits = LIMITS) -> list[int]:
     good = np.full(8, 7, np.uint8)
     above, row, below = made
     judge.py_func(above, row, below, N, limits, good)

@@ -10,7 +10,7 @@ import pytest
 
 from appliance.machine.alerts import alert_of
 from appliance.patterns.sequence import Direction, build_sequence
-from appliance.reconstruct.decode import CameraDecoder, Mask
+from appliance.reconstruct.decode.decoder import CameraDecoder, Mask
 from appliance.reconstruct.images import ScanImages
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.exposure import Exposure, Span, ladder

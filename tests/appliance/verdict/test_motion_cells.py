@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from appliance.patterns.sequence import Direction, build_sequence
-from appliance.reconstruct.decode import CameraDecoder
+from appliance.reconstruct.decode.decoder import CameraDecoder
 from appliance.verdict.motion_map import DriftMap, _accumulate, _left_over, drift_map
 
 SEQUENCE = build_sequence(16, 320, 200)

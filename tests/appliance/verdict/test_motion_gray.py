@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from appliance.patterns.sequence import Direction, build_sequence
-from appliance.reconstruct.decode import CameraDecoder
+from appliance.reconstruct.decode.decoder import CameraDecoder
 from appliance.verdict import motion_edges
 from appliance.verdict.motion_edges import edge_shifts
 from appliance.verdict.motion_paint import PaintCourse, paint_course

@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter, sobel, uniform_filter
 from scipy.stats import median_abs_deviation
 
 from appliance.patterns.sequence import Direction, build_sequence
-from appliance.reconstruct.decode import CameraDecoder
+from appliance.reconstruct.decode.decoder import CameraDecoder
 from appliance.verdict.motion_texture import TextureShift, _binned_mean, _difference, _follow, _texture, texture_shift
 
 SEQUENCE = build_sequence(16)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from appliance.patterns.sequence import build_sequence
-from appliance.reconstruct.decode import CameraDecoder, Mask
+from appliance.reconstruct.decode.decoder import CameraDecoder, Mask
 from appliance.scan.fault import FaultCode
 from appliance.scan.noise import CameraNoise
 from appliance.verdict.motion import (
@@ -403,10 +403,10 @@ def test_what_is_shadow_or_saturated_or_veiled_was_not_lost_to_a_movement() -> N
         Mask.SHADOW: 40, Mask.SATURATED: 10, Mask.VALID: 30, Mask.WEAK: 5, Mask.CONTRADICTION: 9, Mask.EDGE: 6,
     }  # fmt: skip
     decoder.mask[:] = np.repeat(list(masks), list(masks.values())).reshape(10, 10)
-    decoder.veiled_pixels = 3
+    decoder.backscatter_pixels = 3
     assert _lost_share(decoder) == pytest.approx((9 + 6 - 3) / (100 - 40 - 10 - 3))
     decoder.mask[:] = Mask.SHADOW
-    decoder.veiled_pixels = 0
+    decoder.backscatter_pixels = 0
     assert _lost_share(decoder) == 0.0
     decoder.mask[0, 0] = Mask.EDGE
     assert _lost_share(decoder) == 1.0

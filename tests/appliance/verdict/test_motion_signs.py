@@ -13,7 +13,7 @@ import pytest
 from scipy.ndimage import gaussian_filter1d
 
 from appliance.patterns.sequence import Direction, build_sequence
-from appliance.reconstruct.decode import CameraDecoder
+from appliance.reconstruct.decode.decoder import CameraDecoder
 from appliance.verdict.motion_edges import EdgeShifts, edge_shifts
 from appliance.verdict.motion_harm import depth_per_px, predict
 from appliance.verdict.motion_map import DriftMap, drift_map

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.patterns.sequence import Direction, Kind, PatternSequence
-from appliance.reconstruct.edges import close_axis
-from appliance.reconstruct.graycode import BITS_AT_ONCE, add_bit, number_half_periods, threshold
-from appliance.reconstruct.lit import find_lit
-from appliance.reconstruct.phase import Axis
-from appliance.reconstruct.veiled import read_through_veil
+from appliance.reconstruct.decode.backscatter import read_through_backscatter
+from appliance.reconstruct.decode.edges import close_axis
+from appliance.reconstruct.decode.gray_code import BITS_AT_ONCE, add_bit, number_half_periods, threshold
+from appliance.reconstruct.decode.illuminated import find_illuminated_columns
+from appliance.reconstruct.decode.phase import AxisDecoding
 from appliance.scan.noise import CameraNoise
 
 MIN_CONTRAST_DN = 8
@@ -28,7 +28,7 @@ MIN_MODULATION_DN = 5.0
 MAX_GRAY_DISAGREEMENT = 0.36
 """Distance between phase and the middle of its Gray half period, in periods; ¼ is perfect, ½ is a wrong order."""
 MAX_GRAY_BITS = 8
-LIGHT_SAMPLES = 1_500
+OFFSET_SAMPLES = 1_500
 """Pixels of which the mean of the sine images is compared with the middle between bright and dark."""
 
 
@@ -62,9 +62,9 @@ class DecodedMaps:
     p_px: NDArray[np.float32]
     q_px: NDArray[np.float32]
     modulation_half_dn: NDArray[np.uint8]
-    middle: NDArray[np.uint8]
-    lit_columns: NDArray[np.int32]
-    lit_pixels: int
+    gray_threshold: NDArray[np.uint8]
+    illuminated_columns: NDArray[np.int32]
+    illuminated_pixels: int
 
 
 class CameraDecoder:
@@ -80,11 +80,11 @@ class CameraDecoder:
         self._sequence = sequence
         self._shape = (height_px, width_px)
         n = width_px * height_px
-        self.middle = np.empty(self._shape, np.uint8)
+        self.gray_threshold = np.empty(self._shape, np.uint8)
         """(h, w) uint8: half way between bright and dark: the Gray threshold."""
-        self._middle = self.middle.reshape(-1)
+        self._threshold = self.gray_threshold.reshape(-1)
         self._half_period = np.empty(n, np.uint8)
-        self.lit_columns = np.zeros((height_px, 2), np.int32)
+        self.illuminated_columns = np.zeros((height_px, 2), np.int32)
         """(h, 2) int32: first column of each row's lit part, and the one behind it; beyond, all is SHADOW."""
         self.mask = np.empty(self._shape, np.uint8)
         """(h, w) uint8, values of Mask."""
@@ -94,11 +94,11 @@ class CameraDecoder:
         """(h, w) float32: pattern row."""
         self.modulation_half_dn = np.empty(self._shape, np.uint8)
         """(h, w) uint8: the smaller modulation of the two directions, in half grey values."""
-        self.lit_pixels = 0
+        self.illuminated_pixels = 0
         """Pixels that are not in the shadow."""
-        self.veiled_pixels = 0
+        self.backscatter_pixels = 0
         """Pixels that have no coordinates since the water hides what their Gray code is; their mask is CONTRADICTION."""
-        self.sine_light = 1.0
+        self.offset_per_threshold = 1.0
         """Mean of the sine images, of ``middle``: what the projector's response makes of the middle of its codes."""
         self._next = 0
         self._closed = False
@@ -124,26 +124,28 @@ class CameraDecoder:
     def _begin(self, frames: NDArray[np.uint8]) -> None:
         bright = frames[self._sequence.bright].reshape(-1)
         dark = frames[self._sequence.dark].reshape(-1)
-        threshold(bright, dark, np.uint8(MIN_CONTRAST_DN), self._middle, self.mask.reshape(-1))
+        threshold(bright, dark, np.uint8(MIN_CONTRAST_DN), self._threshold, self.mask.reshape(-1))
         self._closed = False
-        self.veiled_pixels = 0
-        self.lit_pixels = int(find_lit(self.mask, self.lit_columns, self.p_px, self.q_px))
+        self.backscatter_pixels = 0
+        self.illuminated_pixels = int(
+            find_illuminated_columns(self.mask, self.illuminated_columns, self.p_px, self.q_px)
+        )
 
     def _number(self, frames: NDArray[np.uint8], gray: tuple[int, ...]) -> None:
         """All images at once: each is read once, the half periods are written once."""
         at_once = gray[:BITS_AT_ONCE]
         padded = (self._sequence.dark,) * (BITS_AT_ONCE - len(at_once)) + at_once
         a, b, c, d, e, f, g = (frames[k] for k in padded)
-        middle, half_period = self._middle.reshape(self._shape), self._half_period.reshape(self._shape)
-        number_half_periods(a, b, c, d, e, f, g, middle, self.lit_columns, half_period)
+        middle, half_period = self._threshold.reshape(self._shape), self._half_period.reshape(self._shape)
+        number_half_periods(a, b, c, d, e, f, g, middle, self.illuminated_columns, half_period)
         for k in gray[BITS_AT_ONCE:]:
-            add_bit(frames[k].reshape(-1), self._middle, self._half_period)
+            add_bit(frames[k].reshape(-1), self._threshold, self._half_period)
 
     def _close(self, frames: NDArray[np.uint8], direction: Direction) -> None:
         mine = self._sequence.axis(direction)
         s0, s1, s2, s3 = (frames[k] for k in mine.sine)
         half_period = self._half_period.reshape(self._shape)
-        axis = Axis(
+        axis = AxisDecoding(
             np.float32(self._sequence.period_px),
             np.float32(mine.size_px),
             np.float32(2.0 * MIN_MODULATION_DN),
@@ -153,33 +155,33 @@ class CameraDecoder:
         jump_px, bend_px = edge_limits_px(self._sequence.period_px, self._shape[1])
         mine_px, other_px = (self.p_px, self.q_px) if direction is Direction.X else (self.q_px, self.p_px)
         close_axis(
-            s0, s1, s2, s3, half_period, self.lit_columns, axis, jump_px, bend_px, other_px, mine_px,
+            s0, s1, s2, s3, half_period, self.illuminated_columns, axis, jump_px, bend_px, other_px, mine_px,
             self.modulation_half_dn, self.mask,
         )  # fmt: skip
         if not self._closed:
-            self.sine_light = self._sine_light(frames, mine.sine)
+            self.offset_per_threshold = self._offset_per_threshold(frames, mine.sine)
         self._closed = True
 
-    def _sine_light(self, frames: NDArray[np.uint8], sine: tuple[int, ...]) -> float:
+    def _offset_per_threshold(self, frames: NDArray[np.uint8], sine: tuple[int, ...]) -> float:
         """From a thousand pixels; 1 where none is valid."""
-        step = max(1, int((self.mask.size / LIGHT_SAMPLES) ** 0.5))
+        step = max(1, int((self.mask.size / OFFSET_SAMPLES) ** 0.5))
         valid = self.mask[::step, ::step] == Mask.VALID
-        middle = int(self.middle[::step, ::step][valid].sum(dtype=np.int64))
+        middle = int(self.gray_threshold[::step, ::step][valid].sum(dtype=np.int64))
         mean = sum(int(frames[k][::step, ::step][valid].sum(dtype=np.int64)) for k in sine) / len(sine)
         return mean / middle if middle else 1.0
 
-    def read_again_through_veil(self, frames: NDArray[np.uint8], noise: CameraNoise) -> bool:
+    def read_again_through_backscatter(self, frames: NDArray[np.uint8], noise: CameraNoise) -> bool:
         """After the last of ``frames`` (n, h, w) uint8: where the water outshines the object, decode them anew, bit by bit.
 
-        False, with the maps as they were, where it does so nowhere; this takes a millisecond. See ``veiled``.
+        False, with the maps as they were, where it does so nowhere; this takes a millisecond. See ``backscatter``.
         """
         columns, doubtful = np.empty((2, *self._shape), np.uint8)
-        if not read_through_veil(self._sequence, frames, self.mask, noise, columns, doubtful):
+        if not read_through_backscatter(self._sequence, frames, self.mask, noise, columns, doubtful):
             return False
         self._begin(frames)
         veiled = (doubtful != 0) & (self.mask == Mask.VALID)
         self.mask[veiled] = Mask.CONTRADICTION
-        self.veiled_pixels = int(np.count_nonzero(veiled))
+        self.backscatter_pixels = int(np.count_nonzero(veiled))
         for direction in Direction:
             if direction is Direction.X:
                 self._half_period[:] = columns.reshape(-1)
@@ -197,6 +199,6 @@ class CameraDecoder:
     def copied(self) -> DecodedMaps:
         """The maps as they are now, in memory of their own: 11 bytes per pixel."""
         return DecodedMaps(
-            self.mask.copy(), self.p_px.copy(), self.q_px.copy(), self.modulation_half_dn.copy(), self.middle.copy(),
-            self.lit_columns.copy(), self.lit_pixels,
+            self.mask.copy(), self.p_px.copy(), self.q_px.copy(), self.modulation_half_dn.copy(), self.gray_threshold.copy(),
+            self.illuminated_columns.copy(), self.illuminated_pixels,
         )  # fmt: skip

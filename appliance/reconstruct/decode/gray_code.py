@@ -17,12 +17,12 @@ def threshold(
     bright: NDArray[np.uint8],
     dark: NDArray[np.uint8],
     min_contrast_dn: np.uint8,
-    middle: NDArray[np.uint8],
+    gray_threshold: NDArray[np.uint8],
     mask: NDArray[np.uint8],
 ) -> None:
     """The middle between bright and dark, rounded up, and 1 where they differ too little; arrays (n,) uint8."""
-    for i in range(middle.size):
-        middle[i] = np.uint8((np.uint16(bright[i]) + np.uint16(dark[i]) + np.uint16(1)) >> np.uint16(1))
+    for i in range(gray_threshold.size):
+        gray_threshold[i] = np.uint8((np.uint16(bright[i]) + np.uint16(dark[i]) + np.uint16(1)) >> np.uint16(1))
         contrast = np.uint8(np.int16(bright[i]) - np.int16(dark[i]))
         mask[i] = _SHADOW if (bright[i] < dark[i]) | (contrast < min_contrast_dn) else _ZERO
 
@@ -36,12 +36,12 @@ def _number(
     e: NDArray[np.uint8],
     f: NDArray[np.uint8],
     g: NDArray[np.uint8],
-    middle: NDArray[np.uint8],
+    gray_threshold: NDArray[np.uint8],
     half_period: NDArray[np.uint8],
 ) -> None:
     """A bit of the number is the Gray bit, inverted when the bit before is set: no table is needed."""
     for x in range(half_period.size):
-        m = middle[x]
+        m = gray_threshold[x]
         bit = _ONE if a[x] >= m else _ZERO
         number = bit
         bit = np.uint8(bit ^ (_ONE if b[x] >= m else _ZERO))
@@ -67,25 +67,25 @@ def number_half_periods(
     e: NDArray[np.uint8],
     f: NDArray[np.uint8],
     g: NDArray[np.uint8],
-    middle: NDArray[np.uint8],
-    lit: NDArray[np.int32],
+    gray_threshold: NDArray[np.uint8],
+    illuminated: NDArray[np.int32],
     half_period: NDArray[np.uint8],
 ) -> None:
-    """The half period that seven Gray images name, most significant first, for the lit part of each row.
+    """The half period that seven Gray images name, most significant first, for the illuminated part of each row.
 
     Images are (h, w) uint8; for fewer than seven, put the dark image in front: where there is light it is a zero bit.
     """
     for y in range(half_period.shape[0]):
-        first, stop = lit[y]
+        first, stop = illuminated[y]
         _number(
             a[y, first:stop], b[y, first:stop], c[y, first:stop], d[y, first:stop], e[y, first:stop], f[y, first:stop],
-            g[y, first:stop], middle[y, first:stop], half_period[y, first:stop],
+            g[y, first:stop], gray_threshold[y, first:stop], half_period[y, first:stop],
         )  # fmt: skip
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def add_bit(frame: NDArray[np.uint8], middle: NDArray[np.uint8], half_period: NDArray[np.uint8]) -> None:
+def add_bit(frame: NDArray[np.uint8], gray_threshold: NDArray[np.uint8], half_period: NDArray[np.uint8]) -> None:
     """Append one bit more; arrays (n,) uint8."""
     for i in range(half_period.size):
-        bit = _ONE if frame[i] >= middle[i] else _ZERO
+        bit = _ONE if frame[i] >= gray_threshold[i] else _ZERO
         half_period[i] = np.uint8(half_period[i] << _ONE) | ((half_period[i] & _ONE) ^ bit)

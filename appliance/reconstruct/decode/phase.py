@@ -73,7 +73,7 @@ def _mark_saturated(
     return bool(found != np.uint8(0))
 
 
-class Axis(NamedTuple):
+class AxisDecoding(NamedTuple):
     """What closing one direction needs to know."""
 
     period_px: np.float32
@@ -87,7 +87,7 @@ class Axis(NamedTuple):
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
 def _place(
-    half_period: NDArray[np.uint8], axis: Axis, s: NDArray[np.float32], half_dn: NDArray[np.uint8],
+    half_period: NDArray[np.uint8], axis: AxisDecoding, s: NDArray[np.float32], half_dn: NDArray[np.uint8],
     mask: NDArray[np.uint8],
 ) -> bool:  # fmt: skip
     """The middle of the Gray half period, in periods, tells the fringe order at any phase: COORDINATE becomes px.
@@ -123,7 +123,7 @@ def close_row(
     i2: NDArray[np.uint8],
     i3: NDArray[np.uint8],
     half_period: NDArray[np.uint8],
-    axis: Axis,
+    axis: AxisDecoding,
     s: NDArray[np.float32],
     half_dn: NDArray[np.uint8],
     mask: NDArray[np.uint8],

@@ -7,14 +7,14 @@ import math
 import numpy as np
 import pytest
 
-from appliance.reconstruct.decode import Mask
-from appliance.reconstruct.phase import Axis, close_row, phase
+from appliance.reconstruct.decode.decoder import Mask
+from appliance.reconstruct.decode.phase import AxisDecoding, close_row, phase
 from appliance.reconstruct.scratch import COORDINATE, DECODING_SIZE, MODULATION_HALF_DN
 
 f = np.float32
 PERIOD_PX, SIZE_PX = 16.0, 64.0
 LEAST_HALF_DN = 20.0
-AXIS = Axis(f(PERIOD_PX), f(SIZE_PX), f(LEAST_HALF_DN), f(0.375), False)
+AXIS = AxisDecoding(f(PERIOD_PX), f(SIZE_PX), f(LEAST_HALF_DN), f(0.375), False)
 
 
 def test_the_phase_is_the_arc_tangent_in_every_direction() -> None:
@@ -57,7 +57,7 @@ class Row:
         self.half_dn = np.zeros(len(p_px), np.uint8)
         self.s = np.full(DECODING_SIZE, np.nan, np.float32)
 
-    def close(self, axis: Axis = AXIS) -> bool:
+    def close(self, axis: AxisDecoding = AXIS) -> bool:
         i0, i1, i2, i3 = self.images
         return bool(close_row(i0, i1, i2, i3, self.half_period, axis, self.s, self.half_dn, self.mask))
 

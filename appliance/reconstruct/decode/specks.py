@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.patterns.sequence import Direction, PatternSequence
-from appliance.reconstruct.decode import CameraDecoder, Mask
+from appliance.reconstruct.decode.decoder import CameraDecoder, Mask
 from appliance.scan.noise import CameraNoise
 
 SIGMAS = 6.0
@@ -57,7 +57,7 @@ def mask_specks(
         return 0
     a, b, c, d, e, f, g, h = steps
     return int(
-        _mask(a, b, c, d, e, f, g, h, decoded.lit_columns, allowed, decoded.p_px, decoded.q_px, decoded.mask)
+        _mask(a, b, c, d, e, f, g, h, decoded.illuminated_columns, allowed, decoded.p_px, decoded.q_px, decoded.mask)
     )  # fmt: skip
 
 
@@ -134,7 +134,7 @@ def _mask(
     f: NDArray[np.uint8],
     g: NDArray[np.uint8],
     h: NDArray[np.uint8],
-    lit: NDArray[np.int32],
+    illuminated: NDArray[np.int32],
     allowed: Allowed,
     p_px: NDArray[np.float32],
     q_px: NDArray[np.float32],
@@ -145,7 +145,7 @@ def _mask(
     struck = np.empty(columns, np.uint8)
     found = 0
     for y in range(rows):
-        first, stop = lit[y]
+        first, stop = illuminated[y]
         if first >= stop:
             continue
         part = slice(first, stop)

@@ -6,7 +6,7 @@ import warnings
 
 import numpy as np
 
-from appliance.reconstruct.graycode import add_bit, number_half_periods, threshold
+from appliance.reconstruct.decode.gray_code import add_bit, number_half_periods, threshold
 
 
 def test_the_threshold_is_the_middle_rounded_up_and_too_little_contrast_is_shadow() -> None:

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from appliance.processing.procedure import SequenceProcessor
-from appliance.reconstruct.decode import CameraDecoder, Mask
+from appliance.reconstruct.decode.decoder import CameraDecoder, Mask
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.exposure import Exposure
@@ -52,7 +52,7 @@ def read(scan: RenderedScan, frames: NDArray[np.uint8]) -> Read:
     for k in range(len(scan.sequence)):
         decoder.push(frames, k)
     before = decoder.p_px.copy()
-    return Read(decoder, before, decoder.read_again_through_veil(frames, NOISE))
+    return Read(decoder, before, decoder.read_again_through_backscatter(frames, NOISE))
 
 
 def off_px(scan: RenderedScan, p_px: NDArray[np.float32]) -> NDArray[np.float64]:

@@ -9,7 +9,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.reconstruct.phase import Axis, close_row
+from appliance.reconstruct.decode.phase import AxisDecoding, close_row
 from appliance.reconstruct.scratch import COORDINATE, DECODING_SIZE
 
 EDGE = np.uint8(5)
@@ -68,8 +68,8 @@ def close_axis(
     i2: NDArray[np.uint8],
     i3: NDArray[np.uint8],
     half_period: NDArray[np.uint8],
-    lit: NDArray[np.int32],
-    axis: Axis,
+    illuminated: NDArray[np.int32],
+    axis: AxisDecoding,
     jump_px: np.float32,
     bend_px: np.float32,
     other: NDArray[np.float32],
@@ -77,11 +77,11 @@ def close_axis(
     half_dn: NDArray[np.uint8],
     mask: NDArray[np.uint8],
 ) -> None:
-    """Close the lit part (h, 2) of one direction's (h, w) maps and mask its edges, while each row is in the cache.
+    """Close the illuminated part (h, 2) of one direction's (h, w) maps and mask its edges, while each row is in the cache.
 
     ``other`` is the map of the direction that was closed before (in the second one): what fails now loses its
     coordinate there too. Each pixel is judged by its four neighbours as they were before edges were masked: three rows
-    wait in scratch, and row y − 1 is judged, and written, when row y is closed. Beyond its lit part, a row in scratch is
+    wait in scratch, and row y − 1 is judged, and written, when row y is closed. Beyond its illuminated part, a row in scratch is
     NaN.
     """
     rows, columns = coordinate.shape
@@ -92,7 +92,7 @@ def close_axis(
         s = scratch[y % 3]
         s[COORDINATE : COORDINATE + columns] = _NAN
         if y < rows:
-            first, stop = lit[y]
+            first, stop = illuminated[y]
             failed = close_row(
                 i0[y, first:stop], i1[y, first:stop], i2[y, first:stop], i3[y, first:stop],
                 half_period[y, first:stop], axis, s[first:], half_dn[y, first:stop], mask[y, first:stop],

@@ -61,7 +61,7 @@ _ZERO_BIT, _ONE_BIT, _OPEN, _NONE = np.uint8(0), np.uint8(1), np.uint8(2), np.ui
 _FULL, _SHADOW, _SATURATED = np.uint8(255), np.uint8(1), np.uint8(2)
 
 
-class Seen(NamedTuple):
+class SampledPixels(NamedTuple):
     """Some pixels of a camera, (h, w) float32 each."""
 
     light_dn: Floats
@@ -74,7 +74,7 @@ class Seen(NamedTuple):
     """Lit, and nowhere saturated."""
 
 
-class Scale(NamedTuple):
+class FringeScale(NamedTuple):
     """What makes O and its noise of grey values."""
 
     per_half_dn: np.float32
@@ -87,7 +87,7 @@ class Scale(NamedTuple):
     """The same, per grey value."""
 
 
-def read_through_veil(
+def read_through_backscatter(
     sequence: PatternSequence,
     frames: NDArray[np.uint8],
     mask: NDArray[np.uint8],
@@ -101,7 +101,7 @@ def read_through_veil(
     the veil is too weak to have turned a bit.
     """
     scale = fringe_scale(sequence, frames, mask, noise)
-    if scale is None or not any_veil(sequence, frames, mask, scale):
+    if scale is None or not any_backscatter(sequence, frames, mask, scale):
         return False
     _read(sequence, frames, scale, half_period, doubtful)
     return True
@@ -116,16 +116,16 @@ def warm_up(sequence: PatternSequence, frames: NDArray[np.uint8], noise: CameraN
 def _read(
     sequence: PatternSequence,
     frames: NDArray[np.uint8],
-    scale: Scale,
+    scale: FringeScale,
     half_period: NDArray[np.uint8],
     doubtful: NDArray[np.uint8],
 ) -> None:
     across = sequence.axis(Direction.X)
     stride = max(1, -(-frames.shape[2] // BLOCKS) // SAMPLES_PER_BLOCK)
     at = (slice(stride // 2, None, stride), slice(stride // 2, None, stride))
-    seen = seen_at(sequence, frames, at, scale)
+    pixels = sample_pixels(sequence, frames, at, scale)
     dark = frames[sequence.dark][at].astype(np.float32)
-    shares = np.stack([lit_share(frames[k][at].astype(np.float32) - dark, seen) for k in across.gray])
+    shares = np.stack([illuminated_share(frames[k][at].astype(np.float32) - dark, pixels) for k in across.gray])
     _number(
         frames, np.array(across.gray, np.int64), np.array(across.sine, np.int64), sequence.bright, sequence.dark, shares,
         SAMPLES_PER_BLOCK * stride, scale, half_period, doubtful,
@@ -138,7 +138,7 @@ def fringe_scale(
     mask: NDArray[np.uint8],
     noise: CameraNoise,
     clear_dn: float = CLEAR_MODULATION_DN,
-) -> Scale | None:
+) -> FringeScale | None:
     """From pixels whose modulation is above ``clear_dn``; ``None`` where nothing is seen."""
     at = _few(mask.shape)
     across = sequence.axis(Direction.X)
@@ -154,9 +154,9 @@ def fringe_scale(
     return scale_of(contrast, float(np.median((bright - dark)[clear] / np.maximum(sines[clear], 1.0))), noise)
 
 
-def scale_of(contrast: float, light_per_sines: float, noise: CameraNoise) -> Scale:
+def scale_of(contrast: float, light_per_sines: float, noise: CameraNoise) -> FringeScale:
     """``contrast``: modulation in halves of the object's light."""
-    return Scale(
+    return FringeScale(
         np.float32(1.0 / contrast),
         np.float32(light_per_sines),
         np.float32(noise.dark_variance_dn2),
@@ -164,11 +164,13 @@ def scale_of(contrast: float, light_per_sines: float, noise: CameraNoise) -> Sca
     )
 
 
-def any_veil(sequence: PatternSequence, frames: NDArray[np.uint8], mask: NDArray[np.uint8], scale: Scale) -> bool:
+def any_backscatter(
+    sequence: PatternSequence, frames: NDArray[np.uint8], mask: NDArray[np.uint8], scale: FringeScale
+) -> bool:
     at = _few(mask.shape)
-    seen = seen_at(sequence, frames, at, scale)
+    pixels = sample_pixels(sequence, frames, at, scale)
     valid = mask[at] == 0
-    veiled = valid & (seen.light_dn > (1.0 + HALF_VEIL) * seen.object_dn + NOISE_SIGMAS * seen.noise_dn)
+    veiled = valid & (pixels.light_dn > (1.0 + HALF_VEIL) * pixels.object_dn + NOISE_SIGMAS * pixels.noise_dn)
     return bool(np.count_nonzero(veiled) > FEW * max(int(np.count_nonzero(valid)), 1))
 
 
@@ -177,30 +179,32 @@ def _few(shape: tuple[int, ...]) -> tuple[slice, slice]:
     return slice(stride // 2, None, stride), slice(stride // 2, None, stride)
 
 
-def seen_at(sequence: PatternSequence, frames: NDArray[np.uint8], at: tuple[slice, slice], scale: Scale) -> Seen:
+def sample_pixels(
+    sequence: PatternSequence, frames: NDArray[np.uint8], at: tuple[slice, slice], scale: FringeScale
+) -> SampledPixels:
     i0, i1, i2, i3 = (frames[k][at].astype(np.float32) for k in sequence.axis(Direction.X).sine)
     bright, dark = (frames[k][at].astype(np.float32) for k in (sequence.bright, sequence.dark))
     top = np.maximum(np.maximum(i0, i1), np.maximum(i2, i3))
     double: Floats = np.hypot(i0 - i2, i3 - i1)
     variance = np.maximum(scale.dark_dn2 + scale.shot_dn * bright, np.float32(0.0))
     usable = (bright - dark >= MIN_LIGHT_DN) & (top < 255.0) & (bright < 255.0) & (double > 2.0 * MIN_MODULATION_DN)
-    return Seen(bright - dark, double * scale.per_half_dn, np.asarray(np.sqrt(variance), np.float32), usable)
+    return SampledPixels(bright - dark, double * scale.per_half_dn, np.asarray(np.sqrt(variance), np.float32), usable)
 
 
-def lit_share(gray_dn: Floats, seen: Seen) -> Floats:
+def illuminated_share(gray_dn: Floats, pixels: SampledPixels) -> Floats:
     """f of one Gray image in each block; NaN where it is not known."""
     block = SAMPLES_PER_BLOCK
     state = np.empty(gray_dn.shape, np.uint8)
-    _seed(gray_dn, seen.light_dn, seen.object_dn, seen.noise_dn, seen.usable, state)
+    _seed(gray_dn, pixels.light_dn, pixels.object_dn, pixels.noise_dn, pixels.usable, state)
     rows, columns = (-(-size // block) for size in gray_dn.shape)
     sums, share = np.empty((rows, columns, 3), np.float32), np.empty((rows, columns), np.float32)
     for _ in range(ROUNDS):
-        _gather(gray_dn, seen.light_dn, seen.object_dn, state, block, sums)
+        _gather(gray_dn, pixels.light_dn, pixels.object_dn, state, block, sums)
         spread = cv2.GaussianBlur(sums, (0, 0), SPREAD_BLOCKS)
         known = spread[..., 0] > LEAST_KNOWN * block * block
         share[:] = np.clip(spread[..., 1] / np.maximum(spread[..., 2], np.float32(1e-3)), 0.0, 1.0)
         share[~known] = np.nan
-        if not _decide(gray_dn, seen.light_dn, seen.object_dn, seen.noise_dn, share, block, state):
+        if not _decide(gray_dn, pixels.light_dn, pixels.object_dn, pixels.noise_dn, share, block, state):
             break
     return share
 
@@ -297,7 +301,7 @@ def _number(
     dark: int,
     shares: Floats,
     block_px: int,
-    scale: Scale,
+    scale: FringeScale,
     half_period: NDArray[np.uint8],
     doubtful: NDArray[np.uint8],
 ) -> None:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from appliance.processing.procedure import SequenceProcessor
+from appliance.reconstruct.decode.specks import mask_specks
 from appliance.reconstruct.pipeline import Cloud, Pipeline
-from appliance.reconstruct.specks import mask_specks
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.noise import TYPICAL
 from appliance.scan.sides import SIDES

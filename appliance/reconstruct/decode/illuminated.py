@@ -1,4 +1,4 @@
-"""Owns which part of each row the projector lights: from the first lit pixel to the last. Nothing else is worked on.
+"""Owns which part of each row the projector lights: from the first illuminated pixel to the last. Nothing else is worked on.
 
 Parts begin and end at whole blocks, so that vector instructions have no rest to do pixel by pixel.
 """
@@ -14,7 +14,7 @@ _NAN = np.float32(np.nan)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def _any_lit(mask: NDArray[np.uint8]) -> bool:
+def _any_illuminated(mask: NDArray[np.uint8]) -> bool:
     least = np.uint8(255)
     for x in range(mask.size):
         least = min(least, mask[x])
@@ -25,9 +25,9 @@ def _any_lit(mask: NDArray[np.uint8]) -> bool:
 def _ends(mask: NDArray[np.uint8]) -> tuple[int, int]:
     """First column of the first block of a row that is not all masked, and the one behind the last such block."""
     first, stop = 0, mask.size
-    while first < stop and not _any_lit(mask[first : first + _BLOCK]):
+    while first < stop and not _any_illuminated(mask[first : first + _BLOCK]):
         first += _BLOCK
-    while stop > first and not _any_lit(mask[(stop - 1) // _BLOCK * _BLOCK : stop]):
+    while stop > first and not _any_illuminated(mask[(stop - 1) // _BLOCK * _BLOCK : stop]):
         stop = (stop - 1) // _BLOCK * _BLOCK
     return min(first, stop), stop
 
@@ -42,22 +42,22 @@ def _count(mask: NDArray[np.uint8]) -> int:
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def find_lit(
-    mask: NDArray[np.uint8], lit: NDArray[np.int32], p_px: NDArray[np.float32], q_px: NDArray[np.float32]
+def find_illuminated_columns(
+    mask: NDArray[np.uint8], illuminated: NDArray[np.int32], p_px: NDArray[np.float32], q_px: NDArray[np.float32]
 ) -> int:
-    """Enter the first column of each row's lit part, and the one behind it, in ``lit`` (h, 2); return how many pixels
-    are lit.
+    """Enter the first column of each row's illuminated part, and the one behind it, in ``illuminated`` (h, 2); return how many pixels
+    are illuminated.
 
     ``mask`` (h, w): 1 in the shadow, else 0. Coordinates (h, w) that the scan before left outside become NaN: those
     outside of its own part are NaN already.
     """
     pixels = 0
     for y in range(mask.shape[0]):
-        was_first, was_stop = lit[y]
+        was_first, was_stop = illuminated[y]
         first, stop = _ends(mask[y])
         pixels += _count(mask[y])
         for coordinate in (p_px[y], q_px[y]):
             coordinate[was_first : min(first, was_stop)] = _NAN
             coordinate[max(stop, was_first) : was_stop] = _NAN
-        lit[y, 0], lit[y, 1] = first, stop
+        illuminated[y, 0], illuminated[y, 1] = first, stop
     return pixels
