@@ -14,10 +14,9 @@ from enum import Enum
 from pathlib import Path
 from typing import Any, SupportsFloat, SupportsIndex
 
-from pydantic import TypeAdapter, ValidationError
-
 from appliance.storage.atomic import Stamp
 from appliance.storage.record import ScanRecord
+from appliance.storage.shape import ShapeError, shaped
 
 SCHEMA = 1
 FILE_NAME = "manifest.json"
@@ -63,9 +62,6 @@ class Manifest:
     Empty in old scans."""
 
 
-_MANIFEST = TypeAdapter(Manifest)
-
-
 def encode(manifest: Manifest) -> bytes:
     """The file's bytes. Raises TypeError for a value JSON cannot hold; NaN and infinity become null: not known."""
     content = as_json(manifest)
@@ -93,10 +89,9 @@ def decode(data: bytes, name: str) -> Manifest:
     if schema != SCHEMA:
         raise ManifestError(f"{name}: schema {schema!r:.40}; this version reads schema {SCHEMA}")
     try:
-        manifest = _MANIFEST.validate_python(content)
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        raise ManifestError(f"{name}: {'.'.join(str(p) for p in first['loc'])}: {first['msg']}") from None
+        manifest = shaped(Manifest, content)
+    except ShapeError as error:
+        raise ManifestError(f"{name}: {error}") from None
     for file_name in manifest.files:
         if Path(file_name).name != file_name or file_name in {FILE_NAME, "", ".."} or "\0" in file_name:
             raise ManifestError(f"{name}: {file_name!r} is not the name of a file beside it")
