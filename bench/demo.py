@@ -28,7 +28,8 @@ from appliance.calibration.file import encode
 from appliance.cli.kernels import compile_kernels
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated, simulator_kernels
 from appliance.config import load_rig
-from appliance.service.app import CALIBRATION_FILE, run
+from appliance.instrument import CALIBRATION_FILE
+from appliance.service.app import run
 from appliance.storage.library import Library
 from appliance.storage.scan import StoredScan
 from hw_sim.options import options_from

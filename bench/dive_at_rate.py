@@ -25,7 +25,8 @@ from typing import Any
 from appliance.calibration.file import encode
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.config import Rig, load_rig
-from appliance.service.app import CALIBRATION_FILE, run
+from appliance.instrument import CALIBRATION_FILE
+from appliance.service.app import run
 from appliance.storage.library import Library
 from appliance.worker.usage import own_memory_mb
 from hw_sim import registry

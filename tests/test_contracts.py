@@ -43,6 +43,7 @@ FORBIDDEN = [
     Forbidden("data-flow", "appliance.patterns", "appliance.capture"),
     Forbidden("data-flow", "appliance.reconstruct", "appliance.machine"),
     Forbidden("data-flow", "appliance.machine", "appliance.service"),
+    Forbidden("data-flow", "appliance.offline", "appliance.service"),
     Forbidden("pure-core", "appliance.machine", "threading"),
     Forbidden("pure-core", "appliance.optics", "pathlib"),
     Forbidden("rooms-of-the-world", "hw_sim.optics", "hw_sim.water"),

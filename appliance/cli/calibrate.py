@@ -15,7 +15,7 @@ from appliance.cli.desk import place_of, whole_scan, writable, writing
 from appliance.cli.kernels import compile_desk_kernels
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json
 from appliance.cli.places import WithRoot
-from appliance.service.origin import instrument_of, refuse_misfit, taken
+from appliance.offline.origin import instrument_of, refuse_misfit, taken
 from appliance.storage.atomic import replace_file
 from appliance.storage.calibrations import Calibrations, SessionError
 from appliance.storage.filesystem import LocalFileSystem
@@ -70,9 +70,9 @@ class CalibrateWater(WithRoot):
         if data.absolute() == self.list.absolute():
             raise UsageError(f"--out {target}: {data} is the list itself; give another name")
         compile_desk_kernels()  # before anything brings compiled kernels
-        from appliance.service.evaluation import ListError, read_list
-        from appliance.service.instrument import refuse_drawing, start_of
-        from appliance.service.water_calibration import check_list, run_water_calibration
+        from appliance.instrument import refuse_drawing, start_of
+        from appliance.offline.evaluation import ListError, read_list
+        from appliance.offline.water_calibration import check_list, run_water_calibration
 
         try:
             scans = read_list(self.list)

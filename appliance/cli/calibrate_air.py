@@ -61,9 +61,9 @@ class CalibrateAir(WithRoot):
         find_kernels()
         from appliance.calibration.air import AirCalibrationError
         from appliance.calibration.board import BoardDesign, BoardError, parse_board
-        from appliance.service.air import PicturesError, calibrate_folder
-        from appliance.service.air import install as install_air
-        from appliance.service.air_views import FolderError, read_session
+        from appliance.offline.air import PicturesError, calibrate_folder
+        from appliance.offline.air import install as install_air
+        from appliance.offline.air_views import FolderError, read_session
 
         writable(self.out)
         target = self.out or self.folder / DEFAULT_NAME
@@ -90,8 +90,8 @@ class CalibrateAir(WithRoot):
         return Exit.OK
 
     def _record(self, rig: Rig, design: BoardDesign | None) -> None:
+        from appliance.offline.air_views import ViewFolder
         from appliance.service.air_live import LiveError, LiveOptions, record_views
-        from appliance.service.air_views import ViewFolder
 
         wanted = LiveOptions(self.views, not self.room_light, self.exposure_ms, self.patience_s)
         try:

@@ -20,7 +20,7 @@ class ShowCalibration(WithRoot):
 
     def run(self) -> Exit:
         rig = self.rooted_rig()
-        from appliance.service.desk import describe_calibration
+        from appliance.offline.calibration_files import describe_calibration
 
         content = describe_calibration(rig, self.file)
         if self.json:
@@ -38,8 +38,8 @@ class NominalCalibration(WithRoot):
 
     def run(self) -> Exit:
         rig = self.rooted_rig()
-        from appliance.service.app import CALIBRATION_FILE
-        from appliance.service.desk import write_nominal_calibration
+        from appliance.instrument import CALIBRATION_FILE
+        from appliance.offline.calibration_files import write_nominal_calibration
 
         writable(self.out)
         path = self.out or rig.storage.root / CALIBRATION_FILE.with_name("nominal.json")

@@ -10,7 +10,7 @@ from appliance.calibration import file as calibration_file
 from appliance.cli.output import UsageError
 from appliance.cli.places import scan_folder
 from appliance.config import default_rig_path, load_rig
-from appliance.service.origin import Wish
+from appliance.offline.origin import Wish
 from appliance.storage import scan as stored
 from appliance.storage.atomic import StorageError, remedy_for
 from appliance.storage.damage import damaged_frames

@@ -12,7 +12,7 @@ from appliance.cli.desk import measuring, place_of, whole_scan, writable, writin
 from appliance.cli.kernels import compile_desk_kernels
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json, table
 from appliance.cli.places import WithCalibration
-from appliance.service.origin import instrument_of, one_calibration, taken
+from appliance.offline.origin import instrument_of, one_calibration, taken
 from appliance.storage.atomic import replace_file
 from appliance.storage.filesystem import LocalFileSystem
 
@@ -43,7 +43,7 @@ class Evaluate(WithCalibration):
         measuring(wish.calibration)
         compile_desk_kernels()  # before anything brings compiled kernels
         from appliance.evaluation.report import as_html, as_json
-        from appliance.service.evaluation import ListError, read_list, run_evaluation
+        from appliance.offline.evaluation import ListError, read_list, run_evaluation
 
         try:
             scans = read_list(self.list)

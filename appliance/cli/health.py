@@ -116,7 +116,7 @@ class AcceptHealth(WithRoot):
 
 def _in_use(rig: Rig) -> Calibration:
     # The service is imported here: it brings drivers and compiled kernels, which a wrong argument need not wait for.
-    from appliance.service.app import CALIBRATION_FILE
+    from appliance.instrument import CALIBRATION_FILE
 
     return calibration_file.load(rig.storage.root / CALIBRATION_FILE)
 

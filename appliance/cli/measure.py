@@ -12,7 +12,7 @@ from appliance.cli.kernels import compile_desk_kernels
 from appliance.cli.listing import listing
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json, table
 from appliance.cli.places import WithRoot
-from appliance.service.origin import instrument_of, taken
+from appliance.offline.origin import instrument_of, taken
 from appliance.storage.atomic import replace_file
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.scan import ScanError
@@ -34,8 +34,8 @@ class MeasureResponse(WithRoot):
         compile_desk_kernels()  # before anything brings compiled kernels
         from appliance.calibration.response import ResponseError
         from appliance.calibration.response_file import encode
-        from appliance.service.instrument import RESPONSE_FILE
-        from appliance.service.measuring import response_of_scan
+        from appliance.instrument import RESPONSE_FILE
+        from appliance.offline.measuring import response_of_scan
 
         _never_replaced(self.out)
         with Progress() as progress:
@@ -82,7 +82,7 @@ class MeasureNoise(WithRoot):
         wish = self.wish()
         compile_desk_kernels()  # before anything brings compiled kernels
         from appliance.calibration.photon_transfer import NoiseError
-        from appliance.service.measuring import noise_of_scan
+        from appliance.offline.measuring import noise_of_scan
 
         with Progress() as progress:
             progress("comparing checksums")

@@ -11,7 +11,7 @@ from appliance.cli.output import UsageError
 
 if TYPE_CHECKING:  # imported where they are needed: a verb that needs neither loads neither
     from appliance.config import Rig
-    from appliance.service.origin import Wish
+    from appliance.offline.origin import Wish
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,7 +55,7 @@ class WithRoot(WithRig):
     def wish(self) -> Wish:
         """What was asked for beside a scan; a rig file is only read where one was given. Raises ConfigError, UsageError."""
         from appliance.config import load_rig
-        from appliance.service.origin import Wish
+        from appliance.offline.origin import Wish
 
         return Wish(
             rig=None if self.rig is None else load_rig(self.rig),

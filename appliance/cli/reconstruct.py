@@ -11,7 +11,7 @@ from appliance.cli.kernels import compile_desk_kernels
 from appliance.cli.listing import listing
 from appliance.cli.output import Exit, Progress, say_json
 from appliance.cli.places import WithCalibration
-from appliance.service.origin import calibration_for, instrument_of, one_calibration, taken
+from appliance.offline.origin import calibration_for, instrument_of, one_calibration, taken
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,8 +30,8 @@ class Reconstruct(WithCalibration):
             progress("comparing checksums")
             folder = scan_in(wish, self.scan) if self.salvage else whole_scan(wish, self.scan)
             compile_desk_kernels()
-            from appliance.service.desk import reconstruct_scan
-            from appliance.service.salvage import salvage
+            from appliance.offline.reconstruct import reconstruct_scan
+            from appliance.offline.salvage import salvage
 
             salvaged = salvage(folder) if self.salvage else None
             source = taken(folder, wish, None if salvaged is None else salvaged.scan)
@@ -61,7 +61,7 @@ class MergeScans(WithCalibration):
             progress("comparing checksums")
             first, second = (whole_scan(wish, scan) for scan in (self.first, self.second))
             compile_desk_kernels()
-            from appliance.service.merging import merge_scans
+            from appliance.offline.merging import merge_scans
 
             sources = (taken(first, wish), taken(second, wish))
             instrument_of(sources, wish)  # refuses two

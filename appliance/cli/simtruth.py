@@ -19,11 +19,11 @@ from appliance.calibration.file import Calibration, CalibrationError, encode, lo
 from appliance.cli.output import UsageError
 from appliance.cli.simrig import SIMULATOR
 from appliance.config import Rig
+from appliance.instrument import CALIBRATION_FILE, KEPT, RESPONSE_FILE
 from appliance.optics.model import HousedCamera, StereoRig
 from appliance.optics.pinhole import Lens
 from appliance.optics.port import Port
 from appliance.optics.water import Water
-from appliance.service.instrument import CALIBRATION_FILE, KEPT, RESPONSE_FILE
 from appliance.storage.atomic import replace_file
 from appliance.storage.filesystem import LocalFileSystem
 

@@ -24,11 +24,11 @@ from appliance.capture.grabber import Grabber
 from appliance.capture.scan import ScanRecorder, ScanSettings
 from appliance.capture.store import FrameStore
 from appliance.config import Rig
+from appliance.offline.air import find_boards, pairs_of
+from appliance.offline.air_views import ViewFolder
 from appliance.patterns.sequence import Direction, Kind, Pattern
 from appliance.scan.fault import Fault
 from appliance.scan.sides import SIDES
-from appliance.service.air import find_boards, pairs_of
-from appliance.service.air_views import ViewFolder
 from appliance.service.devices import Devices
 from appliance.service.keeper import Keeper
 from appliance.storage.lock import hold_lock

@@ -13,23 +13,14 @@ from types import FrameType
 
 import appliance
 from appliance.config import Rig
+from appliance.instrument import calibration_of, noise_of, pointers_of, response_of
 from appliance.machine.words import Language
 from appliance.optics.water import Water
-from appliance.patterns.sequence import PatternSequence, build_sequence
 from appliance.screens.painter import Painter
 from appliance.service.aiming import AimingDesk
 from appliance.service.calibrating import CalibrationDesk
 from appliance.service.devices import Devices
 from appliance.service.gallery import GalleryDesk
-from appliance.service.instrument import (
-    CALIBRATION_FILE,
-    calibration_of,
-    design_of,
-    noise_of,
-    pointers_of,
-    response_of,
-    water_of,
-)
 from appliance.service.loop import Service, standard_choices
 from appliance.service.notify import ServiceManager
 from appliance.service.patterns import Patterns
@@ -48,16 +39,6 @@ from drivers import rig as drivers_rig
 from drivers.output.gl import open_gl
 
 log = logging.getLogger("kingfisher")
-
-__all__ = [
-    "CALIBRATION_FILE",
-    "calibration_of",
-    "design_of",
-    "noise_of",
-    "run",
-    "sequence_of",
-    "water_of",
-]
 
 
 def run(rig: Rig) -> int:
@@ -124,11 +105,6 @@ def run(rig: Rig) -> int:
             ask_power_off(os.environ)
         log.info("switched off" if ended.power_off else "stopped")
     return 0
-
-
-def sequence_of(rig: Rig) -> PatternSequence:
-    """The sequence the rig file states."""
-    return build_sequence(rig.scan.period_px, rig.projector.width_px, rig.projector.height_px)
 
 
 def ask_power_off(environment: Mapping[str, str]) -> None:

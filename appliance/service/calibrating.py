@@ -14,6 +14,7 @@ from appliance.calibration.file import Calibration, CalibrationError
 from appliance.calibration.guide import Session, Step, Trial, Verified
 from appliance.calibration.recordings import CamerasDiffer, CertificateMissing, NotConverged, RecordingError
 from appliance.config import Rig
+from appliance.instrument import calibration_of
 from appliance.machine import events as on
 from appliance.machine.mishap import Failure, Mishap
 from appliance.scan.fault import Fault, FaultCode
@@ -21,7 +22,6 @@ from appliance.scan.verdict import Verdict
 from appliance.service import calibrator
 from appliance.service.background import Background, Done, Failed, Progressed
 from appliance.service.calibrator import Examined, Solution
-from appliance.service.instrument import calibration_of
 from appliance.service.scans import ScanDesk, remembered
 from appliance.storage.atomic import StorageError
 from appliance.storage.calibrations import Calibrations, SessionError

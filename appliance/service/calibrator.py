@@ -28,12 +28,12 @@ from appliance.config import Rig
 from appliance.evaluation.ball_bar import BallBar, find_ball_bar
 from appliance.evaluation.plane import PlaneFit, fit_plane
 from appliance.evaluation.points import NotFound
+from appliance.instrument import calibration_of, settings_of_scan, start_of
+from appliance.offline.recordings import cameras_of, recording_of_scan
+from appliance.offline.reprocess import ReprocessedScan, reprocess
 from appliance.reconstruct.pipeline import Cloud
 from appliance.reconstruct.quality import QualityLimits
 from appliance.scan.fault import FaultCode
-from appliance.service.desk import Reworked, rework
-from appliance.service.instrument import calibration_of, settings_of_scan, start_of
-from appliance.service.recordings import cameras_of, recording_of_scan
 from appliance.storage import scan as stored
 from appliance.storage.calibrations import Calibrations
 from appliance.storage.library import Library
@@ -135,7 +135,7 @@ def examine(rig: Rig, step: Step, folder: Path, report: Report) -> Examined:
     return Examined(replace(trial, points=len(recording.left_px)))
 
 
-def _spoilt(step: Step, seen: Reworked) -> Trial | None:
+def _spoilt(step: Step, seen: ReprocessedScan) -> Trial | None:
     """The refusal of a recording whose points would be wrong, whatever it shows."""
     fault = seen.unfit
     if fault is None:
@@ -250,15 +250,15 @@ def _judged_plane(step: Step, plane: PlaneFit | NotFound, cloud: Cloud, calibrat
     return judge_plane(step, found, calibration.rig)
 
 
-def _wide(scan: stored.StoredScan, basis: Basis) -> Reworked:
+def _wide(scan: stored.StoredScan, basis: Basis) -> ReprocessedScan:
     """With room for rays that miss each other because nobody knows the ports."""
     settings = settings_of_scan(scan.manifest.record, basis.rig)
-    return rework(scan, basis.start, settings, _silent, QualityLimits(max_gap_mm=CALIBRATING_GAP_MM))
+    return reprocess(scan, basis.start, settings, _silent, QualityLimits(max_gap_mm=CALIBRATING_GAP_MM))
 
 
-def _fairly(scan: stored.StoredScan, calibration: Calibration, basis: Basis) -> Reworked:
+def _fairly(scan: stored.StoredScan, calibration: Calibration, basis: Basis) -> ReprocessedScan:
     settings = settings_of_scan(scan.manifest.record, basis.rig)
-    return rework(scan, calibration, settings, _silent, QualityLimits(max_gap_mm=VERIFY_GAP_MM))
+    return reprocess(scan, calibration, settings, _silent, QualityLimits(max_gap_mm=VERIFY_GAP_MM))
 
 
 def _fair(scan: stored.StoredScan, calibration: Calibration, basis: Basis) -> Cloud:

@@ -18,6 +18,7 @@ from appliance.calibration.design import METHOD as DRAWN
 from appliance.capture.patience import Patience
 from appliance.capture.scan import Arming, ScanRecorder, ScanSettings
 from appliance.config import Rig
+from appliance.instrument import exposure_of, exposures_of
 from appliance.machine import effects as do
 from appliance.machine import events as on
 from appliance.machine.alerts import lengths_doubtful
@@ -37,7 +38,6 @@ from appliance.service.aiming import AimingDesk
 from appliance.service.calibrating import CalibrationDesk
 from appliance.service.devices import Devices
 from appliance.service.gallery import GRADE, LENGTHS_DOUBTFUL, GalleryDesk
-from appliance.service.instrument import exposure_of, exposures_of
 from appliance.service.keeper import Keeper
 from appliance.service.menu_view import Facts
 from appliance.service.patterns import Patterns

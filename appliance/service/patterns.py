@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.config import Rig
+from appliance.instrument import live_light_of
 from appliance.patterns.draw import draw_sequence
 from appliance.patterns.response import Response
 from appliance.patterns.sequence import PatternSequence, build_sequence
-from appliance.service.instrument import live_light_of
 from drivers.api import Projector
 
 

@@ -22,6 +22,7 @@ from appliance.calibration.file import Calibration
 from appliance.capture.scan import CaptureReport
 from appliance.capture.store import FrameStore
 from appliance.config import Rig
+from appliance.instrument import exposure_of, noise_of, origin_of, settings_of, water_of
 from appliance.machine import events as on
 from appliance.machine.states import Part
 from appliance.machine.words import Text
@@ -38,8 +39,6 @@ from appliance.scan.sides import SIDES
 from appliance.scan.verdict import Judgement, Verdict
 from appliance.service.health import CalibrationWatch
 from appliance.service.in_work import ScanInWork, SecondInWork
-from appliance.service.instrument import exposure_of, noise_of, settings_of, water_of
-from appliance.service.origin import origin_of
 from appliance.service.room import ScanRoom
 from appliance.service.windows import WindowWatch
 from appliance.storage.atomic import StorageError, replace_file

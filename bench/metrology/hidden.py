@@ -12,11 +12,11 @@ from appliance.calibration.extract import CALIBRATING_GAP_MM, Certificate, extra
 from appliance.calibration.file import Calibration
 from appliance.calibration.recordings import Recording
 from appliance.evaluation.points import NotFound
+from appliance.offline.evaluation import JUDGING_GAP_MM
 from appliance.optics.water import Water
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.quality import QualityLimits
 from appliance.scan.sides import SIDES
-from appliance.service.evaluation import JUDGING_GAP_MM
 from bench.instrument import Instrument, open_instrument
 from bench.metrology.air import air_of, start_of
 from bench.metrology.judge import Errors, Seen, look_at, summed_up

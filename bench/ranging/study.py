@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.config import load_rig
+from appliance.instrument import live_light_of, pointers_of
 from appliance.ranging.measure import Dot, Dots, Ranger
 from appliance.ranging.reach import Range
-from appliance.service.instrument import live_light_of, pointers_of
 from bench.ranging.scenes import Case, aimed, drawn, hide, live_pair, seen, true_dots
 from hw_sim.rendering.render import Renderer
 from hw_sim.scene import Scene

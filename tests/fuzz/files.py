@@ -28,6 +28,7 @@ from appliance.calibration.health import Trend, TrendPoint
 from appliance.calibration.response_file import ResponseFileError, StoredResponse
 from appliance.config import ConfigError, default_rig_path, load_rig
 from appliance.machine.choices import Choices
+from appliance.offline.air import Pair, PicturesError, read_pair
 from appliance.optics.correction import ImageCorrection, node_count
 from appliance.optics.ray_shift import RayShift
 from appliance.optics.water import Water
@@ -35,7 +36,6 @@ from appliance.patterns.response import Response
 from appliance.ranging.beams import Pointers
 from appliance.scan.exposure import Exposure
 from appliance.sealed import seal
-from appliance.service.air import Pair, PicturesError, read_pair
 from appliance.storage import counter
 from appliance.storage import label as labels
 from appliance.storage import manifest as form

@@ -22,10 +22,10 @@ from appliance.calibration.start import start_from_air
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.config import Rig, load_rig
 from appliance.evaluation.ball_bar import BallBar, find_ball_bar
+from appliance.instrument import design_of
 from appliance.optics.model import HousedCamera, StereoRig
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.quality import QualityLimits
-from appliance.service.instrument import design_of
 from appliance.storage.calibrations import Calibrations
 from appliance.storage.library import Library
 from hw_sim.objects.shapes import BALL_DISTANCE_MM

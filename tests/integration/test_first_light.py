@@ -9,7 +9,8 @@ import numpy as np
 from appliance.calibration.file import encode
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.config import load_rig
-from appliance.service.app import CALIBRATION_FILE, run
+from appliance.instrument import CALIBRATION_FILE
+from appliance.service.app import run
 from appliance.storage.library import Library
 from hw_sim.options import options_from
 from hw_sim.rendering.render import Renderer

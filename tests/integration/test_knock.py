@@ -11,7 +11,8 @@ from appliance.calibration.file import encode, load
 from appliance.cli.main import main
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.config import Rig, load_rig
-from appliance.service.app import CALIBRATION_FILE, run
+from appliance.instrument import CALIBRATION_FILE
+from appliance.service.app import run
 from appliance.storage.library import Library
 from hw_sim.options import options_from
 from hw_sim.truth import draw_truth

@@ -9,10 +9,10 @@ import pytest
 
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.config import Rig, load_rig
+from appliance.offline.origin import Wish, calibration_for, taken
+from appliance.offline.reconstruct import reconstruct_scan
 from appliance.scan.verdict import Verdict
 from appliance.service.app import run
-from appliance.service.desk import reconstruct_scan
-from appliance.service.origin import Wish, calibration_for, taken
 from appliance.storage.library import Library, Shelf
 from appliance.storage.ply import read_ply
 from appliance.storage.scan import StoredScan

@@ -9,9 +9,9 @@ from appliance.calibration.response_file import encode
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.config import Rig, load_rig
 from appliance.config.rig import ScanRig
+from appliance.instrument import RESPONSE_FILE
+from appliance.offline.measuring import response_of_scan
 from appliance.service.app import run
-from appliance.service.instrument import RESPONSE_FILE
-from appliance.service.measuring import response_of_scan
 from appliance.storage.atomic import replace_file
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.library import Library

@@ -15,7 +15,7 @@ from typing import Any, Self
 
 from appliance.calibration.file import encode
 from appliance.config import default_rig_path, load_rig
-from appliance.service.app import CALIBRATION_FILE
+from appliance.instrument import CALIBRATION_FILE
 from hw_sim.truth import TrueRig
 from hw_sim.wires.umockdev.testbed import Testbed
 from tests.support.truth import true_calibration

@@ -12,9 +12,9 @@ from appliance.calibration.file import Calibration
 from appliance.calibration.ladder import Method, calibrate
 from appliance.calibration.recordings import Recording
 from appliance.evaluation.result import LENGTHS, Artefact, Result, evaluate
+from appliance.offline.evaluation import JUDGING_GAP_MM
 from appliance.reconstruct.pipeline import Cloud, Pipeline
 from appliance.reconstruct.quality import QualityLimits
-from appliance.service.evaluation import JUDGING_GAP_MM
 from hw_sim.objects.shapes import BALL_RADIUS_MM, FRUSTUM_BASE_MM, FRUSTUM_HEIGHT_MM, FRUSTUM_TOP_MM
 from hw_sim.scene import Scene
 from hw_sim.truth import TrueRig

@@ -15,8 +15,8 @@ from appliance.calibration.guide import USED, Session, Step, Trial
 from appliance.calibration.start import start_from_air
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.config import Rig, load_rig
+from appliance.instrument import design_of
 from appliance.service.calibrator import examine, solve
-from appliance.service.instrument import design_of
 from appliance.storage.calibrations import Calibrations
 from appliance.storage.library import Library
 from appliance.storage.record import ScanRecord, SequenceInfo

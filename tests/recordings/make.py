@@ -29,9 +29,9 @@ from appliance.calibration import file as calibration_file
 from appliance.calibration.file import Calibration
 from appliance.calibration.start import METHOD as IN_AIR
 from appliance.config import load_rig
+from appliance.instrument import design_of
 from appliance.optics.correction import ImageCorrection, node_count
 from appliance.optics.ray_shift import RayShift
-from appliance.service.instrument import design_of
 from appliance.storage.calibrations import Calibrations
 
 SIZE = (160, 120)

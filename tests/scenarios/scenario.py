@@ -43,7 +43,8 @@ import pytest
 from appliance.calibration.file import load
 from appliance.cli.simrig import default_sim_rig
 from appliance.config import load_rig
-from appliance.service.app import design_of, run
+from appliance.instrument import design_of
+from appliance.service.app import run
 from appliance.storage.calibrations import Calibrations
 from appliance.storage.library import Library, Shelf
 from appliance.storage.lock import hold_lock

@@ -15,12 +15,12 @@ from appliance.calibration.recordings import ArtefactKind, Recording
 from appliance.cli.simrig import default_sim_rig
 from appliance.config import load_rig
 from appliance.evaluation.points import NotFound
+from appliance.offline.recordings import recording_of_scan
 from appliance.optics.model import StereoRig
 from appliance.optics.port import Port
 from appliance.optics.water import Water
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.quality import QualityLimits
-from appliance.service.recordings import recording_of_scan
 from hw_sim.objects.shapes import BALL_RADIUS_MM
 from hw_sim.scene import Scene
 from hw_sim.truth import project, ray

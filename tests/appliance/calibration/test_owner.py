@@ -12,11 +12,11 @@ from appliance.calibration.file import Calibration, CalibrationError, decode, en
 from appliance.calibration.owner import Owner, exchanged, misfit
 from appliance.calibration.recordings import RecordingError
 from appliance.config import Rig, default_rig_path, load_rig, rig_text
+from appliance.instrument import calibration_of, design_of
 from appliance.machine.alerts import alert_of
+from appliance.offline.recordings import cameras_of
 from appliance.scan.fault import FaultCode
 from appliance.sealed import seal
-from appliance.service.instrument import calibration_of, design_of
-from appliance.service.recordings import cameras_of
 from appliance.storage.library import Library
 from appliance.storage.scan import Origin
 from tests.appliance.storage.scenes import frames, record

@@ -14,7 +14,7 @@ from appliance.calibration.file import load
 from appliance.calibration.start import METHOD
 from appliance.cli import main
 from appliance.config import parse_rig
-from appliance.service.instrument import calibration_of
+from appliance.instrument import calibration_of
 from hw_sim.rendering.render import Renderer
 from hw_sim.scene import Scene
 from hw_sim.truth import TrueRig, draw_truth, in_air

@@ -33,7 +33,7 @@ from appliance.storage.library import Library, UnknownScan
 from tests.appliance.storage.scenes import PREVIEW, cloud, frames, record
 
 COMPUTES = ("numpy", "numba", "llvmlite", "scipy", "cv2")
-DEVICES = ("usb", "serial", "moderngl", "hw_sim", "appliance.service")
+DEVICES = ("usb", "serial", "moderngl", "hw_sim", "appliance.service", "appliance.offline")
 EVERY = [
     ((*words, one.name), one)
     for group in VERBS

@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 from appliance.evaluation.acceptance import Certificate, Kept, Quantity, Symbol, expanded_mm, overall, probe
 from appliance.evaluation.points import NotFound
 from appliance.evaluation.result import Artefact, Length, Result, evaluate
-from appliance.service.evaluation import ListError, read_list
+from appliance.offline.evaluation import ListError, read_list
 from tests.appliance.evaluation.test_fits import CENTRE, RADIUS_MM, Array, Points, board, cap
 
 OTHER = CENTRE + np.array([-120.0, 60.0, 30.0])

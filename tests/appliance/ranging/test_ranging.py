@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from appliance.config import load_rig
+from appliance.instrument import design_of, live_light_of, pointers_of
 from appliance.patterns.sequence import BRIGHT_CODE
 from appliance.ranging.measure import Ranger
 from appliance.ranging.reach import Range
 from appliance.ranging.witness import SURELY_A_DOT_DN, shines_in_the_dark
-from appliance.service.instrument import design_of, live_light_of, pointers_of
 from bench.ranging.scenes import hide, live_pair, true_dots
 from bench.ranging.study import RIG_FILE, Instrument, instrument, truth_of
 from hw_sim.rendering.render import Renderer

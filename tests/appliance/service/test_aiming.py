@@ -12,10 +12,10 @@ import pytest
 from numpy.typing import NDArray
 
 from appliance.config import load_rig
+from appliance.instrument import design_of
 from appliance.machine import events as on
 from appliance.scan.fault import FaultCode
 from appliance.service.aiming import DEVICE, AimingDesk
-from appliance.service.instrument import design_of
 from drivers.native import MonotonicClock
 from tests.appliance.capture.test_aiming import BLACK_DN, picture
 

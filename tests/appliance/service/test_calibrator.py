@@ -13,10 +13,10 @@ from appliance.calibration.guide import USED, Refusal, Session, Solved, Step, Tr
 from appliance.calibration.recordings import RecordingError
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.config import Rig, load_rig
+from appliance.instrument import design_of
 from appliance.optics.correction import INTERVALS, ImageCorrection, node_count
 from appliance.optics.model import StereoRig
 from appliance.service.calibrator import basis_of, examine, solve
-from appliance.service.instrument import design_of
 from appliance.storage.calibrations import Calibrations
 from appliance.storage.library import Library, UnknownScan
 from appliance.storage.record import ScanRecord, SequenceInfo

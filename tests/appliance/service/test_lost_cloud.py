@@ -15,15 +15,15 @@ from appliance.capture.ledger import Ledger
 from appliance.capture.scan import CaptureReport
 from appliance.config import Rig, load_rig
 from appliance.config.load import default_rig_path
+from appliance.instrument import design_of
 from appliance.machine import events as on
+from appliance.offline.origin import Wish, calibration_for, taken
+from appliance.offline.reconstruct import reconstruct_scan
 from appliance.patterns.sequence import PatternSequence, build_sequence
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import FaultCode
 from appliance.scan.sides import SIDES
-from appliance.service.app import design_of
-from appliance.service.desk import reconstruct_scan
-from appliance.service.origin import Wish, calibration_for, taken
 from appliance.service.scans import ScanDesk
 from appliance.storage.library import Library
 from appliance.storage.ply import read_ply

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from appliance.calibration import owner
 from appliance.calibration.design import Design, design_calibration
-from appliance.calibration.file import Calibration, CalibrationError, load
+from appliance.calibration.file import Calibration, CalibrationError, encode, load
 from appliance.calibration.owner import Misfit, Owner
 from appliance.calibration.response_file import ResponseFileError
 from appliance.calibration.response_file import load as load_response
 from appliance.calibration.start import METHOD as IN_AIR
 from appliance.calibration.start import check_start
-from appliance.config import Rig
+from appliance.config import Rig, rig_text
 from appliance.config.rig import CameraRig
 from appliance.optics.model import HousedCamera
 from appliance.optics.pinhole import Lens
@@ -30,6 +30,7 @@ from appliance.scan.exposure import Exposure, Span, ladder
 from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.noise import CameraNoise, StereoNoise, camera_noise
 from appliance.storage.record import ScanRecord
+from appliance.storage.scan import Origin
 
 log = logging.getLogger("kingfisher")
 
@@ -212,6 +213,11 @@ def exposures_of(rig: Rig) -> tuple[Exposure, ...]:
     scan = rig.scan
     span = Span(scan.shortest_exposure_ms, scan.longest_exposure_ms, scan.most_gain_db)
     return ladder(rig.projector.refresh_hz, rig.board.trigger_delay_us, rig.camera.left.gain_db, span)
+
+
+def origin_of(rig: Rig, calibration: Calibration) -> Origin:
+    """What a scan that is taken now carries with it: the calibration in use and the rig as it is understood."""
+    return Origin(encode(calibration), rig_text(rig).encode())
 
 
 def misfit(calibration: Calibration, rig: Rig) -> str | None:

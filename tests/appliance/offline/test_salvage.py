@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from appliance.offline.salvage import _make_up, salvage
 from appliance.patterns.sequence import Direction, build_sequence
 from appliance.scan.exposure import Exposure
 from appliance.scan.noise import CameraNoise, StereoNoise
-from appliance.service.salvage import _make_up, salvage
 from appliance.storage import manifest as form
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.record import SecondSequence, SequenceInfo

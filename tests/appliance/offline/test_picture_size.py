@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 import pytest
 
-from appliance.service.air import Pair, PicturesError, read_pair
-from appliance.service.picture_size import size_px
+from appliance.offline.air import Pair, PicturesError, read_pair
+from appliance.offline.picture_size import size_px
 
 
 @pytest.mark.parametrize("kind", [".png", ".tif", ".bmp", ".pgm", ".jpg", ".ppm"])

@@ -28,11 +28,11 @@ from appliance.calibration.file import Calibration, CalibrationError
 from appliance.calibration.parameters import AIR, NAMES
 from appliance.calibration.start import METHOD, start_from_air
 from appliance.config import Rig
+from appliance.instrument import design_of
+from appliance.offline.air_views import LEFT, RIGHT
+from appliance.offline.picture_size import KNOWN, size_px
 from appliance.patterns.sequence import build_sequence
 from appliance.scan.sides import SIDES
-from appliance.service.air_views import LEFT, RIGHT
-from appliance.service.instrument import design_of
-from appliance.service.picture_size import KNOWN, size_px
 from appliance.storage import calibrations
 from appliance.storage import scan as stored
 from appliance.storage.atomic import refused, replace_file

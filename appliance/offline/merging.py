@@ -8,12 +8,12 @@ from typing import Any
 
 from appliance.calibration.file import Calibration
 from appliance.config import Rig
+from appliance.instrument import exposure_of_scan, settings_of_scan
+from appliance.offline.origin import Chosen, Taken
+from appliance.offline.reprocess import refuse_empty, reprocess_bracket
 from appliance.optics.water import Water
 from appliance.reconstruct.pipeline import Cloud
 from appliance.scan.verdict import Verdict
-from appliance.service.desk import refuse_empty, rework_pair
-from appliance.service.instrument import exposure_of_scan, settings_of_scan
-from appliance.service.origin import Chosen, Taken
 from appliance.storage import scan as stored
 from appliance.storage.ply import write_ply
 from appliance.storage.scan import ScanError
@@ -87,7 +87,7 @@ def merged_cloud_of(
     if first.manifest.record.sequence != second.manifest.record.sequence:
         raise ScanError("the scans were recorded with different patterns; merge two of the same fringe period")
     settings = (settings_of_scan(first.manifest.record, rig), settings_of_scan(second.manifest.record, rig))
-    made = rework_pair(first, second.frames, settings, calibration, progress)
+    made = reprocess_bracket(first, second.frames, settings, calibration, progress)
     if made.cloud is None:
         raise ScanError(f"{made.pair.verdict.text}: merge scans that were taken from one place")
     refuse_empty(first.folder, made.empty)

@@ -16,10 +16,10 @@ from appliance.evaluation.acceptance import Certificate, Symbol
 from appliance.evaluation.flatness import REFERENCE_MM
 from appliance.evaluation.report import Evaluation, Item
 from appliance.evaluation.result import LENGTHS, Artefact, evaluate
+from appliance.instrument import settings_of_scan
+from appliance.offline.origin import Taken
+from appliance.offline.reprocess import refuse_empty, reprocess
 from appliance.reconstruct.quality import QualityLimits
-from appliance.service.desk import refuse_empty, rework
-from appliance.service.instrument import settings_of_scan
-from appliance.service.origin import Taken
 from appliance.storage import scan as stored
 
 MOST_BYTES = 1_000_000
@@ -115,10 +115,10 @@ def run_evaluation(
             progress(f"{name}: {what}", at)
 
         settings = settings_of_scan(scan.manifest.record, source.rig)
-        reworked = rework(scan, chosen, settings, step, QualityLimits(max_gap_mm=JUDGING_GAP_MM))
-        if reworked.empty is not None and reworked.empty.by_calibration:
-            refuse_empty(scan.folder, reworked.empty)
-        cloud, water = reworked.cloud, reworked.water
+        reprocessed = reprocess(scan, chosen, settings, step, QualityLimits(max_gap_mm=JUDGING_GAP_MM))
+        if reprocessed.empty is not None and reprocessed.empty.by_calibration:
+            refuse_empty(scan.folder, reprocessed.empty)
+        cloud, water = reprocessed.cloud, reprocessed.water
         step(f"looking for the {entry.artefact.value}")
         certificate = Certificate(entry.length_sd_mm, entry.radius_mm, entry.radius_sd_mm)
         result = evaluate(
@@ -135,7 +135,7 @@ def run_evaluation(
             "water": {"temperature_c": water.temperature_c, "salinity_psu": water.salinity_psu, "index": water.index},
             "temperatures_c": dict(record.temperatures_c),
             "period_px": record.sequence.period_px,
-            "warnings": [f"{fault.code.value}: {fault.detail}" for fault in reworked.faults],
+            "warnings": [f"{fault.code.value}: {fault.detail}" for fault in reprocessed.faults],
             "recorded_by_version": record.software_version,
             "recorded_with_rig": record.rig_hash,
             "recorded_with_calibration": record.calibration_hash,

@@ -11,9 +11,9 @@ from appliance.calibration.owner import exchanged
 from appliance.calibration.recordings import CamerasDiffer, Recording
 from appliance.config import ConfigError, Rig, load_rig
 from appliance.evaluation.points import NotFound
+from appliance.instrument import settings_of_scan
+from appliance.offline.reprocess import reprocess
 from appliance.reconstruct.quality import QualityLimits
-from appliance.service.desk import rework
-from appliance.service.instrument import settings_of_scan
 from appliance.storage import scan as stored
 
 
@@ -63,9 +63,9 @@ def recording_of_scan(
     """
     scan = stored.load(folder, only_raw=True)
     settings = settings_of_scan(scan.manifest.record, rig)
-    reworked = rework(scan, start, settings, progress, QualityLimits(max_gap_mm=CALIBRATING_GAP_MM))
-    if reworked.unfit is not None:
-        return NotFound(f"{reworked.unfit.code.value}: {reworked.unfit.detail}; record it again")
+    reprocessed = reprocess(scan, start, settings, progress, QualityLimits(max_gap_mm=CALIBRATING_GAP_MM))
+    if reprocessed.unfit is not None:
+        return NotFound(f"{reprocessed.unfit.code.value}: {reprocessed.unfit.detail}; record it again")
     progress("looking for the artefact")
-    left, right = reworked.pipeline.decoded("left"), reworked.pipeline.decoded("right")
-    return extract(scan.manifest.scan_id, certificate, reworked.cloud, left, right, start, reworked.water)
+    left, right = reprocessed.pipeline.decoded("left"), reprocessed.pipeline.decoded("right")
+    return extract(scan.manifest.scan_id, certificate, reprocessed.cloud, left, right, start, reprocessed.water)

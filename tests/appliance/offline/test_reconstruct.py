@@ -11,12 +11,13 @@ import pytest
 from appliance.calibration.file import CalibrationError, encode
 from appliance.config import Rig, load_rig
 from appliance.config.load import default_rig_path
+from appliance.instrument import CALIBRATION_FILE, calibration_of, design_of
+from appliance.offline.calibration_files import describe_calibration, write_nominal_calibration
+from appliance.offline.origin import Wish, calibration_for, taken
+from appliance.offline.reconstruct import reconstruct_scan
 from appliance.optics.model import StereoRig
 from appliance.patterns.sequence import build_sequence
 from appliance.reconstruct.pipeline import Pipeline
-from appliance.service.app import CALIBRATION_FILE, calibration_of, design_of
-from appliance.service.desk import describe_calibration, reconstruct_scan, write_nominal_calibration
-from appliance.service.origin import Wish, calibration_for, taken
 from appliance.storage.calibrations import Calibrations
 from appliance.storage.library import Library
 from appliance.storage.ply import read_ply

@@ -14,9 +14,9 @@ from appliance.calibration.ladder import LadderResult, LadderSettings, Method, c
 from appliance.config import Rig
 from appliance.evaluation.points import NotFound
 from appliance.evaluation.result import Artefact
-from appliance.service.evaluation import Entry, ListError, ScanList
-from appliance.service.origin import Taken
-from appliance.service.recordings import cameras_of, recording_of_scan
+from appliance.offline.evaluation import Entry, ListError, ScanList
+from appliance.offline.origin import Taken
+from appliance.offline.recordings import cameras_of, recording_of_scan
 
 RECONSTRUCTED = 0.8
 """The part of the progress that the scans get."""

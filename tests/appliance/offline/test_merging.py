@@ -11,8 +11,8 @@ import pytest
 from appliance.calibration.file import encode, load
 from appliance.config import Rig, load_rig
 from appliance.config.load import default_rig_path
-from appliance.service.merging import merge_scans, merged_cloud_of
-from appliance.service.origin import Wish, one_calibration, taken
+from appliance.offline.merging import merge_scans, merged_cloud_of
+from appliance.offline.origin import Wish, one_calibration, taken
 from appliance.storage import scan as stored
 from appliance.storage.ply import read_ply
 from appliance.storage.scan import ScanError

@@ -12,24 +12,19 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from appliance.calibration import owner as belonging
-from appliance.calibration.file import Calibration, CalibrationError, decode, encode, load
+from appliance.calibration.file import Calibration, CalibrationError, decode, load
 from appliance.calibration.owner import Owner
-from appliance.config import ConfigError, Rig, default_rig_path, load_rig, parse_rig, rig_text
+from appliance.config import ConfigError, Rig, default_rig_path, load_rig, parse_rig
 from appliance.scan.sides import SIDES, of_side
 from appliance.storage import scan as stored
 from appliance.storage.calibrations import CURRENT, FOLDER
 from appliance.storage.library import Shelf
 from appliance.storage.manifest import Manifest
-from appliance.storage.scan import CALIBRATION, RIG, Origin, ScanError, StoredScan
+from appliance.storage.scan import CALIBRATION, RIG, ScanError, StoredScan
 
 FOREIGN_OPTION = "--foreign-calibration"
 SHOWN_DIGITS = 12
 """Of a hash, for people."""
-
-
-def origin_of(rig: Rig, calibration: Calibration) -> Origin:
-    """What a scan that is taken now carries with it: the calibration in use and the rig as it is understood."""
-    return Origin(encode(calibration), rig_text(rig).encode())
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,7 +236,7 @@ def _of_the_hash(scan: Taken) -> Iterator[Chosen]:
                 continue
             if found.hash == wanted:
                 yield Chosen(found, str(path))
-    from appliance.service.instrument import design_of
+    from appliance.instrument import design_of  # late: it brings OpenCV, and most scans need no drawing
 
     drawn = design_of(scan.rig)
     if drawn.hash == wanted:

@@ -9,12 +9,12 @@ from appliance.calibration.photon_transfer import MeasuredNoise, measure_noise
 from appliance.calibration.response import MeasuredResponse, ResponseError, Seen, measure_response
 from appliance.calibration.response_file import StoredResponse
 from appliance.config import Rig
+from appliance.instrument import RESPONSE_FILE, exposure_of_scan, noise_of, response_of
 from appliance.patterns.response import Response
 from appliance.patterns.sequence import build_sequence
 from appliance.reconstruct.decode.decoder import CameraDecoder
 from appliance.scan.noise import CameraNoise
 from appliance.scan.sides import SIDES
-from appliance.service.instrument import RESPONSE_FILE, exposure_of_scan, noise_of, response_of
 from appliance.storage import scan as stored
 
 

@@ -1,0 +1,110 @@
+"""Owns the cloud of a stored scan made again from its raw frames: the file, and the report of what it says."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from appliance.calibration.file import Calibration
+from appliance.config import Rig
+from appliance.instrument import (
+    exposures_label,
+    settings_of,
+    settings_of_scan,
+)
+from appliance.offline.origin import Chosen, Taken, lost
+from appliance.offline.reprocess import refuse_empty, reprocess, reprocess_bracket
+from appliance.offline.salvage import Salvaged
+from appliance.optics.water import Water
+from appliance.reconstruct.pipeline import Cloud
+from appliance.scan.fault import Fault
+from appliance.storage import scan as stored
+from appliance.storage.atomic import replace_file
+from appliance.storage.filesystem import Bytes, LocalFileSystem
+from appliance.storage.ply import encode_ply
+
+
+def reconstruct_scan(
+    source: Taken,
+    chosen: Chosen,
+    out: Path | None,
+    progress: Callable[[str], None],
+    salvaged: Salvaged | None = None,
+) -> dict[str, Any]:
+    """The cloud of a stored scan from its raw frames, written as PLY to ``out`` (``None``: ``NAME.ply`` here).
+
+    The same frames, calibration and version give the same points as on the instrument; ``stored_cloud`` says what became
+    of those that the instrument stored. Of a ``salvaged`` scan, which ``source`` is then of, file and report say what was
+    lost. Raises ScanError, also where no points are left; CalibrationError, OSError.
+    """
+    scan, rig, calibration = source.scan, source.rig, chosen.calibration
+    record = scan.manifest.record
+    said = salvaged.said if salvaged is not None else ()
+    cloud, water, faults = _points_of(scan, rig, calibration, progress, salvaged)
+    target = out if out is not None else Path(f"{scan.folder.name}.ply")
+    progress("writing")
+    header, body = encode_ply(cloud, "; ".join(said) or None)
+    before = _stored_cloud(scan, header, body)  # compared before it may be written over
+    replace_file(LocalFileSystem(), target, header, body)
+    s = cloud.summary
+    return {
+        "scan": scan.manifest.scan_id,
+        "file": str(target),
+        "points": s.points,
+        "coverage_percent": s.coverage_percent,
+        "distance_mm": s.distance_mm,
+        "noise_mm": s.noise_mm,
+        "gap_mm": s.gap_mm,
+        "exposure": exposures_label(record, rig),
+        "period_px": record.sequence.period_px,
+        "stored_cloud": before,
+        "salvaged": list(said) or None,
+        "calibration": calibration.hash,
+        "calibration_from": chosen.whose,
+        "calibration_method": calibration.method,
+        "same_calibration": calibration.hash == record.calibration_hash,
+        "water_index": water.index,
+        "warnings": [f"{fault.code.value}: {fault.detail}" for fault in faults],
+    }
+
+
+def _stored_cloud(scan: stored.StoredScan, *parts: Bytes) -> str:
+    """What became of the cloud that the instrument stored, beside the new one in ``parts``."""
+    stamp = scan.manifest.files.get(stored.CLOUD)
+    if stamp is None:
+        return "none was stored"
+    digest = hashlib.sha256()
+    for part in parts:
+        digest.update(part)
+    same = digest.hexdigest() == stamp.sha256
+    problem = lost(scan.folder, scan.manifest, stored.CLOUD)
+    if problem is None:
+        return "the same, byte for byte" if same else "other points"
+    return f"{stored.CLOUD}: {problem}; {'made again, byte for byte' if same else 'these are not the points it had'}"
+
+
+def _points_of(
+    scan: stored.StoredScan,
+    rig: Rig,
+    calibration: Calibration,
+    progress: Callable[[str], None],
+    salvaged: Salvaged | None,
+) -> tuple[Cloud, Water, tuple[Fault, ...]]:
+    """Of one sequence, or of both that the scan has."""
+    record = scan.manifest.record
+    settings = settings_of_scan(record, rig)
+    if salvaged is not None:
+        settings = replace(settings, noise=salvaged.noise(settings.noise))
+    if scan.second is None or record.second is None:
+        reprocessed = reprocess(scan, calibration, settings, progress)
+        refuse_empty(scan.folder, reprocessed.empty)
+        return reprocessed.cloud, reprocessed.water, reprocessed.faults
+    both = (settings, settings_of(rig, record.second.exposure))
+    pair = reprocess_bracket(scan, scan.second, both, calibration, progress)
+    if pair.cloud is None:
+        raise stored.ScanError(f"{scan.folder}: {pair.pair.verdict.text}")
+    refuse_empty(scan.folder, pair.empty)
+    return pair.cloud, pair.water, pair.faults
