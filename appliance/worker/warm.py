@@ -19,6 +19,7 @@ from appliance.compensation.warm import run_every_kernel as run_compensation
 from appliance.kernel_build import Piece
 from appliance.optics.water import Water
 from appliance.patterns.sequence import PatternSequence, build_sequence
+from appliance.processing.judges import JUDGES, Evidence
 from appliance.processing.procedure import SequenceProcessor
 from appliance.reconstruct.decode.backscatter import warm_up as warm_backscatter
 from appliance.reconstruct.decode.specks import mask_specks
@@ -30,15 +31,11 @@ from appliance.reconstruct.register import register
 from appliance.reconstruct.surface import surface_of
 from appliance.reconstruct.table import Cloud, Found
 from appliance.scan.acquisition import AcquisitionSettings
-from appliance.scan.exposure import NOMINAL
 from appliance.scan.noise import TYPICAL, TYPICAL_PAIR
 from appliance.scan.sides import SIDES
+from appliance.scan.verdict import Judgement, Verdict
 from appliance.verdict.identity import judge_identity
-from appliance.verdict.light import judge_light
 from appliance.verdict.light_fit import warm_up as warm_light
-from appliance.verdict.motion import judge_motion
-from appliance.verdict.turbidity import judge_water
-from appliance.verdict.window import look_at_windows
 
 _WATER = Water(20.0, 0.0, 530.0)
 _DESIGN = Design(11.5, 112.5, 230.0, 12.41, 30.0, 5.0, 1.77)
@@ -152,12 +149,12 @@ def _find_points(*, writable: bool) -> None:
 def _judge(*, writable: bool) -> None:
     with _nothing(writable) as (pipeline, calibration, frames):
         decoded = {side: pipeline.decoded(side) for side in SIDES}
-        recorded = ScanImages(pipeline.sequence, dict.fromkeys(SIDES, frames), decoded)
+        images = ScanImages(pipeline.sequence, dict.fromkeys(SIDES, frames), decoded)
         cloud = pipeline.table.cloud(Found(((0, 0),), CloudSummary(0, 0.0, None, None, None)))
-        judge_water(recorded, cloud, calibration.rig, _WATER.index)
-        judge_light(recorded, NOMINAL, (NOMINAL,))
-        judge_motion(recorded, cloud, calibration.rig, _WATER.index)
-        look_at_windows(recorded)
+        given = Evidence(images, cloud, calibration.rig, _WATER.index, Judgement(Verdict("identity", None)), pipeline)
+        for judge in JUDGES:
+            if judge.name != "sight":  # it asks for points, and their kernels are another piece's
+                judge.judge(given, dict.fromkeys(judge.needs))
 
 
 def _read_through_backscatter(*, writable: bool) -> None:
