@@ -12,7 +12,7 @@ import tarfile
 import tempfile
 import tokenize
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -133,7 +133,7 @@ def figures_of_revision(revision: str) -> dict[str, Figures]:
         return figures(Path(folder))
 
 
-ROWS = (
+ROWS: tuple[tuple[str, Callable[[Figures], str]], ...] = (
     ("files", lambda one: str(one.files)),
     ("lines", lambda one: f"{one.lines:,}"),
     (f"files under {SMALL_LINES} lines", lambda one: str(one.small)),
