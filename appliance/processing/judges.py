@@ -14,10 +14,10 @@ from appliance.reconstruct.images import ScanImages
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.table import Cloud
 from appliance.scan.verdict import Judgement
-from appliance.verdict.light import judge_light
-from appliance.verdict.motion import judge_motion
+from appliance.verdict.light.judge import judge_light
+from appliance.verdict.motion.judge import judge_motion
 from appliance.verdict.sight import look
-from appliance.verdict.turbidity import judge_water
+from appliance.verdict.water.judge import judge_water
 from appliance.verdict.window import look_at_windows
 
 SIGHT_POINTS = 7_500

@@ -29,7 +29,7 @@ from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.sides import SIDES, of_side
 from appliance.scan.verdict import Judgement, Verdict
 from appliance.verdict.causes import with_causes
-from appliance.verdict.identity import judge_identity
+from appliance.verdict.identity.judge import judge_identity
 
 WORTH_MASKING_PERCENT = 0.02
 """Share of the pixels with coordinates; where specks disturb fewer, they are not looked for one by one: 20 ms of a scan."""

@@ -17,6 +17,7 @@ from appliance.machine.states import Calibrating, Device, Machine, Part, State
 from appliance.machine.texts import labels
 from appliance.machine.words import Text
 from appliance.ranging.marks import Marks
+from appliance.reconstruct.quality import is_good, is_usable
 from appliance.scan.fault import Fault, FaultCode
 from appliance.screens.views import (
     AimView,
@@ -42,7 +43,6 @@ from appliance.screens.views import (
 from appliance.service.gallery import Shown
 from appliance.service.in_work import ScanInWork
 from appliance.service.menu_view import Facts, menu_view, question_view
-from appliance.verdict.usable import is_good, is_usable
 
 NO_POINTS = np.empty((0, 3), np.float32)
 NO_VALUES = np.empty(0, np.float32)

@@ -16,12 +16,11 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from appliance.reconstruct.quality import CloudSummary
+from appliance.reconstruct.quality import USABLE_COVERAGE_PERCENT, USABLE_NOISE_MM, CloudSummary, is_usable
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.sides import SIDES
 from appliance.scan.verdict import Judgement, Verdict
-from appliance.verdict.usable import USABLE_COVERAGE_PERCENT, USABLE_NOISE_MM, is_usable
 
 NAME = "causes"
 MOVED_LIKE_FLICKER = 2.4

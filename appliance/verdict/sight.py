@@ -21,8 +21,8 @@ from appliance.reconstruct.table import Cloud
 from appliance.scan.noise import CameraNoise, StereoNoise
 from appliance.scan.sides import SIDES, of_side
 from appliance.scan.verdict import Verdict
-from appliance.verdict.sight_glow import half_field, shape_of_glow
 from appliance.verdict.sight_range import find_depths_mm
+from appliance.verdict.water.beam import half_field, shape_of_glow
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]

@@ -34,8 +34,8 @@ from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.noise import TYPICAL, TYPICAL_PAIR
 from appliance.scan.sides import SIDES
 from appliance.scan.verdict import Judgement, Verdict
-from appliance.verdict.identity import judge_identity
-from appliance.verdict.light_fit import warm_up as warm_light
+from appliance.verdict.identity.judge import judge_identity
+from appliance.verdict.light.fit import warm_up as warm_light
 
 _WATER = Water(20.0, 0.0, 530.0)
 _DESIGN = Design(11.5, 112.5, 230.0, 12.41, 30.0, 5.0, 1.77)
@@ -76,7 +76,7 @@ def _run_pair() -> None:
 INSTRUMENT = (
     Piece("matching and triangulation", "appliance.worker.warm:find_points"),
     Piece("motion compensation", "appliance.compensation.warm:run_every_kernel"),
-    Piece("changing light", "appliance.verdict.light_fit:warm_up"),
+    Piece("changing light", "appliance.verdict.light.fit:warm_up"),
     Piece("pattern identity", "appliance.worker.warm:judge_patterns"),
     Piece("motion verdict", "appliance.worker.warm:judge_scan"),
     Piece("veiled water and particles", "appliance.worker.warm:read_through_backscatter"),

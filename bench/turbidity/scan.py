@@ -17,7 +17,7 @@ from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.exposure import Exposure
 from appliance.scan.noise import StereoNoise, camera_noise
 from appliance.scan.sides import SIDES
-from appliance.verdict.turbidity import WaterJudgement, judge_water
+from appliance.verdict.water.judge import WaterJudgement, judge_water
 from bench.bias import DepthErrors, depth_errors
 from hw_sim.rendering.render import LightSlice, Renderer
 from hw_sim.rendering.sensor import FULL_WELL_E, OFFSET_DN, READ_NOISE_E

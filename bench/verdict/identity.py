@@ -21,9 +21,9 @@ from appliance.scan.fault import FaultCode
 from appliance.scan.noise import TYPICAL_PAIR
 from appliance.scan.sides import SIDES
 from appliance.scan.verdict import Judgement
-from appliance.verdict.identity import judge_identity
-from appliance.verdict.identity_evidence import Witness
-from appliance.verdict.identity_lines import take_lines
+from appliance.verdict.identity.evidence import Witness
+from appliance.verdict.identity.judge import judge_identity
+from appliance.verdict.identity.lines import take_lines
 from bench.result import Measured
 from hw_sim.light.daylight import Daylight
 from hw_sim.objects.motion import Motion

@@ -17,7 +17,7 @@ import numpy as np
 
 from appliance.patterns.sequence import build_sequence
 from appliance.scan.noise import StereoNoise, camera_noise
-from appliance.verdict.identity import judge_identity
+from appliance.verdict.identity.judge import judge_identity
 from bench.result import Measured
 from bench.verdict.binomial import limits
 from bench.verdict.kept_scans import KeptScans, Take

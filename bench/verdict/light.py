@@ -20,8 +20,8 @@ from appliance.reconstruct.pipeline import Pipeline
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import FaultCode
 from appliance.scan.sides import SIDES
-from appliance.verdict.light import MAX_HARMED, judge_light
-from appliance.verdict.light_changes import HARMFUL_RIPPLE
+from appliance.verdict.light.changes import HARMFUL_RIPPLE
+from appliance.verdict.light.judge import MAX_HARMED, judge_light
 from bench.result import Measured
 from bench.verdict.light_scenes import (
     HEIGHT_PX,

@@ -21,7 +21,7 @@ from appliance.reconstruct.pipeline import Cloud, Pipeline
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.exposure import Exposure
 from appliance.scan.noise import StereoNoise, camera_noise
-from appliance.verdict.motion import MotionJudgement, judge_motion
+from appliance.verdict.motion.judge import MotionJudgement, judge_motion
 from bench.result import Measured
 from bench.spread import spread
 from bench.verdict.kept_scans import KeptScans, Take

@@ -28,7 +28,7 @@ def test_a_first_start_says_what_it_compiles_before_the_self_test_begins(tmp_pat
     # As after a start that was broken off: one piece is not there. (All of them would take this test a minute.)
     for found in (kernels / kernel_cache.MARKS).glob("*judge_patterns"):
         found.unlink()
-    for compiled in kernels.glob("verdict_*/identity_kernel.*"):
+    for compiled in kernels.glob("identity_*/counts.*"):
         compiled.unlink()
     script = tmp_path / "dive.script"
     script.write_text(SCRIPT, encoding="utf-8")

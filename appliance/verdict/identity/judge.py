@@ -1,0 +1,249 @@
+"""Owns the fifth witness of a sequence: is each recorded frame the pattern that it should be, from the image alone?"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.patterns.sequence import Direction, PatternSequence
+from appliance.scan.exposure import NOMINAL, Exposure
+from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.noise import TYPICAL_PAIR, CameraNoise, StereoNoise
+from appliance.scan.sides import SIDES, of_side
+from appliance.scan.verdict import Judgement, Verdict
+from appliance.verdict.identity.evidence import DECIDED, MIN_FRINGE, Evidence, Witness
+from appliance.verdict.identity.explain import Explanation, What, explain, still
+from appliance.verdict.identity.lines import can_follow, take_lines
+
+NAME = "identity"
+LEAST_LIGHT_DN = 0.05
+"""Mean of the bright frame above that of the dark one, where even the water's veil is gone."""
+LIGHT_SIGMA = 4.0
+LEAST_VEIL_DN_PER_MS = 0.03
+"""Of exposure at 0 dB, that the projector's white adds to the mean even where it meets nothing but the clearest water: a tenth of
+what clear coastal water adds. An exposure so short that this would not be seen cannot tell that the projector is dark."""
+MOST_MOVED = 0.25
+"""Share of samples that are not the same from one direction's fringes to the other's. At rest it is below 0.01; beyond this,
+doubts that no order of the frames explains are the motion's, which has a judge of its own."""
+LEAST_MOVED, LARGE_DOUBT = 0.03, 1.5
+"""So are lesser doubts, where anything moves at all: a fish before what the first frames saw."""
+DOUBT_PER_MOVED, LARGER_DOUBT = 10.0, 2.5
+"""And larger ones the more moves, beyond 1, and at most: an object that comes nearer by 60 mm/s."""
+LEAST_PARALLAX = 0.1
+"""Of the field, by which the stripes lie beside their place in either camera, to opposite sides: the object is far from the
+measuring volume. That alone is no wrong pattern."""
+
+MOST_FLOODED = 0.05
+"""Share of all samples that are saturated even in the darkest frame. Beyond, that all images are alike proves nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Camera:
+    """What one camera's frames say by themselves."""
+
+    device: str
+    evidence: Evidence
+    explanation: Explanation | None
+    """``None``: nothing speaks against them."""
+    light_dn: float
+    """How much the projector's white adds to the mean of the image."""
+    sees_light: bool
+    """It is more than chance."""
+    would_see_veil: bool
+    """Mere lit water would be more than chance as well: seeing no light then means that there is none."""
+    ends_dark: bool
+    """The last frame is about as dark as the darkest."""
+    identical: bool
+    """All frames are one image to the last bit, and it is not black."""
+    flooded: bool
+    """So much of the image is saturated in every frame that it says nothing of the patterns."""
+
+
+def judge_identity(
+    frames: Mapping[str, NDArray[np.uint8]],
+    sequence: PatternSequence,
+    noise: StereoNoise = TYPICAL_PAIR,
+    exposure: Exposure = NOMINAL,
+) -> Judgement:
+    """Verdict ``identity`` on the frames (n, h, w) uint8 of ``left`` and ``right``, in the order of ``sequence``, taken with
+    ``exposure``.
+
+    Passed: every frame is its pattern. None: too little of the projector's light is seen to say so, or too much moves. Failed, with a fault:
+    ``CAMERA_STUCK`` (device), ``PROJECTOR_TIMING`` (shift_frames), ``PATTERN_WRONG`` (frame; device projector if both cameras
+    say it), ``PROJECTOR_DARK`` (only where the lit water would have been seen). Numbers: ``doubt``, the largest of all doubts, which alarm from 1 on; of each camera the
+    same, the samples with fringes, and the projector's light; ``parallax_percent``, by which both see the stripes beside their
+    place, to opposite sides. Raises ValueError for a number of frames that is not the
+    sequence's.
+    """
+    for side, mine in frames.items():
+        if len(mine) != len(sequence):
+            raise ValueError(
+                f"{len(mine)} frames of camera {side} for a sequence of {len(sequence)}; judge whole sequences"
+            )
+    of = {side: of_side(noise, side) for side in SIDES}
+    looked = [_look(side, mine, sequence, of[side], exposure) for side, mine in frames.items()]
+    cameras = _without_parallax(looked)
+    fault = _fault(cameras)
+    judged = [camera for camera in cameras if camera.evidence.judged]
+    numbers: dict[str, float | None] = {
+        "doubt": max((camera.evidence.worst for camera in judged), default=None),
+        "frame": None if fault is None else fault.numbers.get("frame"),
+        "parallax_percent": _parallax_percent(looked),
+    }
+    for camera in cameras:
+        side = camera.device.removeprefix("camera.")
+        numbers[f"{side}_doubt"] = camera.evidence.worst if camera.evidence.judged else None
+        numbers[f"{side}_samples"] = float(camera.evidence.fringe)
+        numbers[f"{side}_light_dn"] = camera.light_dn
+    if fault is not None:
+        text = f"{fault.code.value}: {fault.detail}"
+        return Judgement(Verdict(NAME, False, numbers, text), fault)
+    if not judged:
+        text = "too little is seen of the patterns, or too much moves before them"
+        return Judgement(Verdict(NAME, None, numbers, text))
+    seen = " and ".join(camera.device for camera in judged)
+    return Judgement(Verdict(NAME, True, numbers, f"each frame of {seen} is its pattern"))
+
+
+def _look(
+    side: str, frames: NDArray[np.uint8], sequence: PatternSequence, noise: CameraNoise, exposure: Exposure
+) -> _Camera:
+    witness = Witness(take_lines(frames, sequence, noise), sequence, noise)
+    evidence = witness.evidence(np.arange(len(sequence), dtype=np.int64))
+    if not can_follow(sequence, frames.shape[2]):
+        evidence = Evidence({}, {}, evidence.lit, 0, 0)
+    means = np.mean([mine.values.reshape(len(sequence), -1).mean(axis=1) for mine in witness.lines.values()], axis=0)
+    sines = [k for direction in Direction for k in sequence.axis(direction).sine]
+    light_dn = float(means[sequence.bright] - means[sequence.dark])
+    chance_dn = max(LEAST_LIGHT_DN, LIGHT_SIGMA * float(np.std(means[sines])))
+    sees_light = abs(light_dn) > chance_dn
+    would_see_veil = LEAST_VEIL_DN_PER_MS * 1e-3 * exposure.light > chance_dn
+    explanation = None
+    flooded = max(float(np.mean(mine.low == 255)) for mine in witness.lines.values()) > MOST_FLOODED
+    if evidence.judged:
+        if evidence.contradicted:
+            explanation = explain(witness, sequence, noise, evidence)
+            if _may_be_motion(explanation, evidence):
+                explanation, evidence = None, Evidence({}, {}, evidence.lit, 0, 0, evidence.displaced)
+    elif evidence.lit >= MIN_FRINGE and not flooded:
+        explanation = still(witness, sequence, noise)
+    ends_dark = bool(means[-1] - means.min() < 0.1 * (means.max() - means.min()))
+    identical = all(np.array_equal(mine.low, mine.high) and mine.high.any() for mine in witness.lines.values())
+    return _Camera(
+        f"camera.{side}", evidence, explanation, light_dn, sees_light, would_see_veil, ends_dark, identical, flooded
+    )
+
+
+def _may_be_motion(explanation: Explanation, evidence: Evidence) -> bool:
+    """A good order of the frames leaves nothing that moves much. Frames that look alike prove a repeat only where nothing else
+    can have raised the doubt; an image that stays proves itself.
+    """
+    if explanation.what not in (What.STILL, What.REPEATED) and explanation.moved > MOST_MOVED:
+        return True
+    if explanation.moved <= LEAST_MOVED or explanation.what not in (What.UNEXPLAINED, What.REPEATED):
+        return False
+    most = min(LARGER_DOUBT, DECIDED + DOUBT_PER_MOVED * explanation.moved)
+    return evidence.worst < (max(LARGE_DOUBT, most) if explanation.what is What.UNEXPLAINED else LARGE_DOUBT)
+
+
+def _without_parallax(cameras: list[_Camera]) -> list[_Camera]:
+    """Cameras whose only doubt is where the stripes lie are not judged where both see them displaced to opposite sides."""
+    aside = [camera.evidence.displaced for camera in cameras]
+    if len(aside) != 2 or aside[0] * aside[1] >= 0.0 or min(abs(one) for one in aside) < LEAST_PARALLAX:
+        return cameras
+    return [replace(one, explanation=None, evidence=_nothing(one)) if _only_displaced(one) else one for one in cameras]
+
+
+def _parallax_percent(cameras: list[_Camera]) -> float | None:
+    """By which the stripes lie to the right in the left camera and to the left in the right one, in percent of the field: positive
+    before an object that is near. ``None``: one of them sees too few."""
+    aside = {camera.device: camera.evidence.displaced for camera in cameras}
+    left, right = aside.get("camera.left", 0.0), aside.get("camera.right", 0.0)
+    # A pattern's stripe that is seen farther to the right has a smaller code there than the design gives that place.
+    return None if left == 0.0 or right == 0.0 else 50.0 * (right - left)
+
+
+def _only_displaced(camera: _Camera) -> bool:
+    decided = [name for name, doubt in camera.evidence.doubts.items() if doubt >= DECIDED]
+    return camera.explanation is not None and camera.explanation.what is What.UNEXPLAINED and decided == ["place x"]
+
+
+def _nothing(camera: _Camera) -> Evidence:
+    return Evidence({}, {}, camera.evidence.lit, 0, 0)
+
+
+def _fault(cameras: list[_Camera]) -> Fault | None:
+    """One cause for what the cameras say: what both say alike is the projector's doing."""
+    wrong = [camera for camera in cameras if camera.explanation is not None]
+    if not wrong:
+        return _without_patterns(cameras)
+    for camera in wrong:
+        explanation = camera.explanation
+        if explanation is not None and explanation.what is What.STILL:
+            alone = len(wrong) < len(cameras) or not _alike(wrong)
+            if alone or explanation.identical:
+                return _stuck(camera, explanation.frame)
+    explained = [c for c in wrong if c.explanation is not None and c.explanation.what is not What.UNEXPLAINED]
+    told = (explained or wrong)[0]
+    explanation = told.explanation
+    assert explanation is not None
+    device = "projector" if len(wrong) == len(cameras) > 1 else told.device
+    return _named(explanation, told, device)
+
+
+def _alike(wrong: list[_Camera]) -> bool:
+    explanations = [(c.explanation.what, c.explanation.frame) for c in wrong if c.explanation is not None]
+    return len(set(explanations)) == 1
+
+
+def _stuck(camera: _Camera, frame: int) -> Fault:
+    detail = f"{camera.device} shows the same image from frame {frame} on"
+    return Fault(FaultCode.CAMERA_STUCK, detail, {"frame": frame}, camera.device)
+
+
+def _without_patterns(cameras: list[_Camera]) -> Fault | None:
+    """Nothing contradicts the patterns; but has anybody seen them?"""
+    if any(camera.flooded for camera in cameras):
+        return None  # other light than the projector's blinds it: the judge of light says so
+    for camera in cameras:
+        others = [c for c in cameras if c is not camera]
+        blind = camera.evidence.lit < MIN_FRINGE and not camera.sees_light
+        if camera.identical or (blind and any(c.evidence.judged for c in others)):
+            return _stuck(camera, 0)
+    if any(camera.sees_light or camera.evidence.judged for camera in cameras):
+        return None
+    if not any(camera.would_see_veil for camera in cameras):
+        return None  # a short exposure or a lamp hides it: the causes say what is known of that
+    light_dn = max(camera.light_dn for camera in cameras)
+    return Fault(
+        FaultCode.PROJECTOR_DARK,
+        f"the bright frame is {light_dn:.2f} DN brighter than the dark one: not even the water's veil is lit",
+        {"light_dn": light_dn},
+        "projector",
+    )
+
+
+def _named(explanation: Explanation, camera: _Camera, device: str) -> Fault:
+    frame, other = explanation.frame, explanation.other
+    numbers: dict[str, float] = {"frame": frame, "doubt": camera.evidence.worst}
+    match explanation.what:
+        case What.LATE | What.EARLY:
+            shift = 1 if explanation.what is What.LATE else -1
+            numbers["shift_frames"] = shift
+            detail = f"from frame {frame} on, {device} shows each pattern one frame {explanation.what.value}"
+            if frame == 0 and device == "projector":
+                return Fault(FaultCode.PROJECTOR_TIMING, detail, numbers, device)
+        case What.STILL:
+            if camera.ends_dark:
+                return Fault(FaultCode.PROJECTOR_DARK, f"from frame {frame} on, all is dark", numbers, device)
+            detail = f"from frame {frame} on, {device} shows one and the same pattern"
+        case What.SWAPPED:
+            detail = f"{device} shows the patterns of frames {frame} and {other} in each other's place"
+        case What.REPEATED:
+            detail = f"frame {frame} of {device} repeats frame {other}"
+        case What.UNEXPLAINED:
+            detail = f"{device} does not show the sequence; the first doubt is about frame {frame}"
+    return Fault(FaultCode.PATTERN_WRONG, detail, numbers, device)

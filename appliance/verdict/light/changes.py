@@ -1,0 +1,241 @@
+"""Owns whether light that is not the projector's changed during a sequence, where, how often, and what that does to phases.
+
+Of four sine images I0..I3, (I0 − I2, I3 − I1) is 2B (cos φ, sin φ): a circle about the origin whose radius is known from
+bright and dark. Extra light δ that differs between the images shifts the circle by (δ0 − δ2, δ3 − δ1), and by just that it
+biases the phase. So the shift is fitted in blocks of the image, from the length of the vector over its direction; the
+fringes themselves, motion along them and the projector's harmonics have no such term. What is left of I0 − I1 + I2 − I3
+gives the third difference of a direction; a level common to all four of its images is neither seen nor harmful.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.patterns.sequence import Direction, PatternSequence
+from appliance.reconstruct.decode.decoder import MIN_MODULATION_DN
+from appliance.scan.noise import CameraNoise
+from appliance.verdict.light.fit import (
+    COSINE,
+    EXPECTED,
+    SIGMA,
+    SINE,
+    THIRD,
+    common_of_neighbours,
+    fit_blocks,
+    stripe_levels,
+)
+from appliance.verdict.light.levels import Sample
+
+BLOCK_ROWS, BLOCK_COLUMNS = 6, 8
+MIN_PIXELS = 100
+"""Of a block, for its light to be judged."""
+FINE_FACTOR = 1.5
+"""Squares of both differences that bias phases, over that of the third: 1 for light that changes at random from image to
+image, 2 for light that drifts."""
+CLEAR_DN = 248.0
+"""No image of the pixel may be brighter."""
+SURE = 0.5
+"""A block is judged when its shift is known better than this, times what would harm."""
+HARMFUL_RIPPLE = 0.5
+"""Of the noise: from here on the bias of the phase is seen in the surface."""
+EXPLAINED = 0.8
+"""Share of the changes that one frequency must explain to be named."""
+MIN_LEVELS = 12
+FINE_IMAGES = 4
+"""Of each direction's Gray images: all of a block's pixels do not lie in one of their stripes."""
+RANK = 1e-10
+"""Of a cosine and a sine: at half the frame rate there is only one of them."""
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Level:
+    """Light in one frame, as a share of the projector's, less the mean of the frames of its group."""
+
+    frame: int
+    group: str
+    """``gray x``, ``sine x`` …: what patterns add is the same only within a group."""
+    share: float
+
+
+@dataclass(frozen=True, slots=True)
+class Changes:
+    """Of one camera; ``None``: too little is lit to tell."""
+
+    harmed: float | None
+    """Share of judged pixels, 0..1, whose phase is biased by more than ``HARMFUL_RIPPLE`` of its noise."""
+    ripple: float | None
+    """The bias over the noise, rms over the fringe, median over the image."""
+    ripple_px: float | None
+    """The same in pattern px."""
+    common: float | None
+    """Amplitude of what all blocks have in common, as a share of the projector's light."""
+    local: float | None
+    """Amplitude of what they have not: rms over the blocks, the fit's own noise taken off."""
+    levels: tuple[Level, ...]
+    """What all blocks have in common, frame by frame."""
+    ambient_flicker: float | None
+    """``common`` over ambient light; unknown where there is next to none."""
+
+
+UNKNOWN = Changes(None, None, None, None, None, (), None)
+
+
+@dataclass(frozen=True, slots=True)
+class _Fit:
+    """One direction: differences of the four levels in each block, over the projector's light, and their sigma."""
+
+    cosine: Floats
+    sine: Floats
+    third: Floats
+    sigma: Floats
+    expected: Floats
+    """What the sigma would be with a noise of one grey value in each difference: how well the phases are spread."""
+    fine: Floats
+    """Mean square of the third difference within the block, less its mean, that neighbours have in common: light of finer grain
+    than a block."""
+
+
+def measure_changes(s: Sample, sequence: PatternSequence, noise: CameraNoise) -> Changes:
+    """What the sine and Gray images tell of one camera."""
+    # Where noise alone decides what is saturated, only pixels with favourable phases would be left.
+    good = s.lit & (s.top_dn <= CLEAR_DN) & (s.modulation_dn >= MIN_MODULATION_DN)
+    rows, columns = (np.ascontiguousarray(places) for places in np.nonzero(good))
+    members = _blocks(rows, columns, good.shape)
+    if not members:
+        return UNKNOWN
+    contrast = s.contrast_dn[good].astype(np.float64)
+    four = {d: np.stack([s.grey_dn[k][good] for k in sequence.axis(d).sine]).astype(np.float64) for d in Direction}
+    fits = {d: _fit(four[d], contrast, (rows, columns), members) for d in Direction}
+    # Noise of a block's pixels against their contrast, as the phase has it: rms of sigma over contrast.
+    mean = four[Direction.X].mean(axis=0)
+    variance = noise.variance_dn2(mean) / contrast**2
+    relative = np.sqrt(np.array([np.median(variance[block]) for block in members]))
+    counts = np.array([block.size for block in members], np.float64)
+    expected = np.maximum(*(fit.expected for fit in fits.values())) * np.sqrt(2.0 * np.median(variance * contrast**2))
+    judged = expected < SURE * HARMFUL_RIPPLE * relative
+    if not judged.any():
+        return UNKNOWN
+    weight, relative = counts[judged] / counts[judged].sum(), relative[judged]
+    squares = [
+        (np.maximum(f.cosine**2 + f.sine**2 - 2.0 * f.sigma**2, 0.0) + FINE_FACTOR * np.maximum(f.fine, 0.0))[judged]
+        for f in fits.values()
+    ]
+    square = (squares[0] + squares[1]) / 2.0
+    ripple = np.sqrt(square) / (2.0 * relative)
+    # A fringe's amplitude is half of the contrast: phase = difference / (2 √2 B).
+    ripple_px = sequence.period_px / (2.0 * np.pi) * np.sqrt(square) / np.sqrt(2.0)
+    common, local, sines = _apart(fits, judged, weight, sequence)
+    levels = (*_gray_levels(s, sequence, good, contrast), *sines)
+    ambient = float(np.median((s.dark_dn[good] - noise.black_dn) / contrast))
+    return Changes(
+        harmed=float(weight[ripple > HARMFUL_RIPPLE].sum()),
+        ripple=_median(ripple, weight),
+        ripple_px=_median(ripple_px, weight),
+        common=common,
+        local=local,
+        levels=levels,
+        ambient_flicker=common / ambient if ambient > 0.02 else None,
+    )
+
+
+def find_frequency_hz(levels: tuple[Level, ...], frame_s: float) -> tuple[float, float] | None:
+    """The frequency, up to half the frame rate, that explains most of the levels' changes, and the share it explains.
+
+    Lamps that flicker faster appear at another one: 100 Hz at 20 Hz, 120 Hz not at all, at 60 frames per second.
+    ``None`` where no frequency stands out, for fewer than twelve frames, or where frames come so slowly that none could be
+    told (below four a second).
+    """
+    if len(levels) < MIN_LEVELS:
+        return None
+    frame = np.array([level.frame for level in levels], np.float64)
+    share = np.array([level.share for level in levels])
+    _, group = np.unique([level.group for level in levels], return_inverse=True)
+    value = _centred(share, group)
+    total = float(np.sum(value**2))
+    if total == 0.0:
+        return None
+    candidates = np.arange(2.0, 0.5 / frame_s + 0.01, 0.25)
+    if not candidates.size:
+        return None
+    angle = 2.0 * np.pi * frame_s * np.outer(candidates, frame)
+    basis = np.stack([_centred(np.cos(angle), group), _centred(np.sin(angle), group)], axis=-1)
+    fitted = np.einsum("cnk,ck->cn", basis, np.linalg.pinv(basis, rcond=RANK) @ value)
+    shares = 1.0 - np.sum((value - fitted) ** 2, axis=1) / total
+    best = int(np.argmax(shares))
+    hz, explained = float(candidates[best]), float(shares[best])
+    return (hz, explained) if explained >= EXPLAINED else None
+
+
+def _blocks(rows: NDArray[np.intp], columns: NDArray[np.intp], shape: tuple[int, ...]) -> list[NDArray[np.intp]]:
+    """Which of the pixels at ``rows`` and ``columns`` belong to each block that has enough of them."""
+    block = rows * BLOCK_ROWS // shape[0] * BLOCK_COLUMNS + columns * BLOCK_COLUMNS // shape[1]
+    order = np.argsort(block, kind="stable")
+    ends = np.cumsum(np.bincount(block, minlength=BLOCK_ROWS * BLOCK_COLUMNS))
+    return [one for one in np.split(order, ends[:-1]) if one.size >= MIN_PIXELS]
+
+
+def _fit(
+    four: Floats,
+    contrast: Floats,
+    places: tuple[NDArray[np.intp], NDArray[np.intp]],
+    members: Sequence[NDArray[np.intp]],
+) -> _Fit:
+    """``four`` (4, n) sine images of the pixels at ``places`` (row and column), of which ``members`` are those of each block."""
+    order, ends = np.concatenate(members), np.cumsum([block.size for block in members])
+    found, third = fit_blocks(four, contrast, *places, order, ends)
+    fine = common_of_neighbours(third, contrast, *places, order, ends)
+    return _Fit(found[COSINE], found[SINE], found[THIRD], found[SIGMA], found[EXPECTED], fine)
+
+
+def _apart(
+    fits: dict[Direction, _Fit], judged: NDArray[np.bool_], weight: Floats, sequence: PatternSequence
+) -> tuple[float, float, list[Level]]:
+    """Amplitude of what blocks have in common, of what they have not, and the common levels of the sine images."""
+    levels: list[Level] = []
+    common2, local2 = 0.0, 0.0
+    for direction, fit in fits.items():
+        parts = np.stack([fit.cosine, fit.sine, fit.third])[:, judged]
+        middle = [_median(part, weight) for part in parts]
+        apart2 = np.sum((parts[:2].T - middle[:2]) ** 2, axis=1) - 2.0 * fit.sigma[judged] ** 2
+        local2 += float(np.sum(weight * np.maximum(apart2, 0.0)))
+        c, s, third = middle
+        own = (third / 4.0 + c / 2.0, -third / 4.0 - s / 2.0, third / 4.0 - c / 2.0, -third / 4.0 + s / 2.0)
+        group = f"sine {direction.value}"
+        levels += [Level(k, group, level) for k, level in zip(sequence.axis(direction).sine, own, strict=True)]
+        common2 += sum(level * level for level in own)
+    # A sine of amplitude a has a mean square of a²/2; a difference of two images has twice the square of one.
+    return float(np.sqrt(2.0 * common2 / 8.0)), float(np.sqrt(local2 / 4.0)), levels
+
+
+def _gray_levels(s: Sample, sequence: PatternSequence, good: NDArray[np.bool_], contrast: Floats) -> list[Level]:
+    """Common levels of the fine Gray images: what scatters from lit stripes into dark ones cancels."""
+    pixels = np.flatnonzero(good)
+    found: list[Level] = []
+    for direction in Direction:
+        numbers = np.array(sequence.axis(direction).gray[-FINE_IMAGES:], np.int64)
+        own = stripe_levels(s.grey_dn.reshape(len(s.grey_dn), -1), numbers, sequence.dark, pixels, contrast, MIN_PIXELS)
+        known = np.isfinite(own)
+        group = f"gray {direction.value}"
+        mean = own[known].mean() if known.any() else 0.0
+        found += [
+            Level(int(k), group, float(level - mean)) for k, level in zip(numbers[known], own[known], strict=True)
+        ]
+    return found
+
+
+def _centred(value: Floats, group: NDArray[np.intp]) -> Floats:
+    """``value`` (..., n) less the mean of each group."""
+    member = (group[:, None] == np.arange(group.max() + 1)).astype(np.float64)
+    return np.asarray(value - value @ member / member.sum(axis=0) @ member.T, np.float64)
+
+
+def _median(value: Floats, weight: Floats) -> float:
+    order = np.argsort(value)
+    at = np.searchsorted(np.cumsum(weight[order]), 0.5 * weight.sum())
+    return float(value[order][min(int(at), value.size - 1)])

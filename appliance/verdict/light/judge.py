@@ -1,0 +1,149 @@
+"""Owns the judgement of a scan's light: enough, not too much, and the same in all frames; and the exposure to try next."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from appliance.reconstruct.images import ScanImages
+from appliance.scan.exposure import Exposure
+from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.sides import SIDES, of_side
+from appliance.scan.verdict import Judgement, Verdict
+from appliance.verdict.light.changes import Changes, find_frequency_hz, measure_changes
+from appliance.verdict.light.levels import FULL_DN, Levels, light_of, measure_levels, sample
+from appliance.verdict.light.propose import propose, propose_second, without_flicker
+
+MAX_SATURATED = 0.05
+"""Of lit pixels of one camera: so many points may be lost before the diver is told."""
+MAX_WEAK = 0.25
+MAX_HARMED = 0.10
+"""Of lit pixels: so many may have phases that changing light has biased by more than half of their noise."""
+MAX_AMBIENT_BEYOND = 0.25
+"""Of lit pixels: so many may get more light from elsewhere than from the projector. It takes half of the scale, and with
+it half of the fringes' amplitude, at any exposure."""
+FLICKER_ALIAS_HZ = (18.5, 21.5)
+"""Where lamps on 50 Hz mains show up at 60 frames per second."""
+
+
+def judge_light(recorded: ScanImages, present: Exposure, steps: Sequence[Exposure]) -> Judgement:
+    """The verdict ``light`` with its numbers, at most one fault, and what to expose the next scan with.
+
+    From the frames alone. ``present``: what they were exposed with; ``steps``: what may be proposed, from dark to bright
+    (``capture.exposure.ladder``).
+    """
+    noise = {side: of_side(recorded.noise, side) for side in SIDES}
+    samples = {side: sample(recorded.frames[side], recorded.sequence) for side in SIDES}
+    levels = {side: measure_levels(samples[side], recorded.sequence, noise[side]) for side in SIDES}
+    changes = {side: measure_changes(samples[side], recorded.sequence, noise[side]) for side in SIDES}
+    frequency = find_frequency_hz((*changes["left"].levels, *changes["right"].levels), recorded.frame_s)
+    fault = _flickers(changes, frequency) or _worst_level(levels)
+    numbers: dict[str, float | None] = {}
+    for side in SIDES:
+        numbers |= _numbers(side, levels[side], changes[side])
+    numbers["flicker_alias_hz"] = frequency[0] if frequency is not None else None
+    numbers["exposure_ms"], numbers["gain_db"] = present.time_us / 1000.0, present.gain_db
+    proposal = _propose(recorded, levels, present, steps)
+    mains = frequency is not None and FLICKER_ALIAS_HZ[0] <= frequency[0] <= FLICKER_ALIAS_HZ[1]
+    if proposal is None and mains and fault is not None and fault.code is FaultCode.LIGHT_FLICKERS:
+        top_dn, scale_dn = _top(recorded, levels)
+        proposal = without_flicker(top_dn, scale_dn, present, steps)
+    second = propose_second(
+        [light_of(samples[side], recorded.sequence, noise[side]) for side in SIDES],
+        [FULL_DN - noise[side].black_dn for side in SIDES],
+        present,
+        steps,
+    )
+    if second is not None:
+        numbers["second_ms"], numbers["second_gain_db"] = second.time_us / 1000.0, second.gain_db
+    if proposal is not None:
+        numbers["proposed_ms"], numbers["proposed_gain_db"] = proposal.time_us / 1000.0, proposal.gain_db
+    judged = any(levels[side].lit_share > 0.0 for side in SIDES)
+    passed = fault is None if judged else None
+    text = "enough light, not too much, and steady" if fault is None else f"{fault.code.value}: {fault.detail}"
+    verdict = Verdict("light", passed, numbers, text if judged else "nothing is lit by the projector")
+    return Judgement(verdict, fault, proposal, second)
+
+
+def _top(recorded: ScanImages, levels: dict[str, Levels]) -> tuple[float, float]:
+    black = {side: of_side(recorded.noise, side).black_dn for side in SIDES}
+    brightest = max(SIDES, key=lambda side: levels[side].top_dn / (FULL_DN - black[side]))
+    return levels[brightest].top_dn, FULL_DN - black[brightest]
+
+
+def _propose(
+    recorded: ScanImages, levels: dict[str, Levels], present: Exposure, steps: Sequence[Exposure]
+) -> Exposure | None:
+    top_dn, scale_dn = _top(recorded, levels)
+    return propose(top_dn, scale_dn, present, steps)
+
+
+def _flickers(changes: dict[str, Changes], frequency: tuple[float, float] | None) -> Fault | None:
+    """Both cameras see the same light at the same time: what only one of them has is no change of light."""
+    known = [c for c in changes.values() if c.harmed is not None and c.ripple is not None]
+    least = min(known, key=lambda c: c.harmed or 0.0, default=None)
+    if least is None or least.harmed is None or least.harmed <= MAX_HARMED:
+        return None
+    harmed = 100.0 * least.harmed
+    what = f"light that is not the projector's changed during the scan and biases {harmed:.0f} % of the points"
+    often = "" if frequency is None else f"; it shows at {frequency[0]:.1f} Hz"
+    return Fault(FaultCode.LIGHT_FLICKERS, what + often, {"harmed_percent": harmed, "ripple": least.ripple or 0.0})
+
+
+def _worst_level(levels: dict[str, Levels]) -> Fault | None:
+    """What loses most points, in multiples of what may be lost."""
+    cases: list[tuple[float, Fault]] = []
+    for side, at in levels.items():
+        if at.saturated is None or at.weak is None or at.ambient_beyond is None:
+            continue
+        saturated, weak, beyond = 100.0 * at.saturated, 100.0 * at.weak, 100.0 * at.ambient_beyond
+        cases += [
+            (
+                at.ambient_beyond / MAX_AMBIENT_BEYOND,
+                Fault(
+                    FaultCode.AMBIENT,
+                    f"{beyond:.0f} % of the lit pixels get more light from elsewhere than from the projector ({side} camera)",
+                    {"ambient_percent": beyond},
+                ),
+            ),
+            (
+                at.saturated / MAX_SATURATED,
+                Fault(
+                    FaultCode.TOO_BRIGHT,
+                    f"{saturated:.0f} % of the lit pixels are saturated ({side} camera, {at.where})",
+                    {"saturated_percent": saturated},
+                ),
+            ),
+            (
+                at.weak / MAX_WEAK,
+                Fault(
+                    FaultCode.TOO_DARK,
+                    f"{weak:.0f} % of the lit pixels see fringes too weak to measure by ({side} camera)",
+                    {"coverage_percent": 100.0 - weak},
+                ),
+            ),
+        ]
+    worst = max(cases, key=lambda case: case[0], default=None)
+    return worst[1] if worst is not None and worst[0] > 1.0 else None
+
+
+def _numbers(side: str, at: Levels, c: Changes) -> dict[str, float | None]:
+    def percent(share: float | None) -> float | None:
+        return None if share is None else 100.0 * share
+
+    return {
+        f"{side}_lit_percent": percent(at.lit_share),
+        f"{side}_saturated_percent": percent(at.saturated),
+        f"{side}_weak_percent": percent(at.weak),
+        f"{side}_modulation_dn": at.modulation_dn,
+        f"{side}_modulation_tenth_dn": at.modulation_tenth_dn,
+        f"{side}_top_dn": at.top_dn,
+        f"{side}_ambient_dn": at.ambient_dn,
+        f"{side}_ambient_percent": percent(at.ambient_ratio),
+        f"{side}_torch_percent": percent(at.ambient_peak),
+        f"{side}_flicker_percent": percent(c.common),
+        f"{side}_ambient_flicker_percent": percent(c.ambient_flicker),
+        f"{side}_local_flicker_percent": percent(c.local),
+        f"{side}_flicker_harmed_percent": percent(c.harmed),
+        f"{side}_flicker_over_noise": c.ripple,
+        f"{side}_flicker_ripple_px": c.ripple_px,
+    }

@@ -1,0 +1,128 @@
+"""Owns where the edges of the Gray stripes stood, frame by frame, against the phase that the sine images found afterwards.
+
+A pixel's grey value between dark and bright says on which side of a stripe's edge it is, and near the edge how far. The
+phase says the same, some frames later. What the edges have moved in between is the movement over that time: less precise
+than the drift within the sine images, but frame by frame, so that a tremor differs from a steady movement.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.patterns.sequence import Direction, PatternSequence
+from appliance.reconstruct.decode.decoder import CameraDecoder
+from appliance.verdict.motion.drift import CELL_PX
+
+INNER_PX, REACH_PX = 4.5, 7.5
+"""Pattern px beside an edge: within the first, the light that an edge has moved is added up; from there to the second, how
+dark and how light its sides are. Blur stays within the first; the next edge is 16 px away at least."""
+SAMPLES = 60_000
+"""Pixels of a camera that are looked at, about."""
+_COLUMNS = 8
+_INNER, _INNER_LIT, _INNER_STEP, _INNER_WAY, _LOW, _LOW_LIT, _HIGH, _HIGH_LIT = range(_COLUMNS)
+MIN_PIXELS, MIN_HEIGHT = 10, 0.3
+"""In each of the three parts; and what must lie between light and dark, of bright less dark."""
+
+
+@dataclass(frozen=True, slots=True)
+class EdgeShifts:
+    """One camera's edges; arrays (frames, rows, columns) float64 of the Gray images and the pattern's cells."""
+
+    shift_px: NDArray[np.float64]
+    """How much larger the coordinates of pixels were in that frame than in the sine images; NaN: no edge there."""
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _accumulate(
+    image: NDArray[np.uint8],
+    bright: NDArray[np.uint8],
+    dark: NDArray[np.uint8],
+    p_px: NDArray[np.float32],
+    q_px: NDArray[np.float32],
+    edge_px: NDArray[np.float32],
+    rises: NDArray[np.float32],
+    stride: int,
+    cell_px: float,
+    sums: NDArray[np.float64],
+) -> None:
+    """Add every ``stride``-th row and column to ``sums`` (rows, columns, _COLUMNS); ``edge_px`` and ``rises`` (width,)
+    are each pattern column's nearest edge (NaN: too far) and +1 where light begins there, −1 where it ends."""
+    height, width = p_px.shape
+    for v in range(stride // 2, height, stride):
+        for u in range(stride // 2, width, stride):
+            p, q = p_px[v, u], q_px[v, u]
+            if not (p >= 0.0 and q >= 0.0):
+                continue
+            place = int(p + np.float32(0.5))
+            if place >= edge_px.size:
+                continue
+            edge = edge_px[place]
+            if np.isnan(edge):
+                continue
+            # Both sides of an edge belong to its cell: edges of the coarse bits lie where cells meet.
+            row, column = int(q / cell_px), int(edge / cell_px)
+            if row >= sums.shape[0]:
+                continue
+            way = np.float64(rises[place])
+            low, high = np.float64(dark[v, u]), np.float64(bright[v, u])
+            if high - low < 8.0:
+                continue
+            lit = (np.float64(image[v, u]) - low) / (high - low)
+            beside = way * (np.float64(p) - edge)
+            s = sums[row, column]
+            if abs(beside) <= INNER_PX:
+                s[_INNER] += 1.0
+                s[_INNER_LIT] += way * lit
+                s[_INNER_STEP] += way if beside > 0.0 else 0.0
+                s[_INNER_WAY] += way
+            elif beside < 0.0:
+                s[_LOW] += 1.0
+                s[_LOW_LIT] += lit
+            else:
+                s[_HIGH] += 1.0
+                s[_HIGH_LIT] += lit
+
+
+def edge_shifts(frames: NDArray[np.uint8], decoded: CameraDecoder, sequence: PatternSequence) -> EdgeShifts:
+    """Of one camera's frames (n, h, w) uint8 and the Gray images across which depth moves the pattern."""
+    axis = sequence.axis(Direction.X)
+    height_px, width_px = decoded.p_px.shape
+    stride = max(1, round((height_px * width_px / SAMPLES) ** 0.5))
+    shape = (-(-sequence.height_px // CELL_PX), -(-sequence.width_px // CELL_PX))
+    sums = np.zeros((len(axis.gray), *shape, _COLUMNS))
+    bright, dark = frames[sequence.bright], frames[sequence.dark]
+    for number, k in enumerate(axis.gray):
+        edge_px, rises = _edges(sequence.patterns[k].codes())
+        _accumulate(
+            frames[k], bright, dark, decoded.p_px, decoded.q_px, edge_px, rises, stride, float(CELL_PX), sums[number]
+        )
+    return EdgeShifts(_solve(sums))
+
+
+def _edges(codes: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Of each pattern column: its nearest edge within reach, and whether light begins (+1) or ends (−1) there."""
+    lit = codes.astype(np.int16)
+    after = np.flatnonzero(np.diff(lit))
+    columns = np.arange(codes.size, dtype=np.float32)
+    if not after.size:
+        return np.full(codes.size, np.nan, np.float32), np.zeros(codes.size, np.float32)
+    edges = after.astype(np.float32) + np.float32(0.5)
+    nearest = np.argmin(np.abs(columns[:, None] - edges[None, :]), 1)
+    edge_px = edges[nearest]
+    edge_px[np.abs(columns - edge_px) > REACH_PX] = np.nan
+    return edge_px, np.sign(np.diff(lit)[after])[nearest].astype(np.float32)
+
+
+def _solve(sums: NDArray[np.float64]) -> NDArray[np.float64]:
+    """An edge that moves by so many px takes so many px of light with it, whatever its blur."""
+    count, low, high = sums[..., _INNER], sums[..., _LOW], sums[..., _HIGH]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        dark = sums[..., _LOW_LIT] / low
+        height = sums[..., _HIGH_LIT] / high - dark
+        known = (np.minimum(count, np.minimum(low, high)) >= MIN_PIXELS) & (height > MIN_HEIGHT)
+        moved = (sums[..., _INNER_LIT] - dark * sums[..., _INNER_WAY]) / height - sums[..., _INNER_STEP]
+        return np.where(known, 2.0 * INNER_PX * moved / count, np.nan)

@@ -1,0 +1,252 @@
+"""Owns what a movement adds to the noise of the points, as it follows from the drift maps of both cameras.
+
+Lateral movement of a surface that faces the instrument changes only what paint a pixel sees, for both cameras alike: their
+coordinates are wrong together, and points stay right. Depth moves the fringes in both cameras *against each other*. With
+E = ε left − ε right, in pattern px per frame, the ripple of the difference of both coordinates has a mean square of
+
+- E² (1/8 + 2 κ²): four steps of 90°, and what the projector's second harmonic (κ of the first) adds to their error;
+- E² (P/2π)² g²: paint with a gradient g, in modulations per px, that both cameras see at two places;
+- what is uneven in the phase error that moving paint makes in both cameras alike: they sample it at different places.
+
+Where the way from image to image is not steady, each counts with the way between the two images that matter to it. Noise is
+the points' own. Both are taken across the surface (``SurfaceMap``), so harm is a ratio of two known things.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.optics.model import StereoRig
+from appliance.reconstruct.table import Cloud
+from appliance.verdict.motion.drift import CELL_PX, DriftMap
+
+Array = NDArray[np.float64]
+
+MIN_POINTS = 4
+"""Of a cell, with neighbours on all sides; fewer say nothing of how it stands."""
+
+
+@dataclass(frozen=True, slots=True)
+class SurfaceMap:
+    """Arrays (rows, columns) float64 of the pattern's cells."""
+
+    points: Array
+    """Of the cloud, that have neighbours on all sides."""
+    across: Array
+    """RMS of cos θ; NaN: fewer than ``MIN_POINTS``."""
+    noise_mm: Array
+    """RMS of the points' expected error across the surface, from the cameras' noise; NaN as above."""
+
+
+def surface_map(
+    cloud: Cloud, p_px: NDArray[np.float32], q_px: NDArray[np.float32], shape: tuple[int, int]
+) -> SurfaceMap:
+    """Of a cloud whose points lie on a grid of the left image, whose coordinates are ``p_px`` and ``q_px`` (h, w)."""
+    cosine, inside = facing(cloud, p_px.shape[1])
+    pixel = cloud.pixel[inside]
+    p, q = p_px.ravel()[pixel], q_px.ravel()[pixel]
+    rows, columns = shape
+    known = (p >= 0.0) & (q >= 0.0) & (p < columns * CELL_PX) & (q < rows * CELL_PX) & np.isfinite(cosine)
+    cell = (q[known] / CELL_PX).astype(np.int64) * columns + (p[known] / CELL_PX).astype(np.int64)
+    square = cosine[known].astype(np.float64) ** 2
+    noise = square * cloud.sigma_mm[inside][known].astype(np.float64) ** 2
+
+    def summed(values: Array | None = None) -> Array:
+        return np.bincount(cell, values, rows * columns).reshape(shape).astype(np.float64)
+
+    points = summed()
+    enough = points >= MIN_POINTS
+    with np.errstate(invalid="ignore", divide="ignore"):
+        across, noise_mm = (np.where(enough, np.sqrt(summed(x) / points), np.nan) for x in (square, noise))
+    return SurfaceMap(points, across, noise_mm)
+
+
+def facing(cloud: Cloud, width_px: int) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
+    """|cos θ| of the points that have neighbours on all four sides, and which points (n,) those are.
+
+    Of flat pixel numbers of an image ``width_px`` wide, that lie on a grid of rows and columns at equal distances.
+    """
+    v, u = np.divmod(cloud.pixel.astype(np.int64), width_px)
+    columns, rows = np.unique(u), np.unique(v)
+    # 0 where there is but one.
+    step, down = (int(np.gcd.reduce(np.diff(places))) for places in (columns, rows))
+    if step == 0 or down == 0:
+        return np.empty(0, np.float32), np.empty(0, np.intp)
+    # A border of nothing spares the question what lies beside.
+    x, y = (u - columns[0]) // step + 1, (v - rows[0]) // down + 1
+    wide = int(x.max()) + 1
+    place = y * wide + x
+    at = np.full(wide * (int(y.max()) + 2), -1, np.int64)
+    at[place] = np.arange(len(place))
+    left, right, above, below = (at[place + offset] for offset in (-1, 1, -wide, wide))
+    inside = np.flatnonzero((left >= 0) & (right >= 0) & (above >= 0) & (below >= 0))
+    points = cloud.points_mm
+    normal = np.cross(points[right[inside]] - points[left[inside]], points[below[inside]] - points[above[inside]])
+    ray = points[inside]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        cosine = np.abs(np.einsum("ij,ij->i", normal, ray))
+        cosine /= np.sqrt(np.einsum("ij,ij->i", normal, normal) * np.einsum("ij,ij->i", ray, ray))
+    return cosine, inside
+
+
+UNSURE = 4.0
+"""Cells whose drift is this many times less certain than the median cell's are left out."""
+UNEVEN_LEFT = 0.3
+"""Phase errors that paint makes in both cameras alike cancel, but for what differs from one pixel to the next: so much of
+that is left. From training scans."""
+NOISE_UNCERTAINTY = 0.1
+"""So much of its variance the noise may be other than stated, before what is over counts as moving paint."""
+MIN_CELLS = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Harm:
+    """Maps are (rows, columns) float64 of the pattern's cells, NaN where nothing is known."""
+
+    drift_px: Array
+    """E: of the fringes, left less right, pattern px per frame."""
+    sd_px: Array
+    depth_rate_mm_s: Array
+    """How fast the surface recedes along the left camera's rays, during the x-sines."""
+    ripple_mm: Array
+    """RMS of what the movement adds to the points across the surface; NaN also where it is lost in uncertainty."""
+    noise_mm: Array
+    """RMS of what the cameras' noise makes of them."""
+    weight: Array
+    """Points of a cell; 0: left out."""
+    u_px: Array
+    """Mean place in the left image."""
+    v_px: Array
+    ripple: float | None
+    """All cells: RMS of the ripple over that of the noise; ``None``: fewer than ``MIN_CELLS``."""
+    ripple_rms_mm: float | None
+    noise_rms_mm: float | None
+
+    @property
+    def added(self) -> float | None:
+        """What the movement adds to the points' noise, as a fraction of it."""
+        return None if self.ripple is None else float(np.sqrt(1.0 + self.ripple**2) - 1.0)
+
+
+def predict(
+    left: DriftMap,
+    right: DriftMap,
+    surface: SurfaceMap,
+    double_step2: float | None,
+    rig: StereoRig,
+    water_index: float,
+    period_px: int,
+    frame_s: float,
+) -> Harm:
+    """From the drift across the x-fringes that both cameras saw, how the surface stands, and ``double_step2``: the mean square
+    way of paint over the left image in two frames, px² (``None``: there is none to see)."""
+    px_per_rad = period_px / (2.0 * np.pi)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        drift = left.drift_px - right.drift_px
+        variance = left.sd_px**2 + right.sd_px**2
+        depth = depth_per_px(left, right, rig, water_index)
+        across = np.abs(depth) * surface.across
+        # Each half of the fringe is drawn by two images: it matters how far the pattern goes between the two.
+        steps2 = 0.5 * ((left.early_px - right.early_px) ** 2 + (left.late_px - right.late_px) ** 2)
+        texture = 0.5 * (np.nan_to_num(left.texture_per_px2) + np.nan_to_num(right.texture_per_px2))
+        noise2 = left.noise_rad2 + right.noise_rad2
+        uneven = 0.5 * (left.uneven_rad2 + right.uneven_rad2) - 2.0 * NOISE_UNCERTAINTY * noise2
+        paint = UNEVEN_LEFT**2 * np.maximum(uneven, 0.0)
+        if double_step2 is not None:
+            # C has one sum of four ways, which may well be none while the ways are long: to and fro.
+            slope2 = 0.5 * (left.slope_per_px**2 + right.slope_per_px**2)
+            paint = paint + texture * slope2 * 0.25 * double_step2
+        second2 = 0.5 * (left.second2 + right.second2)
+        ripple2 = (drift**2 - variance) * (0.125 + 2.0 * second2)
+        ripple2 += px_per_rad**2 * ((steps2 - 2.0 * variance) * texture + paint)
+        known = np.isfinite(drift) & np.isfinite(across) & np.isfinite(surface.noise_mm) & np.isfinite(ripple2)
+        if known.any():
+            known &= variance < UNSURE**2 * np.median(variance[known])
+    weight = np.where(known, surface.points, 0.0)
+    enough = int(np.count_nonzero(known)) >= MIN_CELLS
+    ripple = ripple_mm = noise_mm = None
+    if enough:
+        share = weight[known] / weight[known].sum()
+        noise_mm2 = surface.noise_mm**2
+        squared = np.array([share @ x[known] for x in (ripple2 * across**2, noise_mm2)])
+        ripple_mm, noise_mm = (float(np.sqrt(max(x, 0.0))) for x in squared)
+        ripple = ripple_mm / noise_mm
+    with np.errstate(invalid="ignore"):
+        return Harm(
+            drift,
+            np.sqrt(variance),
+            depth * drift / frame_s,
+            across * np.sqrt(np.where(known & (ripple2 > 0.0), ripple2, np.nan)),
+            surface.noise_mm,
+            weight,
+            left.u_px,
+            left.v_px,
+            ripple,
+            ripple_mm,
+            noise_mm,
+        )
+
+
+def depth_per_px(left: DriftMap, right: DriftMap, rig: StereoRig, water_index: float) -> Array:
+    """How many mm farther along the left ray a surface lies whose fringes moved by one px of E; (rows, columns)."""
+    left_px = np.stack([left.u_px, left.v_px], -1)
+    right_px = np.stack([right.u_px, right.v_px], -1)
+    known = np.isfinite(left.u_px) & np.isfinite(right.u_px)
+    out = np.full(known.shape, np.nan)
+    if not known.any():
+        return out
+    origin, along = rig.left.rays(left_px[known], water_index)
+    here, beside = (
+        _reach(origin, along, *rig.right.rays(right_px[known] + np.array([step, 0.0]), water_index))
+        for step in (-0.5, 0.5)
+    )
+    with np.errstate(invalid="ignore", divide="ignore"):
+        out[known] = (beside - here) / right.slope_per_px[known]
+    return out
+
+
+def _reach(origin: Array, along: Array, other: Array, other_along: Array) -> Array:
+    """How far along the first rays (n, 3) the second ones pass nearest."""
+    apart = origin - other
+    b = np.sum(along * other_along, -1)
+    return np.asarray((b * np.sum(other_along * apart, -1) - np.sum(along * apart, -1)) / (1.0 - b * b))
+
+
+EVERYWHERE = 0.4
+"""Share of the pixels in harmed cells from which on no side is named."""
+OFF_MIDDLE = 0.12
+"""Of the image's size: less beside what is seen has no side."""
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Middle of the harm in px of the left image, and ``left right upper lower everywhere`` or two of them."""
+
+    u_px: float
+    v_px: float
+    word: str
+
+
+def place_of(harm: Harm, size_px: tuple[int, int]) -> Place | None:
+    """``None``: no cell has a ripple."""
+    squared = np.nan_to_num(harm.ripple_mm) ** 2 * harm.weight
+    total = float(squared.sum())
+    if total <= 0.0:
+        return None
+    u, v = (float(np.sum(squared * np.nan_to_num(x)) / total) for x in (harm.u_px, harm.v_px))
+    pixels = harm.weight.sum()
+    strong = np.nan_to_num(harm.ripple_mm) ** 2 > 0.25 * total / pixels
+    if float(harm.weight[strong].sum()) > EVERYWHERE * pixels:
+        return Place(u, v, "everywhere")
+    words = []
+    middle_u, middle_v = (float(np.sum(harm.weight * np.nan_to_num(x)) / pixels) for x in (harm.u_px, harm.v_px))
+    for off, size, names in (
+        (v - middle_v, size_px[1], ("upper", "lower")),
+        (u - middle_u, size_px[0], ("left", "right")),
+    ):
+        if abs(off) > OFF_MIDDLE * size:
+            words.append(names[int(off > 0.0)])
+    return Place(u, v, " ".join(words) or "middle")

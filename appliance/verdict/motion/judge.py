@@ -1,0 +1,314 @@
+"""Owns the verdict on movement: whether, which, where, how fast, and whether it spoils the points.
+
+Seen is not spoilt. A scan is refused when what the movement adds to the points' noise, predicted from the drift of the
+fringes (``harm``), exceeds ``MOST_ADDED``; a movement that is seen but harmless is named and passes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.optics.model import StereoRig
+from appliance.reconstruct.decode.decoder import CameraDecoder, Mask
+from appliance.reconstruct.images import ScanImages
+from appliance.reconstruct.table import Cloud
+from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.noise import CameraNoise
+from appliance.scan.sides import SIDES, of_side
+from appliance.scan.verdict import Judgement, Verdict
+from appliance.verdict.motion.albedo import PaintCourse, paint_course
+from appliance.verdict.motion.drift import DriftMap, drift_map
+from appliance.verdict.motion.edges import edge_shifts
+from appliance.verdict.motion.harm import Harm, Place, place_of, predict, surface_map
+from appliance.verdict.motion.scores import (
+    EDGE_FLOOR_PX,
+    MOVED,
+    Scores,
+    Trend,
+    drift_trend,
+    edge_course,
+    edges_score,
+    flow_score,
+    texture_score,
+)
+from appliance.verdict.motion.texture import TextureShift, texture_shift
+
+NAME = "motion"
+MOST_ADDED = 0.06
+"""Of the noise, as a fraction: between what nobody notices (0.05) and what must not be kept (0.10), nearer to the former
+since predictions on bent surfaces are rather too small."""
+
+Array = NDArray[np.float64]
+
+
+class MotionKind(Enum):
+    """What moved how; the word is for texts and manifests."""
+
+    STILL = "still"
+    AXIAL = "axial"
+    """Towards the instrument or away from it."""
+    LATERAL = "lateral"
+    ROTATION = "rotation"
+    TREMOR = "tremor"
+    """To and fro within the sequence."""
+    LOCAL = "local"
+    """Something else moves: most of the harm is in a small part of the image."""
+
+
+@dataclass(frozen=True, slots=True)
+class MotionJudgement:
+    """The judgement, and all that it was made from."""
+
+    judgement: Judgement
+    kind: MotionKind
+    added: float | None
+    """To the points' noise, as a fraction of it; ``None``: too little was seen to tell."""
+    axial_mm_s: float | None
+    """Median speed at which the surface recedes along the left camera's rays; ``None``: not known."""
+    lateral_mm_s: tuple[float, float] | None
+    """Of the texture across the left image, right and down; ``None``: no texture to follow."""
+    shift_px: float | None
+    """Over the whole sequence, in px of the left image: texture's and fringes' movement together."""
+    place: Place | None
+    """Where most of the harm is."""
+    scores: Scores
+    harm: Harm
+    """Maps over the cells of the pattern."""
+    drift: Mapping[str, DriftMap]
+    """``left`` and ``right``."""
+    paint: Mapping[str, PaintCourse]
+
+
+def judge_motion(recorded: ScanImages, cloud: Cloud, rig: StereoRig, water_index: float) -> MotionJudgement:
+    """Judge a whole sequence with its coarse ``cloud``; ``rig`` and ``water_index`` turn px into mm. About 50 ms of CPU at
+    full size."""
+    sequence = recorded.sequence
+    noise = {side: of_side(recorded.noise, side) for side in SIDES}
+    drift, edges, textures, paint = {}, {}, {}, {}
+    for side in SIDES:
+        frames, decoded, variance = recorded.frames[side], recorded.decoded[side], _variance(noise[side])
+        drift[side] = drift_map(frames, decoded, sequence, variance)
+        edges[side] = edge_shifts(frames, decoded, sequence)
+        textures[side] = texture_shift(frames, decoded, sequence, variance)
+        paint[side] = paint_course(frames, decoded, sequence, variance)
+    lost = float(np.mean([_lost_share(recorded.decoded[side]) for side in SIDES]))
+    left = recorded.decoded["left"]
+    surface = surface_map(cloud, left.p_px, left.q_px, drift["left"].drift_px.shape)
+    harm = predict(
+        drift["left"], drift["right"], surface, _double_step2(paint), rig, water_index, sequence.period_px, recorded.frame_s
+    )  # fmt: skip
+    trend = drift_trend(harm)
+    course = edge_course(edges, harm)
+    scores = Scores(
+        None if trend is None else trend.score,
+        edges_score(course),
+        flow_score(textures),
+        texture_score(textures),
+    )
+    axial = _axial(harm)
+    lateral = _lateral(textures["left"], harm, rig, water_index, recorded.frame_s)
+    kind = _kind(scores, trend, harm, course, axial, lateral)
+    place = place_of(harm, (rig.left.width_px, rig.left.height_px))
+    shift = _shift(drift["left"], harm, textures["left"], len(sequence))
+    judgement = _judgement(kind, harm, axial, lateral, shift, place, scores, lost)
+    return MotionJudgement(
+        judgement,
+        kind,
+        harm.added,
+        axial,
+        lateral,
+        shift,
+        place,
+        scores,
+        harm,
+        drift,
+        paint,
+    )
+
+
+def _double_step2(paint: Mapping[str, PaintCourse]) -> float | None:
+    """Mean over the cameras that see any paint."""
+    known = [step2 for one in paint.values() if (step2 := one.double_step2) is not None]
+    return float(np.mean(known)) if known else None
+
+
+def _variance(noise: CameraNoise) -> tuple[float, float]:
+    """As (at grey value 0, per grey value)."""
+    return noise.dark_variance_dn2, noise.dn_per_e
+
+
+def _lost_share(decoded: CameraDecoder) -> float:
+    """Of the lit pixels, those whose frames contradict each other or that look like an edge. What is saturated has no phase
+    that could, and what the water hides does so at rest, too."""
+    lit = (
+        np.count_nonzero((decoded.mask != Mask.SHADOW) & (decoded.mask != Mask.SATURATED)) - decoded.backscatter_pixels
+    )
+    lost = np.count_nonzero(decoded.mask >= Mask.CONTRADICTION) - decoded.backscatter_pixels
+    return lost / lit if lit > 0 else 0.0
+
+
+def _axial(harm: Harm) -> float | None:
+    known = (harm.weight > 0.0) & np.isfinite(harm.depth_rate_mm_s)
+    return float(np.median(harm.depth_rate_mm_s[known])) if known.any() else None
+
+
+def _turning_mm_s(harm: Harm) -> float:
+    """RMS over the cells: a turn's median says nothing."""
+    known = (harm.weight > 0.0) & np.isfinite(harm.depth_rate_mm_s)
+    return float(np.sqrt(np.mean(harm.depth_rate_mm_s[known] ** 2)))
+
+
+def _lateral(
+    texture: TextureShift, harm: Harm, rig: StereoRig, water_index: float, frame_s: float
+) -> tuple[float, float] | None:
+    """In mm/s at the distance of the volume's middle."""
+    if texture.flow_px is None:
+        return None
+    camera = rig.left
+    middle = np.array([(camera.width_px - 1) / 2.0, (camera.height_px - 1) / 2.0])
+    # Rays begin at the window, not at the lens.
+    origin, along = camera.rays(np.stack([middle, middle + np.array([1.0, 0.0])]), water_index)
+    here, beside = origin + along * ((rig.volume_centre_mm(water_index) - origin[0]) @ along[0])
+    scale = float(np.linalg.norm(beside - here)) / (texture.frames * frame_s)
+    return texture.flow_px[0] * scale, texture.flow_px[1] * scale
+
+
+def _shift(left: DriftMap, harm: Harm, texture: TextureShift, frames: int) -> float | None:
+    known = (harm.weight > 0.0) & np.isfinite(left.slope_per_px)
+    if not known.any():
+        return None
+    fringes = float(np.median(np.abs(left.drift_px[known] / left.slope_per_px[known]))) * frames
+    flow = 0.0 if texture.flow_px is None else float(np.hypot(*texture.flow_px)) * frames / texture.frames
+    return float(np.hypot(fringes, flow))
+
+
+TO_AND_FRO = 0.25
+"""Of the way there: so much of a way back is shaking."""
+LOCAL_CELLS, LOCAL_SHARE, LOCAL_REACH_CELLS = 0.2, 0.7, 4.0
+"""Something else moves when so small a part of the cells has so great a part of the harm."""
+
+
+def _kind(
+    scores: Scores,
+    trend: Trend | None,
+    harm: Harm,
+    course: tuple[Array, Array],
+    axial_mm_s: float | None,
+    lateral_mm_s: tuple[float, float] | None,
+) -> MotionKind:
+    """The first that fits."""
+    if _is_local(harm, scores):
+        return MotionKind.LOCAL
+    largest = scores.largest
+    if largest is None or largest < MOVED:
+        return MotionKind.STILL
+    if _to_and_fro(course):
+        return MotionKind.TREMOR
+    sideways = 0.0 if lateral_mm_s is None or (scores.flow or 0.0) < MOVED else float(np.hypot(*lateral_mm_s))
+    if sideways > 1.5 * abs(axial_mm_s or 0.0) and not _turns(trend, most=1.5):
+        return MotionKind.LATERAL
+    if _turns(trend, most=0.7):
+        return MotionKind.ROTATION
+    if scores.drift is not None and scores.drift >= MOVED:
+        return MotionKind.AXIAL
+    return MotionKind.LATERAL if (scores.flow or 0.0) >= MOVED or (scores.texture or 0.0) >= MOVED else MotionKind.AXIAL
+
+
+def _turns(trend: Trend | None, most: float) -> bool:
+    """The drift's slope across the pattern exceeds its mean, and is certain."""
+    if trend is None:
+        return False
+    slope = float(np.hypot(trend.across, trend.down))
+    return slope > most * abs(trend.mean) and slope > MOVED * float(np.hypot(trend.sd[1], trend.sd[2]))
+
+
+def _to_and_fro(course: tuple[Array, Array]) -> bool:
+    """Between the first Gray image and the sine images the depth went one way, and back again by a good part of it."""
+    shift, sd = course
+    known = np.isfinite(shift)
+    if not known.any():
+        return False
+    # The coarse bits have few edges.
+    known &= np.nan_to_num(sd, nan=np.inf) < 2.5 * np.median(sd[known])
+    if np.count_nonzero(known) < 4:
+        return False
+    # The sine images are what shifts are counted from.
+    at = np.append(shift[known], 0.0)
+    rise = float(np.max(at - np.minimum.accumulate(at)))
+    fall = float(np.max(np.maximum.accumulate(at) - at))
+    back = min(rise, fall)
+    return back > TO_AND_FRO * max(rise, fall) and back > 4.0 * float(np.max(np.hypot(sd[known], EDGE_FLOOR_PX)))
+
+
+def _is_local(harm: Harm, scores: Scores) -> bool:
+    """Paint and Gray edges stand still as a whole, and most of the harm is in few cells close to each other."""
+    known = (harm.weight > 0.0) & (harm.noise_mm > 0.0)
+    if np.count_nonzero(known) < 20 or (scores.flow or 0.0) >= MOVED or (scores.edges or 0.0) >= MOVED:
+        return False
+    certain = known & (np.abs(harm.drift_px) > 6.0 * harm.sd_px)
+    squared = np.where(certain, np.nan_to_num(harm.ripple_mm / harm.noise_mm) ** 2 * harm.weight, 0.0)
+    if squared.sum() <= 0.01 * harm.weight.sum():
+        return False
+    few = int(LOCAL_CELLS * np.count_nonzero(known))
+    row, column = np.unravel_index(np.argsort(squared, axis=None)[::-1][:few], squared.shape)
+    near = np.hypot(row - row[0], column - column[0]) <= LOCAL_REACH_CELLS
+    return bool(squared[row, column][near].sum() > LOCAL_SHARE * squared.sum())
+
+
+def _judgement(
+    kind: MotionKind,
+    harm: Harm,
+    axial_mm_s: float | None,
+    lateral_mm_s: tuple[float, float] | None,
+    shift_px: float | None,
+    place: Place | None,
+    scores: Scores,
+    lost: float,
+) -> Judgement:
+    moved = kind is not MotionKind.STILL
+    speeds = []
+    if axial_mm_s is not None and (scores.drift or 0.0) >= MOVED:
+        speeds.append(_turning_mm_s(harm) if kind is MotionKind.ROTATION else axial_mm_s)
+    if lateral_mm_s is not None and (scores.flow or 0.0) >= MOVED:
+        speeds += lateral_mm_s
+    speed = float(np.linalg.norm(speeds)) if speeds else None
+    added = harm.added
+    numbers: dict[str, float | None] = {
+        "added_noise_percent": None if added is None else 100.0 * added,
+        "limit_percent": 100.0 * MOST_ADDED,
+        "lost_percent": 100.0 * lost,
+        "ripple_mm": harm.ripple_rms_mm,
+        "noise_mm": harm.noise_rms_mm,
+        "shift_px": shift_px,
+        "speed_mm_s": speed,
+        "axial_mm_s": axial_mm_s,
+        "right_mm_s": None if lateral_mm_s is None else lateral_mm_s[0],
+        "down_mm_s": None if lateral_mm_s is None else lateral_mm_s[1],
+        "score": scores.largest,
+        "score_limit": MOVED,
+        "score_drift": scores.drift,
+        "score_edges": scores.edges,
+        "score_flow": scores.flow,
+        "score_texture": scores.texture,
+        "place_u_px": None if place is None or not moved else place.u_px,
+        "place_v_px": None if place is None or not moved else place.v_px,
+    }
+    if added is None:
+        return Judgement(Verdict(NAME, None, numbers, "too little to judge by"))
+    text = kind.value
+    if moved:
+        where = "" if place is None else f", {place.word}"
+        text = f"{kind.value}{'' if speed is None else f' {speed:.1f} mm/s'}{where}; adds {100.0 * added:.0f} % noise"
+    # What no sign of movement goes with is something else: specks between two images look like paint that moves.
+    passed = added <= MOST_ADDED or not moved
+    fault = None
+    if not passed:
+        known = {"shift_px": shift_px, "added_noise_percent": 100.0 * added, "speed_mm_s": speed}
+        evidence = {name: value for name, value in known.items() if value is not None}
+        fault = Fault(FaultCode.MOVED, text, evidence)
+    return Judgement(Verdict(NAME, passed, numbers, text), fault)

@@ -1,0 +1,191 @@
+"""Owns whether the texture stood still: the fringes' mean of one direction against that of the other, and how it flowed.
+
+Four steps of 90° add up to an image without fringes. The one of the x-sines and the one of the y-sines are eleven frames
+apart; at rest they differ by noise, once the daylight's change is fitted as a gain. Texture is divided by its surroundings
+before it is followed: the projector's light stays with the instrument, only paint moves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.patterns.sequence import Direction, PatternSequence
+from appliance.reconstruct.decode.decoder import CameraDecoder
+
+WIDTH_PX = 400
+"""Images are binned to about this width."""
+SURROUNDINGS_PX = 15
+FLOW_POINTS = (16, 12)
+WINDOW_PX, LEVELS = 21, 3
+TEXTURE_LEVELS = 500.0
+"""Grey levels per unit of texture, for an image of eight bits."""
+MIN_CONTRAST = 4.0
+"""Of a window's gradients over those of noise, in squares, in the direction that has less of it."""
+MIN_POINTS = 6
+CLIP, CLIPPED = 2.5, 0.986
+"""Differences beyond so many standard deviations count as that; and what this leaves of a normal one's."""
+
+
+@dataclass(frozen=True, slots=True)
+class TextureShift:
+    """Of one camera; px of the camera's own pixels."""
+
+    flow_px: tuple[float, float] | None
+    """Median flow from the middle of the x-sines to that of the y-sines; ``None``: there is no texture to follow."""
+    flow_sd_px: float | None
+    change: float | None
+    """RMS difference between both means in units of noise: 1 at rest."""
+    early_change: float | None
+    """The same between (bright + dark)/2 and the x-mean."""
+    frames: float
+    """Between the two means."""
+    bin_px: int
+    """The camera's pixels that were binned, along a side."""
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _add_row(row: NDArray[np.uint8], line: NDArray[np.uint16]) -> None:
+    for x in range(line.size):
+        line[x] = np.uint16(line[x] + np.uint16(row[x]))
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _binned_mean(
+    images: NDArray[np.uint8], numbers: NDArray[np.int64], bin_px: int, stride: int, out: NDArray[np.float32]
+) -> None:
+    """Mean over the images ``numbers`` and over squares of ``bin_px`` (of which each ``stride``-th row counts).
+
+    Whole rows are added up first, which is what vector instructions do best.
+    """
+    line = np.zeros(out.shape[1] * bin_px, np.uint16)
+    scale = np.float32(1.0 / (numbers.size * bin_px * ((bin_px + stride - 1) // stride)))
+    for j in range(out.shape[0]):
+        line[:] = np.uint16(0)
+        for k in numbers:
+            for y in range(0, bin_px, stride):
+                _add_row(images[k, j * bin_px + y], line)
+        for i in range(out.shape[1]):
+            total = np.uint32(0)
+            for x in range(i * bin_px, (i + 1) * bin_px):
+                total += np.uint32(line[x])
+            out[j, i] = np.float32(total) * scale
+
+
+def texture_shift(
+    frames: NDArray[np.uint8], decoded: CameraDecoder, sequence: PatternSequence, variance_dn2: tuple[float, float]
+) -> TextureShift:
+    """Of one camera's frames (n, h, w) uint8; ``variance_dn2`` as in ``drift``."""
+    height_px, width_px = decoded.p_px.shape
+    bin_px = max(1, round(width_px / WIDTH_PX))
+    stride = 2 if bin_px >= 4 else 1
+    shape = (height_px // bin_px, width_px // bin_px)
+
+    def mean(numbers: tuple[int, ...]) -> NDArray[np.float32]:
+        out = np.zeros(shape, np.float32)
+        _binned_mean(frames, np.array(numbers), bin_px, stride, out)
+        return out
+
+    x_axis, y_axis = sequence.axis(Direction.X), sequence.axis(Direction.Y)
+    first, second = mean(x_axis.sine), mean(y_axis.sine)
+    early = mean((sequence.bright, sequence.dark))
+    middle = bin_px // 2
+    valid = np.isfinite(decoded.p_px[middle::bin_px, middle::bin_px][: shape[0], : shape[1]])
+    valid &= np.isfinite(decoded.q_px[middle::bin_px, middle::bin_px][: shape[0], : shape[1]])
+    inside = cv2.erode(valid.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    pixels = bin_px * (bin_px // stride)
+    apart = float(np.mean(y_axis.sine) - np.mean(x_axis.sine))
+    if np.count_nonzero(inside) < 200:
+        return TextureShift(None, None, None, None, apart, bin_px)
+    dark, per_dn = variance_dn2
+    noise = float(dark + per_dn * np.mean(first[inside])) / pixels
+    change = _difference(first, second, inside, noise * (0.25 + 0.25))
+    early_change = _difference(early, first, inside, noise * (0.5 + 0.25))
+    flows = _follow(first, second, valid, inside, 0.25 * noise)
+    if len(flows) < MIN_POINTS:
+        return TextureShift(None, None, change, early_change, apart, bin_px)
+    flow = np.median(flows, 0)
+    spread = 1.4826 * np.median(np.abs(flows - flow), 0)
+    sd = float(np.hypot(*spread) * 1.25 / np.sqrt(len(flows)))
+    return TextureShift(
+        (float(flow[0]) * bin_px, float(flow[1]) * bin_px),
+        sd * bin_px,
+        change,
+        early_change,
+        apart,
+        bin_px,
+    )
+
+
+def _difference(a: NDArray[np.float32], b: NDArray[np.float32], inside: NDArray[np.bool_], variance: float) -> float:
+    """RMS of b − gain · a without what is smooth, robust, in standard deviations of noise."""
+    gain = float(np.sum(a[inside] * b[inside]) / np.sum(a[inside] ** 2))
+    rest = np.where(inside, b - np.float32(gain) * a, np.float32(0.0))
+    weight = inside.astype(np.float32)
+    smooth = cv2.boxFilter(rest, -1, (9, 9)) / np.maximum(cv2.boxFilter(weight, -1, (9, 9)), 1e-3)
+    high = (rest - smooth)[inside]
+    most = np.float32(CLIP) * np.float32(high.std())
+    return float(np.clip(high, -most, most).std() / CLIPPED / np.sqrt(variance * gain**2))
+
+
+def _texture(image: NDArray[np.float32], valid: NDArray[np.bool_]) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+    """The light divided by its surroundings, as levels around 128, and the levels per grey value of each pixel."""
+    weight = valid.astype(np.float32)
+    size = (SURROUNDINGS_PX, SURROUNDINGS_PX)
+    around = cv2.boxFilter(image * weight, -1, size) / np.maximum(cv2.boxFilter(weight, -1, size), 1e-3)
+    scale = np.float32(TEXTURE_LEVELS) / np.maximum(around, np.float32(1.0))
+    levels = np.float32(128.0) + scale * (image - around)
+    picture = np.where(valid, np.clip(np.rint(levels), 0.0, 255.0), 128.0).astype(np.uint8)
+    return picture, np.asarray(scale, np.float32)
+
+
+def _follow(
+    first: NDArray[np.float32],
+    second: NDArray[np.float32],
+    valid: NDArray[np.bool_],
+    inside: NDArray[np.bool_],
+    variance: float,
+) -> NDArray[np.float64]:
+    """Flows (n, 2) in binned px, where there is texture enough and the way back leads back."""
+    height, width = first.shape
+    before, scale = _texture(first, valid)
+    after, _ = _texture(second, valid)
+    columns, rows = FLOW_POINTS
+    x = (np.arange(columns) + 0.5) * width / columns
+    y = (np.arange(rows) + 0.5) * height / rows
+    grid = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2).astype(np.float32)
+    at = grid.astype(int)
+    grid = grid[inside[at[:, 1], at[:, 0]]]
+    # Silhouettes are not followed: they bend with the view.
+    gx = cv2.Sobel(before, cv2.CV_32F, 1, 0, scale=0.125) * inside
+    gy = cv2.Sobel(before, cv2.CV_32F, 0, 1, scale=0.125) * inside
+    size = (WINDOW_PX, WINDOW_PX)
+    xx, yy, xy = (cv2.boxFilter(g, -1, size) for g in (gx * gx, gy * gy, gx * gy))
+    least = 0.5 * (xx + yy) - np.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
+    # Sobel/8 of white noise has 3/16 of its variance.
+    noise = (0.1875 * np.float32(variance)) * scale * scale * cv2.boxFilter(inside.astype(np.float32), -1, size)
+    at = grid.astype(int)
+    good = least[at[:, 1], at[:, 0]] > MIN_CONTRAST * noise[at[:, 1], at[:, 0]]
+    grid = grid[good]
+    if not len(grid):
+        return np.empty((0, 2))
+    there, found = _lucas_kanade(before, after, grid)
+    back, returned = _lucas_kanade(after, before, there)
+    miss = np.linalg.norm(back - grid, axis=1)
+    kept = found & returned & (miss < 0.5)
+    return np.asarray((there - grid)[kept], np.float64)
+
+
+def _lucas_kanade(
+    before: NDArray[np.uint8], after: NDArray[np.uint8], places: NDArray[np.float32]
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Where places (n, 2) of one picture are in the other, and whether they were found."""
+    start = np.array(places, np.float32).reshape(-1, 1, 2)
+    there, found, _ = cv2.calcOpticalFlowPyrLK(
+        before, after, start, start.copy(), winSize=(WINDOW_PX, WINDOW_PX), maxLevel=LEVELS
+    )
+    return np.asarray(there, np.float32).reshape(-1, 2), np.asarray(found).reshape(-1) > 0

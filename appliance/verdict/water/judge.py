@@ -1,0 +1,257 @@
+"""Owns what a scan says about the water it was taken in: attenuation, veil, specks, and whether they made the scan poor.
+
+The veil's *share* of the light is measured. Attenuation follows from how the veil grows over the image: a ray that enters the
+beam farther out gathers light that has come a longer way. What the object sends back says nothing about attenuation, for
+nobody knows its albedo; so backscatter as a fraction of the light of an object is stated for a supposed one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.optics.model import StereoRig
+from appliance.reconstruct.images import ScanImages
+from appliance.reconstruct.table import Cloud
+from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.verdict import Judgement, Verdict
+from appliance.verdict.water.backscatter import CELLS, Cells, Looked, cell_of, look_at_veil
+from appliance.verdict.water.beam import Beam, Gathered, beam_of, gather
+
+Array = NDArray[np.float64]
+
+NAME = "water"
+MIN_ENTRY_MM = 195.0
+"""Rays that enter the beam nearer to the projector's window tell little: there, the veil depends on the beam's very edge."""
+MIN_CELLS = 12
+MODEL_SHARE, MODEL_DN = 0.02, 0.05
+"""How far the model of single scattering is believed, beside the cells' own scatter."""
+LEAK = 0.001
+"""Standard deviation, before the scan is looked at, of object's light from beyond a stripe's border, as a share of it."""
+STEADY_DN, FLICKERS = 0.02, 2.0
+"""The same of ambient light that differs between the references: so much in steady light, and so many times the flicker
+that the sines show."""
+MAX_ATTENUATION_PER_M = 12.0
+MAX_SIGMA_PER_M = 1.0
+"""Attenuation that is not known this well is not stated."""
+ROUNDS = 12
+ALBEDO = 0.6
+"""Supposed of what is looked at, where backscatter is stated as a fraction of its light."""
+POINTS = 4_000
+"""Of the cloud, as many as are asked where the beam is, and where the rays end."""
+MIN_POINTS = 3
+"""In a cell, for its depth to be known."""
+
+DIRTY_MASKED, DIRTY_VEIL, DIRTY_SPECKS = 0.25, 0.25, 0.02
+"""A scan is poor because of the water when so much of the object has no coordinates and so much of the light is veil, or when
+specks disturb so much of it."""
+VEILED = 0.30
+"""From this share of veil on, the scan is poor however much of it has coordinates: here and there the veil outshines the
+object, and the Gray code has to be read through it (``reconstruct.decode.backscatter``)."""
+HIDDEN = 0.25
+"""So much of the object may be lost where the veil outshines it."""
+
+
+@dataclass(frozen=True, slots=True)
+class WaterJudgement:
+    """What was found; ``None``: nothing to tell."""
+
+    judgement: Judgement
+    attenuation_per_m: float | None
+    attenuation_sigma_per_m: float | None
+    """Standard error of the attenuation."""
+    veil_percent: float | None
+    """Of the projected light on the object's pixels, what the water sent back."""
+    backscatter_percent: float | None
+    """Veil of a white pattern before the middle of the volume in otherwise clear water, in percent of what a surface there
+    sends back: as if the brighter parts of what is seen had an albedo of 0.6."""
+    expected_noise_mm: float | None
+    """Median of the points' expected errors."""
+    masked_percent: float | None
+    """Of the object's pixels, those without coordinates."""
+    hidden_percent: float | None
+    """Of the object's pixels, those without coordinates because the veil outshines them."""
+    speck_percent: float | None
+    """Of the pixels with coordinates, those that something passing by disturbed."""
+    fringe_contrast_percent: float | None
+    """Modulation in percent of half of the object's light: low where fringes are soft, whatever the veil."""
+
+
+@dataclass(frozen=True, slots=True)
+class Attenuation:
+    """What the veil's growth over the image says."""
+
+    per_m: float
+    sigma_per_m: float
+    strength_dn: float
+    """Veil per mm of water in the beam at ``SCALE_MM``, without attenuation."""
+
+
+def judge_water(recorded: ScanImages, cloud: Cloud, rig: StereoRig, water_index: float) -> WaterJudgement:
+    """Judge the water by the left camera's frames and the points of ``cloud`` (the coarse one is enough)."""
+    decoded = recorded.decoded["left"]
+    looked = look_at_veil(recorded.sequence, recorded.frames["left"], decoded)
+    numbers: dict[str, float | None] = {
+        "attenuation_per_m": None,
+        "attenuation_sigma_per_m": None,
+        "veil_percent": _percent(looked.veil_share),
+        "backscatter_percent": None,
+        "expected_noise_mm": cloud.summary.noise_mm,
+        "masked_percent": _percent(looked.masked_share),
+        "hidden_percent": _percent(looked.hidden_share),
+        "speck_percent": _percent(looked.speck_share),
+        "fringe_contrast_percent": _percent(looked.fringe_contrast),
+    }
+    rays = _rays(recorded, looked.cells, cloud, rig, water_index)
+    if rays is not None:
+        cells, gathered, clear = rays
+        found = fit_attenuation(cells, gathered, recorded.noise.left.black_dn, looked.flicker_dn)
+        if found is not None:
+            numbers["attenuation_per_m"] = found.per_m
+            numbers["attenuation_sigma_per_m"] = found.sigma_per_m
+            numbers["backscatter_percent"] = _backscatter_percent(found, cells, gathered, clear)
+    fault = _fault(looked)
+    verdict = Verdict(NAME, None if looked.object_pixels == 0 else fault is None, numbers, text_of(numbers))
+    return WaterJudgement(judgement=Judgement(verdict, fault), **numbers)
+
+
+def fit_attenuation(cells: Cells, gathered: Gathered, black_dn: float, flicker_dn: float) -> Attenuation | None:
+    """Attenuation and strength of the veil that explain its growth over the cells; ``None`` where that says too little."""
+    use = gathered.enters_mm >= MIN_ENTRY_MM
+    if np.count_nonzero(use) < MIN_CELLS:
+        return None
+    sigma = np.sqrt(cells.sigma_dn**2 + (MODEL_SHARE * cells.veil_dn) ** 2 + MODEL_DN**2)[use]
+    ambient = np.maximum(cells.dark_dn - black_dn, 0.0) + 1e-3
+    others = np.stack([ambient / ambient.mean(), cells.signal_dn], -1)[use]
+    rays = Gathered(
+        gathered.weights[use], gathered.path_m[use], gathered.enters_mm[use], gathered.falls[use], gathered.ends_m[use]
+    )
+    veil = cells.veil_dn[use]
+    prior = np.diag([0.0, 1e-6, (STEADY_DN + FLICKERS * flicker_dn) ** -2, LEAK**-2])
+    x = np.array([0.0, 1.0, 0.0, 0.0])
+    x[0] = _strength(rays.veil(x[1]), veil, sigma)
+    for _ in range(ROUNDS):
+        J = np.column_stack([rays.veil(x[1]), x[0] * rays.slope(x[1]), others]) / sigma[:, None]
+        residual = (veil - x[0] * rays.veil(x[1]) - others @ x[2:]) / sigma
+        normal = J.T @ J + prior
+        try:
+            step = np.linalg.solve(normal, J.T @ residual - prior @ np.array([0.0, 0.0, x[2], x[3]]))
+        except np.linalg.LinAlgError:
+            return None
+        step[1] = np.clip(step[1], -1.0, 1.0)
+        x += step
+        x[1] = np.clip(x[1], 0.0, MAX_ATTENUATION_PER_M)
+        x[0] = max(x[0], 1e-12)
+    excess = max(1.0, float(residual @ residual) / (len(veil) - 2))
+    sigma_per_m = float(np.sqrt(np.linalg.inv(normal)[1, 1] * excess))
+    if not sigma_per_m <= MAX_SIGMA_PER_M:
+        return None
+    return Attenuation(float(x[1]), sigma_per_m, float(x[0]))
+
+
+def text_of(numbers: dict[str, float | None]) -> str:
+    """One line for people."""
+    said = []
+    attenuation, sigma = numbers["attenuation_per_m"], numbers["attenuation_sigma_per_m"]
+    if attenuation is not None and sigma is not None:
+        said.append(f"attenuation {attenuation:.1f} ± {sigma:.1f} /m")
+    for key, name in (("veil_percent", "veil"), ("masked_percent", "masked"), ("speck_percent", "specks")):
+        value = numbers[key]
+        if value is not None:
+            said.append(f"{name} {value:.0f} %")
+    noise_mm = numbers["expected_noise_mm"]
+    if noise_mm is not None:
+        said.append(f"noise {1000.0 * noise_mm:.0f} µm")
+    return ", ".join(said) or "nothing to judge the water by"
+
+
+def _fault(looked: Looked) -> Fault | None:
+    masked, veil, specks = looked.masked_share, looked.veil_share, looked.speck_share
+    if masked is None:
+        return None
+    by_veil = veil is not None and (veil > VEILED or (veil > DIRTY_VEIL and masked > DIRTY_MASKED))
+    by_veil |= (looked.hidden_share or 0.0) > HIDDEN
+    by_specks = specks is not None and specks > DIRTY_SPECKS
+    if not by_veil and not by_specks:
+        return None
+    why = "specks pass before the object" if by_specks else "the water's veil hides the object"
+    numbers = {"coverage_percent": 100.0 * (1.0 - masked)}
+    return Fault(FaultCode.WATER_DIRTY, why, numbers)
+
+
+def _rays(
+    recorded: ScanImages, cells: Cells, cloud: Cloud, rig: StereoRig, water_index: float
+) -> tuple[Cells, Gathered, float] | None:
+    """The cells with points in them, what their rays gather, and what the middle one gathers in clear water before the
+    middle of the volume."""
+    n = len(cloud.pixel)
+    if n < MIN_CELLS or len(cells.number) < MIN_CELLS:
+        return None
+    decoded = recorded.decoded["left"]
+    rows, columns = decoded.p_px.shape
+    some = slice(None, None, max(1, n // POINTS))
+    pixel = cloud.pixel[some]
+    points = cloud.points_mm[some].astype(np.float64)
+    pattern = np.stack([decoded.p_px.reshape(-1)[pixel], decoded.q_px.reshape(-1)[pixel]], -1).astype(np.float64)
+    sequence = recorded.sequence
+    beam = beam_of(rig, water_index, points, pattern, (sequence.width_px, sequence.height_px))
+    if beam is None:
+        return None
+    ends, chosen = _depths(cells, pixel, points[:, 2], (rows, columns))
+    cells = _only(cells, chosen)
+    if len(cells.number) < MIN_CELLS:
+        return None
+    origins, directions = rig.left.rays(cells.uv_px, water_index)
+    ends_mm = (ends[chosen] - origins[:, 2]) / directions[:, 2]
+    return cells, gather(beam, origins, directions, ends_mm), _clear(beam, rig, water_index)
+
+
+def _depths(
+    cells: Cells, pixel: NDArray[np.uint32], depth_mm: Array, shape: tuple[int, int]
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Mean depth of the points in each cell, and where there are enough of them."""
+    v, u = np.divmod(pixel.astype(np.int64), shape[1])
+    number = cell_of(u, v, shape)
+    count = np.bincount(number, minlength=CELLS[0] * CELLS[1])
+    total = np.bincount(number, depth_mm, CELLS[0] * CELLS[1])
+    with np.errstate(invalid="ignore"):
+        return (total / count)[cells.number], (count >= MIN_POINTS)[cells.number]
+
+
+def _only(cells: Cells, chosen: NDArray[np.bool_]) -> Cells:
+    return Cells(
+        cells.number[chosen],
+        cells.pixels[chosen],
+        cells.uv_px[chosen],
+        cells.veil_dn[chosen],
+        cells.sigma_dn[chosen],
+        cells.signal_dn[chosen],
+        cells.dark_dn[chosen],
+    )
+
+
+def _clear(beam: Beam, rig: StereoRig, water_index: float) -> float:
+    left = rig.left
+    uv = np.array([[(left.width_px - 1) / 2.0, (left.height_px - 1) / 2.0]])
+    origin, direction = left.rays(uv, water_index)
+    centre = rig.volume_centre_mm(water_index)
+    end = np.linalg.norm(centre - origin, axis=-1)
+    return float(gather(beam, origin, direction, end).veil(0.0)[0])
+
+
+def _strength(gathered: Array, veil: Array, sigma: Array) -> float:
+    return max(float(np.sum(gathered * veil / sigma**2) / np.sum(gathered**2 / sigma**2)), 1e-9)
+
+
+def _backscatter_percent(found: Attenuation, cells: Cells, gathered: Gathered, clear: float) -> float | None:
+    falls = gathered.falls * np.exp(-found.per_m * gathered.ends_m)
+    white_dn = float(np.percentile(cells.signal_dn / falls, 75.0)) / ALBEDO
+    if white_dn <= 0.0:
+        return None
+    return 100.0 * found.strength_dn * clear / (ALBEDO * white_dn)
+
+
+def _percent(share: float | None) -> float | None:
+    return None if share is None else 100.0 * share

@@ -1,0 +1,285 @@
+"""Every frame of a scan that is not the pattern it should be is found and named, and no good scan is accused."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import combinations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from appliance.patterns.sequence import PatternSequence, build_sequence
+from appliance.scan.fault import FaultCode
+from appliance.scan.noise import TYPICAL
+from appliance.scan.sides import SIDES
+from appliance.scan.verdict import Judgement
+from appliance.verdict.identity.counts import follow
+from appliance.verdict.identity.evidence import Witness
+from appliance.verdict.identity.judge import judge_identity
+from appliance.verdict.identity.lines import take_lines
+from hw_sim.light.daylight import Daylight
+from hw_sim.objects.motion import Motion
+from hw_sim.scene import Scene
+from hw_sim.water.medium import Water
+from tests.support.rendered import render_scan
+from tests.support.synthetic import frames as ideal_frames
+
+SEQUENCE = build_sequence(16, 128, 96)
+"""Small: 18 frames, so that everything can be tried."""
+N = len(SEQUENCE)
+SIZE_PX = (144, 192)
+Frames = NDArray[np.uint8]
+Takes = Mapping[str, Frames]
+"""(2, n, h, w) of each camera: the same patterns, recorded twice."""
+READ_DN, DN_PER_E = 0.5, 1.0 / 51.0
+
+
+def surface(part: float = 1.0, at: float = 0.0) -> NDArray[np.float64]:
+    """Pattern coordinates of a board that bends a little and fills ``part`` of the field from ``at`` on; NaN beside it."""
+    v, u = np.mgrid[0.0 : SIZE_PX[0], 0.0 : SIZE_PX[1]]
+    p = 0.64 * u + 0.04 * v + 2.0 * np.sin(u / 45.0) + 1.0
+    q = 0.63 * v + 0.01 * u + 2.0
+    inside = (abs(u / SIZE_PX[1] - at - part / 2) <= part / 2) & (abs(v / SIZE_PX[0] - at - part / 2) <= part / 2)
+    return np.where(inside[..., None], np.stack([p, q], -1), np.nan)
+
+
+def recorded(ideal: NDArray[np.float64], seed: int, light: float = 1.0) -> Frames:
+    """As a camera records it: photon and read noise, 2 DN of black."""
+    mean = 2.0 + light * (ideal - 3.0)
+    noise = np.random.default_rng(seed).standard_normal(mean.shape) * np.sqrt(READ_DN**2 + mean * DN_PER_E)
+    return np.clip(np.rint(mean + noise), 0, 255).astype(np.uint8)
+
+
+def scan(ideal: NDArray[np.float64], light: float = 1.0) -> dict[str, Frames]:
+    return {side: recorded(ideal, seed, light) for seed, side in enumerate(("left", "right"))}
+
+
+@pytest.fixture(scope="module")
+def ideal() -> NDArray[np.float64]:
+    return ideal_frames(SEQUENCE, surface())
+
+
+@pytest.fixture(scope="module")
+def board(ideal: NDArray[np.float64]) -> Takes:
+    return {side: np.stack([recorded(ideal, 10 * take + of) for take in range(2)]) for of, side in enumerate(SIDES)}
+
+
+def with_order(board: Takes, order: Sequence[int], sides: str = "left") -> Judgement:
+    """What is said when frame k of ``sides`` shows the pattern ``order[k]``; shown again, it has other noise."""
+    frames = {side: takes[0] for side, takes in board.items()}
+    for side in sides.split():
+        frames[side] = np.stack([board[side][k % 2, shown] for k, shown in enumerate(order)])
+    return judge_identity(frames, SEQUENCE)
+
+
+def swapped(i: int, j: int) -> list[int]:
+    order = list(range(N))
+    order[i], order[j] = j, i
+    return order
+
+
+def code(judgement: Judgement) -> FaultCode | None:
+    return None if judgement.fault is None else judgement.fault.code
+
+
+@pytest.mark.parametrize("light", [1.0, 0.08])
+def test_a_good_scan_passes(ideal: NDArray[np.float64], light: float) -> None:
+    judgement = judge_identity(scan(ideal, light), SEQUENCE)
+    assert judgement.verdict.passed is True
+    assert judgement.fault is None
+    assert (judgement.verdict.numbers["doubt"] or 1.0) < 0.3
+
+
+def test_every_swap_of_two_frames_is_found(board: Takes) -> None:
+    witness = Witness(take_lines(board["left"][0], SEQUENCE, TYPICAL), SEQUENCE, TYPICAL)
+    assert not witness.evidence(np.arange(N)).contradicted
+    pairs = combinations(range(N), 2)
+    missed = [pair for pair in pairs if not witness.evidence(np.array(swapped(*pair))).contradicted]
+    assert missed == []
+
+
+def assert_named(board: Takes, pair: tuple[int, int]) -> None:
+    judgement = with_order(board, swapped(*pair))
+    assert code(judgement) is FaultCode.PATTERN_WRONG, pair
+    said = f"camera.left shows the patterns of frames {pair[0]} and {pair[1]} in each other's place"
+    assert said in judgement.verdict.text
+
+
+def test_swapped_neighbours_are_named(board: Takes) -> None:
+    for i in range(N - 1):
+        assert_named(board, (i, i + 1))
+
+
+@pytest.mark.long
+def test_any_two_swapped_frames_are_named(board: Takes) -> None:
+    for pair in combinations(range(N), 2):
+        assert_named(board, pair)
+
+
+def test_every_repeat_is_found_and_named(board: Takes) -> None:
+    for k in range(1, N):
+        order = [*range(k), k - 1, *range(k + 1, N)]
+        judgement = with_order(board, order)
+        assert code(judgement) is FaultCode.PATTERN_WRONG, k
+        assert judgement.verdict.numbers["frame"] == k
+
+
+def test_every_repeat_with_all_after_it_late_is_found_and_named(board: Takes) -> None:
+    for k in range(1, N):
+        judgement = with_order(board, [*range(k), *range(k - 1, N - 1)])
+        assert code(judgement) is FaultCode.PATTERN_WRONG, k
+        assert judgement.verdict.numbers["frame"] == k
+
+
+@pytest.mark.parametrize("before", [1, N - 1])
+def test_a_projector_one_frame_late_or_early(board: Takes, before: int) -> None:
+    late = with_order(board, [before, *range(N - 1)], "left right")
+    assert code(late) is FaultCode.PROJECTOR_TIMING
+    assert late.fault is not None
+    assert late.fault.numbers["shift_frames"] == 1
+    early = with_order(board, [*range(1, N), 1], "left right")
+    assert code(early) is FaultCode.PROJECTOR_TIMING
+    assert early.fault is not None
+    assert early.fault.numbers["shift_frames"] == -1
+
+
+def test_one_camera_a_frame_behind_the_other(board: Takes) -> None:
+    judgement = with_order(board, [1, *range(N - 1)])
+    assert code(judgement) is FaultCode.PATTERN_WRONG
+    assert judgement.fault is not None
+    assert judgement.fault.device == "camera.left"
+    assert judgement.fault.numbers["shift_frames"] == 1
+
+
+def test_a_frozen_camera_is_named_from_any_frame_on(board: Takes) -> None:
+    for k in range(N - 2):
+        judgement = with_order(board, [*range(k), *[k] * (N - k)], "right")
+        assert code(judgement) is FaultCode.CAMERA_STUCK, k
+        assert judgement.fault is not None
+        assert (judgement.fault.device, judgement.fault.numbers["frame"]) == ("camera.right", k)
+    last = with_order(board, [*range(N - 2), N - 2, N - 2], "right")
+    assert code(last) is FaultCode.PATTERN_WRONG  # two of one image are a repeat
+
+
+@pytest.mark.parametrize("k", [0, 5, N - 4])
+def test_both_cameras_frozen_to_the_bit_are_no_projector(board: Takes, k: int) -> None:
+    frames = {side: takes[0][[*range(k), *[k] * (N - k)]] for side, takes in board.items()}
+    assert code(judge_identity(frames, SEQUENCE)) is FaultCode.CAMERA_STUCK
+
+
+def test_a_projector_that_stays_on_a_pattern(board: Takes) -> None:
+    judgement = with_order(board, [*range(7), *[7] * (N - 7)], "left right")
+    assert code(judgement) is FaultCode.PATTERN_WRONG
+    assert judgement.fault is not None
+    assert (judgement.fault.device, judgement.fault.numbers["frame"]) == ("projector", 7)
+
+
+def test_a_dark_projector_before_something_to_see(ideal: NDArray[np.float64]) -> None:
+    ambient = np.broadcast_to(3.0 + 0.1 * (ideal[0] - 3.0), ideal.shape)
+    judgement = judge_identity(scan(ambient), SEQUENCE)
+    assert code(judgement) is FaultCode.PROJECTOR_DARK
+
+
+def test_open_water_is_nothing_to_judge() -> None:
+    veil = np.array([3.0 + 2.0 * pattern.codes().mean() / 247.0 for pattern in SEQUENCE.patterns])
+    judgement = judge_identity(scan(np.broadcast_to(veil[:, None, None], (N, *SIZE_PX))), SEQUENCE)
+    assert judgement.verdict.passed is None
+    assert judgement.fault is None
+
+
+def shown_apart(ideal: NDArray[np.float64], pq: NDArray[np.float64], i: int, j: int) -> float:
+    """Share of the surface on which two frames differ."""
+    seen = np.isfinite(pq).all(-1)
+    return float((abs(ideal[i] - ideal[j])[seen] > 40.0).mean())
+
+
+def test_what_a_small_thing_hides() -> None:
+    """On a third of the field coarse stripes are missing: of all pairs, those found are those that differ there."""
+    pq = surface(0.36, 0.3)
+    ideal = ideal_frames(SEQUENCE, pq)
+    frames = recorded(ideal, 3)
+    witness = Witness(take_lines(frames, SEQUENCE, TYPICAL), SEQUENCE, TYPICAL)
+    assert witness.evidence(np.arange(N)).judged
+    apart = {pair: shown_apart(ideal, pq, *pair) for pair in combinations(range(N), 2)}
+    found = {pair: witness.evidence(np.array(swapped(*pair))).contradicted for pair in apart}
+    invisible = [pair for pair, share in apart.items() if share == 0.0]
+    assert not any(found[pair] for pair in invisible)
+    missed = [(pair, share) for pair, share in apart.items() if share > 0.05 and not found[pair]]
+    assert missed == []
+
+
+def test_a_wrong_number_of_frames_is_said(board: Takes) -> None:
+    with pytest.raises(ValueError, match="17 frames of camera left for a sequence of 18"):
+        judge_identity({side: takes[0, :-1] for side, takes in board.items()}, SEQUENCE)
+
+
+def test_all_periods_of_the_instrument() -> None:
+    for period_px in (16, 32, 64):
+        sequence: PatternSequence = build_sequence(period_px)
+        v, u = np.mgrid[0.0:300.0, 0.0:400.0]
+        ideal = ideal_frames(sequence, np.stack([2.5 * u + 0.1 * v + 3.0, 2.5 * v + 2.0], -1))
+        good = scan(ideal)
+        assert judge_identity(good, sequence).verdict.passed is True
+        wrong = list(range(len(sequence)))
+        k = sequence.axis(sequence.patterns[2].direction).gray[-1]
+        wrong[k - 1 : k + 1] = k, k - 1
+        good["right"] = good["right"][wrong]
+        judgement = judge_identity(good, sequence)
+        assert judgement.fault is not None
+        assert (judgement.fault.numbers["frame"], judgement.fault.device) == (k - 1, "camera.right")
+
+
+def test_a_wrong_scan_compiles_nothing_that_an_empty_one_has_not(board: Takes) -> None:
+    """What the installation compiles is what an empty scan runs; compiling takes seconds, when a diver waits."""
+    judge_identity({side: np.zeros_like(takes[0]) for side, takes in board.items()}, SEQUENCE)
+    before = list(follow.signatures)
+    with_order(board, swapped(4, 9))
+    with_order(board, [1, *range(N - 1)], "left right")
+    assert follow.signatures == before
+
+
+HANDS = Motion(velocity_mm_s=(12.0, -9.0, 8.0), rotation_deg_s=(0.5, -1.0, 0.5))
+SCENES = {
+    "dark": (Scene("pipe", texture="strong", ambient=0.2), 0.0012, 0.0),
+    "turbid": (Scene("shell", water=Water(attenuation_per_m=1.2, backscatter=0.1, blur_px_per_m=3.0)), 0.008, 0.0),
+    "milk": (Scene("plane", water=Water(attenuation_per_m=2.5, backscatter=0.6)), 0.012, 0.0),
+    "moving in flicker": (
+        Scene("frustum", ambient=0.1, motion=HANDS, daylight=Daylight(flicker_depth=0.5, flicker_hz=100.0)),
+        0.008,
+        1.0 / 60.0,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_what_the_simulated_cameras_see(name: str) -> None:
+    """Good scans of hard scenes pass; each frame that is exchanged for the next is found in them."""
+    scene, exposure_s, frame_s = SCENES[name]
+    seen = render_scan(scene, "realistic", 10_501, 320, 32, exposure_s, frame_s=frame_s)
+    good = judge_identity(seen.frames, seen.sequence)
+    assert good.verdict.passed is True, good.verdict.text
+    assert (good.verdict.numbers["doubt"] or 1.0) < 0.7
+    n = len(seen.sequence)
+    for side in SIDES:
+        witness = Witness(take_lines(seen.frames[side], seen.sequence, TYPICAL), seen.sequence, TYPICAL)
+        for i in range(n - 1):
+            order = np.arange(n)
+            order[[i, i + 1]] = i + 1, i
+            assert witness.evidence(order).contradicted, (side, i)
+
+
+def test_simulated_open_water_is_nothing_to_judge() -> None:
+    far = Scene("plane", pose=(0.0, 0.0, 20_000.0, 0.0, 0.0, 0.0), water=Water(backscatter=0.03))
+    seen = render_scan(far, "realistic", 10_502, 320, 64)
+    judgement = judge_identity(seen.frames, seen.sequence)
+    assert (judgement.verdict.passed, judgement.fault) == (None, None)
+
+
+def test_what_rushes_by_is_left_to_the_judge_of_motion() -> None:
+    scene = Scene("pipe", texture="strong", motion=Motion(velocity_mm_s=(80.0, -40.0, 30.0)))
+    seen = render_scan(scene, "realistic", 10_901, 200, 32, 0.006, frame_s=1.0 / 60.0)
+    judgement = judge_identity(seen.frames, seen.sequence)
+    assert (judgement.verdict.passed, judgement.fault) == (None, None)
+    late = {side: frames[[1, *range(len(frames) - 1)]] for side, frames in seen.frames.items()}
+    assert judge_identity(late, seen.sequence).verdict.passed is not True
