@@ -223,6 +223,20 @@ def unchecked_generator(source: Source) -> Iterator[Breach]:
             yield call.lineno, f"{name}() hands on fields of any type: use tests.support.typed.built"
 
 
+def leans_on_measurements(source: Source) -> Iterator[Breach]:
+    for node in ast.walk(source.tree):
+        match node:
+            case ast.Import(names=names):
+                modules = [name.name for name in names]
+            case ast.ImportFrom(module=str(module), level=0):
+                modules = [module]
+            case _:
+                continue
+        for module in modules:
+            if module.partition(".")[0] == "bench":
+                yield node.lineno, f"{module}: what tests and measurements share belongs in tests.support"
+
+
 @dataclass(frozen=True)
 class Rule:
     """A check, where it holds, and an example that it must notice beside one that it must let pass.
@@ -342,6 +356,24 @@ RULES = [
         good=("built(Fault, st.just('x'))", "st.just(1)"),
         packages=("tests",),
         except_in={"tests/support/typed.py": "it checks what was built"},
+    ),
+    Rule(
+        leans_on_measurements,
+        bad=(
+            "import bench",
+            "import os, bench.bias as b",
+            "from bench import bias",
+            "def f():\n    from bench.bias import rms",
+        ),
+        good=(
+            "import benchmark",
+            "from tests.bench import x",
+            "from .bench import x",
+            "bench = 1",
+            "bench.bias.rms(x)",
+        ),
+        packages=("tests",),
+        except_in={"tests/bench/": "the tests of the measurements themselves"},
     ),
 ]
 

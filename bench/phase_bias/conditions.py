@@ -11,8 +11,8 @@ from appliance.calibration.response import MeasuredResponse, Seen, measure_respo
 from appliance.evaluation.flatness import cubic_of
 from appliance.patterns.response import Response
 from appliance.reconstruct.pipeline import Cloud, Pipeline
-from bench.bias import DepthErrors, coordinate_errors, depth_errors, ripple, rms
 from hw_sim.scene import Scene
+from tests.support.bias import DepthErrors, coordinate_errors, depth_errors, ripple, rms
 from tests.support.rendered import RenderedScan, render_scan
 from tests.support.truth import WATER, true_calibration
 

@@ -12,8 +12,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.bias import rms
 from bench.phase_bias.conditions import UM, Taken
+from tests.support.bias import rms
 
 BLUR_VAR_PX2 = 0.55**2 + (0.3 * 0.4875) ** 2
 """Of the simulated lens and water, px² of 1600: what a correction would have to know."""

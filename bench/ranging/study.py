@@ -2,74 +2,28 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from appliance.config import load_rig
-from appliance.instrument import live_light_of, pointers_of
-from appliance.ranging.measure import Dot, Dots, Ranger
+from appliance.instrument import live_light_of
+from appliance.ranging.measure import Dot, Dots
 from appliance.ranging.reach import Range
-from bench.ranging.scenes import Case, aimed, drawn, hide, live_pair, seen, true_dots
+from bench.ranging.scenes import Case, aimed, drawn, seen
 from hw_sim.rendering.render import Renderer
-from hw_sim.scene import Scene
-from hw_sim.truth import TrueRig, draw_truth
-from tests.support.truth import WATER, complete_calibration, rig_to_left
+from tests.support.pointed import RIG_FILE, Instrument, hide, instrument, live_pair, true_dots, truth_of
+from tests.support.truth import rig_to_left
 
-RIG_FILE = Path("hw_sim/rigs/full.toml")
-TEACHING = tuple(
-    Scene(object="plane", pose=(0.0, 0.0, z, 5.0, -8.0, 0.0), texture="slight") for z in (420.0, 470.0, 520.0, 570.0)
-)
-"""What an instrument has seen before: its beams are learned from it."""
 SCENES_PER_RIG = 10
 POSED = ("free", "free-aimed", "guided", "guided-aimed")
 """As it comes; the ball bar as the sketches of the calibration show it; and either with a dot brought onto the ball bar."""
 MOVED_AT_S = 0.3
 PAIRS_BEFORE, PAIR_S = 3, 0.1
 """Live pairs that the instrument saw of the scene before the one that is judged."""
-
-
-@dataclass(frozen=True, slots=True)
-class Instrument:
-    """A rig with its calibration, as it starts and as it has learned."""
-
-    truth: TrueRig
-    ranger: Ranger
-
-
-def instrument(seed: int, width_px: int, taught: bool = True) -> Instrument:
-    """A realistic rig with a perfect calibration; ``taught``: after some planes, else as drawn."""
-    rig = load_rig(RIG_FILE)
-    pointers = pointers_of(rig)
-    assert pointers is not None
-    truth = draw_truth("realistic", seed, width_px, width_px * 3 // 4, TEACHING[0].water.index)
-    ranger = Ranger(complete_calibration(truth).rig, WATER.index, pointers.beams())
-    if taught:
-        light = live_light_of(rig)
-        for k, scene in enumerate(TEACHING):
-            ranger.measure(live_pair(Renderer(truth, scene), (True, True), seed * 100 + k, light))
-    return Instrument(truth, ranger)
-
-
-def truth_of(one: Instrument, dots: list[NDArray[np.float64] | None]) -> tuple[float | None, float | None]:
-    """True distance and tilt in the frame of the calibration, from those dots that are seen."""
-    frame = one.ranger.frame
-    places = [frame.from_left(rig_to_left(one.truth, dot[None])[0]) if dot is not None else None for dot in dots]
-    here = [place for place in places if place is not None]
-    if not here:
-        return None, None
-    if len(here) == 1:
-        return float(here[0][2]), None
-    a, b = here
-    across, behind = float(b[0] - a[0]), float(b[2] - a[2])
-    share = -float(a[0]) / across
-    return float(a[2]) + share * behind, math.degrees(math.atan2(behind, across))
 
 
 def _look_before(

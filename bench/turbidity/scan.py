@@ -18,11 +18,11 @@ from appliance.scan.exposure import Exposure
 from appliance.scan.noise import StereoNoise, camera_noise
 from appliance.scan.sides import SIDES
 from appliance.verdict.water.judge import WaterJudgement, judge_water
-from bench.bias import DepthErrors, depth_errors
 from hw_sim.rendering.render import LightSlice, Renderer
 from hw_sim.rendering.sensor import FULL_WELL_E, OFFSET_DN, READ_NOISE_E
 from hw_sim.scene import Scene
 from hw_sim.truth import TrueRig, draw_truth
+from tests.support.bias import DepthErrors, depth_errors
 from tests.support.rendered import pictures
 from tests.support.truth import WATER, true_calibration
 

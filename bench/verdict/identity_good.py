@@ -22,11 +22,12 @@ from bench.result import Measured
 from bench.verdict.binomial import limits
 from bench.verdict.kept_scans import KeptScans, Take
 from bench.verdict.motion import case_of
-from bench.verdict.motion_cases import Case, record
+from bench.verdict.motion_cases import Case
 from bench.verdict.parts import Say
 from hw_sim.objects.motion import Motion
 from hw_sim.rendering.sensor import FULL_WELL_E, OFFSET_DN, READ_NOISE_E
 from hw_sim.water.medium import Water
+from tests.support.judged import record
 
 MILK_EVERY, FAST_EVERY = 3, 4
 FAST_MM_S = (60.0, 250.0)
@@ -78,7 +79,7 @@ def takes(seed: int, number: int) -> Iterator[tuple[str, Case, Take]]:
 
 
 def _judged(kind: str, case: Case, take: Take, kept: KeptScans) -> Row:
-    frames = record(case, kept.frames(case, take), 1)
+    frames = record(kept.frames(case, take), case.gain_db, case.seed, 1)
     camera = camera_noise(FULL_WELL_E, READ_NOISE_E, OFFSET_DN, case.gain_db)
     begun = time.process_time()
     verdict = judge_identity(frames, build_sequence(case.period_px), StereoNoise(camera, camera)).verdict

@@ -14,13 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibration.file import Calibration
 from appliance.patterns.sequence import Direction, build_sequence
-from appliance.reconstruct.images import ScanImages
 from appliance.reconstruct.pipeline import Cloud, Pipeline
-from appliance.scan.acquisition import AcquisitionSettings
-from appliance.scan.exposure import Exposure
-from appliance.scan.noise import StereoNoise, camera_noise
 from appliance.verdict.motion.judge import MotionJudgement, judge_motion
 from bench.result import Measured
 from bench.spread import spread
@@ -33,7 +28,6 @@ from bench.verdict.motion_cases import (
     Case,
     Frames,
     draw_case,
-    record,
     without_fish,
 )
 from bench.verdict.motion_figures import HARMFUL, Row, figures, roc_table
@@ -41,8 +35,8 @@ from bench.verdict.motion_pictures import draw_maps, draw_roc, draw_scatter
 from bench.verdict.motion_truth import errors_mm, noise_mm, rms_mm
 from bench.verdict.parts import Say
 from hw_sim.rendering.render import Renderer
-from hw_sim.rendering.sensor import FULL_WELL_E, OFFSET_DN, READ_NOISE_E
 from hw_sim.truth import draw_truth
+from tests.support.judged import as_judged, judge_frames, record
 from tests.support.truth import WATER, complete_calibration, true_calibration
 
 SEEDS_PER_SEED = 1_000_000
@@ -140,7 +134,7 @@ def examine(case: Case, kept: KeptScans) -> Judged:
     truth = draw_truth(TRUTH_SET, case.seed, width, height, case.scene.water.index)
     calibration = complete_calibration(truth)
     sequence = build_sequence(case.period_px)
-    recorded = {take: record(case, frames, 1 + n) for n, (take, frames) in enumerate(clean.items())}
+    recorded = {take: record(frames, case.gain_db, case.seed, 1 + n) for n, (take, frames) in enumerate(clean.items())}
     noise, added, lost = harm(case, truth_renderer(case, width, height), clean, recorded[Take.REST])
     still, moving = (
         judge_frames(recorded[take], calibration, case.period_px, case.gain_db, case.exposure_s) for take in Take
@@ -171,30 +165,6 @@ def harm(case: Case, standing: Renderer, clean: Mapping[Take, Frames], noisy: Fr
         return math.nan, math.nan, lost
     squared = max(rms_mm(moving_mm) ** 2 - rms_mm(rest_mm) ** 2, 0.0)
     return noise, math.sqrt(1.0 + squared / noise**2) - 1.0, lost
-
-
-def judge_frames(
-    frames: Frames, calibration: Calibration, period_px: int, gain_db: float, exposure_s: float
-) -> MotionJudgement:
-    """As the worker does, with the data sheet of the simulated cameras."""
-    with Pipeline(calibration, WATER, build_sequence(period_px)) as pipeline:
-        recorded, cloud = as_judged(pipeline, frames, gain_db, exposure_s)
-        return judge_motion(recorded, cloud, calibration.rig, WATER.index)
-
-
-def as_judged(pipeline: Pipeline, frames: Frames, gain_db: float, exposure_s: float) -> tuple[ScanImages, Cloud]:
-    """What a judge is given after the last frame; valid until the next."""
-    camera = camera_noise(FULL_WELL_E, READ_NOISE_E, OFFSET_DN, gain_db)
-    noise = StereoNoise(camera, camera)
-    exposure = Exposure(round(1e6 * exposure_s), gain_db)
-    pipeline.expect(noise)
-    pipeline.reset()
-    for side, stack in frames.items():
-        for k in range(len(stack)):
-            pipeline.push(side, stack, k)
-    cloud = pipeline.coarse()
-    decoded = {side: pipeline.decoded(side) for side in frames}
-    return ScanImages(pipeline.sequence, frames, decoded, AcquisitionSettings(exposure, FRAME_S, noise)), cloud
 
 
 def cloud_of(pipeline: Pipeline, frames: Frames) -> Cloud:

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from hw_sim.light.daylight import Daylight
 from hw_sim.objects.motion import Motion
-from hw_sim.rendering.sensor import E_PER_DN, OFFSET_DN, Sensor
 from hw_sim.scene import Imaging, Scene
 from hw_sim.water.drift import Drift
 from hw_sim.water.medium import Water, turbid
@@ -169,23 +168,6 @@ def _draw_motion(rng: np.random.Generator, kind: str) -> tuple[Motion, float]:
 
 def _triple(v: NDArray[np.floating]) -> tuple[float, float, float]:
     return float(v[0]), float(v[1]), float(v[2])
-
-
-def record(case: Case, clean: Frames, noise_seed: int) -> dict[str, NDArray[np.uint8]]:
-    """Frames (n, h, w) uint8 with the cameras' noise on those without."""
-    per_dn = E_PER_DN * 10.0 ** (-case.gain_db / 20.0)
-    recorded = {}
-    for number, (side, frames) in enumerate(clean.items()):
-        count, height, width = frames.shape
-        sensor = Sensor(width, height, 2 * case.seed + number, True)
-        out = np.empty_like(frames)
-        for k in range(count):
-            electrons = (frames[k].astype(np.float32) - OFFSET_DN) * np.float32(per_dn)
-            # What is saturated stays so: how far beyond, the frame does not say.
-            electrons[frames[k] == 255] *= np.float32(1.2)
-            out[k] = sensor.read_out(electrons, case.gain_db, 1_000_000 * noise_seed + 2 * k + number)
-        recorded[side] = out
-    return recorded
 
 
 def without_fish(scene: Scene) -> Scene:

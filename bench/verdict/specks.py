@@ -20,7 +20,6 @@ from appliance.reconstruct.pipeline import Cloud, Pipeline
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.exposure import Exposure
 from appliance.scan.verdict import Judgement
-from bench.bias import depth_errors
 from bench.result import Measured
 from bench.turbidity.scan import WRONG_MM, WRONG_SIGMAS, rig_in, set_water
 from bench.turbidity.scenes import drawn_scene
@@ -30,6 +29,7 @@ from hw_sim.rendering.render import Renderer
 from hw_sim.scene import Scene
 from hw_sim.water.drift import Drift
 from hw_sim.water.medium import Water
+from tests.support.bias import depth_errors
 from tests.support.rendered import render_scan
 from tests.support.truth import true_calibration
 

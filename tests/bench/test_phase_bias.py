@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.bias import ripple
 from bench.phase_bias.page import BEGIN, END, write_page
+from tests.support.bias import ripple
 
 
 def test_tables_of_the_page_are_those_measured(tmp_path: Path) -> None:

@@ -8,9 +8,9 @@ import pytest
 from appliance.calibration.photon_transfer import NoiseError, measure_noise
 from appliance.patterns.sequence import build_sequence
 from appliance.scan.noise import camera_noise
-from bench.bias import depth_errors, rms
 from hw_sim.rendering.sensor import E_PER_DN, FULL_WELL_E, OFFSET_DN, READ_NOISE_E, Sensor
 from hw_sim.scene import Imaging, Scene
+from tests.support.bias import depth_errors, rms
 from tests.support.rendered import reconstruct, render_scan
 
 SIZE_PX = (1600, 240)

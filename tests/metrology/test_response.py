@@ -9,10 +9,10 @@ import pytest
 
 from appliance.calibration.response import MeasuredResponse, ResponseError, Seen, measure_response
 from appliance.patterns.response import Response, phase_error_rad
-from bench.bias import coordinate_errors, depth_errors, ripple, rms
 from hw_sim.objects.motion import Motion
 from hw_sim.optics.projector import response as true_response
 from hw_sim.scene import Imaging, Scene
+from tests.support.bias import coordinate_errors, depth_errors, ripple, rms
 from tests.support.rendered import RenderedScan, reconstruct, render_scan
 
 PERIOD_PX = 64

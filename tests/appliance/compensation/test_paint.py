@@ -13,7 +13,6 @@ from appliance.compensation.paint import asked_images, evened
 from appliance.compensation.solve import SINES, weigh_offset
 from appliance.compensation.ways import FIRST_WAY, PER_FRAME, Ways
 from appliance.patterns.sequence import Direction, build_sequence
-from bench.verdict.compensation_bound import all_frames, four_sines, shrunk_steps
 
 
 @pytest.mark.parametrize("period_px", [16, 32, 64])
@@ -116,22 +115,6 @@ def test_what_is_left_of_noise_is_what_reading_leaves() -> None:
 )
 def test_what_is_shown_is_clearly_better_or_as_good_as_at_rest(before: float, after: float, shown: bool) -> None:
     assert worth_it(before, after) is shown
-
-
-def test_no_method_can_do_better_than_the_bound_and_four_sines_alone_do_far_worse() -> None:
-    still, along = shrunk_steps(0.0, 16), shrunk_steps(40.0, 16)
-    assert four_sines(still) == pytest.approx(1.0)
-    assert all_frames(still, 14) <= 1.0
-    assert all_frames(along, 14) < 1.2 < 3.5 < four_sines(along)
-    # Monte Carlo of the four sines' least squares.
-    rng, phase = np.random.default_rng(7), 0.7
-    A = np.stack([np.ones(4), np.cos(along), -np.sin(along)], -1)
-    seen = 100.0 + 80.0 * np.cos(phase + along) + rng.normal(0.0, 0.02, (20_000, 4))
-    _, c, s = np.linalg.lstsq(A, seen.T, rcond=None)[0]
-    scatter = np.std(np.unwrap(np.arctan2(s, c)))
-    cos, sin = np.cos(phase), np.sin(phase)
-    N = np.linalg.inv(A.T @ A)[1:, 1:]
-    assert scatter == pytest.approx(0.02 / 80.0 * np.sqrt(np.array([-sin, cos]) @ N @ np.array([-sin, cos])), rel=0.03)
 
 
 def test_beside_nothing_only_what_was_decoded_as_well_stays() -> None:

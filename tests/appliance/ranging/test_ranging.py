@@ -15,12 +15,11 @@ from appliance.patterns.sequence import BRIGHT_CODE
 from appliance.ranging.measure import Ranger
 from appliance.ranging.reach import Range
 from appliance.ranging.witness import SURELY_A_DOT_DN, shines_in_the_dark
-from bench.ranging.scenes import hide, live_pair, true_dots
-from bench.ranging.study import RIG_FILE, Instrument, instrument, truth_of
 from hw_sim.rendering.render import Renderer
 from hw_sim.scene import Scene
 from hw_sim.truth import draw_truth, project
 from hw_sim.water.medium import Water, turbid
+from tests.support.pointed import RIG_FILE, Instrument, hide, instrument, live_pair, true_dots, truth_of
 from tests.support.truth import WATER, complete_calibration, rig_to_left
 
 SMALL_RIG_FILE = Path("hw_sim/rigs/small.toml")

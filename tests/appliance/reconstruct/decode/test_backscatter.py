@@ -14,10 +14,10 @@ from appliance.reconstruct.pipeline import Pipeline
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.exposure import Exposure
 from appliance.scan.noise import StereoNoise, camera_noise
-from bench.bias import depth_errors
 from hw_sim.rendering.sensor import FULL_WELL_E, OFFSET_DN, READ_NOISE_E
 from hw_sim.scene import Imaging, Scene
 from hw_sim.water.medium import Water
+from tests.support.bias import depth_errors
 from tests.support.rendered import RenderedScan, render_scan
 from tests.support.truth import WATER, true_calibration
 

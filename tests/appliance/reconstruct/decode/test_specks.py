@@ -13,8 +13,8 @@ from appliance.reconstruct.pipeline import Cloud, Pipeline
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.noise import TYPICAL
 from appliance.scan.sides import SIDES
-from bench.bias import depth_errors
 from hw_sim.scene import Imaging, Scene
+from tests.support.bias import depth_errors
 from tests.support.rendered import RenderedScan, render_scan
 from tests.support.specks import add_specks
 from tests.support.truth import WATER, true_calibration

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -11,13 +10,13 @@ import pytest
 from appliance.scan.fault import FaultCode
 from appliance.verdict.motion.judge import MotionJudgement, MotionKind
 from appliance.verdict.motion.scores import MOVED
-from bench.verdict.motion import judge_frames
-from bench.verdict.motion_cases import FRAME_S, draw_case, record
 from hw_sim.light.daylight import Daylight
 from hw_sim.objects.motion import Motion
 from hw_sim.scene import Imaging, Scene
 from hw_sim.truth import draw_truth
 from hw_sim.water.medium import Water
+from tests.support.judged import judge_frames, record
+from tests.support.moved import FRAME_S
 from tests.support.rendered import render_scan
 from tests.support.truth import true_calibration
 
@@ -53,10 +52,9 @@ def judge(
     gain_db: float = 0.0,
     light: Daylight = STEADY,
 ) -> MotionJudgement:
-    case = replace(draw_case(1), seed=3, gain_db=gain_db, exposure_s=0.012)
     frames = frames or clean(motion, texture, pose, thing, response, light)
     calibration = true_calibration(draw_truth("modelled", 3, 400, 300, Water().index))
-    return judge_frames(record(case, frames, 5), calibration, 16, gain_db, 0.012)
+    return judge_frames(record(frames, gain_db, 3, 5), calibration, 16, gain_db, 0.012)
 
 
 @pytest.mark.parametrize(
