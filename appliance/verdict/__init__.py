@@ -1,1 +1,1 @@
-"""Whether a scan can be trusted: judgements of recorded sequences, each with its numbers."""
+"""Owns the answer to whether a scan can be trusted: judgements of recorded sequences, each with its numbers."""

@@ -39,11 +39,12 @@ SATURATED_DN = 254
 MIN_LIGHT_DN = 16.0
 """Bright minus dark below this: the contrast is noise."""
 ROUNDS, TUNED = 6, 0.03
-"""Of the robust fit: iterations, and the fall from which on a cell counts less."""
+"""Iterations of the robust fit, and the fall from which on a cell counts less."""
 SLACK = 0.08
 """A fall that every cell is forgiven: three times what a clean window shows on any object in clear water."""
 USUAL_QUANTILE, USUAL = 0.65, 2.0
-"""In turbid water the veil's own pattern remains; a cell is forgiven so many times what this share of the cells keep below."""
+"""Quantile of the cells' falls and the factor on it that a cell is forgiven: in turbid water the backscatter's own
+pattern remains."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +61,7 @@ class Windows:
     """Mean light of the object in each cell, DN; 0 where none is seen. It tells one scene from another."""
 
     def verdict(self) -> Verdict:
-        """What is written down. Nothing is refused by a single scan: ``passed`` is always None."""
+        """Return what is written down. Nothing is refused by a single scan: ``passed`` is always None."""
         numbers: dict[str, float | None] = {}
         said = []
         for side in SIDES:
@@ -102,7 +103,7 @@ class _Seen:
     cell: NDArray[np.intp]
     place: NDArray[np.intp]
     light: Array
-    """By cell."""
+    """Mean light of the object by cell, DN."""
 
 
 def _look(recorded: ScanImages, side: str) -> _Seen:
@@ -148,7 +149,8 @@ def _falls(mine: _Seen, others: _Seen) -> tuple[Array, float | None]:
 
 
 def _smooth(cells: NDArray[np.intp], ratios: Array) -> Array:
-    """What the ratios would be if they changed smoothly: a plane over the image, that cells with a fall hardly pull."""
+    """Return the ratios as they would be if they changed smoothly: a plane over the image, that cells with a fall
+    hardly pull."""
     x, y = cells % CELLS[0] / (CELLS[0] - 1.0) - 0.5, cells // CELLS[0] / (CELLS[1] - 1.0) - 0.5
     A = np.stack([np.ones_like(x), x, y], -1)
     fit = np.full(len(cells), np.median(ratios))

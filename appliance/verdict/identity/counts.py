@@ -23,7 +23,7 @@ class Count(IntEnum):
     NOT_DARK = 3
     """Lit samples that are not dark in the dark frame."""
     STEPS = 4
-    """From one sample to the next on the same surface."""
+    """Steps from one sample to the next on the same surface."""
     FORWARD = 5
     """… with the phase growing, as it must wherever camera and projector are the same way up."""
     EDGES = 6
@@ -50,13 +50,14 @@ COUNTS = 22
 OFF_REFERENCE = np.float32(0.3)
 """Bright and dark are the ends of each sample's swing, to this share of it."""
 _MIN_SWING_SHARE = np.float32(0.15)
-"""Of a fringe's difference against all frames': less is veil, in which only broad stripes are seen."""
+"""Least difference of a fringe's opposite steps, as a share of the swing over all frames: less is backscatter, in
+which only broad stripes are seen."""
 _MAX_STEP_COS = np.float32(-0.74)
 """A phase that grows by more than 138° from sample to sample might as well have shrunk."""
 _MAX_OTHER_COS = np.float32(0.5)
 """Along a row, the phase across it changes by less than 60° a sample, or the surface ends here."""
 _LEAST_RATIO, _MOST_RATIO = np.float32(0.6), np.float32(1.67)
-"""Of neighbours' swings, and of the modulations of the two directions."""
+"""Limits of the ratio of neighbours' swings, and of the modulations of the two directions."""
 _AT_AN_EDGE = np.float32(0.7)
 """Outlines meet the fringes at any phase, a Gray image's edges within 45° of 0° or 180°, wrong place or not."""
 _BEND = np.float32(0.25)

@@ -28,18 +28,21 @@ DECIDED = 1.0
 dark and turbid scenes show at most and what a wrong frame shows (docs/identity.md has both)."""
 LEAST_FORWARD = 0.7
 MOST_DISPLACED = {Direction.X: 0.2, Direction.Y: 0.15}
-"""Of the field: where the stripes are in the image, on average, against where the design puts them. Along the base line they
-wander with distance: by 0.08 in the measuring volume, 0.15 well before it."""
+"""Largest distance, in widths of the field, between where the stripes are in the image, on average, and where the
+design puts them. Along the base line they wander with distance: by 0.08 in the measuring volume, 0.15 well before
+it."""
 LEAST_IN_PHASE = 0.6
 """Mean cosine; a fifth of the edges half a period off, where only a part of the surface shows a frame to be wrong."""
 MOST_OUT_OF_ORDER = 0.3
 MOST_OF_ONE_OUT_OF_ORDER = 0.6
-"""Of the edges of one Gray image: the coarsest have few, and an outline may cross them."""
+"""Largest share of the edges of one Gray image that may be out of order: the coarsest have few, and an outline may
+cross them."""
 LEAST_EDGES_OF_ONE = 5
 MOST_CORRELATION = -0.4
-"""Of sines of opposite steps; −1 where nothing but the pattern changes."""
+"""Largest correlation of sines of opposite steps; it is −1 where nothing but the pattern changes."""
 MOST_BEHIND_BEST = 0.5
-"""By which a pair's correlation may be worse than that of the best pair: colour that moves spoils all of them."""
+"""Largest amount by which a pair's correlation may be worse than that of the best pair: colour that moves spoils all
+of them."""
 MOST_OFF_REFERENCE = 0.8
 MOST_BESIDE_REFERENCE = 0.08
 MOST_OF_OFF = 0.5
@@ -54,7 +57,7 @@ _FRINGE_SIGMA = 6.0
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What the lines of one camera say of one explanation. ``doubts`` by name, e.g. ``order gray-x-3``."""
+    """Doubts that the lines of one camera raise about one explanation, by name, e.g. ``order gray-x-3``."""
 
     doubts: Mapping[str, float]
     suspects: Mapping[str, int]
@@ -64,8 +67,8 @@ class Evidence:
     """Samples with fringes; below ``MIN_FRINGE`` no doubt means anything."""
     edges: int
     displaced: float = 0.0
-    """How far beside the design's place the stripes across the base line lie, in widths of the field: with opposite signs in both
-    cameras where the object is near or far, with the same sign where a Gray image is wrong."""
+    """Distance of the stripes across the base line from the design's place, in widths of the field: with opposite
+    signs in both cameras where the object is near or far, with the same sign where a Gray image is wrong."""
 
     @property
     def judged(self) -> bool:
@@ -103,7 +106,7 @@ class Witness:
         self._sine = {d: np.array(axis.sine, np.int64) for d, axis in self._axes.items()}
 
     def evidence(self, order: NDArray[np.int64]) -> Evidence:
-        """For frame ``order[k]`` taken as showing pattern k."""
+        """Collect the doubts about frame ``order[k]`` showing pattern k."""
         doubts: dict[str, float] = {}
         suspects: dict[str, int] = {}
         all_sums: dict[Direction, NDArray[np.float64]] = {}

@@ -29,27 +29,27 @@ ENOUGH_FRINGE = 2000
 """Samples with fringes that are asked while explanations compete; the best of them then face all lines."""
 FINALISTS = 6
 CLEARLY_LESS = 0.7
-"""Of all doubts together. What moves leaves some of its own in any order."""
+"""Least drop of the total of all doubts by which a new order is believed: what moves leaves some doubt in any order."""
 
 
 class What(Enum):
-    """What happened to the frames."""
+    """The ways in which frames and patterns can disagree."""
 
     SWAPPED = "swapped"
     LATE = "late"
-    """From ``frame`` on, each shows the pattern before its own."""
+    """Each frame from ``frame`` on shows the pattern before its own."""
     EARLY = "early"
-    """From ``frame`` on, each shows the pattern after its own."""
+    """Each frame from ``frame`` on shows the pattern after its own."""
     REPEATED = "repeated"
     """``frame`` shows what ``other`` shows."""
     STILL = "still"
-    """From ``frame`` on, all show the same image."""
+    """All frames from ``frame`` on show the same image."""
     UNEXPLAINED = "unexplained"
 
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """What happened, and to which frames; ``other``: the second of two, where two are concerned."""
+    """One disagreement and the frames it concerns; ``other``: the second of two, where two are concerned."""
 
     what: What
     frame: int
@@ -74,10 +74,10 @@ def explain(witness: Witness, sequence: PatternSequence, noise: CameraNoise, dou
 
 
 def still(witness: Witness, sequence: PatternSequence, noise: CameraNoise) -> Explanation | None:
-    """For frames without fringes across both directions: is that because the image stays?
+    """Return the explanation of frames without fringes across both directions, if it is that the image stays.
 
-    Mere veil shows broad stripes only, so that all later frames are alike in it. A still image must have begun before the
-    second stripe image of the last direction, or the fringes of the first one have been seen.
+    Mere veil shows broad stripes only, so that all later frames are alike in it. A still image must have begun before
+    the second stripe image of the last direction, or the fringes of the first one have been seen.
     """
     same = differences(witness, sequence, noise)
     first = still_from(same)
@@ -157,7 +157,7 @@ def _reordered(witness: Witness, sequence: PatternSequence, noise: CameraNoise, 
 
 
 def _at_the_second(explanation: Explanation, same: NDArray[np.float64]) -> Explanation:
-    """Of two frames of one image, at which all begins to be late, the second."""
+    """Name the second of two frames of one image as the one at which all begins to be late."""
     frame = explanation.frame
     if explanation.what is What.LATE and same[frame, frame + 1] < SAME:
         return replace(explanation, frame=frame + 1)
@@ -194,7 +194,7 @@ def _with(lines: Lines, frame: NDArray[np.uint8]) -> Lines:
 
 
 def _with_last(lines: Lines, sequence: PatternSequence) -> Lines:
-    """With the last sine step, when everything is one late: those of 90° and 270° add up to those of 0° and 180°."""
+    """Append the last sine step, when everything is one late: those of 90° and 270° add up to those of 0° and 180°."""
     s0, s1, s2, s3 = sequence.axis(Direction.Y).sine
     assert s3 == len(sequence) - 1
     late0, late1, late2 = (lines.values[k + 1].astype(np.int16) for k in (s0, s1, s2))

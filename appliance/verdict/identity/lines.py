@@ -39,7 +39,7 @@ SAMPLES = 400
 COARSE = 80
 """Pixels across the image that are asked where to look closer."""
 THIRD = 3
-"""Of the frames this is asked of every third: fringes of both directions are among them."""
+"""Stride over the frames that are looked at for this: fringes of both directions are among them."""
 MIN_SWING_DN = 8.0
 """A sample that changes by less over the sequence sees nothing of the projector."""
 MIN_SWING_SIGMA = 8.0
@@ -113,15 +113,16 @@ def _lines(along: Direction, values: NDArray[np.uint8], noise: CameraNoise) -> L
 
 ALL = (slice(None), slice(None))
 CLEAR_MODULATION_DN = 3.0
-"""From here on, fringes are asked how much of the object's light they are: less than decoding asks, since few samples serve."""
+"""Least modulation of the fringes by which the object's share of the light is measured: less than decoding needs,
+since few samples serve."""
 
 
 def thresholds(
     lines: Lines, sequence: PatternSequence, noise: CameraNoise, order: NDArray[np.int64]
 ) -> tuple[Floats, Floats]:
-    """Of each Gray image along the lines, for frame ``order[k]`` taken as pattern k: (images, lines, samples), or (1, lines,
-    samples) where one serves all, NaN where there is none; and how near to it a bit is in doubt, (lines, samples).
-    """
+    """Return the threshold of each Gray image along the lines, with frame ``order[k]`` taken as pattern k: (images,
+    lines, samples), or (1, lines, samples) where one serves all, NaN where there is none; and how near to it a bit
+    is in doubt, (lines, samples). Both in DN."""
     plain = np.float32(0.5) * (lines.low.astype(np.float32) + lines.high.astype(np.float32))
     none = np.zeros(plain.shape, np.float32)
     if lines.along is not Direction.X:

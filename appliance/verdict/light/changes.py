@@ -32,7 +32,7 @@ from appliance.verdict.light.levels import Sample
 
 BLOCK_ROWS, BLOCK_COLUMNS = 6, 8
 MIN_PIXELS = 100
-"""Of a block, for its light to be judged."""
+"""Least number of pixels of a block for its light to be judged."""
 FINE_FACTOR = 1.5
 """Squares of both differences that bias phases, over that of the third: 1 for light that changes at random from image to
 image, 2 for light that drifts."""
@@ -41,14 +41,16 @@ CLEAR_DN = 248.0
 SURE = 0.5
 """A block is judged when its shift is known better than this, times what would harm."""
 HARMFUL_RIPPLE = 0.5
-"""Of the noise: from here on the bias of the phase is seen in the surface."""
+"""Bias of the phase, as a share of its noise, from which on it is seen in the surface."""
 EXPLAINED = 0.8
 """Share of the changes that one frequency must explain to be named."""
 MIN_LEVELS = 12
 FINE_IMAGES = 4
-"""Of each direction's Gray images: all of a block's pixels do not lie in one of their stripes."""
+"""Number of each direction's finest Gray images that are used: all of a block's pixels do not lie in one of their
+stripes."""
 RANK = 1e-10
-"""Of a cosine and a sine: at half the frame rate there is only one of them."""
+"""Relative cut-off below which a cosine or a sine counts as missing: at half the frame rate there is only one of
+them."""
 
 Floats = NDArray[np.float64]
 
@@ -65,7 +67,7 @@ class Level:
 
 @dataclass(frozen=True, slots=True)
 class Changes:
-    """Of one camera; ``None``: too little is lit to tell."""
+    """Changes of light that one camera saw; ``None``: too little is illuminated to tell."""
 
     harmed: float | None
     """Share of judged pixels, 0..1, whose phase is biased by more than ``HARMFUL_RIPPLE`` of its noise."""
@@ -78,7 +80,7 @@ class Changes:
     local: float | None
     """Amplitude of what they have not: rms over the blocks, the fit's own noise taken off."""
     levels: tuple[Level, ...]
-    """What all blocks have in common, frame by frame."""
+    """Levels that all blocks have in common, frame by frame."""
     ambient_flicker: float | None
     """``common`` over ambient light; unknown where there is next to none."""
 
@@ -95,14 +97,15 @@ class _Fit:
     third: Floats
     sigma: Floats
     expected: Floats
-    """What the sigma would be with a noise of one grey value in each difference: how well the phases are spread."""
+    """The sigma that there would be with a noise of one grey value in each difference: how well the phases are
+    spread."""
     fine: Floats
     """Mean square of the third difference within the block, less its mean, that neighbours have in common: light of finer grain
     than a block."""
 
 
 def measure_changes(s: Sample, sequence: PatternSequence, noise: CameraNoise) -> Changes:
-    """What the sine and Gray images tell of one camera."""
+    """Measure one camera's changes of light by its sine and Gray images."""
     # Where noise alone decides what is saturated, only pixels with favourable phases would be left.
     good = s.lit & (s.top_dn <= CLEAR_DN) & (s.modulation_dn >= MIN_MODULATION_DN)
     rows, columns = (np.ascontiguousarray(places) for places in np.nonzero(good))

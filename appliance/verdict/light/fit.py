@@ -16,13 +16,14 @@ ROUNDS = 2
 CLIP = 3.0
 """Residuals beyond so many of their usual size are edges of the texture."""
 RIDGE = 1e-9
-"""Of the normal equations' trace, added to their diagonal."""
+"""Share of the normal equations' trace that is added to their diagonal."""
 STRONGEST = 0.9
 """Contrasts above this quantile weigh no more than it."""
 BINS = 2000
-"""Of each unit of contrast, into which stripes are counted."""
+"""Bins per unit of contrast, into which stripes are counted."""
 STRIPE_EDGE = 0.3
-"""Of the contrast: darker is a dark stripe, brighter than the rest of it a lit one."""
+"""Share of the contrast below which a pixel lies in a dark stripe, and above one minus which it lies in an
+illuminated one."""
 SHIFT_TERMS, TWICE_TERMS = 11, 3
 COSINE, SINE, THIRD, SIGMA, EXPECTED = range(5)
 """Rows of what ``fit_blocks`` finds."""
@@ -45,8 +46,8 @@ def fit_blocks(
     order: NDArray[np.intp],
     ends: NDArray[np.intp],
 ) -> tuple[Floats, Floats]:
-    """Of n pixels' four sine images (4, n): what was found in each block, (5, blocks), and what is left of the third
-    difference over ``contrast`` (n,) of each pixel; outside of blocks, all of it.
+    """Fit n pixels' four sine images (4, n) block by block: return what was found in each block, (5, blocks), and what
+    is left of each pixel's third difference over ``contrast`` (n,); outside of blocks, all of it.
 
     The pixels of block k are ``order[ends[k − 1]:ends[k]]``; ``row`` and ``column`` (n,) are their places.
     """
@@ -96,11 +97,11 @@ def common_of_neighbours(
     order: NDArray[np.intp],
     ends: NDArray[np.intp],
 ) -> Floats:
-    """Of each block, the mean square of what a pixel and those next to it have in common of ``rest`` (n,): what noise has not,
-    and light has.
+    """Return each block's mean square of what a pixel and those next to it have in common of ``rest`` (n,): what noise
+    has not, and light has.
 
-    Pairs weigh as their noise allows: in grey values, ``rest`` · ``contrast``, it is about the same everywhere. Pixels come row
-    by row, from left to right.
+    Pairs weigh as their noise allows: in grey values, ``rest`` · ``contrast``, it is about the same everywhere. Pixels
+    come row by row, from left to right.
     """
     found = np.zeros(ends.size)
     value = rest * contrast
@@ -146,8 +147,9 @@ def stripe_levels(
     contrast: Floats,
     least: int,
 ) -> Floats:
-    """Of each image in ``numbers``, half way between the medians of its dark and of its lit stripes, from dark (0) to bright (1);
-    NaN where fewer than ``least`` pixels are either. ``grey`` (images, n) and what ``pixels`` of them have as ``contrast``."""
+    """Return the level of each image in ``numbers``: half way between the medians of its dark and of its lit
+    stripes, from dark (0) to bright (1); NaN where fewer than ``least`` pixels are either. ``grey`` (images, n) and
+    what ``pixels`` of them have as ``contrast``."""
     found = np.full(numbers.size, np.nan)
     count = np.empty(2 * BINS, np.int64)
     for j in range(numbers.size):
@@ -166,7 +168,7 @@ def stripe_levels(
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _median_bin(count: NDArray[np.int64], least: int) -> float:
-    """Where the middle one lies, in bins; NaN for fewer than ``least``."""
+    """Return the median of the counted values, in bins; NaN for fewer than ``least``."""
     half = 0.5 * count.sum()
     if 2.0 * half < least:
         return np.nan
@@ -254,7 +256,7 @@ def _times(matrix: Floats, vector: Floats) -> Floats:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _inverse(matrix: Floats) -> Floats:
-    """Of a symmetric positive definite one, by Gauss and Jordan: with a ridge it needs no pivots."""
+    """Invert a symmetric positive definite matrix by Gauss and Jordan: with a ridge it needs no pivots."""
     size = matrix.shape[0]
     left, right = matrix.copy(), np.eye(size)
     for a in range(size):

@@ -14,15 +14,16 @@ from appliance.verdict.light.levels import FULL_DN, Levels, light_of, measure_le
 from appliance.verdict.light.propose import propose, propose_second, without_flicker
 
 MAX_SATURATED = 0.05
-"""Of lit pixels of one camera: so many points may be lost before the diver is told."""
+"""Largest share of one camera's illuminated pixels that may be saturated before the diver is told."""
 MAX_WEAK = 0.25
 MAX_HARMED = 0.10
-"""Of lit pixels: so many may have phases that changing light has biased by more than half of their noise."""
+"""Largest share of the illuminated pixels that may have phases that changing light has biased by more than half of
+their noise."""
 MAX_AMBIENT_BEYOND = 0.25
-"""Of lit pixels: so many may get more light from elsewhere than from the projector. It takes half of the scale, and with
-it half of the fringes' amplitude, at any exposure."""
+"""Largest share of the illuminated pixels that may get more light from elsewhere than from the projector. It takes
+half of the scale, and with it half of the fringes' amplitude, at any exposure."""
 FLICKER_ALIAS_HZ = (18.5, 21.5)
-"""Where lamps on 50 Hz mains show up at 60 frames per second."""
+"""Frequencies at which lamps on 50 Hz mains show up at 60 frames per second."""
 
 
 def judge_light(recorded: ScanImages, present: Exposure, steps: Sequence[Exposure]) -> Judgement:
@@ -90,7 +91,7 @@ def _flickers(changes: dict[str, Changes], frequency: tuple[float, float] | None
 
 
 def _worst_level(levels: dict[str, Levels]) -> Fault | None:
-    """What loses most points, in multiples of what may be lost."""
+    """Return the fault that loses most points, in multiples of what may be lost."""
     cases: list[tuple[float, Fault]] = []
     for side, at in levels.items():
         if at.saturated is None or at.weak is None or at.ambient_beyond is None:

@@ -17,7 +17,7 @@ from appliance.scan.noise import CameraNoise
 SAMPLES = 25_000
 """Lit pixels that are asked, about; shares of a hundredth are then known to a twentieth of themselves."""
 MOST_PIXELS = 500_000
-"""Of the grid, however little of it is lit: it has 32 bits for each image."""
+"""Most pixels of the grid, however little of it is illuminated: it has 32 bits for each image."""
 GOLDEN = 0.6180339887
 COARSE_PX = 8
 """Distance of the pixels by which the lit ones are counted first."""
@@ -29,7 +29,7 @@ DIM_MODULATION_DN = 2.5
 FAINT_DN = 5.0
 """Bright minus dark above this is light of the projector beyond doubt, though too little to measure by."""
 TOP_SHARE = 0.003
-"""Of all pixels, so many may be brighter than the level an exposure is chosen by: glints."""
+"""Share of all pixels that may be brighter than the level an exposure is chosen by: glints."""
 CENSORED_FACTOR = 8.0
 """A pixel that is saturated even at the fringe's darkest counts as so many times the full scale."""
 
@@ -48,11 +48,11 @@ class Sample:
     modulation_dn: Floats
     """The smaller one of the two directions, whether or not it means anything."""
     top_dn: Floats
-    """Of the bright image and all sines."""
+    """Largest value of the bright image and all sines."""
     lit: NDArray[np.bool_]
-    """By the projector, as decoding has it; or saturated."""
+    """Pixels that the projector illuminates, as decoding has it, or that are saturated."""
     saturated: NDArray[np.bool_]
-    """In any sine image or in the bright one."""
+    """Pixels that are saturated in any sine image or in the bright one."""
 
 
 def sample(frames: NDArray[np.uint8], sequence: PatternSequence) -> Sample:
@@ -88,10 +88,10 @@ class Levels:
     """One camera's light in numbers. Shares are of lit pixels, 0..1; ``None``: nothing is lit."""
 
     lit_share: float
-    """Of all pixels."""
+    """Illuminated pixels as a share of all pixels."""
     saturated: float | None
     where: str
-    """Where in the image most of the saturation is."""
+    """Part of the image that holds most of the saturation."""
     weak: float | None
     """Fringes are there, but too weak to measure by."""
     modulation_dn: float | None
@@ -149,10 +149,10 @@ def _top_dn(s: Sample, sequence: PatternSequence, black_dn: float) -> float:
 
 
 def _true_bright_dn(s: Sample, sequence: PatternSequence, clipped: NDArray[np.bool_], black_dn: float) -> Floats:
-    """How bright saturated pixels would be, over the black level: told by the two darkest of four sine images.
+    """Compute how bright saturated pixels would be, over the black level, from the two darkest of four sine images.
 
-    At the least value the sine is A − mA cos t, and a quarter period beside A − mA sin t with 0 ≤ t ≤ 45°; two equations
-    for A and t. Where the second one is saturated as well, A is at least what t = 45° makes it.
+    At the least value the sine is A − mA cos t, and a quarter period beside A − mA sin t with 0 ≤ t ≤ 45°; two
+    equations for A and t. Where the second one is saturated as well, A is at least what t = 45° makes it.
     """
     m = AMPLITUDE_CODE / MEAN_CODE
     dark = s.dark_dn[clipped]
@@ -185,8 +185,8 @@ def _where(saturated: NDArray[np.bool_]) -> str:
 
 
 def light_of(s: Sample, sequence: PatternSequence, noise: CameraNoise) -> tuple[Floats, Floats]:
-    """Of the pixels with light of the projector, their brightest level over black and their modulation; grey values, above
-    the scale where that was saturated."""
+    """Return the brightest level over black and the modulation of the pixels with light of the projector; grey
+    values, above the scale where that was saturated."""
     # Light without fringes is scattered by the water, whatever the exposure.
     seen = ((s.lit | (s.contrast_dn >= FAINT_DN)) & (s.modulation_dn >= DIM_MODULATION_DN)) | s.saturated
     top, modulation = s.top_dn - np.float32(noise.black_dn), s.modulation_dn.copy()

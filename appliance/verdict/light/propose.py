@@ -17,7 +17,8 @@ from appliance.reconstruct.decode.decoder import MIN_MODULATION_DN
 from appliance.scan.exposure import Exposure
 
 AIM, TOO_HIGH, TOO_LOW = 0.85, 0.97, 0.55
-"""Of the scale above black: where the brightest surfaces should be, and the ends of the band that is left alone."""
+"""Shares of the scale above black: where the brightest surfaces should be, and the ends of the band that is left
+alone."""
 MIN_TOP_DN = 4.0
 """Below, nothing is seen that an exposure could be chosen by."""
 MAINS_PERIOD_US = 10_000
@@ -50,17 +51,17 @@ def without_flicker(top_dn: float, scale_dn: float, present: Exposure, steps: Se
 
 
 LEAST_LOST = 0.05
-"""Of the lit pixels are lost by the best single exposure, or one serves."""
+"""Least share of the illuminated pixels that the best single exposure must lose for a second one to be proposed."""
 LEAST_GAINED = 0.05
-"""Of the lit pixels must a pair have more than the best single exposure."""
+"""Least share of the illuminated pixels that a pair must show beyond the best single exposure."""
 LEAST_COMMON = 0.1
-"""Of the lit pixels must both show, or nothing tells how they lie to each other."""
+"""Least share of the illuminated pixels that both must show, or nothing tells how they lie to each other."""
 ALIKE = 0.01
 """Pairs that differ by so few of the lit pixels are as good as each other: the second one that loses least itself is taken."""
 
 Light = tuple[NDArray[np.float32], NDArray[np.float32]]
-"""Of one camera's lit pixels: their brightest level over black in any image, which may be above the scale, and their
-modulation; both in grey values at the present exposure."""
+"""One camera's illuminated pixels: their brightest level over black in any image, which may be above the scale, and
+their modulation; both in grey values at the present exposure."""
 
 
 def propose_second(
@@ -95,5 +96,5 @@ def _lost(cameras: Sequence[Light], scale_dn: Sequence[float], factor: float) ->
 
 
 def _share(lost: Sequence[NDArray[np.bool_]]) -> float:
-    """Of the camera that loses more."""
+    """Return the share that the camera with the greater loss loses."""
     return max(float(np.mean(one)) for one in lost)

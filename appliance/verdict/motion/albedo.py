@@ -25,14 +25,14 @@ WIDTH_PX = 400
 _TERMS = 4
 MIN_PIXELS = 300
 MIN_CONTRAST = 2.0
-"""Of the gradients over their noise, in squares, in the direction that has less of it."""
+"""Least square of the gradients over that of their noise, in the direction that has less of it."""
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
 class PaintCourse:
-    """Of one camera; its own px."""
+    """Course of the albedo in one camera's images, in its own px."""
 
     shift_px: Array
     """(frames of the sequence, 2): right and down, against the bright frame; NaN: not known."""
@@ -102,7 +102,8 @@ def _accumulate(
 def paint_course(
     frames: NDArray[np.uint8], decoded: CameraDecoder, sequence: PatternSequence, variance_dn2: tuple[float, float]
 ) -> PaintCourse:
-    """Of one camera's frames (n, h, w) uint8; ``variance_dn2``: of its noise, at grey value 0 and per grey value."""
+    """Follow the albedo through one camera's frames (n, h, w) uint8; ``variance_dn2``: variance of its noise at grey
+    value 0 and per grey value."""
     shift, sd = np.full((len(sequence), 2), np.nan), np.full(len(sequence), np.nan)
     height_px, width_px = decoded.p_px.shape
     reach = max(1, round(width_px / WIDTH_PX))

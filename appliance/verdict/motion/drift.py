@@ -29,7 +29,7 @@ _SQUARE = _RIGHT + _TERMS
 _COUNT, _U, _V, _INVERSE, _LIGHT, _SLOPE, _SLOPES, _TEXTURE, _TEXTURES = (_SQUARE + 1 + k for k in range(9))
 _COLUMNS = _TEXTURES + 1
 LEAST_LEFT = 0.3
-"""Of the drift's terms in C, whatever the second harmonic takes of them."""
+"""Least share of the drift's terms that is left in C, whatever the second harmonic takes of them."""
 MIN_PIXELS = 40
 """Fewer in a cell tell nothing."""
 
@@ -39,7 +39,7 @@ class DriftMap:
     """One camera's cells; arrays (rows, columns) float64 of the pattern's cells, NaN where there are too few pixels."""
 
     drift_px: NDArray[np.float64]
-    """Of the fringes, pattern px per frame; positive: a pixel's coordinate grows."""
+    """Drift of the fringes ε, pattern px per frame; positive: a pixel's coordinate grows."""
     early_px: NDArray[np.float64]
     """The same from the first sine image to the third."""
     late_px: NDArray[np.float64]
@@ -130,7 +130,7 @@ def _accumulate(
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _left_over_at(a: float, b: float, c: float, d: float, fit: NDArray[np.float64]) -> tuple[float, float]:
-    """What C leaves beside ``fit`` (_TERMS,) at a pixel with these four values, and its modulation squared."""
+    """Return what ``fit`` (_TERMS,) leaves of C at a pixel with these four values, and its modulation squared."""
     cosine, sine = 0.5 * (a - c), 0.5 * (d - b)
     squared = cosine * cosine + sine * sine
     modulation = np.sqrt(max(squared, 1.0))
@@ -194,7 +194,8 @@ def drift_map(
     sequence: PatternSequence,
     variance_dn2: tuple[float, float],
 ) -> DriftMap:
-    """Of one camera's frames (n, h, w) uint8 and the sine images across which depth moves the pattern.
+    """Measure the drift in one camera's frames (n, h, w) uint8, by the sine images across which depth moves the
+    pattern.
 
     ``variance_dn2``: of the cameras' noise as (dark, per grey value), see ``CameraNoise``.
     """

@@ -25,7 +25,8 @@ SAMPLES = 60_000
 _COLUMNS = 8
 _INNER, _INNER_LIT, _INNER_STEP, _INNER_WAY, _LOW, _LOW_LIT, _HIGH, _HIGH_LIT = range(_COLUMNS)
 MIN_PIXELS, MIN_HEIGHT = 10, 0.3
-"""In each of the three parts; and what must lie between light and dark, of bright less dark."""
+"""Least number of pixels in each of the three parts; and least step from dark to light, as a share of bright less
+dark."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +34,7 @@ class EdgeShifts:
     """One camera's edges; arrays (frames, rows, columns) float64 of the Gray images and the pattern's cells."""
 
     shift_px: NDArray[np.float64]
-    """How much larger the coordinates of pixels were in that frame than in the sine images; NaN: no edge there."""
+    """Excess of the pixels' coordinates in that frame over those in the sine images, pattern px; NaN: no edge there."""
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -88,7 +89,8 @@ def _accumulate(
 
 
 def edge_shifts(frames: NDArray[np.uint8], decoded: CameraDecoder, sequence: PatternSequence) -> EdgeShifts:
-    """Of one camera's frames (n, h, w) uint8 and the Gray images across which depth moves the pattern."""
+    """Measure the shifts in one camera's frames (n, h, w) uint8, by the Gray images across which depth moves the
+    pattern."""
     axis = sequence.axis(Direction.X)
     height_px, width_px = decoded.p_px.shape
     stride = max(1, round((height_px * width_px / SAMPLES) ** 0.5))
@@ -104,7 +106,7 @@ def edge_shifts(frames: NDArray[np.uint8], decoded: CameraDecoder, sequence: Pat
 
 
 def _edges(codes: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Of each pattern column: its nearest edge within reach, and whether light begins (+1) or ends (−1) there."""
+    """Return each pattern column's nearest edge within reach, and whether light begins (+1) or ends (−1) there."""
     lit = codes.astype(np.int16)
     after = np.flatnonzero(np.diff(lit))
     columns = np.arange(codes.size, dtype=np.float32)

@@ -26,7 +26,7 @@ from appliance.verdict.motion.drift import CELL_PX, DriftMap
 Array = NDArray[np.float64]
 
 MIN_POINTS = 4
-"""Of a cell, with neighbours on all sides; fewer say nothing of how it stands."""
+"""Least number of a cell's points with neighbours on all sides; fewer say nothing of how it stands."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +34,7 @@ class SurfaceMap:
     """Arrays (rows, columns) float64 of the pattern's cells."""
 
     points: Array
-    """Of the cloud, that have neighbours on all sides."""
+    """Number of the cloud's points that have neighbours on all sides."""
     across: Array
     """RMS of cos θ; NaN: fewer than ``MIN_POINTS``."""
     noise_mm: Array
@@ -44,7 +44,8 @@ class SurfaceMap:
 def surface_map(
     cloud: Cloud, p_px: NDArray[np.float32], q_px: NDArray[np.float32], shape: tuple[int, int]
 ) -> SurfaceMap:
-    """Of a cloud whose points lie on a grid of the left image, whose coordinates are ``p_px`` and ``q_px`` (h, w)."""
+    """Map a cloud whose points lie on a grid of the left image, whose pattern coordinates are ``p_px`` and ``q_px``
+    (h, w)."""
     cosine, inside = facing(cloud, p_px.shape[1])
     pixel = cloud.pixel[inside]
     p, q = p_px.ravel()[pixel], q_px.ravel()[pixel]
@@ -98,7 +99,7 @@ UNEVEN_LEFT = 0.3
 """Phase errors that paint makes in both cameras alike cancel, but for what differs from one pixel to the next: so much of
 that is left. From training scans."""
 NOISE_UNCERTAINTY = 0.1
-"""So much of its variance the noise may be other than stated, before what is over counts as moving paint."""
+"""Share of its variance by which the noise may exceed what is stated, before what is over counts as moving albedo."""
 MIN_CELLS = 4
 
 
@@ -110,7 +111,7 @@ class Harm:
     """E: of the fringes, left less right, pattern px per frame."""
     sd_px: Array
     depth_rate_mm_s: Array
-    """How fast the surface recedes along the left camera's rays, during the x-sines."""
+    """Speed at which the surface recedes along the left camera's rays, during the x-sines."""
     ripple_mm: Array
     """RMS of what the movement adds to the points across the surface; NaN also where it is lost in uncertainty."""
     noise_mm: Array
@@ -127,7 +128,7 @@ class Harm:
 
     @property
     def added(self) -> float | None:
-        """What the movement adds to the points' noise, as a fraction of it."""
+        """Noise that the movement adds to the points' own, as a fraction of it."""
         return None if self.ripple is None else float(np.sqrt(1.0 + self.ripple**2) - 1.0)
 
 
@@ -141,8 +142,9 @@ def predict(
     period_px: int,
     frame_s: float,
 ) -> Harm:
-    """From the drift across the x-fringes that both cameras saw, how the surface stands, and ``double_step2``: the mean square
-    way of paint over the left image in two frames, px² (``None``: there is none to see)."""
+    """Predict the harm from the drift across the x-fringes that both cameras saw, from how the surface stands, and
+    from ``double_step2``, the mean square way of the albedo over the left image in two frames, px² (``None``: there
+    is none to see)."""
     px_per_rad = period_px / (2.0 * np.pi)
     with np.errstate(invalid="ignore", divide="ignore"):
         drift = left.drift_px - right.drift_px
@@ -191,7 +193,8 @@ def predict(
 
 
 def depth_per_px(left: DriftMap, right: DriftMap, rig: StereoRig, water_index: float) -> Array:
-    """How many mm farther along the left ray a surface lies whose fringes moved by one px of E; (rows, columns)."""
+    """Return how many mm farther along the left ray a surface lies whose fringes moved by one px of E; (rows,
+    columns)."""
     left_px = np.stack([left.u_px, left.v_px], -1)
     right_px = np.stack([right.u_px, right.v_px], -1)
     known = np.isfinite(left.u_px) & np.isfinite(right.u_px)
@@ -209,7 +212,7 @@ def depth_per_px(left: DriftMap, right: DriftMap, rig: StereoRig, water_index: f
 
 
 def _reach(origin: Array, along: Array, other: Array, other_along: Array) -> Array:
-    """How far along the first rays (n, 3) the second ones pass nearest."""
+    """Return how far along the first rays (n, 3) the second ones pass nearest, mm."""
     apart = origin - other
     b = np.sum(along * other_along, -1)
     return np.asarray((b * np.sum(other_along * apart, -1) - np.sum(along * apart, -1)) / (1.0 - b * b))
@@ -218,7 +221,7 @@ def _reach(origin: Array, along: Array, other: Array, other_along: Array) -> Arr
 EVERYWHERE = 0.4
 """Share of the pixels in harmed cells from which on no side is named."""
 OFF_MIDDLE = 0.12
-"""Of the image's size: less beside what is seen has no side."""
+"""Least distance from the middle of what is seen, as a share of the image's size, for a side to be named."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -40,14 +40,14 @@ from appliance.verdict.motion.texture import TextureShift, texture_shift
 
 NAME = "motion"
 MOST_ADDED = 0.06
-"""Of the noise, as a fraction: between what nobody notices (0.05) and what must not be kept (0.10), nearer to the former
-since predictions on bent surfaces are rather too small."""
+"""Largest fraction of the noise that a movement may add. It lies between what nobody notices (0.05) and what must
+not be kept (0.10), nearer to the former since predictions on bent surfaces are rather too small."""
 
 Array = NDArray[np.float64]
 
 
 class MotionKind(Enum):
-    """What moved how; the word is for texts and manifests."""
+    """Kinds of movement; the word is for texts and manifests."""
 
     STILL = "still"
     AXIAL = "axial"
@@ -71,11 +71,11 @@ class MotionJudgement:
     axial_mm_s: float | None
     """Median speed at which the surface recedes along the left camera's rays; ``None``: not known."""
     lateral_mm_s: tuple[float, float] | None
-    """Of the texture across the left image, right and down; ``None``: no texture to follow."""
+    """Speed of the texture across the left image, right and down; ``None``: no texture to follow."""
     shift_px: float | None
     """Over the whole sequence, in px of the left image: texture's and fringes' movement together."""
     place: Place | None
-    """Where most of the harm is."""
+    """Place of most of the harm."""
     scores: Scores
     harm: Harm
     """Maps over the cells of the pattern."""
@@ -138,13 +138,13 @@ def _double_step2(paint: Mapping[str, PaintCourse]) -> float | None:
 
 
 def _variance(noise: CameraNoise) -> tuple[float, float]:
-    """As (at grey value 0, per grey value)."""
+    """Return the noise's variance in DN² as (at grey value 0, per grey value)."""
     return noise.dark_variance_dn2, noise.dn_per_e
 
 
 def _lost_share(decoded: CameraDecoder) -> float:
-    """Of the lit pixels, those whose frames contradict each other or that look like an edge. What is saturated has no phase
-    that could, and what the water hides does so at rest, too."""
+    """Return the share of the illuminated pixels whose frames contradict each other or that look like an edge. What
+    is saturated has no phase that could, and what the water hides does so at rest, too."""
     lit = (
         np.count_nonzero((decoded.mask != Mask.SHADOW) & (decoded.mask != Mask.SATURATED)) - decoded.backscatter_pixels
     )
@@ -166,7 +166,7 @@ def _turning_mm_s(harm: Harm) -> float:
 def _lateral(
     texture: TextureShift, harm: Harm, rig: StereoRig, water_index: float, frame_s: float
 ) -> tuple[float, float] | None:
-    """In mm/s at the distance of the volume's middle."""
+    """Return the texture's speed right and down, in mm/s at the distance of the volume's middle."""
     if texture.flow_px is None:
         return None
     camera = rig.left
@@ -188,7 +188,7 @@ def _shift(left: DriftMap, harm: Harm, texture: TextureShift, frames: int) -> fl
 
 
 TO_AND_FRO = 0.25
-"""Of the way there: so much of a way back is shaking."""
+"""Share of the way there from which on a way back is shaking."""
 LOCAL_CELLS, LOCAL_SHARE, LOCAL_REACH_CELLS = 0.2, 0.7, 4.0
 """Something else moves when so small a part of the cells has so great a part of the harm."""
 

@@ -19,7 +19,7 @@ from appliance.verdict.motion.texture import TextureShift
 MOVED = 4.5
 """The largest score from which on something moved."""
 DRIFT_FLOOR_PX, EDGE_FLOOR_PX, FLOW_FLOOR_PX = 0.001, 0.025, 0.01
-"""What the statistics may be off at rest beside their noise: pattern px per frame, pattern px, binned px."""
+"""Errors of the statistics at rest beside their noise: pattern px per frame, pattern px, binned px."""
 CHANGE, EARLY_CHANGE = (1.045, 0.020), (1.10, 0.07)
 """The differences of means at rest, in units of noise, and their standard deviations: rounding, and the projector's bends."""
 MIN_EDGE_CELLS = 6
@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Scores:
-    """In standard deviations at rest; ``None``: nothing to judge by."""
+    """Signs of movement in standard deviations at rest; ``None``: nothing to judge by."""
 
     drift: float | None
     """Mean, or slope across the pattern, of E."""
@@ -40,7 +40,7 @@ class Scores:
 
     @property
     def largest(self) -> float | None:
-        """Of those there are."""
+        """The largest score of those there are; ``None``: there is none."""
         known = [s for s in (self.drift, self.edges, self.flow, self.texture) if s is not None]
         return max(known) if known else None
 
@@ -105,7 +105,7 @@ def edges_score(course: tuple[Array, Array]) -> float | None:
 
 
 def flow_score(textures: Mapping[str, TextureShift]) -> float | None:
-    """Of the camera that saw more of it."""
+    """Return the score of the flow in the camera that saw more of it."""
     scores = []
     for one in textures.values():
         if one.flow_px is not None and one.flow_sd_px is not None:
@@ -114,7 +114,7 @@ def flow_score(textures: Mapping[str, TextureShift]) -> float | None:
 
 
 def texture_score(textures: Mapping[str, TextureShift]) -> float | None:
-    """Of the camera that saw more of it, by either pair of images."""
+    """Return the score of the changed texture in the camera that saw more of it, by either pair of images."""
     scores = []
     for one in textures.values():
         if one.change is not None and one.early_change is not None:

@@ -25,7 +25,7 @@ WINDOW_PX, LEVELS = 21, 3
 TEXTURE_LEVELS = 500.0
 """Grey levels per unit of texture, for an image of eight bits."""
 MIN_CONTRAST = 4.0
-"""Of a window's gradients over those of noise, in squares, in the direction that has less of it."""
+"""Least square of a window's gradients over that of noise, in the direction that has less of it."""
 MIN_POINTS = 6
 CLIP, CLIPPED = 2.5, 0.986
 """Differences beyond so many standard deviations count as that; and what this leaves of a normal one's."""
@@ -33,7 +33,7 @@ CLIP, CLIPPED = 2.5, 0.986
 
 @dataclass(frozen=True, slots=True)
 class TextureShift:
-    """Of one camera; px of the camera's own pixels."""
+    """Movement of the texture before one camera, in the camera's own px."""
 
     flow_px: tuple[float, float] | None
     """Median flow from the middle of the x-sines to that of the y-sines; ``None``: there is no texture to follow."""
@@ -79,7 +79,7 @@ def _binned_mean(
 def texture_shift(
     frames: NDArray[np.uint8], decoded: CameraDecoder, sequence: PatternSequence, variance_dn2: tuple[float, float]
 ) -> TextureShift:
-    """Of one camera's frames (n, h, w) uint8; ``variance_dn2`` as in ``drift``."""
+    """Measure the texture's movement in one camera's frames (n, h, w) uint8; ``variance_dn2`` as in ``drift_map``."""
     height_px, width_px = decoded.p_px.shape
     bin_px = max(1, round(width_px / WIDTH_PX))
     stride = 2 if bin_px >= 4 else 1
@@ -183,7 +183,7 @@ def _follow(
 def _lucas_kanade(
     before: NDArray[np.uint8], after: NDArray[np.uint8], places: NDArray[np.float32]
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Where places (n, 2) of one picture are in the other, and whether they were found."""
+    """Return where places (n, 2) of one picture are in the other, and whether they were found."""
     start = np.array(places, np.float32).reshape(-1, 1, 2)
     there, found, _ = cv2.calcOpticalFlowPyrLK(
         before, after, start, start.copy(), winSize=(WINDOW_PX, WINDOW_PX), maxLevel=LEVELS

@@ -36,9 +36,9 @@ MIN_OBJECT_DN = 6.0
 """Stripes that change a pixel by less light no object that could be measured."""
 SATURATED_DN = 255.0
 USUAL_CONTRAST = 0.8
-"""Of fringes, in turbid water, where no pixel tells."""
+"""Contrast of fringes in turbid water, where no pixel tells."""
 SPECK_SIGMAS = 6.0
-"""Of the four steps' disagreement: one in 500 million by noise alone."""
+"""Standard deviations of the four steps' disagreement: one in 500 million by noise alone."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,19 +67,20 @@ class Looked:
 
     cells: Cells
     veil_share: float | None
-    """Of the projected light that the object's pixels show, 0..1; ``None`` where nothing could be asked."""
+    """Backscatter as a share of the projected light that the object's pixels show, 0..1; ``None`` where nothing
+    could be asked."""
     object_pixels: int
     """Sampled pixels that show an object and are not saturated."""
     masked_share: float | None
-    """Of them, those without coordinates."""
+    """Share of them without coordinates."""
     hidden_share: float | None
-    """Of them, those that have no coordinates and show, as their weak fringes tell, more veil than object."""
+    """Share of them that have no coordinates and show, by their weak fringes, more backscatter than object."""
     fringe_contrast: float | None
     """Modulation of the fringes in halves of the object's light: what blur and the projector's response leave of it."""
     flicker_dn: float
     """Ambient light on the object from one frame to another, rms, as the sums of opposite steps tell it."""
     speck_share: float | None
-    """Of pixels with coordinates, those in which the four steps of a direction disagree."""
+    """Share of the pixels with coordinates in which the four steps of a direction disagree."""
 
 
 def look_at_veil(sequence: PatternSequence, frames: NDArray[np.uint8], decoded: CameraDecoder) -> Looked:

@@ -20,7 +20,7 @@ from appliance.optics.model import HousedCamera, StereoRig
 Array = NDArray[np.float64]
 
 NODES = 24
-"""Of the integral along a ray through the beam (Gauss and Legendre); 48 change it by less than 0.1 %."""
+"""Nodes of the integral along a ray through the beam (Gauss and Legendre); 48 change it by less than 0.1 %."""
 _PLACES, _SHARES = np.polynomial.legendre.leggauss(NODES)
 SCALE_MM = 500.0
 """Path at which the beam's brightness counts as one."""
@@ -36,7 +36,7 @@ class Beam:
     start_mm: Array
     """(3,): the light's apparent start in the left camera frame."""
     depth_mm: float
-    """From there to the window's outer face."""
+    """Distance from there to the window's outer face."""
     x_from: float
     x_to: float
     y_from: float
@@ -46,7 +46,8 @@ class Beam:
 
 @dataclass(frozen=True, slots=True)
 class Gathered:
-    """What n rays gather: ``weights @ exp(−attenuation · path_m)``, row by row, in mm of water lit as at ``SCALE_MM``."""
+    """Light that n rays gather: ``weights @ exp(−attenuation · path_m)``, row by row, in mm of water lit as at
+    ``SCALE_MM``."""
 
     weights: Array
     """(n, NODES)."""
@@ -71,7 +72,7 @@ class Gathered:
 def beam_of(
     rig: StereoRig, water_index: float, points_mm: Array, pattern_px: Array, size_px: tuple[int, int]
 ) -> Beam | None:
-    """From points (n, 3) and their pattern coordinates (n, 2); ``None`` where they do not span a beam."""
+    """Fit the beam to points (n, 3) and their pattern coordinates (n, 2); ``None`` where they do not span a beam."""
     between = np.asarray(rig.right.translation_mm)
     middle = 0.5 * between
     x = between / np.linalg.norm(between)
@@ -98,7 +99,7 @@ def beam_of(
 
 
 def gather(beam: Beam, origins_mm: Array, directions: Array, ends_mm: Array) -> Gathered:
-    """For rays (n, 3) in the left camera frame, from their window to ``ends_mm`` (n,) along them."""
+    """Integrate along rays (n, 3) in the left camera frame, from their window to ``ends_mm`` (n,) along them."""
     o = (origins_mm - beam.start_mm) @ beam.to_beam.T
     d = directions @ beam.to_beam.T
     first = np.maximum((beam.depth_mm - o[:, 2]) / d[:, 2], 0.0)
@@ -138,9 +139,9 @@ LEAST_GLOW_DN = 0.25
 """Mean over the picture: fainter, its shape is noise."""
 CANDIDATES_PER_M = np.arange(0.0, 12.01, 0.25)
 FAR_MM = 1500.0
-"""Where rays end that meet nothing."""
+"""Length of rays that meet nothing."""
 NOISE_DN, SHAPE_SHARE = 0.12, 0.06
-"""How well a cell's mean is known, and how far the design's beam is believed."""
+"""Standard deviations of a cell's mean, and of the design's beam as a share of its glow."""
 MIN_CELLS = 60
 
 
@@ -166,7 +167,8 @@ def shape_of_glow(glow_dn: Array, cells: tuple[int, int], rig: StereoRig, water_
 
 
 def _beam(rig: StereoRig, water_index: float) -> Beam:
-    """As drawn: the projector half way between the cameras, aimed at the volume's middle, with the left camera's field."""
+    """Return the beam as drawn: the projector half way between the cameras, aimed at the volume's middle, with the
+    left camera's field."""
     between = np.asarray(rig.right.translation_mm)
     middle = 0.5 * between
     x = between / np.linalg.norm(between)

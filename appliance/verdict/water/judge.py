@@ -27,7 +27,7 @@ MIN_ENTRY_MM = 195.0
 """Rays that enter the beam nearer to the projector's window tell little: there, the veil depends on the beam's very edge."""
 MIN_CELLS = 12
 MODEL_SHARE, MODEL_DN = 0.02, 0.05
-"""How far the model of single scattering is believed, beside the cells' own scatter."""
+"""Standard deviation of the model of single scattering, relative and absolute, beside the cells' own scatter."""
 LEAK = 0.001
 """Standard deviation, before the scan is looked at, of object's light from beyond a stripe's border, as a share of it."""
 STEADY_DN, FLICKERS = 0.02, 2.0
@@ -40,48 +40,48 @@ ROUNDS = 12
 ALBEDO = 0.6
 """Supposed of what is looked at, where backscatter is stated as a fraction of its light."""
 POINTS = 4_000
-"""Of the cloud, as many as are asked where the beam is, and where the rays end."""
+"""Number of the cloud's points that say where the beam is, and where the rays end."""
 MIN_POINTS = 3
-"""In a cell, for its depth to be known."""
+"""Least number of points in a cell for its depth to be known."""
 
 DIRTY_MASKED, DIRTY_VEIL, DIRTY_SPECKS = 0.25, 0.25, 0.02
 """A scan is poor because of the water when so much of the object has no coordinates and so much of the light is veil, or when
 specks disturb so much of it."""
 VEILED = 0.30
-"""From this share of veil on, the scan is poor however much of it has coordinates: here and there the veil outshines the
-object, and the Gray code has to be read through it (``reconstruct.decode.backscatter``)."""
+"""Share of backscatter from which on the scan is poor however much of it has coordinates: here and there the
+backscatter outshines the object, and the Gray code has to be read through it (``reconstruct.decode.backscatter``)."""
 HIDDEN = 0.25
-"""So much of the object may be lost where the veil outshines it."""
+"""Largest share of the object that may be lost where the backscatter outshines it."""
 
 
 @dataclass(frozen=True, slots=True)
 class WaterJudgement:
-    """What was found; ``None``: nothing to tell."""
+    """Measures of the water; ``None``: nothing to tell."""
 
     judgement: Judgement
     attenuation_per_m: float | None
     attenuation_sigma_per_m: float | None
     """Standard error of the attenuation."""
     veil_percent: float | None
-    """Of the projected light on the object's pixels, what the water sent back."""
+    """Percent of the projected light on the object's pixels that the water sent back."""
     backscatter_percent: float | None
     """Veil of a white pattern before the middle of the volume in otherwise clear water, in percent of what a surface there
     sends back: as if the brighter parts of what is seen had an albedo of 0.6."""
     expected_noise_mm: float | None
     """Median of the points' expected errors."""
     masked_percent: float | None
-    """Of the object's pixels, those without coordinates."""
+    """Percent of the object's pixels without coordinates."""
     hidden_percent: float | None
-    """Of the object's pixels, those without coordinates because the veil outshines them."""
+    """Percent of the object's pixels without coordinates because the backscatter outshines them."""
     speck_percent: float | None
-    """Of the pixels with coordinates, those that something passing by disturbed."""
+    """Percent of the pixels with coordinates that something passing by disturbed."""
     fringe_contrast_percent: float | None
     """Modulation in percent of half of the object's light: low where fringes are soft, whatever the veil."""
 
 
 @dataclass(frozen=True, slots=True)
 class Attenuation:
-    """What the veil's growth over the image says."""
+    """Attenuation as the backscatter's growth over the image gives it."""
 
     per_m: float
     sigma_per_m: float
