@@ -119,6 +119,7 @@ def _look(recorded: ScanImages, side: str) -> _Seen:
     swing = np.zeros(len(v), np.float32)
     for direction in Direction:
         s0, s1, s2, s3 = (frames[k][at][v, u].astype(np.float32) for k in sequence.axis(direction).sine)
+        # 2 B of each direction; over twice the light it is the contrast.
         swing += np.hypot(s0 - s2, s1 - s3)
     across = (decoded.p_px[at][v, u] * (PLACES[0] / sequence.width_px)).astype(np.intp).clip(0, PLACES[0] - 1)
     down = (decoded.q_px[at][v, u] * (PLACES[1] / sequence.height_px)).astype(np.intp).clip(0, PLACES[1] - 1)
@@ -155,6 +156,7 @@ def _smooth(cells: NDArray[np.intp], ratios: Array) -> Array:
     A = np.stack([np.ones_like(x), x, y], -1)
     fit = np.full(len(cells), np.median(ratios))
     for _ in range(ROUNDS):
+        # Cauchy weights: a cell with a fall hardly pulls the plane.
         weight = 1.0 / (1.0 + ((ratios / fit - 1.0) / TUNED) ** 2)
         rooted = np.sqrt(weight)
         fit = A @ np.linalg.lstsq(A * rooted[:, None], ratios * rooted, rcond=None)[0]

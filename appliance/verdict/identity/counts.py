@@ -64,6 +64,12 @@ _BEND = np.float32(0.25)
 """A step may differ from its neighbours by this much (rad), and by a third of itself."""
 
 
+# Symbols of the kernel. Along a line with samples x: (re, im) is 2 B (cos φ, sin φ) of the fringes along the line, with
+# the phase φ and the amplitude B; (other_re, other_im) the same of the fringes across it. mine and others are their
+# lengths, the differences of opposite steps. g is the Gray code of the bits at a sample, h the number of the half
+# period that it stands for, soft the bits that are too near to their threshold to be certain.
+
+
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def follow(
     values: NDArray[np.uint8],
@@ -101,6 +107,7 @@ def follow(
     b0, b1, b2, b3 = order[other_sine[0]], order[other_sine[1]], order[other_sine[2]], order[other_sine[3]]
     bright, dark = order[references[0]], order[references[1]]
     for line in range(values.shape[1]):
+        # First pass along a line: what each sample says by itself, and whether it can be compared with its neighbours.
         for x in range(samples):
             good[x] = False
             if not lit[line, x]:
@@ -112,12 +119,14 @@ def follow(
             not_dark = np.float32(values[dark, line, x]) > least + OFF_REFERENCE * swing
             sums[2] += 1.0 if not_bright else 0.0
             sums[3] += 1.0 if not_dark else 0.0
+            # Four steps I0..I3 of 90° give (I0 − I2, I3 − I1) = 2 B (cos φ, sin φ).
             re[x] = np.float32(values[a0, line, x]) - np.float32(values[a2, line, x])
             im[x] = np.float32(values[a3, line, x]) - np.float32(values[a1, line, x])
             other_re[x] = np.float32(values[b0, line, x]) - np.float32(values[b2, line, x])
             other_im[x] = np.float32(values[b3, line, x]) - np.float32(values[b1, line, x])
             mine = np.sqrt(re[x] * re[x] + im[x] * im[x])
             others = np.sqrt(other_re[x] * other_re[x] + other_im[x] * other_im[x])
+            # Fringes count when they are stronger than noise and than what the water alone can show.
             needed = max(_MIN_SWING_SHARE * swing, least_dn[high[line, x]])
             judged = not (not_bright or not_dark)  # at the outline of what moves, it is another surface than before
             for k in range(4):
@@ -125,6 +134,7 @@ def follow(
             # Not the fringe's difference, which depends on the order of the sines, but their spread, which does not.
             spread = max(max(share[0], share[1]), max(share[2], share[3]))
             spread -= min(min(share[0], share[1]), min(share[2], share[3]))
+            # Sums for the correlation of opposite steps: I0 with I2, I1 with I3.
             if judged and spread * swing >= needed and others >= needed:
                 sums[9] += 1.0
                 for k in range(4):
@@ -137,11 +147,13 @@ def follow(
             sums[1] += 1.0
             if not judged:
                 continue
+            # From Gray code to number: each bit of the number is that of the code xor the bit before.
             g, h, bit, soft, told = 0, 0, 0, 0, True
             for j in range(bits):
                 threshold = middle[min(j, middle.shape[0] - 1), line, x]
                 off = np.float32(values[order[gray[j]], line, x]) - threshold
                 now = 1 if off > np.float32(0.0) else 0
+                # A threshold that is NaN decides no bit.
                 told = told & (off == off)
                 soft = 2 * soft + (1 if abs(off) < doubt_dn[line, x] else 0)
                 g = 2 * g + now
@@ -151,9 +163,11 @@ def follow(
             if soft != 0:  # at a stripe's own edge, its phase tells; elsewhere, the bit says nothing
                 turns = np.float32(0.5 / np.pi) * np.arctan2(im[x], re[x])
                 told = told and periods(h, turns) == periods(plain_number(g ^ soft), turns)
+            # Both directions have the same amplitude on one surface; at an outline they have not.
             good[x] = told and _LEAST_RATIO * others < mine < _MOST_RATIO * others
             re[x], im[x] = re[x] / mine, im[x] / mine
             other_re[x], other_im[x] = other_re[x] / others, other_im[x] / others
+        # Second pass: the phase steps between neighbours that lie on one surface.
         for x in range(samples - 1):
             smooth[x] = False
             if not (good[x] and good[x + 1]):
@@ -162,12 +176,14 @@ def follow(
             next_ = np.float32(high[line, x + 1]) - np.float32(low[line, x + 1])
             if not _LEAST_RATIO * mine < next_ < _MOST_RATIO * mine:
                 continue
+            # The cosine and sine of the phase step, as the product of one unit phasor with the conjugate of the other.
             cosine = re[x] * re[x + 1] + im[x] * im[x + 1]
             across = other_re[x] * other_re[x + 1] + other_im[x] * other_im[x + 1]
             if cosine < _MAX_STEP_COS or across < _MAX_OTHER_COS:
                 continue
             smooth[x] = True
             step[x] = np.arctan2(re[x] * im[x + 1] - im[x] * re[x + 1], cosine)
+        # Third pass: steps that go on like their neighbours are counted, and whether code and phase agree there.
         for x in range(1, samples - 2):
             if not (smooth[x - 1] and smooth[x] and smooth[x + 1]):
                 continue
@@ -175,11 +191,13 @@ def follow(
             after = abs(step[x] - step[x + 1]) - np.float32(0.35) * max(abs(step[x]), abs(step[x + 1]))
             if before > _BEND or after > _BEND:
                 continue
+            # Where the line is, by the code and by the sample: their means are compared with the design.
             sums[20] += number[x]
             sums[21] += (x + 0.5) / samples
             sums[4] += 1.0
             sums[5] += 1.0 if step[x] > 0.0 else 0.0
             changed = code[x] ^ code[x + 1]
+            # An edge of a Gray code changes exactly one bit.
             if changed == 0 or changed & (changed - 1) != 0:
                 continue
             in_order = number[x + 1] == number[x] + 1
@@ -191,6 +209,8 @@ def follow(
             sums[6] += 1.0
             sums[7] += 1.0 if in_order else 0.0
             sums[8] += cosine
+            # The bit that changes where the number goes on by one; a wrong image is blamed for edges of its own and for
+            # missing ones.
             expected = (number[x] ^ (number[x] >> 1)) ^ ((number[x] + 1) ^ ((number[x] + 1) >> 1))
             for k in range(bits):
                 mask = 1 << (bits - 1 - k)

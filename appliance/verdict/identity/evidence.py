@@ -141,6 +141,7 @@ class Witness:
         name, axis = along.value, self._axes[along]
         steps = sums[Count.STEPS]
         if steps >= MIN_FRINGE:
+            # Mean place by the half periods' numbers, as a share of the field, against the mean place along the line.
             coded = (sums[Count.NUMBER] / steps + 0.5) * 0.5 * self._sequence.period_px / axis.size_px
             doubts[f"place {name}"] = abs(coded - sums[Count.PLACE] / steps) / MOST_DISPLACED[along]
             doubts[f"forward {name}"] = (1.0 - sums[Count.FORWARD] / steps) / (1.0 - LEAST_FORWARD)
@@ -172,6 +173,7 @@ class Witness:
             if n < MIN_SINE:
                 continue
             for first, place in ((0, Count.PRODUCT_02), (1, Count.PRODUCT_13)):
+                # Correlation of two opposite steps by their sums: (E[ab] − E[a] E[b]) / (σa σb).
                 means = mine[[Count.SINE_0 + first, Count.SINE_0 + first + 2]] / n
                 squares = mine[[Count.SQUARE_0 + first, Count.SQUARE_0 + first + 2]] / n
                 spread = float(np.sqrt(np.maximum(squares - means**2, 1e-6)).prod())

@@ -96,6 +96,7 @@ def differences(witness: Witness, sequence: PatternSequence, noise: CameraNoise)
     if values.shape[1] < MIN_FRINGE:
         values = np.concatenate([lines.values[:, lines.lit] for lines in witness.lines.values()], axis=1).astype(float)
     variance = noise.variance_dn2(values.mean(axis=0))
+    # |a − b|² = |a|² + |b|² − 2 a·b, over the variance of a difference of two frames.
     scaled = (values - values.mean(axis=0)) / np.sqrt(2.0 * variance)
     squares = (scaled**2).sum(axis=1)
     apart = squares[:, None] + squares - 2.0 * scaled @ scaled.T
@@ -138,6 +139,7 @@ def still_from(same: NDArray[np.float64]) -> int | None:
 def _reordered(witness: Witness, sequence: PatternSequence, noise: CameraNoise, doubts: Evidence) -> Explanation | None:
     """The order under which the least doubt is left, none is decided, and clearly less than of the frames as planned."""
     every = max(1, min(doubts.fringe // ENOUGH_FRINGE, 8))
+    # Every order is tried on a part of the lines; only the finalists face all of them.
     thin = {along: _thinned(lines, every) for along, lines in witness.lines.items()}
     scores = [
         (found.total, number)

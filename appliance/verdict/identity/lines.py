@@ -134,6 +134,8 @@ def thresholds(
     if scale is None or not any_backscatter(sequence, frames, mask, scale):
         return plain[None], none
     pixels = sample_pixels(sequence, frames, ALL, scale)
+    # Light is the object's own and the backscatter; the threshold is what an image illuminates of the latter, and half
+    # of the former.
     own = np.minimum(pixels.object_dn, pixels.light_dn)
     veil, apart_dn = pixels.light_dn - own, np.float32(APART_SIGMAS) * pixels.noise_dn
     room_dn = np.float32(0.5) * own + np.maximum(np.float32(BEYOND) * own, apart_dn)
@@ -144,6 +146,7 @@ def thresholds(
         gray = frames[k].astype(np.float32) - dark
         middle = _of_samples(illuminated_share(gray, pixels), gray.shape) * veil + np.float32(0.5) * own
         known = pixels.usable & np.isfinite(middle)
+        # Farther from its threshold than object and noise can bring it, a value is explained by neither bit.
         middle[abs(gray - middle) > room_dn] = np.nan
         told.append(np.where(known, dark + middle, without_veil))
     doubt_dn = np.minimum(np.float32(MARGIN_OF_VEIL) * veil, np.float32(MARGIN) * own)

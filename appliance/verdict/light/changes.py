@@ -125,6 +125,7 @@ def measure_changes(s: Sample, sequence: PatternSequence, noise: CameraNoise) ->
     if not judged.any():
         return UNKNOWN
     weight, relative = counts[judged] / counts[judged].sum(), relative[judged]
+    # Mean square of the shift without that of its own noise, and the light of finer grain than a block.
     squares = [
         (np.maximum(f.cosine**2 + f.sine**2 - 2.0 * f.sigma**2, 0.0) + FINE_FACTOR * np.maximum(f.fine, 0.0))[judged]
         for f in fits.values()
@@ -166,6 +167,7 @@ def find_frequency_hz(levels: tuple[Level, ...], frame_s: float) -> tuple[float,
     candidates = np.arange(2.0, 0.5 / frame_s + 0.01, 0.25)
     if not candidates.size:
         return None
+    # A cosine and a sine of each candidate, without the mean of each group, as the levels are.
     angle = 2.0 * np.pi * frame_s * np.outer(candidates, frame)
     basis = np.stack([_centred(np.cos(angle), group), _centred(np.sin(angle), group)], axis=-1)
     fitted = np.einsum("cnk,ck->cn", basis, np.linalg.pinv(basis, rcond=RANK) @ value)
@@ -207,6 +209,7 @@ def _apart(
         middle = [_median(part, weight) for part in parts]
         apart2 = np.sum((parts[:2].T - middle[:2]) ** 2, axis=1) - 2.0 * fit.sigma[judged] ** 2
         local2 += float(np.sum(weight * np.maximum(apart2, 0.0)))
+        # The four levels that have these differences and no sum: the inverse of (δ0 − δ2, δ3 − δ1, δ0 − δ1 + δ2 − δ3).
         c, s, third = middle
         own = (third / 4.0 + c / 2.0, -third / 4.0 - s / 2.0, third / 4.0 - c / 2.0, -third / 4.0 + s / 2.0)
         group = f"sine {direction.value}"

@@ -37,6 +37,12 @@ def warm_up() -> None:
     stripe_levels(np.ones((2, 4), np.float32), np.array([1]), 0, place, some, 1)
 
 
+# Symbols. (c, s) is the direction of the vector (I0 − I2, I3 − I1), (c2, s2) that of twice its angle; length is its
+# radius over the contrast, third is (I0 − I1 + I2 − I3) over the contrast. (x, y) is the pixel's place in its block,
+# from −1 to 1. shift and twice hold the terms of the two regressions row by row, with one column for each pixel of the
+# block.
+
+
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def fit_blocks(
     four: Floats,
@@ -71,8 +77,11 @@ def fit_blocks(
             length[j] = radius / light[j]
             third[j] = rest[at]
             c, s = cosine / radius, sine / radius
+            # cos 2φ and sin 2φ by the double-angle formulas.
             c2, s2 = c * c - s * s, 2.0 * c * s
             y, x = (2.0 * row[at] - first_y) / span_y, (2.0 * column[at] - first_x) / span_x
+            # length = a·(c, s) + third harmonics (seen at 4 φ) + a smooth surface + backscatter: a is the shift
+            # that is looked for.
             shift[0, j], shift[1, j], shift[2, j], shift[3, j] = c, s, c2 * c2 - s2 * s2, 2.0 * c2 * s2
             shift[4, j], shift[5, j], shift[6, j] = 1.0, x, y
             shift[7, j], shift[8, j], shift[9, j] = x * x, x * y, y * y
@@ -81,6 +90,7 @@ def fit_blocks(
             twice[0, j], twice[1, j], twice[2, j] = 1.0, c2, s2
         of_shift, found[SIGMA, k], found[EXPECTED, k] = regress(length, shift, light)
         found[COSINE, k], found[SINE, k] = of_shift[0], of_shift[1]
+        # The third difference: its mean is a change of light, its terms at 2 φ are the projector's second harmonic.
         of_twice, _, _ = regress(third, twice, light)
         found[THIRD, k] = of_twice[0]
         for j in range(n):
@@ -108,6 +118,7 @@ def common_of_neighbours(
     # Light that is usual before dark pixels is many grey values before bright ones; noise is not. Either is no edge.
     most_dn = CLIP * 1.4826 * np.median(np.abs(value))
     most_share = CLIP * 1.4826 * np.median(np.abs(rest))
+    # Each pixel learns its block, and its value is clipped: one edge must not outweigh a block.
     block = np.full(rest.size, -1)
     begin = 0
     for k in range(ends.size):
@@ -117,6 +128,7 @@ def common_of_neighbours(
             value[at] = min(max(value[at], -most), most)
         begin = ends[k]
     sums, weights = np.zeros(ends.size), np.zeros(ends.size)
+    # Pairs beside and below each other; below runs ahead through the sorted pixels, so that all is one pass.
     below = 0
     for at in range(rest.size):
         k = block[at]
@@ -130,6 +142,7 @@ def common_of_neighbours(
             beside = row[other] == row[at] and column[other] == column[at] + 1
             under = row[other] == row[at] + 1 and column[other] == column[at]
             if beside or under:
+                # Least squares of v_a v_b = m · c_a c_b over the pairs: m = Σ v_a v_b c_a c_b / Σ (c_a c_b)².
                 both = contrast[at] * contrast[other]
                 sums[k] += value[at] * value[other] * both
                 weights[k] += both * both
@@ -153,6 +166,7 @@ def stripe_levels(
     found = np.full(numbers.size, np.nan)
     count = np.empty(2 * BINS, np.int64)
     for j in range(numbers.size):
+        # Two histograms in one array: dark stripes in its first half, illuminated ones in the second.
         count[:] = 0
         image = grey[numbers[j]]
         for i in range(pixels.size):
@@ -162,6 +176,7 @@ def stripe_levels(
             elif share > 1.0 - STRIPE_EDGE:
                 count[BINS + min(int((share - 1.0 + STRIPE_EDGE) * BINS), BINS - 1)] += 1
         low, high = _median_bin(count[:BINS], least), _median_bin(count[BINS:], least)
+        # From bins back to shares of the contrast, then half way between the two medians.
         found[j] = 0.5 * (STRIPE_EDGE - 1.0 + low / BINS + 1.0 - STRIPE_EDGE + high / BINS)
     return found
 
@@ -198,6 +213,7 @@ def regress(value: Floats, terms: Floats, contrast: Floats) -> tuple[Floats, flo
     weight = np.minimum(contrast, most) ** 2
     residual = np.empty(n)
     coefficients, sigma, expected = np.zeros(size), np.inf, np.inf
+    # Weighted least squares; then what is far off, at an edge of the texture, is left out and the fit repeated.
     for _ in range(ROUNDS):
         normal, right = _normal(value, terms, weight)
         inverse = _inverse(normal)
@@ -210,6 +226,7 @@ def regress(value: Floats, terms: Floats, contrast: Floats) -> tuple[Floats, flo
         for j in range(n):
             squares += weight[j] * residual[j] ** 2
             used += 1 if weight[j] != 0.0 else 0
+        # Covariance of weighted least squares, for a noise of one grey value and for the one that is found.
         expected = np.sqrt(max(inverse[0, 0], inverse[1, 1]))
         sigma = expected * np.sqrt(squares / max(used - size, 1))
         off = np.abs(residual) * contrast

@@ -164,9 +164,11 @@ def _true_bright_dn(s: Sample, sequence: PatternSequence, clipped: NDArray[np.bo
         beside = np.minimum(values[(least + 1) % 4, columns], values[(least - 1) % 4, columns])
         u = np.maximum(values[least, columns] - dark, 0.5)
         w = np.maximum(beside - dark, 1.0)
+        # u = A (1 − m cos t), w = A (1 − m sin t): cos² + sin² = 1 leaves a quadratic in A.
         squares = u * u + w * w
         root = np.sqrt(np.maximum((u + w) ** 2 - (2.0 - m * m) * squares, 0.0))
         solved = np.maximum(squares / np.maximum(u + w - root, 1e-3), w)
+        # Only the least value is below saturation: A is smallest where it lies at t = 45°.
         at_least = np.maximum(u / (1.0 - m / np.sqrt(2.0)), w)
         mean = np.where(beside < FULL_DN, solved, at_least)
         mean = np.where(values[least, columns] < FULL_DN, mean, CENSORED_FACTOR * FULL_DN / 2.0)

@@ -22,6 +22,10 @@ SAMPLES = 12_000
 """Pixels of a camera that are looked at, about."""
 WIDTH_PX = 400
 """Gradients are taken over two px of an image of this width."""
+# Symbols of the kernel. x = (light, 1, ∂bright/∂u, ∂bright/∂v) are the terms by which the Gray image less the dark one,
+# y, is explained: y = a · light + b − shift · gradient. sums holds the upper triangle of x xᵀ, then x y, y², the count,
+# and the variance of a gradient by noise alone.
+
 _TERMS = 4
 MIN_PIXELS = 300
 MIN_CONTRAST = 2.0
@@ -84,6 +88,7 @@ def _accumulate(
             ):
                 continue
             x[0], x[1] = light, 1.0
+            # Central differences over twice the reach; their noise is that of two pixels over its square.
             x[2] = (np.float64(bright[v, u + reach]) - np.float64(bright[v, u - reach])) / (2.0 * reach)
             x[3] = (np.float64(bright[v + reach, u]) - np.float64(bright[v - reach, u])) / (2.0 * reach)
             y = np.float64(image[v, u]) - np.float64(dark[v, u])
@@ -149,6 +154,7 @@ def _solve(sums: Array) -> tuple[Array, float] | None:
     gradients = np.linalg.eigvalsh(normal[2:, 2:])
     if gradients[0] < MIN_CONTRAST * own:
         return None
+    # Errors in the variables: noise inflates Σ gradient², and would make every shift too small.
     normal[2, 2] -= own
     normal[3, 3] -= own
     right = sums[products : products + _TERMS]

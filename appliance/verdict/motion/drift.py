@@ -22,6 +22,11 @@ CELL_PX = 64
 """Side of a cell in pattern px: 16 mm; one fringe of the longest period."""
 SAMPLES = 120_000
 """Pixels of a camera that are looked at, about."""
+# Symbols of the kernels. At a pixel (u, v) with pattern coordinates (p, q): a, b, c, d are the four sine images I₀..I₃,
+# (cosine, sine) = B (cos φ, sin φ), and C = a − b + c − d (left_over). x holds the terms that C is fitted by: B, B cos
+# φ, B sin φ, B cos 2φ, B sin 2φ, and the mean light. A row of sums holds the upper triangle of their normal equations,
+# then the products with C, C², and the sums named by the constants below.
+
 _TERMS = 6
 _PRODUCTS = _TERMS * (_TERMS + 1) // 2
 _RIGHT = _PRODUCTS
@@ -86,10 +91,12 @@ def _accumulate(
             if row >= sums.shape[0] or column >= sums.shape[1]:
                 continue
             a, b, c, d = np.float64(i0[v, u]), np.float64(i1[v, u]), np.float64(i2[v, u]), np.float64(i3[v, u])
+            # Four steps of 90°: I₀ − I₂ = 2 B cos φ, I₃ − I₁ = 2 B sin φ.
             cosine, sine = 0.5 * (a - c), 0.5 * (d - b)
             modulation = np.sqrt(cosine * cosine + sine * sine)
             if modulation < 2.0:
                 continue
+            # The combination that holds no phase, and the terms by which it is explained.
             left_over = a - b + c - d
             x = (
                 modulation,
@@ -99,6 +106,7 @@ def _accumulate(
                 2.0 * cosine * sine / modulation,
                 0.25 * (a + b + c + d),
             )
+            # Normal equations of the cell.
             s = sums[row, column]
             k = 0
             for i in range(_TERMS):
@@ -112,6 +120,8 @@ def _accumulate(
             s[_V] += v
             s[_INVERSE] += 1.0 / (modulation * modulation)
             s[_LIGHT] += 0.25 * (a + b + c + d)
+            # The coordinate's slope, where both neighbours have one (NaN differs from itself), and with it the gradient
+            # of the light.
             before, after = p_px[v, u - 1], p_px[v, u + 1]
             if before == before and after == after:
                 slope = np.float64(0.5) * (after - before)
@@ -180,6 +190,7 @@ def _left_over(
             )  # fmt: skip
             beside, _ = _left_over_at(a, b, c, d, f)
             light += 0.25 * (a + b + c + d)
+            # Noise of two pixels with four images each is taken off; 4 B² makes it a phase, squared.
             apart = beside - here
             sums[row, column] += apart * apart - 4.0 * (2.0 * dark_dn2 + per_dn * light)
             count[row, column] += 4.0 * squared
@@ -218,6 +229,7 @@ def _solve(
     enough = count >= MIN_PIXELS
     normal = np.empty((*count.shape, _TERMS, _TERMS))
     upper = np.triu_indices(_TERMS)
+    # The full symmetric matrix from its upper triangle.
     normal[..., upper[0], upper[1]] = sums[..., :_PRODUCTS]
     normal[..., upper[1], upper[0]] = sums[..., :_PRODUCTS]
     # A little of the trace keeps cells with few fringes solvable; it is far below what any cell can tell.
@@ -226,7 +238,9 @@ def _solve(
     inverse = np.linalg.inv(normal)
     right = sums[..., _RIGHT : _RIGHT + _TERMS]
     fit = np.einsum("...ij,...j->...i", inverse, right)
+    # Residual variance of the fit: (Σ C² − fit · right) / degrees of freedom.
     rest = np.maximum(sums[..., _SQUARE] - np.sum(fit * right, -1), 0.0) / np.maximum(count - _TERMS, 1.0)
+    # C = 2 ε B (sin φ − cos φ): the coefficients of B sin φ and B cos φ are 2 ε and −2 ε; ε is a quarter of their difference.
     tells = np.array([0.0, -0.25, 0.25, 0.0, 0.0, 0.0])
     # A second harmonic κ puts 4 κ cos 2φ into C, and a drift bends φ itself, by 2 ε κ sin 2φ (cos φ − sin φ): of the
     # drift's own terms, 4 κ² are then missing from C.

@@ -22,6 +22,11 @@ INNER_PX, REACH_PX = 4.5, 7.5
 dark and how light its sides are. Blur stays within the first; the next edge is 16 px away at least."""
 SAMPLES = 60_000
 """Pixels of a camera that are looked at, about."""
+# Symbols of the kernel. way is +1 where light begins at the edge, −1 where it ends; beside is the distance from the
+# edge towards the light, pattern px; lit is the image's value from dark (0) to bright (1). The sums hold, for the inner
+# part and for the dark and the bright side, how many pixels there are and their light; and the light of an ideal,
+# unmoved edge.
+
 _COLUMNS = 8
 _INNER, _INNER_LIT, _INNER_STEP, _INNER_WAY, _LOW, _LOW_LIT, _HIGH, _HIGH_LIT = range(_COLUMNS)
 MIN_PIXELS, MIN_HEIGHT = 10, 0.3
@@ -72,6 +77,7 @@ def _accumulate(
             low, high = np.float64(dark[v, u]), np.float64(bright[v, u])
             if high - low < 8.0:
                 continue
+            # Dark and bright reference take albedo and steady ambient light out of the value.
             lit = (np.float64(image[v, u]) - low) / (high - low)
             beside = way * (np.float64(p) - edge)
             s = sums[row, column]
@@ -123,6 +129,7 @@ def _solve(sums: NDArray[np.float64]) -> NDArray[np.float64]:
     """An edge that moves by so many px takes so many px of light with it, whatever its blur."""
     count, low, high = sums[..., _INNER], sums[..., _LOW], sums[..., _HIGH]
     with np.errstate(invalid="ignore", divide="ignore"):
+        # The step between both sides scales the light; what is more than an unmoved edge gives is the shift.
         dark = sums[..., _LOW_LIT] / low
         height = sums[..., _HIGH_LIT] / high - dark
         known = (np.minimum(count, np.minimum(low, high)) >= MIN_PIXELS) & (height > MIN_HEIGHT)

@@ -52,6 +52,7 @@ def surface_map(
     rows, columns = shape
     known = (p >= 0.0) & (q >= 0.0) & (p < columns * CELL_PX) & (q < rows * CELL_PX) & np.isfinite(cosine)
     cell = (q[known] / CELL_PX).astype(np.int64) * columns + (p[known] / CELL_PX).astype(np.int64)
+    # Errors along a ray count across the surface by cos θ, squared where variances are added up.
     square = cosine[known].astype(np.float64) ** 2
     noise = square * cloud.sigma_mm[inside][known].astype(np.float64) ** 2
 
@@ -162,7 +163,9 @@ def predict(
             slope2 = 0.5 * (left.slope_per_px**2 + right.slope_per_px**2)
             paint = paint + texture * slope2 * 0.25 * double_step2
         second2 = 0.5 * (left.second2 + right.second2)
+        # E² (1/8 + 2 κ²), without what the drift's own uncertainty adds to its square.
         ripple2 = (drift**2 - variance) * (0.125 + 2.0 * second2)
+        # E² (P/2π)² g² of both halves of the fringe, and what moving albedo leaves.
         ripple2 += px_per_rad**2 * ((steps2 - 2.0 * variance) * texture + paint)
         known = np.isfinite(drift) & np.isfinite(across) & np.isfinite(surface.noise_mm) & np.isfinite(ripple2)
         if known.any():
@@ -213,6 +216,7 @@ def depth_per_px(left: DriftMap, right: DriftMap, rig: StereoRig, water_index: f
 
 def _reach(origin: Array, along: Array, other: Array, other_along: Array) -> Array:
     """Return how far along the first rays (n, 3) the second ones pass nearest, mm."""
+    # Nearest points of two skew lines with unit directions.
     apart = origin - other
     b = np.sum(along * other_along, -1)
     return np.asarray((b * np.sum(other_along * apart, -1) - np.sum(along * apart, -1)) / (1.0 - b * b))

@@ -174,6 +174,7 @@ def _lateral(
     # Rays begin at the window, not at the lens.
     origin, along = camera.rays(np.stack([middle, middle + np.array([1.0, 0.0])]), water_index)
     here, beside = origin + along * ((rig.volume_centre_mm(water_index) - origin[0]) @ along[0])
+    # mm across the middle of the volume per px of the image, per second.
     scale = float(np.linalg.norm(beside - here)) / (texture.frames * frame_s)
     return texture.flow_px[0] * scale, texture.flow_px[1] * scale
 
@@ -250,6 +251,7 @@ def _is_local(harm: Harm, scores: Scores) -> bool:
     known = (harm.weight > 0.0) & (harm.noise_mm > 0.0)
     if np.count_nonzero(known) < 20 or (scores.flow or 0.0) >= MOVED or (scores.edges or 0.0) >= MOVED:
         return False
+    # Uncertain cells have large ripples by chance.
     certain = known & (np.abs(harm.drift_px) > 6.0 * harm.sd_px)
     squared = np.where(certain, np.nan_to_num(harm.ripple_mm / harm.noise_mm) ** 2 * harm.weight, 0.0)
     if squared.sum() <= 0.01 * harm.weight.sum():

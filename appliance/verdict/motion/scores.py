@@ -79,6 +79,7 @@ def edge_course(edges: Mapping[str, EdgeShifts], harm: Harm) -> tuple[Array, Arr
     Medians over the cells. Where most are certain of their drift, shifts count in units of it (and are given for the typical
     one), so that a turn neither cancels nor looks different in frames whose edges lie elsewhere.
     """
+    # Left less right: lateral movement moves both alike, depth moves them against each other.
     shift = edges["left"].shift_px - edges["right"].shift_px
     known = np.isfinite(shift) & (harm.weight > 0.0)
     size = np.abs(harm.drift_px)
@@ -93,6 +94,7 @@ def edge_course(edges: Mapping[str, EdgeShifts], harm: Harm) -> tuple[Array, Arr
         if np.count_nonzero(there) >= MIN_EDGE_CELLS:
             mine = values[there]
             middle[frame] = np.median(mine)
+            # Standard error of a median: 1.25 σ / √n, with σ as 1.4826 times the median deviation.
             sd[frame] = 1.25 * 1.4826 * np.median(np.abs(mine - middle[frame])) / np.sqrt(mine.size)
     return middle, sd
 

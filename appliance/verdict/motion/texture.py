@@ -65,6 +65,7 @@ def _binned_mean(
     line = np.zeros(out.shape[1] * bin_px, np.uint16)
     scale = np.float32(1.0 / (numbers.size * bin_px * ((bin_px + stride - 1) // stride)))
     for j in range(out.shape[0]):
+        # The column sums of one row of bins, over all its images and rows; 16 bits hold 257 full-scale rows.
         line[:] = np.uint16(0)
         for k in numbers:
             for y in range(0, bin_px, stride):
@@ -127,6 +128,7 @@ def _difference(a: NDArray[np.float32], b: NDArray[np.float32], inside: NDArray[
     rest = np.where(inside, b - np.float32(gain) * a, np.float32(0.0))
     weight = inside.astype(np.float32)
     smooth = cv2.boxFilter(rest, -1, (9, 9)) / np.maximum(cv2.boxFilter(weight, -1, (9, 9)), 1e-3)
+    # What is smooth is daylight; the finest grain is texture that moved, or noise.
     high = (rest - smooth)[inside]
     most = np.float32(CLIP) * np.float32(high.std())
     return float(np.clip(high, -most, most).std() / CLIPPED / np.sqrt(variance * gain**2))
@@ -165,6 +167,7 @@ def _follow(
     gy = cv2.Sobel(before, cv2.CV_32F, 0, 1, scale=0.125) * inside
     size = (WINDOW_PX, WINDOW_PX)
     xx, yy, xy = (cv2.boxFilter(g, -1, size) for g in (gx * gx, gy * gy, gx * gy))
+    # The smaller eigenvalue of the structure tensor: texture must hold in both directions to be followed.
     least = 0.5 * (xx + yy) - np.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
     # Sobel/8 of white noise has 3/16 of its variance.
     noise = (0.1875 * np.float32(variance)) * scale * scale * cv2.boxFilter(inside.astype(np.float32), -1, size)
@@ -173,6 +176,7 @@ def _follow(
     grid = grid[good]
     if not len(grid):
         return np.empty((0, 2))
+    # There and back again: a place that does not return was not followed.
     there, found = _lucas_kanade(before, after, grid)
     back, returned = _lucas_kanade(after, before, there)
     miss = np.linalg.norm(back - grid, axis=1)

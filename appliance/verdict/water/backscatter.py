@@ -113,6 +113,7 @@ def look_at_veil(sequence: PatternSequence, frames: NDArray[np.uint8], decoded: 
         place = (p_px + np.float32(0.5)) / np.float32(width_px) - np.float32(0.5)
         stripe = np.floor(place)
         here = image.ravel()[pixels]
+        # Half of the backscatter: missing in the middle of an illuminated stripe, left in the middle of a dark one.
         half = np.where(stripe % 2.0 == 0.0, light - here, here - black)
         good = np.abs(place - stripe - np.float32(0.5)) < np.float32(0.5 - FROM_EDGE)
         total += good * half
@@ -123,6 +124,7 @@ def look_at_veil(sequence: PatternSequence, frames: NDArray[np.uint8], decoded: 
         cell[judged], np.stack([u, v], -1)[judged], 2.0 * total[judged] / count[judged],
         (light - black)[judged], black[judged],
     )  # fmt: skip
+    # All projected light on the object's pixels: its own and the backscatter.
     of_light = float(cells.pixels @ (cells.signal_dn + cells.veil_dn))
     sines = [[seen(k) for k in sequence.axis(direction).sine] for direction in Direction]
     steps = [[one.ravel()[pixels] for one in axis] for axis in sines]
@@ -162,6 +164,7 @@ def _by_cell(cell: NDArray[np.intp], uv: NDArray[np.intp], veil: Floats, lit: Fl
         return np.asarray(np.bincount(among, values, size) / np.maximum(count, 1.0))
 
     count = np.bincount(cell, minlength=size).astype(np.float64)
+    # One round of clipping; then means and standard errors of what is kept.
     off = veil - mean(veil, cell, count).astype(np.float32)[cell]
     spread = np.sqrt(mean(off * off, cell, count))
     keep = np.abs(off) <= (OUTLIER_SIGMAS * spread).astype(np.float32)[cell]
@@ -206,6 +209,7 @@ def _passing(cell: NDArray[np.intp], directions: list[list[Floats]]) -> tuple[fl
         off = even - odd
         common.append(float(np.median(off)))
         off -= np.float32(common[-1])
+        # Second harmonic: cos 2φ in the units of the steps, fitted by least squares in each cell.
         cosine, sine = i0 - i2, i3 - i1
         second = (cosine - sine) * (cosine + sine) / np.hypot(cosine, sine)
         of_cell = np.bincount(cell, off * second, size) / np.maximum(np.bincount(cell, second * second, size), 1.0)

@@ -90,6 +90,7 @@ def beam_of(
     for k, size in enumerate(size_px):
         t, px = tangents[:, k], pattern_px[:, k]
         spread = float(np.var(t))
+        # Pattern px are linear in the tangent: the line's ends at the first and the last px are the beam's borders.
         per_tangent = float(np.mean((t - t.mean()) * (px - px.mean()))) / spread if spread > 1e-6 else 0.0
         if per_tangent <= 0.0:
             return None
@@ -104,6 +105,7 @@ def gather(beam: Beam, origins_mm: Array, directions: Array, ends_mm: Array) -> 
     d = directions @ beam.to_beam.T
     first = np.maximum((beam.depth_mm - o[:, 2]) / d[:, 2], 0.0)
     last = np.array(ends_mm, np.float64)
+    # Clip the ray to the beam, border plane by border plane.
     for axis, border, sign in (
         (0, beam.x_from, 1.0),
         (0, beam.x_to, -1.0),
@@ -118,6 +120,7 @@ def gather(beam: Beam, origins_mm: Array, directions: Array, ends_mm: Array) -> 
         last = np.where(gains < 0.0, np.minimum(last, crossing), last)
         last = np.where((gains == 0.0) & (inside < 0.0), first, last)
     last = np.maximum(last, first)
+    # Gauss and Legendre nodes from −1..1 to the part of the ray that lies in the beam.
     along = first[:, None] + (last - first)[:, None] * 0.5 * (_PLACES + 1.0)
     bright, path_mm = _light(beam, o[:, None] + along[..., None] * d[:, None])
     ends, far_mm = _light(beam, o + np.asarray(ends_mm)[:, None] * d)
@@ -131,6 +134,7 @@ def _light(beam: Beam, at: Array) -> tuple[Array, Array]:
     away = np.linalg.norm(at, axis=-1)
     cosine = at[..., 2] / away
     path = away - beam.depth_mm / cosine
+    # Inverse square from the apparent start, and cos⁴ of the angle from the beam's axis.
     spread = (SCALE_MM + beam.depth_mm) / away
     return spread * spread * cosine**4, path
 

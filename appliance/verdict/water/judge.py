@@ -130,11 +130,13 @@ def fit_attenuation(cells: Cells, gathered: Gathered, black_dn: float, flicker_d
     )
     veil = cells.veil_dn[use]
     prior = np.diag([0.0, 1e-6, (STEADY_DN + FLICKERS * flicker_dn) ** -2, LEAK**-2])
+    # x = (strength, attenuation, share of ambient light, leak): Gauss and Newton on the cells' backscatter.
     x = np.array([0.0, 1.0, 0.0, 0.0])
     x[0] = _strength(rays.veil(x[1]), veil, sigma)
     for _ in range(ROUNDS):
         J = np.column_stack([rays.veil(x[1]), x[0] * rays.slope(x[1]), others]) / sigma[:, None]
         residual = (veil - x[0] * rays.veil(x[1]) - others @ x[2:]) / sigma
+        # Normal equations with the prior as further observations of the last two unknowns at 0.
         normal = J.T @ J + prior
         try:
             step = np.linalg.solve(normal, J.T @ residual - prior @ np.array([0.0, 0.0, x[2], x[3]]))
@@ -144,6 +146,7 @@ def fit_attenuation(cells: Cells, gathered: Gathered, black_dn: float, flicker_d
         x += step
         x[1] = np.clip(x[1], 0.0, MAX_ATTENUATION_PER_M)
         x[0] = max(x[0], 1e-12)
+    # A fit worse than its errors makes the attenuation as much less certain.
     excess = max(1.0, float(residual @ residual) / (len(veil) - 2))
     sigma_per_m = float(np.sqrt(np.linalg.inv(normal)[1, 1] * excess))
     if not sigma_per_m <= MAX_SIGMA_PER_M:
@@ -247,6 +250,7 @@ def _strength(gathered: Array, veil: Array, sigma: Array) -> float:
 
 def _backscatter_percent(found: Attenuation, cells: Cells, gathered: Gathered, clear: float) -> float | None:
     falls = gathered.falls * np.exp(-found.per_m * gathered.ends_m)
+    # Light that a surface of albedo 1 would send back from the brightest place of the beam.
     white_dn = float(np.percentile(cells.signal_dn / falls, 75.0)) / ALBEDO
     if white_dn <= 0.0:
         return None
