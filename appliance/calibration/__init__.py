@@ -1,1 +1,1 @@
-"""What was learned about one instrument: its calibration file, and how to make one."""
+"""The knowledge about one instrument: its calibration file, and how one is made."""

@@ -58,13 +58,14 @@ class BoardView:
 
 @dataclass(frozen=True, slots=True)
 class BoardTolerance:
-    """How far a board may differ from its drawing (standard deviations)."""
+    """Standard deviations of a board's departures from its drawing."""
 
     scale: float = 1e-5
-    """Of the print; every length measured later has this error."""
+    """Standard deviation of the print's scale, relative; every length measured later has this error."""
     bow_mm: float = 0.1
-    """How far its middle may stand back: z = bow (1 − 2 r²/a²), a half its width. It is adjusted: twenty views tell it to
-    a micrometre, and 0.01 mm left unnoticed would cost half a pixel of principal distance."""
+    """Standard deviation of the bow, which is how far the middle stands back: z = bow (1 − 2 r²/a²), a half the board's
+    width. The bow is adjusted: twenty views tell it to a micrometre, and 0.01 mm left unnoticed would cost half a pixel
+    of principal distance."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,7 +82,7 @@ class FittedView:
     right_residual_px: Array
     """(n, 2)."""
     remarks: tuple[str, ...] = ()
-    """What was odd about it, in words."""
+    """Oddities of the calibration, in words."""
 
     @property
     def residual_px(self) -> float:
@@ -101,7 +102,7 @@ class AirCalibration:
     residual_px: float
     """RMS per coordinate."""
     board_bow_mm: float
-    """How the board was found to be bent: how far its middle stands back, z = bow (1 − 2 r²/a²)."""
+    """Bow of the board as adjusted: how far its middle stands back, z = bow (1 − 2 r²/a²)."""
     left_out: tuple[str, ...]
     """Views that were not used, each with the reason in words."""
     views: tuple[FittedView, ...]
@@ -239,13 +240,13 @@ def _moved(board: tuple[Array, Array], x: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Bend:
-    """How the board's plate is bent: by one amount, the same in all views, in the shape that a plate takes."""
+    """Model of a bent board: one amount, the same in all views, in the shape that a plate takes."""
 
     middle: Array
     reach_mm: float
 
     def of(self, view: BoardView) -> Array:
-        """What one mm of bow does to the corners (n, 3) of a view."""
+        """Return the displacement of the corners (n, 3) of a view per mm of bow."""
         out = view.corners_mm - self.middle
         bent = np.zeros_like(out)
         bent[:, 2] = 1.0 - 2.0 * np.sum(out[:, :2] ** 2, axis=1) / self.reach_mm**2

@@ -78,7 +78,7 @@ Place = PlanePlace | BarPlace
 
 
 def first_place(recording: Recording, rig: StereoRig) -> tuple[Place, Recording]:
-    """Where the artefact seems to be with ``rig``, and the recording without points of grazing sight.
+    """Estimate the artefact's pose with ``rig``; return it and the recording without points of grazing sight.
 
     Raises RecordingError when the points do not look like the artefact at all.
     """

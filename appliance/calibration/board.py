@@ -47,7 +47,7 @@ class BoardDesign:
     dictionary: int = cv2.aruco.DICT_5X5_250
 
     def __str__(self) -> str:
-        """As ``parse_board`` reads it."""
+        """Spell the board in the form that ``parse_board`` reads."""
         return f"{self.across}x{self.down}x{self.square_mm:g}x{self.marker_mm:g}"
 
     @property

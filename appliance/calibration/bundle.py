@@ -35,7 +35,7 @@ SHIFT_STEP_MM = 1e-3
 
 
 class Rung(Enum):
-    """How much the adjustment may change."""
+    """Freedom of the adjustment: which parameters it may change."""
 
     PORTS = "ports"
     """Per camera the port's tilt and distance; the calibration in air is believed."""
@@ -52,24 +52,25 @@ class BundleSettings:
     """Noise and priors (standard deviations), and when to stop."""
 
     noise_px: float = 0.04
-    """Of a matched right pixel, per coordinate."""
+    """Standard deviation of a matched right pixel, per coordinate."""
     tilt_deg: float = 0.7
     distance_mm: float = 3.0
     mount_deg: float = 0.01
-    """What the stereo pose may have changed between the calibration in air and the water."""
+    """Standard deviation of the change of the stereo pose between the calibration in air and the water."""
     mount_mm: float = 0.02
     refocus: float = 1e-4
     """Relative change of a principal distance between air and water."""
     spline_px: float = 0.15
     spline_bend_px: float = 0.05
-    """Of second differences between neighbouring spline nodes."""
+    """Standard deviation of second differences between neighbouring spline nodes."""
     field_intervals: tuple[int, int] = (10, 8)
-    """Of the field's image correction, across and down."""
+    """Intervals of the field's image correction, across and down."""
     field_bend_px: float = 0.03
-    """As ``spline_bend_px``, between its nearer nodes."""
+    """Standard deviation of second differences of the field's image correction; its nodes are nearer than the
+    spline's."""
     shift_mm: float = 0.02
     shift_bend_mm: float = 0.01
-    """Of the ray shift's nodes, and of their second differences."""
+    """Standard deviation of the ray shift's nodes, and of their second differences."""
     points_per_recording: int = 1500
     far_residual: float = 4.0
     """Residuals beyond this many standard deviations lose weight in proportion (Huber)."""
@@ -80,7 +81,7 @@ class BundleSettings:
 
 @dataclass(frozen=True, slots=True)
 class RecordingResidual:
-    """What is left of one recording."""
+    """Residuals of one recording after the adjustment."""
 
     name: str
     points: int

@@ -24,10 +24,10 @@ EDGES = {"left": (0, False), "right": (0, True), "top": (1, False), "bottom": (1
 EDGE_SHARE = 1 / 8
 """Beyond the outermost corners a lens is only guessed: this part of the image along each edge must be seen, too."""
 ENOUGH_CORNERS = 6
-"""In a region, over all views."""
+"""Least number of corners in a region, over all views."""
 LEAST_LEAN_DEG = 12.0
 GUESSED_PRINCIPAL_DISTANCE = 1.6
-"""In image widths: good enough to tell how a board leans."""
+"""Principal distance in image widths that is assumed: good enough to tell how a board leans."""
 LEANS = {
     "with its left edge away": (0, -1.0),
     "with its right edge away": (0, 1.0),
@@ -39,16 +39,16 @@ LEANS = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Coverage:
-    """What a set of views shows."""
+    """Coverage of image regions, distances and tilts by a set of views."""
 
     corners: dict[str, NDArray[np.int64]]
     """(3, 3) per side: corners in each region."""
     missing: tuple[str, ...]
-    """What still to show, as sentences for the person who holds the board; empty when nothing is."""
+    """Missing views, as sentences for the person who holds the board; empty when nothing is missing."""
 
 
 def coverage(views: Sequence[BoardView], width_px: int, height_px: int) -> Coverage:
-    """What ``views`` show and what they lack."""
+    """Determine what ``views`` cover and what they lack."""
     corners, missing = {}, []
     for side, seen in (("left", [v.left_px for v in views]), ("right", [v.right_px for v in views])):
         counts = np.zeros((3, 3), np.int64)
@@ -75,7 +75,8 @@ def coverage(views: Sequence[BoardView], width_px: int, height_px: int) -> Cover
 
 
 def _slope(view: BoardView, width_px: int, height_px: int) -> Array | None:
-    """How much farther the board gets along the left image's x and y, (2,); ``None`` where that cannot be told."""
+    """Estimate the slope of the board's distance along the left image's x and y, (2,); ``None`` where it cannot be
+    told."""
     f_px = GUESSED_PRINCIPAL_DISTANCE * width_px
     lens = np.array([[f_px, 0.0, (width_px - 1) / 2], [0.0, f_px, (height_px - 1) / 2], [0.0, 0.0, 1.0]])
     done, turn, _ = cv2.solvePnP(view.corners_mm, view.left_px.reshape(-1, 1, 2), lens, np.zeros(5))

@@ -86,7 +86,8 @@ def cost_svg(costs: tuple[float, ...]) -> str:
 
 
 def seen_svg(estimates: tuple[Estimate, ...]) -> str:
-    """How far the recordings reached each parameter: a bar for each, full where nothing of the prior's width is left."""
+    """Draw how far the recordings determined each parameter: a bar for each, full where nothing of the prior's width is
+    left."""
     line = 17
     height = line * len(estimates) + 8
     parts = []

@@ -39,19 +39,20 @@ LARGEST_BOW_MM = 1.0
 POINTS_PER_SURFACE = 4000
 """Wanted; a surface that fills the image gives about so many, evenly spread."""
 UNSTATED_RADIUS_SD_MM = 0.2
-"""Of a radius that no certificate states and that is taken from the cloud of a calibration yet to be made."""
+"""Standard deviation of a radius that no certificate states and that is taken from the cloud of a calibration yet to be
+made."""
 
 
 @dataclass(frozen=True, slots=True)
 class Certificate:
-    """What is known of a ball bar. Lengths in mm."""
+    """Certified dimensions of a ball bar. Lengths in mm."""
 
     length_mm: float
     """Between the centres."""
     length_sd_mm: float = 0.003
     """Its standard uncertainty (half of the expanded one)."""
     radius_mm: float | None = None
-    """Of both balls; ``None``: not stated, it is estimated."""
+    """Radius of both balls; ``None``: not stated, it is estimated."""
     radius_sd_mm: float = 0.01
 
 
@@ -161,7 +162,7 @@ def _even(u: Pixels, v: Pixels) -> Flags:
 
 
 def _even_albedo(image: DecodedImage, px: Pixels) -> Flags:
-    """Whether the modulation around pixels (n, 2), all inside the guard, is the same all over the window."""
+    """Tell whether the modulation around pixels (n, 2), all inside the guard, is the same all over the window."""
     offsets = np.arange(-HALF_WINDOW_PX, HALF_WINDOW_PX + 1)
     v, u = (grid.ravel() for grid in np.meshgrid(offsets, offsets, indexing="ij"))
     height, width = image.modulation_half_dn.shape

@@ -48,7 +48,7 @@ class Calibration:
 
     rig_serial: str
     method: str
-    """How it was made: ``design`` (never measured), ``air``, ``bundle``, …"""
+    """Method that made it: ``design`` (never measured), ``air``, ``bundle``, …"""
     made_at: str
     """ISO 8601 date and time, or ``unknown``."""
     made_from: tuple[str, ...]
@@ -59,9 +59,11 @@ class Calibration:
     residual_px: float | None = None
     """RMS residual of the adjustment, ``None`` where there was none."""
     air_covariance: Matrix22 | None = None
-    """Of the values from air (``parameters.NAMES[AIR]``): the prior of an adjustment in water that starts here."""
+    """Covariance of the values from air (``parameters.NAMES[AIR]``): the prior of an adjustment in water that starts
+    here."""
     camera_serials: tuple[str, str] | None = None
-    """Of the left and the right camera; ``None``: not known, as in files made before they were written down."""
+    """Serial numbers of the left and the right camera; ``None``: not known, as in files made before they were written
+    down."""
 
     @property
     def hash(self) -> str:

@@ -37,7 +37,7 @@ WATER_INDEX = "water index"
 TURNS = tuple(f"right camera's turn {axis} (rad)" for axis in "xyz")
 FIELD_NODES = (12, 9)
 FIELD_DEPTHS_MM = (460.0, 525.0, 590.0)
-"""Where amplitudes are normalised: a lattice over the image at three depths of the measuring volume."""
+"""Depths of the lattice over the image on which amplitudes are normalised, inside the measuring volume."""
 INDEX_STEP = 1e-5
 
 
@@ -95,8 +95,8 @@ class GapModes:
         return np.asarray(np.stack(columns, -1) @ self._mix)
 
     def of_parameters(self, names: Sequence[str] = (*parameters.NAMES, WATER_INDEX)) -> dict[str, tuple[Array, float]]:
-        """For numbers of a calibration, and the water's index: amplitudes (4,) and the RMS of what the patterns do not
-        hold, in µm per unit of that number."""
+        """Compute the amplitudes (4,) that a change of each named calibration number, or of the water's index, causes,
+        and the RMS of what the patterns do not hold, in µm per unit of that number."""
         modes = self.at(*self.field_px)
         found = {}
         for k, name in enumerate(parameters.NAMES):

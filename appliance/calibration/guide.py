@@ -11,7 +11,7 @@ from appliance.calibration.recordings import ArtefactKind
 
 
 class Step(Enum):
-    """In their order. Four recordings, the adjustment, a fifth recording that it has not seen, the decision."""
+    """Steps in their order: four recordings, the adjustment, a fifth recording that it has not seen, the decision."""
 
     M1 = "M1"
     """Ball bar, lying, one end nearer."""
@@ -84,7 +84,7 @@ UNITS: Mapping[Refusal, str] = MappingProxyType(
         Refusal.WRONG_PATTERN: "",
     }
 )
-"""Of the number that is shown with a refusal."""
+"""Unit of the number that is shown with a refusal."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,8 +94,8 @@ class Trial:
     step: Step
     refusal: Refusal | None
     number: float | None
-    """What was measured, in the unit of the refusal (``UNITS``); of one that will do the RMS distance from its surfaces
-    in mm. ``None`` where nothing was measured."""
+    """Measured number in the unit of the refusal (``UNITS``); for an accepted recording the RMS distance from its
+    surfaces in mm. ``None`` where nothing was measured."""
     points: int = 0
     detail: str = ""
     """A sentence with the numbers, for the log and the manifest."""
@@ -105,7 +105,7 @@ class Trial:
 
 @dataclass(frozen=True, slots=True)
 class Solved:
-    """What the adjustment says about itself."""
+    """Outcome of the adjustment, as it judges itself."""
 
     method: str
     residual_px: float
@@ -118,9 +118,9 @@ class Verified:
     """The length of a bar that the adjustment has not seen: relative error, (measured − calibrated)/calibrated."""
 
     before: float | None
-    """With the calibration of before, or the one in use while nothing is solved; ``None`` where it finds no bar at all."""
+    """Error with the earlier calibration, or the one in use while nothing is solved; ``None`` where it finds no bar."""
     after: float | None
-    """With what was solved; ``None``: nothing is, the bar only checks the calibration in use."""
+    """Error with the solved calibration; ``None``: nothing is solved, the bar only checks the one in use."""
     sigma: float
     """Standard uncertainty of ``after`` (of ``before`` without it) from the noise of the points and from the certificate,
     relative as well."""
@@ -129,8 +129,8 @@ class Verified:
 
     @property
     def better(self) -> bool | None:
-        """Whether the length came out better than before; ``None`` where the difference may be chance (two sigma), or where
-        there is nothing to compare."""
+        """Tell whether the length came out better than before; ``None`` where the difference may be chance (two sigma),
+        or where there is nothing to compare."""
         if self.after is None:
             return None
         if self.before is None:
@@ -145,7 +145,7 @@ MOST_LENGTH_ERROR = 0.001
 
 @dataclass(frozen=True, slots=True)
 class Session:
-    """How far a calibration has come. Its recordings are stored scans; the whole of it survives the loss of power."""
+    """Progress of one calibration. Its recordings are stored scans; the whole of it survives the loss of power."""
 
     trials: tuple[Trial, ...] = ()
     """Those that will do, at most one for each step."""
@@ -161,7 +161,7 @@ class Session:
         return next((trial for trial in self.trials if trial.step is step), None)
 
     def done(self, step: Step) -> bool:
-        """Whether a step need not be done again."""
+        """Tell whether a step need not be done again."""
         match step:
             case Step.SOLVE:
                 return self.solved is not None
@@ -173,8 +173,8 @@ class Session:
                 return self.trial(step) is not None
 
     def open(self, step: Step) -> bool:
-        """Whether a step can be done now: recordings in any order, then one after the other. VERIFY checks what was solved, or
-        else the calibration in use."""
+        """Tell whether a step can be done now: recordings in any order, then one after the other. VERIFY checks the
+        solved calibration, or else the one in use."""
         match step:
             case Step.SOLVE:
                 return all(self.trial(used) is not None for used in USED)
@@ -194,13 +194,13 @@ class Session:
 
     @property
     def wrong(self) -> bool:
-        """Whether lengths are surely wrong by more than is allowed."""
+        """Tell whether lengths are surely wrong by more than is allowed."""
         error, verified = self.length_error, self.verified
         return error is not None and verified is not None and abs(error) - 2.0 * verified.sigma > MOST_LENGTH_ERROR
 
     @property
     def right(self) -> bool:
-        """Whether lengths are right within what is allowed, by a check that is exact enough to tell."""
+        """Tell whether lengths are right within what is allowed, by a check that is exact enough to tell."""
         error, verified = self.length_error, self.verified
         return error is not None and verified is not None and max(abs(error), 2.0 * verified.sigma) <= MOST_LENGTH_ERROR
 
@@ -210,7 +210,8 @@ class Session:
         return next((step for step in STEPS if not self.done(step)), Step.RESULT)
 
     def with_trial(self, trial: Trial) -> Session:
-        """With a recording in place of its step's older one. What was solved with that one does not hold any more."""
+        """Return the session with a recording in place of its step's older one. A solution that used the older one is
+        dropped."""
         others = tuple(t for t in self.trials if t.step is not trial.step)
         changed = replace(self, trials=(*others, trial))
         if trial.step not in USED:

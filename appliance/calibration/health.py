@@ -29,9 +29,9 @@ LEARNT_SCANS = 10
 """Scans that teach a patch its reference."""
 FEWEST_PATCHES = 8
 SLACK = 2.0
-"""What every scan is forgiven: scatter alone never adds up to the limit."""
+"""Score that every scan is forgiven: scatter alone never adds up to the limit."""
 LIMIT = 6.0
-"""Of the sum: one score of 8, two of 5, three of 4."""
+"""Limit of the sum: one score of 8, two of 5, three of 4."""
 TEACHES_UP_TO = 2.0
 """A scan after which the sum is larger teaches nothing: a knock must not become the reference."""
 LEAST_UM = 0.3
@@ -39,20 +39,21 @@ LEAST_UM = 0.3
 PATCH_UM = 0.5
 """The same of a patch."""
 SHARE_KNOWN = 0.5
-"""Of the pattern that the calibration leaves over, how much changes with the distance of the object: the reference takes
+"""Share of the pattern left over by the calibration that changes with the distance of the object; the reference takes
 the rest away. Where a patch has no reference yet, all of it is there."""
 SMOOTH_OVER = 0.25
 """Over which share of the image's width that pattern is alike."""
 IMAGE_HEIGHT = 0.75
-"""Of the image's width."""
+"""Height of an image in image widths."""
 HEIGHT_PER_INDEX_UM = 600.0
-"""How much an imperfect calibration lets the height change per unit of the water's index, stated rightly: 4 µm from fresh
-to salt."""
+"""Change of height per unit of the water's index that an imperfect calibration allows, with the index stated rightly: 4
+µm from fresh to salt."""
 MOST_POINTS = 200
 """Scans kept for looking back."""
 MOST_ANSWERS = 20
 OFFSET_SHARE = 0.05
-"""Of an accepted change: turns and shifts of the same amplitude differ a little with the distance."""
+"""Uncertainty of an accepted change as a share of it: turns and shifts of the same amplitude differ a little with
+distance."""
 _WIDE_UM = 1e3
 """Standard deviation of an amplitude that the seen patches say nothing about."""
 
@@ -78,13 +79,13 @@ class TrendPoint:
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """What each patch of the left image showed in the first normal scans; zeros where none has shown it yet."""
+    """Gaps of each patch of the left image in the first normal scans; zeros where no scan has shown the patch yet."""
 
     gap_um: tuple[float, ...] = (0.0,) * COUNT
     variance_um2: tuple[float, ...] = (0.0,) * COUNT
     scans: tuple[int, ...] = (0,) * COUNT
     rests_um: tuple[float, ...] = ()
-    """Of the scans that taught."""
+    """RMS rests in µm of the scans that taught the reference."""
     water_index: float | None = None
     """Mean of the scans that taught."""
     offset_um: Four = (0.0, 0.0, 0.0, 0.0)
@@ -102,22 +103,22 @@ class Trend:
     points: tuple[TrendPoint, ...] = ()
     """The latest scans, oldest first."""
     alarm: str | None = None
-    """What was found, until somebody answered it."""
+    """Finding in words, until somebody answered it."""
     answers: tuple[str, ...] = ()
     """Length checks after which an alarm was taken back."""
 
     def alarmed(self, text: str) -> Trend:
-        """With these words for what was found."""
+        """Return the trend with these words for its finding."""
         return replace(self, alarm=text)
 
     def named(self, scan: str) -> Trend:
-        """With the number of the latest scan, which it gets on the disk."""
+        """Return the trend with the number that the latest scan gets on the disk."""
         return replace(self, points=(*self.points[:-1], replace(self.points[-1], scan=scan)))
 
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """What one scan says about the calibration."""
+    """Findings of one scan about the calibration."""
 
     point: TrendPoint | None
     """``None``: not judged."""
@@ -160,7 +161,8 @@ def judge(trend: Trend, gaps: PatchGaps, scan: str | None = None) -> tuple[Trend
 
 
 def answered(trend: Trend, answer: str) -> Trend:
-    """After an accepted length check: what the latest scan showed is normal from now on. ``answer`` says what was found."""
+    """Return the trend after an accepted length check: the latest scan's state is normal from now on. ``answer`` says
+    what was found."""
     latest = trend.points[-1].amplitudes_um if trend.points else (0.0,) * len(MODES)
     reference = replace(
         trend.reference,
@@ -220,7 +222,7 @@ def _compared(reference: Reference, gaps: PatchGaps, usual_um: float) -> tuple[A
 
 
 def _alike(patch: NDArray[np.intp]) -> Array:
-    """How much what is left over in one patch says about another, (k, k): lenses are smooth."""
+    """Compute the correlation (k, k) between the rests of patches: lenses are smooth."""
     across, down = (patch % PATCHES[0]) / PATCHES[0], (patch // PATCHES[0]) / PATCHES[1] * IMAGE_HEIGHT
     far2 = np.subtract.outer(across, across) ** 2 + np.subtract.outer(down, down) ** 2
     return np.asarray(np.exp(-0.5 * far2 / SMOOTH_OVER**2))

@@ -23,7 +23,7 @@ _COUPLED = (" k1", " k2", " k3", " p1", " p2")
 """Distortion coefficients follow what a lens does beyond them, and each other: alone they mean nothing. What they miss is in
 the systematic rest."""
 SYSTEMATIC_SHARE = 0.5
-"""What remains systematically is worth a warning from this share of the noise on."""
+"""Share of the noise from which a systematic residual is worth a warning."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -48,7 +48,7 @@ FIELD_BARS, FIELD_PLANES = 4, 6
 
 @dataclass(frozen=True, slots=True)
 class LadderSettings:
-    """Of the methods that have any."""
+    """Settings of those methods that have any."""
 
     bundle: BundleSettings = field(default_factory=BundleSettings)
     search: SearchSettings = field(default_factory=SearchSettings)
@@ -61,16 +61,16 @@ class LadderResult:
     method: Method
     calibration: Calibration
     residuals: tuple[Residuals, ...]
-    """Of each recording, in px; the same measure for every method."""
+    """Residuals of each recording, in px; the same measure for every method."""
     systematic_px: float
     """RMS of what remains after averaging the noise away over patches of the image."""
     estimates: tuple[Estimate, ...]
-    """What was adjusted, with prior and posterior uncertainty; empty where the method states none."""
+    """Adjusted parameters with prior and posterior uncertainty; empty where the method states none."""
     warnings: tuple[str, ...]
     valley: Valley | None = None
     """T over both distances, of the methods that search."""
     costs: tuple[float, ...] = ()
-    """Before the first step and after each, of the adjustments."""
+    """Costs before the first step and after each, of the adjustments."""
 
     @property
     def unobserved(self) -> tuple[str, ...]:
@@ -79,7 +79,7 @@ class LadderResult:
 
     @property
     def can_be_saved(self) -> bool:
-        """Whether a calibration file can carry it."""
+        """Tell whether a calibration file can carry it."""
         return self.method is not Method.PAPER_RM_PRINTED
 
 

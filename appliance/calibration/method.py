@@ -6,7 +6,7 @@ from enum import Enum
 
 
 class Method(Enum):
-    """How a calibration in water is made."""
+    """Methods of calibrating in water."""
 
     PM_MAPPED = "pm_mapped"
     """The pinhole nearest to the refracted rays of the ports as drawn. Needs no recording."""

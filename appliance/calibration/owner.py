@@ -20,7 +20,8 @@ class Owner:
     sizes_px: tuple[tuple[int, int], tuple[int, int]]
     """Width and height of the left and of the right camera's images."""
     camera_serials: tuple[str, str] | None
-    """Of the left and of the right camera; ``None``: not known, as of scans made before they were written down."""
+    """Serial numbers of the left and the right camera; ``None``: not known, as in scans made before they were written
+    down."""
 
 
 @dataclass(frozen=True, slots=True)

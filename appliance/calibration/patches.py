@@ -15,7 +15,8 @@ Array = NDArray[np.float64]
 COUNT = PATCHES[0] * PATCHES[1]
 FEWEST_IN_PATCH = 20
 OUTLIER_SIGMAS = 3.0
-"""From the median, in robust standard deviations: a false match is no statement about the calibration."""
+"""Distance from the median in robust standard deviations beyond which a match is false and says nothing about the
+calibration."""
 MAD_TO_SIGMA = 1.4826
 
 
@@ -34,7 +35,7 @@ class PatchGaps:
     samples: int
     """Correspondences that were looked at."""
     water_index: float
-    """Of the water in which the rays were traced."""
+    """Refractive index of the water in which the rays were traced."""
 
 
 def average(modes: GapModes, left_px: Array, right_px: Array, gap_um: Array) -> PatchGaps:

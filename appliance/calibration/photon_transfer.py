@@ -28,7 +28,7 @@ LEVELS = 255.0
 
 
 SHORTEST_FRINGE_PX = 20.0
-"""In camera px; of shorter ones, fourth differences keep harmonics, too."""
+"""Shortest fringe in camera px; of shorter ones, fourth differences keep harmonics, too."""
 
 
 class NoiseError(Exception):
@@ -40,7 +40,7 @@ class MeasuredNoise:
     """One camera's noise as a scan shows it."""
 
     dn_per_e: float
-    """At the gain of the scan."""
+    """Grey values per electron at the gain of the scan."""
     variance_at_dn2: tuple[float, float]
     """Mean light of the scan in grey values, and the variance of one grey value there."""
     pixels: int

@@ -18,7 +18,7 @@ from appliance.optics.model import StereoRig
 Array = NDArray[np.float64]
 
 BAR_TILT_DEG = (20.0, 50.0)
-"""In depth, of the bars that are adjusted to; the method wants 35°."""
+"""Tilts in depth of the bars that are adjusted to; the method wants 35°."""
 LEVEL_DEG = 15.0
 """The bar of the verification is tilted in depth by no more."""
 HALF_UP_DEG = 45.0
@@ -27,9 +27,10 @@ MOST_PLANE_TILT_DEG = 35.0
 NEAR_MM, FAR_MM = (430.0, 515.0), (530.0, 620.0)
 """Distances of the two planes from the projection centres, along the instrument's axis."""
 LEAST_FILL_PERCENT = 45.0
-"""Of the left picture that the plane must cover."""
+"""Share of the left picture that the plane must cover."""
 RADIUS_OFF, LENGTH_OFF = 0.1, 0.03
-"""How far a ball's radius and the bar's length may seem to be from the certificate, relatively, before calibration."""
+"""Relative deviations of a ball's radius and of the bar's length from the certificate that are accepted before
+calibration."""
 MOST_RMS_MM = {"ball": 0.3, "plane": 0.6}
 """Uncalibrated ports bend a plane by tenths of a millimetre."""
 
@@ -69,7 +70,7 @@ def rig_axes(rig: StereoRig) -> tuple[Array, Array]:
 
 
 def judge_bar(step: Step, bar: FoundBar, rig: StereoRig, length_mm: float, radius_mm: float) -> Trial:
-    """Whether a bar will do for ``step`` (M1, M2 or VERIFY)."""
+    """Judge whether a bar will do for ``step`` (M1, M2 or VERIFY)."""
     axes, _ = rig_axes(rig)
     along = (bar.centres_mm[1] - bar.centres_mm[0]) @ axes
     length = float(np.linalg.norm(along))
@@ -101,7 +102,7 @@ def judge_bar(step: Step, bar: FoundBar, rig: StereoRig, length_mm: float, radiu
 
 
 def judge_plane(step: Step, plane: FoundPlane, rig: StereoRig) -> Trial:
-    """Whether a plane will do for ``step`` (M3 or M4)."""
+    """Judge whether a plane will do for ``step`` (M3 or M4)."""
     axes, origin = rig_axes(rig)
     distance_mm = float(((plane.centre_mm - origin) @ axes)[2])
     normal = plane.normal @ axes

@@ -18,7 +18,7 @@ MIN_POINTS = 30
 
 
 class ArtefactKind(Enum):
-    """What was recorded."""
+    """Kind of the recorded artefact."""
 
     BALL_BAR = "ball bar"
     """Two spheres at a calibrated distance."""
@@ -104,7 +104,7 @@ class Recording:
 
 
 def thinned(recording: Recording, at_most: int) -> Recording:
-    """At most ``at_most`` points, evenly spread over the recording's order (rows of the image as a rule)."""
+    """Return at most ``at_most`` points, evenly spread over the recording's order (rows of the image as a rule)."""
     n = len(recording.left_px)
     if n <= at_most:
         return recording

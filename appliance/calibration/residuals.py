@@ -23,7 +23,7 @@ SMALL_PX = 1e-5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Residuals:
-    """What is left of one recording."""
+    """Residuals of one recording."""
 
     name: str
     left_px: Array
@@ -38,7 +38,8 @@ class Residuals:
 
 
 def residuals_of(recording: Recording, rig: StereoRig, points: int = 1500) -> Residuals:
-    """What ``rig`` leaves of a recording. Raises RecordingError when it does not look like its artefact with ``rig``."""
+    """Compute the residuals that ``rig`` leaves of a recording. Raises RecordingError when it does not look like its
+    artefact."""
     place, used = first_place(thinned(recording, points), rig)
     index = used.water.index
     origin, direction = rig.left.rays(used.left_px, index)

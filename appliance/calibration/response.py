@@ -38,7 +38,8 @@ class ResponseError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """What one camera saw: frames (n, h, w) uint8 of the whole sequence, and its decoded coordinates (h, w), NaN: none."""
+    """Images of one camera: frames (n, h, w) uint8 of the whole sequence, and its decoded coordinates (h, w), NaN:
+    none."""
 
     frames: NDArray[np.uint8]
     p_px: NDArray[np.float32]
@@ -47,11 +48,11 @@ class Seen:
 
 @dataclass(frozen=True, slots=True)
 class MeasuredResponse:
-    """What a scan says about the projector."""
+    """Projector response as one scan shows it."""
 
     response: Response
     fringe_harmonics: tuple[float, ...]
-    """Of the light of the fringes as they were drawn; those of the response where nothing was compensated."""
+    """Harmonics of the light of the fringes as they were drawn; those of the response where nothing was compensated."""
     residual: float
     """RMS of what was seen against the response, as a fraction of the bright frame's light."""
     pixels: int

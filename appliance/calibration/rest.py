@@ -16,7 +16,7 @@ Image = NDArray[np.uint8]
 REST_PX = 0.1
 """RMS motion of the corners from the first picture to the last; noise alone makes a third of it."""
 NEW_PLACE = 1 / 40
-"""Of the image's width: less motion than this since an earlier view, and it tells nothing new."""
+"""Share of the image's width that a board must have moved since an earlier view: after less, it tells nothing new."""
 
 
 def view_of(
