@@ -31,18 +31,18 @@ LEAST_DETAIL_DN = 5.0
 LEAST_GLOW_DN, GLOW_OVER_DETAIL = 5.0, 5.0
 """Smooth light from here on, and so many times the detail, is the water's: an object that is merely dark has 2 to 3 times."""
 FAST_MM_S = 70.0
-"""In two scans of three, too few points are left from this speed on, although motion is undone."""
+"""Speed from which two scans of three keep too few points, although motion is undone."""
 CORNERS, LEAST_CORNERS = 60, 6
 CORNER_QUALITY, CORNER_DISTANCE_PX = 0.02, 6.0
 CORNER_DN = 6.0
 """Contrast of the image that corners are sought in, at least."""
 STAYS_PX = 0.35
-"""What moves by less from image to image stays."""
+"""Movement from image to image below which a scene counts as at rest."""
 LEAST_AGREE, AGREE = 0.5, 0.3
 """Share of the moving corners that must move alike, and within what part of their way."""
 CHANGED_DN, CHANGED_BLUR_PX, LEAST_CHANGED = 2.5, 3.0, 0.02
-"""Where images differ by so much (blurred), corners are followed: what the live light makes does not change. A smaller share of
-the image than that is nothing that hands do."""
+"""Difference of grey values, blur and least share of the image from which corners are followed: what the live light
+makes does not change, and a smaller share is nothing that hands do."""
 BACK_PX = 0.5
 """A corner that is followed forth and back must end within this where it began."""
 WINDOW_PX, LEVELS = (15, 15), 3
@@ -56,7 +56,7 @@ class Aimed:
     """(h, ``WIDTH_PX``) uint8: reduced."""
     detail_dn: float
     glow_dn: float
-    """Of the brightest smooth part, over the black level."""
+    """Height of the brightest smooth part over the black level."""
 
     def fault(self) -> Fault | None:
         """Why nothing can be measured in this light; ``None``: enough is seen."""
@@ -80,9 +80,10 @@ def look(image: NDArray[np.uint8], black_dn: float) -> Aimed:
 
 
 def moved_px(before: Aimed, after: Aimed) -> float | None:
-    """How far the scene moved between two images, in px of the reduced ones; ``None``: too little can be followed.
+    """Estimate how far the scene moved between two images, in px of the reduced ones; ``None``: too little can be
+    followed.
 
-    0 where next to nothing changes, or what changes does not move as one.
+    The result is 0 where next to nothing changes, or what changes does not move as one.
     """
     change = cv2.GaussianBlur(cv2.absdiff(before.small, after.small).astype(np.float32), (0, 0), CHANGED_BLUR_PX)
     changed = (change > CHANGED_DN).astype(np.uint8)

@@ -19,8 +19,8 @@ from appliance.capture.patience import Patience
 from drivers.api import Camera, CameraSettings, Clock, ClockReading, DeviceError, Frame, FrameStatus
 
 LIVE_TIMEOUT_S = 0.15
-"""How long an order to stop waits for a live image: the board fires no more by then. One that comes later, where the
-projector is slow, is waited for again."""
+"""Longest time that an order to stop waits for a live image: the board fires no more by then. One that comes later,
+where the projector is slow, is waited for again."""
 JOIN_TIMEOUT_S = 5.0
 
 
@@ -36,7 +36,7 @@ class Recording:
     done: bool = False
     cancelled: bool = False
     frames: list[Frame] = field(default_factory=list)
-    """In order of arrival; ends with the first frame that is not complete."""
+    """Frames in order of arrival; ends with the first frame that is not complete."""
     clock: ClockReading | None = None
     """The camera's clock just before the sequence."""
     lost: str | None = None
@@ -91,7 +91,7 @@ class Grabber:
             return self._temperature_c
 
     def expose(self, exposure_us: float, gain_db: float) -> None:
-        """From the next start of the camera on, which ``live`` and ``record`` are."""
+        """Set the exposure from the next start of the camera on; ``live`` and ``record`` start it."""
         with self._changed:
             self._wanted = replace(self._settings, exposure_us=exposure_us, gain_db=gain_db)
 
@@ -235,7 +235,7 @@ class Grabber:
             self._changed.notify_all()
 
     def _expect_silence(self, recording: Recording) -> None:
-        """After the last frame nothing may follow: a frame too many is evidence like one too few."""
+        """Check that nothing follows the last frame: a frame too many is evidence like one too few."""
         frame = self._camera.next_frame(self._live[0], self._patience.silence_s)
         if frame.status is not FrameStatus.TIMEOUT:
             with self._changed:

@@ -27,7 +27,7 @@ MAX_FLIP_PHASE = 0.4
 
 @dataclass(frozen=True, slots=True)
 class Ledger:
-    """What the four witnesses said. ``flips`` … are in order of arrival; ``frames`` by side."""
+    """Testimony of the four witnesses. ``flips`` … are in order of arrival; ``frames`` by side."""
 
     expected: int
     period_ns: float
@@ -135,7 +135,7 @@ def _pulses(ledger: Ledger) -> Fault | None:
 
 
 def frame_fault(ledger: Ledger, side: str) -> Fault | None:
-    """What is wrong with one side's frames by themselves."""
+    """Return what is wrong with one side's frames by themselves."""
     device = f"camera.{side}"
     frames = ledger.frames.get(side, ())
     for k, frame in enumerate(frames):
@@ -191,8 +191,8 @@ def _first_gap(ledger: Ledger, side: str, arrived: Sequence[Frame]) -> int:
 
 
 def _begins_late(ledger: Ledger, side: str) -> int:
-    """How many first frames one side lacks that the other one has: by the host's clock; where cameras cannot be asked for
-    theirs, by block ids, which begin alike, since both cameras are started anew for every sequence."""
+    """Count the first frames that one side lacks and the other one has: by the host's clock; where cameras cannot be
+    asked for theirs, by block ids, which begin alike, since both cameras are started anew for every sequence."""
     begun_ns = _begun_ns(ledger)
     if len(begun_ns) == 2:
         return round((begun_ns[side] - min(begun_ns.values())) / ledger.period_ns)
@@ -274,7 +274,7 @@ def _begun_ns(ledger: Ledger) -> dict[str, int]:
 
 
 def _wander_ns(least_ns: int, passed_ns: int) -> float:
-    """How far two clocks may be apart after a time in which each went as it pleases."""
+    """Return how far two clocks may be apart after a time in which each went as it pleases."""
     return max(least_ns, CLOCKS_PPM * 1e-6 * passed_ns)
 
 

@@ -16,12 +16,13 @@ class Patience:
 
     @property
     def ready_s(self) -> float:
-        """For both cameras to leave their live views, and again for both to start: their images come as slowly."""
+        """Time for both cameras to leave their live views, and again for both to start: their images come as slowly."""
         return self._at_least(2.0, 12)
 
     @property
     def first_frame_s(self) -> float:
-        """From a camera that is ready to its first frame: the other one, the heartbeat, the blank to begin with."""
+        """Time from a camera that is ready to its first frame: the other one, the heartbeat, the blank to begin
+        with."""
         return self._at_least(2.0, 24)
 
     @property
@@ -36,12 +37,12 @@ class Patience:
 
     @property
     def collect_s(self) -> float:
-        """From the last pattern until a camera has its last frame, or has given it up."""
+        """Time from the last pattern until a camera has its last frame, or has given it up."""
         return self._at_least(2.5, 12)
 
     @property
     def pulse_s(self) -> float:
-        """From one pulse's report to the next."""
+        """Time from one pulse's report to the next."""
         return self._at_least(0.25, 3)
 
     @property

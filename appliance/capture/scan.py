@@ -42,7 +42,7 @@ MAX_BOARD_EVENTS = 400
 
 @dataclass(frozen=True, slots=True)
 class ScanSettings:
-    """How a sequence is triggered."""
+    """Settings of a sequence's trigger."""
 
     refresh_hz: float
     exposure_us: int
@@ -50,13 +50,13 @@ class ScanSettings:
 
     @property
     def patience(self) -> Patience:
-        """How long is waited for what follows the projector."""
+        """Time limits of everything that follows the projector."""
         return Patience(self.refresh_hz)
 
 
 @dataclass(frozen=True, slots=True)
 class CaptureReport:
-    """What became of a scan. With a fault there is no cloud; the frames are evidence only."""
+    """Outcome of a scan. With a fault there is no cloud; the frames are evidence only."""
 
     fault: Fault | None
     ledger: Ledger
@@ -85,7 +85,7 @@ class Arming:
         self._slots, self._on_frame = slots, on_frame
         self.recordings: dict[str, Recording] = {}
         self.events: list[BoardEvent] = []
-        """What the board said meanwhile, for whoever watches it."""
+        """Events that the board sent meanwhile, for whoever watches it."""
         self.fault: Fault | None = None
         try:
             self._lights_off()

@@ -35,7 +35,7 @@ class FrameStore:
         self._owner = attach_to is None
         self._memory = SharedMemory(create=self._owner, size=sequences * one, name=attach_to)
         self.sequences = sequences if self._owner else self._memory.size // one
-        """How many there is room for."""
+        """Number of sequences that there is room for."""
         block = np.ndarray((self.sequences, 2, *self.shape), np.uint8, buffer=self._memory.buf)
         if self._owner:
             block.fill(0)  # touch every page now, not during the first scan

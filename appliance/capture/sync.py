@@ -23,7 +23,7 @@ class SyncMap:
     count: int
     host_minus_board_ns: int
     phase_error: float
-    """In periods, signed: board's vertical sync minus the kernel's flip time."""
+    """Phase error in periods, signed: board's vertical sync minus the kernel's flip time."""
 
     def host_ns(self, board_time_us: int) -> int:
         """Host time of a board time near the query (clock drift of 50 ppm makes 25 µs in half a second)."""

@@ -10,7 +10,7 @@ from appliance.scan.noise import TYPICAL_PAIR, StereoNoise
 
 @dataclass(frozen=True, slots=True)
 class AcquisitionSettings:
-    """How a sequence is taken."""
+    """Settings that a sequence is taken with."""
 
     exposure: Exposure = NOMINAL
     frame_s: float = 1.0 / 60.0

@@ -14,7 +14,7 @@ MARGIN_MS = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Exposure:
-    """Of both cameras, which share one trigger pulse."""
+    """Exposure of both cameras, which share one trigger pulse."""
 
     time_us: int
     gain_db: float = 0.0
@@ -32,12 +32,12 @@ class Exposure:
 
 
 NOMINAL = Exposure(12_000)
-"""Of an instrument whose rig file nobody has read."""
+"""Exposure of an instrument whose rig file nobody has read."""
 
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """What may be proposed, whatever the projector's period allows."""
+    """Exposures that may be proposed, whatever the projector's period allows."""
 
     shortest_ms: float = 2.0
     longest_ms: float = 16.0

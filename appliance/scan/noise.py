@@ -57,7 +57,8 @@ class StereoNoise:
 
 
 def camera_noise(full_well_e: float, read_noise_e: float, black_dn: float, gain_db: float) -> CameraNoise:
-    """From the figures of a data sheet after EMVA 1288 (saturation capacity, temporal dark noise), both at 0 dB.
+    """Build the noise model from the figures of a data sheet after EMVA 1288 (saturation capacity, temporal dark
+    noise), both at 0 dB.
 
     ``full_well_e``: electrons at 255 grey values.
     """
@@ -66,5 +67,5 @@ def camera_noise(full_well_e: float, read_noise_e: float, black_dn: float, gain_
 
 
 TYPICAL = camera_noise(13_000.0, 20.0, 2.0, 0.0)
-"""Of a camera whose data sheet nobody has entered."""
+"""Noise of a camera whose data sheet nobody has entered."""
 TYPICAL_PAIR = StereoNoise(TYPICAL, TYPICAL)

@@ -32,8 +32,10 @@ class Judgement:
     verdict: Verdict
     fault: Fault | None = None
     proposal: Exposure | None = None
-    """What to expose the next scan with; ``None``: as this one."""
+    """Exposure proposed for the next scan; ``None``: as this one."""
     second: Exposure | None = None
-    """What a second sequence of the same scene should be exposed with, to show what this one cannot; ``None``: one serves."""
+    """Exposure that a second sequence of the same scene should have, to show what this one cannot; ``None``: one
+    serves."""
     remembered: object | None = None
-    """What whoever compares scans with each other is given beside the verdict; never stored. ``None``: nothing."""
+    """Evidence for whoever compares scans with each other, given beside the verdict and never stored. ``None``:
+    nothing."""
