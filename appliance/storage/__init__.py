@@ -1,1 +1,1 @@
-"""What survives the loss of power: scans, their manifests, clouds, the status file."""
+"""The data that survives the loss of power: scans, their manifests, clouds, the status file."""

@@ -45,7 +45,7 @@ class StorageError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Stamp:
-    """What a file must be: its length in bytes and its sha256 (hex)."""
+    """Length of a file in bytes and its sha256 (hex), as they must be."""
 
     length: int
     sha256: str
@@ -61,7 +61,7 @@ def refused(what: str, path: Path) -> Iterator[None]:
 
 
 def remedy_for(error: OSError) -> str:
-    """What to do about a disk's refusal, by its number (errno.h)."""
+    """Return what to do about a disk's refusal, by its number (errno.h)."""
     return _REMEDIES.get(error.errno or 0, "free space or replace the disk")
 
 
@@ -119,7 +119,7 @@ def replace_file(fs: FileSystem, path: Path, *parts: Bytes) -> Stamp:
 
 
 def draft_of(path: Path) -> Path:
-    """Where the new content of ``path`` is written before it replaces the old."""
+    """Return the path at which the new content of ``path`` is written before it replaces the old."""
     return path.with_name(f".{path.name}.draft")
 
 

@@ -41,7 +41,8 @@ class BeamsFile:
         self._fs: FileSystem = fs or LocalFileSystem()
 
     def read(self, calibration_hash: str) -> tuple[Beam, Beam]:
-        """What was learned with that calibration; the drawing where there is nothing, or nothing that can be used."""
+        """Read the beams learned with that calibration; the drawing's where there are none, or none that can be
+        used."""
         try:
             with self.path.open("rb") as file:
                 data = file.read(MAX_BYTES + 1)

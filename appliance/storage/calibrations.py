@@ -41,7 +41,7 @@ _KEPT = re.compile(r"\d{4,9}-[\w-]{1,40}\.json")
 
 
 class SessionError(Exception):
-    """What is wanted does not go with the session as it is; the text says why and what to do."""
+    """A request does not go with the session as it is; the text says why and what to do."""
 
 
 class Calibrations:

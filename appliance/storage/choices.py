@@ -43,7 +43,7 @@ class ChoicesFile:
         self._fs: FileSystem = fs or LocalFileSystem()
 
     def read(self) -> tuple[Choices, Fault | None]:
-        """What was chosen; the rig file's values, with a condition, where the file cannot be used."""
+        """Read the diver's choices; the rig file's values, with a condition, where the file cannot be used."""
         try:
             with self.path.open("rb") as file:
                 data = file.read(MAX_BYTES + 1)

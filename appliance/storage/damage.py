@@ -13,7 +13,7 @@ from appliance.storage.manifest import Manifest
 from appliance.storage.scan import RAW_FILES, SECOND_FILES, ScanError, frame_checks
 
 HEADER_BYTES = 128
-"""Of every file of frames: NumPy's format 1.0 pads so short a header to this."""
+"""Length of the header of every file of frames: NumPy's format 1.0 pads so short a header to this."""
 MOST_NAMED = 6
 """Frames, in one line."""
 
@@ -24,12 +24,12 @@ class DamagedFrames:
 
     file: str
     problem: str
-    """In words: missing, too short, damaged."""
+    """Kind of the damage in words: missing, too short, damaged."""
     frames: tuple[int, ...] | None
     """Numbers of the damaged ones, all others are whole; ``None``: which ones is not known, since the scan was recorded
     before every frame had a checksum."""
     names: tuple[str, ...]
-    """Of their patterns."""
+    """Names of the damaged frames' patterns."""
 
     def __str__(self) -> str:
         which = "" if not self.frames or len(self.frames) > MOST_NAMED else f" in {', '.join(self.names)}"

@@ -27,7 +27,7 @@ class WritableFile(Protocol):
 
 
 class FileSystem(Protocol):
-    """What storage asks of a file system. Every call raises OSError on failure."""
+    """The operations that storage needs of a file system. Every call raises OSError on failure."""
 
     def make_folder(self, path: Path) -> None:
         """Make one folder; it must not exist."""

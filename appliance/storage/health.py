@@ -37,7 +37,7 @@ class HealthFile:
         self.path = root / FOLDER / f"{calibration_hash[:16]}.json"
 
     def read(self) -> Trend:
-        """What is remembered; an empty trend where there is nothing, or nothing that can be read."""
+        """Read the remembered trend; an empty one where there is none, or none that can be read."""
         try:
             with self.path.open("rb") as file:
                 data = file.read(MAX_BYTES + 1)
@@ -64,7 +64,7 @@ class HealthFile:
         replace_file(self._fs, self.path, seal(content, indent=None))
 
     def _set_aside(self) -> None:
-        """What cannot be read is not overwritten."""
+        """Move a file that cannot be read aside, so that it is not overwritten."""
         if not self.path.exists():
             return
         try:
@@ -93,7 +93,7 @@ class HealthFile:
 
 
 def _is_finite(value: object) -> bool:
-    """Whether every number in a tree of values is one."""
+    """Tell whether every number in a tree of values is finite."""
     match value:
         case dict():
             return all(map(_is_finite, value.values()))

@@ -23,7 +23,7 @@ MAX_BYTES = 16_384
 _CONTROL = ("Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp")
 """Unicode's categories of what is no character to read: controls, formats, surrogates, unassigned ones, line ends."""
 LONGEST_NAME, LONGEST_NOTE = 60, 1000
-"""In characters: a name is a column of a list, a note a paragraph."""
+"""Greatest lengths in characters: a name is a column of a list, a note a paragraph."""
 
 
 class LabelError(ValueError):

@@ -42,7 +42,7 @@ _FOLDER = re.compile(r"\.?(\d{6,12})(-\d+)?")
 
 
 class Shelf(Enum):
-    """Where a finished scan lies; the values are folder names."""
+    """Folders that a finished scan can lie in; the values are folder names."""
 
     SCANS = "scans"
     REJECTED = "rejected"
@@ -64,13 +64,13 @@ class Entry:
 
     @property
     def ok(self) -> bool:
-        """Whether nothing wrong was found."""
+        """True if nothing wrong was found."""
         return not self.problems
 
 
 @dataclass(frozen=True, slots=True)
 class Recovery:
-    """What ``recover`` did: ids of scans published after all, put among the rejected, set aside, and what failed."""
+    """Outcome of ``recover``: ids of scans published after all, put among the rejected, set aside, and what failed."""
 
     recovered: tuple[str, ...] = ()
     rejected: tuple[str, ...] = ()
@@ -234,7 +234,7 @@ class Library:
         return entry_of(self._find(scan_id)[1], checksums=False)
 
     def verify(self, scan_id: str) -> Entry:
-        """As ``entry``, and reads every byte. Raises UnknownScan."""
+        """Return the entry of a scan like ``entry``, but read every byte. Raises UnknownScan."""
         return entry_of(self._find(scan_id)[1], checksums=True)
 
     def load(self, scan_id: str) -> scan.StoredScan:
@@ -255,7 +255,7 @@ class Library:
         return folders[-1].name if folders else None
 
     def scans_left(self, scan_bytes: int, reserve_bytes: int) -> int | None:
-        """How many more scans of that size fit above the reserve; ``None`` where the disk does not tell."""
+        """Estimate how many more scans of that size fit above the reserve; ``None`` where the disk does not tell."""
         try:
             free = self._fs.free_bytes(self.root)
         except OSError:
@@ -305,7 +305,8 @@ class Library:
 
 
 def _belongs(folder: Path) -> Shelf:
-    """Where a scan lay before it came into the trash; a damaged one is listed, as one on the shelf would be."""
+    """Return the folder in which a scan lay before it came into the trash; a damaged one is listed, as a stored one
+    would be."""
     try:
         return Shelf.REJECTED if form.read(folder).decision is Decision.REJECTED else Shelf.SCANS
     except ManifestError:
@@ -370,7 +371,7 @@ class PendingScan:
 
     @property
     def folder(self) -> Path:
-        """Where it lies now."""
+        """Return the path at which the scan lies now."""
         return self._folder
 
     def add_second(self, frames: Mapping[str, NDArray[np.uint8]], record: ScanRecord) -> None:

@@ -28,7 +28,7 @@ class ManifestError(Exception):
 
 
 class Stage(Enum):
-    """How far the scan came."""
+    """Stages that a scan goes through."""
 
     RAW = "raw"
     """The frames are durable; nothing else was added."""
@@ -37,7 +37,7 @@ class Stage(Enum):
 
 
 class Decision(Enum):
-    """What the diver said."""
+    """Decisions of the diver about a scan."""
 
     UNDECIDED = "undecided"
     KEPT = "kept"
@@ -58,8 +58,8 @@ class Manifest:
     recovered: bool = False
     """Found unpublished at a start and published then."""
     frame_crc32: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """By the name of a file of frames: CRC-32 (hexadecimal) of each frame, so that it can be said which one is damaged.
-    Empty in old scans."""
+    """CRC-32 (hexadecimal) of each frame, by the name of the file of frames, so that it can be said which one is
+    damaged. Empty in old scans."""
 
 
 def encode(manifest: Manifest) -> bytes:
@@ -127,7 +127,7 @@ def _digest(content: Mapping[str, Any]) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """As JSON holds it: plain numbers, None for what is not finite."""
+    """Convert a value to what JSON holds: plain numbers, None for what is not finite."""
     match value:
         case None | bool() | str():
             return value

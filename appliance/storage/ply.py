@@ -49,7 +49,7 @@ property float sigma
 end_header
 """
 _REMARK = re.compile(rb"comment salvaged: ([ -~]{1,2000})\n")
-"""What is wrong with the cloud as a whole; only where something is."""
+"""Header line that says what is wrong with the cloud as a whole; only where something is."""
 _NUMBERS = re.compile(rb"comment body crc32 ([0-9a-f]{8})\nelement vertex (\d{1,10})\n")
 
 
@@ -58,7 +58,7 @@ class PlyError(Exception):
 
 
 class PointCloud(Protocol):
-    """What can be written: arrays of the same length n (``appliance.reconstruct`` makes such clouds)."""
+    """A cloud that can be written: arrays of the same length n (``appliance.reconstruct`` makes such clouds)."""
 
     @property
     def points_mm(self) -> NDArray[np.float32]: ...

@@ -39,12 +39,12 @@ class SecondSequence:
 
     exposure: Exposure
     recorded_ns: int
-    """As ``ScanRecord.recorded_ns``; of the key press that asked for it."""
+    """Time of the key press that asked for the sequence, like ``ScanRecord.recorded_ns``."""
     temperatures_c: Mapping[str, float | None] = field(default_factory=dict)
     ledger: Mapping[str, Any] = field(default_factory=dict)
-    """As ``ScanRecord.ledger``."""
+    """Account of the four witnesses, like ``ScanRecord.ledger``."""
     verdicts: tuple[Verdict, ...] = ()
-    """On this sequence alone. What is said of both together is ``ScanRecord``'s verdict ``pair``."""
+    """Verdicts on this sequence alone. What is said of both together is ``ScanRecord``'s verdict ``pair``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,18 +59,18 @@ class ScanRecord:
     wall_time: str | None
     """ISO 8601 with offset; ``None`` where the host has no clock."""
     clock_trusted: bool
-    """Whether the wall time was set from outside since power-on. Order follows from the scan's id alone."""
+    """True if the wall time was set from outside since power-on. Order follows from the scan's id alone."""
     recorded_ns: int
     """Host's monotonic time when the capture began: the key press, as the heartbeat that acted on it saw it."""
     response_hash: str | None = None
-    """Of the projector's response that the patterns were drawn for; ``None``: codes, not light, were the sine."""
+    """Hash of the projector's response that the patterns were drawn for; ``None``: codes, not light, were the sine."""
     exposure: Exposure | None = None
-    """Of the left camera; the right one's differs as the rig file says. ``None``: as the rig file has it."""
+    """Exposure of the left camera; the right one's differs as the rig file says. ``None``: as the rig file has it."""
     water: Mapping[str, float | None] = field(default_factory=dict)
     """``salinity_psu``, ``temperature_c``, ``wavelength_nm``, ``index``: the water it was reconstructed in."""
     temperatures_c: Mapping[str, float | None] = field(default_factory=dict)
     ledger: Mapping[str, Any] = field(default_factory=dict)
-    """What the four witnesses said; JSON-ready."""
+    """Account of the four witnesses; JSON-ready."""
     verdicts: tuple[Verdict, ...] = ()
     second: SecondSequence | None = None
     """``None``: one sequence, as most scans."""

@@ -30,7 +30,7 @@ FOLDER = "room"
 _SPARE = "folder"
 _SLACK = "slack"
 _CANNOT = (errno.EOPNOTSUPP, errno.ENOTSUP, errno.ENOSYS, errno.EINVAL)
-"""How a file system says that it allocates nothing beforehand."""
+"""Error numbers with which a file system says that it allocates nothing beforehand."""
 
 PLACES: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
@@ -44,7 +44,7 @@ PLACES: Mapping[str, tuple[str, ...]] = MappingProxyType(
         draft_of(Path(NUMBER)).name: ("number",),
     }
 )
-"""By the name of a file to be made: what of the room may become it."""
+"""Pieces of the room that may become a file, by the name of that file."""
 
 SMALL = MappingProxyType(
     {
@@ -57,7 +57,7 @@ SMALL = MappingProxyType(
         _SLACK: 500_000,
     }
 )
-"""What does not depend on the sequence, in bytes."""
+"""Sizes in bytes of the pieces that do not depend on the sequence."""
 
 Answer = TypeVar("Answer")
 
@@ -75,7 +75,7 @@ class Room:
         self._folder = root / FOLDER
         self._fs = fs
         self.allocates = True
-        """Whether this file system can; where it cannot, space is only counted."""
+        """True until this file system refuses to allocate; where it does, space is only counted."""
 
     def hold(self, lengths: Mapping[str, int]) -> None:
         """Allocate what is missing of ``lengths`` (by name, in bytes). What is there, also from an earlier start, stays.
@@ -106,7 +106,7 @@ class Room:
 
     @property
     def held_bytes(self) -> int:
-        """What the room takes on the disk."""
+        """Space in bytes that the room takes on the disk."""
         try:
             return sum(path.stat().st_blocks * 512 for path in self._folder.iterdir() if path.name != _SPARE)
         except OSError:
@@ -127,23 +127,23 @@ class Room:
         return self._unhindered(lambda: self._fs.create(path))
 
     def rename(self, source: Path, target: Path) -> None:
-        """As the file system does."""
+        """Rename like the file system."""
         self._unhindered(lambda: self._fs.rename(source, target))
 
     def sync_folder(self, path: Path) -> None:
-        """As the file system does."""
+        """Sync a folder like the file system."""
         self._fs.sync_folder(path)
 
     def remove(self, path: Path) -> None:
-        """As the file system does."""
+        """Remove like the file system."""
         self._fs.remove(path)
 
     def free_bytes(self, path: Path) -> int:
-        """What is free and what the room holds: both are for scans."""
+        """Return the free space and what the room holds: both are for scans."""
         return self._fs.free_bytes(path) + self.held_bytes
 
     def _became(self, name: str, path: Path) -> bool:
-        """Whether the room had ``name`` and it is ``path`` now."""
+        """Tell whether the room had ``name`` and it is ``path`` now."""
         piece = self._folder / name
         if path.exists() or not _unused(piece):
             return False
@@ -163,12 +163,12 @@ class Room:
 
 
 def is_full(error: StorageError) -> bool:
-    """Whether the disk refused for want of space, or of a quota."""
+    """Tell whether the disk refused for want of space, or of a quota."""
     return _number(error) in (errno.ENOSPC, errno.EDQUOT)
 
 
 def is_read_only(error: StorageError) -> bool:
-    """Whether the disk takes no changes at all, as after a mount for reading only."""
+    """Tell whether the disk takes no changes at all, as after a mount for reading only."""
     return _number(error) == errno.EROFS
 
 
@@ -177,8 +177,8 @@ def _number(error: StorageError) -> int | None:
 
 
 def _unused(piece: Path) -> bool:
-    """Whether it is there and of the room alone. A loss of power between the two halves of a rename may leave it under both
-    names: what is written to it then would be written into a stored scan."""
+    """Tell whether a piece is there and belongs to the room alone. A loss of power between the two halves of a rename
+    may leave it under both names: what is written to it then would be written into a stored scan."""
     try:
         return not any(piece.iterdir()) if piece.is_dir() else piece.stat().st_nlink == 1
     except OSError:

@@ -37,15 +37,15 @@ _HEADER = re.compile(
     rb"\x93NUMPY\x01\x00(..)\{'descr': '\|u1', 'fortran_order': False, 'shape': \((\d{1,9}), (\d{1,9}), (\d{1,9})\), \} *\n",
     re.DOTALL,
 )
-"""Of NumPy's format 1.0."""
+"""Header of NumPy's format 1.0."""
 CLOUD = "cloud.ply"
 PREVIEW = "preview.png"
 CALIBRATION = "calibration.json"
 RIG = "rig.toml"
 ORIGIN_FILES = (CALIBRATION, RIG)
-"""What a scan was taken with; old scans have neither."""
+"""Files that say what a scan was taken with; old scans have neither."""
 DERIVED_FILES = (CLOUD, PREVIEW)
-"""What can be made again from the others."""
+"""Files that can be made again from the others."""
 
 
 def frames_file(side: str) -> str:
@@ -68,7 +68,8 @@ class ScanError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """What a scan was taken with, as the bytes of the files that say so: with them its folder can be read anywhere."""
+    """The means a scan was taken with, as the bytes of the files that describe them: with these its folder can be read
+    anywhere."""
 
     calibration: bytes
     """A calibration file: the one in use, or the drawing's where none was."""
@@ -84,7 +85,7 @@ class StoredScan:
     manifest: Manifest
     frames: Mapping[str, NDArray[np.uint8]]
     second: Mapping[str, NDArray[np.uint8]] | None = None
-    """As ``frames``, of the second exposure; ``None``: there is none."""
+    """Frames of the second exposure, like ``frames``; ``None``: there is none."""
 
     def cloud(self) -> StoredCloud | None:
         """The stored cloud; ``None`` where the scan has none. Raises ScanError."""
@@ -207,7 +208,7 @@ def discard_raw(fs: FileSystem, folder: Path) -> None:
 
 
 def wrong_files(folder: Path, manifest: Manifest, *, checksums: bool) -> dict[str, str]:
-    """What is wrong, by name, with the files a scan must have and those its manifest lists.
+    """Return what is wrong, by name, with the files a scan must have and those its manifest lists.
 
     Lengths are compared, and with ``checksums`` every byte.
     """

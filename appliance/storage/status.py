@@ -48,7 +48,7 @@ def describe(
 
 
 def _question(machine: Machine) -> dict[str, Any] | None:
-    """What the diver is asked, and the answer that is selected; ``None``: nothing."""
+    """Return the question that the diver is asked, and the selected answer; ``None``: nothing is asked."""
     if machine.off_question is None:
         return None
     return {"answers": [answer.value for answer in Answer], "selected": machine.off_question.answer.value}
