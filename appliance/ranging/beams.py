@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 WINDOW_SD_MM = 0.7
-"""Of the place where a beam as drawn leaves its window: mount, and the frame of a calibration against the drawing."""
+"""Standard deviation of the place where a beam as drawn leaves its window: mount, and the frame of a calibration
+against the drawing."""
 DOT_SD_MM = 0.5
-"""Of a dot against its beam: on an edge of albedo its bright part is not its middle, and speckle moves it."""
+"""Standard deviation of a dot against its beam: on an edge of albedo its bright part is not its middle, and speckle
+moves it."""
 FLOOR_SD_MM = 0.2
 """However many dots were seen: what all of them share, as a calibration's error."""
 STEP_MM = 4.0
@@ -53,7 +55,8 @@ class Beam:
         return np.asarray(np.sqrt(np.maximum(x, y) + FLOOR_SD_MM**2))
 
     def taught(self, dot_mm: Array) -> Beam:
-        """With one more dot (3,) that both cameras saw; itself where that dot says nothing new."""
+        """Return the beam improved by one more dot (3,) that both cameras saw; itself where that dot says nothing
+        new."""
         z = float(dot_mm[2])
         if abs(z - self.last_z_mm) < STEP_MM:
             return self

@@ -35,7 +35,7 @@ MOST = 4
 """Candidates per image and beam."""
 CENTRE_TIMES = 3
 CENTRE_LEVEL = 0.25
-"""Of the height over the background: what is brighter makes the centre."""
+"""Share of the height over the background from which a pixel belongs to the centre."""
 EDGE_PX = RING_PX + 2
 
 
@@ -47,7 +47,7 @@ class Candidate:
     v_px: float
     """Its centre, in px of the whole image."""
     contrast_dn: float
-    """By how much it is brighter than the brightest around it."""
+    """Height of the dot over the brightest around it."""
 
 
 class Lane:
@@ -87,7 +87,7 @@ class Lane:
                 self._band[rim] = False
 
     def candidates(self, image: NDArray[np.uint8]) -> list[Candidate]:
-        """What looks like a dot in ``image`` (h, w) uint8, the clearest first; at most ``MOST``."""
+        """Find what looks like a dot in ``image`` (h, w) uint8, the clearest first; at most ``MOST``."""
         if self._empty:
             return []
         s = self._step
@@ -110,7 +110,8 @@ class Lane:
 
 
 def contrast_of(coarse: NDArray[Any]) -> NDArray[np.float32]:
-    """By how much each place (h, w) of an image of about ``COARSE_PX`` is brighter than the brightest on a ring around it."""
+    """Compute by how much each place (h, w) of an image of about ``COARSE_PX`` is brighter than the brightest on a ring
+    around it."""
     smooth = cv2.GaussianBlur(coarse.astype(np.float32), (0, 0), CORE_PX)
     return np.asarray(smooth - cv2.dilate(smooth, _ring()), np.float32)
 

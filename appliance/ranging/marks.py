@@ -12,14 +12,14 @@ from appliance.ranging.reach import FARTHEST_MM, NEAREST_MM
 from appliance.ranging.rig_frame import RigFrame
 
 Place = tuple[float, float]
-"""In shares of a picture's width and height, from its upper left corner."""
+"""Position in shares of a picture's width and height, from its upper left corner."""
 WORKING_MM = 500.0
 """The distance that is aimed for: the middle of the measuring volume."""
 
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """Where one pointer's dot is seen in one picture, at the near end, in the middle, and at the far end of the volume."""
+    """Track of one pointer's dot in one picture: at the near end, in the middle, and at the far end of the volume."""
 
     near: Place
     middle: Place

@@ -25,26 +25,27 @@ Images = tuple[NDArray[np.uint8], NDArray[np.uint8]]
 """Left and right (h, w) uint8, exposed at the same time."""
 
 CENTRE_SD_PX = 0.12
-"""Of a dot's centre, in px of an image 400 px wide: grain, noise and texture."""
+"""Standard deviation of a dot's centre, in px of an image 400 px wide: grain, noise and texture."""
 MOST_SIGMAS = 3.5
 LIKE_IN_BOTH = 0.2
 """A dot has at least so much of its contrast in one camera in the other: a surface is not a mirror."""
 SURFACE_SD_MM = 0.3
-"""Of a dot's depth, from speckle and texture."""
+"""Standard deviation of a dot's depth, from speckle and texture."""
 CUT_SLOPE = 1.7
 """An edge that cuts a dot, or a change of albedo in it, moves its middle off the beam; on a surface as steep as 60° its
 depth is off by so much for each mm."""
 GAP_MM = 0.6
 """Rays of one dot pass each other so near with a measured calibration: texture moves its centre differently."""
 DRAWN_GAP_MM, DRAWN_SD_MM, DRAWN_SHARE = 8.0, 4.0, 0.015
-"""With a calibration that was never measured: how far rays may pass, what places across the axis are uncertain by, and what
-share of themselves distances are (15 mm of 600 was the worst of eight instruments)."""
+"""Allowances for a calibration that was never measured: how far rays may pass, what places across the axis are
+uncertain by, and what share of themselves distances are (15 mm of 600 was the worst of eight instruments)."""
 LIKE_THE_OTHER, MOST_SLOPE_DEG = 0.4, 45.0
 """A dot that only one camera sees has so much of the contrast of the other pointer's, and is so near it in depth."""
 ALONE_DN = 50.0
 """Contrast of a dot that only one camera sees, where there is no other dot."""
 STEADY_PAIRS, STEADY_MM = 4, 8.0
-"""So many pairs in a row must show it, each as near to the one before: specks drift by, and hands and objects do not jump."""
+"""Number of pairs in a row that must show a dot, each as near to the one before: specks drift by, and hands and objects
+do not jump."""
 LONE_DN, FAINT_DN, FAINT_MM = 7.0, 15.0, 2.5
 """Contrast of a dot that is believed without the other; below ``FAINT_DN`` only if its depth is as certain as ``FAINT_MM``.
 Two faint ones on one surface bear each other out."""
@@ -64,7 +65,7 @@ CLEARLY = 0.6
 SAME_RAY = 2e-3
 """Sine of an angle: a px of an image 400 px wide."""
 OTHERS_MM = 3.0
-"""What one camera sees so near to the other pointer's dot is that dot."""
+"""Distance from the other pointer's dot within which what one camera sees is that dot."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,15 +75,15 @@ class Dot:
     place_mm: tuple[float, float, float]
     """Rig frame."""
     sigma_mm: float
-    """Of its depth."""
+    """Standard deviation of the dot's depth."""
     contrast_dn: float
     cameras: int
-    """How many saw it."""
+    """Number of cameras that saw it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Dots:
-    """What was found of both pointers."""
+    """Dots found of both pointers."""
 
     left: Dot | None
     right: Dot | None
@@ -97,7 +98,7 @@ class _Sighted:
     """A candidate's ray in the rig frame."""
 
     side: int
-    """Of the camera: left (0) or right (1)."""
+    """Camera that saw it: left (0) or right (1)."""
     start_mm: Array
     ahead: Array
     contrast_dn: float
@@ -136,15 +137,15 @@ class Ranger:
         self._seen_by = list(beams)
         """The beams that the lanes were made for."""
         self._steady: list[_Steady | None] = [None, None]
-        """What one camera alone saw of each pointer in the latest pair."""
+        """Sightings of each pointer by one camera alone in the latest pair."""
 
     @property
     def beams(self) -> tuple[Beam, Beam]:
-        """As known now."""
+        """The beams as known now."""
         return self._beams[0], self._beams[1]
 
     def marks(self) -> Marks:
-        """Where the dots are going to be seen in the live pictures."""
+        """The places where the dots are going to be seen in the live pictures."""
         return marks_of(self._rig, self.frame, self._index, self.beams)
 
     def measure(self, images: Images) -> Range | None:
@@ -165,7 +166,7 @@ class Ranger:
         return Dots(dots[0], dots[1])
 
     def pixel_of(self, side: int, dot: Dot) -> tuple[float, float]:
-        """Where the left (0) or right (1) camera sees a dot, px."""
+        """Compute where the left (0) or right (1) camera sees a dot, px."""
         camera = (self._rig.left, self._rig.right)[side]
         u, v = camera.project(self.frame.to_left(np.array([dot.place_mm])), self._index)[0]
         return float(u), float(v)
@@ -182,7 +183,7 @@ class Ranger:
                 self._seen_by[number], self._lanes[number] = beam, self._lanes_of(beam)
 
     def range_of(self, dots: Dots) -> Range | None:
-        """What dots say of distance and tilt."""
+        """Compute distance and tilt from dots."""
         if not dots.found:
             return None
         measured = _told(dots)
@@ -234,7 +235,7 @@ class Ranger:
         return best if now.pairs >= STEADY_PAIRS else None
 
     def _sighted(self, side: int, found: list[Candidate]) -> list[_Sighted]:
-        """With the rays, in the rig frame, that candidates of one camera lie on."""
+        """Return the candidates of one camera with the rays, in the rig frame, that they lie on."""
         if not found:
             return []
         camera = (self._rig.left, self._rig.right)[side]
@@ -244,7 +245,7 @@ class Ranger:
         return [_Sighted(side, start[k], ahead[k], one.contrast_dn) for k, one in enumerate(found)]
 
     def _met(self, beam: Beam, a: _Sighted, b: _Sighted) -> Dot | None:
-        """Where the rays of both cameras meet, if they do, and on the beam."""
+        """Return the point where the rays of both cameras meet, if they do, and on the beam."""
         place, gap_mm, sine = _nearest(a.start_mm, a.ahead, b.start_mm, b.ahead)
         z = float(place[2])
         if not self._measured and min(a.contrast_dn, b.contrast_dn) < DRAWN_LEAST_DN:
@@ -263,7 +264,7 @@ class Ranger:
         return Dot((float(place[0]), float(place[1]), z), sigma_mm, min(a.contrast_dn, b.contrast_dn), 2)
 
     def _single(self, beam: Beam, one: _Sighted) -> Dot | None:
-        """Where the ray of one camera meets the beam."""
+        """Return the point where the ray of one camera meets the beam."""
         ends = beam.at(np.array([NEAREST_MM, FARTHEST_MM]))
         along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
         place, gap_mm, sine = _nearest(ends[0], along, one.start_mm, one.ahead)
@@ -279,20 +280,21 @@ class Ranger:
         return Dot((float(place[0]), float(place[1]), z), sigma_mm, one.contrast_dn, 1)
 
     def _centre_sd_mm(self, way: Array) -> float:
-        """What the centre's uncertainty is at the end of ``way``."""
+        """Return the centre's standard deviation at the end of ``way``."""
         f_px = self._rig.left.lens.f_px[0] * self._index
         return CENTRE_SD_PX * self._step * float(np.linalg.norm(way)) / f_px
 
 
 def _borne_out(dot: Dot, other: Dot) -> bool:
-    """Whether a dot that one camera sees is about as bright as the other pointer's, and on the same surface as it."""
+    """Tell whether a dot that one camera sees is about as bright as the other pointer's, and on the same surface as
+    it."""
     across_mm = abs(dot.place_mm[0] - other.place_mm[0])
     near = abs(dot.place_mm[2] - other.place_mm[2]) < math.tan(math.radians(MOST_SLOPE_DEG)) * across_mm
     return near and dot.contrast_dn > max(FAINT_DN, LIKE_THE_OTHER * other.contrast_dn)
 
 
 def _told(dots: Dots) -> Range | None:
-    """What dots, at least one, say of distance and tilt."""
+    """Compute distance and tilt from dots, at least one."""
     if dots.left is None or dots.right is None:
         dot = dots.found[0]
         if dot.contrast_dn < LONE_DN or (dot.contrast_dn < FAINT_DN and dot.sigma_mm > FAINT_MM):
@@ -316,8 +318,9 @@ def _told(dots: Dots) -> Range | None:
 
 
 def _best_fitting(beam: Beam, pairs: list[tuple[Dot, _Sighted, _Sighted]]) -> list[Dot]:
-    """Of pairs that have a spot in common, those that lie clearly nearer to the beam. With a calibration that was never
-    measured the left dot in one picture and the right one in the other meet as well, some way beside both beams."""
+    """Keep, of pairs that have a spot in common, those that lie clearly nearer to the beam. With a calibration that was
+    never measured the left dot in one picture and the right one in the other meet as well, some way beside both
+    beams."""
 
     def off_mm(dot: Dot) -> float:
         return float(np.linalg.norm(beam.at(np.array(dot.place_mm[2])) - np.array(dot.place_mm)))
@@ -330,12 +333,12 @@ def _best_fitting(beam: Beam, pairs: list[tuple[Dot, _Sighted, _Sighted]]) -> li
 
 
 def _same_ray(a: _Sighted, b: _Sighted) -> bool:
-    """Whether both are one spot of one picture."""
+    """Tell whether both are one spot of one picture."""
     return a.side == b.side and float(np.linalg.norm(np.cross(a.ahead, b.ahead))) < SAME_RAY
 
 
 def _off_mm(place_mm: Array, seen: _Sighted) -> float:
-    """How far a place is from a ray."""
+    """Return the distance of a place from a ray."""
     return float(np.linalg.norm(np.cross(place_mm - seen.start_mm, seen.ahead)))
 
 

@@ -17,14 +17,14 @@ from appliance.ranging.rig_frame import RigFrame
 Array = NDArray[np.float64]
 
 BEGIN_MM = 150.0
-"""From here on the ray is looked along, rig frame; what is nearer is out of focus and before one camera alone."""
+"""Depth in the rig frame from which the ray is searched; what is nearer is out of focus and before one camera alone."""
 NEAR_MM, FAR_MM = 330.0, 620.0
 """Between these the other camera must see the ray; nearer and farther, as far as its picture goes."""
 STEP_MM = 4.0
 HALF_PX = 3
 """To each side of the ray's image, coarse px: a calibration's error, and the size of what is looked for."""
 LIKE = 0.25
-"""So much of the contrast is like it."""
+"""Share of the contrast from which a spot is like the dot."""
 
 
 class OtherCamera:
@@ -37,8 +37,9 @@ class OtherCamera:
         self, side: int, start_mm: Array, ahead: Array, images: tuple[NDArray[np.uint8], NDArray[np.uint8]],
         contrast_dn: float,
     ) -> bool:  # fmt: skip
-        """Whether the camera that is not ``side`` (0 left, 1 right) looks all along the ray from ``start_mm`` in the direction
-        ``ahead`` (3,), rig frame, as far as the volume goes, and sees nothing of ``LIKE`` times the contrast."""
+        """Tell whether the camera that is not ``side`` (0 left, 1 right) looks all along the ray from ``start_mm`` in
+        the direction ``ahead`` (3,), rig frame, as far as the volume goes, and sees nothing of ``LIKE`` times the
+        contrast."""
         camera, image = self._cameras[1 - side], images[1 - side]
         z_mm = np.arange(BEGIN_MM, FARTHEST_MM, STEP_MM)
         way = start_mm + ((z_mm - start_mm[2]) / ahead[2])[:, None] * ahead

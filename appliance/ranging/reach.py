@@ -6,27 +6,28 @@ from dataclasses import dataclass
 from enum import Enum
 
 NEAREST_MM, FARTHEST_MM = 440.0, 560.0
-"""Of the measuring volume: 120 mm around the working distance of 500 mm."""
+"""Limits of the measuring volume: 120 mm around the working distance of 500 mm."""
 HYSTERESIS_MM = 4.0
 """A word stays until the distance is so far beyond its limit: hands tremble by 1 to 2 mm."""
 
 
 @dataclass(frozen=True, slots=True)
 class Range:
-    """Where the object is before the instrument, from the laser dots on it."""
+    """Distance and tilt of the object before the instrument, from the laser dots on it."""
 
     distance_mm: float
-    """On the instrument's axis, from the middle between both projection centres; one dot: the dot's own depth."""
+    """Distance on the instrument's axis, from the middle between both projection centres; one dot: the dot's own
+    depth."""
     tilt_deg: float | None
-    """How the surface is turned about the vertical: positive where its right side is farther. ``None`` with one dot."""
+    """Turn of the surface about the vertical: positive where its right side is farther. ``None`` with one dot."""
     sigma_mm: float
     """Standard uncertainty of the distance."""
     dots: int
-    """How many of the two were found."""
+    """Number of dots found, of the two."""
 
 
 class Reach(Enum):
-    """What the diver is to do about the distance."""
+    """Advice to the diver about the distance."""
 
     CLOSER = "CLOSER"
     OK = "OK"

@@ -34,7 +34,8 @@ def shines_in_the_dark(ranger: Ranger, bright: Images, dark: Images) -> tuple[st
 
 
 def _print_explains(ranger: Ranger, dot: Dot, bright: Images, dark: Images) -> bool:
-    """In the camera where the projector's light is least saturated, the dot is what ambient light makes of a print."""
+    """Tell whether the dot is what ambient light makes of a print, in the camera where the projector's light is least
+    saturated."""
     for number, (lit, unlit) in enumerate(zip(bright, dark, strict=True)):
         u, v = ranger.pixel_of(number, dot)
         step = max(1, lit.shape[1] // 400)
@@ -51,6 +52,6 @@ def _print_explains(ranger: Ranger, dot: Dot, bright: Images, dark: Images) -> b
 
 
 def _height(part: NDArray[np.float64], step: int) -> float:
-    """How much brighter the middle is than the surroundings."""
+    """Return how much brighter the middle is than the surroundings."""
     y, x = part.shape[0] // 2, part.shape[1] // 2
     return float(part[y - step : y + step + 1, x - step : x + step + 1].mean() - np.median(part))
