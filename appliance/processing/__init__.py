@@ -1,1 +1,2 @@
-"""What happens to a recorded sequence, in order: identify, coarse cloud, judge, compensate, full cloud. Everybody runs this."""
+"""The work on a recorded sequence, in order: identify, coarse cloud, judge, compensate, full cloud. Everybody runs
+this."""

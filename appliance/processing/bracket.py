@@ -26,24 +26,24 @@ from appliance.scan.sides import SIDES, of_side
 from appliance.scan.verdict import Judgement, Verdict
 
 MAX_MOVED_MM = 10.0
-"""From one sequence to the other; it is found up to here whatever the object (docs/exposure.md)."""
+"""Greatest movement from one sequence to the other; it is found up to here whatever the object (docs/exposure.md)."""
 MAX_TURNED_DEG = 3.0
 MAX_RESIDUAL = 1.6
 """Distance of the two surfaces over what is expected: beyond, they are not one rigid thing."""
 LEAST_SHARED = 0.6
-"""Of the points both have must lie on one surface."""
+"""Share of the points both have that must lie on one surface."""
 STILL_PX = 0.3
-"""Up to here it is asked whether the maps agree: noise may look like so much movement on small objects."""
+"""Movement up to which the maps are compared all the same: noise may look like so much movement on small objects."""
 _LEVELS = (FaultCode.TOO_BRIGHT, FaultCode.TOO_DARK)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProcessedSequence:
-    """What is known of one of the two, after its full cloud."""
+    """One of the two sequences after its full cloud."""
 
     cloud: Cloud
     maps: Mapping[str, DecodedMaps]
-    """What passed by is masked."""
+    """Decoded maps by side; what passed by is masked."""
     bright: NDArray[np.uint8]
     """(h, w) uint8: the left bright frame."""
     exposure: Exposure
@@ -56,7 +56,7 @@ class ProcessedSequence:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Merged:
-    """What came of it."""
+    """Result of merging both sequences."""
 
     found: Found | None
     """The cloud of both, in the pipeline's table; ``None``: refused, and the judgement has the fault."""
@@ -114,7 +114,7 @@ def merge_bracket(pipeline: Pipeline, first: ProcessedSequence, second: Processe
 
 
 def faults_of(first: Iterable[Judgement], second: Iterable[Judgement], pair: Judgement) -> tuple[Fault, ...]:
-    """What is held against the pair: what either sequence's judges say, but for too much or too little light, which the
+    """Return the faults of the pair: those of either sequence's judges, but for too much or too little light, which the
     other one makes up for."""
     codes: dict[FaultCode, Fault] = {}
     for judgement in (*first, *second, pair):

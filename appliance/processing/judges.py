@@ -26,7 +26,7 @@ SIGHT_POINTS = 7_500
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What every judge is given."""
+    """Evidence that every judge is given."""
 
     images: ScanImages
     cloud: Cloud
@@ -35,13 +35,13 @@ class Evidence:
     water_index: float
     """Refractive index of the water at the projector's wavelength."""
     identity: Judgement
-    """Whether each frame shows the pattern it should."""
+    """Judgement whether each frame shows the pattern it should."""
     pipeline: Pipeline
-    """Where points can be asked for at any depth, also outside of the measuring volume."""
+    """Pipeline that can be asked for points at any depth, also outside of the measuring volume."""
 
 
 Earlier = Mapping[str, Judgement | None]
-"""What the judges said that a judge ``needs``, by their names."""
+"""Judgements that a judge ``needs``, by their names."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +57,7 @@ class Judge:
 
 
 def _look(given: Evidence, _: Earlier) -> Judgement:
-    """What is there at whatever depth, and fringes too weak to be decoded."""
+    """Judge what is there at whatever depth, and fringes too weak to be decoded."""
     left = given.rig.left
     stride = max(1, round((left.width_px * left.height_px / SIGHT_POINTS) ** 0.5))
     return Judgement(
@@ -86,7 +86,7 @@ JUDGES = (
     Judge("windows", _look_at_windows, needs=("motion",)),
     Judge("motion", lambda given, _: judge_motion(given.images, given.cloud, given.rig, given.water_index).judgement),
 )
-"""In the order in which their verdicts are told and stored."""
+"""Judges in the order in which their verdicts are told and stored."""
 
 
 def judged_by_all(given: Evidence) -> Iterator[tuple[str, Judgement | None]]:
@@ -98,10 +98,10 @@ def judged_by_all(given: Evidence) -> Iterator[tuple[str, Judgement | None]]:
 
 
 def in_order(said: Earlier) -> dict[str, Judgement]:
-    """What the judges ``said``, in the table's order; without those that had nothing to say."""
+    """Return what the judges ``said``, in the table's order; without those that had nothing to say."""
     return {judge.name: one for judge in JUDGES if (one := said.get(judge.name)) is not None}
 
 
 def is_fault(judgement: Judgement | None) -> bool:
-    """Whether a judgement holds something against the scan."""
+    """Tell whether a judgement holds something against the scan."""
     return judgement is not None and judgement.fault is not None

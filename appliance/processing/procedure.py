@@ -58,7 +58,7 @@ class OneJudged:
 
 @dataclass(frozen=True, slots=True)
 class AllJudged:
-    """What is to be said of the scan, identity first, in place of what was said before."""
+    """All judgements of the scan, identity first, in place of what was said before."""
 
     judgements: tuple[Judgement, ...]
     compensating: bool = False
@@ -71,7 +71,7 @@ class FullFound:
 
     found: Found
     judgements: tuple[Judgement, ...]
-    """What is finally to be said of the scan, weighed with the full cloud."""
+    """Final judgements of the scan, weighed with the full cloud."""
 
 
 Step = Identified | CoarseFound | OneJudged | AllJudged | FullFound
