@@ -19,7 +19,7 @@ from drivers.api import Key
 
 
 class Severity(IntEnum):
-    """As dive computers show it: white, solid yellow, flashing red."""
+    """Severity, shown as dive computers show it: white, solid yellow, flashing red."""
 
     INFO = 0
     WARNING = 1
@@ -41,7 +41,7 @@ class Alert:
     lasts: bool = False
     """Shown as long as its cause lasts (a condition, a lost device, a stuck key), not until the next key."""
     passing: bool = False
-    """As in ``Rule``."""
+    """True for an alert that passes, like the field of ``Rule``."""
     seen: bool = False
     """The diver has acknowledged it: a small mark is left of it."""
 
@@ -72,7 +72,7 @@ class Rule:
     """It comes and goes with the live picture: told in the title and as a mark that says what to do, never in full. Nothing
     moves under the diver's eyes, and no key is needed."""
     worsens: Mapping[str, float] = field(default_factory=dict, hash=False)
-    """By how much a number has to change, and in which direction, for an acknowledged alert to be shown in full again."""
+    """Change of each number, with its direction, after which an acknowledged alert is shown in full again."""
 
 
 _I, _W, _C = Severity.INFO, Severity.WARNING, Severity.CRITICAL
@@ -481,7 +481,7 @@ _TESTED = frozenset(
         FaultCode.DISPLAY_LOST, FaultCode.BOARD_LOST, FaultCode.KEYS_LOST, FaultCode.UNCALIBRATED,
     }
 )  # fmt: skip
-"""What has a line of its own in the self-test."""
+"""Faults that have a line of their own in the self-test."""
 QUIET: Mapping[State, frozenset[FaultCode]] = MappingProxyType(
     {
         State.BOOT: _TESTED,
@@ -491,17 +491,17 @@ QUIET: Mapping[State, frozenset[FaultCode]] = MappingProxyType(
         State.SAFE: frozenset({FaultCode.LEAK}),
     }
 )
-"""What a state's own screen says already, or is the remedy for."""
+"""Faults that a state's own screen says already, or is the remedy for."""
 
 
 def lasting(machine: Machine) -> tuple[Fault, ...]:
-    """What is wrong until it ends by itself or is mended: lost devices, conditions, stuck keys."""
+    """Return what is wrong until it ends by itself or is mended: lost devices, conditions, stuck keys."""
     stuck = (Fault(FaultCode.KEY_STUCK, f"{k.value} key", device=f"key.{k.value}") for k in Key if k in machine.stuck)
     return (*machine.lost.values(), *machine.conditions, *stuck)
 
 
 def seen(machine: Machine, fault: Fault) -> bool:
-    """Whether the diver has acknowledged it as it is now: for the same reason, and not noticeably worse."""
+    """Tell whether the diver has acknowledged the fault as it is now: for the same reason, and not noticeably worse."""
     worsens = RULES[fault.code].worsens
     return any(
         (was.code, was.device, _reason(was)) == (fault.code, fault.device, _reason(fault))
@@ -532,18 +532,19 @@ def in_full(shown: Sequence[Alert]) -> Alert | None:
 
 
 def on_screen(machine: Machine) -> tuple[Alert, ...]:
-    """What the band of the screen shows of ``alerts``: not what the screen is made of, nor what is being remedied."""
+    """Return those of ``alerts`` that the band of the screen shows: not what the screen is made of, nor what is being
+    remedied."""
     quiet = QUIET.get(machine.state, frozenset())
     return tuple(alert for alert in alerts(machine) if alert.code not in quiet)
 
 
 def lengths_doubtful(machine: Machine) -> bool:
-    """Whether something lasts that makes lengths not to be trusted."""
+    """Tell whether something lasts that makes lengths not to be trusted."""
     return any(RULES[fault.code].doubts_lengths for fault in machine.conditions)
 
 
 def alerts(machine: Machine) -> tuple[Alert, ...]:
-    """What to show now: the notice first, then what lasts, the most severe first; nothing twice."""
+    """Return the alerts to show now: the notice first, then what lasts, the most severe first; nothing twice."""
     lasts = [replace(alert_of(fault), lasts=True, seen=seen(machine, fault)) for fault in lasting(machine)]
     if machine.scan is not None:
         lasts += [alert_of(fault) for fault in machine.scan.warnings]

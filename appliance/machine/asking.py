@@ -43,7 +43,8 @@ def pressed(machine: Machine, key: Key) -> Result:
 
 
 def other_answer(machine: Machine, key: Key) -> Answer | None:
-    """What UP or DOWN would select; ``None``: nothing else. Where DOWN stands in for a stuck BACK, UP leads to both answers."""
+    """Return the answer that UP or DOWN would select; ``None``: nothing else. Where DOWN stands in for a stuck BACK, UP
+    leads to both answers."""
     if machine.off_question is None:
         return None
     match key:

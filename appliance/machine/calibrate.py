@@ -15,18 +15,18 @@ from drivers.api import Key
 
 
 def begin(machine: Machine) -> Result:
-    """From AIM to the first step that is not done."""
+    """Go from AIM to the first step that is not done."""
     machine = enter(machine, State.CALIBRATE)
     return replace(machine, calibrating=Calibrating(machine.session.next_step)), ()
 
 
 def records(machine: Machine) -> bool:
-    """Whether the step has live views, and SCAN records."""
+    """Tell whether the step has live views, and SCAN records."""
     return machine.calibrating is not None and machine.calibrating.step in HELD
 
 
 def neighbour(machine: Machine, key: Key) -> Step | None:
-    """Where UP or DOWN leads: to the nearest step before or after that can be done."""
+    """Return the nearest step before or after that can be done, to which UP or DOWN leads."""
     at = machine.calibrating
     if at is None or at.task is not None or key not in (Key.UP, Key.DOWN):
         return None
@@ -36,7 +36,7 @@ def neighbour(machine: Machine, key: Key) -> Step | None:
 
 
 def decision(machine: Machine) -> do.SolveCalibration | do.UseSolved | do.RestoreCalibration | None:
-    """What SCAN means at a step that records nothing."""
+    """Return the effect that SCAN has at a step that records nothing."""
     at = machine.calibrating
     if at is None or at.task is not None:
         return None
@@ -51,7 +51,7 @@ def decision(machine: Machine) -> do.SolveCalibration | do.UseSolved | do.Restor
 
 
 def may_begin_session(machine: Machine) -> bool:
-    """Whether DOWN held puts the session away: at its end."""
+    """Tell whether DOWN held puts the session away: at its end."""
     at = machine.calibrating
     return machine.state is State.CALIBRATE and at is not None and at.task is None and at.step is Step.RESULT
 
@@ -172,7 +172,7 @@ def late(machine: Machine) -> Result:
 
 
 def cancelled(machine: Machine, reason: str) -> tuple[do.Effect, ...]:
-    """What ends the step's task; what is being written to the disk is finished all the same."""
+    """Return the effects that end the step's task; what is being written to the disk is finished all the same."""
     at = machine.calibrating
     if at is None or at.task not in (Task.STORE, Task.EXAMINE, Task.SOLVE):
         return ()

@@ -11,7 +11,7 @@ from appliance.scan.exposure import NOMINAL, Exposure
 T = TypeVar("T")
 
 COLDEST_C, WARMEST_C = -2.0, 40.0
-"""As the rig file allows: where the formula of the refractive index holds."""
+"""Limits of the water's temperature as the rig file has them: where the formula of the refractive index holds."""
 FRESH_PSU, SALT_PSU = 0.0, 35.0
 LANGUAGES = ("en", "de")
 FRESHEST_SALT_PSU = 2.0
@@ -20,7 +20,7 @@ FRESHEST_SALT_PSU = 2.0
 
 @dataclass(frozen=True, slots=True)
 class Choices:
-    """What the next scan is taken and measured with. Remembered over a restart."""
+    """Choices for taking and measuring the next scan. Remembered over a restart."""
 
     exposure: Exposure = NOMINAL
     period_px: int = 16
@@ -28,20 +28,20 @@ class Choices:
     water_c: float = 20.0
     """The water's temperature, stated by the diver: the instrument has no sensor for it."""
     language: str = "en"
-    """Of the screens; one of ``LANGUAGES``."""
+    """Language of the screens; one of ``LANGUAGES``."""
 
     @property
     def salt(self) -> bool:
-        """Whether the water is salt water to the diver."""
+        """True if the diver calls the water salt water."""
         return self.salinity_psu >= FRESHEST_SALT_PSU
 
 
 @dataclass(frozen=True, slots=True)
 class Offers:
-    """What there is to choose from."""
+    """Values that there are to choose from."""
 
     exposures: tuple[Exposure, ...] = (NOMINAL,)
-    """From dark to bright."""
+    """Exposures from dark to bright."""
     periods_px: tuple[int, ...] = PERIODS_PX
     fresh_psu: float = FRESH_PSU
     salt_psu: float = SALT_PSU
@@ -49,7 +49,7 @@ class Offers:
 
 
 def offers_of(chosen: Choices, exposures: tuple[Exposure, ...], periods_px: tuple[int, ...] = PERIODS_PX) -> Offers:
-    """What to offer on an instrument whose rig file states ``chosen``."""
+    """Return the values to offer on an instrument whose rig file states ``chosen``."""
     if chosen.salt:
         return Offers(exposures, periods_px, salt_psu=chosen.salinity_psu)
     return Offers(exposures, periods_px, fresh_psu=chosen.salinity_psu)

@@ -17,7 +17,7 @@ HYSTERESIS_V = 0.3
 
 
 def raised(machine: Machine, fault: Fault) -> Machine:
-    """With that condition, which replaces an older one of the same code and device."""
+    """Return the machine with that condition, which replaces an older one of the same code and device."""
     others = tuple(c for c in machine.conditions if (c.code, c.device) != (fault.code, fault.device))
     return replace(machine, conditions=(*others, fault))
 
@@ -81,5 +81,5 @@ def _lasers(machine: Machine, telemetry: Telemetry) -> Machine:
 
 
 def has(machine: Machine, code: FaultCode, device: str | None = None) -> bool:
-    """Whether that condition lasts."""
+    """Tell whether that condition lasts."""
     return any((fault.code, fault.device) == (code, device) for fault in machine.conditions)

@@ -40,7 +40,7 @@ class Arm:
     period_px: int
     exposure: Exposure
     second: bool = False
-    """Of the scan in hand, whose first sequence stays where it is."""
+    """True for the second sequence of the scan in hand, whose first one stays where it is."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +52,7 @@ class Capture:
 
 @dataclass(frozen=True, slots=True)
 class AbortCapture:
-    """What was armed is let go, a sequence ends at the next vertical blank, dark. Its answer is no longer awaited."""
+    """Let go what was armed and end a sequence at the next vertical blank, dark. Its answer is no longer awaited."""
 
     number: int
 
@@ -67,7 +67,8 @@ class StoreRaw:
 
 @dataclass(frozen=True, slots=True)
 class StartReconstruction:
-    """Of a second sequence: answer PairMerged or PairFailed. Else answer CoarseReady (may be left out) and then FullReady, or ReconstructionFailed."""
+    """Reconstruct a sequence. Answer CoarseReady (may be left out) and then FullReady, or ReconstructionFailed; of a
+    second sequence PairMerged or PairFailed."""
 
     number: int
 

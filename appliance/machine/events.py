@@ -103,7 +103,8 @@ class Told:
 
 @dataclass(frozen=True, slots=True)
 class StorageCounted:
-    """What the library holds and how many scans still fit; ``scans_left`` is None where the disk does not tell."""
+    """The library was counted: what it holds and how many scans still fit; ``scans_left`` is None where the disk does
+    not tell."""
 
     scans: int
     last_scan: str | None
@@ -179,14 +180,14 @@ class FullReady:
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """What the judges hold against the scan now, in place of what they said before; nothing: it is good."""
+    """The judges spoke: what they hold against the scan now, in place of what they said before; nothing: it is good."""
 
     number: int
     warnings: tuple[Fault, ...] = ()
     proposal: Exposure | None = None
-    """What to expose the next scan with, if not as this one."""
+    """Exposure proposed for the next scan, if not that of this one."""
     second: Exposure | None = None
-    """What a second sequence of the same scene would add by; ``None``: one exposure serves."""
+    """Exposure by which a second sequence of the same scene would add something; ``None``: one exposure serves."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,7 +195,7 @@ class PairMerged:
     """The second sequence shows the same as the first: the scan's cloud is that of both."""
 
     number: int
-    """Of the scan, which is the first sequence's."""
+    """Number of the scan, which is the first sequence's."""
     summary: CloudSummary
     warnings: tuple[Fault, ...] = ()
     """Held against both, in place of what was held against the first."""
@@ -257,21 +258,22 @@ class SessionChanged:
 
 @dataclass(frozen=True, slots=True)
 class CalibrationProgressed:
-    """How far the adjustment is, 0..1."""
+    """The adjustment went on: its progress, 0..1."""
 
     progress: float
 
 
 @dataclass(frozen=True, slots=True)
 class CalibrationFailed:
-    """What was wanted for the calibration came to nothing; the session is as it was."""
+    """A request of the calibration came to nothing; the session is as it was."""
 
     failure: Failure
 
 
 @dataclass(frozen=True, slots=True)
 class Ranged:
-    """Where the object is now, from the laser dots in the live images; ``None``: nothing can be said for sure."""
+    """The laser dots in the live images were measured: where the object is now; ``None``: nothing can be said for
+    sure."""
 
     range: Range | None
 

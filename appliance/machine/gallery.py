@@ -11,7 +11,7 @@ from drivers.api import Key
 
 
 def open_gallery(machine: Machine) -> Result:
-    """From AIM, or from the menu, which is where BACK leads then."""
+    """Open the gallery from AIM, or from the menu, which is where BACK leads then."""
     return replace(enter(machine, State.GALLERY), gallery=Gallery()), (do.ListScans(),)
 
 
@@ -37,7 +37,7 @@ def pressed(machine: Machine, key: Key) -> Result:
 
 
 def may_move(machine: Machine, key: Key) -> bool:
-    """Whether there is one in that direction."""
+    """Tell whether there is a scan in that direction."""
     at = machine.gallery
     if at is None or not at.scans:
         return False

@@ -12,9 +12,9 @@ from appliance.machine.states import Machine, State
 from drivers.api import Key
 
 HELD_TO_SWITCH_OFF = (State.BOOT, State.SELF_TEST, State.AIM, State.SAFE)
-"""Where BACK held asks whether to switch off."""
+"""States in which BACK held asks whether to switch off."""
 HELD_TO_REJECT = (State.CHECK, State.RECONSTRUCT, State.REVIEW)
-"""Where BACK held rejects the scan in hand: a glove that brushes the key costs no scan."""
+"""States in which BACK held rejects the scan in hand: a glove that brushes the key costs no scan."""
 
 
 def meaning(machine: Machine, key: Key) -> Key:

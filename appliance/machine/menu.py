@@ -16,7 +16,7 @@ from drivers.api import Key
 
 
 class Row(Enum):
-    """What a row is about."""
+    """Subject of a row."""
 
     EXPOSURE = "EXPOSURE"
     PERIOD = "PERIOD"
@@ -62,7 +62,7 @@ VALUES = (Row.EXPOSURE, Row.PERIOD, Row.WATER_KIND, Row.WATER_TEMPERATURE, Row.L
 
 
 def open_menu(machine: Machine) -> Result:
-    """From AIM."""
+    """Open the menu from AIM."""
     return replace(enter(machine, State.MENU), menu=Menu()), ()
 
 
@@ -101,7 +101,7 @@ def pressed(machine: Machine, key: Key) -> Result:
 
 
 def may_move(machine: Machine, key: Key) -> bool:
-    """Whether UP or DOWN would change anything."""
+    """Tell whether UP or DOWN would change anything."""
     menu = machine.menu
     if menu is None:
         return False
@@ -111,7 +111,7 @@ def may_move(machine: Machine, key: Key) -> bool:
 
 
 def may_choose(machine: Machine) -> bool:
-    """Whether SCAN does anything on the selected row."""
+    """Tell whether SCAN does anything on the selected row."""
     return machine.menu is not None and (machine.menu.draft is not None or machine.menu.page is not Page.ABOUT)
 
 

@@ -7,7 +7,7 @@ from enum import Enum
 
 
 class Mishap(Enum):
-    """What to tell the diver; it decides what he can do."""
+    """Kind of a failure, to tell the diver; it decides what he can do."""
 
     RECORDING = "recording"
     """A recording, or the artefact in it, cannot be used."""
@@ -29,10 +29,10 @@ class Mishap(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """What became of a task."""
+    """Failure of a task."""
 
     mishap: Mishap
     detail: str
-    """For the log, and for who repairs it: English, with names and values. Never on the screen."""
+    """Details for the log, and for who repairs it: English, with names and values. Never on the screen."""
     about: str = ""
     """The step that it is about; empty: none in particular."""

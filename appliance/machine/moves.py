@@ -36,7 +36,8 @@ def enter(machine: Machine, state: State, timeout_s: float | None = None) -> Mac
 
 
 def home(machine: Machine) -> Machine:
-    """Where a capture came from: AIM, the step of the calibration it was for, or the review of the scan it would add to."""
+    """Return to where a capture came from: AIM, the step of the calibration it was for, or the review of the scan it
+    would add to."""
     scan = machine.scan
     if scan is not None and scan.adding is not None:
         return replace(enter(machine, State.REVIEW), scan=replace(scan, adding=None))

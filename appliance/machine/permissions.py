@@ -18,22 +18,22 @@ LOST_CODES = {
 
 
 def may_light(machine: Machine) -> bool:
-    """Whether anything may shine at all: not with a leak, not when too hot."""
+    """Tell whether anything may shine at all: not with a leak, not when too hot."""
     return not any(RULES[fault.code].forbids_light for fault in machine.conditions)
 
 
 def too_hot_to_shine(machine: Machine) -> bool:
-    """Whether it must cool down before anything may shine."""
+    """Tell whether it must cool down before anything may shine."""
     return any(fault.code in (FaultCode.HOT, FaultCode.TOO_HOT) for fault in machine.conditions)
 
 
 def may_shine(machine: Machine) -> bool:
-    """Whether the projector may shine."""
+    """Tell whether the projector may shine."""
     return may_light(machine) and Device.PROJECTOR in machine.up
 
 
 def may_lase(machine: Machine) -> bool:
-    """Whether the lasers may be on. One that ignored its switch must stay off for good."""
+    """Tell whether the lasers may be on. One that ignored its switch must stay off for good."""
     misbehaved = any(fault.code is FaultCode.LASER_ON for fault in machine.conditions)
     return may_light(machine) and Device.BOARD in machine.up and not misbehaved
 
@@ -74,8 +74,8 @@ def missing_device(machine: Machine) -> Fault | None:
 
 
 def second_exposure(machine: Machine) -> Exposure | None:
-    """What one key records a second sequence with while a scan is reviewed; ``None``: nothing to be gained, or not by
-    points that are wrong."""
+    """Return the exposure with which one key records a second sequence while a scan is reviewed; ``None``: nothing to
+    be gained, or not by points that are wrong."""
     scan = machine.scan
     if machine.state is not State.REVIEW or scan is None or scan.full is None or scan.added is not None:
         return None
@@ -83,8 +83,8 @@ def second_exposure(machine: Machine) -> Exposure | None:
 
 
 def other_exposure(machine: Machine) -> Exposure | None:
-    """What one key changes the exposure to while a scan is reviewed: to what was proposed, and back. ``None``: nothing was
-    proposed."""
+    """Return the exposure to which one key changes while a scan is reviewed: what was proposed, and back. ``None``:
+    nothing was proposed."""
     scan = machine.scan
     if machine.state is not State.REVIEW or scan is None or scan.proposal is None:
         return None

@@ -77,7 +77,7 @@ def unsaved(machine: Machine, fault: Fault) -> Result:
 
 
 def retry(machine: Machine) -> Result:
-    """With the time: once more, if it is due."""
+    """Try to save once more, if it is time."""
     scan = machine.scan
     if scan is None or scan.retry_ns is None or machine.now_ns < scan.retry_ns:
         return machine, ()
@@ -93,7 +93,7 @@ def late(machine: Machine) -> Result:
 
 
 def _where(machine: Machine) -> State:
-    """What is saved in SAFE, is saved there."""
+    """Return the state to save in: a save that began in SAFE stays there."""
     return State.SAFE if machine.state is State.SAFE else State.SAVING
 
 
@@ -104,6 +104,6 @@ def _again(machine: Machine, scan: ScanInHand) -> ScanInHand:
 
 
 def end(machine: Machine) -> Result:
-    """What was wanted before the save was through."""
+    """Do what was wanted before the save was through."""
     power_off = machine.stopping is Ending.POWER_OFF
     return enter(machine, State.SHUTDOWN), (do.Quit(power_off),)

@@ -102,7 +102,8 @@ def abandon(machine: Machine, notice: Notice | None) -> Result:
 
 
 def _failure(machine: Machine, fault: Fault) -> Notice:
-    """What is said when nothing came of a recording: of a second exposure, the first one is there as it was."""
+    """Return the notice that nothing came of a recording; of a second exposure, it says that the first one is there as
+    it was."""
     adding = machine.scan is not None and machine.scan.adding is not None
     return Notice(fault, NoticeKind.NOT_ADDED if adding else NoticeKind.FAILURE)
 
@@ -180,7 +181,7 @@ def reconstruction(machine: Machine, event: on.CoarseReady | on.FullReady | on.R
 
 
 def judged(machine: Machine, said: on.Judged) -> Machine:
-    """What is held against the scan now."""
+    """Take over what is held against the scan now."""
     scan = machine.scan
     if scan is None or scan.number != said.number:
         return machine
@@ -241,7 +242,7 @@ def no_cloud(machine: Machine, fault: Fault, *, cancel: bool = True) -> Result:
 
 
 def _show(machine: Machine) -> Result:
-    """With news from the worker: to the review, or on with a save that waited for it."""
+    """Go to the review with the worker's news, or on with a save that waited for it."""
     scan = machine.scan
     if machine.state in (State.CHECK, State.RECONSTRUCT):
         return enter(machine, State.REVIEW), ()

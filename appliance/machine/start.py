@@ -21,7 +21,7 @@ def booted(machine: Machine) -> Result:
 
 
 def tested(machine: Machine, event: on.PartTested) -> Machine:
-    """With a part's result, which may come again and be another."""
+    """Take over a part's result, which may come again and be another."""
     return replace(machine, parts={**machine.parts, event.part: Tested(event.passed, event.detail)})
 
 
@@ -34,24 +34,24 @@ def busy(machine: Machine, part: Part) -> Machine:
 
 
 def finished(machine: Machine) -> bool:
-    """Whether every device and part has a result."""
+    """Tell whether every device and part has a result."""
     heard = all(device in machine.up or device in machine.lost for device in Device)
     return heard and all(part in machine.parts for part in Part)
 
 
 def stops(machine: Machine) -> bool:
-    """Whether something failed that a scan needs: the diver must have seen it."""
+    """Tell whether something failed that a scan needs: the diver must have seen it."""
     storage = machine.parts.get(Part.STORAGE)
     return refusal(machine) is not None or (storage is not None and not storage.passed)
 
 
 def passed(machine: Machine) -> bool:
-    """Whether everything works."""
+    """Tell whether everything works."""
     return finished(machine) and not machine.lost and all(test.passed for test in machine.parts.values())
 
 
 def waits_for_ok(machine: Machine) -> bool:
-    """Whether the diver is asked to go on in spite of what failed."""
+    """Tell whether the diver is asked to go on in spite of what failed."""
     return machine.state is State.SELF_TEST and finished(machine) and stops(machine)
 
 
@@ -77,7 +77,7 @@ def passed_by(machine: Machine) -> Machine:
 
 
 def late(machine: Machine) -> Result:
-    """What has not answered by now has failed."""
+    """Count everything that has not answered by now as failed."""
     if machine.state is State.BOOT:
         return enter(machine, State.SELF_TEST, machine.settings.self_test_s), ()
     for device in Device:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:  # carried from the worker to the screens, never read here: no
 
 
 class State(Enum):
-    """What the instrument is doing. The names are those of ``docs/protocols/status.md``."""
+    """State of the instrument. The names are those of ``docs/protocols/status.md``."""
 
     BOOT = "BOOT"
     """Opening devices: each is tried once."""
@@ -35,7 +35,7 @@ class State(Enum):
     AIM = "AIM"
     """Live views; with CALIBRATE the only state with light outside a capture."""
     MENU = "MENU"
-    """What can be chosen, page by page."""
+    """The menu is open: what can be chosen, page by page."""
     GALLERY = "GALLERY"
     """The scans on the disk, the newest first."""
     ARMED = "ARMED"
@@ -72,7 +72,7 @@ class Device(Enum):
 
 
 class Part(Enum):
-    """What the self-test looks at besides devices; named as on the screen."""
+    """Parts that the self-test looks at besides devices; named as on the screen."""
 
     STORAGE = "storage"
     CALIBRATION = "calibration"
@@ -81,7 +81,7 @@ class Part(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Tested:
-    """What the self-test found about a part."""
+    """Result of the self-test for one part."""
 
     passed: bool
     detail: Label = ""
@@ -92,30 +92,30 @@ NEEDED_FOR_A_SCAN = (Device.CAMERA_LEFT, Device.CAMERA_RIGHT, Device.BOARD, Devi
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Of the temperature of one place, °C."""
+    """Temperature limits of one place, °C."""
 
     warm_c: float
-    """From here on it is told, and light rests sooner."""
+    """Temperature from which a warning is shown, and light rests sooner."""
     hot_c: float
-    """From here on nothing shines."""
+    """Temperature from which nothing shines."""
     off_c: float
-    """From here on the instrument switches itself off."""
+    """Temperature from which the instrument switches itself off."""
 
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """What the machine is told once. Deadlines are generous: they end a hang, they do not pace the work."""
+    """Constants that the machine is given once. Deadlines are generous: they end a hang, they do not pace the work."""
 
     choices: Choices = field(default_factory=Choices)
-    """At power-on."""
+    """Choices at power-on."""
     offers: Offers = field(default_factory=Offers)
     boot_s: float = 60.0
     self_test_s: float = 45.0
-    """What has no result by then counts as failed …"""
+    """Time after which a part of the self-test without a result counts as failed."""
     busy_s: float = 10.0
     """… but what was seen to get on is given so much longer, from then."""
     passed_s: float = 1.0
-    """How long a self-test is shown that found nothing wrong …"""
+    """Time for which a self-test is shown that found nothing wrong."""
     limited_s: float = 3.0
     """… one that found what limits but does not forbid scans …"""
     keyless_s: float = 10.0
@@ -128,7 +128,7 @@ class Settings:
     frames: Mapping[int, int] = field(
         default_factory=lambda: {period_px: len(build_sequence(period_px)) for period_px in PERIODS_PX}, hash=False
     )
-    """Of a sequence, by its period in px."""
+    """Number of frames of a sequence, by its period in px."""
     reconstruct_s: float = 60.0
     saving_s: float = 60.0
     examine_s: float = 60.0
@@ -142,14 +142,14 @@ class Settings:
     """… and sooner where it is warm."""
     supply_low_v: float | None = None
     supply_off_s: float = 30.0
-    """How long a low supply is borne before the instrument switches off in good order."""
+    """Time for which a low supply is borne before the instrument switches off in good order."""
     ask_off_s: float = 20.0
-    """How long the question whether to switch off waits for an answer."""
+    """Time for which the question whether to switch off waits for an answer."""
     insist_s: float = 10.0
-    """How long SCAN outside the measuring volume waits to be pressed again."""
+    """Time for which SCAN outside the measuring volume waits to be pressed again."""
 
     def light_s(self, period_px: int) -> float:
-        """How long a sequence shines."""
+        """Return for how long a sequence shines."""
         return self.frames.get(period_px, max(self.frames.values(), default=0)) / self.refresh_hz
 
     def capture_s(self, period_px: int) -> float:
@@ -164,15 +164,16 @@ class ScanInHand:
     """The recorded scan the diver has not decided on, or that is being saved."""
 
     number: int
-    """Of its Capture effect; events about it carry the same."""
+    """Number of the scan's Capture effect; events about it carry the same."""
     exposure: Exposure
     """It was recorded with."""
     proposal: Exposure | None = None
-    """What its judge of light would expose the next one with."""
+    """Exposure that its judge of light proposes for the next one."""
     second: Exposure | None = None
-    """What a second sequence would be exposed with to show what this one cannot: too bright in parts, and too dark."""
+    """Exposure of a second sequence that would show what this one cannot: too bright in parts, and too dark."""
     adding: int | None = None
-    """Of the Arm effect of that second sequence, while it is recorded and merged; whatever fails, this scan stays."""
+    """Number of the Arm effect of that second sequence, while it is recorded and merged; whatever fails, this scan
+    stays."""
     added: Exposure | None = None
     """The second sequence's, once the scan is of both."""
     warnings: tuple[Fault, ...] = ()
@@ -186,11 +187,11 @@ class ScanInHand:
     """The diver wants it, or it is saved unasked because the instrument must end."""
     publishing: bool = False
     failures: int = 0
-    """How often the disk refused it since the last key."""
+    """Number of the disk's refusals since the last key."""
     retry_ns: int | None = None
     """When to try again without being asked."""
     turn: int = 0
-    """How the diver turned the view: steps to the right, negative to the left."""
+    """Turn of the view by the diver: steps to the right, negative to the left."""
 
     @property
     def settled(self) -> bool:
@@ -222,7 +223,7 @@ class Notice:
 
 
 class Task(Enum):
-    """What a step of the calibration waits for."""
+    """Task that a step of the calibration waits for."""
 
     STORE = "STORE"
     """The frames are on their way to the disk."""
@@ -237,14 +238,14 @@ class Task(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Calibrating:
-    """Where the diver is among the steps of the calibration. What was achieved is in the session."""
+    """Position of the diver among the steps of the calibration. What was achieved is in the session."""
 
     step: Step
     task: Task | None = None
     number: int | None = None
-    """Of the Capture effect whose recording is stored, examined or accepted."""
+    """Number of the Capture effect whose recording is stored, examined or accepted."""
     progress: float | None = None
-    """Of the task, 0..1; ``None`` where nobody knows."""
+    """Progress of the task, 0..1; ``None`` where nobody knows."""
     latest: Trial | None = None
     """The latest recording, until the next key."""
     failed: Failure | None = None
@@ -278,7 +279,7 @@ class OffQuestion:
 
 @dataclass(frozen=True, slots=True)
 class Menu:
-    """Where the diver is in the menu."""
+    """Position of the diver in the menu."""
 
     page: Page = Page.MAIN
     row: int = 0
@@ -302,7 +303,7 @@ class Gallery:
 
 @dataclass(frozen=True, slots=True)
 class Thermal:
-    """What is remembered of temperatures and light; ``appliance.machine.thermal`` reads and writes it."""
+    """Memory of temperatures and light; ``appliance.machine.thermal`` reads and writes it."""
 
     heard_ns: Mapping[str, int] = field(default_factory=dict, hash=False)
     """When each sensor spoke last; from the first heartbeat on for one that never did."""
@@ -317,7 +318,7 @@ class Thermal:
 
 
 class Ending(Enum):
-    """What follows once the save in progress is through."""
+    """End that follows once the save in progress is through."""
 
     STOP = "stop"
     """The service ends."""
@@ -339,20 +340,20 @@ class Machine:
     lost: Mapping[Device, Fault] = field(default_factory=dict, hash=False)
     """A device in neither ``up`` nor ``lost`` has not been heard of."""
     conditions: tuple[Fault, ...] = ()
-    """What is wrong as long as it lasts, besides lost devices; one per code and device."""
+    """Faults that last, besides lost devices; one per code and device."""
     seen: tuple[Fault, ...] = ()
-    """Of what lasts, what the diver has acknowledged, as it was then; one per code and device."""
+    """Lasting faults as the diver acknowledged them; one per code and device."""
     notice: Notice | None = None
     captures: int = 0
     """Number of the latest Capture effect."""
     retries: int = 0
     """Silent repetitions of the current capture."""
     choices: Choices = field(default_factory=Choices)
-    """Of the next scan and of the live views, until the diver changes them."""
+    """Choices for the next scan and the live views, until the diver changes them."""
     parts: Mapping[Part, Tested] = field(default_factory=dict, hash=False)
-    """What the self-test found; a part that is missing has not been heard of."""
+    """Results of the self-test; a part that is missing has not been heard of."""
     menu: Menu | None = None
-    """In MENU, and in a GALLERY that was entered from there."""
+    """Menu in MENU, and in a GALLERY that was entered from there."""
     gallery: Gallery | None = None
     insists_until_ns: int | None = None
     """SCAN was pressed outside the measuring volume; pressed again before then, it records."""
@@ -361,7 +362,7 @@ class Machine:
     scan: ScanInHand | None = None
     stuck: frozenset[Key] = frozenset()
     back_from: State | None = None
-    """Where the latest press of BACK began: held on into another state, it means nothing there."""
+    """State in which the latest press of BACK began: held on into another state, it means nothing there."""
     back_spent: bool = False
     """The latest press of BACK has had its effect: held on, it means nothing more."""
     off_question: OffQuestion | None = None
@@ -375,7 +376,7 @@ class Machine:
     lasers_off_since_ns: int | None = None
     """Since when the lasers should be off; ``None`` while they may be on."""
     range: Range | None = None
-    """Where the object is, as long as the lasers are on; ``None``: unknown."""
+    """Distance of the object, as long as the lasers are on; ``None``: unknown."""
     reach: Reach = Reach.UNKNOWN
     """The word for it, which does not flicker."""
     scans: int = 0
@@ -388,15 +389,15 @@ class Machine:
     off_ns: int | None = None
     """When the instrument switches off by itself, unless what forces it ends before."""
     ended_by: Fault | None = None
-    """What forced it to switch off; ``None``: the diver wanted it."""
+    """Fault that forced it to switch off; ``None``: the diver wanted it."""
     session: Session = field(default_factory=Session)
     """The calibration under way, or the last one, as it lies on the disk."""
     calibrating: Calibrating | None = None
-    """In CALIBRATE, and in ARMED and CAPTURE for one of its steps."""
+    """Calibration in CALIBRATE, and in ARMED and CAPTURE for one of its steps."""
 
     @property
     def exposure(self) -> Exposure:
-        """Of the next scan and of the live views."""
+        """Exposure of the next scan and of the live views."""
         return self.choices.exposure
 
 

@@ -157,7 +157,7 @@ def _settle(before: Machine, after: Machine, wanted: tuple[do.Effect, ...]) -> R
 
 
 def _taken(before: Machine, after: Machine) -> tuple[do.Effect, ...]:
-    """What the diver chose takes effect at once, and is remembered."""
+    """Return the effects of the diver's choices, which hold at once and are remembered."""
     was, is_now = before.choices, after.choices
     effects: list[do.Effect] = []
     if is_now.period_px != was.period_px:

@@ -18,7 +18,8 @@ HYSTERESIS_C = 3.0
 SILENT_S = 5.0
 """A sensor that has said nothing for so long is not there."""
 COOLED_S = 300.0
-"""What was hot when its sensor fell silent, is believed to have cooled down by then; the ration takes the place of its limit."""
+"""Time after which a place that was hot when its sensor fell silent is believed to have cooled down; the ration takes
+the place of its limit."""
 TREND_EVERY_S, TREND_S = 5.0, 60.0
 COOLS_C_PER_S = 0.002
 """Slower than that nobody can say when it will have cooled down."""
@@ -27,9 +28,9 @@ LONGEST_ESTIMATE_S = 3600.0
 RATION_S, PER_S = 20.0, 60.0
 """Light without a temperature sensor: so much in that time, however it is spent."""
 RESERVE_S = 5.0
-"""Of it that aiming leaves for scans."""
+"""Part of the ration that aiming leaves for scans."""
 RELIGHT_S = 8.0
-"""What must have gathered before aiming is lit again."""
+"""Light that must have gathered before aiming is lit again."""
 
 
 def felt(machine: Machine, telemetry: Telemetry) -> Machine:
@@ -45,7 +46,7 @@ def felt(machine: Machine, telemetry: Telemetry) -> Machine:
 
 
 def passed(machine: Machine, before_ns: int) -> Machine:
-    """With the time since ``before_ns``: the ration of light that was spent and gathered."""
+    """Account for the time since ``before_ns``: the ration of light that was spent and gathered."""
     elapsed_s = max(0.0, (machine.now_ns - before_ns) / 1e9)
     thermal = machine.thermal
     ration_s = thermal.ration_s + elapsed_s * (RATION_S / PER_S - (1.0 if thermal.lit else 0.0))
@@ -61,7 +62,7 @@ def spend(machine: Machine, light_s: float) -> Machine:
 
 
 def may_aim_lit(machine: Machine) -> bool:
-    """Whether live views may be lit now: somebody is at the keys, and there is light left where it is rationed."""
+    """Tell whether live views may be lit now: somebody is at the keys, and there is light left where it is rationed."""
     return not rests(machine) and not (rationed(machine) is not None and machine.thermal.spent)
 
 
@@ -90,7 +91,7 @@ def remaining_s(machine: Machine) -> float | None:
 
 
 def slope_c_per_s(trend: tuple[tuple[int, float], ...]) -> float | None:
-    """Of the straight line that fits (time ns, °C) best; ``None`` with fewer than three points."""
+    """Return the slope of the straight line that fits (time ns, °C) best; ``None`` with fewer than three points."""
     if len(trend) < 3:
         return None
     times_s = [(time_ns - trend[0][0]) / 1e9 for time_ns, _ in trend]
