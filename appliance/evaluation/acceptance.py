@@ -30,7 +30,7 @@ ROUNDS = 3
 
 
 class Symbol(Enum):
-    """By the letters of the guideline."""
+    """Quantities by the letters of the guideline."""
 
     PF = "PF"
     PS = "PS"
@@ -39,7 +39,7 @@ class Symbol(Enum):
 
 
 class Kept(Enum):
-    """What a value says about its limit."""
+    """Statement of a value about its limit."""
 
     PASS = "pass"
     FAIL = "fail"
@@ -49,12 +49,12 @@ class Kept(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Certificate:
-    """What an artefact's certificate states besides its lengths; ``None``: nothing."""
+    """Statements of an artefact's certificate besides its lengths; ``None``: nothing."""
 
     length_sd_mm: float | None = None
     """Standard uncertainty of the length."""
     radius_mm: float | None = None
-    """Of both balls."""
+    """Radius of both balls."""
     radius_sd_mm: float | None = None
 
 
@@ -74,7 +74,7 @@ class Quantity:
 
     @property
     def kept(self) -> Kept:
-        """Whether the limit is kept."""
+        """Statement about the limit, with the uncertainty considered."""
         if self.limit_mm is None:
             return Kept.NO_LIMIT
         size_mm, around_mm = abs(self.value_mm), self.uncertainty_mm or 0.0
@@ -84,7 +84,7 @@ class Quantity:
 
 
 def overall(quantities: Iterable[Quantity]) -> Kept:
-    """Of all together: one failure fails, and a pass needs every limited quantity to pass."""
+    """Return the statement about all together: one failure fails, and a pass needs every limited quantity to pass."""
     said = [quantity.kept for quantity in quantities]
     for kept in (Kept.FAIL, Kept.UNDECIDED, Kept.PASS):
         if kept in said:
@@ -139,7 +139,7 @@ class Probed:
 
     radius_mm: float
     radius_sd_mm: float
-    """From the scatter of the radial distances; systematic errors are not in it."""
+    """Standard deviation of the radius from the scatter of the radial distances; systematic errors are not in it."""
     range_mm: float
     points: int
     rejected: int

@@ -16,12 +16,12 @@ PATCH_MM = 6.0
 """Radius of the neighbourhoods that propose spheres."""
 RADII_MM = (5.0, 40.0)
 AGREES_MM = 0.3
-"""How near a point of the search must be to agree with a proposal."""
+"""Distance within which a point of the search agrees with a proposal."""
 BELONGS_MM = 1.0
-"""How near a point must be to be taken for the ball's: far more than any error of one point, so that this is no way to
-remove outliers."""
+"""Distance within which a point is taken for the ball's: far more than any error of one point, so that this is no way
+to remove outliers."""
 ALIKE = 0.15
-"""How much the two radii may differ, relatively."""
+"""Greatest relative difference of the two radii."""
 STEM_COS = 0.82
 """The bar joins each ball within 35° of the direction to the other one; nothing there is used."""
 MOST_PROPOSALS = 400
@@ -131,7 +131,8 @@ def _possible(guess: _Guess, radius_mm: float | None) -> bool:
 
 
 def _fill(points: Array, guess: _Guess) -> float:
-    """How much of the ball's face that can be used is covered by points (thinned): those that agree, over its area."""
+    """Compute how much of the ball's face that can be used is covered by points (thinned): those that agree, over its
+    area."""
     centre, radius = guess
     away = points - centre
     length = np.linalg.norm(away, axis=1)

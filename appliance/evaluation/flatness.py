@@ -22,7 +22,7 @@ _POWERS = [(i, j) for i in range(4) for j in range(4 - i)]
 
 @dataclass(frozen=True, slots=True)
 class Flatness:
-    """How flat a plane was measured, as parts of d_r (1 is 100 %)."""
+    """Flatness of a measured plane, as parts of d_r (1 is 100 %)."""
 
     e_f: float
     e_f_sys: float

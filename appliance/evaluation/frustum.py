@@ -29,7 +29,7 @@ ALIGNED_COS = 0.97
 """Normals of patches within 14° of a face's are its own; faces differ by more than 30°."""
 AGREES_MM = 0.6
 BELONGS_MM = 1.5
-"""How near a point must be to be taken for the face's; no way to remove outliers, see ``ball_bar``."""
+"""Distance within which a point is taken for the face's; no way to remove outliers, see ``ball_bar``."""
 EDGE_MM = 3.0
 """Points nearer than this to another face are left to nobody."""
 LEAST_PATCHES = 40
@@ -199,7 +199,7 @@ def _faces(cloud: PointSource, rows: Indices, points: Array, planes: list[Plane]
 
 
 def _inside(points: Array, planes: list[Plane], k: int) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    """Whether points lie on the face's own part of its plane: before or behind the planes beside it."""
+    """Tell which points lie on the face's own part of its plane: before or behind the planes beside it."""
     top, plate, sides = planes[0], planes[1], planes[2:]
     if k == 0:  # within all sides: behind each of their planes, seen from outside
         return np.asarray(np.all([side.distance_mm(points) > 0.0 for side in sides], axis=0))

@@ -36,7 +36,8 @@ def deviation_map(used: Used, width_px: int) -> bytes:
 
 
 def histogram(used: Used) -> bytes:
-    """How many points have which residual, from minus to plus full colour; what lies beyond is in the outermost bars."""
+    """Draw how many points have which residual, from minus to plus full colour; what lies beyond is in the outermost
+    bars."""
     limit = scale_mm(used)
     counts, _ = np.histogram(np.clip(used.residual_mm, -limit, limit), BARS, (-limit, limit))
     height, width = HISTOGRAM_PX

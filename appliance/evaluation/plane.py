@@ -17,8 +17,8 @@ from appliance.evaluation.points import (
 )
 
 BELONGS_MM = 5.0
-"""What is farther from the plane is another object; more than the bow of the worst calibration, so that this is no way to
-remove outliers."""
+"""Distance from the plane beyond which a point is another object's; more than the bow of the worst calibration, so that
+this is no way to remove outliers."""
 AGREES_MM = 1.5
 CELL_MM = 3.0
 TRIALS = 200
@@ -112,7 +112,7 @@ def fit_plane(cloud: PointSource) -> PlaneFit | NotFound:
 
 
 def _most_agreed(points: Array) -> Plane:
-    """Of planes through three points drawn with a fixed seed, the one that most points agree on."""
+    """Return the plane that most points agree on, of those through three points drawn with a fixed seed."""
     rng = np.random.default_rng(SEED)
     best, most = points, -1
     for _ in range(TRIALS):

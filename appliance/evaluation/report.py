@@ -39,7 +39,7 @@ class Evaluation:
 
     @property
     def complete(self) -> bool:
-        """Whether every artefact was found."""
+        """True if every artefact was found."""
         return not any(isinstance(item.result.fit, NotFound) for item in self.items)
 
 

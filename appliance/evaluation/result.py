@@ -20,7 +20,7 @@ Fit = BallBar | PlaneFit | Frustum
 
 
 class Artefact(Enum):
-    """What can be evaluated."""
+    """Artefacts that can be evaluated."""
 
     BALL_BAR = "ball-bar"
     PLANE = "plane"
@@ -43,7 +43,7 @@ class Length:
     measured_mm: float
     calibrated_mm: float
     sigma_mm: float | None = None
-    """From the noise of the points; ``None`` where that was not derived."""
+    """Standard deviation from the noise of the points; ``None`` where that was not derived."""
     certificate_sd_mm: float | None = None
     """Standard uncertainty of the calibrated length; ``None``: the certificate does not say, or nobody wrote it down."""
 
@@ -62,7 +62,7 @@ class Length:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Result:
-    """What was found in one cloud; ``fit`` is ``NotFound`` where there was nothing to evaluate."""
+    """Result for one cloud; ``fit`` is ``NotFound`` where there was nothing to evaluate."""
 
     artefact: Artefact
     fit: Fit | NotFound
@@ -71,7 +71,7 @@ class Result:
     e_f_sys: float | None = None
     noise_mm: float | None = None
     quantities: tuple[Quantity, ...] = ()
-    """Of VDI/VDE 2634 part 2: PF, PS and SD of a ball bar, F of a plane."""
+    """Quantities of VDI/VDE 2634 part 2: PF, PS and SD of a ball bar, F of a plane."""
 
     @property
     def surfaces(self) -> Mapping[str, Used]:
