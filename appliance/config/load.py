@@ -80,7 +80,7 @@ def load_rig(path: Path | str) -> Rig:
 
 
 def parse_rig(text: str, source: str = "rig file") -> Rig:
-    """As ``load_rig``, from text; ``source`` names it in messages."""
+    """Read a rig from text like ``load_rig``; ``source`` names it in messages."""
     try:
         content = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # TOMLDecodeError, and int() on thousands of digits

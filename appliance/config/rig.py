@@ -53,13 +53,13 @@ class CameraRig:
     width_px: Annotated[_Whole, Field(ge=64, le=8192)]
     height_px: Annotated[_Whole, Field(ge=64, le=8192)]
     exposure_ms: Annotated[_Real, Field(ge=0.05, le=16.6)]
-    """At most one period of the 60 Hz projector."""
+    """Exposure: at most one period of the 60 Hz projector."""
     gain_db: Annotated[_Real, Field(ge=0.0, le=48.0)]
     full_well_e: Annotated[_Real, Field(ge=500.0, le=1e6)] = 13_000.0
     """Electrons at 255 grey values and 0 dB, from the data sheet (EMVA 1288: saturation capacity): makes each point's
     expected error."""
     read_noise_e: Annotated[_Real, Field(ge=0.0, le=1000.0)] = 20.0
-    """From the data sheet (EMVA 1288: temporal dark noise)."""
+    """Read noise from the data sheet (EMVA 1288: temporal dark noise)."""
     black_level_dn: Annotated[_Real, Field(ge=0.0, le=64.0)] = 2.0
     """Grey value of no light."""
     firmware: _Text | None = None
@@ -109,14 +109,14 @@ class OutputRig:
 @dataclass(frozen=True, slots=True, config=_CONFIG)
 class DisplayRig(OutputRig):
     language: Literal["en", "de"] = "en"
-    """Of everything the diver reads."""
+    """Language of everything the diver reads."""
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
 class ScanRig:
     period_px: Literal[16, 32, 64]
     shortest_exposure_ms: Annotated[_Real, Field(ge=0.05, le=10.0)] = 2.0
-    """What the instrument may propose to the diver goes from here …"""
+    """Shortest exposure that the instrument may propose to the diver."""
     longest_exposure_ms: Annotated[_Real, Field(ge=2.0, le=16.6)] = 16.0
     """… to here, and not beyond the projector's period."""
     most_gain_db: Annotated[_Real, Field(ge=0.0, le=48.0)] = 12.0
@@ -164,7 +164,7 @@ class LasersRig:
     x_mm: Annotated[_Real, Field(ge=0.0, le=500.0)]
     y_mm: Annotated[_Real, Field(ge=-500.0, le=500.0)]
     z_mm: Annotated[_Real, Field(ge=-200.0, le=300.0)]
-    """Where the right beam leaves its window."""
+    """Place where the right beam leaves its window."""
     aim_x_mm: Annotated[_Real, Field(ge=0.0, le=200.0)]
     aim_y_mm: Annotated[_Real, Field(ge=-200.0, le=200.0)]
     aim_z_mm: Annotated[_Real, Field(ge=300.0, le=1000.0)]
@@ -180,7 +180,7 @@ class LimitsRig:
     case_warm_c: Annotated[_Real, Field(ge=0.0, le=100.0)] = 50.0
     case_hot_c: Annotated[_Real, Field(ge=0.0, le=100.0)] = 60.0
     case_off_c: Annotated[_Real, Field(ge=0.0, le=110.0)] = 68.0
-    """From here on the instrument switches itself off."""
+    """Temperature from which the instrument switches itself off."""
     projector_warm_c: Annotated[_Real, Field(ge=0.0, le=120.0)] = 65.0
     projector_hot_c: Annotated[_Real, Field(ge=0.0, le=120.0)] = 75.0
     projector_off_c: Annotated[_Real, Field(ge=0.0, le=130.0)] = 85.0
@@ -199,7 +199,7 @@ class BallBarRig:
     """Between the centres of the balls."""
     length_sd_mm: Annotated[_Real, Field(ge=0.0001, le=1.0)]
     radius_mm: Annotated[_Real, Field(ge=5.0, le=40.0)]
-    """Of both balls."""
+    """Radius of both balls."""
     radius_sd_mm: Annotated[_Real, Field(ge=0.0001, le=1.0)]
 
 
