@@ -34,18 +34,18 @@ class Clock(Protocol):
         """Return after ``duration_s`` of this clock."""
 
     def wait_for(self, condition: threading.Condition, predicate: Callable[[], bool], timeout_s: float) -> bool:
-        """With ``condition`` held, wait until ``predicate()`` or the timeout; return the predicate's value."""
+        """Wait with ``condition`` held until ``predicate()`` or the timeout; return the predicate's value."""
 
 
 class Date(Protocol):
-    """What the calendar says, and whether to believe it."""
+    """Date of the calendar, and whether to believe it."""
 
     @property
     def utc(self) -> datetime.datetime: ...
 
     @property
     def kept(self) -> bool:
-        """Whether something from outside (a time server) has set it since power-on and keeps it."""
+        """True if something from outside (a time server) has set it since power-on and keeps it."""
 
 
 class Calendar(Protocol):
@@ -59,7 +59,7 @@ class Calendar(Protocol):
 
 
 class FrameStatus(Enum):
-    """What became of one frame on its way to the host."""
+    """Fate of one frame on its way to the host."""
 
     COMPLETE = "complete"
     """Leader, full payload and trailer agree."""
@@ -121,7 +121,7 @@ class ClockReading:
 
     @property
     def bracket_ns(self) -> int:
-        """How long the question took."""
+        """Duration of the question."""
         return self.host_received_ns - self.host_sent_ns
 
 
@@ -150,10 +150,11 @@ class Camera(Protocol):
 
     @property
     def slow_link(self) -> str | None:
-        """What is wrong with a link that is too slow for the images of a scan; ``None``: nothing, or nobody knows."""
+        """Return what is wrong with a link that is too slow for the images of a scan; ``None``: nothing, or nobody
+        knows."""
 
     def health(self) -> Health:
-        """What ``kingfisher check`` shows. A lost camera is reported, not raised."""
+        """Return what ``kingfisher check`` shows. A lost camera is reported, not raised."""
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
         """Apply and return what the camera really set; trigger on, Mono8. Raises DeviceRefused, DeviceGone."""
@@ -394,16 +395,17 @@ class CardNode(Protocol):
     """An opened DRM node: exactly the system calls the scan-out code makes."""
 
     def ioctl(self, request: int, buffer: bytearray) -> None:
-        """As ``fcntl.ioctl(fd, request, buffer, True)``; pointers are addresses of this process. Raises OSError."""
+        """Do the same as ``fcntl.ioctl(fd, request, buffer, True)``; pointers are addresses of this process. Raises
+        OSError."""
 
     def map(self, length: int, offset: int) -> memoryview:
-        """As ``mmap`` of a dumb buffer: writable, shared."""
+        """Map a dumb buffer like ``mmap``: writable, shared."""
 
     def read(self, size: int) -> bytes:
-        """As ``os.read`` on a non-blocking descriptor. Raises BlockingIOError when nothing is there."""
+        """Read like ``os.read`` on a non-blocking descriptor. Raises BlockingIOError when nothing is there."""
 
     def wait_readable(self, timeout_s: float) -> bool:
-        """As ``select``: True when an event can be read."""
+        """Wait like ``select``: True when an event can be read."""
 
     def close(self) -> None: ...
 
@@ -428,7 +430,7 @@ WiresOptions = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """What a device says about itself in ``kingfisher check``."""
+    """Statement of a device about itself in ``kingfisher check``."""
 
     device: str
     ok: bool

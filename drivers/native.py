@@ -28,7 +28,7 @@ class MonotonicClock:
             time.sleep(duration_s)
 
     def wait_for(self, condition: threading.Condition, predicate: Callable[[], bool], timeout_s: float) -> bool:
-        """With ``condition`` held, wait until ``predicate()`` or the timeout; return the predicate's value."""
+        """Wait with ``condition`` held until ``predicate()`` or the timeout; return the predicate's value."""
         return condition.wait_for(predicate, timeout_s)
 
 

@@ -11,10 +11,11 @@ from dataclasses import dataclass
 log = logging.getLogger("kingfisher")
 
 STATUS_OFFSET, TIMEX_BYTES = 40, 208
-"""Of ``struct timex`` on 64-bit Linux (adjtimex(2)): modes, then offset, freq, maxerror, esterror (8 bytes each), status."""
+"""Layout of ``struct timex`` on 64-bit Linux (adjtimex(2)): modes, then offset, freq, maxerror, esterror (8 bytes
+each), status."""
 STA_UNSYNC = 0x0040
 TIME_ERROR = 5
-"""What adjtimex returns while nothing keeps the clock."""
+"""Value that adjtimex returns while nothing keeps the clock."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,8 +35,8 @@ class KernelCalendar:
 
 
 def set_from_outside() -> bool:
-    """Whether a time server or the like keeps the clock. Under water there is none: a date of the battery's clock alone, or
-    of 1970, is written down and marked. Numbers of scans do not depend on it."""
+    """Tell whether a time server or the like keeps the clock. Under water there is none: a date of the battery's clock
+    alone, or of 1970, is written down and marked. Numbers of scans do not depend on it."""
     timex = ctypes.create_string_buffer(TIMEX_BYTES)  # modes 0: only asks
     try:
         state = ctypes.CDLL(None).adjtimex(timex)
@@ -46,5 +47,5 @@ def set_from_outside() -> bool:
 
 
 def believed(state: int, status: int) -> bool:
-    """What adjtimex's answer means."""
+    """Interpret adjtimex's answer: True if the clock can be believed."""
     return 0 <= state != TIME_ERROR and not status & STA_UNSYNC

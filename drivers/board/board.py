@@ -140,7 +140,7 @@ class TriggerBoard:
 
     @classmethod
     def open(cls, spec: BoardSpec, clock: Clock) -> Self:
-        """As the constructor."""
+        """Open the board like the constructor."""
         return cls(spec, clock)
 
     def __enter__(self) -> Self:
@@ -161,7 +161,7 @@ class TriggerBoard:
 
     @property
     def info(self) -> BoardInfo:
-        """What the board said about itself when it was opened."""
+        """Statement of the board about itself when it was opened."""
         return self._info
 
     @property
@@ -230,7 +230,7 @@ class TriggerBoard:
         return self._events.get(timeout_s)
 
     def health(self) -> Health:
-        """What ``kingfisher check`` shows. A silent board is reported, not raised."""
+        """Return what ``kingfisher check`` shows. A silent board is reported, not raised."""
         info, counters, latest = self._info, self.counters, self.latest
         details = {
             "firmware": info.firmware,

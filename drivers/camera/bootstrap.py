@@ -37,7 +37,7 @@ class Technology:
 
 @dataclass(frozen=True, slots=True)
 class StreamNeeds:
-    """What the SIRM says a stream needs now, in bytes."""
+    """Sizes in bytes that a stream needs now, as the SIRM says."""
 
     alignment: int
     enabled: bool

@@ -114,19 +114,20 @@ class UsbVisionCamera:
 
     @property
     def slow_link(self) -> str | None:
-        """As ``Camera.slow_link``: anything below SuperSpeed cannot carry the images of a scan."""
+        """Return what is wrong with the link, like ``Camera.slow_link``: anything below SuperSpeed cannot carry the
+        images of a scan."""
         if self.link_is_fast is not False:
             return None
         return f"the link runs at {self._identity.link_speed_mbps} Mbit/s; SuperSpeed (5000) is needed"
 
     @property
     def control_counters(self) -> ControlCounters:
-        """What the control channel had to repair."""
+        """Repairs that the control channel had to make."""
         return self._control.counters
 
     @property
     def stream_counters(self) -> StreamCounters:
-        """What the stream met since ``start``; zeros when it does not run."""
+        """Events that the stream met since ``start``; zeros when it does not run."""
         reader = self._reader
         return StreamCounters() if reader is None else reader.counters
 
@@ -208,7 +209,7 @@ class UsbVisionCamera:
         return ClockReading(self._control.read_u64(u3v.ABRM_TIMESTAMP), sent_ns, received_ns)
 
     def health(self) -> Health:
-        """What ``kingfisher check`` shows. A lost camera is reported, not raised."""
+        """Return what ``kingfisher check`` shows. A lost camera is reported, not raised."""
         identity = self._identity
         details = {
             "model": f"{identity.vendor} {identity.model}",

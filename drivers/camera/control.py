@@ -13,11 +13,11 @@ from drivers.camera.usb import ControlPipe, TransferError, TransferOverflow, Tra
 
 ATTEMPTS = 3
 RESPONSE_TIME_S = 0.5
-"""Until the device's own "maximum device response time" is known."""
+"""Response time until the device's own "maximum device response time" is known."""
 PENDING_LIMIT_S = 10.0
 """Most that a device may ask for by PENDING_ACK, in total for one command."""
 _INITIAL_SIZE = 64
-"""Until the device's own limits are known; every U3V device takes a 64-byte string register."""
+"""Packet size until the device's own limits are known; every U3V device takes a 64-byte string register."""
 _STALE_LIMIT = 16
 """Answers to earlier commands that are dropped before a command counts as failed."""
 
@@ -36,7 +36,7 @@ class ControlRefused(DeviceRefused):
 
 @dataclass(slots=True)
 class ControlCounters:
-    """What went wrong and was repaired since the channel was opened."""
+    """Errors that were repaired since the channel was opened."""
 
     retries: int = 0
     stale_answers: int = 0

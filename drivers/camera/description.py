@@ -16,7 +16,7 @@ MAX_ENTRIES = 64
 MAX_FILE_SIZE = 16 * 1024 * 1024
 """The largest published descriptions have about 2 MB; beyond this the manifest is taken for damaged."""
 MOST_SAID = 300
-"""Of an unpacker's message, which may quote what is in the archive."""
+"""Most characters quoted of an unpacker's message, which may quote what is in the archive."""
 _ATTEMPTS = 2
 _REMEDY = "Update the camera's firmware"
 

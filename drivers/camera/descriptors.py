@@ -82,7 +82,7 @@ class InterfaceDescription:
 
 @dataclass(frozen=True, slots=True)
 class U3vLayout:
-    """Where the pipes of a USB3 Vision device are."""
+    """Places of the pipes of a USB3 Vision device."""
 
     configuration: int
     control_interface: int

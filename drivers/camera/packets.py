@@ -20,7 +20,7 @@ class MalformedStreamPacket(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Leader:
-    """What the camera says before an image."""
+    """Packet that the camera sends before an image."""
 
     block_id: int
     timestamp_ns: int
@@ -34,7 +34,7 @@ class Leader:
 
 @dataclass(frozen=True, slots=True)
 class Trailer:
-    """What the camera says after an image; ``status`` is a raw GenCP code, sizes are what was really sent."""
+    """Packet that the camera sends after an image; ``status`` is a raw GenCP code, sizes are what was really sent."""
 
     block_id: int
     status: int

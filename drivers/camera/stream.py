@@ -30,7 +30,7 @@ from drivers.camera.usb import (
 )
 
 PAYLOAD_TIMEOUT_S = 0.25
-"""From leader to the end of the payload: 1.92 MB take 5 ms at SuperSpeed and 50 ms at 480 Mbit/s."""
+"""Timeout from the leader to the end of the payload: 1.92 MB take 5 ms at SuperSpeed and 50 ms at 480 Mbit/s."""
 TRAILER_TIMEOUT_S = 0.1
 FLUSH_TIMEOUT_S = 0.02
 FLUSH_LIMIT = 256
@@ -41,7 +41,7 @@ _RESYNC_LIMIT = 4096
 
 @dataclass(frozen=True, slots=True)
 class StreamGeometry:
-    """What every frame of a running stream must look like."""
+    """Geometry that every frame of a running stream must have."""
 
     width_px: int
     height_px: int
@@ -54,7 +54,7 @@ class StreamGeometry:
 
 @dataclass(slots=True)
 class StreamCounters:
-    """What the reader met since the stream was started."""
+    """Events that the reader met since the stream was started."""
 
     frames: int = 0
     damaged_frames: int = 0

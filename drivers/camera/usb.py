@@ -77,7 +77,7 @@ def transfer_buffer(memory: NDArray[np.uint8]) -> TransferBuffer:
 
 
 class ControlPipe(Protocol):
-    """What the control channel needs: one packet out, one packet in."""
+    """Pipe that the control channel needs: one packet out, one packet in."""
 
     def write(self, data: bytes, timeout_s: float) -> None:
         """Raises TransferError, Unplugged."""
@@ -90,7 +90,7 @@ class ControlPipe(Protocol):
 
 
 class StreamPipe(Protocol):
-    """What the stream reader needs: fill memory, one transfer at a time."""
+    """Pipe that the stream reader needs: fill memory, one transfer at a time."""
 
     def read_into(self, buffer: TransferBuffer, timeout_s: float) -> int:
         """One transfer into ``buffer``; the number of bytes that came. Raises TransferError, Unplugged."""

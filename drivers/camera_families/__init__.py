@@ -18,11 +18,11 @@ if TYPE_CHECKING:  # the rig file's check needs the names alone
     from drivers.api import Camera, CameraSpec, Wires
 
 USUAL = "usb3vision"
-"""Of a rig file that names none."""
+"""Family of a rig file that names none."""
 
 
 class OpenCamera(Protocol):
-    """What a family's module has to offer."""
+    """Function that a family's module has to offer."""
 
     def __call__(self, spec: CameraSpec, wires: Wires) -> AbstractContextManager[Camera]: ...
 
@@ -33,7 +33,7 @@ def families() -> tuple[str, ...]:
 
 
 def opener(kind: str) -> OpenCamera:
-    """How cameras of a family are opened. Raises DeviceRefused for a family that is not there."""
+    """Return the function that opens cameras of a family. Raises DeviceRefused for a family that is not there."""
     if kind not in families():
         raise DeviceRefused(
             "camera",

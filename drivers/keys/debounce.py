@@ -17,7 +17,7 @@ STUCK_NS = 8_000_000_000
 @dataclass(slots=True)
 class _KeyState:
     contact: bool = False
-    """What the coil says."""
+    """State of the contact, as the coil says."""
     contact_since_ns: int = 0
     down: bool = False
     """The debounced state."""

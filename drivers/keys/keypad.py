@@ -23,11 +23,11 @@ _USAGE_PAGE = 0xFF4B
 
 @dataclass(slots=True)
 class KeypadCounters:
-    """What came since the pad was opened."""
+    """Counts of what came since the pad was opened."""
 
     reports: int = 0
     garbage_reports: int = 0
-    """Of another length, number or checksum."""
+    """Reports of another length, number or checksum."""
     lost_reports: int = 0
     """Missing in the pad's own numbering."""
 
@@ -65,7 +65,7 @@ class HidKeypad:
 
     @classmethod
     def open(cls, spec: KeysSpec, hidraw: Any, clock: Clock) -> Self:
-        """As the constructor; ``hidraw`` is hidapi's module of that name or an object of its shape."""
+        """Open the pad like the constructor; ``hidraw`` is hidapi's module of that name or an object of its shape."""
         return cls(spec, hidraw, clock)
 
     def __enter__(self) -> Self:
@@ -102,7 +102,7 @@ class HidKeypad:
                 return None
 
     def health(self) -> Health:
-        """What ``kingfisher check`` shows."""
+        """Return what ``kingfisher check`` shows."""
         counters = self.counters
         details = {
             "firmware": "unknown" if self._firmware is None else str(self._firmware),
@@ -128,7 +128,7 @@ class HidKeypad:
             raise DeviceGone(self._name, self._failure, "Re-plug the key pad")
 
     def _next_look_s(self, now_ns: int, deadline_ns: int) -> float:
-        """How long a read may block: until the caller's, the debouncer's or the silence's time."""
+        """Return how long a read may block: until the caller's, the debouncer's or the silence's time."""
         times = [deadline_ns]
         due_ns = self._debouncer.due_ns()
         if due_ns is not None:
@@ -138,9 +138,8 @@ class HidKeypad:
         return max(0.0, (min(times) - now_ns) * 1e-9)
 
     def _look_at_time(self, asked_ns: int, now_ns: int) -> None:
-        """After a read that began at ``asked_ns`` and found nothing. It proves silence until then, not until now: a host
-        whose thread had to wait after it may have reports by now.
-        """
+        """Take note of a read that began at ``asked_ns`` and found nothing. It proves silence until then, not until
+        now: a host whose thread had to wait after it may have reports by now."""
         if self._silent:
             return
         if asked_ns - self._heard_ns > SILENCE_S * 1e9:

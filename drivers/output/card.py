@@ -152,7 +152,7 @@ class Card:
         raise OSError(errno.EAGAIN, f"connector {connector} kept changing through {PROBE_TRIES} reads")
 
     def is_connected(self, connector: int) -> bool:
-        """Whether something is plugged in, as far as the driver noticed. Cheap; raises OSError."""
+        """Tell whether something is plugged in, as far as the driver noticed. Cheap; raises OSError."""
         return bool(self._ask_connector(connector, probe=False)[11] == drm.CONNECTED)
 
     def possible_crtcs(self, connector: Connector) -> tuple[int, ...]:
@@ -274,7 +274,7 @@ class Card:
             self._arrived.pop(token, None)
 
     def _await_reports(self, token: int, timeout_s: float) -> None:
-        """With the lock held: become the reader, or wait for what the present reader finds."""
+        """Become the reader, or wait for what the present reader finds. Call with the lock held."""
         if self._reading:
             self._clock.wait_for(self._changed, lambda: token in self._arrived or not self._reading, timeout_s)
             return

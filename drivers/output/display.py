@@ -47,7 +47,7 @@ class PictureDisplay(Generic[P]):
         return Flip(PRESENTED, shown.sequence, shown.time_ns)
 
     def health(self) -> Health:
-        """What is lit, for ``kingfisher check``."""
+        """Return what is lit, for ``kingfisher check``."""
         return surface_health(self._surface)
 
     def close(self) -> None:

@@ -23,7 +23,8 @@ WANTED_PROPERTIES = {
     "dithering mode": "off",
     "underscan": "off",
 }
-"""What must be so for a code to reach the screen as it was written, where a driver lets us choose."""
+"""Values of connector properties with which a code reaches the screen as it was written, where a driver lets us
+choose."""
 
 _GONE = frozenset({errno.ENODEV, errno.ENXIO, errno.EIO, errno.EBADF})
 _NOT_MASTER = frozenset({errno.EACCES, errno.EPERM})

@@ -109,7 +109,7 @@ class PatternProjector(Generic[P]):
         return flips
 
     def health(self) -> Health:
-        """What is lit, for ``kingfisher check``."""
+        """Return what is lit, for ``kingfisher check``."""
         return surface_health(self._surface)
 
     def close(self) -> None:
@@ -146,7 +146,7 @@ class PatternProjector(Generic[P]):
 
 
 def surface_health(surface: Surface[P]) -> Health:
-    """What a surface shows, and what could be made so on the way of a code to the screen."""
+    """Return what a surface shows, and what could be set on the way of a code to the screen."""
     summary, details = surface.describe()
     try:
         surface.check_connection()

@@ -95,7 +95,7 @@ class Window:
         return WindowPicture(self, texture)
 
     def flip(self, picture: WindowPicture, timeout_s: float) -> Shown:
-        """As ``Surface.flip``; ``timeout_s`` cannot be kept by a window system and is not used."""
+        """Show a picture like ``Surface.flip``; ``timeout_s`` cannot be kept by a window system and is not used."""
         self.check_connection()
         self._pacer.wait()
         with self.current():
