@@ -28,7 +28,7 @@ WORST_VIEW = 3.0
 FAR_CORNER, LEAST_FAR_PX = 6.0, 0.1
 """A corner that is off by so many times the usual view's residual, and so many pixels, is left out alone."""
 FEW = 0.2
-"""More bad corners than this part of a view's, and the view is bad."""
+"""Share of a view's corners that may be bad; with more, the view is bad."""
 HALF = 0.55
 """A view with less than this part of the corners that the fullest view has is remarked upon."""
 STEPS_AT_MOST = 30
@@ -95,7 +95,7 @@ class AirCalibration:
     """The pair in air: both lenses and the right camera's pose, with covariance."""
 
     rig: StereoRig
-    """Its ports have no thickness and no distance: air."""
+    """Rig whose ports have no thickness and no distance: air."""
     covariance: Array
     """(22, 22), in the units and order of ``parameters.NAMES[AIR]``: noise of the corners, tolerance of the board. What a
     lens does beyond the model is not in it."""
@@ -183,7 +183,7 @@ def _thin(view: BoardView, most: int) -> tuple[str, ...]:
 
 
 def _bad_corners(residual: Array, usual_px: float) -> NDArray[np.bool_]:
-    """Which corners (n,) of a view, residuals (n, 4), are too far off to be noise."""
+    """Tell which corners (n,) of a view, residuals (n, 4), are too far off to be noise."""
     return np.asarray(np.abs(residual).max(axis=1) > max(FAR_CORNER * usual_px, LEAST_FAR_PX))
 
 

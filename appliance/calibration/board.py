@@ -62,7 +62,7 @@ class BoardDesign:
 
 
 def parse_board(text: str) -> BoardDesign:
-    """``15x12x18.0x13.5``: squares across and down, their size and the markers' in mm. Raises BoardError."""
+    """Read ``15x12x18.0x13.5``: squares across and down, their size and the markers' in mm. Raises BoardError."""
     found = re.fullmatch(r"(\d+)x(\d+)x(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)", text)
     remedy = (
         "give ACROSSxDOWNxSQUARExMARKER, squares 3..60, sizes 1..200 mm, markers smaller; for example 15x12x18x13.5"
@@ -80,7 +80,7 @@ def parse_board(text: str) -> BoardDesign:
 
 @dataclass(frozen=True, slots=True)
 class NoBoard:
-    """Why a pair of images was not used, in a sentence for the person who holds the board."""
+    """Reason why a pair of images was not used, in a sentence for the person who holds the board."""
 
     reason: str
 

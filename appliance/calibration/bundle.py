@@ -38,11 +38,11 @@ class Rung(Enum):
     """Freedom of the adjustment: which parameters it may change."""
 
     PORTS = "ports"
-    """Per camera the port's tilt and distance; the calibration in air is believed."""
+    """Adjust each port's tilt and distance; the calibration in air is believed."""
     ALL = "all"
-    """Also both lenses and the stereo pose, held by the covariance of the calibration in air."""
+    """Adjust both lenses and the stereo pose, too, held by the covariance of the calibration in air."""
     SPLINE = "spline"
-    """Also a smooth image correction per camera."""
+    """Adjust a smooth image correction per camera, too."""
     FIELD = "field"
     """A finer image correction, and a shift of each ray: a free field of rays about the model. Wants many recordings."""
 
@@ -86,7 +86,7 @@ class RecordingResidual:
     name: str
     points: int
     rms_px: float
-    """Per coordinate."""
+    """RMS residual per coordinate."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -22,7 +22,7 @@ REGIONS = (
 EDGES = {"left": (0, False), "right": (0, True), "top": (1, False), "bottom": (1, True)}
 """Coordinate, and whether it counts from the far end."""
 EDGE_SHARE = 1 / 8
-"""Beyond the outermost corners a lens is only guessed: this part of the image along each edge must be seen, too."""
+"""Part of the image along each edge that must be seen, too: beyond the outermost corners a lens is only guessed."""
 ENOUGH_CORNERS = 6
 """Least number of corners in a region, over all views."""
 LEAST_LEAN_DEG = 12.0

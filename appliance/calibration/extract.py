@@ -48,9 +48,9 @@ class Certificate:
     """Certified dimensions of a ball bar. Lengths in mm."""
 
     length_mm: float
-    """Between the centres."""
+    """Distance between the centres."""
     length_sd_mm: float = 0.003
-    """Its standard uncertainty (half of the expanded one)."""
+    """Standard uncertainty of the distance (half of the expanded one)."""
     radius_mm: float | None = None
     """Radius of both balls; ``None``: not stated, it is estimated."""
     radius_sd_mm: float = 0.01

@@ -43,16 +43,16 @@ USED = (Step.M1, Step.M2, Step.M3, Step.M4)
 
 
 class Refusal(Enum):
-    """Why a recording will not do."""
+    """Reasons why a recording will not do."""
 
     NOT_FOUND = "NOT_FOUND"
     """No ball bar or plane in the cloud."""
     FEW_POINTS = "FEW_POINTS"
-    """Found, but too little of it is fit to calibrate with: edges, glare, dirt."""
+    """The artefact was found, but too little of it is fit to calibrate with: edges, glare, dirt."""
     BAD_FIT = "BAD_FIT"
     """The points do not lie on balls or a plane: moved, damaged, or something else."""
     WRONG_SIZE = "WRONG_SIZE"
-    """Found, but not of the certificate's size: another artefact, or a wrong certificate."""
+    """The artefact was found, but not of the certificate's size: another artefact, or a wrong certificate."""
     LAY_DOWN = "LAY_DOWN"
     STAND_UP = "STAND_UP"
     TILT_MORE = "TILT_MORE"
@@ -148,7 +148,7 @@ class Session:
     """Progress of one calibration. Its recordings are stored scans; the whole of it survives the loss of power."""
 
     trials: tuple[Trial, ...] = ()
-    """Those that will do, at most one for each step."""
+    """Accepted recordings, at most one for each step."""
     solved: Solved | None = None
     verified: Verified | None = None
     in_use: bool = False

@@ -37,12 +37,12 @@ TEACHES_UP_TO = 2.0
 LEAST_UM = 0.3
 """Scatter of an amplitude that remains with the best calibration."""
 PATCH_UM = 0.5
-"""The same of a patch."""
+"""Scatter of a patch that remains with the best calibration."""
 SHARE_KNOWN = 0.5
 """Share of the pattern left over by the calibration that changes with the distance of the object; the reference takes
 the rest away. Where a patch has no reference yet, all of it is there."""
 SMOOTH_OVER = 0.25
-"""Over which share of the image's width that pattern is alike."""
+"""Share of the image's width over which that pattern is alike."""
 IMAGE_HEIGHT = 0.75
 """Height of an image in image widths."""
 HEIGHT_PER_INDEX_UM = 600.0
@@ -63,11 +63,11 @@ class TrendPoint:
     """One judged scan."""
 
     scan: str | None
-    """Its number, where it has one."""
+    """Number of the scan, where it has one."""
     amplitudes_um: Four
     """Height, twist, scale, shear against the reference, RMS over the volume."""
     sigma_um: Four
-    """Their standard deviations in normal operation."""
+    """Standard deviations of the amplitudes in normal operation."""
     rest_um: float
     """RMS of the pattern that the four leave over, without noise."""
     score: float
@@ -87,7 +87,7 @@ class Reference:
     rests_um: tuple[float, ...] = ()
     """RMS rests in µm of the scans that taught the reference."""
     water_index: float | None = None
-    """Mean of the scans that taught."""
+    """Mean refractive index of the scans that taught."""
     offset_um: Four = (0.0, 0.0, 0.0, 0.0)
     """Amplitudes that a length check found harmless: they are normal, too."""
 
@@ -121,7 +121,7 @@ class Judgement:
     """Findings of one scan about the calibration."""
 
     point: TrendPoint | None
-    """``None``: not judged."""
+    """Point of the trend; ``None``: not judged."""
     alarm: bool
     text: str
     numbers: Mapping[str, float | None]

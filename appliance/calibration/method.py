@@ -21,12 +21,12 @@ class Method(Enum):
     BA_PORTS = "ba_ports"
     """Tilt and distance of both ports; the calibration in air is believed."""
     BA_ALL = "ba_all"
-    """Also lenses and pose, held by the covariance of the calibration in air."""
+    """Adjust lenses and pose, too, held by the covariance of the calibration in air."""
     BA_SPLINE = "ba_spline"
-    """Also a smooth image correction: the method to use."""
+    """Adjust a smooth image correction, too: the method to use."""
     RAY_FIELD = "ray_field"
-    """Also a finer correction and a shift of every ray. Wants ten recordings and more."""
+    """Adjust a finer correction and a shift of every ray, too. Wants ten recordings and more."""
 
 
 BY_SCANS = tuple(method for method in Method if method is not Method.PM_WATER)
-"""Those that scans of bars and planes are enough for."""
+"""Methods for which scans of bars and planes are enough."""

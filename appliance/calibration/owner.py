@@ -26,15 +26,15 @@ class Owner:
 
 @dataclass(frozen=True, slots=True)
 class Misfit:
-    """Why a calibration is not of an instrument."""
+    """Reason why a calibration is not of an instrument."""
 
     reason: str
     exchanged: tuple[str, ...] = ()
-    """``left``, ``right`` or both, where nothing but the cameras is another."""
+    """Sides (``left``, ``right`` or both) whose cameras were exchanged, where nothing else is another."""
 
 
 def misfit(calibration: Calibration, owner: Owner) -> Misfit | None:
-    """Why ``calibration`` is not of ``owner``; ``None`` where it is, as far as is known."""
+    """Return why ``calibration`` is not of ``owner``; ``None`` where it is, as far as is known."""
     if calibration.rig_serial != owner.rig_serial:
         return Misfit(f"the calibration is of instrument {calibration.rig_serial}; this one is {owner.rig_serial}")
     cameras = (calibration.rig.left, calibration.rig.right)
@@ -48,7 +48,7 @@ def misfit(calibration: Calibration, owner: Owner) -> Misfit | None:
 
 
 def exchanged(calibrated: tuple[str, str] | None, connected: tuple[str, str] | None) -> Misfit | None:
-    """Which cameras are not those of the calibration; ``None``: they are, or nobody knows."""
+    """Return which cameras are not those of the calibration; ``None``: they are, or nobody knows."""
     if calibrated is None or connected is None or calibrated == connected:
         return None
     if calibrated == connected[::-1]:

@@ -35,7 +35,7 @@ STEPS = np.array(
 
 
 def rig_with(rig: StereoRig, x: Array) -> StereoRig:
-    """``rig`` changed by the increments ``x`` (28,), in the order of ``NAMES``.
+    """Return ``rig`` changed by the increments ``x`` (28,), in the order of ``NAMES``.
 
     Tilts lean the port's normal towards the camera's x and y; turns are about the right camera's own axes.
     """

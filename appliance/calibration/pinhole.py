@@ -20,7 +20,7 @@ from appliance.optics.water import Water
 Array = NDArray[np.float64]
 
 DEPTHS_MM = (430.0, 480.0, 530.0, 580.0)
-"""Along the rays, from the window: the measuring volume."""
+"""Depths along the rays, from the window: the measuring volume."""
 GRID = (25, 19)
 
 

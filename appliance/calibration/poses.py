@@ -22,7 +22,7 @@ BAR_TILT_DEG = (20.0, 50.0)
 LEVEL_DEG = 15.0
 """The bar of the verification is tilted in depth by no more."""
 HALF_UP_DEG = 45.0
-"""Less than this against the horizontal is lying, more is upright."""
+"""Angle against the horizontal below which a bar is lying, and above which it is upright."""
 MOST_PLANE_TILT_DEG = 35.0
 NEAR_MM, FAR_MM = (430.0, 515.0), (530.0, 620.0)
 """Distances of the two planes from the projection centres, along the instrument's axis."""

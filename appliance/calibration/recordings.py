@@ -30,7 +30,8 @@ class RecordingError(Exception):
     """Recordings cannot be used for a calibration; the text says which, why and what to do."""
 
     def __init__(self, text: str, about: str = "") -> None:
-        """``about``: the step of the calibration, or the recording, that it is about, as the screen names it."""
+        """Remember what the error is ``about``: the step of the calibration, or the recording, as the screen names
+        it."""
         super().__init__(text)
         self.about = about
 
@@ -99,7 +100,7 @@ class Recording:
         return 2 if self.kind is ArtefactKind.BALL_BAR else 1
 
     def select(self, keep: NDArray[np.bool_] | Labels) -> Recording:
-        """The same recording with some of its points."""
+        """Return the same recording with some of its points."""
         return replace(self, left_px=self.left_px[keep], right_px=self.right_px[keep], sphere=self.sphere[keep])
 
 

@@ -33,7 +33,7 @@ class Residuals:
 
     @property
     def rms_px(self) -> float:
-        """Per coordinate."""
+        """RMS residual per coordinate."""
         return float(np.sqrt(np.mean(self.miss_px**2)))
 
 
