@@ -59,7 +59,7 @@ class Aimed:
     """Height of the brightest smooth part over the black level."""
 
     def fault(self) -> Fault | None:
-        """Why nothing can be measured in this light; ``None``: enough is seen."""
+        """Reason why nothing can be measured in this light; ``None``: enough is seen."""
         if self.detail_dn >= LEAST_DETAIL_DN:
             return None
         numbers = {"detail_dn": self.detail_dn, "glow_dn": self.glow_dn}
@@ -115,7 +115,7 @@ def moved_px(before: Aimed, after: Aimed) -> float | None:
 
 
 def too_fast(speed_mm_s: float) -> Fault | None:
-    """Why a scan at this speed would not pass; ``None``: it may."""
+    """Return why a scan at this speed would not pass; ``None``: it may."""
     if speed_mm_s <= FAST_MM_S:
         return None
     return Fault(FaultCode.AIM_FAST, f"{speed_mm_s:.0f} mm/s across the picture", {"speed_mm_s": speed_mm_s})

@@ -40,7 +40,7 @@ class Recording:
     clock: ClockReading | None = None
     """The camera's clock just before the sequence."""
     lost: str | None = None
-    """Why the camera was lost, if it was."""
+    """Reason why the camera was lost, if it was."""
 
     @property
     def complete(self) -> bool:
@@ -52,7 +52,8 @@ class Grabber:
     """Runs one camera in its own thread. A context manager: leaving it stops the thread, not the camera's life."""
 
     def __init__(self, side: str, camera: Camera, clock: Clock, settings: CameraSettings, patience: Patience) -> None:
-        """``settings``: those the camera has; ``patience``: with frames of a sequence."""
+        """Prepare the thread, with the ``settings`` that the camera has, and the ``patience`` with frames of a
+        sequence."""
         self.side = side
         self._camera = camera
         self._clock = clock
@@ -80,7 +81,7 @@ class Grabber:
 
     @property
     def lost(self) -> str | None:
-        """Why the camera was lost; ``None`` while it is there."""
+        """Reason why the camera was lost; ``None`` while it is there."""
         with self._changed:
             return self._lost
 

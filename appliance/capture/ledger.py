@@ -18,7 +18,7 @@ from drivers.api import ClockReading, Flip, Frame, FrameStatus, Pulse
 MAX_SKEW_NS = 200_000
 """Exposure starts of left and right, and of frame and pulse, may wander by this much against each other …"""
 CLOCKS_PPM = 200.0
-"""… or by this rate, where a sequence is so long that it is more: two clocks of 100 ppm each."""
+"""Rate by which two clocks of 100 ppm each may drift apart, where a sequence is so long that this is more."""
 MAX_APART_NS = 500_000
 """First exposures of left and right, by the host's clock, beyond what reading the cameras' clocks leaves open."""
 MAX_FLIP_PHASE = 0.4
@@ -264,7 +264,8 @@ def _apart(ledger: Ledger) -> Fault | None:
 
 
 def _begun_ns(ledger: Ledger) -> dict[str, int]:
-    """When the first frame of each side was exposed, in the host's clock; without those of which it is not known."""
+    """Return when the first frame of each side was exposed, in the host's clock; without those of which it is not
+    known."""
     found = {}
     for side, clock in ledger.clocks.items():
         frames = ledger.frames.get(side, ())
@@ -283,7 +284,7 @@ def _skew(detail: str, frame: int, skew_ns: int, side: str) -> Fault:
 
 
 def _ranges(numbers: Sequence[int]) -> str:
-    """``0-8, 10-23``."""
+    """Spell numbers like ``0-8, 10-23``."""
     parts: list[list[int]] = []
     for n in numbers:
         if parts and n == parts[-1][1] + 1:

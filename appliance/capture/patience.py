@@ -47,5 +47,5 @@ class Patience:
 
     @property
     def margin_s(self) -> float:
-        """Beyond the length of the sequence: to find the vertical blank, to wait for frames that do not come."""
+        """Time beyond the length of the sequence: to find the vertical blank, to wait for frames that do not come."""
         return self._at_least(5.0, 40)

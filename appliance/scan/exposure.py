@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 STEPS_MS = (2.0, 2.5, 3.2, 4.0, 5.0, 6.3, 8.0, 10.0, 12.0, 14.0, 16.0)
-"""About a quarter more light each. 10 ms is a whole period of lamps on 50 Hz mains, which flicker 100 times a second."""
+"""Exposure times, about a quarter more light each. 10 ms is a whole period of lamps on 50 Hz mains, which flicker 100
+times a second."""
 GAIN_STEP_DB = 2.0
-"""Above the rig's own gain, once no longer exposure is left: a quarter more each."""
+"""Step of the gain above the rig's own, once no longer exposure is left: a quarter more light each."""
 MARGIN_MS = 0.1
-"""Between the end of the longest exposure and the next vertical sync."""
+"""Time between the end of the longest exposure and the next vertical sync."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +27,7 @@ class Exposure:
 
     @property
     def label(self) -> str:
-        """``8 ms``, ``6.3 ms``, ``16 ms +4 dB``."""
+        """Label of the exposure, like ``8 ms``, ``6.3 ms``, ``16 ms +4 dB``."""
         gain = f" +{self.gain_db:g} dB" if self.gain_db else ""
         return f"{self.time_us / 1000.0:g} ms{gain}"
 

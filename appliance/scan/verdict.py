@@ -14,7 +14,7 @@ class Verdict:
     """One judgement with its numbers; ``passed`` is None where there was nothing to judge."""
 
     name: str
-    """``ledger``, ``identity``, ``motion``, ``exposure`` …"""
+    """Name like ``ledger``, ``identity``, ``motion``, ``exposure`` …"""
     passed: bool | None
     numbers: Mapping[str, float | None] = field(default_factory=dict)
     text: str = ""
