@@ -35,7 +35,7 @@ class BeamsFile:
     """The memory of one instrument's pointers. One thread at a time."""
 
     def __init__(self, root: Path, pointers: Pointers, fs: FileSystem | None = None) -> None:
-        """``pointers``: as the rig file draws them."""
+        """Remember beams below ``root``; ``pointers`` are as the rig file draws them."""
         self.path = root / FOLDER / FILE
         self._pointers = pointers
         self._fs: FileSystem = fs or LocalFileSystem()

@@ -48,7 +48,7 @@ class Calibrations:
     """The calibrations of one instrument. Raises StorageError for whatever the disk refuses."""
 
     def __init__(self, root: Path, rig_serial: str, fs: FileSystem | None = None) -> None:
-        """Nothing is touched until a method is called."""
+        """Remember where to store; nothing is touched until a method is called."""
         self.folder = root / FOLDER
         self._serial = rig_serial
         self._fs: FileSystem = fs or LocalFileSystem()

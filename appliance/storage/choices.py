@@ -37,7 +37,7 @@ class ChoicesFile:
     """The memory of one instrument. One thread at a time."""
 
     def __init__(self, root: Path, standard: Choices, fs: FileSystem | None = None) -> None:
-        """``standard``: what the rig file states."""
+        """Remember where to store; ``standard`` is what the rig file states."""
         self.path = root / FILE
         self._standard = standard
         self._fs: FileSystem = fs or LocalFileSystem()

@@ -32,7 +32,7 @@ class LabelError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Label:
-    """``None``: there is none."""
+    """Name and note of a scan; ``None``: there is none."""
 
     name: str | None = None
     note: str | None = None
@@ -42,10 +42,10 @@ NO_LABEL = Label()
 
 
 def checked(what: str, text: str, longest: int) -> str | None:
-    """``text`` in Unicode's composed form without blanks around it; ``None`` where nothing is left.
+    """Return ``text`` in Unicode's composed form without blanks around it; ``None`` where nothing is left.
 
-    ``what``: ``name`` or ``note``, for the message. Raises LabelError for control characters, among them line ends and those
-    that turn the direction of writing, and for more than ``longest`` characters.
+    ``what``: ``name`` or ``note``, for the message. Raises LabelError for control characters, among them line ends and
+    those that turn the direction of writing, and for more than ``longest`` characters.
     """
     plain = unicodedata.normalize("NFC", text).strip()
     for at, character in enumerate(plain):

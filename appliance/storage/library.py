@@ -86,7 +86,7 @@ class Library:
     """The scans under one root. Raises StorageError for whatever the disk refuses."""
 
     def __init__(self, root: Path, fs: FileSystem | None = None) -> None:
-        """Nothing is touched until ``prepare`` or a reading method is called."""
+        """Remember where the scans are; nothing is touched until ``prepare`` or a reading method is called."""
         self.root = root
         self._fs: FileSystem = fs or LocalFileSystem()
 
@@ -366,7 +366,7 @@ class PendingScan:
 
     @property
     def scan_id(self) -> str:
-        """Its number, six digits; also the name of its folder once published."""
+        """Number of the scan, six digits; also the name of its folder once published."""
         return self._manifest.scan_id
 
     @property

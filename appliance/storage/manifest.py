@@ -54,9 +54,9 @@ class Manifest:
     record: ScanRecord
     files: Mapping[str, Stamp]
     reason: str = ""
-    """Why it was rejected."""
+    """Reason of the rejection."""
     recovered: bool = False
-    """Found unpublished at a start and published then."""
+    """True if the scan was found unpublished at a start and published then."""
     frame_crc32: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """CRC-32 (hexadecimal) of each frame, by the name of the file of frames, so that it can be said which one is
     damaged. Empty in old scans."""

@@ -18,7 +18,7 @@ if TYPE_CHECKING:  # brings NumPy, which a list of scans can do without
 
 @dataclass(frozen=True, slots=True)
 class SequenceInfo:
-    """Which pattern each frame shows."""
+    """Pattern that each frame shows."""
 
     period_px: int
     width_px: int
@@ -54,7 +54,7 @@ class ScanRecord:
     sequence: SequenceInfo
     rig_hash: str
     calibration_hash: str | None
-    """``None``: reconstructed with no calibration, or not at all."""
+    """Hash of the calibration; ``None``: reconstructed with no calibration, or not at all."""
     software_version: str
     wall_time: str | None
     """ISO 8601 with offset; ``None`` where the host has no clock."""
@@ -67,13 +67,13 @@ class ScanRecord:
     exposure: Exposure | None = None
     """Exposure of the left camera; the right one's differs as the rig file says. ``None``: as the rig file has it."""
     water: Mapping[str, float | None] = field(default_factory=dict)
-    """``salinity_psu``, ``temperature_c``, ``wavelength_nm``, ``index``: the water it was reconstructed in."""
+    """Water it was reconstructed in: ``salinity_psu``, ``temperature_c``, ``wavelength_nm``, ``index``."""
     temperatures_c: Mapping[str, float | None] = field(default_factory=dict)
     ledger: Mapping[str, Any] = field(default_factory=dict)
     """Account of the four witnesses; JSON-ready."""
     verdicts: tuple[Verdict, ...] = ()
     second: SecondSequence | None = None
-    """``None``: one sequence, as most scans."""
+    """Second exposure; ``None``: one sequence, as most scans."""
     cloud: Mapping[str, float | None] = field(default_factory=dict)
     """Numbers of the cloud: points, coverage_percent, …; empty without one."""
     stage_times_s: Mapping[str, float] = field(default_factory=dict)

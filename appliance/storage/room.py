@@ -71,7 +71,7 @@ class Room:
     """A file system whose new files are made of what is allocated, as far as that goes. One thread at a time."""
 
     def __init__(self, root: Path, fs: AllocatingFileSystem) -> None:
-        """Nothing is allocated before ``hold``."""
+        """Remember where the room is; nothing is allocated before ``hold``."""
         self._folder = root / FOLDER
         self._fs = fs
         self.allocates = True
@@ -151,7 +151,7 @@ class Room:
         return True
 
     def _unhindered(self, call: Callable[[], Answer]) -> Answer:
-        """``call``; once more without the slack, if a folder had to grow and could not."""
+        """Make the ``call``; once more without the slack, if a folder had to grow and could not."""
         try:
             return call()
         except OSError as error:
