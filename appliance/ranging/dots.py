@@ -26,7 +26,7 @@ NEAREST_MM, FARTHEST_MM = 350.0, 720.0
 DEPTH_STEP_MM = 2.0
 BAND_SIGMAS = 3.5
 BAND_PX = 2.0
-"""And so many coarse px more to each side of the beam's curve: what a dot's own width and texture do."""
+"""Width in coarse px to each side of the beam's curve that is searched, too: what a dot's own width and texture do."""
 CORE_PX = 1.2
 """Gaussian sigma of the smoothing before dots are looked for, in coarse px; a dot has about 1.5."""
 RING_PX = 6
@@ -45,7 +45,7 @@ class Candidate:
 
     u_px: float
     v_px: float
-    """Its centre, in px of the whole image."""
+    """Row of the centre, in px of the whole image."""
     contrast_dn: float
     """Height of the dot over the brightest around it."""
 

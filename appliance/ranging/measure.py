@@ -56,7 +56,7 @@ MOST_SIGMA_MM = 5.0
 AMBIGUOUS = 0.5
 """Another place on the beam with so much of the best one's contrast makes both doubtful …"""
 SAME_MM = 4.0
-"""… unless it is as near as this."""
+"""Distance below which two places are the same dot."""
 MOST_STEP_DEG = 60.0
 """Two dots that would make a surface more oblique than this lie on two surfaces."""
 REBUILD_MM = 0.3
@@ -125,7 +125,7 @@ class Ranger:
     """Measures with one calibration in one water. Not for two threads at once; images may have any content."""
 
     def __init__(self, rig: StereoRig, water_index: float, beams: tuple[Beam, Beam], measured: bool = True) -> None:
-        """``measured``: the calibration is one, not the drawing."""
+        """Prepare the search; ``measured`` tells that the calibration is one, not the drawing."""
         self._rig, self._index = rig, water_index
         self.frame = RigFrame.of(rig)
         self._measured = measured

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 BEGIN_MM = 150.0
 """Depth in the rig frame from which the ray is searched; what is nearer is out of focus and before one camera alone."""
 NEAR_MM, FAR_MM = 330.0, 620.0
-"""Between these the other camera must see the ray; nearer and farther, as far as its picture goes."""
+"""Depths between which the other camera must see the ray; nearer and farther, as far as its picture goes."""
 STEP_MM = 4.0
 HALF_PX = 3
 """To each side of the ray's image, coarse px: a calibration's error, and the size of what is looked for."""

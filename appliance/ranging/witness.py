@@ -20,8 +20,8 @@ AROUND_PX = 10
 
 
 def shines_in_the_dark(ranger: Ranger, bright: Images, dark: Images) -> tuple[str, ...]:
-    """``left`` and ``right`` pointer, as far as their dots are in both cameras' dark frames (h, w) uint8; ``bright`` are
-    the same views in full light."""
+    """Return ``left`` and ``right`` pointer, as far as their dots are in both cameras' dark frames (h, w) uint8;
+    ``bright`` are the same views in full light."""
     dots = ranger.find(dark)
     return tuple(
         side
