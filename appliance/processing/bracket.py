@@ -49,9 +49,9 @@ class ProcessedSequence:
     exposure: Exposure
     noise: StereoNoise
     moved: bool
-    """While it was recorded: its maps are those of no moment; its points may be."""
+    """True if something moved while it was recorded: its maps are those of no moment; its points may be."""
     spoilt: bool
-    """And the points, too: the motion could not be taken out of them."""
+    """True if the points are spoilt, too: the motion could not be taken out of them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,7 +124,7 @@ def faults_of(first: Iterable[Judgement], second: Iterable[Judgement], pair: Jud
 
 
 def _merge_maps(pipeline: Pipeline, first: ProcessedSequence, second: ProcessedSequence) -> dict[str, Agreement]:
-    """Into the pipeline's, which are the second one's."""
+    """Merge both maps into the pipeline's, which are the second one's."""
     agreements = {}
     for side in SIDES:
         noise = (of_side(second.noise, side), of_side(first.noise, side))

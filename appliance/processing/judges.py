@@ -70,7 +70,7 @@ def _look(given: Evidence, _: Earlier) -> Judgement:
 
 
 def _look_at_windows(given: Evidence, earlier: Earlier) -> Judgement | None:
-    """Nothing where something moved: what moves is soft in one camera and not in the other, too."""
+    """Judge the windows; nothing where something moved: what moves is soft in one camera and not in the other, too."""
     if is_fault(earlier["motion"]):
         return None
     windows = look_at_windows(given.images)

@@ -37,7 +37,8 @@ WORTH_MASKING_PERCENT = 0.02
 
 @dataclass(frozen=True, slots=True)
 class Identified:
-    """It was judged whether each frame shows the pattern it should. With a fault, points would mean nothing."""
+    """The identity of the frames was judged: each shows the pattern it should, or not. With a fault, points would mean
+    nothing."""
 
     judgement: Judgement
 
