@@ -39,7 +39,8 @@ class Alert:
     german: tuple[str, str] | None = None
     """Headline and action in German; ``None``: only English is known."""
     lasts: bool = False
-    """Shown as long as its cause lasts (a condition, a lost device, a stuck key), not until the next key."""
+    """True for what is shown as long as its cause lasts (a condition, a lost device, a stuck key), not until the next
+    key."""
     passing: bool = False
     """True for an alert that passes, like the field of ``Rule``."""
     seen: bool = False
@@ -57,20 +58,20 @@ class Rule:
     exchanged: Words | None = None
     """Instead of ``action``, with the camera's name, where the fault names a camera."""
     blocks_scan: bool = False
-    """While it lasts, SCAN is refused."""
+    """True if SCAN is refused while it lasts."""
     stops_capture: bool = False
-    """When it comes during a capture, the capture ends."""
+    """True if a capture ends when it comes."""
     forbids_light: bool = False
-    """While it lasts, neither projector nor lasers may shine."""
+    """True if neither projector nor lasers may shine while it lasts."""
     spoils_scan: bool = False
-    """Found in a recorded scan, it makes the scan worthless."""
+    """True if it makes a recorded scan worthless."""
     spoils_points: bool = False
-    """Found in a recorded scan, it makes points wrong: the diver may keep the scan, but is never told it is good."""
+    """True if it makes points of a recorded scan wrong: the diver may keep the scan, but is never told it is good."""
     doubts_lengths: bool = False
-    """While it lasts, shapes are right and lengths may not be: no scan is called good without saying so."""
+    """True if, while it lasts, shapes are right and lengths may not be: no scan is called good without saying so."""
     passing: bool = False
-    """It comes and goes with the live picture: told in the title and as a mark that says what to do, never in full. Nothing
-    moves under the diver's eyes, and no key is needed."""
+    """True if it comes and goes with the live picture: told in the title and as a mark that says what to do, never in
+    full. Nothing moves under the diver's eyes, and no key is needed."""
     worsens: Mapping[str, float] = field(default_factory=dict, hash=False)
     """Change of each number, with its direction, after which an acknowledged alert is shown in full again."""
 

@@ -93,7 +93,7 @@ def captured(machine: Machine, number: int) -> Result:
 
 
 def stored(machine: Machine, number: int) -> Result:
-    """Its frames are on the disk."""
+    """Go on once the recording's frames are on the disk."""
     at = machine.calibrating
     if not _waits(machine, Task.STORE, number) or at is None:
         return machine, ()

@@ -56,13 +56,14 @@ def offers_of(chosen: Choices, exposures: tuple[Exposure, ...], periods_px: tupl
 
 
 def another_exposure(chosen: Choices, offers: Offers, by: int) -> Choices:
-    """``by`` steps brighter; from a value that is no step, the next one in that direction. Stays at the ends."""
+    """Choose the exposure ``by`` steps brighter; from a value that is no step, the next one in that direction. Stays at
+    the ends."""
     steps = sorted({*offers.exposures, chosen.exposure}, key=lambda step: step.light)
     return replace(chosen, exposure=_moved(steps, chosen.exposure, by))
 
 
 def another_period(chosen: Choices, offers: Offers, by: int) -> Choices:
-    """``by`` steps to longer periods; stays at the ends."""
+    """Choose the period ``by`` steps longer; stays at the ends."""
     return replace(chosen, period_px=_moved(sorted({*offers.periods_px, chosen.period_px}), chosen.period_px, by))
 
 
@@ -72,7 +73,7 @@ def other_water(chosen: Choices, offers: Offers) -> Choices:
 
 
 def warmer(chosen: Choices, by: int) -> Choices:
-    """``by`` whole degrees, within what the index is known for."""
+    """Choose water warmer ``by`` whole degrees, within what the index is known for."""
     return replace(chosen, water_c=min(max(float(round(chosen.water_c)) + by, COLDEST_C), WARMEST_C))
 
 

@@ -23,7 +23,7 @@ def raised(machine: Machine, fault: Fault) -> Machine:
 
 
 def cleared(machine: Machine, code: FaultCode, device: str | None = None) -> Machine:
-    """Without that condition. A leak stays: water does not leave by itself."""
+    """Return the machine without that condition. A leak stays: water does not leave by itself."""
     if code is FaultCode.LEAK:
         return machine
     return replace(machine, conditions=tuple(c for c in machine.conditions if (c.code, c.device) != (code, device)))

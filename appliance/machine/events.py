@@ -62,7 +62,7 @@ class DeviceUp:
 
 @dataclass(frozen=True, slots=True)
 class DeviceDown:
-    """``code`` where the loss has a more precise name than LOST (a slow link, a refused setting)."""
+    """A device was lost; ``code`` where the loss has a more precise name than LOST (a slow link, a refused setting)."""
 
     device: Device
     reason: str
@@ -198,7 +198,7 @@ class PairMerged:
     """Number of the scan, which is the first sequence's."""
     summary: CloudSummary
     warnings: tuple[Fault, ...] = ()
-    """Held against both, in place of what was held against the first."""
+    """Faults held against both, in place of what was held against the first."""
 
 
 @dataclass(frozen=True, slots=True)

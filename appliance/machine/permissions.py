@@ -39,25 +39,25 @@ def may_lase(machine: Machine) -> bool:
 
 
 def refusal(machine: Machine) -> Fault | None:
-    """Why SCAN is refused now, the most severe reason; ``None`` when it is allowed."""
+    """Return why SCAN is refused now, the most severe reason; ``None`` when it is allowed."""
     reasons = [fault for fault in machine.conditions if RULES[fault.code].blocks_scan]
     reasons.sort(key=lambda fault: -RULES[fault.code].severity)
     return next(iter(reasons), None) or missing_device(machine) or _out_of_light(machine)
 
 
 def rationed(machine: Machine) -> Fault | None:
-    """Why light is rationed: a temperature is not known."""
+    """Return why light is rationed: a temperature is not known."""
     return next((fault for fault in machine.conditions if fault.code is FaultCode.TEMPERATURE_UNKNOWN), None)
 
 
 def _out_of_light(machine: Machine) -> Fault | None:
-    """Why a scan must wait where light is rationed: none is left."""
+    """Return why a scan must wait where light is rationed: none is left."""
     left = machine.thermal.ration_s >= machine.settings.light_s(machine.choices.period_px)
     return None if left else rationed(machine)
 
 
 def interruption(machine: Machine) -> Fault | None:
-    """Why a running capture must end now."""
+    """Return why a running capture must end now."""
     for fault in machine.conditions:
         if RULES[fault.code].stops_capture or RULES[fault.code].forbids_light:
             return fault

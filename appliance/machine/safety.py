@@ -39,7 +39,7 @@ def forced(machine: Machine) -> Result:
 
 
 def unsafe(machine: Machine) -> Fault | None:
-    """Why the instrument must stay dark until somebody has looked at it."""
+    """Return why the instrument must stay dark until somebody has looked at it."""
     return next((c for c in machine.conditions if RULES[c.code].forbids_light and c.code not in COOLS_DOWN), None)
 
 
@@ -140,7 +140,8 @@ def stop(machine: Machine, how: Ending) -> Result:
 
 
 def board_reset(machine: Machine, cause: str) -> Result:
-    """It forgot everything; live views and lasers are set again (``step``), a recording is lost."""
+    """Begin anew with a board that forgot everything; live views and lasers are set again (``step``), a recording is
+    lost."""
     machine = replace(machine, board_resets=machine.board_resets + 1)
     fault = Fault(FaultCode.BOARD_RESET, f"cause {cause}", device=Device.BOARD.value)
     if machine.state in RECORDING:

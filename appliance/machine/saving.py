@@ -26,7 +26,7 @@ def keep(machine: Machine, scan: ScanInHand) -> Result:
 
 
 def publish(machine: Machine, scan: ScanInHand) -> Result:
-    """Onto the disk with what there is."""
+    """Put the scan onto the disk with what there is."""
     machine = enter(machine, _where(machine), machine.settings.saving_s)
     return replace(machine, scan=replace(scan, publishing=True, retry_ns=None)), (do.Publish(scan.number),)
 
@@ -63,7 +63,8 @@ def failed(machine: Machine, number: int, fault: Fault) -> Result:
 
 
 def unsaved(machine: Machine, fault: Fault) -> Result:
-    """Not published. Back to the decision: it is tried again unasked, OK tries at once, BACK repeats the scan."""
+    """Go back to the decision, since the scan was not published: it is tried again unasked, OK tries at once, BACK
+    repeats the scan."""
     machine = raised(machine, Fault(FaultCode.NOT_SAVED, fault.detail))
     scan = machine.scan
     if scan is None:

@@ -45,8 +45,8 @@ def _refused(machine: Machine, reason: Fault) -> Machine:
 
 
 def out_of_reach(machine: Machine) -> Fault | None:
-    """Why a scan would not be of the object: it is known to be outside the measuring volume. Steps of the calibration say
-    themselves where their artefact belongs."""
+    """Return why a scan would not be of the object: it is known to be outside the measuring volume. Steps of the
+    calibration say themselves where their artefact belongs."""
     measured = machine.range
     if machine.state is not State.AIM or measured is None:
         return None
@@ -277,7 +277,7 @@ def review_key(machine: Machine, key: Key) -> Result:
 
 
 def drop(machine: Machine, reason: str) -> Result:
-    """Not wanted, or worthless: among the rejected ones. From SAFE there is no way but SAFE."""
+    """Put a scan that is not wanted, or worthless, among the rejected ones. From SAFE there is no way but SAFE."""
     scan = machine.scan
     after: tuple[do.Effect, ...] = ()
     if machine.stopping is not None:

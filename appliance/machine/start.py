@@ -63,7 +63,7 @@ def pressed(machine: Machine, key: Key) -> Result:
 
 
 def passed_by(machine: Machine) -> Machine:
-    """Into AIM, once everything has a result that was shown long enough."""
+    """Go to AIM, once everything has a result that was shown long enough."""
     if machine.state is not State.SELF_TEST or not finished(machine):
         return machine
     settings = machine.settings

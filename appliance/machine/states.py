@@ -113,17 +113,17 @@ class Settings:
     self_test_s: float = 45.0
     """Time after which a part of the self-test without a result counts as failed."""
     busy_s: float = 10.0
-    """… but what was seen to get on is given so much longer, from then."""
+    """Additional time for a part that was seen to get on, from then."""
     passed_s: float = 1.0
     """Time for which a self-test is shown that found nothing wrong."""
     limited_s: float = 3.0
-    """… one that found what limits but does not forbid scans …"""
+    """Time for which a self-test is shown that found what limits but does not forbid scans."""
     keyless_s: float = 10.0
-    """… and one that forbids them, where no key works to go on."""
+    """Time for which a self-test is shown that found what forbids scans, where no key works to go on."""
     arm_s: float = 45.0
     """Longer than what may still be on its way to the disk, and patterns that are drawn anew."""
     capture_margin_s: float = 5.0
-    """Beyond the length of the sequence: to find the vertical blank, to wait for frames that do not come."""
+    """Time beyond the length of the sequence: to find the vertical blank, to wait for frames that do not come."""
     refresh_hz: float = 60.0
     frames: Mapping[int, int] = field(
         default_factory=lambda: {period_px: len(build_sequence(period_px)) for period_px in PERIODS_PX}, hash=False
@@ -137,9 +137,9 @@ class Settings:
         default_factory=lambda: {"case": Limits(50.0, 60.0, 68.0), "projector": Limits(65.0, 75.0, 85.0)}, hash=False
     )
     dark_s: float = 180.0
-    """Without a key for so long, live views go on without the projector's light …"""
+    """Time without a key after which live views go on without the projector's light."""
     dark_warm_s: float = 30.0
-    """… and sooner where it is warm."""
+    """Time without a key after which they do so where it is warm."""
     supply_low_v: float | None = None
     supply_off_s: float = 30.0
     """Time for which a low supply is borne before the instrument switches off in good order."""
@@ -153,7 +153,7 @@ class Settings:
         return self.frames.get(period_px, max(self.frames.values(), default=0)) / self.refresh_hz
 
     def capture_s(self, period_px: int) -> float:
-        """Within what a capture ends, whatever happens: its frames and a margin."""
+        """Return the time within which a capture ends, whatever happens: its frames and a margin."""
         return (
             self.frames.get(period_px, max(self.frames.values(), default=0)) / self.refresh_hz + self.capture_margin_s
         )
@@ -166,7 +166,7 @@ class ScanInHand:
     number: int
     """Number of the scan's Capture effect; events about it carry the same."""
     exposure: Exposure
-    """It was recorded with."""
+    """Exposure that it was recorded with."""
     proposal: Exposure | None = None
     """Exposure that its judge of light proposes for the next one."""
     second: Exposure | None = None
@@ -181,7 +181,7 @@ class ScanInHand:
     coarse: CloudSummary | None = None
     full: CloudSummary | None = None
     failed: Fault | None = None
-    """Why there will be no cloud now; the raw frames can be kept all the same."""
+    """Reason why there will be no cloud now; the raw frames can be kept all the same."""
     raw_durable: bool = False
     kept: bool = False
     """The diver wants it, or it is saved unasked because the instrument must end."""
@@ -189,18 +189,18 @@ class ScanInHand:
     failures: int = 0
     """Number of the disk's refusals since the last key."""
     retry_ns: int | None = None
-    """When to try again without being asked."""
+    """Time to try again without being asked."""
     turn: int = 0
     """Turn of the view by the diver: steps to the right, negative to the left."""
 
     @property
     def settled(self) -> bool:
-        """Nothing more will come from the worker."""
+        """True if nothing more will come from the worker."""
         return self.full is not None or self.failed is not None
 
 
 class NoticeKind(Enum):
-    """Why a notice is shown; it decides its wording."""
+    """Reasons of a notice; they decide its wording."""
 
     FAILURE = "failure"
     """The capture or the scan failed."""
@@ -219,7 +219,7 @@ class Notice:
     fault: Fault
     kind: NoticeKind
     readable_until_ns: int = 0
-    """It stays until then even if its reason goes: long enough to be read."""
+    """Time until which it stays even if its reason goes: long enough to be read."""
 
 
 class Task(Enum):
@@ -249,7 +249,7 @@ class Calibrating:
     latest: Trial | None = None
     """The latest recording, until the next key."""
     failed: Failure | None = None
-    """Why the latest task came to nothing, until the next key."""
+    """Failure of the latest task, until the next key."""
 
 
 class Page(Enum):
@@ -274,7 +274,7 @@ class OffQuestion:
     answer: Answer
     """The one that is selected."""
     until_ns: int
-    """Without an answer by then, it stays on."""
+    """Time at which, without an answer, it stays on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -284,15 +284,15 @@ class Menu:
     page: Page = Page.MAIN
     row: int = 0
     draft: Choices | None = None
-    """While a value is being changed: what it would be. Taken by SCAN, forgotten by BACK."""
+    """Choices as they would be, while a value is being changed. Taken by SCAN, forgotten by BACK."""
 
 
 @dataclass(frozen=True, slots=True)
 class Gallery:
-    """Which scan is looked at."""
+    """Scan that is looked at."""
 
     scans: tuple[str, ...] | None = None
-    """Their numbers, the newest first; ``None`` until the disk has told."""
+    """Numbers of the scans, the newest first; ``None`` until the disk has told."""
     index: int = 0
 
     @property
@@ -306,7 +306,7 @@ class Thermal:
     """Memory of temperatures and light; ``appliance.machine.thermal`` reads and writes it."""
 
     heard_ns: Mapping[str, int] = field(default_factory=dict, hash=False)
-    """When each sensor spoke last; from the first heartbeat on for one that never did."""
+    """Time at which each sensor spoke last; from the first heartbeat on for one that never did."""
     trend: Mapping[str, tuple[tuple[int, float], ...]] = field(default_factory=dict, hash=False)
     """(ns, °C) of the last minute, by place."""
     lit: bool = False
@@ -332,10 +332,10 @@ class Machine:
     settings: Settings
     state: State
     since_ns: int
-    """When ``state`` was entered."""
+    """Time at which ``state`` was entered."""
     now_ns: int
     deadline_ns: int | None = None
-    """When ``state`` ends at the latest; ``None`` where the diver decides."""
+    """Time at which ``state`` ends at the latest; ``None`` where the diver decides."""
     up: frozenset[Device] = frozenset()
     lost: Mapping[Device, Fault] = field(default_factory=dict, hash=False)
     """A device in neither ``up`` nor ``lost`` has not been heard of."""
@@ -366,9 +366,9 @@ class Machine:
     back_spent: bool = False
     """The latest press of BACK has had its effect: held on, it means nothing more."""
     off_question: OffQuestion | None = None
-    """Shown over BOOT, SELF_TEST, AIM, MENU and SAFE; while it is, the keys answer it."""
+    """Question over BOOT, SELF_TEST, AIM, MENU and SAFE; while it is shown, the keys answer it."""
     last_key_ns: int | None = None
-    """When a key was pressed last."""
+    """Time at which a key was pressed last."""
     board_resets: int = 0
     thermal: Thermal = field(default_factory=Thermal)
     leak_votes: int = 0
@@ -387,7 +387,7 @@ class Machine:
     stopping: Ending | None = None
     """Quit once the save is through."""
     off_ns: int | None = None
-    """When the instrument switches off by itself, unless what forces it ends before."""
+    """Time at which the instrument switches off by itself, unless what forces it ends before."""
     ended_by: Fault | None = None
     """Fault that forced it to switch off; ``None``: the diver wanted it."""
     session: Session = field(default_factory=Session)

@@ -22,7 +22,7 @@ COOLED_S = 300.0
 the place of its limit."""
 TREND_EVERY_S, TREND_S = 5.0, 60.0
 COOLS_C_PER_S = 0.002
-"""Slower than that nobody can say when it will have cooled down."""
+"""Slope below which nobody can say when it will have cooled down."""
 LONGEST_ESTIMATE_S = 3600.0
 
 RATION_S, PER_S = 20.0, 60.0
@@ -77,7 +77,7 @@ def rests(machine: Machine) -> bool:
 
 
 def remaining_s(machine: Machine) -> float | None:
-    """About how long it still takes to cool down, from how it cooled lately; ``None`` where that says nothing."""
+    """Estimate how long it still takes to cool down, from how it cooled lately; ``None`` where that says nothing."""
     longest_s = 0.0
     for fault in machine.conditions:
         if fault.code is not FaultCode.HOT or fault.device is None:
