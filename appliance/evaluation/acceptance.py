@@ -64,10 +64,10 @@ class Quantity:
 
     symbol: Symbol
     of: str
-    """``first ball``, ``length``, ``plane``."""
+    """Measured thing: ``first ball``, ``length``, ``plane``."""
     value_mm: float
     uncertainty_mm: float | None
-    """Expanded (k = 2), from the noise of the points and the certificate; ``None``: not derived."""
+    """Expanded uncertainty (k = 2), from the noise of the points and the certificate; ``None``: not derived."""
     points: int
     rejected: int
     limit_mm: float | None = None

@@ -36,7 +36,7 @@ LEAST_PATCHES = 40
 MOST_PLANES = 8
 PARALLEL_COS = 0.998
 INCLINED_COS = (0.3, 0.9)
-"""Between the top and a side: 25° to 73°."""
+"""Cosines between the top and a side: 25° to 73°."""
 ROUNDS = 3
 
 
@@ -62,7 +62,8 @@ class Frustum:
 
     @property
     def lengths_mm(self) -> Mapping[str, tuple[float, ...]]:
-        """``top`` and ``base``: the four edges each; ``slanted``: the four edges between them; ``height``."""
+        """Lengths by name, ``top`` and ``base``: the four edges each; ``slanted``: the four edges between them;
+        ``height``."""
 
         def around(corners: Array) -> tuple[float, ...]:
             return tuple(float(v) for v in np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1))

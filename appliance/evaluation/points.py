@@ -28,14 +28,14 @@ class PointSource(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class NotFound:
-    """Why there is no result, in one sentence for the person who holds the artefact."""
+    """Reason why there is no result, in one sentence for the person who holds the artefact."""
 
     reason: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Used:
-    """Which points of a cloud a fit rests on, and how far they lie from it."""
+    """Points of a cloud that a fit rests on, and how far they lie from it."""
 
     indices: Indices
     """(n,) rows of the cloud."""

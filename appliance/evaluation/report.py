@@ -24,7 +24,7 @@ class Item:
     scan: str
     result: Result
     provenance: Mapping[str, Any]
-    """When, water, temperatures, hashes: JSON-ready."""
+    """Provenance of the cloud: time, water, temperatures, hashes; JSON-ready."""
 
 
 @dataclass(frozen=True, slots=True)
