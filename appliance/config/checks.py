@@ -17,7 +17,7 @@ class Complaint:
     key: str
     value: object
     relation: str
-    """``> 16.16``, ``missing``, ``same as camera.left.serial``."""
+    """Relation that is violated: ``> 16.16``, ``missing``, ``same as camera.left.serial``."""
     allowed: str
     remedy: str
 

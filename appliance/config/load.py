@@ -19,7 +19,7 @@ from appliance.config.rig import Rig
 
 _MAX_BYTES = 1_000_000
 _MOST_FAULTS = 100
-"""More wrong keys than a rig file has: beyond this the file is something else, and the rest is counted."""
+"""Number of wrong keys that a rig file may have: beyond this the file is something else, and the rest is counted."""
 
 
 class ConfigError(Exception):

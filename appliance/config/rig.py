@@ -118,7 +118,7 @@ class ScanRig:
     shortest_exposure_ms: Annotated[_Real, Field(ge=0.05, le=10.0)] = 2.0
     """Shortest exposure that the instrument may propose to the diver."""
     longest_exposure_ms: Annotated[_Real, Field(ge=2.0, le=16.6)] = 16.0
-    """… to here, and not beyond the projector's period."""
+    """Longest exposure that the instrument may propose, and not beyond the projector's period."""
     most_gain_db: Annotated[_Real, Field(ge=0.0, le=48.0)] = 12.0
     """Proposed only where the longest exposure is not enough."""
 
@@ -185,7 +185,7 @@ class LimitsRig:
     projector_hot_c: Annotated[_Real, Field(ge=0.0, le=120.0)] = 75.0
     projector_off_c: Annotated[_Real, Field(ge=0.0, le=130.0)] = 85.0
     supply_low_v: Annotated[_Real, Field(ge=0.0, le=60.0)] | None = None
-    """``None``: the supply is not judged."""
+    """Voltage below which the supply is low; ``None``: the supply is not judged."""
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
@@ -196,7 +196,7 @@ class BallBarRig:
     """
 
     length_mm: Annotated[_Real, Field(ge=20.0, le=1000.0)]
-    """Between the centres of the balls."""
+    """Distance between the centres of the balls."""
     length_sd_mm: Annotated[_Real, Field(ge=0.0001, le=1.0)]
     radius_mm: Annotated[_Real, Field(ge=5.0, le=40.0)]
     """Radius of both balls."""
@@ -219,9 +219,9 @@ class Rig:
     design: DesignRig
     limits: LimitsRig = field(default_factory=LimitsRig)
     lasers: LasersRig | None = None
-    """``None``: no pointers are fitted, and no distance is shown."""
+    """Laser pointers; ``None``: none are fitted, and no distance is shown."""
     ball_bar: BallBarRig | None = None
-    """``None``: without a certificate the instrument cannot be calibrated in water."""
+    """Bar for calibrations in water; ``None``: without a certificate the instrument cannot be calibrated in water."""
 
     @property
     def rig_hash(self) -> str:

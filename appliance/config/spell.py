@@ -27,7 +27,8 @@ def rig_text(rig: Rig) -> str:
 
 
 def _plain(table: Mapping[str, object]) -> dict[str, object]:
-    """Without what is ``None``: TOML has no word for it, and a key that may be missing is ``None`` where it is."""
+    """Return the table without what is ``None``: TOML has no word for it, and a key that may be missing is ``None``
+    where it is."""
     return {
         key: _plain(value) if isinstance(value, Mapping) else value for key, value in table.items() if value is not None
     }
