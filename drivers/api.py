@@ -307,7 +307,7 @@ class KeyRelease:
 
 @dataclass(frozen=True, slots=True)
 class KeyStuck:
-    """Held longer than 8 s or reported faulty by the pad; masked until it is seen released."""
+    """The key was held longer than 8 s or reported faulty by the pad; masked until it is seen released."""
 
     key: Key
 
@@ -341,7 +341,7 @@ class Flip:
     """The kernel's word that a buffer is on the screen since ``time_ns``."""
 
     index: int
-    """Which of the loaded frames (or -1 for a presented image)."""
+    """Index of the loaded frame (or -1 for a presented image)."""
     sequence: int | None
     """The display's vertical-blank counter; ``None`` where the hardware has none."""
     time_ns: int

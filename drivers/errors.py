@@ -18,8 +18,8 @@ class DeviceGone(DeviceError):
 
 
 class CardGone(DeviceGone):
-    """Not only an output but its whole graphics card no longer answers: its node must be opened anew, and whatever was drawn
-    on it with GL is lost with it."""
+    """The whole graphics card, not only an output, no longer answers: its node must be opened anew, and whatever was
+    drawn on it with GL is lost with it."""
 
 
 class DeviceRefused(DeviceError):

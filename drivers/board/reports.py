@@ -89,7 +89,7 @@ def _parse_heartbeat(sentence: Sentence, received_ns: int) -> Telemetry:
 
 
 def parse_sensors(fields: tuple[str, ...]) -> Mapping[str, float | None]:
-    """``name=value`` fields; a sensor that does not answer (``-``) is ``None``. Raises MalformedLine."""
+    """Parse ``name=value`` fields; a sensor that does not answer (``-``) is ``None``. Raises MalformedLine."""
     values: dict[str, float | None] = {}
     for field in fields:
         name, equals, text = field.partition("=")

@@ -56,7 +56,7 @@ class ManifestEntry:
     address: int
     size: int
     sha1: bytes | None
-    """``None`` where the camera gives none (all zeros)."""
+    """SHA-1 of the description; ``None`` where the camera gives none (all zeros)."""
 
 
 def _text(data: bytes, offset: int) -> str:

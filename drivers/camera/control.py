@@ -89,7 +89,7 @@ class ControlChannel:
             self._response_time_s = max(response_time_s, 0.05)
 
     def read(self, address: int, count: int) -> bytes:
-        """``count`` bytes from ``address``, in as many commands as needed."""
+        """Read ``count`` bytes from ``address``, in as many commands as needed."""
         self._check_range(address, count)
         chunk = self._max_answer - u3v.CONTROL_HEADER_SIZE
         pieces: list[bytes] = []

@@ -78,7 +78,7 @@ def parse_written(payload: bytes) -> int | None:
 
 
 def status_name(status: int) -> str:
-    """``WRITE_PROTECT (0x8004)``, or the bare number for a code the standard does not list."""
+    """Return a name like ``WRITE_PROTECT (0x8004)``, or the bare number for a code the standard does not list."""
     try:
         return f"{u3v.Status(status).name} ({status:#06x})"
     except ValueError:

@@ -23,7 +23,7 @@ DEVICE_INFO_LENGTH = 20
 # ------------------------------------------------------------------------------- control (GenCP section 3)
 
 CONTROL_MAGIC = 0x43563355
-"""``U3VC`` in the order of the bytes on the wire."""
+"""Prefix ``U3VC`` in the order of the bytes on the wire."""
 CONTROL_HEADER_SIZE = 12
 FLAG_ACKNOWLEDGE = 0x4000
 
@@ -121,9 +121,9 @@ MANIFEST_FORMAT_ZIP = 1
 # ---------------------------------------------------------------------------------------------- stream
 
 LEADER_MAGIC = 0x4C563355
-"""``U3VL``."""
+"""Prefix ``U3VL`` in the order of the bytes on the wire."""
 TRAILER_MAGIC = 0x54563355
-"""``U3VT``."""
+"""Prefix ``U3VT`` in the order of the bytes on the wire."""
 LEADER_SIZE = 52
 TRAILER_SIZE = 32
 PAYLOAD_TYPE_IMAGE = 1

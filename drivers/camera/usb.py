@@ -136,7 +136,7 @@ class FoundCamera:
     link_speed_mbps: int | None
     location: str
     unreadable: str = ""
-    """Why the serial number could not be read."""
+    """Reason why the serial number could not be read."""
 
 
 def _interfaces(backend: Any, device: Any, count: int) -> list[InterfaceDescription]:

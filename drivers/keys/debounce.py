@@ -24,7 +24,7 @@ class _KeyState:
     down_since_ns: int = 0
     long_told: bool = False
     masked: bool = False
-    """Held since before we listened, or stuck: silent until seen released."""
+    """True for a key held since before we listened, or stuck: silent until seen released."""
     stuck_told: bool = False
     faulty: bool = False
 
@@ -74,7 +74,7 @@ class Debouncer:
         return [event for _, event in events]
 
     def due_ns(self) -> int | None:
-        """When ``advance`` has something to say although no report comes; ``None`` when never."""
+        """Time at which ``advance`` has something to say although no report comes; ``None`` when never."""
         times: list[int] = []
         for state in self._keys.values():
             if state.contact != state.down:
@@ -115,7 +115,7 @@ class Debouncer:
             events.append((state.down_since_ns + STUCK_NS, self._stick(key, state)))
 
     def _free(self, key: Key, state: _KeyState, events: list[tuple[int, KeyEvent]]) -> None:
-        """It works again; who was told that it is stuck hears of it."""
+        """Free a key that works again; who was told that it is stuck hears of it."""
         if state.stuck_told:
             events.append((state.contact_since_ns, KeyFreed(key)))
         state.masked = state.stuck_told = False

@@ -43,7 +43,8 @@ class Connector:
 
 @dataclass(frozen=True, slots=True)
 class Property:
-    """``choices`` maps the names of an enumerated property to values; empty for other kinds."""
+    """Property of a DRM object; ``choices`` maps the names of an enumerated property to values; empty for other
+    kinds."""
 
     name: str
     choices: Mapping[str, int]

@@ -12,7 +12,7 @@ from drivers.output.projector import surface_health
 from drivers.output.surface import P, Surface
 
 PRESENTED = -1
-"""``Flip.index`` of a picture that was not loaded beforehand."""
+"""Value of ``Flip.index`` for a picture that was not loaded beforehand."""
 
 
 class PictureDisplay(Generic[P]):

@@ -90,7 +90,8 @@ CONNECTOR_TYPES = (
 
 
 def connector_name(type_number: int, type_count: int) -> str:
-    """``(11, 1)`` → ``HDMI-A-1``. A type this table does not know reads ``Unknown``, as in the kernel."""
+    """Return the connector's name: ``(11, 1)`` → ``HDMI-A-1``. A type this table does not know reads ``Unknown``, as in
+    the kernel."""
     known = type_number < len(CONNECTOR_TYPES)
     return f"{CONNECTOR_TYPES[type_number] if known else CONNECTOR_TYPES[0]}-{type_count}"
 

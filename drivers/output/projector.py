@@ -18,7 +18,7 @@ COUNTER_TRIES = 3
 MAX_LEAD_BLANKS = 600
 """A start farther ahead than ten seconds is a mistake in counting."""
 LATE_FRACTION = 1.5
-"""Without a counter, a flip that comes later than this many periods after its predecessor missed a blank."""
+"""Lateness in periods after its predecessor from which a flip missed a blank, where there is no counter."""
 GREEN = 1
 
 
