@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibration.gaps import MODES, GapModes
-from appliance.calibration.health import LIMIT, Trend
+from appliance.calibration.health import LIMIT, HealthTrend
 
 MAP_PX, GAP_PX, TOP_PX, PLOT_PX, LEFT_PX = (240, 180), 16, 44, 150, 150
 INK, FAINT, RED = (40, 40, 40), (225, 225, 225), (50, 50, 210)
@@ -18,7 +18,7 @@ FONT = cv2.FONT_HERSHEY_SIMPLEX
 Image = NDArray[np.uint8]
 
 
-def draw_health(path: Path, modes: GapModes, trend: Trend) -> None:
+def draw_health(path: Path, modes: GapModes, trend: HealthTrend) -> None:
     """Write a PNG: above the patterns (red up, blue down), below amplitudes and sum of the trend's scans."""
     width = len(MODES) * (MAP_PX[0] + GAP_PX) + GAP_PX
     image: Image = np.full((TOP_PX + MAP_PX[1] + 3 * (PLOT_PX + TOP_PX) + 30, width, 3), 255, np.uint8)

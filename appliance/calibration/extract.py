@@ -44,7 +44,7 @@ made."""
 
 
 @dataclass(frozen=True, slots=True)
-class Certificate:
+class BarCertificate:
     """Certified dimensions of a ball bar. Lengths in mm."""
 
     length_mm: float
@@ -67,7 +67,7 @@ class DecodedImage(Protocol):
 
 def extract(
     name: str,
-    certificate: Certificate | None,
+    certificate: BarCertificate | None,
     cloud: PointSource,
     left: DecodedImage,
     right: DecodedImage,

@@ -88,7 +88,7 @@ UNITS: Mapping[Refusal, str] = MappingProxyType(
 
 
 @dataclass(frozen=True, slots=True)
-class Trial:
+class RecordingCheck:
     """One recording of one step, judged. ``refusal`` ``None``: it will do."""
 
     step: Step
@@ -104,7 +104,7 @@ class Trial:
 
 
 @dataclass(frozen=True, slots=True)
-class Solved:
+class AdjustmentSummary:
     """Outcome of the adjustment, as it judges itself."""
 
     method: str
@@ -147,18 +147,18 @@ MOST_LENGTH_ERROR = 0.001
 class Session:
     """Progress of one calibration. Its recordings are stored scans; the whole of it survives the loss of power."""
 
-    trials: tuple[Trial, ...] = ()
+    trials: tuple[RecordingCheck, ...] = ()
     """Accepted recordings, at most one for each step."""
-    solved: Solved | None = None
+    solved: AdjustmentSummary | None = None
     verified: Verified | None = None
     in_use: bool = False
     """The instrument measures with what was solved."""
     kept: str | None = None
     """Name of the file with the calibration that was in use before; ``None`` where there was none."""
 
-    def trial(self, step: Step) -> Trial | None:
+    def check(self, step: Step) -> RecordingCheck | None:
         """The recording of a step."""
-        return next((trial for trial in self.trials if trial.step is step), None)
+        return next((check for check in self.trials if check.step is step), None)
 
     def done(self, step: Step) -> bool:
         """Tell whether a step need not be done again."""
@@ -170,14 +170,14 @@ class Session:
             case Step.RESULT:
                 return self.in_use
             case _:
-                return self.trial(step) is not None
+                return self.check(step) is not None
 
     def open(self, step: Step) -> bool:
         """Tell whether a step can be done now: recordings in any order, then one after the other. VERIFY checks the
         solved calibration, or else the one in use."""
         match step:
             case Step.SOLVE:
-                return all(self.trial(used) is not None for used in USED)
+                return all(self.check(used) is not None for used in USED)
             case Step.VERIFY:
                 return True
             case Step.RESULT:
@@ -209,12 +209,12 @@ class Session:
         """The first step that is not done; the result when all are."""
         return next((step for step in STEPS if not self.done(step)), Step.RESULT)
 
-    def with_trial(self, trial: Trial) -> Session:
+    def with_check(self, check: RecordingCheck) -> Session:
         """Return the session with a recording in place of its step's older one. A solution that used the older one is
         dropped."""
-        others = tuple(t for t in self.trials if t.step is not trial.step)
-        changed = replace(self, trials=(*others, trial))
-        if trial.step not in USED:
+        others = tuple(t for t in self.trials if t.step is not check.step)
+        changed = replace(self, trials=(*others, check))
+        if check.step not in USED:
             return changed
         verified = self.verified
         if verified is not None and verified.after is None:  # a check of before is no witness of what will be solved

@@ -93,7 +93,7 @@ class Reference:
 
 
 @dataclass(frozen=True, slots=True)
-class Trend:
+class HealthTrend:
     """Everything remembered about one calibration."""
 
     reference: Reference = Reference()
@@ -107,17 +107,17 @@ class Trend:
     answers: tuple[str, ...] = ()
     """Length checks after which an alarm was taken back."""
 
-    def alarmed(self, text: str) -> Trend:
+    def alarmed(self, text: str) -> HealthTrend:
         """Return the trend with these words for its finding."""
         return replace(self, alarm=text)
 
-    def named(self, scan: str) -> Trend:
+    def named(self, scan: str) -> HealthTrend:
         """Return the trend with the number that the latest scan gets on the disk."""
         return replace(self, points=(*self.points[:-1], replace(self.points[-1], scan=scan)))
 
 
 @dataclass(frozen=True, slots=True)
-class Judgement:
+class HealthJudgement:
     """Findings of one scan about the calibration."""
 
     point: TrendPoint | None
@@ -127,13 +127,13 @@ class Judgement:
     numbers: Mapping[str, float | None]
 
 
-def judge(trend: Trend, gaps: PatchGaps, scan: str | None = None) -> tuple[Trend, Judgement]:
+def judge(trend: HealthTrend, gaps: PatchGaps, scan: str | None = None) -> tuple[HealthTrend, HealthJudgement]:
     """The trend after one more scan (its number, where it has one already), and what is to be said about it."""
     if len(gaps.patch) < FEWEST_PATCHES:
         text = f"not judged: {len(gaps.patch)} of {COUNT} patches seen, {FEWEST_PATCHES} are needed"
-        return trend, Judgement(None, trend.alarm is not None, text, _counts(gaps))
+        return trend, HealthJudgement(None, trend.alarm is not None, text, _counts(gaps))
     if not all(np.isfinite(values).all() for values in (gaps.gap_um, gaps.noise_um, gaps.modes)):
-        return trend, Judgement(None, trend.alarm is not None, "not judged: a gap is not a number", _counts(gaps))
+        return trend, HealthJudgement(None, trend.alarm is not None, "not judged: a gap is not a number", _counts(gaps))
     rest_um = _rest(gaps)
     usual_um = float(np.median([*trend.reference.rests_um, rest_um]))
     amplitudes, covariance = _compared(trend.reference, gaps, usual_um)
@@ -149,7 +149,7 @@ def judge(trend: Trend, gaps: PatchGaps, scan: str | None = None) -> tuple[Trend
     if not point.alarm and size <= TEACHES_UP_TO:
         reference = _taught(reference, gaps, rest_um)
     text = _said(point, reference)
-    after = Trend(
+    after = HealthTrend(
         reference=reference,
         total=_four(total),
         judged=trend.judged + 1,
@@ -157,10 +157,10 @@ def judge(trend: Trend, gaps: PatchGaps, scan: str | None = None) -> tuple[Trend
         alarm=trend.alarm or (text if found else None),
         answers=trend.answers,
     )
-    return after, Judgement(point, point.alarm, text, _numbers(point, gaps))
+    return after, HealthJudgement(point, point.alarm, text, _numbers(point, gaps))
 
 
-def answered(trend: Trend, answer: str) -> Trend:
+def answered(trend: HealthTrend, answer: str) -> HealthTrend:
     """Return the trend after an accepted length check: the latest scan's state is normal from now on. ``answer`` says
     what was found."""
     latest = trend.points[-1].amplitudes_um if trend.points else (0.0,) * len(MODES)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibration.guide import Refusal, Step, Trial
+from appliance.calibration.guide import RecordingCheck, Refusal, Step
 from appliance.optics.model import StereoRig
 
 Array = NDArray[np.float64]
@@ -69,7 +69,7 @@ def rig_axes(rig: StereoRig) -> tuple[Array, Array]:
     return np.stack([x, np.cross(z, x), z], axis=1), 0.5 * right
 
 
-def judge_bar(step: Step, bar: FoundBar, rig: StereoRig, length_mm: float, radius_mm: float) -> Trial:
+def judge_bar(step: Step, bar: FoundBar, rig: StereoRig, length_mm: float, radius_mm: float) -> RecordingCheck:
     """Judge whether a bar will do for ``step`` (M1, M2 or VERIFY)."""
     axes, _ = rig_axes(rig)
     along = (bar.centres_mm[1] - bar.centres_mm[0]) @ axes
@@ -80,28 +80,28 @@ def judge_bar(step: Step, bar: FoundBar, rig: StereoRig, length_mm: float, radiu
     worst_radius = max(bar.radii_mm, key=lambda r: abs(r - radius_mm))
     said = f"bar {length:.3f} mm, {tilt_deg:.1f}° in depth, {rise_deg:.0f}° against the horizontal"
 
-    def trial(refusal: Refusal | None, number: float | None) -> Trial:
-        return Trial(step, refusal, number, bar.points, said)
+    def check(refusal: Refusal | None, number: float | None) -> RecordingCheck:
+        return RecordingCheck(step, refusal, number, bar.points, said)
 
     if abs(worst_radius - radius_mm) > RADIUS_OFF * radius_mm:
-        return trial(Refusal.WRONG_SIZE, worst_radius)
+        return check(Refusal.WRONG_SIZE, worst_radius)
     if abs(length - length_mm) > LENGTH_OFF * length_mm:
-        return trial(Refusal.WRONG_SIZE, length)
+        return check(Refusal.WRONG_SIZE, length)
     if bar.rms_mm > MOST_RMS_MM["ball"]:
-        return trial(Refusal.BAD_FIT, bar.rms_mm)
+        return check(Refusal.BAD_FIT, bar.rms_mm)
     if step is Step.VERIFY:
-        return trial(Refusal.TILT_LESS, tilt_deg) if tilt_deg > LEVEL_DEG else trial(None, bar.rms_mm)
+        return check(Refusal.TILT_LESS, tilt_deg) if tilt_deg > LEVEL_DEG else check(None, bar.rms_mm)
     if upright != (step is Step.M2):
-        return trial(Refusal.STAND_UP if step is Step.M2 else Refusal.LAY_DOWN, rise_deg)
+        return check(Refusal.STAND_UP if step is Step.M2 else Refusal.LAY_DOWN, rise_deg)
     low, high = BAR_TILT_DEG
     if tilt_deg < low:
-        return trial(Refusal.TILT_MORE, tilt_deg)
+        return check(Refusal.TILT_MORE, tilt_deg)
     if tilt_deg > high:
-        return trial(Refusal.TILT_LESS, tilt_deg)
-    return trial(None, bar.rms_mm)
+        return check(Refusal.TILT_LESS, tilt_deg)
+    return check(None, bar.rms_mm)
 
 
-def judge_plane(step: Step, plane: FoundPlane, rig: StereoRig) -> Trial:
+def judge_plane(step: Step, plane: FoundPlane, rig: StereoRig) -> RecordingCheck:
     """Judge whether a plane will do for ``step`` (M3 or M4)."""
     axes, origin = rig_axes(rig)
     distance_mm = float(((plane.centre_mm - origin) @ axes)[2])
@@ -109,21 +109,21 @@ def judge_plane(step: Step, plane: FoundPlane, rig: StereoRig) -> Trial:
     tilt_deg = _degrees(float(np.hypot(normal[0], normal[1])), normal[2])
     said = f"plane {distance_mm:.0f} mm away, tilted by {tilt_deg:.1f}°, over {plane.fill_percent:.0f} % of the picture"
 
-    def trial(refusal: Refusal | None, number: float | None) -> Trial:
-        return Trial(step, refusal, number, plane.points, said)
+    def check(refusal: Refusal | None, number: float | None) -> RecordingCheck:
+        return RecordingCheck(step, refusal, number, plane.points, said)
 
     if plane.rms_mm > MOST_RMS_MM["plane"]:
-        return trial(Refusal.BAD_FIT, plane.rms_mm)
+        return check(Refusal.BAD_FIT, plane.rms_mm)
     near, far = NEAR_MM if step is Step.M3 else FAR_MM
     if distance_mm < near:
-        return trial(Refusal.TOO_NEAR, distance_mm)
+        return check(Refusal.TOO_NEAR, distance_mm)
     if distance_mm > far:
-        return trial(Refusal.TOO_FAR, distance_mm)
+        return check(Refusal.TOO_FAR, distance_mm)
     if plane.fill_percent < LEAST_FILL_PERCENT:
-        return trial(Refusal.NOT_FILLED, plane.fill_percent)
+        return check(Refusal.NOT_FILLED, plane.fill_percent)
     if tilt_deg > MOST_PLANE_TILT_DEG:
-        return trial(Refusal.TILT_LESS, tilt_deg)
-    return trial(None, plane.rms_mm)
+        return check(Refusal.TILT_LESS, tilt_deg)
+    return check(None, plane.rms_mm)
 
 
 def _degrees(opposite: float, adjacent: float) -> float:

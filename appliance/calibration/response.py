@@ -37,7 +37,7 @@ class ResponseError(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class CameraImages:
     """Images of one camera: frames (n, h, w) uint8 of the whole sequence, and its decoded coordinates (h, w), NaN:
     none."""
 
@@ -64,7 +64,7 @@ class MeasuredResponse:
 
 
 def measure_response(
-    sequence: PatternSequence, seen: Sequence[Seen], drawn_for: Response | None = None
+    sequence: PatternSequence, seen: Sequence[CameraImages], drawn_for: Response | None = None
 ) -> MeasuredResponse:
     """The response of the projector that lit a scan of a smooth surface, for example a plane.
 
@@ -120,7 +120,7 @@ def _smooth(coordinate: NDArray[np.float32], direction: Direction, period_px: in
 
 
 def _lights(
-    sequence: PatternSequence, seen: Seen, direction: Direction, smooth: NDArray[np.float64]
+    sequence: PatternSequence, seen: CameraImages, direction: Direction, smooth: NDArray[np.float64]
 ) -> list[tuple[int, NDArray[np.float64], NDArray[np.float64]]]:
     """Step, light and coordinate of the usable pixels in each of the four sine images."""
     bright, dark = (seen.frames[k].astype(np.float64) for k in (sequence.bright, sequence.dark))

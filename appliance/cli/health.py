@@ -10,7 +10,7 @@ from typing import Any
 from appliance.calibration import file as calibration_file
 from appliance.calibration.file import Calibration
 from appliance.calibration.gaps import MODES
-from appliance.calibration.health import LEARNT_SCANS, UNMEASURED, Trend, answered
+from appliance.calibration.health import LEARNT_SCANS, UNMEASURED, HealthTrend, answered
 from appliance.cli.arguments import number_above, operand, option
 from appliance.cli.output import Exit, UsageError, say, say_json, table
 from appliance.cli.places import WithRoot
@@ -144,7 +144,7 @@ def _worst_percent(report: Path, content: dict[str, Any]) -> float:
     return float(worst)
 
 
-def _recorded_since(report: Path, content: dict[str, Any], trend: Trend) -> None:
+def _recorded_since(report: Path, content: dict[str, Any], trend: HealthTrend) -> None:
     """Lengths of before the alarm say nothing about the instrument of now."""
     from appliance.evaluation.result import Artefact
 
@@ -158,7 +158,7 @@ def _recorded_since(report: Path, content: dict[str, Any], trend: Trend) -> None
         )
 
 
-def _points(trend: Trend) -> str:
+def _points(trend: HealthTrend) -> str:
     rows = []
     for point in trend.points[-SHOWN:]:
         amplitudes = [

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from appliance.calibration.guide import HELD, STEPS, Session, Step, Trial
+from appliance.calibration.guide import HELD, STEPS, RecordingCheck, Session, Step
 from appliance.machine import effects as do
 from appliance.machine.conditions import cleared, raised
 from appliance.machine.mishap import Failure, Mishap
@@ -100,17 +100,17 @@ def stored(machine: Machine, number: int) -> Result:
     return _wait(machine, Task.EXAMINE, machine.settings.examine_s, number), (do.ExamineTrial(number, at.step),)
 
 
-def examined(machine: Machine, number: int, trial: Trial) -> Result:
+def examined(machine: Machine, number: int, check: RecordingCheck) -> Result:
     """The recording was judged: into the session, or to the rejected ones with the reason on the screen."""
     at = machine.calibrating
-    if not _waits(machine, Task.EXAMINE, number) or at is None or trial.step is not at.step:
+    if not _waits(machine, Task.EXAMINE, number) or at is None or check.step is not at.step:
         return machine, ()
-    if trial.refusal is None:
+    if check.refusal is None:
         machine = _wait(machine, Task.ACCEPT, machine.settings.saving_s, number)
-        machine = replace(machine, calibrating=replace(at, task=Task.ACCEPT, number=number, latest=trial))
-        return machine, (do.AcceptTrial(number, trial),)
-    said = f"calibration {trial.step.value}: {trial.refusal.value}: {trial.detail}"
-    return _rest(machine, replace(at, latest=trial)), (do.Reject(number, said),)
+        machine = replace(machine, calibrating=replace(at, task=Task.ACCEPT, number=number, latest=check))
+        return machine, (do.AcceptTrial(number, check),)
+    said = f"calibration {check.step.value}: {check.refusal.value}: {check.detail}"
+    return _rest(machine, replace(at, latest=check)), (do.Reject(number, said),)
 
 
 def not_saved(machine: Machine, number: int, reason: str) -> Result:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from appliance.calibration.guide import Step, Trial
+from appliance.calibration.guide import RecordingCheck, Step
 from appliance.machine.choices import Choices
 from appliance.machine.states import Device
 from appliance.scan.exposure import Exposure
@@ -111,7 +111,7 @@ class AcceptTrial:
     """Publish the scan, then enter it into the session; answer SessionChanged or SaveFailed of this number."""
 
     number: int
-    trial: Trial
+    check: RecordingCheck
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from appliance.calibration.guide import Session, Trial
+from appliance.calibration.guide import RecordingCheck, Session
 from appliance.machine.mishap import Failure
 from appliance.machine.states import Device, Part
 from appliance.machine.words import Label
@@ -246,7 +246,7 @@ class TrialExamined:
     """A recording for a step of the calibration was judged."""
 
     number: int
-    trial: Trial
+    check: RecordingCheck
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import TYPE_CHECKING
 
-from appliance.calibration.guide import Session, Step, Trial
+from appliance.calibration.guide import RecordingCheck, Session, Step
 from appliance.machine.choices import Choices, Offers
 from appliance.machine.mishap import Failure
 from appliance.machine.words import Label
@@ -246,7 +246,7 @@ class Calibrating:
     """Number of the Capture effect whose recording is stored, examined or accepted."""
     progress: float | None = None
     """Progress of the task, 0..1; ``None`` where nobody knows."""
-    latest: Trial | None = None
+    latest: RecordingCheck | None = None
     """The latest recording, until the next key."""
     failed: Failure | None = None
     """Failure of the latest task, until the next key."""

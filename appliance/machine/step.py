@@ -99,8 +99,8 @@ def _react(machine: Machine, event: on.Event) -> Result:
             return saving.failed(machine, number, fault)
         case on.Rejected():
             return cleared(machine, FaultCode.NOT_SAVED), ()
-        case on.TrialExamined(number, trial):
-            return calibrate.examined(machine, number, trial)
+        case on.TrialExamined(number, check):
+            return calibrate.examined(machine, number, check)
         case on.SessionChanged(session):
             return calibrate.session_changed(machine, session)
         case on.CalibrationProgressed(progress):

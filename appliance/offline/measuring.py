@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from appliance.calibration.photon_transfer import MeasuredNoise, measure_noise
-from appliance.calibration.response import MeasuredResponse, ResponseError, Seen, measure_response
+from appliance.calibration.response import CameraImages, MeasuredResponse, ResponseError, measure_response
 from appliance.calibration.response_file import StoredResponse
 from appliance.config import Rig
 from appliance.instrument import RESPONSE_FILE, exposure_of_scan, noise_of, response_of
@@ -37,7 +37,7 @@ def response_of_scan(
             progress(f"decoding {side}", 0.5 * (k + index / len(sequence)))
             decoder.push(frames, index)
         decoder.finish()
-        seen.append(Seen(frames, decoder.p_px, decoder.q_px))
+        seen.append(CameraImages(frames, decoder.p_px, decoder.q_px))
     measured = measure_response(sequence, seen, drawn_for)
     return StoredResponse(rig.rig.serial, (scan.manifest.scan_id,), measured.residual, measured.response), measured
 

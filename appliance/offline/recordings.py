@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from appliance.calibration.extract import CALIBRATING_GAP_MM, Certificate, extract
+from appliance.calibration.extract import CALIBRATING_GAP_MM, BarCertificate, extract
 from appliance.calibration.file import Calibration
 from appliance.calibration.owner import exchanged
 from appliance.calibration.recordings import CamerasDiffer, Recording
@@ -54,7 +54,7 @@ def _cameras(folder: Path) -> tuple[str, str] | None:
 
 
 def recording_of_scan(
-    folder: Path, certificate: Certificate | None, start: Calibration, rig: Rig, progress: Callable[[str], None]
+    folder: Path, certificate: BarCertificate | None, start: Calibration, rig: Rig, progress: Callable[[str], None]
 ) -> Recording | NotFound:
     """The recording of a stored scan: of a ball bar with its certificate, of a plane with ``None``.
 

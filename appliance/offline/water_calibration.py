@@ -8,7 +8,7 @@ from typing import Any
 
 from appliance import __version__
 from appliance.calibration import report
-from appliance.calibration.extract import Certificate
+from appliance.calibration.extract import BarCertificate
 from appliance.calibration.file import Calibration
 from appliance.calibration.ladder import LadderResult, LadderSettings, Method, calibrate
 from appliance.config import Rig
@@ -95,9 +95,9 @@ def run_water_calibration(
     return WaterCalibration(result, start, about, left_out)
 
 
-def _certificate(entry: Entry) -> Certificate | None:
+def _certificate(entry: Entry) -> BarCertificate | None:
     if entry.artefact is Artefact.PLANE:
         return None
-    usual = Certificate(entry.calibrated_mm["length"], radius_mm=entry.radius_mm)
+    usual = BarCertificate(entry.calibrated_mm["length"], radius_mm=entry.radius_mm)
     stated = {"length_sd_mm": entry.length_sd_mm, "radius_sd_mm": entry.radius_sd_mm}
     return replace(usual, **{name: value for name, value in stated.items() if value is not None})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from appliance.calibration.guide import HELD, STEPS, UNITS, USED, Refusal, Session, Step, Trial, Verified
+from appliance.calibration.guide import HELD, STEPS, UNITS, USED, RecordingCheck, Refusal, Session, Step, Verified
 from appliance.calibration.recordings import ArtefactKind
 from appliance.machine.mishap import Mishap
 from appliance.machine.states import Task
@@ -69,10 +69,10 @@ def draw_calibrate(canvas: Canvas, view: CalibrateView, language: Language, time
 
 def _latest_px(view: CalibrateView) -> float:
     """Height of what is said at the lower end of the screen."""
-    trial = view.at.latest or view.session.trial(view.step)
+    check = view.at.latest or view.session.check(view.step)
     if view.at.task is not None:
         return _WORKING_PX
-    if view.at.failed is not None or trial is not None:
+    if view.at.failed is not None or check is not None:
         return _BAND_PX
     return 36.0 if view.step is Step.SOLVE else 0.0
 
@@ -90,10 +90,10 @@ _MISHAPS = {
 """What came to nothing, and what to do. The details are in the log and in the status file."""
 
 
-def refusal_words(trial: Trial) -> tuple[Text, Text]:
+def refusal_words(check: RecordingCheck) -> tuple[Text, Text]:
     """What the diver reads about a recording that will not do: what, and what to do or what is right."""
-    bar = HELD[trial.step] is ArtefactKind.BALL_BAR
-    match trial.refusal:
+    bar = HELD[check.step] is ArtefactKind.BALL_BAR
+    match check.refusal:
         case None:
             return Text.ACCEPTED, Text.ACCEPTED
         case Refusal.NOT_FOUND:
@@ -111,11 +111,11 @@ def refusal_words(trial: Trial) -> tuple[Text, Text]:
         case Refusal.TILT_MORE:
             return Text.TILT_MORE, Text.IN_DEPTH_20_50
         case Refusal.TILT_LESS:
-            right = Text.IN_DEPTH_15 if trial.step is Step.VERIFY else Text.IN_DEPTH_20_50 if bar else Text.PLANE_35
+            right = Text.IN_DEPTH_15 if check.step is Step.VERIFY else Text.IN_DEPTH_20_50 if bar else Text.PLANE_35
             return Text.TILT_LESS, right
         case Refusal.TOO_NEAR | Refusal.TOO_FAR:
-            what = Text.TOO_NEAR if trial.refusal is Refusal.TOO_NEAR else Text.TOO_FAR
-            return what, Text.NEAR_RANGE if trial.step is Step.M3 else Text.FAR_RANGE
+            what = Text.TOO_NEAR if check.refusal is Refusal.TOO_NEAR else Text.TOO_FAR
+            return what, Text.NEAR_RANGE if check.step is Step.M3 else Text.FAR_RANGE
         case Refusal.NOT_FILLED:
             return Text.NOT_FILLED, Text.FILL_45
         case Refusal.MOVED:
@@ -179,7 +179,7 @@ def _live(canvas: Canvas, view: CalibrateView, bottom: float, language: Language
 def _latest(canvas: Canvas, view: CalibrateView, bottom: float, language: Language, time_s: float) -> None:
     """The band over the lower labels, or over an alert: what is done now, or what became of the latest recording."""
     at = view.at
-    trial = at.latest or view.session.trial(view.step)
+    check = at.latest or view.session.check(view.step)
     if at.task is not None:
         _working(canvas, at.task, at.progress, language, time_s, bottom)
     elif at.failed is not None:
@@ -234,14 +234,14 @@ def _solve(canvas: Canvas, view: CalibrateView, bottom: float, language: Languag
     pitch = min(40.0, (bottom - top - 4) / len(USED))
     size = BODY if pitch > 34 else CAPTION
     for row, step in enumerate(USED):
-        trial = view.session.trial(step)
-        if trial is None:
+        check = view.session.check(step)
+        if check is None:
             continue
         baseline = top + pitch * (row + 0.75)
         artefact = Text.BALL_BAR if HELD[step] is ArtefactKind.BALL_BAR else Text.PLANE
         canvas.words(f"{step.value}  {artefact.in_language(language)}", 120, baseline, size, BOLD)
         canvas.words(
-            f"{trial.points} {Text.POINTS.in_language(language)}",
+            f"{check.points} {Text.POINTS.in_language(language)}",
             560,
             baseline,
             CAPTION,
@@ -249,8 +249,8 @@ def _solve(canvas: Canvas, view: CalibrateView, bottom: float, language: Languag
             theme.MUTED,
             Align.RIGHT,
         )
-        if trial.number is not None:
-            canvas.words(f"{1000.0 * trial.number:.0f} µm", 690, baseline, size, BOLD, align=Align.RIGHT)
+        if check.number is not None:
+            canvas.words(f"{1000.0 * check.number:.0f} µm", 690, baseline, size, BOLD, align=Align.RIGHT)
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from types import TracebackType
 from typing import Self
 
 from appliance.calibration.file import Calibration, CalibrationError
-from appliance.calibration.guide import Session, Step, Trial, Verified
+from appliance.calibration.guide import RecordingCheck, Session, Step, Verified
 from appliance.calibration.recordings import CamerasDiffer, CertificateMissing, NotConverged, RecordingError
 from appliance.config import Rig
 from appliance.instrument import calibration_of
@@ -96,18 +96,18 @@ class CalibrationDesk:
         self._number = number
         self._background.ask(calibrator.examine, self._rig, step, folder)
 
-    def accept(self, number: int, trial: Trial) -> None:
+    def accept(self, number: int, check: RecordingCheck) -> None:
         """Publish the scan and enter it into the session; answer SessionChanged or SaveFailed."""
-        numbers = {"points": float(trial.points), "rms_mm": trial.number}
-        verdict = Verdict("calibration", True, numbers, f"{trial.step.value}: {trial.detail}")
+        numbers = {"points": float(check.points), "rms_mm": check.number}
+        verdict = Verdict("calibration", True, numbers, f"{check.step.value}: {check.detail}")
         verified = self._verified
 
         def entered(scan_id: str) -> list[on.Event]:
-            session = self._store.session().with_trial(replace(trial, scan_id=scan_id))
-            if trial.step is Step.VERIFY:
+            session = self._store.session().with_check(replace(check, scan_id=scan_id))
+            if check.step is Step.VERIFY:
                 session = replace(session, verified=verified)
             session = self._store.write(session)
-            if trial.step is Step.VERIFY and session.right and session.length_error is not None:
+            if check.step is Step.VERIFY and session.right and session.length_error is not None:
                 self._passed.append(f"VERIFY, scan {scan_id}: ball bar {100.0 * session.length_error:+.3f} %")
             return [on.SessionChanged(session)]
 
@@ -148,10 +148,10 @@ class CalibrationDesk:
         match self._background.poll():
             case Progressed(progress):
                 events.append(on.CalibrationProgressed(progress))
-            case Done(Examined(trial, verified)):
-                log.info("calibration %s: %s (%s)", trial.step.value, _outcome(trial), trial.detail)
+            case Done(Examined(check, verified)):
+                log.info("calibration %s: %s (%s)", check.step.value, _outcome(check), check.detail)
                 self._verified = verified
-                events.append(on.TrialExamined(self._number, trial))
+                events.append(on.TrialExamined(self._number, check))
             case Done(Solution() as solution):
                 self._solved(solution)
             case Done(answer):
@@ -213,5 +213,5 @@ def _failure(error: str | None, reason: str, about: str = "") -> Failure:
     return Failure(_MISHAPS.get(error or "", Mishap.BROKEN_OFF), reason, about)
 
 
-def _outcome(trial: Trial) -> str:
-    return "will do" if trial.refusal is None else trial.refusal.value
+def _outcome(check: RecordingCheck) -> str:
+    return "will do" if check.refusal is None else check.refusal.value

@@ -12,9 +12,9 @@ import numpy as np
 from appliance import __version__
 from appliance.calibration import file as calibration_file
 from appliance.calibration import report as report_of
-from appliance.calibration.extract import CALIBRATING_GAP_MM, Certificate, extract
+from appliance.calibration.extract import CALIBRATING_GAP_MM, BarCertificate, extract
 from appliance.calibration.file import Calibration
-from appliance.calibration.guide import HELD, USED, Refusal, Solved, Step, Trial, Verified
+from appliance.calibration.guide import HELD, USED, AdjustmentSummary, RecordingCheck, Refusal, Step, Verified
 from appliance.calibration.ladder import Method, calibrate
 from appliance.calibration.poses import FoundBar, FoundPlane, judge_bar, judge_plane
 from appliance.calibration.recordings import (
@@ -54,7 +54,7 @@ class Basis:
     before_hash: str | None
     """Of its file; ``None``: the drawing."""
     rig: Rig
-    bar: Certificate
+    bar: BarCertificate
     """Of the ball bar; its radius is stated."""
 
 
@@ -62,7 +62,7 @@ class Basis:
 class Examined:
     """A recording, judged; with what it says about lengths if it verifies."""
 
-    trial: Trial
+    check: RecordingCheck
     verified: Verified | None = None
 
 
@@ -71,7 +71,7 @@ class Solution:
     """The calibration that the recordings gave."""
 
     calibration: Calibration
-    solved: Solved
+    solved: AdjustmentSummary
     verified: Verified | None
     """Where there was a recording for it."""
     report: Mapping[str, bytes]
@@ -91,7 +91,7 @@ def basis_of(rig: Rig) -> Basis:
     current, _ = calibration_of(rig)
     session = calibrations.session()
     kept = calibrations.kept(session) if session.in_use else None
-    certificate = Certificate(bar.length_mm, bar.length_sd_mm, bar.radius_mm, bar.radius_sd_mm)
+    certificate = BarCertificate(bar.length_mm, bar.length_sd_mm, bar.radius_mm, bar.radius_sd_mm)
     before_hash = calibrations.in_use if kept is None else kept.hash
     return Basis(start_of(rig), kept or current, before_hash, rig, certificate)
 
@@ -112,27 +112,27 @@ def examine(rig: Rig, step: Step, folder: Path, report: Report) -> Examined:
         if spoilt is not None:
             return Examined(spoilt)
         bar = find_ball_bar(fairly.cloud)
-        trial = _judged_bar(step, bar, fairly.cloud, checked, basis.bar)
-        if trial.refusal is not None or isinstance(bar, NotFound):
-            return Examined(trial)
-        return Examined(trial, _measured(bar, basis) if solved is None else _compared(scan, bar, basis))
+        check = _judged_bar(step, bar, fairly.cloud, checked, basis.bar)
+        if check.refusal is not None or isinstance(bar, NotFound):
+            return Examined(check)
+        return Examined(check, _measured(bar, basis) if solved is None else _compared(scan, bar, basis))
     widely = _wide(scan, basis)
     spoilt = _spoilt(step, widely)
     if spoilt is not None:
         return Examined(spoilt)
     pipeline, cloud, water = widely.pipeline, widely.cloud, widely.water
     if HELD[step] is ArtefactKind.BALL_BAR:
-        trial = _judged_bar(step, find_ball_bar(cloud), cloud, basis.start, basis.bar)
+        check = _judged_bar(step, find_ball_bar(cloud), cloud, basis.start, basis.bar)
     else:
-        trial = _judged_plane(step, fit_plane(cloud), cloud, basis.start)
-    if trial.refusal is not None:
-        return Examined(trial)
+        check = _judged_plane(step, fit_plane(cloud), cloud, basis.start)
+    if check.refusal is not None:
+        return Examined(check)
     certificate = basis.bar if HELD[step] is ArtefactKind.BALL_BAR else None
     left, right = pipeline.decoded("left"), pipeline.decoded("right")
     recording = extract(step.value, certificate, cloud, left, right, basis.start, water)
     if isinstance(recording, NotFound):
-        return Examined(replace(trial, refusal=Refusal.FEW_POINTS, number=None, detail=recording.reason))
-    return Examined(replace(trial, points=len(recording.left_px)))
+        return Examined(replace(check, refusal=Refusal.FEW_POINTS, number=None, detail=recording.reason))
+    return Examined(replace(check, points=len(recording.left_px)))
 
 
 def _spoilt(step: Step, seen: ReprocessedScan) -> Trial | None:
@@ -141,8 +141,8 @@ def _spoilt(step: Step, seen: ReprocessedScan) -> Trial | None:
     if fault is None:
         return None
     if fault.code in (FaultCode.MOVED, FaultCode.COMPENSATED):
-        return Trial(step, Refusal.MOVED, fault.numbers.get("shift_px"), detail=fault.detail)
-    return Trial(step, Refusal.WRONG_PATTERN, None, detail=f"{fault.code.value}: {fault.detail}")
+        return RecordingCheck(step, Refusal.MOVED, fault.numbers.get("shift_px"), detail=fault.detail)
+    return RecordingCheck(step, Refusal.WRONG_PATTERN, None, detail=f"{fault.code.value}: {fault.detail}")
 
 
 def solve(rig: Rig, date: str, report: Report) -> Solution:
@@ -153,7 +153,7 @@ def solve(rig: Rig, date: str, report: Report) -> Solution:
     basis = basis_of(rig)
     library = Library(rig.storage.root)
     trials = Calibrations(rig.storage.root, rig.rig.serial).session().trials
-    folders = {trial.step: library.entry(trial.scan_id).folder for trial in trials if trial.scan_id is not None}
+    folders = {check.step: library.entry(check.scan_id).folder for check in trials if check.scan_id is not None}
     missing = [step.value for step in USED if step not in folders]
     if missing:
         raise RecordingError(f"no recording of {', '.join(missing)}; record it", about=missing[0])
@@ -170,7 +170,7 @@ def solve(rig: Rig, date: str, report: Report) -> Solution:
     result = replace(result, calibration=calibration)
     if calibration.residual_px is None:
         raise NotConverged(f"{method.value} says nothing about what is left; use another method")
-    solved = Solved(calibration.method, calibration.residual_px, result.warnings, calibration.hash)
+    solved = AdjustmentSummary(calibration.method, calibration.residual_px, result.warnings, calibration.hash)
     verified = None
     if Step.VERIFY in folders:
         scan = stored.load(folders[Step.VERIFY])
@@ -220,10 +220,10 @@ def _uncertainty(bar: BallBar, basis: Basis) -> float:
 
 
 def _judged_bar(
-    step: Step, bar: BallBar | NotFound, cloud: Cloud, calibration: Calibration, certificate: Certificate
-) -> Trial:
+    step: Step, bar: BallBar | NotFound, cloud: Cloud, calibration: Calibration, certificate: BarCertificate
+) -> RecordingCheck:
     if isinstance(bar, NotFound):
-        return Trial(step, Refusal.NOT_FOUND, None, cloud.summary.points, bar.reason)
+        return RecordingCheck(step, Refusal.NOT_FOUND, None, cloud.summary.points, bar.reason)
     if certificate.radius_mm is None:
         raise CertificateMissing("the ball bar's radius is not stated; give ball_bar.radius_mm in the rig file")
     balls = (bar.first, bar.second)
@@ -236,9 +236,9 @@ def _judged_bar(
     return judge_bar(step, found, calibration.rig, certificate.length_mm, certificate.radius_mm)
 
 
-def _judged_plane(step: Step, plane: PlaneFit | NotFound, cloud: Cloud, calibration: Calibration) -> Trial:
+def _judged_plane(step: Step, plane: PlaneFit | NotFound, cloud: Cloud, calibration: Calibration) -> RecordingCheck:
     if isinstance(plane, NotFound):
-        return Trial(step, Refusal.NOT_FOUND, None, cloud.summary.points, plane.reason)
+        return RecordingCheck(step, Refusal.NOT_FOUND, None, cloud.summary.points, plane.reason)
     camera = calibration.rig.left
     found = FoundPlane(
         np.array(plane.plane.centre_mm),

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from appliance.calibration.file import Calibration
 from appliance.calibration.gaps import TURNS, GapModes, in_words
-from appliance.calibration.health import UNMEASURED, Judgement, Trend, answered, judge, likeliest
+from appliance.calibration.health import UNMEASURED, HealthJudgement, HealthTrend, answered, judge, likeliest
 from appliance.calibration.patches import PatchGaps
 from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.verdict import Verdict
@@ -29,7 +29,7 @@ class CalibrationWatch:
         self._calibration = calibration
         self._measured = calibration.method not in UNMEASURED
         self._file = HealthFile(self._root, calibration.hash, self._fs)
-        self.trend = self._file.read() if self._measured else Trend()
+        self.trend = self._file.read() if self._measured else HealthTrend()
         self._written = self.trend
 
     @property
@@ -72,7 +72,7 @@ class CalibrationWatch:
         file, trend = self._file, self.trend
         return lambda: file.write(trend)
 
-    def _explained(self, said: Judgement, gaps: PatchGaps) -> str:
+    def _explained(self, said: HealthJudgement, gaps: PatchGaps) -> str:
         """Which single change would look most like it; only one of many, so only in words for a technician."""
         if said.point is None or not said.alarm:
             return ""

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from pydantic import TypeAdapter, ValidationError
 
-from appliance.calibration.health import Trend
+from appliance.calibration.health import HealthTrend
 from appliance.calibration.patches import COUNT
 from appliance.sealed import seal, unseal
 from appliance.storage.atomic import StorageError, refused, remedy_for, replace_file
@@ -25,7 +25,7 @@ log = logging.getLogger("kingfisher")
 FOLDER = Path("calibration", "health")
 SCHEMA = 1
 MAX_BYTES = 1_000_000
-_TREND = TypeAdapter(Trend)
+_TREND = TypeAdapter(HealthTrend)
 
 
 class HealthFile:
@@ -36,23 +36,23 @@ class HealthFile:
         self._hash = calibration_hash
         self.path = root / FOLDER / f"{calibration_hash[:16]}.json"
 
-    def read(self) -> Trend:
+    def read(self) -> HealthTrend:
         """Read the remembered trend; an empty one where there is none, or none that can be read."""
         try:
             with self.path.open("rb") as file:
                 data = file.read(MAX_BYTES + 1)
         except FileNotFoundError:
-            return Trend()
+            return HealthTrend()
         except OSError as error:
             log.warning("%s: %s; the trend of the ray gaps begins anew", self.path, error.strerror or error)
-            return Trend()
+            return HealthTrend()
         try:
             return self._decoded(data)
         except ValueError as error:
             log.warning("%s: %s; the trend of the ray gaps begins anew", self.path, error)
-            return Trend()
+            return HealthTrend()
 
-    def write(self, trend: Trend) -> None:
+    def write(self, trend: HealthTrend) -> None:
         """Durable on return. Raises StorageError."""
         with refused("cannot make", self.path.parent):
             for folder in (self.path.parent.parent, self.path.parent):
@@ -75,7 +75,7 @@ class HealthFile:
             with refused("cannot rename", self.path):
                 self._fs.rename(self.path, self.path.with_suffix(".damaged"))
 
-    def _decoded(self, data: bytes) -> Trend:
+    def _decoded(self, data: bytes) -> HealthTrend:
         """Raises ValueError."""
         content = unseal(data, MAX_BYTES)
         if content.get("schema") != SCHEMA or content.get("calibration") != self._hash:

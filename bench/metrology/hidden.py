@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from appliance.calibration.extract import CALIBRATING_GAP_MM, Certificate, extract
+from appliance.calibration.extract import CALIBRATING_GAP_MM, BarCertificate, extract
 from appliance.calibration.file import Calibration
 from appliance.calibration.recordings import Recording
 from appliance.evaluation.points import NotFound
@@ -107,7 +107,7 @@ def _recorded(
     instrument: Instrument, names: Sequence[str], start: Calibration, step: Callable[[str], None]
 ) -> dict[str, Recording]:
     found = {}
-    certificate = Certificate(BALL_DISTANCE_MM, radius_mm=BALL_RADIUS_MM)
+    certificate = BarCertificate(BALL_DISTANCE_MM, radius_mm=BALL_RADIUS_MM)
     with Pipeline(start, WATER, instrument.sequence, QualityLimits(max_gap_mm=CALIBRATING_GAP_MM)) as pipeline:
         for name in names:
             thing, pose = PLACES[name]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibration.response import MeasuredResponse, Seen, measure_response
+from appliance.calibration.response import CameraImages, MeasuredResponse, measure_response
 from appliance.evaluation.flatness import cubic_of
 from appliance.patterns.response import Response
 from appliance.reconstruct.pipeline import Cloud, Pipeline
@@ -116,5 +116,5 @@ def read(taken: Taken) -> Read:
 def response_seen(taken: Taken) -> MeasuredResponse:
     """The projector's response as that scan tells it."""
     maps = {side: taken.pipeline.decoded(side) for side in taken.scan.frames}
-    seen = [Seen(taken.scan.frames[side], one.p_px, one.q_px) for side, one in maps.items()]
+    seen = [CameraImages(taken.scan.frames[side], one.p_px, one.q_px) for side, one in maps.items()]
     return measure_response(taken.scan.sequence, seen)

@@ -15,8 +15,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from appliance.calibration.design import Design, design_calibration
-from appliance.calibration.guide import USED, Session, Solved, Trial
-from appliance.calibration.health import Trend, TrendPoint
+from appliance.calibration.guide import USED, AdjustmentSummary, RecordingCheck, Session
+from appliance.calibration.health import HealthTrend, TrendPoint
 from appliance.optics.water import Water
 from appliance.storage.calibrations import Calibrations
 from appliance.storage.filesystem import Bytes, LocalFileSystem, WritableFile
@@ -123,13 +123,15 @@ def live(root: Path, said: Path, seed: int, die_at: int) -> None:
             say("SAVED", scan.scan_id)
         judged += 1
         point = TrendPoint(scan.scan_id, (1.0, 2.0, 3.0, 4.0), (0.5,) * 4, 1.0, 2.0, 0.5, False)
-        health.write(Trend(judged=judged, points=(point,)))
+        health.write(HealthTrend(judged=judged, points=(point,)))
         say("JUDGED", judged)
         if k == 1:
-            session = Session((Trial(USED[0], None, 0.03, 900, "bar", scan.scan_id),))
+            session = Session((RecordingCheck(USED[0], None, 0.03, 900, "bar", scan.scan_id),))
             session = store.write(session)
             say("SESSION", 1)
-            session = store.write_solved(NEW, replace(session, solved=Solved(NEW.method, 0.03, (), NEW.hash)))
+            session = store.write_solved(
+                NEW, replace(session, solved=AdjustmentSummary(NEW.method, 0.03, (), NEW.hash))
+            )
             session = store.use_solved("2026-11-21")
             if session.kept is not None:
                 store.restore()

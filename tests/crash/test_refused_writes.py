@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from appliance.calibration import file as calibration_file
-from appliance.calibration.guide import USED, Session, Solved, Trial
-from appliance.calibration.health import Trend
+from appliance.calibration.guide import USED, AdjustmentSummary, RecordingCheck, Session
+from appliance.calibration.health import HealthTrend
 from appliance.machine.choices import Choices
 from appliance.scan.exposure import Exposure
 from appliance.storage import counter
@@ -33,7 +33,7 @@ from tests.crash.life import HASH, NEW, OLD, SERIAL
 
 STANDARD = Choices()
 CHOSEN = Choices(Exposure(8000, 6.0), 32, 35.0, 12.5)
-SESSION = Session((Trial(USED[0], None, 0.03, 900, "bar", "000001"),))
+SESSION = Session((RecordingCheck(USED[0], None, 0.03, 900, "bar", "000001"),))
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ def with_solution(root: Path) -> None:
     store = Calibrations(root, SERIAL)
     store.install(OLD, "2026-11-20")
     session = store.write(SESSION)
-    store.write_solved(NEW, replace(session, solved=Solved(NEW.method, 0.03, (), NEW.hash)))
+    store.write_solved(NEW, replace(session, solved=AdjustmentSummary(NEW.method, 0.03, (), NEW.hash)))
 
 
 def in_use(root: Path) -> str:
@@ -67,9 +67,9 @@ def accept(fs: FileSystem, root: Path) -> None:
 def accepted(root: Path) -> bool:
     """Whether the session speaks of a scan; one that it speaks of must be there and whole."""
     trials = Calibrations(root, SERIAL).session().trials
-    for trial in trials:
-        assert trial.scan_id is not None
-        assert Library(root).verify(trial.scan_id).ok
+    for check in trials:
+        assert check.scan_id is not None
+        assert Library(root).verify(check.scan_id).ok
     return bool(trials)
 
 
@@ -80,8 +80,8 @@ DEEDS = {
         lambda root: ChoicesFile(root, STANDARD).read(),
     ),
     "health": Deed(
-        lambda root: HealthFile(root, HASH).write(Trend(judged=1)),
-        lambda fs, root: HealthFile(root, HASH, fs).write(Trend(judged=2)),
+        lambda root: HealthFile(root, HASH).write(HealthTrend(judged=1)),
+        lambda fs, root: HealthFile(root, HASH, fs).write(HealthTrend(judged=2)),
         lambda root: HealthFile(root, HASH).read().judged,
     ),
     "install": Deed(

@@ -23,8 +23,8 @@ from appliance.calibration import file as calibration_file
 from appliance.calibration import response_file
 from appliance.calibration.design import Design, design_calibration
 from appliance.calibration.file import CalibrationError
-from appliance.calibration.guide import USED, Session, Solved, Step, Trial, Verified
-from appliance.calibration.health import Trend, TrendPoint
+from appliance.calibration.guide import USED, AdjustmentSummary, RecordingCheck, Session, Step, Verified
+from appliance.calibration.health import HealthTrend, TrendPoint
 from appliance.calibration.response_file import ResponseFileError, StoredResponse
 from appliance.config import ConfigError, default_rig_path, load_rig
 from appliance.machine.choices import Choices
@@ -175,13 +175,15 @@ HASH = "0123456789abcdef" * 4
 def _trend() -> bytes:
     points = (TrendPoint("000001", (1.25, -2.0, 3.0, 0.5), (0.5,) * 4, 1.25, 2.125, 0.0625, False),)
     return _written(
-        lambda root: HealthFile(root, HASH).write(Trend(judged=1, points=points, total=(0.1, 0.2, 0.3, 0.4)))
+        lambda root: HealthFile(root, HASH).write(HealthTrend(judged=1, points=points, total=(0.1, 0.2, 0.3, 0.4)))
     )
 
 
 def _session() -> bytes:
-    trials = tuple(Trial(step, None, 0.03, 900, "bar", f"{k:06d}") for k, step in enumerate(USED, 1))
-    session = Session(trials, Solved("bundle", 0.031, ("0.026 px remain",), HASH), Verified(0.003, -0.0001, 0.00004))
+    trials = tuple(RecordingCheck(step, None, 0.03, 900, "bar", f"{k:06d}") for k, step in enumerate(USED, 1))
+    session = Session(
+        trials, AdjustmentSummary("bundle", 0.031, ("0.026 px remain",), HASH), Verified(0.003, -0.0001, 0.00004)
+    )
     return _written(lambda root: Calibrations(root, "KF-TEST").write(session))
 
 
@@ -207,7 +209,7 @@ def _read_health(data: bytes, scratch: Path) -> None:
     file.path.parent.mkdir(parents=True, exist_ok=True)
     file.path.write_bytes(data)
     trend = file.read()
-    assert trend == Trend() or trend.judged >= 0
+    assert trend == HealthTrend() or trend.judged >= 0
     file.write(trend)
     assert file.read() == trend
 

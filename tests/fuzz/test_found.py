@@ -13,7 +13,7 @@ import pytest
 
 from appliance.calibration import file as calibration_file
 from appliance.calibration import response_file
-from appliance.calibration.health import Trend
+from appliance.calibration.health import HealthTrend
 from appliance.config import ConfigError
 from appliance.config.load import parse_rig
 from appliance.storage import counter
@@ -168,7 +168,7 @@ def test_a_trend_with_numbers_that_cannot_be_begins_anew(tmp_path: Path) -> None
     trend = json.loads(HEALTH)["trend"]
     for wrong in ({"judged": -1}, {"total": [1e400, 0.0, 0.0, 0.0]}):
         file.path.write_bytes(resealed(HEALTH, trend={**trend, **wrong}))
-        assert file.read() == Trend()
+        assert file.read() == HealthTrend()
 
 
 @pytest.mark.parametrize(("old", "new"), [(b"(3, 8", b"((3,8"), (b"(3, 8, 10)", b"(3, 0, 80)"), (b"'|u1'", b"'|O' ")])

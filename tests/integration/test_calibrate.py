@@ -185,7 +185,7 @@ def test_a_hidden_rig_is_calibrated_over_a_loss_of_power_and_the_old_file_comes_
         time.sleep(0.02)
     os.kill(first.process.pid, signal.SIGKILL)
     first.process.wait(10.0)
-    assert [trial.step for trial in store.session().trials] == [Step.M1, Step.M2]
+    assert [check.step for check in store.session().trials] == [Step.M1, Step.M2]
 
     second = Instrument(rig, tmp_path, AFTERWARDS)
     in_use: list[bool] = []

@@ -55,7 +55,7 @@ def test_recordings_are_refused_and_accepted_with_words(tmp_path: Path) -> None:
     assert run(rig) == 0
 
     session = Calibrations(rig.storage.root, rig.rig.serial).session()
-    assert [trial.step for trial in session.trials] == [Step.M3]
+    assert [check.step for check in session.trials] == [Step.M3]
     library = Library(rig.storage.root)
     (kept,) = library.entries()
     assert kept.scan_id == session.trials[0].scan_id

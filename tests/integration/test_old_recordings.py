@@ -179,7 +179,7 @@ def test_the_instrument_starts_with_what_was_in_use(recorded: Recorded, tmp_path
     assert calibration == calibration_file.load(root / "calibration" / "current.json")
     assert start_of(rig) == calibration_file.load(root / "calibration" / "air.json")
     session = Calibrations(root, rig.rig.serial).session()
-    assert [(trial.step, trial.scan_id) for trial in session.trials] == [(Step.M3, "000004")]
+    assert [(check.step, check.scan_id) for check in session.trials] == [(Step.M3, "000004")]
     chosen, fault = ChoicesFile(root, standard_choices(rig)).read()
     assert fault is None
     assert chosen.period_px == 16

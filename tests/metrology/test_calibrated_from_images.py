@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from appliance.calibration.extract import CALIBRATING_GAP_MM, Certificate, extract
+from appliance.calibration.extract import CALIBRATING_GAP_MM, BarCertificate, extract
 from appliance.calibration.file import Calibration
 from appliance.calibration.ladder import Method, calibrate
 from appliance.calibration.recordings import Recording
@@ -52,7 +52,7 @@ def reconstructed(scan: RenderedScan, calibration: Calibration, max_gap_mm: floa
 
 def recording_of(artefact: Artefact, pose: Pose, start: Calibration, name: str) -> Recording:
     pipeline, cloud = reconstructed(scan_of(artefact, pose), start, CALIBRATING_GAP_MM)
-    certificate = Certificate(150.0, radius_mm=BALL_RADIUS_MM) if artefact is Artefact.BALL_BAR else None
+    certificate = BarCertificate(150.0, radius_mm=BALL_RADIUS_MM) if artefact is Artefact.BALL_BAR else None
     found = extract(name, certificate, cloud, pipeline.decoded("left"), pipeline.decoded("right"), start, WATER)
     assert isinstance(found, Recording), found
     return found

@@ -10,7 +10,7 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from appliance.calibration.health import Judgement, Trend, judge
+from appliance.calibration.health import HealthJudgement, HealthTrend, judge
 from appliance.calibration.patches import PatchGaps
 from appliance.patterns.sequence import build_sequence
 from appliance.reconstruct.pipeline import Pipeline
@@ -79,17 +79,17 @@ class Instrument:
         return gaps
 
 
-def normal(truth_set: str, count: int, width_px: int = 400) -> tuple[Instrument, Trend, list[Judgement]]:
+def normal(truth_set: str, count: int, width_px: int = 400) -> tuple[Instrument, HealthTrend, list[HealthJudgement]]:
     truth = draw_truth(truth_set, 7, width_px, width_px * 3 // 4, WATER.index)
     instrument = Instrument(truth, width_px)
-    trend, said = Trend(), []
+    trend, said = HealthTrend(), []
     for scene in islice(scenes(3), count):
         trend, judgement = judge(trend, instrument.scan(scene))
         said.append(judgement)
     return instrument, trend, said
 
 
-def assert_quiet(said: list[Judgement], judged: int) -> None:
+def assert_quiet(said: list[HealthJudgement], judged: int) -> None:
     points = [judgement.point for judgement in said if judgement.point is not None]
     assert len(points) >= judged, "most scans see enough of the image"
     assert not any(judgement.alarm for judgement in said)
@@ -119,7 +119,7 @@ def test_sixty_normal_scans() -> None:
 def test_larger_images(width_px: int) -> None:
     """A turn of 0.02° about each axis, and fresh water's index in the sea, at the first or second scan."""
     truth = draw_truth("modelled", 7, width_px, width_px * 3 // 4, WATER.index)
-    instrument, trend, said = Instrument(truth, width_px), Trend(), []
+    instrument, trend, said = Instrument(truth, width_px), HealthTrend(), []
     pair = (Scene(object="plane"), Scene(object="shell"))
     for scene in pair * 2:
         trend, judgement = judge(trend, instrument.scan(scene))

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from appliance.calibration.file import encode
-from appliance.calibration.guide import USED, Session, Step, Trial
+from appliance.calibration.guide import USED, RecordingCheck, Session, Step
 from appliance.calibration.start import start_from_air
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.config import Rig, load_rig
@@ -43,7 +43,7 @@ def record(rig: Rig) -> None:
         info = ScanRecord(SequenceInfo.of(scan.sequence), rig.rig_hash, None, "0", None, False, 0)
         pending = library.begin(scan.frames, info)
         pending.publish(info)
-        session = replace(session, trials=(*session.trials, Trial(step, None, None, scan_id=pending.scan_id)))
+        session = replace(session, trials=(*session.trials, RecordingCheck(step, None, None, scan_id=pending.scan_id)))
     Calibrations(rig.storage.root, rig.rig.serial).write(session)
 
 
@@ -63,9 +63,9 @@ def test_five_recordings_at_full_size(tmp_path: Path) -> None:
     took_s: dict[str, float] = {}
     for step in USED:
         begun = time.process_time()
-        trial = examine(rig, step, folders[step], lambda _: None).trial
+        check = examine(rig, step, folders[step], lambda _: None).check
         took_s[step.value] = time.process_time() - begun
-        assert trial.refusal is None, trial
+        assert check.refusal is None, check
     begun = time.process_time()
     reported: list[float] = []
     solution = solve(rig, "2026-11-21T10:00:00+00:00", reported.append)

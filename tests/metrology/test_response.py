@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from appliance.calibration.response import MeasuredResponse, ResponseError, Seen, measure_response
+from appliance.calibration.response import CameraImages, MeasuredResponse, ResponseError, measure_response
 from appliance.patterns.response import Response, phase_error_rad
 from hw_sim.objects.motion import Motion
 from hw_sim.optics.projector import response as true_response
@@ -41,10 +41,10 @@ def record(kind: str, response: Response | None = None, noise: bool = True) -> B
     )
 
 
-def seen(scan: RenderedScan) -> list[Seen]:
+def seen(scan: RenderedScan) -> list[CameraImages]:
     pipeline, _ = reconstruct(scan)
     maps = {side: pipeline.decoded(side) for side in scan.frames}
-    return [Seen(scan.frames[side], one.p_px, one.q_px) for side, one in maps.items()]
+    return [CameraImages(scan.frames[side], one.p_px, one.q_px) for side, one in maps.items()]
 
 
 def true_light(kind: str) -> np.ndarray:

@@ -10,7 +10,7 @@ import numpy as np
 
 from appliance.calibration.bundle import Rung, adjust
 from appliance.calibration.gaps import GapModes, signed_gap_mm
-from appliance.calibration.health import Judgement, Trend, judge
+from appliance.calibration.health import HealthJudgement, HealthTrend, judge
 from appliance.calibration.patches import PatchGaps, average
 from appliance.optics.model import StereoRig
 from hw_sim.truth import TrueRig
@@ -64,21 +64,21 @@ def scan(made: Calibrated, truth: TrueRig, rng: np.random.Generator, index: floa
     return average(modes, seen.left_px, seen.right_px, gap_um)
 
 
-def follow(trend: Trend, scans: Iterable[PatchGaps]) -> Iterator[tuple[Trend, Judgement]]:
+def follow(trend: HealthTrend, scans: Iterable[PatchGaps]) -> Iterator[tuple[HealthTrend, HealthJudgement]]:
     """The trend after each scan, and what was said."""
     for number, gaps in enumerate(scans, 1):
         trend, judgement = judge(trend, gaps, f"{number:06d}")
         yield trend, judgement
 
 
-def learnt(made: Calibrated, scans: int = 12, seed: int = 1) -> Trend:
+def learnt(made: Calibrated, scans: int = 12, seed: int = 1) -> HealthTrend:
     """The trend after that many normal scans."""
     rng = np.random.default_rng([seed, made.truth.seed])
-    return [after for after, _ in follow(Trend(), (scan(made, made.truth, rng) for _ in range(scans)))][-1]
+    return [after for after, _ in follow(HealthTrend(), (scan(made, made.truth, rng) for _ in range(scans)))][-1]
 
 
 def scans_until_alarm(
-    made: Calibrated, trend: Trend, truth: TrueRig, most: int, seed: int = 2, index: float = WATER.index
+    made: Calibrated, trend: HealthTrend, truth: TrueRig, most: int, seed: int = 2, index: float = WATER.index
 ) -> int | None:
     """How many scans of the changed instrument it takes; ``None``: more than ``most``."""
     rng = np.random.default_rng([seed, made.truth.seed])

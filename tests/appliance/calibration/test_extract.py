@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.calibration.extract import CALIBRATING_GAP_MM, Certificate, extract
+from appliance.calibration.extract import CALIBRATING_GAP_MM, BarCertificate, extract
 from appliance.calibration.file import Calibration
 from appliance.calibration.recordings import ArtefactKind, Recording
 from appliance.cli.simrig import default_sim_rig
@@ -30,7 +30,7 @@ from tests.support.stored import store
 from tests.support.truth import WATER, true_calibration
 
 WIDTH_PX = 800
-BAR = Certificate(150.0, radius_mm=BALL_RADIUS_MM)
+BAR = BarCertificate(150.0, radius_mm=BALL_RADIUS_MM)
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Case:
     recording: Recording
 
 
-def case_of(scene: Scene, certificate: Certificate | None, exposure_s: float = 0.012) -> Case:
+def case_of(scene: Scene, certificate: BarCertificate | None, exposure_s: float = 0.012) -> Case:
     scan = render_scan(scene, "realistic", 4, WIDTH_PX, 16, exposure_s)
     start = with_drawn_ports(true_calibration(scan.renderer.truth))
     recording = extracted(scan, start, certificate)
@@ -55,7 +55,7 @@ def with_drawn_ports(calibration: Calibration) -> Calibration:
     return replace(calibration, rig=StereoRig(replace(rig.left, port=drawn), replace(rig.right, port=drawn)))
 
 
-def extracted(scan: RenderedScan, start: Calibration, certificate: Certificate | None) -> Recording | NotFound:
+def extracted(scan: RenderedScan, start: Calibration, certificate: BarCertificate | None) -> Recording | NotFound:
     with Pipeline(start, WATER, scan.sequence, QualityLimits(max_gap_mm=CALIBRATING_GAP_MM)) as pipeline:
         for k in range(len(scan.sequence)):
             for side, frames in scan.frames.items():
@@ -127,7 +127,7 @@ def test_a_change_of_albedo_is_left_out(plane: Case) -> None:
 
 
 def test_an_unstated_radius_is_estimated_and_not_believed(bar: Case) -> None:
-    found = extracted(bar.scan, bar.start, Certificate(150.0))
+    found = extracted(bar.scan, bar.start, BarCertificate(150.0))
     assert isinstance(found, Recording)
     assert found.radius_mm == pytest.approx(BALL_RADIUS_MM, abs=0.2)
     assert found.radius_mm != BALL_RADIUS_MM

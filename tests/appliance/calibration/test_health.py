@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from appliance.calibration.bundle import Rung
-from appliance.calibration.health import LEARNT_SCANS, Trend, answered, judge
+from appliance.calibration.health import LEARNT_SCANS, HealthTrend, answered, judge
 from appliance.calibration.patches import PatchGaps
 from appliance.optics.water import Water
 from hw_sim.mount_shift import MountShift, with_mount_shifted
@@ -71,7 +71,9 @@ def test_normal_scans_never_alarm(rung: Rung) -> None:
     made = calibrated(SEED, rung)
     rng = np.random.default_rng(5)
     totals = [
-        said.point.total for _, said in follow(Trend(), (scan(made, made.truth, rng) for _ in range(40))) if said.point
+        said.point.total
+        for _, said in follow(HealthTrend(), (scan(made, made.truth, rng) for _ in range(40)))
+        if said.point
     ]
     assert len(totals) == 40
     assert max(totals) < 3.0, "half of the limit is never reached"
@@ -80,7 +82,7 @@ def test_normal_scans_never_alarm(rung: Rung) -> None:
 def test_a_knock_between_calibration_and_first_scan_is_noticed() -> None:
     made = calibrated(SEED)
     for knock in (MountShift("right", pitch_deg=0.02), MountShift("left", roll_deg=0.02)):
-        assert scans_until_alarm(made, Trend(), with_mount_shifted(made.truth, knock), most=2) is not None
+        assert scans_until_alarm(made, HealthTrend(), with_mount_shifted(made.truth, knock), most=2) is not None
 
 
 def test_a_slow_drift_alarms_before_it_is_learnt() -> None:
@@ -91,7 +93,7 @@ def test_a_slow_drift_alarms_before_it_is_learnt() -> None:
         scan(made, with_mount_shifted(made.truth, MountShift("right", roll_deg=0.004 * (k + 1))), rng)
         for k in range(LEARNT_SCANS)
     )
-    alarms = [said.alarm for _, said in follow(Trend(), drifting)]
+    alarms = [said.alarm for _, said in follow(HealthTrend(), drifting)]
     assert not alarms[0]
     assert any(alarms)
 
@@ -123,8 +125,8 @@ def test_too_little_of_the_image_is_not_judged() -> None:
     made = calibrated(SEED)
     whole = scan(made, made.truth, np.random.default_rng(1))
     few = only(whole, np.arange(5))
-    trend, said = judge(Trend(), few, "000001")
-    assert trend == Trend()
+    trend, said = judge(HealthTrend(), few, "000001")
+    assert trend == HealthTrend()
     assert said.point is None
     assert not said.alarm
     assert said.text.startswith("not judged: 5 of 48 patches")
@@ -135,8 +137,8 @@ def test_what_is_no_number_is_not_judged() -> None:
     made = calibrated(SEED)
     whole = scan(made, made.truth, np.random.default_rng(1))
     whole.gap_um[3] = np.nan
-    trend, said = judge(Trend(), whole)
-    assert trend == Trend()
+    trend, said = judge(HealthTrend(), whole)
+    assert trend == HealthTrend()
     assert said.point is None
     assert said.text == "not judged: a gap is not a number"
 
@@ -147,8 +149,8 @@ def test_a_change_that_the_seen_corner_cannot_tell_is_no_alarm_and_no_certainty(
     whole = scan(made, made.truth, np.random.default_rng(1))
     corner = np.isin(whole.patch, [0, 1, 2, 8, 9, 10, 16, 17, 18])
     part = only(whole, corner)
-    _, said_whole = judge(Trend(), whole, None)
-    _, said_part = judge(Trend(), part, None)
+    _, said_whole = judge(HealthTrend(), whole, None)
+    _, said_part = judge(HealthTrend(), part, None)
     assert said_part.point is not None
     assert said_whole.point is not None
     assert max(said_part.point.sigma_um) > 2.0 * max(said_whole.point.sigma_um)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from appliance.calibration.design import design_calibration
-from appliance.calibration.guide import HELD, Refusal, Session, Solved, Step, Trial, Verified
+from appliance.calibration.guide import HELD, AdjustmentSummary, RecordingCheck, Refusal, Session, Step, Verified
 from appliance.calibration.ladder import Method, calibrate
 from appliance.calibration.poses import FoundBar, FoundPlane, judge_bar, judge_plane, rig_axes
 from appliance.calibration.recordings import ArtefactKind
@@ -51,9 +51,9 @@ def plane(distance_mm: float, tilt_deg: float = 8.0, fill_percent: float = 85.0,
 @pytest.mark.parametrize("end", [1.0, -1.0], ids=["right end nearer", "left end nearer"])
 @pytest.mark.parametrize(("step", "roll_deg"), [(Step.M1, 0.0), (Step.M1, -30.0), (Step.M2, 70.0), (Step.M2, 90.0)])
 def test_bars_as_they_should_be(step: Step, roll_deg: float, end: float) -> None:
-    trial = judge_bar(step, bar(end * 35.0, roll_deg), RIG, LENGTH_MM, RADIUS_MM)
-    assert trial.refusal is None
-    assert trial.number == pytest.approx(0.03)
+    check = judge_bar(step, bar(end * 35.0, roll_deg), RIG, LENGTH_MM, RADIUS_MM)
+    assert check.refusal is None
+    assert check.number == pytest.approx(0.03)
 
 
 @pytest.mark.parametrize(
@@ -72,10 +72,10 @@ def test_bars_as_they_should_be(step: Step, roll_deg: float, end: float) -> None
 def test_a_bar_that_will_not_do_is_named_with_its_number(
     step: Step, found: FoundBar, refusal: Refusal, number: float
 ) -> None:
-    trial = judge_bar(step, found, RIG, LENGTH_MM, RADIUS_MM)
-    assert trial.refusal is refusal
-    assert trial.number == pytest.approx(number, abs=0.01)
-    assert "bar" in trial.detail
+    check = judge_bar(step, found, RIG, LENGTH_MM, RADIUS_MM)
+    assert check.refusal is refusal
+    assert check.number == pytest.approx(number, abs=0.01)
+    assert "bar" in check.detail
 
 
 @pytest.mark.parametrize("tilt_deg", [0.0, 15.0, -15.0])
@@ -99,9 +99,9 @@ def test_planes_as_they_should_be(step: Step, distance_mm: float, tilt_deg: floa
 def test_a_plane_that_will_not_do_is_named_with_its_number(
     step: Step, found: FoundPlane, refusal: Refusal, number: float
 ) -> None:
-    trial = judge_plane(step, found, RIG)
-    assert trial.refusal is refusal
-    assert trial.number == pytest.approx(number, abs=0.01)
+    check = judge_plane(step, found, RIG)
+    assert check.refusal is refusal
+    assert check.number == pytest.approx(number, abs=0.01)
 
 
 def test_no_pose_will_do_for_two_steps() -> None:
@@ -120,7 +120,7 @@ def test_no_pose_will_do_for_two_steps() -> None:
 
 
 def done(*steps: Step) -> Session:
-    return Session(tuple(Trial(step, None, 0.03) for step in steps))
+    return Session(tuple(RecordingCheck(step, None, 0.03) for step in steps))
 
 
 def test_recordings_may_come_in_any_order_but_nothing_is_solved_before_the_fourth() -> None:
@@ -134,18 +134,18 @@ def test_recordings_may_come_in_any_order_but_nothing_is_solved_before_the_fourt
 def test_a_recording_made_anew_undoes_what_was_solved_from_the_old_one() -> None:
     session = Session(
         done(Step.M1, Step.M2, Step.M3, Step.M4, Step.VERIFY).trials,
-        Solved("bundle", 0.03, (), "abc"),
+        AdjustmentSummary("bundle", 0.03, (), "abc"),
         Verified(0.003, 0.0001, 0.00005),
         in_use=True,
         kept="0001.json",
     )
-    again = session.with_trial(Trial(Step.M2, None, 0.02, scan_id="000009"))
+    again = session.with_check(RecordingCheck(Step.M2, None, 0.02, scan_id="000009"))
     assert again.next_step is Step.SOLVE
     assert again.solved is None
     assert again.verified == Verified(0.0001, None, 0.00005, "abc"), "what is in use was checked"
     assert again.kept == "0001.json", "the way back stays"
-    assert [trial.scan_id for trial in again.trials if trial.step is Step.M2] == ["000009"]
-    verified_again = session.with_trial(Trial(Step.VERIFY, None, 0.02))
+    assert [check.scan_id for check in again.trials if check.step is Step.M2] == ["000009"]
+    verified_again = session.with_check(RecordingCheck(Step.VERIFY, None, 0.02))
     assert verified_again.solved == session.solved
 
 
@@ -153,13 +153,15 @@ def test_a_bar_checks_the_calibration_in_use_before_anything_is_solved() -> None
     fresh = Session()
     assert fresh.open(Step.VERIFY)
     assert not fresh.open(Step.RESULT)
-    checked = replace(fresh.with_trial(Trial(Step.VERIFY, None, 0.02)), verified=Verified(0.006, None, 0.0002, "abc"))
+    checked = replace(
+        fresh.with_check(RecordingCheck(Step.VERIFY, None, 0.02)), verified=Verified(0.006, None, 0.0002, "abc")
+    )
     assert checked.open(Step.RESULT)
     assert checked.wrong
     assert not replace(checked, verified=Verified(0.0013, None, 0.0002, "abc")).wrong, "it may be chance"
-    begun = checked.with_trial(Trial(Step.M1, None, 0.02))
+    begun = checked.with_check(RecordingCheck(Step.M1, None, 0.02))
     assert begun.wrong, "a recording changes nothing about what is in use"
-    assert begun.trial(Step.VERIFY) is None, "and the check was recorded for another purpose"
+    assert begun.check(Step.VERIFY) is None, "and the check was recorded for another purpose"
     assert begun.next_step is Step.M2
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from appliance.calibration.guide import Refusal, Session, Step, Trial, Verified
+from appliance.calibration.guide import RecordingCheck, Refusal, Session, Step, Verified
 from appliance.machine import effects as do
 from appliance.machine import events as on
 from appliance.machine.alerts import alerts
@@ -53,17 +53,17 @@ def test_a_recording_that_will_do_is_stored_examined_entered_and_the_next_step_f
     assert not any(isinstance(e, do.StartReconstruction) for e in effects), "its cloud would be empty: ports unknown"
     machine, effects = after(machine, on.RawStored(1))
     assert effects == [do.ExamineTrial(1, Step.M1)], "not before the frames are safe"
-    trial = good(Step.M1)
-    machine, effects = after(machine, on.TrialExamined(1, trial))
-    assert effects == [do.AcceptTrial(1, trial)]
-    machine = run(machine, on.Saved(1, "000001"), on.SessionChanged(Session((trial,))))
+    check = good(Step.M1)
+    machine, effects = after(machine, on.TrialExamined(1, check))
+    assert effects == [do.AcceptTrial(1, check)]
+    machine = run(machine, on.Saved(1, "000001"), on.SessionChanged(Session((check,))))
     assert at(machine) == (Step.M2, None)
     assert machine.calibrating is not None
-    assert machine.calibrating.latest == trial, "what was reached stays on the screen until the next key"
+    assert machine.calibrating.latest == check, "what was reached stays on the screen until the next key"
 
 
 def test_a_recording_that_will_not_do_is_rejected_with_its_reason_and_the_step_stays() -> None:
-    refused = Trial(Step.M1, Refusal.TILT_MORE, 12.0, 900, "bar 150.0 mm, 12.0° in depth")
+    refused = RecordingCheck(Step.M1, Refusal.TILT_MORE, 12.0, 900, "bar 150.0 mm, 12.0° in depth")
     machine, effects = after(trial_in_work(), on.TrialExamined(1, refused))
     assert effects == [do.Reject(1, "calibration M1: TILT_MORE: bar 150.0 mm, 12.0° in depth")]
     assert at(machine) == (Step.M1, None)

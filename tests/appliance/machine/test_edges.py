@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from appliance.calibration.guide import Session, Solved, Step, Verified
+from appliance.calibration.guide import AdjustmentSummary, Session, Step, Verified
 from appliance.machine import acknowledge, asking, calibrate, gallery, menu, safety, scanning
 from appliance.machine import effects as do
 from appliance.machine import events as on
@@ -179,13 +179,13 @@ def test_another_session_leads_on_from_what_can_not_be_done_any_more() -> None:
     assert task(at_result)[0] is Step.RESULT
     assert task(run(at_result, on.SessionChanged(Session())))[0] is Step.M1
     assert task(run(at_result, on.SessionChanged(VERIFIED)))[0] is Step.RESULT, "it can be decided on again"
-    unverified = Session(RECORDED.trials, Solved("bundle", 0.03, (), "abc"))
+    unverified = Session(RECORDED.trials, AdjustmentSummary("bundle", 0.03, (), "abc"))
     assert task(run(at_result, on.SessionChanged(unverified)))[0] is Step.VERIFY
     assert run(aim(), on.SessionChanged(IN_USE)).state is State.AIM
 
 
 def test_a_bar_that_checks_what_was_solved_leads_to_the_decision() -> None:
-    machine = calibrating_at(Session(RECORDED.trials, Solved("bundle", 0.03, (), "abc")))
+    machine = calibrating_at(Session(RECORDED.trials, AdjustmentSummary("bundle", 0.03, (), "abc")))
     assert task(machine)[0] is Step.VERIFY
     recorded = (on.KeyPressed(Key.SCAN), on.Armed(1), on.CaptureFinished(1), on.RawStored(1))
     machine = run(machine, *recorded, on.TrialExamined(1, good(Step.VERIFY)))

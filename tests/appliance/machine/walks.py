@@ -7,7 +7,7 @@ from functools import partial
 
 from hypothesis import strategies as st
 
-from appliance.calibration.guide import HELD, USED, Refusal, Session, Solved, Step, Trial, Verified
+from appliance.calibration.guide import HELD, USED, AdjustmentSummary, RecordingCheck, Refusal, Session, Step, Verified
 from appliance.machine import effects as do
 from appliance.machine import events as on
 from appliance.machine.mishap import Failure, Mishap
@@ -99,12 +99,12 @@ def trial_in_work() -> Machine:
     return run(calibrating(), on.KeyPressed(Key.SCAN), on.Armed(1), on.CaptureFinished(1), on.RawStored(1))
 
 
-def good(step: Step) -> Trial:
-    return Trial(step, None, 0.03, 4000, "bar 150.1 mm", "000001")
+def good(step: Step) -> RecordingCheck:
+    return RecordingCheck(step, None, 0.03, 4000, "bar 150.1 mm", "000001")
 
 
 RECORDED = Session(tuple(good(step) for step in USED))
-SOLVED = Session(RECORDED.trials, Solved("bundle", 0.03, (), "abc"))
+SOLVED = Session(RECORDED.trials, AdjustmentSummary("bundle", 0.03, (), "abc"))
 VERIFIED = Session((*RECORDED.trials, good(Step.VERIFY)), SOLVED.solved, Verified(0.004, 0.0002, 0.00003))
 IN_USE = Session(VERIFIED.trials, VERIFIED.solved, VERIFIED.verified, True, "0001.json")
 SESSIONS = (Session(), Session((good(Step.M1),)), RECORDED, SOLVED, VERIFIED, IN_USE)
@@ -223,7 +223,9 @@ _faults = built(
     st.sampled_from([None, "camera.left", "board"]),
 )
 _summaries = st.sampled_from([SUMMARY, CloudSummary(0, None, None, None, None)])
-_trials = built(Trial, st.sampled_from(list(Step)), st.sampled_from([None, *Refusal]), st.sampled_from([None, 0.1]))
+_trials = built(
+    RecordingCheck, st.sampled_from(list(Step)), st.sampled_from([None, *Refusal]), st.sampled_from([None, 0.1])
+)
 _failures = built(Failure, st.sampled_from(list(Mishap)), st.just("the adjustment did not converge"))
 _warnings = st.lists(_faults, max_size=2).map(tuple)
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.calibration.guide import HELD, USED, Refusal, Session, Solved, Step, Trial, Verified
+from appliance.calibration.guide import HELD, USED, AdjustmentSummary, RecordingCheck, Refusal, Session, Step, Verified
 from appliance.calibration.recordings import ArtefactKind
 from appliance.machine.alerts import Alert, Severity
 from appliance.machine.mishap import Failure, Mishap
@@ -23,8 +23,8 @@ from appliance.screens.views import CalibrateView
 
 Picture = NDArray[np.uint8]
 LIVE = np.full((300, 400), 90, np.uint8)
-GOOD = tuple(Trial(step, None, 0.03, 2100) for step in USED)
-SOLVED = Solved("bundle, spline", 0.034, (), "abc")
+GOOD = tuple(RecordingCheck(step, None, 0.03, 2100) for step in USED)
+SOLVED = AdjustmentSummary("bundle, spline", 0.034, (), "abc")
 BETTER = Session(GOOD, SOLVED, Verified(0.0031, -0.0002, 0.00004))
 BAND = slice(374, 426)
 YELLOW, GREEN, AQUA = (255, 210, 31), (91, 227, 138), (63, 208, 232)
@@ -58,7 +58,7 @@ def test_the_live_picture_is_shown_where_something_is_held(painter: Painter, ste
 
 
 def test_a_refusal_is_yellow_an_acceptance_green_and_nothing_is_neither(painter: Painter) -> None:
-    refused = drawn(painter, Calibrating(Step.M1, latest=Trial(Step.M1, Refusal.TILT_MORE, 12.0)))[BAND]
+    refused = drawn(painter, Calibrating(Step.M1, latest=RecordingCheck(Step.M1, Refusal.TILT_MORE, 12.0)))[BAND]
     fits = drawn(painter, Calibrating(Step.M2, latest=GOOD[0]))[BAND]
     nothing = drawn(painter, Calibrating(Step.M1))[BAND]
     assert share(refused, YELLOW) > 0.6
@@ -72,7 +72,7 @@ def test_each_refusal_has_words_of_its_own_and_they_fit(context: moderngl.Contex
         for step in HELD:
             said = set()
             for refusal in Refusal:
-                what, why = refusal_words(Trial(step, refusal, 12.0))
+                what, why = refusal_words(RecordingCheck(step, refusal, 12.0))
                 said.add(what)
                 for language in Language:
                     assert canvas.measure(what.in_language(language), theme.BODY + 2, theme.BLACK) <= 300 / 0.8
@@ -83,7 +83,9 @@ def test_each_refusal_has_words_of_its_own_and_they_fit(context: moderngl.Contex
 
 def test_a_missing_plane_is_not_called_a_missing_bar() -> None:
     words = {
-        kind: {refusal_words(Trial(step, Refusal.NOT_FOUND, None)) for step, held in HELD.items() if held is kind}
+        kind: {
+            refusal_words(RecordingCheck(step, Refusal.NOT_FOUND, None)) for step, held in HELD.items() if held is kind
+        }
         for kind in ArtefactKind
     }
     assert words[ArtefactKind.BALL_BAR].isdisjoint(words[ArtefactKind.PLANE])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.calibration.guide import HELD, Refusal, Session, Step, Trial
+from appliance.calibration.guide import HELD, RecordingCheck, Refusal, Session, Step
 from appliance.machine.states import Calibrating
 from appliance.machine.words import Language, Text
 from appliance.screens import theme
@@ -121,7 +121,7 @@ def test_many_alerts_are_named_or_counted(context: moderngl.Context, language: L
 def test_every_reason_of_the_calibration_fits(painter: Painter, step: Step, language: Language) -> None:
     painter.language = language
     for refusal in Refusal:
-        at = Calibrating(step, latest=Trial(step, refusal, 47.123))
+        at = Calibrating(step, latest=RecordingCheck(step, refusal, 47.123))
         view = CalibrateView(at=at, session=Session(), left=None, right=None, keys=keys(scan="SCAN", back="BACK"))
         painter.draw(view, 0.0)
         assert not complaints(painter.canvas, view, painter.canvas.written, may_be_cut=False)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from appliance.calibration.file import Calibration, CalibrationError, encode
-from appliance.calibration.guide import USED, Refusal, Session, Solved, Step, Trial
+from appliance.calibration.guide import USED, AdjustmentSummary, RecordingCheck, Refusal, Session, Step
 from appliance.calibration.recordings import RecordingError
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.config import Rig, load_rig
@@ -78,7 +78,7 @@ def test_the_calibration_in_air_is_the_start_and_the_one_in_use_is_compared_with
 def test_once_in_use_the_new_one_is_still_compared_with_the_one_before(rig: Rig) -> None:
     before, new = put(rig, "current.json", in_air(rig)), replace(design_of(rig), method="bundle, ports")
     store = Calibrations(rig.storage.root, rig.rig.serial)
-    store.write_solved(new, Session((), Solved(new.method, 0.03, (), new.hash)))
+    store.write_solved(new, Session((), AdjustmentSummary(new.method, 0.03, (), new.hash)))
     assert store.use_solved("2026-11-21").in_use
     assert basis_of(rig).before == before
 
@@ -102,24 +102,24 @@ def test_without_a_certificate_the_rig_file_is_named(rig: Rig) -> None:
 
 def test_a_recording_that_is_gone_is_named(rig: Rig) -> None:
     store = Calibrations(rig.storage.root, rig.rig.serial)
-    store.write(Session(tuple(Trial(step, None, 0.03) for step in USED)))
+    store.write(Session(tuple(RecordingCheck(step, None, 0.03) for step in USED)))
     with pytest.raises(RecordingError, match="no recording of M1, M2, M3, M4"):
         solve(rig, "2026-11-21", lambda _: None)
-    store.write(Session(tuple(Trial(step, None, 0.03, scan_id="000099") for step in USED)))
+    store.write(Session(tuple(RecordingCheck(step, None, 0.03, scan_id="000099") for step in USED)))
     with pytest.raises(UnknownScan, match="000099"):
         solve(rig, "2026-11-21", lambda _: None)
 
 
 def test_planes_and_what_is_none_are_told_apart(rig: Rig) -> None:
     folder = record(rig, Scene(object="plane", pose=(0.0, 0.0, 475.0, 6.0, 0.0, 0.0), texture="none"))
-    near = examine(rig, Step.M3, folder, lambda _: None).trial
+    near = examine(rig, Step.M3, folder, lambda _: None).check
     assert near.refusal is None
     assert near.points > 500
-    far = examine(rig, Step.M4, folder, lambda _: None).trial
+    far = examine(rig, Step.M4, folder, lambda _: None).check
     assert far.refusal is Refusal.TOO_NEAR
     assert far.number == pytest.approx(475.0, abs=1.5)
-    bar = examine(rig, Step.M1, folder, lambda _: None).trial
+    bar = examine(rig, Step.M1, folder, lambda _: None).check
     assert bar.refusal is Refusal.NOT_FOUND
     assert "ball" in bar.detail
     folder = record(rig, Scene(object="ballbar", pose=(0.0, 0.0, 520.0, 0.0, 35.0, 0.0), texture="none"))
-    assert examine(rig, Step.M3, folder, lambda _: None).trial.refusal is not None
+    assert examine(rig, Step.M3, folder, lambda _: None).check.refusal is not None

@@ -12,7 +12,7 @@ import pytest
 
 from appliance.calibration.design import design_calibration
 from appliance.calibration.file import Calibration, CalibrationError, encode, load
-from appliance.calibration.guide import USED, Session, Solved, Step, Trial, Verified
+from appliance.calibration.guide import USED, AdjustmentSummary, RecordingCheck, Session, Step, Verified
 from appliance.sealed import seal, unseal
 from appliance.storage.atomic import StorageError
 from appliance.storage.calibrations import Calibrations, SessionError
@@ -26,12 +26,12 @@ DAY = "2026-11-21"
 VERIFIED = Verified(0.003, -0.0001, 0.00004, OLD.hash)
 
 
-def solved(calibration: Calibration) -> Solved:
-    return Solved(calibration.method, 0.031, ("0.026 px remain",), calibration.hash)
+def solved(calibration: Calibration) -> AdjustmentSummary:
+    return AdjustmentSummary(calibration.method, 0.031, ("0.026 px remain",), calibration.hash)
 
 
 def recorded() -> Session:
-    return Session(tuple(Trial(step, None, 0.03, 900, "bar", f"{k:06d}") for k, step in enumerate(USED, 1)))
+    return Session(tuple(RecordingCheck(step, None, 0.03, 900, "bar", f"{k:06d}") for k, step in enumerate(USED, 1)))
 
 
 def with_solution(store: Calibrations) -> Session:
@@ -238,9 +238,9 @@ def test_killed_while_a_step_is_entered_leaves_the_session_before_or_after(tmp_p
         rest = child.stdout.read().split()
         child.wait(10.0)
         last = int(rest[-1]) if rest else seen
-        trial = store.session().trial(Step.M1)
-        assert trial is not None
-        assert trial.points in (last, last + 1)
+        check = store.session().check(Step.M1)
+        assert check is not None
+        assert check.points in (last, last + 1)
 
 
 def test_a_solved_calibration_lies_beside_the_report_that_speaks_of_it(store: Calibrations) -> None:

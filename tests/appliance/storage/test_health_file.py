@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from appliance.calibration.health import MOST_POINTS, Reference, Trend, TrendPoint
+from appliance.calibration.health import MOST_POINTS, HealthTrend, Reference, TrendPoint
 from appliance.storage.atomic import StorageError
 from appliance.storage.health import MAX_BYTES, HealthFile
 from tests.appliance.storage.volatile import PowerCut, VolatileDisk
@@ -15,22 +15,22 @@ from tests.appliance.storage.volatile import PowerCut, VolatileDisk
 HASH = "0123456789abcdef" * 4
 
 
-def trend(judged: int) -> Trend:
+def trend(judged: int) -> HealthTrend:
     points = tuple(
         TrendPoint(f"{k:06d}", (1.234567, -2.0, 3.0, 0.1 * k), (0.5,) * 4, 1.25, 2.125, 0.0625, False)
         for k in range(min(judged, MOST_POINTS))
     )
-    return Trend(judged=judged, points=points, total=(0.1, 0.2, 0.3, 0.4), alarm="turned" if judged > 2 else None)
+    return HealthTrend(judged=judged, points=points, total=(0.1, 0.2, 0.3, 0.4), alarm="turned" if judged > 2 else None)
 
 
 def test_what_is_written_is_read(tmp_path: Path) -> None:
     file = HealthFile(tmp_path, HASH)
-    assert file.read() == Trend()
+    assert file.read() == HealthTrend()
     for judged in (1, 3):
         file.write(trend(judged))
         assert HealthFile(tmp_path, HASH).read() == trend(judged)
     other = HealthFile(tmp_path, "f" * 64)
-    assert other.read() == Trend(), "each calibration has its own"
+    assert other.read() == HealthTrend(), "each calibration has its own"
 
 
 def test_the_longest_history_stays_small(tmp_path: Path) -> None:
@@ -71,7 +71,7 @@ def test_what_cannot_be_read_is_put_aside(tmp_path: Path, damage: str) -> None:
     file = HealthFile(tmp_path, HASH)
     file.write(trend(1))
     file.path.write_text(damage)
-    assert file.read() == Trend()
+    assert file.read() == HealthTrend()
     file.write(trend(2))
     assert file.read() == trend(2)
     assert file.path.with_suffix(".damaged").read_text() == damage
@@ -81,13 +81,13 @@ def test_a_changed_number_is_noticed(tmp_path: Path) -> None:
     file = HealthFile(tmp_path, HASH)
     file.write(trend(3))
     file.path.write_text(file.path.read_text().replace('"judged": 3', '"judged": 4'))
-    assert file.read() == Trend()
+    assert file.read() == HealthTrend()
 
 
 def test_a_reference_of_another_version_is_not_used(tmp_path: Path) -> None:
     file = HealthFile(tmp_path, HASH)
-    file.write(Trend(reference=Reference(gap_um=(1.0,) * 12)))
-    assert file.read() == Trend()
+    file.write(HealthTrend(reference=Reference(gap_um=(1.0,) * 12)))
+    assert file.read() == HealthTrend()
 
 
 def test_a_refusing_disk_is_named(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from appliance.calibration.guide import Refusal, Session, Step, Trial, Verified
+from appliance.calibration.guide import RecordingCheck, Refusal, Session, Step, Verified
 from appliance.machine import events as on
 from appliance.machine.mishap import Failure, Mishap
 from appliance.machine.states import Answer, Calibrating, Device, OffQuestion, Task, boot
@@ -67,7 +67,7 @@ def test_what_is_asked_before_switching_off_and_the_answer_that_is_selected(tmp_
 
 def test_a_calibration_under_way_tells_its_step_and_what_came_of_the_latest_recording() -> None:
     session = Session(
-        (Trial(Step.M1, None, 0.03, 900, "bar", "000001"),),
+        (RecordingCheck(Step.M1, None, 0.03, 900, "bar", "000001"),),
         verified=Verified(0.003, -0.0001, 0.00004, "ab"),
         kept="0001-2026-11-21.json",
     )
@@ -88,7 +88,7 @@ def test_a_calibration_under_way_tells_its_step_and_what_came_of_the_latest_reco
     assert told(Calibrating(Step.M1, Task.EXAMINE))["busy"] is True
     fits = told(Calibrating(Step.M1, latest=session.trials[0]))
     assert (fits["result"], fits["detail"]) == ("FITS", "bar")
-    few = Trial(Step.M2, Refusal.FEW_POINTS, 3.0, 3, "3 points")
+    few = RecordingCheck(Step.M2, Refusal.FEW_POINTS, 3.0, 3, "3 points")
     refused = told(Calibrating(Step.M2, latest=few))
     assert (refused["result"], refused["detail"]) == ("FEW_POINTS", "3 points")
     failed = told(Calibrating(Step.M2, latest=session.trials[0], failed=Failure(Mishap.DISK, "it is full")))

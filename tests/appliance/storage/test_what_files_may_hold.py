@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from appliance.calibration.health import Reference, Trend
+from appliance.calibration.health import HealthTrend, Reference
 from appliance.calibration.patches import COUNT
 from appliance.machine.choices import Choices
 from appliance.scan.exposure import Exposure
@@ -119,7 +119,7 @@ def test_a_label_is_read_up_to_16_kib(tmp_path: Path) -> None:
 
 def test_a_trend_is_read_up_to_a_megabyte(tmp_path: Path) -> None:
     file = HealthFile(tmp_path, HASH)
-    file.write(Trend(judged=3))
+    file.write(HealthTrend(judged=3))
     content = unseal(file.path.read_bytes(), 10**6)
     for length, read in ((1_000_000, True), (1_000_001, False)):
         file.path.write_bytes(padded(content, length))
@@ -137,9 +137,9 @@ def test_what_cannot_be_opened_is_no_choice_no_label_and_no_trend(tmp_path: Path
     assert (fault.code, fault.detail) == (FaultCode.SETTINGS_LOST, "choices.json: Is a directory")
     with pytest.raises(LabelError, match=r"label\.json: Is a directory"):
         label.read(tmp_path)
-    assert file.read() == Trend()
+    assert file.read() == HealthTrend()
     with pytest.raises(StorageError, match="cannot read"):
-        file.write(Trend(judged=1))
+        file.write(HealthTrend(judged=1))
 
 
 def test_only_what_differs_from_the_rig_file_is_written(tmp_path: Path) -> None:
@@ -153,29 +153,29 @@ def test_only_what_differs_from_the_rig_file_is_written(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("trend", "read"),
     [
-        (Trend(judged=0, alarm="turned"), True),
-        (Trend(judged=-1, alarm="turned"), False),
-        (Trend(reference=Reference(gap_um=(1.0,) * COUNT)), True),
-        (Trend(reference=Reference(gap_um=(1.0,) * (COUNT - 1))), False),
-        (Trend(reference=Reference(variance_um2=(1.0,) * (COUNT + 1))), False),
-        (Trend(reference=Reference(scans=(1,) * (COUNT + 1))), False),
+        (HealthTrend(judged=0, alarm="turned"), True),
+        (HealthTrend(judged=-1, alarm="turned"), False),
+        (HealthTrend(reference=Reference(gap_um=(1.0,) * COUNT)), True),
+        (HealthTrend(reference=Reference(gap_um=(1.0,) * (COUNT - 1))), False),
+        (HealthTrend(reference=Reference(variance_um2=(1.0,) * (COUNT + 1))), False),
+        (HealthTrend(reference=Reference(scans=(1,) * (COUNT + 1))), False),
     ],
 )
-def test_a_trend_says_nothing_that_cannot_be(tmp_path: Path, trend: Trend, read: bool) -> None:
+def test_a_trend_says_nothing_that_cannot_be(tmp_path: Path, trend: HealthTrend, read: bool) -> None:
     file = HealthFile(tmp_path, HASH)
     file.write(trend)
-    assert file.read() == (trend if read else Trend())
+    assert file.read() == (trend if read else HealthTrend())
 
 
 def test_a_trend_of_another_calibration_or_version_is_not_used(tmp_path: Path) -> None:
     file = HealthFile(tmp_path, HASH)
-    file.write(Trend(judged=3))
+    file.write(HealthTrend(judged=3))
     whole = unseal(file.path.read_bytes(), 10**6)
     for changed in ({"calibration": HASH[:16] + "0" * 48}, {"schema": 2}, {"trend": {"judged": "many"}}):
         file.path.write_bytes(seal({**whole, **changed}))
-        assert file.read() == Trend()
+        assert file.read() == HealthTrend()
     file.path.write_bytes(seal(whole))
-    assert file.read() == Trend(judged=3)
+    assert file.read() == HealthTrend(judged=3)
 
 
 # -------------------------------------------------------------------------------------------------------- clouds

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
-from appliance.calibration.guide import USED, Refusal, Session, Solved, Step, Trial, Verified
+from appliance.calibration.guide import USED, AdjustmentSummary, RecordingCheck, Refusal, Session, Step, Verified
 from appliance.machine.alerts import RULES, Alert, alert_of
 from appliance.machine.mishap import Failure, Mishap
 from appliance.machine.states import Calibrating, Task
@@ -267,7 +267,7 @@ SCENES: Mapping[str, Scene] = MappingProxyType(
         ),
         "gallery-empty": Scene(GalleryView(keys=keys(back=Text.BACK)), "No scan yet."),
         "calibrate-bar": Scene(
-            _calibrate(Calibrating(Step.M1, latest=Trial(Step.M1, Refusal.TILT_MORE, 12.0))),
+            _calibrate(Calibrating(Step.M1, latest=RecordingCheck(Step.M1, Refusal.TILT_MORE, 12.0))),
             "How to hold the ball bar, and what was wrong with the last recording.",
         ),
         "calibrate-plane": Scene(
