@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.capture.patience import Patience
+from appliance.capture.timeouts import Timeouts
 from drivers.api import Camera, CameraSettings, Clock, ClockReading, DeviceError, Frame, FrameStatus
 
 LIVE_TIMEOUT_S = 0.15
@@ -25,7 +25,7 @@ JOIN_TIMEOUT_S = 5.0
 
 
 @dataclass(slots=True)
-class Recording:
+class SideRecording:
     """One side of a sequence being recorded. Filled by the camera's thread, read after ``done``."""
 
     slots: NDArray[np.uint8]
@@ -51,8 +51,8 @@ class Recording:
 class Grabber:
     """Runs one camera in its own thread. A context manager: leaving it stops the thread, not the camera's life."""
 
-    def __init__(self, side: str, camera: Camera, clock: Clock, settings: CameraSettings, patience: Patience) -> None:
-        """Prepare the thread, with the ``settings`` that the camera has, and the ``patience`` with frames of a
+    def __init__(self, side: str, camera: Camera, clock: Clock, settings: CameraSettings, timeouts: Timeouts) -> None:
+        """Prepare the thread, with the ``settings`` that the camera has, and the ``timeouts`` with frames of a
         sequence."""
         self.side = side
         self._camera = camera
@@ -60,9 +60,9 @@ class Grabber:
         self._changed = threading.Condition()
         self._order: Literal["idle", "live", "record", "end"] = "idle"
         self._state: Literal["idle", "start", "live", "record"] = "idle"
-        self._recording: Recording | None = None
+        self._recording: SideRecording | None = None
         self._settings = self._wanted = settings
-        self._patience = patience
+        self._timeouts = timeouts
         self._live = np.zeros((2, settings.height_px, settings.width_px), np.uint8)
         self._live_count = 0
         self._lost: str | None = None
@@ -119,9 +119,9 @@ class Grabber:
                 return None
             return self._live_count, self._live[self._live_count % 2].copy()
 
-    def record(self, slots: NDArray[np.uint8], on_frame: Callable[[int], None]) -> Recording:
+    def record(self, slots: NDArray[np.uint8], on_frame: Callable[[int], None]) -> SideRecording:
         """Start recording ``len(slots)`` frames; returns at once. Wait for ``ready`` before arming, then for ``done``."""
-        recording = Recording(slots, on_frame)
+        recording = SideRecording(slots, on_frame)
         with self._changed:
             if self._lost is not None:
                 recording.lost, recording.done = self._lost, True
@@ -131,14 +131,14 @@ class Grabber:
             self._changed.notify_all()
         return recording
 
-    def wait(self, recording: Recording, what: Literal["ready", "done"], timeout_s: float) -> bool:
+    def wait(self, recording: SideRecording, what: Literal["ready", "done"], timeout_s: float) -> bool:
         """Wait for a recording to be ready or done."""
         with self._changed:
             return self._clock.wait_for(
                 self._changed, lambda: recording.done or bool(getattr(recording, what)), timeout_s
             )
 
-    def cancel(self, recording: Recording) -> None:
+    def cancel(self, recording: SideRecording) -> None:
         """End a recording at the next frame or timeout."""
         with self._changed:
             recording.cancelled = True
@@ -213,10 +213,10 @@ class Grabber:
             self._state = "record"
             recording.ready = True
             self._changed.notify_all()
-        timeout_s = self._patience.first_frame_s
+        timeout_s = self._timeouts.first_frame_s
         for index, slot in enumerate(recording.slots):
             frame = self._camera.next_frame(slot, timeout_s)
-            timeout_s = self._patience.next_frame_s
+            timeout_s = self._timeouts.next_frame_s
             with self._changed:
                 recording.frames.append(frame)
                 stop = recording.cancelled or frame.status is not FrameStatus.COMPLETE
@@ -235,9 +235,9 @@ class Grabber:
             self._state = "idle"
             self._changed.notify_all()
 
-    def _expect_silence(self, recording: Recording) -> None:
+    def _expect_silence(self, recording: SideRecording) -> None:
         """Check that nothing follows the last frame: a frame too many is evidence like one too few."""
-        frame = self._camera.next_frame(self._live[0], self._patience.silence_s)
+        frame = self._camera.next_frame(self._live[0], self._timeouts.silence_s)
         if frame.status is not FrameStatus.TIMEOUT:
             with self._changed:
                 recording.frames.append(frame)

@@ -13,11 +13,11 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.capture.grabber import Grabber, Recording
+from appliance.capture.grabber import Grabber, SideRecording
 from appliance.capture.ledger import Ledger, audit, frame_fault
-from appliance.capture.patience import Patience
 from appliance.capture.store import FrameStore
 from appliance.capture.sync import SyncError, SyncMap, synchronise
+from appliance.capture.timeouts import Timeouts
 from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.sides import SIDES
 from drivers.api import (
@@ -49,9 +49,9 @@ class ScanSettings:
     trigger_delay_us: int
 
     @property
-    def patience(self) -> Patience:
+    def timeouts(self) -> Timeouts:
         """Time limits of everything that follows the projector."""
-        return Patience(self.refresh_hz)
+        return Timeouts(self.refresh_hz)
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +83,7 @@ class Arming:
         self._grabbers, self._board, self._clock = grabbers, board, clock
         self._ready_s = ready_s
         self._slots, self._on_frame = slots, on_frame
-        self.recordings: dict[str, Recording] = {}
+        self.recordings: dict[str, SideRecording] = {}
         self.events: list[BoardEvent] = []
         """Events that the board sent meanwhile, for whoever watches it."""
         self.fault: Fault | None = None
@@ -185,7 +185,7 @@ class ScanRecorder:
         ``on_frame(side, index)`` is called in the camera threads as frames arrive.
         """
         slots = {side: store.frames(side, second=second)[: len(sequence)] for side in SIDES}
-        return Arming(self._grabbers, self._board, self._clock, slots, on_frame, self._settings.patience.ready_s)
+        return Arming(self._grabbers, self._board, self._clock, slots, on_frame, self._settings.timeouts.ready_s)
 
     def record(
         self,
@@ -204,9 +204,9 @@ class ScanRecorder:
         """Record what was armed. Never raises for a device: every failure is the report's fault.
 
         ``abort()`` is asked at every vertical blank and ends the scan with the fault it returns. Ends within the
-        sequence's length and the margin of ``Patience``.
+        sequence's length and the margin of ``Timeouts``.
         """
-        period_ns, patience = 1e9 / self._settings.refresh_hz, self._settings.patience
+        period_ns, timeouts = 1e9 / self._settings.refresh_hz, self._settings.timeouts
         begun_ns = self._clock.now_ns()
         recordings, events = arming.recordings, arming.events
         flips: list[Flip] = []
@@ -236,7 +236,7 @@ class ScanRecorder:
             whole = len(flips) == len(sequence)
             for side in SIDES:
                 if whole:
-                    self._grabbers[side].wait(recordings[side], "done", patience.collect_s)
+                    self._grabbers[side].wait(recordings[side], "done", timeouts.collect_s)
         except SyncError as error:
             fault = Fault(FaultCode.SYNC_LOST, str(error), {}, "board")
         except DeviceError as error:
@@ -248,7 +248,7 @@ class ScanRecorder:
         for side, recording in recordings.items():
             if not recording.done:
                 self._grabbers[side].cancel(recording)
-                self._grabbers[side].wait(recording, "done", patience.collect_s)
+                self._grabbers[side].wait(recording, "done", timeouts.collect_s)
         pulses = self._collect_pulses(len(sequence) if played else 0, events)
         if played and len(pulses) < len(sequence):
             self._disarm()
@@ -274,7 +274,7 @@ class ScanRecorder:
     def _collect_pulses(self, expected: int, events: list[BoardEvent]) -> list[Pulse]:
         pulses: list[Pulse] = []
         for _ in range(MAX_BOARD_EVENTS):
-            event = self._board.next_event(self._settings.patience.pulse_s if expected else 0.0)
+            event = self._board.next_event(self._settings.timeouts.pulse_s if expected else 0.0)
             match event:
                 case None | PulsesDone():
                     break
@@ -297,7 +297,7 @@ def device_fault(device: str, detail: str) -> Fault:
 
 
 def _first_fault(
-    fault: Fault | None, recordings: Mapping[str, Recording], events: list[BoardEvent], ledger: Ledger
+    fault: Fault | None, recordings: Mapping[str, SideRecording], events: list[BoardEvent], ledger: Ledger
 ) -> Fault | None:
     """Lost devices explain everything else, so they come first; then what stopped the play; then the audit."""
     for side, recording in recordings.items():

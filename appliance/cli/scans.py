@@ -10,7 +10,7 @@ from appliance.cli.arguments import operand, operands, switch
 from appliance.cli.listing import shown
 from appliance.cli.output import Exit, Progress, say, say_json, table
 from appliance.cli.places import WithRoot, scan_folder
-from appliance.storage.library import Entry, Library, Shelf, entry_of
+from appliance.storage.library import Library, LibraryFolder, ScanEntry, entry_of
 from appliance.storage.manifest import Stage, as_json
 
 EVERY = "also those rejected, set aside or in the trash"
@@ -25,7 +25,7 @@ class ListScans(WithRoot):
 
     def run(self) -> Exit:
         root = self.existing_root()
-        entries = Library(root).entries(Shelf.TRASH) if self.trash else _entries(Library(root), self.all)
+        entries = Library(root).entries(LibraryFolder.TRASH) if self.trash else _entries(Library(root), self.all)
         if self.json:
             say_json([_brief(entry) for entry in entries])
         elif not entries:
@@ -89,7 +89,7 @@ class VerifyScans(WithRoot):
         folders = [scan_folder(scan) or Library(self.existing_root()).entry(scan).folder for scan in self.scans]
         if not self.scans:
             folders = [entry.folder for entry in _entries(Library(self.existing_root()), self.all)]
-        checked: list[Entry] = []
+        checked: list[ScanEntry] = []
         with Progress() as progress:
             for k, folder in enumerate(folders):
                 progress(f"verifying {folder.name}", k / len(folders))
@@ -104,7 +104,7 @@ class VerifyScans(WithRoot):
         return Exit.DAMAGED if damaged else Exit.OK
 
 
-def _with_frames_named(entry: Entry) -> Entry:
+def _with_frames_named(entry: ScanEntry) -> ScanEntry:
     """Of a damaged file of frames it is also said which frames, where that is known."""
     if entry.ok or entry.manifest is None:
         return entry
@@ -114,12 +114,12 @@ def _with_frames_named(entry: Entry) -> Entry:
     return replace(entry, problems=tuple(frames.get(text.partition(":")[0], text) for text in entry.problems))
 
 
-def _entries(library: Library, every: bool) -> list[Entry]:
-    shelves = tuple(Shelf) if every else (Shelf.SCANS,)
+def _entries(library: Library, every: bool) -> list[ScanEntry]:
+    shelves = tuple(LibraryFolder) if every else (LibraryFolder.SCANS,)
     return [entry for shelf in shelves for entry in library.entries(shelf)]
 
 
-def _brief(entry: Entry) -> dict[str, Any]:
+def _brief(entry: ScanEntry) -> dict[str, Any]:
     record = None if entry.manifest is None else entry.manifest.record
     return {
         "scan": entry.scan_id,
@@ -137,32 +137,32 @@ def _brief(entry: Entry) -> dict[str, Any]:
     }
 
 
-def _state(entry: Entry) -> str:
+def _state(entry: ScanEntry) -> str:
     if entry.problems:
         return "DAMAGED"
-    if entry.shelf is not Shelf.SCANS or entry.manifest is None:
+    if entry.shelf is not LibraryFolder.SCANS or entry.manifest is None:
         return entry.shelf.value
     return "recovered" if entry.manifest.recovered else "saved"
 
 
-def _when(entry: Entry) -> str:
+def _when(entry: ScanEntry) -> str:
     if entry.manifest is None or entry.manifest.record.wall_time is None:
         return "?"
     record = entry.manifest.record
     return f"{record.wall_time}" if record.clock_trusted else f"{record.wall_time} ?"
 
 
-def _points(entry: Entry) -> str:
+def _points(entry: ScanEntry) -> str:
     points = _point_count(entry)
     return "-" if points is None else str(points)
 
 
-def _point_count(entry: Entry) -> int | None:
+def _point_count(entry: ScanEntry) -> int | None:
     points = None if entry.manifest is None else entry.manifest.record.cloud.get("points")
     return None if points is None else round(points)
 
 
-def _note(entry: Entry) -> str:
+def _note(entry: ScanEntry) -> str:
     if entry.problems:
         return entry.problems[0]
     if entry.manifest is None:

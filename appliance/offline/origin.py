@@ -18,7 +18,7 @@ from appliance.config import ConfigError, Rig, default_rig_path, load_rig, parse
 from appliance.scan.sides import SIDES, of_side
 from appliance.storage import scan as stored
 from appliance.storage.calibrations import CURRENT, FOLDER
-from appliance.storage.library import Shelf
+from appliance.storage.library import LibraryFolder
 from appliance.storage.manifest import Manifest
 from appliance.storage.scan import CALIBRATION, RIG, ScanError, StoredScan
 
@@ -74,7 +74,7 @@ def root_of(folder: Path) -> Path | None:
     """The storage root that a scan's folder lies in: ROOT of ROOT/scans/000001; ``None`` where it was copied elsewhere."""
     whole = folder.absolute()
     root = whole.parent.parent
-    inside = whole.parent.name in {shelf.value for shelf in Shelf} and (root / FOLDER).is_dir()
+    inside = whole.parent.name in {shelf.value for shelf in LibraryFolder} and (root / FOLDER).is_dir()
     return root if inside else None
 
 

@@ -25,7 +25,7 @@ SIGHT_POINTS = 7_500
 
 
 @dataclass(frozen=True, slots=True)
-class Evidence:
+class JudgeInput:
     """Evidence that every judge is given."""
 
     images: ScanImages
@@ -50,13 +50,13 @@ class Judge:
 
     name: str
     """The name of its verdict in the manifest."""
-    judge: Callable[[Evidence, Earlier], Judgement | None]
+    judge: Callable[[JudgeInput, Earlier], Judgement | None]
     """Returns ``None`` where there is nothing to be said."""
     needs: tuple[str, ...] = ()
     """Judges that must have spoken before; they need none themselves."""
 
 
-def _look(given: Evidence, _: Earlier) -> Judgement:
+def _look(given: JudgeInput, _: Earlier) -> Judgement:
     """Judge what is there at whatever depth, and fringes too weak to be decoded."""
     left = given.rig.left
     stride = max(1, round((left.width_px * left.height_px / SIGHT_POINTS) ** 0.5))
@@ -69,7 +69,7 @@ def _look(given: Evidence, _: Earlier) -> Judgement:
     )  # fmt: skip
 
 
-def _look_at_windows(given: Evidence, earlier: Earlier) -> Judgement | None:
+def _look_at_windows(given: JudgeInput, earlier: Earlier) -> Judgement | None:
     """Judge the windows; nothing where something moved: what moves is soft in one camera and not in the other, too."""
     if is_fault(earlier["motion"]):
         return None
@@ -89,7 +89,7 @@ JUDGES = (
 """Judges in the order in which their verdicts are told and stored."""
 
 
-def judged_by_all(given: Evidence) -> Iterator[tuple[str, Judgement | None]]:
+def judged_by_all(given: JudgeInput) -> Iterator[tuple[str, Judgement | None]]:
     """Ask every judge, those that need others last; yields each one's name and what it says as soon as it has said it."""
     said: dict[str, Judgement | None] = {}
     for judge in sorted(JUDGES, key=lambda judge: len(judge.needs)):

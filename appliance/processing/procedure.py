@@ -133,7 +133,7 @@ class SequenceProcessor:
         yield CoarseFound(coarse)
 
         images = ScanImages(pipeline.sequence, self._frames, {side: pipeline.decoded(side) for side in SIDES}, settings)
-        given = Evidence(images, pipeline.table.cloud(coarse), rig, self._water.index, identity, pipeline)
+        given = JudgeInput(images, pipeline.table.cloud(coarse), rig, self._water.index, identity, pipeline)
         spoken: dict[str, Judgement | None] = {}
         for name, one in judged_by_all(given):
             spoken[name] = one

@@ -27,7 +27,7 @@ STEP_MM = 4.0
 
 
 @dataclass(frozen=True, slots=True)
-class Beam:
+class PointerBeam:
     """One pointer's beam in the rig frame."""
 
     z0_mm: float
@@ -54,7 +54,7 @@ class Beam:
         y = P[1, 1] + 2.0 * ahead * P[1, 3] + ahead**2 * P[3, 3]
         return np.asarray(np.sqrt(np.maximum(x, y) + FLOOR_SD_MM**2))
 
-    def taught(self, dot_mm: Array) -> Beam:
+    def taught(self, dot_mm: Array) -> PointerBeam:
         """Return the beam improved by one more dot (3,) that both cameras saw; itself where that dot says nothing
         new."""
         z = float(dot_mm[2])
@@ -80,11 +80,11 @@ class Pointers:
     aim_mm: tuple[float, float, float]
     tolerance_deg: float
 
-    def beams(self) -> tuple[Beam, Beam]:
+    def beams(self) -> tuple[PointerBeam, PointerBeam]:
         """Left and right, as drawn."""
         (x, y, z), (to_x, to_y, to_z) = self.window_mm, self.aim_mm
         sx, sy = (to_x - x) / (to_z - z), (to_y - y) / (to_z - z)
         lean = math.radians(self.tolerance_deg)
         variances = (WINDOW_SD_MM**2, WINDOW_SD_MM**2, lean**2, lean**2)
         rows = tuple(tuple(v if i == k else 0.0 for k in range(4)) for i, v in enumerate(variances))
-        return Beam(z, (-x, y, -sx, sy), rows), Beam(z, (x, y, sx, sy), rows)
+        return PointerBeam(z, (-x, y, -sx, sy), rows), PointerBeam(z, (x, y, sx, sy), rows)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.optics.model import HousedCamera
-from appliance.ranging.beams import Beam
+from appliance.ranging.beams import PointerBeam
 from appliance.ranging.rig_frame import RigFrame
 
 Array = NDArray[np.float64]
@@ -53,7 +53,7 @@ class Candidate:
 class Lane:
     """The part of one camera's image in which one beam's dot can be."""
 
-    def __init__(self, camera: HousedCamera, frame: RigFrame, water_index: float, beam: Beam) -> None:
+    def __init__(self, camera: HousedCamera, frame: RigFrame, water_index: float, beam: PointerBeam) -> None:
         self._step = step = max(1, camera.width_px // COARSE_PX)
         z = np.arange(NEAREST_MM, FARTHEST_MM, DEPTH_STEP_MM)
         curve = camera.project(frame.to_left(beam.at(z)), water_index)

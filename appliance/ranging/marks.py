@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from appliance.optics.model import StereoRig
-from appliance.ranging.beams import Beam
+from appliance.ranging.beams import PointerBeam
 from appliance.ranging.reach import FARTHEST_MM, NEAREST_MM
 from appliance.ranging.rig_frame import RigFrame
 
@@ -34,7 +34,7 @@ class Marks:
     right: tuple[Track, ...]
 
 
-def marks_of(rig: StereoRig, frame: RigFrame, water_index: float, beams: tuple[Beam, Beam]) -> Marks:
+def marks_of(rig: StereoRig, frame: RigFrame, water_index: float, beams: tuple[PointerBeam, PointerBeam]) -> Marks:
     """Marks for beams as they are known now, by the calibration in use, through the windows and the water."""
     z_mm = np.array([NEAREST_MM, WORKING_MM, FARTHEST_MM])
     sides = []

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.optics.model import StereoRig
-from appliance.ranging.beams import DOT_SD_MM, Beam
+from appliance.ranging.beams import DOT_SD_MM, PointerBeam
 from appliance.ranging.dots import FARTHEST_MM, NEAREST_MM, Candidate, Lane
 from appliance.ranging.marks import Marks, marks_of
 from appliance.ranging.other_camera import OtherCamera
@@ -124,7 +124,9 @@ class _Steady:
 class Ranger:
     """Measures with one calibration in one water. Not for two threads at once; images may have any content."""
 
-    def __init__(self, rig: StereoRig, water_index: float, beams: tuple[Beam, Beam], measured: bool = True) -> None:
+    def __init__(
+        self, rig: StereoRig, water_index: float, beams: tuple[PointerBeam, PointerBeam], measured: bool = True
+    ) -> None:
         """Prepare the search; ``measured`` tells that the calibration is one, not the drawing."""
         self._rig, self._index = rig, water_index
         self.frame = RigFrame.of(rig)
@@ -140,7 +142,7 @@ class Ranger:
         """Sightings of each pointer by one camera alone in the latest pair."""
 
     @property
-    def beams(self) -> tuple[Beam, Beam]:
+    def beams(self) -> tuple[PointerBeam, PointerBeam]:
         """The beams as known now."""
         return self._beams[0], self._beams[1]
 
@@ -194,7 +196,7 @@ class Ranger:
 
     # ------------------------------------------------------------------------------------------ one beam
 
-    def _lanes_of(self, beam: Beam) -> tuple[Lane, Lane]:
+    def _lanes_of(self, beam: PointerBeam) -> tuple[Lane, Lane]:
         rig, frame, index = self._rig, self.frame, self._index
         return Lane(rig.left, frame, index, beam), Lane(rig.right, frame, index, beam)
 
@@ -244,7 +246,7 @@ class Ranger:
         start, ahead = self.frame.from_left(origins), self.frame.turn_from_left(directions)
         return [_Sighted(side, start[k], ahead[k], one.contrast_dn) for k, one in enumerate(found)]
 
-    def _met(self, beam: Beam, a: _Sighted, b: _Sighted) -> Dot | None:
+    def _met(self, beam: PointerBeam, a: _Sighted, b: _Sighted) -> Dot | None:
         """Return the point where the rays of both cameras meet, if they do, and on the beam."""
         place, gap_mm, sine = _nearest(a.start_mm, a.ahead, b.start_mm, b.ahead)
         z = float(place[2])
@@ -263,7 +265,7 @@ class Ranger:
         sigma_mm = math.hypot(math.sqrt(2.0) * lateral_mm / sine, SURFACE_SD_MM, CUT_SLOPE * aside_mm)
         return Dot((float(place[0]), float(place[1]), z), sigma_mm, min(a.contrast_dn, b.contrast_dn), 2)
 
-    def _single(self, beam: Beam, one: _Sighted) -> Dot | None:
+    def _single(self, beam: PointerBeam, one: _Sighted) -> Dot | None:
         """Return the point where the ray of one camera meets the beam."""
         ends = beam.at(np.array([NEAREST_MM, FARTHEST_MM]))
         along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
@@ -317,7 +319,7 @@ def _told(dots: Dots) -> Range | None:
     return Range(z, tilt_deg, own_mm, 2)
 
 
-def _best_fitting(beam: Beam, pairs: list[tuple[Dot, _Sighted, _Sighted]]) -> list[Dot]:
+def _best_fitting(beam: PointerBeam, pairs: list[tuple[Dot, _Sighted, _Sighted]]) -> list[Dot]:
     """Keep, of pairs that have a spot in common, those that lie clearly nearer to the beam. With a calibration that was
     never measured the left dot in one picture and the right one in the other meet as well, some way beside both
     beams."""

@@ -9,7 +9,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from appliance.capture.grabber import Grabber
-from appliance.capture.patience import Patience
+from appliance.capture.timeouts import Timeouts
 from appliance.config import Rig
 from appliance.config.rig import CameraRig, OutputRig
 from appliance.machine.events import DeviceDown, DeviceUp
@@ -30,7 +30,7 @@ class Devices:
         """``load_projector`` is called with each newly opened projector, to give it its patterns."""
         self._rig = rig
         self._wires = wires
-        self._patience = Patience(rig.projector.refresh_hz)
+        self._timeouts = Timeouts(rig.projector.refresh_hz)
         self._load_projector = load_projector
         self._executor = ThreadPoolExecutor(4, "kf-open")
         self._outputs = drivers_rig.open_outputs(_output(rig.projector), _output(rig.display), wires)
@@ -96,7 +96,7 @@ class Devices:
                 raise DeviceRejected(f"camera.{side}", slow, "Check connector and cable", FaultCode.CAMERA_SLOW_LINK)
             settings = CameraSettings(spec.width_px, spec.height_px, 1000.0 * spec.exposure_ms, spec.gain_db)
             camera.configure(settings)
-            with Grabber(side, camera, self._wires.clock, settings, self._patience) as grabber:
+            with Grabber(side, camera, self._wires.clock, settings, self._timeouts) as grabber:
                 yield grabber
 
     def _open_camera(self, side: str) -> AbstractContextManager[Camera]:

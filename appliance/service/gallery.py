@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from appliance.machine import events as on
 from appliance.screens.views import Grade
 from appliance.storage.atomic import StorageError
-from appliance.storage.library import Entry, Library, UnknownScan
+from appliance.storage.library import Library, ScanEntry, UnknownScan
 from appliance.storage.scan import PREVIEW
 
 GRADE = "grade"
@@ -113,7 +113,7 @@ def read(library: Library, scan_id: str) -> Shown:
     )
 
 
-def _preview(entry: Entry) -> tuple[NDArray[np.uint8] | None, bool]:
+def _preview(entry: ScanEntry) -> tuple[NDArray[np.uint8] | None, bool]:
     """The picture, and whether it is as it should be: there and readable, or never made."""
     if entry.manifest is None or PREVIEW not in entry.manifest.files:
         return None, True

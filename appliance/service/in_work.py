@@ -10,7 +10,7 @@ from appliance.scan.exposure import Exposure
 from appliance.scan.verdict import Judgement, Verdict
 from appliance.storage.library import PendingScan
 from appliance.storage.record import ScanRecord, SecondSequence
-from appliance.storage.scan import Origin
+from appliance.storage.scan import ScanOrigin
 
 
 @dataclass(slots=True)
@@ -34,7 +34,7 @@ class ScanInWork:
     begun_ns: int
     exposure: Exposure
     record: ScanRecord | None = None
-    origin: Origin | None = None
+    origin: ScanOrigin | None = None
     """The calibration and the rig it was recorded with, from the last frame on."""
     coarse: Cloud | None = None
     full: Cloud | None = None

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibration.design import METHOD as DRAWN
-from appliance.capture.patience import Patience
 from appliance.capture.scan import Arming, ScanRecorder, ScanSettings
+from appliance.capture.timeouts import Timeouts
 from appliance.config import Rig
 from appliance.instrument import exposure_of, exposures_of
 from appliance.machine import effects as do
@@ -97,7 +97,7 @@ def machine_settings(rig: Rig, choices: Choices | None = None) -> Settings:
         offers=offers_of(standard_choices(rig), exposures_of(rig), tuple(sequences)),
         frames=sequences,
         refresh_hz=rig.projector.refresh_hz,
-        capture_margin_s=Patience(rig.projector.refresh_hz).margin_s,
+        capture_margin_s=Timeouts(rig.projector.refresh_hz).margin_s,
         temperatures={
             "case": Limits(limits.case_warm_c, limits.case_hot_c, limits.case_off_c),
             "projector": Limits(limits.projector_warm_c, limits.projector_hot_c, limits.projector_off_c),

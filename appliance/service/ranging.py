@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from appliance.calibration.design import METHOD as DRAWN
 from appliance.calibration.file import Calibration
 from appliance.machine import events as on
-from appliance.ranging.beams import Beam, Pointers
+from appliance.ranging.beams import PointerBeam, Pointers
 from appliance.ranging.marks import Marks
 from appliance.ranging.measure import Dot, Dots, Ranger
 from appliance.ranging.reach import Range
@@ -316,7 +316,7 @@ class RangingDesk:
         return [on.ConditionCleared(FaultCode.LASER_ON, IMAGES)]
 
 
-def _taught(beams: tuple[Beam, Beam]) -> int:
+def _taught(beams: tuple[PointerBeam, PointerBeam]) -> int:
     """How many dots taught them."""
     return sum(beam.learned for beam in beams)
 

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from appliance.ranging.beams import Beam, Pointers
+from appliance.ranging.beams import PointerBeam, Pointers
 from appliance.sealed import seal, unseal
 from appliance.storage.atomic import refused, replace_file
 from appliance.storage.calibrations import FOLDER
@@ -40,7 +40,7 @@ class BeamsFile:
         self._pointers = pointers
         self._fs: FileSystem = fs or LocalFileSystem()
 
-    def read(self, calibration_hash: str) -> tuple[Beam, Beam]:
+    def read(self, calibration_hash: str) -> tuple[PointerBeam, PointerBeam]:
         """Read the beams learned with that calibration; the drawing's where there are none, or none that can be
         used."""
         try:
@@ -53,7 +53,7 @@ class BeamsFile:
             log.warning("%s: %s; the laser beams are learned anew from the drawing", self.path, error)
         return self._pointers.beams()
 
-    def write(self, calibration_hash: str, beams: tuple[Beam, Beam]) -> None:
+    def write(self, calibration_hash: str, beams: tuple[PointerBeam, PointerBeam]) -> None:
         """Durable on return. Raises StorageError."""
         spelled = [{**asdict(beam), "last_z_mm": _finite(beam.last_z_mm)} for beam in beams]
         content = {"calibration": calibration_hash, "drawn": self._drawn(), "beams": spelled}
@@ -67,7 +67,7 @@ class BeamsFile:
         drawn: dict[str, Any] = json.loads(json.dumps(asdict(self._pointers)))
         return drawn
 
-    def _decoded(self, data: bytes, calibration_hash: str) -> tuple[Beam, Beam]:
+    def _decoded(self, data: bytes, calibration_hash: str) -> tuple[PointerBeam, PointerBeam]:
         """Raises ValueError."""
         content = unseal(data, MAX_BYTES)
         if content.get("schema") != SCHEMA:
@@ -83,7 +83,7 @@ class BeamsFile:
         return left, right
 
 
-def _beam(said: object, drawn: Beam) -> Beam:
+def _beam(said: object, drawn: PointerBeam) -> PointerBeam:
     """Raises ValueError for what no dot could have taught ``drawn``."""
     try:
         line = np.asarray(said["line"], np.float64)  # type: ignore[index]
@@ -105,7 +105,7 @@ def _beam(said: object, drawn: Beam) -> Beam:
     x0, y0, sx, sy = (float(v) for v in line)
     rows = tuple(tuple(float(v) for v in row) for row in P)
     last = math.inf if last_z_mm is None else float(last_z_mm)
-    return Beam(drawn.z0_mm, (x0, y0, sx, sy), rows, learned, last)
+    return PointerBeam(drawn.z0_mm, (x0, y0, sx, sy), rows, learned, last)
 
 
 def _finite(value: float) -> float | None:

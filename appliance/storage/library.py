@@ -41,7 +41,7 @@ _FOLDER = re.compile(r"\.?(\d{6,12})(-\d+)?")
 """A scan's folder; the ending tells apart two of the same number that were set aside."""
 
 
-class Shelf(Enum):
+class LibraryFolder(Enum):
     """Folders that a finished scan can lie in; the values are folder names."""
 
     SCANS = "scans"
@@ -51,11 +51,11 @@ class Shelf(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class ScanEntry:
     """One scan in the list. A damaged one is listed like the others, with its problems."""
 
     scan_id: str
-    shelf: Shelf
+    shelf: LibraryFolder
     folder: Path
     manifest: Manifest | None
     problems: tuple[str, ...]
@@ -94,7 +94,7 @@ class Library:
 
     def prepare(self) -> None:
         """Make the folders that are missing, durably. Raises StorageError."""
-        for folder in (self.root, *(self._shelf(shelf) for shelf in Shelf if shelf is not Shelf.TRASH)):
+        for folder in (self.root, *(self._shelf(shelf) for shelf in LibraryFolder if shelf is not LibraryFolder.TRASH)):
             self._make(folder)
 
     def _make(self, folder: Path) -> None:
@@ -106,7 +106,7 @@ class Library:
                 self._fs.sync_folder(one.parent)
 
     def begin(
-        self, frames: Mapping[str, NDArray[np.uint8]], record: ScanRecord, origin: scan.Origin | None = None
+        self, frames: Mapping[str, NDArray[np.uint8]], record: ScanRecord, origin: scan.ScanOrigin | None = None
     ) -> PendingScan:
         """Make a scan's raw frames and their ``origin`` durable, hidden from the list, before anything is decided.
 
@@ -114,7 +114,7 @@ class Library:
         frames are still the caller's, and ``begin`` may be called again. Raises StorageError, ValueError.
         """
         scan_id = counter.spell_id(counter.take(self._fs, self.root, self._numbers()))
-        folder = self._shelf(Shelf.SCANS) / f".{scan_id}"
+        folder = self._shelf(LibraryFolder.SCANS) / f".{scan_id}"
         try:
             manifest = scan.write_raw(self._fs, folder, scan_id, frames, record, origin)
             with refused("cannot make durable", folder):
@@ -132,7 +132,7 @@ class Library:
         Nothing is deleted, and one folder that cannot be moved does not keep the others from it.
         """
         done: dict[str, list[str]] = {"recovered": [], "rejected": [], "set_aside": [], "failed": []}
-        for folder in sorted(self._folders(Shelf.SCANS, hidden=True)):
+        for folder in sorted(self._folders(LibraryFolder.SCANS, hidden=True)):
             scan_id = folder.name.removeprefix(".")
             try:
                 done[self._recover(folder, scan_id)].append(scan_id)
@@ -143,7 +143,7 @@ class Library:
     def _recover(self, folder: Path, scan_id: str) -> str:
         manifest = self._salvaged(folder)
         if manifest is None:
-            move_folder(self._fs, folder, self._free_name(Shelf.SET_ASIDE, scan_id))
+            move_folder(self._fs, folder, self._free_name(LibraryFolder.SET_ASIDE, scan_id))
             return "set_aside"
         for path in sorted(folder.iterdir()):
             if path.name not in manifest.files and path.name != form.FILE_NAME:
@@ -151,9 +151,9 @@ class Library:
                     self._fs.rename(path, path.with_name(f"{path.name.removeprefix('.')}.partial"))
         replace_file(self._fs, folder / form.FILE_NAME, form.encode(manifest))
         rejected = manifest.decision is Decision.REJECTED
-        target = self._shelf(Shelf.REJECTED if rejected else Shelf.SCANS) / scan_id
+        target = self._shelf(LibraryFolder.REJECTED if rejected else LibraryFolder.SCANS) / scan_id
         if target.exists():
-            move_folder(self._fs, folder, self._free_name(Shelf.SET_ASIDE, scan_id))
+            move_folder(self._fs, folder, self._free_name(LibraryFolder.SET_ASIDE, scan_id))
             return "set_aside"
         move_folder(self._fs, folder, target)
         return "rejected" if rejected else "recovered"
@@ -192,20 +192,20 @@ class Library:
         Raises UnknownScan, ScanError for one that lies in the trash already or is set aside, StorageError.
         """
         shelf, folder = self._find(scan_id)
-        if shelf is Shelf.TRASH:
+        if shelf is LibraryFolder.TRASH:
             raise scan.ScanError(f"scan {folder.name} is in the trash already; `kingfisher scans restore` takes it out")
-        if shelf is Shelf.SET_ASIDE:
+        if shelf is LibraryFolder.SET_ASIDE:
             raise scan.ScanError(
                 f"scan {folder.name} is set aside: it is not whole, and in no list; nothing to put away"
             )
-        return self._moved(folder, self._shelf(Shelf.TRASH) / folder.name)
+        return self._moved(folder, self._shelf(LibraryFolder.TRASH) / folder.name)
 
     def restore(self, scan_id: str) -> Path:
         """Take a scan out of the trash, to where its manifest says that it belongs. Answers its folder.
 
         Raises UnknownScan for one that is not in the trash, ScanError where another of its number lies there, StorageError.
         """
-        folder = self._find_on(Shelf.TRASH, scan_id)
+        folder = self._find_on(LibraryFolder.TRASH, scan_id)
         if folder is None:
             raise UnknownScan(
                 f"no scan {scan_id!r} in the trash of {self.root}; `kingfisher scans list --trash` shows it"
@@ -225,15 +225,15 @@ class Library:
 
     # ------------------------------------------------------------------------------------- reading
 
-    def entries(self, shelf: Shelf = Shelf.SCANS) -> list[Entry]:
+    def entries(self, shelf: LibraryFolder = LibraryFolder.SCANS) -> list[ScanEntry]:
         """All scans of a shelf by number; manifests and lengths are checked, checksums are not (``verify``)."""
         return [entry_of(folder, checksums=False) for folder in self._sorted(shelf)]
 
-    def entry(self, scan_id: str) -> Entry:
+    def entry(self, scan_id: str) -> ScanEntry:
         """One scan by its number, wherever it lies. Raises UnknownScan."""
         return entry_of(self._find(scan_id)[1], checksums=False)
 
-    def verify(self, scan_id: str) -> Entry:
+    def verify(self, scan_id: str) -> ScanEntry:
         """Return the entry of a scan like ``entry``, but read every byte. Raises UnknownScan."""
         return entry_of(self._find(scan_id)[1], checksums=True)
 
@@ -243,15 +243,15 @@ class Library:
 
     def count(self) -> int:
         """Number of published scans."""
-        return sum(1 for _ in self._folders(Shelf.SCANS))
+        return sum(1 for _ in self._folders(LibraryFolder.SCANS))
 
     def ids(self) -> list[str]:
         """Numbers of all published scans, the oldest first."""
-        return [folder.name for folder in self._sorted(Shelf.SCANS)]
+        return [folder.name for folder in self._sorted(LibraryFolder.SCANS)]
 
     def last_id(self) -> str | None:
         """The newest published scan."""
-        folders = self._sorted(Shelf.SCANS)
+        folders = self._sorted(LibraryFolder.SCANS)
         return folders[-1].name if folders else None
 
     def scans_left(self, scan_bytes: int, reserve_bytes: int) -> int | None:
@@ -264,10 +264,10 @@ class Library:
 
     # ------------------------------------------------------------------------------------- folders
 
-    def _shelf(self, shelf: Shelf) -> Path:
+    def _shelf(self, shelf: LibraryFolder) -> Path:
         return self.root / shelf.value
 
-    def _folders(self, shelf: Shelf, *, hidden: bool = False) -> Iterator[Path]:
+    def _folders(self, shelf: LibraryFolder, *, hidden: bool = False) -> Iterator[Path]:
         with refused("cannot list", self._shelf(shelf)):
             try:
                 children = list(self._shelf(shelf).iterdir())
@@ -277,26 +277,26 @@ class Library:
             if _FOLDER.fullmatch(child.name) and child.name.startswith(".") == hidden and child.is_dir():
                 yield child
 
-    def _sorted(self, shelf: Shelf) -> list[Path]:
+    def _sorted(self, shelf: LibraryFolder) -> list[Path]:
         return sorted(self._folders(shelf), key=lambda folder: (_number(folder), folder.name))
 
     def _numbers(self) -> Iterator[int]:
-        for shelf in Shelf:
+        for shelf in LibraryFolder:
             for hidden in (False, True):
                 yield from (_number(folder) for folder in self._folders(shelf, hidden=hidden))
 
-    def _free_name(self, shelf: Shelf, scan_id: str) -> Path:
+    def _free_name(self, shelf: LibraryFolder, scan_id: str) -> Path:
         names = (scan_id, *(f"{scan_id}-{k}" for k in range(2, 1000)))
         return next(path for name in names if not (path := self._shelf(shelf) / name).exists())
 
-    def _find(self, scan_id: str) -> tuple[Shelf, Path]:
-        for shelf in Shelf:
+    def _find(self, scan_id: str) -> tuple[LibraryFolder, Path]:
+        for shelf in LibraryFolder:
             folder = self._find_on(shelf, scan_id)
             if folder is not None:
                 return shelf, folder
         raise UnknownScan(f"no scan {scan_id!r} under {self.root}; `kingfisher scans list --all` shows what there is")
 
-    def _find_on(self, shelf: Shelf, scan_id: str) -> Path | None:
+    def _find_on(self, shelf: LibraryFolder, scan_id: str) -> Path | None:
         for folder in self._sorted(shelf):
             plain_number = scan_id.isascii() and scan_id.isdigit() and int(scan_id) == _number(folder)
             if folder.name == scan_id or plain_number:
@@ -304,28 +304,28 @@ class Library:
         return None
 
 
-def _belongs(folder: Path) -> Shelf:
+def _belongs(folder: Path) -> LibraryFolder:
     """Return the folder in which a scan lay before it came into the trash; a damaged one is listed, as a stored one
     would be."""
     try:
-        return Shelf.REJECTED if form.read(folder).decision is Decision.REJECTED else Shelf.SCANS
+        return LibraryFolder.REJECTED if form.read(folder).decision is Decision.REJECTED else LibraryFolder.SCANS
     except ManifestError:
-        return Shelf.SCANS
+        return LibraryFolder.SCANS
 
 
-def entry_of(folder: Path, *, checksums: bool) -> Entry:
+def entry_of(folder: Path, *, checksums: bool) -> ScanEntry:
     """One scan by its folder, be it in a library or copied elsewhere; ``checksums``: every byte is read.
 
     A folder outside of any library counts as one of published scans, and may have any name. A number as its name must be
     the scan's own.
     """
     whole = folder.absolute()
-    shelf = next((one for one in Shelf if one.value == whole.parent.name), Shelf.SCANS)
+    shelf = next((one for one in LibraryFolder if one.value == whole.parent.name), LibraryFolder.SCANS)
     size_bytes = _size(folder)
     try:
         manifest = form.read(folder)
     except ManifestError as error:
-        return Entry(whole.name, shelf, folder, None, (str(error),), size_bytes)
+        return ScanEntry(whole.name, shelf, folder, None, (str(error),), size_bytes)
     wrong = scan.wrong_files(folder, manifest, checksums=checksums)
     found = [f"{name}: {what}" for name, what in wrong.items()]
     named = _FOLDER.fullmatch(whole.name)
@@ -337,7 +337,7 @@ def entry_of(folder: Path, *, checksums: bool) -> Entry:
     except LabelError as error:
         if checksums:  # no damage to the scan: told where every byte is looked at
             found.append(str(error))
-    return Entry(whole.name, shelf, folder, manifest, tuple(found), size_bytes, label)
+    return ScanEntry(whole.name, shelf, folder, manifest, tuple(found), size_bytes, label)
 
 
 def _number(folder: Path) -> int:
@@ -387,18 +387,18 @@ class PendingScan:
 
         May be called again after StorageError; once done it only returns the folder. Raises StorageError, ValueError.
         """
-        return self._end(Shelf.SCANS, Decision.KEPT, record, cloud, preview_png, "")
+        return self._end(LibraryFolder.SCANS, Decision.KEPT, record, cloud, preview_png, "")
 
     def reject(self, reason: str, record: ScanRecord | None = None) -> Path:
         """Put the scan among the rejected ones; nothing is deleted. Does nothing to one that is published.
 
         Raises StorageError; may be called again then.
         """
-        return self._end(Shelf.REJECTED, Decision.REJECTED, record or self._manifest.record, None, None, reason)
+        return self._end(LibraryFolder.REJECTED, Decision.REJECTED, record or self._manifest.record, None, None, reason)
 
     def _end(
         self,
-        shelf: Shelf,
+        shelf: LibraryFolder,
         decision: Decision,
         record: ScanRecord,
         cloud: PointCloud | None,

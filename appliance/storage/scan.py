@@ -1,6 +1,6 @@
 """Owns the content of a scan's folder: which files it has, when each is written, and how it is read back.
 
-Two steps. ``write_raw``: frames, what they were taken with (``Origin``) and a first manifest, durable before the diver
+Two steps. ``write_raw``: frames, what they were taken with (``ScanOrigin``) and a first manifest, durable before the diver
 decides. ``finish``: cloud and preview, then the manifest that lists them. In between, ``add_second`` may add the frames
 of a second exposure. Each manifest replaces the one before atomically, so that at any instant the folder holds a manifest
 and every file it lists, or no manifest at all.
@@ -67,7 +67,7 @@ class ScanError(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Origin:
+class ScanOrigin:
     """The means a scan was taken with, as the bytes of the files that describe them: with these its folder can be read
     anywhere."""
 
@@ -105,7 +105,7 @@ def write_raw(
     scan_id: str,
     frames: Mapping[str, NDArray[np.uint8]],
     record: ScanRecord,
-    origin: Origin | None = None,
+    origin: ScanOrigin | None = None,
 ) -> Manifest:
     """Make ``folder`` with the frames, their ``origin`` and the first manifest. Durable on return but for its own name.
 

@@ -10,7 +10,7 @@ import pytest
 
 from appliance.storage.atomic import StorageError, replace_file
 from appliance.storage.filesystem import LocalFileSystem
-from appliance.storage.library import Library, PendingScan, Shelf
+from appliance.storage.library import Library, LibraryFolder, PendingScan
 from appliance.storage.room import Room
 from tests.appliance.storage.scenes import ORIGIN, PLAN, PREVIEW, BadDisk, cloud, frames, record
 
@@ -43,7 +43,7 @@ def calls_of(root: Path, work: str) -> list[str]:
 
 
 def nothing_half_is_visible(root: Path) -> None:
-    for shelf in (Shelf.SCANS, Shelf.REJECTED):
+    for shelf in (LibraryFolder.SCANS, LibraryFolder.REJECTED):
         for entry in Library(root).entries(shelf):
             assert Library(root).verify(entry.scan_id).problems == ()
 
@@ -108,7 +108,7 @@ def test_each_call_of_a_rejection_fails_once_and_trying_again_succeeds(tmp_path:
                 nothing_half_is_visible(root)
         assert scan is not None
         Library(root).recover()
-        assert [entry.scan_id for entry in Library(root).entries(Shelf.REJECTED)] == [scan.scan_id]
+        assert [entry.scan_id for entry in Library(root).entries(LibraryFolder.REJECTED)] == [scan.scan_id]
         assert Library(root).verify(scan.scan_id).ok
         assert Library(root).entries() == []
 
@@ -129,7 +129,7 @@ def test_each_call_of_a_recovery_fails_once_and_the_next_start_completes_it(tmp_
         second = Library(root).recover()
         assert second.failed == ()
         assert [entry.scan_id for entry in Library(root).entries()] == ["000001"]
-        assert [entry.scan_id for entry in Library(root).entries(Shelf.SET_ASIDE)] == ["000002"]
+        assert [entry.scan_id for entry in Library(root).entries(LibraryFolder.SET_ASIDE)] == ["000002"]
         assert Library(root).verify("000001").ok
 
 

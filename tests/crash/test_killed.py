@@ -20,7 +20,7 @@ import pytest
 from appliance.calibration import file as calibration_file
 from appliance.storage.calibrations import Calibrations
 from appliance.storage.health import HealthFile
-from appliance.storage.library import Library, Shelf
+from appliance.storage.library import Library, LibraryFolder
 from tests.appliance.storage.scenes import frames, record
 from tests.crash.life import CALIBRATIONS, HASH, SERIAL
 
@@ -101,7 +101,7 @@ class Book:
         library = Library(self.root)
         assert library.recover().failed == ()
         scans = {entry.scan_id: entry for entry in library.entries()}
-        rejected = {entry.scan_id for entry in library.entries(Shelf.REJECTED)}
+        rejected = {entry.scan_id for entry in library.entries(LibraryFolder.REJECTED)}
         assert self.saved <= set(scans), "a scan that was called saved is gone"
         assert self.rejected <= rejected
         assert set(self.begun) <= set(scans) | rejected, "raw frames that were safe are gone"

@@ -11,7 +11,7 @@ import pytest
 
 from appliance.storage import scan as content
 from appliance.storage.filesystem import AllocatingFileSystem
-from appliance.storage.library import Library, Shelf
+from appliance.storage.library import Library, LibraryFolder
 from appliance.storage.room import Room
 from tests.appliance.storage.scenes import (
     ORIGIN,
@@ -114,8 +114,12 @@ def test_power_cut_before_every_single_call_of_a_dive(tmp_path: Path, allocated:
             assert not manifest.recovered
             assert scan_id not in dive.with_cloud or content.CLOUD in manifest.files, f"{when} lost a cloud"
             assert (scan_id in dive.with_second) == (manifest.record.second is not None)
-        elsewhere = {entry.scan_id for shelf in (Shelf.SCANS, Shelf.SET_ASIDE) for entry in library.entries(shelf)}
-        assert set(dive.rejected) <= {entry.scan_id for entry in library.entries(Shelf.REJECTED)}
+        elsewhere = {
+            entry.scan_id
+            for shelf in (LibraryFolder.SCANS, LibraryFolder.SET_ASIDE)
+            for entry in library.entries(shelf)
+        }
+        assert set(dive.rejected) <= {entry.scan_id for entry in library.entries(LibraryFolder.REJECTED)}
         assert not elsewhere & set(dive.rejected), f"{when}: what was rejected is there twice"
         for entry in library.entries():
             assert library.verify(entry.scan_id).problems == ()
@@ -123,7 +127,7 @@ def test_power_cut_before_every_single_call_of_a_dive(tmp_path: Path, allocated:
 
         # numbers go on where they were, and the dive goes on without a word about what was before
         whole = {entry.scan_id for entry in library.entries()}
-        seen = {int(entry.scan_id.partition("-")[0]) for shelf in Shelf for entry in library.entries(shelf)}
+        seen = {int(entry.scan_id.partition("-")[0]) for shelf in LibraryFolder for entry in library.entries(shelf)}
         if allocated:
             room.hold(PLAN)
         scan = library.begin(frames(9), record(), ORIGIN)

@@ -46,7 +46,7 @@ from appliance.storage.choices import ChoicesFile
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.health import HealthFile
 from appliance.storage.label import LabelError
-from appliance.storage.library import Library, Shelf
+from appliance.storage.library import Library, LibraryFolder
 from appliance.storage.manifest import Decision, Manifest, ManifestError, Stage
 from appliance.storage.ply import PlyError, encode_ply, read_ply
 from appliance.storage.scan import ScanError
@@ -363,7 +363,7 @@ def _open(files: dict[str, bytes], scratch: Path) -> None:
     for name, data in files.items():
         (folder / name).write_bytes(data)
     library = Library(scratch)
-    (entry,) = library.entries(Shelf.SCANS)
+    (entry,) = library.entries(LibraryFolder.SCANS)
     checked = library.verify("000001")
     assert set(entry.problems) <= set(checked.problems) or entry.problems
     assert all(len(problem) > 3 for problem in checked.problems)

@@ -10,7 +10,7 @@ from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.config import load_rig
 from appliance.service.app import run
 from appliance.storage.calibrations import Calibrations
-from appliance.storage.library import Library, Shelf
+from appliance.storage.library import Library, LibraryFolder
 
 DIVE = """
 wait state AIM 90
@@ -63,5 +63,5 @@ def test_recordings_are_refused_and_accepted_with_words(tmp_path: Path) -> None:
     assert kept.manifest is not None
     verdict = next(v for v in kept.manifest.record.verdicts if v.name == "calibration")
     assert verdict.text.startswith("M3: plane 478 mm away")
-    reasons = [e.manifest.reason for e in library.entries(Shelf.REJECTED) if e.manifest is not None]
+    reasons = [e.manifest.reason for e in library.entries(LibraryFolder.REJECTED) if e.manifest is not None]
     assert [reason.split(": ")[1] for reason in reasons] == [Refusal.NOT_FOUND.value, Refusal.TOO_FAR.value]

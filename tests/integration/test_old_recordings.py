@@ -28,7 +28,7 @@ from appliance.storage.beams import BeamsFile
 from appliance.storage.calibrations import Calibrations
 from appliance.storage.choices import ChoicesFile
 from appliance.storage.health import HealthFile
-from appliance.storage.library import Library, Shelf
+from appliance.storage.library import Library, LibraryFolder
 from appliance.storage.manifest import Decision, Stage
 from appliance.storage.ply import read_ply
 
@@ -72,15 +72,15 @@ def test_there_are_recordings_of_the_first_version() -> None:
 def test_every_scan_is_listed_whole_and_says_what_it_said(recorded: Recorded) -> None:
     library = recorded.library
     assert [entry.scan_id for entry in library.entries()] == ["000001", "000002", "000004", "000005", "000006"]
-    assert [entry.scan_id for entry in library.entries(Shelf.REJECTED)] == ["000003"]
-    for shelf in (Shelf.SCANS, Shelf.REJECTED):
+    assert [entry.scan_id for entry in library.entries(LibraryFolder.REJECTED)] == ["000003"]
+    for shelf in (LibraryFolder.SCANS, LibraryFolder.REJECTED):
         for listed in library.entries(shelf):
             entry = library.verify(listed.scan_id)
             assert entry.problems == ()
             manifest = entry.manifest
             assert manifest is not None
             assert manifest.stage is Stage.COMPLETE
-            assert manifest.decision is (Decision.KEPT if shelf is Shelf.SCANS else Decision.REJECTED)
+            assert manifest.decision is (Decision.KEPT if shelf is LibraryFolder.SCANS else Decision.REJECTED)
             record = manifest.record
             assert record.software_version == "0.1.0"
             assert record.wall_time is not None
@@ -207,4 +207,4 @@ def test_a_scan_that_was_not_decided_when_the_power_went_is_recovered(recorded: 
     assert library.verify("000008").ok
     assert scan.manifest.recovered
     assert scan.frames["left"].shape[1:] == (HEIGHT_PX, WIDTH_PX)
-    assert [entry.scan_id for entry in library.entries(Shelf.SET_ASIDE)] == ["000007"]
+    assert [entry.scan_id for entry in library.entries(LibraryFolder.SET_ASIDE)] == ["000007"]

@@ -70,7 +70,7 @@ def dive(tmp_path_factory: pytest.TempPathFactory) -> Rig:
 def scans(dive: Rig) -> list[StoredScan]:
     library = Library(dive.storage.root)
     assert [entry.ok for entry in library.entries()] == [True] * 3
-    assert library.entries(Shelf.REJECTED) == []
+    assert library.entries(LibraryFolder.REJECTED) == []
     return [library.load(entry.scan_id) for entry in library.entries()]
 
 

@@ -8,7 +8,7 @@ from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.config import load_rig
 from appliance.scan.verdict import Verdict
 from appliance.service.app import run
-from appliance.storage.library import Library, Shelf
+from appliance.storage.library import Library, LibraryFolder
 
 DIVE = """
 wait state AIM 90
@@ -57,13 +57,13 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Library:
     return Library(rig.storage.root)
 
 
-def verdicts(library: Library, shelf: Shelf) -> list[dict[str, Verdict]]:
+def verdicts(library: Library, shelf: LibraryFolder) -> list[dict[str, Verdict]]:
     manifests = [entry.manifest for entry in library.entries(shelf)]
     return [{one.name: one for one in manifest.record.verdicts} for manifest in manifests if manifest is not None]
 
 
 def test_images_that_lie_become_no_cloud_and_say_why(library: Library) -> None:
-    stuck, late = verdicts(library, Shelf.REJECTED)
+    stuck, late = verdicts(library, LibraryFolder.REJECTED)
     assert (stuck["ledger"].passed, stuck["identity"].passed) == (True, False), "only the images can tell"
     assert stuck["identity"].text.startswith("CAMERA_STUCK")
     assert "camera.right" in stuck["identity"].text
@@ -75,7 +75,7 @@ def test_images_that_lie_become_no_cloud_and_say_why(library: Library) -> None:
 
 
 def test_a_good_scan_carries_every_judgement_with_its_numbers(library: Library) -> None:
-    kept, *_ = verdicts(library, Shelf.SCANS)
+    kept, *_ = verdicts(library, LibraryFolder.SCANS)
     assert {"ledger", "identity", "light", "water", "motion"} <= set(kept)
     assert all(verdict.passed is not False for verdict in kept.values()), kept
     assert kept["identity"].numbers["doubt"] is not None
@@ -86,7 +86,7 @@ def test_a_good_scan_carries_every_judgement_with_its_numbers(library: Library) 
 
 
 def test_a_moved_scan_is_put_right_or_said_to_be_wrong_and_the_manifest_says_which(library: Library) -> None:
-    _, corrected, wrong = verdicts(library, Shelf.SCANS)
+    _, corrected, wrong = verdicts(library, LibraryFolder.SCANS)
     assert (corrected["motion"].passed, corrected["compensation"].passed) == (False, True)
     speeds = [corrected["compensation"].numbers[f"speed_{axis}_mm_s"] for axis in "xyz"]
     assert speeds[2] == pytest.approx(-10.0, abs=3.0), "the scene comes nearer as the instrument goes on"

@@ -46,12 +46,12 @@ from appliance.config import load_rig
 from appliance.instrument import design_of
 from appliance.service.app import run
 from appliance.storage.calibrations import Calibrations
-from appliance.storage.library import Library, Shelf
+from appliance.storage.library import Library, LibraryFolder
 from appliance.storage.lock import hold_lock
 from appliance.storage.record import ScanRecord
 
 SMALL = {"width_px": "400", "height_px": "300", "truth": "nominal", "object": "plane", "stills": "true"}
-SHELVES = {"saved": Shelf.SCANS, "rejected": Shelf.REJECTED, "set-aside": Shelf.SET_ASIDE}
+SHELVES = {"saved": LibraryFolder.SCANS, "rejected": LibraryFolder.REJECTED, "set-aside": LibraryFolder.SET_ASIDE}
 PATTERNS = {
     "world": r"world( \w+=\S+)+",
     "rig": r"rig( [\w.]+=\S+)+",

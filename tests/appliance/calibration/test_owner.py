@@ -18,7 +18,7 @@ from appliance.offline.recordings import cameras_of
 from appliance.scan.fault import FaultCode
 from appliance.sealed import seal
 from appliance.storage.library import Library
-from appliance.storage.scan import Origin
+from appliance.storage.scan import ScanOrigin
 from tests.appliance.storage.scenes import frames, record
 
 OWN = ("KF-CAM-L", "KF-CAM-R")
@@ -135,7 +135,7 @@ def scanned(rig: Rig, library: Library, serials: tuple[str, str] | None) -> Path
     if serials is not None:
         left, right = (replace(c, serial=s) for c, s in zip((rig.camera.left, rig.camera.right), serials, strict=True))
         taken = replace(rig, camera=replace(rig.camera, left=left, right=right))
-        origin = Origin(encode(design_of(rig)), rig_text(taken).encode())
+        origin = ScanOrigin(encode(design_of(rig)), rig_text(taken).encode())
     info = record()
     return library.begin(frames(), info, origin).publish(info)
 

@@ -9,7 +9,7 @@ from typing import cast
 import numpy as np
 import pytest
 
-from appliance.capture.grabber import Grabber, Recording
+from appliance.capture.grabber import Grabber, SideRecording
 from appliance.capture.scan import Arming, ScanSettings
 from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.verdict import Verdict
@@ -59,7 +59,7 @@ def test_a_recording_is_complete_when_all_its_frames_arrived_whole(
     frames: list[Frame], done: bool, complete: bool
 ) -> None:
     slots = np.zeros((3, 2, 2), np.uint8)
-    assert Recording(slots, lambda k: None, done=done, frames=frames).complete == complete
+    assert SideRecording(slots, lambda k: None, done=done, frames=frames).complete == complete
 
 
 def test_a_camera_waits_long_for_the_first_frame_less_for_the_others_and_two_blanks_for_none(bench: Bench) -> None:
@@ -106,8 +106,8 @@ class Hurried(MonotonicClock):
 def test_a_camera_at_rest_tells_its_temperature() -> None:
     script = Script()
     settings = CameraSettings(WIDTH_PX, HEIGHT_PX, float(EXPOSURE_US), 0.0)
-    patience = ScanSettings(HZ, EXPOSURE_US, DELAY_US).patience
-    with Grabber("left", cast("Camera", ScriptedCamera("left", script)), Hurried(), settings, patience) as grabber:
+    timeouts = ScanSettings(HZ, EXPOSURE_US, DELAY_US).timeouts
+    with Grabber("left", cast("Camera", ScriptedCamera("left", script)), Hurried(), settings, timeouts) as grabber:
         for _ in range(2000):
             if grabber.temperature_c is not None:
                 break

@@ -241,12 +241,12 @@ def a_bench(sequences: int = 1, clock: MonotonicClock | None = None) -> Iterator
     """Two cameras that follow a script, each in its thread, and memory for so many sequences."""
     script = Script(clock=clock or MonotonicClock())
     settings = CameraSettings(WIDTH_PX, HEIGHT_PX, float(EXPOSURE_US), 0.0)
-    patience = ScanSettings(HZ, EXPOSURE_US, DELAY_US).patience
+    timeouts = ScanSettings(HZ, EXPOSURE_US, DELAY_US).timeouts
     with ExitStack() as stack:
         store = stack.enter_context(FrameStore(N, HEIGHT_PX, WIDTH_PX, sequences=sequences))
         grabbers = {
             side: stack.enter_context(
-                Grabber(side, cast("Camera", ScriptedCamera(side, script)), script.clock, settings, patience)
+                Grabber(side, cast("Camera", ScriptedCamera(side, script)), script.clock, settings, timeouts)
             )
             for side in ("left", "right")
         }

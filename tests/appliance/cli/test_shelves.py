@@ -13,7 +13,7 @@ from appliance.sealed import seal
 from appliance.storage import label as labels
 from appliance.storage.atomic import StorageError
 from appliance.storage.label import Label, LabelError, checked
-from appliance.storage.library import Library, Shelf
+from appliance.storage.library import Library, LibraryFolder
 from appliance.storage.lock import hold_lock
 from tests.appliance.storage.scenes import ORIGIN, PREVIEW, BadDisk, cloud, frames, record
 
@@ -96,9 +96,9 @@ def test_the_number_of_a_trashed_scan_is_never_given_again(root: Path) -> None:
 
 def test_a_rejected_scan_comes_back_among_the_rejected(root: Path) -> None:
     kingfisher(root, "trash", "4")
-    assert Library(root).entry("4").shelf is Shelf.TRASH
+    assert Library(root).entry("4").shelf is LibraryFolder.TRASH
     kingfisher(root, "restore", "4")
-    assert Library(root).entry("4").shelf is Shelf.REJECTED
+    assert Library(root).entry("4").shelf is LibraryFolder.REJECTED
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from appliance.ranging.beams import Beam, Pointers
+from appliance.ranging.beams import PointerBeam, Pointers
 
 POINTERS = Pointers((60.0, 10.0, 30.0), (20.0, 5.0, 500.0), 1.5)
 
@@ -36,7 +36,7 @@ def test_the_less_certain_of_both_directions_across_a_beam_counts_and_its_place_
     P = np.diag([0.01, 0.01, 1e-6, 1e-6])
     P[axis, axis], P[axis + 2, axis + 2] = 4.0, 4e-4
     P[axis, axis + 2] = P[axis + 2, axis] = -0.04
-    beam = Beam(30.0, (0.0, 0.0, 0.0, 0.0), tuple(tuple(row) for row in P.tolist()))
+    beam = PointerBeam(30.0, (0.0, 0.0, 0.0, 0.0), tuple(tuple(row) for row in P.tolist()))
     for z_mm in (30.0, 130.0, 330.0):
         ahead = z_mm - 30.0
         across = max((2.0 - 0.02 * ahead) ** 2, 0.01 + 1e-6 * ahead**2)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.ranging.beams import Beam
+from appliance.ranging.beams import PointerBeam
 from appliance.ranging.dots import Lane, contrast_of
 from appliance.ranging.measure import Dots, Images, Ranger
 from hw_sim.truth import TrueRig, draw_truth, project
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 SIDES = ("left", "right")
 SURE = ((0.01, 0.0, 0.0, 0.0), (0.0, 0.01, 0.0, 0.0), (0.0, 0.0, 1e-9, 0.0), (0.0, 0.0, 0.0, 1e-9))
 """Of a beam that many dots have taught: 0.1 mm."""
-BEAMS = (Beam(30.0, (-60.0, 10.0, 0.085, -0.01), SURE), Beam(30.0, (60.0, 10.0, -0.085, -0.01), SURE))
+BEAMS = (PointerBeam(30.0, (-60.0, 10.0, 0.085, -0.01), SURE), PointerBeam(30.0, (60.0, 10.0, -0.085, -0.01), SURE))
 HEIGHT_DN = 200.0
 
 
@@ -32,7 +32,7 @@ class Bench:
         self._lattice = np.mgrid[: width_px * 3 // 4, :width_px]
         self.step = width_px // 400
 
-    def ranger(self, *, beams: tuple[Beam, Beam] = BEAMS, measured: bool = True) -> Ranger:
+    def ranger(self, *, beams: tuple[PointerBeam, PointerBeam] = BEAMS, measured: bool = True) -> Ranger:
         return Ranger(self.rig, WATER.index, beams, measured)
 
     def seen(self, place_mm: Array) -> tuple[Array, Array]:
@@ -301,7 +301,7 @@ def test_a_beam_that_was_learned_elsewhere_is_looked_for_there(bench: Bench) -> 
 # ------------------------------------------------------------------------------------------------- the picture
 
 
-def broad(pointer: int, sd_mm: float) -> Beam:
+def broad(pointer: int, sd_mm: float) -> PointerBeam:
     """A beam that is known so badly."""
     variances = np.diag([sd_mm**2, sd_mm**2, 0.0, 0.0])
     return replace(BEAMS[pointer], covariance=tuple(tuple(row) for row in variances.tolist()))

@@ -13,12 +13,12 @@ from appliance.scan.verdict import Verdict
 from appliance.storage import manifest as form
 from appliance.storage import scan
 from appliance.storage.filesystem import Bytes, LocalFileSystem, WritableFile
-from appliance.storage.library import Shelf
+from appliance.storage.library import LibraryFolder
 from appliance.storage.manifest import ManifestError
 from appliance.storage.ply import StoredCloud
 from appliance.storage.record import ScanRecord, SecondSequence, SequenceInfo
 from appliance.storage.room import plan
-from appliance.storage.scan import Origin
+from appliance.storage.scan import ScanOrigin
 
 FRAMES = 3
 
@@ -67,14 +67,14 @@ def cloud(points: int = 20, seed: int = 0) -> StoredCloud:
     )
 
 
-ORIGIN = Origin(b'{"a": "calibration"}\n' * 40, b"[rig]\n" * 200)
+ORIGIN = ScanOrigin(b'{"a": "calibration"}\n' * 40, b"[rig]\n" * 200)
 PREVIEW = b"\x89PNG\r\n\x1a\n" + bytes(50)
 
 
 def manifests_that_list_what_is_not_there(root: Path) -> list[str]:
     """Folders of scans, finished or not, in which a readable manifest names a file that is missing or cut short."""
     wrong = []
-    for folder in [folder for shelf in Shelf for folder in (root / shelf.value).glob("*")]:
+    for folder in [folder for shelf in LibraryFolder for folder in (root / shelf.value).glob("*")]:
         try:
             manifest = form.read(folder)
         except ManifestError:

@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from appliance.ranging.beams import Beam, Pointers
+from appliance.ranging.beams import PointerBeam, Pointers
 from appliance.sealed import seal, unseal
 from appliance.storage.beams import MAX_BYTES, BeamsFile
 
 POINTERS = Pointers((40.0, -60.0, 30.0), (25.0, 0.0, 522.5), 0.3)
 
 
-def taught() -> tuple[Beam, Beam]:
+def taught() -> tuple[PointerBeam, PointerBeam]:
     left, right = POINTERS.beams()
     for z_mm in (430.0, 480.0, 530.0):
         right = right.taught(right.at(np.array(z_mm)) + np.array([0.8, -0.5, 0.0]))
@@ -78,7 +78,7 @@ def test_a_sealed_beam_that_no_dot_could_have_taught_is_not_used(
     assert said in caplog.text
 
 
-def sealed(tmp_path: Path, **changes: object) -> tuple[Beam, Beam]:
+def sealed(tmp_path: Path, **changes: object) -> tuple[PointerBeam, PointerBeam]:
     """What is read of a file whose right beam, as it was drawn, was changed so and sealed anew."""
     file = BeamsFile(tmp_path, POINTERS)
     file.write("abc", POINTERS.beams())
@@ -89,7 +89,7 @@ def sealed(tmp_path: Path, **changes: object) -> tuple[Beam, Beam]:
     return file.read("abc")
 
 
-def is_taken(found: tuple[Beam, Beam]) -> bool:
+def is_taken(found: tuple[PointerBeam, PointerBeam]) -> bool:
     return found != POINTERS.beams()
 
 

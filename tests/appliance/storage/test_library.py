@@ -15,7 +15,7 @@ from appliance.patterns.sequence import build_sequence
 from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.verdict import Verdict
 from appliance.storage.atomic import StorageError
-from appliance.storage.library import Library, Shelf, UnknownScan
+from appliance.storage.library import Library, LibraryFolder, UnknownScan
 from appliance.storage.lock import hold_lock
 from appliance.storage.record import SequenceInfo
 from appliance.storage.scan import ScanError, load, size_bytes
@@ -103,7 +103,7 @@ def test_a_rejected_scan_is_kept_apart_with_its_reason(library: Library) -> None
     scan = library.begin(frames(), record())
     scan.reject("moved 3 px")
     assert library.entries() == []
-    (entry,) = library.entries(Shelf.REJECTED)
+    (entry,) = library.entries(LibraryFolder.REJECTED)
     assert entry.manifest is not None
     assert entry.manifest.reason == "moved 3 px"
     assert library.verify(entry.scan_id).ok
@@ -261,7 +261,7 @@ def test_set_aside_scans_of_the_same_number_do_not_replace_each_other(library: L
         folder.mkdir()
         (folder / "frames_left.npy").write_text(content)
         library.recover()
-    assert [entry.scan_id for entry in library.entries(Shelf.SET_ASIDE)] == ["000005", "000005-2", "000005-3"]
+    assert [entry.scan_id for entry in library.entries(LibraryFolder.SET_ASIDE)] == ["000005", "000005-2", "000005-3"]
     assert library.begin(frames(), record()).scan_id == "000006"
 
 

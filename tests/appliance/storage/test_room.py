@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from appliance.storage.atomic import StorageError
 from appliance.storage.filesystem import LocalFileSystem, WritableFile
-from appliance.storage.library import Library, Shelf
+from appliance.storage.library import Library, LibraryFolder
 from appliance.storage.room import FOLDER, Room, is_full, is_read_only, plan
 from appliance.storage.scan import cloud_bytes, frames_bytes
 from tests.appliance.storage.scenes import FRAMES, PREVIEW, cloud, record
@@ -155,7 +155,7 @@ def test_a_disk_that_gives_no_block_any_more_still_takes_the_scan_that_was_recor
         scan.publish(record(), cloud(10_000), PREVIEW * 1000)
     else:
         scan.reject("moved")
-    (entry,) = library.entries(Shelf.SCANS if kept else Shelf.REJECTED)
+    (entry,) = library.entries(LibraryFolder.SCANS if kept else LibraryFolder.REJECTED)
     assert library.verify(entry.scan_id).problems == ()
     with pytest.raises(StorageError) as refused:
         library.begin(frames(1), record())

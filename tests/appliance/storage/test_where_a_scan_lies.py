@@ -13,7 +13,7 @@ from appliance.sealed import seal
 from appliance.storage.choices import FILE, ChoicesFile
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.label import Label
-from appliance.storage.library import Library, Shelf, UnknownScan, entry_of
+from appliance.storage.library import Library, LibraryFolder, UnknownScan, entry_of
 from appliance.storage.manifest import Decision, Stage
 from appliance.storage.scan import ScanError, load, size_bytes
 from tests.appliance.storage.scenes import ORIGIN, PREVIEW, cloud, frames, record, second_sequence
@@ -42,11 +42,11 @@ def test_what_is_no_number_of_a_scan_finds_none(library: Library, spelled: str) 
 
 
 def test_a_scan_is_put_away_and_taken_back_to_where_it_was(library: Library) -> None:
-    for scan_id, shelf in (("000001", Shelf.SCANS), ("000003", Shelf.REJECTED)):
+    for scan_id, shelf in (("000001", LibraryFolder.SCANS), ("000003", LibraryFolder.REJECTED)):
         assert library.entry(scan_id).shelf is shelf
         away = library.trash(scan_id)
         assert away == library.root / "trash" / scan_id
-        assert library.entry(scan_id).shelf is Shelf.TRASH
+        assert library.entry(scan_id).shelf is LibraryFolder.TRASH
         assert scan_id not in library.ids()
         with pytest.raises(ScanError, match="in the trash already"):
             library.trash(scan_id)
@@ -172,7 +172,7 @@ def test_a_scan_that_the_diver_rejected_before_the_power_went_is_rejected_after_
     outcome = made.recover()
     assert (outcome.recovered, outcome.rejected) == ((), ("000001",))
     entry = made.verify("000001")
-    assert (entry.shelf, entry.ok) == (Shelf.REJECTED, True)
+    assert (entry.shelf, entry.ok) == (LibraryFolder.REJECTED, True)
     assert entry.manifest is not None
     assert (entry.manifest.reason, entry.manifest.recovered) == ("moved", True)
 
@@ -232,7 +232,7 @@ def test_a_scan_copied_elsewhere_is_read_under_any_name_but_another_number(libra
         copied = tmp_path / "elsewhere" / name
         shutil.copytree(library.root / "scans" / "000002", copied)
         entry = entry_of(copied, checksums=True)
-        assert (entry.scan_id, entry.shelf, len(entry.problems)) == (name, Shelf.SCANS, problems)
+        assert (entry.scan_id, entry.shelf, len(entry.problems)) == (name, LibraryFolder.SCANS, problems)
         assert entry.label == Label("bollard", None)
         assert entry.size_bytes == sum(path.stat().st_size for path in copied.iterdir()) > 1000
     assert entry_of(tmp_path / "none", checksums=False).size_bytes == 0

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
-class Patience:
+class Timeouts:
     """Time limits of a sequence. At 60 Hz and faster the seconds count, at slower rates the periods."""
 
     refresh_hz: float
