@@ -7,7 +7,7 @@ from dataclasses import replace
 from appliance.calibration.guide import HELD, STEPS, RecordingCheck, Session, Step
 from appliance.machine import effects as do
 from appliance.machine.conditions import cleared, raised
-from appliance.machine.mishap import Failure, Mishap
+from appliance.machine.failure import Failure, FailureKind
 from appliance.machine.moves import Result, enter
 from appliance.machine.states import Calibrating, Machine, State, Task
 from appliance.scan.fault import Fault, FaultCode
@@ -35,7 +35,7 @@ def neighbour(machine: Machine, key: Key) -> Step | None:
     return next((step for step in there if machine.session.open(step)), None)
 
 
-def decision(machine: Machine) -> do.SolveCalibration | do.UseSolved | do.RestoreCalibration | None:
+def decision(machine: Machine) -> do.SolveCalibration | do.UseSolved | do.RestoreKeptCalibration | None:
     """Return the effect that SCAN has at a step that records nothing."""
     at = machine.calibrating
     if at is None or at.task is not None:
@@ -46,7 +46,7 @@ def decision(machine: Machine) -> do.SolveCalibration | do.UseSolved | do.Restor
         if not machine.session.in_use:
             return do.UseSolved()
         if machine.session.kept is not None:
-            return do.RestoreCalibration()
+            return do.RestoreKeptCalibration()
     return None
 
 
@@ -97,7 +97,7 @@ def stored(machine: Machine, number: int) -> Result:
     at = machine.calibrating
     if not _waits(machine, Task.STORE, number) or at is None:
         return machine, ()
-    return _wait(machine, Task.EXAMINE, machine.settings.examine_s, number), (do.ExamineTrial(number, at.step),)
+    return _wait(machine, Task.EXAMINE, machine.settings.examine_s, number), (do.CheckRecording(number, at.step),)
 
 
 def examined(machine: Machine, number: int, check: RecordingCheck) -> Result:
@@ -108,7 +108,7 @@ def examined(machine: Machine, number: int, check: RecordingCheck) -> Result:
     if check.refusal is None:
         machine = _wait(machine, Task.ACCEPT, machine.settings.saving_s, number)
         machine = replace(machine, calibrating=replace(at, task=Task.ACCEPT, number=number, latest=check))
-        return machine, (do.AcceptTrial(number, check),)
+        return machine, (do.AcceptRecording(number, check),)
     said = f"calibration {check.step.value}: {check.refusal.value}: {check.detail}"
     return _rest(machine, replace(at, latest=check)), (do.Reject(number, said),)
 
@@ -118,7 +118,7 @@ def not_saved(machine: Machine, number: int, reason: str) -> Result:
     at = machine.calibrating
     if at is None or at.number != number or machine.state is not State.CALIBRATE:
         return machine, ()
-    return _rest(machine, replace(at, latest=None, failed=Failure(Mishap.DISK, reason))), ()
+    return _rest(machine, replace(at, latest=None, failed=Failure(FailureKind.DISK, reason))), ()
 
 
 def session_changed(machine: Machine, session: Session) -> Result:
@@ -168,7 +168,9 @@ def late(machine: Machine) -> Result:
     if at is None or at.task is None:
         return replace(machine, deadline_ns=None), ()
     said = f"no answer in time ({at.task.value})"
-    return _rest(machine, replace(at, latest=None, failed=Failure(Mishap.NO_ANSWER, said))), cancelled(machine, said)
+    return _rest(machine, replace(at, latest=None, failed=Failure(FailureKind.NO_ANSWER, said))), cancelled(
+        machine, said
+    )
 
 
 def cancelled(machine: Machine, reason: str) -> tuple[do.Effect, ...]:

@@ -99,7 +99,7 @@ class Reject:
 
 
 @dataclass(frozen=True, slots=True)
-class ExamineTrial:
+class CheckRecording:
     """Look for the step's artefact in a scan whose raw frames are stored; answer TrialExamined or CalibrationFailed."""
 
     number: int
@@ -107,7 +107,7 @@ class ExamineTrial:
 
 
 @dataclass(frozen=True, slots=True)
-class AcceptTrial:
+class AcceptRecording:
     """Publish the scan, then enter it into the session; answer SessionChanged or SaveFailed of this number."""
 
     number: int
@@ -125,7 +125,7 @@ class UseSolved:
 
 
 @dataclass(frozen=True, slots=True)
-class RestoreCalibration:
+class RestoreKeptCalibration:
     """Put the kept file in use again, byte for byte; answer SessionChanged or CalibrationFailed."""
 
 
@@ -162,12 +162,12 @@ class UseWater:
 
 
 @dataclass(frozen=True, slots=True)
-class ListScans:
+class ListGallery:
     """Answer ScansListed."""
 
 
 @dataclass(frozen=True, slots=True)
-class ShowScan:
+class ShowGalleryScan:
     """Load what the gallery shows of a scan; the latest wish counts."""
 
     scan_id: str
@@ -199,18 +199,18 @@ Effect = (
     | CancelReconstruction
     | Publish
     | Reject
-    | ExamineTrial
-    | AcceptTrial
+    | CheckRecording
+    | AcceptRecording
     | SolveCalibration
     | UseSolved
-    | RestoreCalibration
+    | RestoreKeptCalibration
     | BeginSession
     | CancelCalibration
     | RememberChoices
     | UsePeriod
     | UseWater
-    | ListScans
-    | ShowScan
+    | ListGallery
+    | ShowGalleryScan
     | ReopenDevice
     | Quit
 )

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from appliance.calibration.guide import RecordingCheck, Session
-from appliance.machine.mishap import Failure
+from appliance.machine.failure import Failure
 from appliance.machine.states import Device, Part
 from appliance.machine.words import Label
 from appliance.ranging.reach import Range

@@ -12,7 +12,7 @@ from drivers.api import Key
 
 def open_gallery(machine: Machine) -> Result:
     """Open the gallery from AIM, or from the menu, which is where BACK leads then."""
-    return replace(enter(machine, State.GALLERY), gallery=Gallery()), (do.ListScans(),)
+    return replace(enter(machine, State.GALLERY), gallery=Gallery()), (do.ListGallery(),)
 
 
 def listed(machine: Machine, scans: tuple[str, ...]) -> Result:
@@ -45,5 +45,5 @@ def may_move(machine: Machine, key: Key) -> bool:
 
 
 def _show(machine: Machine, at: Gallery) -> Result:
-    effects: tuple[do.Effect, ...] = () if at.scan_id is None else (do.ShowScan(at.scan_id),)
+    effects: tuple[do.Effect, ...] = () if at.scan_id is None else (do.ShowGalleryScan(at.scan_id),)
     return replace(machine, gallery=at), effects

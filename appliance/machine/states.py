@@ -91,7 +91,7 @@ NEEDED_FOR_A_SCAN = (Device.CAMERA_LEFT, Device.CAMERA_RIGHT, Device.BOARD, Devi
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class TemperatureLimits:
     """Temperature limits of one place, °C."""
 
     warm_c: float
@@ -133,8 +133,12 @@ class Settings:
     saving_s: float = 60.0
     examine_s: float = 60.0
     solve_s: float = 300.0
-    temperatures: Mapping[str, Limits] = field(
-        default_factory=lambda: {"case": Limits(50.0, 60.0, 68.0), "projector": Limits(65.0, 75.0, 85.0)}, hash=False
+    temperatures: Mapping[str, TemperatureLimits] = field(
+        default_factory=lambda: {
+            "case": TemperatureLimits(50.0, 60.0, 68.0),
+            "projector": TemperatureLimits(65.0, 75.0, 85.0),
+        },
+        hash=False,
     )
     dark_s: float = 180.0
     """Time without a key after which live views go on without the projector's light."""

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 from appliance.machine.conditions import cleared, has, raised
 from appliance.machine.permissions import rationed
-from appliance.machine.states import Limits, Machine, State, seconds_ns
+from appliance.machine.states import Machine, State, TemperatureLimits, seconds_ns
 from appliance.scan.fault import Fault, FaultCode
 from drivers.api import Telemetry
 
@@ -128,7 +128,7 @@ def _silent(machine: Machine, place: str) -> Machine:
     return raised(machine, Fault(FaultCode.TEMPERATURE_UNKNOWN, f"no value of {place} for {silent_s:.0f} s", {}, place))
 
 
-def _banded(machine: Machine, place: str, value_c: float, limits: Limits) -> Machine:
+def _banded(machine: Machine, place: str, value_c: float, limits: TemperatureLimits) -> Machine:
     for code, limit_c in (
         (FaultCode.TOO_HOT, limits.off_c),
         (FaultCode.HOT, limits.hot_c),

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from appliance.calibration.guide import HELD, STEPS, UNITS, USED, RecordingCheck, Refusal, Session, Step, Verified
 from appliance.calibration.recordings import ArtefactKind
-from appliance.machine.mishap import Mishap
+from appliance.machine.failure import FailureKind
 from appliance.machine.states import Task
 from appliance.machine.words import STEP_NAMES, Language, Text
 from appliance.screens import theme
@@ -77,15 +77,15 @@ def _latest_px(view: CalibrateView) -> float:
     return 36.0 if view.step is Step.SOLVE else 0.0
 
 
-_MISHAPS = {
-    Mishap.RECORDING: (Text.NOT_USABLE, Text.RECORD_AGAIN),
-    Mishap.CERTIFICATE: (Text.NO_CERTIFICATE, Text.AT_THE_DESK),
-    Mishap.CAMERAS: (Text.OTHER_CAMERAS, Text.CALIBRATE_IN_AIR),
-    Mishap.NO_SOLUTION: (Text.NO_SOLUTION, Text.RECORD_ALL),
-    Mishap.FILES: (Text.FILES_DO_NOT_FIT, Text.AT_THE_DESK),
-    Mishap.DISK: (Text.DISK_REFUSED, Text.TRY_AGAIN),
-    Mishap.BROKEN_OFF: (Text.BROKEN_OFF, Text.TRY_AGAIN),
-    Mishap.NO_ANSWER: (Text.ANSWERED_LATE, Text.TRY_AGAIN),
+_FAILURES = {
+    FailureKind.RECORDING: (Text.NOT_USABLE, Text.RECORD_AGAIN),
+    FailureKind.CERTIFICATE: (Text.NO_CERTIFICATE, Text.AT_THE_DESK),
+    FailureKind.CAMERAS: (Text.OTHER_CAMERAS, Text.CALIBRATE_IN_AIR),
+    FailureKind.NO_SOLUTION: (Text.NO_SOLUTION, Text.RECORD_ALL),
+    FailureKind.FILES: (Text.FILES_DO_NOT_FIT, Text.AT_THE_DESK),
+    FailureKind.DISK: (Text.DISK_REFUSED, Text.TRY_AGAIN),
+    FailureKind.BROKEN_OFF: (Text.BROKEN_OFF, Text.TRY_AGAIN),
+    FailureKind.NO_ANSWER: (Text.ANSWERED_LATE, Text.TRY_AGAIN),
 }
 """What came to nothing, and what to do. The details are in the log and in the status file."""
 
@@ -183,7 +183,7 @@ def _latest(canvas: Canvas, view: CalibrateView, bottom: float, language: Langua
     if at.task is not None:
         _working(canvas, at.task, at.progress, language, time_s, bottom)
     elif at.failed is not None:
-        came, remedy = (text.in_language(language) for text in _MISHAPS[at.failed.mishap])
+        came, remedy = (text.in_language(language) for text in _FAILURES[at.failed.kind])
         _band(canvas, theme.YELLOW, came, remedy, at.failed.about, bottom)
     elif trial is not None and trial.refusal is None:
         number = "" if trial.number is None else f"{1000.0 * trial.number:.0f} µm"

@@ -16,7 +16,7 @@ from appliance.calibration.recordings import CamerasDiffer, CertificateMissing, 
 from appliance.config import Rig
 from appliance.instrument import calibration_of
 from appliance.machine import events as on
-from appliance.machine.mishap import Failure, Mishap
+from appliance.machine.failure import Failure, FailureKind
 from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.verdict import Verdict
 from appliance.service import calibrator
@@ -29,15 +29,15 @@ from appliance.storage.scan import ScanError
 
 log = logging.getLogger("kingfisher")
 
-_MISHAPS = {
-    RecordingError.__name__: Mishap.RECORDING,
-    CertificateMissing.__name__: Mishap.CERTIFICATE,
-    CamerasDiffer.__name__: Mishap.CAMERAS,
-    NotConverged.__name__: Mishap.NO_SOLUTION,
-    ScanError.__name__: Mishap.RECORDING,
-    CalibrationError.__name__: Mishap.FILES,
-    SessionError.__name__: Mishap.FILES,
-    StorageError.__name__: Mishap.DISK,
+_FAILURES = {
+    RecordingError.__name__: FailureKind.RECORDING,
+    CertificateMissing.__name__: FailureKind.CERTIFICATE,
+    CamerasDiffer.__name__: FailureKind.CAMERAS,
+    NotConverged.__name__: FailureKind.NO_SOLUTION,
+    ScanError.__name__: FailureKind.RECORDING,
+    CalibrationError.__name__: FailureKind.FILES,
+    SessionError.__name__: FailureKind.FILES,
+    StorageError.__name__: FailureKind.DISK,
 }
 """By name: what a job raises in its own process arrives as words."""
 
@@ -91,7 +91,7 @@ class CalibrationDesk:
         folder = self._desk.folder(number)
         if folder is None:
             said = "the recording is not on the disk; record it again"
-            self._told.append(on.CalibrationFailed(Failure(Mishap.RECORDING, said)))
+            self._told.append(on.CalibrationFailed(Failure(FailureKind.RECORDING, said)))
             return
         self._number = number
         self._background.ask(calibrator.examine, self._rig, step, folder)
@@ -156,7 +156,7 @@ class CalibrationDesk:
                 self._solved(solution)
             case Done(answer):
                 events.append(
-                    on.CalibrationFailed(Failure(Mishap.BROKEN_OFF, f"it answered with a {type(answer).__name__}"))
+                    on.CalibrationFailed(Failure(FailureKind.BROKEN_OFF, f"it answered with a {type(answer).__name__}"))
                 )
             case Failed(reason, error, about):
                 log.warning("calibration: %s", reason)
@@ -210,7 +210,7 @@ class CalibrationDesk:
 
 
 def _failure(error: str | None, reason: str, about: str = "") -> Failure:
-    return Failure(_MISHAPS.get(error or "", Mishap.BROKEN_OFF), reason, about)
+    return Failure(_FAILURES.get(error or "", FailureKind.BROKEN_OFF), reason, about)
 
 
 def _outcome(check: RecordingCheck) -> str:

@@ -24,7 +24,7 @@ from appliance.machine import events as on
 from appliance.machine.alerts import lengths_doubtful
 from appliance.machine.choices import Choices, offers_of
 from appliance.machine.keys import meaning
-from appliance.machine.states import Limits, Machine, Part, Settings, State, boot
+from appliance.machine.states import Machine, Part, Settings, State, TemperatureLimits, boot
 from appliance.machine.step import step
 from appliance.machine.words import Language, Text
 from appliance.patterns.sequence import PERIODS_PX, build_sequence
@@ -99,8 +99,8 @@ def machine_settings(rig: Rig, choices: Choices | None = None) -> Settings:
         refresh_hz=rig.projector.refresh_hz,
         capture_margin_s=Timeouts(rig.projector.refresh_hz).margin_s,
         temperatures={
-            "case": Limits(limits.case_warm_c, limits.case_hot_c, limits.case_off_c),
-            "projector": Limits(limits.projector_warm_c, limits.projector_hot_c, limits.projector_off_c),
+            "case": TemperatureLimits(limits.case_warm_c, limits.case_hot_c, limits.case_off_c),
+            "projector": TemperatureLimits(limits.projector_warm_c, limits.projector_hot_c, limits.projector_off_c),
         },
         supply_low_v=limits.supply_low_v,
     )
@@ -306,15 +306,15 @@ class Service:
                 self._publish(effect.number)
             case do.Reject():
                 self._desk.reject(effect.number, effect.reason)
-            case do.ExamineTrial():
+            case do.CheckRecording():
                 self._calibrating.examine(effect.number, effect.step)
-            case do.AcceptTrial():
+            case do.AcceptRecording():
                 self._calibrating.accept(effect.number, effect.trial)
             case do.SolveCalibration():
                 self._calibrating.solve()
             case do.UseSolved():
                 self._calibrating.use_solved()
-            case do.RestoreCalibration():
+            case do.RestoreKeptCalibration():
                 self._calibrating.restore()
             case do.BeginSession():
                 self._calibrating.begin()
@@ -326,9 +326,9 @@ class Service:
                 self._period_wanted = effect.period_px
             case do.UseWater():
                 self._desk.use_water(effect.salinity_psu, effect.temperature_c)
-            case do.ListScans():
+            case do.ListGallery():
                 self._gallery.list_scans()
-            case do.ShowScan():
+            case do.ShowGalleryScan():
                 self._gallery.show(effect.scan_id)
             case do.ReopenDevice():
                 for side, keeper in self._devices.cameras.items():

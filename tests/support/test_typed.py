@@ -11,7 +11,7 @@ from hypothesis import find
 from hypothesis import strategies as st
 
 from appliance.machine import events as on
-from appliance.machine.mishap import Failure, Mishap
+from appliance.machine.failure import Failure, FailureKind
 from appliance.scan.fault import Fault, FaultCode
 from tests.support.typed import MistypedError, built, well_typed
 
@@ -81,8 +81,8 @@ def test_a_strategy_that_gives_a_failure_as_text_is_refused() -> None:
     text = built(on.CalibrationFailed, st.just("the adjustment did not converge"))
     with pytest.raises(MistypedError, match=r"CalibrationFailed\.failure is 'the adjustment"):
         find(text, lambda _: True)
-    whole = built(on.CalibrationFailed, st.just(Failure(Mishap.BROKEN_OFF, "it did not converge")))
-    assert find(whole, lambda _: True).failure.mishap is Mishap.BROKEN_OFF
+    whole = built(on.CalibrationFailed, st.just(Failure(FailureKind.BROKEN_OFF, "it did not converge")))
+    assert find(whole, lambda _: True).failure.kind is FailureKind.BROKEN_OFF
 
 
 def test_a_wrong_type_deep_inside_an_event_is_refused() -> None:

@@ -8,7 +8,7 @@ from appliance.calibration.guide import RecordingCheck, Refusal, Session, Step, 
 from appliance.machine import effects as do
 from appliance.machine import events as on
 from appliance.machine.alerts import alerts
-from appliance.machine.mishap import Failure, Mishap
+from appliance.machine.failure import Failure, FailureKind
 from appliance.machine.permissions import may_light
 from appliance.machine.states import Device, Machine, State, Task
 from appliance.scan.fault import Fault, FaultCode
@@ -29,7 +29,7 @@ from tests.appliance.machine.walks import (
     trial_in_work,
 )
 
-NOT_CONVERGED = Failure(Mishap.NO_SOLUTION, "did not converge")
+NOT_CONVERGED = Failure(FailureKind.NO_SOLUTION, "did not converge")
 
 
 def at(machine: Machine) -> tuple[Step, Task | None]:
@@ -52,10 +52,10 @@ def test_a_recording_that_will_do_is_stored_examined_entered_and_the_next_step_f
     assert do.StoreRaw(1) in effects
     assert not any(isinstance(e, do.StartReconstruction) for e in effects), "its cloud would be empty: ports unknown"
     machine, effects = after(machine, on.RawStored(1))
-    assert effects == [do.ExamineTrial(1, Step.M1)], "not before the frames are safe"
+    assert effects == [do.CheckRecording(1, Step.M1)], "not before the frames are safe"
     check = good(Step.M1)
     machine, effects = after(machine, on.TrialExamined(1, check))
-    assert effects == [do.AcceptTrial(1, check)]
+    assert effects == [do.AcceptRecording(1, check)]
     machine = run(machine, on.Saved(1, "000001"), on.SessionChanged(Session((check,))))
     assert at(machine) == (Step.M2, None)
     assert machine.calibrating is not None
@@ -149,7 +149,7 @@ def test_the_result_is_kept_and_the_old_one_restored_with_the_same_key() -> None
     assert at(machine) == (Step.RESULT, None)
     assert labels(machine)[Key.SCAN] == "RESTORE"
     machine, effects = after(machine, on.KeyPressed(Key.SCAN))
-    assert effects == [do.RestoreCalibration()]
+    assert effects == [do.RestoreKeptCalibration()]
     assert labels(run(machine, on.SessionChanged(VERIFIED)))[Key.SCAN] == "KEEP"
 
 

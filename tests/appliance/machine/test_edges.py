@@ -11,7 +11,7 @@ from appliance.calibration.guide import AdjustmentSummary, Session, Step, Verifi
 from appliance.machine import acknowledge, asking, calibrate, gallery, menu, safety, scanning
 from appliance.machine import effects as do
 from appliance.machine import events as on
-from appliance.machine.mishap import Failure, Mishap
+from appliance.machine.failure import Failure, FailureKind
 from appliance.machine.states import Ending, Machine, State, Task, Thermal, boot
 from appliance.machine.step import step
 from appliance.scan.fault import Fault, FaultCode
@@ -157,11 +157,11 @@ def test_answers_about_another_recording_or_step_change_nothing() -> None:
     refused = run(storing, on.SaveFailed(1, EIO))
     assert task(refused) == (Step.M1, None, None)
     assert refused.calibrating is not None
-    assert refused.calibrating.failed == Failure(Mishap.DISK, "EIO")
+    assert refused.calibrating.failed == Failure(FailureKind.DISK, "EIO")
 
 
 def test_a_task_that_came_to_nothing_says_why_and_its_recording_is_put_away() -> None:
-    why = Failure(Mishap.RECORDING, "no bar", "M1")
+    why = Failure(FailureKind.RECORDING, "no bar", "M1")
     machine, effects = after(trial_in_work(), on.CalibrationFailed(why))
     assert task(machine) == (Step.M1, None, None)
     assert machine.calibrating is not None

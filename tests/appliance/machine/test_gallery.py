@@ -46,9 +46,9 @@ def test_the_only_scan_has_no_neighbours() -> None:
 def test_a_scan_that_is_looked_at_stays_when_others_come_and_go() -> None:
     machine = run(in_gallery(), DOWN)
     machine, effects = after(machine, on.ScansListed(("000004", "000003", "000002")))
-    assert (looked_at(machine), effects) == ("000002", [do.ShowScan("000002")])
+    assert (looked_at(machine), effects) == ("000002", [do.ShowGalleryScan("000002")])
     machine, effects = after(machine, on.ScansListed(("000004", "000003")))
-    assert (looked_at(machine), effects) == ("000004", [do.ShowScan("000004")])
+    assert (looked_at(machine), effects) == ("000004", [do.ShowGalleryScan("000004")])
     machine, effects = after(machine, on.ScansListed(()))
     assert (looked_at(machine), effects) == (None, [])
 

@@ -110,12 +110,12 @@ def test_nothing_shines_while_nobody_aims(way: object) -> None:
 
 def test_the_gallery_begins_with_the_newest_and_stops_at_the_oldest() -> None:
     machine, effects = after(aim(), on.KeyPressed(Key.DOWN))
-    assert do.ListScans() in effects
+    assert do.ListGallery() in effects
     machine, effects = after(machine, on.ScansListed(("000003", "000002", "000001")))
-    assert effects == [do.ShowScan("000003")]
+    assert effects == [do.ShowGalleryScan("000003")]
     assert labels(machine) == {Key.BACK: "BACK", Key.DOWN: "OLDER"}
     machine, effects = after(machine, *(on.KeyPressed(Key.DOWN),) * 5)
-    assert effects == [do.ShowScan("000002"), do.ShowScan("000001")]
+    assert effects == [do.ShowGalleryScan("000002"), do.ShowGalleryScan("000001")]
     assert labels(machine) == {Key.BACK: "BACK", Key.UP: "NEWER"}
     for key in (Key.SCAN, Key.DOWN):
         assert after(machine, on.KeyPressed(key), on.KeyHeld(key)) == (press(machine, key), []), "nothing is deleted"

@@ -162,7 +162,7 @@ def test_a_recording_of_a_step_is_accepted_or_rejected_but_never_forgotten(
         return
     if now is not None and now.task in (Task.STORE, Task.EXAMINE) and now.number == at.number:
         return
-    settled = any(isinstance(e, do.AcceptTrial | do.Reject) and e.number == at.number for e in effects)
+    settled = any(isinstance(e, do.AcceptRecording | do.Reject) and e.number == at.number for e in effects)
     assert (
         settled or (isinstance(event, on.SaveFailed) and event.number == at.number) or machine.state is State.SHUTDOWN
     )
@@ -176,7 +176,7 @@ def test_one_task_of_the_calibration_at_a_time(start: Machine, events: list[on.E
     at = before.calibrating
     if at is not None and at.task not in (None, Task.STORE, Task.EXAMINE):
         assert not any(
-            isinstance(e, do.Arm | do.SolveCalibration | do.UseSolved | do.RestoreCalibration | do.BeginSession)
+            isinstance(e, do.Arm | do.SolveCalibration | do.UseSolved | do.RestoreKeptCalibration | do.BeginSession)
             for e in effects
         )
 

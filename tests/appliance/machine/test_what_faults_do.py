@@ -82,6 +82,6 @@ def test_in_the_gallery_only_up_and_down_turn_the_pages() -> None:
     machine = in_gallery()
     assert after(machine, on.KeyPressed(Key.SCAN)) == (machine, [])
     older, effects = after(machine, on.KeyPressed(Key.DOWN))
-    assert effects == [do.ShowScan("000002")]
-    assert after(older, on.KeyPressed(Key.UP))[1] == [do.ShowScan("000003")]
+    assert effects == [do.ShowGalleryScan("000002")]
+    assert after(older, on.KeyPressed(Key.UP))[1] == [do.ShowGalleryScan("000003")]
     assert after(machine, on.KeyPressed(Key.UP))[1] == [], "it is the newest"

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from appliance.calibration.guide import HELD, USED, AdjustmentSummary, RecordingCheck, Refusal, Session, Step, Verified
 from appliance.machine import effects as do
 from appliance.machine import events as on
-from appliance.machine.mishap import Failure, Mishap
+from appliance.machine.failure import Failure, FailureKind
 from appliance.machine.states import Device, Machine, Part, State, boot
 from appliance.machine.step import step
 from appliance.ranging.reach import Range
@@ -226,7 +226,7 @@ _summaries = st.sampled_from([SUMMARY, CloudSummary(0, None, None, None, None)])
 _trials = built(
     RecordingCheck, st.sampled_from(list(Step)), st.sampled_from([None, *Refusal]), st.sampled_from([None, 0.1])
 )
-_failures = built(Failure, st.sampled_from(list(Mishap)), st.just("the adjustment did not converge"))
+_failures = built(Failure, st.sampled_from(list(FailureKind)), st.just("the adjustment did not converge"))
 _warnings = st.lists(_faults, max_size=2).map(tuple)
 
 EVENTS: st.SearchStrategy[on.Event] = st.one_of(
@@ -322,7 +322,7 @@ EVERY_EVENT: list[on.Event] = [
     *(on.TrialExamined(1, good(step)) for step in HELD),
     *(on.SessionChanged(session) for session in SESSIONS),
     on.CalibrationProgressed(0.5),
-    on.CalibrationFailed(Failure(Mishap.RECORDING, "no bar")),
+    on.CalibrationFailed(Failure(FailureKind.RECORDING, "no bar")),
     on.Ranged(Range(500.0, 2.0, 0.3, 2)),
     on.ScansListed(()),
     on.ScansListed(("000002", "000001")),

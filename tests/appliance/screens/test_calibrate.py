@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from appliance.calibration.guide import HELD, USED, AdjustmentSummary, RecordingCheck, Refusal, Session, Step, Verified
 from appliance.calibration.recordings import ArtefactKind
 from appliance.machine.alerts import Alert, Severity
-from appliance.machine.mishap import Failure, Mishap
+from appliance.machine.failure import Failure, FailureKind
 from appliance.machine.states import Calibrating, Task
 from appliance.machine.words import Language, Text
 from appliance.scan.fault import FaultCode
@@ -169,12 +169,12 @@ def test_an_alert_does_not_hide_what_became_of_a_recording(painter: Painter) -> 
         assert share(painter.draw(view, 0.0), GREEN) == pytest.approx(share(alone, GREEN), rel=0.02)
 
 
-@pytest.mark.parametrize("mishap", list(Mishap))
+@pytest.mark.parametrize("mishap", list(FailureKind))
 def test_what_came_to_nothing_is_told_in_the_language_of_the_screen_and_never_in_the_words_of_the_log(
-    painter: Painter, mishap: Mishap
+    painter: Painter, kind: FailureKind
 ) -> None:
     known = [text.german for text in Text]
-    at = Calibrating(Step.SOLVE, failed=Failure(mishap, "M1, scan 000012: no ball on the right; record M1 again", "M1"))
+    at = Calibrating(Step.SOLVE, failed=Failure(kind, "M1, scan 000012: no ball on the right; record M1 again", "M1"))
     painter.language = Language.GERMAN
     try:
         drawn(painter, at, Session(GOOD))
@@ -190,7 +190,7 @@ def test_what_came_to_nothing_is_told_in_the_language_of_the_screen_and_never_in
 
 def test_each_mishap_has_words_of_its_own(painter: Painter) -> None:
     told = set()
-    for mishap in Mishap:
-        drawn(painter, Calibrating(Step.SOLVE, failed=Failure(mishap, "")), Session(GOOD))
+    for kind in FailureKind:
+        drawn(painter, Calibrating(Step.SOLVE, failed=Failure(kind, "")), Session(GOOD))
         told.add(tuple(line.words for line in painter.canvas.written if line.top > 480 - 62 - 84))
-    assert len(told) == len(Mishap)
+    assert len(told) == len(FailureKind)

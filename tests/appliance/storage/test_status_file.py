@@ -10,7 +10,7 @@ import pytest
 
 from appliance.calibration.guide import RecordingCheck, Refusal, Session, Step, Verified
 from appliance.machine import events as on
-from appliance.machine.mishap import Failure, Mishap
+from appliance.machine.failure import Failure, FailureKind
 from appliance.machine.states import Answer, Calibrating, Device, OffQuestion, Task, boot
 from appliance.ranging.reach import Range, Reach
 from appliance.storage.status import StatusFile, describe
@@ -91,7 +91,7 @@ def test_a_calibration_under_way_tells_its_step_and_what_came_of_the_latest_reco
     few = RecordingCheck(Step.M2, Refusal.FEW_POINTS, 3.0, 3, "3 points")
     refused = told(Calibrating(Step.M2, latest=few))
     assert (refused["result"], refused["detail"]) == ("FEW_POINTS", "3 points")
-    failed = told(Calibrating(Step.M2, latest=session.trials[0], failed=Failure(Mishap.DISK, "it is full")))
+    failed = told(Calibrating(Step.M2, latest=session.trials[0], failed=Failure(FailureKind.DISK, "it is full")))
     assert (failed["result"], failed["detail"]) == ("FAILED", "it is full")
     unverified = describe(replace(machine, session=Session(), calibrating=Calibrating(Step.M1)), 1, "0.1.0")[
         "calibration"

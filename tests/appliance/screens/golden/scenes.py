@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 from appliance.calibration.guide import USED, AdjustmentSummary, RecordingCheck, Refusal, Session, Step, Verified
 from appliance.machine.alerts import RULES, Alert, alert_of
-from appliance.machine.mishap import Failure, Mishap
+from appliance.machine.failure import Failure, FailureKind
 from appliance.machine.states import Calibrating, Task
 from appliance.machine.words import Label, Text
 from appliance.ranging.reach import Reach
@@ -287,7 +287,7 @@ SCENES: Mapping[str, Scene] = MappingProxyType(
             _calibrate(
                 Calibrating(
                     Step.SOLVE,
-                    failed=Failure(Mishap.RECORDING, "M1, scan 000012: no ball on the right; record M1 again", "M1"),
+                    failed=Failure(FailureKind.RECORDING, "M1, scan 000012: no ball on the right; record M1 again", "M1"),
                 ),
                 Session(_TRIALS),
                 back=Text.BACK,

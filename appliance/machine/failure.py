@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 
-class Mishap(Enum):
+class FailureKind(Enum):
     """Kind of a failure, to tell the diver; it decides what he can do."""
 
     RECORDING = "recording"
@@ -31,7 +31,7 @@ class Mishap(Enum):
 class Failure:
     """Failure of a task."""
 
-    mishap: Mishap
+    kind: FailureKind
     detail: str
     """Details for the log, and for who repairs it: English, with names and values. Never on the screen."""
     about: str = ""
