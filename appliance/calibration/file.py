@@ -18,13 +18,13 @@ from typing import Any, cast
 
 import numpy as np
 
+from appliance.checksummed_file import ChecksumError, checked_content, digest, with_checksum
 from appliance.optics.correction import ImageCorrection, node_count
 from appliance.optics.model import HousedCamera, Matrix3, StereoRig
 from appliance.optics.pinhole import Lens
 from appliance.optics.port import Port
 from appliance.optics.ray_shift import RayShift
 from appliance.optics.water import Water
-from appliance.sealed import SealError, digest, seal, unseal
 
 Matrix22 = tuple[tuple[float, ...], ...]
 """(22, 22), symmetric, positive definite."""
@@ -73,15 +73,15 @@ class Calibration:
 
 def encode(calibration: Calibration) -> bytes:
     """The file's bytes. Raises CalibrationError for a camera model that is for comparison only."""
-    return seal(_content(calibration))
+    return with_checksum(_content(calibration))
 
 
 def decode(data: bytes, name: str = "calibration") -> Calibration:
     """Parse and check a file's bytes. Raises CalibrationError naming ``name``, the key, the value and the remedy."""
     remedy = "restore the previous calibration or calibrate again"
     try:
-        content = unseal(data, MAX_BYTES)
-    except SealError as error:
+        content = checked_content(data, MAX_BYTES)
+    except ChecksumError as error:
         raise CalibrationError(f"{name}: {error}; {remedy}") from error
     schema = content.get("schema")
     if isinstance(schema, bool) or schema not in SCHEMAS:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeGuard
 
+from appliance.checksummed_file import ChecksumError, checked_content, with_checksum
 from appliance.patterns.response import HIGHEST_ORDER, Response
-from appliance.sealed import SealError, seal, unseal
 
 SCHEMA = 1
 MAX_BYTES = 64 * 1024
@@ -40,7 +40,7 @@ def encode(stored: StoredResponse) -> bytes:
         "residual": stored.residual,
         "harmonics": list(stored.response.harmonics),
     }
-    return seal(content)
+    return with_checksum(content)
 
 
 def decode(data: bytes, name: str) -> StoredResponse:
@@ -50,8 +50,8 @@ def decode(data: bytes, name: str) -> StoredResponse:
         return ResponseFileError(f"{name}: {what}; {_REMEDY}")
 
     try:
-        content = unseal(data, MAX_BYTES)
-    except SealError as error:
+        content = checked_content(data, MAX_BYTES)
+    except ChecksumError as error:
         raise wrong(str(error)) from error
     if content.get("schema") != SCHEMA:
         raise wrong(f"schema {content.get('schema')!r:.40}; this version reads schema {SCHEMA}")

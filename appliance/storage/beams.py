@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from appliance.checksummed_file import checked_content, with_checksum
 from appliance.ranging.beams import PointerBeam, Pointers
-from appliance.sealed import seal, unseal
 from appliance.storage.atomic import refused, replace_file
 from appliance.storage.calibrations import FOLDER
 from appliance.storage.filesystem import FileSystem, LocalFileSystem
@@ -61,7 +61,7 @@ class BeamsFile:
             with refused("cannot make", self.path.parent):
                 self._fs.make_folder(self.path.parent)
                 self._fs.sync_folder(self.path.parent.parent)
-        replace_file(self._fs, self.path, seal({"schema": SCHEMA, **content}))
+        replace_file(self._fs, self.path, with_checksum({"schema": SCHEMA, **content}))
 
     def _drawn(self) -> dict[str, Any]:
         drawn: dict[str, Any] = json.loads(json.dumps(asdict(self._pointers)))
@@ -69,7 +69,7 @@ class BeamsFile:
 
     def _decoded(self, data: bytes, calibration_hash: str) -> tuple[PointerBeam, PointerBeam]:
         """Raises ValueError."""
-        content = unseal(data, MAX_BYTES)
+        content = checked_content(data, MAX_BYTES)
         if content.get("schema") != SCHEMA:
             raise ValueError(f"schema {content.get('schema')!r}; {SCHEMA} is known here")
         if content.get("drawn") != self._drawn():

@@ -27,7 +27,7 @@ from pydantic import TypeAdapter, ValidationError
 from appliance.calibration import file as calibration_file
 from appliance.calibration.file import Calibration, CalibrationError
 from appliance.calibration.guide import Session
-from appliance.sealed import seal, unseal
+from appliance.checksummed_file import checked_content, with_checksum
 from appliance.storage.atomic import StorageError, move_folder, refused, remedy_for, replace_file
 from appliance.storage.filesystem import FileSystem, LocalFileSystem
 
@@ -98,7 +98,7 @@ class Calibrations:
         if data is None:
             return Session()
         try:
-            content = unseal(data, MAX_BYTES)
+            content = checked_content(data, MAX_BYTES)
             if (content.pop("schema"), content.pop("rig_serial")) != (SCHEMA, self._serial):
                 return Session()
             session = _SESSION.validate_python(content)
@@ -123,7 +123,7 @@ class Calibrations:
         self._make(self.folder / "session")
         kept = replace(session, in_use=False)  # never written down
         content = {"schema": SCHEMA, "rig_serial": self._serial, **_plain(asdict(kept))}
-        replace_file(self._fs, self.folder / "session" / SESSION, seal(content))
+        replace_file(self._fs, self.folder / "session" / SESSION, with_checksum(content))
         return self.session()
 
     def write_solved(

@@ -12,11 +12,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from appliance.checksummed_file import checked_content, with_checksum
 from appliance.machine.choices import COLDEST_C, LANGUAGES, WARMEST_C, Choices
 from appliance.patterns.sequence import PERIODS_PX
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault, FaultCode
-from appliance.sealed import seal, unseal
 from appliance.storage.atomic import replace_file
 from appliance.storage.filesystem import FileSystem, LocalFileSystem
 
@@ -60,7 +60,7 @@ class ChoicesFile:
         """Durable on return. Raises StorageError."""
         standard, chosen = _spelled(self._standard), _spelled(choices)
         content = {name: value for name, value in chosen.items() if value != standard[name]}
-        replace_file(self._fs, self.path, seal({"schema": SCHEMA, "chosen": content}))
+        replace_file(self._fs, self.path, with_checksum({"schema": SCHEMA, "chosen": content}))
 
     def _lost(self, why: str) -> tuple[Choices, Fault]:
         log.warning("%s: %s; the rig file's values hold until something is chosen anew", self.path, why)
@@ -68,7 +68,7 @@ class ChoicesFile:
 
     def _decoded(self, data: bytes) -> Choices:
         """Raises ValueError."""
-        content = unseal(data, MAX_BYTES)
+        content = checked_content(data, MAX_BYTES)
         chosen = content.get("chosen")
         if content.get("schema") != SCHEMA or not isinstance(chosen, dict):
             raise ValueError(f"schema {content.get('schema')!r}; {SCHEMA} is known here")

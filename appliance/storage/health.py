@@ -16,7 +16,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from appliance.calibration.health import HealthTrend
 from appliance.calibration.patches import COUNT
-from appliance.sealed import seal, unseal
+from appliance.checksummed_file import checked_content, with_checksum
 from appliance.storage.atomic import StorageError, refused, remedy_for, replace_file
 from appliance.storage.filesystem import FileSystem, LocalFileSystem
 
@@ -61,7 +61,7 @@ class HealthFile:
                     self._fs.sync_folder(folder.parent)
         self._set_aside()
         content = {"schema": SCHEMA, "calibration": self._hash, "trend": _TREND.dump_python(trend, mode="json")}
-        replace_file(self._fs, self.path, seal(content, indent=None))
+        replace_file(self._fs, self.path, with_checksum(content, indent=None))
 
     def _set_aside(self) -> None:
         """Move a file that cannot be read aside, so that it is not overwritten."""
@@ -77,7 +77,7 @@ class HealthFile:
 
     def _decoded(self, data: bytes) -> HealthTrend:
         """Raises ValueError."""
-        content = unseal(data, MAX_BYTES)
+        content = checked_content(data, MAX_BYTES)
         if content.get("schema") != SCHEMA or content.get("calibration") != self._hash:
             raise ValueError("it is of another version or another calibration")
         try:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from appliance.sealed import SealError, seal, unseal
+from appliance.checksummed_file import ChecksumError, checked_content, with_checksum
 from appliance.storage.atomic import replace_file
 from appliance.storage.filesystem import FileSystem
 
@@ -67,8 +67,8 @@ def read(folder: Path) -> Label:
     except OSError as error:
         raise LabelError(f"{FILE_NAME}: {error.strerror or error}") from error
     try:
-        content = unseal(data, MAX_BYTES)
-    except SealError as error:
+        content = checked_content(data, MAX_BYTES)
+    except ChecksumError as error:
         raise LabelError(f"{FILE_NAME}: {error}") from error
     if content.get("schema") != SCHEMA:
         raise LabelError(f"{FILE_NAME}: schema {content.get('schema')!r:.40}; this version reads {SCHEMA}")
@@ -77,7 +77,7 @@ def read(folder: Path) -> Label:
 
 def write(fs: FileSystem, folder: Path, label: Label) -> None:
     """Durable and whole on return. Raises StorageError."""
-    replace_file(fs, folder / FILE_NAME, seal({"schema": SCHEMA, "name": label.name, "note": label.note}))
+    replace_file(fs, folder / FILE_NAME, with_checksum({"schema": SCHEMA, "name": label.name, "note": label.note}))
 
 
 def _text(content: dict[str, Any], key: str, longest: int) -> str | None:

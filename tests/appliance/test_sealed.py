@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import pytest
 
-from appliance.sealed import SealError, seal, unseal
+from appliance.checksummed_file import ChecksumError, checked_content, with_checksum
 
 CONTENT = {"b": [1.5, "µm"], "a": {"deep": None}}
 
 
 @pytest.mark.parametrize("indent", [None, 2])
 def test_what_was_sealed_comes_back_whatever_its_layout(indent: int | None) -> None:
-    assert unseal(seal(CONTENT, indent), 1000) == CONTENT
+    assert checked_content(with_checksum(CONTENT, indent), 1000) == CONTENT
 
 
 @pytest.mark.parametrize(
     ("data", "reason"),
     [
-        (seal(CONTENT).replace(b"1.5", b"1.6"), "changed or damaged"),
-        (seal(CONTENT)[:-9], "not readable as JSON"),
+        (with_checksum(CONTENT).replace(b"1.5", b"1.6"), "changed or damaged"),
+        (with_checksum(CONTENT)[:-9], "not readable as JSON"),
         (b'{"a": 1}', "changed or damaged"),
         (b"[]", "a JSON object was expected, not list"),
         (b"[" * 900, "not readable as JSON"),
@@ -27,5 +27,5 @@ def test_what_was_sealed_comes_back_whatever_its_layout(indent: int | None) -> N
     ],
 )
 def test_anything_else_is_refused_with_the_reason(data: bytes, reason: str) -> None:
-    with pytest.raises(SealError, match=reason):
-        unseal(data, 1000)
+    with pytest.raises(ChecksumError, match=reason):
+        checked_content(data, 1000)

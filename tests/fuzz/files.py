@@ -26,6 +26,7 @@ from appliance.calibration.file import CalibrationError
 from appliance.calibration.guide import USED, AdjustmentSummary, RecordingCheck, Session, Step, Verified
 from appliance.calibration.health import HealthTrend, TrendPoint
 from appliance.calibration.response_file import ResponseFileError, StoredResponse
+from appliance.checksummed_file import with_checksum
 from appliance.config import ConfigError, default_rig_path, load_rig
 from appliance.machine.choices import Choices
 from appliance.offline.air import Pair, PicturesError, read_pair
@@ -245,7 +246,9 @@ def _read_session(data: bytes, scratch: Path) -> None:
 
 
 def _label(chance: Random) -> bytes:
-    return _sealed(chance, seal({"schema": 1, "name": "bollard 3", "note": "north side"}), ("name", "note", "schema"))
+    return _sealed(
+        chance, with_checksum({"schema": 1, "name": "bollard 3", "note": "north side"}), ("name", "note", "schema")
+    )
 
 
 def _read_label(data: bytes, scratch: Path) -> None:

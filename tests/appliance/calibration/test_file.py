@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 
 from appliance.calibration.design import Design, design_calibration
 from appliance.calibration.file import Calibration, CalibrationError, decode, encode, load
+from appliance.checksummed_file import with_checksum
 from appliance.optics.printed import PrintedCamera
 from appliance.optics.ray_shift import RayShift
 from appliance.optics.water import Water
-from appliance.sealed import seal
 
 DESIGN = Design(11.5, 4.5, 230.0, 12.41, 30.0, 5.0, 1.77)
 
@@ -63,7 +63,7 @@ def test_another_schema_is_refused(calibration: Calibration) -> None:
     content = json.loads(encode(calibration))
     del content["sha256"]
     with pytest.raises(CalibrationError, match="schema 4; this version reads schema 1 to 3"):
-        decode(seal({**content, "schema": 4}))
+        decode(with_checksum({**content, "schema": 4}))
 
 
 def test_a_field_of_rays_and_a_lens_in_water_are_carried_by_schema_3(calibration: Calibration) -> None:

@@ -11,6 +11,7 @@ import pytest
 from appliance.calibration.file import Calibration, CalibrationError, decode, encode
 from appliance.calibration.owner import Owner, exchanged, misfit
 from appliance.calibration.recordings import RecordingError
+from appliance.checksummed_file import with_checksum
 from appliance.config import Rig, default_rig_path, load_rig, rig_text
 from appliance.instrument import calibration_of, design_of
 from appliance.machine.alerts import alert_of
@@ -64,7 +65,7 @@ def test_serials_that_are_none_are_refused_with_the_key(rig: Rig, wrong: object)
     content = json.loads(encode(measured(rig, OWN)))
     del content["sha256"]
     with pytest.raises(CalibrationError, match=r"camera_serials|left is|right is"):
-        decode(seal({**content, "camera_serials": wrong}))
+        decode(with_checksum({**content, "camera_serials": wrong}))
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from appliance.checksummed_file import with_checksum
 from appliance.cli import main
-from appliance.sealed import seal
 from appliance.storage import label as labels
 from appliance.storage.atomic import StorageError
 from appliance.storage.label import Label, LabelError, checked
@@ -193,6 +193,6 @@ def test_text_is_composed_and_blanks_around_it_go() -> None:
 def test_a_label_of_another_hand_is_read_with_the_same_care(
     content_: dict[str, object], words: str, tmp_path: Path
 ) -> None:
-    (tmp_path / labels.FILE_NAME).write_bytes(seal(content_))
+    (tmp_path / labels.FILE_NAME).write_bytes(with_checksum(content_))
     with pytest.raises(LabelError, match=words):
         labels.read(tmp_path)

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from appliance.checksummed_file import checked_content, with_checksum
 from appliance.ranging.beams import PointerBeam, Pointers
-from appliance.sealed import seal, unseal
 from appliance.storage.beams import MAX_BYTES, BeamsFile
 
 POINTERS = Pointers((40.0, -60.0, 30.0), (25.0, 0.0, 522.5), 0.3)
@@ -71,9 +71,9 @@ def test_a_sealed_beam_that_no_dot_could_have_taught_is_not_used(
 ) -> None:
     file = BeamsFile(tmp_path, POINTERS)
     file.write("abc", taught())
-    content = unseal(file.path.read_bytes(), MAX_BYTES)
+    content = checked_content(file.path.read_bytes(), MAX_BYTES)
     content["beams"][1][name] = value
-    file.path.write_bytes(seal(json.loads(json.dumps(content))))
+    file.path.write_bytes(with_checksum(json.loads(json.dumps(content))))
     assert file.read("abc") == POINTERS.beams()
     assert said in caplog.text
 
@@ -82,10 +82,10 @@ def sealed(tmp_path: Path, **changes: object) -> tuple[PointerBeam, PointerBeam]
     """What is read of a file whose right beam, as it was drawn, was changed so and sealed anew."""
     file = BeamsFile(tmp_path, POINTERS)
     file.write("abc", POINTERS.beams())
-    content = unseal(file.path.read_bytes(), MAX_BYTES)
+    content = checked_content(file.path.read_bytes(), MAX_BYTES)
     content["beams"][1].update(changes)
     content["beams"][1]["learned"] = content["beams"][1]["learned"] or 7  # so that it differs from the drawing
-    file.path.write_bytes(seal(json.loads(json.dumps(content))))
+    file.path.write_bytes(with_checksum(json.loads(json.dumps(content))))
     return file.read("abc")
 
 
@@ -155,14 +155,14 @@ def test_where_the_latest_dot_was_is_remembered_and_where_none_was_nothing(tmp_p
 def test_beams_that_are_none_or_three_are_not_used(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     file = BeamsFile(tmp_path, POINTERS)
     file.write("abc", taught())
-    whole = unseal(file.path.read_bytes(), MAX_BYTES)
+    whole = checked_content(file.path.read_bytes(), MAX_BYTES)
     for beams in (None, [], whole["beams"][:1], [*whole["beams"], whole["beams"][0]]):
-        file.path.write_bytes(seal({**whole, "beams": beams}))
+        file.path.write_bytes(with_checksum({**whole, "beams": beams}))
         assert file.read("abc") == POINTERS.beams()
-    file.path.write_bytes(seal({**whole, "schema": 2}))
+    file.path.write_bytes(with_checksum({**whole, "schema": 2}))
     assert file.read("abc") == POINTERS.beams()
     assert "schema 2; 1 is known here" in caplog.text
-    file.path.write_bytes(seal(whole))
+    file.path.write_bytes(with_checksum(whole))
     assert file.read("abc") == taught()
 
 

@@ -13,7 +13,7 @@ import pytest
 from appliance.calibration.design import design_calibration
 from appliance.calibration.file import Calibration, CalibrationError, encode, load
 from appliance.calibration.guide import USED, AdjustmentSummary, RecordingCheck, Session, Step, Verified
-from appliance.sealed import seal, unseal
+from appliance.checksummed_file import checked_content, with_checksum
 from appliance.storage.atomic import StorageError
 from appliance.storage.calibrations import Calibrations, SessionError
 from appliance.storage.filesystem import LocalFileSystem, WritableFile
@@ -324,11 +324,11 @@ def test_a_session_is_read_up_to_a_mebibyte_and_only_of_this_version(store: Cali
     for length, read in ((1024 * 1024, True), (1024 * 1024 + 1, False)):
         path.write_bytes(whole[:-2] + b" " * (length - len(whole)) + whole[-2:])
         assert (store.session() == recorded()) == read
-    content = unseal(whole, 1024 * 1024)
+    content = checked_content(whole, 1024 * 1024)
     for changed in ({"schema": 2}, {"rig_serial": "KF-OTHER"}):
-        path.write_bytes(seal({**content, **changed}))
+        path.write_bytes(with_checksum({**content, **changed}))
         assert store.session() == Session()
-    path.write_bytes(seal({name: value for name, value in content.items() if name != "schema"}))
+    path.write_bytes(with_checksum({name: value for name, value in content.items() if name != "schema"}))
     assert store.session() == Session()
 
 

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from appliance.checksummed_file import with_checksum
 from appliance.machine.choices import Choices
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import FaultCode
-from appliance.sealed import seal
 from appliance.storage.choices import FILE, ChoicesFile
 
 RIG = Choices(Exposure(12_000), 16, 0.0, 20.0)
@@ -58,7 +58,7 @@ def test_a_damaged_file_is_a_condition_and_the_rig_files_values_hold(tmp_path: P
     ],
 )
 def test_a_sealed_value_out_of_range_is_not_taken(tmp_path: Path, name: str, value: object) -> None:
-    (tmp_path / FILE).write_bytes(seal({"schema": 1, "chosen": {name: value}}))
+    (tmp_path / FILE).write_bytes(with_checksum({"schema": 1, "chosen": {name: value}}))
     choices, fault = ChoicesFile(tmp_path, RIG).read()
     assert choices == RIG
     assert fault is not None
@@ -66,6 +66,6 @@ def test_a_sealed_value_out_of_range_is_not_taken(tmp_path: Path, name: str, val
 
 
 def test_an_empty_file_and_one_of_another_version_are_refused(tmp_path: Path) -> None:
-    for data in (b"", seal({"schema": 2, "chosen": {}}), json.dumps([1]).encode()):
+    for data in (b"", with_checksum({"schema": 2, "chosen": {}}), json.dumps([1]).encode()):
         (tmp_path / FILE).write_bytes(data)
         assert ChoicesFile(tmp_path, RIG).read()[1] is not None

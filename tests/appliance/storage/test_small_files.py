@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from appliance.sealed import seal
+from appliance.checksummed_file import with_checksum
 from appliance.storage import counter, label
 from appliance.storage.atomic import StorageError, checked_stamp, refused, remedy_for, write_new
 from appliance.storage.filesystem import LocalFileSystem
@@ -91,7 +91,7 @@ def test_a_label_is_read_as_it_was_written(tmp_path: Path) -> None:
     ],
 )
 def test_a_label_that_cannot_be_used_says_why(tmp_path: Path, content: dict[str, object], said: str) -> None:
-    (tmp_path / label.FILE_NAME).write_bytes(seal(content))
+    (tmp_path / label.FILE_NAME).write_bytes(with_checksum(content))
     with pytest.raises(LabelError, match=f"^label.json: {said}"):
         label.read(tmp_path)
 

@@ -16,10 +16,10 @@ import pytest
 
 from appliance.calibration.health import HealthTrend, Reference
 from appliance.calibration.patches import COUNT
+from appliance.checksummed_file import checked_content, with_checksum
 from appliance.machine.choices import Choices
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import FaultCode
-from appliance.sealed import seal, unseal
 from appliance.storage import label
 from appliance.storage import manifest as form
 from appliance.storage.atomic import StorageError, replace_file
@@ -94,7 +94,7 @@ def test_a_file_that_could_not_be_written_leaves_no_draft_and_the_old_content(tm
 
 def padded(content: dict[str, object], length: int) -> bytes:
     """A sealed file of that length, of which some is white space."""
-    data = seal(content)
+    data = with_checksum(content)
     assert len(data) <= length
     return data[:-2] + b" " * (length - len(data)) + data[-2:]
 
@@ -120,7 +120,7 @@ def test_a_label_is_read_up_to_16_kib(tmp_path: Path) -> None:
 def test_a_trend_is_read_up_to_a_megabyte(tmp_path: Path) -> None:
     file = HealthFile(tmp_path, HASH)
     file.write(HealthTrend(judged=3))
-    content = unseal(file.path.read_bytes(), 10**6)
+    content = checked_content(file.path.read_bytes(), 10**6)
     for length, read in ((1_000_000, True), (1_000_001, False)):
         file.path.write_bytes(padded(content, length))
         assert file.read().judged == (3 if read else 0)
@@ -146,7 +146,7 @@ def test_only_what_differs_from_the_rig_file_is_written(tmp_path: Path) -> None:
     ChoicesFile(tmp_path, RIG).write(replace(RIG, period_px=64, language="de"))
     content = json.loads((tmp_path / FILE).read_bytes())
     assert content["chosen"] == {"period_px": 64, "language": "de"}
-    (tmp_path / FILE).write_bytes(seal({"schema": 1, "chosen": [1]}))
+    (tmp_path / FILE).write_bytes(with_checksum({"schema": 1, "chosen": [1]}))
     assert ChoicesFile(tmp_path, RIG).read()[1] is not None
 
 
@@ -170,11 +170,11 @@ def test_a_trend_says_nothing_that_cannot_be(tmp_path: Path, trend: HealthTrend,
 def test_a_trend_of_another_calibration_or_version_is_not_used(tmp_path: Path) -> None:
     file = HealthFile(tmp_path, HASH)
     file.write(HealthTrend(judged=3))
-    whole = unseal(file.path.read_bytes(), 10**6)
+    whole = checked_content(file.path.read_bytes(), 10**6)
     for changed in ({"calibration": HASH[:16] + "0" * 48}, {"schema": 2}, {"trend": {"judged": "many"}}):
-        file.path.write_bytes(seal({**whole, **changed}))
+        file.path.write_bytes(with_checksum({**whole, **changed}))
         assert file.read() == HealthTrend()
-    file.path.write_bytes(seal(whole))
+    file.path.write_bytes(with_checksum(whole))
     assert file.read() == HealthTrend(judged=3)
 
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from appliance.checksummed_file import checked_content, with_checksum
 from appliance.ranging.beams import Pointers
-from appliance.sealed import seal, unseal
 from appliance.storage.atomic import StorageError, discard, draft_of, move_folder, refused, replace_file
 from appliance.storage.beams import MAX_BYTES, BeamsFile
 from appliance.storage.filesystem import LocalFileSystem
@@ -168,7 +168,7 @@ def test_beams_are_read_up_to_20_kb(tmp_path: Path) -> None:
     left, right = pointers.beams()
     taught = left, right.taught(right.at(np.array(right.z0_mm + 450.0)))
     file.write("abc", taught)
-    whole = seal(unseal(file.path.read_bytes(), MAX_BYTES))
+    whole = with_checksum(checked_content(file.path.read_bytes(), MAX_BYTES))
     for length, read in ((20_000, True), (20_001, False)):
         file.path.write_bytes(whole[:-2] + b" " * (length - len(whole)) + whole[-2:])
         assert (file.read("abc") == taught) == read

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from appliance.checksummed_file import with_checksum
 from appliance.machine.choices import Choices
 from appliance.scan.exposure import Exposure
-from appliance.sealed import seal
 from appliance.storage.choices import FILE, ChoicesFile
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.label import Label
@@ -121,7 +121,7 @@ def test_choices_are_taken_to_their_limits_and_not_beyond(
     tmp_path: Path, name: str, allowed: tuple[float, float], refused: tuple[float, float]
 ) -> None:
     for value in (*allowed, *refused):
-        (tmp_path / FILE).write_bytes(seal({"schema": 1, "chosen": {name: value}}))
+        (tmp_path / FILE).write_bytes(with_checksum({"schema": 1, "chosen": {name: value}}))
         choices, fault = ChoicesFile(tmp_path, RIG).read()
         assert (fault is None) == (value in allowed)
         if fault is None:

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 
-class SealError(ValueError):
+class ChecksumError(ValueError):
     """Bytes are not what was sealed; the text says what is wrong with them, not whose they are."""
 
 
@@ -17,22 +17,22 @@ def digest(content: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
-def seal(content: Mapping[str, Any], indent: int | None = 2) -> bytes:
+def with_checksum(content: Mapping[str, Any], indent: int | None = 2) -> bytes:
     """The file's bytes: ``content`` with sorted keys, and its checksum as ``sha256``."""
     return (json.dumps({**content, "sha256": digest(content)}, indent=indent, sort_keys=True) + "\n").encode()
 
 
-def unseal(data: bytes, max_bytes: int) -> dict[str, Any]:
+def checked_content(data: bytes, max_bytes: int) -> dict[str, Any]:
     """What was sealed, without its checksum. Raises SealError for any other bytes, however large or deep."""
     if len(data) > max_bytes:
-        raise SealError(f"{len(data)} bytes; at most {max_bytes} are allowed")
+        raise ChecksumError(f"{len(data)} bytes; at most {max_bytes} are allowed")
     try:
         content = json.loads(data)
     except (ValueError, RecursionError) as error:
-        raise SealError(f"not readable as JSON ({type(error).__name__}: {error})") from error
+        raise ChecksumError(f"not readable as JSON ({type(error).__name__}: {error})") from error
     if not isinstance(content, dict):
-        raise SealError(f"a JSON object was expected, not {type(content).__name__}")
+        raise ChecksumError(f"a JSON object was expected, not {type(content).__name__}")
     stated, actual = content.pop("sha256", None), digest(content)
     if stated != actual:
-        raise SealError(f"checksum {str(stated)[:80]!r}, but the content has {actual}: it was changed or damaged")
+        raise ChecksumError(f"checksum {str(stated)[:80]!r}, but the content has {actual}: it was changed or damaged")
     return content
