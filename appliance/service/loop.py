@@ -309,7 +309,7 @@ class Service:
             case do.CheckRecording():
                 self._calibrating.examine(effect.number, effect.step)
             case do.AcceptRecording():
-                self._calibrating.accept(effect.number, effect.trial)
+                self._calibrating.accept(effect.number, effect.check)
             case do.SolveCalibration():
                 self._calibrating.solve()
             case do.UseSolved():
