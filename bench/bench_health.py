@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibration.bundle import Rung
-from appliance.calibration.health import LIMIT, SLACK, Trend, judge
+from appliance.calibration.health import LIMIT, SLACK, HealthTrend, judge
 from appliance.calibration.patches import PatchGaps
 from bench.health_changes import Change, changes, length_error_percent
 from bench.health_picture import draw_health
@@ -97,7 +97,7 @@ def _seen(change: Change, made: list[Calibrated]) -> Seen:
     return Seen(change, first, second, tenth, float(np.median(lengths)))
 
 
-def _smallest(trend: Trend, pairs: list[tuple[PatchGaps, PatchGaps]], change: Change, scans: int) -> float | None:
+def _smallest(trend: HealthTrend, pairs: list[tuple[PatchGaps, PatchGaps]], change: Change, scans: int) -> float | None:
     """By bisection: what alarms in 95 of 100 trials within so many scans."""
 
     def seen(size: float) -> bool:
@@ -146,7 +146,7 @@ def _median(values: list[float | None]) -> float | None:
 def _normal(made: Calibrated) -> list[float]:
     rng = np.random.default_rng([77, made.truth.seed])
     scans = (scan(made, made.truth, rng) for _ in range(NORMAL_SCANS))
-    return [said.point.total for _, said in follow(Trend(), scans) if said.point is not None]
+    return [said.point.total for _, said in follow(HealthTrend(), scans) if said.point is not None]
 
 
 def _false_alarms(bias: float) -> int:
@@ -165,12 +165,12 @@ def _false_alarms(bias: float) -> int:
     return alarms
 
 
-def _story(made: Calibrated) -> Trend:
+def _story(made: Calibrated) -> HealthTrend:
     """Thirty normal scans, then the right camera turned by 0.02° about y."""
     rng = np.random.default_rng(3)
     turned = with_mount_shifted(made.truth, MountShift("right", yaw_deg=0.02))
     scans = [scan(made, made.truth if k < 30 else turned, rng) for k in range(36)]
-    return [trend for trend, _ in follow(Trend(), scans)][-1]
+    return [trend for trend, _ in follow(HealthTrend(), scans)][-1]
 
 
 def _table(found: list[Seen], largest: list[float], alarms: dict[float, int], ports: list[Seen]) -> str:

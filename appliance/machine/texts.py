@@ -126,7 +126,7 @@ def _calibrate(machine: Machine) -> dict[Key, Label]:
             meant[Key.SCAN] = Text.SOLVE
         case do.UseSolved():
             meant[Key.SCAN] = Text.KEEP
-        case do.RestoreCalibration():
+        case do.RestoreKeptCalibration():
             meant[Key.SCAN] = Text.RESTORE
         case None:
             pass

@@ -17,7 +17,7 @@ from appliance.calibration.file import Calibration
 from appliance.compensation.attempt import Attempt, attempt
 from appliance.optics.water import Water
 from appliance.processing.bracket import Merged, ProcessedSequence, merge_bracket
-from appliance.processing.judges import Evidence, in_order, is_fault, judged_by_all
+from appliance.processing.judges import JudgeInput, in_order, is_fault, judged_by_all
 from appliance.reconstruct.decode.decoder import DecodedMaps
 from appliance.reconstruct.decode.specks import mask_specks
 from appliance.reconstruct.images import ScanImages

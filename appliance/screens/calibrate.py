@@ -185,13 +185,13 @@ def _latest(canvas: Canvas, view: CalibrateView, bottom: float, language: Langua
     elif at.failed is not None:
         came, remedy = (text.in_language(language) for text in _FAILURES[at.failed.kind])
         _band(canvas, theme.YELLOW, came, remedy, at.failed.about, bottom)
-    elif trial is not None and trial.refusal is None:
-        number = "" if trial.number is None else f"{1000.0 * trial.number:.0f} µm"
-        what = f"{STEP_NAMES[trial.step].in_language(language)} {Text.ACCEPTED.in_language(language)}"
-        _band(canvas, theme.GREEN, what, f"{trial.points} {Text.POINTS.in_language(language)}", number, bottom)
-    elif trial is not None and trial.refusal is not None:
-        words, why = refusal_words(trial)
-        number = "" if trial.number is None else f"{trial.number:.3g} {UNITS[trial.refusal]}".replace(" °", "°")
+    elif check is not None and check.refusal is None:
+        number = "" if check.number is None else f"{1000.0 * check.number:.0f} µm"
+        what = f"{STEP_NAMES[check.step].in_language(language)} {Text.ACCEPTED.in_language(language)}"
+        _band(canvas, theme.GREEN, what, f"{check.points} {Text.POINTS.in_language(language)}", number, bottom)
+    elif check is not None and check.refusal is not None:
+        words, why = refusal_words(check)
+        number = "" if check.number is None else f"{check.number:.3g} {UNITS[check.refusal]}".replace(" °", "°")
         number = numbered(number, language)
         _band(canvas, theme.YELLOW, words.in_language(language), why.in_language(language), number, bottom)
     elif view.step is Step.SOLVE:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
-from appliance.calibration.guide import USED, AdjustmentSummary, RecordingCheck, Refusal, Session, Step, Verified
+from appliance.calibration.guide import USED, RecordingCheck, Refusal, Session, Step, Verified
 from appliance.machine.alerts import RULES, Alert, alert_of
 from appliance.machine.failure import Failure, FailureKind
 from appliance.machine.states import Calibrating, Task
@@ -109,8 +109,8 @@ MAIN_ROWS = (
     MenuRow(Text.POWER_OFF),
 )
 _MENU_KEYS = keys(scan=Text.OPEN, back=Text.BACK, up=Text.ARROW_UP, down=Text.ARROW_DOWN)
-_TRIALS = tuple(Trial(step, None, 0.031, 2140) for step in USED)
-_SOLVED = Solved("bundle, spline", 0.034, (), "abc")
+_TRIALS = tuple(RecordingCheck(step, None, 0.031, 2140) for step in USED)
+_SOLVED = AdjustmentSummary("bundle, spline", 0.034, (), "abc")
 _CHECKED = Session((), None, Verified(0.0062, None, 0.0001))
 _BETTER = Session(_TRIALS, _SOLVED, Verified(0.0031, -0.0002, 0.00004))
 
