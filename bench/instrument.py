@@ -81,7 +81,7 @@ def open_instrument(options: WorldOptions, period_px: int = 16) -> Iterator[Inst
             camera = stack.enter_context(drivers_rig.open_camera(spec, wires))
             settings = CameraSettings(width, height, float(EXPOSURE_US), 0.0)
             camera.configure(settings)
-            grabbers[side] = stack.enter_context(Grabber(side, camera, wires.clock, settings, course.patience))
+            grabbers[side] = stack.enter_context(Grabber(side, camera, wires.clock, settings, course.timeouts))
         board = stack.enter_context(
             drivers_rig.open_board(drivers_rig.BoardSpec(f"kfsim://{options.world}/board"), wires)
         )

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from appliance.calibration.guide import RecordingCheck, Session, Step
 from appliance.machine.choices import Choices, Offers
-from appliance.machine.mishap import Failure
+from appliance.machine.failure import Failure
 from appliance.machine.words import Label
 from appliance.patterns.sequence import PERIODS_PX, build_sequence
 from appliance.ranging.reach import Range, Reach

@@ -76,7 +76,7 @@ def bench_of(name: str, refresh_hz: float, idle_speed: float) -> Iterator[Bench]
             camera = stack.enter_context(drivers_rig.open_camera(spec, wires))
             settings = CameraSettings(WIDTH, HEIGHT, 12000.0, 0.0)
             camera.configure(settings)
-            grabbers[side] = stack.enter_context(Grabber(side, camera, wires.clock, settings, course.patience))
+            grabbers[side] = stack.enter_context(Grabber(side, camera, wires.clock, settings, course.timeouts))
         board = stack.enter_context(drivers_rig.open_board(drivers_rig.BoardSpec(f"kfsim://{name}/board"), wires))
         store = stack.enter_context(FrameStore(N, HEIGHT, WIDTH))
         recorder = ScanRecorder(grabbers, board, projector, wires.clock, course)

@@ -169,7 +169,7 @@ def test_an_alert_does_not_hide_what_became_of_a_recording(painter: Painter) -> 
         assert share(painter.draw(view, 0.0), GREEN) == pytest.approx(share(alone, GREEN), rel=0.02)
 
 
-@pytest.mark.parametrize("mishap", list(FailureKind))
+@pytest.mark.parametrize("kind", list(FailureKind))
 def test_what_came_to_nothing_is_told_in_the_language_of_the_screen_and_never_in_the_words_of_the_log(
     painter: Painter, kind: FailureKind
 ) -> None:

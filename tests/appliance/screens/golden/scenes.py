@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
-from appliance.calibration.guide import USED, RecordingCheck, Refusal, Session, Step, Verified
+from appliance.calibration.guide import USED, AdjustmentSummary, RecordingCheck, Refusal, Session, Step, Verified
 from appliance.machine.alerts import RULES, Alert, alert_of
 from appliance.machine.failure import Failure, FailureKind
 from appliance.machine.states import Calibrating, Task
