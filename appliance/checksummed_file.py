@@ -23,7 +23,7 @@ def with_checksum(content: Mapping[str, Any], indent: int | None = 2) -> bytes:
 
 
 def checked_content(data: bytes, max_bytes: int) -> dict[str, Any]:
-    """What was sealed, without its checksum. Raises SealError for any other bytes, however large or deep."""
+    """Return the content without its checksum. Raises ChecksumError for any other bytes, however large or deep."""
     if len(data) > max_bytes:
         raise ChecksumError(f"{len(data)} bytes; at most {max_bytes} are allowed")
     try:

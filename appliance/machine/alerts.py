@@ -409,11 +409,12 @@ _SIDES: Mapping[str, Mapping[str, Words]] = MappingProxyType(
         "window_side": {"camera.left": Words("LEFT ", "LINKES "), "camera.right": Words("RIGHT ", "RECHTES ")},
     }
 )
-"""By a headline's word, which goes with the gender of what follows, and the device."""
+"""Words for a side, by a headline's word, which goes with the gender of what follows, and the device."""
 
 
 def headline_of(fault: Fault, language: Language = Language.ENGLISH) -> str:
-    """At most ``LONGEST`` letters, with the fault's numbers where all of them are known and there is room for them."""
+    """Return at most ``LONGEST`` letters, with the fault's numbers where all of them are known and there is room for
+    them."""
     rule = RULES[fault.code]
     plain = (rule.plain or rule.headline).in_language(language)
     values: dict[str, float | str] = dict(fault.numbers)
@@ -428,7 +429,7 @@ def headline_of(fault: Fault, language: Language = Language.ENGLISH) -> str:
 
 
 def action_of(fault: Fault, language: Language = Language.ENGLISH) -> str:
-    """What to do, or what the fault costs; where a camera was exchanged, which one."""
+    """Return what to do, or what the fault costs; where a camera was exchanged, which one."""
     rule = RULES[fault.code]
     camera = None if fault.device is None else _CAMERAS.get(fault.device)
     if rule.exchanged is None or camera is None:

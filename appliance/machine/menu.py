@@ -116,7 +116,7 @@ def may_choose(machine: Machine) -> bool:
 
 
 def verb(machine: Machine) -> Text:
-    """What SCAN does on the selected row."""
+    """Return the word for what SCAN does on the selected row."""
     row = row_of(machine.menu) if machine.menu is not None else None
     return Text.CHANGE if row in VALUES else Text.OPEN
 

@@ -271,10 +271,10 @@ STEP_NAMES: Mapping[Step, Text] = {
     Step.VERIFY: Text.VERIFY,
     Step.RESULT: Text.RESULT,
 }
-"""What a step of the calibration is called."""
+"""Name of each step of the calibration."""
 
 Label = Text | str | tuple[Text | str, ...]
-"""What a screen writes in one place: an entry, something that is the same in every language (a number with its unit), or such parts
+"""Words that a screen writes in one place: an entry, something that is the same in every language (a number with its unit), or such parts
 with a space between them: (EXPOSE, "8 ms")."""
 
 

@@ -218,13 +218,13 @@ def test_killed_while_a_step_is_entered_leaves_the_session_before_or_after(tmp_p
     program = (
         "import sys\n"
         "from pathlib import Path\n"
-        "from appliance.calibration.guide import Session, Step, Trial\n"
+        "from appliance.calibration.guide import Session, Step, RecordingCheck\n"
         "from appliance.storage.calibrations import Calibrations\n"
         "store = Calibrations(Path(sys.argv[1]), 'KF-TEST')\n"
         "k = 0\n"
         "while True:\n"
         "    k += 1\n"
-        "    store.write(Session((Trial(Step.M1, None, 0.03, k, 'bar', f'{k:06d}'),)))\n"
+        "    store.write(Session((RecordingCheck(Step.M1, None, 0.03, k, 'bar', f'{k:06d}'),)))\n"
         "    print(k, flush=True)\n"
     )
     store = Calibrations(tmp_path, "KF-TEST")
