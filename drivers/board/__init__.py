@@ -1,6 +1,5 @@
 """The trigger board: one serial line of readable, numbered and checked sentences."""
 
-from drivers.board.board import TriggerBoard
-from drivers.board.spec import BoardSpec
+from drivers.board.board import BoardSpec, TriggerBoard
 
 __all__ = ["BoardSpec", "TriggerBoard"]

@@ -44,7 +44,6 @@ from drivers.board.reports import (
     parse_refusal,
     parse_report,
 )
-from drivers.board.spec import BoardSpec
 
 THREAD_NAME = "kf-board"
 ATTEMPTS = 3
@@ -66,6 +65,14 @@ _REMEDY = {
     Refusal.NO_VSYNC: "Check that the projector gets a signal",
     Refusal.PAST: "Choose a later vertical sync",
 }
+
+
+@dataclass(frozen=True, slots=True)
+class BoardSpec:
+    """The board of the rig. ``url`` is a device path or any URL that pyserial resolves."""
+
+    url: str
+    name: str = "board"
 
 
 class BoardRefused(DeviceRefused):

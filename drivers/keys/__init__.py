@@ -1,6 +1,5 @@
 """The key pad: four keys that work with gloves, as HID reports."""
 
-from drivers.keys.keypad import HidKeypad
-from drivers.keys.spec import KeysSpec
+from drivers.keys.keypad import HidKeypad, KeysSpec
 
 __all__ = ["HidKeypad", "KeysSpec"]

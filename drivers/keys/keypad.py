@@ -9,9 +9,7 @@ from typing import Any, Self
 
 from drivers.api import Clock, DeviceGone, DeviceRefused, Health, KeyEvent, KeysLost
 from drivers.keys.debounce import Debouncer
-from drivers.keys.pad_time import PadTime
 from drivers.keys.report import REPORT_SIZE, KeyReport, MalformedReport, parse_report
-from drivers.keys.spec import KeysSpec
 
 SILENCE_S = 1.0
 """Four missing reports."""
@@ -19,6 +17,40 @@ FIRST_REPORT_TIMEOUT_S = 1.0
 _WAITED_NS = 2_000_000
 """A read that took longer found nothing ready: its report is fresh."""
 _USAGE_PAGE = 0xFF4B
+_WRAP_MS = 1 << 16
+"""The pad counts milliseconds in 16 bits (docs/protocols/keys.md)."""
+_MS = 1_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class KeysSpec:
+    """The key pad of the rig, by USB identity."""
+
+    vendor_id: int
+    product_id: int
+    name: str = "keys"
+
+
+class PadTime:
+    """Dates reports so that a host that was late to read them does not change how long a key was held.
+
+    A report that was waited for is dated to its arrival. One that was lying there already is dated by the pad's own
+    clock from the report before it, never after its arrival and never before its predecessor.
+    """
+
+    def __init__(self) -> None:
+        self._last_ms: int | None = None
+        self._last_ns = 0
+
+    def date(self, pad_time_ms: int, arrival_ns: int, waited_for: bool) -> int:
+        """Host time in ns at which the report was made."""
+        time_ns = arrival_ns
+        if not waited_for and self._last_ms is not None:
+            elapsed_ns = (pad_time_ms - self._last_ms) % _WRAP_MS * _MS
+            time_ns = min(arrival_ns, self._last_ns + elapsed_ns)
+        self._last_ms = pad_time_ms
+        self._last_ns = max(time_ns, self._last_ns)
+        return self._last_ns
 
 
 @dataclass(slots=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from drivers.keys.pad_time import PadTime
+from drivers.keys.keypad import PadTime
 
 MS = 1_000_000
 T0 = 7_000 * MS
