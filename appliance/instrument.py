@@ -30,7 +30,7 @@ from appliance.scan.exposure import Exposure, Span, ladder
 from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.noise import CameraNoise, StereoNoise, camera_noise
 from appliance.storage.record import ScanRecord
-from appliance.storage.scan import Origin
+from appliance.storage.scan import ScanOrigin
 
 log = logging.getLogger("kingfisher")
 
@@ -215,9 +215,9 @@ def exposures_of(rig: Rig) -> tuple[Exposure, ...]:
     return ladder(rig.projector.refresh_hz, rig.board.trigger_delay_us, rig.camera.left.gain_db, span)
 
 
-def origin_of(rig: Rig, calibration: Calibration) -> Origin:
+def origin_of(rig: Rig, calibration: Calibration) -> ScanOrigin:
     """What a scan that is taken now carries with it: the calibration in use and the rig as it is understood."""
-    return Origin(encode(calibration), rig_text(rig).encode())
+    return ScanOrigin(encode(calibration), rig_text(rig).encode())
 
 
 def misfit(calibration: Calibration, rig: Rig) -> str | None:

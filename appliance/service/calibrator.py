@@ -135,7 +135,7 @@ def examine(rig: Rig, step: Step, folder: Path, report: Report) -> Examined:
     return Examined(replace(check, points=len(recording.left_px)))
 
 
-def _spoilt(step: Step, seen: ReprocessedScan) -> Trial | None:
+def _spoilt(step: Step, seen: ReprocessedScan) -> RecordingCheck | None:
     """The refusal of a recording whose points would be wrong, whatever it shows."""
     fault = seen.unfit
     if fault is None:

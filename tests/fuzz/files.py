@@ -36,7 +36,6 @@ from appliance.optics.water import Water
 from appliance.patterns.response import Response
 from appliance.ranging.beams import Pointers
 from appliance.scan.exposure import Exposure
-from appliance.sealed import seal
 from appliance.storage import counter
 from appliance.storage import label as labels
 from appliance.storage import manifest as form

@@ -13,7 +13,7 @@ from appliance.offline.origin import Wish, calibration_for, taken
 from appliance.offline.reconstruct import reconstruct_scan
 from appliance.scan.verdict import Verdict
 from appliance.service.app import run
-from appliance.storage.library import Library, Shelf
+from appliance.storage.library import Library, LibraryFolder
 from appliance.storage.ply import read_ply
 from appliance.storage.scan import StoredScan
 

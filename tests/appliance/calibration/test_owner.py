@@ -17,7 +17,6 @@ from appliance.instrument import calibration_of, design_of
 from appliance.machine.alerts import alert_of
 from appliance.offline.recordings import cameras_of
 from appliance.scan.fault import FaultCode
-from appliance.sealed import seal
 from appliance.storage.library import Library
 from appliance.storage.scan import ScanOrigin
 from tests.appliance.storage.scenes import frames, record
