@@ -66,7 +66,7 @@ def _fields(kind: Any, value: object, path: str) -> Any:
 
 @cache
 def _hints(kind: Any) -> tuple[tuple[str, Any, bool], ...]:
-    """Of each field its name, its type, and whether it must be there."""
+    """Return the name of each field, its type, and whether it must be there."""
     hints = get_type_hints(kind)
     return tuple((f.name, hints[f.name], f.default is MISSING and f.default_factory is MISSING) for f in fields(kind))
 
