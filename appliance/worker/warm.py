@@ -19,7 +19,7 @@ from appliance.compensation.warm import run_every_kernel as run_compensation
 from appliance.kernel_build import Piece
 from appliance.optics.water import Water
 from appliance.patterns.sequence import PatternSequence, build_sequence
-from appliance.processing.judges import JUDGES, Evidence
+from appliance.processing.judges import JUDGES, JudgeInput
 from appliance.processing.procedure import SequenceProcessor
 from appliance.reconstruct.decode.backscatter import warm_up as warm_backscatter
 from appliance.reconstruct.decode.specks import mask_specks
@@ -151,7 +151,7 @@ def _judge(*, writable: bool) -> None:
         decoded = {side: pipeline.decoded(side) for side in SIDES}
         images = ScanImages(pipeline.sequence, dict.fromkeys(SIDES, frames), decoded)
         cloud = pipeline.table.cloud(Found(((0, 0),), CloudSummary(0, 0.0, None, None, None)))
-        given = Evidence(images, cloud, calibration.rig, _WATER.index, Judgement(Verdict("identity", None)), pipeline)
+        given = JudgeInput(images, cloud, calibration.rig, _WATER.index, Judgement(Verdict("identity", None)), pipeline)
         for judge in JUDGES:
             if judge.name != "sight":  # it asks for points, and their kernels are another piece's
                 judge.judge(given, dict.fromkeys(judge.needs))
