@@ -127,6 +127,8 @@ def calibrate_air(
             usable.append(view)
     most = max((len(view.corners_mm) for view in usable), default=0)
     remarks = {view.name: _thin(view, most) for view in usable}
+    # Outliers are taken out one view at a time, the worst first, and everything is adjusted anew: one bad view bends
+    # all others, and most of what looks bad beside it is good without it.
     while True:
         if len(usable) < MIN_VIEWS:
             reasons = "; ".join(left_out) or "none was left out"
@@ -141,6 +143,7 @@ def calibrate_air(
         usual = float(np.median(per_view))
         if per_view[worst] > WORST_VIEW * max(usual, 1e-6):
             bad = _bad_corners(residuals[worst], usual)
+            # Many bad corners are a board that moved, a few are glare or a finger: these cost only the corners.
             if np.count_nonzero(bad) > FEW * len(bad) or len(bad) - np.count_nonzero(bad) < MIN_CORNERS:
                 left_out.append(
                     f"{usable[worst].name}: residual {per_view[worst]:.2f} px, the usual view has {usual:.2f} px; "
@@ -161,10 +164,14 @@ def calibrate_air(
             few = [view for view in usable if len(view.corners_mm) < MIN_CORNERS]
             left_out += [f"{view.name}: only {len(view.corners_mm)} good corners are left" for view in few]
             usable = [view for view in usable if len(view.corners_mm) >= MIN_CORNERS]
+    # Degrees of freedom: four numbers per corner, less 22 parameters of the rig and six of each view. The covariance is
+    # that of unit weight times this variance.
     corners = sum(len(view.corners_mm) for view in usable)
     squares = float(sum(np.sum(e**2) for e in residuals))
     variance = squares / (4 * corners - 22 - 6 * len(usable))
     covariance = np.asarray(np.linalg.inv(adjusted.information)[:22, :22] * variance, np.float64)
+    # Scale of the print: no image tells it, and every parameter that is a length follows it. It enters as one fully
+    # correlated error.
     covariance += allowed.scale**2 * np.outer(adjusted.by_scale, adjusted.by_scale)
     fitted = tuple(
         FittedView(v.name, v.left_px, v.right_px, e[:, :2], e[:, 2:], remarks[v.name])
@@ -198,6 +205,7 @@ def _start(views: Sequence[BoardView], width_px: int, height_px: int) -> tuple[S
     cameras, poses = [], []
     for side in ("left_px", "right_px"):
         seen = [np.asarray(getattr(v, side), np.float32).reshape(-1, 1, 2) for v in views]
+        # Square pixels: f_y = f_x. Without it a board that never leans about one axis lets the ratio drift.
         flags = cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_ASPECT_RATIO
         _, matrix, brown, turns, shifts = cv2.calibrateCamera(
             corners, seen, (width_px, height_px), guess.copy(), np.zeros(5), flags=flags
@@ -217,6 +225,7 @@ def _start(views: Sequence[BoardView], width_px: int, height_px: int) -> tuple[S
         R = Rl @ Rr.T
         vectors.append(np.ravel(cv2.Rodrigues(R)[0]))
         shifts_mm.append(tl - R @ tr)
+    # The median over views is only a start for the joint adjustment, and one mistaken view must not spoil it.
     R = rotation_of(np.median(vectors, axis=0))
     t = np.median(shifts_mm, axis=0)
     right = replace(cameras[1], rotation=matrix3(R), translation_mm=(float(t[0]), float(t[1]), float(t[2])))
@@ -277,7 +286,11 @@ def _adjust(
     bend, bow = _bend(views), 0.0
     noise_px = 0.0
     for _ in range(STEPS_AT_MOST):
+        # Gauss-Newton with the poses eliminated (Schur complement): with A the derivatives by rig and bow and B those
+        # by one board's pose, the reduced normal matrix is Σ AᵀA − (BᵀA)ᵀ (BᵀB)⁻¹ BᵀA. 23 unknowns remain instead of 23
+        # + 6 n.
         information, gradient, by_scale = np.zeros((23, 23)), np.zeros(23), np.zeros(23)
+        # The bow's prior in units of the noise, which the first step does not know yet: it then is free.
         information[22, 22] = (noise_px / tolerance.bow_mm) ** 2
         gradient[22] = -information[22, 22] * bow
         changed = _changed(rig)
@@ -301,11 +314,14 @@ def _adjust(
                 ],
                 1,
             )
+            # How the rig would answer to a larger print, by the same elimination: d rig / d scale = −N⁻¹ (reduced Aᵀ
+            # ∂e/∂scale).
             larger = (_seen(rig, board, corners + SCALE_STEP * (corners - bend.middle)) - now) / SCALE_STEP
             BB, BA, Br = B.T @ B, B.T @ A, B.T @ residual
             information += A.T @ A - BA.T @ np.linalg.solve(BB, BA)
             gradient += A.T @ residual - BA.T @ np.linalg.solve(BB, Br)
             by_scale -= A.T @ larger - BA.T @ np.linalg.solve(BB, B.T @ larger)
+            # Kept for the back substitution: pose = (BᵀB)⁻¹ (Bᵀr − BᵀA · step).
             blocks.append((BB, BA, Br))
             residuals.append(np.concatenate([part.reshape(-1, 2) for part in np.split(residual, 2)], 1))
         step = np.linalg.solve(information, gradient)
@@ -318,6 +334,7 @@ def _adjust(
             for board, (BB, BA, Br) in zip(boards, blocks, strict=True)
         ]
         noise_px = float(np.median([np.sqrt(np.mean(e**2)) for e in residuals]))
+        # Converged in standard deviations, not in units: a step that is small against what is known changes nothing.
         sd = np.sqrt(np.diag(np.linalg.inv(information))) * noise_px
         if float(np.max(np.abs(step) / sd)) < SMALL:
             break

@@ -29,6 +29,8 @@ class PlanePlace:
 
     def meet(self, origin: Array, direction: Array, sphere: NDArray[np.intp], x: Array) -> Array:
         """Points (n, 3) where rays meet the face; ``sphere`` is of no meaning here."""
+        # Two leans and an offset are a plane's three degrees of freedom; a third number for the normal would only be
+        # its length.
         n = self.normal + x[0] * self.axes[0] + x[1] * self.axes[1]
         n = n / np.linalg.norm(n)
         s = (self.offset_mm + x[2] - origin @ n) / (direction @ n)
@@ -55,6 +57,8 @@ class BarPlace:
         """Points (n, 3) where rays first meet their sphere; a ray that misses gives its nearest point."""
         centre = (self.centres_mm + x[:6].reshape(2, 3))[sphere]
         radius = (self.radius_mm + x[6:8])[sphere]
+        # |o + s d − c|² = r² is s² + 2 b s + |w|² − r² = 0; the nearer root is s = −b − √(b² − |w|² + r²). A negative
+        # root is cut to zero, so that a ray that misses still pulls the sphere towards it.
         w = origin - centre
         b = np.sum(w * direction, -1)
         root = np.sqrt(np.maximum(b * b - np.sum(w * w, -1) + radius**2, 0.0))
@@ -65,6 +69,8 @@ class BarPlace:
         centres = self.centres_mm + x[:6].reshape(2, 3)
         bar = centres[1] - centres[0]
         length = float(np.linalg.norm(bar))
+        # The certificate is one more observation with its own uncertainty, not a constraint: a length that does not fit
+        # shows as a residual.
         residual = np.array(
             [(length - self.length_mm) / self.length_sd_mm, x[6] / self.radius_sd_mm, x[7] / self.radius_sd_mm]
         )
@@ -93,6 +99,7 @@ def first_place(recording: Recording, rig: StereoRig) -> tuple[Place, Recording]
         raise RecordingError(f"recording {recording.name}: a ball bar without length or radius; give the certificate's")
     centres = np.stack([fit_sphere(points[recording.sphere == k], recording.radius_mm)[0] for k in (0, 1)])
     length = float(np.linalg.norm(centres[1] - centres[0]))
+    # Ports as drawn are wrong by per cents at most; ten are two other balls.
     if abs(length / recording.length_mm - 1.0) > 0.1:
         raise RecordingError(
             f"recording {recording.name}: the spheres seem {length:.1f} mm apart, the certificate says "

@@ -136,6 +136,8 @@ def adjust(
     costs = [cost]
     for _ in range(chosen.steps_at_most):
         step = -np.linalg.solve(hessian, gradient)
+        # Newton decrement: the length of the step in standard deviations of the posterior, over all parameters
+        # together.
         still_to_go = math.sqrt(max(float(-gradient @ step), 0.0))
         size = 1.0
         while True:
@@ -206,6 +208,9 @@ class _Problem:
         self.active = list(range(parameters.COUNT if rung is not Rung.PORTS else parameters.PORTS.stop))
         count = len(self.active)
         tilt = math.radians(settings.tilt_deg)
+        # Priors as an information matrix, that is the inverse of a covariance: independent for the ports, which only
+        # the drawing states; for lenses and pose the full covariance of the calibration in air, whose parameters are
+        # strongly correlated (principal distance with k1, yaw with the principal point).
         information = np.zeros((count, count))
         information[:6, :6] = np.diag(np.array([tilt, tilt, settings.distance_mm] * 2) ** -2.0)
         if rung is not Rung.PORTS:
@@ -213,6 +218,8 @@ class _Problem:
                 raise ValueError(
                     "the adjustment of all parameters needs the (22, 22) covariance of the air calibration"
                 )
+            # Between air and water the mount may give and the focus may creep: both widen the prior, else the
+            # adjustment would push what happened there into the ports.
             widened = air_covariance.copy()
             widened[16:19, 16:19] += np.eye(3) * math.radians(settings.mount_deg) ** 2
             widened[19:22, 19:22] += np.eye(3) * settings.mount_mm**2
@@ -225,6 +232,8 @@ class _Problem:
         self._intervals = settings.field_intervals if self._field else INTERVALS
         nodes = 2 * node_count(self._intervals) if self._splines else 0
         shifts = 2 * node_count(SHIFT_INTERVALS) if self._field else 0
+        # Order of the unknowns x: rig parameters, nodes of the left and right image correction, nodes of the left and
+        # right ray shift, then each artefact's pose.
         ends = np.cumsum([count, nodes, nodes, shifts, shifts])
         self._left_nodes, self._right_nodes, self._left_shifts, self._right_shifts = (
             slice(int(a), int(b)) for a, b in pairwise(ends)
@@ -278,6 +287,8 @@ class _Problem:
     def linearise(self, x: Array) -> tuple[Array, Array, float, list[Array]]:
         """Hessian, gradient and cost of the robust sum of squares, and the residuals (n, 2) in px per recording."""
         noise = self._settings.noise_px
+        # Gauss-Newton of E(x) = xᵀ P x + Σ ρ(|e| / σ) + Σ certificates²: the Hessian is P + Σ Jᵀ W J, without second
+        # derivatives of e. The prior's mean is x = 0, the start.
         hessian, gradient = self._prior.copy(), self._prior @ x
         cost = float(x @ gradient)
         residuals = []
@@ -290,13 +301,17 @@ class _Problem:
             changed.append(self._bare(y))
         for recording, place, at in zip(self.recordings, self._places, self._slices, strict=True):
             rows, columns, residual = self._rows(x, rig, changed, recording, place, at)
+            # The spline columns of J are nearly all zero: sixteen nodes touch one pixel.
             J = scipy.sparse.csr_matrix(rows.reshape(2 * len(residual), -1) / noise)
             far = np.linalg.norm(residual, axis=1) / noise / self._settings.far_residual
+            # Huber's weight, from the length of the residual so that both coordinates of one match lose alike: 1 inside
+            # far_residual, 1/far outside.
             weight = np.repeat(1.0 / np.maximum(far, 1.0), 2)
             e = residual.ravel() / noise
             hessian[np.ix_(columns, columns)] += (J.T @ J.multiply(weight[:, None])).toarray()
             gradient[columns] += J.T @ (weight * e)
             k2 = self._settings.far_residual**2
+            # ρ of Huber: r² inside, 2 r − 1 outside, in units of far_residual; continuous in value and slope at 1.
             cost += float(np.sum(np.where(far <= 1.0, far**2, 2.0 * far - 1.0)) * k2)
             extra, D = place.certificate(x[at])
             hessian[at, at] += D.T @ D
@@ -339,12 +354,16 @@ class _Problem:
             left_shift: Array = left_shift,
             right_shift: Array = right_shift,
         ) -> Array:
+            # Transfer error: left pixel → refracted ray → point on the artefact → refracted projection into the right
+            # camera. Both coordinates count: the one across the epipolar line tells a tilted port.
             origin, direction = rig.left.rays(uv, index)
             origin = origin + left_shift @ np.asarray(rig.left.rotation).T
             return _project(rig.right, place.meet(origin, direction, recording.sphere, q), right_shift, index)
 
         now = predicted(rig)
         steps = parameters.STEPS[self.active]
+        # Forward differences: refraction has no handy closed derivative, and the functions are smooth far below the
+        # steps.
         parts = [np.stack([(predicted(r) - now) / s for r, s in zip(changed, steps, strict=True)], -1)]
         parts.append(np.stack([(predicted(rig, q=x[at] + e) - now) / e.max() for e in np.diag(place.steps)], -1))
         columns = [np.arange(len(steps)), np.arange(at.start, at.stop)]
@@ -402,6 +421,8 @@ def _ray_shift(camera: HousedCamera, nodes: Array) -> RayShift:
 
 def _smoothness(intervals: tuple[int, int], value_sd: float, bend_sd: float) -> Array:
     """Information matrix of one camera's nodes: small values, small second differences along rows and columns."""
+    # A cubic B-spline over n intervals has n + 3 coefficients. The information is I / value_sd² + BᵀB / bend_sd² with B
+    # the second differences: a thin-plate prior without a null space.
     columns, rows = intervals[0] + 3, intervals[1] + 3
     across, down = np.diff(np.eye(columns), 2, axis=0), np.diff(np.eye(rows), 2, axis=0)
     bends = np.concatenate([np.kron(np.eye(rows), across), np.kron(down, np.eye(columns))])

@@ -46,6 +46,8 @@ def _match(
     offsets = np.arange(-HALF_WINDOW_PX, HALF_WINDOW_PX + 1)
     v, u = (grid.ravel() for grid in np.meshgrid(offsets, offsets, indexing="ij"))
     terms = _terms(u / HALF_WINDOW_PX, v / HALF_WINDOW_PX)
+    # Least squares of the six terms over a fixed window is one matrix for all pixels: coefficients = pinv · values. Row
+    # 0 is the value at the middle.
     fit = np.asarray(np.linalg.pinv(terms), np.float64)
     mine, good = _window(left_pq, left_px, u, v)
     wanted = np.einsum("t,ntk->nk", fit[0], mine)
@@ -64,6 +66,8 @@ def _match(
             miss = wanted - np.einsum("ns,nsk->nk", _terms(x[:, 0], x[:, 1]), surface)
             J = np.einsum("nsd,nsk->nkd", slope, surface)
             step, solvable = _solved(J, miss, complete)
+            # Beyond the window the quadratic is extrapolation; without the bound Newton leaves the image where the
+            # slope vanishes.
             x = np.clip(x + step, -5.0, 5.0)
         at = np.where(solvable[:, None], middle + x * HALF_WINDOW_PX, at)
         smooth = _smooth(terms, fit, other)
@@ -85,6 +89,7 @@ def _approached(right_pq: tuple[Map, Map], wanted: Array, at: Array, u: NDArray[
 
 def _solved(J: Array, miss: Array, complete: NDArray[np.bool_]) -> tuple[Array, NDArray[np.bool_]]:
     """Steps (n, 2) that J (n, 2, 2: coordinate, axis) maps to ``miss`` (n, 2), and where there is one; elsewhere zero."""
+    # Cramer's rule for all pixels at once.
     det = J[:, 0, 0] * J[:, 1, 1] - J[:, 0, 1] * J[:, 1, 0]
     solvable = complete & (np.abs(det) > 1e-6)
     across = J[:, 1, 1] * miss[:, 0] - J[:, 0, 1] * miss[:, 1]

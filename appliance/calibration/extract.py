@@ -109,10 +109,14 @@ def extract(
     rows, sphere = np.concatenate(chosen), np.concatenate(labels)
     v, u = np.divmod(cloud.pixel[rows].astype(np.intp), width_px)
     left_px = np.stack([u, v], -1)
+    # The point is projected rather than the match looked up: the cloud does not keep the right pixel, and the search is
+    # wide enough for ports as drawn.
     guess = start.rig.right.project(cloud.points_mm[rows].astype(np.float64), water.index)
     right_px, good = matched_right_px((left.p_px, left.q_px), (right.p_px, right.q_px), left_px, guess)
     nearest = np.rint(np.where(good[:, None], right_px, 0.0)).astype(np.intp)
     good &= clean_right[nearest[:, 1], nearest[:, 0]]
+    # A fringe that is blurred over a change of albedo is a mean with unequal weights: its phase moves towards the
+    # brighter side, and by the same way in every image.
     good &= _even_albedo(left, left_px) & _even_albedo(right, nearest)
     for label, (what, on_surface) in enumerate(surfaces.items()):
         count = int(np.count_nonzero(good & (sphere == label)))
@@ -151,6 +155,7 @@ def _well_seen(ball: Ball, cloud: PointSource, start: Calibration) -> Pixels:
 def _clean(image: DecodedImage) -> Flags:
     """(h, w): pixels with nothing unknown within the guard distance; the image's border counts as unknown."""
     known = (np.isfinite(image.p_px) & np.isfinite(image.q_px)).astype(np.uint8)
+    # Erosion of the known pixels by the guard; unknown outside of the image.
     box = np.ones((2 * GUARD_PX + 1, 2 * GUARD_PX + 1), np.uint8)
     return np.asarray(cv2.erode(known, box, borderType=cv2.BORDER_CONSTANT, borderValue=0) == 1)
 
@@ -169,6 +174,7 @@ def _even_albedo(image: DecodedImage, px: Pixels) -> Flags:
     rows = np.clip(px[:, 1:] + v, 0, height - 1)
     columns = np.clip(px[:, :1] + u, 0, width - 1)
     window = image.modulation_half_dn[rows, columns].astype(np.float64)
+    # Two orthonormal slopes of the window; their RMS is that of the plane through the modulation.
     slopes = np.stack([u, v], -1) / float(np.sqrt(np.sum(u * u)))
     # Only the gradient: two numbers of twenty-five keep the noise of a dark picture from looking like a pattern.
     rms = np.linalg.norm(window @ slopes, axis=1) / len(u) ** 0.5

@@ -134,18 +134,22 @@ def judge(trend: HealthTrend, gaps: PatchGaps, scan: str | None = None) -> tuple
         return trend, HealthJudgement(None, trend.alarm is not None, text, _counts(gaps))
     if not all(np.isfinite(values).all() for values in (gaps.gap_um, gaps.noise_um, gaps.modes)):
         return trend, HealthJudgement(None, trend.alarm is not None, "not judged: a gap is not a number", _counts(gaps))
+    # Steps 1 to 3 of docs/calibration-health.md, "How it is judged". The median with the taught scans keeps one odd
+    # scan from widening its own limits.
     rest_um = _rest(gaps)
     usual_um = float(np.median([*trend.reference.rests_um, rest_um]))
     amplitudes, covariance = _compared(trend.reference, gaps, usual_um)
     z = _whitened(amplitudes, covariance)
     total = _summed(np.array(trend.total), z)
     size = float(np.linalg.norm(total))
+    # An alarm stays until somebody answers it: it is not raised twice, and the sum that caused it is kept.
     found = trend.alarm is None and size > LIMIT
     point = TrendPoint(
         scan, _four(amplitudes), _four(np.sqrt(np.diag(covariance))), rest_um, float(np.linalg.norm(z)), size,
         found or trend.alarm is not None,
     )  # fmt: skip
     reference = trend.reference
+    # The reference learns from scans that are beyond doubt; else a slow drift would teach itself to be normal.
     if not point.alarm and size <= TEACHES_UP_TO:
         reference = _taught(reference, gaps, rest_um)
     text = _said(point, reference)
@@ -163,6 +167,8 @@ def judge(trend: HealthTrend, gaps: PatchGaps, scan: str | None = None) -> tuple
 def answered(trend: HealthTrend, answer: str) -> HealthTrend:
     """Return the trend after an accepted length check: the latest scan's state is normal from now on. ``answer`` says
     what was found."""
+    # The offset moves the expectation by whole patterns instead of patch by patch, and every patch keeps the weight of
+    # one scan at most, so that it follows what the next scans show.
     latest = trend.points[-1].amplitudes_um if trend.points else (0.0,) * len(MODES)
     reference = replace(
         trend.reference,
@@ -196,6 +202,7 @@ def likeliest(amplitudes_um: Four, answers: Mapping[str, tuple[Array, float]]) -
 def _rest(gaps: PatchGaps) -> float:
     """RMS of what the four patterns leave over, less what noise alone leaves."""
     amplitudes = _solver(gaps.modes, 1.0 / (gaps.noise_um**2 + PATCH_UM**2)) @ gaps.gap_um
+    # Unbiased variance of the rest: squares over the degrees of freedom, less the mean variance of the noise.
     left = gaps.gap_um - gaps.modes @ amplitudes
     freedom = max(len(left) - len(MODES), 1)
     return math.sqrt(max(float(np.sum(left**2)) / freedom - float(np.mean(gaps.noise_um**2)), 0.0))
@@ -204,6 +211,8 @@ def _rest(gaps: PatchGaps) -> float:
 def _compared(reference: Reference, gaps: PatchGaps, usual_um: float) -> tuple[Array, Array]:
     """Amplitudes (4,) against the reference and their covariance in normal operation."""
     offset = np.array(reference.offset_um)
+    # Model: gap = expected + modes · a + smooth rest + white noise. A patch without a reference has all of the rest,
+    # one with a reference the share that changes with distance.
     expected = np.array(reference.gap_um)[gaps.patch] + gaps.modes @ offset
     known = np.array(reference.scans)[gaps.patch] > 0
     left_over = usual_um * np.where(known, SHARE_KNOWN, 1.0)
@@ -212,9 +221,13 @@ def _compared(reference: Reference, gaps: PatchGaps, usual_um: float) -> tuple[A
     # smooth is known too roughly to make use of it.
     solve = _solver(gaps.modes, 1.0 / (white + left_over**2))
     amplitudes = solve @ (gaps.gap_um - expected)
+    # Propagation of the true covariance S through the estimator K: K S Kᵀ. What the patches do not determine, (I − K
+    # M), is as uncertain as before.
     scatter = np.diag(white) + np.outer(left_over, left_over) * _alike(gaps.patch)
     unseen = np.eye(len(MODES)) - solve @ gaps.modes
     covariance = solve @ scatter @ solve.T + unseen @ unseen.T * _WIDE_UM**2
+    # Floors that no number of patches takes away: the best calibration's scatter, the part of an accepted change that
+    # varies with distance, and for height the index times the change of the stated water.
     least = np.full(len(MODES), LEAST_UM**2) + (OFFSET_SHARE * offset) ** 2
     if reference.water_index is not None:
         least[0] += (HEIGHT_PER_INDEX_UM * (gaps.water_index - reference.water_index)) ** 2
@@ -230,17 +243,23 @@ def _alike(patch: NDArray[np.intp]) -> Array:
 
 def _solver(modes: Array, weight: Array) -> Array:
     """The matrix (4, k) that makes amplitudes of gaps; small where the patches say nothing."""
+    # Weighted least squares with a weak prior of _WIDE_UM: patterns that no patch shows stay near zero instead of
+    # exploding.
     weighted = modes.T * weight
     return np.asarray(np.linalg.solve(weighted @ modes + np.eye(len(MODES)) / _WIDE_UM**2, weighted))
 
 
 def _whitened(amplitudes: Array, covariance: Array) -> Array:
+    # C^(-1/2) a by the eigenvectors: symmetric, so that every score keeps the direction of its pattern and the sums of
+    # scans with different covariances can be added.
     values, vectors = np.linalg.eigh(covariance)
     return np.asarray(vectors @ ((vectors.T @ amplitudes) / np.sqrt(values)))
 
 
 def _summed(total: Array, z: Array) -> Array:
     """Crosier 1988: add, then shrink by the slack."""
+    # Crosier's multivariate CUSUM: s ← (s + z)(1 − k / |s + z|), and 0 where |s + z| ≤ k. It keeps the direction, so
+    # that scatter cancels and a constant shift adds up.
     together = total + z
     length = float(np.linalg.norm(together))
     return np.zeros_like(total) if length <= SLACK else np.asarray(together * (1.0 - SLACK / length))
@@ -256,6 +275,7 @@ def _taught(reference: Reference, gaps: PatchGaps, rest_um: float) -> Reference:
     at = np.isin(gaps.patch, learning)
     n = scans[learning]
     seen = gaps.gap_um[at] - gaps.modes[at] @ np.array(reference.offset_um)
+    # Running mean of n + 1 scans, and the variance of that mean: (n² v + σ²) / (n + 1)².
     mean[learning] = (n * mean[learning] + seen) / (n + 1.0)
     variance[learning] = (n**2 * variance[learning] + gaps.noise_um[at] ** 2) / (n + 1.0) ** 2
     scans[learning] += 1.0

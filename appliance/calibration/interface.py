@@ -79,6 +79,7 @@ def search_distances(
     used = [thinned(r, chosen.points_per_recording) for r in recordings]
     rig = start.rig
     middle = np.array([rig.left.port.distance_mm, rig.right.port.distance_mm])
+    # An interface distance below zero would put the window behind the projection centre.
     limits = (np.maximum(middle - chosen.reach_mm, 0.0), middle + chosen.reach_mm)
     reach = chosen.reach_mm
     best, least = middle, np.inf
@@ -89,11 +90,13 @@ def search_distances(
         axes = []
         for side, camera in enumerate((rig.left, rig.right)):
             distances = np.unique(np.clip(best[side] + offsets, limits[0][side], limits[1][side]))
+            # Rays depend on one camera's distance only: m + n traces serve all m · n pairs.
             axes.append([(d, _rays(_with_distance(camera, float(d)), used, side)) for d in distances])
         tried = np.zeros((len(axes[0]), len(axes[1])))
         for i, (d1, left) in enumerate(axes[0]):
             for j, (d2, right) in enumerate(axes[1]):
                 lengths, ranges = _errors(used, left, right, chosen)
+                # T of Eq. 7.
                 statistic = float(sum(e * e for e in (*lengths, *ranges)))
                 tried[i, j] = statistic
                 if statistic < least:
@@ -148,6 +151,8 @@ def _errors(
             normal, offset = fit_plane(points)
             off = points @ normal - offset
             if settings.noise_free:
+                # Range of the fitted cubic instead of that of the points: the noise of a point adds several of its
+                # standard deviations to a range, and the minimum of T would lie where noise is small.
                 terms = cubic((points[:, :2] - points[:, :2].mean(axis=0)) / settings.field_mm)
                 off = terms @ np.linalg.lstsq(terms, off, rcond=None)[0]
                 ranges.append(float(np.ptp(off)) / settings.field_mm)

@@ -60,6 +60,8 @@ def systematic_px(left_px: Array, residual_px: Array, camera: HousedCamera) -> f
         if n < FEWEST_IN_PATCH:
             continue
         mean = inside.mean(axis=0)
+        # A patch's mean of n residuals has the noise variance s²/n on top of its systematic part; it is subtracted
+        # before the root, so that pure noise gives zero in the mean.
         excess += n * float(np.sum(mean**2 - inside.var(axis=0, ddof=1) / n))
         count += 2 * n
     return float(np.sqrt(max(excess / count, 0.0))) if count else 0.0

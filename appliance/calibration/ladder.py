@@ -33,6 +33,7 @@ Array = NDArray[np.float64]
 Progress = Callable[[str], None]
 
 
+# The ladder of docs/calibration.md; every rung has all the freedom of the one below it.
 RUNGS = {
     Method.BA_PORTS: Rung.PORTS,
     Method.BA_ALL: Rung.ALL,
@@ -108,6 +109,7 @@ def calibrate(
     costs: tuple[float, ...] = ()
     match method:
         case Method.PM_MAPPED:
+            # A pinhole holds in one water only: that of the recordings, which is the one to be measured in.
             water = recordings[0].water if recordings else start.water
             calibration = mapped_through_ports(start, water)
         case Method.PM_WATER:
@@ -127,6 +129,7 @@ def calibrate(
             adjusted = adjust(recordings, start, RUNGS[method], covariance, chosen.bundle)
             calibration, estimates, costs = adjusted.calibration, adjusted.estimates, adjusted.costs
             warnings = adjusted.warnings
+    # One measure for every method, also for those that minimise something else: only so the rungs can be compared.
     say("looking at what is left")
     residuals = tuple(residuals_of(r, calibration.rig, chosen.bundle.points_per_recording) for r in recordings)
     left_over = 0.0
@@ -135,6 +138,7 @@ def calibrate(
         left_over = systematic_px(at, miss, start.rig.left)
         rms = float(np.sqrt(np.mean(miss**2)))
         calibration = replace(calibration, residual_px=rms)
+        # The bundle has warned already, with the priors that only it knows.
         if method not in RUNGS:
             _, found = warnings_about(at, miss, chosen.bundle.noise_px, start.rig.left, (), (), may_be_refined=True)
             warnings += found
@@ -157,6 +161,7 @@ def _searched(
         return search_distances(recordings, start, settings)
     if method is Method.RMD:
         return search_with_operator(recordings, start, settings)
+    # Eq. 1 as printed is for comparison: its distances are far from the true ones, so it needs a wider search.
     rig = StereoRig(_printed(start.rig.left), _printed(start.rig.right))
     wide = replace(settings, reach_mm=PRINTED_REACH_MM, steps_mm=(PRINTED_STEP_MM, *settings.steps_mm))
     found = search_distances(recordings, replace(start, rig=rig), wide)

@@ -48,6 +48,8 @@ def with_operator(recordings: Sequence[Recording], calibration: Calibration) -> 
     for plane in planes:
         points = triangulate(rig, plane.left_px, plane.right_px, plane.water.index)
         normal, offset = fit_plane(points)
+        # The nearest point of the plane is taken for the true one: what separates it from the seen one is read as
+        # distortion, also where the port is to blame. That is the method's limit.
         flat = points - (points @ normal - offset)[:, None] * normal
         seen["left"].append((plane.left_px, plane.left_px - rig.left.project(flat, plane.water.index)))
         seen["right"].append((plane.right_px, plane.right_px - rig.right.project(flat, plane.water.index)))
@@ -65,6 +67,8 @@ def _operator(camera: HousedCamera, seen: Sequence[tuple[Array, Array]]) -> Hous
     )
     grid = np.stack([u.ravel(), v.ravel()], -1)
     matrix = basis_matrix(grid, (camera.width_px, camera.height_px), INTERVALS)
+    # The spline's nodes follow from the cubic on a grid four times finer than the intervals: exact but for rounding, as
+    # a cubic is a spline.
     nodes = np.linalg.lstsq(matrix, cubic(_unit(camera, grid)) @ coefficients, rcond=None)[0]
     correction = ImageCorrection(camera.width_px, camera.height_px, INTERVALS, tuple(float(c) for c in nodes.ravel()))
     return replace(camera, correction=correction)

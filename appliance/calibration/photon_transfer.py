@@ -62,9 +62,14 @@ def measure_noise(sequence: PatternSequence, frames: NDArray[np.uint8]) -> Measu
     light, noise = [], []
     for direction in Direction:
         sines = frames[list(sequence.axis(direction).sine)].astype(np.float64)
+        # Steps of 90°: the fundamental and all odd harmonics cancel in I0 + I2 − I1 − I3, whatever phase and albedo
+        # are. Its variance is four times that of one image.
         alternating = sines[0] + sines[2] - sines[1] - sines[3]
+        # Even harmonics remain and are smooth along a row; the fourth difference (1, −4, 6, −4, 1) takes them away and
+        # multiplies the variance of white noise by 70 = Σ d².
         along = np.apply_along_axis(np.convolve, 1, alternating, DIFFERENCE, "valid")
         mean, top = (np.asarray(f(sines, axis=0))[:, 2:-2] for f in (np.mean, np.max))
+        # Differences that share pixels are correlated and would make the bins look better filled than they are.
         level = mean[:, :: len(DIFFERENCE)]  # each pixel is used once
         good = top[:, :: len(DIFFERENCE)] <= BRIGHTEST_DN
         light.append(level[good])
@@ -80,6 +85,7 @@ def _line(light: Array, noise: Array) -> MeasuredNoise:
         inside = noise[which == k]
         if len(inside) < FEWEST_IN_BIN:
             continue
+        # Robust: edges of the scene leave large differences, and they are few.
         sigma = MAD_TO_SIGMA * float(np.median(np.abs(inside)))
         if sigma == 0.0:
             raise NoiseError("no noise at all, which no camera has; give a recorded scan")
@@ -91,6 +97,7 @@ def _line(light: Array, noise: Array) -> MeasuredNoise:
             f"light of {len(centres)} levels, {BIN_DN:g} grey values apart; needed are {FEWEST_BINS}; scan something that is "
             "light and dark in large parts, without glare"
         )
+    # EMVA 1288: variance = offset + light · (grey values per electron). The offset is read noise and quantisation.
     slope, offset = np.polyfit(centres, variances, 1, w=weights)
     if not slope > 0.0:
         raise NoiseError(f"noise that does not grow with light (by {slope:.4f} per grey value); scan with still hands")

@@ -57,6 +57,8 @@ def _mapped(camera: HousedCamera, water: Water) -> HousedCamera:
 
     def miss(x: Array) -> Array:
         lens, back_mm = lens_of(x)
+        # Seen from the middle of the volume, refracted rays seem to come from a centre behind the true one, and the
+        # focal length is longer by the index: both are the start of the search.
         xy = points[:, :2] / (points[:, 2:] + back_mm)
         seen = distort(xy, lens.distortion) * np.asarray(lens.f_px) + np.asarray(lens.c_px)
         return np.asarray((seen - wanted).ravel())

@@ -72,6 +72,7 @@ def rig_axes(rig: StereoRig) -> tuple[Array, Array]:
 def judge_bar(step: Step, bar: FoundBar, rig: StereoRig, length_mm: float, radius_mm: float) -> RecordingCheck:
     """Judge whether a bar will do for ``step`` (M1, M2 or VERIFY)."""
     axes, _ = rig_axes(rig)
+    # Angles in the rig frame: the left camera's own frame is turned by the toe-in.
     along = (bar.centres_mm[1] - bar.centres_mm[0]) @ axes
     length = float(np.linalg.norm(along))
     rise_deg = _degrees(abs(along[1]), abs(along[0]))
@@ -83,6 +84,7 @@ def judge_bar(step: Step, bar: FoundBar, rig: StereoRig, length_mm: float, radiu
     def check(refusal: Refusal | None, number: float | None) -> RecordingCheck:
         return RecordingCheck(step, refusal, number, bar.points, said)
 
+    # Wrong things first, then wrong poses: advice about the pose of something else would be of no use.
     if abs(worst_radius - radius_mm) > RADIUS_OFF * radius_mm:
         return check(Refusal.WRONG_SIZE, worst_radius)
     if abs(length - length_mm) > LENGTH_OFF * length_mm:

@@ -79,11 +79,15 @@ def measure_response(
     phases = _Sums(ORDER)
     for one in seen:
         for direction, coordinate in ((Direction.X, one.p_px), (Direction.Y, one.q_px)):
+            # The phase error of the harmonics has period 90° of phase and mean zero over a whole fringe: the mean over
+            # one period is the true coordinate of a smooth surface.
             smooth = _smooth(coordinate, direction, sequence.period_px)
             for step, light, at in _lights(sequence, one, direction, smooth):
                 drawn = _drawn(sequence, direction, step, drawn_for)
                 x = np.interp(at, np.arange(len(drawn)), (drawn - MEAN_CODE) / AMPLITUDE_CODE)
                 codes.add(np.arccos(np.clip(x, -1.0, 1.0)), light)
+                # The same light against the phase as it was drawn: where the patterns were compensated, these are the
+                # harmonics that remain.
                 phases.add(2.0 * np.pi * (at + 0.5) / sequence.period_px + step * np.pi / 2.0, light)
     if codes.count < FEWEST_PIXELS * STEPS:
         raise ResponseError(
@@ -169,5 +173,6 @@ class _Sums:
     def solve(self) -> tuple[NDArray[np.float64], float]:
         """The coefficients and the RMS residual."""
         b = np.asarray(np.linalg.solve(self._matrix, self._vector), np.float64)
+        # Σ(light − basis b)² = Σ light² − bᵀv at the minimum, without a second pass over the pixels.
         unexplained = self._squares - float(np.dot(b, self._vector))
         return b, math.sqrt(max(unexplained, 0.0) / self.count)

@@ -19,6 +19,7 @@ def triangulate(rig: StereoRig, left_px: Array, right_px: Array, water_index: fl
 
 def nearest_points(p: Array, a: Array, q: Array, b: Array) -> Array:
     """Middles (n, 3) of the shortest lines between rays p + s·a and q + t·b, unit directions."""
+    # Minimise |p + s a − q − t b|²: two linear equations in s and t with determinant 1 − (a·b)².
     w = p - q
     cosine = np.sum(a * b, -1)
     da, db = np.sum(a * w, -1), np.sum(b * w, -1)
@@ -40,6 +41,8 @@ def fit_sphere(points_mm: Array, radius_mm: float | None = None) -> tuple[Array,
     """Centre and radius of the sphere nearest to points (n, 3) by orthogonal distance; the radius fixed if given."""
     middle = points_mm.mean(axis=0)
     local = points_mm - middle
+    # Algebraic start: |X|² = 2 c·X + (r² − |c|²) is linear in c and r² − |c|². It is biased on a part of a sphere,
+    # hence the orthogonal iteration below.
     design = np.column_stack([2.0 * local, np.ones(len(local))])
     solution, *_ = np.linalg.lstsq(design, np.sum(local**2, axis=1), rcond=None)
     centre = solution[:3]
