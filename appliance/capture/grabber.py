@@ -115,6 +115,8 @@ class Grabber:
     def latest(self, newer_than: int) -> tuple[int, NDArray[np.uint8]] | None:
         """The newest live image (h, w) uint8 as a copy and its running number, if newer than ``newer_than``."""
         with self._changed:
+            # The copy is made under the lock: the other half of the double buffer is being filled, and after the next
+            # frame this one will be.
             if self._live_count <= newer_than or self._live_count == 0:
                 return None
             return self._live_count, self._live[self._live_count % 2].copy()
@@ -123,6 +125,7 @@ class Grabber:
         """Start recording ``len(slots)`` frames; returns at once. Wait for ``ready`` before arming, then for ``done``."""
         recording = SideRecording(slots, on_frame)
         with self._changed:
+            # A camera that is lost ends the recording here: its thread is over, and nobody else would.
             if self._lost is not None:
                 recording.lost, recording.done = self._lost, True
                 return recording
@@ -191,6 +194,7 @@ class Grabber:
             with self._changed:
                 if self._order != "live":
                     break
+                # Double buffer: the reader copies the half that was filled last while the driver fills the other one.
                 back = self._live[(self._live_count + 1) % 2]
             frame = self._camera.next_frame(back, LIVE_TIMEOUT_S)
             if frame.status is FrameStatus.COMPLETE:
@@ -207,6 +211,7 @@ class Grabber:
             recording = self._recording
         assert recording is not None
         self._start()
+        # Read while the camera waits for its first pulse: a question during the stream would compete with the frames.
         clock = self._camera.read_clock()
         with self._changed:
             recording.clock = clock
@@ -220,6 +225,8 @@ class Grabber:
             with self._changed:
                 recording.frames.append(frame)
                 stop = recording.cancelled or frame.status is not FrameStatus.COMPLETE
+            # The first bad frame ends the recording: whatever follows cannot make a cloud, and the play ends at the
+            # next blank.
             if stop:
                 break
             recording.on_frame(index)

@@ -79,6 +79,9 @@ class Ledger:
 def audit(ledger: Ledger) -> Fault | None:
     """The first disagreement of the witnesses, most telling first; ``None`` when all agree."""
     return (
+        # In the order of cause and effect: a late flip moves everything behind it, a missing pulse takes a frame from
+        # both cameras, a missing frame concerns one. Times are compared only once all counts agree, so that the lists
+        # have equal lengths.
         _flips(ledger)
         or _pulses(ledger)
         or frame_fault(ledger, "left")
@@ -91,6 +94,7 @@ def audit(ledger: Ledger) -> Fault | None:
 
 def _flips(ledger: Ledger) -> Fault | None:
     for k, flip in enumerate(ledger.flips):
+        # Vertical blanks as the kernel counts them; where it does not, the time between flips in periods.
         if flip.sequence is not None and ledger.start_sequence is not None:
             late = flip.sequence - (ledger.start_sequence + k)
         elif k > 0:
@@ -147,9 +151,12 @@ def frame_fault(ledger: Ledger, side: str) -> Fault | None:
                 {"frame": k, "received": k, "expected": ledger.expected},
                 device,
             )
+    # The driver's own judgement of a frame comes first, then repetition, order, and number by the cameras' block ids.
     arrived = [f for f in frames if f.status is FrameStatus.COMPLETE]
     ids = [f.block_id for f in arrived if f.block_id is not None]
     for k in range(1, len(ids)):
+        # Block ids grow by one with each frame (USB3 Vision): repeated, falling and jumping ids are three different
+        # faults.
         if ids[k] in ids[:k]:
             return Fault(
                 FaultCode.FRAME_REPEATED, f"{device}: block {ids[k]} arrived again as frame {k}", {"frame": k}, device
@@ -180,6 +187,8 @@ def _first_gap(ledger: Ledger, side: str, arrived: Sequence[Frame]) -> int:
     """
     late = _begins_late(ledger, side)
     for k, frame in enumerate(arrived):
+        # A frame that was lost on the way leaves a gap in the ids; a pulse that the camera missed leaves one only in
+        # its clock.
         by_id = by_clock = k
         if frame.block_id is not None and arrived[0].block_id is not None:
             by_id = frame.block_id - arrived[0].block_id + late
@@ -195,6 +204,7 @@ def _begins_late(ledger: Ledger, side: str) -> int:
     asked for theirs, by block ids, which begin alike, since both cameras are started anew for every sequence."""
     begun_ns = _begun_ns(ledger)
     if len(begun_ns) == 2:
+        # In periods: the reading of a camera's clock is uncertain by far less.
         return round((begun_ns[side] - min(begun_ns.values())) / ledger.period_ns)
     first_ids = {one: frames[0].block_id for one, frames in ledger.frames.items() if frames}
     known = [block_id for block_id in first_ids.values() if block_id is not None]
@@ -206,6 +216,8 @@ def _flips_against_pulses(ledger: Ledger) -> Fault | None:
     if ledger.sync is None:
         return Fault(FaultCode.SYNC_LOST, "the board's vertical sync was never matched to the projector's", {}, "board")
     for flip, pulse in zip(ledger.flips, ledger.pulses, strict=True):
+        # Board time → host time by the matched vertical syncs, then pulse minus flip minus the delay that was asked
+        # for: zero but for jitter.
         after_ns = ledger.sync.host_ns(pulse.board_time_us) - flip.time_ns - ledger.delay_us * 1000
         if abs(after_ns) > MAX_FLIP_PHASE * ledger.period_ns:
             return Fault(
@@ -226,6 +238,7 @@ def _times(ledger: Ledger) -> Fault | None:
         times = [f.camera_time_ns for f in frames]
         if any(t is None for t in times):
             continue  # a camera without time stamps; its ids have been checked
+        # Relative to the first frame: a camera's clock starts anywhere.
         start = times[0] or 0
         relative[side] = [(t or 0) - start for t in times]
         for k, (dt, pulse) in enumerate(zip(relative[side], ledger.pulses, strict=True)):
@@ -252,6 +265,7 @@ def _apart(ledger: Ledger) -> Fault | None:
     begun_ns = _begun_ns(ledger)
     if len(begun_ns) < 2:
         return None
+    # The clocks were read before the sequence and drift from then on: their error grows with the wait.
     waited_ns = max(begun_ns[side] - clock.camera_time_ns - clock.offset_ns for side, clock in ledger.clocks.items())
     apart_ns = begun_ns["right"] - begun_ns["left"]
     if (

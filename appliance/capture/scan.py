@@ -221,6 +221,8 @@ class ScanRecorder:
 
         def arm(flip: Flip) -> int | None:
             found = synchronise(self._board, flip, period_ns)
+            # The board needs the vertical sync at which it begins, and the first flip must be on its way by then:
+            # blanks that passed while it was asked are added.
             lead = LEAD_BLANKS + round((self._clock.now_ns() - flip.time_ns) / period_ns)
             self._board.arm(
                 len(sequence), found.count + lead, self._settings.trigger_delay_us, self._settings.exposure_us
@@ -233,6 +235,8 @@ class ScanRecorder:
         try:
             if fault is None:
                 flips = self._projector.play(range(len(sequence)), len(sequence), arm, should_stop)
+            # Cameras still deliver the last frames when the last pattern was flipped; after an early end they are
+            # cancelled instead.
             whole = len(flips) == len(sequence)
             for side in SIDES:
                 if whole:
@@ -249,7 +253,9 @@ class ScanRecorder:
             if not recording.done:
                 self._grabbers[side].cancel(recording)
                 self._grabbers[side].wait(recording, "done", timeouts.collect_s)
+        # After the cameras: most of the reports have arrived by then.
         pulses = self._collect_pulses(len(sequence) if played else 0, events)
+        # A pulse is missing: the board may still be armed and would expose the live views.
         if played and len(pulses) < len(sequence):
             self._disarm()
         ledger = Ledger(
@@ -300,6 +306,8 @@ def _first_fault(
     fault: Fault | None, recordings: Mapping[str, SideRecording], events: list[BoardEvent], ledger: Ledger
 ) -> Fault | None:
     """Lost devices explain everything else, so they come first; then what stopped the play; then the audit."""
+    # A lost camera looks like missing frames, a board that restarted like missing pulses: the cause is told, not the
+    # effect.
     for side, recording in recordings.items():
         if recording.lost is not None:
             return device_fault(f"camera.{side}", recording.lost)

@@ -86,6 +86,7 @@ def merge_bracket(pipeline: Pipeline, first: ProcessedSequence, second: Processe
     for name, one in (("first", first), ("second", second)):
         story.numbers[f"{name}_ms"], story.numbers[f"{name}_gain_db"] = one.exposure.time_us / 1e3, one.exposure.gain_db
         story.numbers[f"{name}_points"] = float(len(one.cloud.pixel))
+    # Compensated points can be registered, points of no moment cannot.
     if first.spoilt or second.spoilt:
         which = "first" if first.spoilt else "second"
         return story.refused(f"instrument and scene moved while the {which} exposure was recorded")
@@ -95,10 +96,13 @@ def merge_bracket(pipeline: Pipeline, first: ProcessedSequence, second: Processe
     if surface is None or found is None:
         return story.refused("the two exposures have too little in common to tell how they lie to each other")
     story.numbers |= _registration(found)
+    # Pixel by pixel where nothing moved, which loses nothing; else in space, where points of both must be rays of one
+    # moment.
     if found.moved_px < STILL_PX and not first.moved and not second.moved:
         agreements = _merge_maps(pipeline, first, second)
         story.numbers |= _agreements(agreements)
         if all(agreement.agrees for agreement in agreements.values()):
+            # The picture of the shorter exposure is not saturated where the longer one is.
             shorter = min(first, second, key=lambda one: one.exposure.light)
             return story.merged(pipeline.find_changed(shorter.bright), "nothing moved: merged pixel by pixel")
     if (why := _refusal(found)) is not None:

@@ -124,6 +124,7 @@ class SequenceProcessor:
         """
         pipeline, settings, rig = self._pipeline, self._settings, self._calibration.rig
 
+        # First of all: with a wrong pattern every coordinate would be wrong, and so every other verdict.
         identity = judge_identity(self._frames, pipeline.sequence, settings.noise, settings.exposure)
         yield Identified(identity)
         if identity.fault is not None and not even_if_wrong:
@@ -133,6 +134,7 @@ class SequenceProcessor:
         yield CoarseFound(coarse)
 
         images = ScanImages(pipeline.sequence, self._frames, {side: pipeline.decoded(side) for side in SIDES}, settings)
+        # Judges look at raw frames, maps and the coarse cloud, before anything is changed by compensation or masking.
         given = JudgeInput(images, pipeline.table.cloud(coarse), rig, self._water.index, identity, pipeline)
         spoken: dict[str, Judgement | None] = {}
         for name, one in judged_by_all(given):
@@ -145,6 +147,7 @@ class SequenceProcessor:
         full: Found | None = None
         if self._moved:
             # The full cloud will be that of one moment of the scan where that makes it good, else the plain one.
+            # The plain cloud is made first: compensation starts from it, and it is what remains if that fails.
             plain = pipeline.find_full()
             tried = attempt(pipeline, plain, images, self._calibration, self._water)
             full = tried.found or plain
@@ -154,6 +157,7 @@ class SequenceProcessor:
                 said["motion"] = replace(motion, fault=Fault(FaultCode.COMPENSATED, motion.verdict.text))
             said["compensation"] = Judgement(_compensation(tried, settings.frame_s))
             yield AllJudged((identity, *self._weighed(said, full.summary)))
+        # Not both: specks are told by frames that differ, which they do wherever something moved.
         elif (said["water"].verdict.numbers["speck_percent"] or 0.0) > WORTH_MASKING_PERCENT:
             for side in SIDES:  # what passed by makes no points
                 noise = of_side(settings.noise, side)

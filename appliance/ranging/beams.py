@@ -50,6 +50,7 @@ class PointerBeam:
         """Standard deviation (...) of the beam's place across it at depths (...), the larger of both directions."""
         P = np.asarray(self.covariance)
         ahead = np.asarray(z_mm, np.float64) - self.z0_mm
+        # Variance of x0 + sx · (z − z0), with the covariance of both; never below what a dot itself leaves.
         x = P[0, 0] + 2.0 * ahead * P[0, 2] + ahead**2 * P[2, 2]
         y = P[1, 1] + 2.0 * ahead * P[1, 3] + ahead**2 * P[3, 3]
         return np.asarray(np.sqrt(np.maximum(x, y) + FLOOR_SD_MM**2))
@@ -63,9 +64,11 @@ class PointerBeam:
         ahead = z - self.z0_mm
         H = np.array([[1.0, 0.0, ahead, 0.0], [0.0, 1.0, 0.0, ahead]])
         P = np.asarray(self.covariance)
+        # Kalman update of a line that stands still: K = P Hᵀ (H P Hᵀ + R)⁻¹.
         gain = P @ H.T @ np.linalg.inv(H @ P @ H.T + DOT_SD_MM**2 * np.eye(2))
         line = np.asarray(self.line) + gain @ (dot_mm[:2] - H @ np.asarray(self.line))
         left = np.eye(4) - gain @ H
+        # Joseph's form stays symmetric and positive whatever is rounded; P − K H P does not over thousands of dots.
         P = left @ P @ left.T + DOT_SD_MM**2 * gain @ gain.T
         x0, y0, sx, sy = (float(v) for v in line)
         rows = tuple(tuple(float(v) for v in row) for row in P)

@@ -112,6 +112,7 @@ class Lane:
 def contrast_of(coarse: NDArray[Any]) -> NDArray[np.float32]:
     """Compute by how much each place (h, w) of an image of about ``COARSE_PX`` is brighter than the brightest on a ring
     around it."""
+    # A dot has dark all around it; an edge or a bright area has something as bright on the ring.
     smooth = cv2.GaussianBlur(coarse.astype(np.float32), (0, 0), CORE_PX)
     return np.asarray(smooth - cv2.dilate(smooth, _ring()), np.float32)
 
@@ -129,6 +130,7 @@ def _centre(image: NDArray[np.uint8], u: float, v: float, step: int) -> tuple[fl
         part = image[y0 : y0 + 2 * radius + 1, x0 : x0 + 2 * radius + 1].astype(np.float32)
         yy, xx = np.ogrid[y0 : y0 + part.shape[0], x0 : x0 + part.shape[1]]
         away2 = (xx - u) ** 2 + (yy - v) ** 2
+        # The median of the rim is the background also where part of it is another bright thing.
         ground = float(np.median(part[away2 > (0.75 * radius) ** 2]))
         weight = part - ground - CENTRE_LEVEL * (float(part[away2 <= step * step].mean()) - ground)
         weight[(weight < 0.0) | (away2 > radius * radius)] = 0.0

@@ -163,6 +163,8 @@ class Ranger:
         dots: list[Dot | None] = []
         for number, found in enumerate(seen):
             other = met[1 - number]
+            # From the surest to the least sure: both cameras; one camera beside the other pointer's dot; one camera
+            # alone.
             alone = self._lone(number, seen, images) if other is None and not found.met else None
             dots.append(met[number] if found.met else alone if other is None else self._beside(found.alone, other))
         return Dots(dots[0], dots[1])
@@ -180,6 +182,8 @@ class Ranger:
                 continue
             beam = self._beams[number] = self._beams[number].taught(np.array(dot.place_mm))
             before, z = self._seen_by[number], np.array([NEAREST_MM, FARTHEST_MM])
+            # A lane costs far more than a dot: it is made anew only when the beam has moved, or narrowed, by a
+            # noticeable amount.
             moved = np.abs(beam.at(z) - before.at(z)).max() > REBUILD_MM
             if moved or (beam.sd_mm(z) < before.sd_mm(z) - REBUILD_MM).any():
                 self._seen_by[number], self._lanes[number] = beam, self._lanes_of(beam)
@@ -191,6 +195,7 @@ class Ranger:
         measured = _told(dots)
         if measured is None or measured.sigma_mm > MOST_SIGMA_MM:
             return None
+        # An unmeasured calibration is wrong by a share of the distance, on top of the noise.
         drawn_mm = 0.0 if self._measured else DRAWN_SHARE * measured.distance_mm
         return replace(measured, sigma_mm=math.hypot(measured.sigma_mm, drawn_mm))
 
@@ -258,8 +263,11 @@ class Ranger:
         own_mm = DOT_SD_MM if self._measured else DRAWN_SD_MM
         if off_mm > MOST_SIGMAS * math.hypot(sd_mm, own_mm):
             return None
+        # A dot looks about alike in both cameras; a highlight does not.
         if min(a.contrast_dn, b.contrast_dn) < LIKE_IN_BOTH * max(a.contrast_dn, b.contrast_dn):
             return None
+        # Depth of two rays at angle α: σ_z = √2 σ_lateral / sin α; on top the surface's own scatter, and the slope by
+        # which a cut dot wanders.
         lateral_mm = self._centre_sd_mm(place - a.start_mm)
         aside_mm = off_mm if sd_mm < DOT_SD_MM else DOT_SD_MM  # a beam that was not learned does not tell
         sigma_mm = math.hypot(math.sqrt(2.0) * lateral_mm / sine, SURFACE_SD_MM, CUT_SLOPE * aside_mm)
@@ -268,6 +276,8 @@ class Ranger:
     def _single(self, beam: PointerBeam, one: _Sighted) -> Dot | None:
         """Return the point where the ray of one camera meets the beam."""
         ends = beam.at(np.array([NEAREST_MM, FARTHEST_MM]))
+        # One ray and the beam, which takes the place of the other camera: the same intersection with the beam's
+        # uncertainty in it.
         along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
         place, gap_mm, sine = _nearest(ends[0], along, one.start_mm, one.ahead)
         z = float(place[2])
@@ -283,6 +293,7 @@ class Ranger:
 
     def _centre_sd_mm(self, way: Array) -> float:
         """Return the centre's standard deviation at the end of ``way``."""
+        # Under water the principal distance in px grows by the index.
         f_px = self._rig.left.lens.f_px[0] * self._index
         return CENTRE_SD_PX * self._step * float(np.linalg.norm(way)) / f_px
 
@@ -312,6 +323,8 @@ def _told(dots: Dots) -> Range | None:
             sure = clear.cameras == 2 and clear.contrast_dn >= ALONE_DN and faint.contrast_dn < FAINT_DN
             return Range(clear.place_mm[2], None, clear.sigma_mm, 1) if sure else None
         return Range(near.place_mm[2], None, near.sigma_mm, 2)
+    # The surface between both dots is taken for a plane: distance and error at the axis, x = 0, by linear
+    # interpolation.
     share = -a.place_mm[0] / across_mm
     z = a.place_mm[2] + share * behind_mm
     own_mm = math.hypot((1.0 - share) * a.sigma_mm, share * b.sigma_mm)

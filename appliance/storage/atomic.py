@@ -82,6 +82,8 @@ def write_new(fs: FileSystem, path: Path, parts: Iterable[Bytes]) -> Stamp:
                     block = view[start : start + _BLOCK]
                     file.write(block)
                     digest.update(block)
+            # Data before names: a name that is durable before its content would be an empty or half file after a loss
+            # of power.
             file.sync()
         except BaseException:
             _close_after_failure(file)
@@ -91,6 +93,7 @@ def write_new(fs: FileSystem, path: Path, parts: Iterable[Bytes]) -> Stamp:
 
 
 def _close_after_failure(file: WritableFile) -> None:
+    # close() may report the same failure once more; the first one is what the caller is told.
     with suppress(OSError):
         file.close()
 
@@ -103,6 +106,7 @@ def replace_file(fs: FileSystem, path: Path, *parts: Bytes) -> Stamp:
     Raises StorageError.
     """
     draft = draft_of(path)
+    # An interrupted attempt left its draft; it is in the way of the exclusive creation below.
     discard(fs, draft)
     try:
         stamp = write_new(fs, draft, parts)
@@ -113,6 +117,8 @@ def replace_file(fs: FileSystem, path: Path, *parts: Bytes) -> Stamp:
             discard(fs, draft)
         raise
     with refused("cannot replace", path):
+        # rename() replaces in one step, and fsync of the folder makes that step durable: until then a loss of power
+        # gives the old file back, which is whole, too.
         fs.rename(draft, path)
         fs.sync_folder(path.parent)
     return stamp
@@ -136,6 +142,8 @@ def move_folder(fs: FileSystem, source: Path, target: Path) -> None:
     Raises StorageError; where only the last fsync failed, the folder already has its new name.
     """
     with refused("cannot publish", target):
+        # First the names inside of the folder, then its own new name, then that the old name is gone. In any other
+        # order a loss of power could leave a published folder that lacks files.
         fs.sync_folder(source)
         fs.rename(source, target)
         fs.sync_folder(target.parent)

@@ -72,6 +72,8 @@ class BeamsFile:
         content = checked_content(data, MAX_BYTES)
         if content.get("schema") != SCHEMA:
             raise ValueError(f"schema {content.get('schema')!r}; {SCHEMA} is known here")
+        # A beam is a correction of the drawing in the frame of one calibration: with another of either it means
+        # nothing.
         if content.get("drawn") != self._drawn():
             raise ValueError("learned with other pointers than the rig file's")
         if content.get("calibration") != calibration_hash:
@@ -97,6 +99,7 @@ def _beam(said: object, drawn: PointerBeam) -> PointerBeam:
         raise ValueError(f"{learned!r} dots taught a beam")
     if last_z_mm is not None and (type(last_z_mm) not in (int, float) or not abs(last_z_mm) < 1e6):
         raise ValueError(f"last_z_mm {last_z_mm!r}")
+    # Every dot makes a beam more certain than drawn; 1.001 and 1e-9 leave room for rounding.
     variances = np.diag(np.asarray(drawn.covariance))
     if (np.diag(P) > 1.001 * variances).any() or np.linalg.eigvalsh(0.5 * (P + P.T)).min() < -1e-9 * variances.max():
         raise ValueError("a beam is less certain than drawn")

@@ -26,6 +26,8 @@ def spell_id(number: int) -> str:
 
 def take(fs: FileSystem, root: Path, used: Iterable[int]) -> int:
     """A number that was never taken; durably gone on return. Raises StorageError."""
+    # The file alone would do; the folders' numbers are looked at, too, in case the file is lost or damaged. A number
+    # that was taken for a scan that failed is only in the file.
     number = max(1, _stored(root / FILE_NAME), max(used, default=0) + 1)
     if number > LARGEST:
         raise StorageError("cannot count on in", root, f"{LARGEST} is the last number", "start a new storage folder")

@@ -65,6 +65,7 @@ def frames_as_they_are(folder: Path, manifest: Manifest, file: str) -> NDArray[n
     pixels = count * shape[0] * shape[1]
     frames = np.zeros(pixels, np.uint8)
     try:
+        # The header has a fixed length, so that pixels can be found also behind a damaged one.
         raw = np.frombuffer((folder / file).read_bytes(), np.uint8)[HEADER_BYTES:]
     except FileNotFoundError:
         raw = frames[:0]
@@ -87,6 +88,7 @@ def _which(folder: Path, manifest: Manifest, file: str) -> tuple[int, ...] | Non
         return tuple(range(count))
     if shape is None or length >= manifest.files[file].length:
         return None
+    # Without checksums of frames only a file that is too short says which ones are missing: those at its end.
     whole = max(0, length - HEADER_BYTES) // (shape[0] * shape[1])
     return tuple(range(whole, count))
 

@@ -64,6 +64,7 @@ class _LocalFile:
 
     def write(self, data: Bytes) -> None:
         rest = memoryview(data).cast("B")
+        # write(2) may write less than asked, for example when a signal comes.
         while rest:
             rest = rest[os.write(self._descriptor, rest) :]
 
@@ -78,6 +79,8 @@ class _LocalFileAnew(_LocalFile):
     """Written over what is there."""
 
     def sync(self) -> None:
+        # The piece of the room may be longer than what was written into it; its rest is cut off before the content
+        # counts as durable.
         os.ftruncate(self._descriptor, os.lseek(self._descriptor, 0, os.SEEK_CUR))
         super().sync()
 
@@ -112,6 +115,7 @@ class LocalFileSystem:
     def allocate(self, path: Path, length_bytes: int) -> None:
         descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
         try:
+            # Blocks, not only a length: writing into them later cannot fail for want of space.
             os.posix_fallocate(descriptor, 0, length_bytes)
         finally:
             os.close(descriptor)
@@ -121,4 +125,5 @@ class LocalFileSystem:
 
     def free_bytes(self, path: Path) -> int:
         answer = os.statvfs(path)
+        # f_bavail, not f_bfree: blocks that are kept for root are not for scans.
         return answer.f_bavail * answer.f_frsize

@@ -100,6 +100,7 @@ class Library:
     def _make(self, folder: Path) -> None:
         if folder.is_dir():
             return
+        # From the top down: a folder is durable only once its entry in its parent is.
         for one in reversed([one for one in (folder, *folder.parents) if not one.exists()]):
             with refused("cannot make", one):
                 self._fs.make_folder(one)
@@ -113,14 +114,19 @@ class Library:
         ``frames``: by side, (n, h, w) uint8; not used after return. On failure nothing of this scan stays, the
         frames are still the caller's, and ``begin`` may be called again. Raises StorageError, ValueError.
         """
+        # The number is durably gone before anything is written: whatever fails below, it is never given to another
+        # scan.
         scan_id = counter.spell_id(counter.take(self._fs, self.root, self._numbers()))
         folder = self._shelf(LibraryFolder.SCANS) / f".{scan_id}"
         try:
             manifest = scan.write_raw(self._fs, folder, scan_id, frames, record, origin)
             with refused("cannot make durable", folder):
+                # The hidden name becomes durable here; what lies inside is durable already (``write_raw``).
                 self._fs.sync_folder(folder.parent)
         except (StorageError, ValueError):
             with suppress(StorageError):
+                # The frames are still in memory and are tried again under a new number; half a folder would only take
+                # room.
                 scan.discard_raw(self._fs, folder)
             raise
         return PendingScan(self._fs, self.root, folder, manifest)
@@ -132,6 +138,7 @@ class Library:
         Nothing is deleted, and one folder that cannot be moved does not keep the others from it.
         """
         done: dict[str, list[str]] = {"recovered": [], "rejected": [], "set_aside": [], "failed": []}
+        # Hidden folders are scans that were not published before the power was lost.
         for folder in sorted(self._folders(LibraryFolder.SCANS, hidden=True)):
             scan_id = folder.name.removeprefix(".")
             try:
@@ -149,9 +156,12 @@ class Library:
             if path.name not in manifest.files and path.name != form.FILE_NAME:
                 with refused("cannot rename", path):  # half of a cloud, or of a manifest: kept, but not trusted
                     self._fs.rename(path, path.with_name(f"{path.name.removeprefix('.')}.partial"))
+        # The manifest says "recovered" before the folder is published, not after: a second loss of power in between
+        # finds the same state again.
         replace_file(self._fs, folder / form.FILE_NAME, form.encode(manifest))
         rejected = manifest.decision is Decision.REJECTED
         target = self._shelf(LibraryFolder.REJECTED if rejected else LibraryFolder.SCANS) / scan_id
+        # Only a copy made by hand can have the number; neither of both is overwritten.
         if target.exists():
             move_folder(self._fs, folder, self._free_name(LibraryFolder.SET_ASIDE, scan_id))
             return "set_aside"
@@ -164,6 +174,7 @@ class Library:
             manifest = form.read(folder)
         except ManifestError:
             return None
+        # Every byte is read: after a loss of power a file may have its length and hold zeros.
         wrong = scan.wrong_files(folder, manifest, checksums=True)
         if manifest.scan_id != folder.name.removeprefix(".") or any(name in wrong for name in scan.RAW_FILES):
             return None
@@ -213,6 +224,7 @@ class Library:
         return self._moved(folder, self._shelf(_belongs(folder)) / folder.name)
 
     def _moved(self, folder: Path, target: Path) -> Path:
+        # The trash is made when it is first needed.
         self._make(target.parent)
         if target.exists():
             raise scan.ScanError(f"scan {folder.name}: {target} is there already; move one of them elsewhere")
@@ -286,6 +298,7 @@ class Library:
                 yield from (_number(folder) for folder in self._folders(shelf, hidden=hidden))
 
     def _free_name(self, shelf: LibraryFolder, scan_id: str) -> Path:
+        # Nothing that was set aside is ever overwritten by something else with its number.
         names = (scan_id, *(f"{scan_id}-{k}" for k in range(2, 1000)))
         return next(path for name in names if not (path := self._shelf(shelf) / name).exists())
 
@@ -298,6 +311,7 @@ class Library:
 
     def _find_on(self, shelf: LibraryFolder, scan_id: str) -> Path | None:
         for folder in self._sorted(shelf):
+            # isascii: int() also takes the digits of other scripts, which no folder has.
             plain_number = scan_id.isascii() and scan_id.isdigit() and int(scan_id) == _number(folder)
             if folder.name == scan_id or plain_number:
                 return folder

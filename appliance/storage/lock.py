@@ -24,6 +24,8 @@ def hold_lock(root: Path) -> Iterator[None]:
         raise StorageError("cannot open", path, error.strerror or str(error), remedy_for(error)) from error
     try:
         try:
+            # flock belongs to the open file: it ends with the process, also with a killed one. A file with a number in
+            # it would outlive it.
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             owner = os.read(descriptor, 32).decode("ascii", "replace").strip() or "unknown"
@@ -31,6 +33,7 @@ def hold_lock(root: Path) -> Iterator[None]:
                 "cannot use", root, f"another instance (process {owner}) is using it", "stop that one first"
             ) from error
         with refused("cannot write", path):
+            # The number is for messages only; the lock does not depend on it.
             os.ftruncate(descriptor, 0)
             os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
         yield
@@ -45,6 +48,7 @@ def holder(root: Path) -> str | None:
     except OSError:
         return None
     try:
+        # A shared lock asks without shutting out another one who asks.
         fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except OSError:
         return os.read(descriptor, 32).decode("ascii", "replace").strip() or "unknown"

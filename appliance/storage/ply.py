@@ -113,6 +113,7 @@ def encode_ply(cloud: PointCloud, salvaged: str | None = None) -> tuple[bytes, B
             block[name] = cloud.points_mm[rows, axis]
         for name, column in values.items():
             block[name] = column[rows]
+        # The checksum is computed while the block is in the cache.
         crc = zlib.crc32(raw[rows.start * POINT.itemsize : rows.stop * POINT.itemsize], crc)
     return _header(crc, n, salvaged), raw
 
@@ -141,6 +142,7 @@ def read_ply(path: Path) -> StoredCloud:
     crc, n = int(numbers[1], 16), int(numbers[2])
     said = None if remark is None else remark[1].decode("ascii")
     header = _header(crc, n, said)
+    # The header is made anew and compared: whatever is wrong with any byte of it is noticed.
     if not raw.startswith(header):
         raise PlyError(f"{path}: damaged header")
     body = memoryview(raw)[len(header) :]

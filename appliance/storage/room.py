@@ -88,6 +88,8 @@ class Room:
             if not (self._folder / _SPARE).is_dir():
                 self._fs.make_folder(self._folder / _SPARE)
             for name, length in lengths.items():
+                # Pieces are whole or made anew; one that was allocated for a shorter sequence would fail in the middle
+                # of a scan.
                 if self.allocates and _allocated(self._folder / name) < length:
                     self._allocate(self._folder / name, length)
 
@@ -99,6 +101,7 @@ class Room:
         except OSError as error:
             if path.exists():
                 self._fs.remove(path)
+            # A full disk is an error, a file system that cannot allocate is not: counting what is free has to do there.
             if error.errno not in _CANNOT:
                 raise
             self.allocates = False
@@ -108,6 +111,7 @@ class Room:
     def held_bytes(self) -> int:
         """Space in bytes that the room takes on the disk."""
         try:
+            # st_blocks counts units of 512 bytes whatever the file system's block size (stat(2)).
             return sum(path.stat().st_blocks * 512 for path in self._folder.iterdir() if path.name != _SPARE)
         except OSError:
             return 0
@@ -145,6 +149,7 @@ class Room:
     def _became(self, name: str, path: Path) -> bool:
         """Tell whether the room had ``name`` and it is ``path`` now."""
         piece = self._folder / name
+        # An existing name would be replaced by the rename, and with it what is stored there.
         if path.exists() or not _unused(piece):
             return False
         self._unhindered(lambda: self._fs.rename(piece, path))
@@ -158,6 +163,8 @@ class Room:
             slack = self._folder / _SLACK
             if error.errno != errno.ENOSPC or not slack.exists():
                 raise
+            # A folder that gets one name too many grows by a block, and a full disk has none: the slack is there for
+            # this block.
             self._fs.remove(slack)
             return call()
 
@@ -180,6 +187,7 @@ def _unused(piece: Path) -> bool:
     """Tell whether a piece is there and belongs to the room alone. A loss of power between the two halves of a rename
     may leave it under both names: what is written to it then would be written into a stored scan."""
     try:
+        # Two links to one file are the two halves of an interrupted rename.
         return not any(piece.iterdir()) if piece.is_dir() else piece.stat().st_nlink == 1
     except OSError:
         return False
@@ -191,4 +199,5 @@ def _allocated(path: Path) -> int:
         found = path.stat()
     except OSError:
         return -1
+    # A sparse file has its length and no room: both must be there.
     return min(found.st_size, found.st_blocks * 512) if found.st_nlink == 1 else -1

@@ -120,6 +120,8 @@ def write_raw(
             files[name] = write_new(fs, folder / name, (content,))
     with refused("cannot make durable", folder):
         fs.sync_folder(folder)
+    # The manifest comes last, after everything that it lists is durable: a folder with a manifest is a scan, one
+    # without is not.
     checks = {frames_file(side): frame_checks(frames[side]) for side in SIDES}
     manifest = Manifest(scan_id, Stage.RAW, Decision.UNDECIDED, record, files, frame_crc32=checks)
     replace_file(fs, folder / form.FILE_NAME, form.encode(manifest))
@@ -141,6 +143,7 @@ def add_second(
     _check(frames, record)
     if record.second is None:
         raise ValueError("the record tells of no second sequence; give it before its frames")
+    # Files of an earlier attempt are not in the manifest and may be damaged: they are written anew.
     files = {name: stamp for name, stamp in manifest.files.items() if name not in SECOND_FILES}
     checks = dict(manifest.frame_crc32)
     for side in SIDES:
@@ -151,6 +154,7 @@ def add_second(
     with refused("cannot make durable", folder):
         fs.sync_folder(folder)
     added = replace(manifest, record=record, files=files, frame_crc32=checks)
+    # From here on there are two exposures; before, the folder is the scan with one.
     replace_file(fs, folder / form.FILE_NAME, form.encode(added))
     return added
 
@@ -182,6 +186,7 @@ def finish(
 ) -> Manifest:
     """Add what there is to add and write the final manifest. May be repeated after a failure. Raises StorageError."""
     files = {name: stamp for name, stamp in manifest.files.items() if name not in DERIVED_FILES}
+    # Cloud and preview can be computed again; they are written before the manifest that lists them.
     added: dict[str, tuple[Bytes, ...]] = {}
     if cloud is not None:
         from appliance.storage.ply import encode_ply
@@ -271,6 +276,8 @@ def _mapped(path: Path, count: int) -> NDArray[np.uint8]:
     import numpy as np
 
     try:
+        # The header is compared by bytes, not parsed by NumPy: its header is a Python literal, and a damaged one may be
+        # anything.
         with path.open("rb") as file:
             header = read_header(file.read(_HEADER_BYTES))
         if header is None or header[1][0] != count:
