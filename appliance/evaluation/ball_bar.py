@@ -103,6 +103,8 @@ def _best(points: Array, radius_mm: float | None) -> _Guess | None:
         guess = algebraic_sphere(points[patch])
         if guess is None or not _possible(guess, radius_mm):
             continue
+        # Consensus over the whole cloud, as in RANSAC, but with patches instead of random points: points far apart
+        # hardly ever lie on one ball.
         off = np.abs(np.linalg.norm(points - guess[0], axis=1) - guess[1])
         if (count := int((off < AGREES_MM).sum())) > most:
             best, most = guess, count
@@ -136,6 +138,7 @@ def _fill(points: Array, guess: _Guess) -> float:
     centre, radius = guess
     away = points - centre
     length = np.linalg.norm(away, axis=1)
+    # Area of a spherical cap up to the steepest angle: 2π r² (1 − cos). Thinned points stand for one cell each.
     facing = -(away @ centre) / np.maximum(length, 1e-9) / np.linalg.norm(centre)
     count = int(((np.abs(length - radius) < AGREES_MM) & (facing > STEEPEST_COS)).sum())
     return count * CELL_MM**2 / float(2.0 * np.pi * radius**2 * (1.0 - STEEPEST_COS))
@@ -150,6 +153,7 @@ def _refine(cloud: PointSource, rows: Indices, points: Array, guesses: list[_Gue
             away = points - centre
             length = np.linalg.norm(away, axis=1)
             towards = (other - centre) / np.linalg.norm(other - centre)
+            # Points towards the other ball are the stem's, not the ball's.
             mine = np.flatnonzero((np.abs(length - radius) < BELONGS_MM) & (away @ towards < STEM_COS * length))
             solution = fit_sphere(points[mine], cloud.sigma_mm[rows[mine]].astype(np.float64), (centre, radius))
             if solution is None:

@@ -68,6 +68,8 @@ def orthogonal_plane(points: Array) -> Plane:
     """The plane with the least sum of squared orthogonal distances to points (n >= 3, 3): closed form."""
     centre = points.mean(axis=0)
     p = points - centre
+    # Total least squares: the normal is the eigenvector of the least eigenvalue of the scatter matrix, and that
+    # eigenvalue is the sum of squared distances.
     scatter = p.T @ p
     values, vectors = np.linalg.eigh(scatter)  # ascending: the normal first
     normal = vectors[:, 0] if vectors[:, 0] @ centre > 0.0 else -vectors[:, 0]
@@ -79,6 +81,7 @@ def orthogonal_plane(points: Array) -> Plane:
     axes = np.stack([axis_x, axis_y])
     information = np.zeros((3, 3))  # about their middle, offset and slopes have nothing to do with each other
     information[0, 0], information[1:, 1:] = len(p), axes @ scatter @ axes.T
+    # Three parameters: n − 3 degrees of freedom.
     variance = max(float(values[0]), 0.0) / max(1, len(points) - 3)
     covariance = np.asarray(variance * np.linalg.pinv(information), np.float64)
     return Plane(_triple(centre), _triple(normal), _triple(axis_x), _triple(axis_y), covariance)
@@ -94,6 +97,7 @@ def fit_plane(cloud: PointSource) -> PlaneFit | NotFound:
     points = cloud.points_mm[rows].astype(np.float64)
     plane = _most_agreed(points[thinned(points, CELL_MM)])
     mine = np.zeros(len(points), bool)
+    # Which points belong depends on the plane and the plane on them; the first plane comes from three points.
     for _ in range(ROUNDS):
         mine = np.abs(plane.distance_mm(points)) < BELONGS_MM
         plane = orthogonal_plane(points[mine])
@@ -113,6 +117,7 @@ def fit_plane(cloud: PointSource) -> PlaneFit | NotFound:
 
 def _most_agreed(points: Array) -> Plane:
     """Return the plane that most points agree on, of those through three points drawn with a fixed seed."""
+    # RANSAC with a fixed seed: the same cloud gives the same result.
     rng = np.random.default_rng(SEED)
     best, most = points, -1
     for _ in range(TRIALS):

@@ -63,6 +63,8 @@ def fit_sphere(points: Array, sigma: Array, start: tuple[Array, float] | None = 
     start = start or algebraic_sphere(points)
     if start is None:
         return None
+    # The error of a point lies along its view, nearly all of it: residuals are measured there, not across the surface,
+    # which would bias the radius where the view is oblique.
     depth = np.linalg.norm(points, axis=1)
     view = points / depth[:, None]
     x = np.array([*start[0], start[1]])
@@ -71,6 +73,7 @@ def fit_sphere(points: Array, sigma: Array, start: tuple[Array, float] | None = 
     keep = steep
     covariance = np.zeros((4, 4))
     for round_ in range(START_ROUNDS):
+        # Rounds: the set of steep rays depends on the sphere and the sphere on the set; a few rounds settle it.
         along, root = _meeting(view, x)
         now = root > STEEPEST_COS * x[3]
         if now.sum() < MIN_POINTS:
@@ -97,6 +100,7 @@ def fit_sphere(points: Array, sigma: Array, start: tuple[Array, float] | None = 
 def _meeting(view: Array, x: Array) -> tuple[Array, Array]:
     """Distance (n,) from the origin to the near side of the sphere, and half the chord (n,); missed: chord 0."""
     towards = view @ x[:3]
+    # |s v − c|² = r² along the unit view v: s = v·c − √((v·c)² − |c|² + r²), the nearer of both.
     square = towards**2 - (x[:3] @ x[:3] - x[3] ** 2)
     root = np.sqrt(np.maximum(square, 0.0))
     return towards - root, root
@@ -109,6 +113,7 @@ def _gauss_newton(view: Array, depth: Array, sigma: Array, x: Array) -> tuple[Ar
     x = x.copy()
     for _ in range(STEPS):
         along, root = _meeting(view, x)
+        # At the limb the derivative has a pole; no ray that is used comes near it, but one may on the way.
         root = np.maximum(root, 0.1 * x[3])
         # Along the view: d(along)/d(centre) = normal / (normal·view), and −1/cos for the radius.
         normal = (view * along[:, None] - x[:3]) / x[3]
@@ -131,4 +136,6 @@ def _gauss_newton(view: Array, depth: Array, sigma: Array, x: Array) -> tuple[Ar
         return None
     along, _ = _meeting(view, x)
     e = (depth - along) / sigma
+    # Covariance scaled by the residuals' variance over n − 4 degrees of freedom: sigma need only be right up to a
+    # factor.
     return x, np.asarray(float(e @ e) / (len(e) - 4) * np.linalg.inv(normal_matrix), np.float64)

@@ -417,6 +417,7 @@ def headline_of(fault: Fault, language: Language = Language.ENGLISH) -> str:
     them."""
     rule = RULES[fault.code]
     plain = (rule.plain or rule.headline).in_language(language)
+    # A number that is missing, or a text that would be cut, gives the plain headline: half a number is worse than none.
     values: dict[str, float | str] = dict(fault.numbers)
     for name, words in _SIDES.items():
         if fault.device is not None and fault.device in words:

@@ -108,6 +108,7 @@ def _ordered_off(machine: Machine) -> Result:
         return replace(machine, off_ns=None), ()
     wait_s = machine.settings.supply_off_s if cause.code is FaultCode.SUPPLY_LOW else 0.0
     off_ns = machine.now_ns + seconds_ns(wait_s)
+    # The earliest time that any cause gave holds, as long as one of them lasts.
     if machine.off_ns is not None:
         off_ns = min(off_ns, machine.off_ns)  # too much heat does not wait out a low supply's time
     machine = replace(machine, off_ns=off_ns)
@@ -119,6 +120,7 @@ def _ordered_off(machine: Machine) -> Result:
 def stop(machine: Machine, how: Ending) -> Result:
     """End. What the diver kept is saved first; where nobody asked the diver, what was recorded is saved as well."""
     scan = machine.scan
+    # Nobody can be asked any more where a fault ends the dive: what was recorded is kept rather than lost.
     if scan is not None and (scan.kept or machine.ended_by is not None):
         machine = replace(machine, stopping=how)
         if scan.publishing or (scan.kept and not scan.settled):

@@ -136,6 +136,7 @@ def _settle(before: Machine, after: Machine, wanted: tuple[do.Effect, ...]) -> R
     """Add what follows from where the machine was and is: light, live views, and choices that take effect."""
     first: list[do.Effect] = []
     last: list[do.Effect] = []
+    # Off comes before everything else that this step does, on after it.
     if may_light(before) and not may_light(after):
         first.append(do.LightsOff())
     live_before, live_after = _live(before), _live(after)
@@ -158,6 +159,7 @@ def _settle(before: Machine, after: Machine, wanted: tuple[do.Effect, ...]) -> R
 
 def _taken(before: Machine, after: Machine) -> tuple[do.Effect, ...]:
     """Return the effects of the diver's choices, which hold at once and are remembered."""
+    # Compared, not told by each key: whatever way a choice changed, it takes effect here.
     was, is_now = before.choices, after.choices
     effects: list[do.Effect] = []
     if is_now.period_px != was.period_px:
@@ -175,6 +177,7 @@ def _taken(before: Machine, after: Machine) -> tuple[do.Effect, ...]:
 def _tick(machine: Machine, now_ns: int) -> Result:
     # A clock never runs backwards; a late message must not push a deadline away.
     machine = thermal.passed(replace(machine, now_ns=max(now_ns, machine.now_ns)), machine.now_ns)
+    # Deadlines are looked at with the new time only, and each state has one at most.
     machine = start.passed_by(machine)
     if machine.deadline_ns is None or machine.now_ns < machine.deadline_ns:
         return saving.retry(machine)

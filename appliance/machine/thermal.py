@@ -49,8 +49,10 @@ def passed(machine: Machine, before_ns: int) -> Machine:
     """Account for the time since ``before_ns``: the ration of light that was spent and gathered."""
     elapsed_s = max(0.0, (machine.now_ns - before_ns) / 1e9)
     thermal = machine.thermal
+    # A leaky bucket: it fills at RATION_S / PER_S and empties at one second per second of light.
     ration_s = thermal.ration_s + elapsed_s * (RATION_S / PER_S - (1.0 if thermal.lit else 0.0))
     ration_s = min(max(ration_s, 0.0), RATION_S)
+    # Hysteresis: once spent it stays so until enough has gathered, else the light would flicker at the limit.
     spent = ration_s <= RESERVE_S or (thermal.spent and ration_s < RELIGHT_S)
     return replace(machine, thermal=replace(thermal, ration_s=ration_s, spent=spent))
 
@@ -72,6 +74,7 @@ def rests(machine: Machine) -> bool:
         return False
     warm = any(fault.code is FaultCode.WARM for fault in machine.conditions)
     settings = machine.settings
+    # Entering AIM counts like a key: who comes back from a review sees something.
     idle_since_ns = max(machine.since_ns, machine.last_key_ns or 0)
     return machine.now_ns - idle_since_ns >= seconds_ns(settings.dark_warm_s if warm else settings.dark_s)
 
@@ -83,6 +86,7 @@ def remaining_s(machine: Machine) -> float | None:
         if fault.code is not FaultCode.HOT or fault.device is None:
             continue
         slope = slope_c_per_s(machine.thermal.trend.get(fault.device, ()))
+        # A place that does not cool makes every estimate a guess, whatever the other places do.
         if slope is None or slope > -COOLS_C_PER_S:
             return None
         above_c = fault.numbers.get("temperature_c", 0.0) - fault.numbers.get("below_c", 0.0)
@@ -120,6 +124,7 @@ def _silent(machine: Machine, place: str) -> Machine:
         thermal = replace(machine.thermal, heard_ns={**heard_ns, place: machine.now_ns})
         return replace(machine, thermal=thermal)
     silent_s = (machine.now_ns - heard_ns[place]) / 1e9
+    # A sensor that stays silent would keep its last alarm for ever: after this time the ration protects instead.
     if silent_s >= COOLED_S:
         for code in (FaultCode.WARM, FaultCode.HOT, FaultCode.TOO_HOT):
             machine = cleared(machine, code, place)
@@ -134,6 +139,7 @@ def _banded(machine: Machine, place: str, value_c: float, limits: TemperatureLim
         (FaultCode.HOT, limits.hot_c),
         (FaultCode.WARM, limits.warm_c),
     ):
+        # A limit is left only some degrees below it, so that a value at the limit does not raise and clear in turn.
         below_c = limit_c - HYSTERESIS_C
         if value_c >= limit_c or (has(machine, code, place) and value_c > below_c):
             detail = f"{place} {value_c:g} °C, limit {limit_c:g} °C"

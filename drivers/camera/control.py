@@ -91,6 +91,7 @@ class ControlChannel:
     def read(self, address: int, count: int) -> bytes:
         """Read ``count`` bytes from ``address``, in as many commands as needed."""
         self._check_range(address, count)
+        # What remains of an answer behind its header is payload.
         chunk = self._max_answer - u3v.CONTROL_HEADER_SIZE
         pieces: list[bytes] = []
         done = 0
@@ -150,6 +151,7 @@ class ControlChannel:
             for attempt in range(ATTEMPTS):
                 if attempt:
                     self.counters.retries += 1
+                # A new id for each attempt: the answer to an earlier one that comes late is recognised and dropped.
                 self._request_id = gencp.next_request_id(self._request_id)
                 try:
                     self._pipe.write(pack(self._request_id), self._response_time_s)
@@ -169,6 +171,7 @@ class ControlChannel:
                     continue
                 except Unplugged as error:
                     raise self._gone(f"unplugged during a {what}") from error
+                # Busy is an answer: the camera lives, and is asked again after a while.
                 if answer.status == u3v.Status.BUSY:
                     failure = "busy"
                     self._clock.sleep_s(min(0.01, self._response_time_s))
@@ -195,6 +198,7 @@ class ControlChannel:
         now_ns = self._clock.now_ns()
         last_ns = now_ns + round(PENDING_LIMIT_S * 1e9)
         deadline_ns = now_ns + round(self._response_time_s * 1e9)
+        # Rounded up to whole packets, for the same reason as in ``stream``.
         size = -(-self._max_answer // u3v.SUPERSPEED_PACKET) * u3v.SUPERSPEED_PACKET
         for _ in range(_STALE_LIMIT):
             # Counted, not only timed: a babbling device must not keep us here.
@@ -215,6 +219,8 @@ class ControlChannel:
                 except MalformedPacket:
                     self.counters.malformed_answers += 1
                     continue
+                # PENDING_ACK names the time from now on, not from the command; a camera that asks for more again and
+                # again ends at the limit.
                 deadline_ns = min(self._clock.now_ns() + wait_ms * 1_000_000, last_ns)
             else:
                 return answer

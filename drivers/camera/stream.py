@@ -128,11 +128,14 @@ class StreamReader:
             leader = parse_leader(packet)
         except MalformedStreamPacket as error:
             return self._frame(FrameStatus.CORRUPT, None, str(error))
+        # The geometry was fixed when the stream began; a leader that says otherwise is damaged, or somebody else
+        # configured the camera.
         problem = self._unexpected(leader)
         if problem:
             # Its payload has another size than the slot: left for the search of the next leader.
             return self._frame(FrameStatus.CORRUPT, leader, problem)
         count, problem = self._read_payload(target)
+        # The next frame has begun: this one ends here, and its successor must not be lost with it.
         if self._pending is not None:
             return self._frame(FrameStatus.TRUNCATED, leader, problem)
         trailer, trailer_problem = self._read_trailer()
@@ -141,6 +144,7 @@ class StreamReader:
     def _judge(self, leader: Leader, count: int, problem: str, trailer: Trailer | None, trailer_problem: str) -> Frame:
         """One verdict per frame, the most telling first."""
         expected = self._geometry.payload_size
+        # The camera says itself that it dropped data: more telling than the length that is missing.
         if trailer is not None and trailer.status in (u3v.Status.DATA_DISCARDED, u3v.Status.DATA_OVERRUN):
             return self._frame(FrameStatus.DISCARDED, leader, gencp.status_name(trailer.status))
         if count != expected:
@@ -148,6 +152,7 @@ class StreamReader:
         if trailer is None:
             status = FrameStatus.TRUNCATED if trailer_problem.startswith("no trailer") else FrameStatus.CORRUPT
             return self._frame(status, leader, trailer_problem)
+        # Leader and trailer of two frames around one payload: something in between was lost.
         if trailer.block_id != leader.block_id:
             return self._frame(FrameStatus.WRONG_ID, leader, f"leader {leader.block_id}, trailer {trailer.block_id}")
         if trailer.status != u3v.Status.SUCCESS:
@@ -190,6 +195,8 @@ class StreamReader:
             if is_leader(packet):
                 return packet
             self.counters.skipped_transfers += 1
+            # In step a leader is due: one without its magic is a frame, damaged. Out of step it may be a piece of
+            # image.
             if in_step and len(packet) == u3v.LEADER_SIZE:
                 return packet
             in_step = False
@@ -220,6 +227,7 @@ class StreamReader:
         if is_leader(head):
             self._pending = head
             return 0, "the next leader came instead of the payload"
+        # Padding up to the camera's transfer size is no part of the image.
         count = min(count, self._geometry.payload_size)
         if self._bounce is not None:
             target[:count] = self._bounce[:count]
@@ -268,6 +276,8 @@ class StreamReader:
 
     def _waste_buffer(self) -> TransferBuffer:
         if self._waste is None:
+            # A multiple of the packet size: a bulk read of any other length ends in an overflow when the device sends a
+            # whole packet more.
             whole = -(-self._geometry.transfer_size // u3v.SUPERSPEED_PACKET) + 1
             size = whole * u3v.SUPERSPEED_PACKET + self._geometry.packet_buffer_size
             self._waste = transfer_buffer(np.zeros(size, np.uint8))

@@ -46,9 +46,11 @@ class PadTime:
         """Host time in ns at which the report was made."""
         time_ns = arrival_ns
         if not waited_for and self._last_ms is not None:
+            # Modulo the counter's range: reports come far more often than it wraps.
             elapsed_ns = (pad_time_ms - self._last_ms) % _WRAP_MS * _MS
             time_ns = min(arrival_ns, self._last_ns + elapsed_ns)
         self._last_ms = pad_time_ms
+        # Never before its predecessor: the debouncer takes times in order for granted.
         self._last_ns = max(time_ns, self._last_ns)
         return self._last_ns
 
