@@ -79,6 +79,8 @@ def complaints(rig: Rig) -> Iterator[Complaint]:
 def _exposures_fit(rig: Rig) -> Iterator[Complaint]:
     period_ms = 1000.0 / rig.projector.refresh_hz
     delay_ms = rig.board.trigger_delay_us / 1000.0
+    # The exposure must end before the next pattern is on the screen: it begins trigger_delay_us after the vertical
+    # sync.
     longest_ms = period_ms - delay_ms
     for side, camera in (("left", rig.camera.left), ("right", rig.camera.right)):
         if camera.exposure_ms > longest_ms:
@@ -118,4 +120,5 @@ def _periods_fit(rig: Rig) -> Iterator[Complaint]:
 
 
 def _floor_2(value: float) -> float:
+    # Rounded down: the limit that the message names must itself be accepted.
     return int(value * 100.0) / 100.0

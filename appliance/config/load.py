@@ -95,6 +95,7 @@ def rig_from_mapping(content: Mapping[str, Any], source: str = "rig") -> Rig:
         plain = json.loads(json.dumps(content, default=str))
         rig = TypeAdapter(Rig).validate_python(plain)
     except ValidationError as error:
+        # A misspelt key first: what is missing because of it would only hide the cause.
         details = sorted(error.errors(include_url=False), key=lambda d: not _is_unknown_key(d))
         named = [_explain(detail, source) for detail in details[1 : 1 + _MOST_FAULTS]]
         raise _explain(details[0], source, named, max(0, len(details) - 1 - _MOST_FAULTS)) from None

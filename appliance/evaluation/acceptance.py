@@ -77,6 +77,8 @@ class Quantity:
         """Statement about the limit, with the uncertainty considered."""
         if self.limit_mm is None:
             return Kept.NO_LIMIT
+        # ISO 14253-1: conformity is proved only inside the limit less the uncertainty, and a breach only beyond it plus
+        # the uncertainty.
         size_mm, around_mm = abs(self.value_mm), self.uncertainty_mm or 0.0
         if size_mm + around_mm <= self.limit_mm:
             return Kept.PASS
@@ -150,6 +152,7 @@ def probe(points: Array, start: Array) -> Probed | None:
 
     The worst 0.3 % of the points are left out. ``None`` where there is no such sphere.
     """
+    # The guideline's own sphere, radial and unweighted, beside the ball bar's fit, which weighs points by their noise.
     x, keep = start.astype(np.float64), np.ones(len(points), bool)
     sd_mm = 0.0
     for _ in range(ROUNDS):

@@ -35,6 +35,7 @@ class Flatness:
 def flatness(fit: PlaneFit, reference_mm: float = REFERENCE_MM) -> Flatness:
     """E_F, E_F,sys and noise of a plane; the 0.3 % outliers are out already."""
     residual, xy = fit.used.residual_mm, fit.coordinates_mm
+    # E_F,sys: the range of the smooth part, from which the noise of single points is averaged away.
     smooth = np.ptp(cubic_of(xy, residual))
     return Flatness(
         e_f=fit.used.range_mm / reference_mm,
@@ -61,6 +62,7 @@ def local_noise_mm(xy: Array, residual: Array, cell_mm: float = NOISE_CELL_MM) -
     _, which, counts = np.unique(
         cell[:, 0] * (cell[:, 1].max() + 1) + cell[:, 1], return_inverse=True, return_counts=True
     )
+    # Coordinates about each cell's own middle: offset and slopes of its plane are nearly independent then.
     local = xy - np.column_stack([np.bincount(which, c) / counts for c in xy.T])[which]
     A = np.column_stack([np.ones(len(xy)), local / cell_mm])
     products = np.array([[np.bincount(which, A[:, i] * A[:, j]) for j in range(3)] for i in range(3)]).transpose(
@@ -74,4 +76,5 @@ def local_noise_mm(xy: Array, residual: Array, cell_mm: float = NOISE_CELL_MM) -
     solved[good] = np.linalg.solve(products[good], right[good][..., None])[..., 0]
     left_over = residual - np.einsum("ij,ij->i", A, solved[which])
     chosen = good[which]
+    # Pooled variance: squares over all cells, over the sum of their degrees of freedom (three per plane).
     return float(np.sqrt(np.sum(left_over[chosen] ** 2) / (counts[good] - 3).sum()))

@@ -120,6 +120,7 @@ def merge_bracket(pipeline: Pipeline, first: ProcessedSequence, second: Processe
 def faults_of(first: Iterable[Judgement], second: Iterable[Judgement], pair: Judgement) -> tuple[Fault, ...]:
     """Return the faults of the pair: those of either sequence's judges, but for too much or too little light, which the
     other one makes up for."""
+    # The first one of a code stands: the order is that in which they were found.
     codes: dict[FaultCode, Fault] = {}
     for judgement in (*first, *second, pair):
         if judgement.fault is not None and judgement.fault.code not in _LEVELS:

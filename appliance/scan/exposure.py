@@ -52,6 +52,7 @@ def ladder(refresh_hz: float, trigger_delay_us: int, gain_db: float, span: Span)
 
     Raises ValueError where no step fits between trigger and next vertical sync.
     """
+    # Longer exposure before more gain: gain amplifies noise with the light.
     room_ms = 1000.0 / refresh_hz - trigger_delay_us / 1000.0 - MARGIN_MS
     longest_ms = min(room_ms, span.longest_ms)
     times = [round(1000.0 * step) for step in STEPS_MS if span.shortest_ms <= step <= longest_ms]

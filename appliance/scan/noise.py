@@ -43,6 +43,7 @@ class CameraNoise:
     def variance_dn2(self, grey_dn: NDArray[Float]) -> NDArray[Float]: ...
     def variance_dn2(self, grey_dn: float | NDArray[Float]) -> float | NDArray[Float]:
         """Return the variance of grey values whose mean is ``grey_dn``, of any shape and in its type; below black, that of black."""
+        # Light cannot be negative: below black the photons' part is zero, not below it.
         if isinstance(grey_dn, np.ndarray):
             return np.asarray(self.read_dn**2 + self.dn_per_e * np.maximum(grey_dn - self.black_dn, 0.0), grey_dn.dtype)
         return self.read_dn**2 + self.dn_per_e * max(grey_dn - self.black_dn, 0.0)
@@ -62,6 +63,7 @@ def camera_noise(full_well_e: float, read_noise_e: float, black_dn: float, gain_
 
     ``full_well_e``: electrons at 255 grey values.
     """
+    # Gain in dB of amplitude: 20 dB are a factor of ten. Quantisation to whole grey values adds 1/12.
     dn_per_e = LEVELS / full_well_e * 10.0 ** (gain_db / 20.0)
     return CameraNoise(math.sqrt((read_noise_e * dn_per_e) ** 2 + QUANTISATION_DN2), dn_per_e, black_dn)
 

@@ -194,6 +194,7 @@ def find_cameras(backend: Any) -> Iterator[FoundCamera]:
         except (usb.core.USBError, IndexError):
             continue  # it left the bus between two questions, or has no configuration: not a camera we can use
         layout = find_layout(int(configuration.bConfigurationValue), interfaces)
+        # Many devices are on a bus; only those with a USB3 Vision control interface are asked for a serial number.
         if layout is None:
             continue
         index = int(descriptor.iSerialNumber)
@@ -311,6 +312,7 @@ class _Pipe:
     def write(self, data: bytes, timeout_s: float) -> None:
         if self._out is None:
             raise ValueError("the stream pipe has no way out")
+        # Bytes are read-only, and a transfer needs writable memory.
         buffer = transfer_buffer(np.frombuffer(bytearray(data), np.uint8))
         try:
             sent = self._backend.bulk_write(

@@ -46,6 +46,7 @@ class Debouncer:
         events = self.advance(now_ns)
         for key, state in self._keys.items():
             contact = key in pressed
+            # A key that is down when we begin to listen was pressed for somebody else.
             if not self._listening:
                 state.contact = state.down = state.masked = contact
                 state.contact_since_ns = state.down_since_ns = now_ns
@@ -67,6 +68,8 @@ class Debouncer:
         """Time passed: what became true since the last call, in the order in which it became true."""
         events: list[tuple[int, KeyEvent]] = []
         for key, state in self._keys.items():
+            # Twice: a long press may have become true before the contact settled to open, and another one begin after
+            # it settled to closed.
             self._hold(key, state, now_ns, events)
             self._settle(key, state, now_ns, events)
             self._hold(key, state, now_ns, events)
@@ -89,6 +92,8 @@ class Debouncer:
         """A contact that has held long enough becomes the state."""
         if state.contact == state.down or now_ns - state.contact_since_ns < DEBOUNCE_NS:
             return
+        # Dated to the beginning of the change, not to the end of the wait: the time a key was held does not contain the
+        # debouncing.
         state.down = state.contact
         since_ns = state.contact_since_ns
         if state.down:

@@ -228,6 +228,7 @@ class Card:
         size = self._call(drm.IOCTL_GET_CRTC, drm.CRTC.pack(0, 0, crtc, 0, 0, 0, 0, 0, b""), drm.CRTC)[6]
         if size < 2:
             return False
+        # The kernel's tables have 16 bits; the last entry is full light.
         ramp = (ctypes.c_uint16 * size)(*(65535 * i // (size - 1) for i in range(size)))
         address = ctypes.addressof(ramp)
         self._call(drm.IOCTL_SET_GAMMA, drm.CRTC_LUT.pack(crtc, size, address, address, address), drm.CRTC_LUT)
@@ -237,6 +238,7 @@ class Card:
         """Ask for ``buffer`` at the next vertical blank; returns the token of its report. Raises OSError (EBUSY)."""
         with self._changed:
             token = next(self._tokens)
+            # Before the call: the report may be read by another thread before this one returns.
             self._awaited.add(token)
         try:
             self._call(
@@ -258,6 +260,7 @@ class Card:
         deadline_ns = self._clock.now_ns() + int(timeout_s * 1e9)
         left_s = timeout_s
         with self._changed:
+            # Two outputs share one node, and the kernel gives reports to whoever reads: one reads, all are told.
             while token not in self._arrived:
                 self._await_reports(token, max(0.0, left_s))
                 left_s = (deadline_ns - self._clock.now_ns()) * 1e-9
@@ -279,6 +282,8 @@ class Card:
         if self._reading:
             self._clock.wait_for(self._changed, lambda: token in self._arrived or not self._reading, timeout_s)
             return
+        # The lock is released while the kernel is waited for, so that flips can be submitted meanwhile; ``_reading``
+        # keeps a second reader out.
         self._reading = True
         self._changed.release()
         reports: Sequence[drm.FlipDone] = ()

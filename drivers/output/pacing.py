@@ -30,6 +30,7 @@ class Pacer:
         """Return when the next picture may be handed over; at once on hardware that throttles."""
         if self._unthrottled and self._due_ns is not None:
             left_ns = self._due_ns - self._clock.now_ns()
+            # More than a period left is a clock or a grid that jumped: not waited for.
             if 0 < left_ns <= self._period_ns:
                 self._clock.sleep_s(left_ns * 1e-9)
 
