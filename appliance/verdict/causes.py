@@ -181,10 +181,10 @@ def _all(
         yield from _flicker(light, of, motion)
     if outside is not None:
         yield outside
-    yield from _levels(of, light)
-    yield from _water(of, water, moved if rushing is None else 1.0)
+    yield from _levels(of, light, water)
+    yield from _water(of, water, moved if rushing is None else 1.0, _saturated(light, water))
     if poor and (outside is None or outside.share < ALL):
-        faint = _faint(sight, light, summary, present, steps)
+        faint = _faint(sight, light, water, summary, present, steps)
         if faint is not None:
             yield faint
 
@@ -217,7 +217,7 @@ def _rushing(motion: Numbers, sight: Numbers, light: Numbers, water: Numbers, su
     if motion.get("added_noise_percent") is not None or fringe is None or fringe < RUSHING_FRINGE_DN:
         return None
     veiled = (water.get("veil_percent") or 0.0) >= CLEAR_WATER_PERCENT
-    if veiled or _saturated(light) > MOST_SATURATED:
+    if veiled or _saturated(light, water) > MOST_SATURATED:
         return None
     detail = f"fringes of {fringe:.0f} DN that contradict each other: something moves fast"
     return Cause(Fault(FaultCode.MOVED, detail), 1.0 - 0.01 * min(summary.coverage_percent or 0.0, 100.0), True)
@@ -286,11 +286,11 @@ def _outside(sight: Numbers) -> Cause | None:
     return Cause(Fault(code, what, {"distance_mm": distance}), share, True)
 
 
-def _levels(of: Mapping[str, Judgement], light: Numbers) -> Iterator[Cause]:
-    """Too bright, too dark, too much ambient light, as shares of the lit pixels."""
+def _levels(of: Mapping[str, Judgement], light: Numbers, water: Numbers) -> Iterator[Cause]:
+    """Too bright, too dark, too much ambient light, as shares of the lit pixels; of what is saturated see ``_saturated``."""
     judged = of.get("light")
     fault = None if judged is None else judged.fault
-    saturated = _saturated(light)
+    saturated = _saturated(light, water)
     if fault is not None and fault.code in (FaultCode.TOO_DARK, FaultCode.AMBIENT, FaultCode.TOO_BRIGHT):
         names = {FaultCode.TOO_DARK: "weak", FaultCode.AMBIENT: "ambient_beyond", FaultCode.TOO_BRIGHT: "saturated"}
         told = fault.numbers.get(f"{names[fault.code]}_percent")
@@ -298,18 +298,29 @@ def _levels(of: Mapping[str, Judgement], light: Numbers) -> Iterator[Cause]:
             told = 100.0 - fault.numbers.get("coverage_percent", 0.0)
         if fault.code is FaultCode.AMBIENT:
             told = fault.numbers.get("ambient_percent")
+        if fault.code is FaultCode.TOO_BRIGHT:
+            told = max(told or 0.0, 100.0 * saturated)
         yield Cause(fault, 0.01 * (told or 0.0), True)
     if saturated > 0.0 and (fault is None or fault.code is not FaultCode.TOO_BRIGHT):
-        detail = f"{100.0 * saturated:.0f} % of the lit pixels are saturated"
+        detail = f"{100.0 * saturated:.0f} % of what is seen is saturated"
         yield Cause(Fault(FaultCode.TOO_BRIGHT, detail, {"saturated_percent": 100.0 * saturated}), saturated, False)
 
 
-def _saturated(light: Numbers) -> float:
-    """Share of the lit pixels of the brighter camera."""
-    return 0.01 * max(light.get("left_saturated_percent") or 0.0, light.get("right_saturated_percent") or 0.0)
+def _saturated(light: Numbers, water: Numbers) -> float:
+    """Share of the lit pixels of the brighter camera; or of the object's, where the left camera sees more of these saturated.
+
+    Lit water shows no object, and would dilute the share that is lost of one.
+    """
+    left, right = (0.01 * (light.get(f"{side}_saturated_percent") or 0.0) for side in SIDES)
+    lit, clear = light.get("left_lit_percent"), water.get("object_percent")
+    if left > 0.0 and lit is not None and clear is not None:
+        of_picture = left * 0.01 * lit
+        left = max(left, of_picture / (of_picture + 0.01 * clear))
+    return max(left, right)
 
 
-def _water(of: Mapping[str, Judgement], water: Numbers, moved: float) -> Iterator[Cause]:
+def _water(of: Mapping[str, Judgement], water: Numbers, moved: float, saturated: float) -> Iterator[Cause]:
+    """What the water takes, as shares of the object's pixels that are not saturated: ``saturated`` of them all are."""
     judged = of.get("water")
     if judged is None or judged.fault is None:
         return
@@ -319,19 +330,19 @@ def _water(of: Mapping[str, Judgement], water: Numbers, moved: float) -> Iterato
     shares = [hidden if behind_veil else 0.0, veil if behind_veil and masked > hidden else 0.0]
     if moved == 0.0:
         shares.append(specks)
-    share = max(shares)
+    share = (1.0 - saturated) * max(shares)
     if share > 0.0:
         yield Cause(judged.fault, share, True)
 
 
 def _faint(
-    sight: Numbers, light: Numbers, summary: CloudSummary, present: Exposure, steps: Sequence[Exposure]
+    sight: Numbers, light: Numbers, water: Numbers, summary: CloudSummary, present: Exposure, steps: Sequence[Exposure]
 ) -> Cause | None:
     """Why too little of an object is seen to measure it: exposure, water, or that there is none."""
     room = max((step.light for step in steps), default=present.light) / present.light
     fringe, top = sight.get("fringe_dn"), sight.get("top_dn") or 0.0
     lost = 1.0 - 0.01 * min(summary.coverage_percent or 0.0, 100.0)
-    if _saturated(light) > MOST_SATURATED:
+    if _saturated(light, water) > MOST_SATURATED:
         return None  # what is saturated shows no fringes
     if fringe is None:
         return _unseen(sight, room)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from appliance.patterns.sequence import Direction, PatternSequence
 from appliance.reconstruct.decode.decoder import CameraDecoder, Mask
+from appliance.scan.noise import CameraNoise
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -34,6 +35,8 @@ MIN_PER_CELL = 25
 OUTLIER_SIGMAS = 4.0
 MIN_OBJECT_DN = 6.0
 """Stripes that change a pixel by less light no object that could be measured."""
+OBJECT_SIGMAS = 4.0
+"""Nor do stripes whose change is noise: in bright light photons alone scatter by ``MIN_OBJECT_DN``."""
 SATURATED_DN = 255.0
 USUAL_CONTRAST = 0.8
 """Contrast of fringes in turbid water, where no pixel tells."""
@@ -71,6 +74,8 @@ class Looked:
     could be asked."""
     object_pixels: int
     """Sampled pixels that show an object and are not saturated."""
+    object_share: float
+    """Of all sampled pixels, these."""
     masked_share: float | None
     """Share of them without coordinates."""
     hidden_share: float | None
@@ -83,8 +88,10 @@ class Looked:
     """Share of the pixels with coordinates in which the four steps of a direction disagree."""
 
 
-def look_at_veil(sequence: PatternSequence, frames: NDArray[np.uint8], decoded: CameraDecoder) -> Looked:
-    """Sample one camera's ``frames`` (n, h, w) uint8."""
+def look_at_veil(
+    sequence: PatternSequence, frames: NDArray[np.uint8], decoded: CameraDecoder, noise: CameraNoise
+) -> Looked:
+    """Sample one camera's ``frames`` (n, h, w) uint8, whose grey values scatter by ``noise``."""
     rows, columns = decoded.p_px.shape
     across_px = max(1, int(math.sqrt(rows * columns / SAMPLES)))
     down_px = max(1, math.ceil(rows * columns / SAMPLES / across_px))
@@ -100,7 +107,10 @@ def look_at_veil(sequence: PatternSequence, frames: NDArray[np.uint8], decoded: 
     gray = [seen(across.gray[bit]) for bit, _ in asked]
     sums = bright + dark
     swing = sum((np.abs(2.0 * one - sums) for one in gray), np.zeros(shape, np.float32))
-    seen_object = (swing > MIN_OBJECT_DN * len(asked)) & (bright < SATURATED_DN) & (mask != Mask.SATURATED)
+    # One swing is twice a frame less two others, so that its variance is six times that of a frame.
+    scatter = np.sqrt(6.0 * len(asked) * noise.variance_dn2(0.5 * sums))
+    changed = swing > np.maximum(MIN_OBJECT_DN * len(asked), OBJECT_SIGMAS * scatter)
+    seen_object = changed & (bright < SATURATED_DN) & (mask != Mask.SATURATED)
     objects = int(np.count_nonzero(seen_object))
     valid = mask == Mask.VALID
     pixels = np.flatnonzero(valid & seen_object)
@@ -137,6 +147,7 @@ def look_at_veil(sequence: PatternSequence, frames: NDArray[np.uint8], decoded: 
         cells,
         float(np.clip(cells.pixels @ cells.veil_dn / of_light, 0.0, 1.0)) if of_light > 0.0 else None,
         objects,
+        objects / seen_object.size,
         1.0 - len(pixels) / objects if objects else None,
         hidden / objects if objects else None,
         contrast,

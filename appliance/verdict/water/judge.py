@@ -69,6 +69,8 @@ class WaterJudgement:
     sends back: as if the brighter parts of what is seen had an albedo of 0.6."""
     expected_noise_mm: float | None
     """Median of the points' expected errors."""
+    object_percent: float | None
+    """Of the picture, the pixels that show an object and are not saturated."""
     masked_percent: float | None
     """Percent of the object's pixels without coordinates."""
     hidden_percent: float | None
@@ -92,13 +94,14 @@ class Attenuation:
 def judge_water(recorded: ScanImages, cloud: Cloud, rig: StereoRig, water_index: float) -> WaterJudgement:
     """Judge the water by the left camera's frames and the points of ``cloud`` (the coarse one is enough)."""
     decoded = recorded.decoded["left"]
-    looked = look_at_veil(recorded.sequence, recorded.frames["left"], decoded)
+    looked = look_at_veil(recorded.sequence, recorded.frames["left"], decoded, recorded.noise.left)
     numbers: dict[str, float | None] = {
         "attenuation_per_m": None,
         "attenuation_sigma_per_m": None,
         "veil_percent": _percent(looked.veil_share),
         "backscatter_percent": None,
         "expected_noise_mm": cloud.summary.noise_mm,
+        "object_percent": _percent(looked.object_share),
         "masked_percent": _percent(looked.masked_share),
         "hidden_percent": _percent(looked.hidden_share),
         "speck_percent": _percent(looked.speck_share),

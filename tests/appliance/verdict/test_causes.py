@@ -231,6 +231,16 @@ def test_floodlight_is_not_the_waters_fault() -> None:
     assert codes(still(), water, flood, sight(**NO_FRINGES), summary=NO_POINTS) == [FaultCode.TOO_BRIGHT]
 
 
+def test_a_flood_light_in_silt_is_not_the_waters_fault_either() -> None:
+    """The object is saturated; lit water beside it made the saturated share small, and WATER DIRTY 75 % was said."""
+    numbers = {"veil_percent": 40.0, "hidden_percent": 75.0, "masked_percent": 80.0, "object_percent": 5.3}
+    flood = light(FaultCode.TOO_BRIGHT, left_saturated_percent=17.6, left_lit_percent=91.4, saturated_percent=17.6)
+    said = codes(
+        still(), judgement("water", numbers, FaultCode.WATER_DIRTY), flood, sight(**FRINGES), summary=NO_POINTS
+    )
+    assert said == [FaultCode.TOO_BRIGHT, FaultCode.WATER_DIRTY]
+
+
 def test_the_waters_veil_counts_before_what_it_hides() -> None:
     water = judgement(
         "water", {"veil_percent": 48.0, "hidden_percent": 25.0, "masked_percent": 27.0}, FaultCode.WATER_DIRTY

@@ -160,6 +160,15 @@ def test_nothing_before_the_instrument_is_no_judgement(without_scattering: Rende
     assert said.masked_percent is None
 
 
+def test_bright_light_without_an_object_is_no_object(without_scattering: RenderedScan) -> None:
+    """Photons alone change each pixel by as much as faint stripes; a sixth of lit water under a flood light was an object."""
+    rng = np.random.default_rng(8)
+    shot = {side: rng.normal(220.0, 2.1, frames.shape) for side, frames in without_scattering.frames.items()}
+    frames = {side: np.clip(np.rint(one), 0, 255).astype(np.uint8) for side, one in shot.items()}
+    said = judged(replace(without_scattering, frames=frames)).said
+    assert found(said.object_percent) < 0.1
+
+
 def test_long_fringes_tell_the_same(turbid: Judged) -> None:
     said = judged(render(Scene(object="shell", water=TURBID), period_px=64)).said
     assert found(said.veil_percent) == pytest.approx(found(turbid.said.veil_percent), abs=1.5)
