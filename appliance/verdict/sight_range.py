@@ -30,7 +30,8 @@ LEAST_SWING_DN, LEAST_SHARE = 0.8, 0.1
 """Twice the amplitude of a window's fringes, at least, and as a share of what the projector's white adds there: less may be what is
 left of long fringes in the lit water, which is near."""
 CLEAR_DN = 250.0
-"""No image of a window may be brighter anywhere."""
+"""No image of a window may be brighter anywhere; nor of any place where the right camera might see it, for what is saturated
+there may be the window itself, and the likest of the other places is then a wrong fringe."""
 NEAREST_MM, FARTHEST_MM = 250.0, 1500.0
 STEP_PX = 1.5
 """From depth to depth, as the right camera sees it: a fifth of a fringe."""
@@ -68,6 +69,7 @@ def find_depths_mm(
     best = like.argmax(axis=1)
     beside = abs(np.arange(len(depths_mm)) - best[:, None]) > BESIDE
     sure = like.max(axis=1) >= np.maximum(LEAST_LIKE, DISTINCT * np.where(beside, like, 0.0).max(axis=1))
+    sure &= _clear_everywhere(_brightest(frames["right"], sequence, factor), places)
     found = depths_mm[best[sure]]
     return found if len(found) >= MIN_WINDOWS else none
 
@@ -94,16 +96,32 @@ def _strongest(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Upper left corners (rows, columns) of the windows that show most fringes beyond noise and are nowhere saturated."""
     sines = sequence.axis(Direction.X).sine
-    brightest = np.maximum.reduce([frames[k] for k in (sequence.bright, *sines)])
     level = np.mean([_shrunk(frames[k], factor) for k in sines], axis=0)
     chance = 4.0 * (noise.read_dn**2 + noise.dn_per_e * np.maximum(level - noise.black_dn, 0.0)) / factor**2
     excess = _tiled(changes[0] ** 2 + changes[1] ** 2 - chance).mean(axis=(1, 3))
-    clear = _tiled(_shrunk(brightest, factor)).max(axis=(1, 3)) < CLEAR_DN
+    clear = _tiled(_brightest(frames, sequence, factor)).max(axis=(1, 3)) < CLEAR_DN
     light = _tiled(_shrunk(frames[sequence.bright], factor) - _shrunk(frames[sequence.dark], factor)).mean(axis=(1, 3))
     excess[~clear | (excess < np.maximum(LEAST_SWING_DN, LEAST_SHARE * light) ** 2)] = 0.0
     order = np.argsort(-excess, axis=None)[:WINDOWS]
     rows, columns = np.unravel_index(order[excess.ravel()[order] > 0.0], excess.shape)
     return rows * ROWS, columns * COLUMNS
+
+
+def _brightest(frames: NDArray[np.uint8], sequence: PatternSequence, factor: int) -> Floats:
+    """Small image of the brightest grey value that each pixel has in the bright image and the sines."""
+    lit = (sequence.bright, *sequence.axis(Direction.X).sine)
+    return _shrunk(np.maximum.reduce([frames[k] for k in lit]), factor)
+
+
+def _clear_everywhere(brightest: Floats, places: Array) -> NDArray[np.bool_]:
+    """Whether (n,) nothing is too bright in any of the windows at ``places`` (n, depths, 2: column, row) within the image."""
+    # Sums over a rectangle are four entries of the image's running sums.
+    sums = np.pad(np.cumsum(np.cumsum(brightest >= CLEAR_DN, axis=0), axis=1), ((1, 0), (1, 0)))
+    bright = sums[ROWS:, COLUMNS:] - sums[:-ROWS, COLUMNS:] - sums[ROWS:, :-COLUMNS] + sums[:-ROWS, :-COLUMNS]
+    at = np.rint(np.nan_to_num(places, nan=-1e6)).astype(np.int64)
+    inside = (at >= 0).all(-1) & (at[..., 0] < bright.shape[1]) & (at[..., 1] < bright.shape[0])
+    at[~inside] = 0
+    return ~(inside & (bright[at[..., 1], at[..., 0]] > 0)).any(axis=1)
 
 
 def _tiled(image: Floats) -> Floats:

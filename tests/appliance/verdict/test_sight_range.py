@@ -50,6 +50,15 @@ def test_where_nothing_is_seen_there_is_no_distance(what: str) -> None:
     assert len(depths_mm(scan)) == 0
 
 
+def test_what_one_camera_sees_clear_and_the_other_saturated_is_not_far_away() -> None:
+    """The window's own place is saturated in the right picture, the likest of the others is a wrong fringe: a plane in silt at
+    530 mm, exposed for too long, came as SCAN FAR, 1200 mm."""
+    scan = plane_at(530.0, SILT, 0.045)
+    saturated = [float(np.mean(scan.frames[side].max(axis=0) == 255)) for side in ("left", "right")]
+    assert all(0.3 < share < 0.7 for share in saturated)
+    assert len(depths_mm(scan)) == 0
+
+
 def test_a_few_windows_are_no_distance() -> None:
     """What two or three windows agree on may be chance."""
     scan = plane_at(530.0, Water(), 0.0002)
