@@ -121,7 +121,7 @@ def _clear_everywhere(brightest: Floats, places: Array) -> NDArray[np.bool_]:
     at = np.rint(np.nan_to_num(places, nan=-1e6)).astype(np.int64)
     inside = (at >= 0).all(-1) & (at[..., 0] < bright.shape[1]) & (at[..., 1] < bright.shape[0])
     at[~inside] = 0
-    return ~(inside & (bright[at[..., 1], at[..., 0]] > 0)).any(axis=1)
+    return np.asarray(~(inside & (bright[at[..., 1], at[..., 0]] > 0)).any(axis=1), np.bool_)
 
 
 def _tiled(image: Floats) -> Floats:
