@@ -1,21 +1,25 @@
 """Owns the arguments for mutants that nothing can notice: which change, and why it changes nothing.
 
-The file ``equivalent.txt`` holds one entry per paragraph: the file and the function, the line before, the line after,
-and the argument, indented. An entry names lines by their text, so it survives when they move.
+The file ``equivalent.txt`` holds entries of the file and the function, the line before, the line after, and the argument,
+indented. An entry begins where a line names a file and a function; the blank line before it is for people, so that a merge that
+loses one loses nothing. An entry names lines by their text, so it survives when they move.
 """
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
 from tests.mutate.mutants import Mutant
 
 FILE = Path(__file__).with_name("equivalent.txt")
+PLACE = re.compile(r"(\S+) ·(?: (.*))?$")
+"""The first line of an entry: a file, and the function in it or nothing."""
 
 
 class Unreadable(Exception):
-    """A paragraph of the file of arguments is not of the form that it must have."""
+    """An entry of the file of arguments is not of the form that it must have."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,19 +42,23 @@ class Argument:
 
 
 def read(text: str) -> list[Argument]:
-    """Return all arguments of a text. Raises Unreadable, which names the paragraph."""
-    found = []
-    for paragraph in text.split("\n\n"):
-        lines = [line for line in paragraph.splitlines() if line.strip() and not line.startswith("#")]
-        if not lines:
+    """Return all arguments of a text. Raises Unreadable, which names the entry."""
+    entries: list[list[str]] = []
+    for line in text.splitlines():
+        if not line.strip() or line.startswith("#"):
             continue
-        place, _, within = lines[0].partition(" · ")
+        if PLACE.match(line) or not entries:
+            entries.append([])
+        entries[-1].append(line)
+    found = []
+    for lines in entries:
+        named = PLACE.match(lines[0])
         marks = [line[:2] for line in lines[1:3]]
         why = " ".join(line.strip() for line in lines[3:])
-        if marks != ["- ", "+ "] or not why or not all(line.startswith("  ") for line in lines[3:]):
+        if named is None or marks != ["- ", "+ "] or not why or not all(line.startswith("  ") for line in lines[3:]):
             raise Unreadable(f"{lines[0]!r}: wanted are 'FILE · FUNCTION', '- before', '+ after', and why, indented")
         before, after = (" ".join(line[2:].split()) for line in lines[1:3])
-        found.append(Argument(place.strip(), within.strip(), before, after, why))
+        found.append(Argument(named[1], (named[2] or "").strip(), before, after, why))
     return found
 
 

@@ -118,12 +118,28 @@ def test_a_mutant_keeps_its_key_and_its_argument_where_its_line_moves_to() -> No
         "appliance/limits.py · f\n- a\n+ b\n",
         "appliance/limits.py · f\n+ b\n- a\n  why\n",
         "appliance/limits.py · f\n- a\n+ b\nwhy\n",
+        "appliance/limits.py · f\n- a\n+ b\n  why\n- a\n+ c\n  why\n",
+        "appliance/limits.py · f\n- a\n+ b\nappliance/limits.py · g\n- a\n+ b\n  why\n",
+        "appliance/limits.py · f()\n  - a\n",
+        "appliance/limits.py f\n- a\n+ b\n  why · f\n",
     ],
-    ids=["no reason", "order", "not indented"],
+    ids=["no reason", "order", "not indented", "two in one", "no reason before another", "too short", "no dot"],
 )
 def test_an_argument_of_another_form_is_refused_with_its_name(text: str) -> None:
-    with pytest.raises(argued.Unreadable, match=r"appliance/limits\.py · f"):
+    with pytest.raises(argued.Unreadable, match=r"appliance/limits\.py ·? ?f"):
         argued.read(text)
+
+
+def test_an_entry_begins_where_a_file_and_a_function_are_named_with_or_without_a_blank_line_before() -> None:
+    """A merge that lost one blank line made the whole file unreadable."""
+    one = "appliance/limits.py · is_over\n- a\n+ b\n  why\n  it is · so\n"
+    two = "appliance/limits.py ·\n- TOP = 1\n+ TOP = 2\n  Nothing is so high.\n"
+    apart, together = argued.read(f"# head\n\n{one}\n{two}"), argued.read(f"# head\n{one}{two}")
+    assert together == apart
+    assert [(found.path, found.within, found.why) for found in together] == [
+        ("appliance/limits.py", "is_over", "why it is · so"),
+        ("appliance/limits.py", "", "Nothing is so high."),
+    ]
 
 
 def test_every_argument_speaks_of_a_change_that_can_still_be_made() -> None:
