@@ -125,6 +125,15 @@ def test_a_port_that_stands_nearer_and_leans_is_found_from_exact_recordings() ->
     assert result.warnings == ()
 
 
+def test_a_calibration_states_the_water_of_its_first_recording() -> None:
+    """The design that it starts from states another one, and recordings may be of water that has warmed a little."""
+    seen_first = Water(19.0, 1.0, 530.0)
+    first, *others = recordings(START.rig, 0.01)
+    result = adjust([replace(first, water=seen_first), *others], START, Rung.PORTS, settings=SETTINGS)
+    assert result.calibration.water == seen_first
+    assert START.water == others[0].water != seen_first
+
+
 def test_far_points_lose_weight_in_proportion_and_near_ones_none() -> None:
     """Huber: within four standard deviations squared, beyond them straight on."""
     exact = recordings(START.rig)
@@ -176,13 +185,16 @@ def test_each_rung_gives_a_rig_with_what_it_may_change_and_no_more() -> None:
 
 
 def test_nodes_are_held_by_their_size_and_by_their_bends_not_by_a_slope() -> None:
-    problem = field()[0]
-    settings = BundleSettings()
-    for nodes, (columns, rows), value_sd, bend_sd in (
-        (problem._left_nodes, (13, 11), settings.spline_px, settings.field_bend_px),
-        (problem._right_nodes, (13, 11), settings.spline_px, settings.field_bend_px),
-        (problem._left_shifts, (SHIFT_INTERVALS[0] + 3, SHIFT_INTERVALS[1] + 3), 0.02, 0.01),
-        (problem._right_shifts, (SHIFT_INTERVALS[0] + 3, SHIFT_INTERVALS[1] + 3), 0.02, 0.01),
+    finest = field()[0]
+    spline = _Problem(recordings(START.rig), START.rig, Rung.SPLINE, AIR_COVARIANCE, SETTINGS)
+    shifts = (SHIFT_INTERVALS[0] + 3, SHIFT_INTERVALS[1] + 3)
+    for problem, nodes, (columns, rows), value_sd, bend_sd in (
+        (finest, finest._left_nodes, (13, 11), 0.15, 0.03),
+        (finest, finest._right_nodes, (13, 11), 0.15, 0.03),
+        (finest, finest._left_shifts, shifts, 0.02, 0.01),
+        (finest, finest._right_shifts, shifts, 0.02, 0.01),
+        (spline, spline._left_nodes, (9, 8), 0.15, 0.05),
+        (spline, spline._right_nodes, (9, 8), 0.15, 0.05),
     ):
         count = columns * rows
         assert nodes.stop - nodes.start == 2 * count

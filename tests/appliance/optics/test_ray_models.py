@@ -54,6 +54,15 @@ def test_a_point_on_a_ray_is_seen_at_its_pixel(name: str) -> None:
     assert np.isnan(camera.project(behind[None], FRESH)).all()
 
 
+def test_a_printed_camera_sees_whatever_is_before_it_however_near() -> None:
+    """Before its origin, not beyond some distance; what is behind it has no pixel."""
+    housed = right_camera()
+    camera = PrintedCamera(1600, 1200, housed.lens, housed.port)
+    near, behind = camera.project(np.array([[0.0, 0.0, 0.5], [0.0, 0.0, -0.5]]), FRESH)
+    np.testing.assert_allclose(near, housed.lens.c_px, atol=1e-9)
+    assert np.isnan(behind).all()
+
+
 def test_only_a_lens_calibrated_in_water_ignores_the_water() -> None:
     uv = np.array([[100.0, 100.0], [1500.0, 700.0]])
     for name, camera in models().items():

@@ -215,6 +215,19 @@ def test_garbage_is_ignored_and_counted() -> None:
         assert keys.counters.lost_reports == 0
 
 
+def test_every_report_is_counted_and_health_tells_how_many() -> None:
+    bench = Bench()
+    bench.pad.queue(100, report(NONE, 1, 100))
+    bench.pad.queue(200, b"\x02" + report(NONE, 2, 200)[1:])  # garbage is a report as well
+    with bench.open() as keys:
+        before = keys.counters.reports
+        bench.all_until(keys, 150)
+        assert keys.counters.reports == before + 1
+        bench.all_until(keys, 300)
+        assert keys.counters.reports == before + 2
+        assert keys.health().details["reports"] == str(before + 2)
+
+
 def test_missing_reports_are_counted_across_the_wrap() -> None:
     bench = Bench()
     bench.pad._queue.clear()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.api import DeviceGone, DeviceRefused, Flip
+from drivers.api import CardGone, DeviceGone, DeviceRefused, Flip
 from drivers.output.display import PictureDisplay
 from drivers.output.outputs import Outputs, open_outputs
 from drivers.output.projector import PatternProjector
@@ -376,6 +377,59 @@ def test_full_range_and_linear_gamma_are_set_where_the_driver_lets_us() -> None:
         ramp = kernel.gamma[PROJECTOR_CRTC]
         assert (ramp[0], ramp[128], ramp[255]) == (0, 128 * 257, 65535)
         assert projector.health().details == {"Broadcast RGB": "Full", "dithering mode": "off", "gamma": "linear"}
+
+
+def test_an_output_whose_driver_refuses_a_property_is_an_output_and_says_so() -> None:
+    class Stubborn(Kernel):
+        def _set_property(self, prop: Any) -> None:
+            raise OSError(errno.EINVAL, "Invalid argument")
+
+    kernel = Stubborn([*two_heads().plugs.values()])
+    kernel.properties = {7: ("Broadcast RGB", 8, {"Automatic": 0, "Full": 1})}
+    kernel.plugs[1].properties = {7: 0}
+    with opened(kernel) as (projector, _):
+        assert projector.health().details == {"property 7": "refused (Invalid argument)", "gamma": "linear"}
+
+
+@pytest.mark.parametrize("missing", [{"card": None}, {"connector": None}], ids=["card", "connector"])
+def test_a_screen_without_card_or_connector_is_refused_with_what_to_set(missing: dict[str, None]) -> None:
+    wires = KernelWires({CARD: [two_heads()]})
+    with Outputs(replace(PROJECTOR, **missing), DISPLAY, wires) as outputs:  # type: ignore[arg-type]
+        with pytest.raises(DeviceRefused, match="projector: kind kms needs card and connector") as refused:
+            outputs.open_projector()
+        assert "Set both under [projector]" in str(refused.value)
+    assert wires.opened == []
+
+
+def test_who_asks_in_vain_which_crtc_can_drive_an_output_is_named() -> None:
+    """The other output's connector is asked as well; what fails is the opening of this one."""
+
+    class Broken(Kernel):
+        def _encoder(self, enc: Any) -> None:
+            raise OSError(errno.EINVAL, "Invalid argument")
+
+    kernel = Broken([*two_heads().plugs.values()])
+    with (
+        Outputs(PROJECTOR, DISPLAY, KernelWires({CARD: [kernel]})) as outputs,  # type: ignore[arg-type]
+        pytest.raises(DeviceRefused, match=r"^display: asking which CRTC can drive HDMI-A-1 failed"),
+    ):
+        outputs.open_display()
+
+
+def test_a_card_that_is_gone_at_the_very_first_opening_is_opened_once_more() -> None:
+    """Nothing is lit on it and no node is kept of it yet."""
+
+    class Late(KernelWires):
+        def open_card(self, path: str) -> Kernel:
+            if not self.opened:
+                self.opened.append(path)
+                raise CardGone(path, "is gone", "Restart the instrument")
+            return super().open_card(path)
+
+    wires = Late({CARD: [two_heads()]})
+    with Outputs(PROJECTOR, DISPLAY, wires) as outputs:  # type: ignore[arg-type]
+        assert outputs.open_display().size_px == (80, 48)
+    assert wires.opened == [CARD, CARD]
 
 
 def test_a_clock_that_is_not_monotonic_is_refused() -> None:

@@ -74,6 +74,21 @@ def loaded(lamp: Lamp, number: int = 4) -> PatternProjector[Picture]:
     return projector
 
 
+def test_a_load_that_fails_half_way_leaves_nothing_loaded() -> None:
+    """Some buffers hold new frames then and some old ones: none of them may light the scene."""
+    lamp = Lamp()
+    projector = loaded(lamp, 3)
+
+    def fail(pixels: NDArray[np.uint8]) -> None:
+        raise DeviceGone("projector", "its memory is gone", "Restart")
+
+    lamp.pictures[2].write = fail  # type: ignore[method-assign]
+    with pytest.raises(DeviceGone, match="its memory is gone"):
+        projector.load([np.zeros((2, 3), np.uint8)] * 3)
+    with pytest.raises(IndexError, match="projector frame 0; 0 are loaded"):
+        projector.show(0)
+
+
 def codes(lamp: Lamp) -> list[int]:
     """The green light of what was shown."""
     return [int(picture.pixels[0, 0, 1]) for picture in lamp.shown]

@@ -152,6 +152,8 @@ except DeviceRefused as refused:
         ((1024, 768), (1920, 1080), (448, 156, 1024, 768)),  # whole pixels: not 1.4 times as large
         ((800, 480), (1920, 1080), (160, 60, 1600, 960)),
         ((1024, 768), (512, 768), (0, 192, 512, 384)),
+        ((1000, 2), (100, 100), (0, 49, 100, 1)),  # a line stays a line, not nothing
+        ((2, 1000), (100, 100), (49, 0, 1, 100)),
     ],
 )
 def test_a_picture_is_shown_whole_centred_and_in_whole_pixels(
