@@ -44,7 +44,7 @@ class _Looked:
     faults: tuple[Fault, ...]
 
 
-class AimingDesk:
+class AimingController:
     """Judges live images. A context manager; called by the heartbeat only."""
 
     def __init__(self, clock: Clock, live_s: float, black_dn: float) -> None:

@@ -29,8 +29,8 @@ from appliance.offline.air_views import ViewFolder
 from appliance.patterns.sequence import Direction, Kind, Pattern
 from appliance.scan.fault import Fault
 from appliance.scan.sides import SIDES
+from appliance.service.device_supervisor import DeviceSupervisor
 from appliance.service.devices import Devices
-from appliance.service.keeper import Keeper
 from appliance.storage.lock import hold_lock
 from drivers import rig as drivers_rig
 from drivers.api import Board, Clock, DeviceError, Projector, Wires
@@ -156,7 +156,7 @@ def _takes(rig: Rig, wires: Wires, lit: bool) -> Iterator[Callable[[], tuple[Ima
 
 def _opened(devices: Devices, clock: Clock) -> tuple[dict[str, Grabber], Board, Projector]:
     """Cameras, board and projector, once all are there. Raises DeviceError with the reason of what is not."""
-    wanted: list[Keeper[Any]] = [*devices.cameras.values(), devices.board, devices.projector]
+    wanted: list[DeviceSupervisor[Any]] = [*devices.cameras.values(), devices.board, devices.projector]
     end_ns = clock.now_ns() + int(OPEN_TIMEOUT_S * 1e9)
     reason = "does not answer"
     while True:

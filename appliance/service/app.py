@@ -17,17 +17,17 @@ from appliance.instrument import calibration_of, noise_of, pointers_of, response
 from appliance.machine.words import Language
 from appliance.optics.water import Water
 from appliance.screens.painter import Painter
-from appliance.service.aiming import AimingDesk
-from appliance.service.calibrating import CalibrationDesk
+from appliance.service.aiming import AimingController
+from appliance.service.calibrating import CalibrationController
 from appliance.service.devices import Devices
-from appliance.service.gallery import GalleryDesk
+from appliance.service.gallery import GalleryController
 from appliance.service.loop import Service, standard_choices
 from appliance.service.notify import ServiceManager
 from appliance.service.patterns import Patterns
-from appliance.service.ranging import RangingDesk
-from appliance.service.scans import ScanDesk
+from appliance.service.ranging import RangingController
+from appliance.service.scans import ScanController
 from appliance.service.starts import installation, recovered, this_run
-from appliance.service.supervision import Supervision
+from appliance.service.watchdog import Watchdog
 from appliance.storage.beams import BeamsFile
 from appliance.storage.choices import ChoicesFile
 from appliance.storage.filesystem import LocalFileSystem
@@ -70,7 +70,7 @@ def run(rig: Rig) -> int:
         patterns = Patterns(gl, rig, chosen.period_px, response)
         water = Water(chosen.water_c, chosen.salinity_psu, rig.water.wavelength_nm)
         desk = stack.enter_context(
-            ScanDesk(
+            ScanController(
                 rig,
                 calibration,
                 patterns.sequence,
@@ -83,24 +83,24 @@ def run(rig: Rig) -> int:
                 room=room,
             )
         )
-        calibrating = stack.enter_context(CalibrationDesk(rig, desk))
+        calibrating = stack.enter_context(CalibrationController(rig, desk))
         live_s = rig.board.live_every_vsyncs / rig.projector.refresh_hz
         pointers = pointers_of(rig)
         beams = None if pointers is None else BeamsFile(rig.storage.root, pointers)
         ranging = stack.enter_context(
-            RangingDesk(pointers, calibration, water.index, wires.clock, live_s, beams, desk.submit)
+            RangingController(pointers, calibration, water.index, wires.clock, live_s, beams, desk.submit)
         )
-        aiming = stack.enter_context(AimingDesk(wires.clock, live_s, rig.camera.left.black_level_dn))
+        aiming = stack.enter_context(AimingController(wires.clock, live_s, rig.camera.left.black_level_dn))
         painter = stack.enter_context(
             Painter(gl, (rig.display.width_px, rig.display.height_px), Language(rig.display.language))
         )
         devices = stack.enter_context(Devices(rig, wires, patterns.load))
         status = StatusFile(rig.storage.root, os.getpid(), appliance.__version__)
         service = Service(
-            rig, devices, desk, calibrating, GalleryDesk(library, desk.submit), ranging, aiming, patterns, painter, status, wires.clock,
+            rig, devices, desk, calibrating, GalleryController(library, desk.submit), ranging, aiming, patterns, painter, status, wires.clock,
             choices, conditions, news, lambda: stopping.reason,
         )  # fmt: skip
-        ended = service.run(Supervision(manager, rig.storage.root, installation(Path(sys.prefix))))
+        ended = service.run(Watchdog(manager, rig.storage.root, installation(Path(sys.prefix))))
         if ended.power_off:
             ask_power_off(os.environ)
         log.info("switched off" if ended.power_off else "stopped")

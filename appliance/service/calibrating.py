@@ -22,7 +22,7 @@ from appliance.scan.verdict import Verdict
 from appliance.service import calibrator
 from appliance.service.background import Background, Done, Failed, Progressed
 from appliance.service.calibrator import Examined, Solution
-from appliance.service.scans import ScanDesk, remembered
+from appliance.service.scans import ScanController, remembered
 from appliance.storage.atomic import StorageError
 from appliance.storage.calibrations import Calibrations, SessionError
 from appliance.storage.scan import ScanError
@@ -50,10 +50,10 @@ class _Changed:
     in_use: tuple[Calibration, tuple[Fault, ...]] | None = None
 
 
-class CalibrationDesk:
+class CalibrationController:
     """Everything about the calibration that is neither a device nor a decision. A context manager."""
 
-    def __init__(self, rig: Rig, desk: ScanDesk) -> None:
+    def __init__(self, rig: Rig, desk: ScanController) -> None:
         """Disk work goes through ``desk``'s thread."""
         self._rig = rig
         self._desk = desk

@@ -17,7 +17,7 @@ from appliance.machine.states import Device
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import FaultCode
 from appliance.scan.sides import of_side
-from appliance.service.keeper import DeviceRejected, Keeper
+from appliance.service.device_supervisor import DeviceRejected, DeviceSupervisor
 from appliance.service.keys import KeyReader
 from drivers import rig as drivers_rig
 from drivers.api import Board, Camera, CameraSettings, Display, Projector, Wires
@@ -35,14 +35,14 @@ class Devices:
         self._executor = ThreadPoolExecutor(4, "kf-open")
         self._outputs = drivers_rig.open_outputs(_output(rig.projector), _output(rig.display), wires)
         clock = wires.clock
-        self.cameras: dict[str, Keeper[Grabber]] = {
-            "left": Keeper(Device.CAMERA_LEFT, lambda: self._camera("left"), clock, self._executor),
-            "right": Keeper(Device.CAMERA_RIGHT, lambda: self._camera("right"), clock, self._executor),
+        self.cameras: dict[str, DeviceSupervisor[Grabber]] = {
+            "left": DeviceSupervisor(Device.CAMERA_LEFT, lambda: self._camera("left"), clock, self._executor),
+            "right": DeviceSupervisor(Device.CAMERA_RIGHT, lambda: self._camera("right"), clock, self._executor),
         }
-        self.board: Keeper[Board] = Keeper(Device.BOARD, self._board, clock, self._executor)
-        self.keys: Keeper[KeyReader] = Keeper(Device.KEYS, self._keys, clock, self._executor)
-        self.display: Keeper[Display] = Keeper(Device.DISPLAY, self._display, clock, None)
-        self.projector: Keeper[Projector] = Keeper(Device.PROJECTOR, self._projector, clock, None)
+        self.board: DeviceSupervisor[Board] = DeviceSupervisor(Device.BOARD, self._board, clock, self._executor)
+        self.keys: DeviceSupervisor[KeyReader] = DeviceSupervisor(Device.KEYS, self._keys, clock, self._executor)
+        self.display: DeviceSupervisor[Display] = DeviceSupervisor(Device.DISPLAY, self._display, clock, None)
+        self.projector: DeviceSupervisor[Projector] = DeviceSupervisor(Device.PROJECTOR, self._projector, clock, None)
 
     def __enter__(self) -> Self:
         self._outputs.__enter__()
@@ -74,7 +74,7 @@ class Devices:
             "display": self._display,
         }
 
-    def _keepers(self) -> list[Keeper[Any]]:
+    def _keepers(self) -> list[DeviceSupervisor[Any]]:
         """All of them, in the order of closing."""
         return [*self.cameras.values(), self.keys, self.board, self.projector, self.display]
 

@@ -42,7 +42,7 @@ class Shown:
     """Wall time; ``None`` where the clock was not to be trusted."""
 
 
-class GalleryDesk:
+class GalleryController:
     """Lists and loads in ``submit``'s thread; the latest wish counts."""
 
     def __init__(self, library: Library, submit: Callable[[Callable[[], None]], Future[None]]) -> None:

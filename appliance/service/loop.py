@@ -34,18 +34,18 @@ from appliance.scan.sides import SIDES
 from appliance.scan.verdict import Verdict
 from appliance.screens.painter import Painter
 from appliance.screens.views import Grade
-from appliance.service.aiming import AimingDesk
-from appliance.service.calibrating import CalibrationDesk
+from appliance.service.aiming import AimingController
+from appliance.service.calibrating import CalibrationController
+from appliance.service.device_supervisor import DeviceSupervisor
 from appliance.service.devices import Devices
-from appliance.service.gallery import GRADE, LENGTHS_DOUBTFUL, GalleryDesk
-from appliance.service.keeper import Keeper
+from appliance.service.gallery import GRADE, LENGTHS_DOUBTFUL, GalleryController
 from appliance.service.menu_view import Facts
 from appliance.service.patterns import Patterns
-from appliance.service.ranging import RangingDesk
-from appliance.service.scans import ScanDesk
+from appliance.service.ranging import RangingController
+from appliance.service.scans import ScanController
 from appliance.service.spoken import spoken
-from appliance.service.supervision import Supervision
 from appliance.service.view import Surroundings, grade, view_of
+from appliance.service.watchdog import Watchdog
 from appliance.storage.atomic import StorageError
 from appliance.storage.choices import ChoicesFile
 from appliance.storage.status import StatusFile
@@ -113,11 +113,11 @@ class Service:
         self,
         rig: Rig,
         devices: Devices,
-        desk: ScanDesk,
-        calibrating: CalibrationDesk,
-        gallery: GalleryDesk,
-        ranging: RangingDesk,
-        aiming: AimingDesk,
+        desk: ScanController,
+        calibrating: CalibrationController,
+        gallery: GalleryController,
+        ranging: RangingController,
+        aiming: AimingController,
         patterns: Patterns,
         painter: Painter,
         status: StatusFile,
@@ -166,7 +166,7 @@ class Service:
         self._stop_told = False
         self._quit: do.Quit | None = None
 
-    def run(self, supervision: Supervision) -> do.Quit:
+    def run(self, supervision: Watchdog) -> do.Quit:
         """Beat until the machine wants to quit, then finish what is being written."""
 
         def beat() -> None:
@@ -528,7 +528,7 @@ class Service:
         )
 
     @contextmanager
-    def _watching(self, keeper: Keeper[Any]) -> Iterator[None]:
+    def _watching(self, keeper: DeviceSupervisor[Any]) -> Iterator[None]:
         """A device that fails inside is lost, and that is an event like any other. Raises CardGone: GL is lost with it, and
         comes back in another process only."""
         try:

@@ -62,7 +62,7 @@ class _Measured:
     range: Range | None
 
 
-class RangingDesk:
+class RangingController:
     """Everything about the laser dots in live images that is neither a device nor a decision. A context manager.
 
     Called by the heartbeat only.

@@ -38,8 +38,8 @@ from appliance.scan.noise import TYPICAL_PAIR, StereoNoise
 from appliance.scan.sides import SIDES
 from appliance.scan.verdict import Judgement, Verdict
 from appliance.service.health import CalibrationWatch
-from appliance.service.in_work import ScanInWork, SecondInWork
 from appliance.service.room import ScanRoom
+from appliance.service.scan_in_memory import ScanInMemory, SecondInMemory
 from appliance.service.windows import WindowWatch
 from appliance.storage.atomic import StorageError, replace_file
 from appliance.storage.filesystem import LocalFileSystem
@@ -68,7 +68,7 @@ PROBE = "self-test"
 PROBE_CONTENT = b"written and read back at every start\n"
 
 
-class ScanDesk:
+class ScanController:
     """Everything about recorded scans that is neither a device nor a decision. A context manager."""
 
     def __init__(
@@ -108,7 +108,7 @@ class ScanDesk:
         self._answers: list[Future[list[on.Event]]] = []
         self.room = ScanRoom(library, room, rig.storage.reserve_mb * 1_000_000, clock)
         self.room.size(len(sequence), left.width_px, left.height_px)
-        self.scan: ScanInWork | None = None
+        self.scan: ScanInMemory | None = None
         self.worker_settled = False
         """It is warm, or it cannot be: nothing more is to be waited for at the start."""
 
@@ -149,7 +149,7 @@ class ScanDesk:
             except (StorageError, ValueError, TimeoutError) as error:
                 return Fault(FaultCode.NOT_SAVED, f"the previous scan's frames are not on the disk: {error}")
             self._remember(scan)
-        self.scan = ScanInWork(number, self._clock.now_ns(), exposure)
+        self.scan = ScanInMemory(number, self._clock.now_ns(), exposure)
         self.worker.begin(number, self._taken(exposure))
         return None
 
@@ -160,7 +160,7 @@ class ScanDesk:
             return Fault(FaultCode.INTERNAL, "a second exposure was wanted without a scan")
         if self.room.missing is not None:
             return self.room.missing
-        scan.second = SecondInWork(number, self._clock.now_ns(), exposure)
+        scan.second = SecondInMemory(number, self._clock.now_ns(), exposure)
         self.worker.begin_second(scan.number, self._taken(exposure))
         return None
 
@@ -378,7 +378,7 @@ class ScanDesk:
         second = next((judgement.second for judgement in judged.judgements if judgement.second is not None), None)
         return [on.Judged(scan.number, faults, proposal, second), *events]
 
-    def _watch_windows(self, scan: ScanInWork, windows: Windows) -> list[on.Event]:
+    def _watch_windows(self, scan: ScanInMemory, windows: Windows) -> list[on.Event]:
         """Count a scan once, however often it is judged; its verdict says what holds after it."""
         if scan.windows_watched:
             return []
@@ -424,7 +424,7 @@ class ScanDesk:
         scan.enter(judgement.verdict)
         return [on.ReconstructionFailed(number, judgement.fault)]
 
-    def _judge(self, scan: ScanInWork, cloud: Cloud) -> list[on.Event]:
+    def _judge(self, scan: ScanInMemory, cloud: Cloud) -> list[on.Event]:
         """Whether the calibration still holds. The scan keeps the verdict, the disk the trend."""
         if cloud.gaps is None or scan.record is None:
             return []
@@ -433,7 +433,7 @@ class ScanDesk:
         fault = self.watch.fault
         return [] if fault is None else [on.ConditionRaised(fault)]
 
-    def _remember(self, scan: ScanInWork) -> None:
+    def _remember(self, scan: ScanInMemory) -> None:
         """The trend goes to the disk as soon as its latest scan has a number there."""
         stored = scan.raw is not None and scan.raw.done() and scan.raw.exception() is None
         pending = scan.raw.result() if stored and scan.raw is not None else scan.pending
@@ -443,14 +443,14 @@ class ScanDesk:
         if write is not None:
             self._ask(lambda: remembered(write))
 
-    def _current(self, number: int) -> ScanInWork | None:
+    def _current(self, number: int) -> ScanInMemory | None:
         return self.scan if self.scan is not None and self.scan.number == number else None
 
     def _ask(self, work: object) -> None:
         assert callable(work)
         self._answers.append(self._disk.submit(work))
 
-    def _raw_stored(self, scan: ScanInWork) -> list[on.Event]:
+    def _raw_stored(self, scan: ScanInMemory) -> list[on.Event]:
         assert scan.raw is not None
         try:
             scan.pending = scan.raw.result()
@@ -459,18 +459,18 @@ class ScanDesk:
         scan.times_s["saved"] = scan.since_begun_s(self._clock.now_ns())
         return [on.RawStored(scan.number), *self._counted_if_told()]
 
-    def _second_stored(self, scan: ScanInWork) -> list[on.Event]:
+    def _second_stored(self, scan: ScanInMemory) -> list[on.Event]:
         try:
             self._pending(scan)
         except (StorageError, ValueError) as error:
             return self._not_saved(scan, error)
         return [on.RawStored(scan.number), *self._counted_if_told()]
 
-    def _not_saved(self, scan: ScanInWork, error: Exception) -> list[on.Event]:
+    def _not_saved(self, scan: ScanInMemory, error: Exception) -> list[on.Event]:
         """What it took from the room is allocated again at once: it will be tried again."""
         return [on.SaveFailed(scan.number, Fault(FaultCode.NOT_SAVED, str(error))), *self._counted_if_told()]
 
-    def _pending(self, scan: ScanInWork) -> PendingScan:
+    def _pending(self, scan: ScanInMemory) -> PendingScan:
         """The scan on the disk, with every sequence it has; what failed before is done again."""
         if scan.pending is None:
             assert scan.record is not None
@@ -484,7 +484,7 @@ class ScanDesk:
             second.stored = True
         return scan.pending
 
-    def _publish(self, scan: ScanInWork, preview: NDArray[np.uint8] | None) -> list[on.Event]:
+    def _publish(self, scan: ScanInMemory, preview: NDArray[np.uint8] | None) -> list[on.Event]:
         assert scan.record is not None
         record = replace(scan.whole, stage_times_s=dict(scan.times_s), cloud=_numbers(scan.full))
         png = None
@@ -498,7 +498,7 @@ class ScanDesk:
             return self._not_saved(scan, error)
         return [on.Saved(scan.number, pending.scan_id), *self._counted_if_told()]
 
-    def _accept(self, scan: ScanInWork, entered: Callable[[str], list[on.Event]]) -> list[on.Event]:
+    def _accept(self, scan: ScanInMemory, entered: Callable[[str], list[on.Event]]) -> list[on.Event]:
         events = self._publish(scan, None)
         saved = next((event for event in events if isinstance(event, on.Saved)), None)
         if saved is None:
@@ -508,7 +508,7 @@ class ScanDesk:
         except StorageError as error:
             return [*events, on.SaveFailed(scan.number, Fault(FaultCode.NOT_SAVED, str(error)))]
 
-    def _reject(self, scan: ScanInWork, reason: str) -> list[on.Event]:
+    def _reject(self, scan: ScanInMemory, reason: str) -> list[on.Event]:
         try:
             pending = self._pending(scan)
             pending.reject(reason, None if scan.record is None else scan.whole)

@@ -41,8 +41,8 @@ from appliance.screens.views import (
     ShutdownView,
 )
 from appliance.service.gallery import Shown
-from appliance.service.in_work import ScanInWork
 from appliance.service.menu_view import Facts, menu_view, question_view
+from appliance.service.scan_in_memory import ScanInMemory
 
 NO_POINTS = np.empty((0, 3), np.float32)
 NO_VALUES = np.empty(0, np.float32)
@@ -55,7 +55,7 @@ class Surroundings:
     left: NDArray[np.uint8] | None
     right: NDArray[np.uint8] | None
     temperature_c: float | None
-    scan: ScanInWork | None
+    scan: ScanInMemory | None
     shown: Shown | None = None
     """The scan that the gallery has loaded."""
     facts: Facts | None = None

@@ -15,7 +15,7 @@ from appliance.config import load_rig
 from appliance.instrument import design_of
 from appliance.machine import events as on
 from appliance.scan.fault import FaultCode
-from appliance.service.aiming import DEVICE, AimingDesk
+from appliance.service.aiming import DEVICE, AimingController
 from drivers.native import MonotonicClock
 from tests.appliance.capture.test_aiming import BLACK_DN, picture
 
@@ -40,15 +40,15 @@ class At:
 
 
 @pytest.fixture
-def desk() -> Iterator[tuple[AimingDesk, At]]:
+def desk() -> Iterator[tuple[AimingController, At]]:
     clock = At()
-    with AimingDesk(clock, 0.1, BLACK_DN) as made:
+    with AimingController(clock, 0.1, BLACK_DN) as made:
         assert made.live(True, CALIBRATION, 1.333) == []
         clock.ns = 1_000_000_000
         yield made, clock
 
 
-def seen(desk: AimingDesk, number: int, image: NDArray[np.uint8]) -> list[on.Event]:
+def seen(desk: AimingController, number: int, image: NDArray[np.uint8]) -> list[on.Event]:
     """What is told once the image was looked at."""
     desk.see("left", number, image)
     until = MonotonicClock().now_ns() + 10_000_000_000
@@ -66,7 +66,7 @@ def cleared(events: list[on.Event]) -> list[FaultCode]:
     return [event.code for event in events if isinstance(event, on.ConditionCleared)]
 
 
-def test_a_warning_needs_three_images_and_so_does_its_end(desk: tuple[AimingDesk, At]) -> None:
+def test_a_warning_needs_three_images_and_so_does_its_end(desk: tuple[AimingController, At]) -> None:
     aiming, _ = desk
     told = [raised(seen(aiming, number, DARK)) for number in range(1, 5)]
     assert told == [[], [], [FaultCode.AIM_DARK], []]
@@ -74,13 +74,13 @@ def test_a_warning_needs_three_images_and_so_does_its_end(desk: tuple[AimingDesk
     assert gone == [[], [], [FaultCode.AIM_DARK], []]
 
 
-def test_one_dark_image_among_bright_ones_is_no_warning(desk: tuple[AimingDesk, At]) -> None:
+def test_one_dark_image_among_bright_ones_is_no_warning(desk: tuple[AimingController, At]) -> None:
     aiming, _ = desk
     images = [DARK, DARK, BRIGHT, DARK, DARK, BRIGHT]
     assert [seen(aiming, number, image) for number, image in enumerate(images, 1)] == [[]] * len(images)
 
 
-def test_a_warning_ends_with_the_live_view_and_names_its_witness(desk: tuple[AimingDesk, At]) -> None:
+def test_a_warning_ends_with_the_live_view_and_names_its_witness(desk: tuple[AimingController, At]) -> None:
     aiming, _ = desk
     events = [event for number in range(1, 4) for event in seen(aiming, number, DARK)]
     assert [event.fault.device for event in events if isinstance(event, on.ConditionRaised)] == [DEVICE]
@@ -90,7 +90,7 @@ def test_a_warning_ends_with_the_live_view_and_names_its_witness(desk: tuple[Aim
 
 def test_without_the_projectors_light_and_before_it_settled_nothing_is_judged() -> None:
     clock = At()
-    with AimingDesk(clock, 0.1, BLACK_DN) as aiming:
+    with AimingController(clock, 0.1, BLACK_DN) as aiming:
         aiming.live(True, CALIBRATION, 1.333)
         assert [raised(seen(aiming, number, DARK)) for number in range(1, 5)] == [[]] * 4
         aiming.live(False, CALIBRATION, 1.333)
@@ -100,7 +100,7 @@ def test_without_the_projectors_light_and_before_it_settled_nothing_is_judged() 
 
 @pytest.mark.parametrize(("step_px", "expected"), [(6.0, []), (18.0, [FaultCode.AIM_FAST])])
 def test_hands_that_a_scan_cannot_follow_are_warned_of(
-    desk: tuple[AimingDesk, At], step_px: float, expected: list[FaultCode]
+    desk: tuple[AimingController, At], step_px: float, expected: list[FaultCode]
 ) -> None:
     """A px of 400 is 0.64 mm in the middle of the volume: 10 images a second move by 38 and by 115 mm/s."""
     aiming, _ = desk
@@ -108,7 +108,7 @@ def test_hands_that_a_scan_cannot_follow_are_warned_of(
     assert [code for number, image in enumerate(images, 1) for code in raised(seen(aiming, number, image))] == expected
 
 
-def test_a_pair_with_images_missing_between_is_slower_than_it_looks(desk: tuple[AimingDesk, At]) -> None:
+def test_a_pair_with_images_missing_between_is_slower_than_it_looks(desk: tuple[AimingController, At]) -> None:
     aiming, _ = desk
     images = [picture(100.0, shift_px=(18.0 * (number % 2), 0.0), seed=number) for number in range(5)]
     assert [raised(seen(aiming, 3 * number, image)) for number, image in enumerate(images, 1)] == [[]] * 5

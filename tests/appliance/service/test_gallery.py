@@ -15,7 +15,7 @@ import pytest
 from appliance.machine import events as on
 from appliance.scan.verdict import Verdict
 from appliance.screens.views import Grade
-from appliance.service.gallery import GRADE, GalleryDesk, read
+from appliance.service.gallery import GRADE, GalleryController, read
 from appliance.storage.library import Library
 from tests.appliance.storage.scenes import cloud, frames, record
 
@@ -79,7 +79,7 @@ class _Disk:
 def test_the_newest_comes_first_and_the_latest_wish_counts_however_slow_the_disk_is(library: Library) -> None:
     ids = [saved(library) for _ in range(3)]
     disk = _Disk()
-    desk = GalleryDesk(library, disk.submit)
+    desk = GalleryController(library, disk.submit)
     desk.list_scans()
     for scan_id in ids:
         desk.show(scan_id)

@@ -24,7 +24,7 @@ from appliance.reconstruct.pipeline import Pipeline
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import FaultCode
 from appliance.scan.sides import SIDES
-from appliance.service.scans import ScanDesk
+from appliance.service.scans import ScanController
 from appliance.storage.library import Library
 from appliance.storage.ply import read_ply
 from drivers.api import Flip, Frame, FrameStatus, Pulse
@@ -53,11 +53,11 @@ def rig(tmp_path: Path) -> Rig:
 
 
 @pytest.fixture
-def desk(rig: Rig) -> Iterator[ScanDesk]:
+def desk(rig: Rig) -> Iterator[ScanController]:
     calibration = design_of(rig)
     library = Library(rig.storage.root)
     library.prepare()
-    with ScanDesk(rig, calibration, SEQUENCE, library, CLOCK, KernelCalendar()) as desk:
+    with ScanController(rig, calibration, SEQUENCE, library, CLOCK, KernelCalendar()) as desk:
         index = calibration.water.index
         offset = float(NORMAL @ calibration.rig.volume_centre_mm(index))
         for side, camera in (("left", calibration.rig.left), ("right", calibration.rig.right)):
@@ -68,7 +68,7 @@ def desk(rig: Rig) -> Iterator[ScanDesk]:
         yield desk
 
 
-def until(desk: ScanDesk, done: Callable[[list[on.Event]], object], timeout_s: float = 60.0) -> list[on.Event]:
+def until(desk: ScanController, done: Callable[[list[on.Event]], object], timeout_s: float = 60.0) -> list[on.Event]:
     """Everything said until ``done``."""
     events: list[on.Event] = []
     end_ns = CLOCK.now_ns() + int(timeout_s * 1e9)
@@ -97,7 +97,7 @@ def report_of(sequence: PatternSequence, first_ns: int) -> CaptureReport:
     return CaptureReport(None, ledger, 0.4, ())
 
 
-def record(desk: ScanDesk, number: int, halfway: Callable[[], None]) -> None:
+def record(desk: ScanController, number: int, halfway: Callable[[], None]) -> None:
     """A sequence whose frames are in the store already."""
     assert desk.begin(number, EXPOSURE) is None
     first_ns = CLOCK.now_ns() + PERIOD_NS
@@ -112,17 +112,19 @@ def record(desk: ScanDesk, number: int, halfway: Callable[[], None]) -> None:
     desk.worker.finish()
 
 
-def kill(desk: ScanDesk) -> None:
+def kill(desk: ScanController) -> None:
     if desk.worker.pid is not None:
         os.kill(desk.worker.pid, signal.SIGKILL)
 
 
-def kept(desk: ScanDesk, number: int) -> None:
+def kept(desk: ScanController, number: int) -> None:
     desk.publish(number, None)
     until(desk, lambda events: any(isinstance(event, on.Saved) for event in events))
 
 
-def test_raw_frames_are_kept_without_a_cloud_and_the_desk_makes_it(desk: ScanDesk, rig: Rig, tmp_path: Path) -> None:
+def test_raw_frames_are_kept_without_a_cloud_and_the_desk_makes_it(
+    desk: ScanController, rig: Rig, tmp_path: Path
+) -> None:
     record(desk, 1, halfway=lambda: kill(desk))
     seen: list[int | None] = [desk.worker.pid]
 
@@ -163,7 +165,7 @@ def test_raw_frames_are_kept_without_a_cloud_and_the_desk_makes_it(desk: ScanDes
     until(desk, lambda events: any(isinstance(event, on.FullReady) for event in events))
 
 
-def test_a_scan_processed_again_has_its_cloud_and_four_times_in_order(desk: ScanDesk, rig: Rig) -> None:
+def test_a_scan_processed_again_has_its_cloud_and_four_times_in_order(desk: ScanController, rig: Rig) -> None:
     record(desk, 1, halfway=lambda: kill(desk))
     begun_ns = CLOCK.now_ns()
     wanted = (on.FullReady, on.RawStored)

@@ -21,7 +21,7 @@ from appliance.patterns.sequence import build_sequence
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import FaultCode
 from appliance.service.room import ASK_AGAIN_S, Told, steady
-from appliance.service.scans import ScanDesk
+from appliance.service.scans import ScanController
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.library import Library
 from appliance.storage.room import FOLDER, Room
@@ -46,7 +46,7 @@ class Disk(LocalFileSystem):
 
 
 @contextmanager
-def desk_on(disk: Disk, root: Path, clock: SteppedClock) -> Iterator[ScanDesk]:
+def desk_on(disk: Disk, root: Path, clock: SteppedClock) -> Iterator[ScanController]:
     """Without the process for points: nothing is recorded here."""
     rig = simulated(load_rig(default_sim_rig()), SimOptions(root=root, size="400x300"))
     calibration = design_calibration(
@@ -55,14 +55,14 @@ def desk_on(disk: Disk, root: Path, clock: SteppedClock) -> Iterator[ScanDesk]:
     room = Room(root, disk)
     library = Library(root, room)
     library.prepare()
-    desk = ScanDesk(rig, calibration, build_sequence(16), library, clock, KernelCalendar(), room=room)
+    desk = ScanController(rig, calibration, build_sequence(16), library, clock, KernelCalendar(), room=room)
     try:
         yield desk
     finally:
         desk.__exit__(None, None, None)
 
 
-def answered(desk: ScanDesk) -> list[on.Event]:
+def answered(desk: ScanController) -> list[on.Event]:
     desk.submit(lambda: None).result(30.0)  # whatever was asked before is through
     return desk.poll()
 
@@ -103,7 +103,7 @@ def test_a_scan_for_which_no_space_can_be_allocated_is_refused_until_it_can(
         assert desk.begin(1, Exposure(8000, 0.0)) is None
 
 
-def told_left(desk: ScanDesk) -> int | None:
+def told_left(desk: ScanController) -> int | None:
     """How many more scans have room, as it is told now."""
     desk.test_storage()
     return next(event.scans_left for event in answered(desk) if isinstance(event, on.StorageCounted))

@@ -12,14 +12,14 @@ from appliance.machine.states import Part
 from appliance.optics.water import Water
 from appliance.patterns.sequence import build_sequence
 from appliance.scan.fault import FaultCode
-from appliance.service.scans import ScanDesk
+from appliance.service.scans import ScanController
 from appliance.storage.library import Library
 from appliance.worker.process import WorkLimits
 from drivers.native import MonotonicClock
 from drivers.wall_clock import KernelCalendar
 
 
-def events_until_settled(desk: ScanDesk, timeout_s: float = 60.0) -> list[on.Event]:
+def events_until_settled(desk: ScanController, timeout_s: float = 60.0) -> list[on.Event]:
     clock = MonotonicClock()
     found: list[on.Event] = []
     end_ns = clock.now_ns() + int(timeout_s * 1e9)
@@ -40,7 +40,7 @@ def test_a_worker_that_cannot_live_is_a_condition_and_no_endless_boot(tmp_path: 
     library.prepare()
     for memory_mb, expected in ((20.0, on.ConditionRaised), (2000.0, on.ConditionCleared)):
         limits = WorkLimits(memory_mb=memory_mb, start_memory_mb=memory_mb)
-        with ScanDesk(
+        with ScanController(
             rig, calibration, build_sequence(16), library, MonotonicClock(), KernelCalendar(), limits
         ) as desk:
             event, told = events_until_settled(desk)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from appliance.ranging.beams import Pointers
-from appliance.service.ranging import RangingDesk
+from appliance.service.ranging import RangingController
 from appliance.storage.beams import BeamsFile
 from drivers.api import LaserState
 from drivers.native import MonotonicClock
@@ -32,18 +32,18 @@ def memory(tmp_path: Path) -> BeamsFile:
 
 
 @pytest.fixture
-def desk(memory: BeamsFile) -> Iterator[RangingDesk]:
-    with RangingDesk(POINTERS, CALIBRATION, 1.333, MonotonicClock(), 0.1, memory) as made:
+def desk(memory: BeamsFile) -> Iterator[RangingController]:
+    with RangingController(POINTERS, CALIBRATION, 1.333, MonotonicClock(), 0.1, memory) as made:
         yield made
 
 
-def test_a_dark_frame_without_a_dot_is_no_fault(desk: RangingDesk, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_dark_frame_without_a_dot_is_no_fault(desk: RangingController, caplog: pytest.LogCaptureFixture) -> None:
     assert desk.shining(BRIGHT, DARK) is None
     assert caplog.text == ""
 
 
 def test_a_disk_that_does_not_answer_ends_neither_scan_nor_service(
-    memory: BeamsFile, desk: RangingDesk, caplog: pytest.LogCaptureFixture
+    memory: BeamsFile, desk: RangingController, caplog: pytest.LogCaptureFixture
 ) -> None:
     os.mkfifo(memory.path)  # whoever reads it waits
     assert desk.shining(BRIGHT, DARK) is None
@@ -53,13 +53,13 @@ def test_a_disk_that_does_not_answer_ends_neither_scan_nor_service(
 
 
 def test_images_that_cannot_be_judged_end_neither_scan_nor_service(
-    desk: RangingDesk, caplog: pytest.LogCaptureFixture
+    desk: RangingController, caplog: pytest.LogCaptureFixture
 ) -> None:
     assert desk.shining(BRIGHT, {"left": DARK["left"]}) is None
     assert "lasers in the dark frame: not judged: 'right'" in caplog.text
 
 
-def test_the_marks_of_the_dots_are_known_once_the_lasers_are_on_and_only_then(desk: RangingDesk) -> None:
+def test_the_marks_of_the_dots_are_known_once_the_lasers_are_on_and_only_then(desk: RangingController) -> None:
     desk.live(True, CALIBRATION, 1.333)
     assert desk.marks is None
     shown = _looked_at(desk, lambda: desk.wants_lasers)
@@ -71,7 +71,7 @@ def test_the_marks_of_the_dots_are_known_once_the_lasers_are_on_and_only_then(de
     assert desk.marks is None
 
 
-def _looked_at(desk: RangingDesk, enough: Callable[[], bool]) -> bool:
+def _looked_at(desk: RangingController, enough: Callable[[], bool]) -> bool:
     until = time.monotonic() + 20.0
     while not enough() and time.monotonic() < until:
         for side, image in BRIGHT.items():

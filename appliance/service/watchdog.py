@@ -26,7 +26,7 @@ SELF_TEST_FILE = Path("run", "self-test.json")
 """Below the storage root; read by ``systemd/kingfisher_setup``."""
 
 
-class Supervision:
+class Watchdog:
     """Called after each heartbeat with what it has led to."""
 
     def __init__(

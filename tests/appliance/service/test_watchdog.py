@@ -14,7 +14,7 @@ from appliance.machine import states
 from appliance.machine.states import Device, Machine, Part, State, boot
 from appliance.scan.fault import Fault, FaultCode
 from appliance.service.notify import ServiceManager
-from appliance.service.supervision import SELF_TEST_FILE, Supervision
+from appliance.service.watchdog import SELF_TEST_FILE, Watchdog
 
 
 class Listener:
@@ -52,7 +52,7 @@ def test_it_says_ready_once_and_what_it_does(tmp_path: Path, abstract: bool) -> 
     path = str(tmp_path / "notify")
     listener = Listener(f"\0{path}" if abstract else path)
     with ServiceManager(f"@{path}" if abstract else path, None) as manager:
-        supervision = Supervision(manager, tmp_path, "1.2-abc")
+        supervision = Watchdog(manager, tmp_path, "1.2-abc")
         assert listener.heard() == []  # nothing before a beat has ended
         supervision.beaten(machine(0.0, State.BOOT), worker_answers=True)
         assert listener.heard() == ["READY=1", "STATUS=BOOT"]
@@ -70,7 +70,7 @@ class Signs:
         self.listener = Listener(str(folder / "notify"))
         self.now_s = 0.0
         manager = ServiceManager(str(folder / "notify"), watchdog_s)
-        self.supervision = Supervision(manager, folder, "", now_s=lambda: self.now_s)
+        self.supervision = Watchdog(manager, folder, "", now_s=lambda: self.now_s)
 
     def during(self, beats: int, *, turning: bool = True, answers: bool = True) -> int:
         start_s, signs = self.now_s, 0
@@ -102,7 +102,7 @@ def test_a_loop_whose_worker_was_lost_sight_of_gives_no_sign(tmp_path: Path) -> 
 
 def test_without_a_watchdog_no_signs_are_sent(tmp_path: Path) -> None:
     listener = Listener(str(tmp_path / "notify"))
-    supervision = Supervision(ServiceManager(str(tmp_path / "notify"), None), tmp_path, "")
+    supervision = Watchdog(ServiceManager(str(tmp_path / "notify"), None), tmp_path, "")
     for k in range(100):
         supervision.beaten(machine(k), worker_answers=True)
     assert "WATCHDOG=1" not in listener.heard()
@@ -144,7 +144,7 @@ def test_a_manager_that_is_gone_or_does_not_listen_stops_nothing(tmp_path: Path)
 
 
 def test_the_self_test_is_written_down_with_the_version_it_was_of(tmp_path: Path) -> None:
-    supervision = Supervision(ServiceManager(None, None), tmp_path, "0.2.0-3f2a9c1b")
+    supervision = Watchdog(ServiceManager(None, None), tmp_path, "0.2.0-3f2a9c1b")
     mark = tmp_path / SELF_TEST_FILE
     supervision.beaten(machine(0.0, State.BOOT), worker_answers=True)
     supervision.beaten(machine(0.1, State.SELF_TEST), worker_answers=True)

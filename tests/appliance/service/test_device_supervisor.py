@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 from appliance.machine.events import DeviceDown, DeviceUp
 from appliance.machine.states import Device
-from appliance.service.keeper import PAUSES_S, Keeper
+from appliance.service.device_supervisor import PAUSES_S, DeviceSupervisor
 from drivers.api import DeviceGone
 
 
@@ -47,7 +47,7 @@ class Plug:
 
 def test_pauses_grow_and_the_loss_is_told_once() -> None:
     clock, plug = HandClock(), Plug()
-    keeper = Keeper(Device.BOARD, plug.open, clock, None)
+    keeper = DeviceSupervisor(Device.BOARD, plug.open, clock, None)
     told = []
     for _ in range(4000):
         event = keeper.poll()
@@ -62,7 +62,7 @@ def test_pauses_grow_and_the_loss_is_told_once() -> None:
 def test_it_comes_goes_and_comes_again() -> None:
     clock, plug = HandClock(), Plug()
     plug.present = True
-    keeper = Keeper(Device.BOARD, plug.open, clock, None)
+    keeper = DeviceSupervisor(Device.BOARD, plug.open, clock, None)
     assert keeper.poll() == DeviceUp(Device.BOARD)
     assert keeper.value == "the device"
     assert keeper.poll() is None

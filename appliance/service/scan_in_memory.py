@@ -1,4 +1,4 @@
-"""Owns what is known of the scan in hand, from its first frame to its folder: values only, ``ScanDesk`` changes them."""
+"""Owns what is known of the scan in hand, from its first frame to its folder: values only, ``ScanController`` changes them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from appliance.storage.scan import ScanOrigin
 
 
 @dataclass(slots=True)
-class SecondInWork:
+class SecondInMemory:
     """A second sequence of the scan in work, from its first frame until the points of both are one cloud."""
 
     number: int
@@ -27,7 +27,7 @@ class SecondInWork:
 
 
 @dataclass(slots=True)
-class ScanInWork:
+class ScanInMemory:
     """One scan from its first frame to its folder."""
 
     number: int
@@ -44,7 +44,7 @@ class ScanInWork:
     """Of the first sequence."""
     windows_watched: bool = False
     """The watch over the cameras' windows has counted it."""
-    second: SecondInWork | None = None
+    second: SecondInMemory | None = None
     times_s: dict[str, float] = field(default_factory=dict)
     """As ``ScanRecord.stage_times_s``."""
 

@@ -26,7 +26,7 @@ class DeviceRejected(DeviceError):
         self.code = code
 
 
-class Keeper(Generic[T]):
+class DeviceSupervisor(Generic[T]):
     """Keeps one device open. All methods are for the service's thread; only opening and closing run in ``executor``.
 
     ``executor`` ``None`` opens in the calling thread, for devices that belong to it.
