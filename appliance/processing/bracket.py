@@ -99,12 +99,13 @@ def merge_bracket(pipeline: Pipeline, first: ProcessedSequence, second: Processe
     # Pixel by pixel where nothing moved, which loses nothing; else in space, where points of both must be rays of one
     # moment.
     if found.moved_px < STILL_PX and not first.moved and not second.moved:
-        agreements = _merge_maps(pipeline, first, second)
+        agreements, variance_px2 = _merge_maps(pipeline, first, second)
         story.numbers |= _agreements(agreements)
         if all(agreement.agrees for agreement in agreements.values()):
             # The picture of the shorter exposure is not saturated where the longer one is.
             shorter = min(first, second, key=lambda one: one.exposure.light)
-            return story.merged(pipeline.find_changed(shorter.bright), "nothing moved: merged pixel by pixel")
+            merged = pipeline.find_changed(shorter.bright, variance_px2)
+            return story.merged(merged, "nothing moved: merged pixel by pixel")
     if (why := _refusal(found)) is not None:
         return story.refused(why)
     light = min(first.exposure.light, second.exposure.light)
@@ -128,13 +129,17 @@ def faults_of(first: Iterable[Judgement], second: Iterable[Judgement], pair: Jud
     return tuple(codes.values())
 
 
-def _merge_maps(pipeline: Pipeline, first: ProcessedSequence, second: ProcessedSequence) -> dict[str, Agreement]:
-    """Merge both maps into the pipeline's, which are the second one's."""
-    agreements = {}
+def _merge_maps(
+    pipeline: Pipeline, first: ProcessedSequence, second: ProcessedSequence
+) -> tuple[dict[str, Agreement], dict[str, NDArray[np.float32]]]:
+    """Merge both sequences' maps into the pipeline's, which are the second one's; return how they agree, and the variance of
+    the merged coordinates in px², by side."""
+    agreements, variance_px2 = {}, {}
     for side in SIDES:
-        noise = (of_side(second.noise, side), of_side(first.noise, side))
-        agreements[side] = merge(pipeline.decoded(side), first.maps[side], noise, pipeline.sequence.period_px)
-    return agreements
+        maps, noise = pipeline.decoded(side), (of_side(second.noise, side), of_side(first.noise, side))
+        variance_px2[side] = np.empty(maps.p_px.shape, np.float32)
+        agreements[side] = merge(maps, first.maps[side], noise, pipeline.sequence.period_px, variance_px2[side])
+    return agreements, variance_px2
 
 
 def _refusal(found: Registration) -> str | None:

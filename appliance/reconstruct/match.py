@@ -22,6 +22,7 @@ from appliance.reconstruct.scratch import (
     MODULATION_RIGHT,
     PB,
     PC,
+    PHASE_VARIANCE_RIGHT,
     PL,
     PR,
     PT,
@@ -58,6 +59,8 @@ _BLOCK = 64
 """So many pixels are passed over at once where all have a match."""
 _ZERO, _ONE, _TWO, _HALF = np.float32(0.0), np.float32(1.0), np.float32(2.0), np.float32(0.5)
 _NAN = np.float32(np.nan)
+NO_VARIANCE = np.zeros((0, 0), np.float32)
+"""The variance map of maps that have none. A kernel is compiled for an array, and so there always is one."""
 
 
 class RightMaps(NamedTuple):
@@ -73,6 +76,8 @@ class RightMaps(NamedTuple):
     """1 / distance of nodes in pattern px."""
     max_derivative_sum_px: np.float32
     """Sum of the absolute derivatives of p and q; beyond, the neighbours lie on another surface."""
+    variance_px2: NDArray[np.float32] = NO_VARIANCE
+    """(h, w): variance of either coordinate, in px² of the pattern, where it is known better than by modulation and light."""
 
 
 def right_maps(
@@ -81,8 +86,9 @@ def right_maps(
     modulation_half_dn: NDArray[np.uint8],
     projector_width_px: int,
     projector_height_px: int,
+    variance_px2: NDArray[np.float32] = NO_VARIANCE,
 ) -> RightMaps:
-    """The right camera's maps (h, w) with room for an inverse map.
+    """Return the right camera's maps (h, w) with room for an inverse map.
 
     Its nodes are 2 pattern px apart for 1600 px, farther for smaller images: so that all get filled.
     """
@@ -91,8 +97,9 @@ def right_maps(
     shape = (projector_height_px // node_px + 4, projector_width_px // node_px + 4)
     limit_px = 10.0 * max(1.0, 1600.0 / width_px)
     return RightMaps(
-        p_px, q_px, modulation_half_dn, np.zeros(shape, np.uint32), np.float32(1.0 / node_px), np.float32(limit_px)
-    )
+        p_px, q_px, modulation_half_dn, np.zeros(shape, np.uint32), np.float32(1.0 / node_px), np.float32(limit_px),
+        variance_px2,
+    )  # fmt: skip
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -315,6 +322,7 @@ def _walk(
             around = p_px[v, u - 1] + p_px[v, u + 1] + p_px[v - 1, u] + p_px[v + 1, u]
             s[BEND_RIGHT + x] = _HALF * around - _TWO * c
             s[RIGHT_SHARE + x] = _share(du2, dv2)
+            s[U_START + x], s[V_START + x] = np.float32(u), np.float32(v)
             s[U + x], s[V + x], s[SLOPE + x] = np.float32(u) + du, np.float32(v) + dv, pu
             s[UP + x], s[UQ + x], s[VQ + x], s[VP + x] = qv * inverse, pv * inverse, pu * inverse, qu * inverse
             s[MODULATION_RIGHT + x] = _HALF * np.float32(half_dn[v, u])
@@ -370,6 +378,13 @@ def _search(
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
+def _take_variance(variance_px2: NDArray[np.float32], s: NDArray[np.float32], n: int) -> None:
+    """Write PHASE_VARIANCE_RIGHT: the variance of the right pixel at which the last Newton step began."""
+    for x in range(n):
+        s[PHASE_VARIANCE_RIGHT + x] = variance_px2[np.uint32(s[V_START + x]), np.uint32(s[U_START + x])]
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
 def match_row(
     right: RightMaps, above: NDArray[np.float32], s: NDArray[np.float32], n: int, coherent: bool, at: NDArray[np.int32]
 ) -> None:
@@ -377,7 +392,8 @@ def match_row(
 
     Writes U, V: right column and row in px, U = NaN where there is no match; SLOPE, the gradient of p across right
     columns in px/px, and all of UP … VP; MODULATION_RIGHT; BEND_RIGHT, half the second differences of p in px, NaN where a
-    neighbour is missing; RIGHT_SHARE, the variance of p there, of that of one pixel. ``coherent``: ``above`` is the matched row above. ``at`` (n,) int32 is scratch.
+    neighbour is missing; RIGHT_SHARE, the variance of p there, of that of one pixel; PHASE_VARIANCE_RIGHT, where the maps
+    carry variances. ``coherent``: ``above`` is the matched row above. ``at`` (n,) int32 is scratch.
     """
     height, width = right.p_px.shape
     p, q, modulation = right.p_px.reshape(-1), right.q_px.reshape(-1), right.modulation_half_dn.reshape(-1)
@@ -397,3 +413,5 @@ def match_row(
                 right.p_px, right.q_px, right.modulation_half_dn, right.inverse, right.nodes_per_px,
                 right.max_derivative_sum_px, s[begin:], size,
             )  # fmt: skip
+    if right.variance_px2.size:
+        _take_variance(right.variance_px2, s, n)

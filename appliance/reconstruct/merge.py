@@ -48,11 +48,18 @@ class Agreement:
         return None if self.shift is None else self.shift <= MAX_SHIFT
 
 
-def merge(first: Maps, second: Maps, noise: tuple[CameraNoise, CameraNoise], period_px: int) -> Agreement:
+def merge(
+    first: Maps,
+    second: Maps,
+    noise: tuple[CameraNoise, CameraNoise],
+    period_px: int,
+    variance_px2: NDArray[np.float32],
+) -> Agreement:
     """Write the merged maps into those of ``first``, after the last frame of both and before any point is found.
 
-    ``noise``: of the camera in either sequence. Modulation and light become those that would, with the first one's noise,
-    give each pixel its merged variance. Raises ValueError for maps of different size.
+    ``noise`` is that of the camera in either sequence. ``variance_px2`` (h, w) float32 is filled with the variance of each
+    pixel's coordinates, in px² of the pattern. Modulation and Gray threshold are those of the clearer sequence, the one
+    whose coordinate has the smaller variance. Raises ValueError for maps of different size.
     """
     if first.mask.shape != second.mask.shape:
         raise ValueError(
@@ -63,7 +70,7 @@ def merge(first: Maps, second: Maps, noise: tuple[CameraNoise, CameraNoise], per
     differences = np.full((2, *first.mask.shape), np.nan, np.float32)
     for top in range(0, first.mask.shape[0], ROWS):
         rows = slice(top, top + ROWS)
-        counts += _merge_rows(first, second, noise, scale_px, rows, differences)
+        counts += _merge_rows(first, second, noise, scale_px, rows, differences, variance_px2)
     first.illuminated_columns[:, 0] = np.minimum(first.illuminated_columns[:, 0], second.illuminated_columns[:, 0])
     first.illuminated_columns[:, 1] = np.maximum(first.illuminated_columns[:, 1], second.illuminated_columns[:, 1])
     first.illuminated_pixels = max(first.illuminated_pixels, second.illuminated_pixels)
@@ -89,6 +96,7 @@ def _merge_rows(
     scale_px: float,
     rows: slice,
     differences: NDArray[np.float32],
+    variance_px2: NDArray[np.float32],
 ) -> NDArray[np.int64]:
     mask, other = first.mask[rows], second.mask[rows]
     variance = [_variance_px2(d, n, scale_px, rows) for d, n in ((first, noise[0]), (second, noise[1]))]
@@ -115,41 +123,27 @@ def _merge_rows(
     mask[~a & (mask == Mask.VALID)] = Mask.EDGE
     mask[differs] = Mask.CONTRADICTION
     mask[taken] = Mask.VALID
-    least = np.where(merged, 1.0 / (1.0 / variance[0] + 1.0 / variance[1]), variance[1])
-    _restate(first, second, noise[0], scale_px, rows, merged | taken, least, variance[1] < variance[0])
+    # Of a mean by variance 1/V = 1/V1 + 1/V2; what a pixel looked like is told by the clearer sequence.
+    mean = 1.0 / (1.0 / variance[0] + 1.0 / variance[1])
+    variance_px2[rows] = np.where(merged, mean, np.where(taken, variance[1], variance[0]))
+    clearer = taken | (merged & (variance[1] < variance[0]))
+    for mine, theirs in (
+        (first.modulation_half_dn[rows], second.modulation_half_dn[rows]),
+        (first.gray_threshold[rows], second.gray_threshold[rows]),
+    ):
+        mine[clearer] = theirs[clearer]
     return np.array([(a & ~b).sum(), taken.sum(), both.sum(), differs.sum()], np.int64)
 
 
-def _variance_px2(decoder: Maps, noise: CameraNoise, scale_px: float, rows: slice) -> NDArray[np.float32]:
-    """Of either coordinate; in the shadow, where nothing else means anything, that of the least modulation."""
-    lit = decoder.mask[rows] != Mask.SHADOW
-    grey_dn = decoder.gray_threshold[rows].astype(np.float32)
-    modulation = np.where(lit, np.maximum(0.5 * decoder.modulation_half_dn[rows].astype(np.float32), 1.0), 1.0)
-    return np.asarray(scale_px**2 * noise.variance_dn2(grey_dn) / modulation**2, np.float32)
+def _variance_px2(maps: Maps, noise: CameraNoise, scale_px: float, rows: slice) -> NDArray[np.float32]:
+    """Return the variance (rows, w) of either coordinate: (P/(2π √2 B))² times that of a grey value at the fringes' offset.
 
-
-def _restate(
-    first: Maps,
-    second: Maps,
-    noise: CameraNoise,
-    scale_px: float,
-    rows: slice,
-    where: NDArray[np.bool_],
-    variance_px2: NDArray[np.float32],
-    second_is_clearer: NDArray[np.bool_],
-) -> None:
-    """Modulation and light that make ``variance_px2``: the clearer sequence's light, and the modulation it takes; where
-    that would leave the scale, less light."""
-    light = np.where(second_is_clearer, second.gray_threshold[rows], first.gray_threshold[rows]).astype(np.float32)
-    black = np.float32(noise.black_dn)
-    at_light = noise.variance_dn2(light)
-    modulation = scale_px * np.sqrt(at_light / variance_px2)
-    beyond = modulation > 127.5
-    needed = (variance_px2 * (127.5 / scale_px) ** 2 - noise.read_dn**2) / noise.dn_per_e + black
-    light = np.where(beyond, np.clip(needed, black, light), light)
-    half_dn = np.rint(np.clip(2.0 * modulation, 0.0, 255.0)).astype(np.uint8)
-    first.modulation_half_dn[rows][where] = half_dn[where]
-    first.gray_threshold[rows][where] = np.rint(light).astype(np.uint8)[where]
+    In the shadow, where nothing else means anything, it is that of the least modulation.
+    """
+    illuminated = maps.mask[rows] != Mask.SHADOW
+    offset_dn = np.float32(maps.offset_per_threshold) * maps.gray_threshold[rows].astype(np.float32)
+    modulation = np.where(illuminated, np.maximum(0.5 * maps.modulation_half_dn[rows].astype(np.float32), 1.0), 1.0)
+    return np.asarray(scale_px**2 * noise.variance_dn2(offset_dn) / modulation**2, np.float32)
 
 
 def _size(decoder: Maps) -> str:

@@ -5,6 +5,7 @@ All buffers are allocated when the pipeline is made, none during a scan.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from types import TracebackType
@@ -160,14 +161,23 @@ class Pipeline:
         self._prepare()
         return self._find(self.coarse_stride)
 
-    def find_changed(self, bright: NDArray[np.uint8] | None = None) -> Found:
-        """As ``find_full``, after ``coarse`` and after the maps of the decoders were changed.
+    def find_changed(
+        self, bright: NDArray[np.uint8] | None = None, variance_px2: Mapping[str, NDArray[np.float32]] | None = None
+    ) -> Found:
+        """Find the full cloud anew, after ``coarse`` and after the maps of the decoders were changed.
 
-        ``bright``: (h, w) uint8, the left image whose grey values the points get, in place of the sequence's own.
+        ``bright`` (h, w) uint8 is the left image whose grey values the points get, in place of the sequence's own.
+        ``variance_px2`` holds for each side the variance (h, w) float32 of the changed coordinates, in px² of the pattern;
+        without it, the variance follows from modulation, light and camera noise.
         """
         self._bright = self._bright if bright is None else bright
         self._prepare()
-        return self.find_full()
+        if variance_px2 is None:
+            return self.find_full()
+        left = self._left_maps()._replace(variance_px2=variance_px2["left"])
+        right = self._right._replace(variance_px2=variance_px2["right"])
+        limits = self._kernel_limits(1)
+        return self._with_gaps(self._find_in(left, right, self._factors, 1, limits, self.table))
 
     def _prepare(self) -> None:
         fill_inverse_map(self._right, self._inverse_stride)
@@ -186,10 +196,12 @@ class Pipeline:
 
     def find_full(self) -> Found:
         """As ``full``, leaving the points in the table."""
-        decoder = self._decoders["left"]
-        found = self._find(1)
+        return self._with_gaps(self._find(1))
+
+    def _with_gaps(self, found: Found) -> Found:
         if self._gaps is None:
             return found
+        decoder = self._decoders["left"]
         gaps = self._gaps.measure(decoder.p_px, decoder.q_px, self._right, self._rays)
         return replace(found, gaps=gaps)
 
@@ -214,7 +226,9 @@ class Pipeline:
         Gaps are not sampled: they would not be those of a scan at rest.
         """
         shown = self._sequence
-        maps = right_maps(right.p_px, right.q_px, right.modulation_half_dn, shown.width_px, shown.height_px)
+        maps = right_maps(
+            right.p_px, right.q_px, right.modulation_half_dn, shown.width_px, shown.height_px, right.variance_px2
+        )
         fill_inverse_map(maps, self._inverse_stride)
         # Cameras and projector share the field.
         fringe_px = self._sequence.period_px / self._sequence.width_px * left.p_px.shape[1]
@@ -222,15 +236,17 @@ class Pipeline:
         return self._find_in(left, maps, factors, 1, self._kernel_limits(1), self.table)
 
     def _find(self, stride: int, limits: PointLimits | None = None, table: PointTable | None = None) -> Found:
+        limits = limits or self._kernel_limits(stride)
+        return self._find_in(self._left_maps(), self._right, self._factors, stride, limits, table or self.table)
+
+    def _left_maps(self) -> LeftMaps:
         if self._bright is None:
             raise ValueError("no bright frame was pushed; push the whole sequence before asking for a cloud")
         decoder = self._decoders["left"]
-        left = LeftMaps(
+        return LeftMaps(
             decoder.p_px, decoder.q_px, decoder.modulation_half_dn, self._bright, decoder.gray_threshold, decoder.illuminated_columns,
             np.float32(decoder.offset_per_threshold),
         )  # fmt: skip
-        limits = limits or self._kernel_limits(stride)
-        return self._find_in(left, self._right, self._factors, stride, limits, table or self.table)
 
     def _find_in(
         self,

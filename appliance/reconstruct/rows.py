@@ -8,8 +8,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.reconstruct.match import RightMaps, match_row
-from appliance.reconstruct.scratch import MODULATION, OFFSET, SIZE, P, Q, Z
+from appliance.reconstruct.match import NO_VARIANCE, RightMaps, match_row
+from appliance.reconstruct.scratch import MODULATION, OFFSET, PHASE_VARIANCE, SIZE, P, Q, Z
 from appliance.reconstruct.select import PointLimits, Points, append, judge
 from appliance.reconstruct.sigma import SigmaFactors, expect_row
 from appliance.reconstruct.triangulate import Rays, triangulate_row
@@ -27,12 +27,16 @@ class LeftMaps(NamedTuple):
     q_px: NDArray[np.float32]
     modulation_half_dn: NDArray[np.uint8]
     bright: NDArray[np.uint8]
-    light: NDArray[np.uint8]
-    """Half way between bright and dark."""
+    gray_threshold: NDArray[np.uint8]
+    """Grey value half way between bright and dark."""
     illuminated_columns: NDArray[np.int32]
     """(h, 2): first column of each row that may have a coordinate, and the one behind the last."""
     offset_per_threshold: np.float32 = np.float32(1.0)
-    """Mean of the sine images, of ``light``: less than 1 where the projector's response sags."""
+    """Mean of the sine images, which is the fringes' offset, over ``gray_threshold``: less than 1 where the projector's
+    response sags."""
+    variance_px2: NDArray[np.float32] = NO_VARIANCE
+    """Variance of either coordinate, in px² of the pattern, where it is known better than by modulation and offset: of
+    merged maps. It counts where the right maps have one as well."""
 
 
 def scratch_rows() -> NDArray[np.float32]:
@@ -57,7 +61,9 @@ def _load_row(left: LeftMaps, y: int, first: int, end: int, stride: int, s: NDAr
     _load(left.p_px[y, column:], stride, np.float32(1.0), s[P + first : P + end])
     _load(left.q_px[y, column:], stride, np.float32(1.0), s[Q + first : Q + end])
     _load(left.modulation_half_dn[y, column:], stride, np.float32(0.5), s[MODULATION + first : MODULATION + end])
-    _load(left.light[y, column:], stride, left.offset_per_threshold, s[OFFSET + first : OFFSET + end])
+    _load(left.gray_threshold[y, column:], stride, left.offset_per_threshold, s[OFFSET + first : OFFSET + end])
+    if left.variance_px2.size:
+        _load(left.variance_px2[y, column:], stride, np.float32(1.0), s[PHASE_VARIANCE + first : PHASE_VARIANCE + end])
     s[P + first - 1], s[P + end] = _NAN, _NAN
 
 
@@ -82,6 +88,7 @@ def reconstruct_rows(
     coarse cloud are ``stride`` px apart. ``scratch`` is from ``scratch_rows``.
     """
     rows, columns = left.p_px.shape
+    variances_given = left.variance_px2.size > 0 and right.variance_px2.size > 0
     n = (columns + stride - 1) // stride
     at, good = np.empty(CHUNK, np.int32), np.empty((n + 7) // 8 * 8, np.uint8)
     scratch[:, Z : Z + n] = _NAN
@@ -103,7 +110,7 @@ def reconstruct_rows(
         for chunk in range(first, end, CHUNK):
             size = min(CHUNK, end - chunk)
             match_row(right, row[chunk:], s[chunk:], size, stride == 1 and y > begin, at)
-            expect_row(factors, stride == 1, s[chunk:], size)
+            expect_row(factors, stride == 1, variances_given, s[chunk:], size)
             triangulate_row(rays, y, chunk * stride, stride, s[chunk:], size)
         done = y - stride
         if start <= done < stop:

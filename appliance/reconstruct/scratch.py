@@ -14,7 +14,7 @@ MAX_WIDTH_PX = 4096
 _SLOT = MAX_WIDTH_PX + 272
 """17 cache lines more than a multiple of 4096 bytes: equal places in different slots must not compete for the same lines,
 nor may a load look, by its last 12 bits, like a store that has just been made."""
-_NAMES = 42
+_NAMES = 44
 (
     P, Q,  # left coordinates
     U, V, U_START, V_START,  # right image point, and the pixel at which its Newton step begins
@@ -22,6 +22,7 @@ _NAMES = 42
     PC, PL, PR, PT, PB, QC, QL, QR, QT, QB,  # right coordinates: centre, left, right, top, bottom
     SLOPE, MODULATION, MODULATION_RIGHT, OFFSET,
     BEND_RIGHT, RIGHT_SHARE, POINT_VARIANCE,  # towards sigma
+    PHASE_VARIANCE, PHASE_VARIANCE_RIGHT,  # px² of the pattern, where maps carry it
     X1, Y1, SX1, SY1, X2, Y2, SX2, SY2, SHIFT, SHIFT_SLOPE,  # rays
     X, Y, Z, GAP, SIGMA,
 ) = (k * _SLOT + 8 for k in range(_NAMES))  # fmt: skip

@@ -27,6 +27,8 @@ from appliance.reconstruct.scratch import (
     MODULATION,
     MODULATION_RIGHT,
     OFFSET,
+    PHASE_VARIANCE,
+    PHASE_VARIANCE_RIGHT,
     POINT_VARIANCE,
     RIGHT_SHARE,
     SLOPE,
@@ -70,6 +72,9 @@ class SigmaFactors(NamedTuple):
     """``BLUR_PX2`` squared."""
     border_px2: np.float32
     """``BORDER_PX`` squared."""
+    right_correlation: np.float32 = np.float32(1.0)
+    """``SHARED`` where right pixels share noise with their neighbours, else 1. Multiplies a variance that the right maps
+    carry; it is part of ``dark_right`` and ``shot_right``."""
 
 
 def sigma_factors(period_px: int, noise: StereoNoise, ripple: Ripple = STILL) -> SigmaFactors:
@@ -100,13 +105,14 @@ def read_between(factors: SigmaFactors, worth_share: float, fringe_px: float) ->
         dark_right=factors.dark_right * SHARED,
         shot_right=factors.shot_right * SHARED,
         ripple_px2=factors.ripple_px2 * np.float32(lost**2),
+        right_correlation=SHARED,
     )
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
 def _expect(factors: SigmaFactors, s: NDArray[np.float32], n: int) -> None:
     """Noise, footprint and border."""
-    scale2, dark1, shot1, dark2, shot2, _ripple, _rad, blur2, border2 = factors
+    scale2, dark1, shot1, dark2, shot2, _ripple, _rad, blur2, border2, _correlation = factors
     for x in range(n):
         m1, m2, light, slope = s[MODULATION + x], s[MODULATION_RIGHT + x], s[OFFSET + x], s[SLOPE + x]
         before, after = s[P + x - 1], s[P + x + 1]
@@ -132,6 +138,31 @@ def _expect(factors: SigmaFactors, s: NDArray[np.float32], n: int) -> None:
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
+def _expect_given(factors: SigmaFactors, s: NDArray[np.float32], n: int) -> None:
+    """Write POINT_VARIANCE as ``_expect`` does, with the noise that the maps carry instead of that of modulation and light."""
+    blur2, border2, correlation = factors.blur2_px4, factors.border_px2, factors.right_correlation
+    for x in range(n):
+        modulation, slope = s[MODULATION + x], s[SLOPE + x]
+        before, after = s[P + x - 1], s[P + x + 1]
+        left_slope, slope2 = _HALF * (after - before), slope * slope
+        left2 = left_slope * left_slope
+        left2 = left2 if left2 > MIN_SLOPE2 else MIN_SLOPE2
+        # Noise: V_left + share · V_right.
+        noise = s[PHASE_VARIANCE + x] + s[RIGHT_SHARE + x] * (correlation * s[PHASE_VARIANCE_RIGHT + x])
+        # Footprint: β (½ ∇²p + ∇p · ∇ln B), the second part as the difference of both cameras.
+        gradient = s[MODULATION + x + 1] - s[MODULATION + x - 1]
+        uneven = gradient * left_slope * (left2 - slope2) / (left2 * modulation)
+        bend1, bend2 = _HALF * (before + after) - s[P + x], s[BEND_RIGHT + x]
+        bend = bend1 * bend1 + bend2 * bend2 - SURE * noise
+        known = bend == bend
+        bend = bend if bend > _ZERO else _ZERO
+        footprint = blur2 * (bend + _QUARTER * uneven * uneven)
+        # From px of the pattern to px of the right image.
+        up, uq = s[UP + x], s[UQ + x]
+        s[POINT_VARIANCE + x] = (up * up + uq * uq) * (noise + (footprint if known else border2 * slope2))
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
 def _add_ripple(ripple_px2: np.float32, rad: np.float32, s: NDArray[np.float32], n: int) -> None:
     """Of the squared amplitude, t³/(t³ + KNEE) is lost, t the square of the ripple's phase per right px: within a fifth
     of the mean over all places between pixels, wherever that is more than a tenth."""
@@ -144,17 +175,19 @@ def _add_ripple(ripple_px2: np.float32, rad: np.float32, s: NDArray[np.float32],
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def expect_row(factors: SigmaFactors, next_to: bool, s: NDArray[np.float32], n: int) -> None:
-    """POINT_VARIANCE in px² of ``n`` matched left pixels; ``next_to``: places of ``s`` are neighbours in the image, whose
-    footprints can be told. Where there is no match it means nothing.
+def expect_row(factors: SigmaFactors, next_to: bool, variances_given: bool, s: NDArray[np.float32], n: int) -> None:
+    """Write POINT_VARIANCE in px² of ``n`` matched left pixels. Where there is no match it means nothing.
 
-    Reads P, UP, UQ, SLOPE, MODULATION, MODULATION_RIGHT, OFFSET, RIGHT_SHARE, BEND_RIGHT. The right camera's light is the
-    left one's in proportion to their modulations.
+    ``next_to``: places of ``s`` are neighbours in the image, whose footprints can be told. ``variances_given``: the noise
+    of the coordinates is in PHASE_VARIANCE and PHASE_VARIANCE_RIGHT; else it follows from MODULATION, MODULATION_RIGHT and
+    OFFSET, the right camera's offset being the left one's in proportion to their modulations. Also reads P, UP, UQ, SLOPE,
+    MODULATION, RIGHT_SHARE, BEND_RIGHT.
     """
-    if next_to:
-        _expect(factors, s, n)
+    used = factors if next_to else without_neighbours(factors)
+    if variances_given:
+        _expect_given(used, s, n)
     else:
-        _expect(without_neighbours(factors), s, n)
+        _expect(used, s, n)
     if factors.ripple_px2 > _ZERO:
         _add_ripple(factors.ripple_px2, factors.ripple_rad, s, n)
 
@@ -163,5 +196,6 @@ def expect_row(factors: SigmaFactors, next_to: bool, s: NDArray[np.float32], n: 
 def without_neighbours(f: SigmaFactors) -> SigmaFactors:
     """Of noise and ripple alone."""
     return SigmaFactors(
-        f.scale2_px2, f.dark_left, f.shot_left, f.dark_right, f.shot_right, f.ripple_px2, f.ripple_rad, _ZERO, _ZERO
+        f.scale2_px2, f.dark_left, f.shot_left, f.dark_right, f.shot_right, f.ripple_px2, f.ripple_rad, _ZERO, _ZERO,
+        f.right_correlation,
     )  # fmt: skip

@@ -128,6 +128,7 @@ def _pair(rng: np.random.Generator) -> dict[str, Any]:
     exposures = (Exposure(2_500), Exposure(16_000))
     shots = [photograph(renderer, exposure, int(rng.integers(1 << 30))) for exposure in exposures]
     for name, stacks in (("short", shots[:1]), ("long", shots[1:]), ("together", shots)):
+        variance_px2: dict[str, NDArray[np.float32]] = {}
         with Pipeline(calibration, WATER, SEQUENCE, noise=noise_at(exposures[0])) as pipeline:
             for side in SIDES:
                 decoders = [pipeline.decoded(side), CameraDecoder(SEQUENCE, WIDTH_PX, HEIGHT_PX)]
@@ -136,9 +137,11 @@ def _pair(rng: np.random.Generator) -> dict[str, Any]:
                     decoders[1].push(stacks[-1][side], k)
                 if len(stacks) > 1:
                     camera = noise_at(exposures[0]).left
-                    merge(decoders[0], decoders[1], (camera, camera), SEQUENCE.period_px)
+                    variance_px2[side] = np.empty(decoders[0].mask.shape, np.float32)
+                    merge(decoders[0], decoders[1], (camera, camera), SEQUENCE.period_px, variance_px2[side])
             pipeline.coarse()
-            found = judge(scan_of(renderer, stacks[0]), pipeline.full())
+            cloud = pipeline.table.cloud(pipeline.find_changed(variance_px2=variance_px2 or None))
+            found = judge(scan_of(renderer, stacks[0]), cloud)
         clouds[name] = (found.completeness_percent, found.rms_mm)
     return {"case": case.name, **clouds}
 

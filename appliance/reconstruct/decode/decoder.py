@@ -65,6 +65,7 @@ class DecodedMaps:
     gray_threshold: NDArray[np.uint8]
     illuminated_columns: NDArray[np.int32]
     illuminated_pixels: int
+    offset_per_threshold: float = 1.0
 
 
 class CameraDecoder:
@@ -200,5 +201,5 @@ class CameraDecoder:
         """The maps as they are now, in memory of their own: 11 bytes per pixel."""
         return DecodedMaps(
             self.mask.copy(), self.p_px.copy(), self.q_px.copy(), self.modulation_half_dn.copy(), self.gray_threshold.copy(),
-            self.illuminated_columns.copy(), self.illuminated_pixels,
+            self.illuminated_columns.copy(), self.illuminated_pixels, self.offset_per_threshold,
         )  # fmt: skip

@@ -14,6 +14,8 @@ from appliance.reconstruct.scratch import (
     MODULATION,
     MODULATION_RIGHT,
     OFFSET,
+    PHASE_VARIANCE,
+    PHASE_VARIANCE_RIGHT,
     POINT_VARIANCE,
     RIGHT_SHARE,
     SIZE,
@@ -47,14 +49,18 @@ def expected(factors: SigmaFactors, next_to: bool = True) -> np.ndarray:
 
 
 def with_row(
-    factors: SigmaFactors, changes: dict[int, Any], next_to: bool = True, p: np.ndarray | None = None
+    factors: SigmaFactors,
+    changes: dict[int, Any],
+    next_to: bool = True,
+    p: np.ndarray | None = None,
+    variances_given: bool = False,
 ) -> np.ndarray:
     """Variance in px² of a row (n,) whose quantities are those of PLAIN but for the changes."""
     s = np.full(SIZE, np.nan, np.float32)
     for place, value in (PLAIN | changes).items():
         s[place - 1 : place + N + 1] = value
     s[P - 1 : P + N + 1] = 100.0 + 1.5 * np.arange(-1, N + 1) if p is None else p
-    expect_row(factors, next_to, s, N)
+    expect_row(factors, next_to, variances_given, s, N)
     return s[POINT_VARIANCE : POINT_VARIANCE + N].astype(float)
 
 
@@ -78,6 +84,44 @@ def test_noise_follows_light_modulation_and_the_share_that_reading_between_pixel
     changes = {MODULATION: 25.0, MODULATION_RIGHT: 70.0, OFFSET: 40.0, RIGHT_SHARE: 0.55, UP: -0.3, UQ: 0.5}
     both = noise_px2(25.0, 40.0, LEFT) + 0.55 * noise_px2(70.0, 40.0 * 70.0 / 25.0, RIGHT)
     np.testing.assert_allclose(with_row(FACTORS, changes), (0.3**2 + 0.5**2) * both, rtol=1e-4)
+
+
+@pytest.mark.parametrize("next_to", [True, False])
+@pytest.mark.parametrize("period_px", [PERIOD_PX, 2 * PERIOD_PX])
+def test_a_variance_that_the_maps_carry_is_the_noise_whatever_modulation_and_light_are(
+    next_to: bool, period_px: int
+) -> None:
+    factors = sigma_factors(period_px, StereoNoise(LEFT, RIGHT))
+    changes = {
+        PHASE_VARIANCE: 0.0004,
+        PHASE_VARIANCE_RIGHT: 0.0009,
+        MODULATION: 33.0,
+        MODULATION_RIGHT: np.nan,
+        OFFSET: np.nan,
+    }
+    found = with_row(factors, changes, next_to, variances_given=True)
+    np.testing.assert_allclose(found, (0.6**2 + 0.2**2) * (0.0004 + 0.8 * 0.0009), rtol=1e-4)
+
+
+def test_a_variance_of_maps_read_between_pixels_counts_more_where_it_is_read_off_between_right_pixels() -> None:
+    changes = {PHASE_VARIANCE: 0.0004, PHASE_VARIANCE_RIGHT: 0.0009}
+    found = with_row(read_between(FACTORS, 1.0, 10.0), changes, variances_given=True)
+    np.testing.assert_allclose(found, 0.4 * (0.0004 + 0.8 * 1.17 * 0.0009), rtol=1e-4)
+
+
+def test_bend_and_slope_and_border_count_alike_whether_noise_is_given_or_follows_from_modulation() -> None:
+    """The variances given are those that the modulations make."""
+    steep = 60.0 + 4.0 * np.arange(-1, N + 1)
+    along = np.arange(-1, N + 1)
+    p = 100.0 + 1.5 * along + 0.4 * along**2
+    p[7] = np.nan
+    light = {MODULATION: steep, MODULATION_RIGHT: 40.0, OFFSET: 90.0, BEND_RIGHT: 0.3, SLOPE: 2.0}
+    given = {
+        PHASE_VARIANCE: np.array([noise_px2(m, 90.0, LEFT) for m in steep]),
+        PHASE_VARIANCE_RIGHT: np.array([noise_px2(40.0, 90.0 * 40.0 / m, RIGHT) for m in steep]),
+    }
+    plain = with_row(FACTORS, light, p=p)
+    np.testing.assert_allclose(with_row(FACTORS, light | given, p=p, variances_given=True), plain, rtol=1e-4)
 
 
 def test_a_bend_of_either_camera_counts_by_the_blur() -> None:
@@ -163,8 +207,8 @@ def test_without_neighbours_only_noise_and_ripple_are_left() -> None:
     ripple = Ripple(0.05, lost_px=0.04, noise_px=0.01)
     factors = sigma_factors(PERIOD_PX, StereoNoise(LEFT, RIGHT), ripple)
     alone = without_neighbours.py_func(factors)
-    assert [float(one) for one in alone[-2:]] == [0.0, 0.0]
-    assert alone[:-2] == factors[:-2]
+    assert [float(alone.blur2_px4), float(alone.border_px2)] == [0.0, 0.0]
+    assert alone == factors._replace(blur2_px4=alone.blur2_px4, border_px2=alone.border_px2)
 
 
 def test_a_data_sheets_figures_are_the_cameras_noise_at_every_gain() -> None:

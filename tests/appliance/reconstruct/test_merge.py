@@ -30,8 +30,15 @@ def merged(
 ) -> tuple[CameraDecoder, CameraDecoder, Agreement]:
     """The merged maps, those of the second exposure alone, and how far they agreed."""
     first, second = decoded(photograph(scene, exposures[0], 1)), decoded(photograph(later or scene, exposures[1], 2))
-    noise = [camera_noise(13_000, 20, 2, exposure.gain_db) for exposure in exposures]
-    return first, second, merge(first, second, (noise[0], noise[1]), 16)
+    return first, second, merge_maps(first, second, (noise_at(exposures[0]), noise_at(exposures[1])))
+
+
+def noise_at(exposure: Exposure) -> CameraNoise:
+    return camera_noise(13_000, 20, 2, exposure.gain_db)
+
+
+def merge_maps(first: CameraDecoder, second: CameraDecoder, noise: tuple[CameraNoise, CameraNoise]) -> Agreement:
+    return merge(first, second, noise, 16, np.empty(first.mask.shape, np.float32))
 
 
 def errors_px(decoder: CameraDecoder) -> np.ndarray:
@@ -39,14 +46,6 @@ def errors_px(decoder: CameraDecoder) -> np.ndarray:
     p, q = coordinates()
     valid = decoder.mask == Mask.VALID
     return np.stack([(decoder.p_px - p)[valid], (decoder.q_px - q)[valid]], 1)
-
-
-def expected_px(decoder: CameraDecoder, noise: CameraNoise = TYPICAL) -> np.ndarray:
-    valid = decoder.mask == Mask.VALID
-    light = decoder.gray_threshold[valid].astype(float) - noise.black_dn
-    modulation = 0.5 * decoder.modulation_half_dn[valid]
-    sigma_dn = np.sqrt(noise.read_dn**2 + noise.dn_per_e * light)
-    return np.asarray(sigma_dn / modulation * 16.0 / (2.0 * np.pi * np.sqrt(2.0)))
 
 
 def test_together_they_have_what_neither_has_alone() -> None:
@@ -64,8 +63,10 @@ def test_together_they_have_what_neither_has_alone() -> None:
     "exposures", [(SHORT, LONG), (Exposure(10_000), Exposure(12_000)), (SHORT, Exposure(16_000, 6.0))]
 )
 def test_the_error_that_is_expected_of_a_merged_pixel_is_the_one_it_has(exposures: tuple[Exposure, Exposure]) -> None:
-    both, _, _ = merged(Wall(wall(4, 0.03, 0.9)), exposures)
-    z = errors_px(both) / expected_px(both)[:, None]
+    both, second = (decoded(photograph(Wall(wall(4, 0.03, 0.9)), e, k)) for k, e in enumerate(exposures, start=1))
+    variance_px2 = np.empty(both.mask.shape, np.float32)
+    merge(both, second, (noise_at(exposures[0]), noise_at(exposures[1])), 16, variance_px2)
+    z = errors_px(both) / np.sqrt(variance_px2[both.mask == Mask.VALID])[:, None]
     assert np.sqrt(np.mean(z**2)) == pytest.approx(1.0, abs=0.06)
     assert np.mean(np.abs(z) > 4.0) < 0.001
 
@@ -87,7 +88,7 @@ def test_what_moved_in_between_is_masked_where_it_moved() -> None:
     disc = (u - 120) ** 2 + (v - 90) ** 2 < 30**2
     second.frames["left"][:, disc] = moved[:, disc]
     maps = decoded(first)
-    agreement = merge(maps, decoded(second), (TYPICAL, TYPICAL), 16)
+    agreement = merge_maps(maps, decoded(second), (TYPICAL, TYPICAL))
     inner = (u - 120) ** 2 + (v - 90) ** 2 < 26**2
     assert np.mean(maps.mask[inner] == Mask.VALID) < 0.002
     assert np.isnan(maps.p_px[inner]).mean() > 0.998
@@ -101,16 +102,16 @@ def test_when_all_has_moved_the_scans_do_not_agree() -> None:
     shifted = np.roll(second.frames["left"], 1, axis=2)
     maps = decoded(photograph(scene, Exposure(8_000), 1))
     other = decoded(ScanImages(second.sequence, {"left": shifted}, {}, second.settings))
-    assert merge(maps, other, (TYPICAL, TYPICAL), 16).agrees is False
+    assert merge_maps(maps, other, (TYPICAL, TYPICAL)).agrees is False
 
 
 def test_without_pixels_in_common_nothing_can_be_said_of_agreement() -> None:
     bright = photograph(Wall(np.full((HEIGHT_PX, WIDTH_PX), 0.6)), Exposure(8_000), 1)
     dark = photograph(Wall(np.zeros((HEIGHT_PX, WIDTH_PX))), Exposure(8_000), 1)
-    assert merge(decoded(bright), decoded(dark), (TYPICAL, TYPICAL), 16).agrees is None
+    assert merge_maps(decoded(bright), decoded(dark), (TYPICAL, TYPICAL)).agrees is None
 
 
 def test_maps_of_another_size_are_refused() -> None:
     maps, small = decoded(photograph(WIDE, SHORT, 1)), CameraDecoder(build_sequence(16), 64, 48)
     with pytest.raises(ValueError, match="must be of one camera"):
-        merge(maps, small, (TYPICAL, TYPICAL), 16)
+        merge_maps(maps, small, (TYPICAL, TYPICAL))

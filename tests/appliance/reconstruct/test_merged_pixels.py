@@ -48,33 +48,54 @@ V, SHADOW, SATURATED, WEAK, CONTRADICTION, EDGE = (
 def merged(
     first: DecodedMaps, second: DecodedMaps, noise: tuple[CameraNoise, CameraNoise] = (NOISE, NOISE)
 ) -> Agreement:
-    return merge(first, second, noise, 16)
+    return merge(first, second, noise, 16, np.empty(first.mask.shape, np.float32))
 
 
-def test_two_coordinates_become_their_mean_by_variance_and_the_stated_light_gives_its_variance() -> None:
+def merged_sigma_px(
+    first: DecodedMaps, second: DecodedMaps, noise: tuple[CameraNoise, CameraNoise] = (NOISE, NOISE)
+) -> np.ndarray:
+    """Standard deviation (n,) of the merged coordinates of one row."""
+    variance_px2 = np.full(first.mask.shape, np.nan, np.float32)
+    merge(first, second, noise, 16, variance_px2)
+    return np.sqrt(variance_px2[0])
+
+
+def test_two_coordinates_become_their_mean_by_variance_which_has_the_variance_of_a_mean() -> None:
     first = maps([V], [100.0], [40.0], [80], [50.0])
     second = maps([V], [100.02], [20.0], [50], [50.01])
     a, b = sigma_px(40.0, 80) ** 2, sigma_px(20.0, 50) ** 2
-    agreement = merged(first, second)
+    variance_px2 = np.zeros((1, 1), np.float32)
+    agreement = merge(first, second, (NOISE, NOISE), 16, variance_px2)
     weight = b / (a + b)
     assert first.p_px[0, 0] == pytest.approx(100.0 + 0.02 * (1 - weight), abs=1e-5)
     assert first.q_px[0, 0] == pytest.approx(50.0 + 0.01 * (1 - weight), abs=1e-5)
-    said = sigma_px(first.modulation_half_dn[0, 0] / 2.0, int(first.gray_threshold[0, 0])) ** 2
-    assert said == pytest.approx(1.0 / (1.0 / a + 1.0 / b), rel=0.02)
-    assert first.gray_threshold[0, 0] == 80, "the light of the clearer one"
+    assert variance_px2[0, 0] == pytest.approx(1.0 / (1.0 / a + 1.0 / b), rel=1e-5)
+    assert (first.modulation_half_dn[0, 0], first.gray_threshold[0, 0]) == (80, 80), "what the clearer one saw"
     assert (agreement.first, agreement.second, agreement.both, agreement.masked) == (0.0, 0.0, 1.0, 0.0)
     assert agreement.agrees is None, "one pixel tells nothing of a movement"
+
+
+def test_the_modulation_of_a_merged_pixel_is_the_one_that_the_clearer_sequence_saw() -> None:
+    for modulations, seen in (((40.0, 20.0), 40.0), ((20.0, 40.0), 40.0), ((127.0, 126.0), 127.0)):
+        first, second = (maps([V], [100.0], [modulation], [80]) for modulation in modulations)
+        merged(first, second)
+        assert first.modulation_half_dn[0, 0] == 2.0 * seen
+
+
+def test_fringes_with_less_light_than_half_way_between_bright_and_dark_have_less_noise() -> None:
+    first, second = maps([V], [100.0], [40.0], [82]), maps([V], [100.0], [40.0], [82])
+    first.offset_per_threshold = second.offset_per_threshold = 0.75
+    assert merged_sigma_px(first, second)[0] == pytest.approx(sigma_px(40.0, 0.75 * 82) / math.sqrt(2.0), rel=1e-5)
 
 
 def test_of_the_clearer_second_sequence_the_light_is_kept_and_its_own_noise_counts() -> None:
     loud = CameraNoise(read_dn=2.0, dn_per_e=0.08, black_dn=2.0)
     first, second = maps([V], [100.0], [20.0], [60]), maps([V], [100.1], [90.0], [120])
-    merged(first, second, (NOISE, loud))
+    said = merged_sigma_px(first, second, (NOISE, loud))[0] ** 2
     a, b = sigma_px(20.0, 60) ** 2, sigma_px(90.0, 120, loud) ** 2
     assert first.p_px[0, 0] == pytest.approx(100.0 + 0.1 * a / (a + b), abs=1e-5)
-    assert first.gray_threshold[0, 0] == 120
-    said = sigma_px(first.modulation_half_dn[0, 0] / 2.0, 120) ** 2
-    assert said == pytest.approx(1.0 / (1.0 / a + 1.0 / b), rel=0.03), "restated in the first one's noise"
+    assert (first.modulation_half_dn[0, 0], first.gray_threshold[0, 0]) == (180, 120)
+    assert said == pytest.approx(1.0 / (1.0 / a + 1.0 / b), rel=1e-5)
 
 
 @pytest.mark.parametrize("times", [4.8, 5.2])
@@ -96,14 +117,13 @@ def test_more_than_five_sigmas_apart_in_either_direction_is_a_contradiction(time
 def test_where_only_one_has_a_coordinate_it_is_taken_and_where_none_has_there_is_none() -> None:
     first = maps([V, SATURATED, WEAK, SHADOW, WEAK], [1.0, NAN, NAN, NAN, NAN], [40, 50, 3, 0, 3], [80, 200, 20, 5, 20])
     second = maps([WEAK, V, V, V, SHADOW], [NAN, 2.0, 3.0, 4.0, NAN], [3, 30, 20, 25, 0], [20, 60, 50, 55, 4])
-    agreement = merged(first, second)
+    variance_px2 = np.zeros((1, 5), np.float32)
+    agreement = merge(first, second, (NOISE, NOISE), 16, variance_px2)
     assert first.mask.tolist() == [[V, V, V, V, WEAK]]
     np.testing.assert_array_equal(first.p_px, np.array([[1.0, 2.0, 3.0, 4.0, NAN]], np.float32))
-    assert first.gray_threshold[0, 0] == 80
-    assert first.modulation_half_dn[0, 0] == 80
-    for k, (modulation, middle) in enumerate([(30, 60), (20, 50), (25, 55)], start=1):
-        said = sigma_px(first.modulation_half_dn[0, k] / 2.0, int(first.gray_threshold[0, k]))
-        assert said == pytest.approx(sigma_px(modulation, middle), rel=0.03), k
+    for k, (modulation, middle) in enumerate([(40, 80), (30, 60), (20, 50), (25, 55)]):
+        assert (first.modulation_half_dn[0, k], first.gray_threshold[0, k]) == (2 * modulation, middle), k
+        assert variance_px2[0, k] == pytest.approx(sigma_px(modulation, middle) ** 2, rel=1e-5), k
     assert (agreement.first, agreement.second, agreement.both) == pytest.approx((0.2, 0.6, 0.0))
 
 
@@ -117,13 +137,9 @@ def test_an_edge_in_the_clearer_sequence_is_one_whatever_the_other_shows(doubt: 
     assert (agreement.first, agreement.second, agreement.both) == pytest.approx((0.25, 0.25, 0.0))
 
 
-def test_a_variance_better_than_the_scale_can_say_is_said_with_less_light() -> None:
+def test_a_variance_better_than_any_modulation_of_eight_bits_makes_is_said_as_it_is() -> None:
     first, second = maps([V], [100.0], [127.0], [130]), maps([V], [100.0], [127.0], [130])
-    merged(first, second)
-    variance = sigma_px(127.0, 130) ** 2 / 2.0
-    assert first.modulation_half_dn[0, 0] == 255
-    assert first.gray_threshold[0, 0] < 130
-    assert sigma_px(127.5, int(first.gray_threshold[0, 0])) ** 2 == pytest.approx(variance, rel=0.03)
+    assert merged_sigma_px(first, second)[0] == pytest.approx(sigma_px(127.0, 130) / math.sqrt(2.0), rel=1e-5)
 
 
 def test_lit_parts_are_joined() -> None:
@@ -148,12 +164,11 @@ def test_an_edge_in_a_sequence_that_is_no_clearer_takes_nothing_away(doubt: Mask
 @pytest.mark.parametrize("middle", [2, 1, 0])
 def test_at_black_and_below_it_only_the_noise_of_reading_counts(middle: int) -> None:
     first, second = maps([V], [100.0], [60.0], [middle]), maps([V], [100.05], [60.0], [42])
-    merged(first, second)
+    said = merged_sigma_px(first, second)[0] ** 2
     a, b = sigma_px(60.0, 2) ** 2, sigma_px(60.0, 42) ** 2
     assert first.p_px[0, 0] == pytest.approx(100.0 + 0.05 * a / (a + b), abs=3e-5)
-    said = sigma_px(first.modulation_half_dn[0, 0] / 2.0, 2) ** 2
     assert first.gray_threshold[0, 0] == middle
-    assert said == pytest.approx(1.0 / (1.0 / a + 1.0 / b), rel=0.02)
+    assert said == pytest.approx(1.0 / (1.0 / a + 1.0 / b), rel=1e-5)
 
 
 def test_a_shift_of_just_half_the_noise_still_agrees() -> None:

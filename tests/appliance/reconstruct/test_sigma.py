@@ -9,7 +9,7 @@ from appliance.patterns.sequence import build_sequence
 from appliance.reconstruct.match import fill_inverse_map, match_row, right_maps
 from appliance.reconstruct.pipeline import Cloud, Pipeline
 from appliance.reconstruct.ripple import measure_ripple
-from appliance.reconstruct.scratch import RIGHT_SHARE, SIZE, P, Q, U, V
+from appliance.reconstruct.scratch import PHASE_VARIANCE_RIGHT, RIGHT_SHARE, SIZE, P, Q, U, V
 from hw_sim.scene import Scene
 from tests.support import synthetic
 from tests.support.rendered import RenderedScan, render_scan
@@ -50,6 +50,28 @@ def test_noise_of_the_right_coordinate_is_its_share_at_every_place_between_pixel
     assert np.mean(said) == pytest.approx(0.80, abs=0.04), "less than a pixel's own"
     assert said.max() > 0.97
     assert said.min() < 0.62
+
+
+@pytest.mark.parametrize("holes", [0.0, 0.1])
+def test_the_variance_of_a_right_coordinate_is_that_of_the_pixel_it_is_read_off_from(holes: float) -> None:
+    """Every pixel has a variance of its own; beside missing pixels a match is found by walking."""
+    v, u = np.mgrid[0:HEIGHT, 0:WIDTH].astype(np.float32)
+    p, q = 100.0 + 2.0 * u, 20.0 + 2.0 * v
+    p[np.random.default_rng(5).random(p.shape) < holes] = np.nan
+    variance_px2 = (1000.0 * v + u).astype(np.float32)
+    right = right_maps(p, q, np.full(p.shape, 160, np.uint8), 1024, 768, variance_px2)
+    fill_inverse_map(right, 1)
+    at_u, at_v = np.meshgrid(np.arange(20.3, 380.0, 7.0), np.arange(20.3, 280.0, 7.0))
+    n = at_u.size
+    s = np.full(SIZE, np.nan, np.float32)
+    s[P : P + n], s[Q : Q + n] = 100.0 + 2.0 * at_u.ravel(), 20.0 + 2.0 * at_v.ravel()
+    match_row(right, s, s, n, False, np.empty(n, np.int32))
+    found = np.isfinite(s[U : U + n])
+    row, column = np.divmod(s[PHASE_VARIANCE_RIGHT : PHASE_VARIANCE_RIGHT + n][found], 1000.0)
+    assert found.mean() > 0.6
+    assert np.isfinite(p[row.astype(int), column.astype(int)]).all(), "a pixel with a coordinate"
+    assert np.abs(s[U : U + n][found] - column).max() <= 0.75
+    assert np.abs(s[V : V + n][found] - row).max() <= 0.75
 
 
 def test_a_bent_surface_is_followed_between_pixels() -> None:
@@ -101,6 +123,28 @@ def test_points_and_their_errors_know_nothing_of_the_scan_before() -> None:
         for again, first in zip(clouds(used, seen), clouds(fresh, seen), strict=True):
             for column in ("pixel", "points_mm", "sigma_mm", "ray_gap_mm"):
                 np.testing.assert_array_equal(getattr(again, column), getattr(first, column), column)
+
+
+def test_points_of_maps_that_carry_variances_have_errors_by_both_cameras_variances() -> None:
+    calibration = synthetic.calibration()
+    scan = render_scan(Scene(object="plane", texture="none"), "nominal", 1, WIDTH, 16)
+
+    def sigma_mm(left_px2: float, right_px2: float) -> float:
+        maps = {
+            side: np.full(pipeline.decoded(side).p_px.shape, variance_px2, np.float32)
+            for side, variance_px2 in (("left", left_px2), ("right", right_px2))
+        }
+        cloud = pipeline.table.cloud(pipeline.find_changed(variance_px2=maps))
+        assert len(cloud.pixel) > 0.95 * len(plain.pixel)
+        return float(np.median(cloud.sigma_mm))
+
+    with Pipeline(calibration, synthetic.WATER, scan.sequence) as pipeline:
+        _, plain = clouds(pipeline, scan)
+        once, left_only, right_only = sigma_mm(0.004, 0.004), sigma_mm(0.016, 0.004), sigma_mm(0.004, 0.016)
+        # The right one counts by 0.8 in the mean: reading off between pixels leaves so much.
+        assert (left_only / once) ** 2 == pytest.approx((4.0 + 0.8) / 1.8, rel=0.06)
+        assert (right_only / once) ** 2 == pytest.approx((1.0 + 0.8 * 4.0) / 1.8, rel=0.06)
+        np.testing.assert_array_equal(pipeline.table.cloud(pipeline.find_full()).sigma_mm, plain.sigma_mm)
 
 
 def test_where_a_neighbour_is_missing_a_point_expects_more() -> None:
