@@ -1,1 +1,1 @@
-"""How light travels from a water point to a pixel and back: lens, port, water. Pure functions, no I/O."""
+"""The refractive camera model: light travels from a water point to a pixel and back through water, port and lens."""

@@ -21,7 +21,10 @@ TOLERANCE_PX = 1e-11
 
 @dataclass(frozen=True, slots=True)
 class ImageCorrection:
-    """A bicubic B-spline in px. ``coefficients_px`` holds (s_u, s_v) per node, row by row: (down+3)·(across+3)·2."""
+    """A shift of pixels as a bicubic B-spline, in px.
+
+    ``coefficients_px`` holds (s_u, s_v) per node, row by row: (down+3)·(across+3)·2. Raises ValueError for another number.
+    """
 
     width_px: int
     height_px: int
@@ -38,19 +41,20 @@ class ImageCorrection:
             )
 
     def shift_px(self, uv_px: Array) -> Array:
-        """s at pixels (..., 2): px, same shape. Beyond the image's edge the edge's value goes on."""
+        """Return the shift s in px at pixels (..., 2), same shape. Beyond the image's edge the edge's value goes on."""
         return surface(uv_px, (self.width_px, self.height_px), self.intervals, self.coefficients_px)
 
     def to_ideal(self, uv_px: Array) -> Array:
-        """Ideal pixels (..., 2) of real ones (..., 2)."""
+        """Return the ideal pixels (..., 2) of real ones (..., 2)."""
         return np.asarray(np.asarray(uv_px, np.float64) - self.shift_px(uv_px))
 
     def to_real(self, ideal_px: Array) -> Array:
-        """Real pixels (..., 2) of ideal ones (..., 2): inverts ``to_ideal``; NaN stays NaN."""
+        """Return the real pixels (..., 2) of ideal ones (..., 2): the inverse of ``to_ideal``; NaN stays NaN."""
         ideal = np.asarray(ideal_px, np.float64)
         known = np.isfinite(ideal).all(axis=-1, keepdims=True)
         start = np.where(known, ideal, 0.0)
         real = start
+        # real = ideal + s(real), by substitution: s changes by far less than a pixel per pixel.
         for _ in range(SUBSTITUTIONS):
             step = start + self.shift_px(real) - real
             real = real + step
@@ -62,7 +66,10 @@ class ImageCorrection:
 def surface(
     uv_px: Array, size_px: tuple[int, int], intervals: tuple[int, int], coefficients: tuple[float, ...]
 ) -> Array:
-    """A two-component B-spline surface (..., 2) at pixels (..., 2); ``coefficients`` hold both per node, row by row."""
+    """Return a two-component B-spline surface (..., 2) at pixels (..., 2).
+
+    ``coefficients`` hold both components per node, row by row.
+    """
     uv = np.asarray(uv_px, np.float64)
     columns, rows = intervals
     iu, wu = basis(uv[..., 0], size_px[0], columns)
@@ -76,12 +83,12 @@ def surface(
 
 
 def node_count(intervals: tuple[int, int]) -> int:
-    """Nodes of a bicubic B-spline."""
+    """Return the number of nodes of a bicubic B-spline with ``intervals`` (across, down)."""
     return (intervals[0] + 3) * (intervals[1] + 3)
 
 
 def basis(at_px: Array, size_px: int, intervals: int) -> tuple[NDArray[np.intp], Array]:
-    """First node (...,) and the four cubic B-spline weights (..., 4) at coordinates of one direction."""
+    """Return the first node (...,) and the four cubic B-spline weights (..., 4) at coordinates of one direction."""
     t = np.clip((np.asarray(at_px, np.float64) + 0.5) / size_px, 0.0, 1.0) * intervals
     first = np.minimum(t.astype(np.intp), intervals - 1)
     f = t - first
@@ -98,7 +105,7 @@ def basis(at_px: Array, size_px: int, intervals: int) -> tuple[NDArray[np.intp],
 
 
 def basis_matrix(uv_px: Array, size_px: tuple[int, int], intervals: tuple[int, int]) -> Array:
-    """Weights (n, nodes) of all nodes at pixels (n, 2), nodes row by row; ``size_px`` is width, height."""
+    """Return the weights (n, nodes) of all nodes at pixels (n, 2), nodes row by row; ``size_px`` is width, height."""
     columns, rows = intervals
     iu, wu = basis(uv_px[:, 0], size_px[0], columns)
     iv, wv = basis(uv_px[:, 1], size_px[1], rows)

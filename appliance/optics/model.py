@@ -1,4 +1,4 @@
-"""Owns the model of the instrument's eyes: a lens behind its port at its place, and the two of them together."""
+"""Owns the camera model: a lens behind its port at its place in the rig, and the stereo rig of two of them."""
 
 from __future__ import annotations
 
@@ -29,15 +29,16 @@ class HousedCamera:
     rotation: Matrix3 = IDENTITY
     translation_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     correction: ImageCorrection | None = None
-    """What lens and window do beyond their formulas, where the calibration could see it."""
+    """Image correction for what lens and window do beyond their formulas; ``None`` if the calibration could not see it."""
     ray_shift: RayShift | None = None
-    """What of that depends on the depth: how far each ray passes beside where port and correction put it."""
+    """Ray shift for the part of it that depends on depth: how far each ray passes beside where port and correction put it;
+    ``None`` if the calibration could not see it."""
     lens_in_water: bool = False
-    """The lens was calibrated in the water, as a pinhole: rays leave the projection centre straight, the port means
+    """True if the lens was calibrated in water, as a pinhole: rays leave the projection centre straight, the port means
     nothing, and in other water the calibration is wrong."""
 
     def rays(self, uv_px: Array, water_index: float) -> tuple[Array, Array]:
-        """Water rays of pixels (..., 2): (origins on the outer glass face, unit directions), left camera frame, mm."""
+        """Return the water rays of pixels (..., 2): (origins on the outer glass face, unit directions), left camera frame, mm."""
         ideal = uv_px if self.correction is None else self.correction.to_ideal(uv_px)
         direction = self.lens.to_directions(ideal)
         if self.lens_in_water:
@@ -50,13 +51,16 @@ class HousedCamera:
         return origin @ R.T + np.asarray(self.translation_mm), direction @ R.T
 
     def project(self, points_mm: Array, water_index: float) -> Array:
-        """Pixels (..., 2) of water points (..., 3) in the left camera frame; NaN for points that are not in the water
-        before the camera. Not limited to the image."""
+        """Return the pixels (..., 2) of water points (..., 3) in the left camera frame.
+
+        They are NaN for points that are not in the water before the camera, and are not limited to the image.
+        """
         R = np.asarray(self.rotation)
         local = (np.asarray(points_mm, np.float64) - np.asarray(self.translation_mm)) @ R
         uv = self._seen_at(local, water_index)
         if self.ray_shift is None:
             return uv
+        # The shift is known by pixel, the pixel is asked for: substitute until it stays.
         for _ in range(SUBSTITUTIONS):
             shift = np.zeros_like(local)
             shift[..., :2] = self.ray_shift.at_mm(np.nan_to_num(uv))
@@ -66,7 +70,7 @@ class HousedCamera:
         return uv
 
     def ideal_pixels(self, local_mm: Array, water_index: float) -> Array:
-        """Pixels (..., 2) of points (..., 3) in the camera's own frame, before correction and ray shift."""
+        """Return the pixels (..., 2) of points (..., 3) in the camera's own frame, before correction and ray shift."""
         if self.lens_in_water:
             direction = np.where(local_mm[..., 2:] > 0.0, local_mm, np.nan)
         else:
@@ -88,12 +92,14 @@ class StereoRig:
     right: HousedCamera
 
     def volume_centre_mm(self, water_index: float) -> Array:
-        """Where the two central rays come nearest, (3,), left camera frame: the middle of the measuring volume."""
+        """Return the point (3,) in the left camera frame, in mm, where the two central rays come nearest: the middle of the
+        measuring volume. Raises ValueError if they are parallel."""
         centres = []
         for camera in (self.left, self.right):
             uv = np.array([(camera.width_px - 1) / 2.0, (camera.height_px - 1) / 2.0])
             centres.append(camera.rays(uv, water_index))
         (p1, d1), (p2, d2) = centres
+        # Shortest connection of p1 + s d1 and p2 + t d2: both partial derivatives of its squared length are zero.
         w = p1 - p2
         b, d, e = float(d1 @ d2), float(d1 @ w), float(d2 @ w)
         det = 1.0 - b * b

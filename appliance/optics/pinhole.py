@@ -25,22 +25,22 @@ class Lens:
     """k1, k2, p1, p2, k3 as OpenCV defines them."""
 
     def to_pixels(self, xy: Array) -> Array:
-        """Pixels (..., 2) of ideal normalised coordinates (..., 2)."""
+        """Return the pixels (..., 2) of ideal normalised coordinates (..., 2)."""
         return np.asarray(distort(xy, self.distortion) * np.asarray(self.f_px) + np.asarray(self.c_px))
 
     def to_normalised(self, uv: Array) -> Array:
-        """Ideal normalised coordinates (..., 2) of pixels (..., 2); inverts ``to_pixels`` to 1e-12."""
+        """Return the ideal normalised coordinates (..., 2) of pixels (..., 2): the inverse of ``to_pixels`` to 1e-12."""
         return undistort((np.asarray(uv, np.float64) - np.asarray(self.c_px)) / np.asarray(self.f_px), self.distortion)
 
     def to_directions(self, uv: Array) -> Array:
-        """Unit directions in air (..., 3), camera frame, of pixels (..., 2)."""
+        """Return unit directions in air (..., 3), camera frame, of pixels (..., 2)."""
         xy = self.to_normalised(uv)
         direction = np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1)
         return np.asarray(direction / np.linalg.norm(direction, axis=-1, keepdims=True))
 
 
 def distort(xy: Array, distortion: tuple[float, float, float, float, float]) -> Array:
-    """Distorted normalised coordinates (..., 2) of ideal ones (..., 2)."""
+    """Return the distorted normalised coordinates (..., 2) of ideal ones (..., 2)."""
     k1, k2, p1, p2, k3 = distortion
     x, y = np.asarray(xy, np.float64)[..., 0], np.asarray(xy, np.float64)[..., 1]
     r2 = x * x + y * y
@@ -55,7 +55,7 @@ def distort(xy: Array, distortion: tuple[float, float, float, float, float]) -> 
 
 
 def undistort(xy_distorted: Array, distortion: tuple[float, float, float, float, float]) -> Array:
-    """Inverse of ``distort`` by Newton's method; raises ValueError where the lens folds over within the image."""
+    """Invert ``distort`` by Newton's method; raises ValueError where the lens folds over within the image."""
     target = np.asarray(xy_distorted, np.float64)
     if not any(distortion):
         return target.copy()
@@ -68,6 +68,7 @@ def undistort(xy_distorted: Array, distortion: tuple[float, float, float, float,
         x, y = xy[..., 0], xy[..., 1]
         r2 = x * x + y * y
         radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        # Jacobian of ``distort``: xx, xy_, yy are ∂x_d/∂x, ∂x_d/∂y = ∂y_d/∂x, ∂y_d/∂y.
         slope = 2.0 * (k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3))
         xx = radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
         xy_ = slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y

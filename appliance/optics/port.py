@@ -31,14 +31,17 @@ class Port:
 
 
 def refract(incident: Array, normal: Array, ratio: float) -> Array:
-    """Refracted unit directions (..., 3); ``ratio`` = n_before / n_after; ``normal`` points onwards."""
+    """Return the refracted unit directions (..., 3) by Snell's law in vector form.
+
+    ``ratio`` is n_before / n_after; ``normal`` points onwards.
+    """
     cosine = np.sum(incident * normal, axis=-1, keepdims=True)
     inside = 1.0 - ratio**2 * (1.0 - cosine**2)
     return np.asarray(ratio * incident + (np.sqrt(inside) - ratio * cosine) * normal)
 
 
 def water_rays(port: Port, water_index: float, air_directions: Array) -> tuple[Array, Array]:
-    """Rays in water of air directions (..., 3): (points on the outer face, unit directions), camera frame, mm."""
+    """Return the rays in water of air directions (..., 3): (points on the outer face, unit directions), camera frame, mm."""
     n = np.asarray(port.normal, np.float64)
     a = np.asarray(air_directions, np.float64)
     g = refract(a, n, 1.0 / port.glass_index)
@@ -50,7 +53,7 @@ def water_rays(port: Port, water_index: float, air_directions: Array) -> tuple[A
 
 
 def air_directions(port: Port, water_index: float, points_mm: Array) -> Array:
-    """Directions in air (..., 3), not normalised, under which water points (..., 3) in the camera frame are seen.
+    """Return the directions in air (..., 3), not normalised, under which water points (..., 3) in the camera frame are seen.
 
     Points not beyond the outer face give NaN. Converges from any point in 3–4 Newton steps to 1e-12 px, because
     the left side of the equation is increasing and concave.
@@ -61,6 +64,7 @@ def air_directions(port: Port, water_index: float, points_mm: Array) -> Array:
     radial = points - z[..., None] * n
     h = np.linalg.norm(radial, axis=-1)
     d, th, ng2, nw2 = port.distance_mm, port.thickness_mm, port.glass_index**2, water_index**2
+    # t: tangent of the angle in air. Glass and water add th·t/√g2 and zw·t/√w2 to the radius h: solve for t by Newton.
     zw = np.where(z > d + th, z - d - th, np.nan)
     t = h / (d + th / port.glass_index + zw / water_index)
     for _ in range(NEWTON_STEPS):

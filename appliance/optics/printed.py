@@ -24,7 +24,7 @@ class PrintedCamera(HousedCamera):
     """A camera whose rays follow the printed equations. No calibration file carries it."""
 
     def rays(self, uv_px: Array, water_index: float) -> tuple[Array, Array]:
-        """As ``HousedCamera.rays``; the port's normal is taken for the axis."""
+        """Return the water rays of pixels (..., 2) as ``HousedCamera.rays`` does, the port's normal taken for the axis."""
         xy = self.lens.to_normalised(uv_px if self.correction is None else self.correction.to_ideal(uv_px))
         slope, shift = self._printed(np.linalg.norm(xy, axis=-1), water_index)
         origin = np.concatenate([np.zeros_like(xy), -shift[..., None]], -1)
@@ -34,7 +34,8 @@ class PrintedCamera(HousedCamera):
         return origin @ R.T + np.asarray(self.translation_mm), direction @ R.T
 
     def ideal_pixels(self, local_mm: Array, water_index: float) -> Array:
-        """As ``HousedCamera.ideal_pixels``, by Newton's method on the distance from the axis."""
+        """Return the pixels (..., 2) of points (..., 3) as ``HousedCamera.ideal_pixels`` does, by Newton's method on the distance
+        from the axis."""
         z, h = local_mm[..., 2], np.linalg.norm(local_mm[..., :2], axis=-1)
 
         def miss(r: Array) -> Array:
@@ -50,7 +51,7 @@ class PrintedCamera(HousedCamera):
         return self.lens.to_pixels(np.where(z[..., None] > 0.0, r[..., None] * outward, np.nan))
 
     def _printed(self, r: Array, water_index: float) -> tuple[Array, Array]:
-        """1/c' and l for distances r from the axis, in units of c. Where r is 0, their limits."""
+        """Return 1/c' and l for distances r from the axis, in units of c, or their limits where r is 0."""
         r = np.maximum(r, SMALL)
         sine = np.sin(np.arctan(r))
         outer_mm = self.port.distance_mm + self.port.thickness_mm

@@ -22,7 +22,10 @@ INTERVALS = (4, 3)
 
 @dataclass(frozen=True, slots=True)
 class RayShift:
-    """A bicubic B-spline in mm. ``coefficients_mm`` holds (x, y) per node, row by row: (down+3)·(across+3)·2."""
+    """A shift of rays as a bicubic B-spline, in mm.
+
+    ``coefficients_mm`` holds (x, y) per node, row by row: (down+3)·(across+3)·2. Raises ValueError for another number.
+    """
 
     width_px: int
     height_px: int
@@ -39,5 +42,8 @@ class RayShift:
             )
 
     def at_mm(self, uv_px: Array) -> Array:
-        """Shift (..., 2) of the rays of pixels (..., 2), along the camera's x and y. Beyond the image the edge's goes on."""
+        """Return the shift (..., 2) in mm of the rays of pixels (..., 2), along the camera's x and y.
+
+        Beyond the image's edge the edge's value goes on.
+        """
         return surface(uv_px, (self.width_px, self.height_px), self.intervals, self.coefficients_mm)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Water:
-    """The water around the instrument, and the colour it is looked at in."""
+    """The water around the instrument, and the wavelength of the light that travels through it."""
 
     temperature_c: float
     salinity_psu: float
@@ -15,12 +15,12 @@ class Water:
 
     @property
     def index(self) -> float:
-        """Refractive index relative to air (Quan & Fry 1995)."""
+        """Refractive index of the water relative to air (Quan & Fry 1995)."""
         return quan_fry_index(self.temperature_c, self.salinity_psu, self.wavelength_nm)
 
 
 def quan_fry_index(temperature_c: float, salinity_psu: float, wavelength_nm: float) -> float:
-    """Refractive index of water relative to air, Quan & Fry, Applied Optics 34 (1995) 3477, Eq. 3.
+    """Return the refractive index of water relative to air, Quan & Fry, Applied Optics 34 (1995) 3477, Eq. 3.
 
     Valid for 0..30 °C, 0..35 psu, 400..700 nm; raises ValueError well outside of it (-2..40, 0..45, 380..750).
     """

@@ -1,1 +1,1 @@
-"""What is projected: the one list of frames that drives drawing, capturing and decoding."""
+"""The projected patterns: the one list of frames that drives drawing, capturing and decoding."""

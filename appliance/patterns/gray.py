@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 
 
 def bit_count(size_px: int, period_px: int) -> int:
-    """Number of Gray-code images that number all half periods over ``size_px``: 7, 6, 5 for 16, 32, 64 on 1024."""
+    """Return the number of Gray-code images that number all half periods over ``size_px``: 7, 6, 5 for 16, 32, 64 on 1024."""
     half_periods = -(-2 * size_px // period_px)
     return max(1, (half_periods - 1).bit_length())
 
 
 def gray_bit(size_px: int, period_px: int, bit: int) -> NDArray[np.bool_]:
-    """Where bit ``bit`` (0 = most significant) is lit: shape (size_px,) bool, reflected binary code."""
+    """Return which places of ``size_px`` are illuminated in the image of bit ``bit`` (0 = most significant) of the reflected
+    binary code: shape (size_px,) bool."""
     half_period = 2 * np.arange(size_px, dtype=np.int64) // period_px
     code = half_period ^ (half_period >> 1)
     shift = bit_count(size_px, period_px) - 1 - bit
@@ -26,7 +27,7 @@ def gray_bit(size_px: int, period_px: int, bit: int) -> NDArray[np.bool_]:
 
 
 def inverse_gray(bits: int) -> NDArray[np.int16]:
-    """Table from Gray code to half-period number: shape (2**bits,) int16."""
+    """Return the table from Gray code to half-period number: shape (2**bits,) int16."""
     number = np.arange(1 << bits, dtype=np.int64)
     table = np.empty(1 << bits, dtype=np.int16)
     table[number ^ (number >> 1)] = number.astype(np.int16)

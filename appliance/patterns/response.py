@@ -38,11 +38,12 @@ class Response:
             raise ValueError("a response with light that does not grow with the code; measure it again")
 
     def light(self, codes: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Light of codes 8 … 247, any shape, in the unit of the harmonics."""
+        """Return the light of codes 8 … 247, any shape, in the unit of the harmonics."""
         return np.asarray(chebyshev.chebval((codes - MEAN_CODE) / AMPLITUDE_CODE, self.harmonics))
 
     def sine_codes(self, size_px: int, period_px: int, step: int) -> NDArray[np.uint8]:
-        """As ``patterns.sine.sine_codes``, so that light, not codes, is the sine, between the light of the same ends."""
+        """Return the codes of step ``step`` as ``patterns.sine.sine_codes`` does, so that light instead of codes is the sine, between
+        the light of the same ends: shape (size_px,) uint8."""
         fine = np.linspace(*CODES, _FINE)
         light = self.light(fine)
         wanted = 0.5 * (light[0] + light[-1]) + 0.5 * (light[-1] - light[0]) * fringe(size_px, period_px, step)
@@ -59,7 +60,7 @@ CODES = (MEAN_CODE - AMPLITUDE_CODE, MEAN_CODE + AMPLITUDE_CODE)
 
 
 def phase_error_rad(harmonics: NDArray[np.floating] | tuple[float, ...]) -> float:
-    """Largest error of a four-step phase on fringes with these harmonics.
+    """Return the largest error of a four-step phase on fringes with these harmonics, in radians.
 
     The phasor (I0 − I2) + i(I3 − I1) is 2 e^{iφ} (b₁ + b₃ e^{−4iφ} + b₅ e^{4iφ} + b₇ e^{−8iφ} + …): the phase is wrong by
     its argument less φ, which repeats four times a period.

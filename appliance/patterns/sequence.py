@@ -62,9 +62,9 @@ class Pattern:
                 return f"sine-{self.direction.value}-{STEP_DEG * self.index}"
 
     def codes(self, response: Response | None = None) -> NDArray[np.uint8]:
-        """The 8-bit codes along the varying axis: shape (size_px,) uint8. Gray stripes use the bright code.
+        """Return the 8-bit codes along the varying axis: shape (size_px,) uint8. Gray stripes use the bright code.
 
-        ``response``: the projector's, if it was measured; the light of sine fringes is then a sine, else their codes are.
+        ``response`` is the projector's, if it was measured; the light of sine fringes is then a sine, else their codes are.
         """
         match self.kind:
             case Kind.BRIGHT:
@@ -81,7 +81,7 @@ class Pattern:
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """Where one direction's frames stand in the sequence."""
+    """Frame numbers of one direction in the sequence."""
 
     direction: Direction
     size_px: int
@@ -135,7 +135,7 @@ class PatternSequence:
         return next(i for i, p in enumerate(self.patterns) if p.kind is Kind.DARK)
 
     def axis(self, direction: Direction) -> Axis:
-        """The frames that encode ``direction``."""
+        """Return the frame numbers that encode ``direction``."""
         mine = [(i, p) for i, p in enumerate(self.patterns) if p.direction is direction]
         gray = tuple(i for i, p in mine if p.kind is Kind.GRAY)
         s0, s1, s2, s3 = (i for i, p in mine if p.kind is Kind.SINE)
@@ -144,7 +144,7 @@ class PatternSequence:
 
 
 def build_sequence(period_px: int, width_px: int = 1024, height_px: int = 768) -> PatternSequence:
-    """The sequence for a fringe period: 24, 22 or 20 frames for 16, 32 or 64 px on 1024 × 768.
+    """Return the sequence for a fringe period: 24, 22 or 20 frames for 16, 32 or 64 px on 1024 × 768.
 
     Any period ≥ 4 px is accepted here (also no power of two); the rig file restricts what a diver may choose.
     Raises ValueError for a period outside 4..size.

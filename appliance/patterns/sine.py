@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 STEPS = 4
-"""Of 90° each; ``PatternSequence`` says what relies on it."""
+"""Number of phase steps, 90° apart; ``PatternSequence`` says what relies on it."""
 STEP_DEG = 360 // STEPS
 MEAN_CODE = 127.5
 AMPLITUDE_CODE = 119.5
@@ -20,11 +20,11 @@ AMPLITUDE_CODE = 119.5
 
 
 def fringe(size_px: int, period_px: int, step: int) -> NDArray[np.float64]:
-    """cos(φ + step·90°) at the pixels' centres: shape (size_px,), −1 … 1."""
+    """Return cos(φ + step·90°) at the pixels' centres: shape (size_px,), −1 … 1."""
     phase = 2.0 * np.pi * (np.arange(size_px, dtype=np.float64) + 0.5) / period_px
     return np.asarray(np.cos(phase + step * (np.pi / 2.0)))
 
 
 def sine_codes(size_px: int, period_px: int, step: int) -> NDArray[np.uint8]:
-    """Codes of step ``step`` (0..3) of a fringe pattern: shape (size_px,) uint8, rounded to nearest."""
+    """Return the codes of step ``step`` (0..3) of a fringe pattern: shape (size_px,) uint8, rounded to nearest."""
     return np.rint(MEAN_CODE + AMPLITUDE_CODE * fringe(size_px, period_px, step)).astype(np.uint8)
