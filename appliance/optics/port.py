@@ -44,8 +44,10 @@ def water_rays(port: Port, water_index: float, air_directions: Array) -> tuple[A
     """Return the rays in water of air directions (..., 3): (points on the outer face, unit directions), camera frame, mm."""
     n = np.asarray(port.normal, np.float64)
     a = np.asarray(air_directions, np.float64)
+    # Both from air: a plane-parallel glass does not change the direction in water.
     g = refract(a, n, 1.0 / port.glass_index)
     w = refract(a, n, 1.0 / water_index)
+    # Through the air to the inner face, then through the glass to the outer one.
     point = a * (port.distance_mm / np.sum(a * n, -1, keepdims=True)) + g * (
         port.thickness_mm / np.sum(g * n, -1, keepdims=True)
     )

@@ -36,6 +36,7 @@ def ray_lattice(camera: HousedCamera, water_index: float, plane_z_mm: float) -> 
     origin, direction = camera.rays(np.stack([u, v], -1), water_index)
     if float(np.min(direction[..., 2])) < 1e-3:
         raise ValueError("a ray runs parallel to the mid-volume plane; check the calibration's relative orientation")
+    # Each ray where it meets the plane in the middle of the volume.
     slope = direction[..., :2] / direction[..., 2:]
     start = origin[..., :2] + slope * (plane_z_mm - origin[..., 2:])
     nodes = np.ascontiguousarray(np.concatenate([start, slope], -1), np.float32)

@@ -21,6 +21,7 @@ def gray_bit(size_px: int, period_px: int, bit: int) -> NDArray[np.bool_]:
     """Return which places of ``size_px`` are illuminated in the image of bit ``bit`` (0 = most significant) of the reflected
     binary code: shape (size_px,) bool."""
     half_period = 2 * np.arange(size_px, dtype=np.int64) // period_px
+    # Reflected binary code: n xor n/2.
     code = half_period ^ (half_period >> 1)
     shift = bit_count(size_px, period_px) - 1 - bit
     return (code >> shift & 1).astype(np.bool_)

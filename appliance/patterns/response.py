@@ -44,6 +44,7 @@ class Response:
     def sine_codes(self, size_px: int, period_px: int, step: int) -> NDArray[np.uint8]:
         """Return the codes of step ``step`` as ``patterns.sine.sine_codes`` does, so that light instead of codes is the sine, between
         the light of the same ends: shape (size_px,) uint8."""
+        # Invert the response by interpolation: the code that makes the light wanted.
         fine = np.linspace(*CODES, _FINE)
         light = self.light(fine)
         wanted = 0.5 * (light[0] + light[-1]) + 0.5 * (light[-1] - light[0]) * fringe(size_px, period_px, step)

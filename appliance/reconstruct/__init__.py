@@ -1,1 +1,1 @@
-"""From frames to points: phases, correspondence, refracted rays, quality."""
+"""Reconstruction: frames become phases, correspondences, refracted rays, and points of known quality."""

@@ -2,6 +2,9 @@
 
 The first cloud's pixels are the lattice. Where both have the surface, the point goes along its normal to their mean, each
 weighted by its expected error; where only the second has it, its point is taken; where they contradict, neither is.
+
+Symbols: s1 (``mine``) and s2 (``theirs``) are the expected errors of two points, d (``apart``) the distance of the second one
+from the first one's surface, along its normal n. Their mean is x1 + s1² / (s1² + s2²) · d n, with error s1 s2 / √(s1² + s2²).
 """
 
 from __future__ import annotations
@@ -19,28 +22,28 @@ from appliance.reconstruct.surface import TERMS, Surface, normal_at, pixel_of
 from appliance.reconstruct.table import Cloud
 
 MAX_SIGMA = 5.0
-"""Two points of one surface are farther apart once in a million."""
+"""Largest distance over its noise of two points of one surface: they are farther apart once in a million."""
 OTHER_SURFACE_MM = 1.0
-"""What is farther apart than this is seen past an edge: two surfaces, and no contradiction."""
+"""Distance in mm beyond which two points belong to two surfaces, one seen past an edge of the other, and do not contradict."""
 _SHARED, _MASKED = np.uint8(1), np.uint8(2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fused:
-    """The cloud, and shares 0..1 of its points."""
+    """A fused cloud, and shares 0..1 of its points."""
 
     cloud: Cloud
     second: float
-    """Only the second cloud has them."""
+    """Share that only the second cloud has."""
     both: float
     masked: float
-    """Taken out, of what both had."""
+    """Share taken out, of what both had."""
 
 
 def fuse(surface: Surface, first: Cloud, second: Cloud, found: Registration, grey: tuple[float, float]) -> Fused:
-    """``first``, which made ``surface``, and ``second`` as one, in the first one's frame; pixels are the first one's.
+    """Fuse ``first``, which made ``surface``, and ``second`` in the first one's frame; pixels are the first one's.
 
-    ``grey``: what either cloud's intensities are multiplied by, so that both mean the same light.
+    ``grey`` is what either cloud's intensities are multiplied by, so that both mean the same light.
     """
     points_mm, sigma_mm = first.points_mm.copy(), first.sigma_mm.copy()
     fate = np.zeros(len(first.pixel), np.uint8)
@@ -65,7 +68,7 @@ def _fuse(
     placed: NDArray[np.int64],
     filled: NDArray[np.bool_],
 ) -> None:
-    """The first point that comes decides about a pixel."""
+    """Fuse point by point; the first point that comes decides about a pixel."""
     rows, columns = surface.at.shape
     terms, a, b, normal = np.empty(TERMS), np.empty(3), np.empty(3), np.empty(3)
     for k in range(len(moved_mm)):
@@ -75,6 +78,7 @@ def _fuse(
             continue
         row, column = round(v), round(u)
         one = surface.at[row, column]
+        # Nothing there in the first cloud: the second one's point is taken.
         if one < 0:
             if not filled[row, column]:
                 filled[row, column] = True
@@ -82,6 +86,7 @@ def _fuse(
             continue
         if fate[one] == _SHARED or not normal_at(surface, row, column, a, b, normal):
             continue
+        # Distance along the normal, against the noise of both.
         mine, theirs = np.float64(surface.sigma_mm[one]), np.float64(moved_sigma_mm[k])
         expected = math.sqrt(mine * mine + theirs * theirs)
         apart = normal[0] * (x - surface.points_mm[one, 0]) + normal[1] * (y - surface.points_mm[one, 1])
@@ -106,7 +111,7 @@ def _joined(
     placed: NDArray[np.int64],
     grey: tuple[float, float],
 ) -> Cloud:
-    """In the order of the pixels, as every cloud is."""
+    """Return the joined cloud in the order of the pixels, as every cloud is."""
     points, sigma = fused
     pixel = np.concatenate([first.pixel[keep], placed[taken].astype(np.uint32)])
     order = np.argsort(pixel, kind="stable")
@@ -114,6 +119,7 @@ def _joined(
     def join(one: NDArray[np.float32], other: NDArray[np.float32]) -> NDArray[np.float32]:
         return np.concatenate([one[keep], other[taken]])[order]
 
+    # Of two exposures, the shorter one's grey values are the common scale.
     def level(cloud: Cloud, factor: float) -> NDArray[np.float32]:
         return np.asarray(np.rint(cloud.intensity.astype(np.float32) * np.float32(factor)), np.float32)
 
@@ -122,10 +128,10 @@ def _joined(
     gap_mm = join(first.ray_gap_mm, second.ray_gap_mm)
     xyz_mm = np.concatenate([points[keep], moved_mm[taken]])[order]
     known = len(xyz_mm) > 0
-    lit = max(_lit(first), _lit(second))
+    illuminated = max(_illuminated(first), _illuminated(second))
     summary = CloudSummary(
         points=len(xyz_mm),
-        coverage_percent=min(100.0, 100.0 * len(xyz_mm) / lit) if lit else None,
+        coverage_percent=min(100.0, 100.0 * len(xyz_mm) / illuminated) if illuminated else None,
         distance_mm=float(np.median(xyz_mm[:, 2])) if known else None,
         noise_mm=float(np.median(sigma_mm)) if known else None,
         gap_mm=float(np.median(gap_mm)) if known else None,
@@ -142,7 +148,7 @@ def _joined(
     )
 
 
-def _lit(cloud: Cloud) -> float:
-    """Pixels with projector light."""
+def _illuminated(cloud: Cloud) -> float:
+    """Return the number of pixels with projector light."""
     coverage = cloud.summary.coverage_percent
     return 100.0 * len(cloud.pixel) / coverage if coverage else 0.0

@@ -1,4 +1,8 @@
-"""Owns the sample of signed ray gaps of a scan: matched like all points, but before any limit could hide a knock."""
+"""Owns the sample of signed ray gaps of a scan: matched like all points, but before any limit could hide a knock.
+
+The gap is w · n / |n|, w the offset of the two rays on the lattice's plane and n the cross product of their directions; its
+sign is that of the side on which the right ray passes.
+"""
 
 from __future__ import annotations
 
@@ -13,9 +17,9 @@ from appliance.reconstruct.scratch import SIZE, SX1, SX2, SY1, SY2, X1, X2, Y1, 
 from appliance.reconstruct.triangulate import Rays, triangulate_row
 
 SAMPLES = 5_000
-"""Left pixels that are asked: a hundred in each patch of a lit image, so that noise is a tenth of that of a point."""
+"""Number of left pixels that are asked: a hundred in each patch of a lit image, so that noise is a tenth of that of a point."""
 MAX_GAP_MM = np.float32(20.0)
-"""Beyond, it is a false match: no camera that still sees the fringes is knocked so far."""
+"""Largest gap in mm; beyond, it is a false match: no camera that still sees the fringes is knocked so far."""
 MIN_DEPTH_MM, MAX_DEPTH_MM = np.float32(300.0), np.float32(900.0)
 _NAN = np.float32(np.nan)
 _COLUMNS = 5
@@ -44,6 +48,7 @@ def _sample(
         for x in range(n):
             if not (MIN_DEPTH_MM < s[Z + x] < MAX_DEPTH_MM):
                 continue
+            # n = (ax, ay, 1) × (bx, by, 1).
             ax, ay, bx, by = s[SX1 + x], s[SY1 + x], s[SX2 + x], s[SY2 + x]
             cx, cy, cz = ay - by, bx - ax, ax * by - ay * bx
             gap = ((s[X1 + x] - s[X2 + x]) * cx + (s[Y1 + x] - s[Y2 + x]) * cy) / np.sqrt(cx * cx + cy * cy + cz * cz)
@@ -56,7 +61,7 @@ def _sample(
 
 
 class GapSampler:
-    """Samples the gaps of one instrument's scans. Buffers are allocated once."""
+    """A sampler of the gaps of one instrument's scans. Buffers are allocated once."""
 
     def __init__(self, modes: GapModes) -> None:
         self._modes = modes
@@ -72,7 +77,7 @@ class GapSampler:
         right: RightMaps,
         rays: Rays,
     ) -> PatchGaps:
-        """The gaps of a decoded scan; ``right`` with its inverse map filled."""
+        """Return the gaps of a decoded scan; ``right`` with its inverse map filled."""
         count = int(_sample(p_px, q_px, right, rays, self._stride, self._found))
         found = self._found[:count].astype(np.float64)
         return average(self._modes, found[:, 0:2], found[:, 2:4], 1000.0 * found[:, 4])

@@ -24,7 +24,7 @@ class ScanImages:
     decoded: Mapping[str, CameraDecoder]
     """Coordinates, modulation and masks. They mean nothing where a frame shows another pattern than it should."""
     settings: AcquisitionSettings = AcquisitionSettings()  # noqa: RUF009
-    """How the sequence was taken."""
+    """Settings with which the sequence was taken."""
 
     @property
     def noise(self) -> StereoNoise:
@@ -38,5 +38,5 @@ class ScanImages:
 
     @property
     def exposure_s(self) -> float:
-        """How long each frame was exposed, in seconds."""
+        """Exposure time of each frame in seconds."""
         return 1e-6 * self.settings.exposure.time_us

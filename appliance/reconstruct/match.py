@@ -7,6 +7,11 @@ first row) start from an inverse map (pattern node → pixel) and go a slower wa
 
 The last step is of second order: a parabola through three pixels in each direction. It follows curved surfaces and, as
 its weights on noise are smaller than those of a straight line, it scatters less: 0.80 instead of 1.08 of one pixel's variance.
+
+Symbols: (u, v) is a right column and row in px, (du, dv) the step from a pixel to the point. pu, pv, qu, qv are ∂p/∂u …
+∂q/∂v, puu … qvv second differences, det = pu qv − pv qu. up, uq, vp, vq are the inverse derivatives up to their signs:
+du = up dp − uq dq, dv = vq dq − vp dp. In the scratch row, PC, PL, PR, PT, PB are p at the pixel (centre) and at its
+neighbours to the left, right, top and bottom; QC … QB the same of q.
 """
 
 from __future__ import annotations
@@ -47,16 +52,17 @@ from appliance.reconstruct.scratch import (
 
 MAX_STEPS = 4
 MAX_FINAL_STEP_PX = np.float32(0.75)
-"""Noise can make two neighbours point at each other for ever; a little more than half a pixel is as good."""
+"""Longest last step in px. Noise can make two neighbours point at each other for ever; a little more than half a pixel is
+as good."""
 MAX_FIRST_STEP_PX = np.float32(4.0)
-"""From the pixel that the inverse map knows."""
+"""Longest step in px from the pixel that the inverse map knows."""
 MIN_DETERMINANT = np.float32(1e-4)
 NODE_MARGIN = np.float32(1.5)
-"""Coordinates from −1 px on round to nodes from 0 on."""
+"""Offset of node numbers, so that coordinates from −1 px on round to nodes from 0 on."""
 _HOME, _LOST, _OUTSIDE = 1, 0, -1
-"""How a walk ends."""
+"""The three ends of a walk."""
 _BLOCK = 64
-"""So many pixels are passed over at once where all have a match."""
+"""Number of pixels that are passed over at once where all have a match."""
 _ZERO, _ONE, _TWO, _HALF = np.float32(0.0), np.float32(1.0), np.float32(2.0), np.float32(0.5)
 _NAN = np.float32(np.nan)
 NO_VARIANCE = np.zeros((0, 0), np.float32)
@@ -64,7 +70,7 @@ NO_VARIANCE = np.zeros((0, 0), np.float32)
 
 
 class RightMaps(NamedTuple):
-    """What a left pixel is looked up in. Maps are (h, w)."""
+    """Maps of the right camera in which a left pixel is looked up, (h, w) each."""
 
     p_px: NDArray[np.float32]
     """Pattern column; NaN where there is none."""
@@ -75,7 +81,7 @@ class RightMaps(NamedTuple):
     nodes_per_px: np.float32
     """1 / distance of nodes in pattern px."""
     max_derivative_sum_px: np.float32
-    """Sum of the absolute derivatives of p and q; beyond, the neighbours lie on another surface."""
+    """Largest sum of the absolute derivatives of p and q; beyond, the neighbours lie on another surface."""
     variance_px2: NDArray[np.float32] = NO_VARIANCE
     """(h, w): variance of either coordinate, in px² of the pattern, where it is known better than by modulation and light."""
 
@@ -111,12 +117,14 @@ def fill_inverse_map(right: RightMaps, stride: int) -> None:
     rows, columns = right.p_px.shape
     scale = right.nodes_per_px
     for y in range(1, rows - 1, stride):
+        # The last pixel of those that round to a node stays.
         p, q = right.p_px[y], right.q_px[y]
         for x in range(1, columns - 1, stride):
             if p[x] == p[x]:
                 node_i = np.int32(p[x] * scale + NODE_MARGIN)
                 node_j = np.int32(q[x] * scale + NODE_MARGIN)
                 inverse[node_j, node_i] = np.uint32(y << 16 | x)
+    # An empty node takes the pixel of a neighbour, left and above first.
     for j in range(1, node_rows - 1):
         for i in range(1, node_columns - 1):
             if inverse[j, i] == 0:
@@ -126,13 +134,13 @@ def fill_inverse_map(right: RightMaps, stride: int) -> None:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _upper_left(u: np.int32, v: np.int32, width: np.int32) -> np.int32:
-    """Flat index of a pixel's neighbour to the upper left."""
+    """Return the flat index of a pixel's neighbour to the upper left."""
     return np.int32((v - np.int32(1)) * width + u - np.int32(1))
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _nearest(at: np.float32, last: np.float32) -> np.float32:
-    """The pixel nearest to ``at`` among those from 1 to ``last``."""
+    """Return the pixel nearest to ``at`` among those from 1 to ``last``."""
     # In this form NaN becomes 1.
     at = at if at > _ONE else _ONE
     at = at if at < last else last
@@ -143,9 +151,10 @@ def _nearest(at: np.float32, last: np.float32) -> np.float32:
 def _predict(
     above: NDArray[np.float32], s: NDArray[np.float32], n: int, width: np.int32, height: np.int32, at: NDArray[np.int32]
 ) -> None:
-    """The pixel nearest to where the point above moves, by its own derivatives; some pixel where nothing is known."""
+    """Choose the pixel nearest to where the point above moves, by its own derivatives; some pixel where nothing is known."""
     last_u, last_v = np.float32(width) - np.float32(2.0), np.float32(height) - np.float32(2.0)
     for x in range(n):
+        # (u, v) = (u, v)_above + J⁻¹ (dp, dq), with the derivatives of the row above.
         dp, dq = s[P + x] - above[P + x], s[Q + x] - above[Q + x]
         u = _nearest(above[U + x] + above[UP + x] * dp - above[UQ + x] * dq, last_u)
         v = _nearest(above[V + x] + above[VQ + x] * dq - above[VP + x] * dp, last_v)
@@ -156,12 +165,13 @@ def _predict(
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _look_up(right: RightMaps, s: NDArray[np.float32], n: int, at: NDArray[np.int32]) -> None:
-    """The pixel that the inverse map knows; some pixel where it knows none."""
+    """Choose the pixel that the inverse map knows; some pixel where it knows none."""
     inverse = right.inverse.reshape(-1)
     columns, width = np.int32(right.inverse.shape[1]), np.int32(right.p_px.shape[1])
     for x in range(n):
         start = np.uint32(0)
         if s[P + x] == s[P + x]:
+            # 65537 is pixel (1, 1): where nothing is known, what it leads to is judged like all else.
             i = np.int32(s[P + x] * right.nodes_per_px + NODE_MARGIN)
             j = np.int32(s[Q + x] * right.nodes_per_px + NODE_MARGIN)
             start = inverse[np.uint32(j * columns + i)]
@@ -173,7 +183,7 @@ def _look_up(right: RightMaps, s: NDArray[np.float32], n: int, at: NDArray[np.in
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
 def _move_on(s: NDArray[np.float32], n: int, width: np.int32, height: np.int32, at: NDArray[np.int32]) -> None:
-    """To the pixel nearest to where the last step went."""
+    """Choose the pixel nearest to where the last step went."""
     last_u, last_v = np.float32(width) - np.float32(2.0), np.float32(height) - np.float32(2.0)
     for x in range(n):
         u, v = _nearest(s[U + x], last_u), _nearest(s[V + x], last_v)
@@ -184,6 +194,7 @@ def _move_on(s: NDArray[np.float32], n: int, width: np.int32, height: np.int32, 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _take(source: NDArray[np.float32], at: NDArray[np.int32], n: int, target: NDArray[np.float32]) -> None:
+    """Copy ``source`` at the places ``at`` to ``target``; unsigned places need no check for negative ones."""
     for x in range(n):
         target[x] = source[np.uint32(at[x])]
 
@@ -198,7 +209,7 @@ def _gather(
     n: int,
     s: NDArray[np.float32],
 ) -> None:
-    """The pixels chosen and their neighbours. ``at`` names the neighbour to the upper left: so all else lies behind it.
+    """Load the pixels chosen and their neighbours. ``at`` names the neighbour to the upper left: so all else lies behind it.
 
     One quantity after the other: a loop with ten places to load from and ten to store to takes a third longer.
     """
@@ -220,9 +231,10 @@ def _gather(
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
 def _share(a: np.float32, b: np.float32) -> np.float32:
-    """Variance of a coordinate read off (du, dv) from a pixel, of that of one pixel; a = ½ du², b = ½ dv².
+    """Return the variance of a coordinate read off (du, dv) from a pixel, over that of one pixel; a = ½ du², b = ½ dv².
 
-    Its weight is 1 − du² − dv², its neighbours' are ½(du² ± du) and ½(dv² ± dv).
+    Its weight is 1 − du² − dv², its neighbours' are ½(du² ± du) and ½(dv² ± dv): the sum of their squares is
+    (1 − 2(a + b))² + (a + b) + 2(a² + b²).
     """
     both = a + b
     centre = _ONE - _TWO * both
@@ -231,19 +243,22 @@ def _share(a: np.float32, b: np.float32) -> np.float32:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
 def _newton(s: NDArray[np.float32], n: int, max_step: np.float32, max_sum: np.float32, curvature: np.float32) -> None:
-    """One step on central differences; NaN in U where it is not trusted.
+    """Make one step on central differences; NaN in U where it is not trusted.
 
     ``curvature`` 1: along the parabola, in one more substitution; 0: straight, which is safer over several pixels.
     """
     half = _HALF * curvature
     for x in range(n):
+        # J by central differences, and its inverse.
         pu, qu = _HALF * (s[PR + x] - s[PL + x]), _HALF * (s[QR + x] - s[QL + x])
         pv, qv = _HALF * (s[PB + x] - s[PT + x]), _HALF * (s[QB + x] - s[QT + x])
         det = pu * qv - pv * qu
         inverse = _ONE / det
         up, uq, vq, vp = qv * inverse, pv * inverse, pu * inverse, qu * inverse
+        # Straight step: (du, dv) = J⁻¹ (dp, dq).
         dp, dq = s[P + x] - s[PC + x], s[Q + x] - s[QC + x]
         du, dv = up * dp - uq * dq, vq * dq - vp * dp
+        # Take off what the parabola adds there: dp − ½ du² puu − ½ dv² pvv; no mixed term, whose pixels are not loaded.
         puu, pvv = s[PR + x] + s[PL + x] - _TWO * s[PC + x], s[PB + x] + s[PT + x] - _TWO * s[PC + x]
         quu, qvv = s[QR + x] + s[QL + x] - _TWO * s[QC + x], s[QB + x] + s[QT + x] - _TWO * s[QC + x]
         du2, dv2 = half * du * du, half * dv * dv
@@ -252,6 +267,7 @@ def _newton(s: NDArray[np.float32], n: int, max_step: np.float32, max_sum: np.fl
         # Judged by the straight step: a parabola far from its pixel may lead anywhere.
         home = (abs(du) <= max_step) & (abs(dv) <= max_step)
         du, dv = up * dp - uq * dq, vq * dq - vp * dp
+        # No neighbour on another surface, and derivatives that can be inverted.
         smooth = (abs(pu) + abs(pv) + abs(qu) + abs(qv) <= max_sum) & (abs(det) > MIN_DETERMINANT)
         s[U + x] = s[U_START + x] + du if home & smooth else _NAN
         s[V + x] = s[V_START + x] + dv
@@ -266,7 +282,7 @@ def _newton(s: NDArray[np.float32], n: int, max_step: np.float32, max_sum: np.fl
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", inline="always")
 def _derivative(m0: np.float32, c: np.float32, m1: np.float32) -> np.float32:
-    """Central, or one-sided where one neighbour is missing; NaN where both are."""
+    """Return the central difference, or a one-sided one where one neighbour is missing; NaN where both are."""
     if m0 == m0 and m1 == m1:
         return _HALF * (m1 - m0)
     return m1 - c if m1 == m1 else c - m0
@@ -274,7 +290,7 @@ def _derivative(m0: np.float32, c: np.float32, m1: np.float32) -> np.float32:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", inline="always")
 def _bend(m0: np.float32, c: np.float32, m1: np.float32) -> np.float32:
-    """Second difference; 0 where a neighbour is missing."""
+    """Return the second difference; 0 where a neighbour is missing."""
     return m0 + m1 - _TWO * c if m0 == m0 and m1 == m1 else _ZERO
 
 
@@ -288,7 +304,7 @@ def _walk(
     x: int,
     s: NDArray[np.float32],
 ) -> int:
-    """Newton steps from one right pixel to the next until home, one-sided where a neighbour is missing.
+    """Make Newton steps from one right pixel to the next until home, one-sided where a neighbour is missing.
 
     Returns _HOME, _LOST, or _OUTSIDE when a step leaves the image.
     """
@@ -297,6 +313,7 @@ def _walk(
     v, u = np.int64(start >> np.uint32(16)), np.int64(start & np.uint32(0xFFFF))
     far = np.float32(3.0)
     for step in range(MAX_STEPS):
+        # J at this pixel.
         c, d = p_px[v, u], q_px[v, u]
         pu = _derivative(p_px[v, u - 1], c, p_px[v, u + 1])
         qu = _derivative(q_px[v, u - 1], d, q_px[v, u + 1])
@@ -305,15 +322,18 @@ def _walk(
         det = pu * qv - pv * qu
         if not (abs(pu) + abs(pv) + abs(qu) + abs(qv) <= max_sum and abs(det) > MIN_DETERMINANT):
             return _LOST
+        # Straight step, and the pixel it leads to.
         inverse = _ONE / det
         du = (qv * (p - c) - pv * (q - d)) * inverse
         dv = (pu * (q - d) - qu * (p - c)) * inverse
+        # At most three pixels at a time: far from home, derivatives are those of another place.
         nu = u + np.int64(np.rint(min(max(du, -far), far)))
         nv = v + np.int64(np.rint(min(max(dv, -far), far)))
         inside = 1 <= nu < columns - 1 and 1 <= nv < rows - 1
         goes_on = inside and step < MAX_STEPS - 1 and p_px[nv, nu] == p_px[nv, nu]
         limit = _HALF if goes_on else MAX_FINAL_STEP_PX
         if abs(du) <= limit and abs(dv) <= limit:
+            # Home: the same second-order step as in ``_newton``, and all that it leaves behind.
             puu, pvv = _bend(p_px[v, u - 1], c, p_px[v, u + 1]), _bend(p_px[v - 1, u], c, p_px[v + 1, u])
             quu, qvv = _bend(q_px[v, u - 1], d, q_px[v, u + 1]), _bend(q_px[v - 1, u], d, q_px[v + 1, u])
             du2, dv2 = _HALF * du * du, _HALF * dv * dv
@@ -335,6 +355,7 @@ def _walk(
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _any_missing(s: NDArray[np.float32], n: int) -> bool:
+    """Tell whether any of ``n`` places has coordinates and no match."""
     found = np.int32(0)
     for x in range(n):
         missing = (s[P + x] == s[P + x]) & (s[U + x] != s[U + x])
@@ -353,8 +374,7 @@ def _search(
     s: NDArray[np.float32],
     n: int,
 ) -> None:
-    """The slower way for what has no match yet: walk from the pixel's node, or, when lost, once more from a neighbour of
-    it.
+    """Match what has no match yet, the slower way: walk from the pixel's node or, when lost, once more from a neighbour of it.
 
     Arrays come one by one: handing on a tuple of them would count references for each pixel.
     """
@@ -363,6 +383,7 @@ def _search(
             continue
         ni = np.int64(s[P + x] * nodes_per_px + NODE_MARGIN)
         nj = np.int64(s[Q + x] * nodes_per_px + NODE_MARGIN)
+        # The node itself, then its four neighbours.
         tried = np.uint32(0)
         for ring in range(5):
             i = ni + (0, 1, -1, 0, 0)[ring]
@@ -397,6 +418,7 @@ def match_row(
     """
     height, width = right.p_px.shape
     p, q, modulation = right.p_px.reshape(-1), right.q_px.reshape(-1), right.modulation_half_dn.reshape(-1)
+    # A pixel near the match: from the row above, or from the inverse map and one straight step.
     if coherent:
         _predict(above, s, n, np.int32(width), np.int32(height), at)
     else:
@@ -404,6 +426,7 @@ def match_row(
         _gather(p, q, modulation, width, at, n, s)
         _newton(s, n, MAX_FIRST_STEP_PX, right.max_derivative_sum_px, _ZERO)
         _move_on(s, n, np.int32(width), np.int32(height), at)
+    # The subpixel step, and the slower way for what it does not lead home.
     _gather(p, q, modulation, width, at, n, s)
     _newton(s, n, MAX_FINAL_STEP_PX, right.max_derivative_sum_px, _ONE)
     for begin in range(0, n, _BLOCK):

@@ -1,8 +1,11 @@
 """Owns two exposures of one scene as one: the maps of two decoded sequences, merged pixel by pixel.
 
-Each coordinate has a variance that follows from modulation, light and camera noise; where both sequences have one, they are
+Each coordinate has a variance that follows from modulation, offset and camera noise; where both sequences have one, they are
 weighted by it, and must agree within it. Where only one has one, because the other is saturated or too dark there, that
 one is taken. What disagrees is masked: something moved in between.
+
+Symbols: V1, V2 are the variances of a pixel's coordinates in the first and in the second sequence; their mean is
+(V2 x1 + V1 x2)/(V1 + V2), with variance V1 V2/(V1 + V2). a and b say which sequence has a coordinate to be believed.
 """
 
 from __future__ import annotations
@@ -18,18 +21,18 @@ from appliance.scan.noise import CameraNoise
 
 Maps = CameraDecoder | DecodedMaps
 MAX_SIGMA = 5.0
-"""Two coordinates of one surface point differ by more in one pixel of a million."""
+"""Largest distance of two coordinates over its noise: those of one surface point differ by more in one pixel of a million."""
 ROWS = 64
-"""Merged at once: the whole stays small."""
+"""Number of rows that are merged at once: the whole stays small."""
 BLOCK_ROWS, BLOCK_COLUMNS, LEAST_SHARED = 6, 8, 100
-"""Parts of the image of which each is asked whether it has moved, and pixels that both sequences must have in it."""
+"""Parts of the image each of which is asked whether it has moved, and the least number of pixels both sequences must share in it."""
 MAX_SHIFT = 0.5
-"""Of the noise of a difference: from here on what has moved is seen in the surface."""
+"""Shift common to the image, over the noise of a difference, from which on what has moved is seen in the surface."""
 
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """Of one camera. Shares are of all pixels, 0..1."""
+    """Agreement of two sequences in one camera. Shares are of all pixels, 0..1."""
 
     first: float
     """Pixels that only the first sequence has."""
@@ -37,14 +40,14 @@ class Agreement:
     both: float
     """Pixels that both had, those masked included."""
     masked: float
-    """Of those, pixels in which they disagreed."""
+    """Pixels in which the two disagreed."""
     shift: float | None
-    """By how much all moved from the first sequence to the second: median over the image of what the coordinates of
+    """Movement of the whole image from the first sequence to the second: median over its parts of what the coordinates of
     neighbours have in common, over their noise; ``None`` where too few pixels are shared to tell."""
 
     @property
     def agrees(self) -> bool | None:
-        """Whether both saw the same; ``None``: it cannot be told."""
+        """True if both saw the same; ``None``: it cannot be told."""
         return None if self.shift is None else self.shift <= MAX_SHIFT
 
 
@@ -79,7 +82,7 @@ def merge(
 
 
 def _shift(differences: NDArray[np.float32]) -> float | None:
-    """Of the differences (2, h, w) of both coordinates over their sigmas, NaN where only one sequence has a coordinate."""
+    """Return the shift of the differences (2, h, w) of both coordinates over their noise, NaN where only one sequence has one."""
     shifts = []
     for strip in np.array_split(differences, BLOCK_ROWS, axis=1):
         for block in np.array_split(strip, BLOCK_COLUMNS, axis=2):
@@ -105,6 +108,7 @@ def _merge_rows(
     doubtful = (Mask.CONTRADICTION, Mask.EDGE)
     a &= ~(np.isin(other, doubtful) & (variance[1] < variance[0]))
     b &= ~(np.isin(mask, doubtful) & (variance[0] < variance[1]))
+    # Differences over their noise √(V1 + V2), of both coordinates.
     both = a & b
     expected = np.sqrt(variance[0] + variance[1])
     apart = np.zeros(mask.shape, np.float32)
@@ -115,15 +119,17 @@ def _merge_rows(
     differs = both & (apart > MAX_SIGMA)
     merged = both & ~differs
     taken = b & ~a
+    # The mean by variance, or the one there is.
     weight = variance[1] / (variance[0] + variance[1])
     for mine, theirs in ((first.p_px[rows], second.p_px[rows]), (first.q_px[rows], second.q_px[rows])):
         mine[merged] = (weight * mine + (1.0 - weight) * theirs)[merged]
         mine[taken] = theirs[taken]
         mine[~(a | b) | differs] = np.nan
+    # A coordinate that the clearer sequence calls an edge, a contradiction of both, and what the second one gives.
     mask[~a & (mask == Mask.VALID)] = Mask.EDGE
     mask[differs] = Mask.CONTRADICTION
     mask[taken] = Mask.VALID
-    # Of a mean by variance 1/V = 1/V1 + 1/V2; what a pixel looked like is told by the clearer sequence.
+    # 1/V = 1/V1 + 1/V2; what a pixel looked like is told by the clearer sequence.
     mean = 1.0 / (1.0 / variance[0] + 1.0 / variance[1])
     variance_px2[rows] = np.where(merged, mean, np.where(taken, variance[1], variance[0]))
     clearer = taken | (merged & (variance[1] < variance[0]))

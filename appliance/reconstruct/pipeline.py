@@ -33,20 +33,20 @@ from appliance.scan.noise import TYPICAL_PAIR, StereoNoise
 from appliance.scan.sides import SIDES, of_side
 
 COARSE_POINTS = 30_000
-"""Left pixels asked for the coarse cloud; 20,000 points remain when 70 % of them see the object."""
+"""Number of left pixels asked for the coarse cloud; 20,000 points remain when 70 % of them see the object."""
 MIN_COARSE_NEIGHBOURS = 2
-"""Of eight; they are farther apart, and one may lie beyond an edge."""
+"""Least number of neighbours of a coarse point, of eight: they are farther apart, and one may lie beyond an edge."""
 LOOSE_GAP_MM = np.float32(5.0)
-"""Rays of the same point, seen while it moved."""
+"""Largest gap of the two rays of the same point, seen while it moved."""
 THREADS = 2
 __all__ = ["Cloud", "Pipeline"]
 
 
 class Pipeline:
-    """Reconstructs scans of one sequence with one calibration in one water; reusable, not thread-safe.
+    """A reconstruction of scans of one sequence with one calibration in one water; reusable, not thread-safe.
 
-    Points are left in ``table``, by default one of its own. ``noise`` makes their expected errors. Raises ValueError for cameras wider than 4096 px and for a
-    table that is too small.
+    Points are left in ``table``, by default one of its own. ``noise`` makes their expected errors. Raises ValueError for cameras
+    wider than 4096 px and for a table that is too small.
     """
 
     def __init__(
@@ -78,6 +78,7 @@ class Pipeline:
         seen = self._decoders["right"]
         self._right = right_maps(seen.p_px, seen.q_px, seen.modulation_half_dn, sequence.width_px, sequence.height_px)
         self._gaps = _sampler(calibration, water)
+        # Every second pixel fills the inverse map of a large image; a small one needs all.
         self._inverse_stride = 2 if right.width_px >= 800 else 1
         self._noise, self._ripple = noise, STILL
         self._factors = sigma_factors(sequence.period_px, noise)
@@ -107,7 +108,7 @@ class Pipeline:
 
     @property
     def limits(self) -> QualityLimits:
-        """What points must keep."""
+        """Limits that points must keep."""
         return self._limits
 
     @property
@@ -116,7 +117,7 @@ class Pipeline:
         return self._sequence
 
     def expect(self, noise: StereoNoise) -> None:
-        """From now on, points' expected errors are those of cameras with this noise."""
+        """Make points' expected errors those of cameras with this noise, from now on."""
         self._noise = noise
         self._factors = sigma_factors(self._sequence.period_px, noise, self._ripple)
 
@@ -130,7 +131,7 @@ class Pipeline:
         return self._decoders[side]
 
     def recalibrate(self, calibration: Calibration, water: Water) -> None:
-        """From now on with another calibration of cameras of the same size, or in other water.
+        """Use another calibration of cameras of the same size, or other water, from now on.
 
         A scan whose ``coarse`` was called stays decoded: ``full`` gives its points anew. Raises ValueError for cameras
         of another size.
@@ -146,15 +147,15 @@ class Pipeline:
         self._gaps = GapSampler(GapModes(calibration.rig, water.index))
 
     def coarse(self) -> Cloud:
-        """After the last frame: the coarse cloud. Call once per scan, before ``full``."""
+        """Return the coarse cloud. Call once per scan, after the last frame and before ``full``."""
         return self.table.cloud(self.find_coarse())
 
     def full(self) -> Cloud:
-        """The full cloud: every left pixel that has a true correspondence. Call after ``coarse``."""
+        """Return the full cloud: every left pixel that has a true correspondence. Call after ``coarse``."""
         return self.table.cloud(self.find_full())
 
     def find_coarse(self) -> Found:
-        """As ``coarse``, leaving the points in the table."""
+        """Find the coarse cloud, as ``coarse`` does, and leave the points in the table."""
         for decoder in self._decoders.values():
             decoder.finish()
         self._read_through_backscatter()
@@ -180,6 +181,7 @@ class Pipeline:
         return self._with_gaps(self._find_in(left, right, self._factors, 1, limits, self.table))
 
     def _prepare(self) -> None:
+        # The inverse map and the ripple are the scan's; sigma needs the latter.
         fill_inverse_map(self._right, self._inverse_stride)
         left, period_px = self._decoders["left"], self._sequence.period_px
         self._ripple = measure_ripple(left.p_px, left.illuminated_columns, period_px)
@@ -195,7 +197,7 @@ class Pipeline:
             pass
 
     def find_full(self) -> Found:
-        """As ``full``, leaving the points in the table."""
+        """Find the full cloud, as ``full`` does, and leave the points in the table."""
         return self._with_gaps(self._find(1))
 
     def _with_gaps(self, found: Found) -> Found:
@@ -206,10 +208,10 @@ class Pipeline:
         return replace(found, gaps=gaps)
 
     def sample(self, stride: int, any_depth: bool = False) -> Cloud:
-        """After ``coarse``: every ``stride``-th left pixel's point, also where its rays miss each other by far, and with
-        ``any_depth`` also where it lies outside of the depths that are measured.
+        """Return every ``stride``-th left pixel's point, also where its rays miss each other by far; call after ``coarse``.
 
-        For what asks why they do. The table is left as it is.
+        With ``any_depth``, points outside of the depths that are measured are among them. It is for what asks why they are. The
+        table is left as it is.
         """
         height_px, width_px = self._decoders["left"].p_px.shape
         table = PointTable(-(-width_px // stride) * -(-height_px // stride))
@@ -219,11 +221,10 @@ class Pipeline:
         return table.cloud(self._find(stride, limits, table))
 
     def find_replaced(self, left: LeftMaps, right: LeftMaps, worth_share: float) -> Found:
-        """The full cloud of other maps than the decoded ones, which stay as they are, leaving the points in the table.
+        """Find the full cloud of other maps than the decoded ones, which stay as they are, and leave the points in the table.
 
-        They were read between pixels; their modulation is ``worth_share`` of that which four steps of 90° would need for as
-        much noise.
-        Gaps are not sampled: they would not be those of a scan at rest.
+        They were read between pixels; their modulation is ``worth_share`` of that which four steps of 90° would need for as much
+        noise, unless both carry variances. Gaps are not sampled: they would not be those of a scan at rest.
         """
         shown = self._sequence
         maps = right_maps(
@@ -259,6 +260,7 @@ class Pipeline:
     ) -> Found:
         points = table.points
         rows, columns = left.p_px.shape
+        # Blocks begin at a row of the coarse grid.
         block = -(-rows // (THREADS * stride)) * stride
         columns = -(-columns // stride)
 
@@ -273,11 +275,12 @@ class Pipeline:
             return first, first + int(count)
 
         pieces = tuple(self._pool.map(work, range(0, rows, block)))
-        lit = self._decoders["left"].illuminated_pixels // stride**2
-        return Found(pieces, summarise(lit, points, pieces))
+        illuminated = self._decoders["left"].illuminated_pixels // stride**2
+        return Found(pieces, summarise(illuminated, points, pieces))
 
     def _kernel_limits(self, stride: int) -> PointLimits:
         limits = self._limits
+        # Limits on what noise makes grow with it; a coarse fringe has noisier coordinates.
         noise = max(1.0, self._sequence.period_px / 16.0)
         return PointLimits(
             max_gap_mm=np.float32(limits.max_gap_mm * noise),

@@ -22,12 +22,12 @@ class QualityLimits:
     max_step_mm: float = 1.5
     """Allowed distance in depth to the median of the 3 × 3 neighbours at full resolution; scales with the pixel."""
     min_neighbours: int = 5
-    """Of eight; fewer is a fragment of an edge."""
+    """Least number of neighbours, of eight; fewer is a fragment of an edge."""
 
 
 @dataclass(frozen=True, slots=True)
 class CloudSummary:
-    """What the diver and the manifest are told about a cloud."""
+    """Numbers of a cloud that the diver and the manifest are told."""
 
     points: int
     coverage_percent: float | None
@@ -41,11 +41,11 @@ class CloudSummary:
 
 
 SAMPLE = 8_000
-"""Points of which the medians are taken: their own standard error is about 1 %."""
+"""Number of points of which the medians are taken: their own standard error is about 1 %."""
 
 
 def summarise(illuminated_pixels: int, points: Points, pieces: tuple[tuple[int, int], ...]) -> CloudSummary:
-    """Numbers of the cloud in ``pieces`` (first, stop) of a table; ``illuminated_pixels`` at the same stride."""
+    """Return the numbers of the cloud in ``pieces`` (first, stop) of a table; ``illuminated_pixels`` at the same stride."""
     n = sum(stop - first for first, stop in pieces)
     coverage = 100.0 * n / illuminated_pixels if illuminated_pixels else None
     if n == 0:

@@ -2,6 +2,10 @@
 
 Point to plane on the lattice of the left pixels, robust, from rest; what the surface does not show (a plane that slides in
 itself) is left at rest, where it does no harm.
+
+Each point p of the second cloud has a distance d along the normal n of the surface below it. A small translation x and turn
+ω about the cloud's middle change it by n·x + ((p − middle) × n)·ω: weighted least squares on d, round by round. Turns are
+counted in mm at the cloud's mean distance from its middle, so that all six unknowns have one unit.
 """
 
 from __future__ import annotations
@@ -17,30 +21,31 @@ from appliance.reconstruct.table import Cloud
 
 Array = NDArray[np.float64]
 SAMPLES = 10_000
-"""Points of the second cloud that are asked."""
+"""Number of points of the second cloud that are asked."""
 LEAST_SHARED = 400
-"""Of the samples must lie on the first surface."""
+"""Least number of samples that must lie on the first surface."""
 ROUNDS = 14
 REACH_MM = 6.0
-"""Distances from the surface that count in the first round; halved with each, down to what noise explains."""
+"""Distance in mm from the surface up to which points count in the first round; halved with each, down to what noise
+explains."""
 MANY_SIGMA = 4.0
 SETTLED = 0.1
-"""Of the expected distance of two points: by less the last step moved the surfaces towards each other."""
+"""Share of the expected distance of two points by less than which the last step must have moved the surfaces."""
 WEAKEST = 1e-4
-"""A motion that is seen by so little of what the best seen one is seen by, as squares, is not asked for: a plane that
-slides in itself."""
+"""Share of the best seen motion's square below which a motion is not asked for: a plane that slides in itself."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Registration:
-    """``rotation`` @ p + ``translation_mm`` is where a point p of the second cloud lies in the first one's frame."""
+    """A rigid motion: ``rotation`` @ p + ``translation_mm`` is where a point p of the second cloud lies in the first one's
+    frame."""
 
     rotation: Array
     """(3, 3)."""
     translation_mm: Array
     """(3,)."""
     moved_mm: float
-    """Median way of the second cloud's points."""
+    """Median displacement of the second cloud's points."""
     moved_px: float
     """The same, in pixels of the left image."""
     turned_deg: float
@@ -51,12 +56,12 @@ class Registration:
     """Share 0..1 of the second cloud's samples with a surface below that lie on it within the noise."""
 
     def apply(self, points_mm: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Points (n, 3) float32 of the second cloud, in the first one's frame."""
+        """Return points (n, 3) float32 of the second cloud in the first one's frame."""
         return np.asarray(points_mm @ self.rotation.T + self.translation_mm, np.float32)
 
 
 def register(surface: Surface, second: Cloud) -> Registration | None:
-    """Where ``second`` lies against ``surface``; ``None``: too little in common, or it does not settle."""
+    """Return where ``second`` lies against ``surface``; ``None``: too little in common, or it does not settle."""
     chosen = thinned(len(second.pixel), SAMPLES)
     if len(chosen) < LEAST_SHARED:
         return None
@@ -65,6 +70,7 @@ def register(surface: Surface, second: Cloud) -> Registration | None:
     lever_mm = math.sqrt(float(np.mean(np.sum((points - middle) ** 2, axis=1)))) + 1e-9
     rotation, translation = np.eye(3), np.zeros(3)
     reach_mm, last_mm = REACH_MM, math.inf
+    # Iteratively reweighted least squares: distances are linear in the step only near the surface.
     for _ in range(ROUNDS):
         moved = points @ rotation.T + translation
         found = below(surface, moved)
@@ -72,13 +78,16 @@ def register(surface: Surface, second: Cloud) -> Registration | None:
         if len(near) < LEAST_SHARED:
             return None
         apart_mm, sigma_mm = found.apart_mm[near], np.hypot(found.sigma_mm[near], errors[near])
+        # Tukey's biweight on the distances over their noise, and over how far they truly scatter.
         z = apart_mm / sigma_mm
         spread = max(1.0, 1.4826 * float(np.median(np.abs(z))))
         weight = np.clip(1.0 - (z / (MANY_SIGMA * spread)) ** 2, 0.0, None) ** 2 / sigma_mm**2
+        # Rows (n, (p − middle) × n) of the linear equations, in mm.
         normal = found.normal[near]
         jacobian = np.concatenate([normal, np.cross((moved[near] - middle) / lever_mm, normal)], 1)
         weighted = (jacobian * weight[:, None]).T
         step = _solve(weighted @ jacobian, -weighted @ apart_mm)
+        # The step turns about the middle, on top of what was found before.
         turn = _rotation(step[3:] / lever_mm)
         rotation, translation = turn @ rotation, turn @ (translation - middle) + middle + step[:3]
         last_mm = float(np.sqrt(np.mean((jacobian @ step) ** 2)))
@@ -91,6 +100,7 @@ def register(surface: Surface, second: Cloud) -> Registration | None:
     sigma_mm = np.hypot(found.sigma_mm[near], errors[near])
     if len(near) < LEAST_SHARED or last_mm > SETTLED * float(np.median(sigma_mm)):
         return None
+    # Residual and amount are those of the motion found, with all points that it brings near.
     way_px = pixels_of(surface, moved) - pixels_of(surface, points)
     return Registration(
         rotation=rotation,
@@ -105,20 +115,21 @@ def register(surface: Surface, second: Cloud) -> Registration | None:
 
 
 def _near(found: Below, reach_mm: float) -> NDArray[np.intp]:
-    """Numbers of the points with the surface below, closer than that; where there is none, nothing is said of it."""
+    """Return the numbers of the points with the surface below, closer than that; where there is none, nothing is said of it."""
     known = np.flatnonzero(found.known)
     return known[np.abs(found.apart_mm[known]) < reach_mm]
 
 
 def _solve(normal: Array, right: Array) -> Array:
-    """Least squares without the motions that the surface does not show."""
+    """Solve the normal equations by least squares without the motions that the surface does not show."""
     values, vectors = np.linalg.eigh(normal)
+    # Eigenvectors of small eigenvalues are motions that change no distance.
     seen = values > WEAKEST * values[-1]
     return np.asarray(vectors[:, seen] @ ((vectors[:, seen].T @ right) / values[seen]), np.float64)
 
 
 def _rotation(vector_rad: Array) -> Array:
-    """Rodrigues' formula."""
+    """Return the rotation matrix of a rotation vector in radians, by Rodrigues' formula."""
     angle = float(np.linalg.norm(vector_rad))
     x, y, z = vector_rad / max(angle, 1e-15)
     k = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

@@ -1,8 +1,11 @@
 """Owns how much the projector's response ripples a coordinate, as a scan itself shows it.
 
 A third harmonic in the recorded fringes bends a four-step phase four times a period. Surfaces know nothing of fringes: what
-of the second differences of p along rows goes with the fringe's phase is ripple, and nothing else. Measured where it acts: behind
-lens and water, in pictures as large as they are; patterns drawn for the response leave next to none.
+of the second differences of p along rows goes with the fringe's phase is ripple, and nothing else. Measured where it acts:
+behind lens and water, in pictures as large as they are; patterns drawn for the response leave next to none.
+
+A ripple a cos θ + b sin θ, θ = 8π (p + ½)/P, has the second difference (2 cos ω − 2)(a cos θ + b sin θ), ω its phase per
+pixel: two regressors c and s, and least squares.
 """
 
 from __future__ import annotations
@@ -15,47 +18,48 @@ import numpy as np
 from numpy.typing import NDArray
 
 SAMPLES = 2_500
-"""Pixels that are asked: the amplitude comes out within some thousandths of a px wherever it matters."""
+"""Number of pixels that are asked: the amplitude comes out within some thousandths of a px wherever it matters."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ripple:
-    """Of a pattern coordinate, at four cycles a period."""
+    """Ripple of a pattern coordinate, at four cycles a period."""
 
     amplitude_px: float
-    """In pattern px; what noise alone makes of it is taken off, and 0 is left where that is all."""
+    """Amplitude in pattern px; what noise alone makes of it is taken off, and 0 is left where that is all."""
     lost_px: float = 0.0
-    """What of it is lost between pixels of the image, as RMS error of a coordinate."""
+    """RMS error of a coordinate by what of the ripple is lost between pixels of the image."""
     noise_px: float = 0.0
-    """RMS error of a coordinate without it."""
+    """RMS error of a coordinate without the ripple."""
 
     @property
     def counts(self) -> bool:
-        """It makes the expected error larger by more than some percent."""
+        """True if it makes the expected error larger by more than some percent."""
         return self.lost_px > 0.2 * self.noise_px
 
 
 STILL = Ripple(0.0)
 KNEE = 2500.0
-"""Of the squared amplitude t³/(t³ + KNEE) is lost between pixels, t the square of its phase per px."""
+"""Constant of the share t³/(t³ + KNEE) of the squared amplitude that is lost between pixels, t the square of its phase per px."""
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _sums(
-    p_px: NDArray[np.float32], lit: NDArray[np.int32], cycle_rad: float, stride: int, most_px: float
+    p_px: NDArray[np.float32], illuminated: NDArray[np.int32], cycle_rad: float, stride: int, most_px: float
 ) -> tuple[int, float, float, float, float, float, float, float]:
-    """Count, and sums of products of the second difference y and its two regressors c and s: cc, ss, cs, cy, sy, yy;
+    """Return the count, and sums of products of the second difference y and its regressors c and s: cc, ss, cs, cy, sy, yy;
     and of the lost share."""
     count = 0
     cc, ss, cs, cy, sy, yy, lost = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     columns = p_px.shape[1]
     for row in range(stride // 2, p_px.shape[0], stride):
         p = p_px[row]
-        for x in range(max(int(lit[row, 0]), 1), min(int(lit[row, 1]), columns - 1), stride):
+        for x in range(max(int(illuminated[row, 0]), 1), min(int(illuminated[row, 1]), columns - 1), stride):
             before, here, after = p[x - 1], p[x], p[x + 1]
             y = float(before) + float(after) - 2.0 * float(here)
             if not abs(y) < most_px:
                 continue
+            # Phase of the ripple per pixel, and here.
             omega, theta = 0.5 * cycle_rad * (float(after) - float(before)), cycle_rad * (float(here) + 0.5)
             share = 2.0 * math.cos(omega) - 2.0
             c, s = share * math.cos(theta), share * math.sin(theta)
@@ -71,11 +75,13 @@ def _sums(
 
 
 def measure_ripple(p_px: NDArray[np.float32], illuminated_columns: NDArray[np.int32], period_px: int) -> Ripple:
-    """Of the decoded columns ``p_px`` (h, w), NaN where there is none, whose lit parts are ``illuminated_columns`` (h, 2)."""
+    """Measure the ripple of the decoded columns ``p_px`` (h, w), NaN where there is none, whose illuminated parts are
+    ``illuminated_columns`` (h, 2)."""
     stride = max(1, int((p_px.size / SAMPLES) ** 0.5))
     # Bends of noise are within this; those of edges need not be asked.
     most_px = period_px / 16.0
     count, cc, ss, cs, cy, sy, yy, lost = _sums(p_px, illuminated_columns, 8.0 * math.pi / period_px, stride, most_px)
+    # Two normal equations; the amplitude less what the residuals' noise makes of it.
     det = cc * ss - cs * cs
     if count < 4 or det <= 1e-6 * cc * ss:
         return STILL

@@ -1,4 +1,8 @@
-"""Owns the way of one block of left rows to points: match, triangulate, choose, row by row, all in one cache."""
+"""Owns the way of one block of left rows to points: match, triangulate, choose, row by row, all in one cache.
+
+Three scratch rows take turns: while a row is matched and triangulated, the one above it, whose neighbours are complete now,
+is judged and appended to the points.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +24,7 @@ _NAN = np.float32(np.nan)
 
 
 class LeftMaps(NamedTuple):
-    """What is reconstructed, (h, w) but for ``illuminated_columns``."""
+    """Maps of the left camera that are reconstructed, (h, w) but for ``illuminated_columns``."""
 
     p_px: NDArray[np.float32]
     """NaN where there is no coordinate."""
@@ -40,12 +44,13 @@ class LeftMaps(NamedTuple):
 
 
 def scratch_rows() -> NDArray[np.float32]:
-    """What one thread needs for ``reconstruct_rows``: (3, SIZE), for a row and the two above it in turns."""
+    """Return the scratch memory of one thread for ``reconstruct_rows``: (3, SIZE), for a row and the two above it in turns."""
     return np.full((3, SIZE), _NAN, np.float32)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _load(row: NDArray[Any], stride: int, factor: np.float32, target: NDArray[np.float32]) -> None:
+    """Write ``factor`` times every ``stride``-th place of ``row`` to ``target``."""
     if stride == 1:
         for x in range(target.size):
             target[x] = factor * np.float32(row[x])
@@ -56,7 +61,7 @@ def _load(row: NDArray[Any], stride: int, factor: np.float32, target: NDArray[np
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _load_row(left: LeftMaps, y: int, first: int, end: int, stride: int, s: NDArray[np.float32]) -> None:
-    """Places ``first`` … ``end`` − 1 of a row: left columns first·stride and on."""
+    """Load places ``first`` … ``end`` − 1 of a row from the left maps, from column first·stride on."""
     column = first * stride
     _load(left.p_px[y, column:], stride, np.float32(1.0), s[P + first : P + end])
     _load(left.q_px[y, column:], stride, np.float32(1.0), s[Q + first : Q + end])
@@ -98,6 +103,7 @@ def reconstruct_rows(
     for y in range(begin, min(stop, rows) + stride, stride):
         turn = y // stride
         s, row, above = scratch[turn % 3], scratch[(turn - 1) % 3], scratch[(turn - 2) % 3]
+        # Match and triangulate row y; beyond its illuminated part there is nothing.
         row_first, row_end = first, end
         first, end = 0, 0
         if y < rows:
@@ -112,6 +118,7 @@ def reconstruct_rows(
             match_row(right, row[chunk:], s[chunk:], size, stride == 1 and y > begin, at)
             expect_row(factors, stride == 1, variances_given, s[chunk:], size)
             triangulate_row(rays, y, chunk * stride, stride, s[chunk:], size)
+        # The row above has all eight neighbours now: judge it.
         done = y - stride
         if start <= done < stop:
             column = row_first * stride

@@ -12,8 +12,8 @@ from __future__ import annotations
 
 MAX_WIDTH_PX = 4096
 _SLOT = MAX_WIDTH_PX + 272
-"""17 cache lines more than a multiple of 4096 bytes: equal places in different slots must not compete for the same lines,
-nor may a load look, by its last 12 bits, like a store that has just been made."""
+"""Places between two quantities: 17 cache lines more than a multiple of 4096 bytes. Equal places in different slots must
+not compete for the same lines, nor may a load look, by its last 12 bits, like a store that has just been made."""
 _NAMES = 44
 (
     P, Q,  # left coordinates
@@ -26,10 +26,10 @@ _NAMES = 44
     X1, Y1, SX1, SY1, X2, Y2, SX2, SY2, SHIFT, SHIFT_SLOPE,  # rays
     X, Y, Z, GAP, SIGMA,
 ) = (k * _SLOT + 8 for k in range(_NAMES))  # fmt: skip
-"""Eight places before the first column: the neighbours of a row's ends are inside the slot."""
+"""First places of the quantities, eight before the first column: the neighbours of a row's ends are inside the slot."""
 SIZE = _NAMES * _SLOT
-"""Places in a scratch row."""
+"""Number of places in a scratch row."""
 
 COORDINATE, MODULATION_HALF_DN = (k * _SLOT + 8 for k in range(2))
 DECODING_SIZE = 2 * _SLOT
-"""Places in the scratch row of a row that is being decoded."""
+"""Number of places in the scratch row of a row that is being decoded."""

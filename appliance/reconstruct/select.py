@@ -1,4 +1,7 @@
-"""Owns the choice among a row's points, and their way into the table of results."""
+"""Owns the choice among a row's points, and their way into the table of results.
+
+A point needs neighbours at nearly its own depth: eight differences of Z, in the rows above and below and beside it.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,7 @@ _X, _Y, _Z, _GAP, _SIGMA = (np.uint64(place) for place in (X, Y, Z, GAP, SIGMA))
 
 
 class PointLimits(NamedTuple):
-    """What a point must keep to be chosen."""
+    """Limits that a point must keep to be chosen."""
 
     max_gap_mm: np.float32
     max_sigma_mm: np.float32
@@ -25,7 +28,7 @@ class PointLimits(NamedTuple):
     max_step_mm: np.float32
     """Allowed distance in depth to a neighbour of the same surface."""
     min_neighbours: np.float32
-    """On the same surface, of eight."""
+    """Least number of neighbours on the same surface, of eight."""
 
 
 class Points(NamedTuple):
@@ -36,11 +39,11 @@ class Points(NamedTuple):
     gap_mm: NDArray[np.float32]
     sigma_mm: NDArray[np.float32]
     modulation_half_dn: NDArray[np.uint8]
-    """In half grey values, as ``intensity`` of the left camera."""
+    """Modulation of the left camera in half grey values."""
     pixel: NDArray[np.uint32]
     """Flat index of the left pixel."""
     intensity: NDArray[np.uint8]
-    """Of the left bright frame."""
+    """Grey value of the left bright frame."""
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -52,10 +55,11 @@ def judge(
     limits: PointLimits,
     good: NDArray[np.uint8],
 ) -> None:
-    """1 in ``good`` for the points of scratch row ``row`` that keep all limits. NaN is near to nothing."""
+    """Write 1 into ``good`` for the points of scratch row ``row`` that keep all limits, else 0. NaN is near to nothing."""
     max_gap_mm, max_sigma_mm, min_depth_mm, max_depth_mm, max_step_mm, min_neighbours = limits
     for x in range(n):
         z = row[Z + x]
+        # Neighbours on the same surface; a sum of ones and zeros is a vector instruction, a branch is none.
         near = _ONE if abs(above[Z + x - 1] - z) <= max_step_mm else _ZERO
         near += _ONE if abs(above[Z + x] - z) <= max_step_mm else _ZERO
         near += _ONE if abs(above[Z + x + 1] - z) <= max_step_mm else _ZERO
@@ -64,6 +68,7 @@ def judge(
         near += _ONE if abs(below[Z + x - 1] - z) <= max_step_mm else _ZERO
         near += _ONE if abs(below[Z + x] - z) <= max_step_mm else _ZERO
         near += _ONE if abs(below[Z + x + 1] - z) <= max_step_mm else _ZERO
+        # All limits at once: NaN keeps none.
         inside = (z >= min_depth_mm) & (z <= max_depth_mm) & (near >= min_neighbours)
         fine = (row[GAP + x] <= max_gap_mm) & (row[SIGMA + x] <= max_sigma_mm)
         good[x] = np.uint8(1) if inside & fine else np.uint8(0)
@@ -94,12 +99,14 @@ def append(
     eights = good.view(np.uint64)
     x = 0
     while x < n:
+        # The next run of good points; eight of them are one comparison.
         while x < n and good[x] == 0:
             x += 1
         begin = x
         while x < n and good[x] != 0:
             x += 8 if x % 8 == 0 and x + 8 <= n and eights[x // 8] == _EIGHT_GOOD else 1
         size, source, target = np.uint64(x - begin), np.uint64(begin), np.uint64(count)
+        # Copy it, one quantity after the other.
         first_xyz = np.uint64(3 * count)
         for k in range(size):
             place = first_xyz + k + k + k
@@ -110,6 +117,7 @@ def append(
             gap_mm[target + k] = row[_GAP + source + k]
         for k in range(size):
             sigma_mm[target + k] = row[_SIGMA + source + k]
+        # Neighbours in the grid are ``stride`` columns apart in the image.
         first_pixel = np.uint32(pixel + begin * stride)
         for k in range(size):
             pixels[target + k] = first_pixel + np.uint32(k) * np.uint32(stride)

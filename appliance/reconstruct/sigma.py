@@ -1,15 +1,19 @@
 """Owns the expected error of a correspondence: what noise, footprints, ripple and missing neighbours do to it.
 
-Of the right image point across the baseline, in px; ``triangulate.py`` makes millimetres along the ray of it. The parts
-add as variances (``docs/uncertainty.md``):
+It is that of the right image point across the baseline, in px; ``triangulate.py`` makes millimetres along the ray of it. The
+parts add as variances (``docs/uncertainty.md``):
 
-- *noise*: the four-step phase noise P·σ/(2π·√2·B) of both cameras at their own light, the right one's in the share that
-  reading off between pixels leaves;
+- *noise*: the four-step phase noise P·σ/(2π·√2·B) of both cameras at their own light, or what the maps say of it where they
+  carry variances; the right one's in the share that reading off between pixels leaves;
 - *footprint*: a blur of variance β moves a coordinate by β (½ ∇²p + ∇p · ∇ln B): by its bend, and by its slope where the
   light is steeper on one side. The bend of both cameras counts. The light of both is the same paint and shade, seen at
   other slopes: only the difference counts, and the right one's is the left one's in proportion to p_u²;
 - *ripple*: of what the projector's response does to both coordinates alike, that which is lost between right pixels;
 - *border*: a neighbour has no coordinate, so that nobody knows how the surface bends.
+
+Symbols, at a left pixel and its match: m1, m2 are the modulations B of the left and the right camera, light is the left
+fringes' offset, left_slope and slope are p_u of the left and of the right map, left2 and slope2 their squares, up and uq the
+inverse derivatives ∂u/∂p and ∂u/∂q (up to the sign) of the right map. scale2 = P²/8π²; dark + shot · light = σ² in DN².
 """
 
 from __future__ import annotations
@@ -43,17 +47,17 @@ BLUR_PX2 = 0.2
 BORDER_PX = 0.07
 """Expected error, in px, where a neighbour has no coordinate."""
 SHARED = np.float32(1.17)
-"""Variance of a coordinate read between pixels where those next to each other have half of their noise in common, as the
-B-spline leaves it, against independent ones; mean over all places."""
+"""Variance of a coordinate read between pixels where neighbours have half of their noise in common, as the B-spline leaves
+it, over that of independent ones; mean over all places."""
 SURE = np.float32(20.0)
-"""A bend counts by what it has beyond so many times the variance of a coordinate: noise alone makes 5 in the mean."""
+"""Multiple of a coordinate's variance beyond which a bend counts: noise alone makes 5 in the mean."""
 RIPPLE_KNEE = np.float32(KNEE)
 MIN_SLOPE2 = np.float32(0.0025)
 _ZERO, _ONE, _HALF, _QUARTER = np.float32(0.0), np.float32(1.0), np.float32(0.5), np.float32(0.25)
 
 
 class SigmaFactors(NamedTuple):
-    """What makes a point's expected error of what is measured at it."""
+    """Factors that make a point's expected error of what is measured at it."""
 
     scale2_px2: np.float32
     """Coordinate noise squared for camera noise equal to the modulation: P²/8π²."""
@@ -67,7 +71,7 @@ class SigmaFactors(NamedTuple):
     """Squared amplitude of what the projector's response does to a coordinate, four times a period; 0 where that does not
     count."""
     ripple_rad: np.float32
-    """Its phase per px of the pattern."""
+    """Phase of the ripple per px of the pattern."""
     blur2_px4: np.float32
     """``BLUR_PX2`` squared."""
     border_px2: np.float32
@@ -78,7 +82,7 @@ class SigmaFactors(NamedTuple):
 
 
 def sigma_factors(period_px: int, noise: StereoNoise, ripple: Ripple = STILL) -> SigmaFactors:
-    """For fringes of ``period_px``, cameras of that noise, and a coordinate that ripples like that."""
+    """Return the factors for fringes of ``period_px``, cameras of that noise, and a coordinate that ripples like that."""
 
     def of(camera: CameraNoise) -> tuple[np.float32, np.float32]:
         return np.float32(camera.dark_variance_dn2), np.float32(camera.dn_per_e)
@@ -95,9 +99,11 @@ def sigma_factors(period_px: int, noise: StereoNoise, ripple: Ripple = STILL) ->
 
 
 def read_between(factors: SigmaFactors, worth_share: float, fringe_px: float) -> SigmaFactors:
-    """Of maps whose grey values were read between pixels by the cubic B-spline, and whose modulation is ``worth_share`` of
-    that which makes their noise: neighbours share noise, and of fringes ``fringe_px`` long the third harmonic, which makes
-    the ripple, is lost more than the first."""
+    """Return the factors for maps whose grey values were read between pixels by the cubic B-spline.
+
+    Their modulation is ``worth_share`` of that which makes their noise. Neighbours share noise, and of fringes ``fringe_px`` long
+    the third harmonic, which makes the ripple, is lost more than the first.
+    """
     lost = float((np.sinc(3.0 / fringe_px) / np.sinc(1.0 / fringe_px)) ** 4)
     share2 = np.float32(worth_share**2)
     return factors._replace(
@@ -111,7 +117,7 @@ def read_between(factors: SigmaFactors, worth_share: float, fringe_px: float) ->
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
 def _expect(factors: SigmaFactors, s: NDArray[np.float32], n: int) -> None:
-    """Noise, footprint and border."""
+    """Write POINT_VARIANCE of noise, footprint and border, the noise being that of modulation, offset and camera."""
     scale2, dark1, shot1, dark2, shot2, _ripple, _rad, blur2, border2, _correlation = factors
     for x in range(n):
         m1, m2, light, slope = s[MODULATION + x], s[MODULATION_RIGHT + x], s[OFFSET + x], s[SLOPE + x]
@@ -119,20 +125,23 @@ def _expect(factors: SigmaFactors, s: NDArray[np.float32], n: int) -> None:
         left_slope, slope2 = _HALF * (after - before), slope * slope
         left2 = left_slope * left_slope
         left2 = left2 if left2 > MIN_SLOPE2 else MIN_SLOPE2
-        # One division for two.
+        # One division for two: 1/(m1 m2)² and 1/left2.
         m12 = m1 * m2
         m12 = m12 * m12
         inverse = _ONE / (m12 * left2)
         per_m12, per_left2 = inverse * left2, inverse * m12
+        # Noise: scale2 (σ_l²/m1² + share · σ_r²/m2²), the right camera's light being light · m2/m1.
         m22 = m2 * m2
         left, right = (dark1 + shot1 * light) * m22, (dark2 * m1 + shot2 * light * m2) * m1
         noise = scale2 * (left + s[RIGHT_SHARE + x] * right) * per_m12
+        # Footprint: ∇p · ∇ln B of the left camera less that of the right one, and the bends beyond what noise makes.
         uneven = (s[MODULATION + x + 1] - s[MODULATION + x - 1]) * left_slope * (left2 - slope2) * per_left2
         bend1, bend2 = _HALF * (before + after) - s[P + x], s[BEND_RIGHT + x]
         bend = bend1 * bend1 + bend2 * bend2 - SURE * noise
         known = bend == bend
         bend = bend if bend > _ZERO else _ZERO
         footprint = blur2 * (bend + _QUARTER * uneven * uneven * m22 * per_m12)
+        # Px of the pattern become px of the right image.
         up, uq = s[UP + x], s[UQ + x]
         s[POINT_VARIANCE + x] = (up * up + uq * uq) * (noise + (footprint if known else border2 * slope2))
 
@@ -164,8 +173,10 @@ def _expect_given(factors: SigmaFactors, s: NDArray[np.float32], n: int) -> None
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
 def _add_ripple(ripple_px2: np.float32, rad: np.float32, s: NDArray[np.float32], n: int) -> None:
-    """Of the squared amplitude, t³/(t³ + KNEE) is lost, t the square of the ripple's phase per right px: within a fifth
-    of the mean over all places between pixels, wherever that is more than a tenth."""
+    """Add the ripple: of its squared amplitude, t³/(t³ + KNEE) is lost, t the square of its phase per right px.
+
+    That is within a fifth of the mean over all places between pixels, wherever it is more than a tenth.
+    """
     for x in range(n):
         t = rad * s[SLOPE + x]
         t = t * t
@@ -194,7 +205,7 @@ def expect_row(factors: SigmaFactors, next_to: bool, variances_given: bool, s: N
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def without_neighbours(f: SigmaFactors) -> SigmaFactors:
-    """Of noise and ripple alone."""
+    """Return the factors of noise and ripple alone."""
     return SigmaFactors(
         f.scale2_px2, f.dark_left, f.shot_left, f.dark_right, f.shot_right, f.ripple_px2, f.ripple_rad, _ZERO, _ZERO,
         f.right_correlation,

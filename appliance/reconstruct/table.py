@@ -35,7 +35,7 @@ class Cloud:
     """Signed gaps before any limit; of the full cloud only."""
 
     def thinned(self, most: int) -> Cloud:
-        """At most about ``most`` of its points, evenly over the image; numbers are those of all."""
+        """Return at most about ``most`` of its points, evenly over the image; numbers are those of all."""
         k = slice(None, None, max(1, -(-len(self.pixel) // most)))
         return Cloud(
             self.points_mm[k], self.intensity[k], self.modulation_dn[k], self.ray_gap_mm[k], self.sigma_mm[k],
@@ -45,13 +45,13 @@ class Cloud:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """Where in the table a cloud's points are."""
+    """A found cloud: where in the table its points are, and what describes it."""
 
     pieces: tuple[tuple[int, int], ...]
     """(first, stop) of each thread's share; what lies between them means nothing."""
     summary: CloudSummary
     gaps: PatchGaps | None = None
-    """As ``Cloud.gaps``."""
+    """Signed gaps before any limit, as ``Cloud.gaps``."""
 
 
 class PointTable:

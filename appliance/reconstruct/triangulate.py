@@ -1,4 +1,9 @@
-"""Owns the intersection of refracted rays: point half way between the two rays, their gap, and the expected error."""
+"""Owns the intersection of refracted rays: point half way between the two rays, their gap, and the expected error.
+
+Symbols: a ray in water is (x, y) = (x0, y0) + (sx, sy)·(z − plane_z_mm), the left one with suffix 1, the right one with
+suffix 2. h and t are the depths, above the plane, of the nearest points of the left and of the right ray. SHIFT is ∂x0/∂u of
+the right ray and SHIFT_SLOPE ∂sx/∂u: so far moves it per px of the right image.
+"""
 
 from __future__ import annotations
 
@@ -31,9 +36,9 @@ from appliance.reconstruct.scratch import (
 )
 
 RAY_BLOCK = 16
-"""Left pixels of a row that ask one node of the right lattice."""
+"""Number of left pixels of a row that ask one node of the right lattice."""
 MAX_DU_PX, MAX_DV_PX = np.float32(16.0), np.float32(8.0)
-"""So far from its node, for nodes 4 px apart, the series is within 0.1 µm of the exact ray."""
+"""Largest distance of a pixel from its node, for nodes 4 px apart: within it, the series is right to 0.1 µm."""
 _ZERO, _ONE, _HALF = np.float32(0.0), np.float32(1.0), np.float32(0.5)
 _U, _V, _X2, _Y2, _SX2, _SY2, _SHIFT, _SHIFT_SLOPE = (
     np.uint64(place) for place in (U, V, X2, Y2, SX2, SY2, SHIFT, SHIFT_SLOPE)
@@ -61,10 +66,12 @@ def rays_of(left: RayLattice, right: RayLattice, left_width_px: int) -> Rays:
     if left.step_px != right.step_px or left.plane_z_mm != right.plane_z_mm:
         raise ValueError("left and right ray lattices differ in step or plane; make both with the same arguments")
     step = left.step_px
+    # Left: linear between the columns of nodes, for every column.
     x = np.arange(left_width_px) / step
     i = x.astype(int)
     share = (x - i)[:, None].astype(np.float32)
     spread = left.nodes[:, i] * (1 - share) + left.nodes[:, i + 1] * share
+    # Right: value, first and second derivatives at each node.
     value = right.nodes.astype(np.float64)
     by_row, by_column = np.gradient(value, float(step), axis=(0, 1), edge_order=2)
     by_both, twice_by_column = np.gradient(by_column, float(step), axis=(0, 1), edge_order=2)
@@ -80,7 +87,7 @@ def rays_of(left: RayLattice, right: RayLattice, left_width_px: int) -> Rays:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
 def _rays_one_by_one(nodes: NDArray[np.float32], step_px: int, n: int, s: NDArray[np.float32]) -> None:
-    """Each pixel asks the node nearest to it; first order is enough. Where there is no match, some node."""
+    """Compute the right ray of each pixel from the node nearest to it, to first order. Where there is no match, some node."""
     rows, columns = nodes.shape[0], nodes.shape[1]
     flat = nodes.reshape(-1)
     step = np.float32(step_px)
@@ -88,6 +95,7 @@ def _rays_one_by_one(nodes: NDArray[np.float32], step_px: int, n: int, s: NDArra
     last_i, last_j = np.float32(columns - 1), np.float32(rows - 1)
     for x in range(n):
         u, v = s[U + x], s[V + x]
+        # The nearest node, within the lattice.
         i, j = u * per_px + _HALF, v * per_px + _HALF
         i = i if i > _ZERO else _ZERO
         i = i if i < last_i else last_i
@@ -106,7 +114,7 @@ def _rays_one_by_one(nodes: NDArray[np.float32], step_px: int, n: int, s: NDArra
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _series(flat: NDArray[np.float32], k: np.uint32) -> tuple[np.float32, ...]:
-    """The six coefficients of one quantity."""
+    """Return the six coefficients of one quantity."""
     return (
         flat[k], flat[np.uint32(k + 4)], flat[np.uint32(k + 8)],
         flat[np.uint32(k + 12)], flat[np.uint32(k + 16)], flat[np.uint32(k + 20)],
@@ -115,12 +123,13 @@ def _series(flat: NDArray[np.float32], k: np.uint32) -> tuple[np.float32, ...]:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
 def _expand(c: tuple[np.float32, ...], du: np.float32, dv: np.float32) -> np.float32:
+    """Return c0 + c1 du + c2 dv + c3 du² + c4 du dv + c5 dv²."""
     return np.float32(c[0] + du * (c[1] + du * c[3] + dv * c[4]) + dv * (c[2] + dv * c[5]))
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
 def _rays_by_blocks(nodes: NDArray[np.float32], step_px: int, n: int, s: NDArray[np.float32]) -> None:
-    """Neighbours see neighbouring points: one node serves all pixels of a block, in vector instructions.
+    """Compute the right rays block by block: neighbours see neighbouring points, so that one node serves all pixels of a block.
 
     Where it is too far from one of them, each asks its own. The last block may end beyond ``n``: there is room in a
     slot, and nobody reads it. A slice for each block would count references; unsigned places need no check for negative
@@ -135,7 +144,7 @@ def _rays_by_blocks(nodes: NDArray[np.float32], step_px: int, n: int, s: NDArray
         first = np.uint64(begin)
         middle = first + np.uint64(RAY_BLOCK // 2)
         i, j = s[_U + middle] * per_px + _HALF, s[_V + middle] * per_px + _HALF
-        # In this form NaN becomes 0.
+        # The node nearest to the middle of the block; in this form NaN becomes 0.
         i = i if i > _ZERO else _ZERO
         i = i if i < last_i else last_i
         j = j if j > _ZERO else _ZERO
@@ -145,6 +154,7 @@ def _rays_by_blocks(nodes: NDArray[np.float32], step_px: int, n: int, s: NDArray
         k = np.uint32((nj * columns + ni) * np.int32(24))
         x, y = _series(flat, k), _series(flat, np.uint32(k + 1))
         sx, sy = _series(flat, np.uint32(k + 2)), _series(flat, np.uint32(k + 3))
+        # The rays of the block, and whether any pixel is too far from the node.
         far = np.int32(0)
         for place in range(RAY_BLOCK):
             at = first + np.uint64(place)
@@ -163,11 +173,14 @@ def _rays_by_blocks(nodes: NDArray[np.float32], step_px: int, n: int, s: NDArray
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
 def _intersect(s: NDArray[np.float32], n: int, plane_z_mm: np.float32) -> None:
-    """Sigma is the standard error along the left ray: that of the right image point across the baseline, times the shift
+    """Intersect the rays: write X, Y, Z, GAP, SIGMA.
+
+    Sigma is the standard error along the left ray: that of the right image point across the baseline, times the shift
     of the right ray per px: so much moves the intersection by shift · √(a / det), as h below has it for a shift of x.
     """
     for x in range(n):
         sx1, sy1, sx2, sy2 = s[SX1 + x], s[SY1 + x], s[SX2 + x], s[SY2 + x]
+        # Shortest connection: [a −b; b −c] (h, t) = (−d, −e), with the products of directions and of their offset w.
         wx, wy = s[X1 + x] - s[X2 + x], s[Y1 + x] - s[Y2 + x]
         a = sx1 * sx1 + sy1 * sy1 + _ONE
         b = sx1 * sx2 + sy1 * sy2 + _ONE
@@ -176,11 +189,13 @@ def _intersect(s: NDArray[np.float32], n: int, plane_z_mm: np.float32) -> None:
         e = sx2 * wx + sy2 * wy
         inverse = _ONE / (a * c - b * b)
         h, t = (b * e - c * d) * inverse, (a * e - b * d) * inverse
+        # The gap vector; the point is half of it away from the left ray.
         gx, gy, gz = wx + h * sx1 - t * sx2, wy + h * sy1 - t * sy2, h - t
         s[X + x] = s[X1 + x] + h * sx1 - _HALF * gx
         s[Y + x] = s[Y1 + x] + h * sy1 - _HALF * gy
         s[Z + x] = plane_z_mm + _HALF * (h + t)
         s[GAP + x] = np.sqrt(gx * gx + gy * gy + gz * gz)
+        # The shift per px at the depth of the point.
         shift = abs(s[SHIFT + x] + t * s[SHIFT_SLOPE + x])
         s[SIGMA + x] = shift * np.sqrt(s[POINT_VARIANCE + x] * a * inverse)
 
@@ -189,7 +204,7 @@ def _intersect(s: NDArray[np.float32], n: int, plane_z_mm: np.float32) -> None:
 def _left_rays(
     rows: NDArray[np.float32], j: int, share: np.float32, first: int, stride: int, n: int, s: NDArray[np.float32]
 ) -> None:
-    """Between two rows of the table."""
+    """Compute the left rays between two rows of the table: linear in the row."""
     for axis in range(4):
         target = s[(X1, Y1, SX1, SY1)[axis] :]
         upper, lower = rows[axis, j, first:], rows[axis, j + 1, first:]

@@ -1,1 +1,1 @@
-"""From the frames of one camera to pattern coordinates, modulation and a reason where there are none."""
+"""Decoding: the frames of one camera become pattern coordinates, modulation, and a reason where there are none."""

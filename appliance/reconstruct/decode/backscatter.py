@@ -1,14 +1,17 @@
-"""Owns the Gray code of pixels before which the lit water outshines the object: threshold by threshold, pixel by pixel.
+"""Owns the Gray code where water scatters more light back than the object reflects: threshold by threshold, pixel by pixel.
 
 In a Gray image a pixel shows G = b O + f V over the dark frame: the object's light O where its bit b is set, and the share f
-of the veil V that lit stripes make on the ray's way to it. The middle between bright and dark decides rightly as long as V
-is less than O. Beyond, coarse stripes may light most of that way (f near 1) before a dark pixel, or next to none of it
-before a lit one: bits then follow the water, and whole patches would become smooth surfaces that are nowhere.
+of the backscatter V that illuminated stripes make on the ray's way to it. The middle between bright and dark decides rightly
+as long as V is less than O. Beyond, coarse stripes may light most of that way (f near 1) before a dark pixel, or next to none
+of it before a bright one: bits then follow the water, and whole patches would become smooth surfaces that are nowhere.
 
-O is told by the fringes, which the water cannot have: a ray crosses many of them. So V is known for each pixel, and f is
-smooth over the image: it is read off pixels whose bit is beyond doubt (G < O: not set; G > V: set), and carried from there to
-their neighbours, whose bits it tells in turn. A pixel whose bit remains in doubt is masked, unless it lies on the border of
-that bit's stripes, where the phase tells the half period anyway.
+O is told by the fringes, which backscatter cannot have: a ray crosses many of them. So V = (bright − dark) − O is known for
+each pixel, and f is smooth over the image: it is read off pixels whose bit is beyond doubt (G < O: not set; G > V: set), and
+carried from there to their neighbours, whose bits it tells in turn. A pixel whose bit remains in doubt is masked, unless it
+lies on the border of that bit's stripes, where the phase tells the half period anyway.
+
+Symbols, per pixel and in grey values: G ``gray_dn``, O ``object_dn`` and ``own``, bright − dark ``light_dn``, V ``veil``,
+f ``share`` (per block of the image) and ``lit``, σ ``noise_dn`` and ``sigma``.
 """
 
 from __future__ import annotations
@@ -26,65 +29,65 @@ from appliance.scan.noise import CameraNoise
 Floats = NDArray[np.float32]
 
 BLOCKS = 100
-"""Of the image's width, in which f is one number."""
+"""Number of blocks across the image in each of which f is one number."""
 SAMPLES_PER_BLOCK = 4
-"""Across a block, and down it, where f is read off."""
+"""Number of samples across a block, and down it, from which f is estimated."""
 LOOK_SAMPLES = 15_000
-"""Pixels that are asked whether there is any veil to speak of."""
+"""Number of pixels that are examined for backscatter worth speaking of."""
 SPREAD_BLOCKS = 1.5
-"""Standard deviation of the neighbourhood from which f comes."""
+"""Standard deviation, in blocks, of the neighbourhood from which f is averaged."""
 LEAST_KNOWN = 0.03
-"""Share of that neighbourhood that must be known."""
+"""Share of that neighbourhood that must be known for f to be known."""
 ROUNDS = 16
 SURE = 0.75
-"""Of what the fringes tell of O, so much is there at least: blur and the projector's response differ from place to place."""
+"""Share of the fringes' estimate of O that is certainly there: blur and the projector's response differ from place to place."""
 NOISE_SIGMAS = 3.0
 MARGIN = 0.25
 """A pixel tells its neighbours where G is farther from the threshold than this, in O, and than ``NOISE_SIGMAS``."""
 MARGIN_OF_VEIL = 0.15
-"""How well f is known: a bit is in doubt where G is nearer to the threshold than this, in V, and at most ``MARGIN`` in O."""
+"""Uncertainty of f: a bit is in doubt where G is nearer to the threshold than this share of V, and at most ``MARGIN`` of O."""
 APART_SIGMAS = 5.0
-"""So far beyond the threshold noise does not carry what the other value of the bit makes; else the bit is in doubt."""
+"""Distance from the threshold, in σ, beyond which noise does not carry the other value of the bit; nearer, it is in doubt."""
 BEYOND = 0.6
-"""As far beyond what either value of the bit makes, in O, f is not known here."""
+"""Distance, in O, beyond what either value of the bit makes, from which on f is taken as unknown here."""
 FINE_IMAGES = 3
-"""Of the finest stripes, one has a border nowhere near; they light half of the water, whatever the pixel."""
+"""Number of finest Gray images: one of them has no border near a given pixel; they light half of the water everywhere."""
 CLEAR_MODULATION_DN = 8.0
-"""From here on, fringes are asked how much of the object's light they are."""
+"""Modulation from which on a pixel's fringes tell which share of the object's light they are."""
 MIN_LIGHT_DN, MIN_MODULATION_DN = 8.0, 5.0
-"""What decoding asks of a pixel."""
+"""Least contrast and least modulation that decoding demands of a pixel."""
 MIN_CLEAR = 20
-"""Of so few pixels nothing is asked."""
+"""Least number of clear pixels from which anything is concluded."""
 HALF_VEIL, FEW = 0.5, 0.005
-"""Where so few of the decoded pixels show a veil of half the object's light, no bit is in danger."""
+"""Backscatter of half the object's light in less than this share of the decoded pixels endangers no bit."""
 _ZERO_BIT, _ONE_BIT, _OPEN, _NONE = np.uint8(0), np.uint8(1), np.uint8(2), np.uint8(3)
 _FULL, _SHADOW, _SATURATED = np.uint8(255), np.uint8(1), np.uint8(2)
 
 
 class SampledPixels(NamedTuple):
-    """Some pixels of a camera, (h, w) float32 each."""
+    """A sample of one camera's pixels, (h, w) float32 each."""
 
     light_dn: Floats
     """Bright minus dark."""
     object_dn: Floats
-    """O, told by the fringes."""
+    """Object's light O, told by the fringes."""
     noise_dn: Floats
     """Standard deviation of the bright frame."""
     usable: NDArray[np.bool_]
-    """Lit, and nowhere saturated."""
+    """True where the pixel is illuminated and nowhere saturated."""
 
 
 class FringeScale(NamedTuple):
-    """What makes O and its noise of grey values."""
+    """Factors that turn grey values into O and its noise."""
 
     per_half_dn: np.float32
     """O per half grey value of modulation."""
     light_per_sines: np.float32
-    """Bright minus dark, over the sum of the four sines less four times dark: what it is where the bright frame is saturated."""
+    """Bright minus dark, over the sum of the four sines less four times dark: replaces it where the bright frame is saturated."""
     dark_dn2: np.float32
     """Variance at no light."""
     shot_dn: np.float32
-    """The same, per grey value."""
+    """Additional variance per grey value."""
 
 
 def read_through_backscatter(
@@ -95,10 +98,10 @@ def read_through_backscatter(
     half_period: NDArray[np.uint8],
     doubtful: NDArray[np.uint8],
 ) -> bool:
-    """Half periods of the pattern columns (h, w) uint8, and 1 in ``doubtful`` (h, w) uint8 where a bit cannot be told.
+    """Write the half periods of the pattern columns (h, w) uint8, and 1 in ``doubtful`` (h, w) uint8 where a bit cannot be told.
 
-    ``frames`` (n, h, w) uint8 of one camera; ``mask`` (h, w) as decoding them left it. False, with nothing written, where
-    the veil is too weak to have turned a bit.
+    ``frames`` (n, h, w) uint8 are one camera's; ``mask`` (h, w) is as decoding them left it. Returns False, with nothing
+    written, where the backscatter is too weak to have turned a bit.
     """
     scale = fringe_scale(sequence, frames, mask, noise)
     if scale is None or not any_backscatter(sequence, frames, mask, scale):
@@ -108,7 +111,7 @@ def read_through_backscatter(
 
 
 def warm_up(sequence: PatternSequence, frames: NDArray[np.uint8], noise: CameraNoise) -> None:
-    """Run every kernel on frames (n, h, w) of whatever shows."""
+    """Run every kernel on frames (n, h, w), whatever they show."""
     number, doubtful = np.zeros((2, *frames.shape[1:]), np.uint8)
     _read(sequence, frames, scale_of(1.0, 0.5, noise), number, doubtful)
 
@@ -139,7 +142,7 @@ def fringe_scale(
     noise: CameraNoise,
     clear_dn: float = CLEAR_MODULATION_DN,
 ) -> FringeScale | None:
-    """From pixels whose modulation is above ``clear_dn``; ``None`` where nothing is seen."""
+    """Measure the scale on pixels whose modulation is above ``clear_dn``; ``None`` where nothing is seen."""
     at = _few(mask.shape)
     across = sequence.axis(Direction.X)
     i0, i1, i2, i3 = (frames[k][at].astype(np.float32) for k in across.sine)
@@ -149,13 +152,15 @@ def fringe_scale(
     if np.count_nonzero(clear) < MIN_CLEAR:
         return None
     swing = np.max([np.abs(2.0 * frames[k][at] - bright - dark) for k in across.gray[-FINE_IMAGES:]], axis=0)
+    # Contrast: 2B over the swing of a fine Gray image about its middle, (2b − 1) O + (2f − 1) V, which is ± O since f is ½
+    # there.
     contrast = float(np.median(double[clear] / np.maximum(swing[clear], 1.0)))
     sines = i0 + i1 + i2 + i3 - np.float32(4.0) * dark
     return scale_of(contrast, float(np.median((bright - dark)[clear] / np.maximum(sines[clear], 1.0))), noise)
 
 
 def scale_of(contrast: float, light_per_sines: float, noise: CameraNoise) -> FringeScale:
-    """``contrast``: modulation in halves of the object's light."""
+    """Return the scale for a ``contrast``, which is the modulation in halves of the object's light."""
     return FringeScale(
         np.float32(1.0 / contrast),
         np.float32(light_per_sines),
@@ -167,6 +172,7 @@ def scale_of(contrast: float, light_per_sines: float, noise: CameraNoise) -> Fri
 def any_backscatter(
     sequence: PatternSequence, frames: NDArray[np.uint8], mask: NDArray[np.uint8], scale: FringeScale
 ) -> bool:
+    """Tell whether enough decoded pixels show backscatter of half their object's light for a bit to be wrong."""
     at = _few(mask.shape)
     pixels = sample_pixels(sequence, frames, at, scale)
     valid = mask[at] == 0
@@ -192,7 +198,10 @@ def sample_pixels(
 
 
 def illuminated_share(gray_dn: Floats, pixels: SampledPixels) -> Floats:
-    """f of one Gray image in each block; NaN where it is not known."""
+    """Return f of one Gray image in each block, (rows, columns) float32; NaN where it is not known.
+
+    Alternates between averaging f over the pixels whose bit is known, and deciding the bits that this f tells.
+    """
     block = SAMPLES_PER_BLOCK
     state = np.empty(gray_dn.shape, np.uint8)
     _seed(gray_dn, pixels.light_dn, pixels.object_dn, pixels.noise_dn, pixels.usable, state)
@@ -218,13 +227,15 @@ def _seed(
     usable: NDArray[np.bool_],
     state: NDArray[np.uint8],
 ) -> None:
-    """What is beyond doubt, however much of the veil is lit."""
+    """Write the bits that are beyond doubt for any f between 0 and 1 into ``state``; _OPEN for the others, _NONE if unusable."""
     for y in range(state.shape[0]):
         for x in range(state.shape[1]):
             state[y, x] = _NONE
             if usable[y, x]:
+                # The least that O certainly is.
                 sure = np.float32(SURE) * object_dn[y, x] - np.float32(NOISE_SIGMAS) * noise_dn[y, x]
                 light, gray = light_dn[y, x], gray_dn[y, x]
+                # V < O: the middle between bright and dark decides. Else G > V is a set bit, G < O is none.
                 if light < np.float32(2.0) * sure:
                     state[y, x] = _ONE_BIT if gray >= np.float32(0.5) * light else _ZERO_BIT
                 elif gray > light - sure:
@@ -237,7 +248,7 @@ def _seed(
 def _gather(
     gray_dn: Floats, light_dn: Floats, object_dn: Floats, state: NDArray[np.uint8], block: int, sums: Floats
 ) -> None:
-    """Of each block, how many pixels are known, their veil in this image, and their veil in the bright one."""
+    """Sum per block: number of pixels whose bit is known, their backscatter f V in this image, and V in the bright one."""
     sums[:] = np.float32(0.0)
     for y in range(state.shape[0]):
         row = sums[y // block]
@@ -260,7 +271,7 @@ def _decide(
     block: int,
     state: NDArray[np.uint8],
 ) -> int:
-    """Bits of open pixels that f tells beyond doubt; how many."""
+    """Decide the open bits that f tells beyond doubt; return how many."""
     found = 0
     for y in range(state.shape[0]):
         row = share[y // block]
@@ -268,6 +279,7 @@ def _decide(
             if state[y, x] == _OPEN:
                 lit = row[x // block]
                 own = object_dn[y, x]
+                # G − f V is O or 0: decided where it is off O/2 by more than doubt, and by less than O.
                 rest = gray_dn[y, x] - lit * max(light_dn[y, x] - own, np.float32(0.0))
                 off = rest - np.float32(0.5) * own
                 doubt = max(np.float32(MARGIN) * own, np.float32(NOISE_SIGMAS) * noise_dn[y, x])
@@ -279,7 +291,7 @@ def _decide(
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def plain_number(gray: int) -> int:
-    """Of a reflected Gray code of up to eight bits."""
+    """Return the number that a reflected Gray code of up to eight bits stands for."""
     number = gray ^ (gray >> 1)
     number ^= number >> 2
     return number ^ (number >> 4)
@@ -287,7 +299,7 @@ def plain_number(gray: int) -> int:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def periods(number: int, turns: float) -> int:
-    """Whole periods of the coordinate that phase and half period make together."""
+    """Return the number of whole periods of the coordinate that phase and half period make together."""
     middle = np.float32(0.5) * np.float32(number) + np.float32(0.25)
     return int(np.floor(middle - turns + np.float32(0.5)))
 
@@ -316,12 +328,13 @@ def _number(
     soft = np.empty(columns, np.int64)
     lost = np.empty(columns, np.bool_)
     for y in range(rows):
+        # O, V and the limits of doubt of each pixel of the row.
         i0, i1, i2, i3 = frames[sine[0], y], frames[sine[1], y], frames[sine[2], y], frames[sine[3], y]
         for x in range(columns):
             cosine, quadrature = np.float32(i0[x]) - np.float32(i2[x]), np.float32(i3[x]) - np.float32(i1[x])
             black = np.float32(frames[dark, y, x])
             light = np.float32(frames[bright, y, x]) - black
-            if frames[bright, y, x] == _FULL:
+            if frames[bright, y, x] == _FULL:  # bright − dark as the sines have it
                 sines = np.float32(i0[x]) + np.float32(i1[x]) + np.float32(i2[x]) + np.float32(i3[x])
                 light = max(light, scale.light_per_sines * (sines - np.float32(4.0) * black))
             sigma = np.sqrt(max(scale.dark_dn2 + scale.shot_dn * (light + black), np.float32(0.0)))
@@ -334,12 +347,13 @@ def _number(
             room[x] = np.float32(0.5) * own[x] + max(np.float32(BEYOND) * own[x], apart)
             sure[x] = np.float32(SURE) * told - np.float32(NOISE_SIGMAS) * sigma
             code[x], soft[x], lost[x] = 0, 0, False
+        # Bit by bit: code takes the bits, soft a 1 where a bit is in doubt.
         for k in range(gray.size):
             image, share = frames[gray[k], y], shares[k, min(y // block_px, last_y)]
             for x in range(columns):
                 lit = share[min(x // block_px, last_x)]
                 rest = np.float32(image[x]) - np.float32(frames[dark, y, x])
-                if lit == lit:
+                if lit == lit:  # f is known
                     off = rest - lit * veil[x] - np.float32(0.5) * own[x]
                     unsure = abs(off) < doubt[x]
                     lost[x] = lost[x] | (abs(off) > room[x])
@@ -349,6 +363,7 @@ def _number(
                     unsure = abs(off) < middle - sure[x]
                 code[x] = (code[x] << 1) | (1 if off >= np.float32(0.0) else 0)
                 soft[x] = (soft[x] << 1) | (1 if unsure else 0)
+        # Half periods, and whether a doubtful bit matters.
         for x in range(columns):
             number = plain_number(code[x])
             half_period[y, x] = np.uint8(number)

@@ -1,7 +1,7 @@
 """Owns decoding: 20 to 24 frames of one camera become pattern coordinates (p, q), modulation and a reason where not.
 
-Frames are worked on in the order of the sequence: the references give the Gray threshold and the lit part of each row,
-the last Gray image of a direction its half periods, and the fourth sine image closes it. So little is left to do after
+Frames are worked on in the order of the sequence: the references give the Gray threshold and the illuminated part of each
+row, the last Gray image of a direction its half periods, and the fourth sine image closes it. So little is left to do after
 the last frame.
 """
 
@@ -29,7 +29,7 @@ MAX_GRAY_DISAGREEMENT = 0.36
 """Distance between phase and the middle of its Gray half period, in periods; ¼ is perfect, ½ is a wrong order."""
 MAX_GRAY_BITS = 8
 OFFSET_SAMPLES = 1_500
-"""Pixels of which the mean of the sine images is compared with the middle between bright and dark."""
+"""Number of pixels of which the mean of the sine images is compared with the Gray threshold."""
 
 
 class Mask(IntEnum):
@@ -43,11 +43,11 @@ class Mask(IntEnum):
     CONTRADICTION = 4
     """Gray code and phase disagree, or the water hides what the Gray code is: a mixed pixel, or something that moved."""
     EDGE = 5
-    """At a jump of the coordinates: the pixel sees two surfaces."""
+    """The pixel lies at a jump of the coordinates and sees two surfaces."""
 
 
 def edge_limits_px(period_px: int, width_px: int) -> tuple[np.float32, np.float32]:
-    """How much a coordinate may jump to the next pixel, and bend there, for a camera of ``width_px``."""
+    """Return how much a coordinate may jump to the next pixel, and bend there, for a camera of ``width_px``."""
     # A pixel spans about 0.63 pattern px at full resolution, more on a small camera; steep surfaces double it.
     step_px = 1024.0 / width_px
     noise_px = period_px / 45.0
@@ -56,7 +56,7 @@ def edge_limits_px(period_px: int, width_px: int) -> tuple[np.float32, np.float3
 
 @dataclass(slots=True, eq=False)
 class DecodedMaps:
-    """What one camera's sequence was decoded to; arrays as those of ``CameraDecoder``."""
+    """Maps to which one camera's sequence was decoded; arrays as those of ``CameraDecoder``."""
 
     mask: NDArray[np.uint8]
     p_px: NDArray[np.float32]
@@ -82,11 +82,11 @@ class CameraDecoder:
         self._shape = (height_px, width_px)
         n = width_px * height_px
         self.gray_threshold = np.empty(self._shape, np.uint8)
-        """(h, w) uint8: half way between bright and dark: the Gray threshold."""
+        """(h, w) uint8: grey value half way between bright and dark, from which on a Gray bit is set."""
         self._threshold = self.gray_threshold.reshape(-1)
         self._half_period = np.empty(n, np.uint8)
         self.illuminated_columns = np.zeros((height_px, 2), np.int32)
-        """(h, 2) int32: first column of each row's lit part, and the one behind it; beyond, all is SHADOW."""
+        """(h, 2) int32: first column of each row's illuminated part, and the one behind it; beyond, all is SHADOW."""
         self.mask = np.empty(self._shape, np.uint8)
         """(h, w) uint8, values of Mask."""
         self.p_px = np.full(self._shape, np.nan, np.float32)
@@ -96,14 +96,14 @@ class CameraDecoder:
         self.modulation_half_dn = np.empty(self._shape, np.uint8)
         """(h, w) uint8: the smaller modulation of the two directions, in half grey values."""
         self.illuminated_pixels = 0
-        """Pixels that are not in the shadow."""
+        """Number of pixels that are not in the shadow."""
         self.backscatter_pixels = 0
-        """Pixels that have no coordinates since the water hides what their Gray code is; their mask is CONTRADICTION."""
+        """Number of pixels without coordinates since backscatter hides what their Gray code is; their mask is CONTRADICTION."""
         self.offset_per_threshold = 1.0
-        """Mean of the sine images, of ``middle``: what the projector's response makes of the middle of its codes."""
+        """Mean of the sine images over ``gray_threshold``: what the projector's response makes of the middle of its codes."""
         self._next = 0
         self._closed = False
-        """One direction is done."""
+        """True once one direction is closed."""
 
     def reset(self) -> None:
         """Expect frame 0 next."""
@@ -133,12 +133,13 @@ class CameraDecoder:
         )
 
     def _number(self, frames: NDArray[np.uint8], gray: tuple[int, ...]) -> None:
-        """All images at once: each is read once, the half periods are written once."""
+        """Number the half periods from all images at once: each is read once, the half periods are written once."""
         at_once = gray[:BITS_AT_ONCE]
+        # The dark image is a zero bit wherever there is light: it fills up to seven images.
         padded = (self._sequence.dark,) * (BITS_AT_ONCE - len(at_once)) + at_once
         a, b, c, d, e, f, g = (frames[k] for k in padded)
-        middle, half_period = self._threshold.reshape(self._shape), self._half_period.reshape(self._shape)
-        number_half_periods(a, b, c, d, e, f, g, middle, self.illuminated_columns, half_period)
+        threshold_map, half_period = self._threshold.reshape(self._shape), self._half_period.reshape(self._shape)
+        number_half_periods(a, b, c, d, e, f, g, threshold_map, self.illuminated_columns, half_period)
         for k in gray[BITS_AT_ONCE:]:
             add_bit(frames[k].reshape(-1), self._threshold, self._half_period)
 
@@ -153,6 +154,7 @@ class CameraDecoder:
             np.float32(MAX_GRAY_DISAGREEMENT),
             self._closed,
         )
+        # What fails now loses the other direction's coordinate, too.
         jump_px, bend_px = edge_limits_px(self._sequence.period_px, self._shape[1])
         mine_px, other_px = (self.p_px, self.q_px) if direction is Direction.X else (self.q_px, self.p_px)
         close_axis(
@@ -164,21 +166,22 @@ class CameraDecoder:
         self._closed = True
 
     def _offset_per_threshold(self, frames: NDArray[np.uint8], sine: tuple[int, ...]) -> float:
-        """From a thousand pixels; 1 where none is valid."""
+        """Compute ``offset_per_threshold`` from a thousand pixels; 1 where none is valid."""
         step = max(1, int((self.mask.size / OFFSET_SAMPLES) ** 0.5))
         valid = self.mask[::step, ::step] == Mask.VALID
-        middle = int(self.gray_threshold[::step, ::step][valid].sum(dtype=np.int64))
+        half_way = int(self.gray_threshold[::step, ::step][valid].sum(dtype=np.int64))
         mean = sum(int(frames[k][::step, ::step][valid].sum(dtype=np.int64)) for k in sine) / len(sine)
-        return mean / middle if middle else 1.0
+        return mean / half_way if half_way else 1.0
 
     def read_again_through_backscatter(self, frames: NDArray[np.uint8], noise: CameraNoise) -> bool:
-        """After the last of ``frames`` (n, h, w) uint8: where the water outshines the object, decode them anew, bit by bit.
+        """Decode anew, bit by bit, where backscatter outshines the object; call after the last of ``frames`` (n, h, w) uint8.
 
-        False, with the maps as they were, where it does so nowhere; this takes a millisecond. See ``backscatter``.
+        Returns False, with the maps as they were, where it does so nowhere; this takes a millisecond. See ``backscatter``.
         """
         columns, doubtful = np.empty((2, *self._shape), np.uint8)
         if not read_through_backscatter(self._sequence, frames, self.mask, noise, columns, doubtful):
             return False
+        # A camera's ray crosses the stripes of X and stays within one of Y: only bits of X follow the water.
         self._begin(frames)
         veiled = (doubtful != 0) & (self.mask == Mask.VALID)
         self.mask[veiled] = Mask.CONTRADICTION
@@ -198,7 +201,7 @@ class CameraDecoder:
         self._next = 0
 
     def copied(self) -> DecodedMaps:
-        """The maps as they are now, in memory of their own: 11 bytes per pixel."""
+        """Return the maps as they are now, in memory of their own: 11 bytes per pixel."""
         return DecodedMaps(
             self.mask.copy(), self.p_px.copy(), self.q_px.copy(), self.modulation_half_dn.copy(), self.gray_threshold.copy(),
             self.illuminated_columns.copy(), self.illuminated_pixels, self.offset_per_threshold,

@@ -1,6 +1,7 @@
 """Owns which pixels see an edge: where a coordinate jumps, or bends more than noise and curvature can.
 
-Such a pixel's grey values are a mixture of two surfaces, and so would be its point.
+Such a pixel's grey values are a mixture of two surfaces, and so would be its point. A jump is a first difference to one of
+the four neighbours, a bend a second difference across the pixel, along a row or a column.
 """
 
 from __future__ import annotations
@@ -26,16 +27,17 @@ def keep_smooth(
     coordinate: NDArray[np.float32],
     edge: NDArray[np.uint8],
 ) -> bool:
-    """Into ``coordinate`` what is no edge, NaN for the others, and whether there was one; all (n,).
+    """Write into ``coordinate`` what is no edge, NaN for the others, and 1 into ``edge`` there; return whether there was one.
 
-    ``around`` (n + 2,) begins one column before. In the form ``a if a > m else m`` a missing neighbour (NaN) says
-    nothing.
+    All are (n,), but for ``around`` (n + 2,), which begins one column before. In the form ``a if a > m else m`` a missing
+    neighbour (NaN) says nothing.
     """
     found = np.int32(0)
     for x in range(coordinate.size):
         here = around[x + 1]
         left, right = here - around[x], around[x + 2] - here
         up, down = here - above[x], below[x] - here
+        # Greatest first difference, then greatest second one.
         jump = abs(left) if abs(left) > _ZERO else _ZERO
         jump = abs(right) if abs(right) > jump else jump
         jump = abs(up) if abs(up) > jump else jump
@@ -51,12 +53,14 @@ def keep_smooth(
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _drop(flags: NDArray[np.uint8], m: NDArray[np.float32]) -> None:
+    """Write NaN into ``m`` (n,) where a flag is set."""
     for x in range(flags.size):
         m[x] = _NAN if flags[x] != np.uint8(0) else m[x]
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _name(edge: NDArray[np.uint8], mask: NDArray[np.uint8]) -> None:
+    """Write EDGE into ``mask`` (n,) where ``edge`` is set."""
     for x in range(edge.size):
         mask[x] = EDGE if edge[x] != np.uint8(0) else mask[x]
 
@@ -85,10 +89,12 @@ def close_axis(
     NaN.
     """
     rows, columns = coordinate.shape
+    # Rows y − 2, y − 1 and y, in turns.
     scratch = np.full((3, DECODING_SIZE), _NAN, np.float32)
     edge = np.empty(columns, np.uint8)
     begin, end = 0, 0
     for y in range(rows + 1):
+        # Close row y into its scratch row.
         s = scratch[y % 3]
         s[COORDINATE : COORDINATE + columns] = _NAN
         if y < rows:
@@ -101,6 +107,7 @@ def close_axis(
                 _drop(mask[y, first:stop], other[y, first:stop])
         else:
             first, stop = 0, 0
+        # Row y − 1 has both neighbours now: judge it, and write it.
         if y > 0:
             above, around = scratch[(y - 2) % 3, COORDINATE:], scratch[(y - 1) % 3, COORDINATE - 1 :]
             done, judged = slice(begin, end), edge[: end - begin]

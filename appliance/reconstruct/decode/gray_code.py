@@ -1,4 +1,7 @@
-"""Owns the Gray code of a pixel: which threshold, and which half period its bits name."""
+"""Owns the Gray code of a pixel: which threshold, and which half period its bits name.
+
+Symbols: a … g are the Gray images, most significant bit first; m is the pixel's threshold.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 BITS_AT_ONCE = 7
-"""With the threshold, eight inputs to one output: the most of which LLVM checks that they do not overlap."""
+"""Number of images read in one loop: with the threshold, eight inputs to one output are the most of which LLVM checks that
+they do not overlap."""
 _SHADOW = np.uint8(1)
 _ONE, _ZERO = np.uint8(1), np.uint8(0)
 
@@ -20,9 +24,10 @@ def threshold(
     gray_threshold: NDArray[np.uint8],
     mask: NDArray[np.uint8],
 ) -> None:
-    """The middle between bright and dark, rounded up, and 1 where they differ too little; arrays (n,) uint8."""
+    """Write the middle between bright and dark, rounded up, and 1 into ``mask`` where they differ too little; arrays (n,) uint8."""
     for i in range(gray_threshold.size):
         gray_threshold[i] = np.uint8((np.uint16(bright[i]) + np.uint16(dark[i]) + np.uint16(1)) >> np.uint16(1))
+        # Wraps around where bright is below dark, which is asked first.
         contrast = np.uint8(np.int16(bright[i]) - np.int16(dark[i]))
         mask[i] = _SHADOW if (bright[i] < dark[i]) | (contrast < min_contrast_dn) else _ZERO
 
@@ -39,7 +44,10 @@ def _number(
     gray_threshold: NDArray[np.uint8],
     half_period: NDArray[np.uint8],
 ) -> None:
-    """A bit of the number is the Gray bit, inverted when the bit before is set: no table is needed."""
+    """Write the half-period number of each pixel of a row.
+
+    A bit of the number is the Gray bit, inverted when the bit before is set (b_k = g_k xor b_{k−1}): no table is needed.
+    """
     for x in range(half_period.size):
         m = gray_threshold[x]
         bit = _ONE if a[x] >= m else _ZERO
@@ -71,7 +79,7 @@ def number_half_periods(
     illuminated: NDArray[np.int32],
     half_period: NDArray[np.uint8],
 ) -> None:
-    """The half period that seven Gray images name, most significant first, for the illuminated part of each row.
+    """Write the half period that seven Gray images name, most significant first, for the illuminated part of each row.
 
     Images are (h, w) uint8; for fewer than seven, put the dark image in front: where there is light it is a zero bit.
     """
@@ -85,7 +93,7 @@ def number_half_periods(
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def add_bit(frame: NDArray[np.uint8], gray_threshold: NDArray[np.uint8], half_period: NDArray[np.uint8]) -> None:
-    """Append one bit more; arrays (n,) uint8."""
+    """Append one more bit to each half period; arrays (n,) uint8."""
     for i in range(half_period.size):
         bit = _ONE if frame[i] >= gray_threshold[i] else _ZERO
         half_period[i] = np.uint8(half_period[i] << _ONE) | ((half_period[i] & _ONE) ^ bit)

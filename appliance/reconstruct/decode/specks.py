@@ -1,8 +1,10 @@
 """Owns which pixels something passed by while their fringes were recorded: their phase is wrong, and nothing else shows it.
 
-Of four steps of a quarter period, opposite ones have the same sum, and both directions have the same mean. What comes and
-goes within a scan breaks one or the other. An even harmonic of the projector's response breaks the first everywhere alike:
-it is measured, and allowed for.
+Of four steps of a quarter period, opposite ones have the same sum, I0 + I2 = I1 + I3 = 2A, and both directions have the same
+mean. What comes and goes within a scan breaks one or the other. An even harmonic of the projector's response breaks the first
+everywhere alike, by an amount times cos 2φ: it is measured, and allowed for.
+
+Symbols: cosine = I0 − I2 = 2B cos φ, sine = I3 − I1 = 2B sin φ, twice = 2B, off = I0 − I1 + I2 − I3.
 """
 
 from __future__ import annotations
@@ -21,35 +23,35 @@ SIGMAS = 6.0
 SHARE = 0.12
 """Disagreement allowed beside noise, as a share of the modulation: what soft fringes leave of the harmonic here and there."""
 MEAN_SHARE = 0.25
-"""The same of the two directions' means: motion and flicker are judged elsewhere, and are no specks."""
+"""The same share for the two directions' means: motion and flicker are judged elsewhere, and are no specks."""
 SAMPLES = 20_000
 STRUCK = np.uint8(Mask.CONTRADICTION)
 _NAN, _ZERO, _ONE = np.float32(np.nan), np.uint8(0), np.uint8(1)
 
 
 class Allowed(NamedTuple):
-    """What is no speck."""
+    """Disagreement that is no speck."""
 
     second_x: np.float32
-    """Disagreement of the steps over cos 2φ, in twice the modulation, of either direction."""
+    """Disagreement of the steps over cos 2φ, in twice the modulation, for X, and below for Y."""
     second_y: np.float32
     offset_x: np.float32
-    """Sums of opposite steps differ by so much everywhere: daylight."""
+    """Difference of the sums of opposite steps that daylight makes everywhere."""
     offset_y: np.float32
     offset_mean: np.float32
-    """The same of the directions' sums."""
+    """The same for the sums of both directions."""
     dark_dn2: np.float32
     """Variance of a sum of four steps at no light, times ``SIGMAS`` squared."""
     shot_dn: np.float32
-    """The same, per grey value of that sum."""
+    """Additional variance per grey value of that sum, times ``SIGMAS`` squared."""
 
 
 def mask_specks(
     sequence: PatternSequence, frames: NDArray[np.uint8], decoded: CameraDecoder, noise: CameraNoise
 ) -> int:
-    """Take the coordinates from pixels of ``decoded`` that something passed by in ``frames`` (n, h, w) uint8; how many.
+    """Take the coordinates from pixels of ``decoded`` that something passed by in ``frames`` (n, h, w) uint8; return how many.
 
-    After the last frame. Their mask is CONTRADICTION.
+    Call after the last frame. Their mask becomes CONTRADICTION.
     """
     steps = [frames[k] for direction in Direction for k in sequence.axis(direction).sine]
     allowed = _allowed(steps, decoded.mask, noise)
@@ -69,6 +71,7 @@ def _allowed(steps: list[NDArray[np.uint8]], mask: NDArray[np.uint8], noise: Cam
         return None
     i = [step[at][valid].astype(np.float32) for step in steps]
     seconds, offsets = [], []
+    # What all pixels have in common: an offset (daylight), and an even harmonic, as a slope over cos 2φ.
     for i0, i1, i2, i3 in (i[:4], i[4:]):
         off = i0 - i1 + i2 - i3
         offsets.append(float(np.median(off)))
@@ -91,7 +94,7 @@ def _allowed(steps: list[NDArray[np.uint8]], mask: NDArray[np.uint8], noise: Cam
 
 
 def _second(cosine: NDArray[np.float32], sine: NDArray[np.float32]) -> NDArray[np.float32]:
-    """cos 2φ times twice the modulation."""
+    """Return cos 2φ times twice the modulation."""
     length = np.maximum(np.hypot(cosine, sine), np.float32(1.0))
     return np.asarray((cosine - sine) * (cosine + sine) / length, np.float32)
 
@@ -109,13 +112,15 @@ def _flag(
     length: NDArray[np.float32],
     struck: NDArray[np.uint8],
 ) -> None:
-    """One direction of a row: its sum into ``total``, twice its modulation into ``length``; 1 in ``struck`` is added."""
+    """Examine one direction of a row: write its sum of steps to ``total``, twice its modulation to ``length``, and add 1 to
+    ``struck`` where opposite steps disagree."""
     for x in range(struck.size):
         a, b, c, d = np.float32(i0[x]), np.float32(i1[x]), np.float32(i2[x]), np.float32(i3[x])
         cosine, sine = a - c, d - b
         squared = cosine * cosine + sine * sine
         twice = np.sqrt(squared if squared > np.float32(1.0) else np.float32(1.0))
         light = a + b + c + d
+        # |I0 − I1 + I2 − I3 − what is seen everywhere| beyond the share allowed, against SIGMAS of its noise.
         off = (a - b) + (c - d) - offset - second * (cosine - sine) * (cosine + sine) / twice
         room = np.float32(0.5 * SHARE) * twice
         over = abs(off) - room
@@ -156,6 +161,7 @@ def _mask(
               totals[0, :n], lengths[0, :n], flags)  # fmt: skip
         _flag(e[y, part], f[y, part], g[y, part], h[y, part], allowed.second_y, allowed.offset_y, allowed,
               totals[1, :n], lengths[1, :n], flags)  # fmt: skip
+        # Both directions together: the difference of their means.
         for x in range(n):
             apart = abs(totals[0, x] - totals[1, x] - allowed.offset_mean)
             least = min(lengths[0, x], lengths[1, x])
