@@ -24,6 +24,8 @@ MAX_SIGMA = 5.0
 """Largest distance of two coordinates over its noise: those of one surface point differ by more in one pixel of a million."""
 ROWS = 64
 """Number of rows that are merged at once: the whole stays small."""
+SAMPLE_ROWS = 8
+"""Distance of the rows that tell which sequence is the clearer one."""
 BLOCK_ROWS, BLOCK_COLUMNS, LEAST_SHARED = 6, 8, 100
 """Parts of the image each of which is asked whether it has moved, and the least number of pixels both sequences must share in it."""
 MAX_SHIFT = 0.5
@@ -61,8 +63,9 @@ def merge(
     """Write the merged maps into those of ``first``, after the last frame of both and before any point is found.
 
     ``noise`` is that of the camera in either sequence. ``variance_px2`` (h, w) float32 is filled with the variance of each
-    pixel's coordinates, in px² of the pattern. Modulation and Gray threshold are those of the clearer sequence, the one
-    whose coordinate has the smaller variance. Raises ValueError for maps of different size.
+    pixel's coordinates, in px² of the pattern. Modulation and Gray threshold are, where both sequences have a coordinate,
+    those of the sequence whose coordinates have the smaller variance in most of the image; else those of the one that has.
+    Raises ValueError for maps of different size.
     """
     if first.mask.shape != second.mask.shape:
         raise ValueError(
@@ -71,14 +74,27 @@ def merge(
     scale_px = period_px / (2.0 * math.pi * math.sqrt(2.0))
     counts = np.zeros(4, np.int64)
     differences = np.full((2, *first.mask.shape), np.nan, np.float32)
+    second_is_clearer = _second_is_clearer(first, second, noise, scale_px)
     for top in range(0, first.mask.shape[0], ROWS):
         rows = slice(top, top + ROWS)
-        counts += _merge_rows(first, second, noise, scale_px, rows, differences, variance_px2)
+        counts += _merge_rows(first, second, noise, scale_px, rows, second_is_clearer, differences, variance_px2)
     first.illuminated_columns[:, 0] = np.minimum(first.illuminated_columns[:, 0], second.illuminated_columns[:, 0])
     first.illuminated_columns[:, 1] = np.maximum(first.illuminated_columns[:, 1], second.illuminated_columns[:, 1])
     first.illuminated_pixels = max(first.illuminated_pixels, second.illuminated_pixels)
     share = counts / first.mask.size
     return Agreement(float(share[0]), float(share[1]), float(share[2]), float(share[3]), _shift(differences))
+
+
+def _second_is_clearer(first: Maps, second: Maps, noise: tuple[CameraNoise, CameraNoise], scale_px: float) -> bool:
+    """Tell whether the second sequence has the smaller variance in most of the pixels of every ``SAMPLE_ROWS``-th row.
+
+    One answer for the image: a modulation that went to and fro between two exposures, from pixel to pixel, would look like
+    an edge of the albedo everywhere, and points would expect more error than they have.
+    """
+    rows = slice(0, None, SAMPLE_ROWS)
+    shared = (first.mask[rows] == Mask.VALID) & (second.mask[rows] == Mask.VALID)
+    clearer = _variance_px2(second, noise[1], scale_px, rows) < _variance_px2(first, noise[0], scale_px, rows)
+    return bool(2 * np.count_nonzero(clearer & shared) > np.count_nonzero(shared))
 
 
 def _shift(differences: NDArray[np.float32]) -> float | None:
@@ -98,6 +114,7 @@ def _merge_rows(
     noise: tuple[CameraNoise, CameraNoise],
     scale_px: float,
     rows: slice,
+    second_is_clearer: bool,
     differences: NDArray[np.float32],
     variance_px2: NDArray[np.float32],
 ) -> NDArray[np.int64]:
@@ -129,15 +146,12 @@ def _merge_rows(
     mask[~a & (mask == Mask.VALID)] = Mask.EDGE
     mask[differs] = Mask.CONTRADICTION
     mask[taken] = Mask.VALID
-    # 1/V = 1/V1 + 1/V2; what a pixel looked like is told by the clearer sequence.
+    # 1/V = 1/V1 + 1/V2; modulation and threshold stay what one sequence saw.
     mean = 1.0 / (1.0 / variance[0] + 1.0 / variance[1])
     variance_px2[rows] = np.where(merged, mean, np.where(taken, variance[1], variance[0]))
-    clearer = taken | (merged & (variance[1] < variance[0]))
-    for mine, theirs in (
-        (first.modulation_half_dn[rows], second.modulation_half_dn[rows]),
-        (first.gray_threshold[rows], second.gray_threshold[rows]),
-    ):
-        mine[clearer] = theirs[clearer]
+    from_second = taken | merged if second_is_clearer else taken
+    first.modulation_half_dn[rows][from_second] = second.modulation_half_dn[rows][from_second]
+    first.gray_threshold[rows][from_second] = second.gray_threshold[rows][from_second]
     return np.array([(a & ~b).sum(), taken.sum(), both.sum(), differs.sum()], np.int64)
 
 

@@ -57,7 +57,7 @@ def merged_sigma_px(
     """Standard deviation (n,) of the merged coordinates of one row."""
     variance_px2 = np.full(first.mask.shape, np.nan, np.float32)
     merge(first, second, noise, 16, variance_px2)
-    return np.sqrt(variance_px2[0])
+    return np.asarray(np.sqrt(variance_px2[0]))
 
 
 def test_two_coordinates_become_their_mean_by_variance_which_has_the_variance_of_a_mean() -> None:
@@ -80,6 +80,16 @@ def test_the_modulation_of_a_merged_pixel_is_the_one_that_the_clearer_sequence_s
         first, second = (maps([V], [100.0], [modulation], [80]) for modulation in modulations)
         merged(first, second)
         assert first.modulation_half_dn[0, 0] == 2.0 * seen
+
+
+def test_modulation_does_not_go_to_and_fro_between_two_exposures_where_they_are_about_as_clear() -> None:
+    """A jump from pixel to pixel would be taken for an edge of the albedo."""
+    for most in (0, 1):
+        light = [[80, 90, 80, 90, 80], [90, 80, 90, 80, 90]]
+        first, second = (maps([V] * 5, [1.0] * 5, [40.0] * 5, light[k ^ most]) for k in (0, 1))
+        seen = (second if most else first).gray_threshold.copy()
+        merged(first, second)
+        np.testing.assert_array_equal(first.gray_threshold, seen)
 
 
 def test_fringes_with_less_light_than_half_way_between_bright_and_dark_have_less_noise() -> None:
