@@ -63,7 +63,7 @@ class Windows:
     def verdict(self) -> Verdict:
         """Return what is written down. Nothing is refused by a single scan: ``passed`` is always None."""
         numbers: dict[str, float | None] = {}
-        said = []
+        parts = []
         for side in SIDES:
             falls = self.falls[side]
             told = bool(np.isfinite(falls).any())
@@ -75,15 +75,15 @@ class Windows:
             numbers[f"{side}_whole_percent"] = None if whole is None else 100.0 * whole
             numbers[f"{side}_forgiven_percent"] = 100.0 * self.forgiven[side]
             if told:
-                said.append(f"{side} at most {100.0 * float(falls[worst]):.0f} % softer in a cell")
+                parts.append(f"{side} at most {100.0 * float(falls[worst]):.0f} % softer in a cell")
         return Verdict(
-            NAME, None, numbers, ", ".join(said) or "too little seen by both cameras to judge the windows by"
+            NAME, None, numbers, ", ".join(parts) or "too little seen by both cameras to judge the windows by"
         )
 
 
-def look_at_windows(recorded: ScanImages) -> Windows:
+def look_at_windows(images: ScanImages) -> Windows:
     """Compare the cameras' fringes place by place."""
-    seen = {side: _look(recorded, side) for side in SIDES}
+    seen = {side: _look(images, side) for side in SIDES}
     falls: dict[str, Array] = {}
     wholes: dict[str, float | None] = {}
     forgiven: dict[str, float] = {}
@@ -106,8 +106,8 @@ class _Seen:
     """Mean light of the object by cell, DN."""
 
 
-def _look(recorded: ScanImages, side: str) -> _Seen:
-    frames, decoded, sequence = recorded.frames[side], recorded.decoded[side], recorded.sequence
+def _look(images: ScanImages, side: str) -> _Seen:
+    frames, decoded, sequence = images.frames[side], images.decoded[side], images.sequence
     h, w = decoded.p_px.shape
     step = max(1, math.ceil(math.sqrt(h * w / SAMPLES)))
     at = (slice(step // 2, None, step), slice(step // 2, None, step))
@@ -123,10 +123,10 @@ def _look(recorded: ScanImages, side: str) -> _Seen:
         swing += np.hypot(s0 - s2, s1 - s3)
     across = (decoded.p_px[at][v, u] * (PLACES[0] / sequence.width_px)).astype(np.intp).clip(0, PLACES[0] - 1)
     down = (decoded.q_px[at][v, u] * (PLACES[1] / sequence.height_px)).astype(np.intp).clip(0, PLACES[1] - 1)
-    lit = light[v, u]
+    light_dn = light[v, u]
     size = CELLS[0] * CELLS[1]
-    total = np.bincount(cell, lit, size)
-    return _Seen(0.5 * swing / lit, cell, down * PLACES[0] + across, total / max(1.0, good.size / size))
+    total = np.bincount(cell, light_dn, size)
+    return _Seen(0.5 * swing / light_dn, cell, down * PLACES[0] + across, total / max(1.0, good.size / size))
 
 
 def _falls(mine: _Seen, others: _Seen) -> tuple[Array, float | None]:

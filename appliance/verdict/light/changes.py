@@ -56,7 +56,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Level:
+class LightLevel:
     """Light in one frame, as a share of the projector's, less the mean of the frames of its group."""
 
     frame: int
@@ -79,7 +79,7 @@ class Changes:
     """Amplitude of what all blocks have in common, as a share of the projector's light."""
     local: float | None
     """Amplitude of what they have not: rms over the blocks, the fit's own noise taken off."""
-    levels: tuple[Level, ...]
+    levels: tuple[LightLevel, ...]
     """Levels that all blocks have in common, frame by frame."""
     ambient_flicker: float | None
     """``common`` over ambient light; unknown where there is next to none."""
@@ -107,7 +107,7 @@ class _Fit:
 def measure_changes(s: Sample, sequence: PatternSequence, noise: CameraNoise) -> Changes:
     """Measure one camera's changes of light by its sine and Gray images."""
     # Where noise alone decides what is saturated, only pixels with favourable phases would be left.
-    good = s.lit & (s.top_dn <= CLEAR_DN) & (s.modulation_dn >= MIN_MODULATION_DN)
+    good = s.illuminated & (s.top_dn <= CLEAR_DN) & (s.modulation_dn >= MIN_MODULATION_DN)
     rows, columns = (np.ascontiguousarray(places) for places in np.nonzero(good))
     members = _blocks(rows, columns, good.shape)
     if not members:
@@ -148,7 +148,7 @@ def measure_changes(s: Sample, sequence: PatternSequence, noise: CameraNoise) ->
     )
 
 
-def find_frequency_hz(levels: tuple[Level, ...], frame_s: float) -> tuple[float, float] | None:
+def find_frequency_hz(levels: tuple[LightLevel, ...], frame_s: float) -> tuple[float, float] | None:
     """The frequency, up to half the frame rate, that explains most of the levels' changes, and the share it explains.
 
     Lamps that flicker faster appear at another one: 100 Hz at 20 Hz, 120 Hz not at all, at 60 frames per second.
@@ -200,9 +200,9 @@ def _fit(
 
 def _apart(
     fits: dict[Direction, _Fit], judged: NDArray[np.bool_], weight: Floats, sequence: PatternSequence
-) -> tuple[float, float, list[Level]]:
+) -> tuple[float, float, list[LightLevel]]:
     """Amplitude of what blocks have in common, of what they have not, and the common levels of the sine images."""
-    levels: list[Level] = []
+    levels: list[LightLevel] = []
     common2, local2 = 0.0, 0.0
     for direction, fit in fits.items():
         parts = np.stack([fit.cosine, fit.sine, fit.third])[:, judged]
@@ -213,16 +213,16 @@ def _apart(
         c, s, third = middle
         own = (third / 4.0 + c / 2.0, -third / 4.0 - s / 2.0, third / 4.0 - c / 2.0, -third / 4.0 + s / 2.0)
         group = f"sine {direction.value}"
-        levels += [Level(k, group, level) for k, level in zip(sequence.axis(direction).sine, own, strict=True)]
+        levels += [LightLevel(k, group, level) for k, level in zip(sequence.axis(direction).sine, own, strict=True)]
         common2 += sum(level * level for level in own)
     # A sine of amplitude a has a mean square of a²/2; a difference of two images has twice the square of one.
     return float(np.sqrt(2.0 * common2 / 8.0)), float(np.sqrt(local2 / 4.0)), levels
 
 
-def _gray_levels(s: Sample, sequence: PatternSequence, good: NDArray[np.bool_], contrast: Floats) -> list[Level]:
-    """Common levels of the fine Gray images: what scatters from lit stripes into dark ones cancels."""
+def _gray_levels(s: Sample, sequence: PatternSequence, good: NDArray[np.bool_], contrast: Floats) -> list[LightLevel]:
+    """Common levels of the fine Gray images: what scatters from illuminated stripes into dark ones cancels."""
     pixels = np.flatnonzero(good)
-    found: list[Level] = []
+    found: list[LightLevel] = []
     for direction in Direction:
         numbers = np.array(sequence.axis(direction).gray[-FINE_IMAGES:], np.int64)
         own = stripe_levels(s.grey_dn.reshape(len(s.grey_dn), -1), numbers, sequence.dark, pixels, contrast, MIN_PIXELS)
@@ -230,7 +230,7 @@ def _gray_levels(s: Sample, sequence: PatternSequence, good: NDArray[np.bool_], 
         group = f"gray {direction.value}"
         mean = own[known].mean() if known.any() else 0.0
         found += [
-            Level(int(k), group, float(level - mean)) for k, level in zip(numbers[known], own[known], strict=True)
+            LightLevel(int(k), group, float(level - mean)) for k, level in zip(numbers[known], own[known], strict=True)
         ]
     return found
 

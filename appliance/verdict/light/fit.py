@@ -160,7 +160,7 @@ def stripe_levels(
     contrast: Floats,
     least: int,
 ) -> Floats:
-    """Return the level of each image in ``numbers``: half way between the medians of its dark and of its lit
+    """Return the level of each image in ``numbers``: half way between the medians of its dark and of its illuminated
     stripes, from dark (0) to bright (1); NaN where fewer than ``least`` pixels are either. ``grey`` (images, n) and
     what ``pixels`` of them have as ``contrast``."""
     found = np.full(numbers.size, np.nan)

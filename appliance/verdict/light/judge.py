@@ -26,30 +26,30 @@ FLICKER_ALIAS_HZ = (18.5, 21.5)
 """Frequencies at which lamps on 50 Hz mains show up at 60 frames per second."""
 
 
-def judge_light(recorded: ScanImages, present: Exposure, steps: Sequence[Exposure]) -> Judgement:
+def judge_light(images: ScanImages, present: Exposure, steps: Sequence[Exposure]) -> Judgement:
     """The verdict ``light`` with its numbers, at most one fault, and what to expose the next scan with.
 
     From the frames alone. ``present``: what they were exposed with; ``steps``: what may be proposed, from dark to bright
     (``capture.exposure.ladder``).
     """
-    noise = {side: of_side(recorded.noise, side) for side in SIDES}
-    samples = {side: sample(recorded.frames[side], recorded.sequence) for side in SIDES}
-    levels = {side: measure_levels(samples[side], recorded.sequence, noise[side]) for side in SIDES}
-    changes = {side: measure_changes(samples[side], recorded.sequence, noise[side]) for side in SIDES}
-    frequency = find_frequency_hz((*changes["left"].levels, *changes["right"].levels), recorded.frame_s)
+    noise = {side: of_side(images.noise, side) for side in SIDES}
+    samples = {side: sample(images.frames[side], images.sequence) for side in SIDES}
+    levels = {side: measure_levels(samples[side], images.sequence, noise[side]) for side in SIDES}
+    changes = {side: measure_changes(samples[side], images.sequence, noise[side]) for side in SIDES}
+    frequency = find_frequency_hz((*changes["left"].levels, *changes["right"].levels), images.frame_s)
     fault = _flickers(changes, frequency) or _worst_level(levels)
     numbers: dict[str, float | None] = {}
     for side in SIDES:
         numbers |= _numbers(side, levels[side], changes[side])
     numbers["flicker_alias_hz"] = frequency[0] if frequency is not None else None
     numbers["exposure_ms"], numbers["gain_db"] = present.time_us / 1000.0, present.gain_db
-    proposal = _propose(recorded, levels, present, steps)
+    proposal = _propose(images, levels, present, steps)
     mains = frequency is not None and FLICKER_ALIAS_HZ[0] <= frequency[0] <= FLICKER_ALIAS_HZ[1]
     if proposal is None and mains and fault is not None and fault.code is FaultCode.LIGHT_FLICKERS:
-        top_dn, scale_dn = _top(recorded, levels)
+        top_dn, scale_dn = _top(images, levels)
         proposal = without_flicker(top_dn, scale_dn, present, steps)
     second = propose_second(
-        [light_of(samples[side], recorded.sequence, noise[side]) for side in SIDES],
+        [light_of(samples[side], images.sequence, noise[side]) for side in SIDES],
         [FULL_DN - noise[side].black_dn for side in SIDES],
         present,
         steps,
@@ -58,23 +58,23 @@ def judge_light(recorded: ScanImages, present: Exposure, steps: Sequence[Exposur
         numbers["second_ms"], numbers["second_gain_db"] = second.time_us / 1000.0, second.gain_db
     if proposal is not None:
         numbers["proposed_ms"], numbers["proposed_gain_db"] = proposal.time_us / 1000.0, proposal.gain_db
-    judged = any(levels[side].lit_share > 0.0 for side in SIDES)
+    judged = any(levels[side].illuminated_share > 0.0 for side in SIDES)
     passed = fault is None if judged else None
     text = "enough light, not too much, and steady" if fault is None else f"{fault.code.value}: {fault.detail}"
     verdict = Verdict("light", passed, numbers, text if judged else "nothing is lit by the projector")
     return Judgement(verdict, fault, proposal, second)
 
 
-def _top(recorded: ScanImages, levels: dict[str, Levels]) -> tuple[float, float]:
-    black = {side: of_side(recorded.noise, side).black_dn for side in SIDES}
+def _top(images: ScanImages, levels: dict[str, Levels]) -> tuple[float, float]:
+    black = {side: of_side(images.noise, side).black_dn for side in SIDES}
     brightest = max(SIDES, key=lambda side: levels[side].top_dn / (FULL_DN - black[side]))
     return levels[brightest].top_dn, FULL_DN - black[brightest]
 
 
 def _propose(
-    recorded: ScanImages, levels: dict[str, Levels], present: Exposure, steps: Sequence[Exposure]
+    images: ScanImages, levels: dict[str, Levels], present: Exposure, steps: Sequence[Exposure]
 ) -> Exposure | None:
-    top_dn, scale_dn = _top(recorded, levels)
+    top_dn, scale_dn = _top(images, levels)
     return propose(top_dn, scale_dn, present, steps)
 
 
@@ -132,7 +132,7 @@ def _numbers(side: str, at: Levels, c: Changes) -> dict[str, float | None]:
         return None if share is None else 100.0 * share
 
     return {
-        f"{side}_lit_percent": percent(at.lit_share),
+        f"{side}_lit_percent": percent(at.illuminated_share),
         f"{side}_saturated_percent": percent(at.saturated),
         f"{side}_weak_percent": percent(at.weak),
         f"{side}_modulation_dn": at.modulation_dn,

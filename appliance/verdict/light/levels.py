@@ -20,7 +20,7 @@ MOST_PIXELS = 500_000
 """Most pixels of the grid, however little of it is illuminated: it has 32 bits for each image."""
 GOLDEN = 0.6180339887
 COARSE_PX = 8
-"""Distance of the pixels by which the lit ones are counted first."""
+"""Distance of the pixels by which the illuminated ones are counted first."""
 FULL_DN = 255.0
 SEEN_DN = 3.0
 """Bright minus dark above this is light of the projector, though perhaps too little to measure by: three sigma."""
@@ -49,18 +49,18 @@ class Sample:
     """The smaller one of the two directions, whether or not it means anything."""
     top_dn: Floats
     """Largest value of the bright image and all sines."""
-    lit: NDArray[np.bool_]
+    illuminated: NDArray[np.bool_]
     """Pixels that the projector illuminates, as decoding has it, or that are saturated."""
     saturated: NDArray[np.bool_]
     """Pixels that are saturated in any sine image or in the bright one."""
 
 
 def sample(frames: NDArray[np.uint8], sequence: PatternSequence) -> Sample:
-    """About ``SAMPLES`` lit pixels of ``frames`` (n, h, w) uint8; fewer where they are rare among ``MOST_PIXELS``."""
+    """About ``SAMPLES`` illuminated pixels of ``frames`` (n, h, w) uint8; fewer where they are rare among ``MOST_PIXELS``."""
     coarse = frames[[sequence.bright, sequence.dark], ::COARSE_PX, ::COARSE_PX].astype(np.int16)
-    lit_pixels = COARSE_PX**2 * int(np.count_nonzero(_lit(coarse[0], coarse[1])))
+    illuminated_pixels = COARSE_PX**2 * int(np.count_nonzero(_illuminated(coarse[0], coarse[1])))
     least = math.ceil((frames[0].size / MOST_PIXELS) ** 0.5)
-    stride = max(least, round((lit_pixels / SAMPLES) ** 0.5))
+    stride = max(least, round((illuminated_pixels / SAMPLES) ** 0.5))
     grey = frames[:, _places(frames.shape[1], stride)[:, None], _places(frames.shape[2], stride)].astype(
         np.float32, order="C"
     )
@@ -69,8 +69,8 @@ def sample(frames: NDArray[np.uint8], sequence: PatternSequence) -> Sample:
     modulation = np.minimum(*(0.5 * np.hypot(s[0] - s[2], s[3] - s[1]) for s in sines))
     top = np.maximum(bright, np.maximum(*(s.max(axis=0) for s in sines)))
     saturated = top >= FULL_DN
-    lit = _lit(bright, dark)
-    return Sample(grey, bright, dark, bright - dark, modulation, top, lit, saturated & lit)
+    illuminated = _illuminated(bright, dark)
+    return Sample(grey, bright, dark, bright - dark, modulation, top, illuminated, saturated & illuminated)
 
 
 def _places(size_px: int, stride: int) -> NDArray[np.intp]:
@@ -79,15 +79,15 @@ def _places(size_px: int, stride: int) -> NDArray[np.intp]:
     return np.minimum((stride * (number + GOLDEN * number % 1.0)).astype(np.intp), size_px - 1)
 
 
-def _lit(bright: NDArray[Any], dark: NDArray[Any]) -> NDArray[np.bool_]:
+def _illuminated(bright: NDArray[Any], dark: NDArray[Any]) -> NDArray[np.bool_]:
     return np.asarray((bright - dark >= MIN_CONTRAST_DN) | (bright >= FULL_DN), np.bool_)
 
 
 @dataclass(frozen=True, slots=True)
 class Levels:
-    """One camera's light in numbers. Shares are of lit pixels, 0..1; ``None``: nothing is lit."""
+    """One camera's light in numbers. Shares are of illuminated pixels, 0..1; ``None``: nothing is illuminated."""
 
-    lit_share: float
+    illuminated_share: float
     """Illuminated pixels as a share of all pixels."""
     saturated: float | None
     where: str
@@ -95,11 +95,11 @@ class Levels:
     weak: float | None
     """Fringes are there, but too weak to measure by."""
     modulation_dn: float | None
-    """Median of lit pixels that are not saturated."""
+    """Median of illuminated pixels that are not saturated."""
     modulation_tenth_dn: float | None
     """Nine of ten have more."""
     ambient_dn: float
-    """Median of the dark frame over the black level where lit; of all pixels where nothing is."""
+    """Median of the dark frame over the black level where illuminated; of all pixels where nothing is."""
     ambient_ratio: float | None
     """Median of ambient light over the projector's."""
     ambient_beyond: float | None
@@ -112,26 +112,26 @@ class Levels:
 
 def measure_levels(s: Sample, sequence: PatternSequence, noise: CameraNoise) -> Levels:
     """The numbers of one camera."""
-    lit, saturated = s.lit, s.saturated
-    count = int(lit.sum())
+    illuminated, saturated = s.illuminated, s.saturated
+    count = int(illuminated.sum())
     ambient = s.dark_dn - np.float32(noise.black_dn)
     top_dn = _top_dn(s, sequence, noise.black_dn)
     if count == 0:
         return Levels(0.0, None, "", None, None, None, float(np.median(ambient)), None, None, None, top_dn)
-    clear = lit & ~saturated
+    clear = illuminated & ~saturated
     dim = clear & (s.modulation_dn < MIN_MODULATION_DN)
     weak = int((dim & (s.modulation_dn >= DIM_MODULATION_DN)).sum())
-    ratio = ambient[lit] / np.maximum(s.contrast_dn[lit], 1.0)
+    ratio = ambient[illuminated] / np.maximum(s.contrast_dn[illuminated], 1.0)
     modulation = s.modulation_dn[clear & ~dim]
     known = modulation.size > 0
     return Levels(
-        lit_share=count / lit.size,
+        illuminated_share=count / illuminated.size,
         saturated=float(saturated.sum()) / count,
         where=_where(saturated),
         weak=weak / count,
         modulation_dn=float(np.median(modulation)) if known else None,
         modulation_tenth_dn=float(np.quantile(s.modulation_dn[clear], 0.1)) if known else None,
-        ambient_dn=float(np.median(ambient[lit])),
+        ambient_dn=float(np.median(ambient[illuminated])),
         ambient_ratio=float(np.median(ratio)),
         ambient_beyond=float(np.mean(ratio > 1.0)),
         ambient_peak=float(np.quantile(ratio, 0.9)),
@@ -140,7 +140,7 @@ def measure_levels(s: Sample, sequence: PatternSequence, noise: CameraNoise) -> 
 
 
 def _top_dn(s: Sample, sequence: PatternSequence, black_dn: float) -> float:
-    """The share is of all pixels, not of the lit ones: how many are lit depends on the exposure, which this decides."""
+    """The share is of all pixels, not of the illuminated ones: how many are illuminated depends on the exposure, which this decides."""
     level = np.where((s.contrast_dn >= SEEN_DN) | (s.bright_dn >= FULL_DN), s.bright_dn - np.float32(black_dn), 0.0)
     clipped = s.bright_dn >= FULL_DN
     if clipped.any():
@@ -190,9 +190,9 @@ def light_of(s: Sample, sequence: PatternSequence, noise: CameraNoise) -> tuple[
     """Return the brightest level over black and the modulation of the pixels with light of the projector; grey
     values, above the scale where that was saturated."""
     # Light without fringes is scattered by the water, whatever the exposure.
-    seen = ((s.lit | (s.contrast_dn >= FAINT_DN)) & (s.modulation_dn >= DIM_MODULATION_DN)) | s.saturated
+    seen = ((s.illuminated | (s.contrast_dn >= FAINT_DN)) & (s.modulation_dn >= DIM_MODULATION_DN)) | s.saturated
     top, modulation = s.top_dn - np.float32(noise.black_dn), s.modulation_dn.copy()
-    clear = s.lit & ~s.saturated & (s.contrast_dn > 0.0)
+    clear = s.illuminated & ~s.saturated & (s.contrast_dn > 0.0)
     depth = float(np.median(s.modulation_dn[clear] / s.contrast_dn[clear])) if clear.any() else 0.5
     clipped = s.bright_dn >= FULL_DN
     if clipped.any():

@@ -57,7 +57,7 @@ LEAST_GAINED = 0.05
 LEAST_COMMON = 0.1
 """Least share of the illuminated pixels that both must show, or nothing tells how they lie to each other."""
 ALIKE = 0.01
-"""Pairs that differ by so few of the lit pixels are as good as each other: the second one that loses least itself is taken."""
+"""Pairs that differ by so few of the illuminated pixels are as good as each other: the second one that loses least itself is taken."""
 
 Light = tuple[NDArray[np.float32], NDArray[np.float32]]
 """One camera's illuminated pixels: their brightest level over black in any image, which may be above the scale, and

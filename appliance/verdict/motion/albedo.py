@@ -1,6 +1,6 @@
-"""Owns how far the paint had moved in each Gray image, as a whole, against the bright one.
+"""Owns how far the albedo had moved in each Gray image, as a whole, against the bright one.
 
-Where a Gray image is lit, it shows what the bright frame shows, some frames later: least squares of their difference on the
+Where a Gray image is illuminated, it shows what the bright frame shows, some frames later: least squares of their difference on the
 bright frame's gradients tell the way between. One vector for the whole image is little, but there is one for each frame, so
 that shaking hands are seen to shake.
 """
@@ -35,7 +35,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class PaintCourse:
+class AlbedoShifts:
     """Course of the albedo in one camera's images, in its own px."""
 
     shift_px: Array
@@ -45,7 +45,7 @@ class PaintCourse:
 
     @property
     def double_step2(self) -> float | None:
-        """Mean square way of the paint, px², from a frame to the next but one, less what noise makes of it."""
+        """Mean square way of the albedo, px², from a frame to the next but one, less what noise makes of it."""
         apart = self.shift_px[2:] - self.shift_px[:-2]
         known = np.isfinite(apart).all(-1)
         if not known.any():
@@ -60,26 +60,26 @@ def _accumulate(
     bright: NDArray[np.uint8],
     dark: NDArray[np.uint8],
     coordinate_px: NDArray[np.float32],
-    lit: NDArray[np.bool_],
+    illuminated: NDArray[np.bool_],
     reach: int,
     stride: int,
     noise_dn2: tuple[float, float],
     sums: Array,
 ) -> None:
     """Add every ``stride``-th row and column to ``sums``: the upper triangle of the normal matrix of light, 1 and both
-    gradients, their products with the image, its square, and the count; ``lit`` (pattern px,)."""
+    gradients, their products with the image, its square, and the count; ``illuminated`` (pattern px,)."""
     height, width = bright.shape
     x = np.empty(_TERMS)
     for v in range(reach + stride // 2, height - reach, stride):
         for u in range(reach + stride // 2, width - reach, stride):
             place = coordinate_px[v, u]
-            if not (place >= 0.0 and place < lit.size - 1) or not lit[int(place)]:
+            if not (place >= 0.0 and place < illuminated.size - 1) or not illuminated[int(place)]:
                 continue
             white = np.float64(bright[v, u])
             light = white - np.float64(dark[v, u])
             if light < 16.0 or bright[v, u] == 255:
                 continue
-            # A silhouette within reach is no paint.
+            # A silhouette within reach is no albedo.
             if not (
                 coordinate_px[v, u - reach] >= 0.0
                 and coordinate_px[v, u + reach] >= 0.0
@@ -104,9 +104,9 @@ def _accumulate(
             sums[k + _TERMS + 2] += (noise_dn2[0] + noise_dn2[1] * white) / (2.0 * reach * reach)
 
 
-def paint_course(
+def albedo_shifts(
     frames: NDArray[np.uint8], decoded: CameraDecoder, sequence: PatternSequence, variance_dn2: tuple[float, float]
-) -> PaintCourse:
+) -> AlbedoShifts:
     """Follow the albedo through one camera's frames (n, h, w) uint8; ``variance_dn2``: variance of its noise at grey
     value 0 and per grey value."""
     shift, sd = np.full((len(sequence), 2), np.nan), np.full(len(sequence), np.nan)
@@ -118,26 +118,26 @@ def paint_course(
             sums = np.zeros(_TERMS * (_TERMS + 1) // 2 + _TERMS + 3)
             _accumulate(
                 frames[k], frames[sequence.bright], frames[sequence.dark], coordinate_px,
-                _well_lit(sequence.patterns[k].codes()), reach, stride, variance_dn2, sums,
+                _well_illuminated(sequence.patterns[k].codes()), reach, stride, variance_dn2, sums,
             )  # fmt: skip
             solved = _solve(sums)
             if solved is not None:
                 shift[k], sd[k] = solved
-    return PaintCourse(shift, sd)
+    return AlbedoShifts(shift, sd)
 
 
-def _well_lit(codes: NDArray[np.uint8]) -> NDArray[np.bool_]:
+def _well_illuminated(codes: NDArray[np.uint8]) -> NDArray[np.bool_]:
     """(pattern px,): light, and far enough from all edges of the stripes."""
-    lit = codes.astype(np.bool_)
-    edges = np.flatnonzero(np.diff(lit.astype(np.int8))) + 0.5
+    illuminated = codes.astype(np.bool_)
+    edges = np.flatnonzero(np.diff(illuminated.astype(np.int8))) + 0.5
     if not edges.size:
-        return lit
+        return illuminated
     columns = np.arange(codes.size, dtype=np.float64)
     after = np.searchsorted(edges, columns)
     beside = np.minimum(
         np.abs(columns - edges[np.maximum(after - 1, 0)]), np.abs(columns - edges[np.minimum(after, edges.size - 1)])
     )
-    return np.asarray(lit & (beside > BESIDE_PX))
+    return np.asarray(illuminated & (beside > BESIDE_PX))
 
 
 def _solve(sums: Array) -> tuple[Array, float] | None:

@@ -61,7 +61,7 @@ class DriftMap:
     texture_per_px2: NDArray[np.float64]
     """Mean square of how much the light changes per pattern px across the fringes, in modulations."""
     uneven_rad2: NDArray[np.float64]
-    """Mean square difference, from one pixel to the next, of the phase error that moving paint makes."""
+    """Mean square difference, from one pixel to the next, of the phase error that moving albedo makes."""
     second2: NDArray[np.float64]
     """Square of the second harmonic's share of the first, of the projector's light as it was recorded."""
 
@@ -133,7 +133,7 @@ def _accumulate(
                     gradient = 0.125 * (light_after - light_before) / slope
                     # Noise has a gradient, too: of eight grey values.
                     own = 0.125 * (dark_dn2 + per_dn * 0.25 * (a + b + c + d)) / (slope * slope)
-                    # Not the mean of ratios: where next to nothing is lit, they are large and mean little.
+                    # Not the mean of ratios: where next to nothing is illuminated, they are large and mean little.
                     s[_TEXTURE] += gradient * gradient - own
                     s[_TEXTURES] += modulation * modulation
 

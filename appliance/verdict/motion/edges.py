@@ -23,7 +23,7 @@ dark and how light its sides are. Blur stays within the first; the next edge is 
 SAMPLES = 60_000
 """Pixels of a camera that are looked at, about."""
 # Symbols of the kernel. way is +1 where light begins at the edge, −1 where it ends; beside is the distance from the
-# edge towards the light, pattern px; lit is the image's value from dark (0) to bright (1). The sums hold, for the inner
+# edge towards the light, pattern px; brightness is the image's value from dark (0) to bright (1). The sums hold, for the inner
 # part and for the dark and the bright side, how many pixels there are and their light; and the light of an ideal,
 # unmoved edge.
 
@@ -78,20 +78,20 @@ def _accumulate(
             if high - low < 8.0:
                 continue
             # Dark and bright reference take albedo and steady ambient light out of the value.
-            lit = (np.float64(image[v, u]) - low) / (high - low)
+            brightness = (np.float64(image[v, u]) - low) / (high - low)
             beside = way * (np.float64(p) - edge)
             s = sums[row, column]
             if abs(beside) <= INNER_PX:
                 s[_INNER] += 1.0
-                s[_INNER_LIT] += way * lit
+                s[_INNER_LIT] += way * brightness
                 s[_INNER_STEP] += way if beside > 0.0 else 0.0
                 s[_INNER_WAY] += way
             elif beside < 0.0:
                 s[_LOW] += 1.0
-                s[_LOW_LIT] += lit
+                s[_LOW_LIT] += brightness
             else:
                 s[_HIGH] += 1.0
-                s[_HIGH_LIT] += lit
+                s[_HIGH_LIT] += brightness
 
 
 def edge_shifts(frames: NDArray[np.uint8], decoded: CameraDecoder, sequence: PatternSequence) -> EdgeShifts:
@@ -113,8 +113,8 @@ def edge_shifts(frames: NDArray[np.uint8], decoded: CameraDecoder, sequence: Pat
 
 def _edges(codes: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return each pattern column's nearest edge within reach, and whether light begins (+1) or ends (−1) there."""
-    lit = codes.astype(np.int16)
-    after = np.flatnonzero(np.diff(lit))
+    brightness = codes.astype(np.int16)
+    after = np.flatnonzero(np.diff(brightness))
     columns = np.arange(codes.size, dtype=np.float32)
     if not after.size:
         return np.full(codes.size, np.nan, np.float32), np.zeros(codes.size, np.float32)
@@ -122,7 +122,7 @@ def _edges(codes: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.fl
     nearest = np.argmin(np.abs(columns[:, None] - edges[None, :]), 1)
     edge_px = edges[nearest]
     edge_px[np.abs(columns - edge_px) > REACH_PX] = np.nan
-    return edge_px, np.sign(np.diff(lit)[after])[nearest].astype(np.float32)
+    return edge_px, np.sign(np.diff(brightness)[after])[nearest].astype(np.float32)
 
 
 def _solve(sums: NDArray[np.float64]) -> NDArray[np.float64]:

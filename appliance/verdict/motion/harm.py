@@ -1,12 +1,12 @@
 """Owns what a movement adds to the noise of the points, as it follows from the drift maps of both cameras.
 
-Lateral movement of a surface that faces the instrument changes only what paint a pixel sees, for both cameras alike: their
+Lateral movement of a surface that faces the instrument changes only what albedo a pixel sees, for both cameras alike: their
 coordinates are wrong together, and points stay right. Depth moves the fringes in both cameras *against each other*. With
 E = ε left − ε right, in pattern px per frame, the ripple of the difference of both coordinates has a mean square of
 
 - E² (1/8 + 2 κ²): four steps of 90°, and what the projector's second harmonic (κ of the first) adds to their error;
-- E² (P/2π)² g²: paint with a gradient g, in modulations per px, that both cameras see at two places;
-- what is uneven in the phase error that moving paint makes in both cameras alike: they sample it at different places.
+- E² (P/2π)² g²: albedo with a gradient g, in modulations per px, that both cameras see at two places;
+- what is uneven in the phase error that moving albedo makes in both cameras alike: they sample it at different places.
 
 Where the way from image to image is not steady, each counts with the way between the two images that matter to it. Noise is
 the points' own. Both are taken across the surface (``SurfaceMap``), so harm is a ratio of two known things.
@@ -97,7 +97,7 @@ def facing(cloud: Cloud, width_px: int) -> tuple[NDArray[np.float32], NDArray[np
 UNSURE = 4.0
 """Cells whose drift is this many times less certain than the median cell's are left out."""
 UNEVEN_LEFT = 0.3
-"""Phase errors that paint makes in both cameras alike cancel, but for what differs from one pixel to the next: so much of
+"""Phase errors that albedo makes in both cameras alike cancel, but for what differs from one pixel to the next: so much of
 that is left. From training scans."""
 NOISE_UNCERTAINTY = 0.1
 """Share of its variance by which the noise may exceed what is stated, before what is over counts as moving albedo."""
@@ -157,16 +157,16 @@ def predict(
         texture = 0.5 * (np.nan_to_num(left.texture_per_px2) + np.nan_to_num(right.texture_per_px2))
         noise2 = left.noise_rad2 + right.noise_rad2
         uneven = 0.5 * (left.uneven_rad2 + right.uneven_rad2) - 2.0 * NOISE_UNCERTAINTY * noise2
-        paint = UNEVEN_LEFT**2 * np.maximum(uneven, 0.0)
+        albedo_rad2 = UNEVEN_LEFT**2 * np.maximum(uneven, 0.0)
         if double_step2 is not None:
             # C has one sum of four ways, which may well be none while the ways are long: to and fro.
             slope2 = 0.5 * (left.slope_per_px**2 + right.slope_per_px**2)
-            paint = paint + texture * slope2 * 0.25 * double_step2
+            albedo_rad2 = albedo_rad2 + texture * slope2 * 0.25 * double_step2
         second2 = 0.5 * (left.second2 + right.second2)
         # E² (1/8 + 2 κ²), without what the drift's own uncertainty adds to its square.
         ripple2 = (drift**2 - variance) * (0.125 + 2.0 * second2)
         # E² (P/2π)² g² of both halves of the fringe, and what moving albedo leaves.
-        ripple2 += px_per_rad**2 * ((steps2 - 2.0 * variance) * texture + paint)
+        ripple2 += px_per_rad**2 * ((steps2 - 2.0 * variance) * texture + albedo_rad2)
         known = np.isfinite(drift) & np.isfinite(across) & np.isfinite(surface.noise_mm) & np.isfinite(ripple2)
         if known.any():
             known &= variance < UNSURE**2 * np.median(variance[known])

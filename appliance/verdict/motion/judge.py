@@ -21,15 +21,15 @@ from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.noise import CameraNoise
 from appliance.scan.sides import SIDES, of_side
 from appliance.scan.verdict import Judgement, Verdict
-from appliance.verdict.motion.albedo import PaintCourse, paint_course
+from appliance.verdict.motion.albedo import AlbedoShifts, albedo_shifts
 from appliance.verdict.motion.drift import DriftMap, drift_map
 from appliance.verdict.motion.edges import edge_shifts
 from appliance.verdict.motion.harm import Harm, Place, place_of, predict, surface_map
 from appliance.verdict.motion.scores import (
     EDGE_FLOOR_PX,
     MOVED,
+    DriftTrend,
     Scores,
-    Trend,
     drift_trend,
     edge_course,
     edges_score,
@@ -81,26 +81,26 @@ class MotionJudgement:
     """Maps over the cells of the pattern."""
     drift: Mapping[str, DriftMap]
     """``left`` and ``right``."""
-    paint: Mapping[str, PaintCourse]
+    albedo: Mapping[str, AlbedoShifts]
 
 
-def judge_motion(recorded: ScanImages, cloud: Cloud, rig: StereoRig, water_index: float) -> MotionJudgement:
+def judge_motion(images: ScanImages, cloud: Cloud, rig: StereoRig, water_index: float) -> MotionJudgement:
     """Judge a whole sequence with its coarse ``cloud``; ``rig`` and ``water_index`` turn px into mm. About 50 ms of CPU at
     full size."""
-    sequence = recorded.sequence
-    noise = {side: of_side(recorded.noise, side) for side in SIDES}
-    drift, edges, textures, paint = {}, {}, {}, {}
+    sequence = images.sequence
+    noise = {side: of_side(images.noise, side) for side in SIDES}
+    drift, edges, textures, albedo = {}, {}, {}, {}
     for side in SIDES:
-        frames, decoded, variance = recorded.frames[side], recorded.decoded[side], _variance(noise[side])
+        frames, decoded, variance = images.frames[side], images.decoded[side], _variance(noise[side])
         drift[side] = drift_map(frames, decoded, sequence, variance)
         edges[side] = edge_shifts(frames, decoded, sequence)
         textures[side] = texture_shift(frames, decoded, sequence, variance)
-        paint[side] = paint_course(frames, decoded, sequence, variance)
-    lost = float(np.mean([_lost_share(recorded.decoded[side]) for side in SIDES]))
-    left = recorded.decoded["left"]
+        albedo[side] = albedo_shifts(frames, decoded, sequence, variance)
+    lost = float(np.mean([_lost_share(images.decoded[side]) for side in SIDES]))
+    left = images.decoded["left"]
     surface = surface_map(cloud, left.p_px, left.q_px, drift["left"].drift_px.shape)
     harm = predict(
-        drift["left"], drift["right"], surface, _double_step2(paint), rig, water_index, sequence.period_px, recorded.frame_s
+        drift["left"], drift["right"], surface, _double_step2(albedo), rig, water_index, sequence.period_px, images.frame_s
     )  # fmt: skip
     trend = drift_trend(harm)
     course = edge_course(edges, harm)
@@ -111,7 +111,7 @@ def judge_motion(recorded: ScanImages, cloud: Cloud, rig: StereoRig, water_index
         texture_score(textures),
     )
     axial = _axial(harm)
-    lateral = _lateral(textures["left"], harm, rig, water_index, recorded.frame_s)
+    lateral = _lateral(textures["left"], harm, rig, water_index, images.frame_s)
     kind = _kind(scores, trend, harm, course, axial, lateral)
     place = place_of(harm, (rig.left.width_px, rig.left.height_px))
     shift = _shift(drift["left"], harm, textures["left"], len(sequence))
@@ -127,13 +127,13 @@ def judge_motion(recorded: ScanImages, cloud: Cloud, rig: StereoRig, water_index
         scores,
         harm,
         drift,
-        paint,
+        albedo,
     )
 
 
-def _double_step2(paint: Mapping[str, PaintCourse]) -> float | None:
-    """Mean over the cameras that see any paint."""
-    known = [step2 for one in paint.values() if (step2 := one.double_step2) is not None]
+def _double_step2(albedo: Mapping[str, AlbedoShifts]) -> float | None:
+    """Mean over the cameras that see any albedo."""
+    known = [step2 for one in albedo.values() if (step2 := one.double_step2) is not None]
     return float(np.mean(known)) if known else None
 
 
@@ -145,11 +145,11 @@ def _variance(noise: CameraNoise) -> tuple[float, float]:
 def _lost_share(decoded: CameraDecoder) -> float:
     """Return the share of the illuminated pixels whose frames contradict each other or that look like an edge. What
     is saturated has no phase that could, and what the water hides does so at rest, too."""
-    lit = (
+    illuminated = (
         np.count_nonzero((decoded.mask != Mask.SHADOW) & (decoded.mask != Mask.SATURATED)) - decoded.backscatter_pixels
     )
     lost = np.count_nonzero(decoded.mask >= Mask.CONTRADICTION) - decoded.backscatter_pixels
-    return lost / lit if lit > 0 else 0.0
+    return lost / illuminated if illuminated > 0 else 0.0
 
 
 def _axial(harm: Harm) -> float | None:
@@ -196,7 +196,7 @@ LOCAL_CELLS, LOCAL_SHARE, LOCAL_REACH_CELLS = 0.2, 0.7, 4.0
 
 def _kind(
     scores: Scores,
-    trend: Trend | None,
+    trend: DriftTrend | None,
     harm: Harm,
     course: tuple[Array, Array],
     axial_mm_s: float | None,
@@ -220,7 +220,7 @@ def _kind(
     return MotionKind.LATERAL if (scores.flow or 0.0) >= MOVED or (scores.texture or 0.0) >= MOVED else MotionKind.AXIAL
 
 
-def _turns(trend: Trend | None, most: float) -> bool:
+def _turns(trend: DriftTrend | None, most: float) -> bool:
     """The drift's slope across the pattern exceeds its mean, and is certain."""
     if trend is None:
         return False
@@ -247,7 +247,7 @@ def _to_and_fro(course: tuple[Array, Array]) -> bool:
 
 
 def _is_local(harm: Harm, scores: Scores) -> bool:
-    """Paint and Gray edges stand still as a whole, and most of the harm is in few cells close to each other."""
+    """Albedo and Gray edges stand still as a whole, and most of the harm is in few cells close to each other."""
     known = (harm.weight > 0.0) & (harm.noise_mm > 0.0)
     if np.count_nonzero(known) < 20 or (scores.flow or 0.0) >= MOVED or (scores.edges or 0.0) >= MOVED:
         return False
@@ -306,7 +306,7 @@ def _judgement(
     if moved:
         where = "" if place is None else f", {place.word}"
         text = f"{kind.value}{'' if speed is None else f' {speed:.1f} mm/s'}{where}; adds {100.0 * added:.0f} % noise"
-    # What no sign of movement goes with is something else: specks between two images look like paint that moves.
+    # What no sign of movement goes with is something else: specks between two images look like albedo that moves.
     passed = added <= MOST_ADDED or not moved
     fault = None
     if not passed:

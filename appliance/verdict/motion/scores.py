@@ -46,7 +46,7 @@ class Scores:
 
 
 @dataclass(frozen=True, slots=True)
-class Trend:
+class DriftTrend:
     """E = mean + across · x + down · y, with x and y from −1 to 1 over the pattern; pattern px per frame."""
 
     mean: float
@@ -56,7 +56,7 @@ class Trend:
     score: float
 
 
-def drift_trend(harm: Harm) -> Trend | None:
+def drift_trend(harm: Harm) -> DriftTrend | None:
     """Least squares over the cells; ``None``: too few."""
     known = harm.weight > 0.0
     if np.count_nonzero(known) < 6:
@@ -70,7 +70,7 @@ def drift_trend(harm: Harm) -> Trend | None:
     fit = inverse @ (basis.T @ (weight * harm.drift_px[known]))
     sd = np.sqrt(np.diag(inverse))
     score = float(np.max(np.abs(fit) / np.hypot(sd, DRIFT_FLOOR_PX)))
-    return Trend(float(fit[0]), float(fit[1]), float(fit[2]), (float(sd[0]), float(sd[1]), float(sd[2])), score)
+    return DriftTrend(float(fit[0]), float(fit[1]), float(fit[2]), (float(sd[0]), float(sd[1]), float(sd[2])), score)
 
 
 def edge_course(edges: Mapping[str, EdgeShifts], harm: Harm) -> tuple[Array, Array]:

@@ -2,7 +2,7 @@
 
 Four steps of 90° add up to an image without fringes. The one of the x-sines and the one of the y-sines are eleven frames
 apart; at rest they differ by noise, once the daylight's change is fitted as a gain. Texture is divided by its surroundings
-before it is followed: the projector's light stays with the instrument, only paint moves.
+before it is followed: the projector's light stays with the instrument, only albedo moves.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.verdict.light.changes import Level, find_frequency_hz
+from appliance.verdict.light.changes import LightLevel, find_frequency_hz
 from appliance.verdict.light.fit import (
     COSINE,
     EXPECTED,
@@ -143,7 +143,7 @@ def test_a_lamp_is_found_at_its_frequency_up_to_half_the_frame_rate(hz: float) -
     for group in np.unique(groups):
         own = groups == group
         mean = value[own].mean()
-        levels += [Level(int(k), str(group), float(value[k] - mean)) for k in frames[own]]
+        levels += [LightLevel(int(k), str(group), float(value[k] - mean)) for k in frames[own]]
     found = find_frequency_hz(tuple(levels), 1.0 / 60.0)
     assert found is not None
     assert found[0] == pytest.approx(hz, abs=0.3)
@@ -151,6 +151,6 @@ def test_a_lamp_is_found_at_its_frequency_up_to_half_the_frame_rate(hz: float) -
 
 
 def test_frames_that_come_too_slowly_tell_no_frequency() -> None:
-    levels = tuple(Level(k, "gray x", 0.1 * (-1.0) ** k) for k in range(24))
+    levels = tuple(LightLevel(k, "gray x", 0.1 * (-1.0) ** k) for k in range(24))
     assert find_frequency_hz(levels, 1.0 / 1.9) is None
     assert find_frequency_hz(levels, 1.0 / 60.0) is not None, "the same levels do at a projector's usual rate"

@@ -8,7 +8,7 @@ import pytest
 from appliance.patterns.sequence import Direction, build_sequence
 from appliance.reconstruct.decode.decoder import CameraDecoder
 from appliance.verdict.motion import edges as motion_edges
-from appliance.verdict.motion.albedo import PaintCourse, paint_course
+from appliance.verdict.motion.albedo import AlbedoShifts, albedo_shifts
 from appliance.verdict.motion.edges import edge_shifts
 
 SEQUENCE = build_sequence(16, 320, 200)
@@ -203,7 +203,7 @@ def test_paint_is_where_least_squares_find_it_in_every_gray_image(
     width: int, height: int, reach: int, stride: int
 ) -> None:
     frames, decoder = painted(width, height)
-    found = paint_course(frames, decoder, SEQUENCE, NOISE)
+    found = albedo_shifts(frames, decoder, SEQUENCE, NOISE)
     known = np.isfinite(found.sd_px)
     assert known.sum() > 6
     assert not known[[SEQUENCE.bright, SEQUENCE.dark, *SEQUENCE.axis(Direction.X).sine]].any()
@@ -223,7 +223,7 @@ def test_paint_that_lies_still_has_moved_by_nothing_for_certain() -> None:
     frames[SEQUENCE.bright][frames[SEQUENCE.bright] == 255] = 254
     for k in (*GRAY_X, *GRAY_Y):
         frames[k] = frames[SEQUENCE.bright]
-    found = paint_course(frames, decoder, SEQUENCE, NOISE)
+    found = albedo_shifts(frames, decoder, SEQUENCE, NOISE)
     known = np.isfinite(found.sd_px)
     assert known.any()
     np.testing.assert_allclose(found.shift_px[known], 0.0, atol=1e-9)
@@ -239,7 +239,7 @@ def test_three_hundred_pixels_tell_where_the_paint_is_and_one_less_does_not() ->
         fewer = frames.copy()
         for v, u in here[many:]:
             fewer[SEQUENCE.dark, v, u] = fewer[SEQUENCE.bright, v, u]
-        assert np.isfinite(paint_course(fewer, decoder, SEQUENCE, NOISE).sd_px[k]) == told
+        assert np.isfinite(albedo_shifts(fewer, decoder, SEQUENCE, NOISE).sd_px[k]) == told
 
 
 def test_paint_whose_gradients_are_hardly_more_than_noise_is_not_followed() -> None:
@@ -249,11 +249,11 @@ def test_paint_whose_gradients_are_hardly_more_than_noise_is_not_followed() -> N
     *_, contrast = least_squares(frames, here, k, 1, NOISE)
     for wanted, told in ((2.1, True), (1.9, False)):
         noise = NOISE[0] * contrast / wanted, NOISE[1] * contrast / wanted
-        assert np.isfinite(paint_course(frames, decoder, SEQUENCE, noise).sd_px[k]) == told
+        assert np.isfinite(albedo_shifts(frames, decoder, SEQUENCE, noise).sd_px[k]) == told
 
 
-def course(shift: list[tuple[float, float]], sd: list[float]) -> PaintCourse:
-    return PaintCourse(np.array(shift), np.array(sd))
+def course(shift: list[tuple[float, float]], sd: list[float]) -> AlbedoShifts:
+    return AlbedoShifts(np.array(shift), np.array(sd))
 
 
 def test_a_double_step_is_the_way_from_a_frame_to_the_next_but_one_without_its_noise() -> None:

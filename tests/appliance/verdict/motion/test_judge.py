@@ -117,7 +117,7 @@ def test_shaking_paint_is_followed_frame_by_frame() -> None:
     """Six millimetres per second to and fro at 11 Hz: no mean of several images would show it."""
     hz, tremor_mm = 11.0, 0.09
     said = judge(Motion(tremor_mm=(tremor_mm, 0.0, 0.0), tremor_hz=hz), "strong", FACING)
-    seen = said.paint["left"].shift_px[:, 0]
+    seen = said.albedo["left"].shift_px[:, 0]
     known = np.isfinite(seen)
     assert np.count_nonzero(known) >= 12
     time_s = np.flatnonzero(known) * FRAME_S

@@ -13,7 +13,7 @@ from appliance.patterns.sequence import build_sequence
 from appliance.reconstruct.decode.decoder import CameraDecoder, Mask
 from appliance.scan.fault import FaultCode
 from appliance.scan.noise import CameraNoise
-from appliance.verdict.motion.albedo import PaintCourse
+from appliance.verdict.motion.albedo import AlbedoShifts
 from appliance.verdict.motion.drift import DriftMap
 from appliance.verdict.motion.harm import Place, place_of
 from appliance.verdict.motion.judge import (
@@ -30,8 +30,8 @@ from appliance.verdict.motion.judge import (
     _variance,
 )
 from appliance.verdict.motion.scores import (
+    DriftTrend,
     Scores,
-    Trend,
 )
 from tests.support import synthetic
 from tests.support.moving_cells import COLUMNS, NO_COURSE, ROWS, cells, harm, texture
@@ -142,10 +142,10 @@ def test_cells_without_points_say_nothing_of_the_speed() -> None:
 
 # ---------------------------------------------------------------------------------------------------- kind
 
-EVEN = Trend(0.02, 0.001, 0.001, (0.001, 0.001, 0.001), 20.0)
+EVEN = DriftTrend(0.02, 0.001, 0.001, (0.001, 0.001, 0.001), 20.0)
 
 
-def kind(scores: Scores, trend: Trend | None = EVEN, course: Any = NO_COURSE, **more: Any) -> MotionKind:
+def kind(scores: Scores, trend: DriftTrend | None = EVEN, course: Any = NO_COURSE, **more: Any) -> MotionKind:
     values: dict[str, Any] = {"axial_mm_s": 3.0, "lateral_mm_s": None} | more
     given = values.pop("harm", harm())
     return _kind(scores, trend, given, course, values["axial_mm_s"], values["lateral_mm_s"])
@@ -417,10 +417,10 @@ def test_noise_is_that_of_grey_value_0_and_per_grey_value() -> None:
 
 
 def test_the_way_of_the_paint_is_the_mean_of_the_cameras_that_see_any() -> None:
-    def seen(step_px: float) -> PaintCourse:
-        return PaintCourse(np.array([[0.0, 0.0], [0.0, 0.0], [step_px, 0.0]]), np.zeros(3))
+    def seen(step_px: float) -> AlbedoShifts:
+        return AlbedoShifts(np.array([[0.0, 0.0], [0.0, 0.0], [step_px, 0.0]]), np.zeros(3))
 
-    blind = PaintCourse(np.full((3, 2), np.nan), np.full(3, np.nan))
+    blind = AlbedoShifts(np.full((3, 2), np.nan), np.full(3, np.nan))
     assert _double_step2({"left": seen(1.0), "right": seen(3.0)}) == pytest.approx(5.0)
     assert _double_step2({"left": blind, "right": seen(3.0)}) == pytest.approx(9.0)
     assert _double_step2({"left": blind, "right": blind}) is None
