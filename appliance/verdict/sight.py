@@ -45,7 +45,7 @@ ROUGHLY = 0.03
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class VisibleFringes:
     """One camera's cells."""
 
     light_dn: float
@@ -95,7 +95,7 @@ def look(
     return Verdict(NAME, None, numbers, _text(numbers))
 
 
-def see(frames: NDArray[np.uint8], sequence: PatternSequence, noise: CameraNoise) -> Seen:
+def see(frames: NDArray[np.uint8], sequence: PatternSequence, noise: CameraNoise) -> VisibleFringes:
     """Look at one camera's ``frames`` (n, h, w) uint8, cell by cell."""
     rows, columns = frames.shape[1:]
     step = max(1, int((rows * columns / SAMPLES) ** 0.5))
@@ -123,7 +123,7 @@ def see(frames: NDArray[np.uint8], sequence: PatternSequence, noise: CameraNoise
     enough = count >= MIN_PER_CELL
     shows = enough & (fringe >= LEAST_FRINGE_DN) & (squared > FRINGE_SIGMAS * error)
     some = bool(shows.any())
-    return Seen(
+    return VisibleFringes(
         float(np.mean(bright - dark)),
         float(np.count_nonzero(shows)) / size,
         float(np.quantile(fringe[shows], 0.9)) if some else None,

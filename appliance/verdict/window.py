@@ -3,7 +3,7 @@
 Fog, a scratch, dirt on a window throw light aside: fringes lose contrast there, mean light hardly does. Contrast is also lost
 on the object (light from one part of it on another, a soft projector) and in the water. But what happens on the object both
 cameras see, at the same pattern coordinates; so each camera is compared with the other one, place by place on the object. The
-water's veil differs between them, and smoothly over the image; a smooth surface is therefore taken off first. What is left in
+water's backscatter differs between them, and smoothly over the image; a smooth surface is therefore taken off first. What is left in
 one cell of the image is the window's, if it stays there while the scene changes: that is ``appliance.service.windows``.
 """
 
@@ -66,15 +66,15 @@ class Windows:
         parts = []
         for side in SIDES:
             falls = self.falls[side]
-            told = bool(np.isfinite(falls).any())
-            worst = int(np.nanargmax(falls)) if told else 0
+            known = bool(np.isfinite(falls).any())
+            worst = int(np.nanargmax(falls)) if known else 0
             whole = self.wholes[side]
-            numbers[f"{side}_fall_percent"] = 100.0 * float(falls[worst]) if told else None
-            numbers[f"{side}_column"] = float(worst % CELLS[0]) if told else None
-            numbers[f"{side}_row"] = float(worst // CELLS[0]) if told else None
+            numbers[f"{side}_fall_percent"] = 100.0 * float(falls[worst]) if known else None
+            numbers[f"{side}_column"] = float(worst % CELLS[0]) if known else None
+            numbers[f"{side}_row"] = float(worst // CELLS[0]) if known else None
             numbers[f"{side}_whole_percent"] = None if whole is None else 100.0 * whole
             numbers[f"{side}_forgiven_percent"] = 100.0 * self.forgiven[side]
-            if told:
+            if known:
                 parts.append(f"{side} at most {100.0 * float(falls[worst]):.0f} % softer in a cell")
         return Verdict(
             NAME, None, numbers, ", ".join(parts) or "too little seen by both cameras to judge the windows by"
@@ -89,8 +89,8 @@ def look_at_windows(images: ScanImages) -> Windows:
     forgiven: dict[str, float] = {}
     for side, other in (SIDES, SIDES[::-1]):
         falls[side], wholes[side] = _falls(seen[side], seen[other])
-        told = falls[side][np.isfinite(falls[side])]
-        usual = float(np.quantile(np.abs(told), USUAL_QUANTILE)) if len(told) else 0.0
+        finite = falls[side][np.isfinite(falls[side])]
+        usual = float(np.quantile(np.abs(finite), USUAL_QUANTILE)) if len(finite) else 0.0
         forgiven[side] = max(SLACK, USUAL * usual)
     return Windows(falls, wholes, forgiven, {side: seen[side].light for side in SIDES})
 
@@ -142,11 +142,11 @@ def _falls(mine: _Seen, others: _Seen) -> tuple[Array, float | None]:
     for k in range(size):
         if borders[k + 1] - borders[k] >= MIN_PER_CELL:
             ratios[k] = np.median(ratio[order[borders[k] : borders[k + 1]]])
-    told = np.flatnonzero(np.isfinite(ratios))
-    if len(told) < MIN_CELLS:
+    judged = np.flatnonzero(np.isfinite(ratios))
+    if len(judged) < MIN_CELLS:
         return falls, None
-    falls[told] = 1.0 - ratios[told] / _smooth(told, ratios[told])
-    return falls, 1.0 - float(np.median(ratios[told]))
+    falls[judged] = 1.0 - ratios[judged] / _smooth(judged, ratios[judged])
+    return falls, 1.0 - float(np.median(ratios[judged]))
 
 
 def _smooth(cells: NDArray[np.intp], ratios: Array) -> Array:

@@ -14,14 +14,14 @@ from appliance.reconstruct.decode.backscatter import periods, plain_number
 class Count(IntEnum):
     """Places in the table of sums."""
 
-    LIT = 0
+    ILLUMINATED = 0
     """Samples that see the projector."""
     FRINGE = 1
     """… with enough modulation in both directions."""
     NOT_BRIGHT = 2
-    """Lit samples that are not bright in the bright frame."""
+    """Illuminated samples that are not bright in the bright frame."""
     NOT_DARK = 3
-    """Lit samples that are not dark in the dark frame."""
+    """Illuminated samples that are not dark in the dark frame."""
     STEPS = 4
     """Steps from one sample to the next on the same surface."""
     FORWARD = 5
@@ -75,7 +75,7 @@ def follow(
     values: NDArray[np.uint8],
     low: NDArray[np.uint8],
     high: NDArray[np.uint8],
-    lit: NDArray[np.bool_],
+    illuminated: NDArray[np.bool_],
     middle: NDArray[np.float32],
     doubt_dn: NDArray[np.float32],
     least_dn: NDArray[np.float32],
@@ -110,7 +110,7 @@ def follow(
         # First pass along a line: what each sample says by itself, and whether it can be compared with its neighbours.
         for x in range(samples):
             good[x] = False
-            if not lit[line, x]:
+            if not illuminated[line, x]:
                 continue
             least, most = np.float32(low[line, x]), np.float32(high[line, x])
             swing = most - least
@@ -148,13 +148,13 @@ def follow(
             if not judged:
                 continue
             # From Gray code to number: each bit of the number is that of the code xor the bit before.
-            g, h, bit, soft, told = 0, 0, 0, 0, True
+            g, h, bit, soft, decided = 0, 0, 0, 0, True
             for j in range(bits):
                 threshold = middle[min(j, middle.shape[0] - 1), line, x]
                 off = np.float32(values[order[gray[j]], line, x]) - threshold
                 now = 1 if off > np.float32(0.0) else 0
                 # A threshold that is NaN decides no bit.
-                told = told & (off == off)
+                decided = decided & (off == off)
                 soft = 2 * soft + (1 if abs(off) < doubt_dn[line, x] else 0)
                 g = 2 * g + now
                 bit ^= now
@@ -162,9 +162,9 @@ def follow(
             code[x], number[x] = g, h
             if soft != 0:  # at a stripe's own edge, its phase tells; elsewhere, the bit says nothing
                 turns = np.float32(0.5 / np.pi) * np.arctan2(im[x], re[x])
-                told = told and periods(h, turns) == periods(plain_number(g ^ soft), turns)
+                decided = decided and periods(h, turns) == periods(plain_number(g ^ soft), turns)
             # Both directions have the same amplitude on one surface; at an outline they have not.
-            good[x] = told and _LEAST_RATIO * others < mine < _MOST_RATIO * others
+            good[x] = decided and _LEAST_RATIO * others < mine < _MOST_RATIO * others
             re[x], im[x] = re[x] / mine, im[x] / mine
             other_re[x], other_im[x] = other_re[x] / others, other_im[x] / others
         # Second pass: the phase steps between neighbours that lie on one surface.

@@ -56,13 +56,13 @@ _FRINGE_SIGMA = 6.0
 
 
 @dataclass(frozen=True, slots=True)
-class Evidence:
+class LineEvidence:
     """Doubts that the lines of one camera raise about one explanation, by name, e.g. ``order gray-x-3``."""
 
     doubts: Mapping[str, float]
     suspects: Mapping[str, int]
     """The frame a doubt is about, where it is about one."""
-    lit: int
+    illuminated: int
     fringe: int
     """Samples with fringes; below ``MIN_FRINGE`` no doubt means anything."""
     edges: int
@@ -105,7 +105,7 @@ class Witness:
         self._gray = {d: np.array(axis.gray, np.int64) for d, axis in self._axes.items()}
         self._sine = {d: np.array(axis.sine, np.int64) for d, axis in self._axes.items()}
 
-    def evidence(self, order: NDArray[np.int64]) -> Evidence:
+    def evidence(self, order: NDArray[np.int64]) -> LineEvidence:
         """Collect the doubts about frame ``order[k]`` showing pattern k."""
         doubts: dict[str, float] = {}
         suspects: dict[str, int] = {}
@@ -116,7 +116,7 @@ class Witness:
             sums, edges = np.zeros(COUNTS), np.zeros((len(self._gray[along]), 2))
             middle, doubt_dn = thresholds(mine, self._sequence, self._noise, order)
             follow(
-                mine.values, mine.low, mine.high, mine.lit, middle, doubt_dn, self._least_dn, order, (bright, dark),
+                mine.values, mine.low, mine.high, mine.illuminated, middle, doubt_dn, self._least_dn, order, (bright, dark),
                 self._gray[along], self._sine[along], self._sine[across], sums, edges,
             )  # fmt: skip
             all_sums[along] = sums
@@ -125,8 +125,8 @@ class Witness:
         total = np.asarray(sum(all_sums.values()))
         self._reference_doubts(order, total, doubts, suspects)
         doubts = {name: float(doubt) for name, doubt in doubts.items()}
-        return Evidence(
-            doubts, suspects, int(total[Count.LIT]), int(total[Count.FRINGE]), int(total[Count.EDGES]),
+        return LineEvidence(
+            doubts, suspects, int(total[Count.ILLUMINATED]), int(total[Count.FRINGE]), int(total[Count.EDGES]),
             self._displaced(all_sums),
         )  # fmt: skip
 
@@ -193,11 +193,11 @@ class Witness:
         suspects: dict[str, int],
     ) -> None:
         """Is another frame the better bright, or the better dark? At outlines of what moves, none is."""
-        if total[Count.LIT] < MIN_FRINGE:
+        if total[Count.ILLUMINATED] < MIN_FRINGE:
             return
         share = {"bright": total[Count.NOT_BRIGHT], "dark": total[Count.NOT_DARK]}
         for name, off in share.items():
-            off /= total[Count.LIT]
+            off /= total[Count.ILLUMINATED]
             excess = 0.0
             if off > MOST_BESIDE_REFERENCE:
                 least = float(self._off_reference()[int(name == "bright")][order].min())
@@ -206,15 +206,18 @@ class Witness:
             suspects[name] = self._sequence.bright if name == "bright" else self._sequence.dark
 
     def _off_reference(self) -> NDArray[np.float64]:
-        """(2, frames): the share of lit samples at which each frame is not dark, and not bright; computed once."""
+        """(2, frames): the share of illuminated samples at which each frame is not dark, and not bright; computed once."""
         if self._off is None:
             frames = len(next(iter(self.lines.values())).values)
-            off, lit = np.zeros((2, frames)), 0
+            off, illuminated = np.zeros((2, frames)), 0
             for mine in self.lines.values():
-                values = mine.values[:, mine.lit].astype(np.float32)
-                low, high = mine.low[mine.lit].astype(np.float32), mine.high[mine.lit].astype(np.float32)
+                values = mine.values[:, mine.illuminated].astype(np.float32)
+                low, high = (
+                    mine.low[mine.illuminated].astype(np.float32),
+                    mine.high[mine.illuminated].astype(np.float32),
+                )
                 margin = OFF_REFERENCE * (high - low)
                 off += np.count_nonzero(values > low + margin, axis=1), np.count_nonzero(values < high - margin, axis=1)
-                lit += values.shape[1]
-            self._off = off / max(lit, 1)
+                illuminated += values.shape[1]
+            self._off = off / max(illuminated, 1)
         return self._off

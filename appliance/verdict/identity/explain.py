@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from appliance.patterns.sequence import Direction, PatternSequence
 from appliance.scan.noise import CameraNoise
-from appliance.verdict.identity.evidence import MIN_FRINGE, Evidence, Witness
+from appliance.verdict.identity.evidence import MIN_FRINGE, LineEvidence, Witness
 from appliance.verdict.identity.lines import Lines
 
 SAME = 2.0
@@ -57,10 +57,10 @@ class Explanation:
     identical: bool = False
     """To the last bit: only a camera's memory repeats an image with its noise."""
     moved: float = 0.0
-    """Share of what is lit that moves by this explanation; see ``moved_share``."""
+    """Share of what is illuminated that moves by this explanation; see ``moved_share``."""
 
 
-def explain(witness: Witness, sequence: PatternSequence, noise: CameraNoise, doubts: Evidence) -> Explanation:
+def explain(witness: Witness, sequence: PatternSequence, noise: CameraNoise, doubts: LineEvidence) -> Explanation:
     """The best explanation of frames that are contradicted by ``doubts``, the evidence for their being as planned."""
     same = differences(witness, sequence, noise)
     first = still_from(same)
@@ -76,7 +76,7 @@ def explain(witness: Witness, sequence: PatternSequence, noise: CameraNoise, dou
 def still(witness: Witness, sequence: PatternSequence, noise: CameraNoise) -> Explanation | None:
     """Return the explanation of frames without fringes across both directions, if it is that the image stays.
 
-    Mere veil shows broad stripes only, so that all later frames are alike in it. A still image must have begun before
+    Mere backscatter shows broad stripes only, so that all later frames are alike in it. A still image must have begun before
     the second stripe image of the last direction, or the fringes of the first one have been seen.
     """
     same = differences(witness, sequence, noise)
@@ -90,11 +90,13 @@ def still(witness: Witness, sequence: PatternSequence, noise: CameraNoise) -> Ex
 
 
 def differences(witness: Witness, sequence: PatternSequence, noise: CameraNoise) -> NDArray[np.float64]:
-    """(n, n): squared differences of frames over lit samples, in units of noise: 1 between images of the same."""
+    """(n, n): squared differences of frames over illuminated samples, in units of noise: 1 between images of the same."""
     samples = [_fringed(lines, sequence, noise) for lines in witness.lines.values()]
     values = np.concatenate(samples, axis=1).astype(np.float64)
     if values.shape[1] < MIN_FRINGE:
-        values = np.concatenate([lines.values[:, lines.lit] for lines in witness.lines.values()], axis=1).astype(float)
+        values = np.concatenate(
+            [lines.values[:, lines.illuminated] for lines in witness.lines.values()], axis=1
+        ).astype(float)
     variance = noise.variance_dn2(values.mean(axis=0))
     # |a − b|² = |a|² + |b|² − 2 a·b, over the variance of a difference of two frames.
     scaled = (values - values.mean(axis=0)) / np.sqrt(2.0 * variance)
@@ -106,26 +108,26 @@ def differences(witness: Witness, sequence: PatternSequence, noise: CameraNoise)
 
 
 def moved_share(witness: Witness, sequence: PatternSequence, order: NDArray[np.int64]) -> float:
-    """Share of lit samples whose mean over the sines of one direction is not that over the other's.
+    """Share of illuminated samples whose mean over the sines of one direction is not that over the other's.
 
     For frame ``order[k]`` taken as showing pattern k. A single sine in a wrong place moves its mean by an eighth of the swing
     at most.
     """
-    moved = lit = 0
+    moved = illuminated = 0
     for lines in witness.lines.values():
-        means = [lines.values[order[list(sequence.axis(d).sine)]][:, lines.lit].mean(axis=0) for d in Direction]
-        swing = (lines.high - lines.low)[lines.lit].astype(np.float64)
+        means = [lines.values[order[list(sequence.axis(d).sine)]][:, lines.illuminated].mean(axis=0) for d in Direction]
+        swing = (lines.high - lines.low)[lines.illuminated].astype(np.float64)
         moved += int(np.count_nonzero(abs(means[0] - means[1]) > SAME_MEAN * swing))
-        lit += swing.size
-    return moved / max(lit, 1)
+        illuminated += swing.size
+    return moved / max(illuminated, 1)
 
 
 def _fringed(lines: Lines, sequence: PatternSequence, noise: CameraNoise) -> NDArray[np.uint8]:
-    """(n, samples): those in which the fringes across columns are seen; broad stripes are seen in mere veil too."""
+    """(n, samples): those in which the fringes across columns are seen; broad stripes are seen in mere backscatter too."""
     s0, s1, s2, s3 = (lines.values[k].astype(np.float32) for k in sequence.axis(Direction.X).sine)
     variance = noise.variance_dn2(lines.high.astype(np.float32))
     seen = (s0 - s2) ** 2 + (s3 - s1) ** 2 > 72.0 * variance
-    return np.asarray(lines.values[:, lines.lit & seen])
+    return np.asarray(lines.values[:, lines.illuminated & seen])
 
 
 def still_from(same: NDArray[np.float64]) -> int | None:
@@ -136,25 +138,27 @@ def still_from(same: NDArray[np.float64]) -> int | None:
     return None if first == len(same) - 1 else first
 
 
-def _reordered(witness: Witness, sequence: PatternSequence, noise: CameraNoise, doubts: Evidence) -> Explanation | None:
+def _reordered(
+    witness: Witness, sequence: PatternSequence, noise: CameraNoise, doubts: LineEvidence
+) -> Explanation | None:
     """The order under which the least doubt is left, none is decided, and clearly less than of the frames as planned."""
     every = max(1, min(doubts.fringe // ENOUGH_FRINGE, 8))
     # Every order is tried on a part of the lines; only the finalists face all of them.
     thin = {along: _thinned(lines, every) for along, lines in witness.lines.items()}
     scores = [
         (found.total, number)
-        for number, (_, order, asked) in enumerate(_ordered(Witness(thin, sequence, noise), sequence, noise))
-        if (found := asked.evidence(order)).judged
+        for number, (_, order, holder) in enumerate(_ordered(Witness(thin, sequence, noise), sequence, noise))
+        if (found := holder.evidence(order)).judged
     ]
     best: tuple[float, Explanation] | None = None
     chosen = {number for _, number in sorted(scores)[:FINALISTS]}
-    for number, (explanation, order, asked) in enumerate(_ordered(witness, sequence, noise)):
+    for number, (explanation, order, holder) in enumerate(_ordered(witness, sequence, noise)):
         if number not in chosen:
             continue
-        found = asked.evidence(order)
+        found = holder.evidence(order)
         clearly = found.total <= doubts.total - CLEARLY_LESS
         if found.judged and clearly and not found.contradicted and (best is None or found.total < best[0]):
-            best = found.total, replace(explanation, moved=moved_share(asked, sequence, order))
+            best = found.total, replace(explanation, moved=moved_share(holder, sequence, order))
     return None if best is None else best[1]
 
 
@@ -187,12 +191,15 @@ def _ordered(
 
 def _thinned(lines: Lines, every: int) -> Lines:
     low, high = (np.ascontiguousarray(part[::every]) for part in (lines.low, lines.high))
-    values, lit = np.ascontiguousarray(lines.values[:, ::every]), np.ascontiguousarray(lines.lit[::every])
-    return Lines(lines.along, values, low, high, lit)
+    values, illuminated = (
+        np.ascontiguousarray(lines.values[:, ::every]),
+        np.ascontiguousarray(lines.illuminated[::every]),
+    )
+    return Lines(lines.along, values, low, high, illuminated)
 
 
 def _with(lines: Lines, frame: NDArray[np.uint8]) -> Lines:
-    return Lines(lines.along, np.concatenate([lines.values, frame[None]]), lines.low, lines.high, lines.lit)
+    return Lines(lines.along, np.concatenate([lines.values, frame[None]]), lines.low, lines.high, lines.illuminated)
 
 
 def _with_last(lines: Lines, sequence: PatternSequence) -> Lines:
@@ -203,7 +210,7 @@ def _with_last(lines: Lines, sequence: PatternSequence) -> Lines:
     return _with(lines, np.clip(late0 + late2 - late1, 0, 255).astype(np.uint8))
 
 
-def _repeated(same: NDArray[np.float64], doubts: Evidence) -> Explanation | None:
+def _repeated(same: NDArray[np.float64], doubts: LineEvidence) -> Explanation | None:
     """A frame that is doubted and equals another; neighbours first, then the doubt that is greatest."""
     n = len(same)
     named = {doubts.suspects[name]: doubt for name, doubt in doubts.doubts.items() if name in doubts.suspects}
@@ -215,6 +222,6 @@ def _repeated(same: NDArray[np.float64], doubts: Evidence) -> Explanation | None
     return Explanation(What.REPEATED, j, i, identical=not same[i, j])
 
 
-def _suspect(doubts: Evidence) -> int:
+def _suspect(doubts: LineEvidence) -> int:
     about = {name: doubt for name, doubt in doubts.doubts.items() if name in doubts.suspects}
     return doubts.suspects[max(about, key=lambda name: about[name])] if about else 0

@@ -14,15 +14,15 @@ from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.noise import TYPICAL_PAIR, CameraNoise, StereoNoise
 from appliance.scan.sides import SIDES, of_side
 from appliance.scan.verdict import Judgement, Verdict
-from appliance.verdict.identity.evidence import DECIDED, MIN_FRINGE, Evidence, Witness
+from appliance.verdict.identity.evidence import DECIDED, MIN_FRINGE, LineEvidence, Witness
 from appliance.verdict.identity.explain import Explanation, What, explain, still
 from appliance.verdict.identity.lines import can_follow, take_lines
 
 NAME = "identity"
 LEAST_LIGHT_DN = 0.05
-"""Mean of the bright frame above that of the dark one, where even the water's veil is gone."""
+"""Mean of the bright frame above that of the dark one, where even the water's backscatter is gone."""
 LIGHT_SIGMA = 4.0
-LEAST_VEIL_DN_PER_MS = 0.03
+LEAST_BACKSCATTER_DN_PER_MS = 0.03
 """Of exposure at 0 dB, that the projector's white adds to the mean even where it meets nothing but the clearest water: a tenth of
 what clear coastal water adds. An exposure so short that this would not be seen cannot tell that the projector is dark."""
 MOST_MOVED = 0.25
@@ -45,15 +45,15 @@ class _Camera:
     """What one camera's frames say by themselves."""
 
     device: str
-    evidence: Evidence
+    evidence: LineEvidence
     explanation: Explanation | None
     """``None``: nothing speaks against them."""
     light_dn: float
     """How much the projector's white adds to the mean of the image."""
     sees_light: bool
     """It is more than chance."""
-    would_see_veil: bool
-    """Mere lit water would be more than chance as well: seeing no light then means that there is none."""
+    would_see_backscatter: bool
+    """Mere illuminated water would be more than chance as well: seeing no light then means that there is none."""
     ends_dark: bool
     """The last frame is about as dark as the darkest."""
     identical: bool
@@ -73,7 +73,7 @@ def judge_identity(
 
     Passed: every frame is its pattern. None: too little of the projector's light is seen to say so, or too much moves. Failed, with a fault:
     ``CAMERA_STUCK`` (device), ``PROJECTOR_TIMING`` (shift_frames), ``PATTERN_WRONG`` (frame; device projector if both cameras
-    say it), ``PROJECTOR_DARK`` (only where the lit water would have been seen). Numbers: ``doubt``, the largest of all doubts, which alarm from 1 on; of each camera the
+    say it), ``PROJECTOR_DARK`` (only where the illuminated water would have been seen). Numbers: ``doubt``, the largest of all doubts, which alarm from 1 on; of each camera the
     same, the samples with fringes, and the projector's light; ``parallax_percent``, by which both see the stripes beside their
     place, to opposite sides. Raises ValueError for a number of frames that is not the
     sequence's.
@@ -84,14 +84,14 @@ def judge_identity(
                 f"{len(mine)} frames of camera {side} for a sequence of {len(sequence)}; judge whole sequences"
             )
     of = {side: of_side(noise, side) for side in SIDES}
-    looked = [_look(side, mine, sequence, of[side], exposure) for side, mine in frames.items()]
-    cameras = _without_parallax(looked)
+    seen_by = [_look(side, mine, sequence, of[side], exposure) for side, mine in frames.items()]
+    cameras = _without_parallax(seen_by)
     fault = _fault(cameras)
     judged = [camera for camera in cameras if camera.evidence.judged]
     numbers: dict[str, float | None] = {
         "doubt": max((camera.evidence.worst for camera in judged), default=None),
         "frame": None if fault is None else fault.numbers.get("frame"),
-        "parallax_percent": _parallax_percent(looked),
+        "parallax_percent": _parallax_percent(seen_by),
     }
     for camera in cameras:
         side = camera.device.removeprefix("camera.")
@@ -114,30 +114,38 @@ def _look(
     witness = Witness(take_lines(frames, sequence, noise), sequence, noise)
     evidence = witness.evidence(np.arange(len(sequence), dtype=np.int64))
     if not can_follow(sequence, frames.shape[2]):
-        evidence = Evidence({}, {}, evidence.lit, 0, 0)
+        evidence = LineEvidence({}, {}, evidence.illuminated, 0, 0)
     means = np.mean([mine.values.reshape(len(sequence), -1).mean(axis=1) for mine in witness.lines.values()], axis=0)
     sines = [k for direction in Direction for k in sequence.axis(direction).sine]
     light_dn = float(means[sequence.bright] - means[sequence.dark])
     chance_dn = max(LEAST_LIGHT_DN, LIGHT_SIGMA * float(np.std(means[sines])))
     sees_light = abs(light_dn) > chance_dn
-    would_see_veil = LEAST_VEIL_DN_PER_MS * 1e-3 * exposure.light > chance_dn
+    would_see_backscatter = LEAST_BACKSCATTER_DN_PER_MS * 1e-3 * exposure.light > chance_dn
     explanation = None
     flooded = max(float(np.mean(mine.low == 255)) for mine in witness.lines.values()) > MOST_FLOODED
     if evidence.judged:
         if evidence.contradicted:
             explanation = explain(witness, sequence, noise, evidence)
             if _may_be_motion(explanation, evidence):
-                explanation, evidence = None, Evidence({}, {}, evidence.lit, 0, 0, evidence.displaced)
-    elif evidence.lit >= MIN_FRINGE and not flooded:
+                explanation, evidence = None, LineEvidence({}, {}, evidence.illuminated, 0, 0, evidence.displaced)
+    elif evidence.illuminated >= MIN_FRINGE and not flooded:
         explanation = still(witness, sequence, noise)
     ends_dark = bool(means[-1] - means.min() < 0.1 * (means.max() - means.min()))
     identical = all(np.array_equal(mine.low, mine.high) and mine.high.any() for mine in witness.lines.values())
     return _Camera(
-        f"camera.{side}", evidence, explanation, light_dn, sees_light, would_see_veil, ends_dark, identical, flooded
+        f"camera.{side}",
+        evidence,
+        explanation,
+        light_dn,
+        sees_light,
+        would_see_backscatter,
+        ends_dark,
+        identical,
+        flooded,
     )
 
 
-def _may_be_motion(explanation: Explanation, evidence: Evidence) -> bool:
+def _may_be_motion(explanation: Explanation, evidence: LineEvidence) -> bool:
     """A good order of the frames leaves nothing that moves much. Frames that look alike prove a repeat only where nothing else
     can have raised the doubt; an image that stays proves itself.
     """
@@ -171,8 +179,8 @@ def _only_displaced(camera: _Camera) -> bool:
     return camera.explanation is not None and camera.explanation.what is What.UNEXPLAINED and decided == ["place x"]
 
 
-def _nothing(camera: _Camera) -> Evidence:
-    return Evidence({}, {}, camera.evidence.lit, 0, 0)
+def _nothing(camera: _Camera) -> LineEvidence:
+    return LineEvidence({}, {}, camera.evidence.illuminated, 0, 0)
 
 
 def _fault(cameras: list[_Camera]) -> Fault | None:
@@ -187,11 +195,11 @@ def _fault(cameras: list[_Camera]) -> Fault | None:
             if alone or explanation.identical:
                 return _stuck(camera, explanation.frame)
     explained = [c for c in wrong if c.explanation is not None and c.explanation.what is not What.UNEXPLAINED]
-    told = (explained or wrong)[0]
-    explanation = told.explanation
+    first = (explained or wrong)[0]
+    explanation = first.explanation
     assert explanation is not None
-    device = "projector" if len(wrong) == len(cameras) > 1 else told.device
-    return _named(explanation, told, device)
+    device = "projector" if len(wrong) == len(cameras) > 1 else first.device
+    return _named(explanation, first, device)
 
 
 def _alike(wrong: list[_Camera]) -> bool:
@@ -210,12 +218,12 @@ def _without_patterns(cameras: list[_Camera]) -> Fault | None:
         return None  # other light than the projector's blinds it: the judge of light says so
     for camera in cameras:
         others = [c for c in cameras if c is not camera]
-        blind = camera.evidence.lit < MIN_FRINGE and not camera.sees_light
+        blind = camera.evidence.illuminated < MIN_FRINGE and not camera.sees_light
         if camera.identical or (blind and any(c.evidence.judged for c in others)):
             return _stuck(camera, 0)
     if any(camera.sees_light or camera.evidence.judged for camera in cameras):
         return None
-    if not any(camera.would_see_veil for camera in cameras):
+    if not any(camera.would_see_backscatter for camera in cameras):
         return None  # a short exposure or a lamp hides it: the causes say what is known of that
     light_dn = max(camera.light_dn for camera in cameras)
     return Fault(

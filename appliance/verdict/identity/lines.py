@@ -59,7 +59,7 @@ class Lines:
     """(lines, samples): the darkest frame's. Which one that is says nothing: any frame may be in the wrong place."""
     high: NDArray[np.uint8]
     """(lines, samples): the brightest frame's."""
-    lit: NDArray[np.bool_]
+    illuminated: NDArray[np.bool_]
     """(lines, samples): changes by more than noise."""
 
 
@@ -69,31 +69,31 @@ def can_follow(sequence: PatternSequence, width_px: int) -> bool:
 
 
 def take_lines(frames: NDArray[np.uint8], sequence: PatternSequence, noise: CameraNoise) -> Mapping[Direction, Lines]:
-    """Rows and columns of ``frames`` (n, h, w) uint8, over what is lit; a sixth of a fringe or less between samples."""
+    """Rows and columns of ``frames`` (n, h, w) uint8, over what is illuminated; a sixth of a fringe or less between samples."""
     width_px = frames.shape[2]
     sixth_px = sequence.period_px * width_px / sequence.width_px / 6.0
     step = max(1, min(int(sixth_px), width_px // SAMPLES))
-    rows, columns = _where_lit(frames, noise)
+    rows, columns = _where_illuminated(frames, noise)
     across = np.ascontiguousarray(frames[:, rows, ::step])
     down = np.stack([np.take(frame[::step], columns, axis=1).T for frame in frames])
     return {Direction.X: _lines(Direction.X, across, noise), Direction.Y: _lines(Direction.Y, down, noise)}
 
 
-def _where_lit(frames: NDArray[np.uint8], noise: CameraNoise) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Rows and columns over what is lit: a small thing gets as many as a large one."""
+def _where_illuminated(frames: NDArray[np.uint8], noise: CameraNoise) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows and columns over what is illuminated: a small thing gets as many as a large one."""
     _, height_px, width_px = frames.shape
     coarse = max(1, width_px // COARSE)
     few = np.ascontiguousarray(frames[::THIRD, coarse // 2 :: coarse, coarse // 2 :: coarse])
     low, high = few.min(axis=0), few.max(axis=0)
-    lit = high - low >= _least_swing(noise)[high]
-    return _spread(lit.sum(axis=1), height_px, coarse), _spread(lit.sum(axis=0), width_px, coarse)
+    illuminated = high - low >= _least_swing(noise)[high]
+    return _spread(illuminated.sum(axis=1), height_px, coarse), _spread(illuminated.sum(axis=0), width_px, coarse)
 
 
-def _spread(lit: NDArray[np.int64], size_px: int, coarse_px: int) -> NDArray[np.intp]:
-    """``LINES`` places from the first to the last lit one, but for a fiftieth at either end that may be specks."""
+def _spread(illuminated: NDArray[np.int64], size_px: int, coarse_px: int) -> NDArray[np.intp]:
+    """``LINES`` places from the first to the last illuminated one, but for a fiftieth at either end that may be specks."""
     first, stop = 0.0, float(size_px)
-    if lit.any():
-        share = np.cumsum(lit) / lit.sum()
+    if illuminated.any():
+        share = np.cumsum(illuminated) / illuminated.sum()
         first = float(np.searchsorted(share, 0.02) * coarse_px)
         stop = min(float((np.searchsorted(share, 0.98) + 1) * coarse_px), stop)
     return np.unique((first + (np.arange(LINES) + 0.5) * (stop - first) / LINES).astype(np.intp))
@@ -137,20 +137,20 @@ def thresholds(
     # Light is the object's own and the backscatter; the threshold is what an image illuminates of the latter, and half
     # of the former.
     own = np.minimum(pixels.object_dn, pixels.light_dn)
-    veil, apart_dn = pixels.light_dn - own, np.float32(APART_SIGMAS) * pixels.noise_dn
+    backscatter_dn, apart_dn = pixels.light_dn - own, np.float32(APART_SIGMAS) * pixels.noise_dn
     room_dn = np.float32(0.5) * own + np.maximum(np.float32(BEYOND) * own, apart_dn)
     sure = np.float32(SURE) * pixels.object_dn - np.float32(NOISE_SIGMAS) * pixels.noise_dn
-    without_veil = np.where(pixels.light_dn < np.float32(2.0) * sure, plain, np.float32(np.nan))
-    told = []
+    without_backscatter = np.where(pixels.light_dn < np.float32(2.0) * sure, plain, np.float32(np.nan))
+    found = []
     for k in sequence.axis(Direction.X).gray:
         gray = frames[k].astype(np.float32) - dark
-        middle = _of_samples(illuminated_share(gray, pixels), gray.shape) * veil + np.float32(0.5) * own
+        middle = _of_samples(illuminated_share(gray, pixels), gray.shape) * backscatter_dn + np.float32(0.5) * own
         known = pixels.usable & np.isfinite(middle)
         # Farther from its threshold than object and noise can bring it, a value is explained by neither bit.
         middle[abs(gray - middle) > room_dn] = np.nan
-        told.append(np.where(known, dark + middle, without_veil))
-    doubt_dn = np.minimum(np.float32(MARGIN_OF_VEIL) * veil, np.float32(MARGIN) * own)
-    return np.stack(told), doubt_dn + np.maximum(apart_dn - np.float32(0.5) * own, np.float32(0.0))
+        found.append(np.where(known, dark + middle, without_backscatter))
+    doubt_dn = np.minimum(np.float32(MARGIN_OF_VEIL) * backscatter_dn, np.float32(MARGIN) * own)
+    return np.stack(found), doubt_dn + np.maximum(apart_dn - np.float32(0.5) * own, np.float32(0.0))
 
 
 def _of_samples(share: Floats, shape: tuple[int, ...]) -> Floats:

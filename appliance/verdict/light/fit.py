@@ -85,7 +85,7 @@ def fit_blocks(
             shift[0, j], shift[1, j], shift[2, j], shift[3, j] = c, s, c2 * c2 - s2 * s2, 2.0 * c2 * s2
             shift[4, j], shift[5, j], shift[6, j] = 1.0, x, y
             shift[7, j], shift[8, j], shift[9, j] = x * x, x * y, y * y
-            # The water's veil is in the contrast, and has no fringes: a larger share of it before what is dark.
+            # The water's backscatter is in the contrast, and has no fringes: a larger share of it before what is dark.
             shift[10, j] = usual / light[j]
             twice[0, j], twice[1, j], twice[2, j] = 1.0, c2, s2
         of_shift, found[SIGMA, k], found[EXPECTED, k] = regress(length, shift, light)

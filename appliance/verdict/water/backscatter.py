@@ -1,8 +1,8 @@
-"""Owns the veil of a scan: light that the water throws back, told from the object's by what Gray stripes do to both.
+"""Owns the backscatter of a scan: light that the water throws back, told from the object's by what Gray stripes do to both.
 
 A camera's ray crosses the projector's beam for hundreds of millimetres, so that fine stripes across the baseline light half
-of the water along it, whatever pixel they light at its end. In the middle of a dark stripe a pixel shows half of its veil
-(above the dark reference), in the middle of a lit one half of it is missing (below the bright one): no projector's
+of the water along it, whatever pixel they light at its end. In the middle of a dark stripe a pixel shows half of its backscatter
+(above the dark reference), in the middle of an illuminated one half of it is missing (below the bright one): no projector's
 response, no soft fringe, no albedo and no steady daylight is in these differences. Fringes of the other direction run along
 the rays' way through the beam and are not asked.
 """
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
 CELLS = (16, 12)
-"""Columns and rows of cells over the image: within one, veil and distance hardly change."""
+"""Columns and rows of cells over the image: within one, backscatter and distance hardly change."""
 SAMPLES = 60_000
 """Pixels asked, at most; on an even grid."""
 STRIPES_PX = (32.0, 64.0)
@@ -36,7 +36,7 @@ OUTLIER_SIGMAS = 4.0
 MIN_OBJECT_DN = 6.0
 """Stripes that change a pixel by less light no object that could be measured."""
 OBJECT_SIGMAS = 4.0
-"""Nor do stripes whose change is noise: in bright light photons alone scatter by ``MIN_OBJECT_DN``."""
+"""Standard deviations of noise that stripes must change a pixel by: in bright light photons alone scatter by ``MIN_OBJECT_DN``."""
 SATURATED_DN = 255.0
 USUAL_CONTRAST = 0.8
 """Contrast of fringes in turbid water, where no pixel tells."""
@@ -54,10 +54,10 @@ class Cells:
     """(n,): how many."""
     uv_px: Array
     """(n, 2): mean image point of the pixels asked."""
-    veil_dn: Array
+    backscatter_dn: Array
     """(n,): of the bright frame."""
     sigma_dn: Array
-    """(n,): standard error of ``veil_dn`` by the scatter within the cell."""
+    """(n,): standard error of ``backscatter_dn`` by the scatter within the cell."""
     signal_dn: Array
     """(n,): what the object adds to the bright frame."""
     dark_dn: Array
@@ -65,17 +65,17 @@ class Cells:
 
 
 @dataclass(frozen=True, slots=True)
-class Looked:
+class BackscatterSample:
     """One camera's frames as the water left them."""
 
     cells: Cells
-    veil_share: float | None
+    backscatter_share: float | None
     """Backscatter as a share of the projected light that the object's pixels show, 0..1; ``None`` where nothing
     could be asked."""
     object_pixels: int
     """Sampled pixels that show an object and are not saturated."""
     object_share: float
-    """Of all sampled pixels, these."""
+    """Share of all sampled pixels that these are."""
     masked_share: float | None
     """Share of them without coordinates."""
     hidden_share: float | None
@@ -88,9 +88,9 @@ class Looked:
     """Share of the pixels with coordinates in which the four steps of a direction disagree."""
 
 
-def look_at_veil(
+def measure_backscatter(
     sequence: PatternSequence, frames: NDArray[np.uint8], decoded: CameraDecoder, noise: CameraNoise
-) -> Looked:
+) -> BackscatterSample:
     """Sample one camera's ``frames`` (n, h, w) uint8, whose grey values scatter by ``noise``."""
     rows, columns = decoded.p_px.shape
     across_px = max(1, int(math.sqrt(rows * columns / SAMPLES)))
@@ -103,13 +103,13 @@ def look_at_veil(
     bright, dark, mask = seen(sequence.bright), seen(sequence.dark), decoded.mask[at]
     shape = bright.shape
     across = sequence.axis(Direction.X)
-    asked = _asked(sequence.period_px, len(across.gray))
-    gray = [seen(across.gray[bit]) for bit, _ in asked]
+    stripes = _useful_stripes(sequence.period_px, len(across.gray))
+    gray = [seen(across.gray[bit]) for bit, _ in stripes]
     sums = bright + dark
     swing = sum((np.abs(2.0 * one - sums) for one in gray), np.zeros(shape, np.float32))
     # One swing is twice a frame less two others, so that its variance is six times that of a frame.
-    scatter = np.sqrt(6.0 * len(asked) * noise.variance_dn2(0.5 * sums))
-    changed = swing > np.maximum(MIN_OBJECT_DN * len(asked), OBJECT_SIGMAS * scatter)
+    scatter = np.sqrt(6.0 * len(stripes) * noise.variance_dn2(0.5 * sums))
+    changed = swing > np.maximum(MIN_OBJECT_DN * len(stripes), OBJECT_SIGMAS * scatter)
     seen_object = changed & (bright < SATURATED_DN) & (mask != Mask.SATURATED)
     objects = int(np.count_nonzero(seen_object))
     valid = mask == Mask.VALID
@@ -119,7 +119,7 @@ def look_at_veil(
     p_px = decoded.p_px[at].ravel()[pixels]
     light, black = bright.ravel()[pixels], dark.ravel()[pixels]
     total, count = np.zeros(len(pixels), np.float32), np.zeros(len(pixels), np.float32)
-    for (_, width_px), image in zip(asked, gray, strict=True):
+    for (_, width_px), image in zip(stripes, gray, strict=True):
         place = (p_px + np.float32(0.5)) / np.float32(width_px) - np.float32(0.5)
         stripe = np.floor(place)
         here = image.ravel()[pixels]
@@ -135,17 +135,17 @@ def look_at_veil(
         (light - black)[judged], black[judged],
     )  # fmt: skip
     # All projected light on the object's pixels: its own and the backscatter.
-    of_light = float(cells.pixels @ (cells.signal_dn + cells.veil_dn))
+    of_light = float(cells.pixels @ (cells.signal_dn + cells.backscatter_dn))
     sines = [[seen(k) for k in sequence.axis(direction).sine] for direction in Direction]
     steps = [[one.ravel()[pixels] for one in axis] for axis in sines]
     flicker_dn, speck_share = _passing(cell, steps)
     contrast = _contrast(steps[0], cells)
     i0, i1, i2, i3 = sines[0]
-    told = np.hypot(i0 - i2, i3 - i1) / np.float32(contrast or USUAL_CONTRAST)
-    hidden = int(np.count_nonzero(seen_object & ~valid & (2.0 * told < bright - dark)))
-    return Looked(
+    fringe_dn = np.hypot(i0 - i2, i3 - i1) / np.float32(contrast or USUAL_CONTRAST)
+    hidden = int(np.count_nonzero(seen_object & ~valid & (2.0 * fringe_dn < bright - dark)))
+    return BackscatterSample(
         cells,
-        float(np.clip(cells.pixels @ cells.veil_dn / of_light, 0.0, 1.0)) if of_light > 0.0 else None,
+        float(np.clip(cells.pixels @ cells.backscatter_dn / of_light, 0.0, 1.0)) if of_light > 0.0 else None,
         objects,
         objects / seen_object.size,
         1.0 - len(pixels) / objects if objects else None,
@@ -156,7 +156,7 @@ def look_at_veil(
     )
 
 
-def _asked(period_px: int, bits: int) -> list[tuple[int, float]]:
+def _useful_stripes(period_px: int, bits: int) -> list[tuple[int, float]]:
     """(bit, stripe width in px) of the Gray images whose stripes are neither too fine nor too coarse."""
     widths = [(bit, float(period_px * 2 ** (bits - 1 - bit))) for bit in range(bits)]
     chosen = [(bit, width) for bit, width in widths if STRIPES_PX[0] <= width <= STRIPES_PX[1]]
@@ -168,7 +168,7 @@ def cell_of(u: NDArray[np.intp], v: NDArray[np.intp], shape: tuple[int, int]) ->
     return v * CELLS[1] // shape[0] * CELLS[0] + u * CELLS[0] // shape[1]
 
 
-def _by_cell(cell: NDArray[np.intp], uv: NDArray[np.intp], veil: Floats, lit: Floats, dark: Floats) -> Cells:
+def _by_cell(cell: NDArray[np.intp], uv: NDArray[np.intp], backscatter: Floats, light: Floats, dark: Floats) -> Cells:
     size = CELLS[0] * CELLS[1]
 
     def mean(values: NDArray[Any], among: NDArray[np.intp], count: Array) -> Array:
@@ -176,13 +176,13 @@ def _by_cell(cell: NDArray[np.intp], uv: NDArray[np.intp], veil: Floats, lit: Fl
 
     count = np.bincount(cell, minlength=size).astype(np.float64)
     # One round of clipping; then means and standard errors of what is kept.
-    off = veil - mean(veil, cell, count).astype(np.float32)[cell]
+    off = backscatter - mean(backscatter, cell, count).astype(np.float32)[cell]
     spread = np.sqrt(mean(off * off, cell, count))
     keep = np.abs(off) <= (OUTLIER_SIGMAS * spread).astype(np.float32)[cell]
-    among, veil = cell[keep], veil[keep]
+    among, backscatter = cell[keep], backscatter[keep]
     count = np.bincount(among, minlength=size).astype(np.float64)
-    centre = mean(veil, among, count)
-    spread = np.sqrt(np.maximum(mean(veil * veil, among, count) - centre**2, 0.0))
+    centre = mean(backscatter, among, count)
+    spread = np.sqrt(np.maximum(mean(backscatter * backscatter, among, count) - centre**2, 0.0))
     enough = np.flatnonzero(count >= MIN_PER_CELL)
     return Cells(
         enough,
@@ -190,7 +190,7 @@ def _by_cell(cell: NDArray[np.intp], uv: NDArray[np.intp], veil: Floats, lit: Fl
         np.stack([mean(uv[keep, k], among, count)[enough] for k in (0, 1)], -1),
         centre[enough],
         spread[enough] / np.sqrt(count[enough]),
-        (mean(lit[keep], among, count) - centre)[enough],
+        (mean(light[keep], among, count) - centre)[enough],
         mean(dark[keep], among, count)[enough],
     )
 

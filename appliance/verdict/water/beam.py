@@ -27,7 +27,7 @@ SCALE_MM = 500.0
 
 
 @dataclass(frozen=True, slots=True)
-class Beam:
+class ProjectorBeam:
     """The projector's beam in the water, in its own frame: x along the baseline, z into the water, from where the light
     seems to start."""
 
@@ -45,8 +45,8 @@ class Beam:
 
 
 @dataclass(frozen=True, slots=True)
-class Gathered:
-    """Light that n rays gather: ``weights @ exp(−attenuation · path_m)``, row by row, in mm of water lit as at
+class GatheredLight:
+    """Light that n rays gather: ``weights @ exp(−attenuation · path_m)``, row by row, in mm of water illuminated as at
     ``SCALE_MM``."""
 
     weights: Array
@@ -60,18 +60,18 @@ class Gathered:
     ends_m: Array
     """(n,): the path by way of its end."""
 
-    def veil(self, attenuation_per_m: float) -> Array:
+    def backscatter(self, attenuation_per_m: float) -> Array:
         """(n,)."""
         return np.asarray((self.weights * np.exp(-attenuation_per_m * self.path_m)).sum(1))
 
     def slope(self, attenuation_per_m: float) -> Array:
-        """(n,): derivative of ``veil`` by the attenuation."""
+        """(n,): derivative of ``backscatter`` by the attenuation."""
         return -np.asarray((self.weights * self.path_m * np.exp(-attenuation_per_m * self.path_m)).sum(1))
 
 
 def beam_of(
     rig: StereoRig, water_index: float, points_mm: Array, pattern_px: Array, size_px: tuple[int, int]
-) -> Beam | None:
+) -> ProjectorBeam | None:
     """Fit the beam to points (n, 3) and their pattern coordinates (n, 2); ``None`` where they do not span a beam."""
     between = np.asarray(rig.right.translation_mm)
     middle = 0.5 * between
@@ -96,10 +96,10 @@ def beam_of(
             return None
         offset = float(px.mean()) - per_tangent * float(t.mean())
         borders += [(-0.5 - offset) / per_tangent, (size - 0.5 - offset) / per_tangent]
-    return Beam(axes, start, depth_mm, *borders)
+    return ProjectorBeam(axes, start, depth_mm, *borders)
 
 
-def gather(beam: Beam, origins_mm: Array, directions: Array, ends_mm: Array) -> Gathered:
+def gather(beam: ProjectorBeam, origins_mm: Array, directions: Array, ends_mm: Array) -> GatheredLight:
     """Integrate along rays (n, 3) in the left camera frame, from their window to ``ends_mm`` (n,) along them."""
     o = (origins_mm - beam.start_mm) @ beam.to_beam.T
     d = directions @ beam.to_beam.T
@@ -126,10 +126,10 @@ def gather(beam: Beam, origins_mm: Array, directions: Array, ends_mm: Array) -> 
     ends, far_mm = _light(beam, o + np.asarray(ends_mm)[:, None] * d)
     enters = o[:, 2] + first * d[:, 2] - beam.depth_mm
     weights = bright * (0.5 * (last - first)[:, None] * _SHARES)
-    return Gathered(weights, (path_mm + along) / 1000.0, enters, ends, (far_mm + ends_mm) / 1000.0)
+    return GatheredLight(weights, (path_mm + along) / 1000.0, enters, ends, (far_mm + ends_mm) / 1000.0)
 
 
-def _light(beam: Beam, at: Array) -> tuple[Array, Array]:
+def _light(beam: ProjectorBeam, at: Array) -> tuple[Array, Array]:
     """Brightness of the beam in clear water at points (..., 3) of its frame, and the path from its window to there, mm."""
     away = np.linalg.norm(at, axis=-1)
     cosine = at[..., 2] / away
@@ -164,13 +164,13 @@ def shape_of_glow(glow_dn: Array, cells: tuple[int, int], rig: StereoRig, water_
     weight = 1.0 / (NOISE_DN**2 + (SHAPE_SHARE * np.maximum(seen, 0.0)) ** 2)
     misfit = []
     for per_m in CANDIDATES_PER_M:
-        model = gathered.veil(float(per_m))
+        model = gathered.backscatter(float(per_m))
         scale = float(np.sum(weight * model * seen) / max(float(np.sum(weight * model * model)), 1e-300))
         misfit.append(float(np.sum(weight * (seen - scale * model) ** 2)))
     return float(CANDIDATES_PER_M[int(np.argmin(misfit))])
 
 
-def _beam(rig: StereoRig, water_index: float) -> Beam:
+def _beam(rig: StereoRig, water_index: float) -> ProjectorBeam:
     """Return the beam as drawn: the projector half way between the cameras, aimed at the volume's middle, with the
     left camera's field."""
     between = np.asarray(rig.right.translation_mm)
@@ -184,7 +184,7 @@ def _beam(rig: StereoRig, water_index: float) -> Beam:
     depth_mm = water_index * (port.distance_mm + port.thickness_mm / port.glass_index)
     across, down = half_field(rig.left, water_index)
     axes = np.stack([x, np.cross(z, x), z])
-    return Beam(axes, middle + z * (face_mm - depth_mm), depth_mm, -across, across, -down, down)
+    return ProjectorBeam(axes, middle + z * (face_mm - depth_mm), depth_mm, -across, across, -down, down)
 
 
 def half_field(camera: HousedCamera, water_index: float) -> tuple[float, float]:

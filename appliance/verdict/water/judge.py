@@ -1,6 +1,6 @@
-"""Owns what a scan says about the water it was taken in: attenuation, veil, specks, and whether they made the scan poor.
+"""Owns what a scan says about the water it was taken in: attenuation, backscatter, specks, and whether they made the scan poor.
 
-The veil's *share* of the light is measured. Attenuation follows from how the veil grows over the image: a ray that enters the
+The backscatter's *share* of the light is measured. Attenuation follows from how the backscatter grows over the image: a ray that enters the
 beam farther out gathers light that has come a longer way. What the object sends back says nothing about attenuation, for
 nobody knows its albedo; so backscatter as a fraction of the light of an object is stated for a supposed one.
 """
@@ -17,14 +17,14 @@ from appliance.reconstruct.images import ScanImages
 from appliance.reconstruct.table import Cloud
 from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.verdict import Judgement, Verdict
-from appliance.verdict.water.backscatter import CELLS, Cells, Looked, cell_of, look_at_veil
-from appliance.verdict.water.beam import Beam, Gathered, beam_of, gather
+from appliance.verdict.water.backscatter import CELLS, BackscatterSample, Cells, cell_of, measure_backscatter
+from appliance.verdict.water.beam import GatheredLight, ProjectorBeam, beam_of, gather
 
 Array = NDArray[np.float64]
 
 NAME = "water"
 MIN_ENTRY_MM = 195.0
-"""Rays that enter the beam nearer to the projector's window tell little: there, the veil depends on the beam's very edge."""
+"""Rays that enter the beam nearer to the projector's window tell little: there, the backscatter depends on the beam's very edge."""
 MIN_CELLS = 12
 MODEL_SHARE, MODEL_DN = 0.02, 0.05
 """Standard deviation of the model of single scattering, relative and absolute, beside the cells' own scatter."""
@@ -44,10 +44,10 @@ POINTS = 4_000
 MIN_POINTS = 3
 """Least number of points in a cell for its depth to be known."""
 
-DIRTY_MASKED, DIRTY_VEIL, DIRTY_SPECKS = 0.25, 0.25, 0.02
-"""A scan is poor because of the water when so much of the object has no coordinates and so much of the light is veil, or when
+DIRTY_MASKED, DIRTY_BACKSCATTER, DIRTY_SPECKS = 0.25, 0.25, 0.02
+"""A scan is poor because of the water when so much of the object has no coordinates and so much of the light is backscatter, or when
 specks disturb so much of it."""
-VEILED = 0.30
+MOST_BACKSCATTER = 0.30
 """Share of backscatter from which on the scan is poor however much of it has coordinates: here and there the
 backscatter outshines the object, and the Gray code has to be read through it (``reconstruct.decode.backscatter``)."""
 HIDDEN = 0.25
@@ -65,12 +65,12 @@ class WaterJudgement:
     veil_percent: float | None
     """Percent of the projected light on the object's pixels that the water sent back."""
     backscatter_percent: float | None
-    """Veil of a white pattern before the middle of the volume in otherwise clear water, in percent of what a surface there
+    """Backscatter of a white pattern before the middle of the volume in otherwise clear water, in percent of what a surface there
     sends back: as if the brighter parts of what is seen had an albedo of 0.6."""
     expected_noise_mm: float | None
     """Median of the points' expected errors."""
     object_percent: float | None
-    """Of the picture, the pixels that show an object and are not saturated."""
+    """Percent of the picture's pixels that show an object and are not saturated."""
     masked_percent: float | None
     """Percent of the object's pixels without coordinates."""
     hidden_percent: float | None
@@ -78,7 +78,7 @@ class WaterJudgement:
     speck_percent: float | None
     """Percent of the pixels with coordinates that something passing by disturbed."""
     fringe_contrast_percent: float | None
-    """Modulation in percent of half of the object's light: low where fringes are soft, whatever the veil."""
+    """Modulation in percent of half of the object's light: low where fringes are soft, whatever the backscatter."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,57 +88,57 @@ class Attenuation:
     per_m: float
     sigma_per_m: float
     strength_dn: float
-    """Veil per mm of water in the beam at ``SCALE_MM``, without attenuation."""
+    """Backscatter per mm of water in the beam at ``SCALE_MM``, without attenuation."""
 
 
-def judge_water(recorded: ScanImages, cloud: Cloud, rig: StereoRig, water_index: float) -> WaterJudgement:
+def judge_water(images: ScanImages, cloud: Cloud, rig: StereoRig, water_index: float) -> WaterJudgement:
     """Judge the water by the left camera's frames and the points of ``cloud`` (the coarse one is enough)."""
-    decoded = recorded.decoded["left"]
-    looked = look_at_veil(recorded.sequence, recorded.frames["left"], decoded, recorded.noise.left)
+    decoded = images.decoded["left"]
+    sample = measure_backscatter(images.sequence, images.frames["left"], decoded, images.noise.left)
     numbers: dict[str, float | None] = {
         "attenuation_per_m": None,
         "attenuation_sigma_per_m": None,
-        "veil_percent": _percent(looked.veil_share),
+        "veil_percent": _percent(sample.backscatter_share),
         "backscatter_percent": None,
         "expected_noise_mm": cloud.summary.noise_mm,
-        "object_percent": _percent(looked.object_share),
-        "masked_percent": _percent(looked.masked_share),
-        "hidden_percent": _percent(looked.hidden_share),
-        "speck_percent": _percent(looked.speck_share),
-        "fringe_contrast_percent": _percent(looked.fringe_contrast),
+        "object_percent": _percent(sample.object_share),
+        "masked_percent": _percent(sample.masked_share),
+        "hidden_percent": _percent(sample.hidden_share),
+        "speck_percent": _percent(sample.speck_share),
+        "fringe_contrast_percent": _percent(sample.fringe_contrast),
     }
-    rays = _rays(recorded, looked.cells, cloud, rig, water_index)
+    rays = _rays(images, sample.cells, cloud, rig, water_index)
     if rays is not None:
         cells, gathered, clear = rays
-        found = fit_attenuation(cells, gathered, recorded.noise.left.black_dn, looked.flicker_dn)
+        found = fit_attenuation(cells, gathered, images.noise.left.black_dn, sample.flicker_dn)
         if found is not None:
             numbers["attenuation_per_m"] = found.per_m
             numbers["attenuation_sigma_per_m"] = found.sigma_per_m
             numbers["backscatter_percent"] = _backscatter_percent(found, cells, gathered, clear)
-    fault = _fault(looked)
-    verdict = Verdict(NAME, None if looked.object_pixels == 0 else fault is None, numbers, text_of(numbers))
+    fault = _fault(sample)
+    verdict = Verdict(NAME, None if sample.object_pixels == 0 else fault is None, numbers, text_of(numbers))
     return WaterJudgement(judgement=Judgement(verdict, fault), **numbers)
 
 
-def fit_attenuation(cells: Cells, gathered: Gathered, black_dn: float, flicker_dn: float) -> Attenuation | None:
-    """Attenuation and strength of the veil that explain its growth over the cells; ``None`` where that says too little."""
+def fit_attenuation(cells: Cells, gathered: GatheredLight, black_dn: float, flicker_dn: float) -> Attenuation | None:
+    """Attenuation and strength of the backscatter that explain its growth over the cells; ``None`` where that says too little."""
     use = gathered.enters_mm >= MIN_ENTRY_MM
     if np.count_nonzero(use) < MIN_CELLS:
         return None
-    sigma = np.sqrt(cells.sigma_dn**2 + (MODEL_SHARE * cells.veil_dn) ** 2 + MODEL_DN**2)[use]
+    sigma = np.sqrt(cells.sigma_dn**2 + (MODEL_SHARE * cells.backscatter_dn) ** 2 + MODEL_DN**2)[use]
     ambient = np.maximum(cells.dark_dn - black_dn, 0.0) + 1e-3
     others = np.stack([ambient / ambient.mean(), cells.signal_dn], -1)[use]
-    rays = Gathered(
+    rays = GatheredLight(
         gathered.weights[use], gathered.path_m[use], gathered.enters_mm[use], gathered.falls[use], gathered.ends_m[use]
     )
-    veil = cells.veil_dn[use]
+    backscatter = cells.backscatter_dn[use]
     prior = np.diag([0.0, 1e-6, (STEADY_DN + FLICKERS * flicker_dn) ** -2, LEAK**-2])
     # x = (strength, attenuation, share of ambient light, leak): Gauss and Newton on the cells' backscatter.
     x = np.array([0.0, 1.0, 0.0, 0.0])
-    x[0] = _strength(rays.veil(x[1]), veil, sigma)
+    x[0] = _strength(rays.backscatter(x[1]), backscatter, sigma)
     for _ in range(ROUNDS):
-        J = np.column_stack([rays.veil(x[1]), x[0] * rays.slope(x[1]), others]) / sigma[:, None]
-        residual = (veil - x[0] * rays.veil(x[1]) - others @ x[2:]) / sigma
+        J = np.column_stack([rays.backscatter(x[1]), x[0] * rays.slope(x[1]), others]) / sigma[:, None]
+        residual = (backscatter - x[0] * rays.backscatter(x[1]) - others @ x[2:]) / sigma
         # Normal equations with the prior as further observations of the last two unknowns at 0.
         normal = J.T @ J + prior
         try:
@@ -150,7 +150,7 @@ def fit_attenuation(cells: Cells, gathered: Gathered, black_dn: float, flicker_d
         x[1] = np.clip(x[1], 0.0, MAX_ATTENUATION_PER_M)
         x[0] = max(x[0], 1e-12)
     # A fit worse than its errors makes the attenuation as much less certain.
-    excess = max(1.0, float(residual @ residual) / (len(veil) - 2))
+    excess = max(1.0, float(residual @ residual) / (len(backscatter) - 2))
     sigma_per_m = float(np.sqrt(np.linalg.inv(normal)[1, 1] * excess))
     if not sigma_per_m <= MAX_SIGMA_PER_M:
         return None
@@ -159,28 +159,30 @@ def fit_attenuation(cells: Cells, gathered: Gathered, black_dn: float, flicker_d
 
 def text_of(numbers: dict[str, float | None]) -> str:
     """One line for people."""
-    said = []
+    parts = []
     attenuation, sigma = numbers["attenuation_per_m"], numbers["attenuation_sigma_per_m"]
     if attenuation is not None and sigma is not None:
-        said.append(f"attenuation {attenuation:.1f} ± {sigma:.1f} /m")
+        parts.append(f"attenuation {attenuation:.1f} ± {sigma:.1f} /m")
     for key, name in (("veil_percent", "veil"), ("masked_percent", "masked"), ("speck_percent", "specks")):
         value = numbers[key]
         if value is not None:
-            said.append(f"{name} {value:.0f} %")
+            parts.append(f"{name} {value:.0f} %")
     noise_mm = numbers["expected_noise_mm"]
     if noise_mm is not None:
-        said.append(f"noise {1000.0 * noise_mm:.0f} µm")
-    return ", ".join(said) or "nothing to judge the water by"
+        parts.append(f"noise {1000.0 * noise_mm:.0f} µm")
+    return ", ".join(parts) or "nothing to judge the water by"
 
 
-def _fault(looked: Looked) -> Fault | None:
-    masked, veil, specks = looked.masked_share, looked.veil_share, looked.speck_share
+def _fault(sample: BackscatterSample) -> Fault | None:
+    masked, backscatter, specks = sample.masked_share, sample.backscatter_share, sample.speck_share
     if masked is None:
         return None
-    by_veil = veil is not None and (veil > VEILED or (veil > DIRTY_VEIL and masked > DIRTY_MASKED))
-    by_veil |= (looked.hidden_share or 0.0) > HIDDEN
+    by_backscatter = backscatter is not None and (
+        backscatter > MOST_BACKSCATTER or (backscatter > DIRTY_BACKSCATTER and masked > DIRTY_MASKED)
+    )
+    by_backscatter |= (sample.hidden_share or 0.0) > HIDDEN
     by_specks = specks is not None and specks > DIRTY_SPECKS
-    if not by_veil and not by_specks:
+    if not by_backscatter and not by_specks:
         return None
     why = "specks pass before the object" if by_specks else "the water's veil hides the object"
     numbers = {"coverage_percent": 100.0 * (1.0 - masked)}
@@ -188,20 +190,20 @@ def _fault(looked: Looked) -> Fault | None:
 
 
 def _rays(
-    recorded: ScanImages, cells: Cells, cloud: Cloud, rig: StereoRig, water_index: float
-) -> tuple[Cells, Gathered, float] | None:
+    images: ScanImages, cells: Cells, cloud: Cloud, rig: StereoRig, water_index: float
+) -> tuple[Cells, GatheredLight, float] | None:
     """The cells with points in them, what their rays gather, and what the middle one gathers in clear water before the
     middle of the volume."""
     n = len(cloud.pixel)
     if n < MIN_CELLS or len(cells.number) < MIN_CELLS:
         return None
-    decoded = recorded.decoded["left"]
+    decoded = images.decoded["left"]
     rows, columns = decoded.p_px.shape
     some = slice(None, None, max(1, n // POINTS))
     pixel = cloud.pixel[some]
     points = cloud.points_mm[some].astype(np.float64)
     pattern = np.stack([decoded.p_px.reshape(-1)[pixel], decoded.q_px.reshape(-1)[pixel]], -1).astype(np.float64)
-    sequence = recorded.sequence
+    sequence = images.sequence
     beam = beam_of(rig, water_index, points, pattern, (sequence.width_px, sequence.height_px))
     if beam is None:
         return None
@@ -231,27 +233,27 @@ def _only(cells: Cells, chosen: NDArray[np.bool_]) -> Cells:
         cells.number[chosen],
         cells.pixels[chosen],
         cells.uv_px[chosen],
-        cells.veil_dn[chosen],
+        cells.backscatter_dn[chosen],
         cells.sigma_dn[chosen],
         cells.signal_dn[chosen],
         cells.dark_dn[chosen],
     )
 
 
-def _clear(beam: Beam, rig: StereoRig, water_index: float) -> float:
+def _clear(beam: ProjectorBeam, rig: StereoRig, water_index: float) -> float:
     left = rig.left
     uv = np.array([[(left.width_px - 1) / 2.0, (left.height_px - 1) / 2.0]])
     origin, direction = left.rays(uv, water_index)
     centre = rig.volume_centre_mm(water_index)
     end = np.linalg.norm(centre - origin, axis=-1)
-    return float(gather(beam, origin, direction, end).veil(0.0)[0])
+    return float(gather(beam, origin, direction, end).backscatter(0.0)[0])
 
 
-def _strength(gathered: Array, veil: Array, sigma: Array) -> float:
-    return max(float(np.sum(gathered * veil / sigma**2) / np.sum(gathered**2 / sigma**2)), 1e-9)
+def _strength(gathered: Array, backscatter: Array, sigma: Array) -> float:
+    return max(float(np.sum(gathered * backscatter / sigma**2) / np.sum(gathered**2 / sigma**2)), 1e-9)
 
 
-def _backscatter_percent(found: Attenuation, cells: Cells, gathered: Gathered, clear: float) -> float | None:
+def _backscatter_percent(found: Attenuation, cells: Cells, gathered: GatheredLight, clear: float) -> float | None:
     falls = gathered.falls * np.exp(-found.per_m * gathered.ends_m)
     # Light that a surface of albedo 1 would send back from the brightest place of the beam.
     white_dn = float(np.percentile(cells.signal_dn / falls, 75.0)) / ALBEDO

@@ -9,7 +9,7 @@ from appliance.patterns.sequence import Direction, build_sequence
 from appliance.reconstruct.quality import CloudSummary, QualityLimits
 from appliance.reconstruct.table import Cloud
 from appliance.scan.noise import CameraNoise, StereoNoise
-from appliance.verdict.sight import Seen, distance_of, look, see
+from appliance.verdict.sight import VisibleFringes, distance_of, look, see
 from tests.support import synthetic
 
 SEQUENCE = build_sequence(16)
@@ -43,7 +43,7 @@ def frames_of(
     return frames
 
 
-def cell_by_cell(frames: np.ndarray, noise: CameraNoise, step: int) -> tuple[Seen, np.ndarray]:
+def cell_by_cell(frames: np.ndarray, noise: CameraNoise, step: int) -> tuple[VisibleFringes, np.ndarray]:
     """The same one cell after the other; and which cells show fringes."""
     asked = frames[:, step // 2 :: step, step // 2 :: step].astype(float)
     height, width = asked.shape[1:]
@@ -69,7 +69,7 @@ def cell_by_cell(frames: np.ndarray, noise: CameraNoise, step: int) -> tuple[See
     amplitude = float(np.quantile(fringes, 0.9)) if fringes else None
     share = float(np.median(shares)) if fringes else None
     top = float(np.nanmax(glow)) if np.isfinite(glow).any() else 0.0
-    return Seen(float((bright - dark).mean()), shows.sum() / 192.0, amplitude, share, top, glow), shows
+    return VisibleFringes(float((bright - dark).mean()), shows.sum() / 192.0, amplitude, share, top, glow), shows
 
 
 @pytest.mark.parametrize(("width", "height", "step"), [(320, 240, 1), (770, 644, 2)])
