@@ -24,8 +24,8 @@ from appliance.scan.verdict import Judgement, Verdict
 
 NAME = "causes"
 MOVED_LIKE_FLICKER = 2.4
-"""Where something moves, the judge of light sees a ripple of 1.5 to 1.7 times that which the motion makes. What exceeds this
-multiple is light."""
+"""Largest multiple of the motion's ripple that the judge of light may see and that is still motion: 1.5 to 1.7 times
+is usual where something moves. What exceeds it is light."""
 PAINT_LIKE_FLICKER = 4.0
 """The same of what the parts of the picture have not in common: printed squares that move make up to 2.4 times the motion's ripple."""
 LAMP_IN_COMMON = 0.5
@@ -44,9 +44,11 @@ FULL_SCALE_DN = 235.0
 MOST_SATURATED = 0.25
 """Share of the lit pixels: beyond, weak fringes say nothing about darkness."""
 MUCH_ROOM = 8.0
-"""So much more light can be exposed for: where nothing is seen, an exposure is to blame that leaves this unused."""
+"""Factor of light that can still be exposed for: where nothing is seen, an exposure is to blame that leaves this
+unused."""
 SWALLOWS_PER_M = 1.6
-"""From this on, the shape of the glow says that the water lets no light through; the true attenuation is two to three times as much."""
+"""Attenuation from which on the shape of the glow says that the water lets no light through; the true attenuation is
+two to three times as much."""
 MOST_OUTSIDE = 0.5
 """Share of the points that lie outside of the depths measured; beyond, distance is what ails the scan."""
 FAINT_AND_NEAR = 0.5
@@ -62,7 +64,7 @@ class Cause:
 
     fault: Fault
     share: float
-    """Of the scan's information that it takes, 0..1."""
+    """Share of the scan's information that it takes, 0..1."""
     certain: bool
     """Its judge's own limit is exceeded; else it is told only of a scan that is not usable."""
 
@@ -134,11 +136,12 @@ _JUDGES: Mapping[FaultCode, str] = {
     FaultCode.SCAN_FAR: "sight",
     FaultCode.NOTHING_SEEN: "sight",
 }
-"""Whose verdict a cause is entered into; what has none is the verdict ``causes`` itself."""
+"""Names of the verdicts that causes are entered into; a cause without one goes into the verdict ``causes`` itself."""
 
 
 def _is_weighed(one: Judgement) -> bool:
-    """Whether a judge's numbers are weighed here; the fault of any other judge stands as it says, behind the weighed ones."""
+    """Say whether a judge's numbers are weighed here; the fault of any other judge stands as it says, behind the
+    weighed ones."""
     return one.verdict.name in {NAME, "identity", *_JUDGES.values()}
 
 
@@ -168,7 +171,7 @@ def _once(found: Sequence[Cause]) -> list[Cause]:
 def _all(
     of: Mapping[str, Judgement], summary: CloudSummary, present: Exposure, steps: Sequence[Exposure]
 ) -> Iterator[Cause]:
-    """What every judge's numbers make likely, whether or not it is worth telling."""
+    """Yield what every judge's numbers make likely, whether or not it is worth telling."""
     light, water, motion, sight = (_numbers(of, name) for name in ("light", "water", "motion", "sight"))
     poor = not is_usable(summary.coverage_percent, summary.noise_mm)
     moved = _moved_ripple(motion)
@@ -209,9 +212,11 @@ def _motion(of: Mapping[str, Judgement], motion: Numbers, summary: CloudSummary,
 
 
 def _rushing(motion: Numbers, sight: Numbers, light: Numbers, water: Numbers, summary: CloudSummary) -> Cause | None:
-    """So fast that too few points are left to judge the motion by: strong fringes in good light that contradict each other.
+    """Return a motion so fast that too few points are left to judge it by: strong fringes in good light that contradict
+    each other.
 
-    A lamp that flickers leaves the Gray code readable, and what is saturated, veiled, faint or outside is told from this.
+    A lamp that flickers leaves the Gray code readable, and what is saturated, veiled, faint or outside is told from
+    this.
     """
     fringe = sight.get("fringe_dn")
     if motion.get("added_noise_percent") is not None or fringe is None or fringe < RUSHING_FRINGE_DN:
@@ -261,7 +266,7 @@ def _in_common(light: Numbers, side: str) -> float:
 
 
 def _moves(motion: Numbers) -> bool:
-    """Whether anything was found to move, be its harm known or not."""
+    """Say whether anything was found to move, be its harm known or not."""
     score, least = motion.get("score"), motion.get("score_limit")
     return score is not None and least is not None and score >= least
 
@@ -320,7 +325,8 @@ def _saturated(light: Numbers, water: Numbers) -> float:
 
 
 def _water(of: Mapping[str, Judgement], water: Numbers, moved: float, saturated: float) -> Iterator[Cause]:
-    """What the water takes, as shares of the object's pixels that are not saturated: ``saturated`` of them all are."""
+    """Yield what the water takes, as shares of the object's pixels that are not saturated: ``saturated`` of them all
+    are."""
     judged = of.get("water")
     if judged is None or judged.fault is None:
         return

@@ -55,9 +55,9 @@ class VisibleFringes:
     fringe_dn: float | None
     """Amplitude of the fringes in the ninth tenth of these; ``None``: none shows any."""
     object_share: float | None
-    """Of the light in these, what carries fringes (median): the rest is the water's; above 1 by shot noise."""
+    """Share of the light in these that carries fringes (median): the rest is the water's; above 1 by shot noise."""
     top_dn: float
-    """What the projector's white adds in the brightest cell."""
+    """Grey values that the projector's white adds in the brightest cell."""
     glow_dn: Array
     """(CELLS[0] · CELLS[1],): what the projector's white adds, by cell; NaN where too few pixels are clear."""
 
@@ -144,7 +144,7 @@ def distance_of(parallax_percent: float, rig: StereoRig, water_index: float) -> 
 
 
 def _places(depth_mm: Array, limits: QualityLimits, by_parallax_mm: float | None) -> dict[str, float | None]:
-    """By points or windows; by parallax alone only where it is far outside."""
+    """Return where the object lies, by points or windows; by parallax alone only where it is far outside."""
     if not len(depth_mm):
         near = by_parallax_mm is not None and by_parallax_mm < (1.0 - ROUGHLY) * limits.min_depth_mm
         far = by_parallax_mm is not None and by_parallax_mm > (1.0 + ROUGHLY) * limits.max_depth_mm

@@ -23,7 +23,8 @@ Floats = NDArray[np.float32]
 WIDTH_PX = 400
 """About so wide are the images made before they are compared: that costs little and averages noise away."""
 ROWS, COLUMNS = 5, 14
-"""Of a window in such images: two fringes wide; a surface that slants by 20° shifts them by less than a third at its ends."""
+"""Size of a window in such images: two fringes wide; a surface that slants by 20° shifts them by less than a third
+at its ends."""
 WINDOWS = 120
 """Those with the strongest fringes."""
 LEAST_SWING_DN, LEAST_SHARE = 0.8, 0.1
@@ -34,7 +35,7 @@ CLEAR_DN = 250.0
 there may be the window itself, and the likest of the other places is then a wrong fringe."""
 NEAREST_MM, FARTHEST_MM = 250.0, 1500.0
 STEP_PX = 1.5
-"""From depth to depth, as the right camera sees it: a fifth of a fringe."""
+"""Distance from depth to depth, as the right camera sees it: a fifth of a fringe."""
 LEAST_LIKE = 0.25
 """Correlation from which on a window is found again; chance makes 0.1 over all depths at most, fringes of 0.7 grey values 0.4."""
 BESIDE, DISTINCT = 3, 1.1
@@ -114,7 +115,8 @@ def _brightest(frames: NDArray[np.uint8], sequence: PatternSequence, factor: int
 
 
 def _clear_everywhere(brightest: Floats, places: Array) -> NDArray[np.bool_]:
-    """Whether (n,) nothing is too bright in any of the windows at ``places`` (n, depths, 2: column, row) within the image."""
+    """Return (n,) whether nothing is too bright in any of the windows at ``places`` (n, depths, 2: column, row)
+    within the image."""
     # Sums over a rectangle are four entries of the image's running sums.
     sums = np.pad(np.cumsum(np.cumsum(brightest >= CLEAR_DN, axis=0), axis=1), ((1, 0), (1, 0)))
     bright = sums[ROWS:, COLUMNS:] - sums[:-ROWS, COLUMNS:] - sums[ROWS:, :-COLUMNS] + sums[:-ROWS, :-COLUMNS]
@@ -130,7 +132,8 @@ def _tiled(image: Floats) -> Floats:
 
 
 def _depths_mm(rig: StereoRig, water_index: float) -> Array:
-    """So close to each other that the right camera sees the image's middle move by ``STEP_PX`` of a small image's."""
+    """Return depths so close to each other that the right camera sees the image's middle move by ``STEP_PX`` of a
+    small image's."""
     near, far = 1.0 / NEAREST_MM, 1.0 / FARTHEST_MM
     middle = np.array([[0.5 * (rig.left.width_px - 1), 0.5 * (rig.left.height_px - 1)]])
     ends = _seen_at(rig, water_index, middle, np.array([NEAREST_MM, FARTHEST_MM]))[0, :, 0]

@@ -23,18 +23,20 @@ LEAST_LIGHT_DN = 0.05
 """Mean of the bright frame above that of the dark one, where even the water's backscatter is gone."""
 LIGHT_SIGMA = 4.0
 LEAST_BACKSCATTER_DN_PER_MS = 0.03
-"""Of exposure at 0 dB, that the projector's white adds to the mean even where it meets nothing but the clearest water: a tenth of
-what clear coastal water adds. An exposure so short that this would not be seen cannot tell that the projector is dark."""
+"""Grey values per ms of exposure at 0 dB that the projector's white adds to the mean even where it meets nothing but
+the clearest water: a tenth of what clear coastal water adds. An exposure so short that this would not be seen cannot
+tell that the projector is dark."""
 MOST_MOVED = 0.25
 """Share of samples that are not the same from one direction's fringes to the other's. At rest it is below 0.01; beyond this,
 doubts that no order of the frames explains are the motion's, which has a judge of its own."""
 LEAST_MOVED, LARGE_DOUBT = 0.03, 1.5
-"""So are lesser doubts, where anything moves at all: a fish before what the first frames saw."""
+"""Share of moved samples from which on a doubt below the second value is the motion's as well: a fish before what
+the first frames saw."""
 DOUBT_PER_MOVED, LARGER_DOUBT = 10.0, 2.5
-"""And larger ones the more moves, beyond 1, and at most: an object that comes nearer by 60 mm/s."""
+"""Growth of that doubt, beyond 1, with the share that moves, and its most: an object that comes nearer by 60 mm/s."""
 LEAST_PARALLAX = 0.1
-"""Of the field, by which the stripes lie beside their place in either camera, to opposite sides: the object is far from the
-measuring volume. That alone is no wrong pattern."""
+"""Least distance of the stripes from their place in either camera, to opposite sides, in widths of the field: the
+object is far from the measuring volume. That alone is no wrong pattern."""
 
 MOST_FLOODED = 0.05
 """Share of all samples that are saturated even in the darkest frame. Beyond, that all images are alike proves nothing."""
@@ -42,14 +44,14 @@ MOST_FLOODED = 0.05
 
 @dataclass(frozen=True, slots=True)
 class _Camera:
-    """What one camera's frames say by themselves."""
+    """Findings from one camera's frames alone."""
 
     device: str
     evidence: LineEvidence
     explanation: Explanation | None
     """``None``: nothing speaks against them."""
     light_dn: float
-    """How much the projector's white adds to the mean of the image."""
+    """Grey values that the projector's white adds to the mean of the image."""
     sees_light: bool
     """It is more than chance."""
     would_see_backscatter: bool
@@ -59,7 +61,7 @@ class _Camera:
     identical: bool
     """All frames are one image to the last bit, and it is not black."""
     flooded: bool
-    """So much of the image is saturated in every frame that it says nothing of the patterns."""
+    """The image is saturated in every frame over so large a part that it says nothing of the patterns."""
 
 
 def judge_identity(
@@ -166,8 +168,8 @@ def _without_parallax(cameras: list[_Camera]) -> list[_Camera]:
 
 
 def _parallax_percent(cameras: list[_Camera]) -> float | None:
-    """By which the stripes lie to the right in the left camera and to the left in the right one, in percent of the field: positive
-    before an object that is near. ``None``: one of them sees too few."""
+    """Return how far the stripes lie to the right in the left camera and to the left in the right one, in percent of
+    the field: positive before an object that is near. ``None``: one of them sees too few."""
     aside = {camera.device: camera.evidence.displaced for camera in cameras}
     left, right = aside.get("camera.left", 0.0), aside.get("camera.right", 0.0)
     # A pattern's stripe that is seen farther to the right has a smaller code there than the design gives that place.
