@@ -72,10 +72,10 @@ class Cause:
 def find_causes(
     judgements: Sequence[Judgement], summary: CloudSummary, present: Exposure, steps: Sequence[Exposure]
 ) -> tuple[Cause, ...]:
-    """Every cause worth telling, the one that takes most first.
+    """Return every cause worth telling, the one that takes most first.
 
-    ``judgements``: all of the scan; ``summary``: of its best cloud; ``present``: how it was exposed; ``steps``: how it could be.
-    Pure: the same verdicts give the same causes, whether they come from the judges or from a manifest.
+    ``judgements``: all of the scan; ``summary``: of its best cloud; ``present``: how it was exposed; ``steps``: how it
+    could be. Pure: the same verdicts give the same causes, whether they come from the judges or from a manifest.
     """
     of = {one.verdict.name: one for one in judgements}
     found = _once(sorted(_all(of, summary, present, steps), key=lambda cause: -cause.share))
@@ -95,7 +95,8 @@ def find_causes(
 def with_causes(
     judgements: Sequence[Judgement], summary: CloudSummary, present: Exposure, steps: Sequence[Exposure]
 ) -> tuple[Judgement, ...]:
-    """``judgements`` with the faults of ``find_causes`` in place of their own, in that order, and a verdict ``causes``.
+    """Return ``judgements`` with the faults of ``find_causes`` in place of their own, in that order, and a verdict
+    ``causes``.
 
     A judgement whose fault something else explains passes nothing and fails nothing. Identity is left as it is.
     """
@@ -160,7 +161,7 @@ def _without_fault(one: Judgement) -> Judgement:
 
 
 def _once(found: Sequence[Cause]) -> list[Cause]:
-    """The first of each code, certain if any of them is."""
+    """Return the first cause of each code, certain if any of them is."""
     certain = {cause.fault.code for cause in found if cause.certain}
     first: dict[FaultCode, Cause] = {}
     for cause in found:
@@ -229,7 +230,7 @@ def _rushing(motion: Numbers, sight: Numbers, light: Numbers, water: Numbers, su
 
 
 def _moved_ripple(motion: Numbers) -> float:
-    """Ripple that the motion makes over the points' noise, 0 at rest."""
+    """Return the ripple that the motion makes over the points' noise, 0 at rest."""
     added = motion.get("added_noise_percent")
     if added is None or not _moves(motion):
         return 0.0
@@ -258,7 +259,8 @@ def _flicker(light: Numbers, of: Mapping[str, Judgement], motion: Numbers) -> It
 
 
 def _in_common(light: Numbers, side: str) -> float:
-    """Share of the squares of the light's changes that the whole picture has in common; 1 where a manifest does not say."""
+    """Return the share of the squares of the light's changes that the whole picture has in common; 1 where a
+    manifest does not say."""
     common, local = light.get(f"{side}_flicker_percent"), light.get(f"{side}_local_flicker_percent")
     if common is None or local is None:
         return 1.0
@@ -292,7 +294,8 @@ def _outside(sight: Numbers) -> Cause | None:
 
 
 def _levels(of: Mapping[str, Judgement], light: Numbers, water: Numbers) -> Iterator[Cause]:
-    """Too bright, too dark, too much ambient light, as shares of the lit pixels; of what is saturated see ``_saturated``."""
+    """Yield too bright, too dark, too much ambient light, as shares of the lit pixels; of what is saturated see
+    ``_saturated``."""
     judged = of.get("light")
     fault = None if judged is None else judged.fault
     saturated = _saturated(light, water)
@@ -312,7 +315,8 @@ def _levels(of: Mapping[str, Judgement], light: Numbers, water: Numbers) -> Iter
 
 
 def _saturated(light: Numbers, water: Numbers) -> float:
-    """Share of the lit pixels of the brighter camera; or of the object's, where the left camera sees more of these saturated.
+    """Return the saturated share of the lit pixels of the brighter camera; or of the object's, where the left camera
+    sees more of these saturated.
 
     Lit water shows no object, and would dilute the share that is lost of one.
     """
@@ -344,7 +348,7 @@ def _water(of: Mapping[str, Judgement], water: Numbers, moved: float, saturated:
 def _faint(
     sight: Numbers, light: Numbers, water: Numbers, summary: CloudSummary, present: Exposure, steps: Sequence[Exposure]
 ) -> Cause | None:
-    """Why too little of an object is seen to measure it: exposure, water, or that there is none."""
+    """Return why too little of an object is seen to measure it: exposure, water, or that there is none."""
     room = max((step.light for step in steps), default=present.light) / present.light
     fringe, top = sight.get("fringe_dn"), sight.get("top_dn") or 0.0
     lost = 1.0 - 0.01 * min(summary.coverage_percent or 0.0, 100.0)

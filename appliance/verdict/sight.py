@@ -72,10 +72,11 @@ def look(
     limits: QualityLimits,
     parallax_percent: float | None = None,
 ) -> Verdict:
-    """Verdict ``sight`` on ``frames`` (n, h, w) uint8 by side, and on the points of ``loose``, found without limits of depth.
+    """Return the verdict ``sight`` on ``frames`` (n, h, w) uint8 by side, and on the points of ``loose``, found without
+    limits of depth.
 
-    It passes nothing and fails nothing: ``causes`` weighs its numbers. ``fringe_dn`` and ``object_percent`` are ``None`` where no
-    fringes are seen, ``glow_per_m`` (attenuation as the glow's shape suggests it) where any are.
+    It passes nothing and fails nothing: ``causes`` weighs its numbers. ``fringe_dn`` and ``object_percent`` are
+    ``None`` where no fringes are seen, ``glow_per_m`` (attenuation as the glow's shape suggests it) where any are.
     """
     both = {side: see(frames[side], sequence, of_side(noise, side)) for side in SIDES}
     best = max(both.values(), key=lambda one: one.cells)
@@ -134,8 +135,9 @@ def see(frames: NDArray[np.uint8], sequence: PatternSequence, noise: CameraNoise
 
 
 def distance_of(parallax_percent: float, rig: StereoRig, water_index: float) -> float | None:
-    """Depth in mm at which the cameras see stripes so far beside where they see them in the middle of the volume: roughly, but
-    where all is saturated as well, since the borders of dark stripes are seen there, too. ``None``: behind everything."""
+    """Return the depth in mm at which the cameras see stripes so far beside where they see them in the middle of the
+    volume: roughly, but where all is saturated as well, since the borders of dark stripes are seen there, too.
+    ``None``: behind everything."""
     middle_mm = float(rig.volume_centre_mm(water_index)[2])
     half_baseline_mm = 0.5 * float(np.linalg.norm(rig.right.translation_mm))
     field = 2.0 * half_field(rig.left, water_index)[0]

@@ -50,9 +50,8 @@ def find_depths_mm(
     rig: StereoRig,
     water_index: float,
 ) -> Array:
-    """Depth of each window that is found again, in the left camera's frame; to half a per cent. Empty where fewer than
-    ``MIN_WINDOWS`` are. ``frames``: (n, h, w) uint8 of ``left`` and ``right``.
-    """
+    """Return the depth of each window that is found again, in the left camera's frame; to half a per cent. Empty
+    where fewer than ``MIN_WINDOWS`` are. ``frames``: (n, h, w) uint8 of ``left`` and ``right``."""
     none = np.empty(0)
     factor = max(1, rig.left.width_px // WIDTH_PX)
     left = _changes(frames["left"], sequence, factor)
@@ -76,7 +75,8 @@ def find_depths_mm(
 
 
 def _changes(frames: NDArray[np.uint8], sequence: PatternSequence, factor: int) -> Floats:
-    """(channels, rows, columns): opposite sines' differences, then each Gray image against half way from dark to bright."""
+    """Return (channels, rows, columns) opposite sines' differences, then each Gray image against half way from dark
+    to bright."""
     axis = sequence.axis(Direction.X)
     small = {k: _shrunk(frames[k], factor) for k in (sequence.bright, sequence.dark, *axis.sine, *axis.gray)}
     i0, i1, i2, i3 = (small[k] for k in axis.sine)
@@ -95,7 +95,8 @@ def _shrunk(image: NDArray[np.uint8], factor: int) -> Floats:
 def _strongest(
     frames: NDArray[np.uint8], sequence: PatternSequence, factor: int, changes: Floats, noise: CameraNoise
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Upper left corners (rows, columns) of the windows that show most fringes beyond noise and are nowhere saturated."""
+    """Return the upper left corners (rows, columns) of the windows that show most fringes beyond noise and are
+    nowhere saturated."""
     sines = sequence.axis(Direction.X).sine
     level = np.mean([_shrunk(frames[k], factor) for k in sines], axis=0)
     chance = 4.0 * (noise.read_dn**2 + noise.dn_per_e * np.maximum(level - noise.black_dn, 0.0)) / factor**2
@@ -109,7 +110,7 @@ def _strongest(
 
 
 def _brightest(frames: NDArray[np.uint8], sequence: PatternSequence, factor: int) -> Floats:
-    """Small image of the brightest grey value that each pixel has in the bright image and the sines."""
+    """Return a small image of the brightest grey value that each pixel has in the bright image and the sines."""
     lit = (sequence.bright, *sequence.axis(Direction.X).sine)
     return _shrunk(np.maximum.reduce([frames[k] for k in lit]), factor)
 
@@ -142,14 +143,16 @@ def _depths_mm(rig: StereoRig, water_index: float) -> Array:
 
 
 def _seen_at(rig: StereoRig, water_index: float, uv_px: Array, depths_mm: Array) -> Array:
-    """(n, depths, 2): where the right camera sees what the left one sees at ``uv_px`` (n, 2), were it at each depth."""
+    """Return (n, depths, 2) where the right camera sees what the left one sees at ``uv_px`` (n, 2), were it at each
+    depth."""
     origins, directions = rig.left.rays(uv_px, water_index)
     far = (depths_mm[None, :] - origins[:, None, 2]) / directions[:, None, 2]
     return rig.right.project(origins[:, None, :] + far[..., None] * directions[:, None, :], water_index)
 
 
 def _likeness(left: Floats, right: Floats, corner: tuple[int, int], places: Array) -> Floats:
-    """Correlation of the left window with the right ones at ``places`` (depths, 2: column, row); 0 outside of the image."""
+    """Return the correlation of the left window with the right ones at ``places`` (depths, 2: column, row); 0
+    outside of the image."""
     v, u = corner
     mine = _own(left[None, :, v : v + ROWS, u : u + COLUMNS])[0]
     at = np.rint(np.nan_to_num(places, nan=-1e6)).astype(np.int64)
@@ -165,6 +168,6 @@ def _likeness(left: Floats, right: Floats, corner: tuple[int, int], places: Arra
 
 
 def _own(windows: Floats) -> Floats:
-    """``windows`` (n, channels, rows, columns) without what the Gray images do not change within them."""
+    """Return ``windows`` (n, channels, rows, columns) without what the Gray images do not change within them."""
     gray = windows[:, 2:]
     return np.concatenate([windows[:, :2], gray - gray.mean(axis=(2, 3), keepdims=True)], axis=1)

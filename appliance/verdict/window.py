@@ -130,7 +130,8 @@ def _look(images: ScanImages, side: str) -> _Seen:
 
 
 def _falls(mine: _Seen, others: _Seen) -> tuple[Array, float | None]:
-    """(cells,) and in all: how much softer this camera's fringes are than the other's at the same places of the object."""
+    """Return, (cells,) and in all, how much softer this camera's fringes are than the other's at the same places of
+    the object."""
     count = np.bincount(others.place, minlength=PLACES[0] * PLACES[1])
     mean = np.bincount(others.place, others.contrast, PLACES[0] * PLACES[1]) / np.maximum(count, 1)
     known = count[mine.place] >= MIN_PER_PLACE

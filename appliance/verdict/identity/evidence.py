@@ -166,7 +166,7 @@ class Witness:
     def _sine_doubts(
         self, sums: Mapping[Direction, NDArray[np.float64]], doubts: dict[str, float], suspects: dict[str, int]
     ) -> None:
-        """Pairs of steps that are not each other's opposite."""
+        """Doubt pairs of steps that are not each other's opposite."""
         found: dict[int, float] = {}
         for along, mine in sums.items():
             n = mine[Count.SINES]
@@ -192,7 +192,8 @@ class Witness:
         doubts: dict[str, float],
         suspects: dict[str, int],
     ) -> None:
-        """Is another frame the better bright, or the better dark? At outlines of what moves, none is."""
+        """Doubt the references where another frame is the better bright, or the better dark. At outlines of what
+        moves, none is."""
         if total[Count.ILLUMINATED] < MIN_FRINGE:
             return
         share = {"bright": total[Count.NOT_BRIGHT], "dark": total[Count.NOT_DARK]}
@@ -206,7 +207,8 @@ class Witness:
             suspects[name] = self._sequence.bright if name == "bright" else self._sequence.dark
 
     def _off_reference(self) -> NDArray[np.float64]:
-        """(2, frames): the share of illuminated samples at which each frame is not dark, and not bright; computed once."""
+        """Return (2, frames) the share of illuminated samples at which each frame is not dark, and not bright;
+        computed once."""
         if self._off is None:
             frames = len(next(iter(self.lines.values())).values)
             off, illuminated = np.zeros((2, frames)), 0

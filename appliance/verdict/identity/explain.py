@@ -61,7 +61,8 @@ class Explanation:
 
 
 def explain(witness: Witness, sequence: PatternSequence, noise: CameraNoise, doubts: LineEvidence) -> Explanation:
-    """The best explanation of frames that are contradicted by ``doubts``, the evidence for their being as planned."""
+    """Return the best explanation of frames that are contradicted by ``doubts``, the evidence for their being as
+    planned."""
     same = differences(witness, sequence, noise)
     first = still_from(same)
     if first is not None and len(sequence) - first >= SHORTEST_STILL:
@@ -90,7 +91,8 @@ def still(witness: Witness, sequence: PatternSequence, noise: CameraNoise) -> Ex
 
 
 def differences(witness: Witness, sequence: PatternSequence, noise: CameraNoise) -> NDArray[np.float64]:
-    """(n, n): squared differences of frames over illuminated samples, in units of noise: 1 between images of the same."""
+    """Return (n, n) squared differences of frames over illuminated samples, in units of noise: 1 between images of
+    the same."""
     samples = [_fringed(lines, sequence, noise) for lines in witness.lines.values()]
     values = np.concatenate(samples, axis=1).astype(np.float64)
     if values.shape[1] < MIN_FRINGE:
@@ -108,10 +110,10 @@ def differences(witness: Witness, sequence: PatternSequence, noise: CameraNoise)
 
 
 def moved_share(witness: Witness, sequence: PatternSequence, order: NDArray[np.int64]) -> float:
-    """Share of illuminated samples whose mean over the sines of one direction is not that over the other's.
+    """Return the share of illuminated samples whose mean over the sines of one direction is not that over the other's.
 
-    For frame ``order[k]`` taken as showing pattern k. A single sine in a wrong place moves its mean by an eighth of the swing
-    at most.
+    For frame ``order[k]`` taken as showing pattern k. A single sine in a wrong place moves its mean by an eighth of the
+    swing at most.
     """
     moved = illuminated = 0
     for lines in witness.lines.values():
@@ -123,7 +125,8 @@ def moved_share(witness: Witness, sequence: PatternSequence, order: NDArray[np.i
 
 
 def _fringed(lines: Lines, sequence: PatternSequence, noise: CameraNoise) -> NDArray[np.uint8]:
-    """(n, samples): those in which the fringes across columns are seen; broad stripes are seen in mere backscatter too."""
+    """Return (n, samples) those in which the fringes across columns are seen; broad stripes are seen in mere
+    backscatter too."""
     s0, s1, s2, s3 = (lines.values[k].astype(np.float32) for k in sequence.axis(Direction.X).sine)
     variance = noise.variance_dn2(lines.high.astype(np.float32))
     seen = (s0 - s2) ** 2 + (s3 - s1) ** 2 > 72.0 * variance
@@ -131,7 +134,7 @@ def _fringed(lines: Lines, sequence: PatternSequence, noise: CameraNoise) -> NDA
 
 
 def still_from(same: NDArray[np.float64]) -> int | None:
-    """First of the frames that show the same image up to the last one; ``None``: the last two differ."""
+    """Return the first of the frames that show the same image up to the last one; ``None``: the last two differ."""
     first = len(same) - 1
     while first > 0 and same[first - 1, -1] < SAME:
         first -= 1
@@ -141,7 +144,8 @@ def still_from(same: NDArray[np.float64]) -> int | None:
 def _reordered(
     witness: Witness, sequence: PatternSequence, noise: CameraNoise, doubts: LineEvidence
 ) -> Explanation | None:
-    """The order under which the least doubt is left, none is decided, and clearly less than of the frames as planned."""
+    """Return the order under which the least doubt is left, none is decided, and clearly less than of the frames as
+    planned."""
     every = max(1, min(doubts.fringe // ENOUGH_FRINGE, 8))
     # Every order is tried on a part of the lines; only the finalists face all of them.
     thin = {along: _thinned(lines, every) for along, lines in witness.lines.items()}
@@ -173,7 +177,7 @@ def _at_the_second(explanation: Explanation, same: NDArray[np.float64]) -> Expla
 def _ordered(
     witness: Witness, sequence: PatternSequence, noise: CameraNoise
 ) -> Iterator[tuple[Explanation, NDArray[np.int64], Witness]]:
-    """Explanations that are another order, with the frame that each pattern then is, and who has these frames."""
+    """Yield explanations that are another order, with the frame that each pattern then is, and who has these frames."""
     n = len(sequence)
     straight = np.arange(n, dtype=np.int64)
     for i in range(n):
@@ -211,7 +215,7 @@ def _with_last(lines: Lines, sequence: PatternSequence) -> Lines:
 
 
 def _repeated(same: NDArray[np.float64], doubts: LineEvidence) -> Explanation | None:
-    """A frame that is doubted and equals another; neighbours first, then the doubt that is greatest."""
+    """Return a frame that is doubted and equals another; neighbours first, then the doubt that is greatest."""
     n = len(same)
     named = {doubts.suspects[name]: doubt for name, doubt in doubts.doubts.items() if name in doubts.suspects}
     pairs = [(i, j) for j in range(1, n) for i in range(j) if same[i, j] < SAME]

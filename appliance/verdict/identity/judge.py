@@ -70,15 +70,15 @@ def judge_identity(
     noise: StereoNoise = TYPICAL_PAIR,
     exposure: Exposure = NOMINAL,
 ) -> Judgement:
-    """Verdict ``identity`` on the frames (n, h, w) uint8 of ``left`` and ``right``, in the order of ``sequence``, taken with
-    ``exposure``.
+    """Judge ``identity`` by the frames (n, h, w) uint8 of ``left`` and ``right``, in the order of ``sequence``, taken
+    with ``exposure``.
 
-    Passed: every frame is its pattern. None: too little of the projector's light is seen to say so, or too much moves. Failed, with a fault:
-    ``CAMERA_STUCK`` (device), ``PROJECTOR_TIMING`` (shift_frames), ``PATTERN_WRONG`` (frame; device projector if both cameras
-    say it), ``PROJECTOR_DARK`` (only where the illuminated water would have been seen). Numbers: ``doubt``, the largest of all doubts, which alarm from 1 on; of each camera the
-    same, the samples with fringes, and the projector's light; ``parallax_percent``, by which both see the stripes beside their
-    place, to opposite sides. Raises ValueError for a number of frames that is not the
-    sequence's.
+    Passed: every frame is its pattern. None: too little of the projector's light is seen to say so, or too much moves.
+    Failed, with a fault: ``CAMERA_STUCK`` (device), ``PROJECTOR_TIMING`` (shift_frames), ``PATTERN_WRONG`` (frame;
+    device projector if both cameras say it), ``PROJECTOR_DARK`` (only where the illuminated water would have been
+    seen). Numbers: ``doubt``, the largest of all doubts, which alarm from 1 on; of each camera the same, the samples
+    with fringes, and the projector's light; ``parallax_percent``, by which both see the stripes beside their place, to
+    opposite sides. Raises ValueError for a number of frames that is not the sequence's.
     """
     for side, mine in frames.items():
         if len(mine) != len(sequence):
@@ -148,9 +148,9 @@ def _look(
 
 
 def _may_be_motion(explanation: Explanation, evidence: LineEvidence) -> bool:
-    """A good order of the frames leaves nothing that moves much. Frames that look alike prove a repeat only where nothing else
-    can have raised the doubt; an image that stays proves itself.
-    """
+    """Say whether motion may be what was explained: a good order of the frames leaves nothing that moves much.
+    Frames that look alike prove a repeat only where nothing else can have raised the doubt; an image that stays
+    proves itself."""
     if explanation.what not in (What.STILL, What.REPEATED) and explanation.moved > MOST_MOVED:
         return True
     if explanation.moved <= LEAST_MOVED or explanation.what not in (What.UNEXPLAINED, What.REPEATED):
@@ -160,7 +160,8 @@ def _may_be_motion(explanation: Explanation, evidence: LineEvidence) -> bool:
 
 
 def _without_parallax(cameras: list[_Camera]) -> list[_Camera]:
-    """Cameras whose only doubt is where the stripes lie are not judged where both see them displaced to opposite sides."""
+    """Return the cameras, unjudged where their only doubt is where the stripes lie and both see them displaced to
+    opposite sides."""
     aside = [camera.evidence.displaced for camera in cameras]
     if len(aside) != 2 or aside[0] * aside[1] >= 0.0 or min(abs(one) for one in aside) < LEAST_PARALLAX:
         return cameras
@@ -186,7 +187,7 @@ def _nothing(camera: _Camera) -> LineEvidence:
 
 
 def _fault(cameras: list[_Camera]) -> Fault | None:
-    """One cause for what the cameras say: what both say alike is the projector's doing."""
+    """Return one cause for what the cameras say: what both say alike is the projector's doing."""
     wrong = [camera for camera in cameras if camera.explanation is not None]
     if not wrong:
         return _without_patterns(cameras)
@@ -215,7 +216,7 @@ def _stuck(camera: _Camera, frame: int) -> Fault:
 
 
 def _without_patterns(cameras: list[_Camera]) -> Fault | None:
-    """Nothing contradicts the patterns; but has anybody seen them?"""
+    """Return the fault, where nothing contradicts the patterns, of nobody having seen them."""
     if any(camera.flooded for camera in cameras):
         return None  # other light than the projector's blinds it: the judge of light says so
     for camera in cameras:

@@ -64,12 +64,14 @@ class Lines:
 
 
 def can_follow(sequence: PatternSequence, width_px: int) -> bool:
-    """Are the fringes long enough in an image ``width_px`` wide? Camera and projector have about the same field."""
+    """Say whether the fringes are long enough in an image ``width_px`` wide. Camera and projector have about the
+    same field."""
     return sequence.period_px * width_px / sequence.width_px >= MIN_PERIOD_PX
 
 
 def take_lines(frames: NDArray[np.uint8], sequence: PatternSequence, noise: CameraNoise) -> Mapping[Direction, Lines]:
-    """Rows and columns of ``frames`` (n, h, w) uint8, over what is illuminated; a sixth of a fringe or less between samples."""
+    """Take rows and columns of ``frames`` (n, h, w) uint8, over what is illuminated; a sixth of a fringe or less
+    between samples."""
     width_px = frames.shape[2]
     sixth_px = sequence.period_px * width_px / sequence.width_px / 6.0
     step = max(1, min(int(sixth_px), width_px // SAMPLES))
@@ -80,7 +82,7 @@ def take_lines(frames: NDArray[np.uint8], sequence: PatternSequence, noise: Came
 
 
 def _where_illuminated(frames: NDArray[np.uint8], noise: CameraNoise) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Rows and columns over what is illuminated: a small thing gets as many as a large one."""
+    """Return rows and columns over what is illuminated: a small thing gets as many as a large one."""
     _, height_px, width_px = frames.shape
     coarse = max(1, width_px // COARSE)
     few = np.ascontiguousarray(frames[::THIRD, coarse // 2 :: coarse, coarse // 2 :: coarse])
@@ -90,7 +92,8 @@ def _where_illuminated(frames: NDArray[np.uint8], noise: CameraNoise) -> tuple[N
 
 
 def _spread(illuminated: NDArray[np.int64], size_px: int, coarse_px: int) -> NDArray[np.intp]:
-    """``LINES`` places from the first to the last illuminated one, but for a fiftieth at either end that may be specks."""
+    """Return ``LINES`` places from the first to the last illuminated one, but for a fiftieth at either end that may
+    be specks."""
     first, stop = 0.0, float(size_px)
     if illuminated.any():
         share = np.cumsum(illuminated) / illuminated.sum()
@@ -100,7 +103,7 @@ def _spread(illuminated: NDArray[np.int64], size_px: int, coarse_px: int) -> NDA
 
 
 def _least_swing(noise: CameraNoise) -> NDArray[np.uint8]:
-    """(256,): the least swing at each brightest value."""
+    """Return (256,) the least swing at each brightest value."""
     levels = np.arange(256.0)
     sigma = np.sqrt(noise.variance_dn2(levels))
     return np.minimum(np.maximum(MIN_SWING_DN, MIN_SWING_SIGMA * sigma), 255.0).astype(np.uint8)

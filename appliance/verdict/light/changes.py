@@ -149,11 +149,12 @@ def measure_changes(s: Sample, sequence: PatternSequence, noise: CameraNoise) ->
 
 
 def find_frequency_hz(levels: tuple[LightLevel, ...], frame_s: float) -> tuple[float, float] | None:
-    """The frequency, up to half the frame rate, that explains most of the levels' changes, and the share it explains.
+    """Return the frequency, up to half the frame rate, that explains most of the levels' changes, and the share it
+    explains.
 
     Lamps that flicker faster appear at another one: 100 Hz at 20 Hz, 120 Hz not at all, at 60 frames per second.
-    ``None`` where no frequency stands out, for fewer than twelve frames, or where frames come so slowly that none could be
-    told (below four a second).
+    ``None`` where no frequency stands out, for fewer than twelve frames, or where frames come so slowly that none could
+    be told (below four a second).
     """
     if len(levels) < MIN_LEVELS:
         return None
@@ -178,7 +179,7 @@ def find_frequency_hz(levels: tuple[LightLevel, ...], frame_s: float) -> tuple[f
 
 
 def _blocks(rows: NDArray[np.intp], columns: NDArray[np.intp], shape: tuple[int, ...]) -> list[NDArray[np.intp]]:
-    """Which of the pixels at ``rows`` and ``columns`` belong to each block that has enough of them."""
+    """Return which of the pixels at ``rows`` and ``columns`` belong to each block that has enough of them."""
     block = rows * BLOCK_ROWS // shape[0] * BLOCK_COLUMNS + columns * BLOCK_COLUMNS // shape[1]
     order = np.argsort(block, kind="stable")
     ends = np.cumsum(np.bincount(block, minlength=BLOCK_ROWS * BLOCK_COLUMNS))
@@ -191,7 +192,8 @@ def _fit(
     places: tuple[NDArray[np.intp], NDArray[np.intp]],
     members: Sequence[NDArray[np.intp]],
 ) -> _Fit:
-    """``four`` (4, n) sine images of the pixels at ``places`` (row and column), of which ``members`` are those of each block."""
+    """Fit ``four`` (4, n) sine images of the pixels at ``places`` (row and column), of which ``members`` are those
+    of each block."""
     order, ends = np.concatenate(members), np.cumsum([block.size for block in members])
     found, third = fit_blocks(four, contrast, *places, order, ends)
     fine = common_of_neighbours(third, contrast, *places, order, ends)
@@ -201,7 +203,8 @@ def _fit(
 def _apart(
     fits: dict[Direction, _Fit], judged: NDArray[np.bool_], weight: Floats, sequence: PatternSequence
 ) -> tuple[float, float, list[LightLevel]]:
-    """Amplitude of what blocks have in common, of what they have not, and the common levels of the sine images."""
+    """Return the amplitude of what blocks have in common, of what they have not, and the common levels of the sine
+    images."""
     levels: list[LightLevel] = []
     common2, local2 = 0.0, 0.0
     for direction, fit in fits.items():
@@ -220,7 +223,8 @@ def _apart(
 
 
 def _gray_levels(s: Sample, sequence: PatternSequence, good: NDArray[np.bool_], contrast: Floats) -> list[LightLevel]:
-    """Common levels of the fine Gray images: what scatters from illuminated stripes into dark ones cancels."""
+    """Return the common levels of the fine Gray images: what scatters from illuminated stripes into dark ones
+    cancels."""
     pixels = np.flatnonzero(good)
     found: list[LightLevel] = []
     for direction in Direction:
@@ -236,7 +240,7 @@ def _gray_levels(s: Sample, sequence: PatternSequence, good: NDArray[np.bool_], 
 
 
 def _centred(value: Floats, group: NDArray[np.intp]) -> Floats:
-    """``value`` (..., n) less the mean of each group."""
+    """Return ``value`` (..., n) less the mean of each group."""
     member = (group[:, None] == np.arange(group.max() + 1)).astype(np.float64)
     return np.asarray(value - value @ member / member.sum(axis=0) @ member.T, np.float64)
 

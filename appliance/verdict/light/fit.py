@@ -197,7 +197,7 @@ def _median_bin(count: NDArray[np.int64], least: int) -> float:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _span(place: NDArray[np.intp], block: NDArray[np.intp]) -> tuple[int, int]:
-    """Least and most together, and how far they are apart: what takes places to −1..1."""
+    """Return the sum of the least and the greatest place, and how far they are apart: what takes places to −1..1."""
     low, high = place[block[0]], place[block[0]]
     for at in block:
         low, high = min(low, place[at]), max(high, place[at])
@@ -206,8 +206,8 @@ def _span(place: NDArray[np.intp], block: NDArray[np.intp]) -> tuple[int, int]:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def regress(value: Floats, terms: Floats, contrast: Floats) -> tuple[Floats, float, float]:
-    """Coefficients of a weighted robust fit of ``terms`` (k, n), the larger sigma of the first two, and what that would be
-    for ``value`` · ``contrast`` (n,) with a noise of 1."""
+    """Return the coefficients of a weighted robust fit of ``terms`` (k, n), the larger sigma of the first two, and
+    what that would be for ``value`` · ``contrast`` (n,) with a noise of 1."""
     size, n = terms.shape
     most = np.quantile(contrast, STRONGEST)
     weight = np.minimum(contrast, most) ** 2
@@ -239,7 +239,7 @@ def regress(value: Floats, terms: Floats, contrast: Floats) -> tuple[Floats, flo
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
 def _dot(a: Floats, b: Floats) -> float:
-    """A sum in whatever order is fastest."""
+    """Return the sum of products in whatever order is fastest."""
     total = 0.0
     for j in range(a.size):
         total += a[j] * b[j]

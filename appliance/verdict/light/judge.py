@@ -27,10 +27,10 @@ FLICKER_ALIAS_HZ = (18.5, 21.5)
 
 
 def judge_light(images: ScanImages, present: Exposure, steps: Sequence[Exposure]) -> Judgement:
-    """The verdict ``light`` with its numbers, at most one fault, and what to expose the next scan with.
+    """Return the verdict ``light`` with its numbers, at most one fault, and what to expose the next scan with.
 
-    From the frames alone. ``present``: what they were exposed with; ``steps``: what may be proposed, from dark to bright
-    (``capture.exposure.ladder``).
+    From the frames alone. ``present``: what they were exposed with; ``steps``: what may be proposed, from dark to
+    bright (``capture.exposure.ladder``).
     """
     noise = {side: of_side(images.noise, side) for side in SIDES}
     samples = {side: sample(images.frames[side], images.sequence) for side in SIDES}
@@ -79,7 +79,8 @@ def _propose(
 
 
 def _flickers(changes: dict[str, Changes], frequency: tuple[float, float] | None) -> Fault | None:
-    """Both cameras see the same light at the same time: what only one of them has is no change of light."""
+    """Return the fault of flickering light. Both cameras see the same light at the same time: what only one of them
+    has is no change of light."""
     known = [c for c in changes.values() if c.harmed is not None and c.ripple is not None]
     least = min(known, key=lambda c: c.harmed or 0.0, default=None)
     if least is None or least.harmed is None or least.harmed <= MAX_HARMED:

@@ -56,7 +56,8 @@ class Sample:
 
 
 def sample(frames: NDArray[np.uint8], sequence: PatternSequence) -> Sample:
-    """About ``SAMPLES`` illuminated pixels of ``frames`` (n, h, w) uint8; fewer where they are rare among ``MOST_PIXELS``."""
+    """Take about ``SAMPLES`` illuminated pixels of ``frames`` (n, h, w) uint8; fewer where they are rare among
+    ``MOST_PIXELS``."""
     coarse = frames[[sequence.bright, sequence.dark], ::COARSE_PX, ::COARSE_PX].astype(np.int16)
     illuminated_pixels = COARSE_PX**2 * int(np.count_nonzero(_illuminated(coarse[0], coarse[1])))
     least = math.ceil((frames[0].size / MOST_PIXELS) ** 0.5)
@@ -74,7 +75,8 @@ def sample(frames: NDArray[np.uint8], sequence: PatternSequence) -> Sample:
 
 
 def _places(size_px: int, stride: int) -> NDArray[np.intp]:
-    """One of each ``stride`` pixels, not at equal distances: those would meet the fringes at a few phases only."""
+    """Return one of each ``stride`` pixels, not at equal distances: those would meet the fringes at a few phases
+    only."""
     number = np.arange(-(-size_px // stride))
     return np.minimum((stride * (number + GOLDEN * number % 1.0)).astype(np.intp), size_px - 1)
 
@@ -111,7 +113,7 @@ class Levels:
 
 
 def measure_levels(s: Sample, sequence: PatternSequence, noise: CameraNoise) -> Levels:
-    """The numbers of one camera."""
+    """Measure the levels of one camera."""
     illuminated, saturated = s.illuminated, s.saturated
     count = int(illuminated.sum())
     ambient = s.dark_dn - np.float32(noise.black_dn)
@@ -140,7 +142,8 @@ def measure_levels(s: Sample, sequence: PatternSequence, noise: CameraNoise) -> 
 
 
 def _top_dn(s: Sample, sequence: PatternSequence, black_dn: float) -> float:
-    """The share is of all pixels, not of the illuminated ones: how many are illuminated depends on the exposure, which this decides."""
+    """Return the level that ``TOP_SHARE`` of the pixels exceed. The share is of all pixels, not of the illuminated
+    ones: how many are illuminated depends on the exposure, which this decides."""
     level = np.where((s.contrast_dn >= SEEN_DN) | (s.bright_dn >= FULL_DN), s.bright_dn - np.float32(black_dn), 0.0)
     clipped = s.bright_dn >= FULL_DN
     if clipped.any():

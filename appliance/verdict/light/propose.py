@@ -26,10 +26,11 @@ MAINS_PERIOD_US = 10_000
 
 
 def propose(top_dn: float, scale_dn: float, present: Exposure, steps: Sequence[Exposure]) -> Exposure | None:
-    """The step that brings the brightest surfaces to ``AIM``; ``None``: the present one is right, or the best there is.
+    """Return the step that brings the brightest surfaces to ``AIM``; ``None``: the present one is right, or the best
+    there is.
 
-    ``top_dn``: their level over black at the present exposure; ``scale_dn``: saturation over black; ``steps``: from dark
-    to bright.
+    ``top_dn``: their level over black at the present exposure; ``scale_dn``: saturation over black; ``steps``: from
+    dark to bright.
     """
     share = top_dn / scale_dn
     if top_dn < MIN_TOP_DN or TOO_LOW <= share <= TOO_HIGH:
@@ -41,7 +42,8 @@ def propose(top_dn: float, scale_dn: float, present: Exposure, steps: Sequence[E
 
 
 def without_flicker(top_dn: float, scale_dn: float, present: Exposure, steps: Sequence[Exposure]) -> Exposure | None:
-    """The step that does not see lamps on 50 Hz mains flicker, where it is well inside of the band; else ``None``."""
+    """Return the step that does not see lamps on 50 Hz mains flicker, where it is well inside of the band; else
+    ``None``."""
     for step in steps:
         share = top_dn / scale_dn * step.light / present.light
         whole = step.time_us == MAINS_PERIOD_US and step.time_us != present.time_us
@@ -67,7 +69,8 @@ their modulation; both in grey values at the present exposure."""
 def propose_second(
     cameras: Sequence[Light], scale_dn: Sequence[float], present: Exposure, steps: Sequence[Exposure]
 ) -> Exposure | None:
-    """The step that shows, together with the present exposure, clearly more than any single one; ``None``: none does."""
+    """Return the step that shows, together with the present exposure, clearly more than any single one; ``None``:
+    none does."""
     if any(top.size == 0 for top, _ in cameras):
         return None
     now = _lost(cameras, scale_dn, 1.0)

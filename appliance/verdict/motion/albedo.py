@@ -127,7 +127,7 @@ def albedo_shifts(
 
 
 def _well_illuminated(codes: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """(pattern px,): light, and far enough from all edges of the stripes."""
+    """Return (pattern px,) where the pattern is light, and far enough from all edges of the stripes."""
     illuminated = codes.astype(np.bool_)
     edges = np.flatnonzero(np.diff(illuminated.astype(np.int8))) + 0.5
     if not edges.size:

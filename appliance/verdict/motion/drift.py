@@ -169,8 +169,8 @@ def _left_over(
     fit: NDArray[np.float64],
     sums: NDArray[np.float64],
 ) -> None:
-    """Into ``sums`` (rows, columns) how much what C leaves beside ``fit`` (rows, columns, _TERMS) differs from one pixel to
-    the next, without the cameras' noise, as mean square over that of twice the modulation."""
+    """Write into ``sums`` (rows, columns) how much what C leaves beside ``fit`` (rows, columns, _TERMS) differs from
+    one pixel to the next, without the cameras' noise, as mean square over that of twice the modulation."""
     height, width = p_px.shape
     count = np.zeros(sums.shape)
     for v in range(stride // 2, height, stride):

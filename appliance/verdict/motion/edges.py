@@ -126,7 +126,8 @@ def _edges(codes: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.fl
 
 
 def _solve(sums: NDArray[np.float64]) -> NDArray[np.float64]:
-    """An edge that moves by so many px takes so many px of light with it, whatever its blur."""
+    """Return the shifts of the edges. An edge that moves by so many px takes so many px of light with it, whatever
+    its blur."""
     count, low, high = sums[..., _INNER], sums[..., _LOW], sums[..., _HIGH]
     with np.errstate(invalid="ignore", divide="ignore"):
         # The step between both sides scales the light; what is more than an unmoved edge gives is the shift.

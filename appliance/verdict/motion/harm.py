@@ -67,7 +67,7 @@ def surface_map(
 
 
 def facing(cloud: Cloud, width_px: int) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
-    """|cos θ| of the points that have neighbours on all four sides, and which points (n,) those are.
+    """Return |cos θ| of the points that have neighbours on all four sides, and which points (n,) those are.
 
     Of flat pixel numbers of an image ``width_px`` wide, that lie on a grid of rows and columns at equal distances.
     """
@@ -238,7 +238,7 @@ class Place:
 
 
 def place_of(harm: Harm, size_px: tuple[int, int]) -> Place | None:
-    """``None``: no cell has a ripple."""
+    """Return the place of most of the harm in an image of ``size_px``; ``None``: no cell has a ripple."""
     squared = np.nan_to_num(harm.ripple_mm) ** 2 * harm.weight
     total = float(squared.sum())
     if total <= 0.0:

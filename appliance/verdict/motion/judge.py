@@ -132,7 +132,7 @@ def judge_motion(images: ScanImages, cloud: Cloud, rig: StereoRig, water_index: 
 
 
 def _double_step2(albedo: Mapping[str, AlbedoShifts]) -> float | None:
-    """Mean over the cameras that see any albedo."""
+    """Return the mean over the cameras that see any albedo."""
     known = [step2 for one in albedo.values() if (step2 := one.double_step2) is not None]
     return float(np.mean(known)) if known else None
 
@@ -158,7 +158,7 @@ def _axial(harm: Harm) -> float | None:
 
 
 def _turning_mm_s(harm: Harm) -> float:
-    """RMS over the cells: a turn's median says nothing."""
+    """Return the RMS over the cells: a turn's median says nothing."""
     known = (harm.weight > 0.0) & np.isfinite(harm.depth_rate_mm_s)
     return float(np.sqrt(np.mean(harm.depth_rate_mm_s[known] ** 2)))
 
@@ -202,7 +202,7 @@ def _kind(
     axial_mm_s: float | None,
     lateral_mm_s: tuple[float, float] | None,
 ) -> MotionKind:
-    """The first that fits."""
+    """Return the first kind that fits."""
     if _is_local(harm, scores):
         return MotionKind.LOCAL
     largest = scores.largest
@@ -221,7 +221,7 @@ def _kind(
 
 
 def _turns(trend: DriftTrend | None, most: float) -> bool:
-    """The drift's slope across the pattern exceeds its mean, and is certain."""
+    """Say whether the drift's slope across the pattern exceeds its mean, and is certain."""
     if trend is None:
         return False
     slope = float(np.hypot(trend.across, trend.down))
@@ -229,7 +229,8 @@ def _turns(trend: DriftTrend | None, most: float) -> bool:
 
 
 def _to_and_fro(course: tuple[Array, Array]) -> bool:
-    """Between the first Gray image and the sine images the depth went one way, and back again by a good part of it."""
+    """Say whether between the first Gray image and the sine images the depth went one way, and back again by a good
+    part of it."""
     shift, sd = course
     known = np.isfinite(shift)
     if not known.any():
@@ -247,7 +248,8 @@ def _to_and_fro(course: tuple[Array, Array]) -> bool:
 
 
 def _is_local(harm: Harm, scores: Scores) -> bool:
-    """Albedo and Gray edges stand still as a whole, and most of the harm is in few cells close to each other."""
+    """Say whether albedo and Gray edges stand still as a whole, and most of the harm is in few cells close to each
+    other."""
     known = (harm.weight > 0.0) & (harm.noise_mm > 0.0)
     if np.count_nonzero(known) < 20 or (scores.flow or 0.0) >= MOVED or (scores.edges or 0.0) >= MOVED:
         return False

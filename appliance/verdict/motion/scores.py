@@ -57,7 +57,7 @@ class DriftTrend:
 
 
 def drift_trend(harm: Harm) -> DriftTrend | None:
-    """Least squares over the cells; ``None``: too few."""
+    """Fit the drift by least squares over the cells; ``None``: too few."""
     known = harm.weight > 0.0
     if np.count_nonzero(known) < 6:
         return None
@@ -74,10 +74,11 @@ def drift_trend(harm: Harm) -> DriftTrend | None:
 
 
 def edge_course(edges: Mapping[str, EdgeShifts], harm: Harm) -> tuple[Array, Array]:
-    """Shift of the Gray edges, left less right, and its standard deviation, (frames,) each, in pattern px; NaN: too few.
+    """Return the shift of the Gray edges, left less right, and its standard deviation, (frames,) each, in pattern px;
+    NaN: too few.
 
-    Medians over the cells. Where most are certain of their drift, shifts count in units of it (and are given for the typical
-    one), so that a turn neither cancels nor looks different in frames whose edges lie elsewhere.
+    Medians over the cells. Where most are certain of their drift, shifts count in units of it (and are given for the
+    typical one), so that a turn neither cancels nor looks different in frames whose edges lie elsewhere.
     """
     # Left less right: lateral movement moves both alike, depth moves them against each other.
     shift = edges["left"].shift_px - edges["right"].shift_px
@@ -100,7 +101,7 @@ def edge_course(edges: Mapping[str, EdgeShifts], harm: Harm) -> tuple[Array, Arr
 
 
 def edges_score(course: tuple[Array, Array]) -> float | None:
-    """Largest shift of any frame in standard deviations."""
+    """Return the largest shift of any frame in standard deviations."""
     mean, sd = course
     known = np.isfinite(mean)
     return float(np.max(np.abs(mean[known]) / np.hypot(sd[known], EDGE_FLOOR_PX))) if known.any() else None

@@ -58,7 +58,8 @@ def _add_row(row: NDArray[np.uint8], line: NDArray[np.uint16]) -> None:
 def _binned_mean(
     images: NDArray[np.uint8], numbers: NDArray[np.int64], bin_px: int, stride: int, out: NDArray[np.float32]
 ) -> None:
-    """Mean over the images ``numbers`` and over squares of ``bin_px`` (of which each ``stride``-th row counts).
+    """Compute the mean over the images ``numbers`` and over squares of ``bin_px`` (of which each ``stride``-th row
+    counts).
 
     Whole rows are added up first, which is what vector instructions do best.
     """
@@ -123,7 +124,7 @@ def texture_shift(
 
 
 def _difference(a: NDArray[np.float32], b: NDArray[np.float32], inside: NDArray[np.bool_], variance: float) -> float:
-    """RMS of b − gain · a without what is smooth, robust, in standard deviations of noise."""
+    """Return the RMS of b − gain · a without what is smooth, robust, in standard deviations of noise."""
     gain = float(np.sum(a[inside] * b[inside]) / np.sum(a[inside] ** 2))
     rest = np.where(inside, b - np.float32(gain) * a, np.float32(0.0))
     weight = inside.astype(np.float32)
@@ -135,7 +136,8 @@ def _difference(a: NDArray[np.float32], b: NDArray[np.float32], inside: NDArray[
 
 
 def _texture(image: NDArray[np.float32], valid: NDArray[np.bool_]) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-    """The light divided by its surroundings, as levels around 128, and the levels per grey value of each pixel."""
+    """Return the light divided by its surroundings, as levels around 128, and the levels per grey value of each
+    pixel."""
     weight = valid.astype(np.float32)
     size = (SURROUNDINGS_PX, SURROUNDINGS_PX)
     around = cv2.boxFilter(image * weight, -1, size) / np.maximum(cv2.boxFilter(weight, -1, size), 1e-3)
@@ -152,7 +154,7 @@ def _follow(
     inside: NDArray[np.bool_],
     variance: float,
 ) -> NDArray[np.float64]:
-    """Flows (n, 2) in binned px, where there is texture enough and the way back leads back."""
+    """Return flows (n, 2) in binned px, where there is texture enough and the way back leads back."""
     height, width = first.shape
     before, scale = _texture(first, valid)
     after, _ = _texture(second, valid)

@@ -157,14 +157,14 @@ def measure_backscatter(
 
 
 def _useful_stripes(period_px: int, bits: int) -> list[tuple[int, float]]:
-    """(bit, stripe width in px) of the Gray images whose stripes are neither too fine nor too coarse."""
+    """Return (bit, stripe width in px) of the Gray images whose stripes are neither too fine nor too coarse."""
     widths = [(bit, float(period_px * 2 ** (bits - 1 - bit))) for bit in range(bits)]
     chosen = [(bit, width) for bit, width in widths if STRIPES_PX[0] <= width <= STRIPES_PX[1]]
     return chosen or [widths[-1]]
 
 
 def cell_of(u: NDArray[np.intp], v: NDArray[np.intp], shape: tuple[int, int]) -> NDArray[np.intp]:
-    """Numbers (n,) of the cells of pixels (n,) of an image (h, w)."""
+    """Return the numbers (n,) of the cells of pixels (n,) of an image (h, w)."""
     return v * CELLS[1] // shape[0] * CELLS[0] + u * CELLS[0] // shape[1]
 
 
@@ -205,10 +205,10 @@ def _contrast(steps: list[Floats], cells: Cells) -> float | None:
 
 
 def _passing(cell: NDArray[np.intp], directions: list[list[Floats]]) -> tuple[float, float | None]:
-    """Flicker and share of specks, by how far opposite steps have different sums: a pure fringe has none.
+    """Return flicker and share of specks, by how far opposite steps have different sums: a pure fringe has none.
 
-    What all pixels share is flicker. The second harmonic of the projector's response, softer here and there, is fitted cell
-    by cell. The scale of what remains is its own, so that what is alike everywhere (motion) is no speck.
+    What all pixels share is flicker. The second harmonic of the projector's response, softer here and there, is fitted
+    cell by cell. The scale of what remains is its own, so that what is alike everywhere (motion) is no speck.
     """
     if not len(cell):
         return 0.0, None

@@ -61,11 +61,11 @@ class GatheredLight:
     """(n,): the path by way of its end."""
 
     def backscatter(self, attenuation_per_m: float) -> Array:
-        """(n,)."""
+        """Return the backscatter that each ray gathers, (n,)."""
         return np.asarray((self.weights * np.exp(-attenuation_per_m * self.path_m)).sum(1))
 
     def slope(self, attenuation_per_m: float) -> Array:
-        """(n,): derivative of ``backscatter`` by the attenuation."""
+        """Return (n,) the derivative of ``backscatter`` by the attenuation."""
         return -np.asarray((self.weights * self.path_m * np.exp(-attenuation_per_m * self.path_m)).sum(1))
 
 
@@ -130,7 +130,8 @@ def gather(beam: ProjectorBeam, origins_mm: Array, directions: Array, ends_mm: A
 
 
 def _light(beam: ProjectorBeam, at: Array) -> tuple[Array, Array]:
-    """Brightness of the beam in clear water at points (..., 3) of its frame, and the path from its window to there, mm."""
+    """Return the brightness of the beam in clear water at points (..., 3) of its frame, and the path from its window
+    to there, mm."""
     away = np.linalg.norm(at, axis=-1)
     cosine = at[..., 2] / away
     path = away - beam.depth_mm / cosine
@@ -150,7 +151,8 @@ MIN_CELLS = 60
 
 
 def shape_of_glow(glow_dn: Array, cells: tuple[int, int], rig: StereoRig, water_index: float) -> float | None:
-    """Attenuation per metre that explains the left camera's ``glow_dn`` (cells[0] · cells[1],) best; ``None``: too little light."""
+    """Return the attenuation per metre that explains the left camera's ``glow_dn`` (cells[0] · cells[1],) best;
+    ``None``: too little light."""
     known = np.isfinite(glow_dn)
     if np.count_nonzero(known) < MIN_CELLS or float(np.mean(glow_dn[known])) < LEAST_GLOW_DN:
         return None
@@ -188,7 +190,7 @@ def _beam(rig: StereoRig, water_index: float) -> ProjectorBeam:
 
 
 def half_field(camera: HousedCamera, water_index: float) -> tuple[float, float]:
-    """Tangents of half the angles of view in the water."""
+    """Return the tangents of half the angles of view in the water."""
     u, v = (camera.width_px - 1) / 2.0, (camera.height_px - 1) / 2.0
     edges = np.array([[0.0, v], [2.0 * u, v], [u, 0.0], [u, 2.0 * v]])
     _, d = camera.rays(edges, water_index)

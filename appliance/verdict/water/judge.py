@@ -121,7 +121,8 @@ def judge_water(images: ScanImages, cloud: Cloud, rig: StereoRig, water_index: f
 
 
 def fit_attenuation(cells: Cells, gathered: GatheredLight, black_dn: float, flicker_dn: float) -> Attenuation | None:
-    """Attenuation and strength of the backscatter that explain its growth over the cells; ``None`` where that says too little."""
+    """Return attenuation and strength of the backscatter that explain its growth over the cells; ``None`` where that
+    says too little."""
     use = gathered.enters_mm >= MIN_ENTRY_MM
     if np.count_nonzero(use) < MIN_CELLS:
         return None
@@ -158,7 +159,7 @@ def fit_attenuation(cells: Cells, gathered: GatheredLight, black_dn: float, flic
 
 
 def text_of(numbers: dict[str, float | None]) -> str:
-    """One line for people."""
+    """Return one line for people."""
     parts = []
     attenuation, sigma = numbers["attenuation_per_m"], numbers["attenuation_sigma_per_m"]
     if attenuation is not None and sigma is not None:
@@ -192,8 +193,8 @@ def _fault(sample: BackscatterSample) -> Fault | None:
 def _rays(
     images: ScanImages, cells: Cells, cloud: Cloud, rig: StereoRig, water_index: float
 ) -> tuple[Cells, GatheredLight, float] | None:
-    """The cells with points in them, what their rays gather, and what the middle one gathers in clear water before the
-    middle of the volume."""
+    """Return the cells with points in them, what their rays gather, and what the middle one gathers in clear water
+    before the middle of the volume."""
     n = len(cloud.pixel)
     if n < MIN_CELLS or len(cells.number) < MIN_CELLS:
         return None
@@ -219,7 +220,7 @@ def _rays(
 def _depths(
     cells: Cells, pixel: NDArray[np.uint32], depth_mm: Array, shape: tuple[int, int]
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Mean depth of the points in each cell, and where there are enough of them."""
+    """Return the mean depth of the points in each cell, and where there are enough of them."""
     v, u = np.divmod(pixel.astype(np.int64), shape[1])
     number = cell_of(u, v, shape)
     count = np.bincount(number, minlength=CELLS[0] * CELLS[1])
