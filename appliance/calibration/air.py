@@ -14,10 +14,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibration.parameters import AIR, COUNT, STEPS, matrix3, rig_with, rotation_of
+from appliance.calibration.parameters import AIR, COUNT, STEPS, rig_with
 from appliance.optics.model import HousedCamera, StereoRig
 from appliance.optics.pinhole import Lens
 from appliance.optics.port import Port
+from appliance.optics.rotation import matrix3, rotation_matrix
 
 Array = NDArray[np.float64]
 
@@ -215,7 +216,7 @@ def _start(views: Sequence[BoardView], width_px: int, height_px: int) -> tuple[S
         cameras.append(HousedCamera(width_px, height_px, lens, NO_PORT))
         poses.append(
             [
-                (rotation_of(np.ravel(r)), np.asarray(np.ravel(t), np.float64))
+                (rotation_matrix(np.ravel(r)), np.asarray(np.ravel(t), np.float64))
                 for r, t in zip(turns, shifts, strict=True)
             ]
         )
@@ -226,7 +227,7 @@ def _start(views: Sequence[BoardView], width_px: int, height_px: int) -> tuple[S
         vectors.append(np.ravel(cv2.Rodrigues(R)[0]))
         shifts_mm.append(tl - R @ tr)
     # The median over views is only a start for the joint adjustment, and one mistaken view must not spoil it.
-    R = rotation_of(np.median(vectors, axis=0))
+    R = rotation_matrix(np.median(vectors, axis=0))
     t = np.median(shifts_mm, axis=0)
     right = replace(cameras[1], rotation=matrix3(R), translation_mm=(float(t[0]), float(t[1]), float(t[2])))
     return StereoRig(cameras[0], right), poses[0]
@@ -244,7 +245,7 @@ def _in_air(camera: HousedCamera, points: Array) -> Array:
 
 
 def _moved(board: tuple[Array, Array], x: Array) -> tuple[Array, Array]:
-    return board[0] @ rotation_of(x[:3]), board[1] + x[3:]
+    return board[0] @ rotation_matrix(x[:3]), board[1] + x[3:]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.optics.model import HousedCamera, Matrix3, StereoRig
+from appliance.optics.model import HousedCamera, StereoRig
 from appliance.optics.pinhole import Lens
 from appliance.optics.port import Port
+from appliance.optics.rotation import matrix3, rotation_matrix
 
 Array = NDArray[np.float64]
 
@@ -39,29 +40,13 @@ def rig_with(rig: StereoRig, x: Array) -> StereoRig:
 
     Tilts lean the port's normal towards the camera's x and y; turns are about the right camera's own axes.
     """
-    turned = np.asarray(rig.right.rotation) @ rotation_of(x[22:25])
+    turned = np.asarray(rig.right.rotation) @ rotation_matrix(x[22:25])
     shifted = np.asarray(rig.right.translation_mm) + x[25:28]
     right = _camera_with(rig.right, x[3:6], x[14:22])
     return StereoRig(
         _camera_with(rig.left, x[0:3], x[6:14]),
         replace(right, rotation=matrix3(turned), translation_mm=_triple(shifted)),
     )
-
-
-def rotation_of(vector_rad: Array) -> Array:
-    """Rotation matrix (3, 3) of a rotation vector (Rodrigues)."""
-    angle = float(np.linalg.norm(vector_rad))
-    if angle == 0.0:
-        return np.eye(3)
-    x, y, z = vector_rad / angle
-    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.asarray(np.eye(3) + math.sin(angle) * K + (1.0 - math.cos(angle)) * K @ K)
-
-
-def matrix3(matrix: Array) -> Matrix3:
-    """A rotation matrix as a value."""
-    a, b, c = (_triple(row) for row in matrix)
-    return a, b, c
 
 
 def _camera_with(camera: HousedCamera, port: Array, lens: Array) -> HousedCamera:

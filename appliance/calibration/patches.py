@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from appliance.calibration.gaps import MODES, GapModes
 from appliance.calibration.judgement import PATCHES
+from appliance.scan.noise import MAD_TO_SIGMA
 
 Array = NDArray[np.float64]
 
@@ -17,7 +18,6 @@ FEWEST_IN_PATCH = 20
 OUTLIER_SIGMAS = 3.0
 """Distance from the median in robust standard deviations beyond which a match is false and says nothing about the
 calibration."""
-MAD_TO_SIGMA = 1.4826
 
 
 @dataclass(frozen=True, slots=True)

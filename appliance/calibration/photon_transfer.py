@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.patterns.sequence import Direction, PatternSequence
+from appliance.scan.noise import MAD_TO_SIGMA
 
 Array = NDArray[np.float64]
 
@@ -23,7 +24,6 @@ BRIGHTEST_DN = 235.0
 BIN_DN = 8.0
 FEWEST_IN_BIN = 2_000
 FEWEST_BINS = 3
-MAD_TO_SIGMA = 1.4826
 LEVELS = 255.0
 
 

@@ -16,8 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.optics.rotation import rotation_matrix
 from appliance.reconstruct.surface import Below, Surface, below, pixels_of, thinned
 from appliance.reconstruct.table import Cloud
+from appliance.scan.noise import MAD_TO_SIGMA
 
 Array = NDArray[np.float64]
 SAMPLES = 10_000
@@ -80,7 +82,7 @@ def register(surface: Surface, second: Cloud) -> Registration | None:
         apart_mm, sigma_mm = found.apart_mm[near], np.hypot(found.sigma_mm[near], errors[near])
         # Tukey's biweight on the distances over their noise, and over how far they truly scatter.
         z = apart_mm / sigma_mm
-        spread = max(1.0, 1.4826 * float(np.median(np.abs(z))))
+        spread = max(1.0, MAD_TO_SIGMA * float(np.median(np.abs(z))))
         weight = np.clip(1.0 - (z / (MANY_SIGMA * spread)) ** 2, 0.0, None) ** 2 / sigma_mm**2
         # Rows (n, (p − middle) × n) of the linear equations, in mm.
         normal = found.normal[near]
@@ -88,7 +90,7 @@ def register(surface: Surface, second: Cloud) -> Registration | None:
         weighted = (jacobian * weight[:, None]).T
         step = _solve(weighted @ jacobian, -weighted @ apart_mm)
         # The step turns about the middle, on top of what was found before.
-        turn = _rotation(step[3:] / lever_mm)
+        turn = rotation_matrix(step[3:] / lever_mm)
         rotation, translation = turn @ rotation, turn @ (translation - middle) + middle + step[:3]
         last_mm = float(np.sqrt(np.mean((jacobian @ step) ** 2)))
         # As near as the surfaces are found to be; what is farther belongs to another one.
@@ -108,8 +110,8 @@ def register(surface: Surface, second: Cloud) -> Registration | None:
         moved_mm=float(np.median(np.linalg.norm(moved - points, axis=1))),
         moved_px=float(np.median(np.linalg.norm(way_px, axis=1))),
         turned_deg=math.degrees(math.acos(float(np.clip(0.5 * (np.trace(rotation) - 1.0), -1.0, 1.0)))),
-        residual=1.4826 * float(np.median(np.abs(found.apart_mm[near] / sigma_mm))),
-        residual_mm=1.4826 * float(np.median(np.abs(found.apart_mm[near]))),
+        residual=MAD_TO_SIGMA * float(np.median(np.abs(found.apart_mm[near] / sigma_mm))),
+        residual_mm=MAD_TO_SIGMA * float(np.median(np.abs(found.apart_mm[near]))),
         shared=float(len(near) / found.known.sum()),
     )
 
@@ -126,11 +128,3 @@ def _solve(normal: Array, right: Array) -> Array:
     # Eigenvectors of small eigenvalues are motions that change no distance.
     seen = values > WEAKEST * values[-1]
     return np.asarray(vectors[:, seen] @ ((vectors[:, seen].T @ right) / values[seen]), np.float64)
-
-
-def _rotation(vector_rad: Array) -> Array:
-    """Return the rotation matrix of a rotation vector in radians, by Rodrigues' formula."""
-    angle = float(np.linalg.norm(vector_rad))
-    x, y, z = vector_rad / max(angle, 1e-15)
-    k = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.asarray(np.eye(3) + math.sin(angle) * k + (1.0 - math.cos(angle)) * (k @ k), np.float64)

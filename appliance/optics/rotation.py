@@ -1,0 +1,29 @@
+"""Owns rotations as numbers: from a rotation vector to a matrix, and from a matrix to the value that a camera keeps."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.optics.model import Matrix3
+
+Array = NDArray[np.float64]
+
+
+def rotation_matrix(vector_rad: Array) -> Array:
+    """Return the rotation matrix (3, 3) that turns by ``vector_rad`` (3,): about its direction, by its length in rad."""
+    angle = float(np.linalg.norm(vector_rad))
+    if angle == 0.0:
+        return np.eye(3)
+    x, y, z = vector_rad / angle
+    # Rodrigues: R = I + sin θ K + (1 − cos θ) K², where K a = (x, y, z) × a.
+    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.asarray(np.eye(3) + math.sin(angle) * K + (1.0 - math.cos(angle)) * K @ K)
+
+
+def matrix3(matrix: Array) -> Matrix3:
+    """Return a rotation matrix (3, 3) as the immutable value that a ``HousedCamera`` keeps."""
+    a, b, c = ((float(row[0]), float(row[1]), float(row[2])) for row in matrix)
+    return a, b, c
