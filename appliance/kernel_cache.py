@@ -39,6 +39,8 @@ MARKS = "pieces"
 _PRIVATE = 0o700
 _PROGRAM = Path(__file__).parent
 _DISTRIBUTION = "kingfisher"
+_CALLERS = frozenset({"reconstruct", "compensation"})
+"""Packages whose files without kernels decide which kinds of arrays the kernels beside them are given."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,8 +117,10 @@ def _kernel_files() -> Iterator[tuple[str, Path]]:
     """Every file of the program that kernels, or what decides which there are, are made of; by name, in order."""
     for package in _packages():
         for path in sorted((_PROGRAM.parent / package).rglob("*.py")):
-            if b"numba" in path.read_bytes() or path.parent.name == "reconstruct" or path.name == "warm.py":
-                yield path.relative_to(_PROGRAM.parent).as_posix(), path
+            name = path.relative_to(_PROGRAM.parent)
+            calls = not _CALLERS.isdisjoint(name.parts) or path.name == "warm.py"
+            if calls or b"numba" in path.read_bytes():
+                yield name.as_posix(), path
 
 
 def _packages() -> list[str]:

@@ -1,4 +1,4 @@
-"""Owns the try: a scan's motion is estimated, and undone where that makes it clearly better, and useful."""
+"""Owns the decision on compensation: a scan's motion is estimated, and undone where that makes the scan clearly better, and useful."""
 
 from __future__ import annotations
 
@@ -8,31 +8,32 @@ from dataclasses import dataclass
 import numpy as np
 
 from appliance.calibration.file import Calibration
-from appliance.compensation.compensate import WORTH_SHARE, Compensated, compensate
 from appliance.compensation.estimate import MotionEstimate, estimate
+from appliance.compensation.redecode import MODULATION_SHARE, Compensated, compensate
 from appliance.optics.water import Water
 from appliance.reconstruct.images import ScanImages
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.table import Found
 
 LEAST_KEPT = 0.8
-"""Of the plain cloud's points; a compensated cloud with fewer is not shown in its place."""
+"""Share of the plain cloud's points below which a compensated cloud is not shown in its place."""
 GOOD_ERROR = 1.25
-"""Against a scan at rest: as good as one."""
+"""An error up to here, over that of a scan at rest, is as good as at rest."""
 NEARLY_EQUAL = 1.05
-"""Such a scan is taken also where most points were good before: where only albedo edges suffer, ripple says nothing."""
+"""Factor by which such a scan may err more than before: where only borders of albedo suffer, ripple says nothing of them."""
 USEFUL_ERROR = 3.0
-"""Beyond, the scan is better repeated, whatever it was before."""
+"""Error over that of a scan at rest beyond which the scan is better repeated, whatever it was before."""
 CLEAR_GAIN = 0.75
-"""Of the error before, at most, where it does not become as good as at rest."""
+"""Share of the error before that is left at most, where it does not become as good as at rest."""
 
 LEAST_STEP_DEG = 15.0
-"""Of a point's phase between sines: below, no method tells its phase, and beyond, points are taken for those a fringe beside."""
+"""Least advance of a point's phase from sine to sine: below, no method tells its phase, and of a faster hand, points are taken for
+those a fringe beside."""
 
 
 @dataclass(frozen=True, slots=True)
 class Attempt:
-    """What came of it."""
+    """The outcome of an attempt to compensate."""
 
     motion: MotionEstimate | None
     """``None``: too little was seen to estimate one."""
@@ -44,11 +45,14 @@ class Attempt:
     """Expected error of the median compensated point, by its own sigma, against a scan at rest; ``None``: none were made."""
 
 
-def attempt(pipeline: Pipeline, plain: Found, scanned: ScanImages, calibration: Calibration, water: Water) -> Attempt:
-    """After ``pipeline.find_full`` gave ``plain``; ``calibration`` and ``water`` are those of the pipeline."""
+def attempt(pipeline: Pipeline, plain: Found, images: ScanImages, calibration: Calibration, water: Water) -> Attempt:
+    """Compensate a scan if that makes it better, after ``pipeline.find_full`` gave ``plain``.
+
+    ``calibration`` and ``water`` are those of the pipeline, whose table then holds the cloud that is to be shown.
+    """
     sample = pipeline.sample(pipeline.coarse_stride)
     try:
-        motion = estimate(scanned, calibration, water, sample.points_mm, sample.pixel)
+        motion = estimate(images, calibration, water, sample.points_mm, sample.pixel)
     except ValueError as error:
         return Attempt(None, None, f"Motion was not estimated: {error}.")
     if not motion.moved:
@@ -59,12 +63,12 @@ def attempt(pipeline: Pipeline, plain: Found, scanned: ScanImages, calibration: 
         return Attempt(
             motion, None, f"Points moved along with the fringes: phases advanced by {motion.step_deg:.0f} of 90°."
         )
-    made = compensate(scanned, calibration, water, motion)
-    found = pipeline.find_replaced(made.maps["left"], made.maps["right"], WORTH_SHARE)
-    error_after = _error(pipeline, found, made)
+    made = compensate(images, calibration, water, motion)
+    found = pipeline.find_replaced(made.maps["left"], made.maps["right"], MODULATION_SHARE)
+    error_after = _median_error(pipeline, found, made)
     kept = found.summary.points / max(plain.summary.points, 1)
-    if worth_it(motion.error_before, error_after) and kept >= LEAST_KEPT:
-        _tell_modulation(pipeline, found, made)
+    if is_better(motion.error_before, error_after) and kept >= LEAST_KEPT:
+        _restore_modulation(pipeline, found, made)
         why = f"Motion of {motion.texture_px:.1f} px during the x fringes was undone; points err {error_after:.1f} times as at rest."
         return Attempt(motion, found, why, error_after)
     pipeline.find_full()
@@ -75,27 +79,29 @@ def attempt(pipeline: Pipeline, plain: Found, scanned: ScanImages, calibration: 
     return Attempt(motion, None, why, error_after)
 
 
-def worth_it(error_before: float, error_after: float) -> bool:
-    """Whether points with ``error_after`` are to be shown in place of those with ``error_before``; both against a scan at
-    rest. Such a scan is graded by its own noise."""
+def is_better(error_before: float, error_after: float) -> bool:
+    """Return whether points with ``error_after`` are to be shown in place of those with ``error_before``.
+
+    Both are in units of the error of a scan at rest. Such a scan is graded by its own noise.
+    """
     if error_after <= GOOD_ERROR and error_after <= NEARLY_EQUAL * error_before:
         return True
     return error_after <= USEFUL_ERROR and error_after <= CLEAR_GAIN * error_before
 
 
-def _error(pipeline: Pipeline, found: Found, made: Compensated) -> float:
-    """Of the median point, point by point against four steps of 90° of the same light; infinite where there is none."""
+def _median_error(pipeline: Pipeline, found: Found, made: Compensated) -> float:
+    """Return the noise of the median point's phase over that by four steps of 90° under the same light; infinite without points."""
     points, modulation = pipeline.table.points, made.modulation_half_dn.ravel()
     factors = [
-        WORTH_SHARE * modulation[points.pixel[first:stop]] / np.maximum(points.modulation_half_dn[first:stop], 1)
+        MODULATION_SHARE * modulation[points.pixel[first:stop]] / np.maximum(points.modulation_half_dn[first:stop], 1)
         for first, stop in found.pieces
     ]
     known = np.concatenate(factors)
     return float(np.median(known)) if known.size else math.inf
 
 
-def _tell_modulation(pipeline: Pipeline, found: Found, made: Compensated) -> None:
-    """Sigmas were made of what the modulation is worth; the table tells what it was."""
+def _restore_modulation(pipeline: Pipeline, found: Found, made: Compensated) -> None:
+    """Put the modulation that the camera saw into the table: sigmas were made of the effective one."""
     points, modulation = pipeline.table.points, made.modulation_half_dn.ravel()
     for first, stop in found.pieces:
         points.modulation_half_dn[first:stop] = modulation[points.pixel[first:stop]]

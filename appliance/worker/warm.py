@@ -9,13 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibration.design import Design, design_calibration
 from appliance.calibration.file import Calibration
-from appliance.compensation.warm import run_every_kernel as run_compensation
+from appliance.compensation.estimate import estimate
+from appliance.compensation.redecode import compensate
 from appliance.kernel_build import Piece
 from appliance.optics.water import Water
 from appliance.patterns.sequence import PatternSequence, build_sequence
@@ -40,6 +42,8 @@ from appliance.verdict.light.fit import warm_up as warm_light
 _WATER = Water(20.0, 0.0, 530.0)
 _DESIGN = Design(11.5, 112.5, 230.0, 12.41, 30.0, 5.0, 1.77)
 _SIZE_PX = (64, 48)
+_ALONG_MM = 0.67
+"""Way per frame that makes the steps of the phase so small that the albedo is asked for: 40 mm/s at 60 Hz."""
 
 
 def run_empty_scan(processor: SequenceProcessor, frames: NDArray[np.uint8]) -> None:
@@ -52,7 +56,7 @@ def run_empty_scan(processor: SequenceProcessor, frames: NDArray[np.uint8]) -> N
 
 def run_what_an_empty_scan_does_not(sequence: PatternSequence, frames: NDArray[np.uint8]) -> None:
     """Kernels for motion, changing light, veil and a second exposure; else the first scan that has some would wait for a compiler."""
-    run_compensation()
+    compensate_wall()
     warm_light()
     warm_backscatter(sequence, frames, TYPICAL)
     _run_pair()
@@ -75,7 +79,7 @@ def _run_pair() -> None:
 
 INSTRUMENT = (
     Piece("matching and triangulation", "appliance.worker.warm:find_points"),
-    Piece("motion compensation", "appliance.compensation.warm:run_every_kernel"),
+    Piece("motion compensation", "appliance.worker.warm:compensate_wall"),
     Piece("changing light", "appliance.verdict.light.fit:warm_up"),
     Piece("pattern identity", "appliance.worker.warm:judge_patterns"),
     Piece("motion verdict", "appliance.worker.warm:judge_scan"),
@@ -89,6 +93,23 @@ DESK = (
     Piece("verdicts on stored scans", "appliance.worker.warm:judge_stored"),
 )
 """The same, and what differs for frames that come from the disk."""
+
+
+def compensate_wall() -> None:
+    """Kernels that estimate motion and undo it: in the dark, before a flat wall that moves along with the fringes."""
+    with _nothing(writable=True) as (pipeline, calibration, frames):
+        decoded = {side: pipeline.decoded(side) for side in SIDES}
+        v, u = np.mgrid[0 : frames.shape[1], 0 : frames.shape[2]]
+        for maps in decoded.values():
+            maps.p_px[:], maps.q_px[:] = 12.0 * u, 12.0 * v
+        images = ScanImages(pipeline.sequence, dict.fromkeys(SIDES, frames), decoded)
+        origin, direction = calibration.rig.left.rays(
+            np.stack([u, v], -1).reshape(-1, 2).astype(np.float64), _WATER.index
+        )
+        wall = origin + direction * ((500.0 - origin[:, 2:]) / direction[:, 2:])
+        motion = estimate(images, calibration, _WATER, wall, np.arange(u.size, dtype=np.uint32))
+        along = np.outer(np.arange(len(frames)), [_ALONG_MM, 0.0, 0.0, 0.0, 0.0, 0.0])
+        compensate(images, calibration, _WATER, replace(motion, trajectory_mm=along))
 
 
 def find_points() -> None:

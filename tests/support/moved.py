@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.compensation.hand import LEVER_MM
+from appliance.compensation.prior import LEVER_MM
 from appliance.reconstruct.images import ScanImages
 from appliance.reconstruct.pipeline import Cloud, Pipeline
 from appliance.scan.sides import SIDES

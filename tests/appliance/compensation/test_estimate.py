@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from appliance.compensation.attempt import Attempt, attempt
-from appliance.compensation.compensate import WORTH_SHARE, compensate
 from appliance.compensation.estimate import MotionEstimate
+from appliance.compensation.redecode import MODULATION_SHARE, compensate
 from appliance.reconstruct.pipeline import Cloud, Pipeline
 from hw_sim.objects.motion import Motion
 from hw_sim.scene import Scene
@@ -50,7 +50,7 @@ def corrected(motion: Motion, scene: Scene = FRUSTUM) -> Corrected:
         said = attempt(pipeline, found, taken, calibration, WATER)
         assert said.motion is not None
         made = compensate(taken, calibration, WATER, said.motion)
-        again = pipeline.find_replaced(made.maps["left"], made.maps["right"], WORTH_SHARE)
+        again = pipeline.find_replaced(made.maps["left"], made.maps["right"], MODULATION_SHARE)
         return Corrected(scan, plain, said.motion, said, pipeline.table.cloud(again))
 
 

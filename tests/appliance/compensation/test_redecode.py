@@ -1,35 +1,41 @@
-"""What points are solved from: where stripes are lit, what paint is noise, when it is asked, what is shown."""
+"""What points are solved from: where stripes are lit, what of albedo is noise, when it is asked, what is shown."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from appliance.compensation.attempt import worth_it
-from appliance.compensation.compensate import GOOD_VARIANCE, drop_new_borders, phase_variance, settled_t
-from appliance.compensation.grays import lit_there, stripes_of
-from appliance.compensation.lookup import left_of_noise, smooth
-from appliance.compensation.paint import asked_images, evened
-from appliance.compensation.solve import SINES, weigh_offset
-from appliance.compensation.ways import FIRST_WAY, PER_FRAME, Ways
+from appliance.compensation.albedo import denoised, gray_images
+from appliance.compensation.attempt import is_better
+from appliance.compensation.displacement import (
+    FIRST_FRAME,
+    FRAME_COEFFICIENTS,
+    OF_PHASE,
+    DisplacementField,
+    read_spline,
+    spline_noise_share,
+)
+from appliance.compensation.phase_solver import SINES, weigh_offset
+from appliance.compensation.redecode import GOOD_VARIANCE, drop_new_borders, phase_variance, settled_t
+from appliance.compensation.stripes import illuminated_at, stripes_of
 from appliance.patterns.sequence import Direction, build_sequence
 
 
 @pytest.mark.parametrize("period_px", [16, 32, 64])
 def test_stripes_are_lit_where_the_pattern_is(period_px: int) -> None:
     sequence = build_sequence(period_px)
-    stripes = stripes_of(sequence, 0.0)
+    stripes = stripes_of(sequence)
     for frame, axis, width_px in zip(*stripes, strict=True):
         pattern = sequence.patterns[frame]
         assert pattern.direction is (Direction.X, Direction.Y)[axis]
         codes = pattern.codes()
-        told = np.array([lit_there(x + 0.5, width_px, 0.0) for x in range(len(codes))])
-        assert (told == (codes > 0)).all(), pattern.name
+        lit = np.array([illuminated_at(x + 0.5, width_px, 0.0) for x in range(len(codes))])
+        assert (lit == (codes > 0)).all(), pattern.name
 
 
-def test_paint_is_asked_first_of_the_images_around_the_sines_that_make_the_depth() -> None:
+def test_albedo_is_asked_first_of_the_images_around_the_sines_that_make_the_depth() -> None:
     sequence = build_sequence(16)
-    stripes, places, near = asked_images(sequence)
+    stripes, places, near = gray_images(sequence)
     x, y = sequence.axis(Direction.X), sequence.axis(Direction.Y)
     assert set(stripes.frames[:near]) == {*x.gray[-4:], *y.gray[:4]}
     assert set(stripes.frames) == {*x.gray, *y.gray, sequence.bright}
@@ -37,10 +43,10 @@ def test_paint_is_asked_first_of_the_images_around_the_sines_that_make_the_depth
     assert [followed[k] for k in places] == list(stripes.frames)
 
 
-def test_even_paint_loses_its_noise_and_borders_stay() -> None:
+def test_even_albedo_loses_its_noise_and_borders_stay() -> None:
     rng = np.random.default_rng(5)
     truth = np.where(np.arange(80) < 40, 50.0, 150.0)[None, :].repeat(60, 0)
-    grey, left = evened(
+    grey, left = denoised(
         (truth + rng.normal(0.0, 2.0, truth.shape)).astype(np.float32), np.full(truth.shape, 4.0, np.float32), 5
     )
     away = np.abs(np.arange(80) - 39.5) > 4
@@ -50,47 +56,47 @@ def test_even_paint_loses_its_noise_and_borders_stay() -> None:
     assert np.abs((grey - truth)[:, 38:42]).max() < 8.0
 
 
-def ways_with(turns_per_frame: float, px_per_t: float = 0.0) -> Ways:
-    """Points that move by so much of a period in every sine frame, and by so many px more per unit of depth."""
-    nodes = np.zeros((3, 3, FIRST_WAY + PER_FRAME * SINES), np.float32)
+def field_with(turns_per_frame: float, px_per_t: float = 0.0) -> DisplacementField:
+    """Return the field of points that move by so much of a period in every sine frame, and by so many px more per unit of depth."""
+    nodes = np.zeros((3, 3, FIRST_FRAME + FRAME_COEFFICIENTS * SINES), np.float32)
     for k in range(SINES):
-        nodes[..., FIRST_WAY + PER_FRAME * k + 1] = px_per_t
-        nodes[..., FIRST_WAY + PER_FRAME * k + 6] = turns_per_frame * k
-    return Ways(nodes, 20)
+        nodes[..., FIRST_FRAME + FRAME_COEFFICIENTS * k + 1] = px_per_t
+        nodes[..., FIRST_FRAME + FRAME_COEFFICIENTS * k + OF_PHASE] = turns_per_frame * k
+    return DisplacementField(nodes, 20)
 
 
-def test_paint_is_asked_where_steps_shrink_or_grow() -> None:
-    assert phase_variance(ways_with(0.0)) == pytest.approx(1.0)
-    assert phase_variance(ways_with(-0.02)) < GOOD_VARIANCE
-    assert phase_variance(ways_with(-60.0 / 360.0)) > 15.0, "steps of 30° make four times the noise"
-    assert phase_variance(ways_with(85.0 / 360.0)) > GOOD_VARIANCE, "steps of 175° are hardly more than two values"
+def test_albedo_is_asked_where_steps_shrink_or_grow() -> None:
+    assert phase_variance(field_with(0.0)) == pytest.approx(1.0)
+    assert phase_variance(field_with(-0.02)) < GOOD_VARIANCE
+    assert phase_variance(field_with(-60.0 / 360.0)) > 15.0, "steps of 30° make four times the noise"
+    assert phase_variance(field_with(85.0 / 360.0)) > GOOD_VARIANCE, "steps of 175° are hardly more than two values"
 
 
 def test_depth_is_settled_sooner_where_the_hand_moves_less() -> None:
-    assert settled_t(ways_with(0.0)) > settled_t(ways_with(0.0, 5.0))
-    assert settled_t(ways_with(0.0, 5.0)) * 5.0 < 0.05, "of a pixel"
+    assert settled_t(field_with(0.0)) > settled_t(field_with(0.0, 5.0))
+    assert settled_t(field_with(0.0, 5.0)) * 5.0 < 0.05, "of a pixel"
 
 
 @pytest.mark.parametrize("steps_deg", [10.0, 30.0, 90.0, 150.0])
-@pytest.mark.parametrize("told", [0.1, 30.0])
-def test_a_known_offset_is_one_more_value_of_the_least_squares(steps_deg: float, told: float) -> None:
+@pytest.mark.parametrize("weight", [0.1, 30.0])
+def test_a_known_offset_is_one_more_value_of_the_least_squares(steps_deg: float, weight: float) -> None:
     psi = np.radians(steps_deg) * np.arange(4.0)
     y, offset = np.array([101.0, 87.0, 60.0, 72.0]), 80.0
     A = np.stack([np.ones(4), np.cos(psi), -np.sin(psi)], -1)
-    row = np.sqrt(told)
+    row = np.sqrt(weight)
     expected, *_ = np.linalg.lstsq(np.vstack([A, [row, 0.0, 0.0]]), np.append(y, row * offset))
     weights = np.zeros((4, 4))
-    by_told = np.array(weigh_offset(np.cos(psi), np.sin(psi), told, weights))
-    assert weights[:3] @ y + by_told * offset == pytest.approx(expected, rel=1e-6)
+    by_offset = np.array(weigh_offset(np.cos(psi), np.sin(psi), weight, weights))
+    assert weights[:3] @ y + by_offset * offset == pytest.approx(expected, rel=1e-6)
 
 
-def test_a_border_of_paint_is_read_alike_wherever_between_pixels_it_lies() -> None:
+def test_a_border_of_albedo_is_read_alike_wherever_between_pixels_it_lies() -> None:
     def read(shift_px: float) -> np.ndarray:
         edges = np.arange(25) - 12.3 - shift_px
         share = np.clip(edges + 1.0, 0.0, 1.0)  # of each pixel behind the border
         row = np.rint(40.0 + 160.0 * share).astype(np.uint8)
         picture = np.tile(row, (9, 1)).ravel()
-        return np.array([smooth(picture, 0, 25, np.float32(x + shift_px), np.float32(4.0)) for x in range(9, 16)])
+        return np.array([read_spline(picture, 0, 25, np.float32(x + shift_px), np.float32(4.0)) for x in range(9, 16)])
 
     assert max(float(np.abs(read(s) - read(0.0)).max()) for s in (0.25, 0.5, 0.75)) < 0.06 * 160.0
 
@@ -100,12 +106,12 @@ def test_what_is_left_of_noise_is_what_reading_leaves() -> None:
     picture = np.clip(np.rint(rng.normal(120.0, 10.0, 400 * 400)), 0, 254).astype(np.uint8)
     for u, v in ((0.0, 0.0), (0.5, 0.0), (0.3, 0.8)):
         values = [
-            smooth(picture, 0, 400, np.float32(x + u), np.float32(y + v))
+            read_spline(picture, 0, 400, np.float32(x + u), np.float32(y + v))
             for x in range(4, 390, 5)
             for y in range(4, 390, 5)
         ]
         assert np.var(values) / 100.0 == pytest.approx(
-            float(left_of_noise(np.float32(4 + u), np.float32(4 + v))), rel=0.06
+            float(spline_noise_share(np.float32(4 + u), np.float32(4 + v))), rel=0.06
         )
 
 
@@ -114,7 +120,7 @@ def test_what_is_left_of_noise_is_what_reading_leaves() -> None:
     [(2.5, 1.1, True), (1.0, 1.1, False), (1.2, 1.25, True), (8.0, 2.0, True), (2.0, 1.8, False), (40.0, 4.0, False)],
 )
 def test_what_is_shown_is_clearly_better_or_as_good_as_at_rest(before: float, after: float, shown: bool) -> None:
-    assert worth_it(before, after) is shown
+    assert is_better(before, after) is shown
 
 
 def test_beside_nothing_only_what_was_decoded_as_well_stays() -> None:
