@@ -64,3 +64,14 @@ def test_no_scan_needs_a_kernel_that_is_not_there(name: str) -> None:
     after = signatures()
     assert before
     assert {kernel: count for kernel, count in after.items() if count != before.get(kernel, 0)} == {}
+
+
+@pytest.mark.usefixtures("warm")
+def test_a_scan_that_moves_along_with_the_fringes_needs_no_compiler_either() -> None:
+    # Its steps shrink until the albedo is asked for: the scenes above do not move so.
+    known = signatures()
+    kernels = {
+        "residuals.accumulate", "stripes.accumulate_gray", "phase_solver.depth_rows", "phase_solver.solve_rows",
+        "albedo.gather", "redecode.drop_edges",
+    }  # fmt: skip
+    assert {kernel: known[f"appliance.compensation.{kernel}"] for kernel in kernels} == dict.fromkeys(kernels, 1)
