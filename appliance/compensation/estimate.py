@@ -79,7 +79,7 @@ units of σ, both as root mean squares."""
 
 
 @dataclass(frozen=True, slots=True)
-class Stage:
+class SearchStage:
     """One stage of the search, from coarse to fine. Blurs are sigmas in px of pictures of ``WORKING_WIDTH_PX``, whose fringes are about
     13 px long."""
 
@@ -97,11 +97,11 @@ class Stage:
 
 
 STAGES = (
-    Stage(5.0, 8.0, (X_STEPS,), 5, 2, 4),
-    Stage(5.0, 8.0, (X_STEPS, TEXTURE), 4, 2, 4),
-    Stage(5.0, 5.0, (X_STEPS, Y_STEPS, TEXTURE), 4, 2, 2),
-    Stage(3.0, 3.0, (X_STEPS, Y_STEPS, TEXTURE), 5, 1, 3),
-    Stage(3.0, 3.0, (X_STEPS, Y_STEPS, TEXTURE), 4, 1, 1),
+    SearchStage(5.0, 8.0, (X_STEPS,), 5, 2, 4),
+    SearchStage(5.0, 8.0, (X_STEPS, TEXTURE), 4, 2, 4),
+    SearchStage(5.0, 5.0, (X_STEPS, Y_STEPS, TEXTURE), 4, 2, 2),
+    SearchStage(3.0, 3.0, (X_STEPS, Y_STEPS, TEXTURE), 5, 1, 3),
+    SearchStage(3.0, 3.0, (X_STEPS, Y_STEPS, TEXTURE), 4, 1, 1),
 )
 
 
@@ -295,7 +295,7 @@ class _Solver:
         self._mean[:MOTIONS] = mean_mm
         self.values[:MOTIONS] = np.linalg.solve(precision + matrix, precision @ mean_mm + vector)
 
-    def look_at(self, working: Mapping[str, list[NDArray[np.float32]]], stage: Stage, scale: float) -> None:
+    def look_at(self, working: Mapping[str, list[NDArray[np.float32]]], stage: SearchStage, scale: float) -> None:
         """Look at the pictures and samples of ``stage`` from now on; its blurs are multiplied by ``scale``."""
         self._steps_blur_px, self._texture_blur_px = stage.steps_blur_px * scale, stage.texture_blur_px * scale
         self._samples = {side: _some(samples, stage) for side, samples in self._all.items()}
@@ -454,7 +454,7 @@ def _working(frames: NDArray[np.uint8], sines: tuple[int, ...], binning: int) ->
     return [_shrunk(frames[k].astype(np.float32), binning) for k in sines]
 
 
-def _some(samples: Samples, stage: Stage) -> Samples:
+def _some(samples: Samples, stage: SearchStage) -> Samples:
     """Return the samples that a stage looks at, in px of its pictures."""
     if stage.every == stage.shrunk == 1:
         return samples

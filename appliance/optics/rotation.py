@@ -13,7 +13,10 @@ Array = NDArray[np.float64]
 
 
 def rotation_matrix(vector_rad: Array) -> Array:
-    """Return the rotation matrix (3, 3) that turns by ``vector_rad`` (3,): about its direction, by its length in rad."""
+    """Return the rotation matrix (3, 3) that turns about the direction of ``vector_rad`` (3,), by its length in rad.
+
+    A vector of length 0 turns nothing.
+    """
     angle = float(np.linalg.norm(vector_rad))
     if angle == 0.0:
         return np.eye(3)
