@@ -406,7 +406,6 @@ RULES = [
             "appliance/optics/": NOT_YET,
             "appliance/patterns/": NOT_YET,
             "appliance/reconstruct/": NOT_YET,
-            "appliance/screens/": NOT_YET,
             "appliance/service/": NOT_YET,
             "appliance/verdict/": NOT_YET,
             "appliance/worker/": NOT_YET,

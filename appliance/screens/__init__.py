@@ -1,1 +1,1 @@
-"""What the diver sees: views go in as values, pictures come out."""
+"""The package draws what the diver sees: views go in as values, pictures come out."""

@@ -75,7 +75,7 @@ def _live(
     height: float,
     language: Language,
 ) -> None:
-    """In its half of the screen, as large as an alert leaves room for."""
+    """Draw a camera's (h, w) picture into its half of the screen, as high as an alert leaves room for, or say that there is none."""
     width = LIVE_PX[0]
     if pixels is not None:
         canvas.image(side, pixels, left, top, width, height)
@@ -104,7 +104,7 @@ def _plate(
 
 
 def _temperature(canvas: Canvas, view: AimView, top: float) -> None:
-    """In the colour of its band: white, yellow, or white on red."""
+    """Draw the temperature in the colour of its band: white, yellow, or white on red."""
     band = max((alert.severity for alert in view.alerts if alert.code in _ABOUT_HEAT), default=Severity.INFO)
     ground, ink = {
         Severity.INFO: (theme.INK, theme.WHITE),
@@ -115,7 +115,7 @@ def _temperature(canvas: Canvas, view: AimView, top: float) -> None:
 
 
 def _numbers(canvas: Canvas, view: AimView, language: Language) -> None:
-    """Between the lower labels: how many scans there are, and for how many more there is room."""
+    """Draw how many scans there are, and for how many more there is room, between the lower labels."""
     left, right = room_between(canvas, view.keys, language, bottom=True)
     cells = (
         (str(view.scans_taken), Text.TAKEN.in_language(language)),

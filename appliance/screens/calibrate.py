@@ -25,7 +25,7 @@ _BOX_PX = 370.0
 _BAND_PX, _WORKING_PX = 84.0, 52.0
 """Heights of what was found and what is right, and of one line."""
 _TICKS_PX = 24.0
-"""From the lower edge."""
+"""Distance of the marks' middle from the lower edge, in units of the design."""
 
 _HOLD = {
     Step.M1: (Text.LYING, Text.FROM_ABOVE),
@@ -87,11 +87,11 @@ _FAILURES = {
     FailureKind.BROKEN_OFF: (Text.BROKEN_OFF, Text.TRY_AGAIN),
     FailureKind.NO_ANSWER: (Text.ANSWERED_LATE, Text.TRY_AGAIN),
 }
-"""What came to nothing, and what to do. The details are in the log and in the status file."""
+"""Words for each failure: what came to nothing, and what to do. The details are in the log and in the status file."""
 
 
 def refusal_words(check: RecordingCheck) -> tuple[Text, Text]:
-    """What the diver reads about a recording that will not do: what, and what to do or what is right."""
+    """Return what the diver reads about a recording that will not do: what is wrong, and what to do or what is right."""
     bar = HELD[check.step] is ArtefactKind.BALL_BAR
     match check.refusal:
         case None:
@@ -255,13 +255,13 @@ def _solve(canvas: Canvas, view: CalibrateView, bottom: float, language: Languag
 
 @dataclass(frozen=True, slots=True)
 class _Box:
-    """Where a length error stands: as high as what is below leaves room for."""
+    """The box of a length error, as high as what is below leaves room for."""
 
     left: float
     top: float
     height: float
     used: bool
-    """Its calibration is the one in use."""
+    """True if the calibration of the box is the one in use."""
 
     def draw(self, canvas: Canvas, name: Text, error: float | None, language: Language) -> None:
         """The name above, the error in percent in the middle."""
@@ -325,7 +325,7 @@ def _result(canvas: Canvas, view: CalibrateView, bottom: float, language: Langua
 
 
 def _checked(canvas: Canvas, session: Session, box: _Box, below: float, language: Language) -> None:
-    """Of the calibration in use, which the bar only checks."""
+    """Draw the length error of the calibration in use, which the bar only checks."""
     box.draw(canvas, Text.IN_USE, session.length_error, language)
     word, colour = (Text.NOT_RIGHT, theme.YELLOW) if session.wrong else (Text.RIGHT, theme.GREEN)
     box.judge(canvas, word, colour, session.verified, language)

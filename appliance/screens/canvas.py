@@ -123,10 +123,10 @@ class Written:
     right: float
     bottom: float
     size: int
-    """Of the type, after it was made smaller to fit."""
+    """Size of the type after it was made smaller to fit."""
     colour: Colour
     cut: bool
-    """It did not fit even at the smallest size, and ends in an ellipsis."""
+    """True if it did not fit even at the smallest size, and ends in an ellipsis."""
 
 
 class Align(Enum):

@@ -23,7 +23,7 @@ TURN_DEG, TURN_S = 24.0, 11.0
 NOD_DEG, NOD_S = 9.0, 17.0
 """Amplitude and period of the turn about the vertical and the horizontal axis. It begins at the camera's view."""
 STEP_DEG = 20.0
-"""One step of the diver's."""
+"""Angle in degrees by which one step of the diver turns the cloud."""
 EYE_RADII = 3.2
 """Distance of the eye from the middle of the cloud, in radii of the cloud."""
 
@@ -238,6 +238,6 @@ def _turn(time_s: float, steps: int) -> NDArray[np.float64]:
 
 
 def _same(held: NDArray[np.float32], given: NDArray[np.float32]) -> bool:
-    """Whether both look at the same memory. ``held`` keeps it alive, so an equal address is the same cloud."""
+    """Return True if both look at the same memory. ``held`` keeps it alive, so an equal address is the same cloud."""
     one, other = held.__array_interface__, given.__array_interface__
     return one["data"] == other["data"] and held.shape == given.shape and held.strides == given.strides

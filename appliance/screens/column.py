@@ -34,7 +34,7 @@ class Figure:
 def figures(
     points: int | None, coverage_percent: float | None, noise_mm: float | None, distance_mm: float | None
 ) -> tuple[Figure, ...]:
-    """What there is to say of any scan, the most telling first."""
+    """Return the lines that are shown of every scan, the most telling first; a dash stands for ``None``."""
     return (
         Figure(Text.COVERAGE, known(coverage_percent, "{:.0f}"), "%"),
         _noise(noise_mm),
@@ -44,7 +44,7 @@ def figures(
 
 
 def _noise(noise_mm: float | None) -> Figure:
-    """In µm; what is as coarse as a millimetre in mm."""
+    """Return the line of the noise: in µm below 1 mm, in mm from there on."""
     if noise_mm is not None and noise_mm >= 1.0:
         return Figure(Text.NOISE, f"{noise_mm:.1f}", "mm")
     return Figure(Text.NOISE, known(None if noise_mm is None else 1000.0 * noise_mm, "{:.0f}"), "µm")
@@ -65,8 +65,7 @@ def many(number: int) -> str:
 
 
 def draw_verdict(canvas: Canvas, grade: Grade, doubtful: bool, top: float, language: Language) -> float:
-    """In a word, beside the colour of its grade; a bad one on a ground of that colour, seen in grey at a glance. Returns its
-    lower end.
+    """Draw the verdict as a word beside the colour of its grade, a bad one on a ground of that colour. Returns its lower end.
 
     ``doubtful``: lengths are not to be trusted. Then no word stands alone, and the ground is that of a warning.
     """
@@ -90,7 +89,7 @@ def draw_verdict(canvas: Canvas, grade: Grade, doubtful: bool, top: float, langu
 
 
 def draw_figures(canvas: Canvas, rows: Sequence[Figure], top: float, bottom: float, language: Language) -> None:
-    """As many of the rows, from the first, as fit between ``top`` and ``bottom``."""
+    """Draw as many of the rows, from the first, as fit between ``top`` and ``bottom``."""
     fit = min(len(rows), int((bottom - top) / _LEAST_PITCH_PX))
     if fit < 1:
         return

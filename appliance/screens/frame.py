@@ -91,7 +91,7 @@ _LABEL_SIZES = {1: BODY, 2: CAPTION}
 
 
 def _label_lines(canvas: Canvas, words: str) -> list[str]:
-    """On one line; on two, the first word on its own, where that is too long: EXPOSE, and below it 16 ms +12 dB."""
+    """Return the label as one line, or as two where that is too long: EXPOSE, and below it 16 ms +12 dB."""
     first, space, rest = words.partition(" ")
     one_line = not space or canvas.measure(words, BODY, BLACK) + 2 * _PAD_PX <= theme.LABEL_MAX_PX
     return [words] if one_line else [first, rest]
@@ -163,7 +163,7 @@ def words_of(alert: Alert, language: Language) -> tuple[str, str]:
 
 
 def alerts_top(canvas: Canvas, alerts: Sequence[Alert]) -> float:
-    """Where the band of these alerts begins; the lower bar where there are none. What is above is free."""
+    """Return the upper edge of what these alerts cover, or that of the lower bar where there are none. What is above is free."""
     bottom = canvas.height - BAR_PX
     gravest = in_full(alerts)
     if gravest is None:

@@ -98,7 +98,7 @@ class Painter:
 
     @property
     def canvas(self) -> Canvas:
-        """What the latest view was drawn on; it knows what is written where."""
+        """Canvas on which the latest view was drawn; it knows what is written where."""
         return self._canvas
 
     def draw(self, view: AnyView, time_s: float) -> NDArray[np.uint8]:

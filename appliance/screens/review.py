@@ -39,12 +39,12 @@ def draw_review(canvas: Canvas, cloud: CloudPainter, view: ReviewView, language:
 
 
 def draw_coarse(canvas: Canvas, view: ReviewView, language: Language) -> None:
-    """That more is to come, where the title of other screens is."""
+    """Draw that more is to come, where the title of other screens is."""
     draw_title(canvas, Text.COARSE.in_language(language), view.keys, language, theme.MUTED)
 
 
 def _legend(canvas: Canvas, span: tuple[float, float], view: ReviewView, language: Language) -> None:
-    """What the colours mean: a bar with the values of its two ends, the bright end first, between the lower labels."""
+    """Draw what the colours mean: a bar with the values of its two ends in mm, the bright end first, between the lower labels."""
     unit = "mm"
     low, high = (f"{value:.0f}" for value in span)
     left, right = room_between(canvas, view.keys, language, bottom=True)

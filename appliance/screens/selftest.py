@@ -48,7 +48,7 @@ def _banner(canvas: Canvas, word: Text, colour: theme.Colour, version: str, lang
 
 
 def _devices(canvas: Canvas, devices: Sequence[DeviceLine], bottom: float, language: Language) -> None:
-    """In two columns; why one failed stands below its name. Where room is short, only such lines are higher."""
+    """Draw the devices in two columns; why one failed stands below its name. Where room is short, only such lines are higher."""
     top = _BANNER_PX + (10 if bottom > 380 else 4)
     column_px = canvas.width / 2
     for column in range(2):
@@ -86,5 +86,5 @@ def _line(
 
 
 def _said(detail: Alert | Label, language: Language) -> str:
-    """What to do about it; the device's own message is for the log."""
+    """Return what to do about a failure; the device's own message is for the log."""
     return words_of(detail, language)[1] if isinstance(detail, Alert) else worded(detail, language)

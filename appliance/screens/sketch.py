@@ -21,7 +21,7 @@ SCALE = 2
 BALL_MM, HALF_BAR_MM = 15.0, 75.0
 PLANE_MM = (125.0, 100.0)
 FIELD_MM = 265.0
-"""What the sketch shows across at 500 mm: the instrument's field and a margin."""
+"""Width in mm that the sketch shows at a distance of 500 mm: the instrument's field and a margin."""
 VOLUME_MM = (440.0, 580.0)
 _INK, _LINE, _SOFT, _BODY, _BRIGHT = 14, 70, 44, 150, 235
 _POSES: Mapping[Step, tuple[float, float, float, float]] = MappingProxyType(

@@ -13,7 +13,7 @@ from appliance.screens.theme import BAR_PX, BLACK, BODY, BOLD, HEADLINE, HUGE, T
 from appliance.screens.views import CoolingView, SafeView
 
 HOTTER_C = 15.0
-"""What the bar shows above the limit."""
+"""Range of the bar above the limit, in degrees Celsius."""
 
 
 def draw_cooling(canvas: Canvas, view: CoolingView, language: Language) -> None:
@@ -41,7 +41,7 @@ def draw_cooling(canvas: Canvas, view: CoolingView, language: Language) -> None:
 
 
 def _thermometer(canvas: Canvas, view: CoolingView, left: float, right: float, top: float) -> None:
-    """From the limit (left, where it is ready again) upwards; it empties towards the mark."""
+    """Draw the temperature as a bar that begins at the limit (left, where it is ready again) and empties towards that mark."""
     canvas.box(left, top, right - left, 34, theme.PANEL, 17)
     if view.temperature_c is not None:
         part = min(1.0, max(0.0, (view.temperature_c - view.limit_c) / HOTTER_C))
@@ -50,7 +50,7 @@ def _thermometer(canvas: Canvas, view: CoolingView, left: float, right: float, t
 
 
 def minutes(duration_s: float) -> str:
-    """As a diver reads it: minutes and seconds, rounded up to ten seconds; an estimate is no stop-watch."""
+    """Return a duration in minutes and seconds, rounded up to ten seconds: an estimate is no stop-watch."""
     seconds = 10 * math.ceil(max(0.0, duration_s) / 10)
     return f"{seconds // 60}:{seconds % 60:02d} min"
 

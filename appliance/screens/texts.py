@@ -18,10 +18,10 @@ DEVICE_NAMES: Mapping[str, Text] = {
     "calibration": Text.CALIBRATION,
     "worker": Text.WORKER,
 }
-"""What a device of the rig file is called; a device not listed is shown by its own name."""
+"""Names of the devices of the rig file; a device not listed is shown by its own name."""
 
 _DECIMAL = re.compile(r"(?<![\d.])(\d+)\.(\d+)(?![\d.])")
-"""One point between figures: a version like 0.1.0 has two."""
+"""Pattern of one point between figures: a version like 0.1.0 has two."""
 
 
 def numbered(words: str, language: Language) -> str:

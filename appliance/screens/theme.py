@@ -63,7 +63,7 @@ BLOOD = hex_colour(0xA00A1A)
 """The ground of critical words: dark enough for white letters to stand out in grey, too."""
 
 LEAST_CONTRAST = 7.0
-"""Between letters and their ground, by luminance alone (WCAG 2.2, 1.4.6)."""
+"""Least contrast between letters and their ground, by luminance alone (WCAG 2.2, 1.4.6)."""
 
 CAPTION, BODY, TITLE, HEADLINE, HUGE = 24, 30, 40, 54, 84
 """Type sizes in px of the design size. Nothing is written smaller than a caption."""
@@ -71,11 +71,11 @@ REGULAR, BOLD, BLACK = 450, 650, 800
 """Weights of the variable font."""
 
 FLASH_HZ = 1.5
-"""Below three per second, which is the limit for people with photosensitive epilepsy (WCAG 2.3.1)."""
+"""Flashes per second: below three, which is the limit for people with photosensitive epilepsy (WCAG 2.3.1)."""
 
 
 def flash_on(time_s: float) -> bool:
-    """Whether a flashing thing is in its bright half at ``time_s``; the first half period is bright."""
+    """Return True while a flashing thing is in its bright half at ``time_s``; the first half period is bright."""
     return time_s * FLASH_HZ % 1.0 < 0.5
 
 

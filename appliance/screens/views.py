@@ -23,7 +23,7 @@ from appliance.ranging.reach import Reach
 from drivers.api import Key
 
 KeyLabels = Mapping[Key, Label]
-"""What each key does now. A key without a label has none drawn."""
+"""The present meaning of each key. A key without a label has none drawn."""
 
 
 def labels(
@@ -36,7 +36,7 @@ def labels(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class View:
-    """What all screens have: alerts, the gravest first, and the meaning of the keys."""
+    """Base of all views: alerts, the gravest first, and the meaning of the keys."""
 
     alerts: tuple[Alert, ...] = ()
     keys: KeyLabels = field(default_factory=labels)
@@ -74,13 +74,13 @@ class SelfTestView(View):
     version: str
     finished: bool
     passed: bool
-    """Of meaning once it is finished: every line says OK. What failed need not forbid a scan."""
+    """True if every line says OK; it means nothing before ``finished``. What failed need not forbid a scan."""
     keys: KeyLabels = field(default_factory=lambda: labels(back=Text.HOLD_OFF))
 
 
 @dataclass(frozen=True, slots=True)
 class Gauge:
-    """Where the object is, from the laser dots, and what to do about it."""
+    """Distance and tilt of the object, from the laser dots, and what to do about them."""
 
     distance_mm: float | None
     tilt_deg: float | None
@@ -98,17 +98,17 @@ class AimView(View):
     scans_left: int | None
     temperature_c: float | None
     exposure: str | None = None
-    """Of the next scan, with its unit; ``None``: nothing to say of it."""
+    """Exposure of the next scan, with its unit; ``None``: there is nothing to say of it."""
     gauge: Gauge | None = None
-    """``None`` while the lasers are off."""
+    """Reading of the laser dots; ``None`` while the lasers are off."""
     marks: Marks | None = None
-    """Where the laser dots are going to be seen; ``None``: no marks."""
+    """Places where the laser dots are going to be seen; ``None``: no marks are drawn."""
     water: Text | None = None
-    """What the refractive index is computed for, in a word."""
+    """Word for the water that the refractive index is computed for."""
     insist: bool = False
     """SCAN was pressed outside the measuring volume; pressed once more it records."""
     scan_allowed: bool = True
-    """Without it the label of SCAN is drawn dim; the reason is an alert."""
+    """False draws the label of SCAN dim; the reason is an alert."""
     keys: KeyLabels = field(default_factory=lambda: labels(scan=Text.SCAN, back=Text.HOLD_OFF))
 
 
@@ -166,11 +166,11 @@ class ReviewView(View):
     noise_mm: float | None
     distance_mm: float | None
     duration_s: float | None
-    """From the key press to this picture."""
+    """Time in seconds from the key press to this picture; ``None`` where it is not known."""
     lengths_doubtful: bool = False
     """Lengths are not to be trusted: no grade stands alone."""
     turn: int = 0
-    """How far the diver turned the cloud: steps to the right, negative to the left."""
+    """Number of steps by which the diver turned the cloud: positive to the right, negative to the left."""
     keys: KeyLabels = field(
         default_factory=lambda: labels(scan=Text.KEEP, back=Text.HOLD_REDO, up=Text.TURN, down=Text.TURN)
     )
@@ -220,7 +220,7 @@ class GalleryView(View):
     preview: NDArray[np.uint8] | None = None
     grade: Grade | None = None
     lengths_doubtful: bool = False
-    """As in ``ReviewView``, when the scan was taken."""
+    """True if lengths were not to be trusted when the scan was taken."""
     points: int | None = None
     coverage_percent: float | None = None
     noise_mm: float | None = None
@@ -239,9 +239,9 @@ class CalibrateView(View):
     left: NDArray[np.uint8] | None
     right: NDArray[np.uint8] | None
     scan_allowed: bool = True
-    """As in ``AimView``; of meaning at the steps that record."""
+    """False draws the label of SCAN dim, like in ``AimView``; it means something only at the steps that record."""
     gauge: Gauge | None = None
-    """As in ``AimView``, and as there the marks."""
+    """Reading of the laser dots, drawn like that of ``AimView``, and so are the marks."""
     marks: Marks | None = None
 
     @property
@@ -257,7 +257,7 @@ class CoolingView(View):
     temperature_c: float | None
     limit_c: float
     remaining_s: float | None
-    """Until then, as far as can be told."""
+    """Estimated time in seconds until it is that cool; ``None`` where it cannot be told."""
     keys: KeyLabels = field(default_factory=lambda: labels(back=Text.BACK))
 
 
