@@ -401,7 +401,6 @@ RULES = [
             '"""Inside."""',
         ),
         except_in={
-            "appliance/cli/": NOT_YET,
             "appliance/compensation/": NOT_YET,
             "appliance/optics/": NOT_YET,
             "appliance/patterns/": NOT_YET,

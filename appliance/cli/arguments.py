@@ -16,20 +16,20 @@ from typing import Any, ClassVar, TypeVar
 from appliance.cli.output import Exit
 
 _KEY = "typed"
-"""Of a field's metadata: its ``_Typed``."""
+"""Key in a field's metadata under which its ``_Typed`` is found."""
 _MOST_DIGITS = 9
 
 
 @dataclass(frozen=True, slots=True)
 class _Typed:
-    """How a field is typed."""
+    """The way in which a field is typed."""
 
     flag: str | None
     """``--out``; ``None``: its place says what it is."""
     settings: Mapping[str, Any]
-    """For ``add_argument``."""
+    """Keyword arguments for ``add_argument``."""
     either: str | None
-    """Of the options with the same word here, at most one may be typed."""
+    """Name of a group of options of which at most one may be typed; ``None``: it belongs to no group."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,7 +39,7 @@ class Verb:
     codes: ClassVar[Sequence[Exit]] = ()
     """Exit codes that only this verb has, for ``--help``."""
     service: ClassVar[bool] = False
-    """Whether it is the instrument itself: it says its news, and an error that ends it is kept for the safe screen."""
+    """True if the verb is the instrument itself: it says its news, and an error that ends it is kept for the safe screen."""
 
     json: bool = field(
         default=False,
@@ -48,7 +48,7 @@ class Verb:
 
     @property
     def says_news(self) -> bool:
-        """Whether what it logs besides warnings is printed, too."""
+        """True if what it logs besides warnings is printed, too."""
         return self.service
 
     def run(self) -> Exit:

@@ -121,7 +121,7 @@ class CalibrateWater(WithRoot):
         return Exit.FAILED if made.left_out else Exit.OK
 
     def settings(self) -> LadderSettings:
-        """What the searches of rm and rmd go by."""
+        """Return the settings of the searches of rm and rmd, with the reach and the steps in mm where they were typed."""
         from appliance.calibration.interface import SearchSettings
         from appliance.calibration.ladder import LadderSettings
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:  # imported inside the verb: `scans list` can do without
 log = logging.getLogger(__name__)
 
 DEFAULT_NAME = "air.json"
-"""In the folder of pictures."""
+"""Name of the file that is written into the folder of pictures unless ``--out`` names another."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,7 +34,7 @@ class CalibrateAir(WithRoot):
     board: str | None = option(
         "--board", "squares across and down, their size and the markers' in mm", metavar="15x12x18x13.5"
     )
-    """``None``: that of the folder, else the usual one."""
+    """Design of the board; ``None``: that of the folder, else the usual one."""
     out: Path | None = option("--out", "default: air.json in FOLDER; pictures go beside it", parse=Path, metavar="FILE")
     install: bool = switch("--install", "make it the start of this instrument's calibrations")
     live: bool = switch("--live", "record the views first, with this instrument, into FOLDER")
@@ -53,7 +53,7 @@ class CalibrateAir(WithRoot):
 
     @property
     def says_news(self) -> bool:
-        """With --live it is the instrument for a while."""
+        """True with ``--live``, which makes it the instrument for a while."""
         return self.live
 
     def run(self) -> Exit:

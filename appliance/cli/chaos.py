@@ -15,12 +15,12 @@ from appliance.config import Rig
 from appliance.storage.library import Library, UnknownScan
 
 OPTION = "chaos"
-"""Of the simulated world (docs/protocols/world.md)."""
+"""Name of the option of the simulated world (docs/protocols/world.md)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Chaos:
-    """How unlucky: the seed of everything that happens, and how often SCAN is pressed."""
+    """An unlucky dive: the seed of everything that happens, and how often SCAN is pressed."""
 
     seed: int
     scans: int
@@ -53,7 +53,7 @@ def chaos(rig: Rig, options: SimOptions, wanted: Chaos, dive: Callable[[Rig, Sim
 
 
 def _compared(rig: Rig, accepted: list[str]) -> dict[str, Any]:
-    """What became of the scans that the screen called saved."""
+    """Verify the scans that the screen called saved. Return the lost ones, the damaged ones and how many scans there are."""
     library = Library(rig.storage.root)
     lost, damaged = [], []
     with Progress() as progress:

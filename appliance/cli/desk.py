@@ -49,14 +49,14 @@ def refuse_damaged_frames(folder: Path) -> None:
 
 
 def library_root(wish: Wish) -> Path:
-    """Where numbers of scans are looked up."""
+    """Return the storage root in which numbers of scans are looked up. Raises ConfigError."""
     if wish.root is not None:
         return wish.root
     return (wish.rig or load_rig(default_rig_path())).storage.root
 
 
 def place_of(listed: Path, scan: str) -> str:
-    """What a list means by ``scan``: a folder is relative to the list, a number is one of the storage root."""
+    """Return what a list means by ``scan``: a folder is relative to the list, a number is one of the storage root."""
     return str(listed.parent / scan) if "/" in scan else scan
 
 
@@ -84,7 +84,7 @@ def writable(out: Path | None) -> None:
 
 
 def writable_cloud(out: Path | None) -> None:
-    """As ``writable``, of a cloud. Raises UsageError for a name that promises another format than the one written."""
+    """Raises UsageError for a name that ``writable`` refuses or that promises another format than the one written."""
     writable(out)
     if out is not None and out.suffix.lower() != CLOUD_SUFFIX:
         raise UsageError(

@@ -21,7 +21,7 @@ class Run(WithRoot):
     service: ClassVar[bool] = True
 
     def run(self) -> Exit:
-        """With a root of its own where one is given; it is made if it is not there."""
+        """Serve until the instrument is switched off; a root that was given is used, and made if it is not there."""
         rig, root = self.read_rig(), self.new_root()
         if root is not None:
             rig = replace(rig, storage=replace(rig.storage, root=root))

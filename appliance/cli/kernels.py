@@ -17,10 +17,10 @@ from appliance.kernel_build import CompileError, Compiling, Piece, compile_piece
 from appliance.kernel_cache import KernelCache, Origin
 
 LINE_EVERY_S = 8.0
-"""Where there is no terminal: one of the calls that come every second is this much later than the line before."""
+"""Least time in seconds between two lines where there is no terminal; calls come every second."""
 
 log = logging.getLogger(__name__)
-"""What makes somebody wait: heard from every verb (``output.log_lines``)."""
+"""Logger for what makes somebody wait: heard from every verb (``output.log_lines``)."""
 service_log = logging.getLogger("kingfisher")
 
 

@@ -12,7 +12,7 @@ from appliance.storage.atomic import StorageError
 from drivers.api import DeviceError
 
 FILE_NAME = "last-words.json"
-"""In the service's run-time folder, which is memory: a full disk is one of the errors."""
+"""Name of the file in the service's run-time folder, which is memory: a full disk is one of the errors."""
 MOST_CHARACTERS = 600
 
 

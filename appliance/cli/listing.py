@@ -10,7 +10,7 @@ from appliance.cli.output import say
 DIGITS = 4
 """Significant digits of a measured value: a noise of 0.02489 mm is known to two, a distance of 500.13 mm to four."""
 _MORE = {"index": 6, "baseline": 6, "principal": 6, "latitude": 6}
-"""By a word of the name: values whose fifth and sixth digit mean something."""
+"""Significant digits, by a word of the name, of values whose fifth and sixth digit mean something."""
 _WHOLE_FROM = 1000.0
 HASH_DIGITS = 12
 _HASH = re.compile(r"[0-9a-f]{64}")

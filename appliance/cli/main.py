@@ -69,7 +69,7 @@ class _Parser(argparse.ArgumentParser):
         self._negative_number_matcher = _NEGATIVE
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """As its base; also for ``--help``."""
+        """Parse like the base class, once the verb is loaded and its arguments are declared; ``--help`` comes here, too."""
         if self._listed is not None:
             verb = self._listed.load()
             self._listed = None

@@ -35,17 +35,17 @@ class UsageError(Exception):
 
 
 def say(text: str) -> None:
-    """One result on stdout."""
+    """Print one result on stdout."""
     sys.stdout.write(text + "\n")
 
 
 def say_json(value: Any) -> None:
-    """One JSON document on stdout."""
+    """Print one JSON document on stdout."""
     say(json.dumps(value, indent=1, ensure_ascii=False))
 
 
 def complain(text: str, *, as_json: bool) -> None:
-    """One error on stderr, in one line."""
+    """Print one error on stderr, in one line."""
     line = " ".join(text.split())
     sys.stderr.write((json.dumps({"error": line}, ensure_ascii=False) if as_json else f"kingfisher: {line}") + "\n")
 

@@ -53,7 +53,7 @@ class WithRoot(WithRig):
         return self.root.absolute()
 
     def wish(self) -> Wish:
-        """What was asked for beside a scan; a rig file is only read where one was given. Raises ConfigError, UsageError."""
+        """Return what was asked for beside a scan. Reads a rig file only where one was given. Raises ConfigError, UsageError."""
         from appliance.config import load_rig
         from appliance.offline.origin import Wish
 
@@ -74,7 +74,7 @@ class WithCalibration(WithRoot):
     foreign_calibration: bool = switch("--foreign-calibration", "also if it is another instrument's")
 
     def wish(self) -> Wish:
-        """As of ``WithRoot``, with the choice of a calibration."""
+        """Return the wish of ``WithRoot`` with the choice of a calibration. Raises ConfigError, UsageError."""
         return replace(
             WithRoot.wish(self),
             calibration=self.calibration,

@@ -105,7 +105,7 @@ class VerifyScans(WithRoot):
 
 
 def _with_frames_named(entry: ScanEntry) -> ScanEntry:
-    """Of a damaged file of frames it is also said which frames, where that is known."""
+    """Return ``entry`` with the damaged frames named in its problems, where it is known which they are."""
     if entry.ok or entry.manifest is None:
         return entry
     from appliance.storage.damage import damaged_frames  # looks into frames, which a list can do without

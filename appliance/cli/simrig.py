@@ -26,7 +26,7 @@ PACES = ("lockstep", "realtime", "attended")
 
 @dataclass(frozen=True, slots=True)
 class SimOptions:
-    """What the command line may change; ``None`` leaves what the rig file says."""
+    """Options that the command line may change; ``None`` leaves what the rig file says."""
 
     root: Path | None = None
     object_name: str | None = None
@@ -51,7 +51,7 @@ def default_sim_rig() -> Path:
 
 
 def simulator_kernels() -> Iterable[tuple[str, str]]:
-    """What the simulator has to compile before it opens: what for, and the function that does it."""
+    """Return the pieces that the simulator has to compile before it opens: what for, and the function that does it."""
     pieces: Iterable[tuple[str, str]] = importlib.import_module(f"{SIMULATOR}.rendering.warm").PIECES
     return pieces
 

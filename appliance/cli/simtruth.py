@@ -29,7 +29,7 @@ from appliance.storage.filesystem import LocalFileSystem
 
 METHOD = "truth"
 KNOWN_SET = "nominal"
-"""Of true rigs: built as drawn."""
+"""Name of the true rigs that are built as drawn."""
 
 log = logging.getLogger("kingfisher")
 
@@ -85,7 +85,7 @@ def _refuse_nominal(rig: Rig) -> None:
 
 
 def _camera(eye: Mapping[str, Any], left: Mapping[str, Any]) -> HousedCamera:
-    """From the rig frame, which points of a camera are turned into by R, then t_mm, to the left camera's."""
+    """Return ``eye`` in the left camera's frame, lengths in mm. R, then t_mm, turn a camera's points into the rig frame."""
     to_left: NDArray[np.float64] = np.array(left["R"]).T
     rotation = to_left @ np.array(eye["R"])
     t_mm = to_left @ (np.array(eye["t_mm"]) - np.array(left["t_mm"]))

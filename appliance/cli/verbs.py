@@ -104,4 +104,4 @@ VERBS: tuple[Listed | Group, ...] = (
     Listed("warm", "compile the kernels for this processor (an installation does)", "installation:Warm"),
     Listed("version", "print the version", "installation:Version"),
 )
-"""In the order of ``kingfisher --help``."""
+"""All verbs and groups, in the order of ``kingfisher --help``."""
