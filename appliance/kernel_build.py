@@ -30,7 +30,7 @@ LOCK = ".compiling"
 MOST_PROCESSES = 8
 """Each takes up to 0.5 GB of memory."""
 TICK_S = 1.0
-"""How often is said how far it is, while nothing ends."""
+"""Time in seconds between two reports of the progress while nothing ends."""
 PIECE_S = 900.0
 """The longest that one piece may take; the longest known takes half a minute of a processor of its own."""
 LOCK_S = 1800.0
@@ -43,21 +43,21 @@ class Piece:
     """Some kernels that are compiled together."""
 
     what: str
-    """In plain English, for whoever waits."""
+    """Plain English words for these kernels, for whoever waits."""
     function: str
     """``package.module:function``; called without arguments, its result is not looked at."""
 
 
 @dataclass(frozen=True, slots=True)
 class Compiling:
-    """How far it is."""
+    """Progress of compiling: ``done`` pieces of ``of``."""
 
     done: int
     of: int
     what: tuple[str, ...]
-    """What is being compiled now, by the pieces' names; empty: somebody else is compiling, and is waited for."""
+    """Names of the pieces being compiled now; empty: somebody else is compiling, and is waited for."""
     seconds: float
-    """Since it began."""
+    """Time in seconds since it began."""
 
 
 class CompileError(Exception):
@@ -68,7 +68,7 @@ Said = Callable[[Compiling], None]
 
 
 def missing(folder: Path, pieces: Sequence[Piece]) -> list[Piece]:
-    """Those that are still to be compiled into ``folder``."""
+    """Return those of the pieces that are still to be compiled into ``folder``."""
     now = stamps()
     return [piece for piece in pieces if _read(_mark(folder, piece)) != now]
 
@@ -136,7 +136,7 @@ class _Team:
         self._failed: list[str] = []
 
     def work(self, processes: int) -> None:
-        """Until nothing is left. Raises CompileError."""
+        """Compile until nothing is left, in at most ``processes`` processes. Raises CompileError."""
         (self._folder / MARKS).mkdir(exist_ok=True)
         try:
             for _ in range(min(processes, MOST_PROCESSES, self._of)):
@@ -155,7 +155,7 @@ class _Team:
             raise CompileError("; ".join(self._failed))
 
     def _start(self) -> None:
-        """Another process, if there is something left for it to do."""
+        """Start another process, if there is something left for it to do."""
         if self._left:
             mine, theirs = self._context.Pipe()
             process = self._context.Process(target=_serve, args=(theirs, self._folder, self._processor), daemon=True)

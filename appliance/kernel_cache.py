@@ -58,7 +58,7 @@ COMMON_NEEDS = frozenset(("avx", "avx2", "bmi", "bmi2", "cx16", "f16c", "fma", "
 
 
 class Origin(Enum):
-    """Where the kernels in use come from."""
+    """The source of the kernels in use."""
 
     GIVEN = "given"
     """The environment names a place: whoever set it keeps it up to date."""
@@ -88,7 +88,7 @@ def this_processor() -> Processor:
 
 
 def runs_common(processor: Processor) -> bool:
-    """Whether kernels for ``COMMON`` run on it."""
+    """Return True if kernels for ``COMMON`` run on ``processor``."""
     return {feature[1:] for feature in processor.features.split(",") if feature.startswith("+")} >= COMMON_NEEDS
 
 
@@ -133,7 +133,7 @@ def _packages() -> list[str]:
 
 
 def shipped_folder() -> Path:
-    """Where an installation keeps what it compiled: within its own environment, so that it goes when that goes."""
+    """Return the folder of what an installation compiled: within its own environment, so that it goes when that goes."""
     return Path(sys.prefix) / "share" / "kingfisher" / "kernels"
 
 

@@ -409,7 +409,6 @@ RULES = [
             "appliance/verdict/": NOT_YET,
             "appliance/worker/": NOT_YET,
             "appliance/instrument.py": NOT_YET,
-            "appliance/kernel_": NOT_YET,
             "appliance/offline/": NOT_YET,
             "hw_sim/": NOT_YET,
         },
