@@ -38,7 +38,7 @@ CALIBRATION_FILE = Path("calibration", "current.json")
 RESPONSE_FILE = CALIBRATION_FILE.with_name("response.json")
 AIR_FILE = CALIBRATION_FILE.with_name("air.json")
 KEPT = CALIBRATION_FILE.with_name("kept")
-"""Below the storage root."""
+"""Places of the calibration's files, relative to the storage root."""
 ONLY_IN_AIR = "the calibration is one in air, a start for calibrating in water; windows and water are not in it"
 
 
@@ -78,7 +78,7 @@ def _usable(rig: Rig, path: Path) -> tuple[Calibration | None, Misfit | None]:
 
 
 def start_of(rig: Rig, path: Path | None = None) -> Calibration:
-    """What a calibration in water begins with: ``path``; else the instrument's calibration in air; else what it uses.
+    """Return what a calibration in water begins with: ``path``, else the calibration in air, else the one in use.
 
     Raises CalibrationError for a file that cannot be used, RecordingError for one in use that is no start.
     """
@@ -157,7 +157,7 @@ def pointers_of(rig: Rig) -> Pointers | None:
 
 
 def live_light_of(rig: Rig) -> NDArray[np.uint8]:
-    """What the projector shows in the live views, (h, w) uint8."""
+    """Return what the projector shows in the live views, (h, w) uint8."""
     d, out = rig.design, rig.projector
     f_px = 1000.0 * d.projector_principal_distance_mm / d.projector_pixel_um
     lens = Lens((f_px, f_px), ((out.width_px - 1) / 2.0, (out.height_px - 1) / 2.0))
@@ -182,13 +182,13 @@ def noise_of(rig: Rig, exposure: Exposure | None = None) -> StereoNoise:
 
 
 def exposure_of(rig: Rig) -> Exposure:
-    """Of both cameras, as the rig file sets the left one."""
+    """Return the exposure of both cameras, as the rig file sets that of the left one."""
     left = rig.camera.left
     return Exposure(round(1000.0 * left.exposure_ms), left.gain_db)
 
 
 def exposure_of_scan(record: ScanRecord, rig: Rig) -> Exposure:
-    """What a stored scan was recorded with."""
+    """Return the exposure that a stored scan was recorded with; the rig file's where the scan does not say."""
     return record.exposure or exposure_of(rig)
 
 
@@ -199,35 +199,35 @@ def exposures_label(record: ScanRecord, rig: Rig) -> str:
 
 
 def settings_of(rig: Rig, exposure: Exposure) -> AcquisitionSettings:
-    """How a sequence is taken with ``exposure``. Raises ValueError for a rig that has no time for any exposure."""
+    """Return how a sequence is taken with ``exposure``. Raises ValueError for a rig that has no time for any exposure."""
     return AcquisitionSettings(exposure, 1.0 / rig.projector.refresh_hz, noise_of(rig, exposure), exposures_of(rig))
 
 
 def settings_of_scan(record: ScanRecord, rig: Rig) -> AcquisitionSettings:
-    """How a stored scan was taken."""
+    """Return how a stored scan was taken. Raises ValueError for a rig that has no time for any exposure."""
     return settings_of(rig, exposure_of_scan(record, rig))
 
 
 def exposures_of(rig: Rig) -> tuple[Exposure, ...]:
-    """What may be proposed to the diver, from dark to bright."""
+    """Return the exposures that may be proposed to the diver, from dark to bright."""
     scan = rig.scan
     span = Span(scan.shortest_exposure_ms, scan.longest_exposure_ms, scan.most_gain_db)
     return ladder(rig.projector.refresh_hz, rig.board.trigger_delay_us, rig.camera.left.gain_db, span)
 
 
 def origin_of(rig: Rig, calibration: Calibration) -> ScanOrigin:
-    """What a scan that is taken now carries with it: the calibration in use and the rig as it is understood."""
+    """Return what a scan that is taken now carries with it: the calibration in use and the rig as it is understood."""
     return ScanOrigin(encode(calibration), rig_text(rig).encode())
 
 
 def misfit(calibration: Calibration, rig: Rig) -> str | None:
-    """Why a calibration, in air or in water, is not of this instrument and its cameras; ``None`` where it is."""
+    """Return why a calibration, in air or in water, is not of this instrument and its cameras; ``None`` where it is."""
     found = owner.misfit(calibration, owner_of(rig))
     return None if found is None else found.reason
 
 
 def owner_of(rig: Rig) -> Owner:
-    """Who the instrument is, for ``appliance.calibration.owner``. A camera with another serial number is never opened."""
+    """Return who the instrument is, for ``appliance.calibration.owner``. A camera with another serial number is never opened."""
     left, right = rig.camera.left, rig.camera.right
     sizes_px = ((left.width_px, left.height_px), (right.width_px, right.height_px))
     return Owner(rig.rig.serial, sizes_px, (left.serial, right.serial))

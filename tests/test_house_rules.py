@@ -408,7 +408,6 @@ RULES = [
             "appliance/service/": NOT_YET,
             "appliance/verdict/": NOT_YET,
             "appliance/worker/": NOT_YET,
-            "appliance/instrument.py": NOT_YET,
             "appliance/offline/": NOT_YET,
             "hw_sim/": NOT_YET,
         },
