@@ -377,7 +377,6 @@ RULES = [
             "appliance/cli/__main__.py": "the door of `python -m`",
             "appliance/scan/acquisition.py": "a word of the ground floor that ten rooms use, and no other word's",
             "appliance/screens/colours.py": NOT_YET,
-            "appliance/verdict/usable.py": NOT_YET,
             "appliance/worker/usage.py": NOT_YET,
             "drivers/camera_families/": "one family is one file, found by its name",
             "drivers/errors.py": "raised by every driver",
@@ -401,15 +400,10 @@ RULES = [
             '"""Inside."""',
         ),
         except_in={
-            "appliance/compensation/": NOT_YET,
-            "appliance/optics/": NOT_YET,
-            "appliance/patterns/": NOT_YET,
             "appliance/reconstruct/": NOT_YET,
             "appliance/service/": NOT_YET,
-            "appliance/verdict/": NOT_YET,
             "appliance/worker/": NOT_YET,
             "appliance/offline/": NOT_YET,
-            "hw_sim/": NOT_YET,
         },
     ),
     Rule(
