@@ -42,7 +42,7 @@ from appliance.verdict.light.fit import warm_up as warm_light
 _WATER = Water(20.0, 0.0, 530.0)
 _DESIGN = Design(11.5, 112.5, 230.0, 12.41, 30.0, 5.0, 1.77)
 _SIZE_PX = (64, 48)
-_ALONG_MM = 0.67
+_ALONG_MM = -0.67
 """Way per frame that makes the steps of the phase so small that the albedo is asked for: 40 mm/s at 60 Hz."""
 
 
