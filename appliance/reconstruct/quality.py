@@ -69,12 +69,12 @@ USABLE_COVERAGE_PERCENT, USABLE_NOISE_MM = 25.0, 0.25
 
 
 def is_good(coverage_percent: float | None, noise_mm: float | None) -> bool:
-    """Whether points are many and fine; ``None`` is neither."""
+    """Return True if points are many and fine; ``None`` is neither."""
     return _within(coverage_percent, noise_mm, GOOD_COVERAGE_PERCENT, GOOD_NOISE_MM)
 
 
 def is_usable(coverage_percent: float | None, noise_mm: float | None) -> bool:
-    """Whether there are enough points, and fine enough, to be worth keeping."""
+    """Return True if there are enough points, and fine enough, to be worth keeping."""
     return _within(coverage_percent, noise_mm, USABLE_COVERAGE_PERCENT, USABLE_NOISE_MM)
 
 

@@ -133,7 +133,11 @@ def test_two_exposures_are_still_one_scan(recorded: Recorded) -> None:
 def test_reconstructing_gives_the_points_of_the_version_that_recorded(
     recorded: Recorded, number: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Bit by bit on the processor that the recordings were made on; on others, whose sums may round differently, nearly."""
+    """Bit by bit on the processor that the recordings were made on; on others, whose sums may round differently, nearly.
+
+    Of two exposures nearly everywhere: their errors went through a modulation of eight bits then
+    (``docs/adr/0041-variance-is-a-map.md``), and half of the points differ by some nanometres.
+    """
     name = next(name for name in recorded.expected["scans"] if name.endswith(f"{number:06d}"))
     said = recorded.expected["scans"][name]
     out = tmp_path / "again.ply"
@@ -144,13 +148,14 @@ def test_reconstructing_gives_the_points_of_the_version_that_recorded(
     found = recorded.root / said["calibration"]
     assert report["calibration_from"] == str(found), "by the hash in its manifest, in the root that it lies in"
     stored = recorded.root / name / "cloud.ply"
-    if recorded.expected["processor"] == f"{platform.machine()} {llvm.get_host_cpu_name()}":
+    both = json.loads((recorded.root / name / "manifest.json").read_text(encoding="utf-8"))["record"].get("second")
+    if both is None and recorded.expected["processor"] == f"{platform.machine()} {llvm.get_host_cpu_name()}":
         assert hashlib.sha256(out.read_bytes()).hexdigest() == said["sha256"]
         assert not stored.exists() or out.read_bytes() == stored.read_bytes()
     assert report["points"] == pytest.approx(said["points"], rel=1e-3)
     if stored.exists():
         before, after = (np.median(read_ply(path).points_mm, axis=0) for path in (stored, out))
-        np.testing.assert_allclose(after, before, atol=0.01)
+        np.testing.assert_allclose(after, before, atol=1e-4 if both is not None else 0.01)
 
 
 def test_calibrations_of_every_schema_are_read_and_are_the_same_ones(recorded: Recorded) -> None:

@@ -103,8 +103,8 @@ def family(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def rig_of(kind: str | None, root: Path) -> Rig:
     text = re.sub(r"(?m)^root = .*", f'root = "{root}"', SMALL.read_text(encoding="utf-8"))
-    if kind is not None:
-        text = text.replace("[camera.left]", f'[camera]\nkind = "{kind}"\n\n[camera.left]')
+    assert text.count('kind = "usb3vision"') == 1
+    text = re.sub(r'(?m)^kind = "usb3vision".*', "" if kind is None else f'kind = "{kind}"', text)
     rig = parse_rig(text)
     options = {"object": "plane", "noise": False, "stills": True, "idle_speed": 2.0}
     return replace(rig, rig=replace(rig.rig, wires_options={**rig.rig.wires_options, **options}))
