@@ -17,6 +17,7 @@ from typing import Any
 import llvmlite.binding as llvm
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from appliance.calibration import file as calibration_file
 from appliance.calibration.guide import Step
@@ -135,8 +136,8 @@ def test_reconstructing_gives_the_points_of_the_version_that_recorded(
 ) -> None:
     """Bit by bit on the processor that the recordings were made on; on others, whose sums may round differently, nearly.
 
-    Of two exposures nearly everywhere: their errors went through a modulation of eight bits then
-    (``docs/adr/0041-variance-is-a-map.md``), and half of the points differ by some nanometres.
+    Of two exposures nearly: their errors went through a modulation of eight bits then, and some points at the limits of
+    quality are others now (``docs/adr/0041-variance-is-a-map.md``).
     """
     name = next(name for name in recorded.expected["scans"] if name.endswith(f"{number:06d}"))
     said = recorded.expected["scans"][name]
@@ -152,10 +153,11 @@ def test_reconstructing_gives_the_points_of_the_version_that_recorded(
     if both is None and recorded.expected["processor"] == f"{platform.machine()} {llvm.get_host_cpu_name()}":
         assert hashlib.sha256(out.read_bytes()).hexdigest() == said["sha256"]
         assert not stored.exists() or out.read_bytes() == stored.read_bytes()
-    assert report["points"] == pytest.approx(said["points"], rel=1e-3)
+    assert report["points"] == pytest.approx(said["points"], rel=1e-3 if both is None else 0.01)
     if stored.exists():
-        before, after = (np.median(read_ply(path).points_mm, axis=0) for path in (stored, out))
-        np.testing.assert_allclose(after, before, atol=1e-4 if both is not None else 0.01)
+        before, after = (read_ply(path).points_mm for path in (stored, out))
+        apart_mm, _ = cKDTree(after).query(before)
+        assert float(np.median(apart_mm)) < 0.01
 
 
 def test_calibrations_of_every_schema_are_read_and_are_the_same_ones(recorded: Recorded) -> None:
