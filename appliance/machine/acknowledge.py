@@ -19,6 +19,8 @@ def pending(machine: Machine) -> Fault | None:
 
     While something is recorded BACK ends that and nothing else, and while a question is on the screen it answers it.
     """
+    # A second exposure goes through RECONSTRUCT as well, which is not in RECORDING: there, too, BACK gives it up
+    # and must not mean anything else.
     adding = machine.scan is not None and machine.scan.adding is not None
     if machine.state in (*RECORDING, State.SHUTDOWN) or adding or machine.off_question is not None:
         return None
@@ -38,6 +40,8 @@ def forgotten(machine: Machine) -> Machine:
     """Return the machine without what was acknowledged and has ended: when it comes again, it is news."""
     if not machine.seen:
         return machine
+    # By code and device alone: numbers that change are still the same fault. Whether it has become worse is asked
+    # by `alerts.seen`.
     there = {(fault.code, fault.device) for fault in lasting(machine)}
     seen = tuple(was for was in machine.seen if (was.code, was.device) in there)
     return machine if len(seen) == len(machine.seen) else replace(machine, seen=seen)

@@ -138,6 +138,7 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
             Words("MOVED", "BEWEGT"),
             spoils_points=True,
         ),
+        # The only INFO of the table: the points are right, and the diver may still prefer a scan held still.
         FaultCode.COMPENSATED: Rule(
             _I,
             Words("MOTION CORRECTED", "BEWEGUNG BEHOBEN"),
@@ -214,6 +215,8 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
         FaultCode.BOARD_LOST: Rule(
             _W, Words("BOARD LOST", "PLATINE FEHLT"), _CONNECTOR, blocks_scan=True, stops_capture=True
         ),
+        # No `stops_capture`: a reset is an event, not a condition. `safety.board_reset` ends the recording by
+        # itself.
         FaultCode.BOARD_RESET: Rule(
             _W,
             Words("BOARD RESET", "PLATINE NEU GESTARTET"),
@@ -241,6 +244,8 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
         FaultCode.KEY_STUCK: Rule(
             _W, Words("KEY STUCK", "TASTE KLEMMT"), Words("USE THE KEY WITH ITS LABEL", "BESCHRIFTETE TASTE NEHMEN")
         ),
+        # These two come before a scan and are asked back; SCAN_NEAR and SCAN_FAR come after it, from its own
+        # points.
         FaultCode.TOO_NEAR: Rule(
             _W,
             Words("NEAR {distance_mm:.0f} mm", "NAH {distance_mm:.0f} mm"),
@@ -289,6 +294,7 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
             Words("END DIVE, DISK NEEDS SERVICE", "AUFTAUCHEN, SPEICHER PRÜFEN"),
             blocks_scan=True,
         ),
+        # Critical, and yet it blocks nothing: the scan is still in memory, and OK or time tries again (`saving`).
         FaultCode.NOT_SAVED: Rule(
             _C, Words("NOT SAVED", "NICHT GESPEICHERT"), Words("TRY AGAIN OR REPEAT", "ERNEUT SPEICHERN ODER NOCHMAL")
         ),
@@ -363,9 +369,13 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
             blocks_scan=True,
             forbids_light=True,
         ),
+        # Neither forbids light nor blocks a scan: `thermal` rations the light, and `permissions` refuses when
+        # none is left.
         FaultCode.TEMPERATURE_UNKNOWN: Rule(
             _W, Words("TEMP ?", "TEMPERATUR ?"), Words("LIGHT IS RATIONED", "LICHT WIRD EINGETEILT")
         ),
+        # Blocks new scans but stops none under way: a sequence takes 0.4 s, and a low supply is borne for longer
+        # than that.
         FaultCode.SUPPLY_LOW: Rule(
             _W,
             Words("SUPPLY LOW {supply_v:.1f}V", "SPANNUNG NUR {supply_v:.1f} V"),
@@ -434,6 +444,8 @@ def action_of(fault: Fault, language: Language = Language.ENGLISH) -> str:
     rule = RULES[fault.code]
     camera = None if fault.device is None else _CAMERAS.get(fault.device)
     if rule.exchanged is None or camera is None:
+        # UNCALIBRATED comes without a device where there is no calibration at all, and with one where a camera
+        # was exchanged under it.
         return rule.action.in_language(language)
     return rule.exchanged.in_language(language).format(camera=camera.in_language(language))
 
@@ -507,6 +519,8 @@ def seen(machine: Machine, fault: Fault) -> bool:
     """Tell whether the diver has acknowledged the fault as it is now: for the same reason, and not noticeably worse."""
     worsens = RULES[fault.code].worsens
     return any(
+        # The same code can have another cause, which the diver has not seen yet; only the numbers in its sentence
+        # do not count.
         (was.code, was.device, _reason(was)) == (fault.code, fault.device, _reason(fault))
         and not any(_worse(was, fault, name, by) for name, by in worsens.items())
         for was in machine.seen
@@ -520,6 +534,7 @@ def _reason(fault: Fault) -> str:
 
 def _worse(was: Fault, now: Fault, name: str, by: float) -> bool:
     if name not in was.numbers or name not in now.numbers:
+        # A number that is known only now is news; one that vanished is not.
         return name in now.numbers
     change = now.numbers[name] - was.numbers[name]
     return change >= by if by > 0.0 else change <= by

@@ -37,6 +37,8 @@ def pressed(machine: Machine, key: Key) -> Result:
         return replace(machine, off_question=None, back_spent=True), ()
     if key is Key.SCAN:
         machine = replace(machine, off_question=None)
+        # The question goes first: where a save is under way `stop` stays in the state it is in, and it would stay
+        # on its screen.
         return safety.stop(machine, Ending.POWER_OFF) if question.answer is Answer.SWITCH_OFF else (machine, ())
     other = other_answer(machine, key)
     return (machine, ()) if other is None else (replace(machine, off_question=replace(question, answer=other)), ())

@@ -66,6 +66,7 @@ def pressed(machine: Machine, key: Key) -> Result:
         return enter(machine, State.AIM), effects
     if at.task is not None:
         return machine, ()
+    # What became of the last recording stays on the screen until a key is pressed: by then it was read.
     at = replace(at, latest=None, failed=None)
     machine = replace(machine, calibrating=at)
     step = neighbour(machine, key)
@@ -89,12 +90,16 @@ def begin_session(machine: Machine) -> Result:
 def captured(machine: Machine, number: int) -> Result:
     """A recording for the step is in memory."""
     machine = _wait(machine, Task.STORE, machine.settings.saving_s, number)
+    # The worker decoded the frames while they came, and its cloud is not wanted: the artefact is looked for in
+    # the stored frames, as it will be when the calibration is solved from them.
     return machine, (do.CancelReconstruction(number), do.StoreRaw(number))
 
 
 def stored(machine: Machine, number: int) -> Result:
     """Go on once the recording's frames are on the disk."""
     at = machine.calibrating
+    # Answers carry the number of the recording: one that comes after BACK, or for the recording before, finds
+    # nobody waiting.
     if not _waits(machine, Task.STORE, number) or at is None:
         return machine, ()
     return _wait(machine, Task.EXAMINE, machine.settings.examine_s, number), (do.CheckRecording(number, at.step),)
@@ -108,6 +113,8 @@ def examined(machine: Machine, number: int, check: RecordingCheck) -> Result:
     if check.refusal is None:
         machine = _wait(machine, Task.ACCEPT, machine.settings.saving_s, number)
         machine = replace(machine, calibrating=replace(at, task=Task.ACCEPT, number=number, latest=check))
+        # The step changes with SessionChanged only, which is sent after the fsync (ADR 0020): progress is what
+        # the disk says.
         return machine, (do.AcceptRecording(number, check),)
     said = f"calibration {check.step.value}: {check.refusal.value}: {check.detail}"
     return _rest(machine, replace(at, latest=check)), (do.Reject(number, said),)
@@ -127,11 +134,15 @@ def session_changed(machine: Machine, session: Session) -> Result:
     at = machine.calibrating
     if machine.state is not State.CALIBRATE or at is None:
         return machine, ()
+    # VERIFY may be recorded again and again; `next_step` would lead to what is still to be done instead of to its
+    # result.
     if at.task is Task.ACCEPT and at.step is Step.VERIFY and session.open(Step.RESULT):
         return _rest(machine, replace(at, step=Step.RESULT)), ()
     if at.task in (Task.ACCEPT, Task.SOLVE, Task.SWITCH):
         return _rest(machine, replace(at, step=session.next_step)), ()
     if not session.open(at.step):
+        # Nobody's answer, as when a scan that the session names was moved away: the step may not be possible any
+        # more.
         return _rest(machine, replace(at, step=session.next_step)), cancelled(machine, "the session changed")
     return machine, ()
 
@@ -176,6 +187,8 @@ def late(machine: Machine) -> Result:
 def cancelled(machine: Machine, reason: str) -> tuple[do.Effect, ...]:
     """Return the effects that end the step's task; what is being written to the disk is finished all the same."""
     at = machine.calibrating
+    # ACCEPT and SWITCH are short and change the session on the disk: they run to their end, whoever left the
+    # screen.
     if at is None or at.task not in (Task.STORE, Task.EXAMINE, Task.SOLVE):
         return ()
     return do.CancelCalibration(), *_dropped(at, reason)

@@ -58,6 +58,7 @@ def offers_of(chosen: Choices, exposures: tuple[Exposure, ...], periods_px: tupl
 def another_exposure(chosen: Choices, offers: Offers, by: int) -> Choices:
     """Choose the exposure ``by`` steps brighter; from a value that is no step, the next one in that direction. Stays at
     the ends."""
+    # A proposed exposure need not be one of the menu's steps; sorted in among them, it has neighbours to go to.
     steps = sorted({*offers.exposures, chosen.exposure}, key=lambda step: step.light)
     return replace(chosen, exposure=_moved(steps, chosen.exposure, by))
 
@@ -74,6 +75,7 @@ def other_water(chosen: Choices, offers: Offers) -> Choices:
 
 def warmer(chosen: Choices, by: int) -> Choices:
     """Choose water warmer ``by`` whole degrees, within what the index is known for."""
+    # Rounded first: the rig file may state 18.4 °C, and a press leads to a whole degree.
     return replace(chosen, water_c=min(max(float(round(chosen.water_c)) + by, COLDEST_C), WARMEST_C))
 
 

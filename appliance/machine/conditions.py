@@ -51,6 +51,7 @@ def judge(machine: Machine, telemetry: Telemetry) -> Machine:
 
 
 def _leak(machine: Machine, leak: bool | None) -> Machine:
+    # A sensor that does not answer (None) is no vote; that a board fell silent is a fault of its own.
     votes = min(machine.leak_votes + 1, LEAK_HEARTBEATS) if leak else 0
     machine = replace(machine, leak_votes=votes)
     if votes < LEAK_HEARTBEATS or has(machine, FaultCode.LEAK):
@@ -63,6 +64,8 @@ def _supply(machine: Machine, supply_v: float | None) -> Machine:
     if supply_v is None or low_v is None:
         return machine
     if supply_v < low_v or (has(machine, FaultCode.SUPPLY_LOW) and supply_v < low_v + HYSTERESIS_V):
+        # Raised anew with each heartbeat, so that the number on the screen is the latest; it replaces the one
+        # before.
         return raised(
             machine, Fault(FaultCode.SUPPLY_LOW, f"{supply_v:g} V, limit {low_v:g} V", {"supply_v": supply_v})
         )
@@ -73,6 +76,7 @@ def _lasers(machine: Machine, telemetry: Telemetry) -> Machine:
     since_ns = machine.lasers_off_since_ns
     if since_ns is None or machine.now_ns - since_ns < seconds_ns(LASER_SETTLE_S):
         return machine
+    # The board reports the current that flows through the lasers, not what it was told: an order is no proof.
     lasers = telemetry.lasers
     if lasers.left_on or lasers.right_on:
         sides = " and ".join(n for n, on in (("left", lasers.left_on), ("right", lasers.right_on)) if on)

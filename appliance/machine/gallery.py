@@ -20,6 +20,7 @@ def listed(machine: Machine, scans: tuple[str, ...]) -> Result:
     at = machine.gallery
     if machine.state is not State.GALLERY or at is None:
         return machine, ()
+    # By its number, not by its place: the newest come first, so that one more scan moves all others.
     index = scans.index(at.scan_id) if at.scan_id is not None and at.scan_id in scans else 0
     return _show(machine, Gallery(scans, index))
 
@@ -28,6 +29,7 @@ def pressed(machine: Machine, key: Key) -> Result:
     """UP to newer ones, DOWN to older ones."""
     at = machine.gallery
     if at is None or key is Key.BACK:
+        # `enter` takes a menu along into GALLERY only where it was opened from there.
         return enter(machine, State.AIM if machine.menu is None else State.MENU), ()
     by = {Key.UP: -1, Key.DOWN: 1}.get(key, 0)
     index = at.index + by

@@ -28,13 +28,18 @@ def meaning(machine: Machine, key: Key) -> Key:
 
 def pressed(machine: Machine, key: Key) -> Result:
     """A key went down. ``key`` is what it stands for."""
+    # Asked before the notice is taken away: the press is about what was on the screen when the finger came down.
     known = acknowledge.pending(machine) if key is Key.BACK else None
     machine = replace(machine, notice=None, just_saved=None, last_key_ns=machine.now_ns)
     if key is Key.BACK:
+        # That a key is held is known 0.8 s after the press. In between the state may change by itself (a capture
+        # ends, a cloud is there), and what was meant for the state before must neither reject a scan nor switch
+        # off.
         machine = replace(machine, back_from=machine.state, back_spent=False)
     if known is not None:
         return acknowledge.acknowledged(machine, known), ()
     if key is not Key.SCAN:
+        # To insist is to press SCAN twice in a row: any other key takes the first press back.
         machine = replace(machine, insists_until_ns=None)
     if machine.off_question is not None:
         return asking.pressed(machine, key)
@@ -76,6 +81,8 @@ def held(machine: Machine, key: Key) -> Result:
         return machine, ()
     if machine.state in HELD_TO_REJECT and machine.back_from in HELD_TO_REJECT:
         return scanning.rejected(machine)
+    # Both sides are looked at: BOOT and SELF_TEST pass by themselves while a key is held, and still mean the
+    # same.
     if machine.state in HELD_TO_SWITCH_OFF and machine.back_from in (None, *HELD_TO_SWITCH_OFF):
         return asking.ask(machine), ()
     return machine, ()

@@ -86,11 +86,14 @@ def pressed(machine: Machine, key: Key) -> Result:
         case Key.BACK if menu.draft is not None:
             return _at(machine, replace(menu, draft=None)), ()
         case Key.BACK if menu.page is not Page.MAIN:
+            # To the row that led here, not to the first one: with gloves each row is a press.
             back = next(row for row, page in PAGES.items() if page is menu.page)
             return _at(machine, Menu(row=ROWS[Page.MAIN].index(back))), ()
         case Key.BACK:
             return enter(machine, State.AIM), ()
         case Key.SCAN if menu.draft is not None:
+            # No effect here: `step._taken` compares the choices before and after each step, so that none can be
+            # forgotten.
             return _at(replace(machine, choices=menu.draft), replace(menu, draft=None)), ()
         case Key.SCAN:
             return _chosen(machine, menu)

@@ -18,6 +18,8 @@ STARTING = (State.BOOT, State.SELF_TEST)
 
 def enter(machine: Machine, state: State, timeout_s: float | None = None) -> Machine:
     """The machine in ``state``, which ends after ``timeout_s`` at the latest."""
+    # One value serves all states, so that what a state does not own is dropped on the way into it: a scan that
+    # lingered in AIM would be shown, judged and saved from there.
     adds = machine.scan is not None and machine.scan.adding is not None
     deadline_ns = None if timeout_s is None else machine.now_ns + seconds_ns(timeout_s)
     still_asked = machine.state in STARTING and state in (State.SELF_TEST, State.AIM)

@@ -42,6 +42,7 @@ def refusal(machine: Machine) -> Fault | None:
     """Return why SCAN is refused now, the most severe reason; ``None`` when it is allowed."""
     reasons = [fault for fault in machine.conditions if RULES[fault.code].blocks_scan]
     reasons.sort(key=lambda fault: -RULES[fault.code].severity)
+    # Conditions before devices: a leak says more than the camera that it has drowned.
     return next(iter(reasons), None) or missing_device(machine) or _out_of_light(machine)
 
 
@@ -52,6 +53,7 @@ def rationed(machine: Machine) -> Fault | None:
 
 def _out_of_light(machine: Machine) -> Fault | None:
     """Return why a scan must wait where light is rationed: none is left."""
+    # Asked for the whole sequence before it begins: the ration does not end one half-way.
     left = machine.thermal.ration_s >= machine.settings.light_s(machine.choices.period_px)
     return None if left else rationed(machine)
 
@@ -68,6 +70,7 @@ def missing_device(machine: Machine) -> Fault | None:
     """The first device that a scan needs and does not have."""
     for device in NEEDED_FOR_A_SCAN:
         if device not in machine.up:
+            # Neither up nor lost: it was not tried yet, so that there is no reason to show.
             unheard = Fault(LOST_CODES[device], "not found yet", device=device.value)
             return machine.lost.get(device, unheard)
     return None
@@ -79,6 +82,8 @@ def second_exposure(machine: Machine) -> Exposure | None:
     scan = machine.scan
     if machine.state is not State.REVIEW or scan is None or scan.full is None or scan.added is not None:
         return None
+    # A second sequence is merged with the points of the first, which are wrong where something moved or
+    # flickered.
     return None if any(RULES[w.code].spoils_points for w in scan.warnings) else scan.second
 
 

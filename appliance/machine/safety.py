@@ -25,6 +25,8 @@ def forced(machine: Machine) -> Result:
     """The machine after what its conditions force, and what is to be done for it."""
     if machine.state is State.SHUTDOWN:
         return machine, ()
+    # The order is that of gravity: dark for good, the end of a recording, cooling, the order to switch off. Each
+    # looks at the machine that the one before has left.
     cause = unsafe(machine)
     if cause is not None and machine.state is not State.SAFE:
         return _to_safe(machine, cause)

@@ -19,6 +19,7 @@ RETRY_S = 5.0
 def keep(machine: Machine, scan: ScanInHand) -> Result:
     """The scan is wanted: publish it as soon as nothing more will come from the worker."""
     scan = replace(scan, kept=True, adding=None, failures=0, retry_ns=None)
+    # Publishing early would store the scan without its cloud; the wait is bounded by the worker's deadline.
     if scan.settled:
         return publish(machine, scan)
     machine = enter(machine, _where(machine), machine.settings.reconstruct_s)
@@ -41,6 +42,7 @@ def raw_stored(machine: Machine, number: int) -> Machine:
 
 def saved(machine: Machine, number: int, scan_id: str) -> Result:
     """The scan is published."""
+    # Before the number is compared: an answer that comes after its deadline still says that the disk works again.
     machine = replace(cleared(machine, FaultCode.NOT_SAVED), last_scan=scan_id)
     if machine.scan is None or machine.scan.number != number:
         return machine, ()
@@ -84,6 +86,8 @@ def retry(machine: Machine) -> Result:
         return machine, ()
     if scan.kept and not scan.publishing and scan.settled:
         return publish(machine, scan)
+    # Not wanted yet: only the raw frames are tried again, so that they are safe while the diver still looks at
+    # the cloud.
     again = replace(machine, scan=replace(scan, retry_ns=None))
     return again, () if scan.raw_durable or scan.publishing else (do.StoreRaw(scan.number),)
 

@@ -30,11 +30,13 @@ def wanted(machine: Machine) -> Result:
     """SCAN: refused with a reason, asked back outside the measuring volume, or begun."""
     reason = refusal(machine)
     if reason is not None:
+        # COOLING says how long it will take; a refusal would only say no.
         if reason.code is FaultCode.HOT and machine.state is State.AIM:
             return enter(machine, State.COOLING), ()
         return _refused(machine, reason), ()
     outside = out_of_reach(machine)
     if outside is not None and machine.insists_until_ns is None:
+        # Asked back, not refused: the distance is that of what the dots fall on, which need not be the object.
         until_ns = machine.now_ns + seconds_ns(machine.settings.insist_s)
         return replace(machine, insists_until_ns=until_ns, notice=Notice(outside, NoticeKind.NEWS)), ()
     return arm(replace(machine, retries=0))
@@ -64,6 +66,7 @@ def out_of_reach(machine: Machine) -> Fault | None:
 
 def arm(machine: Machine) -> Result:
     """Make ready for the next sequence, or for the second one of the scan in hand."""
+    # A number is never used twice: answers to a sequence that was given up carry the old one and are ignored.
     number, scan = machine.captures + 1, machine.scan
     second = scan.second if scan is not None and scan.adding is not None else None
     if scan is not None and second is not None:
@@ -89,6 +92,7 @@ def armed(machine: Machine, number: int) -> Result:
         return machine, ()
     period_px = machine.choices.period_px
     limit_s = machine.settings.capture_s(period_px)
+    # Spent before the light is on: a capture that fails half-way has cost its light all the same.
     machine = thermal.spend(machine, machine.settings.light_s(period_px))
     return enter(machine, State.CAPTURE, limit_s), (do.Capture(number),)
 
@@ -123,6 +127,8 @@ def finished(machine: Machine, number: int) -> Result:
     if machine.calibrating is not None:
         return calibrate.captured(machine, number)
     if machine.scan is not None and machine.scan.adding == number:
+        # A second sequence is not stored yet: its frames are written when the merge has succeeded (ADR 0025), so
+        # that a refused one leaves nothing to be undone.
         machine = enter(machine, State.RECONSTRUCT, machine.settings.reconstruct_s)
         return machine, (do.StartReconstruction(number),)
     machine = enter(machine, State.CHECK, machine.settings.reconstruct_s)
@@ -134,6 +140,7 @@ def failed(machine: Machine, number: int, fault: Fault) -> Result:
     """No scan came of it; a late flip is repeated once in silence."""
     if machine.state not in RECORDING or number != machine.captures:
         return machine, ()
+    # The diver could do nothing against it but press the same key again.
     if fault.code is FaultCode.LATE_FLIP and machine.retries < SILENT_RETRIES:
         return arm(replace(machine, retries=machine.retries + 1))
     machine = replace(home(machine), notice=_failure(machine, fault))
@@ -144,6 +151,7 @@ def failed(machine: Machine, number: int, fault: Fault) -> Result:
             return raised(machine, Fault(fault.code, fault.detail, device=witness)), ()
         case FaultCode.CAMERA_STUCK:
             stuck = next((device for device in Device if device.value == fault.device), None)
+            # A camera that repeats an image answers every question as if it worked: only opening it anew helps.
             return machine, (do.ReopenDevice(stuck),)
         case _:
             return machine, ()
@@ -195,6 +203,7 @@ def merged(machine: Machine, said: on.PairMerged) -> Result:
         return machine, ()
     scan = replace(
         scan, full=said.summary, coarse=said.summary, warnings=said.warnings, added=scan.second, second=None,
+        # The second frames are in memory only until StoreRaw is answered; durable is said of all of the scan.
         adding=None, proposal=None, raw_durable=False,
     )  # fmt: skip
     return replace(enter(machine, State.REVIEW), scan=scan), (do.StoreRaw(scan.number),)
@@ -247,6 +256,8 @@ def _show(machine: Machine) -> Result:
     if machine.state in (State.CHECK, State.RECONSTRUCT):
         return enter(machine, State.REVIEW), ()
     waited = machine.state in (State.SAVING, State.SAFE)
+    # A save that the disk refused has its own time (`retry_ns`), and a cloud that comes meanwhile must not hurry
+    # it.
     if waited and scan is not None and scan.settled and scan.kept and not scan.publishing and scan.retry_ns is None:
         return saving.publish(machine, scan)
     return machine, ()
@@ -281,6 +292,7 @@ def drop(machine: Machine, reason: str) -> Result:
     scan = machine.scan
     after: tuple[do.Effect, ...] = ()
     if machine.stopping is not None:
+        # The end waited for this scan's save only: with nothing left to save it follows at once.
         machine, after = saving.end(machine)
     elif machine.state is State.SAFE:
         machine = replace(machine, scan=None, deadline_ns=None)

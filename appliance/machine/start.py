@@ -30,11 +30,13 @@ def busy(machine: Machine, part: Part) -> Machine:
     deadline_ns = machine.deadline_ns
     if machine.state is not State.SELF_TEST or part in machine.parts or deadline_ns is None:
         return machine
+    # Never less than what was granted before: a sign of life must not shorten the wait.
     return replace(machine, deadline_ns=max(deadline_ns, machine.now_ns + seconds_ns(machine.settings.busy_s)))
 
 
 def finished(machine: Machine) -> bool:
     """Tell whether every device and part has a result."""
+    # Lost is a result like any other; only silence is waited for.
     heard = all(device in machine.up or device in machine.lost for device in Device)
     return heard and all(part in machine.parts for part in Part)
 
@@ -68,6 +70,8 @@ def passed_by(machine: Machine) -> Machine:
         return machine
     settings = machine.settings
     if stops(machine):
+        # Without keys nobody could press OK, and an instrument that waits for it would never get to its live
+        # pictures.
         if Device.KEYS in machine.up:
             return replace(machine, deadline_ns=None)
         shown_s = settings.keyless_s
@@ -80,6 +84,7 @@ def late(machine: Machine) -> Result:
     """Count everything that has not answered by now as failed."""
     if machine.state is State.BOOT:
         return enter(machine, State.SELF_TEST, machine.settings.self_test_s), ()
+    # A device or part that speaks up later is taken over all the same: `device_up` and `tested` ask for no state.
     for device in Device:
         if device not in machine.up and device not in machine.lost:
             machine = device_down(machine, device, Text.NO_ANSWER.english, None)

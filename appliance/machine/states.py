@@ -133,6 +133,7 @@ class Settings:
     saving_s: float = 60.0
     examine_s: float = 60.0
     solve_s: float = 300.0
+    # A mapping has no hash; left out, the frozen value that holds it still has one.
     temperatures: Mapping[str, TemperatureLimits] = field(
         default_factory=lambda: {
             "case": TemperatureLimits(50.0, 60.0, 68.0),
@@ -415,6 +416,7 @@ def boot(now_ns: int, settings: Settings | None = None) -> Machine:
         since_ns=now_ns,
         now_ns=now_ns,
         deadline_ns=now_ns + seconds_ns(settings.boot_s),
+        # Nobody has asked for lasers yet: one that conducts although this has settled is a fault.
         lasers_off_since_ns=now_ns,
     )
 

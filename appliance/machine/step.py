@@ -46,6 +46,8 @@ def _react(machine: Machine, event: on.Event) -> Result:
         case on.Tick(now_ns):
             return _tick(machine, now_ns)
         case on.KeyPressed(key):
+            # A key that is pressed is not stuck any more; what this press means was still said by the labels of
+            # before.
             return keys.pressed(replace(machine, stuck=machine.stuck - {key}), keys.meaning(machine, key))
         case on.KeyHeld(key):
             return keys.held(machine, keys.meaning(machine, key))
@@ -108,6 +110,8 @@ def _react(machine: Machine, event: on.Event) -> Result:
         case on.CalibrationFailed(failure):
             return calibrate.failed(machine, failure)
         case on.Ranged(measured):
+            # The word keeps a memory (hysteresis), so that it does not flicker where the distance lies at a
+            # limit.
             return replace(machine, range=measured, reach=reach_of(measured, machine.reach)), ()
         case on.ScansListed(scans):
             return gallery.listed(machine, scans)
@@ -124,6 +128,8 @@ def _live(machine: Machine) -> tuple[do.GoLive, object] | None:
     """The live views wanted now, with what makes it necessary to ask again."""
     if machine.state is not State.AIM and not (machine.state is State.CALIBRATE and calibrate.records(machine)):
         return None
+    # Part of the comparison only: a device that came back knows nothing of what was asked before, and is told
+    # again.
     cameras_and_lights = machine.up & {Device.CAMERA_LEFT, Device.CAMERA_RIGHT, Device.BOARD, Device.PROJECTOR}
     light = may_shine(machine) and thermal.may_aim_lit(machine)
     return do.GoLive(light, may_lase(machine), machine.exposure), (
@@ -205,6 +211,7 @@ def _tick(machine: Machine, now_ns: int) -> Result:
 
 def _counted(machine: Machine, scans: int, last_scan: str | None, scans_left: int | None) -> Machine:
     machine = replace(machine, scans=scans, last_scan=last_scan, scans_left=scans_left)
+    # Unknown is not none: a disk that does not tell must not block scans.
     if scans_left is None:
         return machine
     if scans_left > 0:

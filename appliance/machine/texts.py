@@ -21,6 +21,7 @@ def labels(machine: Machine) -> Mapping[Key, Label]:
     for broken, stand_in in ((Key.SCAN, Key.UP), (Key.BACK, Key.DOWN)):
         if broken in machine.stuck:
             label = meant.pop(broken, None)
+            # The stand-in's own meaning goes with it: a key has one meaning, and the stuck one's is needed more.
             meant.pop(stand_in, None)
             if label is not None:
                 meant[stand_in] = label
@@ -118,6 +119,7 @@ def _calibrate(machine: Machine) -> dict[Key, Label]:
         if step is not None:
             meant[key] = STEP_NAMES[step]
     if calibrate.may_begin_session(machine):
+        # RESULT is the last step: DOWN leads nowhere from it, so that its label is free for what holding it does.
         meant[Key.DOWN] = Text.HOLD_NEW
     if calibrate.records(machine):
         meant[Key.SCAN] = Text.REDO if machine.session.done(at.step) else Text.SCAN

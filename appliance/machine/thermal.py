@@ -37,6 +37,7 @@ def felt(machine: Machine, telemetry: Telemetry) -> Machine:
     """Conditions after one heartbeat's temperatures. Missing is not cold: after a while it is a condition of its own."""
     values = {"case": telemetry.temperature_case_c, "projector": telemetry.temperature_projector_c}
     for place, limits in machine.settings.temperatures.items():
+        # A place without limits in the rig file decides nothing.
         value_c = values.get(place)
         if value_c is None:
             machine = _silent(machine, place)
@@ -89,6 +90,7 @@ def remaining_s(machine: Machine) -> float | None:
         # A place that does not cool makes every estimate a guess, whatever the other places do.
         if slope is None or slope > -COOLS_C_PER_S:
             return None
+        # To where the band is left (limit less hysteresis), not to the limit itself.
         above_c = fault.numbers.get("temperature_c", 0.0) - fault.numbers.get("below_c", 0.0)
         longest_s = max(longest_s, above_c / -slope)
     return min(longest_s, LONGEST_ESTIMATE_S) if longest_s > 0.0 else None
@@ -98,6 +100,7 @@ def slope_c_per_s(trend: tuple[tuple[int, float], ...]) -> float | None:
     """Return the slope of the straight line that fits (time ns, °C) best; ``None`` with fewer than three points."""
     if len(trend) < 3:
         return None
+    # Relative to the first: the squares of ns since boot are more than a float holds exactly.
     times_s = [(time_ns - trend[0][0]) / 1e9 for time_ns, _ in trend]
     mean_s, mean_c = sum(times_s) / len(trend), sum(value for _, value in trend) / len(trend)
     spread = sum((time_s - mean_s) ** 2 for time_s in times_s)
@@ -112,6 +115,8 @@ def slope_c_per_s(trend: tuple[tuple[int, float], ...]) -> float | None:
 def _heard(machine: Machine, place: str, value_c: float) -> Machine:
     thermal, now_ns = machine.thermal, machine.now_ns
     trend = thermal.trend.get(place, ())
+    # Thinned to one value in 5 s: a minute of heartbeats would be 120 values in a state that is copied at each
+    # event.
     if not trend or now_ns - trend[-1][0] >= seconds_ns(TREND_EVERY_S):
         trend = (*(one for one in trend if now_ns - one[0] <= seconds_ns(TREND_S)), (now_ns, value_c))
     thermal = replace(thermal, heard_ns={**thermal.heard_ns, place: now_ns}, trend={**thermal.trend, place: trend})

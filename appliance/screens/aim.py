@@ -41,6 +41,7 @@ def draw_aim(canvas: Canvas, view: AimView, language: Language) -> None:
         draw_title(canvas, title.in_language(language), view.keys, language, colour)
     draw_gauge(canvas, view.gauge, GAUGE_MIDDLE_PX, language)
     width, room = LIVE_PX[0], alerts_top(canvas, view.alerts) - _TOP_PX
+    # An alert takes its room from the pictures: they are never covered, since aiming goes on under a warning.
     height = min(LIVE_PX[1], room)
     top = _TOP_PX + (room - height) / 2
     right = canvas.width - width
@@ -97,6 +98,7 @@ def _plate(
     align: Align = Align.LEFT,
 ) -> None:
     """Words on a ground of their own: what is behind may be as bright as it likes."""
+    # Never narrower than high: L and R stand in squares.
     width = max(_PLATE_PX, canvas.measure(words, CAPTION + 2, BLACK) + 20)
     left = x - align.value * width
     canvas.box(left, top, width, _PLATE_PX, ground, 10)
@@ -105,6 +107,7 @@ def _plate(
 
 def _temperature(canvas: Canvas, view: AimView, top: float) -> None:
     """Draw the temperature in the colour of its band: white, yellow, or white on red."""
+    # The colour comes from the alerts, not from limits of its own: number and warning can then never disagree.
     band = max((alert.severity for alert in view.alerts if alert.code in _ABOUT_HEAT), default=Severity.INFO)
     ground, ink = {
         Severity.INFO: (theme.INK, theme.WHITE),
@@ -123,6 +126,7 @@ def _numbers(canvas: Canvas, view: AimView, language: Language) -> None:
     )
     gap, space = 28.0, 7.0
     size = TITLE - 2
+    # German labels and a count like 98765 leave too little room for the larger type.
     total = sum(canvas.measure(n, size, BLACK) + space + canvas.measure(u, CAPTION, REGULAR) for n, u in cells) + gap
     if total > right - left:
         size, gap = BODY, 16.0

@@ -54,6 +54,8 @@ def draw_calibrate(canvas: Canvas, view: CalibrateView, language: Language, time
         artefact = Text.BALL_BAR if HELD[view.step] is ArtefactKind.BALL_BAR else Text.PLANE
         title = f"{title}  {artefact.in_language(language)}"
     draw_title(canvas, title, view.keys, language)
+    # From below to above: an alert first, over it what became of the recording, and sketches and picture share
+    # what is left.
     bottom = alerts_top(canvas, view.alerts) + (-4 if view.alerts else 8)
     free = bottom - _latest_px(view)
     if view.step in HELD:
@@ -111,6 +113,7 @@ def refusal_words(check: RecordingCheck) -> tuple[Text, Text]:
         case Refusal.TILT_MORE:
             return Text.TILT_MORE, Text.IN_DEPTH_20_50
         case Refusal.TILT_LESS:
+            # VERIFY wants the bar level: M1 and M2, from which lengths are learned, have theirs tilted in depth.
             right = Text.IN_DEPTH_15 if check.step is Step.VERIFY else Text.IN_DEPTH_20_50 if bar else Text.PLANE_35
             return Text.TILT_LESS, right
         case Refusal.TOO_NEAR | Refusal.TOO_FAR:
@@ -127,6 +130,7 @@ def refusal_words(check: RecordingCheck) -> tuple[Text, Text]:
 def _how(canvas: Canvas, step: Step, bottom: float, language: Language) -> None:
     """Two sketches side by side, and the same in words; smaller where what is below needs the room."""
     words, depth = _HOLD[step]
+    # 92 px are the caption below the sketches and two lines of words.
     size = min(_SKETCH_PX, bottom - _TOP_PX - 92.0)
     for slot, picture, left, caption in (
         ("sketch.front", sketch_front(step), 8.0, Text.FRONT),
@@ -137,6 +141,7 @@ def _how(canvas: Canvas, step: Step, bottom: float, language: Language) -> None:
             caption.in_language(language), left + _SKETCH_PX / 2, _TOP_PX + size + 22, CAPTION, REGULAR,
             theme.MUTED, Align.CENTRE, _SKETCH_PX,
         )  # fmt: skip
+    # The words and the drawing say the same from two tables: this holds them together.
     assert (depth is Text.FROM_THE_SIDE) == (step in FROM_THE_SIDE)
     lines = words.in_language(language).split(", ")
     for number, line in enumerate(lines):
@@ -179,6 +184,7 @@ def _live(canvas: Canvas, view: CalibrateView, bottom: float, language: Language
 def _latest(canvas: Canvas, view: CalibrateView, bottom: float, language: Language, time_s: float) -> None:
     """The band over the lower labels, or over an alert: what is done now, or what became of the latest recording."""
     at = view.at
+    # What this visit recorded, else what the session has of the step from before, perhaps from before a restart.
     check = at.latest or view.session.check(view.step)
     if at.task is not None:
         _working(canvas, at.task, at.progress, language, time_s, bottom)
@@ -191,6 +197,7 @@ def _latest(canvas: Canvas, view: CalibrateView, bottom: float, language: Langua
         _band(canvas, theme.GREEN, what, f"{check.points} {Text.POINTS.in_language(language)}", number, bottom)
     elif check is not None and check.refusal is not None:
         words, why = refusal_words(check)
+        # An angle is written without the space that SI puts before other units.
         number = "" if check.number is None else f"{check.number:.3g} {UNITS[check.refusal]}".replace(" °", "°")
         number = numbered(number, language)
         _band(canvas, theme.YELLOW, words.in_language(language), why.in_language(language), number, bottom)
@@ -231,6 +238,7 @@ def _solve(canvas: Canvas, view: CalibrateView, bottom: float, language: Languag
         top, low, size = (top + 84.0, 24.0, TITLE) if room > 240 else (top + 38.0, 7.0, TITLE - 6)
         said = Text.FOUR_READY.in_language(language)
         canvas.words(said, middle, top - low, size, BLACK, align=Align.CENTRE, max_width=760)
+    # Rows move together where an alert needs room; all four stay, as the diver compares them.
     pitch = min(40.0, (bottom - top - 4) / len(USED))
     size = BODY if pitch > 34 else CAPTION
     for row, step in enumerate(USED):
@@ -269,7 +277,9 @@ class _Box:
         canvas.box(self.left, self.top, _BOX_PX, self.height, theme.DEEP, 20, edge, width)
         canvas.words(name.in_language(language), self.left + 24, self.name_at, BODY, BLACK, theme.MUTED)
         text = "—" if error is None else numbered(f"{100.0 * abs(error):.3f} %", language)
+        # 76 units are the lines of name and verdict, between which the number stands.
         size = round(min(HUGE - 18.0, 0.8 * (self.height - 76)))
+        # Figures are 0.72 of the type size high: half of that below the middle is where their baseline has to be.
         level = 0.5 * (self.name_at + self.verdict_at - 26) + 0.36 * size
         canvas.words(text, self.left + _BOX_PX / 2, level, size, BLACK, align=Align.CENTRE, max_width=340)
 
@@ -302,6 +312,7 @@ def _result(canvas: Canvas, view: CalibrateView, bottom: float, language: Langua
         Text.LENGTH_ERROR.in_language(language), canvas.width / 2, top - 9, BODY, BOLD, theme.MUTED, Align.CENTRE
     )
     verified = session.verified
+    # Without anything solved the bar has checked the calibration in use: there is nothing to compare it with.
     if verified is not None and verified.after is None:
         _checked(canvas, session, _Box(215.0, top, height, used=True), below, language)
         return

@@ -151,6 +151,8 @@ class Canvas:
     def __init__(self, context: moderngl.Context, size_px: tuple[int, int]) -> None:
         self.context = context
         self.size_px = size_px
+        # The smaller of both: on a display of another shape nothing of the design is cut off, and the rest is
+        # free room.
         self.scale = min(size_px[0] / DESIGN_SIZE_PX[0], size_px[1] / DESIGN_SIZE_PX[1])
         self.width, self.height = size_px[0] / self.scale, size_px[1] / self.scale
         self._made: list[Any] = []
@@ -163,6 +165,7 @@ class Canvas:
         self._water, self._water_quad = self._program(_WATER)
         self._bar, self._bar_quad = self._program(_BAR)
         self._table = self._keep(context.texture((256, 1), 3, colour_table(), alignment=1))
+        # The variable font that OpenCV carries: no file of the system's decides how wide a word is.
         self._font = cv2.FontFace("sans")
         self._words: OrderedDict[tuple[str, int, int], _Words] = OrderedDict()
         self._images: dict[str, moderngl.Texture] = {}
@@ -186,6 +189,7 @@ class Canvas:
     def finish(self) -> NDArray[np.uint8]:
         """The picture (height, width, 3) uint8 RGB: the same memory each time. Raises DeviceGone without a context."""
         self.framebuffer.read_into(self._picture, components=3, alignment=1)
+        # Asked once for each picture: reading it back has waited for all of its drawing.
         error = self.context.error
         if error != "GL_NO_ERROR":
             raise DeviceGone("gl", f"drawing failed ({error})", "Restart the service")
@@ -233,6 +237,8 @@ class Canvas:
         if max_width is not None:
             width = self.measure(words, size, weight)
             if width > max_width:
+                # A good guess first, since each size that is measured is drawn and kept as a texture; whole
+                # pixels make widths not quite proportional.
                 size = max(CAPTION, int(size * max_width / width))
                 while size > CAPTION and self.measure(words, size, weight) > max_width:
                     size -= 1
@@ -274,6 +280,8 @@ class Canvas:
             top, height = top + (height - width / shape) / 2, width / shape
         self.pictured.append((slot, left, top, left + width, top + height))
         across, down = max(1, round(width * self.scale)), max(1, round(height * self.scale))
+        # By area, on the processor: GL would sample a few of the sixteen pixels that fall together, and fine
+        # texture would beat.
         shrink = pixels.shape[0] > down or pixels.shape[1] > across
         if shrink:
             pixels = np.asarray(cv2.resize(pixels, (across, down), interpolation=cv2.INTER_AREA), np.uint8)
@@ -284,6 +292,7 @@ class Canvas:
                 texture.release()
             texture = self._images[slot] = self.context.texture(size, components, alignment=1)
             texture.repeat_x = texture.repeat_y = False
+        # GL reads rows one behind the other; a picture may be a view into something wider.
         texture.write(np.ascontiguousarray(pixels))
         texture.use(0)
         self._image["radius"] = 10.0 * self.scale
@@ -327,6 +336,7 @@ class Canvas:
             self._words.move_to_end(key)
             return self._words[key]
         _, _, width, _ = cv2.getTextSize((0, 0), words, (0, 0), self._font, size_px, weight)
+        # 1.4 type sizes hold the dots above Ä and the tails below the baseline; the rest is for anti-aliasing.
         width_px, height_px, baseline_px = int(width) + 4, round(1.4 * size_px) + 2, size_px + 1
         mask = np.zeros((height_px, width_px), np.uint8)
         # The image is wider than the text, else the library would wrap its last letter.

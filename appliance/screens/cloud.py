@@ -167,6 +167,8 @@ class CloudPainter:
         self._half_mm = np.maximum((far - near) / 2.0, 1e-3)
         self._radius_mm = float(np.linalg.norm(self._half_mm))
         relief = Relief(points, near, far)
+        # Mean distance of neighbours on the covered area alone: holes would make the splats of a sparse cloud too
+        # large.
         self._spacing_mm = math.sqrt(relief.area_mm2 / self._number)
         packed = np.empty((self._number, 6), np.float32)
         packed[:, :3] = points
@@ -185,7 +187,9 @@ class CloudPainter:
         fit = self._focal_px(eye, room[2:])
         context = self._context
         self._buffer.use()
+        # Nearness (alpha) 0 is "nothing here": `_RESOLVE` closes gaps and darkens edges by it.
         self._buffer.clear(0.0, 0.0, 0.0, 0.0)
+        # Alpha carries the nearness in this pass; blended, it would be mixed away.
         context.disable(moderngl.BLEND)
         context.enable(moderngl.DEPTH_TEST | moderngl.PROGRAM_POINT_SIZE)
         self._points["turn"] = tuple(_turn(time_s, turn).T.ravel())
@@ -193,6 +197,7 @@ class CloudPainter:
         self._points["eye"] = eye
         self._points["focal"] = (2.0 * fit / width, 2.0 * fit / height)
         self._points["lower"] = (2.0 * room[1] + room[3]) / height - 1.0
+        # Nearly two distances wide, so that neighbouring splats overlap.
         self._points["splat"] = 1.9 * self._spacing_mm * fit
         self._colours.use(0)
         self._splats.render(moderngl.POINTS, vertices=self._number)
@@ -212,6 +217,7 @@ class CloudPainter:
         across = math.hypot(half_x, half_z * math.sin(math.radians(TURN_DEG)) * 1.5)
         down = math.hypot(half_y, half_z * math.sin(math.radians(NOD_DEG)) * 1.5)
         width, height = room_px
+        # For the nearest part of the cloud, which perspective shows largest.
         return 0.5 * FILL * min(width / across, height / down) * (eye_mm - half_z)
 
     def close(self) -> None:
@@ -239,5 +245,6 @@ def _turn(time_s: float, steps: int) -> NDArray[np.float64]:
 
 def _same(held: NDArray[np.float32], given: NDArray[np.float32]) -> bool:
     """Return True if both look at the same memory. ``held`` keeps it alive, so an equal address is the same cloud."""
+    # Addresses, not values: comparing a million points at each picture would cost more than drawing them.
     one, other = held.__array_interface__, given.__array_interface__
     return one["data"] == other["data"] and held.shape == given.shape and held.strides == given.strides

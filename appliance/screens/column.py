@@ -59,6 +59,7 @@ def many(number: int) -> str:
     """A count in at most four figures: 950, 18.3 k, 1.31 M."""
     if number < 1000:
         return str(number)
+    # Where three figures would round up to 1000 k.
     if number < 999_500:
         return f"{number / 1e3:.3g} k"
     return f"{number / 1e6:.3g} M"
@@ -90,6 +91,7 @@ def draw_verdict(canvas: Canvas, grade: Grade, doubtful: bool, top: float, langu
 
 def draw_figures(canvas: Canvas, rows: Sequence[Figure], top: float, bottom: float, language: Language) -> None:
     """Draw as many of the rows, from the first, as fit between ``top`` and ``bottom``."""
+    # The rows come with the most telling first, so that an alert takes the room of the last ones.
     fit = min(len(rows), int((bottom - top) / _LEAST_PITCH_PX))
     if fit < 1:
         return

@@ -28,6 +28,7 @@ def draw_title(
     size = TITLE
     width = canvas.measure(words, size, BLACK)
     middle = canvas.width / 2
+    # In the middle of the screen where possible: titles of different screens then stand in the same place.
     if not left + width / 2 <= middle <= right - width / 2:
         middle = (left + right) / 2
     canvas.words(words, middle, 42, size, BLACK, colour, Align.CENTRE, right - left)
@@ -141,6 +142,7 @@ def _marks(canvas: Canvas, others: Sequence[Alert], language: Language, bottom: 
     """The headlines of the other alerts, the gravest first, and how many there was no room for."""
     if not others:
         return
+    # What passes comes first, graver or not: it is what the diver can change at this moment.
     ranked = sorted(others, key=lambda alert: (not alert.passing, -alert.severity))
     x, middle, count_px = 14.0, bottom - MARKS_PX / 2, 60.0
     for place, alert in enumerate(ranked):
@@ -148,6 +150,7 @@ def _marks(canvas: Canvas, others: Sequence[Alert], language: Language, bottom: 
         headline = f"{headline}: {action}" if alert.passing else headline
         colour = theme.WHITE if alert.severity is Severity.INFO else theme.YELLOW
         more = len(ranked) - place
+        # The last mark may go to the edge; before it, room is left for the count of those that did not fit.
         if x + 26 + canvas.measure(headline, CAPTION, BLACK) > canvas.width - (16 if more == 1 else count_px):
             canvas.words(f"+{more}", x, bottom - 8, CAPTION, BLACK, colour)
             return

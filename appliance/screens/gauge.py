@@ -46,6 +46,7 @@ def draw_gauge(canvas: Canvas, gauge: Gauge | None, middle: float, language: Lan
         canvas.words(said, 16, middle + 13, TITLE - 4, BLACK, colour, max_width=left - 32)
     if distance_mm is not None:
         low, high = GAUGE_MM
+        # Held at the end of the scale, while the number beside it goes on: the mark shows the way back.
         at = left + (min(max(distance_mm, low), high) - low) / (high - low) * (right - left)
         canvas.box(at - 11, middle - 25, 22, 50, theme.INK, 11)
         canvas.box(at - 7, middle - 21, 14, 42, theme.WHITE if word is Reach.OK else theme.YELLOW, 7)
@@ -74,6 +75,7 @@ def _scale(canvas: Canvas, word: Reach | None, middle: float) -> None:
     canvas.box(left + (MIDDLE_MM - low) * per_mm - 2, middle - 13, 4, 26, theme.INK if inside else theme.MUTED)
 
 
+# By whole degrees, so that an icon is drawn anew only where it would look different.
 @lru_cache(maxsize=8)
 def tilt_icon(tilt_deg: int | None) -> NDArray[np.uint8]:
     """(h, w) uint8: the instrument below, the surface above, seen from above; turned as it is in the water."""

@@ -32,6 +32,7 @@ def draw_marks(
     colour = theme.WHITE if seen else theme.YELLOW
     for track in tracks:
         for end in (track.near, track.far):
+            # Each mark has a dark rim: the live picture behind it may be white or black.
             _dot(canvas, end, left, top, width, height, _END_PX + 2 * 2.0, theme.INK, None)
             _dot(canvas, end, left, top, width, height, _END_PX, colour, None)
         _dot(canvas, track.middle, left, top, width, height, _RING_PX + 2.0, _NOTHING, theme.INK)

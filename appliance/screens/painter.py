@@ -71,6 +71,8 @@ class Painter:
         """May be changed between two drawings."""
         with context:
             self._canvas = Canvas(context, size_px)
+            # As high as the screen: a cloud that turns out of its room is not cut off at a line, and labels are
+            # drawn over it.
             self._cloud = CloudPainter(context, self._canvas.pixels(0, 0, CLOUD_PX, self._canvas.height)[2:])
 
     def __enter__(self) -> Self:
@@ -92,6 +94,8 @@ class Painter:
             return None
         with self._context:
             self._canvas.begin(theme.INK)
+            # At time 0 the cloud stands as the camera saw it, so that a scan's stored picture does not depend on
+            # when it was made.
             left, top, width, height = self._canvas.pixels(0, BAR_PX, CLOUD_PX, self._canvas.height - 2 * BAR_PX)
             self._cloud.draw(self._canvas.framebuffer, (left, top, width, height), 0.0)
             return self._canvas.finish()[top : top + height, left : left + width].copy()
@@ -148,6 +152,7 @@ class Painter:
                     draw_shutdown(canvas, view, language, time_s)
                 case _:
                     assert_never(view)
+            # Last, over everything: no screen can cover a warning or the meaning of a key.
             draw_alerts(canvas, view.alerts, language, time_s)
             draw_key_labels(canvas, view.keys, language, dim, urgent | acknowledges(view.keys))
             return canvas.finish()

@@ -18,6 +18,7 @@ class Relief:
 
     def __init__(self, points: NDArray[np.float32], low: NDArray[np.float64], high: NDArray[np.float64]) -> None:
         across_mm, down_mm = np.maximum(high[:2] - low[:2], 1e-3)
+        # As fine as the cloud allows: about four points in each cell if they covered the whole box.
         cell_mm = float(np.sqrt(across_mm * down_mm * POINTS_PER_CELL / len(points)))
         self._cell_mm = max(cell_mm, across_mm / MAX_CELLS, down_mm / MAX_CELLS)
         self._low = low[:2]
@@ -29,6 +30,8 @@ class Relief:
         total = np.bincount(at, weights=points[:, 2], minlength=size).reshape(shape)
         self.area_mm2 = max(1, int(np.count_nonzero(number))) * self._cell_mm**2
         """Area that the points cover as seen along z; holes do not count."""
+        # Sums and counts are smoothed apart and divided then, so that a cell without points takes no part in the
+        # mean.
         weight = np.asarray(cv2.blur(number.astype(np.float64), (3, 3)), np.float64)
         height = np.asarray(cv2.blur(total, (3, 3)), np.float64)
         self._height = np.divide(height, weight, out=np.full(shape, np.nan), where=weight > 0.0)

@@ -49,6 +49,7 @@ def _legend(canvas: Canvas, span: tuple[float, float], view: ReviewView, languag
     low, high = (f"{value:.0f}" for value in span)
     left, right = room_between(canvas, view.keys, language, bottom=True)
     high_px, unit_px = canvas.measure(high, CAPTION, BOLD), canvas.measure(unit, CAPTION, REGULAR)
+    # Both ends' numbers first, the bar gets what is left: colours without values would say nothing.
     bar_px = min(_LEGEND_PX, right - left - canvas.measure(low, CAPTION, BOLD) - high_px - unit_px - 22)
     baseline = canvas.height - 20
     if bar_px < 40:

@@ -56,6 +56,7 @@ def _devices(canvas: Canvas, devices: Sequence[DeviceLine], bottom: float, langu
         pitch = min(64.0, (bottom - top) / _ROWS)
         heights = [pitch] * len(lines)
         if pitch < _LEAST_DETAIL_PX:
+            # Rows of equal height would have no room for any reason; of those that failed the diver needs it.
             reasons = [bool(line.detail) and line.result is DeviceResult.FAILED for line in lines]
             pitch = (bottom - top - _DETAIL_PX * sum(reasons)) / _ROWS
             if pitch >= _LEAST_DETAIL_PX - _DETAIL_PX:

@@ -41,6 +41,7 @@ FROM_THE_SIDE = frozenset({Step.M2, Step.M3, Step.M4})
 def sketch_front(step: Step) -> Picture:
     """(h, w) uint8: what the instrument sees, in true perspective. ``step`` is one that records."""
     points, radii = _shape(step)
+    # Pinhole: an object of FIELD_MM at 500 mm is as wide as the sketch.
     focal = SCALE * SIZE_PX[0] * 500.0 / FIELD_MM
     middle = 0.5 * SCALE * np.array(SIZE_PX)
     seen = middle + focal * points[:, :2] / points[:, 2:]
@@ -89,6 +90,7 @@ def _shape(step: Step) -> tuple[Array, Array]:
         local = np.array([[-HALF_BAR_MM, 0.0, 0.0], [HALF_BAR_MM, 0.0, 0.0]])
     for axis, degrees in enumerate(turns):
         c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+        # The plane of each rotation in the order that keeps it right-handed: y-z, z-x, x-y.
         i, j = ((1, 2), (2, 0), (0, 1))[axis]
         turn = np.eye(3)
         turn[i, i] = turn[j, j] = c

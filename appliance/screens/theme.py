@@ -35,7 +35,9 @@ class Colour:
     def luminance(self) -> float:
         """Relative luminance 0..1 (WCAG 2.2): what is left in grey."""
         linear = [
-            c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in (self.red, self.green, self.blue)
+            # sRGB to linear light (IEC 61966-2-1), weighted with the sensitivity of the eye (ITU-R BT.709).
+            c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4
+            for c in (self.red, self.green, self.blue)
         ]
         return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
 
