@@ -14,6 +14,7 @@ class ChecksumError(ValueError):
 
 def digest(content: Mapping[str, Any]) -> str:
     """SHA-256 (hex) of the compact form with sorted keys."""
+    # Of the content, not of the file's bytes: indentation and the order of keys may change without the checksum.
     return hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
@@ -28,10 +29,12 @@ def checked_content(data: bytes, max_bytes: int) -> dict[str, Any]:
         raise ChecksumError(f"{len(data)} bytes; at most {max_bytes} are allowed")
     try:
         content = json.loads(data)
+    # Deeply nested brackets, which damage can make of anything, end Python's parser with a RecursionError.
     except (ValueError, RecursionError) as error:
         raise ChecksumError(f"not readable as JSON ({type(error).__name__}: {error})") from error
     if not isinstance(content, dict):
         raise ChecksumError(f"a JSON object was expected, not {type(content).__name__}")
+    # Taken out first, as it was not there when the sum was made.
     stated, actual = content.pop("sha256", None), digest(content)
     if stated != actual:
         raise ChecksumError(f"checksum {str(stated)[:80]!r}, but the content has {actual}: it was changed or damaged")

@@ -53,6 +53,7 @@ def calibration_of(rig: Rig) -> tuple[Calibration, tuple[Fault, ...]]:
     if problem is None:
         return calibration or design_of(rig), ()
     calibration, detail = None, problem.reason
+    # Their names begin with a number that only grows, so that the latest that fits is found first.
     for kept in sorted((rig.storage.root / KEPT).glob("*.json"), reverse=True):
         found, unfit = _usable(rig, kept)
         # After a camera was exchanged, one that does not say which cameras it is of is most likely of those that left.
@@ -62,6 +63,7 @@ def calibration_of(rig: Rig) -> tuple[Calibration, tuple[Fault, ...]]:
     log.warning("uncalibrated: %s", detail)
     device = None
     if problem.exchanged:
+        # Named for the diver's sake: the alert then says which camera was exchanged.
         device = f"camera.{problem.exchanged[0]}" if len(problem.exchanged) == 1 else "cameras"
     return calibration or design_of(rig), (Fault(FaultCode.UNCALIBRATED, detail, device=device),)
 
@@ -159,6 +161,7 @@ def pointers_of(rig: Rig) -> Pointers | None:
 def live_light_of(rig: Rig) -> NDArray[np.uint8]:
     """Return what the projector shows in the live views, (h, w) uint8."""
     d, out = rig.design, rig.projector
+    # As drawn: the calibration knows the cameras alone, and the dark lanes are wide enough for that (ADR 0024).
     f_px = 1000.0 * d.projector_principal_distance_mm / d.projector_pixel_um
     lens = Lens((f_px, f_px), ((out.width_px - 1) / 2.0, (out.height_px - 1) / 2.0))
     port = Port((0.0, 0.0, 1.0), d.port_distance_mm, d.port_thickness_mm, d.port_index)
@@ -173,6 +176,7 @@ def water_of(rig: Rig) -> Water:
 
 def noise_of(rig: Rig, exposure: Exposure | None = None) -> StereoNoise:
     """The noise of both cameras, by default at the gain the rig file sets, else at ``exposure``'s."""
+    # Steps of exposure set both cameras to the same gain; what the right one's differs by in the rig file is kept.
     more_db = 0.0 if exposure is None else exposure.gain_db - rig.camera.left.gain_db
 
     def of(camera: CameraRig) -> CameraNoise:

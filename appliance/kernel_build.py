@@ -90,6 +90,7 @@ def compile_pieces(
         return
     begun_s = time.monotonic()
     folder.mkdir(parents=True, exist_ok=True)
+    # Looked at twice: who waited for the lock finds that the other process has done the work.
     with _alone(folder / LOCK, lambda: said(Compiling(0, 0, (), time.monotonic() - begun_s))):
         left = missing(folder, pieces)
         if left:
@@ -112,6 +113,7 @@ def build(
         compile_pieces(making, pieces, said, processor)
         (making / COMPLETE).touch()
         making.chmod(0o755)
+        # Made elsewhere and renamed, so that nobody can read a half-filled folder; two at once are equal, and one wins.
         with suppress(FileExistsError):
             shutil.rmtree(folder, ignore_errors=True)
             making.rename(folder)
@@ -128,7 +130,10 @@ class _Team:
     ) -> None:
         self._folder, self._said, self._begun_s = folder, said, begun_s
         self._processor = processor
+        # Not fork: it copies locks that other threads hold, and none of the threads that would release them.
         self._context = multiprocessing.get_context("spawn")
+        # Taken from the end, so that pieces are begun in the order in which they were given: the ones needed first,
+        # first.
         self._left = list(reversed(pieces))
         self._of = len(pieces)
         self._done = 0
@@ -160,6 +165,8 @@ class _Team:
             mine, theirs = self._context.Pipe()
             process = self._context.Process(target=_serve, args=(theirs, self._folder, self._processor), daemon=True)
             process.start()
+            # This side's copy of their end: left open, the pipe would not end with the process, and its death not be
+            # noticed.
             theirs.close()
             self._give(mine, process)
 
@@ -184,6 +191,7 @@ class _Team:
         del self._working[pipe]
         if error is None:
             self._done += 1
+            # Marked only when done and one by one: an interrupted start goes on where it was.
             _mark(self._folder, piece).write_text(stamps(), encoding="ascii")
         else:
             self._failed.append(f"{piece.what}: {error}")

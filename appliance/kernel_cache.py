@@ -99,6 +99,7 @@ def fingerprint(processor: Processor | None = None) -> str:
     for name, path in _kernel_files():
         digest.update(name.encode() + b"\0" + path.read_bytes() + b"\0")
     versions = [metadata.version(package) for package in ("numba", "llvmlite", "numpy")]
+    # Each of them can make other machine code of the same kernel.
     parts = (sys.version, platform.machine(), *versions, processor.name, processor.features)
     digest.update("\0".join(parts).encode())
     return digest.hexdigest()[:16]
@@ -140,6 +141,7 @@ def shipped_folder() -> Path:
 def writable_folder(environment: Mapping[str, str]) -> Path:
     """The service's cache directory, else the source tree's, else the user's, else one that lasts until the machine is
     switched off."""
+    # Set by systemd (CacheDirectory=), where the service may write although the root is read-only.
     if environment.get("CACHE_DIRECTORY"):
         return Path(environment["CACHE_DIRECTORY"].split(":")[0]) / "kernels"
     tree = _PROGRAM.parent
@@ -157,6 +159,7 @@ def use(shipped: Path | None = None, writable: Path | None = None) -> KernelCach
     Never fails: without a place that can be written and trusted, the kernels go to a new temporary one.
     """
     given = os.environ.get(VARIABLE)
+    # A folder with our own fingerprint was set by `./dev` or by a parent process: it is kept up like any other.
     if given and Path(given).name != fingerprint():
         return KernelCache(Path(given), Origin.GIVEN)
     if given:
@@ -205,6 +208,7 @@ def point_at(folder: Path, processor: Processor | None = None) -> None:
 def _fill(folder: Path, source: Path) -> Origin:
     """Make ``folder`` usable; raises OSError when it cannot be, or when somebody else could have put kernels there."""
     folder.parent.mkdir(parents=True, exist_ok=True)
+    # mkdir with the mode, not chmod after it: in between somebody else could write into a folder of /tmp.
     with suppress(FileExistsError):
         folder.mkdir(mode=_PRIVATE)
     _refuse_unless_private(folder)

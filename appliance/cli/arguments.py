@@ -103,6 +103,8 @@ def declare(verb: type[Verb], parser: argparse.ArgumentParser) -> None:
     """Give ``parser`` an argument for each field of ``verb``, those of its base classes first."""
     groups: dict[str, argparse._MutuallyExclusiveGroup] = {}
     for one in fields(verb):
+        # A field without it cannot be typed: KeyError, as soon as the verb is first asked for, where a field forgot to
+        # say how.
         typed: _Typed = one.metadata[_KEY]
         if typed.either is not None and typed.either not in groups:
             groups[typed.either] = parser.add_mutually_exclusive_group()
@@ -119,6 +121,8 @@ def collect(verb: type[V], typed: argparse.Namespace) -> V:
     found = {one.name: getattr(typed, one.name) for one in fields(verb)}
     for one in fields(verb):
         if found[one.name] is None:
+            # None is what argparse leaves where nothing was typed: the default for most fields, but for a repeated
+            # option an empty tuple.
             found[one.name] = () if one.default == () else None
         elif isinstance(found[one.name], list):
             found[one.name] = tuple(found[one.name])
@@ -132,6 +136,8 @@ def whole(low: int, high: int) -> Callable[[str], int]:
     """A parser of whole numbers ``low`` to ``high``, at most nine digits."""
 
     def parse(text: str) -> int:
+        # Judged as text first: int() takes "٣", "1_000" and " 5 " as well, and refuses more than 4300 digits with an
+        # error of its own.
         digits = text.lstrip("0") or "0"
         if not (text.isascii() and text.isdigit() and len(digits) <= _MOST_DIGITS and low <= int(digits) <= high):
             raise argparse.ArgumentTypeError(f"{text}: allowed are whole numbers {low}..{high}")
@@ -156,6 +162,7 @@ def _judged(fits: Callable[[float], bool], allowed: str) -> Callable[[str], floa
         try:
             value = float(text)
         except ValueError:
+            # NaN fits no range, and so does "nan" where it is typed: both end in the same line.
             value = math.nan
         if not fits(value):
             raise argparse.ArgumentTypeError(f"{text}: allowed are {allowed}")

@@ -59,6 +59,7 @@ class CalibrateWater(WithRoot):
         method = Method(self.method)
         target = self.out or DEFAULT_OUT
         page, data = (target.with_name(f"{target.stem}-report{ending}") for ending in (".html", ".json"))
+        # All that can be refused is refused before the checksums are read: those alone take seconds per scan.
         for path in (target, page, data):
             writable(path)
         if self.install and method is Method.PAPER_RM_PRINTED:
@@ -101,9 +102,12 @@ class CalibrateWater(WithRoot):
         files = {page: made.as_html().encode(), data: text.encode()}
         if made.result.can_be_saved:
             files[target] = calibration_file.encode(made.result.calibration)
+        # The report first, the calibration last: one that is there has its report beside it.
         for path, written in files.items():
             with writing(path):
                 replace_file(LocalFileSystem(), path, written)
+        # Made without one of its scans it may be a good calibration, but not the one that was asked for: a person has
+        # to decide.
         installed = self.install and not made.left_out
         if installed:
             with hold_lock(rig.storage.root):

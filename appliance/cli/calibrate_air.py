@@ -71,6 +71,8 @@ class CalibrateAir(WithRoot):
             design = None if self.board is None else parse_board(self.board)
             if self.live:
                 self._record(rig, design)
+            # The board that the views were recorded with is written beside them, so that nobody has to remember its
+            # size.
             begun = read_session(self.folder)
             design = design or (begun[1] if begun is not None else BoardDesign())
             with Progress() as progress, writing(target):

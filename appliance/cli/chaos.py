@@ -34,10 +34,13 @@ def chaos(rig: Rig, options: SimOptions, wanted: Chaos, dive: Callable[[Rig, Sim
     if options.script is not None or options.window:
         raise UsageError("--chaos: its diver holds the instrument; leave --script and --window out")
     root = options.root or rig.storage.root
+    # Scans of before would be counted as saved by this dive, and its losses would be hidden among them.
     if (root / "scans").exists():
         raise UsageError(f"--root {root}: holds scans already; chaos counts what it left, so give a new folder")
     with tempfile.TemporaryDirectory(prefix="kingfisher-chaos-") as folder:
         report = Path(folder) / "report.json"
+        # The world says what it told the diver in a file of its own: only by that, not by the instrument's word, is the
+        # disk judged.
         chosen = {OPTION: {"seed": wanted.seed, "scans": wanted.scans, "report": str(report)}, "stills": True}
         world = replace(rig.rig, wires_options={**rig.rig.wires_options, **chosen})
         ended = dive(replace(rig, rig=world), options)
@@ -49,6 +52,7 @@ def chaos(rig: Rig, options: SimOptions, wanted: Chaos, dive: Callable[[Rig, Sim
         for key, value in result.items():
             say(f"{key:<12} {_short(value)}")
     whole = not (result["lost"] or result["damaged"] or result["unexplained"])
+    # How the service ended comes before what the comparison found: after a crash the rest is its consequence.
     return ended if ended is not Exit.OK else Exit.OK if whole else Exit.FAILED
 
 

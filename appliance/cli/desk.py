@@ -99,6 +99,7 @@ def writing(path: Path) -> Iterator[None]:
     try:
         yield
     except (StorageError, OSError) as error:
+        # StorageError has its own remedy; a bare OSError (a vanished folder, say) gets one by its number.
         if isinstance(error, StorageError):
             reason, remedy = error.reason, error.remedy
         else:

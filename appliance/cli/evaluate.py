@@ -32,6 +32,7 @@ class Evaluate(WithCalibration):
         wish = self.wish()
         page = self.out or DEFAULT_OUT
         data = page.with_suffix(".json")
+        # `--out x.json` would be overwritten by the JSON that stands beside the page.
         if data == page:
             raise UsageError(
                 f"--out {page}: the JSON is written beside the page; give the page's name, for example x.html"

@@ -99,6 +99,7 @@ class AcceptHealth(WithRoot):
                 f"REPORT {self.report}: largest E_L of the ball bar is {worst:.3f} %; allowed are up to {self.at_most_percent:g} %: "
                 "calibrate again, or state another limit with --at-most-percent"
             )
+        # The running service keeps the trend in memory and would write it over this answer.
         with hold_lock(root):
             file = HealthFile(root, calibration.hash)
             trend = file.read()
@@ -127,11 +128,13 @@ def _content(report: Path, calibration_hash: str) -> dict[str, Any]:
         with report.open("rb") as file:
             content: dict[str, Any] = json_form.loads(file.read(MAX_BYTES))
         used = content["about"]["calibration"]
+        # Read and thrown away: what is missing is found here, under this error, and not by whoever needs it later.
         content["summary"]["e_l_ball_bar_percent"], [(one["scan"], one["artefact"]) for one in content["scans"]]
     except OSError as error:
         raise UsageError(f"REPORT {report}: cannot be read ({error.strerror}); {wanted}") from error
     except (ValueError, KeyError, TypeError) as error:
         raise UsageError(f"REPORT {report}: is no report of an evaluation; {wanted}") from error
+    # A length that is right with another calibration says nothing about the one the alarm is about.
     if used != calibration_hash:
         raise UsageError(f"REPORT {report}: it was made with calibration {used!s:.16}; evaluate with the one in use")
     return content
@@ -139,6 +142,7 @@ def _content(report: Path, calibration_hash: str) -> dict[str, Any]:
 
 def _worst_percent(report: Path, content: dict[str, Any]) -> float:
     worst = content["summary"]["e_l_ball_bar_percent"]
+    # JSON's true is a bool, which Python counts among the integers: it would pass as an error of 1 %.
     if isinstance(worst, bool) or not isinstance(worst, int | float) or content.get("complete") is not True:
         raise UsageError(f"REPORT {report}: no ball bar was measured in it; scan the ball bar and evaluate again")
     return float(worst)
@@ -148,6 +152,7 @@ def _recorded_since(report: Path, content: dict[str, Any], trend: HealthTrend) -
     """Lengths of before the alarm say nothing about the instrument of now."""
     from appliance.evaluation.result import Artefact
 
+    # Scans are numbered in the order of recording, and the clock may be wrong: before and after go by the number.
     first = next((point.scan for point in trend.points if point.alarm and point.scan is not None), None)
     bars = [str(one["scan"]) for one in content["scans"] if one["artefact"] == Artefact.BALL_BAR.value]
     old = [scan for scan in bars if first is not None and not (scan.isdigit() and int(scan) >= int(first))]

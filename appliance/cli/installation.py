@@ -38,6 +38,8 @@ class Warm(Verb):
         target = self.out or kernel_cache.shipped_folder()
         with Progress() as progress:
             try:
+                # DESK contains INSTRUMENT: an installation serves both, and neither shall compile before somebody's
+                # eyes.
                 folder = kernel_build.build(target, DESK, progress, kernel_cache.COMMON if self.common else None)
             except OSError as error:
                 raise UsageError(

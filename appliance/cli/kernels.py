@@ -48,6 +48,7 @@ def compile_desk_kernels() -> None:
 
 
 def _compile(cache: KernelCache, pieces: Sequence[Piece]) -> None:
+    # Whoever set NUMBA_CACHE_DIR keeps that folder up to date (ADR 0019).
     if cache.origin is Origin.GIVEN or not missing(cache.path, pieces):
         return
     try:
@@ -71,6 +72,7 @@ class Progress:
         self._last = now
         text = _sentence(now)
         if self._stream.isatty():
+            # Padded to the length of the line before, else the rest of a longer one would stay behind it.
             self._stream.write("\r" + text.ljust(self._shown))
             self._stream.flush()
             self._shown = len(text)
@@ -92,6 +94,7 @@ class Progress:
 
 
 def _sentence(now: Compiling) -> str:
+    # Nobody here compiles anything then: the lock is another process's.
     if not now.what:
         return f"another process is compiling the same kernels; waiting for it, {now.seconds:.0f} s"
     return f"compiling, once: {now.done} of {now.of} done; {', '.join(now.what)}; {now.seconds:.0f} s"

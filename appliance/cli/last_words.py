@@ -20,6 +20,7 @@ MOST_CHARACTERS = 600
 def last_words(environment: Mapping[str, str]) -> Iterator[None]:
     """Write down the error that ends the block, and let it go on. Nothing where ``environment`` is not a service's."""
     folder, invocation = environment.get("RUNTIME_DIRECTORY"), environment.get("INVOCATION_ID")
+    # Both are set by systemd; a person who starts the service reads the error on the terminal.
     if not folder or not invocation:
         yield
         return
@@ -29,6 +30,7 @@ def last_words(environment: Mapping[str, str]) -> Iterator[None]:
     try:
         yield
     except Exception as error:
+        # With systemd's number of this start, so that the safe screen never shows the words of an earlier one.
         said = {"invocation": invocation, "kind": _kind(error), "text": _text(error)}
         with suppress(OSError):
             path.write_text(json.dumps(said) + "\n", encoding="utf-8")

@@ -40,6 +40,7 @@ def number(key: str, value: float) -> str:
     if key.endswith("_percent") and abs(value) >= 1.0:
         return f"{value:.2f}"
     digits = next((more for word, more in _MORE.items() if word in key), DIGITS)
+    # `g` would write 12345 as 1.234e+04, which nobody reads as a number of µm.
     if abs(value) >= 10.0 ** (digits - 1) and abs(value) >= _WHOLE_FROM:
         return f"{value:.{max(0, digits - len(str(int(abs(value)))))}f}"
     return f"{value:.{digits}g}"

@@ -71,6 +71,7 @@ class _Parser(argparse.ArgumentParser):
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Parse like the base class, once the verb is loaded and its arguments are declared; ``--help`` comes here, too."""
         if self._listed is not None:
+            # Not before: with every verb loaded, `kingfisher version` took half a second of CPU (ADR 0035).
             verb = self._listed.load()
             self._listed = None
             self.epilog = _exit_codes(*verb.codes)
@@ -79,6 +80,7 @@ class _Parser(argparse.ArgumentParser):
         return super().parse_known_args(args, namespace)
 
     def error(self, message: str) -> NoReturn:
+        # argparse failed, so that nothing was parsed: whether JSON is wanted can only be looked for among the words.
         complain(f"{message}; see `{self.prog} --help`", as_json="--json" in sys.argv[1:])
         raise SystemExit(Exit.USAGE)
 

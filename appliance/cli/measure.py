@@ -37,6 +37,7 @@ class MeasureResponse(WithRoot):
         from appliance.instrument import RESPONSE_FILE
         from appliance.offline.measuring import response_of_scan
 
+        # Asked again below for the default place, which is known only once the scan has said of which instrument it is.
         _never_replaced(self.out)
         with Progress() as progress:
             progress("comparing checksums")
@@ -61,6 +62,7 @@ class MeasureResponse(WithRoot):
             "scan": found.made_from[0],
             "pixels": measured.pixels,
             "residual_percent": 100.0 * measured.residual,
+            # Relative to the fundamental: order k of the fringe's Fourier series in percent, from the second on.
             "harmonics_percent": [100.0 * b / fringes[1] for b in fringes[2:SHOWN_HARMONICS]],
             "phase_error_deg": math.degrees(measured.phase_error_rad),
             "hash": found.response.hash,

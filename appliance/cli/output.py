@@ -95,6 +95,7 @@ class Progress:
 
     def __call__(self, what: str, fraction: float | None = None) -> None:
         """Say what is being done now, and how much of the whole is done (0..1)."""
+        # In a file or a pipe a line that rewrites itself would be one long line of carriage returns.
         if not self._stream.isatty() or self._now_s() - self._start_s < PROGRESS_AFTER_S:
             return
         text = what if fraction is None else f"{what} {100 * fraction:3.0f} %"

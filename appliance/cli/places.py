@@ -58,6 +58,7 @@ class WithRoot(WithRig):
         from appliance.offline.origin import Wish
 
         return Wish(
+            # Not the packaged rig file instead: a scan brings its own, and a default would pass for somebody's wish.
             rig=None if self.rig is None else load_rig(self.rig),
             root=None if self.root is None else given_root(self.root),
         )
@@ -76,6 +77,8 @@ class WithCalibration(WithRoot):
     def wish(self) -> Wish:
         """Return the wish of ``WithRoot`` with the choice of a calibration. Raises ConfigError, UsageError."""
         return replace(
+            # By name: a dataclass with slots is made anew, so that `super()` without arguments would look in the class
+            # of before.
             WithRoot.wish(self),
             calibration=self.calibration,
             current=self.current,
@@ -94,6 +97,7 @@ def given_root(root: Path) -> Path:
 
 def scan_folder(scan: str) -> Path | None:
     """The folder that ``scan`` names; ``None`` where it is a number. Raises UsageError for a folder that is not there."""
+    # A bare word is a number unless a folder of that name lies here; with a slash it can only be a folder.
     if "/" not in scan and not Path(scan).is_dir():
         return None
     if not Path(scan).is_dir():

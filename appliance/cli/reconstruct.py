@@ -28,6 +28,7 @@ class Reconstruct(WithCalibration):
         measuring(wish.calibration)
         with Progress() as progress:
             progress("comparing checksums")
+            # Salvaging wants damaged scans, and looks for the damage by itself.
             folder = scan_in(wish, self.scan) if self.salvage else whole_scan(wish, self.scan)
             compile_desk_kernels()
             from appliance.offline.reconstruct import reconstruct_scan
@@ -36,6 +37,7 @@ class Reconstruct(WithCalibration):
             salvaged = salvage(folder) if self.salvage else None
             source = taken(folder, wish, None if salvaged is None else salvaged.scan)
             chosen = calibration_for(source, wish)
+            # Without --out nothing is written; the name is only what an error would speak of.
             with writing(self.out or Path(f"{folder.name}.ply")):
                 report = reconstruct_scan(source, chosen, self.out, progress, salvaged)
         if self.json:

@@ -55,6 +55,7 @@ class ShowScan(WithRoot):
 
     def run(self) -> Exit:
         """Raises UnknownScan, UsageError."""
+        # A folder that was copied somewhere is shown without any storage root or rig file.
         folder = scan_folder(self.scan) or Library(self.existing_root()).entry(self.scan).folder
         entry = entry_of(folder, checksums=False)
         full = {**_brief(entry), "manifest": None if entry.manifest is None else as_json(entry.manifest)}
@@ -110,6 +111,7 @@ def _with_frames_named(entry: ScanEntry) -> ScanEntry:
         return entry
     from appliance.storage.damage import damaged_frames  # looks into frames, which a list can do without
 
+    # The checksum of the file said that something is wrong; the CRC of each frame says in which image (ADR 0033).
     frames = {one.file: str(one) for one in damaged_frames(entry.folder, entry.manifest)}
     return replace(entry, problems=tuple(frames.get(text.partition(":")[0], text) for text in entry.problems))
 

@@ -95,6 +95,7 @@ def _move(root: Path, scan_ids: Sequence[str], move: Callable[[str], Path], *, j
     library = Library(root)
     with hold_lock(root):
         for scan_id in scan_ids:
+            # All numbers before the first move: a typing error in the last one must not leave half of them moved.
             library.entry(scan_id)
         moved = [move(scan_id) for scan_id in scan_ids]
     if json:

@@ -84,9 +84,11 @@ def simulated(rig: Rig, options: SimOptions) -> Rig:
         "object": options.object_name,
         "texture": options.texture,
         "seed": options.seed,
+        # Lock-step goes as fast as it can between two sequences, and no person keeps up with that (ADR 0017).
         "pace": options.pace or ("attended" if options.window else None),
         "window": options.window or None,
         "console": options.console or None,
+        # Added to those of the rig file, where all other options take the place of what it says.
         "faults": [*wires.get("faults", []), *options.faults] if options.faults else None,
     }
     wires |= {name: value for name, value in chosen.items() if value is not None}
@@ -115,5 +117,6 @@ def _resized(rig: Rig, size: str) -> Rig:
         left=replace(rig.camera.left, width_px=width_px, height_px=height_px),
         right=replace(rig.camera.right, width_px=width_px, height_px=height_px),
     )
+    # Focal length in px = principal distance / pixel: with the sensor's size kept, the angles stay.
     design = replace(rig.design, pixel_um=rig.design.pixel_um * old.width_px / width_px)
     return replace(rig, camera=cameras, design=design)

@@ -41,6 +41,7 @@ def bring_calibration(rig: Rig) -> None:
     """
     path = rig.storage.root / CALIBRATION_FILE
     options = rig.rig.wires_options
+    # In air the windows refract otherwise: what is true there is no calibration to measure in water with.
     nominal = options.get("truth") == KNOWN_SET and options.get("medium", "water") == "water"
     if nominal and not _calibrated_before(path.parent):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -89,6 +90,7 @@ def _camera(eye: Mapping[str, Any], left: Mapping[str, Any]) -> HousedCamera:
     to_left: NDArray[np.float64] = np.array(left["R"]).T
     rotation = to_left @ np.array(eye["R"])
     t_mm = to_left @ (np.array(eye["t_mm"]) - np.array(left["t_mm"]))
+    # Plain floats: a calibration's hash is that of its JSON.
     a, b, c = ((float(row[0]), float(row[1]), float(row[2])) for row in rotation)
     port = eye["port"]
     return HousedCamera(

@@ -22,6 +22,7 @@ class Listed:
 
     def load(self) -> type[Verb]:
         """The verb's class."""
+        # By its name as text, since an import at the head of this file would load every verb.
         module, _, name = self.at.partition(":")
         found: type[Verb] = getattr(importlib.import_module(f"appliance.cli.{module}"), name)
         return found
