@@ -1,7 +1,7 @@
 """Owns what one camera's live images say of a scan that would be taken now: too dark, too turbid, moving too fast.
 
 A scan lives on fringes, that is on contrast that the object shows. Whatever lies before the instrument shows some in the live
-views, too: its paint and its outline, and the dark lanes of the live light (``ranging_light``) on anything. The water's glow
+views, too: its paint and its outline, and the dark lanes of the live light (``appliance.ranging.expected_light``) on anything. The water's glow
 shows none. So the *detail* of a live image, in grey values, is about the light that fringes would have; where it is missing, what is
 left tells darkness from turbid water. How fast hands move follows from corners that are followed from one image to the
 next. What the live light makes (its lanes, its border) stays where it is in the image and is not followed.
@@ -73,6 +73,7 @@ def look(image: NDArray[np.uint8], black_dn: float) -> Aimed:
     height = max(1, round(WIDTH_PX * image.shape[0] / image.shape[1]))
     small = cv2.resize(image, (WIDTH_PX, height), interpolation=cv2.INTER_AREA)
     light = small.astype(np.float32)
+    # Reflected at the border: darkness beyond it would look like detail along all four edges.
     glow = cv2.GaussianBlur(light, (0, 0), FINE_PX, borderType=cv2.BORDER_REFLECT)
     return Aimed(
         np.asarray(small, np.uint8), _upper(cv2.absdiff(light, glow), DETAIL_SHARE), _upper(glow, DETAIL_SHARE) - black_dn
@@ -97,6 +98,7 @@ def moved_px(before: Aimed, after: Aimed) -> float | None:
     there, found, _ = cv2.calcOpticalFlowPyrLK(
         before.small, after.small, corners, np.empty_like(corners), winSize=WINDOW_PX, maxLevel=LEVELS
     )
+    # Followed back, a corner that was lost, or that slid along an edge, does not come home.
     back, again, _ = cv2.calcOpticalFlowPyrLK(
         after.small, before.small, there, np.empty_like(corners), winSize=WINDOW_PX, maxLevel=LEVELS
     )
@@ -108,6 +110,7 @@ def moved_px(before: Aimed, after: Aimed) -> float | None:
     moving = ways[np.linalg.norm(ways, axis=1) > STAYS_PX]
     if len(moving) < LEAST_CORNERS:
         return 0.0
+    # The median: particles and fish that cross the picture have ways of their own.
     middle = np.median(moving, axis=0)
     way = float(np.linalg.norm(middle))
     alike = np.linalg.norm(moving - middle, axis=1) < max(AGREE * way, STAYS_PX)

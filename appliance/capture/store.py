@@ -34,6 +34,8 @@ class FrameStore:
         one = 2 * frames * height_px * width_px
         self._owner = attach_to is None
         self._memory = SharedMemory(create=self._owner, size=sequences * one, name=attach_to)
+        # The other process need not be told: the block's size says how many sequences it has. It may be rounded up to
+        # whole pages, which are less than one.
         self.sequences = sequences if self._owner else self._memory.size // one
         """Number of sequences that there is room for."""
         block = np.ndarray((self.sequences, 2, *self.shape), np.uint8, buffer=self._memory.buf)

@@ -32,6 +32,8 @@ class SyncMap:
 
 def map_vsync(flip: Flip, vsync: Vsync, period_ns: float) -> SyncMap | None:
     """The map that one query supports; ``None`` when the query took too long or the phase does not fit."""
+    # The board read its clock somewhere within the query: half of it is the error of the middle, here a quarter of a
+    # period, of which 0.3 are allowed.
     if vsync.host_received_ns - vsync.host_sent_ns > 0.5 * period_ns:
         return None
     middle_ns = (vsync.host_sent_ns + vsync.host_received_ns) // 2
@@ -49,6 +51,8 @@ def synchronise(board: Board, flip: Flip, period_ns: float) -> SyncMap:
     for _ in range(MAX_QUERIES):
         found = map_vsync(flip, board.vsync(), period_ns)
         if found is not None:
+            # Two that agree, wherever they come among the ten: a late answer may be wrong by a whole period, but hardly
+            # twice by the same.
             if found.count in counts:
                 return found
             counts.append(found.count)

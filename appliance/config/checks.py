@@ -51,6 +51,7 @@ def complaints(rig: Rig) -> Iterator[Complaint]:
         )
     yield from _output_is_complete("projector", rig.projector)
     yield from _output_is_complete("display", rig.display)
+    # One card may drive both, and on the instrument it does; one connector cannot.
     same_output = (rig.projector.card, rig.projector.connector) == (rig.display.card, rig.display.connector)
     if rig.projector.kind == "kms" and rig.display.kind == "kms" and same_output:
         yield Complaint(

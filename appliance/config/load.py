@@ -93,6 +93,7 @@ def rig_from_mapping(content: Mapping[str, Any], source: str = "rig") -> Rig:
     try:
         # Through JSON: dates and other TOML oddities become text, and the value shares nothing with its source.
         plain = json.loads(json.dumps(content, default=str))
+        # pydantic judges each key by itself; what keys mean for each other is asked by `complaints` once all are sound.
         rig = TypeAdapter(Rig).validate_python(plain)
     except ValidationError as error:
         # A misspelt key first: what is missing because of it would only hide the cause.
@@ -134,6 +135,7 @@ def _explain(detail: ErrorDetails, source: str, others: Sequence[ConfigError] = 
     remedy = f"correct it in {source}"
     kind = detail["type"]
     if _is_unknown_key(detail):
+        # The range of an unknown key is not known either: a name that is, is the only help.
         near = _nearest(detail["loc"])
         hint = f"did you mean {near}?" if near else f"known here: {', '.join(_siblings(detail['loc']))}"
         return wrong(f"{key} unknown key", "", f"{hint} ({source})")

@@ -18,6 +18,7 @@ from pydantic.dataclasses import dataclass
 
 from drivers.camera_families import USUAL
 
+# A misspelt key must not pass for a default, and TOML has words for inf and nan, which lie within no range.
 _CONFIG = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 # A number with a fraction; whole numbers are accepted, text and booleans are not.
@@ -52,6 +53,7 @@ class CameraRig:
     serial: _Text
     width_px: Annotated[_Whole, Field(ge=64, le=8192)]
     height_px: Annotated[_Whole, Field(ge=64, le=8192)]
+    # The bounds of a single key; that the exposure ends before the next vertical sync depends on two others (`checks`).
     exposure_ms: Annotated[_Real, Field(ge=0.05, le=16.6)]
     """Exposure: at most one period of the 60 Hz projector."""
     gain_db: Annotated[_Real, Field(ge=0.0, le=48.0)]

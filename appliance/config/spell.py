@@ -39,6 +39,7 @@ def _table(name: str, content: Mapping[str, object]) -> Iterator[str]:
     if name:
         yield f"\n[{name}]\n"
     for key, value in content.items():
+        # Before any table within it: whatever follows a [header] belongs to that table until the next one.
         if not isinstance(value, Mapping):
             yield f"{_key(key)} = {_value(value)}\n"
     for key, value in content.items():
@@ -52,8 +53,10 @@ def _key(key: str) -> str:
 
 def _value(value: object) -> str:
     match value:
+        # Before int: in Python a bool is one, and TOML knows no True.
         case bool():
             return "true" if value else "false"
+        # repr gives the shortest text that reads back as the same float, so that the hash stays.
         case int() | float():
             return repr(value)
         case str() | Path():

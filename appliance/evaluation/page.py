@@ -28,6 +28,7 @@ def page_head(title: str) -> str:
 def figure(caption: str, png: bytes) -> str:
     """A picture with what it shows."""
     text = html.escape(caption)
+    # As data within the page: a report that is mailed or archived takes its pictures along.
     source = base64.b64encode(png).decode()
     return f'<figure><img alt="{text}" src="data:image/png;base64,{source}"><figcaption>{text}</figcaption></figure>'
 

@@ -72,6 +72,7 @@ def without_outliers(badness: Array) -> NDArray[np.bool_]:
     keep = np.ones(badness.size, bool)
     allowed = int(OUTLIER_SHARE * badness.size)
     if allowed:
+        # The worst by number, not by a limit: the guideline allows a share of the points, however far off they are.
         keep[np.argpartition(badness, badness.size - allowed)[badness.size - allowed :]] = False
     return keep
 

@@ -81,6 +81,7 @@ def summary(evaluation: Evaluation) -> dict[str, float | None]:
 def _largest(results: Sequence[Result], symbol: Symbol) -> float | None:
     """The value of a quantity with the largest size, with its sign."""
     values = [q.value_mm for result in results for q in result.quantities if q.symbol is symbol]
+    # PS and SD have signs, which say whether a ball or the bar came out too large or too small.
     return max(values, key=abs, default=None)
 
 
@@ -106,6 +107,7 @@ def as_html(evaluation: Evaluation) -> str:
     ]
     for item, written in zip(evaluation.items, content["scans"], strict=True):
         parts.append(f"<h2>Scan {html.escape(item.scan)}: {item.result.artefact.value}</h2>")
+        # On the page as in the JSON: an artefact that was not found must not look like one without errors.
         if written["reason"] is not None:
             parts.append(f'<p class="no">Not evaluated: {html.escape(written["reason"])}.</p>')
         parts.append(table({key: written[key] for key in ("e_f_percent", "e_f_sys_percent", "noise_mm")}))

@@ -118,6 +118,7 @@ def evaluate(
                 for quantity in of_bar(cloud, bar, value, stated, limits_mm)
             )
             noises = [_noise_of_ball(cloud, ball.used) for ball in (bar.first, bar.second)]
+            # A ball with too few points has no noise, the other one's still counts.
             known = [noise for noise in noises if noise is not None]
             noise_mm = float(np.mean(known)) if known else None
             return Result(artefact, bar, lengths, noise_mm=noise_mm, quantities=quantities)
@@ -132,6 +133,7 @@ def evaluate(
             if isinstance(frustum, NotFound):
                 return Result(artefact, frustum)
             lengths = tuple(
+                # A frustum has four edges of a kind: each is measured, all against the same certificate.
                 Length(name if len(measured) == 1 else f"{name} {k + 1}", value, calibrated_mm[name])
                 for name, measured in frustum.lengths_mm.items()
                 if name in calibrated_mm

@@ -45,6 +45,7 @@ class SphereSolution:
 def algebraic_sphere(points: Array) -> tuple[Array, float] | None:
     """Centre (3,) and radius by the closed form that is linear in |p|²; biased for caps: a start, not a result."""
     middle = points.mean(axis=0)
+    # About their mean: |p|² of points half a metre away would cost half of the digits.
     p = points - middle
     columns = np.column_stack([2.0 * p, np.ones(len(p))])
     solved, _, rank, _ = np.linalg.lstsq(columns, np.einsum("ij,ij->i", p, p), rcond=None)

@@ -60,6 +60,7 @@ def undistort(xy_distorted: Array, distortion: tuple[float, float, float, float,
     if not any(distortion):
         return target.copy()
     k1, k2, p1, p2, k3 = distortion
+    # Distortion moves a point by far less than the image is wide: the distorted one is near enough to begin with.
     xy = target.copy()
     for _ in range(MAX_ITERATIONS):
         residual = distort(xy, distortion) - target

@@ -42,9 +42,11 @@ class PrintedCamera(HousedCamera):
             slope, shift = self._printed(r, water_index)
             return np.asarray((z + shift) * slope * r - h)
 
+        # Where a ray of small angle would be without a window: refraction spreads the air side by the index.
         r = water_index * h / z
         for _ in range(NEWTON_STEPS):
             now = miss(r)
+            # The derivative by a difference: this model is only ever compared with, so that its speed does not count.
             r = r - now * SMALL / (miss(r + SMALL) - now)
         with np.errstate(invalid="ignore", divide="ignore"):
             outward = np.where(h[..., None] > 0.0, local_mm[..., :2] / h[..., None], 0.0)
@@ -52,6 +54,7 @@ class PrintedCamera(HousedCamera):
 
     def _printed(self, r: Array, water_index: float) -> tuple[Array, Array]:
         """Return 1/c' and l for distances r from the axis, in units of c, or their limits where r is 0."""
+        # Both quotients have a limit on the axis, where the formula itself is 0/0.
         r = np.maximum(r, SMALL)
         sine = np.sin(np.arctan(r))
         outer_mm = self.port.distance_mm + self.port.thickness_mm

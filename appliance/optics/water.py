@@ -33,6 +33,7 @@ def quan_fry_index(temperature_c: float, salinity_psu: float, wavelength_nm: flo
             raise ValueError(
                 f"{name} {value:g} {unit}; allowed are {low:g}..{high:g} {unit}; correct the water settings"
             )
+    # The coefficients as printed: t in °C, S in per mille, λ in nm.
     t, s, w = temperature_c, salinity_psu, wavelength_nm
     return (
         1.31405

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 def bit_count(size_px: int, period_px: int) -> int:
     """Return the number of Gray-code images that number all half periods over ``size_px``: 7, 6, 5 for 16, 32, 64 on 1024."""
+    # Rounded up: a rest of a period at the far edge has its own number.
     half_periods = -(-2 * size_px // period_px)
     return max(1, (half_periods - 1).bit_length())
 
@@ -20,6 +21,8 @@ def bit_count(size_px: int, period_px: int) -> int:
 def gray_bit(size_px: int, period_px: int, bit: int) -> NDArray[np.bool_]:
     """Return which places of ``size_px`` are illuminated in the image of bit ``bit`` (0 = most significant) of the reflected
     binary code: shape (size_px,) bool."""
+    # By the pixels' left edges, while `sine.fringe` takes their centres: for even periods both change between the same
+    # pixels.
     half_period = 2 * np.arange(size_px, dtype=np.int64) // period_px
     # Reflected binary code: n xor n/2.
     code = half_period ^ (half_period >> 1)

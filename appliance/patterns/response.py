@@ -72,4 +72,5 @@ def phase_error_rad(harmonics: NDArray[np.floating] | tuple[float, ...]) -> floa
     # Order n = 4m + 1 turns with φ as n, order 4m + 3 against it.
     turns = np.where(orders % 4 == 1, orders, -orders)
     phasor = np.exp(1j * np.outer(phi, turns - 1)) @ b[orders]
+    # A negative fundamental is a fringe shifted by half a period, which is no error of its shape.
     return float(np.abs(np.angle(phasor * np.sign(b[1]))).max())

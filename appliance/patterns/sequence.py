@@ -162,6 +162,7 @@ def _promised(period_px: int, width_px: int, height_px: int) -> list[Pattern]:
         Pattern(Kind.BRIGHT, Direction.X, 0, period_px, width_px),
         Pattern(Kind.DARK, Direction.X, 0, period_px, width_px),
     ]
+    # The references name X as their direction although they do not vary: a Pattern needs one, and its codes one length.
     for direction, size_px in ((Direction.X, width_px), (Direction.Y, height_px)):
         patterns += [
             Pattern(Kind.GRAY, direction, bit, period_px, size_px) for bit in range(bit_count(size_px, period_px))

@@ -108,6 +108,7 @@ def merge_bracket(pipeline: Pipeline, first: ProcessedSequence, second: Processe
             return story.merged(merged, "nothing moved: merged pixel by pixel")
     if (why := _refusal(found)) is not None:
         return story.refused(why)
+    # Intensities of both in the light of the darker exposure, so that they mean the same in the fused cloud.
     light = min(first.exposure.light, second.exposure.light)
     both = fuse(
         surface, first.cloud, second.cloud, found, (light / first.exposure.light, light / second.exposure.light)
@@ -143,6 +144,7 @@ def _merge_maps(
 
 
 def _refusal(found: Registration) -> str | None:
+    # In this order: beyond what can be found, residual and share say nothing.
     if found.moved_mm > MAX_MOVED_MM or found.turned_deg > MAX_TURNED_DEG:
         return f"moved by {_amount(found)} between the exposures; up to {MAX_MOVED_MM:g} mm and {MAX_TURNED_DEG:g} deg are undone"
     if found.residual > MAX_RESIDUAL or found.shared < LEAST_SHARED:

@@ -59,6 +59,7 @@ class Judge:
 def _look(given: JudgeInput, _: Earlier) -> Judgement:
     """Judge what is there at whatever depth, and fringes too weak to be decoded."""
     left = given.rig.left
+    # One pixel in stride² is asked, whatever the camera's size, so that the judge takes the same time.
     stride = max(1, round((left.width_px * left.height_px / SIGHT_POINTS) ** 0.5))
     return Judgement(
         look(
@@ -92,6 +93,7 @@ JUDGES = (
 def judged_by_all(given: JudgeInput) -> Iterator[tuple[str, Judgement | None]]:
     """Ask every judge, those that need others last; yields each one's name and what it says as soon as it has said it."""
     said: dict[str, Judgement | None] = {}
+    # Stable: judges without needs keep the table's order, and one level of needs is all there is (ADR 0038).
     for judge in sorted(JUDGES, key=lambda judge: len(judge.needs)):
         said[judge.name] = judge.judge(given, said)
         yield judge.name, said[judge.name]

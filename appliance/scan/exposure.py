@@ -62,6 +62,7 @@ def ladder(refresh_hz: float, trigger_delay_us: int, gain_db: float, span: Span)
             f"delay {trigger_delay_us} us); steps are {', '.join(f'{step:g}' for step in STEPS_MS)} ms: "
             "shorten the delay, or scan.shortest_exposure_ms"
         )
+    # 1e-9: a difference of whole steps may come out a last digit below them.
     count = int((span.most_gain_db - gain_db) / GAIN_STEP_DB + 1e-9)
     gains = [gain_db + GAIN_STEP_DB * k for k in range(1, count + 1)]
     return (*(Exposure(time, gain_db) for time in times), *(Exposure(times[-1], gain) for gain in gains))

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 LEVELS = 255.0
 QUANTISATION_DN2 = 1.0 / 12.0
 """Variance of rounding to whole grey values."""
+# 1 / Φ⁻¹(3/4), with Φ the normal distribution.
 MAD_TO_SIGMA = 1.4826
 """The standard deviation of normally distributed values over the median of their distances from the mean (MAD)."""
 Float = TypeVar("Float", np.float32, np.float64)

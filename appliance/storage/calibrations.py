@@ -84,6 +84,8 @@ class Calibrations:
         solved = _hash_of(self.solved)
         if session.solved is not None and session.solved.calibration_hash != solved:
             session = replace(session, solved=None, verified=None)  # power was lost between the two files
+        # Compared, not remembered: a flag could be lost between the two files, and would be wrong after a file was
+        # copied in by hand.
         in_use = session.solved is not None and _bytes(self.current) == _bytes(self.solved)
         named = session.kept is not None and _KEPT.fullmatch(session.kept) is not None
         checked = session.verified
@@ -133,6 +135,7 @@ class Calibrations:
         self._make(self.folder / "session")
         for name, data in report.items():
             replace_file(self._fs, self.folder / "session" / name, data)
+        # The session comes last: until it speaks of them, these files mean nothing, whenever the power goes.
         replace_file(self._fs, self.solved, calibration_file.encode(calibration))
         return self.write(session)
 
@@ -149,6 +152,7 @@ class Calibrations:
             return session
         before = _bytes(self.current)
         if before is not None:
+            # Kept, and named, before it is replaced: after a loss of power at any point there is a way back (ADR 0020).
             session = self.write(replace(session, kept=self._keep(before, date)))
         self._make(self.folder)
         replace_file(self._fs, self.current, data)
@@ -191,6 +195,7 @@ class Calibrations:
         path = others[-1]
         calibration_file.load(path)
         data = path.read_bytes()
+        # What is in use now may be kept nowhere yet, as where somebody copied it in.
         if now is not None:
             self._keep(now, date)
         replace_file(self._fs, self.current, data)
@@ -216,6 +221,7 @@ class Calibrations:
         return path.name
 
     def _make(self, folder: Path) -> None:
+        # Each new folder is an entry in the one above it, which must be durable, too: from above to below.
         missing = [one for one in (folder, *folder.parents) if not one.exists()]
         for one in reversed(missing):
             with refused("cannot make", one):

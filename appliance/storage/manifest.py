@@ -70,6 +70,7 @@ def encode(manifest: Manifest) -> bytes:
 
 def as_json(manifest: Manifest) -> dict[str, Any]:
     """The content as JSON holds it. Raises TypeError as ``encode``."""
+    # Times have no null in the schema: one that is not known is left out.
     times_s = {name: s for name, s in manifest.record.stage_times_s.items() if math.isfinite(s)}
     return {"schema": SCHEMA, **_plain(replace(manifest, record=replace(manifest.record, stage_times_s=times_s)))}
 
@@ -77,6 +78,7 @@ def as_json(manifest: Manifest) -> dict[str, Any]:
 def decode(data: bytes, name: str) -> Manifest:
     """Parse and check a manifest's bytes. Raises ManifestError naming ``name``."""
     try:
+        # Python's parser takes NaN, Infinity and 1e999, none of which is JSON or was ever written.
         content = json.loads(data, parse_constant=_not_finite, parse_float=_finite)
     except (ValueError, RecursionError) as error:
         raise ManifestError(f"{name}: not readable as JSON ({error})") from error
@@ -93,6 +95,7 @@ def decode(data: bytes, name: str) -> Manifest:
     except ShapeError as error:
         raise ManifestError(f"{name}: {error}") from None
     for file_name in manifest.files:
+        # Scans are copied around and come from strangers, too: a name must not lead out of the scan's folder.
         if Path(file_name).name != file_name or file_name in {FILE_NAME, "", ".."} or "\0" in file_name:
             raise ManifestError(f"{name}: {file_name!r} is not the name of a file beside it")
     return manifest

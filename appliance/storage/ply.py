@@ -119,6 +119,7 @@ def encode_ply(cloud: PointCloud, salvaged: str | None = None) -> tuple[bytes, B
 
 
 def _header(crc: int, points: int, salvaged: str | None) -> bytes:
+    # The header is ASCII by the format's definition; names of files may hold anything.
     plain = "" if salvaged is None else salvaged.encode("ascii", "replace").decode("ascii")[:2000]
     return _HEADER.format(crc=crc, points=points, remark=f"comment salvaged: {plain}\n" if plain else "").encode(
         "ascii"
@@ -136,6 +137,7 @@ def read_ply(path: Path) -> StoredCloud:
         raw = path.read_bytes()
     except OSError as error:
         raise PlyError(f"{path}: {error.strerror or error}") from error
+    # Only the head is searched: the same words may occur among the points.
     numbers, remark = _NUMBERS.search(raw[:4096]), _REMARK.search(raw[:4096])
     if numbers is None:
         raise PlyError(f"{path}: not a cloud of this instrument (no checksum and point count in its header)")

@@ -119,6 +119,7 @@ class StatusFile:
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             draft.write_text(json.dumps(content) + "\n", encoding="utf-8")
+            # Renamed over the old one, so that whoever reads never sees half a file.
             draft.replace(self.path)
         except OSError:
             return False

@@ -30,7 +30,7 @@ def judge_light(images: ScanImages, present: Exposure, steps: Sequence[Exposure]
     """Return the verdict ``light`` with its numbers, at most one fault, and what to expose the next scan with.
 
     From the frames alone. ``present``: what they were exposed with; ``steps``: what may be proposed, from dark to
-    bright (``capture.exposure.ladder``).
+    bright (``scan.exposure.ladder``).
     """
     noise = {side: of_side(images.noise, side) for side in SIDES}
     samples = {side: sample(images.frames[side], images.sequence) for side in SIDES}
