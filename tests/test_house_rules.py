@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ast
+import io
 import re
+import tokenize
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cache
@@ -17,6 +19,11 @@ SHIPPED = (*PRODUCT, "hw_sim")
 MOST_LINES = 600
 LEAST_LINES = 30
 MOST_HOMONYMS = 3
+LONG_KERNEL_LINES, LINES_PER_COMMENT = 40, 10
+CODE_WORDS = set(
+    re.findall(r"\w+", "a an the of to in into and or if is it for each over with by one add get set return store")
+)
+"""Words that a comment shares with any line of code."""
 NOT_YET = "not yet"
 """The reason of an exception that ends by itself: nothing says when, so it may outlive its breach."""
 FRAGMENT = re.compile(
@@ -230,6 +237,36 @@ def fragment_docstring(source: Source) -> Iterator[Breach]:
                     yield one.lineno, f"a sentence that begins with {found[1]!r} needs the line above to be understood"
 
 
+def comments(source: Source) -> Iterator[int]:
+    """Every line with a comment that says more than the line that it stands before, or behind."""
+    lines = source.text.splitlines()
+    for token in tokenize.generate_tokens(io.StringIO(source.text).readline):
+        if token.type != tokenize.COMMENT or re.match(r"#\s*(fmt|type|noqa)\b", token.string):
+            continue
+        number = token.start[0]
+        below = (line for line in lines[number:] if not line.lstrip().startswith("#"))
+        code = token.line[: token.start[1]] if token.line[: token.start[1]].strip() else next(below, "")
+        if not words(token.string) <= words(code) | CODE_WORDS:
+            yield number
+
+
+def words(text: str) -> set[str]:
+    return set(re.findall(r"[^\W_]+", text.lower()))
+
+
+def uncommented_kernel(source: Source) -> Iterator[Breach]:
+    commented = set(comments(source)) if "njit" in source.text else set()
+    for node in ast.walk(source.tree):
+        if not isinstance(node, ast.FunctionDef) or not any("njit" in ast.unparse(d) for d in node.decorator_list):
+            continue
+        lines = range(node.lineno, (node.end_lineno or node.lineno) + 1)
+        if len(lines) > LONG_KERNEL_LINES and LINES_PER_COMMENT * len(commented.intersection(lines)) < len(lines):
+            yield (
+                node.lineno,
+                f"{node.name} has {len(lines)} lines: each block needs its equation, or why, as a comment",
+            )
+
+
 def asserts_nothing(source: Source) -> Iterator[Breach]:
     for node in ast.walk(source.tree):
         if isinstance(node, ast.FunctionDef) and node.name.startswith("test_"):
@@ -278,6 +315,12 @@ class Rule:
 
     def breaches(self, source: Source) -> list[Breach]:
         return [b for b in self.check(source) if not any(b[1].startswith(f"{name}(") for name in self.except_calls)]
+
+
+def kernel(lines: int, commented: int, comment: str = "# x_k = Σ k") -> str:
+    """A kernel of so many lines without its decorator, as many of them comments as said."""
+    body = "".join(f"    {comment}\n" for _ in range(commented)) + "    x = x + k\n" * (lines - 1 - commented)
+    return f"@numba.njit(cache=True)\ndef f(x, k):\n{body}"
 
 
 RULES = [
@@ -404,6 +447,18 @@ RULES = [
             "appliance/worker/": NOT_YET,
             "appliance/offline/": NOT_YET,
         },
+    ),
+    Rule(
+        uncommented_kernel,
+        bad=(
+            kernel(41, 4),
+            kernel(61, 6),
+            kernel(41, 5, "# x = x + k"),
+            kernel(41, 5, "# add k to x"),
+            kernel(41, 5, "# fmt: skip"),
+        ),
+        good=(kernel(40, 0), kernel(41, 5), kernel(60, 6), kernel(90, 0).replace("@numba.njit", "@cache")),
+        packages=("appliance",),
     ),
     Rule(
         asserts_nothing,

@@ -153,6 +153,7 @@ def gather(
         interpolate_row(nodes, step, row, at_row)
         line = (row - start) // stride
         for x in range(width):
+            # A pixel without a depth, or in no image, has neither albedo nor backscatter.
             lit[line, x], dark[line, x] = _NAN, _NAN
             lit_count[line, x], dark_count[line, x] = _ZERO, _ZERO
             t = depth[row, x]
@@ -162,9 +163,10 @@ def gather(
             p, q = parabola_at(c, P_OF_T, t) + _HALF, parabola_at(c, Q_OF_T, t) + _HALF
             bright, dim, weights, squares, dims = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
             for m in range(places.size):
+                # The images around the x-sines come first: the others are asked only until there is enough.
                 if m >= near and weights >= ENOUGH:
                     break
-                # Where the point was in this image.
+                # Where the point was in this image: (x, row) + (u, v)(t) of its frame.
                 at = FIRST_FRAME + FRAME_COEFFICIENTS * places[m]
                 u, v = np.float32(x) + parabola_at(c, at, t), np.float32(row) + parabola_at(c, at + OF_V, t)
                 if not (u >= 1.0 and v >= 1.0 and u < width - 2.0 and v < height - 2.0):
@@ -179,6 +181,7 @@ def gather(
                 grey = read_spline(pixels, stripes.frames[m] * (height * width), width, u, v)
                 if grey != grey:
                     continue
+                # Σ w y, Σ w, Σ w² of what was lit; Σ y of what was dark.
                 if light == 1:
                     weight = _ONE if m < near else FAR_WEIGHT
                     bright += weight * grey

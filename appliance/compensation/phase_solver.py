@@ -284,12 +284,14 @@ def solve_rows(
             maps.offset_dn[row, x] = 0
             if not (abs(decoded_t[x]) < MAX_T):
                 decoded_t[x] = sources.rough_t[row, x]
+            # The pixel's own parabolas in t, linear between the field's nodes.
             interpolate_pixel(at_row, step, x, 0, c)
             # Albedo, and its variance in units of a grey value's; 0 where it is not known.
             albedo = float(sources.albedo_dn[row, x]) if use_albedo else 0.0
             known_albedo, doubt = albedo > 0.0, 0.0
             if known_albedo:
                 doubt = per_variance * float(sources.albedo_variance_dn2[row, x]) + LEAST_DOUBT
+            # What the last round leaves; nothing is written of a pixel that never was good.
             good, t, p, q = False, _NAN, _NAN, _NAN
             a, modulation, effective, misfit, turns = 0.0, 0.0, 0.0, 0.0, 0.0
             for begun in range(3):
@@ -355,6 +357,7 @@ def solve_rows(
                     if stride > 1 and abs(contrary) < MAX_CONTRARY_DN:
                         sums[0, 0] += contrary * response
                         sums[0, 1] += response * response
+                    # The same solution once more, of what is left without the harmonic.
                     a, m_c, m_s, contrary = apply_steps(weights, y)
                     if w > 0.0:
                         a += b_a * e
@@ -388,7 +391,7 @@ def solve_rows(
                     good = bool(-_ONE <= p <= terms.width_px)
                     if not good:
                         break
-                    # The depth of that column, and the row that the projector shows there.
+                    # The depth of that column, and the row q(t) that the projector shows there.
                     nearer = _depth_of(p, c[P_OF_T], c[P_OF_T + 1], c[P_OF_T + 2])
                     settled = abs(nearer - t) < terms.settled_t
                     t = nearer
@@ -445,6 +448,7 @@ def _column(
     All images but the last change at whole periods only: they number periods. Moving, a point may have been in the next
     period already when one of them was shown: that is known from its phase then.
     """
+    # The order that makes period · (order + phase) − ½ nearest to the expected column.
     phase = turns - np.floor(turns)
     expected = int(np.floor((expected_px + _HALF) / period_px - phase + 0.5))
     number, bit = 0, 0
@@ -466,6 +470,7 @@ def _column(
         # Phase at that time, in half periods for the last image, in whole ones for the others.
         then = phase + parabola_at(c, at + OF_PHASE, t)
         carry[k] = int(np.floor(then)) if k < count - 1 else int(np.floor(2.0 * then))
+        # The expected order's own bit: Gray code h ^ (h >> 1) of its half period h, as it was then.
         half = 2 * (expected + carry[k]) if k < count - 1 else 2 * expected + carry[k]
         agreed = agreed and ((half ^ (half >> 1)) >> (count - 1 - k)) & 1 == illuminated
     if agreed:

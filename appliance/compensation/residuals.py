@@ -190,6 +190,7 @@ def accumulate(
     products, sums = np.zeros((_ROW, _ROW)), np.zeros(_ROW)
     blocks = 1 if kinds == 1 << X_STEPS else 2
     for i in range(uv.shape[0]):
+        # A point that leaves the picture in one frame says nothing at all: its equations need every sine.
         inside = True
         for block in range(blocks):
             for m in range(4):
@@ -217,6 +218,7 @@ def accumulate(
                     D[k, a] = gain * near * (by_u * J[i, 0, a] + by_v * J[i, 1, a])
             if not inside:
                 break
+            # a, c, s and the contradiction of y_m = a + c cos ψ_m − s sin ψ_m.
             invert_steps(cosine, sine, weights[block])
             solved[block, 0], solved[block, 1], solved[block, 2], along[block] = apply_steps(weights[block], y)
             # ∂(y − a − c cos ψ + s sin ψ)/∂d: the model moves with the phase, too (h = ∂model/∂ψ).
@@ -224,6 +226,7 @@ def accumulate(
                 h[m] = -solved[block, 1] * sine[m] - solved[block, 2] * cosine[m]
                 for a in range(3):
                     D[4 * block + m, a] -= h[m] * G[i, block, a]
+            # Modulation √(c² + s²), and what its phase scatters more than by steps of 90°.
             modulation_dn[i, block] = np.sqrt(solved[block, 1] ** 2 + solved[block, 2] ** 2)
             variance[i, block] = _phase_variance(weights[block], solved[block, 1], solved[block, 2])
         if not inside:
@@ -241,6 +244,7 @@ def accumulate(
                 doubt += 2.0 * (weights[0, 0, m] ** 2 + weights[1, 0, m] ** 2)
             doubt = np.sqrt(doubt)
             residual_dn[i, TEXTURE] = (solved[1, 0] - (1.0 + mean) * solved[0, 0]) / doubt
+        # One row of the normal equations for each kind: x-sines touch frames 0 … 3, y-sines 4 … 7, texture all.
         for kind in range(3):
             if not kinds >> kind & 1:
                 continue
@@ -260,6 +264,7 @@ def accumulate(
                 row[at + 5] = lever[i, 0] * g1 - lever[i, 1] * g0
                 row[at + 6] = -part * grey[k]
             first, last = FRAME_UNKNOWNS * begin, FRAME_UNKNOWNS * stop
+            # ∂texture/∂(coefficient of the smooth gain) = −basis · a_x / doubt.
             if kind == TEXTURE:
                 for t in range(SMOOTH_TERMS):
                     row[last + t] = -basis[i, t] * solved[0, 0] / doubt
@@ -272,6 +277,7 @@ def accumulate(
                 sums[a] += wa * r
                 for b in range(first, a + 1):
                     products[a, b] += wa * row[b]
+    # From the order of ``row`` to that of the parameters, where the two cameras share the motion but not the smooth gain.
     for a in range(_ROW):
         vector[_parameter(a, side)] += sums[a]
         for b in range(a + 1):

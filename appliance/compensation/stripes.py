@@ -146,6 +146,7 @@ def accumulate_gray(
             mean += grey[a] / n
         if not mean > LEAST_MEAN_DN:
             continue
+        # r_k = (y_k − ȳ)/ȳ and its derivatives over ȳ: bright and dark elements count alike.
         square = 0.0
         for a in range(n):
             grey[a] = (grey[a] - mean) / mean

@@ -73,6 +73,7 @@ def _fuse(
     terms, a, b, normal = np.empty(TERMS), np.empty(3), np.empty(3), np.empty(3)
     for k in range(len(moved_mm)):
         x, y, z = np.float64(moved_mm[k, 0]), np.float64(moved_mm[k, 1]), np.float64(moved_mm[k, 2])
+        # The pixel of the first cloud's lattice that the point falls into.
         u, v = pixel_of(surface, x, y, z, terms)
         if not (-0.5 < u < columns - 0.5 and -0.5 < v < rows - 0.5):
             continue
@@ -91,12 +92,14 @@ def _fuse(
         expected = math.sqrt(mine * mine + theirs * theirs)
         apart = normal[0] * (x - surface.points_mm[one, 0]) + normal[1] * (y - surface.points_mm[one, 1])
         apart += normal[2] * (z - surface.points_mm[one, 2])
+        # One surface: the mean x1 + s1²/(s1² + s2²) · d n, with error s1 s2 / √(s1² + s2²).
         if abs(apart) <= MAX_SIGMA * expected:
             along = mine * mine / (expected * expected) * apart
             for axis in range(3):
                 points_mm[one, axis] = np.float32(surface.points_mm[one, axis] + along * normal[axis])
             sigma_mm[one] = np.float32(mine * theirs / expected)
             fate[one] = _SHARED
+        # Farther apart, but too near to be another surface behind an edge: they contradict each other.
         elif abs(apart) <= OTHER_SURFACE_MM:
             fate[one] = _MASKED
 

@@ -313,7 +313,7 @@ def _walk(
     v, u = np.int64(start >> np.uint32(16)), np.int64(start & np.uint32(0xFFFF))
     far = np.float32(3.0)
     for step in range(MAX_STEPS):
-        # J at this pixel.
+        # J = (pu pv; qu qv) by differences; where the surface ends on both sides of the pixel, no step is believed.
         c, d = p_px[v, u], q_px[v, u]
         pu = _derivative(p_px[v, u - 1], c, p_px[v, u + 1])
         qu = _derivative(q_px[v, u - 1], d, q_px[v, u + 1])
@@ -322,13 +322,14 @@ def _walk(
         det = pu * qv - pv * qu
         if not (abs(pu) + abs(pv) + abs(qu) + abs(qv) <= max_sum and abs(det) > MIN_DETERMINANT):
             return _LOST
-        # Straight step, and the pixel it leads to.
+        # Straight step (du, dv) = J⁻¹ (p − c, q − d), and the pixel it leads to.
         inverse = _ONE / det
         du = (qv * (p - c) - pv * (q - d)) * inverse
         dv = (pu * (q - d) - qu * (p - c)) * inverse
         # At most three pixels at a time: far from home, derivatives are those of another place.
         nu = u + np.int64(np.rint(min(max(du, -far), far)))
         nv = v + np.int64(np.rint(min(max(dv, -far), far)))
+        # Half a pixel is home; more is only where the walk must end: no coordinate at the next pixel, or no step left.
         inside = 1 <= nu < columns - 1 and 1 <= nv < rows - 1
         goes_on = inside and step < MAX_STEPS - 1 and p_px[nv, nu] == p_px[nv, nu]
         limit = _HALF if goes_on else MAX_FINAL_STEP_PX
@@ -339,6 +340,7 @@ def _walk(
             du2, dv2 = _HALF * du * du, _HALF * dv * dv
             dp, dq = p - c - du2 * puu - dv2 * pvv, q - d - du2 * quu - dv2 * qvv
             du, dv = (qv * dp - pv * dq) * inverse, (pu * dq - qu * dp) * inverse
+            # Bend ½ ∇²p = ½ Σ of the four neighbours − 2 p; NaN where one is missing, which sigma takes for a border.
             around = p_px[v, u - 1] + p_px[v, u + 1] + p_px[v - 1, u] + p_px[v + 1, u]
             s[BEND_RIGHT + x] = _HALF * around - _TWO * c
             s[RIGHT_SHARE + x] = _share(du2, dv2)

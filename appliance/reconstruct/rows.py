@@ -93,9 +93,11 @@ def reconstruct_rows(
     coarse cloud are ``stride`` px apart. ``scratch`` is from ``scratch_rows``.
     """
     rows, columns = left.p_px.shape
+    # Noise follows from the maps' variances only where both cameras have some: one of them alone is no sum V_left + V_right.
     variances_given = left.variance_px2.size > 0 and right.variance_px2.size > 0
     n = (columns + stride - 1) // stride
     at, good = np.empty(CHUNK, np.int32), np.empty((n + 7) // 8 * 8, np.uint8)
+    # No point of a scan before may stand above the first row: its depth would count as a neighbour's.
     scratch[:, Z : Z + n] = _NAN
     count = offset
     begin = max(start - stride, 0)
@@ -104,6 +106,7 @@ def reconstruct_rows(
         turn = y // stride
         s, row, above = scratch[turn % 3], scratch[(turn - 1) % 3], scratch[(turn - 2) % 3]
         # Match and triangulate row y; beyond its illuminated part there is nothing.
+        # first … end are columns of the grid, rounded up: what lies before the first lit column of the image has none.
         row_first, row_end = first, end
         first, end = 0, 0
         if y < rows:
@@ -113,6 +116,7 @@ def reconstruct_rows(
         s[Z + end : Z + n] = _NAN
         if first < end:
             _load_row(left, y, first, end, stride, s)
+        # (p, q) → (u, v) in the right image → its expected error in px → X, Y, Z, gap and sigma in mm.
         for chunk in range(first, end, CHUNK):
             size = min(CHUNK, end - chunk)
             match_row(right, row[chunk:], s[chunk:], size, stride == 1 and y > begin, at)
@@ -121,6 +125,7 @@ def reconstruct_rows(
         # The row above has all eight neighbours now: judge it.
         done = y - stride
         if start <= done < stop:
+            # Its eight neighbours in the grid: three of the row above, two of its own, three of row y.
             column = row_first * stride
             judge(above[row_first:], row[row_first:], s[row_first:], row_end - row_first, limits, good)
             count = append(

@@ -94,8 +94,10 @@ def append(
     Unsigned places need no check for negative ones.
     """
     columns_xyz, gap_mm, sigma_mm, modulation_half_dn, pixels, intensity = points
+    # X, Y and Z of point k lie at 3 k, 3 k + 1 and 3 k + 2.
     xyz_mm = columns_xyz.reshape(-1)
     step = np.uint64(stride)
+    # Eight flags of one byte each, read as one number: 0x01…01 where all eight are good.
     eights = good.view(np.uint64)
     x = 0
     while x < n:
@@ -121,6 +123,7 @@ def append(
         first_pixel = np.uint32(pixel + begin * stride)
         for k in range(size):
             pixels[target + k] = first_pixel + np.uint32(k) * np.uint32(stride)
+        # The maps' values of neighbours in the grid lie ``stride`` columns apart, too.
         if stride == 1:
             for k in range(size):
                 modulation_half_dn[target + k] = half_dn[source + k]

@@ -152,9 +152,11 @@ def _rays_by_blocks(nodes: NDArray[np.float32], step_px: int, n: int, s: NDArray
         ni, nj = np.int32(i), np.int32(j)
         u, v = np.float32(ni) * step, np.float32(nj) * step
         k = np.uint32((nj * columns + ni) * np.int32(24))
+        # A node's 24 numbers: coefficient after coefficient, each of x0, y0, sx, sy.
         x, y = _series(flat, k), _series(flat, np.uint32(k + 1))
         sx, sy = _series(flat, np.uint32(k + 2)), _series(flat, np.uint32(k + 3))
-        # The rays of the block, and whether any pixel is too far from the node.
+        # The rays of the block by the series c0 + c1 du + c2 dv + …; their shift per px is its derivative c1. Whether any pixel
+        # is too far from the node is gathered without a branch, so that the loop stays vector instructions.
         far = np.int32(0)
         for place in range(RAY_BLOCK):
             at = first + np.uint64(place)
@@ -167,6 +169,7 @@ def _rays_by_blocks(nodes: NDArray[np.float32], step_px: int, n: int, s: NDArray
             s[_SY2 + at] = _expand(sy, du, dv)
             s[_SHIFT + at] = x[1]
             s[_SHIFT_SLOPE + at] = sx[1]
+        # Some pixel of the block sees another surface: each asks its own node.
         if far != np.int32(0):
             _rays_one_by_one(nodes, step_px, min(RAY_BLOCK, n - begin), s[begin:])
 

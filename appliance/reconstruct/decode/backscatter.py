@@ -337,10 +337,13 @@ def _number(
             if frames[bright, y, x] == _FULL:  # bright − dark as the sines have it
                 sines = np.float32(i0[x]) + np.float32(i1[x]) + np.float32(i2[x]) + np.float32(i3[x])
                 light = max(light, scale.light_per_sines * (sines - np.float32(4.0) * black))
+            # σ² = dark + shot · grey. O from the fringes' length, but never more than there is light; V is the rest.
             sigma = np.sqrt(max(scale.dark_dn2 + scale.shot_dn * (light + black), np.float32(0.0)))
             told = scale.per_half_dn * np.sqrt(cosine * cosine + quadrature * quadrature)
             own[x] = min(told, light)
             veil[x] = light - own[x]
+            # A bit is in doubt nearer to its threshold than a share of V, at most one of O, and what noise exceeds O/2 by;
+            # beyond room, a value is neither that of a set bit nor of one that is not.
             apart = np.float32(APART_SIGMAS) * sigma
             doubt[x] = min(np.float32(MARGIN_OF_VEIL) * veil[x], np.float32(MARGIN) * own[x])
             doubt[x] += max(apart - np.float32(0.5) * own[x], np.float32(0.0))
@@ -353,7 +356,8 @@ def _number(
             for x in range(columns):
                 lit = share[min(x // block_px, last_x)]
                 rest = np.float32(image[x]) - np.float32(frames[dark, y, x])
-                if lit == lit:  # f is known
+                # G − f V against the middle O/2, where f is known; else G against (O + V)/2.
+                if lit == lit:
                     off = rest - lit * veil[x] - np.float32(0.5) * own[x]
                     unsure = abs(off) < doubt[x]
                     lost[x] = lost[x] | (abs(off) > room[x])

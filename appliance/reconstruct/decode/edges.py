@@ -95,6 +95,7 @@ def close_axis(
     begin, end = 0, 0
     for y in range(rows + 1):
         # Close row y into its scratch row.
+        # Behind the last row comes one of NaN, as if the image went on dark.
         s = scratch[y % 3]
         s[COORDINATE : COORDINATE + columns] = _NAN
         if y < rows:
@@ -103,12 +104,14 @@ def close_axis(
                 i0[y, first:stop], i1[y, first:stop], i2[y, first:stop], i3[y, first:stop],
                 half_period[y, first:stop], axis, s[first:], half_dn[y, first:stop], mask[y, first:stop],
             )  # fmt: skip
+            # A point needs both coordinates: what has no second one loses the first.
             if failed and axis.second:
                 _drop(mask[y, first:stop], other[y, first:stop])
         else:
             first, stop = 0, 0
         # Row y − 1 has both neighbours now: judge it, and write it.
         if y > 0:
+            # One place more at either end, for the neighbours to the left and to the right.
             above, around = scratch[(y - 2) % 3, COORDINATE:], scratch[(y - 1) % 3, COORDINATE - 1 :]
             done, judged = slice(begin, end), edge[: end - begin]
             if keep_smooth(

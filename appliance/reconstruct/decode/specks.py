@@ -146,6 +146,7 @@ def _mask(
     mask: NDArray[np.uint8],
 ) -> int:
     rows, columns = mask.shape
+    # Per direction (0: x, 1: y) and pixel: the sum 4A of its steps, and its length 2B.
     totals, lengths = np.empty((2, columns), np.float32), np.empty((2, columns), np.float32)
     struck = np.empty(columns, np.uint8)
     found = 0
@@ -153,6 +154,7 @@ def _mask(
         first, stop = illuminated[y]
         if first >= stop:
             continue
+        # Each direction by itself: I0 + I2 against I1 + I3.
         part = slice(first, stop)
         n = stop - first
         flags = struck[:n]
@@ -161,12 +163,14 @@ def _mask(
               totals[0, :n], lengths[0, :n], flags)  # fmt: skip
         _flag(e[y, part], f[y, part], g[y, part], h[y, part], allowed.second_y, allowed.offset_y, allowed,
               totals[1, :n], lengths[1, :n], flags)  # fmt: skip
-        # Both directions together: the difference of their means.
+        # Both directions together: 4A_x − 4A_y beyond what daylight adds everywhere, against the weaker fringes.
         for x in range(n):
             apart = abs(totals[0, x] - totals[1, x] - allowed.offset_mean)
             least = min(lengths[0, x], lengths[1, x])
+            # A pixel that is masked for another reason keeps that one.
             hit = (flags[x] != _ZERO) | (apart > np.float32(2.0 * MEAN_SHARE) * least)
             if hit & (mask[y, first + x] == _ZERO):
+                # No coordinate of such a pixel is to be believed: the same fringes made both.
                 mask[y, first + x] = STRUCK
                 p_px[y, first + x] = _NAN
                 q_px[y, first + x] = _NAN

@@ -61,6 +61,7 @@ def fit_blocks(
     rest = (four[0] - four[1] + four[2] - four[3]) / contrast
     begin = 0
     for k in range(ends.size):
+        # The block's pixels, and their places in it from −1 to 1: small systems stay well conditioned.
         block = order[begin : ends[k]]
         begin = ends[k]
         n = block.size
@@ -76,6 +77,7 @@ def fit_blocks(
             light[j] = contrast[at]
             length[j] = radius / light[j]
             third[j] = rest[at]
+            # (c, s) = (cos φ, sin φ) by four steps of 90°; length is the circle's radius over the light.
             c, s = cosine / radius, sine / radius
             # cos 2φ and sin 2φ by the double-angle formulas.
             c2, s2 = c * c - s * s, 2.0 * c * s
@@ -136,6 +138,7 @@ def common_of_neighbours(
             row[below] < row[at] + 1 or (row[below] == row[at] + 1 and column[below] < column[at])
         ):
             below += 1
+        # Both pixels must lie in a block; a pair across a border counts for the block of its first.
         for other in (at + 1, below):
             if other >= rest.size or k < 0 or block[other] < 0:
                 continue
@@ -146,6 +149,7 @@ def common_of_neighbours(
                 both = contrast[at] * contrast[other]
                 sums[k] += value[at] * value[other] * both
                 weights[k] += both * both
+    # A block without any pair has nothing in common: 0.
     for k in range(ends.size):
         found[k] = sums[k] / max(weights[k], 1e-12)
     return found

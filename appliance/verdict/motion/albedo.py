@@ -87,11 +87,13 @@ def _accumulate(
                 and coordinate_px[v + reach, u] >= 0.0
             ):
                 continue
+            # y = a · light + b − shift · gradient: the terms x of the least squares.
             x[0], x[1] = light, 1.0
             # Central differences over twice the reach; their noise is that of two pixels over its square.
             x[2] = (np.float64(bright[v, u + reach]) - np.float64(bright[v, u - reach])) / (2.0 * reach)
             x[3] = (np.float64(bright[v + reach, u]) - np.float64(bright[v - reach, u])) / (2.0 * reach)
             y = np.float64(image[v, u]) - np.float64(dark[v, u])
+            # Normal equations: upper triangle of Σ x xᵀ, then Σ x y, Σ y² and the count.
             k = 0
             for i in range(_TERMS):
                 for j in range(i, _TERMS):
@@ -101,6 +103,7 @@ def _accumulate(
                 sums[k + i] += x[i] * y
             sums[k + _TERMS] += y * y
             sums[k + _TERMS + 1] += 1.0
+            # A gradient's variance by noise: 2 σ² / (2 reach)².
             sums[k + _TERMS + 2] += (noise_dn2[0] + noise_dn2[1] * white) / (2.0 * reach * reach)
 
 

@@ -115,6 +115,7 @@ def _accumulate(
                     k += 1
                 s[_RIGHT + i] += x[i] * left_over
             s[_SQUARE] += left_over * left_over
+            # Means over the cell: where it lies, 1/B² and light for the noise of its phase.
             s[_COUNT] += 1.0
             s[_U] += u
             s[_V] += v
@@ -175,25 +176,29 @@ def _left_over(
     count = np.zeros(sums.shape)
     for v in range(stride // 2, height, stride):
         for u in range(stride // 2 + 1, width - 1, stride):
+            # The pixel and the one to its right must both have a coordinate; the first one's says which cell they count in.
             p, q = p_px[v, u], q_px[v, u]
             if not (p >= 0.0 and q >= 0.0 and p_px[v, u + 1] >= 0.0):
                 continue
             row, column = int(q / cell_px), int(p / cell_px)
             if row >= sums.shape[0] or column >= sums.shape[1]:
                 continue
+            # C − fit here and at the pixel to the right: what differs is no drift, which neighbours share.
             f = fit[row, column]
             a, b, c, d = np.float64(i0[v, u]), np.float64(i1[v, u]), np.float64(i2[v, u]), np.float64(i3[v, u])
             here, squared = _left_over_at(a, b, c, d, f)
+            # Mean light of both pixels' four images, for the noise.
             light = 0.25 * (a + b + c + d)
             a, b, c, d = (
                 np.float64(i0[v, u + 1]), np.float64(i1[v, u + 1]), np.float64(i2[v, u + 1]), np.float64(i3[v, u + 1])
             )  # fmt: skip
             beside, _ = _left_over_at(a, b, c, d, f)
             light += 0.25 * (a + b + c + d)
-            # Noise of two pixels with four images each is taken off; 4 B² makes it a phase, squared.
+            # Noise of two pixels with four images each, 4 σ² at either's light, is taken off; 4 B² makes it a phase, squared.
             apart = beside - here
             sums[row, column] += apart * apart - 4.0 * (2.0 * dark_dn2 + per_dn * light)
             count[row, column] += 4.0 * squared
+    # Σ difference² / Σ 4 B²; a cell without a pair of pixels knows nothing.
     for row in range(sums.shape[0]):
         for column in range(sums.shape[1]):
             sums[row, column] = sums[row, column] / count[row, column] if count[row, column] > 0.0 else np.nan

@@ -63,6 +63,7 @@ def _accumulate(
             p, q = p_px[v, u], q_px[v, u]
             if not (p >= 0.0 and q >= 0.0):
                 continue
+            # The nearest edge of this Gray image, by the column that the sine images found at the pixel.
             place = int(p + np.float32(0.5))
             if place >= edge_px.size:
                 continue
@@ -79,13 +80,16 @@ def _accumulate(
                 continue
             # Dark and bright reference take albedo and steady ambient light out of the value.
             brightness = (np.float64(image[v, u]) - low) / (high - low)
+            # Distance from the edge, positive on the side of the light.
             beside = way * (np.float64(p) - edge)
             s = sums[row, column]
+            # Around the edge: Σ ±light, and beside it Σ ±1 on the lit side, what an edge gives that did not move.
             if abs(beside) <= INNER_PX:
                 s[_INNER] += 1.0
                 s[_INNER_LIT] += way * brightness
                 s[_INNER_STEP] += way if beside > 0.0 else 0.0
                 s[_INNER_WAY] += way
+            # Away from it: how dark and how light the two sides are.
             elif beside < 0.0:
                 s[_LOW] += 1.0
                 s[_LOW_LIT] += brightness
