@@ -16,13 +16,17 @@ from appliance.calibration.response_file import ResponseFileError
 from appliance.calibration.response_file import load as load_response
 from appliance.calibration.start import METHOD as IN_AIR
 from appliance.calibration.start import check_start
+from appliance.capture.timeouts import Timeouts
 from appliance.config import Rig, rig_text
 from appliance.config.rig import CameraRig
+from appliance.machine.choices import Choices, offers_of
+from appliance.machine.states import Settings, TemperatureLimits
 from appliance.optics.model import HousedCamera
 from appliance.optics.pinhole import Lens
 from appliance.optics.port import Port
 from appliance.optics.water import Water
 from appliance.patterns.response import Response
+from appliance.patterns.sequence import PERIODS_PX, build_sequence
 from appliance.ranging.beams import Pointers
 from appliance.ranging.expected_light import live_light
 from appliance.scan.acquisition import AcquisitionSettings
@@ -222,6 +226,33 @@ def exposures_of(rig: Rig) -> tuple[Exposure, ...]:
 def origin_of(rig: Rig, calibration: Calibration) -> ScanOrigin:
     """Return what a scan that is taken now carries with it: the calibration in use and the rig as it is understood."""
     return ScanOrigin(encode(calibration), rig_text(rig).encode())
+
+
+def standard_choices(rig: Rig) -> Choices:
+    """Return what the rig file states of what the diver may choose."""
+    water = rig.water
+    return Choices(exposure_of(rig), rig.scan.period_px, water.salinity_psu, water.temperature_c, rig.display.language)
+
+
+def machine_settings(rig: Rig, choices: Choices | None = None) -> Settings:
+    """Return what the rig file says to the machine. ``choices``: what the diver chose before the start, if it is remembered."""
+    limits = rig.limits
+    choices = choices or standard_choices(rig)
+    width_px, height_px = rig.projector.width_px, rig.projector.height_px
+    offered = [period_px for period_px in PERIODS_PX if period_px <= min(width_px, height_px)]
+    sequences = {period_px: len(build_sequence(period_px, width_px, height_px)) for period_px in offered}
+    return Settings(
+        choices=choices,
+        offers=offers_of(standard_choices(rig), exposures_of(rig), tuple(sequences)),
+        frames=sequences,
+        refresh_hz=rig.projector.refresh_hz,
+        capture_margin_s=Timeouts(rig.projector.refresh_hz).margin_s,
+        temperatures={
+            "case": TemperatureLimits(limits.case_warm_c, limits.case_hot_c, limits.case_off_c),
+            "projector": TemperatureLimits(limits.projector_warm_c, limits.projector_hot_c, limits.projector_off_c),
+        },
+        supply_low_v=limits.supply_low_v,
+    )
 
 
 def misfit(calibration: Calibration, rig: Rig) -> str | None:

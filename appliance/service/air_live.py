@@ -160,15 +160,15 @@ def _opened(devices: Devices, clock: Clock) -> tuple[dict[str, Grabber], Board, 
     end_ns = clock.now_ns() + int(OPEN_TIMEOUT_S * 1e9)
     reason = "does not answer"
     while True:
-        for keeper in wanted:
-            change = keeper.poll()
+        for supervisor in wanted:
+            change = supervisor.poll()
             reason = getattr(change, "reason", reason)
         grabbers = {side: k.value for side, k in devices.cameras.items() if k.value is not None}
         board, projector = devices.board.value, devices.projector.value
         if len(grabbers) == len(SIDES) and board is not None and projector is not None:
             return grabbers, board, projector
         if clock.now_ns() > end_ns:
-            lost = ", ".join(keeper.device.value for keeper in wanted if keeper.value is None)
+            lost = ", ".join(supervisor.device.value for supervisor in wanted if supervisor.value is None)
             raise DeviceError(lost, reason, "Check the connectors, or ask `kingfisher check`")
         clock.sleep_s(POLL_S)
 

@@ -13,7 +13,7 @@ from types import FrameType
 
 import appliance
 from appliance.config import Rig
-from appliance.instrument import calibration_of, noise_of, pointers_of, response_of
+from appliance.instrument import calibration_of, noise_of, pointers_of, response_of, standard_choices
 from appliance.machine.words import Language
 from appliance.optics.water import Water
 from appliance.screens.painter import Painter
@@ -21,11 +21,12 @@ from appliance.service.aiming import AimingController
 from appliance.service.calibrating import CalibrationController
 from appliance.service.devices import Devices
 from appliance.service.gallery import GalleryController
-from appliance.service.loop import Service, standard_choices
+from appliance.service.loop import Service
 from appliance.service.notify import ServiceManager
-from appliance.service.patterns import Patterns
+from appliance.service.parts import Beginning, Parts
 from appliance.service.ranging import RangingController
-from appliance.service.scans import ScanController
+from appliance.service.recording import DrawnPatterns
+from appliance.service.scans import MeasuringSetup, ScanController, ScanStorage
 from appliance.service.starts import installation, recovered, this_run
 from appliance.service.watchdog import Watchdog
 from appliance.storage.beams import BeamsFile
@@ -67,28 +68,16 @@ def run(rig: Rig) -> int:
         response = response_of(rig)
         choices = ChoicesFile(rig.storage.root, standard_choices(rig))
         chosen, _ = choices.read()
-        patterns = Patterns(gl, rig, chosen.period_px, response)
+        patterns = DrawnPatterns(gl, rig, chosen.period_px, response)
         water = Water(chosen.water_c, chosen.salinity_psu, rig.water.wavelength_nm)
-        desk = stack.enter_context(
-            ScanController(
-                rig,
-                calibration,
-                patterns.sequence,
-                library,
-                wires.clock,
-                wires.calendar,
-                noise=noise_of(rig),
-                response=response,
-                water=water,
-                room=room,
-            )
-        )
-        calibrating = stack.enter_context(CalibrationController(rig, desk))
+        setup = MeasuringSetup(calibration, patterns.sequence, noise_of(rig), response, water)
+        scans = stack.enter_context(ScanController(rig, setup, ScanStorage(library, room), wires.clock, wires.calendar))
+        calibrating = stack.enter_context(CalibrationController(rig, scans))
         live_s = rig.board.live_every_vsyncs / rig.projector.refresh_hz
         pointers = pointers_of(rig)
         beams = None if pointers is None else BeamsFile(rig.storage.root, pointers)
         ranging = stack.enter_context(
-            RangingController(pointers, calibration, water.index, wires.clock, live_s, beams, desk.submit)
+            RangingController(pointers, calibration, water.index, wires.clock, live_s, beams, scans.submit)
         )
         aiming = stack.enter_context(AimingController(wires.clock, live_s, rig.camera.left.black_level_dn))
         painter = stack.enter_context(
@@ -96,10 +85,10 @@ def run(rig: Rig) -> int:
         )
         devices = stack.enter_context(Devices(rig, wires, patterns.load))
         status = StatusFile(rig.storage.root, os.getpid(), appliance.__version__)
-        service = Service(
-            rig, devices, desk, calibrating, GalleryController(library, desk.submit), ranging, aiming, patterns, painter, status, wires.clock,
-            choices, conditions, news, lambda: stopping.reason,
-        )  # fmt: skip
+        gallery = GalleryController(library, scans.submit)
+        parts = Parts(devices, scans, calibrating, gallery, ranging, aiming)
+        beginning = Beginning(choices, conditions, news)
+        service = Service(rig, parts, patterns, painter, status, wires.clock, beginning, lambda: stopping.reason)
         ended = service.run(Watchdog(manager, rig.storage.root, installation(Path(sys.prefix))))
         if ended.power_off:
             ask_power_off(os.environ)

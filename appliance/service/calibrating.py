@@ -22,7 +22,8 @@ from appliance.scan.verdict import Verdict
 from appliance.service import calibrator
 from appliance.service.background import Background, Done, Failed, Progressed
 from appliance.service.calibrator import Examined, Solution
-from appliance.service.scans import ScanController, remembered
+from appliance.service.health import write_trend
+from appliance.service.scans import ScanController
 from appliance.storage.atomic import StorageError
 from appliance.storage.calibrations import Calibrations, SessionError
 from appliance.storage.scan import ScanError
@@ -53,10 +54,10 @@ class _Changed:
 class CalibrationController:
     """Everything about the calibration that is neither a device nor a decision. A context manager."""
 
-    def __init__(self, rig: Rig, desk: ScanController) -> None:
-        """Disk work goes through ``desk``'s thread."""
+    def __init__(self, rig: Rig, scans: ScanController) -> None:
+        """Disk work goes through the thread of ``scans``."""
         self._rig = rig
-        self._desk = desk
+        self._scans = scans
         self._store = Calibrations(rig.storage.root, rig.rig.serial)
         self._background = Background()
         self._number = 0
@@ -88,7 +89,7 @@ class CalibrationController:
 
     def examine(self, number: int, step: Step) -> None:
         """Answer TrialExamined or CalibrationFailed."""
-        folder = self._desk.folder(number)
+        folder = self._scans.folder(number)
         if folder is None:
             said = "the recording is not on the disk; record it again"
             self._told.append(on.CalibrationFailed(Failure(FailureKind.RECORDING, said)))
@@ -111,15 +112,17 @@ class CalibrationController:
                 self._passed.append(f"VERIFY, scan {scan_id}: ball bar {100.0 * session.length_error:+.3f} %")
             return [on.SessionChanged(session)]
 
-        self._desk.accept(number, verdict, entered)
+        self._scans.accept(number, verdict, entered)
 
     def solve(self) -> None:
         """Answer CalibrationProgressed, then SessionChanged or CalibrationFailed."""
-        self._background.ask(calibrator.solve, self._rig, self._desk.calendar.today().utc.isoformat(timespec="seconds"))
+        self._background.ask(
+            calibrator.solve, self._rig, self._scans.calendar.today().utc.isoformat(timespec="seconds")
+        )
 
     def use_solved(self) -> None:
         """Answer SessionChanged or CalibrationFailed; the calibration in use is another from then on."""
-        date = self._desk.calendar.today().utc.date().isoformat()
+        date = self._scans.calendar.today().utc.date().isoformat()
         self._ask(lambda: _Changed(self._store.use_solved(date), calibration_of(self._rig)))
 
     def restore(self) -> None:
@@ -172,11 +175,11 @@ class CalibrationController:
 
     def _lengths_right(self, said: str) -> list[on.Event]:
         """A bar was measured right: an alarm of the ray gaps is answered, and what they show now is normal."""
-        write = self._desk.watch.answer(said)
+        write = self._scans.watch.answer(said)
         if write is None:
             return []
         log.info("ray gaps accepted: %s", said)
-        self._desk.submit(lambda: remembered(write))
+        self._scans.submit(lambda: write_trend(write))
         return [on.ConditionCleared(FaultCode.VERIFY_CALIBRATION)]
 
     def _solved(self, solution: Solution) -> None:
@@ -199,14 +202,14 @@ class CalibrationController:
         if changed.in_use is not None:
             calibration, faults = changed.in_use
             log.info("in use: %s of %s", calibration.method, calibration.made_at)
-            self._desk.use(calibration)
+            self._scans.use(calibration)
             events += [on.ConditionCleared(code) for code in (FaultCode.UNCALIBRATED, FaultCode.VERIFY_CALIBRATION)]
-            remembered = self._desk.watch.fault
-            events += [on.ConditionRaised(fault) for fault in (*faults, remembered) if fault is not None]
+            held = self._scans.watch.fault
+            events += [on.ConditionRaised(fault) for fault in (*faults, held) if fault is not None]
         return events
 
     def _ask(self, work: Callable[[], _Changed]) -> None:
-        self._answers.append(self._desk.submit(work))
+        self._answers.append(self._scans.submit(work))
 
 
 def _failure(error: str | None, reason: str, about: str = "") -> Failure:

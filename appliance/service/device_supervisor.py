@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, contextmanager
 from typing import Generic, TypeVar
 
-from appliance.machine.events import DeviceDown, DeviceUp
+from appliance.machine.events import DeviceDown, DeviceUp, Event
 from appliance.machine.states import Device
 from appliance.scan.fault import FaultCode
-from drivers.api import Clock, DeviceError
+from drivers.api import CardGone, Clock, DeviceError
 
 T = TypeVar("T")
 
@@ -85,18 +85,31 @@ class DeviceSupervisor(Generic[T]):
         self._reported = None
         return DeviceUp(self.device)
 
-    def lose(self, reason: str) -> DeviceDown | None:
-        """The device no longer works: close it and begin anew. ``None`` when that is known already."""
+    def lose(self, reason: str) -> list[DeviceDown]:
+        """Close a device that no longer works and begin anew; return that it went, or nothing when that is known already."""
         context, self._context, self._value = self._context, None, None
         if context is None:
-            return None
+            return []
         if self._executor is not None:
             self._executor.submit(_leave, context)
         else:
             _leave(context)
         self._plan()
         self._reported = reason
-        return DeviceDown(self.device, reason)
+        return [DeviceDown(self.device, reason)]
+
+    @contextmanager
+    def watched(self, inbox: list[Event]) -> Iterator[None]:
+        """Work with the device inside; one that fails is lost, and ``inbox`` hears of it as of any other event.
+
+        Raises CardGone: GL is lost with the graphics card, and comes back in another process only.
+        """
+        try:
+            yield
+        except CardGone:
+            raise
+        except DeviceError as error:
+            inbox += self.lose(error.message)
 
     def close(self) -> None:
         """Close for good. Waits for an opening that is under way."""

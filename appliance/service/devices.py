@@ -24,7 +24,7 @@ from drivers.api import Board, Camera, CameraSettings, Display, Projector, Wires
 
 
 class Devices:
-    """All devices, each kept open by its keeper. A context manager."""
+    """All devices, each kept open by its supervisor. A context manager."""
 
     def __init__(self, rig: Rig, wires: Wires, load_projector: Callable[[Projector], None]) -> None:
         """``load_projector`` is called with each newly opened projector, to give it its patterns."""
@@ -51,15 +51,15 @@ class Devices:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        for keeper in self._keepers():
-            keeper.close()
+        for supervisor in self._supervisors():
+            supervisor.close()
         self._executor.shutdown(wait=True, cancel_futures=True)
         self._outputs.__exit__(kind, error, trace)
 
     @property
     def all_tried(self) -> bool:
         """Every device was tried once."""
-        return all(keeper.tried for keeper in self._keepers())
+        return all(supervisor.tried for supervisor in self._supervisors())
 
     def openers(self) -> dict[str, Callable[[], AbstractContextManager[object]]]:
         """How to open each device once, by its name in the rig file, for whoever only wants to look at them."""
@@ -74,7 +74,7 @@ class Devices:
             "display": self._display,
         }
 
-    def _keepers(self) -> list[DeviceSupervisor[Any]]:
+    def _supervisors(self) -> list[DeviceSupervisor[Any]]:
         """All of them, in the order of closing."""
         return [*self.cameras.values(), self.keys, self.board, self.projector, self.display]
 
@@ -82,8 +82,9 @@ class Devices:
         """What came and went."""
         changes: list[DeviceUp | DeviceDown | None] = []
         for camera in self.cameras.values():
+            # A grabber that lost its camera says so itself: its thread cannot close what the heartbeat may be using.
             reason = camera.value.lost if camera.value is not None else None
-            changes.append(camera.lose(reason) if reason is not None else camera.poll())
+            changes += camera.lose(reason) if reason is not None else [camera.poll()]
         changes += [self.display.poll(), self.board.poll(), self.keys.poll(), self.projector.poll()]
         return [change for change in changes if change is not None]
 

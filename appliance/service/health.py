@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,10 +10,14 @@ from appliance.calibration.file import Calibration
 from appliance.calibration.gaps import TURNS, GapModes, in_words
 from appliance.calibration.health import UNMEASURED, HealthJudgement, HealthTrend, answered, judge, likeliest
 from appliance.calibration.patches import PatchGaps
+from appliance.machine import events as on
 from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.verdict import Verdict
+from appliance.storage.atomic import StorageError
 from appliance.storage.filesystem import FileSystem
 from appliance.storage.health import HealthFile
+
+log = logging.getLogger("kingfisher")
 
 VERDICT = "ray-gaps"
 
@@ -79,3 +84,15 @@ class CalibrationWatch:
         answers = GapModes(self._calibration.rig, gaps.water_index).of_parameters(TURNS)
         name, size, share = likeliest(said.point.amplitudes_um, answers)
         return f"; most like {in_words(name, -size)} ({100.0 * share:.0f} %)" if name else ""
+
+
+def write_trend(write: Callable[[], None]) -> list[on.Event]:
+    """Write the trend of the ray gaps down in the disk's thread; return no events.
+
+    No scan depends on it; with it, the next start knows what was before.
+    """
+    try:
+        write()
+    except StorageError as error:
+        log.warning("the trend of the ray gaps: %s", error)
+    return []

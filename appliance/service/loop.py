@@ -6,104 +6,43 @@ The thread is the process's main one and the sole owner of GL. A heartbeat is pa
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from functools import partial
-from typing import Any, assert_never
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import assert_never
 
 from appliance.calibration.design import METHOD as DRAWN
-from appliance.capture.scan import Arming, ScanRecorder, ScanSettings
-from appliance.capture.timeouts import Timeouts
 from appliance.config import Rig
-from appliance.instrument import exposure_of, exposures_of
+from appliance.instrument import machine_settings
 from appliance.machine import effects as do
 from appliance.machine import events as on
 from appliance.machine.alerts import lengths_doubtful
-from appliance.machine.choices import Choices, offers_of
+from appliance.machine.choices import Choices
 from appliance.machine.keys import meaning
-from appliance.machine.states import Machine, Part, Settings, State, TemperatureLimits, boot
+from appliance.machine.states import Machine, Part, State, boot
 from appliance.machine.step import step
 from appliance.machine.words import Language, Text
-from appliance.patterns.sequence import PERIODS_PX, build_sequence
-from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault, FaultCode
-from appliance.scan.sides import SIDES
 from appliance.scan.verdict import Verdict
 from appliance.screens.painter import Painter
 from appliance.screens.views import Grade
-from appliance.service.aiming import AimingController
-from appliance.service.calibrating import CalibrationController
-from appliance.service.device_supervisor import DeviceSupervisor
-from appliance.service.devices import Devices
-from appliance.service.gallery import GRADE, LENGTHS_DOUBTFUL, GalleryController
+from appliance.service.gallery import GRADE, LENGTHS_DOUBTFUL
+from appliance.service.inputs import Inputs
+from appliance.service.live import LiveViews
 from appliance.service.menu_view import Facts
-from appliance.service.patterns import Patterns
-from appliance.service.ranging import RangingController
-from appliance.service.scans import ScanController
-from appliance.service.spoken import spoken
+from appliance.service.parts import Beginning, Parts
+from appliance.service.recording import DrawnPatterns, SequenceRecorder
 from appliance.service.view import Surroundings, grade, view_of
 from appliance.service.watchdog import Watchdog
 from appliance.storage.atomic import StorageError
-from appliance.storage.choices import ChoicesFile
 from appliance.storage.status import StatusFile
-from drivers.api import (
-    BoardBooted,
-    BoardEvent,
-    BoardLost,
-    CardGone,
-    Clock,
-    DeviceError,
-    Key,
-    KeyEvent,
-    KeyFreed,
-    KeyLongPress,
-    KeyPress,
-    KeyRelease,
-    KeysLost,
-    KeyStuck,
-    Pulse,
-    PulsesDone,
-    Telemetry,
-    VsyncLost,
-)
+from drivers.api import Clock, Key
 
 log = logging.getLogger("kingfisher")
 
 PRESENT_TIMEOUT_S, PRESENT_PERIODS = 0.5, 4
 """How long a picture may take to the diver's display: the longer of both."""
 BEAT_WITHOUT_DISPLAY_S = 0.05
-MAX_BOARD_EVENTS = 200
 QUIT_TIMEOUT_S = 30.0
-
-
-def standard_choices(rig: Rig) -> Choices:
-    """What the rig file states of what the diver may choose."""
-    water = rig.water
-    return Choices(exposure_of(rig), rig.scan.period_px, water.salinity_psu, water.temperature_c, rig.display.language)
-
-
-def machine_settings(rig: Rig, choices: Choices | None = None) -> Settings:
-    """What the rig file says to the machine. ``choices``: what the diver chose before the start, if it is remembered."""
-    limits = rig.limits
-    choices = choices or standard_choices(rig)
-    width_px, height_px = rig.projector.width_px, rig.projector.height_px
-    offered = [period_px for period_px in PERIODS_PX if period_px <= min(width_px, height_px)]
-    sequences = {period_px: len(build_sequence(period_px, width_px, height_px)) for period_px in offered}
-    return Settings(
-        choices=choices,
-        offers=offers_of(standard_choices(rig), exposures_of(rig), tuple(sequences)),
-        frames=sequences,
-        refresh_hz=rig.projector.refresh_hz,
-        capture_margin_s=Timeouts(rig.projector.refresh_hz).margin_s,
-        temperatures={
-            "case": TemperatureLimits(limits.case_warm_c, limits.case_hot_c, limits.case_off_c),
-            "projector": TemperatureLimits(limits.projector_warm_c, limits.projector_hot_c, limits.projector_off_c),
-        },
-        supply_low_v=limits.supply_low_v,
-    )
 
 
 class Service:
@@ -112,73 +51,53 @@ class Service:
     def __init__(
         self,
         rig: Rig,
-        devices: Devices,
-        desk: ScanController,
-        calibrating: CalibrationController,
-        gallery: GalleryController,
-        ranging: RangingController,
-        aiming: AimingController,
-        patterns: Patterns,
+        parts: Parts,
+        patterns: DrawnPatterns,
         painter: Painter,
         status: StatusFile,
         clock: Clock,
-        choices: ChoicesFile,
-        conditions: tuple[Fault, ...],
-        news: tuple[Fault, ...],
+        beginning: Beginning,
         stop_reason: Callable[[], str | None],
     ) -> None:
-        """``conditions`` hold from the start (uncalibrated …), ``news`` is told once; ``stop_reason`` says why the process
-        should end."""
-        chosen, lost = choices.read()
+        """``stop_reason`` says why the process should end; ``None``: it should not."""
+        chosen, lost = beginning.choices.read()
         self._rig = rig
-        self._devices = devices
-        self._desk = desk
-        self._calibrating = calibrating
-        self._gallery = gallery
-        self._ranging = ranging
-        self._aiming = aiming
-        self._patterns = patterns
-        self._choices = choices
+        self._parts = parts
+        self._choices = beginning.choices
         self._painter = painter
         self._status = status
         self._clock = clock
         self._stop_reason = stop_reason
         self.machine: Machine = boot(clock.now_ns(), machine_settings(rig, chosen))
-        raised = [fault for fault in (*conditions, desk.watch.fault, lost) if fault is not None]
-        self._inbox: list[on.Event] = [on.ConditionRaised(fault) for fault in raised]
-        self._inbox += [on.Told(fault) for fault in news]
-        uncalibrated = next((fault for fault in conditions if fault.code is FaultCode.UNCALIBRATED), None)
-        self._inbox.append(
-            on.PartTested(Part.CALIBRATION, uncalibrated is None, "" if uncalibrated is None else Text.NOT_MEASURED)
-        )
-        self._arm_wanted: do.Arm | None = None
-        self._arming: Arming | None = None
-        self._period_wanted: int | None = None
-        self._live: dict[str, NDArray[np.uint8]] = {}
-        self._live_number = dict.fromkeys(SIDES, 0)
-        self._telemetry: Telemetry | None = None
-        self._picture: NDArray[np.uint8] | None = None
+        self._inbox: list[on.Event] = []
+        """Events for the next heartbeat. Everybody who works within one adds to the same list: it is emptied, never replaced."""
+        self._inputs = Inputs(parts.devices, parts.ranging)
+        self._live = LiveViews(rig, parts, self._inbox)
+        self._recorder = SequenceRecorder(rig, parts, patterns, self._inputs, clock, self._inbox)
+        raised = [*beginning.conditions, parts.scans.watch.fault, lost]
+        self._inbox += [on.ConditionRaised(fault) for fault in raised if fault is not None]
+        self._inbox += [on.Told(fault) for fault in beginning.news]
+        uncalibrated = any(fault.code is FaultCode.UNCALIBRATED for fault in beginning.conditions)
+        self._inbox.append(on.PartTested(Part.CALIBRATION, not uncalibrated, Text.NOT_MEASURED if uncalibrated else ""))
         self._drawn: State | None = None
-        """What ``_picture`` shows."""
-        self._preview: NDArray[np.uint8] | None = None
-        """The scan's cloud as it was reviewed; ``None`` before."""
+        """The state that the diver's display shows."""
         self._boot_told = False
         self._stop_told = False
         self._quit: do.Quit | None = None
 
-    def run(self, supervision: Watchdog) -> do.Quit:
+    def run(self, watchdog: Watchdog) -> do.Quit:
         """Beat until the machine wants to quit, then finish what is being written."""
 
         def beat() -> None:
             self.beat()
-            supervision.beaten(self.machine, worker_answers=self._desk.worker.answers)
+            watchdog.beaten(self.machine, worker_answers=self._parts.scans.worker.answers)
 
-        self._desk.test_storage()
+        self._parts.scans.test_storage()
         while self._quit is None:
             beat()
-        supervision.stopping()
+        watchdog.stopping()
         end_ns = self._clock.now_ns() + int(QUIT_TIMEOUT_S * 1e9)
-        while (self._desk.busy or self._calibrating.busy) and self._clock.now_ns() < end_ns:
+        while (self._parts.scans.busy or self._parts.calibrating.busy) and self._clock.now_ns() < end_ns:
             beat()
         self._tell_status()
         return self._quit
@@ -188,39 +107,32 @@ class Service:
         for event in self._gather():
             self._handle(event)
         self._handle(on.Tick(self._clock.now_ns()))
-        for event in self._make_ready():
+        for event in self._recorder.go_on():
             self._handle(event)
         self._tell_status()
         self._draw()
 
     def _tell_status(self) -> None:
         at = self.machine.gallery
-        shown = None if at is None else self._gallery.told(at.scan_id)
-        self._status.update(self.machine, self._desk.worker.pid, shown)
+        shown = None if at is None else self._parts.gallery.told(at.scan_id)
+        self._status.update(self.machine, self._parts.scans.worker.pid, shown)
 
     # --------------------------------------------------------------------------------- what happened
 
     def _gather(self) -> list[on.Event]:
-        events, self._inbox = self._inbox, []
-        events += self._devices.poll()
-        reader = self._devices.keys.value
-        if reader is not None:
-            for key in reader.take():
-                events += self._key(key)
-        board = self._devices.board.value
-        if board is not None:
-            for _ in range(MAX_BOARD_EVENTS):
-                report = board.next_event(0.0)
-                if report is None:
-                    break
-                events += self._board_event(report)
-        events += self._desk.poll()
-        events += self._calibrating.poll()
-        events += self._gallery.poll()
-        events += self._ranging.poll()
-        events += self._aiming.poll()
-        events += self._lasers_on()
-        if not self._boot_told and self._devices.all_tried:
+        # What the last beat left comes first: it happened before anything that is read now.
+        events = list(self._inbox)
+        self._inbox.clear()
+        parts = self._parts
+        events += parts.devices.poll()
+        events += self._inputs.poll()
+        events += parts.scans.poll()
+        events += parts.calibrating.poll()
+        events += parts.gallery.poll()
+        events += parts.ranging.poll()
+        events += parts.aiming.poll()
+        events += self._live.switch_lasers_on()
+        if not self._boot_told and parts.devices.all_tried:
             self._boot_told = True
             events.append(on.BootFinished())
         reason = self._stop_reason()
@@ -229,54 +141,20 @@ class Service:
             events.append(on.StopRequested(reason))
         return events
 
-    def _key(self, event: KeyEvent) -> list[on.Event]:
-        match event:
-            case KeyPress():
-                return [on.KeyPressed(event.key)]
-            case KeyLongPress():
-                return [on.KeyHeld(event.key)]
-            case KeyStuck():
-                return [on.KeyJammed(event.key)]
-            case KeyFreed():
-                return [on.KeyFreed(event.key)]
-            case KeyRelease():
-                return []
-            case KeysLost():
-                return _one(self._devices.keys.lose(event.reason))
-            case _:
-                assert_never(event)
-
-    def _board_event(self, event: BoardEvent) -> list[on.Event]:
-        match event:
-            case Telemetry():
-                self._telemetry = event
-                return [on.TelemetryArrived(event), *self._ranging.heard(event.lasers)]
-            case BoardBooted():
-                return [on.BoardReset(event.cause)]
-            case BoardLost():
-                return _one(self._devices.board.lose(event.reason))
-            case VsyncLost():
-                log.warning("the board sees no vertical sync from the projector's video")
-                return []
-            case Pulse() | PulsesDone():
-                return []  # of a sequence that was given up
-            case _:
-                assert_never(event)
-
     def _handle(self, event: on.Event) -> None:
         before = self.machine
         self.machine, wanted = step(before, event)
         if self.machine.state is not before.state:
             log.info("%s → %s (%s)", before.state.value, self.machine.state.value, type(event).__name__)
             if self.machine.state is State.CALIBRATE:
-                self._calibrating.warm()
+                self._parts.calibrating.warm()
             elif before.state is State.CALIBRATE and self.machine.calibrating is None:
-                self._calibrating.cancel()  # its process takes memory
+                self._parts.calibrating.cancel()  # its process takes memory
             if before.state is State.REVIEW and self._drawn is State.REVIEW:
-                self._preview = self._painter.preview()
-        said = spoken(event)
-        if said is not None:
-            log.log(*said)
+                self._parts.scans.preview = self._painter.preview()
+        line = spoken(event)
+        if line is not None:
+            log.log(*line)
         for effect in wanted:
             self._execute(effect)
 
@@ -285,210 +163,71 @@ class Service:
     def _execute(self, effect: do.Effect) -> None:
         match effect:
             case do.GoLive():
-                self._go_live(effect)
+                self._live.begin(effect, aiming=self.machine.state is State.AIM)
             case do.StopLive():
-                self._dark()
+                self._live.end()
             case do.LightsOff():
-                self._dark()
+                self._live.end()
             case do.Arm():
-                self._arm_wanted = effect
+                self._recorder.want(effect)
             case do.Capture():
-                self._capture(effect)
+                self._inbox.append(self._recorder.play(effect.number, self._draw, self._abort))
             case do.AbortCapture():
-                self._let_go()
+                self._recorder.let_go()
             case do.StoreRaw():
-                self._desk.store_raw(effect.number)
+                self._parts.scans.store_raw(effect.number)
             case do.StartReconstruction():
-                self._desk.worker.finish()
+                self._parts.scans.worker.finish()
             case do.CancelReconstruction():
-                self._desk.worker.drop()
+                self._parts.scans.worker.drop()
             case do.Publish():
                 self._publish(effect.number)
             case do.Reject():
-                self._desk.reject(effect.number, effect.reason)
+                self._parts.scans.reject(effect.number, effect.reason)
             case do.CheckRecording():
-                self._calibrating.examine(effect.number, effect.step)
+                self._parts.calibrating.examine(effect.number, effect.step)
             case do.AcceptRecording():
-                self._calibrating.accept(effect.number, effect.check)
+                self._parts.calibrating.accept(effect.number, effect.check)
             case do.SolveCalibration():
-                self._calibrating.solve()
+                self._parts.calibrating.solve()
             case do.UseSolved():
-                self._calibrating.use_solved()
+                self._parts.calibrating.use_solved()
             case do.RestoreKeptCalibration():
-                self._calibrating.restore()
+                self._parts.calibrating.restore()
             case do.BeginSession():
-                self._calibrating.begin()
+                self._parts.calibrating.begin()
             case do.CancelCalibration():
-                self._calibrating.cancel()
+                self._parts.calibrating.cancel()
             case do.RememberChoices():
-                self._desk.submit(partial(self._remember, effect.choices))
+                self._parts.scans.submit(partial(self._remember, effect.choices))
             case do.UsePeriod():
-                self._period_wanted = effect.period_px
+                self._recorder.want_period(effect.period_px)
             case do.UseWater():
-                self._desk.use_water(effect.salinity_psu, effect.temperature_c)
+                self._parts.scans.use_water(effect.salinity_psu, effect.temperature_c)
             case do.ListGallery():
-                self._gallery.list_scans()
+                self._parts.gallery.list_scans()
             case do.ShowGalleryScan():
-                self._gallery.show(effect.scan_id)
+                self._parts.gallery.show(effect.scan_id)
             case do.ReopenDevice():
-                for side, keeper in self._devices.cameras.items():
+                for side, camera in self._parts.devices.cameras.items():
                     if effect.device is None or effect.device.value == f"camera.{side}":
-                        self._inbox += _one(keeper.lose("opened again: its images do not follow the patterns"))
+                        self._inbox += camera.lose("opened again: its images do not follow the patterns")
             case do.Quit():
-                self._dark()
+                self._live.end()
                 self._quit = effect
             case _:
                 assert_never(effect)
 
-    def _go_live(self, wanted: do.GoLive) -> None:
-        shown = len(self._desk.sequence) + (1 if wanted.light else 0)  # behind the patterns: dark, live light
-        self._devices.expose(wanted.exposure)
-        for keeper in self._devices.cameras.values():
-            if keeper.value is not None:
-                keeper.value.live()
-        projector = self._devices.projector
-        if projector.value is not None:
-            with self._watching(projector):
-                projector.value.show(shown)
-        with self._watching(self._devices.board):
-            board = self._devices.board.value
-            if board is not None:
-                board.stop()
-                board.set_lasers(False, False)
-                board.live(self._rig.board.live_every_vsyncs, self._rig.board.trigger_delay_us, wanted.exposure.time_us)
-
-        calibration, index = self._desk.calibration, self._desk.water.index
-        self._ranging.live(wanted.lasers, calibration, index)
-        self._inbox += self._aiming.live(wanted.light and self.machine.state is State.AIM, calibration, index)
-
-    def _lasers_on(self) -> list[on.Event]:
-        """Switch the lasers on as soon as the live images were seen without them."""
-        board = self._devices.board.value
-        if board is None or not self._ranging.wants_lasers:
-            return []
-        events: list[on.Event] = []
-        with self._watching(self._devices.board):
-            events += self._ranging.switched_on(board.set_lasers(True, True))
-        return events
-
-    def _dark(self) -> None:
-        self._ranging.stop()
-        self._inbox += self._aiming.stop()
-        with self._watching(self._devices.projector):
-            if self._devices.projector.value is not None:
-                self._devices.projector.value.show(len(self._desk.sequence))
-        with self._watching(self._devices.board):
-            if self._devices.board.value is not None:
-                self._devices.board.value.set_lasers(False, False)
-                self._devices.board.value.stop()
-
-    def _make_ready(self) -> list[on.Event]:
-        """Go on with what a scan needs before its first pattern, without waiting."""
-        self._change_period()
-        wanted = self._arm_wanted
-        if wanted is None or (self._arming is None and not self._begin_arming(wanted)):
-            return []
-        arming = self._arming
-        if arming is None or not arming.poll():
-            return []
-        self._arm_wanted = None
-        for event in arming.events:
-            self._inbox += self._board_event(event)
-        arming.events.clear()
-        if arming.fault is None:
-            return [on.Armed(wanted.number)]
-        self._let_go()
-        return [on.CaptureFailed(wanted.number, arming.fault)]
-
-    def _begin_arming(self, wanted: do.Arm) -> bool:
-        if self._period_wanted is not None or not self._desk.settled:
-            return False  # the machine gives up when this takes too long
-        self._preview = None
-        self._devices.expose(wanted.exposure)
-        begin = self._desk.begin_second if wanted.second else self._desk.begin
-        fault = begin(wanted.number, wanted.exposure)
-        recorder = self._recorder(wanted.exposure)
-        if fault is None and recorder is None:
-            fault = Fault(FaultCode.INTERNAL, "a capture was wanted without all devices")
-        if fault is not None or recorder is None:
-            self._let_go()
-            self._inbox.append(on.CaptureFailed(wanted.number, fault or Fault(FaultCode.INTERNAL, "no device")))
-            return False
-        self._arming = recorder.arm(
-            self._desk.sequence, self._desk.store, self._desk.worker.frame, second=wanted.second
-        )
-        return True
-
-    def _let_go(self) -> None:
-        """No scan follows from what was made ready. What is recorded is recorded within one heartbeat: nothing runs."""
-        arming, self._arming, self._arm_wanted = self._arming, None, None
-        if arming is not None:
-            arming.let_go()
-        self._desk.drop()
-
-    def _capture(self, wanted: do.Capture) -> None:
-        arming, self._arming = self._arming, None
-        scan = self._desk.scan
-        recorder = self._recorder((scan.second or scan).exposure) if scan is not None else None
-        if arming is None or recorder is None:
-            self._let_go()
-            self._inbox.append(on.CaptureFailed(wanted.number, Fault(FaultCode.INTERNAL, "nothing was armed")))
-            return
-        self._draw()
-        report = recorder.play(self._desk.sequence, arming, self._abort)
-        for event in report.board_events:
-            self._inbox += self._board_event(event)
-        fault = report.fault or self._lasers_seen()
-        if fault is not None:
-            self._desk.drop()
-            self._inbox.append(on.CaptureFailed(wanted.number, fault))
-            return
-        self._desk.recorded(report, self._temperatures_c())
-        self._inbox.append(on.CaptureFinished(wanted.number))
-
-    def _recorder(self, exposure: Exposure) -> ScanRecorder | None:
-        """With the devices as they are; ``None`` without all of them."""
-        grabbers = {side: keeper.value for side, keeper in self._devices.cameras.items()}
-        ready = {side: grabber for side, grabber in grabbers.items() if grabber is not None}
-        board, projector = self._devices.board.value, self._devices.projector.value
-        if board is None or projector is None or len(ready) < len(SIDES):
-            return None
-        settings = ScanSettings(
-            refresh_hz=self._rig.projector.refresh_hz,
-            exposure_us=exposure.time_us,
-            trigger_delay_us=self._rig.board.trigger_delay_us,
-        )
-        return ScanRecorder(ready, board, projector, self._clock, settings)
-
-    def _lasers_seen(self) -> Fault | None:
-        """The images' own proof that the lasers were off, besides the board's."""
-        sequence, store = self._desk.sequence, self._desk.store
-        bright, dark = ({side: store.frames(side)[k] for side in SIDES} for k in (sequence.bright, sequence.dark))
-        return self._ranging.shining(bright, dark)
-
     def _abort(self) -> Fault | None:
-        """Asked at every vertical blank of a sequence: whether the diver or the system wants its end."""
+        """Return why the sequence that plays is to end: the system or the diver wants it; ``None``: nobody does."""
         reason = self._stop_reason()
         if reason is not None:
             return Fault(FaultCode.CAPTURE_TIMEOUT, f"stopped: {reason}")
-        reader = self._devices.keys.value
-        pressed = [event for key in reader.take() for event in self._key(key)] if reader is not None else []
-        self._inbox += pressed
+        pressed = self._inputs.keys()
+        self._inbox += pressed  # the machine hears of every key, also of those that end nothing
         if any(isinstance(e, on.KeyPressed) and meaning(self.machine, e.key) is Key.BACK for e in pressed):
             return Fault(FaultCode.CAPTURE_TIMEOUT, "stopped by the diver")
         return None
-
-    def _change_period(self) -> None:
-        """Patterns, frame memory and worker of another period, once nothing of the last scan is on its way any more."""
-        if self._period_wanted is None or self._desk.busy or self._arming is not None:
-            return
-        period_px, self._period_wanted = self._period_wanted, None
-        if period_px == self._desk.sequence.period_px:
-            return
-        self._desk.use_sequence(self._patterns.use(period_px))
-        with self._watching(self._devices.projector):
-            if self._devices.projector.value is not None:
-                self._patterns.load(self._devices.projector.value)
 
     def _remember(self, choices: Choices) -> None:
         try:
@@ -497,7 +236,7 @@ class Service:
             log.warning("the choices hold until the next start only: %s", error)
 
     def _publish(self, number: int) -> None:
-        scan = self._desk.scan
+        scan = self._parts.scans.scan
         summary = scan.full.summary if scan is not None and scan.full is not None else None
         warnings = self.machine.scan.warnings if self.machine.scan is not None else ()
         word = (
@@ -507,69 +246,62 @@ class Service:
         )
         numbers = {LENGTHS_DOUBTFUL: float(lengths_doubtful(self.machine))}
         verdict = None if summary is None else Verdict(GRADE, word is not Grade.BAD, numbers, word.value)
-        self._desk.publish(number, self._preview, verdict)
-
-    def _temperatures_c(self) -> dict[str, float | None]:
-        t = self._telemetry
-        values: dict[str, float | None] = {
-            "projector": t.temperature_projector_c if t else None,
-            "case": t.temperature_case_c if t else None,
-            "board": t.temperature_board_c if t else None,
-        }
-        for side, keeper in self._devices.cameras.items():
-            values[f"camera_{side}"] = keeper.value.temperature_c if keeper.value is not None else None
-        return values
+        self._parts.scans.publish(number, self._parts.scans.preview, verdict)
 
     def _facts(self) -> Facts:
-        calibration = self._desk.calibration
+        calibration = self._parts.scans.calibration
         return Facts(
             serial=self._rig.rig.serial,
             calibrated=Text.FROM_DRAWING if calibration.method == DRAWN else calibration.made_at[:10],
         )
 
-    @contextmanager
-    def _watching(self, keeper: DeviceSupervisor[Any]) -> Iterator[None]:
-        """A device that fails inside is lost, and that is an event like any other. Raises CardGone: GL is lost with it, and
-        comes back in another process only."""
-        try:
-            yield
-        except CardGone:
-            raise
-        except DeviceError as error:
-            self._inbox += _one(keeper.lose(error.message))
-
     # --------------------------------------------------------------------------------- what is shown
 
     def _draw(self) -> None:
-        display = self._devices.display
+        display = self._parts.devices.display
         if display.value is None:
+            # Nothing paces the heartbeat now: without this pause it would take a whole processor.
             self._clock.sleep_s(BEAT_WITHOUT_DISPLAY_S)
             return
-        for side, keeper in self._devices.cameras.items():
-            latest = keeper.value.latest(self._live_number[side]) if keeper.value is not None else None
-            if latest is not None:
-                self._live_number[side], self._live[side] = latest
-                self._ranging.see(side, latest[1])
-                self._aiming.see(side, *latest)
-            elif keeper.value is None:
-                self._live.pop(side, None)
-                self._live_number[side] = 0
+        self._live.take()
+        telemetry = self._inputs.telemetry
         around = Surroundings(
-            left=self._live.get("left"),
-            right=self._live.get("right"),
-            temperature_c=self._telemetry.temperature_case_c if self._telemetry is not None else None,
-            scan=self._desk.scan,
-            shown=self._gallery.shown,
+            left=self._live.images.get("left"),
+            right=self._live.images.get("right"),
+            temperature_c=telemetry.temperature_case_c if telemetry is not None else None,
+            scan=self._parts.scans.scan,
+            shown=self._parts.gallery.shown,
             facts=self._facts(),
-            marks=self._ranging.marks,
+            marks=self._parts.ranging.marks,
         )
         self._painter.language = Language(self.machine.choices.language)
-        self._picture = self._painter.draw(view_of(self.machine, around), self._clock.now_ns() / 1e9)
+        picture = self._painter.draw(view_of(self.machine, around), self._clock.now_ns() / 1e9)
         self._drawn = self.machine.state
         limit_s = max(PRESENT_TIMEOUT_S, PRESENT_PERIODS / self._rig.display.refresh_hz)
-        with self._watching(display):
-            display.value.present(self._picture, limit_s)
+        with display.watched(self._inbox):
+            display.value.present(picture, limit_s)
 
 
-def _one(event: on.DeviceDown | None) -> list[on.Event]:
-    return [] if event is None else [event]
+def spoken(event: on.Event) -> tuple[int, str] | None:
+    """Return level and text of a log line; ``None`` for what needs none: it is seen in the states, or comes all the time."""
+    match event:
+        case on.DeviceUp(device):
+            return logging.INFO, f"{device.value} works"
+        case on.DeviceDown(device, reason, code):
+            return logging.WARNING, f"{device.value} lost{'' if code is None else f' ({code.value})'}: {reason}"
+        case on.CaptureFailed(number, fault):
+            return logging.WARNING, f"scan {number} of this start failed: {fault_text(fault)}"
+        case on.SaveFailed(number, fault):
+            return logging.WARNING, f"scan {number} of this start is not saved: {fault_text(fault)}"
+        case on.ReconstructionFailed(number, fault):
+            return logging.WARNING, f"scan {number} of this start was not reconstructed: {fault_text(fault)}"
+        case _:
+            return None
+
+
+def fault_text(fault: Fault) -> str:
+    """Return code, device, the detector's words and its numbers, in one line."""
+    numbers = ", ".join(f"{name} {value:.4g}" for name, value in fault.numbers.items())
+    of = "" if fault.device is None else f" of {fault.device}"
+    detail = "; ".join(filter(None, (fault.detail, numbers)))
+    return f"{fault.code.value}{of}" + (f": {detail}" if detail else "")

@@ -1,4 +1,4 @@
-"""Owns what is known of the scan in hand, from its first frame to its folder: values only, ``ScanController`` changes them."""
+"""Owns what is known of the scan in hand, from its first frame to its folder: values only; ``ScanController``, ``WorkerReports`` and ``ScanFiles`` change them."""
 
 from __future__ import annotations
 
@@ -42,8 +42,6 @@ class ScanInMemory:
     raw: Future[PendingScan] | None = None
     judgements: tuple[Judgement, ...] = ()
     """Of the first sequence."""
-    windows_watched: bool = False
-    """The watch over the cameras' windows has counted it."""
     second: SecondInMemory | None = None
     times_s: dict[str, float] = field(default_factory=dict)
     """As ``ScanRecord.stage_times_s``."""

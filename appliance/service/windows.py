@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.machine import events as on
 from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.sides import SIDES
 from appliance.scan.verdict import Verdict
@@ -43,6 +44,22 @@ class WindowWatch:
         self._sums = {side: np.zeros(CELLS[0] * CELLS[1] + 1) for side in SIDES}
         self._alarm = dict.fromkeys(SIDES, False)
         self._light: dict[str, Array] | None = None
+        self._counted: int | None = None
+
+    def count(self, scan: int, windows: Windows) -> tuple[Verdict, list[on.Event]] | None:
+        """Judge scan number ``scan`` and return its verdict and what holds from now on; ``None`` where it was counted before.
+
+        A scan counts once, however often the worker judges it: a process that was started again, or a compensated cloud,
+        must not make three scans of one.
+        """
+        if scan == self._counted:
+            return None
+        self._counted = scan
+        verdict = self.judge(windows)
+        return verdict, [
+            on.ConditionCleared(code, device) if fault is None else on.ConditionRaised(fault)
+            for code, device, fault in self.conditions()
+        ]
 
     def judge(self, windows: Windows) -> Verdict:
         """One more scan; its verdict says what holds after it."""

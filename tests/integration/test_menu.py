@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.config import load_rig
+from appliance.instrument import standard_choices
 from appliance.screens.painter import Painter
 from appliance.screens.views import AnyView, GalleryView, MenuView
 from appliance.service.app import run
 from appliance.service.keys import KeyReader
-from appliance.service.loop import standard_choices
 from appliance.storage.choices import ChoicesFile
 from appliance.storage.library import Library
 from appliance.worker import process

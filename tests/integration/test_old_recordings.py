@@ -23,8 +23,7 @@ from appliance.calibration import file as calibration_file
 from appliance.calibration.guide import Step
 from appliance.cli import main
 from appliance.config import Rig, load_rig
-from appliance.instrument import calibration_of, pointers_of, start_of
-from appliance.service.loop import standard_choices
+from appliance.instrument import calibration_of, pointers_of, standard_choices, start_of
 from appliance.storage.beams import BeamsFile
 from appliance.storage.calibrations import Calibrations
 from appliance.storage.choices import ChoicesFile

@@ -47,31 +47,31 @@ class Plug:
 
 def test_pauses_grow_and_the_loss_is_told_once() -> None:
     clock, plug = HandClock(), Plug()
-    keeper = DeviceSupervisor(Device.BOARD, plug.open, clock, None)
+    supervisor = DeviceSupervisor(Device.BOARD, plug.open, clock, None)
     told = []
     for _ in range(4000):
-        event = keeper.poll()
+        event = supervisor.poll()
         if event is not None:
             told.append(event)
         clock.sleep_s(0.01)
     assert told == [DeviceDown(Device.BOARD, "not found")]
     assert plug.tries == 1 + next(n for n in range(100) if sum((*PAUSES_S, *[PAUSES_S[-1]] * n)[: n + 1]) > 40.0)
-    assert keeper.tried
+    assert supervisor.tried
 
 
 def test_it_comes_goes_and_comes_again() -> None:
     clock, plug = HandClock(), Plug()
     plug.present = True
-    keeper = DeviceSupervisor(Device.BOARD, plug.open, clock, None)
-    assert keeper.poll() == DeviceUp(Device.BOARD)
-    assert keeper.value == "the device"
-    assert keeper.poll() is None
-    assert keeper.lose("unplugged") == DeviceDown(Device.BOARD, "unplugged")
-    assert keeper.lose("unplugged") is None
-    assert [keeper.value] == [None]
+    supervisor = DeviceSupervisor(Device.BOARD, plug.open, clock, None)
+    assert supervisor.poll() == DeviceUp(Device.BOARD)
+    assert supervisor.value == "the device"
+    assert supervisor.poll() is None
+    assert supervisor.lose("unplugged") == [DeviceDown(Device.BOARD, "unplugged")]
+    assert supervisor.lose("unplugged") == []
+    assert [supervisor.value] == [None]
     assert plug.closed == 1
-    assert keeper.poll() is None, "not before the pause"
+    assert supervisor.poll() is None, "not before the pause"
     clock.sleep_s(PAUSES_S[0] + 0.01)
-    assert keeper.poll() == DeviceUp(Device.BOARD)
-    keeper.close()
+    assert supervisor.poll() == DeviceUp(Device.BOARD)
+    supervisor.close()
     assert plug.closed == 2

@@ -79,13 +79,13 @@ class _Disk:
 def test_the_newest_comes_first_and_the_latest_wish_counts_however_slow_the_disk_is(library: Library) -> None:
     ids = [saved(library) for _ in range(3)]
     disk = _Disk()
-    desk = GalleryController(library, disk.submit)
-    desk.list_scans()
+    gallery = GalleryController(library, disk.submit)
+    gallery.list_scans()
     for scan_id in ids:
-        desk.show(scan_id)
-    assert desk.poll() == [], "nothing is waited for"
+        gallery.show(scan_id)
+    assert gallery.poll() == [], "nothing is waited for"
     disk.free.set()
     disk.pool.shutdown(wait=True)
-    assert desk.poll() == [on.ScansListed(tuple(reversed(ids)))]
-    assert desk.shown is not None
-    assert desk.shown.scan_id == ids[-1]
+    assert gallery.poll() == [on.ScansListed(tuple(reversed(ids)))]
+    assert gallery.shown is not None
+    assert gallery.shown.scan_id == ids[-1]

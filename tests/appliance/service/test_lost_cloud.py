@@ -24,7 +24,7 @@ from appliance.reconstruct.pipeline import Pipeline
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import FaultCode
 from appliance.scan.sides import SIDES
-from appliance.service.scans import ScanController
+from appliance.service.scans import MeasuringSetup, ScanController, ScanStorage
 from appliance.storage.library import Library
 from appliance.storage.ply import read_ply
 from drivers.api import Flip, Frame, FrameStatus, Pulse
@@ -57,7 +57,9 @@ def desk(rig: Rig) -> Iterator[ScanController]:
     calibration = design_of(rig)
     library = Library(rig.storage.root)
     library.prepare()
-    with ScanController(rig, calibration, SEQUENCE, library, CLOCK, KernelCalendar()) as desk:
+    with ScanController(
+        rig, MeasuringSetup(calibration, SEQUENCE), ScanStorage(library), CLOCK, KernelCalendar()
+    ) as desk:
         index = calibration.water.index
         offset = float(NORMAL @ calibration.rig.volume_centre_mm(index))
         for side, camera in (("left", calibration.rig.left), ("right", calibration.rig.right)):

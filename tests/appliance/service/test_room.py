@@ -21,7 +21,7 @@ from appliance.patterns.sequence import build_sequence
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import FaultCode
 from appliance.service.room import ASK_AGAIN_S, Told, steady
-from appliance.service.scans import ScanController
+from appliance.service.scans import MeasuringSetup, ScanController, ScanStorage
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.library import Library
 from appliance.storage.room import FOLDER, Room
@@ -55,16 +55,18 @@ def desk_on(disk: Disk, root: Path, clock: SteppedClock) -> Iterator[ScanControl
     room = Room(root, disk)
     library = Library(root, room)
     library.prepare()
-    desk = ScanController(rig, calibration, build_sequence(16), library, clock, KernelCalendar(), room=room)
+    scans = ScanController(
+        rig, MeasuringSetup(calibration, build_sequence(16)), ScanStorage(library, room), clock, KernelCalendar()
+    )
     try:
-        yield desk
+        yield scans
     finally:
-        desk.__exit__(None, None, None)
+        scans.__exit__(None, None, None)
 
 
-def answered(desk: ScanController) -> list[on.Event]:
-    desk.submit(lambda: None).result(30.0)  # whatever was asked before is through
-    return desk.poll()
+def answered(scans: ScanController) -> list[on.Event]:
+    scans.submit(lambda: None).result(30.0)  # whatever was asked before is through
+    return scans.poll()
 
 
 def raised(events: list[on.Event]) -> set[FaultCode]:
@@ -87,46 +89,46 @@ def test_a_scan_for_which_no_space_can_be_allocated_is_refused_until_it_can(
 ) -> None:
     disk, clock = Disk(), SteppedClock()
     disk.error = error
-    with desk_on(disk, tmp_path, clock) as desk:
-        desk.test_storage()
-        assert raised(answered(desk)) == {code}
+    with desk_on(disk, tmp_path, clock) as scans:
+        scans.test_storage()
+        assert raised(answered(scans)) == {code}
         assert RULES[code].blocks_scan
-        fault = desk.begin(1, Exposure(8000, 0.0))
+        fault = scans.begin(1, Exposure(8000, 0.0))
         assert fault is not None
         assert fault.code is code
         disk.error = None
         clock.sleep_s(ASK_AGAIN_S + 0.1)
-        desk.poll()
-        events = answered(desk)  # it asked again by itself
+        scans.poll()
+        events = answered(scans)  # it asked again by itself
         assert raised(events) == set()
         assert any(isinstance(event, on.StorageCounted) and event.scans_left for event in events)
-        assert desk.begin(1, Exposure(8000, 0.0)) is None
+        assert scans.begin(1, Exposure(8000, 0.0)) is None
 
 
-def told_left(desk: ScanController) -> int | None:
+def told_left(scans: ScanController) -> int | None:
     """How many more scans have room, as it is told now."""
-    desk.test_storage()
-    return next(event.scans_left for event in answered(desk) if isinstance(event, on.StorageCounted))
+    scans.test_storage()
+    return next(event.scans_left for event in answered(scans) if isinstance(event, on.StorageCounted))
 
 
 def test_the_scans_left_do_not_go_up_after_a_save_by_what_other_programs_give_back(tmp_path: Path) -> None:
     disk = Disk()
-    with desk_on(disk, tmp_path, SteppedClock()) as desk:
-        desk.test_storage()
-        answered(desk)
+    with desk_on(disk, tmp_path, SteppedClock()) as scans:
+        scans.test_storage()
+        answered(scans)
         one = size_bytes(24, 400, 300)
         disk.free = 2000 * one
-        begun = told_left(desk)
+        begun = told_left(scans)
         assert begun is not None
         disk.free += one
-        assert told_left(desk) == begun, "2001 after 2000, and nothing was freed"
+        assert told_left(scans) == begun, "2001 after 2000, and nothing was freed"
         disk.free -= 7 * one
-        less = told_left(desk)
+        less = told_left(scans)
         assert less == begun - 6
         disk.free += 2 * one
-        assert told_left(desk) == less
+        assert told_left(scans) == less
         disk.free += 50 * one
-        assert told_left(desk) == begun + 46, "somebody made room: that is told"
+        assert told_left(scans) == begun + 46, "somebody made room: that is told"
 
 
 @pytest.mark.parametrize(
@@ -146,27 +148,27 @@ def test_what_counts_as_freed(before: Told, now: Told, left: int) -> None:
 
 
 def test_after_the_self_test_the_space_of_a_whole_scan_is_allocated(tmp_path: Path) -> None:
-    with desk_on(Disk(), tmp_path, SteppedClock()) as desk:
-        desk.test_storage()
-        events = answered(desk)
+    with desk_on(Disk(), tmp_path, SteppedClock()) as scans:
+        scans.test_storage()
+        events = answered(scans)
         (tested,) = (event for event in events if isinstance(event, on.PartTested))
         assert (tested.part, tested.passed) == (Part.STORAGE, True)
         assert tested.detail is not Text.COUNTED_ONLY
         held = {path.name: path.stat().st_blocks * 512 for path in (tmp_path / FOLDER).iterdir() if path.is_file()}
         assert held["frames-left"] >= 24 * 400 * 300
         assert held["frames-right"] >= 24 * 400 * 300
-        desk.use_sequence(build_sequence(64))
-        answered(desk)
-        assert desk.begin(1, Exposure(8000, 0.0)) is None
+        scans.use_sequence(build_sequence(64))
+        answered(scans)
+        assert scans.begin(1, Exposure(8000, 0.0)) is None
 
 
 def test_a_disk_that_cannot_allocate_is_used_and_said_to_be_counted_only(tmp_path: Path) -> None:
     disk = Disk()
     disk.error = errno.EOPNOTSUPP
-    with desk_on(disk, tmp_path, SteppedClock()) as desk:
-        desk.test_storage()
-        events = answered(desk)
+    with desk_on(disk, tmp_path, SteppedClock()) as scans:
+        scans.test_storage()
+        events = answered(scans)
         (tested,) = (event for event in events if isinstance(event, on.PartTested))
         assert tested.passed
         assert tested.detail is Text.COUNTED_ONLY
-        assert desk.begin(1, Exposure(8000, 0.0)) is None
+        assert scans.begin(1, Exposure(8000, 0.0)) is None

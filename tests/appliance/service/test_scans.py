@@ -12,20 +12,20 @@ from appliance.machine.states import Part
 from appliance.optics.water import Water
 from appliance.patterns.sequence import build_sequence
 from appliance.scan.fault import FaultCode
-from appliance.service.scans import ScanController
+from appliance.service.scans import MeasuringSetup, ScanController, ScanStorage
 from appliance.storage.library import Library
 from appliance.worker.process import WorkLimits
 from drivers.native import MonotonicClock
 from drivers.wall_clock import KernelCalendar
 
 
-def events_until_settled(desk: ScanController, timeout_s: float = 60.0) -> list[on.Event]:
+def events_until_settled(scans: ScanController, timeout_s: float = 60.0) -> list[on.Event]:
     clock = MonotonicClock()
     found: list[on.Event] = []
     end_ns = clock.now_ns() + int(timeout_s * 1e9)
-    while not desk.worker_settled and clock.now_ns() < end_ns:
+    while not scans.worker_settled and clock.now_ns() < end_ns:
         found += [
-            event for event in desk.poll() if not isinstance(event, on.PartBusy)
+            event for event in scans.poll() if not isinstance(event, on.PartBusy)
         ]  # how long it takes is the host's
         clock.sleep_s(0.01)
     return found
@@ -41,9 +41,14 @@ def test_a_worker_that_cannot_live_is_a_condition_and_no_endless_boot(tmp_path: 
     for memory_mb, expected in ((20.0, on.ConditionRaised), (2000.0, on.ConditionCleared)):
         limits = WorkLimits(memory_mb=memory_mb, start_memory_mb=memory_mb)
         with ScanController(
-            rig, calibration, build_sequence(16), library, MonotonicClock(), KernelCalendar(), limits
-        ) as desk:
-            event, told = events_until_settled(desk)
+            rig,
+            MeasuringSetup(calibration, build_sequence(16)),
+            ScanStorage(library),
+            MonotonicClock(),
+            KernelCalendar(),
+            limits,
+        ) as scans:
+            event, told = events_until_settled(scans)
             assert isinstance(event, expected)
             assert isinstance(told, on.PartTested)
             assert (told.part, told.passed) == (Part.WORKER, expected is on.ConditionCleared), (
@@ -51,4 +56,4 @@ def test_a_worker_that_cannot_live_is_a_condition_and_no_endless_boot(tmp_path: 
             )
             fault = event.fault if isinstance(event, on.ConditionRaised) else event
             assert fault.code is FaultCode.RECONSTRUCTION_FAILED
-            assert desk.worker_settled
+            assert scans.worker_settled

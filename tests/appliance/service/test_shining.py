@@ -32,50 +32,50 @@ def memory(tmp_path: Path) -> BeamsFile:
 
 
 @pytest.fixture
-def desk(memory: BeamsFile) -> Iterator[RangingController]:
+def ranging(memory: BeamsFile) -> Iterator[RangingController]:
     with RangingController(POINTERS, CALIBRATION, 1.333, MonotonicClock(), 0.1, memory) as made:
         yield made
 
 
-def test_a_dark_frame_without_a_dot_is_no_fault(desk: RangingController, caplog: pytest.LogCaptureFixture) -> None:
-    assert desk.shining(BRIGHT, DARK) is None
+def test_a_dark_frame_without_a_dot_is_no_fault(ranging: RangingController, caplog: pytest.LogCaptureFixture) -> None:
+    assert ranging.shining(BRIGHT, DARK) is None
     assert caplog.text == ""
 
 
 def test_a_disk_that_does_not_answer_ends_neither_scan_nor_service(
-    memory: BeamsFile, desk: RangingController, caplog: pytest.LogCaptureFixture
+    memory: BeamsFile, ranging: RangingController, caplog: pytest.LogCaptureFixture
 ) -> None:
     os.mkfifo(memory.path)  # whoever reads it waits
-    assert desk.shining(BRIGHT, DARK) is None
+    assert ranging.shining(BRIGHT, DARK) is None
     assert "lasers in the dark frame: no answer within 3 s" in caplog.text
     with memory.path.open("wb"):  # it answers after all
         pass
 
 
 def test_images_that_cannot_be_judged_end_neither_scan_nor_service(
-    desk: RangingController, caplog: pytest.LogCaptureFixture
+    ranging: RangingController, caplog: pytest.LogCaptureFixture
 ) -> None:
-    assert desk.shining(BRIGHT, {"left": DARK["left"]}) is None
+    assert ranging.shining(BRIGHT, {"left": DARK["left"]}) is None
     assert "lasers in the dark frame: not judged: 'right'" in caplog.text
 
 
-def test_the_marks_of_the_dots_are_known_once_the_lasers_are_on_and_only_then(desk: RangingController) -> None:
-    desk.live(True, CALIBRATION, 1.333)
-    assert desk.marks is None
-    shown = _looked_at(desk, lambda: desk.wants_lasers)
+def test_the_marks_of_the_dots_are_known_once_the_lasers_are_on_and_only_then(ranging: RangingController) -> None:
+    ranging.live(True, CALIBRATION, 1.333)
+    assert ranging.marks is None
+    shown = _looked_at(ranging, lambda: ranging.wants_lasers)
     assert shown
-    assert desk.marks is None, "the lasers are off"
-    desk.switched_on(LaserState(True, True))
-    assert _looked_at(desk, lambda: desk.marks is not None)
-    desk.stop()
-    assert desk.marks is None
+    assert ranging.marks is None, "the lasers are off"
+    ranging.switched_on(LaserState(True, True))
+    assert _looked_at(ranging, lambda: ranging.marks is not None)
+    ranging.stop()
+    assert ranging.marks is None
 
 
-def _looked_at(desk: RangingController, enough: Callable[[], bool]) -> bool:
+def _looked_at(ranging: RangingController, enough: Callable[[], bool]) -> bool:
     until = time.monotonic() + 20.0
     while not enough() and time.monotonic() < until:
         for side, image in BRIGHT.items():
-            desk.see(side, image)
+            ranging.see(side, image)
         time.sleep(0.02)
-        desk.poll()
+        ranging.poll()
     return enough()

@@ -16,7 +16,7 @@ import pytest
 from appliance.machine import events as on
 from appliance.machine.states import Device
 from appliance.scan.fault import Fault, FaultCode
-from appliance.service.spoken import fault_text, spoken
+from appliance.service.loop import fault_text, spoken
 from hw_sim.people import status_file
 
 REPR = re.compile(r"<\w+[.:]|\w\(\w+=|\{'|\['|\(\)|\('|\bNone\b|Device\.|FaultCode\.")
