@@ -10,7 +10,14 @@ from pathlib import Path
 
 from appliance.capture.store import FrameStore
 from appliance.scan.sides import SIDES
-from appliance.worker.process import CloudReady, PatternsRight, ReconstructionWorker, ScanJudged, WorkerReady, WorkOrder
+from appliance.worker.process import (
+    CloudReady,
+    ReconstructionWorker,
+    ScanJudged,
+    SequenceIdentified,
+    WorkerReady,
+    WorkOrder,
+)
 from bench.result import Measured
 from bench.scan_frames import ScanFrames
 from bench.timing import median_of
@@ -84,7 +91,7 @@ def clouds_after_s(process: ReconstructionWorker, since_s: float) -> tuple[float
         match process.wait(CLOUD_TIMEOUT_S):
             case CloudReady(full=full) if full == bool(took_s):
                 took_s.append(time.monotonic() - since_s)
-            case PatternsRight() | ScanJudged():
+            case SequenceIdentified() | ScanJudged():
                 pass
             case other:
                 raise RuntimeError(f"the worker answered {other!r:.200}")

@@ -15,7 +15,7 @@ from appliance.cli.desk import place_of, whole_scan, writable, writing
 from appliance.cli.kernels import compile_desk_kernels
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json
 from appliance.cli.places import WithRoot
-from appliance.offline.origin import instrument_of, refuse_misfit, taken
+from appliance.offline.origin import instrument_of, open_source, refuse_misfit
 from appliance.storage.atomic import replace_file
 from appliance.storage.calibrations import Calibrations, SessionError
 from appliance.storage.filesystem import LocalFileSystem
@@ -85,7 +85,7 @@ class CalibrateWater(WithRoot):
             sources = []
             for k, entry in enumerate(scans.entries):
                 progress(f"comparing checksums of {entry.scan}", SCANS_CHECKED * k / len(scans.entries))
-                sources.append(taken(whole_scan(wish, place_of(self.list, entry.scan)), wish))
+                sources.append(open_source(whole_scan(wish, place_of(self.list, entry.scan)), wish))
 
             rig = instrument_of(sources, wish)
             refuse_drawing(rig, self.start)

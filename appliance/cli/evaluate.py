@@ -12,7 +12,7 @@ from appliance.cli.desk import measuring, place_of, whole_scan, writable, writin
 from appliance.cli.kernels import compile_desk_kernels
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json, table
 from appliance.cli.places import WithCalibration
-from appliance.offline.origin import instrument_of, one_calibration, taken
+from appliance.offline.origin import instrument_of, one_calibration, open_source
 from appliance.storage.atomic import replace_file
 from appliance.storage.filesystem import LocalFileSystem
 
@@ -54,7 +54,7 @@ class Evaluate(WithCalibration):
             sources = []
             for k, entry in enumerate(scans.entries):
                 progress(f"comparing checksums of {entry.scan}", SCANS_CHECKED * k / len(scans.entries))
-                sources.append(taken(whole_scan(wish, place_of(self.list, entry.scan)), wish))
+                sources.append(open_source(whole_scan(wish, place_of(self.list, entry.scan)), wish))
 
             def step(what: str, part: float) -> None:
                 progress(what, SCANS_CHECKED + (1.0 - SCANS_CHECKED) * part)

@@ -12,7 +12,7 @@ from appliance.cli.kernels import compile_desk_kernels
 from appliance.cli.listing import listing
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json, table
 from appliance.cli.places import WithRoot
-from appliance.offline.origin import instrument_of, taken
+from appliance.offline.origin import instrument_of, open_source
 from appliance.storage.atomic import replace_file
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.scan import ScanError
@@ -41,7 +41,7 @@ class MeasureResponse(WithRoot):
         _never_replaced(self.out)
         with Progress() as progress:
             progress("comparing checksums")
-            source = taken(whole_scan(wish, self.scan), wish)
+            source = open_source(whole_scan(wish, self.scan), wish)
             folder, rig = source.scan.folder, instrument_of((source,), wish)
             path = self.out or rig.storage.root / RESPONSE_FILE
             _never_replaced(path)
@@ -88,7 +88,7 @@ class MeasureNoise(WithRoot):
 
         with Progress() as progress:
             progress("comparing checksums")
-            source = taken(whole_scan(wish, self.scan), wish)
+            source = open_source(whole_scan(wish, self.scan), wish)
             folder = source.scan.folder
             progress("comparing sine images")
             try:

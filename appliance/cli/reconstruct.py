@@ -11,7 +11,7 @@ from appliance.cli.kernels import compile_desk_kernels
 from appliance.cli.listing import listing
 from appliance.cli.output import Exit, Progress, say_json
 from appliance.cli.places import WithCalibration
-from appliance.offline.origin import calibration_for, instrument_of, one_calibration, taken
+from appliance.offline.origin import calibration_for, instrument_of, one_calibration, open_source
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,7 +35,7 @@ class Reconstruct(WithCalibration):
             from appliance.offline.salvage import salvage
 
             salvaged = salvage(folder) if self.salvage else None
-            source = taken(folder, wish, None if salvaged is None else salvaged.scan)
+            source = open_source(folder, wish, None if salvaged is None else salvaged.scan)
             chosen = calibration_for(source, wish)
             # Without --out nothing is written; the name is only what an error would speak of.
             with writing(self.out or Path(f"{folder.name}.ply")):
@@ -65,7 +65,7 @@ class MergeScans(WithCalibration):
             compile_desk_kernels()
             from appliance.offline.merging import merge_scans
 
-            sources = (taken(first, wish), taken(second, wish))
+            sources = (open_source(first, wish), open_source(second, wish))
             instrument_of(sources, wish)  # refuses two
             chosen = one_calibration(sources, wish)
             with writing(self.out or Path(f"{first.name}+{second.name}.ply")):

@@ -42,10 +42,10 @@ from appliance.storage.manifest import FILE_NAME
 Image = NDArray[np.uint8]
 
 AIR_FILE = Path(calibrations.FOLDER, calibrations.AIR)
-"""Below the storage root: where calibrating in water begins."""
+"""File below the storage root: where calibrating in water begins."""
 KINDS = (".png", ".tif", ".tiff", ".bmp", ".pgm")
 _LEAST_BYTES, _BYTES_PER_PIXEL = 1_000_000, 16
-"""What a file may have: headers and notes, and four channels of 32 bits. The cameras' pictures have one byte a pixel."""
+"""Most bytes that a file may have: headers and notes, and four channels of 32 bits. The cameras' pictures have one byte a pixel."""
 RESULTS = ("air-coverage.png", "air-residuals.png")
 
 
@@ -64,7 +64,7 @@ class Pair:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Found:
+class FoundBoards:
     """Boards found in a folder, and why in some pairs there was none."""
 
     views: tuple[BoardView, ...]
@@ -120,7 +120,7 @@ def read_pair(pair: Pair, width_px: int, height_px: int) -> tuple[Image, Image]:
 
 def find_boards(
     pairs: Sequence[Pair], design: BoardDesign, size_px: tuple[int, int], progress: Callable[[str, float], None]
-) -> Found:
+) -> FoundBoards:
     """Look at every pair. Raises PicturesError, ScanError."""
     views, rejected, made_from = [], [], []
     for k, pair in enumerate(pairs):
@@ -133,7 +133,7 @@ def find_boards(
             views.append(found)
             digest = hashlib.sha256(left.tobytes() + right.tobytes()).hexdigest()
             made_from.append(f"board {pair.name}, pixels {digest[:16]}")
-    return Found(tuple(views), tuple(rejected), tuple(made_from))
+    return FoundBoards(tuple(views), tuple(rejected), tuple(made_from))
 
 
 def calibrate_folder(
@@ -167,7 +167,7 @@ def calibrate_folder(
     return _report(out, air, start, seen, found.rejected)
 
 
-def start_of(rig: Rig, air: AirCalibration, design: BoardDesign, found: Found, made_at: datetime) -> Calibration:
+def start_of(rig: Rig, air: AirCalibration, design: BoardDesign, found: FoundBoards, made_at: datetime) -> Calibration:
     """Lenses and pose as measured, ports as the rig file draws them: where calibrating in water begins."""
     used = {view.name for view in air.views}
     made_from = (
@@ -245,7 +245,7 @@ def _check_size(path: Path, found_px: tuple[int, int], wanted_px: tuple[int, int
 
 
 def _picture(path: Path, wanted_px: tuple[int, int]) -> Image:
-    """Of the wanted size, or refused before it is decoded: a small file may promise more pixels than there is memory."""
+    """Read a picture of the wanted size, or refuse it before it is decoded: a small file may promise more pixels than there is memory."""
     longest = _LEAST_BYTES + _BYTES_PER_PIXEL * wanted_px[0] * wanted_px[1]
     with refused("cannot read", path), path.open("rb") as file:
         data = file.read(longest + 1)

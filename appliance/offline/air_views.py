@@ -59,7 +59,7 @@ class ViewFolder:
         self._tidy()
 
     def next_name(self) -> str:
-        """Of the next view: numbers only grow."""
+        """Number of the next view: numbers only grow."""
         numbers = [int(path.name) for path in self.folder.iterdir() if re.fullmatch(r"\d{2,6}", path.name)]
         return f"{max(numbers, default=0) + 1:02}"
 

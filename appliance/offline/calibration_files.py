@@ -20,7 +20,7 @@ from appliance.storage.filesystem import LocalFileSystem
 
 
 def describe_calibration(rig: Rig, path: Path | None) -> dict[str, Any]:
-    """What a calibration file says (``None``: the instrument's own). Raises CalibrationError."""
+    """Return what a calibration file says (``None``: the instrument's own). Raises CalibrationError."""
     calibration = calibration_file.load(path) if path is not None else calibration_of(rig)[0]
     left, right = calibration.rig.left, calibration.rig.right
     has_ports = not (left.lens_in_water or right.lens_in_water)

@@ -13,11 +13,11 @@ from appliance.reconstruct.quality import QualityLimits
 from appliance.scan.verdict import Judgement
 
 LEAST_SHARE = 0.05
-"""Of the left pixels that were decoded. A calibration that fits leaves more than half of them even in turbid water. One that
+"""Least share of the left pixels that were decoded which become points. A calibration that fits leaves more than half of them even in turbid water. One that
 does not makes the rays of a point miss each other by millimetres; where that amount changes sign across the picture, a band
 of a few hundredths of the pixels passes by chance."""
 LEAST_DECODED_SHARE = 0.001
-"""Of the left picture: fewer decoded pixels show nothing that could be measured."""
+"""Least share of the left picture that is decoded: fewer pixels show nothing that could be measured."""
 SAMPLED_PIXELS = 5_000
 
 
@@ -26,7 +26,7 @@ class Empty:
     """Why a cloud has (nearly) no points."""
 
     reason: str
-    """With what to do."""
+    """The reason in words, with what to do."""
     by_calibration: bool
     """The frames are good; another calibration would find points in them."""
 
@@ -43,7 +43,7 @@ def why_empty(pipeline: Pipeline, cloud: Cloud, judgements: Sequence[Judgement])
     if decoded < LEAST_DECODED_SHARE * mask.size:
         return Empty(
             f"shows no pattern on anything: {decoded} of {mask.size} pixels of the left camera could be decoded"
-            f"{_said(judgements)}; scan again, nearer or in clearer water",
+            f"{_faults_in_words(judgements)}; scan again, nearer or in clearer water",
             by_calibration=False,
         )
     stride = max(1, round((mask.size / SAMPLED_PIXELS) ** 0.5))
@@ -58,11 +58,11 @@ def why_empty(pipeline: Pipeline, cloud: Cloud, judgements: Sequence[Judgement])
     if points:
         return None
     return Empty(
-        f"no points are left of {decoded} decoded pixels{_said(judgements)}; scan again, nearer or in clearer water",
+        f"no points are left of {decoded} decoded pixels{_faults_in_words(judgements)}; scan again, nearer or in clearer water",
         by_calibration=False,
     )
 
 
-def _said(judgements: Sequence[Judgement]) -> str:
+def _faults_in_words(judgements: Sequence[Judgement]) -> str:
     faults = [judgement.fault for judgement in judgements if judgement.fault is not None]
     return "".join(f" ({fault.code.value}: {fault.detail})" for fault in faults)

@@ -17,7 +17,7 @@ from appliance.evaluation.flatness import REFERENCE_MM
 from appliance.evaluation.report import Evaluation, Item
 from appliance.evaluation.result import LENGTHS, Artefact, evaluate
 from appliance.instrument import settings_of_scan
-from appliance.offline.origin import Taken
+from appliance.offline.origin import SourceScan
 from appliance.offline.reprocess import refuse_empty, reprocess
 from appliance.reconstruct.quality import QualityLimits
 from appliance.storage import scan as stored
@@ -38,28 +38,28 @@ class ListError(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
-    """One line of the list."""
+class ListedScan:
+    """One scan of the list, and what it shows."""
 
     scan: str
     """The scan's number or its folder, as written."""
     artefact: Artefact
     calibrated_mm: Mapping[str, float]
     serial: str | None
-    """Of the artefact; its certificate states the lengths."""
+    """Serial number of the artefact; its certificate states the lengths."""
     length_sd_mm: float | None = None
-    """Of a ball bar's length: its standard uncertainty by the certificate."""
+    """Standard uncertainty of a ball bar's length in mm by the certificate."""
     radius_mm: float | None = None
-    """Of a ball bar's balls by the certificate."""
+    """Radius of a ball bar's balls in mm by the certificate."""
     radius_sd_mm: float | None = None
-    """Its standard uncertainty."""
+    """Standard uncertainty of that radius in mm."""
 
 
 @dataclass(frozen=True, slots=True)
 class ScanList:
-    """What the metrologist wrote down."""
+    """A list of scans as the metrologist wrote it down."""
 
-    entries: tuple[Entry, ...]
+    entries: tuple[ListedScan, ...]
     operator: str | None
     reference_mm: float
     limits_mm: Mapping[Symbol, float] = field(default_factory=dict)
@@ -99,7 +99,7 @@ def read_list(path: Path) -> ScanList:
 
 def run_evaluation(
     listed: ScanList,
-    sources: Sequence[Taken],
+    sources: Sequence[SourceScan],
     chosen: Calibration,
     progress: Callable[[str, float], None],
 ) -> Evaluation:
@@ -153,7 +153,7 @@ def run_evaluation(
     return Evaluation(about, listed.reference_mm, chosen.rig.left.width_px, tuple(items))
 
 
-def _entry(path: Path, k: int, table: dict[str, Any]) -> Entry:
+def _entry(path: Path, k: int, table: dict[str, Any]) -> ListedScan:
     where = f"scan[{k}]"
     names = ", ".join(a.value for a in Artefact)
     try:
@@ -180,7 +180,7 @@ def _entry(path: Path, k: int, table: dict[str, Any]) -> Entry:
     balls = {
         key: _number(path, f"{where}.{key}", table[key], allowed) for key, allowed in of_balls.items() if key in table
     }
-    return Entry(scan, artefact, given, _text(path, table, "serial"), **balls)
+    return ListedScan(scan, artefact, given, _text(path, table, "serial"), **balls)
 
 
 def _known(path: Path, table: dict[str, Any], allowed: set[str], where: str = "") -> None:

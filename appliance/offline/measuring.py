@@ -43,7 +43,7 @@ def response_of_scan(
 
 
 def noise_of_scan(rig: Rig, folder: Path) -> dict[str, tuple[MeasuredNoise, CameraNoise]]:
-    """By side: the camera's noise in a stored scan, and what the rig file makes expect.
+    """Return by side the camera's noise in a stored scan, and what the rig file makes expect.
 
     Raises ScanError, NoiseError.
     """

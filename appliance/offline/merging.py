@@ -9,7 +9,7 @@ from typing import Any
 from appliance.calibration.file import Calibration
 from appliance.config import Rig
 from appliance.instrument import exposure_of_scan, settings_of_scan
-from appliance.offline.origin import Chosen, Taken
+from appliance.offline.origin import Chosen, SourceScan
 from appliance.offline.reprocess import refuse_empty, reprocess_bracket
 from appliance.optics.water import Water
 from appliance.reconstruct.pipeline import Cloud
@@ -20,7 +20,7 @@ from appliance.storage.scan import ScanError
 
 
 def merge_scans(
-    sources: tuple[Taken, Taken], chosen: Chosen, out: Path | None, progress: Callable[[str], None]
+    sources: tuple[SourceScan, SourceScan], chosen: Chosen, out: Path | None, progress: Callable[[str], None]
 ) -> dict[str, Any]:
     """One cloud of two stored scans of the same scene with different exposures, written as PLY to ``out`` (``None``:
     ``NAME+NAME.ply`` here).

@@ -24,17 +24,17 @@ from appliance.storage.scan import CALIBRATION, RIG, ScanError, StoredScan
 
 FOREIGN_OPTION = "--foreign-calibration"
 SHOWN_DIGITS = 12
-"""Of a hash, for people."""
+"""Digits of a hash that people are shown."""
 
 
 @dataclass(frozen=True, slots=True)
 class Wish:
-    """What was asked for beside the scan itself; ``None``: nothing was said."""
+    """The options that were given beside the scan itself; ``None``: nothing was said."""
 
     rig: Rig | None = None
-    """Of ``--rig``."""
+    """Rig file of ``--rig``."""
     root: Path | None = None
-    """Of ``--root``."""
+    """Storage root of ``--root``."""
     calibration: Path | None = None
     """A calibration file that takes the place of the scan's own."""
     current: bool = False
@@ -44,7 +44,7 @@ class Wish:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Taken:
+class SourceScan:
     """A stored scan and the instrument that took it, as far as it is known."""
 
     scan: StoredScan
@@ -57,7 +57,7 @@ class Taken:
 
     @property
     def storage_root(self) -> Path:
-        """Where the instrument's own files are."""
+        """The folder of the instrument's own files."""
         return self.root or self.rig.storage.root
 
 
@@ -67,7 +67,7 @@ class Chosen:
 
     calibration: Calibration
     whose: str
-    """Where it is from, in words."""
+    """Its source, in words."""
 
 
 def root_of(folder: Path) -> Path | None:
@@ -78,7 +78,7 @@ def root_of(folder: Path) -> Path | None:
     return root if inside else None
 
 
-def taken(folder: Path, wish: Wish, scan: StoredScan | None = None) -> Taken:
+def open_source(folder: Path, wish: Wish, scan: StoredScan | None = None) -> SourceScan:
     """Open a scan and the rig it was taken with: ``--rig``, else its own, else the packaged one.
 
     ``scan``: what was opened of it already. Raises ScanError, also for a rig file whose cameras are of another size.
@@ -88,17 +88,17 @@ def taken(folder: Path, wish: Wish, scan: StoredScan | None = None) -> Taken:
     if wish.rig is not None:
         for side, camera in (("left", wish.rig.camera.left), ("right", wish.rig.camera.right)):
             _same_size(scan, side, (camera.width_px, camera.height_px), f"the rig file ({wish.rig.rig.name})", "--rig")
-        return Taken(scan, wish.rig, True, root)
+        return SourceScan(scan, wish.rig, True, root)
     own = _own(scan, RIG)
     if own is None:
-        return Taken(scan, load_rig(default_rig_path()), False, root)
+        return SourceScan(scan, load_rig(default_rig_path()), False, root)
     try:
-        return Taken(scan, parse_rig(own.decode(), str(folder / RIG)), True, root)
+        return SourceScan(scan, parse_rig(own.decode(), str(folder / RIG)), True, root)
     except (ConfigError, UnicodeDecodeError) as error:
         raise ScanError(f"{folder / RIG}: {error}; give the rig file of the instrument with --rig PATH") from error
 
 
-def instrument_of(scans: Sequence[Taken], wish: Wish) -> Rig:
+def instrument_of(scans: Sequence[SourceScan], wish: Wish) -> Rig:
     """The instrument that all ``scans`` are of, with its storage root: ``--rig``, else that of the first that knows its own.
 
     Raises ScanError for scans of several instruments.
@@ -115,7 +115,7 @@ def instrument_of(scans: Sequence[Taken], wish: Wish) -> Rig:
     return rig if root is None else replace(rig, storage=replace(rig.storage, root=root))
 
 
-def calibration_for(scan: Taken, wish: Wish) -> Chosen:
+def calibration_for(scan: SourceScan, wish: Wish) -> Chosen:
     """The calibration for a scan: the one asked for, else its own, else the file of the hash that its manifest names.
 
     Raises CalibrationError for one that is missing or does not fit; the text says what to do.
@@ -131,7 +131,7 @@ def calibration_for(scan: Taken, wish: Wish) -> Chosen:
     return chosen
 
 
-def one_calibration(scans: Sequence[Taken], wish: Wish) -> Chosen:
+def one_calibration(scans: Sequence[SourceScan], wish: Wish) -> Chosen:
     """The calibration for several scans at once. Raises CalibrationError also where they were taken with different ones."""
     chosen = [calibration_for(scan, wish) for scan in scans]
     other = next((k for k, one in enumerate(chosen) if one.calibration != chosen[0].calibration), None)
@@ -145,14 +145,16 @@ def one_calibration(scans: Sequence[Taken], wish: Wish) -> Chosen:
     )
 
 
-def refuse_misfit(calibration: Calibration, whose: str, scan: Taken, *, foreign: bool, start: bool = False) -> None:
+def refuse_misfit(
+    calibration: Calibration, whose: str, scan: SourceScan, *, foreign: bool, start: bool = False
+) -> None:
     """Raises CalibrationError where ``misfit`` has a reason. ``whose``: where the calibration is from, in words."""
     problem = misfit(calibration, scan, foreign=foreign, start=start)
     if problem is not None:
         raise CalibrationError(f"{whose}: {problem} ({scan.scan.folder})")
 
 
-def misfit(calibration: Calibration, scan: Taken, *, foreign: bool = False, start: bool = False) -> str | None:
+def misfit(calibration: Calibration, scan: SourceScan, *, foreign: bool = False, start: bool = False) -> str | None:
     """Why a scan cannot be measured with a calibration, and what to do; ``None`` where it can.
 
     The images must have its size. Instrument and cameras must be its own too, unless ``foreign``: that is compared as far
@@ -181,7 +183,7 @@ def misfit(calibration: Calibration, scan: Taken, *, foreign: bool = False, star
     return f"{other.reason}; {remedy}" + ("" if start else f", or use it all the same with {FOREIGN_OPTION}")
 
 
-def _owner(scan: Taken) -> Owner | None:
+def _owner(scan: SourceScan) -> Owner | None:
     """The instrument that took a scan; ``None`` where nothing says which."""
     left, right = (scan.scan.frames[side].shape for side in SIDES)
     sizes_px = ((left[2], left[1]), (right[2], right[1]))
@@ -195,7 +197,7 @@ def _owner(scan: Taken) -> Owner | None:
 # ------------------------------------------------------------------------------------- the scan's own
 
 
-def _of_the_scan(scan: Taken) -> Chosen:
+def _of_the_scan(scan: SourceScan) -> Chosen:
     folder, record = scan.scan.folder, scan.scan.manifest.record
     own = _own(scan.scan, CALIBRATION)
     if own is not None:
@@ -218,7 +220,7 @@ def _of_the_scan(scan: Taken) -> Chosen:
     )
 
 
-def _of_the_hash(scan: Taken) -> Iterator[Chosen]:
+def _of_the_hash(scan: SourceScan) -> Iterator[Chosen]:
     """Calibrations of the hash that the scan's manifest names, from wherever they may be kept."""
     wanted = scan.scan.manifest.record.calibration_hash
     if wanted is None:
@@ -243,7 +245,7 @@ def _of_the_hash(scan: Taken) -> Iterator[Chosen]:
         yield Chosen(drawn, "the drawing in the rig file")
 
 
-def _roots(scan: Taken) -> list[Path]:
+def _roots(scan: SourceScan) -> list[Path]:
     """Storage roots that may hold the scan's calibration: the one it lies in first."""
     wanted = (root_of(scan.scan.folder), scan.root, scan.rig.storage.root)
     return [root for k, root in enumerate(wanted) if root is not None and root not in wanted[:k]]
@@ -260,7 +262,7 @@ def _own(scan: StoredScan, name: str) -> bytes | None:
 
 
 def lost(folder: Path, manifest: Manifest, name: str) -> str | None:
-    """What is wrong with one of a scan's files, its bytes compared with their checksum; ``None`` where it is whole."""
+    """Return what is wrong with one of a scan's files, its bytes compared with their checksum; ``None`` where it is whole."""
     if name not in manifest.files:
         return "not in the manifest"
     alone = replace(manifest, files={name: manifest.files[name]})

@@ -16,7 +16,7 @@ _START_OF_FRAME = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _WITHOUT_LENGTH = frozenset((0x01, *range(0xD0, 0xD9)))
 _WIDTH, _HEIGHT, _SHORT, _LONG = 256, 257, 3, 4
 _MOST_ENTRIES = 1000
-"""Of a TIFF directory: real ones have some twenty."""
+"""Most entries of a TIFF directory: real ones have some twenty."""
 
 
 def size_px(data: bytes) -> tuple[int, int] | None:

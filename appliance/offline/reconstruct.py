@@ -15,7 +15,7 @@ from appliance.instrument import (
     settings_of,
     settings_of_scan,
 )
-from appliance.offline.origin import Chosen, Taken, lost
+from appliance.offline.origin import Chosen, SourceScan, lost
 from appliance.offline.reprocess import refuse_empty, reprocess, reprocess_bracket
 from appliance.offline.salvage import Salvaged
 from appliance.optics.water import Water
@@ -28,7 +28,7 @@ from appliance.storage.ply import encode_ply
 
 
 def reconstruct_scan(
-    source: Taken,
+    source: SourceScan,
     chosen: Chosen,
     out: Path | None,
     progress: Callable[[str], None],
@@ -42,11 +42,11 @@ def reconstruct_scan(
     """
     scan, rig, calibration = source.scan, source.rig, chosen.calibration
     record = scan.manifest.record
-    said = salvaged.said if salvaged is not None else ()
+    notes = salvaged.notes if salvaged is not None else ()
     cloud, water, faults = _points_of(scan, rig, calibration, progress, salvaged)
     target = out if out is not None else Path(f"{scan.folder.name}.ply")
     progress("writing")
-    header, body = encode_ply(cloud, "; ".join(said) or None)
+    header, body = encode_ply(cloud, "; ".join(notes) or None)
     before = _stored_cloud(scan, header, body)  # compared before it may be written over
     replace_file(LocalFileSystem(), target, header, body)
     s = cloud.summary
@@ -61,7 +61,7 @@ def reconstruct_scan(
         "exposure": exposures_label(record, rig),
         "period_px": record.sequence.period_px,
         "stored_cloud": before,
-        "salvaged": list(said) or None,
+        "salvaged": list(notes) or None,
         "calibration": calibration.hash,
         "calibration_from": chosen.whose,
         "calibration_method": calibration.method,
@@ -72,7 +72,7 @@ def reconstruct_scan(
 
 
 def _stored_cloud(scan: stored.StoredScan, *parts: Bytes) -> str:
-    """What became of the cloud that the instrument stored, beside the new one in ``parts``."""
+    """Return what became of the cloud that the instrument stored, beside the new one in ``parts``."""
     stamp = scan.manifest.files.get(stored.CLOUD)
     if stamp is None:
         return "none was stored"
@@ -93,7 +93,7 @@ def _points_of(
     progress: Callable[[str], None],
     salvaged: Salvaged | None,
 ) -> tuple[Cloud, Water, tuple[Fault, ...]]:
-    """Of one sequence, or of both that the scan has."""
+    """Return the cloud of one sequence, or of both that the scan has, its water, and what is held against it."""
     record = scan.manifest.record
     settings = settings_of_scan(record, rig)
     if salvaged is not None:

@@ -43,7 +43,7 @@ def cameras_of(folders: Iterable[Path], start: Calibration) -> tuple[str, str] |
 
 
 def _cameras(folder: Path) -> tuple[str, str] | None:
-    """From the rig file that a scan carries; ``None``: an old scan."""
+    """Return the serial numbers in the rig file that a scan carries; ``None``: an old scan has none."""
     if stored.RIG not in stored.manifest_of(folder).files:
         return None
     try:

@@ -38,14 +38,14 @@ class ReprocessedScan:
     """Closed; it keeps the decoded maps of both cameras, but for a pair."""
     cloud: Cloud
     water: Water
-    """In which it was reconstructed."""
+    """Water in which it was reconstructed."""
     judgements: tuple[Judgement, ...]
     empty: Empty | None = None
     """Why there are (nearly) no points, and what to do; ``None`` where there are some."""
 
     @property
     def faults(self) -> tuple[Fault, ...]:
-        """What is held against the scan."""
+        """The faults that are held against the scan."""
         return tuple(judgement.fault for judgement in self.judgements if judgement.fault is not None)
 
     @property
@@ -84,17 +84,17 @@ class ReprocessedBracket:
     """Two sequences after everything the instrument does with a pair."""
 
     cloud: Cloud | None
-    """Of both; ``None``: ``pair`` says why not."""
+    """Cloud of both; ``None``: ``pair`` says why not."""
     water: Water
     first: tuple[Judgement, ...]
     second: tuple[Judgement, ...]
     pair: Judgement
     empty: Empty | None = None
-    """As ``ReprocessedScan.empty``."""
+    """Reason for (nearly) no points, as ``ReprocessedScan.empty``."""
 
     @property
     def faults(self) -> tuple[Fault, ...]:
-        """What is held against the pair."""
+        """The faults that are held against the pair."""
         return faults_of(self.first, self.second, self.pair)
 
 

@@ -34,10 +34,10 @@ from appliance.storage.scan import SECOND_FILES, ScanError, StoredScan, frames_f
 Frames = NDArray[np.uint8]
 SATURATED = 255
 CLEARLY = 0.9
-"""Of the way from a pixel's darkest to its brightest Gray image: beyond, it is lit in that image, and is not at the border of a
+"""Share of the way from a pixel's darkest to its brightest Gray image: beyond, it is lit in that image, and is not at the border of a
 stripe; likewise from the other end."""
 THREE_STEP_VARIANCE = 3.0
-"""Of a phase from three of four steps, at most, over that of four: 6 σ² in the difference that the lost step is in, not 2 σ²."""
+"""Variance of a phase from three of four steps, at most, over that of four: 6 σ² in the difference that the lost step is in, not 2 σ²."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,10 +45,10 @@ class Salvaged:
     """A scan whose lost frames were made up from the others."""
 
     scan: StoredScan
-    said: tuple[str, ...]
-    """What was lost and what stands in its place; empty: nothing was damaged."""
+    notes: tuple[str, ...]
+    """The words for what was lost and what stands in its place; empty: nothing was damaged."""
     variance: Mapping[str, float]
-    """By side: what the variance of grey values is to be multiplied with, at most."""
+    """Factor by side with which the variance of grey values is to be multiplied, at most."""
 
     def noise(self, noise: StereoNoise) -> StereoNoise:
         """The noise that points of this scan are to be expected to have, from that of a whole one."""
@@ -64,17 +64,17 @@ def salvage(folder: Path) -> Salvaged:
     second = manifest.record.second
     of_second = [one for one in damaged if one.file in SECOND_FILES]
     of_first = [one for one in damaged if one.file not in SECOND_FILES]
-    said = [f"damaged: {one}" for one in damaged]
+    notes = [f"damaged: {one}" for one in damaged]
     if second is not None and of_first and not of_second:
         alone = replace(manifest.record, exposure=second.exposure, second=None)
         frames = {side: frames_as_they_are(folder, manifest, second_frames_file(side)) for side in SIDES}
-        said.append("only the second exposure was used")
+        notes.append("only the second exposure was used")
         return Salvaged(
-            StoredScan(folder, replace(manifest, record=alone), frames), tuple(said), dict.fromkeys(SIDES, 1.0)
+            StoredScan(folder, replace(manifest, record=alone), frames), tuple(notes), dict.fromkeys(SIDES, 1.0)
         )
     if second is not None:
         manifest = replace(manifest, record=replace(manifest.record, second=None))
-        said.append("only the first exposure was used")
+        notes.append("only the first exposure was used")
     made = manifest.record.sequence
     sequence = build_sequence(made.period_px, made.width_px, made.height_px)
     frames, variance = {}, dict.fromkeys(SIDES, 1.0)
@@ -82,8 +82,8 @@ def salvage(folder: Path) -> Salvaged:
         frames[side] = frames_as_they_are(folder, manifest, frames_file(side))
         lost = next((one for one in of_first if one.file == frames_file(side)), None)
         if lost is not None:
-            variance[side] = _make_up(frames[side], sequence, _known(folder, lost), f"{folder}: {lost}", said)
-    return Salvaged(StoredScan(folder, manifest, frames), tuple(said), variance)
+            variance[side] = _make_up(frames[side], sequence, _known(folder, lost), f"{folder}: {lost}", notes)
+    return Salvaged(StoredScan(folder, manifest, frames), tuple(notes), variance)
 
 
 def _known(folder: Path, lost: DamagedFrames) -> tuple[int, ...]:
@@ -95,7 +95,7 @@ def _known(folder: Path, lost: DamagedFrames) -> tuple[int, ...]:
     return lost.frames
 
 
-def _make_up(frames: Frames, sequence: PatternSequence, lost: Sequence[int], what: str, said: list[str]) -> float:
+def _make_up(frames: Frames, sequence: PatternSequence, lost: Sequence[int], what: str, notes: list[str]) -> float:
     """Fill in the ``lost`` of one camera's frames, in place; the factor of variance that this costs."""
     gray = [k for direction in Direction for k in sequence.axis(direction).gray]
     variance = 1.0
@@ -114,13 +114,13 @@ def _make_up(frames: Frames, sequence: PatternSequence, lost: Sequence[int], wha
                 )
             frames[k] = _sine(*(frames[steps[(pattern.index + by) % STEPS]] for by in (1, 2, 3)))
             variance = THREE_STEP_VARIANCE
-            said.append(f"{pattern.name} was made up from the other three steps")
+            notes.append(f"{pattern.name} was made up from the other three steps")
     if sequence.bright in lost and sequence.dark in lost:
         raise ScanError(f"{what}: bright and dark image are both lost; bring the folder back from a copy")
     for k, lit in ((sequence.bright, True), (sequence.dark, False)):
         if k in lost:
             frames[k] = _reference(frames[gray], lit=lit)
-            said.append(f"{sequence.patterns[k].name} was made up from the Gray images")
+            notes.append(f"{sequence.patterns[k].name} was made up from the Gray images")
     return variance
 
 

@@ -14,8 +14,8 @@ from appliance.calibration.ladder import LadderResult, LadderSettings, Method, c
 from appliance.config import Rig
 from appliance.evaluation.points import NotFound
 from appliance.evaluation.result import Artefact
-from appliance.offline.evaluation import Entry, ListError, ScanList
-from appliance.offline.origin import Taken
+from appliance.offline.evaluation import ListedScan, ListError, ScanList
+from appliance.offline.origin import SourceScan
 from appliance.offline.recordings import cameras_of, recording_of_scan
 
 RECONSTRUCTED = 0.8
@@ -24,7 +24,7 @@ RECONSTRUCTED = 0.8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WaterCalibration:
-    """What came of a list of recordings."""
+    """The outcome of a list of recordings."""
 
     result: LadderResult
     start: Calibration
@@ -55,7 +55,7 @@ def check_list(listed: ScanList) -> None:
 def run_water_calibration(
     rig: Rig,
     listed: ScanList,
-    sources: Sequence[Taken],
+    sources: Sequence[SourceScan],
     start: Calibration,
     method: Method,
     made_at: str,
@@ -95,7 +95,7 @@ def run_water_calibration(
     return WaterCalibration(result, start, about, left_out)
 
 
-def _certificate(entry: Entry) -> BarCertificate | None:
+def _certificate(entry: ListedScan) -> BarCertificate | None:
     if entry.artefact is Artefact.PLANE:
         return None
     usual = BarCertificate(entry.calibrated_mm["length"], radius_mm=entry.radius_mm)

@@ -27,7 +27,7 @@ SIDE = "left"
 DEVICE = "live view"
 """Named in the conditions, which no other witness clears."""
 SETTLE_S, SETTLE_IMAGES = 0.3, 3.0
-"""After the light was switched, images may still be from before: so long, and longer where they come more slowly."""
+"""Time after the light was switched in which images may still be from before: so long, and longer where they come more slowly."""
 VOTES = 3
 """Images in a row."""
 MOST_APART = 3
@@ -36,9 +36,9 @@ CODES = (FaultCode.AIM_DARK, FaultCode.AIM_TURBID, FaultCode.AIM_FAST)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Looked:
+class _JudgedImage:
     live: int
-    """Of which live view."""
+    """Number of the live view that it was seen in."""
     number: int
     aimed: Aimed
     faults: tuple[Fault, ...]
@@ -52,14 +52,14 @@ class AimingController:
         self._clock, self._live_s, self._black_dn = clock, live_s, black_dn
         self._settle_ns = round(1e9 * max(SETTLE_S, SETTLE_IMAGES * live_s))
         self._executor = ThreadPoolExecutor(1, "kf-aiming")
-        self._work: Future[_Looked] | None = None
+        self._work: Future[_JudgedImage] | None = None
         self._live = 0
         self._watching = False
         self._ready_ns = 0
         self._mm_per_px = 0.0
-        self._last: _Looked | None = None
+        self._last: _JudgedImage | None = None
         self._votes = dict.fromkeys(CODES, 0)
-        self._told: set[FaultCode] = set()
+        self._raised: set[FaultCode] = set()
 
     def __enter__(self) -> Self:
         return self
@@ -82,8 +82,8 @@ class AimingController:
         self._live += 1
         self._watching, self._last = False, None
         self._votes = dict.fromkeys(CODES, 0)
-        told, self._told = self._told, set()
-        return [on.ConditionCleared(code, DEVICE) for code in CODES if code in told]
+        raised, self._raised = self._raised, set()
+        return [on.ConditionCleared(code, DEVICE) for code in CODES if code in raised]
 
     def see(self, side: str, number: int, image: NDArray[np.uint8]) -> None:
         """A new live image of one camera, (h, w) uint8, which must not change any more, with its running ``number``."""
@@ -97,7 +97,7 @@ class AimingController:
         return self._work is not None and not self._work.done()
 
     def poll(self) -> list[on.Event]:
-        """What was found since."""
+        """Return what was found since the last call."""
         if self._work is None or not self._work.done():
             return []
         work, self._work = self._work, None
@@ -105,18 +105,18 @@ class AimingController:
         if error is not None:
             log.error("live images are not judged: %s", error, exc_info=error)
             return []
-        looked = work.result(0.0)
-        if looked.live != self._live:
+        judged = work.result(0.0)
+        if judged.live != self._live:
             return []
-        self._last = looked
+        self._last = judged
         events: list[on.Event] = []
         for code in CODES:
-            fault = next((one for one in looked.faults if one.code is code), None)
+            fault = next((one for one in judged.faults if one.code is code), None)
             events += self._voted(code, fault)
         return events
 
     def _voted(self, code: FaultCode, fault: Fault | None) -> list[on.Event]:
-        if (fault is None) == (code not in self._told):
+        if (fault is None) == (code not in self._raised):
             self._votes[code] = 0
             return []
         self._votes[code] += 1
@@ -124,14 +124,14 @@ class AimingController:
             return []
         self._votes[code] = 0
         if fault is None:
-            self._told.discard(code)
+            self._raised.discard(code)
             return [on.ConditionCleared(code, DEVICE)]
-        self._told.add(code)
+        self._raised.add(code)
         return [on.ConditionRaised(fault)]
 
     # ------------------------------------------------------------------------------------------ kf-aiming
 
-    def _look(self, live: int, number: int, image: NDArray[np.uint8], last: _Looked | None) -> _Looked:
+    def _look(self, live: int, number: int, image: NDArray[np.uint8], last: _JudgedImage | None) -> _JudgedImage:
         aimed = look(image, self._black_dn)
         faults = [aimed.fault()]
         if last is not None and 0 < number - last.number <= MOST_APART:
@@ -139,7 +139,7 @@ class AimingController:
             if way_px is not None:
                 faults.append(too_fast(way_px * self._mm_per_px / (self._live_s * (number - last.number))))
         known = tuple(_named(fault) for fault in faults if fault is not None)
-        return _Looked(live, number, aimed, known)
+        return _JudgedImage(live, number, aimed, known)
 
 
 def _named(fault: Fault) -> Fault:
@@ -147,7 +147,7 @@ def _named(fault: Fault) -> Fault:
 
 
 def _mm_per_px(calibration: Calibration, water_index: float) -> float:
-    """What a px of a reduced image sees in the middle of the volume."""
+    """Return the length in mm that a px of a reduced image sees in the middle of the volume."""
     camera = calibration.rig.left
     middle = np.array([(camera.width_px - 1) / 2.0, (camera.height_px - 1) / 2.0])
     step_px = camera.width_px / WIDTH_PX

@@ -38,12 +38,12 @@ from drivers.api import Board, Clock, DeviceError, Projector, Wires
 Image = NDArray[np.uint8]
 
 PICTURES = 4
-"""Of each camera in a take: their mean has half the noise, and between first and last (50 ms) a board shows its motion."""
+"""Pictures of each camera in a take: their mean has half the noise, and between first and last (50 ms) a board shows its motion."""
 OPEN_TIMEOUT_S = 20.0
 POLL_S = 0.05
 BETWEEN_TAKES_S = 0.3
 MOST_FAULTS = 5
-"""In a row; then it is not the board."""
+"""Largest number of faults in a row; then it is not the board."""
 
 
 class LiveError(Exception):
@@ -52,15 +52,15 @@ class LiveError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class LiveOptions:
-    """How boards are recorded."""
+    """The way in which boards are recorded."""
 
     views: int = 20
     projector_light: bool = True
-    """Whether the projector lights the board; else the room does."""
+    """The projector lights the board; else the room does."""
     exposure_ms: float | None = None
     """``None``: the rig file's."""
     patience_s: float = 300.0
-    """How long there may be no new view."""
+    """Longest time without a new view."""
 
 
 def record_views(rig: Rig, target: ViewFolder, options: LiveOptions, say: Callable[[str], None]) -> int:

@@ -17,7 +17,7 @@ from typing import Any
 from appliance.worker.child import ChildGone, ChildProcess
 
 NICENESS = 10
-"""Behind the heartbeat, the cameras and the reconstruction."""
+"""Priority of the process, behind the heartbeat, the cameras and the reconstruction."""
 
 Report = Callable[[float], None]
 Job = Callable[..., Any]
@@ -46,7 +46,7 @@ class Failed:
     error: str | None = None
     """Name of the exception's class, where the job raised one."""
     about: str = ""
-    """What the exception says it is about, in a word, where it has an ``about``."""
+    """The subject of the exception in a word, where it has an ``about``."""
 
 
 class Background:
@@ -85,9 +85,9 @@ class Background:
             return None
         try:
             while (message := self._child.receive()) is not None:
-                said = self._of_this_job(message)
-                if said is not None:
-                    return said
+                outcome = self._of_this_job(message)
+                if outcome is not None:
+                    return outcome
         except ChildGone as gone:
             was_busy = self.busy
             self.stop()
@@ -96,11 +96,11 @@ class Background:
 
     def _of_this_job(self, message: object) -> Progressed | Done | Failed | None:
         match message:
-            case (int(ticket), said) if ticket != self._ticket or not self.busy:
+            case (int(ticket), outcome) if ticket != self._ticket or not self.busy:
                 return None
-            case (int(), Progressed() | Done() | Failed() as said):
-                self.busy = isinstance(said, Progressed)
-                return said
+            case (int(), Progressed() | Done() | Failed() as outcome):
+                self.busy = isinstance(outcome, Progressed)
+                return outcome
             case _:
                 self.busy = False
                 return Failed(f"it sent a {type(message).__name__}, which is no answer")
@@ -124,12 +124,12 @@ def _serve(pipe: Connection) -> None:
                 pipe.send((ticket, Progressed(progress)))
 
             try:
-                said: Done | Failed = Done(job(*arguments, report))
+                outcome: Done | Failed = Done(job(*arguments, report))
             except (EOFError, BrokenPipeError):
                 raise
             except Exception as error:  # the one place where it can still be named
                 about = str(getattr(error, "about", ""))
-                said = Failed(str(error) or type(error).__name__, type(error).__name__, about)
-            pipe.send((ticket, said))
+                outcome = Failed(str(error) or type(error).__name__, type(error).__name__, about)
+            pipe.send((ticket, outcome))
     except (EOFError, OSError):
         return  # the parent closed the pipe: the normal end

@@ -40,7 +40,7 @@ _FAILURES = {
     SessionError.__name__: FailureKind.FILES,
     StorageError.__name__: FailureKind.DISK,
 }
-"""By name: what a job raises in its own process arrives as words."""
+"""Kinds of failure by the name of an exception's class: what a job raises in its own process arrives as words."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,13 +61,13 @@ class CalibrationController:
         self._store = Calibrations(rig.storage.root, rig.rig.serial)
         self._background = Background()
         self._number = 0
-        """Of the recording that is examined."""
+        """Number of the recording that is examined."""
         self._verified: Verified | None = None
-        """What the latest recording of VERIFY says."""
+        """Length check of the latest recording of VERIFY."""
         self._passed: deque[str] = deque(maxlen=1)
         """Length checks that are on the disk and found lengths right, from the disk's thread: what they say."""
         self._answers: list[Future[_Changed]] = []
-        self._told: list[on.Event] = []
+        self._events: list[on.Event] = []
 
     def __enter__(self) -> Self:
         self._ask(lambda: _Changed(self._store.session()))
@@ -91,8 +91,8 @@ class CalibrationController:
         """Answer TrialExamined or CalibrationFailed."""
         folder = self._scans.folder(number)
         if folder is None:
-            said = "the recording is not on the disk; record it again"
-            self._told.append(on.CalibrationFailed(Failure(FailureKind.RECORDING, said)))
+            reason = "the recording is not on the disk; record it again"
+            self._events.append(on.CalibrationFailed(Failure(FailureKind.RECORDING, reason)))
             return
         self._number = number
         self._background.ask(calibrator.examine, self._rig, step, folder)
@@ -126,22 +126,22 @@ class CalibrationController:
         self._ask(lambda: _Changed(self._store.use_solved(date), calibration_of(self._rig)))
 
     def restore(self) -> None:
-        """As ``use_solved``, back to the file of before."""
+        """Go back to the file of before; answer as ``use_solved``."""
         self._ask(lambda: _Changed(self._store.restore(), calibration_of(self._rig)))
 
     def begin(self) -> None:
-        """A new session; answer SessionChanged or CalibrationFailed."""
+        """Begin a new session; answer SessionChanged or CalibrationFailed."""
         self._ask(lambda: _Changed(self._store.begin()))
 
     def cancel(self) -> None:
-        """What is computed is no longer wanted."""
+        """Give up what is computed: it is no longer wanted."""
         self._background.stop()
 
     # ------------------------------------------------------------------------------------- answers
 
     def poll(self) -> list[on.Event]:
-        """What the disk and the background answered since the last call."""
-        events, self._told = self._told, []
+        """Return what the disk and the background answered since the last call."""
+        events, self._events = self._events, []
         done = [answer for answer in self._answers if answer.done()]
         self._answers = [answer for answer in self._answers if not answer.done()]
         for answer in done:
@@ -173,12 +173,12 @@ class CalibrationController:
         """Something is on its way to the disk."""
         return bool(self._answers)
 
-    def _lengths_right(self, said: str) -> list[on.Event]:
+    def _lengths_right(self, evidence: str) -> list[on.Event]:
         """A bar was measured right: an alarm of the ray gaps is answered, and what they show now is normal."""
-        write = self._scans.watch.answer(said)
+        write = self._scans.watch.answer(evidence)
         if write is None:
             return []
-        log.info("ray gaps accepted: %s", said)
+        log.info("ray gaps accepted: %s", evidence)
         self._scans.submit(lambda: write_trend(write))
         return [on.ConditionCleared(FaultCode.VERIFY_CALIBRATION)]
 

@@ -39,23 +39,23 @@ from appliance.storage.calibrations import Calibrations
 from appliance.storage.library import Library
 
 VERIFY_GAP_MM = 20.0
-"""As ``kingfisher evaluate``: the calibration of before must not hide its own worst points."""
+"""Largest ray gap of a point that verifies, as in ``kingfisher evaluate``: the calibration of before must not hide its own worst points."""
 Report = Callable[[float], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Basis:
-    """What a calibration in water starts from and is compared with."""
+    """The files that a calibration in water starts from and is compared with."""
 
     start: Calibration
     """Lenses and pose from air, ports as drawn; else the calibration in use."""
     before: Calibration
-    """What the instrument measured with until now."""
+    """Calibration that the instrument measured with until now."""
     before_hash: str | None
-    """Of its file; ``None``: the drawing."""
+    """Hash of the file of ``before``; ``None``: it is the drawing."""
     rig: Rig
     bar: BarCertificate
-    """Of the ball bar; its radius is stated."""
+    """Certificate of the ball bar; its radius is stated."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,13 +73,13 @@ class Solution:
     calibration: Calibration
     solved: AdjustmentSummary
     verified: Verified | None
-    """Where there was a recording for it."""
+    """Length check of it; ``None`` where there was no recording for one."""
     report: Mapping[str, bytes]
-    """Files for the desk, by name: what was adjusted, what is left, what the recordings could see."""
+    """Files for the office, by name: what was adjusted, what is left, what the recordings could see."""
 
 
 def basis_of(rig: Rig) -> Basis:
-    """What is known of this instrument now.
+    """Return what is known of this instrument now.
 
     Raises RecordingError without a certificate or without anything to start from, CalibrationError for a file in air that
     cannot be used.
@@ -188,13 +188,13 @@ def _recording(step: Step, folder: Path, basis: Basis) -> Recording:
     certificate = basis.bar if HELD[step] is ArtefactKind.BALL_BAR else None
     recording = recording_of_scan(folder, certificate, basis.start, basis.rig, _silent)
     if isinstance(recording, NotFound):
-        said = f"{step.value}, scan {folder.name}: {recording.reason}; record {step.value} again"
-        raise RecordingError(said, about=step.value)
+        reason = f"{step.value}, scan {folder.name}: {recording.reason}; record {step.value} again"
+        raise RecordingError(reason, about=step.value)
     return replace(recording, name=f"{step.value}, scan {folder.name}")
 
 
 def _solved(rig: Rig) -> Calibration | None:
-    """What the session solved; ``None`` where nothing is."""
+    """Return what the session solved; ``None`` where nothing is."""
     calibrations = Calibrations(rig.storage.root, rig.rig.serial)
     return None if calibrations.session().solved is None else calibration_file.load(calibrations.solved)
 
@@ -251,7 +251,7 @@ def _judged_plane(step: Step, plane: PlaneFit | NotFound, cloud: Cloud, calibrat
 
 
 def _wide(scan: stored.StoredScan, basis: Basis) -> ReprocessedScan:
-    """With room for rays that miss each other because nobody knows the ports."""
+    """Reprocess with room for rays that miss each other because nobody knows the ports."""
     settings = settings_of_scan(scan.manifest.record, basis.rig)
     return reprocess(scan, basis.start, settings, _silent, QualityLimits(max_gap_mm=CALIBRATING_GAP_MM))
 
@@ -262,9 +262,9 @@ def _fairly(scan: stored.StoredScan, calibration: Calibration, basis: Basis) -> 
 
 
 def _fair(scan: stored.StoredScan, calibration: Calibration, basis: Basis) -> Cloud:
-    """With room for the errors of any calibration, so that all are judged by the same points."""
+    """Return the cloud with room for the errors of any calibration, so that all are judged by the same points."""
     return _fairly(scan, calibration, basis).cloud
 
 
 def _silent(what: str) -> None:
-    """Of a single scan nobody is told: it takes a second."""
+    """Tell nobody of the progress on a single scan: it takes a second."""

@@ -50,7 +50,7 @@ def _wanted_firmware(rig: Rig) -> Mapping[str, str | None]:
 
 
 def _compared(health: Health, firmware: str | None) -> Health:
-    """With another firmware than the rig file states, a device that works is still not the one that was tested."""
+    """Return ``health``, not ok where the firmware is another than the rig file states: the device is not the one that was tested."""
     there = health.details.get("firmware")
     if not health.ok or firmware is None or there == firmware:
         return health

@@ -15,7 +15,7 @@ from drivers.api import CardGone, Clock, DeviceError
 T = TypeVar("T")
 
 PAUSES_S = (0.2, 0.5, 1.0, 2.0, 5.0)
-"""Before the first, second … attempt to open a lost device again; the last one repeats for ever."""
+"""Pauses before the first, second … attempt to open a lost device again; the last one repeats for ever."""
 
 
 class DeviceRejected(DeviceError):
@@ -50,7 +50,7 @@ class DeviceSupervisor(Generic[T]):
         self._next_try_ns = clock.now_ns()
         self._reported: str | None = None
         self.tried = False
-        """Whether the first attempt has ended, one way or the other."""
+        """The first attempt has ended, one way or the other."""
 
     @property
     def value(self) -> T | None:

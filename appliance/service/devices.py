@@ -62,7 +62,7 @@ class Devices:
         return all(supervisor.tried for supervisor in self._supervisors())
 
     def openers(self) -> dict[str, Callable[[], AbstractContextManager[object]]]:
-        """How to open each device once, by its name in the rig file, for whoever only wants to look at them."""
+        """Return how to open each device once, by its name in the rig file, for whoever only wants to look at them."""
         wires, rig = self._wires, self._rig
         keys = drivers_rig.KeysSpec(rig.keys.vendor_id, rig.keys.product_id)
         return {
@@ -75,11 +75,11 @@ class Devices:
         }
 
     def _supervisors(self) -> list[DeviceSupervisor[Any]]:
-        """All of them, in the order of closing."""
+        """Return all of them, in the order of closing."""
         return [*self.cameras.values(), self.keys, self.board, self.projector, self.display]
 
     def poll(self) -> list[DeviceUp | DeviceDown]:
-        """What came and went."""
+        """Return what came and went since the last call."""
         changes: list[DeviceUp | DeviceDown | None] = []
         for camera in self.cameras.values():
             # A grabber that lost its camera says so itself: its thread cannot close what the heartbeat may be using.

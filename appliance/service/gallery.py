@@ -61,8 +61,8 @@ class GalleryController:
         self._wanted = scan_id
         self._tasks.append(self._submit(lambda: self._load(scan_id)))
 
-    def told(self, scan_id: str | None) -> Mapping[str, Any] | None:
-        """Of the scan that the diver looks at, once it was read: for the status file."""
+    def status_of(self, scan_id: str | None) -> Mapping[str, Any] | None:
+        """Return what the status file says of the scan that the diver looks at; ``None`` until it was read."""
         shown = self.shown
         if shown is None or shown.scan_id != scan_id:
             return None
@@ -70,7 +70,7 @@ class GalleryController:
         return {"scan": shown.scan_id, "damaged": shown.damaged, "grade": word, "taken": shown.taken}
 
     def poll(self) -> list[on.Event]:
-        """What the disk answered since the last call."""
+        """Return what the disk answered since the last call."""
         self._tasks = [task for task in self._tasks if not task.done()]
         listed, self._listed = self._listed, None
         return [] if listed is None else [on.ScansListed(listed)]

@@ -50,24 +50,24 @@ class CalibrationWatch:
             text = "not judged: the calibration was never measured in water"
             return Verdict(VERDICT, None, {}, text)
         before = self.trend
-        self.trend, said = judge(before, gaps)
-        passed = None if said.point is None else not said.alarm
-        text = said.text + self._explained(said, gaps)
+        self.trend, outcome = judge(before, gaps)
+        passed = None if outcome.point is None else not outcome.alarm
+        text = outcome.text + self._explained(outcome, gaps)
         if before.alarm is None and self.trend.alarm is not None:
             self.trend = self.trend.alarmed(text)
-        return Verdict(VERDICT, passed, said.numbers, text)
+        return Verdict(VERDICT, passed, outcome.numbers, text)
 
-    def answer(self, said: str) -> Callable[[], None] | None:
+    def answer(self, evidence: str) -> Callable[[], None] | None:
         """A length check found lengths right: take the alarm back. What writes that down, as ``unwritten``; ``None``: there
         is no alarm."""
         if self.trend.alarm is None:
             return None
-        self._written = self.trend = answered(self.trend, f"{said}, after: {self.trend.alarm}")
+        self._written = self.trend = answered(self.trend, f"{evidence}, after: {self.trend.alarm}")
         file, trend = self._file, self.trend
         return lambda: file.write(trend)
 
     def unwritten(self, scan: str) -> Callable[[], None] | None:
-        """What writes down the latest scan, whose number is known now; ``None``: nothing is new.
+        """Return what writes down the latest scan, whose number is known now; ``None``: nothing is new.
 
         It is durable when the call returns. The call raises StorageError.
         """
@@ -77,12 +77,12 @@ class CalibrationWatch:
         file, trend = self._file, self.trend
         return lambda: file.write(trend)
 
-    def _explained(self, said: HealthJudgement, gaps: PatchGaps) -> str:
+    def _explained(self, outcome: HealthJudgement, gaps: PatchGaps) -> str:
         """Which single change would look most like it; only one of many, so only in words for a technician."""
-        if said.point is None or not said.alarm:
+        if outcome.point is None or not outcome.alarm:
             return ""
         answers = GapModes(self._calibration.rig, gaps.water_index).of_parameters(TURNS)
-        name, size, share = likeliest(said.point.amplitudes_um, answers)
+        name, size, share = likeliest(outcome.point.amplitudes_um, answers)
         return f"; most like {in_words(name, -size)} ({100.0 * share:.0f} %)" if name else ""
 
 

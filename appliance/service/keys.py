@@ -34,7 +34,7 @@ class KeyReader:
         self._thread.join(JOIN_TIMEOUT_S)
 
     def take(self) -> list[KeyEvent]:
-        """What happened since the last call, in order."""
+        """Return what happened since the last call, in order."""
         events: list[KeyEvent] = []
         while len(events) < QUEUE_SIZE:
             try:

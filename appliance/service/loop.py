@@ -40,7 +40,7 @@ from drivers.api import Clock, Key
 log = logging.getLogger("kingfisher")
 
 PRESENT_TIMEOUT_S, PRESENT_PERIODS = 0.5, 4
-"""How long a picture may take to the diver's display: the longer of both."""
+"""Longest time that a picture may take to the diver's display, in s and in periods of it: the longer of both holds."""
 BEAT_WITHOUT_DISPLAY_S = 0.05
 QUIT_TIMEOUT_S = 30.0
 
@@ -114,7 +114,7 @@ class Service:
 
     def _tell_status(self) -> None:
         at = self.machine.gallery
-        shown = None if at is None else self._parts.gallery.told(at.scan_id)
+        shown = None if at is None else self._parts.gallery.status_of(at.scan_id)
         self._status.update(self.machine, self._parts.scans.worker.pid, shown)
 
     # --------------------------------------------------------------------------------- what happened

@@ -15,11 +15,11 @@ from appliance.screens.views import MenuRow, MenuView
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """What the menu tells about the instrument."""
+    """The facts that the menu tells about the instrument."""
 
     serial: str
     calibrated: Label
-    """On which day; or that it never was."""
+    """The day of the calibration; or that there never was one."""
 
 
 TITLES = {Page.MAIN: Text.MENU, Page.WATER: Text.WATER, Page.ABOUT: Text.ABOUT}
@@ -47,7 +47,7 @@ ANSWERS = {Answer.STAY_ON: Text.STAY_ON, Answer.SWITCH_OFF: Text.SWITCH_OFF}
 
 
 def question_view(machine: Machine, question: OffQuestion) -> MenuView:
-    """Whether to switch off: the two answers, on the screen of any state."""
+    """Return the question whether to switch off: two answers, on the screen of any state."""
     rows = tuple(MenuRow(ANSWERS[answer]) for answer in Answer)
     selected = list(Answer).index(question.answer)
     return MenuView(title=Text.POWER_OFF_ASKED, rows=rows, selected=selected, alerts=alerts(machine))
@@ -65,7 +65,7 @@ FRINGES = {16: Text.FINE, 32: Text.MEDIUM, 64: Text.COARSE_FRINGES}
 
 
 def value_of(row: Row, machine: Machine, facts: Facts | None) -> Label:
-    """What is chosen, or so; while it is being changed, what it would be."""
+    """Return what is chosen; while it is being changed, what it would be."""
     chosen = menu.shown(machine)
     match row:
         case Row.EXPOSURE:

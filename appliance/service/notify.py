@@ -31,7 +31,7 @@ class ServiceManager:
 
     @classmethod
     def of(cls, environment: MutableMapping[str, str]) -> Self:
-        """As the manager told this process; taken out of ``environment``, for no child is to speak in its name."""
+        """Read what the manager told this process; it is taken out of ``environment``, for no child is to speak in its name."""
         address = environment.pop(SOCKET, None)
         usec, pid = environment.pop(WATCHDOG_US, ""), environment.pop(WATCHDOG_PID, "")
         meant = usec.isdecimal() and int(usec) > 0 and pid in ("", str(os.getpid()))

@@ -28,10 +28,10 @@ class Parts:
 
 @dataclass(frozen=True, slots=True)
 class Beginning:
-    """What is known before the first heartbeat."""
+    """The knowledge that there is before the first heartbeat."""
 
     choices: ChoicesFile
-    """What the diver chose before, and where it is remembered."""
+    """The file of what the diver chose before."""
     conditions: tuple[Fault, ...]
     """Faults that hold from the start (uncalibrated …)."""
     news: tuple[Fault, ...]

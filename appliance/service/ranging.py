@@ -34,7 +34,7 @@ from drivers.api import Clock, LaserState
 log = logging.getLogger("kingfisher")
 
 SETTLE_NS, SETTLE_IMAGES = 200_000_000, 2.0
-"""After the lasers or the light were switched, images may still be from before: two of them. Here and below: at least the
+"""Images after the lasers or the light were switched that may still be from before: two. Here and below: at least the
 time, and more where live images come more slowly than ten a second."""
 PAIR_NS, PAIR_IMAGES = 50_000_000, 0.5
 """Both images of a pair arrive within this; the next pair comes twice as late."""
@@ -43,11 +43,11 @@ DARK_PAIRS = 2
 NO_BRIGHTER = 1.5
 """A dot of a laser that was just switched on is so much brighter than print or pebble were there before."""
 CLEAR_PAIRS = 10
-"""Without a dot in so many pairs, a laser that ignored its switch has gone off."""
+"""Number of pairs without a dot after which a laser that ignored its switch has gone off."""
 HEARTBEATS_NS = 1_000_000_000
 """Two heartbeats of the board."""
 SHINING_TIMEOUT_S = 3.0
-"""For one pair of images, behind another one: a hundred times what they take, and shorter than the watchdog's patience."""
+"""Longest wait for one pair of images, behind another one: a hundred times what they take, and shorter than the watchdog's patience."""
 STALE_NS, STALE_IMAGES = 1_000_000_000, 10.0
 IMAGES = "images"
 """The witness named in the fault, besides the board's read-back, which clears only its own."""
@@ -56,7 +56,7 @@ IMAGES = "images"
 @dataclass(frozen=True, slots=True)
 class _Measured:
     live: int
-    """Of which live view."""
+    """Number of the live view that it was measured in."""
     lit: bool
     dots: Dots
     range: Range | None
@@ -78,7 +78,7 @@ class RangingController:
         memory: BeamsFile | None = None,
         submit: Callable[[Callable[[], None]], object] | None = None,
     ) -> None:
-        """Without ``pointers`` nothing is measured. ``live_s``: from one live image to the next. ``memory``: of the beams, over
+        """Nothing is measured without ``pointers``. ``live_s``: from one live image to the next. ``memory``: of the beams, over
         a restart; written to in ``submit``'s thread whenever live views end."""
         live_ns = live_s * 1e9
         self._settle_ns = round(max(SETTLE_NS, SETTLE_IMAGES * live_ns))
@@ -99,14 +99,14 @@ class RangingController:
         self._live = 0
         self._wanted = self._lit = False
         self._ready_ns = 0
-        """From when on images show the lasers as they are."""
+        """Time from which on images show the lasers as they are."""
         self._dark: list[Dots] = []
         self._lit_first: list[Dots] = []
         self._clear = 0
         self._lit_ns = 0
         self._failed: set[str] = set()
-        self._told: Range | None = None
-        self._told_ns = 0
+        self._shown: Range | None = None
+        self._shown_ns = 0
 
     def __enter__(self) -> Self:
         return self
@@ -118,12 +118,12 @@ class RangingController:
 
     @property
     def ranger(self) -> Ranger | None:
-        """What measures, once a pair was measured."""
+        """The object that measures, once a pair was measured."""
         return self._ranger
 
     @property
     def marks(self) -> Marks | None:
-        """Where the dots are going to be seen; ``None`` while the lasers are not on, or nobody knows yet."""
+        """The places where the dots are going to be seen; ``None`` while the lasers are not on, or nobody knows yet."""
         return self._marks if self._lit else None
 
     def live(self, lasers: bool, calibration: Calibration, water_index: float) -> None:
@@ -169,7 +169,7 @@ class RangingController:
         return self._read_back(state)
 
     def heard(self, state: LaserState) -> list[on.Event]:
-        """What a heartbeat of the board read back."""
+        """Take in what a heartbeat of the board read back of the lasers."""
         old = self._clock.now_ns() < self._lit_ns + HEARTBEATS_NS  # it may be from before they were switched on
         return self._read_back(state) if self._lit and not old else []
 
@@ -187,7 +187,7 @@ class RangingController:
         return events
 
     def poll(self) -> list[on.Event]:
-        """What was measured since."""
+        """Return what was measured since the last call."""
         if self._work is not None and self._work.done():
             work, self._work = self._work, None
             error = work.exception(0.0)
@@ -197,23 +197,23 @@ class RangingController:
             measured = work.result(0.0)
             if measured.live == self._live and measured.lit == self._lit:
                 return self._judge(measured)
-        if self._told is not None and self._clock.now_ns() - self._told_ns > self._stale_ns:
-            self._told = None
+        if self._shown is not None and self._clock.now_ns() - self._shown_ns > self._stale_ns:
+            self._shown = None
             return [on.Ranged(None)]
         return []
 
     def shining(self, bright: dict[str, NDArray[np.uint8]], dark: dict[str, NDArray[np.uint8]]) -> Fault | None:
-        """Whether a laser shone in a sequence although it was switched off: from its bright and its dark frames.
+        """Return the fault of a laser that shone in a sequence although it was switched off, from its bright and its dark frames.
 
         One of two witnesses: where it comes to no result, that is logged, and the board's read-back stands alone.
         """
         if self._pointers is None:
             return None
-        asked = self._executor.submit(self._shining, bright, dark)
+        pending = self._executor.submit(self._shining, bright, dark)
         try:
-            return asked.result(SHINING_TIMEOUT_S)
+            return pending.result(SHINING_TIMEOUT_S)
         except TimeoutError:
-            asked.cancel()
+            pending.cancel()
             log.warning("lasers in the dark frame: no answer within %g s", SHINING_TIMEOUT_S)
         except Exception as error:  # whatever it is, the scan is not to blame
             log.exception("lasers in the dark frame: not judged: %s", error)
@@ -263,7 +263,7 @@ class RangingController:
         self._dark.clear()
         self._lit_first.clear()
         self._clear = 0
-        self._told = None
+        self._shown = None
 
     def _remember(self) -> None:
         """Let the disk have what the beams have learned since."""
@@ -287,7 +287,7 @@ class RangingController:
             del self._dark[:-DARK_PAIRS]
             return self._cleared(measured.dots)
         events: list[on.Event] = [on.Ranged(measured.range)]
-        self._told, self._told_ns = measured.range, self._clock.now_ns()
+        self._shown, self._shown_ns = measured.range, self._clock.now_ns()
         if len(self._lit_first) < DARK_PAIRS:
             self._lit_first.append(measured.dots)
             if len(self._lit_first) == DARK_PAIRS:
@@ -317,7 +317,7 @@ class RangingController:
 
 
 def _taught(beams: tuple[PointerBeam, PointerBeam]) -> int:
-    """How many dots taught them."""
+    """Return how many dots taught the beams."""
     return sum(beam.learned for beam in beams)
 
 

@@ -17,32 +17,32 @@ from drivers.api import Clock
 log = logging.getLogger("kingfisher")
 
 ASK_AGAIN_S = 5.0
-"""Without room for a scan: how often the disk is asked whether there is some by now."""
+"""Time between two questions to a full disk whether there is room for a scan by now."""
 FREED_SCANS = 3
 """Less than that many scans' room that comes from nowhere is not told: logs and other programs take and give some all the time,
 and a number that goes up after a save would not be believed."""
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
-    """What was last told of the room on the disk."""
+class CountedRoom:
+    """The room on the disk as the diver was told of it."""
 
     scans: int
-    """There were on the disk."""
+    """Scans that were on the disk."""
     left: int
-    """More had room."""
+    """Scans that had room besides."""
     scan_bytes: int
-    """One of them takes."""
+    """Bytes that one of them takes."""
 
 
-def steady(told: Told | None, now: Told) -> Told:
-    """Return what to tell after ``told``: ``now``, but no more scans than before while nothing noticeable was freed.
+def steady(before: CountedRoom | None, now: CountedRoom) -> CountedRoom:
+    """Return what to tell after ``before``: ``now``, but no more scans than before while nothing noticeable was freed.
 
     Scans that were taken away, scans of another size, a disk that was full, and room for ``FREED_SCANS`` more count as freed.
     """
-    if told is None or told.scan_bytes != now.scan_bytes or now.scans < told.scans or told.left == 0:
+    if before is None or before.scan_bytes != now.scan_bytes or now.scans < before.scans or before.left == 0:
         return now
-    return now if now.left >= told.left + FREED_SCANS else replace(now, left=min(now.left, told.left))
+    return now if now.left >= before.left + FREED_SCANS else replace(now, left=min(now.left, before.left))
 
 
 class ScanRoom:
@@ -56,23 +56,23 @@ class ScanRoom:
         self._counted_ns = 0
         self._scan_bytes = 1
         self._plan: dict[str, int] = {}
-        self._told: Told | None = None
+        self._shown: CountedRoom | None = None
         self.missing: Fault | None = None
-        """Why no scan may begin."""
+        """The fault for which no scan may begin; ``None``: there is room."""
 
     def size(self, frames: int, width_px: int, height_px: int) -> None:
-        """What one scan takes from now on."""
+        """Count with scans of another size from now on."""
         self._scan_bytes = size_bytes(frames, width_px, height_px)
         self._plan = plan(frames_bytes(frames, width_px, height_px), cloud_bytes(width_px, height_px))
 
     @property
     def due(self) -> bool:
-        """Whether to count again: there was no room, and some time has passed."""
+        """It is time to count again: there was no room, and some time has passed."""
         return self.missing is not None and self._clock.now_ns() - self._counted_ns > ASK_AGAIN_S * 1e9
 
     @property
-    def said(self) -> Label:
-        """For the self-test, after ``counted``."""
+    def summary(self) -> Label:
+        """The self-test's words for the room, after ``counted``."""
         allocates = self._room is not None and self._room.allocates
         return f"{self._scan_bytes / 1e6:.0f} MB / SCAN" if allocates else Text.COUNTED_ONLY
 
@@ -90,8 +90,8 @@ class ScanRoom:
         self.missing, self._counted_ns = fault, self._clock.now_ns()
         scans = self._library.count()
         if left is not None:
-            self._told = steady(self._told, Told(scans, left, self._scan_bytes))
-            left = self._told.left
+            self._shown = steady(self._shown, CountedRoom(scans, left, self._scan_bytes))
+            left = self._shown.left
         events: list[on.Event] = [on.StorageCounted(scans, self._library.last_id(), left)]
         for code in (FaultCode.DISK_READ_ONLY, FaultCode.DISK_REFUSES):
             there = fault is not None and fault.code is code
@@ -99,7 +99,7 @@ class ScanRoom:
         return events
 
     def _refused(self) -> Fault | None:
-        """Why the space cannot be allocated."""
+        """Return why the space cannot be allocated; ``None`` where it is."""
         if self._room is None:
             return None
         try:

@@ -109,7 +109,7 @@ class ScanFiles:
             counted = self._room.counted()
         except (StorageError, OSError) as error:
             return _test_failed(str(error))
-        return [*counted, on.PartTested(Part.STORAGE, True, self._room.said)]
+        return [*counted, on.PartTested(Part.STORAGE, True, self._room.summary)]
 
     def count(self) -> list[on.Event]:
         """Answer StorageCounted, or nothing where the scans cannot be listed."""

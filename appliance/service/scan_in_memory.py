@@ -41,10 +41,10 @@ class ScanInMemory:
     pending: PendingScan | None = None
     raw: Future[PendingScan] | None = None
     judgements: tuple[Judgement, ...] = ()
-    """Of the first sequence."""
+    """The judges' word on the first sequence."""
     second: SecondInMemory | None = None
     times_s: dict[str, float] = field(default_factory=dict)
-    """As ``ScanRecord.stage_times_s``."""
+    """Times since the key press and processor times by stage, as ``ScanRecord.stage_times_s``."""
 
     def enter(self, verdict: Verdict) -> None:
         """Write a verdict down, in place of an earlier one of its name."""

@@ -51,7 +51,7 @@ Answer = TypeVar("Answer")
 
 @dataclass(frozen=True, slots=True)
 class MeasuringSetup:
-    """What the instrument measures with at its start, beside its rig file."""
+    """The means that the instrument measures with at its start, beside its rig file."""
 
     calibration: Calibration
     sequence: PatternSequence

@@ -24,7 +24,7 @@ def installation(prefix: Path) -> str:
 
 @contextmanager
 def this_run(environment: Mapping[str, str], prefix: Path) -> Iterator[tuple[Fault, ...]]:
-    """What the diver is to be told of before; a block that is left without an error has ended well.
+    """Find what the diver is to be told of the run before; a block that is left without an error has ended well.
 
     Nothing is remembered where ``environment`` is not a service's.
     """
@@ -43,7 +43,7 @@ def this_run(environment: Mapping[str, str], prefix: Path) -> Iterator[tuple[Fau
 
 
 def recovered(scans: Sequence[str]) -> tuple[Fault, ...]:
-    """What the diver is told of scans that an earlier run, or a loss of power, left unpublished and that were whole."""
+    """Return what the diver is told of scans that an earlier run, or a loss of power, left unpublished and that were whole."""
     return (Fault(FaultCode.SCAN_RECOVERED, f"scan {', '.join(scans)}"),) if scans else ()
 
 
@@ -54,7 +54,7 @@ def _restarted(mark: Path | None) -> Fault | None:
 
 
 def _undone(prefix: Path) -> Fault | None:
-    """How the last trial ended, as ``systemd/kingfisher_setup`` has written it beside the versions."""
+    """Return how the last trial ended, as ``systemd/kingfisher_setup`` has written it beside the versions."""
     if not _is_installed(prefix):
         return None
     try:

@@ -50,7 +50,7 @@ NO_VALUES = np.empty(0, np.float32)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surroundings:
-    """What a view needs besides the machine."""
+    """The things that a view needs besides the machine."""
 
     left: NDArray[np.uint8] | None
     right: NDArray[np.uint8] | None
@@ -60,7 +60,7 @@ class Surroundings:
     """The scan that the gallery has loaded."""
     facts: Facts | None = None
     marks: Marks | None = None
-    """Where the laser dots are going to be seen in the live pictures."""
+    """The places where the laser dots are going to be seen in the live pictures."""
 
 
 def view_of(machine: Machine, around: Surroundings) -> AnyView:
@@ -187,7 +187,7 @@ def _gauge(machine: Machine) -> Gauge | None:
 
 
 def _cooling(machine: Machine) -> CoolingView:
-    """Of what is farthest above what it must fall to."""
+    """Return the temperature that is farthest above what it must fall to."""
     hot = [c for c in machine.conditions if c.code in safety.COOLS_DOWN and "temperature_c" in c.numbers]
     worst = max(hot, key=lambda c: c.numbers["temperature_c"] - c.numbers.get("below_c", 0.0), default=None)
     return CoolingView(

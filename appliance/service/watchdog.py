@@ -21,9 +21,9 @@ from appliance.storage.filesystem import FileSystem, LocalFileSystem
 log = logging.getLogger("kingfisher")
 
 SIGNS_PER_LIMIT = 4
-"""So many signs of life fit into the manager's patience: three may be late."""
+"""Number of signs of life that fit into the manager's patience: three may be late."""
 SELF_TEST_FILE = Path("run", "self-test.json")
-"""Below the storage root; read by ``systemd/kingfisher_setup``."""
+"""File below the storage root; it is read by ``systemd/kingfisher_setup``."""
 
 
 class Watchdog:
@@ -75,7 +75,7 @@ class Watchdog:
         self._manager.alive()
 
     def _test(self, machine: Machine) -> None:
-        """What failed, named as on the screen, whenever it changes. A disk that refuses has failed the test by that."""
+        """Write what failed, named as on the screen, whenever it changes. A disk that refuses has failed the test by that."""
         parts = [part.value for part, test in machine.parts.items() if not test.passed]
         failed = sorted([device.value for device in machine.lost] + parts)
         if failed == self._failed:

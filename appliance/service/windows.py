@@ -22,15 +22,15 @@ from appliance.verdict.window import CELLS, SLACK, Windows
 Array = NDArray[np.float64]
 
 MOST = 0.10
-"""Of one scan, added to a sum."""
+"""Largest amount that one scan adds to a sum."""
 LIMIT = 0.28
-"""Of a sum: three scans with much fog, or more with less."""
+"""Sum above which the alarm begins: three scans with much fog, or more with less."""
 CLEAN = 0.12
-"""Below this an alarm ends."""
+"""Sum below which an alarm ends."""
 CAP = 0.34
-"""Of a sum: three clean scans end an alarm, however long it lasted."""
+"""Largest sum: three clean scans end an alarm, however long it lasted."""
 CHANGED = 0.05
-"""Of the light in the median cell, from one scan to the next one that counts: else the scene is the same, and what is soft may
+"""Least relative change of the light in the median cell from one scan to the next one that counts: else the scene is the same, and what is soft may
 be part of it."""
 _ACROSS = ("left", "middle", "right")
 _DOWN = ("upper", "middle", "lower")
@@ -77,11 +77,11 @@ class WindowWatch:
             self._sums[side] = np.clip(self._sums[side] + np.nan_to_num(step), 0.0, CAP)
             worst = float(self._sums[side].max())
             self._alarm[side] = worst > LIMIT or (self._alarm[side] and worst > CLEAN)
-        said = "; ".join(self._detail(side) for side in SIDES if self._alarm[side])
-        return replace(verdict, passed=self._passed, text=said or verdict.text)
+        details = "; ".join(self._detail(side) for side in SIDES if self._alarm[side])
+        return replace(verdict, passed=self._passed, text=details or verdict.text)
 
     def conditions(self) -> Iterator[tuple[FaultCode, str, Fault | None]]:
-        """For each camera: the fault that holds now, or ``None``."""
+        """Yield for each camera the fault that holds now, or ``None``."""
         for side in SIDES:
             device = f"camera.{side}"
             held = Fault(FaultCode.WINDOW, self._detail(side), device=device) if self._alarm[side] else None

@@ -20,10 +20,10 @@ from appliance.verdict.window import Windows
 from appliance.worker.process import (
     CloudReady,
     PairJudged,
-    PatternsRight,
     ReconstructionWorker,
     ScanJudged,
     ScanSpoiled,
+    SequenceIdentified,
     WorkerFailed,
     WorkerReady,
 )
@@ -55,7 +55,7 @@ class WorkerReports:
                 return [on.ConditionCleared(FaultCode.RECONSTRUCTION_FAILED), on.PartTested(Part.WORKER, True)]
             case WorkerFailed():
                 return self._failed(report, scan)
-            case PatternsRight():
+            case SequenceIdentified():
                 return [on.PatternsRight(report.scan)]
         # The worker may still report on a scan that was dropped or published meanwhile: nobody wants that any more.
         return [] if scan is None or scan.number != report.scan else self._entered(report, scan)

@@ -9,7 +9,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 KILL_TIMEOUT_S = 2.0
-"""How long a process that was killed, or that has closed its pipe, is waited for."""
+"""Longest wait for a process that was killed, or that has closed its pipe."""
 
 
 class ChildGone(Exception):

@@ -15,7 +15,7 @@ from appliance.scan.verdict import Judgement
 
 @dataclass(frozen=True, slots=True)
 class Begin:
-    """To the worker: the frames of a new sequence will follow."""
+    """The order to the worker: the frames of a new sequence will follow."""
 
     ticket: int
     settings: AcquisitionSettings
@@ -25,7 +25,7 @@ class Begin:
 
 @dataclass(frozen=True, slots=True)
 class FrameStored:
-    """To the worker: frame ``index`` of the camera ``side`` is in the store."""
+    """The order to the worker: frame ``index`` of the camera ``side`` is in the store."""
 
     side: str
     index: int
@@ -33,53 +33,53 @@ class FrameStored:
 
 @dataclass(frozen=True, slots=True)
 class Finish:
-    """To the worker: all frames are there; say everything that is to be said of them."""
+    """The order to the worker: all frames are there; say everything that is to be said of them."""
 
 
 @dataclass(frozen=True, slots=True)
 class Drop:
-    """To the worker: nobody wants the sequence any more."""
+    """The order to the worker: nobody wants the sequence any more."""
 
 
 @dataclass(frozen=True, slots=True)
-class Taken:
-    """To the worker: the cloud was copied, and its memory may be used again."""
+class CloudCopied:
+    """The order to the worker: the cloud was copied, and its memory may be used again."""
 
     ticket: int
 
 
 @dataclass(frozen=True, slots=True)
 class Ping:
-    """To the worker: answer ``Pong``."""
+    """The order to the worker: answer ``Pong``."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ready:
-    """From the worker: kernels are loaded and buffers allocated."""
+    """The worker's report: kernels are loaded and buffers allocated."""
 
 
 @dataclass(frozen=True, slots=True)
 class Pong:
-    """From the worker: it is there."""
+    """The worker's report: it is there."""
 
 
 @dataclass(frozen=True, slots=True)
 class GoingOn:
-    """From the worker: one step more is done, which tells a slow processor from a process that hangs."""
+    """The worker's report: one step more is done, which tells a slow processor from a process that hangs."""
 
     ticket: int
 
 
 @dataclass(frozen=True, slots=True)
 class PatternsIdentified:
-    """From the worker: every frame shows the pattern it should."""
+    """The worker's report: every frame shows the pattern it should."""
 
     ticket: int
 
 
 @dataclass(frozen=True, slots=True)
 class Spoiled:
-    """From the worker: a frame shows another pattern than it should; there will be no cloud."""
+    """The worker's report: a frame shows another pattern than it should; there will be no cloud."""
 
     ticket: int
     judgement: Judgement
@@ -87,7 +87,7 @@ class Spoiled:
 
 @dataclass(frozen=True, slots=True)
 class CloudFound:
-    """From the worker: a cloud is in the shared memory; ``Taken`` is awaited."""
+    """The worker's report: a cloud is in the shared memory; ``CloudCopied`` is awaited."""
 
     ticket: int
     full: bool
@@ -96,8 +96,8 @@ class CloudFound:
 
 
 @dataclass(frozen=True, slots=True)
-class Judged:
-    """From the worker: what is to be said of the sequence, in place of what was said before."""
+class SequenceJudged:
+    """The worker's report: what is to be said of the sequence, in place of what was said before."""
 
     ticket: int
     judgements: tuple[Judgement, ...]
@@ -106,20 +106,20 @@ class Judged:
 
 @dataclass(frozen=True, slots=True)
 class BracketJudged:
-    """From the worker: what became of a second exposure; with a cloud, ``Taken`` is awaited."""
+    """The worker's report: what became of a second exposure; with a cloud, ``CloudCopied`` is awaited."""
 
     ticket: int
     found: Found | None
     """The cloud of both; ``None``: ``pair`` says why there is none."""
     second: tuple[Judgement, ...]
-    """On the second sequence alone."""
+    """The judges' word on the second sequence alone."""
     pair: Judgement
     cpu_s: float
 
 
 @dataclass(frozen=True, slots=True)
 class SequenceFailed:
-    """From the worker: the frames are not what was agreed; the next sequence's may be."""
+    """The worker's report: the frames are not what was agreed; the next sequence's may be."""
 
     ticket: int
     text: str
@@ -127,12 +127,12 @@ class SequenceFailed:
 
 @dataclass(frozen=True, slots=True)
 class Crashed:
-    """From the worker: its last words."""
+    """The worker's report: its last words."""
 
     text: str
 
 
-ToWorker = Begin | FrameStored | Finish | Drop | Taken | Ping
+ToWorker = Begin | FrameStored | Finish | Drop | CloudCopied | Ping
 FromWorker = (
     Ready
     | Pong
@@ -140,7 +140,7 @@ FromWorker = (
     | PatternsIdentified
     | Spoiled
     | CloudFound
-    | Judged
+    | SequenceJudged
     | BracketJudged
     | SequenceFailed
     | Crashed

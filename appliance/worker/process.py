@@ -24,6 +24,7 @@ from appliance.worker.child import ChildGone, ChildProcess
 from appliance.worker.messages import (
     Begin,
     BracketJudged,
+    CloudCopied,
     CloudFound,
     Crashed,
     Drop,
@@ -31,14 +32,13 @@ from appliance.worker.messages import (
     FrameStored,
     FromWorker,
     GoingOn,
-    Judged,
     PatternsIdentified,
     Ping,
     Pong,
     Ready,
     SequenceFailed,
+    SequenceJudged,
     Spoiled,
-    Taken,
     ToWorker,
 )
 from appliance.worker.serve import work
@@ -48,16 +48,16 @@ from drivers.api import Clock
 STOP_TIMEOUT_S = 2.0
 MEMORY_CHECK_S = 0.5
 MOST_ATTEMPTS = 2
-"""Of one scan."""
+"""Largest number of attempts at one scan."""
 MOST_FRUITLESS_STARTS = 4
-"""In a row, without a cloud in between; then the worker stays down until the next scan begins."""
+"""Largest number of starts in a row without a cloud in between; then the worker stays down until the next scan begins."""
 POLL_S = 0.002
 PING_S = 1.0
-"""How often a worker with nothing to do is asked whether it is there."""
+"""Time between two questions to a worker with nothing to do whether it is there."""
 COMPUTING_SHARE = 0.05
-"""Of the time, that a worker uses a processor if it gets on; one that hangs uses none."""
+"""Share of the time that a worker uses a processor if it gets on; one that hangs uses none."""
 PROGRESS_CHECK_S, PROGRESS_CPU_S = 2.0, 0.1
-"""How often a start is looked at, and the processor time that it takes meanwhile if it gets on."""
+"""Time between two looks at a start, and the processor time that it takes meanwhile if it gets on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,23 +70,23 @@ class WorkOrder:
     projector_width_px: int
     projector_height_px: int
     noise: StereoNoise = TYPICAL_PAIR
-    """Of the cameras as they are set."""
+    """Noise of the cameras as they are set."""
 
 
 @dataclass(frozen=True, slots=True)
 class WorkLimits:
-    """What a worker may take; beyond, it is started again."""
+    """The bounds of what a worker may take; beyond, it is started again."""
 
     start_s: float = 240.0
     """A cold start without compiled kernels takes most of a minute, and more on a busy machine."""
     cloud_s: float = 10.0
-    """From one step to the next of those that lead from the last frame to the full cloud; a hundred times what they take."""
+    """Longest time from one step to the next of those that lead from the last frame to the full cloud; a hundred times what they take."""
     computing_s: float = 60.0
     """The same where it is seen to compute: on a processor that is throttled, or shared."""
     alive_s: float = 5.0
-    """From a question to its answer while it has nothing to do."""
+    """Longest time from a question to its answer while it has nothing to do."""
     memory_mb: float = 600.0
-    """Of its own; the shared frames do not count."""
+    """Largest memory of its own, MB; the shared frames do not count."""
     start_memory_mb: float = 1500.0
     """The same until it is ready: without compiled kernels, the compiler is in it, too."""
 
@@ -97,7 +97,7 @@ class WorkerReady:
 
 
 @dataclass(frozen=True, slots=True)
-class PatternsRight:
+class SequenceIdentified:
     """Every frame shows the pattern it should; points follow."""
 
     scan: int
@@ -116,7 +116,7 @@ class CloudReady:
 
 @dataclass(frozen=True, slots=True)
 class ScanJudged:
-    """What the judges say of a scan, in place of what they said of it before."""
+    """The judges' word on a scan, in place of what they said of it before."""
 
     scan: int
     judgements: tuple[Judgement, ...]
@@ -135,16 +135,16 @@ class ScanSpoiled:
 
 @dataclass(frozen=True, slots=True)
 class PairJudged:
-    """What became of a second sequence."""
+    """The outcome of a second sequence."""
 
     scan: int
     """The number given to ``begin``."""
     second: tuple[Judgement, ...]
-    """On the second sequence alone."""
+    """The judges' word on the second sequence alone."""
     pair: Judgement
-    """On both; with a fault there is no cloud."""
+    """Their word on both; with a fault there is no cloud."""
     cloud: Cloud | None
-    """Of both sequences."""
+    """Cloud of both sequences."""
     cpu_s: float
 
 
@@ -157,7 +157,7 @@ class WorkerFailed:
     fault: Fault
 
 
-WorkerEvent = WorkerReady | PatternsRight | CloudReady | ScanJudged | ScanSpoiled | PairJudged | WorkerFailed
+WorkerEvent = WorkerReady | SequenceIdentified | CloudReady | ScanJudged | ScanSpoiled | PairJudged | WorkerFailed
 
 
 class ReconstructionWorker:
@@ -165,7 +165,7 @@ class ReconstructionWorker:
 
     def __init__(self, order: WorkOrder, store: FrameStore, clock: Clock, limits: WorkLimits | None = None) -> None:
         self.order = order
-        """What it was started for; ``change`` starts it for another."""
+        """The order that it was started for; ``change`` starts it for another."""
         self._store = store
         self._clock = clock
         self.limits = limits or WorkLimits()
@@ -178,18 +178,18 @@ class ReconstructionWorker:
         self._deadline_ns: int | None = None
         self._alive_ns = 0
         """When it said something last, or was asked to."""
-        self._asked = False
+        self._ping_sent = False
         self._memory_check_ns = 0
         self._progress_check_ns = 0
         self._start_cpu_s = 0.0
         self._patience_ns = 0
-        """How long a step that computes is waited for."""
+        """Longest wait for a step that computes."""
         self._step_cpu_s = 0.0
         """Processor time when the deadline was set."""
         self._scan: int | None = None
         self._settings = AcquisitionSettings(noise=order.noise)
         self._second: AcquisitionSettings | None = None
-        """How the scan's second sequence is taken; ``None``: there is none, or not yet."""
+        """Settings of the scan's second sequence; ``None``: there is none, or not yet."""
         self._knows_first = False
         """This process found the scan's full cloud: a second sequence can follow without the frames of the first."""
         self._ticket = 0
@@ -203,7 +203,7 @@ class ReconstructionWorker:
         self._not_started: str | None = None
         """Why there is no process although there should be one."""
         self.restarts = 0
-        """How often the process had to be started again."""
+        """Number of times that the process had to be started again."""
 
     def __enter__(self) -> ReconstructionWorker:
         try:
@@ -225,7 +225,7 @@ class ReconstructionWorker:
 
     @property
     def pid(self) -> int | None:
-        """Of the process; ``None`` while there is none."""
+        """Number of the process; ``None`` while there is none."""
         return self._child.pid
 
     @property
@@ -236,7 +236,7 @@ class ReconstructionWorker:
         now_ns, grace_ns = self._clock.now_ns(), int(self.limits.alive_s * 1e9)
         if self._deadline_ns is not None:
             return now_ns <= self._deadline_ns + grace_ns
-        return not self._asked or now_ns - self._alive_ns <= 2 * grace_ns
+        return not self._ping_sent or now_ns - self._alive_ns <= 2 * grace_ns
 
     def gets_on(self) -> bool:
         """The first start is not at its end, but took processor time since it was looked at last; a start that hangs takes
@@ -330,7 +330,7 @@ class ReconstructionWorker:
         now_ns = self._clock.now_ns()
         if message is None:
             return self._check_answer(now_ns) or self._check_memory(now_ns)
-        self._alive_ns, self._asked = now_ns, False
+        self._alive_ns, self._ping_sent = now_ns, False
         match message:
             case Ready():
                 self._deadline_ns, self._starting = None, False
@@ -342,16 +342,16 @@ class ReconstructionWorker:
             case Crashed(text):
                 return self._restart(f"it failed: {text}")
             case (
-                GoingOn(ticket) | PatternsIdentified(ticket) | Spoiled(ticket) | CloudFound(ticket) | Judged(ticket)
+                GoingOn(ticket) | PatternsIdentified(ticket) | Spoiled(ticket) | CloudFound(ticket) | SequenceJudged(ticket)
                 | BracketJudged(ticket) | SequenceFailed(ticket)
-            ) as said:  # fmt: skip
-                return self._said_of(self._scan, said) if ticket == self._ticket else None
+            ) as message:  # fmt: skip
+                return self._event_of(self._scan, message) if ticket == self._ticket else None
             case _:
                 return self._restart(f"it sent a {type(message).__name__}, which is no answer")
 
-    def _said_of(self, scan: int | None, said: FromWorker) -> WorkerEvent | None:
+    def _event_of(self, scan: int | None, message: FromWorker) -> WorkerEvent | None:
         """Turn what was said of the ``scan`` in work into an event; ``None``: the scan was dropped meanwhile, or nothing is to be told."""
-        match said:
+        match message:
             case GoingOn():
                 if self._deadline_ns is not None:
                     self._await_cloud()
@@ -362,8 +362,8 @@ class ReconstructionWorker:
             case _ if scan is None:
                 return None
             case PatternsIdentified():
-                return PatternsRight(scan)
-            case Judged(_, judgements, cpu_s):
+                return SequenceIdentified(scan)
+            case SequenceJudged(_, judgements, cpu_s):
                 if self._finishing:
                     self._await_cloud()  # it got so far; what follows may be more than on other scans
                 return ScanJudged(scan, judgements, cpu_s)
@@ -378,7 +378,7 @@ class ReconstructionWorker:
                 return None
 
     def wait(self, timeout_s: float) -> WorkerEvent | None:
-        """As ``poll``, waiting up to ``timeout_s`` (for the desk; the service polls)."""
+        """Poll for up to ``timeout_s``, for programs without a heartbeat; return the first event, ``None``: there was none."""
         end_ns = self._clock.now_ns() + int(timeout_s * 1e9)
         while True:
             event = self.poll()
@@ -396,7 +396,7 @@ class ReconstructionWorker:
         return (cpu_s(self.pid) if self.pid is not None else None) or 0.0
 
     def _computes(self, now_ns: int) -> bool:
-        """Whether the step that is late uses the processor, and may go on: then its deadline is a new one."""
+        """Tell whether the step that is late uses the processor, and may go on: then its deadline is a new one."""
         if self._starting or now_ns >= self._patience_ns:
             return False
         before_s, self._step_cpu_s = self._step_cpu_s, self._used_s()
@@ -406,7 +406,7 @@ class ReconstructionWorker:
         return True
 
     def _tell_again(self) -> None:
-        """Of all frames of the scan, from the first on."""
+        """Tell the process of all frames of the scan, from the first on."""
         self._missed = False
         self._tell_first()
         if self._second is not None:
@@ -423,16 +423,16 @@ class ReconstructionWorker:
                 self._send(FrameStored(side, index))
 
     def _check_answer(self, now_ns: int) -> WorkerFailed | None:
-        """Whether it is late with what was asked, or with a sign of life."""
+        """Tell whether it is late with what was asked, or with a sign of life."""
         if self._deadline_ns is not None:
             if now_ns <= self._deadline_ns or self._computes(now_ns):
                 return None
             return self._restart("it did not answer in time")
         waited_s = (now_ns - self._alive_ns) / 1e9
-        if self._asked and waited_s > self.limits.alive_s:
+        if self._ping_sent and waited_s > self.limits.alive_s:
             return self._restart(f"it gave no sign of life for {self.limits.alive_s:g} s")
-        if not self._asked and waited_s > PING_S:
-            self._alive_ns, self._asked = now_ns, True
+        if not self._ping_sent and waited_s > PING_S:
+            self._alive_ns, self._ping_sent = now_ns, True
             self._send(Ping())
         return None
 
@@ -453,7 +453,7 @@ class ReconstructionWorker:
     def _cloud_found(self, scan: int, full: bool, found: Found, cpu_s: float) -> CloudReady:
         # No reference to the memory may outlive this call: it could not be closed.
         cloud = PointTable(self._capacity, self._results.buf).cloud(found)
-        self._send(Taken(self._ticket))
+        self._send(CloudCopied(self._ticket))
         if full:
             self._finishing, self._deadline_ns, self._fruitless = False, None, 0
             self._knows_first = True
@@ -463,7 +463,7 @@ class ReconstructionWorker:
         self, scan: int, found: Found | None, second: tuple[Judgement, ...], pair: Judgement, cpu_s: float
     ) -> PairJudged:
         cloud = None if found is None else PointTable(self._capacity, self._results.buf).cloud(found)
-        self._send(Taken(self._ticket))
+        self._send(CloudCopied(self._ticket))
         self._finishing, self._deadline_ns, self._fruitless, self._knows_first = False, None, 0, True
         return PairJudged(scan, second, pair, cloud, cpu_s)
 
@@ -482,7 +482,7 @@ class ReconstructionWorker:
             self.limits.memory_mb,
         )
         self._starting, self._knows_first = True, False
-        self._alive_ns, self._asked = self._clock.now_ns(), False
+        self._alive_ns, self._ping_sent = self._clock.now_ns(), False
         self._deadline_ns = self._alive_ns + int(self.limits.start_s * 1e9)
         self._start_cpu_s = 0.0
 

@@ -41,6 +41,7 @@ from appliance.scan.verdict import Judgement, Verdict
 from appliance.worker.messages import (
     Begin,
     BracketJudged,
+    CloudCopied,
     CloudFound,
     Crashed,
     Drop,
@@ -48,20 +49,19 @@ from appliance.worker.messages import (
     FrameStored,
     FromWorker,
     GoingOn,
-    Judged,
     PatternsIdentified,
     Ping,
     Pong,
     Ready,
     SequenceFailed,
+    SequenceJudged,
     Spoiled,
-    Taken,
     ToWorker,
 )
 from appliance.worker.warm import run_empty_scan, run_what_an_empty_scan_does_not
 
 NICENESS = 5
-"""Behind the heartbeat and the cameras."""
+"""Priority of the process, behind the heartbeat and the cameras."""
 
 
 def work(
@@ -162,7 +162,7 @@ class Server:
         """The sequence in work, as the parent numbers them."""
         self._failed = False
         self._steps: Iterator[Step] | None = None
-        """What is left to be done on the sequence; ``None``: everything."""
+        """Steps that are left of the sequence; ``None``: all of them."""
         self._first: ProcessedSequence | None = None
         """The first sequence of the scan in work, once a second one was begun."""
         self._second = False
@@ -210,7 +210,7 @@ class Server:
         """Say everything that is to be said of the sequence, as soon as it is known, until nobody wants to hear it any more."""
         self._steps = self._processor.steps()
         begun_s = time.process_time()
-        said: tuple[Judgement, ...] = ()
+        reported: tuple[Judgement, ...] = ()
         for step in self._steps:
             spent_s = time.process_time() - begun_s
             match step:
@@ -226,11 +226,11 @@ class Server:
                     self._say(GoingOn(self._ticket))
                     continue
                 case AllJudged(judgements):
-                    said = judgements
-                    self._say(Judged(self._ticket, judgements, spent_s))
+                    reported = judgements
+                    self._say(SequenceJudged(self._ticket, judgements, spent_s))
                 case FullFound(found, judgements):
-                    if [one.fault for one in judgements] != [one.fault for one in said]:
-                        self._say(Judged(self._ticket, judgements, 0.0))
+                    if [one.fault for one in judgements] != [one.fault for one in reported]:
+                        self._say(SequenceJudged(self._ticket, judgements, 0.0))
                     self._say(CloudFound(self._ticket, full=True, found=found, cpu_s=spent_s))
                     self._await_taken()
             begun_s = time.process_time()
@@ -272,7 +272,7 @@ class Server:
         while True:
             message: ToWorker = self._pipe.recv()
             match message:
-                case Taken(ticket) if ticket == self._ticket:
+                case CloudCopied(ticket) if ticket == self._ticket:
                     return True
                 case Begin() | Drop():
                     self._put_back.append(message)

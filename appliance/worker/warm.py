@@ -118,7 +118,7 @@ def find_points() -> None:
 
 
 def find_points_of_stored() -> None:
-    """As ``find_points``, for frames that cannot be written."""
+    """Run ``find_points`` for frames that cannot be written."""
     _find_points(writable=False)
 
 
@@ -134,7 +134,7 @@ def judge_scan() -> None:
 
 
 def judge_stored() -> None:
-    """As ``judge_scan`` and ``read_through_backscatter``, for frames that cannot be written."""
+    """Run ``judge_scan`` and ``read_through_backscatter`` for frames that cannot be written."""
     _judge(writable=False)
     _read_through_backscatter(writable=False)
 
@@ -150,7 +150,7 @@ def merge_walls() -> None:
 
 
 def run_every_kernel() -> None:
-    """With an instrument of its own; also for frames that cannot be written, as they come from the disk."""
+    """Run with an instrument of its own; also for frames that cannot be written, as they come from the disk."""
     for writable in (True, False):
         with _nothing(writable) as (pipeline, calibration, frames):
             run_empty_scan(SequenceProcessor(pipeline, calibration, _WATER), frames)

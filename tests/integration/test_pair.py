@@ -9,7 +9,7 @@ import pytest
 
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.config import Rig, load_rig
-from appliance.offline.origin import Wish, calibration_for, taken
+from appliance.offline.origin import Wish, calibration_for, open_source
 from appliance.offline.reconstruct import reconstruct_scan
 from appliance.scan.verdict import Verdict
 from appliance.service.app import run
@@ -100,7 +100,7 @@ def test_the_pair_is_one_scan_with_both_exposures_ledgers_and_verdicts(scans: li
 
 def test_the_desk_makes_the_same_points_of_it(dive: Rig, scans: list[StoredScan], tmp_path: Path) -> None:
     out = tmp_path / "again.ply"
-    source = taken(scans[0].folder, Wish())
+    source = open_source(scans[0].folder, Wish())
     report = reconstruct_scan(source, calibration_for(source, Wish()), out, lambda what: None)
     assert source.rig == dive
     stored = scans[0].cloud()

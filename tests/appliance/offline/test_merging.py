@@ -12,7 +12,7 @@ from appliance.calibration.file import encode, load
 from appliance.config import Rig, load_rig
 from appliance.config.load import default_rig_path
 from appliance.offline.merging import merge_scans, merged_cloud_of
-from appliance.offline.origin import Wish, one_calibration, taken
+from appliance.offline.origin import Wish, one_calibration, open_source
 from appliance.storage import scan as stored
 from appliance.storage.ply import read_ply
 from appliance.storage.scan import ScanError
@@ -48,7 +48,7 @@ def test_a_cloud_of_two_exposures_has_more_points_and_is_as_true(tmp_path: Path)
     alone = {name: judge(scan, reconstruct(scan, calibration)[1]) for name, scan in scans.items()}
     out = tmp_path / "both.ply"
     wish = Wish(rig(), calibration=tmp_path / "calibration.json")
-    sources = taken(folders["000001"], wish), taken(folders["000002"], wish)
+    sources = open_source(folders["000001"], wish), open_source(folders["000002"], wish)
     report = merge_scans(
         sources, one_calibration(sources, Wish(calibration=wish.calibration, foreign=True)), out, silent
     )

@@ -13,7 +13,7 @@ from appliance.config import Rig, load_rig
 from appliance.config.load import default_rig_path
 from appliance.instrument import CALIBRATION_FILE, calibration_of, design_of
 from appliance.offline.calibration_files import describe_calibration, write_nominal_calibration
-from appliance.offline.origin import Wish, calibration_for, taken
+from appliance.offline.origin import Wish, calibration_for, open_source
 from appliance.offline.reconstruct import reconstruct_scan
 from appliance.optics.model import StereoRig
 from appliance.patterns.sequence import build_sequence
@@ -78,7 +78,7 @@ def store_plane(rig: Rig) -> tuple[Path, np.ndarray]:
 def test_the_same_points_again(rig: Rig, tmp_path: Path) -> None:
     folder, points = store_plane(rig)
     seen: list[str] = []
-    source = taken(folder, Wish(rig))
+    source = open_source(folder, Wish(rig))
     report = reconstruct_scan(source, calibration_for(source, Wish(rig)), tmp_path / "again.ply", seen.append)
     np.testing.assert_array_equal(read_ply(tmp_path / "again.ply").points_mm, points)
     assert report["points"] == len(points)
@@ -94,7 +94,7 @@ def test_another_calibration_gives_other_points_and_says_so(rig: Rig, tmp_path: 
     path = tmp_path / "other.json"
     path.write_bytes(encode(replace(other, rig=replace(other.rig, left=moved))))
     wish = Wish(rig, calibration=path)
-    source = taken(folder, wish)
+    source = open_source(folder, wish)
     report = reconstruct_scan(source, calibration_for(source, wish), tmp_path / "again.ply", lambda text: None)
     assert report["same_calibration"] is False
     again = read_ply(tmp_path / "again.ply").points_mm

@@ -109,7 +109,7 @@ def damage(folder: Path, file: str, *frames: int) -> None:
 def test_of_a_whole_scan_nothing_is_made_up(tmp_path: Path) -> None:
     kept(tmp_path / "000001", second=True)
     found = salvage(tmp_path / "000001")
-    assert (found.said, dict(found.variance)) == ((), {"left": 1.0, "right": 1.0})
+    assert (found.notes, dict(found.variance)) == ((), {"left": 1.0, "right": 1.0})
     assert found.scan.second is not None
     assert found.noise(NOISE) == NOISE
 
@@ -124,7 +124,7 @@ def test_a_lost_sine_image_is_made_up_in_its_camera_alone_and_its_noise_counts_t
     found = salvage(folder)
     other = "right" if side == "left" else "left"
     assert dict(found.variance) == {side: 3.0, other: 1.0}
-    assert found.said == (
+    assert found.notes == (
         f"damaged: frames_{side}.npy: damaged (its checksum does not fit) in {SEQUENCE.patterns[SINES[1]].name}",
         f"{SEQUENCE.patterns[SINES[1]].name} was made up from the other three steps",
     )
@@ -152,7 +152,7 @@ def test_a_lost_bright_or_dark_image_is_the_mean_of_where_the_gray_images_are_li
     kept(folder)
     damage(folder, "frames_left.npy", getattr(SEQUENCE, lost))
     found = salvage(folder)
-    assert found.said[1:] == (f"{lost} was made up from the Gray images",)
+    assert found.notes[1:] == (f"{lost} was made up from the Gray images",)
     assert dict(found.variance) == {"left": 1.0, "right": 1.0}
     seen = found.scan.frames["left"][getattr(SEQUENCE, lost)]
     known = np.array([SEQUENCE.axis(d).gray for d in Direction]).ravel()
@@ -207,7 +207,7 @@ def test_one_sine_and_one_reference_image_may_be_lost_at_once(tmp_path: Path) ->
     damage(folder, "frames_left.npy", SEQUENCE.dark, SINES[0])
     damage(folder, "frames_right.npy", SINES[3])
     found = salvage(folder)
-    assert len(found.said) == 5
+    assert len(found.notes) == 5
     assert dict(found.variance) == {"left": 3.0, "right": 3.0}
 
 
@@ -216,7 +216,7 @@ def test_a_damaged_first_exposure_leaves_the_second_one(tmp_path: Path) -> None:
     kept(folder, second=True)
     damage(folder, "frames_left.npy", SEQUENCE.axis(Direction.X).gray[0])
     found = salvage(folder)
-    assert found.said[1:] == ("only the second exposure was used",)
+    assert found.notes[1:] == ("only the second exposure was used",)
     assert (found.scan.frames["left"] == scene(1.0)).all()
     assert (found.scan.frames["right"] == scene(1.5)).all()
     assert found.scan.second is None
@@ -230,7 +230,7 @@ def test_a_damaged_second_exposure_leaves_the_first_one(tmp_path: Path) -> None:
     kept(folder, second=True)
     damage(folder, "frames_right_second.npy", 0)
     found = salvage(folder)
-    assert found.said[1:] == ("only the first exposure was used",)
+    assert found.notes[1:] == ("only the first exposure was used",)
     assert (found.scan.frames["left"] == scene()).all()
     assert (found.scan.frames["right"] == scene(0.5)).all()
     assert found.scan.manifest.record.exposure == Exposure(8_000)
@@ -244,7 +244,7 @@ def test_of_two_damaged_exposures_the_first_one_is_made_up(tmp_path: Path) -> No
     damage(folder, "frames_left.npy", SINES[2])
     damage(folder, "frames_left_second.npy", 3)
     found = salvage(folder)
-    assert "only the first exposure was used" in found.said
+    assert "only the first exposure was used" in found.notes
     assert np.abs(found.scan.frames["left"].astype(int) - scene()).max() <= 2
 
 
@@ -253,7 +253,7 @@ def test_of_an_old_scan_nobody_guesses_which_frame_is_lost(tmp_path: Path) -> No
     kept(folder)
     manifest = form.read(folder)
     (folder / form.FILE_NAME).write_bytes(form.encode(replace(manifest, frame_crc32={})))
-    assert salvage(folder).said == (), "whole as it is"
+    assert salvage(folder).notes == (), "whole as it is"
     damage(folder, "frames_left.npy", SINES[2])
     with pytest.raises(ScanError, match=r"which of its frames is not known.*bring the folder back from a copy"):
         salvage(folder)

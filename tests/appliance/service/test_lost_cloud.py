@@ -17,7 +17,7 @@ from appliance.config import Rig, load_rig
 from appliance.config.load import default_rig_path
 from appliance.instrument import design_of
 from appliance.machine import events as on
-from appliance.offline.origin import Wish, calibration_for, taken
+from appliance.offline.origin import Wish, calibration_for, open_source
 from appliance.offline.reconstruct import reconstruct_scan
 from appliance.patterns.sequence import PatternSequence, build_sequence
 from appliance.reconstruct.pipeline import Pipeline
@@ -158,7 +158,7 @@ def test_raw_frames_are_kept_without_a_cloud_and_the_desk_makes_it(
         for side in SIDES:
             pipeline.push(side, desk.store.frames(side), k)
     pipeline.coarse()
-    source = taken(rig.storage.root / "scans" / scan_id, Wish())
+    source = open_source(rig.storage.root / "scans" / scan_id, Wish())
     made = reconstruct_scan(source, calibration_for(source, Wish()), tmp_path / "late.ply", lambda text: None)
     assert made["points"] > 10_000
     np.testing.assert_array_equal(read_ply(tmp_path / "late.ply").points_mm, pipeline.full().points_mm)

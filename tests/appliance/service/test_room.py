@@ -20,7 +20,7 @@ from appliance.optics.water import Water
 from appliance.patterns.sequence import build_sequence
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import FaultCode
-from appliance.service.room import ASK_AGAIN_S, Told, steady
+from appliance.service.room import ASK_AGAIN_S, CountedRoom, steady
 from appliance.service.scans import MeasuringSetup, ScanController, ScanStorage
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.library import Library
@@ -134,15 +134,15 @@ def test_the_scans_left_do_not_go_up_after_a_save_by_what_other_programs_give_ba
 @pytest.mark.parametrize(
     ("before", "now", "left"),
     [
-        (Told(7, 0, 10), Told(7, 1, 10), 1),  # it was full
-        (Told(7, 20, 10), Told(6, 21, 10), 21),  # a scan was taken away
-        (Told(7, 20, 10), Told(7, 22, 9), 22),  # scans of a longer period are smaller
-        (Told(7, 20, 10), Told(8, 22, 10), 20),
-        (Told(7, 20, 10), Told(8, 19, 10), 19),
-        (Told(7, 20, 10), Told(8, 23, 10), 23),
+        (CountedRoom(7, 0, 10), CountedRoom(7, 1, 10), 1),  # it was full
+        (CountedRoom(7, 20, 10), CountedRoom(6, 21, 10), 21),  # a scan was taken away
+        (CountedRoom(7, 20, 10), CountedRoom(7, 22, 9), 22),  # scans of a longer period are smaller
+        (CountedRoom(7, 20, 10), CountedRoom(8, 22, 10), 20),
+        (CountedRoom(7, 20, 10), CountedRoom(8, 19, 10), 19),
+        (CountedRoom(7, 20, 10), CountedRoom(8, 23, 10), 23),
     ],
 )
-def test_what_counts_as_freed(before: Told, now: Told, left: int) -> None:
+def test_what_counts_as_freed(before: CountedRoom, now: CountedRoom, left: int) -> None:
     assert steady(before, now).left == left
     assert steady(None, now) == now
 

@@ -23,9 +23,9 @@ from appliance.reconstruct.pipeline import Pipeline
 from appliance.scan.sides import SIDES
 from appliance.worker.process import (
     CloudReady,
-    PatternsRight,
     ReconstructionWorker,
     ScanJudged,
+    SequenceIdentified,
     WorkerFailed,
     WorkerReady,
     WorkLimits,
@@ -127,7 +127,7 @@ def test_same_points_in_the_worker(worker: ReconstructionWorker, store: FrameSto
     pipeline.coarse()
     expected = pipeline.full()
     worker.reprocess(1)
-    assert worker.wait(20) == PatternsRight(1)
+    assert worker.wait(20) == SequenceIdentified(1)
     coarse, judged, full = worker.wait(20), worker.wait(20), worker.wait(20)
     assert isinstance(judged, ScanJudged)
     assert isinstance(coarse, CloudReady)
@@ -159,7 +159,7 @@ def test_after_a_change_points_are_those_of_the_new_calibration(store: FrameStor
         assert worker.wait(60) == WorkerReady()
         assert worker.poll() is None
         worker.reprocess(2)
-        assert worker.wait(20) == PatternsRight(2)
+        assert worker.wait(20) == SequenceIdentified(2)
         coarse, judged, full = worker.wait(20), worker.wait(20), worker.wait(20)
         assert isinstance(judged, ScanJudged)
         assert isinstance(coarse, CloudReady)
@@ -176,7 +176,7 @@ def test_frames_that_are_not_a_sequence_fail_and_the_next_scan_works(worker: Rec
     assert isinstance(failed, WorkerFailed)
     assert "frame 3 was pushed; frame 0 is next" in failed.fault.detail
     worker.reprocess(2)
-    assert worker.wait(20) == PatternsRight(2)
+    assert worker.wait(20) == SequenceIdentified(2)
     assert isinstance(worker.wait(20), CloudReady)
 
 
@@ -252,7 +252,7 @@ def hold_before_full(worker: ReconstructionWorker) -> CloudReady:
         if isinstance(event, CloudReady):
             assert not event.full
             return event
-        assert event is None or isinstance(event, PatternsRight)
+        assert event is None or isinstance(event, SequenceIdentified)
         assert time.monotonic() < end_s
         signal_worker(worker, signal.SIGCONT)
         time.sleep(0.01)
