@@ -7,7 +7,7 @@ from pathlib import Path
 
 from appliance.cli.arguments import operand, option
 from appliance.cli.desk import writable, writing
-from appliance.cli.listing import listing
+from appliance.cli.listing import say_report
 from appliance.cli.output import Exit, UsageError, say, say_json
 from appliance.cli.places import WithRoot
 
@@ -23,10 +23,7 @@ class ShowCalibration(WithRoot):
         from appliance.offline.calibration_files import describe_calibration
 
         content = describe_calibration(rig, self.file)
-        if self.json:
-            say_json(content)
-        else:
-            listing(content)
+        say_report(content, as_json=self.json)
         return Exit.OK
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 
-from appliance.cli.output import say
+from appliance.cli.output import say, say_json
 
 DIGITS = 4
 """Significant digits of a measured value: a noise of 0.02489 mm is known to two, a distance of 500.13 mm to four."""
@@ -46,8 +46,11 @@ def number(key: str, value: float) -> str:
     return f"{value:.{digits}g}"
 
 
-def listing(report: Mapping[str, object]) -> None:
-    """Print one line per value, the names in a column."""
+def say_report(report: Mapping[str, object], *, as_json: bool) -> None:
+    """Print one line per value, the names in a column; with ``as_json`` the values as they are."""
+    if as_json:
+        say_json(report)
+        return
     width = max(24, *(len(key) for key in report))
     for key, value in report.items():
         say(f"{key:<{width}} {shown(key, value)}")

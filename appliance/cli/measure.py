@@ -9,7 +9,7 @@ from pathlib import Path
 from appliance.cli.arguments import operand, option
 from appliance.cli.desk import whole_scan, writable, writing
 from appliance.cli.kernels import compile_desk_kernels
-from appliance.cli.listing import listing
+from appliance.cli.listing import say_report
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json, table
 from appliance.cli.places import WithRoot
 from appliance.offline.origin import instrument_of, open_source
@@ -67,10 +67,7 @@ class MeasureResponse(WithRoot):
             "phase_error_deg": math.degrees(measured.phase_error_rad),
             "hash": found.response.hash,
         }
-        if self.json:
-            say_json(report)
-        else:
-            listing(report)
+        say_report(report, as_json=self.json)
         return Exit.OK
 
 

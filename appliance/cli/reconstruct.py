@@ -8,8 +8,8 @@ from pathlib import Path
 from appliance.cli.arguments import operand, option, switch
 from appliance.cli.desk import measuring, scan_in, whole_scan, writable_cloud, writing
 from appliance.cli.kernels import compile_desk_kernels
-from appliance.cli.listing import listing
-from appliance.cli.output import Exit, Progress, say_json
+from appliance.cli.listing import say_report
+from appliance.cli.output import Exit, Progress
 from appliance.cli.places import WithCalibration
 from appliance.offline.origin import calibration_for, instrument_of, one_calibration, open_source
 
@@ -40,10 +40,7 @@ class Reconstruct(WithCalibration):
             # Without --out nothing is written; the name is only what an error would speak of.
             with writing(self.out or Path(f"{folder.name}.ply")):
                 report = reconstruct_scan(source, chosen, self.out, progress, salvaged)
-        if self.json:
-            say_json(report)
-        else:
-            listing(report)
+        say_report(report, as_json=self.json)
         return Exit.OK
 
 
@@ -70,8 +67,5 @@ class MergeScans(WithCalibration):
             chosen = one_calibration(sources, wish)
             with writing(self.out or Path(f"{first.name}+{second.name}.ply")):
                 report = merge_scans(sources, chosen, self.out, progress)
-        if self.json:
-            say_json(report)
-        else:
-            listing(report)
+        say_report(report, as_json=self.json)
         return Exit.OK

@@ -36,7 +36,9 @@ from appliance.processing.procedure import (
 )
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.table import Found, PointTable
+from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.noise import StereoNoise
+from appliance.scan.sides import SIDES
 from appliance.scan.verdict import Judgement, Verdict
 from appliance.worker.messages import (
     Begin,
@@ -58,7 +60,7 @@ from appliance.worker.messages import (
     Spoiled,
     ToWorker,
 )
-from appliance.worker.warm import run_empty_scan, run_what_an_empty_scan_does_not
+from appliance.worker.warm import run_what_an_empty_scan_does_not
 
 NICENESS = 5
 """Priority of the process, behind the heartbeat and the cameras."""
@@ -109,7 +111,7 @@ def _work(
         # So that the first real scan is as fast as the others.
         with _missing("scipy.linalg"):
             nothing = np.zeros(store.shape, np.uint8)
-            run_empty_scan(processor, nothing)
+            processor.process(dict.fromkeys(SIDES, nothing), AcquisitionSettings())
             run_what_an_empty_scan_does_not(sequence, nothing)
         limit_memory(headroom_mb)
         pipe.send(Ready())

@@ -46,14 +46,6 @@ _ALONG_MM = -0.67
 """Way per frame that makes the steps of the phase so small that the albedo is asked for: 40 mm/s at 60 Hz."""
 
 
-def run_empty_scan(processor: SequenceProcessor, frames: NDArray[np.uint8]) -> None:
-    """Push the same dark ``frames`` (n, h, w) for both sides, and take every step."""
-    processor.begin(AcquisitionSettings())
-    for _ in processor.push_all(dict.fromkeys(SIDES, frames)):
-        pass
-    processor.run(even_if_wrong=True)
-
-
 def run_what_an_empty_scan_does_not(sequence: PatternSequence, frames: NDArray[np.uint8]) -> None:
     """Kernels for motion, changing light, veil and a second exposure; else the first scan that has some would wait for a compiler."""
     compensate_wall()
@@ -153,7 +145,8 @@ def run_every_kernel() -> None:
     """Run with an instrument of its own; also for frames that cannot be written, as they come from the disk."""
     for writable in (True, False):
         with _nothing(writable) as (pipeline, calibration, frames):
-            run_empty_scan(SequenceProcessor(pipeline, calibration, _WATER), frames)
+            processor = SequenceProcessor(pipeline, calibration, _WATER)
+            processor.process(dict.fromkeys(SIDES, frames), AcquisitionSettings())
             _mask_specks(pipeline, frames)
             run_what_an_empty_scan_does_not(pipeline.sequence, frames)
 

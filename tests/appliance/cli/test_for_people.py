@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from appliance.cli import main
-from appliance.cli.listing import listing, number, shown
+from appliance.cli.listing import number, say_report, shown
 from appliance.storage.atomic import StorageError, refused, remedy_for
 from appliance.storage.lock import hold_lock
 
@@ -168,7 +168,7 @@ def test_rounding_never_changes_a_number_by_more_than_its_digits() -> None:
 
 
 def test_a_listing_has_its_names_in_a_column(capsys: pytest.CaptureFixture[str]) -> None:
-    listing({"points": 12.0, "a_name_that_is_longer_than_the_others": 1.23456})
+    say_report({"points": 12.0, "a_name_that_is_longer_than_the_others": 1.23456}, as_json=False)
     first, second = capsys.readouterr().out.splitlines()
     assert first.split() == ["points", "12"]
     assert first.index("12") == second.index("1.235")

@@ -13,7 +13,8 @@ from appliance.patterns.sequence import build_sequence
 from appliance.processing.procedure import SequenceProcessor
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.scan.acquisition import AcquisitionSettings
-from appliance.worker.warm import run_empty_scan, run_what_an_empty_scan_does_not
+from appliance.scan.sides import SIDES
+from appliance.worker.warm import run_what_an_empty_scan_does_not
 from hw_sim.light.daylight import Daylight
 from hw_sim.objects.motion import Motion
 from hw_sim.scene import Scene
@@ -47,7 +48,7 @@ def warm() -> Iterator[None]:
     calibration = true_calibration(scan.renderer.truth)
     nothing = np.zeros((len(sequence), 150, 200), np.uint8)
     with Pipeline(calibration, WATER, sequence) as pipeline:
-        run_empty_scan(SequenceProcessor(pipeline, calibration, WATER), nothing)
+        SequenceProcessor(pipeline, calibration, WATER).process(dict.fromkeys(SIDES, nothing), AcquisitionSettings())
         run_what_an_empty_scan_does_not(sequence, nothing)
         yield
 
