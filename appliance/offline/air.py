@@ -81,6 +81,7 @@ def pairs_of(folder: Path) -> list[Pair]:
     found = []
     for path in sorted(folder.iterdir()):
         stem, _, side = path.stem.rpartition("_")
+        # A manifest makes a folder a scan, whatever else it holds.
         if path.is_dir() and (path / FILE_NAME).is_file():
             found.append(Pair(path.name, path, path))
         elif (path / LEFT).is_file() and (path / RIGHT).is_file() and not path.name.startswith("."):
@@ -156,6 +157,7 @@ def calibrate_folder(
     except AirCalibrationError as error:
         raise AirCalibrationError("; ".join((str(error), *found.rejected))) from error
     used = {view.name for view in air.views}
+    # Views that the adjustment left out do not count as coverage: that region is still missing.
     seen = coverage([view for view in found.views if view.name in used], *size_px)
     start = start_of(rig, air, design, found, made_at)
     for path, data in (
@@ -196,6 +198,7 @@ def install(rig: Rig, file: Path) -> tuple[Path, Path | None]:
     if target.is_file():
         with refused("cannot read", target):
             data = target.read_bytes()
+        # Named by its content: the same file is kept once, however often it is installed.
         before = target.with_name(f"air-{hashlib.sha256(data).hexdigest()[:8]}.json")
         replace_file(LocalFileSystem(), before, data)
     replace_file(LocalFileSystem(), target, calibration_file.encode(start))
@@ -209,6 +212,7 @@ def _report(
     sd = dict(zip(NAMES[AIR], np.sqrt(np.diag(air.covariance)), strict=True))
     baseline = np.array(right.translation_mm)
     baseline_mm = float(np.linalg.norm(baseline))
+    # Error of the length along the baseline alone: √(eᵀ Σ e), with its unit vector e.
     way = baseline / baseline_mm
     shifts = slice(19, 22)
     return {
@@ -260,6 +264,7 @@ def _picture(path: Path, wanted_px: tuple[int, int]) -> Image:
             f"{path}: is no picture, or damaged ({KNOWN} is read); bring it back from a copy, or remove the pair"
         )
     _check_size(path, stated_px, wanted_px)
+    # Unchanged, so that 16 bits or colours are refused by name instead of being turned into grey.
     with _quiet_decoder():
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if image is None:

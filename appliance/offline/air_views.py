@@ -60,11 +60,14 @@ class ViewFolder:
 
     def next_name(self) -> str:
         """Number of the next view: numbers only grow."""
+        # The number after the largest, not the first free one: a view that somebody took away must not come back as
+        # another.
         numbers = [int(path.name) for path in self.folder.iterdir() if re.fullmatch(r"\d{2,6}", path.name)]
         return f"{max(numbers, default=0) + 1:02}"
 
     def save(self, name: str, left: Image, right: Image) -> None:
         """Write a view; durable on return. Raises StorageError, and nothing of it is then there under ``name``."""
+        # Both pictures in a hidden folder first: a folder with a number has them both.
         draft = self.folder / f".{name}"
         with refused("cannot make", draft):
             self._fs.make_folder(draft)

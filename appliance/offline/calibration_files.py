@@ -23,6 +23,7 @@ def describe_calibration(rig: Rig, path: Path | None) -> dict[str, Any]:
     """Return what a calibration file says (``None``: the instrument's own). Raises CalibrationError."""
     calibration = calibration_file.load(path) if path is not None else calibration_of(rig)[0]
     left, right = calibration.rig.left, calibration.rig.right
+    # A lens calibrated in water has swallowed its port: distance and tilt are numbers without a meaning then.
     has_ports = not (left.lens_in_water or right.lens_in_water)
     return {
         "rig_serial": calibration.rig_serial,

@@ -40,6 +40,7 @@ def why_empty(pipeline: Pipeline, cloud: Cloud, judgements: Sequence[Judgement])
     decoded, points = int(np.count_nonzero(mask == Mask.VALID)), cloud.summary.points
     if points > LEAST_SHARE * decoded:
         return None
+    # The order of blame: nothing was seen; rays that do not meet (the calibration); points that meet and were masked.
     if decoded < LEAST_DECODED_SHARE * mask.size:
         return Empty(
             f"shows no pattern on anything: {decoded} of {mask.size} pixels of the left camera could be decoded"
@@ -48,6 +49,7 @@ def why_empty(pipeline: Pipeline, cloud: Cloud, judgements: Sequence[Judgement])
         )
     stride = max(1, round((mask.size / SAMPLED_PIXELS) ** 0.5))
     gaps_mm = pipeline.sample(stride).ray_gap_mm
+    # With the instrument's limit, not with the caller's: evaluations ask for points with wide gaps on purpose.
     meeting = stride**2 * int(np.count_nonzero(gaps_mm <= QualityLimits().max_gap_mm))
     if meeting <= LEAST_SHARE * decoded:
         return Empty(

@@ -80,6 +80,7 @@ def read_list(path: Path) -> ScanList:
         raise ListError(f"LIST {path}: not readable ({error}); see docs/evaluation.md") from error
     if not isinstance(content, dict):
         raise ListError(f"LIST {path}: a table was expected, not {type(content).__name__}; see docs/evaluation.md")
+    # A misspelt key would be a certificate that is silently not used.
     _known(path, content, _TOP_KEYS)
     tables = content.get("scan")
     if not isinstance(tables, list) or not tables or not all(isinstance(table, dict) for table in tables):
@@ -116,6 +117,7 @@ def run_evaluation(
 
         settings = settings_of_scan(scan.manifest.record, source.rig)
         reprocessed = reprocess(scan, chosen, settings, step, QualityLimits(max_gap_mm=JUDGING_GAP_MM))
+        # An artefact that was not found is a result; a calibration that does not fit the scan measures nothing.
         if reprocessed.empty is not None and reprocessed.empty.by_calibration:
             refuse_empty(scan.folder, reprocessed.empty)
         cloud, water = reprocessed.cloud, reprocessed.water
@@ -198,6 +200,7 @@ def _text(path: Path, table: dict[str, Any], key: str) -> str | None:
 
 def _number(path: Path, key: str, value: object, allowed: tuple[float, float]) -> float:
     low, high = allowed
+    # TOML has true, inf and nan; Python counts true among the integers.
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise ListError(f"LIST {path}: {key} is {value!r}; allowed are numbers {low:g}..{high:g}; correct it")
     if not low <= value <= high:

@@ -28,6 +28,7 @@ def response_of_scan(
     scan = stored.load(folder, only_raw=True)
     record = scan.manifest.record
     sequence = build_sequence(record.sequence.period_px, record.sequence.width_px, record.sequence.height_px)
+    # A scan drawn for a response shows what is left of it: without that very response its codes are not known.
     drawn_for = _drawn_for(rig, scan.manifest.scan_id, record.response_hash)
     seen = []
     for k, side in enumerate(SIDES):

@@ -62,6 +62,7 @@ def refuse_the_same(first: stored.StoredScan, second: stored.StoredScan) -> None
     The same frames counted twice would claim less noise than there is, by the root of two.
     """
     of_frames = (*stored.RAW_FILES, *stored.SECOND_FILES)
+    # By their content: a copy under another number is the same scan.
     sums = [{scan.manifest.files[n].sha256 for n in of_frames if n in scan.manifest.files} for scan in (first, second)]
     if sums[0] & sums[1]:
         raise ScanError(

@@ -74,6 +74,7 @@ def root_of(folder: Path) -> Path | None:
     """The storage root that a scan's folder lies in: ROOT of ROOT/scans/000001; ``None`` where it was copied elsewhere."""
     whole = folder.absolute()
     root = whole.parent.parent
+    # A folder called `scans` may be anywhere; one with `calibration` beside it is a storage root.
     inside = whole.parent.name in {shelf.value for shelf in LibraryFolder} and (root / FOLDER).is_dir()
     return root if inside else None
 
@@ -106,6 +107,7 @@ def instrument_of(scans: Sequence[SourceScan], wish: Wish) -> Rig:
     known = [one for one in scans if one.known]
     rig = wish.rig or (known[0].rig if known else load_rig(default_rig_path()))
     for one in known:
+        # Not `rig_hash`: exposure and folders may differ from scan to scan, cameras and raster may not.
         if one.rig.optical_hash != rig.optical_hash:
             raise ScanError(
                 f"{one.scan.folder}: is of {_cameras(one.rig)}, not of {_cameras(rig)} as the others; "
@@ -174,6 +176,7 @@ def misfit(calibration: Calibration, scan: SourceScan, *, foreign: bool = False,
         return (
             "is one in air, which only calibrating in water begins with; give one made in water with --calibration FILE"
         )
+    # The very calibration that the scan was taken with fits it by definition, whatever serial numbers say.
     if foreign or calibration.hash == scan.scan.manifest.record.calibration_hash:
         return None
     owner = _owner(scan)
@@ -229,6 +232,7 @@ def _of_the_hash(scan: SourceScan) -> Iterator[Chosen]:
         folder = root / FOLDER
         for path in (
             folder / CURRENT,
+            # The latest first: most scans were taken with what was in use last.
             *sorted(folder.glob("kept/*.json"), reverse=True),
             *sorted(folder.glob("*.json")),
         ):

@@ -44,6 +44,7 @@ def _bitmap(data: bytes) -> tuple[int, int]:
 
 
 def _tiff(data: bytes, order: str) -> tuple[int, int] | None:
+    # The offset of the first directory: a count, then entries of 12 bytes.
     (at,) = struct.unpack_from(order + "I", data, 4)
     (count,) = struct.unpack_from(order + "H", data, at)
     found = {}
@@ -68,6 +69,8 @@ def _jpeg(data: bytes) -> tuple[int, int] | None:
         elif marker in _WITHOUT_LENGTH:
             at += 2
         else:
+            # The length counts its own two bytes; at least those are skipped, so that a damaged 0 does not loop for
+            # ever.
             (length,) = struct.unpack_from(">H", data, at + 2)
             at += 2 + max(length, 2)
     return None

@@ -97,9 +97,11 @@ def _points_of(
     record = scan.manifest.record
     settings = settings_of_scan(record, rig)
     if salvaged is not None:
+        # A made-up frame is noisier than a recorded one, and the points' sigmas must say so.
         settings = replace(settings, noise=salvaged.noise(settings.noise))
     if scan.second is None or record.second is None:
         reprocessed = reprocess(scan, calibration, settings, progress)
+        # No file for a cloud without points: it would look like a result.
         refuse_empty(scan.folder, reprocessed.empty)
         return reprocessed.cloud, reprocessed.water, reprocessed.faults
     both = (settings, settings_of(rig, record.second.exposure))

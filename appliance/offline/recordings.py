@@ -34,6 +34,7 @@ def cameras_of(folders: Iterable[Path], start: Calibration) -> tuple[str, str] |
                 f"scans {of.name} and {folder.name} are of different cameras ({other.reason}); calibrate with scans of the same"
             )
         known, of = found, folder
+    # Last, so that scans that disagree among themselves are named first: that is the nearer cause.
     wrong = exchanged(start.camera_serials, known)
     if wrong is not None:
         raise CamerasDiffer(

@@ -75,6 +75,7 @@ def reprocess(
     with Pipeline(calibration, water, sequence_of_scan(scan), limits, noise=settings.noise) as pipeline:
         processor = SequenceProcessor(pipeline, calibration, water)
         full = _work_through(processor, scan.frames, settings, len(pipeline.sequence), progress)
+        # Copied out of the pipeline's table, which the next scan would write over.
         judgements, cloud = full.judgements, pipeline.table.cloud(full.found)
         return ReprocessedScan(pipeline, cloud, water, judgements, why_empty(pipeline, cloud, judgements))
 
@@ -116,6 +117,7 @@ def reprocess_bracket(
         held: list[ProcessedSequence] = []
         for name, frames, settings in (("first", first.frames, both[0]), ("second", second, both[1])):
             judgements = _work_through(processor, frames, settings, len(pipeline.sequence), progress).judgements
+            # The identity of the patterns comes first in what was said.
             spoiled = judgements[0].fault
             if spoiled is not None:
                 raise stored.ScanError(f"{name} sequence: {spoiled.code.value}: {spoiled.detail}")

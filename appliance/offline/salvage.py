@@ -112,6 +112,7 @@ def _make_up(frames: Frames, sequence: PatternSequence, lost: Sequence[int], wha
                 raise ScanError(
                     f"{what}: two of the four sine images of a direction are lost; bring the folder back from a copy"
                 )
+            # In the order after, opposite, before: I(k) = I(k+1) + I(k−1) − I(k+2), indices modulo 4.
             frames[k] = _sine(*(frames[steps[(pattern.index + by) % STEPS]] for by in (1, 2, 3)))
             variance = THREE_STEP_VARIANCE
             notes.append(f"{pattern.name} was made up from the other three steps")
@@ -126,6 +127,7 @@ def _make_up(frames: Frames, sequence: PatternSequence, lost: Sequence[int], wha
 
 def _sine(after: Frames, opposite: Frames, before: Frames) -> Frames:
     """The lost step, from the other three; ``SATURATED``, which makes no point, where it is out of range or they are."""
+    # Signed and wider: the sum of two bytes less a third lies between −255 and 510.
     made: NDArray[np.int16] = after.astype(np.int16) + before - opposite
     useless = (made < 0) | (made > SATURATED) | (np.maximum(np.maximum(after, before), opposite) == SATURATED)
     made[useless] = SATURATED
@@ -137,6 +139,7 @@ def _reference(gray: Frames, *, lit: bool) -> Frames:
     low, high = gray.min(axis=0).astype(np.float32), gray.max(axis=0).astype(np.float32)
     share = CLEARLY if lit else 1.0 - CLEARLY
     border = low + np.float32(share) * (high - low)
+    # Images in which a stripe's border crosses the pixel are neither bright nor dark.
     used = gray >= border if lit else gray <= border
     total = np.where(used, gray, 0).sum(axis=0, dtype=np.float32)
     mean: NDArray[np.float32] = np.rint(total / used.sum(axis=0))
@@ -144,4 +147,5 @@ def _reference(gray: Frames, *, lit: bool) -> Frames:
 
 
 def _times(noise: CameraNoise, variance: float) -> CameraNoise:
+    # Variance = read² + dn_per_e · light: both terms grow by the same factor.
     return CameraNoise(noise.read_dn * math.sqrt(variance), noise.dn_per_e * variance, noise.black_dn)

@@ -81,6 +81,7 @@ def run_water_calibration(
             left_out[folder.name] = found.reason
         else:
             recordings.append(found)
+    # How many there were is told: one calibration of recordings in different water leans on the formula of the index.
     waters = {(r.water.temperature_c, r.water.salinity_psu) for r in recordings}
     result = calibrate(method, recordings, start, None, settings, lambda what: progress(what, RECONSTRUCTED))
     result = replace(result, calibration=replace(result.calibration, made_at=made_at, camera_serials=serials))

@@ -51,6 +51,8 @@ class AimingController:
         """``live_s``: from one live image to the next; ``black_dn``: the cameras' level without light."""
         self._clock, self._live_s, self._black_dn = clock, live_s, black_dn
         self._settle_ns = round(1e9 * max(SETTLE_S, SETTLE_IMAGES * live_s))
+        # One thread and one image at a time: a warning that comes late by an image costs nothing, a queue of images
+        # would.
         self._executor = ThreadPoolExecutor(1, "kf-aiming")
         self._work: Future[_JudgedImage] | None = None
         self._live = 0
@@ -79,6 +81,7 @@ class AimingController:
 
     def stop(self) -> list[on.Event]:
         """They end, and with them what was told of them."""
+        # An image that is still being looked at belongs to the live view before; `poll` knows it by this number.
         self._live += 1
         self._watching, self._last = False, None
         self._votes = dict.fromkeys(CODES, 0)
@@ -87,6 +90,7 @@ class AimingController:
 
     def see(self, side: str, number: int, image: NDArray[np.uint8]) -> None:
         """A new live image of one camera, (h, w) uint8, which must not change any more, with its running ``number``."""
+        # The left camera alone: what it sees of light, glow and motion, the right one sees, too.
         if not self._watching or side != SIDE or self._work is not None or self._clock.now_ns() < self._ready_ns:
             return
         self._work = self._executor.submit(self._look, self._live, number, image, self._last)
@@ -116,6 +120,8 @@ class AimingController:
         return events
 
     def _voted(self, code: FaultCode, fault: Fault | None) -> list[on.Event]:
+        # The image says what is told already: votes count only while they contradict it, and one that agrees begins
+        # them anew.
         if (fault is None) == (code not in self._raised):
             self._votes[code] = 0
             return []
@@ -134,6 +140,7 @@ class AimingController:
     def _look(self, live: int, number: int, image: NDArray[np.uint8], last: _JudgedImage | None) -> _JudgedImage:
         aimed = look(image, self._black_dn)
         faults = [aimed.fault()]
+        # Farther apart, corners have gone too far to be followed; numbers begin anew where a camera came back.
         if last is not None and 0 < number - last.number <= MOST_APART:
             way_px = moved_px(last.aimed, aimed)
             if way_px is not None:
@@ -151,6 +158,7 @@ def _mm_per_px(calibration: Calibration, water_index: float) -> float:
     camera = calibration.rig.left
     middle = np.array([(camera.width_px - 1) / 2.0, (camera.height_px - 1) / 2.0])
     step_px = camera.width_px / WIDTH_PX
+    # The angle between two rays in water times the distance: what a pixel is worth there, refraction included.
     _, along = camera.rays(np.stack([middle, middle + np.array([step_px, 0.0])]), water_index)
     reach_mm = float(np.linalg.norm(calibration.rig.volume_centre_mm(water_index)))
     return reach_mm * float(np.linalg.norm(along[1] - along[0]))

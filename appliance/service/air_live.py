@@ -84,12 +84,15 @@ def record_views(rig: Rig, target: ViewFolder, options: LiveOptions, say: Callab
         clock, told, faults = wires.clock, "", 0
         last_ns = clock.now_ns()
         while len(known) < options.views:
+            # Since the last new view, not since the start: who gets on may take an hour.
             if clock.now_ns() - last_ns > options.patience_s * 1e9:
                 raise LiveError(f"no new view in {options.patience_s:g} s ({told or 'no board'}); start again to go on")
             name = target.next_name()
             pictures = take()
             if isinstance(pictures, Fault):
                 faults += 1
+                # A single fault (a late flip, a frame lost) happens and costs nothing here: the next take follows at
+                # once.
                 if faults > MOST_FAULTS:
                     raise LiveError(f"{faults} takes failed one after the other: {pictures.detail}; check the devices")
                 continue
@@ -102,6 +105,7 @@ def record_views(rig: Rig, target: ViewFolder, options: LiveOptions, say: Callab
                     say(told)
                 clock.sleep_s(BETWEEN_TAKES_S)
                 continue
+            # Durable before it counts: whoever switches off now goes on with this view the next time.
             target.save(name, *(mean_of(p) for p in pictures))
             known.append(view)
             new, told, last_ns = new + 1, "", clock.now_ns()
@@ -134,6 +138,8 @@ def _takes(rig: Rig, wires: Wires, lit: bool) -> Iterator[Callable[[], tuple[Ima
     )
 
     def load(projector: Projector) -> None:
+        # In the place of the dark picture behind the patterns: between two takes the light stays on, to aim the board
+        # by.
         projector.load([shown] * (PICTURES + 1))
         projector.show(PICTURES)
 
@@ -149,6 +155,7 @@ def _takes(rig: Rig, wires: Wires, lit: bool) -> Iterator[Callable[[], tuple[Ima
             report = recorder.record((pattern,) * PICTURES, store, lambda _side, _index: None, lambda: None)
             if report.fault is not None:
                 return report.fault
+            # The store's memory is written to again by the next take.
             return store.frames("left").copy(), store.frames("right").copy()
 
         yield take
@@ -163,6 +170,7 @@ def _opened(devices: Devices, clock: Clock) -> tuple[dict[str, Grabber], Board, 
         for supervisor in wanted:
             change = supervisor.poll()
             reason = getattr(change, "reason", reason)
+        # Keys and display are not asked for: there is nobody in the water.
         grabbers = {side: k.value for side, k in devices.cameras.items() if k.value is not None}
         board, projector = devices.board.value, devices.projector.value
         if len(grabbers) == len(SIDES) and board is not None and projector is not None:

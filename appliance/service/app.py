@@ -50,12 +50,16 @@ def run(rig: Rig) -> int:
     """
     with ExitStack() as stack:
         take_back_power_off(os.environ)
+        # First of all that stays: a start that fails further down is still told to whoever started it.
         manager = stack.enter_context(ServiceManager.of(os.environ))
         news = stack.enter_context(this_run(os.environ, Path(sys.prefix)))
+        # Before anything is read below the root, and before any device: a second service would take the cameras from
+        # the first.
         stack.enter_context(hold_lock(rig.storage.root))
         room = Room(rig.storage.root, LocalFileSystem())
         library = Library(rig.storage.root, room)
         library.prepare()
+        # Before the worker and the devices: what the power left is put right while nothing writes.
         recovery = library.recover()
         if recovery.recovered or recovery.set_aside:
             found, aside = (", ".join(ids) or "none" for ids in (recovery.recovered, recovery.set_aside))
@@ -71,6 +75,8 @@ def run(rig: Rig) -> int:
         patterns = DrawnPatterns(gl, rig, chosen.period_px, response)
         water = Water(chosen.water_c, chosen.salinity_psu, rig.water.wavelength_nm)
         setup = MeasuringSetup(calibration, patterns.sequence, noise_of(rig), response, water)
+        # The order of this stack is that of closing, turned round: devices first, so that no camera writes into memory
+        # that is gone; then whoever works on frames; the lock last.
         scans = stack.enter_context(ScanController(rig, setup, ScanStorage(library, room), wires.clock, wires.calendar))
         calibrating = stack.enter_context(CalibrationController(rig, scans))
         live_s = rig.board.live_every_vsyncs / rig.projector.refresh_hz

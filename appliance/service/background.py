@@ -72,6 +72,8 @@ class Background:
         except OSError:
             self.busy = True  # poll says why
             return
+        # An answer may be on its way already when the next job is asked for; its ticket tells that it is not this
+        # one's.
         self._ticket += 1
         self.busy = True
         self._child.send((self._ticket, job, arguments))
@@ -84,6 +86,7 @@ class Background:
                 return Failed("no process could be started; restart the instrument")
             return None
         try:
+            # Past what earlier jobs still say, up to the first word on this one: one for each heartbeat is enough.
             while (message := self._child.receive()) is not None:
                 outcome = self._of_this_job(message)
                 if outcome is not None:
@@ -114,6 +117,7 @@ class Background:
 def _serve(pipe: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the service decides when to end
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    # It may compute for minutes, on the processor that plays the patterns.
     os.nice(NICENESS)
     logging.disable()  # a job answers or raises; it has nobody to tell on the way
     try:

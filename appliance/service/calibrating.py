@@ -104,11 +104,13 @@ class CalibrationController:
         verified = self._verified
 
         def entered(scan_id: str) -> list[on.Event]:
+            # In the disk's thread, behind the publication: the session never names a scan that is not there (ADR 0020).
             session = self._store.session().with_check(replace(check, scan_id=scan_id))
             if check.step is Step.VERIFY:
                 session = replace(session, verified=verified)
             session = self._store.write(session)
             if check.step is Step.VERIFY and session.right and session.length_error is not None:
+                # Left for the heartbeat: the watch over the ray gaps is changed by one thread only.
                 self._passed.append(f"VERIFY, scan {scan_id}: ball bar {100.0 * session.length_error:+.3f} %")
             return [on.SessionChanged(session)]
 
@@ -123,6 +125,8 @@ class CalibrationController:
     def use_solved(self) -> None:
         """Answer SessionChanged or CalibrationFailed; the calibration in use is another from then on."""
         date = self._scans.calendar.today().utc.date().isoformat()
+        # Read back from the disk behind the change: what is measured with from now on is what the next start would
+        # find.
         self._ask(lambda: _Changed(self._store.use_solved(date), calibration_of(self._rig)))
 
     def restore(self) -> None:
@@ -157,6 +161,7 @@ class CalibrationController:
                 events.append(on.TrialExamined(self._number, check))
             case Done(Solution() as solution):
                 self._solved(solution)
+            # A job answers what it likes: one that fits nothing must not leave the diver waiting.
             case Done(answer):
                 events.append(
                     on.CalibrationFailed(Failure(FailureKind.BROKEN_OFF, f"it answered with a {type(answer).__name__}"))
@@ -203,6 +208,8 @@ class CalibrationController:
             calibration, faults = changed.in_use
             log.info("in use: %s of %s", calibration.method, calibration.made_at)
             self._scans.use(calibration)
+            # Cleared first, then raised where they hold for the new one: both conditions are about the calibration of
+            # before.
             events += [on.ConditionCleared(code) for code in (FaultCode.UNCALIBRATED, FaultCode.VERIFY_CALIBRATION)]
             held = self._scans.watch.fault
             events += [on.ConditionRaised(fault) for fault in (*faults, held) if fault is not None]

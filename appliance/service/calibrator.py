@@ -90,6 +90,7 @@ def basis_of(rig: Rig) -> Basis:
     calibrations = Calibrations(rig.storage.root, rig.rig.serial)
     current, _ = calibration_of(rig)
     session = calibrations.session()
+    # Once the solved calibration is in use, the one to compare it with is the kept file.
     kept = calibrations.kept(session) if session.in_use else None
     certificate = BarCertificate(bar.length_mm, bar.length_sd_mm, bar.radius_mm, bar.radius_sd_mm)
     before_hash = calibrations.in_use if kept is None else kept.hash
@@ -129,6 +130,8 @@ def examine(rig: Rig, step: Step, folder: Path, report: Report) -> Examined:
         return Examined(check)
     certificate = basis.bar if HELD[step] is ArtefactKind.BALL_BAR else None
     left, right = pipeline.decoded("left"), pipeline.decoded("right")
+    # Extracted for its count only, and again when it is solved: a recording that would fail then is refused while the
+    # artefact is still in the water.
     recording = extract(step.value, certificate, cloud, left, right, basis.start, water)
     if isinstance(recording, NotFound):
         return Examined(replace(check, refusal=Refusal.FEW_POINTS, number=None, detail=recording.reason))
@@ -140,6 +143,7 @@ def _spoilt(step: Step, seen: ReprocessedScan) -> RecordingCheck | None:
     fault = seen.unfit
     if fault is None:
         return None
+    # Compensated points may be looked at, but the decoded maps, which calibrate, are still those of the motion.
     if fault.code in (FaultCode.MOVED, FaultCode.COMPENSATED):
         return RecordingCheck(step, Refusal.MOVED, fault.numbers.get("shift_px"), detail=fault.detail)
     return RecordingCheck(step, Refusal.WRONG_PATTERN, None, detail=f"{fault.code.value}: {fault.detail}")
@@ -157,12 +161,15 @@ def solve(rig: Rig, date: str, report: Report) -> Solution:
     missing = [step.value for step in USED if step not in folders]
     if missing:
         raise RecordingError(f"no recording of {', '.join(missing)}; record it", about=missing[0])
+    # An adjustment would bend the lenses of other cameras until they fit, and not say so.
     serials = cameras_of((folders[step] for step in USED), basis.start)
     recordings = []
     for k, step in enumerate(USED):
         report(0.15 * k)
         recordings.append(_recording(step, folders[step], basis))
     report(0.6)
+    # The spline frees lenses and pose as well, held by their covariance from air; without that, only the ports are
+    # adjusted.
     method = Method.BA_PORTS if basis.start.air_covariance is None else Method.BA_SPLINE
     result = calibrate(method, recordings, basis.start)
     report(0.9)

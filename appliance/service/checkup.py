@@ -20,6 +20,7 @@ def check(rig: Rig) -> list[Health]:
     A device that is missing, refused, or not what the rig file states is not ``ok``; its summary says why, and what to
     do. Raises DeviceError where the wires themselves cannot be had, or the running instrument has the devices.
     """
+    # A camera serves one program at a time: asked beside a running instrument, it would be lost to that.
     running = holder(rig.storage.root)
     if running is not None:
         raise DeviceRefused("instrument", f"is running (process {running})", "Stop it first: systemctl stop kingfisher")
@@ -33,6 +34,8 @@ def check(rig: Rig) -> list[Health]:
         with Devices(rig, wires, nothing_to_load) as devices:
             for name, opened in devices.openers().items():
                 try:
+                    # Closed again before the next one: what fails at one device must not keep the others from being
+                    # asked.
                     with opened() as device:
                         found.append(_compared(_health(name, device), wanted.get(name)))
                 except DeviceError as error:

@@ -67,6 +67,7 @@ class DeviceSupervisor(Generic[T]):
             if self._executor is not None:
                 self._pending = self._executor.submit(self._enter)
                 return None
+            # A future all the same, so that both ways of opening end in the lines below.
             pending: Future[tuple[AbstractContextManager[T], T]] = Future()
             try:
                 pending.set_result(self._enter())
@@ -91,6 +92,7 @@ class DeviceSupervisor(Generic[T]):
         if context is None:
             return []
         if self._executor is not None:
+            # Closing takes its time (a thread to join, a transfer to end); the heartbeat must not wait with it.
             self._executor.submit(_leave, context)
         else:
             _leave(context)
@@ -115,6 +117,8 @@ class DeviceSupervisor(Generic[T]):
         """Close for good. Waits for an opening that is under way."""
         if self._pending is not None:
             try:
+                # An opening cannot be cancelled half-way; closed only after it has ended, or its device would stay
+                # taken.
                 self._context, _ = self._pending.result(timeout=30.0)
             except (DeviceError, TimeoutError):
                 self._context = None
@@ -129,6 +133,7 @@ class DeviceSupervisor(Generic[T]):
 
     def _failed(self, error: DeviceError) -> DeviceDown | None:
         self._plan()
+        # A device that is not there fails every few seconds: said once, and again when the reason is another one.
         if self._reported == error.message:
             return None
         self._reported = error.message

@@ -41,6 +41,7 @@ class Devices:
         }
         self.board: DeviceSupervisor[Board] = DeviceSupervisor(Device.BOARD, self._board, clock, self._executor)
         self.keys: DeviceSupervisor[KeyReader] = DeviceSupervisor(Device.KEYS, self._keys, clock, self._executor)
+        # No executor: outputs draw by GL, whose context belongs to the heartbeat's thread.
         self.display: DeviceSupervisor[Display] = DeviceSupervisor(Device.DISPLAY, self._display, clock, None)
         self.projector: DeviceSupervisor[Projector] = DeviceSupervisor(Device.PROJECTOR, self._projector, clock, None)
 
@@ -94,6 +95,7 @@ class Devices:
         with self._open_camera(side) as camera:
             slow = camera.slow_link
             if slow is not None:
+                # At 480 Mbit/s a frame of 1.92 MB takes 32 ms at the very least; the projector's period is 16.7 ms.
                 raise DeviceRejected(f"camera.{side}", slow, "Check connector and cable", FaultCode.CAMERA_SLOW_LINK)
             settings = CameraSettings(spec.width_px, spec.height_px, 1000.0 * spec.exposure_ms, spec.gain_db)
             camera.configure(settings)
@@ -123,6 +125,7 @@ class Devices:
     def _board(self) -> Iterator[Board]:
         with drivers_rig.open_board(drivers_rig.BoardSpec(self._rig.board.url), self._wires) as board:
             board.stop()
+            # Whatever a process before this one has left on.
             board.set_lasers(False, False)
             yield board
 

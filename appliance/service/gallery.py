@@ -77,6 +77,7 @@ class GalleryController:
 
     def _list(self) -> None:
         try:
+            # One assignment: the heartbeat sees the old tuple or the new one.
             self._listed = tuple(reversed(self._library.ids()))
         except StorageError:
             self._listed = ()
@@ -115,6 +116,7 @@ def read(library: Library, scan_id: str) -> Shown:
 
 def _preview(entry: ScanEntry) -> tuple[NDArray[np.uint8] | None, bool]:
     """The picture, and whether it is as it should be: there and readable, or never made."""
+    # A scan that was recovered, or kept without a cloud, never had one.
     if entry.manifest is None or PREVIEW not in entry.manifest.files:
         return None, True
     try:

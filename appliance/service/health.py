@@ -53,6 +53,7 @@ class CalibrationWatch:
         self.trend, outcome = judge(before, gaps)
         passed = None if outcome.point is None else not outcome.alarm
         text = outcome.text + self._explained(outcome, gaps)
+        # The words are of the scan that brought the alarm; later ones only keep it.
         if before.alarm is None and self.trend.alarm is not None:
             self.trend = self.trend.alarmed(text)
         return Verdict(VERDICT, passed, outcome.numbers, text)

@@ -51,6 +51,7 @@ class KeyReader:
                 event = KeysLost(error.message)
             if event is None:
                 continue
+            # One thread puts: where there is room, putting does not wait.
             if not self._queue.full():
                 self._queue.put_nowait(event)
             if isinstance(event, KeysLost):

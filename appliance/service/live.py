@@ -41,6 +41,7 @@ class LiveViews:
                 board.set_lasers(False, False)
                 board.live(self._rig.board.live_every_vsyncs, self._rig.board.trigger_delay_us, wanted.exposure.time_us)
         calibration, index = scans.calibration, scans.water.index
+        # The lasers go on later, by `switch_lasers_on`: the first images are the proof that they were off (ADR 0024).
         self._parts.ranging.live(wanted.lasers, calibration, index)
         self._inbox += self._parts.aiming.live(wanted.light and aiming, calibration, index)
 

@@ -97,6 +97,7 @@ class Service:
             beat()
         watchdog.stopping()
         end_ns = self._clock.now_ns() + int(QUIT_TIMEOUT_S * 1e9)
+        # The heart goes on beating: SAVING stays on the screen, and the watchdog does not take a slow disk for a hang.
         while (self._parts.scans.busy or self._parts.calibrating.busy) and self._clock.now_ns() < end_ns:
             beat()
         self._tell_status()
@@ -106,7 +107,9 @@ class Service:
         """One heartbeat. It waits for the display and, while patterns are played, for the projector; for nothing else."""
         for event in self._gather():
             self._handle(event)
+        # The tick behind the news: an answer that came in time must not be judged by a deadline first.
         self._handle(on.Tick(self._clock.now_ns()))
+        # Behind the tick: what the machine wanted in this heartbeat is begun in the same one.
         for event in self._recorder.go_on():
             self._handle(event)
         self._tell_status()
@@ -150,6 +153,8 @@ class Service:
                 self._parts.calibrating.warm()
             elif before.state is State.CALIBRATE and self.machine.calibrating is None:
                 self._parts.calibrating.cancel()  # its process takes memory
+            # The picture is read back from GL, in this thread, while the painter still has the cloud; only if it was
+            # drawn at all.
             if before.state is State.REVIEW and self._drawn is State.REVIEW:
                 self._parts.scans.preview = self._painter.preview()
         line = spoken(event)
@@ -171,6 +176,7 @@ class Service:
             case do.Arm():
                 self._recorder.want(effect)
             case do.Capture():
+                # For the next heartbeat, not handled here: the effects behind this one are still to be executed.
                 self._inbox.append(self._recorder.play(effect.number, self._draw, self._abort))
             case do.AbortCapture():
                 self._recorder.let_go()
@@ -239,6 +245,7 @@ class Service:
         scan = self._parts.scans.scan
         summary = scan.full.summary if scan is not None and scan.full is not None else None
         warnings = self.machine.scan.warnings if self.machine.scan is not None else ()
+        # The word that the diver was shown is stored with the scan; the gallery need not judge by other limits later.
         word = (
             grade(None, None, warnings)
             if summary is None
@@ -274,6 +281,7 @@ class Service:
             facts=self._facts(),
             marks=self._parts.ranging.marks,
         )
+        # Asked at each picture, so that a language chosen in the menu shows at once.
         self._painter.language = Language(self.machine.choices.language)
         picture = self._painter.draw(view_of(self.machine, around), self._clock.now_ns() / 1e9)
         self._drawn = self.machine.state

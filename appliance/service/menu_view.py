@@ -50,6 +50,7 @@ def question_view(machine: Machine, question: OffQuestion) -> MenuView:
     """Return the question whether to switch off: two answers, on the screen of any state."""
     rows = tuple(MenuRow(ANSWERS[answer]) for answer in Answer)
     selected = list(Answer).index(question.answer)
+    # All alerts: the question stands over any state, whose own screen may have kept some of them quiet.
     return MenuView(title=Text.POWER_OFF_ASKED, rows=rows, selected=selected, alerts=alerts(machine))
 
 

@@ -24,9 +24,11 @@ class ServiceManager:
         """``address``: a path or, after ``@``, a name in the abstract namespace. ``watchdog_s``: after how long without
         a sign of life it kills this process; ``None``: never."""
         self.watchdog_s = watchdog_s
+        # sd_notify(3): "@" stands for the zero byte with which names of the abstract namespace begin.
         self._address = address.replace("@", "\0", 1) if address and address.startswith("@") else address
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) if address else None
         if self._socket is not None:
+            # The heartbeat sends: a manager with a full queue must not hold it up.
             self._socket.setblocking(False)
 
     @classmethod
@@ -34,6 +36,7 @@ class ServiceManager:
         """Read what the manager told this process; it is taken out of ``environment``, for no child is to speak in its name."""
         address = environment.pop(SOCKET, None)
         usec, pid = environment.pop(WATCHDOG_US, ""), environment.pop(WATCHDOG_PID, "")
+        # The variables are inherited: a pid that is not ours says that they were meant for a parent.
         meant = usec.isdecimal() and int(usec) > 0 and pid in ("", str(os.getpid()))
         return cls(address, int(usec) / 1e6 if meant else None)
 

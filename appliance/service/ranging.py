@@ -148,6 +148,7 @@ class RangingController:
         if any(one not in self._images for one in SIDES):
             return
         (left_ns, left), (right_ns, right) = (self._images[one] for one in SIDES)
+        # While the lasers are about to go on, a pair might be half dark and half lit.
         if abs(left_ns - right_ns) > self._pair_ns or self._work is not None or self.wants_lasers:
             return
         self._images.clear()
@@ -165,6 +166,7 @@ class RangingController:
         self._lit = True
         self._images.clear()
         self._lit_ns = self._clock.now_ns()
+        # Images on their way still show the dark: measured as lit ones, they would have no dots.
         self._ready_ns = self._lit_ns + self._settle_ns
         return self._read_back(state)
 
@@ -195,6 +197,7 @@ class RangingController:
                 log.error("no distance from the live images: %s", error, exc_info=error)
                 return []
             measured = work.result(0.0)
+            # Lasers or light may have been switched while it was measured.
             if measured.live == self._live and measured.lit == self._lit:
                 return self._judge(measured)
         if self._shown is not None and self._clock.now_ns() - self._shown_ns > self._stale_ns:
@@ -246,6 +249,7 @@ class RangingController:
             assert self._pointers is not None
             calibration, memory = self._calibration, self._memory
             measured = calibration.method != DRAWN
+            # Rays of cameras that were never measured meet beside the light: they teach no beam (`Ranger.learn`).
             beams = memory.read(calibration.hash) if measured and memory is not None else self._pointers.beams()
             self._ranger = Ranger(calibration.rig, self._water_index, beams, measured)
             self._written = _taught(beams)
@@ -254,6 +258,7 @@ class RangingController:
     # ------------------------------------------------------------------------------------------ what it means
 
     def _end(self) -> None:
+        # At the end of a live view, not after each dot: the disk is for scans.
         self._remember()
         self._live += 1
         if self._work is not None and self._work.cancel():
@@ -284,6 +289,7 @@ class RangingController:
     def _judge(self, measured: _Measured) -> list[on.Event]:
         if not measured.lit:
             self._dark.append(measured.dots)
+            # The latest ones: what lay before the instrument at first may have been moved away since.
             del self._dark[:-DARK_PAIRS]
             return self._cleared(measured.dots)
         events: list[on.Event] = [on.Ranged(measured.range)]
@@ -311,6 +317,7 @@ class RangingController:
     def _cleared(self, dots: Dots) -> list[on.Event]:
         shines = any(dot.cameras == 2 and dot.contrast_dn >= SURELY_A_DOT_DN for dot in dots.found)
         self._clear = 0 if shines else self._clear + 1
+        # Only while the lasers may not be on, as they may not while the condition lasts.
         if self._clear != CLEAR_PAIRS or self._wanted:
             return []
         return [on.ConditionCleared(FaultCode.LASER_ON, IMAGES)]

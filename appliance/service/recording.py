@@ -51,6 +51,7 @@ class DrawnPatterns:
         """Load the projector's scan-out memory, with a dark picture behind the last pattern, which is shown, and the live
         views' light behind that. Raises DeviceError."""
         dark = np.zeros((self.sequence.height_px, self.sequence.width_px), np.uint8)
+        # Dark directly behind the last pattern: `play` ends on it whatever happens.
         projector.load([*self._pictures, dark, live_light_of(self._rig)])
         projector.show(len(self._pictures))
 
@@ -110,6 +111,7 @@ class SequenceRecorder:
         if not isinstance(phase, _Arming) or not phase.arming.poll():
             return []
         self._phase = _Armed(phase.arming)
+        # What the board reported while it was made ready (a heartbeat, a reset) is not lost to the machine.
         for event in phase.arming.events:
             self._inbox += self._inputs.board_event(event)
         phase.arming.events.clear()
@@ -139,6 +141,7 @@ class SequenceRecorder:
         report = recorder.play(scans.sequence, phase.arming, abort)
         for event in report.board_events:
             self._inbox += self._inputs.board_event(event)
+        # The witnesses of time first: where a frame is missing, looking at its pixels says nothing.
         fault = report.fault or self._lasers_seen()
         if fault is not None:
             scans.drop()
@@ -152,6 +155,7 @@ class SequenceRecorder:
         if self._period_px is None or self._parts.scans.busy or isinstance(self._phase, _Arming | _Armed):
             return
         period_px, self._period_px = self._period_px, None
+        # Changed back before anything was done: drawing and starting the worker again would take seconds for nothing.
         if period_px == self._parts.scans.sequence.period_px:
             return
         self._parts.scans.use_sequence(self._patterns.use(period_px))

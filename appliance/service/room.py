@@ -83,6 +83,7 @@ class ScanRoom:
         """
         fault = self._refused()
         left = self._library.scans_left(self._scan_bytes, self._reserve_bytes)
+        # What cannot be allocated is not free, whatever the disk's own count says.
         if fault is not None and fault.code is FaultCode.STORAGE_FULL:
             left = 0
         elif fault is None and left == 0:
@@ -93,6 +94,7 @@ class ScanRoom:
             self._shown = steady(self._shown, CountedRoom(scans, left, self._scan_bytes))
             left = self._shown.left
         events: list[on.Event] = [on.StorageCounted(scans, self._library.last_id(), left)]
+        # STORAGE_FULL is not among them: the machine raises it from the count.
         for code in (FaultCode.DISK_READ_ONLY, FaultCode.DISK_REFUSES):
             there = fault is not None and fault.code is code
             events.append(on.ConditionRaised(fault) if fault is not None and there else on.ConditionCleared(code))

@@ -104,6 +104,7 @@ class ScanFiles:
         probe = self._library.root / PROBE
         try:
             replace_file(self._fs, probe, PROBE_CONTENT)
+            # Read from memory, most likely: it shows that the disk takes files, not what the medium holds.
             if probe.read_bytes() != PROBE_CONTENT:
                 return _test_failed(f"{probe} does not hold what was written")
             counted = self._room.counted()
@@ -134,6 +135,7 @@ class ScanFiles:
         if second is not None and second.merged and not second.stored:
             frames = {side: self._store.frames(side, second=True) for side in SIDES}
             scan.pending.add_second(frames, scan.whole)
+            # After the return: where it raises, the next attempt writes them again.
             second.stored = True
         return scan.pending
 

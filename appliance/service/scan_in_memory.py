@@ -49,6 +49,7 @@ class ScanInMemory:
     def enter(self, verdict: Verdict) -> None:
         """Write a verdict down, in place of an earlier one of its name."""
         if self.record is not None:
+            # A new record each time: the disk's thread may be writing the one of before.
             others = tuple(one for one in self.record.verdicts if one.name != verdict.name)
             self.record = replace(self.record, verdicts=(*others, verdict))
 

@@ -96,6 +96,8 @@ class ScanController:
         self.calendar = calendar
         self.sequence = sequence
         self.water = setup.water or water_of(rig)
+        # Before the dive, with room for a second exposure (ADR 0025): memory that is short is noticed at the start, not
+        # under water.
         self.store = FrameStore(len(sequence), left.height_px, left.width_px, sequences=2)
         self.worker = ReconstructionWorker(
             WorkOrder(
@@ -154,11 +156,13 @@ class ScanController:
         scan = self.scan
         if scan is not None and scan.raw is not None:
             try:
+                # Done already, as `settled` says: asked only for what it raises.
                 scan.raw.result(0.0)
             except (StorageError, ValueError, TimeoutError) as error:
                 return Fault(FaultCode.NOT_SAVED, f"the previous scan's frames are not on the disk: {error}")
             self._write_trend(scan)
         self.scan = ScanInMemory(number, self._clock.now_ns(), exposure)
+        # Told before the first frame, so that the worker decodes each one while the next is exposed.
         self.worker.begin(number, self._settings_at(exposure))
         return None
 
@@ -190,6 +194,7 @@ class ScanController:
         date = self.calendar.today()
         ledger = report.ledger
         scan.times_s["first_pattern"] = scan.since_begun_s(ledger.flips[0].time_ns)
+        # By the frames' own times: this line runs when all of it was audited.
         arrived_ns = max(frames[-1].received_ns for frames in ledger.frames.values())
         scan.times_s["recording"] = scan.since_begun_s(arrived_ns)
         scan.origin = self._origin
@@ -292,6 +297,8 @@ class ScanController:
         self._calibration = calibration
         self._origin = origin_of(self._rig, calibration)
         self.watch.use(calibration)
+        # The worker is started again: ray lattices and limits are computed when it starts, and a mixture of two
+        # calibrations is none.
         self.worker.change(replace(self.worker.order, calibration=calibration))
 
     def use_water(self, salinity_psu: float, temperature_c: float) -> None:

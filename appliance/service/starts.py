@@ -36,6 +36,7 @@ def this_run(environment: Mapping[str, str], prefix: Path) -> Iterator[tuple[Fau
     if mark is not None:
         with suppress(OSError):
             mark.touch()
+    # No `finally`: an error must leave the mark behind.
     yield tuple(news)
     if mark is not None:
         with suppress(OSError):

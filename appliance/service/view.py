@@ -84,6 +84,7 @@ def _view(machine: Machine, around: Surroundings) -> AnyView:
                 alerts=shown,
             )
         case State.AIM:
+            # SAVED stays for two seconds, or until a key: long enough to be read, without being waited for.
             if machine.just_saved is not None and machine.now_ns - machine.since_ns < 2_000_000_000:
                 return SavingView(scan_id=machine.just_saved, saved=True, alerts=shown)
             return AimView(
@@ -153,6 +154,7 @@ def _review(machine: Machine, around: Surroundings, full: bool) -> ReviewView:
     duration_s = around.scan.times_s.get("full" if full else "coarse") if around.scan is not None else None
     return ReviewView(
         points_mm=shown.points_mm,
+        # Coloured by distance: z of the left camera's frame.
         values=shown.points_mm[:, 2],
         coarse=not full,
         grade=grade(s.coverage_percent, s.noise_mm, machine.scan.warnings if machine.scan is not None else ()),

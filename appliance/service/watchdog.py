@@ -51,11 +51,13 @@ class Watchdog:
 
     def beaten(self, machine: Machine, *, worker_answers: bool) -> None:
         """A heartbeat has ended."""
+        # READY after the first heartbeat, not after the start: until then nothing has shown that the loop goes round.
         if self._state is None:
             self._manager.ready()
         if machine.state is not self._state:
             self._state = machine.state
             self._manager.status(machine.state.value)
+        # A loop that goes round in a stopped clock judges no deadline any more: that is a hang, too.
         turned = machine.now_ns != self._turned_ns
         self._turned_ns = machine.now_ns
         if turned and worker_answers:

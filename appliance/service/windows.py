@@ -68,11 +68,14 @@ class WindowWatch:
             return replace(
                 verdict, passed=self._passed, text=f"{verdict.text}; not counted: the scene is that of before"
             )
+        # Compared with the last scan that counted: ten scans of one wall are one testimony.
         self._light = {side: windows.light[side] for side in SIDES}
         for side in SIDES:
             whole = windows.wholes[side]
             falls = np.append(windows.falls[side], np.nan if whole is None else whole)
             # One side's gain is the other's fall: only a fall counts.
+            # One-sided CUSUM: what exceeds the forgiven adds up, a clean scan takes at most SLACK away, and no single
+            # scan can alarm.
             step = np.clip(np.maximum(falls, 0.0) - windows.forgiven[side], -SLACK, MOST)
             self._sums[side] = np.clip(self._sums[side] + np.nan_to_num(step), 0.0, CAP)
             worst = float(self._sums[side].max())

@@ -46,6 +46,7 @@ class WorkerReports:
 
     def read(self, scan: ScanInMemory | None) -> list[on.Event]:
         """Return what the worker's next report means; ``scan`` is the one in hand, which is changed by it."""
+        # One report for each heartbeat: it may bring a cloud, which is copied, and the next heartbeat comes soon.
         report = self._worker.poll()
         if report is None:
             return [on.PartBusy(Part.WORKER)] if self._worker.gets_on() else []
@@ -56,6 +57,7 @@ class WorkerReports:
             case WorkerFailed():
                 return self._failed(report, scan)
             case SequenceIdentified():
+                # The machine compares the number by itself; nothing of the scan in hand is changed.
                 return [on.PatternsRight(report.scan)]
         # The worker may still report on a scan that was dropped or published meanwhile: nobody wants that any more.
         return [] if scan is None or scan.number != report.scan else self._entered(report, scan)

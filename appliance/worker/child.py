@@ -24,6 +24,7 @@ class ChildProcess:
 
     def __init__(self, name: str, main: Callable[..., None]) -> None:
         self._name, self._main = name, main
+        # A fresh interpreter: a fork would take along GL, device handles and locks of threads that are not there.
         self._context = multiprocessing.get_context("spawn")
         self._process: multiprocessing.process.BaseProcess | None = None
         self._pipe: Connection | None = None
@@ -49,6 +50,7 @@ class ChildProcess:
             ours.close()
             raise
         finally:
+            # The child has its own copy: with this one open, the pipe would not end when the child does.
             theirs.close()
         self._pipe, self._process = ours, process
 
@@ -58,6 +60,7 @@ class ChildProcess:
         if pipe is None:
             return
         try:
+            # Two camera threads and the heartbeat speak: a message of one must not come into the middle of another's.
             with self._sending:
                 pipe.send(message)
         except OSError:

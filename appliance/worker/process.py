@@ -172,6 +172,7 @@ class ReconstructionWorker:
         """May be replaced at any time; what it can still ask for is fixed when it starts."""
         left = order.calibration.rig.left
         self._capacity = left.width_px * left.height_px
+        # Room for a point in every left pixel, allocated once: no cloud can be too large for it.
         self._results = SharedMemory(create=True, size=self._capacity * POINT_BYTES)
         self._child = ChildProcess("kf-reconstruct", work)
         self._starting = False
@@ -233,6 +234,7 @@ class ReconstructionWorker:
         """It keeps its times, or it is known not to be there; false where ``poll`` should have seen that it does not."""
         if not self._child.runs:
             return True
+        # Later than `poll` itself would be: this is for the watchdog, which must not act before the restart does.
         now_ns, grace_ns = self._clock.now_ns(), int(self.limits.alive_s * 1e9)
         if self._deadline_ns is not None:
             return now_ns <= self._deadline_ns + grace_ns
@@ -242,6 +244,7 @@ class ReconstructionWorker:
         """The first start is not at its end, but took processor time since it was looked at last; a start that hangs takes
         none. False also where that was only just asked."""
         now_ns = self._clock.now_ns()
+        # Of the first start only: the self-test waits for that one, and a start that failed before may fail for ever.
         if not self._starting or self._fruitless or self.pid is None or now_ns < self._progress_check_ns:
             return False
         self._progress_check_ns = now_ns + int(PROGRESS_CHECK_S * 1e9)
@@ -280,12 +283,16 @@ class ReconstructionWorker:
         if not self._child.runs:
             self._fruitless = 0
             self._start_again()
+        # The process was started since: it has neither maps nor cloud of the first sequence, and makes them from the
+        # frames.
         if not self._knows_first:
             self._tell_first()
         self._send(Begin(self._ticket, settings, second=True))
 
     def frame(self, side: str, index: int) -> None:
         """Frame ``index`` of ``side`` is in the store, in the place of the sequence begun last."""
+        # A process that was started meanwhile is told of all frames at once by `finish`: one of the middle would be no
+        # frame 0 to it.
         if not self._missed:
             self._send(FrameStored(side, index))
 
@@ -330,6 +337,7 @@ class ReconstructionWorker:
         now_ns = self._clock.now_ns()
         if message is None:
             return self._check_answer(now_ns) or self._check_memory(now_ns)
+        # Whatever it says is a sign of life.
         self._alive_ns, self._ping_sent = now_ns, False
         match message:
             case Ready():
@@ -397,6 +405,7 @@ class ReconstructionWorker:
 
     def _computes(self, now_ns: int) -> bool:
         """Tell whether the step that is late uses the processor, and may go on: then its deadline is a new one."""
+        # A start has its own, longer limit; and a computation that goes on for ever is cut off all the same.
         if self._starting or now_ns >= self._patience_ns:
             return False
         before_s, self._step_cpu_s = self._step_cpu_s, self._used_s()
@@ -429,6 +438,7 @@ class ReconstructionWorker:
                 return None
             return self._restart("it did not answer in time")
         waited_s = (now_ns - self._alive_ns) / 1e9
+        # Asked only while nothing is awaited: a worker that computes reads no messages.
         if self._ping_sent and waited_s > self.limits.alive_s:
             return self._restart(f"it gave no sign of life for {self.limits.alive_s:g} s")
         if not self._ping_sent and waited_s > PING_S:
@@ -441,6 +451,7 @@ class ReconstructionWorker:
             return None
         self._memory_check_ns = now_ns + int(MEMORY_CHECK_S * 1e9)
         most_mb = self.limits.start_memory_mb if self._starting else self.limits.memory_mb
+        # None: it has just ended, which the pipe will say.
         used_mb = own_memory_mb(self.pid)
         if used_mb is None or used_mb <= most_mb:
             return None
@@ -499,6 +510,7 @@ class ReconstructionWorker:
         self._child.stop()  # the heartbeat waits meanwhile
         self._not_started = None
         self.restarts += 1
+        # Back to 0 by a full cloud alone: a worker that starts well and dies at each scan is not well.
         self._fruitless += 1
         if self._fruitless >= MOST_FRUITLESS_STARTS:
             lost = self._scan
@@ -507,6 +519,8 @@ class ReconstructionWorker:
         self._start_again()
         lost = None
         if self._scan is not None:
+            # These frames have ended two processes: a third one would only keep the diver waiting. They can be saved
+            # without a cloud.
             if self._attempts >= MOST_ATTEMPTS:
                 lost, self._scan, self._finishing = self._scan, None, False
             else:

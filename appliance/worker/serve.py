@@ -113,6 +113,7 @@ def _work(
             nothing = np.zeros(store.shape, np.uint8)
             processor.process(dict.fromkeys(SIDES, nothing), AcquisitionSettings())
             run_what_an_empty_scan_does_not(sequence, nothing)
+        # Behind the warm-up: what compiler and kernels have taken until then is allowed for.
         limit_memory(headroom_mb)
         pipe.send(Ready())
         try:
@@ -188,6 +189,7 @@ class Server:
                 if not second:
                     self._first = None
                 elif self._first is None:
+                    # A restarted worker hears of the first sequence again; then this is where its points are found.
                     self._first = self._work_through_first()
                 self._steps = None
                 self._processor.begin(settings)
@@ -199,6 +201,7 @@ class Server:
                 else:
                     self._finish_bracket(self._first)
             case Drop():
+                # What still comes of this sequence (frames on their way, Finish) is passed over until the next Begin.
                 self._failed = True
             case Ping():
                 self._say(Pong())
@@ -231,6 +234,8 @@ class Server:
                     reported = judgements
                     self._say(SequenceJudged(self._ticket, judgements, spent_s))
                 case FullFound(found, judgements):
+                    # Only where the full cloud changed what is held against the scan (`with_causes`): else the same
+                    # would be told twice.
                     if [one.fault for one in judgements] != [one.fault for one in reported]:
                         self._say(SequenceJudged(self._ticket, judgements, 0.0))
                     self._say(CloudFound(self._ticket, full=True, found=found, cpu_s=spent_s))
@@ -272,11 +277,13 @@ class Server:
     def _await_taken(self) -> bool:
         """Wait until what was found was copied; returns False when nobody wants it any more."""
         while True:
+            # The parent copies at its next heartbeat; until then the table in shared memory must stay as it is.
             message: ToWorker = self._pipe.recv()
             match message:
                 case CloudCopied(ticket) if ticket == self._ticket:
                     return True
                 case Begin() | Drop():
+                    # Read here, but meant for `serve`, which does it next.
                     self._put_back.append(message)
                     return False
                 case Ping():

@@ -10,6 +10,7 @@ def own_memory_mb(pid: int) -> float | None:
     """Resident memory of a process without what it shares with others, MB; ``None`` when it is not there any more."""
     status = _read(pid, "status")
     kb = {line.split(":")[0]: line.split()[1] for line in status.splitlines() if line.startswith("Rss")}
+    # proc(5): VmRSS = RssAnon + RssFile + RssShmem; the last one is the frame store and the points.
     return (int(kb.get("RssAnon", "0")) + int(kb.get("RssFile", "0"))) / 1000.0 if kb else None
 
 

@@ -143,6 +143,7 @@ def merge_walls() -> None:
 
 def run_every_kernel() -> None:
     """Run with an instrument of its own; also for frames that cannot be written, as they come from the disk."""
+    # numba compiles a function anew for arrays that are read-only, as frames mapped from a file are.
     for writable in (True, False):
         with _nothing(writable) as (pipeline, calibration, frames):
             processor = SequenceProcessor(pipeline, calibration, _WATER)
