@@ -31,12 +31,12 @@ class Warm(Verb):
 
     def run(self) -> Exit:
         from appliance import kernel_build, kernel_cache
-        from appliance.cli.kernels import Progress
+        from appliance.cli.kernels import CompileProgress
         from appliance.storage.atomic import remedy_for
         from appliance.worker.warm import DESK
 
         target = self.out or kernel_cache.shipped_folder()
-        with Progress() as progress:
+        with CompileProgress() as progress:
             try:
                 # DESK contains INSTRUMENT: an installation serves both, and neither shall compile before somebody's
                 # eyes.

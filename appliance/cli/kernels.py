@@ -52,13 +52,13 @@ def _compile(cache: KernelCache, pieces: Sequence[Piece]) -> None:
     if cache.origin is Origin.GIVEN or not missing(cache.path, pieces):
         return
     try:
-        with Progress() as progress:
+        with CompileProgress() as progress:
             compile_pieces(cache.path, pieces, progress)
     except (CompileError, OSError) as error:
         log.warning("kernels could not be compiled in advance: %s; they are compiled when first needed", error)
 
 
-class Progress:
+class CompileProgress:
     """Says how far the compiler is. A context manager; call it with each ``Compiling``."""
 
     def __init__(self, stream: TextIO | None = None, line: Callable[[str], None] = log.info) -> None:
@@ -80,7 +80,7 @@ class Progress:
             self._line(text)
             self._next_s = now.seconds + LINE_EVERY_S
 
-    def __enter__(self) -> Progress:
+    def __enter__(self) -> CompileProgress:
         return self
 
     def __exit__(

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from appliance import kernel_build, kernel_cache
-from appliance.cli.kernels import Progress
+from appliance.cli.kernels import CompileProgress
 from appliance.kernel_build import CompileError, Compiling, Piece, compile_pieces, missing
 
 HERE = "tests.appliance.test_kernel_build"
@@ -121,7 +121,7 @@ class Terminal(io.StringIO):
 def test_on_a_terminal_one_line_changes_and_is_cleared(caplog: pytest.LogCaptureFixture) -> None:
     terminal = Terminal()
     caplog.set_level(logging.INFO)
-    with Progress(terminal) as progress:
+    with CompileProgress(terminal) as progress:
         progress(Compiling(0, 2, ("the first", "the second"), 0.0))
         progress(Compiling(1, 2, ("the second",), 7.0))
     shown = terminal.getvalue().split("\r")
@@ -135,7 +135,7 @@ def test_on_a_terminal_one_line_changes_and_is_cleared(caplog: pytest.LogCapture
 def test_elsewhere_a_line_comes_at_least_every_ten_seconds() -> None:
     begun: list[float] = []
     now = 0.0
-    with Progress(io.StringIO(), lambda _: begun.append(now)) as progress:
+    with CompileProgress(io.StringIO(), lambda _: begun.append(now)) as progress:
         for now in [0.3 * k + k % 2 for k in range(200)]:
             progress(Compiling(0, 2, ("the first",), now))
     assert len(begun) < 12
