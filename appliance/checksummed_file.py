@@ -13,13 +13,13 @@ class ChecksumError(ValueError):
 
 
 def digest(content: Mapping[str, Any]) -> str:
-    """SHA-256 (hex) of the compact form with sorted keys."""
+    """Return SHA-256 (hex) of the compact form with sorted keys."""
     # Of the content, not of the file's bytes: indentation and the order of keys may change without the checksum.
     return hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
 def with_checksum(content: Mapping[str, Any], indent: int | None = 2) -> bytes:
-    """The file's bytes: ``content`` with sorted keys, and its checksum as ``sha256``."""
+    """Return the file's bytes: ``content`` with sorted keys, and its checksum as ``sha256``."""
     return (json.dumps({**content, "sha256": digest(content)}, indent=indent, sort_keys=True) + "\n").encode()
 
 

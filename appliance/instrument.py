@@ -47,7 +47,7 @@ ONLY_IN_AIR = "the calibration is one in air, a start for calibrating in water; 
 
 
 def calibration_of(rig: Rig) -> tuple[Calibration, tuple[Fault, ...]]:
-    """The instrument's calibration.
+    """Return the instrument's calibration.
 
     Where the file in use is damaged, missing, of another instrument or of other cameras: the one before that is kept and
     fits, else the design's; either with the condition UNCALIBRATED, whose detail says which, and whose device
@@ -73,7 +73,7 @@ def calibration_of(rig: Rig) -> tuple[Calibration, tuple[Fault, ...]]:
 
 
 def _usable(rig: Rig, path: Path) -> tuple[Calibration | None, Misfit | None]:
-    """A file's calibration, and why this instrument cannot measure with it."""
+    """Return a file's calibration, and why this instrument cannot measure with it."""
     try:
         calibration = load(path)
     except CalibrationError as error:
@@ -117,7 +117,8 @@ def refuse_drawing(rig: Rig, path: Path | None) -> None:
 
 
 def response_of(rig: Rig) -> Response | None:
-    """The projector's response as it was measured; ``None`` where it was not, or cannot be used (which is logged)."""
+    """Return the projector's response as it was measured; ``None`` where it was not, or cannot be used (which is
+    logged)."""
     path = rig.storage.root / RESPONSE_FILE
     try:
         stored = load_response(path)
@@ -138,7 +139,7 @@ def response_of(rig: Rig) -> Response | None:
 
 
 def design_of(rig: Rig) -> Calibration:
-    """The calibration that the drawing in the rig file stands for."""
+    """Return the calibration that the drawing in the rig file stands for."""
     d = rig.design
     design = Design(
         d.principal_distance_mm,
@@ -154,7 +155,7 @@ def design_of(rig: Rig) -> Calibration:
 
 
 def pointers_of(rig: Rig) -> Pointers | None:
-    """The laser pointers as drawn; ``None``: there are none."""
+    """Return the laser pointers as drawn; ``None``: there are none."""
     lasers = rig.lasers
     if lasers is None:
         return None
@@ -174,12 +175,12 @@ def live_light_of(rig: Rig) -> NDArray[np.uint8]:
 
 
 def water_of(rig: Rig) -> Water:
-    """The water the rig file states."""
+    """Return the water the rig file states."""
     return Water(rig.water.temperature_c, rig.water.salinity_psu, rig.water.wavelength_nm)
 
 
 def noise_of(rig: Rig, exposure: Exposure | None = None) -> StereoNoise:
-    """The noise of both cameras, by default at the gain the rig file sets, else at ``exposure``'s."""
+    """Return the noise of both cameras, by default at the gain the rig file sets, else at ``exposure``'s."""
     # Steps of exposure set both cameras to the same gain; what the right one's differs by in the rig file is kept.
     more_db = 0.0 if exposure is None else exposure.gain_db - rig.camera.left.gain_db
 

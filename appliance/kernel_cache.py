@@ -79,7 +79,7 @@ class KernelCache:
 
 
 def this_processor() -> Processor:
-    """The one that this process runs on."""
+    """Return the one that this process runs on."""
     import llvmlite.binding
 
     name: str = llvmlite.binding.get_host_cpu_name()
@@ -115,7 +115,7 @@ def stamps() -> str:
 
 
 def _kernel_files() -> Iterator[tuple[str, Path]]:
-    """Every file of the program that kernels, or what decides which there are, are made of; by name, in order."""
+    """Yield every file of the program that kernels, or what decides which there are, are made of; by name, in order."""
     for package in _packages():
         for path in sorted((_PROGRAM.parent / package).rglob("*.py")):
             name = path.relative_to(_PROGRAM.parent)
@@ -125,7 +125,7 @@ def _kernel_files() -> Iterator[tuple[str, Path]]:
 
 
 def _packages() -> list[str]:
-    """The packages that came with this one, and this one, where they lie side by side."""
+    """Return the packages that came with this one, and this one, where they lie side by side."""
     try:
         named = (metadata.distribution(_DISTRIBUTION).read_text("top_level.txt") or "").split()
     except metadata.PackageNotFoundError:
@@ -139,8 +139,8 @@ def shipped_folder() -> Path:
 
 
 def writable_folder(environment: Mapping[str, str]) -> Path:
-    """The service's cache directory, else the source tree's, else the user's, else one that lasts until the machine is
-    switched off."""
+    """Return the service's cache directory, else the source tree's, else the user's, else one that lasts until the
+    machine is switched off."""
     # Set by systemd (CacheDirectory=), where the service may write although the root is read-only.
     if environment.get("CACHE_DIRECTORY"):
         return Path(environment["CACHE_DIRECTORY"].split(":")[0]) / "kernels"
@@ -179,9 +179,9 @@ def use(shipped: Path | None = None, writable: Path | None = None) -> KernelCach
 
 
 def _shipped(base: Path) -> tuple[Path, Processor | None]:
-    """The best that an installation has compiled: for this processor, else for the common level; where both miss, the
-    first. With it, whom numba must be told to compile for; ``None``: this processor, which it finds by itself.
-    """
+    """Return the best that an installation has compiled: for this processor, else for the common level; where both
+    miss, the first. With it, whom numba must be told to compile for; ``None``: this processor, which it finds by
+    itself."""
     own = base / fingerprint()
     if not (own / COMPLETE).exists() and platform.machine() == "x86_64" and runs_common(this_processor()):
         common = base / fingerprint(COMMON)

@@ -183,7 +183,7 @@ def calibrate_air(
 
 
 def _thin(view: BoardView, most: int) -> tuple[str, ...]:
-    """A remark on a view that shows much less of the board than the others."""
+    """Return a remark on a view that shows much less of the board than the others."""
     count = len(view.corners_mm)
     if count >= HALF * most:
         return ()
@@ -234,7 +234,7 @@ def _start(views: Sequence[BoardView], width_px: int, height_px: int) -> tuple[S
 
 
 def _seen(rig: StereoRig, board: tuple[Array, Array], corners_mm: Array) -> Array:
-    """Pixels (4 n,) of a board in both cameras."""
+    """Return pixels (4 n,) of a board in both cameras."""
     points = corners_mm @ board[0].T + board[1]
     return np.concatenate([_in_air(camera, points).ravel() for camera in (rig.left, rig.right)])
 
@@ -343,7 +343,7 @@ def _adjust(
 
 
 def _changed(rig: StereoRig) -> list[StereoRig]:
-    """The rig with each of the 22 parameters a step further."""
+    """Return the rig with each of the 22 parameters a step further."""
     found = []
     for k in range(AIR.start, AIR.stop):
         x = np.zeros(COUNT)

@@ -20,7 +20,8 @@ _PAPER, _LINES, _TEXT, _LACKING = (250, 250, 250), (200, 200, 200), (40, 40, 40)
 
 
 def coverage_picture(views: Sequence[FittedView], seen: Coverage, width_px: int, height_px: int) -> bytes:
-    """Both images side by side with every corner that was used, one colour per view; regions that lack corners tinted."""
+    """Return both images side by side with every corner that was used, one colour per view; regions that lack corners
+    tinted."""
     panels = []
     for side in ("left", "right"):
         panel, scale = _panel(width_px, height_px)
@@ -40,7 +41,7 @@ def coverage_picture(views: Sequence[FittedView], seen: Coverage, width_px: int,
 
 
 def residual_picture(views: Sequence[FittedView], width_px: int, height_px: int) -> bytes:
-    """Both images side by side with every corner's residual as an arrow, enlarged as the title says."""
+    """Return both images side by side with every corner's residual as an arrow, enlarged as the title says."""
     pooled = np.concatenate([np.concatenate([v.left_residual_px, v.right_residual_px]) for v in views])
     rms_px = float(np.sqrt(np.mean(pooled**2)))
     panels = []

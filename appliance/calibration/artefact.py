@@ -28,7 +28,7 @@ class PlanePlace:
     steps = np.array([1e-5, 1e-5, 1e-3])
 
     def meet(self, origin: Array, direction: Array, sphere: NDArray[np.intp], x: Array) -> Array:
-        """Points (n, 3) where rays meet the face; ``sphere`` is of no meaning here."""
+        """Return points (n, 3) where rays meet the face; ``sphere`` is of no meaning here."""
         # Two leans and an offset are a plane's three degrees of freedom; a third number for the normal would only be
         # its length.
         n = self.normal + x[0] * self.axes[0] + x[1] * self.axes[1]
@@ -54,7 +54,7 @@ class BarPlace:
     steps = np.full(8, 1e-3)
 
     def meet(self, origin: Array, direction: Array, sphere: NDArray[np.intp], x: Array) -> Array:
-        """Points (n, 3) where rays first meet their sphere; a ray that misses gives its nearest point."""
+        """Return points (n, 3) where rays first meet their sphere; a ray that misses gives its nearest point."""
         centre = (self.centres_mm + x[:6].reshape(2, 3))[sphere]
         radius = (self.radius_mm + x[6:8])[sphere]
         # |o + s d − c|² = r² is s² + 2 b s + |w|² − r² = 0; the nearer root is s = −b − √(b² − |w|² + r²). A negative
@@ -65,7 +65,7 @@ class BarPlace:
         return np.asarray(origin - (b + root)[:, None] * direction)
 
     def certificate(self, x: Array) -> tuple[Array, Array]:
-        """Residuals (3,) of length and radii in standard deviations, and their Jacobian (3, 8)."""
+        """Return residuals (3,) of length and radii in standard deviations, and their Jacobian (3, 8)."""
         centres = self.centres_mm + x[:6].reshape(2, 3)
         bar = centres[1] - centres[0]
         length = float(np.linalg.norm(bar))

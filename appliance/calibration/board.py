@@ -86,7 +86,7 @@ class NoBoard:
 
 
 def find_board(name: str, left: Image, right: Image, design: BoardDesign) -> BoardView | NoBoard:
-    """The corners that both images (h, w) uint8 show of the board, refined to subpixels."""
+    """Return the corners that both images (h, w) uint8 show of the board, refined to subpixels."""
     seen: dict[str, dict[int, Array]] = {}
     for side, image in (("left", left), ("right", right)):
         found = find_corners(image, design)
@@ -106,7 +106,7 @@ def find_board(name: str, left: Image, right: Image, design: BoardDesign) -> Boa
 
 
 def find_corners(image: Image, design: BoardDesign) -> dict[int, Array] | NoBoard:
-    """The board's corners in one image (h, w) uint8: pixels (2,) by the corner's number in ``design``.
+    """Return the board's corners in one image (h, w) uint8: pixels (2,) by the corner's number in ``design``.
 
     A reason has ``{side}`` where the camera's name belongs.
     """
@@ -127,7 +127,7 @@ def find_corners(image: Image, design: BoardDesign) -> dict[int, Array] | NoBoar
 
 
 def _detected(image: Image, design: BoardDesign) -> tuple[Array, NDArray[np.intp]]:
-    """Corners (n, 2), good to some tenths of a pixel, and their numbers (n,)."""
+    """Return corners (n, 2), good to some tenths of a pixel, and their numbers (n,)."""
     small, large = (max(3, image.shape[1] // part) for part in THRESHOLD_WINDOWS)
     settings = cv2.aruco.DetectorParameters()
     settings.adaptiveThreshWinSizeMin, settings.adaptiveThreshWinSizeMax = small, large
@@ -144,8 +144,8 @@ def _detected(image: Image, design: BoardDesign) -> tuple[Array, NDArray[np.intp
 
 
 def _refined(image: Image, design: BoardDesign, corners: Array, ids: NDArray[np.intp]) -> dict[int, Array] | NoBoard:
-    """Each corner once more, with a window as large as the markers around it leave room for; those whose window would
-    leave the image are left out."""
+    """Return each corner once more, with a window as large as the markers around it leave room for; those whose
+    window would leave the image are left out."""
     flat_mm = np.asarray(design.pattern().getChessboardCorners(), np.float64)[ids, :2]
     to_px = np.asarray(cv2.findHomography(flat_mm, corners)[0], np.float64)
     if to_px.shape != (3, 3):
@@ -167,7 +167,7 @@ def _refined(image: Image, design: BoardDesign, corners: Array, ids: NDArray[np.
 
 
 def _least_scale(to_px: Array, at_mm: Array) -> Array:
-    """Fewest pixels per mm in any direction (n,) at places (n, 2) of the board, whose homography is given."""
+    """Return the fewest pixels per mm in any direction (n,) at places (n, 2) of the board, whose homography is given."""
     ones = np.concatenate([at_mm, np.ones((len(at_mm), 1))], 1)
     u, v, w = (ones @ to_px.T).T
     slopes = np.stack(

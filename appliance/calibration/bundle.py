@@ -260,7 +260,7 @@ class _Problem:
             self._prior[self._right_shifts, self._right_shifts] = smooth
 
     def rig(self, x: Array) -> StereoRig:
-        """The rig at ``x``, with its corrections."""
+        """Return the rig at ``x``, with its corrections."""
         rig = self._bare(x)
         if not self._splines:
             return rig
@@ -276,7 +276,7 @@ class _Problem:
         )
 
     def certificates(self, x: Array) -> list[tuple[str, float]]:
-        """Each bar's name and how many standard deviations its length is off its certificate."""
+        """Return each bar's name and how many standard deviations its length is off its certificate."""
         found = []
         for recording, place, at in zip(self.recordings, self._places, self._slices, strict=True):
             residual, _ = place.certificate(x[at])
@@ -329,7 +329,8 @@ class _Problem:
         place: Place,
         at: slice,
     ) -> tuple[Array, NDArray[np.intp], Array]:
-        """Derivatives (n, 2, k) of one recording's residuals by the unknowns in columns (k,), and the residuals (n, 2)."""
+        """Return derivatives (n, 2, k) of one recording's residuals by the unknowns in columns (k,), and the
+        residuals (n, 2)."""
         index = recording.water.index
         left, right = recording.left_px, recording.right_px
         n = len(left)
@@ -390,7 +391,7 @@ class _Problem:
 
 
 def _project(camera: HousedCamera, points_mm: Array, shift_mm: Array, water_index: float) -> Array:
-    """Pixels of points, before any image correction; ``shift_mm`` is that of the rays they are seen along."""
+    """Return pixels of points, before any image correction; ``shift_mm`` is that of the rays they are seen along."""
     local = (points_mm - np.asarray(camera.translation_mm)) @ np.asarray(camera.rotation) - shift_mm
     return camera.ideal_pixels(local, water_index)
 
@@ -400,18 +401,19 @@ def _basis(camera: HousedCamera, uv_px: Array, intervals: tuple[int, int]) -> Ar
 
 
 def _times(by_component: Sequence[Array], basis: Array) -> Array:
-    """Derivatives (n, 2, 2·nodes) by spline nodes, from those (n, 2) or (2,) by the two components of its surface."""
+    """Return derivatives (n, 2, 2·nodes) by spline nodes, from those (n, 2) or (2,) by the two components of its
+    surface."""
     parts = [np.broadcast_to(d, (len(basis), 2))[..., None] * basis[:, None] for d in by_component]
     return np.concatenate(parts, -1)
 
 
 def _surface(matrix: Array, nodes: Array) -> Array:
-    """Values (n, 2); ``nodes`` holds all of the first component, then all of the second."""
+    """Return values (n, 2); ``nodes`` holds all of the first component, then all of the second."""
     return np.asarray(matrix @ nodes.reshape(2, -1).T)
 
 
 def _by_node(nodes: Array) -> tuple[float, ...]:
-    """Both components node by node, as the models keep them."""
+    """Return both components node by node, as the models keep them."""
     return tuple(float(c) for c in nodes.reshape(2, -1).T.ravel())
 
 

@@ -88,7 +88,8 @@ def _approached(right_pq: tuple[Map, Map], wanted: Array, at: Array, u: NDArray[
 
 
 def _solved(J: Array, miss: Array, complete: NDArray[np.bool_]) -> tuple[Array, NDArray[np.bool_]]:
-    """Steps (n, 2) that J (n, 2, 2: coordinate, axis) maps to ``miss`` (n, 2), and where there is one; elsewhere zero."""
+    """Return steps (n, 2) that J (n, 2, 2: coordinate, axis) maps to ``miss`` (n, 2), and where there is one;
+    elsewhere zero."""
     # Cramer's rule for all pixels at once.
     det = J[:, 0, 0] * J[:, 1, 1] - J[:, 0, 1] * J[:, 1, 0]
     solvable = complete & (np.abs(det) > 1e-6)
@@ -101,7 +102,7 @@ def _solved(J: Array, miss: Array, complete: NDArray[np.bool_]) -> tuple[Array, 
 def _window(
     pq: tuple[Map, Map], middle: NDArray[np.intp], u: NDArray[np.intp], v: NDArray[np.intp]
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Coordinates (n, window, 2) around pixels, and which windows are complete; zeros in those that are not."""
+    """Return coordinates (n, window, 2) around pixels, and which windows are complete; zeros in those that are not."""
     height, width = pq[0].shape
     h = HALF_WINDOW_PX
     within = np.all((middle >= h) & (middle < [width - h, height - h]), axis=1)
@@ -123,7 +124,7 @@ def _terms(x: Array, y: Array) -> Array:
 
 
 def _slopes(xy: Array) -> Array:
-    """Derivatives (n, 6, 2) of the terms by x and y."""
+    """Return derivatives (n, 6, 2) of the terms by x and y."""
     x, y = xy[:, 0], xy[:, 1]
     zero, one = np.zeros_like(x), np.ones_like(x)
     return np.stack(

@@ -30,7 +30,8 @@ class Design:
 
 
 def design_calibration(design: Design, rig_serial: str, width_px: int, height_px: int, water: Water) -> Calibration:
-    """The calibration of an instrument built exactly to the drawing; its method, ``design``, says it was not measured."""
+    """Return the calibration of an instrument built exactly to the drawing; its method, ``design``, says it was not
+    measured."""
     f_px = design.principal_distance_mm * 1000.0 / design.pixel_um
     lens = Lens((f_px, f_px), ((width_px - 1) / 2.0, (height_px - 1) / 2.0))
     port = Port((0.0, 0.0, 1.0), design.port_distance_mm, design.port_thickness_mm, design.port_index)

@@ -37,7 +37,7 @@ def valley_png(valley: Valley) -> bytes:
 
 
 def residual_svg(residuals: Residuals, size_px: tuple[int, int]) -> tuple[str, float]:
-    """Mean residuals over cells of the left image as arrows, and the px that an arrow of one cell stands for."""
+    """Return the mean residuals over cells of the left image as arrows, and the px that an arrow of one cell stands for."""
     width_px, height_px = size_px
     cell = width_px / CELLS[0]
     column = np.clip(residuals.left_px[:, 0] / width_px * CELLS[0], 0, CELLS[0] - 1).astype(np.intp)
@@ -66,7 +66,7 @@ def residual_svg(residuals: Residuals, size_px: tuple[int, int]) -> tuple[str, f
 
 
 def cost_svg(costs: tuple[float, ...]) -> str:
-    """The cost before the first step and after each, on a logarithmic scale."""
+    """Return the cost before the first step and after each, on a logarithmic scale."""
     height = WIDTH // 2
     log = np.log10(np.maximum(costs, 1e-300))
     low, high = np.floor(log.min()), max(np.ceil(log.max()), np.floor(log.min()) + 1.0)

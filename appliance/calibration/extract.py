@@ -74,7 +74,7 @@ def extract(
     start: Calibration,
     water: Water,
 ) -> Recording | NotFound:
-    """The recording that a scan makes: of a ball bar with its certificate, of a plane with ``None``.
+    """Return the recording that a scan makes: of a ball bar with its certificate, of a plane with ``None``.
 
     ``cloud`` was reconstructed from the same maps with ``start`` and the wide gap limit ``CALIBRATING_GAP_MM``. The answer is
     ``NotFound`` with the reason in words where the artefact is not seen well enough. Deterministic.
@@ -144,7 +144,7 @@ def extract(
 
 
 def _well_seen(ball: Ball, cloud: PointSource, start: Calibration) -> Pixels:
-    """Rows of a ball's used points that the right camera, too, does not see flatter than 55°; in order."""
+    """Return rows of a ball's used points that the right camera, too, does not see flatter than 55°; in order."""
     rows = np.sort(ball.used.indices)
     points = cloud.points_mm[rows].astype(np.float64)
     outward = (points - np.array(ball.sphere.centre_mm)) / ball.sphere.radius_mm
@@ -153,7 +153,7 @@ def _well_seen(ball: Ball, cloud: PointSource, start: Calibration) -> Pixels:
 
 
 def _clean(image: DecodedImage) -> Flags:
-    """(h, w): pixels with nothing unknown within the guard distance; the image's border counts as unknown."""
+    """Return (h, w): pixels with nothing unknown within the guard distance; the image's border counts as unknown."""
     known = (np.isfinite(image.p_px) & np.isfinite(image.q_px)).astype(np.uint8)
     # Erosion of the known pixels by the guard; unknown outside of the image.
     box = np.ones((2 * GUARD_PX + 1, 2 * GUARD_PX + 1), np.uint8)
@@ -161,7 +161,7 @@ def _clean(image: DecodedImage) -> Flags:
 
 
 def _even(u: Pixels, v: Pixels) -> Flags:
-    """Pixels on a square grid so wide that about the wanted number remains and windows share little."""
+    """Return pixels on a square grid so wide that about the wanted number remains and windows share little."""
     step = max(HALF_WINDOW_PX + 1, int((len(u) / POINTS_PER_SURFACE) ** 0.5))
     return np.asarray((u % step == 0) & (v % step == 0))
 

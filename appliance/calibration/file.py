@@ -72,7 +72,7 @@ class Calibration:
 
 
 def encode(calibration: Calibration) -> bytes:
-    """The file's bytes. Raises CalibrationError for a camera model that is for comparison only."""
+    """Return the file's bytes. Raises CalibrationError for a camera model that is for comparison only."""
     return with_checksum(_content(calibration))
 
 

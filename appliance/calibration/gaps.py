@@ -88,7 +88,7 @@ class GapModes:
         self._mix = np.linalg.inv(r) * signs
 
     def at(self, left_px: Array, right_px: Array) -> Array:
-        """The patterns (n, 4) at matched pixels (n, 2): µm of gap per µm of amplitude."""
+        """Return the patterns (n, 4) at matched pixels (n, 2): µm of gap per µm of amplitude."""
         p, a = self._rig.left.rays(left_px, self.water_index)
         base = _gap(p, a, *self._rig.right.rays(right_px, self.water_index))
         columns = [_gap(p, a, *rig.right.rays(right_px, self.water_index)) - base for rig in self._changed]
@@ -119,7 +119,7 @@ class GapModes:
 
 
 def in_words(parameter: str, change: float) -> str:
-    """A turn of the right camera in a technician's words."""
+    """Return a turn of the right camera in a technician's words."""
     return f"the right camera turned by {np.degrees(change):+.3f}° about its {parameter.split()[3]} axis"
 
 

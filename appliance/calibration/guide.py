@@ -157,7 +157,7 @@ class Session:
     """Name of the file with the calibration that was in use before; ``None`` where there was none."""
 
     def check(self, step: Step) -> RecordingCheck | None:
-        """The recording of a step."""
+        """Return the recording of a step."""
         return next((check for check in self.trials if check.step is step), None)
 
     def done(self, step: Step) -> bool:

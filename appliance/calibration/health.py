@@ -128,7 +128,7 @@ class HealthJudgement:
 
 
 def judge(trend: HealthTrend, gaps: PatchGaps, scan: str | None = None) -> tuple[HealthTrend, HealthJudgement]:
-    """The trend after one more scan (its number, where it has one already), and what is to be said about it."""
+    """Return the trend after one more scan (its number, where it has one already), and what is to be said about it."""
     if len(gaps.patch) < FEWEST_PATCHES:
         text = f"not judged: {len(gaps.patch)} of {COUNT} patches seen, {FEWEST_PATCHES} are needed"
         return trend, HealthJudgement(None, trend.alarm is not None, text, _counts(gaps))
@@ -185,7 +185,7 @@ def answered(trend: HealthTrend, answer: str) -> HealthTrend:
 
 
 def likeliest(amplitudes_um: Four, answers: Mapping[str, tuple[Array, float]]) -> tuple[str, float, float]:
-    """The one change that explains amplitudes best: its name, its size, and the share (0..1) that it explains.
+    """Return the one change that explains amplitudes best: its name, its size, and the share (0..1) that it explains.
 
     ``answers`` are those of ``GapModes.of_parameters`` for the changes in question.
     """
@@ -200,7 +200,7 @@ def likeliest(amplitudes_um: Four, answers: Mapping[str, tuple[Array, float]]) -
 
 
 def _rest(gaps: PatchGaps) -> float:
-    """RMS of what the four patterns leave over, less what noise alone leaves."""
+    """Return the RMS of what the four patterns leave over, less what noise alone leaves."""
     amplitudes = _solver(gaps.modes, 1.0 / (gaps.noise_um**2 + PATCH_UM**2)) @ gaps.gap_um
     # Unbiased variance of the rest: squares over the degrees of freedom, less the mean variance of the noise.
     left = gaps.gap_um - gaps.modes @ amplitudes
@@ -242,7 +242,7 @@ def _alike(patch: NDArray[np.intp]) -> Array:
 
 
 def _solver(modes: Array, weight: Array) -> Array:
-    """The matrix (4, k) that makes amplitudes of gaps; small where the patches say nothing."""
+    """Return the matrix (4, k) that makes amplitudes of gaps; small where the patches say nothing."""
     # Weighted least squares with a weak prior of _WIDE_UM: patterns that no patch shows stay near zero instead of
     # exploding.
     weighted = modes.T * weight

@@ -121,7 +121,7 @@ def search_distances(
 
 
 def cubic(uv: Array) -> Array:
-    """The ten monomials (n, 10) of a bivariate cubic at coordinates (n, 2)."""
+    """Return the ten monomials (n, 10) of a bivariate cubic at coordinates (n, 2)."""
     x, y = uv[:, 0], uv[:, 1]
     return np.stack([x**i * y**j for i in range(4) for j in range(4 - i)], -1)
 
@@ -140,7 +140,7 @@ def _errors(
     right: Sequence[tuple[Array, Array]],
     settings: SearchSettings,
 ) -> tuple[list[float], list[float]]:
-    """Relative length errors of the bars and flatness errors of the planes."""
+    """Return relative length errors of the bars and flatness errors of the planes."""
     lengths, ranges = [], []
     for recording, one, other in zip(recordings, left, right, strict=True):
         points = nearest_points(*one, *other)

@@ -42,14 +42,14 @@ class Estimate:
 
 
 def judged(names: Sequence[str], change: Array, prior_sd: Array, sd: Array) -> tuple[Estimate, ...]:
-    """One estimate per parameter."""
+    """Return one estimate per parameter."""
     return tuple(
         Estimate(n, float(c), float(p), float(s)) for n, c, p, s in zip(names, change, prior_sd, sd, strict=True)
     )
 
 
 def systematic_px(left_px: Array, residual_px: Array, camera: HousedCamera) -> float:
-    """RMS per coordinate of the patches' mean residuals, less what noise alone leaves in such means."""
+    """Return the RMS per coordinate of the patches' mean residuals, less what noise alone leaves in such means."""
     column = np.clip(left_px[:, 0] / camera.width_px * PATCHES[0], 0, PATCHES[0] - 1).astype(np.intp)
     row = np.clip(left_px[:, 1] / camera.height_px * PATCHES[1], 0, PATCHES[1] - 1).astype(np.intp)
     patch = row * PATCHES[0] + column
@@ -76,7 +76,8 @@ def warnings_about(
     lengths: Sequence[tuple[str, float]],
     may_be_refined: bool,
 ) -> tuple[float, tuple[str, ...]]:
-    """The systematic rest in px, and warnings in words: noise, systematic rest, priors left far behind, lengths."""
+    """Return the systematic rest in px, and warnings in words: noise, systematic rest, priors left far behind,
+    lengths."""
     found = []
     rms = float(np.sqrt(np.mean(residual_px**2)))
     if rms > TOO_NOISY * noise_px:

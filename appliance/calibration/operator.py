@@ -39,7 +39,7 @@ def search_with_operator(
 
 
 def with_operator(recordings: Sequence[Recording], calibration: Calibration) -> StereoRig:
-    """The rig with the operator of both cameras. Raises RecordingError for fewer than two planes."""
+    """Return the rig with the operator of both cameras. Raises RecordingError for fewer than two planes."""
     planes = [r for r in recordings if r.kind is ArtefactKind.PLANE]
     if len(planes) < 2:
         raise RecordingError(f"{len(planes)} recordings of a plane; the operator needs two, near and far; record them")

@@ -71,7 +71,7 @@ def _patch_of(left_px: Array, size_px: tuple[int, int]) -> NDArray[np.intp]:
 
 
 def _medians(patch: NDArray[np.intp], values: Array) -> Array:
-    """The median of each patch, (48,); zero where it is empty."""
+    """Return the median of each patch, (48,); zero where it is empty."""
     order = np.argsort(values)
     order = order[np.argsort(patch[order].astype(np.uint8), kind="stable")]  # six times as fast as lexsort
     counts = np.bincount(patch, minlength=COUNT)

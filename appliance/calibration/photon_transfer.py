@@ -52,7 +52,7 @@ class MeasuredNoise:
 
 
 def measure_noise(sequence: PatternSequence, frames: NDArray[np.uint8]) -> MeasuredNoise:
-    """The noise of the camera that recorded ``frames`` (n, h, w) uint8, hands at rest. Raises NoiseError."""
+    """Return the noise of the camera that recorded ``frames`` (n, h, w) uint8, hands at rest. Raises NoiseError."""
     fringe_px = sequence.period_px * frames.shape[2] / sequence.width_px
     if fringe_px < SHORTEST_FRINGE_PX:
         raise NoiseError(
@@ -78,7 +78,7 @@ def measure_noise(sequence: PatternSequence, frames: NDArray[np.uint8]) -> Measu
 
 
 def _line(light: Array, noise: Array) -> MeasuredNoise:
-    """A line through robust variances in bins of light. Raises NoiseError."""
+    """Return a line through robust variances in bins of light. Raises NoiseError."""
     centres, variances, weights = [], [], []
     which = np.floor(light / BIN_DN).astype(np.intp)
     for k in np.unique(which):

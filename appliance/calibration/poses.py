@@ -60,7 +60,7 @@ class FoundPlane:
 
 
 def rig_axes(rig: StereoRig) -> tuple[Array, Array]:
-    """Rotation (3, 3) and origin of the rig frame in the left camera frame: columns right, down, forward."""
+    """Return the rotation (3, 3) and origin of the rig frame in the left camera frame: columns right, down, forward."""
     right = np.asarray(rig.right.translation_mm)
     x = right / np.linalg.norm(right)
     z = np.array([0.0, 0.0, 1.0]) + np.asarray(rig.right.rotation)[:, 2]

@@ -25,7 +25,8 @@ EXPLAINED = (
 def as_json(
     result: LadderResult, start: Calibration, about: Mapping[str, Any], left_out: Mapping[str, str]
 ) -> dict[str, Any]:
-    """JSON-ready: residuals in px, lengths in mm, angles in degrees. ``left_out`` has a reason for each scan not used."""
+    """Return the report JSON-ready: residuals in px, lengths in mm, angles in degrees. ``left_out`` has a reason for
+    each scan not used."""
     calibration = result.calibration
     return {
         "schema": SCHEMA,
@@ -66,7 +67,7 @@ def as_json(
 
 
 def as_html(result: LadderResult, start: Calibration, about: Mapping[str, Any], left_out: Mapping[str, str]) -> str:
-    """The page; drawings and pictures are in it, and nothing is loaded from elsewhere."""
+    """Return the page; drawings and pictures are in it, and nothing is loaded from elsewhere."""
     content = as_json(result, start, about, left_out)
     parts = [page_head(TITLE), table(content["about"])]
     parts += [f'<p class="no">{html.escape(warning)}</p>' for warning in result.warnings]

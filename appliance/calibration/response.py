@@ -66,7 +66,7 @@ class MeasuredResponse:
 def measure_response(
     sequence: PatternSequence, seen: Sequence[CameraImages], drawn_for: Response | None = None
 ) -> MeasuredResponse:
-    """The response of the projector that lit a scan of a smooth surface, for example a plane.
+    """Return the response of the projector that lit a scan of a smooth surface, for example a plane.
 
     ``drawn_for``: the response for which the patterns of that scan were drawn. Raises ResponseError.
     """
@@ -108,7 +108,7 @@ def measure_response(
 
 
 def _smooth(coordinate: NDArray[np.float32], direction: Direction, period_px: int) -> NDArray[np.float64]:
-    """The mean over one period along the direction, NaN where a pixel of the window has no coordinate."""
+    """Return the mean over one period along the direction, NaN where a pixel of the window has no coordinate."""
     valid = np.isfinite(coordinate)
     filled = np.where(valid, coordinate, 0.0).astype(np.float64)
     slope = np.abs(np.diff(coordinate, axis=1 if direction is Direction.X else 0))
@@ -147,7 +147,7 @@ def _drawn(
 
 
 def _normalised(harmonics: NDArray[np.float64]) -> tuple[float, ...]:
-    """Light 0 at the first and 1 at the last code of fringes."""
+    """Return light 0 at the first and 1 at the last code of fringes."""
     ends = np.polynomial.chebyshev.chebval((np.array(CODES) - MEAN_CODE) / AMPLITUDE_CODE, harmonics)
     scaled = harmonics / (ends[1] - ends[0])
     scaled[0] -= ends[0] / (ends[1] - ends[0])
@@ -171,7 +171,7 @@ class _Sums:
         self.count += light.size
 
     def solve(self) -> tuple[NDArray[np.float64], float]:
-        """The coefficients and the RMS residual."""
+        """Return the coefficients and the RMS residual."""
         b = np.asarray(np.linalg.solve(self._matrix, self._vector), np.float64)
         # Σ(light − basis b)² = Σ light² − bᵀv at the minimum, without a second pass over the pixels.
         unexplained = self._squares - float(np.dot(b, self._vector))

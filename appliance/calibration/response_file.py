@@ -32,7 +32,7 @@ class StoredResponse:
 
 
 def encode(stored: StoredResponse) -> bytes:
-    """The file's bytes: JSON with sorted keys; ``sha256`` is that of the compact form of everything else."""
+    """Return the file's bytes: JSON with sorted keys; ``sha256`` is that of the compact form of everything else."""
     content = {
         "schema": SCHEMA,
         "rig_serial": stored.rig_serial,

@@ -22,7 +22,8 @@ NEW_PLACE = 1 / 40
 def view_of(
     name: str, left: Image, right: Image, known: Sequence[BoardView], design: BoardDesign
 ) -> BoardView | NoBoard:
-    """The board in pictures (n, h, w) uint8 that both cameras took one after the other, if it rested somewhere new.
+    """Return the board in pictures (n, h, w) uint8 that both cameras took one after the other, if it rested somewhere
+    new.
 
     Corners are those of the pictures' mean.
     """
@@ -45,7 +46,7 @@ def view_of(
 
 
 def mean_of(pictures: Image) -> Image:
-    """The mean (h, w) uint8 of pictures (n, h, w), rounded: less noise than each has."""
+    """Return the mean (h, w) uint8 of pictures (n, h, w), rounded: less noise than each has."""
     return np.asarray(np.rint(pictures.mean(axis=0, dtype=np.float32)), np.uint8)
 
 
@@ -57,7 +58,7 @@ def _moved_px(first: Mapping[int, Array], last: Mapping[int, Array]) -> float | 
 
 
 def _apart_px(one: BoardView, other: BoardView) -> float | None:
-    """RMS distance of the left image's common corners; ``None`` where there are none."""
+    """Return the RMS distance of the left image's common corners; ``None`` where there are none."""
     places = {tuple(corner): k for k, corner in enumerate(one.corners_mm.tolist())}
     pairs = [(places[key], k) for k, corner in enumerate(other.corners_mm.tolist()) if (key := tuple(corner)) in places]
     if not pairs:

@@ -13,7 +13,7 @@ SPHERE_STEPS = 20
 
 
 def triangulate(rig: StereoRig, left_px: Array, right_px: Array, water_index: float) -> Array:
-    """Points (n, 3), left camera frame, mm: the middles of the shortest lines between the rays of each pair."""
+    """Return points (n, 3), left camera frame, mm: the middles of the shortest lines between the rays of each pair."""
     return nearest_points(*rig.left.rays(left_px, water_index), *rig.right.rays(right_px, water_index))
 
 
@@ -30,7 +30,7 @@ def nearest_points(p: Array, a: Array, q: Array, b: Array) -> Array:
 
 
 def fit_plane(points_mm: Array) -> tuple[Array, float]:
-    """Unit normal n towards +z and offset e of the plane n·X = e nearest to points (n, 3)."""
+    """Return the unit normal n towards +z and offset e of the plane n·X = e nearest to points (n, 3)."""
     middle = points_mm.mean(axis=0)
     _, _, axes = np.linalg.svd(points_mm - middle, full_matrices=False)
     normal = axes[2] if axes[2][2] > 0.0 else -axes[2]
@@ -38,7 +38,8 @@ def fit_plane(points_mm: Array) -> tuple[Array, float]:
 
 
 def fit_sphere(points_mm: Array, radius_mm: float | None = None) -> tuple[Array, float]:
-    """Centre and radius of the sphere nearest to points (n, 3) by orthogonal distance; the radius fixed if given."""
+    """Return the centre and radius of the sphere nearest to points (n, 3) by orthogonal distance; the radius fixed if
+    given."""
     middle = points_mm.mean(axis=0)
     local = points_mm - middle
     # Algebraic start: |X|² = 2 c·X + (r² − |c|²) is linear in c and r² − |c|². It is biased on a part of a sphere,

@@ -15,7 +15,8 @@ METHOD = "air"
 def start_from_air(
     air: AirCalibration, drawn: Calibration, made_from: tuple[str, ...] = ("boards in air",)
 ) -> Calibration:
-    """The calibration that every adjustment in water begins with: ``drawn``'s ports, all else and its covariance from air."""
+    """Return the calibration that every adjustment in water begins with: ``drawn``'s ports, all else and its
+    covariance from air."""
     left, right = (
         replace(measured, port=design.port)
         for measured, design in ((air.rig.left, drawn.rig.left), (air.rig.right, drawn.rig.right))

@@ -59,7 +59,7 @@ class Aimed:
     """Height of the brightest smooth part over the black level."""
 
     def fault(self) -> Fault | None:
-        """Reason why nothing can be measured in this light; ``None``: enough is seen."""
+        """Return the reason why nothing can be measured in this light; ``None``: enough is seen."""
         if self.detail_dn >= LEAST_DETAIL_DN:
             return None
         numbers = {"detail_dn": self.detail_dn, "glow_dn": self.glow_dn}
@@ -125,7 +125,7 @@ def too_fast(speed_mm_s: float) -> Fault | None:
 
 
 def _upper(values: NDArray[Any], share: float) -> float:
-    """The value that ``share`` of all exceed."""
+    """Return the value that ``share`` of all exceed."""
     flat = np.asarray(values, np.float32).ravel()
     k = max(0, min(flat.size - 1, int((1.0 - share) * flat.size)))
     return float(np.partition(flat, k)[k])

@@ -113,7 +113,7 @@ class Grabber:
             )
 
     def latest(self, newer_than: int) -> tuple[int, NDArray[np.uint8]] | None:
-        """The newest live image (h, w) uint8 as a copy and its running number, if newer than ``newer_than``."""
+        """Return the newest live image (h, w) uint8 as a copy and its running number, if newer than ``newer_than``."""
         with self._changed:
             # The copy is made under the lock: the other half of the double buffer is being filled, and after the next
             # frame this one will be.

@@ -44,7 +44,7 @@ class Ledger:
     """The cameras' clocks as read before the sequence; a camera that cannot be asked is missing."""
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON-ready, for the manifest."""
+        """Return the ledger JSON-ready, for the manifest."""
         return {
             "expected": self.expected,
             "period_ns": self.period_ns,
@@ -77,7 +77,7 @@ class Ledger:
 
 
 def audit(ledger: Ledger) -> Fault | None:
-    """The first disagreement of the witnesses, most telling first; ``None`` when all agree."""
+    """Return the first disagreement of the witnesses, most telling first; ``None`` when all agree."""
     return (
         # In the order of cause and effect: a late flip moves everything behind it, a missing pulse takes a frame from
         # both cameras, a missing frame concerns one. Times are compared only once all counts agree, so that the lists
@@ -181,7 +181,7 @@ def frame_fault(ledger: Ledger, side: str) -> Fault | None:
 
 
 def _first_gap(ledger: Ledger, side: str, arrived: Sequence[Frame]) -> int:
-    """The number of the first frame of one side that is not there, by block ids and by the camera's clock.
+    """Return the number of the first frame of one side that is not there, by block ids and by the camera's clock.
 
     A camera that did not see a pulse uses no id up, but its clock goes on.
     """

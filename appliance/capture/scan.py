@@ -296,7 +296,7 @@ class ScanRecorder:
 
 
 def device_fault(device: str, detail: str) -> Fault:
-    """The fault that a lost device makes of a scan."""
+    """Return the fault that a lost device makes of a scan."""
     codes = {"projector": FaultCode.PROJECTOR_LOST, "display": FaultCode.DISPLAY_LOST, "board": FaultCode.BOARD_LOST}
     code = FaultCode.CAMERA_LOST if device.startswith("camera") else codes.get(device, FaultCode.INTERNAL)
     return Fault(code, detail, {}, device)

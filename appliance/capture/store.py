@@ -51,7 +51,8 @@ class FrameStore:
         return self._memory.name
 
     def frames(self, side: str, *, second: bool = False) -> NDArray[np.uint8]:
-        """All slots of one side in the first or the ``second`` sequence: (frames, height, width) uint8, a view."""
+        """Return all slots of one side in the first or the ``second`` sequence: (frames, height, width) uint8, a
+        view."""
         return self._views[side, int(second)]
 
     def close(self) -> None:

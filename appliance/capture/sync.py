@@ -31,7 +31,7 @@ class SyncMap:
 
 
 def map_vsync(flip: Flip, vsync: Vsync, period_ns: float) -> SyncMap | None:
-    """The map that one query supports; ``None`` when the query took too long or the phase does not fit."""
+    """Return the map that one query supports; ``None`` when the query took too long or the phase does not fit."""
     # The board read its clock somewhere within the query: half of it is the error of the middle, here a quarter of a
     # period, of which 0.3 are allowed.
     if vsync.host_received_ns - vsync.host_sent_ns > 0.5 * period_ns:

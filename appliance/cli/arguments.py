@@ -69,32 +69,33 @@ def option(
     choices: Sequence[str] | None = None,
     either: str | None = None,
 ) -> Any:
-    """A field whose value is typed after ``flag``. ``parse`` raises ``ArgumentTypeError``; ``text`` is for ``--help``."""
+    """Return a field whose value is typed after ``flag``. ``parse`` raises ``ArgumentTypeError``; ``text`` is for
+    ``--help``."""
     settings = {"help": text, "type": parse, "metavar": metavar, "choices": choices}
     given = {name: value for name, value in settings.items() if value is not None}
     return field(default=default, metadata={_KEY: _Typed(flag, given, either)})
 
 
 def repeated(flag: str, text: str, *, metavar: str) -> Any:
-    """A tuple of what was typed after each ``flag``, in that order; empty where it was not typed."""
+    """Return a tuple of what was typed after each ``flag``, in that order; empty where it was not typed."""
     settings = {"help": text, "metavar": metavar, "action": "append"}
     return field(default=(), metadata={_KEY: _Typed(flag, settings, None)})
 
 
 def switch(flag: str, text: str, *, either: str | None = None) -> Any:
-    """A field that is true where ``flag`` was typed."""
+    """Return a field that is true where ``flag`` was typed."""
     return field(default=False, metadata={_KEY: _Typed(flag, {"action": "store_true", "help": text}, either)})
 
 
 def operand(metavar: str, text: str | None, *, parse: Callable[[str], Any] = str, optional: bool = False) -> Any:
-    """A field that its place names; ``optional``: ``None`` where nothing stands there."""
+    """Return a field that its place names; ``optional``: ``None`` where nothing stands there."""
     settings = {"metavar": metavar, "help": text, "type": parse, **({"nargs": "?"} if optional else {})}
     typed = {_KEY: _Typed(None, settings, None)}
     return field(default=None, metadata=typed) if optional else field(metadata=typed)
 
 
 def operands(metavar: str, text: str, *, at_least_one: bool) -> Any:
-    """A tuple of all words that stand there."""
+    """Return a tuple of all words that stand there."""
     settings = {"metavar": metavar, "help": text, "nargs": "+" if at_least_one else "*"}
     return field(metadata={_KEY: _Typed(None, settings, None)})
 
@@ -117,7 +118,7 @@ def declare(verb: type[Verb], parser: argparse.ArgumentParser) -> None:
 
 
 def collect(verb: type[V], typed: argparse.Namespace) -> V:
-    """The verb with what ``declare``'s parser found."""
+    """Return the verb with what ``declare``'s parser found."""
     found = {one.name: getattr(typed, one.name) for one in fields(verb)}
     for one in fields(verb):
         if found[one.name] is None:
@@ -133,7 +134,7 @@ def collect(verb: type[V], typed: argparse.Namespace) -> V:
 
 
 def whole(low: int, high: int) -> Callable[[str], int]:
-    """A parser of whole numbers ``low`` to ``high``, at most nine digits."""
+    """Return a parser of whole numbers ``low`` to ``high``, at most nine digits."""
 
     def parse(text: str) -> int:
         # Judged as text first: int() takes "٣", "1_000" and " 5 " as well, and refuses more than 4300 digits with an
@@ -147,13 +148,13 @@ def whole(low: int, high: int) -> Callable[[str], int]:
 
 
 def number(low: float, high: float, unit: str | None = None) -> Callable[[str], float]:
-    """A parser of numbers ``low`` to ``high``; ``unit`` is named where the option's own name does not."""
+    """Return a parser of numbers ``low`` to ``high``; ``unit`` is named where the option's own name does not."""
     allowed = f"{low:g}..{high:g}" if unit is None else f"numbers {low:g}..{high:g} ({unit})"
     return _judged(lambda value: low <= value <= high, allowed)
 
 
 def number_above(low: float, high: float) -> Callable[[str], float]:
-    """A parser of numbers greater than ``low``, up to ``high``."""
+    """Return a parser of numbers greater than ``low``, up to ``high``."""
     return _judged(lambda value: low < value <= high, f"numbers above {low:g}, up to {high:g}")
 
 
@@ -172,5 +173,5 @@ def _judged(fits: Callable[[float], bool], allowed: str) -> Callable[[str], floa
 
 
 def separated(parse: Callable[[str], float]) -> Callable[[str], tuple[float, ...]]:
-    """A parser of several such numbers with commas between them."""
+    """Return a parser of several such numbers with commas between them."""
     return lambda text: tuple(parse(part) for part in text.split(","))

@@ -21,7 +21,8 @@ CLOUD_SUFFIX = ".ply"
 
 
 def whole_scan(wish: Wish, scan: str) -> Path:
-    """The folder of ``scan``, its number or its folder, whose frames are whole: every byte is compared with its checksum.
+    """Return the folder of ``scan``, its number or its folder, whose frames are whole: every byte is compared with
+    its checksum.
 
     What can be made again from the frames (cloud, preview), and what may be found elsewhere (calibration, rig file), need
     not be whole. Raises UnknownScan, ScanError, UsageError.
@@ -32,7 +33,7 @@ def whole_scan(wish: Wish, scan: str) -> Path:
 
 
 def scan_in(wish: Wish, scan: str) -> Path:
-    """The folder of ``scan``, its number or its folder, whatever is in it. Raises UnknownScan, UsageError."""
+    """Return the folder of ``scan``, its number or its folder, whatever is in it. Raises UnknownScan, UsageError."""
     return scan_folder(scan) or Library(library_root(wish)).entry(scan).folder
 
 

@@ -14,7 +14,8 @@ from drivers.api import DeviceError
 
 
 def exit_code_of(error: Exception) -> Exit | None:
-    """The exit code of an error whose text is for the person at the keyboard; ``None``: a fault of the program."""
+    """Return the exit code of an error whose text is for the person at the keyboard; ``None``: a fault of the
+    program."""
     match error:
         # A rig file is typed by a person, too, so that an error in it is one of usage.
         case ConfigError() | UsageError():

@@ -17,7 +17,8 @@ _HASH = re.compile(r"[0-9a-f]{64}")
 
 
 def shown(key: str, value: object) -> str:
-    """A value as people read it: ``-`` for what is not known, ``none`` for an empty list, 12 digits of a checksum."""
+    """Return a value as people read it: ``-`` for what is not known, ``none`` for an empty list, 12 digits of a
+    checksum."""
     match value:
         case None | "":
             return "-"
@@ -36,7 +37,8 @@ def shown(key: str, value: object) -> str:
 
 
 def number(key: str, value: float) -> str:
-    """A float without digits that mean nothing: whole from 1000 on, else ``DIGITS`` significant ones, percent with two decimals."""
+    """Return a float without digits that mean nothing: whole from 1000 on, else ``DIGITS`` significant ones, percent
+    with two decimals."""
     if key.endswith("_percent") and abs(value) >= 1.0:
         return f"{value:.2f}"
     digits = next((more for word, more in _MORE.items() if word in key), DIGITS)

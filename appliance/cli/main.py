@@ -109,6 +109,6 @@ def _add(where: argparse._SubParsersAction[_Parser], listed: Listed) -> None:
 
 
 def _exit_codes(*of: Exit) -> str:
-    """The end of a help text: the codes that every verb may end with, and those ``of`` this one."""
+    """Return the end of a help text: the codes that every verb may end with, and those ``of`` this one."""
     usual = (Exit.OK, Exit.FAILED, Exit.USAGE, *of, Exit.INTERRUPTED)
     return "exit codes: " + ", ".join(f"{code.value} {code.name.lower().replace('_', ' ')}" for code in usual)

@@ -51,7 +51,7 @@ def complain(text: str, *, as_json: bool) -> None:
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Columns padded to their widest cell; the last one is not padded."""
+    """Return columns padded to their widest cell; the last one is not padded."""
     lines = [list(header), *(list(row) for row in rows)]
     widths = [max(len(line[k]) for line in lines) for k in range(len(header))]
     widths[-1] = 0

@@ -34,18 +34,19 @@ class WithRoot(WithRig):
     root: Path | None = option("--root", "storage root (default: the rig file's)", parse=Path, metavar="PATH")
 
     def existing_root(self) -> Path:
-        """The root that was given, else the rig file's. Where one is given, no rig file is read. Raises UsageError."""
+        """Return the root that was given, else the rig file's. Where one is given, no rig file is read. Raises
+        UsageError."""
         return self.read_rig().storage.root if self.root is None else given_root(self.root)
 
     def rooted_rig(self) -> Rig:
-        """The rig with the root that was given. Raises ConfigError, UsageError."""
+        """Return the rig with the root that was given. Raises ConfigError, UsageError."""
         rig = self.read_rig()
         if self.root is None:
             return rig
         return replace(rig, storage=replace(rig.storage, root=given_root(self.root)))
 
     def new_root(self) -> Path | None:
-        """The root that was given, which is made if it is not there. Raises UsageError for a file."""
+        """Return the root that was given, which is made if it is not there. Raises UsageError for a file."""
         if self.root is None:
             return None
         if self.root.exists() and not self.root.is_dir():
@@ -96,7 +97,8 @@ def given_root(root: Path) -> Path:
 
 
 def scan_folder(scan: str) -> Path | None:
-    """The folder that ``scan`` names; ``None`` where it is a number. Raises UsageError for a folder that is not there."""
+    """Return the folder that ``scan`` names; ``None`` where it is a number. Raises UsageError for a folder that is
+    not there."""
     # A bare word is a number unless a folder of that name lies here; with a slash it can only be a folder.
     if "/" not in scan and not Path(scan).is_dir():
         return None

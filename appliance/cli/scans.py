@@ -176,7 +176,7 @@ def _note(entry: ScanEntry) -> str:
 
 
 def _flat(value: Any, prefix: str = "") -> list[tuple[str, str]]:
-    """Nested values as lines ``a.b.c value``; long lists only by their length."""
+    """Return nested values as lines ``a.b.c value``; long lists only by their length."""
     if isinstance(value, dict):
         return [line for key, one in value.items() for line in _flat(one, f"{prefix}.{key}" if prefix else str(key))]
     if isinstance(value, list):

@@ -43,7 +43,7 @@ class SimOptions:
 
 
 def default_sim_rig() -> Path:
-    """The rig file that comes with the simulator. Raises UsageError where it is not installed."""
+    """Return the rig file that comes with the simulator. Raises UsageError where it is not installed."""
     spec = importlib.util.find_spec(SIMULATOR)
     if spec is None or spec.origin is None:
         raise UsageError("the simulator is not installed; install it, or give a rig file with --rig PATH")
@@ -103,7 +103,8 @@ def _existing(option: str, path: Path, allowed: str) -> Path:
 
 
 def _resized(rig: Rig, size: str) -> Rig:
-    """Cameras of another size with the same field of view: the pixel of the design grows as their number shrinks."""
+    """Return cameras of another size with the same field of view: the pixel of the design grows as their number
+    shrinks."""
     old = rig.camera.left
     found = re.fullmatch(r"(\d{2,4})x(\d{2,4})", size)
     width_px, height_px = (int(found[1]), int(found[2])) if found else (0, 0)

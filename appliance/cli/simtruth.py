@@ -52,7 +52,8 @@ def bring_calibration(rig: Rig) -> None:
 
 
 def true_calibration(rig: Rig) -> Calibration:
-    """The calibration that states the true rig of a simulated ``rig``; exact where that has neither wedge nor lens field."""
+    """Return the calibration that states the true rig of a simulated ``rig``; exact where that has neither wedge nor
+    lens field."""
     told: Mapping[str, Any] = importlib.import_module(f"{SIMULATOR}.world").true_rig(rig.rig.wires_options).as_dict()
     left, right = told["cameras"]["left"], told["cameras"]["right"]
     return Calibration(

@@ -21,7 +21,7 @@ class Listed:
     """``module:class`` below ``appliance.cli``."""
 
     def load(self) -> type[Verb]:
-        """The verb's class."""
+        """Import the verb's class and return it."""
         # By its name as text, since an import at the head of this file would load every verb.
         module, _, name = self.at.partition(":")
         found: type[Verb] = getattr(importlib.import_module(f"appliance.cli.{module}"), name)

@@ -23,7 +23,7 @@ class Complaint:
 
 
 def complaints(rig: Rig) -> Iterator[Complaint]:
-    """Every broken rule, in the order of the file."""
+    """Yield every broken rule, in the order of the file."""
     if rig.rig.wires not in REGISTERED:
         yield Complaint(
             "rig.wires",

@@ -54,7 +54,7 @@ class ConfigError(Exception):
 
 
 def default_rig_path() -> Path:
-    """The rig file that is packaged with the product."""
+    """Return the rig file that is packaged with the product."""
     return Path(str(resources.files("appliance").joinpath("rigs", "kingfisher.toml")))
 
 
@@ -122,7 +122,7 @@ def _is_unknown_key(detail: ErrorDetails) -> bool:
 
 
 def _explain(detail: ErrorDetails, source: str, others: Sequence[ConfigError] = (), uncounted: int = 0) -> ConfigError:
-    """The words for one fault that pydantic found; ``others`` and ``uncounted`` as in ``ConfigError``."""
+    """Return the words for one fault that pydantic found; ``others`` and ``uncounted`` as in ``ConfigError``."""
 
     def wrong(headline: str, allowed: str, remedy: str) -> ConfigError:
         return ConfigError(headline, allowed, remedy, key=key, others=others, uncounted=uncounted)
@@ -174,7 +174,7 @@ def _unit(key: str) -> str:
 
 
 def _tables(kind: Any = Rig, prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Every key of the vocabulary with its annotated type: ``camera.left.exposure_ms``."""
+    """Yield every key of the vocabulary with its annotated type: ``camera.left.exposure_ms``."""
     hints = get_type_hints(kind, include_extras=True)
     for one in fields(kind):
         path = f"{prefix}{one.name}"
@@ -189,7 +189,7 @@ def _siblings(loc: Sequence[int | str]) -> list[str]:
 
 
 def _nearest(loc: Sequence[int | str]) -> str | None:
-    """The known key that was probably meant: of the same table, else of the same name elsewhere."""
+    """Return the known key that was probably meant: of the same table, else of the same name elsewhere."""
     prefix = "".join(f"{part}." for part in loc[:-1])
     name = str(loc[-1])
     near = difflib.get_close_matches(name, _siblings(loc), n=1, cutoff=0.6)

@@ -35,7 +35,7 @@ def _plain(table: Mapping[str, object]) -> dict[str, object]:
 
 
 def _table(name: str, content: Mapping[str, object]) -> Iterator[str]:
-    """The lines of a table: its values first, then the tables within it."""
+    """Yield the lines of a table: its values first, then the tables within it."""
     if name:
         yield f"\n[{name}]\n"
     for key, value in content.items():
@@ -70,5 +70,5 @@ def _value(value: object) -> str:
 
 
 def _text(text: str) -> str:
-    """A TOML basic string: JSON's, but that DEL must be escaped too."""
+    """Return a TOML basic string: JSON's, but that DEL must be escaped too."""
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

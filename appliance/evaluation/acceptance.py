@@ -148,7 +148,8 @@ class Probed:
 
 
 def probe(points: Array, start: Array) -> Probed | None:
-    """The sphere with the least sum of squared radial distances to points (n, 3), from ``start`` (x, y, z, radius in mm).
+    """Return the sphere with the least sum of squared radial distances to points (n, 3), from ``start`` (x, y, z,
+    radius in mm).
 
     The worst 0.3 % of the points are left out. ``None`` where there is no such sphere.
     """
@@ -173,7 +174,8 @@ def _radial(points: Array, x: Array) -> Array:
 
 
 def _least_squares(points: Array, x: Array) -> tuple[Array, float] | None:
-    """Centre and radius (4,) by Gauss–Newton, and the radius's standard deviation; ``None`` where it does not settle."""
+    """Return the centre and radius (4,) by Gauss–Newton, and the radius's standard deviation; ``None`` where it does not
+    settle."""
     if len(points) <= 4:
         return None
     for _ in range(STEPS):
@@ -195,6 +197,7 @@ def _least_squares(points: Array, x: Array) -> tuple[Array, float] | None:
 
 
 def _belonging(cloud: PointSource, ball: Ball) -> Array:
-    """Every point of the ball that the view meets steeply enough, those included that the ball bar's own fit left out."""
+    """Return every point of the ball that the view meets steeply enough, those included that the ball bar's own fit
+    left out."""
     rows = np.sort(np.concatenate([ball.used.indices, ball.used.rejected]))
     return np.asarray(cloud.points_mm[rows], np.float64)

@@ -62,7 +62,8 @@ class BallBar:
 
 
 def find_ball_bar(cloud: PointSource) -> BallBar | NotFound:
-    """The two balls of nearly equal radius (5..40 mm) that most of the cloud's points agree on. Deterministic."""
+    """Return the two balls of nearly equal radius (5..40 mm) that most of the cloud's points agree on.
+    Deterministic."""
     rows = finite_rows(cloud.points_mm)
     if rows.size < 100:
         return NotFound(
@@ -88,7 +89,7 @@ _Guess = tuple[Array, float]
 
 
 def _best(points: Array, radius_mm: float | None) -> _Guess | None:
-    """The sphere that most points (thinned) agree on, enough of them to be the face of a ball."""
+    """Return the sphere that most points (thinned) agree on, enough of them to be the face of a ball."""
     if len(points) < 20:
         return None
     tree = cKDTree(points)
@@ -123,7 +124,7 @@ def _best(points: Array, radius_mm: float | None) -> _Guess | None:
 
 
 def _spread(count: int) -> Indices:
-    """All of 0..count−1, in an order that is spread evenly however early it is left (golden section)."""
+    """Return all of 0..count−1, in an order that is spread evenly however early it is left (golden section)."""
     return np.argsort((np.arange(count) * 0.6180339887498949) % 1.0, kind="stable")
 
 

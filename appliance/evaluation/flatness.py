@@ -47,7 +47,8 @@ def flatness(fit: PlaneFit, reference_mm: float = REFERENCE_MM) -> Flatness:
 
 
 def cubic_of(xy: Array, residual: Array) -> Array:
-    """(n,) values of the cubic in two variables (ten coefficients) that fits residuals (n,) at xy (n, 2) best."""
+    """Return (n,) values of the cubic in two variables (ten coefficients) that fits residuals (n,) at xy (n, 2)
+    best."""
     middle, half = xy.mean(axis=0), np.ptp(xy, axis=0) / 2.0 + 1e-9
     x, y = ((xy - middle) / half).T
     columns = np.column_stack([x**i * y**j for i, j in _POWERS])
@@ -57,7 +58,7 @@ def cubic_of(xy: Array, residual: Array) -> Array:
 
 
 def local_noise_mm(xy: Array, residual: Array, cell_mm: float = NOISE_CELL_MM) -> float | None:
-    """Sigma of residuals (n,) to a plane of its own in each square of ``cell_mm`` of xy (n, 2), pooled."""
+    """Return the sigma of residuals (n,) to a plane of its own in each square of ``cell_mm`` of xy (n, 2), pooled."""
     cell = np.floor((xy - xy.min(axis=0)) / cell_mm).astype(np.int64)
     _, which, counts = np.unique(
         cell[:, 0] * (cell[:, 1].max() + 1) + cell[:, 1], return_inverse=True, return_counts=True

@@ -79,7 +79,7 @@ class Frustum:
 
 
 def find_frustum(cloud: PointSource) -> Frustum | NotFound:
-    """The frustum in a cloud that shows its top, the plate it stands on and all four sides. Deterministic."""
+    """Return the frustum in a cloud that shows its top, the plate it stands on and all four sides. Deterministic."""
     rows = finite_rows(cloud.points_mm)
     if rows.size < 1000:
         return NotFound(
@@ -106,7 +106,7 @@ def find_frustum(cloud: PointSource) -> Frustum | NotFound:
 
 
 def _planes(points: Array) -> list[tuple[Plane, int]]:
-    """The largest flat pieces of the thinned points, with how many patches each has; largest first."""
+    """Return the largest flat pieces of the thinned points, with how many patches each has; largest first."""
     normals, flat = _patches(points)
     left = np.flatnonzero(flat)
     found: list[tuple[Plane, int]] = []
@@ -125,7 +125,8 @@ def _planes(points: Array) -> list[tuple[Plane, int]]:
 
 
 def _patches(points: Array) -> tuple[Array, np.ndarray[tuple[int], np.dtype[np.bool_]]]:
-    """Unit normals (n, 3), away from the instrument, of the patches around points (n, 3), and which patches are flat."""
+    """Return unit normals (n, 3), away from the instrument, of the patches around points (n, 3), and which patches
+    are flat."""
     n = len(points)
     pairs = cKDTree(points).query_pairs(PATCH_MM, output_type="ndarray")
     middle = np.concatenate([pairs[:, 0], pairs[:, 1]])

@@ -17,7 +17,7 @@ PAGE_END = "</html>\n"
 
 
 def page_head(title: str) -> str:
-    """The page down to its title."""
+    """Return the page down to its title."""
     text = html.escape(title)
     return (
         f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{text}</title><style>{_STYLE}</style>\n'
@@ -26,7 +26,7 @@ def page_head(title: str) -> str:
 
 
 def figure(caption: str, png: bytes) -> str:
-    """A picture with what it shows."""
+    """Return a picture with what it shows."""
     text = html.escape(caption)
     # As data within the page: a report that is mailed or archived takes its pictures along.
     source = base64.b64encode(png).decode()
@@ -34,18 +34,18 @@ def figure(caption: str, png: bytes) -> str:
 
 
 def drawing(caption: str, svg: str) -> str:
-    """A drawing, a whole ``svg`` element, with what it shows."""
+    """Return a drawing, a whole ``svg`` element, with what it shows."""
     return f"<figure>{svg}<figcaption>{html.escape(caption)}</figcaption></figure>"
 
 
 def table(values: Mapping[str, Any]) -> str:
-    """Names and values."""
+    """Return a table of names and values."""
     body = "".join(f"<tr><th>{html.escape(str(k))}</th><td>{_cell(v)}</td></tr>" for k, v in values.items())
     return f"<table>{body}</table>"
 
 
 def rows(content: Sequence[Mapping[str, Any]]) -> str:
-    """One row each (at least one), all with the keys of the first."""
+    """Return a table with one row each (at least one), all with the keys of the first."""
     head = "".join(f"<th>{html.escape(key)}</th>" for key in content[0])
     body = "".join("<tr>" + "".join(f"<td>{_cell(v)}</td>" for v in row.values()) + "</tr>" for row in content)
     return f"<table><tr>{head}</tr>{body}</table>"

@@ -16,12 +16,13 @@ _EMPTY = 32
 
 
 def scale_mm(used: Used) -> float:
-    """The deviation that gets full colour: three times the residuals' rms."""
+    """Return the deviation that gets full colour: three times the residuals' rms."""
     return 3.0 * max(used.rms_mm, 1e-6)
 
 
 def deviation_map(used: Used, width_px: int) -> bytes:
-    """The residuals as the left camera sees them, cut to the surface; red positive, blue negative, dark no point."""
+    """Return the residuals as the left camera sees them, cut to the surface; red positive, blue negative, dark no
+    point."""
     v, u = np.divmod(used.pixel.astype(np.int64), width_px)
     v, u = v - v.min(), u - u.min()
     step = int(max(1, np.ceil((u.max() + 1) / WIDEST_PX), np.ceil((v.max() + 1) / WIDEST_PX)))

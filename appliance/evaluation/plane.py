@@ -42,12 +42,12 @@ class Plane:
     """(3, 3) of the offset along the normal (mm) and of the slopes along the axes (mm/mm), from the residuals' scatter."""
 
     def distance_mm(self, points: Array) -> Array:
-        """(n,) signed distance of points (n, 3), positive behind the plane."""
+        """Return (n,) signed distance of points (n, 3), positive behind the plane."""
         normal = np.array(self.normal)
         return np.asarray(points @ normal - np.array(self.centre_mm) @ normal)
 
     def coordinates_mm(self, points: Array) -> Array:
-        """(n, 2) coordinates in the plane."""
+        """Return (n, 2) coordinates in the plane."""
         axes = np.array([self.axis_x, self.axis_y]).T
         return np.asarray(points @ axes - np.array(self.centre_mm) @ axes)
 
@@ -65,7 +65,7 @@ class PlaneFit:
 
 
 def orthogonal_plane(points: Array) -> Plane:
-    """The plane with the least sum of squared orthogonal distances to points (n >= 3, 3): closed form."""
+    """Return the plane with the least sum of squared orthogonal distances to points (n >= 3, 3): closed form."""
     centre = points.mean(axis=0)
     p = points - centre
     # Total least squares: the normal is the eigenvector of the least eigenvalue of the scatter matrix, and that
@@ -88,7 +88,8 @@ def orthogonal_plane(points: Array) -> Plane:
 
 
 def fit_plane(cloud: PointSource) -> PlaneFit | NotFound:
-    """The plane that most of the cloud lies on, at most 0.3 % of its points left out as outliers. Deterministic."""
+    """Return the plane that most of the cloud lies on, at most 0.3 % of its points left out as outliers.
+    Deterministic."""
     rows = finite_rows(cloud.points_mm)
     if rows.size < LEAST_POINTS:
         return NotFound(

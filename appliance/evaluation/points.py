@@ -68,7 +68,7 @@ class Used:
 
 
 def without_outliers(badness: Array) -> NDArray[np.bool_]:
-    """(n,) True for the points that stay when the worst 0.3 % (rounded down) by ``badness`` go."""
+    """Return (n,) True for the points that stay when the worst 0.3 % (rounded down) by ``badness`` go."""
     keep = np.ones(badness.size, bool)
     allowed = int(OUTLIER_SHARE * badness.size)
     if allowed:
@@ -78,7 +78,8 @@ def without_outliers(badness: Array) -> NDArray[np.bool_]:
 
 
 def thinned(points: Array, cell_mm: float) -> Indices:
-    """Rows of at most one point in each cube of ``cell_mm``: the first in order, so that the result never varies."""
+    """Return rows of at most one point in each cube of ``cell_mm``: the first in order, so that the result never
+    varies."""
     cells = np.floor((points - points.min(axis=0)) / cell_mm).astype(np.int64)
     extent = cells.max(axis=0) + 1
     key = (cells[:, 0] * extent[1] + cells[:, 1]) * extent[2] + cells[:, 2]
@@ -86,5 +87,5 @@ def thinned(points: Array, cell_mm: float) -> Indices:
 
 
 def finite_rows(points: NDArray[np.float32]) -> Indices:
-    """Rows whose coordinates are numbers."""
+    """Return rows whose coordinates are numbers."""
     return np.flatnonzero(np.isfinite(points).all(axis=1))

@@ -44,7 +44,7 @@ class Evaluation:
 
 
 def as_json(evaluation: Evaluation) -> dict[str, Any]:
-    """JSON-ready; errors in percent, lengths in mm, unknown values null."""
+    """Return the evaluation JSON-ready; errors in percent, lengths in mm, unknown values null."""
     return {
         "schema": SCHEMA,
         "title": TITLE,
@@ -59,9 +59,8 @@ def as_json(evaluation: Evaluation) -> dict[str, Any]:
 
 
 def summary(evaluation: Evaluation) -> dict[str, float | None]:
-    """The paper's Table 2 for this evaluation: the largest error of each kind in percent, the mean noise in mm; and the
-    largest PF, PS, SD and F.
-    """
+    """Return the paper's Table 2 for this evaluation: the largest error of each kind in percent, the mean noise in
+    mm; and the largest PF, PS, SD and F."""
     results = [item.result for item in evaluation.items]
 
     def worst(values: list[float | None]) -> float | None:
@@ -79,14 +78,14 @@ def summary(evaluation: Evaluation) -> dict[str, float | None]:
 
 
 def _largest(results: Sequence[Result], symbol: Symbol) -> float | None:
-    """The value of a quantity with the largest size, with its sign."""
+    """Return the value of a quantity with the largest size, with its sign."""
     values = [q.value_mm for result in results for q in result.quantities if q.symbol is symbol]
     # PS and SD have signs, which say whether a ball or the bar came out too large or too small.
     return max(values, key=abs, default=None)
 
 
 def as_html(evaluation: Evaluation) -> str:
-    """The page; pictures are in it as PNG, and nothing is loaded from elsewhere."""
+    """Return the page; pictures are in it as PNG, and nothing is loaded from elsewhere."""
     content = as_json(evaluation)
     parts = [
         page_head(TITLE),

@@ -143,5 +143,5 @@ def evaluate(
 
 
 def _noise_of_ball(cloud: PointSource, used: Used) -> float | None:
-    """Sigma to the sphere, place by place: what bends slowly over the ball is no noise."""
+    """Return the sigma to the sphere, place by place: what bends slowly over the ball is no noise."""
     return local_noise_mm(cloud.points_mm[used.indices, :2].astype(np.float64), used.residual_mm)

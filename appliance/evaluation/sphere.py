@@ -43,7 +43,8 @@ class SphereSolution:
 
 
 def algebraic_sphere(points: Array) -> tuple[Array, float] | None:
-    """Centre (3,) and radius by the closed form that is linear in |p|²; biased for caps: a start, not a result."""
+    """Return the centre (3,) and radius by the closed form that is linear in |p|²; biased for caps: a start, not a
+    result."""
     middle = points.mean(axis=0)
     # About their mean: |p|² of points half a metre away would cost half of the digits.
     p = points - middle
@@ -56,7 +57,8 @@ def algebraic_sphere(points: Array) -> tuple[Array, float] | None:
 
 
 def fit_sphere(points: Array, sigma: Array, start: tuple[Array, float] | None = None) -> SphereSolution | None:
-    """The sphere through ``points`` (n, 3) with standard deviations ``sigma`` (n,) along the view from the origin.
+    """Return the sphere through ``points`` (n, 3) with standard deviations ``sigma`` (n,) along the view from the
+    origin.
 
     At most 0.3 % of them are left out as outliers, and none for any other reason but that the view meets them flatter
     than 55°. ``None`` when there are too few points or no such sphere.
@@ -99,7 +101,7 @@ def fit_sphere(points: Array, sigma: Array, start: tuple[Array, float] | None = 
 
 
 def _meeting(view: Array, x: Array) -> tuple[Array, Array]:
-    """Distance (n,) from the origin to the near side of the sphere, and half the chord (n,); missed: chord 0."""
+    """Return the distance (n,) from the origin to the near side of the sphere, and half the chord (n,); missed: chord 0."""
     towards = view @ x[:3]
     # |s v − c|² = r² along the unit view v: s = v·c − √((v·c)² − |c|² + r²), the nearer of both.
     square = towards**2 - (x[:3] @ x[:3] - x[3] ** 2)

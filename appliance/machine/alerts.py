@@ -451,7 +451,7 @@ def action_of(fault: Fault, language: Language = Language.ENGLISH) -> str:
 
 
 def alert_of(fault: Fault) -> Alert:
-    """The fault as a message of its own."""
+    """Return the fault as a message of its own."""
     rule = RULES[fault.code]
     return Alert(
         fault.code,
@@ -528,7 +528,7 @@ def seen(machine: Machine, fault: Fault) -> bool:
 
 
 def _reason(fault: Fault) -> str:
-    """The detail without its numbers, which change from one moment to the next."""
+    """Return the detail without its numbers, which change from one moment to the next."""
     return re.sub(r"[-+]?\d[\d.,]*", "#", fault.detail)
 
 
@@ -541,7 +541,7 @@ def _worse(was: Fault, now: Fault, name: str, by: float) -> bool:
 
 
 def in_full(shown: Sequence[Alert]) -> Alert | None:
-    """The one that is shown in full: the first of the gravest that nobody has acknowledged."""
+    """Return the one that is shown in full: the first of the gravest that nobody has acknowledged."""
     return max(
         (alert for alert in shown if not alert.seen and not alert.passing),
         key=lambda alert: alert.severity,

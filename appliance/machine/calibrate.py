@@ -57,7 +57,8 @@ def may_begin_session(machine: Machine) -> bool:
 
 
 def pressed(machine: Machine, key: Key) -> Result:
-    """A key but SCAN at a step that records, which is a scan like any other."""
+    """Do what a key means at a step; SCAN at one that records is not among them, since that is a scan like any
+    other."""
     at = machine.calibrating
     if at is None:  # cannot be reached; if it were, the way out is AIM
         return enter(machine, State.AIM), ()
@@ -88,7 +89,7 @@ def begin_session(machine: Machine) -> Result:
 
 
 def captured(machine: Machine, number: int) -> Result:
-    """A recording for the step is in memory."""
+    """Have a recording for the step stored, now that it is in memory."""
     machine = _wait(machine, Task.STORE, machine.settings.saving_s, number)
     # The worker decoded the frames while they came, and its cloud is not wanted: the artefact is looked for in
     # the stored frames, as it will be when the calibration is solved from them.
@@ -106,7 +107,7 @@ def stored(machine: Machine, number: int) -> Result:
 
 
 def examined(machine: Machine, number: int, check: RecordingCheck) -> Result:
-    """The recording was judged: into the session, or to the rejected ones with the reason on the screen."""
+    """Take a recording that was judged into the session, or to the rejected ones with the reason on the screen."""
     at = machine.calibrating
     if not _waits(machine, Task.EXAMINE, number) or at is None or check.step is not at.step:
         return machine, ()
@@ -121,7 +122,7 @@ def examined(machine: Machine, number: int, check: RecordingCheck) -> Result:
 
 
 def not_saved(machine: Machine, number: int, reason: str) -> Result:
-    """The disk refused the frames, or the scan."""
+    """Go back to the step, as the disk refused the frames, or the scan."""
     at = machine.calibrating
     if at is None or at.number != number or machine.state is not State.CALIBRATE:
         return machine, ()
@@ -129,7 +130,7 @@ def not_saved(machine: Machine, number: int, reason: str) -> Result:
 
 
 def session_changed(machine: Machine, session: Session) -> Result:
-    """The disk holds another session: on to what is next in it."""
+    """Go on to what is next in the session that the disk holds now."""
     machine = _judge_lengths(replace(machine, session=session))
     at = machine.calibrating
     if machine.state is not State.CALIBRATE or at is None:
@@ -148,7 +149,7 @@ def session_changed(machine: Machine, session: Session) -> Result:
 
 
 def _judge_lengths(machine: Machine) -> Machine:
-    """A bar that was measured wrongly is told until one is measured right, or another calibration is in use."""
+    """Tell of a bar that was measured wrongly until one is measured right, or another calibration is in use."""
     error = machine.session.length_error
     if not machine.session.wrong or error is None:
         return cleared(machine, FaultCode.LENGTH_ERROR)
@@ -158,7 +159,7 @@ def _judge_lengths(machine: Machine) -> Machine:
 
 
 def progressed(machine: Machine, progress: float) -> Machine:
-    """The adjustment says how far it is."""
+    """Take over how far the adjustment is."""
     at = machine.calibrating
     if at is None or at.task is not Task.SOLVE:
         return machine
@@ -166,7 +167,7 @@ def progressed(machine: Machine, progress: float) -> Machine:
 
 
 def failed(machine: Machine, failure: Failure) -> Result:
-    """The latest task came to nothing."""
+    """End the latest task, which came to nothing."""
     at = machine.calibrating
     if machine.state is not State.CALIBRATE or at is None or at.task is None:
         return machine, ()

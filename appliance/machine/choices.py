@@ -80,7 +80,7 @@ def warmer(chosen: Choices, by: int) -> Choices:
 
 
 def another_language(chosen: Choices, by: int) -> Choices:
-    """The next one; stays at the ends."""
+    """Choose the next language; stays at the ends."""
     return replace(chosen, language=_moved(sorted({*LANGUAGES, chosen.language}), chosen.language, by))
 
 

@@ -16,7 +16,7 @@ def open_gallery(machine: Machine) -> Result:
 
 
 def listed(machine: Machine, scans: tuple[str, ...]) -> Result:
-    """The disk has told; the one that was looked at stays where it is still there."""
+    """Show the scans that the disk has; the one that was looked at stays where it is still there."""
     at = machine.gallery
     if machine.state is not State.GALLERY or at is None:
         return machine, ()

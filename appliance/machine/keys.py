@@ -18,7 +18,7 @@ HELD_TO_REJECT = (State.CHECK, State.RECONSTRUCT, State.REVIEW)
 
 
 def meaning(machine: Machine, key: Key) -> Key:
-    """The key a press stands for: while SCAN is stuck UP takes over, while BACK is stuck DOWN does."""
+    """Return the key a press stands for: while SCAN is stuck UP takes over, while BACK is stuck DOWN does."""
     if key is Key.UP and Key.SCAN in machine.stuck:
         return Key.SCAN
     if key is Key.DOWN and Key.BACK in machine.stuck:
@@ -27,7 +27,7 @@ def meaning(machine: Machine, key: Key) -> Key:
 
 
 def pressed(machine: Machine, key: Key) -> Result:
-    """A key went down. ``key`` is what it stands for."""
+    """Do what a key that went down means; ``key`` is what it stands for."""
     # Asked before the notice is taken away: the press is about what was on the screen when the finger came down.
     known = acknowledge.pending(machine) if key is Key.BACK else None
     machine = replace(machine, notice=None, just_saved=None, last_key_ns=machine.now_ns)

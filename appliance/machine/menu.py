@@ -67,12 +67,12 @@ def open_menu(machine: Machine) -> Result:
 
 
 def row_of(menu: Menu) -> Row:
-    """The row that is selected."""
+    """Return the row that is selected."""
     return ROWS[menu.page][menu.row]
 
 
 def shown(machine: Machine) -> Choices:
-    """The choices as the menu shows them: with the value that is being changed."""
+    """Return the choices as the menu shows them: with the value that is being changed."""
     draft = machine.menu.draft if machine.menu is not None else None
     return draft or machine.choices
 

@@ -17,7 +17,7 @@ STARTING = (State.BOOT, State.SELF_TEST)
 
 
 def enter(machine: Machine, state: State, timeout_s: float | None = None) -> Machine:
-    """The machine in ``state``, which ends after ``timeout_s`` at the latest."""
+    """Return the machine in ``state``, which ends after ``timeout_s`` at the latest."""
     # One value serves all states, so that what a state does not own is dropped on the way into it: a scan that
     # lingered in AIM would be shown, judged and saved from there.
     adds = machine.scan is not None and machine.scan.adding is not None

@@ -67,7 +67,7 @@ def interruption(machine: Machine) -> Fault | None:
 
 
 def missing_device(machine: Machine) -> Fault | None:
-    """The first device that a scan needs and does not have."""
+    """Return the first device that a scan needs and does not have."""
     for device in NEEDED_FOR_A_SCAN:
         if device not in machine.up:
             # Neither up nor lost: it was not tried yet, so that there is no reason to show.

@@ -22,7 +22,7 @@ ENDS_THE_DIVE = (FaultCode.TOO_HOT, FaultCode.SUPPLY_LOW)
 
 
 def forced(machine: Machine) -> Result:
-    """The machine after what its conditions force, and what is to be done for it."""
+    """Return the machine after what its conditions force, and what is to be done for it."""
     if machine.state is State.SHUTDOWN:
         return machine, ()
     # The order is that of gravity: dark for good, the end of a recording, cooling, the order to switch off. Each
@@ -64,7 +64,7 @@ def _to_safe(machine: Machine, cause: Fault) -> Result:
 
 
 def _out_of_safe(machine: Machine) -> Machine:
-    """The cause has gone. A scan that the disk refused is still the diver's to decide on."""
+    """Leave SAFE, whose cause has gone; a scan that the disk refused is still the diver's to decide on."""
     scan = machine.scan
     if scan is None:
         return enter(machine, State.AIM)

@@ -17,7 +17,7 @@ RETRY_S = 5.0
 
 
 def keep(machine: Machine, scan: ScanInHand) -> Result:
-    """The scan is wanted: publish it as soon as nothing more will come from the worker."""
+    """Publish a scan that is wanted, as soon as nothing more will come from the worker."""
     scan = replace(scan, kept=True, adding=None, failures=0, retry_ns=None)
     # Publishing early would store the scan without its cloud; the wait is bounded by the worker's deadline.
     if scan.settled:
@@ -33,7 +33,7 @@ def publish(machine: Machine, scan: ScanInHand) -> Result:
 
 
 def raw_stored(machine: Machine, number: int) -> Machine:
-    """The raw frames are durable."""
+    """Take over that the raw frames are durable."""
     machine = cleared(machine, FaultCode.NOT_SAVED)
     if machine.scan is None or machine.scan.number != number:
         return machine
@@ -41,7 +41,7 @@ def raw_stored(machine: Machine, number: int) -> Machine:
 
 
 def saved(machine: Machine, number: int, scan_id: str) -> Result:
-    """The scan is published."""
+    """Go on after the scan was published."""
     # Before the number is compared: an answer that comes after its deadline still says that the disk works again.
     machine = replace(cleared(machine, FaultCode.NOT_SAVED), last_scan=scan_id)
     if machine.scan is None or machine.scan.number != number:
@@ -54,7 +54,7 @@ def saved(machine: Machine, number: int, scan_id: str) -> Result:
 
 
 def failed(machine: Machine, number: int, fault: Fault) -> Result:
-    """The disk refused something of the scan."""
+    """Take over that the disk refused something of the scan."""
     scan = machine.scan
     if scan is not None and scan.number == number and scan.publishing:
         return unsaved(machine, fault)
@@ -93,7 +93,7 @@ def retry(machine: Machine) -> Result:
 
 
 def late(machine: Machine) -> Result:
-    """The disk said nothing for too long."""
+    """Take the save for refused, as the disk said nothing for too long."""
     return unsaved(machine, Fault(FaultCode.NOT_SAVED, f"no answer of the disk for {machine.settings.saving_s:g} s"))
 
 
@@ -103,7 +103,7 @@ def _where(machine: Machine) -> State:
 
 
 def _again(machine: Machine, scan: ScanInHand) -> ScanInHand:
-    """One more failure; planned again as long as tries are left."""
+    """Count one more failure; another try is planned as long as some are left."""
     retry_ns = machine.now_ns + seconds_ns(RETRY_S) if scan.failures < RETRIES else None
     return replace(scan, failures=scan.failures + 1, retry_ns=retry_ns)
 

@@ -76,7 +76,7 @@ def arm(machine: Machine) -> Result:
 
 
 def add(machine: Machine, scan: ScanInHand) -> Result:
-    """A second sequence with the exposure that was proposed; whatever comes of it, ``scan`` is not lost."""
+    """Begin a second sequence with the exposure that was proposed; whatever comes of it, ``scan`` is not lost."""
     reason = refusal(machine)
     if reason is not None:
         return _refused(machine, reason), ()
@@ -161,7 +161,7 @@ def failed(machine: Machine, number: int, fault: Fault) -> Result:
 
 
 def patterns_right(machine: Machine, number: int) -> Result:
-    """Each frame shows the pattern it should."""
+    """Go on to the points, as each frame shows the pattern it should."""
     if machine.state is not State.CHECK or machine.scan is None or machine.scan.number != number:
         return machine, ()
     return enter(machine, State.RECONSTRUCT, machine.settings.reconstruct_s), ()
@@ -197,7 +197,7 @@ def judged(machine: Machine, said: on.Judged) -> Machine:
 
 
 def merged(machine: Machine, said: on.PairMerged) -> Result:
-    """The scan is one of two exposures."""
+    """Go to the review of a scan that is one of two exposures now."""
     scan = machine.scan
     if machine.state is not State.RECONSTRUCT or scan is None or scan.number != said.number or scan.adding is None:
         return machine, ()
@@ -210,7 +210,7 @@ def merged(machine: Machine, said: on.PairMerged) -> Result:
 
 
 def not_merged(machine: Machine, number: int, fault: Fault) -> Result:
-    """The review of the first sequence, as it was."""
+    """Go back to the review of the first sequence, as it was."""
     scan = machine.scan
     if machine.state is not State.RECONSTRUCT or scan is None or scan.number != number or scan.adding is None:
         return machine, ()
@@ -233,7 +233,7 @@ def rejected(machine: Machine) -> Result:
 
 
 def no_cloud_in_time(machine: Machine) -> Result:
-    """The worker said nothing for too long."""
+    """Go on without a cloud, as the worker said nothing for too long."""
     limit_s = machine.settings.reconstruct_s
     late = Fault(FaultCode.RECONSTRUCTION_FAILED, f"no cloud after {limit_s:g} s")
     if machine.scan is not None and machine.scan.adding is not None:
@@ -242,7 +242,7 @@ def no_cloud_in_time(machine: Machine) -> Result:
 
 
 def no_cloud(machine: Machine, fault: Fault, *, cancel: bool = True) -> Result:
-    """The worker failed: the raw frames can be kept without a cloud."""
+    """Show that the worker failed: the raw frames can be kept without a cloud."""
     scan = machine.scan
     if scan is None:
         return enter(machine, State.AIM), ()

@@ -14,7 +14,7 @@ from drivers.api import Key
 
 
 def booted(machine: Machine) -> Result:
-    """Every device was tried once."""
+    """Go on to the self-test, as every device was tried once."""
     if machine.state is not State.BOOT:
         return machine, ()
     return enter(machine, State.SELF_TEST, machine.settings.self_test_s), ()
@@ -26,7 +26,7 @@ def tested(machine: Machine, event: on.PartTested) -> Machine:
 
 
 def busy(machine: Machine, part: Part) -> Machine:
-    """The self-test waits for a part that gets on: a slow processor has not failed."""
+    """Let the self-test wait for a part that gets on: a slow processor has not failed."""
     deadline_ns = machine.deadline_ns
     if machine.state is not State.SELF_TEST or part in machine.parts or deadline_ns is None:
         return machine

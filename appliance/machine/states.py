@@ -407,7 +407,7 @@ class Machine:
 
 
 def boot(now_ns: int, settings: Settings | None = None) -> Machine:
-    """The machine at power-on."""
+    """Return the machine at power-on."""
     settings = settings or Settings()
     return Machine(
         settings=settings,
@@ -422,5 +422,5 @@ def boot(now_ns: int, settings: Settings | None = None) -> Machine:
 
 
 def seconds_ns(duration_s: float) -> int:
-    """Seconds as whole ns."""
+    """Return seconds as whole ns."""
     return round(duration_s * 1e9)

@@ -22,7 +22,7 @@ from appliance.scan.fault import Fault, FaultCode
 
 
 def step(machine: Machine, event: on.Event) -> Result:
-    """The machine after ``event`` and what is to be done, in order. Total over states and events."""
+    """Return the machine after ``event`` and what is to be done, in order. Total over states and events."""
     if machine.state is State.SHUTDOWN:
         return machine, ()
     after, wanted = _react(machine, event)
@@ -34,7 +34,7 @@ def step(machine: Machine, event: on.Event) -> Result:
 
 
 def _without_answered_refusal(machine: Machine) -> Machine:
-    """The reason is gone, so is its message, once it could be read."""
+    """Take the message of a refusal away whose reason is gone, once it could be read."""
     notice = machine.notice
     if notice is None or notice.kind is not NoticeKind.REFUSAL or machine.now_ns < notice.readable_until_ns:
         return machine
@@ -125,7 +125,7 @@ def _react(machine: Machine, event: on.Event) -> Result:
 
 
 def _live(machine: Machine) -> tuple[do.GoLive, object] | None:
-    """The live views wanted now, with what makes it necessary to ask again."""
+    """Return the live views wanted now, with what makes it necessary to ask again."""
     if machine.state is not State.AIM and not (machine.state is State.CALIBRATE and calibrate.records(machine)):
         return None
     # Part of the comparison only: a device that came back knows nothing of what was asked before, and is told

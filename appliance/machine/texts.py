@@ -14,7 +14,7 @@ from drivers.api import Key
 
 
 def labels(machine: Machine) -> Mapping[Key, Label]:
-    """Label per physical key; a key without one does nothing now. A stuck key's label moves to its stand-in."""
+    """Return the label per physical key; a key without one does nothing now. A stuck key's label moves to its stand-in."""
     meant = _meant(machine)
     if acknowledge.pending(machine) is not None:
         meant[Key.BACK] = Text.SEEN
@@ -82,7 +82,8 @@ def _question(machine: Machine) -> dict[Key, Label]:
 
 
 def _add(machine: Machine) -> Label | None:
-    """A second exposure of the scene that is being reviewed."""
+    """Return the label for a second exposure of the scene that is being reviewed; ``None``: there is nothing to be
+    gained."""
     wanted = second_exposure(machine)
     return None if wanted is None else (Text.ADD, wanted.label)
 

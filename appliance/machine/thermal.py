@@ -59,7 +59,7 @@ def passed(machine: Machine, before_ns: int) -> Machine:
 
 
 def spend(machine: Machine, light_s: float) -> Machine:
-    """A sequence is about to shine for so long."""
+    """Take the light of a sequence that is about to shine off what is left of the ration."""
     thermal = machine.thermal
     return replace(machine, thermal=replace(thermal, ration_s=max(0.0, thermal.ration_s - light_s)))
 

@@ -26,7 +26,7 @@ class Words:
     german: str
 
     def in_language(self, language: Language) -> str:
-        """The phrase as that language has it."""
+        """Return the phrase as that language has it."""
         return self.german if language is Language.GERMAN else self.english
 
 
@@ -258,7 +258,7 @@ class Text(Enum):
         self.german = german
 
     def in_language(self, language: Language) -> str:
-        """The entry as that language has it."""
+        """Return the entry as that language has it."""
         return self.german if language is Language.GERMAN else self.english
 
 
@@ -279,7 +279,7 @@ with a space between them: (EXPOSE, "8 ms")."""
 
 
 def english(label: Label) -> str:
-    """A label in English, as the log, the status file and the tests have it."""
+    """Return a label in English, as the log, the status file and the tests have it."""
     match label:
         case Text():
             return label.english

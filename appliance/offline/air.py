@@ -74,7 +74,8 @@ class FoundBoards:
 
 
 def pairs_of(folder: Path) -> list[Pair]:
-    """The pairs of a folder, by name. Raises PicturesError: nothing there, or one picture of a pair is missing."""
+    """Return the pairs of a folder, by name. Raises PicturesError: nothing there, or one picture of a pair is
+    missing."""
     if not folder.is_dir():
         raise PicturesError(f"FOLDER {folder}: no such folder; give the one that holds the pictures of the board")
     sides: dict[str, dict[str, Path]] = {}
@@ -106,7 +107,7 @@ def pairs_of(folder: Path) -> list[Pair]:
 
 
 def read_pair(pair: Pair, width_px: int, height_px: int) -> tuple[Image, Image]:
-    """Both pictures (h, w) uint8. Raises PicturesError, ScanError."""
+    """Return both pictures (h, w) uint8. Raises PicturesError, ScanError."""
     if pair.left == pair.right:
         scan = stored.load(pair.left)
         made = scan.manifest.record.sequence

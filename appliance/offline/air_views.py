@@ -59,7 +59,7 @@ class ViewFolder:
         self._tidy()
 
     def next_name(self) -> str:
-        """Number of the next view: numbers only grow."""
+        """Return the number of the next view: numbers only grow."""
         # The number after the largest, not the first free one: a view that somebody took away must not come back as
         # another.
         numbers = [int(path.name) for path in self.folder.iterdir() if re.fullmatch(r"\d{2,6}", path.name)]

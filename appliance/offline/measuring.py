@@ -21,7 +21,8 @@ from appliance.storage import scan as stored
 def response_of_scan(
     rig: Rig, folder: Path, progress: Callable[[str, float], None]
 ) -> tuple[StoredResponse, MeasuredResponse]:
-    """The projector's response from the raw frames of a stored scan, ready for its file, and what else the scan says.
+    """Return the projector's response from the raw frames of a stored scan, ready for its file, and what else the
+    scan says.
 
     Raises ScanError, ResponseError.
     """
@@ -59,7 +60,7 @@ def noise_of_scan(rig: Rig, folder: Path) -> dict[str, tuple[MeasuredNoise, Came
 
 
 def _drawn_for(rig: Rig, scan_id: str, response_hash: str | None) -> Response | None:
-    """The response that a scan's patterns were drawn for."""
+    """Return the response that a scan's patterns were drawn for."""
     if response_hash is None:
         return None
     response = response_of(rig)

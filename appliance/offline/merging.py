@@ -22,8 +22,8 @@ from appliance.storage.scan import ScanError
 def merge_scans(
     sources: tuple[SourceScan, SourceScan], chosen: Chosen, out: Path | None, progress: Callable[[str], None]
 ) -> dict[str, Any]:
-    """One cloud of two stored scans of the same scene with different exposures, written as PLY to ``out`` (``None``:
-    ``NAME+NAME.ply`` here).
+    """Make one cloud of two stored scans of the same scene with different exposures, written as PLY to ``out``
+    (``None``: ``NAME+NAME.ply`` here).
 
     Raises ScanError, also for scans that do not show the same, or are the same; CalibrationError, OSError.
     """
@@ -77,7 +77,7 @@ def merged_cloud_of(
     calibration: Calibration,
     progress: Callable[[str], None],
 ) -> tuple[Cloud, Verdict, Water]:
-    """The full cloud of two scans as one, in the frame of the first; the verdict ``pair``, and the water.
+    """Return the full cloud of two scans as one, in the frame of the first; the verdict ``pair``, and the water.
 
     Raises ScanError for scans of different patterns, or of two sequences, or that do not show the same.
     """

@@ -71,7 +71,8 @@ class Chosen:
 
 
 def root_of(folder: Path) -> Path | None:
-    """The storage root that a scan's folder lies in: ROOT of ROOT/scans/000001; ``None`` where it was copied elsewhere."""
+    """Return the storage root that a scan's folder lies in: ROOT of ROOT/scans/000001; ``None`` where it was copied
+    elsewhere."""
     whole = folder.absolute()
     root = whole.parent.parent
     # A folder called `scans` may be anywhere; one with `calibration` beside it is a storage root.
@@ -100,7 +101,8 @@ def open_source(folder: Path, wish: Wish, scan: StoredScan | None = None) -> Sou
 
 
 def instrument_of(scans: Sequence[SourceScan], wish: Wish) -> Rig:
-    """The instrument that all ``scans`` are of, with its storage root: ``--rig``, else that of the first that knows its own.
+    """Return the instrument that all ``scans`` are of, with its storage root: ``--rig``, else that of the first that
+    knows its own.
 
     Raises ScanError for scans of several instruments.
     """
@@ -118,7 +120,8 @@ def instrument_of(scans: Sequence[SourceScan], wish: Wish) -> Rig:
 
 
 def calibration_for(scan: SourceScan, wish: Wish) -> Chosen:
-    """The calibration for a scan: the one asked for, else its own, else the file of the hash that its manifest names.
+    """Return the calibration for a scan: the one asked for, else its own, else the file of the hash that its manifest
+    names.
 
     Raises CalibrationError for one that is missing or does not fit; the text says what to do.
     """
@@ -134,7 +137,8 @@ def calibration_for(scan: SourceScan, wish: Wish) -> Chosen:
 
 
 def one_calibration(scans: Sequence[SourceScan], wish: Wish) -> Chosen:
-    """The calibration for several scans at once. Raises CalibrationError also where they were taken with different ones."""
+    """Return the calibration for several scans at once. Raises CalibrationError also where they were taken with
+    different ones."""
     chosen = [calibration_for(scan, wish) for scan in scans]
     other = next((k for k, one in enumerate(chosen) if one.calibration != chosen[0].calibration), None)
     if other is None:
@@ -187,7 +191,7 @@ def misfit(calibration: Calibration, scan: SourceScan, *, foreign: bool = False,
 
 
 def _owner(scan: SourceScan) -> Owner | None:
-    """The instrument that took a scan; ``None`` where nothing says which."""
+    """Return the instrument that took a scan; ``None`` where nothing says which."""
     left, right = (scan.scan.frames[side].shape for side in SIDES)
     sizes_px = ((left[2], left[1]), (right[2], right[1]))
     if scan.known:
@@ -256,7 +260,7 @@ def _roots(scan: SourceScan) -> list[Path]:
 
 
 def _own(scan: StoredScan, name: str) -> bytes | None:
-    """The bytes of a file that the scan carries; ``None`` where it carries none, or a damaged one."""
+    """Return the bytes of a file that the scan carries; ``None`` where it carries none, or a damaged one."""
     if lost(scan.folder, scan.manifest, name) is not None:
         return None
     try:

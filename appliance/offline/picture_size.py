@@ -20,7 +20,8 @@ _MOST_ENTRIES = 1000
 
 
 def size_px(data: bytes) -> tuple[int, int] | None:
-    """Width and height that the header states; ``None`` for a damaged header or a format that is not read here."""
+    """Return the width and height that the header states; ``None`` for a damaged header or a format that is not read
+    here."""
     try:
         if data[:8] == b"\x89PNG\r\n\x1a\n" and data[12:16] == b"IHDR":
             width_px, height_px = struct.unpack_from(">II", data, 16)

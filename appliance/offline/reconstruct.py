@@ -34,7 +34,7 @@ def reconstruct_scan(
     progress: Callable[[str], None],
     salvaged: Salvaged | None = None,
 ) -> dict[str, Any]:
-    """The cloud of a stored scan from its raw frames, written as PLY to ``out`` (``None``: ``NAME.ply`` here).
+    """Make the cloud of a stored scan from its raw frames, written as PLY to ``out`` (``None``: ``NAME.ply`` here).
 
     The same frames, calibration and version give the same points as on the instrument; ``stored_cloud`` says what became
     of those that the instrument stored. Of a ``salvaged`` scan, which ``source`` is then of, file and report say what was

@@ -57,7 +57,7 @@ def _cameras(folder: Path) -> tuple[str, str] | None:
 def recording_of_scan(
     folder: Path, certificate: BarCertificate | None, start: Calibration, rig: Rig, progress: Callable[[str], None]
 ) -> Recording | NotFound:
-    """The recording of a stored scan: of a ball bar with its certificate, of a plane with ``None``.
+    """Return the recording of a stored scan: of a ball bar with its certificate, of a plane with ``None``.
 
     ``start`` has the lenses and pose of the calibration in air and the ports as drawn. The water is the scan's. The
     answer is ``NotFound`` with the reason in words where the artefact is not seen well enough. Raises ScanError.

@@ -158,13 +158,13 @@ def _work_through(
 
 
 def sequence_of_scan(scan: stored.StoredScan) -> PatternSequence:
-    """The patterns it was recorded with."""
+    """Return the patterns it was recorded with."""
     made = scan.manifest.record.sequence
     return build_sequence(made.period_px, made.width_px, made.height_px)
 
 
 def water_of_scan(scan: stored.StoredScan, calibration: Calibration) -> Water:
-    """The water the scan was recorded in, as its manifest says; else that of the calibration."""
+    """Return the water the scan was recorded in, as its manifest says; else that of the calibration."""
     water = scan.manifest.record.water
     t, s, w = water.get("temperature_c"), water.get("salinity_psu"), water.get("wavelength_nm")
     if t is None or s is None or w is None:

@@ -51,7 +51,7 @@ class Salvaged:
     """Factor by side with which the variance of grey values is to be multiplied, at most."""
 
     def noise(self, noise: StereoNoise) -> StereoNoise:
-        """The noise that points of this scan are to be expected to have, from that of a whole one."""
+        """Return the noise that points of this scan are to be expected to have, from that of a whole one."""
         return StereoNoise(*(_times(of_side(noise, side), self.variance[side]) for side in SIDES))
 
 
@@ -126,7 +126,8 @@ def _make_up(frames: Frames, sequence: PatternSequence, lost: Sequence[int], wha
 
 
 def _sine(after: Frames, opposite: Frames, before: Frames) -> Frames:
-    """The lost step, from the other three; ``SATURATED``, which makes no point, where it is out of range or they are."""
+    """Return the lost step, from the other three; ``SATURATED``, which makes no point, where it is out of range or
+    they are."""
     # Signed and wider: the sum of two bytes less a third lies between −255 and 510.
     made: NDArray[np.int16] = after.astype(np.int16) + before - opposite
     useless = (made < 0) | (made > SATURATED) | (np.maximum(np.maximum(after, before), opposite) == SATURATED)
@@ -135,7 +136,8 @@ def _sine(after: Frames, opposite: Frames, before: Frames) -> Frames:
 
 
 def _reference(gray: Frames, *, lit: bool) -> Frames:
-    """The bright (``lit``) or the dark image, from the Gray images (n, h, w), each pixel of which is lit in some."""
+    """Return the bright (``lit``) or the dark image, from the Gray images (n, h, w), each pixel of which is lit in
+    some."""
     low, high = gray.min(axis=0).astype(np.float32), gray.max(axis=0).astype(np.float32)
     share = CLEARLY if lit else 1.0 - CLEARLY
     border = low + np.float32(share) * (high - low)

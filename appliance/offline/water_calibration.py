@@ -34,11 +34,11 @@ class WaterCalibration:
     """Scans whose artefact was not found, with the reason in words."""
 
     def as_json(self) -> dict[str, Any]:
-        """The report for programs."""
+        """Return the report for programs."""
         return report.as_json(self.result, self.start, self.about, self.left_out)
 
     def as_html(self) -> str:
-        """The report for people."""
+        """Return the report for people."""
         return report.as_html(self.result, self.start, self.about, self.left_out)
 
 

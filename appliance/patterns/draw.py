@@ -81,6 +81,7 @@ def draw_patterns(
 def draw_sequence(
     context: moderngl.Context, sequence: PatternSequence, response: Response | None = None
 ) -> list[NDArray[np.uint8]]:
-    """Every pattern of a sequence in the order of projection, (height, width) uint8 each, for a projector's ``response``."""
+    """Return every pattern of a sequence in the order of projection, (height, width) uint8 each, for a projector's
+    ``response``."""
     tables = [(pattern.direction, pattern.codes(response)) for pattern in sequence.patterns]
     return draw_patterns(context, tables, sequence.width_px, sequence.height_px)

@@ -157,7 +157,7 @@ def build_sequence(period_px: int, width_px: int = 1024, height_px: int = 768) -
 
 
 def _promised(period_px: int, width_px: int, height_px: int) -> list[Pattern]:
-    """The patterns in the order that ``PatternSequence`` promises."""
+    """Return the patterns in the order that ``PatternSequence`` promises."""
     patterns = [
         Pattern(Kind.BRIGHT, Direction.X, 0, period_px, width_px),
         Pattern(Kind.DARK, Direction.X, 0, period_px, width_px),

@@ -78,7 +78,7 @@ class _Story:
 
 
 def merge_bracket(pipeline: Pipeline, first: ProcessedSequence, second: ProcessedSequence) -> Merged:
-    """The cloud of both in the frame of the first; after ``pipeline`` found the second one's full cloud.
+    """Return the cloud of both in the frame of the first; after ``pipeline`` found the second one's full cloud.
 
     The pipeline's maps are changed. The same two sequences give the same points, bit by bit.
     """
@@ -171,7 +171,7 @@ def _registration(found: Registration) -> dict[str, float | None]:
 
 
 def _agreements(found: Mapping[str, Agreement]) -> dict[str, float | None]:
-    """The maps were merged into the second one's."""
+    """Return the agreements as numbers of the verdict; the maps were merged into the second sequence's."""
     numbers: dict[str, float | None] = {}
     for side, a in found.items():
         numbers[f"{side}_only_first_percent"] = 100.0 * a.second

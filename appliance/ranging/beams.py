@@ -41,13 +41,14 @@ class PointerBeam:
     """Depth of the latest of them."""
 
     def at(self, z_mm: Array) -> Array:
-        """Points (..., 3) of the beam at depths (...)."""
+        """Return points (..., 3) of the beam at depths (...)."""
         x0, y0, sx, sy = self.line
         ahead = np.asarray(z_mm, np.float64) - self.z0_mm
         return np.stack([x0 + sx * ahead, y0 + sy * ahead, ahead + self.z0_mm], axis=-1)
 
     def sd_mm(self, z_mm: Array) -> Array:
-        """Standard deviation (...) of the beam's place across it at depths (...), the larger of both directions."""
+        """Return the standard deviation (...) of the beam's place across it at depths (...), the larger of both
+        directions."""
         P = np.asarray(self.covariance)
         ahead = np.asarray(z_mm, np.float64) - self.z0_mm
         # Variance of x0 + sx · (z − z0), with the covariance of both; never below what a dot itself leaves.
@@ -84,7 +85,7 @@ class Pointers:
     tolerance_deg: float
 
     def beams(self) -> tuple[PointerBeam, PointerBeam]:
-        """Left and right, as drawn."""
+        """Return both beams as drawn, left and right."""
         (x, y, z), (to_x, to_y, to_z) = self.window_mm, self.aim_mm
         sx, sy = (to_x - x) / (to_z - z), (to_y - y) / (to_z - z)
         lean = math.radians(self.tolerance_deg)

@@ -123,7 +123,8 @@ def _ring() -> NDArray[np.uint8]:
 
 
 def _centre(image: NDArray[np.uint8], u: float, v: float, step: int) -> tuple[float, float]:
-    """The centre of mass of what is bright around (u, v), the background taken off; saturated light counts as it is."""
+    """Return the centre of mass of what is bright around (u, v), the background taken off; saturated light counts as
+    it is."""
     radius = (RING_PX - 1) * step
     for _ in range(CENTRE_TIMES):
         x0, y0 = max(0, round(u) - radius), max(0, round(v) - radius)

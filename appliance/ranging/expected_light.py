@@ -24,7 +24,7 @@ DEPTH_STEP_MM = 2.0
 
 
 def live_light(projector: HousedCamera, pointers: Pointers | None, water_index: float) -> NDArray[np.uint8]:
-    """The codes (h, w) uint8 of the live views' light. ``projector`` as drawn, its frame the rig's."""
+    """Return the codes (h, w) uint8 of the live views' light. ``projector`` as drawn, its frame the rig's."""
     picture = np.full((projector.height_px, projector.width_px), BRIGHT_CODE, np.uint8)
     if pointers is None:
         return picture

@@ -147,17 +147,17 @@ class Ranger:
         return self._beams[0], self._beams[1]
 
     def marks(self) -> Marks:
-        """The places where the dots are going to be seen in the live pictures."""
+        """Return the places where the dots are going to be seen in the live pictures."""
         return marks_of(self._rig, self.frame, self._index, self.beams)
 
     def measure(self, images: Images) -> Range | None:
-        """The distance, from whichever dots are sure; what both cameras saw teaches the beams."""
+        """Return the distance, from whichever dots are sure; what both cameras saw teaches the beams."""
         dots = self.find(images)
         self.learn(dots)
         return self.range_of(dots)
 
     def find(self, images: Images, lit: tuple[bool, bool] = (True, True)) -> Dots:
-        """Both dots, as far as they are there beyond doubt; only of the pointers that are ``lit``."""
+        """Return both dots, as far as they are there beyond doubt; only of the pointers that are ``lit``."""
         seen = [self._find(number, images) if lit[number] else _Found([], []) for number in (0, 1)]
         met = [_unambiguous(found.met) for found in seen]
         dots: list[Dot | None] = []
@@ -218,15 +218,16 @@ class Ranger:
         return _Found(met, alone)
 
     def _beside(self, found: list[tuple[Dot, _Sighted]], other: Dot) -> Dot | None:
-        """A dot that one camera sees, borne out by the other pointer's dot on the same surface."""
+        """Return a dot that one camera sees, borne out by the other pointer's dot on the same surface."""
         # The other's dot may be seen on this beam's curve, too, as if it were at another depth.
         place = np.array(other.place_mm)
         best = _unambiguous([dot for dot, seen in found if _off_mm(place, seen) > OTHERS_MM])
         return best if best is not None and _borne_out(best, other) else None
 
     def _lone(self, number: int, seen: list[_Found], images: Images) -> Dot | None:
-        """A dot that one camera sees, without any other. It may be anything bright beside the dark of the live light: it must
-        be bright itself, on no other beam, without anything like it on its ray for the other camera, and stay for a while."""
+        """Return a dot that one camera sees, without any other. It may be anything bright beside the dark of the live
+        light: it must be bright itself, on no other beam, without anything like it on its ray for the other camera,
+        and stay for a while."""
         before, self._steady[number] = self._steady[number], None
         best = _unambiguous([dot for dot, _ in seen[number].alone])
         if best is None or best.contrast_dn < ALONE_DN or not self._measured:
@@ -358,7 +359,7 @@ def _off_mm(place_mm: Array, seen: _Sighted) -> float:
 
 
 def _unambiguous(dots: list[Dot]) -> Dot | None:
-    """The clearest, unless another is nearly as clear elsewhere."""
+    """Return the clearest, unless another is nearly as clear elsewhere."""
     if not dots:
         return None
     dots = sorted(dots, key=lambda dot: -dot.contrast_dn)
@@ -370,7 +371,7 @@ def _unambiguous(dots: list[Dot]) -> Dot | None:
 
 
 def _nearest(p: Array, d: Array, q: Array, e: Array) -> tuple[Array, float, float]:
-    """The point half way between two lines, their gap, and the sine of the angle between them."""
+    """Return the point half way between two lines, their gap, and the sine of the angle between them."""
     cosine = float(d @ e)
     sine2 = max(1.0 - cosine * cosine, 1e-12)
     between = q - p

@@ -37,11 +37,11 @@ class RigFrame:
         return cls(np.stack([x, y, np.cross(x, y)], axis=1), 0.5 * (centres[0] + centres[1]))
 
     def to_left(self, points_mm: Array) -> Array:
-        """Points (..., 3) of the rig frame in the left camera frame."""
+        """Return points (..., 3) of the rig frame in the left camera frame."""
         return np.asarray(points_mm @ self.R.T + self.t_mm)
 
     def from_left(self, points_mm: Array) -> Array:
-        """Points (..., 3) of the left camera frame in the rig frame."""
+        """Return points (..., 3) of the left camera frame in the rig frame."""
         return np.asarray((points_mm - self.t_mm) @ self.R)
 
     def turn_from_left(self, directions: Array) -> Array:

@@ -127,7 +127,7 @@ class Pipeline:
             decoder.reset()
 
     def decoded(self, side: str) -> CameraDecoder:
-        """The decoder of one side, for its maps."""
+        """Return the decoder of one side, for its maps."""
         return self._decoders[side]
 
     def recalibrate(self, calibration: Calibration, water: Water) -> None:

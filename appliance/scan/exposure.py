@@ -47,8 +47,8 @@ class Span:
 
 
 def ladder(refresh_hz: float, trigger_delay_us: int, gain_db: float, span: Span) -> tuple[Exposure, ...]:
-    """All steps from dark to bright for a projector's vertical period: first longer exposures at the rig's own gain, and
-    more gain only on the longest.
+    """Return all steps from dark to bright for a projector's vertical period: first longer exposures at the rig's own
+    gain, and more gain only on the longest.
 
     Raises ValueError where no step fits between trigger and next vertical sync.
     """

@@ -21,7 +21,7 @@ class Verdict:
 
     @classmethod
     def failed(cls, name: str, fault: Fault) -> Verdict:
-        """The verdict that a fault stands for."""
+        """Return the verdict that a fault stands for."""
         return cls(name, False, dict(fault.numbers), f"{fault.code.value}: {fault.detail}".rstrip(": "))
 
 

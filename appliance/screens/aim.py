@@ -63,7 +63,7 @@ def draw_aim(canvas: Canvas, view: AimView, language: Language) -> None:
 
 
 def dash_or(value: float | None, pattern: str) -> str:
-    """A number, or a dash where it is not known."""
+    """Return a number, or a dash where it is not known."""
     return "—" if value is None else pattern.format(value)
 
 
@@ -97,7 +97,7 @@ def _plate(
     ink: theme.Colour = theme.WHITE,
     align: Align = Align.LEFT,
 ) -> None:
-    """Words on a ground of their own: what is behind may be as bright as it likes."""
+    """Write words on a ground of their own: what is behind may be as bright as it likes."""
     # Never narrower than high: L and R stand in squares.
     width = max(_PLATE_PX, canvas.measure(words, CAPTION + 2, BLACK) + 20)
     left = x - align.value * width

@@ -70,7 +70,7 @@ def draw_calibrate(canvas: Canvas, view: CalibrateView, language: Language, time
 
 
 def _latest_px(view: CalibrateView) -> float:
-    """Height of what is said at the lower end of the screen."""
+    """Return the height of what is said at the lower end of the screen."""
     check = view.at.latest or view.session.check(view.step)
     if view.at.task is not None:
         return _WORKING_PX
@@ -128,7 +128,7 @@ def refusal_words(check: RecordingCheck) -> tuple[Text, Text]:
 
 
 def _how(canvas: Canvas, step: Step, bottom: float, language: Language) -> None:
-    """Two sketches side by side, and the same in words; smaller where what is below needs the room."""
+    """Draw two sketches side by side, and the same in words; smaller where what is below needs the room."""
     words, depth = _HOLD[step]
     # 92 px are the caption below the sketches and two lines of words.
     size = min(_SKETCH_PX, bottom - _TOP_PX - 92.0)
@@ -157,7 +157,7 @@ def _how(canvas: Canvas, step: Step, bottom: float, language: Language) -> None:
 
 
 def _live(canvas: Canvas, view: CalibrateView, bottom: float, language: Language) -> None:
-    """The left camera's picture, with the laser dots' marks, and the distance that they say."""
+    """Draw the left camera's picture, with the laser dots' marks, and the distance that they say."""
     pixels, gauge = view.left, view.gauge
     width, height = _LIVE_PX[0], min(_LIVE_PX[1], bottom - _TOP_PX)
     left = canvas.width - width
@@ -182,7 +182,8 @@ def _live(canvas: Canvas, view: CalibrateView, bottom: float, language: Language
 
 
 def _latest(canvas: Canvas, view: CalibrateView, bottom: float, language: Language, time_s: float) -> None:
-    """The band over the lower labels, or over an alert: what is done now, or what became of the latest recording."""
+    """Draw the band over the lower labels, or over an alert: what is done now, or what became of the latest
+    recording."""
     at = view.at
     # What this visit recorded, else what the session has of the step from before, perhaps from before a restart.
     check = at.latest or view.session.check(view.step)
@@ -272,7 +273,7 @@ class _Box:
     """True if the calibration of the box is the one in use."""
 
     def draw(self, canvas: Canvas, name: Text, error: float | None, language: Language) -> None:
-        """The name above, the error in percent in the middle."""
+        """Draw the name above, the error in percent in the middle."""
         edge, width = (theme.AQUA, 6) if self.used else (theme.LINE, 3)
         canvas.box(self.left, self.top, _BOX_PX, self.height, theme.DEEP, 20, edge, width)
         canvas.words(name.in_language(language), self.left + 24, self.name_at, BODY, BLACK, theme.MUTED)
@@ -286,7 +287,7 @@ class _Box:
     def judge(
         self, canvas: Canvas, word: Text, colour: theme.Colour, verified: Verified | None, language: Language
     ) -> None:
-        """The verdict in a word, and how sure it is."""
+        """Draw the verdict in a word, and how sure it is."""
         canvas.words(word.in_language(language), self.left + 24, self.verdict_at, BODY, BLACK, colour)
         if verified is not None:
             said = numbered(f"± {100.0 * verified.sigma:.3f} %", language)
@@ -346,7 +347,7 @@ def _checked(canvas: Canvas, session: Session, box: _Box, below: float, language
 
 
 def _ticks(canvas: Canvas, view: CalibrateView) -> None:
-    """A mark per step between the lower labels: filled when done, ringed where the diver is."""
+    """Draw a mark per step between the lower labels: filled when done, ringed where the diver is."""
     pitch, size = 52.0, 26.0
     left, y = canvas.width / 2 - pitch * (len(STEPS) - 1) / 2, canvas.height - _TICKS_PX
     for number, step in enumerate(STEPS):

@@ -187,7 +187,8 @@ class Canvas:
         self.framebuffer.clear(*background.as_tuple())
 
     def finish(self) -> NDArray[np.uint8]:
-        """The picture (height, width, 3) uint8 RGB: the same memory each time. Raises DeviceGone without a context."""
+        """Return the picture (height, width, 3) uint8 RGB: the same memory each time. Raises DeviceGone without a
+        context."""
         self.framebuffer.read_into(self._picture, components=3, alignment=1)
         # Asked once for each picture: reading it back has waited for all of its drawing.
         error = self.context.error
@@ -206,7 +207,7 @@ class Canvas:
         edge: Colour | None = None,
         edge_width: float = 0.0,
     ) -> None:
-        """A box, rounded by ``radius`` (all corners, or top left, top right, bottom right, bottom left)."""
+        """Draw a box, rounded by ``radius`` (all corners, or top left, top right, bottom right, bottom left)."""
         radii = [radius] * 4 if isinstance(radius, int | float) else list(radius)
         program = self._box
         program["fill"] = fill.as_tuple()
@@ -227,7 +228,8 @@ class Canvas:
         align: Align = Align.LEFT,
         max_width: float | None = None,
     ) -> float:
-        """One line of text on ``baseline``; smaller where it would be wider than ``max_width``. Returns its width.
+        """Write one line of text on ``baseline``; smaller where it would be wider than ``max_width``. Returns its
+        width.
 
         It is never smaller than a caption, which is the least that can be read: what does not fit then is cut.
         """
@@ -265,11 +267,12 @@ class Canvas:
         self._letters_quad.render(moderngl.TRIANGLE_STRIP, vertices=4)
 
     def measure(self, words: str, size: int = BODY, weight: int = BOLD) -> float:
-        """Width of a line of text."""
+        """Return the width of a line of text."""
         return self._line(words, round(size * self.scale), weight).width_px / self.scale
 
     def image(self, slot: str, pixels: NDArray[np.uint8], left: float, top: float, width: float, height: float) -> None:
-        """A picture in the middle of the box, as large as fits: (h, w) uint8 of a camera, saturation striped, or (h, w, 3) uint8 RGB.
+        """Draw a picture in the middle of the box, as large as fits: (h, w) uint8 of a camera, saturation striped, or
+        (h, w, 3) uint8 RGB.
 
         ``slot`` names its texture, which is used again.
         """
@@ -301,20 +304,20 @@ class Canvas:
         self._image_quad.render(moderngl.TRIANGLE_STRIP, vertices=4)
 
     def water(self, left: float, top: float, width: float, height: float, phase: float, centre: float = 0.5) -> None:
-        """Fringes on something round: what this instrument does, as a picture."""
+        """Draw fringes on something round: what this instrument does, as a picture."""
         self._water["phase"] = phase
         self._water["centre"] = centre
         self._place(self._water, left, top, width, height)
         self._water_quad.render(moderngl.TRIANGLE_STRIP, vertices=4)
 
     def colours(self, left: float, top: float, width: float, height: float) -> None:
-        """The colour table of clouds as a lying bar, its bright end on the left."""
+        """Draw the colour table of clouds as a lying bar, its bright end on the left."""
         self._table.use(0)
         self._place(self._bar, left, top, width, height)
         self._bar_quad.render(moderngl.TRIANGLE_STRIP, vertices=4)
 
     def pixels(self, left: float, top: float, width: float, height: float) -> tuple[int, int, int, int]:
-        """A box of the design in pixels of the picture: left, top, width, height."""
+        """Return a box of the design in pixels of the picture: left, top, width, height."""
         s = self.scale
         return round(left * s), round(top * s), round(width * s), round(height * s)
 

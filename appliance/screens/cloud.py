@@ -95,7 +95,7 @@ void main() {
 
 
 def thin(number: int, limit: int = MAX_POINTS) -> NDArray[np.int64]:
-    """Indices of at most ``limit`` of ``number`` points, one out of each run of equal length, sorted.
+    """Return indices of at most ``limit`` of ``number`` points, one out of each run of equal length, sorted.
 
     Jittered, so that the rows of the camera do not beat with the thinning; the same for the same numbers.
     """
@@ -107,7 +107,7 @@ def thin(number: int, limit: int = MAX_POINTS) -> NDArray[np.int64]:
 
 
 def spread(values: NDArray[np.float32]) -> tuple[float, float]:
-    """The range that colours span: 2nd to 98th percentile of the finite values, never empty."""
+    """Return the range that colours span: 2nd to 98th percentile of the finite values, never empty."""
     finite = values[np.isfinite(values)]
     if finite.size == 0:
         return 0.0, 1.0
@@ -232,7 +232,7 @@ class CloudPainter:
 
 
 def _turn(time_s: float, steps: int) -> NDArray[np.float64]:
-    """Rotation of the cloud about its middle; the identity at time 0 and step 0."""
+    """Return the rotation of the cloud about its middle; the identity at time 0 and step 0."""
     swing = TURN_DEG * math.sin(2.0 * math.pi * time_s / TURN_S)
     yaw = math.radians(swing + STEP_DEG * steps)
     pitch = math.radians(NOD_DEG) * math.sin(2.0 * math.pi * time_s / NOD_S)

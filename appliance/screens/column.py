@@ -51,12 +51,12 @@ def _noise(noise_mm: float | None) -> Figure:
 
 
 def known(value: float | None, pattern: str) -> str:
-    """A number, or a dash where it is not known."""
+    """Return a number, or a dash where it is not known."""
     return "—" if value is None else pattern.format(value)
 
 
 def many(number: int) -> str:
-    """A count in at most four figures: 950, 18.3 k, 1.31 M."""
+    """Return a count in at most four figures: 950, 18.3 k, 1.31 M."""
     if number < 1000:
         return str(number)
     # Where three figures would round up to 1000 k.

@@ -23,7 +23,7 @@ ALERT_PX, CRITICAL_PX, MARKS_PX = 95, 106, 34
 def draw_title(
     canvas: Canvas, words: str, keys: KeyLabels, language: Language, colour: theme.Colour = theme.WHITE
 ) -> None:
-    """The name of the screen in the middle of the room between the upper labels."""
+    """Draw the name of the screen in the middle of the room between the upper labels."""
     left, right = room_between(canvas, keys, language, bottom=False)
     size = TITLE
     width = canvas.measure(words, size, BLACK)
@@ -35,7 +35,7 @@ def draw_title(
 
 
 def room_between(canvas: Canvas, keys: KeyLabels, language: Language, bottom: bool) -> tuple[float, float]:
-    """Left and right end of what the labels of the upper or the lower bar leave, with a margin."""
+    """Return the left and right end of what the labels of the upper or the lower bar leave, with a margin."""
     left, right = 16.0, canvas.width - 16.0
     for key, text in keys.items():
         corner = KEY_CORNERS[key]
@@ -56,7 +56,7 @@ def draw_key_labels(
     dim: frozenset[Key] = frozenset(),
     urgent: frozenset[Key] = frozenset(),
 ) -> None:
-    """Each label touches the edge of the display at its key; the main key's is bright.
+    """Draw each label at the edge of the display where its key is; the main key's is bright.
 
     ``dim`` ones do nothing now and are hollow; ``urgent`` ones are yellow: think twice.
     """
@@ -105,7 +105,8 @@ def _label_width(canvas: Canvas, words: str) -> float:
 
 
 def draw_alerts(canvas: Canvas, alerts: Sequence[Alert], language: Language, time_s: float) -> None:
-    """The gravest alert that nobody has acknowledged as a band above the lower bar; over it the names of all others.
+    """Draw the gravest alert that nobody has acknowledged as a band above the lower bar; over it the names of all
+    others.
 
     The band has its own room: screens draw what they have above ``alerts_top``.
     """
@@ -139,7 +140,7 @@ def draw_alerts(canvas: Canvas, alerts: Sequence[Alert], language: Language, tim
 
 
 def _marks(canvas: Canvas, others: Sequence[Alert], language: Language, bottom: float) -> None:
-    """The headlines of the other alerts, the gravest first, and how many there was no room for."""
+    """Draw the headlines of the other alerts, the gravest first, and how many there was no room for."""
     if not others:
         return
     # What passes comes first, graver or not: it is what the diver can change at this moment.
@@ -159,7 +160,7 @@ def _marks(canvas: Canvas, others: Sequence[Alert], language: Language, bottom: 
 
 
 def words_of(alert: Alert, language: Language) -> tuple[str, str]:
-    """Headline and action."""
+    """Return the headline and action."""
     if language is Language.GERMAN and alert.german is not None:
         return numbered(alert.german[0], language), numbered(alert.german[1], language)
     return alert.headline, alert.action
@@ -176,7 +177,7 @@ def alerts_top(canvas: Canvas, alerts: Sequence[Alert]) -> float:
 
 
 def alert_colours(severity: Severity, time_s: float) -> tuple[theme.Colour, theme.Colour, theme.Colour]:
-    """(ground, ink, edge) of an alert at a moment: white, solid yellow, or flashing red that stays readable."""
+    """Return (ground, ink, edge) of an alert at a moment: white, solid yellow, or flashing red that stays readable."""
     match severity:
         case Severity.CRITICAL:
             return (theme.BLOOD if theme.flash_on(time_s) else theme.INK), theme.WHITE, theme.RED

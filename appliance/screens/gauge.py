@@ -31,7 +31,7 @@ _ICON_DETAIL = 4
 
 
 def draw_gauge(canvas: Canvas, gauge: Gauge | None, middle: float, language: Language) -> None:
-    """A row of 54 px around ``middle``: word, scale, mm, and the surface as seen from above with its tilt."""
+    """Draw a row of 54 px around ``middle``: word, scale, mm, and the surface as seen from above with its tilt."""
     left, right = SCALE_PX
     word = None if gauge is None else gauge.word
     colour = theme.MUTED if word is None else ADVICE[word][1]
@@ -62,7 +62,7 @@ def draw_gauge(canvas: Canvas, gauge: Gauge | None, middle: float, language: Lan
 
 
 def _scale(canvas: Canvas, word: Reach | None, middle: float) -> None:
-    """The bright part is the measuring volume: hollow while the object is not in it."""
+    """Draw the scale: its bright part is the measuring volume, hollow while the object is not in it."""
     left, right = SCALE_PX
     low, high = GAUGE_MM
     per_mm = (right - left) / (high - low)
@@ -78,7 +78,7 @@ def _scale(canvas: Canvas, word: Reach | None, middle: float) -> None:
 # By whole degrees, so that an icon is drawn anew only where it would look different.
 @lru_cache(maxsize=8)
 def tilt_icon(tilt_deg: int | None) -> NDArray[np.uint8]:
-    """(h, w) uint8: the instrument below, the surface above, seen from above; turned as it is in the water."""
+    """Return (h, w) uint8: the instrument below, the surface above, seen from above; turned as it is in the water."""
     size = _ICON_PX * _ICON_DETAIL
     picture = np.full((size, size), round(255 * theme.INK.green), np.uint8)
     middle, soft, bright = size // 2, 110, 240

@@ -59,5 +59,6 @@ def _row(
 
 
 def first_shown(rows: int, selected: int, fit: int) -> int:
-    """The first row on a screen of ``fit`` rows, such that the selected one is on it, in the middle where it can be."""
+    """Return the first row on a screen of ``fit`` rows, such that the selected one is on it, in the middle where it
+    can be."""
     return max(0, min(selected - fit // 2, rows - fit))

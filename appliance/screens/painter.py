@@ -86,7 +86,8 @@ class Painter:
             self._canvas.close()
 
     def preview(self) -> NDArray[np.uint8] | None:
-        """The cloud of the latest ``ReviewView`` alone, as the camera saw it: (h, w, 3) uint8 RGB; None without points.
+        """Return the cloud of the latest ``ReviewView`` alone, as the camera saw it: (h, w, 3) uint8 RGB; None
+        without points.
 
         The picture that ``draw`` returned is drawn over.
         """
@@ -106,7 +107,7 @@ class Painter:
         return self._canvas
 
     def draw(self, view: AnyView, time_s: float) -> NDArray[np.uint8]:
-        """The picture of ``view`` at ``time_s`` (any steady clock: it moves what flashes or turns).
+        """Return the picture of ``view`` at ``time_s`` (any steady clock: it moves what flashes or turns).
 
         (height, width, 3) uint8 RGB, row 0 at the top, in the same memory each time. Raises DeviceGone when the GL
         context failed.
@@ -159,12 +160,12 @@ class Painter:
 
 
 def acknowledges(keys: KeyLabels) -> frozenset[Key]:
-    """The key that takes the warning above it for known: in the colour of the warning."""
+    """Return the key that takes the warning above it for known: in the colour of the warning."""
     return frozenset(key for key, word in keys.items() if word is Text.SEEN)
 
 
 def said_once(view: AnyView) -> AnyView:
-    """The view without the alerts that its screen is made of: nothing is said twice."""
+    """Return the view without the alerts that its screen is made of: nothing is said twice."""
     match view:
         case SafeView():
             said = {view.alert.code}

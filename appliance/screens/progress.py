@@ -99,7 +99,7 @@ def _sentence(canvas: Canvas, text: Text, baseline: float, language: Language) -
 
 
 def _waiting(canvas: Canvas, bottom: float, time_s: float) -> None:
-    """Something that moves, without pretending to a length: nobody knows how long it takes."""
+    """Draw something that moves, without pretending to a length: nobody knows how long it takes."""
     left, width, height = _EDGE_PX, canvas.width - 2 * _EDGE_PX, 34.0
     canvas.box(left, bottom - height, width, height, theme.PANEL, 17)
     swing = 1.0 - abs(2.0 * (0.4 * time_s % 1.0) - 1.0)

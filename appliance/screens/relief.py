@@ -37,7 +37,7 @@ class Relief:
         self._height = np.divide(height, weight, out=np.full(shape, np.nan), where=weight > 0.0)
 
     def slopes(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
-        """(n, 2) float32: dz/dx and dz/dy of the surface around each point; 0 where it has no neighbours."""
+        """Return (n, 2) float32: dz/dx and dz/dy of the surface around each point; 0 where it has no neighbours."""
         down, across = np.gradient(self._height, self._cell_mm) if min(self._height.shape) > 1 else (0.0, 0.0)
         at = self._cells(points)
         found = np.empty((len(points), 2), np.float32)

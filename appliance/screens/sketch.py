@@ -39,7 +39,7 @@ FROM_THE_SIDE = frozenset({Step.M2, Step.M3, Step.M4})
 
 
 def sketch_front(step: Step) -> Picture:
-    """(h, w) uint8: what the instrument sees, in true perspective. ``step`` is one that records."""
+    """Return (h, w) uint8: what the instrument sees, in true perspective. ``step`` is one that records."""
     points, radii = _shape(step)
     # Pinhole: an object of FIELD_MM at 500 mm is as wide as the sketch.
     focal = SCALE * SIZE_PX[0] * 500.0 / FIELD_MM
@@ -61,7 +61,7 @@ def sketch_front(step: Step) -> Picture:
 
 
 def sketch_depth(step: Step) -> Picture:
-    """(h, w) uint8: the instrument on the left, the water to the right, from above or from the side."""
+    """Return (h, w) uint8: the instrument on the left, the water to the right, from above or from the side."""
     points, radii = _shape(step)
     other = points[:, 1] if step in FROM_THE_SIDE else points[:, 0]
     scale = SCALE * SIZE_PX[0] / 360.0
@@ -81,7 +81,7 @@ def sketch_depth(step: Step) -> Picture:
 
 
 def _shape(step: Step) -> tuple[Array, Array]:
-    """Corners of the plane (4, 3) or centres of the balls (2, 3) in the rig frame, and the balls' radii."""
+    """Return corners of the plane (4, 3) or centres of the balls (2, 3) in the rig frame, and the balls' radii."""
     distance, *turns = _POSES[step]
     if HELD[step] is ArtefactKind.PLANE:
         x, y = PLANE_MM

@@ -25,12 +25,12 @@ _DECIMAL = re.compile(r"(?<![\d.])(\d+)\.(\d+)(?![\d.])")
 
 
 def numbered(words: str, language: Language) -> str:
-    """Numbers as the language writes them: 0.31 % → 0,31 % in German."""
+    """Return numbers as the language writes them: 0.31 % → 0,31 % in German."""
     return _DECIMAL.sub(r"\1,\2", words) if language is Language.GERMAN else words
 
 
 def worded(label: Label, language: Language) -> str:
-    """A label in a language: its entries translated, its numbers written as there."""
+    """Return a label in a language: its entries translated, its numbers written as there."""
     match label:
         case Text():
             return label.in_language(language)

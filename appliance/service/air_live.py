@@ -162,7 +162,7 @@ def _takes(rig: Rig, wires: Wires, lit: bool) -> Iterator[Callable[[], tuple[Ima
 
 
 def _opened(devices: Devices, clock: Clock) -> tuple[dict[str, Grabber], Board, Projector]:
-    """Cameras, board and projector, once all are there. Raises DeviceError with the reason of what is not."""
+    """Return cameras, board and projector, once all are there. Raises DeviceError with the reason of what is not."""
     wanted: list[DeviceSupervisor[Any]] = [*devices.cameras.values(), devices.board, devices.projector]
     end_ns = clock.now_ns() + int(OPEN_TIMEOUT_S * 1e9)
     reason = "does not answer"

@@ -110,7 +110,7 @@ def ask_power_off(environment: Mapping[str, str]) -> None:
 
 
 def take_back_power_off(environment: Mapping[str, str]) -> None:
-    """A note of an earlier run does not count."""
+    """Take away the note of an earlier run, which does not count."""
     note = _power_off_note(environment)
     if note is not None:
         note.unlink(missing_ok=True)

@@ -79,7 +79,7 @@ class Background:
         self._child.send((self._ticket, job, arguments))
 
     def poll(self) -> Progressed | Done | Failed | None:
-        """The next thing it says about the job that was asked for last."""
+        """Return the next thing it says about the job that was asked for last."""
         if not self._child.runs:
             if self.busy:
                 self.busy = False

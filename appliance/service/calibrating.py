@@ -179,7 +179,7 @@ class CalibrationController:
         return bool(self._answers)
 
     def _lengths_right(self, evidence: str) -> list[on.Event]:
-        """A bar was measured right: an alarm of the ray gaps is answered, and what they show now is normal."""
+        """Answer an alarm of the ray gaps, as a bar was measured right: what they show now is normal."""
         write = self._scans.watch.answer(evidence)
         if write is None:
             return []

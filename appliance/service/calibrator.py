@@ -139,7 +139,7 @@ def examine(rig: Rig, step: Step, folder: Path, report: Report) -> Examined:
 
 
 def _spoilt(step: Step, seen: ReprocessedScan) -> RecordingCheck | None:
-    """The refusal of a recording whose points would be wrong, whatever it shows."""
+    """Return the refusal of a recording whose points would be wrong, whatever it shows."""
     fault = seen.unfit
     if fault is None:
         return None
@@ -207,14 +207,14 @@ def _solved(rig: Rig) -> Calibration | None:
 
 
 def _compared(scan: stored.StoredScan, bar: BallBar, basis: Basis) -> Verified:
-    """The bar's length with the new calibration and with the one of before."""
+    """Return the bar's length with the new calibration and with the one of before."""
     old = find_ball_bar(_fair(scan, basis.before, basis))
     before = None if isinstance(old, NotFound) else _error(old, basis)
     return Verified(before, _error(bar, basis), _uncertainty(bar, basis), basis.before_hash)
 
 
 def _measured(bar: BallBar, basis: Basis) -> Verified:
-    """The bar's length with the calibration in use: nothing is solved."""
+    """Return the bar's length with the calibration in use: nothing is solved."""
     return Verified(_error(bar, basis), None, _uncertainty(bar, basis), basis.before_hash)
 
 

@@ -110,7 +110,7 @@ class Devices:
         return of_side(self._rig.camera, side)
 
     def expose(self, exposure: Exposure) -> None:
-        """Both cameras from their next image on; one that comes later is told then.
+        """Expose both cameras so from their next image on; one that comes later is told then.
 
         Where the rig file sets the right camera otherwise than the left one, it keeps the difference.
         """

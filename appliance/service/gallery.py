@@ -88,7 +88,7 @@ class GalleryController:
 
 
 def read(library: Library, scan_id: str) -> Shown:
-    """One scan from the disk. Never raises: what cannot be read is damaged."""
+    """Read one scan from the disk. Never raises: what cannot be read is damaged."""
     try:
         entry = library.entry(scan_id)
     except (StorageError, UnknownScan):
@@ -115,7 +115,7 @@ def read(library: Library, scan_id: str) -> Shown:
 
 
 def _preview(entry: ScanEntry) -> tuple[NDArray[np.uint8] | None, bool]:
-    """The picture, and whether it is as it should be: there and readable, or never made."""
+    """Return the picture, and whether it is as it should be: there and readable, or never made."""
     # A scan that was recovered, or kept without a cloud, never had one.
     if entry.manifest is None or PREVIEW not in entry.manifest.files:
         return None, True

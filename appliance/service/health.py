@@ -45,7 +45,7 @@ class CalibrationWatch:
         return Fault(FaultCode.VERIFY_CALIBRATION, self.trend.alarm)
 
     def judge(self, gaps: PatchGaps) -> Verdict:
-        """One more scan."""
+        """Judge the ray gaps of one more scan."""
         if not self._measured:
             text = "not judged: the calibration was never measured in water"
             return Verdict(VERDICT, None, {}, text)
@@ -59,8 +59,8 @@ class CalibrationWatch:
         return Verdict(VERDICT, passed, outcome.numbers, text)
 
     def answer(self, evidence: str) -> Callable[[], None] | None:
-        """A length check found lengths right: take the alarm back. What writes that down, as ``unwritten``; ``None``: there
-        is no alarm."""
+        """Take the alarm back, as a length check found lengths right; return what writes that down, as ``unwritten``;
+        ``None``: there is no alarm."""
         if self.trend.alarm is None:
             return None
         self._written = self.trend = answered(self.trend, f"{evidence}, after: {self.trend.alarm}")

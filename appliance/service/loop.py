@@ -104,7 +104,8 @@ class Service:
         return self._quit
 
     def beat(self) -> None:
-        """One heartbeat. It waits for the display and, while patterns are played, for the projector; for nothing else."""
+        """Do one heartbeat. It waits for the display and, while patterns are played, for the projector; for nothing
+        else."""
         for event in self._gather():
             self._handle(event)
         # The tick behind the news: an answer that came in time must not be judged by a deadline first.

@@ -55,7 +55,7 @@ def question_view(machine: Machine, question: OffQuestion) -> MenuView:
 
 
 def menu_view(machine: Machine, facts: Facts | None) -> MenuView:
-    """The page the diver is on, with what is being changed as it would be."""
+    """Return the page the diver is on, with what is being changed as it would be."""
     at = machine.menu or Menu()
     rows = tuple(MenuRow(WORDS[row], value_of(row, machine, facts)) for row in menu.ROWS[at.page])
     changing = at.draft is not None

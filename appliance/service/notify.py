@@ -50,19 +50,19 @@ class ServiceManager:
             self._socket.close()
 
     def ready(self) -> None:
-        """The start is over."""
+        """Say that the start is over."""
         self._tell("READY=1")
 
     def alive(self) -> None:
-        """The sign of life."""
+        """Send the sign of life."""
         self._tell("WATCHDOG=1")
 
     def status(self, text: str) -> None:
-        """One line for ``systemctl status``."""
+        """Send one line for ``systemctl status``."""
         self._tell(f"STATUS={' '.join(text.split())}")
 
     def stopping(self) -> None:
-        """The end has begun."""
+        """Say that the end has begun."""
         self._tell("STOPPING=1")
 
     def _tell(self, message: str) -> None:

@@ -162,7 +162,7 @@ class RangingController:
         return self._wanted and not self._lit and len(self._dark) >= DARK_PAIRS and self._work is None
 
     def switched_on(self, state: LaserState) -> list[on.Event]:
-        """The lasers were switched on, and this was read back."""
+        """Take over that the lasers were switched on, and what was read back of them."""
         self._lit = True
         self._images.clear()
         self._lit_ns = self._clock.now_ns()

@@ -62,7 +62,7 @@ class ScanInMemory:
         return self.record if second is None or not second.merged else replace(self.record, second=second.record)
 
     def since_begun_s(self, time_ns: int) -> float:
-        """Seconds from the key press to a moment of the same clock."""
+        """Return seconds from the key press to a moment of the same clock."""
         return (time_ns - self.begun_ns) / 1e9
 
     @property

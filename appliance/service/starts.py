@@ -18,7 +18,7 @@ MOST_BYTES = 1 << 16
 
 
 def installation(prefix: Path) -> str:
-    """The name of the installed version that runs from ``prefix``; of a source tree "source"."""
+    """Return the name of the installed version that runs from ``prefix``; of a source tree "source"."""
     return prefix.name if _is_installed(prefix) else "source"
 
 

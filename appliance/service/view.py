@@ -64,7 +64,7 @@ class Surroundings:
 
 
 def view_of(machine: Machine, around: Surroundings) -> AnyView:
-    """The screen for a machine, with what its keys mean now."""
+    """Return the screen for a machine, with what its keys mean now."""
     return replace(_view(machine, around), keys=labels(machine))
 
 
@@ -170,7 +170,7 @@ def _review(machine: Machine, around: Surroundings, full: bool) -> ReviewView:
 
 
 def grade(coverage_percent: float | None, noise_mm: float | None, warnings: tuple[Fault, ...]) -> Grade:
-    """The verdict on a scan in a word. What makes its points wrong makes it bad, whatever its numbers."""
+    """Return the verdict on a scan in a word. What makes its points wrong makes it bad, whatever its numbers."""
     if any(RULES[w.code].spoils_points for w in warnings):
         return Grade.BAD
     if is_good(coverage_percent, noise_mm):

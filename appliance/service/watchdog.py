@@ -50,7 +50,7 @@ class Watchdog:
         self._failed: list[str] | None = None
 
     def beaten(self, machine: Machine, *, worker_answers: bool) -> None:
-        """A heartbeat has ended."""
+        """Tell the manager what a heartbeat that has ended shows."""
         # READY after the first heartbeat, not after the start: until then nothing has shown that the loop goes round.
         if self._state is None:
             self._manager.ready()
@@ -66,7 +66,7 @@ class Watchdog:
             self._test(machine)
 
     def stopping(self) -> None:
-        """The end was decided; what is being written is still finished."""
+        """Tell the manager that the end was decided; what is being written is still finished."""
         self._manager.stopping()
 
     def _sign(self) -> None:

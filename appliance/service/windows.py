@@ -62,7 +62,7 @@ class WindowWatch:
         ]
 
     def judge(self, windows: Windows) -> Verdict:
-        """One more scan; its verdict says what holds after it."""
+        """Judge one more scan; its verdict says what holds after it."""
         verdict = windows.verdict()
         if self._same_scene(windows):
             return replace(

@@ -152,7 +152,7 @@ def move_folder(fs: FileSystem, source: Path, target: Path) -> None:
 
 
 def checked_stamp(path: Path) -> Stamp:
-    """Length and sha256 of a file as it lies on the disk. Raises OSError."""
+    """Return the length and sha256 of a file as it lies on the disk. Raises OSError."""
     digest = hashlib.sha256()
     length = 0
     with path.open("rb") as file:

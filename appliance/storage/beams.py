@@ -54,7 +54,7 @@ class BeamsFile:
         return self._pointers.beams()
 
     def write(self, calibration_hash: str, beams: tuple[PointerBeam, PointerBeam]) -> None:
-        """Durable on return. Raises StorageError."""
+        """Write it all down; it is durable on return. Raises StorageError."""
         # A beam that has seen no dot yet has infinity there, for which JSON has no word.
         spelled = [{**asdict(beam), "last_z_mm": _finite(beam.last_z_mm)} for beam in beams]
         content = {"calibration": calibration_hash, "drawn": self._drawn(), "beams": spelled}

@@ -76,7 +76,8 @@ class Calibrations:
     # ------------------------------------------------------------------------------------- reading
 
     def session(self) -> Session:
-        """The session as it lies on the disk; a new one where there is none of this instrument that can be read.
+        """Return the session as it lies on the disk; a new one where there is none of this instrument that can be
+        read.
 
         A damaged one stays where it is until the next is begun or written.
         """
@@ -110,7 +111,7 @@ class Calibrations:
             return Session()
 
     def kept(self, session: Session) -> Calibration | None:
-        """The calibration that was in use before; ``None`` where none is kept that can be read."""
+        """Return the calibration that was in use before; ``None`` where none is kept that can be read."""
         if session.kept is None:
             return None
         try:
@@ -230,7 +231,7 @@ class Calibrations:
 
 
 def _next(folder: Path) -> int:
-    """The number after the largest in a folder."""
+    """Return the number after the largest in a folder."""
     try:
         found = [int(match[0]) for path in folder.iterdir() if (match := re.match(r"\d{1,9}", path.name))]
     except OSError as error:

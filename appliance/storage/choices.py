@@ -57,7 +57,7 @@ class ChoicesFile:
             return self._lost(str(error))
 
     def write(self, choices: Choices) -> None:
-        """Durable on return. Raises StorageError."""
+        """Write it all down; it is durable on return. Raises StorageError."""
         standard, chosen = _spelled(self._standard), _spelled(choices)
         content = {name: value for name, value in chosen.items() if value != standard[name]}
         replace_file(self._fs, self.path, with_checksum({"schema": SCHEMA, "chosen": content}))

@@ -25,7 +25,7 @@ def spell_id(number: int) -> str:
 
 
 def take(fs: FileSystem, root: Path, used: Iterable[int]) -> int:
-    """A number that was never taken; durably gone on return. Raises StorageError."""
+    """Return a number that was never taken; durably gone on return. Raises StorageError."""
     # The file alone would do; the folders' numbers are looked at, too, in case the file is lost or damaged. A number
     # that was taken for a scan that failed is only in the file.
     number = max(1, _stored(root / FILE_NAME), max(used, default=0) + 1)
@@ -41,7 +41,7 @@ def _line(next_number: int) -> bytes:
 
 
 def _stored(path: Path) -> int:
-    """The next number by the file; 1 when the file is missing or damaged."""
+    """Return the next number by the file; 1 when the file is missing or damaged."""
     try:
         found = _LINE.fullmatch(path.read_bytes())
     except OSError:

@@ -52,7 +52,7 @@ def damaged_frames(folder: Path, manifest: Manifest) -> tuple[DamagedFrames, ...
 
 
 def frames_as_they_are(folder: Path, manifest: Manifest, file: str) -> NDArray[np.uint8]:
-    """The frames of a damaged ``file``, (n, h, w) uint8; what is missing at its end is 0. Raises ScanError.
+    """Return the frames of a damaged ``file``, (n, h, w) uint8; what is missing at its end is 0. Raises ScanError.
 
     A header that is damaged is made up from that of the other files of frames: all cameras have the same size.
     """
@@ -94,7 +94,8 @@ def _which(folder: Path, manifest: Manifest, file: str) -> tuple[int, ...] | Non
 
 
 def _shape(folder: Path, manifest: Manifest, count: int) -> tuple[int, int] | None:
-    """Height and width of the frames, as the first header says that can be read and fits its file's recorded length."""
+    """Return the height and width of the frames, as the first header says that can be read and fits its file's recorded
+    length."""
     for file in (*RAW_FILES, *SECOND_FILES):
         if file not in manifest.files:
             continue

@@ -45,7 +45,7 @@ class FileSystem(Protocol):
         """Remove a file or an empty folder."""
 
     def free_bytes(self, path: Path) -> int:
-        """Space left for an unprivileged process."""
+        """Return the space left for an unprivileged process."""
 
 
 class AllocatingFileSystem(FileSystem, Protocol):

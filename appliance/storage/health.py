@@ -53,7 +53,7 @@ class HealthFile:
             return HealthTrend()
 
     def write(self, trend: HealthTrend) -> None:
-        """Durable on return. Raises StorageError."""
+        """Write it all down; it is durable on return. Raises StorageError."""
         with refused("cannot make", self.path.parent):
             for folder in (self.path.parent.parent, self.path.parent):
                 if not folder.is_dir():

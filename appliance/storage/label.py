@@ -57,7 +57,7 @@ def checked(what: str, text: str, longest: int) -> str | None:
 
 
 def read(folder: Path) -> Label:
-    """The label of a scan's folder; an empty one where there is none. Raises LabelError."""
+    """Return the label of a scan's folder; an empty one where there is none. Raises LabelError."""
     path = folder / FILE_NAME
     try:
         with path.open("rb") as file:
@@ -76,7 +76,7 @@ def read(folder: Path) -> Label:
 
 
 def write(fs: FileSystem, folder: Path, label: Label) -> None:
-    """Durable and whole on return. Raises StorageError."""
+    """Write the label; it is durable and whole on return. Raises StorageError."""
     replace_file(fs, folder / FILE_NAME, with_checksum({"schema": SCHEMA, "name": label.name, "note": label.note}))
 
 

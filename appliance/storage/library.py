@@ -169,7 +169,7 @@ class Library:
         return "rejected" if rejected else "recovered"
 
     def _salvaged(self, folder: Path) -> Manifest | None:
-        """The folder's manifest, marked, with the files that are right; ``None`` without whole raw frames."""
+        """Return the folder's manifest, marked, with the files that are right; ``None`` without whole raw frames."""
         try:
             manifest = form.read(folder)
         except ManifestError:
@@ -238,11 +238,11 @@ class Library:
     # ------------------------------------------------------------------------------------- reading
 
     def entries(self, shelf: LibraryFolder = LibraryFolder.SCANS) -> list[ScanEntry]:
-        """All scans of a shelf by number; manifests and lengths are checked, checksums are not (``verify``)."""
+        """Return all scans of a shelf by number; manifests and lengths are checked, checksums are not (``verify``)."""
         return [entry_of(folder, checksums=False) for folder in self._sorted(shelf)]
 
     def entry(self, scan_id: str) -> ScanEntry:
-        """One scan by its number, wherever it lies. Raises UnknownScan."""
+        """Return one scan by its number, wherever it lies. Raises UnknownScan."""
         return entry_of(self._find(scan_id)[1], checksums=False)
 
     def verify(self, scan_id: str) -> ScanEntry:
@@ -254,15 +254,15 @@ class Library:
         return scan.load(self._find(scan_id)[1])
 
     def count(self) -> int:
-        """Number of published scans."""
+        """Return the number of published scans."""
         return sum(1 for _ in self._folders(LibraryFolder.SCANS))
 
     def ids(self) -> list[str]:
-        """Numbers of all published scans, the oldest first."""
+        """Return numbers of all published scans, the oldest first."""
         return [folder.name for folder in self._sorted(LibraryFolder.SCANS)]
 
     def last_id(self) -> str | None:
-        """The newest published scan."""
+        """Return the newest published scan."""
         folders = self._sorted(LibraryFolder.SCANS)
         return folders[-1].name if folders else None
 
@@ -328,7 +328,7 @@ def _belongs(folder: Path) -> LibraryFolder:
 
 
 def entry_of(folder: Path, *, checksums: bool) -> ScanEntry:
-    """One scan by its folder, be it in a library or copied elsewhere; ``checksums``: every byte is read.
+    """Return one scan by its folder, be it in a library or copied elsewhere; ``checksums``: every byte is read.
 
     A folder outside of any library counts as one of published scans, and may have any name. A number as its name must be
     the scan's own.

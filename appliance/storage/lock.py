@@ -42,7 +42,8 @@ def hold_lock(root: Path) -> Iterator[None]:
 
 
 def holder(root: Path) -> str | None:
-    """The process that holds the lock of ``root``; ``None`` where nobody does. Changes nothing, and never raises."""
+    """Return the process that holds the lock of ``root``; ``None`` where nobody does. Changes nothing, and never
+    raises."""
     try:
         descriptor = os.open(root / "run" / FILE_NAME, os.O_RDONLY | os.O_CLOEXEC)
     except OSError:

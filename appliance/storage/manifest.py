@@ -63,13 +63,14 @@ class Manifest:
 
 
 def encode(manifest: Manifest) -> bytes:
-    """The file's bytes. Raises TypeError for a value JSON cannot hold; NaN and infinity become null: not known."""
+    """Return the file's bytes. Raises TypeError for a value JSON cannot hold; NaN and infinity become null: not
+    known."""
     content = as_json(manifest)
     return (json.dumps({**content, "sha256": _digest(content)}, indent=1, sort_keys=True) + "\n").encode()
 
 
 def as_json(manifest: Manifest) -> dict[str, Any]:
-    """The content as JSON holds it. Raises TypeError as ``encode``."""
+    """Return the content as JSON holds it. Raises TypeError as ``encode``."""
     # Times have no null in the schema: one that is not known is left out.
     times_s = {name: s for name, s in manifest.record.stage_times_s.items() if math.isfinite(s)}
     return {"schema": SCHEMA, **_plain(replace(manifest, record=replace(manifest.record, stage_times_s=times_s)))}
@@ -102,7 +103,7 @@ def decode(data: bytes, name: str) -> Manifest:
 
 
 def read(folder: Path) -> Manifest:
-    """The manifest of a scan's folder. Raises ManifestError."""
+    """Return the manifest of a scan's folder. Raises ManifestError."""
     path = folder / FILE_NAME
     try:
         with path.open("rb") as file:

@@ -86,8 +86,8 @@ class StoredCloud:
 
 
 def encode_ply(cloud: PointCloud, salvaged: str | None = None) -> tuple[bytes, Bytes]:
-    """Header and body of the file; ``salvaged`` is written into it. Raises ValueError where lengths differ or a coordinate
-    is not finite."""
+    """Return the header and body of the file; ``salvaged`` is written into it. Raises ValueError where lengths differ or
+    a coordinate is not finite."""
     n = len(cloud.points_mm)
     if cloud.points_mm.shape != (n, 3):
         raise ValueError(f"points_mm has shape {cloud.points_mm.shape}; (n, 3) is needed")

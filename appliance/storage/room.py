@@ -63,7 +63,8 @@ Answer = TypeVar("Answer")
 
 
 def plan(frames_bytes: int, cloud_bytes: int) -> dict[str, int]:
-    """Lengths in bytes of what one scan needs: ``frames_bytes`` for each camera, ``cloud_bytes`` at most for the points."""
+    """Return lengths in bytes of what one scan needs: ``frames_bytes`` for each camera, ``cloud_bytes`` at most for
+    the points."""
     return {**{f"frames-{side}": frames_bytes for side in SIDES}, "cloud": cloud_bytes, **SMALL}
 
 
@@ -194,7 +195,7 @@ def _unused(piece: Path) -> bool:
 
 
 def _allocated(path: Path) -> int:
-    """Bytes of a file that have their place on the disk; -1 where there is none."""
+    """Return the bytes of a file that have their place on the disk; -1 where there is none."""
     try:
         found = path.stat()
     except OSError:

@@ -88,7 +88,7 @@ class StoredScan:
     """Frames of the second exposure, like ``frames``; ``None``: there is none."""
 
     def cloud(self) -> StoredCloud | None:
-        """The stored cloud; ``None`` where the scan has none. Raises ScanError."""
+        """Return the stored cloud; ``None`` where the scan has none. Raises ScanError."""
         if CLOUD not in self.manifest.files:
             return None
         from appliance.storage.ply import PlyError, read_ply
@@ -234,7 +234,7 @@ def wrong_files(folder: Path, manifest: Manifest, *, checksums: bool) -> dict[st
 
 
 def manifest_of(folder: Path) -> Manifest:
-    """The manifest of a scan's folder. Raises ScanError."""
+    """Return the manifest of a scan's folder. Raises ScanError."""
     try:
         return form.read(folder)
     except ManifestError as error:
@@ -261,7 +261,8 @@ def load(folder: Path, *, only_raw: bool = False) -> StoredScan:
 
 
 def read_header(data: bytes) -> tuple[int, tuple[int, int, int]] | None:
-    """Length of the header of a file of frames that begins with ``data``, and (n, h, w); ``None`` for anything else.
+    """Return the length of the header of a file of frames that begins with ``data``, and (n, h, w); ``None`` for anything
+    else.
 
     It is compared with the one that ``_npy`` writes, nothing in it is executed.
     """
@@ -272,7 +273,7 @@ def read_header(data: bytes) -> tuple[int, tuple[int, int, int]] | None:
 
 
 def _mapped(path: Path, count: int) -> NDArray[np.uint8]:
-    """The frames of a file."""
+    """Return the frames of a file."""
     import numpy as np
 
     try:
@@ -291,7 +292,7 @@ def _mapped(path: Path, count: int) -> NDArray[np.uint8]:
 
 
 def _npy(frames: NDArray[np.uint8]) -> tuple[Bytes, Bytes]:
-    """Header and body of an .npy file (NumPy format 1.0), without a copy of the pixels."""
+    """Return the header and body of an .npy file (NumPy format 1.0), without a copy of the pixels."""
     import numpy as np
 
     solid = np.ascontiguousarray(frames)
@@ -307,7 +308,7 @@ def size_bytes(frames: int, width_px: int, height_px: int) -> int:
 
 
 def frames_bytes(frames: int, width_px: int, height_px: int) -> int:
-    """Length of the file with one camera's frames."""
+    """Return the length of the file with one camera's frames."""
     import numpy as np
 
     header, _ = _npy(np.empty((frames, height_px, width_px), np.uint8))
@@ -315,7 +316,7 @@ def frames_bytes(frames: int, width_px: int, height_px: int) -> int:
 
 
 def cloud_bytes(width_px: int, height_px: int) -> int:
-    """Length that the file with the points has at most: one for every left pixel."""
+    """Return the length that the file with the points has at most: one for every left pixel."""
     from appliance.storage.ply import POINT
 
     return POINT.itemsize * width_px * height_px + 4096

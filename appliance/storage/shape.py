@@ -22,7 +22,7 @@ class ShapeError(ValueError):
 
 
 def shaped(kind: type[T], value: object) -> T:
-    """The dataclass ``kind`` with the fields of a JSON object. Raises ShapeError for the first that is wrong."""
+    """Return the dataclass ``kind`` with the fields of a JSON object. Raises ShapeError for the first that is wrong."""
     made: T = _shaped(kind, value, "")
     return made
 
@@ -72,7 +72,7 @@ def _hints(kind: Any) -> tuple[tuple[str, Any, bool], ...]:
 
 
 def _plain(kind: Any, value: object, path: str) -> Any:
-    """A text, a number, a yes or no, or one of an enumeration's values."""
+    """Return a text, a number, a yes or no, or one of an enumeration's values."""
     if kind is str and isinstance(value, str):
         return value
     if isinstance(value, int | float):

@@ -17,7 +17,8 @@ from appliance.machine.words import english
 def describe(
     machine: Machine, pid: int, version: str, worker_pid: int | None = None, gallery: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
-    """The file's content. A device is ``ok``, ``lost`` or, before it was tried, ``unknown``. ``gallery``: of the scan shown."""
+    """Return the file's content. A device is ``ok``, ``lost`` or, before it was tried, ``unknown``. ``gallery``: of
+    the scan shown."""
     return {
         "state": machine.state.value,
         "since_ns": machine.since_ns,
@@ -55,7 +56,7 @@ def _question(machine: Machine) -> dict[str, Any] | None:
 
 
 def _calibration(machine: Machine) -> dict[str, Any] | None:
-    """The step under way and what became of its latest recording; ``None`` while nobody calibrates."""
+    """Return the step under way and what became of its latest recording; ``None`` while nobody calibrates."""
     at, session = machine.calibrating, machine.session
     if at is None:
         return None

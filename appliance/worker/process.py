@@ -241,8 +241,8 @@ class ReconstructionWorker:
         return not self._ping_sent or now_ns - self._alive_ns <= 2 * grace_ns
 
     def gets_on(self) -> bool:
-        """The first start is not at its end, but took processor time since it was looked at last; a start that hangs takes
-        none. False also where that was only just asked."""
+        """Tell whether the first start, still under way, took processor time since it was looked at last; one that
+        hangs takes none. False also where that was only just asked."""
         now_ns = self._clock.now_ns()
         # Of the first start only: the self-test waits for that one, and a start that failed before may fail for ever.
         if not self._starting or self._fruitless or self.pid is None or now_ns < self._progress_check_ns:
@@ -324,7 +324,8 @@ class ReconstructionWorker:
         self.finish()
 
     def poll(self) -> WorkerEvent | None:
-        """The next event, or ``None``. Restarts a worker that died or exceeded its limits, and reports that once.
+        """Return the next event, or ``None``. Restarts a worker that died or exceeded its limits, and reports that
+        once.
 
         Never waits: the caller is the heartbeat.
         """

@@ -7,7 +7,8 @@ from pathlib import Path
 
 
 def own_memory_mb(pid: int) -> float | None:
-    """Resident memory of a process without what it shares with others, MB; ``None`` when it is not there any more."""
+    """Return the resident memory of a process without what it shares with others, MB; ``None`` when it is not there any
+    more."""
     status = _read(pid, "status")
     kb = {line.split(":")[0]: line.split()[1] for line in status.splitlines() if line.startswith("Rss")}
     # proc(5): VmRSS = RssAnon + RssFile + RssShmem; the last one is the frame store and the points.
@@ -15,7 +16,7 @@ def own_memory_mb(pid: int) -> float | None:
 
 
 def cpu_s(pid: int) -> float | None:
-    """Processor time of a process so far, all its threads; ``None`` when it is not there any more."""
+    """Return the processor time of a process so far, all its threads; ``None`` when it is not there any more."""
     fields = _read(pid, "stat").rpartition(")")[2].split()  # the name before may hold spaces
     if len(fields) < 13:
         return None

@@ -47,7 +47,8 @@ _ALONG_MM = -0.67
 
 
 def run_what_an_empty_scan_does_not(sequence: PatternSequence, frames: NDArray[np.uint8]) -> None:
-    """Kernels for motion, changing light, veil and a second exposure; else the first scan that has some would wait for a compiler."""
+    """Run the kernels for motion, changing light, veil and a second exposure; else the first scan that has some would
+    wait for a compiler."""
     compensate_wall()
     warm_light()
     warm_backscatter(sequence, frames, TYPICAL)
@@ -88,7 +89,8 @@ DESK = (
 
 
 def compensate_wall() -> None:
-    """Kernels that estimate motion and undo it: in the dark, before a flat wall that moves along with the fringes."""
+    """Run the kernels that estimate motion and undo it: in the dark, before a flat wall that moves along with the
+    fringes."""
     with _nothing(writable=True) as (pipeline, calibration, frames):
         decoded = {side: pipeline.decoded(side) for side in SIDES}
         v, u = np.mgrid[0 : frames.shape[1], 0 : frames.shape[2]]
@@ -105,7 +107,7 @@ def compensate_wall() -> None:
 
 
 def find_points() -> None:
-    """Kernels from frames to clouds."""
+    """Run the kernels from frames to clouds."""
     _find_points(writable=True)
 
 
@@ -115,13 +117,13 @@ def find_points_of_stored() -> None:
 
 
 def judge_patterns() -> None:
-    """Kernels that tell whether each frame shows its pattern."""
+    """Run the kernels that tell whether each frame shows its pattern."""
     with _nothing(writable=True) as (pipeline, _, frames):
         judge_identity(dict.fromkeys(SIDES, frames), pipeline.sequence, TYPICAL_PAIR)
 
 
 def judge_scan() -> None:
-    """Kernels of the other verdicts."""
+    """Run the kernels of the other verdicts."""
     _judge(writable=True)
 
 
@@ -132,12 +134,12 @@ def judge_stored() -> None:
 
 
 def read_through_backscatter() -> None:
-    """Kernels for turbid water and for what floats in it."""
+    """Run the kernels for turbid water and for what floats in it."""
     _read_through_backscatter(writable=True)
 
 
 def merge_walls() -> None:
-    """Kernels that make one cloud of two exposures."""
+    """Run the kernels that make one cloud of two exposures."""
     _run_pair()
 
 
