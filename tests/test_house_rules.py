@@ -419,7 +419,6 @@ RULES = [
             "appliance/cli/__main__.py": "the door of `python -m`",
             "appliance/scan/acquisition.py": "a word of the ground floor that ten rooms use, and no other word's",
             "appliance/screens/colours.py": "the palette: every screen draws with it, and it belongs to none",
-            "appliance/worker/usage.py": "what the system counts of another process: the worker and its tests ask",
             "drivers/camera_families/": "one family is one file, found by its name",
             "drivers/errors.py": "raised by every driver",
             "drivers/output/spec.py": "the two outputs as the rig file has them, for all of the package",
