@@ -16,7 +16,7 @@ from appliance.reconstruct.table import Cloud
 from appliance.scan.verdict import Judgement
 from appliance.verdict.light.judge import judge_light
 from appliance.verdict.motion.judge import judge_motion
-from appliance.verdict.sight import look
+from appliance.verdict.sight.judge import look
 from appliance.verdict.water.judge import judge_water
 from appliance.verdict.window import look_at_windows
 

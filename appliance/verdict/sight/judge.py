@@ -3,7 +3,7 @@
 It is asked where decoding comes to nothing: a pixel needs 5 grey values of modulation, but the mean over a cell of some
 hundred pixels tells fringes of half a grey value from noise. Fringes across the baseline are the object's alone: a ray crosses
 many of them in the water, so that the water's light has none. Points are asked where they lie before any limit of depth; where
-there are none, the fringes themselves (``sight_range``).
+there are none, the fringes themselves (``distance``).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from appliance.reconstruct.table import Cloud
 from appliance.scan.noise import CameraNoise, StereoNoise
 from appliance.scan.sides import SIDES, of_side
 from appliance.scan.verdict import Verdict
-from appliance.verdict.sight_range import find_depths_mm
+from appliance.verdict.sight.distance import find_depths_mm
 from appliance.verdict.water.beam import half_field, shape_of_glow
 
 Array = NDArray[np.float64]

@@ -8,8 +8,8 @@ import pytest
 from appliance.reconstruct.quality import CloudSummary, QualityLimits
 from appliance.reconstruct.table import Found, PointTable
 from appliance.scan.noise import TYPICAL_PAIR
-from appliance.verdict.sight import look
-from appliance.verdict.sight_range import find_depths_mm
+from appliance.verdict.sight.distance import find_depths_mm
+from appliance.verdict.sight.judge import look
 from hw_sim.scene import Scene
 from hw_sim.water.medium import Water
 from tests.support.rendered import RenderedScan, render_scan

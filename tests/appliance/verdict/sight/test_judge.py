@@ -9,7 +9,7 @@ from appliance.patterns.sequence import Direction, build_sequence
 from appliance.reconstruct.quality import CloudSummary, QualityLimits
 from appliance.reconstruct.table import Cloud
 from appliance.scan.noise import CameraNoise, StereoNoise
-from appliance.verdict.sight import VisibleFringes, distance_of, look, see
+from appliance.verdict.sight.judge import VisibleFringes, distance_of, look, see
 from tests.support import synthetic
 
 SEQUENCE = build_sequence(16)
