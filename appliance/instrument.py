@@ -12,10 +12,10 @@ from appliance.calibration import owner
 from appliance.calibration.design import Design, design_calibration
 from appliance.calibration.file import Calibration, CalibrationError, encode, load
 from appliance.calibration.owner import Misfit, Owner
-from appliance.calibration.response_file import ResponseFileError
-from appliance.calibration.response_file import load as load_response
-from appliance.calibration.start import METHOD as IN_AIR
-from appliance.calibration.start import check_start
+from appliance.calibration.response.file import ResponseFileError
+from appliance.calibration.response.file import load as load_response
+from appliance.calibration.water.start import METHOD as IN_AIR
+from appliance.calibration.water.start import check_start
 from appliance.capture.timeouts import Timeouts
 from appliance.config import Rig, rig_text
 from appliance.config.rig import CameraRig

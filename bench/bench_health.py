@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibration.bundle import Rung
 from appliance.calibration.health import LIMIT, SLACK, HealthTrend, judge
 from appliance.calibration.patches import PatchGaps
+from appliance.calibration.water.bundle import Rung
 from bench.health_changes import Change, changes, length_error_percent
 from bench.health_picture import draw_health
 from bench.result import Measured

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibration.shapes import triangulate
+from appliance.calibration.water.shapes import triangulate
 from appliance.optics.model import StereoRig
 from appliance.optics.water import Water
 from hw_sim.mount_shift import MountShift, with_mount_shifted

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from appliance.calibration import file as calibration_file
-from appliance.calibration.method import BY_SCANS, Method
+from appliance.calibration.water.method import BY_SCANS, Method
 from appliance.cli.arguments import number, operand, option, separated, switch
 from appliance.cli.desk import place_of, whole_scan, writable, writing
 from appliance.cli.kernels import compile_desk_kernels
@@ -22,7 +22,7 @@ from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.lock import hold_lock
 
 if TYPE_CHECKING:  # solvers are imported inside the verbs: `scans list` can do without
-    from appliance.calibration.ladder import LadderSettings
+    from appliance.calibration.water.ladder import LadderSettings
 
 STEP_MM = number(0.01, 50.0, "mm")
 DEFAULT_OUT = Path("calibration-water.json")
@@ -72,8 +72,8 @@ class CalibrateWater(WithRoot):
             raise UsageError(f"--out {target}: {data} is the list itself; give another name")
         compile_desk_kernels()  # before anything brings compiled kernels
         from appliance.instrument import refuse_drawing, start_of
+        from appliance.offline.calibration.water import check_list, run_water_calibration
         from appliance.offline.evaluation import ListError, read_list
-        from appliance.offline.water_calibration import check_list, run_water_calibration
 
         try:
             scans = read_list(self.list)
@@ -126,8 +126,8 @@ class CalibrateWater(WithRoot):
 
     def settings(self) -> LadderSettings:
         """Return the settings of the searches of rm and rmd, with the reach and the steps in mm where they were typed."""
-        from appliance.calibration.interface import SearchSettings
-        from appliance.calibration.ladder import LadderSettings
+        from appliance.calibration.water.interface import SearchSettings
+        from appliance.calibration.water.ladder import LadderSettings
 
         search = SearchSettings(noise_free=not self.published_flatness)
         if self.reach_mm is not None:

@@ -16,7 +16,7 @@ from appliance.cli.places import WithRoot
 from appliance.config import Rig
 
 if TYPE_CHECKING:  # imported inside the verb: `scans list` can do without
-    from appliance.calibration.board import BoardDesign
+    from appliance.calibration.air.board import BoardDesign
 
 log = logging.getLogger(__name__)
 
@@ -59,11 +59,11 @@ class CalibrateAir(WithRoot):
     def run(self) -> Exit:
         rig = self.rooted_rig()
         find_kernels()
-        from appliance.calibration.air import AirCalibrationError
-        from appliance.calibration.board import BoardDesign, BoardError, parse_board
-        from appliance.offline.air import PicturesError, calibrate_folder
-        from appliance.offline.air import install as install_air
-        from appliance.offline.air_views import FolderError, read_session
+        from appliance.calibration.air.adjustment import AirCalibrationError
+        from appliance.calibration.air.board import BoardDesign, BoardError, parse_board
+        from appliance.offline.calibration.air import PicturesError, calibrate_folder
+        from appliance.offline.calibration.air import install as install_air
+        from appliance.offline.calibration.view_folder import FolderError, read_session
 
         writable(self.out)
         target = self.out or self.folder / DEFAULT_NAME
@@ -92,7 +92,7 @@ class CalibrateAir(WithRoot):
         return Exit.OK
 
     def _record(self, rig: Rig, design: BoardDesign | None) -> None:
-        from appliance.offline.air_views import ViewFolder
+        from appliance.offline.calibration.view_folder import ViewFolder
         from appliance.service.air_live import LiveError, LiveOptions, record_views
 
         wanted = LiveOptions(self.views, not self.room_light, self.exposure_ms, self.patience_s)

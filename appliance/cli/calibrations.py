@@ -20,7 +20,7 @@ class ShowCalibration(WithRoot):
 
     def run(self) -> Exit:
         rig = self.rooted_rig()
-        from appliance.offline.calibration_files import describe_calibration
+        from appliance.offline.calibration.files import describe_calibration
 
         content = describe_calibration(rig, self.file)
         say_report(content, as_json=self.json)
@@ -36,7 +36,7 @@ class NominalCalibration(WithRoot):
     def run(self) -> Exit:
         rig = self.rooted_rig()
         from appliance.instrument import CALIBRATION_FILE
-        from appliance.offline.calibration_files import write_nominal_calibration
+        from appliance.offline.calibration.files import write_nominal_calibration
 
         writable(self.out)
         path = self.out or rig.storage.root / CALIBRATION_FILE.with_name("nominal.json")

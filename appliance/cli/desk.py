@@ -63,7 +63,7 @@ def place_of(listed: Path, scan: str) -> str:
 
 def measuring(calibration: Path | None) -> None:
     """Raises UsageError for a ``--calibration`` in air: what the windows do is not in it. Raises CalibrationError."""
-    from appliance.calibration.start import METHOD as IN_AIR  # brings OpenCV, which `scans list` can do without
+    from appliance.calibration.water.start import METHOD as IN_AIR  # brings OpenCV, which `scans list` can do without
 
     if calibration is not None and calibration_file.load(calibration).method == IN_AIR:
         raise UsageError(

@@ -32,8 +32,8 @@ class MeasureResponse(WithRoot):
         wish = self.wish()
         writable(self.out)
         compile_desk_kernels()  # before anything brings compiled kernels
-        from appliance.calibration.response import ResponseError
-        from appliance.calibration.response_file import encode
+        from appliance.calibration.response.file import encode
+        from appliance.calibration.response.measure import ResponseError
         from appliance.instrument import RESPONSE_FILE
         from appliance.offline.measuring import response_of_scan
 

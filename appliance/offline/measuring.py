@@ -6,8 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from appliance.calibration.photon_transfer import MeasuredNoise, measure_noise
-from appliance.calibration.response import CameraImages, MeasuredResponse, ResponseError, measure_response
-from appliance.calibration.response_file import StoredResponse
+from appliance.calibration.response.file import StoredResponse
+from appliance.calibration.response.measure import CameraImages, MeasuredResponse, ResponseError, measure_response
 from appliance.config import Rig
 from appliance.instrument import RESPONSE_FILE, exposure_of_scan, noise_of, response_of
 from appliance.patterns.response import Response

@@ -167,7 +167,7 @@ def misfit(calibration: Calibration, scan: SourceScan, *, foreign: bool = False,
     as the scan, the rig file given for it or the calibration that its manifest names say whose it is. ``start``: it is
     what a calibration begins with.
     """
-    from appliance.calibration.start import METHOD as IN_AIR  # brings OpenCV
+    from appliance.calibration.water.start import METHOD as IN_AIR  # brings OpenCV
 
     option = "--start" if start else "--calibration"
     remedy = f"give the one of the instrument that recorded it with {option} FILE"

@@ -16,16 +16,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibration.air import BoardView
-from appliance.calibration.board import NoBoard
-from appliance.calibration.coverage import coverage
-from appliance.calibration.rest import mean_of, view_of
+from appliance.calibration.air.adjustment import BoardView
+from appliance.calibration.air.board import NoBoard
+from appliance.calibration.air.coverage import coverage
+from appliance.calibration.air.rest import mean_of, view_of
 from appliance.capture.grabber import Grabber
 from appliance.capture.scan import ScanRecorder, ScanSettings
 from appliance.capture.store import FrameStore
 from appliance.config import Rig
-from appliance.offline.air import find_boards, pairs_of
-from appliance.offline.air_views import ViewFolder
+from appliance.offline.calibration.air import find_boards, pairs_of
+from appliance.offline.calibration.view_folder import ViewFolder
 from appliance.patterns.sequence import Direction, Kind, Pattern
 from appliance.scan.fault import Fault
 from appliance.scan.sides import SIDES

@@ -11,11 +11,8 @@ import numpy as np
 
 from appliance import __version__
 from appliance.calibration import file as calibration_file
-from appliance.calibration import report as report_of
-from appliance.calibration.extract import CALIBRATING_GAP_MM, BarCertificate, extract
 from appliance.calibration.file import Calibration
 from appliance.calibration.guide import HELD, USED, AdjustmentSummary, RecordingCheck, Refusal, Step, Verified
-from appliance.calibration.ladder import Method, calibrate
 from appliance.calibration.poses import FoundBar, FoundPlane, judge_bar, judge_plane
 from appliance.calibration.recordings import (
     ArtefactKind,
@@ -24,12 +21,15 @@ from appliance.calibration.recordings import (
     Recording,
     RecordingError,
 )
+from appliance.calibration.water import report as report_of
+from appliance.calibration.water.extract import CALIBRATING_GAP_MM, BarCertificate, extract
+from appliance.calibration.water.ladder import Method, calibrate
 from appliance.config import Rig
 from appliance.evaluation.ball_bar import BallBar, find_ball_bar
 from appliance.evaluation.plane import PlaneFit, fit_plane
 from appliance.evaluation.points import NotFound
 from appliance.instrument import calibration_of, settings_of_scan, start_of
-from appliance.offline.recordings import cameras_of, recording_of_scan
+from appliance.offline.calibration.recordings import cameras_of, recording_of_scan
 from appliance.offline.reprocess import ReprocessedScan, reprocess
 from appliance.reconstruct.pipeline import Cloud
 from appliance.reconstruct.quality import QualityLimits

@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from appliance.calibration.extract import CALIBRATING_GAP_MM, BarCertificate, extract
 from appliance.calibration.file import Calibration
 from appliance.calibration.recordings import Recording
+from appliance.calibration.water.extract import CALIBRATING_GAP_MM, BarCertificate, extract
 from appliance.evaluation.points import NotFound
 from appliance.offline.evaluation import JUDGING_GAP_MM
 from appliance.optics.water import Water

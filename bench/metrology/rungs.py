@@ -6,11 +6,11 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from appliance.calibration.air import AirCalibration
+from appliance.calibration.air.adjustment import AirCalibration
 from appliance.calibration.file import Calibration
-from appliance.calibration.interface import SearchSettings
-from appliance.calibration.ladder import LadderSettings, Method, calibrate
 from appliance.calibration.recordings import Recording
+from appliance.calibration.water.interface import SearchSettings
+from appliance.calibration.water.ladder import LadderSettings, Method, calibrate
 from appliance.optics.water import Water
 from bench.metrology.air import BOARDS_IN_WATER, boards_in_water
 from bench.metrology.poses import CALIBRATION_BARS, CALIBRATION_PLANES

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibration.response import CameraImages, MeasuredResponse, measure_response
+from appliance.calibration.response.measure import CameraImages, MeasuredResponse, measure_response
 from appliance.evaluation.flatness import cubic_of
 from appliance.patterns.response import Response
 from appliance.reconstruct.pipeline import Cloud, Pipeline

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibration.file import Calibration
-from appliance.calibration.shapes import triangulate
+from appliance.calibration.water.shapes import triangulate
 from appliance.optics.model import HousedCamera, StereoRig
 from appliance.reconstruct.pipeline import Cloud
 from hw_sim.optics.view import TrueView

@@ -20,16 +20,16 @@ import cv2
 import numpy as np
 
 from appliance.calibration import file as calibration_file
-from appliance.calibration import response_file
 from appliance.calibration.design import Design, design_calibration
 from appliance.calibration.file import CalibrationError
 from appliance.calibration.guide import USED, AdjustmentSummary, RecordingCheck, Session, Step, Verified
 from appliance.calibration.health import HealthTrend, TrendPoint
-from appliance.calibration.response_file import ResponseFileError, StoredResponse
+from appliance.calibration.response import file as response_file
+from appliance.calibration.response.file import ResponseFileError, StoredResponse
 from appliance.checksummed_file import with_checksum
 from appliance.config import ConfigError, default_rig_path, load_rig
 from appliance.machine.choices import Choices
-from appliance.offline.air import Pair, PicturesError, read_pair
+from appliance.offline.calibration.air import Pair, PicturesError, read_pair
 from appliance.optics.correction import ImageCorrection, node_count
 from appliance.optics.ray_shift import RayShift
 from appliance.optics.water import Water

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from appliance.calibration import file as calibration_file
-from appliance.calibration import response_file
 from appliance.calibration.health import HealthTrend
+from appliance.calibration.response import file as response_file
 from appliance.config import ConfigError
 from appliance.config.load import parse_rig
 from appliance.storage import counter

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from appliance.calibration.air import AirCalibration
+from appliance.calibration.air.adjustment import AirCalibration
 from appliance.calibration.file import Calibration, encode, load
 from appliance.calibration.guide import Step
-from appliance.calibration.start import start_from_air
+from appliance.calibration.water.start import start_from_air
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.config import Rig, load_rig
 from appliance.evaluation.ball_bar import BallBar, find_ball_bar

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from appliance.calibration.extract import CALIBRATING_GAP_MM, BarCertificate, extract
 from appliance.calibration.file import Calibration
-from appliance.calibration.ladder import Method, calibrate
 from appliance.calibration.recordings import Recording
+from appliance.calibration.water.extract import CALIBRATING_GAP_MM, BarCertificate, extract
+from appliance.calibration.water.ladder import Method, calibrate
 from appliance.evaluation.result import LENGTHS, Artefact, Result, evaluate
 from appliance.offline.evaluation import JUDGING_GAP_MM
 from appliance.reconstruct.pipeline import Cloud, Pipeline

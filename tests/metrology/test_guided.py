@@ -12,7 +12,7 @@ import pytest
 
 from appliance.calibration.file import encode
 from appliance.calibration.guide import USED, RecordingCheck, Session, Step
-from appliance.calibration.start import start_from_air
+from appliance.calibration.water.start import start_from_air
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.config import Rig, load_rig
 from appliance.instrument import design_of

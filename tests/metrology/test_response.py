@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from appliance.calibration.response import CameraImages, MeasuredResponse, ResponseError, measure_response
+from appliance.calibration.response.measure import CameraImages, MeasuredResponse, ResponseError, measure_response
 from appliance.patterns.response import Response, phase_error_rad
 from hw_sim.objects.motion import Motion
 from hw_sim.optics.projector import response as true_response

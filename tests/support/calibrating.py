@@ -9,12 +9,12 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibration.air import AirCalibration, BoardView, calibrate_air
+from appliance.calibration.air.adjustment import AirCalibration, BoardView, calibrate_air
 from appliance.calibration.design import Design, design_calibration
 from appliance.calibration.file import Calibration
 from appliance.calibration.recordings import ArtefactKind, Recording
-from appliance.calibration.shapes import fit_plane, fit_sphere, triangulate
-from appliance.calibration.start import start_from_air
+from appliance.calibration.water.shapes import fit_plane, fit_sphere, triangulate
+from appliance.calibration.water.start import start_from_air
 from appliance.evaluation.frustum import EDGE_MM, Face, Frustum
 from appliance.evaluation.plane import Plane, orthogonal_plane
 from appliance.evaluation.points import Used

@@ -8,10 +8,10 @@ from functools import cache
 
 import numpy as np
 
-from appliance.calibration.bundle import Rung, adjust
 from appliance.calibration.gaps import GapModes, signed_gap_mm
 from appliance.calibration.health import HealthJudgement, HealthTrend, judge
 from appliance.calibration.patches import PatchGaps, average
+from appliance.calibration.water.bundle import Rung, adjust
 from appliance.optics.model import StereoRig
 from hw_sim.truth import TrueRig
 from tests.support.calibrating import (

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from appliance.calibration.design import Design, design_calibration
 from appliance.calibration.file import Calibration, CalibrationError, decode, encode, load
+from appliance.calibration.water.printed import PrintedCamera
 from appliance.checksummed_file import with_checksum
-from appliance.optics.printed import PrintedCamera
 from appliance.optics.ray_shift import RayShift
 from appliance.optics.water import Water
 

@@ -10,9 +10,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from appliance.calibration.bundle import Rung
 from appliance.calibration.health import LEARNT_SCANS, HealthTrend, answered, judge
 from appliance.calibration.patches import PatchGaps
+from appliance.calibration.water.bundle import Rung
 from appliance.optics.water import Water
 from hw_sim.mount_shift import MountShift, with_mount_shifted
 from tests.support.gap_scans import calibrated, follow, in_water, learnt, scan, scans_until_alarm

@@ -15,7 +15,7 @@ from appliance.checksummed_file import with_checksum
 from appliance.config import Rig, default_rig_path, load_rig, rig_text
 from appliance.instrument import calibration_of, design_of
 from appliance.machine.alerts import alert_of
-from appliance.offline.recordings import cameras_of
+from appliance.offline.calibration.recordings import cameras_of
 from appliance.scan.fault import FaultCode
 from appliance.storage.library import Library
 from appliance.storage.scan import ScanOrigin

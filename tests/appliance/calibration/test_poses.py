@@ -9,10 +9,10 @@ import pytest
 
 from appliance.calibration.design import design_calibration
 from appliance.calibration.guide import HELD, AdjustmentSummary, RecordingCheck, Refusal, Session, Step, Verified
-from appliance.calibration.ladder import Method, calibrate
 from appliance.calibration.poses import FoundBar, FoundPlane, judge_bar, judge_plane, rig_axes
 from appliance.calibration.recordings import ArtefactKind
-from appliance.calibration.start import start_from_air
+from appliance.calibration.water.ladder import Method, calibrate
+from appliance.calibration.water.start import start_from_air
 from tests.support.calibrating import (
     CALIBRATION_PLANES,
     DESIGN,

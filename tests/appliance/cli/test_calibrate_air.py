@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from appliance.calibration.file import load
-from appliance.calibration.start import METHOD
+from appliance.calibration.water.start import METHOD
 from appliance.cli import main
 from appliance.config import parse_rig
 from appliance.instrument import calibration_of

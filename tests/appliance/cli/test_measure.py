@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from appliance.calibration.response_file import load
+from appliance.calibration.response.file import load
 from appliance.cli import main
 from hw_sim.scene import Imaging, Scene
 from tests.support.rendered import RenderedScan, render_scan

@@ -12,7 +12,7 @@ from appliance.calibration.file import CalibrationError, encode
 from appliance.config import Rig, load_rig
 from appliance.config.load import default_rig_path
 from appliance.instrument import CALIBRATION_FILE, calibration_of, design_of
-from appliance.offline.calibration_files import describe_calibration, write_nominal_calibration
+from appliance.offline.calibration.files import describe_calibration, write_nominal_calibration
 from appliance.offline.origin import Wish, calibration_for, open_source
 from appliance.offline.reconstruct import reconstruct_scan
 from appliance.optics.model import StereoRig

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from appliance.calibration.design import Design, design_calibration
+from appliance.calibration.water.printed import PrintedCamera
 from appliance.optics import pinhole
 from appliance.optics.correction import ImageCorrection
 from appliance.optics.model import HousedCamera, StereoRig
 from appliance.optics.pinhole import Lens
 from appliance.optics.port import water_rays
-from appliance.optics.printed import PrintedCamera
 from appliance.optics.ray_shift import RayShift
 from appliance.optics.water import Water
 

@@ -1,0 +1,1 @@
+"""The calibration in air: lenses and the pose of both cameras, from boards."""

@@ -1,0 +1,432 @@
+"""Owns the bundle adjustment in water: ports, and if wanted lenses, pose and image corrections, from few recordings.
+
+Residual: the ray of the exact left pixel meets the artefact, the point is projected into the right camera, and there
+it is compared with the matched right pixel, in both directions (the parallax across the baseline is what shows a
+tilted port). Artefacts' places are unknowns; everything that the recordings cannot tell stays at its prior.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+from itertools import pairwise
+
+import numpy as np
+import scipy.sparse
+from numpy.typing import NDArray
+
+from appliance.calibration import parameters
+from appliance.calibration.file import Calibration
+from appliance.calibration.judgement import Estimate, judged, warnings_about
+from appliance.calibration.recordings import ArtefactKind, NotConverged, Recording, RecordingError, thinned
+from appliance.calibration.water.artefact import Place, first_place
+from appliance.calibration.water.start import check_start
+from appliance.optics.correction import INTERVALS, ImageCorrection, basis_matrix, node_count
+from appliance.optics.model import HousedCamera, StereoRig
+from appliance.optics.ray_shift import INTERVALS as SHIFT_INTERVALS
+from appliance.optics.ray_shift import RayShift
+
+Array = NDArray[np.float64]
+
+PIXEL_STEP = 1e-3
+SHIFT_STEP_MM = 1e-3
+
+
+class Rung(Enum):
+    """Freedom of the adjustment: which parameters it may change."""
+
+    PORTS = "ports"
+    """Adjust each port's tilt and distance; the calibration in air is believed."""
+    ALL = "all"
+    """Adjust both lenses and the stereo pose, too, held by the covariance of the calibration in air."""
+    SPLINE = "spline"
+    """Adjust a smooth image correction per camera, too."""
+    FIELD = "field"
+    """A finer image correction, and a shift of each ray: a free field of rays about the model. Wants many recordings."""
+
+
+@dataclass(frozen=True, slots=True)
+class BundleSettings:
+    """Noise and priors (standard deviations), and when to stop."""
+
+    noise_px: float = 0.04
+    """Standard deviation of a matched right pixel, per coordinate."""
+    tilt_deg: float = 0.7
+    distance_mm: float = 3.0
+    mount_deg: float = 0.01
+    """Standard deviation of the change of the stereo pose between the calibration in air and the water."""
+    mount_mm: float = 0.02
+    refocus: float = 1e-4
+    """Relative change of a principal distance between air and water."""
+    spline_px: float = 0.15
+    spline_bend_px: float = 0.05
+    """Standard deviation of second differences between neighbouring spline nodes."""
+    field_intervals: tuple[int, int] = (10, 8)
+    """Intervals of the field's image correction, across and down."""
+    field_bend_px: float = 0.03
+    """Standard deviation of second differences of the field's image correction; its nodes are nearer than the
+    spline's."""
+    shift_mm: float = 0.02
+    shift_bend_mm: float = 0.01
+    """Standard deviation of the ray shift's nodes, and of their second differences."""
+    points_per_recording: int = 1500
+    far_residual: float = 4.0
+    """Residuals beyond this many standard deviations lose weight in proportion (Huber)."""
+    steps_at_most: int = 25
+    small_step: float = 0.03
+    """Converged when a step is shorter than this in standard deviations, all parameters together."""
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingResidual:
+    """Residuals of one recording after the adjustment."""
+
+    name: str
+    points: int
+    rms_px: float
+    """RMS residual per coordinate."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BundleResult:
+    """A calibration, and what one should know before trusting it."""
+
+    calibration: Calibration
+    residuals: tuple[RecordingResidual, ...]
+    systematic_px: float
+    """RMS of what remains after averaging the noise away over patches of the image."""
+    estimates: tuple[Estimate, ...]
+    warnings: tuple[str, ...]
+    costs: tuple[float, ...]
+    """The robust sum of squares, priors included: before the first step and after each."""
+
+    @property
+    def steps(self) -> int:
+        """Steps taken."""
+        return len(self.costs) - 1
+
+    @property
+    def unobserved(self) -> tuple[str, ...]:
+        """Names of the parameters that stayed at their prior because the recordings say nothing about them."""
+        return tuple(estimate.name for estimate in self.estimates if estimate.at_prior)
+
+
+def adjust(
+    recordings: Sequence[Recording],
+    start: Calibration,
+    rung: Rung,
+    air_covariance: Array | None = None,
+    settings: BundleSettings | None = None,
+) -> BundleResult:
+    """Adjust ``start`` (air values with the design's ports) to recordings in water.
+
+    ``air_covariance`` (22, 22) as ``AirCalibration`` gives it; needed by all rungs but PORTS. A few thousand
+    points take seconds. Raises RecordingError for recordings that cannot be used or do not suffice, ValueError for a
+    missing covariance.
+    """
+    chosen = settings or BundleSettings()
+    if not any(r.kind is ArtefactKind.BALL_BAR for r in recordings):
+        raise RecordingError("no recording of a ball bar; planes alone leave every length unknown; record a ball bar")
+    check_start(start)
+    problem = _Problem(recordings, start.rig, rung, air_covariance, chosen)
+    x = np.zeros(problem.size)
+    hessian, gradient, cost, residuals = problem.linearise(x)
+    costs = [cost]
+    for _ in range(chosen.steps_at_most):
+        step = -np.linalg.solve(hessian, gradient)
+        # Newton decrement: the length of the step in standard deviations of the posterior, over all parameters
+        # together.
+        still_to_go = math.sqrt(max(float(-gradient @ step), 0.0))
+        size = 1.0
+        while True:
+            tried = problem.linearise(x + size * step)
+            if tried[2] <= cost * (1.0 + 1e-9) or size < 1e-3:
+                break
+            size *= 0.5
+        x = x + size * step
+        hessian, gradient, cost, residuals = tried
+        costs.append(cost)
+        if still_to_go < chosen.small_step:
+            break
+    else:
+        raise NotConverged(
+            f"the adjustment did not converge in {chosen.steps_at_most} steps; check the certificates, the water and "
+            f"which points belong to which sphere"
+        )
+    covariance = np.linalg.inv(hessian)
+    rig = problem.rig(x)
+    counts = problem.active
+    estimates = judged(
+        [parameters.NAMES[k] for k in counts],
+        x[: len(counts)],
+        problem.prior_sd,
+        np.sqrt(np.diag(covariance))[: len(counts)],
+    )
+    per_recording = tuple(
+        RecordingResidual(r.name, len(r.left_px), float(np.sqrt(np.mean(e**2))))
+        for r, e in zip(problem.recordings, residuals, strict=True)
+    )
+    pooled = np.concatenate(residuals)
+    rms = float(np.sqrt(np.mean(pooled**2)))
+    left = np.concatenate([r.left_px for r in problem.recordings])
+    systematic, warnings = warnings_about(
+        left,
+        pooled,
+        chosen.noise_px,
+        start.rig.left,
+        estimates,
+        problem.certificates(x),
+        rung in (Rung.PORTS, Rung.ALL),
+    )
+    calibration = replace(
+        start,
+        method=f"bundle, {rung.value}",
+        made_from=(*start.made_from, *(f"recording {r.name}" for r in recordings)),
+        water=recordings[0].water,
+        rig=rig,
+        residual_px=rms,
+        air_covariance=None,
+    )
+    return BundleResult(calibration, per_recording, systematic, estimates, warnings, tuple(costs))
+
+
+class _Problem:
+    """The normal equations of one adjustment. Unknowns: the active rig parameters, spline nodes, artefacts."""
+
+    def __init__(
+        self,
+        recordings: Sequence[Recording],
+        rig: StereoRig,
+        rung: Rung,
+        air_covariance: Array | None,
+        settings: BundleSettings,
+    ) -> None:
+        self._start = rig
+        self._settings = settings
+        self.active = list(range(parameters.COUNT if rung is not Rung.PORTS else parameters.PORTS.stop))
+        count = len(self.active)
+        tilt = math.radians(settings.tilt_deg)
+        # Priors as an information matrix, that is the inverse of a covariance: independent for the ports, which only
+        # the drawing states; for lenses and pose the full covariance of the calibration in air, whose parameters are
+        # strongly correlated (principal distance with k1, yaw with the principal point).
+        information = np.zeros((count, count))
+        information[:6, :6] = np.diag(np.array([tilt, tilt, settings.distance_mm] * 2) ** -2.0)
+        if rung is not Rung.PORTS:
+            if air_covariance is None or air_covariance.shape != (22, 22):
+                raise ValueError(
+                    "the adjustment of all parameters needs the (22, 22) covariance of the air calibration"
+                )
+            # Between air and water the mount may give and the focus may creep: both widen the prior, else the
+            # adjustment would push what happened there into the ports.
+            widened = air_covariance.copy()
+            widened[16:19, 16:19] += np.eye(3) * math.radians(settings.mount_deg) ** 2
+            widened[19:22, 19:22] += np.eye(3) * settings.mount_mm**2
+            for k, camera in ((0, rig.left), (8, rig.right)):
+                widened[k, k] += (settings.refocus * camera.lens.f_px[0]) ** 2
+            information[6:, 6:] = np.linalg.inv(widened)
+        self.prior_sd = np.sqrt(np.diag(np.linalg.inv(information)))
+        self._splines = rung in (Rung.SPLINE, Rung.FIELD)
+        self._field = rung is Rung.FIELD
+        self._intervals = settings.field_intervals if self._field else INTERVALS
+        nodes = 2 * node_count(self._intervals) if self._splines else 0
+        shifts = 2 * node_count(SHIFT_INTERVALS) if self._field else 0
+        # Order of the unknowns x: rig parameters, nodes of the left and right image correction, nodes of the left and
+        # right ray shift, then each artefact's pose.
+        ends = np.cumsum([count, nodes, nodes, shifts, shifts])
+        self._left_nodes, self._right_nodes, self._left_shifts, self._right_shifts = (
+            slice(int(a), int(b)) for a, b in pairwise(ends)
+        )
+        placed = [first_place(thinned(r, settings.points_per_recording), rig) for r in recordings]
+        self.recordings = [recording for _, recording in placed]
+        self._places: list[Place] = [place for place, _ in placed]
+        at = int(ends[-1])
+        self._slices = []
+        for place in self._places:
+            self._slices.append(slice(at, at + len(place.steps)))
+            at += len(place.steps)
+        self.size = at
+        self._prior = np.zeros((at, at))
+        self._prior[:count, :count] = information
+        if self._splines:
+            bend_px = settings.field_bend_px if self._field else settings.spline_bend_px
+            smooth = _smoothness(self._intervals, settings.spline_px, bend_px)
+            self._prior[self._left_nodes, self._left_nodes] = smooth
+            self._prior[self._right_nodes, self._right_nodes] = smooth
+        if self._field:
+            smooth = _smoothness(SHIFT_INTERVALS, settings.shift_mm, settings.shift_bend_mm)
+            self._prior[self._left_shifts, self._left_shifts] = smooth
+            self._prior[self._right_shifts, self._right_shifts] = smooth
+
+    def rig(self, x: Array) -> StereoRig:
+        """Return the rig at ``x``, with its corrections."""
+        rig = self._bare(x)
+        if not self._splines:
+            return rig
+        corrected = (
+            replace(rig.left, correction=self._correction(rig.left, x[self._left_nodes])),
+            replace(rig.right, correction=self._correction(rig.right, x[self._right_nodes])),
+        )
+        if not self._field:
+            return StereoRig(*corrected)
+        return StereoRig(
+            replace(corrected[0], ray_shift=_ray_shift(rig.left, x[self._left_shifts])),
+            replace(corrected[1], ray_shift=_ray_shift(rig.right, x[self._right_shifts])),
+        )
+
+    def certificates(self, x: Array) -> list[tuple[str, float]]:
+        """Return each bar's name and how many standard deviations its length is off its certificate."""
+        found = []
+        for recording, place, at in zip(self.recordings, self._places, self._slices, strict=True):
+            residual, _ = place.certificate(x[at])
+            if len(residual):
+                found.append((recording.name, float(residual[0])))
+        return found
+
+    def linearise(self, x: Array) -> tuple[Array, Array, float, list[Array]]:
+        """Hessian, gradient and cost of the robust sum of squares, and the residuals (n, 2) in px per recording."""
+        noise = self._settings.noise_px
+        # Gauss-Newton of E(x) = xᵀ P x + Σ ρ(|e| / σ) + Σ certificates²: the Hessian is P + Σ Jᵀ W J, without second
+        # derivatives of e. The prior's mean is x = 0, the start.
+        hessian, gradient = self._prior.copy(), self._prior @ x
+        cost = float(x @ gradient)
+        residuals = []
+        steps = parameters.STEPS[self.active]
+        rig = self._bare(x)
+        changed = []
+        for k, step in enumerate(steps):
+            y = x.copy()
+            y[k] += step
+            changed.append(self._bare(y))
+        for recording, place, at in zip(self.recordings, self._places, self._slices, strict=True):
+            rows, columns, residual = self._rows(x, rig, changed, recording, place, at)
+            # The spline columns of J are nearly all zero: sixteen nodes touch one pixel.
+            J = scipy.sparse.csr_matrix(rows.reshape(2 * len(residual), -1) / noise)
+            far = np.linalg.norm(residual, axis=1) / noise / self._settings.far_residual
+            # Huber's weight, from the length of the residual so that both coordinates of one match lose alike: 1 inside
+            # far_residual, 1/far outside.
+            weight = np.repeat(1.0 / np.maximum(far, 1.0), 2)
+            e = residual.ravel() / noise
+            hessian[np.ix_(columns, columns)] += (J.T @ J.multiply(weight[:, None])).toarray()
+            gradient[columns] += J.T @ (weight * e)
+            k2 = self._settings.far_residual**2
+            # ρ of Huber: r² inside, 2 r − 1 outside, in units of far_residual; continuous in value and slope at 1.
+            cost += float(np.sum(np.where(far <= 1.0, far**2, 2.0 * far - 1.0)) * k2)
+            extra, D = place.certificate(x[at])
+            hessian[at, at] += D.T @ D
+            gradient[at] += D.T @ extra
+            cost += float(extra @ extra)
+            residuals.append(residual)
+        return hessian, gradient, cost, residuals
+
+    def _rows(
+        self,
+        x: Array,
+        rig: StereoRig,
+        changed: Sequence[StereoRig],
+        recording: Recording,
+        place: Place,
+        at: slice,
+    ) -> tuple[Array, NDArray[np.intp], Array]:
+        """Return derivatives (n, 2, k) of one recording's residuals by the unknowns in columns (k,), and the
+        residuals (n, 2)."""
+        index = recording.water.index
+        left, right = recording.left_px, recording.right_px
+        n = len(left)
+        left_shift, right_shift = np.zeros((n, 3)), np.zeros((n, 3))
+        if self._splines:
+            left_basis = _basis(rig.left, left, self._intervals)
+            right_basis = _basis(rig.right, right, self._intervals)
+        if self._field:
+            left_coarse, right_coarse = (
+                _basis(camera, uv, SHIFT_INTERVALS) for camera, uv in ((rig.left, left), (rig.right, right))
+            )
+            left_shift[:, :2] = _surface(left_coarse, x[self._left_shifts])
+            right_shift[:, :2] = _surface(right_coarse, x[self._right_shifts])
+        if self._splines:
+            left = left - _surface(left_basis, x[self._left_nodes])
+            right = right - _surface(right_basis, x[self._right_nodes])
+
+        def predicted(
+            rig: StereoRig,
+            uv: Array = left,
+            q: Array = x[at],
+            left_shift: Array = left_shift,
+            right_shift: Array = right_shift,
+        ) -> Array:
+            # Transfer error: left pixel → refracted ray → point on the artefact → refracted projection into the right
+            # camera. Both coordinates count: the one across the epipolar line tells a tilted port.
+            origin, direction = rig.left.rays(uv, index)
+            origin = origin + left_shift @ np.asarray(rig.left.rotation).T
+            return _project(rig.right, place.meet(origin, direction, recording.sphere, q), right_shift, index)
+
+        now = predicted(rig)
+        steps = parameters.STEPS[self.active]
+        # Forward differences: refraction has no handy closed derivative, and the functions are smooth far below the
+        # steps.
+        parts = [np.stack([(predicted(r) - now) / s for r, s in zip(changed, steps, strict=True)], -1)]
+        parts.append(np.stack([(predicted(rig, q=x[at] + e) - now) / e.max() for e in np.diag(place.steps)], -1))
+        columns = [np.arange(len(steps)), np.arange(at.start, at.stop)]
+        if self._splines:
+            # The left correction is subtracted before the ray, the right one from the matched pixel.
+            by_left = [(predicted(rig, uv=left - e[:2]) - now) / PIXEL_STEP for e in PIXEL_STEP * np.eye(3)[:2]]
+            parts += [_times(by_left, left_basis), _times(list(np.eye(2)), right_basis)]
+            columns += [np.arange(s.start, s.stop) for s in (self._left_nodes, self._right_nodes)]
+        if self._field:
+            steps_mm = SHIFT_STEP_MM * np.eye(3)[:2]
+            by_left = [(predicted(rig, left_shift=left_shift + e) - now) / SHIFT_STEP_MM for e in steps_mm]
+            by_right = [(predicted(rig, right_shift=right_shift + e) - now) / SHIFT_STEP_MM for e in steps_mm]
+            parts += [_times(by_left, left_coarse), _times(by_right, right_coarse)]
+            columns += [np.arange(s.start, s.stop) for s in (self._left_shifts, self._right_shifts)]
+        return np.concatenate(parts, -1), np.concatenate(columns), now - right
+
+    def _correction(self, camera: HousedCamera, nodes: Array) -> ImageCorrection:
+        return ImageCorrection(camera.width_px, camera.height_px, self._intervals, _by_node(nodes))
+
+    def _bare(self, x: Array) -> StereoRig:
+        full = np.zeros(parameters.COUNT)
+        full[self.active] = x[: len(self.active)]
+        return parameters.rig_with(self._start, full)
+
+
+def _project(camera: HousedCamera, points_mm: Array, shift_mm: Array, water_index: float) -> Array:
+    """Return pixels of points, before any image correction; ``shift_mm`` is that of the rays they are seen along."""
+    local = (points_mm - np.asarray(camera.translation_mm)) @ np.asarray(camera.rotation) - shift_mm
+    return camera.ideal_pixels(local, water_index)
+
+
+def _basis(camera: HousedCamera, uv_px: Array, intervals: tuple[int, int]) -> Array:
+    return basis_matrix(uv_px, (camera.width_px, camera.height_px), intervals)
+
+
+def _times(by_component: Sequence[Array], basis: Array) -> Array:
+    """Return derivatives (n, 2, 2·nodes) by spline nodes, from those (n, 2) or (2,) by the two components of its
+    surface."""
+    parts = [np.broadcast_to(d, (len(basis), 2))[..., None] * basis[:, None] for d in by_component]
+    return np.concatenate(parts, -1)
+
+
+def _surface(matrix: Array, nodes: Array) -> Array:
+    """Return values (n, 2); ``nodes`` holds all of the first component, then all of the second."""
+    return np.asarray(matrix @ nodes.reshape(2, -1).T)
+
+
+def _by_node(nodes: Array) -> tuple[float, ...]:
+    """Return both components node by node, as the models keep them."""
+    return tuple(float(c) for c in nodes.reshape(2, -1).T.ravel())
+
+
+def _ray_shift(camera: HousedCamera, nodes: Array) -> RayShift:
+    return RayShift(camera.width_px, camera.height_px, SHIFT_INTERVALS, _by_node(nodes))
+
+
+def _smoothness(intervals: tuple[int, int], value_sd: float, bend_sd: float) -> Array:
+    """Information matrix of one camera's nodes: small values, small second differences along rows and columns."""
+    # A cubic B-spline over n intervals has n + 3 coefficients. The information is I / value_sd² + BᵀB / bend_sd² with B
+    # the second differences: a thin-plate prior without a null space.
+    columns, rows = intervals[0] + 3, intervals[1] + 3
+    across, down = np.diff(np.eye(columns), 2, axis=0), np.diff(np.eye(rows), 2, axis=0)
+    bends = np.concatenate([np.kron(np.eye(rows), across), np.kron(down, np.eye(columns))])
+    one = np.eye(columns * rows) / value_sd**2 + bends.T @ bends / bend_sd**2
+    return np.asarray(np.kron(np.eye(2), one))

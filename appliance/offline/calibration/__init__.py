@@ -1,0 +1,1 @@
+"""Calibrations made and described away from the instrument: from folders of pictures and from stored scans."""

@@ -1,0 +1,100 @@
+"""Owns a folder of views of a board while it is being filled: each view durable and whole, or not there.
+
+board.json      which board, which instrument
+01/left.png     a view; its folder gets its name when both pictures are on the disk
+01/right.png
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.calibration.air.board import BoardDesign, BoardError, parse_board
+from appliance.storage.atomic import move_folder, refused, replace_file, write_new
+from appliance.storage.filesystem import LocalFileSystem
+
+Image = NDArray[np.uint8]
+
+SESSION = "board.json"
+SCHEMA = 1
+LEFT, RIGHT = "left.png", "right.png"
+
+
+class FolderError(Exception):
+    """A folder cannot take views; the text says why and what to do."""
+
+
+class ViewFolder:
+    """A folder for views of one board by one instrument."""
+
+    def __init__(self, folder: Path, rig_serial: str, design: BoardDesign | None) -> None:
+        """Make the folder, or go on with one. ``design`` ``None``: the folder's, else the usual board.
+
+        Raises FolderError for a folder of another board or instrument, StorageError.
+        """
+        self.folder = folder
+        self._fs = LocalFileSystem()
+        with refused("cannot make", folder):
+            folder.mkdir(parents=True, exist_ok=True)
+        begun = read_session(folder)
+        if begun is None:
+            self.design = design or BoardDesign()
+            content = {"schema": SCHEMA, "rig_serial": rig_serial, "board": str(self.design)}
+            replace_file(self._fs, folder / SESSION, (json.dumps(content, indent=1) + "\n").encode())
+        else:
+            serial, self.design = begun
+            if serial != rig_serial:
+                raise FolderError(
+                    f"FOLDER {folder}: views of instrument {serial}; this one is {rig_serial}; give another"
+                )
+            if design is not None and design != self.design:
+                raise FolderError(f"FOLDER {folder}: views of board {self.design}, not {design}; give another folder")
+        self._tidy()
+
+    def next_name(self) -> str:
+        """Return the number of the next view: numbers only grow."""
+        # The number after the largest, not the first free one: a view that somebody took away must not come back as
+        # another.
+        numbers = [int(path.name) for path in self.folder.iterdir() if re.fullmatch(r"\d{2,6}", path.name)]
+        return f"{max(numbers, default=0) + 1:02}"
+
+    def save(self, name: str, left: Image, right: Image) -> None:
+        """Write a view; durable on return. Raises StorageError, and nothing of it is then there under ``name``."""
+        # Both pictures in a hidden folder first: a folder with a number has them both.
+        draft = self.folder / f".{name}"
+        with refused("cannot make", draft):
+            self._fs.make_folder(draft)
+        for file, image in ((LEFT, left), (RIGHT, right)):
+            done, data = cv2.imencode(".png", image)
+            if not done:
+                raise ValueError(f"a picture of {image.shape} could not be encoded as PNG")
+            write_new(self._fs, draft / file, [bytes(data)])
+        move_folder(self._fs, draft, self.folder / name)
+
+    def _tidy(self) -> None:
+        """Take away what a loss of power left of a view that was never there."""
+        for path in self.folder.iterdir():
+            if re.fullmatch(r"\.\d{2,6}", path.name) and path.is_dir():
+                with refused("cannot remove the unfinished", path):
+                    shutil.rmtree(path)
+
+
+def read_session(folder: Path) -> tuple[str, BoardDesign] | None:
+    """Instrument and board of a folder that ``--live`` filled; ``None`` for any other. Raises FolderError."""
+    path = folder / SESSION
+    if not path.is_file():
+        return None
+    try:
+        content = json.loads(path.read_bytes())
+        if content["schema"] != SCHEMA:
+            raise FolderError(f"{path}: schema {content['schema']!r}; this version reads {SCHEMA}; give another folder")
+        return str(content["rig_serial"]), parse_board(str(content["board"]))
+    except (OSError, ValueError, KeyError, TypeError, BoardError) as error:
+        raise FolderError(f"{path}: cannot be read ({error}); restore it, or remove it and give --board") from error

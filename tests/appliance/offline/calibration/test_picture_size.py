@@ -1,0 +1,79 @@
+"""A picture's size is known before it is decoded: a file of a kilobyte cannot make the desk run out of memory."""
+
+from __future__ import annotations
+
+import resource
+import struct
+import zlib
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from appliance.offline.calibration.air import Pair, PicturesError, read_pair
+from appliance.offline.calibration.picture_size import size_px
+
+
+@pytest.mark.parametrize("kind", [".png", ".tif", ".bmp", ".pgm", ".jpg", ".ppm"])
+@pytest.mark.parametrize("shape", [(30, 41), (1, 300), (600, 7)])
+def test_the_size_is_that_of_the_picture(kind: str, shape: tuple[int, int]) -> None:
+    image = np.zeros((*shape, 3) if kind == ".ppm" else shape, np.uint8)
+    done, data = cv2.imencode(kind, image)
+    assert done
+    assert size_px(data.tobytes()) == (shape[1], shape[0])
+
+
+@pytest.mark.parametrize("kind", [".png", ".tif", ".bmp", ".pgm", ".jpg"])
+def test_a_file_that_ends_in_its_header_has_no_size_or_the_right_one(kind: str) -> None:
+    data = cv2.imencode(kind, np.zeros((30, 41), np.uint8))[1].tobytes()
+    for length in range(len(data)):
+        assert size_px(data[:length]) in (None, (41, 30), (41, 3), (4, 30))  # a number in letters may be cut
+    assert size_px(b"") is None
+
+
+def promised(width_px: int, height_px: int) -> bytes:
+    """A PNG of grey zeros, a thousandth of the memory it asks for."""
+
+    def chunk(kind: bytes, body: bytes) -> bytes:
+        return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+
+    packer = zlib.compressobj(9)
+    row = bytes(width_px + 1)
+    rows = b"".join([*(packer.compress(row) for _ in range(height_px)), packer.flush()])
+    head = struct.pack(">IIBBBBB", width_px, height_px, 8, 0, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", rows) + chunk(b"IEND", b"")
+
+
+def test_a_small_file_that_promises_many_pixels_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
+    bomb, good = tmp_path / "00_left.png", tmp_path / "00_right.png"
+    bomb.write_bytes(promised(20_000, 20_000))
+    cv2.imwrite(str(good), np.zeros((60, 80), np.uint8))
+    assert bomb.stat().st_size < 1_000_000
+    before_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(PicturesError, match="20000x20000 px; the rig file has 80x60 px"):
+        read_pair(Pair("00", bomb, good), 80, 60)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kb < 100_000  # 400 MB unpacked
+
+
+@pytest.mark.parametrize("kind", [".png", ".tif", ".bmp", ".pgm"])
+def test_a_picture_that_was_cut_off_is_refused_in_our_words_alone(
+    kind: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    image = np.random.default_rng(1).integers(0, 256, (60, 80), np.uint8)
+    left, right = tmp_path / f"00_left{kind}", tmp_path / "00_right.png"
+    data = cv2.imencode(kind, image)[1].tobytes()
+    left.write_bytes(data[: len(data) * 2 // 3] if kind != ".tif" else data[:8] + data[len(data) // 2 :])
+    cv2.imwrite(str(right), image)
+    with pytest.raises(PicturesError, match=r"00_left\.\w+: (is no picture|\d+x\d+ px)"):
+        read_pair(Pair("00", left, right), 80, 60)
+    assert capfd.readouterr().err == ""
+
+
+def test_a_file_of_more_bytes_than_its_pixels_can_have_is_not_read_to_its_end(tmp_path: Path) -> None:
+    endless, good = tmp_path / "00_left.png", tmp_path / "00_right.png"
+    with endless.open("wb") as file:
+        file.truncate(1 << 34)  # 16 GB that take no room
+    cv2.imwrite(str(good), np.zeros((60, 80), np.uint8))
+    with pytest.raises(PicturesError, match="larger than 1076800 bytes"):
+        read_pair(Pair("00", endless, good), 80, 60)
