@@ -5,13 +5,14 @@ from __future__ import annotations
 import difflib
 import inspect
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, TypeVar
 
 from hw_sim.devices.power_on import Cameras, PowerOn
 from hw_sim.light.daylight import Daylight
 from hw_sim.objects.motion import Motion
 from hw_sim.optics.fog import Fog
+from hw_sim.outside import ALL, FAMILIES, Outside, draw_outside
 from hw_sim.scene import Imaging, Scene
 from hw_sim.timing.calendar import Calendar
 from hw_sim.water.drift import Drift
@@ -50,6 +51,7 @@ class WorldOptions:
     daylight: Mapping[str, Any] = field(default_factory=dict)
     drift: Mapping[str, Any] = field(default_factory=dict)
     fog: Mapping[str, Any] = field(default_factory=dict)
+    outside: Mapping[str, Any] = field(default_factory=dict)
     cameras: Mapping[str, Any] = field(default_factory=dict)
     serials: Mapping[str, str] = field(default_factory=dict)
     pace: str = "lockstep"
@@ -118,6 +120,7 @@ class WorldOptions:
                 _made(Daylight, "daylight", self.daylight),
                 _made(Drift, "drift", self.drift),
                 _made(Fog, "fog", self.fog),
+                _outside(self.outside),
             )
         except (TypeError, ValueError) as error:
             raise OptionError(f"scene: {error}") from error
@@ -130,6 +133,29 @@ def _made(kind: Callable[..., Value], what: str, table: Mapping[str, Any]) -> Va
         if key not in known:
             raise OptionError(f"{what}: unknown '{key}'{_nearest(key, set(known))}")
     return kind(**{key: tuple(value) if isinstance(value, list) else value for key, value in table.items()})
+
+
+def _outside(table: Mapping[str, Any]) -> Outside:
+    """Return the harsher world of a rig file's table: ``seed`` draws ``families`` (all of the set, unless they are named), and
+    a table in a family's name sets strengths by hand: instead of the drawn ones, or alone. Raises OptionError and ValueError."""
+    known = {"seed", "families", *FAMILIES}
+    for key in table:
+        if key not in known:
+            raise OptionError(f"outside: unknown '{key}'{_nearest(key, known)}")
+    seed, families = table.get("seed"), table.get("families", ALL)
+    if seed is None and "families" in table:
+        raise OptionError("outside: families without a seed; add seed = 1, or give strengths by hand")
+    if seed is not None and (not isinstance(seed, int) or isinstance(seed, bool) or seed < 0):
+        raise OptionError(f"outside: seed = {seed!r:.80}; allowed are whole numbers from 0")
+    if isinstance(families, str) or not all(isinstance(name, str) for name in families):
+        raise OptionError(f"outside: families = {families!r:.80}; give a list of names: {', '.join(FAMILIES)}")
+    world = Outside() if seed is None else draw_outside(seed, families)
+    by_hand = {}
+    for name in FAMILIES.keys() & table.keys():
+        given = _made(FAMILIES[name].kind, f"outside {name}", table[name])
+        drawn = getattr(world, name)
+        by_hand[name] = given if drawn is None else replace(drawn, **{key: getattr(given, key) for key in table[name]})
+    return replace(world, **by_hand)
 
 
 def _nearest(key: str, known: set[str]) -> str:

@@ -9,6 +9,7 @@ from hw_sim.objects.motion import Motion
 from hw_sim.objects.shapes import DEFAULT_POSE, NAMES
 from hw_sim.objects.texture import NAMES as TEXTURES
 from hw_sim.optics.fog import Fog
+from hw_sim.outside import Outside
 from hw_sim.water.drift import Drift
 from hw_sim.water.medium import Water
 
@@ -54,6 +55,8 @@ class Scene:
     """Snow, bubbles and fish in the water between."""
     fog: Fog = field(default_factory=Fog)
     """A fogged or scratched place on the cameras' windows."""
+    outside: Outside = field(default_factory=Outside)
+    """The families of harsher physics that are switched on, with their strengths."""
 
     def __post_init__(self) -> None:
         for value, allowed, what in ((self.object, NAMES, "object"), (self.texture, TEXTURES, "texture")):

@@ -100,6 +100,7 @@ class World:
             self.board = Board(
                 *(self.time, self.faults, self._fire, self._sensor, o.seed),
                 period_ns=self.time.period_ns if cable is None else cable.period_ns,
+                clocks=scene.outside.clocks,
             )
             self.keypad = Keypad(self.time, self.faults, o.seed)
             self.cameras = {side: self._camera(side) for side in SIDES}
@@ -346,6 +347,7 @@ class World:
             temperature_c=lambda: self._housing.temperature_c("camera"),
             seed=o.seed,
             power_on=o.power_on(side),
+            clocks=self._scene.outside.clocks,
         )
 
     def _expose(self, side: str, exposure: Exposure) -> Latent | None:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hw_sim.clocks import Clocks, Wander
 from hw_sim.devices.board_line import Command, CommandReader, line
 from hw_sim.faults import FaultBook
 from hw_sim.timing.world_time import BLANK_NS, WorldTime
@@ -78,12 +79,17 @@ class Board:
         seed: int,
         *,
         period_ns: int = BLANK_NS,
+        clocks: Clocks | None = None,
     ) -> None:
-        """``period_ns``: that of the projector's vertical sync, as far as the firmware was told."""
+        """``period_ns``: that of the projector's vertical sync, as far as the firmware was told. ``clocks``: how pulses and
+        clock err beyond a constant; ``None``: not at all."""
         self._sync_lost_ns = SYNC_LOST_PERIODS * period_ns
         self._time, self._faults, self._fire, self._sensor = time, faults, fire, sensor
         self._rng = np.random.default_rng([seed, 0xB0A2D])
         self._ppm = float(self._rng.uniform(-45.0, 45.0))
+        self._jitter_ns = 0.0 if clocks is None else 1000.0 * clocks.board_jitter_us
+        self._jitter = np.random.default_rng([seed, 0xB0A2D, 1])
+        self._wander = None if clocks is None else Wander(clocks, (seed, 0xB0A2D, 2))
         self.series = 0
         self.open = False
         """True while a host has the port open; what is sent while it is closed is lost."""
@@ -154,6 +160,9 @@ class Board:
         if self._job is job:  # the fault may have reset the board
             late = self._faults.strike("board", "delayed", frame=frame)
             late_ns = 0 if late is None else int(late.amount * 1e6)
+            # An edge is later or earlier than the timer's by its jitter, but never before the sync that it follows.
+            if self._jitter_ns:
+                late_ns += max(round(self._jitter_ns * self._jitter.standard_normal()), -job.delay_us * 1000)
             self._at(time_ns + job.delay_us * 1000 + late_ns, lambda t: self._pulse(job, index, t))
 
     def no_vsync(self, time_ns: int) -> None:
@@ -215,7 +224,10 @@ class Board:
         self._schedule_heartbeat()
 
     def _us(self, time_ns: int) -> int:
-        return int((time_ns - self._reset_ns) * (1.0 + self._ppm * 1e-6)) // 1000
+        passed_ns = int((time_ns - self._reset_ns) * (1.0 + self._ppm * 1e-6))
+        if self._wander is not None:
+            passed_ns += self._wander.ahead_ns(time_ns) - self._wander.ahead_ns(self._reset_ns)
+        return max(passed_ns, 0) // 1000
 
     def _at(self, time_ns: int, action: Callable[[int], None]) -> None:
         """Put ``action`` on the world's agenda; a reset of the board forgets it."""

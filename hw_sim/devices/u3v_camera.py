@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from hw_sim.clocks import Clocks, Wander
 from hw_sim.devices import u3v_descriptors as usb
 from hw_sim.devices import u3v_registers
 from hw_sim.devices.board import Shot
@@ -24,6 +25,8 @@ from hw_sim.devices.usb_standard import Stall as Stall
 from hw_sim.faults import FaultBook
 from hw_sim.timing.world_time import WorldTime
 
+LATENCY_SIGMAS = 4.0
+"""A trigger input that scatters is late by this many standard deviations on average: nearly none comes early."""
 ARMING_NS = 30_000_000
 """The sensor needs this long to start: longer than the response time, so that the host sees a PENDING_ACK."""
 _GET_STATUS, _CLEAR_FEATURE, _SET_FEATURE, _GET_DESCRIPTOR = 0x00, 0x01, 0x03, 0x06
@@ -45,7 +48,10 @@ class U3vCamera:
         temperature_c: Callable[[], float],
         seed: int,
         power_on: PowerOn = POLITE,
+        clocks: Clocks | None = None,
     ) -> None:
+        """``clocks``: how trigger and clock err beyond a constant, and what a time stamp is the time of; ``None``: as the
+        ordinary ones, which stamp the start of an exposure."""
         self.name, self.sensor = name, sensor
         self._time, self._faults = time, faults
         self.power_on = power_on
@@ -55,6 +61,10 @@ class U3vCamera:
         self._clock_offset_ns = int(rng.integers(10**9, 10**12))
         self._clock_ppm = float(rng.uniform(-40.0, 40.0))
         self._noise = rng
+        self._jitter_ns = 0.0 if clocks is None else 1000.0 * clocks.camera_jitter_us
+        self._jitter = np.random.default_rng([seed, *serial.encode(), 1])
+        self._wander = None if clocks is None else Wander(clocks, (seed, *serial.encode(), 2))
+        self._stamps_at_end = clocks is not None and clocks.stamps_at_end == 1
         guid = f"{usb.VENDOR_ID:04X}{int(rng.integers(0, 2**32)):08X}"
         self.identity = Identity(
             *("Kingfisher", "KFC1920", "KFC", "1.0", f"{sensor[0]}x{sensor[1]} mono"), guid, serial, serial
@@ -115,7 +125,8 @@ class U3vCamera:
 
     def _camera_time_ns(self, time_ns: int) -> int:
         tick_ns = u3v_registers.TIMESTAMP_INCREMENT_NS
-        return (self._clock_offset_ns + int(time_ns * (1.0 + self._clock_ppm * 1e-6))) // tick_ns * tick_ns
+        ahead_ns = 0 if self._wander is None else self._wander.ahead_ns(time_ns)
+        return (self._clock_offset_ns + int(time_ns * (1.0 + self._clock_ppm * 1e-6)) + ahead_ns) // tick_ns * tick_ns
 
     def start(self) -> None:
         """Execute AcquisitionStart. Raises Refused."""
@@ -169,14 +180,19 @@ class U3vCamera:
 
     def line0(self, time_ns: int, width_ns: int, shot: Shot) -> None:
         """Take a pulse of the trigger line."""
-        if self.plugged:
-            self.shutter.line0(time_ns, width_ns, shot)
+        if not self.plugged:
+            return
+        if self._jitter_ns:
+            # The edge is passed on after a latency that scatters; no exposure begins before its pulse.
+            time_ns += max(round(self._jitter_ns * (LATENCY_SIGMAS + self._jitter.standard_normal())), 0)
+        self.shutter.line0(time_ns, width_ns, shot)
 
     def _send(self, taken: Taken) -> None:
         """Send a frame that is ready for the link: as it is, or as a fault left it."""
         if not self.streaming or not self.plugged:
             return
-        time_ns = self._camera_time_ns(taken.exposure.start_ns)
+        exposure = taken.exposure
+        time_ns = self._camera_time_ns(exposure.start_ns + (exposure.duration_ns if self._stamps_at_end else 0))
         if taken.latent is None:
             # The first block that finds the memory full is still announced; those behind it leave only a gap.
             if not self._overrun_told:

@@ -1,0 +1,113 @@
+"""Owns how clocks and trigger lines of the world ``outside`` err: jitter, wander, and what a time stamp is the time of.
+
+The ordinary world's crystals are off by a constant; these wander as well, and no edge comes quite when it should.
+"""
+
+# Symbols:
+#   x         what a clock is ahead of its constant rate, s
+#   y         fractional frequency offset, an Ornstein-Uhlenbeck process: dy = −y dt / τ + √(2/τ) · wander · dW
+#   white     frequency noise without memory, which makes x a random walk: dx = y dt + walk · dW
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hw_sim.ranges import Range, drawn_strengths
+
+CORRELATION_S = 60.0
+"""Time τ after which a crystal has forgotten how fast it was: that of a small case that warms and cools (NIST TN 1337)."""
+STEP_S = 0.1
+"""The wander is known at multiples of this and goes straight between them."""
+BLOCK = 4096
+"""Steps that are drawn at a time."""
+
+RANGES = {
+    "board_jitter_us": Range(
+        0.5,
+        12.0,
+        "interrupt latency of a busy microcontroller: 12 cycles to some µs (Arm DDI 0403, B1.5; Zephyr latency bench)",
+    ),
+    "camera_jitter_us": Range(
+        0.2, 5.0, "trigger-to-exposure jitter in data sheets of global-shutter cameras: below one row time"
+    ),
+    "wander_ppm": Range(0.05, 2.0, "AT-cut crystals: 0.035 ppm/K² and up to 0.5 ppm/K (Vig, IEEE UFFC tutorial 2016)"),
+    "walk_us": Range(
+        0.01, 0.5, "white frequency noise of quartz and PLL, µs per √s (NIST TN 1337, table of noise types)"
+    ),
+    "stamps_at_end": Range(
+        0.0, 1.0, "GenICam SFNC 2.7: a frame's Timestamp may be that of any event; half of the drawn worlds"
+    ),
+}
+"""Ranges of the family ``clocks``; ``stamps_at_end`` is rounded to 0 or 1."""
+
+
+@dataclass(frozen=True, slots=True)
+class Clocks:
+    """The strengths of what clocks and trigger lines do wrong; zero is none of it. Raises ValueError for impossible numbers."""
+
+    board_jitter_us: float = 0.0
+    """Standard deviation of the moment of each trigger pulse; its report dates it as it was fired."""
+    camera_jitter_us: float = 0.0
+    """Standard deviation of the moment at which each camera begins an exposure after the pulse's edge."""
+    wander_ppm: float = 0.0
+    """Standard deviation of each clock's rate about its constant one; it wanders with ``CORRELATION_S``."""
+    walk_us: float = 0.0
+    """Random walk of each clock, µs after one second; it grows with the root of the time."""
+    stamps_at_end: int = 0
+    """1: the cameras stamp the end of an exposure; 0: its start."""
+
+    def __post_init__(self) -> None:
+        for name in ("board_jitter_us", "camera_jitter_us", "wander_ppm", "walk_us"):
+            value = getattr(self, name)
+            if not 0.0 <= value <= 1000.0:
+                raise ValueError(f"clocks: {name} = {value}; allowed are 0..1000")
+        if self.stamps_at_end not in (0, 1):
+            raise ValueError(f"clocks: stamps_at_end = {self.stamps_at_end}; allowed are 0 (start of exposure) and 1")
+
+    @classmethod
+    def drawn(cls, rng: np.random.Generator) -> Clocks:
+        """Return strengths drawn from ``RANGES``."""
+        values = drawn_strengths(RANGES, rng)
+        assert set(values) == {f.name for f in fields(cls)}
+        return cls(
+            values["board_jitter_us"],
+            values["camera_jitter_us"],
+            values["wander_ppm"],
+            values["walk_us"],
+            round(values["stamps_at_end"]),
+        )
+
+
+class Wander:
+    """One clock that wanders from its constant rate; the same seed wanders the same way."""
+
+    def __init__(self, clocks: Clocks, seed: tuple[int, ...]) -> None:
+        self._clocks = clocks
+        self._rng = np.random.default_rng(seed)
+        self._rate = float(self._rng.standard_normal()) * clocks.wander_ppm * 1e-6
+        self._ahead_s: NDArray[np.float64] = np.zeros(1)
+
+    def ahead_ns(self, since_ns: int) -> int:
+        """Return by how much the clock is ahead of its constant rate, ``since_ns`` after the world's time 0 (≥ 0)."""
+        at = max(since_ns, 0) / (STEP_S * 1e9)
+        k = int(at)
+        while k + 1 >= self._ahead_s.size:
+            self._extend()
+        low, high = self._ahead_s[k], self._ahead_s[k + 1]
+        return round(1e9 * float(low + (high - low) * (at - k)))
+
+    def _extend(self) -> None:
+        # Exact discretisation of dy = −y dt / τ + …: y' = a y + √(1 − a²) · wander · N, a = exp(−step / τ).
+        keep = math.exp(-STEP_S / CORRELATION_S)
+        kick = math.sqrt(1.0 - keep * keep) * self._clocks.wander_ppm * 1e-6
+        deviates = self._rng.standard_normal((BLOCK, 2))
+        walk = deviates[:, 1] * (self._clocks.walk_us * 1e-6 * math.sqrt(STEP_S))
+        rates = np.empty(BLOCK)
+        for i in range(BLOCK):
+            rates[i] = self._rate
+            self._rate = keep * self._rate + kick * float(deviates[i, 0])
+        self._ahead_s = np.concatenate([self._ahead_s, self._ahead_s[-1] + np.cumsum(rates * STEP_S + walk)])

@@ -1,0 +1,59 @@
+"""Owns the world ``outside``: which families of physics it adds to the ordinary world, and how strongly.
+
+Each family's strengths are a frozen value of the room in which its physics lives, with a table of the ranges that they are
+drawn from and of who found them so. A family that is ``None`` is as in the ordinary world.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hw_sim.clocks import Clocks
+
+STREAM = 0x0075
+"""Keeps these draws apart from all others that begin with a seed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Outside:
+    """The strengths of each family; ``None``: as in the ordinary world."""
+
+    clocks: Clocks | None = None
+    """Trigger jitter, clocks that wander, what a time stamp is the time of."""
+
+
+@dataclass(frozen=True, slots=True)
+class Family:
+    """One family: the generator that is its own, and what its strengths are."""
+
+    number: int
+    """Number of its generator. Never changed and never used again: it is part of what a seed means."""
+    kind: type
+    """The frozen dataclass of its strengths; each one's default is none of it."""
+    drawn: Callable[[np.random.Generator], Any]
+    """Draws the strengths."""
+    of_the_set: bool = True
+    """False for what is no part of the set ``ALL`` and must be named."""
+
+
+FAMILIES: dict[str, Family] = {
+    "clocks": Family(7, Clocks, Clocks.drawn),
+}
+ALL = tuple(name for name, family in FAMILIES.items() if family.of_the_set)
+"""The set ``outside``."""
+
+
+def draw_outside(seed: int, families: Sequence[str] = ALL) -> Outside:
+    """Return the strengths of ``families``, drawn each from a generator of its own ([``seed``, number of the family]), so that
+    switching one on or off changes no other. Raises ValueError for a family that is not one of ``FAMILIES``."""
+    strengths: dict[str, Any] = {}
+    for name in families:
+        family = FAMILIES.get(name)
+        if family is None:
+            raise ValueError(f"outside: family '{name}'; allowed are {', '.join(FAMILIES)}")
+        strengths[name] = family.drawn(np.random.default_rng([seed, STREAM, family.number]))
+    return Outside(**strengths)
