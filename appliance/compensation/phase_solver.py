@@ -44,8 +44,9 @@ from appliance.compensation.displacement import (
     spline_noise_share,
 )
 from appliance.compensation.residuals import apply_steps, invert_steps
+from appliance.patterns.sine import STEPS
 
-SINES = 4
+SINES = STEPS
 BRIGHT, FIRST_GRAY = 4, 5
 """Places of the followed frames behind the 4 x-sines: the bright frame, then the Gray images of x, then those of y."""
 MAX_GRAY = 8
