@@ -38,6 +38,9 @@ def main() -> int:
     parser.add_argument(
         "--confirm", action="store_true", help="try survivors against every test file that imports them"
     )
+    parser.add_argument(
+        "--compiled", action="store_true", help="compile every mutant of a kernel, also where plain Python would tell"
+    )
     parser.add_argument("--fresh", action="store_true", help="forget what earlier runs found")
     parser.add_argument("--list", action="store_true", help="only list the mutants")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the results there as well")
@@ -57,7 +60,7 @@ def main() -> int:
     with Tree.taken(ROOT, home) as tree:
         names = Names(tree.path)
         choice = Choice(tree, names, home, args.tests)
-        campaign = Campaign(tree, names, choice, arguments, home, limit_s=args.limit, budget_s=args.budget)
+        campaign = Campaign(tree, names, choice, arguments, home, args.limit, args.budget, interpret=not args.compiled)
         groups: list[tuple[str, list[Result]]] = []
         for name, mutants in chosen:
             groups.append((name, campaign.run(mutants, fresh=args.fresh, confirm=args.confirm, say=_say)))

@@ -12,7 +12,7 @@ from typing import Any
 from tests.mutate import argued
 from tests.mutate.choice import Choice, Chosen, wider
 from tests.mutate.mutants import Mutant
-from tests.mutate.names import Names
+from tests.mutate.names import Name, Names
 from tests.mutate.tree import Run, Tree
 
 KILLED, TIMED_OUT, SURVIVED, NOT_REACHED, EQUIVALENT = "killed", "timed out", "survived", "not reached", "equivalent"
@@ -84,6 +84,8 @@ class Campaign:
     home: Path
     limit_s: float
     budget_s: float
+    interpret: bool = True
+    """Whether a mutant of a kernel is tried as plain Python before it is compiled."""
 
     def run(self, mutants: list[Mutant], *, fresh: bool, confirm: bool, say: Callable[[str], None]) -> list[Result]:
         """Return what became of each mutant, and say it as it is found."""
@@ -107,7 +109,7 @@ class Campaign:
             return Result(mutant, EQUIVALENT, why, 0.0, 0), True
         chosen = self.choice.for_mutant(mutant, self.budget_s)
         code = hashlib.sha256(self.tree.text(mutant.path).encode()).hexdigest()
-        parts = (mutant.key, str(mutant.start), code, chosen.digest, str(confirm))
+        parts = (mutant.key, str(mutant.start), code, chosen.digest, str(confirm), str(self.interpret))
         mark = hashlib.sha256("\0".join(parts).encode()).hexdigest()[:24]
         entry = known.get(mark)
         if entry is not None:
@@ -122,13 +124,36 @@ class Campaign:
     def _tried(self, mutant: Mutant, chosen: Chosen) -> Result:
         if not chosen.files:
             return Result(mutant, NOT_REACHED, "", 0.0, 0)
+        if self.interpret and self._stale(mutant):
+            result = self._interpreted(mutant)
+            if result is not None:
+                return result
         limit_s = max(self.limit_s, 3.0 * chosen.seconds)
         return self._judged(mutant, list(chosen.files), list(chosen.tests), limit_s)
 
-    def _judged(self, mutant: Mutant, files: list[str], wanted: list[str] | None, limit_s: float) -> Result:
+    def _stale(self, mutant: Mutant) -> set[Name]:
+        """The kernels that must be compiled anew to try the mutant."""
         definition = self.names.at(mutant.path, mutant.line)
-        stale = self.names.stale_kernels(definition) if definition is not None else set()
-        with self.tree.mutated(mutant, stale) as kernels:
+        return self.names.stale_kernels(definition) if definition is not None else set()
+
+    def _interpreted(self, mutant: Mutant) -> Result | None:
+        """Try a mutant with the kernels as plain Python; None says that only compiled ones can tell.
+
+        Whatever else than an assertion ends such a run says nothing: see ``worker.Interpreted``.
+        """
+        chosen = self.choice.interpreted(mutant, self.budget_s)
+        if not chosen.files:
+            return None
+        limit_s = max(self.limit_s, 3.0 * chosen.seconds)
+        with self.tree.mutated(mutant, set()):
+            run = self.tree.run(list(chosen.files), limit_s, wanted=list(chosen.tests), mutated=True, interpreted=True)
+        noticed = run.first_failed()
+        if noticed is None:
+            return None
+        return Result(mutant, KILLED, f"{noticed} (interpreted)", run.seconds, len(chosen.tests))
+
+    def _judged(self, mutant: Mutant, files: list[str], wanted: list[str] | None, limit_s: float) -> Result:
+        with self.tree.mutated(mutant, self._stale(mutant)) as kernels:
             run = self.tree.run(files, limit_s, wanted=wanted, mutated=True, kernels=kernels)
         status = {"timed out": TIMED_OUT}.get(run.outcome, KILLED if run.noticed else SURVIVED)
         return Result(mutant, status, _by(run), run.seconds, len(wanted or ()))

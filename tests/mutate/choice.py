@@ -3,6 +3,9 @@
 Candidates are the folder of ``tests/`` that mirrors the file's and the integration tests of ``BESIDE``. They run once
 under a trace (kept in ``.cache/mutate``, named after the contents of all files concerned). A kernel's lines never
 show, and a constant's show only at import: for these, the functions that use them stand in.
+
+To compile the kernels of a mutant anew takes a minute. So which tests pass in seconds with the kernels as plain Python
+is found out once and kept as well: these judge a mutant of a kernel first.
 """
 
 from __future__ import annotations
@@ -32,6 +35,8 @@ BESIDE = {
     "drivers/output": ("tests/integration/output/test_*.py",),
 }
 TRACE_LIMIT_S = 900.0
+INTERPRETED_S = 2.0
+"""Processor time that a test may take with its kernels as plain Python, a hundred times slower: small images pass."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,19 +76,36 @@ class Choice:
         self._tree, self._names, self._home = tree, names, home / "reach"
         self._home.mkdir(parents=True, exist_ok=True)
         self._traced: dict[str, list[Traced]] = {}
+        self._quick: dict[tuple[str, str], dict[str, float]] = {}
         self._imported: dict[str, set[Name]] = {}
         self.red: dict[str, str] = {}
         """Tests that fail without any mutant, with what they said: they judge nothing."""
 
     def for_mutant(self, mutant: Mutant, budget_s: float) -> Chosen:
         """The tests that execute the mutant; the dearest are left out once they take more than ``budget_s``."""
-        traced = self._of_file(mutant.path)
-        definition = self._names.at(mutant.path, mutant.line)
+        return self._cheapest(
+            [(sum(one.tests[name][1] for name in tests), one, tests) for one, tests in self._candidates(mutant)],
+            budget_s,
+        )
+
+    def interpreted(self, mutant: Mutant, budget_s: float) -> Chosen:
+        """Of the tests that execute the mutant: those that pass in seconds with all kernels as plain Python."""
         wanted: list[tuple[float, Traced, set[str]]] = []
-        for one in traced:
-            tests = self._reaching(one, mutant, definition)
-            if tests:
-                wanted.append((sum(one.tests[name][1] for name in tests), one, tests))
+        for one, tests in self._candidates(mutant):
+            if not tests:
+                continue
+            seconds = self._interpreted(one.file, Path(mutant.path).parent.as_posix())
+            quick = tests & seconds.keys()
+            wanted.append((sum(seconds[name] for name in quick), one, quick))
+        return self._cheapest(wanted, budget_s)
+
+    def _candidates(self, mutant: Mutant) -> list[tuple[Traced, set[str]]]:
+        definition = self._names.at(mutant.path, mutant.line)
+        return [(one, self._reaching(one, mutant, definition)) for one in self._of_file(mutant.path)]
+
+    @staticmethod
+    def _cheapest(wanted: list[tuple[float, Traced, set[str]]], budget_s: float) -> Chosen:
+        wanted = [entry for entry in wanted if entry[2]]
         wanted.sort(key=lambda entry: (entry[0], entry[1].file))
         files: list[str] = []
         chosen: list[str] = []
@@ -150,14 +172,29 @@ class Choice:
         }
         return sorted(here | workers)
 
-    def _trace(self, file: str, watched: list[str]) -> Traced:
-        digest = hashlib.sha256()
+    def _interpreted(self, file: str, folder: str) -> dict[str, float]:
+        """The tests of a file that pass with kernels as plain Python, and their seconds."""
+        if (file, folder) not in self._quick:
+            kept = self._kept(file, self._watched(folder), "interpreted")
+            if not kept.exists():
+                run = self._tree.run([file], TRACE_LIMIT_S, interpreted=True, most_s=INTERPRETED_S)
+                passed = {name: seconds for name, (outcome, seconds) in run.tests.items() if outcome == "passed"}
+                kept.write_text(json.dumps(passed))
+            self._quick[file, folder] = json.loads(kept.read_text())
+        return self._quick[file, folder]
+
+    def _kept(self, file: str, watched: list[str], kind: str) -> Path:
+        """Where is kept what a run of a test file said; another name when one of the files concerned has changed."""
+        digest = hashlib.sha256(kind.encode())
         for tracer in (Path(__file__).with_name("worker.py"), Path(__file__).parent / "child" / "sitecustomize.py"):
             digest.update(tracer.read_bytes())
         for name in (file, *watched):
             digest.update(name.encode() + b"\0" + (self._tree.path / name).read_bytes() + b"\0")
+        return self._home / f"{digest.hexdigest()[:24]}.json"
+
+    def _trace(self, file: str, watched: list[str]) -> Traced:
         own = hashlib.sha256((self._tree.path / file).read_bytes()).hexdigest()
-        kept = self._home / f"{digest.hexdigest()[:24]}.json"
+        kept = self._kept(file, watched, "")
         if kept.exists():
             known = json.loads(kept.read_text())
             return Traced(file, own, {k: (v[0], v[1]) for k, v in known["tests"].items()}, known["lines"])

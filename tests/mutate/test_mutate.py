@@ -277,3 +277,76 @@ def test_a_test_that_calls_a_compiled_kernel_itself_judges_it(tmp_path: Path) ->
         )
         assert choice.for_mutant(inner, 60.0).tests == ("tests/appliance/test_limits.py::test_outer",)
         assert choice.for_mutant(other, 60.0).tests == ()
+
+
+SUM = """from numba import njit
+
+
+@njit
+def total(values):
+    found = 0.0
+    for k in range(len(values)):
+        found += values[k]
+    return found
+"""
+INTERPRETED = """import time
+import numba
+import numpy as np
+from appliance.total import total
+
+def test_it_is_compiled():
+    assert not numba.config.DISABLE_JIT
+
+def test_nothing_goes_over_the_edge():
+    total(np.ones(3))[0]
+
+def test_it_takes_its_time():
+    end = time.process_time() + (60.0 if numba.config.DISABLE_JIT else 0.0)
+    while time.process_time() < end:
+        pass
+
+def test_total():
+    assert total(np.array([1.0, 2.0])) == 3.0
+"""
+
+
+def test_with_kernels_as_plain_python_only_a_broken_assertion_counts_and_no_test_takes_long(tmp_path: Path) -> None:
+    """An index beyond an array raises there; compiled, the kernel goes on with some number."""
+    file = "tests/appliance/test_total.py"
+    write(tmp_path, PROJECT | {"appliance/total.py": SUM, file: INTERPRETED})
+    subprocess.run(["git", "init", "-q", "."], cwd=tmp_path, check=True, timeout=30)
+    with Tree.taken(tmp_path, tmp_path / ".cache" / "mutate", heavy=HEAVY[:4]) as tree:
+        run = tree.run([file], 30.0, interpreted=True, most_s=0.5)
+        outcomes = {name.partition("::test_")[2]: outcome for name, (outcome, _) in run.tests.items()}
+        assert outcomes == {
+            "it_is_compiled": "failed",
+            "nothing_goes_over_the_edge": "raised",
+            "it_takes_its_time": "raised",
+            "total": "passed",
+        }
+        names = Names(tree.path)
+        home = tmp_path / ".cache" / "mutate"
+        choice = Choice(tree, names, home)
+        minus = next(one for one in mutants_of("appliance/total.py", SUM) if one.after == "found -= values[k]")
+        assert choice.interpreted(minus, 60.0).tests == (f"{file}::test_total",)
+
+
+def test_a_mutant_of_a_kernel_is_judged_as_plain_python_first_and_compiled_if_nothing_breaks(tmp_path: Path) -> None:
+    weak = "import numpy as np\nfrom appliance.total import total\n\ndef test_total():\n"
+    weak += "    assert total(np.array([1.0, 2.0])) > 0.0\n"
+    write(tmp_path, PROJECT | {"appliance/total.py": SUM, "tests/appliance/test_limits.py": weak})
+    subprocess.run(["git", "init", "-q", "."], cwd=tmp_path, check=True, timeout=30)
+    home = tmp_path / ".cache" / "mutate"
+    wanted = {"found -= values[k]", "found = 1.0"}
+    found: dict[bool, dict[str, tuple[str, str]]] = {}
+    for interpret in (True, False):
+        with Tree.taken(tmp_path, home, heavy=HEAVY[:4]) as tree:
+            names = Names(tree.path)
+            choice = Choice(tree, names, home)
+            campaign = Campaign(tree, names, choice, [], home, limit_s=30.0, budget_s=60.0, interpret=interpret)
+            mutants = [one for one in mutants_of("appliance/total.py", SUM) if one.after in wanted]
+            results = campaign.run(mutants, fresh=False, confirm=False, say=lambda line: None)
+            found[interpret] = {one.mutant.after: (one.status, one.by) for one in results}
+    test = "tests/appliance/test_limits.py::test_total"
+    assert found[True] == {"found -= values[k]": ("killed", f"{test} (interpreted)"), "found = 1.0": ("survived", "")}
+    assert found[False] == {"found -= values[k]": ("killed", test), "found = 1.0": ("survived", "")}

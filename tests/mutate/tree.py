@@ -198,14 +198,22 @@ class Tree:
         watched: list[str] | None = None,
         mutated: bool = False,
         kernels: Path | None = None,
+        interpreted: bool = False,
+        most_s: float | None = None,
     ) -> Run:
-        """Run tests of the copy; the first failure ends a mutant's run. Raises ForeignTree."""
+        """Run tests of the copy; the first failure ends a mutant's run. Raises ForeignTree.
+
+        ``interpreted``: kernels run as plain Python, and of a test that failed otherwise than by an assertion the
+        outcome is "raised"; ``most_s``: a test that then takes longer has raised too.
+        """
         said = self.path.with_suffix(".said")
         job = {
             "files": files,
             "wanted": wanted,
             "watched": watched or [],
             "mutated": mutated,
+            "interpreted": interpreted,
+            "most_s": most_s,
             "limit_s": limit_s,
             "kernels": str(kernels or self.kernels),
             "notes": str(self.path.with_suffix(".notes")),

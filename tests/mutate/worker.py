@@ -1,5 +1,7 @@
 """Runs pytest in one tree again and again, each time in a fork of a process that has the heavy libraries already.
 
+With a job that is ``interpreted`` numba compiles nothing: kernels run as the Python that they are written in.
+
 A program of its own that imports nothing of the project: what it imported from one tree would hide another's. Its
 arguments name the libraries; it reads one job per line of its input (JSON) and writes one answer per line of its output.
 A run over its limit is killed with everything that it started. The limit is of processor time, since a busy computer
@@ -55,6 +57,49 @@ class Chosen:
     def pytest_collectreport(self, report: Any) -> None:
         if report.outcome == "failed":
             self.tests[report.nodeid] = ["failed", 0.0]
+
+
+class TooSlow(BaseException):
+    """A test took longer than it may; no ``Exception``, so that nothing under test takes it for its own."""
+
+
+class Interpreted:
+    """A pytest plugin for kernels that run as plain Python: no test takes long, and only a broken assertion counts.
+
+    An index beyond an array and a division by zero raise here, while a compiled kernel goes on with some number: what
+    only raises shows nothing about the compiled kernel.
+    """
+
+    def __init__(self, most_s: float | None, mutated: bool) -> None:
+        self._most_s, self._mutated = most_s, mutated
+        self.asserted: set[str] = set()
+
+    def pytest_runtest_logstart(self, nodeid: str, location: object) -> None:
+        if self._most_s is not None:
+            signal.signal(signal.SIGPROF, _too_slow)
+            signal.setitimer(signal.ITIMER_PROF, self._most_s)  # processor time
+
+    def pytest_runtest_logfinish(self, nodeid: str, location: object) -> None:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+
+    def pytest_runtest_makereport(self, item: Any, call: Any) -> None:
+        if call.excinfo is not None and (
+            issubclass(call.excinfo.type, AssertionError) or call.excinfo.type.__name__ == "Failed"  # of pytest.fail
+        ):
+            self.asserted.add(item.nodeid)
+            if self._mutated:
+                item.session.shouldfail = "an assertion is broken"
+
+    def judged(self, tests: dict[str, list[Any]]) -> dict[str, list[Any]]:
+        """Return the tests and their outcomes, with "raised" for what failed otherwise than by an assertion."""
+        return {
+            name: ["raised" if outcome == "failed" and name not in self.asserted else outcome, seconds]
+            for name, (outcome, seconds) in tests.items()
+        }
+
+
+def _too_slow(number: int, frame: FrameType | None) -> None:
+    raise TooSlow
 
 
 class Lines:
@@ -207,6 +252,8 @@ def _run(tree: str, job: dict[str, Any]) -> int:
     for target, source in ((0, nothing), (1, said), (2, said)):
         os.dup2(source, target)
     os.environ |= {"NUMBA_CACHE_DIR": job["kernels"], "PYTHONPATH": tree, "KINGFISHER_MUTATED": tree}
+    if job["interpreted"]:
+        os.environ["NUMBA_DISABLE_JIT"] = "1"
     if "numba" in sys.modules:
         sys.modules["numba"].config.reload_config()
     if job["mutated"]:
@@ -219,8 +266,11 @@ def _run(tree: str, job: dict[str, Any]) -> int:
     lines = Lines(tree, job["watched"], Path(job["notes"]).with_suffix(".lines"))
     if job["watched"]:
         plugins.append(lines)
+    interpreted = Interpreted(job["most_s"], job["mutated"])
+    if job["interpreted"]:
+        plugins.append(interpreted)
     options = ["-q", "-n0", "-p", "no:cacheprovider", "--hypothesis-seed=0", "--rootdir", tree, "--tb=short"]
-    if job["mutated"]:
+    if job["mutated"] and not job["interpreted"]:
         options.append("-x")
     code = pytest.main([*options, *job["files"]], plugins=plugins)
     foreign = [
@@ -229,7 +279,8 @@ def _run(tree: str, job: dict[str, Any]) -> int:
         if name.partition(".")[0] in {"appliance", "drivers", "hw_sim", "tests"}
         and not str(getattr(module, "__file__", None) or tree).startswith(tree)
     ]
-    notes = {"tests": chosen.tests, "lines": lines.seen, "foreign": foreign}
+    tests = interpreted.judged(chosen.tests) if job["interpreted"] else chosen.tests
+    notes = {"tests": tests, "lines": lines.seen, "foreign": foreign}
     Path(job["notes"]).write_text(json.dumps(notes))
     return int(code)
 
