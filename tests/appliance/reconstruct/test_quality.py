@@ -1,0 +1,86 @@
+"""The numbers of a cloud, and when a cloud is called good or worth keeping."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from appliance.reconstruct.quality import SAMPLE, QualityLimits, is_good, is_usable, summarise
+from appliance.reconstruct.select import Points
+
+
+def points(depth_mm: np.ndarray) -> Points:
+    """Sigma is a 1000th of the depth, the gap a 2000th."""
+    n = len(depth_mm)
+    depth = depth_mm.astype(np.float32)
+    xyz = np.stack([np.full(n, 7.0), np.full(n, -9.0), depth], -1).astype(np.float32)
+    byte = np.zeros(n, np.uint8)
+    return Points(xyz, depth / np.float32(2000), depth / np.float32(1000), byte, np.zeros(n, np.uint32), byte)
+
+
+def test_a_cloud_is_told_by_its_medians_and_by_its_share_of_the_lit_pixels() -> None:
+    depth_mm = np.full(20, 9999.0)
+    depth_mm[2:6], depth_mm[10:13] = [400.0, 410.0, 420.0, 430.0], [500.0, 510.0, 520.0]
+    said = summarise(28, points(depth_mm), ((2, 6), (10, 13)))
+    assert said.points == 7
+    assert said.coverage_percent == pytest.approx(25.0)
+    assert said.distance_mm == pytest.approx(430.0)
+    assert said.noise_mm == pytest.approx(0.430)
+    assert said.gap_mm == pytest.approx(0.215)
+
+
+def test_without_points_nothing_is_said_of_them_and_without_light_nothing_of_coverage() -> None:
+    none = summarise(100, points(np.zeros(4)), ((0, 0), (2, 2)))
+    assert (none.points, none.coverage_percent) == (0, 0.0)
+    assert (none.distance_mm, none.noise_mm, none.gap_mm) == (None, None, None)
+    dark = summarise(0, points(np.full(4, 500.0)), ((0, 1),))
+    assert (dark.points, dark.coverage_percent, dark.distance_mm) == (1, None, 500.0)
+
+
+def test_the_medians_of_many_points_are_those_of_a_sample_over_the_whole_cloud() -> None:
+    """Sampled medians err by a share of a percent of the spread; a sample of one part of it would err by much more."""
+    n = 5 * SAMPLE
+    said = summarise(n, points(np.linspace(400.0, 600.0, n)), ((0, n // 2), (n // 2, n)))
+    assert said.points == n
+    assert said.distance_mm == pytest.approx(500.0, abs=0.1)
+
+
+def test_of_a_cloud_just_larger_than_the_sample_no_point_is_left_out() -> None:
+    depth_mm = np.full(SAMPLE + 1, 400.0)
+    depth_mm[1::2] = 600.0
+    depth_mm[0] = 600.0  # one more than half: the median of every second point would be the other depth
+    assert summarise(1, points(depth_mm), ((0, SAMPLE + 1),)).distance_mm == pytest.approx(600.0)
+
+
+@pytest.mark.parametrize(
+    ("coverage_percent", "noise_mm", "good", "usable"),
+    [
+        (60.0, 0.06, True, True),
+        (59.9, 0.06, False, True),
+        (60.0, 0.061, False, True),
+        (100.0, 0.0, True, True),
+        (25.0, 0.25, False, True),
+        (24.9, 0.25, False, False),
+        (25.0, 0.251, False, False),
+        (None, 0.01, False, False),
+        (90.0, None, False, False),
+        (0.0, 0.01, False, False),
+    ],
+)
+def test_good_is_three_fifths_of_the_surface_to_60_micrometres_and_usable_a_quarter_to_250(
+    coverage_percent: float | None, noise_mm: float | None, good: bool, usable: bool
+) -> None:
+    assert is_good(coverage_percent, noise_mm) is good
+    assert is_usable(coverage_percent, noise_mm) is usable
+
+
+def test_the_volume_is_530_mm_away_and_300_mm_deep_and_a_point_needs_more_than_half_of_its_neighbours() -> None:
+    """docs/causes.md names the volume's ends to the diver; gaps of a good calibration are below a tenth of the limit."""
+    limits = QualityLimits()
+    assert 0.5 * (limits.min_depth_mm + limits.max_depth_mm) == 530.0
+    assert limits.max_depth_mm - limits.min_depth_mm == 300.0
+    assert 8 / 2 < limits.min_neighbours <= 8 / 2 + 1
+    # 60 degrees at 0.16 mm per pixel, along the diagonal, is a step of 0.4 mm; a step of two millimetres is another surface.
+    assert 0.16 * 2**0.5 * 3**0.5 < limits.max_step_mm < 2.0
+    # Half a millimetre is no measurement any more, and rays that pass at half of that do not see the same point.
+    assert (limits.max_sigma_mm, limits.max_gap_mm) == (0.5, 0.5 / 2)
