@@ -23,10 +23,22 @@ from tests.mutate.tree import Tree
 
 BESIDE = {
     "appliance/capture": ("tests/integration/test_every_frame_fault.py",),
+    "appliance/offline": (
+        "tests/appliance/calibration/test_calibrate_verb.py",
+        "tests/appliance/evaluation/test_evaluate_verb.py",
+        "tests/appliance/cli/test_calibrate_air.py",
+        "tests/appliance/cli/test_measure.py",
+        "tests/appliance/service/test_lost_cloud.py",
+    ),
     "appliance/storage": (
         "tests/crash/test_power_loss.py",
         "tests/crash/test_refused_writes.py",
         "tests/crash/test_bad_disk.py",
+    ),
+    "appliance/processing": (
+        "tests/appliance/worker/test_pair.py",
+        "tests/appliance/reconstruct/decode/test_specks.py",
+        "tests/appliance/reconstruct/decode/test_backscatter.py",
     ),
     "appliance/reconstruct/decode": ("tests/appliance/reconstruct/test_*.py",),
     "drivers/board": ("tests/integration/drivers/test_board*.py",),
