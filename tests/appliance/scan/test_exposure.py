@@ -1,4 +1,4 @@
-"""How bright, and how long to wait: the steps a diver may choose from, and limits that follow a slow projector."""
+"""How bright scans are: the steps a diver may choose from, and what light each of them gives."""
 
 from __future__ import annotations
 
@@ -6,20 +6,7 @@ from itertools import pairwise
 
 import pytest
 
-from appliance.capture.timeouts import Timeouts
 from appliance.scan.exposure import NOMINAL, Exposure, Span, ladder
-
-
-def test_at_60_hz_the_seconds_count() -> None:
-    p = Timeouts(60.0)
-    found = (p.ready_s, p.first_frame_s, p.next_frame_s, p.silence_s, p.collect_s, p.pulse_s, p.margin_s)
-    assert found == pytest.approx((2.0, 2.0, 0.15, 0.035, 2.5, 0.25, 5.0))
-
-
-def test_at_one_picture_a_second_the_periods_count() -> None:
-    p = Timeouts(1.0)
-    found = (p.ready_s, p.first_frame_s, p.next_frame_s, p.silence_s, p.collect_s, p.pulse_s, p.margin_s)
-    assert found == pytest.approx((12.0, 24.0, 9.0, 2.1, 12.0, 3.0, 40.0))
 
 
 def test_longer_exposures_come_before_more_gain_and_each_step_is_brighter() -> None:
@@ -44,6 +31,12 @@ def test_the_rigs_own_gain_is_the_lowest_and_the_spans_the_highest() -> None:
     gains = [step.gain_db for step in ladder(60.0, 500, 3.0, Span(most_gain_db=8.0)) if step.time_us == 16000]
     assert gains == [3.0, 5.0, 7.0]
     assert {step.gain_db for step in ladder(60.0, 500, 12.0, Span())} == {12.0}
+
+
+def test_a_span_that_has_room_for_half_a_step_of_gain_stops_below_it() -> None:
+    gains = [step.gain_db for step in ladder(60.0, 500, 0.0, Span(most_gain_db=5.0)) if step.gain_db > 0.0]
+    assert gains == [2.0, 4.0]
+    assert len(ladder(60.0, 500, 0.0, Span(most_gain_db=1.9))) == 11, "no gain at all: the eleven times"
 
 
 def test_where_no_step_fits_the_reason_and_the_steps_are_told() -> None:
