@@ -189,17 +189,17 @@ class Card:
         _, _, _, _, handle, pitch, size = self._call(
             drm.IOCTL_CREATE_DUMB, drm.CREATE_DUMB.pack(height_px, width_px, 32, 0, 0, 0, 0), drm.CREATE_DUMB
         )
-        try:
+        with contextlib.ExitStack() as undo:
+            undo.callback(self._call, drm.IOCTL_DESTROY_DUMB, drm.ID.pack(handle), drm.ID)
             framebuffer = self._call(
                 drm.IOCTL_ADD_FRAMEBUFFER,
                 drm.ADD_FRAMEBUFFER.pack(0, width_px, height_px, pitch, 32, 24, handle),
                 drm.ADD_FRAMEBUFFER,
             )[0]
+            undo.callback(self._call, drm.IOCTL_REMOVE_FRAMEBUFFER, drm.ID.pack(framebuffer), drm.ID)
             offset = self._call(drm.IOCTL_MAP_DUMB, drm.MAP_DUMB.pack(handle, 0, 0), drm.MAP_DUMB)[2]
             memory = self._node.map(size, offset)
-        except OSError:
-            self._call(drm.IOCTL_DESTROY_DUMB, drm.ID.pack(handle), drm.ID)
-            raise
+            undo.pop_all()
         buffer = Buffer(handle, framebuffer, memory, (width_px, height_px), pitch)
         buffer.pixels[...] = 0
         return buffer

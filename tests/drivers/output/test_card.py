@@ -1,13 +1,14 @@
-"""What a card says about its connectors is read whole, also while something is being plugged in."""
+"""A card's calls: what it says is read whole while something is plugged in, and nothing is waited for or kept in vain."""
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Callable
 
 import pytest
 
-from drivers.output.card import Card
-from tests.drivers.output.kernel import GetConnector, Kernel, Plug, mode
+from drivers.output.card import Card, _U32s
+from tests.drivers.output.kernel import CardRes, FbCmd, GetConnector, Kernel, MapDumb, Plug, VblankEvent, mode
 
 ASKED = 0xA7
 
@@ -83,3 +84,172 @@ def test_only_a_question_with_room_for_no_mode_makes_the_driver_look_at_the_wire
         assert (question.props, question.encoders) == (0, 0)
         assert (question.props_ptr, question.values_ptr, question.encoders_ptr) == (0, 0, 0)
     assert (whole.modes, whole.props, whole.encoders) == (1, 1, 1)
+
+
+class Interrupted(Kernel):
+    """Its next calls are broken off by a signal, or by a driver that has no time."""
+
+    def __init__(self, times: int, reason: int) -> None:
+        super().__init__([Plug(1, 11, 1, [mode(128, 96)])])
+        self._times, self._reason = times, reason
+
+    def ioctl(self, request: int, buffer: bytearray) -> None:
+        if self._times:
+            self._times -= 1
+            buffer[:] = b"\xff" * len(buffer)  # what is half done may lie in the request
+            raise OSError(self._reason, "broken off")
+        super().ioctl(request, buffer)
+
+
+@pytest.mark.parametrize("reason", [errno.EINTR, errno.EAGAIN])
+def test_a_call_that_a_signal_broke_off_is_made_again_up_to_sixteen_times(reason: int) -> None:
+    often, ever = Interrupted(15, reason), Interrupted(16, reason)
+    assert Card(often, often.time).capability(6) == 1
+    with pytest.raises(OSError, match="broken off"):
+        Card(ever, ever.time).capability(6)
+
+
+def test_a_call_that_was_refused_is_not_made_again() -> None:
+    kernel = Interrupted(1, errno.EINVAL)
+    with pytest.raises(OSError, match="broken off"):
+        Card(kernel, kernel.time).capability(6)
+    assert kernel.calls == []
+
+
+class Growing(Kernel):
+    """Connectors appear at each of the first questions for its lists."""
+
+    def __init__(self, times: int) -> None:
+        super().__init__([Plug(1, 11, 1)], crtcs=3)
+        self._times = times
+
+    def _resources(self, res: CardRes) -> None:
+        if self._times:
+            self._times -= 1
+            number = len(self.plugs) + 1
+            self.plugs[number] = Plug(number, 11, number)
+        super()._resources(res)
+
+
+@pytest.mark.parametrize("times", [0, 1, 2, 7])
+def test_lists_that_grow_while_they_are_read_are_read_again(times: int) -> None:
+    kernel = Growing(times)
+    card = Card(kernel, kernel.time)
+    card.scan()
+    assert card.crtcs == tuple(kernel.crtc_ids)
+    assert [one.name for one in card.connectors()] == [f"HDMI-A-{k}" for k in range(1, len(kernel.plugs) + 1)]
+    assert len(kernel.calls) - len(kernel.plugs) * 2 == 2 * (1 + times // 2), "two questions a try"
+
+
+def test_lists_that_never_stop_growing_are_given_up() -> None:
+    kernel = Growing(8)
+    with pytest.raises(OSError, match="the card's lists kept changing through 4 reads") as error:
+        Card(kernel, kernel.time).scan()
+    assert error.value.errno == errno.EAGAIN
+
+
+def flip_of(kernel: Kernel) -> tuple[Card, int]:
+    """A card, and a flip that was submitted on it."""
+    card = Card(kernel, kernel.time)
+    card.scan()
+    buffer = card.create_buffer(128, 96)
+    card.light(40, 1, card.connector(1).modes[0], buffer)
+    return card, card.submit_flip(40, buffer)
+
+
+def lit() -> Kernel:
+    return Kernel([Plug(1, 11, 1, [mode(128, 96)])])
+
+
+@pytest.mark.parametrize("timeout_s", [0.0, 0.1, 1.0])
+def test_a_flip_is_waited_for_as_long_as_was_said_whatever_else_is_reported(timeout_s: float) -> None:
+    """Reports of flips that nobody awaits come at every blank, as they do after a head was closed and opened again."""
+    kernel = lit()
+    card, token = flip_of(kernel)
+    kernel.mute = True
+
+    def report_another(kernel: Kernel) -> None:
+        kernel.events += bytes(VblankEvent(2, 32, 12345, 1, 2, 3, 40))
+
+    kernel.on_blank = report_another
+    begun_ns = kernel.time.ns
+    assert card.wait_flip(token, timeout_s) is None
+    waited_s = (kernel.time.ns - begun_ns) * 1e-9
+    assert timeout_s - 0.001 <= waited_s <= timeout_s + 0.001
+    assert card._arrived == {}, "and what nobody awaits is not kept"
+
+
+def test_a_flip_that_comes_after_its_time_can_still_be_waited_for() -> None:
+    kernel = lit()
+    card, token = flip_of(kernel)
+    kernel.mute = True
+    assert card.wait_flip(token, 0.1) is None
+    kernel.mute = False
+    done = card.wait_flip(token, 0.1)
+    assert done is not None
+    assert (done.token, done.raw_sequence) == (token, kernel.blank)
+    assert (card._awaited, card._arrived) == (set(), {})
+
+
+def test_a_report_that_lies_there_already_is_found_without_waiting() -> None:
+    kernel = lit()
+    card, token = flip_of(kernel)
+    assert kernel.wait_readable(1.0)
+    now_ns = kernel.time.ns
+    assert card.wait_flip(token, 0.0) is not None
+    assert kernel.time.ns == now_ns
+
+
+def test_of_a_flip_that_was_refused_or_forgotten_no_report_is_kept() -> None:
+    kernel = lit()
+    card, token = flip_of(kernel)
+    buffer = card.create_buffer(128, 96)
+    kernel.busy = 1
+    with pytest.raises(OSError, match="busy"):
+        card.submit_flip(40, buffer)
+    assert card._awaited == {token}
+    card.forget_flip(token)
+    other = card.submit_flip(50, buffer)
+    assert card.wait_flip(other, 1.0) is not None
+    assert (card._awaited, card._arrived) == (set(), {})
+    card.forget_flip(other)  # once more harms nobody
+
+
+def test_a_report_that_arrived_for_another_thread_is_forgotten_with_its_flip() -> None:
+    kernel = lit()
+    card, token = flip_of(kernel)
+    other = card.submit_flip(50, card.create_buffer(128, 96))
+    assert card.wait_flip(other, 1.0) is not None
+    assert set(card._arrived) == {token}
+    card.forget_flip(token)
+    assert (card._awaited, card._arrived) == (set(), {})
+
+
+class Short(Kernel):
+    """Has a buffer, and something else about it not."""
+
+    without = ""
+
+    def _map(self, request: MapDumb) -> None:
+        if self.without == "addresses":
+            raise OSError(errno.ENOMEM, "Cannot allocate memory")
+        super()._map(request)
+
+    def _add_fb(self, fb: FbCmd) -> None:
+        if self.without == "formats":
+            raise OSError(errno.EINVAL, "Invalid argument")
+        super()._add_fb(fb)
+
+
+@pytest.mark.parametrize("without", ["addresses", "formats"])
+def test_a_buffer_that_cannot_be_mapped_or_scanned_out_is_given_back(without: str) -> None:
+    kernel = Short([Plug(1, 11, 1, [mode(128, 96)])])
+    kernel.without = without
+    with pytest.raises(OSError, match="Cannot allocate memory|Invalid argument"):
+        Card(kernel, kernel.time).create_buffer(128, 96)
+    assert (kernel.dumb, kernel.fbs) == ({}, {}), "neither its memory nor its name for scan-out"
+
+
+def test_a_list_has_room_for_all_its_ids_and_for_one_if_there_is_none() -> None:
+    assert _U32s(3, 7, 8, 9).values(3) == (7, 8, 9)
+    assert _U32s(3).values(2) == (0, 0)
