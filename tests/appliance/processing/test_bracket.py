@@ -179,7 +179,9 @@ def test_points_that_motion_spoilt_are_not_mixed_with_others(desk: Desk, which: 
 
 
 def test_a_first_exposure_without_points_has_nothing_to_lay_the_second_one_against(desk: Desk) -> None:
-    none = replace(desk.first.cloud.thinned(10**9), pixel=np.zeros(0, np.uint32), points_mm=np.zeros((0, 3), np.float32))
+    none = replace(
+        desk.first.cloud.thinned(10**9), pixel=np.zeros(0, np.uint32), points_mm=np.zeros((0, 3), np.float32)
+    )
     merged, _ = desk.merged(replace(desk.first, cloud=none))
     assert merged.found is None
     assert merged.judgement.verdict.text == (
@@ -202,7 +204,10 @@ def lies(moved_mm: float, turned_deg: float, residual: float, shared: float) -> 
     [
         (lies(9.9, 2.9, 1.5, 0.61), None),
         (lies(MAX_MOVED_MM, MAX_TURNED_DEG, MAX_RESIDUAL, LEAST_SHARED), None),
-        (lies(10.1, 0.0, 1.0, 1.0), "moved by 10.10 mm (5.0 px, 0.00 deg) between the exposures; up to 10 mm and 3 deg"),
+        (
+            lies(10.1, 0.0, 1.0, 1.0),
+            "moved by 10.10 mm (5.0 px, 0.00 deg) between the exposures; up to 10 mm and 3 deg",
+        ),
         (lies(0.0, 3.1, 1.0, 1.0), "moved by 0.00 mm (5.0 px, 3.10 deg) between the exposures; up to 10 mm and 3 deg"),
         (lies(0.0, 0.0, 1.7, 1.0), "do not show one rigid thing: 100 % of their points lie on one surface, 1.7 times"),
         (lies(0.0, 0.0, 1.0, 0.59), "do not show one rigid thing: 59 % of their points lie on one surface, 1.0 times"),

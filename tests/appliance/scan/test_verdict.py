@@ -7,7 +7,9 @@ from appliance.scan.verdict import Verdict
 
 
 def test_a_fault_is_stored_as_a_verdict_that_was_not_passed() -> None:
-    fault = Fault(FaultCode.FRAME_MISSING, "23 of 24 frames arrived", {"received": 23.0, "expected": 24.0}, "camera.left")
+    fault = Fault(
+        FaultCode.FRAME_MISSING, "23 of 24 frames arrived", {"received": 23.0, "expected": 24.0}, "camera.left"
+    )
     told = Verdict("ledger", False, {"received": 23.0, "expected": 24.0}, "FRAME_MISSING: 23 of 24 frames arrived")
     assert Verdict.failed("ledger", fault) == told
     assert Verdict.failed("ledger", Fault(FaultCode.LEAK)).text == "LEAK", "no colon with nothing behind it"

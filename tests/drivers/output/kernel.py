@@ -132,6 +132,11 @@ def mode(width: int, height: int, hz: float = 60.0, flags: int = 0, kind: int = 
     )  # fmt: skip
 
 
+def zero(request: ctypes.Structure, *names: str) -> None:
+    """What a call does not ask by is 0: a kernel may give any of it a meaning in a later version."""
+    assert [getattr(request, name) for name in names] == [0] * len(names), names
+
+
 class Time:
     """A clock that only moves when somebody waits."""
 
@@ -277,9 +282,16 @@ class Kernel:
     # -- requests
 
     def _get_cap(self, cap: GetCap) -> None:
+        zero(cap, "value")
         cap.value = {1: 1, 6: self.monotonic, 0x12: 1}.get(cap.capability, 0)
 
     def _resources(self, res: CardRes) -> None:
+        zero(res, "min_w", "max_w", "min_h", "max_h")
+        for number, pointer in (
+            *(("fbs", "fb_ptr"), ("crtcs", "crtc_ptr")),
+            *(("connectors", "connector_ptr"), ("encoders", "encoder_ptr")),
+        ):
+            assert getattr(res, pointer) or not getattr(res, number), "room for ids at no address"
         encoders = [plug + 1000 for plug in self.plugs]
         self._fill(res, "fb_ptr", "fbs", [*self.fbs], u32)
         self._fill(res, "crtc_ptr", "crtcs", self.crtc_ids, u32)
@@ -288,11 +300,13 @@ class Kernel:
         res.max_w = res.max_h = 4096
 
     def _encoder(self, enc: GetEncoder) -> None:
+        zero(enc, "type", "crtc_id", "possible_crtcs", "possible_clones")
         enc.possible_crtcs = self.plugs[enc.id - 1000].possible_crtcs
 
     def _connector(self, con: GetConnector) -> None:
         if con.id not in self.plugs:
             raise OSError(errno.ENOENT, "No such file or directory")
+        zero(con, "encoder_id", "type", "type_id", "connection", "mm_w", "mm_h", "subpixel", "pad")
         plug = self.plugs[con.id]
         con.type, con.type_id, con.connection = plug.type, plug.type_id, 1 if plug.connected else 2
         self._fill(con, "modes_ptr", "modes", plug.modes if plug.connected else [], ModeInfo)
@@ -302,6 +316,8 @@ class Kernel:
         self._fill(con, "encoders_ptr", "encoders", [plug.id + 1000], u32)
 
     def _get_property(self, prop: GetProperty) -> None:
+        zero(prop, "flags")
+        assert prop.name == b""
         name, flags, choices = self.properties[prop.id]
         prop.name, prop.flags = name.encode(), flags
         self._fill(prop, "values_ptr", "values", [*choices.values()], u64)
@@ -312,6 +328,7 @@ class Kernel:
 
     def _create(self, dumb: CreateDumb) -> None:
         assert (dumb.bpp, dumb.flags) == (32, 0)
+        zero(dumb, "handle", "pitch", "size")
         pitch = -(-4 * dumb.width // self.pitch_align) * self.pitch_align
         dumb.handle, dumb.pitch, dumb.size = self._number(), pitch, -(-pitch * dumb.height // 4096) * 4096
         self.memory[dumb.handle] = bytearray(b"\x5a" * dumb.size)  # dirty: black must be written
@@ -319,9 +336,11 @@ class Kernel:
 
     def _map(self, request: MapDumb) -> None:
         assert request.handle in self.dumb
+        zero(request, "pad", "offset")
         request.offset = request.handle << 12
 
     def _add_fb(self, fb: FbCmd) -> None:
+        zero(fb, "fb_id")
         assert self.dumb[fb.handle] == (fb.width, fb.height, fb.pitch)
         assert (fb.bpp, fb.depth) == (32, 24)
         fb.fb_id = self._number()
@@ -335,19 +354,26 @@ class Kernel:
         del self.dumb[handle.value]
 
     def _get_crtc(self, crtc: Crtc) -> None:
+        assert crtc.crtc_id in self.crtc_ids
+        zero(crtc, "connectors_ptr", "connectors", "fb_id", "x", "y", "gamma_size", "mode_valid")
         crtc.gamma_size = self.gamma_size
 
     def _set_gamma(self, lut: CrtcLut) -> None:
         assert lut.size == self.gamma_size
-        self.gamma[lut.crtc_id] = (u16 * lut.size).from_address(lut.green)[:]
+        red, green, blue = ((u16 * lut.size).from_address(one)[:] for one in (lut.red, lut.green, lut.blue))
+        assert red == green == blue
+        self.gamma[lut.crtc_id] = green
 
     def _set_crtc(self, crtc: Crtc) -> None:
         if not self.master:
             raise OSError(errno.EACCES, "Permission denied")
+        zero(crtc, "gamma_size", "x", "y")
         if not crtc.mode_valid:
-            assert (crtc.fb_id, crtc.connectors) == (0, 0)
+            zero(crtc, "connectors_ptr", "connectors", "fb_id")
+            assert bytes(crtc.mode) == bytes(ModeInfo())
             self.lit.pop(crtc.crtc_id, None)
             return
+        assert crtc.mode_valid == 1
         (connector,) = (u32 * crtc.connectors).from_address(crtc.connectors_ptr)
         plug = self.plugs[connector]
         assert plug.possible_crtcs >> self.crtc_ids.index(crtc.crtc_id) & 1

@@ -245,7 +245,7 @@ class Short(Kernel):
 def test_a_buffer_that_cannot_be_mapped_or_scanned_out_is_given_back(without: str) -> None:
     kernel = Short([Plug(1, 11, 1, [mode(128, 96)])])
     kernel.without = without
-    with pytest.raises(OSError, match="Cannot allocate memory|Invalid argument"):
+    with pytest.raises(OSError, match=r"Cannot allocate memory|Invalid argument"):
         Card(kernel, kernel.time).create_buffer(128, 96)
     assert (kernel.dumb, kernel.fbs) == ({}, {}), "neither its memory nor its name for scan-out"
 
