@@ -1,0 +1,118 @@
+"""A scan in a moving hand: the judges' verdict comes first, the motion is taken out of the points, and both are told."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from appliance.compensation.attempt import Attempt
+from appliance.patterns.sequence import Direction
+from appliance.processing.bracket import ProcessedSequence
+from appliance.processing.judges import JUDGES
+from appliance.processing.procedure import (
+    AllJudged,
+    CoarseFound,
+    FullFound,
+    Identified,
+    OneJudged,
+    SequenceProcessor,
+    Step,
+    _compensation,
+)
+from appliance.reconstruct.pipeline import Pipeline
+from appliance.scan.acquisition import AcquisitionSettings
+from appliance.scan.fault import FaultCode
+from appliance.scan.verdict import Judgement, Verdict
+from hw_sim.objects.motion import Motion
+from hw_sim.scene import Scene
+from tests.support.rendered import FRAME_S, RenderedScan, render_scan
+from tests.support.truth import WATER, left_to_rig, true_calibration
+
+HAND = Motion((0.0, 20.0, 0.0))
+"""Velocity of the instrument, in mm/s of the rig frame."""
+
+
+@dataclass(frozen=True)
+class Worked:
+    scan: RenderedScan
+    steps: list[Step]
+    held: ProcessedSequence
+    plain: int
+    """Number of points without compensation."""
+
+    def judged(self) -> dict[str, Judgement]:
+        last = self.steps[-1]
+        assert isinstance(last, FullFound)
+        return {one.verdict.name: one for one in last.judgements}
+
+
+def worked(motion: Motion) -> Worked:
+    scan = render_scan(
+        Scene("frustum", texture="slight", motion=motion), "nominal", 1, 240, 16, exposure_s=0.008, frame_s=FRAME_S
+    )
+    calibration = true_calibration(scan.renderer.truth)
+    with Pipeline(calibration, WATER, scan.sequence) as pipeline:
+        processor = SequenceProcessor(pipeline, calibration, WATER)
+        processor.begin(AcquisitionSettings())
+        for _ in processor.push_all(scan.frames):
+            pass
+        plain = 0
+        steps: list[Step] = []
+        for step in processor.steps():
+            steps.append(step)
+            if isinstance(step, AllJudged) and not plain:
+                plain = pipeline.find_full().summary.points
+        return Worked(scan, steps, processor.hold(), plain)
+
+
+@pytest.fixture(scope="module")
+def in_a_hand() -> Worked:
+    return worked(HAND)
+
+
+def test_it_is_told_that_motion_is_being_undone_and_again_what_came_of_it(in_a_hand: Worked) -> None:
+    kinds = [type(step) for step in in_a_hand.steps]
+    assert kinds == [Identified, CoarseFound, *[OneJudged] * len(JUDGES), AllJudged, AllJudged, FullFound]
+    before, after = (step for step in in_a_hand.steps if isinstance(step, AllJudged))
+    assert (before.compensating, after.compensating) == (True, False)
+    said = {one.verdict.name: one for one in before.judgements}
+    assert said["motion"].fault is not None
+    assert said["motion"].fault.code is FaultCode.MOVED
+    for told in (before, after):
+        assert told.judgements[0].verdict.name == "identity"
+
+
+def test_motion_that_was_undone_is_no_fault_of_the_points(in_a_hand: Worked) -> None:
+    said = in_a_hand.judged()
+    motion = said["motion"]
+    assert motion.fault is not None
+    assert motion.fault.code is FaultCode.COMPENSATED
+    assert motion.fault.detail == motion.verdict.text
+    assert said["compensation"].verdict.passed
+    assert (in_a_hand.held.moved, in_a_hand.held.spoilt) == (True, False)
+
+
+def test_the_hands_speed_and_what_is_left_of_its_errors_are_stored(in_a_hand: Worked) -> None:
+    verdict, truth = in_a_hand.judged()["compensation"].verdict, in_a_hand.scan.renderer.truth
+    numbers = {name: number for name, number in verdict.numbers.items() if number is not None}
+    speed = np.array([numbers[f"speed_{axis}_mm_s"] for axis in "xyz"], np.float64)
+    in_rig = left_to_rig(truth, speed[None])[0] - left_to_rig(truth, np.zeros((1, 3)))[0]
+    assert in_rig == pytest.approx(-np.array(HAND.velocity_mm_s), abs=1.5), "the scene goes against the instrument"
+    assert numbers["error_before"] > 2.0
+    assert 0.5 < numbers["error_after"] < 1.25, "as good as at rest"
+    assert numbers["noise_factor"] == pytest.approx(1.0, abs=0.05)
+    sines = in_a_hand.scan.sequence.axis(Direction.X).sine
+    assert numbers["reference_s"] == pytest.approx(np.mean(sines) * FRAME_S)
+
+
+def test_what_is_held_for_a_second_exposure_is_the_cloud_without_motion(in_a_hand: Worked) -> None:
+    last = in_a_hand.steps[-1]
+    assert isinstance(last, FullFound)
+    assert len(in_a_hand.held.cloud.pixel) == last.found.summary.points != in_a_hand.plain
+
+
+def test_where_no_motion_could_be_told_the_verdict_says_why() -> None:
+    verdict = _compensation(Attempt(None, None, "Motion was not estimated: too few points."), FRAME_S)
+    assert verdict == Verdict("compensation", False, {}, "Motion was not estimated: too few points.")
