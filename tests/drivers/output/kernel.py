@@ -167,6 +167,9 @@ class Kernel:
         self.counts_blanks = True
         self.throttles = True
         self.monotonic = 1
+        self.dumb_buffers = 1
+        self.unnoticed: set[int] = set()
+        """Connectors whose cable was plugged in while nobody looked at the wire."""
         self.gamma_size = 256
         self.properties: dict[int, tuple[str, int, dict[str, int]]] = {}
         self.blank = 1000
@@ -283,7 +286,7 @@ class Kernel:
 
     def _get_cap(self, cap: GetCap) -> None:
         zero(cap, "value")
-        cap.value = {1: 1, 6: self.monotonic, 0x12: 1}.get(cap.capability, 0)
+        cap.value = {1: self.dumb_buffers, 6: self.monotonic, 0x12: 1}.get(cap.capability, 0)
 
     def _resources(self, res: CardRes) -> None:
         zero(res, "min_w", "max_w", "min_h", "max_h")
@@ -308,8 +311,11 @@ class Kernel:
             raise OSError(errno.ENOENT, "No such file or directory")
         zero(con, "encoder_id", "type", "type_id", "connection", "mm_w", "mm_h", "subpixel", "pad")
         plug = self.plugs[con.id]
-        con.type, con.type_id, con.connection = plug.type, plug.type_id, 1 if plug.connected else 2
-        self._fill(con, "modes_ptr", "modes", plug.modes if plug.connected else [], ModeInfo)
+        if not con.modes:
+            self.unnoticed.discard(con.id)  # room for no mode at all: the driver looks at the wire
+        connected = plug.connected and con.id not in self.unnoticed
+        con.type, con.type_id, con.connection = plug.type, plug.type_id, 1 if connected else 2
+        self._fill(con, "modes_ptr", "modes", plug.modes if connected else [], ModeInfo)
         if con.props >= len(plug.properties) and con.values_ptr:
             (u64 * len(plug.properties)).from_address(con.values_ptr)[:] = list(plug.properties.values())
         self._fill(con, "props_ptr", "props", [*plug.properties], u32)

@@ -24,6 +24,7 @@ from drivers.output import drm
         ("ADD_FRAMEBUFFER", 0xC01C64AE),
         ("REMOVE_FRAMEBUFFER", 0xC00464AF),
         ("PAGE_FLIP", 0xC01864B0),
+        ("DIRTY_FRAMEBUFFER", 0xC01864B1),
         ("CREATE_DUMB", 0xC02064B2),
         ("MAP_DUMB", 0xC01064B3),
         ("DESTROY_DUMB", 0xC00464B4),
@@ -64,8 +65,9 @@ def test_a_mode_is_read_from_the_kernels_bytes() -> None:
     assert mode.raw == XGA
 
 
-def test_a_mode_without_timing_has_its_rounded_refresh() -> None:
-    assert drm.Mode.unpack(bytes(4) + XGA[4:]).refresh_hz == 60.0
+@pytest.mark.parametrize(("at", "size"), [(0, 4), (10, 2), (20, 2)], ids=["clock", "htotal", "vtotal"])
+def test_a_mode_without_timing_has_its_rounded_refresh(at: int, size: int) -> None:
+    assert drm.Mode.unpack(XGA[:at] + bytes(size) + XGA[at + size :]).refresh_hz == 60.0
 
 
 def test_an_interlaced_mode_says_so() -> None:

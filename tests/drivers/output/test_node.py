@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import errno
+import fcntl
 import mmap
 import os
+import select
+import termios
 import time
 from pathlib import Path
 
 import pytest
 
-from drivers.api import DeviceGone
+from drivers.api import DeviceGone, DeviceRefused
 from drivers.output import drm
 from drivers.output.node import DrmNode
 
@@ -55,4 +58,60 @@ def test_a_refused_request_is_the_kernels_error(tmp_path: Path) -> None:
     with pytest.raises(OSError) as refused:
         node.ioctl(drm.IOCTL_GET_CAP, bytearray(16))
     assert refused.value.errno == errno.ENOTTY
+    node.close()
+
+
+def test_an_answer_is_written_into_the_request(tmp_path: Path) -> None:
+    pipe = tmp_path / "events"
+    os.mkfifo(pipe)
+    node = DrmNode(str(pipe))
+    os.write(node._fd, b"event")
+    request = bytearray(4)
+    node.ioctl(termios.FIONREAD, request)
+    assert int.from_bytes(request, "little") == 5
+    node.close()
+
+
+def test_a_card_that_is_given_back_is_open_no_more_and_no_child_ever_has_it(tmp_path: Path) -> None:
+    plain = tmp_path / "plain"
+    plain.touch()
+    node = DrmNode(str(plain))
+    descriptor = node._fd
+    assert fcntl.fcntl(descriptor, fcntl.F_GETFD) & fcntl.FD_CLOEXEC
+    node.close()
+    with pytest.raises(OSError) as closed:
+        os.fstat(descriptor)
+    assert closed.value.errno == errno.EBADF
+
+
+def test_a_card_that_may_not_be_opened_is_refused_with_the_group_that_may(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(path: str, flags: int) -> int:
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr("drivers.output.node.os.open", refuse)
+    with pytest.raises(DeviceRefused, match=r"card0: may not be opened \(Permission denied\). Join the group video"):
+        DrmNode("/dev/dri/card0")
+
+
+@pytest.mark.parametrize(("asked_s", "waited_ms"), [(0.25, 250.0), (3.0, 3000.0), (0.0, 0.0), (-0.5, 0.0)])
+def test_the_kernel_is_asked_to_wait_in_milliseconds_and_never_for_ever(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, asked_s: float, waited_ms: float
+) -> None:
+    """A negative time means for ever to the kernel; it comes of a deadline that has just passed."""
+    waited: list[float] = []
+
+    class Poll:
+        def register(self, descriptor: int, events: int) -> None:
+            assert (descriptor, events) == (node._fd, select.POLLIN)
+
+        def poll(self, timeout_ms: float) -> list[tuple[int, int]]:
+            waited.append(timeout_ms)
+            return []
+
+    plain = tmp_path / "plain"
+    plain.touch()
+    node = DrmNode(str(plain))
+    monkeypatch.setattr("drivers.output.node.select.poll", Poll)
+    assert node.wait_readable(asked_s) is False
+    assert waited == [waited_ms]
     node.close()

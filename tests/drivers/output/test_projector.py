@@ -166,6 +166,27 @@ def test_frames_are_counted_from_nought() -> None:
             projector.play([0], wrong, lambda flip: None, lambda: False)
 
 
+def test_before_anything_is_loaded_nothing_can_be_shown() -> None:
+    with pytest.raises(IndexError, match="projector frame 0; 0 are loaded"):
+        PatternProjector(Lamp()).show(0)
+
+
+def test_a_counter_that_begins_to_count_after_the_start_was_agreed_leaves_the_clock_to_tell_it() -> None:
+    lamp = Lamp()
+    projector = loaded(lamp)
+    lamp._counts_after = 4
+    begun: list[int] = []
+
+    def start(flip: Flip) -> int:
+        assert flip.sequence is None
+        begun.append(flip.time_ns)
+        return 6
+
+    flips = projector.play([1, 2], 3, start, lambda: False)
+    assert [round((flip.time_ns - begun[0]) / PERIOD_NS) for flip in flips] == [6, 7]
+    assert [flip.index for flip in flips] == [1, 2]
+
+
 def test_a_projector_without_its_cable_is_asked_before_it_plays_and_says_so_in_its_health() -> None:
     lamp = Lamp()
     projector = loaded(lamp)

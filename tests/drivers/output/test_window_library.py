@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import warnings
 from types import SimpleNamespace
 from typing import Any
 
@@ -30,7 +31,8 @@ class Screen:
 
     def __init__(self) -> None:
         self.log: list[tuple[Any, ...]] = []
-        self.hints: dict[str, Any] = {}
+        self.hints: dict[str, Any] = {"DECORATED": "FALSE"}
+        """With one that another window has left behind."""
         self.monitors: dict[str, str] = {}
         self.starts, self.gives, self.closing = True, True, False
         self.reason: bytes | None = None
@@ -57,6 +59,8 @@ class Screen:
     # ---- the window library
 
     def init(self) -> bool:
+        if not self.starts:
+            warnings.warn("(65550) X11: the display cannot be opened", stacklevel=1)
         return self.starts
 
     def get_error(self) -> tuple[int, bytes | None]:
@@ -123,10 +127,11 @@ class Screen:
         return {"place": self.place}
 
     def vertex_array(self, program: Any, content: list[Any]) -> Any:
+        assert (program, content) == ({"place": self.place}, [])
         return SimpleNamespace(render=lambda kind, vertices: self.note("render", kind, vertices))
 
     def texture(self, size: tuple[int, int], components: int, data: bytes, alignment: int) -> Any:
-        assert self.current == HANDLE
+        assert (self.current, alignment) == (HANDLE, 1)
         self.note("texture", size, components, set(data), len(data))
         return SimpleNamespace(
             swizzle="", use=lambda unit: self.note("use", unit), write=lambda pixels: self.note("write", pixels.sum())
@@ -249,9 +254,17 @@ def test_what_the_window_system_refuses_is_told_with_its_reason(
     screen: Screen, starts: bool, reason: bytes | None, said: str
 ) -> None:
     screen.starts, screen.gives, screen.reason = starts, False, reason
-    with pytest.raises(DeviceRefused, match=said) as caught:
-        opened(screen)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # the library's own warning is told as our reason, and not beside it
+        with pytest.raises(DeviceRefused, match=said) as caught:
+            opened(screen)
     assert caught.value.device == "display"
+
+
+def test_a_shader_whose_place_is_no_uniform_is_a_mistake_of_ours(screen: Screen) -> None:
+    screen.place = 7  # type: ignore[assignment]
+    with pytest.raises(TypeError, match="shader member place is int, not Uniform"):
+        opened(screen)
 
 
 def test_an_off_screen_context_is_exact_and_given_back_whatever_happens(monkeypatch: pytest.MonkeyPatch) -> None:
