@@ -7,7 +7,7 @@ from itertools import permutations
 import pytest
 
 from appliance.machine import events as on
-from appliance.machine.alerts import Severity, alert_of, alerts, in_full, lengths_doubtful
+from appliance.machine.alerts import Language, Severity, alert_of, alerts, headline_of, in_full, lengths_doubtful
 from appliance.machine.permissions import refusal
 from appliance.machine.states import Machine
 from appliance.scan.fault import Fault, FaultCode
@@ -93,3 +93,18 @@ def test_lengths_are_doubted_as_long_as_one_reason_lasts() -> None:
     machine = run(aim(), *raised(C.UNCALIBRATED, C.STORAGE_FULL))
     assert lengths_doubtful(machine)
     assert not lengths_doubtful(run(machine, on.ConditionCleared(C.UNCALIBRATED)))
+
+
+@pytest.mark.parametrize(
+    ("percent", "english", "german"),
+    [
+        (2.3, "LENGTH ERR 2.3 %", "LÄNGENFEHLER 2.3 %"),
+        (12.3, "LENGTH ERROR", "LÄNGENFEHLER 12.3 %"),
+        (1234.5, "LENGTH ERROR", "LÄNGENFEHLER 1234.5 %"),
+        (12345.6, "LENGTH ERROR", "LÄNGENFEHLER"),
+    ],
+)
+def test_a_number_that_is_too_long_for_the_screen_is_left_out_whole(percent: float, english: str, german: str) -> None:
+    """A headline has room for 16 letters in English and 21 in German; half a number is worse than none."""
+    fault = Fault(FaultCode.LENGTH_ERROR, "", {"error_percent": percent})
+    assert (headline_of(fault), headline_of(fault, Language.GERMAN)) == (english, german)

@@ -12,6 +12,7 @@ from appliance.machine import events as on
 from appliance.machine.alerts import alerts
 from appliance.machine.conditions import has
 from appliance.machine.permissions import other_exposure, second_exposure
+from appliance.machine.saving import late
 from appliance.machine.states import Device, Machine, State, boot
 from appliance.machine.step import step
 from appliance.ranging.reach import Range
@@ -235,6 +236,12 @@ def test_a_save_that_succeeded_ends_the_message_and_says_so_until_the_next_key()
     machine = run(saving(), on.SaveFailed(1, EIO), SCAN, on.Saved(1, "000001"))
     assert (alerts(machine), machine.just_saved) == ((), "000001")
     assert run(machine, DOWN).just_saved is None
+
+
+def test_a_disk_that_is_silent_about_no_scan_leads_back_to_aim() -> None:
+    machine, effects = late(replace(saving(), scan=None))
+    assert (machine.state, effects) == (State.AIM, ())
+    assert has(machine, FaultCode.NOT_SAVED)
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from appliance.processing.procedure import (
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.fault import FaultCode
+from appliance.scan.noise import TYPICAL, StereoNoise
 from hw_sim.scene import Scene
 from tests.support.rendered import RenderedScan, render_scan
 from tests.support.truth import WATER, true_calibration
@@ -132,3 +134,13 @@ def test_a_scan_at_rest_remembers_its_windows(processor: SequenceProcessor) -> N
     assert full is not None
     (window,) = [one for one in full.judgements if one.verdict.name == "windows"]
     assert window.remembered is not None
+
+
+def test_a_noisier_camera_makes_points_of_larger_expected_error(
+    processor: SequenceProcessor, pipeline: Pipeline, wall: Frames
+) -> None:
+    """The noise is that of the settings that the sequence was taken with, not of the one before."""
+    quiet = np.median(pipeline.table.cloud(processor.process(wall, AcquisitionSettings()).found).sigma_mm)
+    noise = replace(TYPICAL, read_dn=2.0 * TYPICAL.read_dn, dn_per_e=4.0 * TYPICAL.dn_per_e)
+    found = processor.process(wall, AcquisitionSettings(noise=StereoNoise(noise, noise))).found
+    assert np.median(pipeline.table.cloud(found).sigma_mm) == pytest.approx(2.0 * quiet, rel=0.05)
