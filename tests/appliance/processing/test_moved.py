@@ -66,7 +66,7 @@ def worked(motion: Motion) -> Worked:
                 plain = pipeline.find_full().summary.points
         held = processor.hold()
         processor.begin(AcquisitionSettings())
-        assert not (processor.finished or processor._moved or processor._compensated), "the next one is another scan"
+        assert (processor.finished, processor._moved, processor._compensated) == (False, False, False), "another scan"
         return Worked(scan, steps, held, plain)
 
 
