@@ -7,9 +7,10 @@ from itertools import permutations
 import pytest
 
 from appliance.machine import events as on
-from appliance.machine.alerts import Language, Severity, alert_of, alerts, headline_of, in_full, lengths_doubtful
+from appliance.machine.alerts import Severity, alert_of, alerts, headline_of, in_full, lengths_doubtful
 from appliance.machine.permissions import refusal
 from appliance.machine.states import Machine
+from appliance.machine.words import Language
 from appliance.scan.fault import Fault, FaultCode
 from drivers.api import Key
 from tests.appliance.machine.walks import aim, capturing, heartbeat, run
