@@ -39,6 +39,24 @@ def test_commands_that_are_named_exist(document: Path) -> None:
     assert named <= verbs
 
 
+def test_the_walk_through_a_scan_names_what_is_in_the_code() -> None:
+    files = {
+        path: path.read_text(encoding="utf-8")
+        for package in ("appliance", "drivers")
+        for path in (ROOT / package).rglob("*.py")
+    }
+    known = {word for text in files.values() for word in re.findall(r"\w+", text)}
+    named = set(re.findall(r"`([^`\n]+)`", (ROOT / "docs" / "scan-walkthrough.md").read_text(encoding="utf-8")))
+    modules = {name for name in named if name.endswith(".py")}
+    names = {
+        name for name in named - modules if re.fullmatch(r"[\w.]+(\([^)]*\))?", name) and not name.startswith("kf-")
+    }
+    assert len(modules) > 20
+    assert len(names) > 20
+    assert not [name for name in modules if not any(path.as_posix().endswith(f"/{name}") for path in files)]
+    assert not [name for name in names if not set(re.findall(r"\w+", name.partition("(")[0])) <= known]
+
+
 def test_every_decision_is_listed_once_by_its_title() -> None:
     folder = ROOT / "docs" / "adr"
     index = (folder / "README.md").read_text(encoding="utf-8")
