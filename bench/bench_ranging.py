@@ -50,13 +50,13 @@ def judged(rows: Sequence[dict[str, Any]], posed: str = POSED[0]) -> list[Measur
     return [
         Measured("scenes with a dot that both cameras see", float(len(could)), ""),
         Measured(
-            "distance told of these", 100.0 * _share(could), "%", at_least=None if len(bars) == len(rows) else 90.0
+            "distance reported of these", 100.0 * _share(could), "%", at_least=None if len(bars) == len(rows) else 90.0
         ),
-        Measured("distance told of all", 100.0 * _share(rows), "%"),
-        Measured("distance told where a beam meets the object", 100.0 * _share(lit), "%"),
+        Measured("distance reported of all", 100.0 * _share(rows), "%"),
+        Measured("distance reported where a beam meets the object", 100.0 * _share(lit), "%"),
         Measured("scenes of the ball bar", float(len(bars)), ""),
         Measured(
-            "distance told of these",
+            "distance reported of these",
             100.0 * _share(bars),
             "%",
             at_least=80.0 if len(bars) >= FEW_SCENES and posed != "guided" else None,

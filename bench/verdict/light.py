@@ -1,4 +1,4 @@
-"""Owns the figures of the judge of light: exposures proposed, flicker told from steady light by its harm.
+"""Owns the figures of the judge of light: exposures proposed, flicker reported from steady light by its harm.
 
 The truth of a flicker is its harm: the same scene is photographed without noise, with and without what changes in its
 light; the phases' difference, against the noise they would have, is what the judge should have seen.
@@ -80,15 +80,15 @@ def measure(scans: int, seed: int, say: Say) -> tuple[list[Measured], dict[str, 
             at_most=0.0, key="exposure_oscillations",
         ),
         Measured(
-            "flicker told of steady light", float(sum(one["flickers"] for one in exposures)), "scans", at_most=0.0,
+            "flicker reported of steady light", float(sum(one["flickers"] for one in exposures)), "scans", at_most=0.0,
             key="flicker_false_steady",
         ),
-        Measured("flicker told where it does no harm", false, "%", at_most=2.0, key="flicker_false_percent")
-        if free else Measured("flicker told where it does no harm", float("nan"), "%", why="none was drawn"),
+        Measured("flicker reported where it does no harm", false, "%", at_most=2.0, key="flicker_false_percent")
+        if free else Measured("flicker reported where it does no harm", float("nan"), "%", why="none was drawn"),
         Measured("harmful flicker missed", missed, "%", at_most=2.0, key="flicker_missed_percent")
         if harm else Measured("harmful flicker missed", float("nan"), "%", why="none was drawn"),
-        Measured("ripple as told over the true one (median)", float(np.median(ripples)), "", 1.25, 0.8)
-        if ripples else Measured("ripple as told over the true one (median)", float("nan"), "", why="none was drawn"),
+        Measured("ripple as stated over the true one (median)", float(np.median(ripples)), "", 1.25, 0.8)
+        if ripples else Measured("ripple as stated over the true one (median)", float("nan"), "", why="none was drawn"),
         Measured("points gained by a second exposure (least)", min(gained), "%", at_least=-0.5),
         Measured("their error over the worse single one (most)", max(worse), "", at_most=1.05),
     ], {"exposures": exposures, "changes": changes, "wrong": wrong, "pairs": pairs}  # fmt: skip
