@@ -43,7 +43,7 @@ class Powers:
     """The consumers that are on."""
 
     projector_lit: bool = False
-    """Its lamp shines: an LED of the projector's engine, driven by what is scanned out."""
+    """The projector's lamp shines: an LED of the projector's engine, driven by what is scanned out."""
     streaming: bool = False
     """Both cameras send images."""
     lasers: bool = False

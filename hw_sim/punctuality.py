@@ -28,7 +28,7 @@ class Punctuality:
         self.other_blanks = 0
         """Blanks while no sequence was recorded."""
         self.screen_updates = 0
-        """Those of them that brought a new picture on the display."""
+        """Other blanks that brought a new picture on the display."""
         self._flipped_ns: int | None = None
 
     def blank(self, late_ns: int, recording: bool, projector: Flip | None, display: Flip | None) -> None:

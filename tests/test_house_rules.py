@@ -26,7 +26,8 @@ CODE_WORDS = set(
 )
 """Words that a comment shares with any line of code."""
 FRAGMENT = re.compile(
-    r"\W*(Of|As|By|So|From|In|At|With|For|Where|What|Whose|How|Whether|On|Up|After|Before|Until|Onto|Per)\b"
+    r"\W*(Of|As|By|So|From|In|At|With|For|Where|What|Whose|How|Whether|On|Up|After|Before|Until|Onto|Per"
+    r"|To|Over|Towards|Between|Along|Beside|Instead|Since|Their|They|When|Which|Below|Without|Within|Than)\b"
 )
 
 WALL_CLOCK = {"time.time", "time.time_ns", "datetime.now", "datetime.utcnow", "datetime.today", "date.today"}

@@ -278,7 +278,8 @@ class _Reader:
         return (across, down), self.numbers(table, values, count, -100.0, 100.0)
 
     def covariance(self, content: dict[str, Any]) -> Matrix22 | None:
-        """Beside everything that makes points: a program that does not know it may pass over it."""
+        """Return the covariance of the calibration in air; ``None``: the file has none. No point depends on it: a program that
+        does not know it may pass over it."""
         if "air_covariance" not in content:
             return None
         key = "air_covariance"

@@ -122,7 +122,7 @@ class ScanRig:
     longest_exposure_ms: Annotated[_Real, Field(ge=2.0, le=16.6)] = 16.0
     """Longest exposure that the instrument may propose, and not beyond the projector's period."""
     most_gain_db: Annotated[_Real, Field(ge=0.0, le=48.0)] = 12.0
-    """Proposed only where the longest exposure is not enough."""
+    """Largest gain that may be proposed, and only where the longest exposure is not enough."""
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)

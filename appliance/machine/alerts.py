@@ -56,7 +56,7 @@ class Rule:
     action: Words
     plain: Words | None = None
     exchanged: Words | None = None
-    """Instead of ``action``, with the camera's name, where the fault names a camera."""
+    """Words that take the place of ``action``, with the camera's name, where the fault names a camera."""
     blocks_scan: bool = False
     """True if SCAN is refused while it lasts."""
     stops_capture: bool = False

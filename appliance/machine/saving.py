@@ -12,7 +12,7 @@ from appliance.machine.states import Ending, Machine, ScanInHand, State, seconds
 from appliance.scan.fault import Fault, FaultCode
 
 RETRIES = 3
-"""Unasked, after the disk refused; then the diver decides."""
+"""Number of unasked tries after the disk refused; then the diver decides."""
 RETRY_S = 5.0
 
 

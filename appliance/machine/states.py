@@ -266,7 +266,7 @@ class Page(Enum):
 
 
 class Answer(Enum):
-    """To the question whether to switch off, in the order of the screen: the harmless one first."""
+    """Answers to the question whether to switch off, in the order of the screen: the harmless one first."""
 
     STAY_ON = "STAY ON"
     SWITCH_OFF = "SWITCH OFF"
@@ -379,7 +379,7 @@ class Machine:
     leak_votes: int = 0
     """Consecutive heartbeats that reported a leak."""
     lasers_off_since_ns: int | None = None
-    """Since when the lasers should be off; ``None`` while they may be on."""
+    """Time since which the lasers should be off; ``None`` while they may be on."""
     range: Range | None = None
     """Distance of the object, as long as the lasers are on; ``None``: unknown."""
     reach: Reach = Reach.UNKNOWN

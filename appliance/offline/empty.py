@@ -23,7 +23,7 @@ SAMPLED_PIXELS = 5_000
 
 @dataclass(frozen=True, slots=True)
 class Empty:
-    """Why a cloud has (nearly) no points."""
+    """Reason why a cloud has (nearly) no points."""
 
     reason: str
     """The reason in words, with what to do."""

@@ -67,7 +67,7 @@ class Chosen:
 
     calibration: Calibration
     whose: str
-    """Its source, in words."""
+    """Source of the calibration, in words."""
 
 
 def root_of(folder: Path) -> Path | None:
@@ -161,7 +161,7 @@ def refuse_misfit(
 
 
 def misfit(calibration: Calibration, scan: SourceScan, *, foreign: bool = False, start: bool = False) -> str | None:
-    """Why a scan cannot be measured with a calibration, and what to do; ``None`` where it can.
+    """Return why a scan cannot be measured with a calibration, and what to do; ``None`` where it can.
 
     The images must have its size. Instrument and cameras must be its own too, unless ``foreign``: that is compared as far
     as the scan, the rig file given for it or the calibration that its manifest names say whose it is. ``start``: it is

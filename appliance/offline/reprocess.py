@@ -41,7 +41,7 @@ class ReprocessedScan:
     """Water in which it was reconstructed."""
     judgements: tuple[Judgement, ...]
     empty: Empty | None = None
-    """Why there are (nearly) no points, and what to do; ``None`` where there are some."""
+    """Reason why there are (nearly) no points, and what to do; ``None`` where there are some."""
 
     @property
     def faults(self) -> tuple[Fault, ...]:
@@ -50,7 +50,7 @@ class ReprocessedScan:
 
     @property
     def unfit(self) -> Fault | None:
-        """Why its decoded maps must not calibrate; ``None`` where they may. They are those of before any compensation."""
+        """Reason why its decoded maps must not calibrate; ``None`` where they may. They are those of before any compensation."""
         return next((fault for fault in self.faults if _spoils_maps(fault)), None)
 
 

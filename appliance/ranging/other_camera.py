@@ -22,7 +22,7 @@ NEAR_MM, FAR_MM = 330.0, 620.0
 """Depths between which the other camera must see the ray; nearer and farther, as far as its picture goes."""
 STEP_MM = 4.0
 HALF_PX = 3
-"""To each side of the ray's image, coarse px: a calibration's error, and the size of what is looked for."""
+"""Half width of the band that is looked at along the ray's image, coarse px: a calibration's error, and the size of what is looked for."""
 LIKE = 0.25
 """Share of the contrast from which a spot is like the dot."""
 

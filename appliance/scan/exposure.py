@@ -43,7 +43,7 @@ class Span:
     shortest_ms: float = 2.0
     longest_ms: float = 16.0
     most_gain_db: float = 12.0
-    """Absolute."""
+    """Largest gain of all, that of the rig file included."""
 
 
 def ladder(refresh_hz: float, trigger_delay_us: int, gain_db: float, span: Span) -> tuple[Exposure, ...]:

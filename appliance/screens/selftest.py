@@ -38,7 +38,7 @@ def draw_self_test(canvas: Canvas, view: SelfTestView, language: Language, time_
 
 
 def _banner(canvas: Canvas, word: Text, colour: theme.Colour, version: str, language: Language, time_s: float) -> None:
-    """Below the upper key labels there is none on this screen but GO ON, on the right."""
+    """Draw the banner up to the upper edge: the only key label there is GO ON, on the right."""
     canvas.water(0, 0, canvas.width, _BANNER_PX, _FRINGE_SPEED * time_s, 0.5)
     canvas.box(0, 0, 450, _BANNER_PX, theme.INK, (0, 0, 40, 0))
     canvas.words("KINGFISHER", 24, 52, HEADLINE - 8, BLACK)

@@ -80,7 +80,7 @@ class AimingController:
         return events
 
     def stop(self) -> list[on.Event]:
-        """They end, and with them what was told of them."""
+        """Live views end, and with them the warnings that came of them."""
         # An image that is still being looked at belongs to the live view before; `poll` knows it by this number.
         self._live += 1
         self._watching, self._last = False, None

@@ -20,7 +20,7 @@ from appliance.storage.scan import PREVIEW
 GRADE = "grade"
 """Name of the verdict that holds the word shown in the review."""
 LENGTHS_DOUBTFUL = "lengths_doubtful"
-"""Its number that is 1 where lengths were not to be trusted when the scan was taken; older scans do not tell."""
+"""Name of that verdict's number that is 1 where lengths were not to be trusted when the scan was taken; older scans do not tell."""
 MAX_PREVIEW_BYTES = 20_000_000
 
 

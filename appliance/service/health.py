@@ -79,7 +79,7 @@ class CalibrationWatch:
         return lambda: file.write(trend)
 
     def _explained(self, outcome: HealthJudgement, gaps: PatchGaps) -> str:
-        """Which single change would look most like it; only one of many, so only in words for a technician."""
+        """Return which single change would look most like it; it is one of many, so only in words for a technician."""
         if outcome.point is None or not outcome.alarm:
             return ""
         answers = GapModes(self._calibration.rig, gaps.water_index).of_parameters(TURNS)

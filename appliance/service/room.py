@@ -19,8 +19,8 @@ log = logging.getLogger("kingfisher")
 ASK_AGAIN_S = 5.0
 """Time between two questions to a full disk whether there is room for a scan by now."""
 FREED_SCANS = 3
-"""Less than that many scans' room that comes from nowhere is not told: logs and other programs take and give some all the time,
-and a number that goes up after a save would not be believed."""
+"""Number of scans from whose room on it is told that some came from nowhere: logs and other programs take and give some all the
+time, and a number that goes up after a save would not be believed."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,7 @@ class SecondInMemory:
     record: SecondSequence | None = None
     merged: bool = False
     stored: bool = False
-    """Its frames are durable."""
+    """The second sequence's frames are durable."""
 
 
 @dataclass(slots=True)

@@ -20,7 +20,7 @@ class Begin:
     ticket: int
     settings: AcquisitionSettings
     second: bool = False
-    """They are the second exposure of the scan begun last, and lie in the second place of the store."""
+    """True if the frames are the second exposure of the scan begun last, and lie in the second place of the store."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -130,7 +130,7 @@ class ScanSpoiled:
 
     scan: int
     judgement: Judgement
-    """Its fault is never ``None``."""
+    """Judgement of the patterns; its fault is never ``None``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +142,7 @@ class PairJudged:
     second: tuple[Judgement, ...]
     """The judges' word on the second sequence alone."""
     pair: Judgement
-    """Their word on both; with a fault there is no cloud."""
+    """Judgement of both sequences; with a fault there is no cloud."""
     cloud: Cloud | None
     """Cloud of both sequences."""
     cpu_s: float
@@ -178,7 +178,7 @@ class ReconstructionWorker:
         self._starting = False
         self._deadline_ns: int | None = None
         self._alive_ns = 0
-        """When it said something last, or was asked to."""
+        """Time at which it said something last, or was asked to."""
         self._ping_sent = False
         self._memory_check_ns = 0
         self._progress_check_ns = 0
@@ -202,7 +202,7 @@ class ReconstructionWorker:
         self._attempts = 0
         self._fruitless = 0
         self._not_started: str | None = None
-        """Why there is no process although there should be one."""
+        """Reason why there is no process although there should be one."""
         self.restarts = 0
         """Number of times that the process had to be started again."""
 

@@ -77,7 +77,7 @@ class Daylight:
 
     @property
     def even(self) -> bool:
-        """It is the same everywhere."""
+        """True if the light is the same everywhere."""
         return self.caustics == 0.0 and self.torch == 0.0
 
     def flicker(self, clock_s: float, duration_s: float) -> float:

@@ -35,7 +35,7 @@ class Operator:
         self._stopped = False
         self.failure: str | None = None
         self.finished = False
-        """It came to its end."""
+        """True once the script came to its end."""
         self._thread = threading.Thread(target=self._run, name="diver", daemon=True)
 
     def act(self) -> None:

@@ -33,7 +33,7 @@ OFFSET_SAMPLES = 1_500
 
 
 class Mask(IntEnum):
-    """Why a pixel has no coordinates; the first that applies."""
+    """Reason why a pixel has no coordinates; the first that applies."""
 
     VALID = 0
     SHADOW = 1

@@ -37,7 +37,7 @@ class Count(IntEnum):
     SINE_0 = 10
     """The first step's share of the swing; the following rows: the others'."""
     SQUARE_0 = 14
-    """Their squares."""
+    """First of the rows with the sums of those shares' squares."""
     PRODUCT_02 = 18
     PRODUCT_13 = 19
     NUMBER = 20
@@ -55,7 +55,7 @@ which only broad stripes are seen."""
 _MAX_STEP_COS = np.float32(-0.74)
 """A phase that grows by more than 138° from sample to sample might as well have shrunk."""
 _MAX_OTHER_COS = np.float32(0.5)
-"""Along a row, the phase across it changes by less than 60° a sample, or the surface ends here."""
+"""Largest change of the phase across a row from sample to sample, 60°, as a cosine; beyond, the surface ends here."""
 _LEAST_RATIO, _MOST_RATIO = np.float32(0.6), np.float32(1.67)
 """Limits of the ratio of neighbours' swings, and of the modulations of the two directions."""
 _AT_AN_EDGE = np.float32(0.7)

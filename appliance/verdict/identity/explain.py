@@ -55,7 +55,7 @@ class Explanation:
     frame: int
     other: int | None = None
     identical: bool = False
-    """To the last bit: only a camera's memory repeats an image with its noise."""
+    """True if they are equal to the last bit: only a camera's memory repeats an image with its noise."""
     moved: float = 0.0
     """Share of what is illuminated that moves by this explanation; see ``moved_share``."""
 

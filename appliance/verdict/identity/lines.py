@@ -35,7 +35,7 @@ from appliance.scan.noise import CameraNoise
 LINES = 32
 """Rows, and columns: each crosses each stripe's edge once."""
 SAMPLES = 400
-"""Along a line, about: what is seen at full resolution and on a small camera is then the same."""
+"""Number of samples along a line, about: what is seen at full resolution and on a small camera is then the same."""
 COARSE = 80
 """Pixels across the image that are asked where to look closer."""
 THIRD = 3

@@ -109,7 +109,7 @@ class Levels:
     ambient_peak: float | None
     """The ratio in the tenth with the most: a torch shows as a peak far above the median."""
     top_dn: float
-    """Over the black level; ``TOP_SHARE`` of all pixels are brighter in the bright frame, or would be."""
+    """Level over black that ``TOP_SHARE`` of all pixels exceed in the bright frame, or would, were it not saturated."""
 
 
 def measure_levels(s: Sample, sequence: PatternSequence, noise: CameraNoise) -> Levels:

@@ -20,7 +20,7 @@ AIM, TOO_HIGH, TOO_LOW = 0.85, 0.97, 0.55
 """Shares of the scale above black: where the brightest surfaces should be, and the ends of the band that is left
 alone."""
 MIN_TOP_DN = 4.0
-"""Below, nothing is seen that an exposure could be chosen by."""
+"""Light below which nothing is seen that an exposure could be chosen by."""
 MAINS_PERIOD_US = 10_000
 """Lamps on 50 Hz mains flicker at 100 Hz: an exposure of a whole period sees all of them alike."""
 

@@ -51,11 +51,11 @@ class MotionKind(Enum):
 
     STILL = "still"
     AXIAL = "axial"
-    """Towards the instrument or away from it."""
+    """Movement towards the instrument or away from it."""
     LATERAL = "lateral"
     ROTATION = "rotation"
     TREMOR = "tremor"
-    """To and fro within the sequence."""
+    """Movement to and fro within the sequence."""
     LOCAL = "local"
     """Something else moves: most of the harm is in a small part of the image."""
 
@@ -67,13 +67,13 @@ class MotionJudgement:
     judgement: Judgement
     kind: MotionKind
     added: float | None
-    """To the points' noise, as a fraction of it; ``None``: too little was seen to tell."""
+    """Addition to the points' noise, as a fraction of it; ``None``: too little was seen to tell."""
     axial_mm_s: float | None
     """Median speed at which the surface recedes along the left camera's rays; ``None``: not known."""
     lateral_mm_s: tuple[float, float] | None
     """Speed of the texture across the left image, right and down; ``None``: no texture to follow."""
     shift_px: float | None
-    """Over the whole sequence, in px of the left image: texture's and fringes' movement together."""
+    """Movement over the whole sequence, in px of the left image: texture's and fringes' movement together."""
     place: Place | None
     """Place of most of the harm."""
     scores: Scores

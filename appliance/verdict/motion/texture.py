@@ -43,7 +43,7 @@ class TextureShift:
     early_change: float | None
     """The same between (bright + dark)/2 and the x-mean."""
     frames: float
-    """Between the two means."""
+    """Number of frames between the two means."""
     bin_px: int
     """The camera's pixels that were binned, along a side."""
 
