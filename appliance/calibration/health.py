@@ -1,10 +1,19 @@
 """Owns the judgement whether a calibration still holds: each scan's ray gaps against those right after it, and their trend.
 
-Pure values and functions; ``docs/calibration-health.md`` derives the numbers. A scan gives four amplitudes
-(``gaps.MODES``). They are compared with a reference that the first scans of a calibration teach, patch by patch, and
-divided by what is normal: noise, and a share of the pattern that the calibration leaves over, since objects show
-different parts of it. The scores are summed up in their direction (Crosier's multivariate CUSUM): a big change alarms at
-once, a small one when it stays; scatter does not, and an offset of one standard deviation hardly ever.
+Pure values and functions. A scan gives four amplitudes (``gaps.MODES``), and is judged in three steps:
+
+reference   the first scans of a calibration teach each patch what is usual there, so that what the calibration leaves over (a
+            lens that no formula has) does not count. Patches that no scan has shown yet count with the uncertainty of that
+            pattern. Reference and trend belong to a calibration: one that comes back brings its own.
+amplitudes  least squares over the patches seen, with their standard deviations in normal operation: noise, and a share of the
+            pattern left over, since objects show different parts of it, propagated as a smooth surface. A scan of a corner of
+            the image so has wide standard deviations instead of a wrong verdict. Where the stated water changes, the height
+            may change with it, as imperfect calibrations do.
+sum         scores (amplitudes in standard deviations, with their direction) are added up by Crosier's multivariate CUSUM: a
+            big change alarms at once, a small one when it stays; scatter does not, and an offset of one standard deviation
+            hardly ever.
+
+``docs/calibration-health.md`` has which changes are seen so.
 """
 
 from __future__ import annotations
@@ -134,8 +143,8 @@ def judge(trend: HealthTrend, gaps: PatchGaps, scan: str | None = None) -> tuple
         return trend, HealthJudgement(None, trend.alarm is not None, text, _counts(gaps))
     if not all(np.isfinite(values).all() for values in (gaps.gap_um, gaps.noise_um, gaps.modes)):
         return trend, HealthJudgement(None, trend.alarm is not None, "not judged: a gap is not a number", _counts(gaps))
-    # Steps 1 to 3 of docs/calibration-health.md, "How it is judged". The median with the taught scans keeps one odd
-    # scan from widening its own limits.
+    # The three steps of the module's head. The median with the taught scans keeps one odd scan from widening its own
+    # limits.
     rest_um = _rest(gaps)
     usual_um = float(np.median([*trend.reference.rests_um, rest_um]))
     amplitudes, covariance = _compared(trend.reference, gaps, usual_um)

@@ -3,11 +3,18 @@
 No doubt is taken from coordinates: a wrong sequence decodes to wrong ones that look right. What is counted is whether
 neighbours follow each other as they were drawn, which a surface, its colour and moderate motion leave as it is:
 
-- from sample to sample the fringes' phase grows;
-- at a stripe's edge the Gray code goes on by one, and at the fringes' phase 0° or 180°;
-- the sines of 0° and 180°, and of 90° and 270°, are each other's opposite;
-- nothing is brighter than the bright frame, nothing darker than the dark one;
-- the middle of what is seen lies about where the design puts it: nothing else tells Gray images apart of which no edge is seen.
+forward    from sample to sample the fringes' phase grows, because cameras and projector are the same way up
+order      where one Gray image changes, the code goes on by one: for all images of a direction together, and for each by
+           itself, since the coarsest have an edge or two in the whole field, but each of the lines crosses it
+in phase   these edges lie at the fringes' 0° and 180°, alternately. This holds Gray code and sines together, and each Gray
+           image against all others: exchange it for anything but another of its direction, and the code's parity is wrong
+opposite   the sines of 0° and 180°, and of 90° and 270°, are each other's negative
+ends       nothing is brighter than the bright frame, nothing darker than the dark one
+place      the middle of what is seen lies about where the design puts it: nothing else tells Gray images apart of which no
+           edge is seen
+
+Steps that cross an outline, a printed edge or a place that something moved over are left out by what the fringes themselves do
+there: phase that bends, swings that differ, a bright frame that is not bright.
 """
 
 from __future__ import annotations

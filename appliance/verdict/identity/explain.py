@@ -1,7 +1,8 @@
 """Owns the explanations of a camera's frames: which of them is taken for which pattern, and which speaks best.
 
 A swap, frames that all come one late or one early, and a repeat with everything after it one late put frames and patterns
-into another order, under which no doubt is left. A frame that repeats another, or an image that stays, is seen in the
+into another order, under which no doubt is left; the missing pattern of a late sequence is foretold by the others, since four sines
+add up in pairs. A frame that repeats another, or an image that stays, is seen in the
 frames themselves.
 """
 

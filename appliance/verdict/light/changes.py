@@ -3,8 +3,11 @@
 Of four sine images I0..I3, (I0 − I2, I3 − I1) is 2B (cos φ, sin φ): a circle about the origin whose radius is known from
 bright and dark. Extra light δ that differs between the images shifts the circle by (δ0 − δ2, δ3 − δ1), and by just that it
 biases the phase. So the shift is fitted in blocks of the image, from the length of the vector over its direction; the
-fringes themselves, motion along them and the projector's harmonics have no such term. What is left of I0 − I1 + I2 − I3
-gives the third difference of a direction; a level common to all four of its images is neither seen nor harmful.
+fringes themselves, motion along them and the projector's harmonics have no such term. Beside it are fitted smooth terms, the
+projector's third harmonic, and the water's backscatter, which is in the light but not in the fringes and so shortens the circle
+of dark surfaces more than that of bright ones. What is finer than a block (a net of caustics) is in I0 − I1 + I2 − I3, which has
+neither fringe nor texture, and gives the third difference of a direction: what neighbouring pixels have there in common is light,
+for noise they have not. A level common to all four images of a direction is neither seen nor harmful.
 """
 
 from __future__ import annotations

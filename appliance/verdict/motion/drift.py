@@ -3,7 +3,9 @@
 Four steps of 90° leave one combination that holds no phase, C = I₀ − I₁ + I₂ − I₃. On a thing at rest it is noise, but for
 what daylight adds between images (in proportion to the modulation) and for the second harmonic of the projector's light
 (cos 2φ). A fringe that drifts by ε from image to image makes C = 2 ε B (sin φ − cos φ). Least squares over a cell of the
-pattern therefore tell ε, signed. Cells are squares of the *pattern*, so that both cameras' cells are the same place on the
+pattern therefore tell ε, signed. Flickering and drifting daylight adds a part of the mean light and of the modulation to each image, and the
+projector's second harmonic a cos 2φ: all three are terms of the fit. Depth steps, shadows and edges of albedo at rest give the same
+C as any other pixel: nothing. Cells are squares of the *pattern*, so that both cameras' cells are the same place on the
 thing, whatever its shape.
 """
 

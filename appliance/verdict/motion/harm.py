@@ -4,8 +4,10 @@ Lateral movement of a surface that faces the instrument changes only what albedo
 coordinates are wrong together, and points stay right. Depth moves the fringes in both cameras *against each other*. With
 E = ε left − ε right, in pattern px per frame, the ripple of the difference of both coordinates has a mean square of
 
-- E² (1/8 + 2 κ²): four steps of 90°, and what the projector's second harmonic (κ of the first) adds to their error;
-- E² (P/2π)² g²: albedo with a gradient g, in modulations per px, that both cameras see at two places;
+- E² (1/8 + 2 κ²): four steps of 90° (their error is E/2 · cos 2φ), and what the projector's second harmonic, κ of the first,
+  adds as it drifts along (2 E κ · sin 2φ (cos φ − sin φ));
+- E² (P/2π)² g²: albedo with a gradient g, in modulations per px, that both cameras see at two places
+  (E · g · P/2π · (cos φ + sin φ)); where it goes to and fro, with half the way from an image to the next but one;
 - what is uneven in the phase error that moving albedo makes in both cameras alike: they sample it at different places.
 
 Where the way from image to image is not steady, each counts with the way between the two images that matter to it. Noise is
