@@ -10,6 +10,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.scan.noise import MAD_TO_SIGMA
+
 Floats = NDArray[np.float64]
 
 ROUNDS = 2
@@ -118,8 +120,8 @@ def common_of_neighbours(
     found = np.zeros(ends.size)
     value = rest * contrast
     # Light that is usual before dark pixels is many grey values before bright ones; noise is not. Either is no edge.
-    most_dn = CLIP * 1.4826 * np.median(np.abs(value))
-    most_share = CLIP * 1.4826 * np.median(np.abs(rest))
+    most_dn = CLIP * MAD_TO_SIGMA * np.median(np.abs(value))
+    most_share = CLIP * MAD_TO_SIGMA * np.median(np.abs(rest))
     # Each pixel learns its block, and its value is clipped: one edge must not outweigh a block.
     block = np.full(rest.size, -1)
     begin = 0
@@ -234,7 +236,7 @@ def regress(value: Floats, terms: Floats, contrast: Floats) -> tuple[Floats, flo
         expected = np.sqrt(max(inverse[0, 0], inverse[1, 1]))
         sigma = expected * np.sqrt(squares / max(used - size, 1))
         off = np.abs(residual) * contrast
-        limit = CLIP * max(1.4826 * np.median(off), 1e-3)
+        limit = CLIP * max(MAD_TO_SIGMA * np.median(off), 1e-3)
         for j in range(n):
             if off[j] > limit:
                 weight[j] = 0.0

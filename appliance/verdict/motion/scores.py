@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.scan.noise import MAD_TO_SIGMA
 from appliance.verdict.motion.edges import EdgeShifts
 from appliance.verdict.motion.harm import Harm
 from appliance.verdict.motion.texture import TextureShift
@@ -95,8 +96,8 @@ def edge_course(edges: Mapping[str, EdgeShifts], harm: Harm) -> tuple[Array, Arr
         if np.count_nonzero(there) >= MIN_EDGE_CELLS:
             mine = values[there]
             middle[frame] = np.median(mine)
-            # Standard error of a median: 1.25 σ / √n, with σ as 1.4826 times the median deviation.
-            sd[frame] = 1.25 * 1.4826 * np.median(np.abs(mine - middle[frame])) / np.sqrt(mine.size)
+            # Standard error of a median: 1.25 σ / √n, with σ as ``MAD_TO_SIGMA`` times the median deviation.
+            sd[frame] = 1.25 * MAD_TO_SIGMA * np.median(np.abs(mine - middle[frame])) / np.sqrt(mine.size)
     return middle, sd
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from appliance.patterns.sequence import Direction, PatternSequence
 from appliance.reconstruct.decode.decoder import CameraDecoder, Mask
-from appliance.scan.noise import CameraNoise
+from appliance.scan.noise import MAD_TO_SIGMA, CameraNoise
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -227,5 +227,5 @@ def _passing(cell: NDArray[np.intp], directions: list[list[Floats]]) -> tuple[fl
         off -= of_cell.astype(np.float32)[cell] * second
         # Photons: the scatter grows with the root of the light.
         scaled = np.abs(off) / np.sqrt(even + odd + np.float32(1.0))
-        struck |= scaled > np.float32(SPECK_SIGMAS * 1.4826) * np.median(scaled)
+        struck |= scaled > np.float32(SPECK_SIGMAS * MAD_TO_SIGMA) * np.median(scaled)
     return 0.5 * math.sqrt(sum(one**2 for one in common) / len(common)), float(np.mean(struck))
