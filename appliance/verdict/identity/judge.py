@@ -19,6 +19,7 @@ from appliance.verdict.identity.explain import Explanation, What, explain, still
 from appliance.verdict.identity.lines import can_follow, take_lines
 
 NAME = "identity"
+FULL_DN = 255
 LEAST_LIGHT_DN = 0.05
 """Mean of the bright frame above that of the dark one, where even the water's backscatter is gone."""
 LIGHT_SIGMA = 4.0
@@ -38,6 +39,10 @@ LEAST_PARALLAX = 0.1
 """Least distance of the stripes from their place in either camera, to opposite sides, in widths of the field: the
 object is far from the measuring volume. That alone is no wrong pattern."""
 
+MOST_SATURATED = 0.5
+"""Share of the illuminated samples at which two of the four steps of a direction or more are saturated. Beyond, what is left are
+borders of the picture and of stripes. Where these lie, and doubts about them that no order of the frames explains, is no wrong
+pattern: the picture is too bright."""
 MOST_FLOODED = 0.05
 """Share of all samples that are saturated even in the darkest frame. Beyond, that all images are alike proves nothing."""
 
@@ -124,11 +129,13 @@ def _look(
     sees_light = abs(light_dn) > chance_dn
     would_see_backscatter = LEAST_BACKSCATTER_DN_PER_MS * 1e-3 * exposure.light > chance_dn
     explanation = None
-    flooded = max(float(np.mean(mine.low == 255)) for mine in witness.lines.values()) > MOST_FLOODED
+    flooded = max(float(np.mean(mine.low == FULL_DN)) for mine in witness.lines.values()) > MOST_FLOODED
     if evidence.judged:
         if evidence.contradicted:
             explanation = explain(witness, sequence, noise, evidence)
-            if _may_be_motion(explanation, evidence):
+            weak = explanation.what is What.UNEXPLAINED or _decided(evidence) == ["place x"]
+            dazzled = weak and _saturated_share(witness, sequence) > MOST_SATURATED
+            if dazzled or _may_be_motion(explanation, evidence):
                 explanation, evidence = None, LineEvidence({}, {}, evidence.illuminated, 0, 0, evidence.displaced)
     elif evidence.illuminated >= MIN_FRINGE and not flooded:
         explanation = still(witness, sequence, noise)
@@ -145,6 +152,16 @@ def _look(
         identical,
         flooded,
     )
+
+
+def _saturated_share(witness: Witness, sequence: PatternSequence) -> float:
+    """Return the share of the illuminated samples at which two steps of one direction or more are saturated."""
+    saturated = illuminated = 0
+    for lines in witness.lines.values():
+        steps = [lines.values[list(sequence.axis(d).sine)][:, lines.illuminated] == FULL_DN for d in Direction]
+        saturated += int(np.count_nonzero(np.max([step.sum(axis=0) for step in steps], axis=0) >= 2))
+        illuminated += steps[0].shape[1]
+    return saturated / max(illuminated, 1)
 
 
 def _may_be_motion(explanation: Explanation, evidence: LineEvidence) -> bool:
@@ -178,8 +195,12 @@ def _parallax_percent(cameras: list[_Camera]) -> float | None:
 
 
 def _only_displaced(camera: _Camera) -> bool:
-    decided = [name for name, doubt in camera.evidence.doubts.items() if doubt >= DECIDED]
-    return camera.explanation is not None and camera.explanation.what is What.UNEXPLAINED and decided == ["place x"]
+    explanation = camera.explanation
+    return explanation is not None and explanation.what is What.UNEXPLAINED and _decided(camera.evidence) == ["place x"]
+
+
+def _decided(evidence: LineEvidence) -> list[str]:
+    return [name for name, doubt in evidence.doubts.items() if doubt >= DECIDED]
 
 
 def _nothing(camera: _Camera) -> LineEvidence:

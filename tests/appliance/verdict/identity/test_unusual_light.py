@@ -41,6 +41,32 @@ def test_a_wrong_gray_image_is_found_before_a_near_object_as_well(near: Rendered
     assert judged.fault is not None
 
 
+@pytest.mark.parametrize(
+    ("thing", "seed", "exposure_s"), [("plane", 10_600, 0.03), ("plane", 10_600, 0.12), ("stones", 5, 0.064)]
+)
+def test_what_is_too_near_and_saturated_is_no_wrong_pattern(thing: str, seed: int, exposure_s: float) -> None:
+    """What is clear in it are borders of the picture and of stripes: these came as WRONG PATTERN."""
+    scene = Scene(thing, pose=(0.0, 0.0, 330.0, 4.0, 12.0, 0.0), texture="slight")
+    scan = render_scan(scene, "realistic", seed, 200, 32, exposure_s, height_px=150)
+    bright = scan.frames["left"][scan.sequence.bright]
+    assert np.mean(bright[bright > 60] == 255) > 0.8
+    assert judge_identity(scan.frames, scan.sequence).fault is None
+
+
+@pytest.mark.parametrize("gain", [8, 20])
+def test_a_wrong_gray_image_is_found_in_a_picture_of_which_most_is_saturated(near: RenderedScan, gain: int) -> None:
+    frames = {
+        side: np.clip(gain * stack.astype(np.int64), 0, 255).astype(np.uint8) for side, stack in near.frames.items()
+    }
+    assert judge_identity(frames, near.sequence).fault is None
+    gray = near.sequence.axis(Direction.X).gray
+    for stack in frames.values():
+        stack[gray[4]] = stack[gray[3]]
+    judged = judge_identity(frames, near.sequence)
+    assert judged.fault is not None
+    assert judged.fault.code is FaultCode.PATTERN_WRONG
+
+
 def test_a_lamp_that_blinds_a_camera_does_not_make_it_stuck() -> None:
     scene = replace(Scene(texture="strong"), ambient=3.0)
     scan = render_scan(scene, "realistic", 5, 400, 16)
