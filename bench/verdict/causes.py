@@ -56,6 +56,7 @@ def _row(number: int, base: Base, spoilt: Spoilt, truth: Truth) -> Row:
     if here.grade is Grade.BAD:
         blamed = _blamed(here)
         row["true"] = sorted(truth.causes(spoilt, blamed))
+        row["mends"] = sorted(truth.mending(spoilt, blamed))
         row["blamed"] = blamed
         row["right"] = blamed is not None and blamed in row["true"]
     return row
@@ -70,17 +71,20 @@ def figures(rows: Sequence[Row]) -> list[Measured]:
     """The rates, and the lower end of their interval."""
     bad = [row for row in rows if row["grade"] == Grade.BAD.value]
     right = sum(row["right"] for row in bad)
+    mending = sum(row["blamed"] in row["mends"] for row in bad)
     silent = sum(not row["reasons"] for row in bad)
     unknown = sum(row["reasons"][:1] == ["SCAN_POOR"] for row in bad)
     good = [row for row in rows if row["grade"] == Grade.GOOD.value]
     warned = sum(bool(row["reasons"]) for row in good)
     low = 100.0 * limits(right, len(bad))[0] if bad else float("nan")
     share = 100.0 * right / len(bad) if bad else float("nan")
+    mended = 100.0 * mending / len(bad) if bad else float("nan")
     return [
         Measured("scenes", float(len(rows)), "scenes"),
         Measured("of these bad", float(len(bad)), "scenes"),
         Measured("first reason is a true one", share, "%", at_least=RIGHT_PERCENT, key="causes_right_percent"),
         Measured("the same, lower end of the 95 % interval", low, "%"),
+        Measured("first reason is one that mends the scan by itself, if any does", mended, "%"),
         Measured("bad without a reason", float(silent), "scenes", at_most=0.0, key="causes_silent"),
         Measured("bad, and said that the cause is not known", float(unknown), "scenes"),
         Measured("good, and yet warned of something", float(warned), "scenes"),

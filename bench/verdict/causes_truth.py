@@ -5,6 +5,11 @@ it, and how far these are off (after the rigid displacement that moving hands le
 where it gives more points, by a tenth of those that the unspoilt base gives, or points that err less by 3 %. A factor is a
 true cause where taking it away mends the scan. Where no single one does, since two of them spoil it each by itself, each
 is one whose presence alone spoils the base.
+
+A factor is a true cause as well where it alone leaves fewer points than a usable scan has (``USABLE_POINTS``): no scan becomes
+usable as long as it is there, whatever else is taken away, so whoever wants one must act on it. Hands of 60 mm/s before a picture
+of which nine tenths are saturated are an example: at rest the scan is bad, well exposed it is bad, and neither cause is wrong.
+What only mending counts is measured beside it.
 """
 
 from __future__ import annotations
@@ -39,6 +44,8 @@ from tests.support.truth import WATER, true_calibration
 MORE_POINTS, LESS_ERROR = 0.10, 1.03
 LEAST_POINTS = 0.10
 """Of the base's points: fewer do not say how far they err."""
+USABLE_POINTS = 0.25
+"""Share of the base's points that a usable scan has: a quarter of what is illuminated, as its grade has it."""
 AIM_DN, BRIGHTEST = 225.0, 99.5
 """Where a suitable exposure puts that percentile of the bright frame."""
 FACTOR_OF = {
@@ -157,6 +164,11 @@ class Truth:
     def causes(self, spoilt: Spoilt, blamed: str | None) -> set[str]:
         """The factors that truly spoil a scene. Light, where it is not among what was changed, is looked at only if it is
         ``blamed``: then the scene is taken with the exposure that suits it."""
+        return self.mending(spoilt, blamed) | self._fatal(spoilt)
+
+    def mending(self, spoilt: Spoilt, blamed: str | None) -> set[str]:
+        """The factors of which each, taken away by itself, mends a scan; or, where none does, spoils the base by itself.
+        ``blamed`` as in ``causes``."""
         here = self.outcome(spoilt)
         true = {factor for factor in spoilt.present if self._mends(here, self.outcome(spoilt.without(factor)))}
         if blamed == "light" and spoilt.light == NONE:
@@ -167,6 +179,11 @@ class Truth:
             return true
         clean = self.outcome(Spoilt())
         return {factor for factor in spoilt.present if self._mends(self.outcome(spoilt.alone(factor)), clean)}
+
+    def _fatal(self, spoilt: Spoilt) -> set[str]:
+        """The factors with which alone no scan is usable."""
+        least = USABLE_POINTS * self.outcome(Spoilt()).good
+        return {factor for factor in spoilt.present if self.outcome(spoilt.alone(factor)).good < least}
 
     def _mends(self, before: Outcome, after: Outcome) -> bool:
         base = self.outcome(Spoilt()).good
