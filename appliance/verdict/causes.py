@@ -6,7 +6,7 @@ water's. Here all judgements are weighed against each other, in one currency: th
 takes. Points count by the inverse of their variance; a pixel that gives no point has lost all of it, and noise that grows by a
 factor f leaves 1/f².
 
-A cause is told where it exceeds its own limit, or where the scan is not usable and nothing explains more. A scan that is
+A cause is named where it exceeds its own limit, or where the scan is not usable and nothing explains more. A scan that is
 not usable has at least one cause: what remains unexplained is said to be so. See ``docs/causes.md``.
 """
 
@@ -16,6 +16,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from appliance.reconstruct.decode.decoder import MIN_MODULATION_DN
 from appliance.reconstruct.quality import USABLE_COVERAGE_PERCENT, USABLE_NOISE_MM, CloudSummary, is_usable
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault, FaultCode
@@ -32,17 +33,19 @@ LAMP_IN_COMMON = 0.5
 """Share of the squares of the changes that all parts of the picture have in common: before a lamp 0.9 and more, where something
 moves before paint of any kind mostly below 0.3."""
 CLEAR_WATER_PERCENT = 12.0
-"""Pixels that are lost behind a fainter veil than this are not lost to the water."""
+"""Pixels that are lost where a smaller share is hidden by backscatter are not lost to the water."""
 LEAST_SHARE = 0.05
-"""A cause that explains less is not told where its judge would not have raised it."""
+"""A cause that explains less is not named where its judge would not have raised it."""
 ENOUGH_FRINGE_DN = 8.0
 """Fringes of this amplitude give points. The ninth tenth of the cells must reach it with the longest exposure, or no exposure
 helps."""
 RUSHING_FRINGE_DN = 10.0
 """Fringes of this amplitude and more are decoded, unless something moves fast."""
+FOLLOWED_FRINGE_DN = MIN_MODULATION_DN
+"""The same where the texture was seen to move: from this amplitude on a pixel is decoded at rest."""
 FULL_SCALE_DN = 235.0
 MOST_SATURATED = 0.25
-"""Share of the lit pixels: beyond, weak fringes say nothing about darkness."""
+"""Share of the illuminated pixels: beyond, weak fringes say nothing about darkness."""
 MUCH_ROOM = 8.0
 """Factor of light that can still be exposed for: where nothing is seen, an exposure is to blame that leaves this
 unused."""
@@ -53,6 +56,8 @@ MOST_OUTSIDE = 0.5
 """Share of the points that lie outside of the depths measured; beyond, distance is what ails the scan."""
 FAINT_AND_NEAR = 0.5
 """Most that nearness takes of what is too faint at any distance: the light comes first."""
+FAINT_AND_MOVED = 0.5
+"""Most that faintness takes of fringes that a pixel shows at rest and that move too fast to be decoded."""
 ALL = 1.0
 
 Numbers = Mapping[str, float | None]
@@ -66,7 +71,7 @@ class Cause:
     share: float
     """Share of the scan's information that it takes, 0..1."""
     certain: bool
-    """Its judge's own limit is exceeded; else it is told only of a scan that is not usable."""
+    """Its judge's own limit is exceeded; else it is named only for a scan that is not usable."""
 
 
 def find_causes(
@@ -83,13 +88,13 @@ def find_causes(
         Cause(one.fault, 0.0, certain=True) for one in judgements if one.fault is not None and not _is_weighed(one)
     ]
     usable = is_usable(summary.coverage_percent, summary.noise_mm)
-    told = tuple(
+    named = tuple(
         cause for k, cause in enumerate(found)
         if cause.certain or (not usable and (cause.share >= LEAST_SHARE or k == 0) and cause.share > 0.0)
     )  # fmt: skip
-    if (told and any(cause.fault.code is not FaultCode.COMPENSATED for cause in told)) or usable:
-        return told
-    return (*told, Cause(_unexplained(summary), 0.0, False))
+    if (named and any(cause.fault.code is not FaultCode.COMPENSATED for cause in named)) or usable:
+        return named
+    return (*named, Cause(_unexplained(summary), 0.0, False))
 
 
 def with_causes(
@@ -176,7 +181,7 @@ def _all(
     light, water, motion, sight = (_numbers(of, name) for name in ("light", "water", "motion", "sight"))
     poor = not is_usable(summary.coverage_percent, summary.noise_mm)
     moved = _moved_ripple(motion)
-    outside = _outside(sight)
+    outside = _outside(sight, _saturated(light, water))
     rushing = _rushing(motion, sight, light, water, summary) if poor and outside is None else None
     if rushing is not None:
         yield rushing
@@ -185,12 +190,12 @@ def _all(
         yield from _flicker(light, of, motion)
     if outside is not None:
         yield outside
-    yield from _levels(of, light, water)
+    yield from _levels(of, light, water, _best_fringe_dn(sight, present, steps))
     yield from _water(of, water, moved if rushing is None else 1.0, _saturated(light, water))
     if poor and (outside is None or outside.share < ALL):
         faint = _faint(sight, light, water, summary, present, steps)
         if faint is not None:
-            yield faint
+            yield faint if rushing is None else replace(faint, share=min(faint.share, FAINT_AND_MOVED))
 
 
 def _motion(of: Mapping[str, Judgement], motion: Numbers, summary: CloudSummary, poor: bool) -> Iterator[Cause]:
@@ -216,16 +221,19 @@ def _rushing(motion: Numbers, sight: Numbers, light: Numbers, water: Numbers, su
     """Return a motion so fast that too few points are left to judge it by: strong fringes in good light that contradict
     each other.
 
-    A lamp that flickers leaves the Gray code readable, and what is saturated, veiled, faint or outside is told from
-    this.
+    A lamp that flickers leaves the Gray code readable, and what is saturated, behind backscatter, faint or outside is
+    distinguished from this.
     """
     fringe = sight.get("fringe_dn")
-    if motion.get("added_noise_percent") is not None or fringe is None or fringe < RUSHING_FRINGE_DN:
+    followed = _is_followed(motion)
+    least = FOLLOWED_FRINGE_DN if followed else RUSHING_FRINGE_DN
+    if motion.get("added_noise_percent") is not None or fringe is None or fringe < least:
         return None
-    veiled = (water.get("veil_percent") or 0.0) >= CLEAR_WATER_PERCENT
-    if veiled or _saturated(light, water) > MOST_SATURATED:
+    turbid = (water.get("veil_percent") or 0.0) >= CLEAR_WATER_PERCENT
+    if turbid or _saturated(light, water) > MOST_SATURATED:
         return None
-    detail = f"fringes of {fringe:.0f} DN that contradict each other: something moves fast"
+    seen = ", and the texture moves" if followed else ""
+    detail = f"fringes of {fringe:.0f} DN that contradict each other{seen}: something moves fast"
     return Cause(Fault(FaultCode.MOVED, detail), 1.0 - 0.01 * min(summary.coverage_percent or 0.0, 100.0), True)
 
 
@@ -267,13 +275,20 @@ def _in_common(light: Numbers, side: str) -> float:
     return common**2 / max(common**2 + local**2, 1e-12)
 
 
+def _is_followed(motion: Numbers) -> bool:
+    """Say whether texture was followed from image to image that moved for certain."""
+    score, least = motion.get("score_flow"), motion.get("score_limit")
+    return score is not None and least is not None and score >= least
+
+
 def _moves(motion: Numbers) -> bool:
     """Say whether anything was found to move, be its harm known or not."""
     score, least = motion.get("score"), motion.get("score_limit")
     return score is not None and least is not None and score >= least
 
 
-def _outside(sight: Numbers) -> Cause | None:
+def _outside(sight: Numbers, saturated: float) -> Cause | None:
+    """Return too near or too far; ``saturated``: share of the illuminated pixels, of which the fringes say nothing."""
     distance = sight.get("distance_mm")
     if distance is None:
         return None
@@ -285,45 +300,47 @@ def _outside(sight: Numbers) -> Cause | None:
     word = "nearer" if near > far else "farther"
     what = f"{100.0 * share:.0f} % of what is seen lies {word} than is measured, most at {distance:.0f} mm"
     fringe = sight.get("fringe_dn")
-    if code is FaultCode.SCAN_NEAR and fringe is not None and fringe < ENOUGH_FRINGE_DN:
-        # So near and still too faint: farther away it is fainter. What is too far, coming closer mends in either case.
-        share = min(share, FAINT_AND_NEAR)
-    else:
-        share = ALL  # gives no points, however bright or still it is
+    faint = fringe is not None and fringe < ENOUGH_FRINGE_DN and saturated <= MOST_SATURATED
+    # So near and still too faint: farther away it is fainter. What is too far, coming closer mends in either case. All else
+    # outside gives no points, however bright or still it is.
+    share = min(share, FAINT_AND_NEAR) if code is FaultCode.SCAN_NEAR and faint else ALL
     return Cause(Fault(code, what, {"distance_mm": distance}), share, True)
 
 
-def _levels(of: Mapping[str, Judgement], light: Numbers, water: Numbers) -> Iterator[Cause]:
-    """Yield too bright, too dark, too much ambient light, as shares of the lit pixels; of what is saturated see
-    ``_saturated``."""
+def _levels(
+    of: Mapping[str, Judgement], light: Numbers, water: Numbers, best_fringe_dn: float | None
+) -> Iterator[Cause]:
+    """Yield too bright, too dark, too much ambient light, as shares of the illuminated pixels; of what is saturated
+    see ``_saturated``.
+
+    Ambient light takes no more than what would be there without it: where the longest exposure makes less than
+    ``ENOUGH_FRINGE_DN`` of the fringes (``best_fringe_dn``), putting a lamp out mends nothing.
+    """
     judged = of.get("light")
     fault = None if judged is None else judged.fault
     saturated = _saturated(light, water)
-    if fault is not None and fault.code in (FaultCode.TOO_DARK, FaultCode.AMBIENT, FaultCode.TOO_BRIGHT):
-        names = {FaultCode.TOO_DARK: "weak", FaultCode.AMBIENT: "ambient_beyond", FaultCode.TOO_BRIGHT: "saturated"}
-        told = fault.numbers.get(f"{names[fault.code]}_percent")
-        if fault.code is FaultCode.TOO_DARK:
-            told = 100.0 - fault.numbers.get("coverage_percent", 0.0)
-        if fault.code is FaultCode.AMBIENT:
-            told = fault.numbers.get("ambient_percent")
-        if fault.code is FaultCode.TOO_BRIGHT:
-            told = max(told or 0.0, 100.0 * saturated)
-        yield Cause(fault, 0.01 * (told or 0.0), True)
+    if fault is not None and fault.code is FaultCode.TOO_DARK:
+        yield Cause(fault, 1.0 - 0.01 * fault.numbers.get("coverage_percent", 0.0), True)
+    if fault is not None and fault.code is FaultCode.AMBIENT:
+        without = 1.0 if best_fringe_dn is None else min(1.0, best_fringe_dn / ENOUGH_FRINGE_DN)
+        yield Cause(fault, 0.01 * fault.numbers.get("ambient_percent", 0.0) * without, True)
+    if fault is not None and fault.code is FaultCode.TOO_BRIGHT:
+        yield Cause(fault, max(0.01 * fault.numbers.get("saturated_percent", 0.0), saturated), True)
     if saturated > 0.0 and (fault is None or fault.code is not FaultCode.TOO_BRIGHT):
         detail = f"{100.0 * saturated:.0f} % of what is seen is saturated"
         yield Cause(Fault(FaultCode.TOO_BRIGHT, detail, {"saturated_percent": 100.0 * saturated}), saturated, False)
 
 
 def _saturated(light: Numbers, water: Numbers) -> float:
-    """Return the saturated share of the lit pixels of the brighter camera; or of the object's, where the left camera
+    """Return the saturated share of the illuminated pixels of the brighter camera; or of the object's, where the left camera
     sees more of these saturated.
 
-    Lit water shows no object, and would dilute the share that is lost of one.
+    Illuminated water shows no object, and would dilute the share that is lost of one.
     """
     left, right = (0.01 * (light.get(f"{side}_saturated_percent") or 0.0) for side in SIDES)
-    lit, clear = light.get("left_lit_percent"), water.get("object_percent")
-    if left > 0.0 and lit is not None and clear is not None:
-        of_picture = left * 0.01 * lit
+    illuminated, clear = light.get("left_lit_percent"), water.get("object_percent")
+    if left > 0.0 and illuminated is not None and clear is not None:
+        of_picture = left * 0.01 * illuminated
         left = max(left, of_picture / (of_picture + 0.01 * clear))
     return max(left, right)
 
@@ -334,10 +351,10 @@ def _water(of: Mapping[str, Judgement], water: Numbers, moved: float, saturated:
     judged = of.get("water")
     if judged is None or judged.fault is None:
         return
-    veil, hidden, specks = (0.01 * (water.get(f"{name}_percent") or 0.0) for name in ("veil", "hidden", "speck"))
+    backscatter, hidden, specks = (0.01 * (water.get(f"{name}_percent") or 0.0) for name in ("veil", "hidden", "speck"))
     masked = 0.01 * (water.get("masked_percent") or 0.0)
-    behind_veil = 100.0 * veil >= CLEAR_WATER_PERCENT
-    shares = [hidden if behind_veil else 0.0, veil if behind_veil and masked > hidden else 0.0]
+    turbid = 100.0 * backscatter >= CLEAR_WATER_PERCENT
+    shares = [hidden if turbid else 0.0, backscatter if turbid and masked > hidden else 0.0]
     if moved == 0.0:
         shares.append(specks)
     share = (1.0 - saturated) * max(shares)
@@ -349,14 +366,14 @@ def _faint(
     sight: Numbers, light: Numbers, water: Numbers, summary: CloudSummary, present: Exposure, steps: Sequence[Exposure]
 ) -> Cause | None:
     """Return why too little of an object is seen to measure it: exposure, water, or that there is none."""
-    room = max((step.light for step in steps), default=present.light) / present.light
-    fringe, top = sight.get("fringe_dn"), sight.get("top_dn") or 0.0
+    room = _room(present, steps)
+    fringe = sight.get("fringe_dn")
     lost = 1.0 - 0.01 * min(summary.coverage_percent or 0.0, 100.0)
     if _saturated(light, water) > MOST_SATURATED:
         return None  # what is saturated shows no fringes
     if fringe is None:
         return _unseen(sight, room)
-    best = fringe * min(room, FULL_SCALE_DN / max(top, 1.0))
+    best = _best_fringe_dn(sight, present, steps) or 0.0
     fine = summary.noise_mm is None or summary.noise_mm <= USABLE_NOISE_MM
     if fringe >= ENOUGH_FRINGE_DN and fine:
         return None
@@ -369,6 +386,18 @@ def _faint(
         return Cause(Fault(FaultCode.TOO_DARK, detail, numbers), share, False)
     detail = f"fringes of {fringe:.1f} DN, and no exposure makes more than {best:.1f} DN of them: the water swallows the light"
     return Cause(Fault(FaultCode.WATER_DIRTY, detail, numbers), share, False)
+
+
+def _room(present: Exposure, steps: Sequence[Exposure]) -> float:
+    """Return the factor of light that can still be exposed for."""
+    return max((step.light for step in steps), default=present.light) / present.light
+
+
+def _best_fringe_dn(sight: Numbers, present: Exposure, steps: Sequence[Exposure]) -> float | None:
+    """Return the amplitude of the fringes with the longest exposure that the projector's own light allows; ``None``: no
+    fringes are seen."""
+    fringe, top = sight.get("fringe_dn"), sight.get("top_dn") or 0.0
+    return None if fringe is None else fringe * min(_room(present, steps), FULL_SCALE_DN / max(top, 1.0))
 
 
 def _unseen(sight: Numbers, room: float) -> Cause:

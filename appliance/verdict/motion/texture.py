@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.patterns.sequence import Direction, PatternSequence
-from appliance.reconstruct.decode.decoder import CameraDecoder
+from appliance.reconstruct.decode.decoder import CameraDecoder, Mask
+from appliance.scan.noise import MAD_TO_SIGMA
 
 WIDTH_PX = 400
 """Images are binned to about this width."""
@@ -27,6 +28,8 @@ TEXTURE_LEVELS = 500.0
 MIN_CONTRAST = 4.0
 """Least square of a window's gradients over that of noise, in the direction that has less of it."""
 MIN_POINTS = 6
+LEAST_PIXELS = 200
+"""Binned pixels that show the object, away from its outline; of fewer nothing is said."""
 CLIP, CLIPPED = 2.5, 0.986
 """Differences beyond so many standard deviations count as that; and what this leaves of a normal one's."""
 
@@ -101,26 +104,33 @@ def texture_shift(
     inside = cv2.erode(valid.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
     pixels = bin_px * (bin_px // stride)
     apart = float(np.mean(y_axis.sine) - np.mean(x_axis.sine))
-    if np.count_nonzero(inside) < 200:
-        return TextureShift(None, None, None, None, apart, bin_px)
     dark, per_dn = variance_dn2
+    if np.count_nonzero(inside) < LEAST_PIXELS:
+        # Too little is decoded to tell noise from a change, but what is illuminated can still be followed.
+        masks = decoded.mask[middle::bin_px, middle::bin_px][: shape[0], : shape[1]]
+        valid = (masks != Mask.SHADOW) & (masks != Mask.SATURATED)
+        inside = cv2.erode(valid.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+        if np.count_nonzero(inside) < LEAST_PIXELS:
+            return TextureShift(None, None, None, None, apart, bin_px)
+        noise = float(dark + per_dn * np.mean(first[inside])) / pixels
+        return _flow(_follow(first, second, valid, inside, 0.25 * noise), None, None, apart, bin_px)
     noise = float(dark + per_dn * np.mean(first[inside])) / pixels
     change = _difference(first, second, inside, noise * (0.25 + 0.25))
     early_change = _difference(early, first, inside, noise * (0.5 + 0.25))
-    flows = _follow(first, second, valid, inside, 0.25 * noise)
+    return _flow(_follow(first, second, valid, inside, 0.25 * noise), change, early_change, apart, bin_px)
+
+
+def _flow(
+    flows: NDArray[np.float64], change: float | None, early_change: float | None, apart: float, bin_px: int
+) -> TextureShift:
+    """Return the texture's movement by ``flows`` (n, 2) in binned px; no flow where these are too few."""
     if len(flows) < MIN_POINTS:
         return TextureShift(None, None, change, early_change, apart, bin_px)
     flow = np.median(flows, 0)
-    spread = 1.4826 * np.median(np.abs(flows - flow), 0)
+    spread = MAD_TO_SIGMA * np.median(np.abs(flows - flow), 0)
     sd = float(np.hypot(*spread) * 1.25 / np.sqrt(len(flows)))
-    return TextureShift(
-        (float(flow[0]) * bin_px, float(flow[1]) * bin_px),
-        sd * bin_px,
-        change,
-        early_change,
-        apart,
-        bin_px,
-    )
+    shift_px = (float(flow[0]) * bin_px, float(flow[1]) * bin_px)
+    return TextureShift(shift_px, sd * bin_px, change, early_change, apart, bin_px)
 
 
 def _difference(a: NDArray[np.float32], b: NDArray[np.float32], inside: NDArray[np.bool_], variance: float) -> float:

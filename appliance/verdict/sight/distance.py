@@ -29,7 +29,7 @@ WINDOWS = 120
 """Those with the strongest fringes."""
 LEAST_SWING_DN, LEAST_SHARE = 0.8, 0.1
 """Twice the amplitude of a window's fringes, at least, and as a share of what the projector's white adds there: less may be what is
-left of long fringes in the lit water, which is near."""
+left of long fringes in the illuminated water, which is near."""
 CLEAR_DN = 250.0
 """No image of a window may be brighter anywhere; nor of any place where the right camera might see it, for what is saturated
 there may be the window itself, and the likest of the other places is then a wrong fringe."""
@@ -59,9 +59,9 @@ def find_depths_mm(
     v, u = _strongest(frames["left"], sequence, factor, left, noise.left)
     if len(v) < MIN_WINDOWS:
         return none
-    depths_mm = _depths_mm(rig, water_index)
+    depths_mm = candidate_depths_mm(rig, water_index)
     middle = np.stack([u + 0.5 * (COLUMNS - 1), v + 0.5 * (ROWS - 1)], -1)
-    seen = _seen_at(rig, water_index, factor * middle + 0.5 * (factor - 1), depths_mm)
+    seen = seen_at_depths(rig, water_index, factor * middle + 0.5 * (factor - 1), depths_mm)
     places = (seen - 0.5 * (factor - 1)) / factor - 0.5 * np.array([COLUMNS - 1, ROWS - 1])
     like = np.stack([
         _likeness(left, right, (int(v[k]), int(u[k])), places[k]) for k in range(len(v))
@@ -111,8 +111,8 @@ def _strongest(
 
 def _brightest(frames: NDArray[np.uint8], sequence: PatternSequence, factor: int) -> Floats:
     """Return a small image of the brightest grey value that each pixel has in the bright image and the sines."""
-    lit = (sequence.bright, *sequence.axis(Direction.X).sine)
-    return _shrunk(np.maximum.reduce([frames[k] for k in lit]), factor)
+    bright = (sequence.bright, *sequence.axis(Direction.X).sine)
+    return _shrunk(np.maximum.reduce([frames[k] for k in bright]), factor)
 
 
 def _clear_everywhere(brightest: Floats, places: Array) -> NDArray[np.bool_]:
@@ -132,17 +132,17 @@ def _tiled(image: Floats) -> Floats:
     return np.asarray(image[: rows * ROWS, : columns * COLUMNS].reshape(rows, ROWS, columns, COLUMNS))
 
 
-def _depths_mm(rig: StereoRig, water_index: float) -> Array:
+def candidate_depths_mm(rig: StereoRig, water_index: float) -> Array:
     """Return depths so close to each other that the right camera sees the image's middle move by ``STEP_PX`` of a
     small image's."""
     near, far = 1.0 / NEAREST_MM, 1.0 / FARTHEST_MM
     middle = np.array([[0.5 * (rig.left.width_px - 1), 0.5 * (rig.left.height_px - 1)]])
-    ends = _seen_at(rig, water_index, middle, np.array([NEAREST_MM, FARTHEST_MM]))[0, :, 0]
+    ends = seen_at_depths(rig, water_index, middle, np.array([NEAREST_MM, FARTHEST_MM]))[0, :, 0]
     count = int(abs(ends[1] - ends[0]) * WIDTH_PX / rig.left.width_px / STEP_PX) + 2
     return np.asarray(1.0 / np.linspace(near, far, count))
 
 
-def _seen_at(rig: StereoRig, water_index: float, uv_px: Array, depths_mm: Array) -> Array:
+def seen_at_depths(rig: StereoRig, water_index: float, uv_px: Array, depths_mm: Array) -> Array:
     """Return (n, depths, 2) where the right camera sees what the left one sees at ``uv_px`` (n, 2), were it at each
     depth."""
     origins, directions = rig.left.rays(uv_px, water_index)

@@ -3,7 +3,7 @@
 It is asked where decoding comes to nothing: a pixel needs 5 grey values of modulation, but the mean over a cell of some
 hundred pixels tells fringes of half a grey value from noise. Fringes across the baseline are the object's alone: a ray crosses
 many of them in the water, so that the water's light has none. Points are asked where they lie before any limit of depth; where
-there are none, the fringes themselves (``distance``).
+there are none, the stripes that a saturated object still shows (``stripes``), or else the fringes themselves (``distance``).
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from appliance.scan.noise import CameraNoise, StereoNoise
 from appliance.scan.sides import SIDES, of_side
 from appliance.scan.verdict import Verdict
 from appliance.verdict.sight.distance import find_depths_mm
+from appliance.verdict.sight.stripes import find_depths_by_stripes_mm
 from appliance.verdict.water.beam import half_field, shape_of_glow
 
 Array = NDArray[np.float64]
@@ -39,7 +40,7 @@ LEAST_FRINGE_DN, FRINGE_SIGMAS = 0.4, 4.0
 """A cell shows fringes from this amplitude on, and from this many standard errors of its square."""
 ROUNDING_DN2 = 1.0 / 12.0
 MIN_POINTS = 40
-"""Fewer do not say where the object lies; then windows of faint fringes do …"""
+"""Fewer do not say where the object lies; then stripes or windows of faint fringes do …"""
 ROUGHLY = 0.03
 """… or the parallax of the stripes, which is known so well."""
 
@@ -90,7 +91,9 @@ def look(
     }
     depth_mm = np.asarray(loose.points_mm[:, 2], np.float64)
     if len(depth_mm) < MIN_POINTS:
-        depth_mm = find_depths_mm(frames, sequence, noise, rig, water_index) if best.cells > 0.0 else depth_mm[:0]
+        depth_mm = find_depths_by_stripes_mm(frames, sequence, rig, water_index)
+        if not len(depth_mm) and best.cells > 0.0:
+            depth_mm = find_depths_mm(frames, sequence, noise, rig, water_index)
     by_parallax = None if parallax_percent is None else distance_of(parallax_percent, rig, water_index)
     numbers |= _places(depth_mm, limits, by_parallax)
     return Verdict(NAME, None, numbers, _text(numbers))

@@ -191,7 +191,7 @@ def test_what_lies_outside_of_the_volume_is_said_to_before_it_is_too_bright(
     ("fringe_dn", "expected"), [(3.6, [FaultCode.TOO_DARK, FaultCode.SCAN_NEAR]), (60.0, [FaultCode.SCAN_NEAR])]
 )
 def test_what_is_near_and_still_too_dark_is_too_dark_first(fringe_dn: float, expected: list[FaultCode]) -> None:
-    """It was told to go back, where it is darker still."""
+    """The diver was sent back, where it is darker still."""
     near = FRINGES | {
         "fringe_dn": fringe_dn,
         "top_dn": 11.0,
@@ -200,6 +200,52 @@ def test_what_is_near_and_still_too_dark_is_too_dark_first(fringe_dn: float, exp
         "far_percent": 2.0,
     }
     assert codes(still(), light(), sight(**near), summary=NOTHING_LIT, exposure=Exposure(200)) == expected
+
+
+def test_what_is_near_and_saturated_is_too_near_first_however_faint_its_clear_fringes_are() -> None:
+    """A plane at 339 mm before a flickering lamp: 99 % were saturated, the clear rest had fringes of 5 grey values, and it came as
+    TOO BRIGHT, as if a shorter exposure could mend what is outside of the volume."""
+    clear = {"fringe_dn": 4.8, "top_dn": 34.0, "distance_mm": 339.0, "near_percent": 100.0, "far_percent": 0.0}
+    bright = light(FaultCode.TOO_BRIGHT, left_saturated_percent=99.3, saturated_percent=99.3)
+    said = codes(still(), bright, sight(**FRINGES | clear), summary=NO_POINTS)
+    assert said == [FaultCode.SCAN_NEAR, FaultCode.TOO_BRIGHT]
+
+
+@pytest.mark.parametrize(
+    ("fringe_dn", "expected"),
+    [(0.9, [FaultCode.WATER_DIRTY, FaultCode.AMBIENT]), (2.0, [FaultCode.AMBIENT, FaultCode.TOO_DARK])],
+    ids=["thick water", "clear enough"],
+)
+def test_a_flood_light_is_not_to_blame_for_fringes_that_no_exposure_would_show(
+    fringe_dn: float, expected: list[FaultCode]
+) -> None:
+    """In water of 5.5 per m the lamp came first, and without it there was not a point more."""
+    faint = FRINGES | {"fringe_dn": fringe_dn, "top_dn": 2.0 * fringe_dn, "light_dn": 1.0}
+    flood = light(FaultCode.AMBIENT, ambient_percent=100.0)
+    assert codes(still(), flood, sight(**faint), summary=NO_POINTS) == expected
+
+
+FOLLOWED = {"added_noise_percent": None, "lost_percent": 32.0, "score": 40.5, "score_flow": 40.5, "score_limit": 4.5}
+
+
+@pytest.mark.parametrize(
+    ("fringe_dn", "motion", "expected"),
+    [
+        (5.9, FOLLOWED, [FaultCode.MOVED, FaultCode.TOO_DARK]),
+        (4.9, FOLLOWED, [FaultCode.TOO_DARK]),
+        (5.9, FOLLOWED | {"score": None, "score_flow": None}, [FaultCode.TOO_DARK]),
+        (5.9, FOLLOWED | {"score_flow": 4.4}, [FaultCode.TOO_DARK]),
+    ],
+    ids=["followed", "too faint at rest, too", "nothing to follow", "followed, and hardly moved"],
+)
+def test_printed_squares_that_rush_by_in_milk_are_not_too_dark_first(
+    fringe_dn: float, motion: dict[str, float | None], expected: list[FaultCode]
+) -> None:
+    """60 mm/s in water of 3.5 per m, where a scan at rest is usable: the squares are followed, and fringes of 5 grey values and
+    more are decoded unless something moves."""
+    few = replace(GOOD, points=2_000, coverage_percent=1.7)
+    faint = FRINGES | {"fringe_dn": fringe_dn, "top_dn": 12.0, "light_dn": 8.5}
+    assert codes(judgement("motion", motion), light(), sight(**faint), summary=few) == expected
 
 
 def test_what_is_far_and_too_dark_is_too_far_first() -> None:
@@ -232,7 +278,7 @@ def test_floodlight_is_not_the_waters_fault() -> None:
 
 
 def test_a_flood_light_in_silt_is_not_the_waters_fault_either() -> None:
-    """The object is saturated; lit water beside it made the saturated share small, and WATER DIRTY 75 % was said."""
+    """The object is saturated; illuminated water beside it made the saturated share small, and WATER DIRTY 75 % was said."""
     numbers = {"veil_percent": 40.0, "hidden_percent": 75.0, "masked_percent": 80.0, "object_percent": 5.3}
     flood = light(FaultCode.TOO_BRIGHT, left_saturated_percent=17.6, left_lit_percent=91.4, saturated_percent=17.6)
     said = codes(
@@ -241,7 +287,7 @@ def test_a_flood_light_in_silt_is_not_the_waters_fault_either() -> None:
     assert said == [FaultCode.TOO_BRIGHT, FaultCode.WATER_DIRTY]
 
 
-def test_the_waters_veil_counts_before_what_it_hides() -> None:
+def test_the_waters_backscatter_counts_before_what_it_hides() -> None:
     water = judgement(
         "water", {"veil_percent": 48.0, "hidden_percent": 25.0, "masked_percent": 27.0}, FaultCode.WATER_DIRTY
     )
@@ -294,7 +340,7 @@ def test_an_object_is_too_far_when_most_of_it_is(far_percent: float, expected: l
 
 
 @pytest.mark.parametrize(("veil_percent", "expected"), [(8.0, []), (16.0, [FaultCode.WATER_DIRTY])])
-def test_what_is_lost_behind_a_faint_veil_is_not_lost_to_the_water(
+def test_what_is_lost_behind_faint_backscatter_is_not_lost_to_the_water(
     veil_percent: float, expected: list[FaultCode]
 ) -> None:
     numbers = {"veil_percent": veil_percent, "hidden_percent": 20.0, "masked_percent": 25.0, "speck_percent": 0.0}

@@ -21,8 +21,8 @@ Given = float | None
 """A number of a verdict."""
 
 
-def said(name: str, code: FaultCode | None = None, told: dict[str, float] | None = None, **numbers: Any) -> Judgement:
-    fault = None if code is None else Fault(code, "as measured", told or {})
+def said(name: str, code: FaultCode | None = None, known: dict[str, float] | None = None, **numbers: Any) -> Judgement:
+    fault = None if code is None else Fault(code, "as measured", known or {})
     return Judgement(Verdict(name, fault is None, numbers, "as seen"), fault)
 
 
@@ -60,7 +60,7 @@ def test_noise_that_a_movement_adds_takes_what_noise_is_worth_and_lost_points_al
         assert FaultCode.MOVED not in causes(motion(25.0, FaultCode.MOVED, **{unknown: None}))
 
 
-def test_a_movement_that_its_judge_let_pass_is_told_of_a_poor_scan_with_what_is_known_of_it() -> None:
+def test_a_movement_that_its_judge_let_pass_is_named_for_a_poor_scan_with_what_is_known_of_it() -> None:
     assert causes(motion(25.0)) == {}
     cause = causes(motion(25.0, shift_px=2.0), summary=POOR)[FaultCode.MOVED]
     assert not cause.certain
@@ -81,12 +81,14 @@ def test_a_movement_that_was_undone_takes_nothing_and_of_a_poor_scan_what_it_too
     assert set(harmless) == {FaultCode.COMPENSATED, FaultCode.SCAN_POOR}, "what was undone explains no poor scan"
 
 
-def rushing(fringe: Given = 30.0, veil: Given = None, saturated: Given = None, **more: Any) -> dict[FaultCode, Cause]:
+def rushing(
+    fringe: Given = 30.0, backscatter: Given = None, saturated: Given = None, **more: Any
+) -> dict[FaultCode, Cause]:
     summary = replace(GOOD, coverage_percent=10.0)
     judgements = (
         motion(None, score=None),
         said("sight", fringe_dn=fringe, **more),
-        said("water", FaultCode.WATER_DIRTY, veil_percent=veil, speck_percent=9.0),
+        said("water", FaultCode.WATER_DIRTY, veil_percent=backscatter, speck_percent=9.0),
         said("light", left_saturated_percent=saturated),
     )
     return causes(*judgements, summary=summary)
@@ -100,8 +102,8 @@ def test_strong_fringes_that_give_no_points_are_a_fast_movement() -> None:
     assert FaultCode.MOVED in rushing(10.0)
     assert FaultCode.MOVED not in rushing(9.9)
     assert FaultCode.MOVED not in rushing(None)
-    assert FaultCode.MOVED in rushing(veil=11.9)
-    assert FaultCode.MOVED not in rushing(veil=12.0)
+    assert FaultCode.MOVED in rushing(backscatter=11.9)
+    assert FaultCode.MOVED not in rushing(backscatter=12.0)
     assert FaultCode.MOVED in rushing(saturated=25.0)
     assert FaultCode.MOVED not in rushing(saturated=25.1)
     assert FaultCode.MOVED not in rushing(distance_mm=800.0, far_percent=90.0)
@@ -202,7 +204,7 @@ def test_what_lies_outside_is_not_also_too_dark() -> None:
 
 
 @pytest.mark.parametrize(
-    ("code", "told", "share"),
+    ("code", "known", "share"),
     [
         (FaultCode.TOO_DARK, {"weak_percent": 3.0, "coverage_percent": 70.0}, 0.3),
         (FaultCode.TOO_DARK, {}, 1.0),
@@ -211,13 +213,13 @@ def test_what_lies_outside_is_not_also_too_dark() -> None:
         (FaultCode.TOO_BRIGHT, {"saturated_percent": 20.0}, 0.2),
     ],
 )
-def test_light_takes_the_pixels_that_it_costs(code: FaultCode, told: dict[str, float], share: float) -> None:
-    cause = causes(said("light", code, told))[code]
+def test_light_takes_the_pixels_that_it_costs(code: FaultCode, known: dict[str, float], share: float) -> None:
+    cause = causes(said("light", code, known))[code]
     assert cause.share == pytest.approx(share)
     assert cause.certain is True
 
 
-def test_saturation_that_its_judge_let_pass_is_told_of_a_poor_scan() -> None:
+def test_saturation_that_its_judge_let_pass_is_named_for_a_poor_scan() -> None:
     light = said("light", left_saturated_percent=3.0, right_saturated_percent=9.0)
     assert causes(light) == {}
     cause = causes(light, summary=POOR)[FaultCode.TOO_BRIGHT]
@@ -230,11 +232,11 @@ def test_saturation_that_its_judge_let_pass_is_told_of_a_poor_scan() -> None:
     assert set(none) == {FaultCode.NOTHING_SEEN}
 
 
-def test_a_twentieth_is_the_least_that_is_told_beside_something_larger() -> None:
+def test_a_twentieth_is_the_least_that_is_named_beside_something_larger() -> None:
     moves = motion(25.0)
-    for percent, told in ((5.0, True), (4.9, False)):
+    for percent, named_too in ((5.0, True), (4.9, False)):
         found = causes(moves, said("light", left_saturated_percent=percent), SEEN, summary=POOR)
-        assert (FaultCode.TOO_BRIGHT in found) == told
+        assert (FaultCode.TOO_BRIGHT in found) == named_too
         assert FaultCode.MOVED in found
     alone = causes(said("light", left_saturated_percent=1.0), SEEN, motion(0.0, score=1.0), summary=POOR)
     assert set(alone) == {FaultCode.TOO_BRIGHT}
@@ -249,7 +251,7 @@ def water(moves: bool = False, **numbers: Any) -> float | None:
     return found[FaultCode.WATER_DIRTY].share if FaultCode.WATER_DIRTY in found else None
 
 
-def test_water_takes_what_its_veil_hides() -> None:
+def test_water_takes_what_its_backscatter_hides() -> None:
     assert water(veil_percent=12.0, hidden_percent=20.0, masked_percent=20.0) == pytest.approx(0.2)
     assert water(veil_percent=11.9, hidden_percent=20.0, masked_percent=25.0) is None
     assert water(veil_percent=30.0, hidden_percent=20.0, masked_percent=21.0) == pytest.approx(0.3)
@@ -336,9 +338,9 @@ def test_a_poor_scan_without_a_cause_says_whether_points_are_few_or_noisy(
     coverage: Given, noise_mm: Given, word: str
 ) -> None:
     summary = CloudSummary(10, coverage, None, noise_mm, None)
-    lit = said("light", left_saturated_percent=0.0)
+    judged = said("light", left_saturated_percent=0.0)
     seen = SEEN
-    (cause,) = find_causes((lit, seen, motion(0.0, score=1.0)), summary, USUAL, (USUAL,))
+    (cause,) = find_causes((judged, seen, motion(0.0, score=1.0)), summary, USUAL, (USUAL,))
     assert (cause.fault.code, cause.share, cause.certain) == (FaultCode.SCAN_POOR, 0.0, False)
     assert word in cause.fault.detail
     assert cause.fault.numbers == ({} if coverage is None else {"coverage_percent": coverage})
@@ -347,7 +349,7 @@ def test_a_poor_scan_without_a_cause_says_whether_points_are_few_or_noisy(
 # -------------------------------------------------------------------------------------------- all together
 
 
-def test_a_cause_that_two_judges_see_is_told_once_with_the_larger_share_and_as_certain_as_either() -> None:
+def test_a_cause_that_two_judges_see_is_named_once_with_the_larger_share_and_as_certain_as_either() -> None:
     dark = said("light", FaultCode.TOO_DARK, {"coverage_percent": 90.0})
     seen = said("sight", fringe_dn=3.0, top_dn=6.0)
     (cause,) = find_causes((dark, seen, motion(0.0, score=1.0)), POOR, USUAL, LONGER)

@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter, sobel, uniform_filter
 from scipy.stats import median_abs_deviation
 
 from appliance.patterns.sequence import Direction, build_sequence
-from appliance.reconstruct.decode.decoder import CameraDecoder
+from appliance.reconstruct.decode.decoder import CameraDecoder, Mask
 from appliance.verdict.motion.texture import TextureShift, _binned_mean, _difference, _follow, _texture, texture_shift
 
 SEQUENCE = build_sequence(16)
@@ -102,14 +102,37 @@ def test_only_the_middle_of_a_bin_says_whether_its_coordinates_are_known() -> No
 def test_fewer_than_two_hundred_pixels_away_from_borders_tell_nothing() -> None:
     picture = paint(400, 300, 7.0)
     frames, decoder = seen((400, 300), picture, picture)
-    for wide, told in ((204, True), (203, False)):
+    decoder.mask[:] = Mask.SHADOW
+    for wide, known in ((204, True), (203, False)):
         decoder.p_px[:] = np.nan
         decoder.p_px[100:105, 50 : 50 + wide] = 1.0
         found = texture_shift(frames, decoder, SEQUENCE, (0.72, 0.0))
-        assert (found.change is not None) == told
-        assert (found.early_change is not None) == told
+        assert (found.change is not None) == known
+        assert (found.early_change is not None) == known
         assert (found.flow_px, found.flow_sd_px) == (None, None)
         assert (found.frames, found.bin_px) == (len(SEQUENCE.axis(Direction.Y).gray) + 4.0, 1)
+
+
+@pytest.mark.parametrize(
+    ("mask", "followed"),
+    [(Mask.WEAK, True), (Mask.CONTRADICTION, True), (Mask.SHADOW, False), (Mask.SATURATED, False)],
+    ids=lambda value: value.name.lower() if isinstance(value, Mask) else None,
+)
+def test_paint_that_moves_too_fast_to_be_decoded_is_followed_where_it_is_illuminated(
+    mask: Mask, followed: bool
+) -> None:
+    """60 mm/s in milk: no pixel was decoded, so nothing was said of the movement, and it came as TOO DARK."""
+    pictures = paint(400, 300, 7.0), paint(400, 300, 7.0, (4.0, -2.0))
+    frames, decoder = seen((400, 300), *pictures)
+    decoder.p_px[:], decoder.q_px[:], decoder.mask[:] = np.nan, np.nan, mask
+    found = texture_shift(frames, decoder, SEQUENCE, (0.72, 0.0))
+    assert (found.change, found.early_change) == (None, None), "noise says nothing where nothing is decoded"
+    assert (found.flow_px is not None) == followed
+    if followed:
+        assert found.flow_px == pytest.approx((4.0, -2.0), abs=0.1)
+    # At the outline of what is not illuminated nothing is followed.
+    decoder.mask[:, 12::25] = Mask.SHADOW
+    assert texture_shift(frames, decoder, SEQUENCE, (0.72, 0.0)).flow_px is None
 
 
 def test_six_points_make_a_flow_and_five_do_not() -> None:

@@ -1,4 +1,4 @@
-"""What is too dark or too veiled to be decoded has a distance all the same: it came as TOO DARK or WATER DIRTY, and was too far."""
+"""What is too dark to be decoded, or too faint behind backscatter, has a distance all the same: it came as TOO DARK or WATER DIRTY, and was too far."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_what_is_too_faint_to_be_decoded_has_a_distance(
 
 @pytest.mark.parametrize("what", ["noise", "water"])
 def test_where_nothing_is_seen_there_is_no_distance(what: str) -> None:
-    """Neither noise nor the lit water has one: what is left in it of long fringes lies at 320 mm, and would be called too near."""
+    """Neither noise nor the illuminated water has one: what is left in it of long fringes lies at 320 mm, and would be called too near."""
     scene = Scene("plane", pose=(0.0, 0.0, 20_000.0, 0.0, 0.0, 0.0), water=SILT if what == "water" else Water())
     scan = render_scan(scene, "realistic", 10_601, 200, 32, 0.012 if what == "water" else 0.000_01)
     assert len(depths_mm(scan)) == 0
