@@ -56,7 +56,8 @@ def find_depths_by_stripes_mm(
     if len(v) < MIN_FOUND:
         return none
     depths_mm = candidate_depths_mm(rig, water_index)
-    there_px = seen_at_depths(rig, water_index, factor * np.stack([u, v], -1) + float(factor // 2), depths_mm)
+    here_px = np.stack([u, v], -1).astype(np.float64) * factor + factor // 2
+    there_px = seen_at_depths(rig, water_index, here_px, depths_mm)
     at = np.rint(np.nan_to_num((there_px - factor // 2) / factor, nan=-1e6)).astype(np.int64)
     inside = (at >= 0).all(-1) & (at[..., 0] < right.shape[1]) & (at[..., 1] < right.shape[0])
     at[~inside] = 0
