@@ -30,6 +30,17 @@ def test_files_that_are_named_exist(document: Path) -> None:
     assert not missing
 
 
+def test_modules_that_are_named_without_their_folder_are_somewhere() -> None:
+    there = [f"/{path.as_posix()}" for package in TRACKED for path in (ROOT / package).rglob("*.py")]
+    gone = [
+        f"{name_of(document)}: {name}"
+        for document in DOCUMENTS
+        for name in set(re.findall(r"`([\w/]+\.py)`", document.read_text(encoding="utf-8")))
+        if not any(path.endswith(f"/{name}") for path in there)
+    ]
+    assert not gone
+
+
 @pytest.mark.parametrize("document", DOCUMENTS, ids=name_of)
 def test_commands_that_are_named_exist(document: Path) -> None:
     dispatch = (ROOT / "dev").read_text(encoding="utf-8").partition("\nmain() {")[2]
