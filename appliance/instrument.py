@@ -202,7 +202,7 @@ def exposure_of_scan(record: ScanRecord, rig: Rig) -> Exposure:
 
 
 def exposures_label(record: ScanRecord, rig: Rig) -> str:
-    """``8 ms``; of a pair ``3.2 ms, then 14 ms``."""
+    """Return the exposure as a label, ``8 ms``; of a pair ``3.2 ms, then 14 ms``."""
     first = exposure_of_scan(record, rig).label
     return first if record.second is None else f"{first}, then {record.second.exposure.label}"
 

@@ -217,7 +217,8 @@ class _Team:
 
 
 def _serve(pipe: Connection, folder: Path, processor: Processor | None) -> None:
-    """A compiling process: the name of a piece's function in, ``None`` or an error's text out, until the pipe closes."""
+    """Serve as a compiling process: the name of a piece's function in, ``None`` or an error's text out, until the
+    pipe closes."""
     point_at(folder, processor)
     try:
         while True:

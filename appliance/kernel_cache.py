@@ -93,7 +93,8 @@ def runs_common(processor: Processor) -> bool:
 
 
 def fingerprint(processor: Processor | None = None) -> str:
-    """16 hexadecimal digits that change with each kernel file, interpreter, compiler and processor (default: this one)."""
+    """Return 16 hexadecimal digits that change with each kernel file, interpreter, compiler and processor (default:
+    this one)."""
     processor = processor or this_processor()
     digest = hashlib.sha256()
     for name, path in _kernel_files():
@@ -106,7 +107,8 @@ def fingerprint(processor: Processor | None = None) -> str:
 
 
 def stamps() -> str:
-    """Changes when a kernel file was written anew, be it with the same text: numba goes by a file's time and size."""
+    """Return a text that changes when a kernel file was written anew, be it with the same text: numba goes by a
+    file's time and size."""
     digest = hashlib.sha256()
     for name, path in _kernel_files():
         status = path.stat()

@@ -42,12 +42,12 @@ INDEX_STEP = 1e-5
 
 
 def signed_gap_mm(rig: StereoRig, water_index: float, left_px: Array, right_px: Array) -> Array:
-    """Gaps (n,) in mm of matched pixels (n, 2) of both cameras."""
+    """Return the gaps (n,) in mm of matched pixels (n, 2) of both cameras."""
     return _gap(*rig.left.rays(left_px, water_index), *rig.right.rays(right_px, water_index))
 
 
 def pairs_in_volume(rig: StereoRig, water_index: float) -> tuple[Array, Array]:
-    """Matched pixels (n, 2) of both cameras, spread over the image and the depth of the measuring volume."""
+    """Return matched pixels (n, 2) of both cameras, spread over the image and the depth of the measuring volume."""
     left, right = rig.left, rig.right
     share = [np.linspace(0.03, 0.97, nodes) for nodes in FIELD_NODES]
     u, v = np.meshgrid(share[0] * (left.width_px - 1), share[1] * (left.height_px - 1))

@@ -218,7 +218,7 @@ def _rest(gaps: PatchGaps) -> float:
 
 
 def _compared(reference: Reference, gaps: PatchGaps, usual_um: float) -> tuple[Array, Array]:
-    """Amplitudes (4,) against the reference and their covariance in normal operation."""
+    """Return amplitudes (4,) against the reference and their covariance in normal operation."""
     offset = np.array(reference.offset_um)
     # Model: gap = expected + modes · a + smooth rest + white noise. A patch without a reference has all of the rest,
     # one with a reference the share that changes with distance.
@@ -266,7 +266,7 @@ def _whitened(amplitudes: Array, covariance: Array) -> Array:
 
 
 def _summed(total: Array, z: Array) -> Array:
-    """Crosier 1988: add, then shrink by the slack."""
+    """Return the next sum after Crosier 1988: add, then shrink by the slack."""
     # Crosier's multivariate CUSUM: s ← (s + z)(1 − k / |s + z|), and 0 where |s + z| ≤ k. It keeps the direction, so
     # that scatter cancels and a constant shift adds up.
     together = total + z

@@ -39,7 +39,7 @@ class PatchGaps:
 
 
 def average(modes: GapModes, left_px: Array, right_px: Array, gap_um: Array) -> PatchGaps:
-    """Means over patches of the left image of gaps (n,) of matched pixels (n, 2)."""
+    """Return the means over patches of the left image of gaps (n,) of matched pixels (n, 2)."""
     patch = _patch_of(left_px, modes.size_px)
     # Median and MAD first, the mean after: the median of few samples is noisier by a quarter, and a mean alone follows
     # false matches.

@@ -128,7 +128,7 @@ class Arming:
             self.fault = Fault(FaultCode.LASER_ON, f"the {which} laser still conducts after switching off", {}, "board")
 
     def _read_away(self) -> None:
-        """Reports of before: pulses of the live views among them."""
+        """Read away the reports of before: pulses of the live views are among them."""
         for _ in range(MAX_BOARD_EVENTS):
             event = self._board.next_event(0.0)
             if event is None:

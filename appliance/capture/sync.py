@@ -26,7 +26,7 @@ class SyncMap:
     """Phase error in periods, signed: board's vertical sync minus the kernel's flip time."""
 
     def host_ns(self, board_time_us: int) -> int:
-        """Host time of a board time near the query (clock drift of 50 ppm makes 25 µs in half a second)."""
+        """Return the host time of a board time near the query (clock drift of 50 ppm makes 25 µs in half a second)."""
         return board_time_us * 1000 + self.host_minus_board_ns
 
 

@@ -149,7 +149,7 @@ def _worst_percent(report: Path, content: dict[str, Any]) -> float:
 
 
 def _recorded_since(report: Path, content: dict[str, Any], trend: HealthTrend) -> None:
-    """Lengths of before the alarm say nothing about the instrument of now."""
+    """Raise UsageError for lengths of before the alarm: they say nothing about the instrument of now."""
     from appliance.evaluation.result import Artefact
 
     # Scans are numbered in the order of recording, and the clock may be wrong: before and after go by the number.

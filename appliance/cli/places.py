@@ -88,7 +88,7 @@ class WithCalibration(WithRoot):
 
 
 def given_root(root: Path) -> Path:
-    """``root`` itself. Raises UsageError where it is no folder."""
+    """Return ``root`` itself. Raises UsageError where it is no folder."""
     if root.is_file():
         raise UsageError(f"--root {root}: is a file; give the folder that holds scans/")
     if not root.is_dir():

@@ -57,7 +57,8 @@ def simulator_kernels() -> Iterable[tuple[str, str]]:
 
 
 def with_simulated_wires(rig: Rig) -> Rig:
-    """``rig`` itself. Raises UsageError where its wires do not lead to the simulator: nothing real is started here."""
+    """Return ``rig`` itself. Raises UsageError where its wires do not lead to the simulator: nothing real is started
+    here."""
     if rig.rig.wires.partition(".")[0] != SIMULATOR:
         raise UsageError(
             f"--rig: wires of [rig] is {rig.rig.wires}, which is no simulated world; allowed: {SIMULATOR}.wires:open; "
@@ -67,7 +68,7 @@ def with_simulated_wires(rig: Rig) -> Rig:
 
 
 def simulated(rig: Rig, options: SimOptions) -> Rig:
-    """``rig`` with the options. Raises UsageError for one that does not fit, before anything is started."""
+    """Return ``rig`` with the options. Raises UsageError for one that does not fit, before anything is started."""
     wires = dict(rig.rig.wires_options)
     if options.root is not None:
         rig = replace(rig, storage=replace(rig.storage, root=options.root.absolute()))

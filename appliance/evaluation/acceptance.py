@@ -95,14 +95,14 @@ def overall(quantities: Iterable[Quantity]) -> Kept:
 
 
 def expanded_mm(*standard_mm: float | None) -> float:
-    """k = 2 times the root sum of squares; what is not known counts as nothing."""
+    """Return k = 2 times the root sum of squares; what is not known counts as nothing."""
     return COVERAGE * math.sqrt(sum(part * part for part in standard_mm if part is not None))
 
 
 def of_bar(
     cloud: PointSource, bar: BallBar, length_mm: float, certificate: Certificate, limits_mm: Mapping[Symbol, float]
 ) -> tuple[Quantity, ...]:
-    """PF of both balls, PS of both where their radius is certified, and SD against ``length_mm``."""
+    """Return PF of both balls, PS of both where their radius is certified, and SD against ``length_mm``."""
     found: list[Quantity] = []
     for name, ball in (("first ball", bar.first), ("second ball", bar.second)):
         probed = probe(_belonging(cloud, ball), np.array([*ball.sphere.centre_mm, ball.sphere.radius_mm]))
@@ -130,7 +130,7 @@ def of_bar(
 
 
 def of_plane(plane: PlaneFit, limits_mm: Mapping[Symbol, float]) -> tuple[Quantity, ...]:
-    """F of the plane."""
+    """Return F of the plane."""
     used = plane.used
     return (Quantity(Symbol.F, "plane", used.range_mm, None, used.count, used.rejected_count, limits_mm.get(Symbol.F)),)
 

@@ -33,7 +33,7 @@ class Flatness:
 
 
 def flatness(fit: PlaneFit, reference_mm: float = REFERENCE_MM) -> Flatness:
-    """E_F, E_F,sys and noise of a plane; the 0.3 % outliers are out already."""
+    """Return E_F, E_F,sys and noise of a plane; the 0.3 % outliers are out already."""
     residual, xy = fit.used.residual_mm, fit.coordinates_mm
     # E_F,sys: the range of the smooth part, from which the noise of single points is averaged away.
     smooth = np.ptp(cubic_of(xy, residual))

@@ -148,7 +148,7 @@ def _agreeing(points: Array, normals: Array, among: Indices, at: Array, normal: 
 
 
 def _arranged(planes: list[tuple[Plane, int]]) -> list[Plane] | NotFound:
-    """Top, plate, and the sides in turn around the top."""
+    """Return top, plate, and the sides in turn around the top."""
     normals = np.array([plane.normal for plane, _ in planes]).reshape(-1, 3)
     cos = normals @ normals.T
     pairs = [

@@ -110,7 +110,7 @@ def _meeting(view: Array, x: Array) -> tuple[Array, Array]:
 
 
 def _gauss_newton(view: Array, depth: Array, sigma: Array, x: Array) -> tuple[Array, Array] | None:
-    """Parameters (4,) and covariance (4, 4); ``None`` where it does not settle."""
+    """Return parameters (4,) and covariance (4, 4); ``None`` where it does not settle."""
     if len(view) < MIN_POINTS:
         return None
     x = x.copy()

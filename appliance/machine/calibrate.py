@@ -84,7 +84,7 @@ def pressed(machine: Machine, key: Key) -> Result:
 
 
 def begin_session(machine: Machine) -> Result:
-    """DOWN held at the result."""
+    """Put the session away for a new one, as DOWN was held at the result."""
     return _wait(machine, Task.SWITCH, machine.settings.saving_s), (do.BeginSession(),)
 
 
@@ -175,7 +175,7 @@ def failed(machine: Machine, failure: Failure) -> Result:
 
 
 def late(machine: Machine) -> Result:
-    """Nobody answered in time."""
+    """Give the task up, as nobody answered in time."""
     at = machine.calibrating
     if at is None or at.task is None:
         return replace(machine, deadline_ns=None), ()

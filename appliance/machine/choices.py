@@ -69,7 +69,7 @@ def another_period(chosen: Choices, offers: Offers, by: int) -> Choices:
 
 
 def other_water(chosen: Choices, offers: Offers) -> Choices:
-    """Salt instead of fresh water, or fresh instead of salt."""
+    """Choose salt instead of fresh water, or fresh instead of salt."""
     return replace(chosen, salinity_psu=offers.fresh_psu if chosen.salt else offers.salt_psu)
 
 

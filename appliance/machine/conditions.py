@@ -43,8 +43,8 @@ def device_down(machine: Machine, device: Device, reason: str, code: FaultCode |
 
 
 def judge(machine: Machine, telemetry: Telemetry) -> Machine:
-    """Conditions after one heartbeat, but for those of warmth (``thermal``). A value that is missing changes nothing:
-    missing is not zero."""
+    """Judge the conditions after one heartbeat, but for those of warmth (``thermal``). A value that is missing
+    changes nothing: missing is not zero."""
     machine = _leak(machine, telemetry.leak)
     machine = _supply(machine, telemetry.supply_v)
     return _lasers(machine, telemetry)

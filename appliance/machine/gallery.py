@@ -26,7 +26,7 @@ def listed(machine: Machine, scans: tuple[str, ...]) -> Result:
 
 
 def pressed(machine: Machine, key: Key) -> Result:
-    """UP to newer ones, DOWN to older ones."""
+    """Show a newer scan with UP, an older one with DOWN."""
     at = machine.gallery
     if at is None or key is Key.BACK:
         # `enter` takes a menu along into GALLERY only where it was opened from there.

@@ -129,7 +129,8 @@ def _at(machine: Machine, menu: Menu) -> Machine:
 
 
 def _next(menu: Menu, key: Key) -> int:
-    """Stays at the ends: with cold hands the first and the last row are found without looking."""
+    """Return the next row, which stays at the ends: with cold hands the first and the last row are found without
+    looking."""
     return min(max(menu.row + (1 if key is Key.DOWN else -1), 0), len(ROWS[menu.page]) - 1)
 
 
@@ -151,7 +152,7 @@ def _chosen(machine: Machine, menu: Menu) -> Result:
 
 
 def _changed(machine: Machine, menu: Menu, draft: Choices, key: Key) -> Choices:
-    """UP is more."""
+    """Return the draft one step further; UP is more."""
     by = 1 if key is Key.UP else -1
     offers = machine.settings.offers
     match row_of(menu):

@@ -46,7 +46,7 @@ def unsafe(machine: Machine) -> Fault | None:
 
 
 def _to_safe(machine: Machine, cause: Fault) -> Result:
-    """Dark, in one step. What was recorded and not yet decided on is saved: nobody will be asked."""
+    """Go dark, in one step. What was recorded and not yet decided on is saved: nobody will be asked."""
     effects: tuple[do.Effect, ...] = ()
     scan = machine.scan
     if machine.state in RECORDING:

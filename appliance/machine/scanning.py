@@ -27,7 +27,7 @@ READABLE_S = 2.0
 
 
 def wanted(machine: Machine) -> Result:
-    """SCAN: refused with a reason, asked back outside the measuring volume, or begun."""
+    """Begin a scan, refuse it with a reason, or ask back outside the measuring volume."""
     reason = refusal(machine)
     if reason is not None:
         # COOLING says how long it will take; a refusal would only say no.
@@ -87,7 +87,7 @@ def add(machine: Machine, scan: ScanInHand) -> Result:
 
 
 def armed(machine: Machine, number: int) -> Result:
-    """Everything waits for the first pulse."""
+    """Begin the capture, as everything waits for the first pulse."""
     if machine.state is not State.ARMED or number != machine.captures:
         return machine, ()
     period_px = machine.choices.period_px
@@ -98,7 +98,7 @@ def armed(machine: Machine, number: int) -> Result:
 
 
 def abandon(machine: Machine, notice: Notice | None) -> Result:
-    """No more of what is being recorded."""
+    """Give up what is being recorded."""
     number = machine.captures
     if notice is not None and notice.kind is NoticeKind.FAILURE:
         notice = _failure(machine, notice.fault)
@@ -113,7 +113,7 @@ def _failure(machine: Machine, fault: Fault) -> Notice:
 
 
 def late(machine: Machine) -> Result:
-    """Neither an end nor a fault was heard of in time."""
+    """Give up a capture of which neither an end nor a fault was heard in time."""
     begun = "ready" if machine.state is State.ARMED else "end"
     waited_s = (machine.now_ns - machine.since_ns) / 1e9
     fault = Fault(FaultCode.CAPTURE_TIMEOUT, f"no {begun} after {waited_s:.1f} s")
@@ -137,7 +137,7 @@ def finished(machine: Machine, number: int) -> Result:
 
 
 def failed(machine: Machine, number: int, fault: Fault) -> Result:
-    """No scan came of it; a late flip is repeated once in silence."""
+    """End a capture that no scan came of; a late flip is repeated once in silence."""
     if machine.state not in RECORDING or number != machine.captures:
         return machine, ()
     # The diver could do nothing against it but press the same key again.
@@ -168,7 +168,7 @@ def patterns_right(machine: Machine, number: int) -> Result:
 
 
 def reconstruction(machine: Machine, event: on.CoarseReady | on.FullReady | on.ReconstructionFailed) -> Result:
-    """News of the cloud."""
+    """Take over news of the cloud."""
     scan = machine.scan
     if scan is None or scan.number != event.number:
         return machine, ()
@@ -218,14 +218,14 @@ def not_merged(machine: Machine, number: int, fault: Fault) -> Result:
 
 
 def stopped_adding(machine: Machine) -> Result:
-    """BACK while points of a second sequence are found: that one is given up, and no more."""
+    """Give up a second sequence whose points are being found, and no more."""
     if machine.scan is None or machine.scan.adding is None:
         return machine, ()
     return abandon(replace(machine, back_from=None), None)  # held on, this press does not reject the first one
 
 
 def rejected(machine: Machine) -> Result:
-    """BACK held: the scan is not wanted. One whose second sequence is under way is not decided on."""
+    """Reject a scan that is not wanted, as BACK was held. One whose second sequence is under way is not decided on."""
     if machine.scan is None or machine.scan.adding is not None:
         return machine, ()
     when = "by the diver" if machine.state is State.REVIEW else "before the cloud was ready"

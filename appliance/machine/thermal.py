@@ -34,7 +34,8 @@ RELIGHT_S = 8.0
 
 
 def felt(machine: Machine, telemetry: Telemetry) -> Machine:
-    """Conditions after one heartbeat's temperatures. Missing is not cold: after a while it is a condition of its own."""
+    """Judge the conditions after one heartbeat's temperatures. Missing is not cold: after a while it is a condition
+    of its own."""
     values = {"case": telemetry.temperature_case_c, "projector": telemetry.temperature_projector_c}
     for place, limits in machine.settings.temperatures.items():
         # A place without limits in the rig file decides nothing.

@@ -228,7 +228,7 @@ def _of_the_scan(scan: SourceScan) -> Chosen:
 
 
 def _of_the_hash(scan: SourceScan) -> Iterator[Chosen]:
-    """Calibrations of the hash that the scan's manifest names, from wherever they may be kept."""
+    """Yield calibrations of the hash that the scan's manifest names, from wherever they may be kept."""
     wanted = scan.scan.manifest.record.calibration_hash
     if wanted is None:
         return
@@ -254,7 +254,7 @@ def _of_the_hash(scan: SourceScan) -> Iterator[Chosen]:
 
 
 def _roots(scan: SourceScan) -> list[Path]:
-    """Storage roots that may hold the scan's calibration: the one it lies in first."""
+    """Return the storage roots that may hold the scan's calibration: the one it lies in first."""
     wanted = (root_of(scan.scan.folder), scan.root, scan.rig.storage.root)
     return [root for k, root in enumerate(wanted) if root is not None and root not in wanted[:k]]
 

@@ -35,7 +35,8 @@ class Marks:
 
 
 def marks_of(rig: StereoRig, frame: RigFrame, water_index: float, beams: tuple[PointerBeam, PointerBeam]) -> Marks:
-    """Marks for beams as they are known now, by the calibration in use, through the windows and the water."""
+    """Return the marks for beams as they are known now, by the calibration in use, through the windows and the
+    water."""
     z_mm = np.array([NEAREST_MM, WORKING_MM, FARTHEST_MM])
     sides = []
     for camera in (rig.left, rig.right):

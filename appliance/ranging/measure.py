@@ -206,7 +206,7 @@ class Ranger:
         return Lane(rig.left, frame, index, beam), Lane(rig.right, frame, index, beam)
 
     def _find(self, number: int, images: Images) -> _Found:
-        """Candidates for one pointer's dot."""
+        """Return candidates for one pointer's dot."""
         beam = self._beams[number]
         seen = [
             self._sighted(side, lane.candidates(image))

@@ -21,7 +21,8 @@ class RigFrame:
 
     @classmethod
     def of(cls, rig: StereoRig) -> RigFrame:
-        """Origin in the middle between both projection centres, x towards the right one, z along the mean of both axes.
+        """Return the frame with its origin in the middle between both projection centres, x towards the right one, z
+        along the mean of both axes.
 
         Raises ValueError where the centres coincide or an axis runs along the baseline.
         """
@@ -45,5 +46,5 @@ class RigFrame:
         return np.asarray((points_mm - self.t_mm) @ self.R)
 
     def turn_from_left(self, directions: Array) -> Array:
-        """Directions (..., 3) of the left camera frame in the rig frame."""
+        """Return directions (..., 3) of the left camera frame in the rig frame."""
         return np.asarray(directions @ self.R)

@@ -212,7 +212,7 @@ class CloudPainter:
         context.enable(moderngl.BLEND)
 
     def _focal_px(self, eye_mm: float, room_px: tuple[int, ...]) -> float:
-        """Focal length at which the cloud fills its part of the picture, also at the ends of its turn."""
+        """Return the focal length at which the cloud fills its part of the picture, also at the ends of its turn."""
         half_x, half_y, half_z = self._half_mm
         across = math.hypot(half_x, half_z * math.sin(math.radians(TURN_DEG)) * 1.5)
         down = math.hypot(half_y, half_z * math.sin(math.radians(NOD_DEG)) * 1.5)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 
 def colour_table() -> NDArray[np.uint8]:
-    """256 colours (256, 3) uint8 RGB from dark to bright, even to the eye: viridis without its darkest eighth.
+    """Return 256 colours (256, 3) uint8 RGB from dark to bright, even to the eye: viridis without its darkest eighth.
 
     Lightness alone orders it, so that it can be read in grey and by the colour-blind.
     """

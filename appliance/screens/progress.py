@@ -80,7 +80,8 @@ def draw_shutdown(canvas: Canvas, view: ShutdownView, language: Language, time_s
 
 
 def _places(canvas: Canvas, view: View) -> tuple[float, float, float]:
-    """Baselines of the word, of the sentence below it and of what comes below that, closer where there is an alert."""
+    """Return the baselines of the word, of the sentence below it and of what comes below that, closer where there is
+    an alert."""
     top, bottom = float(BAR_PX), alerts_top(canvas, view.alerts)
     room = bottom - top
     return top + 0.44 * room, top + 0.44 * room + min(66.0, 0.25 * room), top + 0.44 * room + min(146.0, 0.5 * room)

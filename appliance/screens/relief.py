@@ -46,7 +46,7 @@ class Relief:
         return np.nan_to_num(found, nan=0.0)
 
     def _cells(self, points: NDArray[np.float32]) -> NDArray[np.int64]:
-        """Flat index of each point's cell; points beyond the edge count to the cell at the edge."""
+        """Return the flat index of each point's cell; points beyond the edge count to the cell at the edge."""
         column = np.clip((points[:, 0] - self._low[0]) / self._cell_mm, 0, self._columns - 1).astype(np.int64)
         row = np.clip((points[:, 1] - self._low[1]) / self._cell_mm, 0, self._rows - 1).astype(np.int64)
         flat: NDArray[np.int64] = row * self._columns + column

@@ -46,7 +46,7 @@ class Colour:
 
 
 def hex_colour(code: int) -> Colour:
-    """``0x4FD1E0`` → that colour, opaque."""
+    """Return the colour of a code like ``0x4FD1E0``, opaque."""
     return Colour((code >> 16 & 255) / 255, (code >> 8 & 255) / 255, (code & 255) / 255)
 
 

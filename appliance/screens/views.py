@@ -29,7 +29,7 @@ KeyLabels = Mapping[Key, Label]
 def labels(
     scan: Text | None = None, back: Text | None = None, up: Text | None = None, down: Text | None = None
 ) -> KeyLabels:
-    """Labels of the keys that mean something on a screen."""
+    """Return the labels of the keys that mean something on a screen."""
     given = {Key.SCAN: scan, Key.BACK: back, Key.UP: up, Key.DOWN: down}
     return MappingProxyType({key: text for key, text in given.items() if text is not None})
 

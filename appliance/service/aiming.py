@@ -89,7 +89,8 @@ class AimingController:
         return [on.ConditionCleared(code, DEVICE) for code in CODES if code in raised]
 
     def see(self, side: str, number: int, image: NDArray[np.uint8]) -> None:
-        """A new live image of one camera, (h, w) uint8, which must not change any more, with its running ``number``."""
+        """Take in a new live image of one camera, (h, w) uint8, which must not change any more, with its running
+        ``number``."""
         # The left camera alone: what it sees of light, glow and motion, the right one sees, too.
         if not self._watching or side != SIDE or self._work is not None or self._clock.now_ns() < self._ready_ns:
             return

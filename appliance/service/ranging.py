@@ -140,7 +140,7 @@ class RangingController:
         self._end()
 
     def see(self, side: str, image: NDArray[np.uint8]) -> None:
-        """A new live image of one camera, (h, w) uint8; it must not change any more."""
+        """Take in a new live image of one camera, (h, w) uint8; it must not change any more."""
         now_ns = self._clock.now_ns()
         if self._pointers is None or now_ns < self._ready_ns:
             return
@@ -301,7 +301,7 @@ class RangingController:
         return events
 
     def _compared(self) -> list[on.Event]:
-        """Dots that were there with the lasers off, and are no brighter with them on."""
+        """Return the fault of dots that were there with the lasers off and are no brighter with them on."""
         ignored = [
             side
             for side in SIDES
@@ -333,7 +333,7 @@ def _of(side: str, dark: list[Dots], lit: list[Dots]) -> list[tuple[Dot | None, 
 
 
 def _same_dot(before: Dot | None, after: Dot | None) -> bool:
-    """Seen by both cameras before as after, and no brighter after."""
+    """Tell whether both cameras saw the dot before as after, and no brighter after."""
     if before is None or after is None or before.cameras < 2 or after.cameras < 2:
         return False
     return before.contrast_dn >= SURELY_A_DOT_DN and after.contrast_dn <= NO_BRIGHTER * before.contrast_dn

@@ -179,7 +179,7 @@ def grade(coverage_percent: float | None, noise_mm: float | None, warnings: tupl
 
 
 def _gauge(machine: Machine) -> Gauge | None:
-    """``None`` while the lasers are not on."""
+    """Return the reading of the laser dots; ``None`` while the lasers are not on."""
     if machine.lasers_off_since_ns is not None:
         return None
     measured = machine.range

@@ -20,7 +20,7 @@ _LINE = re.compile(rb"(\d{1,13}) ([0-9a-f]{8})\n")
 
 
 def spell_id(number: int) -> str:
-    """Six digits, more when they are needed."""
+    """Return a scan's number as six digits, more when they are needed."""
     return f"{number:06d}"
 
 

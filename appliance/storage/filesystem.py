@@ -36,7 +36,7 @@ class FileSystem(Protocol):
         """Make one file; it must not exist."""
 
     def rename(self, source: Path, target: Path) -> None:
-        """Atomically; an existing target file is replaced, an existing target folder is an error."""
+        """Rename atomically; an existing target file is replaced, an existing target folder is an error."""
 
     def sync_folder(self, path: Path) -> None:
         """Return when the folder's names would survive the loss of power."""

@@ -120,12 +120,12 @@ class Room:
     # ------------------------------------------------------------------------------------ file system
 
     def make_folder(self, path: Path) -> None:
-        """The spare one, or a new one."""
+        """Make a folder of the spare one, or a new one."""
         if not self._became(_SPARE, path):
             self._unhindered(lambda: self._fs.make_folder(path))
 
     def create(self, path: Path) -> WritableFile:
-        """Made of the room where that has something for this name, otherwise empty."""
+        """Create a file of the room where that has something for this name, otherwise an empty one."""
         for name in PLACES.get(path.name, ()):
             if self._became(name, path):
                 return self._fs.reopen(path)

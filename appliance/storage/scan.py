@@ -160,7 +160,8 @@ def add_second(
 
 
 def frame_checks(frames: NDArray[np.uint8]) -> tuple[str, ...]:
-    """CRC-32 of each of ``frames`` (n, h, w) uint8, 8 hexadecimal digits: which one of them is damaged, not whether."""
+    """Return the CRC-32 of each of ``frames`` (n, h, w) uint8, 8 hexadecimal digits: which one of them is damaged,
+    not whether."""
     import numpy as np
 
     return tuple(f"{zlib.crc32(np.ascontiguousarray(frame).reshape(-1).data):08x}" for frame in frames)
@@ -302,8 +303,8 @@ def _npy(frames: NDArray[np.uint8]) -> tuple[Bytes, Bytes]:
 
 
 def size_bytes(frames: int, width_px: int, height_px: int) -> int:
-    """Room one scan with one exposure needs at most: both cameras' frames, a point for every left pixel, and a margin for
-    the rest. A second exposure takes its frames once more."""
+    """Return the room one scan with one exposure needs at most: both cameras' frames, a point for every left pixel,
+    and a margin for the rest. A second exposure takes its frames once more."""
     return 2 * frames_bytes(frames, width_px, height_px) + cloud_bytes(width_px, height_px) + 3_500_000
 
 

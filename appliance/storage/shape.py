@@ -28,7 +28,7 @@ def shaped(kind: type[T], value: object) -> T:
 
 
 def _shaped(kind: Any, value: object, path: str) -> Any:
-    """``value`` as the annotation ``kind`` has it."""
+    """Return ``value`` as the annotation ``kind`` has it."""
     origin = get_origin(kind)
     if kind is Any:
         return value

@@ -76,7 +76,8 @@ def work(
     results: str,
     headroom_mb: float,
 ) -> None:
-    """The child's main function. ``headroom_mb``: memory it may still ask for once it is warm, beyond what it has then."""
+    """Work as the child's main function. ``headroom_mb``: memory it may still ask for once it is warm, beyond what it
+    has then."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the service decides when to end
     os.nice(NICENESS)
     name, frames, height_px, width_px = store

@@ -56,7 +56,7 @@ def run_what_an_empty_scan_does_not(sequence: PatternSequence, frames: NDArray[n
 
 
 def _run_pair() -> None:
-    """A small wall, merged with itself."""
+    """Merge a small wall with itself."""
     shape = (48, 64)
     row, column = np.mgrid[0 : shape[0], 0 : shape[1]].reshape(2, -1)
     points = np.stack([0.5 * (column - 32.0), 0.5 * (row - 24.0), np.full(row.size, 500.0)], 1).astype(np.float32)

@@ -200,7 +200,7 @@ def _without(view: BoardView, bad: NDArray[np.bool_]) -> BoardView:
 
 
 def _start(views: Sequence[BoardView], width_px: int, height_px: int) -> tuple[StereoRig, list[tuple[Array, Array]]]:
-    """OpenCV's separate calibrations, and the median relative pose."""
+    """Return OpenCV's separate calibrations, and the median relative pose."""
     guess = np.array([[1.5 * width_px, 0, (width_px - 1) / 2], [0, 1.5 * width_px, (height_px - 1) / 2], [0, 0, 1]])
     corners = [v.corners_mm.astype(np.float32) for v in views]
     cameras, poses = [], []
@@ -283,7 +283,7 @@ class _Adjusted:
 def _adjust(
     rig: StereoRig, boards: list[tuple[Array, Array]], views: Sequence[BoardView], tolerance: BoardTolerance
 ) -> _Adjusted:
-    """Gauss–Newton over the rig, the board's bow, and the boards' places."""
+    """Adjust by Gauss–Newton over the rig, the board's bow, and the boards' places."""
     bend, bow = _bend(views), 0.0
     noise_px = 0.0
     for _ in range(STEPS_AT_MOST):

@@ -56,7 +56,7 @@ class BoardDesign:
         return (self.across - 1) * (self.down - 1)
 
     def pattern(self) -> cv2.aruco.CharucoBoard:
-        """OpenCV's board."""
+        """Return OpenCV's board."""
         dictionary = cv2.aruco.getPredefinedDictionary(self.dictionary)
         return cv2.aruco.CharucoBoard((self.across, self.down), self.square_mm, self.marker_mm, dictionary)
 

@@ -139,7 +139,7 @@ def _lights(
 def _drawn(
     sequence: PatternSequence, direction: Direction, step: int, response: Response | None
 ) -> NDArray[np.float64]:
-    """Codes along the direction before they were rounded, or as they were drawn for a response."""
+    """Return the codes along the direction before they were rounded, or as they were drawn for a response."""
     size_px = sequence.axis(direction).size_px
     if response is None:
         return np.asarray(MEAN_CODE + AMPLITUDE_CODE * fringe(size_px, sequence.period_px, step))

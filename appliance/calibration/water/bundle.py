@@ -285,7 +285,8 @@ class _Problem:
         return found
 
     def linearise(self, x: Array) -> tuple[Array, Array, float, list[Array]]:
-        """Hessian, gradient and cost of the robust sum of squares, and the residuals (n, 2) in px per recording."""
+        """Return Hessian, gradient and cost of the robust sum of squares, and the residuals (n, 2) in px per
+        recording."""
         noise = self._settings.noise_px
         # Gauss-Newton of E(x) = xᵀ P x + Σ ρ(|e| / σ) + Σ certificates²: the Hessian is P + Σ Jᵀ W J, without second
         # derivatives of e. The prior's mean is x = 0, the start.
@@ -422,7 +423,8 @@ def _ray_shift(camera: HousedCamera, nodes: Array) -> RayShift:
 
 
 def _smoothness(intervals: tuple[int, int], value_sd: float, bend_sd: float) -> Array:
-    """Information matrix of one camera's nodes: small values, small second differences along rows and columns."""
+    """Return the information matrix of one camera's nodes: small values, small second differences along rows and
+    columns."""
     # A cubic B-spline over n intervals has n + 3 coefficients. The information is I / value_sd² + BᵀB / bend_sd² with B
     # the second differences: a thin-plate prior without a null space.
     columns, rows = intervals[0] + 3, intervals[1] + 3

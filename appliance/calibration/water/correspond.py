@@ -26,7 +26,7 @@ BLOCK = 4096
 def matched_right_px(
     left_pq: tuple[Map, Map], right_pq: tuple[Map, Map], left_px: NDArray[np.intp], right_start_px: Array
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Right pixels (n, 2) that show what left pixels (n, 2) show, and which of them were found.
+    """Return the right pixels (n, 2) that show what left pixels (n, 2) show, and which of them were found.
 
     ``left_pq`` and ``right_pq`` are the pattern coordinates (p, q) of every pixel, NaN where unknown;
     ``right_start_px`` says within some twenty pixels where to look. Points whose windows are not complete or not smooth are
@@ -76,7 +76,8 @@ def _match(
 
 
 def _approached(right_pq: tuple[Map, Map], wanted: Array, at: Array, u: NDArray[np.intp], v: NDArray[np.intp]) -> Array:
-    """Starts moved near to where the wanted coordinates are. Far away a window's bend means nothing: its slope does."""
+    """Return starts moved near to where the wanted coordinates are. Far away a window's bend means nothing: its slope
+    does."""
     flat = np.asarray(np.linalg.pinv(np.stack([np.ones(len(u)), u, v], -1)), np.float64)
     for _ in range(APPROACHES):
         middle = np.rint(at).astype(np.intp)

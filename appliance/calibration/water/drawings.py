@@ -23,7 +23,8 @@ _LOW, _HIGH = np.array((33, 102, 172), np.float64), np.array((247, 247, 247), np
 
 
 def valley_png(valley: Valley) -> bytes:
-    """log T over d1 (to the right) and d2 (downwards), blue where it is small; the smallest one is framed."""
+    """Return a picture of log T over d1 (to the right) and d2 (downwards), blue where it is small; the smallest one
+    is framed."""
     log = np.log10(np.maximum(valley.statistic, 1e-300)).T
     part = ((log - log.min()) / max(float(np.ptp(log)), 1e-12))[..., None]
     image = np.repeat(np.repeat(_LOW + part * (_HIGH - _LOW), PIXEL, 0), PIXEL, 1).astype(np.uint8)

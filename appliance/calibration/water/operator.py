@@ -26,7 +26,8 @@ Array = NDArray[np.float64]
 def search_with_operator(
     recordings: Sequence[Recording], start: Calibration, settings: SearchSettings | None = None
 ) -> SearchResult:
-    """Distances, then the operator, then the distances once more. Not repeated: they would walk along T's valley."""
+    """Search for distances, then the operator, then the distances once more. Not repeated: they would walk along T's
+    valley."""
     first = search_distances(recordings, start, settings)
     corrected = replace(first.calibration, rig=with_operator(recordings, first.calibration))
     again = search_distances(recordings, corrected, settings)
@@ -75,5 +76,5 @@ def _operator(camera: HousedCamera, seen: Sequence[tuple[Array, Array]]) -> Hous
 
 
 def _unit(camera: HousedCamera, uv_px: Array) -> Array:
-    """Image coordinates from −1 to 1."""
+    """Return image coordinates from −1 to 1."""
     return np.asarray(2.0 * (uv_px + 0.5) / [camera.width_px, camera.height_px] - 1.0)

@@ -31,7 +31,7 @@ METHOD = "pinhole in water"
 
 
 def mapped_through_ports(start: Calibration, water: Water) -> Calibration:
-    """Pinholes nearest to the refracted rays of ``start``, lens by lens; right in ``water`` only."""
+    """Return the pinholes nearest to the refracted rays of ``start``, lens by lens; right in ``water`` only."""
     rig = StereoRig(_mapped(start.rig.left, water), _mapped(start.rig.right, water))
     return replace(
         start,
@@ -89,7 +89,8 @@ def calibrate_pinhole_in_water(
     height_px: int,
     made_at: datetime | None = None,
 ) -> Calibration:
-    """Pinholes with distortion from boards recorded in ``water`` (fifteen or so, over the whole measuring volume).
+    """Return pinholes with distortion from boards recorded in ``water`` (fifteen or so, over the whole measuring
+    volume).
 
     ``made_at`` ``None`` leaves the date unknown. Raises AirCalibrationError when too few views are usable.
     """

@@ -18,7 +18,7 @@ def triangulate(rig: StereoRig, left_px: Array, right_px: Array, water_index: fl
 
 
 def nearest_points(p: Array, a: Array, q: Array, b: Array) -> Array:
-    """Middles (n, 3) of the shortest lines between rays p + s·a and q + t·b, unit directions."""
+    """Return the middles (n, 3) of the shortest lines between rays p + s·a and q + t·b, unit directions."""
     # Minimise |p + s a − q − t b|²: two linear equations in s and t with determinant 1 − (a·b)².
     w = p - q
     cosine = np.sum(a * b, -1)

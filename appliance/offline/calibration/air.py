@@ -171,7 +171,7 @@ def calibrate_folder(
 
 
 def start_of(rig: Rig, air: AirCalibration, design: BoardDesign, found: FoundBoards, made_at: datetime) -> Calibration:
-    """Lenses and pose as measured, ports as the rig file draws them: where calibrating in water begins."""
+    """Return lenses and pose as measured, ports as the rig file draws them: where calibrating in water begins."""
     used = {view.name for view in air.views}
     made_from = (
         f"board {design}, bent by {air.board_bow_mm:.4f} mm",

@@ -18,7 +18,7 @@ from appliance.storage import scan as stored
 
 
 def cameras_of(folders: Iterable[Path], start: Calibration) -> tuple[str, str] | None:
-    """Serial numbers of the left and right camera that recorded these scans; ``None`` where no scan says.
+    """Return the serial numbers of the left and right camera that recorded these scans; ``None`` where no scan says.
 
     Raises CamerasDiffer where scans are of different cameras, or ``start`` is of others, CalibrationError or ScanError for a
     scan whose rig file cannot be read.

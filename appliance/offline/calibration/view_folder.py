@@ -87,7 +87,7 @@ class ViewFolder:
 
 
 def read_session(folder: Path) -> tuple[str, BoardDesign] | None:
-    """Instrument and board of a folder that ``--live`` filled; ``None`` for any other. Raises FolderError."""
+    """Return instrument and board of a folder that ``--live`` filled; ``None`` for any other. Raises FolderError."""
     path = folder / SESSION
     if not path.is_file():
         return None
