@@ -42,6 +42,8 @@ def chaos(rig: Rig, options: SimOptions, wanted: Chaos, dive: Callable[[Rig, Sim
         # The world says what it told the diver in a file of its own: only by that, not by the instrument's word, is the
         # disk judged.
         chosen = {OPTION: {"seed": wanted.seed, "scans": wanted.scans, "report": str(report)}, "stills": True}
+        # Handed on unread, as all options of a simulated world: the product knows the name of this one and nothing
+        # else.
         world = replace(rig.rig, wires_options={**rig.rig.wires_options, **chosen})
         ended = dive(replace(rig, rig=world), options)
         told: dict[str, Any] = json_format.loads(report.read_text(encoding="utf-8"))

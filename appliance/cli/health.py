@@ -105,6 +105,7 @@ class AcceptHealth(WithRoot):
             trend = file.read()
             if trend.alarm is None:
                 raise UsageError(f"REPORT {self.report}: there is no alarm to be taken back; nothing was changed")
+            # Under the lock: the alarm that is answered is the one that stands now.
             _recorded_since(self.report, content, trend)
             said = f"{self.report.name}: largest E_L of the ball bar {worst:.3f} %, after: {trend.alarm}"
             file.write(answered(trend, said))

@@ -45,6 +45,7 @@ class MeasureResponse(WithRoot):
             folder, rig = source.scan.folder, instrument_of((source,), wish)
             path = self.out or rig.storage.root / RESPONSE_FILE
             _never_replaced(path)
+            # Below, missing folders are made: a root that was mistyped would become a new instrument's without a word.
             if not rig.storage.root.is_dir():
                 raise UsageError(
                     f"--root {rig.storage.root}: no such folder; give the instrument's, or a file with --out FILE"

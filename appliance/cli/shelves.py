@@ -79,6 +79,7 @@ def _label(root: Path, scan_id: str, change: Callable[[Label], Label], *, json: 
     with hold_lock(root):
         entry = library.entry(scan_id)
         try:
+            # Name and note are one file: changing the one keeps the other.
             before = read(entry.folder)
         except LabelError:
             before = Label()  # a damaged one is written anew: that is what the person wants

@@ -65,6 +65,7 @@ class Sim(WithRoot):
             script=self.script,
             faults=self.faults,
             window=self.window,
+            # Without a terminal standard input may be closed, or somebody else's text.
             console=self.console or (self.window and sys.stdin.isatty()),
         )
         if self.chaos is None:

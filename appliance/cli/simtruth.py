@@ -44,6 +44,7 @@ def bring_calibration(rig: Rig) -> None:
     # In air the windows refract otherwise: what is true there is no calibration to measure in water with.
     nominal = options.get("truth") == KNOWN_SET and options.get("medium", "water") == "water"
     if nominal and not _calibrated_before(path.parent):
+        # Written like any calibration, before the service starts: nothing in the product knows that it is the truth.
         path.parent.mkdir(parents=True, exist_ok=True)
         replace_file(LocalFileSystem(), path, encode(true_calibration(rig)))
         log.info("calibration: that of the simulated instrument as drawn, in %s", path)

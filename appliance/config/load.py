@@ -63,6 +63,7 @@ def load_rig(path: Path | str) -> Rig:
     path = Path(path)
     try:
         with path.open("rb") as file:
+            # One byte more than is allowed: enough to know, whatever /dev/zero or a film is called here.
             raw = file.read(_MAX_BYTES + 1)
     except OSError as error:
         raise ConfigError(

@@ -181,6 +181,7 @@ def _least_squares(points: Array, x: Array) -> tuple[Array, float] | None:
     for _ in range(STEPS):
         away = points - x[:3]
         length = np.linalg.norm(away, axis=1)
+        # Residual e = |p − c| − r: its derivatives are −(p − c)/|p − c| by the centre and −1 by the radius.
         J = np.column_stack([-away / length[:, None], -np.ones(len(points))])
         e = length - x[3]
         try:

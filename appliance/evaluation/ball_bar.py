@@ -70,6 +70,7 @@ def find_ball_bar(cloud: PointSource) -> BallBar | NotFound:
             f"the cloud has only {rows.size} points; bring the ball bar into the light of the projector, 500 mm away, or see whether the calibration is of this instrument"
         )
     points = cloud.points_mm[rows].astype(np.float64)
+    # One point per cube: a near, bright ball must not have more votes than the one that is turned away.
     few = points[thinned(points, CELL_MM)]
     first = _best(few, None)
     if first is None:
@@ -102,6 +103,8 @@ def _best(points: Array, radius_mm: float | None) -> _Guess | None:
         if len(patch) < 8:
             continue
         guess = algebraic_sphere(points[patch])
+        # The second ball is known by the first: both of a bar are alike, so that a bottle or a fist does not pass for
+        # one.
         if guess is None or not _possible(guess, radius_mm):
             continue
         # Consensus over the whole cloud, as in RANSAC, but with patches instead of random points: points far apart
@@ -120,6 +123,7 @@ def _best(points: Array, radius_mm: float | None) -> _Guess | None:
         if better is None or not _possible(better, radius_mm):
             break
         best = better
+    # Any rounded edge agrees with some sphere; only a ball is covered over a good part of its face.
     return best if _fill(points, best) > LEAST_FILL else None
 
 

@@ -112,6 +112,7 @@ def _planes(points: Array) -> list[tuple[Plane, int]]:
     found: list[tuple[Plane, int]] = []
     while left.size >= LEAST_PATCHES and len(found) < MOST_PLANES:
         best = left[:0]
+        # Some sixty seeds are enough: a face that counts has hundreds of patches, and any of them proposes it.
         for k in left[:: max(1, left.size // 60)]:
             best = max(best, _agreeing(points, normals, left, points[k], normals[k]), key=len)
         for _ in range(ROUNDS):
@@ -172,6 +173,7 @@ def _arranged(planes: list[tuple[Plane, int]]) -> list[Plane] | NotFound:
             f"only {len(sides)} of the frustum's four sides were found; turn it so that all are lit and seen"
         )
     base = planes[top][0]
+    # In turn around the top: neighbours in this list share an edge, and corner k lies between k and k+1.
     sides.sort(key=lambda k: float(np.arctan2(normals[k] @ base.axis_y, normals[k] @ base.axis_x)))
     return [planes[k][0] for k in (top, plate, *sides)]
 
@@ -183,6 +185,7 @@ def _faces(cloud: PointSource, rows: Indices, points: Array, planes: list[Plane]
         distance = np.abs(np.column_stack([plane.distance_mm(points) for plane in planes]))
         keep, gone = [], []
         for k in range(len(planes)):
+            # Distances and faces settle each other: near an edge a pixel sees two faces, and its point belongs to none.
             others = np.delete(distance, k, axis=1).min(axis=1)
             mine = np.flatnonzero((distance[:, k] < BELONGS_MM) & (others > EDGE_MM) & _inside(points, planes, k))
             if mine.size < LEAST_PATCHES:

@@ -25,6 +25,7 @@ def deviation_map(used: Used, width_px: int) -> bytes:
     point."""
     v, u = np.divmod(used.pixel.astype(np.int64), width_px)
     v, u = v - v.min(), u - u.min()
+    # Whole pixels are averaged, so that neighbouring cells stand for equally many points.
     step = int(max(1, np.ceil((u.max() + 1) / WIDEST_PX), np.ceil((v.max() + 1) / WIDEST_PX)))
     height, width = int(v.max() // step) + 1, int(u.max() // step) + 1
     cell = (v // step) * width + u // step

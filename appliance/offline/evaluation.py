@@ -141,6 +141,7 @@ def run_evaluation(
             "recorded_by_version": record.software_version,
             "recorded_with_rig": record.rig_hash,
             "recorded_with_calibration": record.calibration_hash,
+            # Which frames were measured can be proved later, wherever the folder has gone.
             "sha256": {name: scan.manifest.files[name].sha256 for name in stored.RAW_FILES},
         }
         items.append(Item(scan.manifest.scan_id, result, provenance))

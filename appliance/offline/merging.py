@@ -85,6 +85,7 @@ def merged_cloud_of(
     for scan in scans:
         if scan.second is not None:
             raise ScanError(f"{scan.folder}: is of two exposures already; merge scans of one")
+    # Pixel by pixel, coordinates are compared: those of other patterns mean other places.
     if first.manifest.record.sequence != second.manifest.record.sequence:
         raise ScanError("the scans were recorded with different patterns; merge two of the same fringe period")
     settings = (settings_of_scan(first.manifest.record, rig), settings_of_scan(second.manifest.record, rig))

@@ -91,6 +91,7 @@ def open_source(folder: Path, wish: Wish, scan: StoredScan | None = None) -> Sou
         for side, camera in (("left", wish.rig.camera.left), ("right", wish.rig.camera.right)):
             _same_size(scan, side, (camera.width_px, camera.height_px), f"the rig file ({wish.rig.rig.name})", "--rig")
         return SourceScan(scan, wish.rig, True, root)
+    # A damaged one counts as none: the frames are what cannot be made again (ADR 0033).
     own = _own(scan, RIG)
     if own is None:
         return SourceScan(scan, load_rig(default_rig_path()), False, root)
@@ -183,6 +184,7 @@ def misfit(calibration: Calibration, scan: SourceScan, *, foreign: bool = False,
     # The very calibration that the scan was taken with fits it by definition, whatever serial numbers say.
     if foreign or calibration.hash == scan.scan.manifest.record.calibration_hash:
         return None
+    # Asked last: it may read every calibration that is kept, to find the one that names the owner.
     owner = _owner(scan)
     other = None if owner is None else belonging.misfit(calibration, owner)
     if other is None:

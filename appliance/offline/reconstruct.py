@@ -79,6 +79,7 @@ def _stored_cloud(scan: stored.StoredScan, *parts: Bytes) -> str:
     digest = hashlib.sha256()
     for part in parts:
         digest.update(part)
+    # By its checksum in the manifest, so that it can be said also where the stored cloud itself is damaged or gone.
     same = digest.hexdigest() == stamp.sha256
     problem = lost(scan.folder, scan.manifest, stored.CLOUD)
     if problem is None:

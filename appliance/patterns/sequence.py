@@ -114,6 +114,7 @@ class PatternSequence:
 
     def __post_init__(self) -> None:
         bright, dark, *rest = _promised(self.period_px, self.width_px, self.height_px)
+        # Either order keeps the promise (ADR 0039); what is built here begins with the bright one.
         references = (dark, bright) if self.patterns[:1] == (dark,) else (bright, dark)
         for k, (wanted, found) in enumerate(zip_longest((*references, *rest), self.patterns)):
             if wanted != found:

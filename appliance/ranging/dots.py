@@ -102,6 +102,7 @@ class Lane:
             if best < LEAST_CONTRAST_DN:
                 break
             u, v = _centre(image, (self._x0 + column + 0.5) * s - 0.5, (self._y0 + row + 0.5) * s - 0.5, s)
+            # Around it nothing more is taken: the flank of a dot is not a second one.
             found.append(Candidate(u, v, best))
             contrast[
                 max(0, row - RING_PX) : row + RING_PX + 1, max(0, column - RING_PX) : column + RING_PX + 1

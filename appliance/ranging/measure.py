@@ -362,6 +362,7 @@ def _unambiguous(dots: list[Dot]) -> Dot | None:
     """Return the clearest, unless another is nearly as clear elsewhere."""
     if not dots:
         return None
+    # By contrast, not by how well the rays meet: two edges of a texture can meet on the beam as well as a dot does.
     dots = sorted(dots, key=lambda dot: -dot.contrast_dn)
     best = dots[0]
     for other in dots[1:]:
@@ -373,6 +374,7 @@ def _unambiguous(dots: list[Dot]) -> Dot | None:
 def _nearest(p: Array, d: Array, q: Array, e: Array) -> tuple[Array, float, float]:
     """Return the point half way between two lines, their gap, and the sine of the angle between them."""
     cosine = float(d @ e)
+    # Parallel lines have no nearest points: a tiny angle in its place gives a gap that no limit lets pass.
     sine2 = max(1.0 - cosine * cosine, 1e-12)
     between = q - p
     s = (float(d @ between) - cosine * float(e @ between)) / sine2

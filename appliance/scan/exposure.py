@@ -23,6 +23,7 @@ class Exposure:
     @property
     def light(self) -> float:
         """Grey values per light are proportional to this: µs at 0 dB."""
+        # Decibels of amplitude, as cameras state their gain: 20 dB are ten times the grey value.
         return float(self.time_us * 10.0 ** (self.gain_db / 20.0))
 
     @property

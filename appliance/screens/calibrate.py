@@ -319,6 +319,7 @@ def _result(canvas: Canvas, view: CalibrateView, bottom: float, language: Langua
         return
     before = None if verified is None else verified.before
     new = None if verified is None else verified.after
+    # Before on the left, new on the right, whichever is in use: the edge says which, and nothing moves when it changes.
     boxes = _Box(20.0, top, height, not session.in_use), _Box(410.0, top, height, session.in_use)
     for box, name, value in zip(boxes, (Text.BEFORE, Text.NEW), (before, new), strict=True):
         box.draw(canvas, name, value, language)

@@ -72,6 +72,7 @@ def draw_verdict(canvas: Canvas, grade: Grade, doubtful: bool, top: float, langu
     """
     left, right = LEFT_PX, canvas.width - RIGHT_MARGIN_PX
     word, colour = GRADES[grade]
+    # A good grade beside lengths that nobody trusts would be believed; a bad one needs no second reason.
     if doubtful and grade is not Grade.BAD:
         canvas.box(left, top, right - left, DOUBTFUL_PX, theme.YELLOW, 5)
         for said, baseline, size, weight in (

@@ -39,6 +39,7 @@ def draw_gauge(canvas: Canvas, gauge: Gauge | None, middle: float, language: Lan
         hint = Text.DOT_ON_IT.in_language(language)
         canvas.words(hint, (left + right) / 2, middle + 10, CAPTION + 2, BOLD, theme.YELLOW, Align.CENTRE, right - left)
     else:
+        # Without a dot the scale has no mark: its place is used to say what makes one.
         _scale(canvas, word, middle)
     distance_mm = None if gauge is None else gauge.distance_mm
     if word is not None:

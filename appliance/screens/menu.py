@@ -18,6 +18,7 @@ _TALL_ROW_PX = 62.0
 def draw_menu(canvas: Canvas, view: MenuView, language: Language) -> None:
     draw_title(canvas, view.title.in_language(language), view.keys, language)
     top, bottom = BAR_PX + 4, alerts_top(canvas, view.alerts) - 2
+    # Rows move together before any is hidden: what is not on the screen is not found with cold hands.
     fit = int((bottom - top) / _ROW_PX)
     pitch = min(_TALL_ROW_PX, (bottom - top) / max(1, min(fit, len(view.rows))))
     first = first_shown(len(view.rows), view.selected, fit)

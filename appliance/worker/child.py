@@ -82,6 +82,7 @@ class ChildProcess:
     def stop(self, patience_s: float = 0.0) -> None:
         """Close the pipe, which ends a process that listens, and kill one that is still there after ``patience_s``."""
         pipe, process = self._pipe, self._process
+        # Forgotten first: a camera thread that sends meanwhile finds no process, not one that is being killed.
         self._pipe = self._process = None
         if pipe is not None:
             pipe.close()

@@ -88,6 +88,7 @@ def pairs_of(folder: Path) -> list[Pair]:
         elif (path / LEFT).is_file() and (path / RIGHT).is_file() and not path.name.startswith("."):
             found.append(Pair(path.name, path / LEFT, path / RIGHT))
         elif path.suffix.lower() in KINDS and stem and side in SIDES and not path.name.startswith("."):
+            # left.png beside left.tif: nobody can say which of both belongs to the right picture.
             if side in sides.setdefault(stem, {}):
                 raise PicturesError(f"FOLDER {folder}: {path.name} is there twice, with two endings; remove one")
             sides[stem][side] = path

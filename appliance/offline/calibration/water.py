@@ -84,6 +84,7 @@ def run_water_calibration(
     # How many there were is told: one calibration of recordings in different water leans on the formula of the index.
     waters = {(r.water.temperature_c, r.water.salinity_psu) for r in recordings}
     result = calibrate(method, recordings, start, None, settings, lambda what: progress(what, RECONSTRUCTED))
+    # The solver knows numbers only; day and cameras are the file's.
     result = replace(result, calibration=replace(result.calibration, made_at=made_at, camera_serials=serials))
     about = {
         "operator": listed.operator,
