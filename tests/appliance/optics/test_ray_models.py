@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from appliance.calibration.design import Design, design_calibration
 from appliance.calibration.water.printed import PrintedCamera
-from appliance.optics import pinhole
+from appliance.optics import correction, pinhole, ray_shift
 from appliance.optics.correction import ImageCorrection
 from appliance.optics.model import HousedCamera, StereoRig
 from appliance.optics.pinhole import Lens
@@ -224,3 +225,28 @@ def test_a_strongly_bent_lens_is_inverted_in_three_steps(monkeypatch: pytest.Mon
     xy = np.random.default_rng(1).uniform(-0.45, 0.45, (300, 2))
     xy[0], xy[1], xy[2] = (0.0, 0.0), (0.3, 0.0), (0.0, 0.3)
     np.testing.assert_allclose(lens.to_normalised(lens.to_pixels(xy)), xy, atol=2e-10)
+
+
+def test_the_free_fields_are_as_fine_as_the_documentation_says_and_the_shift_has_square_cells() -> None:
+    """docs/calibration.md tells the grid of the image correction; depth shows less, so that the ray shift is coarser."""
+    across, down = correction.INTERVALS
+    said = (Path(__file__).parents[3] / "docs" / "calibration.md").read_text(encoding="utf-8")
+    assert f"B-spline of {across} × {down} intervals per image" in said
+    shift_across, shift_down = ray_shift.INTERVALS
+    assert 1600 / shift_across == 1200 / shift_down, "square on a sensor of 4 : 3"
+    assert 1 / 3 < shift_across * shift_down / (across * down) < 2 / 3
+
+
+@pytest.mark.parametrize(("angle_mrad", "parallel"), [(0.9, True), (1.1, False), (1.3, False)])
+def test_axes_within_a_milliradian_of_each_other_are_parallel(angle_mrad: float, parallel: bool) -> None:
+    """Two hundred metres away they would meet."""
+    lens = Lens((2500.0, 2500.0), (799.5, 599.5))
+    left = HousedCamera(1600, 1200, lens, right_camera().port, lens_in_water=True)
+    c, s = np.cos(1e-3 * angle_mrad), np.sin(1e-3 * angle_mrad)
+    turned = ((float(c), 0.0, float(-s)), (0.0, 1.0, 0.0), (float(s), 0.0, float(c)))
+    rig = StereoRig(left, replace(left, rotation=turned, translation_mm=(230.0, 0.0, 0.0)))
+    if parallel:
+        with pytest.raises(ValueError, match="parallel; check the calibration"):
+            rig.volume_centre_mm(FRESH)
+    else:
+        assert rig.volume_centre_mm(FRESH)[2] == pytest.approx(230.0 / (1e-3 * angle_mrad), rel=1e-3)

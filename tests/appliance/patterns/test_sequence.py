@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from appliance.patterns.gray import inverse_gray
-from appliance.patterns.sequence import Direction, Kind, Pattern, PatternSequence, build_sequence
+from appliance.patterns.sequence import PERIODS_PX, Direction, Kind, Pattern, PatternSequence, build_sequence
 
 
 @pytest.mark.parametrize(("period_px", "frames", "bits"), [(16, 24, 7), (32, 22, 6), (64, 20, 5)])
@@ -45,6 +45,13 @@ def test_codes_and_phase_together_give_back_every_pixel(period_px: int, directio
     order = np.rint((half + 0.5) / 2 - turn)
     p = period_px * (order + turn) - 0.5
     np.testing.assert_allclose(p, np.arange(axis.size_px), atol=0.005 * period_px)
+
+
+def test_each_period_that_is_offered_saves_an_image_in_either_direction_and_steps_by_whole_pixels() -> None:
+    assert [len(build_sequence(period_px)) for period_px in PERIODS_PX] == [24, 22, 20]
+    assert [period_px % 4 for period_px in PERIODS_PX] == [0, 0, 0], (
+        "90 degrees are whole pixels: no pattern is a copy of two"
+    )
 
 
 def test_every_frame_is_named_once_and_references_come_first() -> None:

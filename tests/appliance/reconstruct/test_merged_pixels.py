@@ -232,6 +232,28 @@ def test_of_too_few_shared_pixels_no_movement_is_told() -> None:
         assert (merged(first, second).agrees is not None) == told, shared
 
 
+def told(*parts: tuple[slice, slice]) -> bool:
+    """Whether a movement can be told when only these pixels of an image of 96 x 160 are shared."""
+    first, second = whole(np.zeros((96, 160)))
+    second.mask[:] = SATURATED
+    for part in parts:
+        second.mask[part] = V
+    return merged(first, second).agrees is not None
+
+
+def test_the_image_is_asked_in_six_times_eight_equal_parts_each_on_its_own() -> None:
+    """Parts of 16 x 20: 112 shared pixels are enough in one part, and not enough on both sides of a border."""
+    assert told((slice(0, 16), slice(0, 7)))
+    assert told((slice(0, 6), slice(0, 20)))
+    assert told((slice(80, 96), slice(140, 147)))
+    assert not told((slice(8, 24), slice(0, 7)))
+    assert not told((slice(0, 6), slice(10, 30)))
+    assert not told((slice(13, 19), slice(0, 20))), "on both sides of the first border"
+    assert not told((slice(0, 16), slice(16, 23))), "on both sides of the first border"
+    assert not told((slice(76, 83), slice(0, 17)))
+    assert not told((slice(0, 17), slice(136, 143)))
+
+
 def test_a_picture_that_is_higher_than_wide_is_merged_to_its_last_row() -> None:
     first, second = whole(np.full((200, 40), 0.004), shape=(200, 40))
     merged(first, second)
