@@ -106,7 +106,7 @@ class Choice:
         for one, tests in self._candidates(mutant):
             if not tests:
                 continue
-            seconds = self._interpreted(one.file, Path(mutant.path).parent.as_posix())
+            seconds = self._interpreted(one, Path(mutant.path).parent.as_posix())
             quick = tests & seconds.keys()
             wanted.append((sum(seconds[name] for name in quick), one, quick))
         return self._cheapest(wanted, budget_s)
@@ -184,13 +184,22 @@ class Choice:
         }
         return sorted(here | workers)
 
-    def _interpreted(self, file: str, folder: str) -> dict[str, float]:
+    def _interpreted(self, traced: Traced, folder: str) -> dict[str, float]:
         """The tests of a file that pass with kernels as plain Python, and their seconds."""
+        file = traced.file
         if (file, folder) not in self._quick:
             kept = self._kept(file, self._watched(folder), "interpreted")
             if not kept.exists():
-                run = self._tree.run([file], TRACE_LIMIT_S, interpreted=True, most_s=INTERPRETED_S)
-                passed = {name: seconds for name, (outcome, seconds) in run.tests.items() if outcome == "passed"}
+                # What takes long compiled is not even tried; the rest is room for a busy computer.
+                short = [
+                    name
+                    for name, (outcome, seconds) in traced.tests.items()
+                    if outcome == "passed" and seconds <= 5.0 * INTERPRETED_S
+                ]
+                passed: dict[str, float] = {}
+                if short:
+                    run = self._tree.run([file], TRACE_LIMIT_S, wanted=short, interpreted=True, most_s=INTERPRETED_S)
+                    passed = {name: seconds for name, (outcome, seconds) in run.tests.items() if outcome == "passed"}
                 kept.write_text(json.dumps(passed))
             self._quick[file, folder] = json.loads(kept.read_text())
         return self._quick[file, folder]
