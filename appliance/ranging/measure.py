@@ -374,7 +374,7 @@ def _unambiguous(dots: list[Dot]) -> Dot | None:
 def _nearest(p: Array, d: Array, q: Array, e: Array) -> tuple[Array, float, float]:
     """Return the point half way between two lines, their gap, and the sine of the angle between them."""
     cosine = float(d @ e)
-    # Parallel lines have no nearest points: a tiny angle in its place gives a gap that no limit lets pass.
+    # Parallel lines have no nearest points; the floor keeps the quotients finite.
     sine2 = max(1.0 - cosine * cosine, 1e-12)
     between = q - p
     s = (float(d @ between) - cosine * float(e @ between)) / sine2

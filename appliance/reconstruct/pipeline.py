@@ -1,6 +1,11 @@
 """Owns the way from two cameras' frames to a cloud: push frames as they arrive, then coarse, then full.
 
 All buffers are allocated when the pipeline is made, none during a scan.
+
+After the last frame only the second direction of both cameras remains to be decoded, then the inverse map and every eighth row
+and column: the coarse cloud. The full cloud follows in two threads of row blocks, each row in chunks of 256 columns that pass
+through matching and triangulation in the first-level cache. Sixteen neighbours ask one node of the right camera's rays: its
+series of second order is within 0.1 µm.
 """
 
 from __future__ import annotations

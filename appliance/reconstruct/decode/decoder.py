@@ -1,8 +1,10 @@
 """Owns decoding: 20 to 24 frames of one camera become pattern coordinates (p, q), modulation and a reason where not.
 
 Frames are worked on in the order of the sequence: the references give the Gray threshold and the illuminated part of each
-row, the last Gray image of a direction its half periods, and the fourth sine image closes it. So little is left to do after
-the last frame.
+row, beyond which nothing is read or written again; the last Gray image of a direction gives its half periods, for which seven
+images are read once and one byte per pixel is written once; and the fourth sine image closes it: phase, fringe order, masks and
+edges, row by row in the cache, a coordinate being written once, when its row has been judged. So little is left to do after the
+last frame.
 """
 
 from __future__ import annotations
