@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import threading
 import time
 from collections.abc import Iterator
 from multiprocessing.connection import Connection
+from pathlib import Path
 
 import pytest
 
@@ -13,12 +15,16 @@ from appliance.worker.child import ChildGone, ChildProcess
 
 
 def echo(pipe: Connection, first: str) -> None:
-    """Say ``first``, then every message again; end on the word, hang on the word."""
+    """Say ``first``, then every message again; end on the word, or close the pipe and end later, or hang."""
     pipe.send(first)
     while True:
         match pipe.recv():
             case "end":
                 os._exit(7)
+            case "close":
+                pipe.close()
+                time.sleep(0.3)
+                os._exit(9)
             case "hang":
                 pipe.close()
                 time.sleep(60.0)
@@ -32,6 +38,10 @@ def child() -> Iterator[ChildProcess]:
     made.start("hello")
     yield made
     made.stop()
+
+
+def open_descriptors() -> set[str]:
+    return {one.name for one in Path("/proc/self/fd").iterdir()}
 
 
 def heard(child: ChildProcess) -> object:
@@ -57,6 +67,34 @@ def test_it_lives_says_and_ends(child: ChildProcess) -> None:
     assert (child.runs, child.pid, child.receive()) == (False, None, None)
     with pytest.raises(ProcessLookupError):
         os.kill(pid, 0)
+
+
+def test_one_that_has_closed_its_pipe_is_waited_for_to_tell_how_it_ended(child: ChildProcess) -> None:
+    assert heard(child) == "hello"
+    child.send("close")
+    with pytest.raises(ChildGone, match="the process ended with code 9"):
+        heard(child)
+
+
+def test_one_that_listens_is_given_its_time_to_end_by_itself(child: ChildProcess) -> None:
+    assert heard(child) == "hello"
+    process = child._process
+    assert process is not None
+    assert (process.name, process.daemon) == ("kf-test", True), "nothing waits for it when the program ends"
+    child.stop(60.0)
+    assert process.exitcode == 1, "its pipe had ended, which it minds; it was not killed"
+
+
+def test_a_process_that_cannot_be_started_leaves_nothing_behind() -> None:
+    child = ChildProcess("kf-test", echo)
+    descriptors = open_descriptors()
+    with pytest.raises(TypeError, match="pickle") as refused:
+        child.start(threading.Lock())
+    assert (child.runs, child.pid) == (False, None)
+    assert open_descriptors() == descriptors, "however long somebody keeps the error"
+    del refused
+    child.send("nobody is there")
+    assert child.receive() is None
 
 
 def test_one_that_hangs_is_killed(child: ChildProcess) -> None:

@@ -1,0 +1,491 @@
+"""The parent's end of the worker, step by step: what it says to the process, how long it waits, and when it starts it again.
+
+The process is a script of this test's, and time stands still unless the test moves it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+
+from appliance.capture.store import FrameStore
+from appliance.reconstruct.quality import CloudSummary
+from appliance.reconstruct.table import Found
+from appliance.scan.acquisition import AcquisitionSettings
+from appliance.scan.exposure import Exposure
+from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.verdict import Judgement, Verdict
+from appliance.worker import process
+from appliance.worker.child import ChildGone
+from appliance.worker.messages import (
+    Begin,
+    BracketJudged,
+    CloudCopied,
+    CloudFound,
+    Crashed,
+    Drop,
+    Finish,
+    FrameStored,
+    GoingOn,
+    PatternsIdentified,
+    Ping,
+    Pong,
+    Ready,
+    SequenceFailed,
+    SequenceJudged,
+    Spoiled,
+)
+from appliance.worker.process import (
+    CloudReady,
+    PairJudged,
+    ReconstructionWorker,
+    ScanJudged,
+    ScanSpoiled,
+    SequenceIdentified,
+    WorkerFailed,
+    WorkerReady,
+    WorkOrder,
+)
+from tests.drivers.output.kernel import Time
+from tests.support import synthetic
+
+N = 3
+SECOND = AcquisitionSettings(Exposure(3_200))
+SUMMARY = CloudSummary(0, None, None, None, None)
+SAID = Judgement(Verdict("identity", True))
+WRONG = Judgement(Verdict("identity", False), Fault(FaultCode.PATTERN_WRONG))
+
+
+class ScriptedProcess:
+    """Says what it is told to, and remembers what was said to it."""
+
+    def __init__(self) -> None:
+        self.runs, self.pid = False, 4711
+        self.starts: list[tuple[Any, ...]] = []
+        self.heard: list[object] = []
+        self.says: list[object] = []
+        self.room = True
+        self.stopped: list[float] = []
+
+    def start(self, *arguments: Any) -> None:
+        if not self.room:
+            raise OSError(12, "Cannot allocate memory")
+        self.starts.append(arguments)
+        self.runs = True
+
+    def send(self, message: object) -> None:
+        self.heard.append(message)
+
+    def receive(self) -> object | None:
+        said = self.says.pop(0) if self.says else None
+        if isinstance(said, ChildGone):
+            raise said
+        return said
+
+    def stop(self, patience_s: float = 0.0) -> None:
+        self.stopped.append(patience_s)
+        self.runs = False
+
+    def told(self) -> list[object]:
+        """What it was told since the last question."""
+        heard, self.heard = self.heard, []
+        return heard
+
+
+@dataclass
+class Desk:
+    worker: ReconstructionWorker
+    child: ScriptedProcess
+    time: Time
+    cpu_s: float = 0.0
+    memory_mb: float | None = 100.0
+    asked: list[int] = field(default_factory=list)
+    """At each look at the process's memory, the time."""
+
+    def after(self, seconds: float, *says: object) -> process.WorkerEvent | None:
+        """The event of a poll so much later, when the process says this."""
+        self.time.sleep_s(seconds)
+        self.child.says += says
+        return self.worker.poll()
+
+    def ready(self) -> None:
+        assert self.after(0.0, Ready()) == WorkerReady()
+
+
+@pytest.fixture
+def desk(monkeypatch: pytest.MonkeyPatch) -> Iterator[Desk]:
+    child, time = ScriptedProcess(), Time()
+    monkeypatch.setattr(process, "ChildProcess", lambda name, main: child)
+    order = WorkOrder(synthetic.calibration(), synthetic.WATER, 16, 1024, 768)
+    with FrameStore(N, 300, 400) as store, ReconstructionWorker(order, store, time) as worker:
+        made = Desk(worker, child, time)
+
+        def memory(pid: int) -> float | None:
+            made.asked.append(time.ns)
+            return made.memory_mb
+
+        monkeypatch.setattr(process, "cpu_s", lambda pid: made.cpu_s)
+        monkeypatch.setattr(process, "own_memory_mb", memory)
+        yield made
+    assert child.stopped[-1] == 2.0, "one that is well is given time to end"
+
+
+def frames() -> list[object]:
+    return [FrameStored(side, k) for k in range(N) for side in ("left", "right")]
+
+
+def begin(ticket: int, settings: AcquisitionSettings | None = None, *, second: bool = False) -> Begin:
+    return Begin(ticket, settings or AcquisitionSettings(), second)
+
+
+def failed(event: process.WorkerEvent | None, why: str) -> int | None:
+    """The scan that was lost; the event must be a failure that says ``why``."""
+    assert isinstance(event, WorkerFailed)
+    assert event.fault.code is FaultCode.RECONSTRUCTION_FAILED
+    assert why in event.fault.detail
+    return event.scan
+
+
+# ------------------------------------------------------------------------------------------ a scan
+
+
+def test_a_scan_from_its_first_frame_to_its_full_cloud(desk: Desk) -> None:
+    desk.ready()
+    desk.worker.begin(7)
+    desk.worker.frame("left", 0)
+    desk.worker.finish()
+    assert desk.child.told() == [begin(1), FrameStored("left", 0), Finish()]
+    assert desk.after(0.0, PatternsIdentified(1)) == SequenceIdentified(7)
+    coarse = desk.after(0.0, CloudFound(1, False, Found(((0, 0),), SUMMARY), 0.1))
+    assert isinstance(coarse, CloudReady)
+    assert (coarse.scan, coarse.full, coarse.cpu_s, coarse.cloud.points_mm.shape) == (7, False, 0.1, (0, 3))
+    assert desk.child.told() == [CloudCopied(1)]
+    assert desk.after(0.0, SequenceJudged(1, (SAID,), 0.2)) == ScanJudged(7, (SAID,), 0.2)
+    full = desk.after(0.0, CloudFound(1, True, Found(((0, 0),), SUMMARY), 0.3))
+    assert isinstance(full, CloudReady)
+    assert full.full
+    assert desk.after(3600.0, Pong()) is None, "nothing more is awaited"
+    assert desk.worker.restarts == 0
+
+
+def test_what_is_said_of_an_earlier_scan_and_of_one_that_was_dropped_is_of_no_interest(desk: Desk) -> None:
+    desk.ready()
+    desk.worker.begin(7)
+    desk.worker.begin(8)
+    assert desk.after(0.0, PatternsIdentified(1)) is None
+    assert desk.after(0.0, PatternsIdentified(2)) == SequenceIdentified(8)
+    desk.worker.finish()
+    desk.worker.drop()
+    assert desk.child.told()[-1] == Drop()
+    assert desk.after(0.0, SequenceJudged(2, (SAID,), 0.0)) is None
+    assert desk.after(4.9) is None, "no cloud is awaited any more"
+    desk.worker.finish()
+    assert Finish() not in desk.child.told(), "there is nothing to finish"
+
+
+def test_wrong_patterns_and_frames_that_are_no_sequence_end_the_scan_and_nothing_is_awaited(desk: Desk) -> None:
+    desk.ready()
+    for scan, said in ((7, Spoiled(1, WRONG)), (8, SequenceFailed(2, "frame 3 was pushed"))):
+        desk.worker.begin(scan)
+        desk.worker.finish()
+        event = desk.after(0.0, said)
+        if scan == 7:
+            assert event == ScanSpoiled(7, WRONG)
+        else:
+            assert failed(event, "frame 3 was pushed") == 8
+        assert desk.after(20.0, Pong()) is None
+    assert desk.worker.restarts == 0
+    assert len(desk.child.starts) == 1
+
+
+def test_a_process_that_says_what_is_no_answer_is_started_again(desk: Desk) -> None:
+    desk.ready()
+    assert failed(desk.after(0.0, "hello"), "it sent a str, which is no answer") is None
+    assert failed(desk.after(0.0, Crashed("MemoryError")), "it failed: MemoryError") is None
+    assert failed(desk.after(0.0, ChildGone("the process ended with code 9")), "ended with code 9") is None
+    assert desk.worker.restarts == 3
+    assert len(desk.child.starts) == 4
+
+
+# ------------------------------------------------------------------------------------------ how long it waits
+
+
+@pytest.mark.parametrize(("late_s", "restarts"), [(239.9, 0), (240.1, 1)])
+def test_a_start_may_take_four_minutes(desk: Desk, late_s: float, restarts: int) -> None:
+    desk.after(late_s)
+    assert desk.worker.restarts == restarts
+
+
+def test_a_scan_that_waits_for_the_start_gets_its_time_from_the_moment_it_is_ready(desk: Desk) -> None:
+    desk.worker.begin(7)
+    desk.worker.finish()
+    assert desk.after(200.0) is None
+    desk.ready()
+    assert desk.after(9.9) is None
+    assert failed(desk.after(0.2), "it did not answer in time") is None
+
+
+def test_each_step_of_a_scan_may_take_ten_seconds_and_one_that_is_told_begins_anew(desk: Desk) -> None:
+    desk.ready()
+    desk.worker.begin(7)
+    desk.worker.finish()
+    assert desk.after(9.9, GoingOn(1)) is None
+    assert desk.after(9.9, SequenceJudged(1, (), 0.0)) is not None
+    assert desk.after(9.9) is None
+    assert desk.worker.answers
+    assert failed(desk.after(0.2), "it did not answer in time") is None
+    assert desk.child.told()[-len(frames()) - 2 :] == [begin(1), *frames(), Finish()], "its frames are still there"
+
+
+def test_a_step_that_computes_is_waited_for_a_minute(desk: Desk) -> None:
+    """Half a second of processor time in ten is enough: a processor that is hot, or shared."""
+    desk.ready()
+    desk.worker.begin(7)
+    desk.worker.finish()
+    for _ in range(5):
+        desk.cpu_s += 0.51
+        assert desk.after(10.1) is None
+    desk.cpu_s += 5.0
+    assert failed(desk.after(10.1), "it did not answer in time") is None
+
+
+def test_a_step_that_hardly_computes_hangs(desk: Desk) -> None:
+    desk.cpu_s = 50.0
+    desk.ready()
+    desk.worker.begin(7)
+    desk.worker.finish()
+    desk.cpu_s += 0.49
+    assert failed(desk.after(10.1), "it did not answer in time") is None
+
+
+def test_an_idle_process_is_asked_once_a_second_and_has_five_seconds_to_answer(desk: Desk) -> None:
+    desk.ready()
+    assert desk.after(0.9) is None
+    assert desk.child.told() == []
+    assert desk.after(0.2) is None
+    assert desk.child.told() == [Ping()]
+    assert desk.after(4.9) is None
+    assert desk.child.told() == [], "asked once"
+    assert desk.after(0.0, Pong()) is None
+    assert desk.after(1.1) is None
+    assert desk.child.told() == [Ping()]
+    assert desk.worker.answers
+    assert failed(desk.after(5.1), "it gave no sign of life for 5 s") is None
+
+
+def test_the_watchdog_waits_longer_than_the_worker_does_itself(desk: Desk) -> None:
+    desk.ready()
+    desk.after(1.1)
+    desk.time.sleep_s(9.9)
+    assert desk.worker.answers
+    desk.time.sleep_s(0.2)
+    assert not desk.worker.answers
+    desk.after(0.0, Pong())
+    assert desk.worker.answers
+    desk.worker.begin(7)
+    desk.worker.finish()
+    desk.time.sleep_s(14.9)
+    assert desk.worker.answers
+    desk.time.sleep_s(0.2)
+    assert not desk.worker.answers
+    desk.child.runs = False
+    assert desk.worker.answers, "it is known not to be there"
+
+
+def test_memory_is_looked_at_twice_a_second_and_a_compiler_may_take_more(desk: Desk) -> None:
+    desk.memory_mb = 1500.0
+    assert desk.after(0.0) is None, "it may compile kernels"
+    desk.memory_mb = 600.0
+    desk.ready()
+    begun = len(desk.asked)
+    for _ in range(24):
+        assert desk.after(0.25, *([Pong()] if desk.child.told() else [])) is None
+    assert 10 <= len(desk.asked) - begun <= 12
+    desk.memory_mb = None
+    assert desk.after(0.5) is None, "it has just ended, which the pipe will say"
+    desk.memory_mb = 601.0
+    assert failed(desk.after(0.5), "it took 601 MB of memory; allowed are 600 MB") is None
+    desk.memory_mb = 1501.0
+    assert failed(desk.after(0.5), "it took 1501 MB of memory; allowed are 1500 MB") is None
+
+
+@pytest.mark.parametrize(("used_s", "on"), [(0.09, False), (0.11, True)])
+def test_the_first_start_gets_on_if_it_takes_a_twentieth_of_a_processor(desk: Desk, used_s: float, on: bool) -> None:
+    desk.cpu_s = 1.0
+    assert desk.worker.gets_on()
+    desk.time.sleep_s(1.9)
+    desk.cpu_s += used_s
+    assert not desk.worker.gets_on(), "it was only just asked"
+    desk.time.sleep_s(0.2)
+    assert desk.worker.gets_on() == on
+
+
+def test_only_the_first_start_gets_on(desk: Desk) -> None:
+    desk.cpu_s = 5.0
+    desk.after(0.0, Crashed("once"))
+    assert not desk.worker.gets_on(), "a start that failed before may fail for ever"
+    desk.worker.change(desk.worker.order)
+    assert desk.worker.gets_on()
+    desk.ready()
+    desk.cpu_s += 50.0
+    desk.time.sleep_s(5.0)
+    assert not desk.worker.gets_on(), "it is no start any more"
+
+
+# ------------------------------------------------------------------------------------------ started again
+
+
+def test_a_scan_in_work_is_processed_again_once_and_then_given_up(desk: Desk) -> None:
+    desk.ready()
+    desk.worker.begin(7)
+    desk.worker.finish()
+    assert failed(desk.after(0.0, Crashed("a")), "the worker was started again: it failed: a") is None
+    desk.ready()
+    assert failed(desk.after(0.0, Crashed("b")), "the worker was started again: it failed: b") == 7
+    desk.child.told()
+    desk.ready()
+    assert desk.child.told() == [], "nobody asks for it any more"
+    assert desk.after(0.0, PatternsIdentified(1)) is None
+
+
+def test_frames_that_come_while_a_process_is_new_are_told_all_at_once(desk: Desk) -> None:
+    """Frame 1 would be the first it hears of."""
+    desk.ready()
+    desk.worker.begin(7)
+    desk.worker.frame("left", 0)
+    desk.after(0.0, Crashed("a"))
+    desk.child.told()
+    desk.worker.frame("right", 0)
+    assert desk.child.told() == []
+    desk.worker.finish()
+    assert desk.child.told() == [begin(1), *frames(), Finish()]
+    desk.worker.begin(8)
+    desk.worker.frame("left", 0)
+    assert desk.child.told() == [begin(2), FrameStored("left", 0)]
+
+
+def test_after_four_starts_without_a_cloud_it_stays_down_until_the_next_scan(desk: Desk) -> None:
+    for _ in range(3):
+        failed(desk.after(0.0, Crashed("a")), "the worker was started again: it failed: a")
+    desk.worker.begin(7)
+    assert failed(desk.after(0.0, Crashed("a")), "the worker failed 4 times in a row, the last time because") == 7
+    assert (desk.child.runs, desk.worker.poll(), len(desk.child.starts)) == (False, None, 4)
+    desk.worker.begin(8)
+    assert len(desk.child.starts) == 5
+    failed(desk.after(0.0, Crashed("a")), "the worker was started again")
+
+
+def test_a_full_cloud_makes_good_for_the_failures_before_and_a_coarse_one_does_not(desk: Desk) -> None:
+    for full in (False, True):
+        for _ in range(2):
+            desk.after(0.0, Crashed("a"))
+        desk.ready()
+        desk.worker.begin(7)
+        desk.after(0.0, CloudFound(desk.worker._ticket, full, Found(((0, 0),), SUMMARY), 0.0))
+        assert desk.worker._fruitless == (0 if full else 2)
+        desk.worker.change(desk.worker.order)
+
+
+def test_a_machine_without_room_for_a_process_says_so_and_is_asked_again(desk: Desk) -> None:
+    desk.child.room = False
+    assert failed(desk.after(0.0, Crashed("a")), "the worker was started again: it failed: a") is None
+    assert not desk.child.runs
+    assert failed(desk.worker.poll(), "no process could be started: Cannot allocate memory") is None
+    desk.child.room = True
+    failed(desk.worker.poll(), "no process could be started")
+    assert desk.child.runs
+    assert desk.worker.poll() is None
+    assert desk.worker.restarts == 3
+
+
+def test_another_order_starts_another_process_in_which_no_scan_is_in_work(desk: Desk) -> None:
+    desk.ready()
+    desk.worker.begin(7)
+    order = WorkOrder(synthetic.calibration(), synthetic.WATER, 18, 1024, 768)
+    with FrameStore(N + 1, 300, 400) as other:
+        desk.worker.change(order, other)
+        assert desk.child.starts[-1][2:6] == (
+            (18, 1024, 768),
+            order.noise,
+            (other.name, N + 1, 300, 400),
+            desk.child.starts[0][5],
+        )
+    assert desk.child.starts[-1][6] == 600.0
+    assert (desk.worker.order, desk.worker.restarts) == (order, 0)
+    assert desk.after(0.0, PatternsIdentified(1)) is None
+
+
+# ------------------------------------------------------------------------------------------ two exposures
+
+
+def whole(desk: Desk) -> None:
+    """The first sequence's full cloud is there."""
+    desk.ready()
+    desk.worker.begin(7)
+    desk.worker.finish()
+    desk.after(0.0, CloudFound(1, True, Found(((0, 0),), SUMMARY), 0.0))
+    desk.child.told()
+
+
+@pytest.mark.parametrize("with_cloud", [False, True])
+def test_a_second_exposure_follows_the_first_without_its_frames(desk: Desk, with_cloud: bool) -> None:
+    whole(desk)
+    desk.worker.begin_second(7, SECOND)
+    desk.worker.finish()
+    assert desk.child.told() == [begin(2, SECOND, second=True), Finish()]
+    found = Found(((0, 0),), SUMMARY) if with_cloud else None
+    event = desk.after(0.0, BracketJudged(2, found, (SAID,), SAID, 0.5))
+    assert isinstance(event, PairJudged)
+    assert (event.scan, event.second, event.pair, event.cpu_s) == (7, (SAID,), SAID, 0.5)
+    assert (event.cloud is not None) == with_cloud
+    assert desk.child.told() == [CloudCopied(2)]
+    assert desk.after(3600.0, Pong()) is None, "nothing more is awaited"
+    assert desk.worker.restarts == 0
+
+
+def test_a_process_that_does_not_know_the_first_exposure_is_told_of_it(desk: Desk) -> None:
+    whole(desk)
+    desk.worker.begin_second(7, SECOND)
+    desk.worker.frame("left", 0)
+    desk.after(0.0, Crashed("a"))
+    desk.child.told()
+    desk.worker.finish()
+    assert desk.child.told() == [begin(2), *frames(), begin(2, SECOND, second=True), *frames(), Finish()]
+    desk.worker.drop()
+    desk.child.told()
+    desk.worker.begin_second(7, SECOND)
+    assert desk.child.told() == [begin(3), *frames(), begin(3, SECOND, second=True)]
+
+
+def test_the_next_scan_is_no_second_exposure_of_the_one_before(desk: Desk) -> None:
+    whole(desk)
+    desk.worker.begin_second(7, SECOND)
+    desk.worker.reprocess(8)
+    assert desk.child.told()[1:] == [begin(3), begin(3), *frames(), Finish()]
+
+
+# ------------------------------------------------------------------------------------------ for programs
+
+
+def test_who_has_no_heartbeat_waits_and_gets_the_first_event_or_none(desk: Desk) -> None:
+    begun_ns = desk.time.ns
+    assert desk.worker.wait(0.5) is None
+    assert (desk.time.ns - begun_ns) * 1e-9 == pytest.approx(0.5, abs=0.003)
+    desk.child.says = [Pong(), Ready(), Pong()]
+    assert desk.worker.wait(0.5) == WorkerReady()
+    assert desk.child.says == [Pong()]
+
+
+def test_the_points_are_those_in_the_shared_memory(desk: Desk) -> None:
+    desk.ready()
+    desk.worker.begin(7)
+    table = process.PointTable(300 * 400, desk.worker._results.buf)
+    table.points.xyz_mm[5:8] = np.arange(9, dtype=np.float32).reshape(3, 3)
+    event = desk.after(0.0, CloudFound(1, False, Found(((5, 7), (7, 8)), SUMMARY), 0.0))
+    del table
+    assert isinstance(event, CloudReady)
+    assert event.cloud.points_mm.ravel().tolist() == list(range(9))
