@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import ast
+import inspect
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
 
-from appliance.machine.alerts import RULES
-from appliance.processing.judges import JUDGES
+from appliance.machine.alerts import RULES, Rule
+from appliance.patterns.sequence import PatternSequence
+from appliance.processing.judges import JUDGES, Judge
 from appliance.scan.fault import FaultCode
+from drivers.camera_families import families
 
 ROOT = Path(__file__).parents[1]
 MOST = {
@@ -38,17 +42,34 @@ def product_files() -> list[Path]:
     return [path for package in ("appliance", "drivers") for path in sorted((ROOT / package).rglob("*.py"))]
 
 
-def naming(pattern: str) -> set[str]:
-    """The product's files that name something outside of strings and comments."""
-    found = set()
+@cache
+def names() -> dict[str, frozenset[str]]:
+    """What each of the product's files names outside of strings and comments."""
+    found = {}
     for path in product_files():
-        tree = ast.parse(path.read_text(encoding="utf-8"))
-        names = {ast.unparse(node) for node in ast.walk(tree) if isinstance(node, ast.Name | ast.Attribute)}
-        names |= {node.name for node in ast.walk(tree) if isinstance(node, ast.ClassDef | ast.FunctionDef)}
-        names |= {alias.name for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) for alias in node.names}
-        if any(re.fullmatch(pattern, name) for name in names):
-            found.add(str(path.relative_to(ROOT)))
+        named: set[str] = set()
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            match node:
+                case ast.Name() | ast.Attribute():
+                    named.add(ast.unparse(node))
+                case ast.ClassDef() | ast.FunctionDef():
+                    named.add(node.name)
+                case ast.ImportFrom():
+                    named |= {alias.name for alias in node.names}
+                case _:
+                    pass
+        found[str(path.relative_to(ROOT))] = frozenset(named)
     return found
+
+
+def naming(pattern: str) -> set[str]:
+    """The product's files that name something."""
+    return {path for path, named in names().items() if any(re.fullmatch(pattern, name) for name in named)}
+
+
+def source_of(made: object) -> Path:
+    """The file of a class or a function."""
+    return Path(inspect.getsourcefile(made) or "")  # type: ignore[arg-type]
 
 
 def test_every_walk_is_listed_and_short() -> None:
@@ -76,6 +97,32 @@ def test_a_screen_is_named_in_the_files_of_its_walk() -> None:
     own = {"appliance/machine/safety.py", "appliance/screens/stops.py"}
     enters = {"appliance/machine/scanning.py", "appliance/machine/alerts.py"}
     assert named - shared - own <= enters, "a file that the example touches is missing from the walk"
+
+
+def test_a_verdict_is_named_in_the_files_of_its_walk() -> None:
+    """By its judge, which has a row in one table, and by its fault, which has a row in another."""
+    folder, judges, alerts = walks()["A verdict"]
+    assert folder == "appliance/verdict/<name>.py"
+    assert (ROOT / judges, ROOT / alerts) == (source_of(Judge), source_of(Rule))
+    assert judges in naming("judge_water")
+    assert alerts in naming(r"FaultCode\.WATER_DIRTY")
+
+
+def test_a_sequence_promises_what_it_is_where_it_is_built() -> None:
+    (only,) = walks()["A sequence of patterns"]
+    assert ROOT / only == source_of(PatternSequence)
+    assert only in naming("PERIODS_PX")
+
+
+def test_families_of_cameras_are_looked_for_in_the_folder_of_their_walk() -> None:
+    (only,) = walks()["A family of cameras"]
+    assert (ROOT / only).parent == source_of(families).parent
+
+
+def test_a_fault_has_its_name_and_its_row_in_the_files_of_its_walk() -> None:
+    name, row = walks()["A fault"]
+    assert (ROOT / name, ROOT / row) == (source_of(FaultCode), source_of(Rule))
+    assert row in naming(r"FaultCode\.LEAK")
 
 
 def test_every_fault_has_its_row() -> None:
