@@ -2,6 +2,9 @@
 
 The gap is w · n / |n|, w the offset of the two rays on the lattice's plane and n the cross product of their directions; its
 sign is that of the side on which the right ray passes.
+
+Symbols: the left ray goes along (ax, ay, 1), the right one along (bx, by, 1), and n = (cx, cy, cz); (u, v) and (u', v') are the
+left pixel and its match in px.
 """
 
 from __future__ import annotations
@@ -45,6 +48,7 @@ def _sample(
             s[P + x], s[Q + x] = p_px[y, x * stride], q_px[y, x * stride]
         match_row(right, s, s, n, False, at)
         triangulate_row(rays, y, 0, stride, s, n)
+        # Limits are wider than those of points: a knock shows in what they would leave out.
         for x in range(n):
             if not (MIN_DEPTH_MM < s[Z + x] < MAX_DEPTH_MM):
                 continue

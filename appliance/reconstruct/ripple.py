@@ -6,6 +6,9 @@ behind lens and water, in pictures as large as they are; patterns drawn for the 
 
 A ripple a cos θ + b sin θ, θ = 8π (p + ½)/P, has the second difference (2 cos ω − 2)(a cos θ + b sin θ), ω its phase per
 pixel: two regressors c and s, and least squares.
+
+Symbols: y is the second difference of p at a pixel, cycle_rad = 8π/P, share = 2 cos ω − 2; cc, ss, cs, cy, sy, yy are the sums of
+products of c, s and y, lost that of ω⁶/(ω⁶ + KNEE), the share that is lost between pixels.
 """
 
 from __future__ import annotations

@@ -2,6 +2,9 @@
 
 Three scratch rows take turns: while a row is matched and triangulated, the one above it, whose neighbours are complete now,
 is judged and appended to the points.
+
+Symbols: y is the row that is matched, done the one that is judged; s, row and above are the scratch rows of y, of done and of the
+one above it. Places count in the grid of every stride-th pixel: first … end − 1 are those that the projector illuminates.
 """
 
 from __future__ import annotations

@@ -1,6 +1,9 @@
 """Owns the choice among a row's points, and their way into the table of results.
 
 A point needs neighbours at nearly its own depth: eight differences of Z, in the rows above and below and beside it.
+
+Symbols: z is the point's depth, near the number of its neighbours on the same surface. A run is source … source + size − 1 of the
+scratch row, and goes to target … of the table; pixel is the flat index of the row's first column in the image.
 """
 
 from __future__ import annotations

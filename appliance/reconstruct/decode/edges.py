@@ -2,6 +2,9 @@
 
 Such a pixel's grey values are a mixture of two surfaces, and so would be its point. A jump is a first difference to one of
 the four neighbours, a bend a second difference across the pixel, along a row or a column.
+
+Symbols, of one coordinate c at row y, column x: left = c(x) − c(x − 1), right = c(x + 1) − c(x), up and down the same along the
+column; jump is the greatest of their sizes, bend the greater of |right − left| and |down − up|, all in px of the pattern.
 """
 
 from __future__ import annotations

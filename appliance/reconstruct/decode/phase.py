@@ -6,6 +6,9 @@ modulation B in half grey values, its angle the phase. The Gray code numbers hal
 Written for the machine that has to do it: row by row, each row in short loops whose floats lie in one array at constant
 distances, which is what LLVM turns into vector instructions (see ``scratch``); what passes between the loops stays in the
 first-level cache. Numbers in a loop have 32 bits, also where eight would do: mixed widths cost more than they save.
+
+Symbols: cosine = I0 − I2, sine = I3 − I1; a, b are their sizes, t = min/max of them, r an angle in turns. P is the period,
+middle the middle of the Gray half period in periods, off the phase less middle; the coordinate is p = P (middle + off) − ½ px.
 """
 
 from __future__ import annotations
