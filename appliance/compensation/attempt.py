@@ -9,11 +9,14 @@ import numpy as np
 
 from appliance.calibration.file import Calibration
 from appliance.compensation.estimate import MotionEstimate, estimate
-from appliance.compensation.redecode import MODULATION_SHARE, Compensated, compensate
+from appliance.compensation.redecode import compensate
 from appliance.optics.water import Water
 from appliance.reconstruct.images import ScanImages
 from appliance.reconstruct.pipeline import Pipeline
+from appliance.reconstruct.rows import LeftMaps
+from appliance.reconstruct.sigma import four_step_variance_px2
 from appliance.reconstruct.table import Found
+from appliance.scan.noise import CameraNoise
 
 LEAST_KEPT = 0.8
 """Share of the plain cloud's points below which a compensated cloud is not shown in its place."""
@@ -63,12 +66,11 @@ def attempt(pipeline: Pipeline, plain: Found, images: ScanImages, calibration: C
         return Attempt(
             motion, None, f"Points moved along with the fringes: phases advanced by {motion.step_deg:.0f} of 90°."
         )
-    made = compensate(images, calibration, water, motion)
-    found = pipeline.find_replaced(made.maps["left"], made.maps["right"], MODULATION_SHARE)
-    error_after = _median_error(pipeline, found, made)
+    maps = compensate(images, calibration, water, motion)
+    found = pipeline.find_replaced(maps["left"], maps["right"])
+    error_after = _median_error(pipeline, found, maps["left"], images.noise.left)
     kept = found.summary.points / max(plain.summary.points, 1)
     if is_better(motion.error_before, error_after) and kept >= LEAST_KEPT:
-        _restore_modulation(pipeline, found, made)
         why = f"Motion of {motion.texture_px:.1f} px during the x fringes was undone; points err {error_after:.1f} times as at rest."
         return Attempt(motion, found, why, error_after)
     pipeline.find_full()
@@ -89,19 +91,22 @@ def is_better(error_before: float, error_after: float) -> bool:
     return error_after <= USEFUL_ERROR and error_after <= CLEAR_GAIN * error_before
 
 
-def _median_error(pipeline: Pipeline, found: Found, made: Compensated) -> float:
-    """Return the noise of the median point's phase over that by four steps of 90° under the same light; infinite without points."""
-    points, modulation = pipeline.table.points, made.modulation_half_dn.ravel()
-    factors = [
-        MODULATION_SHARE * modulation[points.pixel[first:stop]] / np.maximum(points.modulation_half_dn[first:stop], 1)
+def _median_error(pipeline: Pipeline, found: Found, maps: LeftMaps, noise: CameraNoise) -> float:
+    """Return the median ratio of each point's standard deviation to that by four steps of 90° in the same light.
+
+    ``noise`` is the left camera's. Infinite without points.
+    """
+    points, period_px = pipeline.table.points, pipeline.sequence.period_px
+    variance_px2, offset_dn = maps.variance_px2.ravel(), maps.gray_threshold.ravel()
+    ratios = [
+        variance_px2[points.pixel[first:stop]]
+        / four_step_variance_px2(
+            0.5 * points.modulation_half_dn[first:stop].astype(np.float32),
+            offset_dn[points.pixel[first:stop]].astype(np.float32),
+            noise,
+            period_px,
+        )
         for first, stop in found.pieces
     ]
-    known = np.concatenate(factors)
-    return float(np.median(known)) if known.size else math.inf
-
-
-def _restore_modulation(pipeline: Pipeline, found: Found, made: Compensated) -> None:
-    """Put the modulation that the camera saw into the table: sigmas were made of the effective one."""
-    points, modulation = pipeline.table.points, made.modulation_half_dn.ravel()
-    for first, stop in found.pieces:
-        points.modulation_half_dn[first:stop] = modulation[points.pixel[first:stop]]
+    known = np.concatenate(ratios)
+    return math.sqrt(float(np.median(known))) if known.size else math.inf

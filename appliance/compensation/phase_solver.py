@@ -19,6 +19,8 @@ Legend of the kernels, per pixel (column x, row)::
     weights      rows 0 … 2: how a, m_c, m_s follow from y; row 3: the unit vector that contradicts them all
     e, w         offset that the albedo makes expect, and its weight against one grey value
     b_a, b_c, b_s  how a, m_c, m_s follow from e
+    phase_variance  Var φ · m⁴ / σ², with σ² = dark + shot · a the variance of a grey value
+    V            variance of p, px²: (P/2π)² Var φ, P the fringes' period
 """
 
 from __future__ import annotations
@@ -119,8 +121,8 @@ class RedecodedMaps(NamedTuple):
     q_px: NDArray[np.float32]
     """Row that the fitted projector shows there."""
     modulation_half_dn: NDArray[np.uint8]
-    effective_modulation_dn: NDArray[np.float32]
-    """The modulation that four steps of 90° would need for the same noise of the phase; 0 where there is no column."""
+    variance_px2: NDArray[np.float32]
+    """Variance of p by the camera's noise and the albedo's, in px² of the pattern; NaN where there is no column."""
     misfit: NDArray[np.float32]
     """Contradiction of the x-sines, squared, over what noise makes it: 1 in the mean; NaN where there is no column."""
     bright: NDArray[np.uint8]
@@ -268,6 +270,7 @@ def solve_rows(
     # By how much the row above lies farther than its undecoded ripple said: the next one hardly differs.
     farther = np.zeros(width, np.float32)
     per_variance = 1.0 / (float(terms.noise_dn) * float(terms.noise_dn))
+    px_per_rad = float(terms.period_px) / _TURN
     use_albedo = sources.albedo_dn.shape[0] == height
     limit_u, limit_v = np.float32(width - 2), np.float32(height - 2)
     for row in range(start, stop, stride):
@@ -279,7 +282,7 @@ def solve_rows(
             maps.p_px[row, x] = _NAN
             maps.q_px[row, x] = _NAN
             maps.modulation_half_dn[row, x] = 0
-            maps.effective_modulation_dn[row, x] = 0.0
+            maps.variance_px2[row, x] = _NAN
             maps.misfit[row, x] = _NAN
             maps.bright[row, x] = bright[row, x]
             maps.offset_dn[row, x] = 0
@@ -294,7 +297,7 @@ def solve_rows(
                 doubt = per_variance * float(sources.albedo_variance_dn2[row, x]) + LEAST_DOUBT
             # What the last round leaves; nothing is written of a pixel that never was good.
             good, t, p, q = False, _NAN, _NAN, _NAN
-            a, modulation, effective, misfit, turns = 0.0, 0.0, 0.0, 0.0, 0.0
+            a, modulation, variance_px2, misfit, turns = 0.0, 0.0, 0.0, 0.0, 0.0
             for begun in range(3):
                 # From what the row above said, from what was decoded, from what is around.
                 if begun == 0:
@@ -382,9 +385,11 @@ def solve_rows(
                         by = m_s * b_c - m_c * b_s
                         phase_variance += by * by / w
                     # Contradiction squared, over its variance by the camera's noise at this offset.
-                    misfit = contrary * contrary / (against * (float(terms.dark_dn2) + float(terms.shot_dn) * a))
-                    # Steps of 90° have σ_φ² = σ² / (2 m²); here it is σ² · phase_variance / m⁴.
-                    effective = modulation * modulation / np.sqrt(2.0 * phase_variance + 1e-9)
+                    grey_variance = float(terms.dark_dn2) + float(terms.shot_dn) * a
+                    misfit = contrary * contrary / (against * grey_variance)
+                    # V = (P/2π)² σ² · phase_variance / m⁴; steps of 90° have phase_variance = m²/2.
+                    px_per_dn = px_per_rad / (modulation * modulation)
+                    variance_px2 = px_per_dn * px_per_dn * grey_variance * phase_variance
                     p = _column(
                         pixels, starts, height, width, c, terms.gray, t, x, row, turns, a,
                         parabola_at(c, P_OF_T, t), terms.period_px, bits, carry,
@@ -411,7 +416,7 @@ def solve_rows(
             maps.p_px[row, x], maps.q_px[row, x] = p, q
             maps.modulation_half_dn[row, x] = np.uint8(min(2.0 * modulation + 0.5, 255.0))
             maps.misfit[row, x] = misfit
-            maps.effective_modulation_dn[row, x] = effective
+            maps.variance_px2[row, x] = variance_px2
             maps.offset_dn[row, x] = np.uint8(min(max(a + 0.5, 0.0), 255.0))
             # The bright frame where the point was then: it colours the cloud.
             at = FIRST_FRAME + FRAME_COEFFICIENTS * BRIGHT

@@ -2,14 +2,13 @@
 
 Every pixel of both cameras is followed through the x-sines and the Gray images (``displacement``) and solved for its true phase
 steps (``phase_solver``), with its albedo (``albedo``) where the steps alone do not suffice. Then what is an edge, or is not
-confirmed beside a hole, is dropped, and what the frames contradict is counted as noise.
+confirmed beside a hole, is dropped, and what the frames contradict is counted as noise: the maps carry the variance of each
+coordinate beside the modulation that the camera saw.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 
 import cv2
 import numba
@@ -55,9 +54,6 @@ MISFIT_PX = 9
 """Window, in px of pictures 800 px wide, over which the misfit is averaged."""
 MOST_MISFIT = 100.0
 """A pixel's misfit counts up to here."""
-MODULATION_SHARE = 0.25
-"""Share of the effective modulation that the maps carry: reading between pixels leaves so little noise that the whole would not
-go into a byte."""
 BY_CHANCE = 1.3
 """Mean misfits up to so many times the usual are noise, which neighbours share."""
 MISFIT_SHARE = 0.5
@@ -71,26 +67,13 @@ MEDIAN_BLOCKS = 5
 _NAN = np.float32(np.nan)
 
 
-@dataclass(frozen=True, slots=True)
-class Compensated:
-    """The maps that ``Pipeline.find_replaced`` needs, and the modulation that it does not know."""
+def compensate(
+    images: ScanImages, calibration: Calibration, water: Water, motion: MotionEstimate
+) -> dict[str, LeftMaps]:
+    """Follow the points of a scan through its frames by the estimated ``motion``, and decode them anew.
 
-    maps: Mapping[str, LeftMaps]
-    """The maps by side. Their modulation is ``MODULATION_SHARE`` of that which four steps of 90° would need for as much noise."""
-    modulation_half_dn: NDArray[np.uint8]
-    """(h, w): the modulation that the left camera truly saw."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Side:
-    """The same of one camera."""
-
-    maps: LeftMaps
-    modulation_half_dn: NDArray[np.uint8]
-
-
-def compensate(images: ScanImages, calibration: Calibration, water: Water, motion: MotionEstimate) -> Compensated:
-    """Follow the points of a scan through its frames by the estimated ``motion``, and decode them anew."""
+    Returns, by side, the maps that ``Pipeline.find_replaced`` needs, each with the variance of its coordinates.
+    """
     sequence = images.sequence
     x, y = sequence.axis(Direction.X), sequence.axis(Direction.Y)
     followed = (*x.sine, sequence.bright, *x.gray, *y.gray)
@@ -98,7 +81,7 @@ def compensate(images: ScanImages, calibration: Calibration, water: Water, motio
     moved_mm = motion.trajectory_mm[list(followed)]
     rig = calibration.rig
 
-    def solve(side: str) -> _Side:
+    def solve(side: str) -> LeftMaps:
         camera = of_side(rig, side)
         field = displacement_field(
             camera, motion.projector.camera, water.index, moved_mm, motion.centre_mm, axes, float(sequence.period_px)
@@ -107,14 +90,13 @@ def compensate(images: ScanImages, calibration: Calibration, water: Water, motio
         return _redecode(images, side, motion, followed, field, motion.lateral_sd_mm * px_per_mm)
 
     with ThreadPoolExecutor(len(SIDES), "kf-compensate") as pool:
-        both = dict(zip(SIDES, pool.map(solve, SIDES), strict=True))
-    return Compensated({side: one.maps for side, one in both.items()}, both["left"].modulation_half_dn)
+        return dict(zip(SIDES, pool.map(solve, SIDES), strict=True))
 
 
 def _redecode(
     images: ScanImages, side: str, motion: MotionEstimate, followed: tuple[int, ...], field: DisplacementField,
     lateral_sd_px: float,
-) -> _Side:  # fmt: skip
+) -> LeftMaps:  # fmt: skip
     """Decode one camera's frames along its displacement field."""
     sequence, decoder = images.sequence, images.decoded[side]
     noise = of_side(images.noise, side)
@@ -155,11 +137,10 @@ def _redecode(
     jump_px, bend_px = edge_limits_px(sequence.period_px, width)
     drop_edges(solved.p_px, solved.q_px, jump_px, bend_px)
     drop_new_borders(solved.p_px, solved.q_px, decoder.p_px)
-    effective = _less_misfit(solved.effective_modulation_dn, solved.misfit, motion.ripple_after, width)
-    maps = LeftMaps(
-        solved.p_px, solved.q_px, effective, solved.bright, solved.offset_dn, solved.illuminated_columns
+    return LeftMaps(
+        solved.p_px, solved.q_px, solved.modulation_half_dn, solved.bright, solved.offset_dn, solved.illuminated_columns,
+        variance_px2=solved.variance_px2 * misfit_factor(solved.misfit, motion.ripple_after, width),
     )  # fmt: skip
-    return _Side(maps, solved.modulation_half_dn)
 
 
 def _empty_maps(height: int, width: int) -> RedecodedMaps:
@@ -169,7 +150,7 @@ def _empty_maps(height: int, width: int) -> RedecodedMaps:
         p_px=np.full(shape, np.nan, np.float32),
         q_px=np.full(shape, np.nan, np.float32),
         modulation_half_dn=np.empty(shape, np.uint8),
-        effective_modulation_dn=np.empty(shape, np.float32),
+        variance_px2=np.empty(shape, np.float32),
         misfit=np.empty(shape, np.float32),
         bright=np.empty(shape, np.uint8),
         offset_dn=np.empty(shape, np.uint8),
@@ -278,18 +259,17 @@ def drop_new_borders(p_px: Map, q_px: Map, plain_px: Map) -> None:
     q_px[dropped] = np.nan
 
 
-def _less_misfit(effective_modulation_dn: Map, misfit: Map, ripple: float, width: int) -> NDArray[np.uint8]:
-    """Return ``MODULATION_SHARE`` of the effective modulation in half grey values, less where the frames contradict each other.
+def misfit_factor(misfit: Map, ripple: float, width: int) -> Map:
+    """Return by how many times (h, w) a coordinate's variance is that of noise, where the frames contradict each other.
 
-    A phase's variance grows by ``MISFIT_SHARE`` of the misfit beyond the usual. The median misfit is the fringes' harmonics,
-    which depth does not see; ``ripple``, in units of noise, is what the motion leaves of its own.
+    It grows by ``MISFIT_SHARE`` of the misfit (h, w; NaN: no column) beyond the usual, averaged around each pixel. The median
+    misfit is the fringes' harmonics, which depth does not see; ``ripple``, in units of noise, is what the motion leaves of its own.
     """
     around = known_mean(np.minimum(misfit, np.float32(MOST_MISFIT)), scaled_window(MISFIT_PX, width))
     known = around[np.isfinite(around)]
     usual = float(np.median(known)) if known.size else 1.0
     beyond = np.maximum(np.nan_to_num(around, nan=usual) - BY_CHANCE * max(usual, 1.0), 0.0)
-    worse = np.sqrt(1.0 + ripple**2 + MISFIT_SHARE * beyond)
-    return np.asarray(np.minimum(2.0 * MODULATION_SHARE * effective_modulation_dn / worse + 0.5, 255.0), np.uint8)
+    return np.asarray(1.0 + ripple**2 + MISFIT_SHARE * beyond, np.float32)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")

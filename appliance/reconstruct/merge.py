@@ -10,13 +10,13 @@ Symbols: V1, V2 are the variances of a pixel's coordinates in the first and in t
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from appliance.reconstruct.decode.decoder import CameraDecoder, DecodedMaps, Mask
+from appliance.reconstruct.sigma import four_step_variance_px2
 from appliance.scan.noise import CameraNoise
 
 Maps = CameraDecoder | DecodedMaps
@@ -71,13 +71,12 @@ def merge(
         raise ValueError(
             f"images of {_size(first)} and {_size(second)} px cannot be merged; both sequences must be of one camera"
         )
-    scale_px = period_px / (2.0 * math.pi * math.sqrt(2.0))
     counts = np.zeros(4, np.int64)
     differences = np.full((2, *first.mask.shape), np.nan, np.float32)
-    second_is_clearer = _second_is_clearer(first, second, noise, scale_px)
+    second_is_clearer = _second_is_clearer(first, second, noise, period_px)
     for top in range(0, first.mask.shape[0], ROWS):
         rows = slice(top, top + ROWS)
-        counts += _merge_rows(first, second, noise, scale_px, rows, second_is_clearer, differences, variance_px2)
+        counts += _merge_rows(first, second, noise, period_px, rows, second_is_clearer, differences, variance_px2)
     first.illuminated_columns[:, 0] = np.minimum(first.illuminated_columns[:, 0], second.illuminated_columns[:, 0])
     first.illuminated_columns[:, 1] = np.maximum(first.illuminated_columns[:, 1], second.illuminated_columns[:, 1])
     first.illuminated_pixels = max(first.illuminated_pixels, second.illuminated_pixels)
@@ -85,7 +84,7 @@ def merge(
     return Agreement(float(share[0]), float(share[1]), float(share[2]), float(share[3]), _shift(differences))
 
 
-def _second_is_clearer(first: Maps, second: Maps, noise: tuple[CameraNoise, CameraNoise], scale_px: float) -> bool:
+def _second_is_clearer(first: Maps, second: Maps, noise: tuple[CameraNoise, CameraNoise], period_px: int) -> bool:
     """Tell whether the second sequence has the smaller variance in most of the pixels of every ``SAMPLE_ROWS``-th row.
 
     One answer for the image: a modulation that went to and fro between two exposures, from pixel to pixel, would look like
@@ -93,7 +92,7 @@ def _second_is_clearer(first: Maps, second: Maps, noise: tuple[CameraNoise, Came
     """
     rows = slice(0, None, SAMPLE_ROWS)
     shared = (first.mask[rows] == Mask.VALID) & (second.mask[rows] == Mask.VALID)
-    clearer = _variance_px2(second, noise[1], scale_px, rows) < _variance_px2(first, noise[0], scale_px, rows)
+    clearer = _variance_px2(second, noise[1], period_px, rows) < _variance_px2(first, noise[0], period_px, rows)
     return bool(2 * np.count_nonzero(clearer & shared) > np.count_nonzero(shared))
 
 
@@ -112,14 +111,14 @@ def _merge_rows(
     first: Maps,
     second: Maps,
     noise: tuple[CameraNoise, CameraNoise],
-    scale_px: float,
+    period_px: int,
     rows: slice,
     second_is_clearer: bool,
     differences: NDArray[np.float32],
     variance_px2: NDArray[np.float32],
 ) -> NDArray[np.int64]:
     mask, other = first.mask[rows], second.mask[rows]
-    variance = [_variance_px2(d, n, scale_px, rows) for d, n in ((first, noise[0]), (second, noise[1]))]
+    variance = [_variance_px2(d, n, period_px, rows) for d, n in ((first, noise[0]), (second, noise[1]))]
     a, b = mask == Mask.VALID, other == Mask.VALID
     # What the clearer sequence shows as an edge is one, whatever the other shows.
     doubtful = (Mask.CONTRADICTION, Mask.EDGE)
@@ -155,15 +154,15 @@ def _merge_rows(
     return np.array([(a & ~b).sum(), taken.sum(), both.sum(), differs.sum()], np.int64)
 
 
-def _variance_px2(maps: Maps, noise: CameraNoise, scale_px: float, rows: slice) -> NDArray[np.float32]:
-    """Return the variance (rows, w) of either coordinate: (P/(2π √2 B))² times that of a grey value at the fringes' offset.
+def _variance_px2(maps: Maps, noise: CameraNoise, period_px: int, rows: slice) -> NDArray[np.float32]:
+    """Return the variance (rows, w) of either coordinate.
 
     In the shadow, where nothing else means anything, it is that of the least modulation.
     """
     illuminated = maps.mask[rows] != Mask.SHADOW
     offset_dn = np.float32(maps.offset_per_threshold) * maps.gray_threshold[rows].astype(np.float32)
     modulation = np.where(illuminated, np.maximum(0.5 * maps.modulation_half_dn[rows].astype(np.float32), 1.0), 1.0)
-    return np.asarray(scale_px**2 * noise.variance_dn2(offset_dn) / modulation**2, np.float32)
+    return four_step_variance_px2(modulation, offset_dn, noise, period_px)
 
 
 def _size(decoder: Maps) -> str:

@@ -225,12 +225,14 @@ class Pipeline:
             limits = limits._replace(min_depth_mm=np.float32(0.0), max_depth_mm=np.float32(np.inf))
         return table.cloud(self._find(stride, limits, table))
 
-    def find_replaced(self, left: LeftMaps, right: LeftMaps, worth_share: float) -> Found:
+    def find_replaced(self, left: LeftMaps, right: LeftMaps) -> Found:
         """Find the full cloud of other maps than the decoded ones, which stay as they are, and leave the points in the table.
 
-        They were read between pixels; their modulation is ``worth_share`` of that which four steps of 90° would need for as much
-        noise, unless both carry variances. Gaps are not sampled: they would not be those of a scan at rest.
+        They were read between pixels. Gaps are not sampled: they would not be those of a scan at rest. Raises ValueError for maps
+        without variances: what reading between pixels leaves of the noise does not follow from their modulation.
         """
+        if not (left.variance_px2.size and right.variance_px2.size):
+            raise ValueError("maps read between pixels came without variances; give both sides' variance_px2")
         shown = self._sequence
         maps = right_maps(
             right.p_px, right.q_px, right.modulation_half_dn, shown.width_px, shown.height_px, right.variance_px2
@@ -238,7 +240,7 @@ class Pipeline:
         fill_inverse_map(maps, self._inverse_stride)
         # Cameras and projector share the field.
         fringe_px = self._sequence.period_px / self._sequence.width_px * left.p_px.shape[1]
-        factors = read_between(self._factors, worth_share, fringe_px)
+        factors = read_between(self._factors, fringe_px)
         return self._find_in(left, maps, factors, 1, self._kernel_limits(1), self.table)
 
     def _find(self, stride: int, limits: PointLimits | None = None, table: PointTable | None = None) -> Found:

@@ -44,6 +44,8 @@ from appliance.scan.noise import CameraNoise, StereoNoise
 
 BLUR_PX2 = 0.2
 """Variance of what one pixel sees, in px²: its own area and the lens."""
+SPLINE_BLUR_PX2 = 1.0 / 3.0
+"""Variance in px² of the cubic B-spline's spot: what reading between pixels adds to ``BLUR_PX2``."""
 BORDER_PX = 0.07
 """Expected error, in px, where a neighbour has no coordinate."""
 SHARED = np.float32(1.17)
@@ -73,12 +75,12 @@ class SigmaFactors(NamedTuple):
     ripple_rad: np.float32
     """Phase of the ripple per px of the pattern."""
     blur2_px4: np.float32
-    """``BLUR_PX2`` squared."""
+    """Square of the variance of what one place of the maps sees: of ``BLUR_PX2``, and of the spline's where they were read by it."""
     border_px2: np.float32
     """``BORDER_PX`` squared."""
     right_correlation: np.float32 = np.float32(1.0)
-    """``SHARED`` where right pixels share noise with their neighbours, else 1. Multiplies a variance that the right maps
-    carry; it is part of ``dark_right`` and ``shot_right``."""
+    """``SHARED`` where right pixels share noise with their neighbours, else 1. It multiplies a variance that the right maps
+    carry."""
 
 
 def sigma_factors(period_px: int, noise: StereoNoise, ripple: Ripple = STILL) -> SigmaFactors:
@@ -98,21 +100,29 @@ def sigma_factors(period_px: int, noise: StereoNoise, ripple: Ripple = STILL) ->
     )
 
 
-def read_between(factors: SigmaFactors, worth_share: float, fringe_px: float) -> SigmaFactors:
-    """Return the factors for maps whose grey values were read between pixels by the cubic B-spline.
+def read_between(factors: SigmaFactors, fringe_px: float) -> SigmaFactors:
+    """Return the factors for maps with variances whose grey values were read between pixels by the cubic B-spline.
 
-    Their modulation is ``worth_share`` of that which makes their noise. Neighbours share noise, and of fringes ``fringe_px`` long
-    the third harmonic, which makes the ripple, is lost more than the first.
+    What is read is blurred by the spline's spot as well, neighbours share noise, and of fringes ``fringe_px`` long the third
+    harmonic, which makes the ripple, is lost more than the first.
     """
     lost = float((np.sinc(3.0 / fringe_px) / np.sinc(1.0 / fringe_px)) ** 4)
-    share2 = np.float32(worth_share**2)
     return factors._replace(
-        scale2_px2=factors.scale2_px2 * share2,
-        dark_right=factors.dark_right * SHARED,
-        shot_right=factors.shot_right * SHARED,
         ripple_px2=factors.ripple_px2 * np.float32(lost**2),
+        blur2_px4=np.float32((BLUR_PX2 + SPLINE_BLUR_PX2) ** 2),
         right_correlation=SHARED,
     )
+
+
+def four_step_variance_px2(
+    modulation_dn: NDArray[np.float32], offset_dn: NDArray[np.float32], noise: CameraNoise, period_px: int
+) -> NDArray[np.float32]:
+    """Return the variance of a coordinate by four steps of 90°, in px² of the pattern: (P/(2π √2 B))² σ²(offset).
+
+    Modulations B and the fringes' offsets are float32 of one shape; ``noise`` is the camera's.
+    """
+    scale_px = period_px / (2.0 * math.pi * math.sqrt(2.0))
+    return np.asarray(scale_px**2 * noise.variance_dn2(offset_dn) / modulation_dn**2, np.float32)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})

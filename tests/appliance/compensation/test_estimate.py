@@ -8,9 +8,13 @@ import numpy as np
 import pytest
 
 from appliance.compensation.attempt import Attempt, attempt
+from appliance.compensation.displacement import spline_noise_share
 from appliance.compensation.estimate import MotionEstimate
-from appliance.compensation.redecode import MODULATION_SHARE, compensate
+from appliance.compensation.redecode import compensate
 from appliance.reconstruct.pipeline import Cloud, Pipeline
+from appliance.reconstruct.rows import LeftMaps
+from appliance.scan.noise import CameraNoise, StereoNoise
+from appliance.scan.sides import SIDES, of_side
 from hw_sim.objects.motion import Motion
 from hw_sim.scene import Scene
 from tests.support.moved import FRAME_S, judge_at, recorded, true_motion_mm
@@ -34,6 +38,9 @@ class Corrected:
     said: Attempt
     cloud: Cloud
     """Compensated, also where it is not needed."""
+    maps: dict[str, LeftMaps]
+    """The maps by side that the compensated cloud was found in."""
+    noise: StereoNoise
 
 
 def corrected(motion: Motion, scene: Scene = FRUSTUM) -> Corrected:
@@ -49,9 +56,9 @@ def corrected(motion: Motion, scene: Scene = FRUSTUM) -> Corrected:
         plain, taken = pipeline.table.cloud(found), recorded(scan, pipeline)
         said = attempt(pipeline, found, taken, calibration, WATER)
         assert said.motion is not None
-        made = compensate(taken, calibration, WATER, said.motion)
-        again = pipeline.find_replaced(made.maps["left"], made.maps["right"], MODULATION_SHARE)
-        return Corrected(scan, plain, said.motion, said, pipeline.table.cloud(again))
+        maps = compensate(taken, calibration, WATER, said.motion)
+        again = pipeline.find_replaced(maps["left"], maps["right"])
+        return Corrected(scan, plain, said.motion, said, pipeline.table.cloud(again), maps, taken.noise)
 
 
 @pytest.fixture(scope="module")
@@ -104,6 +111,42 @@ def in_sigmas(one: Corrected) -> float:
 def test_points_know_how_good_they_are_after_compensation(moved: Corrected) -> None:
     # Never better than they are; at this size looking up borders of paint makes them rather too cautious.
     assert 0.45 < in_sigmas(moved) < 1.25
+
+
+def test_compensated_points_have_the_modulation_that_the_camera_saw(moved: Corrected) -> None:
+    width, px = moved.scan.frames["left"].shape[2], np.intersect1d(moved.plain.pixel, moved.cloud.pixel)
+    assert len(px) > 0.8 * len(moved.plain.pixel)
+    before, after = (cloud.modulation_dn[np.searchsorted(cloud.pixel, px)] for cloud in (moved.plain, moved.cloud))
+    # Cameras and projector share the field: the cubic B-spline keeps sinc⁴ of fringes that are so long.
+    kept = float(np.sinc(moved.scan.sequence.width_px / (16.0 * width)) ** 4)
+    assert np.median(after / before) == pytest.approx(kept, rel=0.05)
+
+
+def four_steps_px2(maps: LeftMaps, noise: CameraNoise, at: tuple[np.ndarray, ...] | np.ndarray) -> np.ndarray:
+    """The variance of coordinates by four steps of 90° of 16 px in the same light: (P/2π)² σ² / (2 B²)."""
+    modulation, offset = 0.5 * maps.modulation_half_dn[at].astype(float), maps.gray_threshold[at].astype(float)
+    by_camera = noise.read_dn**2 + noise.dn_per_e * (offset - noise.black_dn)
+    return np.asarray((16.0 / (2.0 * np.pi)) ** 2 * by_camera / (2.0 * modulation**2))
+
+
+def test_at_rest_the_maps_carry_the_variance_of_four_steps_in_the_share_that_reading_between_pixels_leaves(
+    still: Corrected,
+) -> None:
+    # What the motion may have left of ripple counts everywhere.
+    share = float(spline_noise_share(np.float32(8.0), np.float32(8.0))) * (1.0 + still.motion.ripple_after**2)
+    for side in SIDES:
+        maps = still.maps[side]
+        known = np.isfinite(maps.p_px)
+        ratio = maps.variance_px2[known] / four_steps_px2(maps, of_side(still.noise, side), known)
+        assert np.median(ratio) == pytest.approx(share, rel=0.03)
+
+
+def test_what_is_expected_of_the_median_point_is_its_deviation_over_that_of_a_scan_at_rest(moved: Corrected) -> None:
+    maps = moved.maps["left"]
+    at = np.unravel_index(moved.cloud.pixel, maps.p_px.shape)
+    ratio = np.sqrt(maps.variance_px2[at] / four_steps_px2(maps, moved.noise.left, at))
+    assert moved.said.error_after == pytest.approx(float(np.median(ratio)), rel=0.01)
+    assert 0.5 < np.median(ratio) < 1.0, "reading between pixels averages noise away"
 
 
 def test_a_hand_along_the_fringes_leaves_far_less_noise_than_points_followed_all_the_way(still: Corrected) -> None:

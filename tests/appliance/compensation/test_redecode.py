@@ -16,7 +16,7 @@ from appliance.compensation.displacement import (
     spline_noise_share,
 )
 from appliance.compensation.phase_solver import SINES, weigh_offset
-from appliance.compensation.redecode import GOOD_VARIANCE, drop_new_borders, phase_variance, settled_t
+from appliance.compensation.redecode import GOOD_VARIANCE, drop_new_borders, misfit_factor, phase_variance, settled_t
 from appliance.compensation.stripes import illuminated_at, stripes_of
 from appliance.patterns.sequence import Direction, build_sequence
 
@@ -113,6 +113,18 @@ def test_what_is_left_of_noise_is_what_reading_leaves() -> None:
         assert np.var(values) / 100.0 == pytest.approx(
             float(spline_noise_share(np.float32(4 + u), np.float32(4 + v))), rel=0.06
         )
+
+
+def test_a_variance_grows_by_half_of_what_the_frames_contradict_beyond_noise() -> None:
+    misfit = np.full((60, 80), 1.0, np.float32)
+    misfit[20:40, 20:40] = 9.3
+    misfit[:, 70:] = np.nan
+    found = misfit_factor(misfit, 0.3, 80)
+    assert found[50, 50] == pytest.approx(1.09)
+    assert found[30, 30] == pytest.approx(1.09 + 0.5 * (9.3 - 1.3))
+    assert found[5, 78] == pytest.approx(1.09), "where nothing is known, nothing is known against it"
+    everywhere = misfit_factor(np.full((60, 80), 4.0, np.float32), 0.0, 80)
+    assert everywhere[30, 30] == pytest.approx(1.0), "the fringes' harmonics contradict everywhere alike"
 
 
 @pytest.mark.parametrize(

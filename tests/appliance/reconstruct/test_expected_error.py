@@ -105,7 +105,7 @@ def test_a_variance_that_the_maps_carry_is_the_noise_whatever_modulation_and_lig
 
 def test_a_variance_of_maps_read_between_pixels_counts_more_where_it_is_read_off_between_right_pixels() -> None:
     changes = {PHASE_VARIANCE: 0.0004, PHASE_VARIANCE_RIGHT: 0.0009}
-    found = with_row(read_between(FACTORS, 1.0, 10.0), changes, variances_given=True)
+    found = with_row(read_between(FACTORS, 10.0), changes, variances_given=True)
     np.testing.assert_allclose(found, 0.4 * (0.0004 + 0.8 * 1.17 * 0.0009), rtol=1e-4)
 
 
@@ -190,15 +190,14 @@ def test_a_longer_period_makes_noise_larger_in_proportion() -> None:
     np.testing.assert_allclose(expected(twice), 4.0 * expected(FACTORS), rtol=1e-5)
 
 
-def test_grey_values_read_between_pixels_share_noise_and_lose_the_ripple() -> None:
+def test_grey_values_read_between_pixels_share_noise_lose_the_ripple_and_come_from_a_wider_spot() -> None:
     ripple = Ripple(0.05, lost_px=0.04, noise_px=0.01)
     factors = sigma_factors(PERIOD_PX, StereoNoise(LEFT, RIGHT), ripple)
-    read = read_between(factors, 0.5, 10.0)
-    assert read.scale2_px2 == pytest.approx(0.25 * factors.scale2_px2)
-    assert read.dark_left == factors.dark_left
-    assert read.shot_left == factors.shot_left
-    assert read.dark_right == pytest.approx(1.17 * factors.dark_right)
-    assert read.shot_right == pytest.approx(1.17 * factors.shot_right)
+    read = read_between(factors, 10.0)
+    assert read.right_correlation == pytest.approx(1.17)
+    weights = np.array([1.0, 4.0, 1.0]) / 6.0  # the cubic B-spline at whole pixels
+    spot_px2 = float(weights @ np.array([1.0, 0.0, 1.0]))
+    assert read.blur2_px4 == pytest.approx((0.2 + spot_px2) ** 2)
     third, first = math.sin(0.3 * math.pi) / (0.3 * math.pi), math.sin(0.1 * math.pi) / (0.1 * math.pi)
     assert read.ripple_px2 == pytest.approx(0.05**2 * (third / first) ** 8, rel=1e-4)
 

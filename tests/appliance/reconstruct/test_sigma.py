@@ -9,6 +9,7 @@ from appliance.patterns.sequence import build_sequence
 from appliance.reconstruct.match import fill_inverse_map, match_row, right_maps
 from appliance.reconstruct.pipeline import Cloud, Pipeline
 from appliance.reconstruct.ripple import measure_ripple
+from appliance.reconstruct.rows import LeftMaps
 from appliance.reconstruct.scratch import PHASE_VARIANCE_RIGHT, RIGHT_SHARE, SIZE, P, Q, U, V
 from hw_sim.scene import Scene
 from tests.support import synthetic
@@ -161,3 +162,13 @@ def test_where_a_neighbour_is_missing_a_point_expects_more() -> None:
     border = ~(valid[v, u - 1] & valid[v, u + 1])
     assert 50 < np.count_nonzero(border) < 0.05 * len(u)
     assert np.median(sigma[border]) > 2.0 * np.median(sigma[~border])
+
+
+def test_maps_read_between_pixels_are_refused_where_a_camera_has_no_variances() -> None:
+    nothing, none = np.full((HEIGHT, WIDTH), np.nan, np.float32), np.zeros((HEIGHT, WIDTH), np.uint8)
+    bare = LeftMaps(nothing, nothing, none, none, none, np.zeros((HEIGHT, 2), np.int32))
+    known = bare._replace(variance_px2=np.ones_like(nothing))
+    with Pipeline(synthetic.calibration(), synthetic.WATER, build_sequence(16)) as pipeline:
+        for left, right in ((bare, bare), (known, bare), (bare, known)):
+            with pytest.raises(ValueError, match="without variances"):
+                pipeline.find_replaced(left, right)
