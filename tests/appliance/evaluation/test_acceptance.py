@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from appliance.evaluation.acceptance import Certificate, Kept, Quantity, Symbol, expanded_mm, overall, probe
+from appliance.evaluation.acceptance import Certificate, Kept, Quantity, Symbol, expanded_mm, of_bar, overall, probe
+from appliance.evaluation.ball_bar import BallBar
 from appliance.evaluation.points import NotFound
 from appliance.evaluation.result import Artefact, Length, Result, evaluate
 from appliance.offline.evaluation import ListError, read_list
@@ -70,11 +72,14 @@ def test_the_stated_deviation_of_the_radius_is_that_of_many_balls() -> None:
     )
 
 
-def measured(certificate: Certificate, limits: dict[Symbol, float], noise_mm: float = 0.02) -> Result:
+def bar_cloud(noise_mm: float = 0.02) -> Points:
     rng = np.random.default_rng(2)
     points = np.vstack([cap(CENTRE, 75.0, 0.4, noise_mm, rng), cap(OTHER, 75.0, 0.4, noise_mm, rng)])
-    cloud = Points.of(points, noise_mm)
-    return evaluate(cloud, Artefact.BALL_BAR, {"length": LENGTH_MM - 0.1}, 250.0, certificate, limits)
+    return Points.of(points, noise_mm)
+
+
+def measured(certificate: Certificate, limits: dict[Symbol, float], noise_mm: float = 0.02) -> Result:
+    return evaluate(bar_cloud(noise_mm), Artefact.BALL_BAR, {"length": LENGTH_MM - 0.1}, 250.0, certificate, limits)
 
 
 def test_a_ball_bar_has_form_size_and_spacing_with_their_uncertainty() -> None:
@@ -97,6 +102,15 @@ def test_a_ball_bar_has_form_size_and_spacing_with_their_uncertainty() -> None:
     assert spacing.value_mm == pytest.approx(0.1, abs=0.01), "the certificate's bar is 0.1 mm shorter"
     assert spacing.uncertainty_mm is not None
     assert spacing.uncertainty_mm == pytest.approx(0.06, rel=0.02), "twice the certificate's 0.03 mm, hardly any noise"
+
+
+def test_a_ball_with_too_few_points_for_a_sphere_of_its_own_keeps_the_other_ball_and_the_length() -> None:
+    fit = measured(Certificate(), {}).fit
+    assert isinstance(fit, BallBar)
+    few = replace(fit.first.used, indices=fit.first.used.indices[:4], rejected=fit.first.used.rejected[:0])
+    broken = replace(fit, first=replace(fit.first, used=few))
+    quantities = of_bar(bar_cloud(), broken, LENGTH_MM, Certificate(), {})
+    assert [(q.symbol, q.of) for q in quantities] == [(Symbol.PF, "second ball"), (Symbol.SD, "length")]
 
 
 def test_the_certificates_uncertainty_is_in_the_length() -> None:
