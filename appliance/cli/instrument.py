@@ -10,6 +10,7 @@ from appliance.cli.kernels import find_kernels
 from appliance.cli.output import Exit, Progress, say, say_json, table
 from appliance.cli.places import WithRig, WithRoot
 from appliance.config import Rig
+from appliance.process_start import importing
 
 # The service is imported when it starts: it brings drivers and compiled kernels, which must be found before.
 
@@ -58,6 +59,7 @@ class Check(WithRig):
 def serve(rig: Rig) -> Exit:
     """Run the instrument's service on ``rig`` until it ends. Its kernels must have been found before."""
     faulthandler.enable(all_threads=True)  # who kills it because it hangs, or it dies in a library: where was it?
-    from appliance.service.app import run
+    with importing():
+        from appliance.service.app import run
 
     return Exit(run(rig))

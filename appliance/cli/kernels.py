@@ -15,6 +15,7 @@ from typing import TextIO
 from appliance import kernel_cache
 from appliance.kernel_build import CompileError, Compiling, Piece, compile_pieces, missing
 from appliance.kernel_cache import KernelCache, Origin
+from appliance.process_start import importing
 
 LINE_EVERY_S = 8.0
 """Least time in seconds between two lines where there is no terminal; calls come every second."""
@@ -34,9 +35,11 @@ def find_kernels() -> None:
 def compile_kernels(more: Callable[[], Iterable[tuple[str, str]]] = tuple) -> None:
     """Have everything compiled that a scan needs on the instrument, and the pieces (what for, function) of ``more``."""
     cache = kernel_cache.use()  # before numba is imported
-    from appliance.worker.warm import INSTRUMENT
+    with importing():
+        from appliance.worker.warm import INSTRUMENT
 
-    _compile(cache, (*INSTRUMENT, *(Piece(what, function) for what, function in more())))
+        pieces = (*INSTRUMENT, *(Piece(what, function) for what, function in more()))
+    _compile(cache, pieces)
 
 
 def compile_desk_kernels() -> None:

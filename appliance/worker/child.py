@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 import threading
 from collections.abc import Callable
+from importlib import import_module
 from multiprocessing.connection import Connection
 from typing import Any
+
+from appliance.process_start import importing, use_one_blas_thread
 
 KILL_TIMEOUT_S = 2.0
 """Longest wait for a process that was killed, or that has closed its pipe."""
@@ -16,8 +20,17 @@ class ChildGone(Exception):
     """The process ended by itself; its text says with which code."""
 
 
+def _begin(module: str, function: str, *arguments: Any) -> None:
+    """Run a function of a module that this process has not imported yet."""
+    use_one_blas_thread(os.environ)
+    with importing():
+        main = getattr(import_module(module), function)
+    main(*arguments)
+
+
 class ChildProcess:
-    """One process at a time that runs ``main(pipe, *arguments)`` in a fresh interpreter until its pipe closes.
+    """One process at a time that runs ``main(pipe, *arguments)``, a function of a module, in a fresh interpreter until its
+    pipe closes.
 
     One thread starts, listens and stops; ``send`` may be called by any.
     """
@@ -43,7 +56,8 @@ class ChildProcess:
     def start(self, *arguments: Any) -> None:
         """Start the process, with these arguments after its end of the pipe. Raises OSError where there is no room for one."""
         ours, theirs = self._context.Pipe()
-        process = self._context.Process(target=self._main, name=self._name, args=(theirs, *arguments), daemon=True)
+        main = (self._main.__module__, self._main.__name__)
+        process = self._context.Process(target=_begin, name=self._name, args=(*main, theirs, *arguments), daemon=True)
         try:
             process.start()
         except BaseException:

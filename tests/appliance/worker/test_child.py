@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import threading
 import time
@@ -9,8 +10,10 @@ from collections.abc import Iterator
 from multiprocessing.connection import Connection
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from appliance.process_start import BLAS_THREADS
 from appliance.worker.child import ChildGone, ChildProcess
 
 
@@ -107,3 +110,25 @@ def test_one_that_hangs_is_killed(child: ChildProcess) -> None:
     assert time.monotonic() - begun_s < 30.0
     with pytest.raises(ProcessLookupError):
         os.kill(pid, 0)
+
+
+def tell_what_it_costs(pipe: Connection) -> None:
+    """Say how many threads the process has after a product of matrices, and how many objects the collector leaves alone."""
+    large = np.ones((400, 400))
+    assert (large @ large)[0, 0] == 400.0
+    pipe.send((len(list(Path("/proc/self/task").iterdir())), gc.get_freeze_count(), gc.isenabled()))
+
+
+def test_it_turns_in_no_busy_loop_and_collects_no_imports(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(BLAS_THREADS, raising=False)
+    child = ChildProcess("kf-test", tell_what_it_costs)
+    child.start()
+    try:
+        said = heard(child)
+    finally:
+        child.stop()
+    assert isinstance(said, tuple)
+    threads, left_alone, collects = said
+    assert threads == 1
+    assert left_alone > 10_000
+    assert collects
