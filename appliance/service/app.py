@@ -16,7 +16,7 @@ from appliance.config import Rig
 from appliance.instrument import calibration_of, noise_of, pointers_of, response_of, standard_choices
 from appliance.machine.words import Language
 from appliance.optics.water import Water
-from appliance.screens.painter import Painter
+from appliance.screens.unchanged import FrugalPainter
 from appliance.service.aiming import AimingController
 from appliance.service.calibrating import CalibrationController
 from appliance.service.devices import Devices
@@ -87,7 +87,7 @@ def run(rig: Rig) -> int:
         )
         aiming = stack.enter_context(AimingController(wires.clock, live_s, rig.camera.left.black_level_dn))
         painter = stack.enter_context(
-            Painter(gl, (rig.display.width_px, rig.display.height_px), Language(rig.display.language))
+            FrugalPainter(gl, (rig.display.width_px, rig.display.height_px), Language(rig.display.language))
         )
         devices = stack.enter_context(Devices(rig, wires, patterns.load))
         status = StatusFile(rig.storage.root, os.getpid(), appliance.__version__)
