@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from appliance.evaluation.points import Array, Indices, NotFound, PointSource, Used, finite_rows, thinned
 from appliance.evaluation.sphere import STEEPEST_COS, Sphere, SphereSolution, algebraic_sphere, fit_sphere
@@ -93,6 +92,8 @@ def _best(points: Array, radius_mm: float | None) -> _Guess | None:
     """Return the sphere that most points (thinned) agree on, enough of them to be the face of a ball."""
     if len(points) < 20:
         return None
+    from scipy.spatial import cKDTree  # half a second that a start of the service does not need
+
     tree = cKDTree(points)
     best: _Guess | None = None
     most = 0

@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from appliance.evaluation.plane import Plane, orthogonal_plane
 from appliance.evaluation.points import (
@@ -128,6 +127,8 @@ def _planes(points: Array) -> list[tuple[Plane, int]]:
 def _patches(points: Array) -> tuple[Array, np.ndarray[tuple[int], np.dtype[np.bool_]]]:
     """Return unit normals (n, 3), away from the instrument, of the patches around points (n, 3), and which patches
     are flat."""
+    from scipy.spatial import cKDTree  # half a second that a start of the service does not need
+
     n = len(points)
     pairs = cKDTree(points).query_pairs(PATCH_MM, output_type="ndarray")
     middle = np.concatenate([pairs[:, 0], pairs[:, 1]])

@@ -19,7 +19,6 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import j0
 
 Array = NDArray[np.float64]
 
@@ -53,6 +52,8 @@ def phase_function(angle_rad: Array) -> Array:
 
 def survival(period_mm: float, way_mm: float = WAY_MM) -> float:
     """Return the share of once scattered light that still carries fringes of ``period_mm`` after a way of ``way_mm``."""
+    from scipy.special import j0  # half a second that a start of the world does not need
+
     angles = np.geomspace(1e-7, math.pi, 4000)
     # The ring of directions at θ has the solid angle 2π sin θ dθ.
     weight = 2.0 * math.pi * phase_function(angles) * np.sin(angles)

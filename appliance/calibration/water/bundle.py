@@ -14,7 +14,6 @@ from enum import Enum
 from itertools import pairwise
 
 import numpy as np
-import scipy.sparse
 from numpy.typing import NDArray
 
 from appliance.calibration import parameters
@@ -288,6 +287,8 @@ class _Problem:
         """Return Hessian, gradient and cost of the robust sum of squares, and the residuals (n, 2) in px per
         recording."""
         noise = self._settings.noise_px
+        import scipy.sparse  # half a second that a start of the service does not need
+
         # Gauss-Newton of E(x) = xᵀ P x + Σ ρ(|e| / σ) + Σ certificates²: the Hessian is P + Σ Jᵀ W J, without second
         # derivatives of e. The prior's mean is x = 0, the start.
         hessian, gradient = self._prior.copy(), self._prior @ x

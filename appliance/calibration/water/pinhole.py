@@ -13,7 +13,6 @@ from dataclasses import replace
 from datetime import UTC, datetime
 
 import numpy as np
-import scipy.optimize
 from numpy.typing import NDArray
 
 from appliance.calibration.air.adjustment import BoardView, calibrate_air
@@ -68,6 +67,8 @@ def _mapped(camera: HousedCamera, water: Water) -> HousedCamera:
         xy = points[:, :2] / (points[:, 2:] + back_mm)
         seen = distort(xy, lens.distortion) * np.asarray(lens.f_px) + np.asarray(lens.c_px)
         return np.asarray((seen - wanted).ravel())
+
+    import scipy.optimize  # half a second that a start of the service does not need
 
     start = np.array([water.index, *camera.lens.c_px, *camera.lens.distortion, 0.3 * camera.port.distance_mm])
     found = scipy.optimize.least_squares(miss, start, x_scale=[1e-3, 1.0, 1.0, 1e-2, 1e-2, 1e-4, 1e-4, 1e-2, 1.0])
