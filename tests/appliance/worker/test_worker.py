@@ -33,6 +33,8 @@ from appliance.worker.process import (
 )
 from tests.support import synthetic
 
+PATIENCE_S = 120.0
+"""Longest wait for what is going to come: a busy computer takes half a minute to start a process."""
 NORMAL = np.array([0.1, 0.0, 1.0]) / np.hypot(0.1, 1.0)
 
 
@@ -99,7 +101,7 @@ def lasting(store: FrameStore, clock: RealClock) -> Iterator[ReconstructionWorke
     """One worker for all that need none of their own: starting the process is most of what a test here takes."""
     order = WorkOrder(synthetic.calibration(), synthetic.WATER, 16, 1024, 768)
     with ReconstructionWorker(order, store, clock, GOOD) as made:
-        assert made.wait(60) == WorkerReady()
+        assert made.wait(PATIENCE_S) == WorkerReady()
         yield made
 
 
@@ -127,8 +129,8 @@ def test_same_points_in_the_worker(worker: ReconstructionWorker, store: FrameSto
     pipeline.coarse()
     expected = pipeline.full()
     worker.reprocess(1)
-    assert worker.wait(20) == SequenceIdentified(1)
-    coarse, judged, full = worker.wait(20), worker.wait(20), worker.wait(20)
+    assert worker.wait(PATIENCE_S) == SequenceIdentified(1)
+    coarse, judged, full = worker.wait(PATIENCE_S), worker.wait(PATIENCE_S), worker.wait(PATIENCE_S)
     assert isinstance(judged, ScanJudged)
     assert isinstance(coarse, CloudReady)
     assert not coarse.full
@@ -151,16 +153,16 @@ def test_after_a_change_points_are_those_of_the_new_calibration(store: FrameStor
         expected = pipeline.full()
     order = WorkOrder(old, synthetic.WATER, 16, 1024, 768)
     with ReconstructionWorker(order, store, RealClock()) as worker:
-        assert worker.wait(60) == WorkerReady()
+        assert worker.wait(PATIENCE_S) == WorkerReady()
         before = worker.pid
         worker.reprocess(1)  # in work when the calibration changes: its cloud would be of the old one
         worker.change(replace(order, calibration=new))
         assert worker.pid not in (before, None)
-        assert worker.wait(60) == WorkerReady()
+        assert worker.wait(PATIENCE_S) == WorkerReady()
         assert worker.poll() is None
         worker.reprocess(2)
-        assert worker.wait(20) == SequenceIdentified(2)
-        coarse, judged, full = worker.wait(20), worker.wait(20), worker.wait(20)
+        assert worker.wait(PATIENCE_S) == SequenceIdentified(2)
+        coarse, judged, full = worker.wait(PATIENCE_S), worker.wait(PATIENCE_S), worker.wait(PATIENCE_S)
         assert isinstance(judged, ScanJudged)
         assert isinstance(coarse, CloudReady)
         assert isinstance(full, CloudReady)
@@ -172,12 +174,12 @@ def test_after_a_change_points_are_those_of_the_new_calibration(store: FrameStor
 def test_frames_that_are_not_a_sequence_fail_and_the_next_scan_works(worker: ReconstructionWorker) -> None:
     worker.begin(1)
     worker.frame("left", 3)
-    failed = worker.wait(20)
+    failed = worker.wait(PATIENCE_S)
     assert isinstance(failed, WorkerFailed)
     assert "frame 3 was pushed; frame 0 is next" in failed.fault.detail
     worker.reprocess(2)
-    assert worker.wait(20) == SequenceIdentified(2)
-    assert isinstance(worker.wait(20), CloudReady)
+    assert worker.wait(PATIENCE_S) == SequenceIdentified(2)
+    assert isinstance(worker.wait(PATIENCE_S), CloudReady)
 
 
 def signal_worker(worker: ReconstructionWorker, number: signal.Signals) -> None:
@@ -223,7 +225,7 @@ def clouds(worker: ReconstructionWorker) -> tuple[list[CloudReady], list[WorkerF
     ready: list[CloudReady] = []
     failed: list[WorkerFailed] = []
     while True:
-        event = worker.wait(20)
+        event = worker.wait(PATIENCE_S)
         if isinstance(event, CloudReady):
             ready.append(event)
             if event.full:
@@ -245,7 +247,7 @@ def tell(worker: ReconstructionWorker, first: int, stop: int) -> None:
 
 def hold_before_full(worker: ReconstructionWorker) -> CloudReady:
     """The coarse cloud; the process stands still before the full one."""
-    end_s = time.monotonic() + 20.0
+    end_s = time.monotonic() + PATIENCE_S
     while True:
         hold(worker)
         event = worker.poll()
@@ -272,7 +274,7 @@ def test_whatever_becomes_of_a_worker_no_scan_is_lost(
     failed: list[WorkerFailed] = []
     if when == "idle":
         spoil(worker, how)
-        noticed = worker.wait(20)
+        noticed = worker.wait(PATIENCE_S)
         worker.limits = GOOD
         assert isinstance(noticed, WorkerFailed), "noticed although nobody wanted anything of it"
         failed.append(noticed)
@@ -309,7 +311,7 @@ def test_the_worker_loads_no_linear_algebra_that_it_does_not_need(worker: Recons
 
 def test_the_heartbeat_does_not_wait_for_a_worker_that_hangs(worker: ReconstructionWorker) -> None:
     hold(worker)
-    end_s = time.monotonic() + 20.0
+    end_s = time.monotonic() + PATIENCE_S
     longest_s, failed = 0.0, None
     while failed is None and time.monotonic() < end_s:
         begun_s = time.monotonic()
@@ -345,7 +347,7 @@ def test_the_next_scan_does_not_wait_for_the_one_that_was_dropped(worker: Recons
 def test_a_scan_that_was_given_up_while_it_was_recorded_is_not_waited_for(worker: ReconstructionWorker) -> None:
     worker.begin(3)
     worker.frame("left", 5)
-    lost = worker.wait(20)
+    lost = worker.wait(PATIENCE_S)
     assert isinstance(lost, WorkerFailed)
     assert lost.scan == 3
     worker.finish()
@@ -357,9 +359,9 @@ def test_a_scan_that_kills_its_worker_every_time_is_given_up(worker: Reconstruct
     signal_worker(worker, signal.SIGSTOP)
     worker.reprocess(5)
     signal_worker(worker, signal.SIGKILL)
-    first = worker.wait(20)
+    first = worker.wait(PATIENCE_S)
     signal_worker(worker, signal.SIGKILL)
-    failed = worker.wait(20)
+    failed = worker.wait(PATIENCE_S)
     assert isinstance(first, WorkerFailed)
     assert first.scan is None
     assert isinstance(failed, WorkerFailed)
@@ -374,7 +376,7 @@ def test_too_much_memory_is_named_and_ends(worker: ReconstructionWorker) -> None
     worker.begin(3)
     told = []
     while worker.pid is not None:
-        event = worker.wait(20)
+        event = worker.wait(PATIENCE_S)
         assert not isinstance(event, CloudReady)
         if isinstance(event, WorkerFailed):
             told.append(event)
@@ -413,7 +415,7 @@ def reprocessed_slowly(worker: ReconstructionWorker, clock: RealClock, share: fl
             worker.begin(1)
             tell(worker, 0, 24)
         worker.reprocess(1)
-        while not isinstance(event := worker.wait(60), CloudReady | WorkerFailed):
+        while not isinstance(event := worker.wait(PATIENCE_S), CloudReady | WorkerFailed):
             pass
     return event
 
@@ -450,6 +452,6 @@ def test_a_start_that_gets_on_is_told_from_one_that_hangs(store: FrameStore, mon
             seen.append(made.gets_on())
         assert seen == [False] * 3
         signal_worker(made, signal.SIGCONT)
-        assert made.wait(60) == WorkerReady()
+        assert made.wait(PATIENCE_S) == WorkerReady()
         time.sleep(0.3)
         assert not made.gets_on(), "it has started"
