@@ -24,7 +24,7 @@ from hw_sim.world import World, WorldOptions
 from tests.support.rendered import pictures
 
 N = 24
-WIDTH, HEIGHT = 400, 300
+WIDTH, HEIGHT = 200, 150
 CARD = "/dev/dri/card0"
 
 

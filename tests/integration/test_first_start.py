@@ -39,6 +39,7 @@ def test_a_first_start_says_what_it_compiles_before_the_self_test_begins(tmp_pat
     opened = next(k for k, line in enumerate(first) if "SELF_TEST" in line)
     assert begun < ended < opened
 
+    script.write_text("wait state SELF_TEST 120\nend\n", encoding="utf-8")
     again = _dive(script, tmp_path, kernels)
     assert not any("compil" in line for line in again)
     assert any("SELF_TEST" in line for line in again)

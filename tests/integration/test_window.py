@@ -201,15 +201,13 @@ def shown_stripes(shown: NDArray[np.uint8]) -> set[bool]:
     return {True, False} if (green > 180).mean() > 0.2 and (green < 60).mean() > 0.2 else set()
 
 
-@pytest.mark.parametrize("how", ["cross", "q", "Ctrl-C in the terminal"])
+@pytest.mark.parametrize("how", ["q", "Ctrl-C in the terminal"])
 def test_each_way_to_quit_ends_the_service_cleanly(how: str, screen: Xvfb, tmp_path: Path) -> None:
     root = tmp_path / "quit"
-    with instrument(root, screen.name) as it:
+    with instrument(root, screen.name, "--size", "160x120") as it:
         it.reaches("AIM")
         screen.point(window(screen, DISPLAY))
-        if how == "cross":
-            screen.close_window(window(screen, PROJECTOR))
-        elif how.startswith("Ctrl-C"):
+        if how.startswith("Ctrl-C"):
             it.process.send_signal(signal.SIGINT)
         else:
             tap(screen, how, 0.05)
@@ -312,6 +310,17 @@ def test_a_key_that_is_held_repeats_nothing(screen: Xvfb, monkeypatch: pytest.Mo
         world.time.sleep_s(1.5)
         assert set(reports[settled:]) == {0x01}
         screen.key("s", False)
+
+
+def test_the_cross_of_any_window_asks_to_quit_as_the_key_does(screen: Xvfb, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = threading.Event()
+    with desk(screen, monkeypatch, asked.set):
+        screen.close_window(window(screen, PROJECTOR))
+        assert asked.wait(60), "nobody is asked"
+        asked.clear()
+        screen.point(window(screen, DISPLAY))
+        tap(screen, "q", 0.05)
+        assert asked.wait(60), "nor by the key"
 
 
 def test_windows_that_die_end_the_service_with_a_reason(screen: Xvfb, monkeypatch: pytest.MonkeyPatch) -> None:
