@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 
 from hw_sim.clocks import Clocks
+from hw_sim.objects.bent import BentPlates
+from hw_sim.optics.aberrations import LensFlaws
 
 STREAM = 0x0075
 """Keeps these draws apart from all others that begin with a seed."""
@@ -22,6 +24,10 @@ STREAM = 0x0075
 class Outside:
     """The strengths of each family; ``None``: as in the ordinary world."""
 
+    lens: LensFlaws | None = None
+    """Fields of lens and window up to order 11, a dent, a stria, a pupil that moves. Belongs to the rig, not to a moment."""
+    plates: BentPlates | None = None
+    """Board and plane bent to other shapes than a paraboloid. Belongs to the rig."""
     clocks: Clocks | None = None
     """Trigger jitter, clocks that wander, what a time stamp is the time of."""
 
@@ -41,6 +47,8 @@ class Family:
 
 
 FAMILIES: dict[str, Family] = {
+    "lens": Family(2, LensFlaws, LensFlaws.drawn),
+    "plates": Family(12, BentPlates, BentPlates.drawn),
     "clocks": Family(7, Clocks, Clocks.drawn),
 }
 ALL = tuple(name for name, family in FAMILIES.items() if family.of_the_set)

@@ -14,8 +14,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hw_sim.objects.shapes import BALL_DISTANCE_MM, BOARD_BOW, BOARD_SCALE, HALF_BALL_DISTANCE, PLANE_BOW, SIZES
+from hw_sim.objects.shapes import (
+    BALL_DISTANCE_MM,
+    BOARD_BOW,
+    BOARD_FORM,
+    BOARD_SCALE,
+    HALF_BALL_DISTANCE,
+    PLANE_BOW,
+    PLANE_FORM,
+    SIZES,
+    SIZES_OUTSIDE,
+)
+from hw_sim.optics.aberrations import Aberrations, flawed
 from hw_sim.optics.trace import FIELD, FIELD_ORDER, HAS_FIELD, PACKED, pixels_of, rays_of, refract
+from hw_sim.outside import Outside, draw_outside
 
 Array = NDArray[np.float64]
 
@@ -27,7 +39,7 @@ LASER_X_MM, LASER_Y_MM, LASER_Z_MM = 40.0, 0.0, 30.0
 """The right pointer's beam leaves its window here, rig frame; the left one's mirrors it."""
 LASER_AIM_X_MM = 20.0
 """Distance from the axis at which the beams meet the plane in the middle of the volume, both at the height of the axis."""
-SETS = ("nominal", "realistic", "hard", "paper", "modelled")
+SETS = ("nominal", "realistic", "hard", "paper", "modelled", "outside")
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,9 +79,11 @@ class TrueEye:
     port: TruePort
     lens_field: tuple[float, ...] | None = None
     """Cosine coefficients in px, FIELD_ORDER² (row = order in v) for u, then for v: see ``optics.trace.lens_field``."""
+    aberrations: Aberrations | None = None
+    """Flaws of the world ``outside``; ``None``: none."""
 
     def packed(self, n_water: float) -> Array:
-        """Return the array (PACKED,) float64 that compiled tracing reads."""
+        """Return the array (PACKED,) float64 that compiled tracing reads; longer for an eye with flaws."""
         eye = np.zeros(PACKED)
         eye[:9] = (*self.f_px, *self.c_px, *self.distortion)
         eye[9:18] = np.ravel(self.R)
@@ -80,7 +94,7 @@ class TrueEye:
         if self.lens_field is not None:
             eye[HAS_FIELD] = 1.0
             eye[FIELD:] = self.lens_field
-        return eye
+        return eye if self.aberrations is None else np.concatenate([eye, self.aberrations.packed()])
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,13 +118,25 @@ class Artefacts:
     """The same of the ChArUco board's plate."""
     board_scale: float = 1.0
     """Size of the board's print against its drawing."""
+    plane_form_mm: tuple[float, float, float] | None = None
+    """Saddle, twist and S of the plane (``objects.bent``); ``None``: none of these."""
+    board_form_mm: tuple[float, float, float] | None = None
+    """The same of the ChArUco board's plate."""
 
     def sizes(self) -> Array:
-        """Return the array (SIZES,) float64 that compiled shapes read."""
-        sizes = np.zeros(SIZES)
+        """Return the array (SIZES,) float64 that compiled shapes read; (SIZES_OUTSIDE,) where a plate has a form."""
+        ordinary = self.plane_form_mm is None and self.board_form_mm is None
+        sizes = np.zeros(SIZES if ordinary else SIZES_OUTSIDE)
         sizes[HALF_BALL_DISTANCE], sizes[PLANE_BOW] = 0.5 * self.ball_distance_mm, self.plane_bow_mm
         sizes[BOARD_BOW], sizes[BOARD_SCALE] = self.board_bow_mm, self.board_scale
+        for at, form in ((PLANE_FORM, self.plane_form_mm), (BOARD_FORM, self.board_form_mm)):
+            if form is not None:
+                sizes[at : at + 3] = form
         return sizes
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the dimensions ready for JSON, without the forms that no plate has."""
+        return {name: list(v) if isinstance(v, tuple) else v for name, v in asdict(self).items() if v is not None}
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +164,7 @@ class TrueRig:
             "n_water": self.n_water,
             "cameras": {name: _eye_dict(self.eye(name)) for name in ("left", "right", "projector")},
             "lasers": [{"origin_mm": list(b.origin_mm), "direction": list(b.direction)} for b in self.lasers],
-            "artefacts": asdict(self.artefacts),
+            "artefacts": self.artefacts.as_dict(),
         }
 
 
@@ -209,6 +235,7 @@ _AMOUNTS = {
     "hard": _HARD,
     "paper": replace(_REALISTIC, tilt_deg=(1.0, 2.0), field_px=0.15),
     "modelled": replace(_REALISTIC, field_px=0.0, wedge_deg=0.0),
+    "outside": _REALISTIC,
 }
 
 
@@ -249,7 +276,25 @@ def draw_truth(kind: str, seed: int, width_px: int, height_px: int, n_water: flo
     made = np.random.default_rng([seed, 21]).normal(0.0, 1.0, 2) * amounts.artefact_mm
     board = np.random.default_rng([seed, 23]).normal(0.0, 1.0, 2) * (amounts.board_mm, amounts.board_scale)
     artefacts = Artefacts(BALL_DISTANCE_MM + float(made[0]), float(made[1]), float(board[0]), 1.0 + float(board[1]))
-    return TrueRig(seed, kind, n_water, left, right, beamer, (beams[0], beams[1]), artefacts)
+    rig = TrueRig(seed, kind, n_water, left, right, beamer, (beams[0], beams[1]), artefacts)
+    return with_flaws(rig, draw_outside(seed)) if kind == "outside" else rig
+
+
+def with_flaws(rig: TrueRig, outside: Outside) -> TrueRig:
+    """Return the rig with the families of ``outside`` that belong to it: flaws of lens and window instead of its lens field, and
+    the forms of plates. Each eye's are drawn by the rig's seed; families that are off leave it as it is."""
+    if outside.lens is not None:
+        eyes = {}
+        for number, name in enumerate(("left", "right", "projector")):
+            eye = rig.eye(name)
+            rng = np.random.default_rng([rig.seed, 24, number])
+            flaws = flawed(outside.lens, rng, eye.width_px, eye.height_px, eye.width_px / 1600.0)
+            eyes[name] = replace(eye, lens_field=None, aberrations=flaws)
+        rig = replace(rig, **eyes)
+    if outside.plates is not None:
+        forms = replace(rig.artefacts, plane_form_mm=outside.plates.plane, board_form_mm=outside.plates.board)
+        rig = replace(rig, artefacts=forms)
+    return rig
 
 
 def _pointer(side: float, lean_rad: Array, n_water: float) -> Laser:
@@ -272,7 +317,7 @@ def _pointer(side: float, lean_rad: Array, n_water: float) -> Laser:
 def in_air(rig: TrueRig) -> TrueRig:
     """Return the same instrument on the day of its calibration in air, before it was closed and taken into the water.
 
-    No windows (their index and the water's are 1, so that light goes straight), and what moved since is undone: the
+    No windows (their index and the water's are 1, so that light goes straight; nor their dents and striae), and what moved since is undone: the
     cameras' mounting by 0.005° and 0.01 mm and the principal distance by 1e-4 (standard deviations of the realistic
     sets; the hard one doubles them, the nominal one has none). Follows from the rig's seed and set; a rig from a file whose set is
     not one of ``SETS`` has changed by nothing.
@@ -290,8 +335,12 @@ def in_air(rig: TrueRig) -> TrueRig:
             R=_rows(np.array(eye.R) @ turn),
             t_mm=_triple(np.array(eye.t_mm) + shift),
             port=TruePort(n_g=1.0),
+            aberrations=None if eye.aberrations is None else eye.aberrations.without_window(),
         )
-    projector = replace(rig.projector, port=TruePort(n_g=1.0))
+    flaws = rig.projector.aberrations
+    projector = replace(
+        rig.projector, port=TruePort(n_g=1.0), aberrations=None if flaws is None else flaws.without_window()
+    )
     return replace(rig, n_water=1.0, left=before["left"], right=before["right"], projector=projector)
 
 
@@ -316,6 +365,7 @@ def load_truth(path: Path, n_water: float) -> TrueRig:
             tuple(table["t_mm"]),
             TruePort(**{**port, "normal": tuple(port["normal"])}),
             _flat_field(table.get("lens_field")),
+            Aberrations.from_dict(table["aberrations"]) if "aberrations" in table else None,
         )
     beams = [Laser(tuple(b["origin_mm"]), tuple(b["direction"])) for b in data["lasers"]]
     return TrueRig(
@@ -326,7 +376,7 @@ def load_truth(path: Path, n_water: float) -> TrueRig:
         eyes["right"],
         eyes["projector"],
         (beams[0], beams[1]),
-        Artefacts(**data.get("artefacts", {})),
+        Artefacts(**{k: tuple(v) if isinstance(v, list) else v for k, v in data.get("artefacts", {}).items()}),
     )
 
 
@@ -335,7 +385,7 @@ def save_truth(rig: TrueRig, path: Path) -> None:
     content = rig.as_dict()
     lines = [f"seed = {rig.seed}", f'set = "{rig.set}"']
     for name, table in content["cameras"].items():
-        parts = {part: table.pop(part) for part in ("port", "lens_field")}
+        parts = {part: table.pop(part, None) for part in ("port", "lens_field", "aberrations")}
         lines += ["", f"[cameras.{name}]", *(f"{k} = {v}" for k, v in table.items())]
         for part, values in parts.items():
             if values is not None:
@@ -391,6 +441,7 @@ def _disturb(eye: TrueEye, a: _Amounts, rng: np.random.Generator, binning: float
 
 def _eye_dict(eye: TrueEye) -> dict[str, Any]:
     port = eye.port
+    flaws = {} if eye.aberrations is None else {"aberrations": eye.aberrations.as_dict()}
     return {
         "width_px": eye.width_px,
         "height_px": eye.height_px,
@@ -408,6 +459,7 @@ def _eye_dict(eye: TrueEye) -> dict[str, Any]:
             "wedge_direction_deg": port.wedge_direction_deg,
         },
         "lens_field": _field_dict(eye.lens_field),
+        **flaws,
     }
 
 

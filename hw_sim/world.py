@@ -40,7 +40,7 @@ from hw_sim.scene import Scene
 from hw_sim.timing.calendar import Calendar
 from hw_sim.timing.world_thread import WorldThread
 from hw_sim.timing.world_time import START_NS, WorldTime
-from hw_sim.truth import SETS, TrueRig, draw_truth, in_air, load_truth
+from hw_sim.truth import SETS, TrueRig, draw_truth, in_air, load_truth, with_flaws
 from hw_sim.water.drift import Drift
 from hw_sim.water.medium import Water
 
@@ -476,6 +476,8 @@ def _true_rig(o: WorldOptions, scene: Scene) -> TrueRig:
         if o.truth in SETS
         else _stored_truth(Path(o.truth), n_water)
     )
+    # Fields and forms belong to the instrument: they are part of its rig, in water and in air.
+    wet = with_flaws(wet, scene.outside)
     return in_air(wet) if o.medium == "air" else wet
 
 

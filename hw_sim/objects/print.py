@@ -18,7 +18,16 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from hw_sim.objects.shapes import BOARD_BOW, BOARD_HALF_X_MM, BOARD_HALF_Y_MM, BOARD_SCALE
+from hw_sim.objects.shapes import (
+    BOARD_BOW,
+    BOARD_FORM,
+    BOARD_HALF_X_MM,
+    BOARD_HALF_Y_MM,
+    BOARD_SCALE,
+    S_PEAK,
+    SIZES,
+    rise,
+)
 
 Array = NDArray[np.float64]
 Ink = NDArray[np.uint8]
@@ -118,8 +127,7 @@ def front_met(sizes: Array, ox: float, oy: float, oz: float, dx: float, dy: floa
     for _ in range(3):
         x, y = ox + far * dx, oy + far * dy
         # Fixed point: intersect with the plane at the height that the front has where the last guess met it.
-        bent = sizes[BOARD_BOW] * (1.0 - (x * x + y * y) * (2.0 / (BOARD_HALF_X_MM * BOARD_HALF_X_MM)))
-        far = (bent - oz) / dz
+        far = (rise(sizes, BOARD_BOW, BOARD_FORM, BOARD_HALF_X_MM, x, y) - oz) / dz
     x, y = ox + far * dx, oy + far * dy
     if abs(x) > BOARD_HALF_X_MM - EDGE_MM or abs(y) > BOARD_HALF_Y_MM - EDGE_MM:
         return math.nan
@@ -128,6 +136,13 @@ def front_met(sizes: Array, ox: float, oy: float, oz: float, dx: float, dy: floa
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def lean(sizes: Array, x: float, y: float) -> tuple[float, float]:
-    """Return the slopes dz/dx, dz/dy of the bent front at a point: the derivative of z = bow (1 − 2 r²/a²)."""
+    """Return the slopes dz/dx, dz/dy of the bent front at a point: the derivative of ``shapes.rise``."""
     k = -4.0 * sizes[BOARD_BOW] / (BOARD_HALF_X_MM * BOARD_HALF_X_MM)
-    return k * x, k * y
+    slope_x, slope_y = k * x, k * y
+    if sizes.size > SIZES:
+        p, q = x / BOARD_HALF_X_MM, y / BOARD_HALF_X_MM
+        saddle, twist = 2.0 * sizes[BOARD_FORM], 2.0 * sizes[BOARD_FORM + 1]
+        bend = sizes[BOARD_FORM + 2] * S_PEAK * (1.0 - 3.0 * p * p)
+        slope_x += (saddle * p + twist * q + bend) / BOARD_HALF_X_MM
+        slope_y += (twist * p - saddle * q) / BOARD_HALF_X_MM
+    return slope_x, slope_y

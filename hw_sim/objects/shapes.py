@@ -56,6 +56,11 @@ DEFAULT_POSE: dict[str, tuple[float, float, float, float, float, float]] = {
 
 HALF_BALL_DISTANCE, PLANE_BOW, BOARD_BOW, BOARD_SCALE, SIZES = 0, 1, 2, 3, 4
 """Layout of ``sizes``: what differs from one made artefact to the next."""
+PLANE_FORM, BOARD_FORM, SOFT, SIZES_OUTSIDE = 4, 7, 10, 13
+"""What follows in the world ``outside`` only: saddle, twist and S of each plate, mm (``rise``), and the wave that runs through
+a soft object (``_wave``): amplitude in mm, wave number in rad/mm, phase in rad."""
+S_PEAK = 1.5 * math.sqrt(3.0)
+"""The cubic p (1 − p²) times this has the extremes ±1."""
 
 BOX = np.array(
     [
@@ -178,18 +183,51 @@ def _stones(x: float, y: float, z: float) -> float:
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def _plate(x: float, y: float, z: float, half_x: float, half_y: float, thickness: float, bow: float) -> float:
-    """Return a bound of the distance to a plate whose front, at z = 0, the workshop bent: z = bow (1 − 2 r²/half_x²)."""
-    bent = bow * (1.0 - (x * x + y * y) * (2.0 / (half_x * half_x)))
+def rise(sizes: Array, bow: int, form: int, half_x: float, x: float, y: float) -> float:
+    """Return the height z, mm, of a plate's front that the workshop bent; ``bow`` and ``form`` are places in ``sizes``."""
+    # A paraboloid, z = bow (1 − 2 r²/a²), which alone is what ordinary plates are bent to.
+    bent = sizes[bow] * (1.0 - (x * x + y * y) * (2.0 / (half_x * half_x)))
+    if sizes.size > SIZES:
+        # Saddle p² − q², twist 2 p q (a saddle turned by 45°), and an S along x; p = x/a, q = y/a.
+        p, q = x / half_x, y / half_x
+        bent += sizes[form] * (p * p - q * q) + sizes[form + 1] * (2.0 * p * q)
+        bent += sizes[form + 2] * S_PEAK * p * (1.0 - p * p)
+    return bent
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _plate(
+    x: float, y: float, z: float, half_x: float, half_y: float, thickness: float, sizes: Array, bow: int, form: int
+) -> float:
+    """Return a bound of the distance to a plate whose front, at z = 0, the workshop bent (``rise``)."""
+    bent = rise(sizes, bow, form, half_x, x, y)
     # A front that leans by a slope m is √(1 + m²) nearer than measured along z: 0.999 covers m = 0.045, far above any bow.
     return 0.999 * _box(x, y, z - 0.5 * thickness - bent, half_x, half_y, 0.5 * thickness)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
+def _wave(sizes: Array, x: float, y: float) -> float:
+    """Return how far, mm along z, the wave through a soft object has moved it at (x, y)."""
+    # It runs obliquely, so that neither rows nor columns of a pattern see only one phase of it.
+    return sizes[SOFT] * math.sin(sizes[SOFT + 1] * (0.8 * x + 0.6 * y) + sizes[SOFT + 2])
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
 def implicit(kind: int, sizes: Array, x: float, y: float, z: float) -> float:
     """Return the implicit function of an object at a point of its frame, mm: never more than the distance to the surface."""
+    if sizes.size > SIZES and sizes[SOFT] != 0.0 and kind != BOARD:
+        # A shear z → z − wave(x, y) whose slope is m makes gradients at most 1 + m as long.
+        return _rigid(kind, sizes, x, y, z - _wave(sizes, x, y)) / (1.0 + abs(sizes[SOFT] * sizes[SOFT + 1]))
+    return _rigid(kind, sizes, x, y, z)
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _rigid(kind: int, sizes: Array, x: float, y: float, z: float) -> float:
+    """Return the implicit function of the object as it is when nothing moves it."""
     if kind == 0:
-        return _plate(x, y, z, PLANE_HALF_X_MM, PLANE_HALF_Y_MM, PLANE_THICKNESS_MM, sizes[PLANE_BOW])
+        return _plate(
+            x, y, z, PLANE_HALF_X_MM, PLANE_HALF_Y_MM, PLANE_THICKNESS_MM, sizes, PLANE_BOW, PLANE_FORM
+        )  # fmt: skip
     if kind == 1:
         half = sizes[HALF_BALL_DISTANCE]
         along = abs(x) - half
@@ -204,7 +242,9 @@ def implicit(kind: int, sizes: Array, x: float, y: float, z: float) -> float:
     if kind == 4:
         return _shell(x, y, z)
     if kind == 6:
-        return _plate(x, y, z, BOARD_HALF_X_MM, BOARD_HALF_Y_MM, BOARD_THICKNESS_MM, sizes[BOARD_BOW])
+        return _plate(
+            x, y, z, BOARD_HALF_X_MM, BOARD_HALF_Y_MM, BOARD_THICKNESS_MM, sizes, BOARD_BOW, BOARD_FORM
+        )  # fmt: skip
     return _stones(x, y, z)
 
 
@@ -248,6 +288,9 @@ def march(
     (relaxed sphere tracing: Keinert et al. 2014; Bálint and Valasek 2018). Near the surface secants take over.
     """
     enter, leave = box_span(kind, ox, oy, oz, dx, dy, dz)
+    if sizes.size > SIZES:
+        # A wave may lift the surface out of its box: by its amplitude, which an oblique ray meets some times as far off.
+        enter, leave = enter - 4.0 * abs(sizes[SOFT]), leave + 4.0 * abs(sizes[SOFT])
     t, end = max(start, enter), min(stop, leave)
     if not t < end:
         return math.nan

@@ -21,6 +21,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from hw_sim.optics.aberrations import ORDERS
+
 Array = NDArray[np.float64]
 
 # Layout of a packed eye.
@@ -28,6 +30,10 @@ FOCAL, CENTRE, BROWN, ROTATION, POSITION, INNER, OUTER = 0, 2, 4, 9, 18, 21, 24
 DISTANCE, THICKNESS, GLASS, WATER, WIDTH, HEIGHT, HAS_FIELD, FIELD = 27, 28, 29, 30, 31, 32, 33, 34
 FIELD_ORDER = 4
 PACKED = FIELD + 2 * FIELD_ORDER * FIELD_ORDER
+# What follows is there only for an eye with flaws (``optics.aberrations``), in the order of ``Aberrations``.
+FLAWS, DENT = PACKED, PACKED + 2 * ORDERS * ORDERS
+STRIA, PUPIL, BEND = DENT + 4, DENT + 9, DENT + 10
+PACKED_WITH_FLAWS = BEND + 1
 
 UNDISTORT_STEPS = 10
 PROJECT_STEPS = 12
@@ -70,6 +76,51 @@ def lens_field(eye: Array, u: float, v: float) -> tuple[float, float]:
 
 
 @numba.njit(nogil=True, cache=True)
+def cosines(table: Array, first: int, x: float, y: float) -> float:
+    """Return Σ c[j, i] cos(i x) cos(j y) of the ORDERS² coefficients that begin at ``first`` of ``table``."""
+    # Clenshaw's recurrence for cosines, b[k] = a[k] + 2 cos x b[k+1] − b[k+2]: within each row, then over the rows.
+    cx, cy = math.cos(x), math.cos(y)
+    down1, down2, row = 0.0, 0.0, 0.0
+    for j in range(ORDERS - 1, -1, -1):
+        across1, across2 = 0.0, 0.0
+        for i in range(ORDERS - 1, 0, -1):
+            across1, across2 = table[first + ORDERS * j + i] + 2.0 * cx * across1 - across2, across1
+        row = table[first + ORDERS * j] + cx * across1 - across2
+        if j > 0:
+            down1, down2 = row + 2.0 * cy * down1 - down2, down1
+    return row + cy * down1 - down2
+
+
+@numba.njit(nogil=True, cache=True)
+def flaw_field(eye: Array, u: float, v: float) -> tuple[float, float]:
+    """Return the displacement, px, by the flaws of an eye that has them: cosines to order 11, a dent, a stria."""
+    x, y = math.pi * (u + 0.5) / eye[WIDTH], math.pi * (v + 0.5) / eye[HEIGHT]
+    du, dv = cosines(eye, FLAWS, x, y), cosines(eye, FLAWS + ORDERS * ORDERS, x, y)
+    # A dent bends light by the slope of a Gaussian bump: away from its middle, most at one width from it.
+    a, b, width = u - eye[DENT], v - eye[DENT + 1], eye[DENT + 2]
+    k = eye[DENT + 3] / width * math.exp(0.5 - 0.5 * (a * a + b * b) / (width * width))
+    du, dv = du + k * a, dv + k * b
+    # A stria is a line whose index differs: the same across it, nothing along it.
+    nu, nv, width = math.cos(eye[STRIA + 2]), math.sin(eye[STRIA + 2]), eye[STRIA + 3]
+    off = (u - eye[STRIA]) * nu + (v - eye[STRIA + 1]) * nv
+    k = eye[STRIA + 4] / width * off * math.exp(0.5 - 0.5 * off * off / (width * width))
+    return du + k * nu, dv + k * nv
+
+
+@numba.njit(nogil=True, cache=True)
+def bent_normal(
+    bend: float, px: float, py: float, pz: float, ax: float, ay: float, az: float, nx: float, ny: float, nz: float
+) -> tuple[float, float, float]:
+    """Return the unit normal of a face at p that is bent by ``bend`` (1/mm) about the foot of the perpendicular n, from its
+    flat normal a. The sag itself, of micrometres, is left out: it moves a ray by less than a hundredth of that."""
+    # Off the foot by r = p − (p · n) n the face of a bowl that is hollow on the water's side leans by bend · r towards the axis.
+    along = px * nx + py * ny + pz * nz
+    x, y, z = ax - bend * (px - along * nx), ay - bend * (py - along * ny), az - bend * (pz - along * nz)
+    norm = math.sqrt(x * x + y * y + z * z)
+    return x / norm, y / norm, z / norm
+
+
+@numba.njit(nogil=True, cache=True)
 def undistort(eye: Array, xd: float, yd: float) -> tuple[float, float]:
     """Normalised coordinates whose distorted ones are (xd, yd): Newton on OpenCV's five-parameter model."""
     k1, k2, p1, p2, k3 = eye[BROWN], eye[BROWN + 1], eye[BROWN + 2], eye[BROWN + 3], eye[BROWN + 4]
@@ -98,6 +149,10 @@ def undistort(eye: Array, xd: float, yd: float) -> tuple[float, float]:
 def pixel_ray(eye: Array, u: float, v: float) -> tuple[float, float, float, float, float, float]:
     """The ray in water that pixel (u, v) looks along: point on the outer glass face and unit direction, rig frame."""
     du, dv = lens_field(eye, u, v)
+    flawed = eye.size > PACKED
+    if flawed:
+        fu, fv = flaw_field(eye, u, v)
+        du, dv = du + fu, dv + fv
     x, y = undistort(
         eye, (u - du - eye[CENTRE]) / eye[FOCAL], (v - dv - eye[CENTRE + 1]) / eye[FOCAL + 1]
     )  # fmt: skip
@@ -106,13 +161,20 @@ def pixel_ray(eye: Array, u: float, v: float) -> tuple[float, float, float, floa
     ax, ay, az = x / norm, y / norm, 1.0 / norm
     nx, ny, nz = eye[INNER], eye[INNER + 1], eye[INNER + 2]
     mx, my, mz = eye[OUTER], eye[OUTER + 1], eye[OUTER + 2]
-    s = eye[DISTANCE] / (ax * nx + ay * ny + az * nz)
-    px, py, pz = ax * s, ay * s, az * s
-    gx, gy, gz = refract(ax, ay, az, nx, ny, nz, 1.0 / eye[GLASS])
+    # The entrance pupil, from which the ray starts, moves along the axis with the squared tangent of the field angle.
+    pupil = eye[PUPIL] * (x * x + y * y) if flawed else 0.0
+    s = (eye[DISTANCE] - pupil * nz) / (ax * nx + ay * ny + az * nz)
+    px, py, pz = ax * s, ay * s, az * s + pupil
+    ix, iy, iz = nx, ny, nz
+    if flawed and eye[BEND] != 0.0:
+        ix, iy, iz = bent_normal(eye[BEND], px, py, pz, nx, ny, nz, nx, ny, nz)
+    gx, gy, gz = refract(ax, ay, az, ix, iy, iz, 1.0 / eye[GLASS])
     # In glass, to the outer face: m · (p + s g) = m · n (d + th), for the faces are wedged (m ≠ n).
     depth = eye[DISTANCE] + eye[THICKNESS]
     s = ((nx * depth - px) * mx + (ny * depth - py) * my + (nz * depth - pz) * mz) / (gx * mx + gy * my + gz * mz)
     px, py, pz = px + gx * s, py + gy * s, pz + gz * s
+    if flawed and eye[BEND] != 0.0:
+        mx, my, mz = bent_normal(eye[BEND], px, py, pz, mx, my, mz, nx, ny, nz)
     # Into the water, then from the eye's frame into the rig's: R p + t.
     wx, wy, wz = refract(gx, gy, gz, mx, my, mz, eye[GLASS] / eye[WATER])
     r = ROTATION

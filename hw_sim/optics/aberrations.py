@@ -1,0 +1,157 @@
+"""Owns what lens and window of one eye do that neither Brown's five coefficients nor two flat faces can say.
+
+A field of cosines up to order 11 with a falling spectrum, a dent and a stria of the window, and an entrance pupil that moves
+along the axis with the field angle. Where rays go with all that is the matter of ``optics.trace``.
+"""
+
+# Symbols:
+#   i, j      order of a cosine across and down the picture; c its coefficient in px
+#   σ         width of a dent or stria, px: the displacement is √e · amount · (r/σ) exp(−r²/2σ²), so that its largest is amount
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hw_sim.ranges import Range, drawn_strengths
+
+Array = NDArray[np.float64]
+
+ORDERS = 12
+"""Orders 0 to 11 of the cosines, each way."""
+
+RANGES = {
+    "field_px": Range(
+        0.06,
+        0.12,
+        "left after Brown's model in calibrated cameras: 0.05 to 0.15 px (Tang, Fritsch, Cramer, ISPRS J. 70 (2012) 86)",
+    ),
+    "fall": Range(
+        1.0, 2.0, "spectra of polished surfaces and of fitted fields fall with the first to second power (ISO 10110-8)"
+    ),
+    "dent_px": Range(
+        0.03,
+        0.12,
+        "form of 0.1 to 0.3 fringe on 3 mm of a face (ISO 10110-5): 15 to 50 µrad in water, times a focal length of 2556 px",
+    ),
+    "dent_width_px": Range(
+        90.0, 220.0, "a flaw of 1 to 2.5 mm in a window 30 mm before the pupil, blurred by the pupil of 1.4 mm"
+    ),
+    "stria_px": Range(
+        0.02, 0.06, "striae of grade 2 to 4: 10 to 30 nm of path (ISO 10110-4; MIL-G-174B grades B to C)"
+    ),
+    "stria_width_px": Range(70.0, 160.0, "cords of 0.5 to 2 mm, blurred by the pupil as above"),
+    "pupil_mm": Range(
+        0.2, 0.6, "entrance pupils of small wide lenses move by tenths of a mm (Gennery 2006, IJCV 68, section 4)"
+    ),
+}
+"""Ranges of the family ``lens``; px are those of 1600."""
+
+
+@dataclass(frozen=True, slots=True)
+class LensFlaws:
+    """The strengths of lens and window flaws, the same for each eye; zero is none. Raises ValueError for impossible numbers."""
+
+    field_px: float = 0.0
+    """Root mean square of each component of the field, px of 1600."""
+    fall: float = 1.0
+    """Exponent of the spectrum: a coefficient's standard deviation is (1 + i + j)^−fall."""
+    dent_px: float = 0.0
+    """Largest displacement by a dent of the window, px of 1600; each eye has between a half and all of it."""
+    dent_width_px: float = 120.0
+    """Distance from the dent's middle at which it displaces most, px of 1600."""
+    stria_px: float = 0.0
+    """Largest displacement across a stria, px of 1600; each eye has between a half and all of it."""
+    stria_width_px: float = 100.0
+    pupil_mm: float = 0.0
+    """The entrance pupil lies this far before its place on the axis, times the squared tangent of the angle in air."""
+
+    def __post_init__(self) -> None:
+        for name, least, most in (
+            ("field_px", 0.0, 5.0), ("fall", 0.0, 8.0), ("dent_px", 0.0, 5.0), ("dent_width_px", 80.0, 800.0),
+            ("stria_px", 0.0, 5.0), ("stria_width_px", 60.0, 800.0), ("pupil_mm", -5.0, 5.0),
+        ):  # fmt: skip
+            value = getattr(self, name)
+            if not least <= value <= most:
+                raise ValueError(f"lens: {name} = {value}; allowed are {least:g}..{most:g}")
+
+    @classmethod
+    def drawn(cls, rng: np.random.Generator) -> LensFlaws:
+        """Return strengths drawn from ``RANGES``."""
+        return cls(**drawn_strengths(RANGES, rng))
+
+
+@dataclass(frozen=True, slots=True)
+class Aberrations:
+    """The flaws of one eye, in its own px; all that ``optics.trace`` reads."""
+
+    field_px: tuple[float, ...] = (0.0,) * (2 * ORDERS * ORDERS)
+    """Coefficients for u (row = order down the picture), then for v."""
+    dent: tuple[float, float, float, float] = (0.0, 0.0, 1.0, 0.0)
+    """Middle u, v, width and largest displacement, px."""
+    stria: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 1.0, 0.0)
+    """A point u, v of its line, direction of its normal in radians, width and largest displacement, px."""
+    pupil_mm: float = 0.0
+    window_bend_per_mm: float = 0.0
+    """Curvature of both faces, 1/mm, positive where the middle stands towards the lens: the window is a meniscus under pressure."""
+
+    def packed(self) -> Array:
+        """Return the numbers in the order in which ``optics.trace`` looks for them."""
+        return np.array([*self.field_px, *self.dent, *self.stria, self.pupil_mm, self.window_bend_per_mm])
+
+    def without_window(self) -> Aberrations:
+        """Return what the lens alone does."""
+        return Aberrations(self.field_px, pupil_mm=self.pupil_mm)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the flaws ready for JSON and TOML: ``u_px[j][i]`` belongs to cos(iπ(u+½)/width) cos(jπ(v+½)/height)."""
+        u, v = np.reshape(self.field_px, (2, ORDERS, ORDERS)).tolist()
+        return {
+            "u_px": u,
+            "v_px": v,
+            "dent": list(self.dent),
+            "stria": list(self.stria),
+            "pupil_mm": self.pupil_mm,
+            "window_bend_per_mm": self.window_bend_per_mm,
+        }
+
+    @classmethod
+    def from_dict(cls, table: dict[str, Any]) -> Aberrations:
+        """Return the flaws that ``as_dict`` wrote. Raises KeyError for what is missing."""
+        return cls(
+            tuple(float(x) for x in np.ravel([table["u_px"], table["v_px"]])),
+            tuple(table["dent"]),
+            tuple(table["stria"]),
+            table["pupil_mm"],
+            table["window_bend_per_mm"],
+        )
+
+
+def flawed(
+    strengths: LensFlaws, rng: np.random.Generator, width_px: int, height_px: int, px_per_1600: float
+) -> Aberrations:
+    """Return the flaws of one eye drawn to these strengths; ``px_per_1600`` is one px of 1600 in px of the eye."""
+    orders = np.add.outer(np.arange(ORDERS), np.arange(ORDERS))
+    field = rng.standard_normal((2, ORDERS, ORDERS)) * (1.0 + orders) ** -strengths.fall
+    # Shift and the two tilts of lowest order are matters of the principal point and the focal length.
+    field[:, 0, 0] = field[:, 0, 1] = field[:, 1, 0] = 0.0
+    # Mean square of a cosine over the picture: ½, or 1 for order 0.
+    power = np.where(np.arange(ORDERS) == 0, 1.0, 0.5)
+    square = np.einsum("cji,j,i->c", field**2, power, power)
+    field *= strengths.field_px * px_per_1600 / np.sqrt(square)[:, None, None]
+    at = rng.uniform(0.2, 0.8, (2, 2)) * (width_px, height_px)
+    share = rng.uniform(0.5, 1.0, 2) * rng.choice([-1.0, 1.0], 2) * px_per_1600
+    normal_rad = rng.uniform(0.0, math.pi)
+    return Aberrations(
+        tuple(float(x) for x in field.ravel()),
+        (float(at[0, 0]), float(at[0, 1]), strengths.dent_width_px * px_per_1600, strengths.dent_px * float(share[0])),
+        (
+            *(float(at[1, 0]), float(at[1, 1]), normal_rad),
+            *(strengths.stria_width_px * px_per_1600, strengths.stria_px * float(share[1])),
+        ),
+        strengths.pupil_mm,
+    )
