@@ -22,7 +22,7 @@ CORRELATION_S = 60.0
 """Time τ after which a crystal has forgotten how fast it was: that of a small case that warms and cools (NIST TN 1337)."""
 STEP_S = 0.1
 """The wander is known at multiples of this and goes straight between them."""
-BLOCK = 4096
+AT_ONCE = 3000
 """Steps that are drawn at a time."""
 
 RANGES = {
@@ -104,10 +104,10 @@ class Wander:
         # Exact discretisation of dy = −y dt / τ + …: y' = a y + √(1 − a²) · wander · N, a = exp(−step / τ).
         keep = math.exp(-STEP_S / CORRELATION_S)
         kick = math.sqrt(1.0 - keep * keep) * self._clocks.wander_ppm * 1e-6
-        deviates = self._rng.standard_normal((BLOCK, 2))
+        deviates = self._rng.standard_normal((AT_ONCE, 2))
         walk = deviates[:, 1] * (self._clocks.walk_us * 1e-6 * math.sqrt(STEP_S))
-        rates = np.empty(BLOCK)
-        for i in range(BLOCK):
+        rates = np.empty(AT_ONCE)
+        for i in range(AT_ONCE):
             rates[i] = self._rate
             self._rate = keep * self._rate + kick * float(deviates[i, 0])
         self._ahead_s = np.concatenate([self._ahead_s, self._ahead_s[-1] + np.cumsum(rates * STEP_S + walk)])

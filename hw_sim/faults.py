@@ -42,7 +42,7 @@ KINDS: dict[tuple[str, str], Kind] = {
     ("board", "off"): Kind(),
     ("board", "garbage"): Kind(),
     ("board", "slow"): Kind(),
-    ("board", "wrong"): Kind(("reset", "vsync", "query"), strikes=True),
+    ("board", "wrong"): Kind(("reset", "vsync", "query", "glitch"), strikes=True),
     ("board", "delayed"): Kind(strikes=True, amount=8.3),
     ("board", "intermittent"): Kind(strikes=True),
     ("laser", "stuck"): Kind(),

@@ -14,7 +14,11 @@ import numpy as np
 
 from hw_sim.clocks import Clocks
 from hw_sim.objects.bent import BentPlates
+from hw_sim.objects.hand_track import HandTrack
+from hw_sim.objects.soft import SoftBody
 from hw_sim.optics.aberrations import LensFlaws
+from hw_sim.optics.camera_traits import CameraTraits
+from hw_sim.optics.mounts import Mounts
 
 STREAM = 0x0075
 """Keeps these draws apart from all others that begin with a seed."""
@@ -28,6 +32,14 @@ class Outside:
     """Fields of lens and window up to order 11, a dent, a stria, a pupil that moves. Belongs to the rig, not to a moment."""
     plates: BentPlates | None = None
     """Board and plane bent to other shapes than a paraboloid. Belongs to the rig."""
+    cameras: CameraTraits | None = None
+    """Other sensors, a response that is bent, vignetting, rows that flicker, hot pixels, veiling glare."""
+    hands: HandTrack | None = None
+    """Jerk, a swell of 1 Hz, turns about the diver's shoulder."""
+    mounts: Mounts | None = None
+    """Poses that drift with the case's temperature, windows that bend with depth."""
+    soft: SoftBody | None = None
+    """An object that is not rigid; no part of the set."""
     clocks: Clocks | None = None
     """Trigger jitter, clocks that wander, what a time stamp is the time of."""
 
@@ -49,6 +61,10 @@ class Family:
 FAMILIES: dict[str, Family] = {
     "lens": Family(2, LensFlaws, LensFlaws.drawn),
     "plates": Family(12, BentPlates, BentPlates.drawn),
+    "cameras": Family(4, CameraTraits, CameraTraits.drawn),
+    "hands": Family(6, HandTrack, HandTrack.drawn),
+    "mounts": Family(16, Mounts, Mounts.drawn),
+    "soft": Family(26, SoftBody, SoftBody.drawn, of_the_set=False),
     "clocks": Family(7, Clocks, Clocks.drawn),
 }
 ALL = tuple(name for name, family in FAMILIES.items() if family.of_the_set)

@@ -15,17 +15,27 @@ class Range:
     low: float
     high: float
     source: str
+    even_in_log: bool = False
+    """Small values are as likely as large ones: a tenth to one as one to ten."""
 
     def __post_init__(self) -> None:
         if not self.low <= self.high:
             raise ValueError(f"range {self.low:g}..{self.high:g}; the lower end comes first")
         if not self.source.strip():
             raise ValueError(f"range {self.low:g}..{self.high:g} has no source; say where it comes from")
+        if self.even_in_log and not self.low > 0.0:
+            raise ValueError(f"range {self.low:g}..{self.high:g} in logarithms; it must begin above zero")
+
+    def at(self, share: float) -> float:
+        """Return the value at ``share`` of the range, 0..1."""
+        if self.even_in_log:
+            return float(self.low * (self.high / self.low) ** share)
+        return self.low + share * (self.high - self.low)
 
 
 def drawn_strengths(ranges: Mapping[str, Range], rng: np.random.Generator) -> dict[str, float]:
-    """Return one value for each row of the table, evenly distributed over its range.
+    """Return one value for each row of the table, evenly distributed over its range, or over the logarithms there.
 
     The rows are drawn in their order, so that a row appended to a table changes none of those before it.
     """
-    return {name: float(rng.uniform(r.low, r.high)) for name, r in ranges.items()}
+    return {name: r.at(float(rng.uniform())) for name, r in ranges.items()}

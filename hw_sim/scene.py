@@ -74,6 +74,11 @@ class Scene:
         return self.pose or DEFAULT_POSE[self.object]
 
     @property
+    def moves(self) -> bool:
+        """The object moves before the rig, or in itself."""
+        return not self.motion.still or self.outside.hands is not None or self.outside.soft is not None
+
+    @property
     def still(self) -> bool:
         """The same light makes the same picture at any time."""
-        return self.motion.still and self.daylight.steady and self.drift.nothing
+        return not self.moves and self.daylight.steady and self.drift.nothing

@@ -28,6 +28,7 @@ from hw_sim.objects.shapes import (
 from hw_sim.optics.aberrations import Aberrations, flawed
 from hw_sim.optics.trace import FIELD, FIELD_ORDER, HAS_FIELD, PACKED, pixels_of, rays_of, refract
 from hw_sim.outside import Outside, draw_outside
+from hw_sim.workshop import drawn_tolerances
 
 Array = NDArray[np.float64]
 
@@ -235,8 +236,14 @@ _AMOUNTS = {
     "hard": _HARD,
     "paper": replace(_REALISTIC, tilt_deg=(1.0, 2.0), field_px=0.15),
     "modelled": replace(_REALISTIC, field_px=0.0, wedge_deg=0.0),
-    "outside": _REALISTIC,
 }
+
+
+def _amounts_of(kind: str, seed: int) -> _Amounts | None:
+    """Return the amounts of a set, which for ``outside`` are those of the seed's workshop; ``None`` for an unknown set."""
+    if kind == "outside":
+        return replace(_REALISTIC, **drawn_tolerances(seed))
+    return _AMOUNTS.get(kind)
 
 
 def draw_truth(kind: str, seed: int, width_px: int, height_px: int, n_water: float) -> TrueRig:
@@ -246,7 +253,7 @@ def draw_truth(kind: str, seed: int, width_px: int, height_px: int, n_water: flo
     """
     if kind.endswith(".toml"):
         return load_truth(Path(kind), n_water)
-    amounts = _AMOUNTS.get(kind)
+    amounts = _amounts_of(kind, seed)
     if amounts is None:
         raise ValueError(f"truth '{kind}'; allowed are {', '.join(SETS)} or the path of a truth.toml")
     rng = np.random.default_rng([seed, 20])
@@ -290,7 +297,7 @@ def with_flaws(rig: TrueRig, outside: Outside) -> TrueRig:
             rng = np.random.default_rng([rig.seed, 24, number])
             flaws = flawed(outside.lens, rng, eye.width_px, eye.height_px, eye.width_px / 1600.0)
             eyes[name] = replace(eye, lens_field=None, aberrations=flaws)
-        rig = replace(rig, **eyes)
+        rig = replace(rig, left=eyes["left"], right=eyes["right"], projector=eyes["projector"])
     if outside.plates is not None:
         forms = replace(rig.artefacts, plane_form_mm=outside.plates.plane, board_form_mm=outside.plates.board)
         rig = replace(rig, artefacts=forms)
@@ -322,7 +329,7 @@ def in_air(rig: TrueRig) -> TrueRig:
     sets; the hard one doubles them, the nominal one has none). Follows from the rig's seed and set; a rig from a file whose set is
     not one of ``SETS`` has changed by nothing.
     """
-    a = _AMOUNTS.get(rig.set, _Amounts())
+    a = _amounts_of(rig.set, rig.seed) or _Amounts()
     rng = np.random.default_rng([rig.seed, 22])
     before = {}
     for name in ("left", "right"):
@@ -376,8 +383,13 @@ def load_truth(path: Path, n_water: float) -> TrueRig:
         eyes["right"],
         eyes["projector"],
         (beams[0], beams[1]),
-        Artefacts(**{k: tuple(v) if isinstance(v, list) else v for k, v in data.get("artefacts", {}).items()}),
+        _artefacts(data.get("artefacts", {})),
     )
+
+
+def _artefacts(table: dict[str, Any]) -> Artefacts:
+    values: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value for name, value in table.items()}
+    return Artefacts(**values)
 
 
 def save_truth(rig: TrueRig, path: Path) -> None:

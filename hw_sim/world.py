@@ -28,6 +28,7 @@ from hw_sim.devices.shutter import Exposure, Latent
 from hw_sim.devices.u3v_camera import U3vCamera
 from hw_sim.faults import Fault, FaultBook
 from hw_sim.heat import Housing, Powers
+from hw_sim.in_dive import NOTICED_K, REFERENCE_C, in_dive
 from hw_sim.light.daylight import Daylight
 from hw_sim.mount_shift import MountShift, with_mount_shifted
 from hw_sim.objects.motion import Motion, swayed_s
@@ -83,8 +84,11 @@ class World:
             raise OptionError(f"pace '{o.pace}' with a computer outside; its clock is the real one: choose realtime")
         self.cable = cable
         scene = o.scene()
-        self.truth = _true_rig(o, scene)
+        self._rig = _true_rig(o, scene)
         self._scene = scene
+        self._warm_k = scene.water.temperature_c - REFERENCE_C
+        self.truth = self._rig_of_today()
+        """The rig as it is now: knocks, heat and depth are part of it."""
         self._renderer_lock = threading.Lock()
         self._made_renderer: Renderer | None = None
         self._frame_cache = FrameCache() if o.stills else None
@@ -182,10 +186,28 @@ class World:
     def knock(self, shift: MountShift) -> None:
         """Shift a camera in its mount, for good: it is seen from the next image on. Nothing repairs it."""
         with self._renderer_lock:
-            self.truth = with_mount_shifted(self.truth, shift)
-            if self._made_renderer is not None:
-                self._made_renderer = Renderer(self.truth, self._scene)
-                self._frame_cache = FrameCache() if self._frame_cache is not None else None
+            self._rig = with_mount_shifted(self._rig, shift)
+            self._change_truth()
+
+    def _rig_of_today(self) -> TrueRig:
+        mounts = self._scene.outside.mounts
+        return self._rig if mounts is None else in_dive(self._rig, mounts, self._warm_k)
+
+    def _change_truth(self) -> None:
+        """Let images be made with the rig as it is now. The caller holds the renderer's lock."""
+        self.truth = self._rig_of_today()
+        if self._made_renderer is not None:
+            self._made_renderer = Renderer(self.truth, self._scene)
+            self._frame_cache = FrameCache() if self._frame_cache is not None else None
+
+    def _drift_with_heat(self) -> None:
+        """Let the mounts follow the case's temperature, but not within a sequence: heat moves nothing in a second."""
+        warm_k = self._housing.temperature_c("TCASE") - REFERENCE_C
+        if self._scene.outside.mounts is None or abs(warm_k - self._warm_k) < NOTICED_K or self.recording:
+            return
+        with self._renderer_lock:
+            self._warm_k = warm_k
+            self._change_truth()
 
     def set_motion(self, motion: Motion) -> None:
         """Change how the hands move during sequences: time 0 is a sequence's first pulse, live views are at rest."""
@@ -441,6 +463,7 @@ class World:
         # The water may have been changed meanwhile: the housing feels it, although the refractive index stays.
         self._housing.outside_c = self._scene.water.temperature_c
         self._housing.advance(passed_s, Powers(shines, streaming, any(self.board.lasers_on)))
+        self._drift_with_heat()
 
     def _sensor(self, name: str) -> str:
         """Return a sensor's value as the board prints it; ``-`` when it does not answer."""

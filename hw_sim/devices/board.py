@@ -84,6 +84,7 @@ class Board:
         """``period_ns``: that of the projector's vertical sync, as far as the firmware was told. ``clocks``: how pulses and
         clock err beyond a constant; ``None``: not at all."""
         self._sync_lost_ns = SYNC_LOST_PERIODS * period_ns
+        self._glitch_ns = period_ns // 2
         self._time, self._faults, self._fire, self._sensor = time, faults, fire, sensor
         self._rng = np.random.default_rng([seed, 0xB0A2D])
         self._ppm = float(self._rng.uniform(-45.0, 45.0))
@@ -149,6 +150,9 @@ class Board:
         job = self._job
         if job is None:
             return
+        # A glitch on the sync line half a period before its frame's own sync: the board cannot tell it from one.
+        if self._faults.strike("board", "wrong", "glitch", self._frame_at(self._count + 1)):
+            self._at(time_ns + self._glitch_ns, self.vsync)
         # The counter has 32 bits and wraps: a difference in its upper half is negative, the start is still to come.
         since = (self._count - job.start) & 0xFFFFFFFF
         if since & 0x80000000 or since % job.every:

@@ -9,7 +9,7 @@ import numpy as np
 from hw_sim.ranges import Range, drawn_strengths
 
 MOST_MM = 0.2
-"""What the boxes around plane and board have room for, together with a bow."""
+"""Largest form for which the boxes around plane and board have room, together with a bow."""
 BOARD = "sandwich and glass plates of calibration boards: flat to 0.1 mm over 300 mm by their makers; 1 K across 8 mm of aluminium: 0.03 mm"
 PLATE = "measuring plates of 250 mm: flat to 5 µm (grade 0) or 12 µm (grade 1), DIN 876"
 RANGES = {

@@ -57,7 +57,7 @@ DEFAULT_POSE: dict[str, tuple[float, float, float, float, float, float]] = {
 HALF_BALL_DISTANCE, PLANE_BOW, BOARD_BOW, BOARD_SCALE, SIZES = 0, 1, 2, 3, 4
 """Layout of ``sizes``: what differs from one made artefact to the next."""
 PLANE_FORM, BOARD_FORM, SOFT, SIZES_OUTSIDE = 4, 7, 10, 13
-"""What follows in the world ``outside`` only: saddle, twist and S of each plate, mm (``rise``), and the wave that runs through
+"""The rest of ``sizes``, in the world ``outside`` only: saddle, twist and S of each plate, mm (``rise``), and the wave that runs through
 a soft object (``_wave``): amplitude in mm, wave number in rad/mm, phase in rad."""
 S_PEAK = 1.5 * math.sqrt(3.0)
 """The cubic p (1 − p²) times this has the extremes ±1."""
@@ -192,7 +192,7 @@ def rise(sizes: Array, bow: int, form: int, half_x: float, x: float, y: float) -
         p, q = x / half_x, y / half_x
         bent += sizes[form] * (p * p - q * q) + sizes[form + 1] * (2.0 * p * q)
         bent += sizes[form + 2] * S_PEAK * p * (1.0 - p * p)
-    return bent
+    return float(bent)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -209,7 +209,7 @@ def _plate(
 def _wave(sizes: Array, x: float, y: float) -> float:
     """Return how far, mm along z, the wave through a soft object has moved it at (x, y)."""
     # It runs obliquely, so that neither rows nor columns of a pattern see only one phase of it.
-    return sizes[SOFT] * math.sin(sizes[SOFT + 1] * (0.8 * x + 0.6 * y) + sizes[SOFT + 2])
+    return float(sizes[SOFT] * math.sin(sizes[SOFT + 1] * (0.8 * x + 0.6 * y) + sizes[SOFT + 2]))
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -217,7 +217,8 @@ def implicit(kind: int, sizes: Array, x: float, y: float, z: float) -> float:
     """Return the implicit function of an object at a point of its frame, mm: never more than the distance to the surface."""
     if sizes.size > SIZES and sizes[SOFT] != 0.0 and kind != BOARD:
         # A shear z → z − wave(x, y) whose slope is m makes gradients at most 1 + m as long.
-        return _rigid(kind, sizes, x, y, z - _wave(sizes, x, y)) / (1.0 + abs(sizes[SOFT] * sizes[SOFT + 1]))
+        steep = 1.0 + abs(float(sizes[SOFT] * sizes[SOFT + 1]))
+        return _rigid(kind, sizes, x, y, z - _wave(sizes, x, y)) / steep
     return _rigid(kind, sizes, x, y, z)
 
 

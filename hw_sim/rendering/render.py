@@ -17,10 +17,12 @@ from numpy.typing import NDArray
 from hw_sim.latest import Latest
 from hw_sim.light.lasers import add_laser
 from hw_sim.light.uneven import UnevenLight
+from hw_sim.optics.camera_traits import CameraTraits
 from hw_sim.optics.geometry import GREY, LIT, MIDDLE_MM, Geometry, Pose
 from hw_sim.optics.projector import FAR_MM, SPREAD_FAR_PX, LightSlice, collect, light_between, response, soften
 from hw_sim.optics.view import Surface, TrueView
 from hw_sim.rendering.sensor import FULL_WELL_E, Sensor
+from hw_sim.rendering.sensor_of_traits import SensorOfTraits
 from hw_sim.rendering.stage import CAMERAS, MOST_INSTANTS, Stage, instants
 from hw_sim.scene import RESPONSES, Scene
 from hw_sim.truth import TrueRig
@@ -68,6 +70,9 @@ class Renderer:
         self._uneven = UnevenLight()
         self._swarms: Latest[Drift, Swarm] = Latest()
         self._sensors: dict[str, Latest[bool, Sensor]] = {camera: Latest() for camera in CAMERAS}
+        self._sensors_of_traits: dict[str, Latest[tuple[bool, CameraTraits], SensorOfTraits]] = {
+            camera: Latest() for camera in CAMERAS
+        }
 
     @property
     def scene(self) -> Scene:
@@ -101,7 +106,7 @@ class Renderer:
         eye = self.truth.eye(camera)
         # Motion blur: the exposure is the mean of a few instants, each with the light that fell in its share of the time.
         count = self._instants(camera, scene, time_s, exposure_s)
-        at_rest = scene.motion.still or time_s <= 0.0
+        at_rest = not scene.moves or time_s <= 0.0
         electrons = np.zeros((eye.height_px, eye.width_px), np.float32)
         for k in range(count):
             begin_s, end_s = exposure_s * k / count, exposure_s * (k + 1) / count
@@ -114,7 +119,12 @@ class Renderer:
         image = self._blurred(camera, scene, electrons)
         if scene.imaging.camera_defocus:
             image = self._defocused(camera, scene, image, time_s)
-        return self._sensor(camera, scene).read_out(scene.fog.over(camera, image), gain_db, noise_seed)
+        image = scene.fog.over(camera, image)
+        traits = scene.outside.cameras
+        if traits is not None:
+            sensor = self._sensor_of_traits(camera, scene, traits)
+            return sensor.read_out(traits.through_lens(image), gain_db, noise_seed, exposure_s)
+        return self._sensor(camera, scene).read_out(image, gain_db, noise_seed)
 
     def surface(self, time_s: float) -> Surface:
         """Return the true surface at ``time_s``."""
@@ -149,7 +159,7 @@ class Renderer:
         """Return how many instants of the exposure are rendered; fish always need all."""
         if scene.drift.fish:
             return MOST_INSTANTS
-        if scene.motion.still or time_s <= 0.0:
+        if not scene.moves or time_s <= 0.0:
             return 1
         begin, end = (self._stage.pose(scene, time_s + part * exposure_s) for part in (-0.5, 0.5))
         return instants(begin, end, CAMERA_PX_MM / self._scale(camera))
@@ -269,6 +279,13 @@ class Renderer:
         return self._sensors[camera].get(
             scene.noise, lambda: Sensor(eye.width_px, eye.height_px, seed, scene.noise)
         )  # fmt: skip
+
+    def _sensor_of_traits(self, camera: str, scene: Scene, traits: CameraTraits) -> SensorOfTraits:
+        eye = self.truth.eye(camera)
+        seed = 2 * self.truth.seed + CAMERAS.index(camera)
+        return self._sensors_of_traits[camera].get(
+            (scene.noise, traits), lambda: SensorOfTraits(eye.width_px, eye.height_px, seed, scene.noise, traits)
+        )
 
 
 def _water_blur_mm(water: Water) -> float:

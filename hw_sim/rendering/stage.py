@@ -52,8 +52,13 @@ class Stage:
 
     def pose(self, scene: Scene, time_s: float) -> Pose:
         """Return the object's pose in the rig's frame at ``time_s``; before time 0 the hands are at rest."""
-        R, t = object_pose(scene.start_pose, scene.motion, max(time_s, 0.0))
-        return Pose(NAMES[scene.object], self._sizes, R, t)
+        at_s, sizes = max(time_s, 0.0), self._sizes
+        R, t = object_pose(scene.start_pose, scene.motion, at_s)
+        if scene.outside.hands is not None:
+            R, t = scene.outside.hands.seen(R, t, at_s)
+        if scene.outside.soft is not None:
+            sizes = scene.outside.soft.waving(sizes, at_s)
+        return Pose(NAMES[scene.object], sizes, R, t)
 
     def rays(self, camera: str) -> Array:
         """Return the exact rays (h, w, 6) float64 in water of all of a camera's pixels: point on the window, mm, and unit

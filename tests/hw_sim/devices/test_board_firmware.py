@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
+from hw_sim.clocks import Clocks
 from hw_sim.devices.board import Board, Shot
 from hw_sim.timing.world_time import BLANK_NS, START_NS
 from tests.hw_sim.devices.bench import Bench, bench
@@ -32,6 +33,7 @@ class Desk:
 
     bench: Bench
     seed: int = 1
+    clocks: Clocks | None = None
     fired: list[Fired] = field(default_factory=list)
     vsync_times_ns: list[int] = field(default_factory=list)
     sensors: dict[str, str] = field(default_factory=dict)
@@ -40,7 +42,10 @@ class Desk:
 
     def __post_init__(self) -> None:
         faults = self.bench.faults
-        self.board = Board(self.bench.time, faults, self._fire, lambda name: self.sensors.get(name, "1.0"), self.seed)
+        self.board = Board(
+            *(self.bench.time, faults, self._fire, lambda name: self.sensors.get(name, "1.0"), self.seed),
+            clocks=self.clocks,
+        )
         self.board.open = True
         self.bench.changed.append(self.board.refresh)
         self.bench.on_blank = self._blank
@@ -456,3 +461,40 @@ def test_lines_that_nobody_reads_are_lost_whole(desk: Desk) -> None:
     assert desk.board.waiting <= 65_536
     lines = desk.lines()
     assert [line[1] for line in lines] == [str(i) for i in range(len(lines))], "the newest are lost"
+
+
+# ---------------------------------------------------------------------------------------------- the world outside
+
+
+def test_pulses_that_jitter_are_dated_as_they_were_fired() -> None:
+    with bench() as made:
+        desk = Desk(made, clocks=Clocks(board_jitter_us=40.0))
+        made.blanks(3)
+        for _ in range(4):
+            desk.arm(pulses=60)
+            desk.fired.clear()
+            first_sync = len(desk.vsync_times_ns) + 1
+            made.blanks(63)
+            syncs = np.array(desk.vsync_times_ns[first_sync : first_sync + 60])
+            fired = np.array([f.time_ns for f in desk.fired])
+            late_us = (fired - syncs) / 1000 - 500.0
+            assert 25.0 < late_us.std() < 60.0
+            assert abs(late_us.mean()) < 25.0
+            dated_us = np.array([int(line[-1]) for line in desk.lines() if line[2] == "PULSE"])
+            # Crystal of the board: 45 ppm at most of the second that this takes.
+            assert np.abs(np.diff(dated_us) - np.diff(fired) / 1000).max() < 3.0
+
+
+def test_a_glitch_on_the_sync_line_puts_pulses_on_the_wrong_sync() -> None:
+    with bench() as made:
+        desk = Desk(made)
+        made.blanks(3)
+        made.faults.add("board wrong how=glitch frame=2")
+        desk.arm(pulses=5)
+        syncs_before = len(desk.vsync_times_ns)
+        made.blanks(8)
+        own = np.array(desk.vsync_times_ns[syncs_before + 1 : syncs_before + 6])
+        off = (np.array([f.time_ns for f in desk.fired]) - own) / BLANK_NS - 500_000 / BLANK_NS
+        np.testing.assert_allclose(off, [0.0, 0.0, -0.5, -1.0, -1.0], atol=1e-3)
+        named = [int(line[4]) for line in desk.lines() if line[2] == "PULSE"]
+        assert named == list(range(named[0], named[0] + 5)), "the board itself believes that all is well"

@@ -7,6 +7,7 @@ import itertools
 import struct
 from collections.abc import Callable
 
+import numpy as np
 import pytest
 import usb.core
 
@@ -245,3 +246,30 @@ def test_the_link_at_480_mbit_takes_its_time(make_bench: Callable[..., Bench]) -
         latency_ms.append((camera.u64(0x1F0) - struct.unpack_from("<Q", leader, 20)[0]) / 1e6)
     fast, slow = latency_ms
     assert slow - fast == pytest.approx(480_000 / 38e6 * 1e3 - 480_000 / 380e6 * 1e3, abs=6.0)
+
+
+@pytest.mark.parametrize(("at_end", "later_ms"), [(0, 0.0), (1, 8.0)])
+def test_a_stamp_is_the_time_of_the_exposures_start_or_of_its_end(
+    make_bench: Callable[..., Bench], at_end: int, later_ms: float
+) -> None:
+    """Pulses come regularly; an exposure that gets 8 ms longer ends so much later, and begins when it did."""
+    bench = make_bench(outside={"clocks": {"stamps_at_end": at_end}})
+    camera = bench.camera(exposure_us=4000)
+    bench.board.ask("LIVE", 2, 500, 8000)
+    first = camera.frame(1000, bench.size)
+    camera.put(0x200304, 12_000)
+    for _ in range(3):
+        last = camera.frame(1000, bench.size)
+    gap_ms = (last.time_ns - first.time_ns) / 1e6
+    pulses_ms = 100.0 * round(gap_ms / 100.0)
+    assert gap_ms - pulses_ms == pytest.approx(later_ms, abs=0.02)
+
+
+def test_exposures_that_jitter_begin_after_their_pulse(make_bench: Callable[..., Bench]) -> None:
+    bench = make_bench(outside={"clocks": {"camera_jitter_us": 200.0}})
+    camera = bench.camera()
+    bench.board.ask("LIVE", 2, 500, 8000)
+    frames = [camera.frame(1000, bench.size) for _ in range(30)]
+    gaps_us = np.diff([f.time_ns for f in frames]) / 1000 - 33_333.3
+    assert 150.0 < gaps_us.std() < 450.0, "√2 times 200 µs"
+    assert abs(gaps_us.mean()) < 100.0

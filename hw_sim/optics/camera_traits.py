@@ -1,0 +1,114 @@
+"""Owns what the cameras of the world ``outside`` are like: not the one sensor and the perfect lens of the ordinary world.
+
+The strengths of sensor, lens and window, and what lens and window do to a picture before it is read out: vignetting and veiling
+glare. How the sensor reads it out is the matter of ``rendering.sensor_of_traits``.
+"""
+
+# Symbols:
+#   ρ         distance from the middle of the picture, in half diagonals
+#   g         veiling glare: share of the light that window and lens throw all over the picture
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from hw_sim.ranges import Range, drawn_strengths
+
+Picture = NDArray[np.float32]
+
+NEAR_GLARE_PX = 160.0
+"""Gaussian sigma, px of 1600, of the half of the glare that stays around its source: two reflections in a window 30 mm off."""
+SHRINK = 8
+"""That glare is so smooth that it is computed on a smaller picture."""
+
+RANGES = {
+    "full_well_e": Range(
+        8_000.0, 20_000.0, "saturation capacity in EMVA 1288 reports of 1.9 to 5 Mpx global-shutter sensors: 8 to 33 ke"
+    ),
+    "read_noise_e": Range(2.2, 26.0, "temporal dark noise in EMVA 1288 reports: 2.2 e (Pregius) to 26 e (older CMOS)"),
+    "black_dn": Range(0.5, 7.0, "black levels of 8-bit cameras at delivery: 0 to 3 %, of 255"),
+    "prnu": Range(0.003, 0.012, "PRNU1288 of the same reports: 0.3 to 1.2 %"),
+    "dsnu_e": Range(1.0, 16.0, "DSNU1288 of the same reports: 1 to 16 e"),
+    "nonlinearity": Range(
+        0.010, 0.020, "linearity error of EMVA 1288 release 4 with 8-bit full scale: 0.2 to 2 %; here at least 1 %"
+    ),
+    "corner_loss": Range(
+        0.12,
+        0.40,
+        "relative illumination of 11 to 12 mm C-mount lenses at f/4 to f/8 in makers' curves: 60 to 88 % in the corner",
+    ),
+    "row_noise_e": Range(
+        0.4, 4.0, "row temporal noise a tenth to a fifth of the pixel's (EMVA 1288 release 4, section 8.2: s²row)"
+    ),
+    "hot_per_million": Range(10.0, 300.0, "defect pixels that makers allow uncorrected: 10 to some 100 per Mpx"),
+    "glare": Range(
+        0.010,
+        0.040,
+        "veiling glare index of ISO 9358: 1 to 2 % for lenses, plus two uncoated faces of sapphire (1.9 % in water, 7.7 % in air)",
+    ),
+}
+"""Ranges of the family ``cameras``. The sign of ``nonlinearity`` is drawn as well."""
+_MOST = {
+    "full_well_e": 1e6, "read_noise_e": 1e3, "black_dn": 64.0, "prnu": 0.1, "dsnu_e": 1e3, "nonlinearity": 0.1,
+    "corner_loss": 0.9, "row_noise_e": 1e3, "hot_per_million": 1e5, "glare": 0.5,
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class CameraTraits:
+    """The strengths of both cameras; each has a fixed pattern of its own. A sensor must have some well and noise: what is not given
+    is that of a common one, which is not the ordinary world's. Raises ValueError for impossible numbers."""
+
+    full_well_e: float = 11_000.0
+    """Electrons at 255 DN and 0 dB."""
+    read_noise_e: float = 9.0
+    black_dn: float = 3.0
+    prnu: float = 0.006
+    """Standard deviation of a pixel's sensitivity, relative."""
+    dsnu_e: float = 5.0
+    nonlinearity: float = 0.0
+    """Largest deviation of the response from the line through nothing and the full well, in full wells: at half of it."""
+    corner_loss: float = 0.0
+    """Share of the light that a corner lacks: 1 − loss · ρ²."""
+    row_noise_e: float = 0.0
+    """Standard deviation of what a whole row is off by, anew in each frame."""
+    hot_per_million: float = 0.0
+    """Pixels with a dark current of 1e3 to 1e6 electrons per second."""
+    glare: float = 0.0
+    """Share of the light that is thrown over the picture: half of it everywhere, half around its source."""
+
+    def __post_init__(self) -> None:
+        for name, most in _MOST.items():
+            value = getattr(self, name)
+            least = {"full_well_e": 100.0, "nonlinearity": -most}.get(name, 0.0)
+            if not least <= value <= most:
+                raise ValueError(f"cameras: {name} = {value}; allowed are {least:g}..{most:g}")
+
+    @classmethod
+    def drawn(cls, rng: np.random.Generator) -> CameraTraits:
+        """Return strengths drawn from ``RANGES``."""
+        values = drawn_strengths(RANGES, rng)
+        values["nonlinearity"] *= float(rng.choice([-1.0, 1.0]))
+        return cls(**values)
+
+    def through_lens(self, picture: Picture) -> Picture:
+        """Return the picture (h, w) float32, electrons, as lens and window let it through; what the glare throws aside comes
+        down elsewhere in the picture."""
+        h, w = picture.shape
+        if self.corner_loss > 0.0:
+            v, u = np.ogrid[:h, :w]
+            rho2 = ((u - 0.5 * (w - 1)) ** 2 + (v - 0.5 * (h - 1)) ** 2) * (4.0 / (w * w + h * h))
+            picture = np.asarray(picture * (1.0 - self.corner_loss * rho2), np.float32)
+        if self.glare > 0.0:
+            small = cv2.resize(picture, (math.ceil(w / SHRINK), math.ceil(h / SHRINK)), interpolation=cv2.INTER_AREA)
+            sigma_px = max(NEAR_GLARE_PX * w / 1600.0 / SHRINK, 0.5)
+            soft = cv2.GaussianBlur(small, (0, 0), sigma_px, borderType=cv2.BORDER_REFLECT)
+            around = cv2.resize(soft, (w, h), interpolation=cv2.INTER_LINEAR)
+            thrown = 0.5 * (around + np.float32(picture.mean()))
+            picture = np.asarray(picture + np.float32(self.glare) * (thrown - picture), np.float32)
+        return picture
