@@ -242,7 +242,8 @@ _AMOUNTS = {
 def _amounts_of(kind: str, seed: int) -> _Amounts | None:
     """Return the amounts of a set, which for ``outside`` are those of the seed's workshop; ``None`` for an unknown set."""
     if kind == "outside":
-        return replace(_REALISTIC, **drawn_tolerances(seed))
+        drawn: dict[str, Any] = {**drawn_tolerances(seed)}
+        return replace(_REALISTIC, **drawn)
     return _AMOUNTS.get(kind)
 
 
