@@ -43,7 +43,7 @@ def test_whole_images_of_every_object_and_period(name: str, period_px: int) -> N
 def test_noise_grows_with_the_period() -> None:
     rms = []
     for period_px in (16, 32, 64):
-        scan = render_scan(Scene(object="pipe"), "modelled", 5, 800, period_px)
+        scan = render_scan(Scene(object="pipe"), "modelled", 5, 800, period_px, height_px=STRIP_PX // 2)
         _, cloud = reconstruct(scan)
         result = judge(scan, cloud)
         assert result.completeness_percent >= 95.0
@@ -56,7 +56,7 @@ def test_noise_grows_with_the_period() -> None:
 @pytest.mark.parametrize(("texture", "exposure_s"), [("none", 0.012), ("strong", 0.008)])
 def test_texture_does_not_make_outliers(texture: str, exposure_s: float) -> None:
     """The light blotches of the strong texture would saturate at the exposure that suits an even surface."""
-    scan = render_scan(Scene(object="frustum", texture=texture), "modelled", 8, 800, 16, exposure_s)
+    scan = render_scan(Scene(object="frustum", texture=texture), "modelled", 8, 800, 16, exposure_s, STRIP_PX // 2)
     _, cloud = reconstruct(scan)
     result = judge(scan, cloud)
     assert result.completeness_percent >= 95.0
