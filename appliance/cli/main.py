@@ -14,7 +14,6 @@ from appliance import __version__
 from appliance.cli.arguments import Verb, collect, declare
 from appliance.cli.output import Exit, UsageError, complain, log_lines
 from appliance.cli.verbs import VERBS, Listed
-from appliance.process_start import use_one_blas_thread
 
 _NEGATIVE = re.compile(r"-\.?\d.*")
 """A value that begins with a minus, and no option: none of ours begins with a digit."""
@@ -52,6 +51,7 @@ def _last_words(verb: Verb) -> Iterator[None]:
         yield
         return
     from appliance.cli.last_words import last_words
+    from appliance.process_start import use_one_blas_thread
 
     use_one_blas_thread(os.environ)
     with last_words(os.environ):
