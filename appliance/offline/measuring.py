@@ -52,6 +52,8 @@ def noise_of_scan(rig: Rig, folder: Path) -> dict[str, tuple[MeasuredNoise, Came
     scan = stored.load(folder, only_raw=True)
     made = scan.manifest.record.sequence
     sequence = build_sequence(made.period_px, made.width_px, made.height_px)
+    # The gain is the scan's own where it says so; full well, read noise and black level are the camera's and stand in
+    # the rig file only.
     expected = noise_of(rig, exposure_of_scan(scan.manifest.record, rig))
     return {
         "left": (measure_noise(sequence, scan.frames["left"]), expected.left),

@@ -123,6 +123,7 @@ def reprocess_bracket(
                 raise stored.ScanError(f"{name} sequence: {spoiled.code.value}: {spoiled.detail}")
             judged.append(judgements)
             if not held:
+                # The pipeline keeps one sequence only: the first is copied out before the second is pushed over it.
                 held.append(processor.hold())
         progress("merging")
         merged = processor.merge_with(held[0])

@@ -91,6 +91,7 @@ def basis(at_px: Array, size_px: int, intervals: int) -> tuple[NDArray[np.intp],
     """Return the first node (...,) and the four cubic B-spline weights (..., 4) at coordinates of one direction."""
     # Clipped: beyond the edge the edge's value goes on.
     t = np.clip((np.asarray(at_px, np.float64) + 0.5) / size_px, 0.0, 1.0) * intervals
+    # The last edge belongs to the interval before it: there are no nodes for one behind.
     first = np.minimum(t.astype(np.intp), intervals - 1)
     f = t - first
     weights = np.stack(

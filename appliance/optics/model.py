@@ -46,6 +46,7 @@ class HousedCamera:
         else:
             origin, direction = water_rays(self.port, water_index, direction)
         if self.ray_shift is not None:
+            # By the pixel as recorded, not the ideal one: the shift was fitted over the image.
             origin[..., :2] += self.ray_shift.at_mm(uv_px)
         R = np.asarray(self.rotation)
         return origin @ R.T + np.asarray(self.translation_mm), direction @ R.T
@@ -63,6 +64,8 @@ class HousedCamera:
         # The shift is known by pixel, the pixel is asked for: substitute until it stays.
         for _ in range(SUBSTITUTIONS):
             shift = np.zeros_like(local)
+            # NaN (a point that is not before the camera) would be no index into the spline's nodes; it stays NaN all
+            # the same.
             shift[..., :2] = self.ray_shift.at_mm(np.nan_to_num(uv))
             before, uv = uv, self._seen_at(local - shift, water_index)
             if not np.any(np.abs(uv - before) > TOLERANCE_PX):
@@ -72,6 +75,7 @@ class HousedCamera:
     def ideal_pixels(self, local_mm: Array, water_index: float) -> Array:
         """Return the pixels (..., 2) of points (..., 3) in the camera's own frame, before correction and ray shift."""
         if self.lens_in_water:
+            # A point behind the camera would be projected, too, mirrored.
             direction = np.where(local_mm[..., 2:] > 0.0, local_mm, np.nan)
         else:
             direction = air_directions(self.port, water_index, local_mm)
@@ -103,6 +107,7 @@ class StereoRig:
         w = p1 - p2
         b, d, e = float(d1 @ d2), float(d1 @ w), float(d2 @ w)
         det = 1.0 - b * b
+        # The squared sine of the angle between the axes: 0.06°.
         if det < 1e-6:
             raise ValueError("the axes of the two cameras are parallel; check the calibration's relative orientation")
         return np.asarray(0.5 * (p1 + (b * e - d) / det * d1 + p2 + (e - b * d) / det * d2))

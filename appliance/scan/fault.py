@@ -50,7 +50,7 @@ class FaultCode(Enum):
     TOO_DARK = "TOO_DARK"
     """Too few pixels are modulated by the fringes (coverage_percent)."""
     WATER_DIRTY = "WATER_DIRTY"
-    """Specks or the water's veil cost much of the object (coverage_percent)."""
+    """Specks or backscatter cost much of the object (coverage_percent)."""
     LIGHT_FLICKERS = "LIGHT_FLICKERS"
     """Light that is not the projector's changed from frame to frame, enough to bias phases (harmed_percent)."""
     SCAN_NEAR = "SCAN_NEAR"

@@ -24,6 +24,8 @@ class Begin:
 
 
 @dataclass(frozen=True, slots=True)
+# No ticket: the pipe keeps the order, so that what follows a ``Begin`` belongs to it. Answers need one, since they
+# cross with orders that are on their way.
 class FrameStored:
     """The order to the worker: frame ``index`` of the camera ``side`` is in the store."""
 

@@ -47,7 +47,7 @@ _ALONG_MM = -0.67
 
 
 def run_what_an_empty_scan_does_not(sequence: PatternSequence, frames: NDArray[np.uint8]) -> None:
-    """Run the kernels for motion, changing light, veil and a second exposure; else the first scan that has some would
+    """Run the kernels for motion, changing light, backscatter and a second exposure; else the first scan that has some would
     wait for a compiler."""
     compensate_wall()
     warm_light()
@@ -76,7 +76,7 @@ INSTRUMENT = (
     Piece("changing light", "appliance.verdict.light.fit:warm_up"),
     Piece("pattern identity", "appliance.worker.warm:judge_patterns"),
     Piece("motion verdict", "appliance.worker.warm:judge_scan"),
-    Piece("veiled water and particles", "appliance.worker.warm:read_through_backscatter"),
+    Piece("backscatter and particles", "appliance.worker.warm:read_through_backscatter"),
     Piece("two exposures", "appliance.worker.warm:merge_walls"),
 )
 """Everything that the instrument may need for a scan."""
@@ -94,6 +94,7 @@ def compensate_wall() -> None:
     with _nothing(writable=True) as (pipeline, calibration, frames):
         decoded = {side: pipeline.decoded(side) for side in SIDES}
         v, u = np.mgrid[0 : frames.shape[1], 0 : frames.shape[2]]
+        # Dark frames decode to nothing; with coordinates by hand the kernels have pixels to work on.
         for maps in decoded.values():
             maps.p_px[:], maps.q_px[:] = 12.0 * u, 12.0 * v
         images = ScanImages(pipeline.sequence, dict.fromkeys(SIDES, frames), decoded)
@@ -193,6 +194,7 @@ def _nothing(writable: bool) -> Iterator[tuple[Pipeline, Calibration, NDArray[np
     calibration = design_calibration(_DESIGN, "kernels", width_px, height_px, _WATER)
     sequence = build_sequence(16)
     frames = np.zeros((len(sequence), height_px, width_px), np.uint8)
+    # Types decide what numba compiles, not contents or sizes: a picture of a few thousand dark pixels will do.
     frames.flags.writeable = writable
     with Pipeline(calibration, _WATER, sequence) as pipeline:
         yield pipeline, calibration, frames

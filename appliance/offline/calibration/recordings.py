@@ -64,6 +64,8 @@ def recording_of_scan(
     """
     scan = stored.load(folder, only_raw=True)
     settings = settings_of_scan(scan.manifest.record, rig)
+    # The ports are still as drawn: within the instrument's limit of the gap, just the pixels that could correct them
+    # would be lacking.
     reprocessed = reprocess(scan, start, settings, progress, QualityLimits(max_gap_mm=CALIBRATING_GAP_MM))
     if reprocessed.unfit is not None:
         return NotFound(f"{reprocessed.unfit.code.value}: {reprocessed.unfit.detail}; record it again")

@@ -100,6 +100,7 @@ def run_water_calibration(
 def _certificate(entry: ListedScan) -> BarCertificate | None:
     if entry.artefact is Artefact.PLANE:
         return None
+    # What a certificate does not state keeps the uncertainty that is usual for such a bar.
     usual = BarCertificate(entry.calibrated_mm["length"], radius_mm=entry.radius_mm)
     stated = {"length_sd_mm": entry.length_sd_mm, "radius_sd_mm": entry.radius_sd_mm}
     return replace(usual, **{name: value for name, value in stated.items() if value is not None})

@@ -185,9 +185,9 @@ class CameraDecoder:
             return False
         # A camera's ray crosses the stripes of X and stays within one of Y: only bits of X follow the water.
         self._begin(frames)
-        veiled = (doubtful != 0) & (self.mask == Mask.VALID)
-        self.mask[veiled] = Mask.CONTRADICTION
-        self.backscatter_pixels = int(np.count_nonzero(veiled))
+        obscured = (doubtful != 0) & (self.mask == Mask.VALID)
+        self.mask[obscured] = Mask.CONTRADICTION
+        self.backscatter_pixels = int(np.count_nonzero(obscured))
         for direction in Direction:
             if direction is Direction.X:
                 self._half_period[:] = columns.reshape(-1)

@@ -252,7 +252,7 @@ def _without_patterns(cameras: list[_Camera]) -> Fault | None:
     light_dn = max(camera.light_dn for camera in cameras)
     return Fault(
         FaultCode.PROJECTOR_DARK,
-        f"the bright frame is {light_dn:.2f} DN brighter than the dark one: not even the water's veil is lit",
+        f"the bright frame is {light_dn:.2f} DN brighter than the dark one: there is not even backscatter",
         {"light_dn": light_dn},
         "projector",
     )

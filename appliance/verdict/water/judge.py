@@ -185,7 +185,7 @@ def _fault(sample: BackscatterSample) -> Fault | None:
     by_specks = specks is not None and specks > DIRTY_SPECKS
     if not by_backscatter and not by_specks:
         return None
-    why = "specks pass before the object" if by_specks else "the water's veil hides the object"
+    why = "specks pass before the object" if by_specks else "backscatter hides the object"
     numbers = {"coverage_percent": 100.0 * (1.0 - masked)}
     return Fault(FaultCode.WATER_DIRTY, why, numbers)
 

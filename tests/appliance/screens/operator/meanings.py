@@ -30,7 +30,7 @@ MEANINGS: Mapping[F, tuple[str, str]] = MappingProxyType(
         F.COMPENSATED: ("A motion was found and taken out.", "Eine Bewegung wurde erkannt und herausgerechnet."),
         F.TOO_BRIGHT: ("Much of the object is overexposed.", "Vieles am Objekt ist überbelichtet."),
         F.TOO_DARK: ("Too little light comes back.", "Es kommt zu wenig Licht zurück."),
-        F.WATER_DIRTY: ("Particles or veil hide much of the object.", "Schwebstoffe oder Trübung verdecken vieles."),
+        F.WATER_DIRTY: ("Particles or backscatter hide much of the object.", "Schwebstoffe oder Trübung verdecken vieles."),
         F.SCAN_NEAR: ("What was scanned is nearer than is measured.", "Was gescannt wurde, ist näher, als gemessen wird."),
         F.SCAN_FAR: ("What was scanned is farther than is measured.", "Was gescannt wurde, ist ferner, als gemessen wird."),
         F.NOTHING_SEEN: ("The projector's light met nothing.", "Das Licht des Projektors traf auf nichts."),

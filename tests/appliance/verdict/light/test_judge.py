@@ -168,7 +168,7 @@ def test_steady_light_never_flickers(seed: int) -> None:
 
 @pytest.mark.parametrize("flicker_depth", [0.0, 0.9])
 def test_labels_on_black_rubber_flicker_only_where_the_light_does(flicker_depth: float) -> None:
-    """Half saturated, and dark ones before which the water's veil has a larger share: neither is a change of light."""
+    """Half saturated, and dark ones before which backscatter has a larger share: neither is a change of light."""
     scene = Scene("plane", texture="labels", ambient=0.2, daylight=Daylight(flicker_depth=flicker_depth))
     scan = render_scan(scene, "realistic", 41, 320, 16, 0.012)
     camera = camera_noise(FULL_WELL_E, READ_NOISE_E, OFFSET_DN, 0.0)
