@@ -157,6 +157,18 @@ def test_the_second_cloud_is_moved_before_it_is_laid_over_the_first_and_what_lea
     assert 0.6 < found.both < (HEIGHT_PX - 3) * (WIDTH_PX - 3) / (HEIGHT_PX * WIDTH_PX)
 
 
+@pytest.mark.parametrize("across", [-1, 0, 1])
+@pytest.mark.parametrize("down", [-1, 0, 1])
+def test_a_pixel_reaches_to_half_way_to_the_next_also_at_the_pictures_four_edges(across: int, down: int) -> None:
+    """Moved by four tenths of a pixel everything is still seen; by six tenths one row or column of it is outside."""
+    pitch_mm = 500.0 / FOCAL_PX
+    for px, lost in ((0.42, 0), (0.6, 1)):
+        x, y = px * pitch_mm * across, px * pitch_mm * down
+        found = fused(seen(), seen(), replace(AT_REST, translation_mm=np.array([x, y, 0.2 * x + 0.1 * y])))
+        shared = (WIDTH_PX - lost * abs(across)) * (HEIGHT_PX - lost * abs(down))
+        assert found.both == pytest.approx(shared / (WIDTH_PX * HEIGHT_PX), abs=1e-9)
+
+
 @pytest.mark.parametrize(
     ("grey", "wanted"), [((1.0, 1.0), (100, 100)), ((2.0, 0.505), (200, 50)), ((3.0, 0.0), (255, 0))]
 )
