@@ -83,7 +83,7 @@ def _accumulate(
             # Distance from the edge, positive on the side of the light.
             beside = way * (np.float64(p) - edge)
             s = sums[row, column]
-            # Around the edge: Σ ±light, and beside it Σ ±1 on the lit side, what an edge gives that did not move.
+            # Around the edge: Σ ±light, and beside it Σ ±1 on the illuminated side, what an edge gives that did not move.
             if abs(beside) <= INNER_PX:
                 s[_INNER] += 1.0
                 s[_INNER_LIT] += way * brightness

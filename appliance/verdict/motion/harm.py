@@ -75,7 +75,7 @@ def facing(cloud: Cloud, width_px: int) -> tuple[NDArray[np.float32], NDArray[np
     """
     v, u = np.divmod(cloud.pixel.astype(np.int64), width_px)
     columns, rows = np.unique(u), np.unique(v)
-    # 0 where there is but one.
+    # A single column or row has no step: gcd of nothing is 0.
     step, down = (int(np.gcd.reduce(np.diff(places))) for places in (columns, rows))
     if step == 0 or down == 0:
         return np.empty(0, np.float32), np.empty(0, np.intp)

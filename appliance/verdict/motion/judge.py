@@ -235,7 +235,7 @@ def _to_and_fro(course: tuple[Array, Array]) -> bool:
     known = np.isfinite(shift)
     if not known.any():
         return False
-    # The coarse bits have few edges.
+    # The coarse bits of the Gray code have few edges: what they say of the depth is known too badly to count here.
     known &= np.nan_to_num(sd, nan=np.inf) < 2.5 * np.median(sd[known])
     if np.count_nonzero(known) < 4:
         return False
