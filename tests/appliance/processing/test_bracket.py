@@ -27,6 +27,7 @@ from appliance.reconstruct.table import Cloud
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.noise import TYPICAL, StereoNoise
 from appliance.scan.verdict import Judgement, Verdict
 from hw_sim.scene import Scene
 from tests.support.rendered import RenderedScan, render_scan
@@ -108,6 +109,16 @@ def test_a_merged_point_is_as_grey_as_the_shorter_exposure_saw_it(desk: Desk) ->
     _, cloud = desk.merged(desk.first)
     assert cloud is not None
     np.testing.assert_array_equal(cloud.intensity, desk.bright["short"].ravel()[cloud.pixel])
+
+
+def test_of_two_exposures_the_less_noisy_one_counts_for_more(desk: Desk) -> None:
+    """The first one is taken for so noisy that nearly nothing of it is believed where the second one has a coordinate, too."""
+    noisy = replace(TYPICAL, read_dn=20.0 * TYPICAL.read_dn, dn_per_e=400.0 * TYPICAL.dn_per_e)
+    second = desk.pipeline.decoded("left").copied()
+    desk.merged(replace(desk.first, noise=StereoNoise(noisy, noisy)))
+    both = desk.pipeline.decoded("left").p_px
+    apart = [np.nanmedian(np.abs(both - maps.p_px)) for maps in (desk.first.maps["left"], second)]
+    assert apart[1] < 0.1 * apart[0]
 
 
 def test_what_only_one_exposure_shows_is_counted_for_that_one(desk: Desk) -> None:
