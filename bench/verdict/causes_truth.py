@@ -68,7 +68,7 @@ class Outcome:
 
     grade: Grade
     reasons: tuple[FaultCode, ...]
-    """As the screen ranks them, without what is only told."""
+    """As the screen ranks them, without what is only shown."""
     coverage_percent: float | None
     good: int
     """Points within a millimetre of the surface."""

@@ -41,7 +41,7 @@ def test_a_good_scan_has_none() -> None:
 
 
 def test_every_scene_of_the_grid_is_there_without_each_of_its_factors() -> None:
-    """That is what true causes are told by."""
+    """That is how true causes are found."""
     grid = grid_of(10_000, 0)
     assert len(grid) >= 40
     for spoilt in grid:
