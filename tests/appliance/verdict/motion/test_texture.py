@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from appliance.patterns.sequence import Direction, PatternSequence, build_sequence
-from appliance.reconstruct.decode.decoder import CameraDecoder
+from appliance.reconstruct.decode.decoder import CameraDecoder, Mask
 from appliance.verdict.motion.texture import TextureShift, texture_shift
 
 Array = NDArray[np.float64]
@@ -40,10 +40,10 @@ def frames(
 
 
 def decoded(size: tuple[int, int], part: tuple[slice, slice] = (slice(None), slice(None))) -> CameraDecoder:
-    """Coordinates in a part of the image."""
+    """Coordinates in a part of the image; nothing is illuminated beside it."""
     maps = CameraDecoder(SEQUENCE, *size)
-    maps.p_px[:], maps.q_px[:] = np.nan, np.nan
-    maps.p_px[part], maps.q_px[part] = 1.0, 1.0
+    maps.p_px[:], maps.q_px[:], maps.mask[:] = np.nan, np.nan, Mask.SHADOW
+    maps.p_px[part], maps.q_px[part], maps.mask[part] = 1.0, 1.0, Mask.VALID
     return maps
 
 
