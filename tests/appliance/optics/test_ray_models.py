@@ -10,11 +10,12 @@ import pytest
 
 from appliance.calibration.design import Design, design_calibration
 from appliance.calibration.water.printed import PrintedCamera
-from appliance.optics import correction, pinhole, ray_shift
-from appliance.optics.correction import ImageCorrection
+from appliance.optics import pinhole
+from appliance.optics.correction import INTERVALS, ImageCorrection
 from appliance.optics.model import HousedCamera, StereoRig
 from appliance.optics.pinhole import Lens
 from appliance.optics.port import water_rays
+from appliance.optics.ray_shift import INTERVALS as SHIFT_INTERVALS
 from appliance.optics.ray_shift import RayShift
 from appliance.optics.water import Water
 
@@ -229,10 +230,10 @@ def test_a_strongly_bent_lens_is_inverted_in_three_steps(monkeypatch: pytest.Mon
 
 def test_the_free_fields_are_as_fine_as_the_documentation_says_and_the_shift_has_square_cells() -> None:
     """docs/calibration.md tells the grid of the image correction; depth shows less, so that the ray shift is coarser."""
-    across, down = correction.INTERVALS
+    across, down = INTERVALS
     said = (Path(__file__).parents[3] / "docs" / "calibration.md").read_text(encoding="utf-8")
     assert f"B-spline of {across} × {down} intervals per image" in said
-    shift_across, shift_down = ray_shift.INTERVALS
+    shift_across, shift_down = SHIFT_INTERVALS
     assert 1600 / shift_across == 1200 / shift_down, "square on a sensor of 4 : 3"
     assert 1 / 3 < shift_across * shift_down / (across * down) < 2 / 3
 
