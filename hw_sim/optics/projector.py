@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import cv2
 import numba
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 FOCUS_MM = 522.5
 FAR_MM = 120.0
@@ -27,6 +27,9 @@ SPREAD_FAR_PX = 1.1
 """Gaussian sigma in projector px that is added at ``FAR_MM``."""
 BLACK = 0.0025
 """Light of code 0 against code 255: contrast 400."""
+
+FOCUS_WAY_MM = 487.5
+"""Path in water to the focus, which is in the middle of the volume."""
 
 PAD = 4
 """Dark pixels around the pattern in ``soften``'s result."""
@@ -55,6 +58,10 @@ class LightSlice:
     image: NDArray[np.uint8]
     """(768, 1024) green codes as scanned out."""
     duration_s: float
+    since_blank_s: float = 0.0
+    """Time from its vertical blank to the beginning of this slice; matters to ``light_engine`` alone."""
+    frame_s: float = 1.0 / 60.0
+    """Time from one vertical blank to the next."""
 
 
 def light_between(slices: tuple[LightSlice, ...], begin_s: float, end_s: float, table: Light) -> Light | None:
@@ -85,6 +92,15 @@ def soften(light: Light, water_blur_px: float, spread_far_px: float = SPREAD_FAR
     near = _blur(around, water_blur_px) if water_blur_px > 0.15 else around
     far = _blur(around, math.hypot(water_blur_px, spread_far_px)) if spread_far_px > 0.0 else near
     return np.asarray(cv2.merge([near, far]), np.float32)
+
+
+def defocus_px(way_mm: ArrayLike, depth_mm: float, focus_mm: ArrayLike = FOCUS_WAY_MM) -> NDArray[np.float64]:
+    """Return the Gaussian sigma, projector px, by which a thin lens is out of focus ``way_mm`` behind the window: as soft as
+    ``SPREAD_FAR_PX`` at ``FAR_MM`` behind the middle. ``depth_mm``: see ``geometry.Lamp``; ``focus_mm``: way to the focus."""
+    # The disc's angle is the aperture times the difference of the reciprocal distances.
+    in_focus, way = 1.0 / (np.asarray(focus_mm, np.float64) + depth_mm), np.asarray(way_mm, np.float64)
+    scale = 1.0 / (FOCUS_WAY_MM + depth_mm) - 1.0 / (FOCUS_WAY_MM + FAR_MM + depth_mm)
+    return np.asarray(SPREAD_FAR_PX * np.abs(1.0 / (way + depth_mm) - in_focus) / scale)
 
 
 def _blur(light: Light, sigma_px: float) -> Light:

@@ -1,0 +1,1 @@
+"""Photons through turbid water, against the simulator's veil."""

@@ -1,0 +1,111 @@
+"""Owns the particles of the world ``outside``: their phase function, and what light turned forwards does to a picture.
+
+The phase function is that of G. R. Fournier and J. L. Forand (Proc. SPIE 2258 (1994) 194) in the form of Fournier and M. Jonasz
+(Proc. SPIE 3761 (1999) 62): Mie scattering by particles whose number falls with a power of their size. It is singular
+forwards, rises again towards 180°, and belongs to no table of the ordinary world.
+
+Light that is turned little still arrives near to where it would have: after a way of length s the share of light that carries
+a fringe of wave number κ is exp(−c s + b s S(κ s)), with S the mean of J0(κ θ u s) over scattering angles θ and places u of the way
+(W. H. Wells, J. Opt. Soc. Am. 59 (1969) 686). That holds for any number of scatterings through small angles. Relative to the
+light that was not scattered, the point spread is a spike, a core and a halo as wide as the way is long.
+"""
+
+# Symbols:
+#   n, m      index of the particles relative to water; exponent of their sizes (Junge slope)
+#   δ, ν      4 sin²(θ/2) / (3 (n − 1)²); (3 − m) / 2
+#   b, c      scattering and attenuation coefficients, 1/m; s length of a way; κ wave number, 1/mm
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import itj0y0
+
+from hw_sim.ranges import Range, drawn_strengths
+
+Array = NDArray[np.float64]
+
+FORWARD_DEG = 10.0
+"""Light that is turned further is gone: on a way of half a metre it leaves the beam. Photons say so (``bench/bench_veil.py``):
+with 30° the veil of 3 /m would be a third too bright."""
+RANGES = {
+    "scattering_share": Range(
+        0.55, 0.88, "b/c of Petzold's coastal and harbour water: 0.55 to 0.83 (Mobley, Light and Water, 1994, table 3.11); river mouths to 0.9"
+    ),
+    "index": Range(1.05, 1.15, "bulk index of natural particles: 1.04 organic to 1.18 mineral (Twardowski et al., J. Geophys. Res. 106 (2001) 14129)"),
+    "slope": Range(3.3, 3.9, "Junge slope of natural particles: 3.3 to 4.0 (Mobley, Sundman and Boss, Appl. Opt. 41 (2002) 1035, fig. 1)"),
+}  # fmt: skip
+"""What is drawn for the family ``backscatter``."""
+
+
+@dataclass(frozen=True, slots=True)
+class Particles:
+    """The strengths of scattering that is resolved in both directions of the pattern. Raises ValueError for what no water has."""
+
+    scattering_share: float = 0.0
+    """Share b/c of the scene's attenuation that is scattering: what is turned forwards comes back into the picture as core and
+    halo, and lights more water. 0: single scattering alone."""
+    index: float = 1.10
+    """Real index of the particles relative to water's: with the slope, the phase function."""
+    slope: float = 3.5835
+    """Number of particles falls with this power of their size."""
+
+    def __post_init__(self) -> None:
+        for name, least, most in (("scattering_share", 0.0, 0.99), ("index", 1.01, 1.30), ("slope", 3.01, 4.90)):
+            value = getattr(self, name)
+            if not least <= value <= most:
+                raise ValueError(f"backscatter: {name} = {value}; allowed are {least:g}..{most:g}")
+
+    @classmethod
+    def drawn(cls, rng: np.random.Generator) -> Particles:
+        """Return strengths drawn from ``RANGES``."""
+        return cls(**drawn_strengths(RANGES, rng))
+
+    def phase(self, angle_rad: Array) -> Array:
+        """Return the share of scattered light per steradian, 1/sr, at scattering angles 0..π (0 excluded)."""
+        nu = 0.5 * (3.0 - self.slope)
+        per = 4.0 / (3.0 * (self.index - 1.0) ** 2)
+        half2 = np.sin(0.5 * np.asarray(angle_rad, np.float64)) ** 2
+        d = per * half2
+        # δ = 1 is a removable singularity of fourth order: step over it.
+        d = np.where(np.abs(d - 1.0) < 1e-3, 1.0 + 1e-3, d)
+        power, rest = d**nu, 1.0 - d
+        forward = nu * rest - (1.0 - power) + (d * (1.0 - power) - nu * rest) / half2
+        back, backs = per, per**nu  # δ at 180°
+        wide = (1.0 - backs) / (16.0 * math.pi * (back - 1.0) * backs) * (3.0 * (1.0 - 2.0 * half2) ** 2 - 1.0)
+        return np.asarray(forward / (4.0 * math.pi * rest**2 * power) + wide)
+
+    def survival(self, waves: Array) -> Array:
+        """Return S of the light that is turned once by up to ``FORWARD_DEG``, as a share of all scattered light, at ``waves`` κ s ≥ 0
+        (radians per radian: 2π way / period). At 0 it is the share of light that is turned forwards."""
+        angles = np.geomspace(1e-7, math.radians(FORWARD_DEG), 1500)
+        # The ring of directions at θ has the solid angle 2π sin θ dθ.
+        weight = 2.0 * math.pi * self.phase(angles) * np.sin(angles)
+        z = np.maximum(np.asarray(waves, np.float64)[..., None] * angles, 1e-9)
+        # Mean over the place u of scattering: ∫ J0(z u) du over 0..1 = (1/z) ∫ J0 over 0..z.
+        return np.asarray(np.trapezoid(weight * itj0y0(z)[0] / z, angles))
+
+    @property
+    def turned_forwards(self) -> float:
+        """Share of the scattered light that is turned by less than ``FORWARD_DEG``."""
+        return float(self.survival(np.zeros(1))[0])
+
+
+class Transfer:
+    """What arrives after a way through water with these particles, relative to the light that was not scattered."""
+
+    WAVES = np.concatenate([[0.0], np.geomspace(1e-2, 1e4, 120)])
+    """Places κ s at which S is tabulated; beyond the last nothing of it is left."""
+
+    def __init__(self, particles: Particles, attenuation_per_m: float) -> None:
+        self._per_mm = particles.scattering_share * attenuation_per_m / 1000.0
+        self._survival = particles.survival(self.WAVES)
+
+    def __call__(self, way_mm: float, wave_per_mm: Array) -> Array:
+        """Return exp(b s S(κ s)) at wave numbers κ ≥ 0, in 1/mm across the way: 1 means that only the unscattered light
+        carries the fringe."""
+        carried = np.interp(np.asarray(wave_per_mm) * way_mm, self.WAVES, self._survival, right=0.0)
+        return np.asarray(np.exp(self._per_mm * way_mm * carried))
