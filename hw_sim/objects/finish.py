@@ -1,0 +1,86 @@
+"""Owns what the surfaces of the world ``outside`` are made of: how white is white, gloss, and light that goes below the skin."""
+
+# Symbols:
+#   ρ         diffuse albedo; κ wave number, 1/mm; ℓ length by which light below the surface falls to 1/e
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+
+from hw_sim.objects.texture import MEAN_ALBEDO
+from hw_sim.ranges import Range, drawn_strengths
+
+PX_MM = 0.255
+"""Size of a projector px in the middle of the volume."""
+RANGES = {
+    "white": Range(0.35, 0.85, "albedo under water: coral sand and bleached coral 0.35 to 0.6 (Hochberg et al., Remote Sens. Environ. 85 (2003) 159), white titania paint 0.85"),
+    "gloss_index": Range(1.08, 1.25, "paint 1.45 to 1.55, aragonite of shells 1.53 to 1.68, over water's 1.335 (CRC Handbook of Chemistry and Physics)"),
+    "roughness": Range(0.10, 0.40, "rms slope of semi-gloss to matt coats (Cook and Torrance, ACM Trans. Graph. 1 (1982) 7; Ngan et al., EGSR 2005)"),
+    "below_share": Range(0.1, 0.6, "share of light that enters: nearly all in marble and shell, little in paint (Jensen et al., SIGGRAPH 2001, table 1)"),
+    "below_mm": Range(0.15, 0.8, "1/σ'_t of marble 0.4 mm, skin 1.0 to 1.3 mm, chalky paint 0.1 mm (Jensen et al., SIGGRAPH 2001, table 1)"),
+    "bounce": Range(1.0, 1.0, "interreflection is not a matter of chance"),
+}  # fmt: skip
+"""What is drawn for the family ``surfaces``."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finish:
+    """The strengths of what surfaces do besides Lambert's law. Raises ValueError for impossible numbers."""
+
+    white: float = MEAN_ALBEDO
+    """Albedo of what has 0.6 in the ordinary world; every other albedo changes by the same factor."""
+    gloss_index: float = 1.0
+    """Index of the coat relative to water: Fresnel's reflection. 1: no gloss."""
+    roughness: float = 0.3
+    """Root mean square slope of the coat's facets (Beckmann)."""
+    below_share: float = 0.0
+    """Share of the reflected light that has been below the surface."""
+    below_mm: float = 0.3
+    """Length by which it spreads there: exp(−r/ℓ)."""
+    bounce: float = 0.0
+    """Share of the light that goes from surface to surface once: 1 as it is, 0 none."""
+
+    def __post_init__(self) -> None:
+        for name, least, most in (
+            *(("white", 0.01, 1.0), ("gloss_index", 1.0, 2.0), ("roughness", 0.02, 1.0)),
+            *(("below_share", 0.0, 1.0), ("below_mm", 0.01, 20.0), ("bounce", 0.0, 1.0)),
+        ):
+            value = getattr(self, name)
+            if not least <= value <= most:
+                raise ValueError(f"surfaces: {name} = {value}; allowed are {least:g}..{most:g}")
+
+    @classmethod
+    def drawn(cls, rng: np.random.Generator) -> Finish:
+        """Return strengths drawn from ``RANGES``."""
+        return cls(**drawn_strengths(RANGES, rng))
+
+    @property
+    def whiter(self) -> float:
+        """Factor of all albedos."""
+        return self.white / MEAN_ALBEDO
+
+    def spread_below(self, light: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the projected light (h, w) as it leaves the surface again, in the pattern's frame: part of it has spread below.
+
+        A surface that leans spreads it as one that does not.
+        """
+        if self.below_share == 0.0:
+            return light
+        h, w = light.shape
+        border = math.ceil(6.0 * self.below_mm / PX_MM)
+        rows, columns = (int(scipy.fft.next_fast_len(n + 2 * border, real=True)) for n in (h, w))
+        around = cv2.copyMakeBorder(
+            light, border, rows - h - border, border, columns - w - border, cv2.BORDER_REPLICATE
+        )  # fmt: skip
+        fy, fx = np.abs(scipy.fft.fftfreq(rows, PX_MM))[:, None], scipy.fft.rfftfreq(columns, PX_MM)[None]
+        # Transform of exp(−r/ℓ) / (2π ℓ²): (1 + (κ ℓ)²)^(−3/2).
+        far = (1.0 + (2.0 * math.pi * self.below_mm) ** 2 * (fy**2 + fx**2)) ** -1.5
+        factor = (1.0 - self.below_share + self.below_share * far).astype(np.float32)
+        spread = scipy.fft.irfft2(scipy.fft.rfft2(np.asarray(around, np.float32)) * factor, (rows, columns))
+        return np.asarray(spread[border : border + h, border : border + w], np.float32)
