@@ -14,11 +14,14 @@ import numpy as np
 
 from hw_sim.clocks import Clocks
 from hw_sim.objects.bent import BentPlates
+from hw_sim.objects.finish import Finish
 from hw_sim.objects.hand_track import HandTrack
 from hw_sim.objects.soft import SoftBody
 from hw_sim.optics.aberrations import LensFlaws
 from hw_sim.optics.camera_traits import CameraTraits
+from hw_sim.optics.light_engine import LightEngine
 from hw_sim.optics.mounts import Mounts
+from hw_sim.water.particles import Particles
 
 STREAM = 0x0075
 """Keeps these draws apart from all others that begin with a seed."""
@@ -28,6 +31,12 @@ STREAM = 0x0075
 class Outside:
     """The strengths of each family; ``None``: as in the ordinary world."""
 
+    backscatter: Particles | None = None
+    """Backscatter resolved in both directions, light scattered more than once, core and halo of what is turned forwards."""
+    projector: LightEngine | None = None
+    """Bit planes, brightness from frame to frame, a hot spot, a bent focus, the LED's colour."""
+    surfaces: Finish | None = None
+    """White that is not 0.6, gloss, light below the surface and from surface to surface."""
     lens: LensFlaws | None = None
     """Fields of lens and window up to order 11, a dent, a stria, a pupil that moves. Belongs to the rig, not to a moment."""
     plates: BentPlates | None = None
@@ -59,6 +68,9 @@ class Family:
 
 
 FAMILIES: dict[str, Family] = {
+    "backscatter": Family(1, Particles, Particles.drawn),
+    "projector": Family(3, LightEngine, LightEngine.drawn),
+    "surfaces": Family(5, Finish, Finish.drawn),
     "lens": Family(2, LensFlaws, LensFlaws.drawn),
     "plates": Family(12, BentPlates, BentPlates.drawn),
     "cameras": Family(4, CameraTraits, CameraTraits.drawn),

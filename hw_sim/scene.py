@@ -9,9 +9,10 @@ from hw_sim.objects.motion import Motion
 from hw_sim.objects.shapes import DEFAULT_POSE, NAMES
 from hw_sim.objects.texture import NAMES as TEXTURES
 from hw_sim.optics.fog import Fog
+from hw_sim.optics.light_engine import REFERENCE_NM, sapphire_index
 from hw_sim.outside import Outside
 from hw_sim.water.drift import Drift
-from hw_sim.water.medium import Water
+from hw_sim.water.medium import Water, refractive_index
 
 RESPONSES = ("measured", "linear", "gamma")
 
@@ -79,6 +80,27 @@ class Scene:
         return not self.motion.still or self.outside.hands is not None or self.outside.soft is not None
 
     @property
+    def index(self) -> float:
+        """Refractive index of the water relative to air for the light that is projected: true rigs are drawn for it."""
+        engine = self.outside.projector
+        if engine is None:
+            return self.water.index
+        wavelengths_nm, shares = engine.spectrum(self.water.temperature_c)
+        at = [refractive_index(self.water.temperature_c, self.water.salinity_psu, float(nm)) for nm in wavelengths_nm]
+        return float(shares @ at)
+
+    @property
+    def glass_more(self) -> float:
+        """Index of the sapphire windows for that light, against that of 530 nm, which true rigs state."""
+        engine = self.outside.projector
+        if engine is None:
+            return 0.0
+        wavelengths_nm, shares = engine.spectrum(self.water.temperature_c)
+        return float(shares @ [sapphire_index(float(nm)) for nm in wavelengths_nm]) - sapphire_index(REFERENCE_NM)
+
+    @property
     def still(self) -> bool:
         """The same light makes the same picture at any time."""
+        if self.outside.projector is not None:
+            return False
         return not self.moves and self.daylight.steady and self.drift.nothing

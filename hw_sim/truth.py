@@ -357,6 +357,18 @@ def turned(eye: TrueEye, angles_deg: tuple[float, float, float]) -> TrueEye:
     return replace(eye, R=_rows(np.array(eye.R) @ _rodrigues(np.radians(np.array(angles_deg)))))
 
 
+def with_glass(rig: TrueRig, more: float) -> TrueRig:
+    """Return the rig with windows whose index is ``more`` than it was, for light of another colour."""
+    if more == 0.0:
+        return rig
+    eyes = {name: rig.eye(name) for name in ("left", "right", "projector")}
+    coloured = {
+        name: replace(eye, port=replace(eye.port, n_g=eye.port.n_g + more)) if eye.port.n_g != 1.0 else eye
+        for name, eye in eyes.items()
+    }
+    return replace(rig, left=coloured["left"], right=coloured["right"], projector=coloured["projector"])
+
+
 def load_truth(path: Path, n_water: float) -> TrueRig:
     """Read a ``truth.toml`` as ``save_truth`` writes it. Raises OSError, and KeyError for what is missing there."""
     data = tomllib.loads(path.read_text())

@@ -41,7 +41,7 @@ from hw_sim.scene import Scene
 from hw_sim.timing.calendar import Calendar
 from hw_sim.timing.world_thread import WorldThread
 from hw_sim.timing.world_time import START_NS, WorldTime
-from hw_sim.truth import SETS, TrueRig, draw_truth, in_air, load_truth, with_flaws
+from hw_sim.truth import SETS, TrueRig, draw_truth, in_air, load_truth, with_flaws, with_glass
 from hw_sim.water.drift import Drift
 from hw_sim.water.medium import Water
 
@@ -385,7 +385,8 @@ class World:
         for interval in reversed(self._intervals):
             begin_ns = max(interval.begin_ns, exposure.start_ns)
             if until_ns > begin_ns and interval.light is not None:
-                slices.append(LightSlice(interval.light, (until_ns - begin_ns) / 1e9))
+                since_s, frame_s = (begin_ns - interval.begin_ns) / 1e9, self.time.period_ns / 1e9
+                slices.append(LightSlice(interval.light, (until_ns - begin_ns) / 1e9, since_s, frame_s))
             until_ns = min(until_ns, interval.begin_ns)
         clock_s = (exposure.start_ns - START_NS + exposure.duration_ns / 2) / 1e9
         moment_s = swayed_s(self._scene.motion, clock_s) if live else 0.0
@@ -493,7 +494,7 @@ def true_rig(options: Mapping[str, Any]) -> TrueRig:
 
 
 def _true_rig(o: WorldOptions, scene: Scene) -> TrueRig:
-    n_water = scene.water.index
+    n_water = scene.index
     wet = (
         draw_truth(o.truth, o.seed, o.width_px, o.height_px, n_water)
         if o.truth in SETS
@@ -501,6 +502,7 @@ def _true_rig(o: WorldOptions, scene: Scene) -> TrueRig:
     )
     # Fields and forms belong to the instrument: they are part of its rig, in water and in air.
     wet = with_flaws(wet, scene.outside)
+    wet = with_glass(wet, scene.glass_more)
     return in_air(wet) if o.medium == "air" else wet
 
 

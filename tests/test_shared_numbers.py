@@ -174,6 +174,8 @@ MAY_BE_EQUAL: Mapping[str, frozenset[str]] = {
             "11.5 APERTURE_MM = _DESIGN",
             "768 - = height_px",
             "60 refresh_hz = refresh_hz",
+            "60 FRAME_S = frame_s",
+            "60 frame_s = frame_s",
         }
     ),
     "the ordinary world's alone; outside draws it (families cameras and surfaces, workshop of the rig)": frozenset(
@@ -208,6 +210,11 @@ MAY_BE_EQUAL: Mapping[str, frozenset[str]] = {
             "0.25 HIDDEN = HIDDEN",
             "1.05 - = -",
             "1.05 - = NEARLY_EQUAL",
+            "1.05 index = -",
+            "1.05 index = NEARLY_EQUAL",
+            "1.15 index = GOOD_VARIANCE",
+            "1.25 gloss_index = -",
+            "1.25 gloss_index = GOOD_ERROR",
             "5 HOST_TIMEOUT_S = JOIN_TIMEOUT_S",
             "0.25 LONGEST_WAIT_S = READ_TIMEOUT_S",
             "3 centre_px = CENTRE_TIMES",

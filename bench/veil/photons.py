@@ -122,7 +122,7 @@ def _follow(
             if pz > end_z or pz < NEAREST_MM or abs(px) > 600.0 or abs(py) > 600.0:
                 break
             weight *= scattering / extinction
-            if weight < 1e-4:
+            if weight < 1e-14:
                 break
             u, v = project_point(lamp, px, py, pz)
             lx, ly, lz = dx, dy, dz

@@ -22,11 +22,11 @@ RANGES = {
     "white": Range(0.35, 0.85, "albedo under water: coral sand and bleached coral 0.35 to 0.6 (Hochberg et al., Remote Sens. Environ. 85 (2003) 159), white titania paint 0.85"),
     "gloss_index": Range(1.08, 1.25, "paint 1.45 to 1.55, aragonite of shells 1.53 to 1.68, over water's 1.335 (CRC Handbook of Chemistry and Physics)"),
     "roughness": Range(0.10, 0.40, "rms slope of semi-gloss to matt coats (Cook and Torrance, ACM Trans. Graph. 1 (1982) 7; Ngan et al., EGSR 2005)"),
-    "below_share": Range(0.1, 0.6, "share of light that enters: nearly all in marble and shell, little in paint (Jensen et al., SIGGRAPH 2001, table 1)"),
+    "below_part": Range(0.1, 0.6, "share of light that enters: nearly all in marble and shell, little in paint (Jensen et al., SIGGRAPH 2001, table 1)"),
     "below_mm": Range(0.15, 0.8, "1/σ'_t of marble 0.4 mm, skin 1.0 to 1.3 mm, chalky paint 0.1 mm (Jensen et al., SIGGRAPH 2001, table 1)"),
     "bounce": Range(1.0, 1.0, "interreflection is not a matter of chance"),
 }  # fmt: skip
-"""What is drawn for the family ``surfaces``."""
+"""Ranges of the family ``surfaces``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,7 @@ class Finish:
     """Index of the coat relative to water: Fresnel's reflection. 1: no gloss."""
     roughness: float = 0.3
     """Root mean square slope of the coat's facets (Beckmann)."""
-    below_share: float = 0.0
+    below_part: float = 0.0
     """Share of the reflected light that has been below the surface."""
     below_mm: float = 0.3
     """Length by which it spreads there: exp(−r/ℓ)."""
@@ -49,7 +49,7 @@ class Finish:
     def __post_init__(self) -> None:
         for name, least, most in (
             *(("white", 0.01, 1.0), ("gloss_index", 1.0, 2.0), ("roughness", 0.02, 1.0)),
-            *(("below_share", 0.0, 1.0), ("below_mm", 0.01, 20.0), ("bounce", 0.0, 1.0)),
+            *(("below_part", 0.0, 1.0), ("below_mm", 0.01, 20.0), ("bounce", 0.0, 1.0)),
         ):
             value = getattr(self, name)
             if not least <= value <= most:
@@ -70,7 +70,7 @@ class Finish:
 
         A surface that leans spreads it as one that does not.
         """
-        if self.below_share == 0.0:
+        if self.below_part == 0.0:
             return light
         h, w = light.shape
         border = math.ceil(6.0 * self.below_mm / PX_MM)
@@ -81,6 +81,6 @@ class Finish:
         fy, fx = np.abs(scipy.fft.fftfreq(rows, PX_MM))[:, None], scipy.fft.rfftfreq(columns, PX_MM)[None]
         # Transform of exp(−r/ℓ) / (2π ℓ²): (1 + (κ ℓ)²)^(−3/2).
         far = (1.0 + (2.0 * math.pi * self.below_mm) ** 2 * (fy**2 + fx**2)) ** -1.5
-        factor = (1.0 - self.below_share + self.below_share * far).astype(np.float32)
+        factor = (1.0 - self.below_part + self.below_part * far).astype(np.float32)
         spread = scipy.fft.irfft2(scipy.fft.rfft2(np.asarray(around, np.float32)) * factor, (rows, columns))
         return np.asarray(spread[border : border + h, border : border + w], np.float32)

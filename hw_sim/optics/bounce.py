@@ -33,6 +33,9 @@ PATCH_PX = 16
 LEAST = 3e-6
 """Patches that receive less of another's white than this are not looked at: of 3000, that is a hundredth."""
 
+LIFT_MM = 0.3
+"""Height above a patch up to which something may lie between: nearer, the patch's own surface would be in the way."""
+
 
 class Bounce:
     """The light that an object at one pose throws upon itself."""
@@ -124,7 +127,7 @@ def _exchange(
                 continue
             hidden = shaded(
                 kind, sizes, places[i, 0], places[i, 1], places[i, 2], normals[i, 0], normals[i, 1], normals[i, 2],
-                places[j, 0] + 0.05 * normals[j, 0], places[j, 1] + 0.05 * normals[j, 1], places[j, 2] + 0.05 * normals[j, 2],
+                places[j, 0] + LIFT_MM * normals[j, 0], places[j, 1] + LIFT_MM * normals[j, 1], places[j, 2] + LIFT_MM * normals[j, 2],
             )  # fmt: skip
             if not hidden:
                 out[i, j] = value

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from hw_sim.objects.print import Ink, front_met, lean, printed
 from hw_sim.objects.shapes import BOARD, gradient, march
 from hw_sim.objects.texture import albedo
+from hw_sim.optics.light_engine import LightEngine
 from hw_sim.optics.projector import FAR_MM, FOCUS_MM
 from hw_sim.optics.shadow import BLOCK_PX, block_start, by_map, into, map_pixels, nearest, shaded, shadow_map
 from hw_sim.optics.table import OUTSIDE, fit_table, look_up
@@ -79,14 +80,17 @@ class Geometry:
     """(h, w, CHANNELS)."""
 
 
-def lamp_of(eye: Array) -> Lamp:
-    """Return the projector, from its eye packed as in ``optics.trace``."""
+def lamp_of(eye: Array, engine: LightEngine | None = None) -> Lamp:
+    """Return the projector, from its eye packed as in ``optics.trace``; an ``engine`` has a field of light of its own."""
     at = map_pixels(int(eye[WIDTH]), int(eye[HEIGHT]))
     map_rays = np.empty((*at.shape[:2], 6))
     rays_of(eye, at.reshape(-1, 2), map_rays.reshape(-1, 6))
     # Vignetting by the cos⁴ law, against the projector's optical axis.
     axis = eye[ROTATION : ROTATION + 9].reshape(3, 3)[:, 2]
-    window = np.concatenate([map_rays[..., :3], (map_rays[..., 3:] @ axis)[..., None] ** 4], -1).astype(np.float32)
+    bright = (map_rays[..., 3:] @ axis)[..., None] ** 4
+    if engine is not None and engine.hot_spot > 0.0:
+        bright = engine.field(at, eye[WIDTH], eye[HEIGHT])[..., None]
+    window = np.concatenate([map_rays[..., :3], bright], -1).astype(np.float32)
     # Rays near the axis diverge from a point this far behind the outer face: depths count by the ratio of the indices.
     n_water, distance_mm, thickness_mm, glass = eye[WATER], eye[DISTANCE], eye[THICKNESS], eye[GLASS]
     depth_mm = n_water * (distance_mm + thickness_mm / glass) * float(eye[INNER + 2])

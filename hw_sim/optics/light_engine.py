@@ -40,7 +40,7 @@ LAMP_RISE_K = 21.0
 RANGES = {
     "cycles": Range(1.0, 4.0, "colour or grey cycles in a frame of 60 Hz: 1 to 4 (TI DLPC350 guide DLPU010, pattern and video modes)"),
     "order": Range(0.0, 1e6, "bit order is the controller's own; any permutation"),
-    "dark_share": Range(0.02, 0.10, "mirror reset and LED blanking: 2 to 10 % of a frame (TI DLPS013, block load and settling times)"),
+    "dark_part": Range(0.02, 0.10, "mirror reset and LED blanking: 2 to 10 % of a frame (TI DLPS013, block load and settling times)"),
     "frame_rms": Range(0.001, 0.004, "LED driver ripple and current noise, frame to frame 0.1 to 0.4 % (Huang et al., Opt. Laser Eng. 51 (2013) 153)"),
     "droop": Range(0.003, 0.02, "green InGaN: −0.1 to −0.3 %/K over 3 to 7 K of junction (Schubert, Light-Emitting Diodes, 2006, ch. 6)"),
     "droop_s": Range(0.2, 2.0, "thermal time constant of an LED on its board (JESD51-51, typical step responses)"),
@@ -55,7 +55,7 @@ RANGES = {
     "led_width_nm": Range(25.0, 38.0, "full width at half maximum of green InGaN LEDs: 25 to 38 nm (same data sheets)"),
     "led_nm_per_k": Range(0.02, 0.06, "shift of the peak with temperature, green InGaN (Schubert 2006, table 4.1 and ch. 6)"),
 }  # fmt: skip
-"""What is drawn for the family ``projector``; ``cycles`` and ``order`` are rounded."""
+"""Ranges of the family ``projector``; ``cycles`` and ``order`` are rounded."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ class LightEngine:
     """Times that all bit planes are shown in a frame; 0: the light is constant during a frame."""
     order: int = 0
     """Seed of the order of the pieces."""
-    dark_share: float = 0.0
+    dark_part: float = 0.0
     """Share of a frame, at its end, in which the LED is off."""
     frame_rms: float = 0.0
     """Standard deviation of a frame's brightness, as a share."""
@@ -120,7 +120,7 @@ class LightEngine:
         """Return how long, (PLANES,) s, the mirrors of each bit are on between two times after a vertical blank."""
         bits, ends = self.pieces()
         starts = np.concatenate([[0.0], ends[:-1]])
-        cycle_s = frame_s * (1.0 - self.dark_share) / self.cycles
+        cycle_s = frame_s * (1.0 - self.dark_part) / self.cycles
         lit = np.zeros(PLANES)
         for frame in range(math.floor(begin_s / frame_s), math.ceil(end_s / frame_s)):
             for cycle in range(self.cycles):
@@ -139,7 +139,7 @@ class LightEngine:
         levels = np.rint((response.astype(np.float64) - BLACK) / (1.0 - BLACK) * (2**PLANES - 1)).astype(np.int64)
         on = (levels[:, None] >> np.arange(PLANES)) & 1
         # While it is on, the LED is brighter by what it is off: a frame of white is a frame of white.
-        light = (1.0 - BLACK) / (1.0 - self.dark_share) * (on @ self.lit_s(begin_s, end_s, frame_s))
+        light = (1.0 - BLACK) / (1.0 - self.dark_part) * (on @ self.lit_s(begin_s, end_s, frame_s))
         return np.asarray(light + BLACK * (end_s - begin_s), np.float32)
 
     def brightness(self, frame: int, lit_for_s: float, seed: int) -> float:
@@ -193,7 +193,7 @@ class LightEngine:
 
 
 _LIMITS = {
-    "cycles": (0, 16), "order": (0, 2**31), "dark_share": (0.0, 0.5), "frame_rms": (0.0, 0.1), "droop": (0.0, 0.5),
+    "cycles": (0, 16), "order": (0, 2**31), "dark_part": (0.0, 0.5), "frame_rms": (0.0, 0.1), "droop": (0.0, 0.5),
     "droop_s": (0.01, 100.0), "hot_spot": (0.0, 0.9), "hot_x": (-0.5, 0.5), "hot_y": (-0.5, 0.5), "hot_width": (0.1, 2.0),
     "focus_bend_mm": (-100.0, 100.0), "focus_tilt_x_mm": (-100.0, 100.0), "focus_tilt_y_mm": (-100.0, 100.0),
     "led_shift_nm": (-30.0, 30.0), "led_width_nm": (0.0, 60.0), "led_nm_per_k": (0.0, 0.2),

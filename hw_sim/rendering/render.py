@@ -19,6 +19,7 @@ from hw_sim.light.lasers import add_laser
 from hw_sim.light.uneven import UnevenLight
 from hw_sim.optics.camera_traits import CameraTraits
 from hw_sim.optics.geometry import GREY, LIT, MIDDLE_MM, Geometry, Pose
+from hw_sim.optics.light_engine import FRAME_S, SOFTEST_PX, flashed_between
 from hw_sim.optics.projector import FAR_MM, SPREAD_FAR_PX, LightSlice, collect, light_between, response, soften
 from hw_sim.optics.view import Surface, TrueView
 from hw_sim.rendering.sensor import FULL_WELL_E, Sensor
@@ -30,7 +31,10 @@ from hw_sim.water.backscatter import Backscatter
 from hw_sim.water.drift import Drift, Swarm
 from hw_sim.water.fish import before
 from hw_sim.water.medium import Water
+from hw_sim.water.particles import Particles
 from hw_sim.water.specks import scatter
+from hw_sim.water.spread import ForwardSpread
+from hw_sim.water.veil import Veil
 
 __all__ = ["LightSlice", "Renderer", "Surface", "TrueView"]
 
@@ -64,9 +68,11 @@ class Renderer:
     def __init__(self, truth: TrueRig, scene: Scene) -> None:
         self.truth = truth
         self._scene = scene
-        self._stage = Stage(truth)
+        self._stage = Stage(truth, scene.outside.projector, scene.outside.surfaces)
         self._responses = {kind: response(kind) for kind in RESPONSES}
         self._backscatters: dict[str, Latest[float, Backscatter]] = {camera: Latest() for camera in CAMERAS}
+        self._veils: dict[str, Latest[tuple[object, ...], Veil]] = {camera: Latest() for camera in CAMERAS}
+        self._spreads: Latest[tuple[object, ...], ForwardSpread] = Latest()
         self._uneven = UnevenLight()
         self._swarms: Latest[Drift, Swarm] = Latest()
         self._sensors: dict[str, Latest[bool, Sensor]] = {camera: Latest() for camera in CAMERAS}
@@ -81,6 +87,11 @@ class Renderer:
 
     @scene.setter
     def scene(self, scene: Scene) -> None:
+        before, now = self._scene.outside, scene.outside
+        if (now.projector, now.surfaces) != (before.projector, before.surfaces):
+            self._stage = Stage(self.truth, now.projector, now.surfaces)
+            self._veils = {camera: Latest() for camera in CAMERAS}
+            self._backscatters = {camera: Latest() for camera in CAMERAS}
         self._scene = scene
 
     def expose(
@@ -111,7 +122,9 @@ class Renderer:
         for k in range(count):
             begin_s, end_s = exposure_s * k / count, exposure_s * (k + 1) / count
             at_s = time_s if at_rest or count == 1 else time_s + 0.5 * (begin_s + end_s - exposure_s)
-            light = light_between(tuple(slices), begin_s, end_s, self._responses[scene.imaging.response])
+            light = self._light(
+                scene, tuple(slices), begin_s, end_s, time_s - 0.5 * exposure_s, clock_s - 0.5 * exposure_s
+            )
             by_clock_s = clock_s + 0.5 * (begin_s + end_s - exposure_s)
             self._add_instant(camera, scene, at_s, by_clock_s, light, end_s - begin_s, lasers, electrons)
         # Order as in the instrument: lens and water, defocus, fog on the window (so soft that its place in the chain
@@ -164,6 +177,23 @@ class Renderer:
         begin, end = (self._stage.pose(scene, time_s + part * exposure_s) for part in (-0.5, 0.5))
         return instants(begin, end, CAMERA_PX_MM / self._scale(camera))
 
+    def _light(
+        self,
+        scene: Scene,
+        slices: tuple[LightSlice, ...],
+        begin_s: float,
+        end_s: float,
+        lit_for_s: float,
+        clock_s: float,
+    ) -> Picture | None:
+        """Return what the projector emits between two times of an exposure that began at ``clock_s``, in seconds of white."""
+        response, engine = self._responses[scene.imaging.response], scene.outside.projector
+        if engine is None:
+            return light_between(slices, begin_s, end_s, response)
+        # Both cameras see the same frame: its number goes by the clock, not by the camera.
+        frame = round(clock_s / FRAME_S)
+        return flashed_between(engine, slices, begin_s, end_s, response, frame, lit_for_s, self.truth.seed)
+
     def _add_instant(
         self,
         camera: str,
@@ -179,7 +209,10 @@ class Renderer:
         what the projector emits meanwhile, in seconds of white; ``None``: it is off."""
         pose = self._stage.pose(scene, time_s)
         geometry = self._geometry(camera, scene, pose, clock_s, lit=light is not None)
-        whole, electrons = electrons, np.zeros_like(electrons) if scene.drift.specks else electrons
+        particles = scene.outside.backscatter
+        apart = scene.drift.specks or particles is not None
+        whole, electrons = electrons, np.zeros_like(electrons) if apart else electrons
+        veil = None
         daylight, white_e = scene.daylight, WHITE_E_PER_S * duration_s
         # Ambient light is in units of the projector's white in the middle of the volume.
         ambient = np.float32(white_e * scene.ambient * daylight.flicker(clock_s, duration_s))
@@ -187,11 +220,25 @@ class Renderer:
         if light is None:
             electrons += ambient * geometry.pixels[..., GREY]
         else:
-            scattered = self._backscatter(camera, scene).seen(light, geometry.distance_mm)
+            if particles is None:
+                scattered = self._backscatter(camera, scene).seen(light, geometry.distance_mm)
+            else:
+                scattered = self._veil(camera, scene, particles).seen(light, geometry.distance_mm)
+                light = self._spread(scene, particles).light(light)
             # In units of what a surface of albedo 0.6 in the middle sends back (water.medium.Water.backscatter).
             scattered *= np.float32(WHITE_E_PER_S * 0.6 * scene.water.backscatter)
-            spread_px = SPREAD_FAR_PX if scene.imaging.projector_defocus else 0.0
-            softened = soften(light, _water_blur_mm(scene.water) / PROJECTOR_PX_MM, spread_px)
+            if particles is not None:
+                # The veil has its own ways to the camera: it joins the picture behind the spread of what is farther.
+                veil, scattered = scattered, np.zeros_like(scattered)
+            coat = scene.outside.surfaces
+            if coat is not None:
+                if coat.bounce > 0.0:
+                    fallen = self._stage.bounce(scene, coat).seen(light, geometry)
+                    electrons += np.float32(WHITE_E_PER_S * coat.bounce) * fallen
+                light = coat.spread_below(light)
+            softest_px = SPREAD_FAR_PX if scene.outside.projector is None else SOFTEST_PX
+            spread_px = softest_px if scene.imaging.projector_defocus else 0.0
+            softened = soften(light, _water_blur_mm(scene) / PROJECTOR_PX_MM, spread_px)
             collect(geometry.pixels, softened, np.float32(WHITE_E_PER_S), ambient, scattered, electrons)
         if not daylight.even:
             self._uneven.add(
@@ -206,8 +253,13 @@ class Renderer:
                     electrons, LASER_E_PER_S * duration_s, laser, self._stage.eyes[camera], self._stage.rays(camera),
                     pose, geometry, scene.water, grain,
                 )  # fmt: skip
+        if particles is not None:
+            electrons = self._spread(scene, particles).picture(electrons)
+            if veil is not None:
+                electrons += veil
         if scene.drift.specks:
             self._scatter(camera, scene, pose, clock_s, duration_s, geometry, softened, float(ambient), electrons, None)
+        if apart:
             whole += electrons
 
     def _geometry(self, camera: str, scene: Scene, pose: Pose, clock_s: float, lit: bool) -> Geometry:
@@ -250,7 +302,7 @@ class Renderer:
         scale = self._scale(camera)
         lens_px = max(LENS_BLUR_PX * scale, LEAST_BLUR_PX)
         # Blurs of independent causes add as variances.
-        sigma_px = math.hypot(lens_px, _water_blur_mm(scene.water) / CAMERA_PX_MM * scale)
+        sigma_px = math.hypot(lens_px, _water_blur_mm(scene) / CAMERA_PX_MM * scale)
         return np.asarray(cv2.GaussianBlur(electrons, (0, 0), sigma_px, borderType=cv2.BORDER_REPLICATE), np.float32)
 
     def _defocused(self, camera: str, scene: Scene, image: Picture, time_s: float) -> Picture:
@@ -273,6 +325,17 @@ class Renderer:
             per_m, lambda: Backscatter(self._stage.rays(camera), self._stage.lamp, per_m)
         )  # fmt: skip
 
+    def _veil(self, camera: str, scene: Scene, particles: Particles) -> Veil:
+        per_m, defocus = scene.water.attenuation_per_m, scene.imaging.projector_defocus
+        return self._veils[camera].get(
+            (per_m, particles, defocus),
+            lambda: Veil(self._stage.rays(camera), self._stage.lamp, particles, per_m, defocus),
+        )
+
+    def _spread(self, scene: Scene, particles: Particles) -> ForwardSpread:
+        per_m = scene.water.attenuation_per_m
+        return self._spreads.get((per_m, particles), lambda: ForwardSpread(particles, per_m))
+
     def _sensor(self, camera: str, scene: Scene) -> Sensor:
         eye = self.truth.eye(camera)
         seed = 2 * self.truth.seed + CAMERAS.index(camera)
@@ -288,6 +351,9 @@ class Renderer:
         )
 
 
-def _water_blur_mm(water: Water) -> float:
-    """Return the Gaussian sigma, mm in the middle of the volume, of what forward scattering does on one way."""
-    return water.blur_px_per_m * CAMERA_PX_MM * MIDDLE_MM / 1000.0
+def _water_blur_mm(scene: Scene) -> float:
+    """Return the Gaussian sigma, mm in the middle of the volume, of what forward scattering does on one way; 0 where
+    ``ForwardSpread`` does it instead."""
+    if scene.outside.backscatter is not None:
+        return 0.0
+    return scene.water.blur_px_per_m * CAMERA_PX_MM * MIDDLE_MM / 1000.0

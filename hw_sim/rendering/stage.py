@@ -11,14 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hw_sim.latest import Latest
+from hw_sim.objects.finish import Finish
 from hw_sim.objects.motion import object_pose
 from hw_sim.objects.print import board_print
 from hw_sim.objects.shapes import NAMES, RADIUS
 from hw_sim.objects.texture import NAMES as TEXTURES
 from hw_sim.objects.texture import noise_lattice
-from hw_sim.optics.geometry import Geometry, Lamp, Pose, lamp_of, shadows, trace
+from hw_sim.optics.bounce import Bounce
+from hw_sim.optics.geometry import LIT, SOFT, Geometry, Lamp, P, Pose, Q, lamp_of, shadows, trace
+from hw_sim.optics.gloss import finish
+from hw_sim.optics.light_engine import LightEngine
+from hw_sim.optics.shadow import MARGIN_PX, STEP_PX
 from hw_sim.optics.table import fit_table
-from hw_sim.optics.trace import rays_of_image
+from hw_sim.optics.trace import HEIGHT, WATER, WIDTH, rays_of_image
 from hw_sim.optics.view import TrueView, true_view
 from hw_sim.scene import Scene
 from hw_sim.truth import TrueRig
@@ -35,10 +40,11 @@ MOST_INSTANTS = 4
 class Stage:
     """One rig before whatever scene is named. All methods may be called by several threads at once."""
 
-    def __init__(self, truth: TrueRig) -> None:
+    def __init__(self, truth: TrueRig, engine: LightEngine | None = None, coat: Finish | None = None) -> None:
         self.eyes = {name: truth.eye(name).packed(truth.n_water) for name in (*CAMERAS, "projector")}
         """Packed as in ``optics.trace``."""
-        self.lamp: Lamp = lamp_of(self.eyes["projector"])
+        self._engine, self._coat = engine, coat
+        self.lamp: Lamp = lamp_of(self.eyes["projector"], engine)
         self._shapes_px = {name: (truth.eye(name).height_px, truth.eye(name).width_px) for name in CAMERAS}
         self._sizes = truth.artefacts.sizes()
         self._lattice = noise_lattice()
@@ -49,6 +55,7 @@ class Stage:
         self._unlit: dict[str, Latest[tuple[object, ...], Geometry]] = {name: Latest() for name in CAMERAS}
         # The cameras' threads need the same shadows, but not at the same time: one may be an exposure behind.
         self._shadows: Latest[bytes, NDArray[np.float32]] = Latest(keep=MOST_INSTANTS)
+        self._bounces: Latest[tuple[object, ...], Bounce] = Latest()
 
     def pose(self, scene: Scene, time_s: float) -> Pose:
         """Return the object's pose in the rig's frame at ``time_s``; before time 0 the hands are at rest."""
@@ -80,10 +87,35 @@ class Stage:
 
         def compute() -> Geometry:
             first = self.shadows(pose) if lit else None
-            return trace(self.rays(camera), pose, first, self.lamp, texture, self._lattice, self._ink, per_m)
+            met = trace(self.rays(camera), pose, first, self.lamp, texture, self._lattice, self._ink, per_m)
+            if self._engine is not None and lit:
+                self._soften(self._engine, self.rays(camera), met)
+            if self._coat is not None:
+                finish(met, self.rays(camera), pose, self.lamp, self._coat, per_m)
+            return met
 
         kept = self._geometries if lit else self._unlit
         return kept[camera].get((texture, per_m, pose.key), compute)
+
+    def bounce(self, scene: Scene, coat: Finish) -> Bounce:
+        """Return how the scene's object at time 0 lights itself: hands move it too little within a sequence to matter."""
+        texture, per_m, pose = TEXTURES[scene.texture], scene.water.attenuation_per_m, self.pose(scene, 0.0)
+        return self._bounces.get(
+            (texture, per_m, pose.key, coat.whiter),
+            lambda: Bounce(pose, self.lamp, self.shadows(pose), texture, self._lattice, coat.whiter, per_m),
+        )
+
+    def _soften(self, engine: LightEngine, rays: Array, geometry: Geometry) -> None:
+        """Set how soft the engine's light is at each point that it reaches."""
+        lit, eye = geometry.pixels[..., LIT] > 0.0, self.eyes["projector"]
+        uv = geometry.pixels[lit][:, [P, Q]].astype(np.float64)
+        points = rays[lit][:, :3] + rays[lit][:, 3:] * geometry.distance_mm[lit][:, None]
+        a, b = np.clip(uv[:, 0], 0.0, eye[WIDTH] - 1.0), np.clip(uv[:, 1], 0.0, eye[HEIGHT] - 1.0)
+        starts = self.lamp.window[_nearest(b), _nearest(a), :3]
+        way_mm = np.linalg.norm(points - starts, axis=1)
+        spread = engine.index_spread(float(eye[WATER]))
+        size = float(eye[WIDTH]), float(eye[HEIGHT])
+        geometry.pixels[lit, SOFT] = engine.softness(uv, way_mm, self.lamp.depth_mm, size, spread)
 
     def view(self, camera: str, scene: Scene, pose: Pose) -> TrueView:
         """Return the ground truth of ``camera``'s image."""
@@ -99,6 +131,11 @@ class Stage:
     def shadows(self, pose: Pose) -> NDArray[np.float32]:
         """Return how far the projector's light goes at ``pose``: see ``geometry.shadows``."""
         return self._shadows.get(pose.key, lambda: shadows(pose, self.lamp))
+
+
+def _nearest(coordinate: Array) -> NDArray[np.int64]:
+    """Return the rows or columns of the lamp's rays next to pattern coordinates."""
+    return ((coordinate + MARGIN_PX) / STEP_PX + 0.5).astype(np.int64)
 
 
 def instants(begin: Pose, end: Pose, pixel_mm: float) -> int:

@@ -28,9 +28,8 @@ from hw_sim.ranges import Range, drawn_strengths
 
 Array = NDArray[np.float64]
 
-FORWARD_DEG = 10.0
-"""Light that is turned further is gone: on a way of half a metre it leaves the beam. Photons say so (``bench/bench_veil.py``):
-with 30° the veil of 3 /m would be a third too bright."""
+FORWARD_DEG = 30.0
+"""Light that is turned further is gone from the picture. Up to here angle and tangent differ by 10 %."""
 RANGES = {
     "scattering_share": Range(
         0.55, 0.88, "b/c of Petzold's coastal and harbour water: 0.55 to 0.83 (Mobley, Light and Water, 1994, table 3.11); river mouths to 0.9"
@@ -38,7 +37,7 @@ RANGES = {
     "index": Range(1.05, 1.15, "bulk index of natural particles: 1.04 organic to 1.18 mineral (Twardowski et al., J. Geophys. Res. 106 (2001) 14129)"),
     "slope": Range(3.3, 3.9, "Junge slope of natural particles: 3.3 to 4.0 (Mobley, Sundman and Boss, Appl. Opt. 41 (2002) 1035, fig. 1)"),
 }  # fmt: skip
-"""What is drawn for the family ``backscatter``."""
+"""Ranges of the family ``backscatter``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +94,7 @@ class Particles:
 
 
 class Transfer:
-    """What arrives after a way through water with these particles, relative to the light that was not scattered."""
+    """The light that arrives after a way through water with these particles, relative to the light that was not scattered."""
 
     WAVES = np.concatenate([[0.0], np.geomspace(1e-2, 1e4, 120)])
     """Places κ s at which S is tabulated; beyond the last nothing of it is left."""

@@ -88,6 +88,11 @@ class Veil:
         self._width, self._height = int(lamp.eye[WIDTH]), int(lamp.eye[HEIGHT])
         self._filters = self._softening(transfer, lamp, defocus)
 
+    @property
+    def unit_mm_per_sr(self) -> float:
+        """Unit of what ``seen`` returns: ∫ p(θ) E ds of clear white water before the middle on the middle ray, once scattered."""
+        return self._unit
+
     def seen(self, light: Picture, distance_mm: Array) -> Picture:
         """Return the backscatter (h, w) float32 of the projected ``light`` (768, 1024) before surfaces at ``distance_mm``
         (h, w; NaN: none), in units of the middle ray's of white light, as ``backscatter.Backscatter`` does."""
@@ -215,7 +220,7 @@ def _places(
                 # Pixel centres at integers; a column's left edge is the place of its sum.
                 place[0], place[1] = (u + 0.5) / SHRINK, (v + 0.5) / SHRINK
                 place[2], place[3] = light * kept[k], light * (every[k] - kept[k])
-                place[4] = min(max(math.log(path / levels[0]) / step, 0.0), levels.size - 1.001)
+                place[4] = min(max(math.log(path / levels[0]) / step, 0.0), levels.size - 1.002)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -267,7 +272,7 @@ def _gather(
                     end = u0 + cut * (u1 - u0)
                     v = v0 + half * cut * (v1 - v0) - half
                     if v > -half and v < np.float32(rows) - half:
-                        v = min(max(v, np.float32(0.0)), np.float32(rows) - np.float32(1.001))
+                        v = min(max(v, np.float32(0.0)), np.float32(rows) - np.float32(1.002))
                         j = int(v)
                         t = v - np.float32(j)
                         level = l0 + half * cut * (l1 - l0)
