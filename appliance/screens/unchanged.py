@@ -17,20 +17,10 @@ from numpy.typing import NDArray
 from appliance.machine.words import Language
 from appliance.screens import theme
 from appliance.screens.painter import Painter
-from appliance.screens.views import (
-    AimView,
-    AnyView,
-    ArmedView,
-    CaptureView,
-    CoolingView,
-    GalleryView,
-    MenuView,
-)
+from appliance.screens.views import AnyView
 
 MOVES_HZ = 20.0
 """Pictures per second of what moves by itself: fringes that drift, a bar that swings, a cloud that nods in ten seconds."""
-_STILL = (AimView, ArmedView, CaptureView, CoolingView, GalleryView, MenuView)
-"""Views of which nothing moves but what flashes: their drawing is not told the time."""
 
 
 class FrugalPainter(Painter):
@@ -61,7 +51,7 @@ class FrugalPainter(Painter):
 
 def moment(view: AnyView, time_s: float) -> tuple[bool, int]:
     """Return what ``time_s`` means to the picture of ``view``: times of equal moments need no drawing anew."""
-    return theme.flash_on(time_s), 0 if isinstance(view, _STILL) else math.floor(time_s * MOVES_HZ)
+    return theme.flash_on(time_s), math.floor(time_s * MOVES_HZ) if view.moves else 0
 
 
 def same(a: object, b: object) -> bool:

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from types import MappingProxyType
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +39,8 @@ def labels(
 class View:
     """Base of all views: alerts, the gravest first, and the meaning of the keys."""
 
+    moves: ClassVar[bool] = True
+    """False: nothing on it moves by itself but an alert that flashes; its drawing is not told the time."""
     alerts: tuple[Alert, ...] = ()
     keys: KeyLabels = field(default_factory=labels)
 
@@ -92,6 +95,7 @@ class Gauge:
 class AimView(View):
     """Live pictures while the diver chooses the place. A picture is (h, w) uint8; ``None`` is a camera without one."""
 
+    moves: ClassVar[bool] = False
     left: NDArray[np.uint8] | None
     right: NDArray[np.uint8] | None
     scans_taken: int
@@ -116,6 +120,7 @@ class AimView(View):
 class ArmedView(View):
     """SCAN was pressed; lasers are proven off and cameras made ready. Nothing shines yet."""
 
+    moves: ClassVar[bool] = False
     keys: KeyLabels = field(default_factory=lambda: labels(back=Text.STOP))
 
 
@@ -123,6 +128,7 @@ class ArmedView(View):
 class CaptureView(View):
     """The sequence is being recorded. Drawn once, before the first pattern: until the last one nothing is drawn."""
 
+    moves: ClassVar[bool] = False
     keys: KeyLabels = field(default_factory=lambda: labels(back=Text.STOP))
 
 
@@ -196,6 +202,7 @@ class MenuRow:
 class MenuView(View):
     """A page of the menu. Any number of rows: those around the selected one are shown."""
 
+    moves: ClassVar[bool] = False
     title: Text
     rows: tuple[MenuRow, ...]
     selected: int
@@ -214,6 +221,7 @@ class GalleryView(View):
     time as text, ``None`` where the clock was not to be trusted. Of a ``damaged`` scan the rest may be unknown.
     """
 
+    moves: ClassVar[bool] = False
     scan_id: str = ""
     index: int = 0
     count: int = 0
@@ -254,6 +262,7 @@ class CalibrateView(View):
 class CoolingView(View):
     """Too hot to shine: dark until ``temperature_c`` has fallen to ``limit_c``."""
 
+    moves: ClassVar[bool] = False
     temperature_c: float | None
     limit_c: float
     remaining_s: float | None
