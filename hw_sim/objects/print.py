@@ -123,11 +123,15 @@ def front_met(sizes: Array, ox: float, oy: float, oz: float, dx: float, dy: floa
     """
     if dz < LEAST_SLOPE:
         return math.nan
+    formed = sizes.size > SIZES
     far = -oz / dz
     for _ in range(3):
         x, y = ox + far * dx, oy + far * dy
         # Fixed point: intersect with the plane at the height that the front has where the last guess met it.
-        far = (rise(sizes, BOARD_BOW, BOARD_FORM, BOARD_HALF_X_MM, x, y) - oz) / dz
+        bent = sizes[BOARD_BOW] * (1.0 - (x * x + y * y) * (2.0 / (BOARD_HALF_X_MM * BOARD_HALF_X_MM)))
+        if formed:
+            bent = rise(sizes, BOARD_BOW, BOARD_FORM, BOARD_HALF_X_MM, x, y)
+        far = (bent - oz) / dz
     x, y = ox + far * dx, oy + far * dy
     if abs(x) > BOARD_HALF_X_MM - EDGE_MM or abs(y) > BOARD_HALF_Y_MM - EDGE_MM:
         return math.nan
@@ -136,7 +140,7 @@ def front_met(sizes: Array, ox: float, oy: float, oz: float, dx: float, dy: floa
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def lean(sizes: Array, x: float, y: float) -> tuple[float, float]:
-    """Return the slopes dz/dx, dz/dy of the bent front at a point: the derivative of ``shapes.rise``."""
+    """Return the slopes dz/dx, dz/dy of the bent front at a point: the derivative of z = bow (1 − 2 r²/a²), or of ``shapes.rise``."""
     k = -4.0 * sizes[BOARD_BOW] / (BOARD_HALF_X_MM * BOARD_HALF_X_MM)
     slope_x, slope_y = k * x, k * y
     if sizes.size > SIZES:

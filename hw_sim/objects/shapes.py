@@ -59,10 +59,12 @@ HALF_BALL_DISTANCE, PLANE_BOW, BOARD_BOW, BOARD_SCALE, SIZES = 0, 1, 2, 3, 4
 PLANE_FORM, BOARD_FORM, SOFT, SIZES_OUTSIDE = 4, 7, 10, 13
 """The rest of ``sizes``, in the world ``outside`` only: saddle, twist and S of each plate, mm (``rise``), and the wave that runs through
 a soft object (``_wave``): amplitude in mm, wave number in rad/mm, phase in rad."""
+VARIED = len(NAMES)
+"""An object that has all these sizes has its kind plus this: ordinary ones take no longer for what they have not."""
 S_PEAK = 1.5 * math.sqrt(3.0)
 """The cubic p (1 − p²) times this has the extremes ±1."""
 
-BOX = np.array(
+_BOX = np.array(
     [
         [-125.0, -100.0, -0.1, 125.0, 100.0, 10.1],
         [-91.0, -15.0, -15.0, 91.0, 15.0, 15.0],
@@ -73,7 +75,8 @@ BOX = np.array(
         [-145.0, -118.0, -0.3, 145.0, 118.0, 8.3],
     ]
 )
-"""A box (x0 y0 z0 x1 y1 z1) around each object."""
+BOX = np.concatenate([_BOX, _BOX])
+"""A box (x0 y0 z0 x1 y1 z1) around each object; twice, for kinds with ``VARIED``."""
 STONES_AT = np.array(
     [
         [-62.0, -20.0, 8.0, 38.0],
@@ -84,7 +87,7 @@ STONES_AT = np.array(
     ]
 )
 """Middle x y z and mean radius of each stone."""
-RADIUS = np.array([161.0, 92.5, 132.0, 144.0, 138.0, 120.0, 188.0])
+RADIUS = np.tile([161.0, 92.5, 132.0, 144.0, 138.0, 120.0, 188.0], 2)
 """Radius of a ball around the origin that holds each object."""
 
 HIT_MM = 1e-7
@@ -183,26 +186,21 @@ def _stones(x: float, y: float, z: float) -> float:
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def rise(sizes: Array, bow: int, form: int, half_x: float, x: float, y: float) -> float:
-    """Return the height z, mm, of a plate's front that the workshop bent; ``bow`` and ``form`` are places in ``sizes``."""
-    # A paraboloid, z = bow (1 − 2 r²/a²), which alone is what ordinary plates are bent to.
-    bent = sizes[bow] * (1.0 - (x * x + y * y) * (2.0 / (half_x * half_x)))
-    if sizes.size > SIZES:
-        # Saddle p² − q², twist 2 p q (a saddle turned by 45°), and an S along x; p = x/a, q = y/a.
-        p, q = x / half_x, y / half_x
-        bent += sizes[form] * (p * p - q * q) + sizes[form + 1] * (2.0 * p * q)
-        bent += sizes[form + 2] * S_PEAK * p * (1.0 - p * p)
-    return float(bent)
+def _plate(x: float, y: float, z: float, half_x: float, half_y: float, thickness: float, bow: float) -> float:
+    """Return a bound of the distance to a plate whose front, at z = 0, the workshop bent: z = bow (1 − 2 r²/half_x²)."""
+    bent = bow * (1.0 - (x * x + y * y) * (2.0 / (half_x * half_x)))
+    # A front that leans by a slope m is √(1 + m²) nearer than measured along z: 0.999 covers m = 0.045, far above any bow.
+    return 0.999 * _box(x, y, z - 0.5 * thickness - bent, half_x, half_y, 0.5 * thickness)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def _plate(
-    x: float, y: float, z: float, half_x: float, half_y: float, thickness: float, sizes: Array, bow: int, form: int
-) -> float:
-    """Return a bound of the distance to a plate whose front, at z = 0, the workshop bent (``rise``)."""
-    bent = rise(sizes, bow, form, half_x, x, y)
-    # A front that leans by a slope m is √(1 + m²) nearer than measured along z: 0.999 covers m = 0.045, far above any bow.
-    return 0.999 * _box(x, y, z - 0.5 * thickness - bent, half_x, half_y, 0.5 * thickness)
+def rise(sizes: Array, bow: int, form: int, half_x: float, x: float, y: float) -> float:
+    """Return the height z, mm, of a plate's front with all its forms; ``bow`` and ``form`` are places in ``sizes``."""
+    # Bow, z = bow (1 − 2 r²/a²); saddle p² − q², twist 2 p q (a saddle turned by 45°), and an S along x; p = x/a, q = y/a.
+    p, q = x / half_x, y / half_x
+    bent = sizes[bow] * (1.0 - 2.0 * (p * p + q * q)) + sizes[form] * (p * p - q * q)
+    bent += sizes[form + 1] * 2.0 * p * q + sizes[form + 2] * S_PEAK * p * (1.0 - p * p)
+    return float(bent)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -213,22 +211,42 @@ def _wave(sizes: Array, x: float, y: float) -> float:
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def implicit(kind: int, sizes: Array, x: float, y: float, z: float) -> float:
-    """Return the implicit function of an object at a point of its frame, mm: never more than the distance to the surface."""
-    if sizes.size > SIZES and sizes[SOFT] != 0.0 and kind != BOARD:
+def _outside(kind: int, sizes: Array, x: float, y: float, z: float) -> float:
+    """Return ``implicit`` of an object whose kind has ``VARIED``: plates with forms, and whatever is soft."""
+    steep = 1.0
+    if sizes[SOFT] != 0.0 and kind != VARIED + BOARD:
         # A shear z → z − wave(x, y) whose slope is m makes gradients at most 1 + m as long.
-        steep = 1.0 + abs(float(sizes[SOFT] * sizes[SOFT + 1]))
-        return _rigid(kind, sizes, x, y, z - _wave(sizes, x, y)) / steep
-    return _rigid(kind, sizes, x, y, z)
+        z -= _wave(sizes, x, y)
+        steep += abs(float(sizes[SOFT] * sizes[SOFT + 1]))
+    if kind == VARIED + PLANE:
+        bent = rise(sizes, PLANE_BOW, PLANE_FORM, PLANE_HALF_X_MM, x, y)
+        thickness = PLANE_THICKNESS_MM
+        value = 0.999 * _box(x, y, z - 0.5 * thickness - bent, PLANE_HALF_X_MM, PLANE_HALF_Y_MM, 0.5 * thickness)
+    elif kind == VARIED + BOARD:
+        bent = rise(sizes, BOARD_BOW, BOARD_FORM, BOARD_HALF_X_MM, x, y)
+        thickness = BOARD_THICKNESS_MM
+        value = 0.999 * _box(x, y, z - 0.5 * thickness - bent, BOARD_HALF_X_MM, BOARD_HALF_Y_MM, 0.5 * thickness)
+    elif kind == VARIED + BALLBAR:
+        half, off = sizes[HALF_BALL_DISTANCE], y * y + z * z
+        along = abs(x) - half
+        ball = math.sqrt(along * along + off) - BALL_RADIUS_MM
+        value = min(ball, _disc_or_tube(x, math.sqrt(off), BAR_RADIUS_MM, half))
+    elif kind == VARIED + FRUSTUM:
+        value = _frustum(x, y, z)
+    elif kind == VARIED + PIPE:
+        value = _pipe(x, y, z)
+    elif kind == VARIED + SHELL:
+        value = _shell(x, y, z)
+    else:
+        value = _stones(x, y, z)
+    return float(value / steep)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def _rigid(kind: int, sizes: Array, x: float, y: float, z: float) -> float:
-    """Return the implicit function of the object as it is when nothing moves it."""
+def implicit(kind: int, sizes: Array, x: float, y: float, z: float) -> float:
+    """Return the implicit function of an object at a point of its frame, mm: never more than the distance to the surface."""
     if kind == 0:
-        return _plate(
-            x, y, z, PLANE_HALF_X_MM, PLANE_HALF_Y_MM, PLANE_THICKNESS_MM, sizes, PLANE_BOW, PLANE_FORM
-        )  # fmt: skip
+        return _plate(x, y, z, PLANE_HALF_X_MM, PLANE_HALF_Y_MM, PLANE_THICKNESS_MM, sizes[PLANE_BOW])
     if kind == 1:
         half = sizes[HALF_BALL_DISTANCE]
         along = abs(x) - half
@@ -243,9 +261,9 @@ def _rigid(kind: int, sizes: Array, x: float, y: float, z: float) -> float:
     if kind == 4:
         return _shell(x, y, z)
     if kind == 6:
-        return _plate(
-            x, y, z, BOARD_HALF_X_MM, BOARD_HALF_Y_MM, BOARD_THICKNESS_MM, sizes, BOARD_BOW, BOARD_FORM
-        )  # fmt: skip
+        return _plate(x, y, z, BOARD_HALF_X_MM, BOARD_HALF_Y_MM, BOARD_THICKNESS_MM, sizes[BOARD_BOW])
+    if kind >= VARIED:
+        return _outside(kind, sizes, x, y, z)
     return _stones(x, y, z)
 
 
@@ -289,7 +307,7 @@ def march(
     (relaxed sphere tracing: Keinert et al. 2014; Bálint and Valasek 2018). Near the surface secants take over.
     """
     enter, leave = box_span(kind, ox, oy, oz, dx, dy, dz)
-    if sizes.size > SIZES:
+    if kind >= VARIED:
         # A wave may lift the surface out of its box: by its amplitude, which an oblique ray meets some times as far off.
         enter, leave = enter - 4.0 * abs(sizes[SOFT]), leave + 4.0 * abs(sizes[SOFT])
     t, end = max(start, enter), min(stop, leave)

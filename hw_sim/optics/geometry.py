@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hw_sim.objects.print import Ink, front_met, lean, printed
-from hw_sim.objects.shapes import BOARD, gradient, march
+from hw_sim.objects.shapes import BOARD, VARIED, gradient, march
 from hw_sim.objects.texture import albedo
 from hw_sim.optics.light_engine import LightEngine
 from hw_sim.optics.projector import FAR_MM, FOCUS_MM
@@ -160,7 +160,7 @@ def _trace(
                         continue
                     ox, oy, oz = into(R, ray[0] - t[0], ray[1] - t[1], ray[2] - t[2])
                     dx, dy, dz = into(R, ray[3], ray[4], ray[5])
-                    far = front_met(sizes, ox, oy, oz, dx, dy, dz) if kind == BOARD else math.nan
+                    far = front_met(sizes, ox, oy, oz, dx, dy, dz) if kind % VARIED == BOARD else math.nan
                     print_seen = not math.isnan(far)
                     if not print_seen:
                         far = march(kind, sizes, ox, oy, oz, dx, dy, dz, start, 1e4)

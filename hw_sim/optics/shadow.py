@@ -18,7 +18,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from hw_sim.objects.shapes import RADIUS, SIZES, SOFT, implicit, march
+from hw_sim.objects.shapes import RADIUS, SOFT, VARIED, implicit, march
 
 Array = NDArray[np.float64]
 
@@ -79,7 +79,7 @@ def block_start(kind: int, sizes: Array, R: Array, t: Array, rays: Array, y0: in
     b = ox * dx + oy * dy + oz * dz
     c = ox * ox + oy * oy + oz * oz
     reach = RADIUS[kind] + apart + widening * (RADIUS[kind] - b)
-    if sizes.size > SIZES:
+    if kind >= VARIED:
         reach += abs(sizes[SOFT])
     inside = b * b - c + reach * reach
     if inside <= 0.0:

@@ -14,7 +14,7 @@ from hw_sim.latest import Latest
 from hw_sim.objects.finish import Finish
 from hw_sim.objects.motion import object_pose
 from hw_sim.objects.print import board_print
-from hw_sim.objects.shapes import NAMES, RADIUS
+from hw_sim.objects.shapes import NAMES, RADIUS, SIZES, VARIED
 from hw_sim.objects.texture import NAMES as TEXTURES
 from hw_sim.objects.texture import noise_lattice
 from hw_sim.optics.bounce import Bounce
@@ -65,7 +65,8 @@ class Stage:
             R, t = scene.outside.hands.seen(R, t, at_s)
         if scene.outside.soft is not None:
             sizes = scene.outside.soft.waving(sizes, at_s)
-        return Pose(NAMES[scene.object], sizes, R, t)
+        kind = NAMES[scene.object]
+        return Pose(kind if sizes.size == SIZES else kind + VARIED, sizes, R, t)
 
     def rays(self, camera: str) -> Array:
         """Return the exact rays (h, w, 6) float64 in water of all of a camera's pixels: point on the window, mm, and unit

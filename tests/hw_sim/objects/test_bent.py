@@ -7,7 +7,17 @@ import pytest
 
 from hw_sim.objects.bent import RANGES, BentPlates
 from hw_sim.objects.print import front_met, lean
-from hw_sim.objects.shapes import BOARD, BOARD_BOW, BOARD_FORM, BOARD_HALF_X_MM, PLANE, PLANE_HALF_X_MM, march_all, rise
+from hw_sim.objects.shapes import (
+    BOARD,
+    BOARD_BOW,
+    BOARD_FORM,
+    BOARD_HALF_X_MM,
+    PLANE,
+    PLANE_HALF_X_MM,
+    VARIED,
+    march_all,
+    rise,
+)
 from hw_sim.truth import Artefacts
 
 PLATES = BentPlates(0.05, -0.03, 0.02, 0.006, 0.004, -0.003)
@@ -18,7 +28,7 @@ def heights(kind: int, sizes: np.ndarray, xy: np.ndarray) -> np.ndarray:
     rays = np.zeros((len(xy), 6))
     rays[:, :2], rays[:, 2], rays[:, 5] = xy, -100.0, 1.0
     out = np.empty(len(xy))
-    march_all(kind, sizes, rays, out)
+    march_all(kind + VARIED, sizes, rays, out)
     return out - 100.0
 
 
@@ -50,7 +60,7 @@ def test_the_print_lies_on_the_bent_front_and_leans_as_it_does() -> None:
         direction /= np.linalg.norm(direction)
         ray = np.array([*(np.array([x, y, 0.0]) - 400.0 * direction), *direction])
         out = np.empty(1)
-        march_all(BOARD, BENT, ray[None], out)
+        march_all(BOARD + VARIED, BENT, ray[None], out)
         assert front_met(BENT, *ray) == pytest.approx(out[0], abs=2e-7)
         h, at = 1e-3, (BENT, BOARD_BOW, BOARD_FORM, BOARD_HALF_X_MM)
         by_x = (rise(*at, x + h, y) - rise(*at, x - h, y)) / (2 * h)
