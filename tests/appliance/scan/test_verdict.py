@@ -13,3 +13,8 @@ def test_a_fault_is_stored_as_a_verdict_that_was_not_passed() -> None:
     told = Verdict("ledger", False, {"received": 23.0, "expected": 24.0}, "FRAME_MISSING: 23 of 24 frames arrived")
     assert Verdict.failed("ledger", fault) == told
     assert Verdict.failed("ledger", Fault(FaultCode.LEAK)).text == "LEAK", "no colon with nothing behind it"
+
+
+def test_faults_of_one_kind_with_other_numbers_are_two_faults() -> None:
+    one, two = (Fault(FaultCode.FRAME_MISSING, "", {"received": received}) for received in (22.0, 23.0))
+    assert len({one, two, Fault(FaultCode.FRAME_MISSING, "", {"received": 23.0})}) == 2
