@@ -13,7 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 
-START_S = 60.0
+START_S, GONE_S = 60.0, 60.0
 LONG_S = 1200.0
 """A command inside: an upgrade compiles kernels."""
 OUTSIDE = r"""
@@ -86,11 +86,13 @@ class Container:
         self._outside.kill()
         self._outside.wait(30)
         command = ["unshare", "--mount", "--propagation", "private", "bash", "-c", TIDY, "tidy"]
-        for _ in range(20):  # what was in the group may still be going
+        end_s = time.monotonic() + GONE_S
+        while time.monotonic() < end_s:  # what was in the group may still be going
             subprocess.run([*command, self._root, self._group], check=False, timeout=30)
             if not self._groups():
                 return
             time.sleep(0.1)
+        raise AssertionError(f"processes of the machine are still there {GONE_S:g} s after it was switched off")
 
     def run(self, *command: object, check: bool = True) -> subprocess.CompletedProcess[str]:
         """In the machine, as root."""
