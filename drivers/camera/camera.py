@@ -161,6 +161,8 @@ class UsbVisionCamera:
             reader = self._prepare_stream(settings)
             self._set_optional_number("TLParamsLocked", 1)
             self._control.write_u32(self._sirm + u3v.SIRM_CONTROL, u3v.SIRM_ENABLE)
+            # From now on nothing is thrown away, but what was exposed before this moment is none of this acquisition.
+            reader.expect_since(self._now_ns())
             self._reader = reader
             self._features.execute("AcquisitionStart")
 
@@ -201,6 +203,13 @@ class UsbVisionCamera:
                 return min((self._read_clock_once() for _ in range(CLOCK_READINGS)), key=lambda one: one.bracket_ns)
             except ControlRefused:
                 return None
+
+    def _now_ns(self) -> int | None:
+        """Return the time by the clock of the frames' stamps; ``None`` where none can be latched."""
+        try:
+            return self._read_clock_once().camera_time_ns
+        except ControlRefused:
+            return None
 
     def _read_clock_once(self) -> ClockReading:
         sent_ns = self._clock.now_ns()

@@ -35,6 +35,8 @@ TRAILER_TIMEOUT_S = 0.1
 FLUSH_TIMEOUT_S = 0.02
 FLUSH_LIMIT = 256
 """Transfers thrown away at most by one flush."""
+STALE_LIMIT = 32
+"""Frames of an earlier acquisition that are dropped at most before one is taken as it is."""
 _RESYNC_LIMIT = 4096
 """Transfers skipped at most in one search for a leader."""
 
@@ -59,6 +61,8 @@ class StreamCounters:
     frames: int = 0
     damaged_frames: int = 0
     timeouts: int = 0
+    stale_frames: int = 0
+    """Frames of before the acquisition, which the camera still had on their way."""
     skipped_transfers: int = 0
     """Transfers dropped on the way to the next leader."""
 
@@ -83,6 +87,7 @@ class StreamReader:
         # One maximal packet more than a payload: whatever is left of a frame ends in it with a short packet.
         self._waste: TransferBuffer | None = None
         self._pending: bytes | None = None
+        self._since_ns: int | None = None
         self.counters = StreamCounters()
 
     def flush(self) -> None:
@@ -95,6 +100,11 @@ class StreamReader:
                 return  # a halted endpoint holds nothing back
             except TransferError:
                 continue  # an overflow only means that there was more
+
+    def expect_since(self, camera_ns: int | None) -> None:
+        """Drop frames whose stamp is older than this time of the camera's clock, up to the first one that is not; ``None``: take
+        every one."""
+        self._since_ns = camera_ns
 
     def next_frame(self, slot: NDArray[np.uint8], timeout_s: float) -> Frame:
         """The next frame into ``slot``; see ``drivers.api.Camera``.
@@ -110,12 +120,25 @@ class StreamReader:
         target = transfer_buffer(slot)
         deadline_ns = self._clock.now_ns() + round(timeout_s * 1e9)
         frame = self._next_frame(target, deadline_ns)
+        # What was exposed or read out when the acquisition before was stopped may arrive once the stream is open again. A
+        # camera has room for few of them.
+        for _ in range(STALE_LIMIT):
+            if not self._stale(frame):
+                break
+            self.counters.stale_frames += 1
+            frame = self._next_frame(target, deadline_ns)
+        if frame.camera_time_ns is not None:
+            self._since_ns = None
         self.counters.frames += 1
         if frame.status is FrameStatus.TIMEOUT:
             self.counters.timeouts += 1
         elif frame.status is not FrameStatus.COMPLETE:
             self.counters.damaged_frames += 1
         return frame
+
+    def _stale(self, frame: Frame) -> bool:
+        stamp_ns, since_ns = frame.camera_time_ns, self._since_ns
+        return stamp_ns is not None and since_ns is not None and stamp_ns < since_ns
 
     def _next_frame(self, target: TransferBuffer, deadline_ns: int) -> Frame:
         try:

@@ -42,7 +42,7 @@ def streaming() -> tuple[ScriptedCamera, UsbVisionCamera]:
 
 
 HALTED = [("AcquisitionStop", 1), ("SIRM control", 0), ("TLParamsLocked", 0)]
-STARTED = [("TLParamsLocked", 1), ("SIRM control", 1), ("AcquisitionStart", 1)]
+STARTED = [("TLParamsLocked", 1), ("SIRM control", 1), ("latch", 1), ("AcquisitionStart", 1)]
 PREPARED = [
     *(("SIRM leader", 52), ("SIRM trailer", 32), ("SIRM transfer", 3072), ("SIRM transfers", 1)),
     *(("SIRM final 1", 0), ("SIRM final 2", 0), ("clear halt", 0x82)),
@@ -255,9 +255,9 @@ def test_more_than_the_pixels_or_less_is_refused_before_anything_streams(payload
     assert not any(entry in device.log for entry in STARTED)
 
 
-def frame_of(pixels: bytes) -> list[bytes]:
-    leader = struct.pack("<4sHHQHHQIIIIIHH", b"U3VL", 0, 52, 9, 0, 1, 1234, 0x01080001, 64, 48, 0, 0, 0, 0)
-    return [leader, pixels, struct.pack("<4sHHQHHQI", b"U3VT", 0, 32, 9, 0, 0, 3072, 48)]
+def frame_of(pixels: bytes, block: int = 9, stamp_ns: int = 10**15) -> list[bytes]:
+    leader = struct.pack("<4sHHQHHQIIIIIHH", b"U3VL", 0, 52, block, 0, 1, stamp_ns, 0x01080001, 64, 48, 0, 0, 0, 0)
+    return [leader, pixels, struct.pack("<4sHHQHHQI", b"U3VT", 0, 32, block, 0, 0, 3072, 48)]
 
 
 def test_frames_are_counted_from_each_start_on() -> None:
@@ -265,7 +265,7 @@ def test_frames_are_counted_from_each_start_on() -> None:
     slot = np.zeros((48, 64), np.uint8)
     device.stream = frame_of(bytes(range(256)) * 12)
     frame = camera.next_frame(slot, 0.1)
-    assert (frame.status, frame.block_id, frame.camera_time_ns) == (FrameStatus.COMPLETE, 9, 1234)
+    assert (frame.status, frame.block_id, frame.camera_time_ns) == (FrameStatus.COMPLETE, 9, 10**15)
     assert slot.tobytes() == bytes(range(256)) * 12
     assert camera.next_frame(slot, 0.1).status is FrameStatus.TIMEOUT
     assert camera.stream_counters == StreamCounters(frames=2, timeouts=1)
@@ -281,6 +281,27 @@ def test_what_lay_in_the_pipe_is_thrown_away_by_a_start() -> None:
     device.stream = frame_of(bytes(3072))
     camera.start()
     assert camera.next_frame(np.zeros((48, 64), np.uint8), 0.1).status is FrameStatus.TIMEOUT
+
+
+def test_a_frame_of_before_that_arrives_once_the_stream_is_open_is_none_of_the_new_acquisition() -> None:
+    device, camera = configured()
+    camera.start()
+    begun_ns = device.clock.now_ns() - 500_000_000
+    late = frame_of(bytes([1]) * 3072, 14, begun_ns - 12_000_000)
+    device.stream = [*late, *frame_of(bytes([2]) * 3072, 0, begun_ns + 20_000_000)]
+    slot = np.zeros((48, 64), np.uint8)
+    frame = camera.next_frame(slot, 0.1)
+    assert (frame.status, frame.block_id) == (FrameStatus.COMPLETE, 0)
+    assert (slot == 2).all()
+    assert camera.stream_counters == StreamCounters(frames=1, stale_frames=1)
+
+
+def test_where_the_camera_has_no_clock_to_latch_every_frame_counts() -> None:
+    device, camera = configured()
+    device.refusing[0x1F8] = 0x8006
+    camera.start()
+    device.stream = frame_of(bytes(3072), 14, 1)
+    assert camera.next_frame(np.zeros((48, 64), np.uint8), 0.1).block_id == 14
 
 
 def test_a_stopped_camera_gives_no_frame_and_one_without_settings_does_not_start() -> None:

@@ -111,6 +111,24 @@ def test_a_frame_lands_in_the_callers_memory_with_id_and_time() -> None:
     np.testing.assert_array_equal(bench.slot, image(9))
 
 
+def test_frames_stamped_before_the_acquisition_are_dropped_whole_or_damaged_up_to_the_first_of_its_own() -> None:
+    bench = Bench()
+    bench.reader.expect_since(1020)
+    bench.pipe.send(*frame(17), leader(18), image(18).tobytes()[:1500], trailer(18), *frame(20), *frame(19))
+    bench.expect_whole(20)
+    assert bench.reader.counters.stale_frames == 2
+    bench.expect_whole(19)  # from here on, the order of stamps is the ledger's to judge
+    assert bench.reader.counters.stale_frames == 2
+
+
+def test_a_stream_of_nothing_but_old_frames_is_no_endless_wait() -> None:
+    bench = Bench()
+    bench.reader.expect_since(10**6)
+    for block in range(40):
+        bench.pipe.send(*frame(block))
+    assert bench.next().block_id == 32
+
+
 def test_the_buffer_of_a_transfer_is_the_slot_itself() -> None:
     slot = np.zeros((HEIGHT, WIDTH), np.uint8)
     buffer = transfer_buffer(slot)
