@@ -1,12 +1,17 @@
 """The parent's end of the worker, step by step: what it says to the process, how long it waits, and when it starts it again.
 
-The process is a script of this test's, and time stands still unless the test moves it.
+Below it lies a machine of this test's own: it starts processes that say what the test tells them, at the end of real pipes, and its
+``/proc`` holds what the test writes. Time stands still unless the test moves it.
 """
 
 from __future__ import annotations
 
+import multiprocessing
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,8 +24,7 @@ from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.verdict import Judgement, Verdict
-from appliance.worker import process
-from appliance.worker.child import ChildGone
+from appliance.worker import process, usage
 from appliance.worker.messages import (
     Begin,
     BracketJudged,
@@ -60,78 +64,115 @@ SAID = Judgement(Verdict("identity", True))
 WRONG = Judgement(Verdict("identity", False), Fault(FaultCode.PATTERN_WRONG))
 
 
+@dataclass(frozen=True)
+class Ends:
+    """The process ends by itself, with this code."""
+
+    code: int
+
+
 class ScriptedProcess:
-    """Says what it is told to, and remembers what was said to it."""
+    """A process as ``multiprocessing`` shows it, at the other end of a real pipe: it says what the test tells it to."""
 
-    def __init__(self) -> None:
-        self.runs, self.pid = False, 4711
-        self.starts: list[tuple[Any, ...]] = []
-        self.heard: list[object] = []
-        self.says: list[object] = []
-        self.room = True
-        self.stopped: list[float] = []
+    def __init__(self, machine: Machine, arguments: tuple[Any, ...]) -> None:
+        self._machine, self._theirs, self.arguments = machine, arguments[2], arguments[3:]
+        self.pid, self.exitcode = 4711, 0
+        self.killed = False
+        self.waits_s: list[float] = []
+        """How long it was waited for, each time."""
 
-    def start(self, *arguments: Any) -> None:
-        if not self.room:
+    def start(self) -> None:
+        if not self._machine.room:
             raise OSError(12, "Cannot allocate memory")
-        self.starts.append(arguments)
-        self.runs = True
+        self.pipe = Connection(os.dup(self._theirs.fileno()))
+        self._machine.started.append(self)
 
-    def send(self, message: object) -> None:
-        self.heard.append(message)
+    def join(self, timeout_s: float) -> None:
+        self.waits_s.append(timeout_s)
 
-    def receive(self) -> object | None:
-        said = self.says.pop(0) if self.says else None
-        if isinstance(said, ChildGone):
-            raise said
-        return said
+    def is_alive(self) -> bool:
+        return self.waits_s == [0.0]  # with a moment's patience it has ended, since its pipe was closed
 
-    def stop(self, patience_s: float = 0.0) -> None:
-        self.stopped.append(patience_s)
-        self.runs = False
+    def kill(self) -> None:
+        self.killed = True
 
-    def told(self) -> list[object]:
-        """What it was told since the last question."""
-        heard, self.heard = self.heard, []
-        return heard
+
+class Machine:
+    """What lies below the worker: starting processes, pipes, and the files of ``/proc``."""
+
+    def __init__(self, proc: Path) -> None:
+        self.room = True
+        self.started: list[ScriptedProcess] = []
+        self.Pipe = multiprocessing.Pipe
+        self._proc = proc / "4711"
+        self._proc.mkdir()
+
+    def Process(self, *, args: tuple[Any, ...], **_: object) -> ScriptedProcess:  # noqa: N802  # multiprocessing's name
+        return ScriptedProcess(self, args)
+
+    def use(self, cpu_s: float, memory_mb: float | None) -> None:
+        """Write what the process takes as proc(5) says it."""
+        ticks = round(cpu_s * os.sysconf("SC_CLK_TCK"))
+        (self._proc / "stat").write_text(f"4711 (kf-reconstruct) S {'0 ' * 10}{ticks // 3} {ticks - ticks // 3} 0 0")
+        kb = "" if memory_mb is None else f"RssAnon:\t{round(1000 * memory_mb) - 40_000} kB\nRssFile:\t40000 kB\n"
+        (self._proc / "status").write_text(f"Name:\tpython\n{kb}RssShmem:\t9000000 kB\n"[: None if kb else 13])
 
 
 @dataclass
 class Desk:
     worker: ReconstructionWorker
-    child: ScriptedProcess
+    machine: Machine
     time: Time
     cpu_s: float = 0.0
     memory_mb: float | None = 100.0
     asked: list[int] = field(default_factory=list)
     """At each look at the process's memory, the time."""
 
+    @property
+    def child(self) -> ScriptedProcess:
+        return self.machine.started[-1]
+
     def after(self, seconds: float, *says: object) -> process.WorkerEvent | None:
         """The event of a poll so much later, when the process says this."""
         self.time.sleep_s(seconds)
-        self.child.says += says
+        for one in says:
+            if isinstance(one, Ends):
+                self.child.exitcode = one.code
+                self.child.pipe.close()
+            else:
+                self.child.pipe.send(one)
         return self.worker.poll()
+
+    def told(self) -> list[object]:
+        """What the process was told since the last question."""
+        heard: list[object] = []
+        while self.child.pipe.poll(0.0):
+            heard.append(self.child.pipe.recv())
+        return heard
 
     def ready(self) -> None:
         assert self.after(0.0, Ready()) == WorkerReady()
 
 
 @pytest.fixture
-def desk(monkeypatch: pytest.MonkeyPatch) -> Iterator[Desk]:
-    child, time = ScriptedProcess(), Time()
-    monkeypatch.setattr(process, "ChildProcess", lambda name, main: child)
+def desk(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Desk]:
+    machine, time = Machine(tmp_path), Time()
+    monkeypatch.setattr(multiprocessing, "get_context", lambda kind: machine)
     order = WorkOrder(synthetic.calibration(), synthetic.WATER, 16, 1024, 768)
     with FrameStore(N, 300, 400) as store, ReconstructionWorker(order, store, time) as worker:
-        made = Desk(worker, child, time)
+        made = Desk(worker, machine, time)
 
-        def memory(pid: int) -> float | None:
-            made.asked.append(time.ns)
-            return made.memory_mb
+        def below(path: str) -> Path:
+            made.machine.use(made.cpu_s, made.memory_mb)
+            if path.endswith("status"):
+                made.asked.append(time.ns)
+            return tmp_path / path.removeprefix("/proc/")
 
-        monkeypatch.setattr(process, "cpu_s", lambda pid: made.cpu_s)
-        monkeypatch.setattr(process, "own_memory_mb", memory)
+        monkeypatch.setattr(usage, "Path", below)
         yield made
-    assert child.stopped[-1] == 2.0, "one that is well is given time to end"
+        last = made.child if worker.pid is not None else None
+    if last is not None:
+        assert (last.waits_s, last.killed) == ([2.0], False), "one that is well is given time to end"
 
 
 def frames() -> list[object]:
@@ -158,12 +199,12 @@ def test_a_scan_from_its_first_frame_to_its_full_cloud(desk: Desk) -> None:
     desk.worker.begin(7)
     desk.worker.frame("left", 0)
     desk.worker.finish()
-    assert desk.child.told() == [begin(1), FrameStored("left", 0), Finish()]
+    assert desk.told() == [begin(1), FrameStored("left", 0), Finish()]
     assert desk.after(0.0, PatternsIdentified(1)) == SequenceIdentified(7)
     coarse = desk.after(0.0, CloudFound(1, False, Found(((0, 0),), SUMMARY), 0.1))
     assert isinstance(coarse, CloudReady)
     assert (coarse.scan, coarse.full, coarse.cpu_s, coarse.cloud.points_mm.shape) == (7, False, 0.1, (0, 3))
-    assert desk.child.told() == [CloudCopied(1)]
+    assert desk.told() == [CloudCopied(1)]
     assert desk.after(0.0, SequenceJudged(1, (SAID,), 0.2)) == ScanJudged(7, (SAID,), 0.2)
     full = desk.after(0.0, CloudFound(1, True, Found(((0, 0),), SUMMARY), 0.3))
     assert isinstance(full, CloudReady)
@@ -180,11 +221,11 @@ def test_what_is_said_of_an_earlier_scan_and_of_one_that_was_dropped_is_of_no_in
     assert desk.after(0.0, PatternsIdentified(2)) == SequenceIdentified(8)
     desk.worker.finish()
     desk.worker.drop()
-    assert desk.child.told()[-1] == Drop()
+    assert desk.told()[-1] == Drop()
     assert desk.after(0.0, SequenceJudged(2, (SAID,), 0.0)) is None
     assert desk.after(4.9) is None, "no cloud is awaited any more"
     desk.worker.finish()
-    assert Finish() not in desk.child.told(), "there is nothing to finish"
+    assert Finish() not in desk.told(), "there is nothing to finish"
 
 
 def test_wrong_patterns_and_frames_that_are_no_sequence_end_the_scan_and_nothing_is_awaited(desk: Desk) -> None:
@@ -199,16 +240,16 @@ def test_wrong_patterns_and_frames_that_are_no_sequence_end_the_scan_and_nothing
             assert failed(event, "frame 3 was pushed") == 8
         assert desk.after(20.0, Pong()) is None
     assert desk.worker.restarts == 0
-    assert len(desk.child.starts) == 1
+    assert len(desk.machine.started) == 1
 
 
 def test_a_process_that_says_what_is_no_answer_is_started_again(desk: Desk) -> None:
     desk.ready()
     assert failed(desk.after(0.0, "hello"), "it sent a str, which is no answer") is None
     assert failed(desk.after(0.0, Crashed("MemoryError")), "it failed: MemoryError") is None
-    assert failed(desk.after(0.0, ChildGone("the process ended with code 9")), "ended with code 9") is None
+    assert failed(desk.after(0.0, Ends(9)), "ended with code 9") is None
     assert desk.worker.restarts == 3
-    assert len(desk.child.starts) == 4
+    assert len(desk.machine.started) == 4
 
 
 # ------------------------------------------------------------------------------------------ how long it waits
@@ -238,7 +279,7 @@ def test_each_step_of_a_scan_may_take_ten_seconds_and_one_that_is_told_begins_an
     assert desk.after(9.9) is None
     assert desk.worker.answers
     assert failed(desk.after(0.2), "it did not answer in time") is None
-    assert desk.child.told()[-len(frames()) - 2 :] == [begin(1), *frames(), Finish()], "its frames are still there"
+    assert desk.told()[-len(frames()) - 2 :] == [begin(1), *frames(), Finish()], "its frames are still there"
 
 
 def test_a_step_that_computes_is_waited_for_a_minute(desk: Desk) -> None:
@@ -265,14 +306,14 @@ def test_a_step_that_hardly_computes_hangs(desk: Desk) -> None:
 def test_an_idle_process_is_asked_once_a_second_and_has_five_seconds_to_answer(desk: Desk) -> None:
     desk.ready()
     assert desk.after(0.9) is None
-    assert desk.child.told() == []
+    assert desk.told() == []
     assert desk.after(0.2) is None
-    assert desk.child.told() == [Ping()]
+    assert desk.told() == [Ping()]
     assert desk.after(4.9) is None
-    assert desk.child.told() == [], "asked once"
+    assert desk.told() == [], "asked once"
     assert desk.after(0.0, Pong()) is None
     assert desk.after(1.1) is None
-    assert desk.child.told() == [Ping()]
+    assert desk.told() == [Ping()]
     assert desk.worker.answers
     assert failed(desk.after(5.1), "it gave no sign of life for 5 s") is None
 
@@ -293,7 +334,8 @@ def test_the_watchdog_waits_longer_than_the_worker_does_itself(desk: Desk) -> No
     desk.worker.begin(7)
     desk.worker.finish()
     assert answers_after(14.9, 0.2) == [True, False], "a cloud that does not come"
-    desk.child.runs = False
+    desk.machine.room = False
+    failed(desk.after(0.0, Crashed("a")), "it failed: a")
     assert answers_after(0.0) == [True], "it is known not to be there"
 
 
@@ -304,7 +346,7 @@ def test_memory_is_looked_at_twice_a_second_and_a_compiler_may_take_more(desk: D
     desk.ready()
     begun = len(desk.asked)
     for _ in range(24):
-        assert desk.after(0.25, *([Pong()] if desk.child.told() else [])) is None
+        assert desk.after(0.25, *([Pong()] if desk.told() else [])) is None
     assert 10 <= len(desk.asked) - begun <= 12
     desk.memory_mb = None
     assert desk.after(0.5) is None, "it has just ended, which the pipe will say"
@@ -347,9 +389,9 @@ def test_a_scan_in_work_is_processed_again_once_and_then_given_up(desk: Desk) ->
     assert failed(desk.after(0.0, Crashed("a")), "the worker was started again: it failed: a") is None
     desk.ready()
     assert failed(desk.after(0.0, Crashed("b")), "the worker was started again: it failed: b") == 7
-    desk.child.told()
+    desk.told()
     desk.ready()
-    assert desk.child.told() == [], "nobody asks for it any more"
+    assert desk.told() == [], "nobody asks for it any more"
     assert desk.after(0.0, PatternsIdentified(1)) is None
 
 
@@ -359,14 +401,14 @@ def test_frames_that_come_while_a_process_is_new_are_told_all_at_once(desk: Desk
     desk.worker.begin(7)
     desk.worker.frame("left", 0)
     desk.after(0.0, Crashed("a"))
-    desk.child.told()
+    desk.told()
     desk.worker.frame("right", 0)
-    assert desk.child.told() == []
+    assert desk.told() == []
     desk.worker.finish()
-    assert desk.child.told() == [begin(1), *frames(), Finish()]
+    assert desk.told() == [begin(1), *frames(), Finish()]
     desk.worker.begin(8)
     desk.worker.frame("left", 0)
-    assert desk.child.told() == [begin(2), FrameStored("left", 0)]
+    assert desk.told() == [begin(2), FrameStored("left", 0)]
 
 
 def test_after_four_starts_without_a_cloud_it_stays_down_until_the_next_scan(desk: Desk) -> None:
@@ -374,9 +416,9 @@ def test_after_four_starts_without_a_cloud_it_stays_down_until_the_next_scan(des
         failed(desk.after(0.0, Crashed("a")), "the worker was started again: it failed: a")
     desk.worker.begin(7)
     assert failed(desk.after(0.0, Crashed("a")), "the worker failed 4 times in a row, the last time because") == 7
-    assert (desk.child.runs, desk.worker.poll(), len(desk.child.starts)) == (False, None, 4)
+    assert (desk.worker.pid, desk.worker.poll(), len(desk.machine.started)) == (None, None, 4)
     desk.worker.begin(8)
-    assert len(desk.child.starts) == 5
+    assert len(desk.machine.started) == 5
     failed(desk.after(0.0, Crashed("a")), "the worker was started again")
 
 
@@ -392,13 +434,13 @@ def test_a_full_cloud_makes_good_for_the_failures_before_and_a_coarse_one_does_n
 
 
 def test_a_machine_without_room_for_a_process_says_so_and_is_asked_again(desk: Desk) -> None:
-    desk.child.room = False
+    desk.machine.room = False
     assert failed(desk.after(0.0, Crashed("a")), "the worker was started again: it failed: a") is None
-    assert desk.child.starts[1:] == []
+    assert len(desk.machine.started) == 1
     assert failed(desk.worker.poll(), "no process could be started: Cannot allocate memory") is None
-    desk.child.room = True
+    desk.machine.room = True
     failed(desk.worker.poll(), "no process could be started")
-    assert (desk.child.runs, desk.worker.poll(), desk.worker.restarts) == (True, None, 3)
+    assert (desk.worker.pid, desk.worker.poll(), desk.worker.restarts) == (4711, None, 3)
 
 
 def test_another_order_starts_another_process_in_which_no_scan_is_in_work(desk: Desk) -> None:
@@ -407,13 +449,13 @@ def test_another_order_starts_another_process_in_which_no_scan_is_in_work(desk: 
     order = WorkOrder(synthetic.calibration(), synthetic.WATER, 18, 1024, 768)
     with FrameStore(N + 1, 300, 400) as other:
         desk.worker.change(order, other)
-        assert desk.child.starts[-1][2:6] == (
+        assert desk.child.arguments[2:6] == (
             (18, 1024, 768),
             order.noise,
             (other.name, N + 1, 300, 400),
-            desk.child.starts[0][5],
+            desk.machine.started[0].arguments[5],
         )
-    assert desk.child.starts[-1][6] == 600.0
+    assert desk.child.arguments[6] == 600.0
     assert (desk.worker.order, desk.worker.restarts) == (order, 0)
     assert desk.after(0.0, PatternsIdentified(1)) is None
 
@@ -427,7 +469,7 @@ def whole(desk: Desk) -> None:
     desk.worker.begin(7)
     desk.worker.finish()
     desk.after(0.0, CloudFound(1, True, Found(((0, 0),), SUMMARY), 0.0))
-    desk.child.told()
+    desk.told()
 
 
 @pytest.mark.parametrize("with_cloud", [False, True])
@@ -435,13 +477,13 @@ def test_a_second_exposure_follows_the_first_without_its_frames(desk: Desk, with
     whole(desk)
     desk.worker.begin_second(7, SECOND)
     desk.worker.finish()
-    assert desk.child.told() == [begin(2, SECOND, second=True), Finish()]
+    assert desk.told() == [begin(2, SECOND, second=True), Finish()]
     found = Found(((0, 0),), SUMMARY) if with_cloud else None
     event = desk.after(0.0, BracketJudged(2, found, (SAID,), SAID, 0.5))
     assert isinstance(event, PairJudged)
     assert (event.scan, event.second, event.pair, event.cpu_s) == (7, (SAID,), SAID, 0.5)
     assert (event.cloud is not None) == with_cloud
-    assert desk.child.told() == [CloudCopied(2)]
+    assert desk.told() == [CloudCopied(2)]
     assert desk.after(3600.0, Pong()) is None, "nothing more is awaited"
     assert desk.worker.restarts == 0
 
@@ -451,20 +493,20 @@ def test_a_process_that_does_not_know_the_first_exposure_is_told_of_it(desk: Des
     desk.worker.begin_second(7, SECOND)
     desk.worker.frame("left", 0)
     desk.after(0.0, Crashed("a"))
-    desk.child.told()
+    desk.told()
     desk.worker.finish()
-    assert desk.child.told() == [begin(2), *frames(), begin(2, SECOND, second=True), *frames(), Finish()]
+    assert desk.told() == [begin(2), *frames(), begin(2, SECOND, second=True), *frames(), Finish()]
     desk.worker.drop()
-    desk.child.told()
+    desk.told()
     desk.worker.begin_second(7, SECOND)
-    assert desk.child.told() == [begin(3), *frames(), begin(3, SECOND, second=True)]
+    assert desk.told() == [begin(3), *frames(), begin(3, SECOND, second=True)]
 
 
 def test_the_next_scan_is_no_second_exposure_of_the_one_before(desk: Desk) -> None:
     whole(desk)
     desk.worker.begin_second(7, SECOND)
     desk.worker.reprocess(8)
-    assert desk.child.told()[1:] == [begin(3), begin(3), *frames(), Finish()]
+    assert desk.told()[1:] == [begin(3), begin(3), *frames(), Finish()]
 
 
 # ------------------------------------------------------------------------------------------ for programs
@@ -474,9 +516,10 @@ def test_who_has_no_heartbeat_waits_and_gets_the_first_event_or_none(desk: Desk)
     begun_ns = desk.time.ns
     assert desk.worker.wait(0.5) is None
     assert (desk.time.ns - begun_ns) * 1e-9 == pytest.approx(0.5, abs=0.003)
-    desk.child.says = [Pong(), Ready(), Pong()]
+    for one in (Pong(), Ready(), Crashed("of what came after")):
+        desk.child.pipe.send(one)
     assert desk.worker.wait(0.5) == WorkerReady()
-    assert desk.child.says == [Pong()]
+    failed(desk.worker.wait(0.5), "of what came after")
 
 
 def test_the_points_are_those_in_the_shared_memory(desk: Desk) -> None:
