@@ -9,7 +9,8 @@ from typing import TypeVar, overload
 import numpy as np
 from numpy.typing import NDArray
 
-LEVELS = 255.0
+FULL_DN = 255
+"""Largest grey value of a camera's eight bits: a pixel that has it is saturated, and how far beyond it the light goes is unknown."""
 QUANTISATION_DN2 = 1.0 / 12.0
 """Variance of rounding to whole grey values."""
 # 1 / Φ⁻¹(3/4), with Φ the normal distribution.
@@ -67,7 +68,7 @@ def camera_noise(full_well_e: float, read_noise_e: float, black_dn: float, gain_
     ``full_well_e``: electrons at 255 grey values.
     """
     # Gain in dB of amplitude: 20 dB are a factor of ten. Quantisation to whole grey values adds 1/12.
-    dn_per_e = LEVELS / full_well_e * 10.0 ** (gain_db / 20.0)
+    dn_per_e = FULL_DN / full_well_e * 10.0 ** (gain_db / 20.0)
     return CameraNoise(math.sqrt((read_noise_e * dn_per_e) ** 2 + QUANTISATION_DN2), dn_per_e, black_dn)
 
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from appliance.patterns.sequence import Direction
 from appliance.reconstruct.decode.decoder import Mask
 from appliance.reconstruct.images import ScanImages
+from appliance.scan.noise import FULL_DN
 from appliance.scan.sides import SIDES
 from appliance.scan.verdict import Verdict
 
@@ -35,7 +36,6 @@ SAMPLES = 40_000
 MIN_PER_CELL, MIN_PER_PLACE = 40, 12
 MIN_CELLS = 12
 """Fewer do not tell a local fall from anything."""
-SATURATED_DN = 254
 MIN_LIGHT_DN = 16.0
 """Bright minus dark below this: the contrast is noise."""
 ROUNDS, TUNED = 6, 0.03
@@ -113,7 +113,7 @@ def _look(images: ScanImages, side: str) -> _Seen:
     at = (slice(step // 2, None, step), slice(step // 2, None, step))
     bright = frames[sequence.bright][at]
     light = bright.astype(np.float32) - frames[sequence.dark][at]
-    good = (decoded.mask[at] == Mask.VALID) & (bright < SATURATED_DN) & (light > MIN_LIGHT_DN)
+    good = (decoded.mask[at] == Mask.VALID) & (bright < FULL_DN) & (light > MIN_LIGHT_DN)
     v, u = np.nonzero(good)
     cell = v * CELLS[1] // good.shape[0] * CELLS[0] + u * CELLS[0] // good.shape[1]
     swing = np.zeros(len(v), np.float32)

@@ -15,7 +15,7 @@ from appliance.patterns.sequence import Direction, PatternSequence, build_sequen
 from appliance.reconstruct.images import ScanImages
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.exposure import Exposure
-from appliance.scan.noise import LEVELS, TYPICAL, TYPICAL_PAIR, CameraNoise, StereoNoise, camera_noise
+from appliance.scan.noise import FULL_DN, TYPICAL, TYPICAL_PAIR, CameraNoise, StereoNoise, camera_noise
 
 WHITE_DN_PER_US = 0.030
 """Of white on an albedo of 1: 360 DN in 12 ms."""
@@ -88,7 +88,7 @@ def photograph(
         grey = WHITE_DN_PER_US * exposure.light * scene.albedo * arriving
         sigma = np.sqrt((noise.read_dn * gain) ** 2 + noise.dn_per_e * gain * grey)
         grey = noise.black_dn + grey + sigma * rng.standard_normal(grey.shape)
-        frames[side] = np.clip(np.rint(grey), 0, LEVELS).astype(np.uint8)
+        frames[side] = np.clip(np.rint(grey), 0, FULL_DN).astype(np.uint8)
     cameras = (
         TYPICAL_PAIR if not exposure.gain_db else StereoNoise(*(camera_noise(13_000, 20, 2, exposure.gain_db),) * 2)
     )

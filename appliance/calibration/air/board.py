@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibration.air.adjustment import MIN_CORNERS, BoardView
+from appliance.scan.noise import FULL_DN
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-SATURATED_DN = 254
 MAX_SATURATED_SHARE = 0.05
 DARK_DN, BRIGHT_PERCENTILE = 40.0, 99.0
 """An image is dark when so much of it is below so many grey values: its noise then moves the corners."""
@@ -110,7 +110,7 @@ def find_corners(image: Image, design: BoardDesign) -> dict[int, Array] | NoBoar
 
     A reason has ``{side}`` where the camera's name belongs.
     """
-    if float(np.mean(image >= SATURATED_DN)) > MAX_SATURATED_SHARE:
+    if float(np.mean(image >= FULL_DN)) > MAX_SATURATED_SHARE:
         return NoBoard("the {side} image is overexposed; less light, or turn the board out of the glare")
     corners, ids = _detected(image, design)
     if len(ids) < MIN_CORNERS:

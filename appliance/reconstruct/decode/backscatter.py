@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.patterns.sequence import Direction, PatternSequence
-from appliance.scan.noise import CameraNoise
+from appliance.scan.noise import FULL_DN, CameraNoise
 
 Floats = NDArray[np.float32]
 
@@ -61,7 +61,7 @@ MIN_CLEAR = 20
 HALF_VEIL, FEW = 0.5, 0.005
 """Backscatter of half the object's light in less than this share of the decoded pixels endangers no bit."""
 _ZERO_BIT, _ONE_BIT, _OPEN, _NONE = np.uint8(0), np.uint8(1), np.uint8(2), np.uint8(3)
-_FULL, _SHADOW, _SATURATED = np.uint8(255), np.uint8(1), np.uint8(2)
+_FULL, _SHADOW, _SATURATED = np.uint8(FULL_DN), np.uint8(1), np.uint8(2)
 
 
 class SampledPixels(NamedTuple):
@@ -148,7 +148,7 @@ def fringe_scale(
     i0, i1, i2, i3 = (frames[k][at].astype(np.float32) for k in across.sine)
     bright, dark = (frames[k][at].astype(np.float32) for k in (sequence.bright, sequence.dark))
     double = np.hypot(i0 - i2, i3 - i1)
-    clear = (double > 2.0 * clear_dn) & (mask[at] != _SHADOW) & (mask[at] != _SATURATED) & (bright < 255.0)
+    clear = (double > 2.0 * clear_dn) & (mask[at] != _SHADOW) & (mask[at] != _SATURATED) & (bright < FULL_DN)
     if np.count_nonzero(clear) < MIN_CLEAR:
         return None
     swing = np.max([np.abs(2.0 * frames[k][at] - bright - dark) for k in across.gray[-FINE_IMAGES:]], axis=0)
@@ -193,7 +193,7 @@ def sample_pixels(
     top = np.maximum(np.maximum(i0, i1), np.maximum(i2, i3))
     double: Floats = np.hypot(i0 - i2, i3 - i1)
     variance = np.maximum(scale.dark_dn2 + scale.shot_dn * bright, np.float32(0.0))
-    usable = (bright - dark >= MIN_LIGHT_DN) & (top < 255.0) & (bright < 255.0) & (double > 2.0 * MIN_MODULATION_DN)
+    usable = (bright - dark >= MIN_LIGHT_DN) & (top < FULL_DN) & (bright < FULL_DN) & (double > 2.0 * MIN_MODULATION_DN)
     return SampledPixels(bright - dark, double * scale.per_half_dn, np.asarray(np.sqrt(variance), np.float32), usable)
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from appliance.patterns.sequence import Direction, PatternSequence
 from appliance.scan.exposure import NOMINAL, Exposure
 from appliance.scan.fault import Fault, FaultCode
-from appliance.scan.noise import TYPICAL_PAIR, CameraNoise, StereoNoise
+from appliance.scan.noise import FULL_DN, TYPICAL_PAIR, CameraNoise, StereoNoise
 from appliance.scan.sides import SIDES, of_side
 from appliance.scan.verdict import Judgement, Verdict
 from appliance.verdict.identity.evidence import DECIDED, MIN_FRINGE, LineEvidence, Witness
@@ -19,7 +19,6 @@ from appliance.verdict.identity.explain import Explanation, What, explain, still
 from appliance.verdict.identity.lines import can_follow, take_lines
 
 NAME = "identity"
-FULL_DN = 255
 LEAST_LIGHT_DN = 0.05
 """Mean of the bright frame above that of the dark one, where even the water's backscatter is gone."""
 LIGHT_SIGMA = 4.0

@@ -7,10 +7,11 @@ from collections.abc import Sequence
 from appliance.reconstruct.images import ScanImages
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.noise import FULL_DN
 from appliance.scan.sides import SIDES, of_side
 from appliance.scan.verdict import Judgement, Verdict
 from appliance.verdict.light.changes import Changes, find_frequency_hz, measure_changes
-from appliance.verdict.light.levels import FULL_DN, Levels, light_of, measure_levels, sample
+from appliance.verdict.light.levels import Levels, light_of, measure_levels, sample
 from appliance.verdict.light.propose import propose, propose_second, without_flicker
 
 MAX_SATURATED = 0.05

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from appliance.patterns.sequence import Direction, PatternSequence
 from appliance.patterns.sine import AMPLITUDE_CODE, MEAN_CODE
 from appliance.reconstruct.decode.decoder import MIN_CONTRAST_DN, MIN_MODULATION_DN
-from appliance.scan.noise import CameraNoise
+from appliance.scan.noise import FULL_DN, CameraNoise
 
 SAMPLES = 25_000
 """Lit pixels that are asked, about; shares of a hundredth are then known to a twentieth of themselves."""
@@ -21,7 +21,6 @@ MOST_PIXELS = 500_000
 GOLDEN = 0.6180339887
 COARSE_PX = 8
 """Distance of the pixels by which the illuminated ones are counted first."""
-FULL_DN = 255.0
 SEEN_DN = 3.0
 """Bright minus dark above this is light of the projector, though perhaps too little to measure by: three sigma."""
 DIM_MODULATION_DN = 2.5

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from appliance.optics.model import StereoRig
 from appliance.patterns.sequence import Direction, PatternSequence
+from appliance.scan.noise import FULL_DN
 from appliance.verdict.sight.distance import WIDTH_PX, candidate_depths_mm, seen_at_depths
 
 Array = NDArray[np.float64]
@@ -22,8 +23,6 @@ Floats = NDArray[np.float32]
 
 ASKED = 600
 """Pixels of the left camera, at most."""
-FULL_DN = 255
-"""Only what is saturated in the bright image is asked: the rest has fringes, which say it better."""
 LEAST_SWING_DN = 60.0
 """Least difference from the dark image to the bright one: with less, other light than the projector's saturates the pixel."""
 BESIDE_MIDDLE = 0.2
@@ -47,6 +46,7 @@ def find_depths_by_stripes_mm(
     none = np.empty(0)
     factor = max(1, rig.left.width_px // WIDTH_PX)
     small = {side: frames[side][:, factor // 2 :: factor, factor // 2 :: factor] for side in ("left", "right")}
+    # Only what is saturated in the bright image is asked: the rest has fringes, which say it better.
     if np.count_nonzero(small["left"][sequence.bright] == FULL_DN) < MIN_FOUND:
         return none
     left, right = (_half_periods(small[side], sequence) for side in ("left", "right"))

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from appliance.patterns.sequence import Direction, PatternSequence
 from appliance.reconstruct.decode.decoder import CameraDecoder, Mask
-from appliance.scan.noise import MAD_TO_SIGMA, CameraNoise
+from appliance.scan.noise import FULL_DN, MAD_TO_SIGMA, CameraNoise
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -37,7 +37,6 @@ MIN_OBJECT_DN = 6.0
 """Stripes that change a pixel by less light no object that could be measured."""
 OBJECT_SIGMAS = 4.0
 """Standard deviations of noise that stripes must change a pixel by: in bright light photons alone scatter by ``MIN_OBJECT_DN``."""
-SATURATED_DN = 255.0
 USUAL_CONTRAST = 0.8
 """Contrast of fringes in turbid water, where no pixel tells."""
 SPECK_SIGMAS = 6.0
@@ -110,7 +109,7 @@ def measure_backscatter(
     # One swing is twice a frame less two others, so that its variance is six times that of a frame.
     scatter = np.sqrt(6.0 * len(stripes) * noise.variance_dn2(0.5 * sums))
     changed = swing > np.maximum(MIN_OBJECT_DN * len(stripes), OBJECT_SIGMAS * scatter)
-    seen_object = changed & (bright < SATURATED_DN) & (mask != Mask.SATURATED)
+    seen_object = changed & (bright < FULL_DN) & (mask != Mask.SATURATED)
     objects = int(np.count_nonzero(seen_object))
     valid = mask == Mask.VALID
     pixels = np.flatnonzero(valid & seen_object)
