@@ -20,7 +20,10 @@ from appliance.config import Rig
 SIMULATOR = "hw_sim"
 OBJECTS = ("plane", "ballbar", "frustum", "pipe", "shell", "stones", "board")
 TEXTURES = ("none", "slight", "strong", "checker", "labels")
-TRUTHS = ("nominal", "realistic", "hard", "paper", "modelled")
+TRUTHS = ("nominal", "realistic", "hard", "paper", "modelled", "outside")
+WORLDS = ("ordinary", "outside")
+DEFAULT_SEED = 1
+"""The world's own, where neither the command line nor the rig file names one."""
 PACES = ("lockstep", "realtime", "attended")
 
 
@@ -32,6 +35,8 @@ class SimOptions:
     object_name: str | None = None
     texture: str | None = None
     truth: str | None = None
+    world: str | None = None
+    """One of ``WORLDS``; the strengths of ``outside`` follow from the seed."""
     seed: int | None = None
     size: str | None = None
     """``1600x1200``."""
@@ -79,6 +84,10 @@ def simulated(rig: Rig, options: SimOptions) -> Rig:
         wires["truth"] = str(_existing("--truth", Path(options.truth), f"one of {', '.join(TRUTHS)}, or a truth.toml"))
     elif options.truth is not None:
         wires["truth"] = options.truth
+    if options.world == "ordinary":
+        wires.pop("outside", None)
+    elif options.world is not None:
+        wires["outside"] = {"seed": options.seed if options.seed is not None else wires.get("seed", DEFAULT_SEED)}
     if options.script is not None:
         wires["script"] = str(_existing("--script", options.script, "the path of a diver's script"))
     chosen: dict[str, Any] = {

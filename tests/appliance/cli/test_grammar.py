@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import logging
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,8 @@ from appliance.cli import main
 from appliance.cli.output import Progress, UsageError, log_lines
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated, with_simulated_wires
 from appliance.config import default_rig_path, load_rig, parse_rig
+from hw_sim.options import options_from
+from hw_sim.truth import SETS
 
 RIG = load_rig(default_rig_path())
 
@@ -118,6 +121,21 @@ def test_what_is_not_given_leaves_what_the_rig_file_says() -> None:
     assert rig.rig.wires_options["object"] == "shell"
     assert rig.rig.wires_options["faults"] == ["board off", "keypad off"]
     assert "seed" not in rig.rig.wires_options
+
+
+def test_the_harsher_world_is_drawn_by_the_seed_of_the_command_line_or_else_of_the_rig_file() -> None:
+    assert simulated(RIG, SimOptions(world="outside", seed=7)).rig.wires_options["outside"] == {"seed": 7}
+    by_file = replace(RIG, rig=replace(RIG.rig, wires_options={"seed": 5, "outside": {"seed": 4}}))
+    assert simulated(by_file, SimOptions(world="outside")).rig.wires_options["outside"] == {"seed": 5}
+    assert "outside" not in simulated(by_file, SimOptions(world="ordinary")).rig.wires_options
+    assert simulated(by_file, SimOptions()).rig.wires_options["outside"] == {"seed": 4}
+    unsaid = simulated(RIG, SimOptions(world="outside")).rig.wires_options
+    assert options_from(unsaid).seed == unsaid["outside"]["seed"], "the world's own seed"
+
+
+def test_every_set_of_true_rigs_that_the_simulator_draws_can_be_named() -> None:
+    for truth in SETS:
+        assert simulated(RIG, SimOptions(truth=truth)).rig.wires_options["truth"] == truth
 
 
 def test_smaller_cameras_keep_the_field_of_view_in_world_and_design() -> None:
