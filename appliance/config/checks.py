@@ -61,7 +61,6 @@ def complaints(rig: Rig) -> Iterator[Complaint]:
             "two different connectors",
             "the projector and the diver's screen each need their own",
         )
-    yield from _periods_fit(rig)
     limits = rig.limits
     for part, warm, hot, off in (
         ("case", limits.case_warm_c, limits.case_hot_c, limits.case_off_c),
@@ -106,18 +105,6 @@ def _output_is_complete(table: str, output: OutputRig) -> Iterator[Complaint]:
                 'a name, since kind = "kms"',
                 'add it, or set kind = "window"',
             )
-
-
-def _periods_fit(rig: Rig) -> Iterator[Complaint]:
-    smallest_px = min(rig.projector.width_px, rig.projector.height_px)
-    if rig.scan.period_px > smallest_px:
-        yield Complaint(
-            "scan.period_px",
-            rig.scan.period_px,
-            f"> {smallest_px}",
-            "at most the projector's smaller side",
-            "choose a shorter period or correct projector.width_px, projector.height_px",
-        )
 
 
 def _floor_2(value: float) -> float:

@@ -1,0 +1,156 @@
+"""Every number of the rig file: what it may be, both ends included, and what it is where the file does not say."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from pydantic import ValidationError
+
+from appliance.config import ConfigError, default_rig_path, parse_rig
+from appliance.config.rig import LimitsRig
+
+PACKAGED = default_rig_path().read_text(encoding="utf-8")
+RIG = parse_rig(PACKAGED)
+RANGES: dict[str, tuple[float, float]] = {
+    "camera.left.width_px": (64, 8192), "camera.left.height_px": (64, 8192), "camera.left.exposure_ms": (0.05, 16.6),
+    "camera.left.gain_db": (0.0, 48.0), "camera.left.full_well_e": (500.0, 1e6), "camera.left.read_noise_e": (0.0, 1e3),
+    "camera.left.black_level_dn": (0.0, 64.0),
+    "board.trigger_delay_us": (0, 15_000), "board.live_every_vsyncs": (1, 60),
+    "keys.vendor_id": (0, 0xFFFF), "keys.product_id": (0, 0xFFFF),
+    "projector.width_px": (64, 8192), "projector.height_px": (64, 8192), "projector.refresh_hz": (1.0, 240.0),
+    "scan.shortest_exposure_ms": (0.05, 10.0), "scan.longest_exposure_ms": (2.0, 16.6), "scan.most_gain_db": (0.0, 48.0),
+    "water.salinity_psu": (0.0, 45.0), "water.temperature_c": (-2.0, 40.0), "water.wavelength_nm": (400.0, 700.0),
+    "storage.reserve_mb": (0, 1_000_000),
+    "design.principal_distance_mm": (1.0, 500.0), "design.pixel_um": (0.5, 100.0), "design.baseline_mm": (10.0, 2000.0),
+    "design.toe_in_deg": (-45.0, 45.0), "design.port_distance_mm": (0.0, 500.0), "design.port_thickness_mm": (0.0, 50.0),
+    "design.port_index": (1.0, 3.0), "design.projector_principal_distance_mm": (1.0, 500.0),
+    "design.projector_pixel_um": (0.5, 100.0),
+    "lasers.x_mm": (0.0, 500.0), "lasers.y_mm": (-500.0, 500.0), "lasers.z_mm": (-200.0, 300.0),
+    "lasers.aim_x_mm": (0.0, 200.0), "lasers.aim_y_mm": (-200.0, 200.0), "lasers.aim_z_mm": (300.0, 1000.0),
+    "lasers.tolerance_deg": (0.01, 1.0),
+    "limits.case_warm_c": (0.0, 100.0), "limits.case_hot_c": (0.0, 100.0), "limits.case_off_c": (0.0, 110.0),
+    "limits.projector_warm_c": (0.0, 120.0), "limits.projector_hot_c": (0.0, 120.0), "limits.projector_off_c": (0.0, 130.0),
+    "limits.supply_low_v": (0.0, 60.0),
+    "ball_bar.length_mm": (20.0, 1000.0), "ball_bar.length_sd_mm": (0.0001, 1.0), "ball_bar.radius_mm": (5.0, 40.0),
+    "ball_bar.radius_sd_mm": (0.0001, 1.0),
+}  # fmt: skip
+OPTIONAL = {
+    "full_well_e": 13_000.0, "read_noise_e": 20.0, "black_level_dn": 2.0, "shortest_exposure_ms": 2.0,
+    "longest_exposure_ms": 16.0, "most_gain_db": 12.0, "reserve_mb": 500, "tolerance_deg": 0.3,
+}  # fmt: skip
+"""Keys of the packaged file that may be left out, and what they are then."""
+
+
+def with_key(key: str, value: float) -> Any:
+    """Return the key's table with another value. Raises ValidationError for one that it may not have."""
+    table: Any = RIG
+    *tables, name = key.split(".")
+    for one in tables:
+        table = getattr(table, one)
+    return replace(table, **{name: value})
+
+
+@pytest.mark.parametrize("key", RANGES)
+def test_a_number_is_taken_up_to_both_ends_of_its_range_and_refused_beyond(key: str) -> None:
+    least, most = RANGES[key]
+    name = key.rpartition(".")[2]
+    for value in (least, most):
+        assert getattr(with_key(key, value), name) == value
+    whole = isinstance(least, int)
+    for value in (
+        least - 1 if whole else math.nextafter(least, -math.inf),
+        most + 1 if whole else math.nextafter(most, math.inf),
+    ):
+        with pytest.raises(ValidationError):
+            with_key(key, value)
+
+
+def test_what_may_be_left_out_is_then_what_the_packaged_file_says() -> None:
+    lines = [line for line in PACKAGED.splitlines() if line.split("=")[0].strip() not in OPTIONAL]
+    assert len(PACKAGED.splitlines()) - len(lines) == len(OPTIONAL) + 3, "three of them for each camera"
+    assert parse_rig("\n".join(lines)) == RIG
+    written = [table for table in tomllib.loads(PACKAGED).values() if isinstance(table, dict)]
+    said = {
+        name: value
+        for table in [*written, *written[1].values()]
+        if isinstance(table, dict)
+        for name, value in table.items()
+    }
+    assert {name: said[name] for name in OPTIONAL} == OPTIONAL
+
+
+def test_without_limits_of_its_own_a_housing_has_cautious_ones() -> None:
+    head, _, rest = PACKAGED.partition("[limits]")
+    without = parse_rig(head + rest[rest.index("\n[") :])
+    assert without.limits == LimitsRig(50.0, 60.0, 68.0, 65.0, 75.0, 85.0, None)
+
+
+@pytest.mark.parametrize("part", ["case", "projector"])
+def test_it_warns_then_stops_then_goes_off_and_no_two_of_these_at_once(part: str) -> None:
+    head, _, rest = PACKAGED.partition("[limits]")
+    rest = rest[rest.index("\n[") :]
+
+    def said(warm_c: float, hot_c: float, off_c: float) -> str:
+        numbers = "".join(
+            f"{part}_{name}_c = {value}\n"
+            for name, value in zip(("warm", "hot", "off"), (warm_c, hot_c, off_c), strict=True)
+        )
+        try:
+            parse_rig(f"{head}[limits]\n{numbers}{rest}")
+        except ConfigError as error:
+            return str(error)
+        return ""
+
+    assert said(40.0, 40.5, 41.0) == ""
+    assert f"limits.{part}_warm_c 40.5 >= 40.5; allowed: below {part}_hot_c;" in said(40.5, 40.5, 41.0)
+    assert f"limits.{part}_off_c 40.5 <= 40.5; allowed: above {part}_hot_c;" in said(40.0, 40.5, 40.5)
+
+
+def test_the_longest_exposure_that_a_refusal_names_is_taken_itself() -> None:
+    """A period of 16.67 ms less a delay of 6 ms: 10.66 ms, rounded down."""
+    slow = PACKAGED.replace("trigger_delay_us = 500", "trigger_delay_us = 6000")
+    assert parse_rig(slow.replace("exposure_ms = 12.0", "exposure_ms = 10.66")).camera.left.exposure_ms == 10.66
+    for side, text in (("left", slow.replace("exposure_ms = 12.0", "exposure_ms = 10.67", 1)), ("right", slow)):
+        with pytest.raises(ConfigError) as caught:
+            parse_rig(text if side == "left" else slow.replace("exposure_ms = 12.0", "exposure_ms = 10.0", 1))
+        assert f"camera.{side}.exposure_ms" in caught.value.headline
+        assert "> 10.66" in caught.value.headline
+        assert "0.05..10.66 ms (period 16.67 ms less trigger delay 6 ms)" in str(caught.value)
+
+
+def test_outputs_share_a_connector_only_where_they_are_two() -> None:
+    same = PACKAGED.replace('"DP-1"', '"HDMI-A-1"')
+    for other in (
+        same.replace('card = "/dev/dri/card0"', 'card = "/dev/dri/card1"', 1),
+        same.replace('kind = "kms" ', 'kind = "window" ', 1),
+        same.replace('[display]\nkind = "kms"', '[display]\nkind = "window"', 1),
+    ):
+        assert parse_rig(other).projector.connector == parse_rig(other).display.connector
+    with pytest.raises(ConfigError, match=r"display\.connector .* same as projector\.connector"):
+        parse_rig(same)
+
+
+@pytest.mark.parametrize("key", ["card", "connector"])
+@pytest.mark.parametrize("output", ["projector", "display"])
+def test_an_output_of_a_graphics_card_names_card_and_connector(output: str, key: str) -> None:
+    head, _, rest = PACKAGED.partition(f"[{output}]")
+    line = next(line for line in rest.splitlines(keepends=True) if line.startswith(key))
+    without = f"{head}[{output}]" + rest.replace(line, "", 1)
+    with pytest.raises(ConfigError, match=rf'{output}\.{key} missing; allowed: a name, since kind = "kms"'):
+        parse_rig(without)
+    assert (
+        getattr(
+            getattr(parse_rig(without.replace(f'[{output}]\nkind = "kms"', f'[{output}]\nkind = "window"')), output),
+            key,
+        )
+        is None
+    )
+
+
+@pytest.mark.parametrize("name", ["K", "ü"])
+def test_one_letter_is_a_name(name: str) -> None:
+    assert parse_rig(PACKAGED.replace('name = "Kingfisher"', f'name = "{name}"', 1)).rig.name == name
