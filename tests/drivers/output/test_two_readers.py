@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from time import monotonic
 
+import pytest
+
 from drivers.output.card import Card
 from drivers.output.drm import FlipDone
 from tests.drivers.output.kernel import Kernel, Plug, VblankEvent, mode
@@ -91,35 +93,24 @@ def sleeps(card: Card) -> bool:
     return bool(card._changed._waiters)  # type: ignore[attr-defined]
 
 
-def test_who_does_not_read_is_told_as_soon_as_its_report_was_read() -> None:
-    with two_flips() as (kernel, card, first, second):
-        reader = Waiting(card, first, LONG_S)
+FIRST, SECOND = 0, 1
+
+
+@pytest.mark.parametrize(
+    "found",
+    [
+        pytest.param([(SECOND, FIRST)], id="both at once: who does not read is told as soon as its report was read"),
+        pytest.param([(FIRST,), (SECOND,)], id="the reader has its own: the other one reads on"),
+        pytest.param([(SECOND,), (FIRST,)], id="the reader found the other's: it reads on for its own"),
+    ],
+)
+def test_each_of_two_that_wait_gets_its_report_whoever_reads_it(found: list[tuple[int, ...]]) -> None:
+    with two_flips() as (kernel, card, *tokens):
+        reader = Waiting(card, tokens[FIRST], LONG_S)
         until(lambda: kernel.readers == 1)
-        other = Waiting(card, second, LONG_S)
+        waiting = (reader, Waiting(card, tokens[SECOND], LONG_S))
         until(lambda: sleeps(card))
-        kernel.answer(report(second) + report(first))
-        assert (reader.token(), other.token()) == (first, second)
-
-
-def test_when_the_reader_has_its_own_report_the_other_one_reads_on() -> None:
-    with two_flips() as (kernel, card, first, second):
-        reader = Waiting(card, first, LONG_S)
-        until(lambda: kernel.readers == 1)
-        other = Waiting(card, second, LONG_S)
-        until(lambda: sleeps(card))
-        kernel.answer(report(first))
-        assert reader.token() == first
-        kernel.answer(report(second))
-        assert other.token() == second
-
-
-def test_who_found_the_others_report_first_reads_on_for_its_own() -> None:
-    with two_flips() as (kernel, card, first, second):
-        reader = Waiting(card, first, LONG_S)
-        until(lambda: kernel.readers == 1)
-        other = Waiting(card, second, LONG_S)
-        until(lambda: sleeps(card))
-        kernel.answer(report(second))
-        assert other.token() == second
-        kernel.answer(report(first))
-        assert reader.token() == first
+        for reports in found:
+            kernel.answer(b"".join(report(tokens[who]) for who in reports))
+            for who in reports:
+                assert waiting[who].token() == tokens[who]
