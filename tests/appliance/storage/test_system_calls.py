@@ -97,6 +97,19 @@ def test_nothing_of_a_saved_scan_is_left_to_the_page_cache(tmp_path: Path, witne
     assert calls[published + 1 :] == [Call("fsync", tmp_path / "scans")]
 
 
+def test_frames_that_wait_for_their_decision_are_on_the_disk_and_so_is_the_name_of_their_folder(
+    tmp_path: Path, witness: Witness
+) -> None:
+    library = Library(tmp_path, LocalFileSystem())
+    library.prepare()
+    calls = witness(lambda: [library.begin(frames(), record())].clear())
+    hidden = tmp_path / "scans" / ".000001"
+    assert {path.name for path in hidden.iterdir()} == {"manifest.json", "frames_left.npy", "frames_right.npy"}
+    synced = [call.path for call in calls if call.name == "fsync"]
+    assert {hidden / "frames_left.npy", hidden / "frames_right.npy", hidden} <= set(synced)
+    assert synced[-1] == tmp_path / "scans"
+
+
 def test_space_that_the_system_keeps_for_root_is_not_space_for_scans(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -60,4 +60,6 @@ def test_the_board_stays_rigid() -> None:
 def test_one_scene_of_ten_is_soft() -> None:
     assert 70 < sum(is_soft(seed) for seed in range(1000)) < 130
     assert ONE_IN == 10
-    assert [seed for seed in range(20_000, 20_040) if is_soft(seed)] == [20_002, 20_006, 20_009, 20_036], "a seed means the same scene for ever"
+    assert [seed for seed in range(20_000, 20_040) if is_soft(seed)] == [20_002, 20_006, 20_009, 20_036], (
+        "a seed means the same scene for ever"
+    )
