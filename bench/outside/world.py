@@ -108,9 +108,10 @@ def expose(
     number: int = 0,
     response: Response | None = None,
     only: Sequence[int] | None = None,
+    sides: Sequence[str] = SIDES,
     trigger_delay_us: int = TRIGGER_DELAY_US,
 ) -> Frames:
-    """Return the frames (n, h, w) uint8 of both sides that the instrument records of a sequence, hands moving from its first pulse on.
+    """Return the frames (n, h, w) uint8 of the ``sides`` that the instrument records of a sequence, hands moving from its first pulse on.
 
     ``number``: of the sequence, which other noise, other flashes and another jitter belong to. ``only``: indices of the patterns
     that are wanted. ``response``: the projector's, that the patterns are drawn for.
@@ -144,7 +145,7 @@ def expose(
         return np.stack(shots)
 
     with ThreadPoolExecutor(1) as pool:
-        return dict(zip(SIDES, pool.map(camera, SIDES), strict=True))
+        return dict(zip(sides, pool.map(camera, sides), strict=True))
 
 
 def _begins(renderer: Renderer, count: int, number: int, trigger_delay_us: int) -> dict[str, NDArray[np.float64]]:
@@ -166,15 +167,12 @@ def chosen_exposure(
     """Return the exposure that the instrument's proposals lead to, from ``first`` on, within ``steps``."""
     present = first
     for _ in range(4):
-        frames = expose(renderer, sequence, present, only=[sequence.dark, sequence.bright], number=77)
-        top_dn = max(float(np.percentile(frames[side][1], TOP_PERCENT)) for side in SIDES)
+        # The left camera tells it: what the right one sees is as bright but for where gloss is.
+        (shot,) = expose(renderer, sequence, present, only=[sequence.bright], number=77, sides=("left",))["left"]
+        top_dn = float(np.percentile(shot, TOP_PERCENT))
         # Saturated: the instrument reads the level from the darkest sine images; here a much shorter exposure tells it.
-        blind = top_dn >= SATURATED_DN
-        proposed = (
-            steps[0]
-            if blind and present != steps[0]
-            else propose(top_dn - BLACK_DN, FULL_DN - BLACK_DN, present, steps)
-        )
+        blind = top_dn >= SATURATED_DN and present != steps[0]
+        proposed = steps[0] if blind else propose(top_dn - BLACK_DN, FULL_DN - BLACK_DN, present, steps)
         if proposed is None:
             break
         present = proposed

@@ -1,0 +1,99 @@
+"""What the instrument is worth in the harsher simulated world ``outside``: scenes, milk, calibration health, part by part."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from bench.outside.page import compact, write_page
+from bench.outside.parts import PARTS, measure_part
+from bench.progress import Progress
+from bench.result import Measured
+from bench.runner import machine
+
+OUT = Path("bench/out/outside.json")
+BEFORE, PAGE, PICTURES = Path("docs/outside-before.json"), Path("docs/outside.md"), Path("docs/pictures")
+"""``BEFORE`` has the figures of the product as it was before it had met this world; without the rows of single scans."""
+
+
+def measure() -> Iterator[Measured]:
+    """Every part with a few scenes: whether the instrument still does what it is for."""
+    for name, entry in PARTS.items():
+        found, _ = measure_part(name, entry.few, 1, lambda what, share: None, None)
+        yield from found
+
+
+def main(arguments: Sequence[str]) -> int:
+    """The command line: ``./dev bench outside --help``."""
+    parser = argparse.ArgumentParser(prog="./dev bench outside", description=__doc__)
+    parser.add_argument("--seed", type=int, default=1, help="of the draws; nothing was chosen on any below 10000")
+    parser.add_argument("--parts", default=",".join(PARTS), help="names with commas between; default: all, %(default)s")
+    parser.add_argument(
+        "--count",
+        type=int,
+        help="scenes, scans or rigs of each part; default: " + ", ".join(f"{n} {e.count}" for n, e in PARTS.items()),
+    )
+    parser.add_argument("--keep", type=Path, help="folder of frames and rows, used and added to: 6 MB a scan")
+    parser.add_argument("--json", type=Path, default=OUT, help="added to if it is there; default: %(default)s")
+    parser.add_argument(
+        "--write-docs", action="store_true", help=f"measure nothing; write {PAGE} from --json and {BEFORE}"
+    )
+    parser.add_argument("--write-before", action="store_true", help=f"measure nothing; write {BEFORE} from --json")
+    wanted = parser.parse_args(arguments)
+    if wanted.write_docs:
+        write_page(wanted.json, BEFORE, PAGE, PICTURES)
+        return 0
+    if wanted.write_before:
+        content = compact(json.loads(wanted.json.read_text(encoding="utf-8")))
+        BEFORE.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        return 0
+    names = wanted.parts.split(",")
+    for name in names:
+        if name not in PARTS:
+            parser.error(f"--parts: {name!r} is unknown; allowed are {', '.join(PARTS)}")
+    if wanted.count is not None and not 1 <= wanted.count <= 100_000:
+        parser.error(f"--count {wanted.count}: allowed are 1 to 100000")
+    if not 0 <= wanted.seed < 1 << 31:
+        parser.error(f"--seed {wanted.seed}: allowed are 0 to {(1 << 31) - 1}")
+    return 0 if run(names, wanted.count, wanted.seed, wanted.json, wanted.keep) else 1
+
+
+def run(names: Sequence[str], count: int | None, seed: int, path: Path, keep: Path | None) -> bool:
+    """Part by part; the file is written after each, so that what is done is kept. True when every bound was kept."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    content = _before(path, seed)
+    kept = True
+    for done, name in enumerate(names):
+        progress = Progress(1)
+        say = partial(_show, progress, done, len(names))
+        try:
+            found, data = measure_part(name, count, seed, say, keep)
+        finally:
+            progress.close()
+        sys.stdout.write(f"{name}: {PARTS[name].about}\n")
+        sys.stdout.writelines(number.line() + "\n" for number in found)
+        sys.stdout.flush()
+        kept = kept and all(number.kept for number in found)
+        content["parts"][name] = {"measured": [number.as_dict() for number in found], "data": data}
+        draft = path.with_name(f".{path.name}")
+        draft.write_text(json.dumps(content) + "\n", encoding="utf-8")
+        draft.replace(path)
+    return kept
+
+
+def _before(path: Path, seed: int) -> dict[str, Any]:
+    """Return what the file holds of that seed; of another one nothing is left standing beside this one's."""
+    if path.exists():
+        content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        if content.get("seed") == seed:
+            return content
+    return {"machine": machine(), "seed": seed, "parts": {}}
+
+
+def _show(progress: Progress, done: int, parts: int, what: str, share: float) -> None:
+    progress.show(what, (done + share) / parts)

@@ -1,0 +1,115 @@
+"""Owns what is counted over the rows of scans: completeness, outliers, error over sigma, false alarms."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from appliance.scan.fault import FaultCode
+from bench.outside.kept import Row
+from bench.result import Measured
+
+HONEST = 1.5
+"""A scan whose errors are more than so many times what is expected needs a verdict that says why."""
+MEDIAN_LEAST, MEDIAN_MOST = 0.9, 1.1
+MOST_PPM = 100.0
+FALSE_ALARMS = {
+    "identity": FaultCode.PATTERN_WRONG,
+    "light": FaultCode.LIGHT_FLICKERS,
+    "window": FaultCode.WINDOW,
+}
+"""Faults that no drawn scene has: each frame shows the pattern it should, light is steady, windows are clean."""
+
+
+def is_soft(row: Row) -> bool:
+    """Tell whether the scene's object is not rigid."""
+    return "soft" in row["families"]
+
+
+def of_scenes(rows: Sequence[Row]) -> list[Measured]:
+    """Return the figures of drawn scenes with their bounds; soft ones are counted apart and bound nothing."""
+    rigid, soft = [row for row in rows if not is_soft(row)], [row for row in rows if is_soft(row)]
+    accepted = [row for row in rigid if row["accepted"]]
+    found = [
+        Measured("scenes that are rigid", len(rigid), ""),
+        Measured("accepted", len(accepted), ""),
+        Measured("completeness, median of accepted", median(rows_of(accepted, "complete_percent")), "%"),
+        Measured("completeness, median of all", median(rows_of(rigid, "complete_percent")), "%"),
+        Measured("outliers over 1 mm in accepted scans", ppm(accepted), "ppm", at_most=MOST_PPM),
+        Measured("outliers over 1 mm in all scans", ppm(rigid), "ppm"),
+        Measured(
+            "error over sigma, median of accepted", median(rows_of(accepted, "error_over_sigma")), "",
+            at_most=MEDIAN_MOST, at_least=MEDIAN_LEAST,
+        ),
+        Measured("of these above 1.5 and nothing said", len(unsaid(accepted)), "scans", at_most=0.0),
+        Measured("noise, median of accepted", median(rows_of(accepted, "rms_um")), "µm"),
+    ]  # fmt: skip
+    for name, code in FALSE_ALARMS.items():
+        alarms = sum(code.value in row["faults"] for row in rigid)
+        found.append(Measured(f"false alarms of {name}", alarms, f"of {len(rigid)}", at_most=0.0))
+    if soft:
+        taken = [row for row in soft if row["accepted"]]
+        found += [
+            Measured("soft scenes", len(soft), ""),
+            Measured("soft scenes that are accepted", len(taken), ""),
+            Measured("outliers over 1 mm in these", ppm(taken), "ppm"),
+            Measured("error over sigma in these, median", median(rows_of(taken, "error_over_sigma")), ""),
+        ]
+    return found
+
+
+def of_families(rows: Mapping[str, Sequence[Row]], few: int) -> list[dict[str, Any]]:
+    """Return one row of figures for each name, all on the same ``few`` scenes."""
+    return [
+        summary(name, [row for row in found if row["number"] < few and not is_soft(row)])
+        for name, found in rows.items()
+    ]
+
+
+def summary(name: str, rows: Sequence[Row]) -> dict[str, Any]:
+    """Return the figures of one table's row, ready for JSON."""
+    accepted = [row for row in rows if row["accepted"]]
+    ratios = rows_of(rows, "error_over_sigma")
+    return {
+        "name": name,
+        "scenes": len(rows),
+        "accepted": len(accepted),
+        "complete_percent": known(median(rows_of(rows, "complete_percent"))),
+        "outliers_ppm": known(ppm(accepted)),
+        "outliers_all_ppm": known(ppm(rows)),
+        "error_over_sigma": known(median(ratios)),
+        "error_over_sigma_most": max(ratios, default=None),
+        "unsaid": len(unsaid(accepted)),
+        "rms_um": known(median(rows_of(rows, "rms_um"))),
+        "faults": dict(Counter(code for row in rows for code in row["faults"])),
+    }
+
+
+def unsaid(rows: Sequence[Row]) -> list[Row]:
+    """Return the scans whose errors are beyond ``HONEST`` times what is expected without a fault that would say why."""
+    return [row for row in rows if (row["error_over_sigma"] or 0.0) > HONEST and not row["faults"]]
+
+
+def rows_of(rows: Sequence[Row], key: str) -> list[float]:
+    """Return a figure of all rows that have it."""
+    return [float(row[key]) for row in rows if row[key] is not None]
+
+
+def ppm(rows: Sequence[Row]) -> float:
+    """Return the share of points that are more than a millimetre off, of all points of all rows; NaN without points."""
+    points = sum(row["points"] for row in rows)
+    return 1e6 * sum(row["outliers"] for row in rows) / points if points else math.nan
+
+
+def median(values: Sequence[float]) -> float:
+    """Return the median, NaN of nothing."""
+    return float(np.median(values)) if len(values) else math.nan
+
+
+def known(value: float) -> float | None:
+    """Return the value, ``None`` for NaN, as JSON wants it."""
+    return None if math.isnan(value) else value

@@ -1,0 +1,125 @@
+"""Owns the part ``health``: how often the watch over the calibration, and the judges of frames, light and windows, err on normal
+scans, and how soon they see a knock.
+
+Some instruments, each with its own lens, projector and cameras, scan whatever comes before them with a calibration that states
+the truth about them at the temperature of the case that they work at. Scans are at rest, in water up to 2 /m, some kelvins
+warmer or colder. In the end the right camera is turned by a fiftieth of a degree.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from appliance.calibration.health import LIMIT, HealthJudgement, HealthTrend, judge
+from appliance.calibration.patches import PatchGaps
+from bench.outside.draws import drawn_scene, joined
+from bench.outside.figures import FALSE_ALARMS, median, rows_of
+from bench.outside.kept import Row, kept_row, kept_scan
+from bench.outside.scan import SEQUENCE, data_sheet, row_of, worked_through
+from bench.outside.stated import stated_truth
+from bench.outside.world import World, world_with
+from bench.result import Measured
+from bench.spread import spread
+from bench.verdict.parts import Say
+from hw_sim.mount_shift import MountShift, with_mount_shifted
+from hw_sim.outside import ALL
+
+FAMILIES = tuple(name for name in ALL if name != "hands")
+RIGS = 8
+WORKS_AT_C, AROUND_K = 35.0, 4.0
+"""Temperature of the case that the calibration was made at, and how far it is from it while scanning."""
+KNOCK_DEG = 0.02
+KNOCKED_SCANS = 3
+KNOCKS = ("pitch_deg", "yaw_deg", "roll_deg")
+"""Of one rig after the other: about x, y, z."""
+SEEDS_PER_SEED = 100_000
+
+
+def measure(count: int, seed: int, say: Say, keep: Path | None = None) -> tuple[list[Measured], dict[str, Any]]:
+    """Return false alarms of about ``count`` normal scans and how many scans of a knocked instrument it takes."""
+    each = max(1, -(-count // RIGS))
+    wanted = [(rig, number) for rig in range(RIGS) for number in range(each + KNOCKED_SCANS)]
+    rows: dict[int, list[Row]] = {rig: [] for rig in range(RIGS)}
+    work = partial(_row, seed=seed, normal=each, keep=keep)
+    for done, ((rig, _), row) in enumerate(zip(wanted, spread(work, wanted), strict=True), 1):
+        say(f"health: {done} of {len(wanted)}", done / len(wanted))
+        rows[rig].append(row)
+    return figures(rows, each), {"rows": {str(rig): found for rig, found in rows.items()}}
+
+
+def figures(rows: dict[int, list[Row]], each: int) -> list[Measured]:
+    """Return the figures of the rows of each rig, of which the first ``each`` are normal scans."""
+    normal = [row for found in rows.values() for row in found[:each]]
+    told, largest, late = 0, 0.0, []
+    for found in rows.values():
+        said = list(followed(found))
+        totals = [one.point.total for one in said[:each] if one.point is not None]
+        largest = max([largest, *totals])
+        told += any(one.alarm for one in said[:each])
+        if not any(one.alarm for one in said[:each]):
+            late.append(next((k for k, one in enumerate(said[each:], 1) if one.alarm), None))
+    measured = [
+        Measured(f"rigs whose calibration is doubted, of {len(rows)} with {each} normal scans each", told, "", at_most=0.0),
+        Measured("largest sum of a normal scan", largest, f"of {LIMIT:g}", at_most=LIMIT),
+        Measured(f"knocks of {KNOCK_DEG:g}° found within three scans", sum(k is not None for k in late), f"of {len(late)}", at_least=float(len(late))),
+    ]  # fmt: skip
+    for name, code in FALSE_ALARMS.items():
+        alarms = sum(code.value in row["faults"] for row in normal)
+        measured.append(Measured(f"false alarms of {name}", alarms, f"of {len(normal)}", at_most=0.0))
+    measured.append(
+        Measured("MOVED at rest", sum("MOVED" in row["faults"] for row in normal), f"of {len(normal)}", at_most=0.0)
+    )
+    measured.append(Measured("completeness, median", median(rows_of(normal, "complete_percent")), "%"))
+    measured.append(Measured("error over sigma, median", median(rows_of(normal, "error_over_sigma")), ""))
+    return measured
+
+
+def followed(rows: Iterable[Row]) -> Iterator[HealthJudgement]:
+    """Yield what the watch over the calibration says after each of an instrument's scans."""
+    trend = HealthTrend()
+    for number, row in enumerate(rows, 1):
+        gaps = row["gaps"]
+        if gaps is None:
+            continue
+        seen = PatchGaps(
+            np.array(gaps["patch"], np.intp), np.array(gaps["um"]), np.array(gaps["noise_um"]),
+            np.array(gaps["modes"]).reshape(-1, 4), int(gaps["samples"]), float(gaps["water_index"]),
+        )  # fmt: skip
+        trend, said = judge(trend, seen, f"{number:06d}")
+        yield said
+
+
+def _row(wanted: tuple[int, int], seed: int, normal: int, keep: Path | None) -> Row:
+    rig, number = wanted
+    # Scans of the knocked instrument are numbered from a thousand on, so that more normal ones leave them as they are.
+    own = number if number < normal else 1000 + number - normal
+    return kept_row(keep, ("health", rig, own, seed), lambda: _found(rig, own, seed, keep))
+
+
+def health_world(rig: int, number: int, seed: int) -> tuple[World, World]:
+    """Return scan ``number`` of an instrument, and the same instrument as its calibration states it; from 1000 on it is knocked."""
+    rig_seed = SEEDS_PER_SEED * seed + rig
+    own_seed = SEEDS_PER_SEED * seed + 1000 * (rig + 1) + number
+    families = joined(rig_seed, own_seed, FAMILIES)
+    scene = drawn_scene(own_seed, number)
+    warm_c = WORKS_AT_C + AROUND_K * float(np.random.default_rng([own_seed, 32]).uniform(-1.0, 1.0))
+    stated = world_with(scene, families, own_seed, FAMILIES, rig_seed=rig_seed, case_c=WORKS_AT_C)
+    now = world_with(scene, families, own_seed, FAMILIES, rig_seed=rig_seed, case_c=warm_c)
+    if number >= 1000:
+        now = replace(now, rig=with_mount_shifted(now.rig, MountShift("right", **{KNOCKS[rig % 3]: KNOCK_DEG})))
+    return now, stated
+
+
+def _found(rig: int, number: int, seed: int, keep: Path | None) -> Row:
+    world, before = health_world(rig, number, seed)
+    taken = kept_scan(keep, world, SEQUENCE, number=number)
+    stated = stated_truth(before.rig, before.scene)
+    noise = data_sheet(world.scene, taken.exposure.gain_db)
+    scanned = worked_through(taken.frames, stated.calibration, stated.water, taken.exposure, noise)
+    return {"number": number, "rig": rig, **row_of(world, scanned, taken.exposure)}

@@ -1,0 +1,200 @@
+"""Owns one scan of the world ``outside`` from its frames to a row of figures: points against the true surface, each verdict, the grade."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.calibration.file import Calibration
+from appliance.machine.alerts import RULES
+from appliance.optics.water import Water
+from appliance.patterns.sequence import Direction, PatternSequence, build_sequence
+from appliance.processing.procedure import FullFound, SequenceProcessor
+from appliance.reconstruct.pipeline import Pipeline
+from appliance.reconstruct.table import Cloud
+from appliance.scan.acquisition import AcquisitionSettings
+from appliance.scan.exposure import Exposure
+from appliance.scan.fault import FaultCode
+from appliance.scan.noise import StereoNoise, camera_noise
+from appliance.screens.views import Grade
+from appliance.service.view import grade
+from bench.outside.kept import Row
+from bench.outside.world import BLACK_DN, FRAME_S, STEPS, Frames, World
+from bench.verdict.motion_truth import displaced, displacement
+from hw_sim.rendering.render import Renderer
+from hw_sim.scene import Scene
+from hw_sim.truth import ray
+from tests.support.truth import left_to_rig
+
+FALSE_MM = 1.0
+TRIM = 0.003
+"""Share of the largest errors that figures of noise leave out, as those of artefacts do."""
+FEWEST = 300
+"""Points that tell an error over sigma."""
+SHEET_FULL_WELL_E, SHEET_READ_NOISE_E = 13_000.0, 20.0
+"""What a rig file says that nobody has entered a camera's data sheet into."""
+Array = NDArray[np.float64]
+SEQUENCE = build_sequence(16)
+
+
+@dataclass(frozen=True, slots=True)
+class Scanned:
+    """A sequence as the instrument worked it through."""
+
+    cloud: Cloud
+    full: FullFound
+    grade: Grade
+    codes: tuple[FaultCode, ...]
+    """The faults that were found, without what is only shown."""
+    cpu_s: float
+
+    @property
+    def accepted(self) -> bool:
+        """Nothing was said that spoils the scan, and it is worth keeping."""
+        return self.grade is not Grade.BAD
+
+    def numbers(self, name: str) -> dict[str, float | None]:
+        """Return the numbers of the verdict ``name``; empty where it was not given."""
+        return next((dict(j.verdict.numbers) for j in self.full.judgements if j.verdict.name == name), {})
+
+
+def data_sheet(scene: Scene, gain_db: float) -> StereoNoise:
+    """Return the noise as the data sheet of the scene's own cameras states it, entered into the rig file by a careful owner."""
+    traits = scene.outside.cameras
+    if traits is None:
+        one = camera_noise(SHEET_FULL_WELL_E, SHEET_READ_NOISE_E, BLACK_DN, gain_db)
+    else:
+        one = camera_noise(traits.full_well_e, traits.read_noise_e, traits.black_dn, gain_db)
+    return StereoNoise(one, one)
+
+
+def unstated(gain_db: float) -> StereoNoise:
+    """Return the noise of a rig file into which nobody has entered the cameras' data sheet."""
+    one = camera_noise(SHEET_FULL_WELL_E, SHEET_READ_NOISE_E, BLACK_DN, gain_db)
+    return StereoNoise(one, one)
+
+
+def worked_through(
+    frames: Frames, calibration: Calibration, water: Water, exposure: Exposure, noise: StereoNoise,
+    sequence: PatternSequence = SEQUENCE,
+) -> Scanned:  # fmt: skip
+    """Take a sequence through the whole procedure of the instrument."""
+    settings = AcquisitionSettings(exposure=exposure, frame_s=FRAME_S, noise=noise, steps=STEPS)
+    with Pipeline(calibration, water, sequence, noise=noise) as pipeline:
+        processor = SequenceProcessor(pipeline, calibration, water)
+        begun = time.process_time()
+        full = processor.process(frames, settings)
+        cpu_s = time.process_time() - begun
+        cloud = pipeline.table.cloud(full.found)
+    faults = tuple(one.fault for one in full.judgements if one.fault is not None)
+    summary = full.found.summary
+    spoilt = any(RULES[fault.code].spoils_scan for fault in faults)
+    said = Grade.BAD if spoilt else grade(summary.coverage_percent, summary.noise_mm, faults)
+    codes = tuple(fault.code for fault in faults if fault.code is not FaultCode.COMPENSATED)
+    return Scanned(cloud, full, said, codes, cpu_s)
+
+
+def moment_s(scanned: Scanned, exposure: Exposure, sequence: PatternSequence = SEQUENCE) -> float:
+    """Return the time after the first pulse whose surface the points should lie on."""
+    reference_s = scanned.numbers("compensation").get("reference_s")
+    moved = any(j.verdict.name == "compensation" and j.verdict.passed for j in scanned.full.judgements)
+    if moved and reference_s is not None:
+        return reference_s + 0.5e-6 * exposure.time_us
+    # Depth follows from the fringes across the baseline.
+    return float(np.mean(sequence.axis(Direction.X).sine)) * FRAME_S + 0.5e-6 * exposure.time_us
+
+
+def row_of(world: World, scanned: Scanned, exposure: Exposure) -> Row:
+    """Return what one scan says and how far its points are from the truth."""
+    renderer, at_s = world.renderer(), moment_s(scanned, exposure)
+    cloud, summary = scanned.cloud, scanned.full.found.summary
+    view = renderer.view("left", at_s)
+    seen = view.seen_by_all
+    found = np.zeros(seen.size, bool)
+    found[cloud.pixel] = True
+    along_mm, away_mm = errors_mm(renderer, cloud, at_s)
+    over = along_mm / cloud.sigma_mm.astype(np.float64)
+    good = np.isfinite(over) & (np.abs(away_mm) <= FALSE_MM)
+    scene, gaps = world.scene, scanned.full.found.gaps
+    return {
+        "seed": world.seed,
+        "rig_seed": world.rig.seed,
+        "families": list(world.families),
+        "object": scene.object,
+        "texture": scene.texture,
+        "attenuation_per_m": scene.water.attenuation_per_m,
+        "backscatter": scene.water.backscatter,
+        "ambient": scene.ambient,
+        "exposure": exposure.label,
+        "grade": scanned.grade.value,
+        "accepted": scanned.accepted,
+        "faults": [code.value for code in scanned.codes],
+        "compensated": any(j.verdict.name == "compensation" and j.verdict.passed for j in scanned.full.judgements),
+        "texts": {j.verdict.name: j.verdict.text for j in scanned.full.judgements if j.fault is not None},
+        "seen": int(np.count_nonzero(seen)),
+        "complete_percent": 100.0 * float((found & seen.ravel()).sum()) / max(float(seen.sum()), 1.0),
+        "points": len(cloud.pixel),
+        "outliers": int(np.count_nonzero(np.abs(away_mm) > FALSE_MM)),
+        "error_over_sigma": trimmed_rms(over[good]),
+        "error_over_sigma_all": _rms(over[np.isfinite(over)]),
+        "mean_over_sigma": float(np.mean(over[good])) if good.any() else None,
+        "rms_um": _scaled(trimmed_rms(along_mm[good])),
+        "sigma_um": 1000.0 * float(np.median(cloud.sigma_mm)) if len(cloud.pixel) else None,
+        "noise_mm": summary.noise_mm,
+        "coverage_percent": summary.coverage_percent,
+        "cpu_s": scanned.cpu_s,
+        "motion": scanned.numbers("motion"),
+        "light": scanned.numbers("light"),
+        "water": scanned.numbers("water"),
+        "gaps": None if gaps is None else {
+            "patch": gaps.patch.tolist(), "um": gaps.gap_um.tolist(), "noise_um": gaps.noise_um.tolist(),
+            "modes": gaps.modes.tolist(), "samples": gaps.samples, "water_index": gaps.water_index,
+        },
+    }  # fmt: skip
+
+
+def errors_mm(renderer: Renderer, cloud: Cloud, at_s: float) -> tuple[Array, Array]:
+    """Return how far each point (n,) is off along the ray of its pixel, and how far from the true surface, mm, at ``at_s``.
+
+    Of a scene that moves the rigid displacement of the whole cloud is taken away first: no cloud has another frame than its own.
+    """
+    truth = renderer.truth
+    points = left_to_rig(truth, cloud.points_mm)
+    surface = renderer.surface(at_s)
+    if renderer.scene.moves:
+        points = displaced(points, *displacement(surface, points))
+    v, u = np.divmod(cloud.pixel.astype(np.int64), truth.left.width_px)
+    true = renderer.view("left", at_s).points_rig_mm[v, u]
+    _, direction = ray(truth, "left", np.stack([u, v], -1))
+    along = np.sum((points - true) * direction, -1)
+    away = surface.distance_mm(points)
+    nothing = ~np.isfinite(along)
+    along[nothing] = away[nothing]
+    return np.asarray(along), away
+
+
+def trimmed_rms(values: Array) -> float | None:
+    """Return the root mean square without the largest ``TRIM``; ``None`` for too few."""
+    if len(values) < FEWEST:
+        return None
+    size = np.sort(np.abs(values))
+    return _rms(size[: len(size) - math.ceil(TRIM * len(size))])
+
+
+def still(world: World) -> World:
+    """Return the same scene with the instrument at rest."""
+    outside = replace(world.scene.outside, hands=None, soft=None)
+    families = tuple(f for f in world.families if f not in ("hands", "soft"))
+    return replace(world, families=families, scene=replace(world.scene, outside=outside))
+
+
+def _rms(values: Array) -> float | None:
+    return float(np.sqrt(np.mean(values**2))) if len(values) else None
+
+
+def _scaled(mm: float | None) -> float | None:
+    return None if mm is None else 1000.0 * mm

@@ -1,0 +1,60 @@
+"""Owns the part ``scenes``: what is found of drawn scenes, all families together and each by itself on some of the same scenes."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from bench.outside.draws import scene_world
+from bench.outside.figures import of_families, of_scenes
+from bench.outside.kept import Row, kept_row, kept_scan
+from bench.outside.scan import SEQUENCE, data_sheet, row_of, worked_through
+from bench.outside.stated import stated_truth
+from bench.result import Measured
+from bench.spread import spread
+from bench.verdict.parts import Say
+from hw_sim.outside import ALL
+
+FAMILY_SHARE = 0.06
+"""Of the scenes, so many are measured with each family alone and with none."""
+ORDINARY = "ordinary"
+TOGETHER = "all"
+
+
+def measure(count: int, seed: int, say: Say, keep: Path | None = None) -> tuple[list[Measured], dict[str, Any]]:
+    """Return figures of ``count`` scenes with all families, and of a few of them with each family alone."""
+    few = family_scenes(count)
+    wanted = [(TOGETHER, number) for number in range(count)]
+    wanted += [(name, number) for number in range(few) for name in (ORDINARY, *ALL)]
+    rows: dict[str, list[Row]] = {name: [] for name in (TOGETHER, ORDINARY, *ALL)}
+    for done, ((name, _), row) in enumerate(
+        zip(wanted, spread(partial(_row, seed=seed, keep=keep), wanted), strict=True), 1
+    ):
+        say(f"scenes: {done} of {len(wanted)}", done / len(wanted))
+        rows[name].append(row)
+    return of_scenes(rows[TOGETHER]), {"rows": rows, "families": of_families(rows, few)}
+
+
+def family_scenes(count: int) -> int:
+    """Return how many of ``count`` scenes are measured family by family."""
+    return max(1, round(FAMILY_SHARE * count))
+
+
+def _row(wanted: tuple[str, int], seed: int, keep: Path | None) -> Row:
+    return scene_row(wanted[0], wanted[1], seed, keep)
+
+
+def scene_row(name: str, number: int, seed: int, keep: Path | None) -> Row:
+    """Return the row of one scene: ``all``, ``ordinary`` or one family."""
+    families = ALL if name == TOGETHER else () if name == ORDINARY else (name,)
+    return kept_row(keep, ("scenes", name, number, seed), lambda: _found(number, seed, families, keep))
+
+
+def _found(number: int, seed: int, families: tuple[str, ...], keep: Path | None) -> Row:
+    world = scene_world(seed, number, families)
+    taken = kept_scan(keep, world, SEQUENCE)
+    stated = stated_truth(world.rig, world.scene)
+    noise = data_sheet(world.scene, taken.exposure.gain_db)
+    scanned = worked_through(taken.frames, stated.calibration, stated.water, taken.exposure, noise)
+    return {"number": number, **row_of(world, scanned, taken.exposure)}
