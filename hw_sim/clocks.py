@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from hw_sim.ranges import Range, drawn_strengths
 
 CORRELATION_S = 60.0
-"""Time τ after which a crystal has forgotten how fast it was: that of a small case that warms and cools (NIST TN 1337)."""
+"""Time τ after which a crystal has forgotten how fast it was: about that of a small case that warms and cools (an estimate)."""
 STEP_S = 0.1
 """The wander is known at multiples of this and goes straight between them."""
 AT_ONCE = 3000
@@ -29,17 +29,23 @@ RANGES = {
     "board_jitter_us": Range(
         0.5,
         12.0,
-        "interrupt latency of a busy microcontroller: 12 cycles to some µs (Arm DDI 0403, B1.5; Zephyr latency bench)",
+        "estimate: other handlers of a busy microcontroller; the core itself needs up to 15 cycles (Cortex-M0+, TI SWCU193)",
     ),
     "camera_jitter_us": Range(
-        0.2, 5.0, "trigger-to-exposure jitter in data sheets of global-shutter cameras: below one row time"
+        0.2,
+        5.0,
+        "estimate: below one row time; makers state a delay of the exposure (Basler: BslExposureStartDelay), not its jitter",
     ),
-    "wander_ppm": Range(0.05, 2.0, "AT-cut crystals: 0.035 ppm/K² and up to 0.5 ppm/K (Vig, IEEE UFFC tutorial 2016)"),
-    "walk_us": Range(
-        0.01, 0.5, "white frequency noise of quartz and PLL, µs per √s (NIST TN 1337, table of noise types)"
+    "wander_ppm": Range(
+        0.05,
+        2.0,
+        "estimate: a crystal of ±10 to 50 ppm over its temperatures (AT cut, a cubic: J. R. Vig's tutorial on quartz, 2014) in a case that warms by some K",
     ),
+    "walk_us": Range(0.01, 0.5, "estimate: white frequency noise of quartz and PLL, µs per √s"),
     "stamps_at_end": Range(
-        0.0, 1.0, "GenICam SFNC 2.7: a frame's Timestamp may be that of any event; half of the drawn worlds"
+        0.0,
+        1.0,
+        "both are met: ChunkTimestamp is the frame's start (GenICam SFNC), others stamp when the exposure has ended (luxonis/depthai issue 795); half of the drawn worlds",
     ),
 }
 """Ranges of the family ``clocks``; ``stamps_at_end`` is rounded to 0 or 1."""

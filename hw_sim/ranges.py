@@ -1,4 +1,4 @@
-"""Owns how the strengths of the world ``outside`` are drawn: each from a range that names its source."""
+"""Owns how the strengths of the world ``outside`` are drawn: each from a range that says where it comes from."""
 
 from __future__ import annotations
 
@@ -10,7 +10,11 @@ import numpy as np
 
 @dataclass(frozen=True, slots=True)
 class Range:
-    """The values that a strength may take in a drawn world, both ends included; ``source`` says who found them so."""
+    """The values that a strength may take in a drawn world, both ends included.
+
+    ``source`` says who found them so. It begins with "estimate:" where nobody did, and with "partly estimate:" where somebody
+    found a value within them and the ends are a guess.
+    """
 
     low: float
     high: float

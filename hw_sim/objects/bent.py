@@ -10,8 +10,10 @@ from hw_sim.ranges import Range, drawn_strengths
 
 MOST_MM = 0.2
 """Largest form for which the boxes around plane and board have room, together with a bow."""
-BOARD = "sandwich and glass plates of calibration boards: flat to 0.1 mm over 300 mm by their makers; 1 K across 8 mm of aluminium: 0.03 mm"
-PLATE = "measuring plates of 250 mm: flat to 5 µm (grade 0) or 12 µm (grade 1), DIN 876"
+BOARD = "estimate: a hundredth to some hundredths of a mm; 1 K across 8 mm of aluminium bends 300 mm by 0.03 mm"
+PLATE = (
+    "measuring plates of 250 mm: flat to 5 µm (grade 0: 4 + L/250, L in mm) or 12.5 µm (grade 1: 10 + L/100), DIN 876"
+)
 RANGES = {
     "board_saddle_mm": Range(0.010, 0.050, BOARD),
     "board_twist_mm": Range(0.010, 0.050, BOARD),

@@ -19,11 +19,11 @@ from hw_sim.ranges import Range, drawn_strengths
 PX_MM = 0.255
 """Size of a projector px in the middle of the volume."""
 RANGES = {
-    "white": Range(0.35, 0.85, "albedo under water: coral sand and bleached coral 0.35 to 0.6 (Hochberg et al., Remote Sens. Environ. 85 (2003) 159), white titania paint 0.85"),
-    "gloss_index": Range(1.08, 1.25, "paint 1.45 to 1.55, aragonite of shells 1.53 to 1.68, over water's 1.335 (CRC Handbook of Chemistry and Physics)"),
-    "roughness": Range(0.10, 0.40, "rms slope of semi-gloss to matt coats (Cook and Torrance, ACM Trans. Graph. 1 (1982) 7; Ngan et al., EGSR 2005)"),
-    "below_part": Range(0.1, 0.6, "share of light that enters: nearly all in marble and shell, little in paint (Jensen et al., SIGGRAPH 2001, table 1)"),
-    "below_mm": Range(0.15, 0.8, "1/σ'_t of marble 0.4 mm, skin 1.0 to 1.3 mm, chalky paint 0.1 mm (Jensen et al., SIGGRAPH 2001, table 1)"),
+    "white": Range(0.35, 0.85, "partly estimate: clean coral sand 0.28 to 0.65 from 350 to 700 nm, 0.42 at 525 nm (Maritorena, Morel, Gentili, Limnol. Oceanogr. 1994, as tabulated in the code OSOAA); white titania paint 0.85"),
+    "gloss_index": Range(1.08, 1.25, "partly estimate: paint 1.45 to 1.55, aragonite of shells 1.53 to 1.68, over water's 1.335 (handbook values, not looked up again)"),
+    "roughness": Range(0.10, 0.40, "estimate: rms slope of semi-gloss to matt coats; one such lobe fits paints (Ngan et al., EGSR 2005, 117)"),
+    "below_part": Range(0.1, 0.6, "estimate: share of light that enters, nearly all in marble and shell, little in paint"),
+    "below_mm": Range(0.15, 0.8, "partly estimate: 1/σ'_t in the green, marble 0.38 mm, skin 0.6 and 0.95 mm (Jensen et al., SIGGRAPH 2001, 511, their table as copied by renderers); chalky paint less"),
     "bounce": Range(1.0, 1.0, "interreflection is not a matter of chance"),
 }  # fmt: skip
 """Ranges of the family ``surfaces``."""

@@ -22,23 +22,25 @@ Vector = tuple[float, float, float]
 
 RANGES = {
     "jerk_mm_s3": Range(
-        2.0, 100.0, "a thousandth to a tenth of the jerk of slow reaches (Flash, Hogan 1985, J. Neurosci. 5)", True
+        2.0,
+        100.0,
+        "estimate: a thousandth to a twentieth of the peak of a reach of 270 mm in 2 s, 60 D/T³ (Flash, Hogan, J. Neurosci. 5 (1985) 1688)",
+        True,
     ),
     "swell_mm": Range(
-        0.03, 0.6, "Airy's waves of 1 Hz: 2 to 10 cm of height move water 1 to 1.4 m below by 0.05 to 1 mm", True
+        0.03,
+        0.6,
+        "estimate: Airy's waves of 1 Hz; 2 to 10 cm of height move water 1.4 to 1 m below by 0.04 to 0.9 mm",
+        True,
     ),
-    "swell_hz": Range(0.7, 1.3, "the short chop that still reaches a diver; longer swell is slower than a scan"),
-    "shoulder_deg": Range(
-        0.003, 0.06, "hand-held cameras turn by 0.02 to 0.4 °/s (Köhler et al. 2012, ECCV, recorded camera shake)", True
+    "swell_hz": Range(
+        0.7, 1.3, "estimate: the short chop that still reaches a diver; longer swell is slower than a scan"
     ),
-    "shoulder_hz": Range(
-        0.5, 1.5, "breathing and balance of a held arm: 0.3 to 2 Hz (postural sway, Collins, De Luca 1993)"
-    ),
-    "shoulder_back_mm": Range(
-        350.0, 550.0, "shoulder behind a device held at the elbow's height (DIN 33402-2, forearm and reach)"
-    ),
-    "shoulder_up_mm": Range(100.0, 300.0, "shoulder above it (same table)"),
-    "shoulder_side_mm": Range(150.0, 220.0, "half the breadth of the shoulders (same table)"),
+    "shoulder_deg": Range(0.003, 0.06, "estimate: 0.02 to 0.4 °/s at 1 Hz, as a camera that is held with care", True),
+    "shoulder_hz": Range(0.5, 1.5, "estimate: breathing and balance of a held arm"),
+    "shoulder_back_mm": Range(350.0, 550.0, "estimate: shoulder behind a device that is held in front of the chest"),
+    "shoulder_up_mm": Range(100.0, 300.0, "estimate: shoulder above it"),
+    "shoulder_side_mm": Range(150.0, 220.0, "estimate: half the breadth of the shoulders"),
 }
 """Ranges of the family ``hands``; directions, phases and the side of the shoulder are drawn as well."""
 

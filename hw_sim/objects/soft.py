@@ -14,11 +14,9 @@ from hw_sim.ranges import Range, drawn_strengths
 Array = NDArray[np.float64]
 
 RANGES = {
-    "wave_mm": Range(
-        0.1, 3.0, "sea fans, sponges and weed in weak surge move by millimetres (Koehl 1999, Ecol. Monogr. 69)", True
-    ),
-    "length_mm": Range(90.0, 250.0, "a third of a blade or more at a time (same)"),
-    "wave_hz": Range(0.3, 1.5, "surge and chop, as for the hands"),
+    "wave_mm": Range(0.1, 3.0, "estimate: sea fans, sponges and weed in weak surge", True),
+    "length_mm": Range(90.0, 250.0, "estimate: a third of a blade or more at a time"),
+    "wave_hz": Range(0.3, 1.5, "estimate: surge and chop, as for the hands"),
 }
 """Ranges of the family ``soft``, which is no part of the set: one scene of ten has it."""
 ONE_IN = 10

@@ -28,25 +28,31 @@ RANGES = {
     "field_px": Range(
         0.06,
         0.12,
-        "left after Brown's model in calibrated cameras: 0.05 to 0.15 px (Tang, Fritsch, Cramer, ISPRS J. 70 (2012) 86)",
+        "estimate: what parametric models leave is systematic (Schöps et al., CVPR 2020, 2535), and fields are fitted to it (R. Tang, ISPRS Archives XXXIX-B1, 2012); how much is a guess",
     ),
     "fall": Range(
-        1.0, 2.0, "spectra of polished surfaces and of fitted fields fall with the first to second power (ISO 10110-8)"
+        1.0,
+        2.0,
+        "estimate: amplitudes of fields in a plane whose spectral density along a line falls with the first to third power",
     ),
     "dent_px": Range(
         0.03,
         0.12,
-        "form of 0.1 to 0.3 fringe on 3 mm of a face (ISO 10110-5): 15 to 50 µrad in water, times a focal length of 2556 px",
+        "estimate: form of 0.1 to 0.3 fringe on 3 mm of a face: 15 to 50 µrad in water, times a focal length of 2556 px",
     ),
     "dent_width_px": Range(
-        90.0, 220.0, "a flaw of 1 to 2.5 mm in a window 30 mm before the pupil, blurred by the pupil of 1.4 mm"
+        90.0,
+        220.0,
+        "estimate: a flaw of 1 to 2.5 mm in a window 30 mm before the pupil, blurred by the pupil of 1.4 mm",
     ),
     "stria_px": Range(
-        0.02, 0.06, "striae of grade 2 to 4: 10 to 30 nm of path (ISO 10110-4; MIL-G-174B grades B to C)"
+        0.02,
+        0.06,
+        "partly estimate: 10 to 30 nm of path, the better three of the four grades of ISO 12123 for 50 mm of glass (P. Hartmann, Optical Glass, SPIE 2014, 91); sapphire has no such grades",
     ),
-    "stria_width_px": Range(70.0, 160.0, "cords of 0.5 to 2 mm, blurred by the pupil as above"),
+    "stria_width_px": Range(70.0, 160.0, "estimate: cords of 0.5 to 2 mm, blurred by the pupil as above"),
     "pupil_mm": Range(
-        0.2, 0.6, "entrance pupils of small wide lenses move by tenths of a mm (Gennery 2006, IJCV 68, section 4)"
+        0.2, 0.6, "estimate: tenths of a mm; that the pupil moves: D. B. Gennery, Int. J. Comput. Vis. 68 (2006) 239"
     ),
 }
 """Ranges of the family ``lens``; px are those of 1600."""

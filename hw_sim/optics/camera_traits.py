@@ -28,28 +28,28 @@ SHRINK = 8
 
 RANGES = {
     "full_well_e": Range(
-        8_000.0, 20_000.0, "saturation capacity in EMVA 1288 reports of 1.9 to 5 Mpx global-shutter sensors: 8 to 33 ke"
+        8_000.0, 20_000.0, "partly estimate: 9.5 ke (Sony IMX900, EMVA 1288 report by FRAMOS); larger pixels hold more"
     ),
-    "read_noise_e": Range(2.2, 26.0, "temporal dark noise in EMVA 1288 reports: 2.2 e (Pregius) to 26 e (older CMOS)"),
-    "black_dn": Range(0.5, 7.0, "black levels of 8-bit cameras at delivery: 0 to 3 %, of 255"),
-    "prnu": Range(0.003, 0.012, "PRNU1288 of the same reports: 0.3 to 1.2 %"),
-    "dsnu_e": Range(1.0, 16.0, "DSNU1288 of the same reports: 1 to 16 e"),
+    "read_noise_e": Range(
+        2.2, 26.0, "partly estimate: 2.0 to 5.6 e (same report, by gain); older CMOS sensors have more"
+    ),
+    "black_dn": Range(0.5, 7.0, "estimate: 0 to 3 % of 255 as delivered; the sensor of that report has 5.9 %"),
+    "prnu": Range(0.003, 0.012, "partly estimate: 0.7 to 0.8 % (same report); the ends are estimates"),
+    "dsnu_e": Range(1.0, 16.0, "partly estimate: 1.3 to 3.7 e (same report); older CMOS sensors have more"),
     "nonlinearity": Range(
-        0.010, 0.020, "linearity error of EMVA 1288 release 4 with 8-bit full scale: 0.2 to 2 %; here at least 1 %"
+        0.010, 0.020, "partly estimate: deviations of −1.1 to 0.6 % (same report); here at least 1 % was wanted"
     ),
     "corner_loss": Range(
         0.12,
         0.40,
-        "relative illumination of 11 to 12 mm C-mount lenses at f/4 to f/8 in makers' curves: 60 to 88 % in the corner",
+        "partly estimate: 43 % wide open in the example of Edmund Optics' imaging guide (section 3.2), less when stopped down; good lenses are sold with 10 %",
     ),
-    "row_noise_e": Range(
-        0.4, 4.0, "row temporal noise a tenth to a fifth of the pixel's (EMVA 1288 release 4, section 8.2: s²row)"
-    ),
-    "hot_per_million": Range(10.0, 300.0, "defect pixels that makers allow uncorrected: 10 to some 100 per Mpx"),
+    "row_noise_e": Range(0.4, 4.0, "estimate: a tenth to a fifth of the pixel's"),
+    "hot_per_million": Range(10.0, 300.0, "estimate: defect pixels that makers allow uncorrected"),
     "glare": Range(
         0.010,
         0.040,
-        "veiling glare index of ISO 9358: 1 to 2 % for lenses, plus two uncoated faces of sapphire (1.9 % in water, 7.7 % in air)",
+        "partly estimate: 1 to 2 % for lenses (veiling glare index of ISO 9358; the number is an estimate) and two bare faces of sapphire (1.96 % in water, 7.7 % in air, Fresnel)",
     ),
 }
 """Ranges of the family ``cameras``. The sign of ``nonlinearity`` is drawn as well."""

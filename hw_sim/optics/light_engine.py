@@ -3,7 +3,7 @@ shifts as it warms, light that is brighter in one place, and a picture that is s
 
 A digital micromirror device shows a grey as a row of flashes: each bit of the linear level is lit for a time in proportion to
 its weight, long bits are split and spread over the frame, and the whole is repeated within it (L. J. Hornbeck, Digital Light
-Processing, Proc. SPIE 3013 (1997) 27). An exposure that sees a part of a frame sees some bits more than others.
+Processing for high-brightness, high-resolution applications, Proc. SPIE 3013 (1997) 27). An exposure that sees a part of a frame sees some bits more than others.
 """
 
 # Symbols:
@@ -38,22 +38,22 @@ WATER_PER_NM = 4.1e-5
 LAMP_RISE_K = 21.0
 """The lit projector's board stands so far above the water when all has settled: 34 W through its way to the shell."""
 RANGES = {
-    "cycles": Range(1.0, 4.0, "colour or grey cycles in a frame of 60 Hz: 1 to 4 (TI DLPC350 guide DLPU010, pattern and video modes)"),
-    "order": Range(0.0, 1e6, "bit order is the controller's own; any permutation"),
-    "dark_part": Range(0.02, 0.10, "mirror reset and LED blanking: 2 to 10 % of a frame (TI DLPS013, block load and settling times)"),
-    "frame_rms": Range(0.001, 0.004, "LED driver ripple and current noise, frame to frame 0.1 to 0.4 % (Huang et al., Opt. Laser Eng. 51 (2013) 153)"),
-    "droop": Range(0.003, 0.02, "green InGaN: −0.1 to −0.3 %/K over 3 to 7 K of junction (Schubert, Light-Emitting Diodes, 2006, ch. 6)"),
-    "droop_s": Range(0.2, 2.0, "thermal time constant of an LED on its board (JESD51-51, typical step responses)"),
-    "hot_spot": Range(0.25, 0.45, "uniformity of small DLP projectors 65 to 85 % (ANSI/IEC 61947-1 uniformity in data sheets)"),
-    "hot_x": Range(-0.2, 0.2, "offset optics: brightest place off the middle, in widths"),
-    "hot_y": Range(-0.2, 0.15, "offset optics: brightest place off the middle, in widths"),
-    "hot_width": Range(0.22, 0.35, "the spot falls to half within a third of the width (same data sheets)"),
-    "focus_bend_mm": Range(-40.0, 40.0, "Petzval curvature of a 17 mm f/2.8 projection lens, in water at 0.5 m (Kingslake, Lens Design, 2010, ch. 11)"),
-    "focus_tilt_x_mm": Range(-15.0, 15.0, "chip tilted by 0.1° against the lens (Scheimpflug)"),
-    "focus_tilt_y_mm": Range(-15.0, 15.0, "chip tilted by 0.1° against the lens (Scheimpflug)"),
-    "led_shift_nm": Range(-10.0, 10.0, "binning of green LEDs: ±10 nm about the typical peak (Luminus CBT-90, Osram LE CG data sheets)"),
-    "led_width_nm": Range(25.0, 38.0, "full width at half maximum of green InGaN LEDs: 25 to 38 nm (same data sheets)"),
-    "led_nm_per_k": Range(0.02, 0.06, "shift of the peak with temperature, green InGaN (Schubert 2006, table 4.1 and ch. 6)"),
+    "cycles": Range(1.0, 4.0, "estimate: colour or grey cycles in a frame of 60 Hz; the DLPC350's guide (TI DLPU010) describes pattern and video modes"),
+    "order": Range(0.0, 1e6, "the controller's own and not published: any permutation"),
+    "dark_part": Range(0.02, 0.10, "estimate: reset and settling of the mirrors, LED blanking"),
+    "frame_rms": Range(0.001, 0.004, "estimate: ripple and current noise of LED drivers, frame to frame"),
+    "droop": Range(0.003, 0.02, "estimate: −0.1 to −0.3 %/K over 3 to 7 K of junction; that green InGaN fades as it warms: Schubert, Light-Emitting Diodes (2006)"),
+    "droop_s": Range(0.2, 2.0, "estimate: thermal time constant of an LED on its board"),
+    "hot_spot": Range(0.25, 0.45, "small projectors: 27 to 65 % less in the worst corner (picoprojector.org, 2010, three measured); a DLP projector's specification: 27 %, at most 40 %"),
+    "hot_x": Range(-0.2, 0.2, "estimate: offset optics, brightest place off the middle, in widths"),
+    "hot_y": Range(-0.2, 0.15, "estimate: offset optics, brightest place off the middle, in widths"),
+    "hot_width": Range(0.22, 0.35, "estimate: the spot falls to half within a third of the width"),
+    "focus_bend_mm": Range(-40.0, 40.0, "estimate: Petzval curvature of a 17 mm f/2.8 projection lens, in water at 0.5 m"),
+    "focus_tilt_x_mm": Range(-15.0, 15.0, "estimate: chip tilted by 0.1° against the lens (Scheimpflug)"),
+    "focus_tilt_y_mm": Range(-15.0, 15.0, "estimate: chip tilted by 0.1° against the lens (Scheimpflug)"),
+    "led_shift_nm": Range(-10.0, 10.0, "green LEDs on sale: peak 520 (Luminus PT-39), 521 (Broadcom ASMT-QTB4, dominant 525 to 537) and 527 nm (Luminus SST-10-G); 536 nm in a FRAMOS report"),
+    "led_width_nm": Range(25.0, 38.0, "partly estimate: full width at half maximum 32 nm (lamp of a FRAMOS report after EMVA 1288) and 35 nm (LuckyLight S150PGC); the ends are estimates"),
+    "led_nm_per_k": Range(0.02, 0.06, "estimate: the peak grows longer as it warms (Luminus, of its SST-10-G), by how much was not found"),
 }  # fmt: skip
 """Ranges of the family ``projector``; ``cycles`` and ``order`` are rounded."""
 
@@ -201,9 +201,10 @@ _LIMITS = {
 
 
 def sapphire_index(wavelength_nm: float) -> float:
-    """Return the ordinary index of sapphire: I. H. Malitson, J. Opt. Soc. Am. 52 (1962) 1377, three terms of Sellmeier."""
+    """Return the ordinary index of sapphire: three terms of Sellmeier of I. H. Malitson and M. J. Dodge, J. Opt. Soc. Am. 62 (1972)
+    1405, as printed by M. J. Dodge, Handbook of Laser Science and Technology IV (CRC, 1986) 30."""
     square = (wavelength_nm / 1000.0) ** 2
-    # n² − 1 = Σ A λ² / (λ² − B²), λ in µm; ordinary ray: Malitson and Dodge (1972).
+    # n² − 1 = Σ A λ² / (λ² − B²), λ in µm.
     terms = ((1.4313493, 0.0726631), (0.65054713, 0.1193242), (5.3414021, 18.028251))
     return math.sqrt(1.0 + sum(a * square / (square - b * b) for a, b in terms))
 

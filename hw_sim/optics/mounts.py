@@ -16,20 +16,24 @@ Vector = tuple[float, float, float]
 PA_PER_M = 1025.0 * 9.81
 """Pressure per metre of sea water (density times gravity)."""
 SAPPHIRE_PA, SAPPHIRE_POISSON = 4.0e11, 0.27
-"""Young's modulus and Poisson's ratio of sapphire along the c-axis's mean (Dobrovinskaya et al. 2009, Sapphire, ch. 2)."""
+"""Young's modulus and Poisson's ratio of sapphire, a round mean of its directions (handbook values, not looked up again)."""
 EYES = ("left", "right", "projector")
 
 RANGES = {
     "turn_deg_per_k": Range(
         0.0002,
         0.0010,
-        "warm-up of machine-vision cameras: 0.1 to 0.6 px over 10 to 15 K (Handel 2007; Podbreznik, Potočnik 2012)",
+        "partly estimate: 0.009 to 0.045 px per K; one camera drifts by 1.49 px over 5 to 45 °C (a study in Sensors 2022, quoted second-hand), others without a figure here: Sensors 18 (2018) 3685",
     ),
     "focal_per_k": Range(
-        2e-6, 1.2e-5, "glass 7e-6, aluminium 23e-6 per K partly balanced by dn/dT (Gray 1978, athermal lenses)"
+        2e-6,
+        1.2e-5,
+        "single glasses: −12e-6 to 28e-6 per K (T. H. Jamieson, Opt. Eng. 20 (1981), thermal effects in optical systems, as tabulated by others)",
     ),
-    "depth_m": Range(1.0, 30.0, "recreational and most scientific diving"),
-    "window_radius_mm": Range(22.0, 32.0, "free radius that a beam of ±22° needs 30 mm behind the face, with its seal"),
+    "depth_m": Range(1.0, 30.0, "estimate: recreational and most scientific diving"),
+    "window_radius_mm": Range(
+        22.0, 32.0, "estimate: free radius that a beam of ±22° needs 30 mm behind the face, with its seal"
+    ),
 }
 """Ranges of the family ``mounts``; each eye turns in a direction of its own."""
 

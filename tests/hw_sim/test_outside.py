@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import math
+import re
+import sys
 from collections.abc import Iterator
 from dataclasses import asdict, fields, replace
 from pathlib import Path
 
 import pytest
 
+from hw_sim import workshop
 from hw_sim.options import OptionError, options_from
 from hw_sim.outside import ALL, FAMILIES, Outside, draw_outside
 from hw_sim.ranges import Range
@@ -176,3 +179,19 @@ def test_a_vector_has_three_numbers() -> None:
             for given in ((0.0, 0.0), (0.0, 0.0, 0.0, 0.0)):
                 with pytest.raises(ValueError, match=f"{name}: {strength} = .*; give three numbers"):
                     FAMILIES[name].kind(**{strength: given})
+
+
+def test_the_page_says_which_ranges_are_estimates() -> None:
+    tables = {name: sys.modules[family.kind.__module__].RANGES for name, family in FAMILIES.items()}
+    tables["workshop"] = workshop.RANGES
+    page = (Path(__file__).parents[2] / "docs/outside-world.md").read_text(encoding="utf-8")
+    rows = [
+        line.split("|")[1:-1] for line in page.partition("| family | from sources |")[2].splitlines()[2:] if "|" in line
+    ]
+    said = {cells[0].strip(" `"): [set(re.findall("`(.+?)`", cell)) for cell in cells[1:]] for cells in rows}
+    for family, table in tables.items():
+        marks = {name: r.source.partition(":")[0] for name, r in table.items()}
+        estimated = {name for name, mark in marks.items() if mark == "estimate"}
+        in_part = {name for name, mark in marks.items() if mark == "partly estimate"}
+        assert said[family] == [marks.keys() - estimated - in_part, in_part, estimated], family
+    assert said.keys() == tables.keys()
