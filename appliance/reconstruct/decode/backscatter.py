@@ -7,8 +7,9 @@ of it before a bright one: bits then follow the water, and whole patches would b
 
 O is told by the fringes, which backscatter cannot have: a ray crosses many of them. So V = (bright − dark) − O is known for
 each pixel, and f is smooth over the image: it is read off pixels whose bit is beyond doubt (G < O: not set; G > V: set), and
-carried from there to their neighbours, whose bits it tells in turn. A pixel whose bit remains in doubt is masked, unless it
-lies on the border of that bit's stripes, where the phase tells the half period anyway.
+carried from there to their neighbours, whose bits it tells in turn. Where V is many times O hardly any pixel is beyond doubt;
+of fine stripes f is then ½ to begin with, since a ray crosses many of them. A pixel whose bit remains in doubt is masked,
+unless it lies on the border of that bit's stripes, where the phase tells the half period anyway.
 
 Symbols, per pixel and in grey values: G ``gray_dn``, O ``object_dn`` and ``own``, bright − dark ``light_dn``, V ``veil``,
 f ``share`` (per block of the image) and ``lit``, σ ``noise_dn`` and ``sigma``.
@@ -38,7 +39,9 @@ SPREAD_BLOCKS = 1.5
 """Standard deviation, in blocks, of the neighbourhood from which f is averaged."""
 LEAST_KNOWN = 0.03
 """Share of that neighbourhood that must be known for f to be known."""
-ROUNDS = 16
+LEVEL = 2.0
+"""Strength of the prior that f is level, in blocks squared: about what a neighbourhood known on all sides says of a slope."""
+ROUNDS = 48
 SURE = 0.75
 """Share of the fringes' estimate of O that is certainly there: blur and the projector's response differ from place to place."""
 NOISE_SIGMAS = 3.0
@@ -128,7 +131,10 @@ def _read(
     at = (slice(stride // 2, None, stride), slice(stride // 2, None, stride))
     pixels = sample_pixels(sequence, frames, at, scale)
     dark = frames[sequence.dark][at].astype(np.float32)
-    shares = np.stack([illuminated_share(frames[k][at].astype(np.float32) - dark, pixels) for k in across.gray])
+    fine = across.gray[-FINE_IMAGES:]
+    shares = np.stack(
+        [illuminated_share(frames[k][at].astype(np.float32) - dark, pixels, k in fine) for k in across.gray]
+    )
     _number(
         frames, np.array(across.gray, np.int64), np.array(across.sine, np.int64), sequence.bright, sequence.dark, shares,
         SAMPLES_PER_BLOCK * stride, scale, half_period, doubtful,
@@ -197,25 +203,50 @@ def sample_pixels(
     return SampledPixels(bright - dark, double * scale.per_half_dn, np.asarray(np.sqrt(variance), np.float32), usable)
 
 
-def illuminated_share(gray_dn: Floats, pixels: SampledPixels) -> Floats:
+def illuminated_share(gray_dn: Floats, pixels: SampledPixels, fine: bool = False) -> Floats:
     """Return f of one Gray image in each block, (rows, columns) float32; NaN where it is not known.
 
-    Alternates between averaging f over the pixels whose bit is known, and deciding the bits that this f tells.
+    Alternates between fitting f to the pixels whose bit is known, and deciding the bits that this f tells. ``fine``: the image
+    has so narrow stripes that f is ½ as far as no pixel says otherwise.
     """
     block = SAMPLES_PER_BLOCK
     state = np.empty(gray_dn.shape, np.uint8)
     _seed(gray_dn, pixels.light_dn, pixels.object_dn, pixels.noise_dn, pixels.usable, state)
     rows, columns = (-(-size // block) for size in gray_dn.shape)
-    sums, share = np.empty((rows, columns, 3), np.float32), np.empty((rows, columns), np.float32)
+    sums, share = np.empty((rows, columns, 3), np.float32), np.full((rows, columns), 0.5, np.float32)
+    if fine:
+        _decide(gray_dn, pixels.light_dn, pixels.object_dn, pixels.noise_dn, share, block, state)
     for _ in range(ROUNDS):
         _gather(gray_dn, pixels.light_dn, pixels.object_dn, state, block, sums)
-        spread = cv2.GaussianBlur(sums, (0, 0), SPREAD_BLOCKS)
-        known = spread[..., 0] > LEAST_KNOWN * block * block
-        share[:] = np.clip(spread[..., 1] / np.maximum(spread[..., 2], np.float32(1e-3)), 0.0, 1.0)
-        share[~known] = np.nan
+        share[:] = _smooth_share(sums)
+        if fine:
+            share[np.isnan(share)] = 0.5
         if not _decide(gray_dn, pixels.light_dn, pixels.object_dn, pixels.noise_dn, share, block, state):
             break
     return share
+
+
+def _smooth_share(sums: Floats) -> Floats:
+    """Return f (rows, columns) float32 of blocks from their ``sums`` (``_gather``), as a plane fitted to the neighbourhood of each;
+    NaN where too little of that is known.
+
+    A plane, for f is carried on into parts of the image where no bit is known yet: a mean would lag behind there.
+    """
+    y, x = np.mgrid[: sums.shape[0], : sums.shape[1]].astype(np.float64)
+    known, lit, veil = (sums[..., k].astype(np.float64) for k in range(3))
+    # Weighted by V: minimise Σ w V (g / V − f − a Δx − b Δy)², g = f V of the block; w is Gaussian.
+    moments = [known, veil, veil * x, veil * y, veil * x * x, veil * x * y, veil * y * y, lit, lit * x, lit * y]
+    n, s, sx, sy, sxx, sxy, syy, g, gx, gy = (cv2.GaussianBlur(m, (0, 0), SPREAD_BLOCKS) for m in moments)
+    # About the block's own place, with a weak prior of slopes of 0.
+    prior = LEVEL * s + 1e-6
+    sxx, sxy, syy = sxx - 2.0 * x * sx + x * x * s, sxy - x * sy - y * sx + x * y * s, syy - 2.0 * y * sy + y * y * s
+    sx, sy, gx, gy, sxx, syy = sx - x * s, sy - y * s, gx - x * g, gy - y * g, sxx + prior, syy + prior
+    # Cramer's rule for f. What the plane leaves of the weight: all of it where neighbours lie around, little at the end of a lever.
+    down, across, both = sxx * syy - sxy * sxy, sx * syy - sxy * sy, sx * sxy - sxx * sy
+    weight = s * down - sx * across + sy * both
+    share = (g * down - gx * across + gy * both) / np.maximum(weight, 1e-9)
+    share[n * weight <= LEAST_KNOWN * SAMPLES_PER_BLOCK**2 * s * down] = np.nan
+    return np.asarray(np.clip(share, 0.0, 1.0), np.float32)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
