@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from dataclasses import asdict, fields, replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from hw_sim import workshop
@@ -195,3 +196,22 @@ def test_the_page_says_which_ranges_are_estimates() -> None:
         in_part = {name for name, mark in marks.items() if mark == "partly estimate"}
         assert said[family] == [marks.keys() - estimated - in_part, in_part, estimated], family
     assert said.keys() == tables.keys()
+
+
+NOT_ZERO: dict[str, dict[str, object]] = {
+    "backscatter": {"index": 1.10, "slope": 3.5835},
+    "projector": {"droop_s": 1.0, "hot_width": 0.3},
+    "surfaces": {"white": 0.6, "gloss_index": 1.0, "roughness": 0.3, "below_mm": 0.3},
+    "lens": {"fall": 1.0, "dent_width_px": 120.0, "stria_width_px": 100.0},
+    "cameras": {"full_well_e": 11_000.0, "read_noise_e": 9.0, "black_dn": 3.0, "prnu": 0.006, "dsnu_e": 5.0},
+    "hands": {"swell_hz": 1.0, "shoulder_hz": 1.0, "shoulder_mm": (180.0, -200.0, -450.0)},
+    "mounts": {"window_radius_mm": 25.0},
+    "soft": {"length_mm": 120.0, "wave_hz": 1.0},
+}
+"""Sizes, rates and indices of what has no amount yet, and the common sensor that a camera has at least."""
+
+
+@pytest.mark.parametrize("name", list(FAMILIES))
+def test_what_is_not_given_is_nothing(name: str) -> None:
+    given = asdict(FAMILIES[name].kind())
+    assert {key: value for key, value in given.items() if np.any(value)} == NOT_ZERO.get(name, {})

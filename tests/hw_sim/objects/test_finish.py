@@ -97,6 +97,19 @@ def test_gloss_shines_where_a_mirror_would_and_nowhere_else() -> None:
     assert 0.3 * straight < shine < 1.3 * straight
 
 
+def test_water_takes_as_much_of_the_gloss_as_of_all_other_light() -> None:
+    truth = draw_truth("nominal", 1, 160, 120, Water().index)
+    shines = []
+    for per_m in (0.0, 2.0):
+        water = replace(CLEAR, attenuation_per_m=per_m)
+        scene = Scene("plane", (0.0, 0.0, 522.5, 0.0, 6.2, 0.0), "none", water, 0.0, False)
+        stages = [Stage(truth, None, coat) for coat in (None, Finish(gloss_index=1.16, roughness=0.2))]
+        lit = [stage.geometry("left", scene, stage.pose(scene, 0.0)).pixels[20:100, 20:140, 2] for stage in stages]
+        shines.append(lit[1].astype(np.float64) / lit[0] - 1.0)
+    np.testing.assert_allclose(shines[1], shines[0], rtol=1e-3)
+    assert shines[0].min() > 0.02
+
+
 def test_a_corner_gets_as_much_from_its_other_side_as_drawn_rays_fetch() -> None:
     truth = draw_truth("nominal", 1, 160, 120, Water().index)
     stage = Stage(truth)
@@ -133,6 +146,23 @@ def test_a_corner_gets_as_much_from_its_other_side_as_drawn_rays_fetch() -> None
         fetched += 0.6 * max(float(ahead @ (pose.R @ normal)), 0.0) * spread**2 * float(ahead[2]) ** 4
     assert made == pytest.approx(fetched / 6000.0, rel=0.25)
     assert made > 0.03, "per cent of white, on the plate beside the slope"
+
+
+def test_what_a_corner_gets_goes_with_its_white_and_is_dimmed_on_both_ways_through_the_water() -> None:
+    """From the projector to one side and from there to the other: some 55 cm, whatever the pair of places."""
+    stage = Stage(draw_truth("nominal", 1, 160, 120, Water().index))
+
+    def fallen(white: float, per_m: float) -> float:
+        scene = Scene("frustum", (0.0, 0.0, 545.0, 0.0, 0.0, 0.0), "none", replace(CLEAR, attenuation_per_m=per_m))
+        return float(stage.bounce(scene, Finish(white=white, bounce=1.0)).irradiance(WHITE).sum())
+
+    usual = fallen(0.6, 0.0)
+    assert fallen(0.3, 0.0) == pytest.approx(0.5 * usual, rel=0.02), "light too weak to be looked at is missing"
+    # Mean lengths: the first way by the projector's height over plate and slopes, the second across the crease.
+    way_mm = -1000.0 * math.log(fallen(0.6, 1.0) / usual)
+    assert 515.0 < way_mm < 600.0
+    first_mm = 545.0 - 35.0
+    assert way_mm > first_mm + 10.0
 
 
 def test_a_plane_lights_itself_nowhere_and_a_dark_projector_lights_nothing() -> None:
