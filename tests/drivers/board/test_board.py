@@ -321,6 +321,36 @@ def test_commands_after_the_loss_of_the_port_fail_at_once_with_the_reason() -> N
         assert not far.commands
 
 
+def test_a_loss_that_the_writer_and_then_the_reader_notice_is_told_once_by_its_first_reason(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def no_way_out(line: bytes) -> int:
+        raise OSError(errno.EIO, "Input/output error")
+
+    with connected() as (far, board):
+        monkeypatch.setattr(board._port, "write", no_way_out)
+        with pytest.raises(DeviceGone):
+            board.stop()
+        far.unplug()  # the way in is gone now, too
+        lost = wait_for(board, BoardLost, 1.0)
+        assert isinstance(lost, BoardLost)
+        assert lost.reason.startswith("port failed")
+        assert board.next_event(0.3) is None
+        with pytest.raises(DeviceGone, match="port failed"):
+            board.vsync()
+
+
+def test_what_only_a_later_board_reports_is_passed_over_and_counts_as_received() -> None:
+    with connected() as (far, board):
+        far.say(
+            line("R", 4, "PULSE", 0, 100, 1000) + line("R", 5, "SALINITY", 35) + line("R", 6, "PULSE", 1, 101, 17667)
+        )
+        assert board.next_event(1.0) == Pulse(0, 100, 1000)
+        assert board.next_event(1.0) == Pulse(1, 101, 17667)
+        assert board.counters.lost_reports == 0
+        assert board.counters.damaged_lines == 0
+
+
 def test_a_bench_bridge_gets_its_baud_rate_and_a_second_program_is_kept_out() -> None:
     with connected() as (far, _):
         assert termios.tcgetattr(far._slave)[5] == termios.B115200
