@@ -33,6 +33,9 @@ class Wall:
     """Factor of the ambient light in each frame; none: steady."""
     patches: dict[int, NDArray[np.float64]] = field(default_factory=dict)
     """Extra light (h, w) in single frames, as a share of white."""
+    bits: tuple[float, ...] = ()
+    """What each bit of a code, from the highest one on, gives beyond its part, as a share of white: an exposure that sees a part of
+    a frame sees some of a projector's bits longer than others."""
 
 
 def wall(seed: int, darkest: float = 0.02, brightest: float = 0.9) -> NDArray[np.float64]:
@@ -67,6 +70,12 @@ def light(sequence: PatternSequence, shift_px: float = 0.0) -> NDArray[np.float6
     return shown
 
 
+def with_bits(shown: NDArray[np.float64], bits: tuple[float, ...]) -> NDArray[np.float64]:
+    """The light (n, h, w) of a projector whose bits are not worth what they should be."""
+    code = np.rint(255.0 * shown).astype(np.int64)
+    return shown + sum((more * ((code >> (7 - k)) & 1) for k, more in enumerate(bits)), np.zeros_like(shown))
+
+
 def photograph(
     scene: Wall,
     exposure: Exposure,
@@ -82,7 +91,7 @@ def photograph(
     rng = np.random.default_rng(seed)
     frames = {}
     for side, shift_px in (("left", 0.0), ("right", 17.0)):
-        arriving = light(sequence, shift_px) + flicker[:, None, None] * scene.ambient
+        arriving = with_bits(light(sequence, shift_px), scene.bits) + flicker[:, None, None] * scene.ambient
         for k, extra in scene.patches.items():
             arriving[k] += extra
         grey = WHITE_DN_PER_US * exposure.light * scene.albedo * arriving

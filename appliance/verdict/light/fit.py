@@ -26,7 +26,7 @@ BINS = 2000
 STRIPE_EDGE = 0.3
 """Share of the contrast below which a pixel lies in a dark stripe, and above one minus which it lies in an
 illuminated one."""
-SHIFT_TERMS, TWICE_TERMS = 11, 3
+SHIFT_TERMS, TWICE_TERMS = 11, 7
 COSINE, SINE, THIRD, SIGMA, EXPECTED = range(5)
 """Rows of what ``fit_blocks`` finds."""
 
@@ -91,14 +91,23 @@ def fit_blocks(
             shift[7, j], shift[8, j], shift[9, j] = x * x, x * y, y * y
             # The water's backscatter is in the contrast, and has no fringes: a larger share of it before what is dark.
             shift[10, j] = usual / light[j]
+            # Harmonics 2, 6 and 10: those that four steps of 90° leave in the third difference. Beyond the second they come from
+            # an exposure that sees a part of the projector's bit planes, which makes steps of the sine.
             twice[0, j], twice[1, j], twice[2, j] = 1.0, c2, s2
+            c4, s4 = c2 * c2 - s2 * s2, 2.0 * c2 * s2
+            c6, s6 = c4 * c2 - s4 * s2, s4 * c2 + c4 * s2
+            twice[3, j], twice[4, j] = c6, s6
+            twice[5, j], twice[6, j] = c6 * c4 - s6 * s4, s6 * c4 + c6 * s4
         of_shift, found[SIGMA, k], found[EXPECTED, k] = regress(length, shift, light)
         found[COSINE, k], found[SINE, k] = of_shift[0], of_shift[1]
-        # The third difference: its mean is a change of light, its terms at 2 φ are the projector's second harmonic.
+        # The third difference: its mean is a change of light, its terms at 2, 6 and 10 φ are the projector's harmonics.
         of_twice, _, _ = regress(third, twice, light)
         found[THIRD, k] = of_twice[0]
         for j in range(n):
-            rest[block[j]] = third[j] - of_twice[0] - of_twice[1] * twice[1, j] - of_twice[2] * twice[2, j]
+            left = third[j]
+            for a in range(TWICE_TERMS):
+                left -= of_twice[a] * twice[a, j]
+            rest[block[j]] = left
     return found, rest
 
 

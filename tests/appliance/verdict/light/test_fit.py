@@ -67,7 +67,8 @@ def test_every_block_is_fitted_as_numpy_fits_it(seed: int) -> None:
         dark = contrast[block].mean() / contrast[block]
         terms = np.stack([*waves, np.ones_like(x), x, y, x * x, x * y, y * y, dark], axis=1)
         shift, sigma, expected = by_numpy(length[block] / contrast[block], terms, contrast[block])
-        twice = np.stack([np.ones_like(x), np.cos(2.0 * t), np.sin(2.0 * t)], axis=1)
+        harmonics = [wave(m * t) for m in (2.0, 6.0, 10.0) for wave in (np.cos, np.sin)]
+        twice = np.stack([np.ones_like(x), *harmonics], axis=1)
         level, _, _ = by_numpy(third[block], twice, contrast[block])
         left[block] -= twice @ level
         wanted = {COSINE: shift[0], SINE: shift[1], THIRD: level[0], SIGMA: sigma, EXPECTED: expected}

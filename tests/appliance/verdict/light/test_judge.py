@@ -72,6 +72,16 @@ def test_the_proposal_uses_the_scale_and_does_not_leave_it(exposure: Exposure, a
     assert np.quantile(frames[0], 0.997) > 125 or proposed == STEPS[-1]
 
 
+@pytest.mark.parametrize("bits", [(0.02, -0.025, 0.02), (-0.015, 0.02, -0.03)])
+def test_bits_that_an_exposure_sees_in_part_are_no_flicker(bits: tuple[float, ...]) -> None:
+    """Steps of the sine have harmonics 6 and 10, which neighbours have in common as they have a net of caustics."""
+    steady = judge(Wall(wall(5, 0.3, 0.5), bits=bits))
+    assert steady.fault is None
+    lamp = judge(Wall(wall(5, 0.3, 0.5), ambient=0.3, flicker=mains(0.8), bits=bits))
+    assert lamp.fault is not None
+    assert lamp.fault.code is FaultCode.LIGHT_FLICKERS
+
+
 def test_what_is_right_is_left_alone() -> None:
     good = judge(Wall(wall(4, 0.1, 0.55), ambient=0.05))
     assert good.proposal is None
