@@ -32,6 +32,61 @@ def test_a_file_that_ends_in_its_header_has_no_size_or_the_right_one(kind: str) 
     assert size_px(b"") is None
 
 
+def tiff(order: str, *entries: tuple[int, int, int]) -> bytes:
+    """A TIFF's head and its first directory, which begins at byte 20: (tag, kind, value) each, kind 3 short and 4 long."""
+    mark = b"II*\0" if order == "<" else b"MM\0*"
+    body = mark + struct.pack(order + "I", 20) + bytes(12) + struct.pack(order + "H", len(entries))
+    for tag, kind, value in entries:
+        short = struct.pack(order + "H", value & 0xFFFF) + b"\0\0" if kind == 3 else struct.pack(order + "I", value)
+        body += struct.pack(order + "HHI", tag, kind, 1) + short
+    return body
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize("kind", [3, 4])
+def test_a_tiff_of_either_byte_order_says_its_size_in_short_or_long_numbers(order: str, kind: int) -> None:
+    entries = (254, 4, 0), (256, kind, 1600), (257, kind, 1200), (258, 3, 8)
+    assert size_px(tiff(order, *entries)) == (1600, 1200)
+    assert size_px(tiff(order, *entries[1:])) == (1600, 1200)
+    assert size_px(tiff(order, (257, kind, 1200), (256, kind, 1600))) == (1600, 1200)
+    assert size_px(tiff(order, *entries[:2])) is None, "without a height"
+    assert size_px(tiff(order, (256, 5, 1600), (257, kind, 1200))) is None, "a width that is no whole number"
+    # A directory may say that it has 65,535 entries: those of a picture are among the first.
+    assert size_px(tiff(order, *((300, 3, 0) for _ in range(30)), *entries)) == (1600, 1200)
+
+
+def test_a_bitmap_may_be_of_the_first_kind_or_begin_with_its_upper_row() -> None:
+    head = b"BM" + bytes(12)
+    assert size_px(head + struct.pack("<IHH", 12, 640, 480)) == (640, 480)
+    assert size_px(head + struct.pack("<Iii", 40, 640, 480)) == (640, 480)
+    assert size_px(head + struct.pack("<Iii", 40, 640, -480)) == (640, 480)
+    assert size_px(head + struct.pack("<I", 40)) is None
+
+
+def jpeg(*segments: bytes) -> bytes:
+    return b"\xff\xd8" + b"".join(segments)
+
+
+FRAME = struct.pack(">HBHHB", 8, 8, 480, 640, 1)
+"""A frame header: its length, bits, height, width."""
+
+
+@pytest.mark.parametrize("marker", [0xC0, 0xC1, 0xC2, 0xC3, 0xC9, 0xCF])
+def test_a_jpeg_says_its_size_where_its_frame_starts_whatever_comes_before(marker: int) -> None:
+    frame = bytes([0xFF, marker]) + FRAME
+    comment = b"\xff\xfe" + struct.pack(">H", 7) + b"\xff\xc0abc"
+    table = b"\xff\xc4" + struct.pack(">H", 6) + bytes(4)
+    assert size_px(jpeg(frame)) == (640, 480)
+    assert size_px(jpeg(comment, table, frame)) == (640, 480), (
+        "a table of codes and what looks like a frame in a comment"
+    )
+    assert size_px(jpeg(comment, b"\xff\xff\xff", frame)) == (640, 480), "filling"
+    assert size_px(jpeg(b"\xff\x01", b"\xff\xd0", frame)) == (640, 480), "markers that have no length"
+    assert size_px(jpeg(b"\xff\xfe\0\0", frame)) == (640, 480), "a length that does not count itself"
+    assert size_px(jpeg(comment)) is None
+    assert size_px(jpeg(b"\xff\xfe\0\x03", frame)) is None, "a segment that ends where no other begins"
+
+
 def promised(width_px: int, height_px: int) -> bytes:
     """A PNG of grey zeros, a thousandth of the memory it asks for."""
 
