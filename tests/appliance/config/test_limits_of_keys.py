@@ -154,3 +154,24 @@ def test_an_output_of_a_graphics_card_names_card_and_connector(output: str, key:
 @pytest.mark.parametrize("name", ["K", "ü"])
 def test_one_letter_is_a_name(name: str) -> None:
     assert parse_rig(PACKAGED.replace('name = "Kingfisher"', f'name = "{name}"', 1)).rig.name == name
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("gain_db = 0.0", "gain_db = true", "camera.left.gain_db true is not a valid number; allowed: 0..48 dB; correct it in rig.toml"),
+        ("width_px = 1600", 'width_px = "x"', 'camera.left.width_px "x" is not a valid integer; allowed: 64..8192 px; correct it in rig.toml'),
+        ('root = "/var/lib/kingfisher"', 'root = ""', 'storage.root "" is not a path in quotes; correct it in rig.toml'),
+        ("width_px = 1600\n", "", "camera.left.width_px missing; allowed: 64..8192 px; add it to rig.toml"),
+        (
+            "[scan]",
+            "[scan]\nzzzz = 1",
+            "scan.zzzz unknown key; known here: period_px, shortest_exposure_ms, longest_exposure_ms, most_gain_db (rig.toml)",
+        ),
+    ],
+)  # fmt: skip
+def test_a_refusal_names_key_value_range_and_remedy_in_this_order(old: str, new: str, said: str) -> None:
+    assert old in PACKAGED
+    with pytest.raises(ConfigError) as caught:
+        parse_rig(PACKAGED.replace(old, new, 1), "rig.toml")
+    assert str(caught.value) == f"CONFIG: {said}"
