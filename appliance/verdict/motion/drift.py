@@ -4,7 +4,8 @@ Four steps of 90° leave one combination that holds no phase, C = I₀ − I₁ 
 what daylight adds between images (in proportion to the modulation) and for the second harmonic of the projector's light
 (cos 2φ). A fringe that drifts by ε from image to image makes C = 2 ε B (sin φ − cos φ). Least squares over a cell of the
 pattern therefore tell ε, signed. Flickering and drifting daylight adds a part of the mean light and of the modulation to each image, and the
-projector's second harmonic a cos 2φ: all three are terms of the fit. Depth steps, shadows and edges of albedo at rest give the same
+projector's second harmonic a cos 2φ: all three are terms of the fit. So is its sixth, the only other one below the tenth that is
+left in C: a light that is made of bit planes and seen for a part of a frame has steps, and these have harmonics. Depth steps, shadows and edges of albedo at rest give the same
 C as any other pixel: nothing. Cells are squares of the *pattern*, so that both cameras' cells are the same place on the
 thing, whatever its shape.
 """
@@ -26,11 +27,12 @@ SAMPLES = 120_000
 """Pixels of a camera that are looked at, about."""
 # Symbols of the kernels. At a pixel (u, v) with pattern coordinates (p, q): a, b, c, d are the four sine images I₀..I₃,
 # (cosine, sine) = B (cos φ, sin φ), and C = a − b + c − d (left_over). x holds the terms that C is fitted by: B, B cos
-# φ, B sin φ, B cos 2φ, B sin 2φ, and the mean light. A row of sums holds the upper triangle of their normal equations,
+# φ, B sin φ, B cos 2φ, B sin 2φ, the mean light, B cos 6φ and B sin 6φ. A row of sums holds the lower triangle of their normal equations,
 # then the products with C, C², and the sums named by the constants below.
 
-_TERMS = 6
+_TERMS = 8
 _PRODUCTS = _TERMS * (_TERMS + 1) // 2
+_SIXTH = (_TERMS - 2) * (_TERMS - 1) // 2
 _RIGHT = _PRODUCTS
 _SQUARE = _RIGHT + _TERMS
 _COUNT, _U, _V, _INVERSE, _LIGHT, _SLOPE, _SLOPES, _TEXTURE, _TEXTURES = (_SQUARE + 1 + k for k in range(9))
@@ -63,9 +65,16 @@ class DriftMap:
     texture_per_px2: NDArray[np.float64]
     """Mean square of how much the light changes per pattern px across the fringes, in modulations."""
     uneven_rad2: NDArray[np.float64]
-    """Mean square difference, from one pixel to the next, of the phase error that moving albedo makes."""
+    """Mean square difference, from one pixel to that below, of the phase error that moving albedo makes."""
     second2: NDArray[np.float64]
     """Square of the second harmonic's share of the first, of the projector's light as it was recorded."""
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _second(cosine: float, sine: float, modulation: float) -> tuple[float, float]:
+    """Return cos 2φ and sin 2φ of a pixel with B cos φ, B sin φ and B."""
+    squared = modulation * modulation
+    return (cosine * cosine - sine * sine) / squared, 2.0 * cosine * sine / squared
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -98,24 +107,36 @@ def _accumulate(
             modulation = np.sqrt(cosine * cosine + sine * sine)
             if modulation < 2.0:
                 continue
-            # The combination that holds no phase, and the terms by which it is explained.
+            # The combination that holds no phase, and the terms by which it is explained. With z = e^{2iφ}, z³ is the sixth harmonic.
             left_over = a - b + c - d
+            second_cosine, second_sine = _second(cosine, sine, modulation)
             x = (
                 modulation,
                 cosine,
                 sine,
-                (cosine * cosine - sine * sine) / modulation,
-                2.0 * cosine * sine / modulation,
+                modulation * second_cosine,
+                modulation * second_sine,
                 0.25 * (a + b + c + d),
             )
-            # Normal equations of the cell.
+            sixth_cosine = modulation * second_cosine * (second_cosine * second_cosine - 3.0 * second_sine * second_sine)
+            sixth_sine = modulation * second_sine * (3.0 * second_cosine * second_cosine - second_sine * second_sine)
+            # Normal equations of the cell, x xᵀ row by row up to the diagonal: the last two rows by themselves, for
+            # loops as short as this are unrolled.
             s = sums[row, column]
             k = 0
-            for i in range(_TERMS):
-                for j in range(i, _TERMS):
+            for i in range(_TERMS - 2):
+                for j in range(i + 1):
                     s[k] += x[i] * x[j]
                     k += 1
                 s[_RIGHT + i] += x[i] * left_over
+            for j in range(_TERMS - 2):
+                s[_SIXTH + j] += sixth_cosine * x[j]
+                s[_SIXTH + _TERMS - 1 + j] += sixth_sine * x[j]
+            s[_SIXTH + _TERMS - 2] += sixth_cosine * sixth_cosine
+            s[_PRODUCTS - 2] += sixth_sine * sixth_cosine
+            s[_PRODUCTS - 1] += sixth_sine * sixth_sine
+            s[_RIGHT + _TERMS - 2] += sixth_cosine * left_over
+            s[_RIGHT + _TERMS - 1] += sixth_sine * left_over
             s[_SQUARE] += left_over * left_over
             # Means over the cell: where it lies, 1/B² and light for the noise of its phase.
             s[_COUNT] += 1.0
@@ -147,12 +168,15 @@ def _left_over_at(a: float, b: float, c: float, d: float, fit: NDArray[np.float6
     cosine, sine = 0.5 * (a - c), 0.5 * (d - b)
     squared = cosine * cosine + sine * sine
     modulation = np.sqrt(max(squared, 1.0))
+    second_cosine, second_sine = _second(cosine, sine, modulation)
     expected = (
         fit[0] * modulation
         + fit[1] * cosine
         + fit[2] * sine
-        + (fit[3] * (cosine * cosine - sine * sine) + fit[4] * 2.0 * cosine * sine) / modulation
+        + modulation * (fit[3] * second_cosine + fit[4] * second_sine)
         + fit[5] * 0.25 * (a + b + c + d)
+        + fit[6] * modulation * second_cosine * (second_cosine * second_cosine - 3.0 * second_sine * second_sine)
+        + fit[7] * modulation * second_sine * (3.0 * second_cosine * second_cosine - second_sine * second_sine)
     )
     return a - b + c - d - expected, squared
 
@@ -173,26 +197,29 @@ def _left_over(
     sums: NDArray[np.float64],
 ) -> None:
     """Write into ``sums`` (rows, columns) how much what C leaves beside ``fit`` (rows, columns, _TERMS) differs from
-    one pixel to the next, without the cameras' noise, as mean square over that of twice the modulation."""
+    one pixel to that below, without the cameras' noise, as mean square over that of twice the modulation.
+
+    Down an x-fringe the phase hardly changes: what the light's own steps leave of the fit, which follows the phase, is none of it.
+    """
     height, width = p_px.shape
     count = np.zeros(sums.shape)
-    for v in range(stride // 2, height, stride):
+    for v in range(stride // 2, height - 1, stride):
         for u in range(stride // 2 + 1, width - 1, stride):
-            # The pixel and the one to its right must both have a coordinate; the first one's says which cell they count in.
+            # The pixel and the one below it must both have a coordinate; the first one's says which cell they count in.
             p, q = p_px[v, u], q_px[v, u]
-            if not (p >= 0.0 and q >= 0.0 and p_px[v, u + 1] >= 0.0):
+            if not (p >= 0.0 and q >= 0.0 and p_px[v + 1, u] >= 0.0):
                 continue
             row, column = int(q / cell_px), int(p / cell_px)
             if row >= sums.shape[0] or column >= sums.shape[1]:
                 continue
-            # C − fit here and at the pixel to the right: what differs is no drift, which neighbours share.
+            # C − fit here and at the pixel below: what differs is no drift, which neighbours share.
             f = fit[row, column]
             a, b, c, d = np.float64(i0[v, u]), np.float64(i1[v, u]), np.float64(i2[v, u]), np.float64(i3[v, u])
             here, squared = _left_over_at(a, b, c, d, f)
             # Mean light of both pixels' four images, for the noise.
             light = 0.25 * (a + b + c + d)
             a, b, c, d = (
-                np.float64(i0[v, u + 1]), np.float64(i1[v, u + 1]), np.float64(i2[v, u + 1]), np.float64(i3[v, u + 1])
+                np.float64(i0[v + 1, u]), np.float64(i1[v + 1, u]), np.float64(i2[v + 1, u]), np.float64(i3[v + 1, u])
             )  # fmt: skip
             beside, _ = _left_over_at(a, b, c, d, f)
             light += 0.25 * (a + b + c + d)
@@ -235,10 +262,10 @@ def _solve(
     count = sums[..., _COUNT]
     enough = count >= MIN_PIXELS
     normal = np.empty((*count.shape, _TERMS, _TERMS))
-    upper = np.triu_indices(_TERMS)
-    # The full symmetric matrix from its upper triangle.
-    normal[..., upper[0], upper[1]] = sums[..., :_PRODUCTS]
-    normal[..., upper[1], upper[0]] = sums[..., :_PRODUCTS]
+    lower = np.tril_indices(_TERMS)
+    # The full symmetric matrix from its lower triangle.
+    normal[..., lower[0], lower[1]] = sums[..., :_PRODUCTS]
+    normal[..., lower[1], lower[0]] = sums[..., :_PRODUCTS]
     # A little of the trace keeps cells with few fringes solvable; it is far below what any cell can tell.
     trace = np.trace(normal, axis1=-2, axis2=-1)
     normal += (1e-6 * np.maximum(trace, 1.0))[..., None, None] * np.eye(_TERMS)
@@ -248,7 +275,7 @@ def _solve(
     # Residual variance of the fit: (Σ C² − fit · right) / degrees of freedom.
     rest = np.maximum(sums[..., _SQUARE] - np.sum(fit * right, -1), 0.0) / np.maximum(count - _TERMS, 1.0)
     # C = 2 ε B (sin φ − cos φ): the coefficients of B sin φ and B cos φ are 2 ε and −2 ε; ε is a quarter of their difference.
-    tells = np.array([0.0, -0.25, 0.25, 0.0, 0.0, 0.0])
+    tells = np.array([0.0, -0.25, 0.25, 0.0, 0.0, 0.0, 0.0, 0.0])
     # A second harmonic κ puts 4 κ cos 2φ into C, and a drift bends φ itself, by 2 ε κ sin 2φ (cos φ − sin φ): of the
     # drift's own terms, 4 κ² are then missing from C.
     second2 = (fit[..., 3] ** 2 + fit[..., 4] ** 2) / 16.0

@@ -23,6 +23,9 @@ DRIFT_FLOOR_PX, EDGE_FLOOR_PX, FLOW_FLOOR_PX = 0.001, 0.025, 0.01
 """Errors of the statistics at rest beside their noise: pattern px per frame, pattern px, binned px."""
 CHANGE, EARLY_CHANGE = (1.045, 0.020), (1.10, 0.07)
 """The differences of means at rest, in units of noise, and their standard deviations: rounding, and the projector's bends."""
+LOCKED_LEFT = 0.04
+"""Share of what was taken out of a change, as following the phase, by which the rest may still be wrong: a light that has steps is
+seen through an optics that changes over the picture."""
 MIN_EDGE_CELLS = 6
 
 Array = NDArray[np.float64]
@@ -69,7 +72,11 @@ def drift_trend(harm: Harm) -> DriftTrend | None:
     normal = basis.T @ (weight[:, None] * basis) + 1e-9 * np.eye(3)
     inverse = np.linalg.inv(normal)
     fit = inverse @ (basis.T @ (weight * harm.drift_px[known]))
-    sd = np.sqrt(np.diag(inverse))
+    # Birge's ratio: cells that scatter about the trend more than they say know it less well, all of them. Light from the next
+    # surface in a corner, for one, has harmonics of its own.
+    beside = weight * (harm.drift_px[known] - basis @ fit) ** 2
+    birge = np.sqrt(max(1.0, float(np.sum(beside)) / max(beside.size - basis.shape[1], 1)))
+    sd = np.sqrt(np.diag(inverse)) * birge
     score = float(np.max(np.abs(fit) / np.hypot(sd, DRIFT_FLOOR_PX)))
     return DriftTrend(float(fit[0]), float(fit[1]), float(fit[2]), (float(sd[0]), float(sd[1]), float(sd[2])), score)
 
@@ -123,5 +130,5 @@ def texture_score(textures: Mapping[str, TextureShift]) -> float | None:
     for one in textures.values():
         if one.change is not None and one.early_change is not None:
             pairs = ((one.change, CHANGE), (one.early_change, EARLY_CHANGE))
-            scores += [(value - usual) / sd for value, (usual, sd) in pairs]
+            scores += [(value - usual) / float(np.hypot(sd, LOCKED_LEFT * one.locked)) for value, (usual, sd) in pairs]
     return max(scores) if scores else None

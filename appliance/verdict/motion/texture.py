@@ -1,13 +1,14 @@
 """Owns whether the texture stood still: the fringes' mean of one direction against that of the other, and how it flowed.
 
 Four steps of 90° add up to an image without fringes. The one of the x-sines and the one of the y-sines are eleven frames
-apart; at rest they differ by noise, once the daylight's change is fitted as a gain. Texture is divided by its surroundings
+apart; at rest they differ by noise, once the daylight's change is fitted as a gain, and by what is left of the fringes: four
+steps take out all harmonics of a light that is no pure sine but each fourth one. That part follows the phase, and is taken out by it. Texture is divided by its surroundings
 before it is followed: the projector's light stays with the instrument, only albedo moves.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numba
@@ -30,6 +31,10 @@ MIN_CONTRAST = 4.0
 MIN_POINTS = 6
 LEAST_PIXELS = 200
 """Binned pixels that show the object, away from its outline; of fewer nothing is said."""
+LOCKED_FROM = 1.1
+"""A difference, in units of noise, from which on its part that follows the phase is looked for: at rest there is none below it."""
+LOCKED_BINS, LOCKED_ROUNDS = 24, 2
+"""Bins of a quarter of a fringe, and rounds in which both directions' parts are found in turn."""
 CLIP, CLIPPED = 2.5, 0.986
 """Differences beyond so many standard deviations count as that; and what this leaves of a normal one's."""
 
@@ -49,6 +54,8 @@ class TextureShift:
     """Number of frames between the two means."""
     bin_px: int
     """The camera's pixels that were binned, along a side."""
+    locked: float = 0.0
+    """What followed the phase and was taken out of both changes, in units of noise."""
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -117,7 +124,16 @@ def texture_shift(
     noise = float(dark + per_dn * np.mean(first[inside])) / pixels
     change = _difference(first, second, inside, noise * (0.25 + 0.25))
     early_change = _difference(early, first, inside, noise * (0.5 + 0.25))
-    return _flow(_follow(first, second, valid, inside, 0.25 * noise), change, early_change, apart, bin_px)
+    locked = 0.0
+    if max(change, early_change) > LOCKED_FROM:
+        at = (slice(middle, None, bin_px), slice(middle, None, bin_px))
+        fringes = _fringes(decoded, inside, sequence.period_px, at)
+        before = max(change, early_change)
+        change = _difference(first, second, inside, noise * (0.25 + 0.25), fringes)
+        early_change = _difference(early, first, inside, noise * (0.5 + 0.25), fringes)
+        locked = float(np.sqrt(max(before**2 - max(change, early_change) ** 2, 0.0)))
+    flows = _follow(first, second, valid, inside, 0.25 * noise)
+    return replace(_flow(flows, change, early_change, apart, bin_px), locked=locked)
 
 
 def _flow(
@@ -133,11 +149,47 @@ def _flow(
     return TextureShift(shift_px, sd * bin_px, change, early_change, apart, bin_px)
 
 
-def _difference(a: NDArray[np.float32], b: NDArray[np.float32], inside: NDArray[np.bool_], variance: float) -> float:
-    """Return the RMS of b − gain · a without what is smooth, robust, in standard deviations of noise."""
+@dataclass(frozen=True, slots=True)
+class _Fringes:
+    """Where in a quarter of a fringe each pixel lies, for both directions: (pixels inside,) each, 0..``LOCKED_BINS`` − 1."""
+
+    bins: tuple[NDArray[np.int64], NDArray[np.int64]]
+
+    def without(self, rest: NDArray[np.float32], light: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return differences (pixels,) without their part that follows the phase, in proportion to the ``light``."""
+        left = rest.astype(np.float64)
+        for _ in range(LOCKED_ROUNDS):
+            for at in self.bins:
+                of = np.bincount(at, light * left, LOCKED_BINS) / np.maximum(np.bincount(at, light * light, LOCKED_BINS), 1e-3)
+                left -= of[at] * light
+        return left.astype(np.float32)
+
+
+def _fringes(
+    decoded: CameraDecoder, inside: NDArray[np.bool_], period_px: int, at: tuple[slice, slice]
+) -> _Fringes:
+    height, width = inside.shape
+    p, q = (
+        (coordinate[at][:height, :width][inside] * (4.0 / period_px)) % 1.0 * LOCKED_BINS
+        for coordinate in (decoded.p_px, decoded.q_px)
+    )
+    return _Fringes((np.minimum(p, LOCKED_BINS - 1).astype(np.int64), np.minimum(q, LOCKED_BINS - 1).astype(np.int64)))
+
+
+def _difference(
+    a: NDArray[np.float32],
+    b: NDArray[np.float32],
+    inside: NDArray[np.bool_],
+    variance: float,
+    fringes: _Fringes | None = None,
+) -> float:
+    """Return the RMS of b − gain · a without what is smooth, robust, in standard deviations of noise; and without what
+    follows ``fringes``."""
     gain = float(np.sum(a[inside] * b[inside]) / np.sum(a[inside] ** 2))
     rest = np.where(inside, b - np.float32(gain) * a, np.float32(0.0))
     weight = inside.astype(np.float32)
+    if fringes is not None:
+        rest[inside] = fringes.without(rest[inside], a[inside])
     smooth = cv2.boxFilter(rest, -1, (9, 9)) / np.maximum(cv2.boxFilter(weight, -1, (9, 9)), 1e-3)
     # What is smooth is daylight; the finest grain is texture that moved, or noise.
     high = (rest - smooth)[inside]

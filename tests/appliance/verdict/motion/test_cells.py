@@ -26,7 +26,7 @@ class Scene:
 
 
 def scene(width: int, height: int, stride: int, second: float) -> Scene:
-    """Fringes that drift, over paint, of a light with a second harmonic of ``second``; here and there next to no light."""
+    """Fringes that drift, over paint, of a light with a second harmonic of ``second`` and a sixth; here and there next to no light."""
     rng = np.random.default_rng(5)
     v, u = np.mgrid[0:height, 0:width].astype(float)
     p = -20.0 + 380.0 * u / width + 10.0 * v / height
@@ -50,7 +50,9 @@ def scene(width: int, height: int, stride: int, second: float) -> Scene:
     frames = np.zeros((len(SEQUENCE), height, width), np.uint8)
     for step, k in enumerate(SEQUENCE.axis(Direction.X).sine):
         phase = 2.0 * np.pi * (np.nan_to_num(p) + 0.3 * step) / 16.0 + step * np.pi / 2.0
-        image = light * (1.0 + 0.01 * step) + modulation * (np.cos(phase) + second * np.cos(2.0 * phase + 0.4))
+        image = light * (1.0 + 0.01 * step) + modulation * (
+            np.cos(phase) + second * np.cos(2.0 * phase + 0.4) + 0.05 * np.cos(6.0 * phase + 1.0)
+        )
         frames[k] = np.clip(np.rint(image + 1.5 * rng.standard_normal(u.shape)), 0, 255)
     # Of modulation 2 exactly, which counts, and of 0, which is in no way dividable by.
     for step, value in enumerate((102, 100, 98, 100)):
@@ -75,7 +77,8 @@ def expected(given: Scene) -> dict[str, np.ndarray]:
     with np.errstate(invalid="ignore", divide="ignore"):
         at_least = np.maximum(modulation, 1.0)
         second = (cosine**2 - sine**2) / at_least, 2.0 * cosine * sine / at_least
-        terms = np.stack([at_least, cosine, sine, *second, light], -1)
+        sixth = at_least * ((cosine + 1j * sine) / at_least) ** 6
+        terms = np.stack([at_least, cosine, sine, *second, light, sixth.real, sixth.imag], -1)
         before, after = np.roll(p, 1, 1), np.roll(p, -1, 1)
         slope = (after - before) / 2.0
         gradient = (np.roll(light, -1, 1) - np.roll(light, 1, 1)) / 2.0 / slope
@@ -91,15 +94,15 @@ def expected(given: Scene) -> dict[str, np.ndarray]:
                 continue
             x, y = terms[good], left[good]
             fit = np.linalg.lstsq(x, y, rcond=None)[0]
-            rest = np.sum((y - x @ fit) ** 2) / (n - 6)
-            tells = np.array([0.0, -0.25, 0.25, 0.0, 0.0, 0.0])
+            rest = np.sum((y - x @ fit) ** 2) / (n - 8)
+            tells = np.array([0.0, -0.25, 0.25, 0.0, 0.0, 0.0, 0.0, 0.0])
             second2 = (fit[3] ** 2 + fit[4] ** 2) / 16.0
             px = 16.0 / (2.0 * np.pi) / max(1.0 - 4.0 * second2, 0.3)
             known = good & np.isfinite(before) & np.isfinite(after)
             steep = known & (np.abs(slope) > 0.1)
-            pair = here & (after >= 0.0)
-            apart = np.roll(left - terms @ fit, -1, 1) - (left - terms @ fit)
-            two = 2.0 * DARK_DN2 + PER_DN * (light + np.roll(light, -1, 1))
+            pair = here & (np.roll(p, -1, 0) >= 0.0) & (v < height - 1)
+            apart = np.roll(left - terms @ fit, -1, 0) - (left - terms @ fit)
+            two = 2.0 * DARK_DN2 + PER_DN * (light + np.roll(light, -1, 0))
             noise = DARK_DN2 + PER_DN * light[good].mean()
             values = {
                 "drift_px": px * tells @ fit,
@@ -145,7 +148,7 @@ def test_what_lies_below_the_last_row_of_cells_is_added_nowhere() -> None:
     i0, i1, i2, i3 = (given.frames[k] for k in SEQUENCE.axis(Direction.X).sine)
     given.decoder.q_px[100:] = 230.0
     p, q = given.decoder.p_px, given.decoder.q_px
-    sums = np.zeros((ROWS, COLUMNS, 37))
+    sums = np.zeros((ROWS, COLUMNS, 54))
     _accumulate(i0, i1, i2, i3, p, q, 1, 64.0, DARK_DN2, PER_DN, sums[: ROWS - 1])
     assert (sums[: ROWS - 1] != 0.0).any()
     assert (sums[ROWS - 1] == 0.0).all()

@@ -29,7 +29,9 @@ def test_a_trend_is_the_weighted_least_squares_of_the_cells() -> None:
     error = np.hypot(sd, 0.001)[weight > 0.0]
     basis = np.stack([np.ones_like(across), across, down], -1)[weight > 0.0] / error[:, None]
     fit = np.linalg.lstsq(basis, drift[weight > 0.0] / error, rcond=None)[0]
-    certain = np.sqrt(np.diag(np.linalg.inv(basis.T @ basis)))
+    scatter = np.sum((drift[weight > 0.0] / error - basis @ fit) ** 2) / (len(basis) - 3)
+    assert scatter > 50.0, "the cells scatter by far more than they say"
+    certain = np.sqrt(np.diag(np.linalg.inv(basis.T @ basis)) * scatter)
     assert (trend.mean, trend.across, trend.down) == pytest.approx(tuple(fit), rel=1e-6)
     assert trend.sd == pytest.approx(tuple(certain), rel=1e-6)
     assert trend.score == pytest.approx(float(np.max(np.abs(fit) / np.hypot(certain, 0.001))), rel=1e-6)

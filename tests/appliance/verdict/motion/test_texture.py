@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from appliance.patterns.sequence import Direction, PatternSequence, build_sequence
 from appliance.reconstruct.decode.decoder import CameraDecoder, Mask
+from appliance.verdict.motion.scores import MOVED, texture_score
 from appliance.verdict.motion.texture import TextureShift, texture_shift
 
 Array = NDArray[np.float64]
@@ -53,6 +54,26 @@ def told(
     size = first.shape[1], first.shape[0]
     variance = (noise_dn**2 + 1.0 / 12.0, 0.0) if variance_dn2 is None else variance_dn2
     return texture_shift(frames(first, second, noise_dn), decoded(size), SEQUENCE, variance)
+
+
+def test_a_light_made_of_steps_is_no_texture_that_moves() -> None:
+    """What four steps leave of such a light follows the fringes of each direction: at rest both means differ by it."""
+    v, u = np.mgrid[0:HEIGHT_PX, 0:WIDTH_PX].astype(np.float64)
+    maps = decoded(SIZE)
+    maps.p_px[:], maps.q_px[:] = 100.0 + 0.61 * u + 0.05 * v, 80.0 + 0.57 * v
+    light = 100.0 * albedo(SIZE, (0.0, 0.0))
+    moved = 100.0 * albedo(SIZE, (3.0, -1.5))
+    of_x, of_y = (1.0 + 0.05 * np.cos(8.0 * np.pi * at / 16.0 + 0.7) for at in (maps.p_px, maps.q_px))
+    variance = (1.0 + 1.0 / 12.0, 0.0)
+    for second, moves in ((light, False), (moved, True)):
+        stack = frames(light * of_x, second * of_y, 1.0)
+        stack[[SEQUENCE.bright, SEQUENCE.dark]] = frames(light, light, 1.0)[:2]
+        found = texture_shift(stack, maps, SEQUENCE, variance)
+        assert found.change is not None and found.early_change is not None
+        assert found.locked > 2.0, "without the fringes' part the difference would be several times the noise"
+        score = texture_score({"left": found})
+        assert score is not None
+        assert (score > MOVED) == moves
 
 
 @pytest.mark.parametrize(("size", "bin_px"), [(SIZE, 1), ((800, 240), 2), ((1600, 240), 4)])
