@@ -15,7 +15,8 @@ from bench.result import Measured
 from bench.runner import machine
 from bench.verdict.compensation_page import write_page as write_compensation
 from bench.verdict.motion_page import write_page as write_motion
-from bench.verdict.parts import KEEPING, PARTS, measure_part, part
+from bench.verdict.parts import IN_WORLDS, KEEPING, PARTS, measure_part, part
+from bench.verdict.worlds import ORDINARY, WORLDS
 
 OUT = Path("bench/out/verdict.json")
 FEW_SCANS = 20
@@ -43,6 +44,10 @@ def main(arguments: Sequence[str]) -> int:
     )
     parser.add_argument("--parts", default=",".join(PARTS), help="names with commas between; default: all, %(default)s")
     parser.add_argument(
+        "--world", choices=WORLDS, default=ORDINARY,
+        help=f"outside: the same draws with the families of that world ({', '.join(IN_WORLDS)}); default: %(default)s",
+    )  # fmt: skip
+    parser.add_argument(
         "--write-docs",
         action="store_true",
         help="measure nothing; write the figures of docs/motion.md and compensation.md from --json",
@@ -62,19 +67,25 @@ def main(arguments: Sequence[str]) -> int:
     for name in names:
         if name not in PARTS:
             parser.error(f"--parts: {name!r} is unknown; allowed are {', '.join(PARTS)}")
-    return 0 if run(names, wanted.scans, wanted.seed, wanted.json, wanted.keep) else 1
+    if wanted.world != ORDINARY:
+        for name in names:
+            if name not in IN_WORLDS:
+                parser.error(f"--world {wanted.world}: {name!r} has no scans there; allowed are {', '.join(IN_WORLDS)}")
+    return 0 if run(names, wanted.scans, wanted.seed, wanted.json, wanted.keep, wanted.world) else 1
 
 
-def run(names: Sequence[str], scans: int, seed: int, path: Path, keep: Path | None = None) -> bool:
+def run(
+    names: Sequence[str], scans: int, seed: int, path: Path, keep: Path | None = None, world: str = ORDINARY
+) -> bool:
     """Part by part; the file is written after each, so that what is done is kept. True when every bound was kept."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    content: dict[str, Any] = {"machine": machine(), "scans": scans, "seed": seed, "parts": {}}
+    content: dict[str, Any] = {"machine": machine(), "scans": scans, "seed": seed, "world": world, "parts": {}}
     kept = True
     for done, name in enumerate(names):
         progress = Progress(1)
         say = partial(_show, progress, done, len(names))
         try:
-            found, data = measure_part(name, scans, seed, say, keep)
+            found, data = measure_part(name, scans, seed, say, keep, None if world == ORDINARY else world)
         finally:
             progress.close()
         sys.stdout.write(f"{name}: {PARTS[name]}\n")

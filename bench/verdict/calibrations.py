@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from appliance.calibration.file import Calibration
 from appliance.calibration.water.shapes import triangulate
 from appliance.optics.model import HousedCamera, StereoRig
+from appliance.optics.water import Water
 from appliance.reconstruct.pipeline import Cloud
 from hw_sim.optics.view import TrueView
 from hw_sim.truth import TrueRig, project
@@ -75,9 +76,11 @@ def binned(camera: HousedCamera, times: int) -> HousedCamera:
 class TrueScene:
     """What one moment of a scan truly shows, and where a calibration puts it."""
 
-    def __init__(self, scan: RenderedScan, rig: StereoRig, time_s: float, view: TrueView | None = None) -> None:
+    def __init__(
+        self, scan: RenderedScan, rig: StereoRig, time_s: float, view: TrueView | None = None, water: Water = WATER
+    ) -> None:
         """``view``: the left camera's at ``time_s``, where it is already known."""
-        self._scan, self._rig, self._time_s = scan, rig, time_s
+        self._scan, self._rig, self._time_s, self._index = scan, rig, time_s, water.index
         self.view = view or scan.renderer.view("left", time_s)
         self._back = self._turn_back()
 
@@ -89,7 +92,7 @@ class TrueScene:
         met = np.isfinite(self.view.points_rig_mm[v, u]).all(-1)
         uv = np.stack([u, v], -1)[met].astype(np.float64)
         expected = self.calibrated_points(uv, self.view.points_rig_mm[v[met], u[met]])
-        _, direction = self._rig.left.rays(uv, WATER.index)
+        _, direction = self._rig.left.rays(uv, self._index)
         own = np.sum((cloud.points_mm[met] - expected) * direction, -1)
         good = np.isfinite(own)
         rms = float(np.sqrt(np.mean(own[good] ** 2))) if good.any() else math.nan
@@ -111,7 +114,7 @@ class TrueScene:
     def calibrated_points(self, uv: Array, points_rig_mm: Array) -> Array:
         """Where the rig puts true points that left pixels (n, 2) see and the right ones are matched without error."""
         right = project(self._scan.renderer.truth, "right", points_rig_mm)
-        return triangulate(self._rig, uv, right, WATER.index)
+        return triangulate(self._rig, uv, right, self._index)
 
     def _turn_back(self) -> tuple[Array, Array, Array]:
         """The rigid motion from the rig's points to the true left camera's frame that fits what is seen (Kabsch)."""

@@ -18,6 +18,7 @@ from bench.verdict.binomial import counted, limits
 from bench.verdict.causes_scenes import Base, Spoilt, draw_base, grid_of
 from bench.verdict.causes_truth import FACTOR_OF, Outcome, Truth
 from bench.verdict.parts import Say
+from bench.verdict.worlds import ORDINARY
 
 SCANS_PER_BASE = 40
 RIGHT_PERCENT = 98.0
@@ -25,7 +26,9 @@ RIGHT_PERCENT = 98.0
 Row = dict[str, Any]
 
 
-def measure(scans: int, seed: int, say: Say, keep: Path | None = None) -> tuple[list[Measured], dict[str, Any]]:
+def measure(
+    scans: int, seed: int, say: Say, keep: Path | None = None, world: str = ORDINARY
+) -> tuple[list[Measured], dict[str, Any]]:
     """As many bases as make at least ``scans`` scenes, every scene judged and every bad one looked into.
 
     With ``keep``, frames and what this version of the product made of them are kept there and not worked out again; the rows
@@ -35,12 +38,12 @@ def measure(scans: int, seed: int, say: Say, keep: Path | None = None) -> tuple[
     rows: list[Row] = []
     for number in range(bases):
         base, grid = draw_base(seed, number), grid_of(seed, number)
-        truth = Truth(base, keep)
+        truth = Truth(base, keep, world)
         for k, spoilt in enumerate(grid):
             say("causes", (number + k / len(grid)) / bases)
             rows.append(_row(number, base, spoilt, truth))
             if keep is not None:
-                (keep / f"causes-rows-{seed}.json").write_text(json.dumps(rows) + "\n", encoding="utf-8")
+                (keep / f"causes-rows-{world}-{seed}.json").write_text(json.dumps(rows) + "\n", encoding="utf-8")
     return figures(rows), {"rows": rows, "by_reason": by_reason(rows)}
 
 

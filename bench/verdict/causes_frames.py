@@ -3,26 +3,35 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from appliance.patterns.sequence import build_sequence
 from appliance.scan.exposure import Exposure
 from bench.verdict.causes_scenes import FRAME_S, HEIGHT_PX, PERIOD_PX, WIDTH_PX, Base, Spoilt, exposure_of, scene_of
+from bench.verdict.outside import put_outside, record_sequence
+from bench.verdict.worlds import ORDINARY
 from hw_sim.rendering.render import Renderer
+from hw_sim.scene import Scene
 from hw_sim.truth import draw_truth
 from tests.support.rendered import RenderedScan, render_scan
 
 TRUTH_SET = "realistic"
 
 
-def frames_of(base: Base, spoilt: Spoilt, keep: Path | None, exposure: Exposure | None = None) -> RenderedScan:
+def frames_of(
+    base: Base, spoilt: Spoilt, keep: Path | None, exposure: Exposure | None = None, world: str = ORDINARY
+) -> RenderedScan:
     """The scan of a scene, with noise; from the folder ``keep`` where it is there, and kept there where not.
 
     ``exposure``: another one than the scene's own.
     """
     scene, taken = scene_of(base, spoilt), exposure or exposure_of(spoilt)
+    if world != ORDINARY:
+        return _outside(base, scene, taken, keep)
     frame_s = 0.0 if scene.motion.still else FRAME_S
     exposure_s = taken.time_us / 1e6
     what = repr((base.rig_seed, scene, taken, WIDTH_PX, PERIOD_PX, TRUTH_SET))
@@ -36,9 +45,30 @@ def frames_of(base: Base, spoilt: Spoilt, keep: Path | None, exposure: Exposure 
         scene, TRUTH_SET, base.rig_seed, WIDTH_PX, PERIOD_PX, exposure_s, frame_s=frame_s, gain_db=taken.gain_db
     )
     if path is not None:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        draft = path.with_name(f".{path.name}")
-        with draft.open("wb") as file:
-            np.save(file, np.stack([scan.frames["left"], scan.frames["right"]]))
-        draft.replace(path)
+        _keep(path, scan.frames)
     return scan
+
+
+def _outside(base: Base, scene: Scene, taken: Exposure, keep: Path | None) -> RenderedScan:
+    """The same in the world ``outside``: the rig's seed draws its families, and hands are those of that world where they move."""
+    moves = not scene.motion.still
+    renderer = put_outside(scene, base.rig_seed, TRUTH_SET, width_px=WIDTH_PX, hands=moves).renderer()
+    what = repr((base.rig_seed, renderer.scene, taken, WIDTH_PX, PERIOD_PX, TRUTH_SET))
+    path = None if keep is None else keep / f"causes-outside-{hashlib.sha256(what.encode()).hexdigest()[:20]}.npy"
+    exposure_s, frame_s = taken.time_us / 1e6, FRAME_S if moves else 0.0
+    if path is not None and path.exists():
+        both = np.load(path)
+        frames = {"left": both[0], "right": both[1]}
+    else:
+        frames = dict(record_sequence(renderer, PERIOD_PX, exposure_s, taken.gain_db).noisy)
+        if path is not None:
+            _keep(path, frames)
+    return RenderedScan(renderer, build_sequence(PERIOD_PX), frames, exposure_s, frame_s)
+
+
+def _keep(path: Path, frames: Mapping[str, NDArray[np.uint8]]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    draft = path.with_name(f".{path.name}")
+    with draft.open("wb") as file:
+        np.save(file, np.stack([frames["left"], frames["right"]]))
+    draft.replace(path)

@@ -33,13 +33,16 @@ from appliance.scan.exposure import Exposure
 from appliance.scan.fault import FaultCode
 from appliance.screens.views import Grade
 from appliance.service.view import grade
+from bench.outside.world import TRIGGER_DELAY_US
 from bench.verdict.causes_frames import frames_of
-from bench.verdict.causes_scenes import NONE, STEPS, Base, Spoilt, exposure_of
+from bench.verdict.causes_scenes import NONE, STEPS, WIDTH_PX, Base, Spoilt, exposure_of, scene_of
 from bench.verdict.light_scenes import noise_at
 from bench.verdict.motion_truth import FALSE_MM, errors_mm, rms_mm
+from bench.verdict.outside import noise_of, put_outside, suited_s, water_of
+from bench.verdict.worlds import ORDINARY
 from hw_sim.rendering.render import LightSlice
 from tests.support.rendered import RenderedScan, pictures
-from tests.support.truth import WATER, true_calibration
+from tests.support.truth import WATER, complete_calibration, true_calibration
 
 MORE_POINTS, LESS_ERROR = 0.10, 1.03
 LEAST_POINTS = 0.10
@@ -78,12 +81,16 @@ class Outcome:
     numbers: dict[str, dict[str, float | None]]
 
 
-def judged(scan: RenderedScan, exposure: Exposure) -> Outcome:
+def judged(scan: RenderedScan, exposure: Exposure, world: str = ORDINARY) -> Outcome:
     """Work through a scan as the instrument does, with the true calibration, and compare its points with the truth."""
-    calibration = true_calibration(scan.renderer.truth)
-    noise = noise_at(exposure)
-    with Pipeline(calibration, WATER, scan.sequence, noise=noise) as pipeline:
-        processor = SequenceProcessor(pipeline, calibration, WATER)
+    truth = scan.renderer.truth
+    if world == ORDINARY:
+        calibration, noise, water = true_calibration(truth), noise_at(exposure), WATER
+    else:
+        calibration, water = complete_calibration(truth), water_of(truth)
+        noise = noise_of(scan.renderer.scene, exposure.gain_db)
+    with Pipeline(calibration, water, scan.sequence, noise=noise) as pipeline:
+        processor = SequenceProcessor(pipeline, calibration, water)
         full = processor.process(scan.frames, AcquisitionSettings(exposure=exposure, noise=noise, steps=STEPS))
         cloud, judgements = pipeline.table.cloud(full.found), full.judgements
     faults = tuple(one.fault for one in judgements if one.fault is not None)
@@ -136,26 +143,44 @@ def _worth(scan: RenderedScan, cloud: Cloud) -> tuple[int, float | None]:
 class Truth:
     """The outcomes of one base's scenes, each worked out once."""
 
-    def __init__(self, base: Base, keep: Path | None) -> None:
-        self._base, self._keep = base, keep
+    def __init__(self, base: Base, keep: Path | None, world: str = ORDINARY) -> None:
+        self._base, self._keep, self._world = base, keep, world
+        self._usual = self._usual_exposure()
         self._known: dict[tuple[Spoilt, Exposure], Outcome] = {}
 
     def outcome(self, spoilt: Spoilt, exposure: Exposure | None = None) -> Outcome:
         """Of a scene, as it is exposed or with another exposure."""
-        taken = exposure or exposure_of(spoilt)
+        taken = exposure or self._exposure_of(spoilt)
         if (spoilt, taken) not in self._known:
             self._known[spoilt, taken] = self._kept(spoilt, taken)
         return self._known[spoilt, taken]
 
+    def _usual_exposure(self) -> Exposure | None:
+        """In the world ``outside``, the one that suits the base: whites, sensors and spots of light differ there."""
+        if self._world == ORDINARY:
+            return None
+        scene = scene_of(self._base, Spoilt())
+        renderer = put_outside(scene, self._base.rig_seed, "realistic", width_px=WIDTH_PX, hands=False).renderer()
+        return Exposure(round(1e6 * suited_s(renderer, 0.0, 1.0)))
+
+    def _exposure_of(self, spoilt: Spoilt) -> Exposure:
+        """What a scene is taken with: too dark and too bright are so many times less and more than what suits the base."""
+        ordinary = exposure_of(spoilt)
+        if self._usual is None or spoilt.light == "over":
+            return ordinary
+        usual_us = exposure_of(Spoilt()).time_us
+        return Exposure(max(round(self._usual.time_us * ordinary.time_us / usual_us), 20), ordinary.gain_db)
+
     def _kept(self, spoilt: Spoilt, taken: Exposure) -> Outcome:
         """From the folder, if this very product judged that scene before."""
         if self._keep is None:
-            return judged(frames_of(self._base, spoilt, None, taken), taken)
-        what = repr((self._base, spoilt, taken, sources_digest()))
+            return judged(frames_of(self._base, spoilt, None, taken, self._world), taken, self._world)
+        where = () if self._world == ORDINARY else (self._world,)
+        what = repr((self._base, spoilt, taken, sources_digest(), *where))
         path = self._keep / f"causes-outcome-{hashlib.sha256(what.encode()).hexdigest()[:20]}.json"
         if path.exists():
             return read_outcome(json.loads(path.read_text(encoding="utf-8")))
-        outcome = judged(frames_of(self._base, spoilt, self._keep, taken), taken)
+        outcome = judged(frames_of(self._base, spoilt, self._keep, taken, self._world), taken, self._world)
         draft = path.with_name(f".{path.name}")
         draft.write_text(json.dumps(written(outcome)) + "\n", encoding="utf-8")
         draft.replace(path)
@@ -196,12 +221,12 @@ class Truth:
 
     def _suited(self, spoilt: Spoilt) -> Exposure | None:
         """The step of the exposure that uses the scale and keeps it; ``None``: the present one does."""
-        present = exposure_of(spoilt)
-        scan = frames_of(self._base, spoilt, self._keep)
+        present = self._exposure_of(spoilt)
+        scan = frames_of(self._base, spoilt, self._keep, present, self._world)
         white = pictures(scan.sequence)[scan.sequence.bright]
 
         def brightest(step: Exposure) -> float:
-            light = [LightSlice(white, step.time_us / 1e6)]
+            light = [LightSlice(white, step.time_us / 1e6, TRIGGER_DELAY_US / 1e6)]
             shot = scan.renderer.expose("left", light, 0.0, step.time_us / 1e6, step.gain_db, (False, False), 0)
             return float(np.percentile(shot, BRIGHTEST))
 

@@ -15,10 +15,13 @@ from typing import Any
 
 import numpy as np
 
+from appliance.calibration.file import Calibration
 from appliance.compensation.attempt import Attempt, attempt
 from appliance.optics.model import StereoRig
+from appliance.optics.water import Water
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.table import Found
+from appliance.scan.noise import TYPICAL_PAIR, StereoNoise
 from appliance.scan.sides import SIDES
 from bench.result import Measured
 from bench.verdict.calibrations import KINDS, Own, TrueScene, calibration_of
@@ -29,8 +32,10 @@ from bench.verdict.compensation_cases import (
     named_cases,
 )
 from bench.verdict.kept_scans import kept_scan
+from bench.verdict.outside import kept_scan_outside, noise_of, water_of
 from bench.verdict.parts import Say
 from bench.verdict.uncertainty import spread
+from bench.verdict.worlds import ORDINARY
 from hw_sim.optics.view import TrueView
 from hw_sim.scene import Scene
 from tests.support.moved import FRAME_S, recorded
@@ -44,17 +49,24 @@ Row = dict[str, Any]
 Rows = Sequence[Row]
 
 
-def measure(scans: int, seed: int, say: Say, keep: Path | None = None) -> tuple[list[Measured], dict[str, Any]]:
-    """The nine named cases, and ``scans`` drawn ones."""
+def measure(
+    scans: int, seed: int, say: Say, keep: Path | None = None, world: str = ORDINARY
+) -> tuple[list[Measured], dict[str, Any]]:
+    """The nine named cases, and ``scans`` drawn ones, in ``world``."""
     named, drawn = named_cases(seed), [drawn_case(seed, k) for k in range(scans)]
-    rows = judged([*named, *drawn], say, keep)
-    first = len(named) * len(KINDS)
+    rows = judged([*named, *drawn], say, keep, world)
+    first = len(named) * len(kinds_in(world))
     return figures(rows[:first], rows[first:]), {"seed": seed, "named": rows[:first], "drawn": rows[first:]}
 
 
-def judged(cases: Sequence[Case], say: Say, keep: Path | None) -> list[Row]:
+def kinds_in(world: str) -> tuple[str, ...]:
+    """The kinds of calibration that a scan is solved with: in the world ``outside`` the one that states the truth alone."""
+    return KINDS if world == ORDINARY else KINDS[:1]
+
+
+def judged(cases: Sequence[Case], say: Say, keep: Path | None, world: str = ORDINARY) -> list[Row]:
     """The rows of all cases, with each kind of calibration."""
-    judge, rows = Judge(keep), []
+    judge, rows = Judge(keep, world), []
     for number, case in enumerate(cases):
         say(case.name, number / len(cases))
         rows += judge.rows(case)
@@ -64,17 +76,22 @@ def judged(cases: Sequence[Case], say: Say, keep: Path | None) -> list[Row]:
 class Judge:
     """Scans are drawn once if there is a folder to keep them in; of a scene at rest, what came out is remembered."""
 
-    def __init__(self, keep: Path | None) -> None:
-        self._keep = keep
+    def __init__(self, keep: Path | None, world: str = ORDINARY) -> None:
+        self._keep, self._world = keep, world
         self._rest: dict[tuple[Scene, int, int, str], Own] = {}
         self._seen: tuple[RenderedScan, float, TrueView] | None = None
 
     def rows(self, case: Case) -> list[Row]:
         """One for each kind of calibration."""
         scan = self._scan(case, case.scene)
-        return [self._row(case, scan, kind) for kind in KINDS]
+        return [self._row(case, scan, kind) for kind in kinds_in(self._world)]
 
     def _scan(self, case: Case, scene: Scene) -> RenderedScan:
+        if self._world != ORDINARY:
+            moves = scene is not case.rest and not case.at_rest
+            return kept_scan_outside(
+                self._keep, scene, case.truth_set, case.seed, case.width_px, PERIOD_PX, hands=moves
+            )
         frame_s = 0.0 if scene.motion.still else FRAME_S
         return kept_scan(self._keep, scene, case.truth_set, case.seed, case.width_px, PERIOD_PX, frame_s)
 
@@ -82,16 +99,25 @@ class Judge:
         """The same view serves each kind of calibration."""
         known = self._seen
         view = known[2] if known is not None and known[0] is scan and known[1] == time_s else None
-        true = TrueScene(scan, rig, time_s, view)
+        true = TrueScene(scan, rig, time_s, view, self._water(scan))
         self._seen = (scan, time_s, true.view)
         return true
+
+    def _water(self, scan: RenderedScan) -> Water:
+        return WATER if self._world == ORDINARY else water_of(scan.renderer.truth)
+
+    def _noise(self, scan: RenderedScan) -> StereoNoise:
+        return TYPICAL_PAIR if self._world == ORDINARY else noise_of(scan.renderer.scene, 0.0)
+
+    def _pipeline(self, scan: RenderedScan, calibration: Calibration) -> Pipeline:
+        return Pipeline(calibration, self._water(scan), scan.sequence, noise=self._noise(scan))
 
     def _at_rest(self, case: Case, kind: str) -> Own:
         key = (case.rest, case.seed, case.width_px, kind)
         if key not in self._rest:
             scan = self._scan(case, case.rest)
             calibration = calibration_of(kind, scan.renderer.truth)
-            with Pipeline(calibration, WATER, scan.sequence) as pipeline:
+            with self._pipeline(scan, calibration) as pipeline:
                 found = _push(pipeline, scan)
                 self._rest[key] = self._true(scan, calibration.rig, 0.0).judge(pipeline.table.cloud(found))
         return self._rest[key]
@@ -99,11 +125,12 @@ class Judge:
     def _row(self, case: Case, scan: RenderedScan, kind: str) -> Row:
         rest = self._at_rest(case, kind)
         calibration = calibration_of(kind, scan.renderer.truth)
-        with Pipeline(calibration, WATER, scan.sequence) as pipeline:
+        with self._pipeline(scan, calibration) as pipeline:
             found = _push(pipeline, scan)
             plain = pipeline.table.cloud(found)
             begun_s = time.process_time()
-            tried = attempt(pipeline, found, recorded(scan, pipeline), calibration, WATER)
+            images = recorded(scan, pipeline, self._noise(scan))
+            tried = attempt(pipeline, found, images, calibration, self._water(scan))
             cpu_s = time.process_time() - begun_s
             time_s = tried.motion.reference_s if tried.motion is not None else 10.5 * FRAME_S
             true = self._true(scan, calibration.rig, time_s)
@@ -113,7 +140,7 @@ class Judge:
                 after = true.judge(pipeline.table.cloud(tried.found))
         return {
             "name": case.name, "object": case.scene.object, "texture": case.scene.texture, "calibration": kind,
-            "moved": not case.scene.motion.still, "used": tried.found is not None, "why": tried.why, "cpu_s": cpu_s,
+            "moved": not case.at_rest, "used": tried.found is not None, "why": tried.why, "cpu_s": cpu_s,
             "at_rest_mm": rest.own_rms_mm, "before": before.own_rms_mm / rest.own_rms_mm,
             "after": after.own_rms_mm / rest.own_rms_mm,
             "surface_mm": {"at_rest": rest.accuracy.rms_mm, "before": before.accuracy.rms_mm, "after": after.accuracy.rms_mm},
@@ -136,6 +163,8 @@ def figures(named: Rows, drawn: Rows) -> list[Measured]:
     found = []
     for kind in KINDS:
         mine = [row for row in named if row["calibration"] == kind]
+        if not mine:
+            continue
         found += [
             Measured(
                 f"hand {hand}, {kind} rig: rms over at rest, worst of three", _worst(mine, f"{hand}-", "after"), "",

@@ -52,6 +52,11 @@ class Case:
     truth_set: str = TRUTH_SET
 
     @property
+    def at_rest(self) -> bool:
+        """Nothing moves in this scan."""
+        return self.scene.motion.still
+
+    @property
     def rest(self) -> Scene:
         """The scene with hands at rest."""
         return replace(self.scene, motion=Motion())

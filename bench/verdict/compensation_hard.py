@@ -9,11 +9,14 @@ from bench.result import Measured
 from bench.verdict.compensation import judged, made_worse, of
 from bench.verdict.compensation_cases import HARD, hard_cases
 from bench.verdict.parts import Say
+from bench.verdict.worlds import ORDINARY
 
 
-def measure(scans: int, seed: int, say: Say, keep: Path | None = None) -> tuple[list[Measured], dict[str, Any]]:
+def measure(
+    scans: int, seed: int, say: Say, keep: Path | None = None, world: str = ORDINARY
+) -> tuple[list[Measured], dict[str, Any]]:
     """Every named hand in every such condition; ``scans`` does not matter."""
-    rows = judged(hard_cases(seed), say, keep)
+    rows = judged(hard_cases(seed), say, keep, world)
     found = []
     for name in HARD:
         mine = [row for row in rows if row["name"].split("-", 1)[1] == name]

@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,13 +19,16 @@ from numpy.typing import NDArray
 
 from appliance.patterns.sequence import Kind, PatternSequence
 from appliance.scan.fault import FaultCode
-from appliance.scan.noise import TYPICAL_PAIR
-from appliance.scan.sides import SIDES
+from appliance.scan.noise import TYPICAL_PAIR, CameraNoise, StereoNoise
+from appliance.scan.sides import SIDES, of_side
 from appliance.scan.verdict import Judgement
 from appliance.verdict.identity.evidence import Witness
 from appliance.verdict.identity.judge import judge_identity
 from appliance.verdict.identity.lines import take_lines
 from bench.result import Measured
+from bench.verdict.binomial import counted
+from bench.verdict.outside import noise_of, recorded_scan
+from bench.verdict.worlds import ORDINARY
 from hw_sim.light.daylight import Daylight
 from hw_sim.objects.motion import Motion
 from hw_sim.objects.shapes import DEFAULT_POSE
@@ -41,6 +45,8 @@ Order = Sequence[int]
 VISIBLE = 0.05
 SHARES = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.001)
 """Bins of the curve."""
+FILLING = 0.2
+"""Share of the image that an object fills that is not small."""
 NAMED_OF_EACH = 4
 """Wrong orders of each kind and scan whose name is asked for too; found is asked of all."""
 WIDTH_PX = 400
@@ -69,13 +75,15 @@ class Drawn:
     classes: tuple[str, ...]
 
 
-def measure(scans: int, seed: int, say: Say) -> tuple[list[Measured], dict[str, Any]]:
+def measure(
+    scans: int, seed: int, say: Say, keep: Path | None = None, world: str = ORDINARY
+) -> tuple[list[Measured], dict[str, Any]]:
     """False alarms on ``scans`` good scans, and which wrong orders of their frames are found and rightly named."""
     rows: list[dict[str, Any]] = []
     for number in range(scans):
         drawn = draw(seed, number)
         say(f"scan {number + 1} of {scans}: {drawn.scene.object}", number / scans)
-        rows.append(_of_scan(drawn, 1000 * seed + number))
+        rows.append(_of_scan(drawn, 1000 * seed + number, world))
     return _figures(rows), {"visible_share": VISIBLE, "shares": list(SHARES), "scans": rows}
 
 
@@ -144,15 +152,21 @@ def wrong_orders(n: int) -> Iterator[Wrong]:
     yield Wrong("one early", 0, (*range(1, n), 1))
 
 
-def _of_scan(drawn: Drawn, seed: int) -> dict[str, Any]:
+def _of_scan(drawn: Drawn, seed: int, world: str) -> dict[str, Any]:
     rng = np.random.default_rng([seed, 21])
     scene = drawn.scene
-    scan = render_scan(
-        scene, "realistic", seed, WIDTH_PX, drawn.period_px, drawn.exposure_s,
-        frame_s=1.0 / 60.0 if _changes(scene) else 0.0,
-    )  # fmt: skip
+    if world == ORDINARY:
+        noise = TYPICAL_PAIR
+        scan = render_scan(
+            scene, "realistic", seed, WIDTH_PX, drawn.period_px, drawn.exposure_s,
+            frame_s=1.0 / 60.0 if _changes(scene) else 0.0,
+        )  # fmt: skip
+    else:
+        share = drawn.exposure_s / MILK_EXPOSURE_S
+        scan = recorded_scan(scene, seed, "realistic", WIDTH_PX, drawn.period_px, share)
+        noise = noise_of(scan.renderer.scene, 0.0)
     start = time.process_time()
-    judgement = judge_identity(scan.frames, scan.sequence)
+    judgement = judge_identity(scan.frames, scan.sequence, noise)
     row: dict[str, Any] = {
         "seed": seed,
         "classes": [*drawn.classes, f"period {drawn.period_px}"],
@@ -171,9 +185,9 @@ def _of_scan(drawn: Drawn, seed: int) -> dict[str, Any]:
     row["found"] = [
         [side, wrong.kind, round(share, 4), found, _relabels(scan.sequence, wrong)]
         for side in judged
-        for wrong, share, found in _search(scan.sequence, scan.frames[side], side, apart[side])
+        for wrong, share, found in _search(scan.sequence, scan.frames[side], of_side(noise, side), apart[side])
     ]
-    row["named"] = list(_names(scan.sequence, scan.frames, apart, judged, rng))
+    row["named"] = list(_names(scan.sequence, scan.frames, apart, judged, rng, noise, seen))
     return row
 
 
@@ -182,10 +196,9 @@ def _changes(scene: Scene) -> bool:
 
 
 def _search(
-    sequence: PatternSequence, frames: NDArray[np.uint8], side: str, apart: NDArray[np.float64]
+    sequence: PatternSequence, frames: NDArray[np.uint8], noise: CameraNoise, apart: NDArray[np.float64]
 ) -> Iterator[tuple[Wrong, float, bool]]:
     """Every wrong order, on how much of what is seen it shows, and whether the frames alone tell."""
-    noise = TYPICAL_PAIR.left if side == "left" else TYPICAL_PAIR.right
     straight = Witness(take_lines(frames, sequence, noise), sequence, noise)
     every = np.arange(len(sequence), dtype=np.int64)
     for wrong in wrong_orders(len(sequence)):
@@ -203,8 +216,11 @@ def _names(
     apart: Mapping[str, NDArray[np.float64]],
     judged: Sequence[str],
     rng: np.random.Generator,
+    noise: StereoNoise,
+    seen: Mapping[str, float],
 ) -> Iterator[list[Any]]:
-    """Of some wrong orders on one or both cameras, and of images that stay: kind, found, rightly named, frame named."""
+    """Of some wrong orders on one or both cameras, and of images that stay: kind, both, found, rightly named, frame named, and
+    the least share of the image that is seen of the object by the cameras that show it."""
     if not judged:
         return
     n = len(sequence)
@@ -222,10 +238,11 @@ def _names(
             if share < VISIBLE or _relabels(sequence, wrong):
                 continue
             wronged = {side: _again(mine, order, rng) if side in sides else mine for side, mine in frames.items()}
-            judgement = judge_identity(wronged, sequence)
+            judgement = judge_identity(wronged, sequence, noise)
             numbers = {} if judgement.fault is None else judgement.fault.numbers
             named = judgement.verdict.passed is False and _rightly(judgement, wrong, both)
-            yield [kind, both, judgement.verdict.passed is False, named, numbers.get("frame") == wrong.frame]
+            yield [kind, both, judgement.verdict.passed is False, named, numbers.get("frame") == wrong.frame,
+                   min(seen[side] for side in sides)]  # fmt: skip
 
 
 def _rightly(judgement: Judgement, wrong: Wrong, both: bool) -> bool:
@@ -313,6 +330,24 @@ def _figures(rows: Sequence[Mapping[str, Any]]) -> list[Measured]:
             "identity: seen and rightly named", _percent([one for one in named if one[3]], named), "%", at_least=95.0
         ),
     ]
+    filling = [
+        one
+        for row in rows
+        for one in row["found"]
+        if one[2] >= VISIBLE and row["seen_percent"][SIDES.index(one[0])] >= 100.0 * FILLING
+    ]
+    found_there, named_there = sum(one[3] for one in filling), [one for one in named if one[5] >= FILLING]
+    right_there = sum(one[3] for one in named_there)
+    out += [
+        Measured(
+            f"identity: found where the object fills a fifth of the image: {counted(found_there, len(filling))}",
+            100.0 * found_there / max(len(filling), 1), "%",
+        ),
+        Measured(
+            f"identity: rightly named there: {counted(right_there, len(named_there))}",
+            100.0 * right_there / max(len(named_there), 1), "%",
+        ),
+    ]  # fmt: skip
     for name in sorted({name for row in rows for name in row["classes"]} - {"still", "moving"}):
         mine = _visible(rows, name)
         out.append(

@@ -16,18 +16,16 @@ from typing import Any
 import numpy as np
 
 from appliance.patterns.sequence import build_sequence
-from appliance.scan.noise import StereoNoise, camera_noise
 from appliance.verdict.identity.judge import judge_identity
 from bench.result import Measured
 from bench.verdict.binomial import limits
-from bench.verdict.kept_scans import KeptScans, Take
+from bench.verdict.kept_scans import Scans, Take
 from bench.verdict.motion import case_of
 from bench.verdict.motion_cases import Case
 from bench.verdict.parts import Say
+from bench.verdict.worlds import ORDINARY, scans_of
 from hw_sim.objects.motion import Motion
-from hw_sim.rendering.sensor import FULL_WELL_E, OFFSET_DN, READ_NOISE_E
 from hw_sim.water.medium import Water
-from tests.support.judged import record
 
 MILK_EVERY, FAST_EVERY = 3, 4
 FAST_MM_S = (60.0, 250.0)
@@ -51,9 +49,11 @@ class Row:
     text: str
 
 
-def measure(scans: int, seed: int, say: Say, keep: Path | None = None) -> tuple[list[Measured], dict[str, Any]]:
-    """``scans`` scenes, each at rest and moving and some of them otherwise; their frames come from ``keep``."""
-    kept = KeptScans(keep)
+def measure(
+    scans: int, seed: int, say: Say, keep: Path | None = None, world: str = ORDINARY
+) -> tuple[list[Measured], dict[str, Any]]:
+    """``scans`` scenes of ``world``, each at rest and moving and some of them otherwise; their frames come from ``keep``."""
+    kept = scans_of(world, keep)
     rows: list[Row] = []
     for number in range(scans):
         say(f"identity: scene {number + 1} of {scans}", number / scans)
@@ -78,11 +78,10 @@ def takes(seed: int, number: int) -> Iterator[tuple[str, Case, Take]]:
         yield "fast", replace(case, motion=Motion((x, y, z)), speed_mm_s=speed), Take.MOVING
 
 
-def _judged(kind: str, case: Case, take: Take, kept: KeptScans) -> Row:
-    frames = record(kept.frames(case, take), case.gain_db, case.seed, 1)
-    camera = camera_noise(FULL_WELL_E, READ_NOISE_E, OFFSET_DN, case.gain_db)
+def _judged(kind: str, case: Case, take: Take, kept: Scans) -> Row:
+    frames, noise = kept.recorded(case, take, 1).noisy, kept.noise(case)
     begun = time.process_time()
-    verdict = judge_identity(frames, build_sequence(case.period_px), StereoNoise(camera, camera)).verdict
+    verdict = judge_identity(frames, build_sequence(case.period_px), noise).verdict
     cpu_ms = 1e3 * (time.process_time() - begun)
     speed = case.speed_mm_s if take is Take.MOVING else 0.0
     return Row(

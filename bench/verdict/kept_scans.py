@@ -8,19 +8,24 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.optics.water import Water
 from appliance.patterns.sequence import build_sequence
+from appliance.scan.noise import StereoNoise
 from bench.verdict.motion_cases import FRAME_S, TRUTH_SET, Case, without_fish
 from hw_sim.rendering.render import Renderer
 from hw_sim.scene import Scene
 from hw_sim.truth import draw_truth
+from tests.support.judged import data_sheet_noise, record
 from tests.support.rendered import RenderedScan, render_scan
+from tests.support.truth import WATER
 
 WIDTH_PX = 400
 Frames = Mapping[str, NDArray[np.uint8]]
@@ -34,8 +39,34 @@ class Take(Enum):
     MOVING = "moving"
 
 
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """One recording of a case."""
+
+    clean: Frames
+    """(n, h, w) uint8 of ``left`` and ``right``, without the cameras' noise."""
+    noisy: Frames
+    exposure_s: float
+
+
+class Scans(Protocol):
+    """Recordings of cases in one world."""
+
+    def recorded(self, case: Case, take: Take, noise_seed: int | None = None) -> Recorded:
+        """The frames of a take; ``noise_seed``: other noise than its own, where noise is put on afterwards."""
+
+    def renderer(self, case: Case, take: Take) -> Renderer:
+        """What rendered it."""
+
+    def water(self, case: Case) -> Water:
+        """Of the true index, in the product's words."""
+
+    def noise(self, case: Case) -> StereoNoise:
+        """The cameras' noise, as the instrument states it."""
+
+
 class KeptScans:
-    """Frames of cases without noise, from ``folder`` where they are there, and rendered where not.
+    """Frames of cases in the ordinary world, from ``folder`` where they are there, and rendered where not.
 
     Without a folder nothing is kept. Each take is 5.8 MB at 400 × 300, and takes 1 s (at rest) to 4 s of CPU.
     """
@@ -44,8 +75,27 @@ class KeptScans:
         self._folder = folder
         self.width_px = width_px
 
+    def recorded(self, case: Case, take: Take, noise_seed: int | None = None) -> Recorded:
+        """The frames of a take; noise is put on those without."""
+        clean = self.frames(case, take)
+        noise_seed = noise_seed or 1 + list(Take).index(take)
+        return Recorded(clean, record(clean, case.gain_db, case.seed, noise_seed), case.exposure_s)
+
+    def renderer(self, case: Case, take: Take) -> Renderer:
+        """What rendered it."""
+        truth = draw_truth(TRUTH_SET, case.seed, self.width_px, self.width_px * 3 // 4, case.scene.water.index)
+        return Renderer(truth, scene_of(case, take))
+
+    def water(self, case: Case) -> Water:
+        """The ordinary world's."""
+        return WATER
+
+    def noise(self, case: Case) -> StereoNoise:
+        """As the data sheet says."""
+        return data_sheet_noise(case.gain_db)
+
     def frames(self, case: Case, take: Take) -> Frames:
-        """(n, h, w) uint8 of ``left`` and ``right``."""
+        """(n, h, w) uint8 of ``left`` and ``right``, without noise."""
         scene = scene_of(case, take)
         name = self._name(case, scene)
         if self._folder is not None and (self._folder / name).exists():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,29 +14,23 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.optics.water import Water
 from appliance.patterns.sequence import Direction, build_sequence
 from appliance.reconstruct.pipeline import Cloud, Pipeline
+from appliance.scan.noise import StereoNoise
 from appliance.verdict.motion.judge import MotionJudgement, judge_motion
 from bench.result import Measured
 from bench.spread import spread
-from bench.verdict.kept_scans import KeptScans, Take
-from bench.verdict.motion_cases import (
-    FRAME_S,
-    TEXTURES,
-    TRUTH_SET,
-    TURNS,
-    Case,
-    Frames,
-    draw_case,
-    without_fish,
-)
+from bench.verdict.kept_scans import KeptScans, Recorded, Scans, Take
+from bench.verdict.motion_cases import FRAME_S, TEXTURES, TRUTH_SET, TURNS, Case, Frames, draw_case
 from bench.verdict.motion_figures import HARMFUL, Row, figures, roc_table
 from bench.verdict.motion_pictures import draw_maps, draw_roc, draw_scatter
 from bench.verdict.motion_truth import errors_mm, noise_mm, rms_mm
 from bench.verdict.parts import Say
+from bench.verdict.worlds import ORDINARY, scans_of
 from hw_sim.rendering.render import Renderer
 from hw_sim.truth import draw_truth
-from tests.support.judged import as_judged, judge_frames, record
+from tests.support.judged import as_judged, judge_frames
 from tests.support.truth import WATER, complete_calibration, true_calibration
 
 SEEDS_PER_SEED = 1_000_000
@@ -102,9 +96,11 @@ def case_of(seed: int, number: int) -> Case:
     )
 
 
-def measure(scans: int, seed: int, say: Say, keep: Path | None = None) -> tuple[list[Measured], dict[str, Any]]:
-    """``scans`` scenes, each at rest and moving; their frames come from ``keep`` and are kept there."""
-    kept = KeptScans(keep)
+def measure(
+    scans: int, seed: int, say: Say, keep: Path | None = None, world: str = ORDINARY
+) -> tuple[list[Measured], dict[str, Any]]:
+    """``scans`` scenes of ``world``, each at rest and moving; their frames come from ``keep`` and are kept there."""
+    kept = scans_of(world, keep)
     rows: list[Row] = []
     shown: dict[str, Judged] = {}
     cases = [case_of(seed, number) for number in range(scans)]
@@ -116,7 +112,7 @@ def measure(scans: int, seed: int, say: Say, keep: Path | None = None) -> tuple[
         nearest = shown.get(judged.case.kind)
         if judged.added > HARMFUL and (nearest is None or judged.added < nearest.added):
             shown[judged.case.kind] = judged
-    cpu_ms = cpu_at_full_size_ms(cases[0], kept)
+    cpu_ms = cpu_at_full_size_ms(cases[0], KeptScans(keep))
     OUT.mkdir(parents=True, exist_ok=True)
     draw_scatter(OUT / "motion-harm.png", rows)
     draw_roc(OUT / "motion-roc.png", rows)
@@ -127,38 +123,38 @@ def measure(scans: int, seed: int, say: Say, keep: Path | None = None) -> tuple[
     return figures(rows, cpu_ms), {"scans": rows, "roc": roc_table(rows), "cpu_ms": cpu_ms}
 
 
-def examine(case: Case, kept: KeptScans) -> Judged:
-    """Both recordings of one scene, with noise put on and judged; the truth from those without."""
-    clean = {take: kept.frames(case, take) for take in Take}
-    height, width = clean[Take.REST]["left"].shape[1:]
-    truth = draw_truth(TRUTH_SET, case.seed, width, height, case.scene.water.index)
-    calibration = complete_calibration(truth)
-    sequence = build_sequence(case.period_px)
-    recorded = {take: record(frames, case.gain_db, case.seed, 1 + n) for n, (take, frames) in enumerate(clean.items())}
-    noise, added, lost = harm(case, truth_renderer(case, width, height), clean, recorded[Take.REST])
+def examine(case: Case, kept: Scans) -> Judged:
+    """Both recordings of one scene, judged with noise; the truth from those without."""
+    recorded = {take: kept.recorded(case, take) for take in Take}
+    standing, moved = (kept.renderer(case, take) for take in Take)
+    calibration = complete_calibration(standing.truth)
+    noise, water = kept.noise(case), kept.water(case)
     still, moving = (
-        judge_frames(recorded[take], calibration, case.period_px, case.gain_db, case.exposure_s) for take in Take
+        judge_frames(one.noisy, calibration, case.period_px, case.gain_db, one.exposure_s, noise, water)
+        for one in recorded.values()
     )
-    return Judged(case, noise, added, lost, still, moving, recorded[Take.MOVING]["left"][sequence.bright])
+    noise_of_points_mm, added, lost = harm(case, standing, moved, recorded, water, noise)
+    bright = recorded[Take.MOVING].noisy["left"][build_sequence(case.period_px).bright]
+    return Judged(case, noise_of_points_mm, added, lost, still, moving, bright)
 
 
-def truth_renderer(case: Case, width: int, height: int) -> Renderer:
-    """Of the case at rest."""
-    truth = draw_truth(TRUTH_SET, case.seed, width, height, case.scene.water.index)
-    return Renderer(truth, without_fish(case.scene))
-
-
-def harm(case: Case, standing: Renderer, clean: Mapping[Take, Frames], noisy: Frames) -> tuple[float, float, float]:
+def harm(
+    case: Case,
+    standing: Renderer,
+    moved: Renderer,
+    recorded: Mapping[Take, Recorded],
+    water: Water,
+    stated: StereoNoise,
+) -> tuple[float, float, float]:
     """The noise of the points in mm, what the movement truly adds as a fraction of it, and the share of points it costs."""
     sequence = build_sequence(case.period_px)
     at_s = float(np.mean(sequence.axis(Direction.X).sine)) * FRAME_S
-    moved = Renderer(standing.truth, replace(case.scene, motion=case.motion))
-    with Pipeline(complete_calibration(standing.truth), WATER, sequence) as pipeline:
-        rest = cloud_of(pipeline, clean[Take.REST])
+    with Pipeline(complete_calibration(standing.truth), water, sequence, noise=stated) as pipeline:
+        rest = cloud_of(pipeline, recorded[Take.REST].clean)
         rest_mm, fit = errors_mm(standing, rest, 0.0)
-        with_noise = cloud_of(pipeline, noisy)
+        with_noise = cloud_of(pipeline, recorded[Take.REST].noisy)
         noise = noise_mm(rest, rest_mm, with_noise, errors_mm(standing, with_noise, 0.0, fit)[0])
-        moving = cloud_of(pipeline, clean[Take.MOVING])
+        moving = cloud_of(pipeline, recorded[Take.MOVING].clean)
         moving_mm, _ = errors_mm(moved, moving, at_s)
     lost = 1.0 - len(moving.pixel) / max(len(rest.pixel), 1)
     if min(len(rest.pixel), len(with_noise.pixel), len(moving.pixel)) < LEAST_POINTS:

@@ -30,6 +30,17 @@ class KeepingPart(Protocol):
         """As ``Part.measure``, with the rendered scans in the folder ``keep``; what is missing there is added."""
 
 
+class WorldPart(Protocol):
+    """A part whose scans may be those of another world."""
+
+    def measure(
+        self, scans: int, seed: int, say: Say, keep: Path | None = None, world: str = ...
+    ) -> tuple[list[Measured], dict[str, Any]]:
+        """As ``KeepingPart.measure``, with the scans of ``world`` (``worlds.WORLDS``)."""
+
+
+IN_WORLDS = ("motion", "identity", "identity_good", "causes", "compensation", "compensation_hard")
+"""The names of those."""
 KEEPING = (
     "motion",
     "causes",
@@ -68,9 +79,12 @@ def part(name: str) -> Part:
 
 
 def measure_part(
-    name: str, scans: int, seed: int, say: Say, keep: Path | None
+    name: str, scans: int, seed: int, say: Say, keep: Path | None, world: str | None = None
 ) -> tuple[list[Measured], dict[str, Any]]:
-    """What the part of that name finds out; only those of ``KEEPING`` care for ``keep``. Raises KeyError."""
+    """What the part of that name finds out; only those of ``KEEPING`` care for ``keep``, only those of ``IN_WORLDS`` for
+    ``world`` (``None``: the ordinary one). Raises KeyError."""
+    if name in IN_WORLDS and world is not None:
+        return cast(WorldPart, part(name)).measure(scans, seed, say, keep, world)
     if name in KEEPING:
         return cast(KeepingPart, part(name)).measure(scans, seed, say, keep)
     return part(name).measure(scans, seed, say)

@@ -112,6 +112,19 @@ class Renderer:
         ``noise_seed`` makes the noise of each frame its own. ``clock_s`` is the middle of the exposure by the clock that
         daylight goes by, whether the hands move or not; ``None``: as ``time_s``.
         """
+        electrons = self.light(camera, slices, time_s, exposure_s, lasers, clock_s)
+        return self.read_out(camera, electrons, exposure_s, gain_db, noise_seed)
+
+    def light(
+        self,
+        camera: str,
+        slices: Sequence[LightSlice],
+        time_s: float,
+        exposure_s: float,
+        lasers: tuple[bool, bool],
+        clock_s: float | None = None,
+    ) -> Picture:
+        """Return the light (h, w) float32 that an exposure brings to the sensor, in electrons; arguments as of ``expose``."""
         clock_s = time_s if clock_s is None else clock_s
         scene = self._scene
         eye = self.truth.eye(camera)
@@ -134,10 +147,18 @@ class Renderer:
             image = self._defocused(camera, scene, image, time_s)
         image = scene.fog.over(camera, image)
         traits = scene.outside.cameras
+        return image if traits is None else traits.through_lens(image)
+
+    def read_out(
+        self, camera: str, electrons: Picture, exposure_s: float, gain_db: float, noise_seed: int
+    ) -> NDArray[np.uint8]:
+        """Return the frame (h, w) uint8 that the sensor makes of the ``light`` of an exposure: the same light may be read
+        out with the scene's noise and without it."""
+        scene = self._scene
+        traits = scene.outside.cameras
         if traits is not None:
-            sensor = self._sensor_of_traits(camera, scene, traits)
-            return sensor.read_out(traits.through_lens(image), gain_db, noise_seed, exposure_s)
-        return self._sensor(camera, scene).read_out(image, gain_db, noise_seed)
+            return self._sensor_of_traits(camera, scene, traits).read_out(electrons, gain_db, noise_seed, exposure_s)
+        return self._sensor(camera, scene).read_out(electrons, gain_db, noise_seed)
 
     def surface(self, time_s: float) -> Surface:
         """Return the true surface at ``time_s``."""

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibration.file import Calibration
+from appliance.optics.water import Water
 from appliance.patterns.sequence import build_sequence
 from appliance.reconstruct.images import ScanImages
 from appliance.reconstruct.pipeline import Cloud, Pipeline
@@ -39,10 +40,18 @@ def record(clean: Frames, gain_db: float, camera_seed: int, noise_seed: int) -> 
     return recorded
 
 
-def as_judged(pipeline: Pipeline, frames: Frames, gain_db: float, exposure_s: float) -> tuple[ScanImages, Cloud]:
-    """Return what a judge is given after the last frame; it is valid until the next sequence."""
+def data_sheet_noise(gain_db: float) -> StereoNoise:
+    """Return the noise of the ordinary simulated cameras, as their data sheet states it."""
     camera = camera_noise(FULL_WELL_E, READ_NOISE_E, OFFSET_DN, gain_db)
-    noise = StereoNoise(camera, camera)
+    return StereoNoise(camera, camera)
+
+
+def as_judged(
+    pipeline: Pipeline, frames: Frames, gain_db: float, exposure_s: float, noise: StereoNoise | None = None
+) -> tuple[ScanImages, Cloud]:
+    """Return what a judge is given after the last frame; it is valid until the next sequence. ``noise``: the cameras', the
+    ordinary ones' by default."""
+    noise = noise or data_sheet_noise(gain_db)
     exposure = Exposure(round(1e6 * exposure_s), gain_db)
     pipeline.expect(noise)
     pipeline.reset()
@@ -55,9 +64,15 @@ def as_judged(pipeline: Pipeline, frames: Frames, gain_db: float, exposure_s: fl
 
 
 def judge_frames(
-    frames: Frames, calibration: Calibration, period_px: int, gain_db: float, exposure_s: float
+    frames: Frames,
+    calibration: Calibration,
+    period_px: int,
+    gain_db: float,
+    exposure_s: float,
+    noise: StereoNoise | None = None,
+    water: Water = WATER,
 ) -> MotionJudgement:
-    """Judge the movement as the worker does, with the data sheet of the simulated cameras."""
-    with Pipeline(calibration, WATER, build_sequence(period_px)) as pipeline:
-        images, cloud = as_judged(pipeline, frames, gain_db, exposure_s)
-        return judge_motion(images, cloud, calibration.rig, WATER.index)
+    """Judge the movement as the worker does, with the data sheet of the simulated cameras unless ``noise`` is given."""
+    with Pipeline(calibration, water, build_sequence(period_px)) as pipeline:
+        images, cloud = as_judged(pipeline, frames, gain_db, exposure_s, noise)
+        return judge_motion(images, cloud, calibration.rig, water.index)

@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 from appliance.compensation.prior import LEVER_MM
 from appliance.reconstruct.images import ScanImages
 from appliance.reconstruct.pipeline import Cloud, Pipeline
+from appliance.scan.acquisition import AcquisitionSettings
+from appliance.scan.noise import TYPICAL_PAIR, StereoNoise
 from appliance.scan.sides import SIDES
 from hw_sim.objects.motion import object_pose
 from tests.support.rendered import Accuracy, RenderedScan
@@ -16,9 +18,10 @@ from tests.support.truth import left_to_rig
 FRAME_S = 1.0 / 60.0
 
 
-def recorded(scan: RenderedScan, pipeline: Pipeline) -> ScanImages:
+def recorded(scan: RenderedScan, pipeline: Pipeline, noise: StereoNoise = TYPICAL_PAIR) -> ScanImages:
     """A scan as judges are given it."""
-    return ScanImages(scan.sequence, scan.frames, {side: pipeline.decoded(side) for side in SIDES})
+    decoded = {side: pipeline.decoded(side) for side in SIDES}
+    return ScanImages(scan.sequence, scan.frames, decoded, AcquisitionSettings(noise=noise))
 
 
 def true_motion_mm(

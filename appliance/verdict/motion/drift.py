@@ -118,7 +118,9 @@ def _accumulate(
                 modulation * second_sine,
                 0.25 * (a + b + c + d),
             )
-            sixth_cosine = modulation * second_cosine * (second_cosine * second_cosine - 3.0 * second_sine * second_sine)
+            sixth_cosine = (
+                modulation * second_cosine * (second_cosine * second_cosine - 3.0 * second_sine * second_sine)
+            )
             sixth_sine = modulation * second_sine * (3.0 * second_cosine * second_cosine - second_sine * second_sine)
             # Normal equations of the cell, x xᵀ row by row up to the diagonal: the last two rows by themselves, for
             # loops as short as this are unrolled.

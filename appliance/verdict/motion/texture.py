@@ -160,14 +160,14 @@ class _Fringes:
         left = rest.astype(np.float64)
         for _ in range(LOCKED_ROUNDS):
             for at in self.bins:
-                of = np.bincount(at, light * left, LOCKED_BINS) / np.maximum(np.bincount(at, light * light, LOCKED_BINS), 1e-3)
+                of = np.bincount(at, light * left, LOCKED_BINS) / np.maximum(
+                    np.bincount(at, light * light, LOCKED_BINS), 1e-3
+                )
                 left -= of[at] * light
         return left.astype(np.float32)
 
 
-def _fringes(
-    decoded: CameraDecoder, inside: NDArray[np.bool_], period_px: int, at: tuple[slice, slice]
-) -> _Fringes:
+def _fringes(decoded: CameraDecoder, inside: NDArray[np.bool_], period_px: int, at: tuple[slice, slice]) -> _Fringes:
     height, width = inside.shape
     p, q = (
         (coordinate[at][:height, :width][inside] * (4.0 / period_px)) % 1.0 * LOCKED_BINS

@@ -69,7 +69,8 @@ def test_a_light_made_of_steps_is_no_texture_that_moves() -> None:
         stack = frames(light * of_x, second * of_y, 1.0)
         stack[[SEQUENCE.bright, SEQUENCE.dark]] = frames(light, light, 1.0)[:2]
         found = texture_shift(stack, maps, SEQUENCE, variance)
-        assert found.change is not None and found.early_change is not None
+        assert found.change is not None
+        assert found.early_change is not None
         assert found.locked > 2.0, "without the fringes' part the difference would be several times the noise"
         score = texture_score({"left": found})
         assert score is not None
