@@ -55,7 +55,7 @@ class TextureShift:
     bin_px: int
     """The camera's pixels that were binned, along a side."""
     locked: float = 0.0
-    """What followed the phase and was taken out of both changes, in units of noise."""
+    """Part that followed the phase and was taken out of both changes, in units of noise."""
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -151,7 +151,7 @@ def _flow(
 
 @dataclass(frozen=True, slots=True)
 class _Fringes:
-    """Where in a quarter of a fringe each pixel lies, for both directions: (pixels inside,) each, 0..``LOCKED_BINS`` − 1."""
+    """Places in a quarter of a fringe at which the pixels lie, for both directions: (pixels inside,) each, 0..``LOCKED_BINS`` − 1."""
 
     bins: tuple[NDArray[np.int64], NDArray[np.int64]]
 
