@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from bench.outside.noise import WAYS
 from bench.outside.page import compact, write_page
 from bench.outside.parts import PARTS, measure_part
 from bench.progress import Progress
@@ -17,6 +18,7 @@ from bench.result import Measured
 from bench.runner import machine
 
 OUT = Path("bench/out/outside.json")
+USUAL_NOISE = "sheet"
 BEFORE, PAGE, PICTURES = Path("docs/outside-before.json"), Path("docs/outside.md"), Path("docs/pictures")
 """``BEFORE`` has the figures of the product as it was before it had met this world; without the rows of single scans."""
 
@@ -24,7 +26,7 @@ BEFORE, PAGE, PICTURES = Path("docs/outside-before.json"), Path("docs/outside.md
 def measure() -> Iterator[Measured]:
     """Every part with a few scenes: whether the instrument still does what it is for."""
     for name, entry in PARTS.items():
-        found, _ = measure_part(name, entry.few, 1, lambda what, share: None, None)
+        found, _ = measure_part(name, entry.few, 1, lambda what, share: None, None, USUAL_NOISE)
         yield from found
 
 
@@ -39,6 +41,12 @@ def main(arguments: Sequence[str]) -> int:
         help="scenes, scans or rigs of each part; default: " + ", ".join(f"{n} {e.count}" for n, e in PARTS.items()),
     )
     parser.add_argument("--keep", type=Path, help="folder of frames and rows, used and added to: 6 MB a scan")
+    parser.add_argument(
+        "--noise",
+        choices=WAYS,
+        default=USUAL_NOISE,
+        help="what the instrument knows of its cameras' noise: what it measured, or their data sheet; default: %(default)s",
+    )
     parser.add_argument("--json", type=Path, default=OUT, help="added to if it is there; default: %(default)s")
     parser.add_argument(
         "--write-docs", action="store_true", help=f"measure nothing; write {PAGE} from --json and {BEFORE}"
@@ -60,10 +68,12 @@ def main(arguments: Sequence[str]) -> int:
         parser.error(f"--count {wanted.count}: allowed are 1 to 100000")
     if not 0 <= wanted.seed < 1 << 31:
         parser.error(f"--seed {wanted.seed}: allowed are 0 to {(1 << 31) - 1}")
-    return 0 if run(names, wanted.count, wanted.seed, wanted.json, wanted.keep) else 1
+    return 0 if run(names, wanted.count, wanted.seed, wanted.json, wanted.keep, wanted.noise) else 1
 
 
-def run(names: Sequence[str], count: int | None, seed: int, path: Path, keep: Path | None) -> bool:
+def run(
+    names: Sequence[str], count: int | None, seed: int, path: Path, keep: Path | None, noise: str = USUAL_NOISE
+) -> bool:
     """Part by part; the file is written after each, so that what is done is kept. True when every bound was kept."""
     path.parent.mkdir(parents=True, exist_ok=True)
     content = _before(path, seed)
@@ -72,13 +82,14 @@ def run(names: Sequence[str], count: int | None, seed: int, path: Path, keep: Pa
         progress = Progress(1)
         say = partial(_show, progress, done, len(names))
         try:
-            found, data = measure_part(name, count, seed, say, keep)
+            found, data = measure_part(name, count, seed, say, keep, noise)
         finally:
             progress.close()
         sys.stdout.write(f"{name}: {PARTS[name].about}\n")
         sys.stdout.writelines(number.line() + "\n" for number in found)
         sys.stdout.flush()
         kept = kept and all(number.kept for number in found)
+        content["noise"] = noise
         content["parts"][name] = {"measured": [number.as_dict() for number in found], "data": data}
         draft = path.with_name(f".{path.name}")
         draft.write_text(json.dumps(content) + "\n", encoding="utf-8")

@@ -21,7 +21,8 @@ from appliance.calibration.patches import PatchGaps
 from bench.outside.draws import drawn_scene, joined
 from bench.outside.figures import FALSE_ALARMS, median, rows_of
 from bench.outside.kept import Row, kept_row, kept_scan
-from bench.outside.scan import SEQUENCE, data_sheet, row_of, worked_through
+from bench.outside.noise import WAYS
+from bench.outside.scan import SEQUENCE, row_of, worked_through
 from bench.outside.stated import stated_truth
 from bench.outside.world import World, world_with
 from bench.result import Measured
@@ -41,12 +42,14 @@ KNOCKS = ("pitch_deg", "yaw_deg", "roll_deg")
 SEEDS_PER_SEED = 100_000
 
 
-def measure(count: int, seed: int, say: Say, keep: Path | None = None) -> tuple[list[Measured], dict[str, Any]]:
+def measure(
+    count: int, seed: int, say: Say, keep: Path | None = None, noise: str = "sheet"
+) -> tuple[list[Measured], dict[str, Any]]:
     """Return false alarms of about ``count`` normal scans and how many scans of a knocked instrument it takes."""
     each = max(1, -(-count // RIGS))
     wanted = [(rig, number) for rig in range(RIGS) for number in range(each + KNOCKED_SCANS)]
     rows: dict[int, list[Row]] = {rig: [] for rig in range(RIGS)}
-    work = partial(_row, seed=seed, normal=each, keep=keep)
+    work = partial(_row, seed=seed, normal=each, keep=keep, noise=noise)
     for done, ((rig, _), row) in enumerate(zip(wanted, spread(work, wanted), strict=True), 1):
         say(f"health: {done} of {len(wanted)}", done / len(wanted))
         rows[rig].append(row)
@@ -95,11 +98,11 @@ def followed(rows: Iterable[Row]) -> Iterator[HealthJudgement]:
         yield said
 
 
-def _row(wanted: tuple[int, int], seed: int, normal: int, keep: Path | None) -> Row:
+def _row(wanted: tuple[int, int], seed: int, normal: int, keep: Path | None, noise: str) -> Row:
     rig, number = wanted
     # Scans of the knocked instrument are numbered from a thousand on, so that more normal ones leave them as they are.
     own = number if number < normal else 1000 + number - normal
-    return kept_row(keep, ("health", rig, own, seed), lambda: _found(rig, own, seed, keep))
+    return kept_row(keep, ("health", rig, own, seed, noise), lambda: _found(rig, own, seed, keep, noise))
 
 
 def health_world(rig: int, number: int, seed: int) -> tuple[World, World]:
@@ -116,10 +119,10 @@ def health_world(rig: int, number: int, seed: int) -> tuple[World, World]:
     return now, stated
 
 
-def _found(rig: int, number: int, seed: int, keep: Path | None) -> Row:
+def _found(rig: int, number: int, seed: int, keep: Path | None, noise: str) -> Row:
     world, before = health_world(rig, number, seed)
     taken = kept_scan(keep, world, SEQUENCE, number=number)
     stated = stated_truth(before.rig, before.scene)
-    noise = data_sheet(world.scene, taken.exposure.gain_db)
-    scanned = worked_through(taken.frames, stated.calibration, stated.water, taken.exposure, noise)
+    known = WAYS[noise](world, taken.exposure.gain_db, keep)
+    scanned = worked_through(taken.frames, stated.calibration, stated.water, taken.exposure, known)
     return {"number": number, "rig": rig, **row_of(world, scanned, taken.exposure)}

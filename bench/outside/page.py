@@ -50,9 +50,9 @@ def tables(now: Content, old: Content) -> str:
 
 
 def compact(content: Content) -> dict[str, Any]:
-    """Return the content without the rows of single scans, small enough to be kept beside the page."""
+    """Return the content without what is known of single scans and rigs, small enough to be kept beside the page."""
     parts = {
-        name: {"measured": part["measured"], "data": {k: v for k, v in part["data"].items() if k != "rows"}}
+        name: {"measured": part["measured"], "data": {k: v for k, v in part["data"].items() if k == "families"}}
         for name, part in content["parts"].items()
     }
     return {**content, "parts": parts}

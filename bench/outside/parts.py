@@ -10,6 +10,7 @@ from typing import Any, Protocol, cast
 
 from bench.result import Measured
 from bench.verdict.parts import Say
+from bench.verdict.worlds import OUTSIDE
 
 
 class Part(Protocol):
@@ -22,6 +23,24 @@ class Part(Protocol):
         ``keep`` is not done again; what is missing there is added."""
 
 
+class PartWithNoise(Protocol):
+    """A part whose scans depend on how the instrument knows its cameras' noise."""
+
+    def measure(
+        self, count: int, seed: int, say: Say, keep: Path | None, noise: str
+    ) -> tuple[list[Measured], dict[str, Any]]:
+        """As ``Part.measure``; ``noise`` is one of ``noise.WAYS``."""
+
+
+class PartOfWorlds(Protocol):
+    """A part that is measured in the ordinary world as well."""
+
+    def measure(
+        self, scans: int, seed: int, say: Say, keep: Path | None, world: str
+    ) -> tuple[list[Measured], dict[str, Any]]:
+        """As ``Part.measure``, in the ``world`` of that name."""
+
+
 @dataclass(frozen=True, slots=True)
 class Entry:
     """One part: where it is, what it is about, and how much of it a whole report has."""
@@ -32,25 +51,47 @@ class Entry:
     """Scenes, scans or rigs of a report."""
     few: int
     """The same for a look at whether it still does what it is for."""
+    noise: bool = False
+    """It is a ``PartWithNoise``."""
+    world: str | None = None
+    """The world that a module which knows several is asked for; ``None``: it knows this one only."""
 
 
 PARTS = MappingProxyType(
     {
         "scenes": Entry(
-            "bench.outside.scenes", "drawn scenes: completeness, outliers, honesty of sigma, false alarms", 200, 2
+            "bench.outside.scenes",
+            "drawn scenes: completeness, outliers, honesty of sigma, false alarms",
+            200,
+            2,
+            noise=True,
         ),
-        "milk": Entry("bench.outside.milk", "completeness in water like diluted milk", 8, 1),
+        "milk": Entry("bench.outside.milk", "completeness in water like diluted milk", 8, 1, noise=True),
         "health": Entry(
             "bench.outside.health", "normal scans and knocks as the calibration's health sees them", 320, 8
+        ),
+        "motion": Entry(
+            "bench.verdict.motion", "what moved is rejected, what did no harm is not", 120, 2, world=OUTSIDE
+        ),
+        "identity": Entry(
+            "bench.verdict.identity", "wrong orders of frames are found and rightly named", 60, 1, world=OUTSIDE
+        ),
+        "causes": Entry(
+            "bench.verdict.causes", "the first reason that is given for a bad scan is a true one", 80, 1, world=OUTSIDE
         ),
     }
 )
 
 
 def measure_part(
-    name: str, count: int | None, seed: int, say: Say, keep: Path | None
+    name: str, count: int | None, seed: int, say: Say, keep: Path | None, noise: str
 ) -> tuple[list[Measured], dict[str, Any]]:
-    """Return what the part of that name finds out, of ``count`` scenes or as many as a report has. Raises KeyError."""
+    """Return what the part of that name finds out, of ``count`` scenes or as many as a report has; ``noise``: how the instrument
+    knows that of its cameras (``noise.WAYS``). Raises KeyError."""
     entry = PARTS[name]
-    part = cast(Part, importlib.import_module(entry.module))
-    return part.measure(entry.count if count is None else count, seed, say, keep)
+    module, count = importlib.import_module(entry.module), entry.count if count is None else count
+    if entry.world is not None:
+        return cast(PartOfWorlds, module).measure(count, seed, say, keep, entry.world)
+    if entry.noise:
+        return cast(PartWithNoise, module).measure(count, seed, say, keep, noise)
+    return cast(Part, module).measure(count, seed, say, keep)

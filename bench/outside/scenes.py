@@ -9,7 +9,8 @@ from typing import Any
 from bench.outside.draws import scene_world
 from bench.outside.figures import of_families, of_scenes
 from bench.outside.kept import Row, kept_row, kept_scan
-from bench.outside.scan import SEQUENCE, data_sheet, row_of, worked_through
+from bench.outside.noise import WAYS
+from bench.outside.scan import SEQUENCE, row_of, worked_through
 from bench.outside.stated import stated_truth
 from bench.result import Measured
 from bench.spread import spread
@@ -22,14 +23,17 @@ ORDINARY = "ordinary"
 TOGETHER = "all"
 
 
-def measure(count: int, seed: int, say: Say, keep: Path | None = None) -> tuple[list[Measured], dict[str, Any]]:
-    """Return figures of ``count`` scenes with all families, and of a few of them with each family alone."""
+def measure(
+    count: int, seed: int, say: Say, keep: Path | None = None, noise: str = "sheet"
+) -> tuple[list[Measured], dict[str, Any]]:
+    """Return figures of ``count`` scenes with all families, and of a few of them with each family alone; ``noise``: how the
+    instrument knows that of its cameras (``noise.WAYS``)."""
     few = family_scenes(count)
     wanted = [(TOGETHER, number) for number in range(count)]
     wanted += [(name, number) for number in range(few) for name in (ORDINARY, *ALL)]
     rows: dict[str, list[Row]] = {name: [] for name in (TOGETHER, ORDINARY, *ALL)}
     for done, ((name, _), row) in enumerate(
-        zip(wanted, spread(partial(_row, seed=seed, keep=keep), wanted), strict=True), 1
+        zip(wanted, spread(partial(_row, seed=seed, keep=keep, noise=noise), wanted), strict=True), 1
     ):
         say(f"scenes: {done} of {len(wanted)}", done / len(wanted))
         rows[name].append(row)
@@ -41,20 +45,20 @@ def family_scenes(count: int) -> int:
     return max(1, round(FAMILY_SHARE * count))
 
 
-def _row(wanted: tuple[str, int], seed: int, keep: Path | None) -> Row:
-    return scene_row(wanted[0], wanted[1], seed, keep)
+def _row(wanted: tuple[str, int], seed: int, keep: Path | None, noise: str) -> Row:
+    return scene_row(wanted[0], wanted[1], seed, keep, noise)
 
 
-def scene_row(name: str, number: int, seed: int, keep: Path | None) -> Row:
+def scene_row(name: str, number: int, seed: int, keep: Path | None, noise: str = "sheet") -> Row:
     """Return the row of one scene: ``all``, ``ordinary`` or one family."""
     families = ALL if name == TOGETHER else () if name == ORDINARY else (name,)
-    return kept_row(keep, ("scenes", name, number, seed), lambda: _found(number, seed, families, keep))
+    return kept_row(keep, ("scenes", name, number, seed, noise), lambda: _found(number, seed, families, keep, noise))
 
 
-def _found(number: int, seed: int, families: tuple[str, ...], keep: Path | None) -> Row:
+def _found(number: int, seed: int, families: tuple[str, ...], keep: Path | None, noise: str) -> Row:
     world = scene_world(seed, number, families)
     taken = kept_scan(keep, world, SEQUENCE)
     stated = stated_truth(world.rig, world.scene)
-    noise = data_sheet(world.scene, taken.exposure.gain_db)
-    scanned = worked_through(taken.frames, stated.calibration, stated.water, taken.exposure, noise)
+    known = WAYS[noise](world, taken.exposure.gain_db, keep)
+    scanned = worked_through(taken.frames, stated.calibration, stated.water, taken.exposure, known)
     return {"number": number, **row_of(world, scanned, taken.exposure)}
