@@ -17,6 +17,7 @@ the right camera, freed of the earlier ones:
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +40,25 @@ FIELD_NODES = (12, 9)
 FIELD_DEPTHS_MM = (460.0, 525.0, 590.0)
 """Depths of the lattice over the image on which amplitudes are normalised, inside the measuring volume."""
 INDEX_STEP = 1e-5
+
+
+@dataclass(frozen=True, slots=True)
+class VeilGaps:
+    """Ray gaps in µm that backscatter with fringes of its own makes at n places of the left image."""
+
+    left_px: Array
+    """(n, 2)."""
+    gap_um: Array
+    """(n,) what it is expected to add."""
+    doubts_um: Array
+    """(n, DOUBTS) by how much that may be wrong, one standard deviation of each cause; all places together."""
+    shape_um: Array
+    """(n,) the standard deviation of what is left of it, smooth over the image."""
+
+
+DOUBTS = 3
+"""Causes for which what backscatter adds may be wrong everywhere at once: its strength, and two directions in which the projector may
+stand elsewhere."""
 
 
 def signed_gap_mm(rig: StereoRig, water_index: float, left_px: Array, right_px: Array) -> Array:

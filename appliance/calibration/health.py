@@ -25,7 +25,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibration.gaps import MODES
+from appliance.calibration.gaps import DOUBTS, MODES
 from appliance.calibration.judgement import PATCHES
 from appliance.calibration.patches import COUNT, PatchGaps
 
@@ -63,6 +63,11 @@ MOST_ANSWERS = 20
 OFFSET_SHARE = 0.05
 """Uncertainty of an accepted change as a share of it: turns and shifts of the same amplitude differ a little with
 distance."""
+MOST_VEIL_UM = 22.0
+"""Doubt about what backscatter does to the gaps, rms, beyond which a scan is not judged: a turn of 0.02° about z gives no more."""
+LASTING = 1.5
+"""Multiple of its standard deviation at which doubt about backscatter counts: its causes stay, and the sum must not add them up. Of three
+causes 1 in 35 instruments then has more than ``SLACK`` for good, in other water than that of its first scans."""
 _WIDE_UM = 1e3
 """Standard deviation of an amplitude that the seen patches say nothing about."""
 
@@ -99,6 +104,9 @@ class Reference:
     """Mean refractive index of the scans that taught."""
     offset_um: Four = (0.0, 0.0, 0.0, 0.0)
     """Amplitudes that a length check found harmless: they are normal, too."""
+    doubts_um: tuple[float, ...] = (0.0,) * (COUNT * (DOUBTS + 1))
+    """Standard deviations of what backscatter did to the gaps, patch after patch: mean of the scans that taught it of
+    ``PatchGaps.doubts_um`` and ``PatchGaps.shape_um``. The same causes are wrong in the same way in later scans."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,6 +151,10 @@ def judge(trend: HealthTrend, gaps: PatchGaps, scan: str | None = None) -> tuple
         return trend, HealthJudgement(None, trend.alarm is not None, text, _counts(gaps))
     if not all(np.isfinite(values).all() for values in (gaps.gap_um, gaps.noise_um, gaps.modes)):
         return trend, HealthJudgement(None, trend.alarm is not None, "not judged: a gap is not a number", _counts(gaps))
+    veil_um = _veil_doubt_um(gaps)
+    if veil_um > MOST_VEIL_UM:
+        text = f"not judged: backscatter may move the gaps by {veil_um:.0f} µm, allowed are {MOST_VEIL_UM:.0f}; scan in clearer water"
+        return trend, HealthJudgement(None, trend.alarm is not None, text, _counts(gaps))
     # The three steps of the module's head. The median with the taught scans keeps one odd scan from widening its own
     # limits.
     rest_um = _rest(gaps)
@@ -228,11 +240,16 @@ def _compared(reference: Reference, gaps: PatchGaps, usual_um: float) -> tuple[A
     white = gaps.noise_um**2 + PATCH_UM**2 + np.array(reference.variance_um2)[gaps.patch]
     # Least squares as if patches were independent, its covariance as they are: what is left over is smooth, but how
     # smooth is known too roughly to make use of it.
-    solve = _solver(gaps.modes, 1.0 / (white + left_over**2))
+    # What backscatter may do wrongly it does to the reference, too: only the difference counts.
+    causes, shape = _doubts(gaps)
+    known_causes = np.array(reference.doubts_um).reshape(COUNT, DOUBTS + 1)[gaps.patch]
+    causes, shape = causes - known_causes[:, :DOUBTS], shape - known_causes[:, DOUBTS]
+    solve = _solver(gaps.modes, 1.0 / (white + left_over**2 + shape**2 + np.sum(causes**2, axis=1)))
     amplitudes = solve @ (gaps.gap_um - expected)
     # Propagation of the true covariance S through the estimator K: K S Kᵀ. What the patches do not determine, (I − K
     # M), is as uncertain as before.
-    scatter = np.diag(white) + np.outer(left_over, left_over) * _alike(gaps.patch)
+    smooth = np.outer(left_over, left_over) + np.outer(shape, shape)
+    scatter = np.diag(white) + smooth * _alike(gaps.patch) + causes @ causes.T
     unseen = np.eye(len(MODES)) - solve @ gaps.modes
     covariance = solve @ scatter @ solve.T + unseen @ unseen.T * _WIDE_UM**2
     # Floors that no number of patches takes away: the best calibration's scatter, the part of an accepted change that
@@ -241,6 +258,20 @@ def _compared(reference: Reference, gaps: PatchGaps, usual_um: float) -> tuple[A
     if reference.water_index is not None:
         least[0] += (HEIGHT_PER_INDEX_UM * (gaps.water_index - reference.water_index)) ** 2
     return amplitudes, covariance + np.diag(least)
+
+
+def _doubts(gaps: PatchGaps) -> tuple[Array, Array]:
+    """Return the standard deviations of what backscatter does wrongly: of each cause (k, DOUBTS), and smooth ones (k,)."""
+    if gaps.doubts_um is None or gaps.shape_um is None:
+        return np.zeros((len(gaps.patch), DOUBTS)), np.zeros(len(gaps.patch))
+    return LASTING * gaps.doubts_um, LASTING * gaps.shape_um
+
+
+def _veil_doubt_um(gaps: PatchGaps) -> float:
+    """Return the standard deviation of what backscatter does wrongly, rms over the patches."""
+    if gaps.doubts_um is None or gaps.shape_um is None:
+        return 0.0
+    return float(np.sqrt(np.mean(np.sum(gaps.doubts_um**2, axis=1) + gaps.shape_um**2)))
 
 
 def _alike(patch: NDArray[np.intp]) -> Array:
@@ -287,6 +318,9 @@ def _taught(reference: Reference, gaps: PatchGaps, rest_um: float) -> Reference:
     # Running mean of n + 1 scans, and the variance of that mean: (n² v + σ²) / (n + 1)².
     mean[learning] = (n * mean[learning] + seen) / (n + 1.0)
     variance[learning] = (n**2 * variance[learning] + gaps.noise_um[at] ** 2) / (n + 1.0) ** 2
+    doubts = np.array(reference.doubts_um).reshape(COUNT, DOUBTS + 1)
+    causes, shape = _doubts(gaps)
+    doubts[learning] = (n[:, None] * doubts[learning] + np.column_stack([causes, shape])[at]) / (n[:, None] + 1.0)
     scans[learning] += 1.0
     rests, index = reference.rests_um, reference.water_index
     if len(rests) < LEARNT_SCANS:
@@ -297,6 +331,7 @@ def _taught(reference: Reference, gaps: PatchGaps, rest_um: float) -> Reference:
         gap_um=tuple(float(v) for v in mean),
         variance_um2=tuple(float(v) for v in variance),
         scans=tuple(int(n) for n in scans),
+        doubts_um=tuple(float(v) for v in doubts.ravel()),
         rests_um=rests,
         water_index=index,
     )
@@ -315,6 +350,8 @@ def _numbers(point: TrendPoint, gaps: PatchGaps) -> dict[str, float | None]:
     numbers: dict[str, float | None] = {}
     for name, value, sigma in zip(MODES, point.amplitudes_um, point.sigma_um, strict=True):
         numbers |= {f"{name}_um": value, f"{name}_sigma_um": sigma}
+    if gaps.veil_um is not None:
+        numbers |= {"veil_um": float(np.sqrt(np.mean(gaps.veil_um**2))), "veil_doubt_um": _veil_doubt_um(gaps)}
     numbers |= {"rest_um": point.rest_um, "score": point.score, "sum": point.total, "limit": LIMIT}
     return numbers | _counts(gaps)
 

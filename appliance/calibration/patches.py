@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibration.gaps import MODES, GapModes
+from appliance.calibration.gaps import DOUBTS, MODES, GapModes, VeilGaps
 from appliance.calibration.judgement import PATCHES
 from appliance.scan.noise import MAD_TO_SIGMA
 
@@ -36,6 +36,27 @@ class PatchGaps:
     """Correspondences that were looked at."""
     water_index: float
     """Refractive index of the water in which the rays were traced."""
+    veil_um: Array | None = None
+    """(k,) what backscatter with fringes of its own added to the gap; ``gap_um`` is without it. ``None``, as the next two: there is none."""
+    doubts_um: Array | None = None
+    """(k, DOUBTS) by how much that may be wrong, one standard deviation of each cause, all patches together."""
+    shape_um: Array | None = None
+    """(k,) standard deviation of what is left of it, smooth over the image."""
+
+
+def without_veil(gaps: PatchGaps, veil: VeilGaps, size_px: tuple[int, int]) -> PatchGaps:
+    """Return ``gaps`` less what backscatter is expected to have added, with what is not known of that. ``size_px`` is the image's."""
+    patch = _patch_of(veil.left_px, size_px)
+    counts = np.bincount(patch, minlength=COUNT)
+
+    def mean(values: Array) -> Array:
+        # A patch without a sample is like the mean of all.
+        sums = np.bincount(patch, values, minlength=COUNT)
+        return np.asarray(np.where(counts > 0, sums / np.maximum(counts, 1), np.mean(values))[gaps.patch])
+
+    moved = mean(veil.gap_um)
+    doubts = np.stack([mean(veil.doubts_um[:, k]) for k in range(DOUBTS)], -1)
+    return replace(gaps, gap_um=gaps.gap_um - moved, veil_um=moved, doubts_um=doubts, shape_um=mean(veil.shape_um))
 
 
 def average(modes: GapModes, left_px: Array, right_px: Array, gap_um: Array) -> PatchGaps:

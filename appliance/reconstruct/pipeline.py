@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from appliance.calibration.file import Calibration
 from appliance.calibration.gaps import GapModes
+from appliance.calibration.patches import without_veil
 from appliance.optics.rays import ray_lattice
 from appliance.optics.water import Water
 from appliance.patterns.sequence import PatternSequence
@@ -34,6 +35,7 @@ from appliance.reconstruct.select import PointLimits
 from appliance.reconstruct.sigma import SigmaFactors, read_between, sigma_factors
 from appliance.reconstruct.table import Cloud, Found, PointTable
 from appliance.reconstruct.triangulate import Rays, rays_of
+from appliance.reconstruct.veil import VeilFringes, find_veil, looks_veiled, remove_veil
 from appliance.scan.noise import TYPICAL_PAIR, StereoNoise
 from appliance.scan.sides import SIDES, of_side
 
@@ -43,6 +45,8 @@ MIN_COARSE_NEIGHBOURS = 2
 """Least number of neighbours of a coarse point, of eight: they are farther apart, and one may lie beyond an edge."""
 LOOSE_GAP_MM = np.float32(5.0)
 """Largest gap of the two rays of the same point, seen while it moved."""
+VEIL_POINTS = 2_000
+"""Number of left pixels that are asked for the fringes of backscatter."""
 THREADS = 2
 __all__ = ["Cloud", "Pipeline"]
 
@@ -79,7 +83,7 @@ class Pipeline:
             "left": CameraDecoder(sequence, left.width_px, left.height_px),
             "right": CameraDecoder(sequence, right.width_px, right.height_px),
         }
-        self._rays = _rays(calibration, water)
+        self._rays, self._rig, self._index = _rays(calibration, water), calibration.rig, water.index
         seen = self._decoders["right"]
         self._right = right_maps(seen.p_px, seen.q_px, seen.modulation_half_dn, sequence.width_px, sequence.height_px)
         self._gaps = _sampler(calibration, water)
@@ -89,6 +93,7 @@ class Pipeline:
         self._factors = sigma_factors(sequence.period_px, noise)
         self._limits = limits or QualityLimits()
         self._pixel_mm = 0.16 * 1600.0 / left.width_px
+        self._veil: VeilFringes | None = None
         self._frames: dict[str, NDArray[np.uint8]] = {}
         self._bright: NDArray[np.uint8] | None = None
         self._scratch = [scratch_rows() for _ in range(THREADS)]
@@ -148,7 +153,7 @@ class Pipeline:
                     f"the calibration's {side} camera has {camera.width_px} x {camera.height_px} px, this pipeline's "
                     f"{width_px} x {height_px} px; make another pipeline"
                 )
-        self._rays = _rays(calibration, water)
+        self._rays, self._rig, self._index = _rays(calibration, water), calibration.rig, water.index
         self._gaps = GapSampler(GapModes(calibration.rig, water.index))
 
     def coarse(self) -> Cloud:
@@ -164,7 +169,9 @@ class Pipeline:
         for decoder in self._decoders.values():
             decoder.finish()
         self._read_through_backscatter()
+        self._veil = None
         self._prepare()
+        self._take_veil_out()
         return self._find(self.coarse_stride)
 
     def find_changed(
@@ -201,6 +208,25 @@ class Pipeline:
         for _ in self._pool.map(work, self._frames):
             pass
 
+    def _take_veil_out(self) -> None:
+        """Find the fringes that backscatter keeps along the rows, and take them out where they are strong."""
+        if self._gaps is None or len(self._frames) < len(SIDES):
+            return
+        maps = {side: (decoder.p_px, decoder.q_px) for side, decoder in self._decoders.items()}
+        if not looks_veiled(self._sequence, self._frames["left"], *maps["left"]):
+            return
+        stride = max(1, int((maps["left"][0].size / VEIL_POINTS) ** 0.5))
+        self._veil = find_veil(self._sequence, self._frames, maps, self.sample(stride), self._rig, self._index)
+        if self._veil is None or not self._veil.removable:
+            return
+        for side, decoder in self._decoders.items():
+            veil = self._veil.sides[side]
+            decoder.backscatter_pixels += remove_veil(
+                veil, self._sequence.period_px, decoder.q_px, decoder.p_px, decoder.modulation_half_dn, decoder.mask
+            )
+        self._veil = self._veil.removed()
+        self._prepare()
+
     def find_full(self) -> Found:
         """Find the full cloud, as ``full`` does, and leave the points in the table."""
         return self._with_gaps(self._find(1))
@@ -210,6 +236,8 @@ class Pipeline:
             return found
         decoder = self._decoders["left"]
         gaps = self._gaps.measure(decoder.p_px, decoder.q_px, self._right, self._rays)
+        if self._veil is not None:
+            gaps = without_veil(gaps, self._veil.gaps, (decoder.p_px.shape[1], decoder.p_px.shape[0]))
         return replace(found, gaps=gaps)
 
     def sample(self, stride: int, any_depth: bool = False) -> Cloud:
@@ -289,8 +317,10 @@ class Pipeline:
         limits = self._limits
         # Limits on what noise makes grow with it; a coarse fringe has noisier coordinates.
         noise = max(1.0, self._sequence.period_px / 16.0)
+        # What is not known of the veil's fringes opens gaps without making a point wrong: rays pass beside each other along the rows.
+        veil_mm = 0.002 * self._veil.doubt_um if self._veil is not None and self._veil.removable else 0.0
         return PointLimits(
-            max_gap_mm=np.float32(limits.max_gap_mm * noise),
+            max_gap_mm=np.float32(limits.max_gap_mm * noise + veil_mm),
             max_sigma_mm=np.float32(limits.max_sigma_mm * noise),
             min_depth_mm=np.float32(limits.min_depth_mm),
             max_depth_mm=np.float32(limits.max_depth_mm),

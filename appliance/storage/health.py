@@ -14,6 +14,7 @@ from pathlib import Path
 
 from pydantic import TypeAdapter, ValidationError
 
+from appliance.calibration.gaps import DOUBTS
 from appliance.calibration.health import HealthTrend
 from appliance.calibration.patches import COUNT
 from appliance.checksummed_file import checked_content, with_checksum
@@ -89,6 +90,8 @@ class HealthFile:
         reference = trend.reference
         if any(len(of) != COUNT for of in (reference.gap_um, reference.variance_um2, reference.scans)):
             raise ValueError(f"its reference has not {COUNT} patches")
+        if len(reference.doubts_um) != COUNT * (DOUBTS + 1):
+            raise ValueError(f"its reference has not {DOUBTS + 1} doubts of {COUNT} patches")
         return trend
 
 

@@ -32,6 +32,7 @@ from appliance.reconstruct.quality import CloudSummary
 from appliance.reconstruct.register import register
 from appliance.reconstruct.surface import surface_of
 from appliance.reconstruct.table import Cloud, Found
+from appliance.reconstruct.veil import warm_up as warm_veil
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.noise import TYPICAL, TYPICAL_PAIR
 from appliance.scan.sides import SIDES
@@ -52,6 +53,7 @@ def run_what_an_empty_scan_does_not(sequence: PatternSequence, frames: NDArray[n
     compensate_wall()
     warm_light()
     warm_backscatter(sequence, frames, TYPICAL)
+    warm_veil()
     _run_pair()
 
 
@@ -178,6 +180,7 @@ def _judge(*, writable: bool) -> None:
 def _read_through_backscatter(*, writable: bool) -> None:
     with _nothing(writable) as (pipeline, _, frames):
         warm_backscatter(pipeline.sequence, frames, TYPICAL)
+        warm_veil()
         _mask_specks(pipeline, frames)
 
 

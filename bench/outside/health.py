@@ -93,6 +93,7 @@ def followed(rows: Iterable[Row]) -> Iterator[HealthJudgement]:
         seen = PatchGaps(
             np.array(gaps["patch"], np.intp), np.array(gaps["um"]), np.array(gaps["noise_um"]),
             np.array(gaps["modes"]).reshape(-1, 4), int(gaps["samples"]), float(gaps["water_index"]),
+            *(None if gaps.get(name) is None else np.array(gaps[name]) for name in ("veil_um", "doubts_um", "shape_um")),
         )  # fmt: skip
         trend, said = judge(trend, seen, f"{number:06d}")
         yield said

@@ -153,6 +153,9 @@ def row_of(world: World, scanned: Scanned, exposure: Exposure) -> Row:
         "gaps": None if gaps is None else {
             "patch": gaps.patch.tolist(), "um": gaps.gap_um.tolist(), "noise_um": gaps.noise_um.tolist(),
             "modes": gaps.modes.tolist(), "samples": gaps.samples, "water_index": gaps.water_index,
+            **{name: None if of is None else of.tolist() for name, of in (
+                ("veil_um", gaps.veil_um), ("doubts_um", gaps.doubts_um), ("shape_um", gaps.shape_um),
+            )},
         },
     }  # fmt: skip
 

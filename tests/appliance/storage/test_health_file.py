@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from appliance.calibration.health import MOST_POINTS, HealthTrend, Reference, TrendPoint
+from appliance.checksummed_file import with_checksum
 from appliance.storage.atomic import StorageError
 from appliance.storage.health import MAX_BYTES, HealthFile
 from tests.appliance.storage.volatile import PowerCut, VolatileDisk
@@ -87,6 +89,22 @@ def test_a_changed_number_is_noticed(tmp_path: Path) -> None:
 def test_a_reference_of_another_version_is_not_used(tmp_path: Path) -> None:
     file = HealthFile(tmp_path, HASH)
     file.write(HealthTrend(reference=Reference(gap_um=(1.0,) * 12)))
+    assert file.read() == HealthTrend()
+
+
+def test_a_file_from_before_backscatter_counted_is_read(tmp_path: Path) -> None:
+    """Its reference says nothing of doubts: it has none."""
+    file = HealthFile(tmp_path, HASH)
+    file.write(trend(3))
+    content = json.loads(file.path.read_bytes())
+    del content["trend"]["reference"]["doubts_um"], content["sha256"]
+    file.path.write_bytes(with_checksum(content, indent=None))
+    assert file.read() == trend(3)
+
+
+def test_doubts_of_another_number_of_causes_are_not_used(tmp_path: Path) -> None:
+    file = HealthFile(tmp_path, HASH)
+    file.write(replace(trend(3), reference=Reference(doubts_um=(0.0,) * 7)))
     assert file.read() == HealthTrend()
 
 
