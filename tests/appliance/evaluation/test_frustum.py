@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.evaluation.frustum import Frustum, find_frustum
+from appliance.evaluation.frustum import Frustum, _patches, find_frustum
 from appliance.evaluation.points import NotFound
 from appliance.evaluation.result import Artefact, evaluate
 
@@ -72,6 +72,20 @@ def test_every_edge_and_the_height_are_those_of_the_body() -> None:
     assert lengths["base"] == pytest.approx([BASE_MM] * 4, abs=0.01)
     assert lengths["slanted"] == pytest.approx([SLANTED_MM] * 4, abs=0.01)
     assert lengths["height"] == pytest.approx([HEIGHT_MM], abs=0.005)
+
+
+def test_every_patch_has_a_unit_normal_away_from_the_instrument_and_none_is_flat_over_an_edge() -> None:
+    points = cloud(step_mm=1.6).points_mm.astype(np.float64)
+    normals, flat = _patches(points)
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-9)
+    assert (np.sum(normals * points, axis=1) > 0.0).all()
+    local, out = normals @ turned(), (points - [12.0, -7.0, 520.0]) @ turned()
+    edge = np.maximum(np.abs(out[:, 0]), np.abs(out[:, 1]))
+    for half in (TOP_MM / 2, BASE_MM / 2):
+        assert not flat[np.abs(edge - half) < 1.0].any()
+    top, plate = edge < TOP_MM / 2 - 5.5, (edge > BASE_MM / 2 + 5.5) & (edge < PLATE_MM / 2 - 6.0)
+    assert flat[top | plate].all()
+    np.testing.assert_allclose(local[top | plate], [[0.0, 0.0, 1.0]] * int((top | plate).sum()), atol=1e-3)
 
 
 def test_corners_are_where_they_are_in_one_turn_around_the_top() -> None:

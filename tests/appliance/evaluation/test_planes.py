@@ -177,6 +177,9 @@ def test_cells_of_eleven_points_and_points_in_a_line_say_nothing_of_noise() -> N
     assert said < 0.02
     line = np.column_stack([np.linspace(0.0, 5.9, 50), np.zeros(50)])
     assert local_noise_mm(line, rng.standard_normal(50)) is None
+    for wide_mm, enough in ((0.1, False), (0.3, True)):  # a thousandth of the cell's area, squared: 0.19 mm
+        band = line + np.outer(wide_mm * rng.standard_normal(50), [0.0, 1.0]) + [0.0, 1.0]
+        assert (local_noise_mm(band, rng.standard_normal(50)) is not None) is enough
 
 
 def test_flatness_is_a_part_of_the_reference_length() -> None:
