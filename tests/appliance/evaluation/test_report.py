@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+
 import cv2
 import numpy as np
 import pytest
@@ -161,6 +163,17 @@ def test_the_page_says_what_was_not_evaluated_and_escapes_what_people_wrote() ->
     assert "Ada &amp; Co" in text
     assert "d_r = 250 mm" in text
     assert "At most 0.3 %" in text
+
+
+def test_a_picture_lies_within_the_page_byte_for_byte_under_what_it_shows() -> None:
+    png = bytes(range(256))
+    shown = page.figure("d_r < 250 mm & more", png)
+    assert shown.startswith('<figure><img alt="d_r &lt; 250 mm &amp; more" src="data:image/png;base64,')
+    assert shown.endswith('"><figcaption>d_r &lt; 250 mm &amp; more</figcaption></figure>')
+    assert base64.b64decode(shown.partition("base64,")[2].partition('"')[0]) == png
+    head = page.page_head("Ada & Co")
+    assert head.startswith('<!doctype html><html lang="en"><meta charset="utf-8"><title>Ada &amp; Co</title><style>')
+    assert head.endswith("<h1>Ada &amp; Co</h1>")
 
 
 def test_cells_have_as_many_digits_as_are_worth_reading() -> None:

@@ -61,6 +61,7 @@ def test_a_certificate_is_an_observation_in_its_own_standard_deviations() -> Non
     steps = 1e-6 * np.eye(8)
     by_difference = np.stack([(BAR.certificate(x + e)[0] - BAR.certificate(x - e)[0]) / 2e-6 for e in steps], -1)
     np.testing.assert_allclose(jacobian, by_difference, atol=1e-4)
+    assert BAR.steps.shape == x.shape, "one step for each unknown"
 
 
 def test_a_plane_leans_along_its_axes_and_goes_along_its_normal() -> None:
@@ -75,6 +76,7 @@ def test_a_plane_leans_along_its_axes_and_goes_along_its_normal() -> None:
         np.testing.assert_allclose(points @ normal, 500.0 + lean[2], atol=1e-9)
     residual, jacobian = place.certificate(np.zeros(3))
     assert (residual.shape, jacobian.shape) == ((0,), (0, 3))
+    assert place.steps.shape == (3,)
 
 
 def bar_recording(length_mm: float | None = LENGTH_MM, widest_cos: float = 0.2) -> Recording:
