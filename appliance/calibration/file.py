@@ -5,8 +5,8 @@ coordinates px, angles never appear (rotations are matrices).
 
 Schema 2 is schema 1 with an image correction in a camera, schema 3 has also a ray shift, or lenses calibrated in water.
 Each is written only where it is needed: a program that knows none of these must refuse such a file, not read past what
-it does not know. Beside these, ``air_covariance`` and ``camera_serials`` may be there in any schema: they make no points, and a
-program that does not know them may pass over them.
+it does not know. Beside these, ``air_covariance``, ``air_field`` and ``camera_serials`` may be there in any schema: they make no
+points, and a program that does not know them may pass over them.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from appliance.calibration.field import AIR_VALUES, EYES, AirField
 from appliance.checksummed_file import ChecksumError, checked_content, digest, with_checksum
 from appliance.optics.correction import ImageCorrection, node_count
 from appliance.optics.model import HousedCamera, Matrix3, StereoRig
@@ -34,7 +35,6 @@ SCHEMA_WITH_CORRECTION = 2
 SCHEMA_WITH_RAYS = 3
 SCHEMAS = (SCHEMA, SCHEMA_WITH_CORRECTION, SCHEMA_WITH_RAYS)
 MAX_INTERVALS = 64
-AIR_VALUES = 22
 MAX_BYTES = 16 * 1024 * 1024
 
 
@@ -61,6 +61,9 @@ class Calibration:
     air_covariance: Matrix22 | None = None
     """Covariance of the values from air (``parameters.NAMES[AIR]``): the prior of an adjustment in water that starts
     here."""
+    air_field: AirField | None = None
+    """What the boards in air say of the lenses' fields: with it, the prior of an adjustment with an image correction.
+    ``None``: not known, as in files made before it was written down."""
     camera_serials: tuple[str, str] | None = None
     """Serial numbers of the left and the right camera; ``None``: not known, as in files made before they were written
     down."""
@@ -105,6 +108,7 @@ def decode(data: bytes, name: str = "calibration") -> Calibration:
         rig=StereoRig(reader.camera(cameras, "left"), reader.camera(cameras, "right")),
         residual_px=None if residual is None else reader.number(content, "residual_px", 0.0, 1e6),
         air_covariance=reader.covariance(content),
+        air_field=reader.air_field(content),
         camera_serials=reader.serials(content),
     )
 
@@ -147,6 +151,9 @@ def _content(calibration: Calibration) -> dict[str, Any]:
     }
     if calibration.air_covariance is not None:
         content["air_covariance"] = [list(row) for row in calibration.air_covariance]
+    if calibration.air_field is not None:
+        field = calibration.air_field
+        content["air_field"] = {"intervals": list(field.intervals), "mean": list(field.mean), "root": field.text}
     if calibration.camera_serials is not None:
         content["camera_serials"] = dict(zip(("left", "right"), calibration.camera_serials, strict=True))
     return content
@@ -290,6 +297,19 @@ class _Reader:
         if not np.array_equal(C, C.T) or np.linalg.eigvalsh(C / np.outer(sd, sd))[0] <= 0.0:
             raise self.fail(key, rows, "a symmetric, positive definite matrix")
         return matrix
+
+    def air_field(self, content: dict[str, Any]) -> AirField | None:
+        """Return the lenses' fields from air; ``None``: the file has none. No point depends on it, as on the covariance."""
+        if "air_field" not in content:
+            return None
+        table = self.table(content, "air_field")
+        across, down = (int(n) for n in self.numbers(table, "intervals", 2, 1, MAX_INTERVALS))
+        size = AIR_VALUES + EYES * node_count((across, down))
+        mean, root = self.numbers(table, "mean", size, -1e3, 1e3), self.text(table, "root")
+        try:
+            return AirField.from_text((across, down), mean, root)
+        except ValueError as error:
+            raise self.fail("air_field.root", root, f"the factor of a covariance, base64 ({error})") from error
 
     def serials(self, content: dict[str, Any]) -> tuple[str, str] | None:
         if "camera_serials" not in content:

@@ -48,11 +48,18 @@ def judged(names: Sequence[str], change: Array, prior_sd: Array, sd: Array) -> t
     )
 
 
-def systematic_px(left_px: Array, residual_px: Array, camera: HousedCamera) -> float:
-    """Return the RMS per coordinate of the patches' mean residuals, less what noise alone leaves in such means."""
+def systematic_px(
+    left_px: Array, residual_px: Array, camera: HousedCamera, recording: NDArray[np.intp] | None = None
+) -> float:
+    """Return the RMS per coordinate of the patches' mean residuals, less what noise alone leaves in such means.
+
+    ``recording`` (n,), the recording of each point: means of each recording for itself; ``None``: over all together.
+    """
     column = np.clip(left_px[:, 0] / camera.width_px * PATCHES[0], 0, PATCHES[0] - 1).astype(np.intp)
     row = np.clip(left_px[:, 1] / camera.height_px * PATCHES[1], 0, PATCHES[1] - 1).astype(np.intp)
     patch = row * PATCHES[0] + column
+    if recording is not None:
+        patch = patch + recording * (PATCHES[0] * PATCHES[1])
     excess, count = 0.0, 0
     for k in np.unique(patch):
         inside = residual_px[patch == k]

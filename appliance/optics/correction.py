@@ -106,14 +106,20 @@ def basis(at_px: Array, size_px: int, intervals: int) -> tuple[NDArray[np.intp],
     return first, weights / 6.0
 
 
-def basis_matrix(uv_px: Array, size_px: tuple[int, int], intervals: tuple[int, int]) -> Array:
-    """Return the weights (n, nodes) of all nodes at pixels (n, 2), nodes row by row; ``size_px`` is width, height."""
+def basis_entries(uv_px: Array, size_px: tuple[int, int], intervals: tuple[int, int]) -> tuple[NDArray[np.intp], Array]:
+    """Return the sixteen nodes (n, 16) that touch pixels (n, 2), and their weights (n, 16); nodes count row by row."""
     columns, rows = intervals
     iu, wu = basis(uv_px[:, 0], size_px[0], columns)
     iv, wv = basis(uv_px[:, 1], size_px[1], rows)
+    across, down = np.arange(4), np.arange(4)[:, None] * (columns + 3)
+    nodes = (iv * (columns + 3) + iu)[:, None, None] + down + across
+    weights = wv[:, :, None] * wu[:, None, :]
+    return nodes.reshape(-1, 16), weights.reshape(-1, 16)
+
+
+def basis_matrix(uv_px: Array, size_px: tuple[int, int], intervals: tuple[int, int]) -> Array:
+    """Return the weights (n, nodes) of all nodes at pixels (n, 2), nodes row by row; ``size_px`` is width, height."""
+    nodes, weights = basis_entries(uv_px, size_px, intervals)
     matrix = np.zeros((len(uv_px), node_count(intervals)))
-    each = np.arange(len(uv_px))
-    for j in range(4):
-        for i in range(4):
-            matrix[each, (iv + j) * (columns + 3) + iu + i] = wv[:, j] * wu[:, i]
+    np.put_along_axis(matrix, nodes, weights, axis=1)
     return matrix

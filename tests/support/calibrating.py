@@ -23,13 +23,20 @@ from appliance.optics.water import Water
 from hw_sim.objects.shapes import (
     BALL_DISTANCE_MM,
     BALL_RADIUS_MM,
+    BOARD_BOW,
+    BOARD_FORM,
+    BOARD_HALF_X_MM,
     FRUSTUM_BASE_MM,
     FRUSTUM_HEIGHT_MM,
     FRUSTUM_PLATE_X_MM,
     FRUSTUM_PLATE_Y_MM,
     FRUSTUM_TOP_MM,
+    PLANE_BOW,
+    PLANE_FORM,
     PLANE_HALF_X_MM,
     PLANE_HALF_Y_MM,
+    SIZES_OUTSIDE,
+    rise,
 )
 from hw_sim.truth import TrueRig, draw_truth, in_air, project, ray
 from tests.support.truth import WATER
@@ -90,18 +97,29 @@ def board_views(truth: TrueRig, count: int = 20, seed: int = 1, wet: bool = Fals
     dry = truth if wet else in_air(truth)
     x, y = np.meshgrid((np.arange(14) - 6.5) * 18.0, (np.arange(11) - 5.0) * 18.0)
     corners = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], -1)
+    # As its plate is bent; in air it is the whole board that is wrong, not a noise of its corners.
+    board = corners * truth.artefacts.board_scale
+    board[:, 2] = _rise(truth, BOARD_BOW, BOARD_FORM, BOARD_HALF_X_MM, board[:, :2])
     views = []
     for k in range(count):
         pose = Pose(
             (float(rng.uniform(-40, 40)), float(rng.uniform(-30, 30)), float(rng.uniform(470, 640))),
             (float(rng.uniform(-30, 30)), float(rng.uniform(-30, 30)), float(rng.uniform(-180, 180))),
         )
-        points = corners @ pose.rotation.T + pose.at_mm
+        points = board @ pose.rotation.T + pose.at_mm
         seen = {side: project(dry, side, points) for side in ("left", "right")}
         keep = inside(seen["left"]) & inside(seen["right"])
         noisy = {side: uv[keep] + rng.normal(0, CORNER_NOISE_PX, (keep.sum(), 2)) for side, uv in seen.items()}
         views.append(BoardView(f"board {k}", corners[keep], noisy["left"], noisy["right"]))
     return views
+
+
+def _rise(truth: TrueRig, bow: int, form: int, half_x_mm: float, xy_mm: Array) -> Array:
+    """The heights (n,) of a plate's front, as the truth's workshop bent it."""
+    sizes = np.zeros(SIZES_OUTSIDE)
+    known = truth.artefacts.sizes()
+    sizes[: len(known)] = known
+    return np.array([rise(sizes, bow, form, half_x_mm, float(x), float(y)) for x, y in xy_mm])
 
 
 def air_of(truth: TrueRig) -> AirCalibration:
@@ -164,7 +182,7 @@ def record_plane(
     height = np.zeros(len(uv))
     for _ in range(4):
         local = o + ((height - o[:, 2]) / d[:, 2])[:, None] * d
-        height = truth.artefacts.plane_bow_mm * (1.0 - 2.0 * np.sum(local[:, :2] ** 2, 1) / PLANE_HALF_X_MM**2)
+        height = _rise(truth, PLANE_BOW, PLANE_FORM, PLANE_HALF_X_MM, local[:, :2])
     right = project(truth, "right", local @ pose.rotation.T + pose.at_mm)
     keep = (
         inside(right, truth.left.width_px)

@@ -14,7 +14,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibration.parameters import AIR, COUNT, STEPS, rig_with
+from appliance.calibration.air.free_form import adjust_with_field
+from appliance.calibration.air.linearised import SHAPES, VALUES, BoardView, bend_of, each_changed, moved, slopes
+from appliance.calibration.field import AirField
+from appliance.calibration.parameters import AIR, COUNT, rig_with
 from appliance.optics.model import HousedCamera, StereoRig
 from appliance.optics.pinhole import Lens
 from appliance.optics.port import Port
@@ -35,26 +38,14 @@ HALF = 0.55
 STEPS_AT_MOST = 30
 SMALL = 1e-4
 """The adjustment has converged when no parameter moves by more than this share of its standard deviation."""
-BOW_STEP_MM, SCALE_STEP = 1e-3, 1e-5
 NO_PORT = Port((0.0, 0.0, 1.0), 0.0, 0.0, 1.0)
-_BOARD_STEPS = np.array([1e-6] * 3 + [1e-3] * 3)
+
+
+__all__ = ["AirCalibration", "AirCalibrationError", "BoardTolerance", "BoardView", "FittedView", "calibrate_air"]
 
 
 class AirCalibrationError(Exception):
     """The views do not suffice for a calibration in air; the text says why and what to do."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class BoardView:
-    """One board seen by both cameras at once: its corners in mm, and where each camera sees the same corners."""
-
-    name: str
-    corners_mm: Array
-    """(n, 3), board frame, z = 0."""
-    left_px: Array
-    """(n, 2)."""
-    right_px: Array
-    """(n, 2)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,9 +55,9 @@ class BoardTolerance:
     scale: float = 1e-5
     """Standard deviation of the print's scale, relative; every length measured later has this error."""
     bow_mm: float = 0.1
-    """Standard deviation of the bow, which is how far the middle stands back: z = bow (1 − 2 r²/a²), a half the board's
-    width. The bow is adjusted: twenty views tell it to a micrometre, and 0.01 mm left unnoticed would cost half a pixel
-    of principal distance."""
+    """Standard deviation of each shape that the board may have (``linearised.Bend``). The bow is how far the middle stands
+    back: z = bow (1 − 2 r²/a²), a half the board's width. Shapes are adjusted: twenty views tell them to micrometres, and
+    0.01 mm of bow left unnoticed would cost half a pixel of principal distance."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,14 +99,21 @@ class AirCalibration:
     """Views that were not used, each with the reason in words."""
     views: tuple[FittedView, ...]
     """Views that were used."""
+    field: AirField | None = None
+    """What the lenses do beyond ``rig``, adjusted together with all else; ``None`` if it was not asked for."""
 
 
 def calibrate_air(
-    views: Sequence[BoardView], width_px: int, height_px: int, tolerance: BoardTolerance | None = None
+    views: Sequence[BoardView],
+    width_px: int,
+    height_px: int,
+    tolerance: BoardTolerance | None = None,
+    with_field: bool = True,
 ) -> AirCalibration:
     """Calibrate the pair in air from boards (twenty or so, tilted by up to 35°, filling the images).
 
-    Square pixels are assumed. ``tolerance`` ``None``: that of a good board. Raises AirCalibrationError when too few views remain.
+    Square pixels are assumed. ``tolerance`` ``None``: that of a good board. ``with_field``: adjust the lenses' fields, too,
+    which takes a second. Raises AirCalibrationError when too few views remain.
     """
     allowed = tolerance or BoardTolerance()
     usable, left_out = [], []
@@ -169,7 +167,7 @@ def calibrate_air(
     # that of unit weight times this variance.
     corners = sum(len(view.corners_mm) for view in usable)
     squares = float(sum(np.sum(e**2) for e in residuals))
-    variance = squares / (4 * corners - 22 - 6 * len(usable))
+    variance = squares / (4 * corners - VALUES - 6 * len(usable))
     covariance = np.asarray(np.linalg.inv(adjusted.information)[:22, :22] * variance, np.float64)
     # Scale of the print: no image tells it, and every parameter that is a length follows it. It enters as one fully
     # correlated error.
@@ -179,7 +177,19 @@ def calibrate_air(
         for v, e in zip(usable, residuals, strict=True)
     )
     residual_px = float(np.sqrt(squares / (4 * corners)))
-    return AirCalibration(adjusted.rig, covariance, residual_px, adjusted.bow_mm, tuple(left_out), fitted)
+    field = None
+    if with_field:
+        field = adjust_with_field(
+            adjusted.rig,
+            adjusted.boards,
+            usable,
+            adjusted.shapes_mm,
+            allowed.bow_mm,
+            allowed.scale,
+            float(np.sqrt(variance)),
+        )
+    bow_mm = float(adjusted.shapes_mm[0])
+    return AirCalibration(adjusted.rig, covariance, residual_px, bow_mm, tuple(left_out), fitted, field)
 
 
 def _thin(view: BoardView, most: int) -> tuple[str, ...]:
@@ -233,47 +243,14 @@ def _start(views: Sequence[BoardView], width_px: int, height_px: int) -> tuple[S
     return StereoRig(cameras[0], right), poses[0]
 
 
-def _seen(rig: StereoRig, board: tuple[Array, Array], corners_mm: Array) -> Array:
-    """Return pixels (4 n,) of a board in both cameras."""
-    points = corners_mm @ board[0].T + board[1]
-    return np.concatenate([_in_air(camera, points).ravel() for camera in (rig.left, rig.right)])
-
-
-def _in_air(camera: HousedCamera, points: Array) -> Array:
-    local = (points - np.asarray(camera.translation_mm)) @ np.asarray(camera.rotation)
-    return camera.lens.to_pixels(local[:, :2] / local[:, 2:])
-
-
-def _moved(board: tuple[Array, Array], x: Array) -> tuple[Array, Array]:
-    return board[0] @ rotation_matrix(x[:3]), board[1] + x[3:]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Bend:
-    """Model of a bent board: one amount, the same in all views, in the shape that a plate takes."""
-
-    middle: Array
-    reach_mm: float
-
-    def of(self, view: BoardView) -> Array:
-        """Return the displacement of the corners (n, 3) of a view per mm of bow."""
-        out = view.corners_mm - self.middle
-        bent = np.zeros_like(out)
-        bent[:, 2] = 1.0 - 2.0 * np.sum(out[:, :2] ** 2, axis=1) / self.reach_mm**2
-        return bent
-
-
-def _bend(views: Sequence[BoardView]) -> _Bend:
-    every = np.concatenate([view.corners_mm for view in views])
-    return _Bend(0.5 * (every.min(axis=0) + every.max(axis=0)), float(np.ptp(every[:, 0])) / 2.0)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _Adjusted:
     rig: StereoRig
-    bow_mm: float
+    boards: list[tuple[Array, Array]]
+    shapes_mm: Array
+    """(``SHAPES``,): amounts of the board's shapes."""
     information: Array
-    """(23, 23) for unit noise: the 22 parameters of ``NAMES[AIR]``, then the bow."""
+    """(22 + ``SHAPES``)² for unit noise: the 22 parameters of ``NAMES[AIR]``, then the shapes."""
     by_scale: Array
     """(22,): what the parameters change by with the scale of the board, which no picture of it can tell."""
     residuals: list[Array]
@@ -283,55 +260,39 @@ class _Adjusted:
 def _adjust(
     rig: StereoRig, boards: list[tuple[Array, Array]], views: Sequence[BoardView], tolerance: BoardTolerance
 ) -> _Adjusted:
-    """Adjust by Gauss–Newton over the rig, the board's bow, and the boards' places."""
-    bend, bow = _bend(views), 0.0
+    """Adjust by Gauss–Newton over the rig, the board's shapes, and the boards' places."""
+    bend, shapes = bend_of(views), np.zeros(SHAPES)
     noise_px = 0.0
+    m = VALUES + SHAPES
     for _ in range(STEPS_AT_MOST):
-        # Gauss-Newton with the poses eliminated (Schur complement): with A the derivatives by rig and bow and B those
-        # by one board's pose, the reduced normal matrix is Σ AᵀA − (BᵀA)ᵀ (BᵀB)⁻¹ BᵀA. 23 unknowns remain instead of 23
+        # Gauss-Newton with the poses eliminated (Schur complement): with A the derivatives by rig and shapes and B those
+        # by one board's pose, the reduced normal matrix is Σ AᵀA − (BᵀA)ᵀ (BᵀB)⁻¹ BᵀA. 27 unknowns remain instead of 27
         # + 6 n.
-        information, gradient, by_scale = np.zeros((23, 23)), np.zeros(23), np.zeros(23)
-        # The bow's prior in units of the noise, which the first step does not know yet: it then is free.
-        information[22, 22] = (noise_px / tolerance.bow_mm) ** 2
-        gradient[22] = -information[22, 22] * bow
-        changed = _changed(rig)
+        information, gradient, by_scale = np.zeros((m, m)), np.zeros(m), np.zeros(m)
+        # The shapes' prior in units of the noise, which the first step does not know yet: they then are free.
+        information[VALUES:, VALUES:] = np.eye(SHAPES) * (noise_px / tolerance.bow_mm) ** 2
+        gradient[VALUES:] = -information[VALUES:, VALUES:] @ shapes
+        changed = each_changed(rig)
         blocks, residuals = [], []
         for view, board in zip(views, boards, strict=True):
-            shape = bend.of(view)
-            corners = view.corners_mm + bow * shape
-            now = _seen(rig, board, corners)
-            residual = np.concatenate([view.left_px.ravel(), view.right_px.ravel()]) - now
-            A = np.stack(
-                [
-                    *((_seen(r, board, corners) - now) / s for r, s in zip(changed, STEPS[AIR], strict=True)),
-                    (_seen(rig, board, corners + BOW_STEP_MM * shape) - now) / BOW_STEP_MM,
-                ],
-                1,
-            )
-            B = np.stack(
-                [
-                    (_seen(rig, _moved(board, step), corners) - now) / float(step.sum())
-                    for step in np.diag(_BOARD_STEPS)
-                ],
-                1,
-            )
+            found = slopes(rig, changed, board, view, bend, shapes)
+            A, B, residual = found.by_rig, found.by_place, found.residual
             # How the rig would answer to a larger print, by the same elimination: d rig / d scale = −N⁻¹ (reduced Aᵀ
             # ∂e/∂scale).
-            larger = (_seen(rig, board, corners + SCALE_STEP * (corners - bend.middle)) - now) / SCALE_STEP
             BB, BA, Br = B.T @ B, B.T @ A, B.T @ residual
             information += A.T @ A - BA.T @ np.linalg.solve(BB, BA)
             gradient += A.T @ residual - BA.T @ np.linalg.solve(BB, Br)
-            by_scale -= A.T @ larger - BA.T @ np.linalg.solve(BB, B.T @ larger)
+            by_scale -= A.T @ found.by_scale - BA.T @ np.linalg.solve(BB, B.T @ found.by_scale)
             # Kept for the back substitution: pose = (BᵀB)⁻¹ (Bᵀr − BᵀA · step).
             blocks.append((BB, BA, Br))
             residuals.append(np.concatenate([part.reshape(-1, 2) for part in np.split(residual, 2)], 1))
         step = np.linalg.solve(information, gradient)
         full = np.zeros(COUNT)
-        full[AIR] = step[:22]
+        full[AIR] = step[:VALUES]
         rig = rig_with(rig, full)
-        bow += float(step[22])
+        shapes = shapes + step[VALUES:]
         boards = [
-            _moved(board, np.linalg.solve(BB, Br - BA @ step))
+            moved(board, np.asarray(np.linalg.solve(BB, Br - BA @ step), np.float64))
             for board, (BB, BA, Br) in zip(boards, blocks, strict=True)
         ]
         noise_px = float(np.median([np.sqrt(np.mean(e**2)) for e in residuals]))
@@ -339,14 +300,6 @@ def _adjust(
         sd = np.sqrt(np.diag(np.linalg.inv(information))) * noise_px
         if float(np.max(np.abs(step) / sd)) < SMALL:
             break
-    return _Adjusted(rig, bow, information, np.asarray(np.linalg.solve(information, by_scale)[:22]), residuals)
-
-
-def _changed(rig: StereoRig) -> list[StereoRig]:
-    """Return the rig with each of the 22 parameters a step further."""
-    found = []
-    for k in range(AIR.start, AIR.stop):
-        x = np.zeros(COUNT)
-        x[k] = STEPS[k]
-        found.append(rig_with(rig, x))
-    return found
+    return _Adjusted(
+        rig, boards, shapes, information, np.asarray(np.linalg.solve(information, by_scale)[:VALUES]), residuals
+    )

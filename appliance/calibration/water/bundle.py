@@ -17,12 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibration import parameters
+from appliance.calibration.field import AirField, FieldPrior
 from appliance.calibration.file import Calibration
-from appliance.calibration.judgement import Estimate, judged, warnings_about
+from appliance.calibration.judgement import Estimate, judged, systematic_px, warnings_about
 from appliance.calibration.recordings import ArtefactKind, NotConverged, Recording, RecordingError, thinned
 from appliance.calibration.water.artefact import Place, first_place
+from appliance.calibration.water.expected import Columns, Expected, expected, warnings_about_expected
+from appliance.calibration.water.slopes import Basis, NodeSlopes, Slopes
 from appliance.calibration.water.start import check_start
-from appliance.optics.correction import INTERVALS, ImageCorrection, basis_matrix, node_count
+from appliance.optics.correction import INTERVALS, ImageCorrection, node_count
 from appliance.optics.model import HousedCamera, StereoRig
 from appliance.optics.ray_shift import INTERVALS as SHIFT_INTERVALS
 from appliance.optics.ray_shift import RayShift
@@ -31,6 +34,8 @@ Array = NDArray[np.float64]
 
 PIXEL_STEP = 1e-3
 SHIFT_STEP_MM = 1e-3
+REFITS, REFIT_ROUNDS, REFIT_STEP = 2, 3, 3.0
+"""How often the windows' waviness is estimated, in how many rounds, and how near the solution (standard deviations)."""
 
 
 class Rung(Enum):
@@ -41,7 +46,7 @@ class Rung(Enum):
     ALL = "all"
     """Adjust both lenses and the stereo pose, too, held by the covariance of the calibration in air."""
     SPLINE = "spline"
-    """Adjust a smooth image correction per camera, too."""
+    """Adjust an image correction per camera, too: a fine one where the calibration in air knows the lenses' fields."""
     FIELD = "field"
     """A finer image correction, and a shift of each ray: a free field of rays about the model. Wants many recordings."""
 
@@ -96,6 +101,8 @@ class BundleResult:
     residuals: tuple[RecordingResidual, ...]
     systematic_px: float
     """RMS of what remains after averaging the noise away over patches of the image."""
+    expected: Expected
+    """What is to be expected of lengths and planes that were not recorded."""
     estimates: tuple[Estimate, ...]
     warnings: tuple[str, ...]
     costs: tuple[float, ...]
@@ -129,10 +136,11 @@ def adjust(
     if not any(r.kind is ArtefactKind.BALL_BAR for r in recordings):
         raise RecordingError("no recording of a ball bar; planes alone leave every length unknown; record a ball bar")
     check_start(start)
-    problem = _Problem(recordings, start.rig, rung, air_covariance, chosen)
-    x = np.zeros(problem.size)
+    problem = _Problem(recordings, start.rig, rung, air_covariance, chosen, start.air_field)
+    x = problem.mean.copy()
     hessian, gradient, cost, residuals = problem.linearise(x)
     costs = [cost]
+    refits = REFITS if problem.windows is not None else 0
     for _ in range(chosen.steps_at_most):
         step = -np.linalg.solve(hessian, gradient)
         # Newton decrement: the length of the step in standard deviations of the posterior, over all parameters
@@ -147,19 +155,25 @@ def adjust(
         x = x + size * step
         hessian, gradient, cost, residuals = tried
         costs.append(cost)
-        if still_to_go < chosen.small_step:
+        if refits and still_to_go < REFIT_STEP:
+            # How wavy the windows are is told by the residuals near the solution; the cost is counted anew from there.
+            refits -= 1
+            problem.refit(hessian, gradient, x)
+            hessian, gradient, cost, residuals = problem.linearise(x)
+            costs = [cost]
+        elif still_to_go < chosen.small_step:
             break
     else:
         raise NotConverged(
             f"the adjustment did not converge in {chosen.steps_at_most} steps; check the certificates, the water and "
             f"which points belong to which sphere"
         )
-    covariance = np.linalg.inv(hessian)
+    covariance = np.asarray(np.linalg.inv(hessian), np.float64)
     rig = problem.rig(x)
     counts = problem.active
     estimates = judged(
         [parameters.NAMES[k] for k in counts],
-        x[: len(counts)],
+        x[: len(counts)] - problem.mean[: len(counts)],
         problem.prior_sd,
         np.sqrt(np.diag(covariance))[: len(counts)],
     )
@@ -179,6 +193,18 @@ def adjust(
         problem.certificates(x),
         rung in (Rung.PORTS, Rung.ALL),
     )
+    # What differs from recording to recording (a bent plane, a moved bar) cancels in the mean over all of them.
+    each = np.repeat(np.arange(len(residuals)), [len(e) for e in residuals])
+    rest = max(systematic, systematic_px(left, pooled, start.rig.left, each))
+    # What is finer than a patch is not in its mean, but in the residuals beyond their noise.
+    rest = max(rest, math.sqrt(max(rms**2 - chosen.noise_px**2, 0.0)))
+    bar = next(r for r in problem.recordings if r.kind is ArtefactKind.BALL_BAR)
+    noisier = max(1.0, rms / chosen.noise_px)
+    # Residuals show what the fields of both cameras differ by. Where the boards in air were adjusted without fields, what
+    # these did to lenses and pose there is hidden, and about as large again.
+    hidden = problem.has_nodes and start.air_field is None
+    ahead = expected(rig, bar, covariance * noisier**2, problem.columns, 2.0 * rest if hidden else rest)
+    warnings += warnings_about_expected(ahead, recordings, rest, not hidden)
     calibration = replace(
         start,
         method=f"bundle, {rung.value}",
@@ -187,8 +213,9 @@ def adjust(
         rig=rig,
         residual_px=rms,
         air_covariance=None,
+        air_field=None,
     )
-    return BundleResult(calibration, per_recording, systematic, estimates, warnings, tuple(costs))
+    return BundleResult(calibration, per_recording, systematic, ahead, estimates, warnings, tuple(costs))
 
 
 class _Problem:
@@ -201,6 +228,7 @@ class _Problem:
         rung: Rung,
         air_covariance: Array | None,
         settings: BundleSettings,
+        air_field: AirField | None = None,
     ) -> None:
         self._start = rig
         self._settings = settings
@@ -217,18 +245,14 @@ class _Problem:
                 raise ValueError(
                     "the adjustment of all parameters needs the (22, 22) covariance of the air calibration"
                 )
-            # Between air and water the mount may give and the focus may creep: both widen the prior, else the
-            # adjustment would push what happened there into the ports.
-            widened = air_covariance.copy()
-            widened[16:19, 16:19] += np.eye(3) * math.radians(settings.mount_deg) ** 2
-            widened[19:22, 19:22] += np.eye(3) * settings.mount_mm**2
-            for k, camera in ((0, rig.left), (8, rig.right)):
-                widened[k, k] += (settings.refocus * camera.lens.f_px[0]) ** 2
+            widened = _widened(air_covariance, rig, settings)
             information[6:, 6:] = np.linalg.inv(widened)
         self.prior_sd = np.sqrt(np.diag(np.linalg.inv(information)))
         self._splines = rung in (Rung.SPLINE, Rung.FIELD)
         self._field = rung is Rung.FIELD
         self._intervals = settings.field_intervals if self._field else INTERVALS
+        if self._splines and air_field is not None:
+            self._intervals = air_field.intervals
         nodes = 2 * node_count(self._intervals) if self._splines else 0
         shifts = 2 * node_count(SHIFT_INTERVALS) if self._field else 0
         # Order of the unknowns x: rig parameters, nodes of the left and right image correction, nodes of the left and
@@ -248,7 +272,19 @@ class _Problem:
         self.size = at
         self._prior = np.zeros((at, at))
         self._prior[:count, :count] = information
-        if self._splines:
+        self.mean = np.zeros(at)
+        self.windows: FieldPrior | None = None
+        """What is known of rig and fields where the calibration in air tells of fields; estimates how wavy the windows are."""
+        if self._splines and air_field is not None:
+            known = np.zeros((self._right_nodes.stop,) * 2)
+            known[:6, :6] = np.linalg.inv(information[:6, :6])
+            known[6:, 6:] = _widened(air_field.covariance, rig, settings)
+            mean = np.concatenate([np.zeros(6), air_field.mean])
+            self.windows = FieldPrior(known, mean, (rig.left.width_px, rig.left.height_px), self._intervals)
+            self.mean[: len(mean)] = mean
+            self._prior[: len(mean), : len(mean)] = self.windows.information
+            self.prior_sd = np.sqrt(np.diag(known)[:count])
+        elif self._splines:
             bend_px = settings.field_bend_px if self._field else settings.spline_bend_px
             smooth = _smoothness(self._intervals, settings.spline_px, bend_px)
             self._prior[self._left_nodes, self._left_nodes] = smooth
@@ -274,6 +310,27 @@ class _Problem:
             replace(corrected[1], ray_shift=_ray_shift(rig.right, x[self._right_shifts])),
         )
 
+    @property
+    def has_nodes(self) -> bool:
+        """Tell whether image corrections are adjusted."""
+        return self._splines
+
+    @property
+    def columns(self) -> Columns:
+        """Where the unknowns of the rig are."""
+        return Columns(
+            tuple(self.active), (self._left_nodes, self._right_nodes), (self._left_shifts, self._right_shifts)
+        )
+
+    def refit(self, hessian: Array, gradient: Array, x: Array) -> None:
+        """Estimate how wavy the windows are, from the normal equations at ``x``, and hold the nodes accordingly."""
+        if self.windows is None:
+            return
+        without = gradient - self._prior @ (x - self.mean)
+        self.windows.refit(hessian - self._prior, without, x, REFIT_ROUNDS)
+        m = len(self.windows.mean)
+        self._prior[:m, :m] = self.windows.information
+
     def certificates(self, x: Array) -> list[tuple[str, float]]:
         """Return each bar's name and how many standard deviations its length is off its certificate."""
         found = []
@@ -287,12 +344,10 @@ class _Problem:
         """Return Hessian, gradient and cost of the robust sum of squares, and the residuals (n, 2) in px per
         recording."""
         noise = self._settings.noise_px
-        import scipy.sparse  # half a second that a start of the service does not need
-
         # Gauss-Newton of E(x) = xᵀ P x + Σ ρ(|e| / σ) + Σ certificates²: the Hessian is P + Σ Jᵀ W J, without second
-        # derivatives of e. The prior's mean is x = 0, the start.
-        hessian, gradient = self._prior.copy(), self._prior @ x
-        cost = float(x @ gradient)
+        # derivatives of e. The prior's mean is the start, or what the boards in air say.
+        hessian, gradient = self._prior.copy(), self._prior @ (x - self.mean)
+        cost = float((x - self.mean) @ gradient)
         residuals = []
         steps = parameters.STEPS[self.active]
         rig = self._bare(x)
@@ -302,16 +357,13 @@ class _Problem:
             y[k] += step
             changed.append(self._bare(y))
         for recording, place, at in zip(self.recordings, self._places, self._slices, strict=True):
-            rows, columns, residual = self._rows(x, rig, changed, recording, place, at)
-            # The spline columns of J are nearly all zero: sixteen nodes touch one pixel.
-            J = scipy.sparse.csr_matrix(rows.reshape(2 * len(residual), -1) / noise)
+            slopes = self._slopes(x, rig, changed, recording, place, at)
+            residual = slopes.residual
             far = np.linalg.norm(residual, axis=1) / noise / self._settings.far_residual
             # Huber's weight, from the length of the residual so that both coordinates of one match lose alike: 1 inside
             # far_residual, 1/far outside.
-            weight = np.repeat(1.0 / np.maximum(far, 1.0), 2)
-            e = residual.ravel() / noise
-            hessian[np.ix_(columns, columns)] += (J.T @ J.multiply(weight[:, None])).toarray()
-            gradient[columns] += J.T @ (weight * e)
+            weight = np.tile(1.0 / np.maximum(far, 1.0) / noise**2, 2)
+            slopes.add(hessian, gradient, weight)
             k2 = self._settings.far_residual**2
             # ρ of Huber: r² inside, 2 r − 1 outside, in units of far_residual; continuous in value and slope at 1.
             cost += float(np.sum(np.where(far <= 1.0, far**2, 2.0 * far - 1.0)) * k2)
@@ -322,7 +374,7 @@ class _Problem:
             residuals.append(residual)
         return hessian, gradient, cost, residuals
 
-    def _rows(
+    def _slopes(
         self,
         x: Array,
         rig: StereoRig,
@@ -330,9 +382,8 @@ class _Problem:
         recording: Recording,
         place: Place,
         at: slice,
-    ) -> tuple[Array, NDArray[np.intp], Array]:
-        """Return derivatives (n, 2, k) of one recording's residuals by the unknowns in columns (k,), and the
-        residuals (n, 2)."""
+    ) -> Slopes:
+        """Return one recording's residuals and their slopes by all unknowns."""
         index = recording.water.index
         left, right = recording.left_px, recording.right_px
         n = len(left)
@@ -369,19 +420,20 @@ class _Problem:
         # steps.
         parts = [np.stack([(predicted(r) - now) / s for r, s in zip(changed, steps, strict=True)], -1)]
         parts.append(np.stack([(predicted(rig, q=x[at] + e) - now) / e.max() for e in np.diag(place.steps)], -1))
-        columns = [np.arange(len(steps)), np.arange(at.start, at.stop)]
+        columns = np.concatenate([np.arange(len(steps)), np.arange(at.start, at.stop)])
+        nodes: list[NodeSlopes] = []
         if self._splines:
             # The left correction is subtracted before the ray, the right one from the matched pixel.
             by_left = [(predicted(rig, uv=left - e[:2]) - now) / PIXEL_STEP for e in PIXEL_STEP * np.eye(3)[:2]]
-            parts += [_times(by_left, left_basis), _times(list(np.eye(2)), right_basis)]
-            columns += [np.arange(s.start, s.stop) for s in (self._left_nodes, self._right_nodes)]
+            nodes.append(NodeSlopes(self._left_nodes, left_basis, by_left))
+            nodes.append(NodeSlopes(self._right_nodes, right_basis, list(np.eye(2))))
         if self._field:
             steps_mm = SHIFT_STEP_MM * np.eye(3)[:2]
             by_left = [(predicted(rig, left_shift=left_shift + e) - now) / SHIFT_STEP_MM for e in steps_mm]
             by_right = [(predicted(rig, right_shift=right_shift + e) - now) / SHIFT_STEP_MM for e in steps_mm]
-            parts += [_times(by_left, left_coarse), _times(by_right, right_coarse)]
-            columns += [np.arange(s.start, s.stop) for s in (self._left_shifts, self._right_shifts)]
-        return np.concatenate(parts, -1), np.concatenate(columns), now - right
+            nodes.append(NodeSlopes(self._left_shifts, left_coarse, by_left))
+            nodes.append(NodeSlopes(self._right_shifts, right_coarse, by_right))
+        return Slopes(now - right, np.concatenate(parts, -1), columns, nodes)
 
     def _correction(self, camera: HousedCamera, nodes: Array) -> ImageCorrection:
         return ImageCorrection(camera.width_px, camera.height_px, self._intervals, _by_node(nodes))
@@ -392,26 +444,31 @@ class _Problem:
         return parameters.rig_with(self._start, full)
 
 
+def _widened(covariance: Array, rig: StereoRig, settings: BundleSettings) -> Array:
+    """Return the covariance of the values from air (22, or more that follow them) in water."""
+    # Between air and water the mount may give and the focus may creep: both widen the prior, else the adjustment would
+    # push what happened there into the ports.
+    widened = covariance.copy()
+    widened[16:19, 16:19] += np.eye(3) * math.radians(settings.mount_deg) ** 2
+    widened[19:22, 19:22] += np.eye(3) * settings.mount_mm**2
+    for k, camera in ((0, rig.left), (8, rig.right)):
+        widened[k, k] += (settings.refocus * camera.lens.f_px[0]) ** 2
+    return widened
+
+
 def _project(camera: HousedCamera, points_mm: Array, shift_mm: Array, water_index: float) -> Array:
     """Return pixels of points, before any image correction; ``shift_mm`` is that of the rays they are seen along."""
     local = (points_mm - np.asarray(camera.translation_mm)) @ np.asarray(camera.rotation) - shift_mm
     return camera.ideal_pixels(local, water_index)
 
 
-def _basis(camera: HousedCamera, uv_px: Array, intervals: tuple[int, int]) -> Array:
-    return basis_matrix(uv_px, (camera.width_px, camera.height_px), intervals)
+def _basis(camera: HousedCamera, uv_px: Array, intervals: tuple[int, int]) -> Basis:
+    return Basis.at(uv_px, (camera.width_px, camera.height_px), intervals)
 
 
-def _times(by_component: Sequence[Array], basis: Array) -> Array:
-    """Return derivatives (n, 2, 2·nodes) by spline nodes, from those (n, 2) or (2,) by the two components of its
-    surface."""
-    parts = [np.broadcast_to(d, (len(basis), 2))[..., None] * basis[:, None] for d in by_component]
-    return np.concatenate(parts, -1)
-
-
-def _surface(matrix: Array, nodes: Array) -> Array:
+def _surface(basis: Basis, nodes: Array) -> Array:
     """Return values (n, 2); ``nodes`` holds all of the first component, then all of the second."""
-    return np.asarray(matrix @ nodes.reshape(2, -1).T)
+    return np.stack([basis.times(part) for part in np.split(nodes, 2)], -1)
 
 
 def _by_node(nodes: Array) -> tuple[float, ...]:

@@ -17,6 +17,7 @@ from appliance.calibration.file import Calibration
 from appliance.calibration.judgement import Estimate, systematic_px, warnings_about
 from appliance.calibration.recordings import ArtefactKind, Recording, RecordingError
 from appliance.calibration.water.bundle import BundleSettings, Rung, adjust
+from appliance.calibration.water.expected import Expected
 from appliance.calibration.water.interface import SearchResult, SearchSettings, Valley, search_distances
 from appliance.calibration.water.method import Method
 from appliance.calibration.water.operator import search_with_operator
@@ -71,6 +72,8 @@ class LadderResult:
     """T over both distances, of the methods that search."""
     costs: tuple[float, ...] = ()
     """Costs before the first step and after each, of the adjustments."""
+    expected: Expected | None = None
+    """What is to be expected of lengths and planes that were not recorded; ``None`` where the method does not tell."""
 
     @property
     def unobserved(self) -> tuple[str, ...]:
@@ -106,6 +109,7 @@ def calibrate(
     warnings: tuple[str, ...] = ()
     valley: Valley | None = None
     costs: tuple[float, ...] = ()
+    ahead: Expected | None = None
     match method:
         case Method.PM_MAPPED:
             # A pinhole holds in one water only: that of the recordings, which is the one to be measured in.
@@ -127,7 +131,7 @@ def calibrate(
                 )
             adjusted = adjust(recordings, start, RUNGS[method], covariance, chosen.bundle)
             calibration, estimates, costs = adjusted.calibration, adjusted.estimates, adjusted.costs
-            warnings = adjusted.warnings
+            warnings, ahead = adjusted.warnings, adjusted.expected
     # One measure for every method, also for those that minimise something else: only so the rungs can be compared.
     say("looking at what is left")
     residuals = tuple(residuals_of(r, calibration.rig, chosen.bundle.points_per_recording) for r in recordings)
@@ -142,7 +146,7 @@ def calibrate(
             _, found = warnings_about(at, miss, chosen.bundle.noise_px, start.rig.left, (), (), may_be_refined=True)
             warnings += found
     warnings += _about_amount(method, recordings)
-    return LadderResult(method, calibration, residuals, left_over, estimates, warnings, valley, costs)
+    return LadderResult(method, calibration, residuals, left_over, estimates, warnings, valley, costs, ahead)
 
 
 def _silent(_: str) -> None:

@@ -95,7 +95,7 @@ def calibrate_pinhole_in_water(
 
     ``made_at`` ``None`` leaves the date unknown. Raises AirCalibrationError when too few views are usable.
     """
-    found = calibrate_air(views, width_px, height_px)
+    found = calibrate_air(views, width_px, height_px, with_field=False)
     rig = StereoRig(replace(found.rig.left, lens_in_water=True), replace(found.rig.right, lens_in_water=True))
     return Calibration(
         rig_serial=rig_serial,

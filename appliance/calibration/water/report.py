@@ -16,6 +16,7 @@ from appliance.optics.model import HousedCamera
 
 SCHEMA = 1
 TITLE = "Calibration in water"
+WHAT_IS_LEFT = ("residual_px", "systematic_px", "expected_length_percent", "expected_flat_percent")
 EXPLAINED = (
     "The ray of a left pixel meets the artefact, and the point is seen by the right camera: by so much beside the matched "
     "pixel. Arrows are means over cells of the left image; random ones are noise, ordered ones are what the model cannot say."
@@ -45,6 +46,8 @@ def as_json(
         "left_out": dict(left_out),
         "residual_px": calibration.residual_px,
         "systematic_px": result.systematic_px,
+        "expected_length_percent": None if result.expected is None else result.expected.length_percent,
+        "expected_flat_percent": None if result.expected is None else result.expected.flat_percent,
         "recordings": [{"name": r.name, "points": len(r.left_px), "residual_px": r.rms_px} for r in result.residuals],
         "ports": {
             side: {"before": _port(before), "after": _port(after)}
@@ -75,7 +78,7 @@ def as_html(result: LadderResult, start: Calibration, about: Mapping[str, Any], 
     parts += ["<h2>Ports</h2>", table(content["ports"])]
     parts += [
         "<h2>What is left of the recordings</h2>",
-        table({"residual_px": content["residual_px"], "systematic_px": content["systematic_px"]}),
+        table({key: content[key] for key in WHAT_IS_LEFT}),
         f"<p>{EXPLAINED}</p>",
     ]
     if content["recordings"]:

@@ -15,8 +15,8 @@ METHOD = "air"
 def start_from_air(
     air: AirCalibration, drawn: Calibration, made_from: tuple[str, ...] = ("boards in air",)
 ) -> Calibration:
-    """Return the calibration that every adjustment in water begins with: ``drawn``'s ports, all else and its
-    covariance from air."""
+    """Return the calibration that every adjustment in water begins with: ``drawn``'s ports, all else, its
+    covariance and the lenses' fields from air."""
     left, right = (
         replace(measured, port=design.port)
         for measured, design in ((air.rig.left, drawn.rig.left), (air.rig.right, drawn.rig.right))
@@ -29,6 +29,7 @@ def start_from_air(
         rig=StereoRig(left, right),
         residual_px=air.residual_px,
         air_covariance=tuple(tuple(float(v) for v in row) for row in symmetric),
+        air_field=air.field,
     )
 
 

@@ -1,0 +1,225 @@
+"""Owns how wrong an adjustment's lengths and planes may be: its covariance, carried to bars and planes all over the volume."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.calibration import parameters
+from appliance.calibration.recordings import ArtefactKind, Recording
+from appliance.calibration.water.shapes import nearest_points
+from appliance.optics.correction import basis_matrix
+from appliance.optics.model import HousedCamera, StereoRig
+
+Array = NDArray[np.float64]
+
+DEPTHS = (0.93, 1.0, 1.07)
+"""Of the bars and planes, as shares of the distance of the volume's middle."""
+ROLLS_DEG, LEANS_DEG = (0.0, 45.0, 90.0, -45.0), (0.0, 35.0, -35.0)
+"""Each depth has a bar of each roll; the lean (out of the picture's plane) changes from one to the next."""
+PLANE_HALF_MM = (100.0, 75.0)
+PLANE_POINTS = (9, 7)
+CAP = 0.6
+"""Share of a ball's radius over which seven points stand for what is seen of it."""
+FLAT_RANGE = 6.0
+"""From its lowest to its highest place a bent plane reaches over so many of its standard deviations."""
+SURE = 2.0
+"""Standard deviations of what is stated: 95 % of a single length."""
+LENGTH_PERCENT, MANY_LENGTH_PERCENT, FLAT_PERCENT = 0.05, 0.025, 0.05
+"""What a calibration of four recordings, and one of ten, should reach (``docs/accuracy.md``)."""
+MANY_BARS, MANY_PLANES = 4, 6
+MUCH_REST_PX = 0.01
+PIXEL_STEP, SHIFT_STEP_MM = 1e-3, 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Expected:
+    """What is to be expected of objects that were not recorded, in percent; 95 of 100 are better."""
+
+    length_percent: float
+    """Error of a length, in the worst of twelve directions and places."""
+    flat_percent: float
+    """What a plane is bent by, from its lowest to its highest place, of the diagonal of the part looked at."""
+
+
+def expected(rig: StereoRig, bar: Recording, covariance: Array, columns: Columns, rest_px: float) -> Expected:
+    """Return the errors to be expected of ``rig`` with the covariance (n, n) of an adjustment, of bars like ``bar``.
+
+    ``rest_px`` is what is left over patches of the image though the model should explain it; each place is supposed to have
+    an error of that size of its own.
+    """
+    water_index = bar.water.index
+    length_mm, radius_mm = float(bar.length_mm or 0.0), float(bar.radius_mm or 0.0)
+    bars, along = _bars(rig, water_index, length_mm, radius_mm)
+    planes, normal = _planes(rig, water_index)
+    n = bars.shape[2]
+    by_all, by_pixel = _slopes(rig, water_index, bars.reshape(-1, 3), columns, len(covariance))
+    by_all = by_all.reshape(len(bars), 2, n, 3, -1).mean(axis=2)
+    lengths = np.einsum("bx,bxk->bk", along, by_all[:, 1] - by_all[:, 0]) / length_mm
+    # What is left misplaces each ball as a whole: the right camera's pixel across, times how far that moves the point.
+    own = by_pixel.reshape(len(bars), 2, n, 3).mean(axis=2)
+    own_variance = rest_px**2 * np.sum(np.einsum("bx,bsx->bs", along, own) ** 2, axis=1) / length_mm**2
+    variance = np.sum((lengths @ covariance) * lengths, axis=1) + own_variance
+    flat = []
+    for plane in planes:
+        by_all, by_pixel = _slopes(rig, water_index, plane, columns, len(covariance))
+        # A plane's lean and offset are its own; only what is left beside the best plane is a bend.
+        design = np.column_stack([np.ones(len(plane)), plane - plane.mean(axis=0)])
+        aside = np.eye(len(plane)) - design @ np.linalg.pinv(design)
+        heights = aside @ np.einsum("x,pxk->pk", normal, by_all)
+        mean_square = np.mean(np.sum((heights @ covariance) * heights, axis=1))
+        flat.append(mean_square + rest_px**2 * np.mean((by_pixel @ normal) ** 2))
+    diagonal = 2.0 * float(np.hypot(*PLANE_HALF_MM))
+    return Expected(
+        100.0 * SURE * float(np.sqrt(variance.max())), 100.0 * FLAT_RANGE * float(np.sqrt(max(flat))) / diagonal
+    )
+
+
+def warnings_about_expected(
+    found: Expected, recordings: Sequence[Recording], rest_px: float, fields_known: bool
+) -> tuple[str, ...]:
+    """Return a warning if lengths or planes are to be expected worse than such a calibration should be.
+
+    ``fields_known``: the start knew the lenses' fields from air, or none were to be adjusted.
+    """
+    bars = sum(r.kind is ArtefactKind.BALL_BAR for r in recordings)
+    many = bars >= MANY_BARS and len(recordings) - bars >= MANY_PLANES
+    limit = MANY_LENGTH_PERCENT if many else LENGTH_PERCENT
+    if found.length_percent <= limit and found.flat_percent <= FLAT_PERCENT:
+        return ()
+    if not fields_known:
+        remedy = "calibrate in air again: this start does not know what its lenses do beyond their coefficients"
+    elif many or rest_px > MUCH_REST_PX:
+        remedy = (
+            f"{rest_px:.3f} px are left that the model does not explain; calibrate in air again, with boards to the edges of "
+            f"both images, then record the bars and planes again at rest"
+        )
+    else:
+        remedy = f"record {MANY_BARS} bars in different directions and {MANY_PLANES} planes, near and far"
+    said = (
+        f"lengths may be wrong by {found.length_percent:.3f} % (at most {limit:g} % is usual), planes bent by "
+        f"{found.flat_percent:.3f} % of their size (at most {FLAT_PERCENT:g} %): {remedy}"
+    )
+    return (said,)
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """Where an adjustment keeps its unknowns: rig parameters (of ``parameters.NAMES``), then nodes of surfaces."""
+
+    active: tuple[int, ...]
+    nodes: tuple[slice, slice]
+    """Of the left and of the right image correction; empty where there is none."""
+    shifts: tuple[slice, slice]
+    """Of the left and of the right ray shift; empty where there is none."""
+
+
+def _axes(rig: StereoRig, water_index: float) -> tuple[Array, Array]:
+    """Return the middle of the volume (3,), and axes (3, 3) along the baseline, down, and away from it."""
+    middle = rig.volume_centre_mm(water_index)
+    across = np.asarray(rig.right.translation_mm)
+    away = middle - 0.5 * across
+    across = across / np.linalg.norm(across)
+    away = away - (away @ across) * across
+    away /= np.linalg.norm(away)
+    return middle, np.stack([across, np.cross(away, across), away])
+
+
+def _bars(rig: StereoRig, water_index: float, length_mm: float, radius_mm: float) -> tuple[Array, Array]:
+    """Return points (bars, 2, 7, 3) of both balls' near sides, and the bars' directions (bars, 3)."""
+    middle, axes = _axes(rig, water_index)
+    turn = np.arange(6) * np.pi / 3.0
+    cap = CAP * np.concatenate([[[0.0, 0.0]], np.stack([np.cos(turn), np.sin(turn)], 1)])
+    near = radius_mm * np.column_stack([cap, -np.sqrt(1.0 - np.sum(cap**2, 1))]) @ axes
+    points, along = [], []
+    for i, depth in enumerate(DEPTHS):
+        for j, roll_deg in enumerate(ROLLS_DEG):
+            roll, lean = np.radians([roll_deg, LEANS_DEG[(i + j) % len(LEANS_DEG)]])
+            way = np.array([np.cos(lean) * np.cos(roll), np.cos(lean) * np.sin(roll), np.sin(lean)]) @ axes
+            at = middle + (depth - 1.0) * float(middle @ axes[2]) * axes[2]
+            points.append([at + s * 0.5 * length_mm * way + near for s in (-1.0, 1.0)])
+            along.append(way)
+    return np.array(points), np.array(along)
+
+
+def _planes(rig: StereoRig, water_index: float) -> tuple[list[Array], Array]:
+    """Return grids (n, 3) of planes across the view, and their normal (3,)."""
+    middle, axes = _axes(rig, water_index)
+    u, v = (np.linspace(-half, half, n) for half, n in zip(PLANE_HALF_MM, PLANE_POINTS, strict=True))
+    flat = np.stack(np.meshgrid(u, v), -1).reshape(-1, 2) @ axes[:2]
+    return [middle + (depth - 1.0) * float(middle @ axes[2]) * axes[2] + flat for depth in DEPTHS], axes[2]
+
+
+def _slopes(rig: StereoRig, water_index: float, points: Array, columns: Columns, size: int) -> tuple[Array, Array]:
+    """Return how points (n, 3) move with all unknowns, (n, 3, size), and with the right camera's pixel across, (n, 3)."""
+    left, right = (camera.project(points, water_index) for camera in (rig.left, rig.right))
+    # Seen by one camera only: such a point says nothing.
+    seen = np.isfinite(np.concatenate([left, right], axis=1)).all(axis=1)
+    left, right = np.where(seen[:, None], left, 0.0), np.where(seen[:, None], right, 0.0)
+
+    def met(
+        rig: StereoRig,
+        left: Array = left,
+        right: Array = right,
+        aside: tuple[Array, Array] = (np.zeros(3), np.zeros(3)),
+    ) -> Array:
+        p, a = rig.left.rays(left, water_index)
+        q, b = rig.right.rays(right, water_index)
+        p = p + aside[0] @ np.asarray(rig.left.rotation).T
+        q = q + aside[1] @ np.asarray(rig.right.rotation).T
+        return nearest_points(p, a, q, b)
+
+    now = met(rig)
+    found = np.zeros((len(points), 3, size))
+    for column, k in enumerate(columns.active):
+        x = np.zeros(parameters.COUNT)
+        x[k] = parameters.STEPS[k]
+        found[:, :, column] = (met(parameters.rig_with(rig, x)) - now) / parameters.STEPS[k]
+    by_pixel = (met(rig, right=right + np.array([PIXEL_STEP, 0.0])) - now) / PIXEL_STEP
+    by_left: list[Callable[[Array], Array]] = [
+        lambda e: (met(rig, left=left - e) - now) / PIXEL_STEP,
+        lambda e: (met(rig, right=right - e) - now) / PIXEL_STEP,
+    ]
+    for camera, uv, nodes, by in zip((rig.left, rig.right), (left, right), columns.nodes, by_left, strict=True):
+        _spread(
+            found,
+            camera,
+            uv,
+            nodes,
+            None if camera.correction is None else camera.correction.intervals,
+            by,
+            PIXEL_STEP * np.eye(2),
+        )
+    steps_mm = SHIFT_STEP_MM * np.eye(3)[:2]
+    by_shift: list[Callable[[Array], Array]] = [
+        lambda e: (met(rig, aside=(e, np.zeros(3))) - now) / SHIFT_STEP_MM,
+        lambda e: (met(rig, aside=(np.zeros(3), e)) - now) / SHIFT_STEP_MM,
+    ]
+    for camera, uv, nodes, by in zip((rig.left, rig.right), (left, right), columns.shifts, by_shift, strict=True):
+        _spread(
+            found, camera, uv, nodes, None if camera.ray_shift is None else camera.ray_shift.intervals, by, steps_mm
+        )
+    found[~seen], by_pixel[~seen] = 0.0, 0.0
+    return found, by_pixel
+
+
+def _spread(
+    found: Array,
+    camera: HousedCamera,
+    uv: Array,
+    nodes: slice,
+    intervals: tuple[int, int] | None,
+    by: Callable[[Array], Array],
+    steps: Array,
+) -> None:
+    """Put the slopes by a surface's nodes into ``found``: those by its two components, times its basis."""
+    if intervals is None or nodes.stop == nodes.start:
+        return
+    basis = basis_matrix(uv, (camera.width_px, camera.height_px), intervals)
+    count = basis.shape[1]
+    for k, step in enumerate(steps):
+        first = nodes.start + k * count
+        found[:, :, first : first + count] = by(step)[:, :, None] * basis[:, None, :]
