@@ -63,6 +63,9 @@ class FieldPrior:
         self._kernels = kernels(size_px, intervals)
         count = node_count(intervals)
         first = len(mean) - EYES * count
+        self._first = first
+        self._apart = not known[first:].any()
+        """Nothing is known of the nodes but what is supposed: blocks are inverted and weighed one by one."""
         self._blocks = [slice(first + k * count, first + (k + 1) * count) for k in range(EYES)]
         self.variances_px2 = np.full(len(REACHES), FIRST_PX**2)
         self.information = self._information()
@@ -83,7 +86,8 @@ class FieldPrior:
             # process with the correlation K, αᵀ K α = tr(K Q): α the pull of the data on the nodes, Q = P − P S P what
             # the data are expected to pull. Their ratio, as a factor, is the usual fixed-point step.
             pull = P @ (best[:m] - self.mean)
-            Q = [P[b, b] - P[b] @ S[:m, :m] @ P[:, b] for b in self._blocks]
+            reach = [b if self._apart else slice(0, m) for b in self._blocks]
+            Q = [P[b, b] - P[b, r] @ S[r, r] @ P[r, b] for b, r in zip(self._blocks, reach, strict=True)]
             for k, K in enumerate(self._kernels):
                 found = sum(float(pull[b] @ K @ pull[b]) for b in self._blocks)
                 expected = sum(float(np.sum(K * q)) for q in Q)
@@ -93,6 +97,14 @@ class FieldPrior:
 
     def _information(self) -> Array:
         one = sum(v * K for v, K in zip(self.variances_px2, self._kernels, strict=True))
+        if self._apart:
+            information = np.zeros_like(self._known)
+            if self._first:
+                information[: self._first, : self._first] = _inverse(self._known[: self._first, : self._first])
+            of_block = _inverse(one + JITTER_PX2 * np.eye(len(one)))
+            for block in self._blocks:
+                information[block, block] = of_block
+            return information
         covariance = self._known.copy()
         for block in self._blocks:
             covariance[block, block] += one

@@ -22,18 +22,20 @@ from appliance.calibration.file import Calibration
 from appliance.calibration.judgement import Estimate, judged, systematic_px, warnings_about
 from appliance.calibration.recordings import ArtefactKind, NotConverged, Recording, RecordingError, thinned
 from appliance.calibration.water.artefact import Place, first_place
-from appliance.calibration.water.expected import Columns, Expected, expected, warnings_about_expected
+from appliance.calibration.water.expected import Columns, Doubt, Expected, expected, warnings_about_expected
 from appliance.calibration.water.slopes import Basis, NodeSlopes, Slopes
 from appliance.calibration.water.start import check_start
 from appliance.optics.correction import INTERVALS, ImageCorrection, node_count
 from appliance.optics.model import HousedCamera, StereoRig
 from appliance.optics.ray_shift import INTERVALS as SHIFT_INTERVALS
 from appliance.optics.ray_shift import RayShift
+from appliance.optics.water import Water
 
 Array = NDArray[np.float64]
 
 PIXEL_STEP = 1e-3
 SHIFT_STEP_MM = 1e-3
+INDEX_STEP = 1e-5
 REFITS, REFIT_ROUNDS, REFIT_STEP = 2, 3, 3.0
 """How often the windows' waviness is estimated, in how many rounds, and how near the solution (standard deviations)."""
 
@@ -78,6 +80,8 @@ class BundleSettings:
     points_per_recording: int = 1500
     far_residual: float = 4.0
     """Residuals beyond this many standard deviations lose weight in proportion (Huber)."""
+    led_nm: float = 5.8
+    """Standard deviation of the LED's wavelength about that of the water's index: ± 10 nm of its data sheet, evenly spread."""
     steps_at_most: int = 25
     small_step: float = 0.03
     """Converged when a step is shorter than this in standard deviations, all parameters together."""
@@ -203,7 +207,14 @@ def adjust(
     # Residuals show what the fields of both cameras differ by. Where the boards in air were adjusted without fields, what
     # these did to lenses and pose there is hidden, and about as large again.
     hidden = problem.has_nodes and start.air_field is None
-    ahead = expected(rig, bar, covariance * noisier**2, problem.columns, 2.0 * rest if hidden else rest)
+    # The index of the water is not adjusted: recordings do not tell it from the ports. What the adjustment would have answered to
+    # another colour of the LED is carried to the lengths besides.
+    _, aside, _, _ = problem.linearise(x, INDEX_STEP)
+    by_index = -covariance @ (aside - gradient) / INDEX_STEP
+    doubt = Doubt(
+        covariance * noisier**2, by_index, _index_sd(bar.water, chosen.led_nm), 2.0 * rest if hidden else rest
+    )
+    ahead = expected(rig, bar, doubt, problem.columns)
     warnings += warnings_about_expected(ahead, recordings, rest, not hidden)
     calibration = replace(
         start,
@@ -340,9 +351,9 @@ class _Problem:
                 found.append((recording.name, float(residual[0])))
         return found
 
-    def linearise(self, x: Array) -> tuple[Array, Array, float, list[Array]]:
+    def linearise(self, x: Array, index_more: float = 0.0) -> tuple[Array, Array, float, list[Array]]:
         """Return Hessian, gradient and cost of the robust sum of squares, and the residuals (n, 2) in px per
-        recording."""
+        recording; in water whose index is ``index_more`` than stated."""
         noise = self._settings.noise_px
         # Gauss-Newton of E(x) = xᵀ P x + Σ ρ(|e| / σ) + Σ certificates²: the Hessian is P + Σ Jᵀ W J, without second
         # derivatives of e. The prior's mean is the start, or what the boards in air say.
@@ -357,7 +368,7 @@ class _Problem:
             y[k] += step
             changed.append(self._bare(y))
         for recording, place, at in zip(self.recordings, self._places, self._slices, strict=True):
-            slopes = self._slopes(x, rig, changed, recording, place, at)
+            slopes = self._slopes(x, rig, changed, recording, place, at, index_more)
             residual = slopes.residual
             far = np.linalg.norm(residual, axis=1) / noise / self._settings.far_residual
             # Huber's weight, from the length of the residual so that both coordinates of one match lose alike: 1 inside
@@ -382,9 +393,10 @@ class _Problem:
         recording: Recording,
         place: Place,
         at: slice,
+        index_more: float,
     ) -> Slopes:
         """Return one recording's residuals and their slopes by all unknowns."""
-        index = recording.water.index
+        index = recording.water.index + index_more
         left, right = recording.left_px, recording.right_px
         n = len(left)
         left_shift, right_shift = np.zeros((n, 3)), np.zeros((n, 3))
@@ -442,6 +454,12 @@ class _Problem:
         full = np.zeros(parameters.COUNT)
         full[self.active] = x[: len(self.active)]
         return parameters.rig_with(self._start, full)
+
+
+def _index_sd(water: Water, led_nm: float) -> float:
+    """Return the standard deviation of the water's index for light whose wavelength has that of ``led_nm``."""
+    redder, bluer = (replace(water, wavelength_nm=water.wavelength_nm + nm).index for nm in (1.0, -1.0))
+    return abs(redder - bluer) / 2.0 * led_nm
 
 
 def _widened(covariance: Array, rig: StereoRig, settings: BundleSettings) -> Array:

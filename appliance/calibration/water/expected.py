@@ -32,7 +32,7 @@ LENGTH_PERCENT, MANY_LENGTH_PERCENT, FLAT_PERCENT = 0.05, 0.025, 0.05
 """What a calibration of four recordings, and one of ten, should reach (``docs/accuracy.md``)."""
 MANY_BARS, MANY_PLANES = 4, 6
 MUCH_REST_PX = 0.01
-PIXEL_STEP, SHIFT_STEP_MM = 1e-3, 1e-3
+PIXEL_STEP, SHIFT_STEP_MM, INDEX_STEP = 1e-3, 1e-3, 1e-5
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,33 +45,48 @@ class Expected:
     """What a plane is bent by, from its lowest to its highest place, of the diagonal of the part looked at."""
 
 
-def expected(rig: StereoRig, bar: Recording, covariance: Array, columns: Columns, rest_px: float) -> Expected:
-    """Return the errors to be expected of ``rig`` with the covariance (n, n) of an adjustment, of bars like ``bar``.
+@dataclass(frozen=True, slots=True, eq=False)
+class Doubt:
+    """What an adjustment is not sure of."""
 
-    ``rest_px`` is what is left over patches of the image though the model should explain it; each place is supposed to have
-    an error of that size of its own.
-    """
+    covariance: Array
+    """(n, n) of all its unknowns."""
+    by_index: Array
+    """(n,): what they would change by with the index of the water."""
+    index_sd: float
+    """Standard deviation of that index."""
+    rest_px: float
+    """What is left over patches of the image though the model should explain it: each place is supposed to have an error of
+    that size of its own."""
+
+
+def expected(rig: StereoRig, bar: Recording, doubt: Doubt, columns: Columns) -> Expected:
+    """Return the errors to be expected of ``rig`` as an adjustment left it, of bars like ``bar``."""
+    covariance, rest_px = doubt.covariance, doubt.rest_px
     water_index = bar.water.index
     length_mm, radius_mm = float(bar.length_mm or 0.0), float(bar.radius_mm or 0.0)
     bars, along = _bars(rig, water_index, length_mm, radius_mm)
     planes, normal = _planes(rig, water_index)
     n = bars.shape[2]
-    by_all, by_pixel = _slopes(rig, water_index, bars.reshape(-1, 3), columns, len(covariance))
+    by_all, by_pixel, by_water = _slopes(rig, water_index, bars.reshape(-1, 3), columns, len(covariance))
+    by_water = (by_water + by_all @ doubt.by_index).reshape(len(bars), 2, n, 3).mean(axis=2)
     by_all = by_all.reshape(len(bars), 2, n, 3, -1).mean(axis=2)
     lengths = np.einsum("bx,bxk->bk", along, by_all[:, 1] - by_all[:, 0]) / length_mm
     # What is left misplaces each ball as a whole: the right camera's pixel across, times how far that moves the point.
     own = by_pixel.reshape(len(bars), 2, n, 3).mean(axis=2)
     own_variance = rest_px**2 * np.sum(np.einsum("bx,bsx->bs", along, own) ** 2, axis=1) / length_mm**2
-    variance = np.sum((lengths @ covariance) * lengths, axis=1) + own_variance
+    of_water = np.einsum("bx,bx->b", along, by_water[:, 1] - by_water[:, 0]) / length_mm * doubt.index_sd
+    variance = np.sum((lengths @ covariance) * lengths, axis=1) + own_variance + of_water**2
     flat = []
     for plane in planes:
-        by_all, by_pixel = _slopes(rig, water_index, plane, columns, len(covariance))
+        by_all, by_pixel, by_water = _slopes(rig, water_index, plane, columns, len(covariance))
         # A plane's lean and offset are its own; only what is left beside the best plane is a bend.
         design = np.column_stack([np.ones(len(plane)), plane - plane.mean(axis=0)])
         aside = np.eye(len(plane)) - design @ np.linalg.pinv(design)
         heights = aside @ np.einsum("x,pxk->pk", normal, by_all)
         mean_square = np.mean(np.sum((heights @ covariance) * heights, axis=1))
-        flat.append(mean_square + rest_px**2 * np.mean((by_pixel @ normal) ** 2))
+        of_water = aside @ ((by_water + by_all @ doubt.by_index) @ normal) * doubt.index_sd
+        flat.append(mean_square + np.mean(of_water**2) + rest_px**2 * np.mean((by_pixel @ normal) ** 2))
     diagonal = 2.0 * float(np.hypot(*PLANE_HALF_MM))
     return Expected(
         100.0 * SURE * float(np.sqrt(variance.max())), 100.0 * FLAT_RANGE * float(np.sqrt(max(flat))) / diagonal
@@ -153,8 +168,11 @@ def _planes(rig: StereoRig, water_index: float) -> tuple[list[Array], Array]:
     return [middle + (depth - 1.0) * float(middle @ axes[2]) * axes[2] + flat for depth in DEPTHS], axes[2]
 
 
-def _slopes(rig: StereoRig, water_index: float, points: Array, columns: Columns, size: int) -> tuple[Array, Array]:
-    """Return how points (n, 3) move with all unknowns, (n, 3, size), and with the right camera's pixel across, (n, 3)."""
+def _slopes(
+    rig: StereoRig, water_index: float, points: Array, columns: Columns, size: int
+) -> tuple[Array, Array, Array]:
+    """Return how points (n, 3) move with all unknowns, (n, 3, size), with the right camera's pixel across, (n, 3), and
+    with the index of the water, (n, 3)."""
     left, right = (camera.project(points, water_index) for camera in (rig.left, rig.right))
     # Seen by one camera only: such a point says nothing.
     seen = np.isfinite(np.concatenate([left, right], axis=1)).all(axis=1)
@@ -165,6 +183,7 @@ def _slopes(rig: StereoRig, water_index: float, points: Array, columns: Columns,
         left: Array = left,
         right: Array = right,
         aside: tuple[Array, Array] = (np.zeros(3), np.zeros(3)),
+        water_index: float = water_index,
     ) -> Array:
         p, a = rig.left.rays(left, water_index)
         q, b = rig.right.rays(right, water_index)
@@ -179,6 +198,7 @@ def _slopes(rig: StereoRig, water_index: float, points: Array, columns: Columns,
         x[k] = parameters.STEPS[k]
         found[:, :, column] = (met(parameters.rig_with(rig, x)) - now) / parameters.STEPS[k]
     by_pixel = (met(rig, right=right + np.array([PIXEL_STEP, 0.0])) - now) / PIXEL_STEP
+    by_water = (met(rig, water_index=water_index + INDEX_STEP) - now) / INDEX_STEP
     by_left: list[Callable[[Array], Array]] = [
         lambda e: (met(rig, left=left - e) - now) / PIXEL_STEP,
         lambda e: (met(rig, right=right - e) - now) / PIXEL_STEP,
@@ -202,8 +222,8 @@ def _slopes(rig: StereoRig, water_index: float, points: Array, columns: Columns,
         _spread(
             found, camera, uv, nodes, None if camera.ray_shift is None else camera.ray_shift.intervals, by, steps_mm
         )
-    found[~seen], by_pixel[~seen] = 0.0, 0.0
-    return found, by_pixel
+    found[~seen], by_pixel[~seen], by_water[~seen] = 0.0, 0.0, 0.0
+    return found, by_pixel, by_water
 
 
 def _spread(

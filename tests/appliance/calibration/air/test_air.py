@@ -14,7 +14,7 @@ from tests.support.calibrating import HEIGHT_PX, WIDTH_PX, board_views, hidden_r
 
 def test_lenses_and_base_are_found_within_their_covariance() -> None:
     truth = hidden_rig("modelled", 3)
-    air = calibrate_air(board_views(truth), WIDTH_PX, HEIGHT_PX)
+    air = calibrate_air(board_views(truth), WIDTH_PX, HEIGHT_PX, with_field=False)
     dry = in_air(truth)
     sd = np.sqrt(np.diag(air.covariance))
     for k, (camera, true) in enumerate(((air.rig.left, dry.left), (air.rig.right, dry.right))):
@@ -31,7 +31,7 @@ def test_lenses_and_base_are_found_within_their_covariance() -> None:
 def test_a_board_that_moved_between_the_cameras_is_left_out_with_its_reason() -> None:
     views = board_views(hidden_rig("modelled", 3))
     moved = replace(views[4], right_px=views[4].right_px + np.array([1.5, 1.0]))
-    air = calibrate_air([*views[:4], moved, *views[5:]], WIDTH_PX, HEIGHT_PX)
+    air = calibrate_air([*views[:4], moved, *views[5:]], WIDTH_PX, HEIGHT_PX, with_field=False)
     assert len(air.left_out) == 1
     assert air.left_out[0].startswith("board 4: residual")
     assert "moved" in air.left_out[0]
@@ -39,4 +39,4 @@ def test_a_board_that_moved_between_the_cameras_is_left_out_with_its_reason() ->
 
 def test_too_few_views_are_refused_with_what_to_do() -> None:
     with pytest.raises(AirCalibrationError, match="4 usable views of the board; 6 are needed; record more"):
-        calibrate_air(board_views(hidden_rig("modelled", 3))[:4], WIDTH_PX, HEIGHT_PX)
+        calibrate_air(board_views(hidden_rig("modelled", 3))[:4], WIDTH_PX, HEIGHT_PX, with_field=False)

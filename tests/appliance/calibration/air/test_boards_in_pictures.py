@@ -44,7 +44,7 @@ def views(truth: TrueRig) -> list[BoardView]:
 
 @pytest.fixture(scope="module")
 def air(views: list[BoardView]) -> AirCalibration:
-    return calibrate_air(views, WIDTH_PX, HEIGHT_PX)
+    return calibrate_air(views, WIDTH_PX, HEIGHT_PX, with_field=False)
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +102,7 @@ def test_the_covariance_says_how_wrong_the_parameters_are(truth: TrueRig, air: A
 def test_lengths_in_air_of_real_lenses_are_right_to_three_hundredths_of_a_percent(seed: int) -> None:
     """What a lens does beyond the five-parameter model is the limit."""
     rig = hidden_rig("realistic", seed)
-    off = lengths_off_percent(in_air(rig), calibrate_air(views_of_boards(rig), WIDTH_PX, HEIGHT_PX))
+    off = lengths_off_percent(in_air(rig), calibrate_air(views_of_boards(rig), WIDTH_PX, HEIGHT_PX, with_field=False))
     assert np.sqrt(np.mean(off**2)) < 0.03
     assert np.abs(off).max() < 0.06
 
@@ -121,7 +121,7 @@ def test_a_board_that_moved_between_the_exposures_is_named(truth: TrueRig, views
     first, then = (picture(renderer, p, AIR, 7) for p in (pose, moved))
     found = find_board("board 5", first.left, then.right, BOARD)
     assert isinstance(found, BoardView)
-    air = calibrate_air([*views[:5], found, *views[6:]], WIDTH_PX, HEIGHT_PX)
+    air = calibrate_air([*views[:5], found, *views[6:]], WIDTH_PX, HEIGHT_PX, with_field=False)
     assert len(air.left_out) == 1
     assert air.left_out[0].startswith("board 5: residual")
     assert "moved between the cameras' exposures" in air.left_out[0]
@@ -156,7 +156,7 @@ def test_a_hidden_board_is_named(pictures: Pictures, views: list[BoardView]) -> 
     assert "corners in the right image" in nearly_all.reason
     half = find_board("pair 1", pictures.left, hidden_beyond(pictures.right, 750), BOARD)
     assert isinstance(half, BoardView)
-    air = calibrate_air([*views, half], WIDTH_PX, HEIGHT_PX)
+    air = calibrate_air([*views, half], WIDTH_PX, HEIGHT_PX, with_field=False)
     (remark,) = air.views[-1].remarks
     assert "the board is half hidden" in remark
 
@@ -164,7 +164,9 @@ def test_a_hidden_board_is_named(pictures: Pictures, views: list[BoardView]) -> 
 def test_a_corner_beside_glare_is_left_out_alone(views: list[BoardView]) -> None:
     spoilt = views[2].right_px.copy()
     spoilt[40] += (0.9, -0.7)
-    air = calibrate_air([*views[:2], replace(views[2], right_px=spoilt), *views[3:]], WIDTH_PX, HEIGHT_PX)
+    air = calibrate_air(
+        [*views[:2], replace(views[2], right_px=spoilt), *views[3:]], WIDTH_PX, HEIGHT_PX, with_field=False
+    )
     assert air.left_out == ()
     (remark,) = air.views[2].remarks
     assert remark.startswith("1 corners left out, up to ")

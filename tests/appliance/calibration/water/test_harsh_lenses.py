@@ -12,7 +12,7 @@ from appliance.calibration.air.adjustment import AirCalibration, calibrate_air
 from appliance.calibration.file import Calibration, CalibrationError, decode, encode
 from appliance.calibration.recordings import Recording
 from appliance.calibration.water.bundle import BundleResult, Rung, adjust
-from appliance.calibration.water.expected import Columns, expected
+from appliance.calibration.water.expected import Columns, Doubt, expected
 from appliance.checksummed_file import with_checksum
 from hw_sim.truth import TrueRig, in_air
 from tests.support.calibrating import (
@@ -83,16 +83,21 @@ def test_a_pose_that_is_unsure_makes_lengths_unsure_by_as_much(case: Case) -> No
     covariance[23, 23] = turn**2
     rig = case.known.calibration.rig
     columns = Columns(tuple(range(parameters.COUNT)), (NONE, NONE), (NONE, NONE))
-    found = expected(rig, case.recordings[0], covariance, columns, 0.0)
+    nothing = np.zeros(parameters.COUNT)
+    bar = case.recordings[0]
+    found = expected(rig, bar, Doubt(covariance, nothing, 0.0, 0.0), columns)
     # Two rays from a base b that turn by dα meet z² dα / b farther away. So lengths across the view grow by z dα / b, those
     # along it by twice that. The worst bar leans by 35°, at the far end of the volume.
     z, b, lean = 1.07 * 522.5, 230.0, np.radians(35.0)
     assert found.length_percent == pytest.approx(100.0 * 2.0 * z * turn / b * (1.0 + np.sin(lean) ** 2), rel=0.1)
     covariance[:] = 0.0
-    rest = expected(rig, case.recordings[0], covariance, columns, 0.05)
+    rest = expected(rig, bar, Doubt(covariance, nothing, 0.0, 0.05), columns)
     assert rest.length_percent > 0.02
     assert rest.flat_percent > 0.02
-    none = expected(rig, case.recordings[0], covariance, columns, 0.0)
+    water = expected(rig, bar, Doubt(covariance, nothing, 1e-4, 0.0), columns)
+    # Nothing adjusted to it: distances in water go with the index of what is beyond the window.
+    assert water.length_percent == pytest.approx(100.0 * 2.0 * 1e-4 / 1.335, rel=0.5)
+    none = expected(rig, bar, Doubt(covariance, nothing, 0.0, 0.0), columns)
     assert (none.length_percent, none.flat_percent) == (0.0, 0.0)
 
 
