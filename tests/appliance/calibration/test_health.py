@@ -86,11 +86,11 @@ def test_a_knock_between_calibration_and_first_scan_is_noticed() -> None:
 
 
 def test_a_slow_drift_alarms_before_it_is_learnt() -> None:
-    """0.004° of roll per scan, from the first scan on: no single step is remarkable."""
+    """0.002° of roll per scan, from the first scan on: no single step is remarkable."""
     made = calibrated(SEED)
     rng = np.random.default_rng(3)
     drifting = (
-        scan(made, with_mount_shifted(made.truth, MountShift("right", roll_deg=0.004 * (k + 1))), rng)
+        scan(made, with_mount_shifted(made.truth, MountShift("right", roll_deg=0.002 * (k + 1))), rng)
         for k in range(LEARNT_SCANS)
     )
     alarms = [said.alarm for _, said in follow(HealthTrend(), drifting)]
