@@ -170,7 +170,7 @@ def _tell(content: dict[str, Any], page: Path, calibration: Path | None) -> None
         say(f"warning: {warning}")
     for recording in content["recordings"]:
         say(f"{recording['name']:<24} {recording['points']} points, {recording['residual_px']:.4f} px")
-    for key in ("residual_px", "systematic_px"):
+    for key in ("residual_px", "systematic_px", "expected_length_percent", "expected_flat_percent"):
         value = content[key]
         say(f"{key:<24} {'-' if value is None else f'{value:.4f}'}")
     for side, port in content["ports"].items():

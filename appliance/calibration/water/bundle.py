@@ -110,7 +110,8 @@ class BundleResult:
     estimates: tuple[Estimate, ...]
     warnings: tuple[str, ...]
     costs: tuple[float, ...]
-    """The robust sum of squares, priors included: before the first step and after each."""
+    """The robust sum of squares, priors included: before the first step and after each. Where the prior is estimated on the
+    way, it is counted with that of its step."""
 
     @property
     def steps(self) -> int:
@@ -160,11 +161,10 @@ def adjust(
         hessian, gradient, cost, residuals = tried
         costs.append(cost)
         if refits and still_to_go < REFIT_STEP:
-            # How wavy the windows are is told by the residuals near the solution; the cost is counted anew from there.
+            # How wavy the windows are is told by the residuals near the solution; with another prior the cost may rise once.
             refits -= 1
             problem.refit(hessian, gradient, x)
             hessian, gradient, cost, residuals = problem.linearise(x)
-            costs = [cost]
         elif still_to_go < chosen.small_step:
             break
     else:
