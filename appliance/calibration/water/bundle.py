@@ -111,7 +111,7 @@ class BundleResult:
     warnings: tuple[str, ...]
     costs: tuple[float, ...]
     """The robust sum of squares, priors included: before the first step and after each. Where the prior is estimated on the
-    way, it is counted with that of its step."""
+    way, earlier ones are moved by what that changes."""
 
     @property
     def steps(self) -> int:
@@ -161,10 +161,13 @@ def adjust(
         hessian, gradient, cost, residuals = tried
         costs.append(cost)
         if refits and still_to_go < REFIT_STEP:
-            # How wavy the windows are is told by the residuals near the solution; with another prior the cost may rise once.
+            # How wavy the windows are is told by the residuals near the solution. Another prior counts the same place anew:
+            # earlier costs move with it, so that they stay comparable.
             refits -= 1
             problem.refit(hessian, gradient, x)
+            before = cost
             hessian, gradient, cost, residuals = problem.linearise(x)
+            costs = [one + cost - before for one in costs]
         elif still_to_go < chosen.small_step:
             break
     else:
