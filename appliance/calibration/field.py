@@ -128,7 +128,7 @@ def _inverse(matrix: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class AirField:
-    """What the boards in air tell of the lenses' fields, together with all else: mean and covariance of (22 + 4·nodes)
+    """The lenses' fields as boards in air tell of them, together with all else: mean and covariance of (22 + 4·nodes)
     values. The first 22 are changes of the values of the file (``parameters.NAMES[AIR]``), then the nodes of the left
     image across, down, and of the right one."""
 

@@ -62,7 +62,7 @@ class Calibration:
     """Covariance of the values from air (``parameters.NAMES[AIR]``): the prior of an adjustment in water that starts
     here."""
     air_field: AirField | None = None
-    """What the boards in air say of the lenses' fields: with it, the prior of an adjustment with an image correction.
+    """The lenses' fields as boards in air tell of them: with it, the prior of an adjustment with an image correction.
     ``None``: not known, as in files made before it was written down."""
     camera_serials: tuple[str, str] | None = None
     """Serial numbers of the left and the right camera; ``None``: not known, as in files made before they were written

@@ -100,7 +100,7 @@ class AirCalibration:
     views: tuple[FittedView, ...]
     """Views that were used."""
     field: AirField | None = None
-    """What the lenses do beyond ``rig``, adjusted together with all else; ``None`` if it was not asked for."""
+    """Field of each lens beyond ``rig``, adjusted together with all else; ``None`` if it was not asked for."""
 
 
 def calibrate_air(

@@ -23,7 +23,7 @@ from appliance.calibration.judgement import Estimate, judged, systematic_px, war
 from appliance.calibration.recordings import ArtefactKind, NotConverged, Recording, RecordingError, thinned
 from appliance.calibration.water.artefact import Place, first_place
 from appliance.calibration.water.expected import Columns, Doubt, Expected, expected, warnings_about_expected
-from appliance.calibration.water.slopes import Basis, NodeSlopes, Slopes
+from appliance.calibration.water.slopes import NodeBasis, NodeSlopes, Slopes
 from appliance.calibration.water.start import check_start
 from appliance.optics.correction import INTERVALS, ImageCorrection, node_count
 from appliance.optics.model import HousedCamera, StereoRig
@@ -37,7 +37,8 @@ PIXEL_STEP = 1e-3
 SHIFT_STEP_MM = 1e-3
 INDEX_STEP = 1e-5
 REFITS, REFIT_ROUNDS, REFIT_STEP = 2, 3, 3.0
-"""How often the windows' waviness is estimated, in how many rounds, and how near the solution (standard deviations)."""
+"""Number of estimates of the windows' waviness, rounds of each, and distance from the solution within which one is made (standard
+deviations)."""
 
 
 class Rung(Enum):
@@ -106,7 +107,7 @@ class BundleResult:
     systematic_px: float
     """RMS of what remains after averaging the noise away over patches of the image."""
     expected: Expected
-    """What is to be expected of lengths and planes that were not recorded."""
+    """Errors to be expected of lengths and planes that were not recorded."""
     estimates: tuple[Estimate, ...]
     warnings: tuple[str, ...]
     costs: tuple[float, ...]
@@ -288,7 +289,7 @@ class _Problem:
         self._prior[:count, :count] = information
         self.mean = np.zeros(at)
         self.windows: FieldPrior | None = None
-        """What is known of rig and fields where the calibration in air tells of fields; estimates how wavy the windows are."""
+        """Prior of rig and fields where the calibration in air tells of fields; estimates how wavy the windows are."""
         if self._splines and air_field is not None:
             known = np.zeros((self._right_nodes.stop,) * 2)
             known[:6, :6] = np.linalg.inv(information[:6, :6])
@@ -331,7 +332,7 @@ class _Problem:
 
     @property
     def columns(self) -> Columns:
-        """Where the unknowns of the rig are."""
+        """Places of the rig's unknowns."""
         return Columns(
             tuple(self.active), (self._left_nodes, self._right_nodes), (self._left_shifts, self._right_shifts)
         )
@@ -483,11 +484,11 @@ def _project(camera: HousedCamera, points_mm: Array, shift_mm: Array, water_inde
     return camera.ideal_pixels(local, water_index)
 
 
-def _basis(camera: HousedCamera, uv_px: Array, intervals: tuple[int, int]) -> Basis:
-    return Basis.at(uv_px, (camera.width_px, camera.height_px), intervals)
+def _basis(camera: HousedCamera, uv_px: Array, intervals: tuple[int, int]) -> NodeBasis:
+    return NodeBasis.at(uv_px, (camera.width_px, camera.height_px), intervals)
 
 
-def _surface(basis: Basis, nodes: Array) -> Array:
+def _surface(basis: NodeBasis, nodes: Array) -> Array:
     """Return values (n, 2); ``nodes`` holds all of the first component, then all of the second."""
     return np.stack([basis.times(part) for part in np.split(nodes, 2)], -1)
 

@@ -17,7 +17,7 @@ from appliance.optics.model import HousedCamera, StereoRig
 Array = NDArray[np.float64]
 
 DEPTHS = (0.93, 1.0, 1.07)
-"""Of the bars and planes, as shares of the distance of the volume's middle."""
+"""Depths of the bars and planes, as shares of the distance of the volume's middle."""
 ROLLS_DEG, LEANS_DEG = (0.0, 45.0, 90.0, -45.0), (0.0, 35.0, -35.0)
 """Each depth has a bar of each roll; the lean (out of the picture's plane) changes from one to the next."""
 PLANE_HALF_MM = (100.0, 75.0)
@@ -25,11 +25,11 @@ PLANE_POINTS = (9, 7)
 CAP = 0.6
 """Share of a ball's radius over which seven points stand for what is seen of it."""
 FLAT_RANGE = 6.0
-"""From its lowest to its highest place a bent plane reaches over so many of its standard deviations."""
+"""Standard deviations of a bent plane's height from its lowest to its highest place."""
 SURE = 2.0
 """Standard deviations of what is stated: 95 % of a single length."""
 LENGTH_PERCENT, MANY_LENGTH_PERCENT, FLAT_PERCENT = 0.05, 0.025, 0.05
-"""What a calibration of four recordings, and one of ten, should reach (``docs/accuracy.md``)."""
+"""Errors that a calibration of four recordings, and one of ten, should not exceed (``docs/accuracy.md``)."""
 MANY_BARS, MANY_PLANES = 4, 6
 MUCH_REST_PX = 0.01
 PIXEL_STEP, SHIFT_STEP_MM, INDEX_STEP = 1e-3, 1e-3, 1e-5
@@ -37,17 +37,17 @@ PIXEL_STEP, SHIFT_STEP_MM, INDEX_STEP = 1e-3, 1e-3, 1e-5
 
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """What is to be expected of objects that were not recorded, in percent; 95 of 100 are better."""
+    """Errors to be expected of objects that were not recorded, in percent; 95 of 100 are smaller."""
 
     length_percent: float
     """Error of a length, in the worst of twelve directions and places."""
     flat_percent: float
-    """What a plane is bent by, from its lowest to its highest place, of the diagonal of the part looked at."""
+    """Bend of a plane, from its lowest to its highest place, as a share of the diagonal of the part looked at."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Doubt:
-    """What an adjustment is not sure of."""
+    """The uncertainty that an adjustment leaves."""
 
     covariance: Array
     """(n, n) of all its unknowns."""
@@ -56,7 +56,7 @@ class Doubt:
     index_sd: float
     """Standard deviation of that index."""
     rest_px: float
-    """What is left over patches of the image though the model should explain it: each place is supposed to have an error of
+    """Residual left over patches of the image though the model should explain it: each place is supposed to have an error of
     that size of its own."""
 
 
@@ -123,13 +123,13 @@ def warnings_about_expected(
 
 @dataclass(frozen=True, slots=True)
 class Columns:
-    """Where an adjustment keeps its unknowns: rig parameters (of ``parameters.NAMES``), then nodes of surfaces."""
+    """Places of an adjustment's unknowns: rig parameters (of ``parameters.NAMES``), then nodes of surfaces."""
 
     active: tuple[int, ...]
     nodes: tuple[slice, slice]
-    """Of the left and of the right image correction; empty where there is none."""
+    """Nodes of the left and of the right image correction; empty where there is none."""
     shifts: tuple[slice, slice]
-    """Of the left and of the right ray shift; empty where there is none."""
+    """Nodes of the left and of the right ray shift; empty where there is none."""
 
 
 def _axes(rig: StereoRig, water_index: float) -> tuple[Array, Array]:

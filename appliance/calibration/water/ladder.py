@@ -73,7 +73,7 @@ class LadderResult:
     costs: tuple[float, ...] = ()
     """Costs before the first step and after each, of the adjustments."""
     expected: Expected | None = None
-    """What is to be expected of lengths and planes that were not recorded; ``None`` where the method does not tell."""
+    """Errors to be expected of lengths and planes that were not recorded; ``None`` where the method does not tell."""
 
     @property
     def unobserved(self) -> tuple[str, ...]:

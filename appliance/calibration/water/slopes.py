@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Basis:
+class NodeBasis:
     """The nodes that touch each of n points, and how much."""
 
     nodes: NDArray[np.intp]
@@ -27,7 +27,7 @@ class Basis:
     """All nodes of one component of the surface."""
 
     @classmethod
-    def at(cls, uv_px: Array, size_px: tuple[int, int], intervals: tuple[int, int]) -> Basis:
+    def at(cls, uv_px: Array, size_px: tuple[int, int], intervals: tuple[int, int]) -> NodeBasis:
         """Return that of pixels (n, 2)."""
         return cls(*basis_entries(uv_px, size_px, intervals), node_count(intervals))
 
@@ -41,8 +41,8 @@ class NodeSlopes:
     """Slopes by the nodes of one surface: those of the residuals by the surface's components, times its basis."""
 
     columns: slice
-    """Of all unknowns: the nodes of the first component, then those of the second."""
-    basis: Basis
+    """Places among all unknowns: the nodes of the first component, then those of the second."""
+    basis: NodeBasis
     by_component: Sequence[Array]
     """Two of (n, 2) or (2,): the residuals' slopes by the surface's first and second component."""
 
