@@ -73,7 +73,7 @@ def attempt(pipeline: Pipeline, plain: Found, images: ScanImages, calibration: C
     if is_better(motion.error_before, error_after) and kept >= LEAST_KEPT:
         why = f"Motion of {motion.texture_px:.1f} px during the x fringes was undone; points err {error_after:.1f} times as at rest."
         return Attempt(motion, found, why, error_after)
-    pipeline.find_full()
+    pipeline.find_full(straightened=False)
     if kept < LEAST_KEPT:
         why = f"Compensation would lose {100.0 * (1.0 - kept):.0f} % of the points."
     else:

@@ -148,9 +148,10 @@ class SequenceProcessor:
         if self._moved:
             # The full cloud will be that of one moment of the scan where that makes it good, else the plain one.
             # The plain cloud is made first: compensation starts from it, and it is what remains if that fails.
-            plain = pipeline.find_full()
+            # It solves phases from the frames anew, and compares: with maps as they were decoded.
+            plain = pipeline.find_full(straightened=False)
             tried = attempt(pipeline, plain, images, self._calibration, self._water)
-            full = tried.found or plain
+            full = tried.found or pipeline.find_full()
             motion = said["motion"]
             if tried.found is not None:
                 self._compensated = True

@@ -10,7 +10,7 @@ series of second order is within 0.1 µm.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from types import TracebackType
@@ -33,6 +33,7 @@ from appliance.reconstruct.rows import LeftMaps, reconstruct_rows, scratch_rows
 from appliance.reconstruct.scratch import MAX_WIDTH_PX
 from appliance.reconstruct.select import PointLimits
 from appliance.reconstruct.sigma import SigmaFactors, read_between, sigma_factors
+from appliance.reconstruct.straighten import Bend, CoordinateMaps, measure_bend, take_out
 from appliance.reconstruct.table import Cloud, Found, PointTable
 from appliance.reconstruct.triangulate import Rays, rays_of
 from appliance.reconstruct.veil import VeilFringes, find_veil, looks_veiled, remove_veil
@@ -91,6 +92,10 @@ class Pipeline:
         self._inverse_stride = 2 if right.width_px >= 800 else 1
         self._noise, self._ripple = noise, STILL
         self._factors = sigma_factors(sequence.period_px, noise)
+        self._straight = False
+        """The response's bend was taken out of this scan's coordinates, or looked for in vain."""
+        self._noisier = np.float32(1.0)
+        """Factor by which taking it out multiplied the variance of the scan's coordinates."""
         self._limits = limits or QualityLimits()
         self._pixel_mm = 0.16 * 1600.0 / left.width_px
         self._veil: VeilFringes | None = None
@@ -170,6 +175,7 @@ class Pipeline:
             decoder.finish()
         self._read_through_backscatter()
         self._veil = None
+        self._straight, self._noisier = False, np.float32(1.0)
         self._prepare()
         self._take_veil_out()
         return self._find(self.coarse_stride)
@@ -184,6 +190,8 @@ class Pipeline:
         without it, the variance follows from modulation, light and camera noise.
         """
         self._bright = self._bright if bright is None else bright
+        # Maps that were merged are those of two scans, each straightened by itself.
+        self._straight = True
         self._prepare()
         if variance_px2 is None:
             return self.find_full()
@@ -197,7 +205,8 @@ class Pipeline:
         fill_inverse_map(self._right, self._inverse_stride)
         left, period_px = self._decoders["left"], self._sequence.period_px
         self._ripple = measure_ripple(left.p_px, left.illuminated_columns, period_px)
-        self._factors = sigma_factors(period_px, self._noise, self._ripple)
+        factors = sigma_factors(period_px, self._noise, self._ripple)
+        self._factors = factors._replace(scale2_px2=factors.scale2_px2 * self._noisier)
 
     def _read_through_backscatter(self) -> None:
         noises = {side: of_side(self._noise, side) for side in SIDES}
@@ -227,9 +236,31 @@ class Pipeline:
         self._veil = self._veil.removed()
         self._prepare()
 
-    def find_full(self) -> Found:
-        """Find the full cloud, as ``full`` does, and leave the points in the table."""
+    def find_full(self, *, straightened: bool = True) -> Found:
+        """Find the full cloud, as ``full`` does, and leave the points in the table.
+
+        ``straightened``: what the projector's response bends coordinates by is taken out of the decoders' maps first, where it
+        counts. Whoever goes on to look at the frames beside the maps wants them as they were decoded.
+        """
+        if straightened and not self._straight:
+            self._straighten()
         return self._with_gaps(self._find(1))
+
+    def _straighten(self) -> None:
+        self._straight = True
+        bend = self._taken_out(list(self._decoders.values()))
+        if bend.counts:
+            self._noisier = np.float32(bend.variance_factor(self._sequence.period_px))
+            self._prepare()
+
+    def _taken_out(self, cameras: Sequence[CoordinateMaps]) -> Bend:
+        """Take out of both cameras' coordinates what the response bends them by, where that counts, and return it."""
+        period_px = self._sequence.period_px
+        bend = measure_bend(cameras, period_px)
+        if bend.counts:
+            for _ in self._pool.map(lambda camera: take_out(camera, bend, period_px), cameras):
+                pass
+        return bend
 
     def _with_gaps(self, found: Found) -> Found:
         if self._gaps is None:
@@ -256,19 +287,26 @@ class Pipeline:
     def find_replaced(self, left: LeftMaps, right: LeftMaps) -> Found:
         """Find the full cloud of other maps than the decoded ones, which stay as they are, and leave the points in the table.
 
-        They were read between pixels. Gaps are not sampled: they would not be those of a scan at rest. Raises ValueError for maps
-        without variances: what reading between pixels leaves of the noise does not follow from their modulation.
+        They were read between pixels. What the projector's response bends them by is taken out of them, where it counts. Gaps are not
+        sampled: they would not be those of a scan at rest. Raises ValueError for maps without variances: what reading between
+        pixels leaves of the noise does not follow from their modulation.
         """
         if not (left.variance_px2.size and right.variance_px2.size):
             raise ValueError("maps read between pixels came without variances; give both sides' variance_px2")
         shown = self._sequence
+        factors, bend = self._factors, self._taken_out((left, right))
+        if bend.counts:
+            ripple = measure_ripple(left.p_px, left.illuminated_columns, shown.period_px)
+            factors = sigma_factors(shown.period_px, self._noise, ripple)
+            noisier = np.float32(bend.variance_factor(shown.period_px))
+            left, right = (one._replace(variance_px2=one.variance_px2 * noisier) for one in (left, right))
         maps = right_maps(
             right.p_px, right.q_px, right.modulation_half_dn, shown.width_px, shown.height_px, right.variance_px2
         )
         fill_inverse_map(maps, self._inverse_stride)
         # Cameras and projector share the field.
         fringe_px = self._sequence.period_px / self._sequence.width_px * left.p_px.shape[1]
-        factors = read_between(self._factors, fringe_px)
+        factors = read_between(factors, fringe_px)
         return self._find_in(left, maps, factors, 1, self._kernel_limits(1), self.table)
 
     def _find(self, stride: int, limits: PointLimits | None = None, table: PointTable | None = None) -> Found:

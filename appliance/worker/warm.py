@@ -23,6 +23,7 @@ from appliance.optics.water import Water
 from appliance.patterns.sequence import PatternSequence, build_sequence
 from appliance.processing.judges import JUDGES, JudgeInput
 from appliance.processing.procedure import SequenceProcessor
+from appliance.reconstruct import straighten
 from appliance.reconstruct.decode.backscatter import warm_up as warm_backscatter
 from appliance.reconstruct.decode.specks import mask_specks
 from appliance.reconstruct.fuse import fuse
@@ -164,6 +165,7 @@ def _find_points(*, writable: bool) -> None:
                 pipeline.push(side, frames, index)
         pipeline.find_coarse()
         pipeline.find_full()
+    straighten.warm_up()
 
 
 def _judge(*, writable: bool) -> None:

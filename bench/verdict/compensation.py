@@ -216,7 +216,7 @@ def _push(pipeline: Pipeline, scan: RenderedScan) -> Found:
         for side in SIDES:
             pipeline.push(side, scan.frames[side], k)
     pipeline.find_coarse()
-    return pipeline.find_full()
+    return pipeline.find_full(straightened=False)
 
 
 def _worst(rows: Rows, begins: str, what: str) -> float:

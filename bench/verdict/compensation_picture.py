@@ -63,7 +63,7 @@ def _push(pipeline: Pipeline, scan: RenderedScan) -> Found:
         for k in range(len(scan.sequence)):
             pipeline.push(side, frames, k)
     pipeline.find_coarse()
-    return pipeline.find_full()
+    return pipeline.find_full(straightened=False)
 
 
 def _panel(scan: RenderedScan, cloud: Cloud, time_s: float, name: str) -> NDArray[np.uint8]:

@@ -52,7 +52,7 @@ def corrected(motion: Motion, scene: Scene = FRUSTUM) -> Corrected:
             for k in range(len(scan.sequence)):
                 pipeline.push(side, frames, k)
         pipeline.find_coarse()
-        found = pipeline.find_full()
+        found = pipeline.find_full(straightened=False)
         plain, taken = pipeline.table.cloud(found), recorded(scan, pipeline)
         said = attempt(pipeline, found, taken, calibration, WATER)
         assert said.motion is not None

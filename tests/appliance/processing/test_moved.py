@@ -63,7 +63,7 @@ def worked(motion: Motion) -> Worked:
         for step in processor.steps():
             steps.append(step)
             if isinstance(step, AllJudged) and not plain:
-                plain = pipeline.find_full().summary.points
+                plain = pipeline.find_full(straightened=False).summary.points
         held = processor.hold()
         processor.begin(AcquisitionSettings())
         assert (processor.finished, processor._moved, processor._compensated) == (False, False, False), "another scan"
