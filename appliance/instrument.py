@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,8 @@ from numpy.typing import NDArray
 from appliance.calibration import owner
 from appliance.calibration.design import Design, design_calibration
 from appliance.calibration.file import Calibration, CalibrationError, encode, load
+from appliance.calibration.noise_file import CameraFigures, NoiseFileError
+from appliance.calibration.noise_file import load as load_noise
 from appliance.calibration.owner import Misfit, Owner
 from appliance.calibration.response.file import ResponseFileError
 from appliance.calibration.response.file import load as load_response
@@ -30,7 +33,7 @@ from appliance.patterns.sequence import PERIODS_PX, build_sequence
 from appliance.ranging.beams import Pointers
 from appliance.ranging.expected_light import live_light
 from appliance.scan.acquisition import AcquisitionSettings
-from appliance.scan.exposure import Exposure, Span, ladder
+from appliance.scan.exposure import STEPS_MS, Exposure, Span, ladder
 from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.noise import CameraNoise, StereoNoise, camera_noise
 from appliance.storage.record import ScanRecord
@@ -40,6 +43,7 @@ log = logging.getLogger("kingfisher")
 
 CALIBRATION_FILE = Path("calibration", "current.json")
 RESPONSE_FILE = CALIBRATION_FILE.with_name("response.json")
+NOISE_FILE = CALIBRATION_FILE.with_name("noise.json")
 AIR_FILE = CALIBRATION_FILE.with_name("air.json")
 KEPT = CALIBRATION_FILE.with_name("kept")
 """Places of the calibration's files, relative to the storage root."""
@@ -134,6 +138,19 @@ def response_of(rig: Rig) -> Response | None:
             path, stored.rig_serial, rig.rig.serial,
         )  # fmt: skip
         return None
+    if stored.trigger_delay_us not in (None, rig.board.trigger_delay_us):
+        # Bit planes: what begins at another moment of the frame sees other bits, and another response.
+        log.warning(
+            "patterns are drawn without compensation: response %s was measured with board.trigger_delay_us = %d, not %d; "
+            "measure it again, or remove the file",
+            path, stored.trigger_delay_us, rig.board.trigger_delay_us,
+        )  # fmt: skip
+        return None
+    if stored.exposure_us not in (None, exposure_of(rig).time_us):
+        log.warning(
+            "response %s was measured at %s; the rig file's exposure is %s, at which it may be another",
+            path, Exposure(stored.exposure_us or 0).label, exposure_of(rig).label,
+        )  # fmt: skip
     log.info("patterns are drawn for the projector's measured response")
     return stored.response
 
@@ -190,6 +207,42 @@ def noise_of(rig: Rig, exposure: Exposure | None = None) -> StereoNoise:
     return StereoNoise(of(rig.camera.left), of(rig.camera.right))
 
 
+def with_measured_noise(rig: Rig) -> Rig:
+    """Return the rig with the cameras' noise as it was measured in place of their data sheets'; the rig itself where it was not, or
+    the file cannot be used, which is logged.
+
+    A scan carries its rig file as it was understood, so that whoever makes its points again expects the same errors.
+    """
+    path = rig.storage.root / NOISE_FILE
+    try:
+        stored = load_noise(path)
+    except NoiseFileError as error:
+        log.warning("the data sheets' noise is believed: %s", error)
+        return rig
+    if stored is None:
+        return rig
+    cameras = rig.camera
+    if (stored.rig_serial, stored.left.serial, stored.right.serial) != (
+        rig.rig.serial, cameras.left.serial, cameras.right.serial,
+    ):  # fmt: skip
+        log.warning(
+            "the data sheets' noise is believed: %s is of instrument %s with cameras %s and %s, this one is %s with %s and %s; "
+            "measure its own, or remove the file",
+            path, stored.rig_serial, stored.left.serial, stored.right.serial,
+            rig.rig.serial, cameras.left.serial, cameras.right.serial,
+        )  # fmt: skip
+        return rig
+
+    def measured(camera: CameraRig, found: CameraFigures) -> CameraRig:
+        return replace(
+            camera, full_well_e=found.full_well_e, read_noise_e=found.read_noise_e, black_level_dn=found.black_level_dn
+        )
+
+    log.info("the cameras' noise is that which was measured")
+    both = replace(cameras, left=measured(cameras.left, stored.left), right=measured(cameras.right, stored.right))
+    return replace(rig, camera=both)
+
+
 def exposure_of(rig: Rig) -> Exposure:
     """Return the exposure of both cameras, as the rig file sets that of the left one."""
     left = rig.camera.left
@@ -220,7 +273,8 @@ def settings_of_scan(record: ScanRecord, rig: Rig) -> AcquisitionSettings:
 def exposures_of(rig: Rig) -> tuple[Exposure, ...]:
     """Return the exposures that may be proposed to the diver, from dark to bright."""
     scan = rig.scan
-    span = Span(scan.shortest_exposure_ms, scan.longest_exposure_ms, scan.most_gain_db)
+    times_ms = scan.exposures_ms or STEPS_MS
+    span = Span(scan.shortest_exposure_ms, scan.longest_exposure_ms, scan.most_gain_db, times_ms)
     return ladder(rig.projector.refresh_hz, rig.board.trigger_delay_us, rig.camera.left.gain_db, span)
 
 

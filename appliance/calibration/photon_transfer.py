@@ -1,8 +1,9 @@
 """Owns how a camera's noise is found in a recorded scan: photon transfer, from the four sine images.
 
-I0 + I2 − I1 − I3 of a pixel is zero but for noise and the response's even harmonics, whatever is painted there. The
-harmonics are smooth across the image and noise is not: fourth differences along rows keep the noise. Its variance
-against the mean of the four images is a straight line; the slope is grey values per electron.
+I0 + I2 − I1 − I3 of a pixel is zero but for noise and the response's even harmonics, whatever is painted there. Along a fringe
+the harmonics are smooth and noise is not: fourth differences keep the noise, and of the fringes of columns, which are taken
+down the image, that of whole rows, too. Its variance against the mean of the four images is a straight line; the slope is grey
+values per electron (EMVA 1288).
 """
 
 from __future__ import annotations
@@ -13,8 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.calibration.noise_file import CameraFigures
 from appliance.patterns.sequence import Direction, PatternSequence
-from appliance.scan.noise import MAD_TO_SIGMA
+from appliance.scan.noise import MAD_TO_SIGMA, QUANTISATION_DN2
 
 Array = NDArray[np.float64]
 
@@ -27,8 +29,11 @@ FEWEST_BINS = 3
 LEVELS = 255.0
 
 
-SHORTEST_FRINGE_PX = 20.0
-"""Shortest fringe in camera px; of shorter ones, fourth differences keep harmonics, too."""
+SHORTEST_FRINGE_PX = 5.0
+"""Shortest fringe in camera px; of shorter ones, which lean against the image, fourth differences keep harmonics, too."""
+DARKEST_SHARE = 0.02
+"""Share of the dark frame's blocks that tell the grey value of no light."""
+BLOCK_PX = 10
 
 
 class NoiseError(Exception):
@@ -43,12 +48,25 @@ class MeasuredNoise:
     """Grey values per electron at the gain of the scan."""
     variance_at_dn2: tuple[float, float]
     """Mean light of the scan in grey values, and the variance of one grey value there."""
+    darkest_dn: float
+    """Mean grey value of the darkest parts of the dark frame: black, and what ambient light they have."""
     pixels: int
 
     @property
     def full_well_e(self) -> float:
         """Electrons at 255 grey values, at the gain of the scan."""
         return LEVELS / self.dn_per_e
+
+    def figures(self, serial: str, gain_db: float) -> CameraFigures:
+        """Return what the camera with this ``serial`` number has at 0 dB, as a data sheet says it; ``gain_db``: of the scan.
+
+        The line through the variances is kept exactly: where the darkest parts have ambient light, black is stated too high and
+        read noise with it, and the variance of every grey value is the same.
+        """
+        light_dn, variance_dn2 = self.variance_at_dn2
+        read_dn2 = variance_dn2 - self.dn_per_e * (light_dn - self.darkest_dn) - QUANTISATION_DN2
+        full_well_e = self.full_well_e * 10.0 ** (gain_db / 20.0)
+        return CameraFigures(serial, full_well_e, math.sqrt(max(read_dn2, 0.0)) / self.dn_per_e, self.darkest_dn)
 
 
 def measure_noise(sequence: PatternSequence, frames: NDArray[np.uint8]) -> MeasuredNoise:
@@ -65,8 +83,10 @@ def measure_noise(sequence: PatternSequence, frames: NDArray[np.uint8]) -> Measu
         # Steps of 90°: the fundamental and all odd harmonics cancel in I0 + I2 − I1 − I3, whatever phase and albedo
         # are. Its variance is four times that of one image.
         alternating = sines[0] + sines[2] - sines[1] - sines[3]
-        # Even harmonics remain and are smooth along a row; the fourth difference (1, −4, 6, −4, 1) takes them away and
-        # multiplies the variance of white noise by 70 = Σ d².
+        # Even harmonics remain and are smooth along a fringe; the fourth difference (1, −4, 6, −4, 1) takes them away and
+        # multiplies the variance of white noise by 70 = Σ d². Fringes of columns run down, those of rows across.
+        if direction is Direction.X:
+            alternating, sines = alternating.T, sines.transpose(0, 2, 1)
         along = np.apply_along_axis(np.convolve, 1, alternating, DIFFERENCE, "valid")
         mean, top = (np.asarray(f(sines, axis=0))[:, 2:-2] for f in (np.mean, np.max))
         # Differences that share pixels are correlated and would make the bins look better filled than they are.
@@ -74,10 +94,17 @@ def measure_noise(sequence: PatternSequence, frames: NDArray[np.uint8]) -> Measu
         good = top[:, :: len(DIFFERENCE)] <= BRIGHTEST_DN
         light.append(level[good])
         noise.append(along[:, :: len(DIFFERENCE)][good])
-    return _line(np.concatenate(light), np.concatenate(noise))
+    return _line(np.concatenate(light), np.concatenate(noise), _darkest_dn(frames[sequence.dark]))
 
 
-def _line(light: Array, noise: Array) -> MeasuredNoise:
+def _darkest_dn(dark: NDArray[np.uint8]) -> float:
+    """Return the mean grey value of the darkest blocks of the dark frame: of blocks, as single pixels have offsets of their own."""
+    rows, columns = (size // BLOCK_PX for size in dark.shape)
+    cut = dark[: rows * BLOCK_PX, : columns * BLOCK_PX].reshape(rows, BLOCK_PX, columns, BLOCK_PX)
+    return float(np.quantile(cut.mean(axis=(1, 3)), DARKEST_SHARE))
+
+
+def _line(light: Array, noise: Array, darkest_dn: float) -> MeasuredNoise:
     """Return a line through robust variances in bins of light. Raises NoiseError."""
     centres, variances, weights = [], [], []
     which = np.floor(light / BIN_DN).astype(np.intp)
@@ -102,4 +129,4 @@ def _line(light: Array, noise: Array) -> MeasuredNoise:
     if not slope > 0.0:
         raise NoiseError(f"noise that does not grow with light (by {slope:.4f} per grey value); scan with still hands")
     middle = float(np.average(centres, weights=weights))
-    return MeasuredNoise(float(slope), (middle, float(offset + slope * middle)), int(light.size))
+    return MeasuredNoise(float(slope), (middle, float(offset + slope * middle)), darkest_dn, int(light.size))

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from appliance.cli.arguments import operand, option
+from appliance.cli.arguments import operand, operands, option, switch
 from appliance.cli.desk import whole_scan, writable, writing
 from appliance.cli.kernels import compile_desk_kernels
 from appliance.cli.listing import say_report
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json, table
 from appliance.cli.places import WithRoot
 from appliance.offline.origin import instrument_of, open_source
+from appliance.scan.sides import of_side
 from appliance.storage.atomic import replace_file
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.scan import ScanError
@@ -74,48 +76,134 @@ class MeasureResponse(WithRoot):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeasureNoise(WithRoot):
-    """Each camera's noise in a scan, beside what the rig file's data sheet makes expect."""
+    """Each camera's noise in a scan, beside what was expected of it. ``--install`` never replaces a file."""
 
     scan: str = operand("SCAN", "its number or its folder")
+    install: bool = switch("--install", "expect it of this instrument's points from its next start on")
 
     def run(self) -> Exit:
         wish = self.wish()
         compile_desk_kernels()  # before anything brings compiled kernels
+        from appliance.calibration.noise_file import encode
         from appliance.calibration.photon_transfer import NoiseError
-        from appliance.offline.measuring import noise_of_scan
+        from appliance.instrument import NOISE_FILE
+        from appliance.offline.measuring import noise_of_scan, noise_to_store
 
         with Progress() as progress:
             progress("comparing checksums")
             source = open_source(whole_scan(wish, self.scan), wish)
-            folder = source.scan.folder
+            folder, rig = source.scan.folder, instrument_of((source,), wish)
+            path = rig.storage.root / NOISE_FILE
+            if self.install:
+                _never_replaced(path, "--install", "the cameras' noise")
+                _root_there(rig.storage.root)
             progress("comparing sine images")
             try:
                 found = noise_of_scan(source.rig, folder)
+                to_store = noise_to_store(rig, folder, found)
             except NoiseError as error:
                 raise ScanError(f"{folder}: {error}") from error
-        report = {}
+        if self.install:
+            with writing(path):
+                path.parent.mkdir(parents=True, exist_ok=True)
+                replace_file(LocalFileSystem(), path, encode(to_store))
+        report: dict[str, dict[str, float]] = {}
         for side, (measured, expected) in found.items():
             light_dn, variance_dn2 = measured.variance_at_dn2
+            figures = of_side(to_store, side)
             report[side] = {
                 "light_dn": light_dn,
                 "noise_dn": math.sqrt(variance_dn2),
                 "expected_dn": math.sqrt(expected.variance_dn2(light_dn)),
                 "electrons_at_255": measured.full_well_e,
                 "expected_electrons_at_255": LEVELS / expected.dn_per_e,
+                "full_well_e": figures.full_well_e,
+                "read_noise_e": figures.read_noise_e,
+                "black_level_dn": figures.black_level_dn,
                 "pixels": measured.pixels,
             }
         if self.json:
             say_json(report)
         else:
             names = list(report["left"])
-            say(
-                table(("CAMERA", *names), [(side, *(f"{said[n]:.5g}" for n in names)) for side, said in report.items()])
-            )
+            # One row for each figure: as columns they are wider than a terminal.
+            say(table(("", *report), [(n, *(f"{said[n]:.5g}" for said in report.values())) for n in names]))
+            if self.install:
+                say(f"installed: {path}")
         return Exit.OK
 
 
-def _never_replaced(path: Path | None) -> None:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeasureExposures(WithRoot):
+    """Tell which exposures leave this projector's fringes straight, from a scan at each; FAILED where none does."""
+
+    scans: Sequence[str] = operands(
+        "SCAN", "numbers or folders: a surface that fills the image, each with another exposure", at_least_one=True
+    )
+
+    def run(self) -> Exit:
+        wish = self.wish()
+        compile_desk_kernels()  # before anything brings compiled kernels
+        from appliance.offline.measuring import exposure_found
+
+        with Progress() as progress:
+            sources = []
+            for number, scan in enumerate(self.scans):
+                progress("comparing checksums", number / len(self.scans))
+                sources.append(open_source(whole_scan(wish, scan), wish))
+            instrument_of(sources, wish)  # refuses scans of several instruments
+            found = []
+            for number, source in enumerate(sources):
+                progress("decoding", number / len(sources))
+                found.append(exposure_found(source))
+        delays_us = sorted({one.trigger_delay_us for one in found})
+        if len(delays_us) > 1:
+            raise ScanError(
+                f"{', '.join(self.scans)}: taken with trigger delays of {' and '.join(map(str, delays_us))} us; an exposure sees other "
+                "bits where it begins at another moment; give scans of one board.trigger_delay_us"
+            )
+        # An exposure is as good as its worst scan.
+        times_ms = {one.exposure.time_us / 1000.0: True for one in found}
+        for one in found:
+            times_ms[one.exposure.time_us / 1000.0] &= one.straight
+        straight_ms = sorted(time for time, good in times_ms.items() if good)
+        rows = [
+            {
+                "scan": one.scan_id,
+                "exposure_ms": one.exposure.time_us / 1000.0,
+                "gain_db": one.exposure.gain_db,
+                "bend_px": one.bend_px,
+                "noise_px": one.noise_px,
+                "noisier": one.noisier,
+                "straight": one.straight,
+            }
+            for one in sorted(found, key=lambda one: one.exposure.time_us)
+        ]
+        if self.json:
+            say_json({"trigger_delay_us": delays_us[0], "exposures_ms": straight_ms, "scans": rows})
+        else:
+            names = list(rows[0])
+            say(table([n.upper().replace("_", " ") for n in names], [[_shown(row[n]) for n in names] for row in rows]))
+            if straight_ms:
+                say(f"for [scan] of the rig file: exposures_ms = {straight_ms}")
+            else:
+                say("none of them leaves fringes straight; try longer ones")
+        return Exit.OK if straight_ms else Exit.FAILED
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _never_replaced(path: Path | None, option: str = "--out", what: str = "a response") -> None:
     if path is not None and path.exists():
-        raise UsageError(
-            f"--out {path}: exists already; a response is never replaced; move it away, or give a new name"
-        )
+        remedy = "move it away, or give a new name" if option == "--out" else "move it away"
+        raise UsageError(f"{option} {path}: exists already; {what} is never replaced; {remedy}")
+
+
+def _root_there(root: Path) -> None:
+    # Missing folders below it are made: a root that was mistyped would become a new instrument's without a word.
+    if not root.is_dir():
+        raise UsageError(f"--root {root}: no such folder; give the instrument's")

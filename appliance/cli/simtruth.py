@@ -19,7 +19,7 @@ from appliance.calibration.file import Calibration, CalibrationError, encode, lo
 from appliance.cli.output import UsageError
 from appliance.cli.simrig import SIMULATOR
 from appliance.config import Rig
-from appliance.instrument import CALIBRATION_FILE, KEPT, RESPONSE_FILE
+from appliance.instrument import CALIBRATION_FILE, KEPT, NOISE_FILE, RESPONSE_FILE
 from appliance.optics.model import HousedCamera, StereoRig
 from appliance.optics.pinhole import Lens
 from appliance.optics.port import Port
@@ -70,7 +70,9 @@ def true_calibration(rig: Rig) -> Calibration:
 
 def _calibrated_before(folder: Path) -> bool:
     """Somebody has calibrated, or begun to: what lies there is theirs."""
-    return (folder / KEPT.name).exists() or any(one.name != RESPONSE_FILE.name for one in folder.glob("*.json"))
+    return (folder / KEPT.name).exists() or any(
+        one.name not in (RESPONSE_FILE.name, NOISE_FILE.name) for one in folder.glob("*.json")
+    )
 
 
 def _refuse_nominal(rig: Rig) -> None:

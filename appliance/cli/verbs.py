@@ -78,6 +78,11 @@ VERBS: tuple[Listed | Group, ...] = (
         "measure the instrument itself in a stored scan",
         (
             Listed("response", "the projector's light by code, from a scan of a plane", "measure:MeasureResponse"),
+            Listed(
+                "exposures",
+                "which leave this projector's fringes straight, from a scan at each",
+                "measure:MeasureExposures",
+            ),
             Listed("noise", "both cameras' noise, beside what their data sheets make expect", "measure:MeasureNoise"),
         ),
     ),

@@ -91,6 +91,15 @@ def _exposures_fit(rig: Rig) -> Iterator[Complaint]:
                 f"0.05..{_floor_2(longest_ms):g} ms (period {period_ms:.2f} ms less trigger delay {delay_ms:g} ms)",
                 "shorten the exposure, or board.trigger_delay_us",
             )
+    allowed_ms, left_ms = rig.scan.exposures_ms, rig.camera.left.exposure_ms
+    if allowed_ms is not None and left_ms not in allowed_ms:
+        yield Complaint(
+            "camera.left.exposure_ms",
+            left_ms,
+            "is none of scan.exposures_ms",
+            ", ".join(f"{one:g}" for one in allowed_ms),
+            "choose one of them, or measure this one with `kingfisher measure exposures`",
+        )
 
 
 def _output_is_complete(table: str, output: OutputRig) -> Iterator[Complaint]:

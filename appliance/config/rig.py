@@ -114,6 +114,9 @@ class DisplayRig(OutputRig):
     """Language of everything the diver reads."""
 
 
+_ExposureMs = Annotated[_Real, Field(ge=0.05, le=16.6)]
+
+
 @dataclass(frozen=True, slots=True, config=_CONFIG)
 class ScanRig:
     period_px: Literal[16, 32, 64]
@@ -122,7 +125,9 @@ class ScanRig:
     longest_exposure_ms: Annotated[_Real, Field(ge=2.0, le=16.6)] = 16.0
     """Longest exposure that the instrument may propose, and not beyond the projector's period."""
     most_gain_db: Annotated[_Real, Field(ge=0.0, le=48.0)] = 12.0
-    """Largest gain that may be proposed, and only where the longest exposure is not enough."""
+    """Largest gain that may be proposed, and only where the longest exposure is not enough, or between exposures far apart."""
+    exposures_ms: Annotated[tuple[_ExposureMs, ...], Field(min_length=1, max_length=32)] | None = None
+    """The only exposures that may be proposed, as ``kingfisher measure exposures`` finds them; ``None``: the usual steps."""
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)

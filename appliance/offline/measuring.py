@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
-from appliance.calibration.photon_transfer import MeasuredNoise, measure_noise
+from appliance.calibration.noise_file import LIMITS, StoredNoise
+from appliance.calibration.photon_transfer import MeasuredNoise, NoiseError, measure_noise
 from appliance.calibration.response.file import StoredResponse
 from appliance.calibration.response.measure import CameraImages, MeasuredResponse, ResponseError, measure_response
 from appliance.config import Rig
 from appliance.instrument import RESPONSE_FILE, exposure_of_scan, noise_of, response_of
+from appliance.offline.origin import SourceScan
 from appliance.patterns.response import Response
 from appliance.patterns.sequence import build_sequence
 from appliance.reconstruct.decode.decoder import CameraDecoder
+from appliance.reconstruct.straighten import measure_bend
+from appliance.scan.exposure import Exposure
 from appliance.scan.noise import CameraNoise
-from appliance.scan.sides import SIDES
+from appliance.scan.sides import SIDES, of_side
 from appliance.storage import scan as stored
+from appliance.storage.scan import ScanError
+
+MOST_NOISIER = 1.1
+"""Factor by which points may be noisier for the exposure they were taken with: of a response as other projectors have, 1.01."""
 
 
 def response_of_scan(
@@ -41,7 +51,53 @@ def response_of_scan(
         decoder.finish()
         seen.append(CameraImages(frames, decoder.p_px, decoder.q_px))
     measured = measure_response(sequence, seen, drawn_for)
-    return StoredResponse(rig.rig.serial, (scan.manifest.scan_id,), measured.residual, measured.response), measured
+    taken_us = exposure_of_scan(record, rig).time_us, rig.board.trigger_delay_us
+    found = StoredResponse(rig.rig.serial, (scan.manifest.scan_id,), measured.residual, measured.response, *taken_us)
+    return found, measured
+
+
+@dataclass(frozen=True, slots=True)
+class ExposureFound:
+    """One scan's word on the exposure it was taken with."""
+
+    scan_id: str
+    exposure: Exposure
+    trigger_delay_us: int
+    bend_px: float
+    """RMS of what the response bends coordinates by, in pattern px."""
+    noise_px: float
+    """Standard deviation of a coordinate without it."""
+    noisier: float
+    """Factor by which points are noisier for it once it is taken out."""
+
+    @property
+    def straight(self) -> bool:
+        """True if fringes are straight enough for scans with this exposure."""
+        return self.noisier <= MOST_NOISIER
+
+
+def exposure_found(source: SourceScan) -> ExposureFound:
+    """Return how straight the fringes of a stored scan are. Raises ScanError, also for one that shows too little to tell."""
+    scan = stored.load(source.scan.folder, only_raw=True)
+    record = scan.manifest.record
+    sequence = build_sequence(record.sequence.period_px, record.sequence.width_px, record.sequence.height_px)
+    decoders = []
+    for side in SIDES:
+        frames = scan.frames[side]
+        decoder = CameraDecoder(sequence, frames.shape[2], frames.shape[1])
+        for index in range(len(sequence)):
+            decoder.push(frames, index)
+        decoder.finish()
+        decoders.append(decoder)
+    bend = measure_bend(decoders, sequence.period_px)
+    if not bend.noise_px > 0.0:
+        raise ScanError(
+            f"{scan.folder}: too few points to tell how straight its fringes are; scan a surface that fills the image"
+        )
+    return ExposureFound(
+        scan.manifest.scan_id, exposure_of_scan(record, source.rig), source.rig.board.trigger_delay_us, bend.rms_px,
+        bend.noise_px, math.sqrt(bend.variance_factor(sequence.period_px)),
+    )  # fmt: skip
 
 
 def noise_of_scan(rig: Rig, folder: Path) -> dict[str, tuple[MeasuredNoise, CameraNoise]]:
@@ -59,6 +115,30 @@ def noise_of_scan(rig: Rig, folder: Path) -> dict[str, tuple[MeasuredNoise, Came
         "left": (measure_noise(sequence, scan.frames["left"]), expected.left),
         "right": (measure_noise(sequence, scan.frames["right"]), expected.right),
     }
+
+
+def noise_to_store(rig: Rig, folder: Path, found: dict[str, tuple[MeasuredNoise, CameraNoise]]) -> StoredNoise:
+    """Return what ``noise_of_scan`` found in a stored scan as figures of the instrument's cameras, ready for their file.
+
+    Raises ScanError, and NoiseError for figures that no camera has.
+    """
+    manifest = stored.load(folder, only_raw=True).manifest
+    exposure, cameras = exposure_of_scan(manifest.record, rig), rig.camera
+    figures = []
+    for side in SIDES:
+        camera = of_side(cameras, side)
+        # Both cameras are set to the scan's gain; what the right one's differs by in the rig file is kept.
+        gain_db = exposure.gain_db + camera.gain_db - cameras.left.gain_db
+        one = found[side][0].figures(camera.serial, gain_db)
+        for name, (lowest, highest) in LIMITS.items():
+            value = getattr(one, name)
+            if not lowest <= value <= highest:
+                raise NoiseError(
+                    f"{name} of the {side} camera would be {value:.4g}; allowed are {lowest:g}..{highest:g}; scan something light and "
+                    "dark with still hands, in the dark"
+                )
+        figures.append(one)
+    return StoredNoise(rig.rig.serial, (manifest.scan_id,), *figures)
 
 
 def _drawn_for(rig: Rig, scan_id: str, response_hash: str | None) -> Response | None:

@@ -33,7 +33,7 @@ from appliance.reconstruct.rows import LeftMaps, reconstruct_rows, scratch_rows
 from appliance.reconstruct.scratch import MAX_WIDTH_PX
 from appliance.reconstruct.select import PointLimits
 from appliance.reconstruct.sigma import SigmaFactors, read_between, sigma_factors
-from appliance.reconstruct.straighten import Bend, CoordinateMaps, measure_bend, take_out
+from appliance.reconstruct.straighten import CoordinateMaps, PhaseBend, measure_bend, take_out
 from appliance.reconstruct.table import Cloud, Found, PointTable
 from appliance.reconstruct.triangulate import Rays, rays_of
 from appliance.reconstruct.veil import VeilFringes, find_veil, looks_veiled, remove_veil
@@ -253,7 +253,7 @@ class Pipeline:
             self._noisier = np.float32(bend.variance_factor(self._sequence.period_px))
             self._prepare()
 
-    def _taken_out(self, cameras: Sequence[CoordinateMaps]) -> Bend:
+    def _taken_out(self, cameras: Sequence[CoordinateMaps]) -> PhaseBend:
         """Take out of both cameras' coordinates what the response bends them by, where that counts, and return it."""
         period_px = self._sequence.period_px
         bend = measure_bend(cameras, period_px)

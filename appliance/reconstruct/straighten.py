@@ -54,7 +54,7 @@ _ONE, _HALF, _TWO, _THREE, _FOUR = (np.float32(x) for x in (1.0, 0.5, 2.0, 3.0, 
 
 
 @dataclass(frozen=True, slots=True)
-class Bend:
+class PhaseBend:
     """The error that the response makes of a coordinate, by its phase."""
 
     terms_px: tuple[float, ...]
@@ -84,7 +84,7 @@ class Bend:
         return float(np.mean(np.abs(1.0 - slope) ** 3))
 
 
-STRAIGHT = Bend((0.0,) * ORDERS, 0.0)
+STRAIGHT = PhaseBend((0.0,) * ORDERS, 0.0)
 
 
 class CoordinateMaps(Protocol):
@@ -114,10 +114,10 @@ def warm_up() -> None:
     flat, whole = np.tile(np.arange(8, dtype=np.float32), (8, 1)), np.tile(np.array([0, 8], np.int32), (8, 1))
     maps = _Maps(flat, flat.T.copy(), whole)
     measure_bend([maps], 16)
-    take_out(maps, Bend((0.1,) + (0.0,) * (ORDERS - 1), 0.01), 16)
+    take_out(maps, PhaseBend((0.1,) + (0.0,) * (ORDERS - 1), 0.01), 16)
 
 
-def measure_bend(cameras: Sequence[CoordinateMaps], period_px: int) -> Bend:
+def measure_bend(cameras: Sequence[CoordinateMaps], period_px: int) -> PhaseBend:
     """Measure it in all coordinates of the ``cameras`` at once; ``STRAIGHT`` where too few pixels have any."""
     sampled = [
         (one, camera.illuminated_columns, axis, _apart_px(one, camera.illuminated_columns, axis, 4.0 / period_px))
@@ -138,11 +138,11 @@ def measure_bend(cameras: Sequence[CoordinateMaps], period_px: int) -> Bend:
         error = np.sqrt(np.diag(inverse) * rest)
         sure = np.where(np.abs(terms) > SURE * error, terms, 0.0)
         # A second difference of white noise has six times its variance.
-        found = Bend(tuple(float(b) for b in sure), math.sqrt(rest / 6.0))
+        found = PhaseBend(tuple(float(b) for b in sure), math.sqrt(rest / 6.0))
     return found
 
 
-def take_out(camera: CoordinateMaps, bend: Bend, period_px: int) -> None:
+def take_out(camera: CoordinateMaps, bend: PhaseBend, period_px: int) -> None:
     """Take the bend out of the illuminated part of one camera's columns and rows, in place."""
     terms = np.array(bend.terms_px, np.float32)
     for coordinate_px in (camera.p_px, camera.q_px):
@@ -200,6 +200,7 @@ def _add_sums(
 ) -> None:
     """Add m (row by row), v, Σ y² and the count of one map to ``sums``; left out is what lies ``clip_px`` beyond ``terms``."""
     rows, columns = p_px.shape
+    # Neighbours lie along the direction in which this coordinate grows.
     down, right = (apart, 0) if axis == 0 else (0, apart)
     orders = terms.size
     r = np.empty(orders)
@@ -214,6 +215,7 @@ def _add_sums(
                 float(p_px[row, x]),
                 float(p_px[row + down, x + right]),
             )
+            # y = p₋ + p₊ − 2 p; NaN where one of the three has no coordinate, which fails the comparison.
             y = before + after - 2.0 * here
             if not abs(y) < 1e6:
                 continue
@@ -228,11 +230,13 @@ def _add_sums(
                 for k in range(orders):
                     r[k] += weight * sine
                     sine, last_sine = twice * sine - last_sine, sine
+            # An edge is far from what the terms of the last round explain.
             fitted = 0.0
             for k in range(orders):
                 fitted += terms[k] * r[k]
             if abs(y - fitted) > clip_px:
                 continue
+            # Normal equations: m_jk = Σ r_j r_k, v_j = Σ r_j y.
             for j in range(orders):
                 for k in range(orders):
                     sums[j * orders + k] += r[j] * r[k]

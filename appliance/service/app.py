@@ -13,7 +13,14 @@ from types import FrameType
 
 import appliance
 from appliance.config import Rig
-from appliance.instrument import calibration_of, noise_of, pointers_of, response_of, standard_choices
+from appliance.instrument import (
+    calibration_of,
+    noise_of,
+    pointers_of,
+    response_of,
+    standard_choices,
+    with_measured_noise,
+)
 from appliance.machine.words import Language
 from appliance.optics.water import Water
 from appliance.screens.unchanged import FrugalPainter
@@ -56,6 +63,7 @@ def run(rig: Rig) -> int:
         # Before anything is read below the root, and before any device: a second service would take the cameras from
         # the first.
         stack.enter_context(hold_lock(rig.storage.root))
+        rig = with_measured_noise(rig)
         room = Room(rig.storage.root, LocalFileSystem())
         library = Library(rig.storage.root, room)
         library.prepare()

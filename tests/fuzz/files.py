@@ -20,10 +20,12 @@ import cv2
 import numpy as np
 
 from appliance.calibration import file as calibration_file
+from appliance.calibration import noise_file
 from appliance.calibration.design import Design, design_calibration
 from appliance.calibration.file import CalibrationError
 from appliance.calibration.guide import USED, AdjustmentSummary, RecordingCheck, Session, Step, Verified
 from appliance.calibration.health import HealthTrend, TrendPoint
+from appliance.calibration.noise_file import CameraFigures, NoiseFileError, StoredNoise
 from appliance.calibration.response import file as response_file
 from appliance.calibration.response.file import ResponseFileError, StoredResponse
 from appliance.checksummed_file import with_checksum
@@ -167,6 +169,16 @@ RESPONSE = response_file.encode(StoredResponse("KF-1", ("000007",), 0.0107, Resp
 def _read_response(data: bytes, _: Path) -> None:
     stored = response_file.decode(data, "response response.json")
     assert response_file.decode(response_file.encode(stored), "again") == stored
+
+
+NOISE = noise_file.encode(
+    StoredNoise("KF-1", ("000007",), CameraFigures("L", 9_100.0, 4.5, 6.0), CameraFigures("R", 18_000.0, 25.0, 1.5))
+)
+
+
+def _read_noise(data: bytes, _: Path) -> None:
+    stored = noise_file.decode(data, "noise noise.json")
+    assert noise_file.decode(noise_file.encode(stored), "again") == stored
 
 
 HASH = "0123456789abcdef" * 4
@@ -384,6 +396,7 @@ TARGETS = (
            (CalibrationError,), "calibration current.json", cost=5.0),
     Target("response", "the projector's response", lambda c: _sealed(c, RESPONSE), _read_response, (ResponseFileError,),
            "response response.json"),
+    Target("noise", "the cameras' noise", lambda c: _sealed(c, NOISE), _read_noise, (NoiseFileError,), "noise noise.json"),
     Target("health", "how a calibration holds", lambda c: _sealed(c, HEALTH), _read_health, cost=10.0),
     Target("beams", "what the laser dots have taught", lambda c: _sealed(c, BEAMS, ("line", "covariance", "learned", "last_z_mm")),
            _read_beams, cost=5.0),

@@ -7,11 +7,14 @@ import pytest
 
 from appliance.calibration.photon_transfer import NoiseError, measure_noise
 from appliance.patterns.sequence import build_sequence
-from appliance.scan.noise import camera_noise
+from appliance.reconstruct.pipeline import Pipeline
+from appliance.scan.noise import TYPICAL_PAIR, StereoNoise, camera_noise
+from hw_sim.outside import draw_outside
 from hw_sim.rendering.sensor import E_PER_DN, FULL_WELL_E, OFFSET_DN, READ_NOISE_E, Sensor
 from hw_sim.scene import Imaging, Scene
 from tests.support.bias import depth_errors, rms
 from tests.support.rendered import reconstruct, render_scan
+from tests.support.truth import WATER, true_calibration
 
 SIZE_PX = (1600, 240)
 """Full resolution across; a strip is as good as an image and takes a fifth of the time."""
@@ -105,10 +108,42 @@ def test_the_noise_of_a_camera_is_found_in_a_scan() -> None:
 
 
 def test_images_too_coarse_to_tell_noise_from_fringes_say_so() -> None:
-    with pytest.raises(NoiseError, match="fringes of about 6 px in images 400 px wide; needed are 20 px"):
-        measure_noise(build_sequence(16), np.zeros((24, 300, 400), np.uint8))
+    with pytest.raises(NoiseError, match="fringes of about 3 px in images 200 px wide; needed are 5 px"):
+        measure_noise(build_sequence(16), np.zeros((24, 150, 200), np.uint8))
     even = np.random.default_rng(1).normal(92.0, 1.5, (20, 300, 400)).astype(np.uint8)
     with pytest.raises(NoiseError, match="light of 1 levels"):
         measure_noise(build_sequence(64), even)
     with pytest.raises(NoiseError, match="no noise at all"):
         measure_noise(build_sequence(64), np.full((20, 300, 400), 90, np.uint8))
+
+
+@pytest.mark.parametrize("seed", [10_001, 10_004])
+def test_of_other_cameras_the_noise_is_found_and_the_expected_errors_are_true(seed: int) -> None:
+    """Cameras as drawn for the world outside: their data sheet was wrong by a fifth, and so was every expected error."""
+    scene = Scene("plane", imaging=Imaging("linear"), outside=draw_outside(seed, ("cameras",)))
+    scan = render_scan(scene, "modelled", seed, 400, 16)
+    found = {side: measure_noise(scan.sequence, frames).figures(side, 0.0) for side, frames in scan.frames.items()}
+    traits = scene.outside.cameras
+    assert traits is not None
+    cameras = []
+    for figures in found.values():
+        noise = camera_noise(figures.full_well_e, figures.read_noise_e, figures.black_level_dn, 0.0)
+        per_e = 255.0 / traits.full_well_e
+        for light_dn in (40.0, 90.0, 150.0):
+            true = (traits.read_noise_e * per_e) ** 2 + (light_dn - traits.black_dn) * per_e + 1.0 / 12.0
+            assert noise.variance_dn2(light_dn) == pytest.approx(true, rel=0.12)
+        cameras.append(noise)
+    normalised = []
+    for pair in (StereoNoise(cameras[0], cameras[1]), TYPICAL_PAIR):
+        with Pipeline(true_calibration(scan.renderer.truth), WATER, scan.sequence, noise=pair) as pipeline:
+            for k in range(len(scan.sequence)):
+                for side, frames in scan.frames.items():
+                    pipeline.push(side, frames, k)
+            pipeline.coarse()
+            cloud = pipeline.full()
+        errors = depth_errors(scan.renderer, cloud)
+        inner = errors.seen & (np.abs(errors.along_ray_mm) < 1.0)
+        normalised.append(rms((errors.along_ray_mm / cloud.sigma_mm)[inner]))
+    measured, data_sheet = normalised
+    assert measured == pytest.approx(1.0, abs=0.1)
+    assert data_sheet < 0.9

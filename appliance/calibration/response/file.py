@@ -29,6 +29,10 @@ class StoredResponse:
     residual: float
     """RMS of what was seen against the response, as a fraction of the bright light."""
     response: Response
+    exposure_us: int | None = None
+    """Exposure that it was measured with: a projector of bit planes has another one for each. ``None``: not known."""
+    trigger_delay_us: int | None = None
+    """Time from the vertical sync to the beginning of that exposure; ``None``: not known."""
 
 
 def encode(stored: StoredResponse) -> bytes:
@@ -40,7 +44,8 @@ def encode(stored: StoredResponse) -> bytes:
         "residual": stored.residual,
         "harmonics": list(stored.response.harmonics),
     }
-    return with_checksum(content)
+    taken = {"exposure_us": stored.exposure_us, "trigger_delay_us": stored.trigger_delay_us}
+    return with_checksum(content | {key: value for key, value in taken.items() if value is not None})
 
 
 def decode(data: bytes, name: str) -> StoredResponse:
@@ -63,11 +68,17 @@ def decode(data: bytes, name: str) -> StoredResponse:
         raise wrong(f"residual and harmonics must be numbers, of the latter at most {HIGHEST_ORDER + 1}")
     if len(harmonics) > HIGHEST_ORDER + 1:
         raise wrong(f"{len(harmonics)} harmonics; at most {HIGHEST_ORDER + 1} are allowed")
+    taken_us = []
+    for key in ("exposure_us", "trigger_delay_us"):
+        value = content.get(key)
+        if value is not None and (not _is_number(value) or not isinstance(value, int) or value < 0):
+            raise wrong(f"{key} is {value!r:.40}; allowed are whole numbers from 0")
+        taken_us.append(value)
     try:
         response = Response(tuple(float(b) for b in harmonics))
     except ValueError as error:
         raise ResponseFileError(f"{name}: {error}") from error
-    return StoredResponse(serial, tuple(str(source) for source in sources), float(residual), response)
+    return StoredResponse(serial, tuple(str(source) for source in sources), float(residual), response, *taken_us)
 
 
 def load(path: Path) -> StoredResponse | None:

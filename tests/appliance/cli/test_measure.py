@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from appliance.calibration.response.file import load
 from appliance.cli import main
+from appliance.config import load_rig
+from appliance.instrument import NOISE_FILE, noise_of, with_measured_noise
+from appliance.scan.sides import of_side
+from hw_sim.outside import draw_outside
 from hw_sim.scene import Imaging, Scene
 from tests.support.rendered import RenderedScan, render_scan
 from tests.support.stored import store
@@ -60,3 +66,60 @@ def test_the_noise_in_a_scan_is_shown_beside_the_data_sheets(
     for side in ("left", "right"):
         assert said[side]["noise_dn"] == pytest.approx(said[side]["expected_dn"], rel=0.05)
         assert said[side]["expected_electrons_at_255"] == pytest.approx(13_000)
+
+
+def test_installed_noise_is_what_the_instrument_expects_from_then_on(
+    plane: RenderedScan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    root = tmp_path / "root"
+    scan, words = store(plane, tmp_path / "plane"), ("--rig", str(RIG), "--root", str(root))
+    assert main(["measure", "noise", str(scan), "--install", *words]) == 2, "a root that is mistyped is not made"
+    root.mkdir()
+    capsys.readouterr()
+    assert main(["measure", "noise", str(scan), "--install", *words, "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    rig = load_rig(RIG)
+    rig = replace(rig, storage=replace(rig.storage, root=root))
+    used = with_measured_noise(rig)
+    assert used.camera.left.full_well_e == said["left"]["full_well_e"] != rig.camera.left.full_well_e
+    for side in ("left", "right"):
+        light_dn = said[side]["light_dn"]
+        assert of_side(noise_of(used), side).variance_dn2(light_dn) == pytest.approx(said[side]["noise_dn"] ** 2)
+    kept = (root / NOISE_FILE).read_bytes()
+    assert main(["measure", "noise", str(scan), "--install", *words]) == 2
+    assert "the cameras' noise is never replaced; move it away" in capsys.readouterr().err
+    assert (root / NOISE_FILE).read_bytes() == kept
+    assert main(["measure", "noise", str(scan), *words]) == 0, "it may always be looked at"
+
+
+def test_the_exposures_that_leave_fringes_straight_are_told_from_scans_at_each(
+    plane: RenderedScan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A projector with bit planes: of 3.2 of its 16.7 ms some bits are seen long and others not at all."""
+    bits = Scene(object="plane", outside=draw_outside(10_001, ("projector",)))
+    short = render_scan(bits, "modelled", 3, 320, 16, exposure_s=0.0032, gain_db=10.0)
+    whole = render_scan(bits, "modelled", 3, 320, 16, exposure_s=0.016)
+    scans = [
+        store(short, tmp_path / "short", exposure_ms=3.2),
+        store(whole, tmp_path / "whole", exposure_ms=16.0),
+        store(plane, tmp_path / "plane", exposure_ms=12.0),
+    ]
+    assert main(["measure", "exposures", *map(str, scans), "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert (said["exposures_ms"], said["trigger_delay_us"]) == ([12.0, 16.0], 500)
+    by_scan = {one["scan"]: one for one in said["scans"]}
+    assert by_scan["short"]["noisier"] > 1.1 > 1.05 > by_scan["whole"]["noisier"] >= 1.0
+    # The ordinary projector: its third harmonic, 3.5 % of the first, is an amplitude of 0.36 px of 64.
+    assert by_scan["plane"]["bend_px"] == pytest.approx(0.36 / 2.0**0.5, rel=0.1)
+    assert main(["measure", "exposures", *map(str, scans)]) == 0
+    assert "exposures_ms = [12.0, 16.0]" in capsys.readouterr().out
+    assert main(["measure", "exposures", str(scans[0])]) == 1
+    assert "none of them leaves fringes straight" in capsys.readouterr().out
+
+
+def test_exposures_are_not_told_from_a_scan_that_shows_next_to_nothing(
+    plane: RenderedScan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    dark = replace(plane, frames={side: np.minimum(frames, 9) for side, frames in plane.frames.items()})
+    assert main(["measure", "exposures", str(store(dark, tmp_path / "dark", exposure_ms=12.0))]) == 1
+    assert "too few points to tell how straight its fringes are" in capsys.readouterr().err

@@ -12,6 +12,7 @@ from pydantic import ValidationError
 
 from appliance.config import ConfigError, default_rig_path, parse_rig
 from appliance.config.rig import LimitsRig
+from appliance.instrument import exposures_of
 
 PACKAGED = default_rig_path().read_text(encoding="utf-8")
 RIG = parse_rig(PACKAGED)
@@ -122,6 +123,33 @@ def test_the_longest_exposure_that_a_refusal_names_is_taken_itself() -> None:
         assert "0.05..10.66 ms (period 16.67 ms less trigger delay 6 ms)" in str(caught.value)
 
 
+def test_the_only_exposures_are_a_list_within_the_range_that_has_the_rigs_own() -> None:
+    def with_list(text: str) -> str:
+        return PACKAGED.replace("[water]", f"exposures_ms = {text}\n\n[water]", 1)
+
+    assert RIG.scan.exposures_ms is None
+    assert parse_rig(with_list("[5.0, 12, 16.6]")).scan.exposures_ms == (5.0, 12.0, 16.6)
+    assert len(parse_rig(with_list(str([12.0] * 32))).scan.exposures_ms or ()) == 32
+    for text in ("[]", "[0.04, 12.0]", "[12.0, 16.7]", '["12"]', "12.0", str([12.0] * 33)):
+        with pytest.raises(ConfigError, match="exposures_ms"):
+            parse_rig(with_list(text))
+    with pytest.raises(ConfigError) as caught:
+        parse_rig(with_list("[5.0, 16.0]"))
+    assert caught.value.headline == "camera.left.exposure_ms 12 is none of scan.exposures_ms"
+    assert "allowed: 5, 16; choose one of them, or measure this one" in str(caught.value)
+
+
+def test_what_may_be_proposed_are_those_exposures() -> None:
+    only = replace(RIG, scan=replace(RIG.scan, exposures_ms=(8.0, 12.0), most_gain_db=2.0))
+    assert [(one.time_us, one.gain_db) for one in exposures_of(only)] == [
+        (8000, 0.0),
+        (8000, 2.0),
+        (12000, 0.0),
+        (12000, 2.0),
+    ]
+    assert exposures_of(RIG)[0].time_us == 2000
+
+
 def test_outputs_share_a_connector_only_where_they_are_two() -> None:
     same = PACKAGED.replace('"DP-1"', '"HDMI-A-1"')
     for other in (
@@ -166,7 +194,7 @@ def test_one_letter_is_a_name(name: str) -> None:
         (
             "[scan]",
             "[scan]\nzzzz = 1",
-            "scan.zzzz unknown key; known here: period_px, shortest_exposure_ms, longest_exposure_ms, most_gain_db (rig.toml)",
+            "scan.zzzz unknown key; known here: period_px, shortest_exposure_ms, longest_exposure_ms, most_gain_db, exposures_ms (rig.toml)",
         ),
     ],
 )  # fmt: skip

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from appliance.optics.water import Water
 from appliance.patterns.sequence import build_sequence
 from appliance.reconstruct.pipeline import Pipeline
-from appliance.reconstruct.straighten import Bend, measure_bend, take_out
+from appliance.reconstruct.straighten import PhaseBend, measure_bend, take_out
 from appliance.scan.sides import SIDES
 from hw_sim.outside import draw_outside
 from hw_sim.rendering.render import LightSlice, Renderer
@@ -98,7 +98,7 @@ def test_only_the_illuminated_part_changes() -> None:
     maps = lit(bent(p_true, (0.3, 0.0, 0.0, 0.0), 16), bent(q_true, (0.3, 0.0, 0.0, 0.0), 16))
     maps.illuminated_columns[:, 1] = 100
     before = maps.p_px.copy()
-    take_out(maps, Bend((0.3, 0.0, 0.0, 0.0), NOISE_PX), 16)
+    take_out(maps, PhaseBend((0.3, 0.0, 0.0, 0.0), NOISE_PX), 16)
     changed = maps.p_px != before
     assert changed[:, :100].mean() > 0.95
     assert not changed[:, 100:].any()
@@ -111,12 +111,12 @@ def test_the_variance_grows_as_the_corrected_noise_does() -> None:
     true = rng.uniform(100.0, 116.0, 400_000)
     clean = bent(true, terms_px, period_px).astype(np.float64)
     noisy = (clean + 0.01 * rng.standard_normal(clean.size)).reshape(1, -1)
-    bend, maps = Bend(terms_px, 0.01), lit(noisy, noisy)
+    bend, maps = PhaseBend(terms_px, 0.01), lit(noisy, noisy)
     take_out(maps, bend, period_px)
     gained = np.mean((maps.p_px[0] - true) ** 2) / 0.01**2
     assert bend.variance_factor(period_px) == pytest.approx(gained, rel=0.05)
     assert gained > 1.3
-    assert Bend((0.0,) * 4, 0.01).variance_factor(16) == pytest.approx(1.0)
+    assert PhaseBend((0.0,) * 4, 0.01).variance_factor(16) == pytest.approx(1.0)
 
 
 def test_a_projector_of_bit_planes_seen_for_a_part_of_its_frame_leaves_no_ripple_and_sigma_is_true() -> None:

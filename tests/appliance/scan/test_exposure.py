@@ -39,6 +39,22 @@ def test_a_span_that_has_room_for_half_a_step_of_gain_stops_below_it() -> None:
     assert len(ladder(60.0, 500, 0.0, Span(most_gain_db=1.9))) == 11, "no gain at all: the eleven times"
 
 
+def test_of_few_exposures_the_gaps_are_bridged_by_gain_and_nothing_else_is_offered() -> None:
+    steps = ladder(60.0, 500, 0.0, Span(times_ms=(16.0, 5.0, 12.0), most_gain_db=12.0))
+    assert [(one.time_us, one.gain_db) for one in steps] == [
+        *((5000, 0.0), (5000, 2.0), (5000, 4.0), (5000, 6.0)),
+        (12000, 0.0),
+        *((16000, 2.0 * k) for k in range(7)),
+    ]
+    lights = [step.light for step in steps]
+    assert lights == sorted(lights)
+    assert all(b / a < 1.4 for a, b in pairwise(lights)), "no gap that a proposal could fall into"
+    own = ladder(60.0, 500, 6.0, Span(times_ms=(5.0, 16.0), most_gain_db=12.0))
+    assert own[0] == Exposure(5000, 6.0)
+    assert {one.time_us for one in own} == {5000, 16000}
+    assert max(one.gain_db for one in own) == 12.0
+
+
 def test_where_no_step_fits_the_reason_and_the_steps_are_told() -> None:
     with pytest.raises(
         ValueError, match=r"no exposure step lies within 2\.\.1\.57 ms \(60 Hz less trigger delay 15000 us"

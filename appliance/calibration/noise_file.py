@@ -1,0 +1,105 @@
+"""Owns the file of the cameras' measured noise: small, checksummed, readable JSON, beside the calibration."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeGuard
+
+from appliance.checksummed_file import ChecksumError, checked_content, with_checksum
+from appliance.scan.sides import SIDES
+
+SCHEMA = 1
+MAX_BYTES = 64 * 1024
+LIMITS = {"full_well_e": (500.0, 9e5), "read_noise_e": (0.0, 900.0), "black_level_dn": (0.0, 63.0)}
+"""Range of each figure, within that of the rig file's key of the same name."""
+_REMEDY = "measure the noise again, or remove the file: the rig file's data sheets are then believed"
+
+
+class NoiseFileError(Exception):
+    """A file of noise cannot be used; the text says which, why and what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class CameraFigures:
+    """One camera's figures as the rig file has them, measured instead of read in a data sheet."""
+
+    serial: str
+    """The camera's serial number: another one has another noise."""
+    full_well_e: float
+    """Electrons at 255 grey values and 0 dB."""
+    read_noise_e: float
+    """All noise that does not depend on light, but rounding to grey values."""
+    black_level_dn: float
+    """Grey value of no light."""
+
+
+@dataclass(frozen=True, slots=True)
+class StoredNoise:
+    """The noise of both cameras and where it comes from."""
+
+    rig_serial: str
+    made_from: tuple[str, ...]
+    """Ids of the scans."""
+    left: CameraFigures
+    right: CameraFigures
+
+
+def encode(stored: StoredNoise) -> bytes:
+    """Return the file's bytes: JSON with sorted keys; ``sha256`` is that of the compact form of everything else."""
+    cameras = {
+        side: {"serial": one.serial, **{name: getattr(one, name) for name in LIMITS}}
+        for side, one in zip(SIDES, (stored.left, stored.right), strict=True)
+    }
+    return with_checksum(
+        {
+            "schema": SCHEMA,
+            "rig_serial": stored.rig_serial,
+            "made_from": list(stored.made_from),
+            "cameras": cameras,
+        }
+    )
+
+
+def decode(data: bytes, name: str) -> StoredNoise:
+    """Parse and check a file's bytes. Raises NoiseFileError naming ``name``, what is wrong and the remedy."""
+
+    def wrong(what: str) -> NoiseFileError:
+        return NoiseFileError(f"{name}: {what}; {_REMEDY}")
+
+    try:
+        content = checked_content(data, MAX_BYTES)
+    except ChecksumError as error:
+        raise wrong(str(error)) from error
+    if content.get("schema") != SCHEMA:
+        raise wrong(f"schema {content.get('schema')!r:.40}; this version reads schema {SCHEMA}")
+    serial, sources, cameras = content.get("rig_serial"), content.get("made_from"), content.get("cameras")
+    if not isinstance(serial, str) or not isinstance(sources, list) or not isinstance(cameras, dict):
+        raise wrong("rig_serial, made_from or cameras is missing")
+    found = []
+    for side in SIDES:
+        one = cameras.get(side)
+        if not isinstance(one, dict) or not isinstance(one.get("serial"), str):
+            raise wrong(f"cameras.{side} or its serial is missing")
+        for key, (lowest, highest) in LIMITS.items():
+            value = one.get(key)
+            if not _is_number(value) or not lowest <= value <= highest:
+                raise wrong(f"cameras.{side}.{key} is {value!r:.40}; allowed are {lowest:g}..{highest:g}")
+        found.append(CameraFigures(one["serial"], **{key: float(one[key]) for key in LIMITS}))
+    return StoredNoise(serial, tuple(str(source) for source in sources), *found)
+
+
+def load(path: Path) -> StoredNoise | None:
+    """Read a file of noise; ``None`` where there is none. Raises NoiseFileError."""
+    try:
+        return decode(path.read_bytes(), f"noise {path}")
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise NoiseFileError(f"noise {path}: cannot be read ({error.strerror}); {_REMEDY}") from error
+
+
+def _is_number(value: Any) -> TypeGuard[float]:
+    # Compared, not converted: a whole number of JSON may be larger than any float.
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
