@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from appliance.calibration.gaps import MODES
 from appliance.calibration.health import LIMIT, HealthJudgement, HealthTrend, judge
 from appliance.calibration.patches import PatchGaps
 from bench.outside.draws import drawn_scene, joined
@@ -90,12 +91,13 @@ def followed(rows: Iterable[Row]) -> Iterator[HealthJudgement]:
         gaps = row["gaps"]
         if gaps is None:
             continue
-        seen = PatchGaps(
-            np.array(gaps["patch"], np.intp), np.array(gaps["um"]), np.array(gaps["noise_um"]),
-            np.array(gaps["modes"]).reshape(-1, 4), int(gaps["samples"]), float(gaps["water_index"]),
-            *(None if gaps.get(name) is None else np.array(gaps[name]) for name in ("veil_um", "doubts_um", "shape_um")),
-        )  # fmt: skip
-        trend, said = judge(trend, seen, f"{number:06d}")
+        # By their names: a product that knows more about a gap has more of them.
+        seen: dict[str, Any] = {
+            name: np.array(value) if isinstance(value, list) else value for name, value in gaps.items()
+        }
+        seen["patch"] = seen["patch"].astype(np.intp)
+        seen["modes"] = seen["modes"].reshape(-1, len(MODES))
+        trend, said = judge(trend, PatchGaps(**seen), f"{number:06d}")
         yield said
 
 

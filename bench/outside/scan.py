@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -150,13 +151,7 @@ def row_of(world: World, scanned: Scanned, exposure: Exposure) -> Row:
         "motion": scanned.numbers("motion"),
         "light": scanned.numbers("light"),
         "water": scanned.numbers("water"),
-        "gaps": None if gaps is None else {
-            "patch": gaps.patch.tolist(), "um": gaps.gap_um.tolist(), "noise_um": gaps.noise_um.tolist(),
-            "modes": gaps.modes.tolist(), "samples": gaps.samples, "water_index": gaps.water_index,
-            **{name: None if of is None else of.tolist() for name, of in (
-                ("veil_um", gaps.veil_um), ("doubts_um", gaps.doubts_um), ("shape_um", gaps.shape_um),
-            )},
-        },
+        "gaps": None if gaps is None else {one.name: _listed(getattr(gaps, one.name)) for one in fields(gaps)},
     }  # fmt: skip
 
 
@@ -201,3 +196,8 @@ def _rms(values: Array) -> float | None:
 
 def _scaled(mm: float | None) -> float | None:
     return None if mm is None else 1000.0 * mm
+
+
+def _listed(value: Any) -> Any:
+    """Return an array as lists, anything else as it is."""
+    return value.tolist() if isinstance(value, np.ndarray) else value

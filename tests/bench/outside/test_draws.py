@@ -58,7 +58,7 @@ def a_scan(height_um: float, seed: int, faults: tuple[str, ...] = ()) -> dict[st
         [np.ones(48), patches % 8 - 3.5, patches // 8 - 2.5, (patches % 8 - 3.5) * (patches // 8 - 2.5)], 1
     )
     gaps = {
-        "patch": patches.tolist(), "um": (height_um + rng.normal(0.0, 2.0, 48)).tolist(), "noise_um": [2.0] * 48,
+        "patch": patches.tolist(), "gap_um": (height_um + rng.normal(0.0, 2.0, 48)).tolist(), "noise_um": [2.0] * 48,
         "modes": modes.tolist(), "samples": 5000, "water_index": 1.3345,
     }  # fmt: skip
     return {
