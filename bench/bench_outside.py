@@ -18,7 +18,7 @@ from bench.result import Measured
 from bench.runner import machine
 
 OUT = Path("bench/out/outside.json")
-USUAL_NOISE = "sheet"
+USUAL_NOISE = "measured"
 BEFORE, PAGE, PICTURES = Path("docs/outside-before.json"), Path("docs/outside.md"), Path("docs/pictures")
 """``BEFORE`` has the figures of the product as it was before it had met this world; without the rows of single scans."""
 

@@ -1,14 +1,54 @@
-"""Owns what the instrument is told about its cameras' noise: the data sheet of these very cameras."""
+"""Owns what the instrument is told about its cameras' noise: the data sheet of these very cameras, or what it measured itself.
+
+Measured as the owner does it: one scan of something with light and dark parts, in a dark tank, at rest, and the product's photon transfer.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
-from appliance.scan.noise import StereoNoise
+from appliance.calibration.photon_transfer import measure_noise
+from appliance.patterns.sequence import build_sequence
+from appliance.scan.exposure import Exposure
+from appliance.scan.noise import StereoNoise, camera_noise
+from appliance.scan.sides import SIDES
+from bench.outside.kept import kept_row
 from bench.outside.scan import data_sheet
-from bench.outside.world import World
+from bench.outside.world import World, expose, world_with
+from hw_sim.outside import Outside
+from hw_sim.scene import Scene
+
+PERIOD_PX = 64
+EXPOSURE = Exposure(12_000)
+TANK = Scene(object="plane", texture="strong", ambient=0.0)
+
+
+def measured(world: World, gain_db: float, keep: Path | None) -> StereoNoise:
+    """Return the noise at ``gain_db`` as the instrument measures it on its own cameras. Raises NoiseError."""
+    cameras = world.scene.outside.cameras
+    what = ("noise", world.rig.seed, world.rig.left.width_px, cameras)
+    found = kept_row(keep, what, lambda: _figures(world))
+    left, right = (
+        (one["full_well_e"], one["read_noise_e"], one["black_dn"]) for one in (found[side] for side in SIDES)
+    )
+    return StereoNoise(camera_noise(*left, gain_db), camera_noise(*right, gain_db))
+
+
+def _figures(world: World) -> dict[str, dict[str, float]]:
+    """Return for either camera full well and read noise in electrons, and the grey value of no light."""
+    outside = Outside(cameras=world.scene.outside.cameras)
+    size_px = world.rig.left.width_px, world.rig.left.height_px
+    tank = world_with(replace(TANK), outside, world.seed, ("cameras",), rig_seed=world.rig.seed, size_px=size_px)
+    sequence = build_sequence(PERIOD_PX)
+    frames = expose(tank.renderer(), sequence, EXPOSURE, number=3)
+    found = {side: measure_noise(sequence, frames[side]).figures(side, EXPOSURE.gain_db) for side in SIDES}
+    return {
+        side: {"full_well_e": one.full_well_e, "read_noise_e": one.read_noise_e, "black_dn": one.black_level_dn}
+        for side, one in found.items()
+    }
 
 
 def from_data_sheet(world: World, gain_db: float, keep: Path | None) -> StereoNoise:
@@ -17,6 +57,6 @@ def from_data_sheet(world: World, gain_db: float, keep: Path | None) -> StereoNo
 
 
 WAYS: MappingProxyType[str, Callable[[World, float, Path | None], StereoNoise]] = MappingProxyType(
-    {"sheet": from_data_sheet}
+    {"measured": measured, "sheet": from_data_sheet}
 )
 """How the instrument comes to know its noise, by name."""
