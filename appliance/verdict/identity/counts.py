@@ -102,7 +102,7 @@ def follow(
     good = np.empty(samples, np.bool_)
     code, number = np.empty(samples, np.int64), np.empty(samples, np.int64)
     smooth, step = np.empty(samples, np.bool_), np.empty(samples, np.float32)
-    share = np.empty(4, np.float32)
+    share, six = np.empty(4, np.float32), np.float32(6.0)
     a0, a1, a2, a3 = order[sine[0]], order[sine[1]], order[sine[2]], order[sine[3]]
     b0, b1, b2, b3 = order[other_sine[0]], order[other_sine[1]], order[other_sine[2]], order[other_sine[3]]
     bright, dark = order[references[0]], order[references[1]]
@@ -131,13 +131,27 @@ def follow(
             judged = not (not_bright or not_dark)  # at the outline of what moves, it is another surface than before
             for k in range(4):
                 share[k] = (np.float32(values[order[sine[k]], line, x]) - least) / swing
-            # Not the fringe's difference, which depends on the order of the sines, but their spread, which does not.
-            spread = max(max(share[0], share[1]), max(share[2], share[3]))
-            spread -= min(min(share[0], share[1]), min(share[2], share[3]))
-            # Sums for the correlation of opposite steps: I0 with I2, I1 with I3.
-            if judged and spread * swing >= needed and others >= needed:
+            # Not the fringes' difference, which depends on the order of the sines, but the spread of all eight, which does not:
+            # where fringes are weak and chosen by what a wrong order makes of them, an x-sine in the place of a y-sine is the
+            # opposite of its partner at just the samples that are left.
+            others_most = max(max(values[b0, line, x], values[b1, line, x]), max(values[b2, line, x], values[b3, line, x]))
+            others_least = min(min(values[b0, line, x], values[b1, line, x]), min(values[b2, line, x], values[b3, line, x]))
+            spread = max(max(share[0], share[1]), max(share[2], share[3])) * swing
+            spread = max(spread, np.float32(others_most) - least)
+            least_of_all = min(min(share[0], share[1]), min(share[2], share[3])) * swing
+            spread -= min(least_of_all, np.float32(others_least) - least)
+            # Sums for the correlation of opposite steps: I0 with I2, I1 with I3. Against the mean of the six others: what the water
+            # adds differs from place to place, and alike in all of them.
+            if judged and spread >= needed:
                 sums[9] += 1.0
+                mean = np.float32(0.0)
                 for k in range(4):
+                    mean += np.float32(values[order[sine[k]], line, x]) + np.float32(values[order[other_sine[k]], line, x])
+                # Eight shares, of which the pair's own two are taken out again.
+                mean = (mean - np.float32(8.0) * least) / swing
+                of_pair_02, of_pair_13 = (mean - share[0] - share[2]) / six, (mean - share[1] - share[3]) / six
+                for k in range(4):
+                    share[k] -= of_pair_02 if k % 2 == 0 else of_pair_13
                     sums[10 + k] += share[k]
                     sums[14 + k] += share[k] * share[k]
                 sums[18] += share[0] * share[2]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.patterns.sequence import PatternSequence, build_sequence
+from appliance.patterns.sequence import Direction, PatternSequence, build_sequence
 from appliance.scan.fault import FaultCode
 from appliance.scan.noise import TYPICAL
 from appliance.scan.sides import SIDES
@@ -283,3 +283,22 @@ def test_what_rushes_by_is_left_to_the_judge_of_motion() -> None:
     assert (judgement.verdict.passed, judgement.fault) == (None, None)
     late = {side: frames[[1, *range(len(frames) - 1)]] for side, frames in seen.frames.items()}
     assert judge_identity(late, seen.sequence).verdict.passed is not True
+
+
+@pytest.mark.parametrize("fringe", [0.24, 0.18])
+def test_an_x_sine_in_the_place_of_a_y_sine_is_found_where_the_water_outshines_the_fringes(
+    ideal: NDArray[np.float64], fringe: float
+) -> None:
+    """Weak fringes were looked for with the steps in question: those samples were left at which the wrong one fits."""
+    lit = ideal.reshape(len(ideal), -1).mean(axis=1) / ideal.max()
+    water = 200.0 * (1.0 - fringe) * lit / lit[SEQUENCE.bright]
+    frames = recorded(3.0 + fringe * (ideal - 3.0) + water[:, None, None], 5)
+    witness = Witness(take_lines(frames, SEQUENCE, TYPICAL), SEQUENCE, TYPICAL)
+
+    def opposite(order: NDArray[np.int64]) -> float:
+        return max(doubt for name, doubt in witness.evidence(order).doubts.items() if name.startswith("opposite"))
+
+    assert opposite(np.arange(N)) < 0.5
+    of_x, of_y = (SEQUENCE.axis(direction).sine for direction in Direction)
+    missed = [pair for pair in zip(of_x, of_y, strict=True) if opposite(np.array(swapped(*pair))) < 1.0]
+    assert missed == []
