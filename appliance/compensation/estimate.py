@@ -127,9 +127,10 @@ class MotionEstimate:
     """The time to which the cloud will belong: middle of the x-sines, from frame 0 on."""
     projector: FittedProjector
     ripple_before: float
-    """Ripple of the points that motion makes when nothing is done, in units of their noise; from the frames alone."""
+    """Ripple of the points that motion makes when nothing is done, in units of their noise: what of the x-sines' contradiction
+    this motion explains. From the frames alone."""
     ripple_after: float
-    """Ripple that remains with this motion."""
+    """Ripple that remains with this motion: a light that is no pure sine makes one at rest, too."""
     texture_px: float
     """Median way of the picture from the first to the last x-sine, in px of the left camera."""
     step_deg: float
@@ -202,7 +203,10 @@ def estimate(
         averaged_px = 2.0 * math.sqrt(math.pi) * STAGES[-1].steps_blur_px * scale * binning
         after = solver.contradiction(solver.values, grey_dn / averaged_px)
         noise_factor, covariance = solver.noise_factor(), solver.covariance()
-        before = solver.contradiction(np.zeros(PARAMETERS), grey_dn / averaged_px)
+        # What the frames' brightness explains is no motion's doing: the gains stay, the motion is taken away.
+        still = solver.values.copy()
+        still[:MOTIONS] = 0.0
+        before = math.sqrt(max(solver.contradiction(still, grey_dn / averaged_px) ** 2 - after**2, 0.0))
     noise = grey_dn / float(np.mean([_modulation_dn(images, side) for side in SIDES]))
     return MotionEstimate(
         frames=sines,

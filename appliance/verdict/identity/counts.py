@@ -134,8 +134,12 @@ def follow(
             # Not the fringes' difference, which depends on the order of the sines, but the spread of all eight, which does not:
             # where fringes are weak and chosen by what a wrong order makes of them, an x-sine in the place of a y-sine is the
             # opposite of its partner at just the samples that are left.
-            others_most = max(max(values[b0, line, x], values[b1, line, x]), max(values[b2, line, x], values[b3, line, x]))
-            others_least = min(min(values[b0, line, x], values[b1, line, x]), min(values[b2, line, x], values[b3, line, x]))
+            others_most = max(
+                max(values[b0, line, x], values[b1, line, x]), max(values[b2, line, x], values[b3, line, x])
+            )
+            others_least = min(
+                min(values[b0, line, x], values[b1, line, x]), min(values[b2, line, x], values[b3, line, x])
+            )
             spread = max(max(share[0], share[1]), max(share[2], share[3])) * swing
             spread = max(spread, np.float32(others_most) - least)
             least_of_all = min(min(share[0], share[1]), min(share[2], share[3])) * swing
@@ -146,7 +150,9 @@ def follow(
                 sums[9] += 1.0
                 mean = np.float32(0.0)
                 for k in range(4):
-                    mean += np.float32(values[order[sine[k]], line, x]) + np.float32(values[order[other_sine[k]], line, x])
+                    mean += np.float32(values[order[sine[k]], line, x]) + np.float32(
+                        values[order[other_sine[k]], line, x]
+                    )
                 # Eight shares, of which the pair's own two are taken out again.
                 mean = (mean - np.float32(8.0) * least) / swing
                 of_pair_02, of_pair_13 = (mean - share[0] - share[2]) / six, (mean - share[1] - share[3]) / six

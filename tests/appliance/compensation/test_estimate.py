@@ -43,9 +43,14 @@ class Corrected:
     noise: StereoNoise
 
 
-def corrected(motion: Motion, scene: Scene = FRUSTUM) -> Corrected:
+def corrected(motion: Motion, scene: Scene = FRUSTUM, brightness_sd: float = 0.0) -> Corrected:
     scene = replace(scene, motion=motion)
     scan = render_scan(scene, "modelled", 10_007, 400, 16, frame_s=FRAME_S)
+    if brightness_sd:
+        share = 1.0 + brightness_sd * np.random.default_rng(3).standard_normal((len(scan.sequence), 1, 1))
+        # Both cameras see the same flashes.
+        frames = {side: np.clip(np.rint(stack * share), 0, 255).astype(np.uint8) for side, stack in scan.frames.items()}
+        scan = replace(scan, frames=frames)
     calibration = true_calibration(scan.renderer.truth)
     with Pipeline(calibration, WATER, scan.sequence) as pipeline:
         for side, frames in scan.frames.items():
@@ -159,6 +164,13 @@ def test_a_hand_along_the_fringes_leaves_far_less_noise_than_points_followed_all
     assert after.rms_mm < 0.4 * before.rms_mm
     assert along.said.found is not None, along.said.why
     assert in_sigmas(along) < 1.5, "whatever it is, sigma tells"
+
+
+def test_brightness_from_frame_to_frame_at_rest_is_no_motion() -> None:
+    flashes = corrected(Motion(), brightness_sd=0.015)
+    assert not flashes.motion.moved
+    assert flashes.said.found is None
+    assert flashes.said.why == "Nothing moved that would show."
 
 
 def test_who_outruns_the_fringes_has_to_repeat() -> None:
