@@ -49,8 +49,10 @@ def corrected(motion: Motion, scene: Scene = FRUSTUM, brightness_sd: float = 0.0
     if brightness_sd:
         share = 1.0 + brightness_sd * np.random.default_rng(3).standard_normal((len(scan.sequence), 1, 1))
         # Both cameras see the same flashes.
-        frames = {side: np.clip(np.rint(stack * share), 0, 255).astype(np.uint8) for side, stack in scan.frames.items()}
-        scan = replace(scan, frames=frames)
+        flashing = {
+            side: np.clip(np.rint(stack * share), 0, 255).astype(np.uint8) for side, stack in scan.frames.items()
+        }
+        scan = replace(scan, frames=flashing)
     calibration = true_calibration(scan.renderer.truth)
     with Pipeline(calibration, WATER, scan.sequence) as pipeline:
         for side, frames in scan.frames.items():
