@@ -10,7 +10,6 @@ from typing import Any, Protocol, cast
 
 from bench.result import Measured
 from bench.verdict.parts import Say
-from bench.verdict.worlds import OUTSIDE
 
 
 class Part(Protocol):
@@ -57,6 +56,8 @@ class Entry:
     """The world that a module which knows several is asked for; ``None``: it knows this one only."""
 
 
+OUTSIDE = "outside"
+"""The name of this world among those that verdicts are measured in (``bench.verdict.worlds``)."""
 PARTS = MappingProxyType(
     {
         "scenes": Entry(
