@@ -46,7 +46,7 @@ MIN_COARSE_NEIGHBOURS = 2
 """Least number of neighbours of a coarse point, of eight: they are farther apart, and one may lie beyond an edge."""
 LOOSE_GAP_MM = np.float32(5.0)
 """Largest gap of the two rays of the same point, seen while it moved."""
-VEIL_POINTS = 2_000
+VEIL_POINTS = 1_500
 """Number of left pixels that are asked for the fringes of backscatter."""
 THREADS = 2
 __all__ = ["Cloud", "Pipeline"]

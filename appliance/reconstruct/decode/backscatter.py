@@ -42,6 +42,8 @@ LEAST_KNOWN = 0.03
 LEVEL = 2.0
 """Strength of the prior that f is level, in blocks squared: about what a neighbourhood known on all sides says of a slope."""
 ROUNDS = 48
+SETTLED = 0.0002
+"""Share of the pixels: where a round decides no more, the next one would not either."""
 SURE = 0.75
 """Share of the fringes' estimate of O that is certainly there: blur and the projector's response differ from place to place."""
 NOISE_SIGMAS = 3.0
@@ -221,7 +223,8 @@ def illuminated_share(gray_dn: Floats, pixels: SampledPixels, fine: bool = False
         share[:] = _smooth_share(sums)
         if fine:
             share[np.isnan(share)] = 0.5
-        if not _decide(gray_dn, pixels.light_dn, pixels.object_dn, pixels.noise_dn, share, block, state):
+        found = _decide(gray_dn, pixels.light_dn, pixels.object_dn, pixels.noise_dn, share, block, state)
+        if found <= state.size * SETTLED:
             break
     return share
 
@@ -232,19 +235,26 @@ def _smooth_share(sums: Floats) -> Floats:
 
     A plane, for f is carried on into parts of the image where no bit is known yet: a mean would lag behind there.
     """
-    y, x = np.mgrid[: sums.shape[0], : sums.shape[1]].astype(np.float64)
-    known, lit, veil = (sums[..., k].astype(np.float64) for k in range(3))
+    # About the middle of the image, where 32 bits tell a block from its neighbours in the squares, too.
+    y, x = np.mgrid[: sums.shape[0], : sums.shape[1]].astype(np.float32)
+    y, x = y - np.float32(sums.shape[0] // 2), x - np.float32(sums.shape[1] // 2)
+    known, lit, veil = (sums[..., k] for k in range(3))
     # Weighted by V: minimise Σ w V (g / V − f − a Δx − b Δy)², g = f V of the block; w is Gaussian.
     moments = [known, veil, veil * x, veil * y, veil * x * x, veil * x * y, veil * y * y, lit, lit * x, lit * y]
-    n, s, sx, sy, sxx, sxy, syy, g, gx, gy = (cv2.GaussianBlur(m, (0, 0), SPREAD_BLOCKS) for m in moments)
+    blurred = cv2.GaussianBlur(np.stack(moments, -1), (0, 0), SPREAD_BLOCKS)
+    n, s, sx, sy, sxx, sxy, syy, g, gx, gy = np.moveaxis(blurred, -1, 0)
     # About the block's own place, with a weak prior of slopes of 0.
-    prior = LEVEL * s + 1e-6
-    sxx, sxy, syy = sxx - 2.0 * x * sx + x * x * s, sxy - x * sy - y * sx + x * y * s, syy - 2.0 * y * sy + y * y * s
+    prior = np.float32(LEVEL) * s + np.float32(1e-6)
+    sxx, sxy, syy = (
+        sxx - np.float32(2.0) * x * sx + x * x * s,
+        sxy - x * sy - y * sx + x * y * s,
+        syy - np.float32(2.0) * y * sy + y * y * s,
+    )
     sx, sy, gx, gy, sxx, syy = sx - x * s, sy - y * s, gx - x * g, gy - y * g, sxx + prior, syy + prior
     # Cramer's rule for f. What the plane leaves of the weight: all of it where neighbours lie around, little at the end of a lever.
     down, across, both = sxx * syy - sxy * sxy, sx * syy - sxy * sy, sx * sxy - sxx * sy
     weight = s * down - sx * across + sy * both
-    share = (g * down - gx * across + gy * both) / np.maximum(weight, 1e-9)
+    share = (g * down - gx * across + gy * both) / np.maximum(weight, np.float32(1e-9))
     share[n * weight <= LEAST_KNOWN * SAMPLES_PER_BLOCK**2 * s * down] = np.nan
     return np.asarray(np.clip(share, 0.0, 1.0), np.float32)
 
