@@ -42,7 +42,7 @@ def find_depths_by_stripes_mm(
     frames: Mapping[str, NDArray[np.uint8]], sequence: PatternSequence, rig: StereoRig, water_index: float
 ) -> Array:
     """Return the depth of each saturated pixel that is found again, in the left camera's frame; to 2 %. Empty where
-    too few are. ``frames``: (n, h, w) uint8 of ``left`` and ``right``; 50 ms of CPU."""
+    too few are. ``frames``: (n, h, w) uint8 of ``left`` and ``right``; 65 to 95 ms of CPU for ``ASKED`` pixels, at any size."""
     none = np.empty(0)
     factor = max(1, rig.left.width_px // WIDTH_PX)
     small = {side: frames[side][:, factor // 2 :: factor, factor // 2 :: factor] for side in ("left", "right")}
