@@ -15,6 +15,7 @@ from appliance.calibration.patches import PatchGaps
 from appliance.calibration.water.bundle import Rung
 from appliance.optics.water import Water
 from hw_sim.mount_shift import MountShift, with_mount_shifted
+from hw_sim.truth import TrueRig
 from tests.support.gap_scans import calibrated, follow, in_water, learnt, scan, scans_until_alarm
 from tests.support.truth import WATER
 
@@ -85,12 +86,25 @@ def test_a_knock_between_calibration_and_first_scan_is_noticed() -> None:
         assert scans_until_alarm(made, HealthTrend(), with_mount_shifted(made.truth, knock), most=2) is not None
 
 
+def test_mounts_that_follow_the_temperature_of_the_case_never_alarm() -> None:
+    """Turns about x and z of some thousandths of a degree, another one before each scan: no length notices them."""
+    made = calibrated(SEED)
+    rng = np.random.default_rng(10_004)
+
+    def some() -> TrueRig:
+        pitch, roll = rng.normal(0.0, 0.002, 2)
+        return with_mount_shifted(made.truth, MountShift("right", pitch_deg=float(pitch), roll_deg=float(roll)))
+
+    alarms = [said.alarm for _, said in follow(HealthTrend(), (scan(made, some(), rng) for _ in range(16)))]
+    assert not any(alarms)
+
+
 def test_a_slow_drift_alarms_before_it_is_learnt() -> None:
-    """0.002° of roll per scan, from the first scan on: no single step is remarkable."""
+    """0.006° of roll per scan, from the first scan on: no single step is remarkable."""
     made = calibrated(SEED)
     rng = np.random.default_rng(3)
     drifting = (
-        scan(made, with_mount_shifted(made.truth, MountShift("right", roll_deg=0.002 * (k + 1))), rng)
+        scan(made, with_mount_shifted(made.truth, MountShift("right", roll_deg=0.006 * (k + 1))), rng)
         for k in range(LEARNT_SCANS)
     )
     alarms = [said.alarm for _, said in follow(HealthTrend(), drifting)]
@@ -100,7 +114,7 @@ def test_a_slow_drift_alarms_before_it_is_learnt() -> None:
 
 def test_an_alarm_stays_until_a_length_check_is_accepted_and_then_the_new_state_is_normal() -> None:
     made = calibrated(SEED)
-    turned = with_mount_shifted(made.truth, MountShift("right", pitch_deg=0.01))
+    turned = with_mount_shifted(made.truth, MountShift("right", pitch_deg=0.03))
     rng = np.random.default_rng(4)
     scans = [scan(made, truth, rng) for truth in (turned, made.truth, made.truth, turned)]
     followed = list(follow(learnt(made), scans))
@@ -153,7 +167,8 @@ def test_a_change_that_the_seen_corner_cannot_tell_is_no_alarm_and_no_certainty(
     _, said_part = judge(HealthTrend(), part, None)
     assert said_part.point is not None
     assert said_whole.point is not None
-    assert max(said_part.point.sigma_um) > 2.0 * max(said_whole.point.sigma_um)
+    # Height and twist have the drift of mounts in them, however much is seen.
+    assert max(said_part.point.sigma_um[2:]) > 2.0 * max(said_whole.point.sigma_um[2:])
     assert not said_part.alarm
 
 

@@ -23,7 +23,7 @@ def watched(root: Path) -> CalibrationWatch:
     """After two normal scans and one of a knocked instrument, all written down."""
     watch = CalibrationWatch(root, CALIBRATION)
     rng = np.random.default_rng(1)
-    turned = with_mount_shifted(MADE.truth, MountShift("right", pitch_deg=0.02))
+    turned = with_mount_shifted(MADE.truth, MountShift("right", pitch_deg=0.03))
     for number, truth in enumerate((MADE.truth, MADE.truth, turned), 1):
         verdict = watch.judge(scan(MADE, truth, rng))
         assert verdict.passed is (number < 3)
@@ -39,7 +39,7 @@ def test_an_alarm_belongs_to_its_calibration(tmp_path: Path) -> None:
     found = watch.fault
     assert found is not None
     assert found.code is FaultCode.VERIFY_CALIBRATION
-    assert "right camera turned by +0.02" in found.detail
+    assert "right camera turned by +0.03" in found.detail
     shown = alert_of(found)
     assert (shown.headline, shown.action) == ("VERIFY CALIBR.", "CHECK WATER AND BALL BAR")
 
@@ -59,8 +59,8 @@ def test_a_length_check_takes_the_alarm_back_for_good(tmp_path: Path) -> None:
     assert write is not None
     write()
     assert watch.answer("again") is None, "there is no alarm any more"
-    turned = with_mount_shifted(MADE.truth, MountShift("right", pitch_deg=0.02))
-    further = with_mount_shifted(MADE.truth, MountShift("right", pitch_deg=0.04))
+    turned = with_mount_shifted(MADE.truth, MountShift("right", pitch_deg=0.03))
+    further = with_mount_shifted(MADE.truth, MountShift("right", pitch_deg=0.07))
     for still in (watch, CalibrationWatch(tmp_path, CALIBRATION)):
         assert still.fault is None
         assert [answer.partition(", after: ")[0] for answer in still.trend.answers] == ["the bar is right"]
