@@ -121,6 +121,7 @@ def test_the_page_has_every_drawing_and_escapes_names() -> None:
     ):  # fmt: skip
         assert words in page, words
     assert page.count("<svg") == 3
+    assert "<td>bar &lt;1&gt;</td><td>4</td><td>0.3</td>" in page
     bare = as_html(solved(residuals=(), estimates=(), valley=None, costs=(), warnings=()), START, {}, {})
     for words in ("<svg", "image/png", "Convergence", "could see", 'class="no"'):
         assert words not in bare, words

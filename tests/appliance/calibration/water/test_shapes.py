@@ -58,6 +58,10 @@ def test_a_wrong_radius_is_kept_and_moves_the_centre_along_the_view() -> None:
     assert radius == 15.5
     np.testing.assert_allclose(centre[:2], CENTRE[:2], atol=0.02)
     assert 0.4 < centre[2] - CENTRE[2] < 0.75, "the part that is seen stays where it is"
+    # Least squares: what is left pulls the centre to no side.
+    away = face(15.0, 45.0) - centre
+    distance = np.linalg.norm(away, axis=1)
+    np.testing.assert_allclose(((distance - radius) / distance) @ away, 0.0, atol=1e-7)
 
 
 def test_rays_are_nearest_in_the_middle_between_them() -> None:
