@@ -41,9 +41,7 @@ class Sim(WithRoot):
     object: str | None = option("--object", "what lies before the scanner", choices=OBJECTS)
     texture: str | None = option("--texture", "its albedo", choices=TEXTURES)
     truth: str | None = option("--truth", f"the true rig: {', '.join(TRUTHS)}, or a truth.toml", metavar="SET")
-    world: str | None = option(
-        "--world", "outside: a harsher one, drawn by --seed (docs/outside-world.md)", choices=WORLDS
-    )
+    world: str | None = option("--world", "outside: a harsher one, drawn by --seed", choices=WORLDS)
     seed: int | None = option("--seed", "seeds the truth and all noise", parse=SEED)
     size: str | None = option("--size", "camera size in px, for example 800x600", metavar="WxH")
     pace: str | None = option("--pace", "how world time passes", choices=PACES)
