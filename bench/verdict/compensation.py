@@ -88,9 +88,9 @@ class Judge:
 
     def _scan(self, case: Case, scene: Scene) -> RenderedScan:
         if self._world != ORDINARY:
-            moves = scene is not case.rest and not case.at_rest
+            hands = not scene.motion.still
             return kept_scan_outside(
-                self._keep, scene, case.truth_set, case.seed, case.width_px, PERIOD_PX, hands=moves
+                self._keep, scene, case.truth_set, case.seed, case.width_px, PERIOD_PX, hands=hands
             )
         frame_s = 0.0 if scene.motion.still else FRAME_S
         return kept_scan(self._keep, scene, case.truth_set, case.seed, case.width_px, PERIOD_PX, frame_s)
