@@ -5,16 +5,13 @@ The recordings lie in ``tests/recordings``, which says how they were made; no te
 
 from __future__ import annotations
 
-import hashlib
 import json
-import platform
 import shutil
 import tarfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import llvmlite.binding as llvm
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
@@ -133,11 +130,9 @@ def test_two_exposures_are_still_one_scan(recorded: Recorded) -> None:
 def test_reconstructing_gives_the_points_of_the_version_that_recorded(
     recorded: Recorded, number: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Bit by bit on the processor that the recordings were made on; on others, whose sums may round differently, nearly.
-
-    Of two exposures nearly: their errors went through a modulation of eight bits then, and some points at the limits of
-    quality are others now (``docs/adr/0041-variance-is-a-map.md``).
-    """
+    """Nearly: since then the bend that the projector's response gives coordinates is taken out of them, as each scan shows it
+    (``docs/adr/0046-bent-phases-are-straightened-by-the-scan-itself.md``), which moves a point by about its own expected error, and some points at the limits of quality
+    are others now."""
     name = next(name for name in recorded.expected["scans"] if name.endswith(f"{number:06d}"))
     said = recorded.expected["scans"][name]
     out = tmp_path / "again.ply"
@@ -148,15 +143,13 @@ def test_reconstructing_gives_the_points_of_the_version_that_recorded(
     found = recorded.root / said["calibration"]
     assert report["calibration_from"] == str(found), "by the hash in its manifest, in the root that it lies in"
     stored = recorded.root / name / "cloud.ply"
-    both = json.loads((recorded.root / name / "manifest.json").read_text(encoding="utf-8"))["record"].get("second")
-    if both is None and recorded.expected["processor"] == f"{platform.machine()} {llvm.get_host_cpu_name()}":
-        assert hashlib.sha256(out.read_bytes()).hexdigest() == said["sha256"]
-        assert not stored.exists() or out.read_bytes() == stored.read_bytes()
-    assert report["points"] == pytest.approx(said["points"], rel=1e-3 if both is None else 0.01)
+    assert report["points"] == pytest.approx(said["points"], rel=0.015)
     if stored.exists():
-        before, after = (read_ply(path).points_mm for path in (stored, out))
-        apart_mm, _ = cKDTree(after).query(before)
-        assert float(np.median(apart_mm)) < 0.01
+        before, after = (read_ply(path) for path in (stored, out))
+        apart_mm, _ = cKDTree(after.points_mm).query(before.points_mm)
+        # Found: 0.2 to 0.6 in the median, 1.6 to 3.1 in the 99th percentile.
+        assert float(np.median(apart_mm / before.sigma_mm)) < 0.8
+        assert float(np.percentile(apart_mm / before.sigma_mm, 99.0)) < 5.0
 
 
 def test_calibrations_of_every_schema_are_read_and_are_the_same_ones(recorded: Recorded) -> None:
