@@ -49,8 +49,9 @@ _ALONG_MM = -0.67
 
 
 def run_what_an_empty_scan_does_not(sequence: PatternSequence, frames: NDArray[np.uint8]) -> None:
-    """Run the kernels for motion, changing light, backscatter and a second exposure; else the first scan that has some would
-    wait for a compiler."""
+    """Run the kernels for bent fringes, motion, changing light, backscatter and a second exposure; else the first scan that has
+    some would wait for a compiler."""
+    straighten.warm_up()
     compensate_wall()
     warm_light()
     warm_backscatter(sequence, frames, TYPICAL)
