@@ -176,6 +176,7 @@ MAY_BE_EQUAL: Mapping[str, frozenset[str]] = {
             "60 refresh_hz = refresh_hz",
             "60 FRAME_S = frame_s",
             "60 frame_s = frame_s",
+            "100 PLANE_HALF_Y_MM = PLANE_HALF_MM",
         }
     ),
     "the ordinary world's alone; outside draws it (families cameras and surfaces, workshop of the rig)": frozenset(
@@ -194,6 +195,7 @@ MAY_BE_EQUAL: Mapping[str, frozenset[str]] = {
             "150 BALL_DISTANCE_MM = BEGIN_MM",
             "150 FRUSTUM_BASE_MM = BEGIN_MM",
             "3 BOARD_SCALE = _BOARD_STEPS",
+            "7 (PLANE, BALLBAR, FRUSTUM, PIPE, SHELL, STONES, BOARD) = PLANE_POINTS",
             "3 EDGE_MM = EDGE_MM",
             "8 BLOCK_PX = BLOCK_COLUMNS",
             "4 FIELD_ORDER = FIELD_BARS",

@@ -16,8 +16,8 @@ MADE = calibrated(1)
     [
         ("principal distance, right", 1.0, 2),
         ("interface distance, right", 0.15, 2),
-        ("right port tilted about x", 0.01, 1),
-        ("right camera shifted along y", 0.05, 1),
+        ("right port tilted about x", 0.1, 1),
+        ("right camera shifted along y", 0.1, 1),
         ("right camera shifted along z", 0.05, 2),
         ("water warmer than stated", 10.0, 8),
         ("water colder than stated", 10.0, 8),

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from appliance.calibration.design import Design, design_calibration
+from appliance.calibration.field import INTERVALS as AIR_INTERVALS
 from appliance.calibration.water.printed import PrintedCamera
 from appliance.optics import pinhole
 from appliance.optics.correction import INTERVALS, ImageCorrection
@@ -229,10 +230,15 @@ def test_a_strongly_bent_lens_is_inverted_in_three_steps(monkeypatch: pytest.Mon
 
 
 def test_the_free_fields_are_as_fine_as_the_documentation_says_and_the_shift_has_square_cells() -> None:
-    """docs/calibration.md tells the grid of the image correction; depth shows less, so that the ray shift is coarser."""
+    """docs/calibration.md tells the grids of the image correction, without and with the lenses' fields from air; depth shows less, so
+    that the ray shift is coarser."""
     across, down = INTERVALS
     said = (Path(__file__).parents[3] / "docs" / "calibration.md").read_text(encoding="utf-8")
-    assert f"B-spline of {across} × {down} intervals per image" in said
+    assert f"of {across} × {down} from a start that has none" in said
+    assert (
+        f"B-spline per image: of {AIR_INTERVALS[0]} × {AIR_INTERVALS[1]} intervals about the lenses' fields from air"
+        in said
+    )
     shift_across, shift_down = SHIFT_INTERVALS
     assert 1600 / shift_across == 1200 / shift_down, "square on a sensor of 4 : 3"
     assert 1 / 3 < shift_across * shift_down / (across * down) < 2 / 3
