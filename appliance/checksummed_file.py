@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
+import sys
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, TypeGuard
 
 
 class ChecksumError(ValueError):
@@ -39,3 +40,9 @@ def checked_content(data: bytes, max_bytes: int) -> dict[str, Any]:
     if stated != actual:
         raise ChecksumError(f"checksum {str(stated)[:80]!r}, but the content has {actual}: it was changed or damaged")
     return content
+
+
+def is_number(value: Any) -> TypeGuard[float]:
+    """Tell whether a value of such a file is a finite number, which a truth value is not."""
+    # Compared, not converted: a whole number of JSON may be larger than any float.
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeGuard
 
-from appliance.checksummed_file import ChecksumError, checked_content, with_checksum
+from appliance.checksummed_file import ChecksumError, checked_content, is_number, with_checksum
 from appliance.scan.sides import SIDES
 
 SCHEMA = 1
@@ -84,7 +82,7 @@ def decode(data: bytes, name: str) -> StoredNoise:
             raise wrong(f"cameras.{side} or its serial is missing")
         for key, (lowest, highest) in LIMITS.items():
             value = one.get(key)
-            if not _is_number(value) or not lowest <= value <= highest:
+            if not is_number(value) or not lowest <= value <= highest:
                 raise wrong(f"cameras.{side}.{key} is {value!r:.40}; allowed are {lowest:g}..{highest:g}")
         found.append(CameraFigures(one["serial"], **{key: float(one[key]) for key in LIMITS}))
     return StoredNoise(serial, tuple(str(source) for source in sources), *found)
@@ -98,8 +96,3 @@ def load(path: Path) -> StoredNoise | None:
         return None
     except OSError as error:
         raise NoiseFileError(f"noise {path}: cannot be read ({error.strerror}); {_REMEDY}") from error
-
-
-def _is_number(value: Any) -> TypeGuard[float]:
-    # Compared, not converted: a whole number of JSON may be larger than any float.
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max

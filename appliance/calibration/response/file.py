@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeGuard
 
-from appliance.checksummed_file import ChecksumError, checked_content, with_checksum
+from appliance.checksummed_file import ChecksumError, checked_content, is_number, with_checksum
 from appliance.patterns.response import HIGHEST_ORDER, Response
 
 SCHEMA = 1
@@ -64,14 +62,14 @@ def decode(data: bytes, name: str) -> StoredResponse:
     if not isinstance(serial, str) or not isinstance(sources, list):
         raise wrong("rig_serial or made_from is missing")
     residual, harmonics = content.get("residual"), content.get("harmonics")
-    if not _is_number(residual) or not isinstance(harmonics, list) or not all(_is_number(b) for b in harmonics):
+    if not is_number(residual) or not isinstance(harmonics, list) or not all(is_number(b) for b in harmonics):
         raise wrong(f"residual and harmonics must be numbers, of the latter at most {HIGHEST_ORDER + 1}")
     if len(harmonics) > HIGHEST_ORDER + 1:
         raise wrong(f"{len(harmonics)} harmonics; at most {HIGHEST_ORDER + 1} are allowed")
     taken_us = []
     for key in ("exposure_us", "trigger_delay_us"):
         value = content.get(key)
-        if value is not None and (not _is_number(value) or not isinstance(value, int) or value < 0):
+        if value is not None and (not is_number(value) or not isinstance(value, int) or value < 0):
             raise wrong(f"{key} is {value!r:.40}; allowed are whole numbers from 0")
         taken_us.append(value)
     try:
@@ -89,8 +87,3 @@ def load(path: Path) -> StoredResponse | None:
         return None
     except OSError as error:
         raise ResponseFileError(f"response {path}: cannot be read ({error.strerror}); {_REMEDY}") from error
-
-
-def _is_number(value: Any) -> TypeGuard[float]:
-    # Compared, not converted: a whole number of JSON may be larger than any float.
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
