@@ -45,7 +45,7 @@ RANGES = {
     "stamps_at_end": Range(
         0.0,
         1.0,
-        "both are met: ChunkTimestamp is the frame's start (GenICam SFNC), others stamp when the exposure has ended (luxonis/depthai issue 795); half of the drawn worlds",
+        "both are met: ChunkTimestamp is the frame's start (GenICam SFNC), others stamp when the exposure has ended (so the makers of the depthai library say of theirs); half of the drawn worlds",
     ),
 }
 """Ranges of the family ``clocks``; ``stamps_at_end`` is rounded to 0 or 1."""

@@ -356,7 +356,8 @@ class Pipeline:
         # Limits on what noise makes grow with it; a coarse fringe has noisier coordinates.
         noise = max(1.0, self._sequence.period_px / 16.0)
         # What is not known of the veil's fringes opens gaps without making a point wrong: rays pass beside each other along the rows.
-        veil_mm = 0.002 * self._veil.doubt_um if self._veil is not None and self._veil.removable else 0.0
+        # Two standard deviations, in mm.
+        veil_mm = 2.0e-3 * self._veil.doubt_um if self._veil is not None and self._veil.removable else 0.0
         return PointLimits(
             max_gap_mm=np.float32(limits.max_gap_mm * noise + veil_mm),
             max_sigma_mm=np.float32(limits.max_sigma_mm * noise),
