@@ -52,10 +52,14 @@ def test_things_happen_in_the_order_of_their_moments(hand_time: HandTime) -> Non
 
 def test_a_wait_counts_world_time_and_ends(make_bench: Callable[..., Bench]) -> None:
     fast = make_bench(idle_speed=5.0).world.time
-    real_s, world_ns = time.monotonic(), fast.now_ns()
-    fast.sleep_s(0.5)
-    assert 0.5 <= (fast.now_ns() - world_ns) / 1e9 < 0.6
-    assert time.monotonic() - real_s < 0.4
+    slept_s = []
+    for _ in range(3):  # the fastest counts: a busy machine wakes its sleepers late
+        real_s, world_ns = time.monotonic(), fast.now_ns()
+        fast.sleep_s(0.5)
+        slept_s.append(((fast.now_ns() - world_ns) / 1e9, time.monotonic() - real_s))
+    assert all(world_s >= 0.5 for world_s, _ in slept_s)
+    assert min(slept_s)[0] < 0.6
+    assert min(real_s for _, real_s in slept_s) < 0.4
 
 
 def test_foreign_conditions_are_waited_for_in_world_time(bench: Bench) -> None:
