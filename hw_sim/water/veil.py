@@ -241,6 +241,7 @@ def _gather(
 ) -> None:
     """Fill ``out`` (2, rows, columns) with the light that comes back along each ray before it ends: sharp, and glow."""
     half, rows = np.float32(0.5), sums.shape[1]
+    last = np.float32(sums.shape[2] - 1) - np.float32(1e-3)
     line = np.empty((places.shape[1], places.shape[2], 5), np.float32)
     for y in range(ends.shape[0]):
         # The places of this row of the lattice, between two rows of exact ones.
@@ -271,7 +272,9 @@ def _gather(
                             break
                     end = u0 + cut * (u1 - u0)
                     v = v0 + half * cut * (v1 - v0) - half
-                    if v > -half and v < np.float32(rows) - half:
+                    # Beside the picture there is no light: sums on both sides of it are equal.
+                    beside = max(u0, end) <= np.float32(0.0) or min(u0, end) >= last
+                    if not beside and v > -half and v < np.float32(rows) - half:
                         v = min(max(v, np.float32(0.0)), np.float32(rows) - np.float32(1.002))
                         j = int(v)
                         t = v - np.float32(j)
