@@ -3,20 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
-from appliance.checksummed_file import ChecksumError, checked_content, is_number, with_checksum
+from appliance.calibration.measured_file import MeasuredFile, MeasuredFileError
+from appliance.checksummed_file import is_number, with_checksum
 from appliance.scan.sides import SIDES
 
 SCHEMA = 1
-MAX_BYTES = 64 * 1024
 LIMITS = {"full_well_e": (500.0, 9e5), "read_noise_e": (0.0, 900.0), "black_level_dn": (0.0, 63.0)}
 """Range of each figure, within that of the rig file's key of the same name."""
-_REMEDY = "measure the noise again, or remove the file: the rig file's data sheets are then believed"
 
 
-class NoiseFileError(Exception):
+class NoiseFileError(MeasuredFileError):
     """A file of noise cannot be used; the text says which, why and what to do."""
+
+
+_KIND = MeasuredFile(
+    "noise",
+    SCHEMA,
+    "measure the noise again, or remove the file: the rig file's data sheets are then believed",
+    NoiseFileError,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,15 +71,7 @@ def encode(stored: StoredNoise) -> bytes:
 def decode(data: bytes, name: str) -> StoredNoise:
     """Parse and check a file's bytes. Raises NoiseFileError naming ``name``, what is wrong and the remedy."""
 
-    def wrong(what: str) -> NoiseFileError:
-        return NoiseFileError(f"{name}: {what}; {_REMEDY}")
-
-    try:
-        content = checked_content(data, MAX_BYTES)
-    except ChecksumError as error:
-        raise wrong(str(error)) from error
-    if content.get("schema") != SCHEMA:
-        raise wrong(f"schema {content.get('schema')!r:.40}; this version reads schema {SCHEMA}")
+    wrong, content = partial(_KIND.wrong, name), _KIND.content(data, name)
     serial, sources, cameras = content.get("rig_serial"), content.get("made_from"), content.get("cameras")
     if not isinstance(serial, str) or not isinstance(sources, list) or not isinstance(cameras, dict):
         raise wrong("rig_serial, made_from or cameras is missing")
@@ -90,9 +90,5 @@ def decode(data: bytes, name: str) -> StoredNoise:
 
 def load(path: Path) -> StoredNoise | None:
     """Read a file of noise; ``None`` where there is none. Raises NoiseFileError."""
-    try:
-        return decode(path.read_bytes(), f"noise {path}")
-    except FileNotFoundError:
-        return None
-    except OSError as error:
-        raise NoiseFileError(f"noise {path}: cannot be read ({error.strerror}); {_REMEDY}") from error
+    found = _KIND.data(path)
+    return None if found is None else decode(*found)

@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
-from appliance.checksummed_file import ChecksumError, checked_content, is_number, with_checksum
+from appliance.calibration.measured_file import MeasuredFile, MeasuredFileError
+from appliance.checksummed_file import is_number, with_checksum
 from appliance.patterns.response import HIGHEST_ORDER, Response
 
 SCHEMA = 1
-MAX_BYTES = 64 * 1024
-_REMEDY = "measure the response again, or remove the file: patterns are then drawn without compensation"
 
 
-class ResponseFileError(Exception):
+class ResponseFileError(MeasuredFileError):
     """A response file cannot be used; the text says which, why and what to do."""
+
+
+_KIND = MeasuredFile(
+    "response",
+    SCHEMA,
+    "measure the response again, or remove the file: patterns are then drawn without compensation",
+    ResponseFileError,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,15 +57,7 @@ def encode(stored: StoredResponse) -> bytes:
 def decode(data: bytes, name: str) -> StoredResponse:
     """Parse and check a file's bytes. Raises ResponseFileError naming ``name``, what is wrong and the remedy."""
 
-    def wrong(what: str) -> ResponseFileError:
-        return ResponseFileError(f"{name}: {what}; {_REMEDY}")
-
-    try:
-        content = checked_content(data, MAX_BYTES)
-    except ChecksumError as error:
-        raise wrong(str(error)) from error
-    if content.get("schema") != SCHEMA:
-        raise wrong(f"schema {content.get('schema')!r:.40}; this version reads schema {SCHEMA}")
+    wrong, content = partial(_KIND.wrong, name), _KIND.content(data, name)
     serial, sources = content.get("rig_serial"), content.get("made_from")
     if not isinstance(serial, str) or not isinstance(sources, list):
         raise wrong("rig_serial or made_from is missing")
@@ -81,9 +81,5 @@ def decode(data: bytes, name: str) -> StoredResponse:
 
 def load(path: Path) -> StoredResponse | None:
     """Read a response file; ``None`` where there is none. Raises ResponseFileError."""
-    try:
-        return decode(path.read_bytes(), f"response {path}")
-    except FileNotFoundError:
-        return None
-    except OSError as error:
-        raise ResponseFileError(f"response {path}: cannot be read ({error.strerror}); {_REMEDY}") from error
+    found = _KIND.data(path)
+    return None if found is None else decode(*found)
