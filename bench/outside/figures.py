@@ -12,6 +12,7 @@ import numpy as np
 from appliance.scan.fault import FaultCode
 from bench.outside.kept import Row
 from bench.result import Measured
+from bench.verdict.binomial import out_of
 
 HONEST = 1.5
 """A scan whose errors are more than so many times what is expected needs a verdict that says why."""
@@ -50,7 +51,7 @@ def of_scenes(rows: Sequence[Row]) -> list[Measured]:
     ]  # fmt: skip
     for name, code in FALSE_ALARMS.items():
         alarms = sum(code.value in row["faults"] for row in rigid)
-        found.append(Measured(f"false alarms of {name}", alarms, f"of {len(rigid)}", at_most=0.0))
+        found.append(Measured(f"false alarms of {name}", alarms, out_of(len(rigid), alarms), at_most=0.0))
     if soft:
         taken = [row for row in soft if row["accepted"]]
         found += [

@@ -70,7 +70,7 @@ PARTS = MappingProxyType(
         "milk": Entry("bench.outside.milk", "completeness in water like diluted milk", 8, 1, noise=True),
         "rigs": Entry("bench.outside.rigs", "calibrated rigs: lengths, planes, and whether misses are announced", 8, 1),
         "health": Entry(
-            "bench.outside.health", "normal scans and knocks as the calibration's health sees them", 320, 8
+            "bench.outside.health", "normal scans and knocks as the calibration's health sees them", 112, 8
         ),
         "motion": Entry(
             "bench.verdict.motion", "what moved is rejected, what did no harm is not", 120, 2, world=OUTSIDE

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+from appliance.calibration.health import LIMIT
 from bench.outside.draws import scene_world
 from bench.outside.figures import of_families, of_scenes
+from bench.outside.health import followed
 from bench.outside.kept import Row, kept_row, kept_scan
 from bench.outside.noise import WAYS
 from bench.outside.scan import SEQUENCE, row_of, worked_through
 from bench.outside.stated import stated_truth
 from bench.result import Measured
 from bench.spread import spread
+from bench.verdict.binomial import out_of
 from bench.verdict.parts import Say
 from hw_sim.outside import ALL
 
-FAMILY_SHARE = 0.06
+FAMILY_SHARE = 0.03
 """Of the scenes, so many are measured with each family alone and with none."""
 ORDINARY = "ordinary"
 TOGETHER = "all"
@@ -37,7 +41,25 @@ def measure(
     ):
         say(f"scenes: {done} of {len(wanted)}", done / len(wanted))
         rows[name].append(row)
-    return of_scenes(rows[TOGETHER]), {"rows": rows, "families": of_families(rows, few)}
+    found = of_scenes(rows[TOGETHER]) + watched(rows[TOGETHER])
+    return found, {"rows": rows, "families": of_families(rows, few)}
+
+
+def watched(rows: Sequence[Row]) -> list[Measured]:
+    """Return what the watch over the calibration says of the scans of each instrument in turn: every calibration here is exact,
+    and hands move."""
+    instruments: dict[int, list[Row]] = {}
+    for row in rows:
+        instruments.setdefault(row["rig_seed"], []).append(row)
+    told, largest = 0, 0.0
+    for scans in instruments.values():
+        said = list(followed(scans))
+        told += any(one.alarm for one in said)
+        largest = max([largest, *(one.point.total for one in said if one.point is not None)])
+    return [
+        Measured("instruments whose calibration is doubted", told, out_of(len(instruments), told), at_most=0.0),
+        Measured("largest sum of the watch over the calibration", largest, f"of {LIMIT:g}", at_most=LIMIT),
+    ]
 
 
 def family_scenes(count: int) -> int:

@@ -23,3 +23,11 @@ def counted(count: int, of: int) -> str:
         return "none to count"
     low, high = limits(count, of)
     return f"{count} of {of} = {100.0 * count / of:.1f} % ({100.0 * low:.1f} to {100.0 * high:.1f})"
+
+
+def out_of(of: int, count: int) -> str:
+    """As the unit of a count, with the limits of its share in percent: ``of 500 (0.1 to 1.7 %)``."""
+    if of == 0:
+        return "of 0"
+    low, high = limits(count, of)
+    return f"of {of} ({100.0 * low:.1f} to {100.0 * high:.1f} %)"

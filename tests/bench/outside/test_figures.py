@@ -48,6 +48,12 @@ def test_an_alarm_that_no_scene_deserves_misses_its_bound() -> None:
     assert not alarms.kept
 
 
+def test_a_rate_has_its_interval() -> None:
+    alarms = next(one for one in of_scenes([a_row()] * 300) if one.name == "false alarms of light")
+    # Exact limits of 0 of 300: 1 - 0.025^(1/300) = 1.22 %.
+    assert alarms.unit == "of 300 (0.0 to 1.2 %)"
+
+
 def test_no_scan_at_all_is_no_figure() -> None:
     assert math.isnan(of([], "error over sigma, median of accepted"))
 
