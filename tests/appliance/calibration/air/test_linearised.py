@@ -1,0 +1,156 @@
+"""How a board looks in air and what changes that, against OpenCV's projection and differences taken here."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from appliance.calibration.air.adjustment import NO_PORT
+from appliance.calibration.air.linearised import Bend, BoardView, bend_of, each_changed, moved, seen, slopes
+from appliance.optics.model import HousedCamera, StereoRig
+from appliance.optics.pinhole import Lens
+from appliance.optics.rotation import matrix3
+
+LENSES = np.array(
+    [[2400.0, 803.0, 596.0, -0.12, 0.08, 4e-4, -3e-4, 0.02], [2430.0, 795.0, 604.0, -0.1, 0.05, -2e-4, 5e-4, -0.03]]
+)
+TURN_RAD, BASE_MM = np.array([0.02, -0.4, 0.03]), np.array([228.0, 3.0, 25.0])
+BOARD_RAD, BOARD_MM = np.array([0.3, -0.2, 1.1]), np.array([20.0, -15.0, 540.0])
+AMOUNTS_MM = np.array([0.2, -0.15, 0.1, 0.3, -0.25])
+MIDDLE_MM, REACH_MM = np.array([40.0, 25.0, 0.0]), 90.0
+
+
+def turned(vector: np.ndarray) -> np.ndarray:
+    return np.asarray(cv2.Rodrigues(np.asarray(vector, np.float64))[0])
+
+
+def rig(values: np.ndarray | None = None) -> StereoRig:
+    """The rig with the 22 ``values`` added: eight of each lens, turns of the right camera about its own axes, its shift."""
+    x = np.zeros(22) if values is None else values
+    lenses = [
+        Lens((f, f), (u, v), (k1, k2, p1, p2, k3)) for f, u, v, k1, k2, p1, p2, k3 in LENSES + x[:16].reshape(2, 8)
+    ]
+    t = BASE_MM + x[19:]
+    right = HousedCamera(
+        1600, 1200, lenses[1], NO_PORT, matrix3(turned(TURN_RAD) @ turned(x[16:19])), tuple(t.tolist())
+    )
+    return StereoRig(HousedCamera(1600, 1200, lenses[0], NO_PORT), right)
+
+
+def corners_mm() -> np.ndarray:
+    """A board that is no square, whose frame begins at none of its corners and not in its middle."""
+    x, y = np.meshgrid(np.linspace(-50.0, 130.0, 7), np.linspace(-35.0, 85.0, 5))
+    return np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+
+
+def look(
+    values: np.ndarray, amounts_mm: np.ndarray, turn: np.ndarray, shift_mm: np.ndarray, scale: float = 0.0
+) -> np.ndarray:
+    """Pixels of both cameras by OpenCV: left u, v of each corner, then right."""
+    corners = corners_mm()
+    p, q = (corners[:, :2] - MIDDLE_MM[:2]).T / REACH_MM
+    for amount, rise in zip(
+        amounts_mm, (1 - 2 * (p**2 + q**2), p**2 - q**2, 2 * p * q, p - p**3, q - q**3), strict=True
+    ):
+        corners[:, 2] += amount * rise
+    corners += scale * (corners - MIDDLE_MM)
+    points = corners @ (turned(BOARD_RAD) @ turned(turn)).T + BOARD_MM + shift_mm
+    found = []
+    for camera in (rig(values).left, rig(values).right):
+        R, t = np.asarray(camera.rotation), np.asarray(camera.translation_mm)
+        matrix = np.array(
+            [[camera.lens.f_px[0], 0, camera.lens.c_px[0]], [0, camera.lens.f_px[1], camera.lens.c_px[1]], [0, 0, 1]]
+        )
+        found.append(
+            cv2.projectPoints(points, cv2.Rodrigues(R.T)[0], -R.T @ t, matrix, np.array(camera.lens.distortion))[0]
+        )
+    return np.concatenate(found).ravel()
+
+
+NO_VALUES, NO_TURN = np.zeros(22), np.zeros(3)
+
+
+def test_a_bent_board_looks_as_opencv_projects_it() -> None:
+    bend = Bend(MIDDLE_MM, REACH_MM)
+    corners = corners_mm()
+    corners[:, 2] = bend.of(corners) @ AMOUNTS_MM
+    found = seen(rig(), (turned(BOARD_RAD), BOARD_MM), corners)
+    assert found == pytest.approx(look(NO_VALUES, AMOUNTS_MM, NO_TURN, NO_TURN), abs=1e-6)
+
+
+def test_a_board_bends_about_its_middle_in_shapes_of_one_millimetre() -> None:
+    view = BoardView("board", corners_mm(), np.zeros((35, 2)), np.zeros((35, 2)))
+    part = replace(view, corners_mm=view.corners_mm[:20])
+    bend = bend_of([part, replace(view, corners_mm=view.corners_mm[10:])])
+    assert bend.middle == pytest.approx(MIDDLE_MM)
+    assert bend.reach_mm == pytest.approx(REACH_MM)
+    a = REACH_MM
+    at = MIDDLE_MM + np.array([[0, 0, 0], [a, 0, 0], [0, a, 0], [a, -a, 0], [a / 2, 0, 0], [0, -a / 2, 0]])
+    bow, saddle, twist, along, down = bend.of(at).T
+    assert bow == pytest.approx([1.0, -1.0, -1.0, -3.0, 0.5, 0.5])
+    assert saddle == pytest.approx([0.0, 1.0, -1.0, 0.0, 0.25, -0.25])
+    assert twist == pytest.approx([0.0, 0.0, 0.0, -2.0, 0.0, 0.0])
+    assert along == pytest.approx([0.0, 0.0, 0.0, 0.0, 0.375, 0.0])
+    assert down == pytest.approx([0.0, 0.0, 0.0, 0.0, 0.0, -0.375])
+
+
+def test_every_slope_is_that_of_opencvs_pixels() -> None:
+    changes = np.concatenate(
+        [np.tile([0.3, 0.2, -0.4, 1e-3, -2e-3, 1e-4, 2e-4, 1e-3], 2), [1e-3, -2e-3, 1e-3], [0.5, 0.2, -0.3]]
+    )
+    place = turned(BOARD_RAD), BOARD_MM
+    corners = corners_mm()
+    bend = bend_of([BoardView("", corners, corners, corners)])
+    now = look(changes, AMOUNTS_MM, NO_TURN, NO_TURN)
+    off = np.random.default_rng(2).normal(0.0, 0.3, now.size)
+    left, right = (now + off).reshape(2, -1, 2)
+    changed = each_changed(rig(), changes)
+    found = slopes(rig(changes), changed, place, BoardView("board", corners, left, right), bend, AMOUNTS_MM)
+    assert found.residual == pytest.approx(off, abs=1e-6), "seen less computed"
+
+    def slope(step: float, which: str, k: int) -> np.ndarray:
+        ways = []
+        for sign in (1.0, -1.0):
+            values, amounts, turn, shift, scale = changes.copy(), AMOUNTS_MM.copy(), NO_TURN.copy(), NO_TURN.copy(), 0.0
+            target = {"value": values, "amount": amounts, "turn": turn, "shift": shift}.get(which)
+            if target is None:
+                scale = sign * step
+            else:
+                target[k] += sign * step
+            ways.append(look(values, amounts, turn, shift, scale))
+        return np.asarray((ways[0] - ways[1]) / (2.0 * step))
+
+    steps = [1e-2] * 3 + [1e-4] * 5
+    for k, step in enumerate(steps * 2 + [1e-5] * 3 + [1e-2] * 3):
+        wanted = slope(step, "value", k)
+        assert found.by_rig[:, k] == pytest.approx(wanted, rel=1e-3, abs=2e-3 * np.abs(wanted).max()), f"value {k}"
+    for k in range(5):
+        wanted = slope(1e-2, "amount", k)
+        assert found.by_rig[:, 22 + k] == pytest.approx(wanted, rel=1e-3, abs=2e-3 * np.abs(wanted).max()), f"shape {k}"
+    for k in range(3):
+        for column, which, step in ((k, "turn", 1e-5), (3 + k, "shift", 1e-2)):
+            wanted = slope(step, which, k)
+            assert found.by_place[:, column] == pytest.approx(wanted, rel=1e-3, abs=2e-3 * np.abs(wanted).max()), which
+    wanted = slope(1e-4, "scale", 0)
+    assert found.by_scale == pytest.approx(wanted, rel=1e-3, abs=2e-3 * np.abs(wanted).max())
+
+
+def test_a_board_turns_about_its_own_axes_and_shifts_in_the_rigs() -> None:
+    R, t = moved((turned(BOARD_RAD), BOARD_MM), np.array([0.0, 0.0, np.pi / 2, 1.0, 2.0, 3.0]))
+    quarter = turned(BOARD_RAD).T @ R
+    assert quarter == pytest.approx(np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]]), abs=1e-12)
+    assert t == pytest.approx(BOARD_MM + np.array([1.0, 2.0, 3.0]))
+
+
+def test_each_of_the_values_changes_its_own_part_of_the_rig() -> None:
+    start = rig()
+    rigs = each_changed(start)
+    assert len(rigs) == 22
+    for k, one in enumerate(rigs):
+        assert (one.left != start.left) == (k < 8)
+        assert (one.right.lens != start.right.lens) == (8 <= k < 16)
+    assert rigs[3].left.lens.distortion[0] == pytest.approx(start.left.lens.distortion[0] + 1e-5, abs=1e-12)
+    assert rigs[20].right.translation_mm == pytest.approx(BASE_MM + np.array([0.0, 1e-3, 0.0]))
