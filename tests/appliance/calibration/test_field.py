@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from appliance.calibration.field import AIR_VALUES, EYES, LEAST_PX, REACHES, AirField, FieldPrior, kernels
+from appliance.calibration.field import AIR_VALUES, EYES, REACHES, AirField, FieldPrior, kernels
+from appliance.calibration.field import INTERVALS as FIELD_INTERVALS
 from appliance.optics.correction import node_count
 
 SIZE_PX = (1600, 1200)
@@ -39,7 +42,8 @@ def test_a_field_of_one_length_is_told_from_those_of_others(which: int) -> None:
 
 def test_no_field_is_believed_where_there_is_none() -> None:
     found = np.sqrt(refitted(np.zeros(EYES * COUNT), np.ones(EYES * COUNT, bool)).variances_px2)
-    assert np.all(found < 3.0 * LEAST_PX)
+    assert np.all(found < 0.006)
+    assert found.min() == pytest.approx(0.002), "data that seem to be perfect hold nothing at nothing"
 
 
 def test_nodes_that_nothing_was_seen_of_follow_their_neighbours_with_more_doubt() -> None:
@@ -69,3 +73,98 @@ def test_a_field_that_is_cut_off_or_garbled_is_refused(text: str, said: str) -> 
     size = AIR_VALUES + EYES * node_count((2, 1))
     with pytest.raises(ValueError, match=said):
         AirField.from_text((2, 1), (0.0,) * size, text)
+
+
+def test_two_nodes_are_as_much_alike_as_matern_says_of_their_distance() -> None:
+    """Distance as a share of the image's width, whatever its height: 1600 / 10 px across, 900 / 3 px down."""
+    columns, rows = 13, 6
+    for reach, found in zip((0.5, 0.2, 0.07), kernels((1600, 900), (10, 3)), strict=True):
+        at = found.reshape(rows, columns, rows, columns)
+        for across, down in ((0, 0), (1, 0), (5, 0), (0, 1), (3, 2)):
+            r = np.sqrt(3.0) * np.hypot(across * 160.0, down * 300.0) / (reach * 1600.0)
+            assert at[1, 4, 1 + down, 4 + across] == pytest.approx((1.0 + r) * np.exp(-r), rel=1e-9)
+            assert at[1 + down, 4 + across, 1, 4] == pytest.approx((1.0 + r) * np.exp(-r), rel=1e-9)
+
+
+def test_intervals_are_square_on_images_of_four_to_three() -> None:
+    assert 3 * FIELD_INTERVALS[0] == 4 * FIELD_INTERVALS[1]
+
+
+def test_before_any_data_a_node_may_be_off_by_three_hundredths_of_a_pixel_for_each_length() -> None:
+    size = EYES * node_count((3, 2))
+    prior = FieldPrior(np.zeros((size, size)), np.zeros(size), SIZE_PX, (3, 2))
+    covariance = np.linalg.inv(prior.information)
+    assert np.diag(covariance) == pytest.approx(3.0 * 0.03**2, rel=1e-3)
+    assert np.abs(covariance[:30, 30:]).max() < 1e-9, "one component says nothing of another, nor one camera"
+
+
+def test_one_round_changes_a_variance_tenfold_at_most() -> None:
+    size = EYES * node_count((3, 2))
+    nothing, much = np.zeros(size), np.random.default_rng(6).normal(0.0, 5.0, size)
+    for nodes, factor in ((nothing, 0.1), (much, 10.0)):
+        prior = FieldPrior(np.zeros((size, size)), np.zeros(size), SIZE_PX, (3, 2))
+        prior.refit(np.eye(size) * 1e10, -1e10 * nodes, np.zeros(size), 1)
+        assert prior.variances_px2 == pytest.approx(factor * 0.03**2)
+
+
+@pytest.mark.parametrize("coupled", [False, True])
+def test_variances_are_where_the_likelihood_of_the_data_has_its_top(coupled: bool) -> None:
+    """Restricted likelihood by its textbook formula, with the data's whole covariance (Patterson and Thompson, 1971)."""
+    intervals, first, free, noise = (2, 2), 7, 5, 0.3
+    count = node_count(intervals)
+    m = first + EYES * count
+    rng = np.random.default_rng(12)
+    known = np.zeros((m, m))
+    root = rng.normal(size=(m, m)) * 0.02 if coupled else np.zeros((m, m))
+    root[:first, :first] = rng.normal(size=(first, first))
+    known[:] = root @ root.T
+    mean = np.concatenate([rng.normal(size=first), 0.05 * rng.normal(size=EYES * count)])
+    all_kernels = kernels(SIZE_PX, intervals)
+    roots = [np.linalg.cholesky(K + 1e-9 * np.eye(count)) for K in all_kernels]
+    z = np.concatenate([mean + root @ rng.normal(size=m), rng.normal(size=free)])
+    for k in range(EYES):
+        at = slice(first + k * count, first + (k + 1) * count)
+        z[at] += sum(sd * one @ rng.normal(size=count) for sd, one in zip((0.3, 0.2, 0.3), roots, strict=True))
+    A = rng.normal(size=(90, m + free))
+    y = A @ z + noise * rng.normal(size=len(A))
+    prior = FieldPrior(known, mean, SIZE_PX, intervals)
+    about = z + 0.01 * rng.normal(size=len(z))
+    prior.refit(A.T @ A / noise**2, -A.T @ (y - A @ about) / noise**2, about, 400)
+    covariance = known.copy()
+    for k in range(EYES):
+        at = slice(first + k * count, first + (k + 1) * count)
+        covariance[at, at] += sum(v * K for v, K in zip(prior.variances_px2, all_kernels, strict=True))
+    X = A[:, m:]
+    inverse = np.linalg.inv(A[:, :m] @ covariance @ A[:, :m].T + noise**2 * np.eye(len(A)))
+    P = inverse - inverse @ X @ np.linalg.solve(X.T @ inverse @ X, X.T @ inverse)
+    pull = P @ (y - A[:, :m] @ mean)
+    for K in all_kernels:
+        blocks = [A[:, first + k * count : first + (k + 1) * count] for k in range(EYES)]
+        found = sum(float(pull @ one @ K @ one.T @ pull) for one in blocks)
+        wanted = sum(float(np.sum((one.T @ P @ one) * K)) for one in blocks)
+        assert found == pytest.approx(wanted, rel=0.04)
+    assert np.linalg.inv(prior.information) == pytest.approx(covariance, abs=1e-5)
+
+
+def test_a_field_that_holds_no_numbers_is_refused() -> None:
+    size = AIR_VALUES + EYES * node_count((2, 1))
+    field = AirField.of((2, 1), np.zeros(size), np.eye(size))
+    values = np.frombuffer(field.root, "<f4").copy()
+    values[3] = np.nan
+    with pytest.raises(ValueError, match="a value is not finite"):
+        AirField.from_text((2, 1), field.mean, replace(field, root=values.tobytes()).text)
+
+
+def test_a_field_of_another_size_says_which_is_wanted() -> None:
+    """22 values and 4 · 20 nodes: a factor of 102 · 103 / 2 numbers of four bytes."""
+    with pytest.raises(ValueError, match=r"with 101 values and 21012 bytes; 2 × 1 intervals need 102 and 21012"):
+        AirField((2, 1), (0.0,) * 101, b"0" * 21012)
+    with pytest.raises(ValueError, match=r"with 102 values and 21008 bytes"):
+        AirField((2, 1), (0.0,) * 102, b"0" * 21008)
+
+
+def test_what_is_no_covariance_is_refused() -> None:
+    known = np.zeros((82, 82))
+    known[0, 0], known[1, 1] = 1.0, -1.0
+    with pytest.raises(np.linalg.LinAlgError, match="not positive definite at 2 of 2"):
+        FieldPrior(known, np.zeros(82), SIZE_PX, (2, 1))

@@ -1,0 +1,247 @@
+"""Errors to be expected of lengths and planes are those that triangulating with another rig gives, and are told with the right remedy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from appliance.calibration import parameters
+from appliance.calibration.design import Design, design_calibration
+from appliance.calibration.recordings import ArtefactKind, Recording
+from appliance.calibration.water.expected import Columns, Doubt, Expected, expected, warnings_about_expected
+from appliance.optics.correction import ImageCorrection
+from appliance.optics.model import HousedCamera, StereoRig
+from appliance.optics.ray_shift import RayShift
+from appliance.optics.water import Water
+
+Array = NDArray[np.float64]
+
+WATER = Water(20.0, 0.0, 530.0)
+WIDTH_PX, HEIGHT_PX = 400, 300
+START = design_calibration(Design(11.5, 4.5 * 4, 230.0, 12.41, 30.0, 5.0, 1.77), "KF", WIDTH_PX, HEIGHT_PX, WATER).rig
+ACTIVE = (5, *range(6, 28))
+"""Not all parameters, and not in the places of their names."""
+NODES, SHIFTS = (5, 4), (4, 3)
+_A, _B = 2 * 8 * 7, 2 * 7 * 6
+_ENDS = np.cumsum([len(ACTIVE), _A, _A, _B, _B])
+GROUPS = [slice(int(a), int(b)) for a, b in pairwise(_ENDS)]
+COLUMNS = Columns(ACTIVE, (GROUPS[0], GROUPS[1]), (GROUPS[2], GROUPS[3]))
+SIZE = int(_ENDS[-1]) + 5
+"""The artefacts' places come last; nothing depends on them."""
+LENGTH_MM, RADIUS_MM = 120.0, 25.0
+BAR = Recording(
+    "bar",
+    ArtefactKind.BALL_BAR,
+    np.zeros((60, 2)),
+    np.zeros((60, 2)),
+    WATER,
+    np.repeat([0, 1], 30),
+    LENGTH_MM,
+    radius_mm=RADIUS_MM,
+)
+
+
+def with_surfaces(rig: StereoRig, x: Array) -> StereoRig:
+    """The rig with small corrections and ray shifts, and the nodes of ``x`` added: first all nodes across, then all down."""
+    cameras: list[HousedCamera] = []
+    for eye, camera in enumerate((rig.left, rig.right)):
+        base = np.random.default_rng(30 + eye)
+        correction = base.normal(0.0, 0.03, _A) + x[GROUPS[eye]].reshape(2, -1).T.ravel()
+        shift = base.normal(0.0, 0.01, _B) + x[GROUPS[2 + eye]].reshape(2, -1).T.ravel()
+        cameras.append(
+            replace(
+                camera,
+                correction=ImageCorrection(WIDTH_PX, HEIGHT_PX, NODES, tuple(correction.tolist())),
+                ray_shift=RayShift(WIDTH_PX, HEIGHT_PX, SHIFTS, tuple(shift.tolist())),
+            )
+        )
+    return StereoRig(*cameras)
+
+
+RIG = with_surfaces(START, np.zeros(SIZE))
+
+
+def changed(x: Array) -> StereoRig:
+    values = np.zeros(parameters.COUNT)
+    values[list(ACTIVE)] = x[: len(ACTIVE)]
+    return with_surfaces(parameters.rig_with(START, values), x)
+
+
+def met(rig: StereoRig, seen: tuple[Array, Array], index: float) -> Array:
+    """Points nearest to both rays of each pair of pixels, by least squares."""
+    normal, side = np.zeros((len(seen[0]), 3, 3)), np.zeros((len(seen[0]), 3))
+    for camera, uv in zip((rig.left, rig.right), seen, strict=True):
+        origin, way = camera.rays(uv, index)
+        across = np.eye(3) - way[:, :, None] * way[:, None, :]
+        normal += across
+        side += np.einsum("nij,nj->ni", across, origin)
+    return np.asarray(np.linalg.solve(normal, side[:, :, None])[:, :, 0])
+
+
+def axes() -> tuple[Array, Array]:
+    middle = RIG.volume_centre_mm(WATER.index)
+    base = np.asarray(RIG.right.translation_mm)
+    x = base / np.linalg.norm(base)
+    z = middle - base / 2.0
+    z = z - x * (z @ x)
+    z /= np.linalg.norm(z)
+    return middle, np.stack([x, np.cross(z, x), z])
+
+
+def places() -> list[Array]:
+    """The middle of the volume, and 7 % of its distance nearer and farther."""
+    middle, frame = axes()
+    return [middle + part * (middle @ frame[2]) * frame[2] for part in (-0.07, 0.0, 0.07)]
+
+
+def bars() -> list[tuple[Array, Array]]:
+    """For each of the twelve bars its direction and the near sides of its balls, (14, 3)."""
+    _, frame = axes()
+    sixth = np.radians(60.0) * np.arange(6)
+    near = np.array([[0.0, 0.0, -1.0], *([0.6 * np.cos(a), 0.6 * np.sin(a), -0.8] for a in sixth)]) * RADIUS_MM
+    found = []
+    leans = [[0.0, 35.0, -35.0, 0.0], [35.0, -35.0, 0.0, 35.0], [-35.0, 0.0, 35.0, -35.0]]
+    for at, of_depth in zip(places(), leans, strict=True):
+        for roll, lean in zip(np.radians([0.0, 45.0, 90.0, -45.0]), np.radians(of_depth), strict=True):
+            way = np.array([np.cos(lean) * np.cos(roll), np.cos(lean) * np.sin(roll), np.sin(lean)]) @ frame
+            found.append((way, np.concatenate([at + s * LENGTH_MM / 2.0 * way + near @ frame for s in (-1.0, 1.0)])))
+    return found
+
+
+def planes() -> list[Array]:
+    """Grids of 9 × 7 points over 200 mm × 150 mm."""
+    _, frame = axes()
+    grid = np.array([[x, y, 0.0] for y in np.linspace(-75.0, 75.0, 7) for x in np.linspace(-100.0, 100.0, 9)])
+    return [at + grid @ frame for at in places()]
+
+
+Change = Callable[[float], tuple[StereoRig, float, float]]
+"""To a size: another rig, how much farther to the right the right camera's pixels lie, another index."""
+
+
+def moves(points: Array, change: Change) -> Array:
+    """How points move for each unit of a change, which only computing knows of: pixels are those of ``RIG``."""
+    seen = RIG.left.project(points, WATER.index), RIG.right.project(points, WATER.index)
+    ends = []
+    for size in (1e-4, -1e-4):
+        rig, aside_px, index = change(size)
+        ends.append(met(rig, (seen[0], seen[1] + np.array([aside_px, 0.0])), index))
+    return (ends[0] - ends[1]) / 2e-4
+
+
+def wrong_percent(change: Change, each_place_its_own: bool = False) -> tuple[float, float]:
+    """The largest error of a length and bend of a plane that a change of one standard deviation makes expect."""
+    lengths, bends = [], []
+    for way, points in bars():
+        first, second = moves(points, change).reshape(2, 7, 3).mean(axis=1) @ way
+        lengths.append(np.hypot(first, second) if each_place_its_own else second - first)
+    normal = axes()[1][2]
+    for points in planes():
+        heights = moves(points, change) @ normal
+        if not each_place_its_own:
+            design = np.column_stack([np.ones(len(points)), points @ axes()[1][:2].T])
+            heights = heights - design @ np.linalg.lstsq(design, heights, rcond=None)[0]
+        bends.append(np.sqrt(np.mean(heights**2)))
+    # Two standard deviations of a length; six from the lowest to the highest place of a plane of a diagonal of 250 mm.
+    return 100.0 * 2.0 * float(np.abs(lengths).max()) / LENGTH_MM, 100.0 * 6.0 * float(max(bends)) / 250.0
+
+
+def some(group: str) -> Array:
+    """A change of all unknowns of a group."""
+    x = np.zeros(SIZE)
+    rng = np.random.default_rng(31)
+    if group == "rig":
+        x[: len(ACTIVE)] = 3.0 * rng.normal(size=len(ACTIVE)) * parameters.STEPS[list(ACTIVE)]
+    else:
+        where = GROUPS[["left nodes", "right nodes", "left shifts", "right shifts"].index(group)]
+        x[where] = 0.05 * rng.normal(size=where.stop - where.start)
+    return x
+
+
+@pytest.mark.parametrize("group", ["rig", "left nodes", "right nodes", "left shifts", "right shifts"])
+def test_an_unknown_that_is_unsure_makes_expect_what_another_rig_would_measure(group: str) -> None:
+    x = some(group)
+    found = expected(RIG, BAR, Doubt(np.outer(x, x), np.zeros(SIZE), 0.0, 0.0), COLUMNS)
+    length, flat = wrong_percent(lambda size: (changed(size * x), 0.0, WATER.index))
+    assert found.length_percent == pytest.approx(length, rel=0.01)
+    assert found.flat_percent == pytest.approx(flat, rel=0.01)
+
+
+def test_what_is_left_is_an_error_of_its_own_of_each_place() -> None:
+    found = expected(RIG, BAR, Doubt(np.zeros((SIZE, SIZE)), np.zeros(SIZE), 0.0, 0.03), COLUMNS)
+    length, flat = wrong_percent(lambda size: (RIG, 0.03 * size, WATER.index), each_place_its_own=True)
+    assert found.length_percent == pytest.approx(length, rel=0.01)
+    assert found.flat_percent == pytest.approx(flat, rel=0.01)
+
+
+def test_the_waters_index_counts_with_what_the_adjustment_answers_to_it() -> None:
+    answer = 100.0 * some("rig")
+    found = expected(RIG, BAR, Doubt(np.zeros((SIZE, SIZE)), answer, 2e-4, 0.0), COLUMNS)
+    length, flat = wrong_percent(lambda size: (changed(2e-4 * size * answer), 0.0, WATER.index + 2e-4 * size))
+    assert found.length_percent == pytest.approx(length, rel=0.01)
+    assert found.flat_percent == pytest.approx(flat, rel=0.01)
+
+
+@pytest.mark.parametrize("name", ["length_percent", "flat_percent"])
+def test_doubts_that_have_nothing_to_do_with_each_other_add_as_squares(name: str) -> None:
+    """Three that make expect the same: together at most the root of three times as much, which they would in the same worst place."""
+    nothing, none = np.zeros(SIZE), np.zeros((SIZE, SIZE))
+    x = some("rig")
+    sizes = []
+    for doubt in (
+        Doubt(np.outer(x, x), nothing, 0.0, 0.0),
+        Doubt(none, nothing, 1e-3, 0.0),
+        Doubt(none, nothing, 0.0, 0.1),
+    ):
+        sizes.append(0.01 / float(getattr(expected(RIG, BAR, doubt, COLUMNS), name)))
+    covariance = np.outer(x, x) * sizes[0] ** 2
+    together = getattr(expected(RIG, BAR, Doubt(covariance, nothing, 1e-3 * sizes[1], 0.1 * sizes[2]), COLUMNS), name)
+    assert 0.015 < together <= 0.01 * 3.0**0.5 * 1.00001
+
+
+def recorded(bars: int, planes: int) -> list[Recording]:
+    plane = Recording("plane", ArtefactKind.PLANE, np.zeros((60, 2)), np.zeros((60, 2)), WATER, np.zeros(60, np.intp))
+    return [BAR] * bars + [plane] * planes
+
+
+@pytest.mark.parametrize(
+    ("bars", "planes", "length", "flat", "warned"),
+    [
+        (2, 2, 0.05, 0.05, False),
+        (2, 2, 0.051, 0.01, True),
+        (2, 2, 0.01, 0.051, True),
+        (4, 6, 0.025, 0.05, False),
+        (4, 6, 0.026, 0.01, True),
+        (3, 9, 0.05, 0.05, False),
+        (4, 5, 0.05, 0.05, False),
+        (9, 5, 0.05, 0.05, False),
+    ],
+)
+def test_ten_recordings_must_do_better_in_lengths_than_four(
+    bars: int, planes: int, length: float, flat: float, warned: bool
+) -> None:
+    said = warnings_about_expected(Expected(length, flat), recorded(bars, planes), 0.0, True)
+    assert len(said) == warned
+
+
+@pytest.mark.parametrize(
+    ("bars", "rest_px", "known", "remedy"),
+    [
+        (2, 0.01, True, "record 4 bars in different directions and 6 planes, near and far"),
+        (4, 0.0, True, "0.000 px are left that the model does not explain; calibrate in air again, with boards to the edges of both"),
+        (2, 0.011, True, "0.011 px are left that the model does not explain; calibrate in air again, with boards to the edges of both"),
+        (2, 0.2, False, "calibrate in air again: this start does not know what its lenses do beyond their coefficients"),
+        (4, 0.0, False, "calibrate in air again: this start does not know what its lenses do beyond their coefficients"),
+    ],
+)  # fmt: skip
+def test_the_remedy_is_for_what_is_missing(bars: int, rest_px: float, known: bool, remedy: str) -> None:
+    (said,) = warnings_about_expected(Expected(0.0812, 0.0634), recorded(bars, 6), rest_px, known)
+    most = "0.025" if bars == 4 else "0.05"
+    assert said.startswith(
+        f"lengths may be wrong by 0.081 % (at most {most} % is usual), planes bent by 0.063 % of their size (at most 0.05 %): {remedy}"
+    )
