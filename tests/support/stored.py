@@ -7,13 +7,21 @@ from pathlib import Path
 from appliance.scan.exposure import Exposure
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.record import ScanRecord, SequenceInfo
-from appliance.storage.scan import write_raw
+from appliance.storage.scan import ScanOrigin, write_raw
 from hw_sim.water.medium import GREEN_NM
 from tests.support.rendered import RenderedScan
 
 
-def store(scan: RenderedScan, folder: Path, response_hash: str | None = None, exposure_ms: float | None = None) -> Path:
-    """The raw frames and the manifest of a scan, in a new folder, with the water of its scene."""
+def store(
+    scan: RenderedScan,
+    folder: Path,
+    response_hash: str | None = None,
+    exposure_ms: float | None = None,
+    gain_db: float = 0.0,
+    origin: ScanOrigin | None = None,
+) -> Path:
+    """The raw frames and the manifest of a scan, in a new folder, with the water of its scene. ``origin``: calibration and rig
+    that it carries with it."""
     water = scan.renderer.scene.water
     record = ScanRecord(
         sequence=SequenceInfo.of(scan.sequence),
@@ -24,7 +32,7 @@ def store(scan: RenderedScan, folder: Path, response_hash: str | None = None, ex
         clock_trusted=True,
         recorded_ns=1,
         response_hash=response_hash,
-        exposure=None if exposure_ms is None else Exposure(round(1000.0 * exposure_ms)),
+        exposure=None if exposure_ms is None else Exposure(round(1000.0 * exposure_ms), gain_db),
         water={
             "temperature_c": water.temperature_c,
             "salinity_psu": water.salinity_psu,
@@ -32,5 +40,5 @@ def store(scan: RenderedScan, folder: Path, response_hash: str | None = None, ex
         },
         temperatures_c={"projector": 41.5, "case": None},
     )
-    write_raw(LocalFileSystem(), folder, folder.name, scan.frames, record)
+    write_raw(LocalFileSystem(), folder, folder.name, scan.frames, record, origin)
     return folder

@@ -11,9 +11,10 @@ import pytest
 
 from appliance.calibration.response.file import load
 from appliance.cli import main
-from appliance.config import load_rig
+from appliance.config import load_rig, rig_text
 from appliance.instrument import NOISE_FILE, noise_of, with_measured_noise
 from appliance.scan.sides import of_side
+from appliance.storage.scan import ScanOrigin
 from hw_sim.outside import draw_outside
 from hw_sim.scene import Imaging, Scene
 from tests.support.rendered import RenderedScan, render_scan
@@ -74,10 +75,23 @@ def test_installed_noise_is_what_the_instrument_expects_from_then_on(
     root = tmp_path / "root"
     scan, words = store(plane, tmp_path / "plane"), ("--rig", str(RIG), "--root", str(root))
     assert main(["measure", "noise", str(scan), "--install", *words]) == 2, "a root that is mistyped is not made"
+    assert f"--root {root}: no such folder" in capsys.readouterr().err
+    its_own = tmp_path / "rig.toml"
+    its_own.write_text(rig_text(replace(load_rig(RIG), storage=replace(load_rig(RIG).storage, root=root))))
+    assert main(["measure", "noise", str(scan), "--install", "--rig", str(its_own)]) == 2, "nor that of a rig file"
+    assert f"--root {root}: no such folder; give the instrument's" in capsys.readouterr().err
+    assert not root.exists()
     root.mkdir()
-    capsys.readouterr()
+    assert main(["measure", "noise", str(scan), *words]) == 0
+    shown = capsys.readouterr().out
+    assert "installed" not in shown
+    assert not (root / NOISE_FILE).exists(), "only on demand"
+    assert shown.split()[:3] == ["left", "right", "light_dn"]
     assert main(["measure", "noise", str(scan), "--install", *words, "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
+    for side in ("left", "right"):
+        assert said[side]["electrons_at_255"] == said[side]["full_well_e"] == pytest.approx(13_000, rel=0.08), "at 0 dB"
+        assert said[side]["pixels"] > 40_000
     rig = load_rig(RIG)
     rig = replace(rig, storage=replace(rig.storage, root=root))
     used = with_measured_noise(rig)
@@ -88,6 +102,10 @@ def test_installed_noise_is_what_the_instrument_expects_from_then_on(
     kept = (root / NOISE_FILE).read_bytes()
     assert main(["measure", "noise", str(scan), "--install", *words]) == 2
     assert "the cameras' noise is never replaced; move it away" in capsys.readouterr().err
+    assert (root / NOISE_FILE).read_bytes() == kept
+    (root / NOISE_FILE).unlink()
+    assert main(["measure", "noise", str(scan), "--install", *words]) == 0
+    assert f"installed: {root / NOISE_FILE}" in capsys.readouterr().out
     assert (root / NOISE_FILE).read_bytes() == kept
     assert main(["measure", "noise", str(scan), *words]) == 0, "it may always be looked at"
 
@@ -101,7 +119,7 @@ def test_the_exposures_that_leave_fringes_straight_are_told_from_scans_at_each(
     whole = render_scan(bits, "modelled", 3, 320, 16, exposure_s=0.016)
     scans = [
         store(short, tmp_path / "short", exposure_ms=3.2),
-        store(whole, tmp_path / "whole", exposure_ms=16.0),
+        store(whole, tmp_path / "whole", exposure_ms=16.0, gain_db=2.0),
         store(plane, tmp_path / "plane", exposure_ms=12.0),
     ]
     assert main(["measure", "exposures", *map(str, scans), "--json"]) == 0
@@ -111,8 +129,25 @@ def test_the_exposures_that_leave_fringes_straight_are_told_from_scans_at_each(
     assert by_scan["short"]["noisier"] > 1.1 > 1.05 > by_scan["whole"]["noisier"] >= 1.0
     # The ordinary projector: its third harmonic, 3.5 % of the first, is an amplitude of 0.36 px of 64.
     assert by_scan["plane"]["bend_px"] == pytest.approx(0.36 / 2.0**0.5, rel=0.1)
+    # Its slope is 8π/64 times as large, s = 0.14, and noise grows by the root of 1 + 3/2 s².
+    assert by_scan["plane"]["noisier"] == pytest.approx((1.0 + 1.5 * 0.1414**2) ** 0.5, abs=0.002)
+    assert [one["scan"] for one in said["scans"]] == ["short", "plane", "whole"], "in the order of their exposures"
+    assert [(one["exposure_ms"], one["gain_db"], one["straight"]) for one in said["scans"]] == [
+        (3.2, 0.0, False), (12.0, 0.0, True), (16.0, 2.0, True)
+    ]  # fmt: skip
+    assert 0.005 < by_scan["whole"]["noise_px"] < 0.1
     assert main(["measure", "exposures", *map(str, scans)]) == 0
-    assert "exposures_ms = [12.0, 16.0]" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert "for [scan] of the rig file: exposures_ms = [12.0, 16.0]" in shown
+    head, first, second, *_ = (line.split() for line in shown.splitlines())
+    assert " ".join(head) == "SCAN EXPOSURE MS GAIN DB BEND PX NOISE PX NOISIER STRAIGHT"
+    assert (first[0], first[-1], second[0], second[-1]) == ("short", "no", "plane", "yes")
+    assert first[1] == "3.2"
+    # An exposure is as good as its worst scan, in whatever order they are given.
+    again = store(whole, tmp_path / "again", exposure_ms=3.2)
+    for both in ((scans[0], again), (again, scans[0])):
+        assert main(["measure", "exposures", *map(str, both), "--json"]) == 1
+        assert json.loads(capsys.readouterr().out)["exposures_ms"] == []
     assert main(["measure", "exposures", str(scans[0])]) == 1
     assert "none of them leaves fringes straight" in capsys.readouterr().out
 
@@ -123,3 +158,20 @@ def test_exposures_are_not_told_from_a_scan_that_shows_next_to_nothing(
     dark = replace(plane, frames={side: np.minimum(frames, 9) for side, frames in plane.frames.items()})
     assert main(["measure", "exposures", str(store(dark, tmp_path / "dark", exposure_ms=12.0))]) == 1
     assert "too few points to tell how straight its fringes are" in capsys.readouterr().err
+
+
+def test_exposures_of_scans_that_begin_at_other_moments_are_not_compared(
+    plane: RenderedScan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig = load_rig(RIG)
+    scans = [
+        store(
+            plane, tmp_path / str(delay_us), exposure_ms=12.0,
+            origin=ScanOrigin(b"{}", rig_text(replace(rig, board=replace(rig.board, trigger_delay_us=delay_us))).encode()),
+        )
+        for delay_us in (700, 500)
+    ]  # fmt: skip
+    assert main(["measure", "exposures", *map(str, scans)]) == 1
+    said = capsys.readouterr().err
+    assert "taken with trigger delays of 500 and 700 us" in said
+    assert "give scans of one board.trigger_delay_us" in said
