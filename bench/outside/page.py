@@ -7,8 +7,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from bench.outside.figures import is_soft
+from bench.outside.kept import Row
 from bench.outside.parts import PARTS
-from bench.outside.picture import draw_families, draw_scene
+from bench.outside.picture import draw_families, draw_scene, draw_scenes
 
 BEGIN, END = "<!-- figures: written by ./dev bench outside --write-docs -->", "<!-- end of figures -->"
 SCENE = 10_001, 3
@@ -29,8 +31,9 @@ def write_page(data: Path, before: Path, page: Path, pictures: Path) -> None:
     page.write_text(f"{head}{BEGIN}\n\n{tables(now, old)}\n{END}{tail}", encoding="utf-8")
     draw_scene(pictures / "outside-scene.png", *SCENE)
     if "scenes" in now["parts"]:
-        rows = old["parts"].get("scenes", {}).get("data", {}).get("families", [])
-        draw_families(pictures / "outside-families.png", rows, now["parts"]["scenes"]["data"]["families"])
+        earlier, found = old["parts"].get("scenes", {}).get("data", {}), now["parts"]["scenes"]["data"]
+        draw_families(pictures / "outside-families.png", earlier.get("families", []), found["families"])
+        draw_scenes(pictures / "outside-scenes.png", earlier.get("scenes", []), shown(found["rows"]["all"]))
 
 
 def tables(now: Content, old: Content) -> str:
@@ -50,12 +53,20 @@ def tables(now: Content, old: Content) -> str:
 
 
 def compact(content: Content) -> dict[str, Any]:
-    """Return the content without what is known of single scans and rigs, small enough to be kept beside the page."""
-    parts = {
-        name: {"measured": part["measured"], "data": {k: v for k, v in part["data"].items() if k == "families"}}
-        for name, part in content["parts"].items()
-    }
+    """Return the content without most of what is known of single scans and rigs, small enough to be kept beside the page."""
+    parts = {}
+    for name, part in content["parts"].items():
+        kept = {k: v for k, v in part["data"].items() if k == "families"}
+        if name == "scenes":
+            kept["scenes"] = shown(part["data"]["rows"]["all"])
+        parts[name] = {"measured": part["measured"], "data": kept}
     return {**content, "parts": parts}
+
+
+def shown(rows: Sequence[Row]) -> list[dict[str, Any]]:
+    """Return what the picture of all scenes shows of them, without the soft ones."""
+    keys = ("attenuation_per_m", "complete_percent", "error_over_sigma", "accepted")
+    return [{key: row[key] for key in keys} for row in rows if not is_soft(row)]
 
 
 def _figures(now: Sequence[Content], old: Sequence[Content]) -> list[str]:

@@ -1,4 +1,4 @@
-"""Owns the pictures of this measurement: one scene in both worlds, and what each family costs; drawn with OpenCV."""
+"""Owns the pictures of this measurement: one scene in both worlds, every scene by its water, what each family costs; drawn with OpenCV."""
 
 from __future__ import annotations
 
@@ -45,6 +45,36 @@ def _titled(shot: Image, title: str) -> Image:
     image[TITLE_PX:, : PANEL_PX[0]] = cv2.resize(bright.astype(np.uint8), PANEL_PX)[..., None]
     write(image, title, (4, TITLE_PX - 9))
     return image
+
+
+def draw_scenes(path: Path, before: Sequence[Mapping[str, Any]], now: Sequence[Mapping[str, Any]]) -> None:
+    """Write a PNG: completeness and error over sigma of each scene by its water, before (grey) and now; hollow: refused."""
+    width, height = WIDTH_PX // 2 - 90, 300
+    image = np.full((height + 110, WIDTH_PX, 3), 255, np.uint8)
+    axes = (("complete_percent", "completeness, %", 0.0, 100.0), ("error_over_sigma", "error over sigma", 0.0, 2.0))
+    most_per_m = 2.0
+    for k, (key, title, low, high) in enumerate(axes):
+        left, top = 60 + k * (WIDTH_PX // 2), 40
+
+        def at(
+            per_m: float, value: float, left: int = left, top: int = top, low: float = low, high: float = high
+        ) -> tuple[int, int]:
+            share = (min(max(value, low), high) - low) / (high - low)
+            return left + round(width * per_m / most_per_m), top + round(height * (1.0 - share))
+
+        write(image, f"{title} (grey: the product before; hollow: refused)", (left, 24), 0.55)
+        for mark in np.linspace(low, high, 5):
+            cv2.line(image, at(0.0, mark), at(most_per_m, mark), FAINT, 1)
+            write(image, f"{mark:g}", (left - 42, at(0.0, mark)[1] + 5), 0.42)
+        for per_m in np.linspace(0.0, most_per_m, 5):
+            write(image, f"{per_m:g}", (at(per_m, low)[0] - 8, top + height + 20), 0.42)
+        write(image, "attenuation of the water, 1/m", (left, top + height + 46), 0.5)
+        for rows, colour, size in ((before, BEFORE, 6), (now, NOW, 4)):
+            for row in rows:
+                if row[key] is not None:
+                    place = at(float(row["attenuation_per_m"]), float(row[key]))
+                    cv2.circle(image, place, size, colour, -1 if row["accepted"] else 1, cv2.LINE_AA)
+    cv2.imwrite(str(path), image)
 
 
 def draw_families(path: Path, before: Sequence[Mapping[str, Any]], now: Sequence[Mapping[str, Any]]) -> None:

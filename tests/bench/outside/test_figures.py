@@ -7,17 +7,20 @@ import math
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 import pytest
 
 from bench.bench_outside import main
 from bench.outside.figures import of_scenes, summary
 from bench.outside.page import BEGIN, END, compact, tables, write_page
+from bench.outside.picture import draw_scenes
 
 
 def a_row(**other: Any) -> dict[str, Any]:
     return {
         "families": ["lens"], "accepted": True, "faults": [], "complete_percent": 90.0, "points": 1000, "outliers": 0,
-        "error_over_sigma": 1.0, "rms_um": 50.0, "number": 0, **other,
+        "error_over_sigma": 1.0, "rms_um": 50.0, "number": 0, "attenuation_per_m": 0.5, **other,
     }  # fmt: skip
 
 
@@ -63,7 +66,9 @@ def content(value: float, rows: list[dict[str, Any]]) -> dict[str, Any]:
     measured[2]["value"] = value
     return {
         "seed": 3,
-        "parts": {"scenes": {"measured": measured, "data": {"families": [summary("lens", rows)], "rows": rows}}},
+        "parts": {
+            "scenes": {"measured": measured, "data": {"families": [summary("lens", rows)], "rows": {"all": rows}}}
+        },
     }
 
 
@@ -75,9 +80,29 @@ def test_the_page_shows_the_product_before_beside_the_present_one() -> None:
 
 
 def test_what_is_kept_of_the_product_before_has_no_single_scans() -> None:
-    kept = compact(content(1.0, [a_row()]))
-    assert "rows" not in kept["parts"]["scenes"]["data"]
-    assert kept["parts"]["scenes"]["data"]["families"]
+    kept = compact(content(1.0, [a_row(texts={"water": "long"}), a_row(families=["soft"])]))["parts"]["scenes"]["data"]
+    assert "rows" not in kept
+    assert kept["families"]
+    assert kept["scenes"] == [
+        {"attenuation_per_m": 0.5, "complete_percent": 90.0, "error_over_sigma": 1.0, "accepted": True}
+    ]
+
+
+def test_each_scene_is_a_dot_at_its_water_and_a_refused_one_is_hollow(tmp_path: Path) -> None:
+    path = tmp_path / "scenes.png"
+    dots = [
+        {"attenuation_per_m": per_m, "complete_percent": 50.0, "error_over_sigma": None, "accepted": accepted}
+        for per_m, accepted in ((0.5, True), (1.5, False))
+    ]
+    draw_scenes(path, [], dots)
+    image = cv2.imread(str(path))
+    assert image is not None
+    row = image[40 + 150, 60:620].astype(int)
+    blue = np.flatnonzero(row[:, 0] - row[:, 2] > 60) / 560.0 * 2.0
+    # Of a panel of 560 px for 2 /m: a disc of nine pixels about 0.5 /m; of the ring about 1.5 /m only its sides.
+    assert np.abs(blue[blue < 1.0] - 0.5).max() < 0.03
+    assert np.count_nonzero(blue < 1.0) >= 7
+    assert np.abs(blue[blue > 1.0] - 1.5).min() > 0.005
 
 
 def test_a_page_without_a_place_for_figures_is_not_written_over(tmp_path: Path) -> None:
