@@ -151,10 +151,10 @@ def wrong_percent(change: Change, each_place_its_own: bool = False) -> tuple[flo
     return 100.0 * 2.0 * float(np.abs(lengths).max()) / LENGTH_MM, 100.0 * 6.0 * float(max(bends)) / 250.0
 
 
-def some(group: str) -> Array:
+def some(group: str, seed: int = 31) -> Array:
     """A change of all unknowns of a group."""
     x = np.zeros(SIZE)
-    rng = np.random.default_rng(31)
+    rng = np.random.default_rng(seed)
     if group == "rig":
         x[: len(ACTIVE)] = 3.0 * rng.normal(size=len(ACTIVE)) * parameters.STEPS[list(ACTIVE)]
     else:
@@ -163,9 +163,15 @@ def some(group: str) -> Array:
     return x
 
 
-@pytest.mark.parametrize("group", ["rig", "left nodes", "right nodes", "left shifts", "right shifts"])
-def test_an_unknown_that_is_unsure_makes_expect_what_another_rig_would_measure(group: str) -> None:
-    x = some(group)
+@pytest.mark.parametrize(
+    ("group", "seed"),
+    [
+        *((group, 31) for group in ("left nodes", "right nodes", "left shifts", "right shifts")),
+        *(("rig", seed) for seed in (35, 39, 42, 45)),  # of which each makes bars of another direction worst
+    ],
+)
+def test_an_unknown_that_is_unsure_makes_expect_what_another_rig_would_measure(group: str, seed: int) -> None:
+    x = some(group, seed)
     found = expected(RIG, BAR, Doubt(np.outer(x, x), np.zeros(SIZE), 0.0, 0.0), COLUMNS)
     length, flat = wrong_percent(lambda size: (changed(size * x), 0.0, WATER.index))
     assert found.length_percent == pytest.approx(length, rel=0.01)
