@@ -106,6 +106,11 @@ class GapModes:
         if not np.abs(np.diag(r)).min() >= 1e-9:  # NaN neither
             raise ValueError("two gap patterns of this calibration are the same; check the relative orientation")
         self._mix = np.linalg.inv(r) * signs
+        # A primary's own amplitudes are its column of R, mm of one step.
+        of_step = 1000.0 * signs[:, None] * r
+        per_deg = {name: np.radians(of_step[:, k] / parameters.STEPS[steps[k]]) for k, name in enumerate(_PRIMARIES)}
+        self.turns_um = np.stack([per_deg[name] for name in TURNS])
+        """Amplitudes (3, 4) per degree that the right camera is turned by, about x, y, z."""
 
     def at(self, left_px: Array, right_px: Array) -> Array:
         """Return the patterns (n, 4) at matched pixels (n, 2): µm of gap per µm of amplitude."""

@@ -8,7 +8,8 @@ reference   the first scans of a calibration teach each patch what is usual ther
 amplitudes  least squares over the patches seen, with their standard deviations in normal operation: noise, and a share of the
             pattern left over, since objects show different parts of it, propagated as a smooth surface. A scan of a corner of
             the image so has wide standard deviations instead of a wrong verdict. Where the stated water changes, the height
-            may change with it, as imperfect calibrations do.
+            may change with it, as imperfect calibrations do. What backscatter may do wrongly has known shapes, and is
+            adjusted along with the amplitudes.
 sum         scores (amplitudes in standard deviations, with their direction) are added up by Crosier's multivariate CUSUM: a
             big change alarms at once, a small one when it stays; scatter does not, and an offset of one standard deviation
             hardly ever.
@@ -69,9 +70,14 @@ OFFSET_SHARE = 0.05
 distance."""
 MOST_VEIL_UM = 22.0
 """Doubt about what backscatter does to the gaps, rms, beyond which a scan is not judged: a turn of 0.02° about z gives no more."""
-LASTING = 1.5
+MATTERS_DEG = 0.02
+"""Turn of a camera that three scans should find; where they would not, the verdict says what they do find."""
+SCANS_TO_FIND = 3
+LASTING = 2.0
 """Multiple of its standard deviation at which doubt about backscatter counts: its causes stay, and the sum must not add them up. Of three
-causes 1 in 35 instruments then has more than ``SLACK`` for good, in other water than that of its first scans."""
+causes 1 in 900 instruments then has more than ``SLACK`` for good, in other water than that of its first scans."""
+TAKEN_WRONGLY = 0.4
+"""Standard deviation of what is taken off an amplitude for backscatter, of it: as far as the model of the water is off beyond its causes."""
 _WIDE_UM = 1e3
 """Standard deviation of an amplitude that the seen patches say nothing about."""
 
@@ -164,6 +170,7 @@ def judge(trend: HealthTrend, gaps: PatchGaps, scan: str | None = None) -> tuple
     rest_um = _rest(gaps)
     usual_um = float(np.median([*trend.reference.rests_um, rest_um]))
     amplitudes, covariance = _compared(trend.reference, gaps, usual_um)
+    least_deg = found_from_deg(gaps, covariance)
     z = _whitened(amplitudes, covariance)
     total = _summed(np.array(trend.total), z)
     size = float(np.linalg.norm(total))
@@ -178,6 +185,8 @@ def judge(trend: HealthTrend, gaps: PatchGaps, scan: str | None = None) -> tuple
     if not point.alarm and size <= TEACHES_UP_TO:
         reference = _taught(reference, gaps, rest_um)
     text = _said(point, reference)
+    if least_deg is not None and max(least_deg) > MATTERS_DEG and not point.alarm:
+        text += f"; {_blind_to(least_deg)}{_veiled(gaps)}"
     after = HealthTrend(
         reference=reference,
         total=_four(total),
@@ -186,7 +195,7 @@ def judge(trend: HealthTrend, gaps: PatchGaps, scan: str | None = None) -> tuple
         alarm=trend.alarm or (text if found else None),
         answers=trend.answers,
     )
-    return after, HealthJudgement(point, point.alarm, text, _numbers(point, gaps))
+    return after, HealthJudgement(point, point.alarm, text, _numbers(point, gaps) | _turns(least_deg))
 
 
 def answered(trend: HealthTrend, answer: str) -> HealthTrend:
@@ -209,6 +218,20 @@ def answered(trend: HealthTrend, answer: str) -> HealthTrend:
     )
 
 
+def found_from_deg(gaps: PatchGaps, covariance: Array) -> tuple[float, float, float] | None:
+    """Return the smallest turns of the right camera about x, y, z that ``SCANS_TO_FIND`` scans like this one alarm at, in degrees.
+
+    ``covariance`` (4, 4) is that of the scan's amplitudes; ``None``: how they answer to turns was not asked.
+    """
+    if gaps.turns_um is None:
+        return None
+    # As many equal scores reach the limit when each exceeds the slack by its share of the limit.
+    score = SLACK + LIMIT / SCANS_TO_FIND
+    per_deg = [float(np.linalg.norm(_whitened(turn, covariance))) for turn in gaps.turns_um]
+    x, y, z = (score / max(one, 1e-9) for one in per_deg)
+    return x, y, z
+
+
 def likeliest(amplitudes_um: Four, answers: Mapping[str, tuple[Array, float]]) -> tuple[str, float, float]:
     """Return the one change that explains amplitudes best: its name, its size, and the share (0..1) that it explains.
 
@@ -226,7 +249,7 @@ def likeliest(amplitudes_um: Four, answers: Mapping[str, tuple[Array, float]]) -
 
 def _rest(gaps: PatchGaps) -> float:
     """Return the RMS of what the four patterns leave over, less what noise alone leaves."""
-    amplitudes = _solver(gaps.modes, 1.0 / (gaps.noise_um**2 + PATCH_UM**2)) @ gaps.gap_um
+    amplitudes = _solver(gaps.modes, np.diag(1.0 / (gaps.noise_um**2 + PATCH_UM**2))) @ gaps.gap_um
     # Unbiased variance of the rest: squares over the degrees of freedom, less the mean variance of the noise.
     left = gaps.gap_um - gaps.modes @ amplitudes
     freedom = max(len(left) - len(MODES), 1)
@@ -242,26 +265,46 @@ def _compared(reference: Reference, gaps: PatchGaps, usual_um: float) -> tuple[A
     known = np.array(reference.scans)[gaps.patch] > 0
     left_over = usual_um * np.where(known, SHARE_KNOWN, 1.0)
     white = gaps.noise_um**2 + PATCH_UM**2 + np.array(reference.variance_um2)[gaps.patch]
-    # Least squares as if patches were independent, its covariance as they are: what is left over is smooth, but how
-    # smooth is known too roughly to make use of it.
     # What backscatter may do wrongly it does to the reference, too: only the difference counts.
     causes, shape = _doubts(gaps)
     known_causes = np.array(reference.doubts_um).reshape(COUNT, DOUBTS + 1)[gaps.patch]
+    doubted_um = _size(causes)
     causes, shape = causes - known_causes[:, :DOUBTS], shape - known_causes[:, DOUBTS]
-    solve = _solver(gaps.modes, 1.0 / (white + left_over**2 + shape**2 + np.sum(causes**2, axis=1)))
+    share_new = min(_size(causes) / max(doubted_um, 1e-9), 1.0)
+    # Generalised least squares: a cause moves all patches together, so that its pattern is told from that of a knock by the
+    # scan itself. What is left over counts as if patches were independent, and its covariance as they are: it is smooth, but
+    # how smooth is known too roughly to make use of it.
+    weight = np.linalg.inv(np.diag(white + left_over**2 + shape**2) + causes @ causes.T)
+    solve = _solver(gaps.modes, weight)
     amplitudes = solve @ (gaps.gap_um - expected)
     # Propagation of the true covariance S through the estimator K: K S Kᵀ. What the patches do not determine, (I − K
     # M), is as uncertain as before.
     smooth = np.outer(left_over, left_over) + np.outer(shape, shape)
     scatter = np.diag(white) + smooth * _alike(gaps.patch) + causes @ causes.T
     unseen = np.eye(len(MODES)) - solve @ gaps.modes
-    covariance = solve @ scatter @ solve.T + unseen @ unseen.T * _WIDE_UM**2
+    covariance = (
+        _misfit(gaps, expected, amplitudes, weight) * (solve @ scatter @ solve.T) + unseen @ unseen.T * _WIDE_UM**2
+    )
     # Floors that no number of patches takes away: the best calibration's scatter, mounts that follow the temperature, the
-    # part of an accepted change that varies with distance, and for height the index times the change of the stated water.
+    # part of an accepted change that varies with distance, for height the index times the change of the stated water, and of
+    # what backscatter did a share, as far as it did something else to the reference.
     least = np.full(len(MODES), LEAST_UM**2) + np.square(DRIFT_UM) + (OFFSET_SHARE * offset) ** 2
     if reference.water_index is not None:
         least[0] += (HEIGHT_PER_INDEX_UM * (gaps.water_index - reference.water_index)) ** 2
+    if gaps.veil_um is not None:
+        independent = _solver(gaps.modes, np.diag(1.0 / (white + left_over**2 + shape**2)))
+        least += (TAKEN_WRONGLY * share_new * (independent @ gaps.veil_um)) ** 2
     return amplitudes, covariance + np.diag(least)
+
+
+def _misfit(gaps: PatchGaps, expected: Array, amplitudes: Array, weight: Array) -> float:
+    """Return how much larger the variance of what is left of the gaps is than expected, at least 1; 1 where backscatter moves nothing."""
+    # Shapes of causes are only as good as the model of the water. Where amplitudes and causes leave more than they may, all is as
+    # much less certain; a knock leaves next to nothing. What a calibration leaves over is counted by itself (``rest_um``).
+    if gaps.doubts_um is None:
+        return 1.0
+    left = gaps.gap_um - expected - gaps.modes @ amplitudes
+    return max(1.0, float(left @ weight @ left) / (len(left) - len(MODES)))
 
 
 def _doubts(gaps: PatchGaps) -> tuple[Array, Array]:
@@ -278,6 +321,10 @@ def _veil_doubt_um(gaps: PatchGaps) -> float:
     return float(np.sqrt(np.mean(np.sum(gaps.doubts_um**2, axis=1) + gaps.shape_um**2)))
 
 
+def _size(causes: Array) -> float:
+    return float(np.sqrt(np.mean(np.sum(causes**2, axis=1))))
+
+
 def _alike(patch: NDArray[np.intp]) -> Array:
     """Compute the correlation (k, k) between the rests of patches: lenses are smooth."""
     across, down = (patch % PATCHES[0]) / PATCHES[0], (patch // PATCHES[0]) / PATCHES[1] * IMAGE_HEIGHT
@@ -286,10 +333,10 @@ def _alike(patch: NDArray[np.intp]) -> Array:
 
 
 def _solver(modes: Array, weight: Array) -> Array:
-    """Return the matrix (4, k) that makes amplitudes of gaps; small where the patches say nothing."""
-    # Weighted least squares with a weak prior of _WIDE_UM: patterns that no patch shows stay near zero instead of
-    # exploding.
-    weighted = modes.T * weight
+    """Return the matrix (4, k) that makes amplitudes of gaps whose inverse covariance is ``weight`` (k, k); small where the
+    patches say nothing."""
+    # Least squares with a weak prior of _WIDE_UM: patterns that no patch shows stay near zero instead of exploding.
+    weighted = modes.T @ weight
     return np.asarray(np.linalg.solve(weighted @ modes + np.eye(len(MODES)) / _WIDE_UM**2, weighted))
 
 
@@ -348,6 +395,23 @@ def _said(point: TrendPoint, reference: Reference) -> str:
     taught = len(reference.rests_um)
     learning = f"; {taught} of {LEARNT_SCANS} scans of the reference" if taught < LEARNT_SCANS else ""
     return f"as since the calibration: {parts}{learning}"
+
+
+def _blind_to(least_deg: tuple[float, float, float]) -> str:
+    """Return which turns are found late, in words."""
+    late = [f"{axis} below {least:.2g}°" for axis, least in zip("xyz", least_deg, strict=True) if least > MATTERS_DEG]
+    return f"{SCANS_TO_FIND} such scans do not find turns of a camera about {', '.join(late)}"
+
+
+def _veiled(gaps: PatchGaps) -> str:
+    doubt_um = _veil_doubt_um(gaps)
+    return f" (backscatter may move the gaps by {doubt_um:.0f} µm)" if doubt_um >= 1.0 else ""
+
+
+def _turns(least_deg: tuple[float, float, float] | None) -> dict[str, float | None]:
+    return (
+        {} if least_deg is None else {f"found_{axis}_deg": least for axis, least in zip("xyz", least_deg, strict=True)}
+    )
 
 
 def _numbers(point: TrendPoint, gaps: PatchGaps) -> dict[str, float | None]:

@@ -42,6 +42,8 @@ class PatchGaps:
     """(k, DOUBTS) by how much that may be wrong, one standard deviation of each cause, all patches together."""
     shape_um: Array | None = None
     """(k,) standard deviation of what is left of it, smooth over the image."""
+    turns_um: Array | None = None
+    """(3, 4) amplitudes per degree that the right camera is turned by, about x, y, z; ``None``: nobody asked."""
 
 
 def without_veil(gaps: PatchGaps, veil: VeilGaps, size_px: tuple[int, int]) -> PatchGaps:
@@ -82,6 +84,7 @@ def average(modes: GapModes, left_px: Array, right_px: Array, gap_um: Array) -> 
         modes=modes.at(*seen_px) if len(good) else np.empty((0, len(MODES))),
         samples=len(gap_um),
         water_index=modes.water_index,
+        turns_um=modes.turns_um,
     )
 
 

@@ -3,21 +3,23 @@ scans, and how soon they see a knock.
 
 Some instruments, each with its own lens, projector and cameras, scan whatever comes before them with a calibration that states
 the truth about them at the temperature of the case that they work at. Scans are at rest, in water up to 2 /m, some kelvins
-warmer or colder. In the end the right camera is turned by a fiftieth of a degree.
+warmer or colder. In the end the right camera is turned by a fiftieth of a degree, about one axis before the renderer, and about
+each axis in the ray gaps of the last normal scans, by the amplitudes that the model gives such a turn.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from appliance.calibration.gaps import MODES
-from appliance.calibration.health import LIMIT, HealthJudgement, HealthTrend, judge
+from appliance.calibration.health import LIMIT, SCANS_TO_FIND, HealthJudgement, HealthTrend, judge
 from appliance.calibration.patches import PatchGaps
 from bench.outside.draws import drawn_scene, joined
 from bench.outside.figures import FALSE_ALARMS, median, rows_of
@@ -37,7 +39,8 @@ RIGS = 8
 WORKS_AT_C, AROUND_K = 35.0, 4.0
 """Temperature of the case that the calibration was made at, and how far it is from it while scanning."""
 KNOCK_DEG = 0.02
-KNOCKED_SCANS = 3
+KNOCKED_SCANS = 6
+"""Of which three at least should be judged: a ball bar shows too little of the image, and some water hides too much."""
 KNOCKS = ("pitch_deg", "yaw_deg", "roll_deg")
 """Of one rig after the other: about x, y, z."""
 SEEDS_PER_SEED = 100_000
@@ -60,19 +63,25 @@ def measure(
 def figures(rows: dict[int, list[Row]], each: int) -> list[Measured]:
     """Return the figures of the rows of each rig, of which the first ``each`` are normal scans."""
     normal = [row for found in rows.values() for row in found[:each]]
-    told, largest, late = 0, 0.0, []
-    for found in rows.values():
+    told, judged, largest, late, unsaid = 0, 0, 0.0, [], 0
+    for rig, found in rows.items():
         said = list(followed(found))
+        judged += sum(one.point is not None for one in said[:each])
         totals = [one.point.total for one in said[:each] if one.point is not None]
         largest = max([largest, *totals])
         told += any(one.alarm for one in said[:each])
         if not any(one.alarm for one in said[:each]):
-            late.append(next((k for k, one in enumerate(said[each:], 1) if one.alarm), None))
+            after = [one for one in said[each:] if one.point is not None][:SCANS_TO_FIND]
+            late.append(any(one.alarm for one in after))
+            unsaid += len(after) == SCANS_TO_FIND and not late[-1] and all(_sees(one, rig % 3) for one in after)
     measured = [
         Measured(f"rigs whose calibration is doubted, of {len(rows)} with {each} normal scans each", told, "", at_most=0.0),
+        Measured("normal scans that are judged", judged, f"of {len(normal)}"),
         Measured("largest sum of a normal scan", largest, f"of {LIMIT:g}", at_most=LIMIT),
-        Measured(f"knocks of {KNOCK_DEG:g}° found within three scans", sum(k is not None for k in late), f"of {len(late)}", at_least=float(len(late))),
+        Measured(f"knocks of {KNOCK_DEG:g}° found within three judged scans", sum(late), f"of {len(late)}", at_least=float(len(late))),
+        Measured("knocks missed though each scan says that it would find them", unsaid, f"of {len(late)}", at_most=0.0),
     ]  # fmt: skip
+    measured += _turned_figures([list(_seen(found[:each])) for found in rows.values()])
     for name, code in FALSE_ALARMS.items():
         alarms = sum(code.value in row["faults"] for row in normal)
         measured.append(Measured(f"false alarms of {name}", alarms, f"of {len(normal)}", at_most=0.0))
@@ -87,7 +96,13 @@ def figures(rows: dict[int, list[Row]], each: int) -> list[Measured]:
 def followed(rows: Iterable[Row]) -> Iterator[HealthJudgement]:
     """Yield what the watch over the calibration says after each of an instrument's scans."""
     trend = HealthTrend()
-    for number, row in enumerate(rows, 1):
+    for number, gaps in enumerate(_seen(rows), 1):
+        trend, said = judge(trend, gaps, f"{number:06d}")
+        yield said
+
+
+def _seen(rows: Iterable[Row]) -> Iterator[PatchGaps]:
+    for row in rows:
         gaps = row["gaps"]
         if gaps is None:
             continue
@@ -97,8 +112,54 @@ def followed(rows: Iterable[Row]) -> Iterator[HealthJudgement]:
         }
         seen["patch"] = seen["patch"].astype(np.intp)
         seen["modes"] = seen["modes"].reshape(-1, len(MODES))
-        trend, said = judge(trend, PatchGaps(**seen), f"{number:06d}")
-        yield said
+        yield PatchGaps(**seen)
+
+
+def _turned_figures(instruments: Sequence[Sequence[PatchGaps]]) -> list[Measured]:
+    """Return how many turns about each axis, either way, are found where the gaps of the last three judged normal scans are moved by
+    them, and how many are not though each of these scans says that such a turn would be."""
+    found, tried, silent = [0, 0, 0], 0, 0
+    for scans in instruments:
+        judged = [
+            gaps for gaps in scans if gaps.turns_um is not None and judge(HealthTrend(), gaps)[1].point is not None
+        ]
+        if len(judged) <= SCANS_TO_FIND:
+            continue
+        trend = HealthTrend()
+        for gaps in judged[:-SCANS_TO_FIND]:
+            trend, _ = judge(trend, gaps)
+        tried += 2
+        for axis in range(3):
+            for turn_deg in (KNOCK_DEG, -KNOCK_DEG):
+                at, sees = trend, []
+                for gaps in judged[-SCANS_TO_FIND:]:
+                    moved_um = gaps.gap_um + turn_deg * (gaps.modes @ _turns_um(gaps)[axis])
+                    at, said = judge(at, replace(gaps, gap_um=moved_um))
+                    sees.append(_sees(said, axis))
+                found[axis] += at.alarm is not None
+                silent += at.alarm is None and all(sees)
+    measured = [
+        Measured(
+            f"turns of {KNOCK_DEG:g}° about {name}, in the gaps of normal scans, found within three",
+            number,
+            f"of {tried}",
+        )
+        for name, number in zip("xyz", found, strict=True)
+    ]
+    measured.append(Measured("of these not found though each scan says it would be", silent, f"of {3 * tried}"))
+    return measured
+
+
+def _sees(said: HealthJudgement, axis: int) -> bool:
+    """Tell whether a scan says that three like it find a turn of ``KNOCK_DEG`` about the axis."""
+    least_deg = said.numbers.get(f"found_{'xyz'[axis]}_deg")
+    return least_deg is not None and least_deg <= KNOCK_DEG
+
+
+def _turns_um(gaps: PatchGaps) -> NDArray[np.float64]:
+    if gaps.turns_um is None:
+        raise ValueError("the amplitudes of turns are not known; allowed: gaps of a sampler")
+    return gaps.turns_um
 
 
 def _row(wanted: tuple[int, int], seed: int, normal: int, keep: Path | None, noise: str) -> Row:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from appliance.calibration.gaps import MODES, GapModes, pairs_in_volume, signed_gap_mm
+from appliance.calibration.gaps import MODES, TURNS, GapModes, pairs_in_volume, signed_gap_mm
 from appliance.calibration.health import likeliest
 from appliance.optics.model import StereoRig
 from hw_sim.mount_shift import MountShift, with_mount_shifted
@@ -80,3 +80,10 @@ def test_cameras_that_share_no_volume_are_refused() -> None:
     away = replace(RIG.right, translation_mm=(5000.0, 0.0, 0.0))
     with pytest.raises(ValueError, match="share too little"):
         GapModes(StereoRig(RIG.left, away), WATER.index)
+
+
+def test_the_amplitudes_of_turns_per_degree_are_those_that_the_model_derives() -> None:
+    modes = GapModes(RIG, WATER.index)
+    answers = modes.of_parameters(TURNS)
+    for name, turn_um in zip(TURNS, modes.turns_um, strict=True):
+        assert turn_um == pytest.approx(np.radians(answers[name][0]), rel=0.01, abs=0.5)
