@@ -133,8 +133,9 @@ def test_points_beside_the_image_are_read_at_its_edge() -> None:
 
 def test_water_that_is_as_bright_as_the_object_looks_veiled_and_clear_water_does_not() -> None:
     p, q = (np.repeat(np.repeat(one, 2, 0), 2, 1) for one in maps())
-    for backscatter_dn, veiled in ((0.0, False), (100.0, True)):
-        frames = frames_of(p, q, 40.0, 40.0, backscatter_dn)
+    # Its fringes are supposed to be a fortieth of it, and count from two thousandths of the object's on: of 80 DN from 6.4 on.
+    for backscatter_dn, veiled in ((0.0, False), (4.0, False), (8.0, True), (100.0, True)):
+        frames = frames_of(p, q, 80.0, 80.0, backscatter_dn)
         assert looks_veiled(SEQUENCE, frames, p.astype(np.float32), q.astype(np.float32)) == veiled
     few = np.full_like(p, np.nan)
     few[:4, :4] = p[:4, :4]
