@@ -35,6 +35,8 @@ MOST_PER_ROUND = 10.0
 """Factor by which a variance may change in one round."""
 JITTER_PX2 = 1e-9
 """Added to each node's variance: keeps the smooth covariance invertible, a thousand times below anything measured."""
+ROUNDED = 1e-6
+"""Share of each variance that is added where rounding has left a covariance without a factor: a thousandth of a standard deviation."""
 
 
 def kernels(size_px: tuple[int, int], intervals: tuple[int, int]) -> tuple[Array, ...]:
@@ -126,6 +128,18 @@ def _inverse(matrix: Array) -> Array:
     return np.asarray(half + np.tril(half, -1).T)
 
 
+def _rounded_root(covariance: Array) -> Array:
+    """Return the Cholesky factor (m, m) of a covariance that rounding has left with variances of nothing or less than nothing.
+
+    Raises LinAlgError for what is none by more than rounding.
+    """
+    # In standard deviations, so that pixels and radians are rounded alike.
+    scale = np.sqrt(np.diag(covariance))
+    return np.asarray(
+        scale[:, None] * np.linalg.cholesky(covariance / np.outer(scale, scale) + ROUNDED * np.eye(len(scale)))
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class AirField:
     """The lenses' fields as boards in air tell of them, together with all else: mean and covariance of (22 + 4·nodes)
@@ -148,7 +162,10 @@ class AirField:
     @classmethod
     def of(cls, intervals: tuple[int, int], mean: Array, covariance: Array) -> AirField:
         """Return the field with that mean (m,) and covariance (m, m)."""
-        root = np.linalg.cholesky(covariance)
+        try:
+            root = np.linalg.cholesky(covariance)
+        except np.linalg.LinAlgError:
+            root = _rounded_root(covariance)
         packed = root[np.tril_indices(len(root))].astype("<f4")
         return cls(intervals, tuple(float(v) for v in mean), packed.tobytes())
 

@@ -168,3 +168,21 @@ def test_what_is_no_covariance_is_refused() -> None:
     known[0, 0], known[1, 1] = 1.0, -1.0
     with pytest.raises(np.linalg.LinAlgError, match="not positive definite at 2 of 2"):
         FieldPrior(known, np.zeros(82), SIZE_PX, (2, 1))
+
+
+def test_a_covariance_that_rounding_has_left_without_a_factor_is_kept_all_the_same() -> None:
+    """As boards before strongly flawed lenses leave it: pixels and radians, and one direction that is known to nothing."""
+    size = AIR_VALUES + EYES * node_count((2, 1))
+    rng = np.random.default_rng(11)
+    vectors, _ = np.linalg.qr(rng.normal(size=(size, size)))
+    values = np.geomspace(1e-3, 10.0, size)
+    values[0] = -1e-8
+    scale = np.geomspace(1e-5, 10.0, size)
+    covariance = scale[:, None] * (vectors * values) @ vectors.T * scale
+    with pytest.raises(np.linalg.LinAlgError):
+        np.linalg.cholesky(covariance)
+    kept = AirField.of((2, 1), np.zeros(size), covariance).covariance
+    assert np.diag(kept) == pytest.approx(np.diag(covariance), rel=1e-5)
+    values[0] = -0.1
+    with pytest.raises(np.linalg.LinAlgError):
+        AirField.of((2, 1), np.zeros(size), scale[:, None] * (vectors * values) @ vectors.T * scale)
