@@ -30,8 +30,9 @@ class Case:
     """(n,): gaps that the veil makes at the places of ``found``."""
 
 
-def scanned(shown: HousedCamera, every: int = 97) -> Case:
-    """Fringes, stripes and the water's light before a plane, without noise; ``every``: of so many left pixels one is a point."""
+def scanned(shown: HousedCamera, every: int = 97, dark_px: int = 0) -> Case:
+    """Fringes, stripes and the water's light before a plane, without noise; ``every``: of so many left pixels one is a point;
+    ``dark_px``: so many columns of the left camera show nothing."""
     frames, maps, moved, points = {}, {}, {}, {}
     for side, camera in SIDES.items():
         points[side] = plane_points(camera, *plane())
@@ -57,6 +58,7 @@ def scanned(shown: HousedCamera, every: int = 97) -> Case:
         frames[side] = np.clip(np.rint(np.nan_to_num(images)), 0, 255).astype(np.uint8)
         p, q = np.where(inside, pq[..., 0], np.nan), np.where(inside, pq[..., 1] + moved[side], np.nan)
         maps[side] = p.astype(np.float32), q.astype(np.float32)
+    frames["left"][:, :, :dark_px] = 4
     pixel = np.flatnonzero(np.isfinite(maps["left"][0]))[::every]
     at = points["left"].reshape(-1, 3)[pixel]
     n = len(pixel)
@@ -102,3 +104,20 @@ def test_a_projector_that_stands_elsewhere_makes_gaps_wrong_by_no_more_than_is_s
     at = np.asarray(shown.translation_mm) + np.asarray(shown.rotation) @ np.array([0.0, 0.7, 2.5])
     other = scanned(replace(shown, translation_mm=(float(at[0]), float(at[1]), float(at[2]))))
     assert rms(other.found.gaps.gap_um - other.true_um) < 1.5 * other.found.doubt_um
+
+
+def test_points_without_fringes_in_one_camera_say_nothing_of_the_veil(drawn: Case) -> None:
+    found = scanned(projector(CALIBRATION), dark_px=150).found
+    assert drawn.found.gaps.left_px[:, 0].min() < 150.0 <= found.gaps.left_px[:, 0].min()
+    for veil in found.sides.values():
+        assert veil.of_object == pytest.approx(STRONG, rel=0.06)
+
+
+def test_a_projector_that_may_be_nearer_leaves_no_doubt_half_way_down(drawn: Case) -> None:
+    """Light that leaves along its axis does so from any place on it; one that stands higher moves rows everywhere."""
+    gaps = drawn.found.gaps
+    half_way = np.abs(gaps.left_px[:, 1] - 150.0) < 20.0
+    edges = np.abs(gaps.left_px[:, 1] - 150.0) > 120.0
+    _, across, along = gaps.doubts_um.T
+    assert rms(along[half_way]) < 0.3 * rms(along[edges])
+    assert rms(across[half_way]) > 0.8 * rms(across[edges])
