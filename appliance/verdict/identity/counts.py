@@ -47,6 +47,8 @@ class Count(IntEnum):
 
 
 COUNTS = 22
+PLACES = 128
+"""Number of bins, over twice the field, in which steps are counted by how far they lie beside their place in the design."""
 OFF_REFERENCE = np.float32(0.3)
 """Bright and dark are the ends of each sample's swing, to this share of it."""
 _MIN_SWING_SHARE = np.float32(0.15)
@@ -84,14 +86,17 @@ def follow(
     gray: NDArray[np.int64],
     sine: NDArray[np.int64],
     other_sine: NDArray[np.int64],
+    half_period: float,
     sums: NDArray[np.float64],
     edges: NDArray[np.float64],
+    places: NDArray[np.float64],
 ) -> None:
-    """Add what lines (n, lines, samples) show to ``sums`` (COUNTS,) and ``edges`` (len(gray), 2).
+    """Add what lines (n, lines, samples) show to ``sums`` (COUNTS,), ``edges`` (len(gray), 2) and ``places`` (PLACES,).
 
     ``order[k]`` is the row of ``values`` that is taken for pattern k; ``references``: bright and dark; ``gray`` and
     ``sine``: the patterns along the lines; ``middle`` (1 or len(gray), lines, samples): thresholds of the Gray images, NaN
     where there is none, and ``doubt_dn`` (lines, samples) how near to them a bit is in doubt; ``least_dn`` (256,): a fringe's least difference at a grey value.
+    ``half_period``: its width as a share of the field. ``places``: number of steps that lie −1 to 1 fields beside their place.
     ``edges``: of each Gray image, its edges (where it changes, or another changes in its place), and how many of them are
     out of order although an edge of some pattern is there.
     """
@@ -102,7 +107,7 @@ def follow(
     good = np.empty(samples, np.bool_)
     code, number = np.empty(samples, np.int64), np.empty(samples, np.int64)
     smooth, step = np.empty(samples, np.bool_), np.empty(samples, np.float32)
-    share, six = np.empty(4, np.float32), np.float32(6.0)
+    share = np.empty(4, np.float32)
     a0, a1, a2, a3 = order[sine[0]], order[sine[1]], order[sine[2]], order[sine[3]]
     b0, b1, b2, b3 = order[other_sine[0]], order[other_sine[1]], order[other_sine[2]], order[other_sine[3]]
     bright, dark = order[references[0]], order[references[1]]
@@ -140,24 +145,22 @@ def follow(
             others_least = min(
                 min(values[b0, line, x], values[b1, line, x]), min(values[b2, line, x], values[b3, line, x])
             )
-            spread = max(max(share[0], share[1]), max(share[2], share[3])) * swing
-            spread = max(spread, np.float32(others_most) - least)
-            least_of_all = min(min(share[0], share[1]), min(share[2], share[3])) * swing
-            spread -= min(least_of_all, np.float32(others_least) - least)
-            # Sums for the correlation of opposite steps: I0 with I2, I1 with I3. Against the mean of the six others: what the water
-            # adds differs from place to place, and alike in all of them.
+            own_most = max(max(share[0], share[1]), max(share[2], share[3])) * swing
+            own_least = min(min(share[0], share[1]), min(share[2], share[3])) * swing
+            spread = max(own_most, np.float32(others_most) - least) - min(own_least, np.float32(others_least) - least)
+            # Sums for the correlation of opposite steps: I0 with I2, I1 with I3. Against what the water adds, which differs from place
+            # to place and is alike in all of them: the middle one of the three other pairs' means. Not the mean of their six, into
+            # which a coarse stripe in the place of a single sine would bring the same large step for all pairs.
             if judged and spread >= needed:
                 sums[9] += 1.0
-                mean = np.float32(0.0)
+                half, scale = np.float32(0.5), np.float32(0.5) / swing
+                of_02, of_13 = half * (share[0] + share[2]), half * (share[1] + share[3])
+                across_02 = scale * (np.float32(values[b0, line, x]) + np.float32(values[b2, line, x]) - least - least)
+                across_13 = scale * (np.float32(values[b1, line, x]) + np.float32(values[b3, line, x]) - least - least)
+                lower, upper = min(across_02, across_13), max(across_02, across_13)
+                beside_02, beside_13 = max(lower, min(upper, of_13)), max(lower, min(upper, of_02))
                 for k in range(4):
-                    mean += np.float32(values[order[sine[k]], line, x]) + np.float32(
-                        values[order[other_sine[k]], line, x]
-                    )
-                # Eight shares, of which the pair's own two are taken out again.
-                mean = (mean - np.float32(8.0) * least) / swing
-                of_pair_02, of_pair_13 = (mean - share[0] - share[2]) / six, (mean - share[1] - share[3]) / six
-                for k in range(4):
-                    share[k] -= of_pair_02 if k % 2 == 0 else of_pair_13
+                    share[k] -= beside_02 if k % 2 == 0 else beside_13
                     sums[10 + k] += share[k]
                     sums[14 + k] += share[k] * share[k]
                 sums[18] += share[0] * share[2]
@@ -212,8 +215,11 @@ def follow(
             if before > _BEND or after > _BEND:
                 continue
             # Where the line is, by the code and by the sample: their means are compared with the design.
+            place = (x + 0.5) / samples
             sums[20] += number[x]
-            sums[21] += (x + 0.5) / samples
+            sums[21] += place
+            beside = (number[x] + 0.5) * half_period - place
+            places[min(max(int(0.5 * PLACES * (beside + 1.0)), 0), PLACES - 1)] += 1.0
             sums[4] += 1.0
             sums[5] += 1.0 if step[x] > 0.0 else 0.0
             changed = code[x] ^ code[x + 1]

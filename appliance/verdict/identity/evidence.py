@@ -12,6 +12,8 @@ opposite   the sines of 0° and 180°, and of 90° and 270°, are each other's n
 ends       nothing is brighter than the bright frame, nothing darker than the dark one
 place      the middle of what is seen lies about where the design puts it: nothing else tells Gray images apart of which no
            edge is seen
+elsewhere  all of it lies about as far from there: where two such images are exchanged, quarters of the field change places and
+           their middle stays
 
 Steps that cross an outline, a printed edge or a place that something moved over are left out by what the fringes themselves do
 there: phase that bends, swings that differ, a bright frame that is not bright.
@@ -27,7 +29,7 @@ from numpy.typing import NDArray
 
 from appliance.patterns.sequence import Direction, PatternSequence
 from appliance.scan.noise import CameraNoise
-from appliance.verdict.identity.counts import COUNTS, OFF_REFERENCE, Count, follow
+from appliance.verdict.identity.counts import COUNTS, OFF_REFERENCE, PLACES, Count, follow
 from appliance.verdict.identity.lines import Lines, thresholds
 
 DECIDED = 1.0
@@ -38,6 +40,12 @@ MOST_DISPLACED = {Direction.X: 0.2, Direction.Y: 0.15}
 """Largest distance, in widths of the field, between where the stripes are in the image, on average, and where the
 design puts them. Along the base line they wander with distance: by 0.08 in the measuring volume, 0.15 well before
 it."""
+APART = {Direction.X: 0.2, Direction.Y: 0.1}
+"""Distance, in widths of the field, from where most of the stripes are, beyond which one is elsewhere. Along the base line, the near
+and the far end of the measuring volume are 0.16 apart; down it distance shifts nothing."""
+MOST_ELSEWHERE = {Direction.X: 0.2, Direction.Y: 0.3}
+"""Largest share of the steps that may be elsewhere. Before printed squares that move 0.04 have a wrong code across the base line, 0.16
+along it; of two exchanged images of which no edge is seen, a quarter to a half."""
 LEAST_IN_PHASE = 0.6
 """Mean cosine; a fifth of the edges half a period off, where only a part of the surface shows a frame to be wrong."""
 MOST_OUT_OF_ORDER = 0.3
@@ -51,10 +59,11 @@ MOST_BEHIND_BEST = 0.5
 """Largest amount by which a pair's correlation may be worse than that of the best pair: colour that moves spoils all
 of them."""
 MOST_OFF_REFERENCE = 0.8
-MOST_BESIDE_REFERENCE = 0.08
-MOST_OF_OFF = 0.5
+LEAST_BESIDE_REFERENCE, MOST_BESIDE_REFERENCE = 0.05, 0.08
+MOST_OF_OFF, NEARLY_ALL_OF_OFF = 0.5, 0.75
 """Share of samples, or of those off the reference, by which another frame may be the better bright (or dark) one: over what
-moves, a frame from the middle of the sequence halves them."""
+moves, a frame from the middle of the sequence halves them. Fewer samples, down to the least that show a wrong order, speak where the
+other frame is right at nearly all of these: nothing that moves leaves one that is."""
 MIN_FRINGE = 60
 """Samples with fringes in both directions, or there is nothing to judge by."""
 MIN_EDGES = 12
@@ -73,6 +82,9 @@ class LineEvidence:
     fringe: int
     """Samples with fringes; below ``MIN_FRINGE`` no doubt means anything."""
     edges: int
+    steps: int = 0
+    """Steps along the lines of the direction with fewer: where a camera reads the stripes of one direction only, nothing is said
+    of the frames of the other."""
     displaced: float = 0.0
     """Distance of the stripes across the base line from the design's place, in widths of the field: with opposite
     signs in both cameras where the object is near or far, with the same sign where a Gray image is wrong."""
@@ -80,7 +92,8 @@ class LineEvidence:
     @property
     def judged(self) -> bool:
         """Is there enough to judge by?"""
-        return self.fringe >= MIN_FRINGE and (self.edges >= MIN_EDGES or self.contradicted)
+        enough = self.edges >= MIN_EDGES and self.steps >= MIN_FRINGE
+        return self.fringe >= MIN_FRINGE and (enough or self.contradicted)
 
     @property
     def worst(self) -> float:
@@ -96,6 +109,16 @@ class LineEvidence:
     def total(self) -> float:
         """All doubts together: what explanations are compared by."""
         return float(sum(min(doubt, 2.0) for doubt in self.doubts.values()))
+
+
+def _elsewhere(places: NDArray[np.float64], apart: float) -> float:
+    """Return the share of the steps that lie farther than ``apart`` widths of the field from where the middle one of them lies.
+
+    ``places``: (PLACES,) steps by how far beside their place they lie, −1 to 1.
+    """
+    middle = int(np.searchsorted(np.cumsum(places), 0.5 * places.sum()))
+    far = np.abs(np.arange(PLACES) - middle) > 0.5 * PLACES * apart
+    return float(places[far].sum() / places.sum())
 
 
 class Witness:
@@ -120,22 +143,29 @@ class Witness:
         bright, dark = self._sequence.bright, self._sequence.dark
         for along, mine in self.lines.items():
             across = Direction.Y if along is Direction.X else Direction.X
-            sums, edges = np.zeros(COUNTS), np.zeros((len(self._gray[along]), 2))
+            sums, edges, places = np.zeros(COUNTS), np.zeros((len(self._gray[along]), 2)), np.zeros(PLACES)
             middle, doubt_dn = thresholds(mine, self._sequence, self._noise, order)
             follow(
                 mine.values, mine.low, mine.high, mine.illuminated, middle, doubt_dn, self._least_dn, order, (bright, dark),
-                self._gray[along], self._sine[along], self._sine[across], sums, edges,
+                self._gray[along], self._sine[along], self._sine[across], self._half_period(along), sums, edges, places,
             )  # fmt: skip
             all_sums[along] = sums
             self._follow_doubts(along, sums, edges, doubts, suspects)
+            if sums[Count.STEPS] >= MIN_FRINGE:
+                doubts[f"elsewhere {along.value}"] = _elsewhere(places, APART[along]) / MOST_ELSEWHERE[along]
         self._sine_doubts(all_sums, doubts, suspects)
         total = np.asarray(sum(all_sums.values()))
         self._reference_doubts(order, total, doubts, suspects)
         doubts = {name: float(doubt) for name, doubt in doubts.items()}
         return LineEvidence(
             doubts, suspects, int(total[Count.ILLUMINATED]), int(total[Count.FRINGE]), int(total[Count.EDGES]),
+            min(int(sums[Count.STEPS]) for sums in all_sums.values()),
             self._displaced(all_sums),
         )  # fmt: skip
+
+    def _half_period(self, along: Direction) -> float:
+        """Return the width of half a period as a share of the field."""
+        return 0.5 * self._sequence.period_px / self._axes[along].size_px
 
     def _follow_doubts(
         self,
@@ -149,7 +179,7 @@ class Witness:
         steps = sums[Count.STEPS]
         if steps >= MIN_FRINGE:
             # Mean place by the half periods' numbers, as a share of the field, against the mean place along the line.
-            coded = (sums[Count.NUMBER] / steps + 0.5) * 0.5 * self._sequence.period_px / axis.size_px
+            coded = (sums[Count.NUMBER] / steps + 0.5) * self._half_period(along)
             doubts[f"place {name}"] = abs(coded - sums[Count.PLACE] / steps) / MOST_DISPLACED[along]
             doubts[f"forward {name}"] = (1.0 - sums[Count.FORWARD] / steps) / (1.0 - LEAST_FORWARD)
         count = sums[Count.EDGES]
@@ -163,11 +193,11 @@ class Witness:
                 suspects[key] = k
 
     def _displaced(self, sums: Mapping[Direction, NDArray[np.float64]]) -> float:
-        mine, axis = sums[Direction.X], self._axes[Direction.X]
+        mine = sums[Direction.X]
         steps = mine[Count.STEPS]
         if steps < MIN_FRINGE:
             return 0.0
-        coded = (mine[Count.NUMBER] / steps + 0.5) * 0.5 * self._sequence.period_px / axis.size_px
+        coded = (mine[Count.NUMBER] / steps + 0.5) * self._half_period(Direction.X)
         return float(coded - mine[Count.PLACE] / steps)
 
     def _sine_doubts(
@@ -207,9 +237,10 @@ class Witness:
         for name, off in share.items():
             off /= total[Count.ILLUMINATED]
             excess = 0.0
-            if off > MOST_BESIDE_REFERENCE:
+            if off > LEAST_BESIDE_REFERENCE:
                 least = float(self._off_reference()[int(name == "bright")][order].min())
-                excess = (off - least) / max(MOST_BESIDE_REFERENCE, MOST_OF_OFF * off)
+                nearly_all = min(MOST_BESIDE_REFERENCE, NEARLY_ALL_OF_OFF * off)
+                excess = (off - least) / max(LEAST_BESIDE_REFERENCE, nearly_all, MOST_OF_OFF * off)
             doubts[name] = max(off / MOST_OFF_REFERENCE, excess)
             suspects[name] = self._sequence.bright if name == "bright" else self._sequence.dark
 

@@ -37,6 +37,11 @@ DOUBT_PER_MOVED, LARGER_DOUBT = 10.0, 2.5
 LEAST_PARALLAX = 0.1
 """Least distance of the stripes from their place in either camera, to opposite sides, in widths of the field: the
 object is far from the measuring volume. That alone is no wrong pattern."""
+BOTH_ELSEWHERE = 0.5
+"""Doubt of both cameras that stripes across the base line are elsewhere from which on that is depth, unless another order explains it:
+from 250 mm to far behind the volume they wander by 0.44 of the field."""
+PARALLAX_DOUBTS = frozenset({"place x", "elsewhere x"})
+"""What distance raises."""
 
 MOST_SATURATED = 0.5
 """Share of the illuminated samples at which two of the four steps of a direction or more are saturated. Beyond, what is left are
@@ -135,7 +140,10 @@ def _look(
             weak = explanation.what is What.UNEXPLAINED or _decided(evidence) == ["place x"]
             dazzled = weak and _saturated_share(witness, sequence) > MOST_SATURATED
             if dazzled or _may_be_motion(explanation, evidence):
-                explanation, evidence = None, LineEvidence({}, {}, evidence.illuminated, 0, 0, evidence.displaced)
+                explanation, evidence = (
+                    None,
+                    LineEvidence({}, {}, evidence.illuminated, 0, 0, displaced=evidence.displaced),
+                )
     elif evidence.illuminated >= MIN_FRINGE and not flooded:
         explanation = still(witness, sequence, noise)
     ends_dark = bool(means[-1] - means.min() < 0.1 * (means.max() - means.min()))
@@ -177,9 +185,13 @@ def _may_be_motion(explanation: Explanation, evidence: LineEvidence) -> bool:
 
 def _without_parallax(cameras: list[_Camera]) -> list[_Camera]:
     """Return the cameras, unjudged where their only doubt is where the stripes lie and both see them displaced to
-    opposite sides."""
+    opposite sides, or both some of them elsewhere: what is seen is far from the volume, or reaches from before it to behind it."""
+    if len(cameras) != 2:
+        return cameras
     aside = [camera.evidence.displaced for camera in cameras]
-    if len(aside) != 2 or aside[0] * aside[1] >= 0.0 or min(abs(one) for one in aside) < LEAST_PARALLAX:
+    displaced = aside[0] * aside[1] < 0.0 and min(abs(one) for one in aside) >= LEAST_PARALLAX
+    deep = min(camera.evidence.doubts.get("elsewhere x", 0.0) for camera in cameras) >= BOTH_ELSEWHERE
+    if not displaced and not deep:
         return cameras
     return [replace(one, explanation=None, evidence=_nothing(one)) if _only_displaced(one) else one for one in cameras]
 
@@ -195,7 +207,8 @@ def _parallax_percent(cameras: list[_Camera]) -> float | None:
 
 def _only_displaced(camera: _Camera) -> bool:
     explanation = camera.explanation
-    return explanation is not None and explanation.what is What.UNEXPLAINED and _decided(camera.evidence) == ["place x"]
+    unexplained = explanation is not None and explanation.what is What.UNEXPLAINED
+    return unexplained and set(_decided(camera.evidence)) <= PARALLAX_DOUBTS
 
 
 def _decided(evidence: LineEvidence) -> list[str]:

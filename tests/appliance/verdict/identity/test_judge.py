@@ -302,3 +302,86 @@ def test_an_x_sine_in_the_place_of_a_y_sine_is_found_where_the_water_outshines_t
     of_x, of_y = (SEQUENCE.axis(direction).sine for direction in Direction)
     missed = [pair for pair in zip(of_x, of_y, strict=True) if opposite(np.array(swapped(*pair))) < 1.0]
     assert missed == []
+
+
+@pytest.mark.parametrize("contrast", [0.3, 0.15])
+def test_a_coarse_stripe_in_the_place_of_a_soft_sine_is_not_its_opposite(
+    ideal: NDArray[np.float64], contrast: float
+) -> None:
+    """Many times as strong as the fringes, it hid itself: it spoilt what all pairs were compared with."""
+    sines = [k for direction in Direction for k in SEQUENCE.axis(direction).sine]
+    soft, mean = ideal.copy(), ideal[sines].mean(axis=0)
+    soft[sines] = mean + contrast * (ideal[sines] - mean)
+
+    def opposite(order: Sequence[int]) -> float:
+        return max(doubt for name, doubt in doubts(soft, order).items() if name.startswith("opposite"))
+
+    assert opposite(range(N)) < 0.1
+    axes = [SEQUENCE.axis(direction) for direction in Direction]
+    assert [(k, axis) for axis in axes for k in axis.sine if opposite(swapped(axis.gray[0], k)) < 1.0] == []
+
+
+def seen_where(inside: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """The patterns on a part of the board; beside it, nothing is illuminated."""
+    return ideal_frames(SEQUENCE, np.where(inside[..., None], surface(), np.nan))
+
+
+def doubts(ideal: NDArray[np.float64], order: Sequence[int]) -> Mapping[str, float]:
+    witness = Witness(take_lines(recorded(ideal, 7), SEQUENCE, TYPICAL), SEQUENCE, TYPICAL)
+    return witness.evidence(np.array(order)).doubts
+
+
+def test_coarse_images_of_which_no_edge_is_seen_are_not_exchanged_unseen() -> None:
+    """In milk the borders of the coarsest stripes are not told. Exchanged, quarters of the field change places: each neighbour
+    follows the other, and the middle of all stays."""
+    across = surface()[..., 0] / SEQUENCE.width_px
+    ideal = seen_where(np.min([abs(across - edge) for edge in (0.25, 0.5, 0.75)], axis=0) > 0.06)
+    assert max(doubts(ideal, range(N)).values()) < 0.3
+    coarse, finer = SEQUENCE.axis(Direction.X).gray[:2]
+    wrong = doubts(ideal, swapped(coarse, finer))
+    assert max(doubt for name, doubt in wrong.items() if name != "elsewhere x") < 1.0, "nothing else sees it"
+    assert wrong["elsewhere x"] > 1.5
+    order = swapped(coarse, finer)
+    frames = {"left": recorded(ideal, 1)[order], "right": recorded(ideal, 2)}
+    assert code(judge_identity(frames, SEQUENCE)) is FaultCode.PATTERN_WRONG
+
+
+def test_what_reaches_from_before_the_volume_to_behind_it_is_no_wrong_pattern() -> None:
+    """Its stripes lie as far apart in the image as those of exchanged Gray images, but in both cameras."""
+    board, half = surface(), np.mgrid[0.0 : SIZE_PX[0], 0.0 : SIZE_PX[1]][1] < SIZE_PX[1] / 2
+    moved_px = np.where(half, 0.15, -0.15) * SEQUENCE.width_px
+    near, far = board.copy(), board.copy()
+    near[..., 0] += moved_px
+    far[..., 0] -= moved_px
+    far[(far[..., 0] < 0.0) | (far[..., 0] > SEQUENCE.width_px - 1)] = np.nan
+    frames = {"left": recorded(ideal_frames(SEQUENCE, near), 1), "right": recorded(ideal_frames(SEQUENCE, far), 2)}
+    judgement = judge_identity(frames, SEQUENCE)
+    assert (judgement.verdict.passed, judgement.fault) == (None, None)
+    alone = {"left": frames["left"], "right": recorded(ideal_frames(SEQUENCE, board), 2)}
+    assert code(judge_identity(alone, SEQUENCE)) is FaultCode.PATTERN_WRONG, "depth is seen by both"
+
+
+def test_a_bright_frame_exchanged_for_one_that_is_dark_on_a_fourteenth_is_found() -> None:
+    """Less than a twelfth was taken for what moves past; but nothing that moves leaves a frame that is right everywhere."""
+    down = surface()[..., 1]
+    image = SEQUENCE.axis(Direction.Y).gray[1]
+    # It is bright from a third of the field on.
+    ideal = seen_where((down > 27.0) & (down < 94.0))
+    dark = np.mean((down > 27.0) & (down < 32.0)) / np.mean((down > 27.0) & (down < 94.0))
+    assert 0.07 < dark < 0.08
+    assert doubts(ideal, range(N))["bright"] < 0.1
+    assert doubts(ideal, swapped(SEQUENCE.bright, image))["bright"] > 1.0
+
+
+def test_a_camera_that_reads_one_direction_only_is_not_said_to_show_its_patterns(board: Takes) -> None:
+    """Its images of the other direction may be in any order."""
+    frames = {side: takes[0] for side, takes in board.items()}
+    right = frames["right"].copy()
+    across = SEQUENCE.axis(Direction.X)
+    gray = right[list(across.gray)].astype(np.float64)
+    # Stripes across the base line that nobody reads: their bits are half way.
+    right[list(across.gray)] = np.rint(0.5 * (gray.max(axis=0) + gray.min(axis=0)))
+    judgement = judge_identity({"left": frames["left"], "right": right}, SEQUENCE)
+    assert judgement.fault is None
+    assert judgement.verdict.text == "each frame of camera.left is its pattern"
+    assert judgement.verdict.numbers["right_doubt"] is None
