@@ -22,6 +22,7 @@ from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.sides import SIDES
 from appliance.scan.verdict import Judgement, Verdict
+from appliance.verdict.water.judge import hides_object
 
 NAME = "causes"
 MOVED_LIKE_FLICKER = 2.4
@@ -34,6 +35,9 @@ LAMP_IN_COMMON = 0.5
 moves before paint of any kind mostly below 0.3."""
 CLEAR_WATER_PERCENT = 12.0
 """Pixels that are lost where a smaller share is hidden by backscatter are not lost to the water."""
+OUTSHINES_PERCENT = 40.0
+"""Share of the light that carries fringes, below which the backscatter outshines the object: fringes carry 0.8 of an object's own. Only
+from there on does it turn bits of the Gray code over."""
 LEAST_SHARE = 0.05
 """A cause that explains less is not named where its judge would not have raised it."""
 ENOUGH_FRINGE_DN = 8.0
@@ -46,9 +50,11 @@ FOLLOWED_FRINGE_DN = MIN_MODULATION_DN
 FULL_SCALE_DN = 235.0
 MOST_SATURATED = 0.25
 """Share of the illuminated pixels: beyond, weak fringes say nothing about darkness."""
-MUCH_ROOM = 8.0
+SEEN_FRINGE_DN = 0.5
+"""Fringes of this amplitude are told from noise (``sight``)."""
+MUCH_ROOM = ENOUGH_FRINGE_DN / SEEN_FRINGE_DN
 """Factor of light that can still be exposed for: where nothing is seen, an exposure is to blame that leaves this
-unused."""
+unused. With less left, an object of which the longest exposure makes enough fringes would show some already."""
 SWALLOWS_PER_M = 1.6
 """Attenuation from which on the shape of the glow says that the water lets no light through; the true attenuation is
 two to three times as much."""
@@ -222,7 +228,8 @@ def _rushing(motion: Numbers, sight: Numbers, light: Numbers, water: Numbers, su
     each other.
 
     A lamp that flickers leaves the Gray code readable, and what is saturated, behind backscatter, faint or outside is
-    distinguished from this.
+    distinguished from this. Backscatter is measured at pixels that are decoded, of which movement leaves few that are right: where
+    something was seen to move, the fringes tell by themselves whether it outshines the object.
     """
     fringe = sight.get("fringe_dn")
     followed = _is_followed(motion)
@@ -230,6 +237,8 @@ def _rushing(motion: Numbers, sight: Numbers, light: Numbers, water: Numbers, su
     if motion.get("added_noise_percent") is not None or fringe is None or fringe < least:
         return None
     turbid = (water.get("veil_percent") or 0.0) >= CLEAR_WATER_PERCENT
+    if turbid and _moves(motion):
+        turbid = (sight.get("object_percent") or 0.0) < OUTSHINES_PERCENT
     if turbid or _saturated(light, water) > MOST_SATURATED:
         return None
     seen = ", and the texture moves" if followed else ""
@@ -347,7 +356,11 @@ def _saturated(light: Numbers, water: Numbers) -> float:
 
 def _water(of: Mapping[str, Judgement], water: Numbers, moved: float, saturated: float) -> Iterator[Cause]:
     """Yield what the water takes, as shares of the object's pixels that are not saturated: ``saturated`` of them all
-    are."""
+    are.
+
+    Its judge may have been moved by specks alone, which say nothing where something moves (``moved``): what backscatter there is
+    besides is then named only for a scan that is not usable.
+    """
     judged = of.get("water")
     if judged is None or judged.fault is None:
         return
@@ -359,7 +372,7 @@ def _water(of: Mapping[str, Judgement], water: Numbers, moved: float, saturated:
         shares.append(specks)
     share = (1.0 - saturated) * max(shares)
     if share > 0.0:
-        yield Cause(judged.fault, share, True)
+        yield Cause(judged.fault, share, moved == 0.0 or hides_object(masked, backscatter, hidden))
 
 
 def _faint(

@@ -174,14 +174,18 @@ def text_of(numbers: dict[str, float | None]) -> str:
     return ", ".join(parts) or "nothing to judge the water by"
 
 
+def hides_object(masked: float, backscatter: float, hidden: float) -> bool:
+    """Say whether a scan is poor because of backscatter, by shares of 0 to 1: of the object's pixels without coordinates, of the light
+    that is backscatter, and of the pixels at which it outshines the object."""
+    much = backscatter > MOST_BACKSCATTER or (backscatter > DIRTY_BACKSCATTER and masked > DIRTY_MASKED)
+    return much or hidden > HIDDEN
+
+
 def _fault(sample: BackscatterSample) -> Fault | None:
-    masked, backscatter, specks = sample.masked_share, sample.backscatter_share, sample.speck_share
+    masked, specks = sample.masked_share, sample.speck_share
     if masked is None:
         return None
-    by_backscatter = backscatter is not None and (
-        backscatter > MOST_BACKSCATTER or (backscatter > DIRTY_BACKSCATTER and masked > DIRTY_MASKED)
-    )
-    by_backscatter |= (sample.hidden_share or 0.0) > HIDDEN
+    by_backscatter = hides_object(masked, sample.backscatter_share or 0.0, sample.hidden_share or 0.0)
     by_specks = specks is not None and specks > DIRTY_SPECKS
     if not by_backscatter and not by_specks:
         return None

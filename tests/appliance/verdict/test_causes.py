@@ -78,6 +78,26 @@ def test_hands_too_fast_to_be_judged_are_no_flickering_light() -> None:
     assert codes(unjudged, flickers, water, sight(**FRINGES), summary=NO_POINTS) == [FaultCode.MOVED]
 
 
+GLARE = {"veil_percent": 27.4, "hidden_percent": 45.1, "masked_percent": 88.8, "speck_percent": 0.0}
+"""Of printed squares in clear water at 60 mm/s: glare of the white ones lies on the black ones, and few pixels are decoded."""
+
+
+def test_printed_squares_that_rush_by_in_clear_water_do_not_make_it_dirty() -> None:
+    """The first reason was WATER DIRTY: of the pixels that are decoded by chance a quarter seems to be backscatter."""
+    unjudged = {
+        "added_noise_percent": None,
+        "lost_percent": 48.8,
+        "score": 2288.3,
+        "score_limit": 4.5,
+        "score_flow": 5.5,
+    }
+    water = judgement("water", GLARE, FaultCode.WATER_DIRTY, coverage_percent=11.2)
+    seen = sight(**FRINGES | {"fringe_dn": 41.3, "object_percent": 84.0})
+    assert codes(judgement("motion", unjudged), water, light(), seen, summary=NO_POINTS)[0] is FaultCode.MOVED
+    silt = sight(**FRINGES | {"fringe_dn": 10.8, "object_percent": 17.3})
+    assert codes(judgement("motion", unjudged), water, light(), silt, summary=NO_POINTS)[0] is FaultCode.WATER_DIRTY
+
+
 def test_specks_are_specks_where_nothing_moves() -> None:
     water = judgement("water", SPECKS_OF_MOTION, FaultCode.WATER_DIRTY, coverage_percent=86.0)
     assert codes(still(), water, light(), sight(**FRINGES)) == [FaultCode.WATER_DIRTY]
@@ -169,6 +189,13 @@ def test_faint_fringes_are_the_exposures_fault_where_a_longer_one_helps(
 def test_an_exposure_that_leaves_all_unused_is_to_blame_where_nothing_is_seen() -> None:
     dark = NO_FRINGES | {"light_dn": 0.1, "top_dn": 0.2}
     assert codes(still(), light(), sight(**dark), summary=NOTHING_LIT, exposure=Exposure(500)) == [FaultCode.TOO_DARK]
+
+
+def test_nothing_is_there_where_an_object_would_show_fringes_at_a_third_of_the_usual_exposure() -> None:
+    """A bright projector is exposed for 5 ms: open water before it was TOO DARK, for 64 ms' worth of light were left."""
+    clear = NO_FRINGES | {"light_dn": 2.0, "top_dn": 3.1}
+    said = codes(still(), light(), sight(**clear), summary=NOTHING_LIT, exposure=Exposure(5_170))
+    assert said == [FaultCode.NOTHING_SEEN]
 
 
 @pytest.mark.parametrize(

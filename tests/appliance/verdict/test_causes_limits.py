@@ -82,11 +82,11 @@ def test_a_movement_that_was_undone_takes_nothing_and_of_a_poor_scan_what_it_too
 
 
 def rushing(
-    fringe: Given = 30.0, backscatter: Given = None, saturated: Given = None, **more: Any
+    fringe: Given = 30.0, backscatter: Given = None, saturated: Given = None, score: Given = None, **more: Any
 ) -> dict[FaultCode, Cause]:
     summary = replace(GOOD, coverage_percent=10.0)
     judgements = (
-        motion(None, score=None),
+        motion(None, score=score),
         said("sight", fringe_dn=fringe, **more),
         said("water", FaultCode.WATER_DIRTY, veil_percent=backscatter, speck_percent=9.0),
         said("light", left_saturated_percent=saturated),
@@ -107,6 +107,12 @@ def test_strong_fringes_that_give_no_points_are_a_fast_movement() -> None:
     assert FaultCode.MOVED in rushing(saturated=25.0)
     assert FaultCode.MOVED not in rushing(saturated=25.1)
     assert FaultCode.MOVED not in rushing(distance_mm=800.0, far_percent=90.0)
+    assert FaultCode.MOVED in rushing(backscatter=27.0, score=2288.0, object_percent=40.0)
+    assert FaultCode.MOVED not in rushing(backscatter=27.0, score=2288.0, object_percent=39.9), (
+        "it outshines the object"
+    )
+    assert FaultCode.MOVED not in rushing(backscatter=27.0, score=2288.0), "not known"
+    assert FaultCode.MOVED not in rushing(backscatter=27.0, score=4.4, object_percent=84.0), "nothing was seen to move"
     judged = causes(motion(0.0, score=1.0), said("sight", fringe_dn=30.0), summary=POOR)
     assert FaultCode.MOVED not in judged
     usable = causes(motion(None, score=None), said("sight", fringe_dn=30.0))
@@ -259,6 +265,12 @@ def test_water_takes_what_its_backscatter_hides() -> None:
     assert water(veil_percent=30.0, hidden_percent=20.0) == pytest.approx(0.2)
     assert water(speck_percent=3.0) == pytest.approx(0.03)
     assert water(moves=True, speck_percent=3.0) is None, "what moves looks like specks"
+    bright = {"veil_percent": 17.3, "masked_percent": 23.0, "hidden_percent": 7.7, "speck_percent": 3.1}
+    assert water(**bright) == pytest.approx(0.173)
+    assert water(moves=True, **bright) is None, "the backscatter alone is no fault"
+    assert water(moves=True, **bright | {"hidden_percent": 25.1}) == pytest.approx(0.251)
+    assert water(moves=True, **bright | {"veil_percent": 30.1}) == pytest.approx(0.301)
+    assert water(moves=True, **bright | {"veil_percent": 25.1, "masked_percent": 25.1}) == pytest.approx(0.251)
     assert water() is None
     assert causes(said("water", speck_percent=3.0), summary=GOOD) == {}
 
@@ -323,10 +335,10 @@ def test_where_no_fringes_are_seen_it_is_the_water_or_the_exposure_or_that_there
     nothing = unseen(1.5)
     assert (nothing.fault.code, nothing.share, nothing.certain) == (FaultCode.NOTHING_SEEN, 1.0, False)
     assert nothing.fault.numbers == {"light_dn": 2.5}
-    dark = unseen(None, present=1_500)
+    dark = unseen(None, present=750)
     assert (dark.fault.code, dark.share, dark.certain) == (FaultCode.TOO_DARK, 1.0, False)
     assert dark.fault.numbers == {"light_dn": 2.5}
-    assert unseen(None, present=1_501).fault.code is FaultCode.NOTHING_SEEN
+    assert unseen(None, present=751).fault.code is FaultCode.NOTHING_SEEN
     assert unseen(None, present=500, steps=()).fault.code is FaultCode.NOTHING_SEEN
 
 
