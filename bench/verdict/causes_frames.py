@@ -34,7 +34,10 @@ def frames_of(
         return _outside(base, scene, taken, keep)
     frame_s = 0.0 if scene.motion.still else FRAME_S
     exposure_s = taken.time_us / 1e6
-    what = repr((base.rig_seed, scene, taken, WIDTH_PX, PERIOD_PX, TRUTH_SET))
+    # Frames that were kept before a scene could be of another world are found again.
+    what = repr((base.rig_seed, scene, taken, WIDTH_PX, PERIOD_PX, TRUTH_SET)).replace(
+        f", outside={scene.outside!r}", ""
+    )
     path = None if keep is None else keep / f"causes-{hashlib.sha256(what.encode()).hexdigest()[:20]}.npy"
     if path is not None and path.exists():
         both = np.load(path)

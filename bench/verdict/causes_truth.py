@@ -33,16 +33,17 @@ from appliance.scan.exposure import Exposure
 from appliance.scan.fault import FaultCode
 from appliance.screens.views import Grade
 from appliance.service.view import grade
+from bench.outside.stated import Stated, stated_truth
 from bench.outside.world import TRIGGER_DELAY_US
-from bench.verdict.causes_frames import frames_of
+from bench.verdict.causes_frames import TRUTH_SET, frames_of
 from bench.verdict.causes_scenes import NONE, STEPS, WIDTH_PX, Base, Spoilt, exposure_of, scene_of
 from bench.verdict.light_scenes import noise_at
 from bench.verdict.motion_truth import FALSE_MM, errors_mm, rms_mm
-from bench.verdict.outside import noise_of, put_outside, suited_s, water_of
+from bench.verdict.outside import noise_of, put_outside, suited_s
 from bench.verdict.worlds import ORDINARY
 from hw_sim.rendering.render import LightSlice
 from tests.support.rendered import RenderedScan, pictures
-from tests.support.truth import WATER, complete_calibration, true_calibration
+from tests.support.truth import WATER, true_calibration
 
 MORE_POINTS, LESS_ERROR = 0.10, 1.03
 LEAST_POINTS = 0.10
@@ -81,13 +82,15 @@ class Outcome:
     numbers: dict[str, dict[str, float | None]]
 
 
-def judged(scan: RenderedScan, exposure: Exposure, world: str = ORDINARY) -> Outcome:
-    """Work through a scan as the instrument does, with the true calibration, and compare its points with the truth."""
-    truth = scan.renderer.truth
-    if world == ORDINARY:
-        calibration, noise, water = true_calibration(truth), noise_at(exposure), WATER
+def judged(scan: RenderedScan, exposure: Exposure, stated: Stated | None = None) -> Outcome:
+    """Work through a scan as the instrument does, with the true calibration, and compare its points with the truth.
+
+    ``stated``: the calibration that states the truth about a rig of the world ``outside``; ``None``: the ordinary world.
+    """
+    if stated is None:
+        calibration, noise, water = true_calibration(scan.renderer.truth), noise_at(exposure), WATER
     else:
-        calibration, water = complete_calibration(truth), water_of(truth)
+        calibration, water = stated.calibration, stated.water
         noise = noise_of(scan.renderer.scene, exposure.gain_db)
     with Pipeline(calibration, water, scan.sequence, noise=noise) as pipeline:
         processor = SequenceProcessor(pipeline, calibration, water)
@@ -145,6 +148,7 @@ class Truth:
 
     def __init__(self, base: Base, keep: Path | None, world: str = ORDINARY) -> None:
         self._base, self._keep, self._world = base, keep, world
+        self._stated: Stated | None = None
         self._usual = self._usual_exposure()
         self._known: dict[tuple[Spoilt, Exposure], Outcome] = {}
 
@@ -160,8 +164,10 @@ class Truth:
         if self._world == ORDINARY:
             return None
         scene = scene_of(self._base, Spoilt())
-        renderer = put_outside(scene, self._base.rig_seed, "realistic", width_px=WIDTH_PX, hands=False).renderer()
-        return Exposure(round(1e6 * suited_s(renderer, 0.0, 1.0)))
+        world = put_outside(scene, self._base.rig_seed, TRUTH_SET, width_px=WIDTH_PX, hands=False)
+        # Every scene of a base is before the same rig, in water of one temperature.
+        self._stated = stated_truth(world.rig, world.scene)
+        return Exposure(round(1e6 * suited_s(world.renderer(), 0.0, 1.0)))
 
     def _exposure_of(self, spoilt: Spoilt) -> Exposure:
         """What a scene is taken with: too dark and too bright are so many times less and more than what suits the base."""
@@ -174,13 +180,13 @@ class Truth:
     def _kept(self, spoilt: Spoilt, taken: Exposure) -> Outcome:
         """From the folder, if this very product judged that scene before."""
         if self._keep is None:
-            return judged(frames_of(self._base, spoilt, None, taken, self._world), taken, self._world)
-        where = () if self._world == ORDINARY else (self._world,)
+            return judged(frames_of(self._base, spoilt, None, taken, self._world), taken, self._stated)
+        where = () if self._world == ORDINARY else (self._world, "stated")
         what = repr((self._base, spoilt, taken, sources_digest(), *where))
         path = self._keep / f"causes-outcome-{hashlib.sha256(what.encode()).hexdigest()[:20]}.json"
         if path.exists():
             return read_outcome(json.loads(path.read_text(encoding="utf-8")))
-        outcome = judged(frames_of(self._base, spoilt, self._keep, taken, self._world), taken, self._world)
+        outcome = judged(frames_of(self._base, spoilt, self._keep, taken, self._world), taken, self._stated)
         draft = path.with_name(f".{path.name}")
         draft.write_text(json.dumps(written(outcome)) + "\n", encoding="utf-8")
         draft.replace(path)

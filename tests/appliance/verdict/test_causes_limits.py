@@ -265,7 +265,7 @@ def test_water_takes_what_its_backscatter_hides() -> None:
     assert water(veil_percent=30.0, hidden_percent=20.0) == pytest.approx(0.2)
     assert water(speck_percent=3.0) == pytest.approx(0.03)
     assert water(moves=True, speck_percent=3.0) is None, "what moves looks like specks"
-    bright = {"veil_percent": 17.3, "masked_percent": 23.0, "hidden_percent": 7.7, "speck_percent": 3.1}
+    bright: dict[str, Any] = {"veil_percent": 17.3, "masked_percent": 23.0, "hidden_percent": 7.7, "speck_percent": 3.1}
     assert water(**bright) == pytest.approx(0.173)
     assert water(moves=True, **bright) is None, "the backscatter alone is no fault"
     assert water(moves=True, **bright | {"hidden_percent": 25.1}) == pytest.approx(0.251)
