@@ -41,7 +41,7 @@ BOTH_ELSEWHERE = 0.5
 """Doubt of both cameras that stripes across the base line are elsewhere from which on that is depth, unless another order explains it:
 from 250 mm to far behind the volume they wander by 0.44 of the field."""
 PARALLAX_DOUBTS = frozenset({"place x", "elsewhere x"})
-"""What distance raises."""
+"""Doubts that distance raises."""
 
 MOST_SATURATED = 0.5
 """Share of the illuminated samples at which two of the four steps of a direction or more are saturated. Beyond, what is left are
