@@ -8,7 +8,8 @@ of it before a bright one: bits then follow the water, and whole patches would b
 O is told by the fringes, which backscatter cannot have: a ray crosses many of them. So V = (bright − dark) − O is known for
 each pixel, and f is smooth over the image: it is read off pixels whose bit is beyond doubt (G < O: not set; G > V: set), and
 carried from there to their neighbours, whose bits it tells in turn. Where V is many times O hardly any pixel is beyond doubt;
-of fine stripes f is then ½ to begin with, since a ray crosses many of them. A pixel whose bit remains in doubt is masked,
+of fine stripes f is then ½ to begin with, since a ray crosses many of them; and whole pieces of the surface are told by all of their sure bits
+together (``pieces``). A pixel whose bit remains in doubt asks its neighbours (``neighbours``) and is masked if they do not tell,
 unless it lies on the border of that bit's stripes, where the phase tells the half period anyway.
 
 Symbols, per pixel and in grey values: G ``gray_dn``, O ``object_dn`` and ``own``, bright − dark ``light_dn``, V ``veil``,
@@ -25,6 +26,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.patterns.sequence import Direction, PatternSequence
+from appliance.reconstruct.decode.gray_code import periods, plain_number
+from appliance.reconstruct.decode.neighbours import ask_neighbours
+from appliance.reconstruct.decode.pieces import find_pieces, tell_pieces
 from appliance.scan.noise import FULL_DN, CameraNoise
 
 Floats = NDArray[np.float32]
@@ -46,6 +50,10 @@ SETTLED = 0.0002
 """Share of the pixels: where a round decides no more, the next one would not either."""
 SURE = 0.75
 """Share of the fringes' estimate of O that is certainly there: blur and the projector's response differ from place to place."""
+CONTINUOUS_SIGMAS = 6.0
+"""O in σ from which on a sample's phase is good enough to be followed to the next."""
+PIECE_ROUNDS = 8
+"""Number of times that f is carried on beside what is told, and what it tells is asked again."""
 NOISE_SIGMAS = 3.0
 MARGIN = 0.25
 """A pixel tells its neighbours where G is farther from the threshold than this, in O, and than ``NOISE_SIGMAS``."""
@@ -66,6 +74,7 @@ MIN_CLEAR = 20
 HALF_VEIL, FEW = 0.5, 0.005
 """Backscatter of half the object's light in less than this share of the decoded pixels endangers no bit."""
 _ZERO_BIT, _ONE_BIT, _OPEN, _NONE = np.uint8(0), np.uint8(1), np.uint8(2), np.uint8(3)
+_SURE, _DOUBT, _UNSEEN = np.uint8(0), np.uint8(1), np.uint8(2)
 _FULL, _SHADOW, _SATURATED = np.uint8(FULL_DN), np.uint8(1), np.uint8(2)
 
 
@@ -103,7 +112,8 @@ def read_through_backscatter(
     half_period: NDArray[np.uint8],
     doubtful: NDArray[np.uint8],
 ) -> bool:
-    """Write the half periods of the pattern columns (h, w) uint8, and 1 in ``doubtful`` (h, w) uint8 where a bit cannot be told.
+    """Write the half periods of the pattern columns (h, w) uint8, and into ``doubtful`` (h, w) uint8 a 1 where a bit cannot be told,
+    a 2 where there is too little light to ask.
 
     ``frames`` (n, h, w) uint8 are one camera's; ``mask`` (h, w) is as decoding them left it. Returns False, with nothing
     written, where the backscatter is too weak to have turned a bit.
@@ -132,15 +142,50 @@ def _read(
     stride = max(1, -(-frames.shape[2] // BLOCKS) // SAMPLES_PER_BLOCK)
     at = (slice(stride // 2, None, stride), slice(stride // 2, None, stride))
     pixels = sample_pixels(sequence, frames, at, scale)
-    dark = frames[sequence.dark][at].astype(np.float32)
-    fine = across.gray[-FINE_IMAGES:]
-    shares = np.stack(
-        [illuminated_share(frames[k][at].astype(np.float32) - dark, pixels, k in fine) for k in across.gray]
-    )
+    shares = _shares(sequence, frames, at, pixels)
+    soft, sine = np.empty_like(half_period), np.array(across.sine, np.int64)
     _number(
-        frames, np.array(across.gray, np.int64), np.array(across.sine, np.int64), sequence.bright, sequence.dark, shares,
-        SAMPLES_PER_BLOCK * stride, scale, half_period, doubtful,
+        frames, np.array(across.gray, np.int64), sine, sequence.bright, sequence.dark, shares,
+        SAMPLES_PER_BLOCK * stride, scale, half_period, soft, doubtful,
     )  # fmt: skip
+    ask_neighbours(frames, sine, soft, half_period, doubtful)
+
+
+def _shares(
+    sequence: PatternSequence, frames: NDArray[np.uint8], at: tuple[slice, slice], pixels: SampledPixels
+) -> Floats:
+    """Return f of all Gray images of the columns in each block, (images, rows, columns) float32; NaN where it is not known."""
+    across = sequence.axis(Direction.X)
+    coarse = len(across.gray) - FINE_IMAGES
+    dark = frames[sequence.dark][at].astype(np.float32)
+    gray_dn = [frames[k][at].astype(np.float32) - dark for k in across.gray]
+    states = np.empty((len(gray_dn), *dark.shape), np.uint8)
+    block = SAMPLES_PER_BLOCK
+    rows, columns = (-(-size // block) for size in dark.shape)
+    half = np.full((rows, columns), 0.5, np.float32)
+    for k, gray in enumerate(gray_dn):
+        _seed(gray, pixels.light_dn, pixels.object_dn, pixels.noise_dn, pixels.usable, states[k])
+        if k >= coarse:
+            _decide(gray, pixels.light_dn, pixels.object_dn, pixels.noise_dn, half, block, states[k])
+    i0, i1, i2, i3 = (frames[k][at].astype(np.float32) for k in across.sine)
+    turns = np.float32(0.5 / np.pi) * np.arctan2(i3 - i1, i0 - i2)
+    turns[~pixels.usable | (pixels.object_dn < np.float32(CONTINUOUS_SIGMAS) * pixels.noise_dn)] = np.nan
+    ahead, members, ends = find_pieces(turns)
+    told = np.zeros(ends.size, np.bool_)
+    sums, shares = np.empty((rows, columns, 3), np.float32), np.empty((len(gray_dn), rows, columns), np.float32)
+    for _ in range(PIECE_ROUNDS):
+        new = tell_pieces(ahead, members, ends, told, states, coarse)
+        found = 0
+        for k, gray in enumerate(gray_dn):
+            _gather(gray, pixels.light_dn, pixels.object_dn, states[k], block, sums)
+            shares[k] = _smooth_share(sums)
+            if k >= coarse:
+                shares[k][np.isnan(shares[k])] = 0.5
+            # Beside what is told f is known now, and tells bits of the next piece.
+            found += _decide(gray, pixels.light_dn, pixels.object_dn, pixels.noise_dn, shares[k], block, states[k])
+        if new == 0 and found <= dark.size * SETTLED:
+            break
+    return shares
 
 
 def fringe_scale(
@@ -331,21 +376,6 @@ def _decide(
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def plain_number(gray: int) -> int:
-    """Return the number that a reflected Gray code of up to eight bits stands for."""
-    number = gray ^ (gray >> 1)
-    number ^= number >> 2
-    return number ^ (number >> 4)
-
-
-@numba.njit(nogil=True, cache=True, error_model="numpy")
-def periods(number: int, turns: float) -> int:
-    """Return the number of whole periods of the coordinate that phase and half period make together."""
-    middle = np.float32(0.5) * np.float32(number) + np.float32(0.25)
-    return int(np.floor(middle - turns + np.float32(0.5)))
-
-
-@numba.njit(nogil=True, cache=True, error_model="numpy")
 def _number(
     frames: NDArray[np.uint8],
     gray: NDArray[np.int64],
@@ -356,10 +386,13 @@ def _number(
     block_px: int,
     scale: FringeScale,
     half_period: NDArray[np.uint8],
+    soft_bits: NDArray[np.uint8],
     doubtful: NDArray[np.uint8],
 ) -> None:
+    """Write half periods, bits in doubt, and whether they matter (_DOUBT; _UNSEEN where nothing is seen), (h, w) each."""
     rows, columns = half_period.shape
     last_y, last_x = shares.shape[1] - 1, shares.shape[2] - 1
+    weak = np.float32((2.0 * MIN_MODULATION_DN) ** 2)
     own = np.empty(columns, np.float32)
     veil = np.empty(columns, np.float32)
     room = np.empty(columns, np.float32)
@@ -367,7 +400,7 @@ def _number(
     sure = np.empty(columns, np.float32)
     code = np.empty(columns, np.int64)
     soft = np.empty(columns, np.int64)
-    lost = np.empty(columns, np.bool_)
+    unseen = np.empty(columns, np.bool_)
     for y in range(rows):
         # O, V and the limits of doubt of each pixel of the row.
         i0, i1, i2, i3 = frames[sine[0], y], frames[sine[1], y], frames[sine[2], y], frames[sine[3], y]
@@ -390,7 +423,8 @@ def _number(
             doubt[x] += max(apart - np.float32(0.5) * own[x], np.float32(0.0))
             room[x] = np.float32(0.5) * own[x] + max(np.float32(BEYOND) * own[x], apart)
             sure[x] = np.float32(SURE) * told - np.float32(NOISE_SIGMAS) * sigma
-            code[x], soft[x], lost[x] = 0, 0, False
+            unseen[x] = (light < np.float32(MIN_LIGHT_DN)) | (cosine * cosine + quadrature * quadrature < weak)
+            code[x], soft[x] = 0, 0
         # Bit by bit: code takes the bits, soft a 1 where a bit is in doubt.
         for k in range(gray.size):
             image, share = frames[gray[k], y], shares[k, min(y // block_px, last_y)]
@@ -400,8 +434,7 @@ def _number(
                 # G − f V against the middle O/2, where f is known; else G against (O + V)/2.
                 if lit == lit:
                     off = rest - lit * veil[x] - np.float32(0.5) * own[x]
-                    unsure = abs(off) < doubt[x]
-                    lost[x] = lost[x] | (abs(off) > room[x])
+                    unsure = (abs(off) < doubt[x]) | (abs(off) > room[x])
                 else:
                     middle = np.float32(0.5) * (own[x] + veil[x])
                     off = rest - middle
@@ -412,10 +445,12 @@ def _number(
         for x in range(columns):
             number = plain_number(code[x])
             half_period[y, x] = np.uint8(number)
-            if soft[x] != 0:
+            soft_bits[y, x] = np.uint8(soft[x])
+            lost = False
+            if (soft[x] != 0) & (not unseen[x]):
                 # On the border of its own stripes a bit turned over is the half period beside, and the phase tells.
                 turned = plain_number(code[x] ^ soft[x])
                 wrapped = np.arctan2(np.float32(i3[x]) - np.float32(i1[x]), np.float32(i0[x]) - np.float32(i2[x]))
                 wrapped *= np.float32(0.5 / np.pi)
-                lost[x] = lost[x] | (periods(number, wrapped) != periods(turned, wrapped))
-            doubtful[y, x] = np.uint8(1) if lost[x] else np.uint8(0)
+                lost = periods(number, wrapped) != periods(turned, wrapped)
+            doubtful[y, x] = _UNSEEN if unseen[x] else (_DOUBT if lost else _SURE)

@@ -29,6 +29,9 @@ MIN_MODULATION_DN = 5.0
 """Modulation below this is noise: at 1.6 DN camera noise the phase error would exceed 1/30 of a period."""
 MAX_GRAY_DISAGREEMENT = 0.36
 """Distance between phase and the middle of its Gray half period, in periods; ¼ is perfect, ½ is a wrong order."""
+MAX_VEILED_DISAGREEMENT = 0.46
+"""The same along the rows where backscatter outshines the object: there its own stripes, which lie up to a quarter of a period beside the
+object's, decide the Gray bits, and less so the phase. A row of the wrong order has a ray gap of millimetres and makes no point."""
 MAX_GRAY_BITS = 8
 OFFSET_SAMPLES = 1_500
 """Number of pixels of which the mean of the sine images is compared with the Gray threshold."""
@@ -145,7 +148,9 @@ class CameraDecoder:
         for k in gray[BITS_AT_ONCE:]:
             add_bit(frames[k].reshape(-1), self._threshold, self._half_period)
 
-    def _close(self, frames: NDArray[np.uint8], direction: Direction) -> None:
+    def _close(
+        self, frames: NDArray[np.uint8], direction: Direction, max_disagreement: float = MAX_GRAY_DISAGREEMENT
+    ) -> None:
         mine = self._sequence.axis(direction)
         s0, s1, s2, s3 = (frames[k] for k in mine.sine)
         half_period = self._half_period.reshape(self._shape)
@@ -153,7 +158,7 @@ class CameraDecoder:
             np.float32(self._sequence.period_px),
             np.float32(mine.size_px),
             np.float32(2.0 * MIN_MODULATION_DN),
-            np.float32(MAX_GRAY_DISAGREEMENT),
+            np.float32(max_disagreement),
             self._closed,
         )
         # What fails now loses the other direction's coordinate, too.
@@ -185,15 +190,16 @@ class CameraDecoder:
             return False
         # A camera's ray crosses the stripes of X and stays within one of Y: only bits of X follow the water.
         self._begin(frames)
-        obscured = (doubtful != 0) & (self.mask == Mask.VALID)
+        obscured = (doubtful == 1) & (self.mask == Mask.VALID)
         self.mask[obscured] = Mask.CONTRADICTION
         self.backscatter_pixels = int(np.count_nonzero(obscured))
         for direction in Direction:
             if direction is Direction.X:
                 self._half_period[:] = columns.reshape(-1)
+                self._close(frames, direction)
             else:
                 self._number(frames, self._sequence.axis(direction).gray)
-            self._close(frames, direction)
+                self._close(frames, direction, MAX_VEILED_DISAGREEMENT)
         return True
 
     def finish(self) -> None:

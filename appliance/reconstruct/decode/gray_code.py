@@ -97,3 +97,18 @@ def add_bit(frame: NDArray[np.uint8], gray_threshold: NDArray[np.uint8], half_pe
     for i in range(half_period.size):
         bit = _ONE if frame[i] >= gray_threshold[i] else _ZERO
         half_period[i] = np.uint8(half_period[i] << _ONE) | ((half_period[i] & _ONE) ^ bit)
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def plain_number(gray: int) -> int:
+    """Return the number that a reflected Gray code of up to eight bits stands for."""
+    number = gray ^ (gray >> 1)
+    number ^= number >> 2
+    return number ^ (number >> 4)
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def periods(number: int, turns: float) -> int:
+    """Return the number of whole periods of the coordinate that phase and half period make together."""
+    middle = np.float32(0.5) * np.float32(number) + np.float32(0.25)
+    return int(np.floor(middle - turns + np.float32(0.5)))

@@ -8,7 +8,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.reconstruct.decode.backscatter import periods, plain_number
+from appliance.reconstruct.decode.gray_code import periods, plain_number
 
 
 class Count(IntEnum):

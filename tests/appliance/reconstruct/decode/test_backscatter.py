@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -25,6 +25,8 @@ GAIN_DB = 13.0
 NOISE = camera_noise(FULL_WELL_E, READ_NOISE_E, OFFSET_DN, GAIN_DB)
 MILK = Water(attenuation_per_m=3.0, backscatter=0.3, blur_px_per_m=2.25)
 """Before the far half of the plane, the veil is more than twice the object's light."""
+THICK = replace(MILK, attenuation_per_m=3.8)
+"""Fringes are left there of which noise hides the Gray bits, and the neighbours' bits, too."""
 PLANE = (0.0, 0.0, 522.5, 10.0, -12.0, 0.0)
 FAR_OFF_PX = 4.0
 
@@ -39,6 +41,12 @@ class Read:
 @pytest.fixture(scope="module")
 def milky() -> RenderedScan:
     scene = Scene(object="plane", pose=PLANE, texture="none", water=MILK, imaging=Imaging(response="linear"))
+    return render_scan(scene, "modelled", 1, 400, 16, 0.0162, gain_db=GAIN_DB)
+
+
+@pytest.fixture(scope="module")
+def thick() -> RenderedScan:
+    scene = Scene(object="plane", pose=PLANE, texture="none", water=THICK, imaging=Imaging(response="linear"))
     return render_scan(scene, "modelled", 1, 400, 16, 0.0162, gain_db=GAIN_DB)
 
 
@@ -71,7 +79,7 @@ def test_milk_makes_no_surfaces_and_leaves_nearly_all_of_the_plane(milky: Render
     off = np.abs(np.nan_to_num(errors.along_ray_mm, nan=1e3))
     assert np.mean((off > 1.0) & (off > 5.0 * cloud.sigma_mm)) < 100e-6
     seen = milky.renderer.view("left", 0.0).seen_by_all
-    assert np.count_nonzero(errors.seen) > 0.85 * np.count_nonzero(seen)
+    assert np.count_nonzero(errors.seen) > 0.95 * np.count_nonzero(seen)
 
 
 def test_the_middle_between_bright_and_dark_would_have_made_them(milky: RenderedScan) -> None:
@@ -85,19 +93,20 @@ def test_the_middle_between_bright_and_dark_would_have_made_them(milky: Rendered
     assert np.isfinite(left.decoder.p_px).sum() > 1.1 * np.isfinite(left.p_px).sum()
 
 
-def test_what_the_water_hides_is_no_movement(milky: RenderedScan) -> None:
-    calibration = true_calibration(milky.renderer.truth)
+def test_what_the_water_hides_is_no_movement(thick: RenderedScan) -> None:
+    calibration = true_calibration(thick.renderer.truth)
     noise = StereoNoise(NOISE, NOISE)
-    with Pipeline(calibration, WATER, milky.sequence, noise=noise) as pipeline:
+    with Pipeline(calibration, WATER, thick.sequence, noise=noise) as pipeline:
         processor = SequenceProcessor(pipeline, calibration, WATER)
-        full = processor.process(milky.frames, AcquisitionSettings(Exposure(16_200, GAIN_DB), noise=noise))
-        hidden = max(100.0 * np.mean(pipeline.decoded(side).mask == Mask.CONTRADICTION) for side in milky.frames)
+        full = processor.process(thick.frames, AcquisitionSettings(Exposure(16_200, GAIN_DB), noise=noise))
+        hidden = max(100.0 * np.mean(pipeline.decoded(side).mask == Mask.CONTRADICTION) for side in thick.frames)
         judged = {judgement.verdict.name: judgement for judgement in full.judgements}["motion"]
     assert hidden > 5.0
     assert judged.fault is None, judged.verdict.text
     lost_percent = judged.verdict.numbers["lost_percent"]
     assert lost_percent is not None
-    assert lost_percent < 2.0
+    # Noise in fringes of 5 grey values makes some contradictions; what the water hides is not among them.
+    assert lost_percent < 0.5 * hidden
 
 
 def test_clear_water_is_read_once(clear: RenderedScan) -> None:
