@@ -73,9 +73,9 @@ MOST_VEIL_UM = 22.0
 MATTERS_DEG = 0.02
 """Turn of a camera that three scans should find; where they would not, the verdict says what they do find."""
 SCANS_TO_FIND = 3
-LASTING = 2.0
-"""Multiple of its standard deviation at which doubt about backscatter counts: its causes stay, and the sum must not add them up. Of three
-causes 1 in 900 instruments then has more than ``SLACK`` for good, in other water than that of its first scans."""
+LASTING = 2.5
+"""Multiple of its standard deviation at which doubt about backscatter counts: its causes stay, and the sum must not add them up. By the rate of
+false alarms (``docs/calibration-health.md``): shapes of causes are only as good as the model of the water."""
 TAKEN_WRONGLY = 0.4
 """Standard deviation of what is taken off an amplitude for backscatter, of it: as far as the model of the water is off beyond its causes."""
 _WIDE_UM = 1e3
