@@ -7,7 +7,7 @@ nobody knows its albedo; so backscatter as a fraction of the light of an object 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,9 @@ LEAK = 0.001
 STEADY_DN, FLICKERS = 0.02, 2.0
 """The same of ambient light that differs between the references: so much in steady light, and so many times the flicker
 that the sines show."""
+HALO, HALO_SIGMAS = 0.05, 5.0
+"""Least share of the object's light, and least number of standard errors of it, from which on a halo is told from backscatter."""
+HALO_CANDIDATES_PER_M = np.arange(0.0, 8.01, 0.25)
 MAX_ATTENUATION_PER_M = 12.0
 MAX_SIGMA_PER_M = 1.0
 """Attenuation that is not known this well is not stated."""
@@ -63,7 +66,9 @@ class WaterJudgement:
     attenuation_sigma_per_m: float | None
     """Standard error of the attenuation."""
     veil_percent: float | None
-    """Percent of the projected light on the object's pixels that the water sent back."""
+    """Percent of the projected light on the object's pixels that the water sent back, without the halo."""
+    halo_percent: float | None
+    """Percent of it that is the object's own, turned by small angles on its way, so that dark stripes beside bright ones are not dark."""
     backscatter_percent: float | None
     """Backscatter of a white pattern before the middle of the volume in otherwise clear water, in percent of what a surface there
     sends back: as if the brighter parts of what is seen had an albedo of 0.6."""
@@ -99,6 +104,7 @@ def judge_water(images: ScanImages, cloud: Cloud, rig: StereoRig, water_index: f
         "attenuation_per_m": None,
         "attenuation_sigma_per_m": None,
         "veil_percent": _percent(sample.backscatter_share),
+        "halo_percent": None,
         "backscatter_percent": None,
         "expected_noise_mm": cloud.summary.noise_mm,
         "object_percent": _percent(sample.object_share),
@@ -110,6 +116,10 @@ def judge_water(images: ScanImages, cloud: Cloud, rig: StereoRig, water_index: f
     rays = _rays(images, sample.cells, cloud, rig, water_index)
     if rays is not None:
         cells, gathered, clear = rays
+        halo = halo_share(cells, gathered)
+        if halo > 0.0 and sample.backscatter_share is not None:
+            sample = replace(sample, backscatter_share=max(sample.backscatter_share - halo, 0.0))
+            numbers["veil_percent"], numbers["halo_percent"] = _percent(sample.backscatter_share), 100.0 * halo
         found = fit_attenuation(cells, gathered, images.noise.left.black_dn, sample.flicker_dn)
         if found is not None:
             numbers["attenuation_per_m"] = found.per_m
@@ -156,6 +166,32 @@ def fit_attenuation(cells: Cells, gathered: GatheredLight, black_dn: float, flic
     if not sigma_per_m <= MAX_SIGMA_PER_M:
         return None
     return Attenuation(float(x[1]), sigma_per_m, float(x[0]))
+
+
+def halo_share(cells: Cells, gathered: GatheredLight) -> float:
+    """Return the share of the projected light that reaches dark stripes from the object itself; 0 where it cannot be told.
+
+    Light turned by small angles follows the object's picture, backscatter the way of the ray through the beam: both are fitted to what
+    is seen between the stripes, for the attenuation that explains it best.
+    """
+    sigma = np.sqrt(cells.sigma_dn**2 + (MODEL_SHARE * cells.backscatter_dn) ** 2 + MODEL_DN**2)
+    seen, best, leak, leak_sigma = cells.backscatter_dn / sigma, np.inf, 0.0, np.inf
+    for per_m in HALO_CANDIDATES_PER_M:
+        model = np.column_stack([gathered.backscatter(float(per_m)), cells.signal_dn]) / sigma[:, None]
+        try:
+            inverse = np.linalg.inv(model.T @ model)
+        except np.linalg.LinAlgError:
+            continue
+        strength, share = inverse @ (model.T @ seen)
+        rest = seen - model @ np.array([strength, share])
+        misfit = float(rest @ rest)
+        if strength >= 0.0 and misfit < best:
+            excess = max(1.0, misfit / max(len(seen) - 3, 1))
+            best, leak, leak_sigma = misfit, float(share), float(np.sqrt(inverse[1, 1] * excess))
+    if leak < HALO or leak < HALO_SIGMAS * leak_sigma:
+        return 0.0
+    of_light = float(cells.pixels @ (cells.signal_dn + cells.backscatter_dn))
+    return leak * float(cells.pixels @ cells.signal_dn) / of_light
 
 
 def text_of(numbers: dict[str, float | None]) -> str:
