@@ -41,7 +41,7 @@ class Attempt:
     motion: MotionEstimate | None
     """``None``: too little was seen to estimate one."""
     found: Found | None
-    """The compensated cloud, in the pipeline's table; ``None``: the plain one is there, and stays what it is."""
+    """The compensated cloud, in the pipeline's table; ``None``: the plain one is to be found anew, the table's points mean nothing."""
     why: str
     """One sentence for the manifest."""
     error_after: float | None = None
@@ -51,7 +51,8 @@ class Attempt:
 def attempt(pipeline: Pipeline, plain: Found, images: ScanImages, calibration: Calibration, water: Water) -> Attempt:
     """Compensate a scan if that makes it better, after ``pipeline.find_full`` gave ``plain``.
 
-    ``calibration`` and ``water`` are those of the pipeline, whose table then holds the cloud that is to be shown.
+    ``calibration`` and ``water`` are those of the pipeline. Its table then holds the compensated cloud where there is one to be shown;
+    where there is none, whoever asked finds the plain one anew, straightened as it is shown.
     """
     sample = pipeline.sample(pipeline.coarse_stride)
     try:
@@ -73,7 +74,6 @@ def attempt(pipeline: Pipeline, plain: Found, images: ScanImages, calibration: C
     if is_better(motion.error_before, error_after) and kept >= LEAST_KEPT:
         why = f"Motion of {motion.texture_px:.1f} px during the x fringes was undone; points err {error_after:.1f} times as at rest."
         return Attempt(motion, found, why, error_after)
-    pipeline.find_full(straightened=False)
     if kept < LEAST_KEPT:
         why = f"Compensation would lose {100.0 * (1.0 - kept):.0f} % of the points."
     else:
