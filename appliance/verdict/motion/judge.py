@@ -99,16 +99,18 @@ def judge_motion(images: ScanImages, cloud: Cloud, rig: StereoRig, water_index: 
     lost = float(np.mean([_lost_share(images.decoded[side]) for side in SIDES]))
     left = images.decoded["left"]
     surface = surface_map(cloud, left.p_px, left.q_px, drift["left"].drift_px.shape)
+    flow, texture = flow_score(textures), texture_score(textures)
+    double_step2 = _double_step2(albedo, flow, texture)
     harm = predict(
-        drift["left"], drift["right"], surface, _double_step2(albedo), rig, water_index, sequence.period_px, images.frame_s
+        drift["left"], drift["right"], surface, double_step2, rig, water_index, sequence.period_px, images.frame_s
     )  # fmt: skip
     trend = drift_trend(harm)
     course = edge_course(edges, harm)
     scores = Scores(
         None if trend is None else trend.score,
         edges_score(course),
-        flow_score(textures),
-        texture_score(textures),
+        flow,
+        texture,
     )
     axial = _axial(harm)
     lateral = _lateral(textures["left"], harm, rig, water_index, images.frame_s)
@@ -131,8 +133,13 @@ def judge_motion(images: ScanImages, cloud: Cloud, rig: StereoRig, water_index: 
     )
 
 
-def _double_step2(albedo: Mapping[str, AlbedoShifts]) -> float | None:
-    """Return the mean over the cameras that see any albedo."""
+def _double_step2(albedo: Mapping[str, AlbedoShifts], flow: float | None, texture: float | None) -> float | None:
+    """Return the mean over the cameras that see any albedo; ``None`` unless the scores of ``flow`` or ``texture`` say that it moved.
+
+    The water's light goes with the stripes, and looks like a way of what is lit by them.
+    """
+    if max(flow or 0.0, texture or 0.0) < MOVED:
+        return None
     known = [step2 for one in albedo.values() if (step2 := one.double_step2) is not None]
     return float(np.mean(known)) if known else None
 

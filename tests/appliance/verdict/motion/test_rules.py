@@ -30,6 +30,7 @@ from appliance.verdict.motion.judge import (
     _variance,
 )
 from appliance.verdict.motion.scores import (
+    MOVED,
     DriftTrend,
     Scores,
 )
@@ -421,9 +422,18 @@ def test_the_way_of_the_paint_is_the_mean_of_the_cameras_that_see_any() -> None:
         return AlbedoShifts(np.array([[0.0, 0.0], [0.0, 0.0], [step_px, 0.0]]), np.zeros(3))
 
     blind = AlbedoShifts(np.full((3, 2), np.nan), np.full(3, np.nan))
-    assert _double_step2({"left": seen(1.0), "right": seen(3.0)}) == pytest.approx(5.0)
-    assert _double_step2({"left": blind, "right": seen(3.0)}) == pytest.approx(9.0)
-    assert _double_step2({"left": blind, "right": blind}) is None
+    assert _double_step2({"left": seen(1.0), "right": seen(3.0)}, None, 5.0) == pytest.approx(5.0)
+    assert _double_step2({"left": blind, "right": seen(3.0)}, 5.0, 0.0) == pytest.approx(9.0)
+    assert _double_step2({"left": blind, "right": blind}, 5.0, 5.0) is None
+
+
+def test_stripes_of_light_in_turbid_water_are_no_paint_that_moves() -> None:
+    ways = {
+        side: AlbedoShifts(np.array([[0.0, 0.0], [0.0, 0.0], [1.0, 0.0]]), np.zeros(3)) for side in ("left", "right")
+    }
+    assert _double_step2(ways, None, -2.0) is None
+    assert _double_step2(ways, MOVED - 0.1, None) is None
+    assert _double_step2(ways, MOVED, None) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("velocity_mm_s", [(4.0, 0.0), (-3.0, 2.0), (0.0, -5.0)])
