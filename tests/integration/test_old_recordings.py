@@ -143,7 +143,8 @@ def test_reconstructing_gives_the_points_of_the_version_that_recorded(
     found = recorded.root / said["calibration"]
     assert report["calibration_from"] == str(found), "by the hash in its manifest, in the root that it lies in"
     stored = recorded.root / name / "cloud.ply"
-    assert report["points"] == pytest.approx(said["points"], rel=0.015)
+    # Hardly any point fewer; more where pixels in doubt are read by their neighbours now.
+    assert 0.985 * said["points"] < report["points"] < 1.03 * said["points"]
     if stored.exists():
         before, after = (read_ply(path) for path in (stored, out))
         apart_mm, _ = cKDTree(after.points_mm).query(before.points_mm)
