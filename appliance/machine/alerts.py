@@ -184,6 +184,11 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
             Words("SHADE OR MOVE AWAY, REPEAT", "ABSCHATTEN, WEG DAVON, NOCHMAL"),
             spoils_points=True,
         ),
+        FaultCode.FRINGES_BENT: Rule(
+            _W,
+            Words("FRINGES BENT", "STREIFEN KRUMM"),
+            Words("TRY ANOTHER EXPOSURE", "ANDERE BELICHTUNG"),
+        ),
         FaultCode.AMBIENT: Rule(
             _W,
             Words("TOO MUCH LIGHT", "ZU VIEL LICHT"),

@@ -14,6 +14,8 @@ from appliance.reconstruct.images import ScanImages
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.table import Cloud
 from appliance.scan.verdict import Judgement
+from appliance.verdict.fringes import NAME as FRINGES
+from appliance.verdict.fringes import judge_fringes
 from appliance.verdict.light.judge import judge_light
 from appliance.verdict.motion.judge import judge_motion
 from appliance.verdict.sight.judge import look
@@ -78,10 +80,21 @@ def _look_at_windows(given: JudgeInput, earlier: Earlier) -> Judgement | None:
     return Judgement(windows.verdict(), remembered=windows)
 
 
+def _judge_fringes(given: JudgeInput, _: Earlier) -> Judgement:
+    """Judge the fringes by the bend that the pipeline will take out of them."""
+    return judge_fringes(given.pipeline.bend(), given.images.sequence.period_px)
+
+
+def _judge_light(given: JudgeInput, earlier: Earlier) -> Judgement:
+    """Judge the light, with what is known of the fringes' own bend."""
+    settings, fringes = given.images.settings, earlier[FRINGES]
+    bend_px = None if fringes is None else fringes.verdict.numbers["bend_px"]
+    return judge_light(given.images, settings.exposure, settings.steps, bend_px or 0.0)
+
+
 JUDGES = (
-    Judge(
-        "light", lambda given, _: judge_light(given.images, given.images.settings.exposure, given.images.settings.steps)
-    ),
+    Judge("light", _judge_light, needs=(FRINGES,)),
+    Judge(FRINGES, _judge_fringes),
     Judge("water", lambda given, _: judge_water(given.images, given.cloud, given.rig, given.water_index).judgement),
     Judge("sight", _look),
     Judge("windows", _look_at_windows, needs=("motion",)),

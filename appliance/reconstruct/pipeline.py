@@ -94,6 +94,8 @@ class Pipeline:
         self._factors = sigma_factors(sequence.period_px, noise)
         self._straight = False
         """The response's bend was taken out of this scan's coordinates, or looked for in vain."""
+        self._bend: PhaseBend | None = None
+        """The bend of this scan's coordinates; ``None``: not measured yet."""
         self._noisier = np.float32(1.0)
         """Factor by which taking it out multiplied the variance of the scan's coordinates."""
         self._limits = limits or QualityLimits()
@@ -174,7 +176,7 @@ class Pipeline:
         for decoder in self._decoders.values():
             decoder.finish()
         self._read_through_backscatter()
-        self._veil = None
+        self._veil = self._bend = None
         self._straight, self._noisier = False, np.float32(1.0)
         self._prepare()
         self._take_veil_out()
@@ -246,21 +248,25 @@ class Pipeline:
             self._straighten()
         return self._with_gaps(self._find(1))
 
+    def bend(self) -> PhaseBend:
+        """Return what the projector's response bends the decoders' coordinates by, as they were decoded; call after ``coarse``
+        and before the full cloud."""
+        if self._bend is None:
+            self._bend = measure_bend(list(self._decoders.values()), self._sequence.period_px)
+        return self._bend
+
     def _straighten(self) -> None:
         self._straight = True
-        bend = self._taken_out(list(self._decoders.values()))
+        bend = self.bend()
         if bend.counts:
+            self._take_out(list(self._decoders.values()), bend)
             self._noisier = np.float32(bend.variance_factor(self._sequence.period_px))
             self._prepare()
 
-    def _taken_out(self, cameras: Sequence[CoordinateMaps]) -> PhaseBend:
-        """Take out of both cameras' coordinates what the response bends them by, where that counts, and return it."""
-        period_px = self._sequence.period_px
-        bend = measure_bend(cameras, period_px)
-        if bend.counts:
-            for _ in self._pool.map(lambda camera: take_out(camera, bend, period_px), cameras):
-                pass
-        return bend
+    def _take_out(self, cameras: Sequence[CoordinateMaps], bend: PhaseBend) -> None:
+        """Take out of both cameras' coordinates what the response bends them by."""
+        for _ in self._pool.map(lambda camera: take_out(camera, bend, self._sequence.period_px), cameras):
+            pass
 
     def _with_gaps(self, found: Found) -> Found:
         if self._gaps is None:
@@ -294,8 +300,9 @@ class Pipeline:
         if not (left.variance_px2.size and right.variance_px2.size):
             raise ValueError("maps read between pixels came without variances; give both sides' variance_px2")
         shown = self._sequence
-        factors, bend = self._factors, self._taken_out((left, right))
+        factors, bend = self._factors, measure_bend((left, right), shown.period_px)
         if bend.counts:
+            self._take_out((left, right), bend)
             ripple = measure_ripple(left.p_px, left.illuminated_columns, shown.period_px)
             factors = sigma_factors(shown.period_px, self._noise, ripple)
             noisier = np.float32(bend.variance_factor(shown.period_px))

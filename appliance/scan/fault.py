@@ -53,6 +53,8 @@ class FaultCode(Enum):
     """Specks or backscatter cost much of the object (coverage_percent)."""
     LIGHT_FLICKERS = "LIGHT_FLICKERS"
     """Light that is not the projector's changed from frame to frame, enough to bias phases (harmed_percent)."""
+    FRINGES_BENT = "FRINGES_BENT"
+    """The exposure shows too few of the projector's bits for fringes to be sines; points are noisier for it (noise_percent)."""
     SCAN_NEAR = "SCAN_NEAR"
     """Most of what a scan sees is nearer than is measured (distance_mm)."""
     SCAN_FAR = "SCAN_FAR"

@@ -36,6 +36,7 @@ MEANINGS: Mapping[F, tuple[str, str]] = MappingProxyType(
         F.NOTHING_SEEN: ("The projector's light met nothing.", "Das Licht des Projektors traf auf nichts."),
         F.SCAN_POOR: ("Too few points, and no cause was found.", "Zu wenige Punkte, und kein Grund wurde gefunden."),
         F.LIGHT_FLICKERS: ("Other light changes and makes points wrong.", "Fremdes Licht flackert und verfälscht Punkte."),
+        F.FRINGES_BENT: ("This exposure bends the fringes; points are noisier.", "Diese Belichtung biegt die Streifen; mehr Rauschen."),
         F.AMBIENT: ("Daylight or a torch outshines the projector.", "Tageslicht oder eine Lampe überstrahlt den Projektor."),
         F.CAMERA_LOST: ("A camera does not answer; it is tried again.", "Eine Kamera antwortet nicht; sie wird weiter gesucht."),
         F.CAMERA_SLOW_LINK: ("A camera's cable is not making full contact.", "Das Kabel einer Kamera hat keinen vollen Kontakt."),

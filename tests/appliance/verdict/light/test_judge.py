@@ -37,8 +37,8 @@ STEPS = ladder(60.0, 500, 0.0, Span())
 NOMINAL = Exposure(12_000)
 
 
-def judge(scene: Wall, exposure: Exposure = NOMINAL, seed: int = 1) -> Judgement:
-    return judge_light(photograph(scene, exposure, seed), exposure, STEPS)
+def judge(scene: Wall, exposure: Exposure = NOMINAL, seed: int = 1, bend_px: float = 0.0) -> Judgement:
+    return judge_light(photograph(scene, exposure, seed), exposure, STEPS, bend_px)
 
 
 def mains(depth: float, hz: float = 100.0, exposure_s: float = 0.012) -> tuple[float, ...]:
@@ -80,6 +80,15 @@ def test_bits_that_an_exposure_sees_in_part_are_no_flicker(bits: tuple[float, ..
     lamp = judge(Wall(wall(5, 0.3, 0.5), ambient=0.3, flicker=mains(0.8), bits=bits))
     assert lamp.fault is not None
     assert lamp.fault.code is FaultCode.LIGHT_FLICKERS
+
+
+def test_a_lamp_is_believed_where_it_does_more_than_bent_fringes_look_like() -> None:
+    scene = Wall(wall(5, 0.3, 0.5), ambient=0.3, flicker=mains(0.8))
+    ripple_px = max(judge(scene).verdict.numbers[f"{side}_flicker_ripple_px"] or 0.0 for side in ("left", "right"))
+    # Bent fringes look like at most half of their bend.
+    for bend_px, told in ((1.9 * ripple_px, True), (2.1 * ripple_px, False)):
+        fault = judge(scene, bend_px=bend_px).fault
+        assert (fault is not None and fault.code is FaultCode.LIGHT_FLICKERS) is told
 
 
 def test_what_is_right_is_left_alone() -> None:
