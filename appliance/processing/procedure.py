@@ -163,6 +163,7 @@ class SequenceProcessor:
             for side in SIDES:  # what passed by makes no points
                 noise = of_side(settings.noise, side)
                 mask_specks(pipeline.sequence, self._frames[side], pipeline.decoded(side), noise)
+            pipeline.masked()
 
         self._full = full or pipeline.find_full()
         yield FullFound(self._full, (identity, *self._weighed(said, self._full.summary)))

@@ -255,6 +255,10 @@ class Pipeline:
             self._bend = measure_bend(list(self._decoders.values()), self._sequence.period_px)
         return self._bend
 
+    def masked(self) -> None:
+        """Note that pixels have lost their coordinates since ``bend`` was asked: the full cloud's is measured without them."""
+        self._bend = None
+
     def _straighten(self) -> None:
         self._straight = True
         bend = self.bend()
