@@ -24,8 +24,8 @@ MAX_AMBIENT_BEYOND = 0.25
 """Largest share of the illuminated pixels that may get more light from elsewhere than from the projector. It takes
 half of the scale, and with it half of the fringes' amplitude, at any exposure."""
 BEND_AS_LIGHT = 0.5
-"""Largest ripple that fringes which are no sines are taken for, over their bend: up to 0.37 in 60 scans of twelve projectors of bit
-planes seen for 2 to 8 ms (development seeds 10000 to 10011)."""
+"""Largest ripple that fringes which are no sines are taken for, over their bend: up to 0.37 in the sixteen of 30 scans that
+looked like it, of six projectors of bit planes seen for 2 to 8 ms (development seeds 10001 to 10010)."""
 FLICKER_ALIAS_HZ = (18.5, 21.5)
 """Frequencies at which lamps on 50 Hz mains show up at 60 frames per second."""
 
