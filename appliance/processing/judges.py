@@ -85,15 +85,14 @@ def _judge_fringes(given: JudgeInput, _: Earlier) -> Judgement:
     return judge_fringes(given.pipeline.bend(), given.images.sequence.period_px)
 
 
-def _judge_light(given: JudgeInput, earlier: Earlier) -> Judgement:
+def _judge_light(given: JudgeInput, _: Earlier) -> Judgement:
     """Judge the light, with what is known of the fringes' own bend."""
-    settings, fringes = given.images.settings, earlier[FRINGES]
-    bend_px = None if fringes is None else fringes.verdict.numbers["bend_px"]
-    return judge_light(given.images, settings.exposure, settings.steps, bend_px or 0.0)
+    settings = given.images.settings
+    return judge_light(given.images, settings.exposure, settings.steps, given.pipeline.bend().rms_px)
 
 
 JUDGES = (
-    Judge("light", _judge_light, needs=(FRINGES,)),
+    Judge("light", _judge_light),
     Judge(FRINGES, _judge_fringes),
     Judge("water", lambda given, _: judge_water(given.images, given.cloud, given.rig, given.water_index).judgement),
     Judge("sight", _look),
