@@ -7,6 +7,57 @@ from pathlib import Path
 from typing import Any
 
 BEGIN, END = "<!-- figures: ./dev bench --write-docs -->", "<!-- end of figures -->"
+WHOLE_BEGIN, WHOLE_END = (
+    "<!-- whole scan: ./dev bench whole_scan, ./dev bench --write-docs -->",
+    "<!-- end of whole scan -->",
+)
+TIMELINE = "timeline.png"
+WHOLE_SCAN: dict[str, tuple[tuple[str, str, str], ...]] = {
+    "The disc, 1.4 million points: on the machine of the targets": (
+        ("coarse_path_target_machine_ms", "last frame to coarse cloud, the frames' identity judged", "ms CPU"),
+        ("verdict_target_machine_ms", "last frame to verdict", "ms CPU"),
+        ("complete_target_machine_ms", "last frame to full cloud: all verdicts, gaps, sigma", "ms CPU"),
+        ("complete_wall_target_machine_ms", "the same by the clock", "ms"),
+        ("complete_scan_target_machine_ms", "whole scan with judges", "ms CPU"),
+        ("compensation_target_machine_ms", "a compensation, where a hand moved", "ms CPU"),
+        ("complete_machine_factor", "this machine's times against that one's", "×"),
+        ("complete_peak_mb", "peak memory of the worker, shared frames and points included", "MB"),
+        ("moving_complete_own_peak_mb", "its own at a compensation, against what the product lets it take", "MB"),
+    ),
+}
+"""Tables whose rows have a target."""
+SCENES = (("", "disc"), ("pipe_", "pipe"), ("turbid_", "shell in turbid water"), ("moving_", "moving, compensated"))
+"""What keys of ``latest.json`` begin with, and the column's head."""
+BY_SCENE: dict[str, tuple[tuple[str, str], ...]] = {
+    "Here, medians of one run": (
+        ("complete_points", "points"),
+        ("coarse_path_cpu_ms", "last frame to coarse cloud, ms CPU"),
+        ("verdict_cpu_ms", "last frame to verdict, ms CPU"),
+        ("complete_cpu_ms", "last frame to full cloud, ms CPU"),
+        ("complete_scan_cpu_ms", "whole scan, ms CPU"),
+        ("coarse_wall_ms", "last frame to coarse cloud, ms by the clock"),
+        ("verdict_wall_ms", "last frame to verdict, ms by the clock"),
+        ("complete_wall_ms", "last frame to full cloud, ms by the clock"),
+        ("durable_wall_ms", "last frame to raw frames durable, ms by the clock"),
+    ),
+    "Part by part, ms CPU": (
+        ("part_recording_cpu_ms", "while recording: 23 pairs"),
+        ("part_last_pair_cpu_ms", "last pair"),
+        ("part_identity_cpu_ms", "identity"),
+        ("part_coarse_cloud_cpu_ms", "coarse cloud"),
+        ("part_backscatter_cpu_ms", "of it, what lies behind backscatter"),
+        ("part_light_cpu_ms", "light"),
+        ("part_fringes_cpu_ms", "fringes"),
+        ("part_water_cpu_ms", "water"),
+        ("part_sight_cpu_ms", "sight"),
+        ("part_motion_cpu_ms", "motion"),
+        ("part_windows_cpu_ms", "windows"),
+        ("part_causes_weighed_cpu_ms", "causes weighed"),
+        ("part_compensation_cpu_ms", "compensation"),
+        ("part_full_cloud_cpu_ms", "full cloud"),
+    ),
+}
+"""Tables with a column for each scene."""
 ENDURANCE = "A hundred scans in real time, `./dev bench endurance`"
 TABLES: dict[str, tuple[tuple[str, str, str], ...]] = {
     "A scan, here": (
@@ -107,18 +158,49 @@ def write_health(out: Path, docs: Path) -> None:
 
 
 def write_figures(latest: Path, document: Path) -> None:
-    """Replace what lies between the marks. Raises OSError, and ValueError for a document without marks."""
+    """Replace what lies between the marks, each block where ``latest`` has a figure of it; with those of the whole scan goes its
+    picture, from beside ``latest`` to beside ``document``. Raises OSError, and ValueError for a document without marks."""
     said: dict[str, Any] = json.loads(latest.read_text(encoding="utf-8"))
-    text = document.read_text(encoding="utf-8")
-    if BEGIN not in text or END not in text:
-        raise ValueError(f"{document} has no marks {BEGIN} and {END}")
     machine = said.get("machine", {})
-    lines = [f"On {machine.get('processor')}, {machine.get('processors')} processors; medians of one run."]
-    for title, rows in TABLES.items():
+    on = f"On {machine.get('processor')}, {machine.get('processors')} processors; medians of one run."
+    text = document.read_text(encoding="utf-8")
+    if WHOLE_BEGIN in text and any(key in said for key in ("verdict_cpu_ms", "complete_cpu_ms")):
+        lines = [on, *_with_targets(said, WHOLE_SCAN), *_by_scene(said)]
+        text = _replaced(document, text, (WHOLE_BEGIN, WHOLE_END), lines)
+        picture = latest.parent / TIMELINE
+        if picture.exists():
+            (document.parent / "pictures").mkdir(exist_ok=True)
+            (document.parent / "pictures" / TIMELINE).write_bytes(picture.read_bytes())
+    if BEGIN not in text or any(key in said for rows in TABLES.values() for key, _, _ in rows):
+        text = _replaced(document, text, (BEGIN, END), [on, *_with_targets(said, TABLES)])
+    document.write_text(text, encoding="utf-8")
+
+
+def _replaced(document: Path, text: str, marks: tuple[str, str], lines: list[str]) -> str:
+    begin, end = marks
+    if begin not in text or end not in text:
+        raise ValueError(f"{document} has no marks {begin} and {end}")
+    before, after = text.split(begin)[0], text.split(end)[1]
+    return before + begin + "\n\n" + "\n".join(lines) + "\n\n" + end + after
+
+
+def _with_targets(said: dict[str, Any], tables: dict[str, tuple[tuple[str, str, str], ...]]) -> list[str]:
+    lines = []
+    for title, rows in tables.items():
         lines += ["", f"| {title} | median | tenth to nine tenths | | target |", "|---|---:|---|---|---|"]
         lines += [row(said, *entry) for entry in rows]
-    before, after = text.split(BEGIN)[0], text.split(END)[1]
-    document.write_text(before + BEGIN + "\n\n" + "\n".join(lines) + "\n\n" + END + after, encoding="utf-8")
+    return lines
+
+
+def _by_scene(said: dict[str, Any]) -> list[str]:
+    """Return tables with a column for each scene; what a scene has not is a dash."""
+    lines = []
+    for title, rows in BY_SCENE.items():
+        lines += ["", f"| {title} | {' | '.join(head for _, head in SCENES)} |", "|---|" + "---:|" * len(SCENES)]
+        for key, name in rows:
+            values = [said.get(scene + key) for scene, _ in SCENES]
+            lines.append(f"| {name} | {' | '.join('—' if value is None else short(value) for value in values)} |")
+    return lines
 
 
 def row(said: dict[str, Any], key: str, name: str, unit: str) -> str:

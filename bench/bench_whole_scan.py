@@ -1,0 +1,163 @@
+"""What a scan costs with all its judges, on the product's own worker: from the last frame to coarse cloud, verdict, full cloud, disk.
+
+Four scenes (``bench.whole_scan.scenes``), one after the other in turns. Times by the clock and CPU of all threads are the
+worker process's own; the disk's writer runs beside it, as in the service. Targets belong to the machine of ``bench_reconstruction``:
+CPU and clock times are divided by the same quotient, taken anew after each scan.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+from appliance.worker.process import WorkLimits
+from bench import references
+from bench.bench_reconstruction import NUMPY_THERE_MS, OPENCV_THERE_MS
+from bench.result import Measured
+from bench.timing import cpu_ms, median_of
+from bench.whole_scan import parts as by_part
+from bench.whole_scan import timeline
+from bench.whole_scan.paced import PacedScan, paced_worker
+from bench.whole_scan.scenes import DISC, FOLDER, NAMES, WORDS, TimedScene, timed_scene
+
+OUT = Path("bench/out")
+MOVING = "moving"
+TARGETS: tuple[tuple[str, str, Callable[[PacedScan], float], float, str], ...] = (
+    ("coarse_path", "last frame to coarse cloud, identity judged", lambda s: s.coarse_cpu_ms, 15.0, "ms CPU"),
+    ("verdict", "last frame to verdict", lambda s: s.verdict_cpu_ms, 30.0, "ms CPU"),
+    ("complete", "last frame to full cloud, all judged", lambda s: s.complete_cpu_ms, 90.0, "ms CPU"),
+    ("complete_wall", "the same by the clock", lambda s: s.full_ms, 60.0, "ms"),
+    ("complete_scan", "whole scan with judges", lambda s: s.whole_cpu_ms, 150.0, "ms CPU"),
+)
+"""Of the disc: name in a key, words, the time, and what it may be on the machine of the targets."""
+COMPENSATION_TARGET_MS = 1000.0
+MEMORY_TARGET_MB = 400.0
+ROWS: tuple[tuple[str, str, Callable[[PacedScan], float], str], ...] = (
+    ("coarse_path_cpu_ms", "last frame to coarse cloud", lambda s: s.coarse_cpu_ms, "ms CPU"),
+    ("verdict_cpu_ms", "last frame to verdict", lambda s: s.verdict_cpu_ms, "ms CPU"),
+    ("complete_cpu_ms", "last frame to full cloud, all judged", lambda s: s.complete_cpu_ms, "ms CPU"),
+    ("complete_scan_cpu_ms", "whole scan with judges", lambda s: s.whole_cpu_ms, "ms CPU"),
+    ("coarse_wall_ms", "last frame to coarse cloud, by the clock", lambda s: s.coarse_ms, "ms"),
+    ("verdict_wall_ms", "last frame to verdict, by the clock", lambda s: s.verdict_ms, "ms"),
+    ("complete_wall_ms", "last frame to full cloud, by the clock", lambda s: s.full_ms, "ms"),
+    ("durable_wall_ms", "last frame to raw frames durable, by the clock", lambda s: s.durable_ms, "ms"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Effort:
+    """How large and how often."""
+
+    width_px: int = 1600
+    scans: int = 9
+    rounds: int = 5
+    """Of the procedure judge by judge."""
+    folder: Path = FOLDER
+    """Where the scenes' frames are kept."""
+    scenes: Sequence[str] = NAMES
+
+
+@dataclass(frozen=True, slots=True)
+class Timed:
+    """What was measured of one scene."""
+
+    scene: TimedScene
+    scans: Sequence[PacedScan]
+    slower: Sequence[float]
+    """This machine's times against the targets', one of each scan."""
+    parts_ms: Mapping[str, Sequence[float]]
+    peak_mb: float
+    own_peak_mb: float
+
+
+def measure() -> Iterator[Measured]:
+    OUT.mkdir(parents=True, exist_ok=True)
+    yield from measured_with(Effort(), OUT)
+
+
+def measured_with(effort: Effort, out: Path) -> Iterator[Measured]:
+    """All numbers, and ``timeline.png`` in ``out``."""
+    decoded = timed_scene(DISC, effort.width_px, effort.folder)
+    for name in effort.scenes:
+        scene = decoded if name == DISC else timed_scene(name, effort.width_px, effort.folder)
+        yield from figures(_timed(scene, decoded, effort, out))
+
+
+def key_of(scene: str, key: str) -> str:
+    """Return a figure's name in ``latest.json``: that of the disc is the headline and has the plain name."""
+    return key if scene == DISC else f"{scene}_{key}"
+
+
+def figures(timed: Timed) -> Iterator[Measured]:
+    """Yield what the scans of one scene say."""
+    name, scans = timed.scene.name, timed.scans
+    words = WORDS[name]
+    points = [scan.points for scan in scans]
+    said = ", ".join(sorted({code for scan in scans for code in scan.faults})) or "nothing"
+    yield median_of(f"{words}: points (held against it: {said})", points, "points", key_of(name, "complete_points"))
+    for key, row, part, unit in ROWS:
+        yield median_of(f"{name}: {row}", [part(scan) for scan in scans], unit, key_of(name, key))
+    if name == DISC:
+        yield from _against_targets(timed)
+    if name == MOVING:
+        there = [scan.compensating_cpu_ms / slower for scan, slower in zip(scans, timed.slower, strict=True)]
+        yield median_of(
+            "moving: compensation there", there, "ms CPU", "compensation_target_machine_ms",
+            at_most=COMPENSATION_TARGET_MS,
+        )  # fmt: skip
+    for called, taken_ms in timed.parts_ms.items():
+        yield median_of(f"{name}, {called}", taken_ms, "ms CPU", key_of(name, part_key(called)))
+    # A compensation may take what the product lets a worker take; without one, the target holds.
+    most_mb = None if name == MOVING else MEMORY_TARGET_MB
+    yield Measured(
+        f"{name}: peak memory of the worker, frames included", timed.peak_mb, "MB", most_mb,
+        key=key_of(name, "complete_peak_mb"),
+    )  # fmt: skip
+    yield Measured(
+        f"{name}: without what it shares", timed.own_peak_mb, "MB", WorkLimits().memory_mb,
+        key=key_of(name, "complete_own_peak_mb"),
+    )  # fmt: skip
+
+
+def part_key(part: str) -> str:
+    """Return the end of the key of one part of a scan."""
+    return f"part_{part.replace('of it: ', '').replace(' ', '_')}_cpu_ms"
+
+
+def _against_targets(timed: Timed) -> Iterator[Measured]:
+    yield median_of("this machine's times against the targets'", timed.slower, "times", "complete_machine_factor")
+    for key, row, part, most, unit in TARGETS:
+        there = [part(scan) / slower for scan, slower in zip(timed.scans, timed.slower, strict=True)]
+        yield median_of(f"{row}, there", there, unit, f"{key}_target_machine_ms", at_most=most)
+
+
+def _timed(scene: TimedScene, decoded: TimedScene, effort: Effort, out: Path) -> Timed:
+    scans, slower = [], []
+    with ExitStack() as stack:
+        worker = stack.enter_context(paced_worker(scene, out))
+        for _ in range(effort.scans):
+            scans.append(worker.scan())
+            slower.append(machine_factor(decoded))
+        if scene.name == DISC:
+            # Behind the scans that count: to sample the worker's clock costs a little of the processor that it wants.
+            timeline.draw(out / "timeline.png", WORDS[DISC], scene.sequence, worker.scan(traced=True))
+        peak_mb, own_peak_mb = worker.peak_mb, worker.own_peak_mb
+    with by_part.procedure(scene) as procedure:
+        for _ in range(effort.rounds):
+            procedure.round()
+        taken_ms = procedure.parts_ms()
+    return Timed(scene, scans, slower, taken_ms, peak_mb, own_peak_mb)
+
+
+def machine_factor(scene: TimedScene) -> float:
+    """Return this machine's times against those of the targets' machine, now: two ways to decode one camera, each weighing the same."""
+    frames = scene.frames["left"]
+    # Both allocate as they go; the first time after a scan much of what they take is the kernel's work to find memory.
+    for decode in (references.opencv_decode, references.numpy_decode):
+        decode(scene.sequence, frames)
+    opencv_ms = cpu_ms(lambda: references.opencv_decode(scene.sequence, frames))
+    numpy_ms = cpu_ms(lambda: references.numpy_decode(scene.sequence, frames))
+    return math.sqrt(opencv_ms / OPENCV_THERE_MS * numpy_ms / NUMPY_THERE_MS)

@@ -1,0 +1,248 @@
+"""Owns one scan on the product's own worker process at the pace of the cameras: what came when, and what it had cost by then.
+
+The clock starts when the last pair of frames is announced. Processor time is that of all threads of the worker, by its own
+clock in the kernel, from the same moment; what steps after an answer cost is taken off by the worker's own account of them.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from appliance.capture.store import FrameStore
+from appliance.scan.sides import SIDES
+from appliance.storage.library import Library, PendingScan
+from appliance.storage.record import SequenceInfo
+from appliance.worker.process import (
+    CloudReady,
+    ReconstructionWorker,
+    ScanJudged,
+    SequenceIdentified,
+    WorkerReady,
+    WorkLimits,
+    WorkOrder,
+)
+from bench.warm_worker import FRAME_S, START_TIMEOUT_S, peak_memory_mb
+from bench.whole_scan.scenes import TimedScene
+from drivers.native import MonotonicClock
+from tests.appliance.storage.scenes import record as plain_record
+
+CLOUD_TIMEOUT_S = 60.0
+"""A compensation takes seconds."""
+LIMITS = WorkLimits(memory_mb=4000.0)
+"""A scan that takes more memory than the product allows is measured all the same, and its memory is judged."""
+SAMPLE_S = 0.001
+WARM_UPS = 2
+"""Scans before the first that counts: the first one runs with cold memory, and files that the folder has not yet."""
+CPUCLOCK_SCHED = 2
+"""Linux's name for the processor time of a process in a clock's number (include/linux/posix-timers.h)."""
+
+
+@dataclass(frozen=True, slots=True)
+class PacedScan:
+    """Milliseconds of one scan: by the clock from the last frame on, and CPU of all threads of the worker."""
+
+    coarse_ms: float
+    """Until the parent has the coarse cloud."""
+    verdict_ms: float
+    full_ms: float
+    durable_ms: float
+    """Until both cameras' raw frames are on the disk, and the disk said so."""
+    recording_cpu_ms: float
+    """From the first frame to the last but one."""
+    complete_cpu_ms: float
+    """From the last pair of frames to the full cloud, whatever was told in between."""
+    judging_cpu_ms: float
+    """Between coarse cloud and verdict."""
+    compensating_cpu_ms: float
+    """Between the verdict and the last one; 0: nothing had moved."""
+    full_step_cpu_ms: float
+    points: int
+    faults: tuple[str, ...]
+    """Codes of what is held against the scan."""
+    trace: tuple[tuple[float, float], ...] = ()
+    """Time in ms from the last frame on, and the worker's CPU by then in ms, sampled during a scan that is drawn."""
+
+    @property
+    def verdict_cpu_ms(self) -> float:
+        """From the last pair of frames to the verdict."""
+        return self.complete_cpu_ms - self.full_step_cpu_ms - self.compensating_cpu_ms
+
+    @property
+    def coarse_cpu_ms(self) -> float:
+        """From the last pair of frames to the coarse cloud, the identity of the frames judged before."""
+        return self.verdict_cpu_ms - self.judging_cpu_ms
+
+    @property
+    def whole_cpu_ms(self) -> float:
+        """From the first frame on."""
+        return self.recording_cpu_ms + self.complete_cpu_ms
+
+
+@dataclass(slots=True)
+class _Heard:
+    """What the worker has said of a scan, and when."""
+
+    coarse_s: float | None = None
+    verdict_s: float | None = None
+    full_s: float | None = None
+    judging_cpu_s: float = 0.0
+    compensating_cpu_s: float = 0.0
+    full_cpu_s: float = 0.0
+    points: int = 0
+    faults: tuple[str, ...] = ()
+
+
+class PacedWorker:
+    """A warm worker for one scene, and a disk beside it. Made by ``paced_worker``."""
+
+    def __init__(
+        self, scene: TimedScene, process: ReconstructionWorker, library: Library, disk: ThreadPoolExecutor
+    ) -> None:
+        self._scene, self._process, self._library, self._disk = scene, process, library, disk
+        self._clock = MonotonicClock()
+        self._record = plain_record(sequence=SequenceInfo.of(scene.sequence))
+        self._number = 0
+
+    @property
+    def peak_mb(self) -> float:
+        """Peak resident memory of the worker, shared frames and points included."""
+        return peak_memory_mb(self._process.pid)
+
+    @property
+    def own_peak_mb(self) -> float:
+        """The same without what it shares with its parent."""
+        status = Path(f"/proc/{self._process.pid}/status").read_text(encoding="ascii", errors="replace")
+        shared = next(line for line in status.splitlines() if line.startswith("RssShmem"))
+        return self.peak_mb - int(shared.split()[1]) / 1000.0
+
+    def scan(self, *, traced: bool = False) -> PacedScan:
+        """Take one scan at 60 Hz, its raw frames written meanwhile as the service does. Raises RuntimeError."""
+        self._number += 1
+        last = len(self._scene.sequence) - 1
+        with _tracing(self._process.pid, traced) as trace:
+            begun_s = time.monotonic()
+            begun_cpu_ms = cpu_ms(self._process.pid)
+            self._process.begin(self._number, self._scene.settings)
+            for k in range(last + 1):
+                self._clock.sleep_s(begun_s + k * FRAME_S - time.monotonic())
+                if k == last:
+                    last_cpu_ms, last_s = cpu_ms(self._process.pid), time.monotonic()
+                for side in SIDES:
+                    self._process.frame(side, k)
+            self._process.finish()
+            durable = self._disk.submit(self._make_durable)
+            heard = self._listen()
+            # The worker is idle again: it waits for the next order.
+            ended_cpu_ms = cpu_ms(self._process.pid)
+        pending, durable_s = _result(durable)
+        pending.reject("timed")
+        return PacedScan(
+            coarse_ms=1e3 * (_known(heard.coarse_s) - last_s),
+            verdict_ms=1e3 * (_known(heard.verdict_s) - last_s),
+            full_ms=1e3 * (_known(heard.full_s) - last_s),
+            durable_ms=1e3 * (durable_s - last_s),
+            recording_cpu_ms=last_cpu_ms - begun_cpu_ms,
+            complete_cpu_ms=ended_cpu_ms - last_cpu_ms,
+            judging_cpu_ms=1e3 * heard.judging_cpu_s,
+            compensating_cpu_ms=1e3 * heard.compensating_cpu_s,
+            full_step_cpu_ms=1e3 * heard.full_cpu_s,
+            points=heard.points,
+            faults=heard.faults,
+            trace=tuple((1e3 * (at_s - last_s), used_ms - begun_cpu_ms) for at_s, used_ms in trace),
+        )
+
+    def _make_durable(self) -> tuple[PendingScan, float]:
+        pending = self._library.begin(dict(self._scene.frames), self._record)
+        return pending, time.monotonic()
+
+    def _listen(self) -> _Heard:
+        heard = _Heard()
+        while heard.full_s is None:
+            event = self._process.wait(CLOUD_TIMEOUT_S)
+            now_s = time.monotonic()
+            match event:
+                case SequenceIdentified():
+                    pass
+                case CloudReady(full=False):
+                    heard.coarse_s = now_s
+                case CloudReady(cloud=cloud, cpu_s=cpu_s):
+                    heard.full_s, heard.full_cpu_s, heard.points = now_s, cpu_s, len(cloud.points_mm)
+                case ScanJudged(judgements=judgements, cpu_s=cpu_s):
+                    heard.faults = tuple(one.fault.code.value for one in judgements if one.fault is not None)
+                    if heard.verdict_s is None:
+                        heard.verdict_s, heard.judging_cpu_s = now_s, cpu_s
+                    else:
+                        heard.compensating_cpu_s += cpu_s
+                case other:
+                    raise RuntimeError(f"the worker answered {other!r:.200}")
+        return heard
+
+
+@contextmanager
+def paced_worker(scene: TimedScene, disk: Path) -> Iterator[PacedWorker]:
+    """Start the worker for ``scene``, warm it up, and write to the disk of the folder ``disk``. Raises RuntimeError."""
+    with ExitStack() as stack:
+        left = scene.frames["left"]
+        store = stack.enter_context(FrameStore(*left.shape))
+        for side in SIDES:
+            store.frames(side)[...] = scene.frames[side]
+        sequence = scene.sequence
+        order = WorkOrder(
+            scene.calibration, scene.water, sequence.period_px, sequence.width_px, sequence.height_px, scene.settings.noise
+        )  # fmt: skip
+        library = Library(Path(stack.enter_context(tempfile.TemporaryDirectory(dir=disk))) / "storage")
+        library.prepare()
+        writer = stack.enter_context(ThreadPoolExecutor(1, "bench-disk"))
+        process = stack.enter_context(ReconstructionWorker(order, store, MonotonicClock(), LIMITS))
+        if process.wait(START_TIMEOUT_S) != WorkerReady():
+            raise RuntimeError("the worker did not start")
+        worker = PacedWorker(scene, process, library, writer)
+        for _ in range(WARM_UPS):
+            worker.scan()
+        yield worker
+
+
+def cpu_ms(pid: int | None) -> float:
+    """Processor time that a process has had, all of its threads, the ended ones too. Raises RuntimeError where it is gone."""
+    if pid is None:
+        raise RuntimeError("the worker is gone; see what it said before")
+    # clock_getcpuclockid(3): the complement of the number, and which of the kernel's counts.
+    return 1e3 * time.clock_gettime((~pid << 3) | CPUCLOCK_SCHED)
+
+
+@contextmanager
+def _tracing(pid: int | None, wanted: bool) -> Iterator[list[tuple[float, float]]]:
+    """Sample the process's CPU time until the end of the block, where that is ``wanted``."""
+    trace: list[tuple[float, float]] = []
+    over = threading.Event()
+
+    def sample() -> None:
+        while not over.wait(SAMPLE_S):
+            trace.append((time.monotonic(), cpu_ms(pid)))
+
+    thread = threading.Thread(target=sample, name="bench-trace", daemon=True)
+    if wanted:
+        thread.start()
+    try:
+        yield trace
+    finally:
+        over.set()
+        if wanted:
+            thread.join()
+
+
+def _result(durable: Future[tuple[PendingScan, float]]) -> tuple[PendingScan, float]:
+    return durable.result(CLOUD_TIMEOUT_S)
+
+
+def _known(at_s: float | None) -> float:
+    if at_s is None:
+        raise RuntimeError("the worker found a full cloud without a verdict or a coarse cloud before it")
+    return at_s
