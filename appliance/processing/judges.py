@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 from appliance.optics.model import StereoRig
+from appliance.processing.gathering import Gathered
 from appliance.reconstruct.images import ScanImages
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.table import Cloud
@@ -31,6 +32,8 @@ class JudgeInput:
     """Evidence that every judge is given."""
 
     images: ScanImages
+    gathered: Mapping[str, Gathered]
+    """Samples that were taken from the images as they arrived."""
     cloud: Cloud
     """The coarse cloud."""
     rig: StereoRig
@@ -68,6 +71,7 @@ def _look(given: JudgeInput, _: Earlier) -> Judgement:
             given.images.frames, given.images.sequence, given.images.noise, given.rig, given.water_index,
             given.pipeline.sample(stride, any_depth=True), given.pipeline.limits,
             given.identity.verdict.numbers.get("parallax_percent"),
+            {side: one.visible for side, one in given.gathered.items()},
         )
     )  # fmt: skip
 
@@ -88,7 +92,8 @@ def _judge_fringes(given: JudgeInput, _: Earlier) -> Judgement:
 def _judge_light(given: JudgeInput, _: Earlier) -> Judgement:
     """Judge the light, with what is known of the fringes' own bend."""
     settings = given.images.settings
-    return judge_light(given.images, settings.exposure, settings.steps, given.pipeline.bend().rms_px)
+    samples = {side: one.sample for side, one in given.gathered.items()}
+    return judge_light(given.images, settings.exposure, settings.steps, given.pipeline.bend().rms_px, samples)
 
 
 JUDGES = (

@@ -17,6 +17,7 @@ from appliance.calibration.file import Calibration
 from appliance.compensation.attempt import Attempt, attempt
 from appliance.optics.water import Water
 from appliance.processing.bracket import Merged, ProcessedSequence, merge_bracket
+from appliance.processing.gathering import Gatherer
 from appliance.processing.judges import JudgeInput, in_order, is_fault, judged_by_all
 from appliance.reconstruct.decode.decoder import DecodedMaps
 from appliance.reconstruct.decode.specks import mask_specks
@@ -90,24 +91,32 @@ class SequenceProcessor:
         self._calibration, self._water = calibration, water
         self._settings = AcquisitionSettings()
         self._frames: dict[str, NDArray[np.uint8]] = {}
+        self._gatherers = self._new_gatherers()
         self._moved = self._compensated = False
         self._full: Found | None = None
+
+    def _new_gatherers(self) -> dict[str, Gatherer]:
+        return {side: Gatherer(self._pipeline.sequence, of_side(self._settings.noise, side)) for side in SIDES}
 
     def begin(self, settings: AcquisitionSettings) -> None:
         """Expect frame 0 of a sequence that was taken with ``settings``."""
         self._settings, self._full = settings, None
         self._moved = self._compensated = False
         self._frames.clear()
+        # What a scan that was cut off has left in the old ones is gone with them.
+        self._gatherers = self._new_gatherers()
         self._pipeline.expect(settings.noise)
         self._pipeline.reset()
 
     def push(self, side: str, frames: NDArray[np.uint8], index: int) -> None:
-        """Decode frame ``index`` of one side's ``frames`` (n, h, w) uint8, which must not change until the last step.
+        """Decode frame ``index`` of one side's ``frames`` (n, h, w) uint8, which must not change until the last step, and take what
+        judges want of it.
 
         Raises ValueError unless frames come as 0, 1, …
         """
         self._frames[side] = frames
         self._pipeline.push(side, frames, index)
+        self._gatherers[side].push(frames, index)
 
     def push_all(self, frames: Mapping[str, NDArray[np.uint8]]) -> Iterator[int]:
         """Push all ``frames`` of a stored sequence, both sides of one index after the other; yields each index before its frames."""
@@ -125,7 +134,9 @@ class SequenceProcessor:
         pipeline, settings, rig = self._pipeline, self._settings, self._calibration.rig
 
         # First of all: with a wrong pattern every coordinate would be wrong, and so every other verdict.
-        identity = judge_identity(self._frames, pipeline.sequence, settings.noise, settings.exposure)
+        gathered = {side: gatherer.finish() for side, gatherer in self._gatherers.items()}
+        lines = {side: one.lines for side, one in gathered.items()}
+        identity = judge_identity(self._frames, pipeline.sequence, settings.noise, settings.exposure, lines)
         yield Identified(identity)
         if identity.fault is not None and not even_if_wrong:
             return
@@ -135,7 +146,7 @@ class SequenceProcessor:
 
         images = ScanImages(pipeline.sequence, self._frames, {side: pipeline.decoded(side) for side in SIDES}, settings)
         # Judges look at raw frames, maps and the coarse cloud, before anything is changed by compensation or masking.
-        given = JudgeInput(images, pipeline.table.cloud(coarse), rig, self._water.index, identity, pipeline)
+        given = JudgeInput(images, gathered, pipeline.table.cloud(coarse), rig, self._water.index, identity, pipeline)
         spoken: dict[str, Judgement | None] = {}
         for name, one in judged_by_all(given):
             spoken[name] = one

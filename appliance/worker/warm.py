@@ -21,6 +21,7 @@ from appliance.compensation.redecode import compensate
 from appliance.kernel_build import Piece
 from appliance.optics.water import Water
 from appliance.patterns.sequence import PatternSequence, build_sequence
+from appliance.processing.gathering import gather
 from appliance.processing.judges import JUDGES, JudgeInput
 from appliance.processing.procedure import SequenceProcessor
 from appliance.reconstruct import straighten
@@ -174,7 +175,9 @@ def _judge(*, writable: bool) -> None:
         decoded = {side: pipeline.decoded(side) for side in SIDES}
         images = ScanImages(pipeline.sequence, dict.fromkeys(SIDES, frames), decoded)
         cloud = pipeline.table.cloud(Found(((0, 0),), CloudSummary(0, 0.0, None, None, None)))
-        given = JudgeInput(images, cloud, calibration.rig, _WATER.index, Judgement(Verdict("identity", None)), pipeline)
+        gathered = dict.fromkeys(SIDES, gather(frames, pipeline.sequence, TYPICAL))
+        identity = Judgement(Verdict("identity", None))
+        given = JudgeInput(images, gathered, cloud, calibration.rig, _WATER.index, identity, pipeline)
         for judge in JUDGES:
             if judge.name != "sight":  # it asks for points, and their kernels are another piece's
                 judge.judge(given, dict.fromkeys(judge.needs))

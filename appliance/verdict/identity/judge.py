@@ -16,7 +16,7 @@ from appliance.scan.sides import SIDES, of_side
 from appliance.scan.verdict import Judgement, Verdict
 from appliance.verdict.identity.evidence import DECIDED, MIN_FRINGE, LineEvidence, Witness
 from appliance.verdict.identity.explain import Explanation, What, explain, still
-from appliance.verdict.identity.lines import can_follow, take_lines
+from appliance.verdict.identity.lines import Lines, can_follow, take_lines
 
 NAME = "identity"
 LEAST_LIGHT_DN = 0.05
@@ -78,9 +78,10 @@ def judge_identity(
     sequence: PatternSequence,
     noise: StereoNoise = TYPICAL_PAIR,
     exposure: Exposure = NOMINAL,
+    lines: Mapping[str, Mapping[Direction, Lines]] | None = None,
 ) -> Judgement:
     """Judge ``identity`` by the frames (n, h, w) uint8 of ``left`` and ``right``, in the order of ``sequence``, taken
-    with ``exposure``.
+    with ``exposure``. ``lines`` of both sides, where they were taken while the frames arrived.
 
     Passed: every frame is its pattern. None: too little of the projector's light is seen to say so, or too much moves.
     Failed, with a fault: ``CAMERA_STUCK`` (device), ``PROJECTOR_TIMING`` (shift_frames), ``PATTERN_WRONG`` (frame;
@@ -95,7 +96,8 @@ def judge_identity(
                 f"{len(mine)} frames of camera {side} for a sequence of {len(sequence)}; judge whole sequences"
             )
     of = {side: of_side(noise, side) for side in SIDES}
-    seen_by = [_look(side, mine, sequence, of[side], exposure) for side, mine in frames.items()]
+    lines = lines or {side: take_lines(mine, sequence, of[side]) for side, mine in frames.items()}
+    seen_by = [_look(side, mine, lines[side], sequence, of[side], exposure) for side, mine in frames.items()]
     cameras = _without_parallax(seen_by)
     fault = _fault(cameras)
     judged = [camera for camera in cameras if camera.evidence.judged]
@@ -120,9 +122,14 @@ def judge_identity(
 
 
 def _look(
-    side: str, frames: NDArray[np.uint8], sequence: PatternSequence, noise: CameraNoise, exposure: Exposure
+    side: str,
+    frames: NDArray[np.uint8],
+    lines: Mapping[Direction, Lines],
+    sequence: PatternSequence,
+    noise: CameraNoise,
+    exposure: Exposure,
 ) -> _Camera:
-    witness = Witness(take_lines(frames, sequence, noise), sequence, noise)
+    witness = Witness(lines, sequence, noise)
     evidence = witness.evidence(np.arange(len(sequence), dtype=np.int64))
     if not can_follow(sequence, frames.shape[2]):
         evidence = LineEvidence({}, {}, evidence.illuminated, 0, 0)

@@ -69,16 +69,53 @@ def can_follow(sequence: PatternSequence, width_px: int) -> bool:
     return sequence.period_px * width_px / sequence.width_px >= MIN_PERIOD_PX
 
 
+class LineTaker:
+    """Takes rows and columns of one camera's sequence over what is illuminated, frame by frame; a sixth of a fringe or less between
+    samples. ``noise`` is the camera's."""
+
+    def __init__(self, sequence: PatternSequence, noise: CameraNoise) -> None:
+        self._sequence, self._noise = sequence, noise
+        # Any frame may be in the wrong place: fringes of both directions tell where it is light, whatever the order.
+        self._last_asked = (len(sequence) - 1) // THIRD * THIRD
+        self._places: dict[Direction, NDArray[np.intp]] = {}
+        self._values: dict[Direction, NDArray[np.uint8]] = {}
+
+    def push(self, frames: NDArray[np.uint8], index: int) -> None:
+        """Take the samples of frame ``index`` of ``frames`` (n, h, w) uint8; in order, from 0 for each sequence."""
+        if index < self._last_asked:
+            return
+        first = index
+        if index == self._last_asked:
+            first = 0
+            self._choose(frames)
+        for k in range(first, index + 1):
+            for along, places in self._places.items():
+                np.take(frames[k].reshape(-1), places, out=self._values[along][k], mode="clip")
+
+    def _choose(self, frames: NDArray[np.uint8]) -> None:
+        _, height_px, width_px = frames.shape
+        sixth_px = self._sequence.period_px * width_px / self._sequence.width_px / 6.0
+        step = max(1, min(int(sixth_px), width_px // SAMPLES))
+        rows, columns = _where_illuminated(frames[: self._last_asked + 1], self._noise)
+        self._places = {
+            Direction.X: rows[:, None] * width_px + np.arange(0, width_px, step),
+            Direction.Y: columns[:, None] + np.arange(0, height_px, step) * width_px,
+        }
+        self._values = {
+            along: np.empty((len(self._sequence), *places.shape), np.uint8) for along, places in self._places.items()
+        }
+
+    def finish(self) -> Mapping[Direction, Lines]:
+        """Return the lines, after the last frame."""
+        return {along: _lines(along, values, self._noise) for along, values in self._values.items()}
+
+
 def take_lines(frames: NDArray[np.uint8], sequence: PatternSequence, noise: CameraNoise) -> Mapping[Direction, Lines]:
-    """Take rows and columns of ``frames`` (n, h, w) uint8, over what is illuminated; a sixth of a fringe or less
-    between samples."""
-    width_px = frames.shape[2]
-    sixth_px = sequence.period_px * width_px / sequence.width_px / 6.0
-    step = max(1, min(int(sixth_px), width_px // SAMPLES))
-    rows, columns = _where_illuminated(frames, noise)
-    across = np.ascontiguousarray(frames[:, rows, ::step])
-    down = np.stack([np.take(frame[::step], columns, axis=1).T for frame in frames])
-    return {Direction.X: _lines(Direction.X, across, noise), Direction.Y: _lines(Direction.Y, down, noise)}
+    """Take the lines of whole ``frames`` (n, h, w) uint8."""
+    taker = LineTaker(sequence, noise)
+    for index in range(len(frames)):
+        taker.push(frames, index)
+    return taker.finish()
 
 
 def _where_illuminated(frames: NDArray[np.uint8], noise: CameraNoise) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

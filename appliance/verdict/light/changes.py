@@ -12,6 +12,7 @@ for noise they have not. A level common to all four images of a direction is nei
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -20,8 +21,10 @@ from numpy.typing import NDArray
 
 from appliance.patterns.sequence import Direction, PatternSequence
 from appliance.reconstruct.decode.decoder import MIN_MODULATION_DN
-from appliance.scan.noise import CameraNoise
+from appliance.reconstruct.quantile import median
+from appliance.scan.noise import MAD_TO_SIGMA, CameraNoise
 from appliance.verdict.light.fit import (
+    CLIP,
     COSINE,
     EXPECTED,
     SIGMA,
@@ -111,19 +114,21 @@ def measure_changes(s: Sample, sequence: PatternSequence, noise: CameraNoise) ->
     """Measure one camera's changes of light by its sine and Gray images."""
     # Where noise alone decides what is saturated, only pixels with favourable phases would be left.
     good = s.illuminated & (s.top_dn <= CLEAR_DN) & (s.modulation_dn >= MIN_MODULATION_DN)
-    rows, columns = (np.ascontiguousarray(places) for places in np.nonzero(good))
+    pixels = np.flatnonzero(good)
+    rows, columns = np.divmod(pixels, good.shape[1])
     members = _blocks(rows, columns, good.shape)
     if not members:
         return UNKNOWN
-    contrast = s.contrast_dn[good].astype(np.float64)
-    four = {d: np.stack([s.grey_dn[k][good] for k in sequence.axis(d).sine]).astype(np.float64) for d in Direction}
+    grey = s.grey.reshape(len(s.grey), -1)
+    contrast = s.contrast_dn.reshape(-1)[pixels].astype(np.float64)
+    four = {d: np.stack([grey[k][pixels] for k in sequence.axis(d).sine]).astype(np.float64) for d in Direction}
     fits = {d: _fit(four[d], contrast, (rows, columns), members) for d in Direction}
     # Noise of a block's pixels against their contrast, as the phase has it: rms of sigma over contrast.
     mean = four[Direction.X].mean(axis=0)
     variance = noise.variance_dn2(mean) / contrast**2
-    relative = np.sqrt(np.array([np.median(variance[block]) for block in members]))
+    relative = np.sqrt(np.array([median(variance[block]) for block in members]))
     counts = np.array([block.size for block in members], np.float64)
-    expected = np.maximum(*(fit.expected for fit in fits.values())) * np.sqrt(2.0 * np.median(variance * contrast**2))
+    expected = np.maximum(*(fit.expected for fit in fits.values())) * math.sqrt(2.0 * median(variance * contrast**2))
     judged = expected < SURE * HARMFUL_RIPPLE * relative
     if not judged.any():
         return UNKNOWN
@@ -138,8 +143,8 @@ def measure_changes(s: Sample, sequence: PatternSequence, noise: CameraNoise) ->
     # A fringe's amplitude is half of the contrast: phase = difference / (2 √2 B).
     ripple_px = sequence.period_px / (2.0 * np.pi) * np.sqrt(square) / np.sqrt(2.0)
     common, local, sines = _apart(fits, judged, weight, sequence)
-    levels = (*_gray_levels(s, sequence, good, contrast), *sines)
-    ambient = float(np.median((s.dark_dn[good] - noise.black_dn) / contrast))
+    levels = (*_gray_levels(grey, sequence, pixels, contrast), *sines)
+    ambient = median((s.dark_dn.reshape(-1)[pixels] - noise.black_dn) / contrast)
     return Changes(
         harmed=float(weight[ripple > HARMFUL_RIPPLE].sum()),
         ripple=_median(ripple, weight),
@@ -184,7 +189,7 @@ def find_frequency_hz(levels: tuple[LightLevel, ...], frame_s: float) -> tuple[f
 def _blocks(rows: NDArray[np.intp], columns: NDArray[np.intp], shape: tuple[int, ...]) -> list[NDArray[np.intp]]:
     """Return which of the pixels at ``rows`` and ``columns`` belong to each block that has enough of them."""
     block = rows * BLOCK_ROWS // shape[0] * BLOCK_COLUMNS + columns * BLOCK_COLUMNS // shape[1]
-    order = np.argsort(block, kind="stable")
+    order = np.argsort(block.astype(np.uint8), kind="stable")  # a byte is sorted by counting
     ends = np.cumsum(np.bincount(block, minlength=BLOCK_ROWS * BLOCK_COLUMNS))
     return [one for one in np.split(order, ends[:-1]) if one.size >= MIN_PIXELS]
 
@@ -199,7 +204,10 @@ def _fit(
     of each block."""
     order, ends = np.concatenate(members), np.cumsum([block.size for block in members])
     found, third = fit_blocks(four, contrast, *places, order, ends)
-    fine = common_of_neighbours(third, contrast, *places, order, ends)
+    # Light that is usual before dark pixels is many grey values before bright ones; noise is not. Either is no edge.
+    usual = CLIP * MAD_TO_SIGMA
+    most_dn, most_share = usual * median(np.abs(third * contrast)), usual * median(np.abs(third))
+    fine = common_of_neighbours(third, contrast, *places, order, ends, most_dn, most_share)
     return _Fit(found[COSINE], found[SINE], found[THIRD], found[SIGMA], found[EXPECTED], fine)
 
 
@@ -225,14 +233,15 @@ def _apart(
     return float(np.sqrt(2.0 * common2 / 8.0)), float(np.sqrt(local2 / 4.0)), levels
 
 
-def _gray_levels(s: Sample, sequence: PatternSequence, good: NDArray[np.bool_], contrast: Floats) -> list[LightLevel]:
+def _gray_levels(
+    grey: NDArray[np.uint8], sequence: PatternSequence, pixels: NDArray[np.intp], contrast: Floats
+) -> list[LightLevel]:
     """Return the common levels of the fine Gray images: what scatters from illuminated stripes into dark ones
     cancels."""
-    pixels = np.flatnonzero(good)
     found: list[LightLevel] = []
     for direction in Direction:
         numbers = np.array(sequence.axis(direction).gray[-FINE_IMAGES:], np.int64)
-        own = stripe_levels(s.grey_dn.reshape(len(s.grey_dn), -1), numbers, sequence.dark, pixels, contrast, MIN_PIXELS)
+        own = stripe_levels(grey, numbers, sequence.dark, pixels, contrast, MIN_PIXELS)
         known = np.isfinite(own)
         group = f"gray {direction.value}"
         mean = own[known].mean() if known.any() else 0.0

@@ -21,6 +21,8 @@ RIDGE = 1e-9
 """Share of the normal equations' trace that is added to their diagonal."""
 STRONGEST = 0.9
 """Contrasts above this quantile weigh no more than it."""
+FEW = 24
+"""Number of values from which on down they are sorted."""
 BINS = 2000
 """Bins per unit of contrast, into which stripes are counted."""
 STRIPE_EDGE = 0.3
@@ -35,8 +37,8 @@ def warm_up() -> None:
     """Run every kernel on next to nothing."""
     some, place, ends = np.ones(4), np.arange(4), np.array([4])
     fit_blocks(np.eye(4), some, place, place, place, ends)
-    common_of_neighbours(some, some, place, place, place, ends)
-    stripe_levels(np.ones((2, 4), np.float32), np.array([1]), 0, place, some, 1)
+    common_of_neighbours(some, some, place, place, place, ends, 1.0, 1.0)
+    stripe_levels(np.ones((2, 4), np.uint8), np.array([1]), 0, place, some, 1)
 
 
 # Symbols. (c, s) is the direction of the vector (I0 − I2, I3 − I1), (c2, s2) that of twice its angle; length is its
@@ -63,45 +65,50 @@ def fit_blocks(
     rest = (four[0] - four[1] + four[2] - four[3]) / contrast
     begin = 0
     for k in range(ends.size):
-        # The block's pixels, and their places in it from −1 to 1: small systems stay well conditioned.
         block = order[begin : ends[k]]
         begin = ends[k]
         n = block.size
+        cosine, sine, light, third = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
+        shift, twice = np.empty((SHIFT_TERMS, n)), np.empty((TWICE_TERMS, n))
+        # The pixels' places in their block, from −1 to 1: small systems stay well conditioned.
         first_y, span_y = _span(row, block)
         first_x, span_x = _span(column, block)
-        shift, twice = np.empty((SHIFT_TERMS, n)), np.empty((TWICE_TERMS, n))
-        length, third, light = np.empty(n), np.empty(n), np.empty(n)
-        usual = np.mean(contrast[block])
         for j in range(n):
             at = block[j]
-            cosine, sine = four[0, at] - four[2, at], four[3, at] - four[1, at]
-            radius = np.sqrt(cosine * cosine + sine * sine)
-            light[j] = contrast[at]
-            length[j] = radius / light[j]
-            third[j] = rest[at]
-            # (c, s) = (cos φ, sin φ) by four steps of 90°; length is the circle's radius over the light.
-            c, s = cosine / radius, sine / radius
-            # cos 2φ and sin 2φ by the double-angle formulas.
-            c2, s2 = c * c - s * s, 2.0 * c * s
-            y, x = (2.0 * row[at] - first_y) / span_y, (2.0 * column[at] - first_x) / span_x
-            # length = a·(c, s) + third harmonics (seen at 4 φ) + a smooth surface + backscatter: a is the shift
-            # that is looked for.
-            shift[0, j], shift[1, j], shift[2, j], shift[3, j] = c, s, c2 * c2 - s2 * s2, 2.0 * c2 * s2
-            shift[4, j], shift[5, j], shift[6, j] = 1.0, x, y
-            shift[7, j], shift[8, j], shift[9, j] = x * x, x * y, y * y
-            # The water's backscatter is in the contrast, and has no fringes: a larger share of it before what is dark.
+            cosine[j], sine[j] = four[0, at] - four[2, at], four[3, at] - four[1, at]
+            light[j], third[j] = contrast[at], rest[at]
+            shift[6, j], shift[5, j] = (2.0 * row[at] - first_y) / span_y, (2.0 * column[at] - first_x) / span_x
+        # From here on in loops so short that the compiler makes vectors of them.
+        # (c, s) = (cos φ, sin φ) by four steps of 90°; length is the circle's radius over the light.
+        radius, length, c, s = np.empty(n), np.empty(n), shift[0], shift[1]
+        for j in range(n):
+            radius[j] = np.sqrt(cosine[j] * cosine[j] + sine[j] * sine[j])
+        _over(radius, light, length)
+        _over(cosine, radius, c)
+        _over(sine, radius, s)
+        # length = a·(c, s) + third harmonics (seen at 4 φ) + a smooth surface + backscatter: a is the shift
+        # that is looked for.
+        c2, s2, c4, s4 = twice[1], twice[2], shift[2], shift[3]
+        _sum_of_angles(c, s, c, s, c2, s2)
+        _sum_of_angles(c2, s2, c2, s2, c4, s4)
+        shift[4], x, y = 1.0, shift[5], shift[6]
+        for j in range(n):
+            shift[7, j], shift[8, j], shift[9, j] = x[j] * x[j], x[j] * y[j], y[j] * y[j]
+        # The water's backscatter is in the contrast, and has no fringes: a larger share of it before what is dark.
+        usual = np.mean(light)
+        for j in range(n):
             shift[10, j] = usual / light[j]
-            # Harmonics 2, 6 and 10: those that four steps of 90° leave in the third difference. Beyond the second they come from
-            # an exposure that sees a part of the projector's bit planes, which makes steps of the sine.
-            twice[0, j], twice[1, j], twice[2, j] = 1.0, c2, s2
-            c4, s4 = c2 * c2 - s2 * s2, 2.0 * c2 * s2
-            c6, s6 = c4 * c2 - s4 * s2, s4 * c2 + c4 * s2
-            twice[3, j], twice[4, j] = c6, s6
-            twice[5, j], twice[6, j] = c6 * c4 - s6 * s4, s6 * c4 + c6 * s4
-        of_shift, found[SIGMA, k], found[EXPECTED, k] = regress(length, shift, light)
+        # Harmonics 2, 6 and 10: those that four steps of 90° leave in the third difference. Beyond the second they come from
+        # an exposure that sees a part of the projector's bit planes, which makes steps of the sine.
+        twice[0] = 1.0
+        _sum_of_angles(c4, s4, c2, s2, twice[3], twice[4])
+        _sum_of_angles(twice[3], twice[4], c4, s4, twice[5], twice[6])
+        # Pixels weigh as the noise of what is fitted allows.
+        weight = np.minimum(light, quantile_of(light, STRONGEST)) ** 2
+        of_shift, found[SIGMA, k], found[EXPECTED, k] = regress(length, shift, light, weight)
         found[COSINE, k], found[SINE, k] = of_shift[0], of_shift[1]
         # The third difference: its mean is a change of light, its terms at 2, 6 and 10 φ are the projector's harmonics.
-        of_twice, _, _ = regress(third, twice, light)
+        of_twice, _, _ = regress(third, twice, light, weight)
         found[THIRD, k] = of_twice[0]
         for j in range(n):
             left = third[j]
@@ -112,6 +119,21 @@ def fit_blocks(
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
+def _over(value: Floats, by: Floats, found: Floats) -> None:
+    for j in range(found.size):
+        found[j] = value[j] / by[j]
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _sum_of_angles(c: Floats, s: Floats, d: Floats, t: Floats, cosine: Floats, sine: Floats) -> None:
+    """Write cosine and sine of the sum of two angles, whose own are (c, s) and (d, t)."""
+    for j in range(cosine.size):
+        cosine[j] = c[j] * d[j] - s[j] * t[j]
+    for j in range(sine.size):
+        sine[j] = s[j] * d[j] + c[j] * t[j]
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
 def common_of_neighbours(
     rest: Floats,
     contrast: Floats,
@@ -119,18 +141,19 @@ def common_of_neighbours(
     column: NDArray[np.intp],
     order: NDArray[np.intp],
     ends: NDArray[np.intp],
+    most_dn: float,
+    most_share: float,
 ) -> Floats:
     """Return each block's mean square of what a pixel and those next to it have in common of ``rest`` (n,): what noise
     has not, and light has.
+
+    What is beyond both ``most_share`` and ``most_dn`` over the contrast is cut off there.
 
     Pairs weigh as their noise allows: in grey values, ``rest`` · ``contrast``, it is about the same everywhere. Pixels
     come row by row, from left to right.
     """
     found = np.zeros(ends.size)
     value = rest * contrast
-    # Light that is usual before dark pixels is many grey values before bright ones; noise is not. Either is no edge.
-    most_dn = CLIP * MAD_TO_SIGMA * np.median(np.abs(value))
-    most_share = CLIP * MAD_TO_SIGMA * np.median(np.abs(rest))
     # Each pixel learns its block, and its value is clipped: one edge must not outweigh a block.
     block = np.full(rest.size, -1)
     begin = 0
@@ -140,6 +163,7 @@ def common_of_neighbours(
             most = max(most_dn, most_share * contrast[at])
             value[at] = min(max(value[at], -most), most)
         begin = ends[k]
+    # Both sums of each block's least squares.
     sums, weights = np.zeros(ends.size), np.zeros(ends.size)
     # Pairs beside and below each other; below runs ahead through the sorted pixels, so that all is one pass.
     below = 0
@@ -168,7 +192,7 @@ def common_of_neighbours(
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def stripe_levels(
-    grey: NDArray[np.float32],
+    grey: NDArray[np.uint8],
     numbers: NDArray[np.int64],
     dark: int,
     pixels: NDArray[np.intp],
@@ -185,7 +209,7 @@ def stripe_levels(
         count[:] = 0
         image = grey[numbers[j]]
         for i in range(pixels.size):
-            share = (image[pixels[i]] - grey[dark, pixels[i]]) / contrast[i]
+            share = (np.float64(image[pixels[i]]) - np.float64(grey[dark, pixels[i]])) / contrast[i]
             if share < STRIPE_EDGE:
                 count[min(max(int((share - STRIPE_EDGE) * BINS + BINS), 0), BINS - 1)] += 1
             elif share > 1.0 - STRIPE_EDGE:
@@ -220,36 +244,40 @@ def _span(place: NDArray[np.intp], block: NDArray[np.intp]) -> tuple[int, int]:
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def regress(value: Floats, terms: Floats, contrast: Floats) -> tuple[Floats, float, float]:
-    """Return the coefficients of a weighted robust fit of ``terms`` (k, n), the larger sigma of the first two, and
-    what that would be for ``value`` · ``contrast`` (n,) with a noise of 1."""
+def regress(value: Floats, terms: Floats, contrast: Floats, weight: Floats) -> tuple[Floats, float, float]:
+    """Return the coefficients of a robust fit of ``terms`` (k, n), weighted by ``weight`` (n,), the larger sigma of the first two,
+    and what that would be for ``value`` · ``contrast`` (n,) with a noise of 1."""
     size, n = terms.shape
-    most = np.quantile(contrast, STRONGEST)
-    weight = np.minimum(contrast, most) ** 2
-    residual = np.empty(n)
-    coefficients, sigma, expected = np.zeros(size), np.inf, np.inf
-    # Weighted least squares; then what is far off, at an edge of the texture, is left out and the fit repeated.
-    for _ in range(ROUNDS):
-        normal, right = _normal(value, terms, weight)
-        inverse = _inverse(normal)
+    normal, right = _normal(value, terms, weight)
+    used = np.ones(n, np.bool_)
+    residual, off = np.empty(n), np.empty(n)
+    for again in range(ROUNDS):
+        inverse = _inverse(_ridged(normal))
         coefficients = _times(inverse, right)
         residual[:] = value
         for a in range(size):
             for j in range(n):
                 residual[j] -= coefficients[a] * terms[a, j]
-        squares, used = 0.0, 0
+        if again == ROUNDS - 1:
+            break
+        # What is far off, at an edge of the texture, is left out, and the fit repeated. Few are: taking their part out of the
+        # normal equations is quicker than summing all others anew.
         for j in range(n):
+            off[j] = abs(residual[j]) * contrast[j]
+        limit = CLIP * max(MAD_TO_SIGMA * quantile_of(off, 0.5), 1e-3)
+        far = np.flatnonzero((off > limit) & used)
+        used[far] = False
+        theirs, product = _normal(value[far], terms[:, far], weight[far])
+        normal -= theirs
+        right -= product
+    squares, count = 0.0, 0
+    for j in range(n):
+        if used[j]:
             squares += weight[j] * residual[j] ** 2
-            used += 1 if weight[j] != 0.0 else 0
-        # Covariance of weighted least squares, for a noise of one grey value and for the one that is found.
-        expected = np.sqrt(max(inverse[0, 0], inverse[1, 1]))
-        sigma = expected * np.sqrt(squares / max(used - size, 1))
-        off = np.abs(residual) * contrast
-        limit = CLIP * max(MAD_TO_SIGMA * np.median(off), 1e-3)
-        for j in range(n):
-            if off[j] > limit:
-                weight[j] = 0.0
-    return coefficients, sigma, expected
+            count += 1
+    # Covariance of weighted least squares, for a noise of one grey value and for the one that is found.
+    expected = np.sqrt(max(inverse[0, 0], inverse[1, 1]))
+    return coefficients, expected * np.sqrt(squares / max(count - size, 1)), expected
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
@@ -262,19 +290,74 @@ def _dot(a: Floats, b: Floats) -> float:
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
+def quantile_of(values: Floats, share: float) -> float:
+    """Return the value below which ``share`` of the finite ``values`` lie, interpolated between two of them.
+
+    Values are counted into bins, and only the wanted one is looked at again: a partition's exchanges cannot be predicted, and cost a
+    block of some hundred pixels more than its fit.
+    """
+    place = share * (values.size - 1)
+    rank = int(place)
+    above, aside = np.inf, place - rank
+    counts = np.empty(BINS, np.int64)
+    while True:
+        low, high = values[0], values[0]
+        for i in range(values.size):
+            low, high = min(low, values[i]), max(high, values[i])
+        bins = min(BINS, values.size)
+        scale = bins / (high - low)
+        if values.size <= FEW or not scale < np.inf:  # too near to each other for bins
+            break
+        counts[:bins] = 0
+        for i in range(values.size):
+            counts[_bin(values[i], low, scale, bins)] += 1
+        wanted, below = 0, 0
+        while below + counts[wanted] <= rank:
+            below += counts[wanted]
+            wanted += 1
+        inside, n = np.empty(counts[wanted]), 0
+        for i in range(values.size):
+            bin_ = _bin(values[i], low, scale, bins)
+            if bin_ == wanted:
+                inside[n] = values[i]
+                n += 1
+            elif bin_ > wanted and values[i] < above:
+                above = values[i]
+        values, rank = inside, rank - below
+    ordered = np.sort(values)
+    following = ordered[rank + 1] if rank + 1 < ordered.size else above
+    return float(ordered[rank] + (aside * (following - ordered[rank]) if aside > 0.0 else 0.0))
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _bin(value: float, low: float, scale: float, bins: int) -> int:
+    """Return the bin of a value; the last one for the greatest, and for what is no number, which must not lead out of the table."""
+    place = (value - low) * scale
+    return int(place) if place < bins else bins - 1
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
 def _normal(value: Floats, terms: Floats, weight: Floats) -> tuple[Floats, Floats]:
+    """Return the matrix and the right side of the normal equations."""
     size = terms.shape[0]
     normal, right = np.empty((size, size)), np.empty(size)
-    trace = 0.0
+    weighted = np.empty(value.size)
     for a in range(size):
-        weighted = weight * terms[a]
+        for j in range(value.size):
+            weighted[j] = weight[j] * terms[a, j]
         right[a] = _dot(weighted, value)
         for b in range(a + 1):
             normal[a, b] = normal[b, a] = _dot(weighted, terms[b])
-        trace += normal[a, a]
-    for a in range(size):
-        normal[a, a] += RIDGE * trace
     return normal, right
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _ridged(normal: Floats) -> Floats:
+    """Return ``normal`` with a ridge on its diagonal."""
+    ridged, trace = normal.copy(), np.trace(normal)
+    for a in range(ridged.shape[0]):
+        ridged[a, a] += RIDGE * trace
+    return ridged
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")

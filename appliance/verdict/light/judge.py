@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from appliance.reconstruct.images import ScanImages
 from appliance.scan.exposure import Exposure
@@ -11,7 +11,7 @@ from appliance.scan.noise import FULL_DN
 from appliance.scan.sides import SIDES, of_side
 from appliance.scan.verdict import Judgement, Verdict
 from appliance.verdict.light.changes import Changes, find_frequency_hz, measure_changes
-from appliance.verdict.light.levels import Levels, light_of, measure_levels, sample
+from appliance.verdict.light.levels import Levels, Sample, light_of, measure_levels, sample
 from appliance.verdict.light.propose import propose, propose_second, without_flicker
 
 MAX_SATURATED = 0.05
@@ -30,15 +30,21 @@ FLICKER_ALIAS_HZ = (18.5, 21.5)
 """Frequencies at which lamps on 50 Hz mains show up at 60 frames per second."""
 
 
-def judge_light(images: ScanImages, present: Exposure, steps: Sequence[Exposure], bend_px: float = 0.0) -> Judgement:
+def judge_light(
+    images: ScanImages,
+    present: Exposure,
+    steps: Sequence[Exposure],
+    bend_px: float = 0.0,
+    samples: Mapping[str, Sample] | None = None,
+) -> Judgement:
     """Return the verdict ``light`` with its numbers, at most one fault, and what to expose the next scan with.
 
     From the frames alone. ``present``: what they were exposed with; ``steps``: what may be proposed, from dark to
     bright (``scan.exposure.ladder``). ``bend_px``: RMS by which fringes that are no sines bend coordinates; they look like light that
-    changes by a part of that.
+    changes by a part of that. ``samples`` of both sides, where they were taken while the frames arrived.
     """
     noise = {side: of_side(images.noise, side) for side in SIDES}
-    samples = {side: sample(images.frames[side], images.sequence) for side in SIDES}
+    samples = samples or {side: sample(images.frames[side], images.sequence) for side in SIDES}
     levels = {side: measure_levels(samples[side], images.sequence, noise[side]) for side in SIDES}
     changes = {side: measure_changes(samples[side], images.sequence, noise[side]) for side in SIDES}
     frequency = find_frequency_hz((*changes["left"].levels, *changes["right"].levels), images.frame_s)

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from appliance.patterns.sequence import Direction, PatternSequence
 from appliance.patterns.sine import AMPLITUDE_CODE, MEAN_CODE
 from appliance.reconstruct.decode.decoder import MIN_CONTRAST_DN, MIN_MODULATION_DN
+from appliance.reconstruct.quantile import median, quantile
 from appliance.scan.noise import FULL_DN, CameraNoise
 
 SAMPLES = 25_000
@@ -37,9 +38,10 @@ Floats = NDArray[np.float32]
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """A grid of one camera's pixels, (n, rows, columns) float32 grey values, and what is read off it directly."""
+    """A grid of one camera's pixels, (rows, columns) float32 grey values, and what is read off it directly."""
 
-    grey_dn: Floats
+    grey: NDArray[np.uint8]
+    """(n, rows, columns): all images."""
     bright_dn: Floats
     dark_dn: Floats
     contrast_dn: Floats
@@ -54,23 +56,76 @@ class Sample:
     """Pixels that are saturated in any sine image or in the bright one."""
 
 
-def sample(frames: NDArray[np.uint8], sequence: PatternSequence) -> Sample:
-    """Take about ``SAMPLES`` illuminated pixels of ``frames`` (n, h, w) uint8; fewer where they are rare among
+class Sampler:
+    """Takes about ``SAMPLES`` illuminated pixels of one camera's sequence, frame by frame; fewer where they are rare among
     ``MOST_PIXELS``."""
-    coarse = frames[[sequence.bright, sequence.dark], ::COARSE_PX, ::COARSE_PX].astype(np.int16)
-    illuminated_pixels = COARSE_PX**2 * int(np.count_nonzero(_illuminated(coarse[0], coarse[1])))
-    least = math.ceil((frames[0].size / MOST_PIXELS) ** 0.5)
-    stride = max(least, round((illuminated_pixels / SAMPLES) ** 0.5))
-    grey = frames[:, _places(frames.shape[1], stride)[:, None], _places(frames.shape[2], stride)].astype(
-        np.float32, order="C"
-    )
-    bright, dark = grey[sequence.bright], grey[sequence.dark]
-    sines = [grey[list(sequence.axis(d).sine)] for d in Direction]
-    modulation = np.minimum(*(0.5 * np.hypot(s[0] - s[2], s[3] - s[1]) for s in sines))
-    top = np.maximum(bright, np.maximum(*(s.max(axis=0) for s in sines)))
-    saturated = top >= FULL_DN
-    illuminated = _illuminated(bright, dark)
-    return Sample(grey, bright, dark, bright - dark, modulation, top, illuminated, saturated & illuminated)
+
+    def __init__(self, sequence: PatternSequence) -> None:
+        self._sequence = sequence
+        self._sines = np.array([sequence.axis(d).sine for d in Direction], np.int64)
+        self._places = np.empty((0, 0), np.intp)
+        self._grey = np.empty((len(sequence), 0, 0), np.uint8)
+
+    def push(self, frames: NDArray[np.uint8], index: int) -> None:
+        """Take the pixels of frame ``index`` of ``frames`` (n, h, w) uint8; in order, from 0 for each sequence."""
+        references = (self._sequence.bright, self._sequence.dark)
+        if index < max(references):
+            return
+        first = index
+        if index == max(references):
+            # How many pixels are illuminated, both references tell, and from that follows which are taken.
+            first = 0
+            self._choose(frames[list(references), ::COARSE_PX, ::COARSE_PX].astype(np.int16), frames.shape[1:])
+        for k in range(first, index + 1):
+            np.take(frames[k].reshape(-1), self._places, out=self._grey[k], mode="clip")
+
+    def _choose(self, few: NDArray[np.int16], shape: tuple[int, ...]) -> None:
+        illuminated_pixels = COARSE_PX**2 * int(
+            np.count_nonzero((few[0] - few[1] >= MIN_CONTRAST_DN) | (few[0] >= FULL_DN))
+        )
+        least = math.ceil((shape[0] * shape[1] / MOST_PIXELS) ** 0.5)
+        stride = max(least, round((illuminated_pixels / SAMPLES) ** 0.5))
+        self._places = _places(shape[0], stride)[:, None] * shape[1] + _places(shape[1], stride)
+        self._grey = np.empty((len(self._sequence), *self._places.shape), np.uint8)
+
+    def finish(self) -> Sample:
+        """Return the sample, after the last frame."""
+        sums = np.empty((5, *self._places.shape), np.float32)
+        flags = np.empty((2, *self._places.shape), np.bool_)
+        pixels = (len(self._grey), -1)
+        _describe(
+            self._grey.reshape(pixels), self._sequence.bright, self._sequence.dark, self._sines, sums.reshape(5, -1),
+            flags.reshape(2, -1),
+        )  # fmt: skip
+        return Sample(self._grey, *sums, *flags)
+
+
+def sample(frames: NDArray[np.uint8], sequence: PatternSequence) -> Sample:
+    """Take the sample of whole ``frames`` (n, h, w) uint8."""
+    sampler = Sampler(sequence)
+    for index in range(len(sequence)):
+        sampler.push(frames, index)
+    return sampler.finish()
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _describe(
+    grey: NDArray[np.uint8], bright: int, dark: int, sines: NDArray[np.int64], sums: Floats, flags: NDArray[np.bool_]
+) -> None:
+    """Write to ``sums`` (5, pixels) and ``flags`` (2, pixels) what ``Sample`` has beside its images ``grey`` (n, pixels), in its
+    order."""
+    for i in range(grey.shape[1]):
+        light, black = np.float32(grey[bright, i]), np.float32(grey[dark, i])
+        top, least = light, np.float32(np.inf)
+        for d in range(2):
+            s0, s1 = np.float32(grey[sines[d, 0], i]), np.float32(grey[sines[d, 1], i])
+            s2, s3 = np.float32(grey[sines[d, 2], i]), np.float32(grey[sines[d, 3], i])
+            top = max(top, max(max(s0, s1), max(s2, s3)))
+            # Four steps of 90° make twice the modulation the length of (I0 − I2, I3 − I1).
+            least = min(least, np.float32(0.5) * np.sqrt((s0 - s2) * (s0 - s2) + (s3 - s1) * (s3 - s1)))
+        sums[0, i], sums[1, i], sums[2, i], sums[3, i], sums[4, i] = light, black, light - black, least, top
+        illuminated = light - black >= MIN_CONTRAST_DN or light >= FULL_DN
+        flags[0, i], flags[1, i] = illuminated, illuminated and top >= FULL_DN
 
 
 def _places(size_px: int, stride: int) -> NDArray[np.intp]:
@@ -78,10 +133,6 @@ def _places(size_px: int, stride: int) -> NDArray[np.intp]:
     only."""
     number = np.arange(-(-size_px // stride))
     return np.minimum((stride * (number + GOLDEN * number % 1.0)).astype(np.intp), size_px - 1)
-
-
-def _illuminated(bright: NDArray[Any], dark: NDArray[Any]) -> NDArray[np.bool_]:
-    return np.asarray((bright - dark >= MIN_CONTRAST_DN) | (bright >= FULL_DN), np.bool_)
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +169,7 @@ def measure_levels(s: Sample, sequence: PatternSequence, noise: CameraNoise) -> 
     ambient = s.dark_dn - np.float32(noise.black_dn)
     top_dn = _top_dn(s, sequence, noise.black_dn)
     if count == 0:
-        return Levels(0.0, None, "", None, None, None, float(np.median(ambient)), None, None, None, top_dn)
+        return Levels(0.0, None, "", None, None, None, median(ambient.reshape(-1)), None, None, None, top_dn)
     clear = illuminated & ~saturated
     dim = clear & (s.modulation_dn < MIN_MODULATION_DN)
     weak = int((dim & (s.modulation_dn >= DIM_MODULATION_DN)).sum())
@@ -130,12 +181,12 @@ def measure_levels(s: Sample, sequence: PatternSequence, noise: CameraNoise) -> 
         saturated=float(saturated.sum()) / count,
         where=_where(saturated),
         weak=weak / count,
-        modulation_dn=float(np.median(modulation)) if known else None,
-        modulation_tenth_dn=float(np.quantile(s.modulation_dn[clear], 0.1)) if known else None,
-        ambient_dn=float(np.median(ambient[illuminated])),
-        ambient_ratio=float(np.median(ratio)),
+        modulation_dn=median(modulation) if known else None,
+        modulation_tenth_dn=quantile(s.modulation_dn[clear], 0.1) if known else None,
+        ambient_dn=median(ambient[illuminated]),
+        ambient_ratio=median(ratio),
         ambient_beyond=float(np.mean(ratio > 1.0)),
-        ambient_peak=float(np.quantile(ratio, 0.9)),
+        ambient_peak=quantile(ratio, 0.9),
         top_dn=top_dn,
     )
 
@@ -147,7 +198,7 @@ def _top_dn(s: Sample, sequence: PatternSequence, black_dn: float) -> float:
     clipped = s.bright_dn >= FULL_DN
     if clipped.any():
         level[clipped] = _true_bright_dn(s, sequence, clipped, black_dn)
-    return float(np.quantile(level, 1.0 - TOP_SHARE))
+    return quantile(level.reshape(-1), 1.0 - TOP_SHARE)
 
 
 def _true_bright_dn(s: Sample, sequence: PatternSequence, clipped: NDArray[np.bool_], black_dn: float) -> Floats:
@@ -160,7 +211,7 @@ def _true_bright_dn(s: Sample, sequence: PatternSequence, clipped: NDArray[np.bo
     dark = s.dark_dn[clipped]
     found = np.zeros(dark.shape, np.float32)
     for direction in Direction:
-        values = np.stack([s.grey_dn[k][clipped] for k in sequence.axis(direction).sine])
+        values = np.stack([s.grey[k][clipped] for k in sequence.axis(direction).sine]).astype(np.float32)
         least = values.argmin(axis=0)
         columns = np.arange(dark.size)
         beside = np.minimum(values[(least + 1) % 4, columns], values[(least - 1) % 4, columns])
@@ -195,7 +246,7 @@ def light_of(s: Sample, sequence: PatternSequence, noise: CameraNoise) -> tuple[
     seen = ((s.illuminated | (s.contrast_dn >= FAINT_DN)) & (s.modulation_dn >= DIM_MODULATION_DN)) | s.saturated
     top, modulation = s.top_dn - np.float32(noise.black_dn), s.modulation_dn.copy()
     clear = s.illuminated & ~s.saturated & (s.contrast_dn > 0.0)
-    depth = float(np.median(s.modulation_dn[clear] / s.contrast_dn[clear])) if clear.any() else 0.5
+    depth = median(s.modulation_dn[clear] / s.contrast_dn[clear]) if clear.any() else 0.5
     clipped = s.bright_dn >= FULL_DN
     if clipped.any():
         top[clipped] = np.maximum(_true_bright_dn(s, sequence, clipped, noise.black_dn), FULL_DN - noise.black_dn)

@@ -72,14 +72,16 @@ def look(
     loose: Cloud,
     limits: QualityLimits,
     parallax_percent: float | None = None,
+    visible: Mapping[str, VisibleFringes] | None = None,
 ) -> Verdict:
     """Return the verdict ``sight`` on ``frames`` (n, h, w) uint8 by side, and on the points of ``loose``, found without
     limits of depth.
 
     It passes nothing and fails nothing: ``causes`` weighs its numbers. ``fringe_dn`` and ``object_percent`` are
-    ``None`` where no fringes are seen, ``glow_per_m`` (attenuation as the glow's shape suggests it) where any are.
+    ``None`` where no fringes are seen, ``glow_per_m`` (attenuation as the glow's shape suggests it) where any are. ``visible``:
+    what ``see`` said of both sides, where it was asked while the frames arrived.
     """
-    both = {side: see(frames[side], sequence, of_side(noise, side)) for side in SIDES}
+    both = visible or {side: see(frames[side], sequence, of_side(noise, side)) for side in SIDES}
     best = max(both.values(), key=lambda one: one.cells)
     numbers: dict[str, float | None] = {
         "light_dn": best.light_dn,
@@ -100,7 +102,7 @@ def look(
 
 
 def see(frames: NDArray[np.uint8], sequence: PatternSequence, noise: CameraNoise) -> VisibleFringes:
-    """Look at one camera's ``frames`` (n, h, w) uint8, cell by cell."""
+    """Look at one camera's ``frames`` (n, h, w) uint8, cell by cell. Those of Y may still be missing."""
     rows, columns = frames.shape[1:]
     step = max(1, int((rows * columns / SAMPLES) ** 0.5))
     at = (slice(step // 2, None, step), slice(step // 2, None, step))

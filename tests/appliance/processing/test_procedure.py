@@ -145,3 +145,41 @@ def test_a_noisier_camera_makes_points_of_larger_expected_error(
     found = processor.process(wall, AcquisitionSettings(noise=StereoNoise(noise, noise))).found
     ratio = float(np.median(pipeline.table.cloud(found).sigma_mm) / quiet)
     assert 1.2 < ratio <= 2.0, "the noise is twice as large; what bends and texture add is not"
+
+
+def said_of(full: FullFound) -> list[tuple[str, bool | None, Mapping[str, float | None], object]]:
+    return [(one.verdict.name, one.verdict.passed, one.verdict.numbers, one.fault) for one in full.judgements]
+
+
+def test_a_scan_that_was_cut_off_leaves_nothing_in_the_verdicts_of_the_next(
+    processor: SequenceProcessor, pipeline: Pipeline, still: RenderedScan, wall: Frames
+) -> None:
+    """Judges take what they need of frames as these arrive; what they took of others must be gone."""
+    alone = said_of(processor.process(wall, AcquisitionSettings()))
+    rng = np.random.default_rng(7)
+    other = {side: rng.integers(0, 255, frames.shape, np.uint8) for side, frames in wall.items()}
+    for pushed in (1, 2, 12, N - 1):
+        interrupted = SequenceProcessor(pipeline, true_calibration(still.renderer.truth), WATER)
+        interrupted.begin(AcquisitionSettings())
+        for index in range(pushed):
+            for side, frames in other.items():
+                interrupted.push(side, frames, index)
+        assert said_of(interrupted.process(wall, AcquisitionSettings())) == alone, (
+            f"after {pushed} frames of another scan"
+        )
+
+
+def test_judges_are_told_the_same_of_frames_that_come_before_the_others_exist(
+    processor: SequenceProcessor, wall: Frames
+) -> None:
+    """While a scan is recorded, the frames that are still to come hold the ones of the scan before."""
+    alone = said_of(processor.process(wall, AcquisitionSettings()))
+    stored = {side: np.full_like(frames, 99) for side, frames in wall.items()}
+    processor.begin(AcquisitionSettings())
+    for index in range(N):
+        for side, frames in wall.items():
+            stored[side][index] = frames[index]
+            processor.push(side, stored[side], index)
+    found = processor.run()
+    assert found is not None
+    assert said_of(found) == alone

@@ -15,6 +15,7 @@ from appliance.verdict.light.fit import (
     THIRD,
     common_of_neighbours,
     fit_blocks,
+    quantile_of,
     stripe_levels,
 )
 
@@ -76,6 +77,16 @@ def test_every_block_is_fitted_as_numpy_fits_it(seed: int) -> None:
     assert np.allclose(rest, left, atol=1e-9)
 
 
+@pytest.mark.parametrize("count", [1, 2, 23, 24, 25, 520, 5_000])
+def test_quantiles_of_a_block_are_those_of_numpy(count: int) -> None:
+    """Whatever the values: evenly spread, equal, of a few kinds, or nearly all in one bin beside an outlier."""
+    rng = np.random.default_rng(count)
+    outlier = np.where(np.arange(count) == count // 2, 1e12, rng.random(count))
+    for values in (rng.normal(size=count), np.full(count, 3.0), rng.integers(0, 9, count).astype(np.float64), outlier):
+        for share in (0.0, 0.1, 0.5, 0.9, 1.0):
+            assert quantile_of(values, share) == pytest.approx(float(np.quantile(values, share)), rel=1e-12)
+
+
 def lattice(rng: np.random.Generator, shape: tuple[int, int], part: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Rows and columns of a random part of a grid, row by row."""
     row, column = np.nonzero(rng.random(shape) < part)
@@ -92,10 +103,11 @@ def test_what_neighbours_have_in_common_is_that_of_numpy(seed: int) -> None:
     block = np.where(row < 55, column // 40, -1)  # the last rows belong to no block
     order = np.concatenate([np.flatnonzero(block == k) for k in range(2)])
     ends = np.cumsum([np.count_nonzero(block == k) for k in range(2)])
-    found = common_of_neighbours(rest, contrast, row, column, order, ends)
+    most_dn, most_share = 4.0 * float(np.median(np.abs(rest * contrast))), 5.0 * float(np.median(np.abs(rest)))
+    found = common_of_neighbours(rest, contrast, row, column, order, ends, most_dn, most_share)
     value, weight, of = np.full(shape, np.nan), np.full(shape, np.nan), np.full(shape, -1)
     grey = rest * contrast
-    most = 3.0 * 1.4826 * np.maximum(np.median(np.abs(grey)), np.median(np.abs(rest)) * contrast)
+    most = np.maximum(most_dn, most_share * contrast)
     value[row, column] = np.clip(grey, -most, most)
     weight[row, column], of[row, column] = contrast, block
     for k in range(2):
@@ -116,10 +128,10 @@ def test_fine_light_before_dark_and_bright_is_told_in_its_square() -> None:
     share = 0.02 * np.where((row // 6 + column // 6) % 2, 1.0, -1.0)
     noisy = share + rng.normal(0.0, 2.0, row.size) / contrast
     order, ends = np.arange(row.size), np.array([row.size])
-    seen = common_of_neighbours(noisy, contrast, row, column, order, ends)
+    seen = common_of_neighbours(noisy, contrast, row, column, order, ends, 1e3, 1e3)
     # Every sixth pair is one of two squares.
     assert seen[0] == pytest.approx(0.02**2 * (1.0 - 2.0 / 6.0), rel=0.05)
-    none = common_of_neighbours(noisy - share, contrast, row, column, order, ends)
+    none = common_of_neighbours(noisy - share, contrast, row, column, order, ends, 1e3, 1e3)
     assert abs(none[0]) < 0.02**2 / 20.0
 
 
@@ -129,7 +141,8 @@ def test_the_level_of_stripes_is_half_way_between_two_medians() -> None:
     dark = rng.uniform(3.0, 9.0, 4_000).astype(np.float32)
     lit = rng.random(4_000) < 0.4
     share = np.where(lit, 1.03, 0.02) + rng.normal(0.0, 0.02, 4_000)
-    grey = np.stack([dark, (dark + share * contrast).astype(np.float32)])
+    grey = np.rint(np.stack([dark, dark + share * contrast])).clip(0.0, 255.0).astype(np.uint8)
+    share = (grey[1] - grey[0].astype(np.float64)) / contrast
     found = stripe_levels(grey, np.array([1]), 0, np.arange(4_000), contrast, 100)
     assert found[0] == pytest.approx(0.5 * (np.median(share[~lit]) + np.median(share[lit])), abs=2e-4)
     assert np.isnan(stripe_levels(grey, np.array([0]), 0, np.arange(4_000), contrast, 100))[0]  # no stripe is lit

@@ -1,0 +1,68 @@
+"""Owns what is taken from each frame for the judges while the next ones are being recorded.
+
+After the last frame somebody waits, before it nobody does. So whatever a judge needs of single frames, or of one direction alone, is
+read as soon as it is there; what is left for afterwards is what needs both directions or the coordinates. There is no other way: a
+stored sequence is pushed frame by frame as well. A gatherer serves one sequence and is dropped with it, so that nothing of a scan that
+was cut off can come into the next one's verdicts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.patterns.sequence import Direction, PatternSequence
+from appliance.scan.noise import CameraNoise
+from appliance.verdict.identity.lines import Lines, LineTaker
+from appliance.verdict.light.levels import Sample, Sampler
+from appliance.verdict.sight.judge import VisibleFringes, see
+
+
+@dataclass(frozen=True, slots=True)
+class Gathered:
+    """Evidence that one camera's whole sequence left for its judges."""
+
+    lines: Mapping[Direction, Lines]
+    """Samples for the identity of the patterns, by direction."""
+    sample: Sample
+    """Pixels for the judge of light."""
+    visible: VisibleFringes
+    """Fringes that are seen without decoding."""
+
+
+class Gatherer:
+    """Gathers one sequence of one camera, whose grey values scatter by ``noise``."""
+
+    def __init__(self, sequence: PatternSequence, noise: CameraNoise) -> None:
+        self._sequence, self._noise = sequence, noise
+        self._lines = LineTaker(sequence, noise)
+        self._sampler = Sampler(sequence)
+        self._visible: VisibleFringes | None = None
+        self._pushed = 0
+
+    def push(self, frames: NDArray[np.uint8], index: int) -> None:
+        """Take what is wanted of frame ``index`` of ``frames`` (n, h, w) uint8; in order, from 0."""
+        self._pushed = index + 1
+        self._lines.push(frames, index)
+        self._sampler.push(frames, index)
+        if index == self._sequence.axis(Direction.X).sine[-1]:
+            self._visible = see(frames, self._sequence, self._noise)
+
+    def finish(self) -> Gathered:
+        """Return what was gathered, after the last frame. Raises ValueError where frames are missing."""
+        if self._visible is None or self._pushed != len(self._sequence):
+            raise ValueError(
+                f"{self._pushed} of {len(self._sequence)} frames were pushed; push all before asking for verdicts"
+            )
+        return Gathered(self._lines.finish(), self._sampler.finish(), self._visible)
+
+
+def gather(frames: NDArray[np.uint8], sequence: PatternSequence, noise: CameraNoise) -> Gathered:
+    """Gather whole ``frames`` (n, h, w) uint8 of one camera."""
+    gatherer = Gatherer(sequence, noise)
+    for index in range(len(frames)):
+        gatherer.push(frames, index)
+    return gatherer.finish()
