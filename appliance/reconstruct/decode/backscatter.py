@@ -18,6 +18,7 @@ f ``share`` (per block of the image) and ``lit``, σ ``noise_dn`` and ``sigma``.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import cv2
@@ -68,7 +69,10 @@ FINE_IMAGES = 3
 CLEAR_MODULATION_DN = 8.0
 """Modulation from which on a pixel's fringes tell which share of the object's light they are."""
 MIN_LIGHT_DN, MIN_MODULATION_DN = 8.0, 5.0
-"""Least contrast and least modulation that decoding demands of a pixel."""
+"""Least contrast that decoding demands of a pixel, and least modulation where nothing is known of the noise."""
+MAX_PHASE_ERROR_PERIODS = 1 / 20
+"""Expected phase error of the weakest fringes that are used where backscatter takes the scale: five such errors are the quarter of
+a period that lies between the phase and a wrong order. A weak fringe there says nothing of the surface, as a shadow or an edge would."""
 MIN_CLEAR = 20
 """Least number of clear pixels from which anything is concluded."""
 HALF_VEIL, FEW = 0.5, 0.005
@@ -111,9 +115,10 @@ def read_through_backscatter(
     noise: CameraNoise,
     half_period: NDArray[np.uint8],
     doubtful: NDArray[np.uint8],
+    weakest_dn: float,
 ) -> bool:
     """Write the half periods of the pattern columns (h, w) uint8, and into ``doubtful`` (h, w) uint8 a 1 where a bit cannot be told,
-    a 2 where there is too little light to ask.
+    a 2 where there is too little light to ask: a modulation below ``weakest_dn`` grey values.
 
     ``frames`` (n, h, w) uint8 are one camera's; ``mask`` (h, w) is as decoding them left it. Returns False, with nothing
     written, where the backscatter is too weak to have turned a bit.
@@ -121,14 +126,31 @@ def read_through_backscatter(
     scale = fringe_scale(sequence, frames, mask, noise)
     if scale is None or not any_backscatter(sequence, frames, mask, scale):
         return False
-    _read(sequence, frames, scale, half_period, doubtful)
+    _read(sequence, frames, scale, half_period, doubtful, weakest_dn)
     return True
+
+
+def weakest_modulation_dn(
+    sequence: PatternSequence, frames: NDArray[np.uint8], mask: NDArray[np.uint8], noise: CameraNoise
+) -> float:
+    """Return the modulation at which the phase of one camera's pixels has ``MAX_PHASE_ERROR_PERIODS``, at most ``MIN_MODULATION_DN``.
+
+    Four steps with noise σ and modulation B give the phase an error of σ / (√2 B) rad. The noise is that of the mean light of the
+    lit pixels, most of which is the water's: one limit for all of them. ``frames`` and ``mask`` as in ``read_through_backscatter``.
+    """
+    at = _few(mask.shape)
+    lit = mask[at] != _SHADOW
+    if not lit.any():
+        return MIN_MODULATION_DN
+    grey_dn = 0.5 * sum(float(frames[k][at][lit].mean()) for k in (sequence.bright, sequence.dark))
+    sigma_dn = math.sqrt(noise.variance_dn2(grey_dn))
+    return min(MIN_MODULATION_DN, sigma_dn / (math.sqrt(2.0) * math.tau * MAX_PHASE_ERROR_PERIODS))
 
 
 def warm_up(sequence: PatternSequence, frames: NDArray[np.uint8], noise: CameraNoise) -> None:
     """Run every kernel on frames (n, h, w), whatever they show."""
     number, doubtful = np.zeros((2, *frames.shape[1:]), np.uint8)
-    _read(sequence, frames, scale_of(1.0, 0.5, noise), number, doubtful)
+    _read(sequence, frames, scale_of(1.0, 0.5, noise), number, doubtful, MIN_MODULATION_DN)
 
 
 def _read(
@@ -137,6 +159,7 @@ def _read(
     scale: FringeScale,
     half_period: NDArray[np.uint8],
     doubtful: NDArray[np.uint8],
+    weakest_dn: float,
 ) -> None:
     across = sequence.axis(Direction.X)
     stride = max(1, -(-frames.shape[2] // BLOCKS) // SAMPLES_PER_BLOCK)
@@ -146,7 +169,7 @@ def _read(
     soft, sine = np.empty_like(half_period), np.array(across.sine, np.int64)
     _number(
         frames, np.array(across.gray, np.int64), sine, sequence.bright, sequence.dark, shares,
-        SAMPLES_PER_BLOCK * stride, scale, half_period, soft, doubtful,
+        SAMPLES_PER_BLOCK * stride, scale, np.float32(weakest_dn), half_period, soft, doubtful,
     )  # fmt: skip
     ask_neighbours(frames, sine, soft, half_period, doubtful)
 
@@ -385,6 +408,7 @@ def _number(
     shares: Floats,
     block_px: int,
     scale: FringeScale,
+    weakest_dn: np.float32,
     half_period: NDArray[np.uint8],
     soft_bits: NDArray[np.uint8],
     doubtful: NDArray[np.uint8],
@@ -392,7 +416,8 @@ def _number(
     """Write half periods, bits in doubt, and whether they matter (_DOUBT; _UNSEEN where nothing is seen), (h, w) each."""
     rows, columns = half_period.shape
     last_y, last_x = shares.shape[1] - 1, shares.shape[2] - 1
-    weak = np.float32((2.0 * MIN_MODULATION_DN) ** 2)
+    # The vector of both differences is twice the modulation.
+    weak = np.float32(4.0) * weakest_dn * weakest_dn
     own = np.empty(columns, np.float32)
     veil = np.empty(columns, np.float32)
     room = np.empty(columns, np.float32)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.patterns.sequence import Direction, Kind, PatternSequence
-from appliance.reconstruct.decode.backscatter import read_through_backscatter
+from appliance.reconstruct.decode.backscatter import read_through_backscatter, weakest_modulation_dn
 from appliance.reconstruct.decode.edges import close_axis
 from appliance.reconstruct.decode.gray_code import BITS_AT_ONCE, add_bit, number_half_periods, threshold
 from appliance.reconstruct.decode.illuminated import find_illuminated_columns
@@ -149,7 +149,11 @@ class CameraDecoder:
             add_bit(frames[k].reshape(-1), self._threshold, self._half_period)
 
     def _close(
-        self, frames: NDArray[np.uint8], direction: Direction, max_disagreement: float = MAX_GRAY_DISAGREEMENT
+        self,
+        frames: NDArray[np.uint8],
+        direction: Direction,
+        max_disagreement: float = MAX_GRAY_DISAGREEMENT,
+        min_modulation_dn: float = MIN_MODULATION_DN,
     ) -> None:
         mine = self._sequence.axis(direction)
         s0, s1, s2, s3 = (frames[k] for k in mine.sine)
@@ -157,7 +161,7 @@ class CameraDecoder:
         axis = AxisDecoding(
             np.float32(self._sequence.period_px),
             np.float32(mine.size_px),
-            np.float32(2.0 * MIN_MODULATION_DN),
+            np.float32(2.0 * min_modulation_dn),
             np.float32(max_disagreement),
             self._closed,
         )
@@ -186,7 +190,8 @@ class CameraDecoder:
         Returns False, with the maps as they were, where it does so nowhere; this takes a millisecond. See ``backscatter``.
         """
         columns, doubtful = np.empty((2, *self._shape), np.uint8)
-        if not read_through_backscatter(self._sequence, frames, self.mask, noise, columns, doubtful):
+        weakest_dn = weakest_modulation_dn(self._sequence, frames, self.mask, noise)
+        if not read_through_backscatter(self._sequence, frames, self.mask, noise, columns, doubtful, weakest_dn):
             return False
         # A camera's ray crosses the stripes of X and stays within one of Y: only bits of X follow the water.
         self._begin(frames)
@@ -196,10 +201,10 @@ class CameraDecoder:
         for direction in Direction:
             if direction is Direction.X:
                 self._half_period[:] = columns.reshape(-1)
-                self._close(frames, direction)
+                self._close(frames, direction, min_modulation_dn=weakest_dn)
             else:
                 self._number(frames, self._sequence.axis(direction).gray)
-                self._close(frames, direction, MAX_VEILED_DISAGREEMENT)
+                self._close(frames, direction, MAX_VEILED_DISAGREEMENT, weakest_dn)
         return True
 
     def finish(self) -> None:
