@@ -34,6 +34,8 @@ from tests.support.truth import left_to_rig
 FALSE_MM = 1.0
 TRIM = 0.003
 """Share of the largest errors that figures of noise leave out, as those of artefacts do."""
+STEP_MM, LEAST_COSINE = 0.01, 0.1
+"""A step along the ray that tells how steeply it meets the surface, and the least cosine that is believed."""
 FEWEST = 300
 """Points that tell an error over sigma."""
 SHEET_FULL_WELL_E, SHEET_READ_NOISE_E = 13_000.0, 20.0
@@ -165,11 +167,15 @@ def errors_mm(renderer: Renderer, cloud: Cloud, at_s: float) -> tuple[Array, Arr
     surface = renderer.surface(at_s)
     if renderer.scene.moves:
         points = displaced(points, *displacement(surface, points))
-    v, u = np.divmod(cloud.pixel.astype(np.int64), truth.left.width_px)
-    true = renderer.view("left", at_s).points_rig_mm[v, u]
-    _, direction = ray(truth, "left", np.stack([u, v], -1))
-    along = np.sum((points - true) * direction, -1)
     away = surface.distance_mm(points)
+    v, u = np.divmod(cloud.pixel.astype(np.int64), truth.left.width_px)
+    _, direction = ray(truth, "left", np.stack([u, v], -1))
+    if renderer.scene.moves:
+        # Where the object slides along itself the displacement is anybody's, and the pixel's own point of the surface no measure: along
+        # the ray it is as far as the surface is away, over the cosine between both.
+        cosine = (surface.distance_mm(points + STEP_MM * direction) - away) / STEP_MM
+        return np.asarray(away / np.where(np.abs(cosine) >= LEAST_COSINE, cosine, 1.0)), away
+    along = np.sum((points - renderer.view("left", at_s).points_rig_mm[v, u]) * direction, -1)
     nothing = ~np.isfinite(along)
     along[nothing] = away[nothing]
     return np.asarray(along), away
