@@ -4,14 +4,15 @@ Lateral movement of a surface that faces the instrument changes only what albedo
 coordinates are wrong together, and points stay right. Depth moves the fringes in both cameras *against each other*. With
 E = ε left − ε right, in pattern px per frame, the ripple of the difference of both coordinates has a mean square of
 
-- E² (1/8 + 2 κ²): four steps of 90° (their error is E/2 · cos 2φ), and what the projector's second harmonic, κ of the first,
-  adds as it drifts along (2 E κ · sin 2φ (cos φ − sin φ));
+- E² (s²/8 + 2 κ²): four steps of 90° (their error is s E/2 · cos 2φ, with s = 1 of a steady movement, see ``course``), and what the
+  projector's second harmonic, κ of the first, adds as it drifts along (2 E κ · sin 2φ (cos φ − sin φ)). The right coordinate is read off
+  between pixels, where short ripples are read too small, so that in place of E² stands what is left of ε left and ε right then;
 - E² (P/2π)² g²: albedo with a gradient g, in modulations per px, that both cameras see at two places
   (E · g · P/2π · (cos φ + sin φ)); where it goes to and fro, with half the way from an image to the next but one;
 - what is uneven in the phase error that moving albedo makes in both cameras alike: they sample it at different places.
 
-Where the way from image to image is not steady, each counts with the way between the two images that matter to it. Noise is
-the points' own. Both are taken across the surface (``SurfaceMap``), so harm is a ratio of two known things.
+Where the way from image to image is not steady, each counts with the way between the two images that matter to it. Noise is that
+of four steps in both cameras' light. Both are taken across the surface (``SurfaceMap``), so harm is a ratio of two known things.
 """
 
 from __future__ import annotations
@@ -39,15 +40,19 @@ class SurfaceMap:
     """Number of the cloud's points that have neighbours on all sides."""
     across: Array
     """RMS of cos θ; NaN: fewer than ``MIN_POINTS``."""
-    noise_mm: Array
-    """RMS of the points' expected error across the surface, from the cameras' noise; NaN as above."""
+    noise_px: Array
+    """RMS of the left coordinates' noise, in px of the pattern, times cos θ; NaN as above."""
 
 
 def surface_map(
-    cloud: Cloud, p_px: NDArray[np.float32], q_px: NDArray[np.float32], shape: tuple[int, int]
+    cloud: Cloud,
+    p_px: NDArray[np.float32],
+    q_px: NDArray[np.float32],
+    variance_px2: NDArray[np.float32],
+    shape: tuple[int, int],
 ) -> SurfaceMap:
     """Map a cloud whose points lie on a grid of the left image, whose pattern coordinates are ``p_px`` and ``q_px``
-    (h, w)."""
+    (h, w), and theirs have variances ``variance_px2`` (n,) by the camera's noise."""
     cosine, inside = facing(cloud, p_px.shape[1])
     pixel = cloud.pixel[inside]
     p, q = p_px.ravel()[pixel], q_px.ravel()[pixel]
@@ -56,7 +61,7 @@ def surface_map(
     cell = (q[known] / CELL_PX).astype(np.int64) * columns + (p[known] / CELL_PX).astype(np.int64)
     # Errors along a ray count across the surface by cos θ, squared where variances are added up.
     square = cosine[known].astype(np.float64) ** 2
-    noise = square * cloud.sigma_mm[inside][known].astype(np.float64) ** 2
+    noise = square * variance_px2[inside][known].astype(np.float64)
 
     def summed(values: Array | None = None) -> Array:
         return np.bincount(cell, values, rows * columns).reshape(shape).astype(np.float64)
@@ -64,8 +69,8 @@ def surface_map(
     points = summed()
     enough = points >= MIN_POINTS
     with np.errstate(invalid="ignore", divide="ignore"):
-        across, noise_mm = (np.where(enough, np.sqrt(summed(x) / points), np.nan) for x in (square, noise))
-    return SurfaceMap(points, across, noise_mm)
+        across, noise_px = (np.where(enough, np.sqrt(summed(x) / points), np.nan) for x in (square, noise))
+    return SurfaceMap(points, across, noise_px)
 
 
 def facing(cloud: Cloud, width_px: int) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
@@ -104,6 +109,11 @@ that is left. From training scans."""
 NOISE_UNCERTAINTY = 0.1
 """Share of its variance by which the noise may exceed what is stated, before what is over counts as moving albedo."""
 MIN_CELLS = 4
+READ_NOISE = 0.8
+"""Share of a right coordinate's variance that is left where it is read off between pixels, along a parabola through three of them:
+its mean over all places."""
+_PLACES, _SHARES = (x / 2.0 for x in np.polynomial.legendre.leggauss(5))
+"""Places between pixels, from −½ to ½, and their weights in a mean over all of them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,18 +154,23 @@ def predict(
     water_index: float,
     period_px: int,
     frame_s: float,
+    steps2: float = 1.0,
 ) -> Harm:
     """Predict the harm from the drift across the x-fringes that both cameras saw, from how the surface stands, and
     from ``double_step2``, the mean square way of the albedo over the left image in two frames, px² (``None``: there
-    is none to see)."""
+    is none to see).
+
+    ``steps2`` is the square of the mean first and last step of the x-sines over that of their drift (``course.steps2``).
+    """
     px_per_rad = period_px / (2.0 * np.pi)
     with np.errstate(invalid="ignore", divide="ignore"):
         drift = left.drift_px - right.drift_px
         variance = left.sd_px**2 + right.sd_px**2
         depth = depth_per_px(left, right, rig, water_index)
         across = np.abs(depth) * surface.across
+        noise_mm2 = (depth * surface.noise_px) ** 2 * (1.0 + READ_NOISE * _noisier(left, right))
         # Each half of the fringe is drawn by two images: it matters how far the pattern goes between the two.
-        steps2 = 0.5 * ((left.early_px - right.early_px) ** 2 + (left.late_px - right.late_px) ** 2)
+        double2 = 0.5 * ((left.early_px - right.early_px) ** 2 + (left.late_px - right.late_px) ** 2)
         texture = 0.5 * (np.nan_to_num(left.texture_per_px2) + np.nan_to_num(right.texture_per_px2))
         noise2 = left.noise_rad2 + right.noise_rad2
         uneven = 0.5 * (left.uneven_rad2 + right.uneven_rad2) - 2.0 * NOISE_UNCERTAINTY * noise2
@@ -165,11 +180,14 @@ def predict(
             slope2 = 0.5 * (left.slope_per_px**2 + right.slope_per_px**2)
             albedo_rad2 = albedo_rad2 + texture * slope2 * 0.25 * double_step2
         second2 = 0.5 * (left.second2 + right.second2)
-        # E² (1/8 + 2 κ²), without what the drift's own uncertainty adds to its square.
-        ripple2 = (drift**2 - variance) * (0.125 + 2.0 * second2)
+        # E² (s²/8 + 2 κ²) as it is left by reading, without what the drift's own uncertainty adds to its square.
+        first, second, third = (
+            _read(left, right, cycles * abs(right.slope_per_px) / period_px) for cycles in (1, 2, 3)
+        )
+        ripple2 = 0.125 * steps2 * (second - variance) + second2 * (first + third - 2.0 * variance)
         # E² (P/2π)² g² of both halves of the fringe, and what moving albedo leaves.
-        ripple2 += px_per_rad**2 * ((steps2 - 2.0 * variance) * texture + albedo_rad2)
-        known = np.isfinite(drift) & np.isfinite(across) & np.isfinite(surface.noise_mm) & np.isfinite(ripple2)
+        ripple2 += px_per_rad**2 * ((double2 - 2.0 * variance) * texture + albedo_rad2)
+        known = np.isfinite(drift) & np.isfinite(across) & np.isfinite(noise_mm2) & np.isfinite(ripple2)
         if known.any():
             known &= variance < UNSURE**2 * np.median(variance[known])
     weight = np.where(known, surface.points, 0.0)
@@ -177,7 +195,6 @@ def predict(
     ripple = ripple_mm = noise_mm = None
     if enough:
         share = weight[known] / weight[known].sum()
-        noise_mm2 = surface.noise_mm**2
         squared = np.array([share @ x[known] for x in (ripple2 * across**2, noise_mm2)])
         ripple_mm, noise_mm = (float(np.sqrt(max(x, 0.0))) for x in squared)
         ripple = ripple_mm / noise_mm
@@ -187,7 +204,7 @@ def predict(
             np.sqrt(variance),
             depth * drift / frame_s,
             across * np.sqrt(np.where(known & (ripple2 > 0.0), ripple2, np.nan)),
-            surface.noise_mm,
+            np.sqrt(noise_mm2),
             weight,
             left.u_px,
             left.v_px,
@@ -195,6 +212,26 @@ def predict(
             ripple_mm,
             noise_mm,
         )
+
+
+def _noisier(left: DriftMap, right: DriftMap) -> float:
+    """Return the variance of the right coordinates over that of the left ones: of most cells, since where the pattern ends each camera sees another
+    part of one."""
+    ratio = right.noise_rad2 / left.noise_rad2
+    known = np.isfinite(ratio)
+    return float(np.median(ratio[known])) if known.any() else np.nan
+
+
+def _read(left: DriftMap, right: DriftMap, turns: Array) -> Array:
+    """Return E² (rows, columns) as it acts on a ripple that has so many ``turns`` per px of the right image.
+
+    The left coordinate is that of a pixel, the right one is read off along a parabola through three, with
+    H(f) = 1 − f² (1 − cos ω) + i f sin ω in place of e^{iωf}: short ripples are read too small, and late.
+    """
+    omega = 2.0 * np.pi * turns[..., None]
+    read = 1.0 - _PLACES**2 * (1.0 - np.cos(omega)) + 1j * _PLACES * np.sin(omega)
+    left_over = left.drift_px[..., None] - right.drift_px[..., None] * read * np.exp(-1j * omega * _PLACES)
+    return np.asarray(np.abs(left_over) ** 2 @ _SHARES)
 
 
 def depth_per_px(left: DriftMap, right: DriftMap, rig: StereoRig, water_index: float) -> Array:

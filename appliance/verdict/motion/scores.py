@@ -91,11 +91,9 @@ def edge_course(edges: Mapping[str, EdgeShifts], harm: Harm) -> tuple[Array, Arr
     # Left less right: lateral movement moves both alike, depth moves them against each other.
     shift = edges["left"].shift_px - edges["right"].shift_px
     known = np.isfinite(shift) & (harm.weight > 0.0)
-    size = np.abs(harm.drift_px)
-    sure = (size > 3.0 * harm.sd_px) & (harm.weight > 0.0)
-    if np.count_nonzero(sure) >= 0.5 * np.count_nonzero(harm.weight > 0.0) > 0.0:
-        typical = float(np.median(size[sure]))
-        sure &= size > 0.3 * typical
+    unit = drift_unit(harm)
+    if unit is not None:
+        sure, typical = unit
         known &= sure
         shift = shift * np.where(sure, typical / np.where(sure, harm.drift_px, 1.0), 1.0)
     middle, sd = np.full(len(shift), np.nan), np.full(len(shift), np.nan)
@@ -106,6 +104,17 @@ def edge_course(edges: Mapping[str, EdgeShifts], harm: Harm) -> tuple[Array, Arr
             # Standard error of a median: 1.25 σ / √n, with σ as ``MAD_TO_SIGMA`` times the median deviation.
             sd[frame] = 1.25 * MAD_TO_SIGMA * np.median(np.abs(mine - middle[frame])) / np.sqrt(mine.size)
     return middle, sd
+
+
+def drift_unit(harm: Harm) -> tuple[NDArray[np.bool_], float] | None:
+    """Return the cells that are certain of their drift and have a good part of the typical one, and that one in pattern px per
+    frame; ``None`` where most cells are not certain."""
+    size = np.abs(harm.drift_px)
+    sure = (size > 3.0 * harm.sd_px) & (harm.weight > 0.0)
+    if not np.count_nonzero(sure) >= 0.5 * np.count_nonzero(harm.weight > 0.0) > 0.0:
+        return None
+    typical = float(np.median(size[sure]))
+    return sure & (size > 0.3 * typical), typical
 
 
 def edges_score(course: tuple[Array, Array]) -> float | None:

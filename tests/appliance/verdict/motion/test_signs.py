@@ -133,6 +133,7 @@ def seen(depth_mm: float) -> tuple[DriftMap, DriftMap, np.ndarray]:
         uv = camera.project(points, INDEX)
         zeros: dict[str, Any] = {name: np.zeros(x.shape) for name in DriftMap.__dataclass_fields__}
         zeros |= {"u_px": uv[..., 0], "v_px": uv[..., 1], "slope_per_px": np.full(x.shape, slope)}
+        zeros |= {"noise_rad2": np.full(x.shape, 1e-3)}
         maps.append(DriftMap(**(zeros | {"sd_px": np.full(x.shape, 1e-4)})))
     return maps[0], maps[1], points
 
@@ -154,6 +155,51 @@ def surface(shape: tuple[int, ...]) -> SurfaceMap:
     return SurfaceMap(np.full(shape, 30.0), np.full(shape, 0.9), np.full(shape, 0.02))
 
 
+def as_read(left_px: float, right_px: float, px_per_cycle: float) -> float:
+    """Twice the mean square of what is left of two ripples of these amplitudes, the right one read off along parabolas through three pixels."""
+    places = (np.arange(4000) + 0.5) / 4000.0 - 0.5
+    phases = np.arange(12)[:, None] * np.pi / 6.0
+    turn = 2.0 * np.pi / px_per_cycle
+    before, here, after = (np.cos(phases + turn * k) for k in (-1.0, 0.0, 1.0))
+    read = here + 0.5 * places * (after - before) + 0.5 * places**2 * (after + before - 2.0 * here)
+    return float(2.0 * np.mean((left_px * np.cos(phases + turn * places) - right_px * read) ** 2))
+
+
+@pytest.mark.parametrize("px_per_cycle", [3.2, 6.4, 40.0])
+def test_a_ripple_that_is_three_pixels_long_is_read_too_small(px_per_cycle: float) -> None:
+    left, right, _ = seen(500.0)
+    shape = left.u_px.shape
+    # The ripple goes through two cycles a period.
+    right = replace(right, drift_px=np.full(shape, -0.06), slope_per_px=np.full(shape, -8.0 / px_per_cycle))
+    moving = replace(left, drift_px=np.full(shape, 0.05))
+    per_px = depth_per_px(moving, right, CAL.rig, INDEX)
+    harm = predict(moving, right, surface(shape), None, CAL.rig, INDEX, 16, 1 / 60)
+    left_over2 = as_read(0.05, -0.06, px_per_cycle)
+    np.testing.assert_allclose((harm.ripple_mm / (0.9 * per_px)) ** 2, left_over2 / 8.0, rtol=1e-4)
+    assert left_over2 / 0.11**2 == pytest.approx({3.2: 0.91, 6.4: 0.99, 40.0: 1.0}[px_per_cycle], abs=0.01)
+
+
+def test_noise_is_that_of_the_left_pixel_and_four_fifths_of_the_right_one() -> None:
+    left, right, _ = seen(500.0)
+    shape = left.u_px.shape
+    moving = replace(left, drift_px=np.full(shape, 0.05))
+    noisier = replace(right, noise_rad2=np.full(shape, 3e-3))
+    per_px = depth_per_px(left, right, CAL.rig, INDEX)
+    harm = predict(moving, noisier, surface(shape), None, CAL.rig, INDEX, 16, 1 / 60)
+    np.testing.assert_allclose(harm.noise_mm, np.abs(per_px) * 0.02 * np.sqrt(1.0 + 0.8 * 3.0))
+    assert harm.noise_rms_mm == pytest.approx(np.sqrt(np.mean(harm.noise_mm**2)))
+
+
+def test_a_shake_makes_less_of_a_ripple_than_its_drift_says() -> None:
+    left, right, _ = seen(500.0)
+    moving = replace(left, drift_px=np.full(left.u_px.shape, 0.1))
+    every, less = (
+        predict(moving, right, surface(left.u_px.shape), None, CAL.rig, INDEX, 16, 1 / 60, steps2)
+        for steps2 in (1.0, 0.49)
+    )
+    assert less.ripple == pytest.approx(0.7 * (every.ripple or 0.0), rel=1e-3)
+
+
 def test_an_even_drift_makes_a_ripple_of_an_eighth_of_its_square_and_a_speed() -> None:
     left, right, _ = seen(500.0)
     per_px = depth_per_px(left, right, CAL.rig, INDEX)
@@ -161,12 +207,16 @@ def test_an_even_drift_makes_a_ripple_of_an_eighth_of_its_square_and_a_speed() -
     harm = predict(*moving, surface(per_px.shape), None, CAL.rig, INDEX, 16, 1 / 60)
     np.testing.assert_allclose(harm.drift_px, 0.10, rtol=1e-9)
     np.testing.assert_allclose(harm.depth_rate_mm_s, per_px * 0.10 * 60.0, rtol=1e-9)
-    np.testing.assert_allclose(harm.ripple_mm, np.abs(per_px) * 0.9 * 0.10 / np.sqrt(8.0), rtol=1e-4)
-    rms = np.sqrt(np.mean((per_px * 0.9 * 0.10) ** 2 / 8.0))
-    assert harm.ripple_rms_mm == pytest.approx(rms, rel=1e-4)
-    assert harm.noise_rms_mm == pytest.approx(0.02)
-    assert harm.ripple == pytest.approx(rms / 0.02, rel=1e-4)
-    assert harm.added == pytest.approx(np.sqrt(1.0 + (rms / 0.02) ** 2) - 1.0, rel=1e-4)
+    # Fringes of 6.4 right pixels: a ripple of half of that.
+    read = as_read(0.12, 0.02, 3.2)
+    assert read == pytest.approx(0.1**2, rel=0.1)
+    np.testing.assert_allclose(harm.ripple_mm, np.abs(per_px) * 0.9 * np.sqrt(read / 8.0), rtol=1e-3)
+    rms = np.sqrt(np.mean((per_px * 0.9) ** 2 * read / 8.0))
+    noise = 0.02 * np.sqrt(1.8 * np.mean(per_px**2))
+    assert harm.ripple_rms_mm == pytest.approx(rms, rel=1e-3)
+    assert harm.noise_rms_mm == pytest.approx(noise)
+    assert harm.ripple == pytest.approx(rms / noise, rel=1e-3)
+    assert harm.added == pytest.approx(np.sqrt(1.0 + (rms / noise) ** 2) - 1.0, rel=1e-3)
     assert harm.weight.tolist() == np.full(per_px.shape, 30.0).tolist()
 
 
@@ -231,9 +281,9 @@ def told(seed: int) -> tuple[DriftMap, DriftMap, SurfaceMap]:
     maps[0].drift_px[1, 1] = maps[1].second2[1, 2] = np.nan
     maps[1].u_px[1, 3] = maps[1].v_px[1, 3] = np.nan
     points = rng.integers(5, 60, shape).astype(float)
-    across, noise_mm = rng.uniform(0.5, 1.0, shape), rng.uniform(0.01, 0.03, shape)
-    noise_mm[2, 2] = np.nan
-    return maps[0], maps[1], SurfaceMap(points, across, noise_mm)
+    across, noise_px = rng.uniform(0.5, 1.0, shape), rng.uniform(0.01, 0.03, shape)
+    noise_px[2, 2] = np.nan
+    return maps[0], maps[1], SurfaceMap(points, across, noise_px)
 
 
 @pytest.mark.parametrize("double_step2", [None, 0.5])
@@ -252,7 +302,9 @@ def test_a_cells_ripple_is_the_sum_of_what_the_module_names(double_step2: float 
         )
         variance = a["sd_px"] ** 2 + b["sd_px"] ** 2
         assert harm.sd_px[at] == pytest.approx(np.sqrt(variance))
-        steady = (a["drift_px"] - b["drift_px"]) ** 2 - variance
+        first, second, third = (
+            as_read(a["drift_px"], b["drift_px"], 16.0 / (2.5 * cycles)) - variance for cycles in (1, 2, 3)
+        )
         shaky = ((a["early_px"] - b["early_px"]) ** 2 + (a["late_px"] - b["late_px"]) ** 2) / 2.0 - 2.0 * variance
         texture = (np.nan_to_num(a["texture_per_px2"]) + np.nan_to_num(b["texture_per_px2"])) / 2.0
         # A tenth of the noise's variance may be noise that was not stated; 2 maps, each of 2 pixels' errors.
@@ -260,11 +312,11 @@ def test_a_cells_ripple_is_the_sum_of_what_the_module_names(double_step2: float 
         painted = 0.3**2 * max(beyond, 0.0)
         if double_step2 is not None:
             painted += texture * (2.0**2 + 2.5**2) / 2.0 * double_step2 / 4.0
-        ripple2 = steady * (1.0 / 8.0 + a["second2"] + b["second2"])
+        ripple2 = second / 8.0 + (first + third) * (a["second2"] + b["second2"]) / 2.0
         ripple2 += (16.0 / (2.0 * np.pi)) ** 2 * (shaky * texture + painted)
         if ripple2 > 0.0:
             some += 1
-            assert harm.ripple_mm[at] == pytest.approx(abs(per_px[at]) * stands.across[at] * np.sqrt(ripple2))
+            assert harm.ripple_mm[at] == pytest.approx(abs(per_px[at]) * stands.across[at] * np.sqrt(ripple2), rel=1e-3)
         else:
             assert np.isnan(harm.ripple_mm[at])
     assert some >= 8
@@ -279,8 +331,9 @@ def test_cells_count_by_their_points() -> None:
     still = replace(right, sd_px=np.full(per_px.shape, 1e-6))
     stands = SurfaceMap(points, np.ones(per_px.shape), noise)
     harm = predict(moving, still, stands, None, CAL.rig, INDEX, 16, 1 / 60)
+    # The left camera's alone drifts, and its coordinates are those of its pixels.
     ripple = np.sqrt(np.average((per_px * drift) ** 2 / 8.0, weights=points))
-    noisy = np.sqrt((9.0 * 0.01**2 + 0.02**2) / 10.0)
+    noisy = np.sqrt(1.8 * np.average((per_px * noise) ** 2, weights=points))
     assert harm.ripple_rms_mm == pytest.approx(ripple, rel=1e-6)
     assert harm.noise_rms_mm == pytest.approx(noisy)
     assert harm.ripple == pytest.approx(ripple / noisy, rel=1e-6)

@@ -57,15 +57,17 @@ def test_the_order_of_the_points_does_not_matter() -> None:
 
 def test_noise_counts_across_the_surface() -> None:
     coordinate = np.tile(np.linspace(0.0, 127.0, WIDTH_PX, dtype=np.float32), (90, 1))
-    found = surface_map(tilted(60.0), coordinate, coordinate, (2, 2))
-    known = np.isfinite(found.noise_mm)
+    cloud = tilted(60.0)
+    found = surface_map(cloud, coordinate, coordinate, np.full(len(cloud.pixel), 0.04**2, np.float32), (2, 2))
+    known = np.isfinite(found.noise_px)
     assert known.any()
-    assert found.noise_mm[known] == pytest.approx(0.04 * 0.5, rel=0.15)
+    assert found.noise_px[known] == pytest.approx(0.04 * 0.5, rel=0.15)
 
 
 def test_without_points_nothing_is_said() -> None:
     empty = tilted(0.0, missing=10_000)
-    found = surface_map(empty, np.zeros((90, WIDTH_PX), np.float32), np.zeros((90, WIDTH_PX), np.float32), (2, 2))
+    nothing = np.zeros((90, WIDTH_PX), np.float32)
+    found = surface_map(empty, nothing, nothing, np.empty(0, np.float32), (2, 2))
     assert np.isnan(found.across).all()
     cosine, inside = facing(empty, WIDTH_PX)
     assert (len(cosine), len(inside)) == (0, 0)
@@ -137,7 +139,8 @@ def test_cells_are_the_means_of_the_points_whose_coordinates_they_hold() -> None
     for column, kept in ((1, 3), (2, 4)):
         cell = [k for k in wanted if 64.0 <= flat_q[cloud.pixel[k]] < 128.0 and flat_p[cloud.pixel[k]] // 64 == column]
         flat_p[cloud.pixel[cell[kept:]]] = np.nan
-    found = surface_map(cloud, p, q, (2, 3))
+    variance = rng.uniform(1e-4, 4e-4, len(cloud.pixel)).astype(np.float32)
+    found = surface_map(cloud, p, q, variance, (2, 3))
     for row in range(2):
         for column in range(3):
             cell = [
@@ -147,12 +150,12 @@ def test_cells_are_the_means_of_the_points_whose_coordinates_they_hold() -> None
             assert found.points[row, column] == len(cell)
             if len(cell) < 4:
                 assert np.isnan(found.across[row, column])
-                assert np.isnan(found.noise_mm[row, column])
+                assert np.isnan(found.noise_px[row, column])
                 continue
             cosines = np.array([wanted[k] for k in cell])
             assert found.across[row, column] == pytest.approx(np.sqrt(np.mean(cosines**2)), rel=1e-4)
-            noise = np.sqrt(np.mean((cosines * cloud.sigma_mm[cell]) ** 2))
-            assert found.noise_mm[row, column] == pytest.approx(noise, rel=1e-4)
+            noise = np.sqrt(np.mean(cosines**2 * variance[cell]))
+            assert found.noise_px[row, column] == pytest.approx(noise, rel=1e-4)
     assert np.isnan(found.across).tolist() == [[False, False, False], [False, True, False]]
 
 
@@ -160,6 +163,6 @@ def test_points_that_all_lie_at_one_place_stand_in_no_way() -> None:
     cloud = rough()
     cloud.points_mm[:] = (1.0, 2.0, 500.0)
     coordinate = np.full((90, WIDTH_PX), 1.0, np.float32)
-    found = surface_map(cloud, coordinate, coordinate, (1, 1))
+    found = surface_map(cloud, coordinate, coordinate, np.full(len(cloud.pixel), 1e-4, np.float32), (1, 1))
     assert found.points.tolist() == [[0.0]]
     assert np.isnan(found.across).all()
