@@ -15,10 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.patterns.sequence import Direction, PatternSequence
+from appliance.reconstruct.grid import PixelGrid
 from appliance.scan.noise import CameraNoise
 from appliance.verdict.identity.lines import Lines, LineTaker
 from appliance.verdict.light.levels import Sample, Sampler
 from appliance.verdict.sight.judge import VisibleFringes, see
+from appliance.verdict.water.backscatter import water_grid
+from appliance.verdict.window import window_grid
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +34,10 @@ class Gathered:
     """Pixels for the judge of light."""
     visible: VisibleFringes
     """Fringes that are seen without decoding."""
+    water: PixelGrid
+    """Pixels for the judge of water."""
+    windows: PixelGrid
+    """Pixels for the judge of windows."""
 
 
 class Gatherer:
@@ -40,6 +47,7 @@ class Gatherer:
         self._sequence, self._noise = sequence, noise
         self._lines = LineTaker(sequence, noise)
         self._sampler = Sampler(sequence)
+        self._grids = (water_grid(sequence), window_grid(sequence))
         self._visible: VisibleFringes | None = None
         self._pushed = 0
 
@@ -48,6 +56,8 @@ class Gatherer:
         self._pushed = index + 1
         self._lines.push(frames, index)
         self._sampler.push(frames, index)
+        for grid in self._grids:
+            grid.push(frames, index)
         if index == self._sequence.axis(Direction.X).sine[-1]:
             self._visible = see(frames, self._sequence, self._noise)
 
@@ -57,7 +67,7 @@ class Gatherer:
             raise ValueError(
                 f"{self._pushed} of {len(self._sequence)} frames were pushed; push all before asking for verdicts"
             )
-        return Gathered(self._lines.finish(), self._sampler.finish(), self._visible)
+        return Gathered(self._lines.finish(), self._sampler.finish(), self._visible, *self._grids)
 
 
 def gather(frames: NDArray[np.uint8], sequence: PatternSequence, noise: CameraNoise) -> Gathered:

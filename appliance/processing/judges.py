@@ -80,7 +80,7 @@ def _look_at_windows(given: JudgeInput, earlier: Earlier) -> Judgement | None:
     """Judge the windows; nothing where something moved: what moves is soft in one camera and not in the other, too."""
     if is_fault(earlier["motion"]):
         return None
-    windows = look_at_windows(given.images)
+    windows = look_at_windows(given.images, {side: one.windows for side, one in given.gathered.items()})
     return Judgement(windows.verdict(), remembered=windows)
 
 
@@ -96,10 +96,16 @@ def _judge_light(given: JudgeInput, _: Earlier) -> Judgement:
     return judge_light(given.images, settings.exposure, settings.steps, given.pipeline.bend().rms_px, samples)
 
 
+def _judge_water(given: JudgeInput, _: Earlier) -> Judgement:
+    """Judge the water by what the left camera saw."""
+    grid = given.gathered["left"].water
+    return judge_water(given.images, given.cloud, given.rig, given.water_index, grid).judgement
+
+
 JUDGES = (
     Judge("light", _judge_light),
     Judge(FRINGES, _judge_fringes),
-    Judge("water", lambda given, _: judge_water(given.images, given.cloud, given.rig, given.water_index).judgement),
+    Judge("water", _judge_water),
     Judge("sight", _look),
     Judge("windows", _look_at_windows, needs=("motion",)),
     Judge("motion", lambda given, _: judge_motion(given.images, given.cloud, given.rig, given.water_index).judgement),

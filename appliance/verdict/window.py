@@ -13,12 +13,15 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.patterns.sequence import Direction
+from appliance.patterns.sequence import Direction, PatternSequence
 from appliance.reconstruct.decode.decoder import Mask
+from appliance.reconstruct.grid import PixelGrid
 from appliance.reconstruct.images import ScanImages
+from appliance.reconstruct.quantile import median
 from appliance.scan.noise import FULL_DN
 from appliance.scan.sides import SIDES
 from appliance.scan.verdict import Verdict
@@ -45,6 +48,7 @@ SLACK = 0.08
 USUAL_QUANTILE, USUAL = 0.65, 2.0
 """Quantile of the cells' falls and the factor on it that a cell is forgiven: in turbid water the backscatter's own
 pattern remains."""
+_FULL, _NO_REASON = np.uint8(FULL_DN), np.uint8(Mask.VALID)
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,9 +85,21 @@ class Windows:
         )
 
 
-def look_at_windows(images: ScanImages) -> Windows:
-    """Compare the cameras' fringes place by place."""
-    seen = {side: _look(images, side) for side in SIDES}
+def window_grid(sequence: PatternSequence) -> PixelGrid:
+    """Return the grid of pixels by which windows are judged: bright, dark, the sines of X and Y."""
+    sines = [k for direction in Direction for k in sequence.axis(direction).sine]
+
+    def steps(rows: int, columns: int) -> tuple[int, int]:
+        step = max(1, math.ceil(math.sqrt(rows * columns / SAMPLES)))
+        return step, step
+
+    return PixelGrid([sequence.bright, sequence.dark, *sines], steps)
+
+
+def look_at_windows(images: ScanImages, grids: Mapping[str, PixelGrid] | None = None) -> Windows:
+    """Compare the cameras' fringes place by place. ``grids`` of both sides, where they were taken while the frames arrived."""
+    grids = grids or {side: window_grid(images.sequence).taken(images.frames[side]) for side in SIDES}
+    seen = {side: _look(images, side, grids[side]) for side in SIDES}
     falls: dict[str, Array] = {}
     wholes: dict[str, float | None] = {}
     forgiven: dict[str, float] = {}
@@ -106,27 +122,56 @@ class _Seen:
     """Mean light of the object by cell, DN."""
 
 
-def _look(images: ScanImages, side: str) -> _Seen:
-    frames, decoded, sequence = images.frames[side], images.decoded[side], images.sequence
-    h, w = decoded.p_px.shape
-    step = max(1, math.ceil(math.sqrt(h * w / SAMPLES)))
-    at = (slice(step // 2, None, step), slice(step // 2, None, step))
-    bright = frames[sequence.bright][at]
-    light = bright.astype(np.float32) - frames[sequence.dark][at]
-    good = (decoded.mask[at] == Mask.VALID) & (bright < FULL_DN) & (light > MIN_LIGHT_DN)
-    v, u = np.nonzero(good)
-    cell = v * CELLS[1] // good.shape[0] * CELLS[0] + u * CELLS[0] // good.shape[1]
-    swing = np.zeros(len(v), np.float32)
-    for direction in Direction:
-        s0, s1, s2, s3 = (frames[k][at][v, u].astype(np.float32) for k in sequence.axis(direction).sine)
-        # 2 B of each direction; over twice the light it is the contrast.
-        swing += np.hypot(s0 - s2, s1 - s3)
-    across = (decoded.p_px[at][v, u] * (PLACES[0] / sequence.width_px)).astype(np.intp).clip(0, PLACES[0] - 1)
-    down = (decoded.q_px[at][v, u] * (PLACES[1] / sequence.height_px)).astype(np.intp).clip(0, PLACES[1] - 1)
-    light_dn = light[v, u]
-    size = CELLS[0] * CELLS[1]
-    total = np.bincount(cell, light_dn, size)
-    return _Seen(0.5 * swing / light_dn, cell, down * PLACES[0] + across, total / max(1.0, good.size / size))
+def _look(images: ScanImages, side: str, grid: PixelGrid) -> _Seen:
+    decoded, sequence = images.decoded[side], images.sequence
+    mask = decoded.mask[grid.at]
+    row, column = (np.arange(n) * m // n for n, m in zip(mask.shape, CELLS[::-1], strict=True))
+    places_per_px = (np.float32(PLACES[0] / sequence.width_px), np.float32(PLACES[1] / sequence.height_px))
+    contrast, cell, place, total = ask(
+        grid.grey, mask, decoded.p_px[grid.at], decoded.q_px[grid.at], CELLS[0] * row, column, places_per_px
+    )  # fmt: skip
+    return _Seen(contrast, cell, place, total / max(1.0, mask.size / len(total)))
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def ask(
+    grey: NDArray[np.uint8],
+    mask: NDArray[np.uint8],
+    p_px: Floats,
+    q_px: Floats,
+    cell_row: NDArray[np.int64],
+    cell_column: NDArray[np.int64],
+    places_per_px: tuple[np.float32, np.float32],
+) -> tuple[Floats, NDArray[np.int64], NDArray[np.int64], Array]:
+    """Return contrast, cell and place of the pixels (h, w) with coordinates and enough light, (n,) each, and each cell's sum of light.
+
+    ``grey`` (10, h, w): bright, dark, sines. The cell is the sum of ``cell_row`` and ``cell_column``.
+    """
+    rows, columns = mask.shape
+    contrast = np.empty(mask.size, np.float32)
+    cell, place = np.empty(mask.size, np.int64), np.empty(mask.size, np.int64)
+    total = np.zeros(CELLS[0] * CELLS[1])
+    n = 0
+    for j in range(rows):
+        for i in range(columns):
+            light = np.float32(grey[0, j, i]) - np.float32(grey[1, j, i])
+            if mask[j, i] != _NO_REASON or grey[0, j, i] >= _FULL or not light > np.float32(MIN_LIGHT_DN):
+                continue
+            # 2 B of each direction; over twice the light it is the contrast.
+            swing = np.float32(0.0)
+            for k in (2, 6):
+                cosine = np.float32(grey[k, j, i]) - np.float32(grey[k + 2, j, i])
+                sine = np.float32(grey[k + 1, j, i]) - np.float32(grey[k + 3, j, i])
+                swing += np.sqrt(cosine * cosine + sine * sine)
+            contrast[n] = np.float32(0.5) * swing / light
+            cell[n] = cell_row[j] + cell_column[i]
+            total[cell[n]] += light
+            # The place on the pattern; what lies a little beyond its borders belongs to the outermost ones.
+            across = min(max(int(p_px[j, i] * places_per_px[0]), 0), PLACES[0] - 1)
+            down = min(max(int(q_px[j, i] * places_per_px[1]), 0), PLACES[1] - 1)
+            place[n] = down * PLACES[0] + across
+            n += 1
+    return contrast[:n].copy(), cell[:n].copy(), place[:n].copy(), total
 
 
 def _falls(mine: _Seen, others: _Seen) -> tuple[Array, float | None]:
@@ -138,11 +183,11 @@ def _falls(mine: _Seen, others: _Seen) -> tuple[Array, float | None]:
     cell, ratio = mine.cell[known], mine.contrast[known] / mean[mine.place[known]]
     size = CELLS[0] * CELLS[1]
     ratios, falls = np.full(size, np.nan), np.full(size, np.nan)
-    order = np.argsort(cell, kind="stable")
+    order = np.argsort(cell.astype(np.uint8), kind="stable")  # a byte is sorted by counting
     borders = np.searchsorted(cell[order], np.arange(size + 1))
     for k in range(size):
         if borders[k + 1] - borders[k] >= MIN_PER_CELL:
-            ratios[k] = np.median(ratio[order[borders[k] : borders[k + 1]]])
+            ratios[k] = median(ratio[order[borders[k] : borders[k + 1]]])
     judged = np.flatnonzero(np.isfinite(ratios))
     if len(judged) < MIN_CELLS:
         return falls, None

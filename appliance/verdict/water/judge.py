@@ -13,11 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.optics.model import StereoRig
+from appliance.reconstruct.grid import PixelGrid
 from appliance.reconstruct.images import ScanImages
 from appliance.reconstruct.table import Cloud
 from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.verdict import Judgement, Verdict
-from appliance.verdict.water.backscatter import CELLS, BackscatterSample, Cells, cell_of, measure_backscatter
+from appliance.verdict.water.backscatter import (
+    CELLS,
+    BackscatterSample,
+    Cells,
+    cell_of,
+    measure_backscatter,
+    water_grid,
+)
 from appliance.verdict.water.beam import GatheredLight, ProjectorBeam, beam_of, gather
 
 Array = NDArray[np.float64]
@@ -96,10 +104,16 @@ class Attenuation:
     """Backscatter per mm of water in the beam at ``SCALE_MM``, without attenuation."""
 
 
-def judge_water(images: ScanImages, cloud: Cloud, rig: StereoRig, water_index: float) -> WaterJudgement:
-    """Judge the water by the left camera's frames and the points of ``cloud`` (the coarse one is enough)."""
+def judge_water(
+    images: ScanImages, cloud: Cloud, rig: StereoRig, water_index: float, grid: PixelGrid | None = None
+) -> WaterJudgement:
+    """Judge the water by the left camera's frames and the points of ``cloud`` (the coarse one is enough).
+
+    ``grid`` of the left camera, where it was taken while the frames arrived.
+    """
     decoded = images.decoded["left"]
-    sample = measure_backscatter(images.sequence, images.frames["left"], decoded, images.noise.left)
+    grid = grid or water_grid(images.sequence).taken(images.frames["left"])
+    sample = measure_backscatter(images.sequence, grid, decoded, images.noise.left)
     numbers: dict[str, float | None] = {
         "attenuation_per_m": None,
         "attenuation_sigma_per_m": None,
