@@ -162,7 +162,7 @@ def _variance_px2(maps: Maps, noise: CameraNoise, period_px: int, rows: slice) -
     illuminated = maps.mask[rows] != Mask.SHADOW
     offset_dn = np.float32(maps.offset_per_threshold) * maps.gray_threshold[rows].astype(np.float32)
     modulation = np.where(illuminated, np.maximum(0.5 * maps.modulation_half_dn[rows].astype(np.float32), 1.0), 1.0)
-    return four_step_variance_px2(modulation, offset_dn, noise, period_px)
+    return np.float32(maps.variance_factor) * four_step_variance_px2(modulation, offset_dn, noise, period_px)
 
 
 def _size(decoder: Maps) -> str:

@@ -264,7 +264,10 @@ class Pipeline:
         bend = self.bend()
         if bend.counts:
             self._take_out(list(self._decoders.values()), bend)
-            self._noisier = np.float32(bend.variance_factor(self._sequence.period_px))
+            factor = bend.variance_factor(self._sequence.period_px)
+            self._noisier = np.float32(factor)
+            for decoder in self._decoders.values():
+                decoder.variance_factor = factor
             self._prepare()
 
     def _take_out(self, cameras: Sequence[CoordinateMaps], bend: PhaseBend) -> None:

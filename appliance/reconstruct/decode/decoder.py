@@ -71,6 +71,7 @@ class DecodedMaps:
     illuminated_columns: NDArray[np.int32]
     illuminated_pixels: int
     offset_per_threshold: float = 1.0
+    variance_factor: float = 1.0
 
 
 class CameraDecoder:
@@ -106,6 +107,8 @@ class CameraDecoder:
         """Number of pixels without coordinates since backscatter hides what their Gray code is; their mask is CONTRADICTION."""
         self.offset_per_threshold = 1.0
         """Mean of the sine images over ``gray_threshold``: what the projector's response makes of the middle of its codes."""
+        self.variance_factor = 1.0
+        """Variance of the coordinates over that of four steps: what taking a bend out of them multiplied it by."""
         self._next = 0
         self._closed = False
         """True once one direction is closed."""
@@ -212,10 +215,11 @@ class CameraDecoder:
         if self._next != len(self._sequence):
             raise ValueError(f"{self._next} of {len(self._sequence)} frames were pushed; push all before finishing")
         self._next = 0
+        self.variance_factor = 1.0
 
     def copied(self) -> DecodedMaps:
         """Return the maps as they are now, in memory of their own: 11 bytes per pixel."""
         return DecodedMaps(
             self.mask.copy(), self.p_px.copy(), self.q_px.copy(), self.modulation_half_dn.copy(), self.gray_threshold.copy(),
-            self.illuminated_columns.copy(), self.illuminated_pixels, self.offset_per_threshold,
+            self.illuminated_columns.copy(), self.illuminated_pixels, self.offset_per_threshold, self.variance_factor,
         )  # fmt: skip

@@ -92,6 +92,15 @@ def test_modulation_does_not_go_to_and_fro_between_two_exposures_where_they_are_
         np.testing.assert_array_equal(first.gray_threshold, seen)
 
 
+def test_coordinates_that_a_bend_was_taken_out_of_are_expected_to_err_more_when_they_are_merged() -> None:
+    first, second = maps([V], [100.0], [40.0], [80]), maps([V], [100.02], [40.0], [80])
+    first.variance_factor, second.variance_factor = 1.2, 1.8
+    one = sigma_px(40.0, 80) ** 2
+    found = merged_sigma_px(first, second)[0]
+    assert found**2 == pytest.approx(one / (1.0 / 1.2 + 1.0 / 1.8), rel=1e-5)
+    assert first.p_px[0, 0] == pytest.approx(100.0 + 0.02 * 1.2 / 3.0, abs=1e-5)
+
+
 def test_fringes_with_less_light_than_half_way_between_bright_and_dark_have_less_noise() -> None:
     first, second = maps([V], [100.0], [40.0], [82]), maps([V], [100.0], [40.0], [82])
     first.offset_per_threshold = second.offset_per_threshold = 0.75

@@ -149,10 +149,13 @@ def test_a_projector_of_bit_planes_seen_for_a_part_of_its_frame_leaves_no_ripple
         as_decoded = rms(coordinate_errors(renderer, pipeline, "left").error_px)
         cloud = pipeline.full()
         straight = rms(coordinate_errors(renderer, pipeline, "left").error_px)
+        noisier = {pipeline.decoded(side).copied().variance_factor for side in SIDES}
         pipeline.full()
         again = rms(coordinate_errors(renderer, pipeline, "left").error_px)
     assert straight < 0.5 * as_decoded
     assert again == straight, "the second time there is nothing left to take out"
+    assert len(noisier) == 1
+    assert min(noisier) > 1.02, "who merges these maps with others knows that they are noisier"
     errors = depth_errors(renderer, cloud)
     inner = errors.seen & (np.abs(errors.along_ray_mm) < 1.0)
     assert rms((errors.along_ray_mm / cloud.sigma_mm)[inner]) == pytest.approx(1.0, abs=0.1)
@@ -170,3 +173,9 @@ def test_where_motion_is_undone_the_maps_stay_as_they_were_decoded() -> None:
         np.testing.assert_array_equal(pipeline.decoded("left").p_px, decoded)
         pipeline.find_full()
         assert (pipeline.decoded("left").p_px != decoded).mean() > 0.3
+        assert pipeline.decoded("left").variance_factor != 1.0
+        for k in range(len(scan.sequence)):
+            for side in SIDES:
+                pipeline.push(side, scan.frames[side], k)
+        pipeline.coarse()
+        assert pipeline.decoded("left").variance_factor == 1.0, "another scan"
