@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import sys
 
-from bench.runner import main
+from appliance.process_start import use_one_blas_thread
+
+# As in the product's own processes; NumPy reads it when it is imported, which the runner does.
+use_one_blas_thread(os.environ)
+
+from bench.runner import main  # noqa: E402
 
 sys.exit(main(sys.argv[1:]))

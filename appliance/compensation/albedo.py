@@ -9,15 +9,15 @@ water and the surroundings send: the backscatter.
 Legend of the kernel, per pixel (column x, row)::
 
     t, c       depth, and coefficients of the pixel's parabolas (``displacement``)
-    p, q       place in the pattern that lights the pixel at the reference time, px from its edge
+    p, q       place in the pattern that lights the pixel at the reference time
     m          number of a Gray image, in the order in which they are asked
-    bright, weights, squares   Σ w y, Σ w, Σ w² over the images that lit it
-    dim, dims                  Σ y and their number over those that did not
+    bright, weights, squares   Σ w y, Σ w, Σ w² over the images that lit it; at last mean and number
+    dim, dims                  Σ y and their number over those that did not; at last mean and number
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import cv2
 import numba
@@ -38,6 +38,7 @@ from appliance.compensation.displacement import (
     read_spline,
 )
 from appliance.compensation.phase_solver import BRIGHT, FIRST_GRAY, MAX_T, Sources, Terms
+from appliance.compensation.row_reader import parabola_row, place_row, read_row, shares_of
 from appliance.compensation.stripes import Stripes, illuminated_at, stripes_of
 from appliance.patterns.sequence import Direction, PatternSequence
 
@@ -51,8 +52,10 @@ ENOUGH = np.float32(3.0)
 """Weight of the images from which on the others are needless."""
 FAR_WEIGHT = np.float32(0.25)
 """Weight of the other images."""
-EVEN_PX, NEAR_PX, BACKSCATTER_PX = 5, 15, 31
+EVEN_PX, NEAR_PX, BACKSCATTER_PX = 5, 20, 31
 """Windows in px of pictures 800 px wide: over which noise is taken out, gaps are filled, and the backscatter is smoothed."""
+WIDE_PX = 8
+"""Pixels that are left of a wide window in the smaller picture that its mean is taken in."""
 FILLED_SD = 0.03
 """Standard deviation of the albedo, as a share, where only its neighbours' is known."""
 PLACE_PX = 0.05
@@ -60,6 +63,8 @@ PLACE_PX = 0.05
 MEAN_NOISE_SHARE = 0.23
 """Variance of a value read between pixels, as a share of one pixel's, in the mean over places."""
 _NAN, _HALF, _ZERO, _ONE = np.float32(np.nan), np.float32(0.5), np.float32(0.0), np.float32(1.0)
+_NONE, _P, _Q = (cast(int, np.int64(k)) for k in (0, P_OF_T, Q_OF_T))
+"""Whole numbers of a type of their own: for plain ones, numba would compile what is called with them for each value."""
 
 
 class GrayImages(NamedTuple):
@@ -108,13 +113,13 @@ def with_albedo(
     rows = -(-height // stride)
     means = GrayMeans(*(np.empty((rows, width), np.float32) for _ in range(4)))
     gather(sources.frames, gray_images(sequence), field, sources.rough_t, terms.period_px, 0, height, stride, means)
-    backscatter = np.nan_to_num(known_mean(means.dark, scaled_window(BACKSCATTER_PX, width)))
+    backscatter = np.nan_to_num(wide_mean(means.dark, scaled_window(BACKSCATTER_PX, width)))
     full_dn2 = terms.dark_dn2 + terms.shot_dn * np.maximum(means.lit, _ZERO)
     noise_dn2 = np.asarray(MEAN_NOISE_SHARE * full_dn2 / np.maximum(means.lit_count, _ONE), np.float32)
     even_px = scaled_window(EVEN_PX, width)
     albedo, variance = denoised(means.lit - backscatter, noise_dn2, even_px)
     # Gaps get what is around them.
-    near = known_mean(known_mean(albedo, even_px), scaled_window(NEAR_PX, width))
+    near = wide_mean(albedo, scaled_window(NEAR_PX, width))
     unseen = ~np.isfinite(albedo)
     albedo = np.where(unseen, near, albedo)
     variance = np.where(unseen, np.float32(FILLED_SD**2) * near**2, variance)
@@ -140,80 +145,163 @@ def gather(
     frames: NDArray[np.uint8], images: GrayImages, field: DisplacementField, depth: Map, period_px: np.float32, start: int,
     stop: int, stride: int, means: GrayMeans,
 ) -> None:  # fmt: skip
-    """Read every ``stride``-th row from ``start`` to ``stop`` − 1 of pixels at ``depth`` (h, w) in t, one row of ``means`` each."""
+    """Read every ``stride``-th row from ``start`` to ``stop`` − 1 of pixels at ``depth`` (h, w) in t, one row of ``means`` each.
+
+    A pixel without a depth, or in no image, has neither albedo nor backscatter.
+    """
     stripes, places, near = images
     lit, lit_count, dark, dark_count = means
     height, width = depth.shape
-    nodes, step = field.nodes, field.step_px
-    count = nodes.shape[2]
     pixels = frames.reshape(frames.size)
-    at_row = np.empty((nodes.shape[1], count), np.float32)
-    c = np.empty(count, np.float32)
+    at_row = np.empty((field.nodes.shape[1], field.nodes.shape[2]), np.float32)
+    shares = shares_of(field.step_px)
+    t, p, q, shown = (
+        np.empty(width, np.float32),
+        np.empty(width, np.float32),
+        np.empty(width, np.float32),
+        np.empty(width, np.float32),
+    )
+    u, v, grey = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
+    light, cell = np.empty(width, np.int32), np.empty(width, np.int32)
+    c = np.empty(field.nodes.shape[2], np.float32)
     for row in range(start, stop, stride):
-        interpolate_row(nodes, step, row, at_row)
+        interpolate_row(field.nodes, field.step_px, row, at_row)
         line = (row - start) // stride
+        bright, weights, dim, dims = lit[line], lit_count[line], dark[line], dark_count[line]
+        first, last = width, _NONE
         for x in range(width):
-            # A pixel without a depth, or in no image, has neither albedo nor backscatter.
-            lit[line, x], dark[line, x] = _NAN, _NAN
-            lit_count[line, x], dark_count[line, x] = _ZERO, _ZERO
-            t = depth[row, x]
-            if not (abs(t) < MAX_T):
+            bright[x], weights[x], dim[x], dims[x] = _ZERO, _ZERO, _ZERO, _ZERO
+            # Only pixels between the first and the last one with a depth are read.
+            known = abs(depth[row, x]) < MAX_T
+            t[x] = depth[row, x] if known else _NAN
+            first, last = min(first, x) if known else first, x + 1 if known else last
+        # Where the projector lights them at the reference time: (p, q)(t).
+        if first < last:
+            parabola_row(at_row, shares, _P, t, first, last, p)
+            parabola_row(at_row, shares, _Q, t, first, last, q)
+        # The images around the x-sines, whole rows at once.
+        for m in range(near if first < last else 0):
+            at = FIRST_FRAME + FRAME_COEFFICIENTS * places[m]
+            # Where the points were in this image: (x, row) + (u, v)(t) of its frame; and by how many periods the pattern moved.
+            parabola_row(at_row, shares, at + OF_PHASE, t, first, last, shown)
+            parabola_row(at_row, shares, at, t, first, last, u)
+            parabola_row(at_row, shares, at + OF_V, t, first, last, v)
+            place_row(row, first, last, u, v)
+            read_row(pixels, stripes.frames[m] * (height * width), height, width, u, v, first, last, cell, grey)
+            _illuminated_row(
+                p if stripes.axes[m] == 0 else q, shown, period_px, stripes.widths_px[m], first, last, light
+            )
+            for x in range(first, last):
+                # Σ y and number of what was lit, and of what was dark.
+                known = grey[x] == grey[x]
+                is_lit, is_dark = known & (light[x] == 1), known & (light[x] == 0)
+                bright[x] += grey[x] if is_lit else _ZERO
+                weights[x] += _ONE if is_lit else _ZERO
+                dim[x] += grey[x] if is_dark else _ZERO
+                dims[x] += _ONE if is_dark else _ZERO
+        for x in range(width):
+            # NaN: no depth, no albedo.
+            if not first <= x < last or t[x] != t[x]:
+                bright[x], dim[x] = _NAN, _NAN
                 continue
-            interpolate_pixel(at_row, step, x, 0, c)
-            p, q = parabola_at(c, P_OF_T, t) + _HALF, parabola_at(c, Q_OF_T, t) + _HALF
-            bright, dim, weights, squares, dims = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
-            for m in range(places.size):
-                # The images around the x-sines come first: the others are asked only until there is enough.
-                if m >= near and weights >= ENOUGH:
-                    break
-                # Where the point was in this image: (x, row) + (u, v)(t) of its frame.
-                at = FIRST_FRAME + FRAME_COEFFICIENTS * places[m]
-                u, v = np.float32(x) + parabola_at(c, at, t), np.float32(row) + parabola_at(c, at + OF_V, t)
-                if not (u >= 1.0 and v >= 1.0 and u < width - 2.0 and v < height - 2.0):
-                    continue
-                # Whether it was lit there; far images tell nothing of the backscatter.
-                light = 1
-                if stripes.axes[m] >= 0:
-                    shown = (p if stripes.axes[m] == 0 else q) + period_px * parabola_at(c, at + OF_PHASE, t)
-                    light = illuminated_at(float(shown), stripes.widths_px[m], CLEAR_PX)
-                if light < 0 or (light == 0 and m >= near):
-                    continue
-                grey = read_spline(pixels, stripes.frames[m] * (height * width), width, u, v)
-                if grey != grey:
-                    continue
-                # Σ w y, Σ w, Σ w² of what was lit; Σ y of what was dark.
-                if light == 1:
-                    weight = _ONE if m < near else FAR_WEIGHT
-                    bright += weight * grey
-                    weights += weight
-                    squares += weight * weight
-                else:
-                    dim += grey
-                    dims += _ONE
+            squares = weights[x]
+            if weights[x] < ENOUGH:
+                # The others are asked only until there is enough, and tell nothing of the backscatter.
+                interpolate_pixel(at_row, field.step_px, x, 0, c)
+                for m in range(near, places.size):
+                    if weights[x] >= ENOUGH:
+                        break
+                    # Where the point was in this image: (x, row) + (u, v)(t) of its frame.
+                    at = FIRST_FRAME + FRAME_COEFFICIENTS * places[m]
+                    u_px = np.float32(x) + parabola_at(c, at, t[x])
+                    v_px = np.float32(row) + parabola_at(c, at + OF_V, t[x])
+                    if not (u_px >= 1.0 and v_px >= 1.0 and u_px < width - 2.0 and v_px < height - 2.0):
+                        continue
+                    if stripes.axes[m] >= 0:
+                        place = (
+                            (p[x] if stripes.axes[m] == 0 else q[x])
+                            + _HALF
+                            + period_px * parabola_at(c, at + OF_PHASE, t[x])
+                        )
+                        if illuminated_at(float(place), stripes.widths_px[m], CLEAR_PX) != 1:
+                            continue
+                    # Lit: it counts with less weight, for its place is known less well.
+                    one = read_spline(pixels, stripes.frames[m] * (height * width), width, u_px, v_px)
+                    if one == one:
+                        bright[x] += FAR_WEIGHT * one
+                        weights[x] += FAR_WEIGHT
+                        squares += FAR_WEIGHT * FAR_WEIGHT
             # A weighted mean has the noise of (Σ w)² / Σ w² images.
-            if weights > _ZERO:
-                lit[line, x], lit_count[line, x] = bright / weights, weights * weights / squares
-            if dims > _ZERO:
-                dark[line, x], dark_count[line, x] = dim / dims, dims
+            if weights[x] > _ZERO:
+                bright[x], weights[x] = bright[x] / weights[x], weights[x] * weights[x] / squares
+            else:
+                bright[x] = _NAN
+            dim[x] = dim[x] / dims[x] if dims[x] > _ZERO else _NAN
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _illuminated_row(
+    place_px: NDArray[np.float32], turns: NDArray[np.float32], period_px: np.float32, width_px: float, first: int, stop: int,
+    light: NDArray[np.int32],
+) -> None:  # fmt: skip
+    """Write what ``illuminated_at`` says of columns ``first`` to ``stop`` − 1 into ``light`` (w,).
+
+    They are at ``place_px`` (w,) of the pattern, in whose direction motion took them ``turns`` (w,) periods on.
+    """
+    for x in range(first, stop):
+        shown = (place_px[x] + _HALF) + period_px * turns[x]
+        stripe = float(shown) / width_px + 0.5
+        number = np.floor(stripe)
+        inside = stripe - number
+        odd = number - 2.0 * np.floor(0.5 * number)
+        clear = min(inside, 1.0 - inside) * width_px >= CLEAR_PX
+        light[x] = np.int32(odd) if clear else np.int32(-1)
 
 
 def known_mean(values: Map, window_px: int) -> Map:
     """Return the mean (h, w) of what is known within ``window_px`` around each pixel of ``values``; NaN where nothing is."""
     known = np.isfinite(values)
     share = cv2.boxFilter(known.astype(np.float32), -1, (window_px, window_px))
-    total = cv2.boxFilter(np.where(known, values, np.float32(0.0)), -1, (window_px, window_px))
+    total = cv2.boxFilter(np.where(known, values, _ZERO), -1, (window_px, window_px))
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray(np.where(share > 1e-6, total / share, _NAN), np.float32)
+
+
+def wide_mean(values: Map, window_px: int) -> Map:
+    """Return ``known_mean`` (h, w) of a wide window, where nobody asks for it to a pixel: taken in a smaller picture.
+
+    That is as many times smaller as leaves ``WIDE_PX`` of the window.
+    """
+    height, width = values.shape
+    times = max(1, window_px // WIDE_PX)
+    known = np.isfinite(values)
+    size = (-(-width // times), -(-height // times))
+    share = cv2.resize(known.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    total = cv2.resize(np.where(known, values, _ZERO), size, interpolation=cv2.INTER_AREA)
+    window = (window_px // times | 1, window_px // times | 1)
+    share, total = cv2.boxFilter(share, -1, window), cv2.boxFilter(total, -1, window)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = np.where(share > 1e-6, total / share, _NAN).astype(np.float32)
+    return np.asarray(cv2.resize(mean, (width, height), interpolation=cv2.INTER_LINEAR), np.float32)
 
 
 def denoised(grey: Map, variance: Map, window_px: int) -> tuple[Map, Map]:
     """Return ``grey`` (h, w) without noise of ``variance`` where it varies no more than that, and the variance that is left.
 
-    The local-statistics filter: J.-S. Lee, IEEE PAMI 2 (1980) 165.
+    ``variance`` is known where ``grey`` is. The local-statistics filter: J.-S. Lee, IEEE PAMI 2 (1980) 165.
     """
-    mean = known_mean(grey, window_px)
-    around = known_mean((grey - mean) ** 2, window_px)
-    noise = known_mean(variance, window_px)
+    window, known = (window_px, window_px), np.isfinite(grey)
+
+    def summed(values: Map) -> Map:
+        return np.asarray(cv2.boxFilter(np.where(known, values, _ZERO), -1, window), np.float32)
+
+    share = cv2.boxFilter(known.astype(np.float32), -1, window)
     with np.errstate(invalid="ignore", divide="ignore"):
-        own = np.clip(1.0 - 1.5 * noise / around, 0.0, 1.0).astype(np.float32)
-    return mean + own * (grey - mean), variance * own**2 + (1 - own**2) * noise / window_px**2
+        per_share = np.where(share > 1e-6, _ONE / share, _NAN).astype(np.float32)
+        mean = summed(grey) * per_share
+        apart = grey - mean
+        around, noise = summed(apart * apart), summed(variance)
+        own = np.clip(_ONE - np.float32(1.5) * noise / around, _ZERO, _ONE)
+        noise *= per_share / np.float32(window_px**2)
+    own2 = own * own
+    return mean + own * apart, variance * own2 + (_ONE - own2) * noise

@@ -25,7 +25,7 @@ Legend of the kernels, per pixel (column x, row)::
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numba
 import numpy as np
@@ -46,6 +46,34 @@ from appliance.compensation.displacement import (
     spline_noise_share,
 )
 from appliance.compensation.residuals import apply_steps, invert_steps
+from appliance.compensation.row_reader import parabola_row, place_row, shares_of
+from appliance.compensation.row_solver import (
+    COLUMN,
+    CONTRARY,
+    DEPTH,
+    EXPECTED,
+    GRAY,
+    LINE,
+    MISFIT,
+    MODULATION,
+    NEARER,
+    OFFSET,
+    PHASE,
+    PLAIN_OFFSET,
+    PLAIN_SHARE,
+    RESPONSE,
+    SETTLED,
+    SIZE,
+    VARIANCE,
+    WEIGHT,
+    U,
+    V,
+    number_fringes,
+    read_nearest,
+    read_sines,
+    settle,
+    solve_sines,
+)
 from appliance.patterns.sine import STEPS
 
 SINES = STEPS
@@ -63,10 +91,14 @@ NEAR_RAD = 0.03
 """Cosine and sine are carried on to the second order over so small an angle: right to 5e-6."""
 MAX_CONTRARY_DN = 20.0
 """Contradictions above this are no harmonic: the four sines saw different surfaces."""
+MOST_SHARE = 1e3
+"""Largest variance of an offset, in variances of a grey value, that the sines' light is told by; steps of 15° leave 200."""
 LEAST_DOUBT = 1e-3
 """Least variance of the albedo, in variances of a grey value: it keeps the weight finite."""
-_NAN, _HALF, _ONE = np.float32(np.nan), np.float32(0.5), np.float32(1.0)
+_NAN, _ZERO, _HALF, _ONE, _TWO, _MOST = (np.float32(x) for x in (np.nan, 0.0, 0.5, 1.0, 2.0, 255.0))
 _TURN = 2.0 * np.pi
+_NONE = cast(int, np.int64(0))
+"""Zero of a type of its own: for a plain one, numba would compile what is called with it twice."""
 
 
 class Sources(NamedTuple):
@@ -79,7 +111,7 @@ class Sources(NamedTuple):
     p_px: NDArray[np.float32]
     """Columns as decoded without regard to motion: where a pixel's depth is looked for first."""
     rough_t: NDArray[np.float32]
-    """Depth everywhere, smooth: where it is looked for when that leads to nothing."""
+    """Depth everywhere, smooth: where it is looked for when that leads to nothing. NaN: the pixel is not asked, it sees no fringes."""
     albedo_dn: NDArray[np.float32]
     """Grey values under full light, NaN where they are not known; (0, 0) where they are not used."""
     backscatter_dn: NDArray[np.float32]
@@ -258,6 +290,7 @@ def solve_rows(
     height, width = sources.p_px.shape
     pixels = sources.frames.reshape(sources.frames.size)
     starts = sources.followed * (height * width)
+    shares, cell, s = shares_of(step), np.empty(width, np.int32), np.empty(SIZE, np.float32)
     bright = sources.frames[sources.followed[BRIGHT]]
     # Of the Gray images only those of the first direction are needed.
     count = FIRST_FRAME + FRAME_COEFFICIENTS * (FIRST_GRAY + terms.gray)
@@ -276,7 +309,7 @@ def solve_rows(
     for row in range(start, stop, stride):
         interpolate_row(nodes, step, row, at_row)
         _row_depths(at_row, step, sources.p_px[row], terms.fill_px, decoded_t)
-        first, last = width, 0
+        asked_first, asked_stop = width, _NONE
         for x in range(width):
             # What a pixel without a coordinate has.
             maps.p_px[row, x] = _NAN
@@ -286,18 +319,69 @@ def solve_rows(
             maps.misfit[row, x] = _NAN
             maps.bright[row, x] = bright[row, x]
             maps.offset_dn[row, x] = 0
+            rough = sources.rough_t[row, x]
+            asked = rough == rough
             if not (abs(decoded_t[x]) < MAX_T):
-                decoded_t[x] = sources.rough_t[row, x]
+                decoded_t[x] = rough
+            # Where the first beginning of a pixel is: farther by as much as in the row above.
+            t = decoded_t[x] + farther[x] if asked else _NAN
+            s[DEPTH + x] = t if abs(t) < MAX_T else _NAN
+            # The offset that the albedo makes expect, and its weight against one grey value; 0 where it is not known.
+            s[EXPECTED + x], s[WEIGHT + x] = _ZERO, _ZERO
+            if use_albedo and terms.mean_share > _ZERO and sources.albedo_dn[row, x] > _ZERO:
+                doubt = per_variance * float(sources.albedo_variance_dn2[row, x]) + LEAST_DOUBT
+                s[EXPECTED + x] = sources.backscatter_dn[row, x] + terms.mean_share * sources.albedo_dn[row, x]
+                s[WEIGHT + x] = np.float32(1.0 / (float(terms.mean_share) ** 2 * doubt))
+            asked_first, asked_stop = min(asked_first, x) if asked else asked_first, x + 1 if asked else asked_stop
+        if asked_first < asked_stop:
+            read_sines(pixels, starts, height, width, at_row, shares, row, asked_first, asked_stop, cell, s)
+            solve_sines(
+                asked_first, asked_stop, gains, terms.harmonic, terms.min_modulation_dn, terms.noise_dn, terms.dark_dn2,
+                terms.shot_dn, terms.period_px, s,
+            )  # fmt: skip
+            if stride > 1:
+                _add_to_sums(sources, row, asked_first, asked_stop, use_albedo, s, sums)
+            number_fringes(
+                pixels, starts, terms.gray, FIRST_GRAY, height, width, at_row, shares, row, asked_first, asked_stop,
+                terms.period_px, s,
+            )  # fmt: skip
+            settle(
+                width, at_row, shares, asked_first, asked_stop, terms.period_px, terms.width_px, terms.height_px,
+                terms.settled_t, MAX_T, s,
+            )  # fmt: skip
+            # The bright frame where the point was then: it colours the cloud.
+            at = FIRST_FRAME + FRAME_COEFFICIENTS * BRIGHT
+            u_row, v_row, t_row = s[U : U + width], s[V : V + width], s[NEARER : NEARER + width]
+            parabola_row(at_row, shares, at, t_row, asked_first, asked_stop, u_row)
+            parabola_row(at_row, shares, at + OF_V, t_row, asked_first, asked_stop, v_row)
+            place_row(row, asked_first, asked_stop, u_row, v_row)
+            read_nearest(
+                pixels, starts[BRIGHT], height, width, u_row, v_row, asked_first, asked_stop, s[GRAY : GRAY + width]
+            )
+        first, last = width, 0
+        for x in range(asked_first, asked_stop):
+            if sources.rough_t[row, x] != sources.rough_t[row, x]:
+                farther[x] = 0.0
+                continue
+            if s[SETTLED + x] > _ZERO:
+                # The row below begins with this correction; one that was carried on is averaged.
+                fresh = s[NEARER + x] - decoded_t[x]
+                farther[x] = fresh if farther[x] == 0.0 else _HALF * (farther[x] + fresh)
+                maps.p_px[row, x], maps.q_px[row, x] = s[COLUMN + x], s[LINE + x]
+                maps.modulation_half_dn[row, x] = np.uint8(min(_TWO * s[MODULATION + x] + _HALF, _MOST))
+                maps.variance_px2[row, x], maps.misfit[row, x] = s[VARIANCE + x], s[MISFIT + x]
+                maps.offset_dn[row, x] = np.uint8(min(max(s[OFFSET + x] + _HALF, _ZERO), _MOST))
+                if s[GRAY + x] == s[GRAY + x]:
+                    maps.bright[row, x] = np.uint8(s[GRAY + x])
+                first, last = min(first, x), max(last, x + 1)
+                continue
             # The pixel's own parabolas in t, linear between the field's nodes.
             interpolate_pixel(at_row, step, x, 0, c)
-            # Albedo, and its variance in units of a grey value's; 0 where it is not known.
-            albedo = float(sources.albedo_dn[row, x]) if use_albedo else 0.0
-            known_albedo, doubt = albedo > 0.0, 0.0
-            if known_albedo:
-                doubt = per_variance * float(sources.albedo_variance_dn2[row, x]) + LEAST_DOUBT
             # What the last round leaves; nothing is written of a pixel that never was good.
             good, t, p, q = False, _NAN, _NAN, _NAN
             a, modulation, variance_px2, misfit, turns = 0.0, 0.0, 0.0, 0.0, 0.0
+            # Where the row's round found no phase, its beginning leads to nothing.
+            failed = (0 if farther[x] != 0.0 else 1) if s[PHASE + x] != s[PHASE + x] else -1
             for begun in range(3):
                 # From what the row above said, from what was decoded, from what is around.
                 if begun == 0:
@@ -310,6 +394,8 @@ def solve_rows(
                     t = sources.rough_t[row, x]
                     if abs(t - decoded_t[x]) <= terms.settled_t:
                         break
+                if begun == failed:
+                    continue
                 for _ in range(MAX_ROUNDS + 1):
                     good = bool(abs(t) < MAX_T)
                     if not good:
@@ -331,36 +417,21 @@ def solve_rows(
                     invert_steps(cosine, sine, weights)
                     a, m_c, m_s, contrary = apply_steps(weights, y)
                     w, b_a, b_c, b_s, e = 0.0, 0.0, 0.0, 0.0, 0.0
-                    if known_albedo:
-                        if stride > 1 and abs(contrary) < MAX_CONTRARY_DN:
-                            # Mean light of the sines: a − backscatter = share · albedo, over the variance of a.
-                            variance = 0.0
-                            for k in range(SINES):
-                                variance += weights[0, k] * weights[0, k]
-                            sums[1, 0] += (a - sources.backscatter_dn[row, x]) * albedo / variance
-                            sums[1, 1] += albedo * albedo / variance
-                        if terms.mean_share > 0.0:
-                            # The offset is known but for the albedo's variance: one more value of the least squares.
-                            e = float(sources.backscatter_dn[row, x]) + float(terms.mean_share) * albedo
-                            w = 1.0 / (float(terms.mean_share) ** 2 * doubt)
-                            b_a, b_c, b_s = weigh_offset(cosine, sine, w, weights)
-                            m_c, m_s = b_c * e, b_s * e
-                            for k in range(SINES):
-                                m_c += weights[1, k] * y[k]
-                                m_s += weights[2, k] * y[k]
+                    if s[WEIGHT + x] > _ZERO:
+                        # The offset is known but for the albedo's variance: one more value of the least squares.
+                        e, w = float(s[EXPECTED + x]), float(s[WEIGHT + x])
+                        b_a, b_c, b_s = weigh_offset(cosine, sine, w, weights)
+                        m_c, m_s = b_c * e, b_s * e
+                        for k in range(SINES):
+                            m_c += weights[1, k] * y[k]
+                            m_s += weights[2, k] * y[k]
                     # Second harmonic: share · m cos 2(φ + ψ_k), with m cos 2φ = (m_c² − m_s²) / m and
-                    # m sin 2φ = 2 m_c m_s / m. It is taken out of y, and what contradicts tells its share.
+                    # m sin 2φ = 2 m_c m_s / m. It is taken out of y.
                     per_m = 1.0 / (np.sqrt(m_c * m_c + m_s * m_s) + 1e-9)
                     co, si = (m_c * m_c - m_s * m_s) * per_m, 2.0 * m_c * m_s * per_m
-                    response = 0.0
                     for k in range(SINES):
                         c2, s2 = cosine[k] * cosine[k] - sine[k] * sine[k], 2.0 * sine[k] * cosine[k]
-                        second = co * c2 - si * s2
-                        response += weights[3, k] * second
-                        y[k] -= terms.harmonic * second
-                    if stride > 1 and abs(contrary) < MAX_CONTRARY_DN:
-                        sums[0, 0] += contrary * response
-                        sums[0, 1] += response * response
+                        y[k] -= terms.harmonic * (co * c2 - si * s2)
                     # The same solution once more, of what is left without the harmonic.
                     a, m_c, m_s, contrary = apply_steps(weights, y)
                     if w > 0.0:
@@ -427,6 +498,31 @@ def solve_rows(
             first, last = min(first, x), max(last, x + 1)
         maps.illuminated_columns[row, 0] = min(first, last)
         maps.illuminated_columns[row, 1] = last
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _add_to_sums(
+    sources: Sources,
+    row: int,
+    first: int,
+    stop: int,
+    use_albedo: bool,
+    s: NDArray[np.float32],
+    sums: NDArray[np.float64],
+) -> None:
+    """Add what columns ``first`` to ``stop`` − 1 of a row tell of the fringes' harmonic and the sines' mean to ``sums`` (2, 2)."""
+    for x in range(first, stop):
+        contrary, response, share = float(s[CONTRARY + x]), float(s[RESPONSE + x]), float(s[PLAIN_SHARE + x])
+        # Steps that are next to nothing leave no offset: what 32 bits make of it is not even noise.
+        if not (abs(contrary) < MAX_CONTRARY_DN and 0.0 < share < MOST_SHARE):
+            continue
+        sums[0, 0] += contrary * response
+        sums[0, 1] += response * response
+        albedo = float(sources.albedo_dn[row, x]) if use_albedo else 0.0
+        if albedo > 0.0:
+            # Mean light of the sines: a − backscatter = share · albedo, over the variance of a.
+            sums[1, 0] += (float(s[PLAIN_OFFSET + x]) - float(sources.backscatter_dn[row, x])) * albedo / share
+            sums[1, 1] += albedo * albedo / share
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")

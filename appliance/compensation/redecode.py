@@ -8,6 +8,7 @@ coordinate beside the modulation that the camera saw.
 
 from __future__ import annotations
 
+import math
 from concurrent.futures import ThreadPoolExecutor
 
 import cv2
@@ -24,7 +25,7 @@ from appliance.compensation.displacement import (
     DisplacementField,
     displacement_field,
 )
-from appliance.compensation.estimate import MotionEstimate, noise_dn
+from appliance.compensation.estimate import WORKING_WIDTH_PX, MotionEstimate, noise_dn
 from appliance.compensation.phase_solver import MAX_T, SINES, RedecodedMaps, Sources, Terms, depth_rows, solve_rows
 from appliance.optics.water import Water
 from appliance.patterns.sequence import Direction
@@ -39,11 +40,11 @@ Map = NDArray[np.float32]
 FILL_SHARE = 0.03
 """Distance, as a share of the image's width, over which a depth is carried to pixels that motion left without coordinates."""
 PROBE_ROWS = 16
-"""Every so many rows tell the fringes' second harmonic and the sines' mean light."""
+"""Every so many rows of pictures 800 px wide tell the fringes' second harmonic and the sines' mean light."""
 MAX_HARMONIC = 0.3
 """The largest second harmonic that is believed, as a share of the first."""
 ROUGH_ROWS = 4
-"""Every so many rows are solved to know where the albedo lies."""
+"""Every so many rows of pictures 800 px wide are solved to know where the albedo lies."""
 GOOD_VARIANCE = 1.15
 """The albedo is used where the variance of a phase is more than this, over that by steps of 90°."""
 EXACT_PX, EXACT_TURNS = 0.02, 0.001
@@ -64,6 +65,8 @@ FEWEST = 3
 """Pixels with a column that make a block's depth."""
 MEDIAN_BLOCKS = 5
 """Window of the median filter over the blocks."""
+BESIDE_PX = 2
+"""A spot between pixels reaches so far."""
 _NAN = np.float32(np.nan)
 
 
@@ -105,9 +108,9 @@ def _redecode(
     frames = images.frames[side].view()
     frames.flags.writeable = False
     unused = np.zeros((0, 0), np.float32)
-    sources = Sources(
-        frames, np.asarray(followed, np.int64), decoder.p_px, rough_depth(decoder.p_px, field), unused, unused, unused
-    )
+    rough_t = rough_depth(decoder.p_px, field)
+    rough_t[~sees_fringes(frames[list(sequence.axis(Direction.X).sine)], field)] = np.nan
+    sources = Sources(frames, np.asarray(followed, np.int64), decoder.p_px, rough_t, unused, unused, unused)
     terms = Terms(
         period_px=np.float32(sequence.period_px),
         width_px=np.float32(sequence.width_px),
@@ -122,15 +125,19 @@ def _redecode(
         harmonic=np.float32(0.0),
         mean_share=np.float32(0.0),
     )
+    # As many rows of a large picture tell as much as those of a small one.
+    rough_rows = ROUGH_ROWS * max(1, width // WORKING_WIDTH_PX)
     if phase_variance(field) > GOOD_VARIANCE:
-        sources = with_albedo(sequence, sources, terms, field, lateral_sd_px, ROUGH_ROWS)
-    solved = _empty_maps(height, width)
+        sources = with_albedo(sequence, sources, terms, field, lateral_sd_px, rough_rows)
+    solved = empty_maps(height, width)
     gains = (1.0 / (1.0 + motion.gains)).astype(np.float32)
-    terms = _probed(sources, field, gains, terms, solved)
+    # First of the light, then, with that, of harmonics.
+    for _ in range(2 if sources.albedo_dn.size else 1):
+        terms = _probed(sources, field, gains, terms, solved)
     if sources.albedo_dn.size:
         # Where the albedo lies follows from the depth: once more, with that of the depth that the first one leads to.
-        solve_rows(sources, field, gains, terms, 0, height, ROUGH_ROWS, solved, np.zeros((2, 2)))
-        nearer = sources._replace(rough_t=_nearest_rows(solved.p_px, sources.rough_t, field))
+        solve_rows(sources, field, gains, terms, 0, height, rough_rows, solved, np.zeros((2, 2)))
+        nearer = sources._replace(rough_t=_nearest_rows(solved.p_px, sources.rough_t, field, rough_rows))
         sources = with_albedo(sequence, nearer, terms, field, lateral_sd_px)
         terms = _probed(sources, field, gains, terms, solved)
     solve_rows(sources, field, gains, terms, 0, height, 1, solved, np.zeros((2, 2)))
@@ -143,7 +150,7 @@ def _redecode(
     )  # fmt: skip
 
 
-def _empty_maps(height: int, width: int) -> RedecodedMaps:
+def empty_maps(height: int, width: int) -> RedecodedMaps:
     """Return maps (height, width) without any coordinate."""
     shape = (height, width)
     return RedecodedMaps(
@@ -158,14 +165,26 @@ def _empty_maps(height: int, width: int) -> RedecodedMaps:
     )
 
 
-def _nearest_rows(p_px: Map, rough_t: Map, field: DisplacementField) -> Map:
-    """Return the depth t (h, w) by every ``ROUGH_ROWS``-th row of columns ``p_px``; ``rough_t`` where they say nothing."""
+def sees_fringes(sines: NDArray[np.uint8], field: DisplacementField) -> NDArray[np.bool_]:
+    """Return which pixels (h, w) any point with fringes may be followed from, by the x-sines (4, h, w) of one camera.
+
+    A pixel that is lit by a sine of modulation m swings by at least √2 m over four steps of 90°. Where none does by
+    ``MIN_MODULATION_DN`` within reach of a point's way, the solver would find too little modulation.
+    """
+    swing = cv2.subtract(np.asarray(sines.max(0)), np.asarray(sines.min(0)))
+    ways = np.abs(field.nodes[..., FIRST_FRAME : FIRST_FRAME + SINES * FRAME_COEFFICIENTS].reshape(-1, SINES, 3, 3))
+    # Of the parabola's coefficients, for any depth between t = −1 and 1.
+    reach = 2 * (BESIDE_PX + math.ceil(float(ways[:, :, :2].sum(-1).max()))) + 1
+    lit = (swing >= MIN_MODULATION_DN).astype(np.uint8)
+    return np.asarray(cv2.dilate(lit, np.ones((reach, reach), np.uint8)), np.bool_)
+
+
+def _nearest_rows(p_px: Map, rough_t: Map, field: DisplacementField, every: int) -> Map:
+    """Return the depth t (h, w) by every ``every``-th row of columns ``p_px``; ``rough_t`` where they say nothing, or it is NaN."""
     height, width = p_px.shape
     depth = np.empty_like(rough_t)
-    depth_rows(
-        np.repeat(p_px[::ROUGH_ROWS], ROUGH_ROWS, axis=0)[:height], field, round(FILL_SHARE * width), 0, height, depth
-    )
-    return np.asarray(np.where(np.abs(depth) < MAX_T, depth, rough_t), np.float32)
+    depth_rows(np.repeat(p_px[::every], every, axis=0)[:height], field, round(FILL_SHARE * width), 0, height, depth)
+    return np.asarray(np.where((np.abs(depth) < MAX_T) & np.isfinite(rough_t), depth, rough_t), np.float32)
 
 
 def rough_depth(p_px: Map, field: DisplacementField) -> Map:
@@ -234,17 +253,16 @@ def settled_t(field: DisplacementField) -> float:
 def _probed(
     sources: Sources, field: DisplacementField, gains: NDArray[np.float32], terms: Terms, solved: RedecodedMaps
 ) -> Terms:
-    """Return ``terms`` with what every so many rows tell of fringes and light: first of the light, then, with that, of harmonics."""
-    height = sources.p_px.shape[0]
-    for _ in range(2 if sources.albedo_dn.size else 1):
-        sums = np.zeros((2, 2))
-        solve_rows(sources, field, gains, terms, PROBE_ROWS // 2, height, PROBE_ROWS, solved, sums)
-        harmonic, mean = sums[:, 0] / np.maximum(sums[:, 1], 1e-9)
-        terms = terms._replace(
-            harmonic=np.float32(np.clip(harmonic, -MAX_HARMONIC, MAX_HARMONIC)),
-            mean_share=np.float32(np.clip(mean, 0.0, 1.0)),
-        )
-    return terms
+    """Return ``terms`` with what some rows tell of fringes and light."""
+    height, width = sources.p_px.shape
+    every = PROBE_ROWS * max(1, width // WORKING_WIDTH_PX)
+    sums = np.zeros((2, 2))
+    solve_rows(sources, field, gains, terms, every // 2, height, every, solved, sums)
+    harmonic, mean = sums[:, 0] / np.maximum(sums[:, 1], 1e-9)
+    return terms._replace(
+        harmonic=np.float32(np.clip(harmonic, -MAX_HARMONIC, MAX_HARMONIC)),
+        mean_share=np.float32(np.clip(mean, 0.0, 1.0)),
+    )
 
 
 def drop_new_borders(p_px: Map, q_px: Map, plain_px: Map) -> None:

@@ -1,0 +1,204 @@
+"""What a row's pixels are solved to at once, by linear algebra of its own, and by the solver that takes them one by one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from appliance.compensation import row_solver as at
+from appliance.compensation.displacement import (
+    FIRST_FRAME,
+    FRAME_COEFFICIENTS,
+    OF_PHASE,
+    P_OF_T,
+    Q_OF_T,
+    DisplacementField,
+)
+from appliance.compensation.phase_solver import FIRST_GRAY, RedecodedMaps, Sources, Terms, solve_rows
+from appliance.compensation.redecode import empty_maps, sees_fringes
+from appliance.patterns.sequence import Direction, build_sequence
+from appliance.reconstruct.decode.decoder import MIN_MODULATION_DN
+
+PERIOD_PX = 16
+
+
+@pytest.mark.parametrize("steps_deg", [30.0, 60.0, 90.0, 140.0])
+@pytest.mark.parametrize("weight", [0.0, 0.1, 30.0])
+def test_a_row_is_solved_by_least_squares(steps_deg: float, weight: float) -> None:
+    rng = np.random.default_rng(5)
+    n, first = 37, 5
+    harmonic, dark_dn2, shot_dn, expected_dn = 0.05, 1.5, 0.02, 93.0
+    s = np.full(at.SIZE, np.nan, np.float32)
+    turns = (steps_deg - 90.0) / 360.0 * np.arange(4)[:, None] + rng.normal(0.0, 0.01, (4, n))
+    psi = 2.0 * np.pi * (turns + 0.25 * np.arange(4)[:, None])
+    phase = rng.uniform(0.0, 2.0 * np.pi, n)
+    y = 100.0 + 40.0 * np.cos(phase + psi) + rng.normal(0.0, 0.5, (4, n))
+    noise = rng.uniform(0.1, 0.4, (4, n))
+    gains = np.array([1.0, 0.98, 1.03, 1.01, 1.0, 1.0, 1.0, 1.0], np.float32)
+    for k, (grey, share, turn) in enumerate(
+        zip(
+            (at.GREY_0, at.GREY_1, at.GREY_2, at.GREY_3),
+            (at.NOISE_0, at.NOISE_1, at.NOISE_2, at.NOISE_3),
+            (at.TURNS_0, at.TURNS_1, at.TURNS_2, at.TURNS_3),
+            strict=True,
+        )
+    ):
+        s[grey + first : grey + first + n] = y[k] / gains[k]
+        s[share + first : share + first + n], s[turn + first : turn + first + n] = noise[k], turns[k]
+    s[at.EXPECTED + first : at.EXPECTED + first + n], s[at.WEIGHT + first : at.WEIGHT + first + n] = expected_dn, weight
+    at.solve_sines(
+        first, first + n, gains, np.float32(harmonic), np.float32(MIN_MODULATION_DN), np.float32(1.5), np.float32(dark_dn2),
+        np.float32(shot_dn), np.float32(PERIOD_PX), s,
+    )  # fmt: skip
+
+    def found(quantity: int) -> np.ndarray:
+        return s[quantity + first : quantity + first + n].astype(np.float64)
+
+    for i in range(n):
+        A = np.stack([np.ones(4), np.cos(psi[:, i]), -np.sin(psi[:, i])], -1)
+        whole = np.vstack([A, [np.sqrt(weight), 0.0, 0.0]])
+        inverse = np.linalg.inv(whole.T @ whole)
+        contrary = np.linalg.svd(A.T)[2][3]
+
+        def solved(grey: np.ndarray, inverse: np.ndarray = inverse, A: np.ndarray = A) -> np.ndarray:
+            return np.asarray(inverse @ (A.T @ grey + np.array([weight * expected_dn, 0.0, 0.0])))
+
+        _, m_c, m_s = solved(y[:, i])
+        second = np.hypot(m_c, m_s) * np.cos(2.0 * (np.arctan2(m_s, m_c) + psi[:, i]))
+        assert abs(found(at.RESPONSE)[i]) == pytest.approx(abs(contrary @ second), abs=2e-3)
+        assert abs(found(at.CONTRARY)[i]) == pytest.approx(abs(contrary @ y[:, i]), abs=2e-3)
+        plain = np.linalg.inv(A.T @ A)
+        assert found(at.PLAIN_OFFSET)[i] == pytest.approx((plain @ A.T @ y[:, i])[0], abs=0.02)
+        assert found(at.PLAIN_SHARE)[i] == pytest.approx(plain[0, 0], rel=1e-3)
+        a, m_c, m_s = solved(y[:, i] - harmonic * second)
+        assert found(at.OFFSET)[i] == pytest.approx(a, abs=0.02)
+        assert found(at.MODULATION)[i] == pytest.approx(np.hypot(m_c, m_s), abs=0.02)
+        # The phase's variance by its derivative, of all four values and of the offset that is expected.
+        by_y = (np.array([-m_s, m_c]) @ (inverse @ A.T)[1:]) / (m_c**2 + m_s**2)
+        variance = np.sum(by_y**2 * noise[:, i])
+        if weight:
+            variance += ((np.array([-m_s, m_c]) @ inverse[1:, 0]) * weight / (m_c**2 + m_s**2)) ** 2 / weight
+        grey_variance = dark_dn2 + shot_dn * a
+        assert found(at.VARIANCE)[i] == pytest.approx(
+            (PERIOD_PX / (2 * np.pi)) ** 2 * grey_variance * variance, rel=5e-3
+        )
+        left = contrary @ (y[:, i] - harmonic * second)
+        of_noise = np.sum(contrary**2 * noise[:, i]) * grey_variance
+        assert found(at.MISFIT)[i] == pytest.approx(left**2 / of_noise, abs=2e-3, rel=2e-3)
+        # A contradiction beyond noise and a quarter of the modulation is no phase.
+        apart = found(at.PHASE)[i] - np.arctan2(m_s, m_c) / (2.0 * np.pi)
+        assert abs(apart - round(apart)) < 2e-5
+
+
+def test_angles_in_turns_have_their_cosines_and_sines() -> None:
+    turns = np.linspace(-2.3, 2.3, 4001).astype(np.float32)
+    cosine, sine = np.empty_like(turns), np.empty_like(turns)
+    at.cosines(turns, cosine, sine)
+    angle = 2.0 * np.pi * turns.astype(np.float64)
+    np.testing.assert_allclose(cosine, np.cos(angle), atol=1e-6)
+    np.testing.assert_allclose(sine, np.sin(angle), atol=1e-6)
+
+
+HEIGHT, WIDTH, STEP = 12, 160, 8
+
+
+def moving_plane() -> tuple[Sources, DisplacementField, Terms]:
+    """Return a plane at t = 0.1 with an edge of contrast, moving along p by a sixth of a period per frame, as one camera sees it."""
+    sequence = build_sequence(PERIOD_PX)
+    x_axis, y_axis = sequence.axis(Direction.X), sequence.axis(Direction.Y)
+    followed = (*x_axis.sine, sequence.bright, *x_axis.gray, *y_axis.gray)
+    nodes = np.zeros(
+        (HEIGHT // STEP + 2, WIDTH // STEP + 2, FIRST_FRAME + FRAME_COEFFICIENTS * len(followed)), np.float32
+    )
+    columns = STEP * np.arange(nodes.shape[1])
+    # p = 300 + x + 20 t, q = 200 + 4 t.
+    nodes[..., P_OF_T], nodes[..., P_OF_T + 1] = 300.0 + columns, 20.0
+    nodes[..., Q_OF_T], nodes[..., Q_OF_T + 1] = 200.0, 4.0
+    depth = 0.1
+    frames = np.zeros((len(sequence), HEIGHT, WIDTH), np.uint8)
+    rng = np.random.default_rng(2)
+    for k, frame in enumerate(followed):
+        moved_px = 1.4 * (k - 1.5) if k < FIRST_GRAY else 0.8
+        at_frame = FIRST_FRAME + FRAME_COEFFICIENTS * k
+        nodes[..., at_frame] = moved_px
+        nodes[..., at_frame + OF_PHASE] = -0.02 * (k - 1.5) if k < FIRST_GRAY else 0.03
+        turned_px = PERIOD_PX * float(nodes[0, 0, at_frame + OF_PHASE])
+        # The pixel in which a point is seen in this frame shows what the point is lit by.
+        p = 300.0 + np.arange(WIDTH) - moved_px + 20.0 * depth + turned_px
+        # Lenses blur: no border of a stripe is sharp.
+        codes = np.convolve(sequence.patterns[frame].codes().astype(np.float64), [0.25, 0.5, 0.25], "same")
+        lit = np.interp(p, np.arange(len(codes)), codes)
+        if k in range(FIRST_GRAY + len(x_axis.gray), len(followed)):
+            lit = np.full(WIDTH, 255.0)
+        frames[frame] = np.clip(np.rint(20.0 + 0.6 * lit + rng.normal(0.0, 0.5, (HEIGHT, WIDTH))), 0, 254)
+    plain = np.tile(300.0 + np.arange(WIDTH) + 20.0 * depth, (HEIGHT, 1)).astype(np.float32)
+    plain += 0.15 * np.sin(np.arange(WIDTH)).astype(np.float32)  # motion's ripple
+    plain[:, 40:60] = np.nan
+    rough = np.full((HEIGHT, WIDTH), depth, np.float32)
+    rough[:, 150:] = np.nan
+    unused = np.zeros((0, 0), np.float32)
+    frames.flags.writeable = False
+    sources = Sources(frames, np.asarray(followed, np.int64), plain, rough, unused, unused, unused)
+    terms = Terms(
+        period_px=np.float32(PERIOD_PX), width_px=np.float32(1024), height_px=np.float32(768),
+        min_modulation_dn=np.float32(MIN_MODULATION_DN), noise_dn=np.float32(0.6), dark_dn2=np.float32(0.3),
+        shot_dn=np.float32(0.001), gray=len(x_axis.gray), fill_px=5, settled_t=np.float32(0.02), harmonic=np.float32(0.0),
+        mean_share=np.float32(0.0),
+    )  # fmt: skip
+    return sources, DisplacementField(nodes, STEP), terms
+
+
+def solved(sources: Sources, field: DisplacementField, terms: Terms) -> RedecodedMaps:
+    maps = empty_maps(HEIGHT, WIDTH)
+    solve_rows(sources, field, np.ones(8, np.float32), terms, 0, HEIGHT, 1, maps, np.zeros((2, 2)))
+    return maps
+
+
+def test_a_row_at_once_gives_what_pixels_one_by_one_give() -> None:
+    sources, field, terms = moving_plane()
+    together = solved(sources, field, terms)
+    # A depth that never settles leaves every pixel to the solver that takes them one by one.
+    alone = solved(sources, field, terms._replace(settled_t=np.float32(-1.0)))
+    known = np.isfinite(together.p_px)
+    true_px = 300.0 + np.arange(WIDTH) + 2.0
+    assert known[1:-2, 8:140].mean() > 0.98, "those whose plain decoding knows nothing are known as well"
+    assert np.abs(together.p_px - true_px)[known].max() < 0.15
+    assert not known[:, 150:].any(), "pixels that see no fringes are not asked"
+    assert (known != np.isfinite(alone.p_px)).mean() < 0.01
+    both = known & np.isfinite(alone.p_px)
+    for name, within in (("p_px", 2e-3), ("q_px", 1e-3), ("modulation_half_dn", 1), ("offset_dn", 1), ("bright", 0)):
+        apart = np.abs(getattr(together, name)[both].astype(float) - getattr(alone, name)[both].astype(float))
+        assert apart.max() <= within, name
+    np.testing.assert_allclose(together.variance_px2[both], alone.variance_px2[both], rtol=0.02)
+    np.testing.assert_array_equal(together.illuminated_columns, alone.illuminated_columns)
+
+
+def test_pixels_that_no_fringe_comes_near_are_not_asked() -> None:
+    _, field, _ = moving_plane()
+    sines = np.full((4, HEIGHT, WIDTH), 12, np.uint8)
+    sines[1, :, 50:60] = 12 + int(MIN_MODULATION_DN)
+    sines[2, :, 100:110] = 12 + int(MIN_MODULATION_DN) - 1
+    asked = sees_fringes(sines, field)
+    # The x-sines move by 2.1 px at most, and a spot between pixels reaches 2 px farther.
+    assert [int(x) for x in np.flatnonzero(asked[5])] == list(range(45, 65))
+
+
+def test_pixels_whose_steps_are_next_to_nothing_do_not_spoil_what_is_known_of_the_light() -> None:
+    # A hand along with the fringes: in some columns the four sines show the same phase, and 32 bits make anything of their offset.
+    sources, field, terms = moving_plane()
+    albedo = np.full((HEIGHT, WIDTH), 153.0, np.float32)
+    lit = sources._replace(
+        albedo_dn=albedo, backscatter_dn=np.full_like(albedo, 20.0), albedo_variance_dn2=np.full_like(albedo, 1.0)
+    )
+
+    def told(field: DisplacementField) -> np.ndarray:
+        sums, every = np.zeros((2, 2)), solved(sources, field, terms)
+        solve_rows(lit, field, np.ones(8, np.float32), terms, 1, HEIGHT, 2, every, sums)
+        return sums[:, 0] / sums[:, 1]
+
+    nodes = field.nodes.copy()
+    for k in range(4):
+        nodes[:, 6:12, FIRST_FRAME + FRAME_COEFFICIENTS * k + OF_PHASE] = -0.25 * k + 1e-5 * (k == 2)
+    harmonic, mean = told(DisplacementField(nodes, STEP))
+    assert mean == pytest.approx(told(field)[1], rel=0.02)
+    assert abs(harmonic) < 0.05
