@@ -19,6 +19,7 @@ from appliance.reconstruct.grid import PixelGrid
 from appliance.scan.noise import CameraNoise
 from appliance.verdict.identity.lines import Lines, LineTaker
 from appliance.verdict.light.levels import Sample, Sampler
+from appliance.verdict.motion.texture import EarlyMeans, early_means
 from appliance.verdict.sight.judge import VisibleFringes, see
 from appliance.verdict.water.backscatter import water_grid
 from appliance.verdict.window import window_grid
@@ -34,6 +35,8 @@ class Gathered:
     """Pixels for the judge of light."""
     visible: VisibleFringes
     """Fringes that are seen without decoding."""
+    means: EarlyMeans
+    """Images of texture for the judge of motion."""
     water: PixelGrid
     """Pixels for the judge of water."""
     windows: PixelGrid
@@ -48,7 +51,7 @@ class Gatherer:
         self._lines = LineTaker(sequence, noise)
         self._sampler = Sampler(sequence)
         self._grids = (water_grid(sequence), window_grid(sequence))
-        self._visible: VisibleFringes | None = None
+        self._of_x: tuple[VisibleFringes, EarlyMeans] | None = None
         self._pushed = 0
 
     def push(self, frames: NDArray[np.uint8], index: int) -> None:
@@ -59,15 +62,15 @@ class Gatherer:
         for grid in self._grids:
             grid.push(frames, index)
         if index == self._sequence.axis(Direction.X).sine[-1]:
-            self._visible = see(frames, self._sequence, self._noise)
+            self._of_x = see(frames, self._sequence, self._noise), early_means(frames, self._sequence)
 
     def finish(self) -> Gathered:
         """Return what was gathered, after the last frame. Raises ValueError where frames are missing."""
-        if self._visible is None or self._pushed != len(self._sequence):
+        if self._of_x is None or self._pushed != len(self._sequence):
             raise ValueError(
                 f"{self._pushed} of {len(self._sequence)} frames were pushed; push all before asking for verdicts"
             )
-        return Gathered(self._lines.finish(), self._sampler.finish(), self._visible, *self._grids)
+        return Gathered(self._lines.finish(), self._sampler.finish(), *self._of_x, *self._grids)
 
 
 def gather(frames: NDArray[np.uint8], sequence: PatternSequence, noise: CameraNoise) -> Gathered:

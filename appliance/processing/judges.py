@@ -102,13 +102,19 @@ def _judge_water(given: JudgeInput, _: Earlier) -> Judgement:
     return judge_water(given.images, given.cloud, given.rig, given.water_index, grid).judgement
 
 
+def _judge_motion(given: JudgeInput, _: Earlier) -> Judgement:
+    """Judge the movement between instrument and scene."""
+    means = {side: one.means for side, one in given.gathered.items()}
+    return judge_motion(given.images, given.cloud, given.rig, given.water_index, means).judgement
+
+
 JUDGES = (
     Judge("light", _judge_light),
     Judge(FRINGES, _judge_fringes),
     Judge("water", _judge_water),
     Judge("sight", _look),
     Judge("windows", _look_at_windows, needs=("motion",)),
-    Judge("motion", lambda given, _: judge_motion(given.images, given.cloud, given.rig, given.water_index).judgement),
+    Judge("motion", _judge_motion),
 )
 """Judges in the order in which their verdicts are told and stored."""
 

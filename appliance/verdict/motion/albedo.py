@@ -8,6 +8,7 @@ that shaking hands are seen to shake.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numba
 import numpy as np
@@ -56,9 +57,9 @@ class AlbedoShifts:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _accumulate(
-    image: NDArray[np.uint8],
-    bright: NDArray[np.uint8],
-    dark: NDArray[np.uint8],
+    frames: NDArray[np.uint8],
+    references: tuple[int, int],
+    gray: NDArray[np.int64],
     coordinate_px: NDArray[np.float32],
     illuminated: NDArray[np.bool_],
     reach: int,
@@ -66,17 +67,22 @@ def _accumulate(
     noise_dn2: tuple[float, float],
     sums: Array,
 ) -> None:
-    """Add every ``stride``-th row and column to ``sums``: the upper triangle of the normal matrix of light, 1 and both
-    gradients, their products with the image, its square, and the count; ``illuminated`` (pattern px,)."""
+    """Add every ``stride``-th row and column to ``sums`` (images, …): of each of the images ``gray`` the upper triangle of the normal
+    matrix of light, 1 and both gradients, their products with the image, its square, and the count. ``references``: bright and dark;
+    ``illuminated`` (images, pattern px).
+
+    All images at once: what is the same for all of them, a dozen places in memory that are far apart, is read once.
+    """
+    bright, dark = frames[references[0]], frames[references[1]]
     height, width = bright.shape
     x = np.empty(_TERMS)
     for v in range(reach + stride // 2, height - reach, stride):
         for u in range(reach + stride // 2, width - reach, stride):
             place = coordinate_px[v, u]
-            if not (place >= 0.0 and place < illuminated.size - 1) or not illuminated[int(place)]:
+            if not (place >= 0.0 and place < illuminated.shape[1] - 1):
                 continue
-            white = np.float64(bright[v, u])
-            light = white - np.float64(dark[v, u])
+            white, black = np.float64(bright[v, u]), np.float64(dark[v, u])
+            light = white - black
             if light < 16.0 or bright[v, u] == 255:
                 continue
             # A silhouette within reach is no albedo.
@@ -92,19 +98,23 @@ def _accumulate(
             # Central differences over twice the reach; their noise is that of two pixels over its square.
             x[2] = (np.float64(bright[v, u + reach]) - np.float64(bright[v, u - reach])) / (2.0 * reach)
             x[3] = (np.float64(bright[v + reach, u]) - np.float64(bright[v - reach, u])) / (2.0 * reach)
-            y = np.float64(image[v, u]) - np.float64(dark[v, u])
-            # Normal equations: upper triangle of Σ x xᵀ, then Σ x y, Σ y² and the count.
-            k = 0
-            for i in range(_TERMS):
-                for j in range(i, _TERMS):
-                    sums[k] += x[i] * x[j]
-                    k += 1
-            for i in range(_TERMS):
-                sums[k + i] += x[i] * y
-            sums[k + _TERMS] += y * y
-            sums[k + _TERMS + 1] += 1.0
-            # A gradient's variance by noise: 2 σ² / (2 reach)².
-            sums[k + _TERMS + 2] += (noise_dn2[0] + noise_dn2[1] * white) / (2.0 * reach * reach)
+            # Each image by itself, where its own stripes light the place.
+            for image in range(gray.size):
+                if not illuminated[image, int(place)]:
+                    continue
+                y = np.float64(frames[gray[image], v, u]) - black
+                # Normal equations: upper triangle of Σ x xᵀ, then Σ x y, Σ y² and the count.
+                s, k = sums[image], 0
+                for i in range(_TERMS):
+                    for j in range(i, _TERMS):
+                        s[k] += x[i] * x[j]
+                        k += 1
+                for i in range(_TERMS):
+                    s[k + i] += x[i] * y
+                s[k + _TERMS] += y * y
+                s[k + _TERMS + 1] += 1.0
+                # A gradient's variance by noise: 2 σ² / (2 reach)².
+                s[k + _TERMS + 2] += (noise_dn2[0] + noise_dn2[1] * white) / (2.0 * reach * reach)
 
 
 def albedo_shifts(
@@ -117,16 +127,24 @@ def albedo_shifts(
     reach = max(1, round(width_px / WIDTH_PX))
     stride = max(1, round((height_px * width_px / SAMPLES) ** 0.5))
     for direction, coordinate_px in ((Direction.X, decoded.p_px), (Direction.Y, decoded.q_px)):
-        for k in sequence.axis(direction).gray:
-            sums = np.zeros(_TERMS * (_TERMS + 1) // 2 + _TERMS + 3)
-            _accumulate(
-                frames[k], frames[sequence.bright], frames[sequence.dark], coordinate_px,
-                _well_illuminated(sequence.patterns[k].codes()), reach, stride, variance_dn2, sums,
-            )  # fmt: skip
-            solved = _solve(sums)
+        gray = sequence.axis(direction).gray
+        sums = np.zeros((len(gray), _TERMS * (_TERMS + 1) // 2 + _TERMS + 3))
+        _accumulate(
+            frames, (sequence.bright, sequence.dark), np.array(gray, np.int64), coordinate_px,
+            well_illuminated(sequence, direction), reach, stride, variance_dn2, sums,
+        )  # fmt: skip
+        for k, of_image in zip(gray, sums, strict=True):
+            solved = _solve(of_image)
             if solved is not None:
                 shift[k], sd[k] = solved
     return AlbedoShifts(shift, sd)
+
+
+@lru_cache(maxsize=8)
+def well_illuminated(sequence: PatternSequence, direction: Direction) -> NDArray[np.bool_]:
+    """Return (images, pattern px) where each Gray image of a direction is light, and far enough from all edges of its stripes. It is
+    the same in every scan, and not to be written to."""
+    return np.stack([_well_illuminated(sequence.patterns[k].codes()) for k in sequence.axis(direction).gray])
 
 
 def _well_illuminated(codes: NDArray[np.uint8]) -> NDArray[np.bool_]:

@@ -8,6 +8,7 @@ than the drift within the sine images, but frame by frame, so that a tremor diff
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numba
 import numpy as np
@@ -44,58 +45,61 @@ class EdgeShifts:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _accumulate(
-    image: NDArray[np.uint8],
-    bright: NDArray[np.uint8],
-    dark: NDArray[np.uint8],
+    frames: NDArray[np.uint8],
+    references: tuple[int, int],
+    gray: NDArray[np.int64],
     p_px: NDArray[np.float32],
     q_px: NDArray[np.float32],
-    edge_px: NDArray[np.float32],
+    edges_px: NDArray[np.float32],
     rises: NDArray[np.float32],
     stride: int,
     cell_px: float,
     sums: NDArray[np.float64],
 ) -> None:
-    """Add every ``stride``-th row and column to ``sums`` (rows, columns, _COLUMNS); ``edge_px`` and ``rises`` (width,)
-    are each pattern column's nearest edge (NaN: too far) and +1 where light begins there, −1 where it ends."""
+    """Add every ``stride``-th row and column of the images ``gray`` to ``sums`` (images, rows, columns, _COLUMNS); ``edges_px`` and
+    ``rises`` (images, width) are each pattern column's nearest edge (NaN: too far) and +1 where light begins there, −1 where it ends.
+    ``references``: bright and dark.
+
+    All images at once: the maps and the references, which lie in memory far apart from pixel to pixel, are read once.
+    """
     height, width = p_px.shape
+    bright, dark = frames[references[0]], frames[references[1]]
     for v in range(stride // 2, height, stride):
         for u in range(stride // 2, width, stride):
             p, q = p_px[v, u], q_px[v, u]
             if not (p >= 0.0 and q >= 0.0):
                 continue
-            # The nearest edge of this Gray image, by the column that the sine images found at the pixel.
-            place = int(p + np.float32(0.5))
-            if place >= edge_px.size:
+            # Each Gray image's nearest edge, by the column that the sine images found at the pixel.
+            place, row = int(p + np.float32(0.5)), int(q / cell_px)
+            if place >= edges_px.shape[1] or row >= sums.shape[1]:
                 continue
-            edge = edge_px[place]
-            if np.isnan(edge):
-                continue
-            # Both sides of an edge belong to its cell: edges of the coarse bits lie where cells meet.
-            row, column = int(q / cell_px), int(edge / cell_px)
-            if row >= sums.shape[0]:
-                continue
-            way = np.float64(rises[place])
             low, high = np.float64(dark[v, u]), np.float64(bright[v, u])
             if high - low < 8.0:
                 continue
-            # Dark and bright reference take albedo and steady ambient light out of the value.
-            brightness = (np.float64(image[v, u]) - low) / (high - low)
-            # Distance from the edge, positive on the side of the light.
-            beside = way * (np.float64(p) - edge)
-            s = sums[row, column]
-            # Around the edge: Σ ±light, and beside it Σ ±1 on the illuminated side, what an edge gives that did not move.
-            if abs(beside) <= INNER_PX:
-                s[_INNER] += 1.0
-                s[_INNER_LIT] += way * brightness
-                s[_INNER_STEP] += way if beside > 0.0 else 0.0
-                s[_INNER_WAY] += way
-            # Away from it: how dark and how light the two sides are.
-            elif beside < 0.0:
-                s[_LOW] += 1.0
-                s[_LOW_LIT] += brightness
-            else:
-                s[_HIGH] += 1.0
-                s[_HIGH_LIT] += brightness
+            for k in range(gray.size):
+                edge = edges_px[k, place]
+                if np.isnan(edge):
+                    continue
+                # Dark and bright reference take albedo and steady ambient light out of the value.
+                brightness = (np.float64(frames[gray[k], v, u]) - low) / (high - low)
+                # Distance from the edge, positive on the side of the light.
+                way = np.float64(rises[k, place])
+                beside = way * (np.float64(p) - edge)
+                # Both sides of an edge belong to its cell: edges of the coarse bits lie where cells meet.
+                s = sums[k, row, int(edge / cell_px)]
+                # Around the edge: Σ ±light, and beside it Σ ±1 on the illuminated side, what an edge gives that did not move.
+                if abs(beside) <= INNER_PX:
+                    s[_INNER] += 1.0
+                    s[_INNER_LIT] += way * brightness
+                    s[_INNER_STEP] += way if beside > 0.0 else 0.0
+                    s[_INNER_WAY] += way
+                # Away from it: how dark and how light the two sides are.
+                elif beside < 0.0:
+                    s[_LOW] += 1.0
+                    s[_LOW_LIT] += brightness
+                else:
+                    s[_HIGH] += 1.0
+                    s[_HIGH_LIT] += brightness
 
 
 def edge_shifts(frames: NDArray[np.uint8], decoded: CameraDecoder, sequence: PatternSequence) -> EdgeShifts:
@@ -106,13 +110,20 @@ def edge_shifts(frames: NDArray[np.uint8], decoded: CameraDecoder, sequence: Pat
     stride = max(1, round((height_px * width_px / SAMPLES) ** 0.5))
     shape = (-(-sequence.height_px // CELL_PX), -(-sequence.width_px // CELL_PX))
     sums = np.zeros((len(axis.gray), *shape, _COLUMNS))
-    bright, dark = frames[sequence.bright], frames[sequence.dark]
-    for number, k in enumerate(axis.gray):
-        edge_px, rises = _edges(sequence.patterns[k].codes())
-        _accumulate(
-            frames[k], bright, dark, decoded.p_px, decoded.q_px, edge_px, rises, stride, float(CELL_PX), sums[number]
-        )
+    edges_px, rises = edges_of(sequence)
+    _accumulate(
+        frames, (sequence.bright, sequence.dark), np.array(axis.gray, np.int64), decoded.p_px, decoded.q_px, edges_px, rises,
+        stride, float(CELL_PX), sums,
+    )  # fmt: skip
     return EdgeShifts(_solve(sums))
+
+
+@lru_cache(maxsize=4)
+def edges_of(sequence: PatternSequence) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the nearest edges and their ways (images, width) of all Gray images across which depth moves the pattern. They are
+    the same in every scan, and not to be written to."""
+    edges_px, rises = zip(*(_edges(sequence.patterns[k].codes()) for k in sequence.axis(Direction.X).gray), strict=True)
+    return np.stack(edges_px), np.stack(rises)
 
 
 def _edges(codes: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -88,23 +88,51 @@ def _binned_mean(
             out[j, i] = np.float32(total) * scale
 
 
-def texture_shift(
-    frames: NDArray[np.uint8], decoded: CameraDecoder, sequence: PatternSequence, variance_dn2: tuple[float, float]
-) -> TextureShift:
-    """Measure the texture's movement in one camera's frames (n, h, w) uint8; ``variance_dn2`` as in ``drift_map``."""
-    height_px, width_px = decoded.p_px.shape
+@dataclass(frozen=True, slots=True)
+class EarlyMeans:
+    """One camera's binned means before Y, (rows, columns) float32."""
+
+    references: NDArray[np.float32]
+    """Mean of bright and dark."""
+    x: NDArray[np.float32]
+    """Mean of the sine images of X."""
+
+
+def early_means(frames: NDArray[np.uint8], sequence: PatternSequence) -> EarlyMeans:
+    """Return the means of ``frames`` (n, h, w) uint8, of which those of Y may still be missing."""
+    references = _mean(frames, (sequence.bright, sequence.dark))
+    return EarlyMeans(references, _mean(frames, sequence.axis(Direction.X).sine))
+
+
+def _bins(width_px: int) -> tuple[int, int]:
+    """Return how many pixels are binned along a side, and which rows of them count: each so-and-so-many-th."""
     bin_px = max(1, round(width_px / WIDTH_PX))
-    stride = 2 if bin_px >= 4 else 1
-    shape = (height_px // bin_px, width_px // bin_px)
+    return bin_px, 2 if bin_px >= 4 else 1
 
-    def mean(numbers: tuple[int, ...]) -> NDArray[np.float32]:
-        out = np.zeros(shape, np.float32)
-        _binned_mean(frames, np.array(numbers), bin_px, stride, out)
-        return out
 
+def _mean(frames: NDArray[np.uint8], numbers: tuple[int, ...]) -> NDArray[np.float32]:
+    bin_px, stride = _bins(frames.shape[2])
+    out = np.zeros((frames.shape[1] // bin_px, frames.shape[2] // bin_px), np.float32)
+    _binned_mean(frames, np.array(numbers), bin_px, stride, out)
+    return out
+
+
+def texture_shift(
+    frames: NDArray[np.uint8],
+    decoded: CameraDecoder,
+    sequence: PatternSequence,
+    variance_dn2: tuple[float, float],
+    means: EarlyMeans | None = None,
+) -> TextureShift:
+    """Measure the texture's movement in one camera's frames (n, h, w) uint8; ``variance_dn2`` as in ``drift_map``.
+
+    ``means``: what ``early_means`` returned, where it was asked while the frames arrived.
+    """
+    bin_px, stride = _bins(frames.shape[2])
     x_axis, y_axis = sequence.axis(Direction.X), sequence.axis(Direction.Y)
-    first, second = mean(x_axis.sine), mean(y_axis.sine)
-    early = mean((sequence.bright, sequence.dark))
+    means = means or early_means(frames, sequence)
+    early, first, second = means.references, means.x, _mean(frames, y_axis.sine)
+    shape = first.shape
     middle = bin_px // 2
     valid = np.isfinite(decoded.p_px[middle::bin_px, middle::bin_px][: shape[0], : shape[1]])
     valid &= np.isfinite(decoded.q_px[middle::bin_px, middle::bin_px][: shape[0], : shape[1]])
@@ -122,15 +150,16 @@ def texture_shift(
         noise = float(dark + per_dn * np.mean(first[inside])) / pixels
         return _flow(_follow(first, second, valid, inside, 0.25 * noise), None, None, apart, bin_px)
     noise = float(dark + per_dn * np.mean(first[inside])) / pixels
-    change = _difference(first, second, inside, noise * (0.25 + 0.25))
-    early_change = _difference(early, first, inside, noise * (0.5 + 0.25))
+    judged = _judged(inside)
+    change = _difference(first, second, judged, noise * (0.25 + 0.25))
+    early_change = _difference(early, first, judged, noise * (0.5 + 0.25))
     locked = 0.0
     if max(change, early_change) > LOCKED_FROM:
         at = (slice(middle, None, bin_px), slice(middle, None, bin_px))
         fringes = _fringes(decoded, inside, sequence.period_px, at)
         before = max(change, early_change)
-        change = _difference(first, second, inside, noise * (0.25 + 0.25), fringes)
-        early_change = _difference(early, first, inside, noise * (0.5 + 0.25), fringes)
+        change = _difference(first, second, judged, noise * (0.25 + 0.25), fringes)
+        early_change = _difference(early, first, judged, noise * (0.5 + 0.25), fringes)
         locked = float(np.sqrt(max(before**2 - max(change, early_change) ** 2, 0.0)))
     flows = _follow(first, second, valid, inside, 0.25 * noise)
     return replace(_flow(flows, change, early_change, apart, bin_px), locked=locked)
@@ -176,23 +205,41 @@ def _fringes(decoded: CameraDecoder, inside: NDArray[np.bool_], period_px: int, 
     return _Fringes((np.minimum(p, LOCKED_BINS - 1).astype(np.int64), np.minimum(q, LOCKED_BINS - 1).astype(np.int64)))
 
 
+@dataclass(frozen=True, slots=True)
+class _Judged:
+    """Binned pixels, m of them, by which the texture's change is judged."""
+
+    shape: tuple[int, int]
+    place: NDArray[np.intp]
+    """(m,): flat numbers."""
+    around: NDArray[np.float32]
+    """(m,): share of the pixels around each that are judged as well."""
+
+
+def _judged(inside: NDArray[np.bool_]) -> _Judged:
+    place = np.flatnonzero(inside)
+    around = np.maximum(cv2.boxFilter(inside.astype(np.float32), -1, (9, 9)), 1e-3)
+    return _Judged((inside.shape[0], inside.shape[1]), place, np.asarray(around, np.float32).ravel()[place])
+
+
 def _difference(
     a: NDArray[np.float32],
     b: NDArray[np.float32],
-    inside: NDArray[np.bool_],
+    judged: _Judged,
     variance: float,
     fringes: _Fringes | None = None,
 ) -> float:
     """Return the RMS of b − gain · a without what is smooth, robust, in standard deviations of noise; and without what
     follows ``fringes``."""
-    gain = float(np.sum(a[inside] * b[inside]) / np.sum(a[inside] ** 2))
-    rest = np.where(inside, b - np.float32(gain) * a, np.float32(0.0))
-    weight = inside.astype(np.float32)
+    before, after = a.ravel()[judged.place], b.ravel()[judged.place]
+    gain = float(np.sum(before * after) / np.sum(before**2))
+    rest = after - np.float32(gain) * before
     if fringes is not None:
-        rest[inside] = fringes.without(rest[inside], a[inside])
-    smooth = cv2.boxFilter(rest, -1, (9, 9)) / np.maximum(cv2.boxFilter(weight, -1, (9, 9)), 1e-3)
+        rest = fringes.without(rest, before)
+    image = np.zeros(judged.shape, np.float32)
+    image.ravel()[judged.place] = rest
     # What is smooth is daylight; the finest grain is texture that moved, or noise.
-    high = (rest - smooth)[inside]
+    high = rest - np.asarray(cv2.boxFilter(image, -1, (9, 9))).ravel()[judged.place] / judged.around
     most = np.float32(CLIP) * np.float32(high.std())
     return float(np.clip(high, -most, most).std() / CLIPPED / np.sqrt(variance * gain**2))
 

@@ -11,7 +11,15 @@ from scipy.stats import median_abs_deviation
 
 from appliance.patterns.sequence import Direction, build_sequence
 from appliance.reconstruct.decode.decoder import CameraDecoder, Mask
-from appliance.verdict.motion.texture import TextureShift, _binned_mean, _difference, _follow, _texture, texture_shift
+from appliance.verdict.motion.texture import (
+    TextureShift,
+    _binned_mean,
+    _difference,
+    _follow,
+    _judged,
+    _texture,
+    texture_shift,
+)
 
 SEQUENCE = build_sequence(16)
 X_SINE, Y_SINE = SEQUENCE.axis(Direction.X).sine, SEQUENCE.axis(Direction.Y).sine
@@ -191,7 +199,7 @@ def test_a_difference_is_what_is_neither_gain_nor_smooth_nor_an_outlier() -> Non
     most = 2.5 * high.std()
     # Of a normal distribution, 0.986 is left between 2.5 standard deviations.
     wanted = np.clip(high, -most, most).std() / 0.986 / (gain * np.sqrt(0.7))
-    assert _difference(a, b, inside, 0.7) == pytest.approx(wanted, rel=1e-3)
+    assert _difference(a, b, _judged(inside), 0.7) == pytest.approx(wanted, rel=1e-3)
 
 
 def light_over_surroundings(image: np.ndarray, valid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -109,14 +109,13 @@ def test_an_edge_that_moved_is_known_from_ten_pixels_of_each_part_and_from_enoug
 def test_edges_of_what_lies_below_the_last_row_of_cells_are_added_nowhere() -> None:
     """Compiled code would write beyond the end of the sums and say nothing."""
     frames, decoder = striped(160, 120)
-    edge_px, rises = motion_edges._edges(SEQUENCE.patterns[GRAY_X[-1]].codes())
-    sums = np.zeros((ROWS + 1, COLUMNS, 8))
-    motion_edges._accumulate(
-        frames[GRAY_X[-1]], frames[0], frames[1], decoder.p_px, decoder.q_px, edge_px, rises, 1, 64.0, sums[:ROWS]
-    )
+    edges_px, rises = motion_edges.edges_of(SEQUENCE)
+    gray = np.array(GRAY_X, np.int64)
+    sums = np.zeros((len(GRAY_X), ROWS + 1, COLUMNS, 8))
+    motion_edges._accumulate(frames, (0, 1), gray, decoder.p_px, decoder.q_px, edges_px, rises, 1, 64.0, sums[:, :ROWS])
     assert (decoder.q_px > 256.0).any()
-    assert (sums[:ROWS] > 0.0).any()
-    assert (sums[ROWS] == 0.0).all()
+    assert (sums[:, :ROWS] > 0.0).any()
+    assert (sums[:, ROWS] == 0.0).all()
 
 
 def test_a_stripe_without_an_edge_has_none() -> None:
