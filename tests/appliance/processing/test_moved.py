@@ -50,7 +50,7 @@ class Worked:
 
 def worked(motion: Motion) -> Worked:
     scan = render_scan(
-        Scene("frustum", texture="slight", motion=motion), "nominal", 1, 240, 16, exposure_s=0.008, frame_s=FRAME_S
+        Scene("shell", texture="slight", motion=motion), "nominal", 1, 240, 16, exposure_s=0.008, frame_s=FRAME_S
     )
     calibration = true_calibration(scan.renderer.truth)
     with Pipeline(calibration, WATER, scan.sequence) as pipeline:
