@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import pickle
 import threading
 from collections.abc import Callable
 from importlib import import_module
@@ -20,12 +21,15 @@ class ChildGone(Exception):
     """The process ended by itself; its text says with which code."""
 
 
-def _begin(module: str, function: str, *arguments: Any) -> None:
-    """Run a function of a module that this process has not imported yet."""
+def _begin(module: str, function: str, pipe: Connection, packed: bytes) -> None:
+    """Run a function of a module that this process has not imported yet; ``packed`` are its arguments after the pipe."""
     use_one_blas_thread(os.environ)
     with importing():
         main = getattr(import_module(module), function)
-    main(*arguments)
+        # Opened here and not by the spawning: to open them imports the modules of their classes, and with them NumPy,
+        # which asks once and for all how many threads it may have.
+        arguments = pickle.loads(packed)
+    main(pipe, *arguments)
 
 
 class ChildProcess:
@@ -55,9 +59,10 @@ class ChildProcess:
 
     def start(self, *arguments: Any) -> None:
         """Start the process, with these arguments after its end of the pipe. Raises OSError where there is no room for one."""
+        packed = pickle.dumps(arguments)
         ours, theirs = self._context.Pipe()
         main = (self._main.__module__, self._main.__name__)
-        process = self._context.Process(target=_begin, name=self._name, args=(*main, theirs, *arguments), daemon=True)
+        process = self._context.Process(target=_begin, name=self._name, args=(*main, theirs, packed), daemon=True)
         try:
             process.start()
         except BaseException:

@@ -112,7 +112,7 @@ def test_one_that_hangs_is_killed(child: ChildProcess) -> None:
         os.kill(pid, 0)
 
 
-def tell_what_it_costs(pipe: Connection) -> None:
+def tell_what_it_costs(pipe: Connection, _: object) -> None:
     """Say how many threads the process has after a product of matrices, and how many objects the collector leaves alone."""
     large = np.ones((400, 400))
     assert (large @ large)[0, 0] == 400.0
@@ -122,7 +122,7 @@ def tell_what_it_costs(pipe: Connection) -> None:
 def test_it_turns_in_no_busy_loop_and_collects_no_imports(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(BLAS_THREADS, raising=False)
     child = ChildProcess("kf-test", tell_what_it_costs)
-    child.start()
+    child.start(np.float32(1.0))  # whose class is NumPy's: it must not be imported before the number of threads is known
     try:
         said = heard(child)
     finally:
