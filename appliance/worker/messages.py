@@ -57,7 +57,12 @@ class Ping:
 
 @dataclass(frozen=True, slots=True)
 class Ready:
-    """The worker's report: kernels are loaded and buffers allocated."""
+    """The worker's report: what every scan needs is loaded, and buffers are allocated."""
+
+
+@dataclass(frozen=True, slots=True)
+class Loaded:
+    """The worker's report, some time after ``Ready``: what only some scans need is loaded, too."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,6 +142,7 @@ class Crashed:
 ToWorker = Begin | FrameStored | Finish | Drop | CloudCopied | Ping
 FromWorker = (
     Ready
+    | Loaded
     | Pong
     | GoingOn
     | PatternsIdentified

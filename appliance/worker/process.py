@@ -32,6 +32,7 @@ from appliance.worker.messages import (
     FrameStored,
     FromWorker,
     GoingOn,
+    Loaded,
     PatternsIdentified,
     Ping,
     Pong,
@@ -181,6 +182,8 @@ class ReconstructionWorker:
         """Time at which it said something last, or was asked to."""
         self._ping_sent = False
         self._memory_check_ns = 0
+        self._loaded_by_ns: int | None = None
+        """Time by which a process that is ready has loaded what only some scans need; ``None``: it has."""
         self._progress_check_ns = 0
         self._start_cpu_s = 0.0
         self._patience_ns = 0
@@ -346,6 +349,9 @@ class ReconstructionWorker:
                 if self._finishing:
                     self._await_cloud()
                 return WorkerReady()
+            case Loaded():
+                self._loaded_by_ns = None
+                return None
             case Pong():
                 return None
             case Crashed(text):
@@ -415,6 +421,13 @@ class ReconstructionWorker:
         self._deadline_ns = now_ns + int(self.limits.cloud_s * 1e9)
         return True
 
+    def _loads(self, now_ns: int) -> bool:
+        """Tell whether a process that is ready, but has not loaded everything yet, was at it since it was asked or looked at last."""
+        if self._loaded_by_ns is None or now_ns > self._loaded_by_ns:
+            return False
+        before_s, self._step_cpu_s = self._step_cpu_s, self._used_s()
+        return self._step_cpu_s - before_s >= COMPUTING_SHARE * self.limits.alive_s
+
     def _tell_again(self) -> None:
         """Tell the process of all frames of the scan, from the first on."""
         self._missed = False
@@ -441,9 +454,14 @@ class ReconstructionWorker:
         waited_s = (now_ns - self._alive_ns) / 1e9
         # Asked only while nothing is awaited: a worker that computes reads no messages.
         if self._ping_sent and waited_s > self.limits.alive_s:
+            # It reads no messages while it loads a piece; in the worst case that is compiled first.
+            if self._loads(now_ns):
+                self._alive_ns = now_ns
+                return None
             return self._restart(f"it gave no sign of life for {self.limits.alive_s:g} s")
         if not self._ping_sent and waited_s > PING_S:
             self._alive_ns, self._ping_sent = now_ns, True
+            self._step_cpu_s = self._used_s()
             self._send(Ping())
         return None
 
@@ -451,7 +469,8 @@ class ReconstructionWorker:
         if self.pid is None or now_ns < self._memory_check_ns:
             return None
         self._memory_check_ns = now_ns + int(MEMORY_CHECK_S * 1e9)
-        most_mb = self.limits.start_memory_mb if self._starting else self.limits.memory_mb
+        loading = self._starting or self._loaded_by_ns is not None
+        most_mb = self.limits.start_memory_mb if loading else self.limits.memory_mb
         # None: it has just ended, which the pipe will say.
         used_mb = own_memory_mb(self.pid)
         if used_mb is None or used_mb <= most_mb:
@@ -495,7 +514,7 @@ class ReconstructionWorker:
         )
         self._starting, self._knows_first = True, False
         self._alive_ns, self._ping_sent = self._clock.now_ns(), False
-        self._deadline_ns = self._alive_ns + int(self.limits.start_s * 1e9)
+        self._deadline_ns = self._loaded_by_ns = self._alive_ns + int(self.limits.start_s * 1e9)
         self._start_cpu_s = 0.0
 
     def _start_again(self) -> None:

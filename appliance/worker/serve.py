@@ -5,6 +5,7 @@ Whatever goes wrong here ends the process with a last message that names it; the
 
 from __future__ import annotations
 
+import ctypes
 import gc
 import os
 import resource
@@ -12,8 +13,9 @@ import signal
 import sys
 import time
 from collections import deque
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from functools import partial
 from multiprocessing.connection import Connection
 from multiprocessing.shared_memory import SharedMemory
 from pathlib import Path
@@ -51,6 +53,7 @@ from appliance.worker.messages import (
     FrameStored,
     FromWorker,
     GoingOn,
+    Loaded,
     PatternsIdentified,
     Ping,
     Pong,
@@ -60,7 +63,7 @@ from appliance.worker.messages import (
     Spoiled,
     ToWorker,
 )
-from appliance.worker.warm import run_what_an_empty_scan_does_not
+from appliance.worker.warm import compiler_watched, what_an_empty_scan_does_not_run
 
 NICENESS = 5
 """Priority of the process, behind the heartbeat and the cameras."""
@@ -112,13 +115,22 @@ def _work(
         # So that the first real scan is as fast as the others.
         with _missing("scipy.linalg"):
             nothing = np.zeros(store.shape, np.uint8)
-            processor.process(dict.fromkeys(SIDES, nothing), AcquisitionSettings())
-            run_what_an_empty_scan_does_not(sequence, nothing)
-        # Behind the warm-up: what compiler and kernels have taken until then is allowed for.
-        limit_memory(headroom_mb)
+            with compiler_watched() as compiled:
+                processor.process(dict.fromkeys(SIDES, nothing), AcquisitionSettings())
+        give_back_memory()
+        remaining: tuple[Callable[[], object], ...] = (
+            *what_an_empty_scan_does_not_run(sequence),
+            give_back_memory,
+            partial(limit_memory, headroom_mb),
+        )
+        if compiled():
+            # Not in the pauses of the first scans: what is compiled takes half a minute, not a fraction of a second.
+            for run in remaining:
+                run()
+            remaining = ()
         pipe.send(Ready())
         try:
-            Server(pipe, processor, store).serve()
+            Server(pipe, processor, store, remaining).serve()
         except (EOFError, OSError):
             raise
         except Exception as error:  # the one place where it can still be named
@@ -142,6 +154,15 @@ def _missing(module: str) -> Iterator[None]:
         del sys.modules[module]
 
 
+def give_back_memory() -> None:
+    """Give pages that were needed to make tables and to load kernels, and that nothing lies in any more, back to the machine.
+
+    glibc keeps what was freed between two things that stay: 40 MB after the start. Elsewhere than with glibc nothing happens.
+    """
+    with suppress(AttributeError, OSError):
+        ctypes.CDLL(None).malloc_trim(0)
+
+
 def limit_memory(headroom_mb: float) -> None:
     """Let the kernel refuse private memory beyond what this process has now; what it shares with others does not count.
 
@@ -160,8 +181,19 @@ def limit_memory(headroom_mb: float) -> None:
 class Server:
     """Does what the messages say, in order. A sequence that is dropped, or followed by another, is not finished."""
 
-    def __init__(self, pipe: Connection, processor: SequenceProcessor, store: FrameStore) -> None:
+    def __init__(
+        self,
+        pipe: Connection,
+        processor: SequenceProcessor,
+        store: FrameStore,
+        left: Iterable[Callable[[], object]] = (),
+    ) -> None:
+        """``left``: what remains to be loaded; done piece by piece while nothing else is, then said to be ``Loaded``."""
         self._pipe, self._processor, self._store = pipe, processor, store
+        self._left: deque[Callable[[], object]] | None = deque(left)
+        """``None``: all of it is loaded, and that was said."""
+        self._in_hand = False
+        """A sequence was begun and is neither finished nor dropped."""
         self._ticket = 0
         """The sequence in work, as the parent numbers them."""
         self._failed = False
@@ -176,17 +208,29 @@ class Server:
     def serve(self) -> None:
         """Serve until the pipe closes: then EOFError or OSError is raised."""
         while True:
-            message = self._put_back.popleft() if self._put_back else self._pipe.recv()
+            message = self._put_back.popleft() if self._put_back else self._hear()
             try:
                 self._do(message)
             except ValueError as error:  # the frames are not what was agreed; the next scan's may be
-                self._failed, self._steps = True, None
+                self._failed, self._in_hand, self._steps = True, False, None
                 self._say(SequenceFailed(self._ticket, str(error)))
+
+    def _hear(self) -> ToWorker:
+        """Return the next message; while there is none, and no sequence in hand, load what is left."""
+        while self._left is not None and not self._in_hand and not self._pipe.poll(0.0):
+            if self._left:
+                self._left.popleft()()
+            else:
+                self._left = None
+                self._say(Loaded())
+        message: ToWorker = self._pipe.recv()
+        return message
 
     def _do(self, message: ToWorker) -> None:
         match message:
             case Begin(ticket, settings, second):
                 self._ticket, self._failed, self._second = ticket, False, second
+                self._in_hand = True
                 if not second:
                     self._first = None
                 elif self._first is None:
@@ -197,13 +241,14 @@ class Server:
             case FrameStored(side, index) if not self._failed:
                 self._processor.push(side, self._store.frames(side, second=self._second), index)
             case Finish() if not self._failed:
+                self._in_hand = False
                 if self._first is None:
                     self._finish()
                 else:
                     self._finish_bracket(self._first)
             case Drop():
                 # What still comes of this sequence (frames on their way, Finish) is passed over until the next Begin.
-                self._failed = True
+                self._failed, self._in_hand = True, False
             case Ping():
                 self._say(Pong())
             case _:

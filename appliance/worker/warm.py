@@ -7,11 +7,13 @@ the tests compare both ways kernel by kernel. numba compiles an array that canno
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
+from numba.core import event
 from numpy.typing import NDArray
 
 from appliance.calibration.design import Design, design_calibration
@@ -49,15 +51,30 @@ _ALONG_MM = -0.67
 """Way per frame that makes the steps of the phase so small that the albedo is asked for: 40 mm/s at 60 Hz."""
 
 
-def run_what_an_empty_scan_does_not(sequence: PatternSequence, frames: NDArray[np.uint8]) -> None:
-    """Run the kernels for bent fringes, motion, changing light, backscatter and a second exposure; else the first scan that has
-    some would wait for a compiler."""
-    straighten.warm_up()
-    compensate_wall()
-    warm_light()
-    warm_backscatter(sequence, frames, TYPICAL)
-    warm_veil()
-    _run_pair()
+def what_an_empty_scan_does_not_run(
+    sequence: PatternSequence, *, writable: bool = True
+) -> tuple[Callable[[], object], ...]:
+    """Return what runs the kernels for bent fringes, changing light, backscatter, motion and a second exposure; else the first scan
+    that has some would wait for a compiler. Each loads for a fraction of a second; what more scans need comes first."""
+    # Types decide what is loaded, not sizes: large pictures of nothing would only have to be paged in.
+    frames = np.zeros((len(sequence), *reversed(_SIZE_PX)), np.uint8)
+    frames.flags.writeable = writable
+    return (
+        straighten.warm_up, warm_light, partial(warm_backscatter, sequence, frames, TYPICAL), warm_veil, compensate_wall, _run_pair,
+    )  # fmt: skip
+
+
+def run_what_an_empty_scan_does_not(sequence: PatternSequence, *, writable: bool = True) -> None:
+    """Run all of them."""
+    for run in what_an_empty_scan_does_not_run(sequence, writable=writable):
+        run()
+
+
+@contextmanager
+def compiler_watched() -> Iterator[Callable[[], bool]]:
+    """Watch numba inside; yields what tells whether it had to compile anything that no cache had."""
+    with event.install_recorder("numba:compile") as recorder:
+        yield lambda: bool(recorder.buffer)
 
 
 def _run_pair() -> None:
@@ -157,7 +174,7 @@ def run_every_kernel() -> None:
             processor = SequenceProcessor(pipeline, calibration, _WATER)
             processor.process(dict.fromkeys(SIDES, frames), AcquisitionSettings())
             _mask_specks(pipeline, frames)
-            run_what_an_empty_scan_does_not(pipeline.sequence, frames)
+            run_what_an_empty_scan_does_not(pipeline.sequence, writable=writable)
 
 
 def _find_points(*, writable: bool) -> None:

@@ -122,7 +122,9 @@ def tell_what_it_costs(pipe: Connection, _: object) -> None:
 def test_it_turns_in_no_busy_loop_and_collects_no_imports(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(BLAS_THREADS, raising=False)
     child = ChildProcess("kf-test", tell_what_it_costs)
-    child.start(np.float32(1.0))  # whose class is NumPy's: it must not be imported before the number of threads is known
+    child.start(
+        np.float32(1.0)
+    )  # whose class is NumPy's: it must not be imported before the number of threads is known
     try:
         said = heard(child)
     finally:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import pickle
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
@@ -35,6 +36,7 @@ from appliance.worker.messages import (
     Finish,
     FrameStored,
     GoingOn,
+    Loaded,
     PatternsIdentified,
     Ping,
     Pong,
@@ -75,7 +77,7 @@ class ScriptedProcess:
     """A process as ``multiprocessing`` shows it, at the other end of a real pipe: it says what the test tells it to."""
 
     def __init__(self, machine: Machine, arguments: tuple[Any, ...]) -> None:
-        self._machine, self._theirs, self.arguments = machine, arguments[2], arguments[3:]
+        self._machine, self._theirs, self.arguments = machine, arguments[2], pickle.loads(arguments[3])
         self.pid, self.exitcode = 4711, 0
         self.killed = False
         self.waits_s: list[float] = []
@@ -152,6 +154,7 @@ class Desk:
 
     def ready(self) -> None:
         assert self.after(0.0, Ready()) == WorkerReady()
+        assert self.after(0.0, Loaded()) is None
 
 
 @pytest.fixture
@@ -531,3 +534,36 @@ def test_the_points_are_those_in_the_shared_memory(desk: Desk) -> None:
     del table
     assert isinstance(event, CloudReady)
     assert event.cloud.points_mm.ravel().tolist() == list(range(9))
+
+
+def test_a_process_that_still_loads_is_waited_for_and_may_take_the_memory_of_a_start(desk: Desk) -> None:
+    assert desk.after(0.0, Ready()) == WorkerReady()
+    desk.memory_mb = 1400.0
+    for _ in range(20):
+        desk.cpu_s += 2.0
+        assert desk.after(3.0) is None, "it may be compiling, reads no messages, and takes the compiler's memory"
+    assert desk.after(0.0, Loaded()) is None
+    failed = desk.after(1.5)
+    assert isinstance(failed, WorkerFailed)
+    assert "1400 MB" in failed.fault.detail
+    assert desk.after(0.0, Ready()) == WorkerReady(), "the next one loads anew"
+    assert desk.after(1.5) is None
+    desk.memory_mb = 100.0
+
+
+def test_a_process_that_hangs_while_it_loads_is_started_again(desk: Desk) -> None:
+    assert desk.after(0.0, Ready()) == WorkerReady()
+    assert desk.after(1.5) is None, "it is asked"
+    desk.cpu_s += 2.0
+    assert desk.after(6.0) is None, "it computes"
+    failed = desk.after(6.0)
+    assert isinstance(failed, WorkerFailed)
+    assert "sign of life" in failed.fault.detail
+
+
+def test_a_process_that_loads_for_ever_is_started_again(desk: Desk) -> None:
+    assert desk.after(0.0, Ready()) == WorkerReady()
+    desk.cpu_s += 300.0
+    assert desk.after(desk.worker.limits.start_s + 1.0) is None, "it is asked"
+    desk.cpu_s += 300.0
+    assert isinstance(desk.after(desk.worker.limits.alive_s + 1.0), WorkerFailed)

@@ -50,7 +50,7 @@ def warm() -> Iterator[None]:
     nothing = np.zeros((len(sequence), 150, 200), np.uint8)
     with Pipeline(calibration, WATER, sequence) as pipeline:
         SequenceProcessor(pipeline, calibration, WATER).process(dict.fromkeys(SIDES, nothing), AcquisitionSettings())
-        run_what_an_empty_scan_does_not(sequence, nothing)
+        run_what_an_empty_scan_does_not(sequence)
         yield
 
 

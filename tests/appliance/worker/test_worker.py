@@ -205,7 +205,7 @@ def spoil(worker: ReconstructionWorker, how: str) -> None:
             signal_worker(worker, signal.SIGSTOP)
         case "grown":
             hold(worker)  # it might be done before anybody measures
-            worker.limits = replace(GOOD, memory_mb=20.0)
+            worker.limits = replace(GOOD, memory_mb=20.0, start_memory_mb=20.0)  # whether it still loads or not
         case "raises":
             worker.frame("middle", 0)
         case _:
