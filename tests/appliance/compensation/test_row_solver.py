@@ -14,7 +14,7 @@ from appliance.compensation.displacement import (
     Q_OF_T,
     DisplacementField,
 )
-from appliance.compensation.phase_solver import FIRST_GRAY, RedecodedMaps, Sources, Terms, solve_rows
+from appliance.compensation.phase_solver import FIRST_GRAY, RedecodedMaps, Sources, Terms, _add_to_sums, solve_rows
 from appliance.compensation.redecode import empty_maps, sees_fringes
 from appliance.patterns.sequence import Direction, build_sequence
 from appliance.reconstruct.decode.decoder import MIN_MODULATION_DN
@@ -184,21 +184,17 @@ def test_pixels_that_no_fringe_comes_near_are_not_asked() -> None:
 
 
 def test_pixels_whose_steps_are_next_to_nothing_do_not_spoil_what_is_known_of_the_light() -> None:
-    # A hand along with the fringes: in some columns the four sines show the same phase, and 32 bits make anything of their offset.
-    sources, field, terms = moving_plane()
-    albedo = np.full((HEIGHT, WIDTH), 153.0, np.float32)
-    lit = sources._replace(
-        albedo_dn=albedo, backscatter_dn=np.full_like(albedo, 20.0), albedo_variance_dn2=np.full_like(albedo, 1.0)
-    )
-
-    def told(field: DisplacementField) -> np.ndarray:
-        sums, every = np.zeros((2, 2)), solved(sources, field, terms)
-        solve_rows(lit, field, np.ones(8, np.float32), terms, 1, HEIGHT, 2, every, sums)
-        return sums[:, 0] / sums[:, 1]
-
-    nodes = field.nodes.copy()
-    for k in range(4):
-        nodes[:, 6:12, FIRST_FRAME + FRAME_COEFFICIENTS * k + OF_PHASE] = -0.25 * k + 1e-5 * (k == 2)
-    harmonic, mean = told(DisplacementField(nodes, STEP))
-    assert mean == pytest.approx(told(field)[1], rel=0.02)
-    assert abs(harmonic) < 0.05
+    # A hand along with the fringes: what 32 bits make of the offset of four equal phases has any variance, also a negative one.
+    sources, _, _ = moving_plane()
+    albedo = np.full((HEIGHT, WIDTH), 150.0, np.float32)
+    lit = sources._replace(albedo_dn=albedo, backscatter_dn=np.full_like(albedo, 20.0), albedo_variance_dn2=albedo)
+    s = np.zeros(at.SIZE, np.float32)
+    s[at.CONTRARY : at.CONTRARY + WIDTH], s[at.RESPONSE : at.RESPONSE + WIDTH] = 0.5, 10.0
+    s[at.PLAIN_OFFSET : at.PLAIN_OFFSET + WIDTH], s[at.PLAIN_SHARE : at.PLAIN_SHARE + WIDTH] = 95.0, 0.25
+    for x, share, offset_dn, response in (
+        (10, -1e-3, 4e5, 10.0), (20, np.inf, np.inf, 1e9), (30, np.nan, np.nan, np.nan), (40, 1e5, -1e8, 1e7),
+    ):  # fmt: skip
+        s[at.PLAIN_SHARE + x], s[at.PLAIN_OFFSET + x], s[at.RESPONSE + x] = share, offset_dn, response
+    sums = np.zeros((2, 2))
+    _add_to_sums.py_func(lit, 3, 0, WIDTH, True, s, sums)
+    assert sums[:, 0] / sums[:, 1] == pytest.approx([0.05, 0.5])
