@@ -25,6 +25,7 @@ from appliance.reconstruct.scratch import MAX_WIDTH_PX
 Scratch = NDArray[np.float32]
 
 _SLOT = MAX_WIDTH_PX + 272
+_BEGIN = 8
 _NAMES = 45
 (
     DEPTH, U, V, TURNS,  # t at the round's beginning; of the frame that is read: place, change of phase
@@ -36,7 +37,7 @@ _NAMES = 45
     P_0, P_1, P_2,  # the parabola of p
     ORDER, AGREED, GRAY,  # fringe order, whether all Gray images so far bear it out (1 or 0), grey value of the one at hand
     COLUMN, NEARER, LINE, SETTLED,  # p, the depth that follows from it, q there; 1 where the round was the last one
-) = (k * _SLOT + 8 for k in range(_NAMES))  # fmt: skip
+) = (k * _SLOT + _BEGIN for k in range(_NAMES))  # fmt: skip
 SIZE = _NAMES * _SLOT
 """Number of places in a scratch row."""
 _NAN, _ZERO, _QUARTER, _HALF, _ONE, _TWO, _THREE, _FOUR, _SIX = (

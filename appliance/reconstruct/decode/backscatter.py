@@ -248,12 +248,18 @@ def scale_of(contrast: float, light_per_sines: float, noise: CameraNoise) -> Fri
 def any_backscatter(
     sequence: PatternSequence, frames: NDArray[np.uint8], mask: NDArray[np.uint8], scale: FringeScale
 ) -> bool:
-    """Tell whether enough decoded pixels show backscatter of half their object's light for a bit to be wrong."""
+    """Tell whether enough decoded pixels show backscatter of half their object's light for a bit to be wrong.
+
+    What moves between the images shows some pixels more light than their fringes tell, too, and others as much less; water shows
+    none less. So pixels of the second kind are taken off.
+    """
     at = _few(mask.shape)
     pixels = sample_pixels(sequence, frames, at, scale)
     valid = mask[at] == 0
-    veiled = valid & (pixels.light_dn > (1.0 + HALF_VEIL) * pixels.object_dn + NOISE_SIGMAS * pixels.noise_dn)
-    return bool(np.count_nonzero(veiled) > FEW * max(int(np.count_nonzero(valid)), 1))
+    noise_dn = NOISE_SIGMAS * pixels.noise_dn
+    more = np.count_nonzero(valid & (pixels.light_dn > (1.0 + HALF_VEIL) * pixels.object_dn + noise_dn))
+    less = np.count_nonzero(valid & (pixels.object_dn > (1.0 + HALF_VEIL) * pixels.light_dn + noise_dn))
+    return bool(more - less > FEW * max(int(np.count_nonzero(valid)), 1))
 
 
 def _few(shape: tuple[int, ...]) -> tuple[slice, slice]:

@@ -345,7 +345,7 @@ def test_the_watchdog_waits_longer_than_the_worker_does_itself(desk: Desk) -> No
 def test_memory_is_looked_at_twice_a_second_and_a_compiler_may_take_more(desk: Desk) -> None:
     desk.memory_mb = 1500.0
     assert desk.after(0.0) is None, "it may compile kernels"
-    desk.memory_mb = 600.0
+    desk.memory_mb = 1000.0
     desk.ready()
     begun = len(desk.asked)
     for _ in range(24):
@@ -353,8 +353,8 @@ def test_memory_is_looked_at_twice_a_second_and_a_compiler_may_take_more(desk: D
     assert 10 <= len(desk.asked) - begun <= 12
     desk.memory_mb = None
     assert desk.after(0.5) is None, "it has just ended, which the pipe will say"
-    desk.memory_mb = 601.0
-    assert failed(desk.after(0.5), "it took 601 MB of memory; allowed are 600 MB") is None
+    desk.memory_mb = 1001.0
+    assert failed(desk.after(0.5), "it took 1001 MB of memory; allowed are 1000 MB") is None
     desk.memory_mb = 1501.0
     assert failed(desk.after(0.5), "it took 1501 MB of memory; allowed are 1500 MB") is None
 
@@ -458,7 +458,7 @@ def test_another_order_starts_another_process_in_which_no_scan_is_in_work(desk: 
             (other.name, N + 1, 300, 400),
             desk.machine.started[0].arguments[5],
         )
-    assert desk.child.arguments[6] == 600.0
+    assert desk.child.arguments[6] == 1000.0
     assert (desk.worker.order, desk.worker.restarts) == (order, 0)
     assert desk.after(0.0, PatternsIdentified(1)) is None
 

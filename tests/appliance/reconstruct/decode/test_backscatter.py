@@ -113,3 +113,15 @@ def test_clear_water_is_read_once(clear: RenderedScan) -> None:
     left = read(clear, clear.frames["left"])
     assert not left.again
     assert np.array_equal(left.p_px, left.decoder.p_px, equal_nan=True)
+
+
+def test_paint_that_moves_in_clear_water_is_no_backscatter(clear: RenderedScan) -> None:
+    """A scan that moved was read twice, for a tenth of a second and more: at borders of paint it is as if there were light beside the fringes."""
+    moved = clear.frames["left"].copy()
+    for k in (clear.sequence.bright, clear.sequence.dark):
+        moved[k] = np.roll(moved[k], 4, axis=1)
+    left = read(clear, moved)
+    assert not left.again
+    # There is much of it.
+    bright, before = (frames[clear.sequence.bright].astype(np.int64) for frames in (moved, clear.frames["left"]))
+    assert np.mean(np.abs(bright - before) > 20) > 0.05
