@@ -469,8 +469,8 @@ class ReconstructionWorker:
         if self.pid is None or now_ns < self._memory_check_ns:
             return None
         self._memory_check_ns = now_ns + int(MEMORY_CHECK_S * 1e9)
-        loading = self._starting or self._loaded_by_ns is not None
-        most_mb = self.limits.start_memory_mb if loading else self.limits.memory_mb
+        # What it loads once it is ready is compiled; a compiler's memory it needs before.
+        most_mb = self.limits.start_memory_mb if self._starting else self.limits.memory_mb
         # None: it has just ended, which the pipe will say.
         used_mb = own_memory_mb(self.pid)
         if used_mb is None or used_mb <= most_mb:

@@ -118,7 +118,8 @@ def read_through_backscatter(
     weakest_dn: float,
 ) -> bool:
     """Write the half periods of the pattern columns (h, w) uint8, and into ``doubtful`` (h, w) uint8 a 1 where a bit cannot be told,
-    a 2 where there is too little light to ask: a modulation below ``weakest_dn`` grey values.
+    a 2 where there is too little light to ask: a modulation below ``weakest_dn`` grey values where backscatter is half of the object's light
+    and more, below ``MIN_MODULATION_DN`` elsewhere.
 
     ``frames`` (n, h, w) uint8 are one camera's; ``mask`` (h, w) is as decoding them left it. Returns False, with nothing
     written, where the backscatter is too weak to have turned a bit.
@@ -422,8 +423,8 @@ def _number(
     """Write half periods, bits in doubt, and whether they matter (_DOUBT; _UNSEEN where nothing is seen), (h, w) each."""
     rows, columns = half_period.shape
     last_y, last_x = shares.shape[1] - 1, shares.shape[2] - 1
-    # The vector of both differences is twice the modulation.
-    weak = np.float32(4.0) * weakest_dn * weakest_dn
+    # The vector of both differences is twice the modulation. Where fringes are weak though hardly any light is the water's, it is dark.
+    weak, dark_weak = np.float32(4.0) * weakest_dn * weakest_dn, np.float32((2.0 * MIN_MODULATION_DN) ** 2)
     own = np.empty(columns, np.float32)
     veil = np.empty(columns, np.float32)
     room = np.empty(columns, np.float32)
@@ -454,7 +455,9 @@ def _number(
             doubt[x] += max(apart - np.float32(0.5) * own[x], np.float32(0.0))
             room[x] = np.float32(0.5) * own[x] + max(np.float32(BEYOND) * own[x], apart)
             sure[x] = np.float32(SURE) * told - np.float32(NOISE_SIGMAS) * sigma
-            unseen[x] = (light < np.float32(MIN_LIGHT_DN)) | (cosine * cosine + quadrature * quadrature < weak)
+            squared = cosine * cosine + quadrature * quadrature
+            limit = weak if veil[x] >= np.float32(HALF_VEIL) * own[x] else dark_weak
+            unseen[x] = (light < np.float32(MIN_LIGHT_DN)) | (squared < limit)
             code[x], soft[x] = 0, 0
         # Bit by bit: code takes the bits, soft a 1 where a bit is in doubt.
         for k in range(gray.size):

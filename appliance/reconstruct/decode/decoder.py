@@ -200,6 +200,7 @@ class CameraDecoder:
         self._begin(frames)
         obscured = (doubtful == 1) & (self.mask == Mask.VALID)
         self.mask[obscured] = Mask.CONTRADICTION
+        self.mask[(doubtful == 2) & (self.mask == Mask.VALID)] = Mask.WEAK
         self.backscatter_pixels = int(np.count_nonzero(obscured))
         for direction in Direction:
             if direction is Direction.X:
