@@ -469,7 +469,7 @@ class ReconstructionWorker:
         if self.pid is None or now_ns < self._memory_check_ns:
             return None
         self._memory_check_ns = now_ns + int(MEMORY_CHECK_S * 1e9)
-        # What it loads once it is ready is compiled; a compiler's memory it needs before.
+        # A process that has to compile does so before it is ready; loading what is compiled takes no more than scans do.
         most_mb = self.limits.start_memory_mb if self._starting else self.limits.memory_mb
         # None: it has just ended, which the pipe will say.
         used_mb = own_memory_mb(self.pid)

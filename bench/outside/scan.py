@@ -75,12 +75,6 @@ def data_sheet(scene: Scene, gain_db: float) -> StereoNoise:
     return StereoNoise(one, one)
 
 
-def unstated(gain_db: float) -> StereoNoise:
-    """Return the noise of a rig file into which nobody has entered the cameras' data sheet."""
-    one = camera_noise(SHEET_FULL_WELL_E, SHEET_READ_NOISE_E, BLACK_DN, gain_db)
-    return StereoNoise(one, one)
-
-
 def worked_through(
     frames: Frames, calibration: Calibration, water: Water, exposure: Exposure, noise: StereoNoise,
     sequence: PatternSequence = SEQUENCE,

@@ -78,7 +78,8 @@ MIN_CLEAR = 20
 HALF_VEIL, FEW = 0.5, 0.005
 """Backscatter of half the object's light in less than this share of the decoded pixels endangers no bit."""
 _ZERO_BIT, _ONE_BIT, _OPEN, _NONE = np.uint8(0), np.uint8(1), np.uint8(2), np.uint8(3)
-_SURE, _DOUBT, _UNSEEN = np.uint8(0), np.uint8(1), np.uint8(2)
+_SURE, DOUBT, UNSEEN = np.uint8(0), np.uint8(1), np.uint8(2)
+"""A pixel's Gray bits are known well enough; too badly for its half period; not at all, for it has too little light."""
 _FULL, _SHADOW, _SATURATED = np.uint8(FULL_DN), np.uint8(1), np.uint8(2)
 
 
@@ -115,23 +116,23 @@ def read_through_backscatter(
     noise: CameraNoise,
     half_period: NDArray[np.uint8],
     doubtful: NDArray[np.uint8],
-    weakest_dn: float,
-) -> bool:
-    """Write the half periods of the pattern columns (h, w) uint8, and into ``doubtful`` (h, w) uint8 a 1 where a bit cannot be told,
-    a 2 where there is too little light to ask: a modulation below ``weakest_dn`` grey values where backscatter is half of the object's light
-    and more, below ``MIN_MODULATION_DN`` elsewhere.
+) -> float | None:
+    """Write the half periods of the pattern columns (h, w) uint8, and into ``doubtful`` (h, w) uint8 ``DOUBT`` where a bit cannot be told,
+    ``UNSEEN`` where there is too little light to ask.
 
-    ``frames`` (n, h, w) uint8 are one camera's; ``mask`` (h, w) is as decoding them left it. Returns False, with nothing
-    written, where the backscatter is too weak to have turned a bit.
+    Too little is a modulation below the weakest one that noise allows, where backscatter is half of the object's light and more, and below
+    ``MIN_MODULATION_DN`` elsewhere. ``frames`` (n, h, w) uint8 are one camera's; ``mask`` (h, w) is as decoding them left it.
+    Returns the weakest modulation, in grey values; ``None``, with nothing written, where the backscatter is too weak to have turned a bit.
     """
     scale = fringe_scale(sequence, frames, mask, noise)
     if scale is None or not any_backscatter(sequence, frames, mask, scale):
-        return False
+        return None
+    weakest_dn = _weakest_modulation_dn(sequence, frames, mask, noise)
     _read(sequence, frames, scale, half_period, doubtful, weakest_dn)
-    return True
+    return weakest_dn
 
 
-def weakest_modulation_dn(
+def _weakest_modulation_dn(
     sequence: PatternSequence, frames: NDArray[np.uint8], mask: NDArray[np.uint8], noise: CameraNoise
 ) -> float:
     """Return the modulation at which the phase of one camera's pixels has ``MAX_PHASE_ERROR_PERIODS``, at most ``MIN_MODULATION_DN``.
@@ -420,7 +421,7 @@ def _number(
     soft_bits: NDArray[np.uint8],
     doubtful: NDArray[np.uint8],
 ) -> None:
-    """Write half periods, bits in doubt, and whether they matter (_DOUBT; _UNSEEN where nothing is seen), (h, w) each."""
+    """Write half periods, bits in doubt, and whether they matter (DOUBT; UNSEEN where nothing is seen), (h, w) each."""
     rows, columns = half_period.shape
     last_y, last_x = shares.shape[1] - 1, shares.shape[2] - 1
     # The vector of both differences is twice the modulation. Where fringes are weak though hardly any light is the water's, it is dark.
@@ -487,4 +488,4 @@ def _number(
                 wrapped = np.arctan2(np.float32(i3[x]) - np.float32(i1[x]), np.float32(i0[x]) - np.float32(i2[x]))
                 wrapped *= np.float32(0.5 / np.pi)
                 lost = periods(number, wrapped) != periods(turned, wrapped)
-            doubtful[y, x] = _UNSEEN if unseen[x] else (_DOUBT if lost else _SURE)
+            doubtful[y, x] = UNSEEN if unseen[x] else (DOUBT if lost else _SURE)

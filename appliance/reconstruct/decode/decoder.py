@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.patterns.sequence import Direction, Kind, PatternSequence
-from appliance.reconstruct.decode.backscatter import read_through_backscatter, weakest_modulation_dn
+from appliance.reconstruct.decode.backscatter import DOUBT, UNSEEN, read_through_backscatter
 from appliance.reconstruct.decode.edges import close_axis
 from appliance.reconstruct.decode.gray_code import BITS_AT_ONCE, add_bit, number_half_periods, threshold
 from appliance.reconstruct.decode.illuminated import find_illuminated_columns
@@ -193,14 +193,15 @@ class CameraDecoder:
         Returns False, with the maps as they were, where it does so nowhere; this takes a millisecond. See ``backscatter``.
         """
         columns, doubtful = np.empty((2, *self._shape), np.uint8)
-        weakest_dn = weakest_modulation_dn(self._sequence, frames, self.mask, noise)
-        if not read_through_backscatter(self._sequence, frames, self.mask, noise, columns, doubtful, weakest_dn):
+        weakest_dn = read_through_backscatter(self._sequence, frames, self.mask, noise, columns, doubtful)
+        if weakest_dn is None:
             return False
         # A camera's ray crosses the stripes of X and stays within one of Y: only bits of X follow the water.
         self._begin(frames)
-        obscured = (doubtful == 1) & (self.mask == Mask.VALID)
+        lit = self.mask == np.uint8(Mask.VALID)
+        obscured = lit & (doubtful == DOUBT)
         self.mask[obscured] = Mask.CONTRADICTION
-        self.mask[(doubtful == 2) & (self.mask == Mask.VALID)] = Mask.WEAK
+        self.mask[lit & (doubtful == UNSEEN)] = Mask.WEAK
         self.backscatter_pixels = int(np.count_nonzero(obscured))
         for direction in Direction:
             if direction is Direction.X:
