@@ -15,10 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.patterns.sequence import Direction, PatternSequence
+from appliance.reconstruct.decode.decoder import CameraDecoder
 from appliance.reconstruct.grid import PixelGrid
 from appliance.scan.noise import CameraNoise
 from appliance.verdict.identity.lines import Lines, LineTaker
 from appliance.verdict.light.levels import Sample, Sampler
+from appliance.verdict.motion.cells import RunSums, run_sums
 from appliance.verdict.motion.texture import EarlyMeans, early_means
 from appliance.verdict.sight.judge import VisibleFringes, see
 from appliance.verdict.water.backscatter import water_grid
@@ -37,6 +39,8 @@ class Gathered:
     """Fringes that are seen without decoding."""
     means: EarlyMeans
     """Images of texture for the judge of motion."""
+    runs: RunSums
+    """Sums of pixels of the sine images of X, for the same."""
     water: PixelGrid
     """Pixels for the judge of water."""
     windows: PixelGrid
@@ -44,25 +48,30 @@ class Gathered:
 
 
 class Gatherer:
-    """Gathers one sequence of one camera, whose grey values scatter by ``noise``."""
+    """Gathers one sequence of one camera, whose grey values scatter by ``noise`` and whose frames ``decoded`` decodes."""
 
-    def __init__(self, sequence: PatternSequence, noise: CameraNoise) -> None:
-        self._sequence, self._noise = sequence, noise
+    def __init__(self, sequence: PatternSequence, noise: CameraNoise, decoded: CameraDecoder) -> None:
+        self._sequence, self._noise, self._decoded = sequence, noise, decoded
         self._lines = LineTaker(sequence, noise)
         self._sampler = Sampler(sequence)
         self._grids = (water_grid(sequence), window_grid(sequence))
-        self._of_x: tuple[VisibleFringes, EarlyMeans] | None = None
+        self._of_x: tuple[VisibleFringes, EarlyMeans, RunSums] | None = None
         self._pushed = 0
 
     def push(self, frames: NDArray[np.uint8], index: int) -> None:
-        """Take what is wanted of frame ``index`` of ``frames`` (n, h, w) uint8; in order, from 0."""
+        """Take what is wanted of frame ``index`` of ``frames`` (n, h, w) uint8, once it is decoded; in order, from 0."""
         self._pushed = index + 1
         self._lines.push(frames, index)
         self._sampler.push(frames, index)
         for grid in self._grids:
             grid.push(frames, index)
         if index == self._sequence.axis(Direction.X).sine[-1]:
-            self._of_x = see(frames, self._sequence, self._noise), early_means(frames, self._sequence)
+            variance_dn2 = self._noise.dark_variance_dn2, self._noise.dn_per_e
+            self._of_x = (
+                see(frames, self._sequence, self._noise),
+                early_means(frames, self._sequence),
+                run_sums(frames, self._decoded.p_px, self._sequence, variance_dn2),
+            )
 
     def finish(self) -> Gathered:
         """Return what was gathered, after the last frame. Raises ValueError where frames are missing."""
@@ -73,9 +82,11 @@ class Gatherer:
         return Gathered(self._lines.finish(), self._sampler.finish(), *self._of_x, *self._grids)
 
 
-def gather(frames: NDArray[np.uint8], sequence: PatternSequence, noise: CameraNoise) -> Gathered:
-    """Gather whole ``frames`` (n, h, w) uint8 of one camera."""
-    gatherer = Gatherer(sequence, noise)
+def gather(
+    frames: NDArray[np.uint8], sequence: PatternSequence, noise: CameraNoise, decoded: CameraDecoder
+) -> Gathered:
+    """Gather whole ``frames`` (n, h, w) uint8 of one camera, as they were ``decoded``."""
+    gatherer = Gatherer(sequence, noise, decoded)
     for index in range(len(frames)):
         gatherer.push(frames, index)
     return gatherer.finish()

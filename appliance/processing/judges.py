@@ -105,7 +105,8 @@ def _judge_water(given: JudgeInput, _: Earlier) -> Judgement:
 def _judge_motion(given: JudgeInput, _: Earlier) -> Judgement:
     """Judge the movement between instrument and scene."""
     means = {side: one.means for side, one in given.gathered.items()}
-    return judge_motion(given.images, given.cloud, given.rig, given.water_index, means).judgement
+    runs = {side: one.runs for side, one in given.gathered.items()}
+    return judge_motion(given.images, given.cloud, given.rig, given.water_index, means, runs).judgement
 
 
 JUDGES = (

@@ -96,7 +96,8 @@ class SequenceProcessor:
         self._full: Found | None = None
 
     def _new_gatherers(self) -> dict[str, Gatherer]:
-        return {side: Gatherer(self._pipeline.sequence, of_side(self._settings.noise, side)) for side in SIDES}
+        pipeline, noise = self._pipeline, self._settings.noise
+        return {side: Gatherer(pipeline.sequence, of_side(noise, side), pipeline.decoded(side)) for side in SIDES}
 
     def begin(self, settings: AcquisitionSettings) -> None:
         """Expect frame 0 of a sequence that was taken with ``settings``."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from appliance.patterns.sequence import Direction, PatternSequence
 from appliance.reconstruct.decode.decoder import CameraDecoder
-from appliance.verdict.motion.drift import CELL_PX
+from appliance.verdict.motion.cells import CELL_PX
 
 INNER_PX, REACH_PX = 4.5, 7.5
 """Pattern px beside an edge: within the first, the light that an edge has moved is added up; from there to the second, how

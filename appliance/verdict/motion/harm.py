@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 
 from appliance.optics.model import StereoRig
 from appliance.reconstruct.table import Cloud
-from appliance.verdict.motion.drift import CELL_PX, DriftMap
+from appliance.verdict.motion.cells import CELL_PX
+from appliance.verdict.motion.drift import DriftMap
 
 Array = NDArray[np.float64]
 

@@ -23,6 +23,7 @@ from appliance.scan.noise import CameraNoise
 from appliance.scan.sides import SIDES, of_side
 from appliance.scan.verdict import Judgement, Verdict
 from appliance.verdict.motion.albedo import AlbedoShifts, albedo_shifts
+from appliance.verdict.motion.cells import RunSums
 from appliance.verdict.motion.course import steps2
 from appliance.verdict.motion.drift import DriftMap, drift_map
 from appliance.verdict.motion.edges import edge_shifts
@@ -92,18 +93,19 @@ def judge_motion(
     rig: StereoRig,
     water_index: float,
     means: Mapping[str, EarlyMeans] | None = None,
+    runs: Mapping[str, RunSums] | None = None,
 ) -> MotionJudgement:
     """Judge a whole sequence with its coarse ``cloud``; ``rig`` and ``water_index`` turn px into mm. About 40 ms of CPU at
     full size.
 
-    ``means`` of both sides before Y, where they were taken while the frames arrived.
+    ``means`` of both sides before Y and ``runs`` of X, where they were taken while the frames arrived.
     """
     sequence = images.sequence
     noise = {side: of_side(images.noise, side) for side in SIDES}
     drift, edges, textures, albedo = {}, {}, {}, {}
     for side in SIDES:
         frames, decoded, variance = images.frames[side], images.decoded[side], _variance(noise[side])
-        drift[side] = drift_map(frames, decoded, sequence, variance)
+        drift[side] = drift_map(frames, decoded, sequence, variance, runs[side] if runs else None)
         edges[side] = edge_shifts(frames, decoded, sequence)
         textures[side] = texture_shift(frames, decoded, sequence, variance, means[side] if means else None)
         albedo[side] = albedo_shifts(frames, decoded, sequence, variance)

@@ -9,7 +9,9 @@ import pytest
 
 from appliance.patterns.sequence import Direction, build_sequence
 from appliance.reconstruct.decode.decoder import CameraDecoder
-from appliance.verdict.motion.drift import DriftMap, _accumulate, _left_over, drift_map
+from appliance.verdict.motion.cells import COLUMNS as SUMS
+from appliance.verdict.motion.cells import COUNT, RunSums, _collect, cell_sums, run_sums
+from appliance.verdict.motion.drift import DriftMap, drift_map
 
 SEQUENCE = build_sequence(16, 320, 200)
 ROWS, COLUMNS = 4, 5
@@ -145,14 +147,45 @@ def test_every_cell_is_the_least_squares_of_its_pixels(width: int, height: int, 
 def test_what_lies_below_the_last_row_of_cells_is_added_nowhere() -> None:
     """Compiled code would write beyond the end of the sums and say nothing."""
     given = scene(160, 120, 1, 0.1)
-    i0, i1, i2, i3 = (given.frames[k] for k in SEQUENCE.axis(Direction.X).sine)
     given.decoder.q_px[100:] = 230.0
     p, q = given.decoder.p_px, given.decoder.q_px
-    sums = np.zeros((ROWS, COLUMNS, 54))
-    _accumulate(i0, i1, i2, i3, p, q, 1, 64.0, DARK_DN2, PER_DN, sums[: ROWS - 1])
-    assert (sums[: ROWS - 1] != 0.0).any()
-    assert (sums[ROWS - 1] == 0.0).all()
-    uneven = np.zeros((ROWS, COLUMNS))
-    _left_over(i0, i1, i2, i3, p, q, 1, 64.0, DARK_DN2, PER_DN, np.zeros((ROWS, COLUMNS, 6)), uneven[: ROWS - 1])
-    assert np.isfinite(uneven[: ROWS - 1]).any()
-    assert (uneven[ROWS - 1] == 0.0).all()
+    images = tuple(given.frames[k] for k in SEQUENCE.axis(Direction.X).sine)
+    variance = np.float32(DARK_DN2), np.float32(PER_DN)
+    runs = run_sums(given.frames, p, SEQUENCE, (DARK_DN2, PER_DN))
+    for code in (runs.code, np.zeros_like(runs.code)):  # of runs that are kept, and of pixels that are summed anew
+        sums = np.zeros((ROWS, COLUMNS, SUMS))
+        _collect(images, p, q, 1, variance, code, runs.sums, sums[: ROWS - 1])
+        assert (sums[: ROWS - 1] != 0.0).any()
+        assert (sums[ROWS - 1] == 0.0).all()
+
+
+def summed(given: Scene, runs: RunSums | None) -> np.ndarray:
+    p, q = given.decoder.p_px, given.decoder.q_px
+    return cell_sums(given.frames, p, q, SEQUENCE, (DARK_DN2, PER_DN), runs).ones
+
+
+def test_runs_summed_before_y_are_the_pixels_that_are_left_when_y_has_taken_some() -> None:
+    """Pixels that lost their coordinates, whose neighbour lost its own, or the one below them; and a row read anew in another column."""
+    given = scene(600, 450, 2, 0.1)
+    p = given.decoder.p_px
+    early = run_sums(given.frames, p, SEQUENCE, (DARK_DN2, PER_DN))
+    before = summed(given, early)
+    np.testing.assert_array_equal(before, summed(given, None))
+    p[101, 200:240] = np.nan  # looked at
+    p[141, 303:343:2] = np.nan  # beside one that is
+    p[182, 400:440] = np.nan  # below one that is
+    p[221, 300:400] += 64.0
+    after, wanted = summed(given, early), summed(given, None)
+    np.testing.assert_allclose(after, wanted, rtol=1e-6, atol=1e-3)
+    assert before[..., COUNT].sum() > after[..., COUNT].sum()
+    assert (np.abs(before - wanted) > 1.0).any()
+
+
+def test_most_of_what_was_summed_before_y_is_not_summed_again() -> None:
+    """Told by sums that nobody could have made of the frames: they come through as they are."""
+    given = scene(600, 450, 2, 0.1)
+    given.decoder.p_px[:] = np.linspace(1.0, 310.0, 600, dtype=np.float32)
+    given.decoder.q_px[:] = np.linspace(1.0, 190.0, 450, dtype=np.float32)[:, None]
+    runs = run_sums(given.frames, given.decoder.p_px, SEQUENCE, (DARK_DN2, PER_DN))
+    runs.sums[:, COUNT] = 1000.0
+    assert summed(given, runs)[..., COUNT].sum() == 1000.0 * len(runs.sums)
