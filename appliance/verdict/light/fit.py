@@ -249,12 +249,17 @@ def regress(value: Floats, terms: Floats, contrast: Floats, weight: Floats) -> t
     and what that would be for ``value`` · ``contrast`` (n,) with a noise of 1."""
     size, n = terms.shape
     normal, right = _normal(value, terms, weight)
-    used = np.ones(n, np.bool_)
+    # Arrays are filled and chosen from in loops: numba's own ways to do that take longer to compile than all of this.
+    used, far = np.empty(n, np.bool_), np.empty(n, np.intp)
+    for j in range(n):
+        used[j] = True
     residual, off = np.empty(n), np.empty(n)
     for again in range(ROUNDS):
         inverse = _inverse(_ridged(normal))
         coefficients = _times(inverse, right)
-        residual[:] = value
+        # residual = value − Σ coefficient · term
+        for j in range(n):
+            residual[j] = value[j]
         for a in range(size):
             for j in range(n):
                 residual[j] -= coefficients[a] * terms[a, j]
@@ -265,11 +270,14 @@ def regress(value: Floats, terms: Floats, contrast: Floats, weight: Floats) -> t
         for j in range(n):
             off[j] = abs(residual[j]) * contrast[j]
         limit = CLIP * max(MAD_TO_SIGMA * quantile_of(off, 0.5), 1e-3)
-        far = np.flatnonzero((off > limit) & used)
-        used[far] = False
-        theirs, product = _normal(value[far], terms[:, far], weight[far])
-        normal -= theirs
-        right -= product
+        count = 0
+        for j in range(n):
+            if used[j] and off[j] > limit:
+                used[j] = False
+                far[count] = j
+                count += 1
+        _take_out(value, terms, weight, far[:count], normal, right)
+    # Of those that are left: Σ weight · residual² and their number.
     squares, count = 0.0, 0
     for j in range(n):
         if used[j]:
@@ -324,9 +332,24 @@ def quantile_of(values: Floats, share: float) -> float:
             elif bin_ > wanted and values[i] < above:
                 above = values[i]
         values, rank = inside, rank - below
-    ordered = np.sort(values)
+    ordered = _sorted(values)
     following = ordered[rank + 1] if rank + 1 < ordered.size else above
     return float(ordered[rank] + (aside * (following - ordered[rank]) if aside > 0.0 else 0.0))
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _sorted(values: Floats) -> Floats:
+    """Return a copy of ``values`` in order, what is no number last: they are few, or all but equal. Each is moved before those that
+    come after it."""
+    ordered = values.copy()
+    for i in range(1, ordered.size):
+        value = ordered[i]
+        j = i
+        while j > 0 and (value < ordered[j - 1] or (ordered[j - 1] != ordered[j - 1] and value == value)):
+            ordered[j] = ordered[j - 1]
+            j -= 1
+        ordered[j] = value
+    return ordered
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -349,6 +372,24 @@ def _normal(value: Floats, terms: Floats, weight: Floats) -> tuple[Floats, Float
         for b in range(a + 1):
             normal[a, b] = normal[b, a] = _dot(weighted, terms[b])
     return normal, right
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _take_out(
+    value: Floats, terms: Floats, weight: Floats, which: NDArray[np.intp], normal: Floats, right: Floats
+) -> None:
+    """Subtract the part of some values from the matrix and the right side of the normal equations."""
+    size, n = terms.shape[0], which.size
+    chosen, of_terms, weights = np.empty(n), np.empty((size, n)), np.empty(n)
+    for i in range(n):
+        chosen[i], weights[i] = value[which[i]], weight[which[i]]
+        for a in range(size):
+            of_terms[a, i] = terms[a, which[i]]
+    theirs, product = _normal(chosen, of_terms, weights)
+    for a in range(size):
+        right[a] -= product[a]
+        for b in range(size):
+            normal[a, b] -= theirs[a, b]
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
