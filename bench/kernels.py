@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import sys
 
-from appliance.cli.kernels import compile_desk_kernels, compile_kernels
+from appliance.cli.kernels import compile_kernels
 from appliance.cli.output import log_lines
 from appliance.cli.simrig import simulator_kernels
 
@@ -18,7 +18,6 @@ def main() -> int:
     """Compile what is not compiled yet, and say how far it is on stderr."""
     with log_lines(as_json=False, service=False):
         compile_kernels(simulator_kernels)
-        compile_desk_kernels()
     return 0
 
 

@@ -12,7 +12,7 @@ from appliance.calibration import file as calibration_file
 from appliance.calibration.water.method import BY_SCANS, Method
 from appliance.cli.arguments import number, operand, option, separated, switch
 from appliance.cli.desk import place_of, whole_scan, writable, writing
-from appliance.cli.kernels import compile_desk_kernels
+from appliance.cli.kernels import compile_kernels
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json
 from appliance.cli.places import WithRoot
 from appliance.offline.origin import instrument_of, open_source, refuse_misfit
@@ -70,7 +70,7 @@ class CalibrateWater(WithRoot):
             raise UsageError(f"--out {target}: exists already; a calibration is never replaced; give a new name")
         if data.absolute() == self.list.absolute():
             raise UsageError(f"--out {target}: {data} is the list itself; give another name")
-        compile_desk_kernels()  # before anything brings compiled kernels
+        compile_kernels()  # before anything brings compiled kernels
         from appliance.instrument import refuse_drawing, start_of
         from appliance.offline.calibration.water import check_list, run_water_calibration
         from appliance.offline.evaluation import ListError, read_list

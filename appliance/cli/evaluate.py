@@ -9,7 +9,7 @@ from typing import Any
 
 from appliance.cli.arguments import operand, option
 from appliance.cli.desk import measuring, place_of, whole_scan, writable, writing
-from appliance.cli.kernels import compile_desk_kernels
+from appliance.cli.kernels import compile_kernels
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json, table
 from appliance.cli.places import WithCalibration
 from appliance.offline.origin import instrument_of, one_calibration, open_source
@@ -42,7 +42,7 @@ class Evaluate(WithCalibration):
         for path in (page, data):
             writable(path)
         measuring(wish.calibration)
-        compile_desk_kernels()  # before anything brings compiled kernels
+        compile_kernels()  # before anything brings compiled kernels
         from appliance.evaluation.report import as_html, as_json
         from appliance.offline.evaluation import ListError, read_list, run_evaluation
 

@@ -33,14 +33,12 @@ class Warm(Verb):
         from appliance import kernel_build, kernel_cache
         from appliance.cli.kernels import CompileProgress
         from appliance.storage.atomic import remedy_for
-        from appliance.worker.warm import DESK
+        from appliance.worker.warm import PIECES
 
         target = self.out or kernel_cache.shipped_folder()
         with CompileProgress() as progress:
             try:
-                # DESK contains INSTRUMENT: an installation serves both, and neither shall compile before somebody's
-                # eyes.
-                folder = kernel_build.build(target, DESK, progress, kernel_cache.COMMON if self.common else None)
+                folder = kernel_build.build(target, PIECES, progress, kernel_cache.COMMON if self.common else None)
             except OSError as error:
                 raise UsageError(
                     f"{target}: {error.strerror or error}; {remedy_for(error)}; --out DIR writes elsewhere"

@@ -33,21 +33,13 @@ def find_kernels() -> None:
 
 
 def compile_kernels(more: Callable[[], Iterable[tuple[str, str]]] = tuple) -> None:
-    """Have everything compiled that a scan needs on the instrument, and the pieces (what for, function) of ``more``."""
+    """Have everything compiled that a scan needs, recorded or stored, and the pieces (what for, function) of ``more``."""
     cache = kernel_cache.use()  # before numba is imported
     with importing():
-        from appliance.worker.warm import INSTRUMENT
+        from appliance.worker.warm import PIECES
 
-        pieces = (*INSTRUMENT, *(Piece(what, function) for what, function in more()))
+        pieces = (*PIECES, *(Piece(what, function) for what, function in more()))
     _compile(cache, pieces)
-
-
-def compile_desk_kernels() -> None:
-    """Have everything compiled that a stored scan needs."""
-    cache = kernel_cache.use()
-    from appliance.worker.warm import DESK
-
-    _compile(cache, DESK)
 
 
 def _compile(cache: KernelCache, pieces: Sequence[Piece]) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from appliance.cli.arguments import operand, operands, option, switch
 from appliance.cli.desk import whole_scan, writable, writing
-from appliance.cli.kernels import compile_desk_kernels
+from appliance.cli.kernels import compile_kernels
 from appliance.cli.listing import say_report
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json, table
 from appliance.cli.places import WithRoot
@@ -33,7 +33,7 @@ class MeasureResponse(WithRoot):
     def run(self) -> Exit:
         wish = self.wish()
         writable(self.out)
-        compile_desk_kernels()  # before anything brings compiled kernels
+        compile_kernels()  # before anything brings compiled kernels
         from appliance.calibration.response.file import encode
         from appliance.calibration.response.measure import ResponseError
         from appliance.instrument import RESPONSE_FILE
@@ -83,7 +83,7 @@ class MeasureNoise(WithRoot):
 
     def run(self) -> Exit:
         wish = self.wish()
-        compile_desk_kernels()  # before anything brings compiled kernels
+        compile_kernels()  # before anything brings compiled kernels
         from appliance.calibration.noise_file import encode
         from appliance.calibration.photon_transfer import NoiseError
         from appliance.instrument import NOISE_FILE
@@ -143,7 +143,7 @@ class MeasureExposures(WithRoot):
 
     def run(self) -> Exit:
         wish = self.wish()
-        compile_desk_kernels()  # before anything brings compiled kernels
+        compile_kernels()  # before anything brings compiled kernels
         from appliance.offline.measuring import exposure_found
 
         with Progress() as progress:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from appliance.cli.arguments import operand, option, switch
 from appliance.cli.desk import measuring, scan_in, whole_scan, writable_cloud, writing
-from appliance.cli.kernels import compile_desk_kernels
+from appliance.cli.kernels import compile_kernels
 from appliance.cli.listing import say_report
 from appliance.cli.output import Exit, Progress
 from appliance.cli.places import WithCalibration
@@ -30,7 +30,7 @@ class Reconstruct(WithCalibration):
             progress("comparing checksums")
             # Salvaging wants damaged scans, and looks for the damage by itself.
             folder = scan_in(wish, self.scan) if self.salvage else whole_scan(wish, self.scan)
-            compile_desk_kernels()
+            compile_kernels()
             from appliance.offline.reconstruct import reconstruct_scan
             from appliance.offline.salvage import salvage
 
@@ -59,7 +59,7 @@ class MergeScans(WithCalibration):
         with Progress() as progress:
             progress("comparing checksums")
             first, second = (whole_scan(wish, scan) for scan in (self.first, self.second))
-            compile_desk_kernels()
+            compile_kernels()
             from appliance.offline.merging import merge_scans
 
             sources = (open_source(first, wish), open_source(second, wish))

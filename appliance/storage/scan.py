@@ -274,7 +274,7 @@ def read_header(data: bytes) -> tuple[int, tuple[int, int, int]] | None:
 
 
 def _mapped(path: Path, count: int) -> NDArray[np.uint8]:
-    """Return the frames of a file."""
+    """Return the frames of a file, mapped. What is written to them stays in memory and never reaches the file."""
     import numpy as np
 
     try:
@@ -287,7 +287,9 @@ def _mapped(path: Path, count: int) -> NDArray[np.uint8]:
         header_bytes, shape = header
         if not 0 < shape[0] * shape[1] * shape[2] == path.stat().st_size - header_bytes:
             raise ScanError(f"{path}: {path.stat().st_size} bytes are not {count} frames of {shape[2]} x {shape[1]} px")
-        return np.memmap(path, np.uint8, "r", header_bytes, shape)
+        # Copied on writing: nothing can change the file, and still they are the same kind of array as frames that were just
+        # recorded. numba would compile each kernel a second time for arrays that cannot be written.
+        return np.memmap(path, np.uint8, "c", header_bytes, shape)
     except (OSError, ValueError) as error:
         raise ScanError(f"{path}: not readable as frames ({error})") from error
 

@@ -1,8 +1,8 @@
 """Owns a scan of nothing, which runs every kernel once: at installation to compile them, at start to load them.
 
-``run_every_kernel`` is the whole; ``INSTRUMENT`` and ``DESK`` are the same in pieces that can be compiled side by side
+``run_every_kernel`` is the whole; ``PIECES`` are the same in pieces that can be compiled side by side
 (``appliance.kernel_build``), the longest first. What a piece forgets is compiled when it is first needed, as without pieces;
-the tests compare both ways kernel by kernel. numba compiles an array that cannot be written (a stored scan's) as another type.
+the tests compare both ways kernel by kernel. They serve stored scans as well: their frames are arrays of the same kind.
 """
 
 from __future__ import annotations
@@ -43,6 +43,7 @@ from appliance.scan.sides import SIDES
 from appliance.scan.verdict import Judgement, Verdict
 from appliance.verdict.identity.judge import judge_identity
 from appliance.verdict.light.fit import warm_up as warm_light
+from appliance.verdict.water.backscatter import warm_up as warm_water
 
 _WATER = Water(20.0, 0.0, 530.0)
 _DESIGN = Design(11.5, 112.5, 230.0, 12.41, 30.0, 5.0, 1.77)
@@ -52,21 +53,21 @@ _ALONG_MM = -0.67
 
 
 def what_an_empty_scan_does_not_run(
-    sequence: PatternSequence, *, writable: bool = True
+    sequence: PatternSequence,
 ) -> tuple[Callable[[], object], ...]:
     """Return what runs the kernels for bent fringes, changing light, backscatter, motion and a second exposure; else the first scan
     that has some would wait for a compiler. Each loads for a fraction of a second; what more scans need comes first."""
     # Types decide what is loaded, not sizes: large pictures of nothing would only have to be paged in.
     frames = np.zeros((len(sequence), *reversed(_SIZE_PX)), np.uint8)
-    frames.flags.writeable = writable
     return (
-        straighten.warm_up, warm_light, partial(warm_backscatter, sequence, frames, TYPICAL), warm_veil, compensate_wall, _run_pair,
+        straighten.warm_up, warm_light, warm_water, partial(warm_backscatter, sequence, frames, TYPICAL), warm_veil,
+        compensate_wall, _run_pair,
     )  # fmt: skip
 
 
-def run_what_an_empty_scan_does_not(sequence: PatternSequence, *, writable: bool = True) -> None:
+def run_what_an_empty_scan_does_not(sequence: PatternSequence) -> None:
     """Run all of them."""
-    for run in what_an_empty_scan_does_not_run(sequence, writable=writable):
+    for run in what_an_empty_scan_does_not_run(sequence):
         run()
 
 
@@ -92,7 +93,7 @@ def _run_pair() -> None:
         fuse(surface, wall, wall, found, (1.0, 1.0))
 
 
-INSTRUMENT = (
+PIECES = (
     Piece("matching and triangulation", "appliance.worker.warm:find_points"),
     Piece("motion compensation", "appliance.worker.warm:compensate_wall"),
     Piece("changing light", "appliance.verdict.light.fit:warm_up"),
@@ -101,19 +102,13 @@ INSTRUMENT = (
     Piece("backscatter and particles", "appliance.worker.warm:read_through_backscatter"),
     Piece("two exposures", "appliance.worker.warm:merge_walls"),
 )
-"""Everything that the instrument may need for a scan."""
-DESK = (
-    *INSTRUMENT,
-    Piece("points of stored scans", "appliance.worker.warm:find_points_of_stored"),
-    Piece("verdicts on stored scans", "appliance.worker.warm:judge_stored"),
-)
-"""The same, and what differs for frames that come from the disk."""
+"""Everything that a scan may need, just recorded or stored."""
 
 
 def compensate_wall() -> None:
     """Run the kernels that estimate motion and undo it: in the dark, before a flat wall that moves along with the
     fringes."""
-    with _nothing(writable=True) as (pipeline, calibration, frames):
+    with _nothing() as (pipeline, calibration, frames):
         decoded = {side: pipeline.decoded(side) for side in SIDES}
         v, u = np.mgrid[0 : frames.shape[1], 0 : frames.shape[2]]
         # Dark frames decode to nothing; with coordinates by hand the kernels have pixels to work on.
@@ -131,54 +126,7 @@ def compensate_wall() -> None:
 
 def find_points() -> None:
     """Run the kernels from frames to clouds."""
-    _find_points(writable=True)
-
-
-def find_points_of_stored() -> None:
-    """Run ``find_points`` for frames that cannot be written."""
-    _find_points(writable=False)
-
-
-def judge_patterns() -> None:
-    """Run the kernels that tell whether each frame shows its pattern."""
-    with _nothing(writable=True) as (pipeline, _, frames):
-        judge_identity(dict.fromkeys(SIDES, frames), pipeline.sequence, TYPICAL_PAIR)
-
-
-def judge_scan() -> None:
-    """Run the kernels of the other verdicts."""
-    _judge(writable=True)
-
-
-def judge_stored() -> None:
-    """Run ``judge_scan`` and ``read_through_backscatter`` for frames that cannot be written."""
-    _judge(writable=False)
-    _read_through_backscatter(writable=False)
-
-
-def read_through_backscatter() -> None:
-    """Run the kernels for turbid water and for what floats in it."""
-    _read_through_backscatter(writable=True)
-
-
-def merge_walls() -> None:
-    """Run the kernels that make one cloud of two exposures."""
-    _run_pair()
-
-
-def run_every_kernel() -> None:
-    """Run with an instrument of its own; also for frames that cannot be written, as they come from the disk."""
-    # numba compiles a function anew for arrays that are read-only, as frames mapped from a file are.
-    for writable in (True, False):
-        with _nothing(writable) as (pipeline, calibration, frames):
-            processor = SequenceProcessor(pipeline, calibration, _WATER)
-            processor.process(dict.fromkeys(SIDES, frames), AcquisitionSettings())
-            _mask_specks(pipeline, frames)
-            run_what_an_empty_scan_does_not(pipeline.sequence, writable=writable)
-
-
-def _find_points(*, writable: bool) -> None:
-    with _nothing(writable) as (pipeline, _, frames):
+    with _nothing() as (pipeline, _, frames):
         for side in SIDES:
             for index in range(len(frames)):
                 pipeline.push(side, frames, index)
@@ -187,8 +135,15 @@ def _find_points(*, writable: bool) -> None:
     straighten.warm_up()
 
 
-def _judge(*, writable: bool) -> None:
-    with _nothing(writable) as (pipeline, calibration, frames):
+def judge_patterns() -> None:
+    """Run the kernels that tell whether each frame shows its pattern."""
+    with _nothing() as (pipeline, _, frames):
+        judge_identity(dict.fromkeys(SIDES, frames), pipeline.sequence, TYPICAL_PAIR)
+
+
+def judge_scan() -> None:
+    """Run the kernels of the other verdicts."""
+    with _nothing() as (pipeline, calibration, frames):
         decoded = {side: pipeline.decoded(side) for side in SIDES}
         images = ScanImages(pipeline.sequence, dict.fromkeys(SIDES, frames), decoded)
         cloud = pipeline.table.cloud(Found(((0, 0),), CloudSummary(0, 0.0, None, None, None)))
@@ -198,13 +153,29 @@ def _judge(*, writable: bool) -> None:
         for judge in JUDGES:
             if judge.name != "sight":  # it asks for points, and their kernels are another piece's
                 judge.judge(given, dict.fromkeys(judge.needs))
+    warm_water()
 
 
-def _read_through_backscatter(*, writable: bool) -> None:
-    with _nothing(writable) as (pipeline, _, frames):
+def read_through_backscatter() -> None:
+    """Run the kernels for turbid water and for what floats in it."""
+    with _nothing() as (pipeline, _, frames):
         warm_backscatter(pipeline.sequence, frames, TYPICAL)
         warm_veil()
         _mask_specks(pipeline, frames)
+
+
+def merge_walls() -> None:
+    """Run the kernels that make one cloud of two exposures."""
+    _run_pair()
+
+
+def run_every_kernel() -> None:
+    """Run with an instrument of its own."""
+    with _nothing() as (pipeline, calibration, frames):
+        processor = SequenceProcessor(pipeline, calibration, _WATER)
+        processor.process(dict.fromkeys(SIDES, frames), AcquisitionSettings())
+        _mask_specks(pipeline, frames)
+        run_what_an_empty_scan_does_not(pipeline.sequence)
 
 
 def _mask_specks(pipeline: Pipeline, frames: NDArray[np.uint8]) -> None:
@@ -214,13 +185,12 @@ def _mask_specks(pipeline: Pipeline, frames: NDArray[np.uint8]) -> None:
 
 
 @contextmanager
-def _nothing(writable: bool) -> Iterator[tuple[Pipeline, Calibration, NDArray[np.uint8]]]:
+def _nothing() -> Iterator[tuple[Pipeline, Calibration, NDArray[np.uint8]]]:
     """A small instrument as drawn, and the dark frames (n, h, w) of a scan."""
     width_px, height_px = _SIZE_PX
     calibration = design_calibration(_DESIGN, "kernels", width_px, height_px, _WATER)
     sequence = build_sequence(16)
     frames = np.zeros((len(sequence), height_px, width_px), np.uint8)
     # Types decide what numba compiles, not contents or sizes: a picture of a few thousand dark pixels will do.
-    frames.flags.writeable = writable
     with Pipeline(calibration, _WATER, sequence) as pipeline:
         yield pipeline, calibration, frames

@@ -13,7 +13,7 @@ import pytest
 from appliance import kernel_cache
 from appliance.cli.simrig import simulator_kernels
 from appliance.kernel_build import Piece, compile_pieces
-from appliance.worker.warm import INSTRUMENT
+from appliance.worker.warm import PIECES
 
 SCRIPT = "wait state AIM 120\nend\n"
 
@@ -21,7 +21,7 @@ SCRIPT = "wait state AIM 120\nend\n"
 @pytest.mark.timeout(600)
 def test_a_first_start_says_what_it_compiles_before_the_self_test_begins(tmp_path: Path) -> None:
     mine = kernel_cache.use().path
-    compile_pieces(mine, (*INSTRUMENT, *(Piece(*piece) for piece in simulator_kernels())))
+    compile_pieces(mine, (*PIECES, *(Piece(*piece) for piece in simulator_kernels())))
     kernels = tmp_path / kernel_cache.fingerprint()
     shutil.copytree(mine, kernels)
     kernels.chmod(0o700)
