@@ -8,9 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 from appliance.optics.model import StereoRig
 from appliance.processing.gathering import Gathered
+from appliance.reconstruct.crew import WorkItem, WorkList
 from appliance.reconstruct.images import ScanImages
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.table import Cloud
@@ -120,13 +122,36 @@ JUDGES = (
 """Judges in the order in which their verdicts are told and stored."""
 
 
-def judged_by_all(given: JudgeInput) -> Iterator[tuple[str, Judgement | None]]:
-    """Ask every judge, those that need others last; yields each one's name and what it says as soon as it has said it."""
-    said: dict[str, Judgement | None] = {}
+@dataclass(frozen=True, slots=True)
+class OneSaid:
+    """The word of one judge."""
+
+    name: str
+    judgement: Judgement | None
+    """``None``: it has nothing to say."""
+    cpu_s: float
+    """Processor time that it took."""
+
+
+def judged_by_all(given: JudgeInput, tasks: WorkList) -> Iterator[OneSaid]:
+    """Ask every judge, those that need others last; yields what each one says as soon as it and those before it have said it.
+
+    Whoever else works on ``tasks`` begins at the table's end; it may do so from now on, before anything is yielded.
+    """
     # Stable: judges without needs keep the table's order, and one level of needs is all there is (ADR 0038).
-    for judge in sorted(JUDGES, key=lambda judge: len(judge.needs)):
-        said[judge.name] = judge.judge(given, said)
-        yield judge.name, said[judge.name]
+    order = sorted(JUDGES, key=lambda judge: len(judge.needs))
+    asked: dict[str, WorkItem[Judgement | None]] = {}
+
+    def ask(judge: Judge) -> Judgement | None:
+        return judge.judge(given, {name: asked[name].answer() for name in judge.needs})
+
+    # Two that go towards each other share the work evenly, whatever each judge takes. What is needed is added before what needs it.
+    by_name = {judge.name: judge for judge in JUDGES}
+    for judge in reversed(order):
+        for name in (*judge.needs, judge.name):
+            if name not in asked:
+                asked[name] = tasks.add(partial(ask, by_name[name]))
+    return (OneSaid(judge.name, asked[judge.name].answer(), asked[judge.name].cpu_s) for judge in order)
 
 
 def in_order(said: Earlier) -> dict[str, Judgement]:

@@ -7,8 +7,9 @@ and the tests all run it, so that the same frames get the same points and the sa
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from appliance.optics.water import Water
 from appliance.processing.bracket import Merged, ProcessedSequence, merge_bracket
 from appliance.processing.gathering import Gatherer
 from appliance.processing.judges import JudgeInput, in_order, is_fault, judged_by_all
+from appliance.reconstruct.crew import WorkItem, WorkList, answers
 from appliance.reconstruct.decode.decoder import DecodedMaps
 from appliance.reconstruct.decode.specks import mask_specks
 from appliance.reconstruct.images import ScanImages
@@ -63,6 +65,8 @@ class AllJudged:
     """All judgements of the scan, identity first, in place of what was said before."""
 
     judgements: tuple[Judgement, ...]
+    cpu_s: float
+    """Processor time of all judges but that of identity; 0 where they are only weighed anew."""
     compensating: bool = False
     """Instrument and scene moved against each other; it is tried next to take that out of the points."""
 
@@ -83,7 +87,8 @@ class SequenceProcessor:
     """Takes one sequence after the other through ``pipeline`` and past the judges.
 
     ``begin``, ``push`` for every frame of both sides as they come, then all ``steps``. A second sequence with another exposure
-    follows in the same way between ``hold`` and ``merge_with``.
+    follows in the same way between ``hold`` and ``merge_with``. The pipeline's helpers work beside the caller from the last
+    frame on, and on nothing any more once the steps have been left, or another sequence was begun.
     """
 
     def __init__(self, pipeline: Pipeline, calibration: Calibration, water: Water) -> None:
@@ -94,6 +99,9 @@ class SequenceProcessor:
         self._gatherers = self._new_gatherers()
         self._moved = self._compensated = False
         self._full: Found | None = None
+        self._tasks = WorkList(pipeline.crew)
+        """WorkList that belong to the sequence in work."""
+        self._last_frames: list[WorkItem[None]] = []
 
     def _new_gatherers(self) -> dict[str, Gatherer]:
         pipeline, noise = self._pipeline, self._settings.noise
@@ -101,6 +109,9 @@ class SequenceProcessor:
 
     def begin(self, settings: AcquisitionSettings) -> None:
         """Expect frame 0 of a sequence that was taken with ``settings``."""
+        # Steps of the last one may have been left without being closed: nobody may be at its maps when frames come.
+        self._tasks.close()
+        self._tasks, self._last_frames = WorkList(self._pipeline.crew), []
         self._settings, self._full = settings, None
         self._moved = self._compensated = False
         self._frames.clear()
@@ -113,9 +124,16 @@ class SequenceProcessor:
         """Decode frame ``index`` of one side's ``frames`` (n, h, w) uint8, which must not change until the last step, and take what
         judges want of it.
 
-        Raises ValueError unless frames come as 0, 1, …
+        Raises ValueError unless frames come as 0, 1, …; of the last frame, with the first step.
         """
         self._frames[side] = frames
+        if index == len(self._pipeline.sequence) - 1 and self._pipeline.crew.helpers:
+            # Somebody waits from now on: both sides at once.
+            self._last_frames.append(self._tasks.add(partial(self._push, side, frames, index)))
+        else:
+            self._push(side, frames, index)
+
+    def _push(self, side: str, frames: NDArray[np.uint8], index: int) -> None:
         self._pipeline.push(side, frames, index)
         self._gatherers[side].push(frames, index)
 
@@ -132,36 +150,53 @@ class SequenceProcessor:
         Where a frame shows another pattern than it should, nothing follows ``Identified`` unless ``even_if_wrong``. Raises
         ValueError where frames are missing.
         """
-        pipeline, settings, rig = self._pipeline, self._settings, self._calibration.rig
+        with self._tasks as tasks:
+            answers(self._last_frames)
+            yield from self._steps(tasks, even_if_wrong)
 
-        # First of all: with a wrong pattern every coordinate would be wrong, and so every other verdict.
+    def _steps(self, tasks: WorkList, even_if_wrong: bool) -> Iterator[Step]:
+        pipeline, settings, rig = self._pipeline, self._settings, self._calibration.rig
         gathered = {side: gatherer.finish() for side, gatherer in self._gatherers.items()}
         lines = {side: one.lines for side, one in gathered.items()}
+
+        # Identity first of all: with a wrong pattern every coordinate would be wrong, and so every other verdict. The coarse cloud is
+        # begun beside it, and then was made in vain.
+        finding = tasks.add(pipeline.find_coarse)
         identity = judge_identity(self._frames, pipeline.sequence, settings.noise, settings.exposure, lines)
         yield Identified(identity)
         if identity.fault is not None and not even_if_wrong:
             return
-
-        coarse = pipeline.find_coarse()
-        yield CoarseFound(coarse)
+        coarse = finding.answer(helping=True)
 
         images = ScanImages(pipeline.sequence, self._frames, {side: pipeline.decoded(side) for side in SIDES}, settings)
         # Judges look at raw frames, maps and the coarse cloud, before anything is changed by compensation or masking.
         given = JudgeInput(images, gathered, pipeline.table.cloud(coarse), rig, self._water.index, identity, pipeline)
+        bend = pipeline.bend()
+        judging = judged_by_all(given, tasks)
+        yield CoarseFound(coarse)
+
         spoken: dict[str, Judgement | None] = {}
-        for name, one in judged_by_all(given):
-            spoken[name] = one
-            yield OneJudged(name)
+        judged_s = 0.0
+        begun: Callable[[], Found] | None = None
+        for one in judging:
+            spoken[one.name] = one.judgement
+            judged_s += one.cpu_s
+            # The full cloud need not wait for judges that have nothing to do with it: compensation, too, starts from the plain one. Where
+            # coordinates are changed first, specks masked or a bend taken out, it waits: judges read them.
+            if one.name == "water" and not bend.counts and not _specks_count(one.judgement):
+                begun = pipeline.begin_full(tasks)
+            yield OneJudged(one.name)
         said = in_order(spoken)
         self._moved = is_fault(said["motion"])
-        yield AllJudged((identity, *self._weighed(said, coarse.summary)), compensating=self._moved)
+        yield AllJudged((identity, *self._weighed(said, coarse.summary)), judged_s, compensating=self._moved)
 
         full: Found | None = None
         if self._moved:
             # The full cloud will be that of one moment of the scan where that makes it good, else the plain one.
             # The plain cloud is made first: compensation starts from it, and it is what remains if that fails.
             # It solves phases from the frames anew, and compares: with maps as they were decoded.
-            plain = pipeline.find_full(straightened=False)
+            plain = begun() if begun is not None else pipeline.find_full(straightened=False)
+            begun = None
             tried = attempt(pipeline, plain, images, self._calibration, self._water)
             full = tried.found or pipeline.find_full()
             motion = said["motion"]
@@ -169,16 +204,19 @@ class SequenceProcessor:
                 self._compensated = True
                 said["motion"] = replace(motion, fault=Fault(FaultCode.COMPENSATED, motion.verdict.text))
             said["compensation"] = Judgement(_compensation(tried, settings.frame_s))
-            yield AllJudged((identity, *self._weighed(said, full.summary)))
+            yield AllJudged((identity, *self._weighed(said, full.summary)), 0.0)
         # Not both: specks are told by frames that differ, which they do wherever something moved.
-        elif (said["water"].verdict.numbers["speck_percent"] or 0.0) > WORTH_MASKING_PERCENT:
-            for side in SIDES:  # what passed by makes no points
-                noise = of_side(settings.noise, side)
-                mask_specks(pipeline.sequence, self._frames[side], pipeline.decoded(side), noise)
+        elif _specks_count(said["water"]):
+            pipeline.crew.each(self._mask_specks, SIDES)  # what passed by makes no points
             pipeline.masked()
 
-        self._full = full or pipeline.find_full()
-        yield FullFound(self._full, (identity, *self._weighed(said, self._full.summary)))
+        full = full or (begun() if begun is not None else pipeline.find_full())
+        self._full = full
+        yield FullFound(full, (identity, *self._weighed(said, full.summary)))
+
+    def _mask_specks(self, side: str) -> None:
+        decoded, noise = self._pipeline.decoded(side), of_side(self._settings.noise, side)
+        mask_specks(self._pipeline.sequence, self._frames[side], decoded, noise)
 
     def run(self, *, even_if_wrong: bool = False) -> FullFound | None:
         """Take all ``steps`` at once; returns the last one, ``None`` where wrong patterns ended them. Raises ValueError."""
@@ -222,6 +260,11 @@ class SequenceProcessor:
     def _weighed(self, said: Mapping[str, Judgement], summary: CloudSummary) -> tuple[Judgement, ...]:
         """Return what the judges said, with the causes of a poor scan weighed against each other."""
         return with_causes(tuple(said.values()), summary, self._settings.exposure, self._settings.steps)
+
+
+def _specks_count(water: Judgement | None) -> bool:
+    """Tell whether particles passed by in so many pixels that these are looked for."""
+    return water is not None and (water.verdict.numbers["speck_percent"] or 0.0) > WORTH_MASKING_PERCENT
 
 
 def _compensation(tried: Attempt, frame_s: float) -> Verdict:

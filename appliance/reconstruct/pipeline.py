@@ -3,16 +3,16 @@
 All buffers are allocated when the pipeline is made, none during a scan.
 
 After the last frame only the second direction of both cameras remains to be decoded, then the inverse map and every eighth row
-and column: the coarse cloud. The full cloud follows in two threads of row blocks, each row in chunks of 256 columns that pass
-through matching and triangulation in the first-level cache. Sixteen neighbours ask one node of the right camera's rays: its
-series of second order is within 0.1 µm.
+and column: the coarse cloud. The full cloud follows in two blocks of rows, which two threads share (``crew``), each row in chunks
+of 256 columns that pass through matching and triangulation in the first-level cache. Sixteen neighbours ask one node of the right
+camera's rays: its series of second order is within 0.1 µm.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from types import TracebackType
 
 import numpy as np
@@ -24,6 +24,7 @@ from appliance.calibration.patches import without_veil
 from appliance.optics.rays import ray_lattice
 from appliance.optics.water import Water
 from appliance.patterns.sequence import PatternSequence
+from appliance.reconstruct.crew import Crew, WorkList, answers
 from appliance.reconstruct.decode.decoder import CameraDecoder
 from appliance.reconstruct.gaps import GapSampler
 from appliance.reconstruct.match import RightMaps, fill_inverse_map, right_maps
@@ -48,14 +49,16 @@ LOOSE_GAP_MM = np.float32(5.0)
 """Largest gap of the two rays of the same point, seen while it moved."""
 VEIL_POINTS = 1_500
 """Number of left pixels that are asked for the fringes of backscatter."""
-THREADS = 2
+BLOCKS = 2
+"""Number of blocks of rows that are reconstructed side by side. Points depend on it a little: a block's first row has none above it."""
 __all__ = ["Cloud", "Pipeline"]
 
 
 class Pipeline:
     """A reconstruction of scans of one sequence with one calibration in one water; reusable, not thread-safe.
 
-    Points are left in ``table``, by default one of its own. ``noise`` makes their expected errors. Raises ValueError for cameras
+    Points are left in ``table``, by default one of its own. ``noise`` makes their expected errors; ``helpers`` threads work beside
+    the caller's, and change nothing in what is found. Raises ValueError for cameras
     wider than 4096 px and for a table that is too small.
     """
 
@@ -67,6 +70,7 @@ class Pipeline:
         limits: QualityLimits | None = None,
         table: PointTable | None = None,
         noise: StereoNoise = TYPICAL_PAIR,
+        helpers: int = 1,
     ) -> None:
         left, right = calibration.rig.left, calibration.rig.right
         if max(left.width_px, right.width_px) > MAX_WIDTH_PX:
@@ -103,8 +107,11 @@ class Pipeline:
         self._veil: VeilFringes | None = None
         self._frames: dict[str, NDArray[np.uint8]] = {}
         self._bright: NDArray[np.uint8] | None = None
-        self._scratch = [scratch_rows() for _ in range(THREADS)]
-        self._pool = ThreadPoolExecutor(THREADS, "kf-decode")
+        self._scratch = [scratch_rows() for _ in range(BLOCKS)]
+        self._sampled = scratch_rows()
+        """Scratch rows of ``sample``, which may be asked for beside the full cloud."""
+        self.crew = Crew(helpers)
+        """Threads that work on its scans."""
         self.coarse_stride = max(1, int((left.width_px * left.height_px / COARSE_POINTS) ** 0.5))
 
     def __enter__(self) -> Pipeline:
@@ -114,7 +121,7 @@ class Pipeline:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """End its threads; without this, they end with the process."""
-        self._pool.shutdown()
+        self.crew.close()
 
     def push(self, side: str, frames: NDArray[np.uint8], index: int) -> None:
         """Work on frame ``index`` of one side's ``frames`` (n, h, w) uint8; in order. Sides may run in two threads."""
@@ -216,8 +223,7 @@ class Pipeline:
         def work(side: str) -> None:
             self._decoders[side].read_again_through_backscatter(self._frames[side], noises[side])
 
-        for _ in self._pool.map(work, self._frames):
-            pass
+        self.crew.each(work, self._frames)
 
     def _take_veil_out(self) -> None:
         """Find the fringes that backscatter keeps along the rows, and take them out where they are strong."""
@@ -248,6 +254,17 @@ class Pipeline:
             self._straighten()
         return self._with_gaps(self._find(1))
 
+    def begin_full(self, tasks: WorkList) -> Callable[[], Found]:
+        """Add to ``tasks`` what finds the full cloud of the maps as they are, and return what waits for it and returns it.
+
+        Until then the maps must stay as they are, and nothing else may be found in the table.
+        """
+        blocks = self._blocks(
+            self._left_maps(), self._right, self._factors, 1, self._kernel_limits(1), self.table, self._scratch
+        )
+        added = [tasks.add(block) for block in blocks]
+        return lambda: self._with_gaps(self._found(answers(added), 1, self.table))
+
     def bend(self) -> PhaseBend:
         """Return what the projector's response bends the decoders' coordinates by, as they were decoded; call after ``coarse``
         and before the full cloud."""
@@ -272,8 +289,7 @@ class Pipeline:
 
     def _take_out(self, cameras: Sequence[CoordinateMaps], bend: PhaseBend) -> None:
         """Take out of both cameras' coordinates what the response bends them by."""
-        for _ in self._pool.map(lambda camera: take_out(camera, bend, self._sequence.period_px), cameras):
-            pass
+        self.crew.each(lambda camera: take_out(camera, bend, self._sequence.period_px), cameras)
 
     def _with_gaps(self, found: Found) -> Found:
         if self._gaps is None:
@@ -295,7 +311,10 @@ class Pipeline:
         limits = self._kernel_limits(stride)._replace(max_gap_mm=LOOSE_GAP_MM, max_sigma_mm=np.float32(np.inf))
         if any_depth:
             limits = limits._replace(min_depth_mm=np.float32(0.0), max_depth_mm=np.float32(np.inf))
-        return table.cloud(self._find(stride, limits, table))
+        # Few points, by the caller alone: helpers may be at the full cloud, with the scratch rows of that.
+        rows = [self._sampled] * BLOCKS
+        blocks = self._blocks(self._left_maps(), self._right, self._factors, stride, limits, table, rows)
+        return table.cloud(self._found([block() for block in blocks], stride, table))
 
     def find_replaced(self, left: LeftMaps, right: LeftMaps) -> Found:
         """Find the full cloud of other maps than the decoded ones, which stay as they are, and leave the points in the table.
@@ -345,25 +364,40 @@ class Pipeline:
         limits: PointLimits,
         table: PointTable,
     ) -> Found:
+        blocks = self._blocks(left, right, factors, stride, limits, table, self._scratch)
+        return self._found(self.crew.each(lambda block: block(), blocks), stride, table)
+
+    def _blocks(
+        self,
+        left: LeftMaps,
+        right: RightMaps,
+        factors: SigmaFactors,
+        stride: int,
+        limits: PointLimits,
+        table: PointTable,
+        scratch: Sequence[NDArray[np.float32]],
+    ) -> list[Callable[[], tuple[int, int]]]:
+        """Return what finds the points of each block of rows, in any order, with scratch rows of its own."""
         points = table.points
         rows, columns = left.p_px.shape
         # Blocks begin at a row of the coarse grid.
-        block = -(-rows // (THREADS * stride)) * stride
+        block = -(-rows // (BLOCKS * stride)) * stride
         columns = -(-columns // stride)
 
         def work(start: int) -> tuple[int, int]:
-            # Each thread has room for all of its pixels; what it does not need stays empty.
+            # Each block has room for all of its pixels; what it does not need stays empty.
             first = start // stride * columns
             stop = min(start + block, rows)
             count = reconstruct_rows(
-                left, right, self._rays, limits, factors, start, stop, stride, self._scratch[start // block],
-                points, first,
-            )  # fmt: skip
+                left, right, self._rays, limits, factors, start, stop, stride, scratch[start // block], points, first
+            )
             return first, first + int(count)
 
-        pieces = tuple(self._pool.map(work, range(0, rows, block)))
+        return [partial(work, start) for start in range(0, rows, block)]
+
+    def _found(self, pieces: Sequence[tuple[int, int]], stride: int, table: PointTable) -> Found:
         illuminated = self._decoders["left"].illuminated_pixels // stride**2
-        return Found(pieces, summarise(illuminated, points, pieces))
+        return Found(tuple(pieces), summarise(illuminated, table.points, tuple(pieces)))
 
     def _kernel_limits(self, stride: int) -> PointLimits:
         limits = self._limits

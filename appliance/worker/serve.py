@@ -261,6 +261,8 @@ class Server:
         """Say everything that is to be said of the sequence, as soon as it is known, until nobody wants to hear it any more."""
         self._steps = self._processor.steps()
         begun_s = time.process_time()
+        told_s = 0.0
+        """Processor time of what was told since the coarse cloud; the full one may be in work before all judges have spoken."""
         reported: tuple[Judgement, ...] = ()
         for step in self._steps:
             spent_s = time.process_time() - begun_s
@@ -271,22 +273,23 @@ class Server:
                     self._say(PatternsIdentified(self._ticket))
                 case CoarseFound(found):
                     self._say(CloudFound(self._ticket, full=False, found=found, cpu_s=spent_s))
+                    begun_s += spent_s
                     if not self._await_taken():
                         return
                 case OneJudged():
                     self._say(GoingOn(self._ticket))
-                    continue
-                case AllJudged(judgements):
-                    reported = judgements
-                    self._say(SequenceJudged(self._ticket, judgements, spent_s))
+                case AllJudged(judgements, cpu_s):
+                    # Of compensation, all that was not the first judges'.
+                    cost_s = cpu_s if not reported else spent_s - told_s
+                    reported, told_s = judgements, told_s + cost_s
+                    self._say(SequenceJudged(self._ticket, judgements, cost_s))
                 case FullFound(found, judgements):
                     # Only where the full cloud changed what is held against the scan (`with_causes`): else the same
                     # would be told twice.
                     if [one.fault for one in judgements] != [one.fault for one in reported]:
                         self._say(SequenceJudged(self._ticket, judgements, 0.0))
-                    self._say(CloudFound(self._ticket, full=True, found=found, cpu_s=spent_s))
+                    self._say(CloudFound(self._ticket, full=True, found=found, cpu_s=spent_s - told_s))
                     self._await_taken()
-            begun_s = time.process_time()
 
     def _work_through_first(self) -> ProcessedSequence:
         """Do without a word what was left of the first sequence: all of it, where this process was started since.

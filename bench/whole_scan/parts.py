@@ -90,7 +90,8 @@ class Procedure:
 @contextmanager
 def procedure(scene: TimedScene) -> Iterator[Procedure]:
     """Make the pipeline and the judges for a scene, and run them once, so that everything is loaded."""
-    with Pipeline(scene.calibration, scene.water, scene.sequence, noise=scene.settings.noise) as pipeline:
+    # Without helpers: each part is done where it is told, by one thread, and its time is its own.
+    with Pipeline(scene.calibration, scene.water, scene.sequence, noise=scene.settings.noise, helpers=0) as pipeline:
         made = Procedure(scene, pipeline)
         made.round()
         made.forget()

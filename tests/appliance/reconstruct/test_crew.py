@@ -1,0 +1,154 @@
+"""Work shared by the caller and its helpers: nothing waits for a free thread, and nothing is at work once it was left."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from appliance.reconstruct.crew import Crew
+
+TIMEOUT_S = 20.0
+
+
+@pytest.fixture(params=[0, 1, 3])
+def crew(request: pytest.FixtureRequest) -> Iterator[Crew]:
+    made = Crew(request.param)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def pair() -> Iterator[Crew]:
+    """The caller and one helper."""
+    made = Crew()
+    yield made
+    made.close()
+
+
+class Gate:
+    """Work that says when it has begun and ended, and ends when it is let."""
+
+    def __init__(self) -> None:
+        self.begun, self.let, self.ended = threading.Event(), threading.Event(), threading.Event()
+        self.thread = 0
+
+    def __call__(self) -> str:
+        self.thread = threading.get_ident()
+        self.begun.set()
+        assert self.let.wait(TIMEOUT_S)
+        self.ended.set()
+        return "let"
+
+    def let_later(self) -> threading.Timer:
+        timer = threading.Timer(0.1, self.let.set)
+        timer.start()
+        return timer
+
+
+def test_what_is_done_for_each_comes_in_the_order_of_the_items(crew: Crew) -> None:
+    assert crew.each(lambda k: k * k, range(40)) == [k * k for k in range(40)]
+
+
+def test_a_task_may_have_others_done_without_a_thread_to_spare(crew: Crew) -> None:
+    def rows(first: int) -> int:
+        return sum(crew.each(lambda k: first + sum(crew.each(lambda j: j, range(k))), range(5)))
+
+    assert crew.each(rows, range(6)) == [5 * first + 10 for first in range(6)]
+
+
+def test_of_several_errors_the_first_in_order_is_raised_when_all_have_ended(pair: Crew) -> None:
+    slow, ran = Gate(), []
+
+    def work(k: int) -> None:
+        ran.append(k)
+        if k == 0:
+            slow()
+        raise ValueError(f"item {k}")
+
+    timer = slow.let_later()
+    with pytest.raises(ValueError, match="item 0"):
+        pair.each(work, range(2))
+    assert slow.ended.is_set()
+    timer.join(TIMEOUT_S)
+
+
+def test_while_the_helper_is_busy_the_caller_does_what_it_waits_for(pair: Crew) -> None:
+    busy = Gate()
+    with pair.tasks() as tasks:
+        first = tasks.add(busy)
+        assert busy.begun.wait(TIMEOUT_S)
+        assert busy.thread != threading.get_ident()
+        assert pair.each(lambda k: (k, threading.get_ident()), range(2)) == [
+            (k, threading.get_ident()) for k in range(2)
+        ]
+        busy.let.set()
+        assert first.answer() == "let"
+
+
+def test_who_helps_does_a_part_of_what_it_waits_for(pair: Crew) -> None:
+    """The helper's task asks for two more; it can end only when somebody else does one of them at the same time."""
+    both = threading.Barrier(2, timeout=TIMEOUT_S)
+    started = threading.Event()
+
+    def part(_: int) -> int:
+        both.wait()
+        return threading.get_ident()
+
+    def whole() -> list[int]:
+        started.set()
+        return pair.each(part, range(2))
+
+    with pair.tasks() as tasks:
+        task = tasks.add(whole)
+        assert started.wait(TIMEOUT_S)
+        assert len(set(task.answer(helping=True))) == 2
+
+
+def test_what_nobody_has_begun_is_dropped_and_the_rest_awaited(pair: Crew) -> None:
+    running, dropped = Gate(), Gate()
+    with pair.tasks() as tasks:
+        tasks.add(running)
+        never = tasks.add(dropped)
+        assert running.begun.wait(TIMEOUT_S)
+        timer = running.let_later()
+    assert running.ended.is_set(), "nothing is at work any more"
+    assert not dropped.begun.is_set()
+    with pytest.raises(RuntimeError, match="given up"):
+        never.answer()
+    assert pair.each(lambda k: k, range(3)) == [0, 1, 2], "who was dropped leaves nothing in the way of others"
+    timer.join(TIMEOUT_S)
+
+
+def test_an_error_is_raised_each_time_it_is_asked_for_and_not_where_it_is_left(crew: Crew) -> None:
+    def work() -> None:
+        raise KeyError("a judge")
+
+    with crew.tasks() as tasks:
+        task = tasks.add(work)
+        for _ in range(2):
+            with pytest.raises(KeyError, match="a judge"):
+                task.answer()
+        tasks.add(work)
+
+
+def test_a_task_tells_what_its_own_thread_spent(pair: Crew) -> None:
+    def work() -> int:
+        return sum(range(2_000_000))
+
+    def waits() -> None:
+        gate.wait(0.1)
+
+    gate = threading.Event()
+    with pair.tasks() as tasks:
+        spent: list[float] = []
+        for what in (work, waits):
+            task = tasks.add(_untyped(what))
+            task.answer()
+            spent.append(task.cpu_s)
+    assert 0.0 <= spent[1] < spent[0]
+
+
+def _untyped(work: Callable[[], object]) -> Callable[[], object]:
+    return work
