@@ -59,6 +59,8 @@ class Explanation:
     """True if they are equal to the last bit: only a camera's memory repeats an image with its noise."""
     moved: float = 0.0
     """Share of what is illuminated that moves by this explanation; see ``moved_share``."""
+    relief: float = 0.0
+    """Drop of the total of all doubts under the order that it says; 0 where it says none."""
 
 
 def explain(witness: Witness, sequence: PatternSequence, noise: CameraNoise, doubts: LineEvidence) -> Explanation:
@@ -163,7 +165,8 @@ def _reordered(
         found = holder.evidence(order)
         clearly = found.total <= doubts.total - CLEARLY_LESS
         if found.judged and clearly and not found.contradicted and (best is None or found.total < best[0]):
-            best = found.total, replace(explanation, moved=moved_share(holder, sequence, order))
+            relief = doubts.total - found.total
+            best = found.total, replace(explanation, moved=moved_share(holder, sequence, order), relief=relief)
     return None if best is None else best[1]
 
 

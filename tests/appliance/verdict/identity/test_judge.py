@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -15,14 +16,15 @@ from appliance.scan.noise import TYPICAL
 from appliance.scan.sides import SIDES
 from appliance.scan.verdict import Judgement
 from appliance.verdict.identity.counts import follow
-from appliance.verdict.identity.evidence import Witness
-from appliance.verdict.identity.judge import judge_identity
+from appliance.verdict.identity.evidence import LineEvidence, Witness
+from appliance.verdict.identity.explain import Explanation, What
+from appliance.verdict.identity.judge import _may_be_motion, judge_identity
 from appliance.verdict.identity.lines import take_lines
 from hw_sim.light.daylight import Daylight
 from hw_sim.objects.motion import Motion
 from hw_sim.scene import Scene
 from hw_sim.water.medium import Water
-from tests.support.rendered import render_scan
+from tests.support.rendered import RenderedScan, render_scan
 from tests.support.synthetic import frames as ideal_frames
 
 SEQUENCE = build_sequence(16, 128, 96)
@@ -283,6 +285,40 @@ def test_what_rushes_by_is_left_to_the_judge_of_motion() -> None:
     assert (judgement.verdict.passed, judgement.fault) == (None, None)
     late = {side: frames[[1, *range(len(frames) - 1)]] for side, frames in seen.frames.items()}
     assert judge_identity(late, seen.sequence).verdict.passed is not True
+
+
+@pytest.fixture(scope="module")
+def printed_and_moving() -> RenderedScan:
+    scene = Scene("plane", texture="checker", motion=Motion(velocity_mm_s=(8.0, -8.0, 5.0)))
+    return render_scan(scene, "realistic", 10_902, 200, 32, 0.01, frame_s=1.0 / 60.0)
+
+
+def test_printed_squares_that_move_are_no_wrong_pattern(printed_and_moving: RenderedScan) -> None:
+    assert judge_identity(printed_and_moving.frames, printed_and_moving.sequence).verdict.passed
+
+
+@pytest.mark.parametrize("pair", [(8, 12), (3, 17), (7, 14)])
+def test_exchanged_frames_are_found_before_printed_squares_that_move(
+    printed_and_moving: RenderedScan, pair: tuple[int, int]
+) -> None:
+    """Every fourth sample had another mean in X than in Y, so that an order which left next to no doubt was taken for movement."""
+    seen = printed_and_moving
+    order = np.arange(len(seen.sequence))
+    order[list(pair)] = order[list(reversed(pair))]
+    judgement = judge_identity({**seen.frames, "left": seen.frames["left"][order]}, seen.sequence)
+    assert judgement.fault is not None
+    assert judgement.fault.code is FaultCode.PATTERN_WRONG
+    assert judgement.fault.numbers["frame"] == pair[0]
+
+
+def test_what_spoils_nearly_all_tests_is_movement_only_where_a_third_of_all_moves() -> None:
+    """Hands at 30 mm/s in flickering light let two thirds of all exchanged frames of a checkered thing pass unseen."""
+    many = LineEvidence({f"doubt {k}": 1.4 for k in range(5)}, {}, 5000, 4000, 100)
+    few = replace(many, doubts={"forward y": 1.4, "phase y": 0.8})
+    unexplained = Explanation(What.UNEXPLAINED, 0, moved=0.3)
+    assert not _may_be_motion(unexplained, many)
+    assert _may_be_motion(unexplained, few)
+    assert _may_be_motion(replace(unexplained, moved=0.4), many)
 
 
 @pytest.mark.parametrize("fringe", [0.24, 0.18])
