@@ -46,8 +46,8 @@ def _sample(
     for y in range(stride // 2, rows, stride):
         for x in range(n):
             s[P + x], s[Q + x] = p_px[y, x * stride], q_px[y, x * stride]
-        match_row(right, s, s, n, False, at)
-        triangulate_row(rays, y, 0, stride, s, n)
+        match_row(right, s, s, s, n, False, at)
+        triangulate_row(rays, y, 0, stride, s, s, n)
         # Limits are wider than those of points: a knock shows in what they would leave out.
         for x in range(n):
             if not (MIN_DEPTH_MM < s[Z + x] < MAX_DEPTH_MM):

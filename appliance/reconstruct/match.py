@@ -11,7 +11,7 @@ its weights on noise are smaller than those of a straight line, it scatters less
 Symbols: (u, v) is a right column and row in px, (du, dv) the step from a pixel to the point. pu, pv, qu, qv are ∂p/∂u …
 ∂q/∂v, puu … qvv second differences, det = pu qv − pv qu. up, uq, vp, vq are the inverse derivatives up to their signs:
 du = up dp − uq dq, dv = vq dq − vp dp. In the scratch row, PC, PL, PR, PT, PB are p at the pixel (centre) and at its
-neighbours to the left, right, top and bottom; QC … QB the same of q.
+neighbours to the left, right, top and bottom; QC … QB the same of q. s is the row's scratch, w what lasts for its chunk.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.reconstruct.prefetch import LINE_BYTES, prefetch
 from appliance.reconstruct.scratch import (
     BEND_RIGHT,
     MODULATION_RIGHT,
@@ -63,6 +64,8 @@ _HOME, _LOST, _OUTSIDE = 1, 0, -1
 """The three ends of a walk."""
 _BLOCK = 64
 """Number of pixels that are passed over at once where all have a match."""
+_LINE = LINE_BYTES // 4
+"""Coordinates in a cache line."""
 _ZERO, _ONE, _TWO, _HALF = np.float32(0.0), np.float32(1.0), np.float32(2.0), np.float32(0.5)
 _NAN = np.float32(np.nan)
 NO_VARIANCE = np.zeros((0, 0), np.float32)
@@ -149,7 +152,13 @@ def _nearest(at: np.float32, last: np.float32) -> np.float32:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
 def _predict(
-    above: NDArray[np.float32], s: NDArray[np.float32], n: int, width: np.int32, height: np.int32, at: NDArray[np.int32]
+    above: NDArray[np.float32],
+    s: NDArray[np.float32],
+    w: NDArray[np.float32],
+    n: int,
+    width: np.int32,
+    height: np.int32,
+    at: NDArray[np.int32],
 ) -> None:
     """Choose the pixel nearest to where the point above moves, by its own derivatives; some pixel where nothing is known."""
     last_u, last_v = np.float32(width) - np.float32(2.0), np.float32(height) - np.float32(2.0)
@@ -158,13 +167,13 @@ def _predict(
         dp, dq = s[P + x] - above[P + x], s[Q + x] - above[Q + x]
         u = _nearest(above[U + x] + above[UP + x] * dp - above[UQ + x] * dq, last_u)
         v = _nearest(above[V + x] + above[VQ + x] * dq - above[VP + x] * dp, last_v)
-        s[U_START + x] = u
-        s[V_START + x] = v
+        w[U_START + x] = u
+        w[V_START + x] = v
         at[x] = _upper_left(np.int32(u), np.int32(v), width)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def _look_up(right: RightMaps, s: NDArray[np.float32], n: int, at: NDArray[np.int32]) -> None:
+def _look_up(right: RightMaps, s: NDArray[np.float32], w: NDArray[np.float32], n: int, at: NDArray[np.int32]) -> None:
     """Choose the pixel that the inverse map knows; some pixel where it knows none."""
     inverse = right.inverse.reshape(-1)
     columns, width = np.int32(right.inverse.shape[1]), np.int32(right.p_px.shape[1])
@@ -177,18 +186,20 @@ def _look_up(right: RightMaps, s: NDArray[np.float32], n: int, at: NDArray[np.in
             start = inverse[np.uint32(j * columns + i)]
         start = start if start != np.uint32(0) else np.uint32(65537)
         v, u = np.int32(start >> np.uint32(16)), np.int32(start & np.uint32(0xFFFF))
-        s[U_START + x], s[V_START + x] = np.float32(u), np.float32(v)
+        w[U_START + x], w[V_START + x] = np.float32(u), np.float32(v)
         at[x] = _upper_left(u, v, width)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
-def _move_on(s: NDArray[np.float32], n: int, width: np.int32, height: np.int32, at: NDArray[np.int32]) -> None:
+def _move_on(
+    s: NDArray[np.float32], w: NDArray[np.float32], n: int, width: np.int32, height: np.int32, at: NDArray[np.int32]
+) -> None:
     """Choose the pixel nearest to where the last step went."""
     last_u, last_v = np.float32(width) - np.float32(2.0), np.float32(height) - np.float32(2.0)
     for x in range(n):
         u, v = _nearest(s[U + x], last_u), _nearest(s[V + x], last_v)
-        s[U_START + x] = u
-        s[V_START + x] = v
+        w[U_START + x] = u
+        w[V_START + x] = v
         at[x] = _upper_left(np.int32(u), np.int32(v), width)
 
 
@@ -203,30 +214,39 @@ def _take(source: NDArray[np.float32], at: NDArray[np.int32], n: int, target: ND
 def _gather(
     p: NDArray[np.float32],
     q: NDArray[np.float32],
-    modulation: NDArray[np.uint8],
     width: int,
     at: NDArray[np.int32],
     n: int,
-    s: NDArray[np.float32],
+    w: NDArray[np.float32],
 ) -> None:
     """Load the pixels chosen and their neighbours. ``at`` names the neighbour to the upper left: so all else lies behind it.
 
     One quantity after the other: a loop with ten places to load from and ten to store to takes a third longer.
     """
     top, left, centre, right, bottom = 1, width, width + 1, width + 2, 2 * width + 1
-    _take(p[centre:], at, n, s[PC:])
-    _take(p[left:], at, n, s[PL:])
-    _take(p[right:], at, n, s[PR:])
-    _take(p[top:], at, n, s[PT:])
-    _take(p[bottom:], at, n, s[PB:])
-    _take(q[centre:], at, n, s[QC:])
-    _take(q[left:], at, n, s[QL:])
-    _take(q[right:], at, n, s[QR:])
-    _take(q[top:], at, n, s[QT:])
-    _take(q[bottom:], at, n, s[QB:])
-    here = modulation[centre:]
+    _take(p[centre:], at, n, w[PC:])
+    _take(p[left:], at, n, w[PL:])
+    _take(p[right:], at, n, w[PR:])
+    _take(p[top:], at, n, w[PT:])
+    _take(p[bottom:], at, n, w[PB:])
+    _take(q[centre:], at, n, w[QC:])
+    _take(q[left:], at, n, w[QL:])
+    _take(q[right:], at, n, w[QR:])
+    _take(q[top:], at, n, w[QT:])
+    _take(q[bottom:], at, n, w[QB:])
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _take_modulation(
+    half_dn: NDArray[np.uint8], width: int, at: NDArray[np.int32], n: int, w: NDArray[np.float32]
+) -> None:
+    """Write MODULATION_RIGHT of the pixels chosen, and their half grey values in place of ``at``: to collect them one by one and make
+    floats of many at once takes half as long."""
+    here = half_dn[width + 1 :]
     for x in range(n):
-        s[MODULATION_RIGHT + x] = _HALF * np.float32(here[np.uint32(at[x])])
+        at[x] = here[np.uint32(at[x])]
+    for x in range(n):
+        w[MODULATION_RIGHT + x] = _HALF * np.float32(at[x])
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
@@ -242,7 +262,14 @@ def _share(a: np.float32, b: np.float32) -> np.float32:
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
-def _newton(s: NDArray[np.float32], n: int, max_step: np.float32, max_sum: np.float32, curvature: np.float32) -> None:
+def _newton(
+    s: NDArray[np.float32],
+    w: NDArray[np.float32],
+    n: int,
+    max_step: np.float32,
+    max_sum: np.float32,
+    curvature: np.float32,
+) -> None:
     """Make one step on central differences; NaN in U where it is not trusted.
 
     ``curvature`` 1: along the parabola, in one more substitution; 0: straight, which is safer over several pixels.
@@ -250,17 +277,17 @@ def _newton(s: NDArray[np.float32], n: int, max_step: np.float32, max_sum: np.fl
     half = _HALF * curvature
     for x in range(n):
         # J by central differences, and its inverse.
-        pu, qu = _HALF * (s[PR + x] - s[PL + x]), _HALF * (s[QR + x] - s[QL + x])
-        pv, qv = _HALF * (s[PB + x] - s[PT + x]), _HALF * (s[QB + x] - s[QT + x])
+        pu, qu = _HALF * (w[PR + x] - w[PL + x]), _HALF * (w[QR + x] - w[QL + x])
+        pv, qv = _HALF * (w[PB + x] - w[PT + x]), _HALF * (w[QB + x] - w[QT + x])
         det = pu * qv - pv * qu
         inverse = _ONE / det
         up, uq, vq, vp = qv * inverse, pv * inverse, pu * inverse, qu * inverse
         # Straight step: (du, dv) = J⁻¹ (dp, dq).
-        dp, dq = s[P + x] - s[PC + x], s[Q + x] - s[QC + x]
+        dp, dq = s[P + x] - w[PC + x], s[Q + x] - w[QC + x]
         du, dv = up * dp - uq * dq, vq * dq - vp * dp
         # Take off what the parabola adds there: dp − ½ du² puu − ½ dv² pvv; no mixed term, whose pixels are not loaded.
-        puu, pvv = s[PR + x] + s[PL + x] - _TWO * s[PC + x], s[PB + x] + s[PT + x] - _TWO * s[PC + x]
-        quu, qvv = s[QR + x] + s[QL + x] - _TWO * s[QC + x], s[QB + x] + s[QT + x] - _TWO * s[QC + x]
+        puu, pvv = w[PR + x] + w[PL + x] - _TWO * w[PC + x], w[PB + x] + w[PT + x] - _TWO * w[PC + x]
+        quu, qvv = w[QR + x] + w[QL + x] - _TWO * w[QC + x], w[QB + x] + w[QT + x] - _TWO * w[QC + x]
         du2, dv2 = half * du * du, half * dv * dv
         dp -= du2 * puu + dv2 * pvv
         dq -= du2 * quu + dv2 * qvv
@@ -269,15 +296,15 @@ def _newton(s: NDArray[np.float32], n: int, max_step: np.float32, max_sum: np.fl
         du, dv = up * dp - uq * dq, vq * dq - vp * dp
         # No neighbour on another surface, and derivatives that can be inverted.
         smooth = (abs(pu) + abs(pv) + abs(qu) + abs(qv) <= max_sum) & (abs(det) > MIN_DETERMINANT)
-        s[U + x] = s[U_START + x] + du if home & smooth else _NAN
-        s[V + x] = s[V_START + x] + dv
+        s[U + x] = w[U_START + x] + du if home & smooth else _NAN
+        s[V + x] = w[V_START + x] + dv
         s[UP + x] = up
         s[UQ + x] = uq
         s[VQ + x] = vq
         s[VP + x] = vp
-        s[SLOPE + x] = pu
-        s[BEND_RIGHT + x] = _HALF * (puu + pvv)
-        s[RIGHT_SHARE + x] = _share(du2, dv2)
+        w[SLOPE + x] = pu
+        w[BEND_RIGHT + x] = _HALF * (puu + pvv)
+        w[RIGHT_SHARE + x] = _share(du2, dv2)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", inline="always")
@@ -294,7 +321,7 @@ def _bend(m0: np.float32, c: np.float32, m1: np.float32) -> np.float32:
     return m0 + m1 - _TWO * c if m0 == m0 and m1 == m1 else _ZERO
 
 
-@numba.njit(nogil=True, cache=True, error_model="numpy")
+@numba.njit(nogil=True, cache=True, error_model="numpy", inline="always")
 def _walk(
     p_px: NDArray[np.float32],
     q_px: NDArray[np.float32],
@@ -303,6 +330,7 @@ def _walk(
     start: np.uint32,
     x: int,
     s: NDArray[np.float32],
+    w: NDArray[np.float32],
 ) -> int:
     """Make Newton steps from one right pixel to the next until home, one-sided where a neighbour is missing.
 
@@ -342,17 +370,31 @@ def _walk(
             du, dv = (qv * dp - pv * dq) * inverse, (pu * dq - qu * dp) * inverse
             # Bend ½ ∇²p = ½ Σ of the four neighbours − 2 p; NaN where one is missing, which sigma takes for a border.
             around = p_px[v, u - 1] + p_px[v, u + 1] + p_px[v - 1, u] + p_px[v + 1, u]
-            s[BEND_RIGHT + x] = _HALF * around - _TWO * c
-            s[RIGHT_SHARE + x] = _share(du2, dv2)
-            s[U_START + x], s[V_START + x] = np.float32(u), np.float32(v)
-            s[U + x], s[V + x], s[SLOPE + x] = np.float32(u) + du, np.float32(v) + dv, pu
+            w[BEND_RIGHT + x] = _HALF * around - _TWO * c
+            w[RIGHT_SHARE + x] = _share(du2, dv2)
+            w[U_START + x], w[V_START + x] = np.float32(u), np.float32(v)
+            s[U + x], s[V + x], w[SLOPE + x] = np.float32(u) + du, np.float32(v) + dv, pu
             s[UP + x], s[UQ + x], s[VQ + x], s[VP + x] = qv * inverse, pv * inverse, pu * inverse, qu * inverse
-            s[MODULATION_RIGHT + x] = _HALF * np.float32(half_dn[v, u])
+            w[MODULATION_RIGHT + x] = _HALF * np.float32(half_dn[v, u])
             return _HOME
         if not goes_on:
             return _LOST if inside else _OUTSIDE
         u, v = nu, nv
     return _LOST
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _node(coordinate_px: np.float32, nodes_per_px: np.float32) -> int:
+    """Return the number of the node of a pattern column or row."""
+    return int(coordinate_px * nodes_per_px + NODE_MARGIN)
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _start(inverse: NDArray[np.uint32], i: int, j: int) -> np.uint32:
+    """Return the pixel that the inverse map knows at a node; 0 for none, and beyond its edges."""
+    if i < 0 or j < 0 or i >= inverse.shape[1] or j >= inverse.shape[0]:
+        return np.uint32(0)
+    return np.uint32(inverse[j, i])
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -366,6 +408,21 @@ def _any_missing(s: NDArray[np.float32], n: int) -> bool:
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
+def _list_missing(s: NDArray[np.float32], n: int, missing: NDArray[np.int32]) -> int:
+    """Write the places that have coordinates and no match into ``missing`` (n,); return how many."""
+    count = 0
+    for begin in range(0, n, _BLOCK):
+        size = min(_BLOCK, n - begin)
+        if not _any_missing(s[begin:], size):
+            continue
+        # Written everywhere and kept where it counts: a branch would be guessed wrong at every edge.
+        for x in range(begin, begin + size):
+            missing[count] = x
+            count += 1 if (s[P + x] == s[P + x]) & (s[U + x] != s[U + x]) else 0
+    return count
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
 def _search(
     p_px: NDArray[np.float32],
     q_px: NDArray[np.float32],
@@ -374,69 +431,112 @@ def _search(
     nodes_per_px: np.float32,
     max_sum: np.float32,
     s: NDArray[np.float32],
-    n: int,
+    w: NDArray[np.float32],
+    missing: NDArray[np.int32],
+    count: int,
 ) -> None:
-    """Match what has no match yet, the slower way: walk from the pixel's node or, when lost, once more from a neighbour of it.
+    """Match ``count`` places that have no match yet, the slower way: walk from the pixel's node or, when lost, once more from a
+    neighbour of it.
 
-    Arrays come one by one: handing on a tuple of them would count references for each pixel.
+    Where walks begin is asked for beforehand: each is a chain of steps that waits for memory, and none can be begun before the last.
     """
-    for x in range(n):
-        if not (s[P + x] == s[P + x] and s[U + x] != s[U + x]):
-            continue
-        ni = np.int64(s[P + x] * nodes_per_px + NODE_MARGIN)
-        nj = np.int64(s[Q + x] * nodes_per_px + NODE_MARGIN)
+    width = p_px.shape[1]
+    nodes, p, q = inverse.reshape(-1), p_px.reshape(-1), q_px.reshape(-1)
+    # All nodes, then the three rows of either map about the pixel of each.
+    for k in range(count):
+        x = missing[k]
+        prefetch(nodes, _node(s[Q + x], nodes_per_px) * inverse.shape[1] + _node(s[P + x], nodes_per_px))
+    for k in range(count):
+        x = missing[k]
+        start = _start(inverse, _node(s[P + x], nodes_per_px), _node(s[Q + x], nodes_per_px))
+        # The inverse map packs row · 65536 + column.
+        place = np.int64(start >> np.uint32(16)) * width + np.int64(start & np.uint32(0xFFFF))
+        for row in (place - width, place, place + width):
+            prefetch(p, row)
+            prefetch(q, row)
+    # The walks, one by one.
+    for k in range(count):
+        x = missing[k]
+        ni, nj = _node(s[P + x], nodes_per_px), _node(s[Q + x], nodes_per_px)
         # The node itself, then its four neighbours.
         tried = np.uint32(0)
         for ring in range(5):
-            i = ni + (0, 1, -1, 0, 0)[ring]
-            j = nj + (0, 0, 0, 1, -1)[ring]
-            if i < 0 or j < 0 or i >= inverse.shape[1] or j >= inverse.shape[0]:
-                continue
-            start = inverse[j, i]
+            start = _start(inverse, ni + (0, 1, -1, 0, 0)[ring], nj + (0, 0, 0, 1, -1)[ring])
             if start == 0 or start == tried:
                 continue
-            if _walk(p_px, q_px, half_dn, max_sum, start, x, s) != _LOST or tried != 0:
+            # A second time only when the first one was lost.
+            if _walk(p_px, q_px, half_dn, max_sum, start, x, s, w) != _LOST or tried != 0:
                 break
             tried = start
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def _take_variance(variance_px2: NDArray[np.float32], s: NDArray[np.float32], n: int) -> None:
+def _take_variance(variance_px2: NDArray[np.float32], w: NDArray[np.float32], n: int) -> None:
     """Write PHASE_VARIANCE_RIGHT: the variance of the right pixel at which the last Newton step began."""
     for x in range(n):
-        s[PHASE_VARIANCE_RIGHT + x] = variance_px2[np.uint32(s[V_START + x]), np.uint32(s[U_START + x])]
+        w[PHASE_VARIANCE_RIGHT + x] = variance_px2[np.uint32(w[V_START + x]), np.uint32(w[U_START + x])]
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _prefetch_below(
+    p: NDArray[np.float32],
+    q: NDArray[np.float32],
+    half_dn: NDArray[np.uint8],
+    width: int,
+    at: NDArray[np.int32],
+    n: int,
+) -> None:
+    """Ask for what the left row after the next will be the first to read: it sees right pixels two rows below those of this one."""
+    centre, bottom = 3 * width + 1, 4 * width + 1
+    for x in range(0, n, _LINE):
+        prefetch(p, at[x] + bottom)
+        prefetch(q, at[x] + bottom)
+    for x in range(0, n, 4 * _LINE):
+        prefetch(half_dn, at[x] + centre)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def match_row(
-    right: RightMaps, above: NDArray[np.float32], s: NDArray[np.float32], n: int, coherent: bool, at: NDArray[np.int32]
+    right: RightMaps,
+    above: NDArray[np.float32],
+    s: NDArray[np.float32],
+    w: NDArray[np.float32],
+    n: int,
+    coherent: bool,
+    at: NDArray[np.int32],
 ) -> None:
     """Match ``n`` left pixels of a row whose coordinates are in P and Q (NaN: none).
 
     Writes U, V: right column and row in px, U = NaN where there is no match; SLOPE, the gradient of p across right
     columns in px/px, and all of UP … VP; MODULATION_RIGHT; BEND_RIGHT, half the second differences of p in px, NaN where a
     neighbour is missing; RIGHT_SHARE, the variance of p there, of that of one pixel; PHASE_VARIANCE_RIGHT, where the maps
-    carry variances. ``coherent``: ``above`` is the matched row above. ``at`` (n,) int32 is scratch.
+    carry variances. ``coherent``: ``above`` is the matched row above. ``at`` (n,) int32 is scratch. ``w``, laid out as ``s``, takes
+    what the next row does not ask for (``scratch``).
     """
     height, width = right.p_px.shape
     p, q, modulation = right.p_px.reshape(-1), right.q_px.reshape(-1), right.modulation_half_dn.reshape(-1)
     # A pixel near the match: from the row above, or from the inverse map and one straight step.
     if coherent:
-        _predict(above, s, n, np.int32(width), np.int32(height), at)
+        _predict(above, s, w, n, np.int32(width), np.int32(height), at)
     else:
-        _look_up(right, s, n, at)
-        _gather(p, q, modulation, width, at, n, s)
-        _newton(s, n, MAX_FIRST_STEP_PX, right.max_derivative_sum_px, _ZERO)
-        _move_on(s, n, np.int32(width), np.int32(height), at)
+        _look_up(right, s, w, n, at)
+        _gather(p, q, width, at, n, w)
+        _newton(s, w, n, MAX_FIRST_STEP_PX, right.max_derivative_sum_px, _ZERO)
+        _move_on(s, w, n, np.int32(width), np.int32(height), at)
     # The subpixel step, and the slower way for what it does not lead home.
-    _gather(p, q, modulation, width, at, n, s)
-    _newton(s, n, MAX_FINAL_STEP_PX, right.max_derivative_sum_px, _ONE)
-    for begin in range(0, n, _BLOCK):
-        size = min(_BLOCK, n - begin)
-        if _any_missing(s[begin:], size):
-            _search(
-                right.p_px, right.q_px, right.modulation_half_dn, right.inverse, right.nodes_per_px,
-                right.max_derivative_sum_px, s[begin:], size,
-            )  # fmt: skip
+    _gather(p, q, width, at, n, w)
+    # What the rows below will read is on its way while this one is computed.
+    if coherent:
+        _prefetch_below(p, q, modulation, width, at, n)
+    _take_modulation(modulation, width, at, n, w)
+    # Along the parabola: the subpixel point.
+    _newton(s, w, n, MAX_FINAL_STEP_PX, right.max_derivative_sum_px, _ONE)
+    # Where it began is no longer asked.
+    missing = _list_missing(s, n, at)
+    if missing:
+        _search(
+            right.p_px, right.q_px, right.modulation_half_dn, right.inverse, right.nodes_per_px, right.max_derivative_sum_px,
+            s, w, at, missing,
+        )  # fmt: skip
     if right.variance_px2.size:
-        _take_variance(right.variance_px2, s, n)
+        _take_variance(right.variance_px2, w, n)

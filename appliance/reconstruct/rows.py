@@ -4,7 +4,7 @@ Three scratch rows take turns: while a row is matched and triangulated, the one 
 is judged and appended to the points.
 
 Symbols: y is the row that is matched, done the one that is judged; s, row and above are the scratch rows of y, of done and of the
-one above it. Places count in the grid of every stride-th pixel: first … end − 1 are those that the projector illuminates.
+one above it, w that of the chunk in work. Places count in the grid of every stride-th pixel: first … end − 1 are those that the projector illuminates.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.reconstruct.borrowed import borrowed
 from appliance.reconstruct.match import NO_VARIANCE, RightMaps, match_row
 from appliance.reconstruct.scratch import MODULATION, OFFSET, PHASE_VARIANCE, SIZE, P, Q, Z
 from appliance.reconstruct.select import PointLimits, Points, append, judge
@@ -47,8 +48,9 @@ class LeftMaps(NamedTuple):
 
 
 def scratch_rows() -> NDArray[np.float32]:
-    """Return the scratch memory of one thread for ``reconstruct_rows``: (3, SIZE), for a row and the two above it in turns."""
-    return np.full((3, SIZE), _NAN, np.float32)
+    """Return the scratch memory of one thread for ``reconstruct_rows``: (4, SIZE), for a row and the two above it in turns, and for
+    one chunk."""
+    return np.full((4, SIZE), _NAN, np.float32)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -95,13 +97,22 @@ def reconstruct_rows(
     chosen by its eight neighbours. Every ``stride``-th row and column is a grid of its own, so that neighbours of a
     coarse cloud are ``stride`` px apart. ``scratch`` is from ``scratch_rows``.
     """
+    # Rows and chunks are views by the hundred thousand.
+    left, right, rays, scratch, points = (
+        borrowed(left),
+        borrowed(right),
+        borrowed(rays),
+        borrowed(scratch),
+        borrowed(points),
+    )
     rows, columns = left.p_px.shape
     # Noise follows from the maps' variances only where both cameras have some: one of them alone is no sum V_left + V_right.
     variances_given = left.variance_px2.size > 0 and right.variance_px2.size > 0
     n = (columns + stride - 1) // stride
     at, good = np.empty(CHUNK, np.int32), np.empty((n + 7) // 8 * 8, np.uint8)
     # No point of a scan before may stand above the first row: its depth would count as a neighbour's.
-    scratch[:, Z : Z + n] = _NAN
+    scratch[:3, Z : Z + n] = _NAN
+    w = scratch[3]
     count = offset
     begin = max(start - stride, 0)
     first, end = 0, 0
@@ -122,9 +133,9 @@ def reconstruct_rows(
         # (p, q) → (u, v) in the right image → its expected error in px → X, Y, Z, gap and sigma in mm.
         for chunk in range(first, end, CHUNK):
             size = min(CHUNK, end - chunk)
-            match_row(right, row[chunk:], s[chunk:], size, stride == 1 and y > begin, at)
-            expect_row(factors, stride == 1, variances_given, s[chunk:], size)
-            triangulate_row(rays, y, chunk * stride, stride, s[chunk:], size)
+            match_row(right, row[chunk:], s[chunk:], w, size, stride == 1 and y > begin, at)
+            expect_row(factors, stride == 1, variances_given, s[chunk:], w, size)
+            triangulate_row(rays, y, chunk * stride, stride, s[chunk:], w, size)
         # The row above has all eight neighbours now: judge it.
         done = y - stride
         if start <= done < stop:

@@ -5,7 +5,8 @@ arrays need a test at run time for each pair, and beyond eight pairs it gives up
 constants, it needs none, so that a loop may have as many inputs and outputs as the formula has.
 
 ``s[GAP + x]`` is then what ``gap[x]`` would be. A row that needs those above it has a scratch row of its own: they take
-turns, and nothing is copied from one to the next.
+turns, and nothing is copied from one to the next. What only the chunk in work needs lies in one more such buffer, always at its
+beginning: it stays in the first-level cache, while the rows' own quantities, of all columns, fit into the second one.
 """
 
 from __future__ import annotations

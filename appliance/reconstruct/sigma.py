@@ -126,11 +126,11 @@ def four_step_variance_px2(
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
-def _expect(factors: SigmaFactors, s: NDArray[np.float32], n: int) -> None:
+def _expect(factors: SigmaFactors, s: NDArray[np.float32], w: NDArray[np.float32], n: int) -> None:
     """Write POINT_VARIANCE of noise, footprint and border, the noise being that of modulation, offset and camera."""
     scale2, dark1, shot1, dark2, shot2, _ripple, _rad, blur2, border2, _correlation = factors
     for x in range(n):
-        m1, m2, light, slope = s[MODULATION + x], s[MODULATION_RIGHT + x], s[OFFSET + x], s[SLOPE + x]
+        m1, m2, light, slope = s[MODULATION + x], w[MODULATION_RIGHT + x], s[OFFSET + x], w[SLOPE + x]
         before, after = s[P + x - 1], s[P + x + 1]
         left_slope, slope2 = _HALF * (after - before), slope * slope
         left2 = left_slope * left_slope
@@ -143,60 +143,64 @@ def _expect(factors: SigmaFactors, s: NDArray[np.float32], n: int) -> None:
         # Noise: scale2 (σ_l²/m1² + share · σ_r²/m2²), the right camera's light being light · m2/m1.
         m22 = m2 * m2
         left, right = (dark1 + shot1 * light) * m22, (dark2 * m1 + shot2 * light * m2) * m1
-        noise = scale2 * (left + s[RIGHT_SHARE + x] * right) * per_m12
+        noise = scale2 * (left + w[RIGHT_SHARE + x] * right) * per_m12
         # Footprint: ∇p · ∇ln B of the left camera less that of the right one, and the bends beyond what noise makes.
         uneven = (s[MODULATION + x + 1] - s[MODULATION + x - 1]) * left_slope * (left2 - slope2) * per_left2
-        bend1, bend2 = _HALF * (before + after) - s[P + x], s[BEND_RIGHT + x]
+        bend1, bend2 = _HALF * (before + after) - s[P + x], w[BEND_RIGHT + x]
         bend = bend1 * bend1 + bend2 * bend2 - SURE * noise
         known = bend == bend
         bend = bend if bend > _ZERO else _ZERO
         footprint = blur2 * (bend + _QUARTER * uneven * uneven * m22 * per_m12)
         # Px of the pattern become px of the right image.
         up, uq = s[UP + x], s[UQ + x]
-        s[POINT_VARIANCE + x] = (up * up + uq * uq) * (noise + (footprint if known else border2 * slope2))
+        w[POINT_VARIANCE + x] = (up * up + uq * uq) * (noise + (footprint if known else border2 * slope2))
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
-def _expect_given(factors: SigmaFactors, s: NDArray[np.float32], n: int) -> None:
+def _expect_given(factors: SigmaFactors, s: NDArray[np.float32], w: NDArray[np.float32], n: int) -> None:
     """Write POINT_VARIANCE as ``_expect`` does, with the noise that the maps carry instead of that of modulation and light."""
     blur2, border2, correlation = factors.blur2_px4, factors.border_px2, factors.right_correlation
     for x in range(n):
-        modulation, slope = s[MODULATION + x], s[SLOPE + x]
+        modulation, slope = s[MODULATION + x], w[SLOPE + x]
         before, after = s[P + x - 1], s[P + x + 1]
         left_slope, slope2 = _HALF * (after - before), slope * slope
         left2 = left_slope * left_slope
         left2 = left2 if left2 > MIN_SLOPE2 else MIN_SLOPE2
         # Noise: V_left + share · V_right.
-        noise = s[PHASE_VARIANCE + x] + s[RIGHT_SHARE + x] * (correlation * s[PHASE_VARIANCE_RIGHT + x])
+        noise = s[PHASE_VARIANCE + x] + w[RIGHT_SHARE + x] * (correlation * w[PHASE_VARIANCE_RIGHT + x])
         # Footprint: β (½ ∇²p + ∇p · ∇ln B), the second part as the difference of both cameras.
         gradient = s[MODULATION + x + 1] - s[MODULATION + x - 1]
         uneven = gradient * left_slope * (left2 - slope2) / (left2 * modulation)
-        bend1, bend2 = _HALF * (before + after) - s[P + x], s[BEND_RIGHT + x]
+        bend1, bend2 = _HALF * (before + after) - s[P + x], w[BEND_RIGHT + x]
         bend = bend1 * bend1 + bend2 * bend2 - SURE * noise
         known = bend == bend
         bend = bend if bend > _ZERO else _ZERO
         footprint = blur2 * (bend + _QUARTER * uneven * uneven)
         # From px of the pattern to px of the right image.
         up, uq = s[UP + x], s[UQ + x]
-        s[POINT_VARIANCE + x] = (up * up + uq * uq) * (noise + (footprint if known else border2 * slope2))
+        w[POINT_VARIANCE + x] = (up * up + uq * uq) * (noise + (footprint if known else border2 * slope2))
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
-def _add_ripple(ripple_px2: np.float32, rad: np.float32, s: NDArray[np.float32], n: int) -> None:
+def _add_ripple(
+    ripple_px2: np.float32, rad: np.float32, s: NDArray[np.float32], w: NDArray[np.float32], n: int
+) -> None:
     """Add the ripple: of its squared amplitude, t³/(t³ + KNEE) is lost, t the square of its phase per right px.
 
     That is within a fifth of the mean over all places between pixels, wherever it is more than a tenth.
     """
     for x in range(n):
-        t = rad * s[SLOPE + x]
+        t = rad * w[SLOPE + x]
         t = t * t
         t = t * t * t
         up, uq = s[UP + x], s[UQ + x]
-        s[POINT_VARIANCE + x] += (up * up + uq * uq) * ripple_px2 * t / (t + RIPPLE_KNEE)
+        w[POINT_VARIANCE + x] += (up * up + uq * uq) * ripple_px2 * t / (t + RIPPLE_KNEE)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def expect_row(factors: SigmaFactors, next_to: bool, variances_given: bool, s: NDArray[np.float32], n: int) -> None:
+def expect_row(
+    factors: SigmaFactors, next_to: bool, variances_given: bool, s: NDArray[np.float32], w: NDArray[np.float32], n: int
+) -> None:
     """Write POINT_VARIANCE in px² of ``n`` matched left pixels. Where there is no match it means nothing.
 
     ``next_to``: places of ``s`` are neighbours in the image, whose footprints can be told. ``variances_given``: the noise
@@ -206,11 +210,11 @@ def expect_row(factors: SigmaFactors, next_to: bool, variances_given: bool, s: N
     """
     used = factors if next_to else without_neighbours(factors)
     if variances_given:
-        _expect_given(used, s, n)
+        _expect_given(used, s, w, n)
     else:
-        _expect(used, s, n)
+        _expect(used, s, w, n)
     if factors.ripple_px2 > _ZERO:
-        _add_ripple(factors.ripple_px2, factors.ripple_rad, s, n)
+        _add_ripple(factors.ripple_px2, factors.ripple_rad, s, w, n)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.optics.rays import RayLattice
+from appliance.reconstruct.prefetch import prefetch
 from appliance.reconstruct.scratch import (
     GAP,
     POINT_VARIANCE,
@@ -86,7 +87,9 @@ def rays_of(left: RayLattice, right: RayLattice, left_width_px: int) -> Rays:
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
-def _rays_one_by_one(nodes: NDArray[np.float32], step_px: int, n: int, s: NDArray[np.float32]) -> None:
+def _rays_one_by_one(
+    nodes: NDArray[np.float32], step_px: int, n: int, s: NDArray[np.float32], w: NDArray[np.float32]
+) -> None:
     """Compute the right ray of each pixel from the node nearest to it, to first order. Where there is no match, some node."""
     rows, columns = nodes.shape[0], nodes.shape[1]
     flat = nodes.reshape(-1)
@@ -104,12 +107,12 @@ def _rays_one_by_one(nodes: NDArray[np.float32], step_px: int, n: int, s: NDArra
         ni, nj = np.uint32(i), np.uint32(j)
         k = np.uint32((nj * np.uint32(columns) + ni) * np.uint32(24))
         du, dv = u - np.float32(ni) * step, v - np.float32(nj) * step
-        s[X2 + x] = flat[k] + du * flat[np.uint32(k + 4)] + dv * flat[np.uint32(k + 8)]
-        s[Y2 + x] = flat[np.uint32(k + 1)] + du * flat[np.uint32(k + 5)] + dv * flat[np.uint32(k + 9)]
-        s[SX2 + x] = flat[np.uint32(k + 2)] + du * flat[np.uint32(k + 6)] + dv * flat[np.uint32(k + 10)]
-        s[SY2 + x] = flat[np.uint32(k + 3)] + du * flat[np.uint32(k + 7)] + dv * flat[np.uint32(k + 11)]
-        s[SHIFT + x] = flat[np.uint32(k + 4)]
-        s[SHIFT_SLOPE + x] = flat[np.uint32(k + 6)]
+        w[X2 + x] = flat[k] + du * flat[np.uint32(k + 4)] + dv * flat[np.uint32(k + 8)]
+        w[Y2 + x] = flat[np.uint32(k + 1)] + du * flat[np.uint32(k + 5)] + dv * flat[np.uint32(k + 9)]
+        w[SX2 + x] = flat[np.uint32(k + 2)] + du * flat[np.uint32(k + 6)] + dv * flat[np.uint32(k + 10)]
+        w[SY2 + x] = flat[np.uint32(k + 3)] + du * flat[np.uint32(k + 7)] + dv * flat[np.uint32(k + 11)]
+        w[SHIFT + x] = flat[np.uint32(k + 4)]
+        w[SHIFT_SLOPE + x] = flat[np.uint32(k + 6)]
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -128,7 +131,9 @@ def _expand(c: tuple[np.float32, ...], du: np.float32, dv: np.float32) -> np.flo
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
-def _rays_by_blocks(nodes: NDArray[np.float32], step_px: int, n: int, s: NDArray[np.float32]) -> None:
+def _rays_by_blocks(
+    nodes: NDArray[np.float32], step_px: int, n: int, s: NDArray[np.float32], w: NDArray[np.float32]
+) -> None:
     """Compute the right rays block by block: neighbours see neighbouring points, so that one node serves all pixels of a block.
 
     Where it is too far from one of them, each asks its own. The last block may end beyond ``n``: there is room in a
@@ -155,6 +160,10 @@ def _rays_by_blocks(nodes: NDArray[np.float32], step_px: int, n: int, s: NDArray
         ni, nj = np.int32(i), np.int32(j)
         u, v = np.float32(ni) * step, np.float32(nj) * step
         k = np.uint32((nj * columns + ni) * np.int32(24))
+        # The rows that follow will ask the node below.
+        below = int((nj + np.int32(1)) * columns + ni) * 24
+        prefetch(flat, below)
+        prefetch(flat, below + 16)
         # A node's 24 numbers: coefficient after coefficient, each of x0, y0, sx, sy.
         x, y = _series(flat, k), _series(flat, np.uint32(k + 1))
         sx, sy = _series(flat, np.uint32(k + 2)), _series(flat, np.uint32(k + 3))
@@ -166,28 +175,28 @@ def _rays_by_blocks(nodes: NDArray[np.float32], step_px: int, n: int, s: NDArray
             du, dv = s[_U + at] - u, s[_V + at] - v
             outside = (abs(du) > MAX_DU_PX) | (abs(dv) > MAX_DV_PX)
             far = np.int32(far | (np.int32(1) if outside else np.int32(0)))
-            s[_X2 + at] = _expand(x, du, dv)
-            s[_Y2 + at] = _expand(y, du, dv)
-            s[_SX2 + at] = _expand(sx, du, dv)
-            s[_SY2 + at] = _expand(sy, du, dv)
-            s[_SHIFT + at] = x[1]
-            s[_SHIFT_SLOPE + at] = sx[1]
+            w[_X2 + at] = _expand(x, du, dv)
+            w[_Y2 + at] = _expand(y, du, dv)
+            w[_SX2 + at] = _expand(sx, du, dv)
+            w[_SY2 + at] = _expand(sy, du, dv)
+            w[_SHIFT + at] = x[1]
+            w[_SHIFT_SLOPE + at] = sx[1]
         # Some pixel of the block sees another surface: each asks its own node.
         if far != np.int32(0):
-            _rays_one_by_one(nodes, step_px, min(RAY_BLOCK, n - begin), s[begin:])
+            _rays_one_by_one(nodes, step_px, min(RAY_BLOCK, n - begin), s[begin:], w[begin:])
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
-def _intersect(s: NDArray[np.float32], n: int, plane_z_mm: np.float32) -> None:
+def _intersect(s: NDArray[np.float32], w: NDArray[np.float32], n: int, plane_z_mm: np.float32) -> None:
     """Intersect the rays: write X, Y, Z, GAP, SIGMA.
 
     Sigma is the standard error along the left ray: that of the right image point across the baseline, times the shift
     of the right ray per px: so much moves the intersection by shift · √(a / det), as h below has it for a shift of x.
     """
     for x in range(n):
-        sx1, sy1, sx2, sy2 = s[SX1 + x], s[SY1 + x], s[SX2 + x], s[SY2 + x]
+        sx1, sy1, sx2, sy2 = w[SX1 + x], w[SY1 + x], w[SX2 + x], w[SY2 + x]
         # Shortest connection: [a −b; b −c] (h, t) = (−d, −e), with the products of directions and of their offset w.
-        wx, wy = s[X1 + x] - s[X2 + x], s[Y1 + x] - s[Y2 + x]
+        wx, wy = w[X1 + x] - w[X2 + x], w[Y1 + x] - w[Y2 + x]
         a = sx1 * sx1 + sy1 * sy1 + _ONE
         b = sx1 * sx2 + sy1 * sy2 + _ONE
         c = sx2 * sx2 + sy2 * sy2 + _ONE
@@ -197,22 +206,22 @@ def _intersect(s: NDArray[np.float32], n: int, plane_z_mm: np.float32) -> None:
         h, t = (b * e - c * d) * inverse, (a * e - b * d) * inverse
         # The gap vector; the point is half of it away from the left ray.
         gx, gy, gz = wx + h * sx1 - t * sx2, wy + h * sy1 - t * sy2, h - t
-        s[X + x] = s[X1 + x] + h * sx1 - _HALF * gx
-        s[Y + x] = s[Y1 + x] + h * sy1 - _HALF * gy
+        s[X + x] = w[X1 + x] + h * sx1 - _HALF * gx
+        s[Y + x] = w[Y1 + x] + h * sy1 - _HALF * gy
         s[Z + x] = plane_z_mm + _HALF * (h + t)
         s[GAP + x] = np.sqrt(gx * gx + gy * gy + gz * gz)
         # The shift per px at the depth of the point.
-        shift = abs(s[SHIFT + x] + t * s[SHIFT_SLOPE + x])
-        s[SIGMA + x] = shift * np.sqrt(s[POINT_VARIANCE + x] * a * inverse)
+        shift = abs(w[SHIFT + x] + t * w[SHIFT_SLOPE + x])
+        s[SIGMA + x] = shift * np.sqrt(w[POINT_VARIANCE + x] * a * inverse)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
 def _left_rays(
-    rows: NDArray[np.float32], j: int, share: np.float32, first: int, stride: int, n: int, s: NDArray[np.float32]
+    rows: NDArray[np.float32], j: int, share: np.float32, first: int, stride: int, n: int, w: NDArray[np.float32]
 ) -> None:
     """Compute the left rays between two rows of the table: linear in the row."""
     for axis in range(4):
-        target = s[(X1, Y1, SX1, SY1)[axis] :]
+        target = w[(X1, Y1, SX1, SY1)[axis] :]
         upper, lower = rows[axis, j, first:], rows[axis, j + 1, first:]
         if stride == 1:
             for x in range(n):
@@ -223,7 +232,9 @@ def _left_rays(
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def triangulate_row(rays: Rays, y: int, first: int, stride: int, s: NDArray[np.float32], n: int) -> None:
+def triangulate_row(
+    rays: Rays, y: int, first: int, stride: int, s: NDArray[np.float32], w: NDArray[np.float32], n: int
+) -> None:
     """Triangulate ``n`` matched left pixels of row ``y``; where U is NaN, so is everything.
 
     Reads U, V, POINT_VARIANCE; writes X, Y, Z, GAP, SIGMA in mm. Place k is left column
@@ -231,9 +242,9 @@ def triangulate_row(rays: Rays, y: int, first: int, stride: int, s: NDArray[np.f
     """
     j = y // rays.step_px
     share = np.float32((y - j * rays.step_px) / rays.step_px)
-    _left_rays(rays.left, j, share, first, stride, n, s)
+    _left_rays(rays.left, j, share, first, stride, n, w)
     if stride == 1:
-        _rays_by_blocks(rays.right, rays.step_px, n, s)
+        _rays_by_blocks(rays.right, rays.step_px, n, s, w)
     else:
-        _rays_one_by_one(rays.right, rays.step_px, n, s)
-    _intersect(s, n, rays.plane_z_mm)
+        _rays_one_by_one(rays.right, rays.step_px, n, s, w)
+    _intersect(s, w, n, rays.plane_z_mm)

@@ -13,6 +13,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.reconstruct.borrowed import borrowed
 from appliance.reconstruct.decode.phase import AxisDecoding, close_row
 from appliance.reconstruct.scratch import COORDINATE, DECODING_SIZE
 
@@ -91,6 +92,9 @@ def close_axis(
     wait in scratch, and row y − 1 is judged, and written, when row y is closed. Beyond its illuminated part, a row in scratch is
     NaN.
     """
+    # Each row takes a dozen views.
+    i0, i1, i2, i3, half_period = borrowed(i0), borrowed(i1), borrowed(i2), borrowed(i3), borrowed(half_period)
+    other, coordinate, half_dn, mask = borrowed(other), borrowed(coordinate), borrowed(half_dn), borrowed(mask)
     rows, columns = coordinate.shape
     # Rows y − 2, y − 1 and y, in turns.
     scratch = np.full((3, DECODING_SIZE), _NAN, np.float32)

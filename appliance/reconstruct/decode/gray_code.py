@@ -9,6 +9,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.reconstruct.borrowed import borrowed
+
 BITS_AT_ONCE = 7
 """Number of images read in one loop: with the threshold, eight inputs to one output are the most of which LLVM checks that
 they do not overlap."""
@@ -83,6 +85,8 @@ def number_half_periods(
 
     Images are (h, w) uint8; for fewer than seven, put the dark image in front: where there is light it is a zero bit.
     """
+    a, b, c, d, e, f, g = borrowed(a), borrowed(b), borrowed(c), borrowed(d), borrowed(e), borrowed(f), borrowed(g)
+    gray_threshold, half_period = borrowed(gray_threshold), borrowed(half_period)
     for y in range(half_period.shape[0]):
         first, stop = illuminated[y]
         _number(

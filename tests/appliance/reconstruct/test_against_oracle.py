@@ -164,7 +164,7 @@ def test_rays_asked_block_by_block_are_those_of_each_pixel() -> None:
     scratch = np.full(SIZE, np.nan, np.float32)
     scratch[U : U + n], scratch[V : V + n] = uv.astype(np.float32).T
     scratch[U + 700 : U + 740] = np.nan
-    triangulate_row(rays, 600, 0, 1, scratch, n)
+    triangulate_row(rays, 600, 0, 1, scratch, scratch, n)
     origin, direction = right.rays(uv.astype(np.float32).astype(float), index)
     slope = direction[:, :2] / direction[:, 2:]
     at_plane = origin[:, :2] + slope * (522.5 - origin[:, 2:])

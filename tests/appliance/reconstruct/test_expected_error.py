@@ -60,7 +60,7 @@ def with_row(
     for place, value in (PLAIN | changes).items():
         s[place - 1 : place + N + 1] = value
     s[P - 1 : P + N + 1] = 100.0 + 1.5 * np.arange(-1, N + 1) if p is None else p
-    expect_row(factors, next_to, variances_given, s, N)
+    expect_row(factors, next_to, variances_given, s, s, N)
     return s[POINT_VARIANCE : POINT_VARIANCE + N].astype(float)
 
 

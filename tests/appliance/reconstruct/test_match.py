@@ -63,7 +63,7 @@ class Row:
         self.s = np.full(SIZE, np.nan, np.float32)
         self[P], self[Q] = surface(u, v)
         before = self.s if above is None else above.s
-        match_row(right, before, self.s, self.n, above is not None, np.empty(self.n, np.int32))
+        match_row(right, before, self.s, self.s, self.n, above is not None, np.empty(self.n, np.int32))
 
     def __getitem__(self, place: int) -> np.ndarray:
         values: np.ndarray = self.s[place : place + self.n].astype(float)

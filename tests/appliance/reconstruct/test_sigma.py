@@ -28,7 +28,7 @@ def matched(p: np.ndarray, q: np.ndarray, asked_p: np.ndarray, asked_q: np.ndarr
     s = np.full(SIZE, np.nan, np.float32)
     n = len(asked_p)
     s[P : P + n], s[Q : Q + n] = asked_p, asked_q
-    match_row(right, s, s, n, False, np.empty(n, np.int32))
+    match_row(right, s, s, s, n, False, np.empty(n, np.int32))
     return s
 
 
@@ -66,7 +66,7 @@ def test_the_variance_of_a_right_coordinate_is_that_of_the_pixel_it_is_read_off_
     n = at_u.size
     s = np.full(SIZE, np.nan, np.float32)
     s[P : P + n], s[Q : Q + n] = 100.0 + 2.0 * at_u.ravel(), 20.0 + 2.0 * at_v.ravel()
-    match_row(right, s, s, n, False, np.empty(n, np.int32))
+    match_row(right, s, s, s, n, False, np.empty(n, np.int32))
     found = np.isfinite(s[U : U + n])
     row, column = np.divmod(s[PHASE_VARIANCE_RIGHT : PHASE_VARIANCE_RIGHT + n][found], 1000.0)
     assert found.mean() > 0.6

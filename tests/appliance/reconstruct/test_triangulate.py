@@ -26,7 +26,7 @@ def triangulated(rays: Rays, y: int, first: int, stride: int, uv: np.ndarray) ->
     s[U : U + room], s[V : V + room] = 150.0, 150.0
     s[U : U + n], s[V : V + n] = uv.T
     s[POINT_VARIANCE : POINT_VARIANCE + room] = SIGMA_PX**2
-    triangulate_row(rays, y, first, stride, s, n)
+    triangulate_row(rays, y, first, stride, s, s, n)
     named = {"xyz": (X, Y, Z), "gap": (GAP,), "sigma": (SIGMA,)}
     return {name: np.stack([s[a : a + n] for a in places], -1).astype(float) for name, places in named.items()}
 
