@@ -100,7 +100,7 @@ class SequenceProcessor:
         self._moved = self._compensated = False
         self._full: Found | None = None
         self._tasks = WorkList(pipeline.crew)
-        """WorkList that belong to the sequence in work."""
+        """Tasks that belong to the sequence in work."""
         self._last_frames: list[WorkItem[None]] = []
 
     def _new_gatherers(self) -> dict[str, Gatherer]:

@@ -31,7 +31,7 @@ class Crew:
         self._changed = threading.Condition()
         """Guards what follows, and the state of all tasks."""
         self._open: deque[WorkItem[object]] = deque()
-        """WorkList that nobody has begun."""
+        """Tasks that nobody has begun."""
 
     def close(self) -> None:
         """End the helpers' threads, after what they have begun."""
@@ -93,7 +93,9 @@ class WorkItem(Generic[T]):
     """A task: work that some thread does once. Made by ``WorkList.add``."""
 
     def __init__(self, crew: Crew, work: Callable[[], T]) -> None:
-        self._crew, self._work = crew, work
+        self._crew = crew
+        self._work: Callable[[], T] | None = work
+        """None once it is done or dropped: what it holds of a scan, and whatever points at this task, is free then."""
         self._returned: T | None = None
         self._raised: BaseException | None = None
         self.is_done = False
@@ -102,11 +104,14 @@ class WorkItem(Generic[T]):
 
     def do(self) -> None:
         """Do the work; whoever calls has taken it off the crew's list."""
+        work, self._work = self._work, None
+        assert work is not None, "a task is taken off the list once"
         begun_s = time.thread_time()
         try:
-            self._returned = self._work()
+            self._returned = work()
         except BaseException as error:  # it is raised where the answer is awaited
             self._raised = error
+        del work
         self.cpu_s = time.thread_time() - begun_s
         self._crew.ended(cast(WorkItem[object], self))
 
@@ -132,6 +137,7 @@ class WorkItem(Generic[T]):
         """Let nobody begin it any more."""
         crew, itself = self._crew, cast(WorkItem[object], self)
         if crew.take(itself):
+            self._work = None
             self._raised = RuntimeError("its scan was given up before this was begun; begin the scan again")
             crew.ended(itself)
 
@@ -141,7 +147,7 @@ class WorkItem(Generic[T]):
 
 
 class WorkList:
-    """WorkList that belong together: when the list is closed, those that nobody has begun are dropped and the others awaited."""
+    """Tasks that belong together: when the list is closed, those that nobody has begun are dropped and the others awaited."""
 
     def __init__(self, crew: Crew) -> None:
         self._crew = crew
