@@ -8,7 +8,7 @@ vector operations and NumPy, take 41 and 103 ms; ``machine_factor`` says how muc
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +16,7 @@ import numpy as np
 
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.table import Cloud
+from appliance.scan.sides import SIDES
 from bench import foreign, roofline
 from bench.disk import durable
 from bench.judgement import judged, judged_at_steps, precision
@@ -33,6 +34,8 @@ OPENCV_THERE_MS, NUMPY_THERE_MS = 41.0, 103.0
 """Decoding one camera on the machine for which the targets were set."""
 COARSE_TARGET_MS, FULL_TARGET_MS, SCAN_TARGET_MS = 15.0, 50.0, 60.0
 KDTREE_TARGET = 40.0
+FULL_ROOFLINE_TARGET = 4.0
+"""Times the full cloud may take what memory alone needs for its maps and points."""
 PAIR_MS = 1000.0 / 60.0
 """A pair of frames must be worked on before the next one comes."""
 BAR_HEIGHT_MM = 15.0
@@ -64,7 +67,8 @@ def measured_with(effort: Effort, out: Path) -> Iterator[Measured]:
         rounds = in_turns(pipeline, scan, effort.rounds, effort.slow_rounds, effort.ask_peers)
         one_scan(pipeline, scan)
         cloud = pipeline.full()
-        numbers = [*stages(rounds), *compared(rounds), *least(rounds, scan, len(cloud.points_mm))]
+        lit_px = [pipeline.decoded(side).illuminated_pixels for side in SIDES]
+        numbers = [*stages(rounds), *compared(rounds), *least(rounds, scan, lit_px, len(cloud.points_mm))]
         draw(out / "reconstruction.png", panels({n.key: n for n in numbers if n.key is not None}, rounds))
         yield from numbers
         yield from judged(scan, cloud)
@@ -138,7 +142,7 @@ def compared(rounds: Rounds) -> Iterator[Measured]:
         yield median_of("that against ours", rounds.ratios(name, ours[name]), "times", f"ratio_{name}")
 
 
-def least(rounds: Rounds, scan: ScanFrames, points: int) -> Iterator[Measured]:
+def least(rounds: Rounds, scan: ScanFrames, lit_px: Sequence[int], points: int) -> Iterator[Measured]:
     """What memory alone would need, at the best speed seen in this run."""
     read_gb_s, write_gb_s = (float(best) for best in np.max(rounds.bandwidth_gb_s, 0))
     frames = scan.frames["left"]
@@ -148,6 +152,11 @@ def least(rounds: Rounds, scan: ScanFrames, points: int) -> Iterator[Measured]:
     yield Measured("whole scan, if memory alone counted", least_ms, "ms", key="roofline_scan_ms")
     ratio = [whole / least_ms for whole in rounds.scan_ms(lambda s: s.whole_ms)]
     yield median_of("ours against that", ratio, "times", "ratio_roofline")
+    left_px, right_px = lit_px
+    least_ms = roofline.full_cloud_ms(left_px, right_px, points, read_gb_s, write_gb_s)
+    yield Measured("full cloud, if memory alone counted", least_ms, "ms", key="roofline_full_ms")
+    ratio = [full / least_ms for full in rounds.scan_ms(lambda s: s.full_ms)]
+    yield median_of("ours against that", ratio, "times", "ratio_full_roofline", at_most=FULL_ROOFLINE_TARGET)
 
 
 def panels(numbers: dict[str, Measured], rounds: Rounds) -> list[Panel]:

@@ -71,6 +71,8 @@ TABLES: dict[str, tuple[tuple[str, str, str], ...]] = {
         ("scan_cpu_ms", "whole scan", "ms CPU"),
         ("roofline_scan_ms", "whole scan, if memory traffic alone counted", "ms"),
         ("ratio_roofline", "ours against that", "×"),
+        ("roofline_full_ms", "full cloud, if its maps were read once and its points written once", "ms"),
+        ("ratio_full_roofline", "ours against that", "×"),
         ("memory_read_gb_s", "memory reads, one thread", "GB/s"),
         ("memory_write_gb_s", "memory writes, one thread", "GB/s"),
     ),

@@ -52,3 +52,10 @@ def scan_ms(pixels: int, frames: int, points: int, read_gb_s: float, write_gb_s:
     maps_bytes = 2 * pixels * 8
     read_bytes = 2 * pixels * frames + maps_bytes
     return (read_bytes / read_gb_s + (maps_bytes + 26 * points) / write_gb_s) / 1e6
+
+
+def full_cloud_ms(left_px: int, right_px: int, points: int, read_gb_s: float, write_gb_s: float) -> float:
+    """The full cloud alone: of each lit left pixel both coordinates, modulation, Gray threshold and grey value are read once, of each lit
+    right pixel both coordinates and modulation; each point is written once, with gap, sigma, modulation, pixel and grey value."""
+    read_bytes = (2 * 4 + 3) * left_px + (2 * 4 + 1) * right_px
+    return (read_bytes / read_gb_s + 26 * points / write_gb_s) / 1e6

@@ -103,6 +103,7 @@ def test_one_run_gives_every_number_that_was_promised(small_run: tuple[Path, dic
         "bias_px",
         "float32_max_px",
         "roofline_scan_ms",
+        "roofline_full_ms",
         "opencv_decode_cpu_ms",
         "numpy_decode_cpu_ms",
         "numpy_kdtree_cpu_ms",
@@ -119,6 +120,10 @@ def test_parts_of_a_scan_add_up(small_run: tuple[Path, dict[str, Measured]]) -> 
     numbers = small_run[1]
     assert numbers["coarse_cpu_ms"].value < numbers["full_cpu_ms"].value < numbers["scan_cpu_ms"].value
     assert numbers["roofline_scan_ms"].value < numbers["scan_cpu_ms"].value, "faster than memory: a wrong time"
+    assert numbers["roofline_full_ms"].value < numbers["full_step_cpu_ms"].value, "faster than memory: a wrong time"
+    assert numbers["roofline_full_ms"].value * numbers["ratio_full_roofline"].value == pytest.approx(
+        numbers["full_step_cpu_ms"].value
+    )
     assert numbers["pair_max_cpu_ms"].value <= numbers["recording_cpu_ms"].value + numbers["last_frame_cpu_ms"].value
     assert numbers["worker_scan_cpu_ms"].value > 0.5 * numbers["full_step_cpu_ms"].value, "it does the same work"
     low, high = numbers["scan_cpu_ms"].spread or (0.0, 0.0)
@@ -199,6 +204,10 @@ def test_reading_and_writing_memory_takes_time() -> None:
 def test_memory_sets_a_limit() -> None:
     assert roofline.scan_ms(1_920_000, 24, 1_300_000, 48.0, 20.0) == pytest.approx(
         (92.16 + 30.72) / 48.0 + (30.72 + 33.8) / 20.0
+    )
+    # 11 and 9 bytes of a lit pixel, 26 of a point.
+    assert roofline.full_cloud_ms(1_400_000, 1_300_000, 1_200_000, 40.0, 20.0) == pytest.approx(
+        (15.4 + 11.7) / 40.0 + 31.2 / 20.0
     )
 
 
