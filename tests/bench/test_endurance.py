@@ -36,3 +36,21 @@ def test_more_flips_make_a_taller_bar(tmp_path: Path) -> None:
     inked = (picture[:350] == (170, 120, 40)).all(-1).sum(0)
     columns = np.flatnonzero(inked)
     assert inked.max() > 3 * inked[columns[-3]], "the bar of the two late ones is short"
+
+
+def test_a_stage_that_one_scan_has_not_reached_is_not_counted_as_anothers() -> None:
+    """Ten scans; every third has no full cloud, one of the others is late."""
+    times_s = [{"last_frame": float(k), "coarse": k + 0.02, "full": k + (0.5 if k == 9 else 0.1)} for k in range(10)]
+    for k in (0, 3, 6):
+        del times_s[k]["full"]
+    log = {
+        "scans": 10, "lost_frames": 0, "refused": [], "answers_us": [1.0], "blanks_late_us": [1.0], "missed": 0,
+        "screen_hz": 60.0, "late_us": [1.0], "times_s": times_s, "service_mb": [1.0], "worker_mb": [1.0],
+    }  # fmt: skip
+    said = {one.key: one for one in judged(log)}
+    assert said["coarse_latency_ms"].value == pytest.approx(20.0)
+    assert said["full_latency_ms"].value == pytest.approx(100.0)
+    # Between the sixth and the seventh of seven, 0.7 of the way.
+    assert said["full_latency_p95_ms"].value == pytest.approx(100.0 + 0.7 * 400.0)
+    assert not said["full_latency_p95_ms"].kept
+    assert "saved_latency_ms" not in said
