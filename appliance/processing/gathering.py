@@ -21,7 +21,7 @@ from appliance.scan.noise import CameraNoise
 from appliance.verdict.identity.lines import Lines, LineTaker
 from appliance.verdict.light.levels import Sample, Sampler
 from appliance.verdict.motion.cells import RunSums, run_sums
-from appliance.verdict.motion.texture import EarlyMeans, early_means
+from appliance.verdict.motion.texture import Averager, Means
 from appliance.verdict.sight.judge import VisibleFringes, see
 from appliance.verdict.water.backscatter import water_grid
 from appliance.verdict.window import window_grid
@@ -37,7 +37,7 @@ class Gathered:
     """Pixels for the judge of light."""
     visible: VisibleFringes
     """Fringes that are seen without decoding."""
-    means: EarlyMeans
+    means: Means
     """Images of texture for the judge of motion."""
     runs: RunSums
     """Sums of pixels of the sine images of X, for the same."""
@@ -54,8 +54,9 @@ class Gatherer:
         self._sequence, self._noise, self._decoded = sequence, noise, decoded
         self._lines = LineTaker(sequence, noise)
         self._sampler = Sampler(sequence)
+        self._averager = Averager(sequence)
         self._grids = (water_grid(sequence), window_grid(sequence))
-        self._of_x: tuple[VisibleFringes, EarlyMeans, RunSums] | None = None
+        self._of_x: tuple[VisibleFringes, RunSums] | None = None
         self._pushed = 0
 
     def push(self, frames: NDArray[np.uint8], index: int) -> None:
@@ -63,13 +64,13 @@ class Gatherer:
         self._pushed = index + 1
         self._lines.push(frames, index)
         self._sampler.push(frames, index)
+        self._averager.push(frames, index)
         for grid in self._grids:
             grid.push(frames, index)
         if index == self._sequence.axis(Direction.X).sine[-1]:
             variance_dn2 = self._noise.dark_variance_dn2, self._noise.dn_per_e
             self._of_x = (
                 see(frames, self._sequence, self._noise),
-                early_means(frames, self._sequence),
                 run_sums(frames, self._decoded.p_px, self._sequence, variance_dn2),
             )
 
@@ -79,7 +80,10 @@ class Gatherer:
             raise ValueError(
                 f"{self._pushed} of {len(self._sequence)} frames were pushed; push all before asking for verdicts"
             )
-        return Gathered(self._lines.finish(), self._sampler.finish(), *self._of_x, *self._grids)
+        visible, runs = self._of_x
+        return Gathered(
+            self._lines.finish(), self._sampler.finish(), visible, self._averager.finish(), runs, *self._grids
+        )  # fmt: skip
 
 
 def gather(

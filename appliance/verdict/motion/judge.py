@@ -39,7 +39,7 @@ from appliance.verdict.motion.scores import (
     flow_score,
     texture_score,
 )
-from appliance.verdict.motion.texture import EarlyMeans, TextureShift, texture_shift
+from appliance.verdict.motion.texture import Means, TextureShift, texture_shift
 
 NAME = "motion"
 MOST_ADDED = 0.07
@@ -92,13 +92,13 @@ def judge_motion(
     cloud: Cloud,
     rig: StereoRig,
     water_index: float,
-    means: Mapping[str, EarlyMeans] | None = None,
+    means: Mapping[str, Means] | None = None,
     runs: Mapping[str, RunSums] | None = None,
 ) -> MotionJudgement:
     """Judge a whole sequence with its coarse ``cloud``; ``rig`` and ``water_index`` turn px into mm. About 40 ms of CPU at
     full size.
 
-    ``means`` of both sides before Y and ``runs`` of X, where they were taken while the frames arrived.
+    ``means`` of both sides and ``runs`` of X, where they were taken while the frames arrived.
     """
     sequence = images.sequence
     noise = {side: of_side(images.noise, side) for side in SIDES}

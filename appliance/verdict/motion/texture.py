@@ -65,43 +65,73 @@ def _add_row(row: NDArray[np.uint8], line: NDArray[np.uint16]) -> None:
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def _binned_mean(
-    images: NDArray[np.uint8], numbers: NDArray[np.int64], bin_px: int, stride: int, out: NDArray[np.float32]
-) -> None:
-    """Compute the mean over the images ``numbers`` and over squares of ``bin_px`` (of which each ``stride``-th row
-    counts).
+def _add_binned(image: NDArray[np.uint8], bin_px: int, stride: int, sums: NDArray[np.uint32]) -> None:
+    """Add the sums over squares of ``bin_px`` (of which each ``stride``-th row counts).
 
     Whole rows are added up first, which is what vector instructions do best.
     """
-    line = np.zeros(out.shape[1] * bin_px, np.uint16)
-    scale = np.float32(1.0 / (numbers.size * bin_px * ((bin_px + stride - 1) // stride)))
-    for j in range(out.shape[0]):
-        # The column sums of one row of bins, over all its images and rows; 16 bits hold 257 full-scale rows.
+    line = np.zeros(sums.shape[1] * bin_px, np.uint16)
+    for j in range(sums.shape[0]):
+        # The column sums of one row of bins; 16 bits hold 257 full-scale rows.
         line[:] = np.uint16(0)
-        for k in numbers:
-            for y in range(0, bin_px, stride):
-                _add_row(images[k, j * bin_px + y], line)
-        for i in range(out.shape[1]):
+        for y in range(0, bin_px, stride):
+            _add_row(image[j * bin_px + y], line)
+        for i in range(sums.shape[1]):
             total = np.uint32(0)
             for x in range(i * bin_px, (i + 1) * bin_px):
                 total += np.uint32(line[x])
-            out[j, i] = np.float32(total) * scale
+            sums[j, i] += total
 
 
 @dataclass(frozen=True, slots=True)
-class EarlyMeans:
-    """One camera's binned means before Y, (rows, columns) float32."""
+class Means:
+    """One camera's binned means, (rows, columns) float32."""
 
     references: NDArray[np.float32]
     """Mean of bright and dark."""
     x: NDArray[np.float32]
     """Mean of the sine images of X."""
+    y: NDArray[np.float32]
+    """Mean of those of Y."""
 
 
-def early_means(frames: NDArray[np.uint8], sequence: PatternSequence) -> EarlyMeans:
-    """Return the means of ``frames`` (n, h, w) uint8, of which those of Y may still be missing."""
-    references = _mean(frames, (sequence.bright, sequence.dark))
-    return EarlyMeans(references, _mean(frames, sequence.axis(Direction.X).sine))
+class Averager:
+    """Takes the means of one camera's sequence, frame by frame: two thirds of its images are asked for nothing."""
+
+    def __init__(self, sequence: PatternSequence) -> None:
+        x, y = (sequence.axis(direction).sine for direction in (Direction.X, Direction.Y))
+        self._numbers = ((sequence.bright, sequence.dark), x, y)
+        self._sums = np.empty((len(self._numbers), 0, 0), np.uint32)
+        self._bins = (1, 1)
+
+    def push(self, frames: NDArray[np.uint8], index: int) -> None:
+        """Take frame ``index`` of ``frames`` (n, h, w) uint8; in order, from 0 for each sequence."""
+        _, height_px, width_px = frames.shape
+        if index == 0:
+            self._bins = _bins(width_px)
+            bin_px = self._bins[0]
+            self._sums = np.zeros((len(self._numbers), height_px // bin_px, width_px // bin_px), np.uint32)
+        for numbers, sums in zip(self._numbers, self._sums, strict=True):
+            if index in numbers:
+                _add_binned(frames[index], *self._bins, sums)
+
+    def finish(self) -> Means:
+        """Return the means, after the last frame."""
+        bin_px, stride = self._bins
+        rows = (bin_px + stride - 1) // stride
+        references, x, y = (
+            sums.astype(np.float32) * np.float32(1.0 / (len(numbers) * bin_px * rows))
+            for numbers, sums in zip(self._numbers, self._sums, strict=True)
+        )
+        return Means(references, x, y)
+
+
+def means_of(frames: NDArray[np.uint8], sequence: PatternSequence) -> Means:
+    """Return the means of whole ``frames`` (n, h, w) uint8."""
+    averager = Averager(sequence)
+    for index in range(len(sequence)):
+        averager.push(frames, index)
+    return averager.finish()
 
 
 def _bins(width_px: int) -> tuple[int, int]:
@@ -110,28 +140,21 @@ def _bins(width_px: int) -> tuple[int, int]:
     return bin_px, 2 if bin_px >= 4 else 1
 
 
-def _mean(frames: NDArray[np.uint8], numbers: tuple[int, ...]) -> NDArray[np.float32]:
-    bin_px, stride = _bins(frames.shape[2])
-    out = np.zeros((frames.shape[1] // bin_px, frames.shape[2] // bin_px), np.float32)
-    _binned_mean(frames, np.array(numbers), bin_px, stride, out)
-    return out
-
-
 def texture_shift(
     frames: NDArray[np.uint8],
     decoded: CameraDecoder,
     sequence: PatternSequence,
     variance_dn2: tuple[float, float],
-    means: EarlyMeans | None = None,
+    means: Means | None = None,
 ) -> TextureShift:
     """Measure the texture's movement in one camera's frames (n, h, w) uint8; ``variance_dn2`` as in ``drift_map``.
 
-    ``means``: what ``early_means`` returned, where it was asked while the frames arrived.
+    ``means``: what an ``Averager`` returned, where it was there while the frames arrived.
     """
     bin_px, stride = _bins(frames.shape[2])
     x_axis, y_axis = sequence.axis(Direction.X), sequence.axis(Direction.Y)
-    means = means or early_means(frames, sequence)
-    early, first, second = means.references, means.x, _mean(frames, y_axis.sine)
+    means = means or means_of(frames, sequence)
+    early, first, second = means.references, means.x, means.y
     shape = first.shape
     middle = bin_px // 2
     valid = np.isfinite(decoded.p_px[middle::bin_px, middle::bin_px][: shape[0], : shape[1]])
@@ -207,19 +230,16 @@ def _fringes(decoded: CameraDecoder, inside: NDArray[np.bool_], period_px: int, 
 
 @dataclass(frozen=True, slots=True)
 class _Judged:
-    """Binned pixels, m of them, by which the texture's change is judged."""
+    """Binned pixels by which the texture's change is judged; arrays (rows, columns)."""
 
-    shape: tuple[int, int]
-    place: NDArray[np.intp]
-    """(m,): flat numbers."""
+    inside: NDArray[np.bool_]
     around: NDArray[np.float32]
-    """(m,): share of the pixels around each that are judged as well."""
+    """Share of the pixels around each that are judged as well."""
 
 
 def _judged(inside: NDArray[np.bool_]) -> _Judged:
-    place = np.flatnonzero(inside)
-    around = np.maximum(cv2.boxFilter(inside.astype(np.float32), -1, (9, 9)), 1e-3)
-    return _Judged((inside.shape[0], inside.shape[1]), place, np.asarray(around, np.float32).ravel()[place])
+    around = np.asarray(cv2.boxFilter(inside.astype(np.float32), -1, (9, 9)), np.float32)
+    return _Judged(inside, np.maximum(around, np.float32(1e-3), out=around))
 
 
 def _difference(
@@ -231,29 +251,106 @@ def _difference(
 ) -> float:
     """Return the RMS of b − gain · a without what is smooth, robust, in standard deviations of noise; and without what
     follows ``fringes``."""
-    before, after = a.ravel()[judged.place], b.ravel()[judged.place]
-    gain = float(np.sum(before * after) / np.sum(before**2))
-    rest = after - np.float32(gain) * before
+    inside = judged.inside
+    rest = np.empty_like(a)
+    gain = _subtract(a, b, inside, rest)
     if fringes is not None:
-        rest = fringes.without(rest, before)
-    image = np.zeros(judged.shape, np.float32)
-    image.ravel()[judged.place] = rest
+        rest[inside] = fringes.without(rest[inside], a[inside])
     # What is smooth is daylight; the finest grain is texture that moved, or noise.
-    high = rest - np.asarray(cv2.boxFilter(image, -1, (9, 9))).ravel()[judged.place] / judged.around
-    most = np.float32(CLIP) * np.float32(high.std())
-    return float(np.clip(high, -most, most).std() / CLIPPED / np.sqrt(variance * gain**2))
+    smooth = np.asarray(cv2.boxFilter(rest, -1, (9, 9)), np.float32)
+    return float(_clipped_sd(rest, smooth, judged.around, inside) / CLIPPED / np.sqrt(variance * gain**2))
+
+
+_SUMS_FAST = {"reassoc", "contract", "nsz"}
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy", fastmath=_SUMS_FAST)
+def _subtract(
+    a: NDArray[np.float32], b: NDArray[np.float32], inside: NDArray[np.bool_], rest: NDArray[np.float32]
+) -> float:
+    """Write b − gain · a to ``rest``, 0 outside; return the gain, that of least squares."""
+    both = own = 0.0
+    for j in range(a.shape[0]):
+        for i in range(a.shape[1]):
+            mine = np.float64(a[j, i]) if inside[j, i] else 0.0
+            both += mine * np.float64(b[j, i])
+            own += mine * mine
+    gain = both / own
+    for j in range(a.shape[0]):
+        for i in range(a.shape[1]):
+            left = b[j, i] - np.float32(gain) * a[j, i]
+            rest[j, i] = left if inside[j, i] else np.float32(0.0)
+    return float(gain)
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy", fastmath=_SUMS_FAST)
+def _clipped_sd(
+    rest: NDArray[np.float32], smooth: NDArray[np.float32], around: NDArray[np.float32], inside: NDArray[np.bool_]
+) -> float:
+    """Return the standard deviation of rest − smooth / around inside, clipped at ``CLIP`` times what it would be without; ``rest`` is written
+    to."""
+    count, total, squares = 0, 0.0, 0.0
+    for j in range(rest.shape[0]):
+        for i in range(rest.shape[1]):
+            high = rest[j, i] - smooth[j, i] / around[j, i]
+            high = high if inside[j, i] else np.float32(0.0)
+            rest[j, i] = high
+            count += inside[j, i]
+            total += np.float64(high)
+            squares += np.float64(high) * np.float64(high)
+    most = np.float32(CLIP) * np.float32(np.sqrt(max(squares / count - (total / count) ** 2, 0.0)))
+    total, squares = 0.0, 0.0
+    for j in range(rest.shape[0]):
+        for i in range(rest.shape[1]):
+            high = rest[j, i]
+            high = most if high > most else high
+            high = -most if high < -most else high
+            total += np.float64(high)
+            squares += np.float64(high) * np.float64(high)
+    return float(np.sqrt(max(squares / count - (total / count) ** 2, 0.0)))
 
 
 def _texture(image: NDArray[np.float32], valid: NDArray[np.bool_]) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
     """Return the light divided by its surroundings, as levels around 128, and the levels per grey value of each
     pixel."""
+    return _textures(valid, image)[0]
+
+
+def _textures(
+    valid: NDArray[np.bool_], *images: NDArray[np.float32]
+) -> list[tuple[NDArray[np.uint8], NDArray[np.float32]]]:
+    """Return ``_texture`` of each image."""
     weight = valid.astype(np.float32)
     size = (SURROUNDINGS_PX, SURROUNDINGS_PX)
-    around = cv2.boxFilter(image * weight, -1, size) / np.maximum(cv2.boxFilter(weight, -1, size), 1e-3)
-    scale = np.float32(TEXTURE_LEVELS) / np.maximum(around, np.float32(1.0))
-    levels = np.float32(128.0) + scale * (image - around)
-    picture = np.where(valid, np.clip(np.rint(levels), 0.0, 255.0), 128.0).astype(np.uint8)
-    return picture, np.asarray(scale, np.float32)
+    weights = np.asarray(cv2.boxFilter(weight, -1, size), np.float32)
+    found = []
+    for image in images:
+        picture, scale = np.empty(image.shape, np.uint8), np.empty(image.shape, np.float32)
+        around = np.asarray(cv2.boxFilter(image * weight, -1, size), np.float32)
+        _write_levels(image, valid, around, weights, picture, scale)
+        found.append((picture, scale))
+    return found
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _write_levels(
+    image: NDArray[np.float32],
+    valid: NDArray[np.bool_],
+    around: NDArray[np.float32],
+    weights: NDArray[np.float32],
+    picture: NDArray[np.uint8],
+    scale: NDArray[np.float32],
+) -> None:
+    """Write levels around 128, of valid pixels, and levels per grey value; ``around`` over ``weights`` is the mean light about each pixel."""
+    for j in range(image.shape[0]):
+        for i in range(image.shape[1]):
+            weight, least = weights[j, i], np.float32(1e-3)
+            mean = around[j, i] / (weight if weight > least else least)
+            per_dn = np.float32(TEXTURE_LEVELS) / (mean if mean > np.float32(1.0) else np.float32(1.0))
+            level = np.rint(np.float32(128.0) + per_dn * (image[j, i] - mean))
+            level = min(max(level, np.float32(0.0)), np.float32(255.0)) if valid[j, i] else np.float32(128.0)
+            scale[j, i] = per_dn
+            picture[j, i] = np.uint8(level)
 
 
 def _follow(
@@ -266,33 +363,73 @@ def _follow(
     """Return flows (n, 2) in binned px, where there is texture enough and the way back leads back."""
     height, width = first.shape
     before, scale = _texture(first, valid)
-    after, _ = _texture(second, valid)
     columns, rows = FLOW_POINTS
     x = (np.arange(columns) + 0.5) * width / columns
     y = (np.arange(rows) + 0.5) * height / rows
     grid = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2).astype(np.float32)
     at = grid.astype(int)
     grid = grid[inside[at[:, 1], at[:, 0]]]
-    # Silhouettes are not followed: they bend with the view.
-    gx = cv2.Sobel(before, cv2.CV_32F, 1, 0, scale=0.125) * inside
-    gy = cv2.Sobel(before, cv2.CV_32F, 0, 1, scale=0.125) * inside
-    size = (WINDOW_PX, WINDOW_PX)
-    xx, yy, xy = (cv2.boxFilter(g, -1, size) for g in (gx * gx, gy * gy, gx * gy))
+    at = grid.astype(int)
+    tensors = np.empty((len(at), 4), np.float32)
+    _structure(before, inside, at, tensors)
+    xx, yy, xy, share = tensors.T
     # The smaller eigenvalue of the structure tensor: texture must hold in both directions to be followed.
     least = 0.5 * (xx + yy) - np.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
     # Sobel/8 of white noise has 3/16 of its variance.
-    noise = (0.1875 * np.float32(variance)) * scale * scale * cv2.boxFilter(inside.astype(np.float32), -1, size)
-    at = grid.astype(int)
-    good = least[at[:, 1], at[:, 0]] > MIN_CONTRAST * noise[at[:, 1], at[:, 0]]
+    scale = scale[at[:, 1], at[:, 0]]
+    good = least > MIN_CONTRAST * ((0.1875 * np.float32(variance)) * scale * scale * share)
     grid = grid[good]
     if not len(grid):
         return np.empty((0, 2))
+    after, _ = _texture(second, valid)
     # There and back again: a place that does not return was not followed.
     there, found = _lucas_kanade(before, after, grid)
     back, returned = _lucas_kanade(after, before, there)
     miss = np.linalg.norm(back - grid, axis=1)
     kept = found & returned & (miss < 0.5)
     return np.asarray((there - grid)[kept], np.float64)
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _mirrored(place: int, size: int) -> int:
+    """Return the place of the pixel that stands for one beyond the border, which counts once."""
+    while place < 0 or place >= size:
+        place = -place if place < 0 else 2 * (size - 1) - place
+    return place
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _structure(
+    picture: NDArray[np.uint8], inside: NDArray[np.bool_], at: NDArray[np.int64], tensors: NDArray[np.float32]
+) -> None:
+    """Write the means of gx², gy², gx gy and of ``inside`` over the windows around each place ``at`` (n, 2) to ``tensors`` (n, 4).
+
+    Gradients are those of Sobel, per px, inside only: silhouettes are not followed, for they bend with the view.
+    """
+    height, width = picture.shape
+    half = WINDOW_PX // 2
+    for k in range(len(at)):
+        xx = yy = xy = count = 0
+        for y in range(at[k, 1] - half, at[k, 1] + half + 1):
+            # Rows of the window, and those above and below; eight times the gradients are whole numbers.
+            v = _mirrored(y, height)
+            above, below = _mirrored(v - 1, height), _mirrored(v + 1, height)
+            for x in range(at[k, 0] - half, at[k, 0] + half + 1):
+                u = _mirrored(x, width)
+                if not inside[v, u]:
+                    continue
+                left, right = _mirrored(u - 1, width), _mirrored(u + 1, width)
+                corner, other = (
+                    np.int64(picture[below, right]) - picture[above, left],
+                    np.int64(picture[above, right]) - picture[below, left],
+                )
+                gx = corner + other + 2 * (np.int64(picture[v, right]) - picture[v, left])
+                gy = corner - other + 2 * (np.int64(picture[below, u]) - picture[above, u])
+                xx, yy, xy, count = xx + gx * gx, yy + gy * gy, xy + gx * gy, count + 1
+        # Means over the window, of gradients per px.
+        of_all = 1.0 / (64.0 * WINDOW_PX * WINDOW_PX)
+        tensors[k, 0], tensors[k, 1], tensors[k, 2] = xx * of_all, yy * of_all, xy * of_all
+        tensors[k, 3] = count / (WINDOW_PX * WINDOW_PX)
 
 
 def _lucas_kanade(

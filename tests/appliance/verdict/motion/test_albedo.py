@@ -13,11 +13,13 @@ from appliance.patterns.sequence import Direction, build_sequence
 from appliance.reconstruct.decode.decoder import CameraDecoder, Mask
 from appliance.verdict.motion.texture import (
     TextureShift,
-    _binned_mean,
+    _add_binned,
     _difference,
     _follow,
     _judged,
+    _structure,
     _texture,
+    means_of,
     texture_shift,
 )
 
@@ -175,12 +177,28 @@ def test_the_uncertainty_of_a_flow_is_that_of_a_median() -> None:
 @pytest.mark.parametrize(("bin_px", "stride"), [(1, 1), (3, 1), (3, 2), (4, 2), (5, 3)])
 def test_a_binned_mean_is_the_mean_of_its_rows(bin_px: int, stride: int) -> None:
     images = np.random.default_rng(1).integers(0, 256, (6, 31, 43)).astype(np.uint8)
-    out = np.zeros((31 // bin_px, 43 // bin_px), np.float32)
-    _binned_mean(images, np.array([1, 4, 5]), bin_px, stride, out)
-    for j in range(out.shape[0]):
-        for i in range(out.shape[1]):
+    sums = np.zeros((31 // bin_px, 43 // bin_px), np.uint32)
+    for number in (1, 4, 5):
+        _add_binned(images[number], bin_px, stride, sums)
+    for j in range(sums.shape[0]):
+        for i in range(sums.shape[1]):
             square = images[[1, 4, 5], j * bin_px : (j + 1) * bin_px : stride, i * bin_px : (i + 1) * bin_px]
-            assert out[j, i] == pytest.approx(square.mean(), rel=1e-6)
+            assert sums[j, i] == square.sum()
+
+
+@pytest.mark.parametrize(("width", "bin_px", "stride"), [(400, 1, 1), (1300, 3, 1), (1603, 4, 2)])
+def test_means_are_those_of_their_own_images_bin_by_bin(width: int, bin_px: int, stride: int) -> None:
+    images = np.random.default_rng(2).integers(0, 256, (len(SEQUENCE), 37, width)).astype(np.uint8)
+    found = means_of(images, SEQUENCE)
+    rows, columns = 37 // bin_px, width // bin_px
+    for mean, numbers in (
+        (found.references, (SEQUENCE.bright, SEQUENCE.dark)),
+        (found.x, X_SINE),
+        (found.y, Y_SINE),
+    ):
+        image = images[list(numbers)].mean(0)[: rows * bin_px, : columns * bin_px]
+        wanted = image.reshape(rows, bin_px, columns, bin_px)[:, ::stride].mean((1, 3))
+        np.testing.assert_allclose(mean, wanted, rtol=1e-6)
 
 
 def test_a_difference_is_what_is_neither_gain_nor_smooth_nor_an_outlier() -> None:
@@ -248,6 +266,17 @@ def test_points_are_followed_where_there_is_texture_in_every_direction() -> None
         assert len(flows) == pytest.approx(np.count_nonzero(ratio > 4.0 * noise), abs=1)
         assert np.median(flows, 0) == pytest.approx((0.4, 0.0), abs=0.05)
     assert len(_follow(first, second, np.ones_like(inside), inside, 1e9)) == 0
+
+
+def test_a_window_at_the_border_sees_the_picture_mirrored() -> None:
+    rng = np.random.default_rng(3)
+    picture, inside = rng.integers(0, 256, (30, 40)).astype(np.uint8), rng.random((30, 40)) < 0.9
+    at = np.array([[0, 0], [39, 29], [3, 25], [20, 15]])
+    found = np.empty((len(at), 4), np.float32)
+    _structure(picture, inside, at, found)
+    gx, gy = (np.where(inside, sobel(picture.astype(float), axis, mode="mirror") / 8.0, 0.0) for axis in (1, 0))
+    wanted = [uniform_filter(g, 21, mode="mirror") for g in (gx * gx, gy * gy, gx * gy, inside.astype(float))]
+    np.testing.assert_allclose(found, np.stack([w[at[:, 1], at[:, 0]] for w in wanted], -1), rtol=1e-5, atol=1e-4)
 
 
 def test_what_does_not_lead_back_was_not_followed() -> None:
