@@ -133,10 +133,7 @@ def albedo_shifts(
             frames, (sequence.bright, sequence.dark), np.array(gray, np.int64), coordinate_px,
             well_illuminated(sequence, direction), reach, stride, variance_dn2, sums,
         )  # fmt: skip
-        for k, of_image in zip(gray, sums, strict=True):
-            solved = _solve(of_image)
-            if solved is not None:
-                shift[k], sd[k] = solved
+        shift[list(gray)], sd[list(gray)] = _solve(sums)
     return AlbedoShifts(shift, sd)
 
 
@@ -161,26 +158,27 @@ def _well_illuminated(codes: NDArray[np.uint8]) -> NDArray[np.bool_]:
     return np.asarray(illuminated & (beside > BESIDE_PX))
 
 
-def _solve(sums: Array) -> tuple[Array, float] | None:
+def _solve(sums: Array) -> tuple[Array, Array]:
+    """Return how far the albedo had moved in each image, (images, 2), and its standard deviation (images,); NaN: not known."""
+    shift, sd = np.full((len(sums), 2), np.nan), np.full(len(sums), np.nan)
     products = _TERMS * (_TERMS + 1) // 2
-    count = sums[products + _TERMS + 1]
-    if count < MIN_PIXELS:
-        return None
-    normal = np.zeros((_TERMS, _TERMS))
-    upper = np.triu_indices(_TERMS)
-    normal[upper] = sums[:products]
-    normal = normal + np.triu(normal, 1).T
+    count = sums[:, products + _TERMS + 1]
+    normal = np.zeros((len(sums), _TERMS, _TERMS))
+    row, column = np.triu_indices(_TERMS)
+    normal[:, row, column] = normal[:, column, row] = sums[:, :products]
     # Noise has gradients, too.
-    own = sums[products + _TERMS + 2]
-    gradients = np.linalg.eigvalsh(normal[2:, 2:])
-    if gradients[0] < MIN_CONTRAST * own:
-        return None
+    own = sums[:, products + _TERMS + 2]
+    gradients = np.linalg.eigvalsh(normal[:, 2:, 2:])
+    known = np.flatnonzero((count >= MIN_PIXELS) & ~(gradients[:, 0] < MIN_CONTRAST * own))
+    normal, sums, count, own = normal[known], sums[known], count[known], own[known]
     # Errors in the variables: noise inflates Σ gradient², and would make every shift too small.
-    normal[2, 2] -= own
-    normal[3, 3] -= own
-    right = sums[products : products + _TERMS]
+    normal[:, 2, 2] -= own
+    normal[:, 3, 3] -= own
+    right = sums[:, products : products + _TERMS]
     inverse = np.linalg.inv(normal)
-    fit = inverse @ right
-    rest = max(float(sums[products + _TERMS] - fit @ right), 0.0) / (count - _TERMS)
+    fit = (inverse @ right[..., None])[..., 0]
+    rest = np.maximum(sums[:, products + _TERMS] - np.sum(fit * right, -1), 0.0) / (count - _TERMS)
     # What moves right by one px is darker by its gradient.
-    return -fit[2:], float(np.sqrt(0.5 * rest * max(float(inverse[2, 2] + inverse[3, 3]), 0.0)))
+    shift[known] = -fit[:, 2:]
+    sd[known] = np.sqrt(0.5 * rest * np.maximum(inverse[:, 2, 2] + inverse[:, 3, 3], 0.0))
+    return shift, sd

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -55,22 +56,12 @@ def surface_map(
     """Map a cloud whose points lie on a grid of the left image, whose pattern coordinates are ``p_px`` and ``q_px``
     (h, w), and theirs have variances ``variance_px2`` (n,) by the camera's noise."""
     cosine, inside = facing(cloud, p_px.shape[1])
-    pixel = cloud.pixel[inside]
-    p, q = p_px.ravel()[pixel], q_px.ravel()[pixel]
-    rows, columns = shape
-    known = (p >= 0.0) & (q >= 0.0) & (p < columns * CELL_PX) & (q < rows * CELL_PX) & np.isfinite(cosine)
-    cell = (q[known] / CELL_PX).astype(np.int64) * columns + (p[known] / CELL_PX).astype(np.int64)
-    # Errors along a ray count across the surface by cos θ, squared where variances are added up.
-    square = cosine[known].astype(np.float64) ** 2
-    noise = square * variance_px2[inside][known].astype(np.float64)
-
-    def summed(values: Array | None = None) -> Array:
-        return np.bincount(cell, values, rows * columns).reshape(shape).astype(np.float64)
-
-    points = summed()
+    sums = np.zeros((3, shape[0] * shape[1]))
+    _sum_cells(cosine, inside, cloud.pixel, p_px.ravel(), q_px.ravel(), variance_px2, *shape, sums)
+    points, square, noise = sums.reshape(3, *shape)
     enough = points >= MIN_POINTS
     with np.errstate(invalid="ignore", divide="ignore"):
-        across, noise_px = (np.where(enough, np.sqrt(summed(x) / points), np.nan) for x in (square, noise))
+        across, noise_px = (np.where(enough, np.sqrt(x / points), np.nan) for x in (square, noise))
     return SurfaceMap(points, across, noise_px)
 
 
@@ -79,27 +70,105 @@ def facing(cloud: Cloud, width_px: int) -> tuple[NDArray[np.float32], NDArray[np
 
     Of flat pixel numbers of an image ``width_px`` wide, that lie on a grid of rows and columns at equal distances.
     """
-    v, u = np.divmod(cloud.pixel.astype(np.int64), width_px)
-    columns, rows = np.unique(u), np.unique(v)
-    # A single column or row has no step: gcd of nothing is 0.
-    step, down = (int(np.gcd.reduce(np.diff(places))) for places in (columns, rows))
-    if step == 0 or down == 0:
+    if not cloud.pixel.size:
         return np.empty(0, np.float32), np.empty(0, np.intp)
-    # A border of nothing spares the question what lies beside.
-    x, y = (u - columns[0]) // step + 1, (v - rows[0]) // down + 1
-    wide = int(x.max()) + 1
-    place = y * wide + x
-    at = np.full(wide * (int(y.max()) + 2), -1, np.int64)
-    at[place] = np.arange(len(place))
-    left, right, above, below = (at[place + offset] for offset in (-1, 1, -wide, wide))
-    inside = np.flatnonzero((left >= 0) & (right >= 0) & (above >= 0) & (below >= 0))
-    points = cloud.points_mm
-    normal = np.cross(points[right[inside]] - points[left[inside]], points[below[inside]] - points[above[inside]])
-    ray = points[inside]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        cosine = np.abs(np.einsum("ij,ij->i", normal, ray))
-        cosine /= np.sqrt(np.einsum("ij,ij->i", normal, normal) * np.einsum("ij,ij->i", ray, ray))
-    return cosine, inside
+    cosine, inside = np.empty(cloud.pixel.size, np.float32), np.empty(cloud.pixel.size, np.intp)
+    count = _face(cloud.points_mm, cloud.pixel, width_px, cosine, inside)
+    return cosine[:count], inside[:count]
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _step(there: NDArray[np.bool_]) -> tuple[int, int, int]:
+    """Return the first and the last of the places that are there, and the greatest step that leads to all of them; 0: there is but one."""
+    first, last, step = -1, -1, 0
+    for place in range(there.size):
+        if there[place]:
+            # The greatest common divisor of the distances, by Euclid.
+            a, b = step, place - last if last >= 0 else 0
+            while b:
+                a, b = b, a % b
+            step = a
+            first = place if first < 0 else first
+            last = place
+    return first, last, step
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _face(
+    points_mm: NDArray[np.float32],
+    pixel: NDArray[np.uint32],
+    width_px: int,
+    cosine: NDArray[np.float32],
+    inside: NDArray[np.intp],
+) -> int:
+    """Write ``facing`` of ``points_mm`` (n, 3) to the beginnings of ``cosine`` and ``inside`` (n,); return how many there are."""
+    wide_px, n = np.uint32(width_px), pixel.size
+    # Rows and columns that any point lies in, and the grid that has them all.
+    highest = np.uint32(0)
+    for k in range(n):
+        highest = max(highest, pixel[k])
+    columns, rows = np.zeros(width_px, np.bool_), np.zeros(int(highest // wide_px) + 1, np.bool_)
+    for k in range(n):
+        row = pixel[k] // wide_px
+        rows[row], columns[pixel[k] - row * wide_px] = True, True
+    first_x, last_x, step = _step(columns)
+    first_y, last_y, down = _step(rows)
+    if step == 0 or down == 0:
+        return 0
+    # Number of the point at each place of the grid, with a border of nothing that spares the question what lies beside.
+    wide, high = (last_x - first_x) // step + 3, (last_y - first_y) // down + 3
+    at = np.full(wide * high, -1, np.int32)
+    # The place of each column of the image, so that no point needs a division for it.
+    places = np.empty(n, np.int32)
+    across = np.empty(width_px, np.int32)
+    for x in range(wide - 2):
+        across[first_x + x * step] = x + 1
+    for k in range(n):
+        row = pixel[k] // wide_px
+        places[k] = ((int(row) - first_y) // down + 1) * wide + across[pixel[k] - row * wide_px]
+        at[places[k]] = k
+    # The points that have a neighbour on each side.
+    count = 0
+    for k in range(n):
+        place = places[k]
+        left, right, above, below = at[place - 1], at[place + 1], at[place - wide], at[place + wide]
+        if left < 0 or right < 0 or above < 0 or below < 0:
+            continue
+        # |normal · ray| over both lengths, with the normal of both differences.
+        ax, ay = points_mm[right, 0] - points_mm[left, 0], points_mm[right, 1] - points_mm[left, 1]
+        bx, by = points_mm[below, 0] - points_mm[above, 0], points_mm[below, 1] - points_mm[above, 1]
+        az, bz = points_mm[right, 2] - points_mm[left, 2], points_mm[below, 2] - points_mm[above, 2]
+        nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+        x, y, z = points_mm[k, 0], points_mm[k, 1], points_mm[k, 2]
+        # Of both lengths at once: one root is enough.
+        cosine[count] = abs(nx * x + ny * y + nz * z) / np.sqrt((nx * nx + ny * ny + nz * nz) * (x * x + y * y + z * z))
+        inside[count] = k
+        count += 1
+    return count
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _sum_cells(
+    cosine: NDArray[np.float32],
+    inside: NDArray[np.intp],
+    pixel: NDArray[np.uint32],
+    p_px: NDArray[np.float32],
+    q_px: NDArray[np.float32],
+    variance_px2: NDArray[np.float32],
+    rows: int,
+    columns: int,
+    sums: Array,
+) -> None:
+    """Add to ``sums`` (3, cells) the points ``inside``, cos² θ and variance · cos² θ: errors along a ray count across the surface by cos θ."""
+    for k in range(inside.size):
+        p, q = p_px[pixel[inside[k]]], q_px[pixel[inside[k]]]
+        if not (p >= 0.0 and q >= 0.0 and p < columns * CELL_PX and q < rows * CELL_PX and np.isfinite(cosine[k])):
+            continue
+        cell = int(q / CELL_PX) * columns + int(p / CELL_PX)
+        square = np.float64(cosine[k]) * np.float64(cosine[k])
+        sums[0, cell] += 1.0
+        sums[1, cell] += square
+        sums[2, cell] += square * np.float64(variance_px2[inside[k]])
 
 
 UNSURE = 4.0
