@@ -13,8 +13,8 @@ for noise they have not. A level common to all four images of a direction is nei
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,8 @@ from appliance.verdict.light.fit import (
     THIRD,
     common_of_neighbours,
     fit_blocks,
+    in_blocks,
+    medians_of,
     stripe_levels,
 )
 from appliance.verdict.light.levels import Sample
@@ -114,20 +116,18 @@ def measure_changes(s: Sample, sequence: PatternSequence, noise: CameraNoise) ->
     """Measure one camera's changes of light by its sine and Gray images."""
     # Where noise alone decides what is saturated, only pixels with favourable phases would be left.
     good = s.illuminated & (s.top_dn <= CLEAR_DN) & (s.modulation_dn >= MIN_MODULATION_DN)
-    pixels = np.flatnonzero(good)
-    rows, columns = np.divmod(pixels, good.shape[1])
-    members = _blocks(rows, columns, good.shape)
-    if not members:
+    pixels, rows, columns, order, ends = in_blocks(good, (BLOCK_ROWS, BLOCK_COLUMNS), MIN_PIXELS)
+    if not ends.size:
         return UNKNOWN
     grey = s.grey.reshape(len(s.grey), -1)
     contrast = s.contrast_dn.reshape(-1)[pixels].astype(np.float64)
     four = {d: np.stack([grey[k][pixels] for k in sequence.axis(d).sine]).astype(np.float64) for d in Direction}
-    fits = {d: _fit(four[d], contrast, (rows, columns), members) for d in Direction}
+    fits = {d: _fit(four[d], contrast, (rows, columns), order, ends) for d in Direction}
     # Noise of a block's pixels against their contrast, as the phase has it: rms of sigma over contrast.
     mean = four[Direction.X].mean(axis=0)
     variance = noise.variance_dn2(mean) / contrast**2
-    relative = np.sqrt(np.array([median(variance[block]) for block in members]))
-    counts = np.array([block.size for block in members], np.float64)
+    relative = np.sqrt(medians_of(variance, order, ends))
+    counts = np.diff(ends, prepend=0).astype(np.float64)
     expected = np.maximum(*(fit.expected for fit in fits.values())) * math.sqrt(2.0 * median(variance * contrast**2))
     judged = expected < SURE * HARMFUL_RIPPLE * relative
     if not judged.any():
@@ -173,36 +173,36 @@ def find_frequency_hz(levels: tuple[LightLevel, ...], frame_s: float) -> tuple[f
     total = float(np.sum(value**2))
     if total == 0.0:
         return None
-    candidates = np.arange(2.0, 0.5 / frame_s + 0.01, 0.25)
+    candidates, basis, inverse = _waves(tuple(frame.tolist()), tuple(group.tolist()), frame_s)
     if not candidates.size:
         return None
-    # A cosine and a sine of each candidate, without the mean of each group, as the levels are.
-    angle = 2.0 * np.pi * frame_s * np.outer(candidates, frame)
-    basis = np.stack([_centred(np.cos(angle), group), _centred(np.sin(angle), group)], axis=-1)
-    fitted = np.einsum("cnk,ck->cn", basis, np.linalg.pinv(basis, rcond=RANK) @ value)
+    fitted = np.einsum("cnk,ck->cn", basis, inverse @ value)
     shares = 1.0 - np.sum((value - fitted) ** 2, axis=1) / total
     best = int(np.argmax(shares))
     hz, explained = float(candidates[best]), float(shares[best])
     return (hz, explained) if explained >= EXPLAINED else None
 
 
-def _blocks(rows: NDArray[np.intp], columns: NDArray[np.intp], shape: tuple[int, ...]) -> list[NDArray[np.intp]]:
-    """Return which of the pixels at ``rows`` and ``columns`` belong to each block that has enough of them."""
-    block = rows * BLOCK_ROWS // shape[0] * BLOCK_COLUMNS + columns * BLOCK_COLUMNS // shape[1]
-    order = np.argsort(block.astype(np.uint8), kind="stable")  # a byte is sorted by counting
-    ends = np.cumsum(np.bincount(block, minlength=BLOCK_ROWS * BLOCK_COLUMNS))
-    return [one for one in np.split(order, ends[:-1]) if one.size >= MIN_PIXELS]
+@lru_cache(maxsize=4)
+def _waves(frame: tuple[float, ...], group: tuple[int, ...], frame_s: float) -> tuple[Floats, Floats, Floats]:
+    """Return frequencies that levels in these frames, of these groups, may tell, their waves (frequencies, frames, 2) and the inverses
+    of these. They are the same in every scan, and not to be written to."""
+    candidates = np.arange(2.0, 0.5 / frame_s + 0.01, 0.25)
+    # A cosine and a sine of each candidate, without the mean of each group, as the levels are.
+    angle = 2.0 * np.pi * frame_s * np.outer(candidates, frame)
+    of = np.array(group)
+    basis = np.stack([_centred(np.cos(angle), of), _centred(np.sin(angle), of)], axis=-1)
+    return candidates, basis, np.asarray(np.linalg.pinv(basis, rcond=RANK), np.float64)
 
 
 def _fit(
     four: Floats,
     contrast: Floats,
     places: tuple[NDArray[np.intp], NDArray[np.intp]],
-    members: Sequence[NDArray[np.intp]],
+    order: NDArray[np.intp],
+    ends: NDArray[np.intp],
 ) -> _Fit:
-    """Fit ``four`` (4, n) sine images of the pixels at ``places`` (row and column), of which ``members`` are those
-    of each block."""
-    order, ends = np.concatenate(members), np.cumsum([block.size for block in members])
+    """Fit ``four`` (4, n) sine images of the pixels at ``places`` (row and column), in blocks as ``fit_blocks`` takes them."""
     found, third = fit_blocks(four, contrast, *places, order, ends)
     # Light that is usual before dark pixels is many grey values before bright ones; noise is not. Either is no edge.
     usual = CLIP * MAD_TO_SIGMA

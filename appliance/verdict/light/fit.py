@@ -39,12 +39,75 @@ def warm_up() -> None:
     fit_blocks(np.eye(4), some, place, place, place, ends)
     common_of_neighbours(some, some, place, place, place, ends, 1.0, 1.0)
     stripe_levels(np.ones((2, 4), np.uint8), np.array([1]), 0, place, some, 1)
+    in_blocks(np.ones((2, 2), np.bool_), (1, 1), 1)
+    medians_of(some, place, ends)
 
 
 # Symbols. (c, s) is the direction of the vector (I0 − I2, I3 − I1), (c2, s2) that of twice its angle; length is its
 # radius over the contrast, third is (I0 − I1 + I2 − I3) over the contrast. (x, y) is the pixel's place in its block,
 # from −1 to 1. shift and twice hold the terms of the two regressions row by row, with one column for each pixel of the
 # block.
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def in_blocks(
+    good: NDArray[np.bool_], blocks: tuple[int, int], least: int
+) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+    """Return the pixels (n,) that are ``good``, of an image (rows, columns), their rows and columns, and which of them lie in each of rows and
+    columns of ``blocks`` that has at least so many: ``order`` and ``ends`` as ``fit_blocks`` takes them."""
+    height, width = good.shape
+    counts = np.zeros(blocks[0] * blocks[1], np.intp)
+    # The block of each row and column, so that no pixel has to be divided.
+    down, across = np.empty(height, np.intp), np.empty(width, np.intp)
+    for v in range(height):
+        down[v] = v * blocks[0] // height * blocks[1]
+    for u in range(width):
+        across[u] = u * blocks[1] // width
+    # How many pixels each block has.
+    for v in range(height):
+        for u in range(width):
+            counts[down[v] + across[u]] += good[v, u]
+    # Where each block's pixels begin; those of small blocks lie nowhere.
+    begins, total, inside, kept = np.empty(counts.size, np.intp), 0, 0, 0
+    for k in range(counts.size):
+        total += counts[k]
+        if counts[k] >= least:
+            begins[k] = inside
+            inside += counts[k]
+            kept += 1
+        else:
+            begins[k] = -1
+    # Blocks that are kept follow each other.
+    ends, order = np.empty(kept, np.intp), np.empty(inside, np.intp)
+    kept = 0
+    for k in range(counts.size):
+        if begins[k] >= 0:
+            ends[kept] = begins[k] + counts[k]
+            kept += 1
+    # Each pixel goes to the next place of its block.
+    pixels, rows, columns = np.empty(total, np.intp), np.empty(total, np.intp), np.empty(total, np.intp)
+    n = 0
+    for v in range(height):
+        for u in range(width):
+            if good[v, u]:
+                pixels[n], rows[n], columns[n] = v * width + u, v, u
+                k = down[v] + across[u]
+                if begins[k] >= 0:
+                    order[begins[k]] = n
+                    begins[k] += 1
+                n += 1
+    return pixels, rows, columns, order, ends
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def medians_of(values: Floats, order: NDArray[np.intp], ends: NDArray[np.intp]) -> Floats:
+    """Return the median of each block's ``values`` (n,); blocks as ``fit_blocks`` takes them."""
+    found = np.empty(ends.size)
+    begin = 0
+    for k in range(ends.size):
+        found[k] = quantile_of(values[order[begin : ends[k]]], 0.5)
+        begin = ends[k]
+    return found
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -203,20 +266,23 @@ def stripe_levels(
     stripes, from dark (0) to bright (1); NaN where fewer than ``least`` pixels are either. ``grey`` (images, n) and
     what ``pixels`` of them have as ``contrast``."""
     found = np.full(numbers.size, np.nan)
-    count = np.empty(2 * BINS, np.int64)
+    count, black = np.empty(2 * BINS + 1, np.int64), np.empty(pixels.size)
+    for i in range(pixels.size):
+        black[i] = grey[dark, pixels[i]]
     for j in range(numbers.size):
-        # Two histograms in one array: dark stripes in its first half, illuminated ones in the second.
+        # Two histograms in one array: dark stripes in its first half, illuminated ones in the second; behind them, what is neither.
+        # Which it is changes from pixel to pixel: a number that is chosen costs less than a branch that is foreseen wrongly.
         count[:] = 0
         image = grey[numbers[j]]
         for i in range(pixels.size):
-            share = (np.float64(image[pixels[i]]) - np.float64(grey[dark, pixels[i]])) / contrast[i]
-            if share < STRIPE_EDGE:
-                count[min(max(int((share - STRIPE_EDGE) * BINS + BINS), 0), BINS - 1)] += 1
-            elif share > 1.0 - STRIPE_EDGE:
-                count[BINS + min(int((share - 1.0 + STRIPE_EDGE) * BINS), BINS - 1)] += 1
-        low, high = _median_bin(count[:BINS], least), _median_bin(count[BINS:], least)
+            share = (np.float64(image[pixels[i]]) - black[i]) / contrast[i]
+            low = min(max(int((share - STRIPE_EDGE) * BINS + BINS), 0), BINS - 1)
+            high = BINS + min(max(int((share - 1.0 + STRIPE_EDGE) * BINS), 0), BINS - 1)
+            bin_ = high if share > 1.0 - STRIPE_EDGE else 2 * BINS
+            count[low if share < STRIPE_EDGE else bin_] += 1
+        low_bin, high_bin = _median_bin(count[:BINS], least), _median_bin(count[BINS : 2 * BINS], least)
         # From bins back to shares of the contrast, then half way between the two medians.
-        found[j] = 0.5 * (STRIPE_EDGE - 1.0 + low / BINS + 1.0 - STRIPE_EDGE + high / BINS)
+        found[j] = 0.5 * (STRIPE_EDGE - 1.0 + low_bin / BINS + 1.0 - STRIPE_EDGE + high_bin / BINS)
     return found
 
 
@@ -249,17 +315,12 @@ def regress(value: Floats, terms: Floats, contrast: Floats, weight: Floats) -> t
     and what that would be for ``value`` · ``contrast`` (n,) with a noise of 1."""
     size, n = terms.shape
     normal, right = _normal(value, terms, weight)
-    # Arrays are filled and chosen from in loops: numba's own ways to do that take longer to compile than all of this.
-    used, far = np.empty(n, np.bool_), np.empty(n, np.intp)
-    for j in range(n):
-        used[j] = True
+    used = np.ones(n, np.bool_)
     residual, off = np.empty(n), np.empty(n)
     for again in range(ROUNDS):
         inverse = _inverse(_ridged(normal))
         coefficients = _times(inverse, right)
-        # residual = value − Σ coefficient · term
-        for j in range(n):
-            residual[j] = value[j]
+        residual[:] = value
         for a in range(size):
             for j in range(n):
                 residual[j] -= coefficients[a] * terms[a, j]
@@ -270,14 +331,11 @@ def regress(value: Floats, terms: Floats, contrast: Floats, weight: Floats) -> t
         for j in range(n):
             off[j] = abs(residual[j]) * contrast[j]
         limit = CLIP * max(MAD_TO_SIGMA * quantile_of(off, 0.5), 1e-3)
-        count = 0
-        for j in range(n):
-            if used[j] and off[j] > limit:
-                used[j] = False
-                far[count] = j
-                count += 1
-        _take_out(value, terms, weight, far[:count], normal, right)
-    # Of those that are left: Σ weight · residual² and their number.
+        far = np.flatnonzero((off > limit) & used)
+        used[far] = False
+        theirs, product = _normal(value[far], terms[:, far], weight[far])
+        normal -= theirs
+        right -= product
     squares, count = 0.0, 0
     for j in range(n):
         if used[j]:
@@ -332,24 +390,9 @@ def quantile_of(values: Floats, share: float) -> float:
             elif bin_ > wanted and values[i] < above:
                 above = values[i]
         values, rank = inside, rank - below
-    ordered = _sorted(values)
+    ordered = np.sort(values)
     following = ordered[rank + 1] if rank + 1 < ordered.size else above
     return float(ordered[rank] + (aside * (following - ordered[rank]) if aside > 0.0 else 0.0))
-
-
-@numba.njit(nogil=True, cache=True, error_model="numpy")
-def _sorted(values: Floats) -> Floats:
-    """Return a copy of ``values`` in order, what is no number last: they are few, or all but equal. Each is moved before those that
-    come after it."""
-    ordered = values.copy()
-    for i in range(1, ordered.size):
-        value = ordered[i]
-        j = i
-        while j > 0 and (value < ordered[j - 1] or (ordered[j - 1] != ordered[j - 1] and value == value)):
-            ordered[j] = ordered[j - 1]
-            j -= 1
-        ordered[j] = value
-    return ordered
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -372,24 +415,6 @@ def _normal(value: Floats, terms: Floats, weight: Floats) -> tuple[Floats, Float
         for b in range(a + 1):
             normal[a, b] = normal[b, a] = _dot(weighted, terms[b])
     return normal, right
-
-
-@numba.njit(nogil=True, cache=True, error_model="numpy")
-def _take_out(
-    value: Floats, terms: Floats, weight: Floats, which: NDArray[np.intp], normal: Floats, right: Floats
-) -> None:
-    """Subtract the part of some values from the matrix and the right side of the normal equations."""
-    size, n = terms.shape[0], which.size
-    chosen, of_terms, weights = np.empty(n), np.empty((size, n)), np.empty(n)
-    for i in range(n):
-        chosen[i], weights[i] = value[which[i]], weight[which[i]]
-        for a in range(size):
-            of_terms[a, i] = terms[a, which[i]]
-    theirs, product = _normal(chosen, of_terms, weights)
-    for a in range(size):
-        right[a] -= product[a]
-        for b in range(size):
-            normal[a, b] -= theirs[a, b]
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")

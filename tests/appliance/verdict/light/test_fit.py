@@ -15,6 +15,8 @@ from appliance.verdict.light.fit import (
     THIRD,
     common_of_neighbours,
     fit_blocks,
+    in_blocks,
+    medians_of,
     quantile_of,
     stripe_levels,
 )
@@ -146,6 +148,22 @@ def test_the_level_of_stripes_is_half_way_between_two_medians() -> None:
     found = stripe_levels(grey, np.array([1]), 0, np.arange(4_000), contrast, 100)
     assert found[0] == pytest.approx(0.5 * (np.median(share[~lit]) + np.median(share[lit])), abs=2e-4)
     assert np.isnan(stripe_levels(grey, np.array([0]), 0, np.arange(4_000), contrast, 100))[0]  # no stripe is lit
+
+
+def test_blocks_hold_the_good_pixels_of_their_part_of_the_image_row_by_row_and_small_ones_are_left_out() -> None:
+    good = np.random.default_rng(7).random((31, 43)) < 0.5
+    good[:11, :15] = False
+    good[2, 3:7] = True  # the only ones of the first of three by three blocks
+    pixels, rows, columns, order, ends = in_blocks(good, (3, 3), 5)
+    np.testing.assert_array_equal(pixels, np.flatnonzero(good))
+    np.testing.assert_array_equal((rows, columns), np.nonzero(good))
+    block = rows * 3 // 31 * 3 + columns * 3 // 43
+    wanted = [np.flatnonzero(block == k) for k in range(1, 9)]
+    np.testing.assert_array_equal(order, np.concatenate(wanted))
+    np.testing.assert_array_equal(ends, np.cumsum([one.size for one in wanted]))
+    value = np.random.default_rng(8).normal(size=pixels.size)
+    np.testing.assert_allclose(medians_of(value, order, ends), [np.median(value[one]) for one in wanted], rtol=1e-12)
+    assert in_blocks(good, (3, 3), 4)[4].size == 9
 
 
 @pytest.mark.parametrize("hz", [5.0, 12.5, 20.0, 29.5, 30.0])
