@@ -43,6 +43,8 @@ from appliance.scan.sides import SIDES
 from appliance.scan.verdict import Judgement, Verdict
 from appliance.verdict.identity.judge import judge_identity
 from appliance.verdict.light.fit import warm_up as warm_light
+from appliance.verdict.motion.harm import warm_up as warm_surface
+from appliance.verdict.motion.texture import warm_up as warm_texture
 from appliance.verdict.water.backscatter import warm_up as warm_water
 
 _WATER = Water(20.0, 0.0, 530.0)
@@ -60,7 +62,7 @@ def what_an_empty_scan_does_not_run(
     # Types decide what is loaded, not sizes: large pictures of nothing would only have to be paged in.
     frames = np.zeros((len(sequence), *reversed(_SIZE_PX)), np.uint8)
     return (
-        straighten.warm_up, warm_light, warm_water, partial(warm_backscatter, sequence, frames, TYPICAL), warm_veil,
+        straighten.warm_up, warm_light, warm_water, warm_surface, warm_texture, partial(warm_backscatter, sequence, frames, TYPICAL), warm_veil,
         compensate_wall, _run_pair,
     )  # fmt: skip
 
@@ -143,6 +145,8 @@ def judge_patterns() -> None:
 
 def judge_scan() -> None:
     """Run the kernels of the other verdicts."""
+    warm_surface()
+    warm_texture()
     with _nothing() as (pipeline, calibration, frames):
         decoded = {side: pipeline.decoded(side) for side in SIDES}
         images = ScanImages(pipeline.sequence, dict.fromkeys(SIDES, frames), decoded)

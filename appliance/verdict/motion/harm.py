@@ -34,6 +34,11 @@ MIN_POINTS = 4
 """Least number of a cell's points with neighbours on all sides; fewer say nothing of how it stands."""
 
 
+def warm_up() -> None:
+    """Run the kernel that is asked where there are points on one of them."""
+    _face(np.ones((1, 3), np.float32), np.zeros(1, np.uint32), 1, np.empty(1, np.float32), np.empty(1, np.intp))
+
+
 @dataclass(frozen=True, slots=True)
 class SurfaceMap:
     """Arrays (rows, columns) float64 of the pattern's cells."""

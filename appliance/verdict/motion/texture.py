@@ -39,6 +39,14 @@ CLIP, CLIPPED = 2.5, 0.986
 """Differences beyond so many standard deviations count as that; and what this leaves of a normal one's."""
 
 
+def warm_up() -> None:
+    """Run the kernels that are asked where something is decoded on next to nothing."""
+    image, inside = np.ones((4, 4), np.float32), np.ones((4, 4), np.bool_)
+    _difference(image, image, _judged(inside), 1.0)
+    picture, _ = _texture(image, inside)
+    _structure(picture, inside, np.zeros((1, 2), np.int64), np.empty((1, 4), np.float32))
+
+
 @dataclass(frozen=True, slots=True)
 class TextureShift:
     """Movement of the texture before one camera, in the camera's own px."""
