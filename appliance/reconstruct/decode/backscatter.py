@@ -19,7 +19,7 @@ f ``share`` (per block of the image) and ``lit``, σ ``noise_dn`` and ``sigma``.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numba
@@ -226,15 +226,27 @@ def fringe_scale(
     i0, i1, i2, i3 = (frames[k][at].astype(np.float32) for k in across.sine)
     bright, dark = (frames[k][at].astype(np.float32) for k in (sequence.bright, sequence.dark))
     double = np.hypot(i0 - i2, i3 - i1)
-    clear = (double > 2.0 * clear_dn) & (mask[at] != _SHADOW) & (mask[at] != _SATURATED) & (bright < FULL_DN)
+    reason = mask[at]
+    clear = (double > 2.0 * clear_dn) & (reason != _SHADOW) & (reason != _SATURATED) & (bright < FULL_DN)
     if np.count_nonzero(clear) < MIN_CLEAR:
         return None
-    swing = np.max([np.abs(2.0 * frames[k][at] - bright - dark) for k in across.gray[-FINE_IMAGES:]], axis=0)
     # Contrast: 2B over the swing of a fine Gray image about its middle, (2b − 1) O + (2f − 1) V, which is ± O since f is ½
-    # there.
-    contrast = float(np.median(double[clear] / np.maximum(swing[clear], 1.0)))
+    # there. Swings are whole numbers: float32 has them exactly.
+    swing, both = np.ones_like(bright), bright + dark
+    for k in across.gray[-FINE_IMAGES:]:
+        np.maximum(swing, np.abs(np.float32(2.0) * frames[k][at] - both), out=swing)
+    contrast = _median(double[clear] / swing[clear].astype(np.float64))
     sines = i0 + i1 + i2 + i3 - np.float32(4.0) * dark
-    return scale_of(contrast, float(np.median((bright - dark)[clear] / np.maximum(sines[clear], 1.0))), noise)
+    return scale_of(contrast, _median((bright - dark)[clear] / np.maximum(sines[clear], np.float32(1.0))), noise)
+
+
+def _median(values: NDArray[Any]) -> float:
+    """Return what ``numpy.median`` returns of finite values, in a third of its time: it sorts for two ranks, this one for one."""
+    half = values.size // 2
+    parted = np.partition(values, half)
+    if values.size % 2:
+        return float(parted[half])
+    return float((parted[:half].max() + parted[half]) / values.dtype.type(2.0))
 
 
 def scale_of(contrast: float, light_per_sines: float, noise: CameraNoise) -> FringeScale:

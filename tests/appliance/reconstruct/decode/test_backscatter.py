@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from appliance.patterns.sequence import Direction
 from appliance.processing.procedure import SequenceProcessor
+from appliance.reconstruct.decode.backscatter import fringe_scale
 from appliance.reconstruct.decode.decoder import CameraDecoder, Mask
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.scan.acquisition import AcquisitionSettings
@@ -125,3 +127,24 @@ def test_paint_that_moves_in_clear_water_is_no_backscatter(clear: RenderedScan) 
     # There is much of it.
     bright, before = (frames[clear.sequence.bright].astype(np.int64) for frames in (moved, clear.frames["left"]))
     assert np.mean(np.abs(bright - before) > 20) > 0.05
+
+
+@pytest.mark.parametrize("masked", [0, 1], ids=["all", "one-less"])
+def test_the_scale_is_made_of_the_medians_of_both_ratios(milky: RenderedScan, masked: int) -> None:
+    # So small a part of the image is looked at pixel by pixel.
+    frames = np.ascontiguousarray(milky.frames["left"][:, 100:220, 150:270])
+    across, grey = milky.sequence.axis(Direction.X), frames.astype(np.float64)
+    i0, i1, i2, i3 = grey[list(across.sine)]
+    bright, dark = grey[milky.sequence.bright], grey[milky.sequence.dark]
+    double = np.hypot(i0 - i2, i3 - i1)
+    swing = np.abs(2.0 * grey[list(across.gray[-3:])] - bright - dark).max(axis=0)
+    clear = (double > 16.0) & (bright < 255.0)
+    assert np.count_nonzero(clear) > 10_000
+    mask = np.zeros(clear.shape, np.uint8)
+    mask[tuple(np.argwhere(clear)[:masked].T)] = Mask.SHADOW
+    clear &= mask == Mask.VALID
+    scale = fringe_scale(milky.sequence, frames, mask, NOISE)
+    assert scale is not None
+    assert scale.per_half_dn == pytest.approx(1.0 / np.median(double[clear] / np.maximum(swing[clear], 1.0)), rel=1e-6)
+    light = (bright - dark)[clear] / np.maximum((i0 + i1 + i2 + i3 - 4.0 * dark)[clear], 1.0)
+    assert scale.light_per_sines == pytest.approx(np.median(light), rel=1e-6)
