@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import gc
 import threading
+import time
 import weakref
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 
 import pytest
@@ -163,21 +164,23 @@ def test_what_a_task_held_is_free_without_a_search_for_garbage(done: bool) -> No
 
 
 def test_a_task_tells_what_its_own_thread_spent(pair: Crew) -> None:
-    def work() -> int:
-        return sum(range(2_000_000))
+    begun, over, never = threading.Event(), threading.Event(), threading.Event()
+
+    def works() -> None:
+        begun.set()
+        until_s = time.monotonic() + 20.0
+        while not over.is_set() and time.monotonic() < until_s:
+            sum(range(1000))
 
     def waits() -> None:
-        gate.wait(0.1)
+        never.wait(0.1)
 
-    gate = threading.Event()
     with pair.tasks() as tasks:
-        spent: list[float] = []
-        for what in (work, waits):
-            task = tasks.add(_untyped(what))
-            task.answer()
-            spent.append(task.cpu_s)
-    assert 0.0 <= spent[1] < spent[0]
-
-
-def _untyped(work: Callable[[], object]) -> Callable[[], object]:
-    return work
+        working = tasks.add(works)
+        assert begun.wait(20.0)
+        waiting = tasks.add(waits)
+        waiting.answer()
+        over.set()
+        working.answer()
+    # While this thread waited, the other one spent nearly all that it spent at all.
+    assert waiting.cpu_s < 0.5 * working.cpu_s
