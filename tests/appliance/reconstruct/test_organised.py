@@ -17,8 +17,8 @@ def _cloud(pixel: list[int]) -> Cloud:
         points_mm=np.stack([column, column + 100, column + 500], axis=1),
         intensity=np.zeros(n, np.uint8),
         modulation_dn=column + 10,
-        ray_gap_mm=column / 100,
-        sigma_mm=column / 50 + np.float32(0.01),
+        ray_gap_mm=column / np.float32(100),
+        sigma_mm=column / np.float32(50) + np.float32(0.01),
         pixel=np.array(pixel, np.uint32),
         summary=CloudSummary(n, None, None, None, None),
     )
