@@ -1,0 +1,167 @@
+"""Many scans become one surface: as good as their sigma says, one skin, and both sides of a plate."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from appliance.surface.fusion import FusedCloud, PlacedScan, fuse
+from tests.support.solids import Ball, Box, Pose, around, looking, seen
+
+BALL = Ball((0.0, 0.0, 0.0), 30.0)
+PITCH_MM = 0.19
+"""Way between neighbouring pixels on the near side of the ball, 470 mm away."""
+
+
+def placed(
+    pose: Pose,
+    solids: list[Ball | Box],
+    seed: int,
+    pose_sigma_mm: float = 0.0,
+    size_px: tuple[int, int] = (200, 150),
+    noise_mm: float = 0.02,
+    steepest: float = 80.0,
+) -> PlacedScan:
+    cloud = seen(solids, pose, seed, size_px, noise_mm=noise_mm, steepest=steepest)
+    return PlacedScan(cloud, pose.rotation, pose.translation_mm, pose_sigma_mm)
+
+
+def stacked(cloud: FusedCloud, within_mm: float) -> int:
+    """Pairs of points that face the same way and lie on top of each other: nearer across the surface than ``within_mm``."""
+    pairs = cKDTree(cloud.points_mm).query_pairs(3 * within_mm, output_type="ndarray")
+    one, other = pairs[:, 0], pairs[:, 1]
+    way = cloud.points_mm[one] - cloud.points_mm[other]
+    along = np.einsum("nk,nk->n", way, cloud.normals[one])
+    across = np.sqrt(np.maximum(np.einsum("nk,nk->n", way, way) - along**2, 0.0))
+    facing = np.einsum("nk,nk->n", cloud.normals[one], cloud.normals[other]) > 0.5
+    return int(np.count_nonzero(facing & (across < within_mm)))
+
+
+def test_the_more_scans_saw_a_point_the_better_it_is_and_sigma_says_so() -> None:
+    # Ten scans from one place: every point is seen ten times, by about one pixel of each scan.
+    pose = looking((0.0, 0.0, 500.0))
+    scans = [placed(pose, [BALL], seed, size_px=(100, 100), steepest=60.0) for seed in range(10)]
+    one = fuse(scans[:1], spacing_mm=0.12)
+    ten = fuse(scans, spacing_mm=0.12)
+    for cloud in (one, ten):
+        error = BALL.off(cloud.points_mm.astype(float)) / cloud.sigma_mm
+        # A little less than 1: a disc that holds two pixels of a scan is better than sigma promises.
+        assert 0.8 < np.sqrt(np.mean(error**2)) < 1.05
+        assert abs(error.mean()) < 0.1, "a bent surface is not moved inwards"
+    assert np.median(one.sigma_mm) / np.median(ten.sigma_mm) == pytest.approx(np.sqrt(10.0), rel=0.02)
+    assert np.median(ten.views) == 10
+
+
+def test_sigma_promises_nothing_for_many_pixels_of_one_scan() -> None:
+    scans = [placed(looking((0.0, 0.0, 500.0)), [BALL], 1, size_px=(60, 60), steepest=40.0)]
+    fine, coarse = fuse(scans, spacing_mm=0.1), fuse(scans, spacing_mm=1.5)
+    # Seen head-on, so that the depth along the normal is that along the ray.
+    assert len(fine.grey) > 30 * len(coarse.grey)
+    assert np.median(coarse.sigma_mm) == pytest.approx(np.median(fine.sigma_mm), rel=0.05)
+
+
+def test_what_all_scans_share_is_not_counted_away() -> None:
+    pose = looking((0.0, 0.0, 500.0))
+    scans = [placed(pose, [BALL], seed, size_px=(60, 60)) for seed in range(8)]
+    assert fuse(scans, common_mm=0.04).sigma_mm.min() > 0.04
+    # Poses err independently of each other: eight scans of 0.1 mm each are known to 0.1 mm / √8.
+    posed = fuse([replace(scan, pose_sigma_mm=0.1) for scan in scans])
+    assert np.median(posed.sigma_mm[posed.views == 8]) == pytest.approx(np.hypot(0.1, 0.02) / np.sqrt(8.0), rel=0.02)
+
+
+def test_a_noisy_scan_weighs_less_than_a_good_one() -> None:
+    pose = looking((0.0, 0.0, 500.0))
+    flat: list[Ball | Box] = [Box((-90.0, -90.0, -50.0), (90.0, 90.0, 0.0))]
+    good = placed(pose, flat, 1, noise_mm=0.01, size_px=(60, 60))
+    # Four times the sigma and placed 0.05 mm too high: a sixteenth of the weight.
+    bad = placed(pose, flat, 2, noise_mm=0.04, size_px=(60, 60))
+    raised = bad.translation_mm + np.array([0.0, 0.0, 0.05])
+    cloud = fuse([good, replace(bad, translation_mm=raised)], spacing_mm=0.15)
+    twice = cloud.views == 2
+    assert twice.mean() > 0.8
+    assert cloud.points_mm[twice, 2].mean() == pytest.approx(0.05 / 17.0, abs=0.002)
+
+
+def test_poses_that_are_some_hundredths_off_leave_one_skin() -> None:
+    rng = np.random.default_rng(7)
+    poses = around(8, 500.0)
+    scans = [
+        PlacedScan(seen([BALL], pose, k), pose.rotation, pose.moved(rng.normal(0.0, 0.03, 3)).translation_mm, 0.03)
+        for k, pose in enumerate(poses)
+    ]
+    cloud = fuse(scans, spacing_mm=0.25)
+    assert stacked(cloud, 0.2) <= 1e-4 * len(cloud.grey)
+    error = BALL.off(cloud.points_mm.astype(float)) / cloud.sigma_mm
+    assert np.sqrt(np.mean(error**2)) < 1.2, "sigma knows of the poses"
+    # Were they taken for exact, there would be two skins in places: the limit does something.
+    assert stacked(fuse([replace(scan, pose_sigma_mm=0.0) for scan in scans], spacing_mm=0.25), 0.2) > 0.001 * len(
+        cloud.grey
+    )
+
+
+@pytest.mark.parametrize("thickness_mm", [0.05, 0.5])
+def test_both_sides_of_a_thin_plate_stay_two(thickness_mm: float) -> None:
+    plate: list[Ball | Box] = [Box((-20.0, -20.0, 0.0), (20.0, 20.0, thickness_mm))]
+    scans = [placed(looking((0.0, 30.0, z)), plate, k, 0.03, size_px=(150, 150)) for k, z in enumerate((-500.0, 500.0))]
+    cloud = fuse(scans)
+    top = cloud.normals[:, 2] > 0.9
+    bottom = cloud.normals[:, 2] < -0.9
+    assert top.sum() > 5000
+    assert bottom.sum() > 5000
+    assert cloud.points_mm[top, 2].mean() == pytest.approx(thickness_mm, abs=0.001)
+    assert cloud.points_mm[bottom, 2].mean() == pytest.approx(0.0, abs=0.001)
+
+
+def test_a_step_stays_a_step() -> None:
+    stairs: list[Ball | Box] = [
+        Box((-40.0, -40.0, -50.0), (0.05, 40.0, 1.0)),
+        Box((-40.0, -40.0, -50.0), (40.0, 40.0, 0.0)),
+    ]
+    eyes = ((-100.0, 0.0, 500.0), (-60.0, 30.0, 500.0), (-80.0, -30.0, 480.0))
+    cloud = fuse([placed(looking(eye), stairs, k, 0.02) for k, eye in enumerate(eyes)])
+    # Not on the riser itself, which no camera sees; no point hangs between the levels.
+    between = (cloud.points_mm[:, 2] > 0.25) & (cloud.points_mm[:, 2] < 0.75)
+    assert not between.any()
+    high = cloud.points_mm[:, 2] > 0.5
+    assert cloud.points_mm[high, 0].max() == pytest.approx(0.05, abs=0.25)
+
+
+def test_scans_are_asked_for_one_after_the_other() -> None:
+    taken: list[int] = []
+    done: list[int] = []
+
+    def lazily() -> Iterator[PlacedScan]:
+        for k, pose in enumerate(around(3, 500.0)):
+            assert done == list(range(1, k + 1)), "the one before is in the surface, and need not be kept"
+            taken.append(k)
+            yield placed(pose, [BALL], k, size_px=(40, 40))
+
+    fuse(lazily(), progress=done.append)
+    assert done == [1, 2, 3]
+
+
+def test_points_without_a_normal_are_counted_and_left_out() -> None:
+    scan = placed(looking((0.0, 0.0, 500.0)), [BALL], 1, size_px=(40, 40))
+    points = scan.cloud.points_mm.copy()
+    points[::2] = np.nan
+    points[:, ::2] = np.nan
+    cloud = fuse([replace(scan, cloud=replace(scan.cloud, points_mm=points))])
+    assert len(cloud.grey) == 0
+    assert cloud.left_out == 20 * 20
+
+
+def test_placements_and_spacings_of_no_use_are_refused() -> None:
+    scan = placed(looking((0.0, 0.0, 500.0)), [BALL], 1, size_px=(20, 20))
+    with pytest.raises(ValueError, match="orthonormal"):
+        fuse([replace(scan, rotation=1.01 * scan.rotation)])
+    with pytest.raises(ValueError, match="orthonormal"):
+        fuse([replace(scan, rotation=scan.rotation * [1.0, 1.0, -1.0])])
+    with pytest.raises(ValueError, match="100 m"):
+        fuse([replace(scan, translation_mm=np.array([0.0, np.nan, 0.0]))])
+    with pytest.raises(ValueError, match=r"spacing_mm is 0\.01; allowed are 0\.02\.\.20"):
+        fuse([scan], spacing_mm=0.01)
+    assert len(fuse([]).grey) == 0

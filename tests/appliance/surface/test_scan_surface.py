@@ -1,0 +1,154 @@
+"""Normals and the mesh of one scan: right on balls, and nothing goes across a step or over a hole."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from appliance.reconstruct.organised import OrganisedCloud
+from appliance.surface.mesh import Mesh, mesh_of_scan
+from appliance.surface.normals import normals
+from appliance.surface.steps import connected
+from tests.support.solids import Ball, Box, looking, seen
+
+PITCH_MM = 0.2
+"""Way between neighbouring pixels at the distance at which the solids lie."""
+EYE = looking((0.0, 0.0, -500.0))
+
+
+def stairs(height_mm: float, noise_mm: float = 0.02) -> OrganisedCloud:
+    """Two flats that face the camera, the right one (x > 0.05) farther away by ``height_mm``."""
+    near = Box((-60.0, -60.0, 0.0), (0.05, 60.0, 50.0))
+    far = Box((-60.0, -60.0, height_mm), (60.0, 60.0, 50.0))
+    return seen([near, far], EYE, 3, size_px=(80, 60), noise_mm=noise_mm)
+
+
+def areas(mesh: Mesh) -> NDArray[np.float64]:
+    """Twice the directed area of each face."""
+    a, b, c = (mesh.vertices_mm[mesh.faces[:, k]].astype(float) for k in range(3))
+    return np.cross(b - a, c - a)
+
+
+def edges(mesh: Mesh) -> NDArray[np.int64]:
+    """How often each directed edge occurs, as sorted unique numbers from·n + to."""
+    n = len(mesh.vertices_mm)
+    return np.concatenate([mesh.faces[:, k].astype(np.int64) * n + mesh.faces[:, (k + 1) % 3] for k in range(3)])
+
+
+# ------------------------------------------------------------------------------------------- normals
+
+
+def test_normals_of_a_ball_point_out_of_it_and_scatter_as_the_noise_says() -> None:
+    cloud = seen([Ball((0.0, 0.0, 530.0), 30.0)], looking((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)), 1)
+    found = normals(cloud)
+    assert np.isfinite(found[cloud.mask]).all()
+    out = cloud.points_mm - np.array([0.0, 0.0, 530.0])
+    out /= np.linalg.norm(out, axis=-1, keepdims=True)
+    wrong = np.linalg.norm(found - out, axis=-1)[cloud.mask]
+    # A slope fitted to 5 x 5 pixels of noise s: s / (pitch √50), in each of two directions.
+    expected = 0.02 / (PITCH_MM * np.sqrt(50.0)) * np.sqrt(2.0)
+    assert np.sqrt(np.mean(wrong[: len(wrong)] ** 2)) == pytest.approx(expected, rel=0.3)
+    np.testing.assert_allclose(np.linalg.norm(found[cloud.mask], axis=-1), 1.0, atol=1e-5)
+
+
+def test_normals_beside_a_step_are_those_of_the_flat_they_lie_on() -> None:
+    cloud = stairs(2.0, noise_mm=0.0)
+    # Flats that face the camera: (0, 0, -1) in its frame, with no neighbour from the other level mixed in.
+    np.testing.assert_allclose(normals(cloud)[cloud.mask], np.broadcast_to([0, 0, -1], (80 * 60, 3)), atol=2e-4)
+
+
+def test_a_point_that_is_alone_has_no_normal_and_nobody_elses() -> None:
+    cloud = stairs(2.0)
+    points = np.full_like(cloud.points_mm, np.nan)
+    points[30, 10] = cloud.points_mm[30, 10]
+    points[5, 20:30] = cloud.points_mm[5, 20:30]
+    assert np.isnan(normals(replace(cloud, points_mm=points))).all(), "neither a point nor a line has a plane"
+
+
+@pytest.mark.parametrize("radius_px", [0, 8])
+def test_a_window_of_no_use_is_refused(radius_px: int) -> None:
+    with pytest.raises(ValueError, match=rf"radius_px is {radius_px}; allowed are 1\.\.7"):
+        normals(stairs(2.0), radius_px=radius_px)
+
+
+# ------------------------------------------------------------------------------------------- the mesh
+
+
+@pytest.mark.parametrize("height_mm", [0.5, 1.0, 30.0])
+def test_no_triangle_goes_across_a_step_and_none_is_missing_beside_it(height_mm: float) -> None:
+    cloud = stairs(height_mm)
+    mesh = mesh_of_scan(cloud)
+    level = mesh.vertices_mm[:, 2] > 500.0 + height_mm / 2
+    across = level[mesh.faces].any(axis=1) != level[mesh.faces].all(axis=1)
+    assert not across.any()
+    # Two levels of 40 x 60 pixels each, whole.
+    assert len(mesh.faces) == 2 * 2 * 39 * 59
+    assert len(mesh.vertices_mm) == 80 * 60
+
+
+def test_a_steep_slope_is_no_step() -> None:
+    tilt = np.tan(np.radians(70.0))
+    cloud = stairs(0.4)
+    v, u = np.mgrid[0:60, 0:80].astype(float)
+    rays = np.stack([(u - 39.5) * 0.0004, (v - 29.5) * 0.0004, np.ones_like(u)], axis=-1)
+    # The plane z = 500 + tan 70° · x.
+    points = rays * (500.0 / (1.0 - tilt * rays[..., 0]))[..., None]
+    noise = 1.0 + 0.02 / 500.0 * np.random.default_rng(2).standard_normal((60, 80, 1))
+    mesh = mesh_of_scan(replace(cloud, points_mm=(points * noise).astype(np.float32)))
+    assert len(mesh.faces) == 2 * 79 * 59
+
+
+def test_noise_alone_tears_nothing() -> None:
+    for noise_mm in (0.005, 0.05, 0.2):
+        faces = len(mesh_of_scan(stairs(0.0, noise_mm)).faces)
+        assert faces >= 0.999 * 2 * 79 * 59, noise_mm
+
+
+def test_faces_look_at_the_camera_and_every_inner_edge_has_two() -> None:
+    cloud = seen([Ball((0.0, 0.0, 0.0), 10.0)], EYE, 4, size_px=(130, 130), noise_mm=0.005, steepest=60.0)
+    mesh = mesh_of_scan(cloud)
+    middle = mesh.vertices_mm[mesh.faces].mean(axis=1)
+    assert (np.einsum("nk,nk->n", areas(mesh), middle) < 0).all()
+    directed = edges(mesh)
+    assert len(np.unique(directed)) == len(directed), "a directed edge belongs to one face"
+    n = len(mesh.vertices_mm)
+    back = directed % n * n + directed // n
+    border = int((~np.isin(back, directed)).sum())
+    # A cap without holes has one border: the disc's circumference of 2π · 8.66 mm in pixels of 0.2 mm, √2 longer at most.
+    assert 200 < border < 2 * np.pi * 8.66 / PITCH_MM * 1.42
+    # Euler's number of a disc is 1.
+    assert n - (len(directed) + border) // 2 + len(mesh.faces) == 1
+
+
+def test_a_hole_stays_open_and_corners_give_one_triangle() -> None:
+    cloud = stairs(0.0)
+    points = cloud.points_mm.copy()
+    points[20:30, 20:30] = np.nan
+    points[50, 50] = np.nan
+    mesh = mesh_of_scan(replace(cloud, points_mm=points))
+    # A missing block of 10 x 10 takes its 11 x 11 cells, but for one triangle of each of the four at its corners; a missing
+    # pixel leaves one triangle of each of its four cells.
+    assert len(mesh.faces) == 2 * (79 * 59 - 121 - 4) + 4 + 4
+    assert np.isfinite(mesh.vertices_mm).all()
+
+
+def test_a_vertex_carries_what_its_pixel_knows() -> None:
+    cloud = stairs(1.0)
+    mesh = mesh_of_scan(cloud)
+    # All pixels have points, so that rows of the mesh are pixels.
+    np.testing.assert_array_equal(mesh.vertices_mm, cloud.points_mm.reshape(-1, 3))
+    np.testing.assert_array_equal(mesh.grey, cloud.grey.reshape(-1))
+    np.testing.assert_array_equal(mesh.sigma_mm, cloud.sigma_mm.reshape(-1))
+    np.testing.assert_array_equal(mesh.normals, normals(cloud).reshape(-1, 3))
+
+
+def test_an_empty_cloud_gives_an_empty_mesh() -> None:
+    cloud = stairs(1.0)
+    nothing = replace(cloud, points_mm=np.full_like(cloud.points_mm, np.nan))
+    assert not connected(nothing).right.any()
+    mesh = mesh_of_scan(nothing)
+    assert mesh.faces.shape == (0, 3)
+    assert mesh.vertices_mm.shape == (0, 3)
