@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from appliance.reconstruct.organised import OrganisedCloud
 from appliance.surface.normals import normals
-from appliance.surface.surfels import EMPTY, Cells, Discs, Points, absorb, assign, rehash
+from appliance.surface.surfels import EMPTY, CellTable, Discs, PointsOfScan, absorb, assign, rehash
 
 SPACING_MM = 0.25
 POSE_SIGMA_MM = 0.03
@@ -97,7 +97,7 @@ def fuse(
     return surface.cloud(common_mm, left_out)
 
 
-def _placed(scan: PlacedScan) -> tuple[Points, int]:
+def _placed(scan: PlacedScan) -> tuple[PointsOfScan, int]:
     """Return the scan's points with a normal in the object's frame, and how many have none."""
     rotation = np.asarray(scan.rotation, np.float64)
     if (
@@ -116,7 +116,7 @@ def _placed(scan: PlacedScan) -> tuple[Points, int]:
     placed = points @ rotation.T + np.asarray(scan.translation_mm, np.float64)
     if len(placed) and not float(np.abs(placed).max()) < 1e5:
         raise ValueError("a scan is placed more than 100 m from the object's origin; correct its translation_mm")
-    return Points(
+    return PointsOfScan(
         placed.astype(np.float32),
         (normal @ rotation.T).astype(np.float32),
         (variance + np.float32(scan.pose_sigma_mm**2)).astype(np.float32),
@@ -135,7 +135,7 @@ class _Surface:
         self._cells = _empty_cells(_FIRST_CELLS)
         self._discs = _empty_discs()
 
-    def add(self, points: Points) -> None:
+    def add(self, points: PointsOfScan) -> None:
         n = len(points.grey)
         if n == 0:
             return
@@ -184,5 +184,5 @@ def _empty_discs() -> Discs:
     return Discs(floats.reshape(0, 3), floats.reshape(0, 3), floats, floats, np.empty(0, np.uint16), whole, whole)
 
 
-def _empty_cells(length: int) -> Cells:
-    return Cells(np.full(length, EMPTY, np.int64), np.empty(length, np.int32))
+def _empty_cells(length: int) -> CellTable:
+    return CellTable(np.full(length, EMPTY, np.int64), np.empty(length, np.int32))

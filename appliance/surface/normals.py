@@ -113,7 +113,9 @@ def _planes(
             # At most ((aa + bb) / 2)², for points that spread equally in all directions; 0 for a line.
             if not determinant > LEAST_SPREAD * 0.25 * (aa + bb) ** 2:
                 continue
+            # Cramer's rule.
             s, t = (ac * bb - bc * ab) / determinant, (bc * aa - ac * ab) / determinant
+            # (s, t, −1) of the ray's frame, of length 1 and back in the camera's.
             norm = 1.0 / np.sqrt(s * s + t * t + 1.0)
             out[y, x, 0] = (s * ex + t * fx - ux) * norm
             out[y, x, 1] = (t * fy - uy) * norm

@@ -56,14 +56,14 @@ class Discs(NamedTuple):
     """(room,): row in ``Sums`` during one scan, else -1."""
 
 
-class Cells(NamedTuple):
+class CellTable(NamedTuple):
     """Hash table with open addressing, a power of two in length and at most half full."""
 
     key: NDArray[np.int64]
     head: NDArray[np.int32]
 
 
-class Points(NamedTuple):
+class PointsOfScan(NamedTuple):
     """Points of one scan in the object's frame."""
 
     place_mm: NDArray[np.float32]
@@ -96,7 +96,7 @@ def _find(key: NDArray[np.int64], wanted: np.int64) -> np.int64:
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def rehash(old: Cells, new: Cells) -> None:
+def rehash(old: CellTable, new: CellTable) -> None:
     """Enter all cells of ``old`` into ``new``, which is empty."""
     for k in range(len(old.key)):
         if old.key[k] != EMPTY:
@@ -106,11 +106,11 @@ def rehash(old: Cells, new: Cells) -> None:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def assign(
-    points: Points,
+    points: PointsOfScan,
     first: int,
     discs: Discs,
     count: int,
-    cells: Cells,
+    cells: CellTable,
     cell_count: int,
     spacing_mm: float,
     depth_mm: float,
@@ -124,11 +124,13 @@ def assign(
     cell_mm = 2.0 * np.sqrt(spacing_mm**2 + depth_mm**2)
     most = len(cells.key) // 2 - 8
     for n in range(first, len(owner)):
+        # A table more than half full is slow to search; the caller makes a larger one and comes back.
         if cell_count > most:
             return count, cell_count, n
         px, py, pz = float(points.place_mm[n, 0]), float(points.place_mm[n, 1]), float(points.place_mm[n, 2])
         nx, ny, nz = float(points.normal[n, 0]), float(points.normal[n, 1]), float(points.normal[n, 2])
         variance = float(points.variance_mm2[n])
+        # u: from the camera to the point.
         ux, uy, uz = px - points.eye_mm[0], py - points.eye_mm[1], pz - points.eye_mm[2]
         norm = 1.0 / np.sqrt(ux * ux + uy * uy + uz * uz)
         ux, uy, uz = ux * norm, uy * norm, uz * norm
@@ -161,6 +163,7 @@ def assign(
                     if abs(h) <= depth_mm and h * h <= SURE2 * (variance + 1.0 / discs.information[one]):
                         best, best2 = one, across2
                 one = discs.after[one]
+        # It is founded here, as good as the one point.
         if best < 0:
             best = count
             count += 1
@@ -186,7 +189,7 @@ def assign(
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def absorb(
-    points: Points, owner: NDArray[np.int32], discs: Discs, sums: NDArray[np.float64], touched: NDArray[np.int32]
+    points: PointsOfScan, owner: NDArray[np.int32], discs: Discs, sums: NDArray[np.float64], touched: NDArray[np.int32]
 ) -> None:
     """Move each disc that points of one scan belong to, along its normal, to the mean of what was seen of it before and now.
 
@@ -194,6 +197,7 @@ def absorb(
     many of its pixels belong to it: what they have in common (the pose, ripple, half of their noise) no mean takes away.
     """
     rows = 0
+    # Sums over the points of each disc, in rows by the order of appearance: a table as long as all discs would be mostly zeros.
     for n in range(len(owner)):
         one = owner[n]
         row = discs.slot[one]
@@ -202,6 +206,7 @@ def absorb(
             rows += 1
             discs.slot[one] = row
             touched[row] = one
+        # d from disc to point, m = n_p + n_d.
         dx = float(points.place_mm[n, 0] - discs.place_mm[one, 0])
         dy = float(points.place_mm[n, 1] - discs.place_mm[one, 1])
         dz = float(points.place_mm[n, 2] - discs.place_mm[one, 2])
@@ -219,6 +224,7 @@ def absorb(
         sums[row, 6] += weight * points.grey[n]
     for row in range(rows):
         one = touched[row]
+        # The information of one mean pixel, not of all of them; a new disc has none from before.
         weight = sums[row, 1]
         now = weight / sums[row, 0]
         before = float(discs.information[one]) if discs.views[one] > 0 else 0.0
@@ -229,6 +235,7 @@ def absorb(
         discs.place_mm[one, 0] += depth * ox
         discs.place_mm[one, 1] += depth * oy
         discs.place_mm[one, 2] += depth * oz
+        # Normal and grey by the same shares.
         ox = (1.0 - share) * ox + share * sums[row, 3] / weight
         oy = (1.0 - share) * oy + share * sums[row, 4] / weight
         oz = (1.0 - share) * oz + share * sums[row, 5] / weight
