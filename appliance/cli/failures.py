@@ -6,10 +6,12 @@ from appliance.calibration.file import CalibrationError
 from appliance.calibration.recordings import RecordingError
 from appliance.cli.output import Exit, UsageError
 from appliance.config import ConfigError
+from appliance.export.content import ExportError
 from appliance.kernel_build import CompileError
 from appliance.storage.atomic import StorageError
 from appliance.storage.library import UnknownScan
 from appliance.storage.scan import ScanError
+from appliance.surface.libraries import MissingLibraryError
 from drivers.api import DeviceError
 
 
@@ -26,6 +28,8 @@ def exit_code_of(error: Exception) -> Exit | None:
             | ScanError()
             | CalibrationError()
             | RecordingError()
+            | ExportError()
+            | MissingLibraryError()
             | DeviceError()
             | CompileError()
         ):

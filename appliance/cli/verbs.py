@@ -42,6 +42,7 @@ VERBS: tuple[Listed | Group, ...] = (
     Listed("sim", "run the instrument in a simulated world", "sim:Sim"),
     Listed("check", "open every device once and report", "instrument:Check"),
     Listed("reconstruct", "reconstruct a stored scan from its raw frames", "reconstruct:Reconstruct"),
+    Listed("export", "a stored scan's points or mesh as a file for other programs", "export:Export"),
     Listed("evaluate", "measure artefacts in stored scans, after VDI/VDE 2634", "evaluate:Evaluate"),
     Group(
         "scans",

@@ -43,7 +43,7 @@ def reconstruct_scan(
     scan, rig, calibration = source.scan, source.rig, chosen.calibration
     record = scan.manifest.record
     notes = salvaged.notes if salvaged is not None else ()
-    cloud, water, faults = _points_of(scan, rig, calibration, progress, salvaged)
+    cloud, water, faults = cloud_of_scan(scan, rig, calibration, progress, salvaged)
     target = out if out is not None else Path(f"{scan.folder.name}.ply")
     progress("writing")
     header, body = encode_ply(cloud, "; ".join(notes) or None)
@@ -87,14 +87,17 @@ def _stored_cloud(scan: stored.StoredScan, *parts: Bytes) -> str:
     return f"{stored.CLOUD}: {problem}; {'made again, byte for byte' if same else 'these are not the points it had'}"
 
 
-def _points_of(
+def cloud_of_scan(
     scan: stored.StoredScan,
     rig: Rig,
     calibration: Calibration,
     progress: Callable[[str], None],
-    salvaged: Salvaged | None,
+    salvaged: Salvaged | None = None,
 ) -> tuple[Cloud, Water, tuple[Fault, ...]]:
-    """Return the cloud of one sequence, or of both that the scan has, its water, and what is held against it."""
+    """Return the cloud of one sequence, or of both that the scan has, its water, and what is held against it.
+
+    Raises ScanError, also where no points are left.
+    """
     record = scan.manifest.record
     settings = settings_of_scan(record, rig)
     if salvaged is not None:

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import errno
 import hashlib
-from collections.abc import Iterable, Iterator
+import os
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -122,6 +123,29 @@ def replace_file(fs: FileSystem, path: Path, *parts: Bytes) -> Stamp:
         fs.rename(draft, path)
         fs.sync_folder(path.parent)
     return stamp
+
+
+def replace_by(fs: FileSystem, path: Path, write: Callable[[Path], None]) -> None:
+    """Replace (or make) a file by what ``write`` leaves at the name that it is given: as ``replace_file``, for libraries that
+    open their files themselves.
+
+    Raises StorageError, and whatever ``write`` raises but OSError; no draft is left then.
+    """
+    draft = draft_of(path)
+    discard(fs, draft)
+    try:
+        with refused("cannot write", path):
+            write(draft)
+            with draft.open("rb") as file:
+                # fsync through any descriptor of a file makes its data durable, whoever wrote it.
+                os.fsync(file.fileno())
+        with refused("cannot replace", path):
+            fs.rename(draft, path)
+            fs.sync_folder(path.parent)
+    except BaseException:
+        with suppress(StorageError):
+            discard(fs, draft)
+        raise
 
 
 def draft_of(path: Path) -> Path:

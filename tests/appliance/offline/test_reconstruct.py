@@ -9,70 +9,20 @@ import numpy as np
 import pytest
 
 from appliance.calibration.file import CalibrationError, encode
-from appliance.config import Rig, load_rig
-from appliance.config.load import default_rig_path
+from appliance.config import Rig
 from appliance.instrument import CALIBRATION_FILE, calibration_of, design_of
 from appliance.offline.calibration.files import describe_calibration, write_nominal_calibration
 from appliance.offline.origin import Wish, calibration_for, open_source
 from appliance.offline.reconstruct import reconstruct_scan
 from appliance.optics.model import StereoRig
-from appliance.patterns.sequence import build_sequence
-from appliance.reconstruct.pipeline import Pipeline
 from appliance.storage.calibrations import Calibrations
-from appliance.storage.library import Library
 from appliance.storage.ply import read_ply
-from appliance.storage.record import ScanRecord, SequenceInfo
-from tests.support import synthetic
-
-NORMAL = np.array([0.0, 0.1, 1.0]) / np.hypot(0.1, 1.0)
+from tests.support.planes import small_rig, store_plane
 
 
 @pytest.fixture
 def rig(tmp_path: Path) -> Rig:
-    """The packaged rig with small cameras and a storage of its own."""
-    rig = load_rig(default_rig_path())
-    cameras = replace(
-        rig.camera,
-        left=replace(rig.camera.left, width_px=400, height_px=300),
-        right=replace(rig.camera.right, width_px=400, height_px=300),
-    )
-    return replace(
-        rig,
-        camera=cameras,
-        design=replace(rig.design, pixel_um=18.0),
-        storage=replace(rig.storage, root=tmp_path / "storage"),
-    )
-
-
-def store_plane(rig: Rig) -> tuple[Path, np.ndarray]:
-    cal = design_of(rig)
-    sequence = build_sequence(16)
-    beamer = synthetic.projector(cal)
-    index = cal.water.index
-    offset = float(NORMAL @ cal.rig.volume_centre_mm(index))
-    frames = {}
-    for side, camera in (("left", cal.rig.left), ("right", cal.rig.right)):
-        pq = beamer.project(synthetic.plane_points(camera, NORMAL, offset), index)
-        frames[side] = np.rint(synthetic.frames(sequence, pq)).astype(np.uint8)
-    pipeline = Pipeline(cal, cal.water, sequence)
-    for k in range(len(sequence)):
-        for side, stack in frames.items():
-            pipeline.push(side, stack, k)
-    pipeline.coarse()
-    cloud = pipeline.full()
-    record = ScanRecord(
-        sequence=SequenceInfo.of(sequence),
-        rig_hash=rig.rig_hash,
-        calibration_hash=cal.hash,
-        software_version="0",
-        wall_time=None,
-        clock_trusted=False,
-        recorded_ns=0,
-        water={"temperature_c": 20.0, "salinity_psu": 0.0, "wavelength_nm": 530.0},
-    )
-    library = Library(rig.storage.root)
-    library.prepare()
-    return library.begin(frames, record).publish(record, cloud), cloud.points_mm
+    return small_rig(tmp_path / "storage")
 
 
 def test_the_same_points_again(rig: Rig, tmp_path: Path) -> None:

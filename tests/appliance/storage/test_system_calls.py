@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from appliance.storage.atomic import move_folder, replace_file, write_new
+from appliance.storage.atomic import StorageError, move_folder, replace_by, replace_file, write_new
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.library import Library
 from appliance.storage.room import Room
@@ -33,6 +33,33 @@ def test_a_written_file_is_synced_and_so_is_the_folder_that_names_it(tmp_path: P
         fs.sync_folder(tmp_path)
 
     assert witness(work) == [Call("fsync", tmp_path / "new"), Call("fsync", tmp_path)]
+
+
+def test_a_file_that_a_library_wrote_is_synced_before_it_has_its_name(tmp_path: Path, witness: Witness) -> None:
+    (tmp_path / "cloud").write_bytes(b"of before")
+
+    def library(path: Path) -> None:
+        path.write_bytes(b"new")
+        assert (tmp_path / "cloud").read_bytes() == b"of before"
+
+    calls = witness(lambda: replace_by(LocalFileSystem(), tmp_path / "cloud", library))
+    draft = tmp_path / ".cloud.draft"
+    assert [call for call in calls if call.name == "fsync"] == [Call("fsync", draft), Call("fsync", tmp_path)]
+    assert (tmp_path / "cloud").read_bytes() == b"new"
+    assert not draft.exists()
+
+
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), ValueError("no points")])
+def test_a_library_that_fails_leaves_the_file_of_before_and_no_draft(error: Exception, tmp_path: Path) -> None:
+    (tmp_path / "cloud").write_bytes(b"of before")
+
+    def library(path: Path) -> None:
+        path.write_bytes(b"ne")
+        raise error
+
+    with pytest.raises(StorageError if isinstance(error, OSError) else ValueError, match=r"disk is full|no points"):
+        replace_by(LocalFileSystem(), tmp_path / "cloud", library)
+    assert {one.name: one.read_bytes() for one in tmp_path.iterdir()} == {"cloud": b"of before"}
 
 
 def test_a_file_written_over_what_was_allocated_is_synced_at_its_new_length(tmp_path: Path, witness: Witness) -> None:

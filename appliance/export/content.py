@@ -1,0 +1,84 @@
+"""Owns what goes into a file for another program: points with what is known about each, and what is said about all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.reconstruct.organised import OrganisedCloud
+from appliance.surface.fusion import FusedCloud
+from appliance.surface.mesh import Mesh
+from appliance.surface.normals import normals
+
+MM_PER_M = 1000.0
+CAMERA_FRAME = "left camera frame (x right, y down, z forward)"
+OBJECT_FRAME = "object frame"
+
+
+class ExportError(Exception):
+    """A file cannot be made; the text says which, why, and what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class About:
+    """Description of a file in it, as far as its format has room; ASCII, since most formats have nothing else."""
+
+    title: str
+    """Name of the scan or the object."""
+    frame: str
+    """Frame of reference, in words."""
+    notes: tuple[str, ...] = ()
+    """Further lines: calibration, water, warnings."""
+
+    def lines(self, unit: str) -> list[str]:
+        """Return all of it as ASCII lines of at most 200 characters, with the ``unit`` of lengths in the file."""
+        said = [f"{self.title}: unit {unit}, {self.frame}", *self.notes]
+        return [" ".join(line.encode("ascii", "replace").decode("ascii").split())[:200] for line in said]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExportedPoints:
+    """Points as they are handed to a writer; all arrays have the same length n."""
+
+    points_mm: NDArray[np.float32]
+    """(n, 3) float32."""
+    sigma_mm: NDArray[np.float32]
+    grey: NDArray[np.uint8]
+    normals: NDArray[np.float32]
+    """(n, 3) float32; NaN where unknown."""
+    more: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
+    """Further columns (n,) float32 by name, each name with its unit."""
+
+
+def points_of_scan(cloud: OrganisedCloud) -> ExportedPoints:
+    """Return the points of one scan, in the order of their pixels, with normals."""
+    there = cloud.mask
+    return ExportedPoints(
+        points_mm=cloud.points_mm[there],
+        sigma_mm=cloud.sigma_mm[there],
+        grey=cloud.grey[there],
+        normals=normals(cloud)[there],
+        more={"modulation_dn": cloud.modulation_dn[there], "ray_gap_mm": cloud.ray_gap_mm[there]},
+    )
+
+
+def points_of_surface(cloud: FusedCloud) -> ExportedPoints:
+    """Return the points of a fused surface, with the number of scans that saw each."""
+    return ExportedPoints(
+        cloud.points_mm, cloud.sigma_mm, cloud.grey, cloud.normals, {"views": cloud.views.astype(np.float32)}
+    )
+
+
+def points_of_mesh(mesh: Mesh) -> ExportedPoints:
+    """Return the vertices of a mesh."""
+    return ExportedPoints(mesh.vertices_mm, mesh.sigma_mm, mesh.grey, mesh.normals)
+
+
+def finite(values: NDArray[Any]) -> NDArray[Any]:
+    """Return the values with 0 for what is unknown: formats have no word for it, and most readers stumble over NaN."""
+    known: NDArray[Any] = np.nan_to_num(values, nan=0.0)
+    return known

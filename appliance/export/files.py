@@ -1,0 +1,80 @@
+"""Owns which suffix means which format, for points and for meshes, and that a file is there whole or not at all."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+from appliance.export.content import (
+    About,
+    ExportedPoints,
+    ExportError,
+    points_of_mesh,
+    points_of_scan,
+    points_of_surface,
+)
+from appliance.export.e57 import write_e57
+from appliance.export.las import encode_las
+from appliance.export.npz import encode_npz
+from appliance.export.ply import encode_surface
+from appliance.export.triangles import encode_obj, encode_stl
+from appliance.reconstruct.organised import OrganisedCloud
+from appliance.storage.atomic import replace_by, replace_file
+from appliance.storage.filesystem import LocalFileSystem
+from appliance.surface.fusion import FusedCloud
+from appliance.surface.mesh import Mesh
+
+SCAN_SUFFIXES = (".ply", ".e57", ".las", ".npz")
+SURFACE_SUFFIXES = (".ply", ".e57", ".las")
+MESH_SUFFIXES = (".ply", ".stl", ".obj")
+
+
+def checked_suffix(path: Path, allowed: tuple[str, ...], what: str) -> str:
+    """Return the suffix of ``path`` in lower case. Raises ExportError for one that is none of those ``allowed`` for ``what``."""
+    suffix = path.suffix.lower()
+    if suffix not in allowed:
+        raise ExportError(
+            f"{path}: {what} is written as {', '.join(allowed)}, not as {path.suffix or 'a file without suffix'}; "
+            f"give for example {path.with_suffix(allowed[0]).name}"
+        )
+    return suffix
+
+
+def write_scan(path: Path, cloud: OrganisedCloud, about: About) -> None:
+    """Write the points of one scan; the suffix says how (``SCAN_SUFFIXES``). Raises ExportError, StorageError,
+    ValueError, and MissingLibraryError where the format's library is absent."""
+    if checked_suffix(path, SCAN_SUFFIXES, "a scan") == ".npz":
+        replace_file(LocalFileSystem(), path, encode_npz(cloud, about))
+        return
+    _write_points(path, points_of_scan(cloud), about)
+
+
+def write_surface(path: Path, cloud: FusedCloud, about: About) -> None:
+    """Write the points of a fused surface (``SURFACE_SUFFIXES``). Raises ExportError, StorageError,
+    ValueError, and MissingLibraryError where the format's library is absent."""
+    checked_suffix(path, SURFACE_SUFFIXES, "a surface of points")
+    _write_points(path, points_of_surface(cloud), about)
+
+
+def write_mesh(path: Path, mesh: Mesh, about: About) -> None:
+    """Write a mesh (``MESH_SUFFIXES``). Raises ExportError, StorageError,
+    ValueError, and MissingLibraryError where the format's library is absent."""
+    match checked_suffix(path, MESH_SUFFIXES, "a mesh"):
+        case ".ply":
+            parts = list(encode_surface(points_of_mesh(mesh), about, mesh.faces))
+        case ".stl":
+            parts = list(encode_stl(mesh, about))
+        case _:
+            parts = encode_obj(mesh, about)
+    replace_file(LocalFileSystem(), path, *parts)
+
+
+def _write_points(path: Path, points: ExportedPoints, about: About) -> None:
+    match path.suffix.lower():
+        case ".e57":
+            # The library wants a name to write to, and gets that of the draft.
+            replace_by(LocalFileSystem(), path, partial(write_e57, points=points, about=about))
+        case ".las":
+            replace_file(LocalFileSystem(), path, encode_las(points, about))
+        case _:
+            replace_file(LocalFileSystem(), path, *encode_surface(points, about))

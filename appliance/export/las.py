@@ -1,0 +1,65 @@
+"""Owns the LAS file: metres, as its coordinate system says, in steps of 0.1 µm.
+
+LAS 1.4, point format 6; x, y and z are whole numbers of 1e-7 m from an offset, which reaches 214 m. Grey is the intensity, spread to 16 bit as
+the standard wants. Sigma, normals and further columns are extra bytes, whose descriptions name their unit. The
+coordinate system is a local one in OGC WKT, since nobody knows where on Earth a dive was.
+Source: ASPRS, "LAS Specification 1.4 - R15" (2019). Written by laspy (BSD).
+"""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+
+from appliance.export.content import MM_PER_M, About, ExportedPoints, finite
+from appliance.surface.libraries import needed
+
+SCALE_M = 1e-7
+_LOCAL = (
+    'LOCAL_CS["{title}",LOCAL_DATUM["{frame}",0],UNIT["metre",1.0],AXIS["X",OTHER],AXIS["Y",OTHER],AXIS["Z",OTHER]]'
+)
+_TO_16_BIT = 257
+"""255 becomes 65535."""
+_NAME, _DESCRIPTION = 31, 31
+"""Longest texts of an extra dimension: 32 bytes with a final zero."""
+
+
+def encode_las(points: ExportedPoints, about: About) -> bytes:
+    """Return the file. Raises MissingLibraryError where laspy is absent, ValueError for points that are more than 214 m apart."""
+    laspy = needed("laspy", "laspy", "a LAS file")
+    header = laspy.LasHeader(version="1.4", point_format=6)
+    metres = points.points_mm.astype(np.float64) / MM_PER_M
+    header.scales = np.full(3, SCALE_M)
+    header.offsets = np.floor(metres.min(axis=0)) if len(metres) else np.zeros(3)
+    if len(metres) and float((metres - header.offsets).max()) > SCALE_M * np.iinfo(np.int32).max:
+        raise ValueError("points are more than 214 m apart; LAS files of this instrument hold one object")
+    header.system_identifier = "Kingfisher, unit metre"
+    header.generating_software = "kingfisher"
+    # A file that always has today's date would differ from day to day; day 0 of year 0 says that none is given.
+    header.creation_date = None
+    title, frame = (text.replace('"', "'") for text in (about.lines("m")[0], about.frame))
+    header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(_LOCAL.format(title=title, frame=frame)))
+    header.global_encoding.wkt = True
+    known = finite(points.normals)
+    extra = {
+        "sigma_m": (points.sigma_mm.astype(np.float64) / MM_PER_M, "standard deviation, metre"),
+        "normal_x": (known[:, 0], "unit vector"),
+        "normal_y": (known[:, 1], "unit vector"),
+        "normal_z": (known[:, 2], "unit vector"),
+        **{name: (values, "see name for the unit") for name, values in points.more.items()},
+    }
+    header.add_extra_dims(
+        [laspy.ExtraBytesParams(name[:_NAME], "float32", text[:_DESCRIPTION]) for name, (_, text) in extra.items()]
+    )
+    file = laspy.LasData(header)
+    file.x, file.y, file.z = metres.T
+    file.intensity = points.grey.astype(np.uint16) * _TO_16_BIT
+    # Numbers of returns begin with 1; a point of format 6 that says 0 of 0 is invalid.
+    file.return_number = np.ones(len(metres), np.uint8)
+    file.number_of_returns = np.ones(len(metres), np.uint8)
+    for name, (values, _) in extra.items():
+        file[name[:_NAME]] = values.astype(np.float32)
+    made = io.BytesIO()
+    file.write(made)
+    return made.getvalue()

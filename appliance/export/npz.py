@@ -1,0 +1,38 @@
+"""Owns the NumPy archive of one scan on its pixel grid: every array (h, w), names with units, and what it is as JSON.
+
+    x_mm y_mm z_mm sigma_mm ray_gap_mm modulation_dn   float32, NaN where a pixel has no point
+    grey                                               uint8, the left camera's bright image, also without points
+    mask                                               bool, the pixel has a point
+    about                                              text: JSON with title, frame, unit and notes
+
+``numpy.load`` reads it without pickles.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+
+import numpy as np
+
+from appliance.export.content import About
+from appliance.reconstruct.organised import OrganisedCloud
+
+
+def encode_npz(cloud: OrganisedCloud, about: About) -> bytes:
+    """Return the archive, compressed."""
+    said = {"title": about.title, "frame": about.frame, "unit": "mm", "notes": list(about.notes)}
+    made = io.BytesIO()
+    np.savez_compressed(
+        made,
+        x_mm=cloud.points_mm[..., 0],
+        y_mm=cloud.points_mm[..., 1],
+        z_mm=cloud.points_mm[..., 2],
+        sigma_mm=cloud.sigma_mm,
+        ray_gap_mm=cloud.ray_gap_mm,
+        modulation_dn=cloud.modulation_dn,
+        grey=cloud.grey,
+        mask=cloud.mask,
+        about=np.array(json.dumps(said, ensure_ascii=False)),
+    )
+    return made.getvalue()

@@ -1,0 +1,52 @@
+"""Owns the PLY file of a fused surface and of a mesh: normals, grey as colour, sigma, and faces where there are some.
+
+Binary little-endian, mm. A raw scan has a PLY file of its own (``appliance.storage.ply``), with a checksum and without normals.
+Source: G. Turk, "The PLY Polygon File Format" (1994); names of properties as MeshLab and CloudCompare read them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.export.content import About, ExportedPoints, finite
+
+_FIXED = (
+    ("x", "<f4", "float"),
+    ("y", "<f4", "float"),
+    ("z", "<f4", "float"),
+    ("nx", "<f4", "float"),
+    ("ny", "<f4", "float"),
+    ("nz", "<f4", "float"),
+    ("red", "u1", "uchar"),
+    ("green", "u1", "uchar"),
+    ("blue", "u1", "uchar"),
+    ("sigma", "<f4", "float"),
+)
+_FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
+
+
+def encode_surface(points: ExportedPoints, about: About, faces: NDArray[np.int32] | None = None) -> tuple[bytes, ...]:
+    """Return header, vertices and faces ((m, 3) int32; ``None``: points alone). Unknown normals are (0, 0, 0)."""
+    n = len(points.grey)
+    columns = [*_FIXED, *((name, "<f4", "float") for name in points.more)]
+    rows = np.zeros(n, np.dtype([(name, kind) for name, kind, _ in columns]))
+    known = finite(points.normals)
+    for axis in range(3):
+        rows["xyz"[axis]] = points.points_mm[:, axis]
+        rows[f"n{'xyz'[axis]}"] = known[:, axis]
+    for name in ("red", "green", "blue"):
+        rows[name] = points.grey
+    rows["sigma"] = points.sigma_mm
+    for name, values in points.more.items():
+        rows[name] = values
+    header = ["ply", "format binary_little_endian 1.0"]
+    header += [f"comment Kingfisher {line}" for line in about.lines("mm")]
+    header += ["comment sigma: standard deviation in mm", f"element vertex {n}"]
+    header += [f"property {word} {name}" for name, _, word in columns]
+    triangles = np.zeros(0 if faces is None else len(faces), _FACE)
+    if faces is not None:
+        triangles["count"], triangles["corners"] = 3, faces
+        header += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
+    header += ["end_header", ""]
+    return "\n".join(header).encode("ascii"), rows.tobytes(), triangles.tobytes()

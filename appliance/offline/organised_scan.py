@@ -1,0 +1,38 @@
+"""Owns a stored scan on the pixel grid of its left image: made from the raw frames as ``reconstruct`` does, with its bright image."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from appliance.offline.origin import Chosen, SourceScan
+from appliance.offline.reconstruct import cloud_of_scan
+from appliance.offline.reprocess import sequence_of_scan
+from appliance.optics.water import Water
+from appliance.reconstruct.organised import OrganisedCloud, organised
+from appliance.scan.fault import Fault
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OrganisedScan:
+    """A stored scan's cloud with its neighbours, and what is known about it."""
+
+    cloud: OrganisedCloud
+    water: Water
+    """Water in which it was reconstructed."""
+    faults: tuple[Fault, ...]
+    """The faults that are held against the scan; its points are there all the same."""
+
+
+def organised_scan(source: SourceScan, chosen: Chosen, progress: Callable[[str], None]) -> OrganisedScan:
+    """Return the full cloud of a stored scan, of both exposures where it has two, on the grid of its left image.
+
+    Raises ScanError, also where no points are left.
+    """
+    scan = source.scan
+    cloud, water, faults = cloud_of_scan(scan, source.rig, chosen.calibration, progress)
+    # A copy: the frames may be a file that is mapped, and the cloud outlives it.
+    bright = np.array(scan.frames["left"][sequence_of_scan(scan).bright])
+    return OrganisedScan(organised(cloud, bright), water, faults)

@@ -1,0 +1,31 @@
+"""Owns what is said where a library of the desk is absent: an instrument has none of them, and a computer at the desk may.
+
+So they are imported where they are used, by what is asked for there and by nothing else.
+"""
+
+from __future__ import annotations
+
+import importlib
+from types import ModuleType
+
+EXTRA = "kingfisher[desk]"
+"""Name that pip is asked for: the extra of ``pyproject.toml`` that has all of them."""
+
+
+class MissingLibraryError(Exception):
+    """A library of the desk is not installed; the text says what it is needed for, and how to get it."""
+
+
+def needed(module: str, package: str, what: str) -> ModuleType:
+    """Import ``module`` of ``package``, which ``what`` (a file or a page, in words) cannot do without.
+
+    Raises MissingLibraryError where it is absent.
+    """
+    try:
+        found: ModuleType = importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        lacking = error.name or module
+        # Where the library is there and lacks something of its own, that is named, and not the library.
+        missing = package if lacking.partition(".")[0] == module.partition(".")[0] else lacking
+        raise MissingLibraryError(f"{what} needs {missing}: pip install '{EXTRA}'") from error
+    return found

@@ -1,0 +1,232 @@
+"""Every file that leaves the instrument is read back, by a reader that did not write it, to a micrometre."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import json
+import struct
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from numpy.typing import NDArray
+
+from appliance.export.content import CAMERA_FRAME, About, ExportError
+from appliance.export.files import write_mesh, write_scan, write_surface
+from appliance.reconstruct.organised import OrganisedCloud
+from appliance.surface.fusion import FusedCloud, PlacedScan, fuse
+from appliance.surface.libraries import MissingLibraryError
+from appliance.surface.mesh import mesh_of_scan
+from appliance.surface.normals import normals
+from tests.support.e57 import read_e57
+from tests.support.solids import Ball, looking, seen
+
+UM = 0.001
+ABOUT = About("scan 000007", CAMERA_FRAME, ("calibration abc", "water – 10 °C"))
+
+
+@pytest.fixture(scope="module")
+def cloud() -> OrganisedCloud:
+    """A ball beside the axis, with a border of pixels without points."""
+    return seen([Ball((3.0, -2.0, 0.0), 8.0)], looking((0.0, 0.0, -500.0)), 5, size_px=(120, 100), steepest=70.0)
+
+
+@pytest.fixture(scope="module")
+def surface() -> FusedCloud:
+    """Points far from the origin, where float32 is coarse."""
+    pose = looking((0.0, 0.0, -500.0))
+    ball = Ball((3.0, -2.0, 0.0), 8.0)
+    scans = [seen([ball], pose, seed, size_px=(80, 80), steepest=60.0) for seed in range(2)]
+    far = pose.moved((900.0, -700.0, 400.0))
+    return fuse([PlacedScan(one, far.rotation, far.translation_mm) for one in scans])
+
+
+def test_a_mesh_as_ply_has_faces_normals_grey_and_sigma(cloud: OrganisedCloud, tmp_path: Path) -> None:
+    mesh = mesh_of_scan(cloud)
+    write_mesh(tmp_path / "ball.ply", mesh, ABOUT)
+    read: Any = trimesh.load(tmp_path / "ball.ply", process=False)
+    np.testing.assert_allclose(read.vertices, mesh.vertices_mm, atol=UM)
+    np.testing.assert_array_equal(read.faces, mesh.faces)
+    np.testing.assert_array_equal(read.visual.vertex_colors[:, 0], mesh.grey)
+    data = read.metadata["_ply_raw"]["vertex"]["data"]
+    np.testing.assert_allclose(data["sigma"], mesh.sigma_mm, atol=1e-6)
+    np.testing.assert_allclose(
+        np.stack([data["nx"], data["ny"], data["nz"]], 1), np.nan_to_num(mesh.normals), atol=1e-6
+    )
+    head = (tmp_path / "ball.ply").read_bytes()[:600].decode("ascii", "replace")
+    assert "comment Kingfisher scan 000007: unit mm, left camera frame" in head
+    assert "water ? 10 ?C" in head, "headers are ASCII"
+
+
+def test_points_as_ply_are_read_elsewhere(surface: FusedCloud, tmp_path: Path) -> None:
+    write_surface(tmp_path / "ball.ply", surface, ABOUT)
+    read: Any = trimesh.load(tmp_path / "ball.ply", process=False)
+    np.testing.assert_allclose(read.vertices, surface.points_mm, atol=UM)
+    np.testing.assert_array_equal(read.colors[:, 2], surface.grey)
+
+
+def test_stl_is_read_elsewhere_and_its_normals_are_those_of_its_triangles(
+    cloud: OrganisedCloud, tmp_path: Path
+) -> None:
+    mesh = mesh_of_scan(cloud)
+    write_mesh(tmp_path / "ball.STL", mesh, ABOUT)
+    read: Any = trimesh.load(tmp_path / "ball.STL", process=False)
+    np.testing.assert_allclose(read.triangles, mesh.vertices_mm[mesh.faces], atol=UM)
+    raw = (tmp_path / "ball.STL").read_bytes()
+    assert raw[:5] != b"solid", "which would be taken for a text"
+    assert b"unit mm" in raw[:80]
+    stored = np.frombuffer(raw[84:], np.dtype([("n", "<f4", 3), ("rest", "V38")]))["n"]
+    np.testing.assert_allclose(stored, read.face_normals, atol=1e-3)
+
+
+def test_obj_is_read_elsewhere(cloud: OrganisedCloud, tmp_path: Path) -> None:
+    mesh = mesh_of_scan(cloud)
+    write_mesh(tmp_path / "ball.obj", mesh, ABOUT)
+    read: Any = trimesh.load(tmp_path / "ball.obj", process=False, maintain_order=True)
+    np.testing.assert_allclose(read.vertices, mesh.vertices_mm, atol=UM)
+    np.testing.assert_array_equal(read.faces, mesh.faces)
+    np.testing.assert_allclose(read.visual.vertex_colors[:, 1], mesh.grey, atol=1)
+    assert "unit mm" in (tmp_path / "ball.obj").read_text().splitlines()[0]
+
+
+def test_e57_is_in_metres_and_says_so(cloud: OrganisedCloud, tmp_path: Path) -> None:
+    write_scan(tmp_path / "ball.e57", cloud, ABOUT)
+    read = read_e57(tmp_path / "ball.e57")
+    points = np.stack([read.columns[f"cartesian{axis}"] for axis in "XYZ"], 1)
+    np.testing.assert_allclose(1000.0 * points, cloud.points_mm[cloud.mask], atol=UM)
+    np.testing.assert_array_equal(read.columns["intensity"], cloud.grey[cloud.mask])
+    np.testing.assert_allclose(1000.0 * read.columns["kf:sigma"], cloud.sigma_mm[cloud.mask], rtol=1e-6)
+    found = np.stack([read.columns[f"nor:normal{axis}"] for axis in "XYZ"], 1)
+    np.testing.assert_allclose(found, np.nan_to_num(normals(cloud)[cloud.mask]), atol=1e-6)
+    assert read.namespaces["nor"] == "http://www.libe57.org/E57_NOR_surface_normals.txt"
+    assert (read.name, "unit metre" in read.description) == ("scan 000007", True)
+    assert read.bounds_m["xMinimum"] == pytest.approx(points[:, 0].min())
+    assert read.bounds_m["zMaximum"] == pytest.approx(points[:, 2].max())
+
+
+def test_the_same_points_give_the_same_e57_file(cloud: OrganisedCloud, tmp_path: Path) -> None:
+    for name in ("one.e57", "two.e57"):
+        write_scan(tmp_path / name, cloud, ABOUT)
+    assert (tmp_path / "one.e57").read_bytes() == (tmp_path / "two.e57").read_bytes()
+
+
+def las_columns(raw: bytes) -> dict[str, NDArray[Any]]:
+    """Points of an LAS 1.4 file of point format 6, from the tables of ASPRS' specification."""
+    assert raw[:4] == b"LASF"
+    assert (raw[24], raw[25]) == (1, 4)
+    header, data, vlrs = struct.unpack_from("<HII", raw, 94)
+    kind, length = struct.unpack_from("<BH", raw, 104)
+    assert (kind, header) == (6, 375)
+    scales, offsets = struct.unpack_from("<3d", raw, 131), struct.unpack_from("<3d", raw, 155)
+    bounds = struct.unpack_from("<6d", raw, 179)
+    (count,) = struct.unpack_from("<Q", raw, 247)
+    extra: list[tuple[str, str]] = []
+    place, texts = header, b""
+    for _ in range(vlrs):
+        user, record, size = struct.unpack_from("<2x16sHH", raw, place)
+        body = raw[place + 54 : place + 54 + size]
+        if (user.rstrip(b"\0"), record) == (b"LASF_Spec", 4):
+            for k in range(0, size, 192):
+                assert body[k + 2] == 9, "data type 9: float"
+                extra.append((body[k + 4 : k + 36].rstrip(b"\0").decode(), "<f4"))
+        texts += body
+        place += 54 + size
+    fixed = [("x", "<i4"), ("y", "<i4"), ("z", "<i4"), ("intensity", "<u2"), ("returns", "u1"), ("rest", "V15")]
+    rows = np.frombuffer(raw, np.dtype([*fixed, *extra]), count, data)
+    assert rows.dtype.itemsize == length
+    out = {name: rows[name] for name in ("intensity", "returns", *(name for name, _ in extra))}
+    xyz = np.stack([rows[axis] * scales[k] + offsets[k] for k, axis in enumerate("xyz")], 1)
+    np.testing.assert_allclose([bounds[1], bounds[3], bounds[5]], xyz.min(axis=0), atol=1e-7)
+    return {**out, "xyz": xyz, "texts": np.frombuffer(texts, np.uint8), "scales": np.array(scales)}
+
+
+def test_las_is_in_metres_and_a_micrometre_survives(surface: FusedCloud, tmp_path: Path) -> None:
+    write_surface(tmp_path / "ball.las", surface, ABOUT)
+    read = las_columns((tmp_path / "ball.las").read_bytes())
+    np.testing.assert_allclose(1000.0 * read["xyz"], surface.points_mm, atol=0.2 * UM)
+    assert (read["scales"] <= 1e-6).all()
+    np.testing.assert_array_equal(read["intensity"], surface.grey.astype(int) * 257)
+    assert (read["returns"] == 0x11).all(), "the first of one"
+    np.testing.assert_allclose(1000.0 * read["sigma_m"], surface.sigma_mm, rtol=1e-6)
+    np.testing.assert_allclose(read["normal_z"], surface.normals[:, 2], atol=1e-6)
+    np.testing.assert_array_equal(read["views"], surface.views)
+    texts = read["texts"].tobytes()
+    assert b'UNIT["metre",1.0]' in texts
+    assert b"standard deviation, metre" in texts
+
+
+def test_the_archive_keeps_the_grid(cloud: OrganisedCloud, tmp_path: Path) -> None:
+    write_scan(tmp_path / "ball.npz", cloud, ABOUT)
+    found = {}
+    with zipfile.ZipFile(tmp_path / "ball.npz") as archive:
+        for name in archive.namelist():
+            raw = archive.read(name)
+            # The head of an .npy file of version 1: magic, two bytes, its length, a Python dictionary.
+            (long,) = struct.unpack_from("<H", raw, 8)
+            head = ast.literal_eval(raw[10 : 10 + long].decode())
+            flat, shape = np.frombuffer(raw[10 + long :], head["descr"]), head["shape"]
+            # Column by column, where an array was stored so.
+            found[name.removesuffix(".npy")] = (
+                flat.reshape(shape[::-1]).T if head["fortran_order"] else flat.reshape(shape)
+            )
+    assert json.loads(str(found.pop("about"))) == {
+        "title": "scan 000007", "frame": CAMERA_FRAME, "unit": "mm", "notes": list(ABOUT.notes),
+    }  # fmt: skip
+    assert {one.shape for one in found.values()} == {(100, 120)}
+    np.testing.assert_array_equal(found["mask"], cloud.mask)
+    np.testing.assert_array_equal(np.stack([found[f"{axis}_mm"] for axis in "xyz"], -1), cloud.points_mm)
+    np.testing.assert_array_equal(found["sigma_mm"], cloud.sigma_mm)
+    np.testing.assert_array_equal(found["grey"], cloud.grey)
+    np.testing.assert_array_equal(found["modulation_dn"], cloud.modulation_dn)
+    np.testing.assert_array_equal(found["ray_gap_mm"], cloud.ray_gap_mm)
+
+
+# ---------------------------------------------------------------------------------------- what is refused
+
+
+@pytest.mark.parametrize("name", ["ball.xyz", "ball", "ball.ply.gz", "ball.stl"])
+def test_other_suffixes_are_refused_with_those_that_are_allowed(
+    name: str, cloud: OrganisedCloud, tmp_path: Path
+) -> None:
+    with pytest.raises(ExportError, match=r"a scan is written as \.ply, \.e57, \.las, \.npz, not as"):
+        write_scan(tmp_path / name, cloud, ABOUT)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_library_that_is_absent_is_named_with_the_remedy(
+    cloud: OrganisedCloud, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = importlib.import_module
+
+    def absent(name: str) -> Any:
+        if name in ("pye57", "laspy"):
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+        return real(name)
+
+    monkeypatch.setattr(importlib, "import_module", absent)
+    for suffix, package in ((".e57", "pye57"), (".las", "laspy")):
+        with pytest.raises(MissingLibraryError, match=rf"needs {package}: pip install 'kingfisher\[desk\]'"):
+            write_scan(tmp_path / f"ball{suffix}", cloud, ABOUT)
+    assert not list(tmp_path.iterdir()), "nothing half made is left"
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".e57", ".las", ".npz"])
+def test_a_file_that_cannot_be_written_leaves_the_one_of_before(
+    suffix: str, cloud: OrganisedCloud, tmp_path: Path
+) -> None:
+    path = tmp_path / f"ball{suffix}"
+    path.write_bytes(b"of before")
+    nothing = replace(cloud, points_mm=np.full_like(cloud.points_mm, np.nan))
+    if suffix == ".e57":
+        with pytest.raises(ValueError, match="at least one point"):
+            write_scan(path, nothing, ABOUT)
+        assert path.read_bytes() == b"of before"
+    else:
+        write_scan(path, nothing, ABOUT)
+        assert path.read_bytes() != b"of before"
+    assert [one.name for one in tmp_path.iterdir()] == [path.name], "no draft is left"

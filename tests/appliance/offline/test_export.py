@@ -1,0 +1,97 @@
+"""The verb ``export`` writes what the scan's frames give, in the format that the suffix names, and refuses the rest in one line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from numpy.typing import NDArray
+
+from appliance.calibration.file import encode
+from appliance.cli.output import Exit
+from appliance.instrument import design_of
+from tests.support.commands import Shell
+from tests.support.e57 import read_e57
+from tests.support.planes import NORMAL, small_rig, store_plane
+
+
+@pytest.fixture
+def shell(capsys: pytest.CaptureFixture[str]) -> Shell:
+    return Shell(capsys)
+
+
+@pytest.fixture(scope="module")
+def plane(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, NDArray[np.float32]]:
+    """A stored scan, the file of its calibration, and the points that the instrument had."""
+    root = tmp_path_factory.mktemp("plane")
+    rig = small_rig(root / "storage")
+    folder, points = store_plane(rig)
+    (root / "calibration.json").write_bytes(encode(design_of(rig)))
+    return folder, root / "calibration.json", points
+
+
+def test_points_mesh_and_grid_of_one_scan(
+    shell: Shell, plane: tuple[Path, Path, NDArray[np.float32]], tmp_path: Path
+) -> None:
+    folder, calibration, points = plane
+
+    def export(name: str, *more: str) -> dict[str, object]:
+        said = shell("export", folder, "--calibration", calibration, "--out", tmp_path / name, "--json", *more)
+        assert (said.code, said.err) == (Exit.OK, "")
+        document: dict[str, object] = said.document
+        return document
+
+    assert export("plane.e57")["unit"] == "m"
+    read = read_e57(tmp_path / "plane.e57")
+    found = 1000.0 * np.stack([read.columns[f"cartesian{axis}"] for axis in "XYZ"], 1)
+    # In the order of the pixels, as the instrument has them.
+    np.testing.assert_allclose(found, points, atol=0.001)
+    report = export("plane.stl", "--mesh")
+    assert (report["unit"], report["format"]) == ("mm", "stl")
+    mesh: Any = trimesh.load(tmp_path / "plane.stl", process=False)
+    assert len(mesh.triangles) == report["faces"]
+    # The plane's own normal, towards the camera.
+    np.testing.assert_allclose(np.average(mesh.face_normals, axis=0, weights=mesh.area_faces), -NORMAL, atol=0.01)
+    export("plane.npz")
+    with np.load(tmp_path / "plane.npz") as grid:
+        assert grid["mask"].shape == (300, 400)
+        assert int(grid["mask"].sum()) == len(points)
+        # The bright image is that of the pattern that lights everything.
+        assert np.median(grid["grey"][grid["mask"]]) > 150
+
+
+def test_without_a_name_it_is_the_scans_in_this_folder(
+    shell: Shell, plane: tuple[Path, Path, NDArray[np.float32]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    said = shell("export", plane[0], "--calibration", plane[1], "--mesh")
+    assert said.code == Exit.OK
+    assert said.lines["file"] == f"{plane[0].name}.ply"
+    mesh: Any = trimesh.load(tmp_path / f"{plane[0].name}.ply")
+    assert len(mesh.faces) > 10_000
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (
+            ("--out", "plane.xyz"),
+            "a scan is written as .ply, .e57, .las, .npz, not as .xyz; give for example plane.ply",
+        ),
+        (("--out", "plane.stl"), "a scan is written as .ply, .e57, .las, .npz, not as .stl"),
+        (("--out", "plane.npz", "--mesh"), "a mesh is written as .ply, .stl, .obj, not as .npz"),
+        (("--out", "nowhere/plane.ply"), "there is no folder nowhere"),
+    ],
+)
+def test_what_cannot_be_written_is_refused_before_the_work(
+    words: tuple[str, ...], said: str, shell: Shell, plane: tuple[Path, Path, NDArray[np.float32]], tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    found = shell("export", plane[0], *words)
+    assert found.code == Exit.USAGE
+    assert said in found.error
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,66 @@
+"""A scan of a plane on the disk, of a small instrument as the rig file draws it: the least that desk work starts from."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from appliance.config import Rig, load_rig
+from appliance.config.load import default_rig_path
+from appliance.instrument import design_of
+from appliance.patterns.sequence import build_sequence
+from appliance.reconstruct.pipeline import Pipeline
+from appliance.storage.library import Library
+from appliance.storage.record import ScanRecord, SequenceInfo
+from tests.support import synthetic
+
+NORMAL = np.array([0.0, 0.1, 1.0]) / np.hypot(0.1, 1.0)
+
+
+def small_rig(root: Path) -> Rig:
+    """The packaged rig with small cameras and its storage at ``root``."""
+    rig = load_rig(default_rig_path())
+    cameras = replace(
+        rig.camera,
+        left=replace(rig.camera.left, width_px=400, height_px=300),
+        right=replace(rig.camera.right, width_px=400, height_px=300),
+    )
+    return replace(
+        rig,
+        camera=cameras,
+        design=replace(rig.design, pixel_um=18.0),
+        storage=replace(rig.storage, root=root),
+    )
+
+
+def store_plane(rig: Rig) -> tuple[Path, np.ndarray]:
+    cal = design_of(rig)
+    sequence = build_sequence(16)
+    beamer = synthetic.projector(cal)
+    index = cal.water.index
+    offset = float(NORMAL @ cal.rig.volume_centre_mm(index))
+    frames = {}
+    for side, camera in (("left", cal.rig.left), ("right", cal.rig.right)):
+        pq = beamer.project(synthetic.plane_points(camera, NORMAL, offset), index)
+        frames[side] = np.rint(synthetic.frames(sequence, pq)).astype(np.uint8)
+    pipeline = Pipeline(cal, cal.water, sequence)
+    for k in range(len(sequence)):
+        for side, stack in frames.items():
+            pipeline.push(side, stack, k)
+    pipeline.coarse()
+    cloud = pipeline.full()
+    record = ScanRecord(
+        sequence=SequenceInfo.of(sequence),
+        rig_hash=rig.rig_hash,
+        calibration_hash=cal.hash,
+        software_version="0",
+        wall_time=None,
+        clock_trusted=False,
+        recorded_ns=0,
+        water={"temperature_c": 20.0, "salinity_psu": 0.0, "wavelength_nm": 530.0},
+    )
+    library = Library(rig.storage.root)
+    library.prepare()
+    return library.begin(frames, record).publish(record, cloud), cloud.points_mm
