@@ -21,6 +21,8 @@ from appliance.patterns.sine import STEP_DEG, STEPS, sine_codes
 PERIODS_PX = (16, 32, 64)
 BRIGHT_CODE = 247
 DARK_CODE = 0
+REFERENCES = 2
+"""Number of frames before those of X: bright and dark."""
 
 
 class Direction(Enum):
@@ -128,20 +130,27 @@ class PatternSequence:
     @property
     def bright(self) -> int:
         """Frame number of the bright reference."""
-        return next(i for i, p in enumerate(self.patterns) if p.kind is Kind.BRIGHT)
+        return 0 if self.patterns[0].kind is Kind.BRIGHT else 1
 
     @property
     def dark(self) -> int:
         """Frame number of the dark reference."""
-        return next(i for i, p in enumerate(self.patterns) if p.kind is Kind.DARK)
+        return 1 - self.bright
+
+    def __hash__(self) -> int:
+        # The promise leaves nothing else to choose; hashing two dozen patterns would cost every judge's look into a cache.
+        return hash((self.period_px, self.width_px, self.height_px, self.bright))
 
     def axis(self, direction: Direction) -> Axis:
         """Return the frame numbers that encode ``direction``."""
-        mine = [(i, p) for i, p in enumerate(self.patterns) if p.direction is direction]
-        gray = tuple(i for i, p in mine if p.kind is Kind.GRAY)
-        s0, s1, s2, s3 = (i for i, p in mine if p.kind is Kind.SINE)
-        size = self.width_px if direction is Direction.X else self.height_px
-        return Axis(direction, size, gray, (s0, s1, s2, s3))
+        # Counted, not searched for: it is asked for each frame and by each judge.
+        size, first = self.width_px, REFERENCES
+        bits = bit_count(size, self.period_px)
+        if direction is Direction.Y:
+            size, first = self.height_px, first + bits + STEPS
+            bits = bit_count(size, self.period_px)
+        sine = first + bits
+        return Axis(direction, size, tuple(range(first, sine)), (sine, sine + 1, sine + 2, sine + 3))
 
 
 def build_sequence(period_px: int, width_px: int = 1024, height_px: int = 768) -> PatternSequence:

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -43,6 +44,9 @@ MIN_POINTS = 40
 """Fewer do not say where the object lies; then stripes or windows of faint fringes do …"""
 ROUGHLY = 0.03
 """… or the parallax of the stripes, which is known so well."""
+_SUMS = 4
+_COUNT, _EXCESS, _EXCESS2, _ADDED = range(_SUMS)
+"""Sums of a cell's clear pixels: how many, what their fringes have beyond noise, its square, and what white adds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,38 +109,71 @@ def see(frames: NDArray[np.uint8], sequence: PatternSequence, noise: CameraNoise
     """Look at one camera's ``frames`` (n, h, w) uint8, cell by cell. Those of Y may still be missing."""
     rows, columns = frames.shape[1:]
     step = max(1, int((rows * columns / SAMPLES) ** 0.5))
-    at = (slice(step // 2, None, step), slice(step // 2, None, step))
-    bright, dark = (frames[k][at].astype(np.float32) for k in (sequence.bright, sequence.dark))
-    i0, i1, i2, i3 = (frames[k][at].astype(np.float32) for k in sequence.axis(Direction.X).sine)
-    clear = np.maximum.reduce([bright, i0, i1, i2, i3]) < CLEAR_DN
-    v, u = np.mgrid[0 : bright.shape[0], 0 : bright.shape[1]]
-    cell = (v * CELLS[1] // bright.shape[0] * CELLS[0] + u * CELLS[0] // bright.shape[1])[clear]
+    down, across = np.arange(step // 2, rows, step), np.arange(step // 2, columns, step)
     size = CELLS[0] * CELLS[1]
-    count = np.bincount(cell, minlength=size).astype(np.float64)
-
-    def mean(values: Floats) -> Array:
-        return np.asarray(np.bincount(cell, values[clear], size) / np.maximum(count, 1.0))
-
-    # |(I0 − I2) + i (I3 − I1)|² is (2 A)² of fringes of amplitude A, and the noise of four images.
-    level = 0.25 * (i0 + i1 + i2 + i3)
-    photons = np.maximum(level - np.float32(noise.black_dn), 0.0)
-    expected = np.float32(4.0) * (np.float32(noise.read_dn**2 + ROUNDING_DN2) + np.float32(noise.dn_per_e) * photons)
-    excess = (i0 - i2) ** 2 + (i3 - i1) ** 2 - expected
-    squared = mean(excess)
-    error = np.sqrt(np.maximum(mean(excess * excess) - squared**2, 1e-12) / np.maximum(count, 1.0))
+    cell_row = np.arange(down.size) * CELLS[1] // down.size * CELLS[0]
+    cell_column = np.arange(across.size) * CELLS[0] // across.size
+    sums, added = np.zeros((size, _SUMS)), np.empty((down.size, across.size), np.float32)
+    levels = (np.float32(noise.black_dn), np.float32(noise.read_dn**2 + ROUNDING_DN2), np.float32(noise.dn_per_e))
+    shown = np.array([sequence.bright, sequence.dark, *sequence.axis(Direction.X).sine], np.int64)
+    _sum_cells(frames, shown, step, levels, cell_row, cell_column, sums, added)
+    count = sums[:, _COUNT]
+    squared, squares, light = (sums[:, k] / np.maximum(count, 1.0) for k in (_EXCESS, _EXCESS2, _ADDED))
+    error = np.sqrt(np.maximum(squares - squared**2, 1e-12) / np.maximum(count, 1.0))
     fringe = 0.5 * np.sqrt(np.maximum(squared, 0.0))
-    light = mean(bright - dark)
     enough = count >= MIN_PER_CELL
     shows = enough & (fringe >= LEAST_FRINGE_DN) & (squared > FRINGE_SIGMAS * error)
     some = bool(shows.any())
     return VisibleFringes(
-        float(np.mean(bright - dark)),
+        float(np.mean(added)),
         float(np.count_nonzero(shows)) / size,
         float(np.quantile(fringe[shows], 0.9)) if some else None,
         float(np.median(2.0 * fringe[shows] / np.maximum(light[shows], 0.5))) if some else None,
         float(light[enough].max()) if enough.any() else 0.0,
         np.where(enough, light, np.nan),
     )
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _sum_cells(
+    frames: NDArray[np.uint8],
+    shown: NDArray[np.int64],
+    step: int,
+    levels: tuple[np.float32, np.float32, np.float32],
+    cell_row: NDArray[np.int64],
+    cell_column: NDArray[np.int64],
+    sums: Array,
+    added: Floats,
+) -> None:
+    """Add every ``step``-th pixel of ``frames`` (n, h, w) that is clear to its cell's row of ``sums`` (cells, _SUMS), and write to ``added`` (rows,
+    columns) what the projector's white adds to each, clear or not.
+
+    ``shown``: bright, dark and the four sines. ``levels``: black, variance without light, variance per grey value. The cell is the sum of
+    ``cell_row`` and ``cell_column``.
+    """
+    black, least, per_dn = levels
+    bright, dark = frames[shown[0]], frames[shown[1]]
+    first, second, third, fourth = frames[shown[2]], frames[shown[3]], frames[shown[4]], frames[shown[5]]
+    for j in range(added.shape[0]):
+        v = step // 2 + j * step
+        for i in range(added.shape[1]):
+            u = step // 2 + i * step
+            i0, i1 = np.float32(first[v, u]), np.float32(second[v, u])
+            i2, i3 = np.float32(third[v, u]), np.float32(fourth[v, u])
+            white = np.float32(bright[v, u])
+            added[j, i] = white - np.float32(dark[v, u])
+            if not max(white, max(max(i0, i1), max(i2, i3))) < CLEAR_DN:
+                continue
+            # |(I0 − I2) + i (I3 − I1)|² is (2 A)² of fringes of amplitude A, and the noise of four images.
+            level = np.float32(0.25) * (i0 + i1 + i2 + i3)
+            photons = max(level - black, np.float32(0.0))
+            expected = np.float32(4.0) * (least + per_dn * photons)
+            excess = (i0 - i2) * (i0 - i2) + (i3 - i1) * (i3 - i1) - expected
+            cell = cell_row[j] + cell_column[i]
+            sums[cell, _COUNT] += 1.0
+            sums[cell, _EXCESS] += excess
+            sums[cell, _EXCESS2] += excess * excess
+            sums[cell, _ADDED] += added[j, i]
 
 
 def distance_of(parallax_percent: float, rig: StereoRig, water_index: float) -> float | None:

@@ -126,3 +126,17 @@ def test_dark_may_come_before_bright() -> None:
     bright, dark, *rest = build_sequence(32).patterns
     sequence = PatternSequence(32, 1024, 768, (dark, bright, *rest))
     assert (sequence.bright, sequence.dark) == (1, 0)
+
+
+def test_sequences_that_are_equal_are_one_key_and_the_frames_of_an_axis_are_those_that_vary_along_it() -> None:
+    for period_px, width_px, height_px in ((16, 1024, 768), (64, 1024, 768), (12, 400, 300)):
+        one = build_sequence(period_px, width_px, height_px)
+        bright, dark, *rest = one.patterns
+        other = PatternSequence(period_px, width_px, height_px, (dark, bright, *rest))
+        assert len({one, build_sequence(period_px, width_px, height_px), other}) == 2
+        assert (other.bright, other.dark) == (1, 0)
+        for axis in map(one.axis, Direction):
+            named = {k: one.patterns[k] for k in (*axis.gray, *axis.sine)}
+            assert {p.direction for p in named.values()} == {axis.direction}
+            assert [named[k].kind for k in sorted(named)] == [Kind.GRAY] * len(axis.gray) + [Kind.SINE] * 4
+            assert sum(p.direction is axis.direction for p in rest) == len(named)
