@@ -19,6 +19,7 @@ from appliance.reconstruct.decode.decoder import CameraDecoder
 from appliance.reconstruct.grid import PixelGrid
 from appliance.scan.noise import CameraNoise
 from appliance.verdict.identity.lines import Lines, LineTaker
+from appliance.verdict.light.changes import EarlyFit, fit_early
 from appliance.verdict.light.levels import Sample, Sampler
 from appliance.verdict.motion.cells import RunSums, run_sums
 from appliance.verdict.motion.texture import Averager, Means
@@ -35,6 +36,8 @@ class Gathered:
     """Samples for the identity of the patterns, by direction."""
     sample: Sample
     """Pixels for the judge of light."""
+    light: EarlyFit
+    """Fit of X to the same pixels, for the same."""
     visible: VisibleFringes
     """Fringes that are seen without decoding."""
     means: Means
@@ -56,7 +59,7 @@ class Gatherer:
         self._sampler = Sampler(sequence)
         self._averager = Averager(sequence)
         self._grids = (water_grid(sequence), window_grid(sequence))
-        self._of_x: tuple[VisibleFringes, RunSums] | None = None
+        self._of_x: tuple[EarlyFit, VisibleFringes, RunSums] | None = None
         self._pushed = 0
 
     def push(self, frames: NDArray[np.uint8], index: int) -> None:
@@ -70,6 +73,7 @@ class Gatherer:
         if index == self._sequence.axis(Direction.X).sine[-1]:
             variance_dn2 = self._noise.dark_variance_dn2, self._noise.dn_per_e
             self._of_x = (
+                fit_early(self._sampler.grey, self._sequence),
                 see(frames, self._sequence, self._noise),
                 run_sums(frames, self._decoded.p_px, self._sequence, variance_dn2),
             )
@@ -80,9 +84,9 @@ class Gatherer:
             raise ValueError(
                 f"{self._pushed} of {len(self._sequence)} frames were pushed; push all before asking for verdicts"
             )
-        visible, runs = self._of_x
+        light, visible, runs = self._of_x
         return Gathered(
-            self._lines.finish(), self._sampler.finish(), visible, self._averager.finish(), runs, *self._grids
+            self._lines.finish(), self._sampler.finish(), light, visible, self._averager.finish(), runs, *self._grids
         )  # fmt: skip
 
 

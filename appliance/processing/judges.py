@@ -95,7 +95,8 @@ def _judge_light(given: JudgeInput, _: Earlier) -> Judgement:
     """Judge the light, with what is known of the fringes' own bend."""
     settings = given.images.settings
     samples = {side: one.sample for side, one in given.gathered.items()}
-    return judge_light(given.images, settings.exposure, settings.steps, given.pipeline.bend().rms_px, samples)
+    early = {side: one.light for side, one in given.gathered.items()}
+    return judge_light(given.images, settings.exposure, settings.steps, given.pipeline.bend().rms_px, samples, early)
 
 
 def _judge_water(given: JudgeInput, _: Earlier) -> Judgement:

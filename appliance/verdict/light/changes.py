@@ -13,16 +13,17 @@ for noise they have not. A level common to all four images of a direction is nei
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from appliance.patterns.sequence import Direction, PatternSequence
-from appliance.reconstruct.decode.decoder import MIN_MODULATION_DN
+from appliance.reconstruct.decode.decoder import MIN_CONTRAST_DN, MIN_MODULATION_DN
 from appliance.reconstruct.quantile import median
-from appliance.scan.noise import MAD_TO_SIGMA, CameraNoise
+from appliance.scan.noise import FULL_DN, MAD_TO_SIGMA, CameraNoise
 from appliance.verdict.light.fit import (
     CLIP,
     COSINE,
@@ -112,17 +113,76 @@ class _Fit:
     than a block."""
 
 
-def measure_changes(s: Sample, sequence: PatternSequence, noise: CameraNoise) -> Changes:
-    """Measure one camera's changes of light by its sine and Gray images."""
+@dataclass(frozen=True, slots=True)
+class EarlyFit:
+    """Fit of X as X alone tells it; arrays over the sample's pixels (rows, columns) and over its blocks, row by row."""
+
+    good: NDArray[np.bool_]
+    """(rows, columns): pixels that the fit was made with."""
+    found: Floats
+    """(5, blocks): what ``fit_blocks`` found; NaN of blocks with too few pixels."""
+    rest: Floats
+    """(rows · columns,): what it left of their third differences, of the good pixels."""
+
+
+def fit_early(grey: NDArray[np.uint8], sequence: PatternSequence) -> EarlyFit:
+    """Fit one camera's sine images of X, while Y is still being recorded; ``grey`` (n, rows, columns) as in ``Sample``."""
+    four = np.stack([grey[k] for k in sequence.axis(Direction.X).sine]).astype(np.float32)
+    bright, contrast = grey[sequence.bright], grey[sequence.bright].astype(np.float32) - grey[sequence.dark]
+    top_dn = np.maximum(bright, four.max(axis=0))
+    modulation_dn = np.float32(0.5) * np.sqrt((four[0] - four[2]) ** 2 + (four[3] - four[1]) ** 2)
+    good = _good((contrast >= MIN_CONTRAST_DN) | (bright >= FULL_DN), top_dn, modulation_dn)
+    pixels, rows, columns, order, ends = in_blocks(good, (BLOCK_ROWS, BLOCK_COLUMNS), MIN_PIXELS)
+    found, rest = np.full((5, BLOCK_ROWS * BLOCK_COLUMNS), np.nan), np.zeros(good.size)
+    if ends.size:
+        steps, light = (values.reshape(*values.shape[:-2], -1)[..., pixels] for values in (four, contrast))
+        of_blocks, of_pixels = fit_blocks(
+            steps.astype(np.float64), light.astype(np.float64), rows, columns, order, ends
+        )  # fmt: skip
+        found[:, _numbers(rows, columns, order, ends, good.shape)] = of_blocks
+        rest[pixels] = of_pixels
+    return EarlyFit(good, found, rest)
+
+
+def _good(
+    illuminated: NDArray[np.bool_], top_dn: NDArray[np.float32], modulation_dn: NDArray[np.float32]
+) -> NDArray[np.bool_]:
+    """Return the pixels by which light is judged."""
     # Where noise alone decides what is saturated, only pixels with favourable phases would be left.
-    good = s.illuminated & (s.top_dn <= CLEAR_DN) & (s.modulation_dn >= MIN_MODULATION_DN)
+    return np.asarray(illuminated & (top_dn <= CLEAR_DN) & (modulation_dn >= MIN_MODULATION_DN))
+
+
+def _numbers(
+    rows: NDArray[np.intp],
+    columns: NDArray[np.intp],
+    order: NDArray[np.intp],
+    ends: NDArray[np.intp],
+    shape: tuple[int, ...],
+) -> NDArray[np.intp]:
+    """Return the numbers (blocks,) of the blocks that ``in_blocks`` kept, of an image of ``shape``."""
+    first = order[ends - np.diff(ends, prepend=0)]
+    down, across = rows[first] * BLOCK_ROWS // shape[0], columns[first] * BLOCK_COLUMNS // shape[1]
+    return np.asarray(down * BLOCK_COLUMNS + across)
+
+
+def measure_changes(s: Sample, sequence: PatternSequence, noise: CameraNoise, early: EarlyFit | None = None) -> Changes:
+    """Measure one camera's changes of light by its sine and Gray images.
+
+    ``early``: what ``fit_early`` returned, where it was asked while the frames arrived.
+    """
+    good = _good(s.illuminated, s.top_dn, s.modulation_dn)
     pixels, rows, columns, order, ends = in_blocks(good, (BLOCK_ROWS, BLOCK_COLUMNS), MIN_PIXELS)
     if not ends.size:
         return UNKNOWN
     grey = s.grey.reshape(len(s.grey), -1)
     contrast = s.contrast_dn.reshape(-1)[pixels].astype(np.float64)
     four = {d: np.stack([grey[k][pixels] for k in sequence.axis(d).sine]).astype(np.float64) for d in Direction}
-    fits = {d: _fit(four[d], contrast, (rows, columns), order, ends) for d in Direction}
+    places = rows, columns
+    fit_x = fit_blocks if early is None else partial(_fit_the_rest, early, good)
+    fits = {
+        Direction.X: _fit(fit_x, four[Direction.X], contrast, places, order, ends),
+        Direction.Y: _fit(fit_blocks, four[Direction.Y], contrast, places, order, ends),
+    }
     # Noise of a block's pixels against their contrast, as the phase has it: rms of sigma over contrast.
     mean = four[Direction.X].mean(axis=0)
     variance = noise.variance_dn2(mean) / contrast**2
@@ -195,15 +255,45 @@ def _waves(frame: tuple[float, ...], group: tuple[int, ...], frame_s: float) -> 
     return candidates, basis, np.asarray(np.linalg.pinv(basis, rcond=RANK), np.float64)
 
 
+def _fit_the_rest(
+    early: EarlyFit,
+    good: NDArray[np.bool_],
+    four: Floats,
+    contrast: Floats,
+    rows: NDArray[np.intp],
+    columns: NDArray[np.intp],
+    order: NDArray[np.intp],
+    ends: NDArray[np.intp],
+) -> tuple[Floats, Floats]:
+    """Return what ``fit_blocks`` does, of which only those blocks are fitted that have lost a pixel since the ``early`` fit."""
+    numbers = _numbers(rows, columns, order, ends, good.shape)
+    v, u = np.nonzero(good != early.good)
+    lost = np.bincount(
+        v * BLOCK_ROWS // good.shape[0] * BLOCK_COLUMNS + u * BLOCK_COLUMNS // good.shape[1],
+        minlength=early.found.shape[1],
+    )
+    same = lost[numbers] == 0
+    counts = np.diff(ends, prepend=0)
+    kept = np.repeat(same, counts)
+    found, rest = fit_blocks(four, contrast, rows, columns, order[~kept], np.cumsum(counts[~same]))
+    both = np.empty((len(found), ends.size))
+    both[:, same], both[:, ~same] = early.found[:, numbers[same]], found
+    # Pixels outside of all blocks keep their third difference, as it is.
+    mine = order[kept]
+    rest[mine] = early.rest[rows[mine] * good.shape[1] + columns[mine]]
+    return both, rest
+
+
 def _fit(
+    fit: Callable[..., tuple[Floats, Floats]],
     four: Floats,
     contrast: Floats,
     places: tuple[NDArray[np.intp], NDArray[np.intp]],
     order: NDArray[np.intp],
     ends: NDArray[np.intp],
 ) -> _Fit:
-    """Fit ``four`` (4, n) sine images of the pixels at ``places`` (row and column), in blocks as ``fit_blocks`` takes them."""
-    found, third = fit_blocks(four, contrast, *places, order, ends)
+    """Fit ``four`` (4, n) sine images of the pixels at ``places`` (row and column) by ``fit``, in blocks as ``fit_blocks`` takes them."""
+    found, third = fit(four, contrast, *places, order, ends)
     # Light that is usual before dark pixels is many grey values before bright ones; noise is not. Either is no edge.
     usual = CLIP * MAD_TO_SIGMA
     most_dn, most_share = usual * median(np.abs(third * contrast)), usual * median(np.abs(third))

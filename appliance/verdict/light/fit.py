@@ -266,7 +266,8 @@ def stripe_levels(
     stripes, from dark (0) to bright (1); NaN where fewer than ``least`` pixels are either. ``grey`` (images, n) and
     what ``pixels`` of them have as ``contrast``."""
     found = np.full(numbers.size, np.nan)
-    count, black = np.empty(2 * BINS + 1, np.int64), np.empty(pixels.size)
+    count, black, shares = np.empty(2 * BINS + 1, np.int64), np.empty(pixels.size), np.empty(pixels.size)
+    bins = np.empty(pixels.size, np.int64)
     for i in range(pixels.size):
         black[i] = grey[dark, pixels[i]]
     for j in range(numbers.size):
@@ -274,12 +275,19 @@ def stripe_levels(
         # Which it is changes from pixel to pixel: a number that is chosen costs less than a branch that is foreseen wrongly.
         count[:] = 0
         image = grey[numbers[j]]
+        # Divided several at once, which counting could not.
         for i in range(pixels.size):
-            share = (np.float64(image[pixels[i]]) - black[i]) / contrast[i]
+            shares[i] = np.float64(image[pixels[i]])
+        for i in range(pixels.size):
+            shares[i] = (shares[i] - black[i]) / contrast[i]
+        for i in range(pixels.size):
+            share = shares[i]
             low = min(max(int((share - STRIPE_EDGE) * BINS + BINS), 0), BINS - 1)
             high = BINS + min(max(int((share - 1.0 + STRIPE_EDGE) * BINS), 0), BINS - 1)
             bin_ = high if share > 1.0 - STRIPE_EDGE else 2 * BINS
-            count[low if share < STRIPE_EDGE else bin_] += 1
+            bins[i] = low if share < STRIPE_EDGE else bin_
+        for i in range(pixels.size):
+            count[bins[i]] += 1
         low_bin, high_bin = _median_bin(count[:BINS], least), _median_bin(count[BINS : 2 * BINS], least)
         # From bins back to shares of the contrast, then half way between the two medians.
         found[j] = 0.5 * (STRIPE_EDGE - 1.0 + low_bin / BINS + 1.0 - STRIPE_EDGE + high_bin / BINS)
@@ -314,6 +322,7 @@ def regress(value: Floats, terms: Floats, contrast: Floats, weight: Floats) -> t
     """Return the coefficients of a robust fit of ``terms`` (k, n), weighted by ``weight`` (n,), the larger sigma of the first two,
     and what that would be for ``value`` · ``contrast`` (n,) with a noise of 1."""
     size, n = terms.shape
+    # Normal equations of weighted least squares: X W Xᵀ b = X W y, with the terms X and the values y.
     normal, right = _normal(value, terms, weight)
     used = np.ones(n, np.bool_)
     residual, off = np.empty(n), np.empty(n)
@@ -331,11 +340,20 @@ def regress(value: Floats, terms: Floats, contrast: Floats, weight: Floats) -> t
         for j in range(n):
             off[j] = abs(residual[j]) * contrast[j]
         limit = CLIP * max(MAD_TO_SIGMA * quantile_of(off, 0.5), 1e-3)
-        far = np.flatnonzero((off > limit) & used)
-        used[far] = False
+        count = 0
+        for j in range(n):
+            count += off[j] > limit
+        far, count = np.empty(count, np.intp), 0
+        for j in range(n):
+            if off[j] > limit and used[j]:
+                far[count] = j
+                used[j] = False
+                count += 1
+        far = far[:count]
         theirs, product = _normal(value[far], terms[:, far], weight[far])
         normal -= theirs
         right -= product
+    # Σ w r² of what is used, over the degrees of freedom: the variance of a residual.
     squares, count = 0.0, 0
     for j in range(n):
         if used[j]:
@@ -364,12 +382,10 @@ def quantile_of(values: Floats, share: float) -> float:
     """
     place = share * (values.size - 1)
     rank = int(place)
-    above, aside = np.inf, place - rank
+    asked, aside = values, place - rank
     counts = np.empty(BINS, np.int64)
     while True:
-        low, high = values[0], values[0]
-        for i in range(values.size):
-            low, high = min(low, values[i]), max(high, values[i])
+        low, high = _ends(values)
         bins = min(BINS, values.size)
         scale = bins / (high - low)
         if values.size <= FEW or not scale < np.inf:  # too near to each other for bins
@@ -383,16 +399,36 @@ def quantile_of(values: Floats, share: float) -> float:
             wanted += 1
         inside, n = np.empty(counts[wanted]), 0
         for i in range(values.size):
-            bin_ = _bin(values[i], low, scale, bins)
-            if bin_ == wanted:
+            if _bin(values[i], low, scale, bins) == wanted:
                 inside[n] = values[i]
                 n += 1
-            elif bin_ > wanted and values[i] < above:
-                above = values[i]
         values, rank = inside, rank - below
     ordered = np.sort(values)
-    following = ordered[rank + 1] if rank + 1 < ordered.size else above
-    return float(ordered[rank] + (aside * (following - ordered[rank]) if aside > 0.0 else 0.0))
+    if not aside > 0.0:
+        return float(ordered[rank])
+    following = np.inf
+    if rank + 1 < ordered.size:
+        following = ordered[rank + 1]
+    else:
+        # The next one lies in another bin; it is seldom asked for. Equal values share a bin.
+        for i in range(asked.size):
+            following = min(following, asked[i] if asked[i] > ordered[rank] else np.inf)
+    return float(ordered[rank] + aside * (following - ordered[rank]))
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _ends(values: Floats) -> tuple[float, float]:
+    """Return the least and the greatest of ``values`` (n,), by four at once that do not wait for each other."""
+    low0 = low1 = low2 = low3 = high0 = high1 = high2 = high3 = values[0]
+    whole = values.size // 4 * 4
+    for i in range(0, whole, 4):
+        low0, high0 = min(low0, values[i]), max(high0, values[i])
+        low1, high1 = min(low1, values[i + 1]), max(high1, values[i + 1])
+        low2, high2 = min(low2, values[i + 2]), max(high2, values[i + 2])
+        low3, high3 = min(low3, values[i + 3]), max(high3, values[i + 3])
+    for i in range(whole, values.size):
+        low0, high0 = min(low0, values[i]), max(high0, values[i])
+    return min(min(low0, low1), min(low2, low3)), max(max(high0, high1), max(high2, high3))
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")

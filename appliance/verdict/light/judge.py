@@ -10,7 +10,7 @@ from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.noise import FULL_DN
 from appliance.scan.sides import SIDES, of_side
 from appliance.scan.verdict import Judgement, Verdict
-from appliance.verdict.light.changes import Changes, find_frequency_hz, measure_changes
+from appliance.verdict.light.changes import Changes, EarlyFit, find_frequency_hz, measure_changes
 from appliance.verdict.light.levels import Levels, Sample, light_of, measure_levels, sample
 from appliance.verdict.light.propose import propose, propose_second, without_flicker
 
@@ -36,17 +36,21 @@ def judge_light(
     steps: Sequence[Exposure],
     bend_px: float = 0.0,
     samples: Mapping[str, Sample] | None = None,
+    early: Mapping[str, EarlyFit] | None = None,
 ) -> Judgement:
     """Return the verdict ``light`` with its numbers, at most one fault, and what to expose the next scan with.
 
     From the frames alone. ``present``: what they were exposed with; ``steps``: what may be proposed, from dark to
     bright (``scan.exposure.ladder``). ``bend_px``: RMS by which fringes that are no sines bend coordinates; they look like light that
-    changes by a part of that. ``samples`` of both sides, where they were taken while the frames arrived.
+    changes by a part of that. ``samples`` of both sides, and what ``fit_early`` says of them, where they were taken while the frames arrived.
     """
     noise = {side: of_side(images.noise, side) for side in SIDES}
     samples = samples or {side: sample(images.frames[side], images.sequence) for side in SIDES}
     levels = {side: measure_levels(samples[side], images.sequence, noise[side]) for side in SIDES}
-    changes = {side: measure_changes(samples[side], images.sequence, noise[side]) for side in SIDES}
+    changes = {
+        side: measure_changes(samples[side], images.sequence, noise[side], early[side] if early else None)
+        for side in SIDES
+    }
     frequency = find_frequency_hz((*changes["left"].levels, *changes["right"].levels), images.frame_s)
     fault = _flickers(changes, frequency, bend_px) or _worst_level(levels)
     numbers: dict[str, float | None] = {}

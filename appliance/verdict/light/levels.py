@@ -66,6 +66,11 @@ class Sampler:
         self._places = np.empty((0, 0), np.intp)
         self._grey = np.empty((len(sequence), 0, 0), np.uint8)
 
+    @property
+    def grey(self) -> NDArray[np.uint8]:
+        """(n, rows, columns): the images taken so far; of the others, anything."""
+        return self._grey
+
     def push(self, frames: NDArray[np.uint8], index: int) -> None:
         """Take the pixels of frame ``index`` of ``frames`` (n, h, w) uint8; in order, from 0 for each sequence."""
         references = (self._sequence.bright, self._sequence.dark)
