@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -45,6 +46,8 @@ NAME = "motion"
 MOST_ADDED = 0.07
 """Largest fraction of the noise that a movement may add. Between what nobody notices (0.05) and what must not be kept (0.10) it lies half-way, as a
 ratio of what is added to the square of the noise: predictions of that are as often too large as too small."""
+
+_SHADOW, _SATURATED, _CONTRADICTION = (np.uint8(m) for m in (Mask.SHADOW, Mask.SATURATED, Mask.CONTRADICTION))
 
 Array = NDArray[np.float64]
 
@@ -172,11 +175,30 @@ def _variance(noise: CameraNoise) -> tuple[float, float]:
 def _lost_share(decoded: CameraDecoder) -> float:
     """Return the share of the illuminated pixels whose frames contradict each other or that look like an edge. What
     is saturated has no phase that could, and what the water hides does so at rest, too."""
-    # Bytes against bytes: a member of an enumeration would make NumPy compare in 64 bits.
-    shadow, saturated, contradiction = (np.uint8(m) for m in (Mask.SHADOW, Mask.SATURATED, Mask.CONTRADICTION))
-    illuminated = np.count_nonzero((decoded.mask != shadow) & (decoded.mask != saturated)) - decoded.backscatter_pixels
-    lost = np.count_nonzero(decoded.mask >= contradiction) - decoded.backscatter_pixels
+    illuminated, lost = (int(pixels) - decoded.backscatter_pixels for pixels in _count(decoded.mask))
     return lost / illuminated if illuminated > 0 else 0.0
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _count(mask: NDArray[np.uint8]) -> tuple[np.int64, np.int64]:
+    """Return how many pixels of ``mask`` (h, w) are illuminated and not saturated, and how many lost their coordinates at an edge or
+    by a contradiction."""
+    illuminated = lost = np.int64(0)
+    for v in range(mask.shape[0]):
+        in_light, without = _count_row(mask[v])
+        illuminated += np.int64(in_light)
+        lost += np.int64(without)
+    return illuminated, lost
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _count_row(row: NDArray[np.uint8]) -> tuple[np.uint16, np.uint16]:
+    """Return the same of one ``row`` (w,) of less than 65,536 pixels: the processor adds many numbers of 16 bits at once."""
+    in_light = without = np.uint16(0)
+    for u in range(row.size):
+        in_light = np.uint16(in_light + np.uint16((row[u] != _SHADOW) & (row[u] != _SATURATED)))
+        without = np.uint16(without + np.uint16(row[u] >= _CONTRADICTION))
+    return in_light, without
 
 
 def _axial(harm: Harm) -> float | None:

@@ -45,7 +45,7 @@ def warm_up() -> None:
     """Run the kernels that are asked where something is decoded on next to nothing."""
     image, inside = np.ones((4, 4), np.float32), np.ones((4, 4), np.bool_)
     _difference(image, image, _judged(inside), 1.0)
-    picture, _ = _texture(image, inside)
+    picture, _ = _texture(image, inside, _weights(inside))
     _structure(picture, inside, np.zeros((1, 2), np.int64), np.empty((1, 4), np.float32))
 
 
@@ -324,26 +324,19 @@ def _clipped_sd(
     return float(np.sqrt(max(squares / count - (total / count) ** 2, 0.0)))
 
 
-def _texture(image: NDArray[np.float32], valid: NDArray[np.bool_]) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+def _texture(
+    image: NDArray[np.float32], valid: NDArray[np.bool_], weights: NDArray[np.float32]
+) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
     """Return the light divided by its surroundings, as levels around 128, and the levels per grey value of each
-    pixel."""
-    return _textures(valid, image)[0]
+    pixel. ``weights``: the share of the surroundings that is ``valid`` (``_weights``)."""
+    picture, scale = np.empty(image.shape, np.uint8), np.empty(image.shape, np.float32)
+    around = np.asarray(cv2.boxFilter(image * valid, -1, (SURROUNDINGS_PX, SURROUNDINGS_PX)), np.float32)
+    _write_levels(image, valid, around, weights, picture, scale)
+    return picture, scale
 
 
-def _textures(
-    valid: NDArray[np.bool_], *images: NDArray[np.float32]
-) -> list[tuple[NDArray[np.uint8], NDArray[np.float32]]]:
-    """Return ``_texture`` of each image."""
-    weight = valid.astype(np.float32)
-    size = (SURROUNDINGS_PX, SURROUNDINGS_PX)
-    weights = np.asarray(cv2.boxFilter(weight, -1, size), np.float32)
-    found = []
-    for image in images:
-        picture, scale = np.empty(image.shape, np.uint8), np.empty(image.shape, np.float32)
-        around = np.asarray(cv2.boxFilter(image * weight, -1, size), np.float32)
-        _write_levels(image, valid, around, weights, picture, scale)
-        found.append((picture, scale))
-    return found
+def _weights(valid: NDArray[np.bool_]) -> NDArray[np.float32]:
+    return np.asarray(cv2.boxFilter(valid.astype(np.float32), -1, (SURROUNDINGS_PX, SURROUNDINGS_PX)), np.float32)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -376,7 +369,8 @@ def _follow(
 ) -> NDArray[np.float64]:
     """Return flows (n, 2) in binned px, where there is texture enough and the way back leads back."""
     height, width = first.shape
-    before, scale = _texture(first, valid)
+    weights = _weights(valid)
+    before, scale = _texture(first, valid, weights)
     columns, rows = FLOW_POINTS
     x = (np.arange(columns) + 0.5) * width / columns
     y = (np.arange(rows) + 0.5) * height / rows
@@ -395,7 +389,7 @@ def _follow(
     grid = grid[good]
     if not len(grid):
         return np.empty((0, 2))
-    after, _ = _texture(second, valid)
+    after, _ = _texture(second, valid, weights)
     # There and back again: a place that does not return was not followed.
     there, found = _lucas_kanade(before, after, grid)
     back, returned = _lucas_kanade(after, before, there)

@@ -19,6 +19,7 @@ from appliance.verdict.motion.texture import (
     _judged,
     _structure,
     _texture,
+    _weights,
     means_of,
     texture_shift,
 )
@@ -234,7 +235,7 @@ def test_texture_is_the_light_over_its_surroundings() -> None:
     image[40:44, 60:64] = 250.0
     valid = rng.random(image.shape) < 0.9
     valid[60:, 70:] = False
-    picture, scale = _texture(image, valid)
+    picture, scale = _texture(image, valid, _weights(valid))
     wanted, wanted_scale = light_over_surroundings(image, valid)
     assert (wanted == 255.0).any()
     assert picture.dtype == np.uint8
