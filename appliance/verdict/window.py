@@ -21,10 +21,10 @@ from appliance.patterns.sequence import Direction, PatternSequence
 from appliance.reconstruct.decode.decoder import Mask
 from appliance.reconstruct.grid import PixelGrid
 from appliance.reconstruct.images import ScanImages
-from appliance.reconstruct.quantile import median
 from appliance.scan.noise import FULL_DN
 from appliance.scan.sides import SIDES
 from appliance.scan.verdict import Verdict
+from appliance.verdict.light.fit import medians_of
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -185,9 +185,9 @@ def _falls(mine: _Seen, others: _Seen) -> tuple[Array, float | None]:
     ratios, falls = np.full(size, np.nan), np.full(size, np.nan)
     order = np.argsort(cell.astype(np.uint8), kind="stable")  # a byte is sorted by counting
     borders = np.searchsorted(cell[order], np.arange(size + 1))
-    for k in range(size):
-        if borders[k + 1] - borders[k] >= MIN_PER_CELL:
-            ratios[k] = median(ratio[order[borders[k] : borders[k + 1]]])
+    pixels = np.diff(borders)
+    enough = pixels >= MIN_PER_CELL
+    ratios[enough] = medians_of(ratio, order[np.repeat(enough, pixels)], np.cumsum(pixels[enough]))
     judged = np.flatnonzero(np.isfinite(ratios))
     if len(judged) < MIN_CELLS:
         return falls, None

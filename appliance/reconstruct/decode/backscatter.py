@@ -124,8 +124,8 @@ def read_through_backscatter(
     ``MIN_MODULATION_DN`` elsewhere. ``frames`` (n, h, w) uint8 are one camera's; ``mask`` (h, w) is as decoding them left it.
     Returns the weakest modulation, in grey values; ``None``, with nothing written, where the backscatter is too weak to have turned a bit.
     """
-    scale = fringe_scale(sequence, frames, mask, noise)
-    if scale is None or not any_backscatter(sequence, frames, mask, scale):
+    scale = scale_of_backscatter(sequence, frames, mask, noise)
+    if scale is None:
         return None
     weakest_dn = _weakest_modulation_dn(sequence, frames, mask, noise)
     _read(sequence, frames, scale, half_period, doubtful, weakest_dn)
@@ -213,31 +213,73 @@ def _shares(
     return shares
 
 
-def fringe_scale(
-    sequence: PatternSequence,
+class ExaminedPixels(NamedTuple):
+    """Pixels that are examined for backscatter, (n,) float32 each, grey values."""
+
+    reason: NDArray[np.uint8]
+    """(n,) uint8: their mask."""
+    bright_dn: Floats
+    light_dn: Floats
+    """Bright minus dark."""
+    double_dn: Floats
+    """Twice the modulation of X."""
+    swing_dn: Floats
+    """Largest swing of a fine Gray image about its middle."""
+    sines_dn: Floats
+    """Sum of the four sines less four times dark."""
+
+
+def examine(sequence: PatternSequence, frames: NDArray[np.uint8], mask: NDArray[np.uint8]) -> ExaminedPixels:
+    """Examine one pixel in so many of one camera's ``frames`` (n, h, w) uint8, of which ``mask`` (h, w) is the decoder's."""
+    at, across = _few(mask.shape)[0], sequence.axis(Direction.X)
+    shown = np.array([sequence.bright, sequence.dark, *across.sine, *across.gray[-FINE_IMAGES:]], np.int64)
+    room = len(range(at.start, mask.shape[0], at.step)) * len(range(at.start, mask.shape[1], at.step))
+    reason, levels = np.empty(room, np.uint8), np.empty((5, room), np.float32)
+    _examine(frames, shown, mask, at.start, at.step, reason, levels)
+    return ExaminedPixels(reason, *levels)
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _examine(
     frames: NDArray[np.uint8],
+    shown: NDArray[np.int64],
     mask: NDArray[np.uint8],
-    noise: CameraNoise,
-    clear_dn: float = CLEAR_MODULATION_DN,
-) -> FringeScale | None:
+    first: int,
+    stride: int,
+    reason: NDArray[np.uint8],
+    levels: Floats,
+) -> None:
+    """Write to ``reason`` (n,) and ``levels`` (5, n) what ``ExaminedPixels`` holds; ``shown``: bright, dark, sines of X and fine Gray images."""
+    n = 0
+    for y in range(first, mask.shape[0], stride):
+        for x in range(first, mask.shape[1], stride):
+            bright, dark = np.float32(frames[shown[0], y, x]), np.float32(frames[shown[1], y, x])
+            i0, i1 = np.float32(frames[shown[2], y, x]), np.float32(frames[shown[3], y, x])
+            i2, i3 = np.float32(frames[shown[4], y, x]), np.float32(frames[shown[5], y, x])
+            # Four steps of 90°: (I0 − I2, I3 − I1) is 2 B (cos φ, sin φ). All are whole numbers but the root.
+            cosine, sine = i0 - i2, i3 - i1
+            swing = np.float32(1.0)
+            for k in range(6, shown.size):
+                swing = max(swing, abs(np.float32(2.0) * np.float32(frames[shown[k], y, x]) - (bright + dark)))
+            reason[n] = mask[y, x]
+            levels[0, n], levels[1, n] = bright, bright - dark
+            levels[2, n], levels[3, n] = np.sqrt(cosine * cosine + sine * sine), swing
+            levels[4, n] = i0 + i1 + i2 + i3 - np.float32(4.0) * dark
+            n += 1
+
+
+def fringe_scale(seen: ExaminedPixels, noise: CameraNoise, clear_dn: float = CLEAR_MODULATION_DN) -> FringeScale | None:
     """Measure the scale on pixels whose modulation is above ``clear_dn``; ``None`` where nothing is seen."""
-    at = _few(mask.shape)
-    across = sequence.axis(Direction.X)
-    i0, i1, i2, i3 = (frames[k][at].astype(np.float32) for k in across.sine)
-    bright, dark = (frames[k][at].astype(np.float32) for k in (sequence.bright, sequence.dark))
-    double = np.hypot(i0 - i2, i3 - i1)
-    reason = mask[at]
-    clear = (double > 2.0 * clear_dn) & (reason != _SHADOW) & (reason != _SATURATED) & (bright < FULL_DN)
+    clear = seen.double_dn > 2.0 * clear_dn
+    clear &= (seen.reason != _SHADOW) & (seen.reason != _SATURATED) & (seen.bright_dn < FULL_DN)
     if np.count_nonzero(clear) < MIN_CLEAR:
         return None
     # Contrast: 2B over the swing of a fine Gray image about its middle, (2b − 1) O + (2f − 1) V, which is ± O since f is ½
     # there. Swings are whole numbers: float32 has them exactly.
-    swing, both = np.ones_like(bright), bright + dark
-    for k in across.gray[-FINE_IMAGES:]:
-        np.maximum(swing, np.abs(np.float32(2.0) * frames[k][at] - both), out=swing)
-    contrast = _median(double[clear] / swing[clear].astype(np.float64))
-    sines = i0 + i1 + i2 + i3 - np.float32(4.0) * dark
-    return scale_of(contrast, _median((bright - dark)[clear] / np.maximum(sines[clear], np.float32(1.0))), noise)
+    contrast = _median(seen.double_dn[clear] / seen.swing_dn[clear].astype(np.float64))
+    return scale_of(
+        contrast, _median(seen.light_dn[clear] / np.maximum(seen.sines_dn[clear], np.float32(1.0))), noise
+    )  # fmt: skip
 
 
 def _median(values: NDArray[Any]) -> float:
@@ -259,21 +301,32 @@ def scale_of(contrast: float, light_per_sines: float, noise: CameraNoise) -> Fri
     )
 
 
-def any_backscatter(
-    sequence: PatternSequence, frames: NDArray[np.uint8], mask: NDArray[np.uint8], scale: FringeScale
-) -> bool:
+def any_backscatter(seen: ExaminedPixels, scale: FringeScale) -> bool:
     """Tell whether enough decoded pixels show backscatter of half their object's light for a bit to be wrong.
 
     What moves between the images shows some pixels more light than their fringes tell, too, and others as much less; water shows
     none less. So pixels of the second kind are taken off.
     """
-    at = _few(mask.shape)
-    pixels = sample_pixels(sequence, frames, at, scale)
-    valid = mask[at] == 0
-    noise_dn = NOISE_SIGMAS * pixels.noise_dn
-    more = np.count_nonzero(valid & (pixels.light_dn > (1.0 + HALF_VEIL) * pixels.object_dn + noise_dn))
-    less = np.count_nonzero(valid & (pixels.object_dn > (1.0 + HALF_VEIL) * pixels.light_dn + noise_dn))
+    object_dn, noise_dn = _object_and_noise_dn(seen.bright_dn, seen.double_dn, scale)
+    valid = seen.reason == np.uint8(0)
+    noise_dn = NOISE_SIGMAS * noise_dn
+    more = np.count_nonzero(valid & (seen.light_dn > (1.0 + HALF_VEIL) * object_dn + noise_dn))
+    less = np.count_nonzero(valid & (object_dn > (1.0 + HALF_VEIL) * seen.light_dn + noise_dn))
     return bool(more - less > FEW * max(int(np.count_nonzero(valid)), 1))
+
+
+def scale_of_backscatter(
+    sequence: PatternSequence,
+    frames: NDArray[np.uint8],
+    mask: NDArray[np.uint8],
+    noise: CameraNoise,
+    clear_dn: float = CLEAR_MODULATION_DN,
+) -> FringeScale | None:
+    """Return the scale of one camera's ``frames``, ``None`` where no backscatter worth speaking of asks for it; see ``fringe_scale`` and
+    ``any_backscatter``."""
+    seen = examine(sequence, frames, mask)
+    scale = fringe_scale(seen, noise, clear_dn)
+    return scale if scale is not None and any_backscatter(seen, scale) else None
 
 
 def _few(shape: tuple[int, ...]) -> tuple[slice, slice]:
@@ -288,9 +341,15 @@ def sample_pixels(
     bright, dark = (frames[k][at].astype(np.float32) for k in (sequence.bright, sequence.dark))
     top = np.maximum(np.maximum(i0, i1), np.maximum(i2, i3))
     double: Floats = np.hypot(i0 - i2, i3 - i1)
-    variance = np.maximum(scale.dark_dn2 + scale.shot_dn * bright, np.float32(0.0))
+    object_dn, noise_dn = _object_and_noise_dn(bright, double, scale)
     usable = (bright - dark >= MIN_LIGHT_DN) & (top < FULL_DN) & (bright < FULL_DN) & (double > 2.0 * MIN_MODULATION_DN)
-    return SampledPixels(bright - dark, double * scale.per_half_dn, np.asarray(np.sqrt(variance), np.float32), usable)
+    return SampledPixels(bright - dark, object_dn, noise_dn, usable)
+
+
+def _object_and_noise_dn(bright_dn: Floats, double_dn: Floats, scale: FringeScale) -> tuple[Floats, Floats]:
+    """Return O and σ of pixels by their bright image and twice their modulation."""
+    variance = np.maximum(scale.dark_dn2 + scale.shot_dn * bright_dn, np.float32(0.0))
+    return double_dn * scale.per_half_dn, np.asarray(np.sqrt(variance), np.float32)
 
 
 def illuminated_share(gray_dn: Floats, pixels: SampledPixels, fine: bool = False) -> Floats:

@@ -25,10 +25,9 @@ from appliance.reconstruct.decode.backscatter import (
     NOISE_SIGMAS,
     SURE,
     Floats,
-    any_backscatter,
-    fringe_scale,
     illuminated_share,
     sample_pixels,
+    scale_of_backscatter,
 )
 from appliance.scan.noise import CameraNoise
 
@@ -170,8 +169,8 @@ def thresholds(
     frames = lines.values[order]
     bright, dark = (frames[k].astype(np.float32) for k in (sequence.bright, sequence.dark))
     mask = np.where(bright - dark < MIN_LIGHT_DN, np.uint8(1), np.uint8(0))
-    scale = fringe_scale(sequence, frames, mask, noise, CLEAR_MODULATION_DN)
-    if scale is None or not any_backscatter(sequence, frames, mask, scale):
+    scale = scale_of_backscatter(sequence, frames, mask, noise, CLEAR_MODULATION_DN)
+    if scale is None:
         return plain[None], none
     pixels = sample_pixels(sequence, frames, ALL, scale)
     # Light is the object's own and the backscatter; the threshold is what an image illuminates of the latter, and half

@@ -7,6 +7,7 @@ nobody knows its albedo; so backscatter as a fraction of the light of an object 
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -190,12 +191,11 @@ def halo_share(cells: Cells, gathered: GatheredLight) -> float:
     """
     sigma = np.sqrt(cells.sigma_dn**2 + (MODEL_SHARE * cells.backscatter_dn) ** 2 + MODEL_DN**2)
     seen, best, leak, leak_sigma = cells.backscatter_dn / sigma, np.inf, 0.0, np.inf
-    for per_m in HALO_CANDIDATES_PER_M:
-        model = np.column_stack([gathered.backscatter(float(per_m)), cells.signal_dn]) / sigma[:, None]
-        try:
-            inverse = np.linalg.inv(model.T @ model)
-        except np.linalg.LinAlgError:
-            continue
+    models = np.empty((len(HALO_CANDIDATES_PER_M), len(seen), 2))
+    models[:, :, 1] = cells.signal_dn / sigma
+    for model, per_m in zip(models, HALO_CANDIDATES_PER_M, strict=True):
+        model[:, 0] = gathered.backscatter(float(per_m)) / sigma
+    for model, inverse in zip(models, _inverses(np.stack([model.T @ model for model in models])), strict=True):
         strength, share = inverse @ (model.T @ seen)
         rest = seen - model @ np.array([strength, share])
         misfit = float(rest @ rest)
@@ -206,6 +206,19 @@ def halo_share(cells: Cells, gathered: GatheredLight) -> float:
         return 0.0
     of_light = float(cells.pixels @ (cells.signal_dn + cells.backscatter_dn))
     return leak * float(cells.pixels @ cells.signal_dn) / of_light
+
+
+def _inverses(normal: Array) -> Array:
+    """Return the inverses (n, 2, 2) of matrices, all at once; NaN where one has none."""
+    try:
+        return np.asarray(np.linalg.inv(normal))
+    except np.linalg.LinAlgError:
+        # Which of them it was, is not said.
+        found = np.full(normal.shape, np.nan)
+        for one, inverse in zip(normal, found, strict=True):
+            with suppress(np.linalg.LinAlgError):
+                inverse[:] = np.linalg.inv(one)
+        return found
 
 
 def text_of(numbers: dict[str, float | None]) -> str:

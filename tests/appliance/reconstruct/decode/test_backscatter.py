@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from appliance.patterns.sequence import Direction
 from appliance.processing.procedure import SequenceProcessor
-from appliance.reconstruct.decode.backscatter import fringe_scale
+from appliance.reconstruct.decode.backscatter import examine, fringe_scale
 from appliance.reconstruct.decode.decoder import CameraDecoder, Mask
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.scan.acquisition import AcquisitionSettings
@@ -143,7 +143,7 @@ def test_the_scale_is_made_of_the_medians_of_both_ratios(milky: RenderedScan, ma
     mask = np.zeros(clear.shape, np.uint8)
     mask[tuple(np.argwhere(clear)[:masked].T)] = Mask.SHADOW
     clear &= mask == Mask.VALID
-    scale = fringe_scale(milky.sequence, frames, mask, NOISE)
+    scale = fringe_scale(examine(milky.sequence, frames, mask), NOISE)
     assert scale is not None
     assert scale.per_half_dn == pytest.approx(1.0 / np.median(double[clear] / np.maximum(swing[clear], 1.0)), rel=1e-6)
     light = (bright - dark)[clear] / np.maximum((i0 + i1 + i2 + i3 - 4.0 * dark)[clear], 1.0)

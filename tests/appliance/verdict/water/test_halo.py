@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -44,3 +46,8 @@ def test_backscatter_alone_is_no_halo() -> None:
 
 def test_a_trace_of_halo_leaves_the_backscatter_as_it_is_measured() -> None:
     assert halo_share(cells(5.0, 0.02), GATHERED) == 0.0
+
+
+def test_where_the_object_sends_nothing_back_there_is_no_halo() -> None:
+    """Its light then explains nothing: the equations have no solution, for any attenuation."""
+    assert halo_share(replace(cells(5.0, 0.0), signal_dn=np.zeros(COUNT)), GATHERED) == 0.0
