@@ -1,0 +1,272 @@
+"""Owns the page of a report: what stands where, how it looks on a screen and on paper, and that it asks for nothing from outside."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from appliance.report.charts import colour_bar, histogram, minus, net
+from appliance.report.content import Report, ReportBudget, ReportNominal, ReportPair, ReportScan, ReportVerdict, Vector
+from appliance.report.shown import ShownSurface, shown, thinned
+from appliance.report.still import still
+from appliance.report.style import STYLE
+from appliance.report.turned import turned
+from appliance.storage.atomic import replace_file
+from appliance.storage.filesystem import LocalFileSystem
+
+SUFFIX = ".html"
+_POLICY = "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src 'unsafe-inline' 'unsafe-eval'"
+"""Content security policy: whatever a browser would fetch from elsewhere is forbidden, so that nothing leaves with the page."""
+_WORDS = {
+    ReportVerdict.GOOD: ("good", "✓"),
+    ReportVerdict.DOUBTFUL: ("doubtful", "!"),
+    ReportVerdict.REFUSED: ("refused", "✕"),
+}
+_SMALL_MM = 1.0
+
+
+def write_report(path: Path, report: Report) -> None:
+    """Write the page, whole or not at all. Raises StorageError, MissingLibraryError where plotly is absent."""
+    replace_file(LocalFileSystem(), path, page(report).encode())
+
+
+def page(report: Report) -> str:
+    """Return the page as HTML; everything it needs is in it. Raises MissingLibraryError where plotly is absent."""
+    full = shown(report)
+    view, scripts = _view(full, report.up) if full is not None else ("", "")
+    parts = [
+        _head(report),
+        _tiles(report),
+        _list("Warnings", report.warnings, "warnings"),
+        view,
+        "" if report.nominal is None or full is None else _nominal(report.nominal, full),
+        "" if report.budget is None else _budget(report.budget),
+        _scans(report.scans),
+        _pairs(report.scans, report.pairs),
+        _READING,
+    ]
+    title = html.escape(report.title)
+    return (
+        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><meta http-equiv="Content-Security-Policy" content="{_POLICY}">'
+        f'<meta name="viewport" content="width=device-width, initial-scale=1"><title>{title}</title><style>{STYLE}</style></head>\n'
+        f"<body><main>{''.join(parts)}</main>\n{scripts}</body></html>\n"
+    )
+
+
+def _head(report: Report) -> str:
+    facts = "".join(
+        f"<div><dt>{html.escape(name)}</dt><dd>{html.escape(text)}</dd></div>" for name, text in report.about.items()
+    )
+    subtitle = f"<p>{html.escape(report.subtitle)}</p>" if report.subtitle else ""
+    return f"<header><h1>{html.escape(report.title)}</h1>{subtitle}<dl>{facts}</dl></header>"
+
+
+def _tiles(report: Report) -> str:
+    tiles: list[tuple[str, str, str]] = []
+    if report.scans:
+        used = [scan for scan in report.scans if scan.verdict is not ReportVerdict.REFUSED]
+        doubtful = sum(scan.verdict is ReportVerdict.DOUBTFUL for scan in used)
+        tiles.append(("Scans used", f"{len(used)} of {len(report.scans)}", f"{doubtful} doubtful" if doubtful else ""))
+    if report.surface is not None and len(report.surface.grey):
+        median = float(np.median(report.surface.sigma_mm))
+        tiles.append(("Points", _count(len(report.surface.grey)), f"sigma {_mm(median)} (median)"))
+    elif report.mesh is not None:
+        tiles.append(("Triangles", _count(len(report.mesh.faces)), f"between {_count(len(report.mesh.grey))} points"))
+    if report.nominal is not None:
+        summary = report.nominal.deviation.summary
+        tiles.append(("Deviation, RMS", _mm(summary.rms_mm), f"from {report.nominal.name}"))
+    if report.budget is not None:
+        tiles.append(
+            (
+                f"Uncertainty over {report.budget.over_mm:g} mm",
+                f"± {_mm(2 * report.budget.combined_mm)}",
+                "two standard deviations",
+            )
+        )
+    return (
+        '<section class="tiles">'
+        + "".join(
+            f'<div class="tile"><span>{html.escape(name)}</span><b>{html.escape(value)}</b><small>{html.escape(more)}</small></div>'
+            for name, value, more in tiles
+        )
+        + "</section>"
+    )
+
+
+def _list(title: str, lines: Sequence[str], kind: str) -> str:
+    if not lines:
+        return ""
+    return f'<section class="{kind}"><h2>{title}</h2><ul>{"".join(f"<li>{html.escape(line)}</li>" for line in lines)}</ul></section>'
+
+
+def _view(full: ShownSurface, up: Vector) -> tuple[str, str]:
+    few = thinned(full)
+    element, scripts = turned(few, up)
+    # Points are drawn from all there are; triangles from those of the browser, since they are filled one by one.
+    picture = still(few if few.faces is not None else full, full.colourings[0], up)
+    bars = "".join(
+        f'<div class="colouring" data-colouring="{k}"{"" if k == 0 else " hidden"}>{colour_bar(one)}</div>'
+        for k, one in enumerate(full.colourings)
+    )
+    told = f"{_count(len(few.points_mm))} of {_count(len(full.points_mm))}" if few is not full else "all"
+    what = "triangles between" if full.faces is not None else "surface of"
+    return (
+        f'<section class="view"><h2>Surface</h2>{element}<figure class="paper">{picture}</figure>{bars}'
+        f'<p class="note screen">Drag to turn, wheel to go nearer. Drawn: {what} {told} points.</p></section>'
+    ), scripts
+
+
+def _nominal(nominal: ReportNominal, full: ShownSurface) -> str:
+    summary = nominal.deviation.summary
+    share = 100.0 * summary.beyond / max(1, summary.points)
+    lines = [
+        ("Mean", _mm(summary.mean_mm)),
+        ("Standard deviation", _mm(summary.sd_mm)),
+        ("RMS", _mm(summary.rms_mm)),
+        ("Least, most", f"{_mm(summary.least_mm)}, {_mm(summary.most_mm)}"),
+        *((f"{percent:g} % lie below", _mm(value)) for percent, value in summary.percentiles_mm),
+        (
+            "Within two of their sigmas",
+            "–" if summary.within_2_sigma_percent is None else f"{summary.within_2_sigma_percent:.1f} %",
+        ),
+        (
+            f"Farther than {summary.limit_mm:g} mm, not counted above",
+            f"{_count(summary.beyond)} ({share:.2f} %)",
+        ),
+    ]
+    if nominal.tolerance_mm is not None:
+        near = abs(nominal.deviation.deviation_mm)
+        # Points beyond the limit are NaN, and out of tolerance all the same.
+        outside = 100.0 * (1.0 - float((near <= nominal.tolerance_mm).mean())) if len(near) else 0.0
+        lines.append((f"Out of ± {_mm(nominal.tolerance_mm)}", f"{outside:.2f} %"))
+    rows = "".join(f"<tr><th>{html.escape(name)}</th><td>{html.escape(value)}</td></tr>" for name, value in lines)
+    return (
+        f"<section><h2>Deviation from {html.escape(nominal.name)}</h2><div class='beside'>"
+        f"<figure>{histogram(nominal, full.colourings[0])}</figure><table class='figures'>{rows}</table></div></section>"
+    )
+
+
+def _budget(budget: ReportBudget) -> str:
+    rows = _rows((html.escape(term.what), _mm(term.value_mm), html.escape(term.how)) for term in budget.terms)
+    statement = f"<p>{html.escape(budget.statement)}</p>" if budget.statement else ""
+    return (
+        f"<section><h2>Uncertainty over {budget.over_mm:g} mm</h2>{statement}<table><thead><tr><th>Contribution</th><th>Standard "
+        f"uncertainty</th><th>Source</th></tr></thead><tbody>{rows}</tbody><tfoot><tr><th>All together</th><th>{_mm(budget.combined_mm)}"
+        f"</th><th>twice that, ± {_mm(2 * budget.combined_mm)}, covers some 95 %</th></tr></tfoot></table></section>"
+    )
+
+
+def _scans(scans: Sequence[ReportScan]) -> str:
+    if not scans:
+        return ""
+    rows = _rows(
+        (
+            f"<b>{html.escape(scan.name)}</b>",
+            _chip(scan.verdict),
+            _given(scan.points, _count),
+            _given(scan.distance_mm, lambda mm: f"{mm:.0f} mm"),
+            _mm(scan.sigma_mm),
+            _mm(scan.ray_gap_mm),
+            _vector(scan.position_mm, 2),
+            _vector(scan.rotation_deg, 3),
+            _given(scan.pose_sigma_mm, lambda mm: f"± {_mm(mm)}"),
+            _said(scan.reason, scan.warnings, scan.recorded),
+        )
+        for scan in scans
+    )
+    head = (
+        "Scan",
+        "Verdict",
+        "Points",
+        "Distance",
+        "Sigma",
+        "Ray gap",
+        "Place in mm",
+        "Rotation in °",
+        "Pose",
+        "Remarks",
+    )
+    return f"<section><h2>Scans</h2>{_table(head, rows, 'scans')}</section>"
+
+
+def _pairs(scans: Sequence[ReportScan], pairs: Sequence[ReportPair]) -> str:
+    if not pairs:
+        return ""
+    rows = _rows(
+        (
+            f"<b>{html.escape(pair.first)}</b> – <b>{html.escape(pair.second)}</b>",
+            _chip(pair.verdict),
+            _given(pair.overlap_percent, lambda percent: f"{percent:.0f} %"),
+            _given(pair.matches, str),
+            _mm(pair.residual_mm),
+            _given(pair.sigma_mm, lambda mm: f"± {_mm(mm)}"),
+            _given(pair.sigma_deg, lambda deg: f"± {deg:.4f}°"),
+            _said(pair.reason, (), None),
+        )
+        for pair in pairs
+    )
+    drawing = net(scans, pairs)
+    figure = (
+        f"<figure>{drawing}<figcaption>Places of the scans; the thicker a line, the larger the overlap.</figcaption></figure>"
+        if drawing
+        else ""
+    )
+    head = ("Pair", "Verdict", "Overlap", "Features", "Residual", "Translation", "Rotation", "Remarks")
+    return f"<section><h2>Pairs of scans</h2>{figure}{_table(head, rows, 'pairs')}</section>"
+
+
+_READING = (
+    '<section class="reading"><h2>How to read this</h2><p><b>Sigma</b> is the standard deviation of a point: of one scan along its ray, '
+    "of the fused surface along its normal. It holds the noise of the scans and the uncertainty of their places; what all scans have in common "
+    "(calibration, water) is in the uncertainty over a length, and in no number of scans made smaller. <b>Ray gap</b> is how far the rays of both "
+    "cameras pass each other: the check of the calibration that every point brings with it. The <b>residual</b> of a pair tells how well both "
+    "scans lie on each other, and nothing about sliding along a pipe or a plane; the uncertainties of translation and rotation do. "
+    "<b>Deviations</b> are along the nominal surface's normal, positive outside.</p></section>"
+)
+
+
+def _table(head: Iterable[str], rows: str, kind: str) -> str:
+    return f'<div class="wide"><table class="{kind}"><thead><tr>{"".join(f"<th>{name}</th>" for name in head)}</tr></thead><tbody>{rows}</tbody></table></div>'
+
+
+def _rows(rows: Iterable[Iterable[str]]) -> str:
+    return "".join("<tr>" + "".join(f"<td>{cell}</td>" for cell in row) + "</tr>" for row in rows)
+
+
+def _chip(verdict: ReportVerdict) -> str:
+    word, sign = _WORDS[verdict]
+    return f'<span class="chip {word}">{sign} {word}</span>'
+
+
+def _said(reason: str, warnings: Sequence[str], recorded: str | None) -> str:
+    lines = [html.escape(line) for line in (reason, *warnings) if line]
+    if recorded:
+        lines.append(f"<small>{html.escape(recorded)}</small>")
+    return "<br>".join(lines)
+
+
+def _given(value: float | None, text: Callable[[float], str]) -> str:
+    return "–" if value is None else text(value)
+
+
+def _vector(value: Vector | None, digits: int) -> str:
+    if value is None:
+        return "–"
+    parts = "".join(f"<span>{minus(f'{part:.{digits}f}')}</span> " for part in value)
+    return f'<span class="vector">{parts}</span>'
+
+
+def _count(number: float) -> str:
+    return f"{number:,.0f}".replace(",", "\u202f")
+
+
+def _mm(value: float | None) -> str:
+    """Return a length as people say it: µm below a millimetre, to a tenth of one, and from a tenth of a millimetre on whole."""
+    if value is None:
+        return "–"
+    if abs(value) < _SMALL_MM:
+        return minus(f"{1000.0 * value:.0f} µm" if abs(value) >= 0.1 else f"{1000.0 * value:.1f} µm")
+    return minus(f"{value:.3f} mm")
