@@ -407,10 +407,20 @@ def _room(present: Exposure, steps: Sequence[Exposure]) -> float:
 
 
 def _best_fringe_dn(sight: Numbers, present: Exposure, steps: Sequence[Exposure]) -> float | None:
-    """Return the amplitude of the fringes with the longest exposure that the projector's own light allows; ``None``: no
-    fringes are seen."""
+    """Return the amplitude of the fringes with the longest exposure that the projector's own light allows, ``None``: no fringes
+    are seen; less where they are not worth as much, so that ``ENOUGH_FRINGE_DN`` of it give points.
+
+    Gain makes grey values but no photons: the noise of light grows with its root, and of fringes at a gain of g only 1/√g counts
+    against it, of which a pixel needs ``MIN_MODULATION_DN`` as at rest without gain.
+    """
     fringe, top = sight.get("fringe_dn"), sight.get("top_dn") or 0.0
-    return None if fringe is None else fringe * min(_room(present, steps), FULL_SCALE_DN / max(top, 1.0))
+    if fringe is None:
+        return None
+    factor = min(_room(present, steps), FULL_SCALE_DN / max(top, 1.0))
+    longest_us = max((step.time_us for step in steps), default=present.time_us)
+    # Time before gain, for it costs no noise; light is counted in µs at 0 dB.
+    gain = max(1.0, present.light * factor / longest_us)
+    return fringe * factor * min(1.0, ENOUGH_FRINGE_DN / MIN_MODULATION_DN / math.sqrt(gain))
 
 
 def _unseen(sight: Numbers, room: float) -> Cause:

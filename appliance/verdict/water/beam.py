@@ -5,7 +5,8 @@ the scan, where points say where pattern coordinates went; else it is taken as d
 
 Where nothing but water is illuminated, the beam's glow still gives the attenuation, roughly: in clear water a ray gathers
 light all along its way through the beam; where the water swallows light, only from where the ray is nearest to both windows.
-Nobody's albedo is in the shape of that glow.
+Nobody's albedo is in the shape of that glow. An object that the water blurs beyond recognition still adds light that is spread evenly and
+so flattens it: that light is fitted beside the glow.
 """
 
 from __future__ import annotations
@@ -148,11 +149,18 @@ FAR_MM = 1500.0
 NOISE_DN, SHAPE_SHARE = 0.12, 0.06
 """Standard deviations of a cell's mean, and of the design's beam as a share of its glow."""
 MIN_CELLS = 60
+MOST_OF_OBJECT = 0.25
+"""Share of the light, of an object whose fringes are lost, up to which the glow's shape beside it is read."""
 
 
 def shape_of_glow(glow_dn: Array, cells: tuple[int, int], rig: StereoRig, water_index: float) -> float | None:
     """Return the attenuation per metre that explains the left camera's ``glow_dn`` (cells[0] · cells[1],) best;
-    ``None``: too little light."""
+    ``None``: too little light.
+
+    Beside the glow a surface across the middle of the volume is supposed, of any brightness: in water that scatters, an object sends back
+    light although none of its fringes arrives. Where more than ``MOST_OF_OBJECT`` of the light were such a surface's, its own
+    shape, which nobody knows, would decide, and the glow is asked alone.
+    """
     known = np.isfinite(glow_dn)
     if np.count_nonzero(known) < MIN_CELLS or float(np.mean(glow_dn[known])) < LEAST_GLOW_DN:
         return None
@@ -161,15 +169,38 @@ def shape_of_glow(glow_dn: Array, cells: tuple[int, int], rig: StereoRig, water_
     u = (column + 0.5) * camera.width_px / cells[0] - 0.5
     v = (row + 0.5) * camera.height_px / cells[1] - 0.5
     origins, directions = camera.rays(np.stack([u, v], -1)[known], water_index)
-    gathered = gather(_beam(rig, water_index), origins, directions, np.full(len(origins), FAR_MM))
+    beam = _beam(rig, water_index)
+    gathered = gather(beam, origins, directions, np.full(len(origins), FAR_MM))
+    middle_mm = (float(rig.volume_centre_mm(water_index)[2]) - origins[:, 2]) / directions[:, 2]
+    surface = gather(beam, origins, directions, middle_mm)
     seen = glow_dn[known]
     weight = 1.0 / (NOISE_DN**2 + (SHAPE_SHARE * np.maximum(seen, 0.0)) ** 2)
-    misfit = []
+    alone: list[float] = []
+    beside: list[tuple[float, float]] = []
     for per_m in CANDIDATES_PER_M:
         model = gathered.backscatter(float(per_m))
-        scale = float(np.sum(weight * model * seen) / max(float(np.sum(weight * model * model)), 1e-300))
-        misfit.append(float(np.sum(weight * (seen - scale * model) ** 2)))
-    return float(CANDIDATES_PER_M[int(np.argmin(misfit))])
+        alone.append(_fit(model[:, None], seen, weight)[1])
+        both = np.stack([model, surface.falls * np.exp(-per_m * surface.ends_m)], -1)
+        parts, misfit = _fit(both, seen, weight)
+        beside.append((misfit, float(both[:, 1].sum() * parts[1] / max((both @ parts).sum(), 1e-300))))
+    best = min(range(len(beside)), key=lambda k: beside[k][0])
+    if beside[best][1] > MOST_OF_OBJECT:
+        best = int(np.argmin(alone))
+    return float(CANDIDATES_PER_M[best])
+
+
+def _fit(models: Array, seen: Array, weight: Array) -> tuple[Array, float]:
+    """Return how much of each column of ``models`` (n, 1 or 2) explains ``seen`` (n,), none of them negative, and the weighted
+    squared misfit."""
+    scale = np.maximum(np.sqrt(np.einsum("n,nk,nk->k", weight, models, models)), 1e-300)
+    root = np.sqrt(weight)
+    parts = np.linalg.lstsq(root[:, None] * models / scale, root * seen, rcond=None)[0]
+    if len(parts) == 2 and parts.min() < 0.0:
+        # Least squares without negative parts leave one of two columns out: the one that explains less by itself.
+        single = np.maximum((root[:, None] * models / scale).T @ (root * seen), 0.0)
+        parts = np.where(single == single.max(), single, 0.0)
+    parts = parts / scale
+    return parts, float(np.sum(weight * (seen - models @ parts) ** 2))
 
 
 def _beam(rig: StereoRig, water_index: float) -> ProjectorBeam:

@@ -309,6 +309,27 @@ def test_faint_fringes_are_dark_where_an_exposure_makes_eight_grey_values_of_the
     assert named(faint(9.0, noise_mm=0.26, room=1.25)) is None
 
 
+def test_gain_makes_grey_values_of_faint_fringes_but_no_photons() -> None:
+    """A plane in water of 5.5 per m: fringes of 1 grey value, of which 16 ms and 12 dB make 8.7, and not a point."""
+    steps = (Exposure(2_000), Exposure(16_000), Exposure(16_000, 12.0))
+
+    def said_of(fringe: float, present: Exposure, top: float = 15.5) -> FaultCode | None:
+        summary = CloudSummary(0, 0.0, None, None, None)
+        found = causes(
+            said("sight", fringe_dn=fringe, top_dn=top), said("light"), summary=summary, present=present, steps=steps
+        )
+        return next((code for code in found if code in (FaultCode.TOO_DARK, FaultCode.WATER_DIRTY)), None)
+
+    assert said_of(1.0, Exposure(7_300)) is FaultCode.WATER_DIRTY
+    assert said_of(7.9, Exposure(16_000, 12.0)) is FaultCode.WATER_DIRTY, "worth 4, and nothing is left to expose for"
+    # White of 14.7 may be made 16 times as bright: 4 by time alone, 4 by gain, over whose noise only 2 of these count.
+    assert said_of(0.62, Exposure(4_000), top=14.68) is FaultCode.WATER_DIRTY
+    assert said_of(0.64, Exposure(4_000), top=14.68) is FaultCode.TOO_DARK
+    # As far as white leaves room without gain, every grey value counts.
+    assert said_of(2.01, Exposure(4_000), top=58.0) is FaultCode.TOO_DARK
+    assert said_of(1.95, Exposure(4_000), top=58.0) is FaultCode.WATER_DIRTY
+
+
 def test_what_faint_fringes_take_is_what_is_lost_as_far_as_they_are_too_faint() -> None:
     for fringe, room, share in ((4.0, 5.0, 0.8), (1.0, 2.0, 0.8), (8.0, 5.0, 0.8), (16.0, 5.0, 0.4)):
         cause = faint(fringe, room=room, noise_mm=0.3)
