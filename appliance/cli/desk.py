@@ -11,11 +11,9 @@ from appliance.cli.output import UsageError
 from appliance.cli.places import scan_folder
 from appliance.config import default_rig_path, load_rig
 from appliance.offline.origin import Wish
-from appliance.storage import scan as stored
 from appliance.storage.atomic import StorageError, remedy_for
-from appliance.storage.damage import damaged_frames
+from appliance.storage.damage import refuse_damaged_frames
 from appliance.storage.library import Library
-from appliance.storage.scan import ScanError
 
 CLOUD_SUFFIX = ".ply"
 
@@ -35,18 +33,6 @@ def whole_scan(wish: Wish, scan: str) -> Path:
 def scan_in(wish: Wish, scan: str) -> Path:
     """Return the folder of ``scan``, its number or its folder, whatever is in it. Raises UnknownScan, UsageError."""
     return scan_folder(scan) or Library(library_root(wish)).entry(scan).folder
-
-
-def refuse_damaged_frames(folder: Path) -> None:
-    """Raises ScanError that names every damaged file of frames, and the frame where that is known."""
-    manifest = stored.manifest_of(folder)
-    damaged = damaged_frames(folder, manifest)
-    if damaged:
-        told = "; ".join(str(one) for one in damaged)
-        raise ScanError(
-            f"{folder}: {told}; bring the scan's folder back from a copy, or see with `kingfisher reconstruct --salvage` what "
-            "can be made without"
-        )
 
 
 def library_root(wish: Wish) -> Path:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from appliance.offline.origin import Chosen, SourceScan
 from appliance.offline.reconstruct import cloud_of_scan
@@ -24,6 +25,16 @@ class OrganisedScan:
     """Water in which it was reconstructed."""
     faults: tuple[Fault, ...]
     """The faults that are held against the scan; its points are there all the same."""
+
+    @property
+    def points_mm(self) -> NDArray[np.float32]:
+        """(n, 3) float32: the points alone, in the order of their pixels; left camera frame."""
+        return self.cloud.points_mm[self.cloud.mask]
+
+    @property
+    def sigma_mm(self) -> NDArray[np.float32]:
+        """(n,) float32: the standard deviation of each along its ray."""
+        return self.cloud.sigma_mm[self.cloud.mask]
 
 
 def organised_scan(source: SourceScan, chosen: Chosen, progress: Callable[[str], None]) -> OrganisedScan:

@@ -28,9 +28,9 @@ _WORDS = {
 _SMALL_MM = 1.0
 
 
-def write_report(path: Path, report: Report) -> None:
+def write_report(path: Path | str, report: Report) -> None:
     """Write the page, whole or not at all. Raises StorageError, MissingLibraryError where plotly is absent."""
-    replace_file(LocalFileSystem(), path, page(report).encode())
+    replace_file(LocalFileSystem(), Path(path), page(report).encode())
 
 
 def page(report: Report) -> str:
@@ -106,7 +106,8 @@ def _view(full: ShownSurface, up: Vector) -> tuple[str, str]:
     few = thinned(full)
     element, scripts = turned(few, up)
     # Points are drawn from all there are; triangles from those of the browser, since they are filled one by one.
-    picture = still(few if few.faces is not None else full, full.colourings[0], up)
+    drawn = few if few.faces is not None else full
+    picture = still(drawn, drawn.colourings[0], up)
     bars = "".join(
         f'<div class="colouring" data-colouring="{k}"{"" if k == 0 else " hidden"}>{colour_bar(one)}</div>'
         for k, one in enumerate(full.colourings)

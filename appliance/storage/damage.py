@@ -109,3 +109,16 @@ def _shape(folder: Path, manifest: Manifest, count: int) -> tuple[int, int] | No
             if header_bytes == HEADER_BYTES and count * height * width == manifest.files[file].length - HEADER_BYTES:
                 return height, width
     return None
+
+
+def refuse_damaged_frames(folder: Path) -> None:
+    """Compare every byte of a scan's frames with its checksum. Raises ScanError that names every damaged file, and the frame
+    where that is known."""
+    manifest = stored.manifest_of(folder)
+    damaged = damaged_frames(folder, manifest)
+    if damaged:
+        told = "; ".join(str(one) for one in damaged)
+        raise ScanError(
+            f"{folder}: {told}; bring the scan's folder back from a copy, or see with `kingfisher reconstruct --salvage` what "
+            "can be made without"
+        )

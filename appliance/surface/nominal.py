@@ -77,16 +77,17 @@ def nominal_of_mesh(mesh: Mesh) -> Nominal:
     return nominal_of(mesh.vertices_mm, mesh.faces)
 
 
-def read_nominal(path: Path) -> Nominal:
+def read_nominal(file: Path | str) -> Nominal:
     """Read a nominal surface in mm (``SUFFIXES``). Raises NominalError, MissingLibraryError where trimesh is absent."""
+    path = Path(file)
     if path.suffix.lower() not in SUFFIXES:
         raise NominalError(
             f"{path}: a nominal surface is read from {', '.join(SUFFIXES)}, in mm; convert it to one of these"
         )
     trimesh = needed("trimesh", "trimesh", "a nominal surface")
     try:
-        with path.open("rb") as file:
-            read = trimesh.load(file, file_type=path.suffix[1:].lower(), force="mesh", process=False)
+        with path.open("rb") as opened:
+            read = trimesh.load(opened, file_type=path.suffix[1:].lower(), force="mesh", process=False)
         return nominal_of(read.vertices, read.faces)
     except OSError as error:
         raise NominalError(f"{path}: cannot be read ({error.strerror or error})") from error

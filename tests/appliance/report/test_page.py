@@ -28,7 +28,7 @@ from appliance.surface.deviation import deviations
 from appliance.surface.fusion import FusedCloud, PlacedScan, fuse
 from appliance.surface.mesh import mesh_of_scan
 from appliance.surface.nominal import nominal_of
-from tests.support.solids import Ball, looking, seen
+from tests.support.solids import Ball, Box, looking, seen
 
 CHROMIUM = shutil.which("chromium")
 BALL = Ball((0.0, 0.0, 0.0), 15.0)
@@ -238,3 +238,13 @@ def test_the_scripts_get_the_points_as_they_are(report: Report) -> None:
     x = np.frombuffer(base64.b64decode(content["trace"]["x"]["bdata"]), "<f4")
     np.testing.assert_array_equal(x, thinned(full).points_mm[:, 0])
     assert content["colourings"][0]["scale"][-1] == [1.0, "#" + "".join(f"{part:02x}" for part in RED)]
+
+
+def test_a_mesh_of_more_points_than_a_browser_turns_has_a_page() -> None:
+    wall = Box((-90.0, -90.0, 0.0), (90.0, 90.0, 10.0))
+    mesh = mesh_of_scan(seen([wall], looking((0.0, 0.0, -400.0)), 1, size_px=(290, 240)))
+    text = page(Report("wall", mesh=mesh))
+    words = re.sub(r"(?<=\d) (?=\d)", "", plain(text))
+    found = re.search(r"triangles between (\d+) of 69600 points", words)
+    assert found is not None
+    assert 20_000 < int(found[1]) <= 60_000

@@ -1,0 +1,161 @@
+"""Owns what a script at the desk works with: a dive's scans, and their points made anew as one wishes. ``import kingfisher`` names it.
+
+Everything that is returned is of the classes that the program itself uses, arrays are NumPy's with units in their names, and errors are those
+of the command line: one sentence that says what is wrong and what to do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from appliance.calibration.file import Calibration
+from appliance.config import load_rig
+from appliance.export.content import CAMERA_FRAME, OBJECT_FRAME, About
+from appliance.export.files import write_mesh, write_scan, write_surface
+from appliance.offline.organised_scan import OrganisedScan, organised_scan
+from appliance.offline.origin import Chosen, Wish, calibration_for, open_source, refuse_misfit
+from appliance.optics.water import Water
+from appliance.reconstruct.organised import OrganisedCloud
+from appliance.storage.damage import refuse_damaged_frames
+from appliance.storage.library import Library, ScanEntry
+from appliance.storage.manifest import Manifest
+from appliance.storage.scan import manifest_of
+from appliance.surface.fusion import FusedCloud
+from appliance.surface.mesh import Mesh
+
+Said = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class ScanOfDive:
+    """One stored scan; nothing of it is read until it is asked for."""
+
+    folder: Path
+    wish: Wish = field(default_factory=Wish)
+
+    @property
+    def name(self) -> str:
+        """The scan's number as its folder has it."""
+        return self.folder.name
+
+    @property
+    def manifest(self) -> Manifest:
+        """The scan's manifest, read anew: what was recorded, how, and what was found then. Raises ScanError."""
+        return manifest_of(self.folder)
+
+    def points(
+        self,
+        calibration: Calibration | Path | str | None = None,
+        water: Water | None = None,
+        progress: Said = lambda _: None,
+    ) -> OrganisedScan:
+        """Make the scan's points from its raw frames, every byte of which is compared with its checksum first.
+
+        ``calibration``: another one than the scan's own, or the path of its file; ``water``: another than it was recorded in.
+        Left camera frame. Raises ScanError, also where no points are left, and CalibrationError.
+        """
+        refuse_damaged_frames(self.folder)
+        wish = self.wish
+        if isinstance(calibration, Path | str):
+            wish = replace(wish, calibration=Path(calibration), current=False)
+        source = open_source(self.folder, wish)
+        if isinstance(calibration, Calibration):
+            chosen = Chosen(calibration, "the one that was handed in")
+            refuse_misfit(calibration, chosen.whose, source, foreign=wish.foreign)
+        else:
+            chosen = calibration_for(source, wish)
+        if water is not None:
+            conditions = {
+                "temperature_c": water.temperature_c,
+                "salinity_psu": water.salinity_psu,
+                "wavelength_nm": water.wavelength_nm,
+            }
+            manifest = source.scan.manifest
+            told = replace(manifest, record=replace(manifest.record, water=conditions))
+            source = replace(source, scan=replace(source.scan, manifest=told))
+        return organised_scan(source, chosen, progress)
+
+
+@dataclass(frozen=True, slots=True)
+class Dive:
+    """The scans under one storage root, in the order of their numbers."""
+
+    root: Path
+    wish: Wish = field(default_factory=Wish)
+
+    def scans(self) -> list[ScanOfDive]:
+        """Return all scans that were kept, whole or not; ``entries`` says what is wrong with one."""
+        return [ScanOfDive(entry.folder, self.wish) for entry in self.entries()]
+
+    def entries(self) -> list[ScanEntry]:
+        """Return the list that ``kingfisher scans list`` prints."""
+        return Library(self.root).entries()
+
+    def scan(self, number: int | str) -> ScanOfDive:
+        """Return a scan by its number, wherever under the root it lies. Raises UnknownScan."""
+        return ScanOfDive(Library(self.root).entry(str(number)).folder, self.wish)
+
+    def __iter__(self) -> Iterator[ScanOfDive]:
+        return iter(self.scans())
+
+    def __len__(self) -> int:
+        return len(self.entries())
+
+
+def open_dive(
+    root: Path | str,
+    rig: Path | str | None = None,
+    *,
+    current_calibration: bool = False,
+    foreign_calibration: bool = False,
+) -> Dive:
+    """Return the dive under a storage root: the folder that holds ``scans/``.
+
+    ``rig``: the rig file of the instrument, for scans of before November 2026, which carry none. ``current_calibration``: the one in
+    use under the root instead of each scan's own; ``foreign_calibration``: also one of another instrument. Raises NotADirectoryError, ConfigError.
+    """
+    place = Path(root)
+    if not place.is_dir():
+        raise NotADirectoryError(f"{place}: no such folder; give the storage root that holds scans/")
+    return Dive(place, _wish(rig, place, current=current_calibration, foreign=foreign_calibration))
+
+
+def open_scan(folder: Path | str, rig: Path | str | None = None, *, foreign_calibration: bool = False) -> ScanOfDive:
+    """Return one scan by its folder, wherever that was copied to. Raises ScanError for a folder that is none, ConfigError."""
+    scan = ScanOfDive(Path(folder), _wish(rig, None, foreign=foreign_calibration))
+    # Read and thrown away: a wrong folder is better said now than at the first points.
+    manifest_of(scan.folder)
+    return scan
+
+
+def export(
+    what: OrganisedScan | OrganisedCloud | FusedCloud | Mesh,
+    path: Path | str,
+    title: str = "",
+    notes: tuple[str, ...] = (),
+    frame: str | None = None,
+) -> None:
+    """Write points or a mesh for other programs; the suffix says how, as for ``kingfisher export``.
+
+    ``frame``: the frame of reference in words; by default the object's of a fused surface, else the left camera's. Raises
+    ExportError for a suffix that is not allowed, MissingLibraryError, StorageError.
+    """  # fmt: skip
+    target = Path(path)
+    about = About(
+        title or target.stem, frame or (OBJECT_FRAME if isinstance(what, FusedCloud) else CAMERA_FRAME), notes
+    )
+    match what:
+        case Mesh():
+            write_mesh(target, what, about)
+        case FusedCloud():
+            write_surface(target, what, about)
+        case OrganisedScan():
+            write_scan(target, what.cloud, about)
+        case OrganisedCloud():
+            write_scan(target, what, about)
+
+
+def _wish(rig: Path | str | None, root: Path | None, *, current: bool = False, foreign: bool = False) -> Wish:
+    return Wish(rig=None if rig is None else load_rig(Path(rig)), root=root, current=current, foreign=foreign)

@@ -1,0 +1,155 @@
+"""A script at the desk gets the points of the instrument, and others where it asks for another calibration or other water."""
+
+from __future__ import annotations
+
+import ast
+import contextlib
+import importlib
+import io
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from numpy.typing import NDArray
+
+from appliance.calibration.file import CalibrationError, encode
+from appliance.instrument import design_of
+from appliance.offline.scripting import export, open_dive, open_scan
+from appliance.optics.water import Water
+from appliance.storage.calibrations import Calibrations
+from appliance.storage.library import UnknownScan
+from appliance.storage.scan import ScanError
+from appliance.surface.fusion import PlacedScan, fuse
+from appliance.surface.mesh import mesh_of_scan
+from tests.support.planes import small_rig, store_plane
+
+ROOT = Path(__file__).parents[3]
+
+
+@pytest.fixture(scope="module")
+def dive(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, NDArray[np.float32]]:
+    """A storage root with one scan and its calibration, and the points that the instrument had."""
+    rig = small_rig(tmp_path_factory.mktemp("dive"))
+    folder, points = store_plane(rig)
+    Calibrations(rig.storage.root, rig.rig.serial).install(design_of(rig), "2026-01-01")
+    return folder.parent.parent, points
+
+
+def test_a_dive_gives_the_points_of_the_instrument(dive: tuple[Path, NDArray[np.float32]]) -> None:
+    root, points = dive
+    opened = open_dive(str(root))
+    assert [scan.name for scan in opened] == ["000001"]
+    assert len(opened) == 1
+    scan = opened.scan(1)
+    made = scan.points()
+    np.testing.assert_array_equal(made.points_mm, points)
+    assert made.sigma_mm.shape == (len(points),)
+    assert made.cloud.shape == (300, 400)
+    assert scan.manifest.record.sequence.period_px == 16
+    assert open_scan(scan.folder).name == "000001"
+
+
+def test_another_calibration_and_other_water_give_other_points(
+    dive: tuple[Path, NDArray[np.float32]], tmp_path: Path
+) -> None:
+    root, points = dive
+    scan = open_dive(root).scan("000001")
+    salt = scan.points(water=Water(20.0, 35.0, 530.0))
+    fresh = Water(20.0, 0.0, 530.0)
+    own = scan.points()
+    both = salt.cloud.mask & own.cloud.mask
+    # Behind a flat port tan θ goes down as the index goes up, so that the same pixels see a smaller piece of the plane.
+    share = salt.water.index / fresh.index - 1.0
+    narrower = 1.0 - salt.cloud.points_mm[both, 0].std() / own.cloud.points_mm[both, 0].std()
+    assert 0.5 * share < narrower < 1.5 * share
+    design = design_of(small_rig(root))
+    left = replace(design.rig.left, port=replace(design.rig.left.port, distance_mm=33.0))
+    other = replace(design, method="bundle", rig=replace(design.rig, left=left))
+    (tmp_path / "other.json").write_bytes(encode(other))
+    by_value, by_path = scan.points(calibration=other), scan.points(calibration=str(tmp_path / "other.json"))
+    np.testing.assert_array_equal(by_value.points_mm, by_path.points_mm)
+    assert abs(by_value.points_mm[:, 2].max() - points[:, 2].max()) > 0.2
+    larger = replace(other, rig=replace(other.rig, left=replace(left, width_px=800)))
+    with pytest.raises(CalibrationError, match="800x300"):
+        scan.points(calibration=larger)
+
+
+def test_each_kind_of_result_is_written(dive: tuple[Path, NDArray[np.float32]], tmp_path: Path) -> None:
+    made = open_dive(dive[0]).scan(1).points()
+    mesh = mesh_of_scan(made.cloud)
+    for what, name in ((made, "scan.ply"), (made.cloud, "cloud.ply"), (mesh, "mesh.ply")):
+        export(what, str(tmp_path / name))
+        read: Any = trimesh.load(tmp_path / name, process=False)
+        assert len(read.vertices) > 0.9 * len(dive[1])
+    surface = fuse([PlacedScan(made.cloud, np.eye(3), np.zeros(3))], spacing_mm=2.0)
+    export(surface, tmp_path / "surface.ply", title="plane")
+    head = (tmp_path / "surface.ply").read_bytes()[:300]
+    assert b"plane: unit mm, object frame" in head
+
+
+def test_what_is_not_there_is_said(dive: tuple[Path, NDArray[np.float32]], tmp_path: Path) -> None:
+    with pytest.raises(NotADirectoryError, match="give the storage root"):
+        open_dive(tmp_path / "none")
+    with pytest.raises(UnknownScan):
+        open_dive(dive[0]).scan(99)
+    with pytest.raises(ScanError):
+        open_scan(tmp_path)
+
+
+def test_a_scan_with_damaged_frames_is_refused(tmp_path: Path) -> None:
+    rig = small_rig(tmp_path)
+    folder, _ = store_plane(rig)
+    path = folder / "frames_left.npy"
+    path.chmod(0o644)
+    raw = bytearray(path.read_bytes())
+    raw[5000] ^= 1
+    path.write_bytes(raw)
+    with pytest.raises(ScanError, match="frames_left"):
+        open_scan(folder).points()
+
+
+def test_every_name_of_the_package_is_the_programs_own() -> None:
+    package = importlib.import_module("kingfisher")
+    tree = ast.parse((ROOT / "appliance/python/kingfisher/__init__.py").read_text())
+    typed = {
+        alias.asname: (node.module, alias.name)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and node.module != "__future__"
+        for alias in node.names
+        if alias.asname
+    }
+    assert typed.keys() == set(dir(package)) - {"__version__"}, "type checkers see what there is"
+    for name, (module, attribute) in typed.items():
+        assert module is not None
+        assert getattr(package, name) is getattr(importlib.import_module(module), attribute), name
+    with pytest.raises(AttributeError, match="no attribute 'opendive'; there are: Calibration"):
+        _ = package.opendive
+
+
+def test_the_page_about_it_names_what_there_is() -> None:
+    package = importlib.import_module("kingfisher")
+    said = (ROOT / "docs/python.md").read_text()
+    for name in dir(package):
+        if not name.startswith(("Report", "__")) and not name.endswith("Error"):
+            assert f"`{name}" in said or f" {name}" in said or f"{name}`" in said, name
+
+
+def test_the_notebook_runs_from_the_first_cell_to_the_last(
+    dive: tuple[Path, NDArray[np.float32]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    notebook = json.loads((ROOT / "docs/notebooks/first_scan.ipynb").read_text())
+    monkeypatch.setenv("KINGFISHER_DIVE", str(dive[0]))
+    monkeypatch.chdir(tmp_path)
+    said = io.StringIO()
+    names: dict[str, Any] = {}
+    with contextlib.redirect_stdout(said):
+        for k, cell in enumerate(notebook["cells"]):
+            if cell["cell_type"] == "code":
+                exec(compile("".join(cell["source"]), f"cell {k}", "exec"), names)
+    assert f"{len(dive[1])} points" in said.getvalue()
+    assert "seen 2 times" in said.getvalue()
+    assert {"first.stl", "first.npz", "first.html"} == {path.name for path in tmp_path.iterdir()}
