@@ -42,6 +42,7 @@ if TYPE_CHECKING:  # for editors and type checkers; at run time ``__getattr__`` 
     from appliance.surface.nominal import nominal_of_mesh as nominal_of_mesh
     from appliance.surface.nominal import read_nominal as read_nominal
     from appliance.surface.normals import normals as normals
+    from appliance.surface.object_mesh import mesh_of_surface as mesh_of_surface
 
 _HOMES = {
     "appliance.calibration.file": ("Calibration", "CalibrationError", "load as load_calibration"),
@@ -60,6 +61,7 @@ _HOMES = {
     "appliance.surface.mesh": ("Mesh", "mesh_of_scan"),
     "appliance.surface.nominal": ("Nominal", "nominal_of_mesh", "read_nominal"),
     "appliance.surface.normals": ("normals",),
+    "appliance.surface.object_mesh": ("mesh_of_surface",),
 }  # fmt: skip
 """Modules with what is taken from each, under its own name or another."""
 _FOUND = {

@@ -1,0 +1,105 @@
+"""The mesh of an object: closed where there is data all round, open where there is none, and as good as its points."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+from appliance.surface.fusion import FusedCloud, PlacedScan, fuse
+from appliance.surface.mesh import Mesh
+from appliance.surface.object_mesh import mesh_of_surface
+from tests.support.solids import Ball, Box, Pose, around, looking, seen
+
+BALL = Ball((0.0, 0.0, 0.0), 20.0)
+
+
+def fused(solids: list[Ball | Box], poses: list[Pose], size_px: tuple[int, int] = (220, 220)) -> FusedCloud:
+    return fuse(
+        [
+            PlacedScan(seen(solids, pose, k, size_px), pose.rotation, pose.translation_mm, 0.0)
+            for k, pose in enumerate(poses)
+        ]
+    )
+
+
+def kept(cloud: FusedCloud, which: np.ndarray) -> FusedCloud:
+    return FusedCloud(
+        cloud.points_mm[which], cloud.normals[which], cloud.sigma_mm[which], cloud.grey[which], cloud.views[which]
+    )
+
+
+def as_trimesh(mesh: Mesh) -> Any:
+    return trimesh.Trimesh(mesh.vertices_mm, mesh.faces, process=False)
+
+
+@pytest.fixture(scope="module")
+def ball() -> FusedCloud:
+    """A ball seen from all sides; at 0.5 mm it lies in eight blocks of the grid."""
+    return fused([BALL], [*around(6, 480.0), looking((0.0, 1.0, 480.0)), looking((0.0, 1.0, -480.0))])
+
+
+@pytest.mark.parametrize("voxel_mm", [0.5, 1.0])
+def test_a_ball_seen_from_all_sides_is_closed_and_has_its_volume(voxel_mm: float, ball: FusedCloud) -> None:
+    mesh = mesh_of_surface(ball, voxel_mm)
+    read = as_trimesh(mesh)
+    assert read.is_watertight
+    assert read.is_winding_consistent
+    assert read.euler_number == 2
+    assert read.volume == pytest.approx(4.0 / 3.0 * np.pi * 20.0**3, rel=0.002), (
+        "and looks outwards, else it were negative"
+    )
+    out = BALL.off(mesh.vertices_mm.astype(float))
+    assert abs(out.mean()) < 0.003, "a bent surface is not moved"
+    assert out.std() < np.median(mesh.sigma_mm)
+    np.testing.assert_allclose(
+        mesh.normals, mesh.vertices_mm / np.linalg.norm(mesh.vertices_mm, axis=1)[:, None], atol=0.08
+    )
+    assert np.median(mesh.sigma_mm) == pytest.approx(np.median(ball.sigma_mm), rel=0.1)
+    assert mesh.grey.min() >= ball.grey.min()
+
+
+def test_half_a_ball_ends_where_its_points_end() -> None:
+    pose = looking((480.0, 0.0, 0.0))
+    # Beyond 60° the points of one scan are farther apart than a voxel.
+    cloud = fuse([PlacedScan(seen([BALL], pose, 1, (220, 220), steepest=60.0), pose.rotation, pose.translation_mm)])
+    mesh = mesh_of_surface(cloud)
+    read = as_trimesh(mesh)
+    assert not read.is_watertight
+    assert read.euler_number == 1, "a disc"
+    assert mesh.vertices_mm[:, 0].min() > cloud.points_mm[:, 0].min() - 0.75 * 0.5
+
+
+def test_a_hole_stays_open_unless_it_is_asked_to_be_closed(ball: FusedCloud) -> None:
+    small = np.hypot(ball.points_mm[:, 0], ball.points_mm[:, 1]) < 2.0
+    large = np.hypot(ball.points_mm[:, 0], ball.points_mm[:, 2]) < 6.0
+    # One hole on either side of the ball: 4 mm wide at z > 0, and 12 mm at y > 0.
+    rest = kept(ball, ~(small & (ball.points_mm[:, 2] > 0)) & ~(large & (ball.points_mm[:, 1] > 0)))
+    open_mesh, closed = mesh_of_surface(rest), mesh_of_surface(rest, close_holes_mm=6.0)
+    assert as_trimesh(open_mesh).euler_number == 0, "a ball with two holes"
+    read = as_trimesh(closed)
+    assert read.euler_number == 1, "the large one is left"
+    assert read.is_winding_consistent
+    made_up = np.isnan(closed.sigma_mm)
+    assert made_up.sum() == 1
+    np.testing.assert_allclose(closed.vertices_mm[made_up][0], [0.0, 0.0, 19.9], atol=0.3)
+    assert np.isfinite(open_mesh.sigma_mm).all()
+
+
+def test_a_plate_of_two_voxels_keeps_both_sides() -> None:
+    plate: list[Ball | Box] = [Box((-15.0, -15.0, 0.0), (15.0, 15.0, 1.0))]
+    mesh = mesh_of_surface(fused(plate, [looking((0.0, 30.0, z)) for z in (-500.0, 500.0)]))
+    for side, height_mm in ((1.0, 1.0), (-1.0, 0.0)):
+        facing = side * mesh.normals[:, 2] > 0.9
+        assert facing.sum() > 3000
+        assert mesh.vertices_mm[facing, 2].mean() == pytest.approx(height_mm, abs=0.002)
+        assert mesh.vertices_mm[facing, 2].std() < 0.02
+
+
+def test_nothing_gives_nothing_and_other_voxels_are_refused(ball: FusedCloud) -> None:
+    mesh = mesh_of_surface(kept(ball, np.zeros(len(ball.grey), np.bool_)))
+    assert mesh.faces.shape == (0, 3)
+    with pytest.raises(ValueError, match=r"voxel_mm is 0\.01; allowed are 0\.05\.\.20"):
+        mesh_of_surface(ball, 0.01)
