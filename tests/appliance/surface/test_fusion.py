@@ -165,3 +165,13 @@ def test_placements_and_spacings_of_no_use_are_refused() -> None:
     with pytest.raises(ValueError, match=r"spacing_mm is 0\.01; allowed are 0\.02\.\.20"):
         fuse([scan], spacing_mm=0.01)
     assert len(fuse([]).grey) == 0
+
+
+def test_pixels_that_lie_equally_near_to_two_discs_do_not_move_a_flat() -> None:
+    flat: list[Ball | Box] = [Box((-30.0, -30.0, -50.0), (30.0, 30.0, 0.0))]
+    pose = looking((0.0, 0.0, 500.0))
+    for seed in range(2):
+        scan = placed(pose, flat, seed, size_px=(150, 150), noise_mm=0.04)
+        # Every other pixel of the regular grid has four discs at the same distance: noise must not choose among them.
+        raw = 500.0 - scan.cloud.points_mm[..., 2].astype(float).mean()
+        assert fuse([scan]).points_mm[:, 2].astype(float).mean() == pytest.approx(raw, abs=0.0004)
