@@ -43,6 +43,7 @@ FORBIDDEN = [
     Forbidden("data-flow", "appliance.patterns", "appliance.capture"),
     Forbidden("data-flow", "appliance.reconstruct", "appliance.machine"),
     Forbidden("data-flow", "appliance.surface", "appliance.storage"),
+    Forbidden("data-flow", "appliance.registration", "appliance.storage"),
     Forbidden("data-flow", "appliance.machine", "appliance.service"),
     Forbidden("data-flow", "appliance.offline", "appliance.service"),
     Forbidden("pure-core", "appliance.machine", "threading"),

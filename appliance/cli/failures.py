@@ -10,6 +10,7 @@ from appliance.export.content import ExportError
 from appliance.kernel_build import CompileError
 from appliance.storage.atomic import StorageError
 from appliance.storage.library import UnknownScan
+from appliance.storage.objects import ObjectError
 from appliance.storage.scan import ScanError
 from appliance.surface.libraries import MissingLibraryError
 from drivers.api import DeviceError
@@ -30,6 +31,7 @@ def exit_code_of(error: Exception) -> Exit | None:
             | RecordingError()
             | ExportError()
             | MissingLibraryError()
+            | ObjectError()
             | DeviceError()
             | CompileError()
         ):

@@ -18,7 +18,7 @@ from appliance.cli.output import UsageError
 from appliance.config import Rig
 
 SIMULATOR = "hw_sim"
-OBJECTS = ("plane", "ballbar", "frustum", "pipe", "shell", "stones", "board")
+OBJECTS = ("plane", "ballbar", "frustum", "pipe", "shell", "stones", "board", "main")
 TEXTURES = ("none", "slight", "strong", "checker", "labels")
 TRUTHS = ("nominal", "realistic", "hard", "paper", "modelled", "outside")
 WORLDS = ("ordinary", "outside")

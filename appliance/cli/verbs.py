@@ -63,6 +63,16 @@ VERBS: tuple[Listed | Group, ...] = (
         ),
     ),
     Group(
+        "object",
+        "many scans as one object",
+        (
+            Listed("new", "begin an object with some scans, or none", "object:NewObject"),
+            Listed("add", "add scans to an object", "object:AddToObject"),
+            Listed("show", "where its scans lie, how certain that is, what was refused", "object:ShowObject"),
+            Listed("solve", "find where its scans lie relative to each other", "object:SolveObject"),
+        ),
+    ),
+    Group(
         "calibration",
         "look at calibrations",
         (

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-PLANE, BALLBAR, FRUSTUM, PIPE, SHELL, STONES, BOARD = range(7)
+PLANE, BALLBAR, FRUSTUM, PIPE, SHELL, STONES, BOARD, MAIN = range(8)
 NAMES = {
     "plane": PLANE,
     "ballbar": BALLBAR,
@@ -29,6 +29,7 @@ NAMES = {
     "shell": SHELL,
     "stones": STONES,
     "board": BOARD,
+    "main": MAIN,
 }
 
 BALL_RADIUS_MM = 15.0
@@ -44,6 +45,12 @@ WELD_RADIUS_MM, WELD_X_MM = 4.0, -45.0
 BOARD_HALF_X_MM, BOARD_HALF_Y_MM, BOARD_THICKNESS_MM = 145.0, 118.0, 8.0
 """The plate of the ChArUco board; what is printed on it: ``objects.print``."""
 
+MAIN_RADIUS_MM, MAIN_HALF_LENGTH_MM = 60.0, 500.0
+MAIN_FLANGE_RADIUS_MM, MAIN_FLANGE_HALF_LENGTH_MM, MAIN_FLANGE_X_MM = 82.0, 11.0, 140.0
+MAIN_BOLTS, MAIN_BOLT_CIRCLE_MM, MAIN_BOLT_RADIUS_MM, MAIN_BOLT_HALF_LENGTH_MM = 8, 72.0, 6.0, 19.0
+MAIN_WELDS_X_MM = (-330.0, -60.0, 395.0)
+"""A metre of a water main, longer than a view: a bolted flange, three weld seams, and smooth in between."""
+
 DEFAULT_POSE: dict[str, tuple[float, float, float, float, float, float]] = {
     "plane": (0.0, 0.0, 522.5, 8.0, 12.0, 0.0),
     "ballbar": (0.0, 0.0, 522.5, 0.0, 10.0, 15.0),
@@ -52,6 +59,7 @@ DEFAULT_POSE: dict[str, tuple[float, float, float, float, float, float]] = {
     "shell": (0.0, 0.0, 545.0, 6.0, 0.0, 10.0),
     "stones": (0.0, 0.0, 535.0, 0.0, 0.0, 0.0),
     "board": (0.0, 0.0, 560.0, 10.0, -12.0, 5.0),
+    "main": (0.0, 0.0, 580.0, 0.0, 6.0, 20.0),
 }
 
 HALF_BALL_DISTANCE, PLANE_BOW, BOARD_BOW, BOARD_SCALE, SIZES = 0, 1, 2, 3, 4
@@ -73,6 +81,7 @@ _BOX = np.array(
         [-105.0, -80.0, -40.5, 105.0, 80.0, 12.0],
         [-108.0, -76.0, -46.0, 106.0, 78.0, 54.0],
         [-145.0, -118.0, -0.3, 145.0, 118.0, 8.3],
+        [-500.0, -82.0, -82.0, 500.0, 82.0, 82.0],
     ]
 )
 BOX = np.concatenate([_BOX, _BOX])
@@ -87,7 +96,7 @@ STONES_AT = np.array(
     ]
 )
 """Middle x y z and mean radius of each stone."""
-RADIUS = np.tile([161.0, 92.5, 132.0, 144.0, 138.0, 120.0, 188.0], 2)
+RADIUS = np.tile([161.0, 92.5, 132.0, 144.0, 138.0, 120.0, 188.0, 507.0], 2)
 """Radius of a ball around the origin that holds each object."""
 
 HIT_MM = 1e-7
@@ -125,6 +134,26 @@ def _pipe(x: float, y: float, z: float) -> float:
     along, ring = x - WELD_X_MM, r - PIPE_RADIUS_MM
     weld = math.sqrt(along * along + ring * ring) - WELD_RADIUS_MM
     return min(pipe, min(flange, weld))
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _main(x: float, y: float, z: float) -> float:
+    r = math.sqrt(y * y + z * z)
+    best = _disc_or_tube(x, r, MAIN_RADIUS_MM, MAIN_HALF_LENGTH_MM)
+    beside = x - MAIN_FLANGE_X_MM
+    best = min(best, _disc_or_tube(beside, r, MAIN_FLANGE_RADIUS_MM, MAIN_FLANGE_HALF_LENGTH_MM))
+    for seam in MAIN_WELDS_X_MM:
+        along, ring = x - seam, r - MAIN_RADIUS_MM
+        best = min(best, math.sqrt(along * along + ring * ring) - WELD_RADIUS_MM)
+    # The nearest bolt alone: the others are farther away.
+    step = 2.0 * math.pi / MAIN_BOLTS
+    angle = math.atan2(z, y)
+    angle -= step * math.floor(angle / step + 0.5)
+    across, down = r * math.cos(angle) - MAIN_BOLT_CIRCLE_MM, r * math.sin(angle)
+    bolt = _disc_or_tube(
+        beside, math.sqrt(across * across + down * down), MAIN_BOLT_RADIUS_MM, MAIN_BOLT_HALF_LENGTH_MM
+    )
+    return min(best, bolt)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -237,6 +266,8 @@ def _outside(kind: int, sizes: Array, x: float, y: float, z: float) -> float:
         value = _pipe(x, y, z)
     elif kind == VARIED + SHELL:
         value = _shell(x, y, z)
+    elif kind == VARIED + MAIN:
+        value = _main(x, y, z)
     else:
         value = _stones(x, y, z)
     return float(value / steep)
@@ -260,6 +291,8 @@ def implicit(kind: int, sizes: Array, x: float, y: float, z: float) -> float:
         return _pipe(x, y, z)
     if kind == 4:
         return _shell(x, y, z)
+    if kind == 7:
+        return _main(x, y, z)
     if kind == 6:
         return _plate(x, y, z, BOARD_HALF_X_MM, BOARD_HALF_Y_MM, BOARD_THICKNESS_MM, sizes[BOARD_BOW])
     if kind >= VARIED:

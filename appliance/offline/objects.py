@@ -1,0 +1,266 @@
+"""Owns an object at the desk: its scans' clouds, made again from the frames; where they lie; and one surface of them."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance import __version__
+from appliance.calibration.file import Calibration
+from appliance.export.content import OBJECT_FRAME, About
+from appliance.instrument import settings_of_scan
+from appliance.offline.origin import SourceScan, Wish, calibration_for, open_source
+from appliance.offline.reprocess import refuse_empty, reprocess, water_of_scan
+from appliance.optics.rotation import matrix3
+from appliance.reconstruct.organised import OrganisedCloud, organised
+from appliance.registration.bow import PRIOR_MM, corrected, spread_mm
+from appliance.registration.graph import Edge, Placed
+from appliance.registration.pair import ReadyScan, ready
+from appliance.registration.solve import Compared, Solved, solve
+from appliance.storage import objects
+from appliance.storage import scan as stored
+from appliance.storage.objects import ComparedScans, MemberScan, ObjectError, Places, ScanPlace, StoredObject
+from appliance.surface.fusion import POSE_SIGMA_MM, FusedCloud, PlacedScan, fuse
+
+Progress = Callable[[str, float | None], None]
+WORTH_REMOVING = 0.7
+"""The shared depth error is taken out where that leaves less than this share of what may bend the object."""
+CLEAR_FACTOR = 4.0
+"""Variance factor from which on the pairs contradict each other by more than they state."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MemberCloud:
+    """A scan of an object with its cloud and what that was made with."""
+
+    scan: MemberScan
+    cloud: OrganisedCloud
+    calibration: Calibration
+    water_index: float
+    verdicts: tuple[str, ...]
+    """What was held against the scan, in words."""
+
+
+def member_of(root: Path, folder: Path) -> MemberScan:
+    """Return a stored scan as a member of an object. Raises ScanError."""
+    manifest = stored.manifest_of(folder)
+    sums = tuple(
+        manifest.files[name].sha256 for name in (*stored.RAW_FILES, *stored.SECOND_FILES) if name in manifest.files
+    )
+    whole = folder.absolute()
+    inside = whole.is_relative_to(root.absolute())
+    return MemberScan(manifest.scan_id, str(whole.relative_to(root.absolute()) if inside else whole), sums)
+
+
+def clouds_of(root: Path, stored_object: StoredObject, wish: Wish, progress: Progress) -> Iterator[MemberCloud]:
+    """Yield every scan's cloud, from the object's folder or made again from the frames and kept there; one is held at a time.
+
+    Raises ScanError for a scan that is gone, has become another one, or has no points; CalibrationError.
+    """
+    count = len(stored_object.scans)
+    for number, member in enumerate(stored_object.scans):
+        progress(f"scan {member.name}", number / max(count, 1))
+        yield _cloud_of(root, stored_object.name, member, wish)
+
+
+def _cloud_of(root: Path, name: str, member: MemberScan, wish: Wish) -> MemberCloud:
+    folder = root / member.folder
+    now = member_of(root, folder)
+    if now.frames_sha256 != member.frames_sha256:
+        raise stored.ScanError(
+            f"{folder}: holds other frames than when it was added to object '{name}'; make the object anew"
+        )
+    source = open_source(folder, wish)
+    calibration = calibration_for(source, wish).calibration
+    index = water_of_scan(source.scan, calibration).index
+    key = hashlib.sha256(repr((member.frames_sha256, calibration.hash, index, __version__)).encode()).hexdigest()
+    kept = objects.kept_cloud(root, name, member.name, key)
+    if kept is None:
+        kept = _made(source, calibration)
+        objects.keep_cloud(root, name, member.name, key, kept)
+    cloud = OrganisedCloud(kept["points_mm"], kept["sigma_mm"], kept["modulation_dn"], kept["ray_gap_mm"], kept["grey"])
+    verdicts = tuple(str(one) for one in kept["verdicts"].tolist())
+    return MemberCloud(member, cloud, calibration, index, verdicts)
+
+
+def _made(source: SourceScan, calibration: Calibration) -> dict[str, NDArray[Any]]:
+    settings = settings_of_scan(source.scan.manifest.record, source.rig)
+    made = reprocess(source.scan, calibration, settings, lambda _: None)
+    refuse_empty(source.scan.folder, made.empty)
+    bright = source.scan.frames["left"][made.pipeline.sequence.bright]
+    cloud = organised(made.cloud, np.ascontiguousarray(bright))
+    verdicts = np.array([f"{fault.code.value}: {fault.detail}" for fault in made.faults], dtype=np.str_)
+    return {
+        "points_mm": cloud.points_mm,
+        "sigma_mm": cloud.sigma_mm,
+        "modulation_dn": cloud.modulation_dn,
+        "ray_gap_mm": cloud.ray_gap_mm,
+        "grey": cloud.grey,
+        "verdicts": verdicts,
+    }
+
+
+def light_of(calibration: Calibration) -> NDArray[np.float64]:
+    """Return where the projector's light comes from, (3,) mm in the left camera's frame: from between the two cameras."""
+    return 0.5 * np.asarray(calibration.rig.right.translation_mm)
+
+
+def solve_object(
+    root: Path, stored_object: StoredObject, wish: Wish, progress: Progress, *, with_shared_error: bool = True
+) -> StoredObject:
+    """Find where every scan of an object lies and return the object with its places, not yet written.
+
+    ``with_shared_error``: the depth error that all scans share is estimated from their overlaps. Raises ObjectError for fewer than two
+    scans; ScanError, CalibrationError.
+    """
+    if len(stored_object.scans) < 2:
+        raise ObjectError(
+            f"object '{stored_object.name}' has {len(stored_object.scans)} scans; at least 2 are needed: kingfisher object add"
+        )
+    scans: list[ReadyScan] = []
+    clouds: list[tuple[str, str, float, tuple[str, ...]]] = []
+    for member in clouds_of(
+        root, stored_object, wish, lambda what, part: progress(what, None if part is None else 0.5 * part)
+    ):
+        scans.append(ready(member.cloud, member.calibration.rig.left, member.water_index, light_of(member.calibration)))
+        clouds.append((member.scan.name, member.calibration.hash, member.water_index, member.verdicts))
+    solved = solve(scans, lambda what, part: progress(what, 0.5 + 0.5 * part), with_shared_error)
+    return replace(stored_object, places=_places(solved, clouds, with_shared_error))
+
+
+def _places(
+    solved: Solved, clouds: Sequence[tuple[str, str, float, tuple[str, ...]]], with_shared_error: bool
+) -> Places:
+    placed = solved.placed
+    named = [one[0] for one in clouds]
+    bending = max(placed.bending_mm.values(), default=0.0)
+    unaided = max(placed.bending_unaided_mm.values(), default=0.0)
+    removed = with_shared_error and unaided > 0.0 and bending < WORTH_REMOVING * unaided
+    calibrations = tuple(dict.fromkeys(one[1] for one in clouds))
+    return Places(
+        calibrations=calibrations,
+        water_index=tuple(one[2] for one in clouds),
+        places={named[k]: _place(placed, k) for k in sorted(placed.poses)},
+        pairs=tuple(_pair(one, placed, named) for one in solved.compared),
+        left_out={named[k]: text for k, text in solved.left_out.items()},
+        warnings=_warnings(solved, clouds, calibrations),
+        shared_error_mm=tuple(placed.bow_mm.tolist()),
+        shared_error_sigma_mm=tuple(np.sqrt(np.diag(placed.bow_covariance)).tolist()),
+        shared_error_removed=removed,
+        variance_factor=placed.variance_factor,
+    )
+
+
+def _place(placed: Placed, k: int) -> ScanPlace:
+    pose, covariance = placed.poses[k], placed.covariance[k]
+    x, y, z = pose.translation_mm.tolist()
+    return ScanPlace(
+        rotation=matrix3(pose.rotation),
+        translation_mm=(x, y, z),
+        sigma_mm=float(np.sqrt(np.trace(covariance[3:, 3:]))),
+        covariance=tuple(tuple(row) for row in covariance.tolist()),
+        bending_mm=placed.bending_mm[k],
+        bending_unaided_mm=placed.bending_unaided_mm[k],
+    )
+
+
+def _pair(one: Compared, placed: Placed, named: Sequence[str]) -> ComparedScans:
+    def among(edges: Sequence[Edge]) -> bool:
+        return any((edge.first, edge.second) == (one.first, one.second) for edge in edges)
+
+    fit, wrong = one.pair.fit, among(placed.wrong)
+    text = "contradicts the loops it is in: taken out" if wrong else one.pair.text
+    return ComparedScans(
+        first=named[one.first],
+        second=named[one.second],
+        accepted=one.pair.accepted,
+        used=among(placed.used),
+        text=text,
+        overlap_percent=None if fit is None else 100.0 * fit.overlap,
+        sigma_mm=fit.sigma_mm if fit is not None and one.pair.accepted else None,
+        discrepancy_mm=placed.discrepancy_mm.get((one.first, one.second)),
+    )
+
+
+def _warnings(
+    solved: Solved, clouds: Sequence[tuple[str, str, float, tuple[str, ...]]], calibrations: Sequence[str]
+) -> tuple[str, ...]:
+    found = []
+    if len(calibrations) > 1:
+        found.append(
+            f"{len(calibrations)} calibrations: what they differ by is in no budget; choose one for all with --calibration FILE"
+        )
+    if solved.placed.unchecked:
+        pairs = ", ".join(f"{clouds[edge.first][0]}-{clouds[edge.second][0]}" for edge in solved.placed.unchecked)
+        found.append(f"in no loop, so that nothing checks them: {pairs}; a scan across them would")
+    if solved.placed.variance_factor > CLEAR_FACTOR:
+        found.append(
+            f"the pairs contradict each other by {np.sqrt(solved.placed.variance_factor):.1f} times what they state: check the calibration"
+        )
+    found += [f"scan {name}: {verdict}" for name, _, _, verdicts in clouds for verdict in verdicts]
+    return tuple(found)
+
+
+def placed_scans(root: Path, stored_object: StoredObject, wish: Wish, progress: Progress) -> Iterator[PlacedScan]:
+    """Yield the scans that have a place, each with how certain it is beside its neighbours; the shared depth error is taken out of their
+    points where the places say so.
+
+    Raises ObjectError for an object that is not solved; ScanError, CalibrationError.
+    """
+    places = stored_object.places
+    if places is None:
+        raise ObjectError(
+            f"object '{stored_object.name}' is not solved: kingfisher object solve '{stored_object.name}'"
+        )
+    kept = replace(stored_object, scans=tuple(one for one in stored_object.scans if one.name in places.places))
+    shared = np.array(places.shared_error_mm)
+    for member in clouds_of(root, kept, wish, progress):
+        place, cloud = places.places[member.scan.name], member.cloud
+        if places.shared_error_removed:
+            points = corrected(cloud.points_mm.astype(np.float64), shared).astype(np.float32)
+            cloud = replace(cloud, points_mm=points)
+        yield PlacedScan(
+            cloud, np.array(place.rotation), np.array(place.translation_mm), _beside_others(places, member.scan.name)
+        )
+
+
+def _beside_others(places: Places, scan: str) -> float:
+    """Return the standard deviation of a scan's place relative to those it overlaps, mm: what decides where two skins are one."""
+    mine = [pair.sigma_mm for pair in places.pairs if pair.used and scan in (pair.first, pair.second) and pair.sigma_mm]
+    return max(POSE_SIGMA_MM, float(np.median(mine))) if mine else POSE_SIGMA_MM
+
+
+def surface_of(
+    root: Path, stored_object: StoredObject, wish: Wish, progress: Progress, spacing_mm: float
+) -> FusedCloud:
+    """Return one surface of all scans that have a place, a point about every ``spacing_mm``.
+
+    Raises ObjectError for an object that is not solved; ScanError, CalibrationError.
+    """
+    places = stored_object.places
+    # What all scans share no number of them makes smaller: its standard deviation is the last estimate's, or the prior where none was.
+    known = PRIOR_MM if places is None or not places.shared_error_removed else places.shared_error_sigma_mm
+    return fuse(placed_scans(root, stored_object, wish, progress), spacing_mm, spread_mm(np.array(known)))
+
+
+def about_object(stored_object: StoredObject) -> About:
+    """Return what a file of the object says of it."""
+    places = stored_object.places
+    if places is None:
+        return About(stored_object.name, OBJECT_FRAME)
+    widest = max(places.places.values(), key=lambda one: one.sigma_mm, default=None)
+    notes = [
+        f"{len(places.places)} scans in the frame of {next(iter(places.places), '-')}",
+        f"calibration {', '.join(one[:12] for one in places.calibrations)}; water index {places.water_index[0]:.5f}",
+    ]
+    if widest is not None:
+        notes.append(
+            f"farthest scan placed within {widest.sigma_mm:.3f} mm (one standard deviation), of it {widest.bending_mm:.3f} mm bending"
+        )
+    return About(stored_object.name, OBJECT_FRAME, (*notes, *places.warnings))

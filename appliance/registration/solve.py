@@ -1,0 +1,107 @@
+"""Owns how many scans become one object: which pairs are compared, what they say, and where every scan lies, or why it is left out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from appliance.registration import candidates
+from appliance.registration.fine import Rigid
+from appliance.registration.graph import Edge, Placed, place
+from appliance.registration.pair import Pair, ReadyScan, Refusal, register
+
+PLACES = 3
+"""Largest number of pairs per scan that are added because places predict an overlap."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Compared:
+    """A pair that was compared."""
+
+    first: int
+    second: int
+    pair: Pair
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solved:
+    """Scans as one object, by their number in the order given."""
+
+    placed: Placed
+    compared: tuple[Compared, ...]
+    left_out: Mapping[int, str]
+    """Why each scan that has no place has none."""
+
+
+def solve(scans: Sequence[ReadyScan], progress: Callable[[str, float], None], with_bow: bool = True) -> Solved:
+    """Place ``scans``, in the order in which they were taken. ``progress``: told what is being done, and how much is done (0..1).
+
+    Pairs: each scan with the next, with those its features vote for, then with all that the places found so far put beside it.
+    """
+    wanted: dict[tuple[int, int], Rigid | None] = dict.fromkeys(candidates.by_time(len(scans)))
+    wanted |= dict.fromkeys(candidates.by_features([scan.features for scan in scans]))
+    compared: list[Compared] = []
+    tried: set[tuple[int, int]] = set()
+
+    def compare(pairs: Mapping[tuple[int, int], Rigid | None], share: float) -> None:
+        for number, ((first, second), near) in enumerate(sorted(pairs.items(), key=lambda item: item[0])):
+            progress(f"comparing scans {first + 1} and {second + 1}", share + 0.5 * number / max(len(pairs), 1))
+            tried.add((first, second))
+            compared.append(Compared(first, second, register(scans[first], scans[second], near)))
+
+    compare(wanted, 0.0)
+    middles = {k: middle_of(scan) for k, scan in enumerate(scans)}
+    placed = place(len(scans), edges_of(compared), middles, with_bow)
+    more = candidates.by_place(scans, placed.poses, tried)
+    compare(_thinned(more), 0.5)
+    progress("closing loops", 1.0)
+    placed = place(len(scans), edges_of(compared), middles, with_bow)
+    return Solved(placed, tuple(compared), _left_out(len(scans), placed, compared))
+
+
+def middle_of(scan: ReadyScan) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    """Return the median (3,) of a scan\'s patches, its middle, mm; zero for a scan of none."""
+    patches = scan.fine.patches
+    return np.asarray(np.median(patches.centre_mm[patches.valid], axis=0)) if patches.valid.any() else np.zeros(3)
+
+
+def edges_of(compared: Sequence[Compared]) -> list[Edge]:
+    """Return the accepted pairs as edges of a graph."""
+    return [
+        Edge(one.first, one.second, one.pair.fit) for one in compared if one.pair.accepted and one.pair.fit is not None
+    ]
+
+
+def _thinned(found: Sequence[tuple[int, int, Rigid]]) -> dict[tuple[int, int], Rigid | None]:
+    """Keep at most ``PLACES`` pairs of each scan with others, those farthest apart in time first: they close the longest loops."""
+    count: dict[int, int] = {}
+    kept: dict[tuple[int, int], Rigid | None] = {}
+    for first, second, pose in sorted(found, key=lambda one: one[0] - one[1]):
+        if count.get(first, 0) < PLACES and count.get(second, 0) < PLACES:
+            kept[first, second] = pose
+            count[first], count[second] = count.get(first, 0) + 1, count.get(second, 0) + 1
+    return kept
+
+
+def _left_out(count: int, placed: Placed, compared: Sequence[Compared]) -> dict[int, str]:
+    reasons: dict[int, str] = {}
+    wrong = {(edge.first, edge.second) for edge in placed.wrong}
+    for scan in range(count):
+        if scan in placed.poses:
+            continue
+        mine = [one for one in compared if scan in (one.first, one.second)]
+        refused = [one for one in mine if one.pair.refusal not in (None, Refusal.NOTHING_IN_COMMON)]
+        contradicting = [one for one in mine if (one.first, one.second) in wrong]
+        if contradicting:
+            reasons[scan] = "its pairs contradict the loops of the others"
+        elif refused:
+            best = max(refused, key=lambda one: 0.0 if one.pair.fit is None else one.pair.fit.overlap)
+            other = best.second if best.first == scan else best.first
+            reasons[scan] = f"with scan {other + 1}: {best.pair.text}"
+        elif any(one.pair.accepted for one in mine):
+            reasons[scan] = "it fits others that have no place either"
+        else:
+            reasons[scan] = "it overlaps no other scan"
+    return reasons

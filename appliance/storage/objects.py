@@ -1,0 +1,224 @@
+"""Owns what is kept of an object made of many scans: which scans belong to it, and where each of them lies.
+
+    <root>/objects/<name>/object.json     checksummed; replaced as a whole
+    <root>/objects/<name>/clouds/*.npz    each scan's cloud on its pixel grid; may be deleted, and is made again when it is needed
+
+Scans stay where they are; nothing here is needed to read them.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pydantic import TypeAdapter, ValidationError
+
+from appliance.checksummed_file import checked_content, with_checksum
+from appliance.storage.atomic import StorageError, discard, draft_of, refused, replace_file
+from appliance.storage.filesystem import LocalFileSystem
+
+if TYPE_CHECKING:  # a list of objects needs no NumPy
+    import numpy as np
+    from numpy.typing import NDArray
+
+FOLDER = "objects"
+FILE = "object.json"
+CLOUDS = "clouds"
+SCHEMA = 1
+MAX_BYTES = 50_000_000
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._-]{0,63}")
+
+
+class ObjectError(Exception):
+    """An object cannot be used; the text says which, why, and what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class MemberScan:
+    """A scan that belongs to the object."""
+
+    name: str
+    """Its number, or its folder's name."""
+    folder: str
+    """Relative to the storage root where it lies below it, else absolute."""
+    frames_sha256: tuple[str, ...]
+    """Checksums of its files of frames: the same scan is not taken twice, and another one under its name is noticed."""
+
+
+@dataclass(frozen=True, slots=True)
+class ScanPlace:
+    """Where a scan lies: a point p of its left camera's frame is at rotation · p + translation in the object's."""
+
+    rotation: tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
+    translation_mm: tuple[float, float, float]
+    sigma_mm: float
+    """Standard deviation of its middle's place relative to the first scan, the shared depth error included."""
+    covariance: tuple[tuple[float, ...], ...]
+    """(6, 6): of the turn (rad) and the shift (mm) about its own middle, in the object's frame."""
+    bending_mm: float
+    """Share of ``sigma_mm`` that the shared depth error has: what may bend the object without any residual."""
+    bending_unaided_mm: float
+    """The same with what was known of that error before the scans' overlaps told of it."""
+
+
+@dataclass(frozen=True, slots=True)
+class ComparedScans:
+    """Two scans that were compared."""
+
+    first: str
+    second: str
+    accepted: bool
+    used: bool
+    """Accepted, and in agreement with the loops."""
+    text: str
+    overlap_percent: float | None
+    sigma_mm: float | None
+    discrepancy_mm: float | None
+    """Distance between the pair's own pose and the places, RMS over the overlap; of a pair that is used."""
+
+
+@dataclass(frozen=True, slots=True)
+class Places:
+    """What solving an object found."""
+
+    calibrations: tuple[str, ...]
+    """Hashes of the calibrations that the clouds were made with."""
+    water_index: tuple[float, ...]
+    places: Mapping[str, ScanPlace]
+    pairs: tuple[ComparedScans, ...]
+    left_out: Mapping[str, str]
+    """Reason, for each scan that has no place."""
+    warnings: tuple[str, ...]
+    shared_error_mm: tuple[float, ...]
+    """Coefficients of the depth error that all scans share (appliance.registration.bow)."""
+    shared_error_sigma_mm: tuple[float, ...]
+    shared_error_removed: bool
+    """The points are to be corrected by it."""
+    variance_factor: float
+
+
+@dataclass(frozen=True, slots=True)
+class StoredObject:
+    """An object: its scans, and where they lie if that was found out."""
+
+    name: str
+    scans: tuple[MemberScan, ...] = ()
+    places: Places | None = None
+    """``None``: not solved since scans were added."""
+    schema: int = field(default=SCHEMA)
+
+
+_OBJECT = TypeAdapter(StoredObject)
+
+
+def checked_name(name: str) -> str:
+    """Return ``name``. Raises ObjectError for one that cannot name a folder everywhere."""
+    if _NAME.fullmatch(name) is None or name.endswith((" ", ".")):
+        raise ObjectError(
+            f"object '{name}': allowed are 1 to 64 letters, digits, blanks and . _ -, beginning with a letter or digit and not ending "
+            "with a blank or a dot"
+        )
+    return name
+
+
+def folder_of(root: Path, name: str) -> Path:
+    """Return the folder of an object. Raises ObjectError for an impossible name."""
+    return root / FOLDER / checked_name(name)
+
+
+def names(root: Path) -> list[str]:
+    """Return the names of all objects under a storage root, in order."""
+    return sorted(path.parent.name for path in (root / FOLDER).glob(f"*/{FILE}"))
+
+
+def read(root: Path, name: str) -> StoredObject:
+    """Read an object. Raises ObjectError for one that is not there or is damaged."""
+    path = folder_of(root, name) / FILE
+    try:
+        with path.open("rb") as file:
+            data = file.read(MAX_BYTES + 1)
+    except FileNotFoundError as error:
+        known = ", ".join(names(root)) or "none yet"
+        raise ObjectError(
+            f"object '{name}': there is none under {root} ({known}); make it: kingfisher object new"
+        ) from error
+    except OSError as error:
+        raise ObjectError(f"{path}: {error.strerror or error}") from error
+    try:
+        content = checked_content(data, MAX_BYTES)
+        if content.get("schema") != SCHEMA:
+            raise ValueError(f"schema {content.get('schema')!r:.20}; this version reads schema {SCHEMA}")
+        return _OBJECT.validate_python(content)
+    except (ValidationError, ValueError) as error:
+        raise ObjectError(
+            f"{path}: damaged ({str(error).splitlines()[0]}); the scans are untouched: move the folder away and make the object again"
+        ) from error
+
+
+def write(root: Path, stored: StoredObject) -> None:
+    """Write an object; it is durable on return. Raises StorageError, ObjectError."""
+    fs, folder = LocalFileSystem(), folder_of(root, stored.name)
+    with refused("cannot make", folder):
+        for one in (folder.parent, folder):
+            if not one.is_dir():
+                fs.make_folder(one)
+                fs.sync_folder(one.parent)
+    replace_file(fs, folder / FILE, with_checksum(_OBJECT.dump_python(stored, mode="json")))
+
+
+def with_scans(stored: StoredObject, added: tuple[MemberScan, ...]) -> StoredObject:
+    """Return the object with scans added, no longer solved. Raises ObjectError for a scan that it has already."""
+    have = {one.frames_sha256: one.name for one in stored.scans}
+    taken = {one.name for one in stored.scans}
+    for scan in added:
+        if scan.frames_sha256 in have:
+            raise ObjectError(
+                f"object '{stored.name}': scan {scan.name} is in it already, as {have[scan.frames_sha256]}; leave it out"
+            )
+        if scan.name in taken:
+            raise ObjectError(
+                f"object '{stored.name}': has another scan called {scan.name}; name its folder otherwise, then add it"
+            )
+        have[scan.frames_sha256] = scan.name
+        taken.add(scan.name)
+    return replace(stored, scans=(*stored.scans, *added), places=None)
+
+
+# ------------------------------------------------------------------------------------------------ kept clouds
+
+
+def kept_cloud(root: Path, name: str, scan: str, key: str) -> dict[str, NDArray[Any]] | None:
+    """Return the arrays kept of a scan under ``key``; ``None`` where there are none, or of another key, or damaged ones."""
+    import numpy as np
+
+    path = folder_of(root, name) / CLOUDS / f"{scan}.npz"
+    try:
+        with np.load(path, allow_pickle=False) as kept:
+            if str(kept["key"]) != key:
+                return None
+            return {one: kept[one] for one in kept.files if one != "key"}
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        # It can be made again from the frames.
+        return None
+
+
+def keep_cloud(root: Path, name: str, scan: str, key: str, arrays: Mapping[str, NDArray[np.generic]]) -> None:
+    """Keep a scan's arrays under ``key``. What cannot be kept is made again next time. Raises ObjectError for an impossible name."""
+    import numpy as np
+
+    fs, folder = LocalFileSystem(), folder_of(root, name) / CLOUDS
+    path = folder / f"{scan}.npz"
+    buffer = io.BytesIO()
+    values: dict[str, Any] = {"key": np.array(key), **arrays}
+    np.savez(buffer, **values)
+    try:
+        if not folder.is_dir():
+            fs.make_folder(folder)
+        replace_file(fs, path, buffer.getbuffer())
+    except (OSError, StorageError):
+        discard(fs, draft_of(path))

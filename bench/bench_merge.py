@@ -1,0 +1,50 @@
+"""Do many scans become one object? Pairs of views of all shapes, and rows of scans along a pipe, against where they were taken from."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from bench.merge import pairs, row
+from bench.result import Measured
+
+PAIRS, ROW = "pairs", "row"
+
+
+def measure() -> Iterable[Measured]:
+    """A few pairs and one row: enough to see that merging works. The figures of docs/objects.md are of more, see ``main``."""
+    yield from pairs.measure(28, 1, None)[0]
+    yield from row.measure(3, "realistic", (800, 600), None)[0]
+
+
+def main(arguments: list[str]) -> int:
+    """``./dev bench merge --seed S [--parts pairs,row] [--pairs N] [--rigs SET] [--size WxH] [--keep DIR] [--json F]``."""
+    parser = argparse.ArgumentParser(prog="./dev bench merge", description=__doc__)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--parts", default=f"{PAIRS},{ROW}", help=f"default: {PAIRS},{ROW}")
+    parser.add_argument("--pairs", type=int, default=300, metavar="N", help="drawn pairs (300)")
+    parser.add_argument(
+        "--rigs", default="outside", metavar="SET", help="set that the row's rig is drawn from (outside)"
+    )
+    parser.add_argument("--size", default="800x600", metavar="WxH", help="of the row's images (800x600)")
+    parser.add_argument("--keep", type=Path, help="keep the views there; they are taken from there the next time")
+    parser.add_argument("--json", type=Path, help="write everything there")
+    wanted = parser.parse_args(arguments)
+    found: list[Measured] = []
+    whole: dict[str, Any] = {"seed": wanted.seed}
+    if PAIRS in wanted.parts.split(","):
+        figures, whole[PAIRS] = pairs.measure(wanted.pairs, wanted.seed, wanted.keep)
+        found += figures
+    if ROW in wanted.parts.split(","):
+        width, height = (int(part) for part in wanted.size.split("x"))
+        figures, whole[ROW] = row.measure(wanted.seed, wanted.rigs, (width, height), wanted.keep)
+        found += figures
+    for one in found:
+        print(one.line())
+    if wanted.json is not None:
+        whole["figures"] = {one.name: one.value for one in found}
+        wanted.json.write_text(json.dumps(whole, indent=1) + "\n")
+    return 0 if all(one.kept for one in found) else 1

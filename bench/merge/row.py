@@ -1,0 +1,117 @@
+"""Owns a row of scans along the water main, forth and, turned, back: places, length and bending against the truth, with a shared error
+added to every scan and without."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from appliance.optics.rotation import rotation_matrix
+from appliance.reconstruct.organised import OrganisedCloud
+from appliance.registration.bow import along_ray, shapes
+from appliance.registration.graph import Placed, place
+from appliance.registration.solve import Compared, edges_of, middle_of, solve
+from bench.merge.pairs import angles_deg, ready_of
+from bench.merge.views import Array, PlacedView, Wanted, view_of
+from bench.progress import Progress
+from bench.result import Measured
+from bench.spread import spread
+
+FORTH, BACK = 14, 12
+END_MM = 400.0
+TURNED_DEG = 50.0
+DISTANCE_MM = 585.0
+SHARED_MM = np.array([0.030, 0.0, -0.015, 0.009, 0.0, 0.009, 0.0])
+"""A bow of 30 µm across the view, and what comes with it."""
+LENGTH_MM = 600.0
+
+
+def measure(
+    seed: int, rig_set: str, size_px: tuple[int, int], keep: Path | None
+) -> tuple[list[Measured], list[dict[str, Any]]]:
+    """Return figures of one row of scans, and the rows of a table."""
+    wanted = drawn(seed, rig_set, size_px)
+    progress = Progress(len(wanted))
+    views: list[PlacedView] = []
+    for view in spread(partial(view_of, keep=keep), wanted):
+        progress.step(f"view {len(views) + 1} of {len(wanted)}")
+        views.append(view)
+    found: list[Measured] = []
+    rows: list[dict[str, Any]] = []
+    for name, shared in (("as they are", np.zeros(7)), ("with a shared bow of 30 um", SHARED_MM)):
+        bent = [replace(view, cloud=_bent(view.cloud, shared)) for view in views]
+        begun = time.process_time()
+        scans = [ready_of(view) for view in bent]
+        prepared = time.process_time()
+        solved = solve(scans, lambda *_: None)
+        done = time.process_time()
+        found.append(Measured(f"{name}: CPU to prepare {len(scans)} scans", prepared - begun, "s"))
+        found.append(Measured(f"{name}: CPU for {len(solved.compared)} pairs and the graph", done - prepared, "s"))
+        found.append(Measured(f"{name}: scans placed", len(solved.placed.poses), f"of {len(scans)}"))
+        middles = {k: middle_of(scan) for k, scan in enumerate(scans)}
+        plain = place(len(scans), edges_of(solved.compared), middles, with_bow=False)
+        for how, placed in (("estimated", solved.placed), ("not estimated", plain)):
+            row = {"scans": name, "bow": how, **_judged(placed, views, middles, solved.compared)}
+            rows.append(row)
+            said = f"{name}, bow {how}"
+            bound = 0.02 if how == "estimated" else None
+            found.append(
+                Measured(f"{said}: length error over {LENGTH_MM:.0f} mm", row["length_percent"], "%", at_most=bound)
+            )
+            found.append(Measured(f"{said}: farthest place off", 1000.0 * row["worst_mm"], "um"))
+            found.append(Measured(f"{said}: what may bend it, stated", 1000.0 * row["budget_mm"], "um"))
+    return found, rows
+
+
+def _judged(
+    placed: Placed, views: list[PlacedView], middles: dict[int, Array], compared: tuple[Compared, ...]
+) -> dict[str, Any]:
+    first = min(placed.poses)
+    at, true = {}, {}
+    for k, pose in placed.poses.items():
+        at[k] = pose.of(middles[k])
+        true[k] = views[k].place.then(views[first].place.inverse).of(middles[k])
+    off = {k: float(np.linalg.norm(at[k] - true[k])) for k in at}
+    pairs = [(i, j) for i in at for j in at if i < j and np.linalg.norm(true[i] - true[j]) > LENGTH_MM]
+    lengths = [
+        100.0 * abs(float(np.linalg.norm(at[i] - at[j]) / np.linalg.norm(true[i] - true[j])) - 1.0) for i, j in pairs
+    ]
+    return {
+        "worst_mm": max(off.values()),
+        "rms_mm": float(np.sqrt(np.mean(np.square(list(off.values()))))),
+        "length_percent": float(np.sqrt(np.mean(np.square(lengths)))) if lengths else float("nan"),
+        "sigma_mm": max(float(np.sqrt(np.trace(one[3:, 3:]))) for one in placed.covariance.values()),
+        "budget_mm": max((placed.bending_mm if placed.bow_mm.any() else placed.bending_unaided_mm).values()),
+        "bow_um": [1000.0 * value for value in placed.bow_mm.tolist()],
+        "variance_factor": placed.variance_factor,
+        "pairs": len(compared),
+        "used": len(placed.used),
+    }
+
+
+def _bent(cloud: OrganisedCloud, shared: Array) -> OrganisedCloud:
+    if not shared.any():
+        return cloud
+    points = cloud.points_mm.astype(np.float64)
+    with np.errstate(invalid="ignore"):
+        moved = points + along_ray(points) * (shapes(points) @ shared)[..., None]
+    return replace(cloud, points_mm=moved.astype(np.float32))
+
+
+def drawn(seed: int, rig_set: str, size_px: tuple[int, int]) -> list[Wanted]:
+    """Return the views: forth along the main, then back with the main turned about its axis."""
+    rng = np.random.default_rng([5, seed])
+    along = [*np.linspace(-END_MM, END_MM, FORTH), *np.linspace(END_MM, -END_MM, BACK)]
+    turned = [0.0] * FORTH + [TURNED_DEG] * BACK
+    wanted = []
+    for k, (x, turn) in enumerate(zip(along, turned, strict=True)):
+        hand = rotation_matrix(np.radians(rng.normal(size=3) * (5.0, 5.0, 4.0)))
+        R = hand @ rotation_matrix(np.array([np.radians(turn), 0.0, 0.0]))
+        t = np.array([0.0, 0.0, DISTANCE_MM]) + rng.normal(size=3) * (6.0, 6.0, 8.0) - R @ np.array([x, 0.0, 0.0])
+        wanted.append(Wanted("main", "slight", tuple(map(float, (*t, *angles_deg(R)))), rig_set, seed, k, size_px))
+    return wanted

@@ -1,0 +1,150 @@
+"""Many scans from their pairs: loops close, a wrong pair is found, and what may bend the object is said."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from appliance.optics.rotation import rotation_matrix
+from appliance.registration.bow import NAMES, BowNews
+from appliance.registration.fine import Fit, Rigid
+from appliance.registration.graph import Edge, place, rotation_vector
+
+STEP_MM = 60.0
+MIDDLE_MM = np.array([30.0, 0.0, 500.0])
+NO_NEWS = BowNews(np.zeros((6, len(NAMES))), np.zeros((len(NAMES),) * 2), np.zeros(len(NAMES)))
+
+
+def true_pose(k: int) -> Rigid:
+    return Rigid(
+        rotation_matrix(np.array([0.0, 0.02 * k, 0.05 * np.sin(k)])), np.array([STEP_MM * k, 3.0 * np.cos(k), 0.5 * k])
+    )
+
+
+def edge(
+    i: int,
+    j: int,
+    sigma_mm: float = 0.02,
+    off_mm: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    seed: int | None = None,
+) -> Edge:
+    pose = true_pose(j).then(true_pose(i).inverse)
+    if seed is not None:
+        rng = np.random.default_rng(seed)
+        small = rng.normal(size=6) * sigma_mm / np.sqrt(6.0)
+        off_mm = (float(small[0]), float(small[1]), float(small[2]))
+        turn = rotation_matrix(small[3:] / 60.0)
+        # About the overlap's middle, which the stated covariance speaks of.
+        pose = Rigid(turn @ pose.rotation, turn @ (pose.translation_mm - MIDDLE_MM) + MIDDLE_MM)
+    pose = Rigid(pose.rotation, pose.translation_mm + np.array(off_mm))
+    return Edge(
+        i,
+        j,
+        Fit(
+            pose=pose, middle_mm=MIDDLE_MM, lever_mm=60.0, stiffness=np.eye(6),
+            covariance=np.eye(6) * sigma_mm**2 / 6.0, held=np.full(6, 100.0), directions=np.eye(6), patches=5000, overlap=0.6,
+            rms_mm=0.02, outliers=0.0, unmet=0.0, front=0.0, alike=0.9, paint_share=0.2, bow=NO_NEWS,
+        ),
+    )  # fmt: skip
+
+
+def middles(count: int) -> dict[int, np.ndarray[tuple[int, ...], np.dtype[np.float64]]]:
+    return {k: np.array([0.0, 0.0, 500.0]) for k in range(count)}
+
+
+def off_mm(placed: Rigid, k: int) -> float:
+    at, first = np.array([0.0, 0.0, 500.0]), true_pose(0)
+    return float(np.linalg.norm(placed.of(at) - true_pose(k).then(first.inverse).of(at)))
+
+
+def test_rotation_vectors_are_those_of_their_matrices() -> None:
+    for vector in ([0.3, -0.2, 0.9], [0.0, 0.0, 0.0], [2.0, 1.5, -1.0]):
+        np.testing.assert_allclose(rotation_vector(rotation_matrix(np.array(vector))), vector, atol=1e-12)
+
+
+def test_exact_pairs_give_exact_places_in_the_frame_of_the_first_scan() -> None:
+    placed = place(6, [edge(k, k + 1) for k in range(5)] + [edge(0, 2), edge(5, 3), edge(1, 4)], middles(6))
+    assert sorted(placed.poses) == list(range(6))
+    for k, pose in placed.poses.items():
+        assert off_mm(pose, k) < 1e-5
+    assert placed.unchecked == ()
+    assert placed.wrong == ()
+
+
+def test_closing_a_loop_makes_the_far_end_more_certain_and_less_wrong() -> None:
+    chain = [edge(k, k + 1, seed=k) for k in range(9)]
+    loops = chain + [edge(k, k + 2, seed=50 + k) for k in range(8)] + [edge(0, 9, seed=99)]
+    open_end, closed = (place(10, edges, middles(10)) for edges in (chain, loops))
+    sigma = [float(np.sqrt(np.trace(one.covariance[9][3:, 3:]))) for one in (open_end, closed)]
+    assert sigma[1] < 0.5 * sigma[0]
+    assert off_mm(closed.poses[9], 9) < 3.0 * sigma[1]
+    assert len(open_end.unchecked) == 9, "nothing checks a chain"
+
+
+def test_a_wrong_pair_is_found_by_the_loops_and_taken_out() -> None:
+    good = [edge(k, k + 1, seed=k) for k in range(7)] + [edge(k, k + 2, seed=20 + k) for k in range(6)]
+    wrong = edge(1, 5, off_mm=(0.0, 8.0, 0.0))
+    placed = place(8, [*good, wrong], middles(8))
+    assert placed.wrong == (wrong,)
+    assert all(off_mm(pose, k) < 0.15 for k, pose in placed.poses.items())
+
+
+def test_a_pair_that_no_loop_checks_is_kept_and_named() -> None:
+    bridge = edge(3, 4, off_mm=(0.0, 8.0, 0.0))
+    rings = [edge(i, j) for i, j in ((0, 1), (1, 2), (2, 3), (0, 3), (4, 5), (5, 6), (4, 6))]
+    placed = place(7, [*rings, bridge], middles(7))
+    assert placed.wrong == ()
+    assert placed.unchecked == (bridge,)
+
+
+def test_scans_that_nothing_ties_have_no_place() -> None:
+    placed = place(5, [edge(0, 1), edge(1, 2), edge(3, 4)], middles(5))
+    assert sorted(placed.poses) == [0, 1, 2]
+
+
+def test_pairs_that_disagree_more_than_they_state_make_all_places_less_certain() -> None:
+    def placed(noise: float) -> float:
+        edges = [edge(i, j, seed=10 * i + j) for i in range(6) for j in range(i + 1, min(i + 4, 6))]
+        louder = [
+            replace(
+                one,
+                fit=replace(
+                    one.fit,
+                    pose=Rigid(
+                        one.fit.pose.rotation,
+                        one.fit.pose.translation_mm + noise * np.random.default_rng(k).normal(size=3),
+                    ),
+                ),
+            )
+            for k, one in enumerate(edges)
+        ]
+        return float(np.sqrt(np.trace(place(6, louder, middles(6)).covariance[5][3:, 3:])))
+
+    assert placed(0.08) > 2.0 * placed(0.0)
+
+
+def test_the_shared_error_is_estimated_where_pairs_tell_of_it_and_budgeted_where_not() -> None:
+    # A coefficient of 1 mm would turn each step by 0.2 mm at the lever's end; two pairs taken with the instrument turned tell of it.
+    response = np.zeros((6, len(NAMES)))
+    response[1, 0] = 12.0
+    true_mm = 0.03
+
+    def bent(one: Edge) -> Edge:
+        turned = rotation_matrix(response[:3, 0] * true_mm / one.fit.lever_mm)
+        at = one.fit.middle_mm
+        pose = Rigid(turned @ one.fit.pose.rotation, turned @ (one.fit.pose.translation_mm - at) + at)
+        return replace(one, fit=replace(one.fit, pose=pose, bow=replace(NO_NEWS, response=response)))
+
+    chain = [bent(edge(k, k + 1)) for k in range(8)]
+    unaided = place(9, chain, middles(9))
+    assert off_mm(unaided.poses[8], 8) > 1.0
+    assert unaided.bending_mm[8] == pytest.approx(unaided.bending_unaided_mm[8], rel=1e-6)
+    assert unaided.bending_mm[8] > 0.5 * off_mm(unaided.poses[8], 8), "the budget says how much may be bent"
+    told = [*chain, edge(0, 8), edge(0, 4)]
+    aided = place(9, told, middles(9))
+    assert aided.bow_mm[0] == pytest.approx(true_mm, rel=0.1)
+    assert off_mm(aided.poses[8], 8) < 0.05
+    assert aided.bending_mm[8] < 0.1 * aided.bending_unaided_mm[8]
+    assert off_mm(place(9, [*chain], middles(9), with_bow=False).poses[8], 8) > 1.0
