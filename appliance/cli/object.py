@@ -137,7 +137,7 @@ class SolveObject(WithCalibration):
 def _writable(outs: Sequence[Path]) -> Sequence[Path]:
     """Return ``outs``. Raises UsageError for a file that cannot be written, before minutes of work."""
     from appliance.export.content import ExportError
-    from appliance.export.files import SURFACE_SUFFIXES, checked_suffix
+    from appliance.export.files import SURFACE_SUFFIXES, checked_suffix, require_library
 
     for out in outs:
         writable(out)
@@ -145,6 +145,7 @@ def _writable(outs: Sequence[Path]) -> Sequence[Path]:
             checked_suffix(out, SURFACE_SUFFIXES, "an object's surface")
         except ExportError as error:
             raise UsageError(f"--out {error}") from error
+        require_library(out)
     return outs
 
 

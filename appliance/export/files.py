@@ -22,6 +22,7 @@ from appliance.reconstruct.organised import OrganisedCloud
 from appliance.storage.atomic import replace_by, replace_file
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.surface.fusion import FusedCloud
+from appliance.surface.libraries import needed
 from appliance.surface.mesh import Mesh
 
 SCAN_SUFFIXES = (".ply", ".e57", ".las", ".npz")
@@ -38,6 +39,14 @@ def checked_suffix(path: Path, allowed: tuple[str, ...], what: str) -> str:
             f"give for example {path.with_suffix(allowed[0]).name}"
         )
     return suffix
+
+
+def require_library(path: Path) -> None:
+    """Raises MissingLibraryError where the library that writes files with the suffix of ``path`` is absent: before minutes of work."""
+    libraries = {".e57": ("pye57", "an E57 file"), ".las": ("laspy", "a LAS file")}
+    if path.suffix.lower() in libraries:
+        module, what = libraries[path.suffix.lower()]
+        needed(module, module, what)
 
 
 def write_scan(path: Path, cloud: OrganisedCloud, about: About) -> None:
