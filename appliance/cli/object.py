@@ -63,7 +63,7 @@ class AddToObject(WithRoot):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShowObject(WithRoot):
-    """Where the scans of an object lie, how certain that is, and what was refused; without NAME all objects."""
+    """Show where the scans of an object lie, how certain that is, and what was refused; without NAME list all objects."""
 
     name: str | None = operand("NAME", _NAME, optional=True)
 
@@ -87,7 +87,7 @@ class ShowObject(WithRoot):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SolveObject(WithCalibration):
-    """Where every scan of an object lies relative to the first, or why it is left out."""
+    """Find where every scan of an object lies relative to the first, or why it is left out."""
 
     name: str = operand("NAME", _NAME)
     scans: tuple[str, ...] = operands(

@@ -44,7 +44,7 @@ class MemberCloud:
     calibration: Calibration
     water_index: float
     verdicts: tuple[str, ...]
-    """What was held against the scan, in words."""
+    """Faults that were held against the scan, in words."""
 
 
 def member_of(root: Path, folder: Path) -> MemberScan:

@@ -28,7 +28,7 @@ the view's diagonal, 46 µm from the highest to the lowest point)."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BowNews:
-    """What one pair says about the shared error."""
+    """Equations of one pair for the shared error."""
 
     response: Array
     """(6, 7): by how much the pair's pose is wrong per mm of each coefficient."""

@@ -128,7 +128,7 @@ class Fit:
     paint_share: float
     """Share of the softest direction's stiffness that is paint's."""
     bow: BowNews
-    """What the pair says about the depth error that all scans share."""
+    """Equations of the pair for the depth error that all scans share."""
 
     @property
     def sigma_mm(self) -> float:

@@ -44,7 +44,7 @@ class Placed:
     """Scans placed in one frame."""
 
     poses: Mapping[int, Rigid]
-    """By scan, from its frame into the object's; scans that nothing ties to the others are not in it."""
+    """Motion from each scan's frame into the object's; scans that nothing ties to the others are not in it."""
     covariance: Mapping[int, Array]
     """(6, 6) of ω and τ of each place, rad and mm, about the scan's own middle, relative to the first scan; shared error included."""
     wrong: tuple[Edge, ...]
@@ -109,7 +109,7 @@ class _Solution:
     poses: dict[int, Rigid]
     bow: Array
     hessian: Array
-    """Of ξ of all members but the first, then of the coefficients."""
+    """Second derivatives by ξ of all members but the first, then by the coefficients."""
     squared: Array
     """(edges,): squared discrepancy over variance."""
     freedom: int

@@ -37,7 +37,7 @@ COARSE = 3
 """Patches a side that the search by shape joins."""
 
 
-class Refusal(Enum):
+class PairRefusal(Enum):
     """Reason why two scans are not placed relative to each other."""
 
     NOTHING_IN_COMMON = "nothing in common"
@@ -59,14 +59,14 @@ class ReadyScan:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pair:
-    """What was found of two scans."""
+class RegisteredPair:
+    """Two scans that were compared, and what came of it."""
 
     fit: Fit | None
     """The best pose, also of a refused pair; ``None``: there is none."""
-    refusal: Refusal | None
+    refusal: PairRefusal | None
     text: str
-    """For people: what was found, or why not and what would help."""
+    """Finding in words: how closely they are placed, or why not and what would help."""
 
     @property
     def accepted(self) -> bool:
@@ -80,7 +80,7 @@ def ready(cloud: OrganisedCloud, camera: HousedCamera, water_index: float, light
 
 
 def ready_with(cloud: OrganisedCloud, projection: Projection, light_mm: Array) -> ReadyScan:
-    """As ``ready``, with a projection that was fitted before."""
+    """Prepare a scan with a projection that was fitted before."""
     patches = patches_of(cloud, projection)
     fine = Prepared(patches, paint_of(patches, light_mm))
     joined = coarser(patches, COARSE)
@@ -89,7 +89,7 @@ def ready_with(cloud: OrganisedCloud, projection: Projection, light_mm: Array) -
     return ReadyScan(fine, coarse, features_of(cloud), tuple(repeats_of(patches, fine.paint)))
 
 
-def register(a: ReadyScan, b: ReadyScan, near: Rigid | None = None) -> Pair:
+def register(a: ReadyScan, b: ReadyScan, near: Rigid | None = None) -> RegisteredPair:
     """Find the pose of B in A's frame. ``near``: where it is thought to be, for instance by a graph of other pairs."""
     fits = [] if near is None else _fits(a, b, [Guess(near, 0.0, False)])
     if not any(_plausible(fit) for fit in fits):
@@ -97,15 +97,15 @@ def register(a: ReadyScan, b: ReadyScan, near: Rigid | None = None) -> Pair:
     if not any(_plausible(fit) for fit in fits):
         fits += _fits_by_shape(a, b)
     if not fits:
-        return Pair(None, Refusal.NOTHING_IN_COMMON, _words(Refusal.NOTHING_IN_COMMON, None))
+        return RegisteredPair(None, PairRefusal.NOTHING_IN_COMMON, _words(PairRefusal.NOTHING_IN_COMMON, None))
     fits = sorted(fits, key=_contradiction)
     best = fits[0]
     refusal = _refused(best)
     if refusal is None:
         others = fits[1:] + _repeated(a, b, best)
         if any(_as_good(other, best) for other in others):
-            refusal = Refusal.AMBIGUOUS
-    return Pair(best, refusal, _words(refusal, best))
+            refusal = PairRefusal.AMBIGUOUS
+    return RegisteredPair(best, refusal, _words(refusal, best))
 
 
 def _fits(a: ReadyScan, b: ReadyScan, guesses: list[Guess]) -> list[Fit]:
@@ -163,36 +163,36 @@ def _plausible(fit: Fit) -> bool:
     return _refused(fit) is None
 
 
-def _refused(fit: Fit) -> Refusal | None:
+def _refused(fit: Fit) -> PairRefusal | None:
     if fit.overlap < LEAST_OVERLAP:
-        return Refusal.TOO_LITTLE
+        return PairRefusal.TOO_LITTLE
     if fit.outliers > MAX_OUTLIERS:
-        return Refusal.CONTRADICTS
+        return PairRefusal.CONTRADICTS
     by_paint = fit.paint_share > 0.5
     # Before all that another place along the slide could mend.
     if fit.held.min() < HELD:
-        return Refusal.SLIDES
+        return PairRefusal.SLIDES
     if fit.front > MAX_FRONT:
-        return Refusal.CONTRADICTS
+        return PairRefusal.CONTRADICTS
     if fit.alike is None:
         if by_paint:
-            return Refusal.SLIDES
+            return PairRefusal.SLIDES
     elif fit.alike < (LEAST_ALIKE if by_paint else 0.5 * LEAST_ALIKE):
-        return Refusal.CONTRADICTS
-    return Refusal.UNCERTAIN if fit.sigma_mm > MAX_SIGMA_MM else None
+        return PairRefusal.CONTRADICTS
+    return PairRefusal.UNCERTAIN if fit.sigma_mm > MAX_SIGMA_MM else None
 
 
-def _words(refusal: Refusal | None, fit: Fit | None) -> str:
-    if fit is None or refusal is Refusal.NOTHING_IN_COMMON:
+def _words(refusal: PairRefusal | None, fit: Fit | None) -> str:
+    if fit is None or refusal is PairRefusal.NOTHING_IN_COMMON:
         return "no pose was found: nothing in common; scan in between, or with more overlap"
     share = f"{100.0 * fit.overlap:.0f} % in common"
     if refusal is None:
         return f"{share}; placed within {1000.0 * fit.sigma_mm:.0f} µm"
-    if refusal is Refusal.SLIDES or refusal is Refusal.UNCERTAIN:
+    if refusal is PairRefusal.SLIDES or refusal is PairRefusal.UNCERTAIN:
         return f"{share}; {softest(fit)} without resistance: have something uneven in both views (a flange, a weld, an edge), or stick on marks"
-    if refusal is Refusal.AMBIGUOUS:
+    if refusal is PairRefusal.AMBIGUOUS:
         return f"{share}; it fits as well elsewhere, since shape or paint repeats: have something that is there once in both views"
-    if refusal is Refusal.TOO_LITTLE:
+    if refusal is PairRefusal.TOO_LITTLE:
         return f"only {share}: scan again with half of the view in common"
     return (
         f"{share}, but surfaces contradict each other: one of the scans may have moved, or they show different places"

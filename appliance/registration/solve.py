@@ -10,7 +10,7 @@ import numpy as np
 from appliance.registration import candidates
 from appliance.registration.fine import Rigid
 from appliance.registration.graph import Edge, Placed, place
-from appliance.registration.pair import Pair, ReadyScan, Refusal, register
+from appliance.registration.pair import PairRefusal, ReadyScan, RegisteredPair, register
 
 PLACES = 3
 """Largest number of pairs per scan that are added because places predict an overlap."""
@@ -22,7 +22,7 @@ class Compared:
 
     first: int
     second: int
-    pair: Pair
+    pair: RegisteredPair
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,7 +92,7 @@ def _left_out(count: int, placed: Placed, compared: Sequence[Compared]) -> dict[
         if scan in placed.poses:
             continue
         mine = [one for one in compared if scan in (one.first, one.second)]
-        refused = [one for one in mine if one.pair.refusal not in (None, Refusal.NOTHING_IN_COMMON)]
+        refused = [one for one in mine if one.pair.refusal not in (None, PairRefusal.NOTHING_IN_COMMON)]
         contradicting = [one for one in mine if (one.first, one.second) in wrong]
         if contradicting:
             reasons[scan] = "its pairs contradict the loops of the others"

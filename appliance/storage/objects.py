@@ -52,7 +52,7 @@ class MemberScan:
 
 @dataclass(frozen=True, slots=True)
 class ScanPlace:
-    """Where a scan lies: a point p of its left camera's frame is at rotation · p + translation in the object's."""
+    """Place of a scan: a point p of its left camera's frame is at rotation · p + translation in the object's."""
 
     rotation: tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
     translation_mm: tuple[float, float, float]
@@ -84,7 +84,7 @@ class ComparedScans:
 
 @dataclass(frozen=True, slots=True)
 class Places:
-    """What solving an object found."""
+    """Places of an object's scans, and all that was found on the way."""
 
     calibrations: tuple[str, ...]
     """Hashes of the calibrations that the clouds were made with."""

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from appliance.registration.fine import Rigid, refine
-from appliance.registration.pair import Pair, Refusal, register
+from appliance.registration.pair import PairRefusal, RegisteredPair, register
 from tests.support.views import SeenView, between, displacement_mm, view
 
 SHELL = (0.0, 0.0, 545.0, 5.0, -8.0, 12.0), (40.0, -25.0, 550.0, -4.0, 6.0, 25.0)
@@ -23,7 +23,7 @@ def seen(name: str, paint: str, poses: tuple[tuple[float, ...], tuple[float, ...
 
 
 @cache
-def registered(name: str, paint: str, poses: tuple[tuple[float, ...], tuple[float, ...]]) -> Pair:
+def registered(name: str, paint: str, poses: tuple[tuple[float, ...], tuple[float, ...]]) -> RegisteredPair:
     first, second = seen(name, paint, poses)
     return register(first.ready(), second.ready())
 
@@ -56,7 +56,7 @@ def test_what_slides_is_refused_though_its_planes_fit_as_well_as_any(
     name: str, poses: tuple[tuple[float, ...], tuple[float, ...]]
 ) -> None:
     pair = registered(name, "none", poses)
-    assert pair.refusal is Refusal.SLIDES
+    assert pair.refusal is PairRefusal.SLIDES
     assert "without resistance" in pair.text
     assert pair.fit is not None
     assert pair.fit.rms_mm < 0.030, "the residual tells nothing"
@@ -77,14 +77,14 @@ def test_printed_squares_are_not_believed_one_square_farther() -> None:
 
 
 def test_a_frustum_that_looks_the_same_turned_half_about_is_not_guessed() -> None:
-    assert registered("frustum", "none", SHELL).refusal is Refusal.AMBIGUOUS
+    assert registered("frustum", "none", SHELL).refusal is PairRefusal.AMBIGUOUS
 
 
 def test_different_things_have_nothing_in_common() -> None:
     first, second = seen("shell", "slight", SHELL)[0], view("stones", SHELL[1], "strong", 2)
     pair = register(first.ready(), second.ready())
     assert not pair.accepted
-    assert pair.refusal in (Refusal.NOTHING_IN_COMMON, Refusal.CONTRADICTS, Refusal.TOO_LITTLE)
+    assert pair.refusal in (PairRefusal.NOTHING_IN_COMMON, PairRefusal.CONTRADICTS, PairRefusal.TOO_LITTLE)
 
 
 def test_the_stated_covariance_is_that_of_the_errors() -> None:
