@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from appliance.offline.origin import Wish
     from appliance.storage.objects import MemberScan, Places, StoredObject
 
+PAGE = ".html"
 SPACING_MM = 0.3
 """Distance of an object's points: that of a scan's in the middle of the volume is 0.16."""
 _NAME = "the object's name; a folder objects/NAME is made under the storage root"
@@ -94,7 +95,9 @@ class SolveObject(WithCalibration):
         "SCAN", "scans to add first; the object is made if it is not there", at_least_one=False
     )
     out: tuple[str, ...] = repeated(
-        "--out", "write one surface of all scans: .ply .e57 .las; may be repeated", metavar="FILE"
+        "--out",
+        "write one surface of all scans (.ply .e57 .las) or a page about it (.html); may be repeated",
+        metavar="FILE",
     )
     spacing: float = option(
         "--spacing", "mm between its points (0.3)", default=SPACING_MM, parse=number(0.02, 20.0, "mm"), metavar="MM"
@@ -142,7 +145,7 @@ def _writable(outs: Sequence[Path]) -> Sequence[Path]:
     for out in outs:
         writable(out)
         try:
-            checked_suffix(out, SURFACE_SUFFIXES, "an object's surface")
+            checked_suffix(out, (*SURFACE_SUFFIXES, PAGE), "an object")
         except ExportError as error:
             raise UsageError(f"--out {error}") from error
         require_library(out)
@@ -153,14 +156,19 @@ def _write(root: Path, solved: StoredObject, wish: Wish, outs: Sequence[Path], s
     if not outs:
         return
     from appliance.export.files import write_surface
+    from appliance.offline.object_report import report_of
     from appliance.offline.objects import about_object, surface_of
+    from appliance.report.page import write_report
 
     with Progress() as progress:
         surface = surface_of(root, solved, wish, progress, spacing_mm)
         for out in outs:
             progress(f"writing {out.name}")
             with writing(out):
-                write_surface(out, surface, about_object(solved))
+                if out.suffix.lower() == PAGE:
+                    write_report(out, report_of(solved, surface))
+                else:
+                    write_surface(out, surface, about_object(solved))
 
 
 def _members(verb: WithRoot, root: Path, scans: Sequence[str]) -> tuple[MemberScan, ...]:
@@ -194,9 +202,11 @@ def _say_object(stored: StoredObject, *, as_json: bool) -> None:
 
 def lines_of(places: Places) -> list[str]:
     """Return what solving found, for people: places, then pairs that were refused, then warnings and the bending budget."""
-    lines = [f"{'scan':<10} {'x':>9} {'y':>9} {'z mm':>9} {'± mm':>7}   of it what may bend, mm (without the estimate)"]
+    lines = [
+        f"{'middle of':<10} {'x':>9} {'y':>9} {'z mm':>9} {'± mm':>7}   of it what may bend, mm (without the estimate)"
+    ]
     for name, place in places.places.items():
-        x, y, z = place.translation_mm
+        x, y, z = place.middle_mm
         lines.append(
             f"{name:<10} {x:9.2f} {y:9.2f} {z:9.2f} {place.sigma_mm:7.3f}   {place.bending_mm:.3f} ({place.bending_unaided_mm:.3f})"
         )

@@ -43,7 +43,11 @@ def checked_suffix(path: Path, allowed: tuple[str, ...], what: str) -> str:
 
 def require_library(path: Path) -> None:
     """Raises MissingLibraryError where the library that writes files with the suffix of ``path`` is absent: before minutes of work."""
-    libraries = {".e57": ("pye57", "an E57 file"), ".las": ("laspy", "a LAS file")}
+    libraries = {
+        ".e57": ("pye57", "an E57 file"),
+        ".las": ("laspy", "a LAS file"),
+        ".html": ("plotly", "a page with a surface that can be turned"),
+    }
     if path.suffix.lower() in libraries:
         module, what = libraries[path.suffix.lower()]
         needed(module, module, what)

@@ -22,7 +22,7 @@ from appliance.reconstruct.organised import OrganisedCloud, organised
 from appliance.registration.bow import PRIOR_MM, corrected, spread_mm
 from appliance.registration.graph import Edge, Placed
 from appliance.registration.pair import ReadyScan, ready
-from appliance.registration.solve import Compared, Solved, solve
+from appliance.registration.solve import Compared, Solved, middle_of, solve
 from appliance.storage import objects
 from appliance.storage import scan as stored
 from appliance.storage.objects import ComparedScans, MemberScan, ObjectError, Places, ScanPlace, StoredObject
@@ -131,11 +131,14 @@ def solve_object(
         scans.append(ready(member.cloud, member.calibration.rig.left, member.water_index, light_of(member.calibration)))
         clouds.append((member.scan.name, member.calibration.hash, member.water_index, member.verdicts))
     solved = solve(scans, lambda what, part: progress(what, 0.5 + 0.5 * part), with_shared_error)
-    return replace(stored_object, places=_places(solved, clouds, with_shared_error))
+    return replace(stored_object, places=_places(solved, scans, clouds, with_shared_error))
 
 
 def _places(
-    solved: Solved, clouds: Sequence[tuple[str, str, float, tuple[str, ...]]], with_shared_error: bool
+    solved: Solved,
+    scans: Sequence[ReadyScan],
+    clouds: Sequence[tuple[str, str, float, tuple[str, ...]]],
+    with_shared_error: bool,
 ) -> Places:
     placed = solved.placed
     named = [one[0] for one in clouds]
@@ -146,7 +149,7 @@ def _places(
     return Places(
         calibrations=calibrations,
         water_index=tuple(one[2] for one in clouds),
-        places={named[k]: _place(placed, k) for k in sorted(placed.poses)},
+        places={named[k]: _place(placed, k, middle_of(scans[k])) for k in sorted(placed.poses)},
         pairs=tuple(_pair(one, placed, named) for one in solved.compared),
         left_out={named[k]: text for k, text in solved.left_out.items()},
         warnings=_warnings(solved, clouds, calibrations),
@@ -157,12 +160,14 @@ def _places(
     )
 
 
-def _place(placed: Placed, k: int) -> ScanPlace:
+def _place(placed: Placed, k: int, middle_mm: NDArray[np.float64]) -> ScanPlace:
     pose, covariance = placed.poses[k], placed.covariance[k]
     x, y, z = pose.translation_mm.tolist()
+    across, down, away = pose.of(middle_mm).tolist()
     return ScanPlace(
         rotation=matrix3(pose.rotation),
         translation_mm=(x, y, z),
+        middle_mm=(across, down, away),
         sigma_mm=float(np.sqrt(np.trace(covariance[3:, 3:]))),
         covariance=tuple(tuple(row) for row in covariance.tolist()),
         bending_mm=placed.bending_mm[k],

@@ -56,6 +56,8 @@ class ScanPlace:
 
     rotation: tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
     translation_mm: tuple[float, float, float]
+    middle_mm: tuple[float, float, float]
+    """Middle of its points in the object's frame."""
     sigma_mm: float
     """Standard deviation of its middle's place relative to the first scan, the shared depth error included."""
     covariance: tuple[tuple[float, ...], ...]
